@@ -1,32 +1,25 @@
-//! `authros agent`: the robot's side. `enrol` is run by the owner, `run` on the robot or its host.
+//! `authros agent`: `enrol` runs at the owner, `run` on the robot.
 
-use std::future::pending;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::{future::pending, time::Duration};
 
 use serde::Serialize;
 
 use super::args::{AgentVerb, EnrolArguments, Global, RunArguments};
 use super::connect::{Context, ProfileNeed};
-use super::verbs::CHAIN;
-use super::{parse, passphrase, serve};
+use super::{parse, passphrase, serve, verbs::CHAIN};
 use crate::crypto::{Fingerprint, Passphrase, SealedEnrolment, private_file};
 use crate::model::{ByteSize, ErrorKind};
-use crate::service::command::EnrolDevice;
 use crate::service::{
     Agent, AgentEnd, AgentFigures, AgentWishes, Client, EnrolWishes, Failure, Needs, NoticeLevel, SecretText, Site,
 };
-use crate::store::TopicCounts;
+use crate::{service::command::EnrolDevice, store::TopicCounts};
 use authros_output::Output;
 
-/// `agent …`; the home of `run` follows from its enrolment.
-///
-/// # Errors
-/// Errors of the arguments, the site or the outbox.
 pub async fn run(mut global: Global, verb: AgentVerb, output: &Output) -> Result<u8, Failure> {
     match verb {
         AgentVerb::Enrol(arguments) => {
-            // It is the key of the robot's gateway here, not of the one that this home's site has joined.
+            // Names the robot's gateway, not the one that this home's site joined.
             global.gateway_key = None;
             enrol(Context::new(global, output)?, arguments, output).await
         }
@@ -34,10 +27,6 @@ pub async fn run(mut global: Global, verb: AgentVerb, output: &Output) -> Result
     }
 }
 
-/// Enrols a robot and writes its file.
-///
-/// # Errors
-/// Errors of the site, the gateway or the arguments.
 async fn enrol(context: Context, arguments: EnrolArguments, output: &Output) -> Result<u8, Failure> {
     let out = arguments.out;
     if out.exists() {
@@ -96,7 +85,6 @@ fn open(global: &Global, path: &Path) -> Result<SealedEnrolment, Failure> {
     Ok(SealedEnrolment::open(path, &Passphrase::new(secret.expose().to_owned())?)?)
 }
 
-/// The last document of a run.
 #[derive(Serialize)]
 struct Summary {
     #[serde(flatten)]
@@ -105,10 +93,6 @@ struct Summary {
     topics: Vec<TopicCounts>,
 }
 
-/// Runs an agent until it is done or told to stop.
-///
-/// # Errors
-/// Errors of the enrolment, the outbox or the arguments.
 async fn capture(global: Global, arguments: RunArguments, output: &Output) -> Result<u8, Failure> {
     let wishes = AgentWishes {
         topics: parse::values(&arguments.topics)?,
@@ -125,7 +109,7 @@ async fn capture(global: Global, arguments: RunArguments, output: &Output) -> Re
     let site = Site::start(context.home, context.config, lock, Needs { ros: true, chain: false })?;
     site.oversee();
     let (mut events, beside) = (site.events(), *output);
-    // What the site tells goes to stderr.
+    // Notices of the site go to stderr.
     let notes = tokio::spawn(async move { serve::follow(&mut events, NoticeLevel::Info, &beside, pending()).await });
     let mut agent = match Agent::start(&site, sealed, wishes).await {
         Ok(agent) => agent,
@@ -157,12 +141,11 @@ fn text(figures: &AgentFigures) -> String {
         format!("; ring: {} messages, {}, {} fell out", ring.messages, ByteSize(ring.bytes), ring.fallen)
     });
     let AgentFigures { name, captured, accepted, verified, pending, lost, gateway, .. } = figures;
-    let counts =
-        format!("captured {captured}, accepted {accepted}, verified {verified}, pending {pending}, lost {lost}");
-    format!("{name}: {counts}{ring}; gateway: {gateway}")
+    let sum = format!("captured {captured}, accepted {accepted}, verified {verified}, pending {pending}, lost {lost}");
+    format!("{name}: {sum}{ring}; gateway: {gateway}")
 }
 
-/// For an agent that runs indefinitely, being told to stop is success: the outbox continues later.
+/// An unlimited agent that is told to stop succeeds: its outbox continues later.
 fn code(end: AgentEnd, unlimited: bool, figures: &AgentFigures) -> u8 {
     let kind = match end {
         _ if figures.tampered > 0 => Some(ErrorKind::Tampered),

@@ -8,13 +8,11 @@ pub use self::chain::{ChainVerb, GenesisArguments, SuccessionVerb};
 pub use self::keys::{ExportKind, IdentityVerb, KeysVerb};
 pub use self::records::{CaptureArguments, ListArguments, SharedVerb, TopicsVerb, UploadsVerb};
 
-use std::ffi::OsString;
-use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::{ffi::OsString, net::SocketAddr, path::PathBuf};
 
 use clap::{Args, CommandFactory as _, Parser, Subcommand, ValueEnum};
 
-use super::logging::LogForm;
+use authros_output::Log;
 
 /// Share robot data under proof: messages sealed with SM4, signed with SM2, anchored by SM3
 /// digest on a private Ethereum network. Without a command it opens the operator console.
@@ -38,8 +36,8 @@ pub struct Arguments {
     pub verb: Option<Verb>,
 }
 
-/// The words of a command line, in which a value that is named like a command stands in one word with its option. Before the
-/// command, clap takes it for the command itself, because commands go before values for the sake of `--ros2 topics list`.
+/// Joins an option and a value that is named like a command by `=`. Otherwise clap takes the value for the command,
+/// because commands go before values for the sake of `--ros2 topics list`.
 pub fn with_values_joined(words: impl IntoIterator<Item = OsString>) -> Vec<OsString> {
     let command = Arguments::command();
     let is_command = |word: &OsString| command.find_subcommand(word).is_some();
@@ -323,6 +321,25 @@ pub struct ConsoleArguments {
     pub read_only: bool,
 }
 
+/// How lines beside the result are written.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
+pub enum LogForm {
+    /// For people
+    #[default]
+    Text,
+    /// One JSON object per line: time, level, source, message
+    Json,
+}
+
+impl From<LogForm> for Log {
+    fn from(form: LogForm) -> Self {
+        match form {
+            LogForm::Text => Self::Text,
+            LogForm::Json => Self::Json,
+        }
+    }
+}
+
 /// Flags of every command, listed behind a command's own.
 #[derive(Debug, Clone, Args)]
 #[command(next_help_heading = "Options of every command")]
@@ -401,29 +418,59 @@ pub struct Global {
 }
 
 impl Global {
-    /// The flag's value for a setting.
+    /// Flags with a value, each with its setting. The exhaustive pattern makes a forgotten flag a compile error.
+    pub fn valued(&self) -> [(&'static str, &'static str, Option<&str>); 12] {
+        let Self {
+            home: _,
+            profile: _,
+            json: _,
+            log: _,
+            passphrase_file: _,
+            passphrase_fd: _,
+            site_socket: _,
+            ros_master,
+            ros2,
+            chain,
+            contract,
+            consensus,
+            cache,
+            robots,
+            robots_by,
+            confirmations,
+            crypto_provider,
+            site: _,
+            gateway_key,
+            trust_first: _,
+            anchor_mode,
+        } = self;
+        [
+            ("--ros-master", "ros.master", ros_master.as_deref()),
+            ("--ros2", "ros.domain", ros2.as_deref()),
+            ("--chain", "chain.url", chain.as_deref()),
+            ("--contract", "chain.contract", contract.as_deref()),
+            ("--consensus", "chain.consensus", consensus.as_deref()),
+            ("--cache", "cache.url", cache.as_deref()),
+            ("--robots", "robots", robots.as_deref()),
+            ("--robots-by", "ros.robots_by", robots_by.as_deref()),
+            ("--confirmations", "confirmations", confirmations.as_deref()),
+            ("--crypto-provider", "crypto.provider", crypto_provider.as_deref()),
+            ("--gateway-key", "site.gateway_key", gateway_key.as_deref()),
+            ("--anchor-mode", "anchor.mode", anchor_mode.as_deref()),
+        ]
+    }
+
     pub fn setting(&self, name: &str) -> Option<String> {
+        let valued = || self.valued().into_iter().find(|(_, setting, _)| *setting == name)?.2.map(str::to_owned);
         match name {
-            "ros.master" => self.ros_master.clone(),
-            "ros.domain" => self.ros2.clone().map(domain),
-            "chain.url" => self.chain.clone(),
-            "chain.contract" => self.contract.clone(),
-            "chain.consensus" => self.consensus.clone(),
-            "cache.url" => self.cache.clone(),
-            "robots" => self.robots.clone(),
-            "ros.robots_by" => self.robots_by.clone(),
-            "confirmations" => self.confirmations.clone(),
-            "crypto.provider" => self.crypto_provider.clone(),
-            "anchor.mode" => self.anchor_mode.clone(),
+            "ros.domain" => valued().map(domain),
             "site.address" => (!self.site.is_empty()).then(|| self.site.join(",")),
-            "site.gateway_key" => self.gateway_key.clone(),
             "site.trust_first" => self.trust_first.then(|| "yes".to_owned()),
-            _ => None,
+            _ => valued(),
         }
     }
 }
 
-/// The domain that a flag without a number means.
+/// A flag without a number means $ROS_DOMAIN_ID, else 0.
 fn domain(written: String) -> String {
     let of_environment = || std::env::var("ROS_DOMAIN_ID").ok().filter(|value| !value.is_empty());
     Some(written).filter(|written| !written.is_empty()).or_else(of_environment).unwrap_or_else(|| "0".to_owned())

@@ -3,10 +3,9 @@
 use clap::{Args, Subcommand};
 
 use super::parse;
-use crate::model::{ErrorKind, Timestamp};
-use crate::service::Failure;
-use crate::service::command::AuditQuery;
+use crate::model::ErrorKind;
 use crate::service::reply::{AuditCheck, AuditView};
+use crate::service::{Failure, command::AuditQuery};
 use authros_output::table;
 
 /// `audit`
@@ -21,21 +20,6 @@ pub struct AuditArguments {
     /// Only records captured at or after: a time such as 2026-11-21T08:30:00Z, or a duration ago such as 10m
     #[arg(long, value_name = "TIME")]
     pub since: Option<String>,
-}
-
-impl AuditArguments {
-    /// The audit of all records; `deep` = of their bytes and signatures too.
-    pub fn of_records(deep: bool) -> Self {
-        Self { verb: None, deep, since: None }
-    }
-
-    /// From when on.
-    ///
-    /// # Errors
-    /// A time that cannot be read.
-    pub fn since(&self) -> Result<Option<Timestamp>, Failure> {
-        self.since.as_deref().map(parse::past).transpose()
-    }
 }
 
 /// `audit …`
@@ -79,10 +63,6 @@ pub enum AuditVerb {
     },
 }
 
-/// The beginning and the length of `audit list`.
-///
-/// # Errors
-/// What is wrong with the arguments.
 pub fn query(since: Option<&str>, limit: usize) -> Result<AuditQuery, Failure> {
     if !(1..=1000).contains(&limit) {
         return Err(Failure::new(ErrorKind::Input, format!("--limit {limit} is not between 1 and 1000")));
@@ -90,7 +70,6 @@ pub fn query(since: Option<&str>, limit: usize) -> Result<AuditQuery, Failure> {
     Ok(AuditQuery { since: since.map(parse::past).transpose()?, limit, ..AuditQuery::default() })
 }
 
-/// The lines, for people.
 pub fn lines(lines: &[AuditView]) -> String {
     let row = |line: &AuditView| {
         let (action, subject, outcome) = (line.action.clone(), line.subject.clone(), line.outcome.clone());
@@ -99,7 +78,6 @@ pub fn lines(lines: &[AuditView]) -> String {
     table(&["line", "at", "by", "action", "subject", "outcome"], lines.iter().map(row))
 }
 
-/// What a check found, for people.
 pub fn check(check: &AuditCheck) -> String {
     let mut lines = Vec::new();
     match &check.text {
@@ -112,7 +90,6 @@ pub fn check(check: &AuditCheck) -> String {
     lines.join("\n")
 }
 
-/// The exit code of a check.
 pub fn code(check: &AuditCheck) -> u8 {
     if check.ok { 0 } else { ErrorKind::Tampered.exit_code() }
 }

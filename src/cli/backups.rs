@@ -1,39 +1,26 @@
-//! Scheduled backups: a new file in a folder, removing the oldest of its kind; and the drill that shows one of them
-//! can be restored. A console that is left running hands its home over to `authros serve`.
+//! Scheduled backups, the restore drill, and the hand-over from a console to `authros serve`.
 
-use std::ffi::OsString;
-use std::io::Write as _;
-use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::{convert::Infallible, ffi::OsString, io::Write as _, os::unix::process::CommandExt as _};
 
 use authros_output::Output;
 use clap::ValueEnum as _;
 
 use super::args::{BackupArguments, Global};
-use super::audit::AuditArguments;
 use super::check::{backed_up, backup_passphrase};
 use super::connect::{Context, ProfileNeed};
-use super::parse::absolute;
-use super::serve::OWN_PROGRAM;
 use super::verbs::{self, NEITHER};
-use super::{passphrase, plans, printed};
+use super::{audit::AuditArguments, parse::absolute, passphrase, printed, serve::OWN_PROGRAM};
 use crate::crypto::unfinished::{self, UnfinishedFolder};
 use crate::crypto::{Passphrase, UnlockedKeyring};
 use crate::model::{ErrorKind, ProfileName, Timestamp};
-use crate::paths::Home;
-use crate::service::command::BackUp;
-use crate::service::failure::input;
-use crate::service::{Client, Failure, SecretText, restoring};
-use crate::term;
+use crate::service::{Client, Failure, SecretText, command::BackUp, failure::input, restoring};
+use crate::{paths::Home, term};
 
-/// Prefix and suffix of these files' names; the time they were written is in between.
+/// Prefix and suffix of backup files; the time is in between.
 const NAME: (&str, &str) = ("authros-", ".backup");
 
-/// `backup FILE`, or `backup --to DIR --keep N`: one more file, then at most `keep` of them.
-///
-/// # Errors
-/// If the folder does not exist, or errors of the site; nothing is removed then.
 pub async fn run(context: Context, backup: BackupArguments, output: &Output) -> Result<u8, Failure> {
     let passphrase = backup_passphrase(&context.global)?;
     let folder = backup.to.as_deref().map(absolute).transpose()?;
@@ -66,7 +53,6 @@ fn name_at(now: Timestamp) -> String {
     format!("{}{}Z{}", NAME.0, digits.trim_end_matches('Z'), NAME.1)
 }
 
-/// Whether a file of this name is one of ours.
 fn is_own(name: &str) -> bool {
     let Some(time) = name.strip_prefix(NAME.0).and_then(|rest| rest.strip_suffix(NAME.1)) else { return false };
     let fits = |(index, byte): (usize, u8)| match index {
@@ -77,7 +63,7 @@ fn is_own(name: &str) -> bool {
     time.len() == 16 && time.bytes().enumerate().all(fits)
 }
 
-/// Removes all but the newest `keep` of our files; returns their names. Anything else in the folder stays.
+/// Keeps the newest `keep` backups and all other files; returns the removed names.
 fn remove_old(folder: &Path, keep: usize) -> std::io::Result<Vec<String>> {
     let mut own = Vec::new();
     for entry in std::fs::read_dir(folder)? {
@@ -93,10 +79,7 @@ fn remove_old(folder: &Path, keep: usize) -> std::io::Result<Vec<String>> {
     Ok(own)
 }
 
-/// `restore --check FILE`: restores it into a folder of its own, audits every record of it, and removes it.
-///
-/// # Errors
-/// If the file is not a backup, its passphrase is wrong, or the disk has no room for it.
+/// `restore --check FILE`: restores into a temporary folder, audits every record, removes the folder.
 pub async fn check(context: Context, file: &Path, output: &Output) -> Result<u8, Failure> {
     let passphrase = backup_passphrase(&context.global)?;
     let beside = absolute(context.home.root())?.parent().map_or_else(std::env::temp_dir, Path::to_path_buf);
@@ -110,16 +93,14 @@ pub async fn check(context: Context, file: &Path, output: &Output) -> Result<u8,
     let view = restoring::restore(file, &Home::new(home.clone()), &passphrase)?;
     output.note(&backed_up(&view));
     let drill = Context { home: Home::new(home), ..context };
-    let plan = plans::audit(&drill, &AuditArguments::of_records(true))?;
+    let plan = verbs::audit(&drill, &AuditArguments { verb: None, deep: true, since: None })?;
     let code = verbs::run(drill, plan, output).await;
     folder.close().map_err(unmade)?;
     code
 }
 
-/// How often a passphrase is asked for.
 const ATTEMPTS: usize = 3;
 
-/// What the successor of a console needs to know.
 pub struct Successor {
     global: Global,
     home: Home,
@@ -127,18 +108,13 @@ pub struct Successor {
 }
 
 impl Successor {
-    /// Of a console that begins with these settings.
     pub fn of(context: &Context) -> Self {
         Self { global: context.global.clone(), home: context.home.clone(), profile: context.profile.clone() }
     }
 
-    /// The passphrase, which opens the keyring.
-    ///
-    /// # Errors
-    /// If none is given that does.
     pub fn passphrase(&self) -> Result<SecretText, Failure> {
         let keyring = self.home.keyring(&self.profile);
-        // A descriptor was read at the start.
+        // The descriptor was read at the start.
         let global = Global { passphrase_fd: None, ..self.global.clone() };
         if let Ok(Some(given)) = passphrase::given(&global, &self.home, &self.profile)
             && opens(&keyring, &given).is_ok()
@@ -159,28 +135,24 @@ impl Successor {
         Err(refusal.unwrap_or_else(none_given))
     }
 
-    /// Becomes the successor; returns only if that fails. The site must have been stopped.
+    /// Replaces this process; returns only on failure. The site must have been stopped.
     pub fn become_it(&self, secret: &SecretText) -> Failure {
-        let failed = |error: std::io::Error| {
-            let text = format!("nothing was left running: {error}; capture has stopped, start it with `authros serve`");
-            Failure::new(ErrorKind::Internal, text)
+        let start = || -> std::io::Result<Infallible> {
+            let (reader, mut writer) = std::io::pipe()?;
+            // A pipe holds these at most 4 KiB, so the write does not block and the next program can read them.
+            writer.write_all(secret.expose().as_bytes())?;
+            writer.write_all(b"\n")?;
+            drop(writer);
+            let mut command = Command::new(OWN_PROGRAM);
+            command.arg0("authros").arg("serve").args(words(&self.global, &self.home, &self.profile));
+            Err(command.args(["--detach", "--passphrase-fd", "0"]).stdin(Stdio::from(reader)).exec())
         };
-        let (reader, mut writer) = match std::io::pipe() {
-            Ok(ends) => ends,
-            Err(error) => return failed(error),
-        };
-        // At most 4 KiB, which a pipe holds; what is written stays readable for the program that follows.
-        if let Err(error) = writer.write_all(secret.expose().as_bytes()).and_then(|()| writer.write_all(b"\n")) {
-            return failed(error);
-        }
-        drop(writer);
-        let mut command = Command::new(OWN_PROGRAM);
-        command.arg0("authros").arg("serve").args(words(&self.global, &self.home, &self.profile));
-        failed(command.args(["--detach", "--passphrase-fd", "0"]).stdin(Stdio::from(reader)).exec())
+        let Err(error) = start();
+        let text = format!("nothing was left running: {error}; capture has stopped, start it with `authros serve`");
+        Failure::new(ErrorKind::Internal, text)
     }
 }
 
-/// What to say when the passphrase was not given after all: the console was told to leave.
 fn none_given() -> Failure {
     let text =
         "no passphrase was given, so nothing is left running; capture has stopped, start it with `authros serve`";
@@ -193,55 +165,16 @@ fn opens(keyring: &Path, secret: &SecretText) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The flags of the console as those of its successor. Each has its place here, so that one that is forgotten does not
-/// compile; those of a passphrase and of an operator, who leaves no site, are not passed on.
+/// The console's flags for its successor, without those of a passphrase and of an operator.
 fn words(global: &Global, home: &Home, profile: &ProfileName) -> Vec<OsString> {
-    let Global {
-        home: _,
-        profile: _,
-        json,
-        log,
-        passphrase_file: _,
-        passphrase_fd: _,
-        site_socket: _,
-        ros_master,
-        ros2,
-        chain,
-        contract,
-        consensus,
-        cache,
-        robots,
-        robots_by,
-        confirmations,
-        crypto_provider,
-        site,
-        gateway_key,
-        trust_first,
-        anchor_mode,
-    } = global;
-    let log = log.to_possible_value().map(|value| value.get_name().to_owned());
+    let log = global.log.to_possible_value().map(|value| format!("--log={}", value.get_name()));
     let mut words: Vec<OsString> = vec!["--home".into(), home.root().into(), format!("--profile={profile}").into()];
-    words.extend(json.then(|| OsString::from("--json")));
-    words.extend(trust_first.then(|| OsString::from("--trust-first")));
-    let valued = [
-        ("--log", &log),
-        ("--ros-master", ros_master),
-        ("--ros2", ros2),
-        ("--chain", chain),
-        ("--contract", contract),
-        ("--consensus", consensus),
-        ("--cache", cache),
-        ("--robots", robots),
-        ("--robots-by", robots_by),
-        ("--confirmations", confirmations),
-        ("--crypto-provider", crypto_provider),
-        ("--gateway-key", gateway_key),
-        ("--anchor-mode", anchor_mode),
-    ];
-    for (flag, value) in valued {
-        words.extend(value.as_ref().map(|value| OsString::from(format!("{flag}={value}"))));
-    }
-    words.extend(site.iter().map(|value| OsString::from(format!("--site={value}"))));
+    words.extend(global.json.then(|| OsString::from("--json")));
+    words.extend(global.trust_first.then(|| OsString::from("--trust-first")));
+    words.extend(log.map(OsString::from));
+    let valued = global.valued().into_iter().filter_map(|(flag, _, value)| Some(format!("{flag}={}", value?)));
+    words.extend(valued.map(OsString::from));
+    words.extend(global.site.iter().map(|value| OsString::from(format!("--site={value}"))));
     words
 }
 

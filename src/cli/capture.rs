@@ -3,35 +3,24 @@
 use std::convert::Infallible;
 use std::time::{Duration, Instant};
 
-use super::args::CaptureArguments;
 use super::connect::{Context, ProfileNeed};
-use super::parse;
-use super::printed::TAMPERED;
-use super::serve::until_done;
+use super::{args::CaptureArguments, parse, printed::TAMPERED, serve::until_done};
 use crate::model::ErrorKind;
 use crate::service::command::{Capture, ChainStatus, SiteStatus, StopCapture};
 use crate::service::reply::{CaptureSummary, ChainView, HealthLevel, SiteView, TopicSummary};
 use crate::service::{Client, Failure, Needs};
 use authros_output::{Output, table};
 
-/// Without a verified record for this long, the person is told what the capture waits for.
+/// Time without a verified record after which the wait is explained.
 const QUIET: Duration = Duration::from_secs(20);
-/// How often to look.
 const LOOK: Duration = Duration::from_secs(3);
 
-/// Runs one capture; Ctrl-C ends it early, a second one exits at once.
-///
-/// # Errors
-/// Errors of the site or the arguments.
 pub async fn run(context: Context, arguments: CaptureArguments, output: &Output) -> Result<u8, Failure> {
     let length = arguments.duration.as_deref().map(parse::duration).transpose()?;
-    let ask = Capture {
-        topics: parse::values(&arguments.topics)?,
-        type_name: arguments.type_name.as_deref().map(parse::value).transpose()?,
-        count: arguments.count,
-        milliseconds: length.map(|length| u64::try_from(length.as_millis()).unwrap_or(u64::MAX)),
-        tags: parse::tags(&arguments.tags)?,
-    };
+    let (topics, type_name) = (parse::values(&arguments.topics)?, parse::optional(arguments.type_name.as_deref())?);
+    let milliseconds = length.map(|length| u64::try_from(length.as_millis()).unwrap_or(u64::MAX));
+    let tags = parse::tags(&arguments.tags)?;
+    let ask = Capture { topics, type_name, count: arguments.count, milliseconds, tags };
     let connection = context.connect(Needs { ros: true, chain: true }).await?;
     let result = async {
         context.prepare(&connection.client, ProfileNeed::Made, output).await?;
@@ -52,7 +41,7 @@ pub async fn run(context: Context, arguments: CaptureArguments, output: &Output)
     Ok(code(&summary, output))
 }
 
-/// While records are captured and none gets verified: says why, as far as the site knows; each cause once. Never ends.
+/// Explains why nothing gets verified, each cause once. Never ends.
 async fn tell_what_it_waits_for(client: &Client, output: &Output) -> Infallible {
     let (mut verified, mut block) = ((0, Instant::now()), (0, Instant::now()));
     let mut told = None;
@@ -78,7 +67,7 @@ async fn tell_what_it_waits_for(client: &Client, output: &Output) -> Infallible 
     }
 }
 
-/// Why nothing gets verified: a word for the cause, and what to say. `still` is the time since the last block.
+/// The cause and its explanation; `still` is the time since the last block.
 fn obstacle(site: &SiteView, chain: &ChainView, still: Duration) -> (&'static str, String) {
     let unwell = site.health.iter().find(|part| part.part == "chain" && part.level != HealthLevel::Ok);
     if let Some(part) = unwell {

@@ -4,47 +4,37 @@
 
 use std::fs::{DirBuilder, OpenOptions};
 use std::io::{ErrorKind as IoKind, Write as _};
-use std::net::SocketAddr;
-use std::path::Path;
+use std::{net::SocketAddr, path::Path};
 
 use super::args::{ChainVerb, GenesisArguments, Global, SuccessionVerb};
 use super::connect::{Context, ProfileNeed};
-use super::parse;
-use super::show::not_written;
 use super::verbs::{CHAIN, Plan};
+use super::{parse, show::not_written};
 use crate::chain::{GUIDE, Genesis, GenesisKind};
 use crate::model::ErrorKind;
-use crate::service::command::{
-    Administer, Administration, CancelTransaction, ChainStatus, DeployContract, ListSuccessions, ServeChain,
-};
-use crate::service::failure::input;
-use crate::service::reply::ServedView;
-use crate::service::{Client, Failure, Needs};
+use crate::service::command::{self, Administration};
+use crate::service::{Client, Failure, Needs, failure::input, reply::ServedView};
 use authros_output::Output;
 
-/// `chain …`; only `genesis` needs no home.
-///
-/// # Errors
-/// Errors of the arguments or the site.
 pub async fn run(global: Global, verb: ChainVerb, output: &Output) -> Result<u8, Failure> {
-    let unlocked = |act: Administration| Plan::new(CHAIN, ProfileNeed::Unlocked, Administer(act));
+    let unlocked = |act: Administration| Plan::unlocked(command::Administer(act));
     let plan = match verb {
         ChainVerb::Genesis(arguments) => return genesis(&arguments, output),
         ChainVerb::Serve { listen } => return serve(Context::new(global, output)?, listen, output).await,
-        ChainVerb::Status => Plan::new(CHAIN, ProfileNeed::None, ChainStatus),
+        ChainVerb::Status => Plan::public(command::ChainStatus),
         ChainVerb::Deploy { delay } => {
             let delay = delay.as_deref().map(seconds).transpose()?;
-            Plan::new(CHAIN, ProfileNeed::Made, DeployContract { delay })
+            Plan::new(CHAIN, ProfileNeed::Made, command::DeployContract { delay })
         }
         ChainVerb::Cancel { nonce, account, yes: true } => {
-            let account = account.as_deref().map(parse::value).transpose()?;
-            Plan::new(CHAIN, ProfileNeed::Unlocked, CancelTransaction { nonce, account })
+            let account = parse::optional(account.as_deref())?;
+            Plan::unlocked(command::CancelTransaction { nonce, account })
         }
         ChainVerb::Cancel { .. } => {
             let text = "what the transaction was for does not happen unless it anchors records; add --yes to confirm";
             return Err(Failure::new(ErrorKind::Usage, text));
         }
-        ChainVerb::Succession(SuccessionVerb::List) => Plan::new(CHAIN, ProfileNeed::None, ListSuccessions),
+        ChainVerb::Succession(SuccessionVerb::List) => Plan::public(command::ListSuccessions),
         ChainVerb::Succession(SuccessionVerb::Propose { lost, successor }) => {
             unlocked(Administration::Propose { lost: parse::value(&lost)?, successor: parse::value(&successor)? })
         }
@@ -75,17 +65,13 @@ fn seconds(text: &str) -> Result<u64, Failure> {
     parse::duration(text).map(|length| length.as_secs())
 }
 
-/// Serves the embedded chain's JSON-RPC until a signal: through this home's running site, or as the site itself.
-///
-/// # Errors
-/// If the address is not loopback or not free, or the chain is a node.
 async fn serve(context: Context, listen: SocketAddr, output: &Output) -> Result<u8, Failure> {
     if !listen.ip().is_loopback() {
-        // Reported before a site is started for it.
+        // Refuses before a site is started.
         drop(crate::chain::serve::listen(listen).await?);
     }
     let connection = context.connect(Needs { ros: true, chain: true }).await?;
-    let begin = async |client: &Client| client.ask(ServeChain { address: listen }).await;
+    let begin = async |client: &Client| client.ask(command::ServeChain { address: listen }).await;
     super::serve::until_signal(connection, output, begin, |served: ServedView, joined| {
         let place = if joined { "the running site" } else { "this process, the site" };
         output.result(&serde_json::json!({ "serving": &served, "joined": joined }), || {
@@ -95,23 +81,15 @@ async fn serve(context: Context, listen: SocketAddr, output: &Output) -> Result<
     .await
 }
 
-/// Makes a genesis file, or prints the guide.
-///
-/// # Errors
-/// If the arguments do not match, or a file exists already.
 fn genesis(arguments: &GenesisArguments, output: &Output) -> Result<u8, Failure> {
     let Some(consensus) = &arguments.consensus else {
         output.result(&serde_json::json!({ "guide": GUIDE }), || GUIDE.to_owned());
         return Ok(0);
     };
     let kind: GenesisKind = parse::value(consensus)?;
-    let genesis = Genesis {
-        kind,
-        chain_id: arguments.chain_id,
-        signers: parse::values(&arguments.signers)?,
-        period: arguments.period,
-        allocations: parse::values(&arguments.allocations)?,
-    };
+    let (signers, allocations) = (parse::values(&arguments.signers)?, parse::values(&arguments.allocations)?);
+    let GenesisArguments { chain_id, period, .. } = *arguments;
+    let genesis = Genesis { kind, chain_id, signers, period, allocations };
     let file = genesis.file()?;
     let text = serde_json::to_string_pretty(&file).unwrap_or_default();
     let Some(directory) = &arguments.out else {
@@ -133,7 +111,7 @@ fn genesis(arguments: &GenesisArguments, output: &Output) -> Result<u8, Failure>
     Ok(0)
 }
 
-/// A genesis file that a network was founded with must not be lost by accident.
+/// Never overwrites: the genesis file of a network must not be lost by accident.
 fn write_new(path: &Path, text: &str) -> Result<(), Failure> {
     let mut file = match OpenOptions::new().write(true).create_new(true).open(path) {
         Ok(file) => file,

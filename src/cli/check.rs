@@ -2,21 +2,16 @@
 
 use std::path::Path;
 
-use super::args::Global;
-use super::connect::Context;
-use super::show::Question;
-use super::{parse, passphrase};
-use crate::model::ErrorKind;
+use super::{args::Global, connect::Context, parse, passphrase, show::Question};
 use crate::service::command::{ListAllUploads, ListUploads, SecretText, SiteStatus, UploadQuery};
 use crate::service::reply::{BackupView, CheckStatus, DoctorView, RecordAudit, SiteView};
 use crate::service::verification::{self, FolderCheck, Known, verdict};
-use crate::service::{Failure, Needs, doctor, is_bound, restoring, socket};
-use crate::store::SiteLock;
+use crate::service::{Failure, doctor, restoring, socket};
+use crate::{model::ErrorKind, store::SiteLock};
 use authros_output::{Output, table};
 
-/// `uploads list`: of the given profile, otherwise of all profiles of the home.
 pub fn list_uploads(context: &Context, query: UploadQuery) -> Question {
-    // The ids of tags follow from each profile's own key.
+    // Ids of tags derive from each profile's own key.
     let of_one = context.global.profile.is_some()
         || context.operator.is_some()
         || !query.tags.is_empty()
@@ -25,16 +20,10 @@ pub fn list_uploads(context: &Context, query: UploadQuery) -> Question {
     if of_one { ListUploads(query).into() } else { ListAllUploads(query).into() }
 }
 
-/// What an audit of records needs: the chain, if the home is bound to one.
-pub fn audit_needs(context: &Context) -> Needs {
-    Needs { ros: false, chain: is_bound(&context.home) }
-}
-
 fn rounded(value: f64) -> String {
     if value < 10.0 { format!("{value:.1}") } else { format!("{value:.0}") }
 }
 
-/// The findings of an audit, for people.
 pub fn audit(audit: &RecordAudit) -> String {
     let how = if audit.deep { "re-hashed, signatures checked" } else { "compared (rows, proofs, chain)" };
     let (megabytes, threads) = (rounded(audit.megabytes_per_second), audit.threads);
@@ -73,12 +62,10 @@ pub fn audit(audit: &RecordAudit) -> String {
     lines.join("\n")
 }
 
-/// The exit code of an audit.
 pub fn audit_code(audit: &RecordAudit) -> u8 {
     audit.worst().map_or(0, ErrorKind::exit_code)
 }
 
-/// A backup or a restore, for people.
 pub fn backed_up(view: &BackupView) -> String {
     let profiles = if view.profiles.is_empty() { "no profile".to_owned() } else { view.profiles.join(", ") };
     let mut lines = vec![format!("{}: {} files, {} bytes, keyrings of {profiles}", view.file, view.files, view.bytes)];
@@ -86,10 +73,6 @@ pub fn backed_up(view: &BackupView) -> String {
     lines.join("\n")
 }
 
-/// `doctor`.
-///
-/// # Errors
-/// If nothing can be examined.
 pub async fn run_doctor(context: Context, output: &Output) -> Result<u8, Failure> {
     let site = running_site(&context).await;
     let view = doctor::examine(&context.home, &context.config, site).await;
@@ -97,7 +80,7 @@ pub async fn run_doctor(context: Context, output: &Output) -> Result<u8, Failure
     Ok(if view.ok { 0 } else { ErrorKind::Incomplete.exit_code() })
 }
 
-/// The running site's answer; `None` if none runs.
+/// `None` if no site runs.
 async fn running_site(context: &Context) -> Option<Result<SiteView, String>> {
     if !context.home.site_lock().exists() || matches!(SiteLock::acquire(&context.home.site_lock()), Ok(Some(_))) {
         return None;
@@ -127,14 +110,10 @@ fn doctor_text(view: &DoctorView) -> String {
     lines.join("\n")
 }
 
-/// `verify DIR`.
-///
-/// # Errors
-/// If the folder is not an export, or a flag is invalid.
 pub async fn run_verify(global: &Global, folder: &Path, genesis: Option<&str>, output: &Output) -> Result<u8, Failure> {
     let set = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
     let url = global.chain.clone().or_else(|| set("AUTHROS_CHAIN"));
-    let contract = global.contract.as_deref().map(parse::value).transpose()?;
+    let contract = parse::optional(global.contract.as_deref())?;
     let genesis = genesis.map(parse::value).transpose()?;
     let check = verification::verify(folder, url.as_deref(), Known { genesis, contract }).await?;
     output.result(&check, || verify_text(&check));
@@ -154,20 +133,13 @@ fn verify_text(check: &FolderCheck) -> String {
     format!("{steps}\n{}", verdict(check))
 }
 
-/// The passphrase of a backup: given, never the home's own.
-///
-/// # Errors
-/// If none was given, or errors of its file.
+/// Never the home's own passphrase.
 pub fn backup_passphrase(global: &Global) -> Result<SecretText, Failure> {
     passphrase::of_file(global, Path::new(""))?.ok_or_else(|| {
         Failure::new(ErrorKind::Usage, "a backup needs its own passphrase: pass --passphrase-file or --passphrase-fd")
     })
 }
 
-/// `restore FILE`.
-///
-/// # Errors
-/// If the home is not empty, or the file is not a backup.
 pub fn run_restore(context: &Context, file: &Path, output: &Output) -> Result<u8, Failure> {
     let passphrase = backup_passphrase(&context.global)?;
     let view = restoring::restore(file, &context.home, &passphrase)?;

@@ -1,4 +1,4 @@
-//! Completion of words that only the home knows: the hidden `complete` looks them up, and the shells' scripts ask it.
+//! Completion of words that only the home knows: the shells' scripts ask the hidden `complete`.
 
 use std::fmt::Write as _;
 
@@ -23,17 +23,12 @@ pub enum Word {
 }
 
 impl Word {
-    fn name(self) -> &'static str {
-        match self {
-            Self::Topic => "topic",
-            Self::Contact => "contact",
-            Self::Record => "record",
-            Self::Profile => "profile",
-        }
+    fn name(self) -> String {
+        self.to_possible_value().map(|value| value.get_name().to_owned()).unwrap_or_default()
     }
 }
 
-/// Commands whose first argument is such a word.
+/// Commands, and the kind of their first argument.
 const COMMANDS: &[(&str, Word)] = &[
     ("topics watch", Word::Topic),
     ("topics unwatch", Word::Topic),
@@ -52,7 +47,7 @@ const COMMANDS: &[(&str, Word)] = &[
     ("shared path", Word::Record),
 ];
 
-/// Options whose value is such a word, on every command.
+/// Options of every command, and the kind of their value.
 const OPTIONS: &[(&str, Word)] = &[
     ("topic", Word::Topic),
     ("owner", Word::Contact),
@@ -61,7 +56,6 @@ const OPTIONS: &[(&str, Word)] = &[
     ("profile", Word::Profile),
 ];
 
-/// The words, one a line.
 pub fn candidates(global: &Global, what: Word, begun: &str) -> String {
     let home = global.home.clone().map_or_else(Home::standard, |root| Ok(Home::new(root)));
     let Ok(home) = home else { return String::new() };
@@ -74,14 +68,13 @@ pub fn candidates(global: &Global, what: Word, begun: &str) -> String {
     completing::words(&home, kind, begun).into_iter().map(|word| word + "\n").collect()
 }
 
-/// The shell's script with these words in it; of shells other than bash, zsh and fish as it is.
 pub fn with_words(shell: Shell, script: String) -> String {
     match shell {
-        Shell::Bash => format!("{script}\n{}", BASH.replace("CASES", &cases())),
-        // Loaded by its name, `_authros` is what zsh calls from the second time on.
+        Shell::Bash => format!("{script}\n{}", BASH.replace("LOOP", &before("COMP_WORDS", "COMP_CWORD", "1"))),
+        // Once loaded, zsh calls `_authros` by its name.
         Shell::Zsh => {
             let script = script.replacen("_authros() {", "_authros_commands_alone() {", 1);
-            let head = ZSH.replace("CASES", &cases());
+            let head = ZSH.replace("LOOP", &before("words", "CURRENT", "2"));
             script.replacen("_authros_commands_alone() {", &format!("{head}\n_authros_commands_alone() {{"), 1)
         }
         Shell::Fish => format!("{script}\n{}", fish()),
@@ -89,7 +82,6 @@ pub fn with_words(shell: Shell, script: String) -> String {
     }
 }
 
-/// What is asked for by which words, as `case` of a shell has it.
 fn cases() -> String {
     let mut text = String::new();
     for (option, word) in OPTIONS {
@@ -102,22 +94,24 @@ fn cases() -> String {
     text
 }
 
-/// Words that stand before the one that is completed, flags of every command left out but for the last.
-const BASH: &str = r#"_authros_words() {
-    local begun="${COMP_WORDS[COMP_CWORD]}" before=" " what="" home="" place word
-    for ((place = 1; place < COMP_CWORD; place++)); do
-        word="${COMP_WORDS[place]}"
+/// `before` holds the words before the cursor, without global flags.
+const LOOP: &str = r#"    local begun="${WORDS[AT]}" before=" " what="" home="" place word
+    for ((place = FIRST; place < AT; place++)); do
+        word="${WORDS[place]}"
         case "$word" in
-            --home) home="${COMP_WORDS[place + 1]}"; ((place++)) ;;
+            --home) home="${WORDS[place + 1]}"; ((place++)) ;;
             --json) ;;
-            --profile) if ((place + 1 < COMP_CWORD)); then ((place++)); else before="$before$word "; fi ;;
+            --profile) if ((place + 1 < AT)); then ((place++)); else before="$before$word "; fi ;;
             *) before="$before$word " ;;
         esac
     done
     case "$before" in
 CASES    esac
     if [[ -n "$what" && "$begun" != -* ]]; then
-        mapfile -t COMPREPLY < <(AUTHROS_HOME="${home:-$AUTHROS_HOME}" authros complete "$what" "$begun" 2>/dev/null)
+"#;
+
+const BASH: &str = r#"_authros_words() {
+LOOP        mapfile -t COMPREPLY < <(AUTHROS_HOME="${home:-$AUTHROS_HOME}" authros complete "$what" "$begun" 2>/dev/null)
         ((${#COMPREPLY[@]} == 0)) || mapfile -t COMPREPLY < <(printf '%q\n' "${COMPREPLY[@]}")
     else
         _authros "$@"
@@ -126,21 +120,13 @@ CASES    esac
 complete -F _authros_words -o nosort -o bashdefault -o default authros 2>/dev/null || complete -F _authros_words -o bashdefault -o default authros
 "#;
 
+/// The loop over a shell's array of words, from `first` to the cursor `at`.
+fn before(words: &str, at: &str, first: &str) -> String {
+    LOOP.replace("WORDS", words).replace("AT", at).replace("FIRST", first).replace("CASES", &cases())
+}
+
 const ZSH: &str = r#"_authros() {
-    local begun="${words[CURRENT]}" before=" " what="" home="" place word
-    for ((place = 2; place < CURRENT; place++)); do
-        word="${words[place]}"
-        case "$word" in
-            --home) home="${words[place + 1]}"; ((place++)) ;;
-            --json) ;;
-            --profile) if ((place + 1 < CURRENT)); then ((place++)); else before="$before$word "; fi ;;
-            *) before="$before$word " ;;
-        esac
-    done
-    case "$before" in
-CASES    esac
-    if [[ -n "$what" && "$begun" != -* ]]; then
-        local -a found
+LOOP        local -a found
         found=("${(@f)$(AUTHROS_HOME="${home:-$AUTHROS_HOME}" authros complete "$what" "$begun" 2>/dev/null)}")
         compadd -a found
     else

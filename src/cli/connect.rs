@@ -1,85 +1,62 @@
-//! From arguments to a client: settings resolved, the running site joined or one opened here, the profile created or
-//! unlocked if the command needs it.
+//! Resolves settings, joins the running site or opens one, and prepares the profile.
 
+use std::io::ErrorKind as IoKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::args::Global;
-use super::passphrase;
+use super::{args::Global, passphrase};
 use crate::config::{Config, Source};
 use crate::model::{ErrorKind, OperatorName, ProfileName};
 use crate::paths::{Home, PlaceError};
-use crate::service::accounts::Account;
 use crate::service::command::{CreateIdentity, ShowIdentity, Unlock};
 use crate::service::failure::{input, refused};
 use crate::service::socket::{self, Greeting};
-use crate::service::{Client, Failure, Needs, Site, looking};
+use crate::service::{Client, Failure, Needs, Site, accounts::Account, looking};
 use crate::store::{SiteLock, files};
 use authros_output::Output;
 
-/// How often it is tried to become the site.
+/// Interval between attempts to become the site.
 const AGAIN: Duration = Duration::from_millis(100);
-/// How long a process that has the home and does not answer is waited for.
+/// Patience with a silent process that holds the home.
 const SILENCE: Duration = Duration::from_secs(5);
-/// How long a command that is the site until it ends is waited for: less than systemd waits for a service to start.
+/// Patience with a command that is the site: below systemd's start timeout.
 const LONGEST_COMMAND: Duration = Duration::from_secs(60);
-/// How long joined processes may still wait for an answer after a signal.
+/// Time for joined processes to get their answers after a signal.
 const FAREWELL: Duration = Duration::from_millis(500);
 
-/// The start of every command.
 pub struct Context {
-    /// The flags.
     pub global: Global,
-    /// The home.
     pub home: Home,
-    /// The profile.
     pub profile: ProfileName,
-    /// The settings.
     pub config: Config,
-    /// As which operator a site is joined that is somebody else's; `None` = as the owner.
+    /// Set where somebody else's site is joined; `None` = the owner.
     pub operator: Option<Operator>,
 }
 
-/// A user at somebody else's site.
 pub struct Operator {
-    /// The socket of that site.
     pub socket: PathBuf,
-    /// The user's name, as the site will find it.
+    /// The user's name, as the site will see it.
     pub name: OperatorName,
 }
 
-impl Operator {
-    /// With `--site-socket`.
-    fn of(global: &Global) -> Result<Option<Self>, Failure> {
-        let Some(socket) = global.site_socket.clone() else { return Ok(None) };
-        Ok(Some(Self { socket, name: Account::own()?.name }))
-    }
-}
-
-/// A client, and the site if this process is it.
 pub struct Connection {
-    /// Acts for the profile.
     pub client: Client,
-    /// The site, to be stopped at the end.
+    /// Set if this process is the site.
     pub site: Option<Arc<Site>>,
 }
 
-/// What a command needs of the profile.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ProfileNeed {
-    /// Nothing.
     None,
-    /// Its keyring open.
     Unlocked,
-    /// Its keyring open at a running site, for what that site is to do from now on. It is not required: what is wished for
-    /// begins when the keyring is opened, and that is said.
+    /// Keyring open if a passphrase is given; otherwise the site begins once it is opened, and the command says so.
     OpenAtSite,
-    /// Its keyring open; created first if there is none.
+    /// Keyring open, created first if missing.
     Made,
 }
 
-fn environment(name: &str) -> Option<String> {
+pub(super) fn environment(name: &str) -> Option<String> {
     std::env::var(name).ok()
 }
 
@@ -87,7 +64,7 @@ fn misplaced(error: PlaceError) -> Failure {
     Failure::new(error.kind(), error.to_string())
 }
 
-/// Nobody should have to search for a home that is in whichever directory the program was started.
+/// Names the home where HOME is not set, so that nobody has to search for it.
 fn say_without_home(home: &Home, output: &Output) {
     if std::env::var_os("HOME").is_none_or(|value| value.is_empty()) {
         let root = home.root().display();
@@ -96,10 +73,6 @@ fn say_without_home(home: &Home, output: &Output) {
 }
 
 impl Context {
-    /// Resolves profile, home and settings.
-    ///
-    /// # Errors
-    /// If one of them is invalid.
     pub fn new(global: Global, output: &Output) -> Result<Self, Failure> {
         let profile = super::parse::value(global.profile.as_deref().unwrap_or("default"))?;
         let standard = || Home::standard().map_err(misplaced);
@@ -111,14 +84,14 @@ impl Context {
         if let Some(kernel) = config.sm4_kernel {
             kernel.force().map_err(|error| input(error.to_string()))?;
         }
-        let operator = Operator::of(&global)?;
+        let operator = match global.site_socket.clone() {
+            Some(socket) => Some(Operator { socket, name: Account::own()?.name }),
+            None => None,
+        };
         Ok(Self { global, home, profile, config, operator })
     }
 
-    /// For an agent: without `--home` it has its own home below the standard one.
-    ///
-    /// # Errors
-    /// See [`Self::new`].
+    /// Without `--home`, an agent has its own home below the standard one.
     pub fn for_agent(global: Global, name: &ProfileName, output: &Output) -> Result<Self, Failure> {
         if global.home.is_some() {
             return Self::new(global, output);
@@ -132,19 +105,14 @@ impl Context {
         let path = home.config();
         let text = match std::fs::read_to_string(&path) {
             Ok(text) => Some(text),
-            Err(error) if matches!(error.kind(), std::io::ErrorKind::NotFound | std::io::ErrorKind::NotADirectory) => {
-                None
-            }
+            Err(error) if matches!(error.kind(), IoKind::NotFound | IoKind::NotADirectory) => None,
             Err(error) => return Err(input(format!("{} cannot be read: {error}", path.display()))),
         };
         let file = text.as_deref().map(|text| (path.as_path(), text));
         Ok(Config::resolve(&|name| global.setting(name), &environment, file)?)
     }
 
-    /// Connects, brings the profile to the state needed, does `work`, and closes the connection.
-    ///
-    /// # Errors
-    /// Errors of the site and of the work.
+    /// Connects, prepares the profile, does `work`, closes the connection.
     pub async fn with<T>(
         &self,
         needs: Needs,
@@ -162,15 +130,11 @@ impl Context {
         result
     }
 
-    /// Joins the running site, or opens one here with the parts needed.
-    ///
-    /// # Errors
-    /// If the home cannot be used, or flags contradict the running site.
     pub async fn connect(&self, needs: Needs) -> Result<Connection, Failure> {
         if let Some(operator) = &self.operator {
             return self.connect_to(&operator.socket).await;
         }
-        // A short command's site has only the parts that this command needs, and ends with it.
+        // A short command's site has only the parts that it needs, and ends with it.
         let waits = |greeting: &Greeting, waited: Duration| match greeting.has {
             _ if greeting.stays => None,
             has if needs.chain && !has.chain => Some(LONGEST_COMMAND),
@@ -179,8 +143,8 @@ impl Context {
         self.join_or_start(needs, "this command", waits).await
     }
 
-    /// Joins the running site, or becomes one. `waits` says how long in all it is waited for the end of a site that is not
-    /// to be joined; `again` is what to run again then.
+    /// `waits` gives the whole patience with a site that must end first, or `None` to join it; `again` names the
+    /// command to repeat.
     async fn join_or_start(
         &self,
         needs: Needs,
@@ -217,7 +181,7 @@ impl Context {
         Err(Failure::new(ErrorKind::Home, text))
     }
 
-    /// Joins the site of somebody else. Its settings are its owner's.
+    /// The settings are those of the site's owner.
     async fn connect_to(&self, path: &Path) -> Result<Connection, Failure> {
         if let Some(name) = socket::BINDING.into_iter().find(|name| self.config.source(name) == Source::Flag) {
             let text = format!("{name} is set by the owner of the site at {}; omit the option", path.display());
@@ -227,10 +191,7 @@ impl Context {
         Ok(Connection { client, site: None })
     }
 
-    /// Opens a site that is to stay. A command that is the site of this home until it ends is waited for.
-    ///
-    /// # Errors
-    /// If the home cannot be used, or has a site that stays.
+    /// Opens a site that stays, after waiting for a command that is the site.
     pub async fn open(&self, needs: Needs, output: &Output) -> Result<Connection, Failure> {
         if self.operator.is_some() {
             let text = "--site-socket joins a site that runs already; omit it, and AUTHROS_SITE_SOCKET, to start one of \
@@ -247,11 +208,8 @@ impl Context {
         }
     }
 
-    /// Joins a site that stays, or opens one that is to. A command that is the site of this home until it ends is waited
-    /// for: a command that joined it would end with it. `again` is what to run again.
-    ///
-    /// # Errors
-    /// If the home cannot be used, or the command does not end.
+    /// Joins a site that stays, or opens one. Waits for a command that is the site, because a joined command would end
+    /// with it.
     pub async fn stay(&self, needs: Needs, output: &Output, again: &str) -> Result<Connection, Failure> {
         let (root, most, mut told) = (self.home.root().display(), LONGEST_COMMAND.as_secs(), false);
         let waits = |greeting: &Greeting, _: Duration| {
@@ -263,7 +221,7 @@ impl Context {
         self.join_or_start(needs, again, waits).await
     }
 
-    /// Becomes the site, unless another process has the home.
+    /// `None` if another process holds the home.
     fn start(&self, needs: Needs) -> Result<Option<Connection>, Failure> {
         if looking::is_read_only(&self.home) {
             return self.look(needs);
@@ -274,7 +232,7 @@ impl Context {
         Ok(Some(Connection { client: site.client(self.profile.clone()), site: Some(site) }))
     }
 
-    /// A site over a working copy of a home that cannot be written; it sends nothing, and goes with its copy.
+    /// Opens a read-only home through a working copy; such a site sends nothing.
     fn look(&self, needs: Needs) -> Result<Option<Connection>, Failure> {
         let Some(copy) = looking::working_copy(&self.home)? else { return Ok(None) };
         let started = || {
@@ -285,10 +243,6 @@ impl Context {
         started().inspect_err(|_: &Failure| looking::forget(&copy))
     }
 
-    /// The home's lock, if no other process holds it.
-    ///
-    /// # Errors
-    /// If the home cannot be created or written.
     pub fn lock(&self) -> Result<Option<SiteLock>, Failure> {
         files::private_directory(self.home.root())?;
         Ok(SiteLock::acquire(&self.home.site_lock())?)
@@ -298,7 +252,7 @@ impl Context {
         let mine = self.config.show();
         for (name, theirs) in &greeting.settings {
             let Some(setting) = mine.iter().find(|setting| setting.name == name) else { continue };
-            // Without a site's address they concern another gateway than the one joined through.
+            // Without a site's address these concern a gateway other than the joined one.
             if name.starts_with("site.") && self.config.source("site.address") != Source::Flag {
                 continue;
             }
@@ -311,20 +265,16 @@ impl Context {
         Ok(())
     }
 
-    /// Brings the profile to the state the command needs.
-    ///
-    /// # Errors
-    /// If there is no identity or no passphrase.
     pub async fn prepare(&self, client: &Client, need: ProfileNeed, output: &Output) -> Result<(), Failure> {
-        // The keyring is the owner's to make and to open.
+        // Only the owner makes or opens the keyring.
         if need == ProfileNeed::None || self.operator.is_some() {
             return Ok(());
         }
         let identity = client.ask(ShowIdentity).await?;
         if !identity.exists && need == ProfileNeed::Made {
-            let (passphrase, is_new) = passphrase::given_or_new(&self.global, &self.home, &self.profile, output)?;
+            let (passphrase, is_new) = passphrase::given_or_new(self, output)?;
             let made = client.ask(CreateIdentity { passphrase }).await;
-            let made = made.inspect_err(|_| passphrase::forget_unused(is_new, &self.home, &self.profile))?;
+            let made = made.inspect_err(|_| passphrase::forget_unused(is_new, self))?;
             if let Some(address) = made.address {
                 output.note(&format!("identity '{}' created: {address}", self.profile));
             }
@@ -351,7 +301,6 @@ impl Context {
 }
 
 impl Connection {
-    /// Says that a home cannot be written, if that is so.
     pub fn tell_read_only(&self, output: &Output) {
         let home = self.site.as_ref().map(|site| site.place());
         if let Some(original) = home.as_ref().and_then(Home::original) {
@@ -362,14 +311,13 @@ impl Connection {
         }
     }
 
-    /// Starts supervision of a site that is to stay, if this process is it.
     pub fn oversee(&self) {
         if let Some(site) = &self.site {
             site.oversee();
         }
     }
 
-    /// Ends the site if this process is it, once no joined process waits for its answer.
+    /// Waits until joined processes have their answers.
     pub async fn close(self) {
         if let Some(site) = self.site {
             tokio::select! {
@@ -380,7 +328,7 @@ impl Connection {
         }
     }
 
-    /// The same after a signal: waiting joined processes get half a second; they can ask the next site.
+    /// After a signal: joined processes get half a second, and can ask the next site.
     pub async fn end(self) {
         if let Some(site) = self.site {
             // Whether all were answered makes no difference.

@@ -6,34 +6,21 @@ use tokio::runtime::Runtime;
 use tokio::sync::{broadcast, mpsc};
 
 use super::args::{ConsoleArguments, TourArguments};
-use super::backups::Successor;
 use super::connect::{Connection, Context};
-use super::{demo, passphrase, printed};
-use crate::app::tour::Cast;
-use crate::crypto::Passphrase;
-use crate::model::{ContactName, ErrorKind, ProfileName, Timestamp};
-use crate::service::client::site_gone;
+use super::{backups::Successor, demo, parse::usage, passphrase, printed};
+use crate::model::{ContactName, ProfileName, Timestamp};
 use crate::service::command::{AddContact, CreateIdentity, Register, SecretText, Unlock};
-use crate::service::event::NoticeLevel;
-use crate::service::{Call, Client, Event, Failure, Needs, Site};
+use crate::service::{Call, Client, Event, Failure, Needs, Site, client::site_gone, event::NoticeLevel};
 use crate::term::{self, ExitReason};
+use crate::{app::tour::Cast, crypto::Passphrase};
 
-/// Runs the console until it is left, with the tour if there is one; the exit code is the terminal's.
-///
-/// # Errors
-/// Without a terminal, or if the profile's console is open already.
-pub fn run(
-    runtime: &Runtime,
-    context: Context,
-    arguments: ConsoleArguments,
-    tour: Option<Cast>,
-) -> Result<u8, Failure> {
+pub fn run(runtime: &Runtime, context: Context, console: ConsoleArguments, tour: Option<Cast>) -> Result<u8, Failure> {
     if !term::is_interactive() {
         let advice = "without one, use `authros demo`, `authros capture` or `authros serve`";
-        return Err(Failure::new(ErrorKind::Usage, format!("the console needs a terminal; {advice}")));
+        return Err(usage(format!("the console needs a terminal; {advice}")));
     }
     let leaves_site = tour.is_none() && context.operator.is_none();
-    let mut options = printed::options(&context, arguments)?;
+    let mut options = printed::options(&context, console)?;
     let reader = tour.as_ref().map(|cast| cast.reader.clone());
     (options.settings.tour, options.settings.leaves_site) = (tour, leaves_site);
     let successor = Successor::of(&context);
@@ -41,10 +28,10 @@ pub fn run(
     let (calls, waiting) = mpsc::unbounded_channel();
     let client = Client::new(context.profile.clone(), calls, events.clone());
     let site = Arc::new(OnceLock::new());
-    // The first frame does not wait for the site: calls are answered as soon as it is there.
+    // The first frame does not wait for the site: calls queue until it is there.
     runtime.spawn(serve(context, reader, Arc::clone(&site), waiting, events));
     let ended = term::run(client, runtime.handle(), &options);
-    // The site captures until the passphrase is known to be the right one.
+    // The site captures until the passphrase proves right.
     let secret = matches!(ended, Ok(ExitReason::LeaveSite)).then(|| successor.passphrase());
     if let Some(site) = site.get() {
         runtime.block_on(Arc::clone(site).stop());
@@ -71,7 +58,7 @@ async fn serve(
         Ok(Connection { client, site: own }) => {
             if let Some(own) = own {
                 own.oversee();
-                // Set once: this is the only place.
+                // Set only here.
                 drop(site.set(own));
             }
             tokio::spawn(unlock(context, client.clone()));
@@ -84,7 +71,6 @@ async fn serve(
     }
 }
 
-/// The reader of the tour; if there is none, that is said on screen.
 async fn prepare(client: Client, reader: ProfileName, events: broadcast::Sender<Event>) {
     if let Err(failure) = prepare_tour(&client, reader).await {
         let text = format!("the tour has no one to share with: {}", failure.message);
@@ -124,7 +110,6 @@ async fn relay(site: Client, mut calls: Calls, events: broadcast::Sender<Event>)
     }
 }
 
-/// Opens the keyring automatically if its passphrase was given or is stored beside it.
 async fn unlock(context: Context, client: Client) {
     if context.operator.is_some() || !context.home.keyring(&context.profile).exists() {
         return;
@@ -137,21 +122,14 @@ async fn unlock(context: Context, client: Client) {
 
 /// The robots' owner in the paper.
 const OWNER: &str = "cura-a";
-/// The reader.
 const READER: &str = "cura-b";
 
-/// Runs the console with the tour.
-///
-/// # Errors
-/// Without a terminal or robots, or if no temporary home can be created.
 pub fn run_tour(runtime: &Runtime, mut context: Context, arguments: TourArguments) -> Result<u8, Failure> {
     if context.global.home.is_some() {
-        let text = "the tour uses its own home, which is removed afterwards; omit --home and AUTHROS_HOME";
-        return Err(Failure::new(ErrorKind::Usage, text));
+        return Err(usage("the tour uses its own home, which is removed afterwards; omit --home and AUTHROS_HOME"));
     }
     if context.config.robots == 0 {
-        let text = "the tour needs robots; use --robots 1 to 32 and no real ROS master";
-        return Err(Failure::new(ErrorKind::Usage, text));
+        return Err(usage("the tour needs robots; use --robots 1 to 32 and no real ROS master"));
     }
     let temporary = demo::temporary_home(&mut context, "authros-tour-")?;
     context.profile = super::parse::value(OWNER)?;
@@ -163,10 +141,6 @@ pub fn run_tour(runtime: &Runtime, mut context: Context, arguments: TourArgument
     ended
 }
 
-/// Creates the reader, registers it on the chain and adds it to the address book.
-///
-/// # Errors
-/// Errors of the site.
 pub async fn prepare_tour(client: &Client, reader: ProfileName) -> Result<(), Failure> {
     let name: ContactName = super::parse::value(reader.as_str())?;
     let of_reader = client.for_profile(reader);

@@ -4,11 +4,9 @@ use clap::Args;
 
 use super::parse;
 use crate::model::Timestamp;
-use crate::service::Failure;
-use crate::service::command::TopicCoverage;
 use crate::service::reply::{CoveragePart, CoverageView};
+use crate::service::{Failure, command::TopicCoverage};
 
-/// The most parts with losses that are listed.
 const MOST_LISTED: usize = 20;
 
 /// `topics coverage …`
@@ -30,23 +28,16 @@ pub struct CoverageArguments {
     pub parts: usize,
 }
 
-impl CoverageArguments {
-    /// What is asked of the site.
-    ///
-    /// # Errors
-    /// A topic or time that cannot be read.
-    pub fn question(&self) -> Result<TopicCoverage, Failure> {
-        Ok(TopicCoverage {
-            topic: parse::value(&self.topic)?,
-            robot: self.robot.clone(),
-            since: self.since.as_deref().map(parse::past).transpose()?,
-            until: self.until.as_deref().map(parse::past).transpose()?,
-            parts: self.parts,
-        })
-    }
+pub fn question(arguments: &CoverageArguments) -> Result<TopicCoverage, Failure> {
+    Ok(TopicCoverage {
+        topic: parse::value(&arguments.topic)?,
+        robot: arguments.robot.clone(),
+        since: arguments.since.as_deref().map(parse::past).transpose()?,
+        until: arguments.until.as_deref().map(parse::past).transpose()?,
+        parts: arguments.parts,
+    })
 }
 
-/// The strip, what its signs mean, and what was lost when.
 pub fn strip(view: &CoverageView) -> String {
     let of = view.robot.as_ref().map_or_else(String::new, |robot| format!(" of robot '{robot}'"));
     let Some(first) = view.first else {
@@ -69,7 +60,6 @@ pub fn strip(view: &CoverageView) -> String {
     lines.join("\n")
 }
 
-/// Which robots recorded something of it, and where their losses are.
 fn recorded_by(view: &CoverageView) -> Vec<String> {
     let robots = view.robots.join(", ");
     match (&view.robot, view.robots.is_empty()) {
@@ -82,13 +72,11 @@ fn recorded_by(view: &CoverageView) -> Vec<String> {
     }
 }
 
-/// A moment to the second.
 fn seconds(moment: Timestamp) -> String {
     let text = moment.to_string();
     text.get(..19).map_or_else(|| text.clone(), |head| format!("{head}Z"))
 }
 
-/// How long a part is.
 fn length(view: &CoverageView) -> String {
     let parts = (view.parts.len() as u64).max(1);
     match view.until.0.saturating_sub(view.since.0) / parts / 1_000_000_000 {

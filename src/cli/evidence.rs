@@ -1,26 +1,23 @@
 //! `evidence export`, and `verify` of a bundle: the meaning of the levels, for people.
 
-use std::collections::BTreeMap;
-use std::io::Read as _;
 use std::path::{Path, PathBuf};
+use std::{collections::BTreeMap, fs::File, io::Read as _};
 
 use clap::Subcommand;
 
 use super::connect::{Context, ProfileNeed};
-use super::parse;
-use super::recorded::Recording;
-use super::verbs::CHAIN;
+use super::{parse, verbs::CHAIN};
 use crate::crypto::{ProviderName, provider};
 use crate::model::{Digest, ErrorKind, clean, clean_lines};
 use crate::ros::Limits;
+use crate::ros::recording::{BESIDE, Beside};
 use crate::service::command::{EvidenceWishes, ExportEvidence, StampEvidence};
-use crate::service::failure::input;
 use crate::service::reply::{EvidenceView, StampView};
-use crate::service::{Client, Failure, definition_of};
+use crate::service::{Client, Failure, definition_of, failure::input};
+use authros_evidence::recorded::{RecordedFile, TAG};
 use authros_evidence::{Bundle, LONGEST_TRUST, Outcome, RecordReport, Report, Standing, Trust};
 use authros_output::{Output, table};
 
-/// The most characters of a disclosed message that are shown.
 const MOST_SHOWN: usize = 4000;
 
 /// `evidence …`
@@ -54,21 +51,16 @@ pub enum EvidenceVerb {
     Stamp,
 }
 
-/// `evidence export`.
-///
-/// # Errors
-/// What the arguments or the site say.
 pub async fn run(context: Context, verb: EvidenceVerb, output: &Output) -> Result<u8, Failure> {
     let EvidenceVerb::Export { file, records, topic, incident, since, until, reveal } = verb else {
         return stamp(context, output).await;
     };
     let file = parse::absolute(&file)?;
     let moment = |text: Option<String>| text.as_deref().map(parse::past).transpose();
-    let topic = topic.as_deref().map(parse::value).transpose()?;
-    let incident = incident.as_deref().map(parse::value).transpose()?;
-    let wishes =
-        EvidenceWishes { file, records, topic, incident, since: moment(since)?, until: moment(until)?, reveal };
-    let export = async |client: &Client| client.ask(ExportEvidence(wishes)).await;
+    let topic = parse::optional(topic.as_deref())?;
+    let incident = parse::optional(incident.as_deref())?;
+    let wish = EvidenceWishes { file, records, topic, incident, since: moment(since)?, until: moment(until)?, reveal };
+    let export = async |client: &Client| client.ask(ExportEvidence(wish)).await;
     let view = context.with(CHAIN, ProfileNeed::Unlocked, output, export).await?;
     output.result(&view, || exported(&view));
     Ok(0)
@@ -81,7 +73,6 @@ async fn stamp(context: Context, output: &Output) -> Result<u8, Failure> {
     Ok(if view.problem.is_some() { ErrorKind::Incomplete.exit_code() } else { 0 })
 }
 
-/// What authorities gave, for people.
 pub fn stamped(view: &StampView) -> String {
     let mut lines = vec![format!("{} batches stamped, {} stamps pending", view.roots, view.waiting)];
     lines.extend(view.tokens.iter().map(|token| {
@@ -92,7 +83,6 @@ pub fn stamped(view: &StampView) -> String {
     lines.join("\n")
 }
 
-/// What an export wrote, for people.
 pub fn exported(view: &EvidenceView) -> String {
     let EvidenceView { file, bytes, records, revealed, notes } = view;
     let mut lines = vec![format!("{records} records, {revealed} of them disclosed, in {file} (0600, {bytes} bytes)")];
@@ -100,15 +90,10 @@ pub fn exported(view: &EvidenceView) -> String {
     lines.join("\n")
 }
 
-/// Whether `verify` is given a bundle, and not a folder of `uploads export`.
 pub fn is_bundle(path: &Path) -> bool {
     !path.is_dir() || path.join("manifest.json").exists()
 }
 
-/// `verify` of a bundle: no home, no network.
-///
-/// # Errors
-/// Where it is no bundle, or the trust file is none.
 pub fn run_verify(
     (path, recording): (&Path, Option<&Path>),
     trust: Option<&Path>,
@@ -140,8 +125,7 @@ pub fn run_verify(
     })
 }
 
-/// The reader's pins. Nothing of the bundle is shown where they cannot be read: without them it would look as if nothing
-/// were proven.
+/// Unreadable pins are an error: without them it would look as if nothing were proven.
 fn read_trust(path: &Path) -> Result<Trust, Failure> {
     let failed = |why: String| input(format!("{}: {why}", path.display()));
     let unread = |error: std::io::Error| match error.kind() {
@@ -152,13 +136,13 @@ fn read_trust(path: &Path) -> Result<Trust, Failure> {
         ),
         _ => failed(format!("the trust file cannot be read, so the bundle was not checked: {error}")),
     };
-    // One byte more than the longest: a longer one is refused as such.
+    // One byte more, so that a longer file is refused.
     let (mut bytes, most) = (Vec::new(), LONGEST_TRUST as u64 + 1);
-    std::fs::File::open(path).and_then(|file| file.take(most).read_to_end(&mut bytes)).map_err(unread)?;
+    File::open(path).and_then(|file| file.take(most).read_to_end(&mut bytes)).map_err(unread)?;
     Trust::parse(&bytes).map_err(|error| failed(error.to_string()))
 }
 
-/// What is made into JSON only where JSON is asked for.
+/// Builds the JSON only where JSON is asked for.
 struct Shown<'a> {
     bundle: &'a Bundle,
     report: &'a Report,
@@ -175,7 +159,6 @@ impl serde::Serialize for Shown<'_> {
     }
 }
 
-/// The report as JSON, with the fields of disclosed messages.
 fn shown(bundle: &Bundle, report: &Report) -> serde_json::Value {
     let (mut value, mut limits) = (serde_json::to_value(report).unwrap_or_default(), Limits::default());
     let records = value.get_mut("records").and_then(serde_json::Value::as_array_mut);
@@ -188,8 +171,7 @@ fn shown(bundle: &Bundle, report: &Report) -> serde_json::Value {
     value
 }
 
-/// A disclosed message's fields, where the definition that its head names is in the bundle, and as far as the limits of the
-/// whole file go.
+/// `None` without its definition in the bundle, or beyond the limits of the whole file.
 fn message(bundle: &Bundle, report: &Report, digest: Digest, limits: &mut Limits) -> Option<serde_json::Value> {
     let revealed = report.messages.get(&digest)?;
     let definition = definition_of(bundle, &revealed.head)?;
@@ -197,8 +179,7 @@ fn message(bundle: &Bundle, report: &Report, digest: Digest, limits: &mut Limits
     Some(value.to_json())
 }
 
-/// Whose a record is. A name counts where the key is shown to be its owner's; anybody can write another's account into a
-/// header.
+/// A name counts only with its owner's key: anybody can write another's account into a header.
 fn whose(record: &RecordReport) -> String {
     match (&record.person, record.owner) {
         (Some(person), Some(owner)) if record.is_believed() => format!("of {person} ({owner})"),
@@ -208,7 +189,6 @@ fn whose(record: &RecordReport) -> String {
     }
 }
 
-/// The first of a message's fields, as text.
 fn bounded(fields: &serde_json::Value) -> String {
     let text = serde_json::to_string_pretty(fields).unwrap_or_default();
     let first: String = text.chars().take(MOST_SHOWN).collect();
@@ -216,7 +196,6 @@ fn bounded(fields: &serde_json::Value) -> String {
     clean_lines(&first, MOST_SHOWN) + more
 }
 
-/// The verdict, and how many records reach each level.
 fn summary(report: &Report) -> [String; 2] {
     const STANDINGS: [Standing; 5] =
         [Standing::Proven, Standing::OwnChain, Standing::Unproven, Standing::Absent, Standing::Refused];
@@ -227,8 +206,7 @@ fn summary(report: &Report) -> [String; 2] {
     levels.insert('f', report.complete.iter().map(|stretch| stretch.standing).collect());
     let told = |(letter, standings): (&char, &Vec<Standing>)| {
         let count = |standing: &Standing| standings.iter().filter(|one| *one == standing).count();
-        let counts =
-            STANDINGS.iter().map(|standing| (count(standing), standing.word())).filter(|(count, _)| *count > 0);
+        let counts = STANDINGS.iter().map(|one| (count(one), one.word())).filter(|(count, _)| *count > 0);
         let words: Vec<String> = match standings.iter().all(|one| Some(one) == standings.first()) {
             true => counts.map(|(_, word)| word.to_owned()).collect(),
             false => counts.map(|(count, word)| format!("{count} {word}")).collect(),
@@ -240,7 +218,7 @@ fn summary(report: &Report) -> [String; 2] {
     [format!("{records} records, {topics} topics: {}", report.last_line()), told.join("; ")]
 }
 
-/// Whether a line is enough for a record: what every bundle has to prove is not in doubt, and nothing contradicts it.
+/// Nothing that every bundle has to prove is in doubt or contradicted.
 fn is_whole(record: &RecordReport) -> bool {
     record.levels().iter().all(|(letter, level)| match level.standing {
         Standing::Proven | Standing::OwnChain | Standing::Absent => true,
@@ -261,7 +239,6 @@ fn standings(record: &RecordReport) -> String {
     groups.iter().map(|(standing, letters)| format!("{letters} {}", standing.word())).collect::<Vec<_>>().join(", ")
 }
 
-/// Which record it is, and how it stands: in a line, or with the reason of each level.
 fn about(record: &RecordReport, briefly: bool) -> Vec<String> {
     let who = format!("record {} {}", record.digest, whose(record));
     let when = record.seq.zip(record.captured_at).map(|(seq, captured)| {
@@ -309,6 +286,78 @@ fn text(bundle: &Bundle, report: &Report, verbose: bool) -> String {
     lines.extend(report.warnings.iter().map(|warning| format!("note: {warning}")));
     lines.push(report.last_line().to_owned());
     lines.join("\n")
+}
+
+// `verify --recording`: a recorded file beside the bundle that states its digests.
+
+const MOST_NAMED: usize = 100;
+
+#[derive(Debug, serde::Serialize)]
+pub struct Recording {
+    /// `refused` if the file differs, `absent` if the bundle states nothing of a file.
+    pub standing: Standing,
+    pub record: Option<Digest>,
+    pub name: Option<String>,
+    pub bytes: u64,
+    pub chunks: u64,
+    /// Offsets of the chunks that differ; the first 100.
+    pub differing: Vec<u64>,
+    pub text: String,
+}
+
+impl Recording {
+    pub fn compare(report: &Report, path: &Path) -> Result<Self, Failure> {
+        let failed = |error: std::io::Error| Failure::new(ErrorKind::Input, format!("{}: {error}", path.display()));
+        let mut worst = None;
+        for (digest, stated) in statements(report) {
+            let compared = stated.compare(File::open(path).map_err(failed)?).map_err(failed)?;
+            let one = Self::of(digest, &stated, compared);
+            if one.standing == Standing::Proven {
+                return Ok(one);
+            }
+            worst = worst.or(Some(one));
+        }
+        let bytes = std::fs::metadata(path).map_err(failed)?.len();
+        let text = "the bundle states nothing of a recorded file that could be compared".to_owned();
+        let (standing, differing) = (Standing::Absent, Vec::new());
+        let none = Self { standing, record: None, name: None, bytes, chunks: 0, differing, text };
+        Ok(worst.unwrap_or(none))
+    }
+
+    fn of(record: Digest, stated: &RecordedFile, compared: authros_evidence::recorded::Compared) -> Self {
+        let (name, chunks, differing) = (clean(&stated.name, 300), compared.chunks, compared.differing.len());
+        let text = match (compared.is_whole, compared.differing.first()) {
+            (true, _) => format!("the recording is '{name}' as record {record} states it: all {} bytes", stated.length),
+            (false, Some(first)) => format!(
+                "the recording DIFFERS from '{name}' as record {record} states it: {differing} of {chunks} chunks, the \
+                 first at byte {first}; the proof holds for the file as it was, of which there may be a copy"
+            ),
+            (false, None) => format!(
+                "the recording DIFFERS from '{name}' as record {record} states it, though its {chunks} chunks do not: it \
+                 has {} bytes, and had {}; the proof holds for the file as it was, of which there may be a copy",
+                compared.length, stated.length
+            ),
+        };
+        let standing = if compared.is_whole { Standing::Proven } else { Standing::Refused };
+        let differing = compared.differing.into_iter().take(MOST_NAMED).collect();
+        Self { standing, record: Some(record), name: Some(name), bytes: compared.length, chunks, differing, text }
+    }
+}
+
+/// Statements about files in records that are opened and signed.
+fn statements(report: &Report) -> impl Iterator<Item = (Digest, RecordedFile)> {
+    let opened = report.records.iter().filter(|record| {
+        let is_open = matches!(record.opened.standing, Standing::Proven | Standing::OwnChain | Standing::Unproven);
+        let is_statement = record.disclosed.as_ref().is_some_and(|told| {
+            let is_tagged = told.tags.get(TAG.0).is_some_and(|value| value == TAG.1);
+            is_tagged && told.topic == BESIDE && told.type_name == Beside::Metadata.type_name()
+        });
+        is_open && is_statement && record.bytes.standing == Standing::Proven
+    });
+    opened.filter_map(|record| {
+        let revealed = report.messages.get(&record.digest)?;
+        RecordedFile::parse(&revealed.body).map(|stated| (record.digest, stated))
+    })
 }
 
 #[cfg(test)]

@@ -1,22 +1,16 @@
 //! `uploads list --follow`, `shared list --follow`: one line per record whenever its state changes.
 
-use std::collections::HashMap;
-use std::time::Duration;
+use std::{collections::HashMap, time::Duration};
 
 use super::connect::{Context, ProfileNeed};
 use crate::model::Timestamp;
-use crate::service::command::Ask;
 use crate::service::reply::{RecordPage, RecordView, ShownState};
-use crate::service::{Client, Event, Failure, Needs, Part, UploadQuery};
+use crate::service::{Client, Event, Failure, Needs, Part, UploadQuery, command::Ask};
 use authros_output::Output;
 
-/// Records captured longer than this before the newest are no longer followed, nanoseconds.
+/// Records older than this, measured from the newest, are no longer followed; nanoseconds.
 const WINDOW: u64 = 60_000_000_000;
 
-/// Follows until a signal; opens the site, including robots and chain, if none runs.
-///
-/// # Errors
-/// Errors of the site.
 pub async fn run<A: Ask<Answer = RecordPage>>(
     context: Context,
     list: fn(UploadQuery) -> A,

@@ -1,28 +1,22 @@
 //! `bag follow`: what is being recorded, sealed while it is recorded.
 
-use std::convert::Infallible;
-use std::future::pending;
-use std::path::PathBuf;
-use std::time::Duration;
+use std::{convert::Infallible, future::pending, path::PathBuf, time::Duration};
 
 use clap::Args;
 use tokio::sync::broadcast::Receiver;
 
 use super::connect::{Context, ProfileNeed};
 use super::parse::{self, absolute};
-use super::serve::until_done;
-use super::verbs::CHAIN;
-use super::{printed, serve};
+use super::{printed, serve, serve::until_done, verbs::CHAIN};
 use crate::model::ErrorKind;
 use crate::service::command::{FollowFolder, FollowWishes, StopCapture};
-use crate::service::event::NoticeLevel;
 use crate::service::reply::{FollowView, FollowedFile};
-use crate::service::{Client, Event, Failure};
+use crate::service::{Client, Event, Failure, event::NoticeLevel};
 use authros_output::{Output, table};
 
-/// Between two lines about how far it is: it may go on for days.
+/// Interval of progress lines: a recording may last for days.
 const TELLING: Duration = Duration::from_secs(30);
-/// How long after the answer something that was said before it may still arrive.
+/// Grace for notices that were sent before the answer.
 const LAST_WORDS: Duration = Duration::from_millis(100);
 
 /// `bag follow …`
@@ -45,24 +39,10 @@ pub struct FollowArguments {
     pub attach: bool,
 }
 
-impl FollowArguments {
-    fn wishes(&self) -> Result<FollowWishes, Failure> {
-        Ok(FollowWishes {
-            folder: absolute(&self.folder)?,
-            topics: parse::values(&self.topics)?,
-            tags: parse::tags(&self.tags)?,
-            until_closed: self.until_closed,
-            attach: self.attach,
-        })
-    }
-}
-
-/// Follows; Ctrl-C ends it, a second one leaves at once.
-///
-/// # Errors
-/// What the site or the arguments say.
 pub async fn run(context: Context, arguments: FollowArguments, output: &Output) -> Result<u8, Failure> {
-    let wishes = arguments.wishes()?;
+    let (folder, topics) = (absolute(&arguments.folder)?, parse::values(&arguments.topics)?);
+    let (tags, until_closed, attach) = (parse::tags(&arguments.tags)?, arguments.until_closed, arguments.attach);
+    let wishes = FollowWishes { folder, topics, tags, until_closed, attach };
     let words = (
         "stopping; what is sealed stays sealed",
         "stopped early; sealed records are stored, repeat the command to go on",
@@ -77,13 +57,13 @@ pub async fn run(context: Context, arguments: FollowArguments, output: &Output) 
     };
     let view = context.with(CHAIN, ProfileNeed::Made, output, follow).await?;
     output.result(&view, || followed(&view));
-    Ok(code(&view, arguments.until_closed, output))
+    Ok(code(&view, until_closed, output))
 }
 
-/// What the site tells, and how far it is; never ends.
+/// Notices and progress; never ends.
 async fn tell(client: &Client, events: &mut Receiver<Event>, output: &Output) -> Infallible {
     let told = serve::follow(events, NoticeLevel::Info, output, pending());
-    // After the site's end there is only the answer to wait for.
+    // After the site's end only the answer is missing.
     let (never, ()) = tokio::join!(printed::tell_on(client, TELLING, output), told);
     never
 }
@@ -124,7 +104,7 @@ fn code(view: &FollowView, until_closed: bool, output: &Output) -> u8 {
     let is_whole = |file: &FollowedFile| {
         file.is_closed && file.proof.is_some() && file.damages.is_empty() && file.skipped + file.lost == 0
     };
-    // Who ends it while it is recorded has what he wanted, where everything read was sealed.
+    // Ending it early is success where everything read was sealed.
     let is_sound = |file: &FollowedFile| is_whole(file) || !until_closed && file.digest.is_none() && file.lost == 0;
     if view.files.is_empty() {
         output.note("authros: no recording appeared there");

@@ -4,21 +4,15 @@
 
 use std::net::SocketAddr;
 
-use super::args::GatewayVerb;
 use super::connect::{Context, ProfileNeed};
-use super::parse;
-use super::show::Question;
-use super::verbs::{NEITHER, Plan};
+use super::verbs::Plan;
+use super::{args::GatewayVerb, parse, show::Question};
 use crate::model::clean;
 use crate::service::command::{Admit, Dismiss, GatewayStatus, ListAdmitted, Register, ServeGateway};
 use crate::service::reply::{AdmittedView, GatewayStatusView, GatewayView};
 use crate::service::{Client, Failure, Needs};
 use authros_output::{Output, table};
 
-/// `gateway …`
-///
-/// # Errors
-/// Errors of the arguments or the site.
 pub async fn run(context: Context, verb: GatewayVerb, output: &Output) -> Result<u8, Failure> {
     let question: Question = match verb {
         GatewayVerb::Serve { listen, open } => return serve(context, listen, open, output).await,
@@ -27,13 +21,9 @@ pub async fn run(context: Context, verb: GatewayVerb, output: &Output) -> Result
         GatewayVerb::Admitted => ListAdmitted.into(),
         GatewayVerb::Status => GatewayStatus.into(),
     };
-    super::verbs::run(context, Plan::new(NEITHER, ProfileNeed::None, question), output).await
+    super::verbs::run(context, Plan::kept(question), output).await
 }
 
-/// Serves until a signal: through this home's running site, or as a site of its own without ROS.
-///
-/// # Errors
-/// If the profile cannot be opened or registered, or the address is not free.
 async fn serve(context: Context, listen: SocketAddr, open: bool, output: &Output) -> Result<u8, Failure> {
     let needs = Needs { ros: false, chain: true };
     let connection = match context.operator {
@@ -57,7 +47,6 @@ async fn serve(context: Context, listen: SocketAddr, open: bool, output: &Output
     .await
 }
 
-/// Who may use a gateway, for people.
 pub fn admitted(rows: &[AdmittedView]) -> String {
     if rows.is_empty() {
         return "only this home's own profiles; `authros gateway admit OWNER` admits others".to_owned();
@@ -68,7 +57,6 @@ pub fn admitted(rows: &[AdmittedView]) -> String {
     table(&["owner", "contact", "since", "admitted by"], rows.iter().map(row))
 }
 
-/// A gateway for people.
 pub fn status(view: &GatewayStatusView) -> String {
     let mut lines = Vec::new();
     match (&view.served, &view.through) {

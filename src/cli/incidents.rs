@@ -2,11 +2,9 @@
 
 use clap::Subcommand;
 
-use super::connect::ProfileNeed;
-use super::lists::or_dash;
-use super::parse;
-use super::verbs::{CHAIN, NEITHER, Plan};
-use crate::model::{ErrorKind, Timestamp};
+use super::parse::{self, usage};
+use super::{lists::or_dash, verbs::Plan};
+use crate::model::Timestamp;
 use crate::service::Failure;
 use crate::service::command::{CloseIncident, ListIncidents, NoteIncident, OpenIncident, RemoveIncident, ShowIncident};
 use crate::service::reply::{IncidentView, SpanCoverageView};
@@ -64,42 +62,27 @@ pub enum IncidentVerb {
     },
 }
 
-/// What is asked.
-///
-/// # Errors
-/// What is wrong with the arguments.
 pub fn plan(verb: IncidentVerb) -> Result<Plan, Failure> {
-    let kept = |question: super::show::Question| Plan::new(NEITHER, ProfileNeed::None, question);
     Ok(match verb {
         IncidentVerb::Open { name, since, until, topics, note, rings_of } => {
-            let (needs, profile) = match rings_of.is_empty() {
-                true => (NEITHER, ProfileNeed::None),
-                // Robots are asked by notices that the owner signs.
-                false => (CHAIN, ProfileNeed::Unlocked),
-            };
-            let question = OpenIncident {
-                name: parse::value(&name)?,
-                since: moment(&since)?,
-                until: until.as_deref().map(moment).transpose()?,
-                topics: parse::values(&topics)?,
-                note,
-                robots: rings_of,
-            };
-            Plan::new(needs, profile, question)
+            let (name, since) = (parse::value(&name)?, moment(&since)?);
+            let (until, topics) = (until.as_deref().map(moment).transpose()?, parse::values(&topics)?);
+            let question = OpenIncident { name, since, until, topics, note, robots: rings_of };
+            // The owner signs the notices that ask robots.
+            if question.robots.is_empty() { Plan::kept(question) } else { Plan::unlocked(question) }
         }
-        IncidentVerb::List => kept(ListIncidents.into()),
-        IncidentVerb::Show { name } => kept(ShowIncident { name: parse::value(&name)? }.into()),
-        IncidentVerb::Note { name, text } => kept(NoteIncident { name: parse::value(&name)?, text }.into()),
-        IncidentVerb::Close { name } => kept(CloseIncident { name: parse::value(&name)? }.into()),
-        IncidentVerb::Remove { name, yes: true } => kept(RemoveIncident { name: parse::value(&name)? }.into()),
+        IncidentVerb::List => Plan::kept(ListIncidents),
+        IncidentVerb::Show { name } => Plan::kept(ShowIncident { name: parse::value(&name)? }),
+        IncidentVerb::Note { name, text } => Plan::kept(NoteIncident { name: parse::value(&name)?, text }),
+        IncidentVerb::Close { name } => Plan::kept(CloseIncident { name: parse::value(&name)? }),
+        IncidentVerb::Remove { name, yes: true } => Plan::kept(RemoveIncident { name: parse::value(&name)? }),
         IncidentVerb::Remove { .. } => {
-            let text = "what retention then deletes cannot be restored; add --yes to confirm";
-            return Err(Failure::new(ErrorKind::Usage, text));
+            return Err(usage("what retention then deletes cannot be restored; add --yes to confirm"));
         }
     })
 }
 
-/// A moment; so long ago with or without the sign.
+/// Accepts `-10m` for `10m` ago.
 pub(super) fn moment(text: &str) -> Result<Timestamp, Failure> {
     parse::past(text.strip_prefix('-').unwrap_or(text))
 }
@@ -108,7 +91,6 @@ fn state(incident: &IncidentView) -> &'static str {
     if incident.open { "open" } else { "closed" }
 }
 
-/// All incidents of a profile.
 pub fn all(incidents: &[IncidentView]) -> String {
     if incidents.is_empty() {
         return "no incidents; open one with `authros incident open NAME --since 10m`".to_owned();
@@ -127,14 +109,13 @@ pub fn all(incidents: &[IncidentView]) -> String {
     table(&["incident", "", "from", "to", "topics", "records", "bytes"], incidents.iter().map(row))
 }
 
-/// One incident with its notes and what there is of each topic.
 pub fn incident(view: &IncidentView) -> String {
     let to = view.until.map_or_else(|| "now, until it is closed".to_owned(), |until| until.to_string());
     let mut lines = vec![
         format!("{} ({}): {} to {to}", view.name, state(view), view.since),
         format!("{} records, {} bytes, held from retention", view.records, view.bytes),
     ];
-    // Further lines of a note are indented: none of them looks like a note of its own.
+    // Indented, so that no further line of a note looks like a note of its own.
     lines.extend(view.notes.iter().map(|note| format!("{}  {}", note.at, note.text.replace('\n', "\n    "))));
     let row = |one: &SpanCoverageView| {
         let [records, lost, quarantined, deleted] =

@@ -1,35 +1,26 @@
 //! Results as text for people.
 
-use super::connect::Context;
-use super::parties;
+use super::{connect::Context, parties};
 use crate::config::SettingView;
 use crate::crypto::{Fingerprint, read_public};
 use crate::model::{Address, ProfileName, Verdict};
-use crate::pipeline::columns::Compared;
-use crate::pipeline::sender::LaneState;
-use crate::service::Failure;
-use crate::service::reply::{
-    Caveat, ChainView, CheckView, DeployedView, Direction, GrantRow, IdentityView, KeysView, Provenance, RecordPage,
-    RecordView, Refusal, ShownState, TopicRow, WaitingView,
-};
+use crate::pipeline::{columns::Compared, sender::LaneState};
+use crate::service::{Failure, reply};
 use authros_output::{Output, pairs, table};
 
 fn yes(value: bool) -> String {
     if value { "yes" } else { "no" }.to_owned()
 }
 
-/// The value, or a dash where there is none.
 pub fn or_dash<T: ToString>(value: Option<T>) -> String {
     value.map_or_else(|| "-".to_owned(), |value| value.to_string())
 }
 
-/// A check, with the reason if the chain was not asked.
-pub fn verdict(view: &CheckView) -> String {
+pub fn verdict(view: &reply::CheckView) -> String {
     let reason = view.reason.as_ref().map_or_else(String::new, |reason| format!(": {reason}"));
     format!("{}: {}{reason}", view.id, view.verdict.word())
 }
 
-/// The exit code of a check.
 pub fn verdict_code(verdict: Verdict) -> u8 {
     match verdict {
         Verdict::Verified | Verdict::Unanchored | Verdict::Deleted => 0,
@@ -39,7 +30,6 @@ pub fn verdict_code(verdict: Verdict) -> u8 {
     }
 }
 
-/// Every setting.
 pub fn settings(settings: &[SettingView]) -> String {
     let row = |setting: &SettingView| {
         [setting.name.to_owned(), setting.value.clone(), setting.source.clone(), setting.text.to_owned()]
@@ -47,7 +37,6 @@ pub fn settings(settings: &[SettingView]) -> String {
     table(&["setting", "value", "from", "meaning"], settings.iter().map(row))
 }
 
-/// The profiles of a home, with the one in use marked.
 pub fn profiles(context: &Context, output: &Output) -> u8 {
     let all = context.home.profiles();
     let is_used = |profile: &ProfileName| *profile == context.profile;
@@ -61,10 +50,6 @@ pub fn profiles(context: &Context, output: &Output) -> u8 {
     0
 }
 
-/// The identities of a home by their public sides; the one used by commands is marked.
-///
-/// # Errors
-/// A keyring that cannot be read.
 pub fn identities(context: &Context, output: &Output) -> Result<u8, Failure> {
     let mut rows = Vec::new();
     for profile in context.home.profiles() {
@@ -90,8 +75,7 @@ pub fn identities(context: &Context, output: &Output) -> Result<u8, Failure> {
     Ok(0)
 }
 
-/// One identity.
-pub fn identity(view: &IdentityView) -> String {
+pub fn identity(view: &reply::IdentityView) -> String {
     pairs(&[
         ("profile", view.profile.to_string()),
         ("exists", yes(view.exists)),
@@ -104,8 +88,7 @@ pub fn identity(view: &IdentityView) -> String {
     ])
 }
 
-/// The keys.
-pub fn keys(view: &KeysView) -> String {
+pub fn keys(view: &reply::KeysView) -> String {
     let head = pairs(&[
         ("EOA", view.address.to_string()),
         ("SM2 signing", view.signing_fingerprint.clone()),
@@ -118,10 +101,10 @@ pub fn keys(view: &KeysView) -> String {
     format!("{head}\n\n{}", table(&["epoch", "state", "token"], rows))
 }
 
-/// The graph; which ROS a topic is of where there are topics of ROS 2.
-pub fn topics(rows: &[TopicRow]) -> String {
+/// Shows a topic's ROS only where there are topics of ROS 2.
+pub fn topics(rows: &[reply::TopicRow]) -> String {
     let second = rows.iter().any(|row| row.ros == 2);
-    let row = |row: &TopicRow| {
+    let row = |row: &reply::TopicRow| {
         let mut cells = vec![row.topic.clone()];
         cells.extend(second.then(|| row.ros.to_string()));
         cells.extend([
@@ -139,16 +122,15 @@ pub fn topics(rows: &[TopicRow]) -> String {
     if second {
         head.insert(1, "ROS");
     }
-    let unreached = |row: &TopicRow| {
+    let unreached = |row: &reply::TopicRow| {
         let topic = row.topic.clone();
         row.unreached.clone().into_iter().map(move |one| format!("\n{topic} is not read from {one}"))
     };
     table(&head, rows.iter().map(row)) + &rows.iter().flat_map(unreached).collect::<String>()
 }
 
-/// A page of records.
-pub fn records(page: &RecordPage) -> String {
-    let row = |record: &RecordView| {
+pub fn records(page: &reply::RecordPage) -> String {
+    let row = |record: &reply::RecordView| {
         [
             record.id.clone(),
             record.seq.to_string(),
@@ -173,13 +155,13 @@ pub fn records(page: &RecordPage) -> String {
     lines.join("\n")
 }
 
-/// Which parts of a page come only from the ledger, or contradict the records.
-fn doubts(page: &RecordPage) -> Vec<String> {
-    let count = |is: &dyn Fn(&RecordView) -> bool| page.records.iter().filter(|record| is(record)).count();
-    let differs = |record: &RecordView| Some(format!("{} ({})", record.id, record.differs.as_ref()?));
+/// Parts of a page that only the ledger states, or that contradict the records.
+fn doubts(page: &reply::RecordPage) -> Vec<String> {
+    let count = |is: &dyn Fn(&reply::RecordView) -> bool| page.records.iter().filter(|record| is(record)).count();
+    let differs = |record: &reply::RecordView| Some(format!("{} ({})", record.id, record.differs.as_ref()?));
     let altered: Vec<String> = page.records.iter().filter_map(differs).collect();
-    let misnamed = count(&|record| record.state == ShownState::Refused(Refusal::FalseName));
-    let unread = count(&|record| record.state == ShownState::Verified(Caveat::Unread));
+    let misnamed = count(&|record| record.state == reply::ShownState::Refused(reply::Refusal::FalseName));
+    let unread = count(&|record| record.state == reply::ShownState::Verified(reply::Caveat::Unread));
     let sealed = count(&|record| record.compared == Compared::Header);
     let mut lines = Vec::new();
     if !altered.is_empty() {
@@ -206,20 +188,21 @@ fn doubts(page: &RecordPage) -> Vec<String> {
     lines
 }
 
-/// The steps of one record.
-pub fn provenance(view: &Provenance) -> String {
+pub fn provenance(view: &reply::Provenance) -> String {
     let record = &view.record;
     let mut rows = vec![("id", record.id.clone()), ("topic", record.topic.clone()), ("type", record.type_name.clone())];
     rows.extend(view.steps.iter().map(|(word, text)| (word.as_str(), text.clone())));
     pairs(&rows)
 }
 
-/// Grants.
-pub fn grants(rows: &[GrantRow]) -> String {
-    let row = |row: &GrantRow| {
+pub fn grants(rows: &[reply::GrantRow]) -> String {
+    let row = |row: &reply::GrantRow| {
         [
             row.direction.word().to_owned(),
-            parties::named(if row.direction == Direction::Given { row.grantee } else { row.owner }, row.name.as_ref()),
+            parties::named(
+                if row.direction == reply::Direction::Given { row.grantee } else { row.owner },
+                row.name.as_ref(),
+            ),
             or_dash(row.fingerprint.as_ref()),
             row.state.word().to_owned(),
             if row.earlier == Some(true) { format!("{} and earlier", row.epoch) } else { row.epoch.to_string() },
@@ -231,8 +214,7 @@ pub fn grants(rows: &[GrantRow]) -> String {
     table(&head, rows.iter().map(row))
 }
 
-/// The chain.
-pub fn chain(view: &ChainView) -> String {
+pub fn chain(view: &reply::ChainView) -> String {
     let paused = |lane: &LaneState| lane.paused.as_ref().map(|reason| ("paused", reason.text(lane.account)));
     let mut rows = vec![
         ("kind", view.kind.clone()),
@@ -253,7 +235,7 @@ pub fn chain(view: &ChainView) -> String {
     ];
     rows.extend(view.through.clone().map(|text| ("seen", text)));
     rows.extend(parties::administration(&view.administration));
-    let waits = |one: &WaitingView| {
+    let waits = |one: &reply::WaitingView| {
         let is_first = view.lanes.first().is_none_or(|lane| lane.account == one.account);
         let of = if is_first { String::new() } else { format!(" of {}", one.account) };
         ("waits", format!("nonce {}{of}: {}, at {} per gas", one.nonce, one.purpose, one.price))
@@ -269,8 +251,7 @@ fn listed(accounts: &[Address]) -> String {
     or_dash((!listed.is_empty()).then(|| listed.join(" ")))
 }
 
-/// A deployed contract.
-pub fn deployed(view: &DeployedView) -> String {
+pub fn deployed(view: &reply::DeployedView) -> String {
     pairs(&[
         ("contract", view.pin.contract.to_string()),
         ("administrator", view.administrator.to_string()),

@@ -1,7 +1,6 @@
-//! Arguments in, results out: the headless twin of the console, over the same commands.
+//! Arguments in, results out: the headless twin of the console.
 //!
-//! stdout carries the result and nothing else, stderr the rest; `--json` changes the format, never the channel. Nothing
-//! here does work of its own except the demo's story.
+//! stdout carries the result, stderr the rest; `--json` changes the format, never the channel.
 
 mod agent;
 pub mod args;
@@ -21,17 +20,14 @@ mod following;
 mod gateway;
 mod incidents;
 mod lists;
-mod logging;
 mod memory;
 mod parse;
 mod parties;
 mod passphrase;
-mod plans;
 mod playing;
 mod printed;
 mod quarantine;
 mod reading;
-mod recorded;
 mod recordings;
 mod retention;
 mod robots;
@@ -50,11 +46,10 @@ use self::args::{Arguments, IdentityVerb, Verb};
 use self::connect::{Context, ProfileNeed};
 use self::recordings::BagVerb;
 use self::verbs::{CHAIN, Plan};
-use crate::model::ErrorKind;
-use crate::service::{Failure, command};
-use authros_output::Output;
+use crate::model::{ErrorKind, Timestamp};
+use crate::service::{Failure, NoticeLevel, command};
+use authros_output::{Log, Output, log_line};
 
-/// Runs the program; the exit code follows from the kind of error.
 pub fn main() -> ExitCode {
     memory::keep_few_arenas();
     memory::keep_private();
@@ -73,8 +68,8 @@ pub fn main() -> ExitCode {
         }
     };
     let output = Output::new(arguments.global.json).logging(arguments.global.log.into());
-    if output.log() == authros_output::Log::Json {
-        logging::panics_too();
+    if output.log() == Log::Json {
+        panics_too();
     }
     let result = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
@@ -83,7 +78,7 @@ pub fn main() -> ExitCode {
         .and_then(|runtime| {
             let there = reading::needs_a_home(&arguments.global, arguments.verb.as_ref());
             let result = there.and_then(|()| run(&runtime, arguments, &output));
-            // Everything is flushed; tasks that still wait end with the process, not one by one.
+            // Data is flushed; tasks that still wait end with the process.
             std::mem::forget(runtime);
             result
         });
@@ -96,7 +91,6 @@ pub fn main() -> ExitCode {
     }
 }
 
-/// What the parser of arguments says, in one line.
 fn misused(error: &clap::Error) -> Failure {
     let text = error.to_string();
     let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
@@ -104,7 +98,17 @@ fn misused(error: &clap::Error) -> Failure {
     Failure::new(ErrorKind::Usage, text.strip_prefix("error: ").unwrap_or(&text))
 }
 
-/// Every verb has its arm here, so one that nothing runs does not compile. Some need no home and do not touch one.
+/// Panics of tasks take the same form.
+fn panics_too() {
+    std::panic::set_hook(Box::new(|about| {
+        use std::io::Write as _;
+        let line = log_line(Timestamp::now(), NoticeLevel::Error, "panic", &about.to_string());
+        // If that fails there is nobody to inform.
+        drop(writeln!(std::io::stderr().lock(), "{line}"));
+    }));
+}
+
+/// Exhaustive: a verb that nothing runs does not compile.
 #[deny(clippy::wildcard_enum_match_arm)]
 fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, Failure> {
     if let Some(text) = printed::defaults(&arguments.print)? {
@@ -152,26 +156,24 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
         Verb::Identity(verb) => ask(context()?, verbs::identity(verb)?),
         Verb::Keys(verb) => {
             let context = context()?;
-            let plan = plans::keys(&context, verb)?;
+            let plan = verbs::keys(&context, verb)?;
             ask(context, plan)
         }
         Verb::Audit(arguments) => {
             let context = context()?;
-            let plan = plans::audit(&context, &arguments)?;
+            let plan = verbs::audit(&context, &arguments)?;
             ask(context, plan)
         }
         Verb::Register => ask(context()?, Plan::new(CHAIN, ProfileNeed::Made, command::Register)),
         Verb::Topics(verb) => ask(context()?, verbs::topics(verb)?),
-        Verb::Quarantine(verb) => ask(context()?, verbs::quarantine(verb)?),
-        Verb::Grant(grant) => ask(context()?, Plan::new(CHAIN, ProfileNeed::Unlocked, plans::grant(&grant)?)),
+        Verb::Quarantine(verb) => ask(context()?, quarantine::plan(verb)?),
+        Verb::Grant(grant) => ask(context()?, Plan::unlocked(verbs::grant(&grant)?)),
         Verb::Revoke { address } => {
-            let context = context()?;
-            let revoke = command::Revoke { grantee: parse::value(&address)? };
-            ask(context, Plan::new(CHAIN, ProfileNeed::Unlocked, revoke))
+            ask(context()?, Plan::unlocked(command::Revoke { grantee: parse::value(&address)? }))
         }
         Verb::Grants(verb) => ask(context()?, verbs::grants(verb)?),
-        Verb::Contacts(verb) => ask(context()?, Plan::new(CHAIN, ProfileNeed::None, parties::contacts(verb)?)),
-        Verb::Devices(verb) => ask(context()?, Plan::new(CHAIN, ProfileNeed::Unlocked, robots::question(&verb)?)),
+        Verb::Contacts(verb) => ask(context()?, Plan::public(parties::contacts(verb)?)),
+        Verb::Devices(verb) => ask(context()?, Plan::unlocked(robots::question(&verb)?)),
         Verb::Alerts(verb) => ask(context()?, status::plan(&verb)),
         Verb::Robots(verb) => ask(context()?, robots::plan(verb)?),
         Verb::Incident(verb) => ask(context()?, incidents::plan(verb)?),

@@ -1,54 +1,39 @@
 //! Parses arguments into the model's types, with errors of kind `Input`.
 
-use std::fmt::Display;
 use std::path::{Path, PathBuf};
-use std::str::FromStr;
-use std::time::Duration;
-
-use crate::model::{SignerId, Timestamp, bytes::unhex, clean, positive_span};
-pub use crate::service::command::filter::{moment, tag};
-use crate::service::command::{Term, filter};
-use crate::service::failure::input;
-use crate::service::{Failure, UploadQuery};
+use std::{fmt::Display, str::FromStr, time::Duration};
 
 use super::args::ListArguments;
+use crate::model::{ErrorKind, SignerId, Timestamp, bytes::unhex, clean, positive_span};
+pub use crate::service::command::filter::{moment, tag};
+use crate::service::command::{Term, filter};
+use crate::service::{Failure, UploadQuery, failure::input};
 
-/// Parses one value.
-///
-/// # Errors
-/// A [`Failure`] of kind `Input` with the type's own message.
 pub fn value<T: FromStr<Err: Display>>(text: &str) -> Result<T, Failure> {
     text.parse().map_err(|error: T::Err| input(error.to_string()))
 }
 
-/// Parses several values.
-///
-/// # Errors
-/// See [`value`], for the first that fails.
+pub fn usage(text: impl Into<String>) -> Failure {
+    Failure::new(ErrorKind::Usage, text)
+}
+
+pub fn optional<T: FromStr<Err: Display>>(text: Option<&str>) -> Result<Option<T>, Failure> {
+    text.map(value).transpose()
+}
+
 pub fn values<T: FromStr<Err: Display>>(texts: &[String]) -> Result<Vec<T>, Failure> {
     texts.iter().map(|text| value(text)).collect()
 }
 
-/// The path from the root.
-///
-/// # Errors
-/// If there is none.
 pub fn absolute(path: &Path) -> Result<PathBuf, Failure> {
     std::path::absolute(path).map_err(|error| input(format!("{}: {error}", path.display())))
 }
 
-/// Tags, each as NAME=VALUE.
-///
-/// # Errors
-/// For the first that is none.
 pub fn tags(texts: &[String]) -> Result<Vec<(String, String)>, Failure> {
     texts.iter().map(|text| tag(text)).collect()
 }
 
-/// An end: a moment, or a length of time from now.
-///
-/// # Errors
-/// Where the text is neither.
+/// A moment, or a length of time from now.
 pub fn end(text: &str) -> Result<Timestamp, Failure> {
     if let Ok(time) = moment(text) {
         return Ok(Timestamp::from_seconds(time.seconds()));
@@ -56,18 +41,10 @@ pub fn end(text: &str) -> Result<Timestamp, Failure> {
     Ok(Timestamp::now().end_after(duration(text)?))
 }
 
-/// A time span other than 0.
-///
-/// # Errors
-/// A [`Failure`] of kind `Input` that says how to write it.
 pub fn duration(text: &str) -> Result<Duration, Failure> {
     positive_span(text).map_err(|error| input(error.to_string()))
 }
 
-/// A gateway's fingerprint: the whole id, with or without spaces in between.
-///
-/// # Errors
-/// A [`Failure`] of kind `Input` that says how to write it.
 pub fn fingerprint(text: &str) -> Result<SignerId, Failure> {
     let digits: String = text.chars().filter(|character| !character.is_whitespace()).collect();
     unhex(&digits).and_then(|bytes| SignerId::from_slice(&bytes)).ok_or_else(|| {
@@ -79,18 +56,11 @@ pub fn fingerprint(text: &str) -> Result<SignerId, Failure> {
     })
 }
 
-/// A moment in the past: a time, a day, or a time span ago.
-///
-/// # Errors
-/// A [`Failure`] of kind `Input` that says how to write it.
+/// A time, a day, or a span ago.
 pub fn past(text: &str) -> Result<Timestamp, Failure> {
     filter::past(text, Timestamp::now())
 }
 
-/// The query of a list command.
-///
-/// # Errors
-/// A [`Failure`] of kind `Input` naming the filter at fault.
 pub fn query(arguments: &ListArguments) -> Result<UploadQuery, Failure> {
     if !(1..=1000).contains(&arguments.limit) {
         return Err(input(format!("--limit {} is not between 1 and 1000", arguments.limit)));

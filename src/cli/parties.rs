@@ -2,9 +2,7 @@
 
 use clap::Subcommand;
 
-use super::lists::or_dash;
-use super::parse;
-use super::show::Question;
+use super::{lists::or_dash, parse, show::Question};
 use crate::model::{Address, ErrorKind};
 use crate::service::Failure;
 use crate::service::command::{AddContact, ConfirmContact, ListContacts, RemoveContact};
@@ -41,10 +39,6 @@ pub enum ContactsVerb {
     },
 }
 
-/// What is asked for a verb.
-///
-/// # Errors
-/// What is wrong with the arguments.
 pub fn contacts(verb: ContactsVerb) -> Result<Question, Failure> {
     Ok(match verb {
         ContactsVerb::Add { name, address, fingerprint } => {
@@ -58,7 +52,6 @@ pub fn contacts(verb: ContactsVerb) -> Result<Question, Failure> {
     })
 }
 
-/// The address book, for people.
 pub fn contact_table(rows: &[ContactRow]) -> String {
     let row = |row: &ContactRow| {
         let from = if row.given { "told" } else { "found" };
@@ -68,24 +61,20 @@ pub fn contact_table(rows: &[ContactRow]) -> String {
     table(&["name", "address", "key", "noted", "registered"], rows.iter().map(row))
 }
 
-/// Two fingerprints, for people.
 pub fn comparison(view: &CompareView) -> String {
     let account = named(view.account, view.name.as_ref());
     let word = if view.equal { "EQUAL" } else { "DIFFERENT" };
     format!("{word}\n{}  of {account}\n{}  as given", view.fingerprint, view.given)
 }
 
-/// The exit code of a comparison.
 pub fn comparison_code(view: &CompareView) -> u8 {
     if view.equal { 0 } else { ErrorKind::Refused.exit_code() }
 }
 
-/// An address with its name, where it has one.
 pub fn named(account: Address, name: Option<&String>) -> String {
     name.map_or_else(|| account.to_string(), |name| format!("{name} {account}"))
 }
 
-/// What the administrator decided, as lines of `chain status`.
 pub fn administration(view: &AdministrationView) -> Vec<(&'static str, String)> {
     let Some(administrator) = view.administrator else { return Vec::new() };
     let registration = if view.open { "open to all" } else { "only admitted accounts" };
@@ -110,7 +99,6 @@ fn waiting(delay: u64) -> String {
     format!("delay {}, or {} if no recovery account was named", days(delay), days(2 * delay))
 }
 
-/// Successions and the own recovery account, for people.
 pub fn successions(view: &AdministrationView) -> String {
     let recovery = &view.recovery;
     let now = recovery.account.map_or_else(|| "nobody".to_owned(), |account| account.to_string());
@@ -126,14 +114,12 @@ pub fn successions(view: &AdministrationView) -> String {
 }
 
 fn proposal(one: &ProposalView) -> String {
-    let (lost, successor) =
-        (named(one.lost, one.lost_name.as_ref()), named(one.successor, one.successor_name.as_ref()));
+    let (lost, heir) = (named(one.lost, one.lost_name.as_ref()), named(one.successor, one.successor_name.as_ref()));
     let stop = one.recovery.map_or_else(|| "nobody".to_owned(), |recovery| recovery.to_string());
-    format!("{successor} can continue for {lost} from {} on; recovery account: {stop}", one.due)
+    format!("{heir} can continue for {lost} from {} on; recovery account: {stop}", one.due)
 }
 
 fn succession(one: &SuccessionView) -> String {
-    let (lost, successor) =
-        (named(one.lost, one.lost_name.as_ref()), named(one.successor, one.successor_name.as_ref()));
-    format!("{successor} continues for {lost}, since block {}", one.block)
+    let (lost, heir) = (named(one.lost, one.lost_name.as_ref()), named(one.successor, one.successor_name.as_ref()));
+    format!("{heir} continues for {lost}, since block {}", one.block)
 }

@@ -1,20 +1,14 @@
-//! Where headless use gets a keyring's passphrase: a file, a descriptor, or the file it stored for itself beside the
-//! keyring. Never argv, never the environment.
+//! Passphrases for headless use: from a file, a descriptor, or the file stored beside the keyring. Never from argv or
+//! the environment.
 
-use std::io::Read as _;
-use std::path::Path;
+use std::{io::Read as _, path::Path};
 
-use super::args::Global;
-use super::connect::{Context, ProfileNeed};
-use super::verbs::{NEITHER, Plan};
+use super::{args::Global, connect::Context, parse::usage, verbs::Plan};
 use crate::crypto::{Passphrase, private_file};
 use crate::model::{ErrorKind, ProfileName};
-use crate::paths::Home;
-use crate::service::command::ChangePassphrase;
-use crate::service::failure::input;
-use crate::service::{Failure, SecretText};
+use crate::service::{Failure, SecretText, command::ChangePassphrase, failure::input};
 use crate::store::{atomic_write, files};
-use crate::term;
+use crate::{paths::Home, term};
 use authros_output::Output;
 
 /// The longest passphrase read, bytes.
@@ -25,9 +19,6 @@ fn first_line(text: &str) -> SecretText {
 }
 
 /// The first line of a 0600 file.
-///
-/// # Errors
-/// If the file cannot be read, or others can read it.
 pub fn from_file(path: &Path) -> Result<SecretText, Failure> {
     let bytes = private_file::read_private(path, LONGEST)?;
     let text = std::str::from_utf8(&bytes).map_err(|_| input(format!("{} is not text", path.display())))?;
@@ -35,18 +26,14 @@ pub fn from_file(path: &Path) -> Result<SecretText, Failure> {
 }
 
 fn from_descriptor(number: u32) -> Result<SecretText, Failure> {
-    let unreadable =
-        |error: std::io::Error| input(format!("no passphrase can be read from descriptor {number}: {error}"));
-    let file = std::fs::File::open(format!("/proc/self/fd/{number}")).map_err(unreadable)?;
+    let unread = |error: std::io::Error| input(format!("no passphrase can be read from descriptor {number}: {error}"));
+    let file = std::fs::File::open(format!("/proc/self/fd/{number}")).map_err(unread)?;
     let mut text = zeroize::Zeroizing::new(String::new());
-    file.take(LONGEST as u64).read_to_string(&mut text).map_err(unreadable)?;
+    file.take(LONGEST as u64).read_to_string(&mut text).map_err(unread)?;
     Ok(first_line(&text))
 }
 
-/// The passphrase given, or the one stored by headless use; `None` if there is neither.
-///
-/// # Errors
-/// If a given file or descriptor cannot be read, or the site is somebody else's.
+/// The one given, or stored by headless use.
 pub fn given(global: &Global, home: &Home, profile: &ProfileName) -> Result<Option<SecretText>, Failure> {
     if global.site_socket.is_some() {
         let text = "an operator gives no passphrase: the owner of the site at --site-socket does this";
@@ -55,21 +42,15 @@ pub fn given(global: &Global, home: &Home, profile: &ProfileName) -> Result<Opti
     of_file(global, &home.passphrase(profile))
 }
 
-/// Whether a passphrase is given, or stored beside the keyring, without reading it.
+/// Does not read it.
 pub fn is_given(global: &Global, home: &Home, profile: &ProfileName) -> bool {
     global.passphrase_file.is_some() || global.passphrase_fd.is_some() || home.passphrase(profile).exists()
 }
 
-/// The plan of `keys passphrase`: the present passphrase as given, stored beside the keyring or asked for; the new one
-/// from its file or descriptor, or asked for twice.
-///
-/// # Errors
-/// If one of them is neither given nor can be asked for.
 pub fn change(context: &Context, file: Option<&Path>, descriptor: Option<u32>) -> Result<Plan, Failure> {
     let (global, home, profile) = (&context.global, &context.home, &context.profile);
     if descriptor.is_some() && descriptor == global.passphrase_fd {
-        let text = "--passphrase-fd and --new-passphrase-fd name the same descriptor; use two";
-        return Err(Failure::new(ErrorKind::Usage, text));
+        return Err(usage("--passphrase-fd and --new-passphrase-fd name the same descriptor; use two"));
     }
     let old = match given(global, home, profile)? {
         Some(old) => old,
@@ -80,14 +61,10 @@ pub fn change(context: &Context, file: Option<&Path>, descriptor: Option<u32>) -
         (None, Some(number)) => from_descriptor(number)?,
         (None, None) => asked_twice("--new-passphrase-file")?,
     };
-    Ok(Plan::new(NEITHER, ProfileNeed::None, ChangePassphrase { old, new }))
+    Ok(Plan::kept(ChangePassphrase { old, new }))
 }
 
-/// Removes the file that headless use stored beside the keyring: after a change it opens nothing, and it may be the
-/// very reason for the change.
-///
-/// # Errors
-/// If it cannot be removed.
+/// Removes the stored passphrase after a change: it opens nothing, and may be the reason for the change.
 pub fn forget(home: &Home, profile: &ProfileName, output: &Output) -> Result<(), Failure> {
     let own = home.passphrase(profile);
     if !own.exists() {
@@ -107,9 +84,8 @@ pub fn forget(home: &Home, profile: &ProfileName, output: &Output) -> Result<(),
 
 fn asked(question: &str, option: &str) -> Result<SecretText, Failure> {
     let answer = term::secret(question).map_err(|error| input(format!("the terminal does not answer: {error}")))?;
-    let answer = answer.ok_or_else(|| {
-        Failure::new(ErrorKind::Usage, format!("no passphrase was given; type it at a terminal, or pass {option}"))
-    })?;
+    let answer =
+        answer.ok_or_else(|| usage(format!("no passphrase was given; type it at a terminal, or pass {option}")))?;
     Ok(SecretText::new(answer.to_string()))
 }
 
@@ -122,10 +98,7 @@ fn asked_twice(option: &str) -> Result<SecretText, Failure> {
     Err(input("the passphrases do not match; nothing was changed, try again"))
 }
 
-/// The passphrase given, or that in a file beside what it protects; `None` if there is neither.
-///
-/// # Errors
-/// If a given file or descriptor cannot be read.
+/// The one given, or in a file beside what it protects.
 pub fn of_file(global: &Global, beside: &Path) -> Result<Option<SecretText>, Failure> {
     match (&global.passphrase_file, global.passphrase_fd) {
         (Some(path), _) => from_file(path).map(Some),
@@ -135,25 +108,19 @@ pub fn of_file(global: &Global, beside: &Path) -> Result<Option<SecretText>, Fai
     }
 }
 
-/// Deletes a passphrase that was new, of keys that were not made then. Any other may open a keyring that is put back.
-pub fn forget_unused(is_new: bool, home: &Home, profile: &ProfileName) {
+/// Deletes a new passphrase whose keys were not made; an older one may open a restored keyring.
+pub fn forget_unused(is_new: bool, context: &Context) {
+    let (home, profile) = (&context.home, &context.profile);
     if is_new && !home.keyring(profile).exists() {
         // Nothing is lost if it stays.
         drop(std::fs::remove_file(home.passphrase(profile)));
     }
 }
 
-/// The passphrase given, or a new random one stored beside the keyring, which is reported; `true` if it is new.
-///
-/// # Errors
-/// If the file cannot be written.
-pub fn given_or_new(
-    global: &Global,
-    home: &Home,
-    profile: &ProfileName,
-    output: &Output,
-) -> Result<(SecretText, bool), Failure> {
-    if let Some(secret) = given(global, home, profile)? {
+/// Stores a new random one beside the keyring if none is given; `true` if it is new.
+pub fn given_or_new(context: &Context, output: &Output) -> Result<(SecretText, bool), Failure> {
+    let (home, profile) = (&context.home, &context.profile);
+    if let Some(secret) = given(&context.global, home, profile)? {
         return Ok((secret, false));
     }
     let passphrase = Passphrase::random()?;

@@ -5,8 +5,7 @@ use std::future::pending;
 use clap::Args;
 
 use super::connect::{Context, ProfileNeed};
-use super::parse;
-use super::serve::until_done;
+use super::{parse, serve::until_done};
 use crate::model::ErrorKind;
 use crate::service::command::{Pace, Play, PlayWishes, StopPlay};
 use crate::service::reply::{PlayEnd, PlayedView};
@@ -56,20 +55,14 @@ pub struct PlayArguments {
 }
 
 impl PlayArguments {
-    /// What is asked of the site; `domain` is the one that the flag means.
     fn wishes(&self, domain: Option<u16>) -> Result<PlayWishes, Failure> {
-        Ok(PlayWishes {
-            owner: self.owner.as_deref().map(parse::value).transpose()?,
-            topics: parse::values(&self.topics)?,
-            since: self.since.as_deref().map(parse::moment).transpose()?,
-            until: self.until.as_deref().map(parse::moment).transpose()?,
-            pace: self.pace()?,
-            clock: self.clock,
-            prefix: self.prefix.as_deref().map(parse::value).transpose()?,
-            remaps: parse::values(&self.remaps)?,
-            master: self.to.clone(),
-            domain: domain.filter(|_| self.ros2.is_some() && self.to.is_none()),
-        })
+        let (owner, topics) = (parse::optional(self.owner.as_deref())?, parse::values(&self.topics)?);
+        let since = self.since.as_deref().map(parse::moment).transpose()?;
+        let until = self.until.as_deref().map(parse::moment).transpose()?;
+        let (pace, clock, master) = (self.pace()?, self.clock, self.to.clone());
+        let (prefix, remaps) = (parse::optional(self.prefix.as_deref())?, parse::values(&self.remaps)?);
+        let domain = domain.filter(|_| self.ros2.is_some() && self.to.is_none());
+        Ok(PlayWishes { owner, topics, since, until, pace, clock, prefix, remaps, master, domain })
     }
 
     fn pace(&self) -> Result<Pace, Failure> {
@@ -82,13 +75,9 @@ impl PlayArguments {
     }
 }
 
-/// Plays; Ctrl-C ends it, a second one leaves at once.
-///
-/// # Errors
-/// What the site or the arguments say.
 pub async fn run(context: Context, arguments: PlayArguments, output: &Output) -> Result<u8, Failure> {
     let wishes = arguments.wishes(context.config.ros_domain)?;
-    // If a graph is given, no capturing node of ours is needed.
+    // A named graph needs no capturing node of ours.
     let is_named = wishes.master.is_some() || wishes.domain.is_some() || context.config.ros_master.is_some();
     let live = Needs { ros: !is_named, chain: true };
     let words = (

@@ -1,33 +1,20 @@
-//! What is printed and needs no home: defaults as templates, completions, the manual page; the looks of the console,
-//! and the progress of long work.
+//! Output that needs no home (defaults, completions, the manual page), the console's options, and progress of long
+//! work.
 
-use std::convert::Infallible;
-use std::fmt::Write as _;
-use std::future::Future;
-use std::path::Path;
-use std::time::Duration;
+use std::{convert::Infallible, fmt::Write as _, future::Future, path::Path, time::Duration};
 
 use authros_output::Output;
 use clap::CommandFactory;
 
 use super::args::{Arguments, ConsoleArguments, PrintArguments};
-use super::connect::Context;
-use super::twins::TWINS;
-use super::{complete, passphrase};
-use crate::app::history::Progress;
+use super::connect::{Context, environment};
+use super::{complete, passphrase, twins::TWINS};
 use crate::app::{Keymap, Settings, keymap};
-use crate::config::DEFINITIONS;
 use crate::model::{ErrorKind, Timestamp, clean};
-use crate::paths::Home;
-use crate::service::command::{Command, RecordingProgress};
-use crate::service::{Client, Failure};
-use crate::term::ConsoleOptions;
+use crate::service::{Client, Failure, command::RecordingProgress, failure::input};
 use crate::ui::{Themes, theme};
+use crate::{app::history::Progress, config::DEFINITIONS, paths::Home, term::ConsoleOptions};
 
-/// The defaults requested; `None` if something is to be done instead.
-///
-/// # Errors
-/// If the requested theme is not embedded.
 pub fn defaults(arguments: &PrintArguments) -> Result<Option<String>, Failure> {
     match arguments {
         PrintArguments { default_config: true, .. } => Ok(Some(config())),
@@ -42,7 +29,6 @@ pub fn defaults(arguments: &PrintArguments) -> Result<Option<String>, Failure> {
     }
 }
 
-/// Every setting with its default, as a `config.toml` in which nothing is set.
 fn config() -> String {
     let mut text = "# Settings of AuthROS. Precedence: option, then environment, then this file (config.toml).\n# \
                     Without any settings everything is embedded. Remove the # from what you set.\n"
@@ -76,17 +62,12 @@ fn setting(text: &mut String, key: &str, default: &str, help: &str, variable: &s
     let _ = writeln!(text, "\n# {help} ({variable})\n#{key} = {value}");
 }
 
-/// A shell's completion script for the commands.
 pub fn completions(shell: clap_complete::Shell) -> String {
     let mut bytes = Vec::new();
     clap_complete::generate(shell, &mut Arguments::command(), "authros", &mut bytes);
     complete::with_words(shell, String::from_utf8_lossy(&bytes).into_owned())
 }
 
-/// The program's page, followed by one section per command.
-///
-/// # Errors
-/// If it cannot be rendered.
 pub fn manual() -> Result<String, Failure> {
     let failed = |error: std::io::Error| Failure::new(ErrorKind::Internal, format!("the manual page: {error}"));
     let mut bytes = Vec::new();
@@ -121,7 +102,6 @@ fn commands(text: &mut String, command: &clap::Command, path: &str) {
     }
 }
 
-/// Text escaped for roff.
 fn roff(text: &str) -> String {
     let text = text.replace('\\', "\\e").replace('-', "\\-").replace('\n', " ");
     if text.starts_with(['.', '\'']) { format!("\\&{text}") } else { text }
@@ -130,10 +110,6 @@ fn roff(text: &str) -> String {
 /// The longest file read, bytes.
 const LONGEST: u64 = 256 * 1024;
 
-/// The result of flags, settings and files.
-///
-/// # Errors
-/// If a file is wrong, with file and line.
 pub fn options(context: &Context, arguments: ConsoleArguments) -> Result<ConsoleOptions, Failure> {
     let (settings, owner) = (&context.config.console, context.operator.is_none());
     let given = passphrase::is_given(&context.global, &context.home, &context.profile);
@@ -143,7 +119,7 @@ pub fn options(context: &Context, arguments: ConsoleArguments) -> Result<Console
             operator: context.operator.as_ref().map(|operator| operator.name.to_string()),
             read_only: arguments.read_only,
             keymap: keymap(&context.home)?,
-            // The keyring is the owner's to lock and to unlock.
+            // Only the owner locks and unlocks the keyring.
             lock_after: settings.lock_after.filter(|_| owner),
             profiles: if owner { context.home.profiles() } else { Vec::new() },
             asks_passphrase: owner && !given,
@@ -151,15 +127,14 @@ pub fn options(context: &Context, arguments: ConsoleArguments) -> Result<Console
         },
         theme: arguments.theme.or_else(|| settings.theme.clone()),
         themes: themes(&context.home)?,
-        ascii: arguments.ascii
-            || settings.ascii.unwrap_or_else(|| !locale_has_unicode(|name| std::env::var(name).ok())),
+        ascii: arguments.ascii || settings.ascii.unwrap_or_else(|| !locale_has_unicode(environment)),
         mouse: settings.mouse,
         bytes_per_second: settings.bytes_per_second,
         kept: context.home.console(&context.profile),
         pictures: settings.pictures,
     };
     if let Some(name) = &options.theme {
-        options.themes.named(name).map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))?;
+        options.themes.named(name).map_err(|error| input(error.to_string()))?;
     }
     Ok(options)
 }
@@ -167,8 +142,7 @@ pub fn options(context: &Context, arguments: ConsoleArguments) -> Result<Console
 fn keymap(home: &Home) -> Result<Keymap, Failure> {
     let path = home.keymap();
     let Some(text) = read(&path)? else { return Ok(Keymap::default()) };
-    Keymap::with_file(&path.display().to_string(), &text)
-        .map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))
+    Keymap::with_file(&path.display().to_string(), &text).map_err(|error| input(error.to_string()))
 }
 
 fn themes(home: &Home) -> Result<Themes, Failure> {
@@ -179,12 +153,11 @@ fn themes(home: &Home) -> Result<Themes, Failure> {
     for path in paths {
         files.extend(read(&path)?.map(|text| (path.display().to_string(), text)));
     }
-    Themes::with_files(&files).map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))
+    Themes::with_files(&files).map_err(|error| input(error.to_string()))
 }
 
-/// A file of the operator's; `None` if there is none.
 fn read(path: &Path) -> Result<Option<String>, Failure> {
-    let wrong = |what: String| Failure::new(ErrorKind::Input, format!("{}: {what}", path.display()));
+    let wrong = |what: String| input(format!("{}: {what}", path.display()));
     match std::fs::metadata(path) {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
         Err(error) => return Err(wrong(error.to_string())),
@@ -194,7 +167,7 @@ fn read(path: &Path) -> Result<Option<String>, Failure> {
     std::fs::read_to_string(path).map(Some).map_err(|error| wrong(error.to_string()))
 }
 
-/// Whether the locale allows more than ASCII; if it does not say, terminals nowadays do.
+/// Without a locale, terminals are taken to know Unicode.
 fn locale_has_unicode(variable: impl Fn(&str) -> Option<String>) -> bool {
     let set = ["LC_ALL", "LC_CTYPE", "LANG"].into_iter().filter_map(variable).find(|value| !value.is_empty());
     set.is_none_or(|value| {
@@ -203,14 +176,11 @@ fn locale_has_unicode(variable: impl Fn(&str) -> Option<String>) -> bool {
     })
 }
 
-/// What an import or a capture says of altered records.
 pub const TAMPERED: &str =
     "authros: some records differ from what was anchored; `authros uploads list --state tampered` lists them";
 
-/// Between two looks.
 pub const LOOK: Duration = Duration::from_secs(3);
 
-/// Tells what is new of what runs.
 #[derive(Debug, Default)]
 pub struct Teller {
     progress: Progress,
@@ -218,7 +188,7 @@ pub struct Teller {
 }
 
 impl Teller {
-    /// Asks the site, and writes the lines that are not what was written last.
+    /// Writes only lines that were not written last.
     pub async fn tell(&mut self, client: &Client, output: &Output) {
         let Ok(runs) = client.ask(RecordingProgress).await else { return };
         let now = Timestamp::now();
@@ -229,12 +199,6 @@ impl Teller {
     }
 }
 
-/// Whether a request may take so long that its progress is shown.
-pub fn takes_long(command: &Command) -> bool {
-    matches!(command, Command::AuditRecords { .. })
-}
-
-/// Tells every so often how far what runs is; never ends.
 pub async fn tell_on(client: &Client, every: Duration, output: &Output) -> Infallible {
     let mut teller = Teller::default();
     loop {
@@ -243,7 +207,6 @@ pub async fn tell_on(client: &Client, every: Duration, output: &Output) -> Infal
     }
 }
 
-/// Waits for `work`, and tells meanwhile how far it is.
 pub async fn told<T>(client: &Client, work: impl Future<Output = T>, output: &Output) -> T {
     tokio::select! {
         done = work => done,

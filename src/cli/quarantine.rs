@@ -2,8 +2,7 @@
 
 use clap::{Args, Subcommand};
 
-use super::show::Question;
-use super::{lists, parse};
+use super::{lists, parse, verbs::Plan};
 use crate::model::{ErrorKind, Publisher};
 use crate::service::Failure;
 use crate::service::command::{DiscardHeld, Held, ListQuarantine, PinTopic, ReleaseHeld};
@@ -20,15 +19,9 @@ pub struct PinArguments {
     pub publishers: Vec<String>,
 }
 
-impl PinArguments {
-    /// What is asked.
-    ///
-    /// # Errors
-    /// What is wrong with the arguments.
-    pub fn question(&self) -> Result<Question, Failure> {
-        let publishers: Vec<Publisher> = parse::values(&self.publishers)?;
-        Ok(PinTopic { topic: parse::value(&self.topic)?, publishers }.into())
-    }
+pub fn pin(arguments: &PinArguments) -> Result<PinTopic, Failure> {
+    let publishers: Vec<Publisher> = parse::values(&arguments.publishers)?;
+    Ok(PinTopic { topic: parse::value(&arguments.topic)?, publishers })
 }
 
 /// Which messages of the quarantine.
@@ -43,10 +36,8 @@ pub struct HeldArguments {
     pub topic: Option<String>,
 }
 
-impl HeldArguments {
-    fn held(self) -> Result<Held, Failure> {
-        Ok(Held { topic: self.topic.as_deref().map(parse::value).transpose()?, ids: self.ids })
-    }
+fn held_by(arguments: HeldArguments) -> Result<Held, Failure> {
+    Ok(Held { topic: parse::optional(arguments.topic.as_deref())?, ids: arguments.ids })
 }
 
 /// `quarantine …`
@@ -78,24 +69,19 @@ pub enum QuarantineVerb {
     },
 }
 
-/// The command for a verb.
-///
-/// # Errors
-/// What is wrong with the arguments.
-pub fn question(verb: QuarantineVerb) -> Result<Question, Failure> {
+pub fn plan(verb: QuarantineVerb) -> Result<Plan, Failure> {
     Ok(match verb {
         QuarantineVerb::List { topic, limit } => {
-            ListQuarantine { topic: topic.as_deref().map(parse::value).transpose()?, limit }.into()
+            Plan::kept(ListQuarantine { topic: parse::optional(topic.as_deref())?, limit })
         }
-        QuarantineVerb::Release { held } => ReleaseHeld { held: held.held()? }.into(),
-        QuarantineVerb::Discard { held, yes: true } => DiscardHeld { held: held.held()? }.into(),
+        QuarantineVerb::Release { held } => Plan::unlocked(ReleaseHeld { held: held_by(held)? }),
+        QuarantineVerb::Discard { held, yes: true } => Plan::unlocked(DiscardHeld { held: held_by(held)? }),
         QuarantineVerb::Discard { .. } => {
             return Err(Failure::new(ErrorKind::Usage, "a discarded message cannot be restored; add --yes to confirm"));
         }
     })
 }
 
-/// Pins and alarms.
 pub fn pins(view: &PinsView) -> String {
     let pins = view
         .pins
@@ -113,7 +99,6 @@ pub fn pins(view: &PinsView) -> String {
     text
 }
 
-/// What is held back.
 pub fn held(view: &QuarantineView) -> String {
     let rows = view.records.iter().map(|held| {
         let (record, reason, publisher) = (&held.record, held.reason.clone(), held.publisher.clone());

@@ -1,28 +1,21 @@
-//! Commands about what a home has make none: a path that is mistyped would seem well, and what was made there would stop a
-//! restore. Opened records: their readable form, their fields, their path, and the files they become.
+//! Commands about an existing home create none: a mistyped path would look sound, and block a restore. Opened records
+//! as text.
 
 use std::path::PathBuf;
 
 use authros_output::table;
 
 use super::args::{AgentVerb, ChainVerb, GatewayVerb, Global, IdentityVerb, KeysVerb, TopicsVerb, UploadsVerb, Verb};
-use super::connect::ProfileNeed;
 use super::parties::ContactsVerb;
-use super::show::Question;
-use super::verbs::{CHAIN, Plan};
+use super::verbs::Plan;
 use crate::model::{ErrorKind, RecordState};
-use crate::paths::Home;
 use crate::ros::readable::{Plot, Readable, Table, file_of};
-use crate::service::Failure;
 use crate::service::command::{OpenShared, ViewFile};
 use crate::service::reply::{OpenedView, PathView};
+use crate::{paths::Home, service::Failure};
 
-/// Refuses such a command where there is no home.
-///
-/// # Errors
-/// If there is no home, or the standard places cannot be used.
 pub fn needs_a_home(global: &Global, verb: Option<&Verb>) -> Result<(), Failure> {
-    // An operator works at the home of somebody else.
+    // An operator works at somebody else's home.
     if global.site_socket.is_some() || verb.is_none_or(makes_a_home) {
         return Ok(());
     }
@@ -40,11 +33,11 @@ pub fn needs_a_home(global: &Global, verb: Option<&Verb>) -> Result<(), Failure>
     Err(Failure::new(ErrorKind::Input, text))
 }
 
-/// Whether a verb has something to do where there is no home yet, and makes one if it needs one.
+/// Verbs that work without a home, or make one.
 #[deny(clippy::wildcard_enum_match_arm)]
 fn makes_a_home(verb: &Verb) -> bool {
     match verb {
-        // Whether this machine is as it should be is asked before there is a home, too.
+        // Checks the machine, also before there is a home.
         Verb::Doctor
         | Verb::Register
         | Verb::Capture(_)
@@ -55,7 +48,7 @@ fn makes_a_home(verb: &Verb) -> bool {
         | Verb::Demo(_)
         | Verb::Tour(_)
         | Verb::Console(_)
-        // Settings are shown and checked without touching a home.
+        // Reads settings without touching a home.
         | Verb::Config(_)
         | Verb::Completions { .. }
         | Verb::Complete { .. }
@@ -86,19 +79,12 @@ fn makes_a_home(verb: &Verb) -> bool {
     }
 }
 
-/// A plan about shared records.
-pub fn plan(question: impl Into<Question>) -> Plan {
-    Plan::new(CHAIN, ProfileNeed::Unlocked, question)
-}
-
-/// `shared open`, with a file if one is to be written.
 pub fn open(id: String, out: Option<PathBuf>) -> Plan {
-    let Some(path) = &out else { return plan(OpenShared { id }) };
+    let Some(path) = &out else { return Plan::unlocked(OpenShared { id }) };
     let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-    Plan { out: Some(path.clone()), ..plan(ViewFile { id, kind: file_of(&name) }) }
+    Plan { out: Some(path.clone()), ..Plan::unlocked(ViewFile { id, kind: file_of(&name) }) }
 }
 
-/// Removes what is only for screens or for files.
 pub fn without_bytes(view: &mut OpenedView) {
     view.body = None;
     view.picture = None;
@@ -109,7 +95,6 @@ pub fn without_bytes(view: &mut OpenedView) {
     }
 }
 
-/// An opened record: its description, its readable form, every field.
 pub fn opened(view: &OpenedView) -> String {
     let record = &view.record;
     let held = if record.state.word() == RecordState::Quarantined.word() { "  QUARANTINED" } else { "" };
@@ -131,7 +116,7 @@ pub fn opened(view: &OpenedView) -> String {
     lines.join("\n")
 }
 
-/// Statements and attachments are of no publisher.
+/// Statements and attachments have no publisher.
 fn from(caller_id: &str) -> String {
     if caller_id.is_empty() { String::new() } else { format!(" from {caller_id}") }
 }
@@ -159,7 +144,6 @@ fn tabled(view: &Table) -> String {
     format!("{}\n{}", view.title, table(&head, &view.rows))
 }
 
-/// A path, point by point.
 pub fn path(view: &PathView) -> String {
     let unread = if view.unread > 0 { format!(", {} could not be read", view.unread) } else { String::new() };
     let head = format!("{}: {} records{unread}", view.topic, view.records);

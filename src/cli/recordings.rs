@@ -5,20 +5,14 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Subcommand};
 
 use super::connect::{Context, ProfileNeed};
-use super::parse::{self, absolute};
+use super::parse::{self, absolute, usage};
 use super::printed::{self, LOOK};
-use super::serve::until_done;
-use super::verbs::CHAIN;
-use crate::crypto::private_file;
-use crate::model::ErrorKind;
-use crate::paths::Home;
+use super::{serve::until_done, verbs::CHAIN};
 use crate::ros::recording::{ChunkCompression, RecordingFormat};
-use crate::service::command::{
-    Ask, ExportRecording, ExportWishes, ImportHome, ImportRecording, ImportWishes, StopCapture,
-};
+use crate::service::command::{self, Ask};
 use crate::service::reply::{ExportView, ExportedTopic, ImportView};
 use crate::service::{Client, Failure};
-use crate::store::files;
+use crate::{crypto::private_file, model::ErrorKind, paths::Home, store::files};
 use authros_output::{Output, table};
 
 /// The longest keyring copied, bytes.
@@ -83,60 +77,42 @@ pub struct ExportArguments {
     pub unanchored: bool,
 }
 
-impl ImportArguments {
-    fn wishes(&self) -> Result<ImportWishes, Failure> {
-        let (topics, tags) = (parse::values(&self.topics)?, parse::tags(&self.tags)?);
-        Ok(ImportWishes { path: absolute(&self.file)?, topics, tags, again: self.again })
-    }
-}
-
 impl ExportArguments {
-    fn wishes(&self) -> Result<ExportWishes, Failure> {
+    fn wishes(&self) -> Result<command::ExportWishes, Failure> {
         let (path, format) = match (&self.bag, &self.mcap, &self.rosbag2) {
             (Some(path), ..) => (path, RecordingFormat::Bag),
             (_, Some(path), _) => (path, RecordingFormat::Mcap),
             (.., Some(path)) => (path, RecordingFormat::Rosbag2),
             (None, None, None) => {
-                let text = "give the file with --bag or --mcap, or a folder with --rosbag2";
-                return Err(Failure::new(ErrorKind::Usage, text));
+                return Err(usage("give the file with --bag or --mcap, or a folder with --rosbag2"));
             }
         };
-        Ok(ExportWishes {
-            path: absolute(path)?,
-            format,
-            compression: parse::value::<ChunkCompression>(&self.compression)?,
-            owner: self.owner.as_deref().map(parse::value).transpose()?,
-            topics: parse::values(&self.topics)?,
-            since: self.since.as_deref().map(parse::past).transpose()?,
-            until: self.until.as_deref().map(parse::past).transpose()?,
-            unanchored: self.unanchored,
-        })
+        let (path, compression) = (absolute(path)?, parse::value::<ChunkCompression>(&self.compression)?);
+        let (owner, topics) = (parse::optional(self.owner.as_deref())?, parse::values(&self.topics)?);
+        let since = self.since.as_deref().map(parse::past).transpose()?;
+        let until = self.until.as_deref().map(parse::past).transpose()?;
+        let unanchored = self.unanchored;
+        Ok(command::ExportWishes { path, format, compression, owner, topics, since, until, unanchored })
     }
 }
 
-/// Runs an import; Ctrl-C ends it early, a second one leaves at once.
-///
-/// # Errors
-/// What the site or the arguments say.
 pub async fn import(context: Context, arguments: ImportArguments, output: &Output) -> Result<u8, Failure> {
-    let view = run(context, ImportRecording(arguments.wishes()?), ProfileNeed::Made, output).await?;
+    let (topics, tags) = (parse::values(&arguments.topics)?, parse::tags(&arguments.tags)?);
+    let wishes = command::ImportWishes { path: absolute(&arguments.file)?, topics, tags, again: arguments.again };
+    let view = run(context, command::ImportRecording(wishes), ProfileNeed::Made, output).await?;
     output.result(&view, || imported(&view));
     Ok(import_code(&view, output))
 }
 
-/// Brings every message of another home, and first its keyring if this home has none of the profile.
-///
-/// # Errors
-/// What the site or the arguments say.
 pub async fn import_home(context: Context, home: &Path, output: &Output) -> Result<u8, Failure> {
     let home = absolute(home)?;
     bring_keyring(&context, &home, output)?;
-    let view = run(context, ImportHome { home }, ProfileNeed::Unlocked, output).await?;
+    let view = run(context, command::ImportHome { home }, ProfileNeed::Unlocked, output).await?;
     output.result(&view, || imported(&view));
     Ok(import_code(&view, output))
 }
 
-/// Copies the profile's keyring from the other home, and the passphrase that headless use stored beside it.
+/// Also copies the passphrase stored beside it.
 fn bring_keyring(context: &Context, from: &Path, output: &Output) -> Result<(), Failure> {
     let (old, profile) = (Home::new(from.to_owned()), &context.profile);
     let (source, target) = (old.keyring(profile), context.home.keyring(profile));
@@ -161,12 +137,8 @@ fn bring_keyring(context: &Context, from: &Path, output: &Output) -> Result<(), 
     Ok(())
 }
 
-/// Runs an export.
-///
-/// # Errors
-/// What the site or the arguments say.
 pub async fn export(context: Context, arguments: ExportArguments, output: &Output) -> Result<u8, Failure> {
-    let view = run(context, ExportRecording(arguments.wishes()?), ProfileNeed::Unlocked, output).await?;
+    let view = run(context, command::ExportRecording(arguments.wishes()?), ProfileNeed::Unlocked, output).await?;
     output.result(&view, || exported(&view));
     Ok(export_code(&view, output))
 }
@@ -177,7 +149,7 @@ async fn run<A: Ask>(context: Context, ask: A, need: ProfileNeed, output: &Outpu
         "stopped early; sealed records are stored, repeat the command to continue",
     );
     let until_done = async |client: &Client| {
-        until_done(client, ask, StopCapture, words, output, printed::tell_on(client, LOOK, output)).await
+        until_done(client, ask, command::StopCapture, words, output, printed::tell_on(client, LOOK, output)).await
     };
     context.with(CHAIN, need, output, until_done).await
 }

@@ -6,21 +6,15 @@ use std::path::Path;
 use clap::Subcommand;
 
 use super::connect::{Context, ProfileNeed};
-use super::incidents::moment;
-use super::parse;
-use super::verbs::CHAIN;
-use crate::crypto::Sm3Hasher;
+use super::{incidents::moment, parse, verbs::CHAIN};
 use crate::model::{ByteSize, Digest, ErrorKind, clean};
-use crate::ros::recording::content_of;
 use crate::service::command::{EraseRecords, ErasureWishes};
-use crate::service::failure::input;
-use crate::service::reply::ErasureView;
-use crate::service::{Client, Failure};
+use crate::service::{Client, Failure, failure::input, reply::ErasureView};
+use crate::{crypto::Sm3Hasher, ros::recording::content_of};
 use authros_output::Output;
 
-/// What a person writes to confirm.
 const WORD: &str = "erase";
-/// Characters of the tag that names an imported file.
+/// Characters of an imported file's tag.
 const TAG: usize = 16;
 
 /// `retention …`
@@ -53,21 +47,12 @@ pub enum RetentionVerb {
     },
 }
 
-/// Shows what would be erased, asks, and erases.
-///
-/// # Errors
-/// Errors of the arguments and the site; incidents that hold some of the records.
 pub async fn run(context: Context, verb: RetentionVerb, output: &Output) -> Result<u8, Failure> {
     let RetentionVerb::Erase { topic, recording, since, until, records, reason, yes } = verb;
-    let wishes = ErasureWishes {
-        topic: topic.as_deref().map(parse::value).transpose()?,
-        since: since.as_deref().map(moment).transpose()?,
-        until: until.as_deref().map(moment).transpose()?,
-        records,
-        recording: recording.as_deref().map(tag_of).transpose()?,
-        reason,
-        sure: yes,
-    };
+    let topic = parse::optional(topic.as_deref())?;
+    let (since, until) = (since.as_deref().map(moment).transpose()?, until.as_deref().map(moment).transpose()?);
+    let recording = recording.as_deref().map(tag_of).transpose()?;
+    let wishes = ErasureWishes { topic, since, until, records, recording, reason, sure: yes };
     let asks = !yes && !context.global.json && std::io::stdin().is_terminal();
     let erase = async |client: &Client| erase(client, wishes, asks, output).await;
     context.with(CHAIN, ProfileNeed::Unlocked, output, erase).await
@@ -76,7 +61,7 @@ pub async fn run(context: Context, verb: RetentionVerb, output: &Output) -> Resu
 async fn erase(client: &Client, wishes: ErasureWishes, asks: bool, output: &Output) -> Result<u8, Failure> {
     let sure = wishes.sure;
     let view = client.ask(EraseRecords(wishes.clone())).await?;
-    if matches_nothing(&view) {
+    if view.records + view.named + view.waiting + view.gone + view.other + view.missing == 0 {
         let what = "none of your messages is of that topic and time; `authros uploads list` shows them";
         return Err(input(format!("nothing matches: {what}")));
     }
@@ -87,12 +72,12 @@ async fn erase(client: &Client, wishes: ErasureWishes, asks: bool, output: &Outp
     };
     let view = if is_sure { client.ask(EraseRecords(ErasureWishes { sure: true, ..wishes })).await? } else { view };
     output.result(&view, || text(&view));
-    // Nobody was asked and nobody said yes: a script must not take it for done.
+    // Without a confirmation, a script must not take it for done.
     let unconfirmed = !sure && !asks && view.records > 0;
     Ok(if unconfirmed { ErrorKind::Usage.exit_code() } else { 0 })
 }
 
-/// The tag of what was imported from a file: the beginning of its SM3. Without such a file, the tag itself.
+/// The beginning of the file's SM3, or the tag itself.
 fn tag_of(file: &str) -> Result<String, Failure> {
     if file.len() == TAG && file.bytes().all(|byte| byte.is_ascii_hexdigit()) && !Path::new(file).exists() {
         return Ok(file.to_ascii_lowercase());
@@ -113,16 +98,11 @@ fn tag_of(file: &str) -> Result<String, Failure> {
     }
 }
 
-fn matches_nothing(view: &ErasureView) -> bool {
-    view.records + view.named + view.waiting + view.gone + view.other + view.missing == 0
-}
-
 fn confirmed() -> bool {
     let mut line = String::new();
     std::io::stdin().lock().read_line(&mut line).is_ok_and(|_| line.trim() == WORD)
 }
 
-/// What would be erased, or was.
 fn text(view: &ErasureView) -> String {
     let topics = if view.topics.is_empty() { String::new() } else { format!(" of {}", view.topics.join(", ")) };
     let mut lines = vec![match (view.named, view.deleted) {

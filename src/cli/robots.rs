@@ -1,29 +1,18 @@
 //! `robots` and `devices`: what is asked of enrolled robots, their policies, and the devices on loan.
 
-use std::collections::BTreeMap;
-use std::io::Read as _;
 use std::path::{Path, PathBuf};
+use std::{collections::BTreeMap, io::Read as _};
 
 use authros_output::{Output, table};
 use clap::{Args, Subcommand};
 
-use super::connect::ProfileNeed;
-use super::incidents::moment;
-use super::lists::or_dash;
-use super::parse;
-use super::show::Question;
-use super::verbs::{CHAIN, Plan};
+use super::verbs::Plan;
+use super::{incidents::moment, lists::or_dash, parse, show::Question};
 use crate::crypto::keyfile::{load_sm2, sm2_public_from_pem};
 use crate::crypto::{LONGEST_POLICY, ProviderName, SmKeyPair, provider, signer_id};
-use crate::model::bytes::unhex;
-use crate::model::{PublicKey, SignerId, TopicRule, clean};
-use crate::service::Failure;
-use crate::service::command::{
-    AddDeviceAddress, AddDeviceTopics, LearnPolicy, LendDevice, ListDevices, ListRobots, PullRing, RecallDevice,
-    SetRobotPolicy, ShowPolicy, ShowRobot,
-};
-use crate::service::failure::input;
+use crate::model::{PublicKey, SignerId, TopicRule, bytes::unhex, clean};
 use crate::service::reply::{DeviceRow, PolicyRow, PolicyView, RingPullView, RobotRow, RobotTopicRow, RobotView};
+use crate::service::{Failure, command, failure::input};
 
 /// `robots …`
 #[derive(Debug, Subcommand)]
@@ -68,33 +57,31 @@ pub enum RobotsVerb {
     },
 }
 
-/// What is asked.
-///
-/// # Errors
-/// What is wrong with the arguments.
 pub fn plan(verb: RobotsVerb) -> Result<Plan, Failure> {
     let question: Question = match verb {
-        RobotsVerb::Pull { robot, since, until, topics, incident } => PullRing {
+        RobotsVerb::Pull { robot, since, until, topics, incident } => command::PullRing {
             name: robot,
             since: since.as_deref().map(moment).transpose()?,
             until: until.as_deref().map(moment).transpose()?,
             topics: parse::values(&topics)?,
-            incident: incident.as_deref().map(parse::value).transpose()?,
+            incident: parse::optional(incident.as_deref())?,
         }
         .into(),
-        RobotsVerb::List => ListRobots.into(),
-        RobotsVerb::Policy { robot, clear: true, .. } => SetRobotPolicy { name: robot, text: String::new() }.into(),
-        RobotsVerb::Policy { robot, set: Some(file), .. } => {
-            SetRobotPolicy { name: robot, text: policy_of(&file)? }.into()
+        RobotsVerb::List => command::ListRobots.into(),
+        RobotsVerb::Policy { robot, clear: true, .. } => {
+            command::SetRobotPolicy { name: robot, text: String::new() }.into()
         }
-        RobotsVerb::Show { robot } => ShowRobot { name: robot }.into(),
-        // To show is what is done unless something else is asked.
-        RobotsVerb::Policy { robot, show: _show, .. } => ShowRobot { name: robot }.into(),
+        RobotsVerb::Policy { robot, set: Some(file), .. } => {
+            command::SetRobotPolicy { name: robot, text: policy_of(&file)? }.into()
+        }
+        RobotsVerb::Show { robot } => command::ShowRobot { name: robot }.into(),
+        // The default.
+        RobotsVerb::Policy { robot, show: _show, .. } => command::ShowRobot { name: robot }.into(),
     };
-    Ok(Plan::new(CHAIN, ProfileNeed::Unlocked, question))
+    Ok(Plan::unlocked(question))
 }
 
-/// The text of a file, read no further than a policy may be long.
+/// Reads at most one byte more than a policy may have.
 fn policy_of(file: &Path) -> Result<String, Failure> {
     let shown = clean(&file.display().to_string(), 200);
     let unread = |error: std::io::Error| input(format!("{shown} cannot be read: {error}"));
@@ -112,7 +99,6 @@ fn policy_of(file: &Path) -> Result<String, Failure> {
     Ok(text)
 }
 
-/// All robots.
 pub fn all(robots: &[RobotRow]) -> String {
     if robots.is_empty() {
         return "no robots; enrol one with `authros agent enrol`".to_owned();
@@ -133,7 +119,6 @@ pub fn all(robots: &[RobotRow]) -> String {
     table(&head, robots.iter().map(row))
 }
 
-/// One robot.
 pub fn one(view: &RobotView) -> String {
     let row = &view.row;
     let wanted = match (row.wanted, view.set_at) {
@@ -149,8 +134,7 @@ pub fn one(view: &RobotView) -> String {
     lines.extend(row.drift_since.map(|since| format!("drift since {since}")));
     lines.extend(view.refused.iter().map(|why| format!("it refused: {why}")));
     lines.extend(view.overruled.iter().map(|what| format!("overruled on the robot: {what}")));
-    lines
-        .extend(view.gateway.iter().flat_map(|gateway| &gateway.addresses).map(|address| format!("gateway {address}")));
+    lines.extend(view.gateway.iter().flat_map(|one| &one.addresses).map(|address| format!("gateway {address}")));
     let counts = |topic: &RobotTopicRow| {
         let counts = [topic.records, topic.verified, topic.waiting, topic.lost].map(|count| count.to_string());
         [vec![topic.topic.clone()], counts.to_vec()].concat()
@@ -165,7 +149,6 @@ pub fn one(view: &RobotView) -> String {
     lines.join("\n")
 }
 
-/// What was asked of a ring.
 pub fn pulled(view: &RingPullView) -> String {
     let topics = if view.topics.is_empty() { "all its topics".to_owned() } else { view.topics.join(", ") };
     format!(
@@ -175,7 +158,7 @@ pub fn pulled(view: &RingPullView) -> String {
     )
 }
 
-/// The longest file that is looked at for a public key, bytes.
+/// Longest key file read, bytes.
 const LONGEST: u64 = 16 * 1024;
 
 /// `devices …`
@@ -234,23 +217,20 @@ pub enum AddressesVerb {
     },
 }
 
-/// The command for a verb.
-///
-/// # Errors
-/// What is wrong with the arguments.
 pub fn question(verb: &DevicesVerb) -> Result<Question, Failure> {
     Ok(match verb {
         DevicesVerb::Lend { device, until } => {
-            LendDevice { device: device_of(device)?, until: until.as_deref().map(parse::end).transpose()? }.into()
+            command::LendDevice { device: device_of(device)?, until: until.as_deref().map(parse::end).transpose()? }
+                .into()
         }
-        DevicesVerb::Recall { device } => RecallDevice { device: device.clone() }.into(),
+        DevicesVerb::Recall { device } => command::RecallDevice { device: device.clone() }.into(),
         DevicesVerb::Topics(TopicsVerb::Add { device, topics }) => {
-            AddDeviceTopics { device: device.clone(), topics: parse::values(topics)? }.into()
+            command::AddDeviceTopics { device: device.clone(), topics: parse::values(topics)? }.into()
         }
         DevicesVerb::Addresses(AddressesVerb::Add { device, address }) => {
-            AddDeviceAddress { device: device.clone(), address: address.clone() }.into()
+            command::AddDeviceAddress { device: device.clone(), address: address.clone() }.into()
         }
-        DevicesVerb::List => ListDevices.into(),
+        DevicesVerb::List => command::ListDevices.into(),
     })
 }
 
@@ -278,7 +258,6 @@ fn public_key(path: &Path) -> Result<PublicKey, Failure> {
     Ok(SmKeyPair::from_secret(provider(ProviderName::default()), secret)?.public)
 }
 
-/// The devices, for people.
 pub fn devices(rows: &[DeviceRow]) -> String {
     let row = |row: &DeviceRow| {
         [
@@ -294,9 +273,9 @@ pub fn devices(rows: &[DeviceRow]) -> String {
     table(&head, rows.iter().map(row))
 }
 
-/// From this many bytes a second on, a rate is suggested.
+/// Bytes a second from which a rate is suggested.
 const HEAVY: f64 = 500_000.0;
-/// From so many messages a second on sampling is suggested.
+/// Messages a second from which sampling is suggested.
 const FAST: f64 = 50.0;
 /// The rate suggested for heavy topics, messages a second.
 const CALM: f64 = 5.0;
@@ -312,18 +291,11 @@ pub struct PolicyArguments {
     pub duration: String,
 }
 
-impl PolicyArguments {
-    /// What is asked.
-    ///
-    /// # Errors
-    /// Where the time is none.
-    pub fn question(&self) -> Result<Question, Failure> {
-        let milliseconds = u64::try_from(parse::duration(&self.duration)?.as_millis()).unwrap_or(u64::MAX);
-        Ok(if self.learn { LearnPolicy { milliseconds }.into() } else { ShowPolicy.into() })
-    }
+pub fn policy(arguments: &PolicyArguments) -> Result<Question, Failure> {
+    let milliseconds = u64::try_from(parse::duration(&arguments.duration)?.as_millis()).unwrap_or(u64::MAX);
+    Ok(if arguments.learn { command::LearnPolicy { milliseconds }.into() } else { command::ShowPolicy.into() })
 }
 
-/// Prints the rules, or the draft.
 pub fn show(view: &PolicyView, output: &Output) {
     if view.learned {
         let draft = draft(&view.topics);
@@ -351,7 +323,6 @@ fn text(view: &PolicyView) -> String {
     text
 }
 
-/// What a rule says, in a line.
 fn terms(rule: &TopicRule) -> String {
     let mut terms = Vec::new();
     terms.extend(rule.type_name.as_ref().map(|name| format!("only {name}")));
@@ -376,7 +347,7 @@ fn span(seconds: u64) -> String {
     }
 }
 
-/// A draft of rules: topics that differ by numbers alone share one.
+/// Topics that differ only in numbers share a rule.
 fn draft(topics: &[PolicyRow]) -> String {
     let mut groups: BTreeMap<(String, Option<&str>), Vec<&PolicyRow>> = BTreeMap::new();
     for row in topics {
@@ -419,7 +390,6 @@ fn suggestions(rows: &[&PolicyRow]) -> String {
     }
 }
 
-/// Digits replaced by a star.
 fn without_numbers(topic: &str) -> String {
     let mut pattern = String::with_capacity(topic.len());
     for letter in topic.chars() {

@@ -16,16 +16,12 @@ use authros_output::Output;
 use clap::Args;
 use serde_json::Value;
 use tokio::signal::unix::{SignalKind, signal};
-use tokio::sync::broadcast;
-use tokio::task::JoinHandle;
+use tokio::{sync::broadcast, task::JoinHandle};
 
 use super::connect::{Connection, Context, ProfileNeed};
-use crate::model::ErrorKind;
 use crate::service::command::{Ask, ChainStatus, Register, SiteStatus};
-use crate::service::event::NoticeLevel;
-use crate::service::failure::internal;
-use crate::service::{Client, Event, Failure, Needs, is_bound};
-use crate::store::files;
+use crate::service::{Client, Event, Failure, Needs, event::NoticeLevel, failure::internal, is_bound};
+use crate::{model::ErrorKind, store::files};
 
 /// `serve …`
 #[derive(Debug, Args)]
@@ -38,10 +34,10 @@ pub struct ServeArguments {
     pub own_session: bool,
 }
 
-/// Whether the parent wants this process to outlive its terminal (nohup), judged by its signals at the start.
+/// Whether SIGHUP was ignored at the start, as nohup does.
 static KEEPS_ON: OnceLock<bool> = OnceLock::new();
 
-/// Checks whether SIGHUP is ignored; to be called before anything listens to signals.
+/// Must run before anything listens to signals.
 pub fn note_hangup() {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     KEEPS_ON.get_or_init(|| ignores_hangup(&status));
@@ -53,16 +49,14 @@ fn ignores_hangup(status: &str) -> bool {
     mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).is_some_and(|mask| mask & 1 == 1)
 }
 
-/// How a process was asked to end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Ending {
-    /// SIGINT: by a person, who can wait and can ask again.
+    /// SIGINT: from a person, who can wait and ask again.
     Asked,
     /// SIGTERM or SIGHUP: now.
     Ordered,
 }
 
-/// Waits for SIGINT, SIGTERM, or SIGHUP unless that is ignored.
 pub async fn asked_to_end() -> Ending {
     let wait = |kind| async move {
         match signal(kind) {
@@ -83,29 +77,25 @@ pub async fn asked_to_end() -> Ending {
     }
 }
 
-/// How long a site that worked here before waits for its profile's registration; that goes on meanwhile.
+/// Patience with the registration at a home that worked before; it continues meanwhile.
 const PATIENCE: Duration = Duration::from_secs(15);
 
-/// Runs the site until a signal ends it.
-///
-/// # Errors
-/// If another process is the site already, or the profile cannot be opened.
 pub async fn run(context: Context, arguments: ServeArguments, output: &Output) -> Result<u8, Failure> {
     if arguments.detach {
         return tokio::task::block_in_place(|| run_detached(&context, output));
     }
     if arguments.own_session {
-        // Fails only for a leader of a group, which has left its terminal's already.
+        // Fails only for a group leader, which has left its terminal's session already.
         rustix::process::setsid().ok();
     }
     let connection = context.open(Needs { ros: true, chain: true }, output).await.map_err(not_started)?;
     connection.oversee();
-    // If it worked here before, no chain is needed to start.
+    // A home that worked before needs no chain to start.
     let known = is_bound(&context.home) && context.home.keyring(&context.profile).exists();
     let site = connection.site.clone();
     let begin = async |client: &Client| {
         match register(&context, client, known, output).await {
-            // Whatever is wrong with the chain, what is captured meanwhile is kept.
+            // Capture goes on, whatever is wrong with the chain.
             Err(failure) if known && client.ask(ChainStatus).await.is_err() => {
                 output.note(&format!("authros: {}; capture goes on without the chain", failure.message));
             }
@@ -127,7 +117,7 @@ pub async fn run(context: Context, arguments: ServeArguments, output: &Output) -
     .await
 }
 
-/// Opens the profile and registers it; if it worked here before, that goes on behind after a while.
+/// Opens and registers the profile; at a known home the registration continues in the background.
 async fn register(context: &Context, client: &Client, known: bool, output: &Output) -> Result<(), Failure> {
     context.prepare(client, ProfileNeed::Made, output).await?;
     let client = client.clone();
@@ -143,14 +133,12 @@ async fn register(context: &Context, client: &Client, known: bool, output: &Outp
     }
 }
 
-/// Nothing continues by itself if nothing runs.
 fn not_started(failure: Failure) -> Failure {
     let message = format!("the site did not start: {}", failure.message);
     Failure::new(failure.kind, message)
 }
 
-/// Shows what the site tells from level `least` on, and all that lasts, until `end`, or the site's end, including what
-/// came since `events` were subscribed to.
+/// Prints notices from `least` on, and lasting ones, until `end` or the site's end; starts with the subscription.
 pub async fn follow(
     events: &mut broadcast::Receiver<Event>,
     least: NoticeLevel,
@@ -172,18 +160,14 @@ pub async fn follow(
     }
 }
 
-/// Serves at a site, the running one or this process's own, until a signal, or until that site is gone: `begin` starts it,
-/// and `tell` says what is served, and whether the site was joined.
-///
-/// # Errors
-/// Errors of the beginning; the loss of the site.
+/// Serves until a signal or the loss of the site; `tell` gets what `begin` started, and whether the site was joined.
 pub async fn until_signal<T>(
     connection: Connection,
     output: &Output,
     begin: impl AsyncFnOnce(&Client) -> Result<T, Failure>,
     tell: impl FnOnce(T, bool),
 ) -> Result<u8, Failure> {
-    // Problems during startup are shown too, and no signal is missed in between.
+    // Subscribes first: startup problems are shown, and no signal is missed.
     let (joined, mut events, end) = (connection.site.is_none(), connection.client.events(), asked_to_end());
     tokio::pin!(end);
     let begun = tokio::select! {
@@ -210,7 +194,7 @@ pub async fn until_signal<T>(
     ended
 }
 
-/// Waits until the site is gone: a joined one may end at any time, and what it serves with it.
+/// A joined site may end at any time.
 async fn lost(client: &Client) -> Failure {
     loop {
         tokio::time::sleep(Duration::from_secs(2)).await;
@@ -222,11 +206,7 @@ async fn lost(client: &Client) -> Failure {
     }
 }
 
-/// Waits for an answer that takes its time, while `meanwhile` goes on for ever. The first Ctrl-C sends `stop` and says what
-/// is still done; a second one, or an order to end, leaves at once, with the other words.
-///
-/// # Errors
-/// Errors of the site, and where it was left.
+/// The first Ctrl-C sends `stop` and goes on waiting; a second one, or SIGTERM, leaves without the answer.
 pub async fn until_done<A: Ask>(
     client: &Client,
     ask: A,
@@ -252,13 +232,13 @@ pub async fn until_done<A: Ask>(
     }
 }
 
-/// A process reported to systemd as ready; its end is reported too.
+/// Reports the stop to systemd when dropped.
 pub struct Ready {
     beating: Option<JoinHandle<()>>,
 }
 
-/// Reports that everything requested works. From then on a keep-alive is sent twice in each period of the watchdog, as
-/// long as the program's threads make progress: a peer that does not answer is no reason to be killed.
+/// Reports readiness, then a keep-alive twice per period of the watchdog while threads make progress: a silent peer is
+/// no reason to be killed.
 pub fn ready() -> Ready {
     say("READY=1");
     let beating = period(&variable("WATCHDOG_USEC"), &variable("WATCHDOG_PID"), std::process::id()).map(|period| {
@@ -285,7 +265,7 @@ fn variable(name: &str) -> String {
     std::env::var(name).unwrap_or_default()
 }
 
-/// The watchdog's period, if this is the process it watches.
+/// `None` if the watchdog watches another process.
 fn period(microseconds: &str, process: &str, own: u32) -> Option<Duration> {
     let is_meant = process.is_empty() || process.parse() == Ok(own);
     let microseconds = microseconds.parse().ok().filter(|microseconds| *microseconds > 0 && is_meant)?;
@@ -294,7 +274,7 @@ fn period(microseconds: &str, process: &str, own: u32) -> Option<Duration> {
 
 fn say(state: &str) {
     let Some(place) = std::env::var_os("NOTIFY_SOCKET").filter(|place| !place.is_empty()) else { return };
-    // If systemd does not listen, the program is still useful.
+    // The program is useful without systemd.
     drop(send(&place, state));
 }
 
@@ -308,15 +288,12 @@ fn send(place: &OsStr, state: &str) -> std::io::Result<usize> {
 
 /// This very program, also if its file was replaced since.
 pub const OWN_PROGRAM: &str = "/proc/self/exe";
-/// Warnings of earlier sites are kept up to this size, bytes.
+/// A longer log is emptied, bytes.
 const LONGEST_LOG: u64 = 1 << 20;
-/// The most that is read of the process's first line, bytes.
+/// Bound on the process's first line, bytes.
 const LONGEST: u64 = 64 * 1024;
 
-/// Starts the same command without `--detach`, and returns when it serves or has ended.
-///
-/// # Errors
-/// If it cannot be started, or says nothing that is understood.
+/// Starts the same command without `--detach`; returns when it serves or has ended.
 pub fn run_detached(context: &Context, output: &Output) -> Result<u8, Failure> {
     files::private_directory(context.home.root())?;
     let log = context.home.serve_log();
@@ -336,7 +313,7 @@ pub fn run_detached(context: &Context, output: &Output) -> Result<u8, Failure> {
 }
 
 fn private_file(path: &std::path::Path) -> std::io::Result<File> {
-    // A site that runs already may be writing there.
+    // A running site may be writing there.
     let file = OpenOptions::new().append(true).create(true).mode(0o600).open(path)?;
     if file.metadata()?.len() > LONGEST_LOG {
         file.set_len(0)?;
@@ -347,7 +324,7 @@ fn private_file(path: &std::path::Path) -> std::io::Result<File> {
 fn start(context: &Context, log: File) -> Result<Child, Failure> {
     let words = std::env::args_os().skip(1).filter(|word| word != "--detach");
     let json = (!context.global.json).then_some("--json");
-    // A descriptor is read by the process that needs the passphrase, and by no other.
+    // Only the process that needs the passphrase reads the descriptor.
     let input = if context.global.passphrase_fd.is_some() { Stdio::inherit() } else { Stdio::null() };
     let mut command = Command::new(OWN_PROGRAM);
     command.args(words).args(json).arg("--own-session").stdin(input).stdout(Stdio::piped()).stderr(log);
@@ -356,7 +333,7 @@ fn start(context: &Context, log: File) -> Result<Child, Failure> {
     })
 }
 
-/// Waits until it serves, or has ended: then there is no line, or one that says why.
+/// Waits for the line that it serves, or why it ended.
 fn first_line(child: &mut Child) -> Option<String> {
     let mut line = String::new();
     let output = child.stdout.take()?;
@@ -375,15 +352,13 @@ fn text(said: &Value, process: u32, log: &str) -> String {
     )
 }
 
-/// The same end as the process had, in its words.
 fn ended(mut child: Child, said: Option<&Value>, log: &str, output: &Output) -> Result<u8, Failure> {
     let status = child.wait().map_err(|error| {
         Failure::new(ErrorKind::Internal, format!("the end of the site's process cannot be read: {error}"))
     })?;
     let message = said.and_then(|said| said.pointer("/error/message")).and_then(Value::as_str);
-    let reason =
-        message.map_or_else(|| format!("its process ended ({status}); {log} has what it wrote"), str::to_owned);
-    output.note(&format!("authros: nothing was left running: {reason}"));
+    let why = message.map_or_else(|| format!("its process ended ({status}); {log} has what it wrote"), str::to_owned);
+    output.note(&format!("authros: nothing was left running: {why}"));
     let code = status.code().and_then(|code| u8::try_from(code).ok()).filter(|code| *code != 0);
     Ok(code.unwrap_or_else(|| ErrorKind::Internal.exit_code()))
 }

@@ -1,39 +1,21 @@
 //! Answers of the site, printed for people or as JSON; files written if a verb requested some.
 
-use std::fs::OpenOptions;
-use std::io::Write as _;
-use std::os::unix::fs::OpenOptionsExt as _;
-use std::path::Path;
+use std::{fs::OpenOptions, io::Write as _, os::unix::fs::OpenOptionsExt as _, path::Path};
 
 use super::{audit, check, coverage, gateway, incidents, lists, parties, quarantine, reading, robots, status};
-use crate::crypto::private_file;
-use crate::model::ErrorKind;
 use crate::service::command::{Ask, Command, SecretBytes};
-use crate::service::failure::input;
-use crate::service::reply::{
-    AdministrationView, AdmittedView, AlertTestView, AlertsView, Answer, AuditCheck, AuditView, BackupView, ChainView,
-    CheckView, CompareView, ContactRow, CoverageView, DecidedView, DeployedView, DeviceAddressesView, DeviceRow,
-    DeviceTopicsView, ExportedFile, GatewayStatusView, GrantRow, IdentityView, IncidentView, KeyChangeView, KeysView,
-    OpenedView, PathView, PinsView, PolicyView, Provenance, QuarantineView, RecordAudit, RecordPage, Reply,
-    RingPullView, RobotRow, RobotView, TopicRow, TransactionView,
-};
-use crate::service::{Client, Failure};
+use crate::service::{Client, Failure, failure::input, reply};
+use crate::{crypto::private_file, model::ErrorKind};
 use authros_output::Output;
 
-/// An answer that a verb prints.
-pub trait Printed: Answer {
-    /// Prints it; `out` is where its files go. Returns the exit code.
-    ///
-    /// # Errors
-    /// A file that cannot be written.
+pub trait Printed: reply::Answer {
+    /// `out` is the place for files; returns the exit code.
     fn print(self, out: Option<&Path>, output: &Output) -> Result<u8, Failure>;
 }
 
-type Print = fn(Result<Reply, Failure>, Option<&Path>, &Output) -> Result<u8, Failure>;
+type Print = fn(Result<reply::Reply, Failure>, Option<&Path>, &Output) -> Result<u8, Failure>;
 
-/// A request whose answer a verb prints.
 pub struct Question {
-    /// The request.
     pub command: Command,
     print: Print,
 }
@@ -49,46 +31,36 @@ where
 }
 
 impl Question {
-    /// Asks; the result prints the answer.
     pub async fn ask(self, client: &Client) -> Told {
         Told { reply: client.request(self.command).await, print: self.print }
     }
 }
 
-/// The site's answer to a [`Question`].
 pub struct Told {
-    reply: Result<Reply, Failure>,
+    pub reply: Result<reply::Reply, Failure>,
     print: Print,
 }
 
 impl Told {
-    /// Whether it was done.
-    pub fn is_done(&self) -> bool {
-        self.reply.is_ok()
-    }
-
-    /// Prints the answer; returns the exit code.
-    ///
-    /// # Errors
-    /// The site's failure, or a file that cannot be written.
     pub fn print(self, out: Option<&Path>, output: &Output) -> Result<u8, Failure> {
         (self.print)(self.reply, out, output)
     }
 }
 
-/// Answers that are a document of their own, and the exit code where it depends on them.
+/// Answers printed as one document: their text, and their exit code if not 0.
 macro_rules! documents {
-    ($($view:ty => $text:path $(, $code:path)?;)+) => {$(
+    ($($view:ty => $text:expr $(, $code:path)?;)+) => {$(
         impl Printed for $view {
             fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
-                output.result(&self, || $text(&self));
+                let text: fn(&Self) -> String = $text;
+                output.result(&self, || text(&self));
                 Ok([0_u8, $($code(&self))?].into_iter().sum())
             }
         }
     )+};
 }
 
-/// Answers that are rows, and their name in JSON.
+/// Answers printed as rows, and their name in JSON.
 macro_rules! rows {
     ($($row:ty, $name:literal => $text:path;)+) => {$(
         impl Printed for Vec<$row> {
@@ -101,43 +73,43 @@ macro_rules! rows {
 }
 
 documents! {
-    IdentityView => lists::identity;
-    KeyChangeView => key_change;
-    KeysView => lists::keys;
-    RecordPage => lists::records;
-    Provenance => lists::provenance;
-    TransactionView => transaction;
-    Box<ChainView> => lists::chain;
-    Box<AdministrationView> => parties::successions;
-    DeployedView => lists::deployed;
-    BackupView => check::backed_up;
-    GatewayStatusView => gateway::status;
-    AlertsView => status::standing;
-    AlertTestView => status::tested;
-    PinsView => quarantine::pins;
-    QuarantineView => quarantine::held;
-    DecidedView => decided;
-    PathView => reading::path;
-    CoverageView => coverage::strip;
-    DeviceAddressesView => device_addresses;
-    DeviceTopicsView => device_topics;
-    IncidentView => incidents::incident;
-    RingPullView => robots::pulled;
-    RobotView => robots::one;
-    CompareView => parties::comparison, parties::comparison_code;
-    AuditCheck => audit::check, audit::code;
-    Box<RecordAudit> => check::audit, check::audit_code;
+    reply::IdentityView => lists::identity;
+    reply::KeyChangeView => |view| view.lines.join("\n");
+    reply::KeysView => lists::keys;
+    reply::RecordPage => lists::records;
+    reply::Provenance => lists::provenance;
+    reply::TransactionView => |view| view.text.clone();
+    Box<reply::ChainView> => |view| lists::chain(view);
+    Box<reply::AdministrationView> => |view| parties::successions(view);
+    reply::DeployedView => lists::deployed;
+    reply::BackupView => check::backed_up;
+    reply::GatewayStatusView => gateway::status;
+    reply::AlertsView => status::standing;
+    reply::AlertTestView => |view| format!("{} accepted it: {}", view.place, view.text);
+    reply::PinsView => quarantine::pins;
+    reply::QuarantineView => quarantine::held;
+    reply::DecidedView => |view| view.text.clone();
+    reply::PathView => reading::path;
+    reply::CoverageView => coverage::strip;
+    reply::DeviceAddressesView => device_addresses;
+    reply::DeviceTopicsView => device_topics;
+    reply::IncidentView => incidents::incident;
+    reply::RingPullView => robots::pulled;
+    reply::RobotView => robots::one;
+    reply::CompareView => parties::comparison, parties::comparison_code;
+    reply::AuditCheck => audit::check, audit::code;
+    Box<reply::RecordAudit> => |audit| check::audit(audit), check::audit_code;
 }
 
 rows! {
-    TopicRow, "topics" => lists::topics;
-    GrantRow, "grants" => lists::grants;
-    DeviceRow, "devices" => robots::devices;
-    ContactRow, "contacts" => parties::contact_table;
-    AuditView, "audit" => audit::lines;
-    AdmittedView, "admitted" => gateway::admitted;
-    IncidentView, "incidents" => incidents::all;
-    RobotRow, "robots" => robots::all;
+    reply::TopicRow, "topics" => lists::topics;
+    reply::GrantRow, "grants" => lists::grants;
+    reply::DeviceRow, "devices" => robots::devices;
+    reply::ContactRow, "contacts" => parties::contact_table;
+    reply::AuditView, "audit" => audit::lines;
+    reply::AdmittedView, "admitted" => gateway::admitted;
+    reply::IncidentView, "incidents" => incidents::all;
+    reply::RobotRow, "robots" => robots::all;
 }
 
 impl Printed for () {
@@ -147,7 +119,7 @@ impl Printed for () {
     }
 }
 
-impl Printed for CheckView {
+impl Printed for reply::CheckView {
     fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
         output.result(&self, || {
             let contract = self.contract.map_or_else(String::new, |answer| format!("\n{}", answer.text()));
@@ -157,10 +129,10 @@ impl Printed for CheckView {
     }
 }
 
-impl Printed for Box<OpenedView> {
+impl Printed for Box<reply::OpenedView> {
     fn print(mut self, out: Option<&Path>, output: &Output) -> Result<u8, Failure> {
         if let (Some(path), Some(bytes)) = (out, self.file.take()) {
-            // Nobody else may read what its owner sealed.
+            // Only the owner may read it.
             let file = OpenOptions::new().write(true).create(true).truncate(true).mode(0o600).open(path);
             file.and_then(|mut file| file.write_all(&bytes)).map_err(|error| not_written(path, &error))?;
         }
@@ -170,11 +142,11 @@ impl Printed for Box<OpenedView> {
     }
 }
 
-impl Printed for Vec<ExportedFile> {
+impl Printed for Vec<reply::ExportedFile> {
     fn print(self, out: Option<&Path>, output: &Output) -> Result<u8, Failure> {
         let directory = out.unwrap_or(Path::new("."));
         std::fs::create_dir_all(directory).map_err(|error| not_written(directory, &error))?;
-        // Nothing is written if any file exists already: files of two records side by side would prove nothing.
+        // All or nothing: files of two records side by side would prove nothing.
         if let Some(there) = self.iter().map(|file| directory.join(&file.name)).find(|path| path.exists()) {
             let what = "exists and will not be overwritten; choose another folder with --dir";
             return Err(input(format!("{} {what}", there.display())));
@@ -204,35 +176,22 @@ impl Printed for SecretBytes {
     }
 }
 
-impl Printed for PolicyView {
+impl Printed for reply::PolicyView {
     fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
         robots::show(&self, output);
         Ok(0)
     }
 }
 
-fn key_change(view: &KeyChangeView) -> String {
-    view.lines.join("\n")
-}
-
-fn transaction(view: &TransactionView) -> String {
-    view.text.clone()
-}
-
-fn decided(view: &DecidedView) -> String {
-    view.text.clone()
-}
-
-fn device_topics(view: &DeviceTopicsView) -> String {
+fn device_topics(view: &reply::DeviceTopicsView) -> String {
     let (added, topics) = (view.added.join(", "), view.topics.join(", "));
     format!("'{}' is being sent the keys of {added}; it covers {topics}", view.name)
 }
 
-fn device_addresses(view: &DeviceAddressesView) -> String {
+fn device_addresses(view: &reply::DeviceAddressesView) -> String {
     format!("'{}' uses the first address that answers of {}", view.name, view.gateway.addresses.join(", "))
 }
 
-/// A file that a verb writes cannot be written.
 pub fn not_written(path: &Path, error: &std::io::Error) -> Failure {
     input(format!("{} cannot be written: {error}", path.display()))
 }

@@ -1,5 +1,4 @@
-//! `authros status`: health of the site's parts and the states of the profile's records. Without a running site the
-//! peers are queried here. The exit code says what is wrong: 6 if records are gone or altered, 4 if a part is not
+//! `authros status`: health of parts and states of records. Exit code 6: records are gone or altered; 4: a part is not
 //! healthy.
 
 #![deny(clippy::wildcard_enum_match_arm)]
@@ -9,25 +8,17 @@ use std::time::Duration;
 use authros_output::{Output, table};
 use clap::Subcommand;
 
-use super::connect::{Context, ProfileNeed};
+use super::connect::Context;
 use super::verbs::{NEITHER, Plan};
 use crate::model::{ErrorKind, Timestamp};
 use crate::service::command::{ListAlerts, SiteStatus, TestAlert};
-use crate::service::failure::input;
-use crate::service::reply::{
-    AlertTestView, AlertView, AlertsView, EndedAlert, HealthLevel, LifeLine, PartHealth, SiteView,
-};
-use crate::service::{Failure, doctor};
+use crate::service::{Failure, doctor, failure::input, reply};
 
-/// `status`.
-///
-/// # Errors
-/// If there is no such profile, or neither a site nor the home's files answer.
 pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
     known(&context)?;
     let connection = context.connect(NEITHER).await?;
     let asked = connection.client.ask(SiteStatus).await;
-    // Of a home that cannot be written, the chain is opened in its copy too.
+    // A home that cannot be written has its chain opened in a copy.
     let peers = match connection.site.as_ref().map(|site| site.place()) {
         Some(home) => doctor::peers(&home, &context.config).await,
         None => Vec::new(),
@@ -44,13 +35,8 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
     Ok(code(&view))
 }
 
-/// The interval of `--watch`.
 const LOOK: Duration = Duration::from_secs(2);
 
-/// `status --watch`: the running site's status, whenever it changes, until a signal.
-///
-/// # Errors
-/// If no site runs, or it ends.
 pub async fn watch(context: Context, output: &Output) -> Result<u8, Failure> {
     known(&context)?;
     let connection = context.connect(NEITHER).await?;
@@ -78,7 +64,7 @@ pub async fn watch(context: Context, output: &Output) -> Result<u8, Failure> {
     }
 }
 
-/// A profile that was given, or the default one beside others, must exist.
+/// A named profile, or the default one beside others, must exist.
 fn known(context: &Context) -> Result<(), Failure> {
     if context.operator.is_some() || context.home.keyring(&context.profile).exists() {
         return Ok(());
@@ -92,9 +78,8 @@ fn known(context: &Context) -> Result<(), Failure> {
     Err(input(format!("the home {root} has no profile '{}'; {there}: choose one with --profile", context.profile)))
 }
 
-/// The exit code of a status.
-fn code(view: &SiteView) -> u8 {
-    let is_well = |part: &PartHealth| matches!(part.level, HealthLevel::Ok | HealthLevel::Absent);
+fn code(view: &reply::SiteView) -> u8 {
+    let is_well = |part: &reply::PartHealth| matches!(part.level, reply::HealthLevel::Ok | reply::HealthLevel::Absent);
     if view.life.tampered > 0 || !view.life.conserved {
         ErrorKind::Tampered.exit_code()
     } else if view.health.iter().all(is_well) {
@@ -104,21 +89,20 @@ fn code(view: &SiteView) -> u8 {
     }
 }
 
-fn row(part: &PartHealth) -> String {
+fn row(part: &reply::PartHealth) -> String {
     let word = match part.level {
-        HealthLevel::Ok => "ok",
-        HealthLevel::Waiting => "waiting",
-        HealthLevel::Failed => "failed",
-        HealthLevel::Absent => "absent",
+        reply::HealthLevel::Ok => "ok",
+        reply::HealthLevel::Waiting => "waiting",
+        reply::HealthLevel::Failed => "failed",
+        reply::HealthLevel::Absent => "absent",
     };
     format!("{:<9} {word:<8} {}", part.part, part.text)
 }
 
-/// The site at a glance.
-fn text(view: &SiteView) -> String {
+fn text(view: &reply::SiteView) -> String {
     let mut lines: Vec<String> = view.health.iter().map(row).collect();
     lines.extend(life(&view.life));
-    let stands = |alert: &AlertView| {
+    let stands = |alert: &reply::AlertView| {
         format!("alert since {}, {}: {}: {}", alert.begun, alert.severity.word(), alert.key, alert.text)
     };
     lines.extend(view.alerts.iter().map(stands));
@@ -126,8 +110,8 @@ fn text(view: &SiteView) -> String {
     lines.join("\n")
 }
 
-fn life(life: &LifeLine) -> Vec<String> {
-    let LifeLine { captured, verified, pending, right_ended, quarantined, dropped, tampered, .. } = *life;
+fn life(life: &reply::LifeLine) -> Vec<String> {
+    let reply::LifeLine { captured, verified, pending, right_ended, quarantined, dropped, tampered, .. } = *life;
     let sum = format!(
         "captured {captured} = verified {verified} + pending {pending} + right ended {right_ended} + quarantined \
          {quarantined} + dropped {dropped} + tampered {tampered}"
@@ -159,17 +143,15 @@ pub enum AlertsVerb {
     Test,
 }
 
-/// What is asked.
 pub fn plan(verb: &AlertsVerb) -> Plan {
     match verb {
-        AlertsVerb::List => Plan::new(NEITHER, ProfileNeed::None, ListAlerts),
-        AlertsVerb::Test => Plan::new(NEITHER, ProfileNeed::None, TestAlert),
+        AlertsVerb::List => Plan::kept(ListAlerts),
+        AlertsVerb::Test => Plan::kept(TestAlert),
     }
 }
 
-/// Alerts that stand, for people.
-pub fn standing(view: &AlertsView) -> String {
-    let row = |alert: &AlertView| {
+pub fn standing(view: &reply::AlertsView) -> String {
+    let row = |alert: &reply::AlertView| {
         [alert.begun.to_string(), alert.severity.word().to_owned(), alert.key.clone(), alert.text.clone()]
     };
     let mut lines = match view.alerts.as_slice() {
@@ -181,19 +163,14 @@ pub fn standing(view: &AlertsView) -> String {
     lines.join("\n")
 }
 
-/// One that is over, for people.
-pub fn over(ended: &EndedAlert) -> String {
+pub fn over(ended: &reply::EndedAlert) -> String {
     format!("resolved {}: {}, which began {}", ended.ended, ended.alert.key, ended.alert.begun)
-}
-
-/// What came back, for people.
-pub fn tested(view: &AlertTestView) -> String {
-    format!("{} accepted it: {}", view.place, view.text)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::service::reply::{HealthLevel, LifeLine, PartHealth, SiteView};
 
     fn view(level: HealthLevel, tampered: u64) -> SiteView {
         let part = PartHealth { part: "store".to_owned(), level, text: String::new(), since: None, retry: None };

@@ -1,7 +1,6 @@
-//! The headless twin of every command in the console's palette: what a script runs for the same effect. The manual page
-//! lists them; a test fails if a palette command has none.
+//! Command lines for the console's palette, listed in the manual page; a test finds commands without one.
 
-/// The command line for each palette command that has one, by its name there, with placeholders in capitals.
+/// Palette name and command line, with placeholders in capitals.
 pub const TWINS: &[(&str, &str)] = &[
     ("watch", "topics watch TOPIC"),
     ("provenance", "uploads show ID"),

@@ -5,9 +5,11 @@ use crate::support;
 
 use std::fs;
 
-use authros::crypto::fault::CHECKS;
 use serde_json::Value;
 use support::{Authros, Home, count, faulty, heavy, skipped};
+
+/// The checks that `AUTHROS_FAULT` can switch off.
+const CHECKS: [&str; 9] = ["digest", "signature", "commit", "tag", "anchor", "proof", "revoke", "restore", "authorise"];
 
 /// The story must hold whatever the number of robots and the length.
 fn expect_the_whole_story(told: &Value) {

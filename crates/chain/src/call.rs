@@ -7,10 +7,8 @@ use ethers::types::{H160, U256};
 use ethers::utils::keccak256;
 use serde::Deserialize;
 
-use crate::ChainError;
-use crate::model::bytes::unhex;
-use crate::model::grant::MOST_TOPICS;
-use crate::model::{Address, Digest, Hash, Identity, Scope, SignerId, Timestamp, Token, TopicId};
+use crate::model::{Address, Digest, Hash, Identity, Scope, SignerId, Timestamp, Token, TopicId, bytes::unhex};
+use crate::{ChainError, model::grant::MOST_TOPICS};
 
 /// The most grantees in one [`Call::Wrap`] (contract limit).
 pub const MOST_WRAPS: usize = 32;
@@ -23,69 +21,59 @@ pub const LONGEST_ENVELOPE: usize = 4096;
 pub enum Call {
     /// Registers the sender at epoch 1. The envelope wraps the epoch's key for the sender; empty if it seals nothing.
     Register { identity: Identity, envelope: Vec<u8> },
-    /// Replaces the sender's SM2 keys; the epoch continues, so the identity holds its token. The envelope wraps the new
-    /// keys for those that they replace.
+    /// Replaces the sender's SM2 keys within the epoch. The envelope wraps the new keys for the old ones.
     RotateKeys { identity: Identity, envelope: Vec<u8> },
-    /// Puts the digest of one record on the chain, with any token that the sender has ever registered and the time of
-    /// capture.
+    /// Uploads the digest of one record, with any token that the sender has ever registered.
     DataUpload { digest: Digest, token: Token, timestamp: Timestamp },
-    /// Lets a grantee read until the expiry, whole seconds, `None` = for ever. The envelope, at most
-    /// [`LONGEST_ENVELOPE`], wraps the key of the epoch.
+    /// Lets a grantee read until `expiry`, whole seconds; `None` = no end.
     AuthorityGrant { grantee: Address, epoch: u64, expiry: Option<Timestamp>, scope: Scope, envelope: Vec<u8> },
-    /// Gives grantees the envelopes of another epoch, at most [`MOST_WRAPS`] at once.
+    /// Gives grantees the envelopes of another epoch, at most [`MOST_WRAPS`].
     Wrap { epoch: u64, envelopes: Vec<(Address, Vec<u8>)> },
     /// Ends a grant and the epoch.
     AuthorityRevoke { grantee: Address, new_token: Token, envelope: Vec<u8> },
     /// Ends the epoch.
     Rotate { new_token: Token, envelope: Vec<u8> },
-    /// Anchors a Merkle root over `count` leaves; `previous` is the sender's last root, zero for the first.
+    /// `previous` is the sender's last root, zero for the first.
     Anchor { root: Hash, count: u64, previous: Hash },
-    /// Lets a device, named by the SM3 of its public key, sign for the sender until then, whole seconds; `None` = for
-    /// ever.
+    /// `device` is the SM3 of its public key; `until` is in whole seconds.
     Lend { device: SignerId, until: Option<Timestamp> },
-    /// Ends the loan of a device, named by the SM3 of its public key.
+    /// Ends a device's loan.
     Recall { device: SignerId },
     /// Administrator: lets an account register while registration is closed.
     Admit { account: Address },
-    /// Administrator: withdraws an admission.
+    /// Administrator.
     Dismiss { account: Address },
     /// Administrator: opens or closes registration.
     SetOpen { open: bool },
     /// Administrator: suspends an account's changes.
     Suspend { account: Address },
-    /// Administrator: lifts an account's suspension.
+    /// Administrator: ends a suspension.
     Restore { account: Address },
-    /// Administrator: pauses all changes except those that take rights away, until then, whole
-    /// seconds, at most [`super::LONGEST_PAUSE`] ahead.
+    /// Administrator: pauses all changes except those that take rights away, at most [`super::LONGEST_PAUSE`] ahead.
     Pause { until: Timestamp },
-    /// Administrator: resumes changes before the pause ends.
+    /// Administrator: ends the pause.
     Resume,
-    /// Administrator: proposes the successor of a lost account.
+    /// Administrator.
     ProposeSuccession { lost: Address, successor: Address },
-    /// Recovery account or administrator: stops a pending succession.
+    /// Recovery account or administrator.
     CancelSuccession { lost: Address },
-    /// Anyone: completes a succession whose delay is over.
+    /// Anyone, once the delay is over.
     CompleteSuccession { lost: Address },
-    /// Names the account that may stop a succession of the sender's account; `None` = nobody.
+    /// `None` = nobody may stop a succession of the sender.
     NameRecovery { recovery: Option<Address> },
-    /// Extends a grant to a new end, whole seconds; `None` = for ever.
+    /// Whole seconds; `None` = no end.
     Extend { grantee: Address, expiry: Option<Timestamp> },
-    /// Administrator: nominates the next administrator; the zero address withdraws the nomination.
+    /// The zero address withdraws the nomination.
     Nominate { account: Address },
-    /// The nominee takes over.
+    /// By the nominee.
     AcceptAdministrator,
 }
 
 impl Call {
-    /// The name of the contract's function.
     pub fn name(&self) -> &'static str {
         self.into()
     }
 
-    /// The call data.
-    ///
-    /// # Errors
-    /// [`ChainError::Input`] if a value breaks a limit of the contract.
     pub fn encode(&self) -> Result<Vec<u8>, ChainError> {
         artefact()?.encode(self.name(), &self.arguments()?)
     }
@@ -145,7 +133,7 @@ fn number(value: u64) -> AbiToken {
     AbiToken::Uint(U256::from(value))
 }
 
-/// Whole seconds, 0 for never. A fraction is refused: the chain would show a different end from the one signed.
+/// Whole seconds, 0 for never. A fraction is refused: the chain would show another end than the signed one.
 fn seconds(end: Option<Timestamp>) -> Result<u64, ChainError> {
     match end {
         None => Ok(0),
@@ -175,7 +163,7 @@ fn bounded(envelope: &[u8]) -> Result<Vec<u8>, ChainError> {
     Ok(envelope.to_vec())
 }
 
-/// An owner's envelope for itself; accounts that seal nothing have none.
+/// Accounts that seal nothing have no envelope.
 fn own(envelope: &[u8]) -> Result<AbiToken, ChainError> {
     if envelope.is_empty() { Ok(AbiToken::Bytes(Vec::new())) } else { bounded(envelope).map(AbiToken::Bytes) }
 }
@@ -190,7 +178,7 @@ fn wrap(epoch: u64, envelopes: &[(Address, Vec<u8>)]) -> Result<Vec<AbiToken>, C
     Ok(vec![AbiToken::Array(grantees), number(epoch), AbiToken::Array(bytes.collect::<Result<_, _>>()?)])
 }
 
-/// Values that the contract gave, in its order.
+/// Values of the contract, in order.
 pub(super) struct Values(std::vec::IntoIter<AbiToken>);
 
 impl Values {
@@ -218,6 +206,12 @@ impl Values {
 
     pub(super) fn moment(&mut self) -> Option<Timestamp> {
         self.number().map(Timestamp::from_seconds)
+    }
+
+    /// What the sender claims; the inner `None` if it is not 8 bytes.
+    #[allow(clippy::option_option, reason = "no word left is another thing than no time")]
+    pub(super) fn claim(&mut self) -> Option<Option<Timestamp>> {
+        Some(self.bytes()?.try_into().ok().map(|bytes| Timestamp(u64::from_be_bytes(bytes))))
     }
 
     /// 0 means no end.
@@ -266,12 +260,10 @@ impl Values {
 
 const ARTEFACT: &str = include_str!("../../../contracts/AuthROS.json");
 
-/// ABI and code of AuthROS.sol.
 #[derive(Debug)]
 pub struct Artefact {
-    /// Functions and events.
     pub abi: Abi,
-    /// Creation code, without the constructor's arguments.
+    /// Without the constructor's arguments.
     pub creation: Vec<u8>,
     /// Keccak-256 of the deployed code.
     pub code_hash: Hash,
@@ -297,24 +289,15 @@ fn read(json: &str) -> Result<Artefact, String> {
     })
 }
 
-/// The artefact.
-///
-/// # Errors
-/// [`ChainError::Internal`] if the file built into the program is broken.
 pub fn artefact() -> Result<&'static Artefact, ChainError> {
     READ.as_ref().map_err(|error| ChainError::Internal(error.clone()))
 }
 
 impl Artefact {
-    /// A function of the contract.
     pub fn function(&self, name: &str) -> Result<&Function, ChainError> {
         self.abi.function(name).map_err(|error| ChainError::Internal(format!("{name}: {error}")))
     }
 
-    /// Call data of a function.
-    ///
-    /// # Errors
-    /// [`ChainError::Internal`] if name or arguments do not match the ABI.
     pub fn encode(&self, name: &str, arguments: &[AbiToken]) -> Result<Vec<u8>, ChainError> {
         let encoded = self.function(name)?.encode_input(arguments);
         encoded.map_err(|error| ChainError::Internal(format!("{name}: {error}")))
@@ -326,11 +309,7 @@ impl Artefact {
         Ok(Hash(event.signature().0))
     }
 
-    /// Creation code with the constructor's arguments: whether registration is open, and the delay of a succession,
-    /// seconds.
-    ///
-    /// # Errors
-    /// [`ChainError::Internal`] if the artefact has no constructor.
+    /// Creation code for open or closed registration, and a succession delay in seconds.
     pub fn creation(&self, open: bool, delay: u64) -> Result<Vec<u8>, ChainError> {
         let constructor = self.abi.constructor().ok_or_else(|| ChainError::Internal("no constructor".into()))?;
         let arguments = [AbiToken::Bool(open), AbiToken::Uint(delay.into())];

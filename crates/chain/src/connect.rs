@@ -12,18 +12,15 @@ use serde_json::{Value, json};
 
 use crate::call::artefact;
 use crate::crypto::EoaSecret;
-use crate::model::bytes::unhex;
-use crate::model::{Address, Domain, Hash, Wei, clean};
+use crate::model::{Address, Domain, Hash, Wei, bytes::unhex, clean};
 use crate::transaction::{RawReceipt, Unsigned, created_address};
 use crate::transport::Transport;
 use crate::{
     BlockRef, Chain, ChainError, ChainOptions, Endpoint, Pin, Policy, Priced, STARVING, Shortfall, Wait, embedded, fees,
 };
 
-/// How often a node is polled for news.
 pub(super) const POLL: Duration = Duration::from_millis(200);
 
-/// State shared by all clones of a [`Chain`].
 #[derive(Debug)]
 pub(super) struct Inner {
     pub transport: Transport,
@@ -33,15 +30,14 @@ pub(super) struct Inner {
     pub consensus: &'static str,
     pub confirmations: u64,
     pub contract: RwLock<Option<Pin>>,
-    /// Estimates of calls that are made often.
+    /// Estimates of frequent calls.
     pub gas: Mutex<HashMap<(Address, &'static str), u64>>,
-    /// How much gas the newest block seen may hold.
+    /// Gas limit of the newest block seen.
     pub block_room: Mutex<Option<u64>>,
-    /// Whether headers name the logs of their blocks, once that is known.
+    /// Whether headers have blooms, once known.
     pub makes_blooms: OnceLock<bool>,
 }
 
-/// A block as a node returns it, as far as it is read.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(super) struct RawBlock {
@@ -79,11 +75,6 @@ impl Inner {
 
 impl Chain {
     /// Opens the embedded chain, or connects to a node, and compares it with the pin.
-    ///
-    /// # Errors
-    /// [`ChainError::Unreachable`] naming the URL if a node does not answer within 5 s, [`ChainError::Swapped`] if
-    /// chain id, genesis block, contract or its code are not the pinned ones, [`ChainError::Gone`],
-    /// [`ChainError::Tampered`] and [`ChainError::File`] for the embedded chain's file.
     pub async fn connect(options: ChainOptions) -> Result<Self, ChainError> {
         if let (Endpoint::Embedded { directory, .. }, Some(_)) = (&options.endpoint, &options.pinned)
             && !embedded::file_in(directory).exists()
@@ -97,7 +88,7 @@ impl Chain {
         let client: Option<String> = rpc(&transport, "web3_clientVersion", json!([])).await.ok();
         let client = clean(&client.unwrap_or_else(|| "unknown".into()), 80);
         let consensus = match options.endpoint {
-            Endpoint::Embedded { .. } => transport.embedded().map_or("poa", |chain| chain.consensus().word()),
+            Endpoint::Embedded { .. } => transport.embedded().map_or("poa", |chain| chain.line.consensus.word()),
             Endpoint::Node { .. } | Endpoint::Relay(_) => consensus(&latest, &client),
         };
         let inner = Inner::new(transport, chain_id.as_u64(), Hash(genesis.hash.0));
@@ -113,18 +104,14 @@ impl Chain {
         Ok(chain)
     }
 
-    /// What a pin says of a chain that cannot be asked, and why; every request fails.
+    /// A chain known only by its pin; every request fails with `why`.
     pub fn absent(pin: Pin, why: String) -> Self {
         let transport = Transport::absent(ChainError::Absent { why });
         let inner = Inner::new(transport, pin.chain_id, pin.genesis);
         Self { inner: Arc::new(Inner { contract: RwLock::new(Some(pin)), ..inner }) }
     }
 
-    /// Asks again for chain id, genesis block and contract code, and compares them with those in use.
-    ///
-    /// # Errors
-    /// [`ChainError::Swapped`] if the chain behind the URL is now another one or was wiped; [`ChainError::NoContract`]
-    /// before a contract is used, or an error of the node.
+    /// Asks again for chain id, genesis block and code, and compares them with the pin.
     pub async fn identify(&self) -> Result<(), ChainError> {
         let pin = self.pin().ok_or(ChainError::NoContract)?;
         let chain_id: U64 = self.rpc("eth_chainId", json!([])).await?;
@@ -158,14 +145,14 @@ impl Chain {
         Ok(())
     }
 
-    /// The same connection with another pin, as if the chain behind it had been swapped; for the tests of other crates.
+    /// Pretends that the chain was swapped; for the tests of other crates.
     #[doc(hidden)]
     pub fn pretending(&self, pin: Pin) -> Self {
         self.set_pin(pin);
         self.clone()
     }
 
-    /// Uses an existing contract, after checking that its code is this program's.
+    /// Uses an existing contract if its code is this program's.
     pub async fn use_contract(&self, contract: Address) -> Result<Pin, ChainError> {
         let code_hash = artefact()?.code_hash;
         if self.code_hash(contract).await? != Some(code_hash) {
@@ -175,17 +162,14 @@ impl Chain {
         Ok(self.set_pin(self.pin_of(contract, code_hash, deployed_at)))
     }
 
-    /// Whether a contract of this program is at an address.
     pub async fn has_contract(&self, contract: Address) -> Result<bool, ChainError> {
         Ok(self.code_hash(contract).await? == Some(artefact()?.code_hash))
     }
 
-    /// The address of the contract that an account creates with its transaction of this nonce.
     pub fn created_by(&self, account: Address, nonce: u64) -> Address {
         created_address(account, nonce)
     }
 
-    /// The domain of a contract on this chain.
     pub fn domain_of(&self, contract: Address) -> Domain {
         crate::crypto::domain(self.chain_id(), &self.genesis(), &contract)
     }
@@ -200,7 +184,7 @@ impl Chain {
         pin
     }
 
-    /// The block of the constructor's event; 0 if the node does not say, which only makes reading slower.
+    /// Block of the constructor's event; 0 if the node does not say, which only slows reading.
     async fn deployment_block(&self, contract: Address) -> Result<u64, ChainError> {
         let signature = artefact()?.event_signature("AdministratorChanged")?;
         match self.first_with(contract, signature).await {
@@ -210,14 +194,14 @@ impl Chain {
         }
     }
 
-    /// Keccak-256 of the code at an address; `None` if there is no code.
+    /// Keccak-256; `None` without code.
     pub(super) async fn code_hash(&self, contract: Address) -> Result<Option<Hash>, ChainError> {
         let code: String = self.rpc("eth_getCode", json!([contract.to_string(), "latest"])).await?;
         let bytes = unhex(&code).ok_or_else(|| self.misunderstood("eth_getCode", "it is not hex"))?;
         Ok((!bytes.is_empty()).then(|| Hash(keccak256(bytes))))
     }
 
-    /// The pin: chain, contract, its code and its deployment block. `None` before a contract is used.
+    /// `None` before a contract is used.
     pub fn pin(&self) -> Option<Pin> {
         self.inner.contract.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -230,17 +214,15 @@ impl Chain {
         self.inner.chain_id
     }
 
-    /// Hash of block 0.
     pub fn genesis(&self) -> Hash {
         self.inner.genesis
     }
 
-    /// How many blocks on top make a block final.
     pub fn confirmations(&self) -> u64 {
         self.inner.confirmations
     }
 
-    /// The chain's URL, without credentials.
+    /// Without credentials.
     pub fn url(&self) -> String {
         self.transport().url().to_owned()
     }
@@ -261,7 +243,7 @@ impl Chain {
         Ok(self.newest().await?.reference())
     }
 
-    /// The block of that number; `None` above the head.
+    /// `None` above the head.
     pub async fn block(&self, number: u64) -> Result<Option<BlockRef>, ChainError> {
         Ok(self.raw_block(number).await?.as_ref().map(RawBlock::reference))
     }
@@ -273,54 +255,8 @@ impl Chain {
     pub(super) async fn newest(&self) -> Result<RawBlock, ChainError> {
         self.rpc("eth_getBlockByNumber", json!(["latest", false])).await
     }
-}
 
-impl RawBlock {
-    /// The gas that the block may hold; `None` if the node does not say, or says nonsense.
-    pub(super) fn room(&self) -> Option<u64> {
-        self.gas_limit.and_then(|limit| u64::try_from(limit).ok()).filter(|limit| *limit > 0)
-    }
-
-    pub(super) fn reference(&self) -> BlockRef {
-        let timestamp = self.timestamp.as_u64();
-        BlockRef { number: self.number.as_u64(), hash: Hash(self.hash.0), timestamp }
-    }
-}
-
-async fn rpc<R: DeserializeOwned>(transport: &Transport, method: &str, parameters: Value) -> Result<R, ChainError> {
-    transport.request(method, parameters).await.map_err(|error| error.explained(transport.url(), method))
-}
-
-/// The network's consensus, as far as a block shows it.
-fn consensus(latest: &RawBlock, client: &str) -> &'static str {
-    /// Written into the mix hash by QBFT and IBFT.
-    const BYZANTINE: &str = "0x63746963616c2062797a616e74696e65206661756c7420746f6c6572616e6365";
-    let difficulty = latest.difficulty.as_ref().and_then(Value::as_str).unwrap_or("0x0");
-    let extra = latest.extra_data.as_ref().map_or(0, String::len);
-    let client = client.to_lowercase();
-    if ["anvil", "ganache", "hardhat"].iter().any(|name| client.contains(name)) {
-        "dev"
-    } else if latest.mix_hash.as_deref() == Some(BYZANTINE) || extra >= 2 + 2 * 97 {
-        "poa"
-    } else if difficulty == "0x0" {
-        "pos"
-    } else {
-        "pow"
-    }
-}
-
-// Ether for test accounts, from development nodes, which have plenty; never from other nodes.
-
-/// 10 ether, in wei.
-const GIFT: u64 = 10_000_000_000_000_000_000;
-/// How long the gift may take to arrive.
-const ARRIVAL: Duration = Duration::from_secs(15);
-/// The chain id of `geth --dev`, which its client version does not reveal.
-const GETH_DEV: u64 = 1337;
-
-impl Chain {
-    /// On a development node (anvil, ganache, hardhat, EthereumJS, `geth --dev`), gives an account that holds nothing
-    /// 10 ether. Returns whether it did; `false` elsewhere, or if it is not possible.
+    /// On a development node, gives an empty account 10 ether; returns whether it did.
     pub async fn fund_from_node(&self, account: Address) -> Result<bool, ChainError> {
         if !self.is_development() || !self.balance(account).await?.is_zero() {
             return Ok(false);
@@ -368,62 +304,18 @@ impl Chain {
         }
         Ok(false)
     }
-}
 
-/// A refusal just means no; a broken connection stays an error.
-fn answered<T>(result: Result<T, ChainError>) -> Result<Option<T>, ChainError> {
-    match result {
-        Ok(value) => Ok(Some(value)),
-        Err(error @ (ChainError::Unreachable { .. } | ChainError::Answer { .. })) => Err(error),
-        Err(_) => Ok(None),
-    }
-}
-
-// Deploying the contract.
-
-/// How long a deployment may wait for its block at one price.
-const PATIENCE: Duration = Duration::from_secs(60);
-const DAY: Duration = Duration::from_secs(86_400);
-/// The default delay of a succession.
-pub const DEFAULT_DELAY: Duration = Duration::from_secs(7 * DAY.as_secs());
-/// The shortest delay of a succession (contract limit).
-pub const SHORTEST_DELAY: Duration = DAY;
-/// The longest delay of a succession (contract limit).
-pub const LONGEST_DELAY: Duration = Duration::from_secs(365 * DAY.as_secs());
-/// The longest pause (contract limit).
-pub const LONGEST_PAUSE: Duration = Duration::from_secs(3 * DAY.as_secs());
-
-/// A contract that was deployed.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Deployment {
-    pub pin: Pin,
-    /// The price in wei per gas at which it was mined, if blocks had passed it by at lower ones.
-    pub raised: Option<u128>,
-}
-
-impl Chain {
-    /// Deploys the contract with open registration and [`DEFAULT_DELAY`], waits until it is mined, and uses it.
+    /// Deploys with open registration and [`DEFAULT_DELAY`], and waits until it is mined.
     pub async fn deploy(&self, eoa: &EoaSecret) -> Result<Pin, ChainError> {
         Ok(self.deploy_with(eoa, DEFAULT_DELAY, Policy::default()).await?.pin)
     }
 
-    /// Like [`Chain::deploy`], with another delay of successions and within limits of the price.
-    ///
-    /// # Errors
-    /// [`ChainError::Reverted`] if the contract refuses the delay, [`ChainError::NoEther`], [`ChainError::TooDear`],
-    /// [`ChainError::NotMined`] if no block includes it within 60 s at the highest price allowed, or an error of the
-    /// node.
-    pub async fn deploy_with(
-        &self,
-        eoa: &EoaSecret,
-        delay: Duration,
-        policy: Policy,
-    ) -> Result<Deployment, ChainError> {
+    pub async fn deploy_with(&self, eoa: &EoaSecret, delay: Duration, terms: Policy) -> Result<Deployment, ChainError> {
         let artefact = artefact()?;
         let input = artefact.creation(true, delay.as_secs())?;
         let nonce = self.nonce(eoa.address(), true).await?;
         let creation = Unsigned { nonce, input, ..Unsigned::default() };
-        let (receipt, raised) = self.create(eoa, creation, policy).await?;
+        let (receipt, raised) = self.create(eoa, creation, terms).await?;
         let Some(contract) = receipt.contract_address.filter(|_| receipt.status.is_none_or(|s| !s.is_zero())) else {
             let reason = "the deployment failed; the network must run the Istanbul fork or newer";
             return Err(ChainError::Rejected { method: "eth_sendRawTransaction".into(), reason: reason.into() });
@@ -436,7 +328,7 @@ impl Chain {
         Ok(Deployment { pin, raised })
     }
 
-    /// Sends a creation, at a higher price each time that blocks pass it by, until it is mined.
+    /// Raises the price whenever blocks pass it by, until it is mined.
     async fn create(
         &self,
         eoa: &EoaSecret,
@@ -463,7 +355,7 @@ impl Chain {
             match self.broadcast(&signed.raw).await {
                 Ok(_) | Err(ChainError::AlreadyKnown) => {}
                 Err(ChainError::InsufficientFunds) => return Err(self.poor(eoa, price, gas).await),
-                // One of those sent before may be in a block by now.
+                // An earlier one may be in a block by now.
                 Err(ChainError::NonceTooLow | ChainError::Underpriced) if !sent.is_empty() => {}
                 Err(error) => return Err(error),
             }
@@ -500,7 +392,6 @@ impl Chain {
         Ok(None)
     }
 
-    /// What the account lacks.
     async fn poor(&self, eoa: &EoaSecret, price: u128, gas: u64) -> ChainError {
         let needed = Wei(price.saturating_mul(u128::from(gas)));
         match self.wealth(eoa.address()).await {
@@ -508,4 +399,74 @@ impl Chain {
             Err(error) => error,
         }
     }
+}
+
+impl RawBlock {
+    /// `None` if the node does not say, or says nonsense.
+    pub(super) fn room(&self) -> Option<u64> {
+        self.gas_limit.and_then(|limit| u64::try_from(limit).ok()).filter(|limit| *limit > 0)
+    }
+
+    pub(super) fn reference(&self) -> BlockRef {
+        let timestamp = self.timestamp.as_u64();
+        BlockRef { number: self.number.as_u64(), hash: Hash(self.hash.0), timestamp }
+    }
+}
+
+async fn rpc<R: DeserializeOwned>(transport: &Transport, method: &str, parameters: Value) -> Result<R, ChainError> {
+    transport.request(method, parameters).await.map_err(|error| error.explained(transport.url(), method))
+}
+
+fn consensus(latest: &RawBlock, client: &str) -> &'static str {
+    /// Written into the mix hash by QBFT and IBFT.
+    const BYZANTINE: &str = "0x63746963616c2062797a616e74696e65206661756c7420746f6c6572616e6365";
+    let difficulty = latest.difficulty.as_ref().and_then(Value::as_str).unwrap_or("0x0");
+    let extra = latest.extra_data.as_ref().map_or(0, String::len);
+    let client = client.to_lowercase();
+    if ["anvil", "ganache", "hardhat"].iter().any(|name| client.contains(name)) {
+        "dev"
+    } else if latest.mix_hash.as_deref() == Some(BYZANTINE) || extra >= 2 + 2 * 97 {
+        "poa"
+    } else if difficulty == "0x0" {
+        "pos"
+    } else {
+        "pow"
+    }
+}
+
+// Ether for test accounts, only from development nodes.
+
+/// 10 ether, in wei.
+const GIFT: u64 = 10_000_000_000_000_000_000;
+const ARRIVAL: Duration = Duration::from_secs(15);
+/// The chain id of `geth --dev`, which its client version does not reveal.
+const GETH_DEV: u64 = 1337;
+
+/// A refusal means no; a broken connection stays an error.
+fn answered<T>(result: Result<T, ChainError>) -> Result<Option<T>, ChainError> {
+    match result {
+        Ok(value) => Ok(Some(value)),
+        Err(error @ (ChainError::Unreachable { .. } | ChainError::Answer { .. })) => Err(error),
+        Err(_) => Ok(None),
+    }
+}
+
+// Deploying the contract.
+
+/// Patience with a deployment at one price.
+const PATIENCE: Duration = Duration::from_secs(60);
+const DAY: Duration = Duration::from_secs(86_400);
+pub const DEFAULT_DELAY: Duration = Duration::from_secs(7 * DAY.as_secs());
+/// Contract limit.
+pub const SHORTEST_DELAY: Duration = DAY;
+/// Contract limit.
+pub const LONGEST_DELAY: Duration = Duration::from_secs(365 * DAY.as_secs());
+/// Contract limit.
+pub const LONGEST_PAUSE: Duration = Duration::from_secs(3 * DAY.as_secs());
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Deployment {
+    pub pin: Pin,
+    /// Wei per gas, if blocks passed it by at lower prices.
+    pub raised: Option<u128>,
 }

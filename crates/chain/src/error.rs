@@ -4,112 +4,86 @@ use std::path::PathBuf;
 
 use serde_json::Value;
 
-use super::Shortfall;
-use super::transport::JsonRpcError;
+use super::{Shortfall, transport::JsonRpcError};
 use crate::model::{Address, Consensus, ErrorKind, Wei, bytes::unhex, clean};
 
-/// What to do where the pinned chain does not come back.
+/// Advice where the pinned chain does not come back.
 pub const SEAL_ANEW: &str = "seal all messages in a new home with `authros --home NEW uploads import OLD`";
 
-/// Why something on the chain did not happen.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ChainError {
-    /// The node does not answer, or what stands before it does not let requests through: its URL
-    /// without credentials and path, what happened as a predicate of the node, and what to do.
+    /// `url` has neither credentials nor path; `reason` is a predicate of the node.
     #[error("the node at {url} {reason}; {advice}")]
     Unreachable { url: String, reason: String, advice: String },
-    /// The peer does not speak Ethereum's JSON-RPC as expected.
     #[error("{url} gave an unexpected answer to {method} ({reason}); check that `chain.url` is an Ethereum node")]
     Answer { url: String, method: String, reason: String },
-    /// The URL is not that of a node.
     #[error("'{0}' is not the address of a node; use http://HOST:PORT, https://, ws://, wss:// or ipc:/PATH")]
     Url(String),
-    /// The authorities that TLS is to trust cannot be read.
     #[error("{0}; check `chain.roots`")]
     Roots(String),
-    /// The chain is not the one that was pinned.
     #[error(
         "the chain at {url} is not the pinned one: its {what} is {found}, not {pinned}; {SEAL_ANEW}, or start the pinned \
          chain again; anchoring has stopped, nothing is lost"
     )]
     Swapped { url: String, what: &'static str, pinned: String, found: String },
-    /// The embedded chain that was pinned has no file any more.
     #[error(
         "the embedded chain {} is gone; {SEAL_ANEW}, or put the file back from a backup; anchoring has stopped, nothing \
          is lost", path.display()
     )]
     Gone { path: PathBuf },
-    /// Only what was kept of the chain is there: it cannot be asked.
     #[error("the chain cannot be asked: {why}")]
     Absent { why: String },
-    /// No contract is known yet.
     #[error("no contract is set for this chain; deploy one with `authros chain deploy`, or set `chain.contract`")]
     NoContract,
-    /// Another contract, or none, is at the address.
     #[error("{0} is not an AuthROS contract; check the address, or deploy a new one")]
     NotTheContract(Address),
     #[error("the contract refused: {}", explain(.code))]
     Reverted { code: String },
-    /// The node already has this very transaction.
     #[error("the node already has this transaction; wait for its receipt")]
     AlreadyKnown,
-    /// The transaction's nonce was already used by a mined transaction.
     #[error("the transaction's nonce is already used; look for its receipt, or sign it again with the next nonce")]
     NonceTooLow,
-    /// The node requires a higher gas price.
     #[error("the node rejects the gas price as too low; sign the transaction again with the current gas price")]
     Underpriced,
-    /// The account cannot pay.
     #[error("the account has too little ether for the transaction; send it some, or use a network without fees")]
     InsufficientFunds,
-    /// The account cannot pay, and this is what it lacks.
     #[error("{0}, then repeat the command")]
     NoEther(Shortfall),
-    /// The network requires more than the operator's cap.
     #[error("the network requires {needed} per gas, more than chain.max_fee = {cap} allows; wait or raise it")]
     TooDear { needed: Wei, cap: Wei },
-    /// A block of this network has too little room for the transaction.
     #[error(
         "the transaction needs up to {needed} gas, and the node says that a block of this network holds {limit}; raise \
          the network's block gas limit, or correct `chain.url`"
     )]
     BlockTooSmall { needed: u64, limit: u64 },
-    /// The node refused for another reason.
     #[error("the node refused {method}: {reason}")]
     Rejected { method: String, reason: String },
-    /// A transaction was not mined in time; `blocks` passed it by, `price` is the last that it offered.
+    /// `blocks` passed it by; `price` is its last offer.
     #[error("the transaction was sent but not mined within {seconds} s: {}", passed_by(*.blocks, *.price))]
     NotMined { seconds: u64, blocks: u64, price: Wei },
-    /// A value cannot be encoded in a call.
     #[error("{0}")]
     Input(String),
-    /// The embedded chain's file was changed from outside.
     #[error(
         "the embedded chain {} was changed or damaged at block {block}: {what}; restore it from a backup, or move it \
          away: {SEAL_ANEW}", path.display()
     )]
     Tampered { path: PathBuf, block: u64, what: String },
-    /// The embedded chain's file cannot be used.
     #[error("the embedded chain {} cannot be used: {reason}; check the directory's permissions and free \
              space", path.display())]
     File { path: PathBuf, reason: String },
-    /// The embedded chain was written by a later version of this program.
     #[error("the embedded chain {} has version {found}, but this program supports only {known}; use a newer \
              authros", path.display())]
     Newer { path: PathBuf, found: i64, known: i64 },
-    /// The embedded chain was founded with another consensus.
     #[error(
         "the embedded chain {} was created with {founded}, but {asked} was requested; leave `chain.consensus` empty, \
          or use another --home", path.display()
     )]
     OtherConsensus { path: PathBuf, founded: Consensus, asked: Consensus },
-    /// A fault of this program.
     #[error("internal error in the chain code: {0}; please report it")]
     Internal(String),
 }
 
 impl ChainError {
-    /// The kind of failure.
     pub fn kind(&self) -> ErrorKind {
         match self {
             Self::Unreachable { .. } | Self::Absent { .. } | Self::Answer { .. } | Self::NotMined { .. } => {
@@ -128,15 +102,7 @@ impl ChainError {
         }
     }
 
-    /// The contract's reason code, if it reverted.
-    pub fn revert_code(&self) -> Option<&str> {
-        match self {
-            Self::Reverted { code } => Some(code),
-            _ => None,
-        }
-    }
-
-    /// From a node's error answer, by its words, because nodes do not agree on codes.
+    /// Judges by words, because nodes do not agree on codes.
     pub(super) fn from_node(method: &str, error: &JsonRpcError) -> Self {
         if let Some(code) = revert_code(error) {
             return Self::Reverted { code };
@@ -165,7 +131,6 @@ impl ChainError {
     }
 }
 
-/// Why a transaction may be in no block yet, and what to do.
 pub fn passed_by(blocks: u64, price: Wei) -> String {
     match blocks {
         0 => "the network produces no blocks; check its signers or miners".to_owned(),
@@ -190,7 +155,7 @@ fn revert_code(error: &JsonRpcError) -> Option<String> {
     Some(clean(tail.trim_start_matches([':', ' ']), 80))
 }
 
-/// The first bytes in hex: every node wraps revert data in objects of its own.
+/// Every node wraps revert data in objects of its own.
 fn first_hex(value: &Value) -> Option<Vec<u8>> {
     match value {
         Value::String(text) => unhex(text),
@@ -199,7 +164,7 @@ fn first_hex(value: &Value) -> Option<Vec<u8>> {
     }
 }
 
-/// The text of `Error(string)` revert data; `None` if the bytes are something else.
+/// The text of `Error(string)`.
 pub(super) fn decode_revert(data: &[u8]) -> Option<String> {
     const ERROR: [u8; 4] = [0x08, 0xc3, 0x79, 0xa0];
     let arguments = data.strip_prefix(&ERROR)?;
@@ -207,12 +172,10 @@ pub(super) fn decode_revert(data: &[u8]) -> Option<String> {
     tokens.into_iter().next()?.into_string().map(|text| clean(&text, 80))
 }
 
-/// Like [`decode_revert`], from hex.
 pub(super) fn decode_revert_hex(text: &str) -> Option<String> {
     decode_revert(&unhex(text)?)
 }
 
-/// Plain words and advice for a reason code of the contract.
 pub fn explain(code: &str) -> String {
     let words = match code {
         "unregistered" => "the account is not registered on this contract; run `authros register` first",

@@ -9,68 +9,62 @@ use serde_json::{Value, json};
 use tokio::task::JoinSet;
 
 use crate::call::{Values, artefact};
-use crate::connect::RawBlock;
-use crate::model::bytes::unhex;
-use crate::model::{Address, Digest, GrantTerms, Hash, Identity, SignerId, Timestamp, Token};
-use crate::reader::RawLog;
-use crate::{BlockRef, Chain, ChainError, EventAt};
+use crate::model::{Address, Digest, GrantTerms, Hash, Identity, SignerId, Timestamp, Token, bytes::unhex};
+use crate::{BlockRef, Chain, ChainError, EventAt, connect::RawBlock, reader::RawLog};
 
-/// A change of the contract's state, as reported by its event.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Event {
-    /// An account registered at epoch 1.
+    /// At epoch 1.
     Registered { owner: Address, identity: Identity, epoch: u64 },
-    /// An account replaced its SM2 keys; `keys` is their version, from 1.
+    /// `keys` is their version, from 1.
     KeysRotated { owner: Address, keys: u64, identity: Identity, envelope: Vec<u8> },
-    /// A grant was extended; `None` = no end.
+    /// `None` = no end.
     Extended { owner: Address, grantee: Address, expiry: Option<Timestamp> },
-    /// From `from` on `recovery` may stop a succession of the owner's account; `None` = nobody.
+    /// From `from` on, `recovery` may stop a succession.
     RecoveryNamed { owner: Address, recovery: Option<Address>, from: Timestamp },
-    /// A digest, the owner's `number`-th, sealed in `epoch`. The time is what the owner says, `None` if it is not 8
-    /// bytes.
+    /// `number` counts the owner's; `timestamp` is the owner's claim, `None` if it is not 8 bytes.
     DataUploaded { owner: Address, digest: Digest, token: Token, epoch: u64, number: u64, timestamp: Option<Timestamp> },
     /// A grant began.
     Granted { terms: GrantTerms, envelope: Vec<u8> },
-    /// A grantee got the envelope of another epoch.
+    /// The envelope of another epoch.
     Wrapped { owner: Address, grantee: Address, epoch: u64, envelope: Vec<u8> },
-    /// A grant ended; `epoch` and `token` are the owner's new ones.
+    /// `epoch` and `token` are the owner's new ones.
     Revoked { owner: Address, grantee: Address, epoch: u64, token: Token },
-    /// An epoch ended without a revoke; `epoch` and `token` are the owner's new ones.
+    /// `epoch` and `token` are the owner's new ones.
     Rotated { owner: Address, epoch: u64, token: Token },
-    /// A root over `count` digests.
+    /// Over `count` digests.
     Anchored { account: Address, root: Hash, count: u64, previous: Hash },
-    /// A device may sign for the owner.
+    /// The device may sign for the owner.
     Lent { owner: Address, device: SignerId, until: Option<Timestamp> },
-    /// A device may no longer sign for the owner.
+    /// The device may no longer sign.
     Recalled { owner: Address, device: SignerId },
-    /// An account may register.
+    /// May register.
     Admitted { account: Address },
-    /// An admission was withdrawn.
+    /// May no longer register.
     Dismissed { account: Address },
-    /// Registration was opened or closed.
+    /// Registration.
     OpenChanged { open: bool },
-    /// An account was suspended.
+    /// By the administrator.
     Suspended { account: Address },
-    /// An account's suspension was lifted.
+    /// The suspension ended.
     Restored { account: Address },
-    /// All changes are paused until then; a time in the past means that they resumed.
+    /// A time in the past means that changes resumed.
     PausedUntil { until: Timestamp },
-    /// A succession is pending until `due`; `recovery` may stop it.
+    /// `recovery` may stop it until `due`.
     SuccessionProposed { lost: Address, successor: Address, recovery: Option<Address>, due: Timestamp },
-    /// A pending succession was stopped or withdrawn.
+    /// Stopped or withdrawn.
     SuccessionCancelled { lost: Address, by: Address },
-    /// The delay of successions, seconds.
+    /// Of successions.
     DelayFixed { seconds: u64 },
-    /// A lost account has a successor.
+    /// The successor continues for the lost account.
     Succeeded { lost: Address, successor: Address },
-    /// The nominee for administrator.
+    /// May take over.
     AdministratorNominated { nominee: Address },
-    /// The administrator changed.
+    /// The nominee took over.
     AdministratorChanged { previous: Address, administrator: Address },
 }
 
 impl Event {
-    /// The owner or account that the event is about.
     pub fn account(&self) -> Option<Address> {
         match self {
             Self::Registered { owner: about, .. }
@@ -96,10 +90,6 @@ impl Event {
         }
     }
 
-    /// From the topics and data of a log of the contract.
-    ///
-    /// # Errors
-    /// What is wrong with the log, or with the artefact.
     pub fn decode(topics: &[Hash], data: &[u8]) -> Result<Self, String> {
         let artefact = artefact().map_err(|error| error.to_string())?;
         let first = topics.first().ok_or("an event without a topic")?;
@@ -113,7 +103,7 @@ impl Event {
     }
 }
 
-/// An event by its name and the kinds of its values, in the contract's order.
+/// An event by its name, and the kinds of its values in the contract's order.
 macro_rules! of_values {
     ($name:ident, $values:ident; $($event:ident { $($field:ident: $kind:ident),* })*) => {
         match $name {
@@ -129,14 +119,6 @@ fn named(name: &str, values: &mut Values) -> Option<Event> {
             let (owner, _) = (values.address()?, values.token()?);
             Event::Registered { owner, identity: values.identity()?, epoch: 1 }
         }
-        "DataUploaded" => Event::DataUploaded {
-            owner: values.address()?,
-            digest: values.digest()?,
-            token: values.token()?,
-            epoch: values.number()?,
-            number: values.number()?,
-            timestamp: values.bytes()?.try_into().ok().map(|bytes| Timestamp(u64::from_be_bytes(bytes))),
-        },
         "Granted" => {
             let (owner, grantee, epoch) = (values.address()?, values.address()?, values.number()?);
             let (expiry, scope) = (values.end()?, values.scope()?);
@@ -146,6 +128,7 @@ fn named(name: &str, values: &mut Values) -> Option<Event> {
             KeysRotated { owner: address, keys: number, identity: identity, envelope: bytes }
             Extended { owner: address, grantee: address, expiry: end }
             RecoveryNamed { owner: address, recovery: somebody, from: moment }
+            DataUploaded { owner: address, digest: digest, token: token, epoch: number, number: number, timestamp: claim }
             Wrapped { owner: address, grantee: address, epoch: number, envelope: bytes }
             Revoked { owner: address, grantee: address, epoch: number, token: token }
             Rotated { owner: address, epoch: number, token: token }
@@ -168,36 +151,31 @@ fn named(name: &str, values: &mut Values) -> Option<Event> {
     })
 }
 
-// The events of one block, asked for by its hash and held against its header. A node that does not have the block must
-// refuse; one that says "none" all the same is found out by the header's bloom, and then the block's receipts decide.
+// Events of one block, asked for by its hash and checked against its header. A node without the block must refuse; if
+// it answers "none", the header's bloom shows that, and the block's receipts decide.
 
-/// How many blocks below the head are read one by one: a node so far behind is not just a little late.
+/// Blocks below the head that are read one by one: no node merely lags that far.
 pub const NEAR: u64 = 64;
-/// Blocks asked for at once.
+/// Blocks asked for together.
 pub const AT_ONCE: u64 = 8;
-/// The most receipts of a block that are asked for one by one.
+/// Receipts of a block that are asked for one by one.
 const MOST_RECEIPTS: usize = 256;
 
-/// How sure it is that a block's events are all of them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Completeness {
-    /// The block's header, or every receipt in it, says so.
+    /// According to the header, or to every receipt.
     Whole,
-    /// Only one answer says so: the node's headers name no logs.
+    /// According to one answer only: the node's headers name no logs.
     Unconfirmed,
-    /// The header names events of the contract that nobody gave.
+    /// The header names events that no answer contains.
     Doubtful,
 }
 
-/// The contract's events in one block.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct BlockEvents {
     pub block: BlockRef,
-    /// Hash of the block before it.
     pub parent: Hash,
-    /// Its events, in order.
     pub events: Vec<EventAt>,
-    /// Whether these are all.
     pub completeness: Completeness,
 }
 
@@ -214,10 +192,10 @@ impl RawBlock {
         (bytes.len() == Bloom::len_bytes()).then(|| Bloom::from_slice(&bytes))
     }
 
-    /// The events of `contract` that the bloom names, among `known`; `None` if it says nothing.
+    /// Events of `contract` in the bloom, among `known`; `None` if the bloom says nothing.
     fn named(&self, contract: Address, known: &[H256]) -> Option<Vec<H256>> {
         let bloom = self.bloom()?;
-        // Without transactions there is nothing to name; with some, an empty bloom may be that of a node that makes none.
+        // An empty bloom beside transactions may come from a node that makes none.
         if bloom == Bloom::zero() && !self.transactions.is_empty() {
             return None;
         }
@@ -227,13 +205,12 @@ impl RawBlock {
     }
 }
 
-/// Whether each of these events is among the logs.
 fn covers(logs: &[RawLog], named: &[H256]) -> bool {
     named.iter().all(|topic| logs.iter().any(|log| log.topics.first() == Some(topic)))
 }
 
 impl Chain {
-    /// The contract's events in block `number`; `None` if those asked do not have the block, or not all of it yet.
+    /// `None` if no node asked has the whole block.
     pub async fn block_events(&self, number: u64) -> Result<Option<BlockEvents>, ChainError> {
         let Some(header) = self.raw_block(number).await? else { return Ok(None) };
         let missing = || self.misunderstood("eth_getBlockByNumber", "it has no parent");
@@ -246,7 +223,7 @@ impl Chain {
         Ok(Some(BlockEvents { block, parent: Hash(parent.0), events, completeness }))
     }
 
-    /// Like [`Chain::block_events`] for blocks `from` to `to`, in order; for [`AT_ONCE`] of them at most.
+    /// In order, [`AT_ONCE`] blocks at most.
     pub async fn each_block(&self, from: u64, to: u64) -> Result<Vec<Option<BlockEvents>>, ChainError> {
         let mut asked = JoinSet::new();
         for number in from..=to.min(from + AT_ONCE - 1) {
@@ -261,13 +238,13 @@ impl Chain {
         Ok(found.into_values().collect())
     }
 
-    /// The first block that is to be read by itself under this head.
+    /// First block that is read on its own under this head.
     pub fn first_near(&self, head: u64) -> u64 {
         // One program's answers agree with each other.
         if self.is_exact() { head + 1 } else { (head + 1).saturating_sub(NEAR) }
     }
 
-    /// Whether one program in this process is the whole chain: then no answer is older than another.
+    /// One program in this process is the whole chain, so no answer is older than another.
     pub fn is_exact(&self) -> bool {
         self.transport().embedded().is_some()
     }
@@ -294,13 +271,12 @@ impl Chain {
             (Ok(one), Ok(other)) if other.len() <= one.len() => Ok(Some((one, Completeness::Doubtful))),
             (Ok(_), Ok(longer)) => Ok(Some((longer, Completeness::Doubtful))),
             (Ok(logs), Err(_)) | (Err(_), Ok(logs)) => Ok(Some((logs, Completeness::Doubtful))),
-            // It refuses: it does not have the block.
+            // A refusal means that it does not have the block.
             (Err(ChainError::Rejected { .. }), Err(_)) => Ok(None),
             (Err(error), Err(_)) => Err(error),
         }
     }
 
-    /// The events that a header's bloom names; `None` if this node's blooms say nothing.
     async fn named_by(&self, header: &RawBlock) -> Result<Option<Vec<H256>>, ChainError> {
         if !self.makes_blooms().await? {
             return Ok(None);
@@ -309,7 +285,7 @@ impl Chain {
         Ok(header.named(self.contract()?, &known))
     }
 
-    /// Whether the block of the contract's own deployment names the contract: some nodes send empty blooms.
+    /// Whether the deployment's block names the contract: some nodes send empty blooms.
     async fn makes_blooms(&self) -> Result<bool, ChainError> {
         let pin = self.pin().ok_or(ChainError::NoContract)?;
         if let Some(known) = self.inner.makes_blooms.get() {
@@ -320,7 +296,6 @@ impl Chain {
         Ok(*self.inner.makes_blooms.get_or_init(|| names))
     }
 
-    /// The contract's logs in one block, by a filter that names it.
     async fn logs_with(&self, mut filter: Value, block: H256) -> Result<Vec<RawLog>, ChainError> {
         filter["address"] = json!(self.contract()?.to_string());
         let mut logs = self.filtered(&filter).await?;
@@ -328,7 +303,7 @@ impl Chain {
         Ok(logs)
     }
 
-    /// The contract's logs as all receipts of a block have them; `None` if one is not there.
+    /// `None` if a receipt is missing.
     async fn logs_of_receipts(&self, header: &RawBlock) -> Result<Option<Vec<RawLog>>, ChainError> {
         let contract = self.contract()?;
         let Some(receipts) = self.receipts_of(header).await? else { return Ok(None) };
@@ -358,8 +333,7 @@ impl Chain {
     }
 }
 
-/// The logs of an answer that needs no further question. Where no bloom says what there is, "none" counts only of a block
-/// that was named by its hash.
+/// Without a bloom, "none" counts only of a block that was named by its hash.
 fn settled(
     answer: &Result<Vec<RawLog>, ChainError>,
     named: Option<&[H256]>,

@@ -1,35 +1,32 @@
 //! Gas prices, and re-signing transactions: the same call at another price or nonce.
 
+use std::sync::PoisonError;
 use std::time::{Duration, Instant};
 
 use ethers::types::U256;
 use serde_json::json;
 
-use crate::call::artefact;
-use crate::crypto::EoaSecret;
 use crate::model::{Address, Wei};
-use crate::transaction::{Transaction, Unsigned};
-use crate::{BlockRef, Call, Chain, ChainError, SignedTransaction};
+use crate::transaction::{Signed, Transaction, Unsigned};
+use crate::{BlockRef, Call, Chain, ChainError, call::artefact, crypto::EoaSecret};
 
-/// The highest tip on top of the base fee, wei.
+/// Highest tip on top of the base fee, wei.
 const LARGEST_TIP: u128 = 1_000_000_000;
-/// The gas of a plain transfer of ether (Yellow Paper, appendix G).
+/// Gas of a plain transfer (Yellow Paper, appendix G).
 const TRANSFER_GAS: u64 = 21_000;
 
-/// The newest block and its gas price.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Market {
     pub head: BlockRef,
-    /// Its base fee, wei; `None` if the network has none, or it is zero.
+    /// Wei; `None` without a base fee.
     pub base: Option<u128>,
-    /// The node's suggested price, wei.
+    /// The node's suggestion, wei.
     pub quoted: u128,
 }
 
 impl Market {
-    /// The gas price of a legacy transaction, wei: twice the base fee, which may rise until it is mined, and a tip of
-    /// at most 1 gwei. Without a base fee, the node's own price, without a margin: nodes quote what was paid last, so a
-    /// margin would feed on itself.
+    /// Legacy gas price, wei: twice the base fee and a tip of at most 1 gwei. Without a base fee, the node's price
+    /// without a margin, which would feed on itself: nodes quote what was paid last.
     pub fn offer(&self) -> u128 {
         match self.base {
             Some(base) => base.saturating_mul(2) + self.quoted.saturating_sub(base).min(LARGEST_TIP),
@@ -38,28 +35,25 @@ impl Market {
     }
 }
 
-/// The gas terms of signed bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Offered {
     pub price: u128,
-    /// The most gas it may use.
     pub gas: u64,
-    /// The ether that it sends, wei.
+    /// Wei.
     pub value: u128,
 }
 
 impl Offered {
-    /// The most wei that the transaction may cost at `price`, what it sends included.
+    /// Wei at most, what it sends included.
     pub fn cost_at(&self, price: u128) -> u128 {
         price.saturating_mul(u128::from(self.gas)).saturating_add(self.value)
     }
 }
 
 impl Chain {
-    /// The newest block and the current gas price.
     pub async fn market(&self) -> Result<Market, ChainError> {
         let block = self.newest().await?;
-        self.note_room(block.room());
+        *self.inner.block_room.lock().unwrap_or_else(PoisonError::into_inner) = block.room();
         let quoted: U256 = self.rpc("eth_gasPrice", json!([])).await?;
         let base = block.base_fee_per_gas.filter(|base| !base.is_zero());
         let base = base.map(|base| self.small("eth_getBlockByNumber", base)).transpose()?;
@@ -70,56 +64,35 @@ impl Chain {
         u128::try_from(value).map_err(|_| self.misunderstood(method, "it is too large"))
     }
 
-    /// Wei held by an account, saturating at the largest number.
+    /// Wei, saturating.
     pub async fn wealth(&self, account: Address) -> Result<u128, ChainError> {
         Ok(u128::try_from(self.balance(account).await?).unwrap_or(u128::MAX))
     }
 
-    /// What the account holds, and what its next call needs at this price; the node's own estimate may be higher.
+    /// The node's own estimate may be higher.
     pub async fn shortfall(&self, account: Address, call: &Call, price: u128) -> Result<Shortfall, ChainError> {
         let gas = known_cost(call.name(), &call.encode()?);
         let needed = Wei(price.saturating_mul(u128::from(gas)));
         Ok(Shortfall { account, held: Wei(self.wealth(account).await?), needed })
     }
 
-    /// Like [`Chain::sign`], at a given price in wei per gas.
-    pub async fn sign_at(
-        &self,
-        eoa: &EoaSecret,
-        nonce: u64,
-        call: &Call,
-        price: u128,
-    ) -> Result<SignedTransaction, ChainError> {
+    pub async fn sign_at(&self, eoa: &EoaSecret, nonce: u64, call: &Call, price: u128) -> Signed {
         let contract = self.contract()?;
         let input = call.encode()?;
-        let gas_limit = self.gas_for(eoa.address(), contract, call, &input).await?;
+        let gas_limit = self.gas(eoa.address(), contract, call, &input).await?;
         let (to, value) = (Some(contract), alloy_primitives::U256::ZERO);
         Unsigned { nonce, gas_price: price, gas_limit, to, value, input }.sign(eoa, self.chain_id())
     }
 
-    /// Signs a transfer of `wei` to `to`, without data. Nothing is sent.
-    pub fn sign_transfer(
-        &self,
-        eoa: &EoaSecret,
-        nonce: u64,
-        to: Address,
-        wei: u128,
-        price: u128,
-    ) -> Result<SignedTransaction, ChainError> {
+    pub fn sign_transfer(&self, eoa: &EoaSecret, nonce: u64, to: Address, wei: u128, price: u128) -> Signed {
         let (to, value) = (Some(to), alloy_primitives::U256::from(wei));
         let terms = Unsigned { nonce, gas_price: price, gas_limit: TRANSFER_GAS, to, value, input: Vec::new() };
         terms.sign(eoa, self.chain_id())
     }
 
-    /// Signs the call in `raw` again, with another nonce or price, and with gas that is estimated anew: the estimate of
-    /// then may be what keeps it out of a block. Nothing is sent.
-    pub async fn resign(
-        &self,
-        eoa: &EoaSecret,
-        raw: &[u8],
-        nonce: u64,
-        price: u128,
-    ) -> Result<SignedTransaction, ChainError> {
+    /// Signs the call again with another nonce or price, and with a new estimate of its gas: the old one may keep it
+    /// out of blocks.
+    pub async fn resign(&self, eoa: &EoaSecret, raw: &[u8], nonce: u64, price: u128) -> Signed {
         let terms = decode(raw)?;
         let gas_limit = match function_of(&terms.input) {
             Some(function) => {
@@ -133,26 +106,23 @@ impl Chain {
     }
 }
 
-/// The name of the contract's function that call data is for.
 fn function_of(data: &[u8]) -> Option<&'static str> {
     let selector = data.get(..4)?;
     let mut functions = artefact().ok()?.abi.functions();
     functions.find(|function| function.short_signature() == selector).map(|function| function.name.as_str())
 }
 
-/// The gas terms of signed legacy bytes.
 pub fn offered(raw: &[u8]) -> Result<Offered, ChainError> {
     let terms = decode(raw)?;
     Ok(Offered { price: terms.gas_price, gas: terms.gas_limit, value: terms.value.saturating_to() })
 }
 
-/// Whether two signed legacy transactions make the same call, regardless of nonce and price.
+/// Ignores nonce and price.
 pub fn is_same_call(one: &[u8], other: &[u8]) -> bool {
     let call = |raw| decode(raw).ok().map(|terms| (terms.to, terms.value, terms.input));
     call(one).is_some_and(|found| call(other) == Some(found))
 }
 
-/// The call data of signed legacy bytes.
 pub fn call_data(raw: &[u8]) -> Result<Vec<u8>, ChainError> {
     Ok(decode(raw)?.input)
 }
@@ -166,23 +136,21 @@ fn decode(raw: &[u8]) -> Result<Unsigned, ChainError> {
 
 /// Blocks that skip the first waiting transaction before it counts as passed by.
 const PASSED_BY: u64 = 6;
-/// The shortest wait before it counts as passed by.
+/// Shortest wait before it counts as passed by.
 pub const STARVING: Duration = Duration::from_secs(10);
 
 /// The operator's limits, wei per gas.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Policy {
-    /// The most; `None` = no cap.
     pub cap: Option<u128>,
-    /// The least, whatever the node quotes.
+    /// Applies whatever the node quotes.
     pub floor: u128,
 }
 
-/// A price, or a refusal because of the cap.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Priced {
     At(u128),
-    /// The price would have to exceed the cap; both in wei per gas.
+    /// Both in wei per gas.
     Capped {
         needed: u128,
         cap: u128,
@@ -190,28 +158,25 @@ pub enum Priced {
 }
 
 impl Policy {
-    /// The same limits with a higher floor, as far as the cap allows.
+    /// Raises the floor, at most to the cap.
     pub fn with_floor(self, floor: u128) -> Self {
         let floor = self.cap.map_or(floor, |cap| floor.min(cap));
         Self { floor: self.floor.max(floor), ..self }
     }
 
-    /// The price of a new transaction: the market's price, raised to the floor, lowered to the cap if that can still be
-    /// mined.
+    /// The market's price, within floor and cap; `Capped` if the cap cannot be mined.
     pub fn fresh(&self, market: &Market) -> Priced {
         let needed = market.base.unwrap_or_else(|| market.quoted.min(market.offer()));
         self.within(market.offer().max(self.floor), needed.max(self.floor))
     }
 
-    /// The price of a transaction that replaces one signed at `signed`: the market's price or the floor, but at least an
-    /// eighth more (nodes refuse replacements below a tenth).
+    /// At least an eighth above `signed`: nodes refuse replacements below a tenth.
     pub fn replacement(&self, signed: u128, market: &Market) -> Priced {
         let least = signed.saturating_add((signed / 8).saturating_add(1)).max(self.floor);
         self.within(market.offer().max(least), least.max(market.base.unwrap_or(0)))
     }
 
-    /// Whether a transaction that blocks pass by is offered at a higher price although the quote did not move. Not
-    /// where gas costs nothing: such networks refuse any other price.
+    /// Networks where gas costs nothing refuse any other price.
     pub fn raises(&self, market: &Market) -> bool {
         market.offer().max(self.floor) > 0
     }
@@ -226,7 +191,7 @@ impl Policy {
     }
 }
 
-/// Whether a block made now cannot include a transaction signed at this price.
+/// No block made now can include this price.
 pub fn is_outbid(signed: u128, market: &Market) -> bool {
     market.base.is_some_and(|base| base > signed)
 }
@@ -240,32 +205,29 @@ pub struct Wait {
 }
 
 impl Wait {
-    /// From this block on; nothing counts as passed by sooner than after `patience`.
+    /// Nothing counts as passed by before `patience`.
     pub fn from(block: u64, patience: Duration) -> Self {
         Self { patience, since: (block, Instant::now()), raised: None }
     }
 
-    /// It was just offered at a higher price.
     pub fn raise(&mut self, block: u64) {
         self.raised = Some((block, Instant::now()));
     }
 
-    /// How long it has waited.
     pub fn length(&self) -> Duration {
         self.since.1.elapsed()
     }
 
-    /// Whether it was offered at a higher price because blocks passed it by.
     pub fn is_raised(&self) -> bool {
         self.raised.is_some()
     }
 
-    /// How many blocks have passed it by, if that is too many.
+    /// `None` if not too many blocks passed it by.
     pub fn passed_by(&self, block: u64) -> Option<u64> {
         self.is_long(self.since, block).then(|| block.saturating_sub(self.since.0))
     }
 
-    /// Whether too many blocks have passed it by at its present price.
+    /// At its present price.
     pub fn is_due(&self, block: u64) -> bool {
         self.is_long(self.raised.unwrap_or(self.since), block)
     }
@@ -275,35 +237,23 @@ impl Wait {
     }
 }
 
-/// What an account holds, and what it needs for its next transaction.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, thiserror::Error)]
+#[error("{account} has too little ether to pay for gas: it has {held} and needs {needed}; send it some on this chain")]
 pub struct Shortfall {
     pub account: Address,
     pub held: Wei,
-    /// The most that the transaction may cost.
     pub needed: Wei,
 }
 
-impl std::fmt::Display for Shortfall {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { account, held, needed } = self;
-        write!(
-            f,
-            "{account} has too little ether to pay for gas: it has {held} and needs {needed}; send it some on this chain"
-        )
-    }
-}
+// Known costs, and trust in estimates. Unused gas is not paid, so a high limit is harmless; one that no block can hold
+// blocks its lane for ever.
 
-// What each call is known to cost, and how far a node's estimate is believed. Gas that a transaction does not use is not
-// paid, so a limit above the cost is harmless; one that no block can hold blocks its account's lane for ever.
-
-/// Gas for each byte of a call's data, in the dearest rules known (EIP-7623), and its copy in an event.
+/// Gas per byte of data in the dearest rules known (EIP-7623), and its copy in an event.
 const PER_BYTE: u64 = 70;
-/// An estimate above this multiple of the known cost is not believed.
+/// Multiple of the known cost above which an estimate is not believed.
 const BELIEVED: u64 = 4;
 
-/// The most gas that a call of the contract uses, with a quarter to spare: measured under both rule sets
-/// (`contracts/gas.txt`), and proportional to its data.
+/// Gas with a quarter to spare: measured under both rule sets (`contracts/gas.txt`), proportional to the data.
 pub(super) fn known_cost(function: &str, data: &[u8]) -> u64 {
     let fixed: u64 = match function {
         "register" => 345_000,
@@ -320,11 +270,8 @@ pub(super) fn known_cost(function: &str, data: &[u8]) -> u64 {
     fixed.saturating_add(bytes).saturating_mul(5) / 4
 }
 
-/// The gas limit of a transaction: what the call is known to cost, or the node's estimate with a quarter to spare where
-/// that is higher, up to four times the known cost and never more than a block holds.
-///
-/// # Errors
-/// [`ChainError::BlockTooSmall`] if a block holds less than the call is known to cost.
+/// The known cost, or the node's estimate with a margin where it is higher: at most [`BELIEVED`] known costs, and never
+/// more than a block holds.
 pub(super) fn limit(estimate: u64, known: u64, block: Option<u64>) -> Result<u64, ChainError> {
     let block = block.filter(|limit| *limit > 0).unwrap_or(u64::MAX);
     if block < known {
@@ -333,7 +280,7 @@ pub(super) fn limit(estimate: u64, known: u64, block: Option<u64>) -> Result<u64
     Ok(with_margin(estimate).clamp(known, known.saturating_mul(BELIEVED)).min(block))
 }
 
-/// An estimate with a quarter to spare: the state may change until the transaction is mined.
+/// A quarter to spare: the state may change until the transaction is mined.
 pub(super) fn with_margin(estimate: u64) -> u64 {
     estimate.saturating_add(estimate / 4)
 }

@@ -1,10 +1,7 @@
-//! Genesis files for private networks of real nodes: geth (clique, ethash) and Besu (qbft).
-//!
-//! The chain id and the first bytes of the extra data are drawn at random, so no other network shares its id or genesis
-//! block by accident. The contract's code needs Istanbul and no later fork.
+//! Genesis files for private networks: geth (clique, ethash) and Besu (qbft). Chain id and extra data are random, so no
+//! other network shares them by accident; the contract needs Istanbul and no later fork.
 
-use std::collections::HashSet;
-use std::str::FromStr;
+use std::{collections::HashSet, str::FromStr};
 
 use ethers::types::U256;
 use serde_json::{Value, json};
@@ -13,25 +10,23 @@ use super::ChainError;
 use crate::model::{Address, Timestamp, bytes::hex, clean};
 use crate::transaction::List;
 
-/// How to run three nodes with such a file.
 pub const GUIDE: &str = include_str!("../../../contracts/genesis/README.md");
 
 const CLIQUE: &str = include_str!("../../../contracts/genesis/clique.json");
 const ETHASH: &str = include_str!("../../../contracts/genesis/ethash.json");
 const QBFT: &str = include_str!("../../../contracts/genesis/qbft.json");
 
-/// The most signers: their addresses are in the extra data of the genesis block.
+/// Their addresses are in the extra data of the genesis block.
 const MOST_SIGNERS: usize = 32;
-/// Default seconds between blocks.
+/// Seconds.
 const USUAL_PERIOD: u64 = 2;
-/// The longest period, seconds.
+/// Seconds.
 const LONGEST_PERIOD: u64 = 3600;
-/// The highest chain id that every wallet and every JSON reader accepts.
+/// Highest chain id that every wallet and JSON reader accepts.
 const HIGHEST_ID: u64 = (1 << 52) - 1;
 const VANITY: usize = 32;
 const SEAL: usize = 65;
 
-/// The consensus of the network.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, strum::Display, strum::EnumString)]
 #[strum(serialize_all = "lowercase", parse_err_fn = unknown_kind, parse_err_ty = ChainError)]
 pub enum GenesisKind {
@@ -39,28 +34,24 @@ pub enum GenesisKind {
     Clique,
     /// Proof of work in geth before 1.12.
     Ethash,
-    /// Proof of authority in Besu.
     Qbft,
 }
 
-/// Ether that an account holds from the start.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Allocation {
     account: Address,
     wei: U256,
 }
 
-/// The parameters of a new network.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Genesis {
     pub kind: GenesisKind,
-    /// EIP-155 chain id; drawn at random if not given.
+    /// EIP-155; random if `None`.
     pub chain_id: Option<u64>,
-    /// Who seals blocks; none for ethash.
+    /// None for ethash.
     pub signers: Vec<Address>,
-    /// Seconds between blocks; not for ethash.
+    /// Seconds; not for ethash.
     pub period: Option<u64>,
-    /// Accounts that hold ether from the start.
     pub allocations: Vec<Allocation>,
 }
 
@@ -94,7 +85,7 @@ impl Genesis {
         .map_err(|error| ChainError::Internal(format!("the template of {}: {error}", self.kind)))?;
         let extra = match self.kind {
             GenesisKind::Ethash => vanity.to_vec(),
-            // The signers in ascending order, and an empty seal (EIP-225).
+            // In ascending order, with an empty seal (EIP-225).
             GenesisKind::Clique => {
                 [&vanity[..], &signers.iter().flat_map(|one| one.0).collect::<Vec<_>>(), &[0; SEAL]].concat()
             }
@@ -124,9 +115,7 @@ impl Genesis {
             (GenesisKind::Ethash, 0) => None,
             (GenesisKind::Ethash, _) => Some("ethash has no signers; omit --signer".to_owned()),
             (kind, 0) => Some(format!("{kind} needs signers; give each with --signer")),
-            (_, number) if number > MOST_SIGNERS => {
-                Some(format!("{number} signers exceed the limit of {MOST_SIGNERS}"))
-            }
+            (_, count) if count > MOST_SIGNERS => Some(format!("{count} signers exceed the limit of {MOST_SIGNERS}")),
             (_, number) if number < self.signers.len() => Some("a signer is named twice".to_owned()),
             _ => None,
         };
@@ -176,7 +165,6 @@ fn qbft_extra(vanity: &[u8; VANITY], validators: &[Address]) -> Vec<u8> {
     List::default().add(vanity).add_encoded(&validators).add(&nothing.to_vec()).add(&0u8).add(&nothing.to_vec()).end()
 }
 
-/// Random bytes.
 pub fn noise<const N: usize>() -> Result<[u8; N], ChainError> {
     let mut noise = [0; N];
     getrandom::fill(&mut noise).map_err(|error| ChainError::Internal(format!("no randomness: {error}")))?;

@@ -15,75 +15,51 @@ use crate::model::bytes::{hex, unhex};
 use crate::model::{Address, Digest, Hash, Identity, Token};
 use crate::{AccountState, BlockRef, Call, Chain, ChainError, ChainStatus, Event, EventAt, GrantState, QueryAnswer};
 
-/// No account has sent so many transactions.
+/// No account has sent that many transactions.
 const NO_NONCE: u64 = 1 << 32;
-/// The most transactions of one account that a node may hold: far above any node's pool.
+/// Pending transactions of one account: far above any node's pool.
 const MOST_PENDING: u64 = 100_000;
 
-/// The next nonces of an account.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Nonces {
-    /// After everything that is mined.
+    /// After mined transactions.
     pub mined: u64,
     /// After everything that the node holds.
     pub pending: u64,
 }
 
 impl Chain {
-    /// The chain's properties and, for `account`, its holdings.
     pub async fn status(&self, account: Option<Address>) -> Result<ChainStatus, ChainError> {
-        let mut status = ChainStatus {
-            kind: self.kind().to_owned(),
-            consensus: self.inner.consensus.to_owned(),
-            chain_id: self.chain_id(),
-            genesis: self.genesis(),
-            block: self.head().await?.number,
-            contract: self.pin().map(|pin| pin.contract),
-            balance: None,
-            nonce: None,
-            pending: None,
-            client: self.inner.client.clone(),
-        };
+        let (kind, consensus) = (self.transport().kind().to_owned(), self.inner.consensus.to_owned());
+        let (chain_id, genesis, client) = (self.chain_id(), self.genesis(), self.inner.client.clone());
+        let (block, contract) = (self.head().await?.number, self.pin().map(|pin| pin.contract));
+        let (mut balance, mut nonce, mut pending) = (None, None, None);
         if let Some(account) = account {
-            let nonce = self.nonce(account, false).await?;
-            status.balance = Some(self.balance(account).await?.to_string());
-            status.nonce = Some(nonce);
-            status.pending = Some(self.nonce(account, true).await?.saturating_sub(nonce));
+            let mined = self.nonce(account, false).await?;
+            balance = Some(self.balance(account).await?.to_string());
+            nonce = Some(mined);
+            pending = Some(self.nonce(account, true).await?.saturating_sub(mined));
         }
-        Ok(status)
+        Ok(ChainStatus { kind, consensus, chain_id, genesis, block, contract, balance, nonce, pending, client })
     }
 
-    fn kind(&self) -> &'static str {
-        match self.transport() {
-            relayed if relayed.is_relayed() => "relay",
-            transport if transport.embedded().is_some() => "embedded",
-            _ => "node",
-        }
-    }
-
-    /// Wei held by an account.
+    /// Wei.
     pub(super) async fn balance(&self, account: Address) -> Result<U256, ChainError> {
         self.rpc("eth_getBalance", json!([account.to_string(), "latest"])).await
     }
 
-    /// The next nonce of an account; `pending` counts transactions not yet mined. If a node keeps no pending state, the
-    /// mined nonce is returned.
+    /// A node without a pending state gives the mined nonce.
     pub async fn nonce(&self, account: Address, pending: bool) -> Result<u64, ChainError> {
         let ask = |tag: &'static str| self.rpc::<U64>("eth_getTransactionCount", json!([account.to_string(), tag]));
-        let nonce = match ask(if pending { "pending" } else { "latest" }).await {
+        let answer = match ask(if pending { "pending" } else { "latest" }).await {
             Err(ChainError::Rejected { .. }) if pending => ask("latest").await?,
             answered => answered?,
         };
-        let nonce = nonce.as_u64();
-        if nonce < NO_NONCE {
-            Ok(nonce)
-        } else {
-            Err(self.misunderstood("eth_getTransactionCount", &nonce.to_string()))
-        }
+        let nonce = Some(answer.as_u64()).filter(|nonce| *nonce < NO_NONCE);
+        nonce.ok_or_else(|| self.misunderstood("eth_getTransactionCount", &answer.to_string()))
     }
 
-    /// Both next nonces of an account. They check each other: a node that answers one of them wrongly is not believed,
-    /// because a transaction signed for a nonce far ahead would never be mined.
+    /// The two check each other: a transaction signed for a nonce far ahead would never be mined.
     pub async fn nonces(&self, account: Address) -> Result<Nonces, ChainError> {
         let (mined, pending) = (self.nonce(account, false).await?, self.nonce(account, true).await?);
         if (mined..=mined.saturating_add(MOST_PENDING)).contains(&pending) {
@@ -93,24 +69,14 @@ impl Chain {
         Err(self.misunderstood("eth_getTransactionCount", &reason))
     }
 
-    /// Simulates a call without sending it.
-    ///
-    /// # Errors
-    /// [`ChainError::Reverted`] with the reason if the contract would refuse, otherwise an error of the node.
     pub async fn simulate(&self, from: Address, call: &Call) -> Result<(), ChainError> {
-        self.eth_call(from, self.contract()?, &call.encode()?, "latest").await.map(|_| ())
+        self.call(from, self.contract()?, &call.encode()?, "latest").await.map(|_| ())
     }
 
-    pub(super) async fn eth_call(
-        &self,
-        from: Address,
-        to: Address,
-        data: &[u8],
-        block: &str,
-    ) -> Result<Vec<u8>, ChainError> {
+    pub(super) async fn call(&self, from: Address, to: Address, data: &[u8], at: &str) -> Result<Vec<u8>, ChainError> {
         let message = json!({ "from": from.to_string(), "to": to.to_string(), "data": format!("0x{}", hex(data)) });
-        let output: String = self.rpc("eth_call", json!([message, block])).await?;
-        // Old geth returns a revert as if it were a result.
+        let output: String = self.rpc("eth_call", json!([message, at])).await?;
+        // Old geth returns a revert as a result.
         match decode_revert_hex(&output) {
             Some(code) if output.len() % 64 == 10 => Err(ChainError::Reverted { code }),
             _ => unhex(&output).ok_or_else(|| self.misunderstood("eth_call", "it is not hex")),
@@ -126,13 +92,13 @@ impl Chain {
     ) -> Result<T, ChainError> {
         let artefact = artefact()?;
         let data = artefact.encode(name, arguments)?;
-        let output = self.eth_call(from, self.contract()?, &data, "latest").await?;
+        let output = self.call(from, self.contract()?, &data, "latest").await?;
         let values = artefact.function(name)?.decode_output(&output);
         let values = values.map_err(|error| self.misunderstood(name, &error.to_string()))?;
         read(&mut Values::new(values)).ok_or_else(|| self.misunderstood(name, "a value has the wrong type"))
     }
 
-    /// The state of a registered account; `None` if it is not registered.
+    /// `None` if it is not registered.
     pub async fn account(&self, owner: Address) -> Result<Option<AccountState>, ChainError> {
         let read = |values: &mut Values| {
             let (identity, epoch) = (values.bytes()?, values.number()?);
@@ -148,7 +114,7 @@ impl Chain {
         self.view(owner, "accountOf", &[address(owner)], read).await
     }
 
-    /// The paper's dataQuery, as `from` would be answered. A node does not authenticate `from`.
+    /// The paper's dataQuery. A node does not authenticate `from`.
     pub async fn data_query(&self, from: Address, token: Token, owner: Address) -> Result<QueryAnswer, ChainError> {
         let arguments = [AbiToken::Bytes(token.0.to_vec()), address(owner)];
         let read = |values: &mut Values| {
@@ -158,30 +124,25 @@ impl Chain {
         self.view(from, "dataQuery", &arguments, read).await
     }
 
-    /// Whether an owner uploaded this digest individually (not in a batch).
-    pub async fn anchored(&self, owner: Address, digest: Digest) -> Result<bool, ChainError> {
-        Ok(self.uploaded_at(owner, digest).await?.is_some())
-    }
-
-    /// The block in which an owner uploaded this digest individually.
+    /// Individually, not in a batch.
     pub async fn uploaded_at(&self, owner: Address, digest: Digest) -> Result<Option<u64>, ChainError> {
         let block = self.view(owner, "uploadedAt", &[address(owner), word(digest.0)], Values::number).await?;
         Ok((block != 0).then_some(block))
     }
 
-    /// The block in which an account first anchored a root, and the number of its leaves.
+    /// The block of its first anchor, and the number of its leaves.
     pub async fn root_anchored(&self, account: Address, root: Hash) -> Result<Option<(u64, u64)>, ChainError> {
         let read = |values: &mut Values| Some((values.number()?, values.number()?));
         let found = self.view(account, "anchorOf", &[address(account), word(root.0)], read).await?;
         Ok((found.0 != 0).then_some(found))
     }
 
-    /// The root that an account anchored last; zero before the first.
+    /// Zero before the first anchor.
     pub async fn anchor_head(&self, account: Address) -> Result<Hash, ChainError> {
         self.view(account, "headOf", &[address(account)], Values::hash).await
     }
 
-    /// An owner's grant to an account; `None` if there never was one.
+    /// `None` if there never was one.
     pub async fn grant(&self, owner: Address, grantee: Address) -> Result<Option<GrantState>, ChainError> {
         let read = |values: &mut Values| {
             Some(GrantState { active: values.flag()?, epoch: values.number()?, expiry: values.end()? })
@@ -190,33 +151,26 @@ impl Chain {
         Ok((state.epoch != 0).then_some(state))
     }
 
-    /// Ends a chain that runs in this process and waits until its file is closed; other chains are unaffected.
+    /// Ends an embedded chain and waits until its file is closed.
     pub async fn end(&self) {
         if let Some(chain) = self.transport().embedded() {
             chain.end().await;
         }
     }
 
-    /// Writes the embedded chain, as it is between two blocks, to a new file; `false` for other chains.
+    /// `false` for other chains.
     pub async fn copy_to(&self, path: std::path::PathBuf) -> Result<bool, ChainError> {
-        match self.transport().embedded() {
-            Some(embedded) => embedded.copy_to(path).await.map(|()| true),
-            None => Ok(false),
-        }
+        let Some(embedded) = self.transport().embedded() else { return Ok(false) };
+        embedded.copy_to(path).await.map(|()| true)
     }
 
-    /// Runs every block of the embedded chain again and compares; returns how many, `None` for other chains.
-    ///
-    /// # Errors
-    /// [`ChainError::Tampered`] for the first block, or the first node of the state, that was altered.
+    /// Runs every block of the embedded chain again; returns how many, `None` for other chains.
     pub async fn run_again(&self) -> Result<Option<u64>, ChainError> {
-        match self.transport().embedded() {
-            Some(embedded) => embedded.audit().await.map(Some),
-            None => Ok(None),
-        }
+        let Some(embedded) = self.transport().embedded() else { return Ok(None) };
+        embedded.audit().await.map(Some)
     }
 
-    /// All call data, storage slots and logs of the embedded chain, for the test that it holds no secret.
+    /// For the test that the chain holds no secret.
     pub async fn dump(&self) -> Result<Vec<Vec<u8>>, ChainError> {
         match self.transport().embedded() {
             Some(embedded) => embedded.dump().await,
@@ -225,8 +179,7 @@ impl Chain {
     }
 }
 
-/// The reason why a mined transaction failed: from the receipt if the node includes it (ours and Besu), otherwise by
-/// running it again on the block before.
+/// From the receipt (ours and Besu), otherwise by running it again on the block before.
 pub(super) async fn reason(chain: &Chain, receipt: &Value, block: u64) -> Option<String> {
     if let Some(code) = receipt.get("revertReason").and_then(Value::as_str).and_then(decode_revert_hex) {
         return Some(code);
@@ -237,37 +190,18 @@ pub(super) async fn reason(chain: &Chain, receipt: &Value, block: u64) -> Option
     let from = field("from")?.parse().ok()?;
     let to = field("to")?.parse().ok()?;
     let before = format!("{:#x}", block.saturating_sub(1));
-    match chain.eth_call(from, to, &unhex(&field("input")?)?, &before).await {
+    match chain.call(from, to, &unhex(&field("input")?)?, &before).await {
         Err(ChainError::Reverted { code }) => Some(code),
         _ => None,
     }
 }
 
-// How much work blocks hold: transactions and gas.
-
-impl Chain {
-    /// Transactions and gas of blocks `from` to `to`, inclusive.
-    pub async fn work(&self, from: u64, to: u64) -> Result<(u64, u64), ChainError> {
-        let (mut transactions, mut gas) = (0, 0);
-        for number in from..=to {
-            let Some(block) = self.raw_block(number).await? else { break };
-            transactions += block.transactions.len() as u64;
-            gas += block.gas_used.map_or(0, |gas| gas.low_u64());
-        }
-        Ok((transactions, gas))
-    }
-}
-
-// News from the chain: blocks and events.
-
-/// The most blocks requested at once; fewer if a node finds that too many.
+/// Blocks requested together; fewer if a node finds that too many.
 const CHUNK: u64 = 2000;
 
-/// Uploads and anchors, which change nobody's rights: rights are rebuilt from all other events (registrations, grants,
-/// loans and the administrator's acts).
+/// Events that change nobody's rights; rights are rebuilt from all others.
 const ANCHORS: [&str; 2] = ["DataUploaded", "Anchored"];
 
-/// A log as a node returns it.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(super) struct RawLog {
@@ -283,7 +217,6 @@ pub(super) struct RawLog {
     removed: bool,
 }
 
-/// The filter for a contract's logs in a range of blocks.
 fn wide(contract: Address, from: u64, to: u64, topics: &Value) -> Value {
     let mut filter = json!({
         "address": contract.to_string(), "fromBlock": format!("{from:#x}"), "toBlock": format!("{to:#x}"),
@@ -295,12 +228,23 @@ fn wide(contract: Address, from: u64, to: u64, topics: &Value) -> Value {
 }
 
 impl Chain {
-    /// The contract's events in blocks `from` to `to` (at most the head), in order.
+    /// Transactions and gas of the blocks.
+    pub async fn work(&self, from: u64, to: u64) -> Result<(u64, u64), ChainError> {
+        let (mut transactions, mut gas) = (0, 0);
+        for number in from..=to {
+            let Some(block) = self.raw_block(number).await? else { break };
+            transactions += block.transactions.len() as u64;
+            gas += block.gas_used.map_or(0, |gas| gas.low_u64());
+        }
+        Ok((transactions, gas))
+    }
+
+    /// In order, at most to the head.
     pub async fn events(&self, from: u64, to: u64) -> Result<Vec<EventAt>, ChainError> {
         self.collect(from, to, &Value::Null).await
     }
 
-    /// Like [`Chain::events`], without uploads and anchors: the events from which rights are rebuilt.
+    /// The events from which rights are rebuilt.
     pub async fn changes(&self, from: u64, to: u64) -> Result<Vec<EventAt>, ChainError> {
         let changes = artefact()?.abi.events().filter(|event| !ANCHORS.contains(&event.name.as_str()));
         let wanted: Vec<String> = changes.map(|event| Hash(event.signature().0).to_string()).collect();
@@ -309,7 +253,7 @@ impl Chain {
         Ok(found)
     }
 
-    /// Every anchor of one root in blocks `from` to `to`, by any account, in the chain's order.
+    /// By any account, in the chain's order.
     pub async fn anchors_of(&self, root: Hash, from: u64, to: u64) -> Result<Vec<EventAt>, ChainError> {
         let name = artefact()?.event_signature("Anchored")?.to_string();
         let mut found = self.collect(from, to, &json!([name, null, root.to_string()])).await?;
@@ -317,7 +261,7 @@ impl Chain {
         Ok(found)
     }
 
-    /// Old blocks many at a time with a filter of topics, the newest ones whole.
+    /// Filters old blocks in chunks, and reads the newest ones whole.
     async fn collect(&self, from: u64, to: u64, topics: &Value) -> Result<Vec<EventAt>, ChainError> {
         let contract = self.contract()?;
         let head = self.head().await?.number;
@@ -333,19 +277,15 @@ impl Chain {
         while next <= to {
             let last = to.min(next + AT_ONCE - 1);
             for (number, block) in (next..=last).zip(self.each_block(next, last).await?) {
-                let missing =
-                    || self.misunderstood("eth_getLogs", &format!("it does not give block {number} of {head}"));
-                found.extend(block.ok_or_else(missing)?.events);
+                let gone = || self.misunderstood("eth_getLogs", &format!("it does not give block {number} of {head}"));
+                found.extend(block.ok_or_else(gone)?.events);
             }
             next = last + 1;
         }
         Ok(found)
     }
 
-    /// The first block with an event of a contract: asked for all blocks at once, then for as many as the node likes.
-    ///
-    /// # Errors
-    /// An error of the node that it also gives for a single block.
+    /// Asks for all blocks together, then for as many as the node accepts.
     pub(super) async fn first_with(&self, contract: Address, event: Hash) -> Result<Option<u64>, ChainError> {
         let (topics, head) = (json!([event.to_string()]), self.head().await?.number);
         let (mut next, mut chunk) = (0, head + 1);
@@ -360,9 +300,8 @@ impl Chain {
         Ok(None)
     }
 
-    /// A contract's logs in some blocks; `None` if those were too many, and then `chunk` becomes half of them. Nodes and
-    /// what stands before them say so in words, with a web page, or with silence; one that is away does not answer a small
-    /// question either.
+    /// `None` if the blocks were too many, and halves `chunk`. Nodes say so in words, with a web page, or with silence;
+    /// one that is away does not answer a small question either.
     async fn portion(
         &self,
         contract: Address,
@@ -381,39 +320,29 @@ impl Chain {
         }
     }
 
-    /// The logs that match a filter, of the contract that it names.
     pub(super) async fn filtered(&self, filter: &Value) -> Result<Vec<RawLog>, ChainError> {
         let mut logs: Vec<RawLog> = self.rpc("eth_getLogs", json!([filter])).await?;
-        let contract: Option<Address> =
-            filter.get("address").and_then(Value::as_str).and_then(|text| text.parse().ok());
-        logs.retain(|log| !log.removed && contract.is_some_and(|contract| log.address.0 == contract.0));
+        let place: Option<Address> = filter.get("address").and_then(Value::as_str).and_then(|text| text.parse().ok());
+        logs.retain(|log| !log.removed && place.is_some_and(|place| log.address.0 == place.0));
         Ok(logs)
     }
 
     pub(super) fn decode(&self, log: &RawLog) -> Result<EventAt, ChainError> {
         let topics: Vec<Hash> = log.topics.iter().map(|topic| Hash(topic.0)).collect();
         let event = Event::decode(&topics, &log.data).map_err(|reason| self.misunderstood("eth_getLogs", &reason))?;
-        Ok(EventAt {
-            block: log.block_number.as_u64(),
-            block_hash: Hash(log.block_hash.0),
-            timestamp: log.block_timestamp.as_ref().map(U64::as_u64),
-            transaction: Hash(log.transaction_hash.0),
-            log_index: log.log_index.as_u64(),
-            event,
-        })
+        let (block, block_hash) = (log.block_number.as_u64(), Hash(log.block_hash.0));
+        let (timestamp, transaction) = (log.block_timestamp.map(|time| time.as_u64()), Hash(log.transaction_hash.0));
+        Ok(EventAt { block, block_hash, timestamp, transaction, log_index: log.log_index.as_u64(), event })
     }
 
-    /// The head as soon as it is above `after`, or the current one when `patience` is over.
+    /// Returns once the head is above `after`, or when `patience` is over.
     pub async fn next_block(&self, after: u64, patience: Duration) -> Result<BlockRef, ChainError> {
         if let Some(embedded) = self.transport().embedded() {
-            let mut news = embedded.head();
+            let mut news = embedded.line.head.clone();
             // The guard must not be held across the next wait.
             let found = tokio::time::timeout(patience, news.wait_for(|head| head.number > after)).await;
-            let found = found.ok().and_then(Result::ok).map(|head| *head);
-            return match found {
-                Some(head) => Ok(head),
-                None => self.head().await,
-            };
+            let Some(head) = found.ok().and_then(Result::ok).map(|head| *head) else { return self.head().await };
+            return Ok(head);
         }
         let deadline = Instant::now() + patience;
         loop {

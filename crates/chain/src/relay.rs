@@ -1,26 +1,21 @@
-//! A chain reached through another party's connection: what may pass, how it is passed on, and the transport that sends
-//! one's own requests that way.
+//! A chain reached through another party's connection: what may pass, and the transport for one's own requests.
 
 #[cfg(test)]
 mod rules_tests;
 
-use std::fmt;
-use std::sync::Arc;
+use std::{fmt, sync::Arc};
 
 use serde_json::{Value, json};
 
-use crate::call::Call;
-use crate::model::bytes::unhex;
 pub use crate::model::relay::{LONGEST_RAW, Relay, RelayError, check, weight};
-use crate::model::{Address, Identity, clean};
-use crate::transaction::Transaction;
+use crate::model::{Address, Identity, bytes::unhex, clean};
 use crate::transport::{JsonRpcError, TransportError};
-use crate::{Chain, Pin};
+use crate::{Chain, Pin, call::Call, transaction::Transaction};
 
-/// The longest error text of a node passed on, characters.
+/// Longest error text passed on, characters.
 const LONGEST_WORDS: usize = 400;
 
-/// A shared [`Relay`], as an endpoint; two are equal if they are the same object.
+/// Two are equal if they are the same object.
 #[derive(Clone)]
 pub struct RelayLine(pub Arc<dyn Relay>);
 
@@ -62,62 +57,56 @@ impl From<TransportError> for RelayError {
 }
 
 impl Chain {
-    /// Passes another party's request on to this chain, over this process's own connection. Whether it may pass is for
-    /// [`examine`] to say.
+    /// [`examine`] decides what may pass.
     pub async fn relay(&self, method: &str, parameters: &Value) -> Result<Value, RelayError> {
         check(method, parameters)?;
         Ok(self.transport().request_for_another(method, parameters.clone()).await?)
     }
 }
 
-// Which requests of other parties are passed on to the chain: a visitor's reads, and a registered caller's
-// transactions as well; of both only what concerns the one contract, in bounded portions.
+// What may pass: a visitor's reads, and a registered caller's transactions as well; only about the one contract, in
+// bounded portions.
 
-/// The most gas of a transaction that is passed on: several times that of the contract's most expensive call.
+/// Several times the gas of the contract's most expensive call.
 pub const MOST_GAS: u64 = 10_000_000;
-/// The most blocks whose logs a visitor may request at once: as many as this program's own clients do.
+/// Blocks per request: as many as this program's own clients ask for.
 const VISITORS_BLOCKS: u64 = 2_000;
-/// The same for registered callers.
 const MOST_BLOCKS: u64 = 10_000;
-/// The longest call data of a read, bytes: that of the longest transaction.
+/// That of the longest transaction.
 const LONGEST_DATA: usize = LONGEST_RAW;
-/// The most slots of one proof.
 const MOST_SLOTS: usize = 64;
-/// Where a registration's call data has its identity: after the selector, two offsets and a length.
+/// After the selector, two offsets and a length.
 const IDENTITY_AT: usize = 4 + 3 * 32;
-/// Where its envelope begins: after the identity and a length.
+/// After the identity and a length.
 const ENVELOPE_AT: usize = IDENTITY_AT + Identity::LENGTH + 32;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Asker {
-    /// A caller without a transport key.
+    /// Without a transport key.
     Visitor,
-    /// The holder of a transport key, which belongs to a registered account.
+    /// With the transport key of a registered account.
     Registered,
 }
 
-/// What is known of the chain without a request.
 #[derive(Debug, Clone, Copy)]
 pub struct Ground<'a> {
-    /// The chain and its contract.
     pub pin: &'a Pin,
-    /// The newest block number seen; used only to interpret `latest`.
+    /// Newest block seen; only interprets `latest`.
     pub head: u64,
 }
 
-/// A request that may pass, judged from the request alone.
+/// Judged from the request alone.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Passed {
-    /// It reads, with these parameters.
     Read(Value),
-    /// It asks for logs of blocks that have none.
+    /// Logs of blocks that have none.
     NoLogs,
-    /// It asks how much gas a call of the contract would use.
-    Estimate { from: Option<Address>, registers: Option<Box<Identity>> },
-    /// It sends a transaction to the contract.
+    Estimate {
+        from: Option<Address>,
+        registers: Option<Box<Identity>>,
+    },
     Transaction {
         sender: Address,
-        /// The identity, if it registers one.
         registers: Option<Box<Identity>>,
     },
 }
@@ -126,11 +115,7 @@ fn refused<T>(code: i64, words: impl Into<String>) -> Result<T, RelayError> {
     Err(RelayError::Answered { code, message: words.into(), data: None })
 }
 
-/// Examines a request.
-///
-/// # Errors
-/// [`RelayError::NotAllowed`] for a method that is not passed on for this caller, [`RelayError::Answered`] saying what
-/// else is wrong.
+/// Judges a request by its method, its caller and its bounds.
 pub fn examine(ground: Ground<'_>, asker: Asker, method: &str, parameters: &Value) -> Result<Passed, RelayError> {
     check(method, parameters)?;
     let first = parameters.get(0).unwrap_or(&Value::Null);
@@ -168,7 +153,7 @@ fn bytes(value: &Value) -> Option<Vec<u8>> {
     unhex(value.as_str()?)
 }
 
-/// The data of a call of the contract; the block may follow it, nothing else.
+/// Data of a call of the contract; only the block may follow it.
 fn message(pin: &Pin, parameters: &Value) -> Result<Vec<u8>, RelayError> {
     const FIELDS: [&str; 5] = ["from", "to", "data", "input", "gas"];
     let Some(call) = parameters.get(0).and_then(Value::as_object) else { return refused(-32602, "no call") };
@@ -205,7 +190,7 @@ fn transaction(pin: &Pin, raw: &Value) -> Result<Passed, RelayError> {
     Ok(Passed::Transaction { sender: decoded.sender, registers: registration(&decoded.input) })
 }
 
-/// The identity that this call data registers, if that is exactly what it does.
+/// `None` unless the call data does exactly that.
 fn registration(data: &[u8]) -> Option<Box<Identity>> {
     if data.len() > LONGEST_DATA {
         return None;
@@ -213,12 +198,12 @@ fn registration(data: &[u8]) -> Option<Box<Identity>> {
     let identity = Identity::parse(data.get(IDENTITY_AT..IDENTITY_AT + Identity::LENGTH)?).ok()?;
     let length = u32::from_be_bytes(data.get(ENVELOPE_AT - 4..ENVELOPE_AT)?.try_into().ok()?);
     let envelope = data.get(ENVELOPE_AT..)?.get(..usize::try_from(length).ok()?)?.to_vec();
-    // What differs anywhere else is no registration.
+    // Call data that differs anywhere else is no registration.
     let call = Call::Register { identity, envelope }.encode().ok()?;
     (call == data).then(|| Box::new(identity))
 }
 
-/// Logs of the contract alone, for a bounded number of blocks; blocks before the contract's are left out.
+/// Logs of the contract alone, for a bounded number of blocks from its deployment on.
 fn logs(ground: Ground<'_>, asker: Asker, filter: &Value) -> Result<Passed, RelayError> {
     let Some(fields) = filter.as_object() else { return refused(-32602, "no filter") };
     let place = match fields.get("address") {
@@ -250,6 +235,6 @@ fn logs(ground: Ground<'_>, asker: Asker, filter: &Value) -> Result<Passed, Rela
     if first > from {
         bounded.insert("fromBlock".to_owned(), json!(format!("{first:#x}")));
     }
-    // The end is left as requested: the chain may be further than is known here.
+    // Keeps the requested end: the chain may be further than is known here.
     read(&json!([bounded]))
 }

@@ -5,43 +5,32 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use crate::connect::RawBlock;
-use crate::model::Address;
-use crate::model::bytes::unhex;
-use crate::{Chain, ChainError, Consensus};
+use crate::model::{Address, bytes::unhex};
+use crate::{Chain, ChainError, Consensus, connect::RawBlock};
 use authros_evidence::validators_in;
 
-/// The newest intervals between blocks that are looked at.
+/// Intervals between the newest blocks that are measured.
 const INTERVALS: usize = 2;
 
-/// Who seals the blocks of a chain, and how often.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Sealing {
-    /// The least time between two blocks, milliseconds, under proof of authority: as the embedded chain was founded, or
-    /// as seen between a node's newest blocks.
+    /// Least milliseconds between blocks under proof of authority: as founded, or as seen at a node.
     pub period: Option<u64>,
-    /// Difficulty of the newest block under proof of work, decimal.
+    /// Of the newest block under proof of work, decimal.
     pub difficulty: Option<String>,
-    /// Signers or validators under proof of authority; the recipient of the fees under the embedded proof of work.
+    /// Signers or validators; under the embedded proof of work, the recipient of the fees.
     pub sealers: Vec<Address>,
 }
 
 impl Chain {
-    /// How the blocks are sealed.
-    ///
-    /// # Errors
-    /// Errors of the node; what a node does not report is left out.
+    /// Leaves out what a node does not report.
     pub async fn sealing(&self) -> Result<Sealing, ChainError> {
         if let Some(chain) = self.transport().embedded() {
-            let sealers = chain.sealers().to_vec();
-            return Ok(match chain.consensus() {
-                Consensus::Poa { period, .. } => {
-                    Sealing { period: u64::try_from(period.as_millis()).ok(), difficulty: None, sealers }
-                }
-                Consensus::Pow { difficulty } => {
-                    Sealing { period: None, difficulty: Some(difficulty.to_string()), sealers }
-                }
-            });
+            let (period, difficulty) = match chain.line.consensus {
+                Consensus::Poa { period, .. } => (u64::try_from(period.as_millis()).ok(), None),
+                Consensus::Pow { difficulty } => (None, Some(difficulty.to_string())),
+            };
+            return Ok(Sealing { period, difficulty, sealers: chain.line.sealers.clone() });
         }
         match self.inner.consensus {
             "pow" => Ok(Sealing { difficulty: self.difficulty().await?, ..Sealing::default() }),
@@ -56,7 +45,7 @@ impl Chain {
         Ok(digits.and_then(|hex| u128::from_str_radix(hex, 16).ok()).map(|difficulty| difficulty.to_string()))
     }
 
-    /// The shortest of the newest intervals between two blocks, milliseconds. The first block has no time of its own.
+    /// Milliseconds. The first block has no time of its own.
     async fn period(&self) -> Result<Option<u64>, ChainError> {
         let mut later = self.head().await?;
         let mut shortest = None;
@@ -70,8 +59,7 @@ impl Chain {
         Ok(shortest.filter(|interval| *interval > 0))
     }
 
-    /// As geth's clique, Besu or GoQuorum answers; otherwise those named by the newest header (QBFT, IBFT) or listed in a
-    /// Clique genesis block.
+    /// As geth, Besu or GoQuorum answers; otherwise from the newest header (QBFT, IBFT) or a Clique genesis block.
     async fn signers(&self) -> Result<Vec<Address>, ChainError> {
         let asked = [
             ("clique_getSigners", json!([])),
@@ -97,19 +85,40 @@ impl Chain {
         let named = validators_in(&genesis);
         Ok(if named.is_empty() { listed(&genesis) } else { named })
     }
+
+    pub async fn sealed_by(&self) -> Result<SealedBy, ChainError> {
+        let sealing = self.sealing().await?;
+        let (client, consensus) = (&self.inner.client, self.inner.consensus);
+        Ok(SealedBy::of(client, consensus, sealing.sealers.len(), sealing.difficulty.as_deref()))
+    }
+
+    /// `None` if nothing is due, or if the newest blocks do not show it.
+    pub async fn due_within(&self) -> Result<Option<Duration>, ChainError> {
+        // A chain in one program cannot be cut off from itself.
+        let is_alone = self.transport().embedded().is_some() || self.inner.client.starts_with("AuthROS/");
+        if is_alone || self.inner.consensus == "dev" {
+            return Ok(None);
+        }
+        let head = self.head().await?.number;
+        let mut sealed = Vec::new();
+        // The time of a genesis block is arbitrary.
+        for number in head.saturating_sub(MEASURED).max(1)..=head {
+            let Some(block) = self.raw_block(number).await? else { return Ok(None) };
+            sealed.push((block.timestamp.as_u64(), block.gas_used.is_none_or(|gas| gas.is_zero())));
+        }
+        Ok(due(self.inner.consensus, &sealed))
+    }
 }
 
-/// The signers in the extra data of a Clique genesis block: between 32 bytes of vanity and 65 of seal.
+/// Between 32 bytes of vanity and 65 of seal.
 fn listed(extra: &[u8]) -> Vec<Address> {
     let signers = extra.get(32..extra.len().saturating_sub(65)).unwrap_or_default();
     let (signers, rest) = signers.as_chunks();
     if rest.is_empty() { signers.iter().copied().map(Address).collect() } else { Vec::new() }
 }
 
-// Who seals the blocks of a chain, worded for readers who must trust them: an anchor proves no more than that they
-// agreed, and a block's time is their clock.
+// The sealers, worded for readers who must trust them: an anchor proves only that they agreed, by their clock.
 
-/// The kind of sealers a chain has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SealerKind {
@@ -117,19 +126,16 @@ pub enum SealerKind {
     Embedded,
     /// A development node: its operator sets blocks and times.
     Development,
-    /// Named accounts, under proof of authority.
     Authority,
     Work,
-    /// Not reported by the node.
     Unknown,
 }
 
-/// Who seals a chain, as reported by its node.
+/// As reported by the node.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SealedBy {
-    /// The kind of sealers.
     pub kind: SealerKind,
-    /// Whether a single party decides about blocks and their times.
+    /// A single party decides about blocks and their times.
     pub alone: bool,
     pub text: String,
 }
@@ -141,7 +147,6 @@ impl SealedBy {
         Self { kind: SealerKind::Embedded, alone: true, text: text.to_owned() }
     }
 
-    /// What clientVersion, consensus and the list of sealers say.
     fn of(client: &str, consensus: &str, sealers: usize, difficulty: Option<&str>) -> Self {
         if client.starts_with("AuthROS/") {
             return Self::embedded();
@@ -172,48 +177,19 @@ impl SealedBy {
     }
 }
 
-impl Chain {
-    /// Who seals this chain, as the node reports it: the caller has to trust that node.
-    pub async fn sealed_by(&self) -> Result<SealedBy, ChainError> {
-        let sealing = self.sealing().await?;
-        let (client, consensus) = (&self.inner.client, self.inner.consensus);
-        Ok(SealedBy::of(client, consensus, sealing.sealers.len(), sealing.difficulty.as_deref()))
-    }
-}
+// When the next block is due, measured on the newest ones. A chain that seals only transactions owes none.
 
-// By when a chain owes its next block, measured on its newest ones. A chain that seals only what somebody sends owes
-// nothing, however old its head is.
-
-/// Blocks that are measured, and after how many new ones it is time to measure again.
+/// Blocks that are measured, and new ones before measuring again.
 pub const MEASURED: u64 = 16;
-/// The fewest pauses from which a mean is taken.
+/// Fewest pauses for a mean.
 const LEAST: usize = 8;
-/// Under proof of work a pause longer than so many mean ones comes once in 22,000 blocks (e^-10).
+/// Under proof of work, a pause of ten means comes once in 22,000 blocks (e^-10).
 const LUCK: u32 = 10;
 /// Under proof of stake a proposer may miss its turn.
 const MISSED: u32 = 2;
 
-impl Chain {
-    /// How long after a block the next one is due; `None` if nothing is due, or if the newest blocks do not show it.
-    pub async fn due_within(&self) -> Result<Option<Duration>, ChainError> {
-        // Where one program is the whole chain, its answer is the chain's word: there is nobody to be cut off from.
-        let is_alone = self.transport().embedded().is_some() || self.inner.client.starts_with("AuthROS/");
-        if is_alone || self.inner.consensus == "dev" {
-            return Ok(None);
-        }
-        let head = self.head().await?.number;
-        let mut sealed = Vec::new();
-        // The genesis block's time is anybody's choice.
-        for number in head.saturating_sub(MEASURED).max(1)..=head {
-            let Some(block) = self.raw_block(number).await? else { return Ok(None) };
-            sealed.push((block.timestamp.as_u64(), block.gas_used.is_none_or(|gas| gas.is_zero())));
-        }
-        Ok(due(self.inner.consensus, &sealed))
-    }
-}
-
-/// By the times of successive blocks, seconds, and whether each is empty. Only what came before an empty block shows how
-/// long a chain waits although nobody sends anything; proof of work does not wait for transactions at all.
+/// Takes block times, seconds, and whether each is empty. Only the pause before an empty block shows how long a chain
+/// waits without transactions; proof of work does not wait for them.
 fn due(consensus: &str, sealed: &[(u64, bool)]) -> Option<Duration> {
     let pauses = sealed.iter().zip(sealed.iter().skip(1));
     let pauses = pauses.map(|((before, _), (time, empty))| (Duration::from_secs(time.saturating_sub(*before)), *empty));

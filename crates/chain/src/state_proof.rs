@@ -2,28 +2,22 @@
 
 use serde_json::{Value, json};
 
-use crate::model::bytes::unhex;
-use crate::model::{Address, Hash};
-use crate::transaction::List;
-use crate::{Chain, ChainError};
+use crate::model::{Address, Hash, bytes::unhex};
+use crate::{Chain, ChainError, transaction::List};
 use authros_evidence::{BlockHeader, Slot};
 
-/// The most slots requested at once; nodes limit it.
+/// Slots per request; nodes limit it.
 const MOST_SLOTS: usize = 32;
-/// A generous limit for a trie node, bytes: a branch of sixteen hashes, or a leaf.
+/// Bytes, generous: a branch of sixteen hashes, or a leaf.
 const LONGEST_NODE: usize = 1024;
 
-/// A header's fields in order, by their names in JSON, numbers after a `#`. Those of later forks come last, and if one is
-/// missing so are all after it.
+/// Header fields in order, numbers after `#`. Those of later forks come last; if one is missing, so are all after it.
 const FIELDS: &str = "parentHash sha3Uncles miner stateRoot transactionsRoot receiptsRoot logsBloom #difficulty #number \
     #gasLimit #gasUsed #timestamp extraData mixHash nonce #baseFeePerGas withdrawalsRoot #blobGasUsed #excessBlobGas \
     parentBeaconBlockRoot requestsHash";
 
 impl Chain {
-    /// A block's header, RLP, exactly as hashed; `None` if there is no such block.
-    ///
-    /// # Errors
-    /// Errors of the node, or if its fields do not give its hash.
+    /// RLP, exactly as hashed.
     pub async fn header_rlp(&self, number: u64) -> Result<Option<Vec<u8>>, ChainError> {
         let block: Value = self.rpc("eth_getBlockByNumber", json!([format!("{number:#x}"), false])).await?;
         if block.is_null() {
@@ -33,11 +27,7 @@ impl Chain {
         header_of(&block).map(Some).ok_or_else(wrong)
     }
 
-    /// The nodes that prove slots of the contract's storage after a block (EIP-1186). The caller must check what they
-    /// prove.
-    ///
-    /// # Errors
-    /// Errors of the node: most keep the state of the newest blocks only.
+    /// Proof nodes of storage slots after a block (EIP-1186), unchecked.
     pub async fn storage_nodes(&self, number: u64, slots: &[Slot]) -> Result<Vec<Vec<u8>>, ChainError> {
         let contract = self.contract()?.to_string();
         let mut nodes = Vec::new();
@@ -58,14 +48,14 @@ impl Chain {
     }
 }
 
-/// The header of a block as a node shows it, RLP; `None` if its fields do not give its hash, as its consensus makes it.
+/// `None` if the fields do not give the hash.
 fn header_of(block: &Value) -> Option<Vec<u8>> {
     let named: Hash = block.get("hash")?.as_str()?.parse().ok()?;
     let of_hash = |header: &Vec<u8>| BlockHeader::parse(header).is_some_and(|parsed| parsed.hash == named);
     encode(block).filter(of_hash).or_else(|| encode(&without_miner(block)?).filter(of_hash))
 }
 
-/// Some versions of geth (1.10.6 to 1.10.8) show a Clique block's signer as its miner. What was hashed is no account.
+/// geth 1.10.6 to 1.10.8 shows a Clique block's signer as its miner; the hashed header has no account there.
 fn without_miner(block: &Value) -> Option<Value> {
     let mut block = block.clone();
     *block.get_mut("miner")? = json!(Address([0; 20]).to_string());

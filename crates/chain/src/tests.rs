@@ -73,8 +73,8 @@ async fn from_deployment_to_a_query() {
     assert_eq!((state.epoch, state.count, state.keys, state.suspended), (1, 1, 1, false));
     let Call::DataUpload { digest, token, .. } = upload(5, 1) else { unreachable!() };
     assert_eq!((state.last, state.token), (Some(digest), token));
-    assert_eq!(chain.anchored(owner, digest).await, Ok(true));
-    assert_eq!(chain.anchored(owner, Digest([9; 32])).await, Ok(false));
+    assert!(chain.uploaded_at(owner, digest).await.expect("an answer").is_some());
+    assert_eq!(chain.uploaded_at(owner, Digest([9; 32])).await, Ok(None));
     assert_eq!(chain.account(Address([9; 20])).await, Ok(None));
     let answer = chain.data_query(owner, token, owner).await.expect("answers");
     assert_eq!(answer, QueryAnswer { authorised: true, epoch: 1, count: 1, last: digest });
@@ -104,7 +104,7 @@ async fn refusals_come_with_their_reason() {
         envelope: vec![1],
     };
     let error = chain.simulate(eoa.address(), &grant).await.expect_err("refused");
-    assert_eq!((error.kind(), error.revert_code()), (ErrorKind::Refused, Some("grantee")));
+    assert_eq!((error.kind(), &error), (ErrorKind::Refused, &ChainError::Reverted { code: "grantee".to_owned() }));
     assert!(error.to_string().contains("ask them to run `authros register`"), "{error}");
     assert_eq!(chain.sign(&eoa, 9, &grant).await, Err(error));
     assert_eq!(chain.simulate(eoa.address(), &upload(1, 1)).await, Ok(()));

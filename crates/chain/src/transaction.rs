@@ -1,7 +1,6 @@
 //! RLP, and transactions: one legacy (EIP-155) transaction per call, signed, encoded, decoded, sent.
 
-use std::ops::Deref;
-use std::sync::PoisonError;
+use std::{ops::Deref, sync::PoisonError};
 
 use alloy_primitives::{B256, Bytes, Signature, TxKind, U256, keccak256};
 use alloy_rlp::{Decodable, Encodable, Error};
@@ -10,31 +9,24 @@ use k256::ecdsa::SigningKey;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use crate::crypto::EoaSecret;
-use crate::error::explain;
-use crate::model::bytes::hex;
-use crate::model::{Address, Hash};
+use crate::model::{Address, Hash, bytes::hex};
 use crate::reader::{RawLog, reason};
-use crate::{Call, Chain, ChainError, Receipt, SignedTransaction, fees};
+use crate::{Call, Chain, ChainError, Receipt, SignedTransaction, crypto::EoaSecret, error::explain, fees};
 
-/// An RLP list that is being written.
 #[derive(Default)]
 pub struct List(Vec<u8>);
 
 impl List {
-    /// With one more item.
     pub fn add(mut self, item: &(impl Encodable + ?Sized)) -> Self {
         item.encode(&mut self.0);
         self
     }
 
-    /// With one more item, which is RLP already.
     pub fn add_encoded(mut self, item: &[u8]) -> Self {
         self.0.extend_from_slice(item);
         self
     }
 
-    /// The list with its length.
     pub fn end(self) -> Vec<u8> {
         let mut out = Vec::with_capacity(self.0.len() + 4);
         alloy_rlp::Header { list: true, payload_length: self.0.len() }.encode(&mut out);
@@ -43,11 +35,10 @@ impl List {
     }
 }
 
-/// The items of an RLP list that are still to be read.
 pub struct Items<'a>(&'a [u8]);
 
 impl<'a> Items<'a> {
-    /// Those of the list that these bytes are, and nothing else.
+    /// The bytes must be exactly one list.
     pub fn of(mut bytes: &'a [u8]) -> alloy_rlp::Result<Self> {
         let items = alloy_rlp::Header::decode_bytes(&mut bytes, true)?;
         if bytes.is_empty() { Ok(Self(items)) } else { Err(Error::UnexpectedLength) }
@@ -57,67 +48,56 @@ impl<'a> Items<'a> {
         T::decode(&mut self.0)
     }
 
-    /// An address, or nothing in its place.
     pub fn address(&mut self) -> alloy_rlp::Result<Option<Address>> {
         Ok(self.next::<TxKind>()?.into_to().map(|address| Address(address.into_array())))
     }
 
-    /// Checks that there are no more.
     pub fn end(self) -> alloy_rlp::Result<()> {
         if self.0.is_empty() { Ok(()) } else { Err(Error::ListLengthMismatch { expected: 0, got: self.0.len() }) }
     }
 }
 
-/// An address in RLP's form of nothing, if there is none.
+/// The empty string if there is none.
 pub fn optional(address: Option<&Address>) -> &[u8] {
     address.map_or(&[], Address::as_bytes)
 }
 
-/// The account whose key signed `hash`; of the two signatures that a key can give, only the lower counts (EIP-2).
+/// Only the lower of a key's two signatures counts (EIP-2).
 pub fn signer(signature: &Signature, hash: B256) -> Option<Address> {
     let canonical = signature.normalize_s().is_none();
     let address = signature.recover_address_from_prehash(&hash).ok().filter(|_| canonical);
     address.map(|address| Address(address.into_array()))
 }
 
-/// The address of the contract that `sender` creates with `nonce`.
 pub fn created_address(sender: Address, nonce: u64) -> Address {
     Address(alloy_primitives::Address::from(sender.0).create(nonce).into_array())
 }
 
-/// The largest raw transaction accepted, bytes, as in geth.
+/// Bytes of a raw transaction, as in geth.
 pub const LARGEST: usize = 128 * 1024;
-/// The recovery value of EIP-155 is the parity plus this and twice the chain id.
+/// EIP-155: the recovery value is the parity plus this and twice the chain id.
 const REPLAY_PROTECTED: u64 = 35;
 
-/// What a transaction does and may cost.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Unsigned {
     pub nonce: u64,
     pub gas_price: u128,
-    /// The most gas it may use.
     pub gas_limit: u64,
-    /// The account it calls; `None` creates a contract.
+    /// `None` creates a contract.
     pub to: Option<Address>,
     pub value: U256,
-    /// Call data or creation code.
     pub input: Vec<u8>,
 }
 
-/// A transaction that somebody signed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Transaction {
-    /// Keccak-256 of the raw bytes.
     pub hash: Hash,
     pub sender: Address,
     pub unsigned: Unsigned,
     /// Recovery value with the chain id (EIP-155).
     pub v: u64,
-    /// First half of the signature.
     pub r: U256,
-    /// Second half of the signature.
     pub s: U256,
-    /// Its raw bytes.
     pub raw: Vec<u8>,
 }
 
@@ -128,6 +108,9 @@ impl Deref for Transaction {
         &self.unsigned
     }
 }
+
+/// What signing gives.
+pub type Signed = Result<SignedTransaction, ChainError>;
 
 impl Unsigned {
     fn encode(&self, v: u128, r: U256, s: U256) -> Vec<u8> {
@@ -140,8 +123,7 @@ impl Unsigned {
         keccak256(self.encode(chain_id.into(), U256::ZERO, U256::ZERO))
     }
 
-    /// Signs it for a chain.
-    pub fn sign(self, eoa: &EoaSecret, chain_id: u64) -> Result<SignedTransaction, ChainError> {
+    pub fn sign(self, eoa: &EoaSecret, chain_id: u64) -> Signed {
         let key = SigningKey::from_slice(eoa.expose());
         let signed = key.and_then(|key| key.sign_prehash_recoverable(&self.signing_hash(chain_id)[..]));
         let (signature, parity) = signed.map_err(|error| ChainError::Internal(format!("signing: {error}")))?;
@@ -152,21 +134,20 @@ impl Unsigned {
         Ok(SignedTransaction { hash: Hash(keccak256(&raw).0), nonce, raw, gas_limit, gas_price })
     }
 
-    /// Gas charged before the first instruction (Istanbul, EIP-2028).
+    /// Charged before the first instruction (Istanbul, EIP-2028).
     pub fn intrinsic_gas(&self) -> u64 {
         let data: u64 = self.input.iter().map(|byte| if *byte == 0 { 4 } else { 16 }).sum();
         data + if self.to.is_some() { 21_000 } else { 53_000 }
     }
 
-    /// The most that it can cost its sender, wei.
+    /// Wei, at most.
     pub fn cost(&self) -> U256 {
         U256::from(self.gas_price).saturating_mul(U256::from(self.gas_limit)).saturating_add(self.value)
     }
 }
 
 impl Transaction {
-    /// Decodes `raw` and recovers its sender. Refusals are worded as in geth, so that one table of messages fits every
-    /// node.
+    /// Recovers the sender. Refusals are worded as in geth, so that one table of messages fits every node.
     pub fn decode(raw: &[u8], chain_id: u64) -> Result<Self, String> {
         if raw.len() > LARGEST {
             return Err(format!("oversized data: transaction size {}, limit {LARGEST}", raw.len()));
@@ -188,17 +169,12 @@ impl Transaction {
         Ok(Self { sender, ..transaction })
     }
 
-    /// The fields of `raw`, without its sender.
+    /// Leaves out the sender.
     pub fn parse(raw: &[u8]) -> alloy_rlp::Result<Self> {
         let mut items = Items::of(raw)?;
-        let unsigned = Unsigned {
-            nonce: items.next()?,
-            gas_price: items.next()?,
-            gas_limit: items.next()?,
-            to: items.address()?,
-            value: items.next()?,
-            input: items.next::<Bytes>()?.to_vec(),
-        };
+        let (nonce, gas_price, gas_limit) = (items.next()?, items.next()?, items.next()?);
+        let (to, value, input) = (items.address()?, items.next()?, items.next::<Bytes>()?.to_vec());
+        let unsigned = Unsigned { nonce, gas_price, gas_limit, to, value, input };
         let (v, r, s) = (items.next()?, items.next()?, items.next()?);
         items.end()?;
         let (hash, sender) = (Hash(keccak256(raw).0), Address([0; 20]));
@@ -209,25 +185,14 @@ impl Transaction {
 // Sending, and results.
 
 impl Chain {
-    /// Signs a call as a legacy transaction. Nothing is sent.
-    ///
-    /// Gas is estimated and held against what the call is known to cost; for uploads and anchors once per account, then
-    /// remembered until a transaction fails, so that many can be signed in advance.
-    ///
-    /// # Errors
-    /// [`ChainError::Reverted`] if the contract would refuse the call, [`ChainError::Input`], or an error of the node.
-    pub async fn sign(&self, eoa: &EoaSecret, nonce: u64, call: &Call) -> Result<SignedTransaction, ChainError> {
+    /// Signs a legacy transaction, unsent. Estimates of uploads and anchors are remembered per account until a
+    /// transaction fails, so that many can be signed in advance.
+    pub async fn sign(&self, eoa: &EoaSecret, nonce: u64, call: &Call) -> Signed {
         let price = self.market().await?.offer();
         self.sign_at(eoa, nonce, call, price).await
     }
 
-    pub(super) async fn gas_for(
-        &self,
-        from: Address,
-        to: Address,
-        call: &Call,
-        data: &[u8],
-    ) -> Result<u64, ChainError> {
+    pub(super) async fn gas(&self, from: Address, to: Address, call: &Call, data: &[u8]) -> Result<u64, ChainError> {
         let key = (from, call.name());
         let remembered = self.inner.gas.lock().unwrap_or_else(PoisonError::into_inner).get(&key).copied();
         let estimate = match remembered {
@@ -240,12 +205,6 @@ impl Chain {
         fees::limit(estimate, fees::known_cost(call.name(), data), self.room())
     }
 
-    /// Notes how much gas the newest block may hold.
-    pub(super) fn note_room(&self, room: Option<u64>) {
-        *self.inner.block_room.lock().unwrap_or_else(PoisonError::into_inner) = room;
-    }
-
-    /// How much gas a block may hold, as far as the node has said.
     pub(super) fn room(&self) -> Option<u64> {
         *self.inner.block_room.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -258,9 +217,9 @@ impl Chain {
         match self.rpc::<U64>("eth_estimateGas", json!([message])).await {
             Ok(gas) => Ok(gas.as_u64()),
             Err(error @ ChainError::Rejected { .. }) => {
-                // Old nodes say only that it always fails: simulating the call gives the reason.
+                // Old nodes only say that it fails: simulating the call gives the reason.
                 match to {
-                    Some(to) => self.eth_call(from, to, data, "latest").await.and(Err(error)),
+                    Some(to) => self.call(from, to, data, "latest").await.and(Err(error)),
                     None => Err(error),
                 }
             }
@@ -272,13 +231,12 @@ impl Chain {
         self.inner.gas.lock().unwrap_or_else(PoisonError::into_inner).clear();
     }
 
-    /// Sends signed bytes.
     pub async fn broadcast(&self, raw: &[u8]) -> Result<Hash, ChainError> {
         let sent = self.rpc::<String>("eth_sendRawTransaction", json!([format!("0x{}", hex(raw))])).await;
         let wrong = |_| self.misunderstood("eth_sendRawTransaction", "it is not a transaction hash");
         match sent {
             Ok(hash) => hash.parse().map_err(wrong),
-            // A node that runs a transaction at once (ganache) reports its failure here; it is mined nevertheless.
+            // ganache runs it immediately and reports its failure here; it is mined nevertheless.
             Err(ChainError::Reverted { code }) => match self.receipt(Hash(keccak256(raw).0)).await? {
                 Some(_) => Ok(Hash(keccak256(raw).0)),
                 None => Err(ChainError::Reverted { code }),
@@ -287,7 +245,7 @@ impl Chain {
         }
     }
 
-    /// The result of a transaction; `None` until it is mined.
+    /// `None` until it is mined.
     pub async fn receipt(&self, hash: Hash) -> Result<Option<Receipt>, ChainError> {
         let Some((raw, value)) = self.raw_receipt(hash).await? else { return Ok(None) };
         let success = raw.status.is_none_or(|status| !status.is_zero());

@@ -1,14 +1,11 @@
-//! One JSON-RPC client for every kind of chain: embedded, http, https, ws, wss, ipc, relayed. Every answer has a time limit
-//! and a largest size, and no error shows a path or a password.
+//! One JSON-RPC client for every kind of chain. Every answer has a time limit and a largest size, and no error shows a
+//! path or a password.
 
 mod socket;
 #[cfg(test)]
 mod tests;
 
-use std::error::Error;
-use std::fmt;
-use std::path::Path;
-use std::time::Duration;
+use std::{error::Error, fmt, path::Path, time::Duration};
 
 use serde::de::{DeserializeOwned, IgnoredAny};
 use serde::{Deserialize, Serialize};
@@ -16,33 +13,25 @@ use serde_json::Value;
 use tokio::sync::Semaphore;
 
 use self::socket::{Address, Http, Kept, Local, Place, Server, WebSocket};
-use crate::embedded::{Embedded, Fault};
-use crate::model::clean;
-use crate::relay::RelayLine;
-use crate::{ChainError, Endpoint};
+use crate::{ChainError, Endpoint, embedded::Embedded, model::clean, relay::RelayLine};
 
-/// The most requests to a node at a time; further ones wait.
+/// Requests to a node at a time; further ones wait.
 const TOGETHER: usize = 8;
-/// The most of those with a wide answer.
+/// Of these, requests with a wide answer.
 const WIDE_TOGETHER: usize = 2;
-/// How long a connection is kept that nothing is asked over: shorter than servers keep theirs, so that no request is sent
-/// into one that is just being closed.
+/// Shorter than servers keep connections, so that no request goes into a closing one.
 const IDLE: Duration = Duration::from_secs(4);
-/// How long connecting may take, to all addresses of a name together.
+/// For all addresses of a name together.
 const CONNECTING: Duration = Duration::from_secs(4);
-/// Bytes of a megabyte, as people are told of it.
 const MIB: usize = 1 << 20;
 
-/// What a request may cost.
 #[derive(Debug, Clone, Copy)]
 struct Limits {
-    /// The most bytes of its answer.
     bytes: usize,
-    /// How long it may take in all.
     patience: Duration,
 }
 
-/// Most answers are a number or one block.
+/// A number, or one block.
 const USUAL: Limits = Limits { bytes: 4 * MIB, patience: Duration::from_secs(5) };
 /// All logs of many blocks, or all receipts of one.
 const WIDE: Limits = Limits { bytes: 64 * MIB, patience: Duration::from_secs(20) };
@@ -52,17 +41,16 @@ impl Limits {
         if matches!(method, "eth_getLogs" | "eth_getBlockReceipts") { WIDE } else { USUAL }
     }
 
-    /// Whether such an answer takes so much memory that there are only a few of them at a time.
+    /// Such an answer takes so much memory that only a few run at a time.
     fn is_wide(&self) -> bool {
         self.bytes > USUAL.bytes
     }
 }
 
-/// A connection to a chain.
 pub struct Transport {
     line: Line,
     url: String,
-    /// Each request to a node needs a connection to itself, and a node has only so many.
+    /// Each request to a node needs a connection of its own, and a node has only so many.
     places: Semaphore,
     wide_places: Semaphore,
 }
@@ -76,43 +64,33 @@ enum Line {
     Absent(ChainError),
 }
 
-/// Why a request failed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum TransportError {
-    /// The node answered with an error.
     #[error("{0}")]
     Answered(JsonRpcError),
-    /// Its answer is not JSON-RPC, or not of the expected shape.
+    /// Not JSON-RPC, or not of the expected shape.
     #[error("{0}")]
     Malformed(String),
     /// The embedded chain cannot continue.
     #[error("{0}")]
-    Chain(ChainError),
+    Chain(#[from] ChainError),
     #[error("{0}")]
     Broken(String),
-    /// No answer came in time.
     #[error("no answer within {} s", .0.as_secs())]
     Slow(Duration),
-    /// The answer has more than this many bytes.
     #[error("an answer of more than {} MiB", .0 / MIB)]
     TooLong(usize),
-    /// The node, or what stands before it, cannot be used with the present settings; the reason is a predicate
-    /// of the node.
+    /// Unusable with the present settings; the reason is a predicate of the node.
     #[error("the node {reason}")]
     Unusable { reason: String, advice: String },
 }
 
-impl From<Fault> for TransportError {
-    fn from(fault: Fault) -> Self {
-        match fault.cause {
-            Some(cause) => Self::Chain(*cause),
-            None => Self::Answered(JsonRpcError { code: fault.code, message: fault.message, data: fault.data }),
-        }
-    }
+/// A refusal by the embedded chain.
+pub fn refused(code: i64, message: impl Into<String>) -> TransportError {
+    TransportError::Answered(JsonRpcError { code, message: message.into(), data: None })
 }
 
 impl TransportError {
-    /// What it means for who asked the node at `url` for `method`.
     pub fn explained(self, url: &str, method: &str) -> ChainError {
         let unreachable = |reason: String, advice: &str| ChainError::Unreachable {
             url: url.to_owned(),
@@ -143,7 +121,7 @@ impl Transport {
         Self { line, url, places, wide_places }
     }
 
-    /// Opens the embedded chain, or prepares the connection to a node; the first request opens it.
+    /// The first request opens the connection to a node.
     pub async fn open(endpoint: &Endpoint) -> Result<Self, ChainError> {
         match endpoint {
             Endpoint::Embedded { directory, consensus } => {
@@ -159,28 +137,30 @@ impl Transport {
         let address = Address::parse(url, roots)?;
         let line = match address.place {
             Place::Http(server) => Line::Http(Http::new(server)?),
-            Place::WebSocket(server) => Line::WebSocket(Kept::new(WebSocket::opener(server))),
-            Place::Local(path) => Line::Local(Kept::new(Local::opener(path))),
+            Place::WebSocket(server) => Line::WebSocket(Kept::new(server)),
+            Place::Local(path) => Line::Local(Kept::new(path)),
         };
         Ok(Self::new(line, address.shown))
     }
 
-    /// A line to no chain; every request fails with this error.
+    /// Every request fails with this error.
     pub fn absent(error: ChainError) -> Self {
         Self::new(Line::Absent(error), "nowhere".to_owned())
     }
 
-    /// Where it leads, without credentials and path.
+    /// Without credentials and path.
     pub fn url(&self) -> &str {
         &self.url
     }
 
-    /// Whether requests go through a relay.
-    pub fn is_relayed(&self) -> bool {
-        matches!(self.line, Line::Relay(_))
+    pub fn kind(&self) -> &'static str {
+        match self.line {
+            Line::Relay(_) => "relay",
+            Line::Embedded(_) => "embedded",
+            _ => "node",
+        }
     }
 
-    /// The embedded chain behind it.
     pub fn embedded(&self) -> Option<&Embedded> {
         if let Line::Embedded(embedded) = &self.line { Some(embedded) } else { None }
     }
@@ -189,7 +169,7 @@ impl Transport {
         self.request_within(method, parameters, Limits::of(method)).await
     }
 
-    /// Makes one request whose answer is passed on as it is: as a tree of values it takes many times its bytes.
+    /// Bounded more tightly, since a tree of values takes many times its bytes.
     pub async fn request_for_another(&self, method: &str, parameters: Value) -> Result<Value, TransportError> {
         let limits = Limits { bytes: USUAL.bytes, ..Limits::of(method) };
         self.request_within(method, parameters, limits).await
@@ -217,44 +197,36 @@ impl Transport {
         answered.unwrap_or(Err(TransportError::Slow(limits.patience)))
     }
 
-    async fn ask<R: DeserializeOwned>(
-        &self,
-        method: &str,
-        parameters: Value,
-        limits: Limits,
-    ) -> Result<R, TransportError> {
+    async fn ask<R: DeserializeOwned>(&self, method: &str, params: Value, limits: Limits) -> Result<R, TransportError> {
         match &self.line {
-            Line::Embedded(embedded) => shaped(embedded.request(method, parameters).await?),
-            Line::Relay(relay) => shaped(relay.0.ask(method, parameters).await?),
+            Line::Embedded(embedded) => shaped(embedded.request(method, params).await?),
+            Line::Relay(relay) => shaped(relay.0.ask(method, params).await?),
             Line::Absent(error) => Err(TransportError::Chain(error.clone())),
-            Line::Http(http) => http.ask(request(method, &parameters), limits).await,
-            Line::WebSocket(kept) => read(&kept.ask(&request(method, &parameters), limits).await?),
-            Line::Local(kept) => read(&kept.ask(&request(method, &parameters), limits).await?),
+            Line::Http(http) => http.ask(request(method, &params), limits).await,
+            Line::WebSocket(kept) => read(&kept.ask(&request(method, &params), limits).await?),
+            Line::Local(kept) => read(&kept.ask(&request(method, &params), limits).await?),
         }
     }
 }
 
-/// Without what its parts hold: credentials among them.
+/// Hides credentials.
 impl fmt::Debug for Transport {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         formatter.debug_struct("Transport").field("url", &self.url).finish_non_exhaustive()
     }
 }
 
-// A request, and what an answer to it says.
-
-/// The longest answer that is an error, bytes; the largest known one has the data of a revert.
+/// Longest error, bytes; the largest known one has the data of a revert.
 const LONGEST_ERROR: usize = MIB;
 
-/// An error that a node answers with.
 #[derive(Debug, Clone, PartialEq, Deserialize, thiserror::Error)]
 #[error("{message} (code {code})")]
 pub struct JsonRpcError {
-    /// JSON-RPC's code; nodes do not agree on them.
+    /// Nodes do not agree on codes.
     pub code: i64,
     #[serde(default)]
     pub message: String,
-    /// More: revert data, in whatever shape this node likes.
+    /// Revert data, in the shape that this node likes.
     #[serde(default)]
     pub data: Option<Value>,
 }
@@ -262,22 +234,23 @@ pub struct JsonRpcError {
 #[derive(Serialize)]
 struct Request<'a> {
     jsonrpc: &'static str,
-    /// Over one connection there is one request at a time.
+    /// A connection has one request at a time.
     id: u64,
     method: &'a str,
     params: &'a Value,
 }
 
-/// The text of a request.
 fn request(method: &str, params: &Value) -> String {
     serde_json::to_string(&Request { jsonrpc: "2.0", id: 1, method, params }).unwrap_or_default()
 }
 
-/// Whether it is an error, without building what is in it.
+/// Skips the content.
 #[derive(Deserialize)]
 struct Kind {
     #[serde(default)]
     error: Option<IgnoredAny>,
+    #[serde(default)]
+    result: Option<IgnoredAny>,
 }
 
 #[derive(Deserialize)]
@@ -292,7 +265,7 @@ struct Succeeded<R> {
     result: R,
 }
 
-/// The result in an answer, read as what was asked for: what is not that is never built.
+/// Never builds what was not asked for.
 fn read<R: DeserializeOwned>(bytes: &[u8]) -> Result<R, TransportError> {
     let malformed = |error: serde_json::Error| TransportError::Malformed(error.to_string());
     let kind: Kind = serde_json::from_slice(bytes).map_err(malformed)?;
@@ -306,38 +279,28 @@ fn read<R: DeserializeOwned>(bytes: &[u8]) -> Result<R, TransportError> {
     Err(TransportError::Answered(failed.error))
 }
 
-/// Whether these bytes are an answer of JSON-RPC, whatever it says.
+/// Any answer of JSON-RPC.
 fn is_one(bytes: &[u8]) -> bool {
-    #[derive(Deserialize)]
-    struct Either {
-        #[serde(default)]
-        error: Option<IgnoredAny>,
-        #[serde(default)]
-        result: Option<IgnoredAny>,
-    }
-    serde_json::from_slice(bytes).is_ok_and(|answer: Either| answer.error.is_some() || answer.result.is_some())
+    serde_json::from_slice(bytes).is_ok_and(|answer: Kind| answer.error.is_some() || answer.result.is_some())
 }
 
-/// A value in the shape that was asked for.
 fn shaped<R: DeserializeOwned>(value: Value) -> Result<R, TransportError> {
     serde_json::from_value(value).map_err(|error| TransportError::Malformed(error.to_string()))
 }
 
 // Plain words for a server that refuses before its node gets to see the request.
 
-/// The setting that names authorities.
 const ROOTS: &str = "`chain.roots`";
 
-/// An answer of HTTP that is none of JSON-RPC.
+/// An HTTP answer that is not JSON-RPC.
 struct Refused<'a> {
     pub status: u16,
     pub location: Option<&'a str>,
-    /// The beginning of its text.
+    /// Its beginning.
     pub page: &'a [u8],
 }
 
 impl Refused<'_> {
-    /// What it means, and what to do.
     fn words(&self, server: &Server) -> TransportError {
         let (what, advice) = match self.status {
             401 if server.credentials.is_some() => (
@@ -382,7 +345,6 @@ impl Refused<'_> {
     }
 }
 
-/// A connection that broke: by TLS, or by something else.
 fn broken(error: &(dyn Error + 'static)) -> TransportError {
     match authros_tls::tls_fault(error, ROOTS) {
         Some(fault) => TransportError::Unusable { reason: fault.reason, advice: fault.advice },

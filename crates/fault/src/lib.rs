@@ -1,58 +1,28 @@
-//! Switches with a single purpose: to prove that the product notices faults and survives them.
+//! Fault injection, to prove that the product notices faults and survives them.
 //!
-//! They work only in the program `authros-faulty`, which calls [`arm`]: there `AUTHROS_FAULT` names a check to switch off,
-//! and `AUTHROS_FAIL_POINT` a place where the process ends as if killed, or where a task panics. In every other program
-//! each check is always on and a fail point does nothing, and a release build has none of them.
+//! Only `authros-faulty`, which calls [`arm`], heeds the variables: `AUTHROS_FAULT` switches off a check,
+//! `AUTHROS_FAIL_POINT` ends the process or a task at a place. A release build contains none of this.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
 static ARMED: AtomicBool = AtomicBool::new(false);
 
-/// Lets this process heed the variables, unless it is a release build.
+/// Lets this process heed the variables; no effect in a release build.
 pub fn arm() {
     ARMED.store(true, Ordering::Release);
 }
 
-/// Known to be false when a release is compiled, so that nothing of what it guards is in there.
+/// Constantly false in a release build, so the compiler drops what it guards.
 fn is_armed() -> bool {
     cfg!(debug_assertions) && ARMED.load(Ordering::Acquire)
 }
-
-/// The checks that can be named.
-pub const CHECKS: [&str; 9] =
-    ["digest", "signature", "commit", "tag", "anchor", "proof", "revoke", "restore", "authorise"];
-
-/// The places in a record's life that can be named, in order: at each transition before it, between its parts, and
-/// after it.
-pub const POINTS: [&str; 19] = [
-    "sealed",
-    "appended",
-    "commit-begun",
-    "committed",
-    "batch-due",
-    "batch-closed",
-    "signed",
-    "signed-kept",
-    "handed-in",
-    "events-read",
-    "mined",
-    "directory-kept",
-    "walked",
-    "confirmed",
-    "read-back",
-    "checked",
-    "verified",
-    "block-due",
-    "block-sealed",
-];
 
 /// Whether the check is switched off by `AUTHROS_FAULT`.
 pub fn is_off(check: &str) -> bool {
     is_armed() && std::env::var("AUTHROS_FAULT").is_ok_and(|name| name == check)
 }
 
-/// Ends the process without any cleanup if `AUTHROS_FAIL_POINT` is `PLACE[:N]`, the N-th time it is reached, panics
-/// once with `panic:PLACE[:N]`, or stands still there for ten minutes with `stall:PLACE[:N]`.
+/// With `AUTHROS_FAIL_POINT` = `[panic:|stall:]PLACE[:N]`, aborts, panics or sleeps ten minutes the N-th time at PLACE.
 pub fn point(place: &str) {
     if !is_armed() {
         return;
@@ -62,8 +32,8 @@ pub fn point(place: &str) {
     }
 }
 
-/// Panics half a second after a task began if `AUTHROS_FAIL_TASK` is `TASK[:N]` or `all[:N]`, in each of its first N
-/// runs; else it never ends.
+/// With `AUTHROS_FAIL_TASK` = `TASK[:N]` or `all[:N]`, panics after half a second in each of the first N runs; else
+/// never ends.
 pub async fn task_fails(task: &str) {
     if is_armed() && planned::task_is_due(task) {
         tokio::time::sleep(std::time::Duration::from_millis(500)).await;
@@ -77,7 +47,6 @@ mod planned {
     use std::sync::atomic::{AtomicU64, Ordering};
     use std::sync::{LazyLock, Mutex, PoisonError};
 
-    /// What happens at a place.
     #[derive(Clone, Copy, PartialEq, Eq)]
     pub enum How {
         End,

@@ -12,7 +12,6 @@ const WIDEST: usize = 2000;
 /// The longest cell that widens its column, characters: a fingerprint with a word beside it.
 const WIDEST_CELL: usize = 80;
 
-/// The format of messages beside the result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Log {
     #[default]
@@ -40,12 +39,10 @@ impl Output {
         Self { json, log: Log::Text }
     }
 
-    /// The same with another format for messages.
     pub fn logging(self, log: Log) -> Self {
         Self { log, ..self }
     }
 
-    /// The format for messages.
     pub fn log(self) -> Log {
         self.log
     }
@@ -58,23 +55,22 @@ impl Output {
             (false, Log::Json) => log_line(Timestamp::now(), NoticeLevel::Info, PROGRAM, &text()),
         };
         let mut stdout = std::io::stdout().lock();
-        // A reader that has gone wants no more.
+        // A closed stdout is no error.
         drop(writeln!(stdout, "{line}").and_then(|()| stdout.flush()));
     }
 
-    /// A file of our own making, unchanged.
+    /// Writes text as it is, without sanitising it.
     pub fn raw(self, text: &str) {
         let mut stdout = std::io::stdout().lock();
-        // A reader that has gone wants no more.
+        // A closed stdout is no error.
         drop(stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()));
     }
 
-    /// A message beside the result, for people.
     pub fn note(self, text: &str) {
         self.beside(NoticeLevel::Info, text);
     }
 
-    /// An event reported by a site at a given time; `about` is its subject, if it has one.
+    /// An event of a site at a given time; `about` is its subject.
     pub fn notice(self, at: Timestamp, level: NoticeLevel, about: Option<&str>, text: &str) {
         match self.log {
             Log::Text => self.note(&format!("{at} {text}")),
@@ -101,7 +97,7 @@ impl Output {
     }
 }
 
-/// The source of the process's own messages, and of those of its site that have no subject.
+/// Sources of the process's own messages, and of site events without a subject.
 const PROGRAM: &str = "authros";
 const SITE: &str = "site";
 
@@ -109,7 +105,7 @@ fn to_stderr(line: &str) {
     drop(writeln!(std::io::stderr().lock(), "{line}"));
 }
 
-/// One JSON object on one line, without anything that terminals interpret.
+/// One JSON object on one line, without control characters.
 pub fn log_line(at: Timestamp, level: NoticeLevel, source: &str, text: &str) -> String {
     let line = Line {
         time: at.in_milliseconds(),
@@ -120,8 +116,7 @@ pub fn log_line(at: Timestamp, level: NoticeLevel, source: &str, text: &str) -> 
     spelt_out(&serde_json::to_string(&line).unwrap_or_default()).into_owned()
 }
 
-/// Columns of text, each as wide as its widest cell of at most [`WIDEST_CELL`] characters: a longer one moves what follows
-/// in its own line, and in no other. A cell stays on its line, whatever is in it.
+/// Aligned columns. A cell longer than [`WIDEST_CELL`] shifts only its own line, and no cell breaks a line.
 pub fn table<R: AsRef<[String]>>(head: &[&str], rows: impl IntoIterator<Item = R>) -> String {
     let cleaned = |row: R| row.as_ref().iter().map(|cell| clean(cell, WIDEST)).collect();
     let rows: Vec<Vec<String>> = rows.into_iter().map(cleaned).collect();
@@ -140,7 +135,7 @@ pub fn table<R: AsRef<[String]>>(head: &[&str], rows: impl IntoIterator<Item = R
     lines.join("\n")
 }
 
-/// Names with their values, one pair a line. A value stays on its line, whatever is in it.
+/// One name and value a line; no value breaks its line.
 pub fn pairs(rows: &[(&str, String)]) -> String {
     let width = rows.iter().map(|(name, _)| name.len()).max().unwrap_or(0);
     let line = |(name, value): &(&str, String)| format!("{:width$}  {}", clean(name, WIDEST), clean(value, WIDEST));

@@ -127,7 +127,7 @@ async fn each(network: &Network) -> Result<Row, Failure> {
         let upload =
             Call::DataUpload { digest: sealed.leaf.digest, token: account.token, timestamp: sealed.captured_at };
         gas.push(call(&network.chain, account, &upload).await?);
-        if !network.chain.anchored(account.address, sealed.leaf.digest).await? {
+        if network.chain.uploaded_at(account.address, sealed.leaf.digest).await?.is_none() {
             return Err(internal("a digest is not on the chain"));
         }
     }

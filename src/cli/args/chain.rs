@@ -1,7 +1,6 @@
 //! `chain …`: the words of the chain's verbs.
 
-use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::{net::SocketAddr, path::PathBuf};
 
 use clap::{Args, Subcommand};
 

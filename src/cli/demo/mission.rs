@@ -1,5 +1,4 @@
-//! The mission step by step, through the same commands as console and command line; only the attacker's steps bypass
-//! them.
+//! The mission step by step, through the public commands; only the attacker's steps bypass them.
 
 use std::sync::Arc;
 
@@ -7,31 +6,25 @@ use tokio::task::block_in_place;
 
 use super::{Genuine, Listener, Robots, Story, Work};
 use crate::cli::connect::{Context, ProfileNeed};
-use crate::cli::demo;
 use crate::crypto::{Anchor, EpochKey, Expected, GrantedKeys, Names, open, topic_key};
-use crate::model::head::SIMULATED;
-use crate::model::{Address, ErrorKind, ProfileName, RecordKind, Timestamp, TopicName, Verdict};
-use crate::pipeline::reader::Reader;
-use crate::pipeline::{Network, Owner, authority, chain_proofs};
+use crate::model::{Address, ErrorKind, ProfileName, RecordKind, Timestamp, TopicName, Verdict, head::SIMULATED};
+use crate::pipeline::{Network, Owner, authority, chain_proofs, reader::Reader};
 use crate::ros::{DomainFleet, FleetOptions};
 use crate::service::command::{Capture, CheckShared, Grant, ListShared, OpenShared, Register, Revoke};
-use crate::service::failure::internal;
 use crate::service::reply::{CaptureSummary, OpenedView, RecordView};
-use crate::service::{Client, Epochs, Failure, Needs, Site, UploadQuery};
-use crate::store::RecordQuery;
+use crate::service::{Client, Epochs, Failure, Needs, Site, UploadQuery, failure::internal};
+use crate::{cli::demo, store::RecordQuery};
 use authros_output::Output;
 
-/// How often a capture is repeated while nothing that the story needs was published.
+/// Bound on repeated captures.
 const MOST_FURTHER_CAPTURES: u32 = 30;
 
-/// One person of the story.
 pub(super) struct Person {
     client: Client,
     pub(super) address: Address,
     pub(super) owner: Arc<Owner>,
 }
 
-/// The running mission.
 pub struct Mission {
     pub(super) site: Arc<Site>,
     pub(super) network: Network,
@@ -42,7 +35,7 @@ pub struct Mission {
     pub(super) topics: Vec<TopicName>,
     pictures: usize,
     listener: Listener,
-    /// Robots of ROS 2; those of ROS 1 are the site's.
+    /// Robots of ROS 2; the site runs those of ROS 1.
     _fleet: Option<DomainFleet>,
     tags: Vec<(String, String)>,
     milliseconds: u64,
@@ -50,10 +43,6 @@ pub struct Mission {
 }
 
 impl Mission {
-    /// Starts site and robots, creates and registers the three persons.
-    ///
-    /// # Errors
-    /// If the home is in use, or a part does not start.
     pub async fn start(context: &Context, robots: Robots, seconds: u64, output: Output) -> Result<Self, Failure> {
         let root = context.home.root().display();
         let in_use = format!("a site of {root} is already running; stop it, or give the demo another --home");
@@ -85,7 +74,7 @@ impl Mission {
         output.note(&format!("{number} SIMULATED robots{place}; CURA A {}, CURA B {}", cura_a.address, cura_b.address));
         let milliseconds = seconds * 1000;
         let mut tags = vec![("mission".to_owned(), "crime-scene".to_owned())];
-        // The site knows its own simulated robots; these are others' to it.
+        // The site does not know the robots of a ROS 2 domain as simulated.
         tags.extend(robots.domain.map(|_| (SIMULATED.0.to_owned(), SIMULATED.1.to_owned())));
         Ok(Self {
             site,
@@ -104,10 +93,6 @@ impl Mission {
         })
     }
 
-    /// Plays the story and counts.
-    ///
-    /// # Errors
-    /// If a step cannot be taken at all; a failed check is part of the story.
     pub async fn run(mut self) -> Result<Story, Failure> {
         let played = self.play().await;
         let site = Arc::clone(&self.site);
@@ -116,10 +101,7 @@ impl Mission {
         played
     }
 
-    /// The story itself; the site keeps running.
-    ///
-    /// # Errors
-    /// If a step cannot be taken at all.
+    /// Leaves the site running.
     pub(super) async fn play(&mut self) -> Result<Story, Failure> {
         let first = self.capture(self.milliseconds * 6 / 10, has_what_is_shown).await?;
         self.output
@@ -163,7 +145,7 @@ impl Mission {
         Ok(story)
     }
 
-    /// Captures for this long, and again while the robots of a busy machine have not published what the story needs.
+    /// Repeats the capture while the robots of a busy machine have not published enough.
     async fn capture(&self, milliseconds: u64, enough: fn(&CaptureSummary) -> bool) -> Result<CaptureSummary, Failure> {
         let mut all = self.capture_once(milliseconds).await?;
         for _ in 0..MOST_FURTHER_CAPTURES {
@@ -227,7 +209,7 @@ impl Mission {
 
     fn is_restored(&self, opened: &OpenedView) -> bool {
         let is_jpeg = |bytes: &Vec<u8>| bytes.starts_with(&[0xff, 0xd8]) && bytes.ends_with(&[0xff, 0xd9]);
-        // Only pictures are awaited.
+        // Waits for pictures only.
         opened.picture.as_ref().is_some_and(is_jpeg) && opened.body.as_ref().is_some_and(|body| self.listener.saw(body))
     }
 
@@ -295,8 +277,7 @@ impl Mission {
         Ok(verdict.is_ok_and(|verdict| verdict == Verdict::Unanchored))
     }
 
-    /// A record that claims another's place in its batch. If digests are anchored one by one no record has a place to
-    /// claim.
+    /// Claims another record's place in its batch; digests that are anchored one by one have none.
     fn path_of_another_is_refused(&self, one: &Genuine, other: &Genuine) -> Result<bool, Failure> {
         let placed = self.site.plant.ledger.records.placed(one.row.digest)?;
         let place = placed.and_then(|placed| placed.place);
@@ -329,11 +310,10 @@ impl Mission {
             let asked = self.cura_b.client.ask(OpenShared { id: row.id.clone() }).await.is_ok();
             let blob = block_in_place(|| self.site.plant.ciphertext.get(row.digest))?.ok_or_else(gone)?;
             let names = Names::Derived(self.cura_a.owner.index());
-            let expected = Expected::any_of(self.network.domain, self.cura_a.address, names);
+            let wanted = Expected::any_of(self.network.domain, self.cura_a.address, names);
             let by_key = kept.iter().any(|(_, key)| {
                 let key = topic_key(key, &row.topic_id);
-                open(provider, &blob, &row.signature, &signer.public, Anchor::Chain(row.digest), &key, &expected)
-                    .is_ok()
+                open(provider, &blob, &row.signature, &signer.public, Anchor::Chain(row.digest), &key, &wanted).is_ok()
             });
             opened += u64::from(asked || by_key);
         }

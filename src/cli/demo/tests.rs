@@ -17,8 +17,8 @@ async fn the_chain_of_a_mission_holds_no_secret() {
     let path = home.path().to_str().expect("path");
     let arguments = Arguments::try_parse_from(["authros", "--home", path, "--robots", "2", "demo"]).expect("arguments");
     let context = Context::new(arguments.global, &Output::new(false)).expect("context");
-    let mut mission =
-        Mission::start(&context, Robots::of_one(&context.config), 4, Output::new(true)).await.expect("starts");
+    let robots = Robots { number: context.config.robots, domain: None };
+    let mut mission = Mission::start(&context, robots, 4, Output::new(true)).await.expect("starts");
     let story = mission.play().await.expect("played");
     assert!(story.ok, "{story:?}");
     let dump = mission.chain_dump().await.expect("dump");

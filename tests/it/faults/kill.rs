@@ -10,13 +10,34 @@ use crate::support::{
     Anvil, Authros, Conservation, Home, Redis, Running, count, faulty, hex, is_verified, long, poll, skipped, text,
     wait_until,
 };
-use authros::crypto::fault::POINTS;
 use rusqlite::{Connection, OpenFlags};
 use serde_json::{Value, json};
 use sha3::{Digest as _, Keccak256};
 
 const TOPICS: [&str; 3] = ["/robot1/odom", "/robot2/odom", "/robot2/camera/compressed"];
 const NO_PEERS: &str = "no redis-server or no anvil";
+/// Every fail point in a record's life, in order.
+const POINTS: [&str; 19] = [
+    "sealed",
+    "appended",
+    "commit-begun",
+    "committed",
+    "batch-due",
+    "batch-closed",
+    "signed",
+    "signed-kept",
+    "handed-in",
+    "events-read",
+    "mined",
+    "directory-kept",
+    "walked",
+    "confirmed",
+    "read-back",
+    "checked",
+    "verified",
+    "block-due",
+    "block-sealed",
+];
 /// Places passed only by a chain in this process.
 const EMBEDDED: [&str; 2] = ["block-due", "block-sealed"];
 

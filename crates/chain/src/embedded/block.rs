@@ -1,7 +1,4 @@
-//! Block headers and receipts of the embedded chain: their encoding, their seal, and their shapes in JSON.
-//!
-//! The header has the fields and the RLP of Ethereum's before London, and its hash is the Keccak-256 of that. Its three
-//! roots are those of Merkle-Patricia tries, like Ethereum's.
+//! Headers and receipts of the embedded chain: RLP as in Ethereum before London, seals, and their shapes in JSON.
 
 use std::sync::Arc;
 
@@ -10,20 +7,18 @@ use alloy_trie::TrieAccount;
 use k256::ecdsa::SigningKey;
 use serde_json::{Value, json};
 
-use super::pool::BLOCK_GAS;
-use super::trie::EMPTY_ROOT;
-use super::world::Proof;
+use super::{pool::BLOCK_GAS, trie::EMPTY_ROOT, world::Proof};
 use crate::model::bytes::{hex, unhex};
 use crate::model::{Address, Hash};
 use crate::transaction::{Items, List, Transaction, created_address, optional, signer};
 
-/// Length of what precedes the seal in the extra data (Clique's vanity), bytes.
+/// Clique's vanity, bytes: the extra data before the seal.
 const VANITY: usize = 32;
 /// The vanity of every block after the first, under proof of authority.
 pub const MARK: [u8; VANITY] = *b"AuthROS chain file version 1\0\0\0\0";
 /// Length of the seal, bytes: r, s, parity.
 pub const SEAL: usize = 65;
-/// Keccak-256 of the RLP of an empty list: there are no uncles.
+/// Keccak-256 of an empty RLP list.
 const NO_UNCLES: [u8; 32] = [
     0x1d, 0xcc, 0x4d, 0xe8, 0xde, 0xc7, 0x5d, 0x7a, 0xab, 0x85, 0xb5, 0x67, 0xb6, 0xcc, 0xd4, 0x1a, 0xd3, 0x12, 0x45,
     0x1b, 0x94, 0x8a, 0x74, 0x13, 0xf0, 0xa1, 0x42, 0xfd, 0x40, 0xd4, 0x93, 0x47,
@@ -31,34 +26,29 @@ const NO_UNCLES: [u8; 32] = [
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Header {
-    /// Hash of the parent.
     pub parent: Hash,
-    /// Root of the state after the block.
+    /// After the block.
     pub state_root: Hash,
     pub transactions_root: Hash,
     pub receipts_root: Hash,
-    /// Bloom filter of the addresses and topics of the logs.
     pub bloom: Bloom,
-    /// The recipient of the fees under proof of work; zero under proof of authority, as in Clique.
+    /// Recipient of the fees under proof of work; zero under proof of authority.
     pub beneficiary: Address,
-    /// Proof of authority: 1 for the genesis block, 2 for one sealed in turn, 1 out of turn. Otherwise the work.
+    /// Proof of authority: 2 in turn, 1 for the genesis block. Otherwise the work.
     pub difficulty: u64,
     pub number: u64,
-    /// The most gas of its transactions.
     pub gas_limit: u64,
-    /// Gas used by all transactions.
     pub gas_used: u64,
     /// Seconds since 1970, never less than the parent's.
     pub timestamp: u64,
     /// Vanity; under proof of authority also the signers (in the genesis block) and the seal.
     pub extra: Vec<u8>,
-    /// The nonce found by the work; 0 under proof of authority.
+    /// 0 under proof of authority.
     pub nonce: u64,
 }
 
 impl Header {
-    /// The first header of a chain, before its seal: `unique` makes it unlike any other. Without `signers` it is for
-    /// proof of work with this `beneficiary`.
+    /// Unsealed. `unique` makes the chain unlike any other; without `signers` it is for proof of work.
     pub fn genesis(signers: &[Address], beneficiary: Address, difficulty: u64, unique: Hash, timestamp: u64) -> Self {
         let mut extra = unique.0.to_vec();
         if !signers.is_empty() {
@@ -82,7 +72,7 @@ impl Header {
         }
     }
 
-    /// The fields before mix hash and nonce, with the given extra data.
+    /// Fields before mix hash and nonce.
     fn fields(&self, extra: &[u8]) -> List {
         let list = List::default().add(&self.parent.0).add(&NO_UNCLES).add(&self.beneficiary.0);
         let list = list.add(&self.state_root.0).add(&self.transactions_root.0).add(&self.receipts_root.0);
@@ -94,12 +84,10 @@ impl Header {
         self.fields(extra).add(&[0; 32]).add(&self.nonce.to_be_bytes()).end()
     }
 
-    /// The RLP encoding, seal included.
     pub fn encode(&self) -> Vec<u8> {
         self.encode_with(&self.extra)
     }
 
-    /// From the RLP encoding.
     pub fn decode(bytes: &[u8]) -> alloy_rlp::Result<Self> {
         let mut items = Items::of(bytes)?;
         let parent = Hash(items.next()?);
@@ -129,18 +117,17 @@ impl Header {
         Hash(keccak256(self.encode()).0)
     }
 
-    /// The hash the work is done over: the Keccak-256 of everything but mix hash and nonce, as ethash's seal hash.
+    /// Keccak-256 of all but mix hash and nonce, like ethash's seal hash.
     pub fn work_hash(&self) -> Hash {
         Hash(keccak256(self.fields(&self.extra).end()).0)
     }
 
-    /// The hash a signer signs: the Keccak-256 of everything but the seal, as Clique's seal hash.
+    /// Keccak-256 of all but the seal, like Clique's.
     fn seal_hash(&self) -> Option<B256> {
         let unsealed = self.extra.len().checked_sub(SEAL)?;
         Some(keccak256(self.encode_with(&self.extra[..unsealed])))
     }
 
-    /// Puts the signer's seal into the extra data.
     pub fn seal(&mut self, signer: &SigningKey) -> Option<()> {
         let (signature, parity) = signer.sign_prehash_recoverable(&self.seal_hash()?[..]).ok()?;
         let at = self.extra.len() - SEAL;
@@ -149,7 +136,6 @@ impl Header {
         Some(())
     }
 
-    /// The signer that sealed the block, under proof of authority.
     pub fn sealer(&self) -> Option<Address> {
         let hash = self.seal_hash()?;
         let (scalars, parity) = self.extra[self.extra.len() - SEAL..].split_at(64);
@@ -158,43 +144,33 @@ impl Header {
     }
 }
 
-/// The result of a transaction.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Receipt {
-    /// Whether it took effect.
     pub success: bool,
     pub gas_used: u64,
-    /// Gas used by it and all before it in its block.
+    /// Gas of its block up to and including it.
     pub cumulative_gas: u64,
-    /// The contract it created.
     pub contract: Option<Address>,
-    /// Revert data if it failed, otherwise empty.
+    /// Revert data; empty on success.
     pub output: Vec<u8>,
     pub logs: Vec<Log>,
 }
 
 impl Receipt {
-    /// As it is kept in the chain's file.
+    /// The form in the chain's file.
     pub fn encode(&self) -> Vec<u8> {
         let list = List::default().add(&self.success).add(&self.gas_used).add(&self.cumulative_gas);
         list.add(optional(self.contract.as_ref())).add(&self.output[..]).add(&self.logs).end()
     }
 
-    /// From the chain's file.
     pub fn decode(bytes: &[u8]) -> alloy_rlp::Result<Self> {
         let mut items = Items::of(bytes)?;
-        let receipt = Self {
-            success: items.next()?,
-            gas_used: items.next()?,
-            cumulative_gas: items.next()?,
-            contract: items.address()?,
-            output: items.next::<Bytes>()?.to_vec(),
-            logs: items.next()?,
-        };
-        items.end().map(|()| receipt)
+        let (success, gas_used, cumulative_gas) = (items.next()?, items.next()?, items.next()?);
+        let (contract, output, logs) = (items.address()?, items.next::<Bytes>()?.to_vec(), items.next()?);
+        items.end().map(|()| Self { success, gas_used, cumulative_gas, contract, output, logs })
     }
 
-    /// As Ethereum commits to it since Byzantium (EIP-658): status, gas so far, bloom, logs.
+    /// The form that Ethereum commits to since Byzantium (EIP-658).
     pub fn committed(&self) -> Vec<u8> {
         let list = List::default().add(&self.success).add(&self.cumulative_gas);
         list.add(&logs_bloom(&self.logs)).add(&self.logs).end()
@@ -203,19 +179,16 @@ impl Receipt {
 
 // The shapes in JSON, and the parsing of parameters.
 
-/// Where a transaction was mined.
 #[derive(Clone, Copy)]
 pub struct Mining {
     pub block: u64,
     pub hash: Hash,
-    /// Block time, seconds.
+    /// Seconds.
     pub timestamp: u64,
-    /// Index in the block.
     pub position: u64,
 }
 
 impl Mining {
-    /// At an index in a block.
     pub fn at(header: &Header, place: usize) -> Self {
         let position = u64::try_from(place).unwrap_or(u64::MAX);
         Self { block: header.number, hash: header.hash(), timestamp: header.timestamp, position }
@@ -227,7 +200,6 @@ pub fn quantity(value: impl std::fmt::LowerHex) -> Value {
     Value::String(format!("{value:#x}"))
 }
 
-/// `0x` and all bytes.
 pub fn data(bytes: &[u8]) -> Value {
     Value::String(format!("0x{}", hex(bytes)))
 }
@@ -237,22 +209,20 @@ pub fn read_quantity(value: &Value) -> Option<U256> {
     U256::from_str_radix(digits, 16).ok()
 }
 
-/// Parses bytes.
 pub fn read_data(value: &Value) -> Option<Vec<u8>> {
     value.as_str()?.strip_prefix("0x").and_then(unhex)
 }
 
-/// Parses an address, in upper or lower case.
+/// In upper or lower case.
 pub fn read_address(value: &Value) -> Option<Address> {
     value.as_str()?.to_lowercase().parse().ok()
 }
 
-/// Parses a 32-byte hash.
 pub fn read_hash(value: &Value) -> Option<Hash> {
     read_data(value).and_then(|bytes| Hash::from_slice(&bytes))
 }
 
-/// A block; `transactions` are hashes or whole objects.
+/// `transactions` are hashes or objects.
 pub fn block(header: &Header, hash: Hash, size: usize, total_difficulty: u128, transactions: Vec<Value>) -> Value {
     json!({
         "number": quantity(header.number), "hash": data(&hash.0), "parentHash": data(&header.parent.0),
@@ -266,7 +236,7 @@ pub fn block(header: &Header, hash: Hash, size: usize, total_difficulty: u128, t
     })
 }
 
-/// The proof of an account (EIP-1186).
+/// EIP-1186.
 pub fn proof(address: Address, proof: &Proof) -> Value {
     let nodes = |way: &[Arc<[u8]>]| way.iter().map(|node| data(node)).collect::<Vec<_>>();
     let TrieAccount { nonce, balance, storage_root, code_hash } = proof.account;
@@ -280,7 +250,6 @@ pub fn proof(address: Address, proof: &Proof) -> Value {
     })
 }
 
-/// A transaction, mined or waiting.
 pub fn transaction(one: &Transaction, chain_id: u64, mining: Option<Mining>) -> Value {
     json!({
         "hash": data(&one.hash.0), "from": data(&one.sender.0), "to": one.to.map(|to| data(&to.0)),
@@ -293,7 +262,7 @@ pub fn transaction(one: &Transaction, chain_id: u64, mining: Option<Mining>) -> 
     })
 }
 
-/// A receipt; `first_log` is the index of its first log in the block.
+/// `first_log` is the index of its first log in the block.
 pub fn receipt(one: &Transaction, receipt: &Receipt, mining: Mining, first_log: usize) -> Value {
     let contract = receipt.contract.or_else(|| one.to.is_none().then(|| created_address(one.sender, one.nonce)));
     let logs = receipt.logs.iter().enumerate();

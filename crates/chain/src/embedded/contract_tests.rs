@@ -32,7 +32,7 @@ pub(super) struct Shelf(RefCell<HashMap<Hash, Arc<[u8]>>>);
 impl Shelf {
     /// A machine whose state is empty.
     pub(super) fn machine(self: Rc<Self>) -> Machine {
-        Machine::new(Tries { ground: self, root: EMPTY_ROOT }, 5)
+        Machine { tries: Tries { ground: self, root: EMPTY_ROOT }, chain_id: 5 }
     }
 }
 

@@ -1,15 +1,11 @@
-//! The file of the embedded chain: blocks, raw transactions, receipts and the state's nodes in one SQLite database.
-//!
-//! A block is one SQLite transaction, on disk (WAL, synchronous=FULL) before it is announced. While the chain is open
-//! no other process can open the file.
+//! The file of the embedded chain: one SQLite database. A block is one transaction, on disk (WAL, synchronous=FULL)
+//! before it is announced; no other process can open the file meanwhile.
 
-use std::cell::RefCell;
-use std::collections::VecDeque;
 use std::fs::{DirBuilder, OpenOptions};
 use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
-use std::rc::Rc;
 use std::time::{Duration, Instant};
+use std::{cell::RefCell, collections::VecDeque, rc::Rc};
 
 use k256::ecdsa::SigningKey;
 use rusqlite::config::DbConfig;
@@ -19,14 +15,11 @@ use zeroize::Zeroizing;
 
 use super::block::{Header, Receipt};
 use super::node::{Again, Node, header, receipts_root};
-use super::sealing;
-use super::trie::{Turnover, list_root};
 use super::world::{self, Cache};
-use crate::model::Hash;
+use super::{machine::Outcome, sealing, trie::list_root};
 use crate::transaction::{Items, Transaction};
-use crate::{ChainError, Consensus};
+use crate::{ChainError, Consensus, model::Hash};
 
-/// The version of the file, kept in it.
 const VERSION: i64 = 1;
 const SCHEMA: &str = "
     CREATE TABLE IF NOT EXISTS chain (
@@ -43,31 +36,17 @@ const SCHEMA: &str = "
     CREATE TABLE IF NOT EXISTS doomed (id INTEGER PRIMARY KEY, hash BLOB NOT NULL);";
 const KEY_LENGTH: usize = 32;
 
-/// Drawn when a chain is founded.
 pub struct Founding {
     pub chain_id: u64,
-    /// How its blocks are sealed.
     pub consensus: Consensus,
-    /// The keys that seal its blocks; under proof of work, the key of the account that gets the fees.
+    /// Under proof of work, the key of the account that gets the fees.
     pub keys: Vec<SigningKey>,
 }
 
-/// A block to be written to the file.
-pub struct Sealed<'a> {
-    pub header: &'a Header,
-    pub sent: &'a [Transaction],
-    pub receipts: &'a [Receipt],
-    /// Its changes to the state's nodes.
-    pub written: &'a Turnover,
-}
-
-/// A mined transaction as stored in the file.
 pub struct Mined {
-    /// Its raw bytes.
     pub raw: Vec<u8>,
-    /// Its receipt, RLP.
+    /// RLP.
     pub receipt: Vec<u8>,
-    /// How many logs it wrote.
     pub logs: u64,
 }
 
@@ -78,11 +57,7 @@ pub struct ChainFile {
 }
 
 impl ChainFile {
-    /// Opens or creates `chain.db` in `directory` (0700, files 0600).
-    ///
-    /// # Errors
-    /// [`ChainError::File`] if it cannot be written or another process has it open, [`ChainError::Tampered`] if it is
-    /// not a chain.
+    /// Makes the directory 0700, the file 0600.
     pub fn open(directory: &Path) -> Result<Self, ChainError> {
         let path = super::file_in(directory);
         let blame = |error: std::io::Error| ChainError::File { path: path.clone(), reason: error.to_string() };
@@ -95,8 +70,7 @@ impl ChainFile {
         Ok(Self { path, connection, cache: Cache::default() })
     }
 
-    /// Refuses a chain written by another version of this program, and leaves the file as it is. Other problems are
-    /// reported when it is opened.
+    /// Refuses another version without touching the file; other problems show when it is opened.
     pub fn check(directory: &Path) -> Result<(), ChainError> {
         let path = super::file_in(directory);
         if !path.exists() {
@@ -112,7 +86,7 @@ impl ChainFile {
         blamed(&self.path, error)
     }
 
-    /// The founding data; `None` in a new file.
+    /// `None` in a new file.
     pub fn founding(&self) -> Result<Option<Founding>, ChainError> {
         type Columns = (u64, String, Zeroizing<Vec<u8>>);
         let columns = |row: &Row<'_>| Ok((natural(row, 0)?, row.get(1)?, Zeroizing::new(row.get(2)?)));
@@ -125,7 +99,6 @@ impl ChainFile {
         Ok(Some(Founding { chain_id, consensus, keys }))
     }
 
-    /// Writes a new chain: founding and genesis block, all or nothing.
     pub fn found(&self, founding: &Founding, genesis: &Header) -> Result<(), ChainError> {
         let mut keys = Zeroizing::new(Vec::with_capacity(KEY_LENGTH * founding.keys.len()));
         founding.keys.iter().for_each(|key| keys.extend_from_slice(&Zeroizing::new(key.to_bytes())[..]));
@@ -136,20 +109,20 @@ impl ChainFile {
         })
     }
 
-    /// Writes a block and its changes to the state; when this returns it is on disk.
-    pub fn append(&self, block: &Sealed<'_>) -> Result<(), ChainError> {
+    /// On disk when this returns.
+    pub fn append(&self, header: &Header, outcome: &Outcome) -> Result<(), ChainError> {
         self.write(|transaction| {
-            insert_header(transaction, block.header)?;
+            insert_header(transaction, header)?;
             let mut insert = transaction.prepare_cached("INSERT INTO sent VALUES (?1, ?2, ?3, ?4, ?5, ?6)")?;
-            for ((position, one), receipt) in (0i64..).zip(block.sent).zip(block.receipts) {
-                let (number, logs) = (integer(block.header.number), integer(receipt.logs.len() as u64));
+            for ((position, one), receipt) in (0i64..).zip(&outcome.included).zip(&outcome.receipts) {
+                let (number, logs) = (integer(header.number), integer(receipt.logs.len() as u64));
                 insert.execute(params![number, position, one.hash.0, one.raw, receipt.encode(), logs])?;
             }
-            world::write(transaction, block.header.number, block.written)
+            world::write(transaction, header.number, &outcome.written)
         })
     }
 
-    /// Runs changes in one transaction: when this returns, either all are on disk or none happened.
+    /// One transaction: all is on disk, or nothing happened.
     fn write(&self, work: impl FnOnce(&rusqlite::Transaction<'_>) -> rusqlite::Result<()>) -> Result<(), ChainError> {
         let write = || {
             let transaction = self.connection.unchecked_transaction()?;
@@ -159,13 +132,12 @@ impl ChainFile {
         write().map_err(|error| self.blame(&error))
     }
 
-    /// The number of the newest block.
     pub fn newest_number(&self) -> Result<u64, ChainError> {
         let newest = self.one("SELECT coalesce(max(number), 0) FROM block", [], |row| natural(row, 0))?;
         Ok(newest.unwrap_or(0))
     }
 
-    /// Copies the file, as it is, to a new file of mode 0600.
+    /// The copy has mode 0600.
     pub fn copy_to(&self, path: &Path) -> Result<(), ChainError> {
         let blame = |error: std::io::Error| ChainError::File { path: path.to_owned(), reason: error.to_string() };
         let file = OpenOptions::new().create_new(true).write(true).mode(0o600).open(path).map_err(blame)?;
@@ -174,37 +146,33 @@ impl ChainFile {
         file.sync_all().map_err(blame)
     }
 
-    /// A block by number: hash and header.
+    /// Hash and header.
     pub fn block(&self, number: u64) -> Result<Option<(Hash, Vec<u8>)>, ChainError> {
         let query = "SELECT hash, header FROM block WHERE number = ?1";
         self.one(query, params![integer(number)], |row| Ok((Hash(row.get(0)?), row.get(1)?)))
     }
 
-    /// The number of the block with this hash.
     pub fn number_of(&self, hash: Hash) -> Result<Option<u64>, ChainError> {
         self.one("SELECT number FROM block WHERE hash = ?1", params![hash.0], |row| natural(row, 0))
     }
 
-    /// The block and index at which a transaction was mined.
+    /// Block and index.
     pub fn place_of(&self, hash: Hash) -> Result<Option<(u64, u64)>, ChainError> {
         let query = "SELECT block, position FROM sent WHERE hash = ?1";
         self.one(query, params![hash.0], |row| Ok((natural(row, 0)?, natural(row, 1)?)))
     }
 
-    /// The transactions of a block, in order.
     pub fn block_transactions(&self, number: u64) -> Result<Vec<Mined>, ChainError> {
         let query = "SELECT raw, receipt, logs FROM sent WHERE block = ?1 ORDER BY position";
         let mined = |row: &Row<'_>| Ok(Mined { raw: row.get(0)?, receipt: row.get(1)?, logs: natural(row, 2)? });
         self.all(query, [integer(number)], mined)
     }
 
-    /// The numbers of the blocks with logs from `from` to `to`, in order.
     pub fn with_logs(&self, from: u64, to: u64) -> Result<Vec<u64>, ChainError> {
         let query = "SELECT DISTINCT block FROM sent WHERE block BETWEEN ?1 AND ?2 AND logs > 0 ORDER BY block";
         self.all(query, [from, to].map(integer), |row| natural(row, 0))
     }
 
-    /// One row of a query.
     pub(super) fn one<T>(
         &self,
         query: &str,
@@ -215,7 +183,6 @@ impl ChainFile {
         statement.query_row(values, read).optional().map_err(|error| self.blame(&error))
     }
 
-    /// All rows of a query.
     pub(super) fn all<T>(
         &self,
         query: &str,
@@ -228,24 +195,21 @@ impl ChainFile {
         rows.collect::<Result<_, _>>().map_err(blame)
     }
 
-    /// Writes without waiting for the disk, for tests that write many blocks.
+    /// Does not wait for the disk.
     #[cfg(test)]
     pub fn in_a_hurry(&self) {
         self.connection.pragma_update(None, "synchronous", "OFF").expect("a pragma");
     }
 
-    /// The path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The error for a block that was altered.
     pub fn tampered(&self, block: u64, what: &str) -> ChainError {
         ChainError::Tampered { path: self.path.clone(), block, what: what.to_owned() }
     }
 }
 
-/// How many keys a chain holds.
 pub fn keys_of(consensus: &Consensus) -> usize {
     match consensus {
         Consensus::Poa { signers, .. } => usize::from(*signers),
@@ -256,14 +220,13 @@ pub fn keys_of(consensus: &Consensus) -> usize {
 fn connect(path: &Path) -> rusqlite::Result<Connection> {
     let connection = Connection::open(path)?;
     connection.busy_timeout(Duration::from_secs(5))?;
-    // A statement is planned once, whatever is bound to it.
+    // Plans a statement once, whatever is bound to it.
     connection.set_db_config(DbConfig::SQLITE_DBCONFIG_ENABLE_QPSG, true)?;
     connection.pragma_update(None, "locking_mode", "EXCLUSIVE")?;
     Ok(connection)
 }
 
-/// Refuses a file of another version, and leaves it as it is when the connection is closed. A file without a version
-/// passes, and so does an unreadable one: opening it reports why.
+/// Leaves a file of another version as it is. One without a readable version passes: opening it reports why.
 fn check_version(connection: &Connection, path: &Path) -> Result<(), ChainError> {
     let found = match connection.query_row("SELECT version FROM chain", [], |row| row.get::<_, i64>(0)) {
         Ok(found) if found != VERSION => found,
@@ -277,17 +240,17 @@ fn check_version(connection: &Connection, path: &Path) -> Result<(), ChainError>
     Err(ChainError::Tampered { path: path.to_owned(), block: 0, what })
 }
 
-/// Makes a waiting log stay beside the file when this connection is closed, instead of being merged into it.
+/// Keeps a waiting log beside the file instead of merging it on close.
 fn leave_log(connection: &Connection, path: &Path) {
     let waits = std::fs::metadata(path.with_extension("db-wal")).is_ok_and(|log| log.len() > 0);
-    // If that is not supported, the log is merged, which loses nothing.
+    // Where this is not supported, the log is merged, which loses nothing.
     drop(connection.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, waits));
 }
 
 fn prepare(connection: &Connection) -> rusqlite::Result<()> {
     connection.pragma_update(None, "journal_mode", "WAL")?;
     connection.pragma_update(None, "synchronous", "FULL")?;
-    // Nothing of it goes into temporary files outside its folder.
+    // No temporary files outside the folder.
     connection.pragma_update(None, "temp_store", "MEMORY")?;
     connection.execute_batch(SCHEMA)
 }
@@ -319,33 +282,28 @@ fn natural(row: &Row<'_>, column: usize) -> rusqlite::Result<u64> {
     u64::try_from(value).map_err(|_| rusqlite::Error::IntegralValueOutOfRange(column, value))
 }
 
-// Blocks from the file, checked when read: a header by its hash and by the block above it, transactions and receipts
-// by the header.
+// Blocks are checked when read: a header by its hash and the block above it, the rest by the header.
 
-/// A mined transaction, with its receipt.
 pub struct Done {
     pub transaction: Transaction,
     pub receipt: Receipt,
 }
 
-/// The most blocks that are remembered, and the most bytes of transactions in them, each with so many beside its own.
+/// Bounds of the cache: blocks, and their bytes with an allowance per transaction.
 const MOST_BLOCKS: usize = 32;
 const MOST_BYTES: usize = 2 * 1024 * 1024;
 const BESIDE: usize = 1024;
 
-/// The blocks whose transactions were read or written last: callers ask for one after another, and several callers for the
-/// same ones. Their senders need not be recovered again.
+/// The blocks used last, so that their senders need not be recovered again.
 #[derive(Default)]
 pub struct Looked(RefCell<VecDeque<Block>>);
 
-/// A block's number and its transactions.
 type Block = (u64, Rc<Vec<Done>>);
 
-/// A block's header, its transactions with their results, and the index of one of them.
+/// The header, the block's transactions, and the index of one of them.
 pub type Place = (Header, Rc<Vec<Done>>, usize);
 
 impl Looked {
-    /// Remembers a block that was just written.
     pub fn wrote(&self, number: u64, sent: Vec<Transaction>, receipts: Vec<Receipt>) {
         let done = sent.into_iter().zip(receipts).map(|(transaction, receipt)| Done { transaction, receipt });
         self.remember(number, Rc::new(done.collect()));
@@ -355,7 +313,7 @@ impl Looked {
         self.0.borrow().iter().find(|(known, _)| *known == number).map(|(_, done)| Rc::clone(done))
     }
 
-    /// The ones remembered for longest make room; one block is remembered however long it is.
+    /// Keeps at least one block, however long.
     fn remember(&self, number: u64, done: Rc<Vec<Done>>) {
         let mut blocks = self.0.borrow_mut();
         blocks.retain(|(known, _)| *known != number);
@@ -371,7 +329,7 @@ impl Looked {
 }
 
 impl Node {
-    /// A block's header; `None` above the newest.
+    /// `None` above the newest.
     pub fn header(&self, number: u64) -> Result<Option<Header>, ChainError> {
         if number > self.head.number {
             return Ok(None);
@@ -388,7 +346,6 @@ impl Node {
         Ok(Some(found))
     }
 
-    /// A block's transactions with their receipts, in order.
     pub fn done(&self, header: &Header) -> Result<Rc<Vec<Done>>, ChainError> {
         let number = header.number;
         if let Some(done) = self.looked.find(number) {
@@ -413,7 +370,6 @@ impl Node {
         Ok(Done { transaction, receipt })
     }
 
-    /// Where a transaction was mined: the block's header and the index in it.
     pub fn mined(&self, hash: Hash) -> Result<Option<Place>, ChainError> {
         let Some((number, position)) = self.file.place_of(hash)? else { return Ok(None) };
         let gone = || self.file.tampered(number, "a transaction was moved");
@@ -427,18 +383,16 @@ impl Node {
     }
 }
 
-// The audit of a whole chain: every block is run again, a little at a time, so that requests and blocks do not have to
-// wait.
+// The audit runs every block again, a little at a time, so that requests and blocks do not wait.
 
-/// How long an audit runs at a time.
+/// Time slice of an audit.
 const SHARE: Duration = Duration::from_millis(20);
 
-/// An audit in progress.
 pub struct Auditing {
     again: Again,
-    /// The newest block when it began.
+    /// The newest block at the start.
     newest: u64,
-    /// The nodes of the newest state still to be read from the file; `None` until all blocks have run.
+    /// Nodes of the state still to read; `None` until all blocks have run.
     nodes: Option<Vec<Hash>>,
     reply: oneshot::Sender<Result<u64, ChainError>>,
 }
@@ -454,7 +408,6 @@ impl Node {
         }
     }
 
-    /// Continues the audit that has waited longest.
     pub fn go_on_auditing(&mut self) {
         let Some(mut auditing) = self.audits.pop_front().filter(|auditing| !auditing.reply.is_closed()) else { return };
         match self.share_of(&mut auditing) {
@@ -464,7 +417,7 @@ impl Node {
         }
     }
 
-    /// Returns whether the audit is finished.
+    /// `true` when the audit is finished.
     fn share_of(&self, auditing: &mut Auditing) -> Result<bool, ChainError> {
         let begun = Instant::now();
         while begun.elapsed() < SHARE {
@@ -474,7 +427,7 @@ impl Node {
             }
             let nodes = auditing.nodes.get_or_insert_with(|| auditing.again.state_nodes());
             let Some(hash) = nodes.pop() else { return Ok(true) };
-            // Blocks mined meanwhile may have removed some of this state's nodes.
+            // Blocks mined meanwhile may have removed nodes.
             self.file.look_at(hash, self.head.number > auditing.newest)?;
         }
         Ok(false)

@@ -1,6 +1,4 @@
-//! The EVM of the embedded chain: execution by revm under Istanbul rules.
-//!
-//! Running a block changes nothing; its changes are applied once the block is on disk.
+//! The EVM of the embedded chain: revm under Istanbul rules. A block's changes apply once it is on disk.
 
 use std::sync::Arc;
 
@@ -14,61 +12,48 @@ use revm::interpreter::interpreter::EthInterpreter;
 use revm::primitives::hardfork::SpecId;
 use revm::{Context, DatabaseCommit, ExecuteEvm, MainBuilder, MainContext};
 
-use super::block::Receipt;
 use super::pool::{BLOCK_GAS, BLOCK_SURPLUS, ESTIMATE_GAS, TRANSACTION_GAS, TRANSACTION_SURPLUS, Weighed};
-use super::trie::Turnover;
 use super::world::{Tries, Unread};
+use super::{block::Receipt, trie::Turnover};
 use crate::ChainError;
 use crate::model::{Address, Hash};
 use crate::transaction::{Transaction, Unsigned};
 
-/// The context of a block or call.
 #[derive(Debug, Clone, Copy)]
 pub struct Environment {
     pub number: u64,
     /// Seconds since 1970.
     pub timestamp: u64,
-    /// Its difficulty, as the DIFFICULTY instruction gives it.
     pub difficulty: u64,
-    /// The recipient of the fees: the signer or the miner.
+    /// Recipient of the fees.
     pub beneficiary: Address,
 }
 
-/// The result of running a block.
 pub struct Outcome {
-    /// Those included, in order.
     pub included: Vec<Transaction>,
     pub receipts: Vec<Receipt>,
-    /// Those that cannot go into any block, and why.
+    /// Those that no block can include, and why.
     pub refused: Vec<(Transaction, String)>,
-    /// Root of the state after the block.
     pub state_root: Hash,
-    /// Its changes to the state's nodes.
     pub written: Turnover,
 }
 
-/// The outcome of a message call.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Answer {
-    /// Returned these bytes, having used this much gas.
+    /// Output, and gas used.
     Returned(Vec<u8>, u64),
-    /// Reverted with these bytes.
+    /// Revert data.
     Reverted(Vec<u8>),
-    /// Ended otherwise: out of gas, bad instruction, not payable.
+    /// Out of gas, a bad instruction, not payable.
     Failed(String),
 }
 
-/// The world state, and the chain whose transactions change it.
 pub struct Machine {
     pub tries: Tries,
     pub chain_id: u64,
 }
 
 impl Machine {
-    pub fn new(tries: Tries, chain_id: u64) -> Self {
-        Self { tries, chain_id }
-    }
-
     fn evm<'a>(&'a self, place: &Environment, surplus: u64) -> WeighedEvm<'a> {
         let block = BlockEnv {
             number: U256::from(place.number),
@@ -90,19 +75,14 @@ impl Machine {
             .with_precompiles(Weighed::new(surplus))
     }
 
-    /// Runs transactions one after the other on top of the state, which is unchanged. By the rules of admission (`new`)
-    /// those with too much surplus are refused, and none is started once the block has reached its limit.
+    /// Runs transactions without changing the state. By the rules of admission (`new`), refuses those with too much
+    /// surplus, and starts none beyond the block's limit.
     pub fn run(&self, place: &Environment, transactions: Vec<Transaction>, new: bool) -> Result<Outcome, ChainError> {
         let most = if new { TRANSACTION_SURPLUS } else { u64::MAX };
         let mut evm = self.evm(place, most);
         let mut surplus = 0;
-        let mut outcome = Outcome {
-            included: Vec::with_capacity(transactions.len()),
-            receipts: Vec::with_capacity(transactions.len()),
-            refused: Vec::new(),
-            state_root: self.tries.root,
-            written: Turnover::default(),
-        };
+        let (included, receipts, refused, written) = (Vec::new(), Vec::new(), Vec::new(), Turnover::default());
+        let mut outcome = Outcome { included, receipts, refused, state_root: self.tries.root, written };
         let mut changes = Vec::with_capacity(transactions.len());
         let mut cumulative = 0;
         for transaction in transactions {
@@ -128,7 +108,7 @@ impl Machine {
         Ok(outcome)
     }
 
-    /// Runs a message call, whatever its nonce, without changing anything.
+    /// Ignores the nonce and changes nothing.
     pub fn call(&self, place: &Environment, from: Address, message: &Unsigned) -> Result<Answer, ChainError> {
         let gas_limit = message.gas_limit.min(TRANSACTION_GAS);
         let message = Unsigned { nonce: self.nonce(from)?, gas_limit, ..message.clone() };
@@ -145,25 +125,18 @@ impl Machine {
         })
     }
 
-    /// The least gas limit under which a message call returns, or a higher one if finding the least takes more runs
-    /// than one estimate may.
-    ///
-    /// Inside: how the call ends if no limit is enough.
-    pub fn estimate(
-        &self,
-        place: &Environment,
-        from: Address,
-        message: &Unsigned,
-    ) -> Result<Result<u64, Answer>, ChainError> {
+    /// Returned with the least gas limit that suffices, or a higher one where [`ESTIMATE_GAS`] does not suffice to find it;
+    /// otherwise how the call ends if no limit is enough.
+    pub fn estimate(&self, place: &Environment, from: Address, message: &Unsigned) -> Result<Answer, ChainError> {
         let with = |gas_limit| self.call(place, from, &Unsigned { gas_limit, ..message.clone() });
         let ceiling = message.gas_limit.min(TRANSACTION_GAS);
         let mut low = match with(ceiling)? {
             Answer::Returned(_, spent) => spent,
-            other => return Ok(Err(other)),
+            other => return Ok(other),
         };
         let mut high = ceiling;
         if matches!(with(low)?, Answer::Returned(..)) {
-            return Ok(Ok(low));
+            return Ok(Answer::Returned(Vec::new(), low));
         }
         let mut spent = ceiling + low;
         while low + 1 < high {
@@ -174,20 +147,18 @@ impl Machine {
             }
             if matches!(with(middle)?, Answer::Returned(..)) { high = middle } else { low = middle }
         }
-        Ok(Ok(high))
+        Ok(Answer::Returned(Vec::new(), high))
     }
 
-    /// The next nonce of an account, without pending transactions.
+    /// Without pending transactions.
     pub fn nonce(&self, account: Address) -> Result<u64, ChainError> {
         Ok(self.tries.account(account)?.map_or(0, |account| account.nonce))
     }
 
-    /// Wei held by an account.
     pub fn balance(&self, account: Address) -> Result<U256, ChainError> {
         Ok(self.tries.account(account)?.map_or(U256::ZERO, |account| account.balance))
     }
 
-    /// Code of a contract; empty for other accounts.
     pub fn code(&self, account: Address) -> Result<Arc<[u8]>, ChainError> {
         self.tries.code(self.tries.account(account)?.map_or(KECCAK256_EMPTY, |account| account.code_hash))
     }
@@ -231,12 +202,6 @@ fn receipt(result: ExecutionResult, cumulative_gas: u64) -> Receipt {
         ExecutionResult::Revert { output, .. } => (None, output, Vec::new()),
         ExecutionResult::Halt { .. } => (None, Bytes::new(), Vec::new()),
     };
-    Receipt {
-        success,
-        gas_used,
-        cumulative_gas,
-        contract: contract.map(|address| Address(address.into_array())),
-        output: output.to_vec(),
-        logs,
-    }
+    let contract = contract.map(|address| Address(address.into_array()));
+    Receipt { success, gas_used, cumulative_gas, contract, output: output.to_vec(), logs }
 }

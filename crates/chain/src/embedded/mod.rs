@@ -1,8 +1,6 @@
-//! The embedded chain: a private network in this process, with proof of authority or proof of work.
+//! The embedded chain: a private network in this process, reached only through JSON-RPC.
 //!
-//! revm executes, SQLite stores, and JSON-RPC is the only way in, so the layer above talks to it exactly as to any
-//! other node. It runs on a thread of its own, and a proof-of-work search on a second one. Gas is free, and no block is
-//! empty: sealing begins when a transaction waits.
+//! It runs on its own thread, a proof-of-work search on a second one. Gas is free, and no block is empty.
 
 #[cfg(test)]
 mod admission_tests;
@@ -32,77 +30,69 @@ mod world;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, TryRecvError, channel};
-use std::thread;
 use std::time::{Duration, Instant};
+use std::{sync::Arc, thread};
 
 use serde_json::Value;
 use tokio::sync::{oneshot, watch};
 
-pub use self::rpc::Fault;
-
 use self::node::Node;
-use crate::crypto::fault;
-use crate::model::Address;
-use crate::{BlockRef, ChainError, Consensus};
+use crate::transport::{TransportError, refused};
+use crate::{BlockRef, ChainError, Consensus, crypto::fault, model::Address};
 
-/// How long the thread sleeps when nothing is due.
 const IDLE: Duration = Duration::from_secs(3600);
 
-/// How long the thread pauses after a panic.
+/// Pause after a panic.
 const REST: Duration = Duration::from_millis(500);
 
-/// How long requests are answered before checking again whether a block is due.
+/// Time for requests before checking whether a block is due.
 const BURST: Duration = Duration::from_millis(50);
 
-/// What the chain's thread is asked for.
 enum Request {
     Work(Box<dyn FnOnce(&mut Node) + Send>),
     End,
 }
 
-/// A handle on a running embedded chain; the chain ends with its last handle. Proof of authority then seals what waits
-/// (unless its period is a second or more), proof of work abandons its search: as with any stopped node, what waits
-/// must be sent again.
+/// Handle; the chain ends with the last one. Proof of authority then seals what waits (unless its period is a second or
+/// more), proof of work abandons its search.
 #[derive(Debug, Clone)]
 pub struct Embedded {
-    line: Arc<Line>,
+    pub line: Arc<Line>,
 }
 
 #[derive(Debug)]
-struct Line {
+pub struct Line {
     inlet: Inlet,
-    head: watch::Receiver<BlockRef>,
-    consensus: Consensus,
-    sealers: Vec<Address>,
-    /// Its sender is dropped with the chain's thread, after the file was closed.
+    pub head: watch::Receiver<BlockRef>,
+    pub consensus: Consensus,
+    /// In the order of their turns; under proof of work, the recipient of the fees.
+    pub sealers: Vec<Address>,
+    /// Closes after the file.
     closing: watch::Receiver<()>,
 }
 
-/// The request channel. The chain ends with it.
+/// The chain ends with it.
 #[derive(Debug)]
 struct Inlet(Sender<Request>);
 
 impl Drop for Inlet {
     fn drop(&mut self) {
-        // A proof-of-work search holds a sender too, so otherwise the thread would not notice the end.
+        // A search holds a sender too, so the channel alone would not end.
         drop(self.0.send(Request::End));
     }
 }
 
-/// The file of the chain in `directory`.
 pub fn file_in(directory: &Path) -> PathBuf {
     directory.join("chain.db")
 }
 
-/// Refuses an embedded chain in `directory` written by another version of this program, without touching it.
+/// Refuses a file of another version, without touching it.
 pub fn check_embedded_chain(directory: &Path) -> Result<(), ChainError> {
     file::ChainFile::check(directory)
 }
 
 impl Embedded {
-    /// Opens or founds the chain in `directory`.
     pub async fn open(directory: PathBuf, asked: Option<Consensus>) -> Result<Self, ChainError> {
         let (requests, inbox) = channel();
         let (opened, answer) = oneshot::channel();
@@ -125,21 +115,16 @@ impl Embedded {
         Ok(Self { line: Arc::new(Line { inlet, head, consensus, sealers, closing }) })
     }
 
-    /// Ends the chain for all its handles and waits until its file is closed: a process that exits earlier leaves a log
-    /// beside the file, which the next one has to apply.
+    /// Ends the chain and waits until its file is closed: exiting earlier leaves a log for the next process to apply.
     pub async fn end(&self) {
         drop(self.line.inlet.0.send(Request::End));
-        // Nothing is ever sent here: receiving ends when the thread does.
+        // Nothing is ever sent: receiving ends with the thread.
         drop(self.line.closing.clone().changed().await);
     }
 
-    /// Does something on the chain's thread.
-    async fn with<T: Send + 'static>(
-        &self,
-        work: impl FnOnce(&mut Node) -> T + Send + 'static,
-    ) -> Result<T, ChainError> {
+    async fn run<T: Send + 'static>(&self, act: impl FnOnce(&mut Node) -> T + Send + 'static) -> Result<T, ChainError> {
         let (reply, answer) = oneshot::channel();
-        self.begin(move |node| drop(reply.send(work(node))))?;
+        self.begin(move |node| drop(reply.send(act(node))))?;
         answer.await.map_err(|_| gone())
     }
 
@@ -147,46 +132,26 @@ impl Embedded {
         self.line.inlet.0.send(Request::Work(Box::new(work))).map_err(|_| gone())
     }
 
-    /// Answers a JSON-RPC request.
-    pub async fn request(&self, method: &str, parameters: Value) -> Result<Value, Fault> {
+    pub async fn request(&self, method: &str, parameters: Value) -> Result<Value, TransportError> {
         let method = method.to_owned();
-        let answer = self.with(move |node| rpc::answer(node, &method, parameters)).await;
-        answer.map_err(|error| Fault::new(-32603, error.to_string()))?
+        let answer = self.run(move |node| rpc::answer(node, &method, parameters)).await;
+        answer.map_err(|error| refused(-32603, error.to_string()))?
     }
 
-    /// All call data, storage (keys and values) and logs of the chain.
+    /// All call data, storage and logs.
     pub async fn dump(&self) -> Result<Vec<Vec<u8>>, ChainError> {
-        self.with(|node| dump(node)).await?
+        self.run(|node| dump(node)).await?
     }
 
-    /// Writes the chain as it is between two blocks to a new file.
     pub async fn copy_to(&self, path: PathBuf) -> Result<(), ChainError> {
-        self.with(move |node| node.file.copy_to(&path)).await?
+        self.run(move |node| node.file.copy_to(&path)).await?
     }
 
     /// Runs every block again, alongside other requests; returns how many.
-    ///
-    /// # Errors
-    /// [`ChainError::Tampered`] for the first block, or the first node of the state, that was altered.
     pub async fn audit(&self) -> Result<u64, ChainError> {
         let (reply, answer) = oneshot::channel();
         self.begin(move |node| node.begin_audit(reply))?;
         answer.await.unwrap_or_else(|_| Err(gone()))
-    }
-
-    /// How its blocks are sealed.
-    pub fn consensus(&self) -> Consensus {
-        self.line.consensus
-    }
-
-    /// Its signers in the order of their turns; under proof of work, the recipient of the fees.
-    pub fn sealers(&self) -> &[Address] {
-        &self.line.sealers
-    }
-
-    /// Announces every new head.
-    pub fn head(&self) -> watch::Receiver<BlockRef> {
-        self.line.head.clone()
     }
 }
 
@@ -194,8 +159,7 @@ fn gone() -> ChainError {
     ChainError::Internal("the embedded chain has stopped".into())
 }
 
-/// Serves until the end. After a panic the state in memory is dropped and the chain is opened again from its file;
-/// requests made meanwhile report that there was no answer.
+/// After a panic, drops the state in memory and opens the file again; pending requests fail.
 fn keep_serving(
     node: Node,
     inbox: &Receiver<Request>,
@@ -212,7 +176,6 @@ fn keep_serving(
     }
 }
 
-/// Answers requests and assembles a block when one is due, until all handles are gone.
 fn serve(mut node: Node, inbox: &Receiver<Request>, announce: &watch::Sender<BlockRef>) {
     let mut open = true;
     while open {

@@ -1,48 +1,38 @@
-//! The chain itself: the pool, assembling blocks and sealing them. Single-threaded, except for the proof-of-work
-//! search, which runs beside it, one at a time, for the very block that was assembled.
+//! Pool, assembling and sealing on one thread; a proof-of-work search runs beside it, for the assembled block only.
 
-use std::cell::RefCell;
 use std::collections::{HashMap, VecDeque};
-use std::path::Path;
-use std::rc::Rc;
-use std::sync::Arc;
 use std::time::{Duration, Instant};
+use std::{cell::RefCell, path::Path, rc::Rc, sync::Arc};
 
 use alloy_primitives::logs_bloom;
 
 use super::block::{Header, Receipt};
-use super::file::{Auditing, ChainFile, Looked, Mined, Sealed};
+use super::file::{Auditing, ChainFile, Looked, Mined};
 use super::machine::{Environment, Machine, Outcome};
 use super::pool::{BLOCK_GAS, Pool, TRANSACTION_GAS};
-use super::rpc::Filters;
 use super::sealing::{self, Founded, Sealing, Search};
 use super::trie::{EMPTY_ROOT, Nodes, Turnover, below, list_root};
-use super::world::Tries;
-use crate::genesis::noise;
+use super::{rpc::Filters, world::Tries};
 use crate::model::{Hash, Timestamp};
-use crate::transaction::Transaction;
-use crate::{BlockRef, ChainError, Consensus};
+use crate::{BlockRef, ChainError, Consensus, genesis::noise, transaction::Transaction};
 
-/// How long sealing pauses after the file could not be written.
+/// Pause after a failed write.
 const REST: Duration = Duration::from_secs(1);
-/// The most transactions in a block, so that sealing never keeps readers waiting long.
+/// Transactions in a block, so that sealing never keeps readers waiting long.
 const MOST_TRANSACTIONS: usize = 4096;
 
-/// Receives the nonce that a search found, on the search's thread.
+/// Called with the nonce on the search's thread.
 pub type Found = Arc<dyn Fn(u64) + Send + Sync>;
 
 pub struct Node {
-    /// Its rules and state.
     pub machine: Machine,
     pub file: Rc<ChainFile>,
-    /// The blocks whose transactions were read or written last.
     pub looked: Looked,
     pub pool: Pool,
     pub chain_id: u64,
     pub consensus: Consensus,
     pub sealing: Sealing,
     pub head: BlockRef,
-    /// What callers wait for.
     pub filters: Filters,
     pub audits: VecDeque<Auditing>,
     /// Why the last block could not be written.
@@ -52,7 +42,6 @@ pub struct Node {
     found: Found,
 }
 
-/// A block waiting for its proof of work.
 struct Work {
     header: Header,
     outcome: Outcome,
@@ -60,10 +49,7 @@ struct Work {
 }
 
 impl Node {
-    /// Opens the chain in `directory`, or founds one with the requested consensus, drawing its chain id and keys.
-    ///
-    /// The newest block is run again and must come out as in the file; older blocks are authenticated through it when
-    /// read.
+    /// Runs the newest block again, which must match the file; older blocks are authenticated through it when read.
     pub fn open(directory: &Path, asked: Option<Consensus>, found: Found) -> Result<Self, ChainError> {
         let file = Rc::new(ChainFile::open(directory)?);
         let founded = sealing::open(&file, asked)?;
@@ -78,9 +64,9 @@ impl Node {
         if machine.tries.root != EMPTY_ROOT {
             file.node(machine.tries.root)?;
         }
-        // The period is kept across a restart, even if the clock changed.
-        let due = (head.timestamp + sealing.period().as_secs()).saturating_sub(Timestamp::now().seconds());
-        let wait = if head.number == 0 { Duration::ZERO } else { Duration::from_secs(due).min(sealing.period()) };
+        // Keeps the period across a restart, even if the clock changed.
+        let due = (head.timestamp + sealing.period.as_secs()).saturating_sub(Timestamp::now().seconds());
+        let wait = if head.number == 0 { Duration::ZERO } else { Duration::from_secs(due).min(sealing.period) };
         Ok(Self {
             machine,
             file,
@@ -99,7 +85,6 @@ impl Node {
         })
     }
 
-    /// Takes a raw transaction into the pool.
     pub fn submit(&mut self, raw: &[u8]) -> Result<Hash, String> {
         if let Some(trouble) = &self.trouble {
             return Err(format!("no block can be written: {trouble}"));
@@ -123,24 +108,20 @@ impl Node {
         Ok(hash)
     }
 
-    /// How long until the next block is to be assembled; `None` while nothing can go into one, and while a proof of work is
-    /// being searched for.
+    /// `None` while no transaction is ready, or a search runs.
     pub fn due(&self) -> Option<Duration> {
         let ready = self.work.is_none() && self.pool.is_ready();
         ready.then(|| self.not_before.saturating_duration_since(Instant::now()))
     }
 
-    /// Whether a proof of work is being searched for.
     pub fn is_mining(&self) -> bool {
         self.work.is_some()
     }
 
-    /// The context of the next block.
     pub fn next_place(&self) -> Environment {
         self.sealing.place(self.head.number + 1, self.head.timestamp)
     }
 
-    /// Assembles a block of pending transactions, and seals it or begins to search for its proof of work.
     pub fn assemble(&mut self) {
         let ready = self.pool.ready(MOST_TRANSACTIONS, BLOCK_GAS);
         let place = self.next_place();
@@ -148,13 +129,13 @@ impl Node {
             Ok(outcome) => outcome,
             Err(error) => return self.rest(error),
         };
-        self.not_before = Instant::now() + self.sealing.period();
+        self.not_before = Instant::now() + self.sealing.period;
         self.pool.forget(outcome.refused.iter().map(|(transaction, _)| transaction));
         if outcome.included.is_empty() {
             return;
         }
         let mut header = assemble(&self.sealing, self.head.hash, &place, &outcome);
-        if self.sealing.work().is_some() {
+        if self.sealing.work.is_some() {
             match self.search(&header) {
                 Ok(search) => self.work = Some(Work { header, outcome, _search: search }),
                 Err(error) => self.rest(error),
@@ -173,7 +154,6 @@ impl Node {
         search.map_err(|error| ChainError::Internal(format!("no work can be done: {error}")))
     }
 
-    /// Seals the assembled block with the nonce that its search found.
     pub fn worked(&mut self, nonce: u64) {
         let Some(Work { header, outcome, .. }) = self.work.take() else { return };
         let header = Header { nonce, ..header };
@@ -182,13 +162,12 @@ impl Node {
         }
     }
 
-    /// Writes a sealed block. One that cannot be written never happened.
+    /// A block that cannot be written never happened.
     fn settle(&mut self, header: &Header, outcome: Outcome) {
-        let Outcome { included, receipts, written, state_root, .. } = outcome;
-        let block = Sealed { header, sent: &included, receipts: &receipts, written: &written };
-        if let Err(error) = self.file.append(&block) {
+        if let Err(error) = self.file.append(header, &outcome) {
             return self.rest(error);
         }
+        let Outcome { included, receipts, written, state_root, .. } = outcome;
         self.trouble = None;
         self.pool.mined(&included);
         self.file.remember(written.made);
@@ -202,10 +181,10 @@ impl Node {
         self.not_before = Instant::now() + REST;
     }
 
-    /// At the end, seals pending transactions if that can be done at once: work takes time, and so does a period of a
-    /// second or more, which the next block's time would contradict.
+    /// Seals pending transactions at the end, unless it takes work, or a period that the next block's time would
+    /// contradict.
     pub fn finish(&mut self) {
-        let brief = self.sealing.work().is_none() && self.sealing.period().as_secs() == 0;
+        let brief = self.sealing.work.is_none() && self.sealing.period.as_secs() == 0;
         if brief && self.due().is_some() {
             self.assemble();
         }
@@ -216,17 +195,16 @@ fn reference(header: &Header) -> BlockRef {
     BlockRef { number: header.number, hash: header.hash(), timestamp: header.timestamp }
 }
 
-// Running blocks from the file again: all of them for an audit, or only the newest when a chain is opened.
+// Runs blocks of the file again: all for an audit, the newest when a chain is opened.
 
-/// A chain being run again.
 pub struct Again {
-    /// Its state after the last block run.
+    /// After the last block run.
     pub machine: Machine,
     pub sealing: Sealing,
     /// The last block run.
     pub last: Header,
     file: Rc<ChainFile>,
-    /// The state's nodes, if all blocks are run; otherwise those of the file are read.
+    /// Set if all blocks are run; otherwise nodes come from the file.
     nodes: Option<Rc<Passing>>,
 }
 
@@ -236,8 +214,8 @@ impl Again {
         let Founded { chain_id, sealing, genesis, .. } = founded;
         let file = Rc::clone(file);
         let nodes = Rc::new(Passing { file: Rc::clone(&file), nodes: RefCell::default() });
-        let machine = Machine::new(Tries { ground: Rc::clone(&nodes) as _, root: genesis.state_root }, chain_id);
-        Self { machine, sealing, last: genesis, file, nodes: Some(nodes) }
+        let tries = Tries { ground: Rc::clone(&nodes) as _, root: genesis.state_root };
+        Self { machine: Machine { tries, chain_id }, sealing, last: genesis, file, nodes: Some(nodes) }
     }
 
     /// Before block `newest`.
@@ -245,14 +223,10 @@ impl Again {
         let Founded { chain_id, sealing, genesis, .. } = founded;
         let file = Rc::clone(file);
         let last = if newest < 2 { genesis } else { header(&file, newest - 1)? };
-        let machine = Machine::new(Tries { ground: Rc::clone(&file) as _, root: last.state_root }, chain_id);
-        Ok(Self { machine, sealing, last, file, nodes: None })
+        let tries = Tries { ground: Rc::clone(&file) as _, root: last.state_root };
+        Ok(Self { machine: Machine { tries, chain_id }, sealing, last, file, nodes: None })
     }
 
-    /// Runs the next block.
-    ///
-    /// # Errors
-    /// [`ChainError::Tampered`] if the result differs from the file, or its seal does not meet the chain's consensus.
     pub fn step(&mut self) -> Result<(), ChainError> {
         let number = self.last.number + 1;
         let blame = |what: &str| self.file.tampered(number, what);
@@ -270,13 +244,12 @@ impl Again {
         Ok(())
     }
 
-    /// The nodes of the state after the last block, if all blocks were run.
+    /// Empty unless all blocks were run.
     pub fn state_nodes(&self) -> Vec<Hash> {
         self.nodes.iter().flat_map(|nodes| nodes.nodes.borrow().keys().copied().collect::<Vec<_>>()).collect()
     }
 }
 
-/// A block's header, checked against its hash in the file.
 pub fn header(file: &ChainFile, number: u64) -> Result<Header, ChainError> {
     let blame = |what: &str| file.tampered(number, what);
     let (hash, bytes) = file.block(number)?.ok_or_else(|| blame("it is gone"))?;
@@ -287,7 +260,7 @@ pub fn header(file: &ChainFile, number: u64) -> Result<Header, ChainError> {
     Ok(header)
 }
 
-/// Runs a block from the file again and compares everything its header commits to.
+/// Compares everything that the header commits to.
 fn rerun(
     file: &ChainFile,
     machine: &Machine,
@@ -303,16 +276,15 @@ fn rerun(
     let again = assemble(sealing, header.parent, place, &outcome);
     let sealed = Header { extra: header.extra.clone(), nonce: header.nonce, ..again.clone() };
     // Under proof of work the extra data holds no seal and is always the same.
-    if sealed != *header || (sealing.work().is_some() && again.extra != header.extra) {
+    if sealed != *header || (sealing.work.is_some() && again.extra != header.extra) {
         return Err(blame("replaying its transactions gives a different block"));
     }
-    let same =
-        |(receipt, one): (&Receipt, &Mined)| receipt.encode() == one.receipt && receipt.logs.len() as u64 == one.logs;
+    let same = |(own, one): (&Receipt, &Mined)| own.encode() == one.receipt && own.logs.len() as u64 == one.logs;
     let kept = outcome.receipts.iter().zip(&mined).all(same);
     if kept { Ok(outcome) } else { Err(blame("its receipts were changed")) }
 }
 
-/// The header of a block that has run, before its seal.
+/// Unsealed.
 fn assemble(sealing: &Sealing, parent: Hash, place: &Environment, outcome: &Outcome) -> Header {
     let (beneficiary, extra) = sealing.dress();
     let sent: Vec<&[u8]> = outcome.included.iter().map(|one| &one.raw[..]).collect();
@@ -333,15 +305,14 @@ fn assemble(sealing: &Sealing, parent: Hash, place: &Environment, outcome: &Outc
     }
 }
 
-/// Root of the trie of receipts.
 pub fn receipts_root<'a>(receipts: impl IntoIterator<Item = &'a Receipt>) -> Hash {
     list_root(&receipts.into_iter().map(Receipt::committed).collect::<Vec<_>>())
 }
 
-/// Nodes by their hash, with the number of their places in the state.
+/// With the number of their places in the state.
 type CountedNodes = HashMap<Hash, (Arc<[u8]>, u64)>;
 
-/// The nodes of a single state, in memory.
+/// Nodes of a single state, in memory.
 struct Passing {
     file: Rc<ChainFile>,
     nodes: RefCell<CountedNodes>,

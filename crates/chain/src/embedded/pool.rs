@@ -1,5 +1,5 @@
-//! Transactions waiting for a block: bounded per sender and overall, in nonce order per sender. Between senders smaller
-//! transactions go first, because accounts are free and none has priority; a transaction gets smaller as it waits.
+//! Pending transactions: bounded per sender and overall, in nonce order. Between senders smaller ones go first, because
+//! accounts are free; waiting makes a transaction smaller.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap, HashMap, HashSet};
@@ -14,38 +14,34 @@ use revm::primitives::{Address as EvmAddress, AddressSet, U256};
 use crate::model::{Address, Hash};
 use crate::transaction::Transaction;
 
-/// The most pending transactions.
 const MOST: usize = 16_384;
-/// The most pending bytes.
 const MOST_BYTES: usize = 32 * 1024 * 1024;
-/// The most pending gas.
 const MOST_GAS: u64 = 1_000_000_000;
-/// The most transactions of one sender; more than a lane of this program keeps open.
+/// Per sender; more than a lane of this program keeps open.
 const MOST_OF_ONE: usize = 1_280;
-/// How far a nonce may be beyond the last pending one without a gap.
+/// Nonces accepted beyond the first gap.
 const FARTHEST: u64 = 128;
-/// This much mined gas makes a waiting transaction smaller by one.
+/// Mined gas that makes a waiting transaction smaller by one.
 const AGE: u64 = 100;
 
 struct Waiting {
-    /// Its place in the order: the clock at its arrival, its gas, and the gas before it in its lane.
+    /// The clock at its arrival, its gas, and the gas before it in its lane.
     rank: u128,
     arrival: u64,
     transaction: Transaction,
 }
 
-/// The pending transactions of one sender.
 struct Lane {
-    /// The sender's next nonce on chain.
+    /// Next nonce on chain.
     next: u64,
     waiting: BTreeMap<u64, Waiting>,
     gas: u64,
-    /// The rank of the last arrival.
+    /// Of the last arrival.
     rank: u128,
 }
 
 impl Lane {
-    /// The nonce after the last pending one without a gap.
+    /// The nonce after the last one without a gap.
     fn free(&self) -> u64 {
         let nonces = self.waiting.range(self.next..).map(|(nonce, _)| *nonce);
         nonces
@@ -71,7 +67,7 @@ pub struct Pool {
 }
 
 impl Pool {
-    /// Takes a transaction whose sender's next nonce on chain is `next`.
+    /// `next` is the sender's next nonce on chain.
     pub fn add(&mut self, transaction: Transaction, next: u64) -> Result<(), String> {
         if self.hashes.contains(&transaction.hash) {
             return Err("already known".into());
@@ -98,8 +94,7 @@ impl Pool {
         Ok(())
     }
 
-    /// Drops the last transactions of the sender with the most pending gas, as long as that is more than the newcomer's
-    /// sender would have.
+    /// Drops the last transactions of the sender with the most pending gas, while that exceeds the newcomer's.
     fn make_room(&mut self, newcomer: &Transaction) -> Result<(), String> {
         let own = self.lanes.get(&newcomer.sender).map_or(0, |lane| lane.gas).saturating_add(newcomer.gas_limit);
         while self.hashes.len() >= MOST
@@ -142,7 +137,6 @@ impl Pool {
         Some(old)
     }
 
-    /// Updates whether a sender has something for the next block.
     fn look(&mut self, sender: Address) {
         let ready = self.lanes.get(&sender).is_some_and(|lane| lane.waiting.contains_key(&lane.next));
         if ready {
@@ -155,14 +149,12 @@ impl Pool {
         }
     }
 
-    /// Removes transactions that can never be mined.
     pub fn forget<'a>(&mut self, transactions: impl IntoIterator<Item = &'a Transaction>) {
         for transaction in transactions {
             self.remove(transaction.sender, transaction.nonce);
         }
     }
 
-    /// Removes transactions that are in a block.
     pub fn mined<'a>(&mut self, transactions: impl IntoIterator<Item = &'a Transaction>) {
         for transaction in transactions {
             if let Some(lane) = self.lanes.get_mut(&transaction.sender) {
@@ -175,7 +167,7 @@ impl Pool {
         }
     }
 
-    /// Copies of up to `most` transactions that can go into the next block, whose gas limits add up to at most `gas`.
+    /// At most `most` transactions, whose gas limits fit into `gas`.
     pub fn ready(&self, most: usize, gas: u64) -> Vec<Transaction> {
         let mut heads: BinaryHeap<Reverse<(u128, u64, Address, u64)>> = BinaryHeap::new();
         let waiting = |sender: &Address, nonce: u64| self.lanes.get(sender).and_then(|lane| lane.waiting.get(&nonce));
@@ -201,7 +193,6 @@ impl Pool {
         chosen
     }
 
-    /// The nonce after the last pending one without a gap from `next` on.
     pub fn next_nonce(&self, sender: Address, next: u64) -> u64 {
         self.lanes.get(&sender).map_or(next, |lane| lane.free().max(next))
     }
@@ -214,52 +205,43 @@ impl Pool {
         all.find(|waiting| waiting.transaction.hash == hash).map(|waiting| &waiting.transaction)
     }
 
-    /// Whether any sender's next transaction is pending.
     pub fn is_ready(&self) -> bool {
         !self.ready.is_empty()
     }
 }
 
-// Rules of admission: what this node accepts into its pool and its blocks, so that no caller stalls the chain's single
-// thread. They are not rules of the chain: replaying a block from the file ignores them.
+// Rules of admission, so that no caller stalls the chain's thread. Replaying the file ignores them.
 //
-// Gas does not measure time where Istanbul's prices are wrong: MODEXP with a long exponent takes a hundred times as
-// long as its gas says, ecrecover three times. What such a call should cost above its price is counted as surplus.
+// Istanbul's prices are wrong for MODEXP with a long exponent (a hundred times too low) and ecrecover (three times).
+// What such a call should cost above its price is its surplus.
 
-/// The most gas of one transaction, call or estimate.
+/// Per transaction, call or estimate.
 pub const TRANSACTION_GAS: u64 = 10_000_000;
-/// The most gas of all transactions of a block.
 pub const BLOCK_GAS: u64 = 20_000_000;
-/// The most gas that all runs of one estimate may use together.
+/// For all runs of one estimate.
 pub const ESTIMATE_GAS: u64 = 40_000_000;
-/// The most surplus of one transaction or call.
+/// Per transaction or call.
 pub const TRANSACTION_SURPLUS: u64 = 10_000_000;
-/// A block with this much surplus takes no further transaction.
+/// A block with this much takes no further transaction.
 pub const BLOCK_SURPLUS: u64 = 10_000_000;
-/// Prefix of the refusal.
 pub const TOO_MUCH_WORK: &str = "too much work for its gas";
 
-/// The address of ecrecover.
 const ECRECOVER: EvmAddress = revm::precompile::u64_to_address(1);
 const ECRECOVER_GAS: u64 = 3_000;
-/// Its surplus, measured against the other instructions.
+/// Measured against the other instructions.
 const ECRECOVER_SURPLUS: u64 = 6_000;
-/// The address of MODEXP (EIP-198).
 const MODEXP: EvmAddress = revm::precompile::u64_to_address(5);
-/// Bytes of MODEXP's three lengths.
 const LENGTHS: usize = 96;
 
-/// Istanbul's precompiled contracts, and how much more work they did than their gas says.
+/// Istanbul's precompiled contracts, and the surplus of their calls.
 #[derive(Debug)]
 pub struct Weighed {
     precompiles: EthPrecompiles,
-    /// The surplus so far, in gas.
     pub surplus: u64,
     most: u64,
 }
 
 impl Weighed {
-    /// Allows a surplus of at most `most`.
     pub fn new(most: u64) -> Self {
         Self { precompiles: EthPrecompiles::new(SpecId::ISTANBUL), surplus: 0, most }
     }
@@ -292,7 +274,7 @@ impl<C: ContextTr> PrecompileProvider<C> for Weighed {
     }
 }
 
-/// How much more a call of MODEXP costs under EIP-7883 than under EIP-198; 0 if it cannot pay for itself.
+/// The price under EIP-7883 above that under EIP-198; 0 if the call cannot pay.
 fn surplus(input: &[u8], gas: u64) -> u64 {
     let mut head = [0; LENGTHS + 32];
     let word = |at: usize, head: &[u8]| U256::from_be_slice(&head[at..at + 32]);

@@ -7,53 +7,23 @@ use alloy_primitives::{B256, Log, U256};
 use serde_json::{Map, Value, json};
 
 use super::block::{self, Header, Mining, data, quantity, read_address, read_data, read_hash, read_quantity};
-use super::machine::Answer;
-use super::node::Node;
-use super::pool::TRANSACTION_GAS;
 use super::world::{KEPT, Tries};
-use crate::ChainError;
+use super::{machine::Answer, node::Node, pool::TRANSACTION_GAS};
 use crate::model::{Address, Hash, clean};
 use crate::transaction::Unsigned;
+use crate::transport::{JsonRpcError, TransportError, refused};
 
-/// A refused request: JSON-RPC code, message, revert data.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Fault {
-    /// JSON-RPC or Ethereum error code.
-    pub code: i64,
-    /// What is wrong, in geth's words.
-    pub message: String,
-    /// Revert data as hex.
-    pub data: Option<Value>,
-    /// The chain's own error, if it is one.
-    pub cause: Option<Box<ChainError>>,
-}
+pub type Reply = Result<Value, TransportError>;
 
-impl Fault {
-    pub fn new(code: i64, message: impl Into<String>) -> Self {
-        Self { code, message: message.into(), data: None, cause: None }
-    }
-}
-
-impl From<ChainError> for Fault {
-    fn from(error: ChainError) -> Self {
-        Self { cause: Some(Box::new(error.clone())), ..Self::new(-32603, error.to_string()) }
-    }
-}
-
-/// The answer to a request.
-pub type Reply = Result<Value, Fault>;
-
-/// Positional parameters of a request.
 pub struct Parameters(Vec<Value>);
 
 impl Parameters {
-    /// One of them, parsed.
-    pub fn at<T>(&self, index: usize, read: impl FnOnce(&Value) -> Option<T>) -> Result<T, Fault> {
+    pub fn at<T>(&self, index: usize, read: impl FnOnce(&Value) -> Option<T>) -> Result<T, TransportError> {
         self.0.get(index).and_then(read).ok_or_else(|| Self::missing(index))
     }
 
-    fn missing(index: usize) -> Fault {
-        Fault::new(-32602, format!("missing or invalid value for argument {index}"))
+    fn missing(index: usize) -> TransportError {
+        refused(-32602, format!("missing or invalid value for argument {index}"))
     }
 }
 
@@ -77,10 +47,7 @@ pub fn answer(node: &mut Node, method: &str, parameters: Value) -> Reply {
         "eth_sendRawTransaction" => send(node, &parameters),
         "eth_call" | "eth_estimateGas" => message_call(node, method == "eth_call", &parameters),
         "eth_newBlockFilter" => install(node, None),
-        "eth_newFilter" => {
-            let wanted = parameters.at(0, |wanted| wanted.as_object().cloned())?;
-            install(node, Some(wanted))
-        }
+        "eth_newFilter" => install(node, Some(parameters.at(0, |wanted| wanted.as_object().cloned())?)),
         "eth_getFilterChanges" => changes(node, &parameters),
         "eth_uninstallFilter" => {
             let id = parameters.0.first().and_then(read_quantity);
@@ -104,10 +71,7 @@ fn read(node: &Node, method: &str, parameters: &Parameters) -> Reply {
         }
         "eth_getTransactionCount" => nonce(node, parameters),
         "eth_getProof" => proof(node, parameters),
-        "eth_getBlockByNumber" => {
-            let number = parameters.at(0, |tag| block_number(node, tag))?;
-            block(node, number, whole(parameters))
-        }
+        "eth_getBlockByNumber" => block(node, parameters.at(0, |tag| block_number(node, tag))?, whole(parameters)),
         "eth_getBlockByHash" => match node.file.number_of(parameters.at(0, read_hash)?)? {
             Some(number) => block(node, number, whole(parameters)),
             None => Ok(Value::Null),
@@ -124,18 +88,15 @@ fn read(node: &Node, method: &str, parameters: &Parameters) -> Reply {
         "eth_getTransactionByHash" => transaction(node, parameters.at(0, read_hash)?),
         "eth_getTransactionReceipt" => receipt(node, parameters.at(0, read_hash)?),
         "eth_getLogs" => logs(node, parameters.0.first().unwrap_or(&Value::Null)),
-        "clique_getSigners" if node.sealing.work().is_none() => {
+        "clique_getSigners" if node.sealing.work.is_none() => {
             Ok(node.sealing.addresses().iter().map(|signer| data(&signer.0)).collect())
         }
-        _ => {
-            let what = format!("the method {} does not exist/is not available", clean(method, 60));
-            Err(Fault::new(-32601, what))
-        }
+        _ => Err(refused(-32601, format!("the method {} does not exist/is not available", clean(method, 60)))),
     }
 }
 
 fn client_version(node: &Node) -> String {
-    let work = node.sealing.work().is_some();
+    let work = node.sealing.work.is_some();
     let sealing = if work { "proof of work by Keccak-256, not ethash" } else { "proof of authority" };
     format!("AuthROS/v{}/embedded ({sealing})", env!("CARGO_PKG_VERSION"))
 }
@@ -144,7 +105,7 @@ fn whole(parameters: &Parameters) -> bool {
     parameters.0.get(1) == Some(&Value::Bool(true))
 }
 
-/// The number that a block tag means; `None` if the tag is malformed.
+/// `None` if the tag is malformed.
 pub fn block_number(node: &Node, tag: &Value) -> Option<u64> {
     match tag.as_str()? {
         "latest" | "pending" | "safe" | "finalized" => Some(node.head.number),
@@ -153,7 +114,6 @@ pub fn block_number(node: &Node, tag: &Value) -> Option<u64> {
     }
 }
 
-/// The block that a tag, a number or a hash means; the inner `None` if there is none.
 #[allow(clippy::option_option, reason = "outside: is it a name of a block; inside: is there one")]
 fn block_named(node: &Node, which: &Value) -> Option<Option<u64>> {
     match read_hash(which) {
@@ -162,8 +122,8 @@ fn block_named(node: &Node, which: &Value) -> Option<Option<u64>> {
     }
 }
 
-fn header(node: &Node, number: u64) -> Result<Header, Fault> {
-    node.header(number)?.ok_or_else(|| Fault::new(-32000, format!("block {number} is above the newest")))
+fn header(node: &Node, number: u64) -> Result<Header, TransportError> {
+    node.header(number)?.ok_or_else(|| refused(-32000, format!("block {number} is above the newest")))
 }
 
 fn transaction_at(node: &Node, number: u64, index: U256) -> Reply {
@@ -174,9 +134,9 @@ fn transaction_at(node: &Node, number: u64, index: U256) -> Reply {
     Ok(block::transaction(&one.transaction, node.chain_id, Some(Mining::at(&header, place))))
 }
 
-fn require_newest(node: &Node, tag: Option<&Value>) -> Result<(), Fault> {
+fn require_newest(node: &Node, tag: Option<&Value>) -> Result<(), TransportError> {
     let newest = tag.is_none_or(|tag| tag.is_null() || block_number(node, tag) == Some(node.head.number));
-    if newest { Ok(()) } else { Err(Fault::new(-32000, "this chain keeps only the state of its newest block")) }
+    if newest { Ok(()) } else { Err(refused(-32000, "this chain keeps only the state of its newest block")) }
 }
 
 fn state(node: &Node, parameters: &Parameters, tag: usize, read: impl FnOnce(&Node, Address) -> Reply) -> Reply {
@@ -207,26 +167,23 @@ fn fee_history(node: &Node, parameters: &Parameters) -> Reply {
 
 fn send(node: &mut Node, parameters: &Parameters) -> Reply {
     let raw = parameters.at(0, read_data)?;
-    node.submit(&raw).map(|hash| data(&hash.0)).map_err(|why| Fault::new(-32000, why))
+    node.submit(&raw).map(|hash| data(&hash.0)).map_err(|why| refused(-32000, why))
 }
 
 fn message_call(node: &Node, call: bool, parameters: &Parameters) -> Reply {
     let (from, message) = parameters.at(0, read_message)?;
     require_newest(node, parameters.0.get(1))?;
-    let place = node.next_place();
-    let answer = if call {
-        node.machine.call(&place, from, &message)?
-    } else {
-        match node.machine.estimate(&place, from, &message)? {
-            Ok(gas) => return Ok(quantity(gas)),
-            Err(answer) => answer,
-        }
-    };
-    match answer {
-        Answer::Returned(output, _) => Ok(data(&output)),
-        Answer::Reverted(output) => Err(Fault { data: Some(data(&output)), ..Fault::new(3, "execution reverted") }),
-        Answer::Failed(why) => Err(Fault::new(-32000, why)),
+    let (machine, place) = (&node.machine, node.next_place());
+    let answer = if call { machine.call(&place, from, &message) } else { machine.estimate(&place, from, &message) };
+    match answer? {
+        Answer::Returned(output, gas) => Ok(if call { data(&output) } else { quantity(gas) }),
+        Answer::Reverted(output) => Err(TransportError::Answered(reverted(&output))),
+        Answer::Failed(why) => Err(refused(-32000, why)),
     }
+}
+
+fn reverted(output: &[u8]) -> JsonRpcError {
+    JsonRpcError { code: 3, message: "execution reverted".to_owned(), data: Some(data(output)) }
 }
 
 fn read_message(value: &Value) -> Option<(Address, Unsigned)> {
@@ -243,7 +200,6 @@ fn read_message(value: &Value) -> Option<(Address, Unsigned)> {
     Some((address("from")?.unwrap_or(Address([0; 20])), message))
 }
 
-/// The most storage slots of one proof.
 const MOST_SLOTS: usize = 256;
 
 /// EIP-1186, for blocks whose state is kept.
@@ -252,7 +208,7 @@ fn proof(node: &Node, parameters: &Parameters) -> Reply {
     let slots = |value: &Value| value.as_array()?.iter().map(read_slot).collect::<Option<Vec<U256>>>();
     let slots = parameters.at(1, slots)?;
     if slots.len() > MOST_SLOTS {
-        return Err(Fault::new(-32005, format!("a proof of {} slots; ask for at most {MOST_SLOTS}", slots.len())));
+        return Err(refused(-32005, format!("a proof of {} slots; ask for at most {MOST_SLOTS}", slots.len())));
     }
     let number = match parameters.0.get(2) {
         None | Some(Value::Null) => node.head.number,
@@ -260,18 +216,18 @@ fn proof(node: &Node, parameters: &Parameters) -> Reply {
     };
     let newest = node.head.number;
     if number > newest {
-        return Err(Fault::new(-32000, "there is no such block"));
+        return Err(refused(-32000, "there is no such block"));
     }
     if newest - number >= KEPT {
         let oldest = (newest + 1).saturating_sub(KEPT);
         let what = format!("the state of block {number} is not kept; ask for one of the blocks {oldest} to {newest}");
-        return Err(Fault::new(-32000, what));
+        return Err(refused(-32000, what));
     }
     let tries = Tries { root: header(node, number)?.state_root, ..node.machine.tries.clone() };
     Ok(block::proof(account, &tries.proof(account, &slots)?))
 }
 
-/// A slot as a quantity or as 32 bytes.
+/// As a quantity, or as 32 bytes.
 fn read_slot(value: &Value) -> Option<U256> {
     read_hash(value).map(|word| U256::from_be_bytes(word.0)).or_else(|| read_quantity(value))
 }
@@ -301,18 +257,16 @@ fn receipt(node: &Node, hash: Hash) -> Reply {
     Ok(block::receipt(&done[place].transaction, &done[place].receipt, Mining::at(&header, place), first_log))
 }
 
-// `eth_getLogs`: bounded in blocks, in bytes searched and in bytes returned, before any of it is built.
+// `eth_getLogs`: bounded in blocks, bytes searched and bytes returned, before any of it is built.
 
-/// The most blocks of one request.
 const MOST_BLOCKS: u64 = 10_000;
-/// The most bytes of transactions and receipts searched for one request.
+/// Bytes of transactions and receipts searched for one request.
 const MOST_READ: usize = 32 * 1024 * 1024;
-/// The most bytes in the answer, counted roughly as JSON.
+/// Bytes of the answer, roughly as JSON.
 const MOST_GIVEN: usize = 8 * 1024 * 1024;
-/// The JSON size of a log without its data and topics, bytes.
+/// JSON size of a log without data and topics, bytes.
 const FRAME: usize = 500;
 
-/// The parameters of eth_getLogs.
 struct Filter {
     from: u64,
     to: u64,
@@ -353,19 +307,15 @@ impl Filter {
     }
 }
 
-fn too_many(what: &str) -> Fault {
-    Fault::new(-32005, format!("{what}; ask for fewer blocks at once"))
+fn too_many(what: &str) -> TransportError {
+    refused(-32005, format!("{what}; ask for fewer blocks at once"))
 }
 
-/// The logs that match a filter.
-///
-/// # Errors
-/// [`Fault`] -32005 if that is more than one answer holds, or for a malformed filter.
 fn logs(node: &Node, filter: &Value) -> Reply {
     if let Some(hash) = filter.get("blockHash").and_then(read_hash)
         && node.file.number_of(hash)?.is_none()
     {
-        return Err(Fault::new(-32000, "unknown block"));
+        return Err(refused(-32000, "unknown block"));
     }
     let filter = read_filter(node, filter).ok_or_else(|| Parameters::missing(0))?;
     let to = filter.to.min(node.head.number);
@@ -398,49 +348,44 @@ fn logs(node: &Node, filter: &Value) -> Reply {
     Ok(Value::Array(found))
 }
 
-// Filters: what is new since a caller last asked. There are only a few, and they expire when unused.
+// Filters: what is new since the last request. Few, and they expire.
 
-/// The most filters at a time.
 const MOST_FILTERS: usize = 64;
-/// How long an unused filter lives.
 const LIFE: Duration = Duration::from_secs(300);
-/// The most block hashes returned at once; the rest follows with the next request.
+/// Hashes per answer; the rest follows with the next request.
 const MOST_HASHES: u64 = 1000;
 
-/// What a caller waits for: logs, or blocks.
 struct Waiting {
     wanted: Option<Map<String, Value>>,
     next: u64,
     asked: Instant,
 }
 
-/// The filters of all callers.
 #[derive(Default)]
 pub struct Filters {
     last: u64,
     open: HashMap<U256, Waiting>,
 }
 
-fn unknown_filter() -> Fault {
-    Fault::new(-32000, "filter not found")
+fn unknown_filter() -> TransportError {
+    refused(-32000, "filter not found")
 }
 
-fn waiting<'n>(node: &'n mut Node, parameters: &Parameters) -> Result<&'n mut Waiting, Fault> {
+fn waiting<'n>(node: &'n mut Node, parameters: &Parameters) -> Result<&'n mut Waiting, TransportError> {
     let id = parameters.0.first().and_then(read_quantity);
     id.and_then(|id| node.filters.open.get_mut(&id)).ok_or_else(unknown_filter)
 }
 
-/// A new filter's id.
 fn install(node: &mut Node, wanted: Option<Map<String, Value>>) -> Reply {
     let (next, now) = (node.head.number + 1, Instant::now());
     if let Some(wanted) = &wanted {
-        // Says what is wrong with it, if anything.
+        // Reports a malformed filter.
         logs(node, &within(wanted, next, next))?;
     }
     let Filters { last, open } = &mut node.filters;
     open.retain(|_, waiting| now.duration_since(waiting.asked) < LIFE);
     if open.len() >= MOST_FILTERS {
-        return Err(Fault::new(-32005, format!("there are {MOST_FILTERS} filters already; uninstall some")));
+        return Err(refused(-32005, format!("there are {MOST_FILTERS} filters already; uninstall some")));
     }
     *last += 1;
     open.insert(U256::from(*last), Waiting { wanted, next, asked: now });
@@ -457,7 +402,7 @@ fn changes(node: &mut Node, parameters: &Parameters) -> Reply {
     }
     let most = if wanted.is_some() { MOST_BLOCKS } else { MOST_HASHES };
     let last = newest.min(first + most - 1);
-    let hash = |number| Ok::<_, Fault>(data(&header(node, number)?.hash().0));
+    let hash = |number| Ok::<_, TransportError>(data(&header(node, number)?.hash().0));
     let news = match wanted {
         Some(wanted) => logs(node, &within(&wanted, first, last))?,
         None => (first..=last).map(hash).collect::<Result<Value, _>>()?,
@@ -466,7 +411,6 @@ fn changes(node: &mut Node, parameters: &Parameters) -> Reply {
     Ok(news)
 }
 
-/// A filter with other bounds.
 fn within(filter: &Map<String, Value>, first: u64, last: u64) -> Value {
     let mut filter = filter.clone();
     filter.remove("blockHash");

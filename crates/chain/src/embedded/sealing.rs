@@ -1,14 +1,9 @@
-//! What seals the blocks of a chain, and what makes one of its file valid. Under proof of authority, as in Clique
-//! (EIP-225), signers take turns; under proof of work there is one sealer, which has to search for a nonce. Blocks run the
-//! same way under both.
-//!
-//! All keys are in the chain's file, so all sealers are in this process, and nobody ever has to step in for another. The
-//! genesis block fixes the set: there are no votes.
+//! Seals of blocks, and validity of those in a file. Under proof of authority, as in Clique (EIP-225), signers take
+//! turns; under proof of work one sealer searches for a nonce. All keys are in the chain's file, so nobody ever steps
+//! in for another signer, and there are no votes.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread::JoinHandle;
-use std::time::Duration;
+use std::{sync::Arc, thread::JoinHandle, time::Duration};
 
 use alloy_primitives::{U256, keccak256};
 use k256::ecdsa::SigningKey;
@@ -18,26 +13,21 @@ use zeroize::Zeroizing;
 use super::block::{Header, MARK, SEAL};
 use super::file::{ChainFile, Founding, keys_of};
 use super::machine::Environment;
-use crate::genesis::noise;
-use crate::model::steady_clock::steady_now;
-use crate::model::{Address, Hash, Timestamp};
-use crate::{ChainError, Consensus};
+use crate::model::{Address, Hash, Timestamp, steady_clock::steady_now};
+use crate::{ChainError, Consensus, genesis::noise};
 
 /// Clique's difficulty of a block sealed in turn, as all are here.
 const IN_TURN: u64 = 2;
 
-/// The sealers of a chain.
 pub struct Sealing {
-    /// In the order of their turns, which is that of their addresses; under proof of work the one that gets the fees.
+    /// In the order of their turns (by address); under proof of work, the recipient of the fees.
     sealers: Vec<(Address, SigningKey)>,
-    period: Duration,
-    /// Under proof of work, hashes per block on average. It never changes: with a single miner there is no network to
-    /// adjust to.
-    work: Option<u64>,
+    pub period: Duration,
+    /// Hashes per block on average under proof of work; constant, as a single miner has no network to adjust to.
+    pub work: Option<u64>,
 }
 
 impl Sealing {
-    /// For a chain founded with `consensus` and these keys.
     pub fn new(consensus: &Consensus, keys: Vec<SigningKey>) -> Self {
         let (period, work) = match *consensus {
             Consensus::Poa { period, .. } => (period, None),
@@ -48,26 +38,14 @@ impl Sealing {
         Self { sealers, period, work }
     }
 
-    /// Hashes per block on average; `None` under proof of authority.
-    pub fn work(&self) -> Option<u64> {
-        self.work
-    }
-
-    /// The sealers' addresses in the order of their turns.
     pub fn addresses(&self) -> Vec<Address> {
         self.sealers.iter().map(|(address, _)| *address).collect()
-    }
-
-    /// The least time between two blocks.
-    pub fn period(&self) -> Duration {
-        self.period
     }
 
     fn in_turn(&self, number: u64) -> Option<&(Address, SigningKey)> {
         self.sealers.get(usize::try_from(number % self.sealers.len().max(1) as u64).ok()?)
     }
 
-    /// The sealer of a block.
     fn sealer(&self, number: u64) -> Address {
         self.in_turn(number).map_or(Address([0; 20]), |(address, _)| *address)
     }
@@ -76,7 +54,7 @@ impl Sealing {
         self.work.unwrap_or(IN_TURN)
     }
 
-    /// The genesis block, before its seal.
+    /// Unsealed.
     fn genesis(&self, unique: Hash, timestamp: u64) -> Header {
         match self.work {
             Some(difficulty) => Header::genesis(&[], self.sealer(0), difficulty, unique, timestamp),
@@ -84,24 +62,21 @@ impl Sealing {
         }
     }
 
-    /// Whether a header is the genesis block of this chain.
     fn founded(&self, genesis: &Header) -> bool {
         let Some(unique) = unique(genesis) else { return false };
-        let expected = self.genesis(unique, genesis.timestamp);
-        let unsealed = expected.extra.len() - if self.work.is_some() { 0 } else { SEAL };
-        let listed =
-            genesis.extra.len() == expected.extra.len() && genesis.extra.starts_with(&expected.extra[..unsealed]);
-        listed && Header { extra: genesis.extra.clone(), ..expected } == *genesis && self.vouch(genesis).is_ok()
+        let own = self.genesis(unique, genesis.timestamp);
+        let unsealed = own.extra.len() - if self.work.is_some() { 0 } else { SEAL };
+        let listed = genesis.extra.len() == own.extra.len() && genesis.extra.starts_with(&own.extra[..unsealed]);
+        listed && Header { extra: genesis.extra.clone(), ..own } == *genesis && self.vouch(genesis).is_ok()
     }
 
-    /// The context of the block above a head of that time.
     pub fn place(&self, number: u64, head_time: u64) -> Environment {
         // Block times never go back: after the clock jumps back, blocks keep their time until it has caught up.
         let timestamp = steady_now().seconds().max(head_time + self.period.as_secs());
         Environment { number, timestamp, difficulty: self.difficulty(), beneficiary: self.sealer(number) }
     }
 
-    /// The consensus fields of a block's header before its seal: coinbase and extra data.
+    /// Coinbase and extra data before the seal.
     pub fn dress(&self) -> (Address, Vec<u8>) {
         match self.work {
             Some(_) => (self.sealer(0), EXTRA.to_vec()),
@@ -109,13 +84,12 @@ impl Sealing {
         }
     }
 
-    /// Seals a block for the signer whose turn it is.
     pub fn seal(&self, header: &mut Header) -> Option<()> {
         header.seal(&self.in_turn(header.number)?.1)
     }
 
-    /// Checks everything about a block of the file that its transactions do not show; returns its context. With a single
-    /// signer it is not recovered from every seal: the newest seal vouches for all blocks below it.
+    /// Checks what the transactions do not show. A single signer's seals are not recovered: the newest vouches for all
+    /// below.
     pub fn accept(&self, header: &Header, parent_time: u64) -> Result<Environment, &'static str> {
         let Header { number, timestamp, difficulty, .. } = *header;
         let (other, early) = match self.work {
@@ -137,7 +111,7 @@ impl Sealing {
         Ok(Environment { number, timestamp, difficulty, beneficiary: self.sealer(number) })
     }
 
-    /// Checks that the seal on a block is that of the signer whose turn it is.
+    /// The seal must be that of the signer whose turn it is.
     pub fn vouch(&self, header: &Header) -> Result<(), &'static str> {
         match header.sealer() {
             _ if self.work.is_some() => Ok(()),
@@ -147,24 +121,21 @@ impl Sealing {
         }
     }
 
-    /// The sum of the difficulties of blocks 0 to `number`.
+    /// Sum over blocks 0 to `number`.
     pub fn total_difficulty(&self, number: u64) -> u128 {
         let genesis = self.work.unwrap_or(1);
         u128::from(self.difficulty()) * u128::from(number) + u128::from(genesis)
     }
 }
 
-/// The address of a key.
 pub fn address_of(key: &SigningKey) -> Address {
     Address(alloy_primitives::Address::from_private_key(key).into_array())
 }
 
-// Proof of work: a nonce whose Keccak-256 with the block's hash is at most 2^256 / difficulty.
-//
-// It is real work, but not ethash: no memory-hard data set, a far cheaper hash. Difficulties mean the same (hashes per
-// block on average), but a hash takes a different time.
+// Proof of work: Keccak-256 of the block's hash and a nonce is at most 2^256 / difficulty. It is not ethash: no data
+// set, a far cheaper hash, so a hash takes a different time.
 
-/// The extra data of every block after the first, so that no reader mistakes it for ethash.
+/// Marks every block after the first, so that no reader mistakes it for ethash.
 pub const EXTRA: [u8; 32] = *b"AuthROS Keccak-256, not ethash\0\0";
 
 /// Hashes between checks whether to stop.
@@ -179,7 +150,6 @@ fn target(difficulty: u64) -> [u8; 32] {
     quotient.saturating_add(carry).to_be_bytes()
 }
 
-/// Whether `nonce` seals a block with that work hash.
 pub fn seals(work_hash: Hash, nonce: u64, difficulty: u64) -> bool {
     let begun = Keccak256::new_with_prefix(work_hash.as_bytes());
     meets(&begun, nonce, &target(difficulty))
@@ -190,14 +160,14 @@ fn meets(begun: &Keccak256, nonce: u64, target: &[u8; 32]) -> bool {
     hash <= *target
 }
 
-/// A search for a nonce, on a thread of its own. Dropping it ends it.
+/// Dropping it ends it.
 pub struct Search {
     cancelled: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Search {
-    /// Searches from `first` on, and reports the first nonce that seals the block.
+    /// Reports the first nonce from `first` on that seals the block.
     pub fn start(
         work_hash: Hash,
         difficulty: u64,
@@ -241,24 +211,16 @@ fn search(work_hash: Hash, difficulty: u64, first: u64, cancelled: &AtomicBool) 
 
 // Founding a new chain, and recognising an existing one: chain id, keys, genesis block.
 
-/// Length of the random part of a genesis block, which also commits to the consensus.
+/// Random bytes of a genesis block.
 const RANDOM: usize = 16;
 
-/// The founding data of a chain.
 pub struct Founded {
     pub chain_id: u64,
-    /// How its blocks are sealed.
     pub consensus: Consensus,
-    /// The same, with its keys.
     pub sealing: Sealing,
     pub genesis: Header,
 }
 
-/// The chain in the file, or a new one.
-///
-/// # Errors
-/// [`ChainError::OtherConsensus`] if a different consensus is requested from the one the chain was founded with,
-/// [`ChainError::Tampered`] if the founding data do not match the genesis block.
 pub fn open(file: &ChainFile, asked: Option<Consensus>) -> Result<Founded, ChainError> {
     let Founding { chain_id, consensus, keys } = match file.founding()? {
         Some(founding) => founding,
@@ -289,14 +251,13 @@ fn found(file: &ChainFile, consensus: Consensus) -> Result<Founding, ChainError>
     Ok(founding)
 }
 
-/// 16 random bytes, and 16 bytes of the Keccak-256 of them and the consensus, which therefore cannot be changed later.
+/// Random bytes, and a hash of them and the consensus, which therefore cannot be changed later.
 fn commitment(random: [u8; RANDOM], consensus: &Consensus) -> Hash {
     let mut unique = keccak256([&random[..], consensus.to_string().as_bytes()].concat()).0;
     unique[..RANDOM].copy_from_slice(&random);
     Hash(unique)
 }
 
-/// The first part of a genesis block's extra data.
 fn unique(genesis: &Header) -> Option<Hash> {
     genesis.extra.get(..32).and_then(Hash::from_slice)
 }

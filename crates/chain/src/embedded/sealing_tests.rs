@@ -223,7 +223,7 @@ async fn the_last_handle_ends_a_search_and_frees_the_file() {
     let home = tempfile::tempdir().expect("folder");
     let endless = Consensus::Pow { difficulty: Consensus::HIGHEST_DIFFICULTY };
     let chain = Embedded::open(home.path().to_owned(), Some(endless)).await.expect("opens");
-    assert_eq!((chain.consensus(), chain.sealers().len()), (endless, 1));
+    assert_eq!((chain.line.consensus, chain.line.sealers.len()), (endless, 1));
     let id = chain.request("eth_chainId", Value::Null).await.expect("id");
     let id = u64::from_str_radix(id.as_str().expect("text").trim_start_matches("0x"), 16).expect("number");
     let wallet = LocalWallet::from_bytes(&[7; 32]).expect("key");
@@ -237,7 +237,7 @@ async fn the_last_handle_ends_a_search_and_frees_the_file() {
     drop(chain);
     // Opening waits up to 5 s for the file, which the ending chain releases.
     let chain = Embedded::open(home.path().to_owned(), Some(endless)).await.expect("opens again");
-    assert_eq!(chain.head().borrow().number, 0);
+    assert_eq!(chain.line.head.borrow().number, 0);
 }
 
 #[test]

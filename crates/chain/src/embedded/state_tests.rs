@@ -18,6 +18,7 @@ use super::world::KEPT;
 use crate::ChainError;
 use crate::model::{Address, ErrorKind, Hash};
 use crate::transaction::created_address;
+use crate::transport::TransportError;
 
 /// SSTORE(calldata\[0\], calldata\[32\]) and LOG0; any call with a third word destroys the contract.
 const KEEPER: &str = "6040356013576020356000355560006000a0005b33ff";
@@ -88,7 +89,7 @@ impl Site {
         contract
     }
 
-    pub fn ask(&mut self, method: &str, parameters: Value) -> Result<Value, super::Fault> {
+    pub fn ask(&mut self, method: &str, parameters: Value) -> Result<Value, TransportError> {
         answer(&mut self.node, method, parameters)
     }
 
@@ -140,7 +141,7 @@ fn proofs_hold_for_the_last_blocks_and_older_nodes_are_gone() {
         assert_eq!(proof["nonce"], json!("0x1"));
     }
     let early = site.ask("eth_getProof", json!([place, [], format!("{:#x}", newest - KEPT)])).expect_err("pruned");
-    assert!(early.message.contains("is not kept"), "{}", early.message);
+    assert!(early.to_string().contains("is not kept"), "{early}");
     let absent = site.ask("eth_getProof", json!([Address([9; 20]).to_string(), ["0x0"], "latest"])).expect("proven");
     assert_eq!((&absent["balance"], &absent["storageProof"][0]["value"]), (&json!("0x0"), &json!("0x0")));
     assert_eq!(absent["storageHash"], json!(EMPTY_ROOT.to_string()));
@@ -205,8 +206,8 @@ fn a_flipped_node_is_named_when_it_is_read() {
     };
     change(&flipped);
     let mut site = open(home.path());
-    let fault = site.ask("eth_getStorageAt", json!([contract.to_string(), "0x5", "latest"])).expect_err("named");
-    let cause = fault.cause.expect("the chain's own");
+    let answer = site.ask("eth_getStorageAt", json!([contract.to_string(), "0x5", "latest"]));
+    let Err(TransportError::Chain(cause)) = answer else { panic!("the chain's own error") };
     assert_eq!(cause.kind(), ErrorKind::Tampered);
     assert!(cause.to_string().contains(&hash.to_string()), "{cause}");
     assert_eq!(site.audit().expect_err("found").kind(), ErrorKind::Tampered);
@@ -234,8 +235,9 @@ fn an_altered_block_is_named_when_it_is_read_and_by_an_audit() {
         let before: Vec<u8> = file(home.path()).query_row(&select, [], |row| row.get(0)).expect("reads");
         file(home.path()).execute(alter, []).expect("alters");
         let mut site = open(home.path());
-        let fault = site.ask("eth_getTransactionReceipt", json!([hash])).expect_err(alter);
-        assert_eq!(fault.cause.map(|cause| cause.kind()), Some(ErrorKind::Tampered), "{alter}");
+        let answer = site.ask("eth_getTransactionReceipt", json!([hash]));
+        let Err(TransportError::Chain(cause)) = answer else { panic!("{alter}: the chain's own error") };
+        assert_eq!(cause.kind(), ErrorKind::Tampered, "{alter}");
         assert!(site.audit().expect_err(alter).to_string().contains("at block 3"));
         drop(site);
         let update = format!("UPDATE sent SET {restore} = ?1 WHERE block = 3");

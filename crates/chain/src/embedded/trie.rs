@@ -1,8 +1,6 @@
-//! Merkle-Patricia tries (Yellow Paper, appendix D) whose nodes are stored elsewhere under their hash and read on
-//! demand.
+//! Merkle-Patricia tries (Yellow Paper, appendix D) whose nodes are read on demand.
 //!
-//! All keys have one length, or none is a prefix of another, so that no branch holds a value. A change reads only the
-//! nodes on its path; the nodes it creates and leaves behind are returned at the end, each once per place.
+//! No key is a prefix of another, so no branch holds a value. A change reads only the nodes on its path.
 
 use std::sync::Arc;
 
@@ -12,35 +10,27 @@ use ethers::utils::rlp::Rlp;
 
 pub use authros_evidence::trie::EMPTY_ROOT;
 
-use crate::ChainError;
-use crate::model::Hash;
-use crate::transaction::List;
+use crate::{ChainError, model::Hash, transaction::List};
 use authros_evidence::trie::{Step, follow, nibbles, unpacked};
 
 /// A node shorter than this is embedded in its parent.
 const SHORTEST: usize = 32;
 
-/// The store of nodes.
 pub trait Nodes {
-    /// The node with this hash.
-    ///
-    /// # Errors
-    /// [`ChainError::Tampered`] naming the node if it is missing or altered, or an error if it cannot be read.
+    /// The error names a node that is missing or altered.
     fn node(&self, hash: Hash) -> Result<Arc<[u8]>, ChainError>;
 
-    /// The error for bytes that are not a trie node.
     fn malformed(&self, hash: Hash) -> ChainError;
 
-    /// The hash of a block, for the BLOCKHASH instruction; zero where there are no blocks.
+    /// For BLOCKHASH; zero where there are no blocks.
     fn block_hash(&self, _number: u64) -> Result<Hash, ChainError> {
         Ok(Hash([0; 32]))
     }
 }
 
-/// What changes of tries did to their nodes.
 #[derive(Debug, Default)]
 pub struct Turnover {
-    /// New nodes and code, hash and bytes; one at several places is listed several times.
+    /// New nodes and code, once per place.
     pub made: Vec<(Hash, Vec<u8>)>,
     /// Nodes with one place fewer.
     pub left: Vec<Hash>,
@@ -49,7 +39,6 @@ pub struct Turnover {
 }
 
 impl Turnover {
-    /// Adds that of another trie.
     pub fn add(&mut self, other: Self) {
         self.made.extend(other.made);
         self.left.extend(other.left);
@@ -63,18 +52,17 @@ enum Child {
     Nothing,
     Stored(Hash),
     Open(Box<Node>),
-    /// Only at the end of a path of its own.
+    /// Only at the end of a path.
     Value(Vec<u8>),
 }
 
 #[derive(Debug)]
 enum Node {
-    /// A leaf, if a value is at the end of the path, or else an extension.
+    /// A leaf if its child is a value, otherwise an extension.
     Path(Vec<u8>, Child),
     Branch(Box<[Child; 16]>),
 }
 
-/// A trie, with the changes since it was opened.
 pub struct Trie<'a, N: ?Sized> {
     nodes: &'a N,
     root: Child,
@@ -82,18 +70,16 @@ pub struct Trie<'a, N: ?Sized> {
 }
 
 impl<'a, N: Nodes + ?Sized> Trie<'a, N> {
-    /// The trie with this root.
     pub fn new(nodes: &'a N, root: Hash) -> Self {
         let root = if root == EMPTY_ROOT { Child::Nothing } else { Child::Stored(root) };
         Self { nodes, root, left: Vec::new() }
     }
 
-    /// The value of a key.
     pub fn get(&self, key: &[u8]) -> Result<Option<Vec<u8>>, ChainError> {
         self.find(&self.root, &nibbles(key), &mut |_| ())
     }
 
-    /// The value of a key, and every stored node on the way to it or to where it would be, from the root down (EIP-1186).
+    /// The value, and every stored node on the way, from the root down (EIP-1186).
     pub fn prove(&self, key: &[u8]) -> Result<Proof, ChainError> {
         let mut way = Vec::new();
         let value = self.find(&self.root, &nibbles(key), &mut |node| way.push(Arc::clone(node)))?;
@@ -124,7 +110,7 @@ impl<'a, N: Nodes + ?Sized> Trie<'a, N> {
         }
     }
 
-    /// Sets the value of a key, or removes the key.
+    /// `None` removes the key.
     pub fn set(&mut self, key: &[u8], value: Option<Vec<u8>>) -> Result<(), ChainError> {
         if self.get(key)? == value {
             return Ok(());
@@ -138,7 +124,6 @@ impl<'a, N: Nodes + ?Sized> Trie<'a, N> {
         Ok(())
     }
 
-    /// The root with all changes, and the nodes they created and left behind.
     pub fn finish(self) -> (Hash, Turnover) {
         let mut turnover = Turnover { left: self.left, ..Turnover::default() };
         let root = match &self.root {
@@ -159,7 +144,7 @@ impl<'a, N: Nodes + ?Sized> Trie<'a, N> {
         decode(&bytes).ok_or_else(|| self.nodes.malformed(hash))
     }
 
-    /// A node about to be changed.
+    /// Reads a node to change it.
     fn open(&mut self, child: Child) -> Result<Option<Node>, ChainError> {
         match child {
             Child::Nothing | Child::Value(_) => Ok(None),
@@ -202,7 +187,7 @@ impl<'a, N: Nodes + ?Sized> Trie<'a, N> {
         Ok(open(node))
     }
 
-    /// Removes an existing key.
+    /// The key must exist.
     fn remove(&mut self, at: Child, path: &[u8]) -> Result<Child, ChainError> {
         match self.open(at)? {
             None | Some(Node::Path(_, Child::Value(_))) => Ok(Child::Nothing),
@@ -227,7 +212,6 @@ impl<'a, N: Nodes + ?Sized> Trie<'a, N> {
         }
     }
 
-    /// Joins `path` and `child` into one node.
     fn joined(&mut self, mut path: Vec<u8>, child: Child) -> Result<Child, ChainError> {
         let below = match child {
             Child::Nothing => return Ok(Child::Nothing),
@@ -252,10 +236,9 @@ impl<'a, N: Nodes + ?Sized> Trie<'a, N> {
     }
 }
 
-/// A value, if there is one, and the nodes on the way to it, from the root down.
 pub type Proof = (Option<Vec<u8>>, Vec<Arc<[u8]>>);
 
-/// The stored nodes directly below a stored node; `None` if it is not a node.
+/// Stored nodes directly below; `None` if it is not a node.
 pub fn below(bytes: &[u8]) -> Option<Vec<Hash>> {
     fn collect(node: &Node, found: &mut Vec<Hash>) {
         let children = match node {
@@ -279,7 +262,6 @@ fn open(node: Node) -> Child {
     Child::Open(Box::new(node))
 }
 
-/// Puts what is at the end of a path below a branch.
 fn put(children: &mut [Child; 16], path: &[u8], end: Child) {
     if let Some((nibble, rest)) = path.split_first() {
         let is_direct = rest.is_empty() && !matches!(end, Child::Value(_));
@@ -287,7 +269,7 @@ fn put(children: &mut [Child; 16], path: &[u8], end: Child) {
     }
 }
 
-/// Nibbles in the hex-prefix encoding (appendix C).
+/// Hex-prefix encoding (appendix C).
 fn packed(path: &[u8], leaf: bool) -> Vec<u8> {
     let odd = path.len() % 2;
     let mark = if leaf { 2 } else { 0 } + u8::from(odd == 1);
@@ -295,7 +277,6 @@ fn packed(path: &[u8], leaf: bool) -> Vec<u8> {
     std::iter::once(first).chain(path[odd..].chunks(2).map(|pair| pair[0] << 4 | pair[1])).collect()
 }
 
-/// From a node's RLP, and nothing else.
 fn decode(bytes: &[u8]) -> Option<Node> {
     let PayloadView::List(items) = whole(bytes)? else { return None };
     match items[..] {
@@ -330,12 +311,11 @@ fn text(rlp: &[u8]) -> Option<&[u8]> {
     if let PayloadView::String(text) = whole(rlp)? { Some(text) } else { None }
 }
 
-/// The RLP item that these bytes are.
 fn whole(mut rlp: &[u8]) -> Option<PayloadView<'_>> {
     alloy_rlp::Header::decode_raw(&mut rlp).ok().filter(|_| rlp.is_empty())
 }
 
-/// A node's RLP; child nodes that are long enough go to `made`.
+/// Adds child nodes that are long enough to `made`.
 fn encode(node: &Node, made: &mut Vec<(Hash, Vec<u8>)>) -> Vec<u8> {
     let list = List::default();
     let list = match node {
@@ -364,7 +344,7 @@ fn append(list: List, child: &Child, made: &mut Vec<(Hash, Vec<u8>)>) -> List {
     }
 }
 
-/// Root of the trie of a list of transactions or receipts: RLP of the index to the item (Yellow Paper, 4.3.2).
+/// The trie maps RLP of the index to the item (Yellow Paper, 4.3.2).
 pub fn list_root(items: &[impl AsRef<[u8]>]) -> Hash {
     Hash(alloy_trie::root::ordered_trie_root_encoded(items).0)
 }

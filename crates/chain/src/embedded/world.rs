@@ -1,9 +1,7 @@
 //! The world state: tries whose nodes are read on demand.
 
-use std::cell::RefCell;
 use std::collections::{BTreeMap, HashMap};
-use std::rc::Rc;
-use std::sync::Arc;
+use std::{cell::RefCell, rc::Rc, sync::Arc};
 
 use alloy_primitives::{B256, Bytes, KECCAK256_EMPTY, U256, keccak256};
 use alloy_rlp::{Decodable, decode_exact};
@@ -18,38 +16,32 @@ use super::trie::{EMPTY_ROOT, Nodes, Trie, Turnover, below};
 use crate::ChainError;
 use crate::model::{Address, Hash};
 
-/// What could not be read; revm needs its own error type.
+/// revm needs its own error type.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub struct Unread(pub ChainError);
 
 impl DBErrorMarker for Unread {}
 
-/// The state under one root.
 #[derive(Clone)]
 pub struct Tries {
-    /// The store of its nodes.
     pub ground: Rc<dyn Nodes>,
     pub root: Hash,
 }
 
-/// A slot, its value, and the nodes on the way to it.
+/// Slot, value, and the nodes on the way.
 pub type SlotProof = (U256, U256, Vec<Arc<[u8]>>);
 
-/// The proof of an account (EIP-1186).
+/// EIP-1186.
 pub struct Proof {
-    /// The account; an empty one if it does not exist.
+    /// Empty if it does not exist.
     pub account: TrieAccount,
-    /// The nodes on the way to it.
     pub way: Vec<Arc<[u8]>>,
-    /// Each requested slot: its value and the nodes on the way to it.
     pub slots: Vec<SlotProof>,
 }
 
-/// What remains of an account after a block.
 #[derive(Default)]
 struct Change {
-    /// Its former storage is deleted.
     wiped: bool,
     info: AccountInfo,
     slots: BTreeMap<U256, U256>,
@@ -65,19 +57,16 @@ impl Tries {
         found.map(|bytes| self.read(self.root, &bytes)).transpose()
     }
 
-    /// A storage slot of an account.
     pub fn slot(&self, address: Address, slot: U256) -> Result<U256, ChainError> {
         let storage = Hash(self.account(address)?.unwrap_or_default().storage_root.0);
         let found = Trie::new(&*self.ground, storage).get(&slot_key(slot)[..])?;
         found.map_or(Ok(U256::ZERO), |bytes| self.read(storage, &bytes))
     }
 
-    /// The code with this hash.
     pub fn code(&self, hash: B256) -> Result<Arc<[u8]>, ChainError> {
         if hash == KECCAK256_EMPTY || hash.is_zero() { Ok(Arc::default()) } else { self.ground.node(Hash(hash.0)) }
     }
 
-    /// The proof of an account and some of its slots.
     pub fn proof(&self, address: Address, slots: &[U256]) -> Result<Proof, ChainError> {
         let (found, way) = Trie::new(&*self.ground, self.root).prove(&keccak256(address.0)[..])?;
         let account: TrieAccount = found.map(|bytes| self.read(self.root, &bytes)).transpose()?.unwrap_or_default();
@@ -90,7 +79,7 @@ impl Tries {
         Ok(Proof { account, way, slots: slots.iter().map(prove).collect::<Result<_, ChainError>>()? })
     }
 
-    /// The root after a block's changes, and their effect on the nodes. Nothing is written.
+    /// Root and nodes after a block's changes; nothing is written.
     pub fn after<'c>(&self, changes: impl IntoIterator<Item = &'c EvmState>) -> Result<(Hash, Turnover), ChainError> {
         let mut folded: BTreeMap<B256, Change> = BTreeMap::new();
         let mut all = Turnover::default();
@@ -107,7 +96,7 @@ impl Tries {
         Ok((root, all))
     }
 
-    /// An account after its changes; `None` if nothing is left of it.
+    /// `None` if nothing is left of it.
     fn changed(
         &self,
         accounts: &Trie<'_, dyn Nodes>,
@@ -140,7 +129,6 @@ fn slot_key(slot: U256) -> B256 {
     keccak256(slot.to_be_bytes::<32>())
 }
 
-/// Adds one transaction's changes to an account.
 fn fold(change: &mut Change, account: &Account, made: &mut Vec<(Hash, Vec<u8>)>) {
     if account.is_selfdestructed() {
         *change = Change { wiped: true, ..Change::default() };
@@ -184,25 +172,20 @@ impl DatabaseRef for Tries {
     }
 }
 
-// The nodes of the state in the chain's file: each under its hash, with the number of places where it occurs in the
-// newest state or in one that is still kept. A block's nodes are written and old ones removed in the block's own
+// Nodes in the file: each under its hash, with the number of its places in kept states. A block changes them in its own
 // SQLite transaction.
 
-/// The number of newest blocks whose state is kept.
+/// Newest blocks whose state is kept.
 pub const KEPT: u64 = 128;
-/// The most nodes of deleted storage tries removed with one block.
+/// Nodes of deleted storage tries that one block removes.
 const FELLED_AT_ONCE: u32 = 512;
-/// Half of the memory for read and written nodes, bytes. Every block makes some KiB of new ones, so a running site
-/// grows by them until both halves are full: much more than the nodes that blocks need again would only look like a
-/// leak.
+/// Half of the node cache, bytes. In a running site both halves fill up, so a larger cache would look like a leak.
 const HALF: usize = 4 * 1024 * 1024;
 const HASH: usize = 32;
 
-/// The nodes used last, in two halves: when the newer is full it becomes the older one, and the older one is dropped.
+/// When the newer half is full, it replaces the older one.
 #[derive(Default)]
-pub struct Cache {
-    halves: RefCell<Halves>,
-}
+pub struct Cache(RefCell<Halves>);
 
 #[derive(Default)]
 struct Halves {
@@ -213,7 +196,7 @@ struct Halves {
 
 impl Cache {
     fn get(&self, hash: Hash) -> Option<Arc<[u8]>> {
-        let mut halves = self.halves.borrow_mut();
+        let mut halves = self.0.borrow_mut();
         if let Some(found) = halves.newer.get(&hash) {
             return Some(Arc::clone(found));
         }
@@ -223,7 +206,7 @@ impl Cache {
     }
 
     fn put(&self, hash: Hash, node: Arc<[u8]>) {
-        self.halves.borrow_mut().keep(hash, node);
+        self.0.borrow_mut().keep(hash, node);
     }
 }
 
@@ -246,10 +229,7 @@ impl Nodes for ChainFile {
         if let Some(node) = self.cache.get(hash) {
             return Ok(node);
         }
-        let Some(body) = self.read_node(hash)? else {
-            return Err(self.wrong(hash, "is gone"));
-        };
-        let node: Arc<[u8]> = body.into();
+        let node: Arc<[u8]> = self.read_node(hash)?.ok_or_else(|| self.wrong(hash, "is gone"))?.into();
         self.cache.put(hash, Arc::clone(&node));
         Ok(node)
     }
@@ -277,7 +257,7 @@ impl ChainFile {
         Ok(found)
     }
 
-    /// Looks at a node as stored in the file, ignoring the cache.
+    /// Ignores the cache.
     pub fn look_at(&self, hash: Hash, may_be_gone: bool) -> Result<(), ChainError> {
         match self.read_node(hash)? {
             None if !may_be_gone => Err(self.wrong(hash, "is gone")),
@@ -285,18 +265,15 @@ impl ChainFile {
         }
     }
 
-    /// Caches the nodes of a block that is on disk, because they are likely to be read next.
     pub fn remember(&self, made: Vec<(Hash, Vec<u8>)>) {
         made.into_iter().for_each(|(hash, node)| self.cache.put(hash, node.into()));
     }
 
-    /// Every node of the state that the file holds.
     pub fn all_nodes(&self) -> Result<Vec<Vec<u8>>, ChainError> {
         self.all("SELECT body FROM node ORDER BY hash", [], |row| row.get(0))
     }
 }
 
-/// Writes the state changes of block `number`, and removes what no kept state holds any more.
 pub fn write(transaction: &Transaction<'_>, number: u64, written: &Turnover) -> rusqlite::Result<()> {
     add(transaction, &written.made)?;
     let joined = |hashes: &[Hash]| hashes.iter().flat_map(|hash| hash.0).collect::<Vec<u8>>();
@@ -310,17 +287,15 @@ pub fn write(transaction: &Transaction<'_>, number: u64, written: &Turnover) -> 
     clear_felled(transaction)
 }
 
-/// Adds nodes, counting each place.
 pub fn add(transaction: &Connection, made: &[(Hash, Vec<u8>)]) -> rusqlite::Result<()> {
     let mut insert = transaction
         .prepare_cached("INSERT INTO node VALUES (?1, ?2, 1) ON CONFLICT (hash) DO UPDATE SET places = places + 1")?;
     made.iter().try_for_each(|(hash, body)| insert.execute(params![hash.0, body]).map(drop))
 }
 
-/// Removes what the blocks up to `due` left behind.
 fn retire(transaction: &Transaction<'_>, due: u64) -> rusqlite::Result<()> {
     let mut select = transaction.prepare_cached("SELECT block, nodes, felled FROM retired WHERE block <= ?1")?;
-    let rows = select.query_map([integer(due)], |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?)))?;
+    let rows = select.query_map([integer(due)], |row| row.try_into())?;
     let rows: Vec<(i64, Vec<u8>, Vec<u8>)> = rows.collect::<rusqlite::Result<_>>()?;
     for (block, nodes, felled) in rows {
         nodes.chunks(HASH).try_for_each(|hash| take_out(transaction, hash))?;
@@ -339,10 +314,10 @@ fn take_out(transaction: &Transaction<'_>, hash: &[u8]) -> rusqlite::Result<()> 
     transaction.prepare_cached("DELETE FROM node WHERE hash = ?1 AND places <= 0")?.execute([hash]).map(drop)
 }
 
-/// Removes some of the nodes of deleted storage tries, from their roots down.
+/// From their roots down.
 fn clear_felled(transaction: &Transaction<'_>) -> rusqlite::Result<()> {
     let mut select = transaction.prepare_cached("SELECT id, hash FROM doomed ORDER BY id LIMIT ?1")?;
-    let rows = select.query_map([FELLED_AT_ONCE], |row| Ok((row.get(0)?, row.get(1)?)))?;
+    let rows = select.query_map([FELLED_AT_ONCE], |row| row.try_into())?;
     let rows: Vec<(i64, Vec<u8>)> = rows.collect::<rusqlite::Result<_>>()?;
     for (id, hash) in rows {
         let mut read = transaction.prepare_cached("SELECT body FROM node WHERE hash = ?1")?;

@@ -1,17 +1,14 @@
-//! The embedded chain's JSON-RPC over HTTP, for other tools on this machine: cast, web3, ethers, curl.
+//! The embedded chain's JSON-RPC over HTTP for tools on this machine (cast, web3, curl): reads, and signed
+//! transactions.
 //!
-//! They may read, and send signed transactions. Anyone who may open a connection on this machine can do as much, so it
-//! listens only on loopback, and only while it is explicitly run. There is no ws; news comes through filters.
+//! Loopback only, and only while it is explicitly run: anyone on this machine may connect.
 
 mod rpc;
 #[cfg(test)]
 mod tests;
 
-use std::convert::Infallible;
-use std::future::poll_fn;
 use std::net::{IpAddr, SocketAddr};
-use std::sync::Arc;
-use std::time::Duration;
+use std::{convert::Infallible, future::poll_fn, sync::Arc, time::Duration};
 
 use http_body_util::{BodyExt as _, Full, Limited};
 use hyper::body::{Bytes, Incoming};
@@ -32,25 +29,22 @@ use tokio::time::{Instant, sleep_until, timeout};
 use self::rpc::Service;
 use crate::{Chain, ChainError};
 
-/// The longest request line with all headers, bytes.
+/// Longest request line with all headers, bytes.
 const LONGEST_HEAD: usize = 16 * 1024;
-/// The longest body, bytes.
 const LONGEST_BODY: usize = 1024 * 1024;
 
-/// The limits of a caller.
 #[derive(Debug, Clone, Copy)]
 struct Limits {
-    /// The most connections at a time.
     connections: usize,
-    /// Time to send a request, counted from the end of the previous answer, and to receive an answer.
+    /// For a request, from the end of the previous answer, and for receiving an answer.
     patience: Duration,
-    /// Time the chain may take for an answer.
+    /// For the chain to answer.
     work: Duration,
 }
 
 const LIMITS: Limits = Limits { connections: 256, patience: Duration::from_secs(15), work: Duration::from_secs(30) };
 
-/// Why a request is not answered, and what to do about it; the connection ends with it.
+/// Reason and advice; ends the connection.
 #[derive(Debug, Clone, Copy)]
 struct Refusal(StatusCode, &'static str);
 
@@ -59,7 +53,6 @@ const SLOW: Refusal = Refusal(StatusCode::REQUEST_TIMEOUT, "the request did not 
 const LONG: Refusal = Refusal(StatusCode::SERVICE_UNAVAILABLE, "the chain took too long; ask for less at once");
 const CUT: Refusal = Refusal(StatusCode::BAD_REQUEST, "the body is cut");
 
-/// Opens the listener, on loopback only.
 pub async fn listen(address: SocketAddr) -> Result<TcpListener, ChainError> {
     if !address.ip().is_loopback() {
         return Err(ChainError::Input(format!(
@@ -73,7 +66,7 @@ pub async fn listen(address: SocketAddr) -> Result<TcpListener, ChainError> {
 }
 
 impl Chain {
-    /// Answers JSON-RPC on `listener` until `stop`; all connections end with it.
+    /// All connections end with `stop`.
     pub async fn serve(&self, listener: TcpListener, stop: impl Future<Output = ()> + Send) -> Result<(), ChainError> {
         self.serve_within(LIMITS, listener, stop).await
     }
@@ -94,7 +87,7 @@ impl Chain {
         let service = Arc::new(Service::new(embedded));
         let places = Arc::new(Semaphore::new(limits.connections));
         let turned_away = Arc::new(Semaphore::new(limits.connections));
-        // Its connections end with it.
+        // Connections end with this set.
         let mut open = JoinSet::new();
         tokio::pin!(stop);
         loop {
@@ -115,17 +108,16 @@ impl Chain {
             let service = Arc::clone(&service);
             open.spawn(async move {
                 let _place = place;
-                // A peer that disconnects has only itself to blame.
+                // A disconnect concerns only the peer.
                 drop(connection(stream, &service, limits).await);
             });
         }
     }
 }
 
-/// Says that there is no free place, and waits briefly until that was read.
 fn turn_away(open: &mut JoinSet<()>, waiting: &Arc<Semaphore>, stream: TcpStream, limits: Limits) {
     let Ok(place) = Arc::clone(waiting).try_acquire_owned() else {
-        // Nobody waits for the callers in a flood.
+        // In a flood, callers get no patience.
         drop(stream.try_write(&raw(BUSY)));
         return;
     };
@@ -137,7 +129,7 @@ fn turn_away(open: &mut JoinSet<()>, waiting: &Arc<Semaphore>, stream: TcpStream
 
 async fn connection(stream: TcpStream, service: &Service, limits: Limits) -> std::io::Result<()> {
     stream.set_nodelay(true)?;
-    // An answer that nobody reads ends the connection, as silence does.
+    // An unread answer ends the connection, like silence.
     let until = || Instant::now() + 2 * limits.patience;
     let deadline = watch::Sender::new(until());
     let answering = service_fn(|request| {
@@ -179,7 +171,7 @@ async fn answer(request: Request<Incoming>, service: &Service, limits: Limits) -
     }
 }
 
-/// Whether it is JSON-RPC, and comes from no web page.
+/// Accepts only JSON-RPC, and none from web pages.
 fn judge(request: &Request<Incoming>) -> Result<(), Refusal> {
     let one = |name, missing, twice| {
         let mut values = request.headers().get_all(name).iter();
@@ -220,7 +212,6 @@ fn judge(request: &Request<Incoming>) -> Result<(), Refusal> {
     if fits { Ok(()) } else { Err(long) }
 }
 
-/// Whether a Host header names this machine.
 pub fn is_this_machine(host: &str) -> bool {
     let parts = match host.strip_prefix('[') {
         Some(bracketed) => bracketed.split_once(']'),
@@ -248,7 +239,7 @@ fn message(status: StatusCode, kind: &'static str, body: Vec<u8>) -> Response<Fu
     message
 }
 
-/// A refusal to a caller whose request was not read.
+/// For a request that was not read.
 fn raw(Refusal(status, why): Refusal) -> Vec<u8> {
     format!(
         "HTTP/1.1 {status}\r\nContent-Type: text/plain; charset=utf-8\r\nContent-Length: {}\r\nConnection: close\r\n\

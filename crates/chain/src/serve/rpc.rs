@@ -5,16 +5,13 @@ use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
-use crate::embedded::{Embedded, Fault};
-use crate::model::bytes::unhex;
-use crate::transaction::Transaction;
+use crate::transport::{TransportError, refused};
+use crate::{embedded::Embedded, model::bytes::unhex, transaction::Transaction};
 
-/// The most requests in a batch.
 const LONGEST_BATCH: usize = 100;
-/// The longest answer to one HTTP request, bytes.
+/// Bytes per HTTP request.
 const LONGEST_ANSWER: usize = 32 * 1024 * 1024;
 
-/// The chain, for all connections.
 pub struct Service {
     chain: Embedded,
     heavy: Heavy,
@@ -25,10 +22,10 @@ impl Service {
         Self { chain, heavy: Heavy::new(Instant::now()) }
     }
 
-    /// The answer to a body; empty if it needs none.
+    /// Empty if no answer is due.
     pub async fn answer(&self, body: &[u8]) -> Vec<u8> {
         let answer = match serde_json::from_slice::<Value>(body) {
-            Err(_) => Some(failure(&Value::Null, &Fault::new(-32700, "the body is not JSON"))),
+            Err(_) => Some(failure(&Value::Null, &refused(-32700, "the body is not JSON"))),
             Ok(Value::Array(batch)) => return self.batch(batch).await,
             Ok(one) => self.single(one).await,
         };
@@ -38,7 +35,7 @@ impl Service {
     async fn batch(&self, batch: Vec<Value>) -> Vec<u8> {
         if batch.is_empty() || batch.len() > LONGEST_BATCH {
             let what = format!("a batch has 1 to {LONGEST_BATCH} requests, this one {}", batch.len());
-            return written(&failure(&Value::Null, &Fault::new(-32600, what)), &Value::Null);
+            return written(&failure(&Value::Null, &refused(-32600, what)), &Value::Null);
         }
         let mut all: Vec<u8> = Vec::new();
         for request in batch {
@@ -57,10 +54,10 @@ impl Service {
         all
     }
 
-    /// `None` for a notification, which expects no answer.
+    /// `None` for a notification.
     async fn single(&self, request: Value) -> Option<Value> {
         let Value::Object(mut request) = request else {
-            return Some(failure(&Value::Null, &Fault::new(-32600, "a request is an object")));
+            return Some(failure(&Value::Null, &refused(-32600, "a request is an object")));
         };
         let id = request.remove("id");
         let known = id.clone().filter(|id| id.is_string() || id.is_number()).unwrap_or_default();
@@ -68,7 +65,7 @@ impl Service {
             (Some(Value::String(version)), Some(Value::String(method)), params) if version == "2.0" => {
                 self.call(method, params.cloned()).await
             }
-            _ => Err(Fault::new(-32600, "a request has jsonrpc \"2.0\", a method and an id")),
+            _ => Err(refused(-32600, "a request has jsonrpc \"2.0\", a method and an id")),
         };
         id?;
         Some(match result {
@@ -77,11 +74,11 @@ impl Service {
         })
     }
 
-    async fn call(&self, method: &str, parameters: Option<Value>) -> Result<Value, Fault> {
+    async fn call(&self, method: &str, parameters: Option<Value>) -> Result<Value, TransportError> {
         let parameters = match parameters {
             None | Some(Value::Null) => Vec::new(),
             Some(Value::Array(all)) => all,
-            Some(_) => return Err(Fault::new(-32602, "parameters come as an array")),
+            Some(_) => return Err(refused(-32602, "parameters come as an array")),
         };
         if method == "eth_sendRawTransaction" {
             let counted = self.heavy.count(parameters.first(), Instant::now());
@@ -91,20 +88,24 @@ impl Service {
     }
 }
 
-fn too_heavy(seconds: u64) -> Fault {
-    Fault::new(
+fn too_heavy(seconds: u64) -> TransportError {
+    refused(
         -32005,
         format!("transactions of more than a million gas are taken only now and then; send it again in {seconds} s"),
     )
 }
 
-fn too_long() -> Fault {
-    Fault::new(-32005, format!("the answer is longer than {LONGEST_ANSWER} bytes; ask for less at once"))
+fn too_long() -> TransportError {
+    refused(-32005, format!("the answer is longer than {LONGEST_ANSWER} bytes; ask for less at once"))
 }
 
-fn failure(id: &Value, fault: &Fault) -> Value {
-    let mut error = json!({ "code": fault.code, "message": fault.message });
-    if let Some(data) = &fault.data {
+fn failure(id: &Value, fault: &TransportError) -> Value {
+    let (code, message, data) = match fault {
+        TransportError::Answered(answer) => (answer.code, answer.message.clone(), answer.data.as_ref()),
+        other => (-32603, other.to_string(), None),
+    };
+    let mut error = json!({ "code": code, "message": message });
+    if let Some(data) = data {
         error["data"] = data.clone();
     }
     json!({ "jsonrpc": "2.0", "id": id, "error": error })
@@ -118,20 +119,19 @@ fn written(answer: &Value, id: &Value) -> Vec<u8> {
     serde_json::to_vec(&failure(answer.get("id").unwrap_or(id), &too_long())).unwrap_or_default()
 }
 
-// Transactions that take much of a block. Gas costs nothing on this chain, and every user of the machine may send some: a
-// number of them at once, then one now and then. The contract's usual calls are not among them.
+// Heavy transactions. Gas is free here, and every user of the machine may send some: a burst passes, then one now and
+// then.
 
-/// A transaction that may use more gas is heavy: several times what an anchor, a registration or a grant uses.
+/// Several times the gas of an anchor, a registration or a grant.
 const HEAVY: u64 = 1_000_000;
-/// How many are taken at once, from all callers together.
+/// Burst, for all callers together.
 const AT_ONCE: u32 = 40;
-/// Time until one more is taken.
+/// Time until one more passes.
 const PAUSE: Duration = Duration::from_secs(10);
 
-/// How many heavy transactions are still taken.
 #[derive(Debug)]
 pub struct Heavy {
-    /// How many, and as of when.
+    /// How many are left, as of when.
     left: Mutex<(u32, Instant)>,
 }
 
@@ -140,13 +140,10 @@ impl Heavy {
         Self { left: Mutex::new((AT_ONCE, now)) }
     }
 
-    /// Counts a transaction, signed and in hex, if it is heavy.
-    ///
-    /// # Errors
-    /// How long to wait for the next one, if no more are taken now.
+    /// Counts a heavy transaction, in hex; the error is the time to wait.
     pub fn count(&self, raw: Option<&Value>, now: Instant) -> Result<(), Duration> {
         let raw = raw.and_then(Value::as_str).and_then(unhex).unwrap_or_default();
-        // What is no transaction is refused by the chain.
+        // The chain refuses what is no transaction.
         let gas = Transaction::parse(&raw).map_or(0, |parsed| parsed.gas_limit);
         if gas <= HEAVY { Ok(()) } else { self.take(now) }
     }

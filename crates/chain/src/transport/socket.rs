@@ -1,7 +1,6 @@
 //! The address of a node, and the ways to it: HTTP and WebSockets, with or without TLS, and sockets of this machine.
 
 use std::path::{Path, PathBuf};
-use std::pin::Pin;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
@@ -30,35 +29,32 @@ use crate::model::{address_without_secrets, clean};
 
 pub(super) struct Address {
     pub shown: String,
-    /// What it leads to.
     pub place: Place,
 }
 
-/// The kind of address.
 pub(super) enum Place {
     Http(Server),
     WebSocket(Server),
-    /// A socket of this machine.
+    /// A Unix socket.
     Local(PathBuf),
 }
 
-/// A server of HTTP or of a WebSocket.
 #[derive(Clone)]
 pub(super) struct Server {
     /// Without user name and password.
     pub url: Url,
-    /// These two, as HTTP's basic authentication.
+    /// As HTTP basic authentication.
     pub credentials: Option<HeaderValue>,
     /// For https and wss.
     pub tls: Option<Arc<ClientConfig>>,
 }
 
 impl Address {
-    /// Parses a URL; `roots` is a PEM file of authorities.
+    /// `roots` is a PEM file of authorities.
     pub(super) fn parse(text: &str, roots: Option<&Path>) -> Result<Self, ChainError> {
         let shown = clean(&address_without_secrets(text), 120);
         let scheme = text.split_once("://").map_or("", |(scheme, _)| scheme);
-        // What cannot be taken apart may hold a secret anywhere.
+        // An unparsable URL may hold a secret anywhere.
         let is_web = matches!(scheme, "http" | "https" | "ws" | "wss");
         let refused = || ChainError::Url(if is_web { format!("{scheme}://…") } else { shown.clone() });
         let place = match scheme {
@@ -85,7 +81,6 @@ impl Server {
     }
 }
 
-/// The header of a URL's user name and password.
 fn basic(url: &Url) -> Result<Option<HeaderValue>, InvalidHeaderValue> {
     if url.username().is_empty() && url.password().is_none() {
         return Ok(None);
@@ -100,21 +95,21 @@ fn basic(url: &Url) -> Result<Option<HeaderValue>, InvalidHeaderValue> {
     Ok(Some(header))
 }
 
-// Connections that stay open between requests. Each carries one request at a time, so an answer is always that of the
-// last question; one on which something went wrong is closed.
+// Kept connections: one request at a time, so an answer is always that of the last question; any error closes them.
 
 pub(super) trait Link: Send + Sized {
-    /// Sends a request and reads its answer, of at most `most` bytes.
+    /// What it leads to.
+    type Place: Sync;
+
+    /// Opens a connection whose answers have at most `most` bytes.
+    fn open(place: &Self::Place, most: usize) -> impl Future<Output = Result<Self, TransportError>> + Send;
+
+    /// The answer has at most `most` bytes.
     fn exchange(&mut self, request: &str, most: usize) -> impl Future<Output = Result<Bytes, TransportError>> + Send;
 }
 
-/// Opens a connection whose answers have at most that many bytes.
-pub(super) type Opener<L> =
-    Box<dyn Fn(usize) -> Pin<Box<dyn Future<Output = Result<L, TransportError>> + Send>> + Send + Sync>;
-
-/// The connections to one node.
-pub(super) struct Kept<L> {
-    open: Opener<L>,
+pub(super) struct Kept<L: Link> {
+    place: L::Place,
     usual: Idle<L>,
     wide: Idle<L>,
 }
@@ -123,11 +118,10 @@ pub(super) struct Kept<L> {
 type Idle<L> = Mutex<Vec<(L, Instant)>>;
 
 impl<L: Link> Kept<L> {
-    pub(super) fn new(open: Opener<L>) -> Self {
-        Self { open, usual: Idle::default(), wide: Idle::default() }
+    pub(super) fn new(place: L::Place) -> Self {
+        Self { place, usual: Idle::default(), wide: Idle::default() }
     }
 
-    /// Makes a request and returns its answer.
     pub(super) async fn ask(&self, request: &str, limits: Limits) -> Result<Bytes, TransportError> {
         let idle = || {
             let kept = if limits.is_wide() { &self.wide } else { &self.usual };
@@ -141,7 +135,7 @@ impl<L: Link> Kept<L> {
         };
         let mut link = match newest {
             Some((link, _)) => link,
-            None => (self.open)(limits.bytes).await?,
+            None => L::open(&self.place, limits.bytes).await?,
         };
         let answer = link.exchange(request, limits.bytes).await?;
         idle().push((link, Instant::now()));
@@ -149,7 +143,6 @@ impl<L: Link> Kept<L> {
     }
 }
 
-/// Bytes read at once from a local socket.
 const PIECE: usize = 64 << 10;
 
 trait Wire: AsyncRead + AsyncWrite + Unpin + Send {}
@@ -160,14 +153,8 @@ pub(super) struct WebSocket {
     stream: WebSocketStream<Box<dyn Wire>>,
 }
 
-impl WebSocket {
-    /// Opens them to a server.
-    pub(super) fn opener(server: Server) -> Opener<Self> {
-        Box::new(move |most| {
-            let server = server.clone();
-            Box::pin(async move { Self::open(&server, most).await })
-        })
-    }
+impl Link for WebSocket {
+    type Place = Server;
 
     async fn open(server: &Server, most: usize) -> Result<Self, TransportError> {
         let failed = |error: Error| failed(&error, server, most);
@@ -180,9 +167,7 @@ impl WebSocket {
         let (stream, _) = client_async_with_config(request, wire, Some(config)).await.map_err(failed)?;
         Ok(Self { stream })
     }
-}
 
-impl Link for WebSocket {
     async fn exchange(&mut self, request: &str, most: usize) -> Result<Bytes, TransportError> {
         let broke = |error: Error| misread(&error, most);
         self.stream.send(Message::text(request)).await.map_err(broke)?;
@@ -227,7 +212,7 @@ async fn wire(server: &Server) -> Result<Box<dyn Wire>, TransportError> {
     Ok(Box::new(tls))
 }
 
-/// Tries the addresses of the name one by one, and gives each its share of the time.
+/// Tries the addresses of the name in turn, each for its share of the time.
 async fn connected(server: &Server) -> std::io::Result<TcpStream> {
     let port = server.url.port_or_known_default().unwrap_or(443);
     let addresses: Vec<_> = tokio::net::lookup_host((host(server), port)).await?.collect();
@@ -236,7 +221,7 @@ async fn connected(server: &Server) -> std::io::Result<TcpStream> {
     for address in addresses {
         match tokio::time::timeout(share, TcpStream::connect(address)).await {
             Ok(Ok(stream)) => {
-                // A request is one small write, and its answer is waited for.
+                // A request is one small write before a wait.
                 stream.set_nodelay(true)?;
                 return Ok(stream);
             }
@@ -247,31 +232,23 @@ async fn connected(server: &Server) -> std::io::Result<TcpStream> {
     Err(failure)
 }
 
-/// Without the brackets around an address of version 6.
+/// Without the brackets around an IPv6 address.
 fn host(server: &Server) -> &str {
     server.url.host_str().unwrap_or_default().trim_start_matches('[').trim_end_matches(']')
 }
 
-/// A socket of this machine: JSON values, one after another.
+/// A Unix socket: JSON values, one after another.
 pub(super) struct Local {
     stream: UnixStream,
 }
 
-impl Local {
-    /// Opens them to a path.
-    pub(super) fn opener(path: PathBuf) -> Opener<Self> {
-        Box::new(move |_| {
-            let path = path.clone();
-            Box::pin(async move { Self::open(&path).await })
-        })
-    }
+impl Link for Local {
+    type Place = PathBuf;
 
-    async fn open(path: &Path) -> Result<Self, TransportError> {
+    async fn open(path: &PathBuf, _: usize) -> Result<Self, TransportError> {
         Ok(Self { stream: UnixStream::connect(path).await.map_err(|error| broken(&error))? })
     }
-}
 
-impl Link for Local {
     async fn exchange(&mut self, request: &str, most: usize) -> Result<Bytes, TransportError> {
         self.stream.write_all(request.as_bytes()).await.map_err(|error| broken(&error))?;
         let mut answer = Vec::new();
@@ -293,17 +270,14 @@ impl Link for Local {
     }
 }
 
-/// Whether these bytes are an object of JSON from its first to its last bracket.
+/// A whole object of JSON.
 fn is_whole(answer: &[u8]) -> bool {
     answer.trim_ascii_end().ends_with(b"}") && serde_json::from_slice::<IgnoredAny>(answer).is_ok()
 }
 
-// Requests over HTTP, with or without TLS.
-
-/// The longest page of an error that is looked at, bytes.
+/// Longest error page read, bytes.
 const LONGEST_PAGE: usize = 64 << 10;
 
-/// A node that is asked over HTTP.
 pub(super) struct Http {
     client: Client,
     server: Server,
@@ -311,9 +285,9 @@ pub(super) struct Http {
 
 impl Http {
     pub(super) fn new(server: Server) -> Result<Self, ChainError> {
-        // Redirects are not followed: only the node that was named gets requests and credentials.
+        // No redirects: only the named node gets requests and credentials.
         let client = Client::builder().no_proxy().redirect(Policy::none()).tls_built_in_root_certs(false);
-        // Shared among the addresses of a name, so that one which is silent leaves time for the others.
+        // Shared by the addresses of a name, so that a silent one leaves time for the others.
         let client = client.connect_timeout(CONNECTING);
         let client = client.pool_max_idle_per_host(TOGETHER).pool_idle_timeout(IDLE);
         let client = match &server.tls {
@@ -324,7 +298,6 @@ impl Http {
         Ok(Self { client, server })
     }
 
-    /// Makes a request and reads the result in its answer.
     pub(super) async fn ask<R: DeserializeOwned>(&self, body: String, limits: Limits) -> Result<R, TransportError> {
         let mut request = self.client.post(self.server.url.clone()).header(CONTENT_TYPE, "application/json");
         if let Some(credentials) = &self.server.credentials {
@@ -332,7 +305,7 @@ impl Http {
         }
         let mut response = request.body(body).send().await.map_err(|error| broken(&error))?;
         let status = response.status();
-        // A page that says what went wrong may be as long as it likes; more than its beginning is not read.
+        // Reads only the beginning of an error page.
         let most = if status.is_success() { limits.bytes } else { LONGEST_PAGE.min(limits.bytes) };
         let mut bytes = Vec::new();
         while let Some(piece) = response.chunk().await.map_err(|error| broken(&error))? {
@@ -348,10 +321,9 @@ impl Http {
             let location = response.headers().get(LOCATION).and_then(|place: &HeaderValue| place.to_str().ok());
             return Err(Refused { status: status.as_u16(), location, page: &bytes }.words(&self.server));
         }
-        // The text of a web page tells nothing, and a fault of JSON is not what is wrong.
+        // The text of a web page says nothing, and a fault of JSON is not what is wrong.
         let is_page = bytes.trim_ascii_start().starts_with(b"<");
-        let page =
-            || TransportError::Malformed("a web page: what stands before the node refused the request".to_owned());
+        let page = || TransportError::Malformed("a web page: what stands before the node refused the request".into());
         read(&bytes).map_err(|error| if is_page { page() } else { error })
     }
 }
