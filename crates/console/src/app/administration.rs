@@ -10,27 +10,18 @@ use crate::model::Party;
 use crate::service::Command;
 use crate::service::command::Administration;
 
-/// An administrator's act, before its account is known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Act {
-    /// Lets an account register.
     Admit,
-    /// Blocks an account's changes.
     Suspend,
-    /// Frees a suspended account.
     Restore,
     Open,
-    /// Lets only admitted accounts register.
     Close,
-    /// Blocks all changes except revokes.
     Pause,
     Continue,
-    /// Proposes who is to continue for a lost account.
     Propose,
     Dismiss,
-    /// Names the next administrator.
     HandOver,
-    /// Takes over, having been named.
     Accept,
     Deploy,
 }
@@ -78,12 +69,11 @@ impl Act {
         }
     }
 
-    /// Whether it needs an account.
     fn names(self) -> bool {
         matches!(self, Self::Admit | Self::Dismiss | Self::Suspend | Self::Restore | Self::HandOver | Self::Propose)
     }
 
-    /// Whether its name must be typed, because it cannot simply be undone.
+    /// Acts that cannot simply be undone: their name must be typed.
     fn is_grave(self) -> bool {
         matches!(self, Self::Suspend | Self::HandOver | Self::Pause | Self::Propose)
     }
@@ -106,7 +96,6 @@ impl Act {
     }
 }
 
-/// Opens the form or the question of an act.
 pub fn begin(state: &mut State, act: Act) {
     if act.names() {
         state.popups.push(Popup::Form(Purpose::Administer(act), form(act)));
@@ -117,7 +106,7 @@ pub fn begin(state: &mut State, act: Act) {
     }
 }
 
-/// The command of an act that needs no account; `None` for the others.
+/// `None` for acts that need an account.
 fn nameless(act: Act) -> Option<Errand> {
     Some(match act {
         Act::Deploy => Errand { command: Command::DeployContract { delay: None }, tag: Tag::Deploy },
@@ -141,7 +130,6 @@ fn form(act: Act) -> Form {
     Form::new(act.title(), act.meaning().iter().map(|line| (*line).to_owned()).collect(), lines)
 }
 
-/// The question after a completed form.
 pub fn read(act: Act, form: &Form) -> Result<Confirm, Wrong> {
     let account: Party = form.parsed(0)?;
     let mut lines = vec![format!("Account  {account}")];

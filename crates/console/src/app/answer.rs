@@ -18,12 +18,12 @@ use crate::service::{Failure, KeyKind, NoticeLevel, Reply};
 
 type Answer = Result<Reply, Failure>;
 
-/// Handles an answer. Each tag names its request, and with it the possible answers.
+/// Each tag names its request, and with it the possible answers.
 pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
     if let Tag::Feed(feed, generation) = tag {
         return fed(state, *feed, *generation, result);
     }
-    // A request for another profile, made before this console spoke for the current one, belongs to nobody any more.
+    // Made for the previous profile: the answer belongs to nobody any more.
     let Some(place) = state.work.iter().position(|other| other == tag) else { return Vec::new() };
     state.work.remove(place);
     match tag {
@@ -48,7 +48,7 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
         Tag::Publishers(topic) => tell(state, topic, ask::ListPins::heard(result), |popup| {
             if let Popup::Publishers(lookup) = popup { Some(lookup) } else { None }
         }),
-        // What the site knew before says nothing about what is still in flight now.
+        // What the site knew before says nothing about what is in flight now.
         Tag::HoldCapture => {
             done(state, tag, ask::HoldCapture::heard(result), |state, ()| state.feeds.renew(Feed::Site))
         }
@@ -115,7 +115,7 @@ fn incident_removed(state: &mut State, tag: &Tag, result: Answer) {
     });
 }
 
-/// What one question requested besides the act that is now done; nothing if that failed.
+/// Sends what the same question asked for besides; nothing if the act failed.
 fn follow_up(state: &mut State, tag: &Tag) -> Vec<Effect> {
     let Some((_, errand)) = state.follow_up.take_if(|(after, _)| after == tag) else { return Vec::new() };
     vec![state.send(errand)]
@@ -142,7 +142,6 @@ fn fed(state: &mut State, feed: Feed, generation: u64, result: Answer) -> Vec<Ef
     effects
 }
 
-/// Takes the answer of a feed over; returns what that leads to.
 fn take(state: &mut State, feed: Feed, result: Answer) -> Result<Vec<Effect>, Failure> {
     let limit = state.page_rows();
     match feed {
@@ -155,7 +154,7 @@ fn take(state: &mut State, feed: Feed, result: Answer) -> Result<Vec<Effect>, Fa
         Feed::Identity => {
             let identity = ask::ShowIdentity::heard(result)?;
             if state.is_locked() && identity.unlocked {
-                // What was refused for the key's sake is asked again at once.
+                // Feeds refused for lack of a key may succeed now.
                 state.feeds.touch_failed();
             }
             state.identity = Some(identity);
@@ -179,12 +178,12 @@ fn take(state: &mut State, feed: Feed, result: Answer) -> Result<Vec<Effect>, Fa
     Ok(Vec::new())
 }
 
-/// A profile that is open elsewhere, or a home that cannot be used, ends the console.
+/// A profile open elsewhere, or an unusable home, ends the console.
 fn opened_console(state: &mut State, result: Result<(), Failure>) -> Vec<Effect> {
     let former = state.former.take();
     let Err(failure) = result else { return Vec::new() };
     if let Some(former) = former {
-        // Back to the profile that this console can speak for.
+        // Back to a profile that this console can speak for.
         let effects = perform::switch(state, former);
         state.former = None;
         state.complain(failure.message);
@@ -211,7 +210,6 @@ fn locked(state: &mut State, result: Result<IdentityView, Failure>) {
     }
 }
 
-/// What came of an act, in words made from its answer.
 fn said<T>(state: &mut State, tag: &Tag, result: Result<T, Failure>, text: impl FnOnce(T) -> String) {
     done(state, tag, result, |state, answer| state.inform(text(answer)));
 }
@@ -220,7 +218,7 @@ fn is_done(tag: &Tag) -> String {
     format!("{}: done", tag.words())
 }
 
-/// An act's answer: reported, noted for undoing, and what it made out of date is requested again.
+/// Reports the result, notes it for undo, and marks changed feeds stale.
 fn done<T>(state: &mut State, tag: &Tag, result: Result<T, Failure>, take: impl FnOnce(&mut State, T)) {
     match result {
         Ok(answer) => {
@@ -245,7 +243,7 @@ fn done<T>(state: &mut State, tag: &Tag, result: Result<T, Failure>, take: impl 
     }
 }
 
-/// A failed act returns to its form, filled in as before; the log keeps the message.
+/// Returns to the form, filled in as before; the log keeps the message.
 fn failed(state: &mut State, tag: &Tag, failure: &Failure) {
     drop(state.follow_up.take_if(|(after, _)| after == tag));
     match state.filled.take_if(|(kept, ..)| kept == tag) {
@@ -269,7 +267,6 @@ fn loaded(kind: &KeyKind) -> &'static str {
     }
 }
 
-/// Answers that contain files are written.
 fn written<T>(
     state: &mut State,
     tag: &Tag,
@@ -296,7 +293,7 @@ fn secret(base: Option<PathBuf>, name: String, secret: &SecretBytes) -> Effect {
     Effect::WriteFiles { base, directory: None, files: vec![Contents { name, bytes }] }
 }
 
-/// What an own command makes out of date, before the site's note of it arrives.
+/// Feeds that an own command makes stale before the site's event arrives.
 fn touched_by(tag: &Tag) -> &'static [Feed] {
     match tag {
         Tag::Watch(_) | Tag::Unwatch(_) | Tag::HoldCapture => &[Feed::Topics],

@@ -8,7 +8,6 @@ use super::update::Feed;
 use super::verb::{Tag, Verb, entry_of};
 use super::{Screen, State};
 
-/// Whether `verb` can be done now.
 pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
     let entry = entry_of(verb, state.screen).ok_or("unknown")?;
     if entry.changes && state.settings.read_only {
@@ -61,7 +60,7 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
     }
 }
 
-/// Whether a verb is about what is on its screens, and can be done nowhere else.
+/// Verbs about rows of their own screens, which work nowhere else.
 fn is_bound(verb: Verb) -> bool {
     use Verb::{
         Browse, Check, Columns, Details, Discard, Export, Extend, Fold, FoldAll, Inspect, Level, Mark, MarkAll,
@@ -109,7 +108,7 @@ fn register(state: &State) -> Result<(), &'static str> {
     given(!state.work.contains(&Tag::Register), "under way")
 }
 
-/// The profile's own robots have a window.
+/// Only the profile's own robots have a window.
 fn inspect(state: &State) -> Result<(), &'static str> {
     let member = state.gateway.selected().ok_or("nothing selected")?;
     if member.robot.is_some() {
@@ -125,7 +124,7 @@ fn policy(state: &State) -> Result<(), &'static str> {
     given(!none, "no robot is enrolled")
 }
 
-/// What applies to one topic does not apply to a robot's row.
+/// Refuses a folded robot's row.
 fn one_topic(state: &State) -> Result<(), &'static str> {
     let row = state.topics.selected().ok_or("nothing selected")?;
     given(state.topics.robot(&row.topic).is_none(), "a robot, not a topic: h unfolds it")

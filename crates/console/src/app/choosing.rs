@@ -1,5 +1,4 @@
-//! Popups in which one of a few is chosen: what to browse, a theme, a list's columns. Browsing shows the records of
-//! others by owner, own ones by topic and state, both by type and time; a choice sets the filter of the list.
+//! Popups in which one of a few is chosen: what to browse, a theme, a list's columns.
 
 use super::form::Field;
 use super::keymap::Key;
@@ -10,17 +9,13 @@ use super::verb::Effect;
 use super::{Screen, State};
 use crate::service::reply::RecordView;
 
-/// One thing to choose.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Choice {
     pub text: String,
-    /// The text beside it.
     pub note: String,
-    /// The filter that it sets.
     pub filter: String,
 }
 
-/// All present choices: everything, each owner who shares, topics, types, times.
 pub fn choices(state: &State) -> Vec<Choice> {
     let mut all = vec![choice("All records", String::new(), String::new())];
     if state.screen == Screen::Uploads {
@@ -42,7 +37,6 @@ fn choice(text: &str, note: String, filter: String) -> Choice {
     Choice { text: text.to_owned(), note, filter }
 }
 
-/// Each owner who shares, and the topics.
 fn shared(state: &State) -> Vec<Choice> {
     let mut all = Vec::new();
     let received = state.grants.rows.iter().filter(|row| !is_given(row) && is_active(row));
@@ -58,7 +52,7 @@ fn shared(state: &State) -> Vec<Choice> {
     all
 }
 
-/// Topics and types of the visible page that are not among the choices yet.
+/// Topics and types of the visible page that are not choices yet.
 fn seen(rows: &[RecordView], known: &[Choice]) -> Vec<Choice> {
     let mut seen: Vec<Choice> = Vec::new();
     for row in rows {
@@ -71,7 +65,6 @@ fn seen(rows: &[RecordView], known: &[Choice]) -> Vec<Choice> {
     seen.into_iter().filter(is_new).collect()
 }
 
-/// A key while the list is open.
 pub fn browse_key(state: &mut State, selected: usize, key: Key) -> Vec<Effect> {
     let choices = choices(state);
     match key {
@@ -87,7 +80,6 @@ pub fn browse_key(state: &mut State, selected: usize, key: Key) -> Vec<Effect> {
     Vec::new()
 }
 
-/// A theme being chosen.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ThemeChoice {
     pub selected: usize,
@@ -95,7 +87,6 @@ pub struct ThemeChoice {
     pub before: String,
 }
 
-/// Opens the choice, on the theme in use.
 pub fn choose(state: &mut State) -> Vec<Effect> {
     let before = state.theme.clone();
     let selected = state.settings.themes.iter().position(|name| *name == before).unwrap_or(0);
@@ -103,7 +94,6 @@ pub fn choose(state: &mut State) -> Vec<Effect> {
     Vec::new()
 }
 
-/// A key while a theme is chosen.
 pub fn theme_key(state: &mut State, mut choice: ThemeChoice, key: Key) -> Vec<Effect> {
     let themes = &state.settings.themes;
     match key {
@@ -121,7 +111,6 @@ pub fn theme_key(state: &mut State, mut choice: ThemeChoice, key: Key) -> Vec<Ef
     seen.into_iter().collect()
 }
 
-/// A column that can be chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Offered {
     /// Its name, as in `:columns topic,state`.
@@ -131,9 +120,9 @@ pub struct Offered {
     pub from: u16,
 }
 
-/// The column that every list shows: the cursor is on it.
+/// The column every list shows: it carries the cursor.
 pub const ALWAYS: &str = "topic";
-/// A column that is shown only if it is chosen.
+/// Shown only if chosen.
 const NEVER: u16 = u16::MAX;
 
 const fn column(name: &'static str, from: u16, words: &'static str) -> Offered {
@@ -183,7 +172,6 @@ const SHARED: &[Offered] = &[
     column("transaction", NEVER, "Beginning of the transaction's hash"),
 ];
 
-/// The columns that a screen offers, in their usual order; none on screens without a choice.
 pub fn offered(screen: Screen) -> &'static [Offered] {
     match screen {
         Screen::Topics => TOPICS,
@@ -193,7 +181,7 @@ pub fn offered(screen: Screen) -> &'static [Offered] {
     }
 }
 
-/// The columns of a list that is `width` columns wide, in order: those chosen, or else the usual ones.
+/// Chosen columns in order, or else the usual ones for that width.
 pub fn wanted(screen: Screen, table: &Table, width: u16) -> Vec<&'static str> {
     if !table.columns.is_empty() {
         return table.columns.clone();
@@ -201,7 +189,7 @@ pub fn wanted(screen: Screen, table: &Table, width: u16) -> Vec<&'static str> {
     offered(screen).iter().filter(|column| column.from <= width).map(|column| column.name).collect()
 }
 
-/// Those of `names` that the screen offers, each once, and the one that is always shown.
+/// Those `names` that the screen offers, each once, plus [`ALWAYS`].
 pub fn known<'a>(screen: Screen, names: impl IntoIterator<Item = &'a str>) -> Result<Vec<&'static str>, &'a str> {
     let mut found: Vec<&'static str> = Vec::new();
     for name in names {
@@ -216,15 +204,13 @@ pub fn known<'a>(screen: Screen, names: impl IntoIterator<Item = &'a str>) -> Re
     Ok(found)
 }
 
-/// The choice of columns, with its cursor.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ColumnChoice {
     pub selected: usize,
-    /// The columns chosen before, which esc restores.
+    /// Restored by Esc.
     pub before: Vec<&'static str>,
 }
 
-/// Opens the choice for the list on screen.
 pub fn open(state: &mut State) {
     let before = state.table().map(|table| table.columns.clone()).unwrap_or_default();
     state.popups.push(Popup::Columns(ColumnChoice { selected: 0, before }));
@@ -255,7 +241,6 @@ fn set(state: &mut State, chosen: Vec<&'static str>) {
     }
 }
 
-/// A key while columns are chosen; each is shown or hidden at once.
 pub fn column_key(state: &mut State, mut choice: ColumnChoice, key: Key) -> Vec<Effect> {
     let offered = offered(state.screen);
     match key {
@@ -283,7 +268,7 @@ pub fn column_key(state: &mut State, mut choice: ColumnChoice, key: Key) -> Vec<
     Vec::new()
 }
 
-/// Takes the column away, or adds it: at its usual place if the others are at theirs, otherwise at the end.
+/// Adds a column at its usual place if the others are at theirs, otherwise at the end.
 fn toggled(screen: Screen, mut now: Vec<&'static str>, name: &'static str) -> Vec<&'static str> {
     if name == ALWAYS {
         return now;
@@ -301,7 +286,6 @@ fn toggled(screen: Screen, mut now: Vec<&'static str>, name: &'static str) -> Ve
     now
 }
 
-/// Moves the column by one place.
 fn swapped(mut now: Vec<&'static str>, name: &str, right: bool) -> Vec<&'static str> {
     if let Some(place) = now.iter().position(|other| *other == name) {
         let wanted = if right { (place + 1).min(now.len() - 1) } else { place.saturating_sub(1) };

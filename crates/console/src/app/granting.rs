@@ -1,6 +1,4 @@
-//! The address book on screen (names for accounts and their known keys), and sharing without detours: the form filled in from
-//! the row under the cursor, names completed, everything that can be checked checked before the question, the terms of a
-//! grant changed.
+//! The address book on screen, and grants: forms filled from the selected row, terms checked before the question.
 
 use super::form::{self, Field, Form, GrantWish, Line, Wrong};
 use super::keymap::Key;
@@ -15,11 +13,10 @@ use crate::model::{Address, ContactName, Party, Timestamp, TopicName};
 use crate::service::reply::{ContactRow, GrantRow};
 use crate::service::{Command, Epochs};
 
-/// Lines of the grant form: reader and topics.
 const GRANTEE: usize = 0;
 const TOPICS: usize = 1;
 
-/// Opens the form, filled in from the cursor; marked topics take precedence over the selected one.
+/// Fills the form from the cursor; marked topics take precedence over the selected one.
 pub fn begin(state: &mut State) {
     let (grantee, topics) = match state.screen {
         Screen::Topics => (String::new(), state.topics.targets().into_iter().map(|row| row.topic.clone()).collect()),
@@ -41,18 +38,18 @@ fn terms(row: &GrantRow) -> (String, Vec<String>) {
 
 fn open(state: &mut State, grantee: &str, topics: &[String], ends: &str) {
     state.feeds.slot_mut(Feed::Contacts).stale = true;
-    // How many records the grant opens is told as of now.
+    // The form shows how many records the grant opens now.
     state.feeds.slot_mut(Feed::Identity).stale = true;
     state.popups.push(Popup::Form(Purpose::Grant, form::grant(grantee, topics, ends, &opens(state))));
 }
 
-/// From when on a grant of the current epoch opens records, of all topics.
+/// From when on a grant of the current epoch opens records of all topics.
 pub fn opens(state: &State) -> String {
     let records = state.identity.as_ref().and_then(|identity| identity.epoch_records);
     records.map_or_else(|| "since this epoch began".to_owned(), |records| records.words(" of all topics"))
 }
 
-/// `grant bob /robot1/odom 30d` of the palette: the form with these terms, sent on to its question if they are valid.
+/// `grant bob /robot1/odom 30d` of the palette: the form with these terms.
 pub fn spoken(state: &mut State, words: &[&str]) -> Vec<Effect> {
     let Some((grantee, rest)) = words.split_first() else { return Vec::new() };
     let is_topic = |word: &&str| word.starts_with('/') || *word == form::ALL_TOPICS;
@@ -60,16 +57,13 @@ pub fn spoken(state: &mut State, words: &[&str]) -> Vec<Effect> {
     let topics: Vec<String> = topics.into_iter().map(str::to_owned).collect();
     open(state, grantee, &topics, &ends.join(" "));
     if let Some(Popup::Form(Purpose::Grant, form)) = state.popups.last_mut().filter(|_| !topics.is_empty()) {
-        // The only line left is which records, and its usual answer is chosen: enter goes on to the question.
+        // Only the choice of records is left, preset to the usual answer: Enter goes on to the question.
         form.focus = form.lines.len().saturating_sub(1);
     }
     Vec::new()
 }
 
-/// What is wrong with well-formed terms, as far as is known here: the line, and why.
-///
-/// # Errors
-/// A name that nobody has, or an account that has an active grant already.
+/// Refuses unknown names, and accounts with an active grant on the same terms.
 pub fn check(state: &State, wish: &GrantWish) -> Result<(), Wrong> {
     let known = state.feeds.slot(Feed::Contacts).loaded;
     let name = wish.grantee.to_string();
@@ -92,8 +86,7 @@ fn same_terms(row: &GrantRow, wish: &GrantWish) -> bool {
     wanted == given && wish.expires == row.expires
 }
 
-/// The question before a grant. If the account has an active one, that is revoked first: the question says so and is
-/// asked once.
+/// Revokes an active grant to the account first; one question covers both acts.
 pub fn question(state: &mut State, wish: GrantWish) -> Confirm {
     let name = wish.grantee.to_string();
     let contact = state.contacts.iter().find(|row| row.name.to_string() == name).map(|row| row.address);
@@ -123,7 +116,7 @@ fn active<'a>(state: &'a State, address: Option<Address>, name: &str) -> Option<
     state.grants.rows.iter().filter(|row| is_given(row) && is_active(row)).find(is_it)
 }
 
-/// What deserves a second look before the grant: everything is shared, or a topic that nobody knows.
+/// What deserves a second look: sharing everything, or an unknown topic.
 pub fn caution(state: &State, command: &Command) -> Option<String> {
     if let (Command::Revoke { .. }, Some((_, after))) = (command, &state.follow_up) {
         return caution(state, &after.command);
@@ -138,7 +131,7 @@ pub fn caution(state: &State, command: &Command) -> Option<String> {
     (loaded && !unknown.is_empty()).then(|| format!("No topic of this name is known here: {}", unknown.join(" ")))
 }
 
-/// Completes the name at the end of a form line; false if there is nothing to complete.
+/// False if there is nothing to complete.
 pub fn complete(state: &State, form: &mut Form) -> bool {
     let names: Vec<String> = match form.focus {
         GRANTEE => state.contacts.iter().map(|row| row.name.to_string()).collect(),
@@ -148,7 +141,6 @@ pub fn complete(state: &State, form: &mut Form) -> bool {
     complete_from(form, &names)
 }
 
-/// Completes one of the names at the end of the line with the focus; false where there is nothing to complete.
 pub fn complete_from(form: &mut Form, names: &[String]) -> bool {
     let text = form.text(form.focus).to_owned();
     let (before, begun) = text.rsplit_once([' ', ',']).map_or(("", text.as_str()), |(before, begun)| (before, begun));
@@ -159,16 +151,14 @@ pub fn complete_from(form: &mut Form, names: &[String]) -> bool {
     true
 }
 
-/// A new end for a grant.
 #[derive(Debug)]
 pub enum Extension {
-    /// Later: the contract does that.
+    /// The contract moves the end.
     Later(Errand),
-    /// Sooner: a revoke and a new grant.
+    /// A revoke and a new grant.
     Sooner(GrantWish),
 }
 
-/// Asks for the new end of the selected grant.
 pub fn begin_extension(state: &mut State) {
     let Some(row) = state.grants.selected() else { return };
     let who = row.name.clone().unwrap_or_else(|| row.grantee.short());
@@ -176,7 +166,6 @@ pub fn begin_extension(state: &mut State) {
     state.popups.push(Popup::Form(Purpose::Extend, form::extend(&who, &ends)));
 }
 
-/// The command of a completed form of [`begin_extension`].
 pub fn read_extension(state: &State, form: &Form) -> Result<Extension, Wrong> {
     let row = state.grants.selected().filter(|row| is_given(row) && is_active(row));
     let row = row.ok_or((0, "this grant is no longer active".to_owned()))?;
@@ -191,7 +180,6 @@ pub fn read_extension(state: &State, form: &Form) -> Result<Extension, Wrong> {
     Ok(Extension::Later(Errand { command, tag: Tag::Extend(row.grantee) }))
 }
 
-/// The same grant with an earlier end.
 fn sooner(row: &GrantRow, expires: Option<Timestamp>) -> Result<GrantWish, Wrong> {
     let topics: Result<Vec<TopicName>, _> = row.topics.iter().map(|topic| topic.parse()).collect();
     let topics =
@@ -199,7 +187,6 @@ fn sooner(row: &GrantRow, expires: Option<Timestamp>) -> Result<GrantWish, Wrong
     Ok(GrantWish { grantee: row.grantee.into(), topics, epochs: Epochs::Current, expires })
 }
 
-/// The contact under the cursor.
 pub fn chosen(state: &State, selected: usize) -> Option<&ContactRow> {
     state.contacts.get(selected.min(state.contacts.len().saturating_sub(1)))
 }
@@ -209,7 +196,6 @@ pub fn open_contacts(state: &mut State) {
     state.popups.push(Popup::Contacts(0));
 }
 
-/// The actions here, by key.
 pub fn hints(state: &State) -> Vec<(&'static str, &'static str)> {
     let changes = [("n", "new"), ("g", "grant"), ("c", "confirm key"), ("x", "remove")];
     let changes = changes.into_iter().filter(|(key, _)| !state.settings.read_only && (*key == "n" || any(state)));
@@ -221,7 +207,6 @@ fn any(state: &State) -> bool {
     !state.contacts.is_empty()
 }
 
-/// A key while the list is open.
 pub fn key(state: &mut State, selected: usize, key: Key) -> Vec<Effect> {
     if matches!(key, Key::Escape | Key::Char('q')) {
         return Vec::new();
@@ -241,7 +226,6 @@ pub fn key(state: &mut State, selected: usize, key: Key) -> Vec<Effect> {
     Vec::new()
 }
 
-/// Asks for a new contact.
 pub fn form() -> Form {
     let lines = vec![
         Line::text("Name", "such as bob", Field::default()),
@@ -255,7 +239,6 @@ pub fn form() -> Form {
     Form::new("New contact", notes, lines)
 }
 
-/// The command of a completed [`form`].
 pub fn read(form: &Form) -> Result<Errand, Wrong> {
     let (name, address): (ContactName, Address) = (form.parsed(0)?, form.parsed(1)?);
     let fingerprint = form.typed(2).map(str::to_owned);

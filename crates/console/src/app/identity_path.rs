@@ -1,5 +1,4 @@
-//! Commands that need an identity: they wait while the operator is led through creating, unlocking and registering one,
-//! and are then sent.
+//! Commands that need an identity wait while the operator creates, unlocks and registers one.
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
@@ -10,15 +9,13 @@ use super::{State, form};
 use crate::service::reply::IdentityView;
 use crate::service::{Command, Failure};
 
-/// How much of an identity a command needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Need {
     Unlocked,
-    /// An open keyring and a registration on the chain.
+    /// Unlocked, and registered on the chain.
     Registered,
 }
 
-/// Commands waiting for an identity.
 #[derive(Debug)]
 pub struct IdentityPath {
     need: Need,
@@ -26,7 +23,6 @@ pub struct IdentityPath {
     errands: Vec<Errand>,
 }
 
-/// Sends the waiting commands as soon as the identity they need is there.
 pub fn run(state: &mut State, need: Need, errands: Vec<Errand>) -> Vec<Effect> {
     match &mut state.identity_path {
         Some(path) => {
@@ -38,7 +34,6 @@ pub fn run(state: &mut State, need: Need, errands: Vec<Errand>) -> Vec<Effect> {
     advance(state)
 }
 
-/// Takes the next step of the waiting path, if any.
 pub fn advance(state: &mut State) -> Vec<Effect> {
     let under_way = state.work.iter().any(|tag| matches!(tag, Tag::CreateIdentity | Tag::Unlock | Tag::Register));
     let asking = state.popups.iter().any(is_identity_form);
@@ -61,8 +56,7 @@ pub fn advance(state: &mut State) -> Vec<Effect> {
     Vec::new()
 }
 
-/// Asks once, at the start, for the passphrase of a locked keyring, unless a key was pressed before: until then watched
-/// topics are not captured. If the keyring is opened in another way, nothing is asked any more.
+/// Asks once for the passphrase: until the keyring is open, watched topics are not captured.
 pub fn greet(state: &mut State) {
     if state.identity.as_ref().is_some_and(|identity| identity.unlocked) {
         return state.popups.retain(|popup| !matches!(popup, Popup::Form(Purpose::Unlock, _)));
@@ -73,7 +67,7 @@ pub fn greet(state: &mut State) {
     }
 }
 
-/// The operator cancelled; what waited is dropped and named.
+/// Drops what waited, and names it.
 pub fn abandon(state: &mut State) {
     if let Some(path) = state.identity_path.take() {
         let dropped: Vec<String> = path.errands.iter().map(|errand| errand.tag.words()).collect();
@@ -83,7 +77,6 @@ pub fn abandon(state: &mut State) {
     }
 }
 
-/// The identity is on the chain, or not.
 pub fn registered(state: &mut State, result: Result<IdentityView, Failure>) -> Vec<Effect> {
     out_of_date(state);
     match result {
@@ -103,7 +96,6 @@ pub fn registered(state: &mut State, result: Result<IdentityView, Failure>) -> V
     }
 }
 
-/// The keyring of the form is open, newly made or unlocked, or it is not.
 pub fn opened(
     state: &mut State,
     result: Result<IdentityView, Failure>,

@@ -1,5 +1,4 @@
-//! Which keys do what on each screen: the preset of the verb list, overridden by the operator's own `keymap.toml`. Key
-//! presses, help, bar and palette all ask here. Keys are named as that file writes them, independent of any terminal library.
+//! Keys of each screen: the preset of the verb list, overridden by the operator's `keymap.toml`.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -15,17 +14,15 @@ use toml::Spanned;
 /// The most keys of one chord.
 pub const LONGEST_CHORD: usize = 3;
 
-/// Keys that do something when pressed in sequence.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Binding {
     pub on: Vec<Key>,
     pub entry: &'static Entry,
-    /// The operator's own description.
+    /// The operator's own text.
     pub desc: Option<String>,
 }
 
 impl Binding {
-    /// A line of help.
     pub fn help(&self) -> &str {
         self.desc.as_deref().unwrap_or(self.entry.help)
     }
@@ -35,16 +32,15 @@ impl Binding {
     }
 }
 
-/// The meaning of keys pressed in sequence.
 #[derive(Debug, PartialEq)]
 pub enum Meaning<'a> {
     Does(Verb),
-    /// More keys must follow: these chords begin this way.
+    /// These chords begin with the keys.
     Begins(Vec<&'a Binding>),
     Nothing,
 }
 
-/// Where bindings apply; a more specific place takes precedence over a more general one.
+/// A more specific place takes precedence over a more general one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Place {
     Everywhere,
@@ -54,7 +50,7 @@ pub enum Place {
 }
 
 impl Place {
-    /// All, most general first.
+    /// Most general first.
     pub fn all() -> impl Iterator<Item = Self> {
         [Self::Everywhere, Self::Lists].into_iter().chain(Screen::all().map(Self::On))
     }
@@ -76,7 +72,6 @@ impl Place {
         }
     }
 
-    /// Where the preset binds an entry.
     fn of(entry: &Entry) -> Vec<Self> {
         let lists = || Screen::all().all(|screen| screen.has_table() == entry.on.contains(&screen));
         match entry.on {
@@ -87,7 +82,6 @@ impl Place {
     }
 }
 
-/// The bindings of every screen.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Keymap {
     screens: Vec<Vec<Binding>>,
@@ -99,7 +93,7 @@ impl Default for Keymap {
     }
 }
 
-/// A line of the operator's file: keys, and what they do or that they do nothing.
+/// A line of the operator's file; no entry = the keys do nothing.
 #[derive(Debug, Clone)]
 struct Change {
     on: Vec<Key>,
@@ -108,7 +102,6 @@ struct Change {
 }
 
 impl Keymap {
-    /// The preset, overridden by an operator's file.
     pub fn with_file(file: &str, text: &str) -> Result<Self, FileError> {
         let source = Source { file, text };
         let lines = lines(&source)?;
@@ -135,7 +128,6 @@ impl Keymap {
         &self.screens[screen.index()]
     }
 
-    /// The meaning of these keys on a screen.
     pub fn meaning(&self, pressed: &[Key], screen: Screen) -> Meaning<'_> {
         let bindings = self.bindings(screen);
         if let Some(found) = bindings.iter().find(|binding| binding.on == pressed) {
@@ -145,17 +137,17 @@ impl Keymap {
         if begun.is_empty() { Meaning::Nothing } else { Meaning::Begins(begun) }
     }
 
-    /// The bindings of an entry on a screen, the preset's keys first.
+    /// The preset's keys first.
     pub fn of<'a>(&'a self, entry: &'a Entry, screen: Screen) -> impl Iterator<Item = &'a Binding> {
         self.bindings(screen).iter().filter(|binding| binding.entry.name == entry.name)
     }
 
-    /// The first keys of an entry on a screen, as written; empty if it has none there.
+    /// As written; empty if there are none.
     pub fn label(&self, entry: &Entry, screen: Screen) -> String {
         self.of(entry, screen).next().map(|binding| chord_label(&binding.on)).unwrap_or_default()
     }
 
-    /// Whether a key does `verb` and nothing else; never true for keys that type text.
+    /// Never true for keys that type text.
     pub fn is(&self, key: Key, verb: Verb, screen: Screen) -> bool {
         !matches!(key, Key::Char(_)) && self.meaning(&[key], screen) == Meaning::Does(verb)
     }
@@ -166,7 +158,7 @@ fn preset(place: Place) -> impl Iterator<Item = Change> {
     here.flat_map(|entry| entry.chords().map(move |on| Change { on, entry: Some(entry), desc: None }))
 }
 
-/// A more specific binding replaces a more general one with the same keys.
+/// Replaces a more general binding of the same keys.
 fn apply(bindings: &mut Vec<Binding>, Change { on, entry, desc }: Change) {
     bindings.retain(|binding| binding.on != on);
     if let Some(entry) = entry {
@@ -190,7 +182,6 @@ home end,
 # ^x = Control and x. Terminals send ^h ^i ^j ^m as backspace, tab and enter, so these cannot be bound.
 ";
 
-/// The preset, in the format of the operator's file.
 pub fn preset_text() -> String {
     let mut text = OPENING.to_owned();
     for place in Place::all() {
@@ -225,17 +216,17 @@ fn quoted(text: &str) -> String {
     toml::Value::String(text.to_owned()).to_string()
 }
 
-/// The word that unbinds a preset.
+/// Unbinds a preset.
 const NONE: &str = "none";
-/// The most characters of a description.
+/// Characters.
 const LONGEST_DESC: usize = 100;
 
-/// What is wrong with a file of the operator: a keymap or a theme.
+/// An error in an operator's file: a keymap or a theme.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{file} line {line}: {what}")]
 pub struct FileError {
     pub file: String,
-    /// The line, from 1.
+    /// From 1.
     pub line: usize,
     /// What is wrong, and what to do.
     pub what: String,
@@ -268,20 +259,19 @@ struct Read {
     at: Range<usize>,
 }
 
-/// The text of such a file, and its name.
+/// An operator's file.
 pub(crate) struct Source<'a> {
     pub file: &'a str,
     pub text: &'a str,
 }
 
 impl Source<'_> {
-    /// What is wrong at that byte.
+    /// An error at that byte.
     pub fn wrong(&self, at: usize, what: impl Into<String>) -> FileError {
         let line = self.text.get(..at).map_or(1, |before| before.matches('\n').count() + 1);
         FileError { file: clean(self.file, 200), line, what: clean(&what.into(), 300) }
     }
 
-    /// What the text says.
     pub fn parsed<T: DeserializeOwned>(&self) -> Result<T, FileError> {
         toml::from_str(self.text).map_err(|error| {
             let at = error.span().map_or(0, |span| span.start);
@@ -341,7 +331,7 @@ fn read_keys(source: &Source, at: usize, on: On) -> Result<Vec<Key>, FileError> 
     labels.iter().map(key).collect()
 }
 
-/// No chord hides behind a shorter one, and there is a way to the palette and out.
+/// Refuses chords hidden behind shorter ones, and screens without a way to the palette or out.
 fn reachable(source: &Source, keymap: &Keymap, lines: &[Read], screen: Screen) -> Result<(), FileError> {
     let bindings = keymap.bindings(screen);
     let hidden = |long: &&Binding| bindings.iter().any(|short| long.begins_with(&short.on));
@@ -373,20 +363,18 @@ fn name_of(verb: Verb) -> &'static str {
     VERBS.iter().find(|entry| entry.verb == verb).map_or("", |entry| entry.name)
 }
 
-/// One key press. Alt, function keys and terminal-specific ones do not exist here.
+/// Alt, function keys and terminal-specific keys do not exist here.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Key {
-    /// A printable character, with shift already applied.
+    /// Printable, with shift applied.
     Char(char),
-    /// Control and a lower-case letter.
+    /// A lower-case letter.
     Control(char),
     Enter,
     Escape,
     Tab,
     BackTab,
-    /// Deletes to the left.
     Backspace,
-    /// Deletes to the right.
     Delete,
     Up,
     Down,
@@ -399,7 +387,6 @@ pub enum Key {
 }
 
 impl Key {
-    /// As written in help and bottom bar.
     pub fn label(self) -> String {
         let named = NAMED.iter().find(|(key, _)| *key == self).map(|(_, label)| (*label).to_owned());
         named.unwrap_or_else(|| match self {
@@ -409,7 +396,7 @@ impl Key {
         })
     }
 
-    /// Parses what [`Key::label`] writes; `None` = not a key that every terminal can send.
+    /// `None` if not every terminal can send the key.
     pub fn from_label(label: &str) -> Option<Self> {
         let named = NAMED.iter().find(|(_, name)| *name == label).map(|(key, _)| *key);
         named.or_else(|| Self::letter(label))
@@ -421,7 +408,7 @@ impl Key {
             (Some(character), None, _) => {
                 (!character.is_control() && character != ' ').then_some(Self::Char(character))
             }
-            // What terminals send for ^h, ^i, ^j and ^m is backspace, tab and enter.
+            // Terminals send ^h, ^i, ^j and ^m as backspace, tab and enter.
             (Some('^'), Some(letter @ 'a'..='z'), None) => {
                 (!matches!(letter, 'h' | 'i' | 'j' | 'm')).then_some(Self::Control(letter))
             }
@@ -430,7 +417,6 @@ impl Key {
     }
 }
 
-/// The keys with a name.
 const NAMED: [(Key, &str); 15] = [
     (Key::Char(' '), "space"),
     (Key::Enter, "enter"),
@@ -449,7 +435,7 @@ const NAMED: [(Key, &str); 15] = [
     (Key::End, "end"),
 ];
 
-/// Several keys in sequence, as written in help and bottom bar: `z t`.
+/// `z t`, as in help and bottom bar.
 pub fn chord_label(keys: &[Key]) -> String {
     keys.iter().map(|key| key.label()).collect::<Vec<_>>().join(" ")
 }

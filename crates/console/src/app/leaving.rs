@@ -1,5 +1,4 @@
-//! Leaving: what stops with this console and what goes on without it; at once, when all is verified, or after the
-//! capture was paused so that it can be.
+//! Leaving: what stops with this console and what continues; now, once all is verified, or after pausing the capture.
 
 use super::State;
 use super::keymap::Key;
@@ -9,20 +8,16 @@ use super::verb::{Effect, Errand, Tag};
 use crate::service::Command;
 use crate::service::reply::{HeldUp, TopicRow};
 
-/// How far leaving has come.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Leaving {
-    /// The question is on screen.
     Asked,
-    /// When everything is verified.
+    /// Quits when everything is verified.
     WhenVerified,
-    /// The capture is paused; when everything is verified.
+    /// Capture is paused; quits when everything is verified.
     Held,
 }
 
-/// What a console leaves behind.
 struct Behind {
-    /// What is captured, in words.
     captured: Option<String>,
     /// Whether the site ends with this console.
     ends: bool,
@@ -35,7 +30,6 @@ impl Behind {
         Self { captured: captured(state), ends, pending: state.pending_records() }
     }
 
-    /// The fate of the capture.
     fn capture(&self, state: &State) -> Vec<String> {
         let site = match Standing::of(state) {
             Some(Standing::Joined(0)) | None => "in the site".to_owned(),
@@ -77,7 +71,6 @@ impl Behind {
 }
 
 impl Leaving {
-    /// What stops, what goes on, and what is waited for.
     pub fn lines(self, state: &State) -> Vec<String> {
         let behind = Behind::of(state);
         let mut lines = if self == Self::Held { Vec::new() } else { behind.capture(state) };
@@ -95,7 +88,6 @@ impl Leaving {
         lines
     }
 
-    /// The keys, with a word each.
     pub fn hints(self, state: &State) -> Vec<(&'static str, &'static str)> {
         let behind = Behind::of(state);
         let mut hints = vec![("y", "quit now")];
@@ -111,24 +103,23 @@ impl Leaving {
 }
 
 impl Behind {
-    /// Whether all records can be verified only once the capture is paused.
+    /// Whether verifying everything requires pausing the capture first.
     fn can_drain(&self) -> bool {
         self.ends && self.captured.is_some()
     }
 }
 
-/// Whether a site can go on in this console's place.
+/// Whether a site can continue after this console.
 fn can_leave_site(state: &State) -> bool {
     let is_host = matches!(Standing::of(state), Some(Standing::Host));
     is_host && state.settings.leaves_site && state.identity.as_ref().is_some_and(|identity| identity.exists)
 }
 
-/// Whether leaving now would stop something, or leave something undone.
+/// Whether quitting now stops something or leaves it undone.
 pub fn asks(state: &State) -> bool {
     state.has_pending_work() || Behind::of(state).can_drain()
 }
 
-/// A key while the question is on screen.
 pub fn key(state: &mut State, leaving: Leaving, key: Key) -> Vec<Effect> {
     match key {
         Key::Char('y') | Key::Control('c') => return vec![Effect::Quit],
@@ -154,7 +145,6 @@ fn hold(state: &mut State, hold: bool) -> Effect {
     state.send(Errand { command, tag: Tag::HoldCapture })
 }
 
-/// Whether what was waited for is done.
 pub fn is_over(state: &State) -> bool {
     let site = state.feeds.slot(Feed::Site);
     let known = !site.stale && !site.outstanding;
@@ -165,28 +155,26 @@ pub fn is_over(state: &State) -> bool {
     }
 }
 
-/// Messages in memory that are not records yet; those of other profiles do not keep this one.
+/// Messages in memory that are not records yet; those of other profiles do not block leaving.
 fn waiting(state: &State) -> u64 {
     state.site.as_ref().filter(|site| site.profiles.len() <= 1).map_or(0, |site| site.queue.messages)
 }
 
-/// Where the site runs, seen from this console.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Standing {
-    /// In this process: it ends with the console.
+    /// In this process; it ends with the console.
     Host,
-    /// In another process, which continues; 0 = one that does not report its number.
+    /// In another process; 0 = one that does not report its number.
     Joined(u32),
 }
 
 impl Standing {
-    /// Where the site of this console runs; `None` = it has not answered yet.
+    /// `None` = the site has not answered yet.
     pub fn of(state: &State) -> Option<Self> {
         let process = state.site.as_ref()?.process;
         Some(if process == state.settings.process { Self::Host } else { Self::Joined(process) })
     }
 
-    /// The header's text for it.
     pub fn badge(self) -> String {
         match self {
             Self::Host => "HOST".to_owned(),
@@ -196,7 +184,6 @@ impl Standing {
     }
 }
 
-/// Whether a topic is captured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Capture {
     Unwatched,
@@ -204,12 +191,11 @@ pub enum Capture {
     /// Not until the keyring is unlocked.
     WaitsForKey,
     Paused,
-    /// Waiting for somebody to publish it.
     NoPublisher,
 }
 
 impl Capture {
-    /// The state of a topic; the worst one wins.
+    /// The worst reason wins.
     pub fn of(row: &TopicRow) -> Self {
         match row {
             TopicRow { watched: false, .. } => Self::Unwatched,
@@ -220,7 +206,6 @@ impl Capture {
         }
     }
 
-    /// In a word or two.
     pub fn word(self) -> &'static str {
         match self {
             Self::Unwatched => "-",
@@ -232,12 +217,11 @@ impl Capture {
     }
 }
 
-/// How many topics are in this state.
 pub fn count(state: &State, capture: Capture) -> usize {
     state.topics.rows.iter().filter(|row| Capture::of(row) == capture).count()
 }
 
-/// `the capture of /robot1/odom`, `the capture of 4 topics`; `None` = of none.
+/// `the capture of /robot1/odom`, `the capture of 4 topics`.
 pub fn captured(state: &State) -> Option<String> {
     let mut rows = state.topics.rows.iter().filter(|row| Capture::of(row) == Capture::Watched);
     let first = rows.next()?;
@@ -247,7 +231,7 @@ pub fn captured(state: &State) -> Option<String> {
     })
 }
 
-/// What is watched but not captured, and why; `None` = there is none.
+/// Watched topics that are not captured, and why.
 pub fn not_captured(state: &State) -> Option<String> {
     let topics = |count: usize| if count == 1 { "1 topic".to_owned() } else { format!("{count} topics") };
     match (count(state, Capture::WaitsForKey), count(state, Capture::Paused)) {

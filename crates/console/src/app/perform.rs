@@ -1,5 +1,4 @@
-//! What each verb does, and how the last act is undone, if it can be: also speaking for another profile of the same home,
-//! and playing shared records into the reader's own ROS.
+//! What each verb does, and how the last act is undone.
 #![deny(clippy::wildcard_enum_match_arm)]
 
 use super::available::available;
@@ -17,7 +16,6 @@ use crate::service::Command;
 use crate::service::command::{Pace, PlayWishes};
 use crate::service::reply::{PlayedView, TopicRow};
 
-/// Performs `verb`, or says why that is not possible now.
 pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
     if let Err(reason) = available(state, verb) {
         refuse(state, verb, reason);
@@ -101,10 +99,9 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
     Vec::new()
 }
 
-/// Says why it is not possible.
 fn refuse(state: &mut State, verb: Verb, reason: &str) {
     if verb == Verb::Unlock && state.identity.as_ref().is_some_and(|identity| identity.unlocked) {
-        // A passphrase that is typed all the same must not be taken for commands.
+        // Otherwise a typed passphrase would be taken for commands.
         return state.popups.push(Popup::Unlocked);
     }
     let name = super::verb::entry_of(verb, state.screen).map_or("", |entry| entry.name);
@@ -116,7 +113,6 @@ fn tasks(state: &mut State) {
     state.popups.push(Popup::Tasks);
 }
 
-/// Goes to a screen.
 pub(super) fn go(state: &mut State, screen: Screen) {
     if state.screen != screen {
         screen.feeds().iter().for_each(|feed| state.feeds.look(*feed));
@@ -124,7 +120,6 @@ pub(super) fn go(state: &mut State, screen: Screen) {
     state.screen = screen;
 }
 
-/// All screens freeze at this moment, or follow again.
 fn freeze(state: &mut State) {
     state.frozen = if state.is_frozen() { None } else { Some(state.now) };
     state.feeds.gather();
@@ -196,13 +191,11 @@ fn open_record(state: &mut State) -> Vec<Effect> {
     identity_path::run(state, Need::Unlocked, vec![errand])
 }
 
-/// For the marked rows, or else for the one under the cursor.
 fn send_for_rows(state: &mut State, tag: fn(String) -> Tag, command: fn(String) -> Command) -> Vec<Effect> {
     let errand = |id: String| Errand { command: command(id.clone()), tag: tag(id) };
     state.send_new(state.marked_keys().into_iter().map(errand).collect())
 }
 
-/// The topic under the cursor, if its name is one.
 fn selected_topic(state: &mut State) -> Option<(TopicRow, TopicName)> {
     let row = state.topics.selected()?.clone();
     match row.topic.parse() {
@@ -236,7 +229,6 @@ fn unpin(state: &mut State) {
     state.popups.push(Popup::Form(Purpose::Unpin, form::unpin(topic.as_str(), &publisher)));
 }
 
-/// Who can read the topics, the record's topic, or what the grant covers.
 fn readers(state: &mut State) {
     let topics = match state.screen {
         Screen::Topics => state.topics.targets().into_iter().map(|row| row.topic.clone()).collect(),
@@ -259,20 +251,19 @@ fn quit(state: &mut State) -> Vec<Effect> {
     Vec::new()
 }
 
-/// Gives a text to the terminal; only the terminal knows whether it took it.
+/// Only the terminal knows whether it takes the text.
 pub fn copy(state: &mut State, text: String) -> Effect {
     state.inform(format!("sent to the terminal's clipboard (W writes a file): {text}"));
     Effect::CopyText(text)
 }
 
-/// The same as a file, for terminals that accept nothing from a program.
+/// For terminals that accept no clipboard text.
 fn write_file(state: &State, text: &str) -> Effect {
     let name = format!("{}.txt", state.screen.title().to_lowercase());
     let file = Contents { name, bytes: format!("{text}\n").into_bytes().into() };
     Effect::WriteFiles { base: None, directory: None, files: vec![file] }
 }
 
-/// What `copy` would copy now.
 pub fn copied(state: &State) -> Option<String> {
     let digest = |rows: Vec<&crate::service::reply::RecordView>| {
         let key = state.row_key()?;
@@ -291,19 +282,16 @@ pub fn copied(state: &State) -> Option<String> {
     }
 }
 
-/// The last act, as far as undoing is concerned.
 #[expect(clippy::large_enum_variant, reason = "there is one at a time")]
 #[derive(Debug, Clone)]
 pub enum Undo {
-    /// This undoes it completely.
     By(Errand),
     /// A grant: revoking it is another transaction, and does not undo what was read meanwhile.
     Granted(String),
-    /// Nothing undoes it: why.
+    /// Why nothing undoes it.
     Never(&'static str),
 }
 
-/// Notes the effect of the command with `tag`.
 pub fn note(state: &mut State, tag: &Tag) {
     let watching = |name: &String, watch| name.parse().ok().map(|topic| Undo::By(watch_errand(topic, watch)));
     let undo = match tag {
@@ -339,7 +327,6 @@ pub fn note(state: &mut State, tag: &Tag) {
     }
 }
 
-/// Undoes the last act, or says why that is not possible.
 pub fn undo(state: &mut State) -> Vec<Effect> {
     match state.undo.take() {
         Some(Undo::By(errand)) => return vec![state.send(errand)],
@@ -359,7 +346,7 @@ pub fn undo(state: &mut State) -> Vec<Effect> {
     Vec::new()
 }
 
-/// Plays the selected record's topic under `/shared/NAME`, or ends the playback.
+/// Plays the topic under `/shared/NAME`, or ends the playback.
 pub fn toggle(state: &mut State) -> Vec<Effect> {
     if state.work.iter().any(|tag| matches!(tag, Tag::Play(_))) {
         return vec![state.send(Errand { command: Command::StopPlay, tag: Tag::StopPlay })];
@@ -383,7 +370,7 @@ pub fn toggle(state: &mut State) -> Vec<Effect> {
     identity_path::run(state, Need::Unlocked, vec![Errand { command: Command::Play(wishes), tag: Tag::Play(played) }])
 }
 
-/// `/shared/` and the owner's name in a form that a graph allows, or else the beginning of the address.
+/// `/shared/` and the owner's name as a graph allows it, or else the beginning of the address.
 fn prefix(owner: Address, name: Option<&str>) -> Option<TopicName> {
     let plain = |name: &str| name.replace(|letter: char| !letter.is_ascii_alphanumeric(), "_");
     let of_name = name.and_then(|name| format!("/shared/{}", plain(name)).parse().ok());
@@ -393,7 +380,6 @@ fn prefix(owner: Address, name: Option<&str>) -> Option<TopicName> {
     })
 }
 
-/// The message when it has ended.
 pub fn ended(state: &mut State, view: &PlayedView) {
     let published = view.published;
     let not = view.refused + view.missing;
@@ -405,7 +391,6 @@ pub fn ended(state: &mut State, view: &PlayedView) {
     }
 }
 
-/// Asks for which profile.
 pub fn open(state: &mut State) {
     let lines = vec![Line::text("Profile", "name of a profile in this home", Field::default())];
     let known: Vec<String> = state.settings.profiles.iter().map(ToString::to_string).collect();
@@ -416,7 +401,7 @@ pub fn open(state: &mut State) {
     state.popups.push(Popup::Form(Purpose::Profile, Form::new("Switch to another profile", notes, lines)));
 }
 
-/// Switches to another profile: everything known belongs to the previous one and is requested anew.
+/// Everything known belongs to the previous profile and is requested anew.
 pub fn switch(state: &mut State, profile: ProfileName) -> Vec<Effect> {
     if profile == state.settings.profile {
         state.inform(format!("this console already uses profile {profile}"));
@@ -429,7 +414,7 @@ pub fn switch(state: &mut State, profile: ProfileName) -> Vec<Effect> {
     }
     let mut settings = state.settings.clone();
     settings.profile.clone_from(&profile);
-    // The successor would be given the flags of the start, with another profile.
+    // The successor would start with this console's flags, but for another profile.
     settings.leaves_site = false;
     let mut next = State::new(settings);
     (next.now, next.touched, next.size) = (state.now, state.now, state.size);
@@ -439,7 +424,7 @@ pub fn switch(state: &mut State, profile: ProfileName) -> Vec<Effect> {
     next.log = std::mem::take(&mut state.log);
     next.screen = Screen::Overview;
     next.former = Some(state.settings.profile.clone());
-    // Requests of the previous profile are still answered, but not for this one.
+    // Answers to requests of the previous profile must not match this one's.
     next.feeds.follow(&state.feeds);
     *state = next;
     state.inform(format!("this console now uses profile {profile}"));

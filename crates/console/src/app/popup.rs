@@ -1,5 +1,4 @@
-//! The popups over a screen, and the keys while one lies over it. The topmost popup has the keys; `q` or Esc closes it.
-//! Questions say what an act means before it is done.
+//! The popups over a screen and their keys: the topmost has the keys, `q` or Esc closes it.
 
 use super::administration::{self, Act};
 use super::available::available;
@@ -21,50 +20,38 @@ use crate::service::command::Held;
 use crate::service::reply::{GrantRow, PinsView, Provenance, RobotView, TopicRow};
 use crate::service::{Command, Epochs, Failure, KeyKind};
 
-/// A popup over the screen.
 #[derive(Debug)]
 #[allow(clippy::large_enum_variant, reason = "a handful at a time, and rarely moved")]
 pub enum Popup {
-    /// Every command by name.
     Palette(Palette),
-    /// What each key does here.
     Help(Help),
     /// Yes or no, default no.
     Confirm(Confirm),
     Form(Purpose, Form),
-    /// A record's provenance and state.
     Provenance(Lookup<Provenance>),
     Record(Opening),
-    /// The first keys of a chord; the possible next keys are shown.
+    /// A chord's first keys; shows the possible next ones.
     Chord(Vec<Key>),
-    /// Choosing of a theme.
     Themes(ThemeChoice),
-    /// Choosing of a list's columns.
     Columns(ColumnChoice),
-    /// Publishers of a topic: pinned, suspect, quarantined.
     Publishers(Lookup<PinsView>),
     /// Who can read these topics now; empty = all.
     Readers(Vec<String>),
-    /// Running commands and what waits.
     Tasks,
-    /// The keyring to be unlocked is open already.
+    /// The keyring to unlock is open already.
     Unlocked,
-    /// A line of the log, whole.
     Line(LogLine),
-    /// Choosing among what others share: the selected line.
+    /// The selected line.
     Browse(usize),
-    /// The address book: the selected line.
+    /// The selected line.
     Contacts(usize),
     Incidents(IncidentList),
-    /// A robot: its policy, topics, losses.
     Robot(Lookup<RobotView>),
-    /// Leaving while something would stop, or is not done.
     Quit(Leaving),
 }
 
 impl Popup {
-    /// The data it needs besides those of the screen: grants are requested before a confirmation, and a grant is checked
-    /// against the address book, and completed from it.
+    /// Besides those of the screen: a grant needs the address book, confirmations need the grants.
     pub fn feeds(&self) -> &'static [Feed] {
         match self {
             Self::Form(Purpose::Grant, _) => &[Feed::Grants, Feed::Contacts, Feed::Topics],
@@ -77,72 +64,54 @@ impl Popup {
     }
 }
 
-/// The purpose of a form.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Purpose {
-    /// Passphrase of a new identity.
     CreateIdentity,
-    /// Passphrase of a locked keyring.
     Unlock,
-    /// Terms of a grant.
     Grant,
-    /// A new end for a grant.
     Extend,
     LoadKey,
-    /// Which key to export.
     ExportKey,
-    /// Where records are exported to.
     Export,
-    /// The account of an administrator's act.
     Administer(Act),
-    /// A name for an account.
     AddContact,
-    /// A span to keep.
     OpenIncident,
-    /// Words about an incident.
     NoteIncident,
-    /// A robot and the file of its policy.
     SetPolicy,
-    /// Which profile to speak for.
     Profile,
-    /// A publisher of this kind of topic that is no longer accepted.
     Unpin,
 }
 
-/// A question answered by `y`; anything else means no.
+/// Answered by `y`; anything else means no.
 #[derive(Debug)]
 pub struct Confirm {
     pub title: String,
     pub lines: Vec<String>,
     /// The word beside `y`.
     pub yes: &'static str,
-    /// What must be typed instead of `y`, if the act is grave.
+    /// Typed instead of `y` for a grave act.
     pub typed: Option<Typed>,
-    /// What `y` sends.
     pub errand: Errand,
 }
 
-/// Something requested by id, shown when it arrives.
 #[derive(Debug)]
 pub struct Lookup<T> {
     pub id: String,
-    /// The answer, once it has arrived.
+    /// `None` until it arrives.
     pub answer: Option<Result<Box<T>, Failure>>,
     pub scroll: usize,
 }
 
 impl<T> Lookup<T> {
-    /// Requested, not here yet.
     pub fn new(id: &str) -> Self {
         Self { id: id.to_owned(), answer: None, scroll: 0 }
     }
 
-    /// The answer, if it has arrived and is not a failure.
     pub fn found(&self) -> Option<&T> {
         self.answer.as_ref()?.as_ref().ok().map(Box::as_ref)
     }
 
-    /// Scrolls by a key, in an answer of about so many lines; false = the key closes it.
+    /// Scrolls an answer of about that many lines; false = the key closes it.
     pub(super) fn scrolls(&mut self, key: Key, page: usize, lines: impl FnOnce(&T) -> usize) -> bool {
         let Some(scroll) = scrolled(self.scroll, key, page) else { return false };
         self.scroll = scroll.min(self.found().map_or(0, lines));
@@ -150,7 +119,6 @@ impl<T> Lookup<T> {
     }
 }
 
-/// Gives an answer to the window that asked for it.
 pub(super) fn tell<T>(
     state: &mut State,
     id: &str,
@@ -162,29 +130,26 @@ pub(super) fn tell<T>(
     }
 }
 
-/// What each key does, narrowed by what is typed.
 #[derive(Debug, Default)]
 pub struct Help {
     pub scroll: usize,
-    /// What is typed after `/`.
+    /// Typed after `/`.
     pub filter: Field,
-    /// Whether it is being typed.
     pub filtering: bool,
-    /// The keys of the window below; `None` = those of the screen.
+    /// Keys of the window below; `None` = those of the screen.
     pub window: Option<Vec<(&'static str, &'static str)>>,
 }
 
-/// Every command by name, narrowed by what is typed.
 #[derive(Debug, Default)]
 pub struct Palette {
     pub field: Field,
     pub selected: usize,
-    /// Which of the commands before is in the field, counted from the newest.
+    /// Recalled command, counted from the newest.
     pub recalled: Option<usize>,
 }
 
 impl Palette {
-    /// The matching commands: available ones first, best match first.
+    /// Available ones first, best match first.
     pub fn matches(&self, state: &State) -> Vec<&'static Entry> {
         let score = |entry: &'static Entry| {
             let name = palette::score(self.field.text(), entry.name);
@@ -199,7 +164,6 @@ impl Palette {
     }
 }
 
-/// A word that must be typed for a grave act.
 #[derive(Debug)]
 pub struct Typed {
     pub wanted: String,
@@ -211,13 +175,11 @@ impl Typed {
         Self { wanted: wanted.to_owned(), field: Field::default() }
     }
 
-    /// Whether the word is complete.
     pub fn is_done(&self) -> bool {
         self.field.text().trim() == self.wanted
     }
 }
 
-/// Before accepting the publishers being read now.
 pub fn pin(row: &TopicRow, topic: TopicName) -> Confirm {
     let lines = vec![
         format!("Topic       {topic}"),
@@ -233,7 +195,6 @@ pub fn pin(row: &TopicRow, topic: TopicName) -> Confirm {
     Confirm { title: "Accept these publishers?".to_owned(), lines, yes: "pin", typed: None, errand }
 }
 
-/// Before releasing or deleting quarantined messages.
 pub fn decide(row: &TopicRow, topic: TopicName, discard: bool) -> Confirm {
     let held = Held { topic: Some(topic.clone()), ids: Vec::new() };
     let mut lines = vec![format!("Topic  {topic}"), format!("Held   {} messages", row.quarantined)];
@@ -250,7 +211,6 @@ pub fn decide(row: &TopicRow, topic: TopicName, discard: bool) -> Confirm {
     Confirm { title: "Release quarantined messages?".to_owned(), lines, yes: "release", typed: None, errand }
 }
 
-/// Before a grant: what it opens, and who can read already.
 pub fn grant(state: &State, wish: GrantWish) -> Confirm {
     let topics: Vec<String> = wish.topics.iter().map(ToString::to_string).collect();
     let epochs = match wish.epochs {
@@ -270,7 +230,6 @@ pub fn grant(state: &State, wish: GrantWish) -> Confirm {
     Confirm { title: "Grant this?".to_owned(), lines, yes: "grant", typed: None, errand: wish.errand() }
 }
 
-/// Before a revoke: what it does and what it cannot do.
 pub fn revoke(state: &State, row: &GrantRow) -> Confirm {
     let mut lines = vec![
         format!("From    {}", row.grantee),
@@ -287,7 +246,6 @@ pub fn revoke(state: &State, row: &GrantRow) -> Confirm {
     Confirm { title: format!("Revoke {}?", row.grantee.short()), lines, yes: "revoke", typed: None, errand }
 }
 
-/// Before one key replaces another.
 pub fn load_key(wish: KeyWish) -> Confirm {
     let KeyWish { kind, path, passphrase } = wish;
     let what = match kind {
@@ -302,7 +260,6 @@ pub fn load_key(wish: KeyWish) -> Confirm {
     Confirm { title: format!("Replace the {} key?", kind_word(kind)), lines, yes: "replace", typed: None, errand }
 }
 
-/// Before a new epoch.
 pub fn rotate() -> Confirm {
     let lines = vec![
         "The next record is encrypted under a new key.".to_owned(),
@@ -312,7 +269,7 @@ pub fn rotate() -> Confirm {
     Confirm { title: "Begin a new epoch?".to_owned(), lines, yes: "rotate", typed: None, errand }
 }
 
-/// The present readers, one line each, under a title; `without` is left out.
+/// One line each under a title; `without` is left out.
 pub fn readers(state: &State, title: &str, without: Option<&GrantRow>) -> Vec<String> {
     let readers = state.grants.readers(without.map(|row| row.grantee));
     let mut lines = vec![title.to_owned()];
@@ -329,7 +286,6 @@ pub fn readers(state: &State, title: &str, without: Option<&GrantRow>) -> Vec<St
     lines
 }
 
-/// A popup's keys, for the bottom bar: key and what it does.
 pub fn hints(state: &State, popup: &Popup) -> Vec<(&'static str, &'static str)> {
     match popup {
         Popup::Palette(_) => vec![("enter", "run"), ("up down", "choose, earlier"), ("esc", "close")],
@@ -369,7 +325,6 @@ pub fn hints(state: &State, popup: &Popup) -> Vec<(&'static str, &'static str)> 
     }
 }
 
-/// Gives a key to the topmost popup.
 pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
     if key == Key::Char('?') && !takes_text(state) {
         let window = state.popups.last().map(|popup| match popup {
@@ -424,7 +379,7 @@ pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
     }
 }
 
-/// Whether a `?` is part of what is typed into the topmost popup, or the popup handles it itself.
+/// Whether the topmost popup takes `?` as text or handles it.
 fn takes_text(state: &State) -> bool {
     match state.popups.last() {
         Some(Popup::Form(_, form)) => {
@@ -456,7 +411,6 @@ fn help_key(state: &mut State, mut help: Help, key: Key) -> Vec<Effect> {
     Vec::new()
 }
 
-/// Gives pasted text to the topmost popup.
 pub fn popup_paste(state: &mut State, text: &str) {
     match state.popups.last_mut() {
         Some(Popup::Form(_, form)) => form.paste(text),
@@ -466,7 +420,7 @@ pub fn popup_paste(state: &mut State, text: &str) {
     }
 }
 
-/// Where a key scrolls to; `None` = it closes.
+/// `None` = the key closes it.
 pub(super) fn scrolled(scroll: usize, key: Key, page: usize) -> Option<usize> {
     Some(match key {
         Key::Escape | Key::Char('q') => return None,
@@ -479,7 +433,6 @@ pub(super) fn scrolled(scroll: usize, key: Key, page: usize) -> Option<usize> {
     })
 }
 
-/// Where a key moves the cursor of a list of so many lines.
 pub(super) fn moved(selected: usize, count: usize, key: Key) -> usize {
     let last = count.saturating_sub(1);
     let selected = selected.min(last);
@@ -492,7 +445,6 @@ pub(super) fn moved(selected: usize, count: usize, key: Key) -> usize {
     }
 }
 
-/// The next key of a chord.
 fn chord_key(state: &mut State, mut pressed: Vec<Key>, key: Key) -> Vec<Effect> {
     if key == Key::Escape {
         return Vec::new();
@@ -519,7 +471,7 @@ fn publishers_key(state: &mut State, mut lookup: Lookup<PinsView>, key: Key) -> 
     Vec::new()
 }
 
-/// The key that copies a question's act: where a word is typed, letters belong to it.
+/// Where a word is typed, letters belong to it.
 fn copies(confirm: &Confirm) -> Key {
     if confirm.typed.is_some() { Key::Control('y') } else { Key::Char('Y') }
 }
@@ -544,7 +496,7 @@ fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) -> Vec<Effect>
         state.popups.push(Popup::Confirm(confirm));
         return Vec::new();
     }
-    // The form that led here has done its work.
+    // The form that led here is done.
     let led_here = |purpose: &Purpose| {
         use Purpose::{Administer, Extend, Grant, LoadKey, SetPolicy};
         matches!(purpose, Grant | Extend | LoadKey | Administer(_) | SetPolicy)
@@ -559,13 +511,13 @@ fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) -> Vec<Effect>
     }
 }
 
-/// A no: neither the act nor what was to follow it happens.
+/// Neither the act nor what was to follow it happens.
 fn unasked(state: &mut State) -> Vec<Effect> {
     state.follow_up = None;
     Vec::new()
 }
 
-/// How much of an identity the act needs; pins do not need an open one.
+/// Pins do not need an open keyring.
 #[deny(clippy::wildcard_enum_match_arm)]
 fn need_of(confirm: &Confirm) -> Option<Need> {
     match confirm.errand.tag {
@@ -609,13 +561,13 @@ fn form_key(state: &mut State, purpose: Purpose, mut form: Form, key: Key) -> Ve
                 state.popups.insert(state.popups.len() - 1, Popup::Form(purpose, form));
                 return effects;
             }
-            // So it does while the file that it names is read.
+            // The form also stays while its file is read.
             Ok(effects) if matches!(effects.as_slice(), [Effect::ReadText(_)]) => {
                 state.popups.push(Popup::Form(purpose, form));
                 return effects;
             }
             Ok(effects) => {
-                // A contact or an incident that is refused is asked for again.
+                // A refused contact or incident returns to its form.
                 let kept = matches!(purpose, Purpose::AddContact | Purpose::OpenIncident | Purpose::NoteIncident);
                 if let Some(tag) = state.work.last().filter(|_| kept).cloned() {
                     state.filled = Some((tag, purpose, form));

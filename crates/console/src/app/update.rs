@@ -1,5 +1,4 @@
-//! One action in, the state changed, effects out. Never waits, never fails. Mouse, keys typed ahead of the rows they
-//! are for, and locking are here too.
+//! One action in, the state changed, effects out; never waits, never fails. Also the mouse, keys typed ahead, locking.
 
 use super::answer::answered;
 use super::keymap::{Key, Meaning, chord_label};
@@ -14,7 +13,7 @@ use crate::service::reply::{Caveat, ShownState};
 use crate::service::{Command, Event, Failure, NoticeLevel, Part};
 use strum::{EnumCount, EnumIter, IntoEnumIterator as _};
 
-/// The first effects of a console: claim the profile, request what is on screen.
+/// Claims the profile and requests what is on screen.
 pub fn start(state: &mut State) -> Vec<Effect> {
     let claim = Errand { command: Command::OpenConsole, tag: Tag::OpenConsole };
     let mut effects = vec![state.send(claim)];
@@ -77,7 +76,7 @@ fn act(state: &mut State, action: Action) -> Vec<Effect> {
 
 fn pressed(state: &mut State, key: Key) -> Vec<Effect> {
     state.greeted = true;
-    // These two take precedence over any popup.
+    // Both take precedence over any popup.
     for verb in [Verb::Suspend, Verb::Redraw] {
         if state.settings.keymap.is(key, verb, state.screen) {
             return perform(state, verb);
@@ -100,10 +99,10 @@ fn pressed(state: &mut State, key: Key) -> Vec<Effect> {
     Vec::new()
 }
 
-/// The most screens named for a key; one that works on more is no news.
+/// A key that works on more screens than this is no news.
 const MOST_PLACES: usize = 3;
 
-/// A letter of other screens does nothing here, and says where it would.
+/// A key of other screens does nothing here, and says where it would.
 fn say_where(state: &mut State, key: Key) {
     let means = |screen: &Screen| !matches!(state.settings.keymap.meaning(&[key], *screen), Meaning::Nothing);
     let places: Vec<String> =
@@ -115,7 +114,7 @@ fn say_where(state: &mut State, key: Key) {
 
 fn filter_or_move(state: &mut State, key: Key) -> Vec<Effect> {
     match key {
-        // In an empty filter the arrows go through earlier ones, otherwise through the rows.
+        // An empty filter recalls earlier ones; otherwise arrows move through the rows.
         Key::Up | Key::Down if state.table_mut().is_some_and(|table| table.recall(key == Key::Up)) => {
             table::restart_records(state);
         }
@@ -148,7 +147,7 @@ fn told(state: &mut State, event: Event) -> Vec<Effect> {
     }
 }
 
-/// An open provenance view follows its record until that is verified.
+/// An open provenance view follows its record until it is settled.
 fn refresh_provenance(state: &mut State) -> Vec<Effect> {
     let Some(Popup::Provenance(lookup)) = state.popups.last() else { return Vec::new() };
     let settled = lookup.found().is_some_and(|found| is_settled(found.record.state));
@@ -159,7 +158,6 @@ fn refresh_provenance(state: &mut State) -> Vec<Effect> {
     vec![state.send(Errand { command: Command::ShowUpload { id }, tag })]
 }
 
-/// Whether a record is in its final state.
 pub fn is_settled(state: ShownState) -> bool {
     matches!(
         state,
@@ -191,7 +189,7 @@ fn tick(state: &mut State, now: Timestamp) -> Vec<Effect> {
     lock_when_due(state)
 }
 
-/// Asks for what is on screen and out of date, one question per feed at a time.
+/// One request per feed at a time.
 fn pull(state: &mut State) -> Vec<Effect> {
     let now = state.frozen.unwrap_or(state.now);
     state.uploads.note_filter(now);
@@ -202,7 +200,7 @@ fn pull(state: &mut State) -> Vec<Effect> {
     wanted.extend(tour::wants_grants(state).then_some(Feed::Grants));
     wanted.extend(policies::wanted(state));
     if state.is_frozen() {
-        // All screens are frozen at one moment; data that is valid for it is not requested again.
+        // All screens freeze at one moment; data valid for it is not requested again.
         wanted.extend(Feed::iter());
     }
     wanted.into_iter().filter_map(|feed| ask(state, feed)).collect()
@@ -221,7 +219,7 @@ fn ask(state: &mut State, feed: Feed) -> Option<Effect> {
     Some(Effect::Send(command, Tag::Feed(feed, slot.generation)))
 }
 
-/// The command of a feed; `None` while there is nothing to request.
+/// `None` while there is nothing to request.
 fn question(state: &State, feed: Feed) -> Option<Command> {
     let exists = state.identity.as_ref().is_some_and(|identity| identity.exists);
     let rows = state.page_rows();
@@ -245,7 +243,6 @@ fn question(state: &State, feed: Feed) -> Option<Command> {
     }
 }
 
-/// Information for the message line that is not a toast: the running commands.
 pub fn under_way(state: &State) -> Option<String> {
     let mut work = state.work.iter().filter(|tag| tag.is_work());
     let first = work.next()?;
@@ -253,10 +250,9 @@ pub fn under_way(state: &State) -> Option<String> {
     Some(if more > 0 { format!("{} and {more} more", first.words()) } else { first.words() })
 }
 
-/// Rows above the first row of a list: header, screens, title, columns.
+/// Rows above a list: header, screens, title, columns.
 const ABOVE: u16 = 4;
 
-/// Takes the mouse, or leaves it to the terminal.
 pub fn toggle(state: &mut State) -> Vec<Effect> {
     state.mouse = !state.mouse;
     let text = if state.mouse {
@@ -268,7 +264,6 @@ pub fn toggle(state: &mut State) -> Vec<Effect> {
     vec![Effect::Mouse(state.mouse)]
 }
 
-/// The wheel was turned.
 pub fn wheel(state: &mut State, up: bool) -> Vec<Effect> {
     if state.popups.is_empty() {
         return perform(state, if up { Verb::Up } else { Verb::Down });
@@ -276,7 +271,6 @@ pub fn wheel(state: &mut State, up: bool) -> Vec<Effect> {
     popup_key(state, if up { Key::Up } else { Key::Down })
 }
 
-/// A cell was clicked.
 pub fn click(state: &mut State, column: u16, row: u16) {
     if !state.popups.is_empty() {
         return;
@@ -287,7 +281,7 @@ pub fn click(state: &mut State, column: u16, row: u16) {
         }
         return;
     }
-    // The rows of this screen begin lower, and are in two parts.
+    // This screen's rows begin lower, in two parts.
     if state.screen == Screen::Gateway {
         return;
     }
@@ -303,7 +297,7 @@ pub fn click(state: &mut State, column: u16, row: u16) {
     }
 }
 
-/// The screen whose name is there; if names do not fit, nothing can be clicked.
+/// `None` everywhere if the names do not fit.
 fn named_at(columns: u16, column: u16) -> Option<Screen> {
     let gap = Screen::all().map(|screen| screen.title().len() + 3).sum::<usize>() < usize::from(columns);
     let mut left = 0;
@@ -315,12 +309,11 @@ fn named_at(columns: u16, column: u16) -> Option<Screen> {
     })
 }
 
-/// The longest wait for the rows, nanoseconds.
+/// Longest wait for rows, nanoseconds.
 const LONGEST: u64 = 3_000_000_000;
 /// The most keys that wait.
 const MOST: usize = 64;
 
-/// Keys that wait for rows.
 #[derive(Debug, Default)]
 pub struct Ahead {
     keys: Vec<Key>,
@@ -328,14 +321,12 @@ pub struct Ahead {
 }
 
 impl Ahead {
-    /// What waits is not done.
     pub fn clear(&mut self) {
         self.keys.clear();
     }
 }
 
-/// Keeps `key` back if it is for rows that are not here yet, or comes after one that is. Esc takes back what waits;
-/// Ctrl-C never waits.
+/// Keeps back keys for rows that are still on their way, and keys after those; Esc drops them, Ctrl-C never waits.
 pub fn keeps(state: &mut State, key: Key) -> bool {
     if !state.awaits_rows() {
         return false;
@@ -357,7 +348,7 @@ pub fn keeps(state: &mut State, key: Key) -> bool {
     true
 }
 
-/// The keys whose rows are here. Those whose rows do not come are given up, and the operator is told.
+/// Gives up keys whose rows do not come, and says so.
 pub fn ready(state: &mut State) -> Vec<Key> {
     if state.ahead.keys.is_empty() {
         return Vec::new();
@@ -370,7 +361,6 @@ pub fn ready(state: &mut State) -> Vec<Key> {
     if gives_up_at(state).is_some_and(|at| at <= state.now) { given_up(state) } else { Vec::new() }
 }
 
-/// When the wait is over, if anything waits.
 pub fn gives_up_at(state: &State) -> Option<Timestamp> {
     (!state.ahead.keys.is_empty()).then(|| Timestamp(state.ahead.since.0.saturating_add(LONGEST)))
 }
@@ -399,7 +389,7 @@ fn is_for_a_row(state: &State, key: Key) -> bool {
     )
 }
 
-/// Asks the site to wipe the keys, and takes everything decrypted off the screen.
+/// Wipes the keys, and takes everything decrypted off the screen.
 pub fn lock(state: &mut State) -> Vec<Effect> {
     state.popups.retain(|popup| match popup {
         Popup::Record(_) | Popup::Confirm(_) => false,
@@ -415,7 +405,6 @@ pub fn lock(state: &mut State) -> Vec<Effect> {
     vec![state.send(Errand { command: Command::Lock, tag: Tag::Lock })]
 }
 
-/// When the keyring locks unless a key is pressed first.
 pub fn due(state: &State) -> Option<Timestamp> {
     let after = state.settings.lock_after?;
     let open = state.identity.as_ref().is_some_and(|identity| identity.unlocked);
@@ -423,7 +412,6 @@ pub fn due(state: &State) -> Option<Timestamp> {
     (open && !begun && state.touched.0 > 0).then(|| Timestamp(state.touched.0.saturating_add(after)))
 }
 
-/// Locks when it is time.
 pub fn lock_when_due(state: &mut State) -> Vec<Effect> {
     if due(state).is_none_or(|at| at > state.now) {
         return Vec::new();
@@ -433,44 +421,28 @@ pub fn lock_when_due(state: &mut State) -> Vec<Effect> {
     lock(state)
 }
 
-/// Nanoseconds before a failed request is repeated.
+/// Nanoseconds.
 const RETRY_AFTER: u64 = 5_000_000_000;
 
-/// One list or view that the site can be asked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, EnumCount, EnumIter)]
 pub enum Feed {
-    /// `SiteStatus`.
     Site,
-    /// `ShowIdentity`.
     Identity,
-    /// `ListKeys`.
     Keys,
-    /// `ListTopics`.
     Topics,
-    /// `ListUploads`, one page.
     Uploads,
-    /// `ListShared`, one page.
     Shared,
-    /// `ListGrants`.
     Grants,
-    /// `ChainStatus`.
     Chain,
-    /// `ListAudit`.
     Audit,
-    /// `GatewayStatus`.
     Gateway,
-    /// `ListContacts`.
     Contacts,
-    /// `RecordingProgress`.
     Progress,
-    /// `ListIncidents`.
     Incidents,
-    /// `ListRobots`.
     Robots,
 }
 
 impl Feed {
-    /// What a change of `part` makes out of date.
     pub fn touched_by(part: Part) -> &'static [Self] {
         match part {
             Part::Topics => &[Self::Topics],
@@ -483,30 +455,26 @@ impl Feed {
     }
 }
 
-/// The state of one feed.
 #[expect(clippy::struct_excessive_bools, reason = "each is a fact of its own")]
 #[derive(Debug, Clone, Default)]
 pub struct Slot {
-    /// Increased when the request itself changes, so that older answers are dropped.
+    /// Grows when the request changes, so that older answers are dropped.
     pub generation: u64,
-    /// A request is in flight.
+    /// In flight.
     pub outstanding: bool,
-    /// The data here is older than the site's.
+    /// Older than the site's data.
     pub stale: bool,
-    /// Data arrived at least once.
+    /// Answered at least once.
     pub loaded: bool,
-    /// The data here is from an earlier visit to its screen.
+    /// From an earlier visit to the screen.
     pub left: bool,
-    /// The request answered by the data here.
+    /// The generation that the data answers.
     pub told: u64,
-    /// Why the last request failed.
     pub failure: Option<Failure>,
-    /// When a failed request is repeated.
     pub retry_at: Option<Timestamp>,
 }
 
 impl Slot {
-    /// Whether the data here answers the present request.
     pub fn is_answered(&self) -> bool {
         self.loaded && self.told == self.generation
     }
@@ -526,39 +494,35 @@ impl Feeds {
         &self.0[feed as usize]
     }
 
-    /// One feed's slot, mutable.
     pub fn slot_mut(&mut self, feed: Feed) -> &mut Slot {
         &mut self.0[feed as usize]
     }
 
-    /// The data of `part` is out of date.
     pub fn touch(&mut self, part: Part) {
         for feed in Feed::touched_by(part) {
             self.slot_mut(*feed).stale = true;
         }
     }
 
-    /// Everything is out of date.
     pub fn touch_all(&mut self) {
         for slot in &mut self.0 {
             slot.stale = true;
         }
     }
 
-    /// What could not be had is out of date.
     pub fn touch_failed(&mut self) {
         for slot in self.0.iter_mut().filter(|slot| slot.failure.is_some()) {
             slot.stale = true;
         }
     }
 
-    /// The screen of a feed becomes visible: data that is not up to date is from the last visit.
+    /// Marks data that went stale while its screen was hidden.
     pub fn look(&mut self, feed: Feed) {
         let slot = self.slot_mut(feed);
         slot.left |= slot.stale && slot.loaded;
     }
 
-    /// The request itself changed (page, filter): send it anew and drop the answer in flight.
+    /// The request changed (page, filter): drops the answer in flight.
     pub fn renew(&mut self, feed: Feed) {
         let slot = self.slot_mut(feed);
         slot.generation += 1;
@@ -566,8 +530,7 @@ impl Feeds {
         slot.stale = true;
     }
 
-    /// An act of this console changed the data. An answer in flight may be from before it, and is dropped; what is shown
-    /// answers the same request as the next one does.
+    /// An act of this console changed the data: an answer in flight may predate it, and is dropped.
     pub fn overtake(&mut self, feed: Feed) {
         let slot = self.slot_mut(feed);
         slot.stale = true;
@@ -577,19 +540,19 @@ impl Feeds {
         }
     }
 
-    /// No answer to a request of `former` answers one of these.
+    /// Answers to requests of `former` match none of these.
     pub fn follow(&mut self, former: &Self) {
         for (slot, before) in self.0.iter_mut().zip(&former.0) {
             slot.generation = before.generation + 1;
         }
     }
 
-    /// All are requested anew, once, even though the view is frozen from now on.
+    /// Requests everything once, even though the view is frozen from now on.
     pub fn gather(&mut self) {
         Feed::iter().for_each(|feed| self.renew(feed));
     }
 
-    /// Handles an answer; false if it answers an older request.
+    /// False for an answer to an older request.
     pub fn answered(&mut self, feed: Feed, generation: u64, failure: Option<Failure>, now: Timestamp) -> bool {
         let slot = self.slot_mut(feed);
         if slot.generation != generation {
@@ -604,7 +567,6 @@ impl Feeds {
         true
     }
 
-    /// Marks failed feeds whose pause is over as out of date.
     pub fn retry(&mut self, now: Timestamp) {
         for slot in self.0.iter_mut().filter(|slot| slot.retry_at.is_some_and(|at| at <= now)) {
             slot.retry_at = None;
@@ -612,7 +574,6 @@ impl Feeds {
         }
     }
 
-    /// The next moment at which a failed request is repeated.
     pub fn next_retry(&self) -> Option<Timestamp> {
         self.0.iter().filter_map(|slot| slot.retry_at).min()
     }

@@ -1,8 +1,5 @@
 //! The only module that knows the terminal: guard, signals, keys, renderer, colours, clipboard.
-//!
-//! [`run`] is the console: one thread reads keys, one waits for signals, one owns the screen and draws only the newest
-//! frame, and the caller's thread feeds `app::update`. It restores the terminal however it ends. What is shown is
-//! decided in `app` and `ui`.
+//! One thread reads keys, one waits for signals, one draws the newest frame; the caller's feeds `app::update`.
 
 pub mod encode;
 pub mod files;
@@ -38,43 +35,36 @@ use tokio::runtime::Handle;
 use tokio::sync::broadcast::error::RecvError;
 use zeroize::Zeroizing;
 
-/// The console's appearance and permissions.
 #[derive(Debug, Clone)]
 pub struct ConsoleOptions {
-    /// What does not change while it runs; the process, its directories, its time zone and the names of the themes are
-    /// filled in by [`Session::open`].
+    /// [`Session::open`] fills in the process, directories, time zone and theme names.
     pub settings: Settings,
-    /// A theme's name; `None` = chosen by the terminal's colours.
+    /// `None` = by the terminal's colours.
     pub theme: Option<String>,
     pub themes: Themes,
-    /// Draw with ASCII characters only.
     pub ascii: bool,
-    /// Take the mouse from the beginning.
+    /// Take the mouse at the start.
     pub mouse: bool,
-    /// Bytes a second for drawing of data; `None` = 4 kB/s over SSH, else no limit.
+    /// For drawing of data; `None` = 4 kB/s over SSH, else no limit.
     pub bytes_per_second: Option<u32>,
-    /// How pictures are shown.
     pub pictures: Pictures,
-    /// Where screen, filters and orders are kept for the next start.
+    /// File of screen, filters and orders for the next start.
     pub kept: PathBuf,
 }
 
-/// Why the console ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum ExitReason {
     Quit,
-    /// The operator quit; a site continues without the console.
+    /// A site continues after the console.
     LeaveSite,
-    /// The site refused this console; the message is still to be shown.
+    /// The site's message, still to be shown.
     Refused(Failure),
-    /// A signal asked for it.
     Signal(i32),
-    /// The terminal vanished or hung up (SIGHUP); nothing may be printed.
+    /// The terminal vanished or hung up (SIGHUP): nothing may be printed.
     TerminalGone,
 }
 
 impl ExitReason {
-    /// The exit code of a process that ends for this reason.
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Quit | Self::LeaveSite => 0,
@@ -85,22 +75,17 @@ impl ExitReason {
     }
 }
 
-/// Why the console cannot run.
 #[derive(Debug, thiserror::Error)]
 pub enum TermError {
-    /// The theme cannot be used.
     #[error(transparent)]
     Theme(#[from] ThemeError),
-    /// The terminal failed at a request.
     #[error("the terminal cannot be used: {0}; try another terminal or TERM")]
     Terminal(#[from] io::Error),
-    /// A part of the console itself failed.
     #[error("the console failed: {0}; what was captured is safe, start it again")]
     Fault(String),
 }
 
 impl TermError {
-    /// Decides the exit code.
     pub fn kind(&self) -> ErrorKind {
         match self {
             Self::Theme(_) => ErrorKind::Input,
@@ -109,27 +94,23 @@ impl TermError {
     }
 }
 
-/// Whether there is a terminal to read keys from and to draw on.
 pub fn is_interactive() -> bool {
     io::stdin().is_terminal() && io::stdout().is_terminal()
 }
 
-/// Runs the console until it ends; the first frame is drawn before `client` is asked anything.
-///
-/// It claims the profile itself (`OpenConsole`). The thread that reads keys may linger for some seconds afterwards, and
-/// forever if the terminal is gone: the caller should end the process soon.
+/// Draws the first frame before asking `client` anything, and claims the profile (`OpenConsole`).
+/// The thread that reads keys may outlive it, forever if the terminal is gone: end the process soon.
 pub fn run(client: Client, handle: &Handle, options: &ConsoleOptions) -> Result<ExitReason, TermError> {
     Session::open(client, handle, options)?.run()
 }
 
-/// How often the terminal is checked.
+/// Interval of checks that the terminal exists.
 const WATCH_EVERY: Duration = Duration::from_secs(1);
-/// How long to wait for a size to settle.
+/// Pause until a new size counts as settled.
 const SETTLE: Duration = Duration::from_millis(40);
-/// How long a frame being written is waited for before the terminal counts as stuck.
+/// A frame written for longer means a stuck terminal.
 const STUCK_AFTER: Duration = Duration::from_millis(1500);
 
-/// One run of the console.
 pub struct Session {
     host: Host,
     stage: Arc<Stage>,
@@ -141,14 +122,12 @@ pub struct Session {
     themes: Themes,
     mouse: bool,
     kept: PathBuf,
-    /// The profile whose screens are remembered.
     profile: ProfileName,
     _guard: Guard,
     _signals: Listener,
 }
 
 impl Session {
-    /// Takes the terminal and draws the first frame.
     pub fn open(client: Client, handle: &Handle, options: &ConsoleOptions) -> Result<Self, TermError> {
         let depth = Depth::from_environment(|name| std::env::var(name).ok());
         let theme = theme(options, depth)?;
@@ -199,7 +178,6 @@ impl Session {
         Ok(session)
     }
 
-    /// Runs until the console ends, and restores the terminal.
     pub fn run(mut self) -> Result<ExitReason, TermError> {
         let effects = crate::app::update::start(&mut self.stage.scene().state);
         let mut ended = self.carry_out(effects);
@@ -219,7 +197,6 @@ impl Session {
         ended.unwrap_or(Ok(ExitReason::Quit))
     }
 
-    /// How long until the next check is due.
     fn patience(&self) -> Duration {
         let deadline = self.stage.scene().state.deadline();
         let now = Timestamp::now();
@@ -247,7 +224,7 @@ impl Session {
         }
     }
 
-    /// Is the terminal still there, has time changed anything?
+    /// Checks the terminal, a settled size and the deadline.
     fn look_around(&mut self) -> Option<Result<ExitReason, TermError>> {
         if self.watched_at.elapsed() >= WATCH_EVERY {
             self.watched_at = Instant::now();
@@ -256,7 +233,7 @@ impl Session {
             }
         }
         if let Some((columns, rows, _)) = self.resized.take_if(|(_, _, at)| *at <= Instant::now()) {
-            // Even if the size is the old one again: the terminal may have cut off its content.
+            // Even at the old size: the terminal may have cut off its content.
             self.stage.change(Wish::None, |scene| scene.anew = true);
             return self.act(Action::Resize { columns, rows });
         }
@@ -305,7 +282,7 @@ impl Session {
     }
 
     fn show_theme(&self, name: &str) {
-        // The names are those of the state, which come from here.
+        // The state's names come from here.
         let Ok(theme) = self.themes.named(name) else { return };
         self.stage.change(Wish::Now, |scene| {
             let now = &scene.theme;
@@ -320,7 +297,7 @@ impl Session {
         self.stage.change(Wish::Now, |scene| scene.extra.push_str(bytes));
     }
 
-    /// Gives the terminal to the shell until this process is continued.
+    /// Gives the terminal to the shell until SIGCONT.
     fn suspend(&mut self) -> Option<Result<ExitReason, TermError>> {
         self.stage.change(Wish::None, |scene| scene.suspended = true);
         let stopped = {
@@ -335,7 +312,7 @@ impl Session {
         self.retake().or_else(|| self.act(Action::Resumed))
     }
 
-    /// Takes the terminal again after other programs had it.
+    /// Takes the terminal back from other programs.
     fn retake(&mut self) -> Option<Result<ExitReason, TermError>> {
         let taken = {
             let _writing = self.stage.output.lock().unwrap_or_else(PoisonError::into_inner);
@@ -351,16 +328,15 @@ impl Session {
         }
     }
 
-    /// Waits until the thread that reads keys has ended: the next question at the terminal would share them with it.
+    /// The next question at the terminal would share keys with the reading thread.
     fn leave_the_keys(&mut self) {
-        // A new size is what it wakes up for without a key; without that it ends within its patience.
+        // A new size wakes it without a key; otherwise it ends within its patience.
         rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::WINCH).ok();
         if let Some(reading) = self.reading.take() {
             drop(reading.join());
         }
     }
 
-    /// Ends the threads and gives the terminal back.
     fn close(&self) {
         self.stop.store(true, Ordering::Relaxed);
         if *self.host.client.profile() == self.profile {
@@ -376,7 +352,6 @@ impl Session {
     }
 }
 
-/// The state before the first answer.
 fn first_state(options: &ConsoleOptions, directory: &Path) -> State {
     let mut state = State::new(Settings {
         directory: directory.to_owned(),
@@ -390,7 +365,7 @@ fn first_state(options: &ConsoleOptions, directory: &Path) -> State {
     state
 }
 
-/// Waits for the frame being written; `None` if the terminal takes no bytes.
+/// Waits for the frame being written; `None` if the terminal is stuck.
 fn finished(stage: &Stage) -> Option<MutexGuard<'_, ()>> {
     let patience = Instant::now() + STUCK_AFTER;
     loop {
@@ -420,30 +395,22 @@ fn bytes_per_second(options: &ConsoleOptions) -> Option<u32> {
     options.bytes_per_second.or_else(|| over_ssh.then_some(OVER_SSH))
 }
 
-/// Messages to the updating thread.
 pub enum Message {
-    /// An action for `app::update`.
     Act(Action),
     Signal(i32),
-    /// The terminal takes no more bytes.
     TerminalFailed,
     /// A thread of the console panicked.
     Broken(String),
 }
 
-/// The site and the files.
 pub struct Host {
-    /// Talks to the site.
     pub client: Client,
     pub handle: Handle,
-    /// To the updating thread.
     pub messages: Sender<Message>,
-    /// Where files are written.
     pub directory: PathBuf,
 }
 
 impl Host {
-    /// Forwards the site's events.
     pub fn listen(&self) {
         let mut events = self.client.events();
         let say = sender(&self.messages, Message::Act);
@@ -458,12 +425,10 @@ impl Host {
         });
     }
 
-    /// Speaks for this profile from now on.
     pub fn speak_for(&mut self, profile: ProfileName) {
         self.client = self.client.for_profile(profile);
     }
 
-    /// Sends a command; its answer comes as an action.
     pub fn ask(&self, command: Command, tag: Tag) {
         let answer = self.client.send(command);
         let say = sender(&self.messages, Message::Act);
@@ -473,7 +438,6 @@ impl Host {
         });
     }
 
-    /// Writes files; their paths come as an action.
     pub fn write(&self, base: Option<PathBuf>, directory: Option<String>, contents: Vec<Contents>) {
         let base = base.unwrap_or_else(|| self.directory.clone());
         let say = sender(&self.messages, Message::Act);
@@ -482,7 +446,6 @@ impl Host {
         });
     }
 
-    /// Reads a file as text; it comes as an action.
     pub fn read(&self, path: PathBuf) {
         let say = sender(&self.messages, Message::Act);
         self.handle.spawn_blocking(move || {
@@ -491,7 +454,6 @@ impl Host {
         });
     }
 
-    /// Reads which paths begin as typed; they come as an action.
     pub fn find(&self, sought: Sought) {
         let say = sender(&self.messages, Message::Act);
         self.handle.spawn_blocking(move || {
@@ -501,46 +463,42 @@ impl Host {
     }
 }
 
-/// Sends things to the updating thread, each wrapped.
 pub fn sender<T, W: Fn(T) -> Message>(messages: &Sender<Message>, wrap: W) -> impl Fn(T) + use<T, W> {
     let messages = messages.clone();
-    // After the end nobody listens, and nothing is lost by that.
+    // After the end nobody listens.
     move |thing| drop(messages.send(wrap(thing)))
 }
 
 /// Alternate screen, no cursor, bracketed paste.
 const ENTER: &str = "\x1b[?1049h\x1b[?25l\x1b[?2004h\x1b[2J";
-/// The way back, also from a half-drawn frame and with the mouse taken.
+/// Also from a half-drawn frame, and with the mouse taken.
 const LEAVE: &str = "\x1b[?2026l\x1b[m\x1b[?1006l\x1b[?1000l\x1b[?2004l\x1b[?25h\x1b[?1049l";
-/// Buttons and wheel are sent to the console, in cells.
+/// Buttons and wheel, in cells.
 pub const TAKE_MOUSE: &str = "\x1b[?1000h\x1b[?1006h";
-/// The terminal has the mouse for itself again.
 pub const LEAVE_MOUSE: &str = "\x1b[?1006l\x1b[?1000l";
-/// The prefix of the console's thread names.
 pub const THREAD_PREFIX: &str = "console-";
 
 static ENTERED: AtomicBool = AtomicBool::new(false);
-/// Removes our pictures before the screen is given back.
+/// Written before the screen is given back.
 static TAKE_PICTURES: OnceLock<&'static str> = OnceLock::new();
 
 type Hook = Box<dyn Fn(&PanicHookInfo<'_>) + Send + Sync + 'static>;
 
-/// Holds the terminal in the console's modes; restores it when dropped.
+/// Restores the terminal when dropped.
 #[derive(Debug)]
 pub struct Guard {
     _private: (),
 }
 
 impl Guard {
-    /// Takes the terminal; when it is given back, `take_pictures` is written first. A panic of the console restores it
-    /// before anything is printed; if the panic was not in the caller's thread, `broken` is called, because nothing
-    /// draws or reads any more. A panic of any other thread is passed to `fault` and leaves the terminal alone.
+    /// A panic in one of the console's threads restores the terminal before it prints, and calls `broken` unless it is
+    /// the caller's; a panic elsewhere goes to `fault` and leaves the terminal alone.
     pub fn enter(
         take_pictures: &'static str,
         fault: impl Fn(String) + Send + Sync + 'static,
         broken: impl Fn(String) + Send + Sync + 'static,
     ) -> io::Result<Self> {
-        // One console per process: the first one counts.
+        // One console per process: the first counts.
         TAKE_PICTURES.get_or_init(|| take_pictures);
         take()?;
         let previous: Arc<Hook> = Arc::new(panic::take_hook());
@@ -568,10 +526,9 @@ impl Drop for Guard {
     }
 }
 
-/// Takes the terminal, at the beginning or after a suspension.
 pub fn take() -> io::Result<()> {
     if ENTERED.load(Ordering::SeqCst) {
-        // The shell may have changed the modes behind our back; enabling them twice has no effect.
+        // The shell may have changed the modes; enabling them twice has no effect.
         patiently(disable_raw_mode)?;
     }
     patiently(enable_raw_mode)?;
@@ -589,26 +546,26 @@ fn patiently(change: impl Fn() -> io::Result<()>) -> io::Result<()> {
     }
 }
 
-/// Gives the terminal back, once; nothing is written to one that is gone.
+/// Only once; writes nothing to a terminal that is gone.
 pub fn restore() {
     if !ENTERED.swap(false, Ordering::SeqCst) {
         return;
     }
     if io::stdin().is_terminal() {
-        // Nothing can be done about a terminal that fails now.
+        // A terminal that fails now cannot be helped.
         drop(write(&[TAKE_PICTURES.get().copied().unwrap_or_default(), LEAVE].concat()));
         drop(disable_raw_mode());
     }
 }
 
-/// The terminal is gone or stuck: write nothing to it any more.
+/// Writes nothing more to a terminal that is gone or stuck.
 pub fn abandon() {
     if ENTERED.swap(false, Ordering::SeqCst) && io::stdin().is_terminal() {
         drop(disable_raw_mode());
     }
 }
 
-/// Writes to the terminal, bypassing our buffers.
+/// Bypasses stdout's buffer.
 pub fn write(bytes: &str) -> io::Result<()> {
     let mut out = io::stdout().lock();
     out.write_all(bytes.as_bytes())?;
@@ -624,12 +581,11 @@ fn describe(info: &PanicHookInfo<'_>) -> String {
     format!("{} failed at {place}: {text}", thread.name().unwrap_or("a background task"))
 }
 
-/// Space for a line, so that a secret's buffer is never moved.
+/// Keeps a secret's buffer from moving.
 const CAPACITY: usize = 4096;
-/// The character Ctrl-C types when it sends no signal.
+/// Ctrl-C, when it sends no signal.
 const CANCEL: char = '\u{3}';
 
-/// Restores the terminal's previous modes.
 struct Kept<'a>(&'a std::fs::File, Termios);
 
 impl Drop for Kept<'_> {
@@ -638,8 +594,7 @@ impl Drop for Kept<'_> {
     }
 }
 
-/// Asks for a secret at the terminal that controls this process; `None` if standard input is not a terminal, or the
-/// answer is Ctrl-C, Ctrl-D or nothing.
+/// `None` if standard input is no terminal, or the answer is Ctrl-C, Ctrl-D or nothing.
 pub fn secret(question: &str) -> io::Result<Option<Zeroizing<String>>> {
     if !io::stdin().is_terminal() {
         return Ok(None);
@@ -647,7 +602,7 @@ pub fn secret(question: &str) -> io::Result<Option<Zeroizing<String>>> {
     let Ok(mut terminal) = OpenOptions::new().read(true).write(true).open("/dev/tty") else { return Ok(None) };
     let before = tcgetattr(&terminal)?;
     let mut modes = before.clone();
-    // Ctrl-C is read, rather than being a signal: the terminal would be left without its echo.
+    // Ctrl-C is read, not a signal: that would leave the terminal without its echo.
     modes.local_modes.remove(LocalModes::ECHO | LocalModes::ISIG);
     modes.local_modes.insert(LocalModes::ECHONL);
     tcsetattr(&terminal, OptionalActions::Flush, &modes)?;

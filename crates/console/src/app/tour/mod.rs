@@ -1,5 +1,4 @@
-//! The tour: the paper's mission, step by step, on the operator's own screen. It looks at the state and continues
-//! when its step is done.
+//! The tour: the paper's mission step by step; it watches the state and advances when a step is done.
 
 use super::State;
 use super::popup::{Lookup, Popup};
@@ -8,13 +7,11 @@ use super::update::is_settled;
 use super::verb::Verb;
 use crate::model::{ProfileName, Verdict};
 
-/// Rows of its strip at the bottom.
+/// Rows of the strip.
 pub const ROWS: u16 = 4;
 
-/// Who is who in the tour.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Cast {
-    /// The owner, whose records are captured and shared.
     pub owner: ProfileName,
     pub reader: ProfileName,
 }
@@ -30,12 +27,12 @@ impl Tour {
         Self { cast, place: 0 }
     }
 
-    /// Number of the current step, from 1, and of how many.
+    /// The step's number, from 1, and how many there are.
     pub fn count(&self) -> (usize, usize) {
         (self.place + 1, TEXT.len())
     }
 
-    /// Name, what to do, why.
+    /// Name, action, reason.
     pub fn lines(&self) -> Option<[String; 3]> {
         let text = TEXT.get(self.place)?;
         let fill =
@@ -44,23 +41,21 @@ impl Tour {
     }
 }
 
-/// Rows of the strip now.
 pub fn rows(state: &State) -> u16 {
     if state.tour.is_some() { ROWS } else { 0 }
 }
 
-/// Whether a verb is useful: the one that ends the tour is not, without a tour.
+/// Without a tour there is none to end.
 pub fn knows(state: &State, verb: Verb) -> bool {
     verb != Verb::EndTour || state.tour.is_some()
 }
 
-/// Whether the list of grants is needed to see that a step is done.
+/// Whether a step needs the list of grants.
 pub fn wants_grants(state: &State) -> bool {
     let step = state.tour.as_ref().and_then(|tour| TEXT.get(tour.place)).map(|text| text.step);
     matches!(step, Some(Step::Grant | Step::Revoke))
 }
 
-/// Advances as far as things are done.
 pub fn follow(state: &mut State) {
     let Some(mut tour) = state.tour.take() else { return };
     while TEXT.get(tour.place).is_some_and(|text| is_done(state, &tour.cast, text.step)) {
@@ -79,12 +74,11 @@ fn is_done(state: &State, cast: &Cast, step: Step) -> bool {
         Step::Grant => owner && given(),
         Step::Open => !owner && state.settings.profile == cast.reader && has_opened(state),
         Step::Revoke => owner && state.feeds.slot(super::update::Feed::Grants).loaded && !given(),
-        // The last one stays until it is ended by its key.
+        // The last step stays until its key ends it.
         Step::End => false,
     }
 }
 
-/// A record's provenance is on screen, and the record is verified.
 fn sees_verified(state: &State) -> bool {
     let shown = |popup: &Popup| match popup {
         Popup::Provenance(lookup) => lookup.found().is_some_and(|found| is_settled(found.record.state)),
@@ -94,7 +88,7 @@ fn sees_verified(state: &State) -> bool {
         || state.detail.steps.as_ref().and_then(Lookup::found).is_some_and(|found| is_settled(found.record.state))
 }
 
-/// A record of the owner is on screen, checked and readable.
+/// Checked, readable, and the owner's.
 fn has_opened(state: &State) -> bool {
     let openings = state.popups.iter().filter_map(|popup| match popup {
         Popup::Record(opening) => Some(opening),
@@ -106,35 +100,25 @@ fn has_opened(state: &State) -> bool {
     openings.chain(state.detail.opening.as_ref()).any(opened)
 }
 
-/// What a step waits for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Step {
-    /// The identity is on the chain.
     Register,
-    /// A topic is watched.
     Watch,
-    /// A record's path to verified is on screen.
     Verified,
-    /// A grant is active.
     Grant,
-    /// The reader sees a record of the owner.
     Open,
-    /// No grant is active any more.
     Revoke,
     End,
 }
 
-/// The texts of a step: one line each.
 #[derive(Debug, Clone, Copy)]
 pub struct StepText {
-    /// What it waits for.
     pub step: Step,
     pub name: &'static str,
     pub act: &'static str,
     pub why: &'static str,
 }
 
-/// The steps in their order.
 pub const TEXT: [StepText; 7] = [
     StepText {
         step: Step::Register,

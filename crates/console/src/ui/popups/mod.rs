@@ -1,4 +1,4 @@
-//! Popups over a screen: a frame in its middle. The small ones are here, the large ones in a file each.
+//! Popups in the middle of the screen; the large ones are in `windows`.
 
 mod windows;
 
@@ -25,7 +25,6 @@ use crate::app::{State, granting, opening};
 use crate::model::clean;
 use crate::service::reply::ContactRow;
 
-/// Draws a popup into the middle of `area`.
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
     match popup {
         Popup::Palette(palette) => draw_palette(canvas, area, state, palette),
@@ -53,7 +52,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
     }
 }
 
-/// A framed area of at most that size in the middle of `area`; returns the space inside.
+/// At most that size, centred; returns the space inside.
 fn framed(canvas: &mut Canvas, area: Rect, title: &str, width: u16, height: u16) -> Rect {
     let width = (width + 4).min(area.width.saturating_sub(2));
     let height = (height + 2).min(area.height);
@@ -62,7 +61,7 @@ fn framed(canvas: &mut Canvas, area: Rect, title: &str, width: u16, height: u16)
     canvas.frame(Rect { x, y, width, height }, title)
 }
 
-/// A framed text with wrapped lines; the last line is the answer's.
+/// The last line is the answer's.
 fn draw_text(canvas: &mut Canvas, area: Rect, title: &str, lines: &[String], answer: &[(&str, Role)]) -> Rect {
     let widest = lines.iter().map(|line| columns(line)).max().unwrap_or(0);
     let width = widest.max(40).min(area.width.saturating_sub(6));
@@ -86,7 +85,7 @@ fn draw_confirm(canvas: &mut Canvas, area: Rect, state: &State, confirm: &Confir
         draw_text(canvas, area, &confirm.title, &lines, &[("› ", Role::Key), (&shown, Role::Warning)]);
         return;
     }
-    // What deserves a second look is above the terms.
+    // The caution is above the terms.
     let room = caution_lines(&caution);
     let lines: Vec<String> = room.iter().map(|_| String::new()).chain(confirm.lines.iter().cloned()).collect();
     let answer =
@@ -97,14 +96,14 @@ fn draw_confirm(canvas: &mut Canvas, area: Rect, state: &State, confirm: &Confir
     }
 }
 
-/// The caution, marked so that it is visible without colour too, in lines of a popup.
+/// Marked so that it is visible without colour.
 fn caution_lines(caution: &str) -> Vec<String> {
     if caution.is_empty() { Vec::new() } else { wrap(&format!("◐ {}", clean(caution, 500)), 60) }
 }
 
 fn draw_quit(canvas: &mut Canvas, area: Rect, state: &State, leaving: Leaving) {
     let hints = leaving.hints(state);
-    // Four of them fit 80 columns only so.
+    // Four hints fit 80 columns only with narrow gaps.
     let gap = if hints.len() > 3 { "  " } else { "    " };
     let answer: Vec<(&str, Role)> = hints
         .iter()
@@ -113,7 +112,7 @@ fn draw_quit(canvas: &mut Canvas, area: Rect, state: &State, leaving: Leaving) {
     draw_text(canvas, area, "Quit?", &leaving.lines(state), &answer);
 }
 
-/// Draws the page of a list on which its cursor is: the cursor's mark, and what `line` makes of a row beside it.
+/// Draws the cursor's page; `line` draws a row beside the mark.
 fn draw_list<T>(
     canvas: &mut Canvas,
     area: Rect,
@@ -131,12 +130,10 @@ fn draw_list<T>(
     }
 }
 
-/// The role of a name in a list.
 fn name_role(here: bool) -> Role {
     if here { Role::Selection } else { Role::Body }
 }
 
-/// Columns of the choices.
 const TEXT: u16 = 34;
 
 fn draw_browse(canvas: &mut Canvas, area: Rect, state: &State, selected: usize) {
@@ -148,10 +145,9 @@ fn draw_browse(canvas: &mut Canvas, area: Rect, state: &State, selected: usize) 
     });
 }
 
-/// Columns of the keys.
 const KEYS: u16 = 8;
 
-/// Draws it above the bar, where the eyes are.
+/// Above the bar.
 pub fn draw_chord(canvas: &mut Canvas, area: Rect, state: &State, pressed: &[Key]) {
     let Meaning::Begins(begun) = state.settings.keymap.meaning(pressed, state.screen) else { return };
     let height = rows(begun.len()).saturating_add(2).min(area.height);
@@ -168,7 +164,7 @@ pub fn draw_chord(canvas: &mut Canvas, area: Rect, state: &State, pressed: &[Key
     }
 }
 
-/// Draws the choice, with a sample of every role beside it.
+/// With a sample of every role.
 fn draw_themes(canvas: &mut Canvas, area: Rect, state: &State, choice: &ThemeChoice) {
     let names = &state.settings.themes;
     let inner = framed(canvas, area, "Theme", 44, rows(names.len().max(Role::all().count())));
@@ -180,7 +176,6 @@ fn draw_themes(canvas: &mut Canvas, area: Rect, state: &State, choice: &ThemeCho
     }
 }
 
-/// Columns of the names, and the mark before them.
 const NAME: u16 = 17;
 
 fn draw_palette(canvas: &mut Canvas, area: Rect, state: &State, palette: &Palette) {
@@ -203,9 +198,7 @@ fn draw_palette(canvas: &mut Canvas, area: Rect, state: &State, palette: &Palett
     });
 }
 
-/// Columns of the window.
 const WIDTH: u16 = 66;
-/// Columns of the box.
 const BOX: u16 = 4;
 const COLUMNS_NAME: u16 = 12;
 
@@ -234,19 +227,16 @@ fn draw_columns(canvas: &mut Canvas, area: Rect, state: &State, choice: &ColumnC
     });
 }
 
-/// Columns of the keys.
 const HELP_KEYS: u16 = 14;
-/// Columns of the list.
 const HELP_WIDTH: u16 = 72;
 
-/// A line of the list: keys, words, and whether it is available now.
 struct Told {
     keys: String,
     words: String,
     possible: bool,
 }
 
-/// Draws the list from its `scroll`-th line on; no sentence is cut.
+/// Never cuts a sentence.
 pub fn draw_help(canvas: &mut Canvas, area: Rect, state: &State, help: &Help) {
     let (title, told) = match &help.window {
         Some(hints) => ("Keys of this window".to_owned(), of_window(hints)),
@@ -281,7 +271,7 @@ fn of_window(hints: &[(&str, &str)]) -> Vec<Told> {
     hints.iter().map(told).collect()
 }
 
-/// Verbs of the screen come first.
+/// Verbs of the screen first.
 fn of_screen(state: &State) -> Vec<Told> {
     let hidden =
         |entry: &&Entry| state.settings.read_only && entry.changes || !crate::app::tour::knows(state, entry.verb);
@@ -306,13 +296,11 @@ fn broken(told: &Told, width: u16) -> Vec<(String, String, Role)> {
     lines.map(|(place, line)| (if place == 0 { told.keys.clone() } else { String::new() }, line, role)).collect()
 }
 
-/// Columns of the labels.
 const LABEL: u16 = 13;
-/// The most characters of what tab found.
+/// Characters of what Tab found.
 const MOST_TOLD: usize = 20_000;
-/// Rows that notes, fields and frame take at most.
+/// Rows of notes, fields and frame.
 const ROWS: u16 = 12;
-/// Columns of a form.
 const FORM_WIDTH: u16 = 68;
 
 pub fn draw_form(canvas: &mut Canvas, area: Rect, form: &Form) {
@@ -340,7 +328,7 @@ pub fn draw_form(canvas: &mut Canvas, area: Rect, form: &Form) {
     }
 }
 
-/// As many lines as there is room for; the last says how many are missing.
+/// The last line says how many are missing.
 fn shortened(mut lines: Vec<String>, room: u16) -> Vec<String> {
     let room = usize::from(room).max(2);
     let left = lines.len().saturating_sub(room - 1);
@@ -358,7 +346,7 @@ fn draw_line(canvas: &mut Canvas, area: Rect, line: &Line, focused: bool) {
     match &line.input {
         Input::Text(field) => {
             let before: String = field.shown().chars().take(field.cursor()).collect();
-            // A long text is scrolled so that the cursor is visible.
+            // Scrolls a long text so that the cursor is visible.
             let hidden = usize::from(columns(&before).saturating_sub(place.width.saturating_sub(1)));
             let shown: String = field.shown().chars().skip(hidden).collect();
             let empty = shown.is_empty();
@@ -376,14 +364,10 @@ fn draw_line(canvas: &mut Canvas, area: Rect, line: &Line, focused: bool) {
     }
 }
 
-/// Columns of a name.
 const CONTACTS_NAME: u16 = 15;
-/// Columns of an address, whole.
 const ADDRESS: u16 = 43;
-/// The greatest width of the list.
 const WIDEST: u16 = 124;
 
-/// Draws the list, and below it the keys of the contact under the cursor.
 fn draw_contacts(canvas: &mut Canvas, area: Rect, state: &State, selected: usize) {
     let width = WIDEST.min(area.width.saturating_sub(6));
     let inner = framed(canvas, area, "Address book", width, rows(state.contacts.len().max(1)).saturating_add(3));
