@@ -251,11 +251,7 @@ pub struct Toasts(VecDeque<Toast>);
 
 impl Toasts {
     /// A text repeated in a row is shown once.
-    pub fn push(&mut self, level: NoticeLevel, text: String, now: Timestamp) {
-        self.push_about(level, text, now, None);
-    }
-
-    pub fn push_about(&mut self, level: NoticeLevel, text: String, now: Timestamp, about: Option<String>) {
+    pub fn push(&mut self, level: NoticeLevel, text: String, now: Timestamp, about: Option<String>) {
         let until = (level == NoticeLevel::Info).then(|| Timestamp(now.0.saturating_add(SHOWN_FOR)));
         self.0.retain(|toast| toast.text != text && (toast.until.is_none() || until.is_none()));
         self.0.push_back(Toast { level, text, until, about });
@@ -342,8 +338,8 @@ mod toast_tests {
     #[test]
     fn information_goes_after_three_seconds_and_an_error_stays_until_seen() {
         let mut toasts = Toasts::default();
-        toasts.push(NoticeLevel::Error, "node gone".into(), Timestamp(0));
-        toasts.push(NoticeLevel::Info, "copied".into(), Timestamp(0));
+        toasts.push(NoticeLevel::Error, "node gone".into(), Timestamp(0), None);
+        toasts.push(NoticeLevel::Info, "copied".into(), Timestamp(0), None);
         toasts.expire(Timestamp(2_999_999_999));
         assert!(toasts.next_expiry().is_some());
         toasts.expire(Timestamp(3_000_000_000));
@@ -357,14 +353,14 @@ mod toast_tests {
     fn an_alert_about_something_that_lasts_is_one_and_goes_when_that_is_over() {
         let mut toasts = Toasts::default();
         let about = || Some("store".to_owned());
-        toasts.push(NoticeLevel::Error, "node gone".into(), Timestamp(0));
+        toasts.push(NoticeLevel::Error, "node gone".into(), Timestamp(0), None);
         for text in ["down", "still down"] {
             toasts.supersede("store");
-            toasts.push_about(NoticeLevel::Error, text.into(), Timestamp(0), about());
+            toasts.push(NoticeLevel::Error, text.into(), Timestamp(0), about());
         }
         assert_eq!(toasts.unseen(), 2);
         toasts.supersede("store");
-        toasts.push_about(NoticeLevel::Info, "back".into(), Timestamp(0), about());
+        toasts.push(NoticeLevel::Info, "back".into(), Timestamp(0), about());
         assert_eq!(toasts.unseen(), 1);
         assert_eq!(toasts.shown().map(|toast| toast.text.as_str()), Some("back"), "the newest result is on top");
         toasts.expire(Timestamp(3_000_000_000));

@@ -19,25 +19,25 @@ use crate::service::{Failure, KeyKind, NoticeLevel, Reply};
 type Answer = Result<Reply, Failure>;
 
 /// Each tag names its request, and with it the possible answers.
-pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
+pub fn answered(state: &mut State, tag: &Tag, result: Answer) {
     if let Tag::Feed(feed, generation) = tag {
         return fed(state, *feed, *generation, result);
     }
     // Made for the previous profile: the answer belongs to nobody any more.
-    let Some(place) = state.work.iter().position(|other| other == tag) else { return Vec::new() };
+    let Some(place) = state.work.iter().position(|other| other == tag) else { return };
     state.work.remove(place);
     match tag {
         Tag::Feed(..) => {}
-        Tag::OpenConsole => return opened_console(state, ask::OpenConsole::heard(result)),
+        Tag::OpenConsole => opened_console(state, ask::OpenConsole::heard(result)),
         Tag::CreateIdentity => {
             let made = ask::CreateIdentity::heard(result);
-            return identity_path::opened(state, made, Purpose::CreateIdentity, "identity created");
+            identity_path::opened(state, made, Purpose::CreateIdentity, "identity created");
         }
         Tag::Unlock => {
-            return identity_path::opened(state, ask::Unlock::heard(result), Purpose::Unlock, "keyring unlocked");
+            identity_path::opened(state, ask::Unlock::heard(result), Purpose::Unlock, "keyring unlocked");
         }
-        Tag::Register => return identity_path::registered(state, ask::Register::heard(result)),
-        Tag::Open(id) => return opening::opened(state, id, ask::OpenShared::heard(result)),
+        Tag::Register => identity_path::registered(state, ask::Register::heard(result)),
+        Tag::Open(id) => opening::opened(state, id, ask::OpenShared::heard(result)),
         Tag::Path(id) => opening::path_found(state, id, ask::ViewPath::heard(result)),
         Tag::Beside(Screen::Uploads, id) => opening::looked_up(state, id, ask::ShowUpload::heard(result)),
         Tag::Beside(Screen::Topics, topic) => opening::covered(state, topic, ask::TopicCoverage::heard(result)),
@@ -54,15 +54,15 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
         }
         Tag::Lock => locked(state, ask::Lock::heard(result)),
         Tag::Export(id) => {
-            return written(state, tag, ask::ExportUpload::heard(result), |_, base, files| exported(id, base, files));
+            written(state, tag, ask::ExportUpload::heard(result), |_, base, files| exported(id, base, files));
         }
         Tag::ExportKey(kind) => {
-            return written(state, tag, ask::ExportKey::heard(result), |state, base, key| {
+            written(state, tag, ask::ExportKey::heard(result), |state, base, key| {
                 secret(base, key_file(state, *kind), &key)
             });
         }
         Tag::BackUp => {
-            return written(state, tag, ask::BackUpKeys::heard(result), |state, base, keys| {
+            written(state, tag, ask::BackUpKeys::heard(result), |state, base, keys| {
                 secret(base, format!("{}.keyring", state.settings.profile), &keys)
             });
         }
@@ -101,7 +101,10 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
             state.inform(loaded(kind));
         }),
     }
-    follow_up(state, tag)
+    // What the same question asked for besides; a failure of the act has taken it back.
+    if let Some((_, errand)) = state.follow_up.take_if(|(after, _)| after == tag) {
+        state.send(errand);
+    }
 }
 
 fn policy_set(state: &mut State, tag: &Tag, robot: &str, result: Answer) {
@@ -115,34 +118,26 @@ fn incident_removed(state: &mut State, tag: &Tag, result: Answer) {
     });
 }
 
-/// Sends what the same question asked for besides; nothing if the act failed.
-fn follow_up(state: &mut State, tag: &Tag) -> Vec<Effect> {
-    let Some((_, errand)) = state.follow_up.take_if(|(after, _)| after == tag) else { return Vec::new() };
-    vec![state.send(errand)]
-}
-
-fn fed(state: &mut State, feed: Feed, generation: u64, result: Answer) -> Vec<Effect> {
+fn fed(state: &mut State, feed: Feed, generation: u64, result: Answer) {
     let held = state.holds(feed);
     let failure = result.as_ref().err().cloned();
     if !state.feeds.answered(feed, generation, failure, state.now) {
-        return Vec::new();
+        return;
     }
     if held {
         state.feeds.slot_mut(feed).stale = true;
-        return Vec::new();
+        return;
     }
-    let effects = take(state, feed, result).unwrap_or_else(|failure| {
+    if let Err(failure) = take(state, feed, result) {
         state.feeds.slot_mut(feed).failure = Some(failure);
-        Vec::new()
-    });
+    }
     if feed == Feed::Identity {
         identity_path::greet(state);
-        return identity_path::advance(state);
+        identity_path::advance(state);
     }
-    effects
 }
 
-fn take(state: &mut State, feed: Feed, result: Answer) -> Result<Vec<Effect>, Failure> {
+fn take(state: &mut State, feed: Feed, result: Answer) -> Result<(), Failure> {
     let limit = state.page_rows();
     match feed {
         Feed::Site => {
@@ -173,27 +168,25 @@ fn take(state: &mut State, feed: Feed, result: Answer) -> Result<Vec<Effect>, Fa
             state.progress_at = state.now;
         }
         Feed::Gateway => state.gateway.set(ask::GatewayStatus::heard(result)?),
-        Feed::Robots => return Ok(policies::listed(state, ask::ListRobots::heard(result)?)),
+        Feed::Robots => policies::listed(state, ask::ListRobots::heard(result)?),
     }
-    Ok(Vec::new())
+    Ok(())
 }
 
 /// A profile open elsewhere, or an unusable home, ends the console.
-fn opened_console(state: &mut State, result: Result<(), Failure>) -> Vec<Effect> {
+fn opened_console(state: &mut State, result: Result<(), Failure>) {
     let former = state.former.take();
-    let Err(failure) = result else { return Vec::new() };
+    let Err(failure) = result else { return };
     if let Some(former) = former {
         // Back to a profile that this console can speak for.
-        let effects = perform::switch(state, former);
+        perform::switch(state, former);
         state.former = None;
         state.complain(failure.message);
-        return effects;
+    } else if matches!(failure.kind, ErrorKind::Refused | ErrorKind::Home | ErrorKind::Input | ErrorKind::Usage) {
+        state.effects.push(Effect::Leave(failure));
+    } else {
+        state.complain(failure.message);
     }
-    if matches!(failure.kind, ErrorKind::Refused | ErrorKind::Home | ErrorKind::Input | ErrorKind::Usage) {
-        return vec![Effect::Leave(failure)];
-    }
-    state.complain(failure.message);
-    Vec::new()
 }
 
 fn locked(state: &mut State, result: Result<IdentityView, Failure>) {
@@ -272,14 +265,14 @@ fn written<T>(
     tag: &Tag,
     result: Result<T, Failure>,
     write: impl FnOnce(&State, Option<PathBuf>, T) -> Effect,
-) -> Vec<Effect> {
+) {
     let base = palette::folder_of(state, tag);
     match result {
-        Ok(answer) => vec![write(state, base, answer)],
-        Err(failure) => {
-            state.complain_of(tag, &failure);
-            Vec::new()
+        Ok(answer) => {
+            let files = write(state, base, answer);
+            state.effects.push(files);
         }
+        Err(failure) => state.complain_of(tag, &failure),
     }
 }
 

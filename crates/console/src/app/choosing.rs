@@ -65,7 +65,7 @@ fn seen(rows: &[RecordView], known: &[Choice]) -> Vec<Choice> {
     seen.into_iter().filter(is_new).collect()
 }
 
-pub fn browse_key(state: &mut State, selected: usize, key: Key) -> Vec<Effect> {
+pub fn browse_key(state: &mut State, selected: usize, key: Key) {
     let choices = choices(state);
     match key {
         Key::Escape | Key::Char('q') => {}
@@ -77,7 +77,6 @@ pub fn browse_key(state: &mut State, selected: usize, key: Key) -> Vec<Effect> {
         }
         _ => state.popups.push(Popup::Browse(moved(selected, choices.len(), key))),
     }
-    Vec::new()
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -87,28 +86,25 @@ pub struct ThemeChoice {
     pub before: String,
 }
 
-pub fn choose(state: &mut State) -> Vec<Effect> {
+pub fn choose(state: &mut State) {
     let before = state.theme.clone();
     let selected = state.settings.themes.iter().position(|name| *name == before).unwrap_or(0);
     state.popups.push(Popup::Themes(ThemeChoice { selected, before }));
-    Vec::new()
 }
 
-pub fn theme_key(state: &mut State, mut choice: ThemeChoice, key: Key) -> Vec<Effect> {
+pub fn theme_key(state: &mut State, mut choice: ThemeChoice, key: Key) {
     let themes = &state.settings.themes;
     match key {
-        Key::Escape | Key::Char('q') => return vec![Effect::ShowTheme(choice.before)],
+        Key::Escape | Key::Char('q') => return state.effects.push(Effect::ShowTheme(choice.before)),
         Key::Enter => {
             let kept = themes.get(choice.selected).cloned().unwrap_or(choice.before);
-            state.inform(format!("theme: {kept}; to make it permanent, set console.theme in config.toml"));
-            return Vec::new();
+            return state.inform(format!("theme: {kept}; to make it permanent, set console.theme in config.toml"));
         }
         Key::Char('T') => choice.selected = moved(choice.selected, themes.len(), Key::Down),
         _ => choice.selected = moved(choice.selected, themes.len(), key),
     }
-    let seen = themes.get(choice.selected).cloned().map(Effect::ShowTheme);
+    state.effects.extend(themes.get(choice.selected).cloned().map(Effect::ShowTheme));
     state.popups.push(Popup::Themes(choice));
-    seen.into_iter().collect()
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -217,7 +213,7 @@ pub fn open(state: &mut State) {
 }
 
 /// `columns topic,state,size` of the palette; `columns usual` goes back to the usual ones.
-pub fn spoken(state: &mut State, words: &[&str]) -> Vec<Effect> {
+pub fn spoken(state: &mut State, words: &[&str]) {
     let screen = state.screen;
     let names: Vec<String> =
         words.iter().flat_map(|word| word.split(',')).filter(|name| !name.is_empty()).map(str::to_lowercase).collect();
@@ -232,7 +228,6 @@ pub fn spoken(state: &mut State, words: &[&str]) -> Vec<Effect> {
             state.inform(format!("no column is named '{name}'; there are {}, and usual", offered.join(" ")));
         }
     }
-    Vec::new()
 }
 
 fn set(state: &mut State, chosen: Vec<&'static str>) {
@@ -241,14 +236,11 @@ fn set(state: &mut State, chosen: Vec<&'static str>) {
     }
 }
 
-pub fn column_key(state: &mut State, mut choice: ColumnChoice, key: Key) -> Vec<Effect> {
+pub fn column_key(state: &mut State, mut choice: ColumnChoice, key: Key) {
     let offered = offered(state.screen);
     match key {
-        Key::Escape => {
-            set(state, choice.before);
-            return Vec::new();
-        }
-        Key::Enter | Key::Char('q') => return Vec::new(),
+        Key::Escape => return set(state, choice.before),
+        Key::Enter | Key::Char('q') => return,
         Key::Char('r') => set(state, Vec::new()),
         Key::Char(' ' | '<' | '>') => {
             let name = offered.get(choice.selected).map(|column| column.name);
@@ -265,7 +257,6 @@ pub fn column_key(state: &mut State, mut choice: ColumnChoice, key: Key) -> Vec<
         _ => choice.selected = moved(choice.selected, offered.len(), key),
     }
     state.popups.push(Popup::Columns(choice));
-    Vec::new()
 }
 
 /// Adds a column at its usual place if the others are at theirs, otherwise at the end.

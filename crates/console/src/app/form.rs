@@ -18,10 +18,7 @@ use crate::service::{Command, Epochs, KeyKind, SecretText};
 #[derive(Debug)]
 pub enum Input {
     Text(Field),
-    Choice {
-        options: Vec<String>,
-        chosen: usize,
-    },
+    Choice { options: Vec<String>, chosen: usize },
 }
 
 /// Which line is wrong, and why.

@@ -7,7 +7,7 @@ use super::perform::copy;
 use super::popup::{self, Confirm, Popup, Purpose, moved};
 use super::screens::{day, end, is_active, is_given, other_side, scope};
 use super::update::Feed;
-use super::verb::{Effect, Errand, Tag};
+use super::verb::{Errand, Tag};
 use super::{Screen, State, when};
 use crate::model::{Address, ContactName, Party, Timestamp, TopicName};
 use crate::service::reply::{ContactRow, GrantRow};
@@ -50,8 +50,8 @@ pub fn opens(state: &State) -> String {
 }
 
 /// `grant bob /robot1/odom 30d` of the palette: the form with these terms.
-pub fn spoken(state: &mut State, words: &[&str]) -> Vec<Effect> {
-    let Some((grantee, rest)) = words.split_first() else { return Vec::new() };
+pub fn spoken(state: &mut State, words: &[&str]) {
+    let Some((grantee, rest)) = words.split_first() else { return };
     let is_topic = |word: &&str| word.starts_with('/') || *word == form::ALL_TOPICS;
     let (topics, ends): (Vec<&str>, Vec<&str>) = rest.iter().copied().partition(is_topic);
     let topics: Vec<String> = topics.into_iter().map(str::to_owned).collect();
@@ -60,7 +60,6 @@ pub fn spoken(state: &mut State, words: &[&str]) -> Vec<Effect> {
         // Only the choice of records is left, preset to the usual answer: Enter goes on to the question.
         form.focus = form.lines.len().saturating_sub(1);
     }
-    Vec::new()
 }
 
 /// Refuses unknown names, and accounts with an active grant on the same terms.
@@ -87,12 +86,12 @@ fn same_terms(row: &GrantRow, wish: &GrantWish) -> bool {
 }
 
 /// Revokes an active grant to the account first; one question covers both acts.
-pub fn question(state: &mut State, wish: GrantWish) -> Confirm {
+pub fn ask(state: &mut State, wish: GrantWish) {
     let name = wish.grantee.to_string();
     let contact = state.contacts.iter().find(|row| row.name.to_string() == name).map(|row| row.address);
     let standing = active(state, wish.grantee.address().or(contact), &name).cloned();
     let mut question = popup::grant(state, wish);
-    let Some(row) = standing else { return question };
+    let Some(row) = standing else { return state.popups.push(Popup::Confirm(question)) };
     let tag = Tag::Revoke(row.grantee);
     let revoke = Errand { command: Command::Revoke { grantee: row.grantee.into() }, tag: tag.clone() };
     let before = [
@@ -108,7 +107,7 @@ pub fn question(state: &mut State, wish: GrantWish) -> Confirm {
     "Revoke and grant again?".clone_into(&mut question.title);
     question.yes = "revoke and grant";
     state.follow_up = Some((tag, std::mem::replace(&mut question.errand, revoke)));
-    question
+    state.popups.push(Popup::Confirm(question));
 }
 
 fn active<'a>(state: &'a State, address: Option<Address>, name: &str) -> Option<&'a GrantRow> {
@@ -207,9 +206,9 @@ fn any(state: &State) -> bool {
     !state.contacts.is_empty()
 }
 
-pub fn key(state: &mut State, selected: usize, key: Key) -> Vec<Effect> {
+pub fn key(state: &mut State, selected: usize, key: Key) {
     if matches!(key, Key::Escape | Key::Char('q')) {
-        return Vec::new();
+        return;
     }
     let selected = moved(selected, state.contacts.len(), key);
     let chosen = chosen(state, selected).cloned();
@@ -220,10 +219,9 @@ pub fn key(state: &mut State, selected: usize, key: Key) -> Vec<Effect> {
         (Key::Char('x'), Some(row)) if changes => state.popups.push(Popup::Confirm(removal(&row))),
         (Key::Char('c'), Some(row)) if changes => state.popups.push(Popup::Confirm(confirmation(&row))),
         (Key::Char('g'), Some(row)) if changes => open(state, &row.name.to_string(), &[], ""),
-        (Key::Char('y'), Some(row)) => return vec![copy(state, row.address.to_string())],
+        (Key::Char('y'), Some(row)) => copy(state, row.address.to_string()),
         _ => {}
     }
-    Vec::new()
 }
 
 pub fn form() -> Form {

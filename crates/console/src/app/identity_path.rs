@@ -4,7 +4,7 @@
 
 use super::popup::{Popup, Purpose};
 use super::update::Feed;
-use super::verb::{Effect, Errand, Tag};
+use super::verb::{Errand, Tag};
 use super::{State, form};
 use crate::service::reply::IdentityView;
 use crate::service::{Command, Failure};
@@ -23,7 +23,7 @@ pub struct IdentityPath {
     errands: Vec<Errand>,
 }
 
-pub fn run(state: &mut State, need: Need, errands: Vec<Errand>) -> Vec<Effect> {
+pub fn run(state: &mut State, need: Need, errands: Vec<Errand>) {
     match &mut state.identity_path {
         Some(path) => {
             path.need = path.need.max(need);
@@ -31,15 +31,15 @@ pub fn run(state: &mut State, need: Need, errands: Vec<Errand>) -> Vec<Effect> {
         }
         None => state.identity_path = Some(IdentityPath { need, registered: false, errands }),
     }
-    advance(state)
+    advance(state);
 }
 
-pub fn advance(state: &mut State) -> Vec<Effect> {
+pub fn advance(state: &mut State) {
     let under_way = state.work.iter().any(|tag| matches!(tag, Tag::CreateIdentity | Tag::Unlock | Tag::Register));
     let asking = state.popups.iter().any(is_identity_form);
-    let (Some(path), Some(identity)) = (&state.identity_path, &state.identity) else { return Vec::new() };
+    let (Some(path), Some(identity)) = (&state.identity_path, &state.identity) else { return };
     if under_way || asking {
-        return Vec::new();
+        return;
     }
     if !identity.unlocked && state.settings.operator.is_some() {
         state.complain("the keyring is locked, and only the owner of this site unlocks it");
@@ -49,11 +49,10 @@ pub fn advance(state: &mut State) -> Vec<Effect> {
     } else if !identity.unlocked {
         open_form(state, Purpose::Unlock, None);
     } else if path.need == Need::Registered && !identity.registered && !path.registered {
-        return vec![state.send(Errand { command: Command::Register, tag: Tag::Register })];
+        state.send(Errand { command: Command::Register, tag: Tag::Register });
     } else if let Some(path) = state.identity_path.take() {
-        return path.errands.into_iter().map(|errand| state.send(errand)).collect();
+        path.errands.into_iter().for_each(|errand| state.send(errand));
     }
-    Vec::new()
 }
 
 /// Asks once for the passphrase: until the keyring is open, watched topics are not captured.
@@ -77,7 +76,7 @@ pub fn abandon(state: &mut State) {
     }
 }
 
-pub fn registered(state: &mut State, result: Result<IdentityView, Failure>) -> Vec<Effect> {
+pub fn registered(state: &mut State, result: Result<IdentityView, Failure>) {
     out_of_date(state);
     match result {
         Ok(identity) => {
@@ -86,33 +85,24 @@ pub fn registered(state: &mut State, result: Result<IdentityView, Failure>) -> V
             if let Some(path) = &mut state.identity_path {
                 path.registered = true;
             }
-            advance(state)
+            advance(state);
         }
         Err(failure) => {
             state.complain_of(&Tag::Register, &failure);
             abandon(state);
-            Vec::new()
         }
     }
 }
 
-pub fn opened(
-    state: &mut State,
-    result: Result<IdentityView, Failure>,
-    purpose: Purpose,
-    text: &'static str,
-) -> Vec<Effect> {
+pub fn opened(state: &mut State, result: Result<IdentityView, Failure>, purpose: Purpose, text: &'static str) {
     out_of_date(state);
     match result {
         Ok(identity) => {
             state.identity = Some(identity);
             state.inform(text);
-            advance(state)
+            advance(state);
         }
-        Err(failure) => {
-            open_form(state, purpose, Some(failure.message));
-            Vec::new()
-        }
+        Err(failure) => open_form(state, purpose, Some(failure.message)),
     }
 }
 

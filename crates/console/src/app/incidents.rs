@@ -6,7 +6,7 @@ use super::perform::{copy, go};
 use super::popup::{Confirm, Popup, Purpose, moved};
 use super::screens::day;
 use super::update::Feed;
-use super::verb::{Effect, Errand, Tag};
+use super::verb::{Errand, Tag};
 use super::{Screen, State, granting, palette, table};
 use crate::model::{IncidentName, Timestamp};
 use crate::service::command::filter::past;
@@ -131,10 +131,10 @@ pub fn explained(state: &State, list: &IncidentList) -> Vec<(&'static str, &'sta
     possible(state, list).into_iter().map(|[key, _, sentence]| (key, sentence)).collect()
 }
 
-pub fn key(state: &mut State, mut list: IncidentList, key: Key) -> Vec<Effect> {
+pub fn key(state: &mut State, mut list: IncidentList, key: Key) {
     let before = list.selected;
     match key {
-        Key::Escape | Key::Char('q') => return Vec::new(),
+        Key::Escape | Key::Char('q') => return,
         Key::PageUp => list.scroll = list.scroll.saturating_sub(state.page_rows() / 2),
         Key::PageDown | Key::Char(' ') => {
             let most = list.chosen(state).map_or(0, |row| row.coverage.len() * 3 + row.notes.len() * 4);
@@ -147,8 +147,7 @@ pub fn key(state: &mut State, mut list: IncidentList, key: Key) -> Vec<Effect> {
     }
     let chosen = list.chosen(state).cloned();
     if let (Key::Enter, Some(row)) = (key, &chosen) {
-        show_records(state, &row.name);
-        return Vec::new();
+        return show_records(state, &row.name);
     }
     state.popups.push(Popup::Incidents(list));
     let changes = !state.settings.read_only;
@@ -161,16 +160,15 @@ pub fn key(state: &mut State, mut list: IncidentList, key: Key) -> Vec<Effect> {
         (Key::Char('x'), Some(row)) if changes => state.popups.push(Popup::Confirm(removal(&row))),
         (Key::Char('y'), Some(row)) => {
             let line = palette::of_words(state, &format!("incident show {}", row.name));
-            return vec![copy(state, line)];
+            copy(state, line);
         }
         (Key::Char('e'), Some(row)) => {
             let words = format!("evidence export {0}.authros --incident {0}", row.name);
             let line = palette::of_words(state, &words);
-            return vec![copy(state, line)];
+            copy(state, line);
         }
         _ => {}
     }
-    Vec::new()
 }
 
 /// Uploads, filtered to the incident.

@@ -120,29 +120,27 @@ pub fn asks(state: &State) -> bool {
     state.has_pending_work() || Behind::of(state).can_drain()
 }
 
-pub fn key(state: &mut State, leaving: Leaving, key: Key) -> Vec<Effect> {
+pub fn key(state: &mut State, leaving: Leaving, key: Key) {
     match key {
-        Key::Char('y') | Key::Control('c') => return vec![Effect::Quit],
+        Key::Char('y') | Key::Control('c') => state.effects.push(Effect::Quit),
         Key::Char('d') if leaving == Leaving::Asked && Behind::of(state).can_drain() => {
             state.popups.push(Popup::Quit(Leaving::Held));
-            return vec![hold(state, true)];
+            hold(state, true);
         }
         Key::Char('s') if leaving == Leaving::Asked && Behind::of(state).can_drain() && can_leave_site(state) => {
-            return vec![Effect::LeaveSite];
+            state.effects.push(Effect::LeaveSite);
         }
         Key::Char('w') if leaving == Leaving::Asked && !Behind::of(state).can_drain() => {
             state.popups.push(Popup::Quit(Leaving::WhenVerified));
         }
         Key::Char('?') => state.popups.push(Popup::Quit(leaving)),
-        _ if leaving == Leaving::Held => return vec![hold(state, false)],
+        _ if leaving == Leaving::Held => hold(state, false),
         _ => {}
     }
-    Vec::new()
 }
 
-fn hold(state: &mut State, hold: bool) -> Effect {
-    let command = Command::HoldCapture { hold };
-    state.send(Errand { command, tag: Tag::HoldCapture })
+fn hold(state: &mut State, hold: bool) {
+    state.send(Errand { command: Command::HoldCapture { hold }, tag: Tag::HoldCapture });
 }
 
 pub fn is_over(state: &State) -> bool {

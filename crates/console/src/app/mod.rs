@@ -145,6 +145,8 @@ pub struct State {
     /// The previous profile, until the current one is claimed.
     pub former: Option<ProfileName>,
     pub tour: Option<Tour>,
+    /// Work for the caller, which [`update`] returns.
+    pub effects: Vec<Effect>,
 }
 
 impl State {
@@ -240,14 +242,14 @@ impl State {
 
     /// Shows a message for 3 s.
     pub fn inform(&mut self, text: impl Into<String>) {
-        self.toasts.push(NoticeLevel::Info, text.into(), self.now);
+        self.toasts.push(NoticeLevel::Info, text.into(), self.now, None);
     }
 
     /// Shows a message until seen.
     pub fn warn(&mut self, text: impl Into<String>) {
         let text = text.into();
         self.log.notice(self.now, NoticeLevel::Warning, &text);
-        self.toasts.push(NoticeLevel::Warning, text, self.now);
+        self.toasts.push(NoticeLevel::Warning, text, self.now, None);
     }
 
     /// `22:13:20`, followed by the local time if shown.
@@ -260,17 +262,17 @@ impl State {
     pub fn complain(&mut self, text: impl Into<String>) {
         let text = text.into();
         self.log.notice(self.now, NoticeLevel::Error, &text);
-        self.toasts.push(NoticeLevel::Error, text, self.now);
+        self.toasts.push(NoticeLevel::Error, text, self.now, None);
     }
 
     pub fn complain_of(&mut self, tag: &Tag, failure: &Failure) {
         let text = format!("{}: {}", tag.words(), failure.message);
         self.log.notice(self.now, NoticeLevel::Error, &text);
-        self.toasts.push_about(NoticeLevel::Error, text, self.now, Some(tag.words()));
+        self.toasts.push(NoticeLevel::Error, text, self.now, Some(tag.words()));
     }
 
     /// Opens the popup of a record before its answer.
-    pub fn send(&mut self, errand: Errand) -> Effect {
+    pub fn send(&mut self, errand: Errand) {
         if let Tag::Open(id) = &errand.tag {
             self.popups.push(Popup::Record(Opening::new(id)));
         }
@@ -280,18 +282,14 @@ impl State {
             self.last_act = Some(line);
         }
         self.work.push(errand.tag.clone());
-        Effect::Send(errand.command, errand.tag)
+        self.effects.push(Effect::Send(errand.command, errand.tag));
     }
 
     /// Skips requests already in flight.
-    pub fn send_new(&mut self, errands: Vec<Errand>) -> Vec<Effect> {
-        let mut effects = Vec::new();
-        for errand in errands {
-            if !self.work.contains(&errand.tag) {
-                effects.push(self.send(errand));
-            }
+    pub fn send_new(&mut self, errand: Errand) {
+        if !self.work.contains(&errand.tag) {
+            self.send(errand);
         }
-        effects
     }
 }
 

@@ -118,8 +118,7 @@ impl Opening {
     }
 }
 
-pub fn key(state: &mut State, mut opening: Opening, key: Key) -> Vec<Effect> {
-    let mut effects = Vec::new();
+pub fn key(state: &mut State, mut opening: Opening, key: Key) {
     match key {
         Key::Tab | Key::Right => opening.turn(1),
         Key::BackTab | Key::Left => {
@@ -130,48 +129,44 @@ pub fn key(state: &mut State, mut opening: Opening, key: Key) -> Vec<Effect> {
         Key::Char('n') => return neighbour(state, Popup::Record(opening), 1),
         Key::Char('p') => return neighbour(state, Popup::Record(opening), -1),
         Key::Char('W') => match opening.lookup.found().map(writable) {
-            Some(Some(file)) => effects.push(Effect::WriteFiles { base: None, directory: None, files: vec![file] }),
+            Some(Some(file)) => {
+                state.effects.push(Effect::WriteFiles { base: None, directory: None, files: vec![file] });
+            }
             Some(None) => state
                 .inform(format!("too large to save here; use: authros shared open {} --out FILE", opening.lookup.id)),
             None => {}
         },
         Key::Char('y') => {
             let digest = opening.lookup.found().map(|view| view.record.digest.to_hex());
-            effects.extend(digest.map(|digest| copy(state, digest)));
+            digest.into_iter().for_each(|digest| copy(state, digest));
         }
         _ => match scrolled(opening.lookup.scroll, key, state.page_rows()) {
             Some(scroll) => opening.lookup.scroll = scroll.min(opening.lines()),
-            None => return effects,
+            None => return,
         },
     }
     let path = opening.wants_path();
     state.popups.push(Popup::Record(opening));
-    effects.extend(path.map(|errand| state.send(errand)));
-    effects
+    path.into_iter().for_each(|errand| state.send(errand));
 }
 
-pub fn neighbour(state: &mut State, popup: Popup, by: isize) -> Vec<Effect> {
+pub fn neighbour(state: &mut State, popup: Popup, by: isize) {
     let before = state.row_key();
     let keys = state.row_keys();
     let moved = state.table_mut().is_some_and(|table| table.step(&keys, by));
     if !moved || state.row_key() == before {
         state.popups.push(popup);
-        state.inform(if by > 0 {
-            "this is the last record of the page"
-        } else {
-            "this is the first record of the page"
-        });
-        return Vec::new();
+        let place = if by > 0 { "last" } else { "first" };
+        return state.inform(format!("this is the {place} record of the page"));
     }
     super::table::stand(state);
-    perform(state, if matches!(popup, Popup::Record(_)) { Verb::Open } else { Verb::Details })
+    perform(state, if matches!(popup, Popup::Record(_)) { Verb::Open } else { Verb::Details });
 }
 
-pub fn opened(state: &mut State, id: &str, answer: Result<Box<OpenedView>, Failure>) -> Vec<Effect> {
-    let Some(opening) = find(state, id) else { return Vec::new() };
+pub fn opened(state: &mut State, id: &str, answer: Result<Box<OpenedView>, Failure>) {
+    let Some(opening) = find(state, id) else { return };
     opening.lookup.answer = Some(answer);
-    let path = opening.wants_path();
-    path.map(|errand| state.send(errand)).into_iter().collect()
+    opening.wants_path().into_iter().for_each(|errand| state.send(errand));
 }
 
 pub fn path_found(state: &mut State, id: &str, answer: Result<PathView, Failure>) {
@@ -278,7 +273,7 @@ fn wanted(state: &State) -> Option<(Screen, String)> {
 }
 
 /// Sends a request once the cursor rests.
-pub fn follow(state: &mut State) -> Vec<Effect> {
+pub fn follow(state: &mut State) {
     if state.popups.is_empty() {
         let wanted = wanted(state);
         if wanted != state.detail.about {
@@ -290,11 +285,11 @@ pub fn follow(state: &mut State) -> Vec<Effect> {
     }
     let rested = state.detail.due.is_some_and(|due| due <= state.now);
     let may_ask = may_ask(state);
-    let Some((screen, id)) = state.detail.about.clone().filter(|_| rested && may_ask) else { return Vec::new() };
+    let Some((screen, id)) = state.detail.about.clone().filter(|_| rested && may_ask) else { return };
     state.detail.due = None;
     if screen == Screen::Topics {
         let topic = id.parse::<TopicName>().ok().filter(|_| state.topics.robot(&id).is_none());
-        return topic.map(|topic| coverage_of(&topic)).map(|errand| state.send(errand)).into_iter().collect();
+        return topic.into_iter().for_each(|topic| state.send(coverage_of(&topic)));
     }
     let command = if screen == Screen::Uploads {
         // The previous details stay until the new answer arrives.
@@ -305,7 +300,7 @@ pub fn follow(state: &mut State) -> Vec<Effect> {
         state.detail.opening = Some(Opening::new(&id));
         Command::OpenShared { id: id.clone() }
     };
-    vec![state.send(Errand { command, tag: Tag::Beside(screen, id) })]
+    state.send(Errand { command, tag: Tag::Beside(screen, id) });
 }
 
 /// Requests a record in the pane again unless it is in its final state.

@@ -15,11 +15,11 @@ use crate::service::command::{Administration, IncidentCommand, PlayWishes};
 use crate::service::{Command, Epochs, KeyKind};
 
 #[allow(clippy::wildcard_enum_match_arm, reason = "any other key is typed")]
-pub(super) fn key(state: &mut State, mut palette: Palette, key: Key) -> Vec<Effect> {
+pub(super) fn key(state: &mut State, mut palette: Palette, key: Key) {
     let matches = palette.matches(state);
     let last = matches.len().saturating_sub(1);
     match key {
-        Key::Escape => return Vec::new(),
+        Key::Escape => return,
         Key::Enter => {
             remember(state, palette.field.text());
             let words: Vec<&str> = palette.field.text().split_whitespace().collect();
@@ -34,7 +34,7 @@ pub(super) fn key(state: &mut State, mut palette: Palette, key: Key) -> Vec<Effe
             {
                 return perform::switch(state, profile);
             }
-            let Some(entry) = matches.get(palette.selected.min(last)) else { return Vec::new() };
+            let Some(entry) = matches.get(palette.selected.min(last)) else { return };
             return perform(state, entry.verb);
         }
         Key::Up | Key::Down if recalls(state, &mut palette, key == Key::Up) => {}
@@ -46,7 +46,6 @@ pub(super) fn key(state: &mut State, mut palette: Palette, key: Key) -> Vec<Effe
         }
     }
     state.popups.push(Popup::Palette(palette));
-    Vec::new()
 }
 
 const MOST_COMMANDS: usize = 50;
@@ -137,12 +136,8 @@ pub fn of_words(state: &State, words: &str) -> String {
     }
 }
 
-pub fn copy(state: &mut State, errand: &Errand) -> Vec<Effect> {
-    twin(state, errand).map_or_else(Vec::new, |line| vec![perform::copy(state, line)])
-}
-
-pub fn copy_last(state: &mut State) -> Vec<Effect> {
-    state.last_act.clone().map_or_else(Vec::new, |line| vec![perform::copy(state, line)])
+pub fn copy(state: &mut State, errand: &Errand) {
+    twin(state, errand).into_iter().for_each(|line| perform::copy(state, line));
 }
 
 fn act(errand: &Errand) -> Option<String> {
@@ -492,15 +487,17 @@ pub fn begin(state: &mut State) {
     state.popups.push(Popup::Form(Purpose::Export, form));
 }
 
-pub fn submit(state: &mut State, form: &Form) -> Vec<Effect> {
+pub fn submit(state: &mut State, form: &Form) {
     let ids = std::mem::take(&mut state.exports.ids);
     let errand = |id: String| Errand {
         command: Command::ExportUpload { id: id.clone(), addresses: false },
         tag: Tag::Export(id),
     };
     let fresh: Vec<Errand> = ids.into_iter().map(errand).filter(|errand| !state.work.contains(&errand.tag)).collect();
-    fresh.iter().for_each(|errand| goes_to(state, &errand.tag, form, 0));
-    fresh.into_iter().map(|errand| state.send(errand)).collect()
+    for errand in fresh {
+        goes_to(state, &errand.tag, form, 0);
+        state.send(errand);
+    }
 }
 
 pub fn goes_to(state: &mut State, tag: &Tag, form: &Form, line: usize) {

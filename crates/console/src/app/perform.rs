@@ -8,7 +8,7 @@ use super::identity_path::{self, Need};
 use super::leaving::{self, Leaving};
 use super::popup::{self, Confirm, Lookup, Palette, Popup, Purpose};
 use super::screens::{LogLine, other_side};
-use super::update::{self, Feed, start};
+use super::update::{self, Feed};
 use super::verb::{Contents, Effect, Errand, Tag, Verb};
 use super::{Screen, State, administration, granting, incidents, opening, palette, policies, table};
 use crate::model::{Address, Party, ProfileName, TopicName};
@@ -16,36 +16,34 @@ use crate::service::Command;
 use crate::service::command::{Pace, PlayWishes};
 use crate::service::reply::{PlayedView, TopicRow};
 
-pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
+pub fn perform(state: &mut State, verb: Verb) {
     if let Err(reason) = available(state, verb) {
-        refuse(state, verb, reason);
-        return Vec::new();
+        return refuse(state, verb, reason);
     }
     match verb {
-        Verb::Watch => return watch(state),
-        Verb::Details => return details(state),
-        Verb::Open => return open_record(state),
-        Verb::Check => return send_for_rows(state, Tag::Check, |id| Command::CheckShared { id }),
+        Verb::Watch => watch(state),
+        Verb::Details => details(state),
+        Verb::Open => open_record(state),
+        Verb::Check => check(state),
         Verb::Export => palette::begin(state),
-        Verb::CreateIdentity | Verb::Register => return identity_path::run(state, Need::Registered, Vec::new()),
-        Verb::Unlock => return identity_path::run(state, Need::Unlocked, Vec::new()),
-        Verb::Copy => return copied(state).map_or_else(Vec::new, |text| vec![copy(state, text)]),
-        Verb::WriteFile => return copied(state).map_or_else(Vec::new, |text| vec![write_file(state, &text)]),
-        Verb::CopyCommand => return palette::copy_last(state),
-        Verb::Quit => return quit(state),
-        Verb::Play => return toggle(state),
-        Verb::Publishers => return publishers(state),
-        Verb::Inspect => return policies::open(state),
-        Verb::Lock => return update::lock(state),
-        Verb::Undo => return undo(state),
-        Verb::BackUp => {
-            return vec![state.send(Errand { command: Command::BackUpKeys, tag: Tag::BackUp })];
-        }
-        Verb::ChooseTheme => return choosing::choose(state),
-        Verb::Ascii => return vec![Effect::ToggleAscii],
-        Verb::Mouse => return update::toggle(state),
-        Verb::Redraw => return vec![Effect::Redraw],
-        Verb::Suspend => return vec![Effect::Suspend],
+        Verb::CreateIdentity | Verb::Register => identity_path::run(state, Need::Registered, Vec::new()),
+        Verb::Unlock => identity_path::run(state, Need::Unlocked, Vec::new()),
+        Verb::Copy => copied(state).into_iter().for_each(|text| copy(state, text)),
+        Verb::WriteFile => copied(state).into_iter().for_each(|text| write_file(state, &text)),
+        Verb::CopyCommand => state.last_act.clone().into_iter().for_each(|line| copy(state, line)),
+        Verb::Quit if leaving::asks(state) => state.popups.push(Popup::Quit(Leaving::Asked)),
+        Verb::Quit => state.effects.push(Effect::Quit),
+        Verb::Play => toggle(state),
+        Verb::Publishers => publishers(state),
+        Verb::Inspect => policies::open(state),
+        Verb::Lock => update::lock(state),
+        Verb::Undo => undo(state),
+        Verb::BackUp => state.send(Errand { command: Command::BackUpKeys, tag: Tag::BackUp }),
+        Verb::ChooseTheme => choosing::choose(state),
+        Verb::Ascii => state.effects.push(Effect::ToggleAscii),
+        Verb::Mouse => update::toggle(state),
+        Verb::Redraw => state.effects.push(Effect::Redraw),
+        Verb::Suspend => state.effects.push(Effect::Suspend),
         Verb::Up | Verb::PreviousMatch => table::step(state, -1),
         Verb::Down | Verb::NextMatch => table::step(state, 1),
         Verb::PageUp => table::step(state, -page(state)),
@@ -96,7 +94,6 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::ExportKey => palette::begin_key(state),
         Verb::Rotate => state.popups.push(Popup::Confirm(popup::rotate())),
     }
-    Vec::new()
 }
 
 fn refuse(state: &mut State, verb: Verb, reason: &str) {
@@ -148,11 +145,10 @@ fn dismiss(state: &mut State) {
     table::restart_records(state);
 }
 
-fn watch(state: &mut State) -> Vec<Effect> {
+fn watch(state: &mut State) {
     if state.screen == Screen::Overview {
         go(state, Screen::Topics);
-        state.inform("select a topic (arrows, or space to mark several), then press w");
-        return Vec::new();
+        return state.inform("select a topic (arrows, or space to mark several), then press w");
     }
     let targets: Vec<(String, bool)> =
         state.topics.targets().into_iter().map(|row| (row.topic.clone(), row.watched)).collect();
@@ -167,7 +163,7 @@ fn watch(state: &mut State) -> Vec<Effect> {
     if watches {
         return identity_path::run(state, Need::Registered, errands);
     }
-    errands.into_iter().map(|errand| state.send(errand)).collect()
+    errands.into_iter().for_each(|errand| state.send(errand));
 }
 
 fn watch_errand(topic: TopicName, watch: bool) -> Errand {
@@ -179,21 +175,22 @@ fn watch_errand(topic: TopicName, watch: bool) -> Errand {
     }
 }
 
-fn details(state: &mut State) -> Vec<Effect> {
-    let Some(id) = state.row_key() else { return Vec::new() };
+fn details(state: &mut State) {
+    let Some(id) = state.row_key() else { return };
     state.popups.push(Popup::Provenance(Lookup::new(&id)));
-    vec![state.send(Errand { command: Command::ShowUpload { id: id.clone() }, tag: Tag::Show(id) })]
+    state.send(Errand { command: Command::ShowUpload { id: id.clone() }, tag: Tag::Show(id) });
 }
 
-fn open_record(state: &mut State) -> Vec<Effect> {
-    let Some(id) = state.row_key() else { return Vec::new() };
+fn open_record(state: &mut State) {
+    let Some(id) = state.row_key() else { return };
     let errand = Errand { command: Command::OpenShared { id: id.clone() }, tag: Tag::Open(id) };
-    identity_path::run(state, Need::Unlocked, vec![errand])
+    identity_path::run(state, Need::Unlocked, vec![errand]);
 }
 
-fn send_for_rows(state: &mut State, tag: fn(String) -> Tag, command: fn(String) -> Command) -> Vec<Effect> {
-    let errand = |id: String| Errand { command: command(id.clone()), tag: tag(id) };
-    state.send_new(state.marked_keys().into_iter().map(errand).collect())
+fn check(state: &mut State) {
+    for id in state.marked_keys() {
+        state.send_new(Errand { command: Command::CheckShared { id: id.clone() }, tag: Tag::Check(id) });
+    }
 }
 
 fn selected_topic(state: &mut State) -> Option<(TopicRow, TopicName)> {
@@ -207,15 +204,13 @@ fn selected_topic(state: &mut State) -> Option<(TopicRow, TopicName)> {
     }
 }
 
-fn publishers(state: &mut State) -> Vec<Effect> {
-    let Some((_, topic)) = selected_topic(state) else { return Vec::new() };
+fn publishers(state: &mut State) {
+    let Some((_, topic)) = selected_topic(state) else { return };
     let name = topic.to_string();
     state.popups.push(Popup::Publishers(Lookup::new(&name)));
     let coverage = opening::coverage_of(&topic);
-    let command = Command::ListPins { topic: Some(topic) };
-    let mut effects = vec![state.send(Errand { command, tag: Tag::Publishers(name) })];
-    effects.extend(state.send_new(vec![coverage]));
-    effects
+    state.send(Errand { command: Command::ListPins { topic: Some(topic) }, tag: Tag::Publishers(name) });
+    state.send_new(coverage);
 }
 
 fn ask_about(state: &mut State, question: fn(&TopicRow, TopicName) -> Confirm) {
@@ -243,25 +238,17 @@ fn readers(state: &mut State) {
     state.popups.push(Popup::Readers(topics));
 }
 
-fn quit(state: &mut State) -> Vec<Effect> {
-    if !leaving::asks(state) {
-        return vec![Effect::Quit];
-    }
-    state.popups.push(Popup::Quit(Leaving::Asked));
-    Vec::new()
-}
-
 /// Only the terminal knows whether it takes the text.
-pub fn copy(state: &mut State, text: String) -> Effect {
+pub fn copy(state: &mut State, text: String) {
     state.inform(format!("sent to the terminal's clipboard (W writes a file): {text}"));
-    Effect::CopyText(text)
+    state.effects.push(Effect::CopyText(text));
 }
 
 /// For terminals that accept no clipboard text.
-fn write_file(state: &State, text: &str) -> Effect {
+fn write_file(state: &mut State, text: &str) {
     let name = format!("{}.txt", state.screen.title().to_lowercase());
     let file = Contents { name, bytes: format!("{text}\n").into_bytes().into() };
-    Effect::WriteFiles { base: None, directory: None, files: vec![file] }
+    state.effects.push(Effect::WriteFiles { base: None, directory: None, files: vec![file] });
 }
 
 pub fn copied(state: &State) -> Option<String> {
@@ -327,9 +314,9 @@ pub fn note(state: &mut State, tag: &Tag) {
     }
 }
 
-pub fn undo(state: &mut State) -> Vec<Effect> {
+pub fn undo(state: &mut State) {
     match state.undo.take() {
-        Some(Undo::By(errand)) => return vec![state.send(errand)],
+        Some(Undo::By(errand)) => state.send(errand),
         Some(Undo::Granted(grantee)) => {
             let row = state.grants.rows.iter().find(|row| {
                 let is_it = row.grantee.to_string() == grantee || row.name.as_deref() == Some(grantee.as_str());
@@ -343,21 +330,19 @@ pub fn undo(state: &mut State) -> Vec<Effect> {
         Some(Undo::Never(why)) => state.inform(format!("cannot be undone: {why}")),
         None => state.inform("nothing to undo"),
     }
-    Vec::new()
 }
 
 /// Plays the topic under `/shared/NAME`, or ends the playback.
-pub fn toggle(state: &mut State) -> Vec<Effect> {
+pub fn toggle(state: &mut State) {
     if state.work.iter().any(|tag| matches!(tag, Tag::Play(_))) {
-        return vec![state.send(Errand { command: Command::StopPlay, tag: Tag::StopPlay })];
+        return state.send(Errand { command: Command::StopPlay, tag: Tag::StopPlay });
     }
     let key = state.row_key();
     let row = state.shared.rows.iter().find(|row| Some(&row.id) == key.as_ref());
     let found = row.and_then(|row| Some((row.owner?, row.owner_name.clone(), row.topic.clone())));
-    let Some((owner, name, topic)) = found else { return Vec::new() };
+    let Some((owner, name, topic)) = found else { return };
     let (Ok(pattern), Some(prefix)) = (topic.parse(), prefix(owner, name.as_deref())) else {
-        state.complain(format!("{topic} cannot be played: its name is still a pseudonym"));
-        return Vec::new();
+        return state.complain(format!("{topic} cannot be played: its name is still a pseudonym"));
     };
     let played = format!("{prefix}{topic}");
     let wishes = PlayWishes {
@@ -367,7 +352,7 @@ pub fn toggle(state: &mut State) -> Vec<Effect> {
         prefix: Some(prefix),
         ..PlayWishes::default()
     };
-    identity_path::run(state, Need::Unlocked, vec![Errand { command: Command::Play(wishes), tag: Tag::Play(played) }])
+    identity_path::run(state, Need::Unlocked, vec![Errand { command: Command::Play(wishes), tag: Tag::Play(played) }]);
 }
 
 /// `/shared/` and the owner's name as a graph allows it, or else the beginning of the address.
@@ -402,15 +387,13 @@ pub fn open(state: &mut State) {
 }
 
 /// Everything known belongs to the previous profile and is requested anew.
-pub fn switch(state: &mut State, profile: ProfileName) -> Vec<Effect> {
+pub fn switch(state: &mut State, profile: ProfileName) {
     if profile == state.settings.profile {
-        state.inform(format!("this console already uses profile {profile}"));
-        return Vec::new();
+        return state.inform(format!("this console already uses profile {profile}"));
     }
     if let Some(work) = state.work.iter().find(|tag| tag.is_work()) {
         let text = format!("{} is still running; wait until it ends, then switch to {profile}", work.words());
-        state.inform(text);
-        return Vec::new();
+        return state.inform(text);
     }
     let mut settings = state.settings.clone();
     settings.profile.clone_from(&profile);
@@ -426,9 +409,9 @@ pub fn switch(state: &mut State, profile: ProfileName) -> Vec<Effect> {
     next.former = Some(state.settings.profile.clone());
     // Answers to requests of the previous profile must not match this one's.
     next.feeds.follow(&state.feeds);
+    next.effects = std::mem::take(&mut state.effects);
     *state = next;
     state.inform(format!("this console now uses profile {profile}"));
-    let mut effects = vec![Effect::SpeakFor(profile)];
-    effects.extend(start(state));
-    effects
+    state.effects.push(Effect::SpeakFor(profile));
+    update::claim(state);
 }

@@ -107,15 +107,17 @@ pub fn forget_if_locked(state: &mut State) {
 }
 
 /// Refreshes the window of a robot that changed.
-pub fn listed(state: &mut State, rows: Vec<RobotRow>) -> Vec<Effect> {
+pub fn listed(state: &mut State, rows: Vec<RobotRow>) {
     let (owner, now) = (state.address(), state.now);
     state.gateway.set_robots(rows, owner, now);
-    let Some(Popup::Robot(lookup)) = state.popups.last() else { return Vec::new() };
+    let Some(Popup::Robot(lookup)) = state.popups.last() else { return };
     let before = lookup.found().map(|view| &view.row);
     let row = state.gateway.robots.iter().find(|row| before.is_some_and(|before| before.device == row.device));
     let moved = row.is_some() && row != before;
     let errand = show(&lookup.id);
-    if moved && !state.is_frozen() { state.send_new(vec![errand]) } else { Vec::new() }
+    if moved && !state.is_frozen() {
+        state.send_new(errand);
+    }
 }
 
 /// Drifting robots as an alert: since when, and in words.
@@ -149,10 +151,10 @@ fn show(name: &str) -> Errand {
     Errand { command: ShowRobot { name: name.to_owned() }.into(), tag: Tag::Robot(name.to_owned()) }
 }
 
-pub fn open(state: &mut State) -> Vec<Effect> {
-    let Some(name) = under_cursor(state).map(|row| called(state, row)) else { return Vec::new() };
+pub fn open(state: &mut State) {
+    let Some(name) = under_cursor(state).map(|row| called(state, row)) else { return };
     state.popups.push(Popup::Robot(Lookup::new(&name)));
-    state.send_new(vec![show(&name)])
+    state.send_new(show(&name));
 }
 
 pub fn shown(state: &mut State, name: &str, answer: Result<RobotView, Failure>) {
@@ -164,7 +166,7 @@ pub fn hints(state: &State) -> Vec<(&'static str, &'static str)> {
     changes.into_iter().chain([("y", "copy command"), ("up down", "scroll"), ("q", "close")]).collect()
 }
 
-pub fn key(state: &mut State, mut lookup: Lookup<RobotView>, key: Key) -> Vec<Effect> {
+pub fn key(state: &mut State, mut lookup: Lookup<RobotView>, key: Key) {
     let length = |view: &RobotView| {
         12 + view.gateway.iter().map(|gateway| gateway.addresses.len()).sum::<usize>()
             + view.topics.len()
@@ -172,7 +174,7 @@ pub fn key(state: &mut State, mut lookup: Lookup<RobotView>, key: Key) -> Vec<Ef
             + view.policy.lines().count()
     };
     if !lookup.scrolls(key, state.page_rows(), length) {
-        return Vec::new();
+        return;
     }
     let name = lookup.id.clone();
     state.popups.push(Popup::Robot(lookup));
@@ -180,11 +182,10 @@ pub fn key(state: &mut State, mut lookup: Lookup<RobotView>, key: Key) -> Vec<Ef
         Key::Char('p') if !state.settings.read_only => ask(state, &name),
         Key::Char('y') => {
             let line = palette::of_words(state, &format!("robots show {name}"));
-            return vec![copy(state, line)];
+            copy(state, line);
         }
         _ => {}
     }
-    Vec::new()
 }
 
 pub fn begin(state: &mut State) {
@@ -212,19 +213,19 @@ pub fn complete(state: &State, form: &mut Form) -> bool {
 }
 
 /// Asks the question, or first reads the file.
-pub fn submit(state: &mut State, form: &Form) -> Result<Vec<Effect>, Wrong> {
+pub fn submit(state: &mut State, form: &Form) -> Result<(), Wrong> {
     let robot = named(state, form)?;
     match palette::of_line(form, FILE, &state.settings) {
         Some(path) => {
             state.reading = Some(path.clone());
-            Ok(vec![Effect::ReadText(path)])
+            state.effects.push(Effect::ReadText(path));
         }
         None => {
             let question = question(state, &robot, None, String::new());
             state.popups.push(Popup::Confirm(question));
-            Ok(Vec::new())
         }
     }
+    Ok(())
 }
 
 fn named(state: &State, form: &Form) -> Result<String, Wrong> {

@@ -13,7 +13,7 @@ use super::opening::{self, Opening};
 use super::perform::{self, copy, perform};
 use super::screens::{LogLine, day, earlier, end, scope};
 use super::update::Feed;
-use super::verb::{Effect, Entry, Errand, Tag, VERBS, Verb, kind_word};
+use super::verb::{Entry, Errand, Tag, VERBS, Verb, kind_word};
 use super::{State, palette, policies};
 use crate::model::TopicName;
 use crate::service::command::Held;
@@ -325,16 +325,16 @@ pub fn hints(state: &State, popup: &Popup) -> Vec<(&'static str, &'static str)> 
     }
 }
 
-pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
+pub fn popup_key(state: &mut State, key: Key) {
     if key == Key::Char('?') && !takes_text(state) {
         let window = state.popups.last().map(|popup| match popup {
             Popup::Incidents(list) => incidents::explained(state, list),
             other => hints(state, other),
         });
         state.popups.push(Popup::Help(Help { window, ..Help::default() }));
-        return Vec::new();
+        return;
     }
-    let Some(popup) = state.popups.pop() else { return Vec::new() };
+    let Some(popup) = state.popups.pop() else { return };
     let quitting = matches!(popup, Popup::Quit(_));
     let key = if key == Key::Control('c') && !quitting { Key::Escape } else { key };
     match popup {
@@ -351,21 +351,16 @@ pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
         Popup::Incidents(list) => incidents::key(state, list, key),
         Popup::Publishers(lookup) => publishers_key(state, lookup, key),
         Popup::Robot(lookup) => policies::key(state, lookup, key),
-        Popup::Tasks | Popup::Readers(_) if matches!(key, Key::Char('q' | 't' | 'i')) => Vec::new(),
-        Popup::Line(_) if key == Key::Char('q') => Vec::new(),
+        Popup::Tasks | Popup::Readers(_) if matches!(key, Key::Char('q' | 't' | 'i')) => {}
+        Popup::Line(_) if key == Key::Char('q') => {}
         Popup::Tasks | Popup::Readers(_) | Popup::Line(_) | Popup::Unlocked
-            if matches!(key, Key::Escape | Key::Enter) =>
-        {
-            Vec::new()
-        }
-        Popup::Tasks | Popup::Readers(_) | Popup::Unlocked => {
-            state.popups.push(popup);
-            Vec::new()
-        }
+            if matches!(key, Key::Escape | Key::Enter) => {}
+        Popup::Tasks | Popup::Readers(_) | Popup::Unlocked => state.popups.push(popup),
         Popup::Line(line) => {
-            let text = (key == Key::Char('y')).then(|| line.whole());
+            if key == Key::Char('y') {
+                copy(state, line.whole());
+            }
             state.popups.push(Popup::Line(line));
-            text.map(|text| copy(state, text)).into_iter().collect()
         }
         Popup::Provenance(_) if key == Key::Char('n') => opening::neighbour(state, popup, 1),
         Popup::Provenance(_) if key == Key::Char('p') => opening::neighbour(state, popup, -1),
@@ -373,7 +368,6 @@ pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
             if lookup.scrolls(key, state.page_rows(), |found| found.steps.len() * 3 + 8) {
                 state.popups.push(Popup::Provenance(lookup));
             }
-            Vec::new()
         }
         Popup::Help(help) => help_key(state, help, key),
     }
@@ -392,7 +386,7 @@ fn takes_text(state: &State) -> bool {
     }
 }
 
-fn help_key(state: &mut State, mut help: Help, key: Key) -> Vec<Effect> {
+fn help_key(state: &mut State, mut help: Help, key: Key) {
     match key {
         Key::Escape if help.filtering || !help.filter.text().is_empty() => {
             (help.filtering, help.filter) = Default::default()
@@ -401,14 +395,13 @@ fn help_key(state: &mut State, mut help: Help, key: Key) -> Vec<Effect> {
         Key::Up | Key::Down | Key::PageUp | Key::PageDown | Key::Home if help.filtering => {}
         _ if help.filtering => drop(help.filter.key(key)),
         Key::Char('/') => help.filtering = true,
-        Key::Char('?') => return Vec::new(),
+        Key::Char('?') => return,
         _ => match scrolled(help.scroll, key, state.page_rows()) {
             Some(scroll) => help.scroll = scroll.min(super::verb::VERBS.len() * 2),
-            None => return Vec::new(),
+            None => return,
         },
     }
     state.popups.push(Popup::Help(help));
-    Vec::new()
 }
 
 pub fn popup_paste(state: &mut State, text: &str) {
@@ -445,9 +438,9 @@ pub(super) fn moved(selected: usize, count: usize, key: Key) -> usize {
     }
 }
 
-fn chord_key(state: &mut State, mut pressed: Vec<Key>, key: Key) -> Vec<Effect> {
+fn chord_key(state: &mut State, mut pressed: Vec<Key>, key: Key) {
     if key == Key::Escape {
-        return Vec::new();
+        return;
     }
     pressed.push(key);
     let meaning = state.settings.keymap.meaning(&pressed, state.screen);
@@ -456,10 +449,9 @@ fn chord_key(state: &mut State, mut pressed: Vec<Key>, key: Key) -> Vec<Effect> 
         Meaning::Begins(_) => state.popups.push(Popup::Chord(pressed)),
         Meaning::Nothing => state.inform(format!("'{}' does nothing here", chord_label(&pressed))),
     }
-    Vec::new()
 }
 
-fn publishers_key(state: &mut State, mut lookup: Lookup<PinsView>, key: Key) -> Vec<Effect> {
+fn publishers_key(state: &mut State, mut lookup: Lookup<PinsView>, key: Key) {
     match key {
         Key::Char('p') => return perform(state, Verb::Pin),
         Key::Char('P') => return perform(state, Verb::Unpin),
@@ -468,7 +460,6 @@ fn publishers_key(state: &mut State, mut lookup: Lookup<PinsView>, key: Key) -> 
     if lookup.scrolls(key, state.page_rows(), |found| found.pins.len() * 3 + found.alarms.len() * 3 + 4) {
         state.popups.push(Popup::Publishers(lookup));
     }
-    Vec::new()
 }
 
 /// Where a word is typed, letters belong to it.
@@ -476,11 +467,10 @@ fn copies(confirm: &Confirm) -> Key {
     if confirm.typed.is_some() { Key::Control('y') } else { Key::Char('Y') }
 }
 
-fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) -> Vec<Effect> {
+fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) {
     if key == copies(&confirm) {
-        let effects = palette::copy(state, &confirm.errand);
-        state.popups.push(Popup::Confirm(confirm));
-        return effects;
+        palette::copy(state, &confirm.errand);
+        return state.popups.push(Popup::Confirm(confirm));
     }
     let said = match &mut confirm.typed {
         Some(_) if key == Key::Escape => return unasked(state),
@@ -493,8 +483,7 @@ fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) -> Vec<Effect>
         None => true,
     };
     if !said {
-        state.popups.push(Popup::Confirm(confirm));
-        return Vec::new();
+        return state.popups.push(Popup::Confirm(confirm));
     }
     // The form that led here is done.
     let led_here = |purpose: &Purpose| {
@@ -507,14 +496,13 @@ fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) -> Vec<Effect>
     }
     match need_of(&confirm) {
         Some(need) => identity_path::run(state, need, vec![confirm.errand]),
-        None => vec![state.send(confirm.errand)],
+        None => state.send(confirm.errand),
     }
 }
 
 /// Neither the act nor what was to follow it happens.
-fn unasked(state: &mut State) -> Vec<Effect> {
+fn unasked(state: &mut State) {
     state.follow_up = None;
-    Vec::new()
 }
 
 /// Pins do not need an open keyring.
@@ -534,7 +522,7 @@ fn need_of(confirm: &Confirm) -> Option<Need> {
     }
 }
 
-fn form_key(state: &mut State, purpose: Purpose, mut form: Form, key: Key) -> Vec<Effect> {
+fn form_key(state: &mut State, purpose: Purpose, mut form: Form, key: Key) {
     let completes: fn(&State, &mut Form) -> bool = match purpose {
         Purpose::Grant => granting::complete,
         Purpose::OpenIncident => incidents::complete,
@@ -542,12 +530,11 @@ fn form_key(state: &mut State, purpose: Purpose, mut form: Form, key: Key) -> Ve
         _ => |_, _| false,
     };
     if key == Key::Tab && completes(state, &mut form) {
-        state.popups.push(Popup::Form(purpose, form));
-        return Vec::new();
+        return state.popups.push(Popup::Form(purpose, form));
     }
     if let Some(asked) = palette::tab(state, &form, key) {
-        state.popups.push(Popup::Form(purpose, form));
-        return vec![asked];
+        state.effects.push(asked);
+        return state.popups.push(Popup::Form(purpose, form));
     }
     match form.key(key) {
         FormStep::Stay => state.popups.push(Popup::Form(purpose, form)),
@@ -557,22 +544,17 @@ fn form_key(state: &mut State, purpose: Purpose, mut form: Form, key: Key) -> Ve
         FormStep::Cancel => {}
         FormStep::Submit => match submit(state, purpose, &form) {
             // The form stays below its question, so that a "no" returns to it.
-            Ok(effects) if matches!(state.popups.last(), Some(Popup::Confirm(_))) => {
+            Ok(()) if matches!(state.popups.last(), Some(Popup::Confirm(_))) => {
                 state.popups.insert(state.popups.len() - 1, Popup::Form(purpose, form));
-                return effects;
             }
             // The form also stays while its file is read.
-            Ok(effects) if matches!(effects.as_slice(), [Effect::ReadText(_)]) => {
-                state.popups.push(Popup::Form(purpose, form));
-                return effects;
-            }
-            Ok(effects) => {
+            Ok(()) if purpose == Purpose::SetPolicy => state.popups.push(Popup::Form(purpose, form)),
+            Ok(()) => {
                 // A refused contact or incident returns to its form.
                 let kept = matches!(purpose, Purpose::AddContact | Purpose::OpenIncident | Purpose::NoteIncident);
                 if let Some(tag) = state.work.last().filter(|_| kept).cloned() {
                     state.filled = Some((tag, purpose, form));
                 }
-                return effects;
             }
             Err((line, error)) => {
                 form.refuse(line, error);
@@ -580,37 +562,35 @@ fn form_key(state: &mut State, purpose: Purpose, mut form: Form, key: Key) -> Ve
             }
         },
     }
-    Vec::new()
 }
 
-fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<Vec<Effect>, Wrong> {
-    let question = match purpose {
-        Purpose::CreateIdentity => return Ok(vec![state.send(form::read_create(form)?)]),
-        Purpose::Unlock => return Ok(vec![state.send(form::read_unlock(form)?)]),
-        Purpose::Unpin => return Ok(vec![state.send(form::read_unpin(form)?)]),
-        Purpose::AddContact => return Ok(vec![state.send(granting::read(form)?)]),
-        Purpose::OpenIncident => return Ok(vec![state.send(incidents::read(state, form)?)]),
-        Purpose::NoteIncident => return Ok(vec![state.send(incidents::read_note(form)?)]),
-        Purpose::Export => return Ok(palette::submit(state, form)),
-        Purpose::SetPolicy => return policies::submit(state, form),
-        Purpose::Profile => return Ok(perform::switch(state, form.parsed(0)?)),
+fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<(), Wrong> {
+    match purpose {
+        Purpose::CreateIdentity => state.send(form::read_create(form)?),
+        Purpose::Unlock => state.send(form::read_unlock(form)?),
+        Purpose::Unpin => state.send(form::read_unpin(form)?),
+        Purpose::AddContact => state.send(granting::read(form)?),
+        Purpose::OpenIncident => state.send(incidents::read(state, form)?),
+        Purpose::NoteIncident => state.send(incidents::read_note(form)?),
+        Purpose::Export => palette::submit(state, form),
+        Purpose::SetPolicy => policies::submit(state, form)?,
+        Purpose::Profile => perform::switch(state, form.parsed(0)?),
         Purpose::ExportKey => {
             let errand = form::read_export(form)?;
             palette::goes_to(state, &errand.tag, form, 3);
-            return Ok(identity_path::run(state, Need::Unlocked, vec![errand]));
+            identity_path::run(state, Need::Unlocked, vec![errand]);
         }
         Purpose::Grant => {
             let wish = form::read_grant(form, state.address(), state.now)?;
             granting::check(state, &wish)?;
-            granting::question(state, wish)
+            granting::ask(state, wish);
         }
         Purpose::Extend => match granting::read_extension(state, form)? {
-            Extension::Later(errand) => return Ok(identity_path::run(state, Need::Registered, vec![errand])),
-            Extension::Sooner(wish) => granting::question(state, wish),
+            Extension::Later(errand) => identity_path::run(state, Need::Registered, vec![errand]),
+            Extension::Sooner(wish) => granting::ask(state, wish),
         },
-        Purpose::Administer(act) => administration::read(act, form)?,
-        Purpose::LoadKey => load_key(form::read_load(form, &state.settings)?),
-    };
-    state.popups.push(Popup::Confirm(question));
-    Ok(Vec::new())
+        Purpose::Administer(act) => state.popups.push(Popup::Confirm(administration::read(act, form)?)),
+        Purpose::LoadKey => state.popups.push(Popup::Confirm(load_key(form::read_load(form, &state.settings)?))),
+    }
+    Ok(())
 }

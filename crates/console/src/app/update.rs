@@ -4,7 +4,7 @@ use super::answer::answered;
 use super::keymap::{Key, Meaning, chord_label};
 use super::perform::perform;
 use super::popup::{Popup, Purpose, popup_key, popup_paste};
-use super::screens::MOST_AUDIT;
+use super::screens::{MOST_AUDIT, Source};
 use super::verb::{Action, Effect, Errand, Tag, Verb};
 use super::{Screen, State, alerts, incidents, leaving, opening, palette, policies, table, tour, when};
 use crate::model::{RecordState, Timestamp};
@@ -15,10 +15,13 @@ use strum::{EnumCount, EnumIter, IntoEnumIterator as _};
 
 /// Claims the profile and requests what is on screen.
 pub fn start(state: &mut State) -> Vec<Effect> {
-    let claim = Errand { command: Command::OpenConsole, tag: Tag::OpenConsole };
-    let mut effects = vec![state.send(claim)];
-    effects.extend(pull(state));
-    effects
+    claim(state);
+    std::mem::take(&mut state.effects)
+}
+
+pub(super) fn claim(state: &mut State) {
+    state.send(Errand { command: Command::OpenConsole, tag: Tag::OpenConsole });
+    pull(state);
 }
 
 pub fn update(state: &mut State, action: Action) -> Vec<Effect> {
@@ -28,53 +31,52 @@ pub fn update(state: &mut State, action: Action) -> Vec<Effect> {
     if matches!(action, Action::Paste(_) | Action::Click { .. } | Action::Do(_)) {
         state.ahead.clear();
     }
-    let mut effects = act(state, action);
+    act(state, action);
     for key in ready(state) {
-        effects.extend(pressed(state, key));
+        pressed(state, key);
     }
     state.topics.refresh(false);
     policies::forget_if_locked(state);
     alerts::refresh(state);
     tour::follow(state);
     if leaving::is_over(state) {
-        effects.push(Effect::Quit);
+        state.effects.push(Effect::Quit);
     }
-    effects.extend(opening::follow(state));
-    effects.extend(pull(state));
-    effects
+    opening::follow(state);
+    pull(state);
+    std::mem::take(&mut state.effects)
 }
 
-fn act(state: &mut State, action: Action) -> Vec<Effect> {
+fn act(state: &mut State, action: Action) {
     match action {
-        Action::Do(verb) => return perform(state, verb),
-        Action::Key(key) => return pressed(state, key),
-        Action::Answered { tag, result } => return answered(state, &tag, *result),
-        Action::Told(event) => return told(state, event),
+        Action::Do(verb) => perform(state, verb),
+        Action::Key(key) => pressed(state, key),
+        Action::Answered { tag, result } => answered(state, &tag, *result),
+        Action::Told(event) => told(state, event),
         Action::Paste(text) if state.popups.is_empty() => table::filter_paste(state, &text),
         Action::Paste(text) => popup_paste(state, &text),
         Action::Resize { columns, rows } => resize(state, columns, rows),
-        Action::Tick(now) => return tick(state, now),
+        Action::Tick(now) => tick(state, now),
         Action::Missed => state.feeds.touch_all(),
         Action::FilesWritten(Ok(place)) => state.inform(format!("written: {place}")),
         Action::FilesWritten(Err(error)) => state.complain(error),
         Action::Fault(error) => {
-            state.log.notice_about(state.now, NoticeLevel::Error, &error, None);
-            state.toasts.push(NoticeLevel::Error, error, state.now);
+            state.log.keep(state.now, NoticeLevel::Error, &error, Source::Site, None);
+            state.toasts.push(NoticeLevel::Error, error, state.now, None);
         }
         Action::PathsFound(sought, found) => palette::found(state, &sought, found),
         Action::TextRead(path, read) => policies::text_read(state, &path, read),
         Action::ThemeIs(name) => state.theme = name,
-        Action::Wheel { up } => return wheel(state, up),
+        Action::Wheel { up } => wheel(state, up),
         Action::Click { column, row } => click(state, column, row),
         Action::Resumed => {
             state.feeds.touch_all();
             state.inform("resumed; a site hosted by this console was stopped meanwhile");
         }
     }
-    Vec::new()
 }
 
-fn pressed(state: &mut State, key: Key) -> Vec<Effect> {
+fn pressed(state: &mut State, key: Key) {
     state.greeted = true;
     // Both take precedence over any popup.
     for verb in [Verb::Suspend, Verb::Redraw] {
@@ -89,14 +91,13 @@ fn pressed(state: &mut State, key: Key) -> Vec<Effect> {
         return filter_or_move(state, key);
     }
     if keeps(state, key) {
-        return Vec::new();
+        return;
     }
     match state.settings.keymap.meaning(&[key], state.screen) {
-        Meaning::Does(verb) => return perform(state, verb),
+        Meaning::Does(verb) => perform(state, verb),
         Meaning::Begins(_) => state.popups.push(Popup::Chord(vec![key])),
         Meaning::Nothing => say_where(state, key),
     }
-    Vec::new()
 }
 
 /// A key that works on more screens than this is no news.
@@ -112,50 +113,47 @@ fn say_where(state: &mut State, key: Key) {
     }
 }
 
-fn filter_or_move(state: &mut State, key: Key) -> Vec<Effect> {
+fn filter_or_move(state: &mut State, key: Key) {
     match key {
         // An empty filter recalls earlier ones; otherwise arrows move through the rows.
         Key::Up | Key::Down if state.table_mut().is_some_and(|table| table.recall(key == Key::Up)) => {
             table::restart_records(state);
         }
-        Key::Up => return perform(state, Verb::Up),
-        Key::Down => return perform(state, Verb::Down),
+        Key::Up => perform(state, Verb::Up),
+        Key::Down => perform(state, Verb::Down),
         _ => table::filter_key(state, key),
     }
-    Vec::new()
 }
 
-fn told(state: &mut State, event: Event) -> Vec<Effect> {
+fn told(state: &mut State, event: Event) {
     match event {
         Event::Changed { part } => {
             state.feeds.touch(part);
             if part == Part::Uploads {
                 opening::touch(state);
                 state.gateway.robots_told = true;
+                refresh_provenance(state);
             }
-            if part == Part::Uploads { refresh_provenance(state) } else { Vec::new() }
         }
         Event::Notice { at, level, text, about } => {
             if let Some(about) = &about {
                 state.toasts.supersede(about);
             }
-            state.log.notice_about(at, level, &text, about.clone());
+            state.log.keep(at, level, &text, Source::Site, about.clone());
             state.feeds.slot_mut(Feed::Audit).stale = true;
-            state.toasts.push_about(level, text, state.now, about);
-            Vec::new()
+            state.toasts.push(level, text, state.now, about);
         }
     }
 }
 
 /// An open provenance view follows its record until it is settled.
-fn refresh_provenance(state: &mut State) -> Vec<Effect> {
-    let Some(Popup::Provenance(lookup)) = state.popups.last() else { return Vec::new() };
+fn refresh_provenance(state: &mut State) {
+    let Some(Popup::Provenance(lookup)) = state.popups.last() else { return };
     let settled = lookup.found().is_some_and(|found| is_settled(found.record.state));
     let (id, tag) = (lookup.id.clone(), Tag::Show(lookup.id.clone()));
-    if settled || state.is_frozen() || state.work.contains(&tag) {
-        return Vec::new();
+    if !settled && !state.is_frozen() {
+        state.send_new(Errand { command: Command::ShowUpload { id }, tag });
     }
-    vec![state.send(Errand { command: Command::ShowUpload { id }, tag })]
 }
 
 pub fn is_settled(state: ShownState) -> bool {
@@ -174,7 +172,7 @@ fn resize(state: &mut State, columns: u16, rows: u16) {
     }
 }
 
-fn tick(state: &mut State, now: Timestamp) -> Vec<Effect> {
+fn tick(state: &mut State, now: Timestamp) {
     state.now = now;
     if state.touched.0 == 0 {
         state.touched = now;
@@ -186,11 +184,11 @@ fn tick(state: &mut State, now: Timestamp) -> Vec<Effect> {
     state.ask_for_progress();
     incidents::tick(state);
     policies::tick(state);
-    lock_when_due(state)
+    lock_when_due(state);
 }
 
 /// One request per feed at a time.
-fn pull(state: &mut State) -> Vec<Effect> {
+fn pull(state: &mut State) {
     let now = state.frozen.unwrap_or(state.now);
     state.uploads.note_filter(now);
     state.shared.note_filter(now);
@@ -203,20 +201,18 @@ fn pull(state: &mut State) -> Vec<Effect> {
         // All screens freeze at one moment; data valid for it is not requested again.
         wanted.extend(Feed::iter());
     }
-    wanted.into_iter().filter_map(|feed| ask(state, feed)).collect()
+    wanted.into_iter().for_each(|feed| ask(state, feed));
 }
 
-fn ask(state: &mut State, feed: Feed) -> Option<Effect> {
+fn ask(state: &mut State, feed: Feed) {
     let slot = state.feeds.slot(feed);
-    let held = state.holds(feed);
-    if !slot.stale || slot.outstanding || held {
-        return None;
+    if !slot.stale || slot.outstanding || state.holds(feed) {
+        return;
     }
-    let command = question(state, feed)?;
+    let Some(command) = question(state, feed) else { return };
     let slot = state.feeds.slot_mut(feed);
-    slot.stale = false;
-    slot.outstanding = true;
-    Some(Effect::Send(command, Tag::Feed(feed, slot.generation)))
+    (slot.stale, slot.outstanding) = (false, true);
+    state.effects.push(Effect::Send(command, Tag::Feed(feed, slot.generation)));
 }
 
 /// `None` while there is nothing to request.
@@ -253,22 +249,20 @@ pub fn under_way(state: &State) -> Option<String> {
 /// Rows above a list: header, screens, title, columns.
 const ABOVE: u16 = 4;
 
-pub fn toggle(state: &mut State) -> Vec<Effect> {
+pub fn toggle(state: &mut State) {
     state.mouse = !state.mouse;
-    let text = if state.mouse {
-        "mouse on; hold shift to select text in most terminals"
-    } else {
-        "mouse off; the terminal handles text selection again"
-    };
-    state.inform(text);
-    vec![Effect::Mouse(state.mouse)]
+    state.inform(match state.mouse {
+        true => "mouse on; hold shift to select text in most terminals",
+        false => "mouse off; the terminal handles text selection again",
+    });
+    state.effects.push(Effect::Mouse(state.mouse));
 }
 
-pub fn wheel(state: &mut State, up: bool) -> Vec<Effect> {
+pub fn wheel(state: &mut State, up: bool) {
     if state.popups.is_empty() {
         return perform(state, if up { Verb::Up } else { Verb::Down });
     }
-    popup_key(state, if up { Key::Up } else { Key::Down })
+    popup_key(state, if up { Key::Up } else { Key::Down });
 }
 
 pub fn click(state: &mut State, column: u16, row: u16) {
@@ -390,7 +384,7 @@ fn is_for_a_row(state: &State, key: Key) -> bool {
 }
 
 /// Wipes the keys, and takes everything decrypted off the screen.
-pub fn lock(state: &mut State) -> Vec<Effect> {
+pub fn lock(state: &mut State) {
     state.popups.retain(|popup| match popup {
         Popup::Record(_) | Popup::Confirm(_) => false,
         Popup::Form(purpose, _) => *purpose == Purpose::Unlock,
@@ -399,10 +393,7 @@ pub fn lock(state: &mut State) -> Vec<Effect> {
     (state.identity_path, state.filled) = (None, None);
     state.detail.clear();
     state.ahead.clear();
-    if state.work.contains(&Tag::Lock) {
-        return Vec::new();
-    }
-    vec![state.send(Errand { command: Command::Lock, tag: Tag::Lock })]
+    state.send_new(Errand { command: Command::Lock, tag: Tag::Lock });
 }
 
 pub fn due(state: &State) -> Option<Timestamp> {
@@ -412,13 +403,14 @@ pub fn due(state: &State) -> Option<Timestamp> {
     (open && !begun && state.touched.0 > 0).then(|| Timestamp(state.touched.0.saturating_add(after)))
 }
 
-pub fn lock_when_due(state: &mut State) -> Vec<Effect> {
-    if due(state).is_none_or(|at| at > state.now) {
-        return Vec::new();
+pub fn lock_when_due(state: &mut State) {
+    if due(state).is_some_and(|at| at <= state.now) {
+        let minutes = state.settings.lock_after.unwrap_or(0) / 60_000_000_000;
+        state.warn(format!(
+            "locked after {minutes} minutes without a key press; a running capture continues, u unlocks"
+        ));
+        lock(state);
     }
-    let minutes = state.settings.lock_after.unwrap_or(0) / 60_000_000_000;
-    state.warn(format!("locked after {minutes} minutes without a key press; a running capture continues, u unlocks"));
-    lock(state)
 }
 
 /// Nanoseconds.

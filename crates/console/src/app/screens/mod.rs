@@ -371,11 +371,7 @@ impl Log {
         self.keep(at, level, text, Source::Console, None);
     }
 
-    pub fn notice_about(&mut self, at: Timestamp, level: NoticeLevel, text: &str, about: Option<String>) {
-        self.keep(at, level, text, Source::Site, about);
-    }
-
-    fn keep(&mut self, at: Timestamp, level: NoticeLevel, text: &str, source: Source, about: Option<String>) {
+    pub fn keep(&mut self, at: Timestamp, level: NoticeLevel, text: &str, source: Source, about: Option<String>) {
         self.told += 1;
         let (key, text) = (format!("notice {}", self.told), clean(text, WIDEST));
         self.notices.push_front(LogLine { at, level, key, source, text, about, seen: false });
