@@ -9,8 +9,10 @@ use super::verb::{Errand, Tag};
 use crate::model::Party;
 use crate::service::Command;
 use crate::service::command::Administration;
+use strum::IntoStaticStr;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, IntoStaticStr)]
+#[strum(serialize_all = "lowercase")]
 pub enum Act {
     Admit,
     Suspend,
@@ -21,6 +23,7 @@ pub enum Act {
     Continue,
     Propose,
     Dismiss,
+    #[strum(serialize = "hand over")]
     HandOver,
     Accept,
     Deploy,
@@ -79,20 +82,7 @@ impl Act {
     }
 
     fn word(self) -> &'static str {
-        match self {
-            Self::Admit => "admit",
-            Self::Suspend => "suspend",
-            Self::Restore => "restore",
-            Self::Open => "open",
-            Self::Close => "close",
-            Self::Pause => "pause",
-            Self::Continue => "continue",
-            Self::Propose => "propose",
-            Self::Dismiss => "dismiss",
-            Self::HandOver => "hand over",
-            Self::Accept => "accept",
-            Self::Deploy => "deploy",
-        }
+        self.into()
     }
 }
 

@@ -278,7 +278,8 @@ fn written<T>(
 
 fn exported(id: &str, base: Option<PathBuf>, files: Vec<ExportedFile>) -> Effect {
     let directory = Some(format!("authros-{}", crate::model::clean(id, 40).replace('/', "_")));
-    Effect::WriteFiles { base, directory, files: files.into_iter().map(Contents::from).collect() }
+    let contents = |file: ExportedFile| Contents { name: file.name, bytes: Zeroizing::new(file.bytes) };
+    Effect::WriteFiles { base, directory, files: files.into_iter().map(contents).collect() }
 }
 
 fn secret(base: Option<PathBuf>, name: String, secret: &SecretBytes) -> Effect {

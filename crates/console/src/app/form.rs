@@ -1,14 +1,14 @@
 //! Forms of a few lines, their editable fields, and every form that the console asks with.
 
 use std::fmt::Display;
-use std::path::PathBuf;
 use std::str::FromStr;
 
 use zeroize::Zeroizing;
 
 use super::keymap::Key;
 use super::palette::{self, PathKind};
-use super::verb::{Errand, Tag};
+use super::popup::Confirm;
+use super::verb::{Errand, Tag, kind_word};
 use super::{Settings, when};
 use crate::model::grant::MOST_TOPICS;
 use crate::model::topic::NameError;
@@ -399,18 +399,20 @@ pub fn load_key() -> Form {
     Form::new("Load a key file", vec!["Replaces the current key with one of yours.".to_owned()], lines)
 }
 
-#[derive(Debug, Clone)]
-pub struct KeyWish {
-    pub kind: KeyKind,
-    pub path: PathBuf,
-    /// Of a V3 keystore.
-    pub passphrase: Option<SecretText>,
-}
-
-pub fn read_load(form: &Form, settings: &Settings) -> Result<KeyWish, Wrong> {
+pub fn read_load(form: &Form, settings: &Settings) -> Result<Confirm, Wrong> {
     let path = palette::of_line(form, 1, settings).ok_or((1, "enter the path of the key file".to_owned()))?;
     let passphrase = (!form.text(2).is_empty()).then(|| secret(form, 2));
-    Ok(KeyWish { kind: kind(form), path, passphrase })
+    let kind = kind(form);
+    let what = match kind {
+        KeyKind::Sm4 => "A new epoch begins with it; old records stay readable with their own keys.",
+        KeyKind::Sm2 => "The new key is registered on the chain; new records are signed with it.",
+        KeyKind::Eoa => "Your address on the chain changes: grants and records of the old one stay with it.",
+    };
+    let file = format!("File  {}", path.display());
+    let lines =
+        vec![file, what.to_owned(), "The current key is replaced; export it first if you still need it.".to_owned()];
+    let errand = Errand { command: Command::LoadKey { kind, path, passphrase }, tag: Tag::LoadKey(kind) };
+    Ok(Confirm { title: format!("Replace the {} key?", kind_word(kind)), lines, yes: "replace", typed: None, errand })
 }
 
 pub fn export_key(folder: Line) -> Form {

@@ -1,6 +1,7 @@
 //! The address book on screen, and grants: forms filled from the selected row, terms checked before the question.
 
 use super::form::{self, Field, Form, GrantWish, Line, Wrong};
+use super::identity_path::{self, Need};
 use super::keymap::Key;
 use super::palette::common;
 use super::perform::copy;
@@ -150,14 +151,6 @@ pub fn complete_from(form: &mut Form, names: &[String]) -> bool {
     true
 }
 
-#[derive(Debug)]
-pub enum Extension {
-    /// The contract moves the end.
-    Later(Errand),
-    /// A revoke and a new grant.
-    Sooner(GrantWish),
-}
-
 pub fn begin_extension(state: &mut State) {
     let Some(row) = state.grants.selected() else { return };
     let who = row.name.clone().unwrap_or_else(|| row.grantee.short());
@@ -165,18 +158,23 @@ pub fn begin_extension(state: &mut State) {
     state.popups.push(Popup::Form(Purpose::Extend, form::extend(&who, &ends)));
 }
 
-pub fn read_extension(state: &State, form: &Form) -> Result<Extension, Wrong> {
+/// A later end is the contract's; a sooner one is a revoke and a new grant.
+pub fn extend(state: &mut State, form: &Form) -> Result<(), Wrong> {
     let row = state.grants.selected().filter(|row| is_given(row) && is_active(row));
     let row = row.ok_or((0, "this grant is no longer active".to_owned()))?;
     let expires = when::expiry(form.text(0), state.now).map_err(|error| (0, error))?;
-    match (expires, row.expires) {
-        (None, None) => return Err((0, "it already has no end; enter a time to end it then".to_owned())),
-        (Some(_), None) => return Ok(Extension::Sooner(sooner(row, expires)?)),
-        (Some(wanted), Some(now)) if wanted <= now => return Ok(Extension::Sooner(sooner(row, expires)?)),
-        (_, Some(_)) => {}
+    if expires.is_none() && row.expires.is_none() {
+        return Err((0, "it already has no end; enter a time to end it then".to_owned()));
     }
-    let command = Command::ExtendGrant { grantee: Party::from(row.grantee), expires };
-    Ok(Extension::Later(Errand { command, tag: Tag::Extend(row.grantee) }))
+    if expires.is_some_and(|wanted| row.expires.is_none_or(|now| wanted <= now)) {
+        let wish = sooner(row, expires)?;
+        ask(state, wish);
+    } else {
+        let command = Command::ExtendGrant { grantee: Party::from(row.grantee), expires };
+        let errand = Errand { command, tag: Tag::Extend(row.grantee) };
+        identity_path::run(state, Need::Registered, vec![errand]);
+    }
+    Ok(())
 }
 
 fn sooner(row: &GrantRow, expires: Option<Timestamp>) -> Result<GrantWish, Wrong> {

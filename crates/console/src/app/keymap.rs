@@ -89,35 +89,31 @@ pub struct Keymap {
 
 impl Default for Keymap {
     fn default() -> Self {
-        Self::built(&|_| Vec::new())
+        Self::built(&[])
     }
-}
-
-/// A line of the operator's file; no entry = the keys do nothing.
-#[derive(Debug, Clone)]
-struct Change {
-    on: Vec<Key>,
-    entry: Option<&'static Entry>,
-    desc: Option<String>,
 }
 
 impl Keymap {
     pub fn with_file(file: &str, text: &str) -> Result<Self, FileError> {
         let source = Source { file, text };
         let lines = lines(&source)?;
-        let of = |place: Place| -> Vec<Change> {
-            lines.iter().filter(|line| line.place == place).map(|line| line.change.clone()).collect()
-        };
-        let keymap = Self::built(&of);
+        let keymap = Self::built(&lines);
         Screen::all().try_for_each(|screen| reachable(&source, &keymap, &lines, screen))?;
         Ok(keymap)
     }
 
-    fn built(changes: &dyn Fn(Place) -> Vec<Change>) -> Self {
+    /// A more specific binding replaces a more general one of the same keys.
+    fn built(lines: &[Read]) -> Self {
         let of_screen = |screen: Screen| {
-            let mut bindings = Vec::new();
+            let mut bindings: Vec<Binding> = Vec::new();
             for place in Place::all().filter(|place| place.holds_on(screen)) {
-                preset(place).chain(changes(place)).for_each(|change| apply(&mut bindings, change));
+                let own = lines.iter().filter(|line| line.place == place);
+                let own = own.map(|line| (line.on.clone(), line.entry, line.desc.clone()));
+                let preset = preset(place).map(|(on, entry)| (on, Some(entry), None));
+                for (on, entry, desc) in preset.chain(own) {
+                    bindings.retain(|binding| binding.on != on);
+                    bindings.extend(entry.map(|entry| Binding { on, entry, desc }));
+                }
             }
             bindings
         };
@@ -153,17 +149,9 @@ impl Keymap {
     }
 }
 
-fn preset(place: Place) -> impl Iterator<Item = Change> {
+fn preset(place: Place) -> impl Iterator<Item = (Vec<Key>, &'static Entry)> {
     let here = VERBS.iter().filter(move |entry| Place::of(entry).contains(&place));
-    here.flat_map(|entry| entry.chords().map(move |on| Change { on, entry: Some(entry), desc: None }))
-}
-
-/// Replaces a more general binding of the same keys.
-fn apply(bindings: &mut Vec<Binding>, Change { on, entry, desc }: Change) {
-    bindings.retain(|binding| binding.on != on);
-    if let Some(entry) = entry {
-        bindings.push(Binding { on, entry, desc });
-    }
+    here.flat_map(|entry| entry.chords().map(move |on| (on, entry)))
 }
 
 const OPENING: &str = "# Keys of the AuthROS console, as they are without a keymap.toml.
@@ -185,11 +173,8 @@ home end,
 pub fn preset_text() -> String {
     let mut text = OPENING.to_owned();
     for place in Place::all() {
-        let lines: Vec<[String; 3]> = VERBS
-            .iter()
-            .filter(|entry| Place::of(entry).contains(&place))
-            .flat_map(|entry| entry.chords().map(|on| [keys(&on), quoted(entry.name), quoted(entry.help)]))
-            .collect();
+        let line = |(on, entry): (Vec<Key>, &Entry)| [keys(&on), quoted(entry.name), quoted(entry.help)];
+        let lines: Vec<[String; 3]> = preset(place).map(line).collect();
         if lines.is_empty() {
             continue;
         }
@@ -253,9 +238,12 @@ enum On {
     Chord(Vec<String>),
 }
 
+/// A line of the operator's file; no entry = the keys do nothing.
 struct Read {
     place: Place,
-    change: Change,
+    on: Vec<Key>,
+    entry: Option<&'static Entry>,
+    desc: Option<String>,
     at: Range<usize>,
 }
 
@@ -291,8 +279,8 @@ fn lines(source: &Source) -> Result<Vec<Read>, FileError> {
         })?;
         for line in part.keys {
             let one = one(source, place, line)?;
-            if read.iter().any(|other| other.place == place && other.change.on == one.change.on) {
-                let keys = chord_label(&one.change.on);
+            if read.iter().any(|other| other.place == place && other.on == one.on) {
+                let keys = chord_label(&one.on);
                 return Err(source.wrong(one.at.start, format!("'{keys}' appears twice in [{}]", place.name())));
             }
             read.push(one);
@@ -311,7 +299,7 @@ fn one(source: &Source, place: Place, line: Line) -> Result<Read, FileError> {
         return Err(source.wrong(run_at, what));
     }
     let desc = line.desc.map(|desc| clean(&desc, LONGEST_DESC));
-    Ok(Read { place, change: Change { on, entry, desc }, at })
+    Ok(Read { place, on, entry, desc, at })
 }
 
 fn read_keys(source: &Source, at: usize, on: On) -> Result<Vec<Key>, FileError> {
@@ -343,14 +331,13 @@ fn reachable(source: &Source, keymap: &Keymap, lines: &[Read], screen: Screen) -
             screen.title(),
             chord_label(&long.on)
         );
-        let concerned = |line: &&Read| line.change.on.starts_with(&long.on) || long.on.starts_with(&line.change.on);
+        let concerned = |line: &&Read| line.on.starts_with(&long.on) || long.on.starts_with(&line.on);
         return Err(source.wrong(lines.iter().find(concerned).map_or(0, |line| line.at.start), what));
     }
     for verb in [Verb::Palette, Verb::Quit] {
         if !bindings.iter().any(|binding| binding.entry.verb == verb) {
-            let taken = |line: &&Read| {
-                VERBS.iter().any(|entry| entry.verb == verb && entry.chords().any(|on| on == line.change.on))
-            };
+            let taken =
+                |line: &&Read| VERBS.iter().any(|entry| entry.verb == verb && entry.chords().any(|on| on == line.on));
             let at = lines.iter().rfind(taken).map_or(0, |line| line.at.start);
             let what = format!("on the {} screen no key is left for '{}'", screen.title(), name_of(verb));
             return Err(source.wrong(at, what));

@@ -17,64 +17,57 @@ pub enum Leaving {
     Held,
 }
 
-struct Behind {
-    captured: Option<String>,
-    /// Whether the site ends with this console.
-    ends: bool,
-    pending: u64,
+/// Whether the site ends with this console.
+fn ends(state: &State) -> bool {
+    !matches!(Standing::of(state), Some(Standing::Joined(_)))
 }
 
-impl Behind {
-    fn of(state: &State) -> Self {
-        let ends = !matches!(Standing::of(state), Some(Standing::Joined(_)));
-        Self { captured: captured(state), ends, pending: state.pending_records() }
-    }
+/// Whether verifying everything requires pausing the capture first.
+fn can_drain(state: &State) -> bool {
+    ends(state) && captured(state).is_some()
+}
 
-    fn capture(&self, state: &State) -> Vec<String> {
-        let site = match Standing::of(state) {
-            Some(Standing::Joined(0)) | None => "in the site".to_owned(),
-            Some(Standing::Joined(process)) => format!("in the site (process {process})"),
-            Some(Standing::Host) => String::new(),
-        };
-        let mut lines: Vec<String> = match &self.captured {
-            Some(what) if self.ends => vec![
-                format!("Quitting stops {what}."),
-                if state.settings.tour.is_some() {
-                    "The tour ends, and its temporary home is removed with all that is in it.".to_owned()
-                } else if can_leave_site(state) {
-                    "s: `authros serve` goes on with it, after a few seconds' gap; asks for the passphrase.".to_owned()
-                } else {
-                    "To keep it running without a console, use: authros serve".to_owned()
-                },
-            ],
-            Some(what) => vec![format!("{} continues {site}.", super::sentence(what))],
-            None => Vec::new(),
-        };
-        lines.extend(not_captured(state).map(|what| format!("{} anyway.", super::sentence(&what))));
-        lines
-    }
+fn capture_lines(state: &State) -> Vec<String> {
+    let site = match Standing::of(state) {
+        Some(Standing::Joined(0)) | None => "in the site".to_owned(),
+        Some(Standing::Joined(process)) => format!("in the site (process {process})"),
+        Some(Standing::Host) => String::new(),
+    };
+    let mut lines: Vec<String> = match captured(state) {
+        Some(what) if ends(state) => vec![
+            format!("Quitting stops {what}."),
+            if state.settings.tour.is_some() {
+                "The tour ends, and its temporary home is removed with all that is in it.".to_owned()
+            } else if can_leave_site(state) {
+                "s: `authros serve` goes on with it, after a few seconds' gap; asks for the passphrase.".to_owned()
+            } else {
+                "To keep it running without a console, use: authros serve".to_owned()
+            },
+        ],
+        Some(what) => vec![format!("{} continues {site}.", super::sentence(&what))],
+        None => Vec::new(),
+    };
+    lines.extend(not_captured(state).map(|what| format!("{} anyway.", super::sentence(&what))));
+    lines
+}
 
-    fn records(&self, state: &State) -> Vec<String> {
-        let records = match self.pending {
-            0 => return Vec::new(),
-            1 => "1 record is not verified yet".to_owned(),
-            more => format!("{more} records are not verified yet"),
-        };
-        if !self.ends {
-            return vec![format!("{records}; the site continues with them.")];
-        }
-        if state.settings.tour.is_some() {
-            return vec![format!("{records}.")];
-        }
-        vec![format!("{records}."), "They are safe on disk and continue at the next start.".to_owned()]
+fn record_lines(state: &State) -> Vec<String> {
+    let records = match state.pending_records() {
+        0 => return Vec::new(),
+        1 => "1 record is not verified yet".to_owned(),
+        more => format!("{more} records are not verified yet"),
+    };
+    if !ends(state) {
+        return vec![format!("{records}; the site continues with them.")];
     }
+    let safe = "They are safe on disk and continue at the next start.".to_owned();
+    [format!("{records}.")].into_iter().chain(state.settings.tour.is_none().then_some(safe)).collect()
 }
 
 impl Leaving {
     pub fn lines(self, state: &State) -> Vec<String> {
-        let behind = Behind::of(state);
-        let mut lines = if self == Self::Held { Vec::new() } else { behind.capture(state) };
-        lines.extend(behind.records(state));
+        let mut lines = if self == Self::Held { Vec::new() } else { capture_lines(state) };
+        lines.extend(record_lines(state));
         lines
             .extend(state.work.iter().filter(|tag| tag.is_work()).map(|tag| format!("Still running: {}", tag.words())));
         if lines.is_empty() {
@@ -89,9 +82,8 @@ impl Leaving {
     }
 
     pub fn hints(self, state: &State) -> Vec<(&'static str, &'static str)> {
-        let behind = Behind::of(state);
         let mut hints = vec![("y", "quit now")];
-        if self == Self::Asked && behind.can_drain() {
+        if self == Self::Asked && can_drain(state) {
             hints.push(("d", "stop capture, finish, quit"));
             hints.extend(can_leave_site(state).then_some(("s", "leave it running")));
         } else if self == Self::Asked && state.has_pending_work() {
@@ -99,13 +91,6 @@ impl Leaving {
         }
         hints.push(("esc", "stay"));
         hints
-    }
-}
-
-impl Behind {
-    /// Whether verifying everything requires pausing the capture first.
-    fn can_drain(&self) -> bool {
-        self.ends && self.captured.is_some()
     }
 }
 
@@ -117,20 +102,20 @@ fn can_leave_site(state: &State) -> bool {
 
 /// Whether quitting now stops something or leaves it undone.
 pub fn asks(state: &State) -> bool {
-    state.has_pending_work() || Behind::of(state).can_drain()
+    state.has_pending_work() || can_drain(state)
 }
 
 pub fn key(state: &mut State, leaving: Leaving, key: Key) {
     match key {
         Key::Char('y') | Key::Control('c') => state.effects.push(Effect::Quit),
-        Key::Char('d') if leaving == Leaving::Asked && Behind::of(state).can_drain() => {
+        Key::Char('d') if leaving == Leaving::Asked && can_drain(state) => {
             state.popups.push(Popup::Quit(Leaving::Held));
             hold(state, true);
         }
-        Key::Char('s') if leaving == Leaving::Asked && Behind::of(state).can_drain() && can_leave_site(state) => {
+        Key::Char('s') if leaving == Leaving::Asked && can_drain(state) && can_leave_site(state) => {
             state.effects.push(Effect::LeaveSite);
         }
-        Key::Char('w') if leaving == Leaving::Asked && !Behind::of(state).can_drain() => {
+        Key::Char('w') if leaving == Leaving::Asked && !can_drain(state) => {
             state.popups.push(Popup::Quit(Leaving::WhenVerified));
         }
         Key::Char('?') => state.popups.push(Popup::Quit(leaving)),

@@ -152,7 +152,8 @@ pub struct State {
 impl State {
     pub fn new(settings: Settings) -> Self {
         let tour = settings.tour.clone().map(Tour::new);
-        Self { settings, tour, size: (80, 24), ..Self::default() }
+        let records = || Records { table: Table::following(), ..Records::default() };
+        Self { settings, tour, size: (80, 24), uploads: records(), shared: records(), ..Self::default() }
     }
 
     pub fn is_frozen(&self) -> bool {

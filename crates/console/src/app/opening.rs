@@ -1,5 +1,6 @@
 //! An opened record over the screen or beside the list: its faces, their keys, its files.
 
+use strum::IntoStaticStr;
 use zeroize::Zeroizing;
 
 use super::keymap::Key;
@@ -17,8 +18,9 @@ const PATH: usize = 200;
 
 pub const BYTES_A_LINE: usize = 16;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, IntoStaticStr)]
 pub enum Face {
+    #[strum(serialize = "Values")]
     Readable,
     /// Points of a plane, or the path over the topic's records.
     Plot,
@@ -29,13 +31,7 @@ pub enum Face {
 
 impl Face {
     pub fn title(self) -> &'static str {
-        match self {
-            Self::Readable => "Values",
-            Self::Plot => "Plot",
-            Self::Picture => "Picture",
-            Self::Fields => "Fields",
-            Self::Bytes => "Bytes",
-        }
+        self.into()
     }
 
     /// The first is shown first.
@@ -87,9 +83,9 @@ impl Opening {
         matches!(self.shown(), Face::Picture | Face::Plot)
     }
 
-    fn turn(&mut self, by: usize) {
+    fn turn(&mut self, back: bool) {
         let count = self.lookup.found().map_or(1, |view| Face::of(view).len());
-        self.face = (self.face + by) % count;
+        self.face = (self.face + if back { count - 1 } else { 1 }) % count;
         self.lookup.scroll = 0;
     }
 
@@ -120,11 +116,8 @@ impl Opening {
 
 pub fn key(state: &mut State, mut opening: Opening, key: Key) {
     match key {
-        Key::Tab | Key::Right => opening.turn(1),
-        Key::BackTab | Key::Left => {
-            let count = opening.lookup.found().map_or(1, |view| Face::of(view).len());
-            opening.turn(count - 1);
-        }
+        Key::Tab | Key::Right => opening.turn(false),
+        Key::BackTab | Key::Left => opening.turn(true),
         Key::Enter if opening.is_drawn() => opening.alone = !opening.alone,
         Key::Char('n') => return neighbour(state, Popup::Record(opening), 1),
         Key::Char('p') => return neighbour(state, Popup::Record(opening), -1),

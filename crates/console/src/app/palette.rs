@@ -152,18 +152,13 @@ fn act(errand: &Errand) -> Option<String> {
         Tag::Register => "register".to_owned(),
         Tag::Watch(topic) => format!("topics watch {}", quoted(topic)),
         Tag::Unwatch(topic) => format!("topics unwatch {}", quoted(topic)),
-        Tag::Grant(_) | Tag::Extend(_) | Tag::Revoke(_) => of_right(command)?,
-        Tag::LoadKey(_) | Tag::ExportKey(_) => of_key(command)?,
+        Tag::Grant(_) | Tag::Extend(_) | Tag::Revoke(_) | Tag::LoadKey(_) | Tag::ExportKey(_) => of_command(command)?,
+        Tag::Unpin(_) | Tag::Contact(_) | Tag::Incident(..) | Tag::Administer(_) | Tag::Play(_) => of_command(command)?,
         Tag::Rotate => "keys rotate".to_owned(),
         Tag::Lock => "identity lock".to_owned(),
         Tag::BackUp => "keys backup --out FILE".to_owned(),
-        Tag::Administer(_) => of_administrator(command)?,
         Tag::Deploy => "chain deploy".to_owned(),
         Tag::Pin(topic) => format!("topics pin {}", quoted(topic)),
-        Tag::Unpin(topic) => {
-            let Command::UnpinTopic { caller_id, .. } = command else { return None };
-            format!("topics unpin {} {}", quoted(topic), quoted(caller_id))
-        }
         Tag::Release(topic) => format!("quarantine release --topic {}", quoted(topic)),
         Tag::Discard(topic) => format!("quarantine discard --topic {} --yes", quoted(topic)),
         Tag::Publishers(topic) => format!("topics pins --topic {}", quoted(topic)),
@@ -171,55 +166,59 @@ fn act(errand: &Errand) -> Option<String> {
         Tag::Open(id) => format!("shared open {id}"),
         Tag::Check(id) => format!("shared check {id}"),
         Tag::Export(id) => format!("uploads export {id} --dir DIR"),
-        Tag::Contact(_) => of_contact(command)?,
-        Tag::Incident(..) => of_incident(command)?,
         Tag::Robot(name) => format!("robots show {}", quoted(name)),
         Tag::SetPolicy(robot, Some(file)) => {
             format!("robots policy {} --set {}", quoted(robot), quoted(&file.to_string_lossy()))
         }
         Tag::SetPolicy(robot, None) => format!("robots policy {} --clear", quoted(robot)),
-        Tag::Play(_) => {
-            let Command::Play(wishes) = command else { return None };
-            of_playback(wishes)
-        }
     })
 }
 
-fn of_right(command: &Command) -> Option<String> {
-    if let Command::Grant { grantee, topics, epochs, expires } = command {
-        let topics = topics.iter().map(|topic| format!(" --topic {topic}")).collect::<String>();
-        let epochs = if *epochs == Epochs::All { " --epochs all" } else { "" };
-        return Some(format!("grant {grantee}{topics}{epochs}{}", expires.map_or_else(String::new, until)));
-    }
-    if let Command::ExtendGrant { grantee, expires } = command {
-        let end = expires.map_or_else(|| " --endless".to_owned(), until);
-        return Some(format!("grants extend {grantee}{end}"));
-    }
-    let Command::Revoke { grantee } = command else { return None };
-    Some(format!("revoke {grantee}"))
-}
-
-fn until(end: Timestamp) -> String {
-    format!(" --expires {end}")
-}
-
-fn of_key(command: &Command) -> Option<String> {
+#[allow(clippy::wildcard_enum_match_arm, reason = "the tags above name the commands that come here")]
+fn of_command(command: &Command) -> Option<String> {
+    let until = |end: Timestamp| format!(" --expires {end}");
     let keystore = |secret: bool| if secret { " --keystore-passphrase-file FILE" } else { "" };
-    if let Command::LoadKey { kind, path, passphrase } = command {
-        let path = quoted(&path.to_string_lossy());
-        return Some(format!("keys load --{} {path}{}", flag(*kind), keystore(passphrase.is_some())));
-    }
-    let Command::ExportKey { kind, passphrase } = command else { return None };
-    Some(format!("keys export {} --out FILE{}", flag(*kind), keystore(passphrase.is_some())))
+    let with = |fingerprint: &Option<String>| {
+        fingerprint.as_ref().map_or_else(String::new, |value| format!(" --fingerprint {}", quoted(value)))
+    };
+    Some(match command {
+        Command::Grant { grantee, topics, epochs, expires } => {
+            let topics = topics.iter().map(|topic| format!(" --topic {topic}")).collect::<String>();
+            let epochs = if *epochs == Epochs::All { " --epochs all" } else { "" };
+            format!("grant {grantee}{topics}{epochs}{}", expires.map_or_else(String::new, until))
+        }
+        Command::ExtendGrant { grantee, expires } => {
+            format!("grants extend {grantee}{}", expires.map_or_else(|| " --endless".to_owned(), until))
+        }
+        Command::Revoke { grantee } => format!("revoke {grantee}"),
+        Command::LoadKey { kind, path, passphrase } => {
+            let path = quoted(&path.to_string_lossy());
+            format!("keys load --{} {path}{}", flag(*kind), keystore(passphrase.is_some()))
+        }
+        Command::ExportKey { kind, passphrase } => {
+            format!("keys export {} --out FILE{}", flag(*kind), keystore(passphrase.is_some()))
+        }
+        Command::UnpinTopic { topic, caller_id } => {
+            format!("topics unpin {} {}", quoted(topic.as_str()), quoted(caller_id))
+        }
+        Command::AddContact { name, address, fingerprint } => {
+            format!("contacts add {name} {address}{}", with(fingerprint))
+        }
+        Command::ConfirmContact { name, fingerprint } => format!("contacts confirm {name}{}", with(fingerprint)),
+        Command::RemoveContact { name } => format!("contacts remove {name}"),
+        Command::Administer(administration) => of_administrator(administration),
+        Command::OfIncident(command) => of_incident(command),
+        Command::Play(wishes) => of_playback(wishes),
+        _ => return None,
+    })
 }
 
 fn flag(kind: KeyKind) -> String {
     kind_word(kind).to_lowercase()
 }
 
-fn of_administrator(command: &Command) -> Option<String> {
-    let Command::Administer(administration) = command else { return None };
-    Some(match administration {
+fn of_administrator(administration: &Administration) -> String {
+    match administration {
         Administration::Admit { account } => format!("chain admit {account}"),
         Administration::Dismiss { account } => format!("chain dismiss {account}"),
         Administration::Suspend { account } => format!("chain suspend {account}"),
@@ -235,26 +234,11 @@ fn of_administrator(command: &Command) -> Option<String> {
         Administration::Complete { lost } => format!("chain succession complete {lost}"),
         Administration::HandOver { account } => format!("chain hand-over {account}"),
         Administration::Accept => "chain accept".to_owned(),
-    })
+    }
 }
 
-fn of_contact(command: &Command) -> Option<String> {
-    let with = |fingerprint: &Option<String>| {
-        fingerprint.as_ref().map_or_else(String::new, |value| format!(" --fingerprint {}", quoted(value)))
-    };
-    if let Command::AddContact { name, address, fingerprint } = command {
-        return Some(format!("contacts add {name} {address}{}", with(fingerprint)));
-    }
-    if let Command::ConfirmContact { name, fingerprint } = command {
-        return Some(format!("contacts confirm {name}{}", with(fingerprint)));
-    }
-    let Command::RemoveContact { name } = command else { return None };
-    Some(format!("contacts remove {name}"))
-}
-
-fn of_incident(command: &Command) -> Option<String> {
-    let Command::OfIncident(command) = command else { return None };
-    Some(match command {
+fn of_incident(command: &IncidentCommand) -> String {
+    match command {
         IncidentCommand::OpenIncident { name, since, until, topics, note, robots } => {
             let mut words = format!("incident open {name} --since {since}");
             words.extend(until.map(|until| format!(" --until {until}")));
@@ -268,7 +252,7 @@ fn of_incident(command: &Command) -> Option<String> {
         IncidentCommand::RemoveIncident { name } => format!("incident remove {name} --yes"),
         IncidentCommand::ListIncidents => "incident list".to_owned(),
         IncidentCommand::ShowIncident { name } => format!("incident show {name}"),
-    })
+    }
 }
 
 fn of_playback(wishes: &PlayWishes) -> String {

@@ -294,14 +294,8 @@ pub fn note(state: &mut State, tag: &Tag) {
         Tag::Administer(_) | Tag::Deploy => {
             Some(Undo::Never("it was a transaction; send the opposite one instead (7, then :)"))
         }
-        Tag::Feed(..)
-        | Tag::OpenConsole
-        | Tag::CreateIdentity
-        | Tag::Unlock
-        | Tag::Register
-        | Tag::Lock
-        | Tag::HoldCapture => None,
-        Tag::ExportKey(_) | Tag::BackUp | Tag::Export(_) | Tag::Pin(_) | Tag::Unpin(_) => None,
+        Tag::Feed(..) | Tag::OpenConsole | Tag::CreateIdentity | Tag::Unlock | Tag::Register | Tag::Lock => None,
+        Tag::HoldCapture | Tag::ExportKey(_) | Tag::BackUp | Tag::Export(_) | Tag::Pin(_) | Tag::Unpin(_) => None,
         Tag::Incident(deed, name) => {
             Some(deed.stays().map_or_else(|| Undo::By(incidents::taken_back(name)), Undo::Never))
         }

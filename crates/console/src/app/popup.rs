@@ -3,8 +3,8 @@
 use super::administration::{self, Act};
 use super::available::available;
 use super::choosing::{self, ColumnChoice, ThemeChoice};
-use super::form::{self, Field, Form, FormStep, GrantWish, KeyWish, Wrong};
-use super::granting::{self, Extension};
+use super::form::{self, Field, Form, FormStep, GrantWish, Wrong};
+use super::granting;
 use super::identity_path::{self, Need};
 use super::incidents::{self, IncidentList};
 use super::keymap::{Key, Meaning, chord_label};
@@ -13,12 +13,12 @@ use super::opening::{self, Opening};
 use super::perform::{self, copy, perform};
 use super::screens::{LogLine, day, earlier, end, scope};
 use super::update::Feed;
-use super::verb::{Entry, Errand, Tag, VERBS, Verb, kind_word};
+use super::verb::{Entry, Errand, Tag, VERBS, Verb};
 use super::{State, palette, policies};
 use crate::model::TopicName;
 use crate::service::command::Held;
 use crate::service::reply::{GrantRow, PinsView, Provenance, RobotView, TopicRow};
-use crate::service::{Command, Epochs, Failure, KeyKind};
+use crate::service::{Command, Epochs, Failure};
 
 #[derive(Debug)]
 #[allow(clippy::large_enum_variant, reason = "a handful at a time, and rarely moved")]
@@ -244,20 +244,6 @@ pub fn revoke(state: &State, row: &GrantRow) -> Confirm {
     lines.extend(readers(state, "Who can read afterwards:", Some(row)));
     let errand = Errand { command: Command::Revoke { grantee: row.grantee.into() }, tag: Tag::Revoke(row.grantee) };
     Confirm { title: format!("Revoke {}?", row.grantee.short()), lines, yes: "revoke", typed: None, errand }
-}
-
-pub fn load_key(wish: KeyWish) -> Confirm {
-    let KeyWish { kind, path, passphrase } = wish;
-    let what = match kind {
-        KeyKind::Sm4 => "A new epoch begins with it; old records stay readable with their own keys.",
-        KeyKind::Sm2 => "The new key is registered on the chain; new records are signed with it.",
-        KeyKind::Eoa => "Your address on the chain changes: grants and records of the old one stay with it.",
-    };
-    let file = format!("File  {}", path.display());
-    let lines =
-        vec![file, what.to_owned(), "The current key is replaced; export it first if you still need it.".to_owned()];
-    let errand = Errand { command: Command::LoadKey { kind, path, passphrase }, tag: Tag::LoadKey(kind) };
-    Confirm { title: format!("Replace the {} key?", kind_word(kind)), lines, yes: "replace", typed: None, errand }
 }
 
 pub fn rotate() -> Confirm {
@@ -585,12 +571,9 @@ fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<(), Wrong>
             granting::check(state, &wish)?;
             granting::ask(state, wish);
         }
-        Purpose::Extend => match granting::read_extension(state, form)? {
-            Extension::Later(errand) => identity_path::run(state, Need::Registered, vec![errand]),
-            Extension::Sooner(wish) => granting::ask(state, wish),
-        },
+        Purpose::Extend => granting::extend(state, form)?,
         Purpose::Administer(act) => state.popups.push(Popup::Confirm(administration::read(act, form)?)),
-        Purpose::LoadKey => state.popups.push(Popup::Confirm(load_key(form::read_load(form, &state.settings)?))),
+        Purpose::LoadKey => state.popups.push(Popup::Confirm(form::read_load(form, &state.settings)?)),
     }
     Ok(())
 }

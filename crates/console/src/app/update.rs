@@ -366,21 +366,10 @@ fn given_up(state: &mut State) -> Vec<Key> {
 }
 
 fn is_for_a_row(state: &State, key: Key) -> bool {
+    use Verb::{Check, Copy, Details, Export, Incident, Mark, MarkAll, Open, Play, Readers, WriteFile};
     let Meaning::Does(verb) = state.settings.keymap.meaning(&[key], state.screen) else { return false };
-    matches!(
-        verb,
-        Verb::Details
-            | Verb::Open
-            | Verb::Check
-            | Verb::Export
-            | Verb::Mark
-            | Verb::MarkAll
-            | Verb::Readers
-            | Verb::Play
-            | Verb::Incident
-            | Verb::Copy
-            | Verb::WriteFile
-    )
+    let acts = matches!(verb, Details | Open | Check | Export | Mark | MarkAll | Readers | Play | Incident);
+    acts || matches!(verb, Copy | WriteFile)
 }
 
 /// Wipes the keys, and takes everything decrypted off the screen.

@@ -9,7 +9,6 @@ use super::keymap::Key;
 use super::palette::{Found, Sought};
 use super::update::Feed;
 use crate::model::{Address, IncidentName, Party, ProfileName, Timestamp};
-use crate::service::reply::ExportedFile;
 use crate::service::{Command, Event, Failure, KeyKind, Reply};
 use zeroize::Zeroizing;
 
@@ -106,23 +105,13 @@ pub struct Entry {
     pub palette: bool,
 }
 
-const fn entry(
-    verb: Verb,
-    name: &'static str,
-    label: &'static str,
-    keys: &'static [&'static str],
-    help: &'static str,
-) -> Entry {
+type Word = &'static str;
+
+const fn entry(verb: Verb, name: Word, label: Word, keys: &'static [Word], help: Word) -> Entry {
     Entry { verb, name, label, help, keys, on: &[], changes: false, palette: true }
 }
 
-const fn act(
-    verb: Verb,
-    name: &'static str,
-    label: &'static str,
-    keys: &'static [&'static str],
-    help: &'static str,
-) -> Entry {
+const fn act(verb: Verb, name: Word, label: Word, keys: &'static [Word], help: Word) -> Entry {
     Entry { changes: true, ..entry(verb, name, label, keys, help) }
 }
 
@@ -349,12 +338,6 @@ impl std::fmt::Debug for Contents {
     }
 }
 
-impl From<ExportedFile> for Contents {
-    fn from(file: ExportedFile) -> Self {
-        Self { name: file.name, bytes: Zeroizing::new(file.bytes) }
-    }
-}
-
 #[derive(Debug, Clone)]
 pub struct Errand {
     pub command: Command,
@@ -409,11 +392,8 @@ pub enum Tag {
 impl Tag {
     /// Whether the command changes something, so that quitting should wait or ask.
     pub fn is_work(&self) -> bool {
-        let looks = matches!(
-            self,
-            Self::Show(_) | Self::Beside(..) | Self::Open(_) | Self::Path(_) | Self::Check(_) | Self::Publishers(_)
-        );
-        !looks && !matches!(self, Self::Feed(..) | Self::OpenConsole | Self::Robot(_))
+        let looks = matches!(self, Self::Show(_) | Self::Beside(..) | Self::Open(_) | Self::Path(_) | Self::Check(_));
+        !looks && !matches!(self, Self::Feed(..) | Self::OpenConsole | Self::Robot(_) | Self::Publishers(_))
     }
 
     pub fn words(&self) -> String {

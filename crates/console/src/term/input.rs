@@ -86,27 +86,8 @@ fn keys(event: KeyEvent) -> Vec<Key> {
 
 const ENDING: [i32; 4] = [SIGTERM, SIGHUP, SIGINT, SIGQUIT];
 
-pub fn suspends(signal: i32) -> bool {
-    signal == SIGTSTP
-}
-
-/// Stopped from outside, and running again.
-pub fn continues(signal: i32) -> bool {
-    signal == SIGCONT
-}
-
-pub fn hangs_up(signal: i32) -> bool {
-    signal == SIGHUP
-}
-
-pub fn ends(signal: i32) -> bool {
-    ENDING.contains(&signal)
-}
-
 #[derive(Debug)]
-pub struct Listener {
-    handle: Handle,
-}
+pub struct Listener(Handle);
 
 impl Listener {
     pub fn start(heard: impl Fn(i32) + Send + 'static) -> io::Result<Self> {
@@ -114,13 +95,13 @@ impl Listener {
         let handle = signals.handle();
         let wait = move || signals.forever().for_each(heard);
         thread::Builder::new().name(format!("{THREAD_PREFIX}signals")).spawn(wait)?;
-        Ok(Self { handle })
+        Ok(Self(handle))
     }
 }
 
 impl Drop for Listener {
     fn drop(&mut self) {
-        self.handle.close();
+        self.0.close();
         for signal in ENDING {
             // Otherwise the closed handler would swallow the signal.
             drop(flag::register_conditional_default(signal, Arc::new(AtomicBool::new(true))));

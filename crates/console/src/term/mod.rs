@@ -31,6 +31,7 @@ use input::Listener;
 use pixels::Pixels;
 use renderer::{Budget, OVER_SSH, Painter, Stage, Wish};
 use rustix::termios::{LocalModes, OptionalActions, Termios, tcgetattr, tcsetattr};
+use signal_hook::consts::signal::{SIGCONT, SIGHUP, SIGTSTP};
 use tokio::runtime::Handle;
 use tokio::sync::broadcast::error::RecvError;
 use zeroize::Zeroizing;
@@ -212,10 +213,10 @@ impl Session {
                 None
             }
             Message::Act(action) => self.act(action),
-            Message::Signal(signal) if input::ends(signal) => Some(Ok(ended_by(signal))),
-            Message::Signal(signal) if input::suspends(signal) => self.suspend(),
-            Message::Signal(signal) if input::continues(signal) => self.retake(),
-            Message::Signal(_) => None,
+            Message::Signal(SIGTSTP) => self.suspend(),
+            // Stopped from outside, and running again.
+            Message::Signal(SIGCONT) => self.retake(),
+            Message::Signal(signal) => Some(Ok(ended_by(signal))),
             Message::TerminalFailed if io::stdin().is_terminal() => {
                 Some(Err(TermError::Fault("the terminal accepts no more output".to_owned())))
             }
@@ -273,9 +274,19 @@ impl Session {
                     self.stage.change(Wish::Now, |scene| scene.extra.push_str(&files::sequence(&text)));
                 }
                 Effect::SpeakFor(profile) => self.host.speak_for(profile),
-                Effect::WriteFiles { base, directory, files } => self.host.write(base, directory, files),
-                Effect::FindPaths(sought) => self.host.find(sought),
-                Effect::ReadText(path) => self.host.read(path),
+                Effect::WriteFiles { base, directory, files } => {
+                    let base = base.unwrap_or_else(|| self.host.directory.clone());
+                    self.host
+                        .aside(move || Action::FilesWritten(files::write_all(&base, directory.as_deref(), &files)));
+                }
+                Effect::FindPaths(sought) => self.host.aside(move || {
+                    let found = files::find(&sought);
+                    Action::PathsFound(sought, found)
+                }),
+                Effect::ReadText(path) => self.host.aside(move || {
+                    let read = files::read_text(&path);
+                    Action::TextRead(path, read)
+                }),
             }
         }
         None
@@ -285,8 +296,8 @@ impl Session {
         // The state's names come from here.
         let Ok(theme) = self.themes.named(name) else { return };
         self.stage.change(Wish::Now, |scene| {
-            let now = &scene.theme;
-            scene.theme = theme.with_ascii(now.ascii).with_shades(now.shades).with_pixels(now.pixels);
+            let Theme { ascii, shades, pixels, .. } = scene.theme;
+            scene.theme = Theme { ascii, shades, pixels, ..theme };
             drop(update(&mut scene.state, Action::ThemeIs(name.to_owned())));
         });
     }
@@ -379,7 +390,7 @@ fn finished(stage: &Stage) -> Option<MutexGuard<'_, ()>> {
 }
 
 fn ended_by(signal: i32) -> ExitReason {
-    let gone = input::hangs_up(signal) || !io::stdin().is_terminal();
+    let gone = signal == SIGHUP || !io::stdin().is_terminal();
     if gone { ExitReason::TerminalGone } else { ExitReason::Signal(signal) }
 }
 
@@ -387,7 +398,7 @@ fn theme(options: &ConsoleOptions, depth: Depth) -> Result<Theme, TermError> {
     let fitting = if depth == Depth::None { "mono" } else { "night" };
     let theme = options.themes.named(options.theme.as_deref().unwrap_or(fitting))?;
     let pixels = options.pictures != Pictures::HalfBlocks;
-    Ok(theme.with_ascii(options.ascii).with_shades(depth.shades()).with_pixels(pixels))
+    Ok(Theme { ascii: options.ascii, shades: depth.shades(), pixels, ..theme })
 }
 
 fn bytes_per_second(options: &ConsoleOptions) -> Option<u32> {
@@ -438,28 +449,10 @@ impl Host {
         });
     }
 
-    pub fn write(&self, base: Option<PathBuf>, directory: Option<String>, contents: Vec<Contents>) {
-        let base = base.unwrap_or_else(|| self.directory.clone());
+    /// Does work that may block outside of the updating thread.
+    fn aside(&self, work: impl FnOnce() -> Action + Send + 'static) {
         let say = sender(&self.messages, Message::Act);
-        self.handle.spawn_blocking(move || {
-            say(Action::FilesWritten(files::write_all(&base, directory.as_deref(), &contents)));
-        });
-    }
-
-    pub fn read(&self, path: PathBuf) {
-        let say = sender(&self.messages, Message::Act);
-        self.handle.spawn_blocking(move || {
-            let read = files::read_text(&path);
-            say(Action::TextRead(path, read));
-        });
-    }
-
-    pub fn find(&self, sought: Sought) {
-        let say = sender(&self.messages, Message::Act);
-        self.handle.spawn_blocking(move || {
-            let found = files::find(&sought);
-            say(Action::PathsFound(sought, found));
-        });
+        self.handle.spawn_blocking(move || say(work()));
     }
 }
 
@@ -486,9 +479,7 @@ type Hook = Box<dyn Fn(&PanicHookInfo<'_>) + Send + Sync + 'static>;
 
 /// Restores the terminal when dropped.
 #[derive(Debug)]
-pub struct Guard {
-    _private: (),
-}
+pub struct Guard(());
 
 impl Guard {
     /// A panic in one of the console's threads restores the terminal before it prints, and calls `broken` unless it is
@@ -516,7 +507,7 @@ impl Guard {
                 fault(describe(info));
             }
         }));
-        Ok(Self { _private: () })
+        Ok(Self(()))
     }
 }
 

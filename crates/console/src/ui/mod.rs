@@ -52,7 +52,7 @@ pub fn draw(frame: &mut Frame, state: &State, theme: &Theme) -> Option<Placement
     } else {
         draw_whole(&mut canvas, area, state);
     }
-    let (cursor, placement) = (canvas.cursor(), canvas.placement());
+    let (cursor, placement) = (canvas.cursor, canvas.placement());
     if theme.ascii {
         flatten(frame.buffer_mut());
     }
@@ -142,14 +142,6 @@ impl<'a> Canvas<'a> {
         }
     }
 
-    pub fn draws_pixels(&self) -> bool {
-        self.theme.draws_pixels()
-    }
-
-    pub fn screen(&self) -> Rect {
-        *self.buffer.area()
-    }
-
     /// The place stays empty for the terminal's picture.
     pub fn place(&mut self, placement: Placement) {
         self.wipe(placement.area);
@@ -162,14 +154,6 @@ impl<'a> Canvas<'a> {
         let free =
             |area: Rect| area.positions().all(|place| buffer.cell(place).is_some_and(|cell| cell.symbol() == " "));
         self.placement.take().filter(|placement| free(placement.area))
-    }
-
-    pub fn cursor(&self) -> Option<Position> {
-        self.cursor
-    }
-
-    pub fn set_cursor(&mut self, x: u16, y: u16) {
-        self.cursor = Some(Position { x, y });
     }
 
     /// First row of `area`, cut at its edge; returns the columns taken.

@@ -165,31 +165,28 @@ pub struct Placement {
 /// Upper left of `area`, as large as fits, keeping the shape.
 pub fn draw_raster(canvas: &mut Canvas, area: Rect, raster: &Raster) {
     let cells = (usize::from(area.width), usize::from(area.height));
-    if canvas.draws_pixels() {
+    if canvas.theme.draws_pixels() {
         return place(canvas, area, raster);
     }
     let shades = canvas.shades();
-    if shades == Shades::None {
-        // A cell is about twice as high as wide.
-        let fitted = raster.fit((cells.0, cells.1 * 2));
-        each(area, (fitted.width, fitted.height.div_ceil(2)), |x, y, cell| {
-            let bright = usize::midpoint(brightness(fitted.pixel(x, y * 2)), brightness(fitted.pixel(x, y * 2 + 1)));
-            let letter = RAMP.get(bright * RAMP.len() / 256).copied().unwrap_or(b'@');
-            canvas.paint(cell, char::from(letter), Style::default());
-        });
-        return;
-    }
+    // A cell is about twice as high as wide.
     let fitted = raster.fit((cells.0, cells.1 * 2));
     each(area, (fitted.width, fitted.height.div_ceil(2)), |x, y, cell| {
-        let colour = |y: usize| coloured(fitted.pixel(x, y), (x, y), shades);
-        let style = Style::default().fg(colour(y * 2)).bg(colour(y * 2 + 1));
+        let (upper, lower) = (fitted.pixel(x, y * 2), fitted.pixel(x, y * 2 + 1));
+        if shades == Shades::None {
+            let bright = usize::midpoint(brightness(upper), brightness(lower));
+            let letter = RAMP.get(bright * RAMP.len() / 256).copied().unwrap_or(b'@');
+            return canvas.paint(cell, char::from(letter), Style::default());
+        }
+        let fg = coloured(upper, (x, y * 2), shades);
+        let style = Style::default().fg(fg).bg(coloured(lower, (x, y * 2 + 1), shades));
         canvas.paint(cell, '▀', style);
     });
 }
 
 /// The half-blocks' place, clear of messages, which come and go.
 fn place(canvas: &mut Canvas, area: Rect, raster: &Raster) {
-    let area = area.intersection(bars::above(canvas.screen()));
+    let area = area.intersection(bars::above(*canvas.buffer.area()));
     let (width, height) = raster.size_within((usize::from(area.width), usize::from(area.height) * 2));
     let (Ok(width), Ok(height)) = (u16::try_from(width), u16::try_from(height.div_ceil(2))) else { return };
     let area = Rect { width, height, ..area };
@@ -298,7 +295,7 @@ mod raster_tests {
     use ratatui::buffer::Buffer;
 
     fn drawn(raster: &Raster, shades: Shades, ascii: bool) -> Buffer {
-        let theme = Theme::named("night").expect("embedded").with_ascii(ascii).with_shades(shades);
+        let theme = Theme { ascii, shades, ..Theme::named("night").expect("embedded") };
         let area = Rect::new(0, 0, 12, 6);
         let mut buffer = Buffer::empty(area);
         draw_raster(&mut Canvas::new(&mut buffer, &theme), area, raster);
@@ -339,14 +336,19 @@ mod raster_tests {
 
     #[test]
     fn a_terminal_that_draws_pictures_gets_a_place_clear_of_messages() {
-        let night = || Theme::named("night").expect("embedded").with_pixels(true);
+        let night = || Theme { pixels: true, ..Theme::named("night").expect("embedded") };
         let placement = placed(&night(), &ramp(), "").expect("a place");
         assert_eq!((placement.area, placement.raster), (Rect::new(3, 2, 12, 6), ramp()));
         assert!(placement.area.bottom() <= 8, "four rows are kept for messages and bar");
         assert_eq!(placed(&night(), &ramp(), "text"), None, "text over it wins");
         assert_eq!(placed(&night(), &Raster::default(), ""), None);
-        let mono = Theme::named("mono").expect("embedded").with_pixels(true);
-        for theme in [night().with_ascii(true), night().with_shades(Shades::None), night().with_pixels(false), mono] {
+        let mono = Theme { pixels: true, ..Theme::named("mono").expect("embedded") };
+        for theme in [
+            Theme { ascii: true, ..night() },
+            Theme { shades: Shades::None, ..night() },
+            Theme { pixels: false, ..night() },
+            mono,
+        ] {
             assert_eq!(placed(&theme, &ramp(), ""), None);
         }
     }

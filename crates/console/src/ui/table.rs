@@ -1,6 +1,6 @@
 //! Tables: a title line, column heads, and the page of rows that contains the cursor.
 
-use ratatui::layout::Rect;
+use ratatui::layout::{Position, Rect};
 
 use super::theme::Role;
 use super::{Canvas, below, columns, right_of, row};
@@ -189,7 +189,8 @@ fn draw_title(canvas: &mut Canvas, area: Rect, sheet: &Sheet) {
         rest = canvas.puts(rest, &[("filter: ", Role::Accent)]);
         if sheet.table.filtering {
             let before: String = filter.text().chars().take(filter.cursor()).collect();
-            canvas.set_cursor((rest.x + columns(&before)).min(area.right().saturating_sub(1)), rest.y);
+            let x = (rest.x + columns(&before)).min(area.right().saturating_sub(1));
+            canvas.cursor = Some(Position { x, y: rest.y });
         }
         let selected = sheet.table.filtering && filter.is_offered();
         let role = if selected { Role::Selection } else { Role::Accent };

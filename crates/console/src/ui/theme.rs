@@ -80,25 +80,13 @@ pub struct Theme {
     pub pixels: bool,
     /// Background the colours are made for.
     pub assumed: Option<(u8, u8, u8)>,
-    styles: [Style; Role::COUNT],
+    pub(crate) styles: [Style; Role::COUNT],
 }
 
 impl Theme {
     pub fn named(name: &str) -> Result<Self, ThemeError> {
         let text = embedded_text(name).ok_or_else(|| unknown(name, EMBEDDED.map(|(known, _)| known).join(", ")))?;
         Ok(read(name, text, &[])?)
-    }
-
-    pub fn with_ascii(self, ascii: bool) -> Self {
-        Self { ascii, ..self }
-    }
-
-    pub fn with_shades(self, shades: Shades) -> Self {
-        Self { shades, ..self }
-    }
-
-    pub fn with_pixels(self, pixels: bool) -> Self {
-        Self { pixels, ..self }
     }
 
     /// Never in ASCII, nor without colours.

@@ -13,6 +13,7 @@ use crate::service::reply::{
     SenderView, TopicRow,
 };
 use crate::service::{NoticeLevel, UploadQuery};
+use strum::IntoStaticStr;
 
 /// Characters of a device id that distinguish robots of one name.
 const DEVICE: usize = 8;
@@ -327,7 +328,8 @@ impl LogLine {
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, IntoStaticStr)]
+#[strum(serialize_all = "lowercase")]
 pub enum Source {
     /// The operator's commands and how they ended.
     Console,
@@ -339,11 +341,7 @@ impl Source {
     pub const ALL: [Self; 3] = [Self::Console, Self::Site, Self::Audit];
 
     pub fn word(self) -> &'static str {
-        match self {
-            Self::Console => "console",
-            Self::Site => "site",
-            Self::Audit => "audit",
-        }
+        self.into()
     }
 }
 
@@ -440,7 +438,7 @@ fn audit_line(view: AuditView) -> LogLine {
     LogLine { at: view.at, level, key, source: Source::Audit, text, about: None, seen: true }
 }
 
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Records {
     pub rows: Vec<RecordView>,
     /// Cursor of the next page.
@@ -455,20 +453,6 @@ pub struct Records {
     typed: (String, Timestamp),
     /// Whether more records are on their way from the gateway.
     pub arriving: bool,
-}
-
-impl Default for Records {
-    fn default() -> Self {
-        Self {
-            rows: Vec::new(),
-            next: None,
-            path: Vec::new(),
-            table: Table::following(),
-            anchor: None,
-            typed: (String::new(), Timestamp(0)),
-            arriving: false,
-        }
-    }
 }
 
 #[derive(Debug, Default, PartialEq, Eq)]

@@ -27,16 +27,10 @@ pub struct Topics {
     folded: BTreeSet<String>,
     /// Their rows.
     robots: BTreeMap<String, TopicRow>,
-    shown: Shown,
-}
-
-/// Computed once until filter, order or rows change.
-#[derive(Debug, Default)]
-struct Shown {
-    filter: String,
-    sort: usize,
-    reversed: bool,
+    /// The rows shown, computed once until filter, order or rows change.
     places: Vec<Place>,
+    /// Filter, sort and direction of `places`.
+    ordered: (String, usize, bool),
 }
 
 #[derive(Debug, Clone)]
@@ -119,7 +113,7 @@ impl Topics {
 
     /// Filtered and in order, folded robots in one row each.
     pub fn visible(&self) -> Vec<&TopicRow> {
-        self.shown.places.iter().filter_map(|place| self.at(place)).collect()
+        self.places.iter().filter_map(|place| self.at(place)).collect()
     }
 
     fn at(&self, place: &Place) -> Option<&TopicRow> {
@@ -177,12 +171,6 @@ impl Topics {
         self.table.select(&keys, 0);
     }
 
-    fn is_fresh(&self) -> bool {
-        self.shown.filter == self.table.filter.text()
-            && self.shown.sort == self.table.sort
-            && self.shown.reversed == self.table.reversed
-    }
-
     fn found(&self) -> Vec<(usize, &TopicRow)> {
         let all = self.rows.iter().enumerate().collect();
         let mut rows = palette::narrow(self.table.filter.text(), all, |(_, row)| haystack(row));
@@ -195,20 +183,15 @@ impl Topics {
     }
 
     pub fn refresh(&mut self, rows_changed: bool) {
-        if rows_changed || !self.is_fresh() {
-            let (places, robots) = self.places();
-            self.robots = robots;
-            self.shown = Shown {
-                filter: self.table.filter.text().to_owned(),
-                sort: self.table.sort,
-                reversed: self.table.reversed,
-                places,
-            };
+        let wanted = (self.table.filter.text().to_owned(), self.table.sort, self.table.reversed);
+        if rows_changed || self.ordered != wanted {
+            (self.places, self.robots) = self.arranged();
+            self.ordered = wanted;
         }
     }
 
     /// Topics of a folded robot become one row, at the place of the first.
-    fn places(&self) -> (Vec<Place>, BTreeMap<String, TopicRow>) {
+    fn arranged(&self) -> (Vec<Place>, BTreeMap<String, TopicRow>) {
         let (mut places, mut taken) = (Vec::new(), BTreeMap::<String, Vec<&TopicRow>>::new());
         for (place, row) in self.found() {
             match super::robot_of(&row.topic).filter(|robot| self.folded.contains(*robot)) {
@@ -227,7 +210,7 @@ impl Topics {
     }
 
     pub fn any_visible(&self) -> bool {
-        !self.shown.places.is_empty()
+        !self.places.is_empty()
     }
 
     pub fn keys(&self) -> Vec<String> {

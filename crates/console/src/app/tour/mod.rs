@@ -34,10 +34,9 @@ impl Tour {
 
     /// Name, action, reason.
     pub fn lines(&self) -> Option<[String; 3]> {
-        let text = TEXT.get(self.place)?;
-        let fill =
-            |line: &str| line.replace("OWNER", self.cast.owner.as_str()).replace("READER", self.cast.reader.as_str());
-        Some([fill(text.name), fill(text.act), fill(text.why)])
+        let (_, text) = TEXT.get(self.place)?;
+        let (owner, reader) = (self.cast.owner.as_str(), self.cast.reader.as_str());
+        Some(text.map(|line| line.replace("OWNER", owner).replace("READER", reader)))
     }
 }
 
@@ -52,13 +51,13 @@ pub fn knows(state: &State, verb: Verb) -> bool {
 
 /// Whether a step needs the list of grants.
 pub fn wants_grants(state: &State) -> bool {
-    let step = state.tour.as_ref().and_then(|tour| TEXT.get(tour.place)).map(|text| text.step);
-    matches!(step, Some(Step::Grant | Step::Revoke))
+    let text = state.tour.as_ref().and_then(|tour| TEXT.get(tour.place));
+    matches!(text, Some((Step::Grant | Step::Revoke, _)))
 }
 
 pub fn follow(state: &mut State) {
     let Some(mut tour) = state.tour.take() else { return };
-    while TEXT.get(tour.place).is_some_and(|text| is_done(state, &tour.cast, text.step)) {
+    while TEXT.get(tour.place).is_some_and(|(step, _)| is_done(state, &tour.cast, *step)) {
         tour.place += 1;
     }
     state.tour = (tour.place < TEXT.len()).then_some(tour);
@@ -111,55 +110,62 @@ pub enum Step {
     End,
 }
 
-#[derive(Debug, Clone, Copy)]
-pub struct StepText {
-    pub step: Step,
-    pub name: &'static str,
-    pub act: &'static str,
-    pub why: &'static str,
-}
-
-pub const TEXT: [StepText; 7] = [
-    StepText {
-        step: Step::Register,
-        name: "Who you are",
-        act: "Press n and type any passphrase twice (this home is temporary).",
-        why: "Keys are created here; the chain gets only the public ones.",
-    },
-    StepText {
-        step: Step::Watch,
-        name: "Capture a robot",
-        act: "Press 2 for topics, select /robot1/odom with the arrows, press w.",
-        why: "Each message is encrypted and signed before anyone else sees it.",
-    },
-    StepText {
-        step: Step::Verified,
-        name: "See a record verified",
-        act: "Press 3 for your records, select one, then enter. esc closes it.",
-        why: "Its digest is on the chain: nobody can change it now, not even you.",
-    },
-    StepText {
-        step: Step::Grant,
-        name: "Share it",
-        act: "esc, 2, g on the topic; address READER. Enter through the form, then y.",
-        why: "READER gets the topic's key, sealed. The data itself does not move.",
-    },
-    StepText {
-        step: Step::Open,
-        name: "Be the reader",
-        act: "Type :profile READER and enter. Then 4, down, enter: a record opens.",
-        why: "READER checks digest and signature against the chain before decrypting.",
-    },
-    StepText {
-        step: Step::Revoke,
-        name: "Take it back",
-        act: "esc, :profile OWNER and enter. Then 5, x on the grant, and y.",
-        why: "The next record has a new key. What was already read stays read.",
-    },
-    StepText {
-        step: Step::End,
-        name: "That is all",
-        act: "Look around: ? lists the keys of a screen. E closes this strip.",
-        why: "Just authros opens your own site; the manual starts at docs/README.md.",
-    },
+/// Of each step: name, action, reason.
+pub const TEXT: [(Step, [&str; 3]); 7] = [
+    (
+        Step::Register,
+        [
+            "Who you are",
+            "Press n and type any passphrase twice (this home is temporary).",
+            "Keys are created here; the chain gets only the public ones.",
+        ],
+    ),
+    (
+        Step::Watch,
+        [
+            "Capture a robot",
+            "Press 2 for topics, select /robot1/odom with the arrows, press w.",
+            "Each message is encrypted and signed before anyone else sees it.",
+        ],
+    ),
+    (
+        Step::Verified,
+        [
+            "See a record verified",
+            "Press 3 for your records, select one, then enter. esc closes it.",
+            "Its digest is on the chain: nobody can change it now, not even you.",
+        ],
+    ),
+    (
+        Step::Grant,
+        [
+            "Share it",
+            "esc, 2, g on the topic; address READER. Enter through the form, then y.",
+            "READER gets the topic's key, sealed. The data itself does not move.",
+        ],
+    ),
+    (
+        Step::Open,
+        [
+            "Be the reader",
+            "Type :profile READER and enter. Then 4, down, enter: a record opens.",
+            "READER checks digest and signature against the chain before decrypting.",
+        ],
+    ),
+    (
+        Step::Revoke,
+        [
+            "Take it back",
+            "esc, :profile OWNER and enter. Then 5, x on the grant, and y.",
+            "The next record has a new key. What was already read stays read.",
+        ],
+    ),
+    (
+        Step::End,
+        [
+            "That is all",
+            "Look around: ? lists the keys of a screen. E closes this strip.",
+            "Just authros opens your own site; the manual starts at docs/README.md.",
+        ],
+    ),
 ];

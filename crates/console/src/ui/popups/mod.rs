@@ -6,7 +6,7 @@ pub(in crate::ui) use windows::{
     Piece, coverage_lines, inside, provenance_lines, put_lines, record_lines as record_facts,
 };
 
-use ratatui::layout::Rect;
+use ratatui::layout::{Position, Rect};
 
 use super::lists::{self, empty};
 use super::table::Layout;
@@ -182,7 +182,7 @@ fn draw_palette(canvas: &mut Canvas, area: Rect, state: &State, palette: &Palett
     let inner = framed(canvas, area, "Commands", 72, 14);
     canvas.puts(inner, &[(": ", Role::Key), (palette.field.text(), Role::Accent)]);
     let before: String = palette.field.text().chars().take(palette.field.cursor()).collect();
-    canvas.set_cursor(inner.x + 2 + columns(&before), inner.y);
+    canvas.cursor = Some(Position { x: inner.x + 2 + columns(&before), y: inner.y });
     let matches = palette.matches(state);
     if matches.is_empty() {
         canvas.put(below(inner, 1), "no command matches", Role::Dim);
@@ -230,11 +230,8 @@ fn draw_columns(canvas: &mut Canvas, area: Rect, state: &State, choice: &ColumnC
 const HELP_KEYS: u16 = 14;
 const HELP_WIDTH: u16 = 72;
 
-struct Told {
-    keys: String,
-    words: String,
-    possible: bool,
-}
+/// Keys, words, and the role of the words.
+type Told = (String, String, Role);
 
 /// Never cuts a sentence.
 pub fn draw_help(canvas: &mut Canvas, area: Rect, state: &State, help: &Help) {
@@ -244,8 +241,8 @@ pub fn draw_help(canvas: &mut Canvas, area: Rect, state: &State, help: &Help) {
     };
     let width = HELP_WIDTH.min(area.width.saturating_sub(6));
     let wanted = help.filter.text();
-    let fits = |told: &&Told| whole_words(wanted, &format!("{} {}", told.keys, told.words));
-    let lines: Vec<(String, String, Role)> = told.iter().filter(fits).flat_map(|told| broken(told, width)).collect();
+    let fits = |(keys, words, _): &&Told| whole_words(wanted, &format!("{keys} {words}"));
+    let lines: Vec<Told> = told.iter().filter(fits).flat_map(|told| broken(told, width)).collect();
     let searched = help.filtering || !wanted.is_empty();
     let inner = framed(canvas, area, &title, HELP_WIDTH, rows(lines.len().max(1) + usize::from(searched)));
     let list = Rect { height: inner.height.saturating_sub(u16::from(searched)), ..inner };
@@ -266,9 +263,7 @@ pub fn draw_help(canvas: &mut Canvas, area: Rect, state: &State, help: &Help) {
 }
 
 fn of_window(hints: &[(&str, &str)]) -> Vec<Told> {
-    let told =
-        |(keys, words): &(&str, &str)| Told { keys: (*keys).to_owned(), words: (*words).to_owned(), possible: true };
-    hints.iter().map(told).collect()
+    hints.iter().map(|(keys, words)| ((*keys).to_owned(), (*words).to_owned(), Role::Body)).collect()
 }
 
 /// Verbs of the screen first.
@@ -285,15 +280,14 @@ fn of_entry(state: &State, entry: &Entry) -> Told {
     let keys: Vec<String> = bindings.iter().map(|binding| chord_label(&binding.on)).collect();
     let words = bindings.iter().find(|binding| binding.desc.is_some()).map_or(entry.help, |binding| binding.help());
     let reason = available(state, entry.verb).err();
-    let possible = reason.is_none();
+    let role = if reason.is_none() { Role::Body } else { Role::Dim };
     let words = reason.map_or_else(|| words.to_owned(), |reason| format!("{words} ({reason})"));
-    Told { keys: keys.join(", "), words, possible }
+    (keys.join(", "), words, role)
 }
 
-fn broken(told: &Told, width: u16) -> Vec<(String, String, Role)> {
-    let role = if told.possible { Role::Body } else { Role::Dim };
-    let lines = wrap(&told.words, width.saturating_sub(HELP_KEYS)).into_iter().enumerate();
-    lines.map(|(place, line)| (if place == 0 { told.keys.clone() } else { String::new() }, line, role)).collect()
+fn broken((keys, words, role): &Told, width: u16) -> Vec<Told> {
+    let lines = wrap(words, width.saturating_sub(HELP_KEYS)).into_iter().enumerate();
+    lines.map(|(place, line)| (if place == 0 { keys.clone() } else { String::new() }, line, *role)).collect()
 }
 
 const LABEL: u16 = 13;
@@ -311,20 +305,16 @@ pub fn draw_form(canvas: &mut Canvas, area: Rect, form: &Form) {
     let told = shortened(told, area.height.saturating_sub(ROWS));
     let needed = notes.len() + form.lines.len() + 2 + error.len() + told.len();
     let inner = framed(canvas, area, &form.title, FORM_WIDTH, rows(needed));
-    let mut place = 0;
-    for note in &notes {
+    for (place, note) in (0..).zip(&notes) {
         canvas.put(row(inner, place), note, Role::Dim);
-        place += 1;
     }
-    place += 1;
-    for (index, line) in form.lines.iter().enumerate() {
+    let fields = rows(notes.len()) + 1;
+    for (place, (index, line)) in (fields..).zip(form.lines.iter().enumerate()) {
         draw_line(canvas, row(inner, place), line, index == form.focus);
-        place += 1;
     }
-    place += 1;
-    for (line, role) in error.iter().map(|line| (line, Role::Bad)).chain(told.iter().map(|line| (line, Role::Dim))) {
+    let answers = error.iter().map(|line| (line, Role::Bad)).chain(told.iter().map(|line| (line, Role::Dim)));
+    for (place, (line, role)) in (fields + rows(form.lines.len()) + 1..).zip(answers) {
         canvas.put(row(inner, place), line, role);
-        place += 1;
     }
 }
 
@@ -353,7 +343,7 @@ fn draw_line(canvas: &mut Canvas, area: Rect, line: &Line, focused: bool) {
             canvas.put(place, if empty { line.hint } else { &shown }, if empty { Role::Dim } else { Role::Body });
             if focused && place.width > 0 {
                 let offset = columns(&before).min(place.width - 1);
-                canvas.set_cursor(place.x + offset, place.y);
+                canvas.cursor = Some(Position { x: place.x + offset, y: place.y });
             }
         }
         Input::Choice { options, chosen } => {

@@ -282,12 +282,11 @@ fn draw_lines(canvas: &mut Canvas, area: Rect, title: &str, lines: &[Piece], scr
 
 /// No topic = all of them.
 pub fn draw_readers(canvas: &mut Canvas, area: Rect, state: &State, topics: &[String]) {
+    let mut lines: Vec<Piece> = Vec::new();
     if topics.is_empty() {
-        let lines: Vec<Piece> =
-            readers(state, "New records of all topics:", None).into_iter().map(|line| (line, Role::Body)).collect();
-        return draw_lines(canvas, area, "Who can read this now?", &with_words(lines), 0);
+        let readers = readers(state, "New records of all topics:", None);
+        lines.extend(readers.into_iter().map(|line| (line, Role::Body)));
     }
-    let mut lines = Vec::new();
     let given: Vec<&GrantRow> = state.grants.rows.iter().filter(|row| is_given(row) && is_active(row)).collect();
     for topic in topics.iter().take(8) {
         lines.push((topic.clone(), Role::Accent));
@@ -298,17 +297,12 @@ pub fn draw_readers(canvas: &mut Canvas, area: Rect, state: &State, topics: &[St
     if topics.len() > 8 {
         lines.push((format!("and {} more topics", topics.len() - 8), Role::Dim));
     }
-    if state.awaits(Feed::Grants) {
+    if !topics.is_empty() && state.awaits(Feed::Grants) {
         lines.push(("(the list of grants has not arrived yet)".to_owned(), Role::Warning));
     }
-    draw_lines(canvas, area, "Who can read this now?", &with_words(lines), 0);
-}
-
-fn with_words(mut lines: Vec<Piece>) -> Vec<Piece> {
-    lines.push((String::new(), Role::Body));
     let text = "Revoking does not undo reads: anyone who read a record may have kept it.";
-    lines.push((text.to_owned(), Role::Dim));
-    lines
+    lines.extend([Piece::default(), (text.to_owned(), Role::Dim)]);
+    draw_lines(canvas, area, "Who can read this now?", &lines, 0);
 }
 
 fn reader(row: &GrantRow) -> String {
