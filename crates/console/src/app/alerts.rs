@@ -30,6 +30,10 @@ pub struct Alert {
 }
 
 impl Alert {
+    fn new(about: &str, level: NoticeLevel, text: String, since: Timestamp) -> Self {
+        Self { about: about.to_owned(), level, text, since, count: 1, resolved: None, lasts: false }
+    }
+
     /// Alerts that begin and end on their own within seconds, as at every start, are not news.
     fn is_worth_knowing(&self) -> bool {
         let lasted = self.resolved.map_or(0, |at| at.0.saturating_sub(self.since.0));
@@ -94,20 +98,11 @@ impl AlertBook {
 
 pub fn refresh(state: &mut State) {
     let found = standing(state);
-    let now = state.now;
-    state.alerts.refresh(found, now);
+    state.alerts.refresh(found, state.now);
 }
 
 fn standing(state: &State) -> Vec<Alert> {
-    let alert = |about: &str, level, text| Alert {
-        about: about.to_owned(),
-        level,
-        text,
-        since: state.now,
-        count: 1,
-        resolved: None,
-        lasts: false,
-    };
+    let alert = |about: &str, level, text| Alert::new(about, level, text, state.now);
     let mut found = Vec::new();
     if let Some(site) = &state.site {
         found.extend(site.health.iter().filter_map(|part| {
@@ -141,17 +136,13 @@ fn standing(state: &State) -> Vec<Alert> {
 
 /// Alerts of the site's own rules, with the site's times, regardless of consoles.
 fn judged(state: &State, site: &SiteView) -> Vec<Alert> {
-    let shown = |alert: &AlertView, resolved| Alert {
-        about: format!("alert {}", alert.key),
-        level: match alert.severity {
+    let shown = |alert: &AlertView, resolved| {
+        let level = match alert.severity {
             Severity::Warning => NoticeLevel::Warning,
             Severity::Critical => NoticeLevel::Error,
-        },
-        text: alert.text.clone(),
-        since: alert.begun,
-        count: 1,
-        resolved,
-        lasts: true,
+        };
+        let about = format!("alert {}", alert.key);
+        Alert { resolved, lasts: true, ..Alert::new(&about, level, alert.text.clone(), alert.begun) }
     };
     let is_news = |alert: &&AlertView| !is_told_otherwise(&alert.key, state, site);
     let standing = site.alerts.iter().filter(is_news).map(|alert| shown(alert, None));

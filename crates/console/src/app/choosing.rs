@@ -139,41 +139,32 @@ const TOPICS: &[Offered] = &[
     column("age", 80, "Time since the last message"),
 ];
 
-const UPLOADS: &[Offered] = &[
-    column("state", 0, "How far the record has come"),
-    column("topic", 0, "Name of the topic (always shown)"),
-    column("type", 120, "Message type"),
-    column("seq", 0, "Number of the record"),
-    column("size", 0, "Size of the message"),
-    column("time", 0, "When it was captured"),
-    column("epoch", 130, "Epoch of its key"),
-    column("block", 100, "Block that anchors it"),
-    column("id", 140, "Its id"),
-    column("digest", NEVER, "Beginning of its SM3 digest"),
-    column("transaction", NEVER, "Beginning of the transaction's hash"),
+/// Of records: name, widths from which Uploads and Shared show it usually, words.
+const RECORDS: [(&str, [Option<u16>; 2], &str); 12] = [
+    ("state", [Some(0), Some(0)], "How far the record has come"),
+    ("owner", [None, Some(0)], "Who shares it"),
+    ("topic", [Some(0), Some(0)], "Name of the topic (always shown)"),
+    ("type", [Some(120), Some(120)], "Message type"),
+    ("seq", [Some(0), Some(0)], "Number of the record"),
+    ("size", [Some(0), Some(0)], "Size of the message"),
+    ("time", [Some(0), Some(70)], "When it was captured"),
+    ("epoch", [Some(130), Some(130)], "Epoch of its key"),
+    ("block", [Some(100), Some(110)], "Block that anchors it"),
+    ("id", [Some(140), Some(150)], "Its id"),
+    ("digest", [Some(NEVER), Some(NEVER)], "Beginning of its SM3 digest"),
+    ("transaction", [Some(NEVER), Some(NEVER)], "Beginning of the transaction's hash"),
 ];
 
-const SHARED: &[Offered] = &[
-    column("state", 0, "How far the record has come"),
-    column("owner", 0, "Who shares it"),
-    column("topic", 0, "Name of the topic (always shown)"),
-    column("type", 120, "Message type"),
-    column("seq", 0, "Number of the record"),
-    column("size", 0, "Size of the message"),
-    column("time", 70, "When it was captured"),
-    column("epoch", 130, "Epoch of its key"),
-    column("block", 110, "Block that anchors it"),
-    column("id", 150, "Its id"),
-    column("digest", NEVER, "Beginning of its SM3 digest"),
-    column("transaction", NEVER, "Beginning of the transaction's hash"),
-];
-
-pub fn offered(screen: Screen) -> &'static [Offered] {
+pub fn offered(screen: Screen) -> Vec<Offered> {
+    let of_list = |list: usize| {
+        let found = RECORDS.iter().filter_map(|(name, from, words)| Some(column(name, from[list]?, words)));
+        found.collect()
+    };
     match screen {
-        Screen::Topics => TOPICS,
-        Screen::Uploads => UPLOADS,
-        Screen::Shared => SHARED,
-        Screen::Overview | Screen::Grants | Screen::Keys | Screen::Chain | Screen::Gateway | Screen::Log => &[],
+        Screen::Topics => TOPICS.to_vec(),
+        Screen::Uploads => of_list(0),
+        Screen::Shared => of_list(1),
+        Screen::Overview | Screen::Grants | Screen::Keys | Screen::Chain | Screen::Gateway | Screen::Log => Vec::new(),
     }
 }
 
@@ -189,7 +180,7 @@ pub fn wanted(screen: Screen, table: &Table, width: u16) -> Vec<&'static str> {
 pub fn known<'a>(screen: Screen, names: impl IntoIterator<Item = &'a str>) -> Result<Vec<&'static str>, &'a str> {
     let mut found: Vec<&'static str> = Vec::new();
     for name in names {
-        let column = offered(screen).iter().find(|column| column.name == name).ok_or(name)?;
+        let column = offered(screen).into_iter().find(|column| column.name == name).ok_or(name)?;
         if !found.contains(&column.name) {
             found.push(column.name);
         }

@@ -346,14 +346,6 @@ pub struct GrantWish {
     pub expires: Option<Timestamp>,
 }
 
-impl GrantWish {
-    pub fn errand(self) -> Errand {
-        let Self { grantee, topics, epochs, expires } = self;
-        let tag = Tag::Grant(grantee.clone());
-        Errand { command: Command::Grant { grantee, topics, epochs, expires }, tag }
-    }
-}
-
 pub fn read_grant(form: &Form, own: Option<Address>, now: Timestamp) -> Result<GrantWish, Wrong> {
     let grantee: Party = form.parsed(0)?;
     if grantee.address().is_some_and(|address| Some(address) == own) {

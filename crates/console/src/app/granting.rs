@@ -194,14 +194,11 @@ pub fn open_contacts(state: &mut State) {
 }
 
 pub fn hints(state: &State) -> Vec<(&'static str, &'static str)> {
+    let any = !state.contacts.is_empty();
     let changes = [("n", "new"), ("g", "grant"), ("c", "confirm key"), ("x", "remove")];
-    let changes = changes.into_iter().filter(|(key, _)| !state.settings.read_only && (*key == "n" || any(state)));
-    let looks = [("y", "copy address")].into_iter().filter(|_| any(state));
+    let changes = changes.into_iter().filter(|(key, _)| !state.settings.read_only && (*key == "n" || any));
+    let looks = any.then_some(("y", "copy address"));
     changes.chain(looks).chain([("q", "close")]).collect()
-}
-
-fn any(state: &State) -> bool {
-    !state.contacts.is_empty()
 }
 
 pub fn key(state: &mut State, selected: usize, key: Key) {

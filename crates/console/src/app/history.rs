@@ -41,10 +41,6 @@ impl Period {
             Self::Hour => 60,
         }
     }
-
-    fn nanoseconds(self) -> u64 {
-        self.minutes() * 60 * SECOND
-    }
 }
 
 /// Counts of the site at a moment; they only grow.
@@ -199,7 +195,7 @@ impl History {
 }
 
 fn part(period: Period, parts: usize) -> u64 {
-    period.nanoseconds() / (parts.max(1) as u64)
+    period.minutes() * 60 * SECOND / (parts.max(1) as u64)
 }
 
 #[expect(clippy::cast_precision_loss, reason = "counts of records and nanoseconds of an hour stay below 2^53")]
@@ -222,13 +218,9 @@ pub struct Rates {
     pub stations: [f64; STATIONS],
 }
 
-fn counts(life: &LifeLine) -> [u64; STATIONS] {
-    [life.captured, life.stored, life.anchored, life.confirmed, life.verified]
-}
-
 impl Rates {
     pub fn observe(&mut self, life: &LifeLine, now: Timestamp) {
-        let counts = counts(life);
+        let counts = [life.captured, life.stored, life.anchored, life.confirmed, life.verified];
         let Some((since, before)) = self.base else {
             self.base = Some((now, counts));
             return;

@@ -36,7 +36,8 @@ pub fn run(state: &mut State, need: Need, errands: Vec<Errand>) {
 
 pub fn advance(state: &mut State) {
     let under_way = state.work.iter().any(|tag| matches!(tag, Tag::CreateIdentity | Tag::Unlock | Tag::Register));
-    let asking = state.popups.iter().any(is_identity_form);
+    let asks = |popup: &Popup| matches!(popup, Popup::Form(Purpose::CreateIdentity | Purpose::Unlock, _));
+    let asking = state.popups.iter().any(asks);
     let (Some(path), Some(identity)) = (&state.identity_path, &state.identity) else { return };
     if under_way || asking {
         return;
@@ -126,8 +127,4 @@ fn open_form(state: &mut State, purpose: Purpose, error: Option<String>) {
     };
     form.error = error;
     state.popups.push(Popup::Form(purpose, form));
-}
-
-fn is_identity_form(popup: &Popup) -> bool {
-    matches!(popup, Popup::Form(Purpose::CreateIdentity | Purpose::Unlock, _))
 }

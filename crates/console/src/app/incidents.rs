@@ -98,12 +98,6 @@ pub fn asked_at(state: &State) -> Option<Timestamp> {
     (seen && goes_on).then(|| Timestamp(state.incidents.told_at.0.saturating_add(ASKED_EVERY)))
 }
 
-pub fn tick(state: &mut State) {
-    if asked_at(state).is_some_and(|at| at <= state.now) {
-        state.feeds.slot_mut(Feed::Incidents).stale = true;
-    }
-}
-
 /// Key, word of the bar, sentence of the help.
 fn possible(state: &State, list: &IncidentList) -> Vec<[&'static str; 3]> {
     let chosen = list.chosen(state);

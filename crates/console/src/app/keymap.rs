@@ -83,9 +83,7 @@ impl Place {
 }
 
 #[derive(Debug, Clone, PartialEq)]
-pub struct Keymap {
-    screens: Vec<Vec<Binding>>,
-}
+pub struct Keymap(Vec<Vec<Binding>>);
 
 impl Default for Keymap {
     fn default() -> Self {
@@ -117,11 +115,11 @@ impl Keymap {
             }
             bindings
         };
-        Self { screens: Screen::all().map(of_screen).collect() }
+        Self(Screen::all().map(of_screen).collect())
     }
 
     pub fn bindings(&self, screen: Screen) -> &[Binding] {
-        &self.screens[screen.index()]
+        &self.0[screen.index()]
     }
 
     pub fn meaning(&self, pressed: &[Key], screen: Screen) -> Meaning<'_> {
@@ -339,15 +337,12 @@ fn reachable(source: &Source, keymap: &Keymap, lines: &[Read], screen: Screen) -
             let taken =
                 |line: &&Read| VERBS.iter().any(|entry| entry.verb == verb && entry.chords().any(|on| on == line.on));
             let at = lines.iter().rfind(taken).map_or(0, |line| line.at.start);
-            let what = format!("on the {} screen no key is left for '{}'", screen.title(), name_of(verb));
+            let name = VERBS.iter().find(|entry| entry.verb == verb).map_or("", |entry| entry.name);
+            let what = format!("on the {} screen no key is left for '{name}'", screen.title());
             return Err(source.wrong(at, what));
         }
     }
     Ok(())
-}
-
-fn name_of(verb: Verb) -> &'static str {
-    VERBS.iter().find(|entry| entry.verb == verb).map_or("", |entry| entry.name)
 }
 
 /// Alt, function keys and terminal-specific keys do not exist here.

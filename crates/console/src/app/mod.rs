@@ -200,12 +200,6 @@ impl State {
         (seen && self.progress.any()).then(|| Timestamp(self.progress_at.0.saturating_add(PROGRESS_EVERY)))
     }
 
-    pub fn ask_for_progress(&mut self) {
-        if self.progress_asked_at().is_some_and(|at| at <= self.now) {
-            self.feeds.slot_mut(Feed::Progress).stale = true;
-        }
-    }
-
     fn graphs_move_at(&self) -> Option<Timestamp> {
         let seen = self.screen == Screen::Overview && !self.is_frozen() && self.popups.is_empty();
         if seen { self.history.moves_at(self.period, GRAPH_PARTS, self.now) } else { None }
@@ -384,7 +378,12 @@ pub fn first_steps(state: &State) -> Vec<FirstStep> {
         },
         step(identity.exists, "keys", "L", "created with the identity; press L to load your own"),
         step(state.watches(), "topics", "w", "watch a topic: its messages are encrypted and anchored"),
-        step(state.grants.any_given() || state.is_locked(), "grant", "g", "let another account read them"),
+        step(
+            state.grants.rows.iter().any(screens::is_given) || state.is_locked(),
+            "grant",
+            "g",
+            "let another account read them",
+        ),
     ];
     if steps.iter().all(|step| step.done) { Vec::new() } else { steps }
 }

@@ -177,7 +177,8 @@ fn find<'a>(state: &'a mut State, id: &str) -> Option<&'a mut Opening> {
 
 /// The picture, or else the bytes, or else the fields; `None` if too long.
 fn writable(view: &OpenedView) -> Option<Contents> {
-    let stem: String = view.record.topic.trim_matches('/').chars().map(file_character).collect();
+    let plain = |character: char| if character.is_ascii_alphanumeric() { character } else { '_' };
+    let stem: String = view.record.topic.trim_matches('/').chars().map(plain).collect();
     let named = |extension: &str, bytes: &[u8]| Contents {
         name: format!("{stem}-{}.{extension}", view.record.seq),
         bytes: Zeroizing::new(bytes.to_vec()),
@@ -191,10 +192,6 @@ fn writable(view: &OpenedView) -> Option<Contents> {
         None if view.message.is_null() || view.record.bytes > 4 << 20 => None,
         None => Some(named("json", view.message.to_string().as_bytes())),
     }
-}
-
-fn file_character(character: char) -> char {
-    if character.is_ascii_alphanumeric() { character } else { '_' }
 }
 
 /// Terminal width from which there is a pane.
@@ -217,12 +214,6 @@ pub struct Detail {
     pub opening: Option<Opening>,
     /// A topic, and when it has records.
     pub coverage: Option<(String, Result<Box<CoverageView>, Failure>)>,
-}
-
-impl Detail {
-    pub fn clear(&mut self) {
-        *self = Self::default();
-    }
 }
 
 pub fn coverage_of(topic: &TopicName) -> Errand {

@@ -136,10 +136,6 @@ pub fn of_words(state: &State, words: &str) -> String {
     }
 }
 
-pub fn copy(state: &mut State, errand: &Errand) {
-    twin(state, errand).into_iter().for_each(|line| perform::copy(state, line));
-}
-
 fn act(errand: &Errand) -> Option<String> {
     let Errand { tag, command } = errand;
     Some(match tag {

@@ -46,8 +46,8 @@ pub fn perform(state: &mut State, verb: Verb) {
         Verb::Suspend => state.effects.push(Effect::Suspend),
         Verb::Up | Verb::PreviousMatch => table::step(state, -1),
         Verb::Down | Verb::NextMatch => table::step(state, 1),
-        Verb::PageUp => table::step(state, -page(state)),
-        Verb::PageDown => table::step(state, page(state)),
+        Verb::PageUp => table::step(state, -state.page_rows().cast_signed()),
+        Verb::PageDown => table::step(state, state.page_rows().cast_signed()),
         Verb::Go(screen) => go(state, screen),
         Verb::NextScreen => go(state, state.screen.shifted(1)),
         Verb::PreviousScreen => go(state, state.screen.shifted(-1)),
@@ -62,7 +62,10 @@ pub fn perform(state: &mut State, verb: Verb) {
         Verb::Level => state.log.next_level(),
         Verb::Source => state.log.next_source(),
         Verb::Read => state.popups.extend(state.log.selected().cloned().map(Popup::Line)),
-        Verb::Tasks => tasks(state),
+        Verb::Tasks => {
+            state.feeds.slot_mut(Feed::Progress).stale = true;
+            state.popups.push(Popup::Tasks);
+        }
         Verb::Readers => readers(state),
         Verb::Contacts => granting::open_contacts(state),
         Verb::SetPolicy => policies::begin(state),
@@ -105,11 +108,6 @@ fn refuse(state: &mut State, verb: Verb, reason: &str) {
     state.inform(format!("{name}: {reason}"));
 }
 
-fn tasks(state: &mut State) {
-    state.feeds.slot_mut(Feed::Progress).stale = true;
-    state.popups.push(Popup::Tasks);
-}
-
 pub(super) fn go(state: &mut State, screen: Screen) {
     if state.screen != screen {
         screen.feeds().iter().for_each(|feed| state.feeds.look(*feed));
@@ -120,10 +118,6 @@ pub(super) fn go(state: &mut State, screen: Screen) {
 fn freeze(state: &mut State) {
     state.frozen = if state.is_frozen() { None } else { Some(state.now) };
     state.feeds.gather();
-}
-
-fn page(state: &State) -> isize {
-    state.page_rows().cast_signed()
 }
 
 fn mark(state: &mut State) {

@@ -91,12 +91,6 @@ pub fn asked_at(state: &State) -> Option<Timestamp> {
     wanted(state).filter(|_| waits && moved).map(|_| due)
 }
 
-pub fn tick(state: &mut State) {
-    if asked_at(state).is_some_and(|at| at <= state.now) {
-        state.feeds.slot_mut(Feed::Robots).stale = true;
-    }
-}
-
 /// Forgets the robots of a locked keyring: they would grow old unnoticed.
 pub fn forget_if_locked(state: &mut State) {
     if state.is_locked() && !state.is_frozen() && state.feeds.slot(Feed::Robots).loaded {

@@ -11,7 +11,7 @@ use super::keymap::{Key, Meaning, chord_label};
 use super::leaving::{self, Leaving};
 use super::opening::{self, Opening};
 use super::perform::{self, copy, perform};
-use super::screens::{LogLine, day, earlier, end, scope};
+use super::screens::{LogLine, day, earlier, end, is_active, is_given, scope};
 use super::update::Feed;
 use super::verb::{Entry, Errand, Tag, VERBS, Verb};
 use super::{State, palette, policies};
@@ -227,7 +227,10 @@ pub fn grant(state: &State, wish: GrantWish) -> Confirm {
     ];
     lines.extend(readers(state, "Current readers:", None));
     lines.push("A later revoke stops new records; what was read cannot be recalled.".to_owned());
-    Confirm { title: "Grant this?".to_owned(), lines, yes: "grant", typed: None, errand: wish.errand() }
+    let GrantWish { grantee, topics, epochs, expires } = wish;
+    let tag = Tag::Grant(grantee.clone());
+    let errand = Errand { command: Command::Grant { grantee, topics, epochs, expires }, tag };
+    Confirm { title: "Grant this?".to_owned(), lines, yes: "grant", typed: None, errand }
 }
 
 pub fn revoke(state: &State, row: &GrantRow) -> Confirm {
@@ -257,7 +260,10 @@ pub fn rotate() -> Confirm {
 
 /// One line each under a title; `without` is left out.
 pub fn readers(state: &State, title: &str, without: Option<&GrantRow>) -> Vec<String> {
-    let readers = state.grants.readers(without.map(|row| row.grantee));
+    let without = without.map(|row| row.grantee);
+    let active = state.grants.rows.iter().filter(|row| is_given(row) && is_active(row) && Some(row.grantee) != without);
+    let line = |row: &GrantRow| (row.grantee, scope(&row.topics), end(row.expires), earlier(row));
+    let readers: Vec<_> = active.map(line).collect();
     let mut lines = vec![title.to_owned()];
     if state.awaits(Feed::Grants) {
         lines.push("  (the list of grants has not arrived yet)".to_owned());
@@ -265,7 +271,7 @@ pub fn readers(state: &State, title: &str, without: Option<&GrantRow>) -> Vec<St
         lines.push("  nobody but you".to_owned());
     }
     let more = readers.len().saturating_sub(5);
-    lines.extend(readers.into_iter().take(5).map(|reader| format!("  {reader}")));
+    lines.extend(readers.into_iter().take(5).map(|(who, what, end, too)| format!("  {who}  {what}  {end}{too}")));
     if more > 0 {
         lines.push(format!("  and {more} more"));
     }
@@ -448,14 +454,11 @@ fn publishers_key(state: &mut State, mut lookup: Lookup<PinsView>, key: Key) {
     }
 }
 
-/// Where a word is typed, letters belong to it.
-fn copies(confirm: &Confirm) -> Key {
-    if confirm.typed.is_some() { Key::Control('y') } else { Key::Char('Y') }
-}
-
 fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) {
-    if key == copies(&confirm) {
-        palette::copy(state, &confirm.errand);
+    // Where a word is typed, letters belong to it.
+    let copies = if confirm.typed.is_some() { Key::Control('y') } else { Key::Char('Y') };
+    if key == copies {
+        palette::twin(state, &confirm.errand).into_iter().for_each(|line| copy(state, line));
         return state.popups.push(Popup::Confirm(confirm));
     }
     let said = match &mut confirm.typed {

@@ -39,6 +39,12 @@ impl Table {
         found.unwrap_or_else(|| self.index.min(keys.len().saturating_sub(1)))
     }
 
+    /// The row under the cursor.
+    pub fn chosen<T: Copy, K: AsRef<str>>(&self, rows: Vec<T>, key: impl Fn(&T) -> K) -> Option<T> {
+        let keys: Vec<K> = rows.iter().map(key).collect();
+        rows.get(self.position(&keys)).copied()
+    }
+
     pub fn select<K: AsRef<str>>(&mut self, keys: &[K], position: usize) {
         self.index = position.min(keys.len().saturating_sub(1));
         let bound = self.index > 0 || !self.follows_top;
@@ -251,7 +257,7 @@ pub fn step(state: &mut State, by: isize) {
 pub fn stand(state: &mut State) {
     let Some(feed) = state.records_feed() else { return };
     let records = records(state, feed);
-    if records.table.is_bound() && !records.stands() {
+    if records.table.is_bound() {
         records.stand();
     }
 }

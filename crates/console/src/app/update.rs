@@ -29,7 +29,7 @@ pub fn update(state: &mut State, action: Action) -> Vec<Effect> {
         state.touched = state.now;
     }
     if matches!(action, Action::Paste(_) | Action::Click { .. } | Action::Do(_)) {
-        state.ahead.clear();
+        state.ahead.keys.clear();
     }
     act(state, action);
     for key in ready(state) {
@@ -181,9 +181,14 @@ fn tick(state: &mut State, now: Timestamp) {
     state.feeds.retry(now);
     state.rates.settle(now);
     when::tick(state);
-    state.ask_for_progress();
-    incidents::tick(state);
-    policies::tick(state);
+    let again = [
+        (Feed::Progress, state.progress_asked_at()),
+        (Feed::Incidents, incidents::asked_at(state)),
+        (Feed::Robots, policies::asked_at(state)),
+    ];
+    for (feed, _) in again.into_iter().filter(|(_, at)| at.is_some_and(|at| at <= now)) {
+        state.feeds.slot_mut(feed).stale = true;
+    }
     lock_when_due(state);
 }
 
@@ -314,12 +319,6 @@ pub struct Ahead {
     since: Timestamp,
 }
 
-impl Ahead {
-    pub fn clear(&mut self) {
-        self.keys.clear();
-    }
-}
-
 /// Keeps back keys for rows that are still on their way, and keys after those; Esc drops them, Ctrl-C never waits.
 pub fn keeps(state: &mut State, key: Key) -> bool {
     if !state.awaits_rows() {
@@ -327,7 +326,7 @@ pub fn keeps(state: &mut State, key: Key) -> bool {
     }
     let waiting = !state.ahead.keys.is_empty();
     if matches!(key, Key::Escape | Key::Control('c')) {
-        state.ahead.clear();
+        state.ahead.keys.clear();
         return waiting && key == Key::Escape;
     }
     if !waiting && !is_for_a_row(state, key) {
@@ -360,7 +359,7 @@ pub fn gives_up_at(state: &State) -> Option<Timestamp> {
 }
 
 fn given_up(state: &mut State) -> Vec<Key> {
-    state.ahead.clear();
+    state.ahead.keys.clear();
     state.inform("not done: the list was not here yet");
     Vec::new()
 }
@@ -380,8 +379,8 @@ pub fn lock(state: &mut State) {
         _ => true,
     });
     (state.identity_path, state.filled) = (None, None);
-    state.detail.clear();
-    state.ahead.clear();
+    state.detail = opening::Detail::default();
+    state.ahead.keys.clear();
     state.send_new(Errand { command: Command::Lock, tag: Tag::Lock });
 }
 

@@ -93,10 +93,6 @@ impl Encoder {
         self.cursor = wanted;
     }
 
-    pub fn length(&self) -> usize {
-        self.out.len()
-    }
-
     /// Empty if nothing changed.
     pub fn take_frame(&mut self) -> String {
         if !self.out.is_empty() {
@@ -273,14 +269,15 @@ fn indexed(colour: Rgb) -> u8 {
 /// Keeps only the bytes of the frame.
 #[derive(Debug)]
 pub struct FrameBackend {
-    encoder: Encoder,
+    pub encoder: Encoder,
     size: Size,
     shown: bool,
     position: Position,
     /// Changed cells that did not fit into a limited frame, by row and column.
-    waiting: BTreeMap<(u16, u16), Cell>,
-    /// Bytes of a frame, not counting the rest of whole rows.
-    most: Option<usize>,
+    pub waiting: BTreeMap<(u16, u16), Cell>,
+    /// Bytes of a frame, not counting the rest of whole rows; `None` = no limit, and waiting rows keep waiting: a key is
+    /// answered with only what is new.
+    pub most: Option<usize>,
 }
 
 impl FrameBackend {
@@ -303,19 +300,6 @@ impl FrameBackend {
     pub fn take_frame(&mut self) -> String {
         self.encoder.cursor(self.shown.then_some(self.position));
         self.encoder.take_frame()
-    }
-
-    /// `None` = no limit, and waiting rows keep waiting: a key is answered with only what is new.
-    pub fn limit(&mut self, most: Option<usize>) {
-        self.most = most;
-    }
-
-    pub fn waits(&self) -> bool {
-        !self.waiting.is_empty()
-    }
-
-    pub fn cover(&mut self, area: Rect) {
-        self.encoder.cover(area);
     }
 
     pub fn forget(&mut self) {
@@ -344,7 +328,7 @@ impl Backend for FrameBackend {
         };
         self.waiting.extend(new);
         while let Some(row) = self.waiting.first_key_value().map(|((y, _), _)| *y) {
-            if self.encoder.length() >= most {
+            if self.encoder.out.len() >= most {
                 break;
             }
             let rest = self.waiting.split_off(&(row + 1, 0));

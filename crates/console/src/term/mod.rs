@@ -150,7 +150,8 @@ impl Session {
             sender(&sending, |fault| Message::Act(Action::Fault(fault))),
             sender(&sending, Message::Broken),
         )?;
-        let rate = bytes_per_second(options);
+        let over_ssh = std::env::var_os("SSH_CONNECTION").is_some();
+        let rate = options.bytes_per_second.or_else(|| over_ssh.then_some(OVER_SSH));
         let painter = Painter::new(depth, state.size).with_pixels(Pixels::new(options.pictures, rate));
         let stage = Arc::new(Stage::new(state, theme));
         let budget = Budget::new(rate, Instant::now());
@@ -180,22 +181,30 @@ impl Session {
     }
 
     pub fn run(mut self) -> Result<ExitReason, TermError> {
-        let effects = crate::app::update::start(&mut self.stage.scene().state);
-        let mut ended = self.carry_out(effects);
-        while ended.is_none() {
-            let received = self.messages.recv_timeout(self.patience());
-            ended = match received {
-                Ok(message) => self.receive(message),
-                Err(RecvTimeoutError::Timeout) => None,
-                Err(RecvTimeoutError::Disconnected) => Some(Err(TermError::Fault("its threads ended".to_owned()))),
-            };
-            ended = ended.or_else(|| self.look_around());
-        }
+        let ended = self.work();
         self.close();
-        if matches!(ended, Some(Ok(ExitReason::LeaveSite))) {
+        if matches!(ended, Ok(ExitReason::LeaveSite)) {
             self.leave_the_keys();
         }
-        ended.unwrap_or(Ok(ExitReason::Quit))
+        ended
+    }
+
+    fn work(&mut self) -> Result<ExitReason, TermError> {
+        let effects = crate::app::update::start(&mut self.stage.scene().state);
+        let mut ended = self.carry_out(effects)?;
+        loop {
+            if let Some(reason) = ended {
+                return Ok(reason);
+            }
+            ended = match self.messages.recv_timeout(self.patience()) {
+                Ok(message) => self.receive(message)?,
+                Err(RecvTimeoutError::Timeout) => None,
+                Err(RecvTimeoutError::Disconnected) => return Err(TermError::Fault("its threads ended".to_owned())),
+            };
+            if ended.is_none() {
+                ended = self.look_around()?;
+            }
+        }
     }
 
     fn patience(&self) -> Duration {
@@ -206,31 +215,31 @@ impl Session {
         [due, settled].into_iter().flatten().fold(WATCH_EVERY, Duration::min)
     }
 
-    fn receive(&mut self, message: Message) -> Option<Result<ExitReason, TermError>> {
+    fn receive(&mut self, message: Message) -> Result<Option<ExitReason>, TermError> {
         match message {
             Message::Act(Action::Resize { columns, rows }) => {
                 self.resized = Some((columns, rows, Instant::now() + SETTLE));
-                None
+                Ok(None)
             }
             Message::Act(action) => self.act(action),
             Message::Signal(SIGTSTP) => self.suspend(),
             // Stopped from outside, and running again.
             Message::Signal(SIGCONT) => self.retake(),
-            Message::Signal(signal) => Some(Ok(ended_by(signal))),
+            Message::Signal(signal) => Ok(Some(ended_by(signal))),
             Message::TerminalFailed if io::stdin().is_terminal() => {
-                Some(Err(TermError::Fault("the terminal accepts no more output".to_owned())))
+                Err(TermError::Fault("the terminal accepts no more output".to_owned()))
             }
-            Message::TerminalFailed => Some(Ok(ExitReason::TerminalGone)),
-            Message::Broken(what) => Some(Err(TermError::Fault(what))),
+            Message::TerminalFailed => Ok(Some(ExitReason::TerminalGone)),
+            Message::Broken(what) => Err(TermError::Fault(what)),
         }
     }
 
     /// Checks the terminal, a settled size and the deadline.
-    fn look_around(&mut self) -> Option<Result<ExitReason, TermError>> {
+    fn look_around(&mut self) -> Result<Option<ExitReason>, TermError> {
         if self.watched_at.elapsed() >= WATCH_EVERY {
             self.watched_at = Instant::now();
             if !io::stdin().is_terminal() {
-                return Some(Ok(ExitReason::TerminalGone));
+                return Ok(Some(ExitReason::TerminalGone));
             }
         }
         if let Some((columns, rows, _)) = self.resized.take_if(|(_, _, at)| *at <= Instant::now()) {
@@ -242,10 +251,10 @@ impl Session {
         if deadline.is_some_and(|at| at <= Timestamp::now()) {
             return self.act(Action::Tick(Timestamp::now()));
         }
-        None
+        Ok(None)
     }
 
-    fn act(&mut self, action: Action) -> Option<Result<ExitReason, TermError>> {
+    fn act(&mut self, action: Action) -> Result<Option<ExitReason>, TermError> {
         let wish = match action {
             Action::Answered { .. } | Action::Told(_) | Action::Missed | Action::Tick(_) => Wish::Data,
             _ => Wish::Now,
@@ -258,13 +267,13 @@ impl Session {
         self.carry_out(effects)
     }
 
-    fn carry_out(&mut self, effects: Vec<Effect>) -> Option<Result<ExitReason, TermError>> {
+    fn carry_out(&mut self, effects: Vec<Effect>) -> Result<Option<ExitReason>, TermError> {
         for effect in effects {
             match effect {
                 Effect::Send(command, tag) => self.host.ask(command, tag),
-                Effect::Quit => return Some(Ok(ExitReason::Quit)),
-                Effect::LeaveSite => return Some(Ok(ExitReason::LeaveSite)),
-                Effect::Leave(failure) => return Some(Ok(ExitReason::Refused(failure))),
+                Effect::Quit => return Ok(Some(ExitReason::Quit)),
+                Effect::LeaveSite => return Ok(Some(ExitReason::LeaveSite)),
+                Effect::Leave(failure) => return Ok(Some(ExitReason::Refused(failure))),
                 Effect::Suspend => return self.suspend(),
                 Effect::Redraw => self.stage.change(Wish::Now, |scene| scene.anew = true),
                 Effect::ShowTheme(name) => self.show_theme(&name),
@@ -289,7 +298,7 @@ impl Session {
                 }),
             }
         }
-        None
+        Ok(None)
     }
 
     fn show_theme(&self, name: &str) {
@@ -309,22 +318,22 @@ impl Session {
     }
 
     /// Gives the terminal to the shell until SIGCONT.
-    fn suspend(&mut self) -> Option<Result<ExitReason, TermError>> {
+    fn suspend(&mut self) -> Result<Option<ExitReason>, TermError> {
         self.stage.change(Wish::None, |scene| scene.suspended = true);
-        let stopped = {
+        {
             let _writing = self.stage.output.lock().unwrap_or_else(PoisonError::into_inner);
             restore();
-            input::stop_here()
-        };
-        if let Err(error) = stopped {
-            return Some(Err(error.into()));
+            input::stop_here()?;
         }
         self.stage.change(Wish::None, |scene| scene.suspended = false);
-        self.retake().or_else(|| self.act(Action::Resumed))
+        match self.retake()? {
+            None => self.act(Action::Resumed),
+            ended => Ok(ended),
+        }
     }
 
     /// Takes the terminal back from other programs.
-    fn retake(&mut self) -> Option<Result<ExitReason, TermError>> {
+    fn retake(&mut self) -> Result<Option<ExitReason>, TermError> {
         let taken = {
             let _writing = self.stage.output.lock().unwrap_or_else(PoisonError::into_inner);
             take().and_then(|()| encode::size())
@@ -333,10 +342,8 @@ impl Session {
         if self.mouse {
             self.take_mouse(true);
         }
-        match taken {
-            Ok(((columns, rows), _)) => self.act(Action::Resize { columns, rows }),
-            Err(error) => Some(Err(error.into())),
-        }
+        let ((columns, rows), _) = taken?;
+        self.act(Action::Resize { columns, rows })
     }
 
     /// The next question at the terminal would share keys with the reading thread.
@@ -399,11 +406,6 @@ fn theme(options: &ConsoleOptions, depth: Depth) -> Result<Theme, TermError> {
     let theme = options.themes.named(options.theme.as_deref().unwrap_or(fitting))?;
     let pixels = options.pictures != Pictures::HalfBlocks;
     Ok(Theme { ascii: options.ascii, shades: depth.shades(), pixels, ..theme })
-}
-
-fn bytes_per_second(options: &ConsoleOptions) -> Option<u32> {
-    let over_ssh = std::env::var_os("SSH_CONNECTION").is_some();
-    options.bytes_per_second.or_else(|| over_ssh.then_some(OVER_SSH))
 }
 
 pub enum Message {

@@ -40,7 +40,7 @@ impl Painter {
 
     /// Frames of at most that many bytes plus the rest of whole rows; see [`Self::is_behind`].
     pub fn paint_at_most(&mut self, scene: &mut Scene, most: Option<usize>) -> String {
-        self.terminal.backend_mut().limit(most);
+        self.terminal.backend_mut().most = most;
         let mut bytes = String::new();
         let anew = std::mem::take(&mut scene.anew);
         if anew || self.size != scene.state.size {
@@ -59,7 +59,7 @@ impl Painter {
         let backend = terminal.backend_mut();
         let Ok(()) = backend.draw(below.iter().map(|(x, y, cell)| (*x, *y, cell)));
         let change = pixels.show(placement);
-        change.covered.iter().for_each(|area| backend.cover(*area));
+        change.covered.iter().for_each(|area| backend.encoder.cover(*area));
         bytes.push_str(change.away);
         bytes.push_str(&backend.take_frame());
         bytes.push_str(&change.put);
@@ -68,7 +68,7 @@ impl Painter {
     }
 
     pub fn is_behind(&self) -> bool {
-        self.terminal.backend().waits()
+        !self.terminal.backend().waiting.is_empty()
     }
 }
 

@@ -226,27 +226,14 @@ fn draw_hints(canvas: &mut Canvas, area: Rect, hints: &[(&str, &str)]) {
 }
 
 /// Most used first.
-const BY_USE: [Verb; 16] = [
-    Verb::Watch,
-    Verb::Details,
-    Verb::Inspect,
-    Verb::SetPolicy,
-    Verb::Open,
-    Verb::Grant,
-    Verb::Revoke,
-    Verb::Filter,
-    Verb::Browse,
-    Verb::Readers,
-    Verb::Extend,
-    Verb::Export,
-    Verb::Publishers,
-    Verb::Check,
-    Verb::Sort,
-    Verb::Mark,
-];
-
 fn use_of(verb: Verb) -> usize {
-    BY_USE.iter().position(|other| *other == verb).unwrap_or(BY_USE.len())
+    use Verb::{
+        Browse, Check, Details, Export, Extend, Filter, Grant, Inspect, Mark, Open, Publishers, Readers, Revoke,
+    };
+    use Verb::{SetPolicy, Sort, Watch};
+    let often = [Watch, Details, Inspect, SetPolicy, Open, Grant, Revoke, Filter];
+    let rest = [Browse, Readers, Extend, Export, Publishers, Check, Sort, Mark];
+    often.iter().chain(&rest).position(|other| *other == verb).unwrap_or(often.len() + rest.len())
 }
 
 fn entries(state: &State) -> impl Iterator<Item = &'static Entry> + use<'_> {

@@ -180,10 +180,6 @@ fn grant_cells(state: &State, row: &GrantRow) -> Vec<(String, Role)> {
 
 const LABEL: u16 = 12;
 
-/// Watched topics are still captured while locked.
-const LOCKED: &str = "locked (u unlocks it)";
-const LOCKED_AT_WORK: &str = "locked (u unlocks it); capture and anchoring continue";
-
 fn draw_fact(canvas: &mut Canvas, area: Rect, label: &str, value: &str, role: Role) {
     canvas.put(Rect { width: LABEL.min(area.width), ..area }, label, Role::Dim);
     canvas.put(right_of(area, LABEL), value, role);
@@ -212,8 +208,11 @@ pub fn draw_keys(canvas: &mut Canvas, area: Rect, state: &State) {
 
 fn draw_identity(canvas: &mut Canvas, area: Rect, state: &State, identity: &IdentityView) {
     let address = identity.address.map(|address| address.to_string()).unwrap_or_default();
-    let (keyring, keyring_role) =
-        if identity.unlocked { ("unlocked", Role::Good) } else { (locked(state), Role::Warning) };
+    let locked = match leaving::captured(state) {
+        Some(_) => "locked (u unlocks it); capture and anchoring continue",
+        None => "locked (u unlocks it)",
+    };
+    let (keyring, keyring_role) = if identity.unlocked { ("unlocked", Role::Good) } else { (locked, Role::Warning) };
     let (chain, chain_role) =
         if identity.registered { ("registered", Role::Good) } else { ("not registered: R registers", Role::Warning) };
     let facts = [
@@ -251,11 +250,6 @@ fn draw_epochs(canvas: &mut Canvas, area: Rect, keys: &KeysView) {
     }
 }
 
-/// Says what continues only if known.
-fn locked(state: &State) -> &'static str {
-    if leaving::captured(state).is_some() { LOCKED_AT_WORK } else { LOCKED }
-}
-
 const LOG_COLUMNS: &[Column] =
     &[Column::text("UTC", 8), Column::text("Level", 7), Column::text("From", 11), Column::wide("What")];
 
@@ -277,20 +271,14 @@ pub fn draw_log(canvas: &mut Canvas, area: Rect, state: &State) {
     draw_table(canvas, area, &sheet);
 }
 
-/// Audit lines show their number.
-fn from(line: &LogLine) -> String {
-    match line.source {
-        Source::Audit => line.key.clone(),
-        source => source.word().to_owned(),
-    }
-}
-
 fn log_cells(state: &State, line: &LogLine) -> Vec<(String, Role)> {
     let role = if line.level == NoticeLevel::Info { Role::Dim } else { notice_level(line.level).1 };
+    // Audit lines show their number.
+    let from = if line.source == Source::Audit { &line.key } else { line.source.word() };
     vec![
         (state.clock(line.at), Role::Dim),
         (line.level.word().to_owned(), role),
-        (from(line), Role::Dim),
+        (from.to_owned(), Role::Dim),
         (line.text.clone(), Role::Body),
     ]
 }
@@ -527,7 +515,7 @@ fn record_cells(state: &State, row: &RecordView, with_owner: bool) -> Vec<(Strin
         RecordKind::Data => row.topic.clone(),
         kind => format!("{} ({})", row.topic, kind.word()),
     };
-    let mut cells = vec![(short_state(row.state.word()).to_owned(), state_role(row.state))];
+    let mut cells = vec![(row.state.word().trim_start_matches("waits: ").to_owned(), state_role(row.state))];
     if with_owner {
         let short = || row.owner.map(|owner| owner.short());
         cells.push((row.owner_name.clone().or_else(short).unwrap_or_default(), Role::Accent));
@@ -552,10 +540,6 @@ fn record_cells(state: &State, row: &RecordView, with_owner: bool) -> Vec<(Strin
 /// Enough to compare by eye.
 fn beginning(text: &str) -> String {
     text.chars().take(12).chain(['…']).collect()
-}
-
-fn short_state(state: &str) -> &str {
-    state.strip_prefix("waits: ").unwrap_or(state)
 }
 
 pub fn state_role(state: ShownState) -> Role {

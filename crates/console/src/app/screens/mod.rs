@@ -69,10 +69,6 @@ impl Member<'_> {
         let policy = self.robot.map(policies::searched).unwrap_or_default();
         format!("{} {account} {peer} {state} {policy}", self.name())
     }
-
-    fn frames(&self) -> u64 {
-        self.sender.map_or(0, |sender| sender.frames)
-    }
 }
 
 pub fn beginning(hex: &str, characters: usize) -> String {
@@ -111,7 +107,7 @@ impl Gateway {
         let mut members = palette::narrow(self.table.filter.text(), self.all_members(), Member::text);
         match self.table.sort {
             1 => members.sort_by_key(Member::name),
-            2 => members.sort_by_key(|row| std::cmp::Reverse(row.frames())),
+            2 => members.sort_by_key(|row| std::cmp::Reverse(row.sender.map_or(0, |sender| sender.frames))),
             3 => members.sort_by_key(|row| row.robot.map_or((u8::MAX, 0), policies::urgency)),
             _ => members.sort_by_key(|row| !row.is_connected()),
         }
@@ -126,9 +122,7 @@ impl Gateway {
     }
 
     pub fn selected(&self) -> Option<Member<'_>> {
-        let members = self.shown();
-        let keys: Vec<String> = members.iter().map(Member::key).collect();
-        members.get(self.table.position(&keys)).copied()
+        self.table.chosen(self.shown(), Member::key)
     }
 }
 
@@ -238,9 +232,7 @@ impl Grants {
     }
 
     pub fn selected(&self) -> Option<&GrantRow> {
-        let rows = self.visible();
-        let keys: Vec<String> = rows.iter().map(|row| key(row)).collect();
-        rows.get(self.table.position(&keys)).copied()
+        self.table.chosen(self.visible(), |row| key(row))
     }
 
     /// When the time left of a grant that ends soon changes on screen.
@@ -252,18 +244,6 @@ impl Grants {
             Some(Timestamp(end.0 - left / unit * unit + 1))
         };
         ends.filter_map(next).min()
-    }
-
-    pub fn any_given(&self) -> bool {
-        self.rows.iter().any(is_given)
-    }
-
-    /// One line each; `but` is left out.
-    pub fn readers(&self, but: Option<Address>) -> Vec<String> {
-        let active = self.rows.iter().filter(|row| is_given(row) && is_active(row) && Some(row.grantee) != but);
-        let line =
-            |row: &GrantRow| format!("{}  {}  {}{}", row.grantee, scope(&row.topics), end(row.expires), earlier(row));
-        active.map(line).collect()
     }
 }
 
@@ -403,9 +383,7 @@ impl Log {
     }
 
     pub fn selected(&self) -> Option<&LogLine> {
-        let lines = self.visible();
-        let keys: Vec<&str> = lines.iter().map(|line| line.key.as_str()).collect();
-        lines.get(self.table.position(&keys)).copied()
+        self.table.chosen(self.visible(), |line| line.key.as_str())
     }
 
     /// Newest unseen warnings and errors that the site reported unasked.
@@ -559,10 +537,6 @@ impl Records {
         self.path.clear();
         self.anchor = None;
         self.table.select::<&str>(&[], 0);
-    }
-
-    pub fn stands(&self) -> bool {
-        self.anchor.is_some()
     }
 
     /// Once the cursor has left the newest record, nothing comes in above it.

@@ -173,7 +173,9 @@ impl Topics {
 
     fn found(&self) -> Vec<(usize, &TopicRow)> {
         let all = self.rows.iter().enumerate().collect();
-        let mut rows = palette::narrow(self.table.filter.text(), all, |(_, row)| haystack(row));
+        let mut rows = palette::narrow(self.table.filter.text(), all, |(_, row)| {
+            format!("{} {}", row.topic, row.type_name.as_deref().unwrap_or(""))
+        });
         // Stable: equal rows stay ordered by name.
         rows.sort_by(|(_, one), (_, other)| order(self.table.sort, one, other));
         if self.table.reversed {
@@ -238,9 +240,7 @@ impl Topics {
     }
 
     pub fn selected(&self) -> Option<&TopicRow> {
-        let rows = self.visible();
-        let keys: Vec<&str> = rows.iter().map(|row| row.topic.as_str()).collect();
-        rows.get(self.table.position(&keys)).copied()
+        self.table.chosen(self.visible(), |row| row.topic.as_str())
     }
 
     /// Marked topics, or else the selected one; a robot's row stands for its topics that match the filter.
@@ -258,10 +258,6 @@ impl Topics {
         };
         self.rows.iter().filter(is_meant).collect()
     }
-}
-
-fn haystack(row: &TopicRow) -> String {
-    format!("{} {}", row.topic, row.type_name.as_deref().unwrap_or(""))
 }
 
 fn order(sort: usize, one: &TopicRow, other: &TopicRow) -> Ordering {

@@ -85,20 +85,15 @@ fn draw_confirm(canvas: &mut Canvas, area: Rect, state: &State, confirm: &Confir
         draw_text(canvas, area, &confirm.title, &lines, &[("› ", Role::Key), (&shown, Role::Warning)]);
         return;
     }
-    // The caution is above the terms.
-    let room = caution_lines(&caution);
-    let lines: Vec<String> = room.iter().map(|_| String::new()).chain(confirm.lines.iter().cloned()).collect();
+    // Above the terms, and marked so that it is visible without colour.
+    let caution = if caution.is_empty() { Vec::new() } else { wrap(&format!("◐ {}", clean(&caution, 500)), 60) };
+    let lines: Vec<String> = caution.iter().map(|_| String::new()).chain(confirm.lines.iter().cloned()).collect();
     let answer =
         [("y", Role::Key), (" ", Role::Body), (confirm.yes, Role::Warning), ("    any other key cancels", Role::Dim)];
     let inner = draw_text(canvas, area, &confirm.title, &lines, &answer);
-    for (place, line) in (0u16..).zip(&room) {
+    for (place, line) in (0u16..).zip(&caution) {
         canvas.put(row(inner, place), line, Role::Warning);
     }
-}
-
-/// Marked so that it is visible without colour.
-fn caution_lines(caution: &str) -> Vec<String> {
-    if caution.is_empty() { Vec::new() } else { wrap(&format!("◐ {}", clean(caution, 500)), 60) }
 }
 
 fn draw_quit(canvas: &mut Canvas, area: Rect, state: &State, leaving: Leaving) {
@@ -210,7 +205,7 @@ fn draw_columns(canvas: &mut Canvas, area: Rect, state: &State, choice: &ColumnC
     let offered = offered(state.screen);
     let title = format!("Columns of {}", state.screen.title());
     let inner = framed(canvas, area, &title, WIDTH, rows(offered.len()));
-    draw_list(canvas, inner, offered, choice.selected, |canvas, line, column, here| {
+    draw_list(canvas, inner, &offered, choice.selected, |canvas, line, column, here| {
         let (mark, role) = match (shown.contains(&column.name), column.name == ALWAYS) {
             (true, true) => ("[x]", Role::Dim),
             (true, false) => ("[x]", Role::Key),
@@ -236,7 +231,10 @@ type Told = (String, String, Role);
 /// Never cuts a sentence.
 pub fn draw_help(canvas: &mut Canvas, area: Rect, state: &State, help: &Help) {
     let (title, told) = match &help.window {
-        Some(hints) => ("Keys of this window".to_owned(), of_window(hints)),
+        Some(hints) => {
+            let told = hints.iter().map(|(keys, words)| ((*keys).to_owned(), (*words).to_owned(), Role::Body));
+            ("Keys of this window".to_owned(), told.collect())
+        }
         None => (format!("Keys of the {} screen", state.screen.title()), of_screen(state)),
     };
     let width = HELP_WIDTH.min(area.width.saturating_sub(6));
@@ -260,10 +258,6 @@ pub fn draw_help(canvas: &mut Canvas, area: Rect, state: &State, help: &Help) {
     if searched {
         canvas.puts(row(inner, inner.height.saturating_sub(1)), &[("/ ", Role::Key), (wanted, Role::Accent)]);
     }
-}
-
-fn of_window(hints: &[(&str, &str)]) -> Vec<Told> {
-    hints.iter().map(|(keys, words)| ((*keys).to_owned(), (*words).to_owned(), Role::Body)).collect()
 }
 
 /// Verbs of the screen first.

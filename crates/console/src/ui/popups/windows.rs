@@ -401,7 +401,8 @@ pub fn draw_tasks(canvas: &mut Canvas, area: Rect, state: &State) {
     if let Some(chain) = &state.chain {
         let pending = format!("{:<15} {} pending", "transactions", chain.pending);
         lines.push((pending, if chain.pending > 0 { Role::Warning } else { Role::Body }));
-        lines.extend(chain.lanes.iter().filter_map(paused));
+        let causes = chain.lanes.iter().filter_map(|lane| Some(lane.paused.as_ref()?.cause(lane.account)));
+        lines.extend(causes.map(|cause| (format!("paused  {cause}"), Role::Bad)));
     }
     for feed in Feed::iter() {
         let slot = state.feeds.slot(feed);
@@ -473,17 +474,11 @@ fn left(pending: u64, captured: f64, verified: f64) -> String {
     format!("{count} pending, done in about {:.0} s", records / net.max(0.1))
 }
 
-fn paused(lane: &LaneState) -> Option<Piece> {
-    let cause = lane.paused.as_ref()?.cause(lane.account);
-    Some((format!("paused  {cause}"), Role::Bad))
-}
-
 const ROBOT_LABEL: u16 = 10;
-const ROBOT_WIDEST: u16 = 110;
 const NUMBER: usize = 9;
 
 pub fn draw_robot(canvas: &mut Canvas, area: Rect, state: &State, lookup: &Lookup<RobotView>) {
-    let width = ROBOT_WIDEST.min(area.width.saturating_sub(6));
+    let width = LOOKUP_WIDEST.min(area.width.saturating_sub(6));
     let whole = |view: &RobotView| {
         [told(&gateway::facts(view, state.shown_at()), width), topics(view, width), robot_text(view, width)].concat()
     };
@@ -540,11 +535,10 @@ fn robot_text(view: &RobotView, width: u16) -> Vec<Piece> {
 
 const INCIDENT_NAME: u16 = 22;
 const STATE: u16 = 8;
-const INCIDENT_WIDEST: u16 = 110;
 const DAY: u64 = 86_400;
 
 pub fn draw_incidents(canvas: &mut Canvas, area: Rect, state: &State, list: &IncidentList) {
-    let width = INCIDENT_WIDEST.min(area.width.saturating_sub(6));
+    let width = LOOKUP_WIDEST.min(area.width.saturating_sub(6));
     let Some(chosen) = list.chosen(state) else {
         let inner = framed(canvas, area, "Incidents", width.min(72), 2);
         let nothing = "None yet: n opens one, to keep the records of a time span.";
