@@ -30,45 +30,50 @@ pub enum Act {
 }
 
 impl Act {
-    fn title(self) -> &'static str {
+    /// Title, and what the act means.
+    fn told(self) -> (&'static str, &'static [&'static str]) {
         match self {
-            Self::Admit => "Admit an account",
-            Self::Suspend => "Suspend an account",
-            Self::Restore => "Restore a suspended account",
-            Self::Open => "Open registration?",
-            Self::Close => "Close registration?",
-            Self::Pause => "Pause all changes?",
-            Self::Continue => "Resume changes?",
-            Self::Propose => "Propose the successor of a lost account",
-            Self::Dismiss => "Withdraw an admission",
-            Self::HandOver => "Nominate the next administrator",
-            Self::Accept => "Take over as administrator?",
-            Self::Deploy => "Deploy the contract?",
-        }
-    }
-
-    fn meaning(self) -> &'static [&'static str] {
-        match self {
-            Self::Admit => &["While registration is closed, only admitted accounts can register."],
-            Self::Suspend => &[
-                "The contract refuses its changes, except those that withdraw rights.",
-                "What it shared stays readable to anyone who has the keys. `restore` undoes this.",
-            ],
-            Self::Restore => &["The contract accepts its changes again."],
-            Self::Open => &["Anyone with an account on this chain can then register."],
-            Self::Close => &["Only accounts that you admit can then register."],
-            Self::Pause => {
-                &["Nobody can register, grant or anchor; revokes and reads still work.", "It ends after a day."]
+            Self::Admit => {
+                ("Admit an account", &["While registration is closed, only admitted accounts can register."])
             }
-            Self::Continue => &["Registrations, grants and anchors are accepted again."],
-            Self::Propose => &[
-                "It waits for the contract's delay, twice as long if the account named no recovery account, which",
-                "can stop it. Then `authros chain succession complete` carries it out, which cannot be undone.",
-            ],
-            Self::Dismiss => &["The admission is withdrawn; an account that has already registered stays registered."],
-            Self::HandOver => &["Once that account accepts, you are no longer the administrator."],
-            Self::Accept => &["The administrator nominated you; from then on these commands are yours."],
-            Self::Deploy => &["Your account becomes the contract's administrator, and this home is bound to it."],
+            Self::Suspend => (
+                "Suspend an account",
+                &[
+                    "The contract refuses its changes, except those that withdraw rights.",
+                    "What it shared stays readable to anyone who has the keys. `restore` undoes this.",
+                ],
+            ),
+            Self::Restore => ("Restore a suspended account", &["The contract accepts its changes again."]),
+            Self::Open => ("Open registration?", &["Anyone with an account on this chain can then register."]),
+            Self::Close => ("Close registration?", &["Only accounts that you admit can then register."]),
+            Self::Pause => (
+                "Pause all changes?",
+                &["Nobody can register, grant or anchor; revokes and reads still work.", "It ends after a day."],
+            ),
+            Self::Continue => ("Resume changes?", &["Registrations, grants and anchors are accepted again."]),
+            Self::Propose => (
+                "Propose the successor of a lost account",
+                &[
+                    "It waits for the contract's delay, twice as long if the account named no recovery account, which",
+                    "can stop it. Then `authros chain succession complete` carries it out, which cannot be undone.",
+                ],
+            ),
+            Self::Dismiss => (
+                "Withdraw an admission",
+                &["The admission is withdrawn; an account that has already registered stays registered."],
+            ),
+            Self::HandOver => (
+                "Nominate the next administrator",
+                &["Once that account accepts, you are no longer the administrator."],
+            ),
+            Self::Accept => (
+                "Take over as administrator?",
+                &["The administrator nominated you; from then on these commands are yours."],
+            ),
+            Self::Deploy => (
+                "Deploy the contract?",
+                &["Your account becomes the contract's administrator, and this home is bound to it."],
+            ),
         }
     }
 
@@ -117,7 +122,8 @@ fn form(act: Act) -> Form {
     let hint = "0x and 40 hex, or a contact's name";
     let names: &[&str] = if act == Act::Propose { &["Lost", "Successor"] } else { &["Account"] };
     let lines = names.iter().map(|name| Line::text(name, hint, Field::default())).collect();
-    Form::new(act.title(), act.meaning().iter().map(|line| (*line).to_owned()).collect(), lines)
+    let (title, meaning) = act.told();
+    Form::new(title, meaning.iter().map(|line| (*line).to_owned()).collect(), lines)
 }
 
 pub fn read(act: Act, form: &Form) -> Result<Confirm, Wrong> {
@@ -142,9 +148,10 @@ pub fn read(act: Act, form: &Form) -> Result<Confirm, Wrong> {
 }
 
 fn question(act: Act, mut lines: Vec<String>, errand: Errand) -> Confirm {
-    lines.extend(act.meaning().iter().map(|line| (*line).to_owned()));
+    let (title, meaning) = act.told();
+    lines.extend(meaning.iter().map(|line| (*line).to_owned()));
     lines.push("This sends a transaction from your account.".to_owned());
-    let title = if act.names() { format!("{}?", act.title()) } else { act.title().to_owned() };
+    let title = if act.names() { format!("{title}?") } else { title.to_owned() };
     let typed = act.is_grave().then(|| popup::Typed::new(act.word()));
     Confirm { title, lines, yes: act.word(), typed, errand }
 }

@@ -181,12 +181,10 @@ impl Typed {
 }
 
 pub fn pin(row: &TopicRow, topic: TopicName) -> Confirm {
+    let publishers = if row.publishers.is_empty() { "nobody".to_owned() } else { row.publishers.join(" ") };
     let lines = vec![
         format!("Topic       {topic}"),
-        format!(
-            "Publishers  {}",
-            if row.publishers.is_empty() { "nobody".to_owned() } else { row.publishers.join(" ") }
-        ),
+        format!("Publishers  {publishers}"),
         "Their messages are captured from now on; those of others are quarantined.".to_owned(),
         "Check host and type first: enter shows them (a name alone can be forged).".to_owned(),
     ];

@@ -4,7 +4,7 @@ use super::answer::answered;
 use super::keymap::{Key, Meaning, chord_label};
 use super::perform::perform;
 use super::popup::{Popup, Purpose, popup_key, popup_paste};
-use super::screens::{MOST_AUDIT, Source};
+use super::screens::{MOST_AUDIT, Records, Source};
 use super::verb::{Action, Effect, Errand, Tag, Verb};
 use super::{Screen, State, alerts, incidents, leaving, opening, palette, policies, table, tour, when};
 use crate::model::{RecordState, Timestamp};
@@ -223,7 +223,7 @@ fn ask(state: &mut State, feed: Feed) {
 /// `None` while there is nothing to request.
 fn question(state: &State, feed: Feed) -> Option<Command> {
     let exists = state.identity.as_ref().is_some_and(|identity| identity.exists);
-    let rows = state.page_rows();
+    let query = |records: &Records| records.query(&state.topics.rows, state.page_rows(), state.frozen);
     match feed {
         Feed::Site => Some(Command::SiteStatus),
         Feed::Identity => Some(Command::ShowIdentity),
@@ -232,10 +232,8 @@ fn question(state: &State, feed: Feed) -> Option<Command> {
         Feed::Audit => Some(Command::ListAudit(AuditQuery { limit: MOST_AUDIT, ..AuditQuery::default() })),
         Feed::Keys => exists.then_some(Command::ListKeys),
         Feed::Grants => exists.then_some(Command::ListGrants),
-        Feed::Uploads => {
-            exists.then(|| Command::ListUploads(state.uploads.query(&state.topics.rows, rows, state.frozen)))
-        }
-        Feed::Shared => exists.then(|| Command::ListShared(state.shared.query(&state.topics.rows, rows, state.frozen))),
+        Feed::Uploads => exists.then(|| Command::ListUploads(query(&state.uploads))),
+        Feed::Shared => exists.then(|| Command::ListShared(query(&state.shared))),
         Feed::Contacts => exists.then_some(Command::ListContacts),
         Feed::Incidents => exists.then(|| ListIncidents.into()),
         Feed::Progress => Some(RecordingProgress.into()),

@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 use std::convert::Infallible;
 use std::io;
 
-use crate::ui::theme::{Rgb, SIXTEEN as BASIC, Shades, distance};
+pub use crate::ui::theme::Depth;
+use crate::ui::theme::{Rgb, SIXTEEN as BASIC, distance};
 use ratatui::backend::{Backend, ClearType, WindowSize};
 use ratatui::buffer::Cell;
 use ratatui::layout::{Position, Rect, Size};
@@ -96,9 +97,7 @@ impl Encoder {
     /// Empty if nothing changed.
     pub fn take_frame(&mut self) -> String {
         if !self.out.is_empty() {
-            if self.look != Look::default() {
-                self.set_look(Look::default());
-            }
+            self.set_look(Look::default());
             self.out.push_str(END_FRAME);
         }
         std::mem::take(&mut self.out)
@@ -195,15 +194,6 @@ impl Encoder {
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Depth {
-    True,
-    Indexed,
-    Sixteen,
-    /// Bold, underline and reverse only.
-    None,
-}
-
 impl Depth {
     /// `NO_COLOR`, `COLORTERM`, `TERM`.
     pub fn from_environment(variable: impl Fn(&str) -> Option<String>) -> Self {
@@ -217,14 +207,6 @@ impl Depth {
             return Self::True;
         }
         if term.contains("256color") { Self::Indexed } else { Self::Sixteen }
-    }
-
-    pub fn shades(self) -> Shades {
-        match self {
-            Self::True | Self::Indexed => Shades::All,
-            Self::Sixteen => Shades::Sixteen,
-            Self::None => Shades::None,
-        }
     }
 
     /// `None` = the terminal's own.
@@ -312,21 +294,14 @@ impl Backend for FrameBackend {
     type Error = Infallible;
 
     fn draw<'a, I: Iterator<Item = (u16, u16, &'a Cell)>>(&mut self, content: I) -> Result<(), Infallible> {
-        if self.most.is_none() && self.waiting.is_empty() {
+        let Some(most) = self.most else {
             for (x, y, cell) in content {
+                self.waiting.remove(&(y, x));
                 self.encoder.cell(x, y, cell);
             }
             return Ok(());
-        }
-        let new = content.map(|(x, y, cell)| ((y, x), cell.clone()));
-        let Some(most) = self.most else {
-            for ((y, x), cell) in new {
-                self.waiting.remove(&(y, x));
-                self.encoder.cell(x, y, &cell);
-            }
-            return Ok(());
         };
-        self.waiting.extend(new);
+        self.waiting.extend(content.map(|(x, y, cell)| ((y, x), cell.clone())));
         while let Some(row) = self.waiting.first_key_value().map(|((y, _), _)| *y) {
             if self.encoder.out.len() >= most {
                 break;

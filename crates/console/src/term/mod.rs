@@ -305,8 +305,8 @@ impl Session {
         // The state's names come from here.
         let Ok(theme) = self.themes.named(name) else { return };
         self.stage.change(Wish::Now, |scene| {
-            let Theme { ascii, shades, pixels, .. } = scene.theme;
-            scene.theme = Theme { ascii, shades, pixels, ..theme };
+            let Theme { ascii, depth, pixels, .. } = scene.theme;
+            scene.theme = Theme { ascii, depth, pixels, ..theme };
             drop(update(&mut scene.state, Action::ThemeIs(name.to_owned())));
         });
     }
@@ -405,7 +405,7 @@ fn theme(options: &ConsoleOptions, depth: Depth) -> Result<Theme, TermError> {
     let fitting = if depth == Depth::None { "mono" } else { "night" };
     let theme = options.themes.named(options.theme.as_deref().unwrap_or(fitting))?;
     let pixels = options.pictures != Pictures::HalfBlocks;
-    Ok(Theme { ascii: options.ascii, shades: depth.shades(), pixels, ..theme })
+    Ok(Theme { ascii: options.ascii, depth, pixels, ..theme })
 }
 
 pub enum Message {

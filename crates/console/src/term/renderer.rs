@@ -13,6 +13,7 @@ use ratatui::layout::Size;
 use super::THREAD_PREFIX;
 use super::pixels::Pixels;
 use crate::app::State;
+use crate::config::Pictures;
 use crate::ui::{self, Theme};
 
 #[derive(Debug)]
@@ -26,7 +27,7 @@ impl Painter {
     pub fn new(depth: Depth, size: (u16, u16)) -> Self {
         let backend = FrameBackend::new(depth, cells(size));
         let Ok(terminal) = Terminal::new(backend);
-        Self { terminal, size, pixels: Pixels::default() }
+        Self { terminal, size, pixels: Pixels::new(Pictures::HalfBlocks, None) }
     }
 
     pub fn with_pixels(self, pixels: Pixels) -> Self {

@@ -274,7 +274,7 @@ pub fn draw_log(canvas: &mut Canvas, area: Rect, state: &State) {
 fn log_cells(state: &State, line: &LogLine) -> Vec<(String, Role)> {
     let role = if line.level == NoticeLevel::Info { Role::Dim } else { notice_level(line.level).1 };
     // Audit lines show their number.
-    let from = if line.source == Source::Audit { &line.key } else { line.source.word() };
+    let from = if line.source == Source::Audit { line.key.as_str() } else { line.source.word() };
     vec![
         (state.clock(line.at), Role::Dim),
         (line.level.word().to_owned(), role),

@@ -31,7 +31,7 @@ use ratatui::buffer::Buffer;
 use ratatui::layout::{Position, Rect};
 use ratatui::style::Style;
 use ratatui::widgets::{Block, Clear, Widget};
-use theme::Shades;
+use theme::Depth;
 use unicode_width::UnicodeWidthStr;
 
 pub use self::plot::{BAYER, Placement};
@@ -131,8 +131,8 @@ impl<'a> Canvas<'a> {
     }
 
     /// `None` in ASCII.
-    pub fn shades(&self) -> Shades {
-        if self.theme.ascii { Shades::None } else { self.theme.shades }
+    pub fn depth(&self) -> Depth {
+        if self.theme.ascii { Depth::None } else { self.theme.depth }
     }
 
     /// Only for pictures.

@@ -3,7 +3,7 @@
 use ratatui::layout::Rect;
 use ratatui::style::{Color, Style};
 
-use super::theme::{Rgb, Role, SIXTEEN, Shades, distance};
+use super::theme::{Depth, Rgb, Role, SIXTEEN, distance};
 use super::{Canvas, bars, below, row};
 use crate::ros::readable::{Plot, Raster};
 
@@ -168,18 +168,18 @@ pub fn draw_raster(canvas: &mut Canvas, area: Rect, raster: &Raster) {
     if canvas.theme.draws_pixels() {
         return place(canvas, area, raster);
     }
-    let shades = canvas.shades();
+    let depth = canvas.depth();
     // A cell is about twice as high as wide.
     let fitted = raster.fit((cells.0, cells.1 * 2));
     each(area, (fitted.width, fitted.height.div_ceil(2)), |x, y, cell| {
         let (upper, lower) = (fitted.pixel(x, y * 2), fitted.pixel(x, y * 2 + 1));
-        if shades == Shades::None {
+        if depth == Depth::None {
             let bright = usize::midpoint(brightness(upper), brightness(lower));
             let letter = RAMP.get(bright * RAMP.len() / 256).copied().unwrap_or(b'@');
             return canvas.paint(cell, char::from(letter), Style::default());
         }
-        let fg = coloured(upper, (x, y * 2), shades);
-        let style = Style::default().fg(fg).bg(coloured(lower, (x, y * 2 + 1), shades));
+        let fg = coloured(upper, (x, y * 2), depth);
+        let style = Style::default().fg(fg).bg(coloured(lower, (x, y * 2 + 1), depth));
         canvas.paint(cell, '▀', style);
     });
 }
@@ -209,9 +209,9 @@ fn brightness(pixel: [u8; 3]) -> usize {
     (red * 299 + green * 587 + blue * 114) / 1000
 }
 
-fn coloured(pixel: [u8; 3], place: (usize, usize), shades: Shades) -> Color {
-    let (red, green, blue) = match shades {
-        Shades::Sixteen => dithered(pixel, place),
+fn coloured(pixel: [u8; 3], place: (usize, usize), depth: Depth) -> Color {
+    let (red, green, blue) = match depth {
+        Depth::Sixteen => dithered(pixel, place),
         // Fewer steps make more neighbours equal, and equal cells are not sent again.
         _ => (pixel[0] & 0xf8, pixel[1] & 0xf8, pixel[2] & 0xf8),
     };
@@ -294,8 +294,8 @@ mod raster_tests {
     use crate::ui::Theme;
     use ratatui::buffer::Buffer;
 
-    fn drawn(raster: &Raster, shades: Shades, ascii: bool) -> Buffer {
-        let theme = Theme { ascii, shades, ..Theme::named("night").expect("embedded") };
+    fn drawn(raster: &Raster, depth: Depth, ascii: bool) -> Buffer {
+        let theme = Theme { ascii, depth, ..Theme::named("night").expect("embedded") };
         let area = Rect::new(0, 0, 12, 6);
         let mut buffer = Buffer::empty(area);
         draw_raster(&mut Canvas::new(&mut buffer, &theme), area, raster);
@@ -309,7 +309,7 @@ mod raster_tests {
 
     #[test]
     fn half_blocks_carry_two_pixels_each() {
-        let buffer = drawn(&ramp(), Shades::All, false);
+        let buffer = drawn(&ramp(), Depth::True, false);
         assert_eq!(buffer[(0, 0)].symbol(), "▀");
         assert!(matches!(buffer[(11, 5)].bg, Color::Rgb(224.., 224.., 224..)), "{:?}", buffer[(11, 5)]);
     }
@@ -317,7 +317,7 @@ mod raster_tests {
     #[test]
     fn sixteen_colours_are_dithered() {
         let grey = Raster { width: 12, height: 12, rgb: vec![145; 432] };
-        let buffer = drawn(&grey, Shades::Sixteen, false);
+        let buffer = drawn(&grey, Depth::Sixteen, false);
         let kinds: std::collections::BTreeSet<String> =
             buffer.content().iter().map(|cell| format!("{:?}", cell.fg)).collect();
         assert!(kinds.len() > 1, "a grey between two is mixed of both: {kinds:?}");
@@ -345,7 +345,7 @@ mod raster_tests {
         let mono = Theme { pixels: true, ..Theme::named("mono").expect("embedded") };
         for theme in [
             Theme { ascii: true, ..night() },
-            Theme { shades: Shades::None, ..night() },
+            Theme { depth: Depth::None, ..night() },
             Theme { pixels: false, ..night() },
             mono,
         ] {
@@ -355,7 +355,7 @@ mod raster_tests {
 
     #[test]
     fn without_colours_it_is_characters() {
-        for (shades, ascii) in [(Shades::None, false), (Shades::All, true)] {
+        for (shades, ascii) in [(Depth::None, false), (Depth::True, true)] {
             let buffer = drawn(&ramp(), shades, ascii);
             let row: String = (0..12).map(|x| buffer[(x, 2)].symbol()).collect();
             assert!(row.starts_with(' ') && row.ends_with('%') && row.is_ascii(), "{row}");

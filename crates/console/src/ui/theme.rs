@@ -63,11 +63,13 @@ pub fn embedded_text(name: &str) -> Option<&'static str> {
     EMBEDDED.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
 }
 
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub enum Shades {
-    #[default]
-    All,
+/// Colours of the terminal.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Depth {
+    True,
+    Indexed,
     Sixteen,
+    /// Bold, underline and reverse only.
     None,
 }
 
@@ -75,7 +77,7 @@ pub enum Shades {
 pub struct Theme {
     pub name: String,
     pub ascii: bool,
-    pub shades: Shades,
+    pub depth: Depth,
     /// The terminal draws pictures, as pixels.
     pub pixels: bool,
     /// Background the colours are made for.
@@ -92,7 +94,7 @@ impl Theme {
     /// Never in ASCII, nor without colours.
     pub fn draws_pixels(&self) -> bool {
         let colours = || self.styles.iter().any(|style| style.fg.is_some() || style.bg.is_some());
-        self.pixels && !self.ascii && self.shades != Shades::None && colours()
+        self.pixels && !self.ascii && self.depth != Depth::None && colours()
     }
 
     pub fn style(&self, role: Role) -> Style {
@@ -241,7 +243,7 @@ fn read(file: &str, text: &str, known: &[Theme]) -> Result<Theme, FileError> {
     }
     let assumed = parsed.assumed.as_ref().map(|assumed| source.rgb(assumed)).transpose()?;
     let assumed = assumed.or_else(|| base.and_then(|base| base.assumed));
-    Ok(Theme { name, ascii: false, shades: Shades::All, pixels: false, assumed, styles })
+    Ok(Theme { name, ascii: false, depth: Depth::True, pixels: false, assumed, styles })
 }
 
 fn base<'a>(

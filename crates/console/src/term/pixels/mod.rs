@@ -1,7 +1,7 @@
 //! Pictures drawn by the terminal, if configured. The terminal is never queried; only pixels are sent.
 //! kitty gets them as they are and scales them; Sixel (DEC STD 070) gets 252 dithered colours with run lengths.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::RangeInclusive;
 
 use crate::config::Pictures;
@@ -55,12 +55,6 @@ pub struct Change {
     /// Written after them.
     pub put: String,
     pub covered: Option<Rect>,
-}
-
-impl Default for Pixels {
-    fn default() -> Self {
-        Self::new(Pictures::HalfBlocks, None)
-    }
 }
 
 impl Pixels {
@@ -212,7 +206,6 @@ fn length(grid: &Raster) -> usize {
 
 /// Steps of red, green and blue.
 const STEPS: [u32; 3] = [6, 7, 6];
-const COLOURS: usize = 252;
 const BAND: usize = 6;
 
 /// Upper left corner at the cursor; coarser if it exceeds `most` bytes.
@@ -263,14 +256,9 @@ fn step(value: u8, steps: u32, threshold: u32) -> u32 {
 
 /// In per cent of red, green and blue.
 fn define(text: &mut String, colours: &[u8]) {
-    let mut used = [false; COLOURS];
-    for colour in colours {
-        if let Some(used) = used.get_mut(usize::from(*colour)) {
-            *used = true;
-        }
-    }
+    let used: BTreeSet<usize> = colours.iter().map(|colour| usize::from(*colour)).collect();
     let per_cent = |step: usize, steps: usize| (step * 200 + steps - 1) / (2 * (steps - 1));
-    for (index, _) in used.iter().enumerate().filter(|(_, used)| **used) {
+    for index in used {
         let (red, green, blue) = (index / 42, index / 6 % 7, index % 6);
         text.push_str(&format!("#{index};2;{};{};{}", per_cent(red, 6), per_cent(green, 7), per_cent(blue, 6)));
     }

@@ -311,12 +311,8 @@ fn reader(row: &GrantRow) -> String {
 }
 
 pub fn draw_publishers(canvas: &mut Canvas, area: Rect, state: &State, lookup: &Lookup<PinsView>) {
-    let lines = answered(
-        lookup,
-        area.width.saturating_sub(6).min(100),
-        |view| publishers(state, &lookup.id, view),
-        |line| line,
-    );
+    let width = area.width.saturating_sub(6).min(100);
+    let lines = answered(lookup, width, |view| publishers(state, &lookup.id, view), |line| line);
     draw_lines(canvas, area, &format!("Publishers of {}", lookup.id), &lines, lookup.scroll);
 }
 
@@ -436,16 +432,9 @@ fn records_on_their_way(state: &State) -> Vec<Piece> {
     let life = &site.life;
     let queue = &site.queue;
     let full = queue.bytes.saturating_mul(100).checked_div(queue.capacity).unwrap_or(0);
-    let mut lines = vec![(
-        format!(
-            "{:<15} {} message{}, {} (buffer {full} % full)",
-            "to be stored",
-            ui::count(queue.messages),
-            if queue.messages == 1 { "" } else { "s" },
-            ui::size(queue.bytes)
-        ),
-        if full >= 80 { Role::Bad } else { Role::Body },
-    )];
+    let (messages, bytes) = (many(queue.messages, "message"), ui::size(queue.bytes));
+    let stored = format!("{:<15} {messages}, {bytes} (buffer {full} % full)", "to be stored");
+    let mut lines = vec![(stored, if full >= 80 { Role::Bad } else { Role::Body })];
     let stations = [
         ("to be anchored", life.stored.saturating_sub(life.anchored)),
         ("to be confirmed", life.anchored.saturating_sub(life.confirmed)),
@@ -564,7 +553,7 @@ fn draw_incident(canvas: &mut Canvas, line: Rect, incident: &IncidentView, here:
     let (word, role) = if incident.open { ("open", Role::Good) } else { ("closed", Role::Dim) };
     canvas.put(rest, word, role);
     let topics = incident.coverage.iter().filter(|one| one.records > 0).count() as u64;
-    let held = format!("{} in {}", records(incident.records), counted(topics, "topic"));
+    let held = format!("{} in {}", many(incident.records, "record"), counted(topics, "topic"));
     canvas.puts(right_of(rest, STATE), &[(&held, Role::Body), (&format!(", {}", ui::size(incident.bytes)), Role::Dim)]);
 }
 
@@ -582,8 +571,8 @@ fn draw_told(canvas: &mut Canvas, area: Rect, told: &[Piece], scroll: usize) {
     }
 }
 
-fn records(count: u64) -> String {
-    format!("{} {}", ui::count(count), if count == 1 { "record" } else { "records" })
+fn many(count: u64, one: &str) -> String {
+    format!("{} {one}{}", ui::count(count), if count == 1 { "" } else { "s" })
 }
 
 /// Span, notes, and coverage of each topic.
@@ -617,7 +606,7 @@ fn topic(state: &State, one: &SpanCoverageView) -> Vec<Piece> {
     let name = clean(&one.topic, 255);
     let mut lines = match (one.first, one.last) {
         (Some(first), Some(last)) => {
-            vec![(format!("{name}  {}, {}", records(one.records), from_to(state, first, last)), Role::Body)]
+            vec![(format!("{name}  {}, {}", many(one.records, "record"), from_to(state, first, last)), Role::Body)]
         }
         _ if one.quarantined > 0 => vec![(format!("{name}  no record"), Role::Warning)],
         _ => vec![(format!("{name}  nothing in that time: check the name and whether it is watched"), Role::Warning)],
