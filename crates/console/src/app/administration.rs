@@ -92,13 +92,10 @@ impl Act {
 }
 
 pub fn begin(state: &mut State, act: Act) {
-    if act.names() {
-        state.popups.push(Popup::Form(Purpose::Administer(act), form(act)));
-        return;
-    }
-    if let Some(errand) = nameless(act) {
-        state.popups.push(Popup::Confirm(question(act, Vec::new(), errand)));
-    }
+    state.popups.push(match nameless(act) {
+        Some(errand) => Popup::Confirm(question(act, Vec::new(), errand)),
+        None => Popup::Form(Purpose::Administer(act), form(act)),
+    });
 }
 
 /// `None` for acts that need an account.

@@ -209,15 +209,12 @@ fn health(part: &PartHealth) -> Option<(NoticeLevel, String)> {
 }
 
 fn life(life: &LifeLine) -> Vec<(u64, NoticeLevel, &'static str)> {
+    let dropped = life.dropped.saturating_sub(life.discarded);
     let counted = [
         (life.tampered, NoticeLevel::Error, "tampered: not the bytes that were anchored (3, then / tampered)"),
         (life.right_ended, NoticeLevel::Warning, "right ended: restore the account or renew the loan and they resume"),
         (life.quarantined, NoticeLevel::Warning, "quarantined: sent by a node that is not the pinned publisher"),
-        (
-            life.dropped.saturating_sub(life.discarded),
-            NoticeLevel::Warning,
-            "dropped by the recorder before sealing; gap records count them",
-        ),
+        (dropped, NoticeLevel::Warning, "dropped by the recorder before sealing; gap records count them"),
         (life.lost_in_transport, NoticeLevel::Warning, "lost in transport before capture"),
     ];
     counted.into_iter().filter(|(count, ..)| *count > 0).collect()

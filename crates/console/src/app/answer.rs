@@ -101,7 +101,11 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) {
             state.inform(loaded(kind));
         }),
     }
-    // What the same question asked for besides; a failure of the act has taken it back.
+    follow_up(state, tag);
+}
+
+/// Sends what the same question asked for besides; a failed act has taken it back.
+fn follow_up(state: &mut State, tag: &Tag) {
     if let Some((_, errand)) = state.follow_up.take_if(|(after, _)| after == tag) {
         state.send(errand);
     }

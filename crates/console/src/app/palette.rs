@@ -23,16 +23,16 @@ pub(super) fn key(state: &mut State, mut palette: Palette, key: Key) {
         Key::Enter => {
             remember(state, palette.field.text());
             let words: Vec<&str> = palette.field.text().split_whitespace().collect();
-            if let (Some(("grant", terms)), Ok(())) = (with_terms(&words), available(state, Verb::Grant)) {
-                return granting::spoken(state, terms);
-            }
-            if let (Some(("columns", names)), Ok(())) = (with_terms(&words), available(state, Verb::Columns)) {
-                return choosing::spoken(state, names);
-            }
-            if let Some(("profile", [name])) = with_terms(&words)
-                && let Ok(profile) = name.parse()
-            {
-                return perform::switch(state, profile);
+            let (grants, chooses) = (available(state, Verb::Grant).is_ok(), available(state, Verb::Columns).is_ok());
+            match with_terms(&words) {
+                Some(("grant", terms)) if grants => return granting::spoken(state, terms),
+                Some(("columns", names)) if chooses => return choosing::spoken(state, names),
+                Some(("profile", [name])) => {
+                    if let Ok(profile) = name.parse() {
+                        return perform::switch(state, profile);
+                    }
+                }
+                _ => {}
             }
             let Some(entry) = matches.get(palette.selected.min(last)) else { return };
             return perform(state, entry.verb);

@@ -123,7 +123,9 @@ fn freeze(state: &mut State) {
 fn mark(state: &mut State) {
     let (key, keys) = (state.row_key(), state.row_keys());
     let Some(table) = state.table_mut() else { return };
-    key.iter().for_each(|key| table.toggle_mark(key));
+    if let Some(key) = key.filter(|key| !table.marks.remove(key)) {
+        table.marks.insert(key);
+    }
     table.step(&keys, 1);
 }
 

@@ -71,12 +71,6 @@ impl Table {
         wanted != from
     }
 
-    pub fn toggle_mark(&mut self, key: &str) {
-        if !self.marks.remove(key) {
-            self.marks.insert(key.to_owned());
-        }
-    }
-
     /// The present filter stays until a character replaces it, and is then among the earlier ones.
     pub fn begin_filter(&mut self) {
         self.remember();

@@ -17,9 +17,8 @@ use std::sync::{Arc, MutexGuard, OnceLock, PoisonError, TryLockError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use crate::app::palette::Sought;
 use crate::app::when::Zone;
-use crate::app::{Action, Contents, Effect, Settings, State, Tag, update};
+use crate::app::{Action, Effect, Settings, State, Tag, update};
 use crate::config::Pictures;
 use crate::model::{ErrorKind, ProfileName, Timestamp};
 use crate::service::client::site_gone;

@@ -68,7 +68,17 @@ fn draw_whole(canvas: &mut Canvas, area: Rect, state: &State) {
     bars::draw(canvas, Rect { height: 2, ..area }, state);
     // Several message lines shorten the list instead of covering the cursor's row.
     let covered = bars::covered(state, area.width).saturating_sub(strip).min(content.height / 2);
-    draw_content(canvas, Rect { height: content.height - covered, ..content }, state);
+    let list = detail::draw(canvas, Rect { height: content.height - covered, ..content }, state);
+    match state.screen {
+        Screen::Overview => overview::draw(canvas, list, state),
+        Screen::Topics => lists::draw_topics(canvas, list, state),
+        Screen::Uploads | Screen::Shared => lists::draw_records(canvas, list, state),
+        Screen::Grants => lists::draw_grants(canvas, list, state),
+        Screen::Keys => lists::draw_keys(canvas, list, state),
+        Screen::Chain => lists::draw_chain(canvas, list, state),
+        Screen::Gateway => gateway::draw(canvas, list, state),
+        Screen::Log => lists::draw_log(canvas, list, state),
+    }
     if let Some(popup) = state.popups.last() {
         popups::draw(canvas, content, state, popup);
     }
@@ -77,20 +87,6 @@ fn draw_whole(canvas: &mut Canvas, area: Rect, state: &State) {
     }
     // Several message lines take precedence over the strip.
     bars::draw_bottom(canvas, area, state);
-}
-
-fn draw_content(canvas: &mut Canvas, area: Rect, state: &State) {
-    let area = detail::draw(canvas, area, state);
-    match state.screen {
-        Screen::Overview => overview::draw(canvas, area, state),
-        Screen::Topics => lists::draw_topics(canvas, area, state),
-        Screen::Uploads | Screen::Shared => lists::draw_records(canvas, area, state),
-        Screen::Grants => lists::draw_grants(canvas, area, state),
-        Screen::Keys => lists::draw_keys(canvas, area, state),
-        Screen::Chain => lists::draw_chain(canvas, area, state),
-        Screen::Gateway => gateway::draw(canvas, area, state),
-        Screen::Log => lists::draw_log(canvas, area, state),
-    }
 }
 
 pub struct Canvas<'a> {

@@ -34,10 +34,6 @@ pub enum Role {
 }
 
 impl Role {
-    pub fn all() -> impl Iterator<Item = Self> {
-        Self::iter()
-    }
-
     pub fn word(self) -> &'static str {
         self.into()
     }
@@ -238,7 +234,7 @@ fn read(file: &str, text: &str, known: &[Theme]) -> Result<Theme, FileError> {
     for (role, paint) in &parsed.roles {
         styles[*role as usize] = source.style(paint)?;
     }
-    if let (None, Some(role)) = (base, Role::all().find(|role| !parsed.roles.contains_key(role))) {
+    if let (None, Some(role)) = (base, Role::iter().find(|role| !parsed.roles.contains_key(role))) {
         return Err(source.wrong(0, format!("the theme does not define the role {}", role.word())));
     }
     let assumed = parsed.assumed.as_ref().map(|assumed| source.rgb(assumed)).transpose()?;
@@ -288,7 +284,7 @@ mod tests {
         for (name, _) in EMBEDDED {
             let theme = Theme::named(name).expect("embedded");
             assert_eq!(theme.name, name);
-            for role in Role::all() {
+            for role in Role::iter() {
                 let style = theme.style(role);
                 let Some(text) = parts(style.fg) else { continue };
                 let ground = parts(style.bg).or(theme.assumed).expect("a background");
@@ -303,7 +299,7 @@ mod tests {
             assert_eq!(Theme::named(name).expect("embedded").style(Role::Body), Style::default());
         }
         let mono = Theme::named("mono").expect("embedded");
-        assert!(Role::all().all(|role| mono.style(role).fg.is_none() && mono.style(role).bg.is_none()));
+        assert!(Role::iter().all(|role| mono.style(role).fg.is_none() && mono.style(role).bg.is_none()));
     }
 
     fn one(text: &str) -> Result<Theme, ThemeError> {
@@ -323,7 +319,7 @@ mod tests {
         let own = one("name = 'sea'\nbase = 'day'\n[roles]\naccent = { fg = '#003366' }\n").expect("a theme");
         let day = Theme::named("day").expect("embedded");
         assert_eq!((own.name.as_str(), own.assumed), ("sea", day.assumed));
-        for role in Role::all() {
+        for role in Role::iter() {
             assert_eq!(own.style(role) == day.style(role), role != Role::Accent, "{role:?}");
         }
         let files = [("a.toml".to_owned(), "name = 'night'\n[roles]\nbody = { bold = true }\n".to_owned())];
@@ -352,7 +348,7 @@ mod tests {
 
     #[test]
     fn every_role_has_its_word() {
-        for role in Role::all() {
+        for role in Role::iter() {
             let text = format!("name = 'x'\n[roles]\n{} = {{ underline = true }}\n", role.word());
             assert!(one(&text).expect("known").style(role).add_modifier.contains(ratatui::style::Modifier::UNDERLINED));
         }

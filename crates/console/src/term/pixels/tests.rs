@@ -152,11 +152,9 @@ fn expect_written(bytes: &str, area: Rect) {
 
 #[test]
 fn without_the_setting_or_colours_nothing_is_put() {
-    for (way, depth) in [
-        (Pictures::HalfBlocks, Depth::True),
-        (Pictures::Kitty, Depth::None),
-        (Pictures::Sixel, Depth::None),
-    ] {
+    for (way, depth) in
+        [(Pictures::HalfBlocks, Depth::True), (Pictures::Kitty, Depth::None), (Pictures::Sixel, Depth::None)]
+    {
         let (mut scene, mut painter) = (scene(), painter(way));
         scene.theme = Theme { depth, pixels: way != Pictures::HalfBlocks, ..scene.theme };
         let bytes = painter.paint(&mut scene);

@@ -7,6 +7,7 @@ pub(in crate::ui) use windows::{
 };
 
 use ratatui::layout::{Position, Rect};
+use strum::IntoEnumIterator as _;
 
 use super::lists::{self, empty};
 use super::table::Layout;
@@ -162,11 +163,11 @@ pub fn draw_chord(canvas: &mut Canvas, area: Rect, state: &State, pressed: &[Key
 /// With a sample of every role.
 fn draw_themes(canvas: &mut Canvas, area: Rect, state: &State, choice: &ThemeChoice) {
     let names = &state.settings.themes;
-    let inner = framed(canvas, area, "Theme", 44, rows(names.len().max(Role::all().count())));
+    let inner = framed(canvas, area, "Theme", 44, rows(names.len().max(Role::iter().count())));
     draw_list(canvas, inner, names, choice.selected, |canvas, line, name, here| {
         canvas.put(line, &clean(name, 20), name_role(here));
     });
-    for (line, role) in (0..inner.height).zip(Role::all()) {
+    for (line, role) in (0..inner.height).zip(Role::iter()) {
         canvas.put(right_of(row(inner, line), 24), role.word(), role);
     }
 }

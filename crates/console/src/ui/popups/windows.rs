@@ -8,7 +8,6 @@ use crate::app::screens::{LogLine, day, end, is_active, is_given, scope};
 use crate::app::update::Feed;
 use crate::app::{State, Tag, counted};
 use crate::model::{Timestamp, Verdict, clean};
-use crate::pipeline::sender::LaneState;
 use crate::ros::readable::{Readable, Table};
 use crate::service::NoticeLevel;
 use crate::service::reply::{
