@@ -338,10 +338,7 @@ fn sought(form: &Form, settings: &Settings) -> Option<Sought> {
 }
 
 pub fn tab(state: &State, form: &Form, key: Key) -> Option<Effect> {
-    if key != Key::Tab {
-        return None;
-    }
-    sought(form, &state.settings).map(Effect::FindPaths)
+    sought(form, &state.settings).filter(|_| key == Key::Tab).map(Effect::FindPaths)
 }
 
 /// Ignores an answer to a form that changed meanwhile.

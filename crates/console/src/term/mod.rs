@@ -224,11 +224,12 @@ impl Session {
             Message::Signal(SIGTSTP) => self.suspend(),
             // Stopped from outside, and running again.
             Message::Signal(SIGCONT) => self.retake(),
-            Message::Signal(signal) => Ok(Some(ended_by(signal))),
             Message::TerminalFailed if io::stdin().is_terminal() => {
                 Err(TermError::Fault("the terminal accepts no more output".to_owned()))
             }
-            Message::TerminalFailed => Ok(Some(ExitReason::TerminalGone)),
+            Message::Signal(SIGHUP) | Message::TerminalFailed => Ok(Some(ExitReason::TerminalGone)),
+            Message::Signal(_) if !io::stdin().is_terminal() => Ok(Some(ExitReason::TerminalGone)),
+            Message::Signal(signal) => Ok(Some(ExitReason::Signal(signal))),
             Message::Broken(what) => Err(TermError::Fault(what)),
         }
     }
@@ -393,11 +394,6 @@ fn finished(stage: &Stage) -> Option<MutexGuard<'_, ()>> {
             Err(TryLockError::WouldBlock) => thread::sleep(Duration::from_millis(5)),
         }
     }
-}
-
-fn ended_by(signal: i32) -> ExitReason {
-    let gone = signal == SIGHUP || !io::stdin().is_terminal();
-    if gone { ExitReason::TerminalGone } else { ExitReason::Signal(signal) }
 }
 
 fn theme(options: &ConsoleOptions, depth: Depth) -> Result<Theme, TermError> {
