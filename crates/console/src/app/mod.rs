@@ -145,7 +145,7 @@ pub struct State {
     /// The previous profile, until the current one is claimed.
     pub former: Option<ProfileName>,
     pub tour: Option<Tour>,
-    /// Work for the caller, which [`update`] returns.
+    /// Work for the caller; `update` returns it.
     pub effects: Vec<Effect>,
 }
 
