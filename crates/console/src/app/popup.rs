@@ -435,7 +435,7 @@ fn chord_key(state: &mut State, mut pressed: Vec<Key>, key: Key) {
     pressed.push(key);
     let meaning = state.settings.keymap.meaning(&pressed, state.screen);
     match meaning {
-        Meaning::Does(verb) => return perform(state, verb),
+        Meaning::Does(verb) => perform(state, verb),
         Meaning::Begins(_) => state.popups.push(Popup::Chord(pressed)),
         Meaning::Nothing => state.inform(format!("'{}' does nothing here", chord_label(&pressed))),
     }

@@ -428,7 +428,7 @@ pub struct Records {
     /// Hides younger records, so that the row of the cursor stays in place.
     pub anchor: Option<Timestamp>,
     /// The filter and when it was typed: `since:1m` counts from there, so that it stays the same request.
-    typed: (String, Timestamp),
+    pub(super) typed: (String, Timestamp),
     /// Whether more records are on their way from the gateway.
     pub arriving: bool,
 }
