@@ -9,115 +9,96 @@ use super::verb::{Errand, Tag};
 use crate::model::Party;
 use crate::service::Command;
 use crate::service::command::Administration;
+use strum::IntoStaticStr;
 
-/// An administrator's act, before its account is known.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, IntoStaticStr)]
+#[strum(serialize_all = "lowercase")]
 pub enum Act {
-    /// Lets an account register.
     Admit,
-    /// Blocks an account's changes.
     Suspend,
-    /// Frees a suspended account.
     Restore,
     Open,
-    /// Lets only admitted accounts register.
     Close,
-    /// Blocks all changes except revokes.
     Pause,
     Continue,
-    /// Proposes who is to continue for a lost account.
     Propose,
     Dismiss,
-    /// Names the next administrator.
+    #[strum(serialize = "hand over")]
     HandOver,
-    /// Takes over, having been named.
     Accept,
     Deploy,
 }
 
 impl Act {
-    fn title(self) -> &'static str {
+    /// Title, and what the act means.
+    fn told(self) -> (&'static str, &'static [&'static str]) {
         match self {
-            Self::Admit => "Admit an account",
-            Self::Suspend => "Suspend an account",
-            Self::Restore => "Restore a suspended account",
-            Self::Open => "Open registration?",
-            Self::Close => "Close registration?",
-            Self::Pause => "Pause all changes?",
-            Self::Continue => "Resume changes?",
-            Self::Propose => "Propose the successor of a lost account",
-            Self::Dismiss => "Withdraw an admission",
-            Self::HandOver => "Nominate the next administrator",
-            Self::Accept => "Take over as administrator?",
-            Self::Deploy => "Deploy the contract?",
-        }
-    }
-
-    fn meaning(self) -> &'static [&'static str] {
-        match self {
-            Self::Admit => &["While registration is closed, only admitted accounts can register."],
-            Self::Suspend => &[
-                "The contract refuses its changes, except those that withdraw rights.",
-                "What it shared stays readable to anyone who has the keys. `restore` undoes this.",
-            ],
-            Self::Restore => &["The contract accepts its changes again."],
-            Self::Open => &["Anyone with an account on this chain can then register."],
-            Self::Close => &["Only accounts that you admit can then register."],
-            Self::Pause => {
-                &["Nobody can register, grant or anchor; revokes and reads still work.", "It ends after a day."]
+            Self::Admit => {
+                ("Admit an account", &["While registration is closed, only admitted accounts can register."])
             }
-            Self::Continue => &["Registrations, grants and anchors are accepted again."],
-            Self::Propose => &[
-                "It waits for the contract's delay, twice as long if the account named no recovery account, which",
-                "can stop it. Then `authros chain succession complete` carries it out, which cannot be undone.",
-            ],
-            Self::Dismiss => &["The admission is withdrawn; an account that has already registered stays registered."],
-            Self::HandOver => &["Once that account accepts, you are no longer the administrator."],
-            Self::Accept => &["The administrator nominated you; from then on these commands are yours."],
-            Self::Deploy => &["Your account becomes the contract's administrator, and this home is bound to it."],
+            Self::Suspend => (
+                "Suspend an account",
+                &[
+                    "The contract refuses its changes, except those that withdraw rights.",
+                    "What it shared stays readable to anyone who has the keys. `restore` undoes this.",
+                ],
+            ),
+            Self::Restore => ("Restore a suspended account", &["The contract accepts its changes again."]),
+            Self::Open => ("Open registration?", &["Anyone with an account on this chain can then register."]),
+            Self::Close => ("Close registration?", &["Only accounts that you admit can then register."]),
+            Self::Pause => (
+                "Pause all changes?",
+                &["Nobody can register, grant or anchor; revokes and reads still work.", "It ends after a day."],
+            ),
+            Self::Continue => ("Resume changes?", &["Registrations, grants and anchors are accepted again."]),
+            Self::Propose => (
+                "Propose the successor of a lost account",
+                &[
+                    "It waits for the contract's delay, twice as long if the account named no recovery account, which",
+                    "can stop it. Then `authros chain succession complete` carries it out, which cannot be undone.",
+                ],
+            ),
+            Self::Dismiss => (
+                "Withdraw an admission",
+                &["The admission is withdrawn; an account that has already registered stays registered."],
+            ),
+            Self::HandOver => (
+                "Nominate the next administrator",
+                &["Once that account accepts, you are no longer the administrator."],
+            ),
+            Self::Accept => (
+                "Take over as administrator?",
+                &["The administrator nominated you; from then on these commands are yours."],
+            ),
+            Self::Deploy => (
+                "Deploy the contract?",
+                &["Your account becomes the contract's administrator, and this home is bound to it."],
+            ),
         }
     }
 
-    /// Whether it needs an account.
     fn names(self) -> bool {
         matches!(self, Self::Admit | Self::Dismiss | Self::Suspend | Self::Restore | Self::HandOver | Self::Propose)
     }
 
-    /// Whether its name must be typed, because it cannot simply be undone.
+    /// Acts that cannot simply be undone: their name must be typed.
     fn is_grave(self) -> bool {
         matches!(self, Self::Suspend | Self::HandOver | Self::Pause | Self::Propose)
     }
 
     fn word(self) -> &'static str {
-        match self {
-            Self::Admit => "admit",
-            Self::Suspend => "suspend",
-            Self::Restore => "restore",
-            Self::Open => "open",
-            Self::Close => "close",
-            Self::Pause => "pause",
-            Self::Continue => "continue",
-            Self::Propose => "propose",
-            Self::Dismiss => "dismiss",
-            Self::HandOver => "hand over",
-            Self::Accept => "accept",
-            Self::Deploy => "deploy",
-        }
+        self.into()
     }
 }
 
-/// Opens the form or the question of an act.
 pub fn begin(state: &mut State, act: Act) {
-    if act.names() {
-        state.popups.push(Popup::Form(Purpose::Administer(act), form(act)));
-        return;
-    }
-    if let Some(errand) = nameless(act) {
-        state.popups.push(Popup::Confirm(question(act, Vec::new(), errand)));
-    }
+    state.popups.push(match nameless(act) {
+        Some(errand) => Popup::Confirm(question(act, Vec::new(), errand)),
+        None => Popup::Form(Purpose::Administer(act), form(act)),
+    });
 }
 
-/// The command of an act that needs no account; `None` for the others.
+/// `None` for acts that need an account.
 fn nameless(act: Act) -> Option<Errand> {
     Some(match act {
         Act::Deploy => Errand { command: Command::DeployContract { delay: None }, tag: Tag::Deploy },
@@ -138,10 +119,10 @@ fn form(act: Act) -> Form {
     let hint = "0x and 40 hex, or a contact's name";
     let names: &[&str] = if act == Act::Propose { &["Lost", "Successor"] } else { &["Account"] };
     let lines = names.iter().map(|name| Line::text(name, hint, Field::default())).collect();
-    Form::new(act.title(), act.meaning().iter().map(|line| (*line).to_owned()).collect(), lines)
+    let (title, meaning) = act.told();
+    Form::new(title, meaning.iter().map(|line| (*line).to_owned()).collect(), lines)
 }
 
-/// The question after a completed form.
 pub fn read(act: Act, form: &Form) -> Result<Confirm, Wrong> {
     let account: Party = form.parsed(0)?;
     let mut lines = vec![format!("Account  {account}")];
@@ -164,9 +145,10 @@ pub fn read(act: Act, form: &Form) -> Result<Confirm, Wrong> {
 }
 
 fn question(act: Act, mut lines: Vec<String>, errand: Errand) -> Confirm {
-    lines.extend(act.meaning().iter().map(|line| (*line).to_owned()));
+    let (title, meaning) = act.told();
+    lines.extend(meaning.iter().map(|line| (*line).to_owned()));
     lines.push("This sends a transaction from your account.".to_owned());
-    let title = if act.names() { format!("{}?", act.title()) } else { act.title().to_owned() };
+    let title = if act.names() { format!("{title}?") } else { title.to_owned() };
     let typed = act.is_grave().then(|| popup::Typed::new(act.word()));
     Confirm { title, lines, yes: act.word(), typed, errand }
 }

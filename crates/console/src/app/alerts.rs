@@ -1,5 +1,4 @@
-//! What an operator should look at, from the data received: since when, how often, and what ended recently; and the
-//! short messages that go by themselves.
+//! What an operator should look at: since when, how often, what ended recently; and short messages.
 
 use std::collections::VecDeque;
 
@@ -10,24 +9,20 @@ use crate::model::{Address, Timestamp};
 use crate::service::NoticeLevel;
 use crate::service::reply::{AlertView, GrantRow, HealthLevel, LifeLine, PartHealth, Severity, SiteView};
 
-/// The most notices repeated as alerts.
 const MOST_NOTICES: usize = 3;
-/// How long ended ones are kept, nanoseconds.
+/// How long ended alerts stay, nanoseconds.
 const KEPT: u64 = 15 * 60 * 1_000_000_000;
-/// What needs no operator and ends within this time is not kept, nanoseconds.
+/// Ended alerts shorter than this are dropped if they need no operator, nanoseconds.
 const BRIEF: u64 = 5_000_000_000;
-/// The most ended ones kept.
 const MOST_OVER: usize = 20;
 
-/// Something that needs attention, or did.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Alert {
-    /// Its subject; the text may change while this stays.
+    /// The subject, stable while the text changes.
     pub about: String,
     pub level: NoticeLevel,
     pub text: String,
     pub since: Timestamp,
-    /// How often it occurred, including this time.
     pub count: usize,
     pub resolved: Option<Timestamp>,
     /// Whether its end is worth reporting.
@@ -35,20 +30,22 @@ pub struct Alert {
 }
 
 impl Alert {
-    /// What began and ended on its own within seconds, as at every start, is not news.
+    fn new(about: &str, level: NoticeLevel, text: String, since: Timestamp) -> Self {
+        Self { about: about.to_owned(), level, text, since, count: 1, resolved: None, lasts: false }
+    }
+
+    /// Alerts that begin and end on their own within seconds, as at every start, are not news.
     fn is_worth_knowing(&self) -> bool {
         let lasted = self.resolved.map_or(0, |at| at.0.saturating_sub(self.since.0));
         self.lasts && (lasted >= BRIEF || self.level == NoticeLevel::Error)
     }
 }
 
-/// All that needs attention, and what ended recently.
 #[derive(Debug, Default)]
 pub struct AlertBook(Vec<Alert>);
 
 impl AlertBook {
-    /// Takes over the present findings: new ones are noted with their time, missing ones have ended. Some of the
-    /// findings may have ended already, according to the site.
+    /// Notes new findings with their time and ends missing ones; the site may report some as ended already.
     pub fn refresh(&mut self, found: Vec<Alert>, now: Timestamp) {
         let (over, found): (Vec<Alert>, Vec<Alert>) = found.into_iter().partition(|alert| alert.resolved.is_some());
         for alert in &mut self.0 {
@@ -86,37 +83,26 @@ impl AlertBook {
         known.count = alert.count.max(known.count + usize::from(again));
     }
 
-    /// The active ones, worst first, then those that ended recently, newest first.
+    /// Active ones, worst first, then recently ended ones, newest first.
     pub fn shown(&self) -> Vec<&Alert> {
         let mut shown: Vec<&Alert> = self.0.iter().collect();
         shown.sort_by_key(|alert| (alert.resolved.map(std::cmp::Reverse), std::cmp::Reverse(alert.level)));
         shown
     }
 
-    /// When the oldest ended one is dropped.
     pub fn forgotten_at(&self) -> Option<Timestamp> {
         let over = self.0.iter().filter_map(|alert| alert.resolved).min()?;
         Some(Timestamp(over.0.saturating_add(KEPT)))
     }
 }
 
-/// Updates the book from the data received.
 pub fn refresh(state: &mut State) {
     let found = standing(state);
-    let now = state.now;
-    state.alerts.refresh(found, now);
+    state.alerts.refresh(found, state.now);
 }
 
 fn standing(state: &State) -> Vec<Alert> {
-    let alert = |about: &str, level, text| Alert {
-        about: about.to_owned(),
-        level,
-        text,
-        since: state.now,
-        count: 1,
-        resolved: None,
-        lasts: false,
-    };
+    let alert = |about: &str, level, text| Alert::new(about, level, text, state.now);
     let mut found = Vec::new();
     if let Some(site) = &state.site {
         found.extend(site.health.iter().filter_map(|part| {
@@ -148,20 +134,15 @@ fn standing(state: &State) -> Vec<Alert> {
     found
 }
 
-/// What the site found by its own rules, and what of it ended recently: with the site's own times, regardless of
-/// consoles.
+/// Alerts of the site's own rules, with the site's times, regardless of consoles.
 fn judged(state: &State, site: &SiteView) -> Vec<Alert> {
-    let shown = |alert: &AlertView, resolved| Alert {
-        about: format!("alert {}", alert.key),
-        level: match alert.severity {
+    let shown = |alert: &AlertView, resolved| {
+        let level = match alert.severity {
             Severity::Warning => NoticeLevel::Warning,
             Severity::Critical => NoticeLevel::Error,
-        },
-        text: alert.text.clone(),
-        since: alert.begun,
-        count: 1,
-        resolved,
-        lasts: true,
+        };
+        let about = format!("alert {}", alert.key);
+        Alert { resolved, lasts: true, ..Alert::new(&about, level, alert.text.clone(), alert.begun) }
     };
     let is_news = |alert: &&AlertView| !is_told_otherwise(&alert.key, state, site);
     let standing = site.alerts.iter().filter(is_news).map(|alert| shown(alert, None));
@@ -169,7 +150,7 @@ fn judged(state: &State, site: &SiteView) -> Vec<Alert> {
     standing.chain(over.map(|over| shown(&over.alert, Some(over.ended)))).collect()
 }
 
-/// Whether health, record counts or grants say the same already, with words that are more helpful.
+/// Whether health, record counts or grants say the same in more helpful words.
 fn is_told_otherwise(key: &str, state: &State, site: &SiteView) -> bool {
     let own = state.identity.as_ref().and_then(|identity| identity.address);
     let (rule, subject) = key.split_once('/').unwrap_or((key, ""));
@@ -187,12 +168,11 @@ fn is_told_otherwise(key: &str, state: &State, site: &SiteView) -> bool {
     }
 }
 
-/// The form in which the site names an account in its alerts.
 fn begins(account: Address) -> String {
     account.to_string().trim_start_matches("0x").chars().take(8).collect()
 }
 
-/// What the profile lacks: only the worst.
+/// The worst that the profile lacks.
 fn identity(state: &State) -> Option<(&'static str, String)> {
     let identity = state.identity.as_ref().filter(|identity| identity.exists)?;
     if !identity.unlocked {
@@ -229,15 +209,12 @@ fn health(part: &PartHealth) -> Option<(NoticeLevel, String)> {
 }
 
 fn life(life: &LifeLine) -> Vec<(u64, NoticeLevel, &'static str)> {
+    let dropped = life.dropped.saturating_sub(life.discarded);
     let counted = [
         (life.tampered, NoticeLevel::Error, "tampered: not the bytes that were anchored (3, then / tampered)"),
         (life.right_ended, NoticeLevel::Warning, "right ended: restore the account or renew the loan and they resume"),
         (life.quarantined, NoticeLevel::Warning, "quarantined: sent by a node that is not the pinned publisher"),
-        (
-            life.dropped.saturating_sub(life.discarded),
-            NoticeLevel::Warning,
-            "dropped by the recorder before sealing; gap records count them",
-        ),
+        (dropped, NoticeLevel::Warning, "dropped by the recorder before sealing; gap records count them"),
         (life.lost_in_transport, NoticeLevel::Warning, "lost in transport before capture"),
     ];
     counted.into_iter().filter(|(count, ..)| *count > 0).collect()
@@ -253,22 +230,16 @@ pub struct Toast {
     pub level: NoticeLevel,
     pub text: String,
     pub until: Option<Timestamp>,
-    /// Its subject, if a later message about the same replaces it.
+    /// The subject, if a later message about it replaces this one.
     pub about: Option<String>,
 }
 
-/// The messages not yet gone, oldest first.
 #[derive(Debug, Default)]
 pub struct Toasts(VecDeque<Toast>);
 
 impl Toasts {
-    /// Adds a message; the same text twice in a row is shown once.
-    pub fn push(&mut self, level: NoticeLevel, text: String, now: Timestamp) {
-        self.push_about(level, text, now, None);
-    }
-
-    /// Adds a message about something that lasts.
-    pub fn push_about(&mut self, level: NoticeLevel, text: String, now: Timestamp, about: Option<String>) {
+    /// A text repeated in a row is shown once.
+    pub fn push(&mut self, level: NoticeLevel, text: String, now: Timestamp, about: Option<String>) {
         let until = (level == NoticeLevel::Info).then(|| Timestamp(now.0.saturating_add(SHOWN_FOR)));
         self.0.retain(|toast| toast.text != text && (toast.until.is_none() || until.is_none()));
         self.0.push_back(Toast { level, text, until, about });
@@ -277,35 +248,30 @@ impl Toasts {
         }
     }
 
-    /// What was said about it before no longer holds.
     pub fn supersede(&mut self, about: &str) {
         self.0.retain(|toast| toast.about.as_deref() != Some(about));
     }
 
-    /// What to show now: the newest result of a command, or else the newest of the worst that nobody has seen.
+    /// The newest result of a command, or else the newest unseen one of the worst level.
     pub fn shown(&self) -> Option<&Toast> {
         let newest = self.0.back().filter(|toast| toast.until.is_some());
         newest.or_else(|| self.0.iter().max_by_key(|toast| toast.level))
     }
 
-    /// How many wait to be seen.
     pub fn unseen(&self) -> usize {
         self.0.iter().filter(|toast| toast.until.is_none()).count()
     }
 
-    /// The one shown was seen.
     pub fn dismiss(&mut self) -> Option<Toast> {
         let shown = self.shown().cloned();
         let place = self.0.iter().position(|toast| Some(toast) == shown.as_ref());
         place.and_then(|place| self.0.remove(place))
     }
 
-    /// Drops what has been shown long enough.
     pub fn expire(&mut self, now: Timestamp) {
         self.0.retain(|toast| toast.until.is_none_or(|until| until > now));
     }
 
-    /// When the next one disappears.
     pub fn next_expiry(&self) -> Option<Timestamp> {
         self.0.iter().filter_map(|toast| toast.until).min()
     }
@@ -360,8 +326,8 @@ mod toast_tests {
     #[test]
     fn information_goes_after_three_seconds_and_an_error_stays_until_seen() {
         let mut toasts = Toasts::default();
-        toasts.push(NoticeLevel::Error, "node gone".into(), Timestamp(0));
-        toasts.push(NoticeLevel::Info, "copied".into(), Timestamp(0));
+        toasts.push(NoticeLevel::Error, "node gone".into(), Timestamp(0), None);
+        toasts.push(NoticeLevel::Info, "copied".into(), Timestamp(0), None);
         toasts.expire(Timestamp(2_999_999_999));
         assert!(toasts.next_expiry().is_some());
         toasts.expire(Timestamp(3_000_000_000));
@@ -375,14 +341,14 @@ mod toast_tests {
     fn an_alert_about_something_that_lasts_is_one_and_goes_when_that_is_over() {
         let mut toasts = Toasts::default();
         let about = || Some("store".to_owned());
-        toasts.push(NoticeLevel::Error, "node gone".into(), Timestamp(0));
+        toasts.push(NoticeLevel::Error, "node gone".into(), Timestamp(0), None);
         for text in ["down", "still down"] {
             toasts.supersede("store");
-            toasts.push_about(NoticeLevel::Error, text.into(), Timestamp(0), about());
+            toasts.push(NoticeLevel::Error, text.into(), Timestamp(0), about());
         }
         assert_eq!(toasts.unseen(), 2);
         toasts.supersede("store");
-        toasts.push_about(NoticeLevel::Info, "back".into(), Timestamp(0), about());
+        toasts.push(NoticeLevel::Info, "back".into(), Timestamp(0), about());
         assert_eq!(toasts.unseen(), 1);
         assert_eq!(toasts.shown().map(|toast| toast.text.as_str()), Some("back"), "the newest result is on top");
         toasts.expire(Timestamp(3_000_000_000));

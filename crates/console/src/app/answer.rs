@@ -18,26 +18,26 @@ use crate::service::{Failure, KeyKind, NoticeLevel, Reply};
 
 type Answer = Result<Reply, Failure>;
 
-/// Handles an answer. Each tag names its request, and with it the possible answers.
-pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
+/// Each tag names its request, and with it the possible answers.
+pub fn answered(state: &mut State, tag: &Tag, result: Answer) {
     if let Tag::Feed(feed, generation) = tag {
         return fed(state, *feed, *generation, result);
     }
-    // A request for another profile, made before this console spoke for the current one, belongs to nobody any more.
-    let Some(place) = state.work.iter().position(|other| other == tag) else { return Vec::new() };
+    // Made for the previous profile: the answer belongs to nobody any more.
+    let Some(place) = state.work.iter().position(|other| other == tag) else { return };
     state.work.remove(place);
     match tag {
         Tag::Feed(..) => {}
-        Tag::OpenConsole => return opened_console(state, ask::OpenConsole::heard(result)),
+        Tag::OpenConsole => opened_console(state, ask::OpenConsole::heard(result)),
         Tag::CreateIdentity => {
             let made = ask::CreateIdentity::heard(result);
-            return identity_path::opened(state, made, Purpose::CreateIdentity, "identity created");
+            identity_path::opened(state, made, Purpose::CreateIdentity, "identity created");
         }
         Tag::Unlock => {
-            return identity_path::opened(state, ask::Unlock::heard(result), Purpose::Unlock, "keyring unlocked");
+            identity_path::opened(state, ask::Unlock::heard(result), Purpose::Unlock, "keyring unlocked");
         }
-        Tag::Register => return identity_path::registered(state, ask::Register::heard(result)),
-        Tag::Open(id) => return opening::opened(state, id, ask::OpenShared::heard(result)),
+        Tag::Register => identity_path::registered(state, ask::Register::heard(result)),
+        Tag::Open(id) => opening::opened(state, id, ask::OpenShared::heard(result)),
         Tag::Path(id) => opening::path_found(state, id, ask::ViewPath::heard(result)),
         Tag::Beside(Screen::Uploads, id) => opening::looked_up(state, id, ask::ShowUpload::heard(result)),
         Tag::Beside(Screen::Topics, topic) => opening::covered(state, topic, ask::TopicCoverage::heard(result)),
@@ -48,21 +48,21 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
         Tag::Publishers(topic) => tell(state, topic, ask::ListPins::heard(result), |popup| {
             if let Popup::Publishers(lookup) = popup { Some(lookup) } else { None }
         }),
-        // What the site knew before says nothing about what is still in flight now.
+        // What the site knew before says nothing about what is in flight now.
         Tag::HoldCapture => {
             done(state, tag, ask::HoldCapture::heard(result), |state, ()| state.feeds.renew(Feed::Site))
         }
         Tag::Lock => locked(state, ask::Lock::heard(result)),
         Tag::Export(id) => {
-            return written(state, tag, ask::ExportUpload::heard(result), |_, base, files| exported(id, base, files));
+            written(state, tag, ask::ExportUpload::heard(result), |_, base, files| exported(id, base, files));
         }
         Tag::ExportKey(kind) => {
-            return written(state, tag, ask::ExportKey::heard(result), |state, base, key| {
+            written(state, tag, ask::ExportKey::heard(result), |state, base, key| {
                 secret(base, key_file(state, *kind), &key)
             });
         }
         Tag::BackUp => {
-            return written(state, tag, ask::BackUpKeys::heard(result), |state, base, keys| {
+            written(state, tag, ask::BackUpKeys::heard(result), |state, base, keys| {
                 secret(base, format!("{}.keyring", state.settings.profile), &keys)
             });
         }
@@ -101,7 +101,14 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
             state.inform(loaded(kind));
         }),
     }
-    follow_up(state, tag)
+    follow_up(state, tag);
+}
+
+/// Sends what the same question asked for besides; a failed act has taken it back.
+fn follow_up(state: &mut State, tag: &Tag) {
+    if let Some((_, errand)) = state.follow_up.take_if(|(after, _)| after == tag) {
+        state.send(errand);
+    }
 }
 
 fn policy_set(state: &mut State, tag: &Tag, robot: &str, result: Answer) {
@@ -115,35 +122,26 @@ fn incident_removed(state: &mut State, tag: &Tag, result: Answer) {
     });
 }
 
-/// What one question requested besides the act that is now done; nothing if that failed.
-fn follow_up(state: &mut State, tag: &Tag) -> Vec<Effect> {
-    let Some((_, errand)) = state.follow_up.take_if(|(after, _)| after == tag) else { return Vec::new() };
-    vec![state.send(errand)]
-}
-
-fn fed(state: &mut State, feed: Feed, generation: u64, result: Answer) -> Vec<Effect> {
+fn fed(state: &mut State, feed: Feed, generation: u64, result: Answer) {
     let held = state.holds(feed);
     let failure = result.as_ref().err().cloned();
     if !state.feeds.answered(feed, generation, failure, state.now) {
-        return Vec::new();
+        return;
     }
     if held {
         state.feeds.slot_mut(feed).stale = true;
-        return Vec::new();
+        return;
     }
-    let effects = take(state, feed, result).unwrap_or_else(|failure| {
+    if let Err(failure) = take(state, feed, result) {
         state.feeds.slot_mut(feed).failure = Some(failure);
-        Vec::new()
-    });
+    }
     if feed == Feed::Identity {
         identity_path::greet(state);
-        return identity_path::advance(state);
+        identity_path::advance(state);
     }
-    effects
 }
 
-/// Takes the answer of a feed over; returns what that leads to.
-fn take(state: &mut State, feed: Feed, result: Answer) -> Result<Vec<Effect>, Failure> {
+fn take(state: &mut State, feed: Feed, result: Answer) -> Result<(), Failure> {
     let limit = state.page_rows();
     match feed {
         Feed::Site => {
@@ -155,7 +153,7 @@ fn take(state: &mut State, feed: Feed, result: Answer) -> Result<Vec<Effect>, Fa
         Feed::Identity => {
             let identity = ask::ShowIdentity::heard(result)?;
             if state.is_locked() && identity.unlocked {
-                // What was refused for the key's sake is asked again at once.
+                // Feeds refused for lack of a key may succeed now.
                 state.feeds.touch_failed();
             }
             state.identity = Some(identity);
@@ -174,27 +172,25 @@ fn take(state: &mut State, feed: Feed, result: Answer) -> Result<Vec<Effect>, Fa
             state.progress_at = state.now;
         }
         Feed::Gateway => state.gateway.set(ask::GatewayStatus::heard(result)?),
-        Feed::Robots => return Ok(policies::listed(state, ask::ListRobots::heard(result)?)),
+        Feed::Robots => policies::listed(state, ask::ListRobots::heard(result)?),
     }
-    Ok(Vec::new())
+    Ok(())
 }
 
-/// A profile that is open elsewhere, or a home that cannot be used, ends the console.
-fn opened_console(state: &mut State, result: Result<(), Failure>) -> Vec<Effect> {
+/// A profile open elsewhere, or an unusable home, ends the console.
+fn opened_console(state: &mut State, result: Result<(), Failure>) {
     let former = state.former.take();
-    let Err(failure) = result else { return Vec::new() };
+    let Err(failure) = result else { return };
     if let Some(former) = former {
-        // Back to the profile that this console can speak for.
-        let effects = perform::switch(state, former);
+        // Back to a profile that this console can speak for.
+        perform::switch(state, former);
         state.former = None;
         state.complain(failure.message);
-        return effects;
+    } else if matches!(failure.kind, ErrorKind::Refused | ErrorKind::Home | ErrorKind::Input | ErrorKind::Usage) {
+        state.effects.push(Effect::Leave(failure));
+    } else {
+        state.complain(failure.message);
     }
-    if matches!(failure.kind, ErrorKind::Refused | ErrorKind::Home | ErrorKind::Input | ErrorKind::Usage) {
-        return vec![Effect::Leave(failure)];
-    }
-    state.complain(failure.message);
-    Vec::new()
 }
 
 fn locked(state: &mut State, result: Result<IdentityView, Failure>) {
@@ -211,7 +207,6 @@ fn locked(state: &mut State, result: Result<IdentityView, Failure>) {
     }
 }
 
-/// What came of an act, in words made from its answer.
 fn said<T>(state: &mut State, tag: &Tag, result: Result<T, Failure>, text: impl FnOnce(T) -> String) {
     done(state, tag, result, |state, answer| state.inform(text(answer)));
 }
@@ -220,7 +215,7 @@ fn is_done(tag: &Tag) -> String {
     format!("{}: done", tag.words())
 }
 
-/// An act's answer: reported, noted for undoing, and what it made out of date is requested again.
+/// Reports the result, notes it for undo, and marks changed feeds stale.
 fn done<T>(state: &mut State, tag: &Tag, result: Result<T, Failure>, take: impl FnOnce(&mut State, T)) {
     match result {
         Ok(answer) => {
@@ -245,7 +240,7 @@ fn done<T>(state: &mut State, tag: &Tag, result: Result<T, Failure>, take: impl 
     }
 }
 
-/// A failed act returns to its form, filled in as before; the log keeps the message.
+/// Returns to the form, filled in as before; the log keeps the message.
 fn failed(state: &mut State, tag: &Tag, failure: &Failure) {
     drop(state.follow_up.take_if(|(after, _)| after == tag));
     match state.filled.take_if(|(kept, ..)| kept == tag) {
@@ -269,26 +264,26 @@ fn loaded(kind: &KeyKind) -> &'static str {
     }
 }
 
-/// Answers that contain files are written.
 fn written<T>(
     state: &mut State,
     tag: &Tag,
     result: Result<T, Failure>,
     write: impl FnOnce(&State, Option<PathBuf>, T) -> Effect,
-) -> Vec<Effect> {
+) {
     let base = palette::folder_of(state, tag);
     match result {
-        Ok(answer) => vec![write(state, base, answer)],
-        Err(failure) => {
-            state.complain_of(tag, &failure);
-            Vec::new()
+        Ok(answer) => {
+            let files = write(state, base, answer);
+            state.effects.push(files);
         }
+        Err(failure) => state.complain_of(tag, &failure),
     }
 }
 
 fn exported(id: &str, base: Option<PathBuf>, files: Vec<ExportedFile>) -> Effect {
     let directory = Some(format!("authros-{}", crate::model::clean(id, 40).replace('/', "_")));
-    Effect::WriteFiles { base, directory, files: files.into_iter().map(Contents::from).collect() }
+    let contents = |file: ExportedFile| Contents { name: file.name, bytes: Zeroizing::new(file.bytes) };
+    Effect::WriteFiles { base, directory, files: files.into_iter().map(contents).collect() }
 }
 
 fn secret(base: Option<PathBuf>, name: String, secret: &SecretBytes) -> Effect {
@@ -296,7 +291,7 @@ fn secret(base: Option<PathBuf>, name: String, secret: &SecretBytes) -> Effect {
     Effect::WriteFiles { base, directory: None, files: vec![Contents { name, bytes }] }
 }
 
-/// What an own command makes out of date, before the site's note of it arrives.
+/// Feeds that an own command makes stale before the site's event arrives.
 fn touched_by(tag: &Tag) -> &'static [Feed] {
     match tag {
         Tag::Watch(_) | Tag::Unwatch(_) | Tag::HoldCapture => &[Feed::Topics],

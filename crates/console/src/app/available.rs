@@ -7,8 +7,8 @@ use super::screens::{is_active, is_given, robot_of};
 use super::update::Feed;
 use super::verb::{Tag, Verb, entry_of};
 use super::{Screen, State};
+use crate::service::reply::IdentityView;
 
-/// Whether `verb` can be done now.
 pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
     let entry = entry_of(verb, state.screen).ok_or("unknown")?;
     if entry.changes && state.settings.read_only {
@@ -21,10 +21,13 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
     given(!is_bound(verb) || entry.works_on(state.screen), "other screen")?;
     match verb {
         Verb::Watch if state.screen == Screen::Overview => Ok(()),
-        Verb::CreateIdentity => create(state),
-        Verb::Unlock => unlock(state),
-        Verb::Register => register(state),
-        Verb::LoadKey | Verb::ExportKey | Verb::Rotate => identity(state),
+        Verb::CreateIdentity => {
+            let identity = state.identity.as_ref().ok_or("site is starting")?;
+            once(state, &Tag::CreateIdentity, identity.exists, "already exists")
+        }
+        Verb::Unlock => once(state, &Tag::Unlock, identity(state)?.unlocked, "already unlocked"),
+        Verb::Register => once(state, &Tag::Register, identity(state)?.registered, "already registered"),
+        Verb::LoadKey | Verb::ExportKey | Verb::Rotate => identity(state).map(drop),
         Verb::Revoke | Verb::Extend => revoke(state),
         Verb::Filter | Verb::Up | Verb::Down | Verb::PageUp | Verb::PageDown | Verb::First | Verb::Last => {
             given(state.screen.has_table(), "no table here")
@@ -48,8 +51,8 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
         Verb::SetPolicy => policy(state),
         Verb::EndTour => given(state.tour.is_some(), "no tour: authros tour begins one"),
         Verb::Release | Verb::Discard => held(state),
-        Verb::BackUp | Verb::Incident | Verb::Incidents => identity(state),
-        Verb::Lock => lock(state),
+        Verb::BackUp | Verb::Incident | Verb::Incidents => identity(state).map(drop),
+        Verb::Lock => once(state, &Tag::Lock, !identity(state)?.unlocked, "already locked"),
         Verb::CopyCommand => given(state.last_act.is_some(), "nothing was done yet"),
         Verb::Undo => given(state.undo.is_some(), "nothing to undo"),
         Verb::Administer(act) => administer(state, act),
@@ -61,7 +64,7 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
     }
 }
 
-/// Whether a verb is about what is on its screens, and can be done nowhere else.
+/// Verbs about rows of their own screens, which work nowhere else.
 fn is_bound(verb: Verb) -> bool {
     use Verb::{
         Browse, Check, Columns, Details, Discard, Export, Extend, Fold, FoldAll, Inspect, Level, Mark, MarkAll,
@@ -86,30 +89,17 @@ fn copyable(state: &State) -> bool {
     }
 }
 
-fn create(state: &State) -> Result<(), &'static str> {
+fn identity(state: &State) -> Result<&IdentityView, &'static str> {
     let identity = state.identity.as_ref().ok_or("site is starting")?;
-    given(!identity.exists, "already exists")?;
-    given(!state.work.contains(&Tag::CreateIdentity), "under way")
+    given(identity.exists, "no identity yet").map(|()| identity)
 }
 
-fn identity(state: &State) -> Result<(), &'static str> {
-    let identity = state.identity.as_ref().ok_or("site is starting")?;
-    given(identity.exists, "no identity yet")
+fn once(state: &State, tag: &Tag, done: bool, already: &'static str) -> Result<(), &'static str> {
+    given(!done, already)?;
+    given(!state.work.contains(tag), "under way")
 }
 
-fn unlock(state: &State) -> Result<(), &'static str> {
-    identity(state)?;
-    given(!state.identity.as_ref().is_some_and(|identity| identity.unlocked), "already unlocked")?;
-    given(!state.work.contains(&Tag::Unlock), "under way")
-}
-
-fn register(state: &State) -> Result<(), &'static str> {
-    identity(state)?;
-    given(!state.identity.as_ref().is_some_and(|identity| identity.registered), "already registered")?;
-    given(!state.work.contains(&Tag::Register), "under way")
-}
-
-/// The profile's own robots have a window.
+/// Only the profile's own robots have a window.
 fn inspect(state: &State) -> Result<(), &'static str> {
     let member = state.gateway.selected().ok_or("nothing selected")?;
     if member.robot.is_some() {
@@ -125,7 +115,7 @@ fn policy(state: &State) -> Result<(), &'static str> {
     given(!none, "no robot is enrolled")
 }
 
-/// What applies to one topic does not apply to a robot's row.
+/// Refuses a folded robot's row.
 fn one_topic(state: &State) -> Result<(), &'static str> {
     let row = state.topics.selected().ok_or("nothing selected")?;
     given(state.topics.robot(&row.topic).is_none(), "a robot, not a topic: h unfolds it")
@@ -135,12 +125,6 @@ fn held(state: &State) -> Result<(), &'static str> {
     one_topic(state)?;
     let row = state.topics.selected().ok_or("nothing selected")?;
     given(row.quarantined > 0, "nothing quarantined")
-}
-
-fn lock(state: &State) -> Result<(), &'static str> {
-    identity(state)?;
-    given(state.identity.as_ref().is_some_and(|identity| identity.unlocked), "already locked")?;
-    given(!state.work.contains(&Tag::Lock), "under way")
 }
 
 fn administer(state: &State, act: Act) -> Result<(), &'static str> {

@@ -1,5 +1,4 @@
-//! Popups in which one of a few is chosen: what to browse, a theme, a list's columns. Browsing shows the records of
-//! others by owner, own ones by topic and state, both by type and time; a choice sets the filter of the list.
+//! Popups in which one of a few is chosen: what to browse, a theme, a list's columns.
 
 use super::form::Field;
 use super::keymap::Key;
@@ -10,17 +9,13 @@ use super::verb::Effect;
 use super::{Screen, State};
 use crate::service::reply::RecordView;
 
-/// One thing to choose.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Choice {
     pub text: String,
-    /// The text beside it.
     pub note: String,
-    /// The filter that it sets.
     pub filter: String,
 }
 
-/// All present choices: everything, each owner who shares, topics, types, times.
 pub fn choices(state: &State) -> Vec<Choice> {
     let mut all = vec![choice("All records", String::new(), String::new())];
     if state.screen == Screen::Uploads {
@@ -42,7 +37,6 @@ fn choice(text: &str, note: String, filter: String) -> Choice {
     Choice { text: text.to_owned(), note, filter }
 }
 
-/// Each owner who shares, and the topics.
 fn shared(state: &State) -> Vec<Choice> {
     let mut all = Vec::new();
     let received = state.grants.rows.iter().filter(|row| !is_given(row) && is_active(row));
@@ -58,7 +52,7 @@ fn shared(state: &State) -> Vec<Choice> {
     all
 }
 
-/// Topics and types of the visible page that are not among the choices yet.
+/// Topics and types of the visible page that are not choices yet.
 fn seen(rows: &[RecordView], known: &[Choice]) -> Vec<Choice> {
     let mut seen: Vec<Choice> = Vec::new();
     for row in rows {
@@ -71,8 +65,7 @@ fn seen(rows: &[RecordView], known: &[Choice]) -> Vec<Choice> {
     seen.into_iter().filter(is_new).collect()
 }
 
-/// A key while the list is open.
-pub fn browse_key(state: &mut State, selected: usize, key: Key) -> Vec<Effect> {
+pub fn browse_key(state: &mut State, selected: usize, key: Key) {
     let choices = choices(state);
     match key {
         Key::Escape | Key::Char('q') => {}
@@ -84,10 +77,8 @@ pub fn browse_key(state: &mut State, selected: usize, key: Key) -> Vec<Effect> {
         }
         _ => state.popups.push(Popup::Browse(moved(selected, choices.len(), key))),
     }
-    Vec::new()
 }
 
-/// A theme being chosen.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ThemeChoice {
     pub selected: usize,
@@ -95,33 +86,27 @@ pub struct ThemeChoice {
     pub before: String,
 }
 
-/// Opens the choice, on the theme in use.
-pub fn choose(state: &mut State) -> Vec<Effect> {
+pub fn choose(state: &mut State) {
     let before = state.theme.clone();
     let selected = state.settings.themes.iter().position(|name| *name == before).unwrap_or(0);
     state.popups.push(Popup::Themes(ThemeChoice { selected, before }));
-    Vec::new()
 }
 
-/// A key while a theme is chosen.
-pub fn theme_key(state: &mut State, mut choice: ThemeChoice, key: Key) -> Vec<Effect> {
+pub fn theme_key(state: &mut State, mut choice: ThemeChoice, key: Key) {
     let themes = &state.settings.themes;
     match key {
-        Key::Escape | Key::Char('q') => return vec![Effect::ShowTheme(choice.before)],
+        Key::Escape | Key::Char('q') => return state.effects.push(Effect::ShowTheme(choice.before)),
         Key::Enter => {
             let kept = themes.get(choice.selected).cloned().unwrap_or(choice.before);
-            state.inform(format!("theme: {kept}; to make it permanent, set console.theme in config.toml"));
-            return Vec::new();
+            return state.inform(format!("theme: {kept}; to make it permanent, set console.theme in config.toml"));
         }
         Key::Char('T') => choice.selected = moved(choice.selected, themes.len(), Key::Down),
         _ => choice.selected = moved(choice.selected, themes.len(), key),
     }
-    let seen = themes.get(choice.selected).cloned().map(Effect::ShowTheme);
+    state.effects.extend(themes.get(choice.selected).cloned().map(Effect::ShowTheme));
     state.popups.push(Popup::Themes(choice));
-    seen.into_iter().collect()
 }
 
-/// A column that can be chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Offered {
     /// Its name, as in `:columns topic,state`.
@@ -131,9 +116,9 @@ pub struct Offered {
     pub from: u16,
 }
 
-/// The column that every list shows: the cursor is on it.
+/// The column every list shows: it carries the cursor.
 pub const ALWAYS: &str = "topic";
-/// A column that is shown only if it is chosen.
+/// Shown only if chosen.
 const NEVER: u16 = u16::MAX;
 
 const fn column(name: &'static str, from: u16, words: &'static str) -> Offered {
@@ -154,46 +139,36 @@ const TOPICS: &[Offered] = &[
     column("age", 80, "Time since the last message"),
 ];
 
-const UPLOADS: &[Offered] = &[
-    column("state", 0, "How far the record has come"),
-    column("topic", 0, "Name of the topic (always shown)"),
-    column("type", 120, "Message type"),
-    column("seq", 0, "Number of the record"),
-    column("size", 0, "Size of the message"),
-    column("time", 0, "When it was captured"),
-    column("epoch", 130, "Epoch of its key"),
-    column("block", 100, "Block that anchors it"),
-    column("id", 140, "Its id"),
-    column("digest", NEVER, "Beginning of its SM3 digest"),
-    column("transaction", NEVER, "Beginning of the transaction's hash"),
+/// Of records: name, widths from which Uploads and Shared show it usually, words.
+const RECORDS: [(&str, [Option<u16>; 2], &str); 12] = [
+    ("state", [Some(0), Some(0)], "How far the record has come"),
+    ("owner", [None, Some(0)], "Who shares it"),
+    ("topic", [Some(0), Some(0)], "Name of the topic (always shown)"),
+    ("type", [Some(120), Some(120)], "Message type"),
+    ("seq", [Some(0), Some(0)], "Number of the record"),
+    ("size", [Some(0), Some(0)], "Size of the message"),
+    ("time", [Some(0), Some(70)], "When it was captured"),
+    ("epoch", [Some(130), Some(130)], "Epoch of its key"),
+    ("block", [Some(100), Some(110)], "Block that anchors it"),
+    ("id", [Some(140), Some(150)], "Its id"),
+    ("digest", [Some(NEVER), Some(NEVER)], "Beginning of its SM3 digest"),
+    ("transaction", [Some(NEVER), Some(NEVER)], "Beginning of the transaction's hash"),
 ];
 
-const SHARED: &[Offered] = &[
-    column("state", 0, "How far the record has come"),
-    column("owner", 0, "Who shares it"),
-    column("topic", 0, "Name of the topic (always shown)"),
-    column("type", 120, "Message type"),
-    column("seq", 0, "Number of the record"),
-    column("size", 0, "Size of the message"),
-    column("time", 70, "When it was captured"),
-    column("epoch", 130, "Epoch of its key"),
-    column("block", 110, "Block that anchors it"),
-    column("id", 150, "Its id"),
-    column("digest", NEVER, "Beginning of its SM3 digest"),
-    column("transaction", NEVER, "Beginning of the transaction's hash"),
-];
-
-/// The columns that a screen offers, in their usual order; none on screens without a choice.
-pub fn offered(screen: Screen) -> &'static [Offered] {
+pub fn offered(screen: Screen) -> Vec<Offered> {
+    let of_list = |list: usize| {
+        let found = RECORDS.iter().filter_map(|(name, from, words)| Some(column(name, from[list]?, words)));
+        found.collect()
+    };
     match screen {
-        Screen::Topics => TOPICS,
-        Screen::Uploads => UPLOADS,
-        Screen::Shared => SHARED,
-        Screen::Overview | Screen::Grants | Screen::Keys | Screen::Chain | Screen::Gateway | Screen::Log => &[],
+        Screen::Topics => TOPICS.to_vec(),
+        Screen::Uploads => of_list(0),
+        Screen::Shared => of_list(1),
+        Screen::Overview | Screen::Grants | Screen::Keys | Screen::Chain | Screen::Gateway | Screen::Log => Vec::new(),
     }
 }
 
-/// The columns of a list that is `width` columns wide, in order: those chosen, or else the usual ones.
+/// Chosen columns in order, or else the usual ones for that width.
 pub fn wanted(screen: Screen, table: &Table, width: u16) -> Vec<&'static str> {
     if !table.columns.is_empty() {
         return table.columns.clone();
@@ -201,11 +176,11 @@ pub fn wanted(screen: Screen, table: &Table, width: u16) -> Vec<&'static str> {
     offered(screen).iter().filter(|column| column.from <= width).map(|column| column.name).collect()
 }
 
-/// Those of `names` that the screen offers, each once, and the one that is always shown.
+/// Those `names` that the screen offers, each once, plus [`ALWAYS`].
 pub fn known<'a>(screen: Screen, names: impl IntoIterator<Item = &'a str>) -> Result<Vec<&'static str>, &'a str> {
     let mut found: Vec<&'static str> = Vec::new();
     for name in names {
-        let column = offered(screen).iter().find(|column| column.name == name).ok_or(name)?;
+        let column = offered(screen).into_iter().find(|column| column.name == name).ok_or(name)?;
         if !found.contains(&column.name) {
             found.push(column.name);
         }
@@ -216,22 +191,20 @@ pub fn known<'a>(screen: Screen, names: impl IntoIterator<Item = &'a str>) -> Re
     Ok(found)
 }
 
-/// The choice of columns, with its cursor.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ColumnChoice {
     pub selected: usize,
-    /// The columns chosen before, which esc restores.
+    /// Restored by Esc.
     pub before: Vec<&'static str>,
 }
 
-/// Opens the choice for the list on screen.
 pub fn open(state: &mut State) {
     let before = state.table().map(|table| table.columns.clone()).unwrap_or_default();
     state.popups.push(Popup::Columns(ColumnChoice { selected: 0, before }));
 }
 
 /// `columns topic,state,size` of the palette; `columns usual` goes back to the usual ones.
-pub fn spoken(state: &mut State, words: &[&str]) -> Vec<Effect> {
+pub fn spoken(state: &mut State, words: &[&str]) {
     let screen = state.screen;
     let names: Vec<String> =
         words.iter().flat_map(|word| word.split(',')).filter(|name| !name.is_empty()).map(str::to_lowercase).collect();
@@ -246,7 +219,6 @@ pub fn spoken(state: &mut State, words: &[&str]) -> Vec<Effect> {
             state.inform(format!("no column is named '{name}'; there are {}, and usual", offered.join(" ")));
         }
     }
-    Vec::new()
 }
 
 fn set(state: &mut State, chosen: Vec<&'static str>) {
@@ -255,15 +227,11 @@ fn set(state: &mut State, chosen: Vec<&'static str>) {
     }
 }
 
-/// A key while columns are chosen; each is shown or hidden at once.
-pub fn column_key(state: &mut State, mut choice: ColumnChoice, key: Key) -> Vec<Effect> {
+pub fn column_key(state: &mut State, mut choice: ColumnChoice, key: Key) {
     let offered = offered(state.screen);
     match key {
-        Key::Escape => {
-            set(state, choice.before);
-            return Vec::new();
-        }
-        Key::Enter | Key::Char('q') => return Vec::new(),
+        Key::Escape => return set(state, choice.before),
+        Key::Enter | Key::Char('q') => return,
         Key::Char('r') => set(state, Vec::new()),
         Key::Char(' ' | '<' | '>') => {
             let name = offered.get(choice.selected).map(|column| column.name);
@@ -280,10 +248,9 @@ pub fn column_key(state: &mut State, mut choice: ColumnChoice, key: Key) -> Vec<
         _ => choice.selected = moved(choice.selected, offered.len(), key),
     }
     state.popups.push(Popup::Columns(choice));
-    Vec::new()
 }
 
-/// Takes the column away, or adds it: at its usual place if the others are at theirs, otherwise at the end.
+/// Adds a column at its usual place if the others are at theirs, otherwise at the end.
 fn toggled(screen: Screen, mut now: Vec<&'static str>, name: &'static str) -> Vec<&'static str> {
     if name == ALWAYS {
         return now;
@@ -301,7 +268,6 @@ fn toggled(screen: Screen, mut now: Vec<&'static str>, name: &'static str) -> Ve
     now
 }
 
-/// Moves the column by one place.
 fn swapped(mut now: Vec<&'static str>, name: &str, right: bool) -> Vec<&'static str> {
     if let Some(place) = now.iter().position(|other| *other == name) {
         let wanted = if right { (place + 1).min(now.len() - 1) } else { place.saturating_sub(1) };

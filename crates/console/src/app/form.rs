@@ -1,114 +1,96 @@
-//! A form of a few lines: text or a choice, focus, an error, submit and cancel; the one line that is edited; and the
-//! forms that the console asks with.
+//! Forms of a few lines, their editable fields, and every form that the console asks with.
 
 use std::fmt::Display;
-use std::path::PathBuf;
 use std::str::FromStr;
 
 use zeroize::Zeroizing;
 
 use super::keymap::Key;
 use super::palette::{self, PathKind};
-use super::verb::{Errand, Tag};
+use super::popup::Confirm;
+use super::verb::{Errand, Tag, kind_word};
 use super::{Settings, when};
 use crate::model::grant::MOST_TOPICS;
 use crate::model::topic::NameError;
 use crate::model::{Address, Party, Timestamp, TopicName};
 use crate::service::{Command, Epochs, KeyKind, SecretText};
 
-/// The input of a line.
 #[derive(Debug)]
 pub enum Input {
     Text(Field),
-    /// One of a few words.
-    Choice {
-        options: Vec<String>,
-        chosen: usize,
-    },
+    Choice { options: Vec<String>, chosen: usize },
 }
 
 /// Which line is wrong, and why.
 pub type Wrong = (usize, String);
 
-/// One line of a form.
 #[derive(Debug)]
 pub struct Line {
     pub label: &'static str,
     /// The meaning of an empty field, or an example.
     pub hint: &'static str,
     pub input: Input,
-    /// What its text leads to, if it is a path: tab completes it.
+    /// Tab completes a path of this kind.
     pub path: Option<PathKind>,
 }
 
 impl Line {
-    /// A line of text.
     pub fn text(label: &'static str, hint: &'static str, field: Field) -> Self {
         Self { label, hint, input: Input::Text(field), path: None }
     }
 
-    /// A choice, the first word chosen.
     pub fn choice(label: &'static str, options: &[&str]) -> Self {
         let options = options.iter().map(|option| (*option).to_owned()).collect();
         Self { label, hint: "", input: Input::Choice { options, chosen: 0 }, path: None }
     }
 
-    /// The same as a path.
     pub fn path(mut self, kind: PathKind) -> Self {
         self.path = Some(kind);
         self
     }
 }
 
-/// A form on screen.
 #[derive(Debug)]
 pub struct Form {
     pub title: String,
     /// Lines above the fields.
     pub notes: Vec<String>,
     pub lines: Vec<Line>,
-    /// Which field has the focus.
     pub focus: usize,
-    /// What is wrong with the submitted input.
     pub error: Option<String>,
-    /// What tab found, as lines below the fields.
+    /// Lines below the fields: what Tab found.
     pub told: Vec<String>,
-    /// The text that tab could not lengthen; pressed again, it lists the names.
+    /// Text that Tab could not extend; Tab again lists the names.
     pub tabbed: Option<String>,
 }
 
-/// The effect of a key on a form.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FormStep {
-    /// Nothing outside the form.
     Stay,
-    /// The operator is done.
     Submit,
     Cancel,
 }
 
 impl Form {
-    /// A form with the first field in focus.
     pub fn new(title: impl Into<String>, notes: Vec<String>, lines: Vec<Line>) -> Self {
         Self { title: title.into(), notes, lines, focus: 0, error: None, told: Vec::new(), tabbed: None }
     }
 
-    /// The text of a field; empty for a choice.
+    /// Empty for a choice.
     pub fn text(&self, line: usize) -> &str {
         self.field(line).map_or("", Field::text)
     }
 
-    /// What is typed in a line, without the spaces around it; `None` = nothing.
+    /// Trimmed text; `None` if empty.
     pub fn typed(&self, line: usize) -> Option<&str> {
         Some(self.text(line).trim()).filter(|text| !text.is_empty())
     }
 
-    /// What a line says.
     pub fn parsed<T: FromStr<Err: Display>>(&self, line: usize) -> Result<T, Wrong> {
         self.text(line).trim().parse().map_err(|error: T::Err| (line, error.to_string()))
     }
 
-    /// The topics that a line names, and whether it says all of them.
+    /// The topics named, and whether the line says all of them.
     pub fn topics(&self, line: usize) -> Result<(Vec<TopicName>, bool), Wrong> {
         let written = || self.text(line).split([' ', ',']).filter(|name| !name.is_empty());
         let names = written().filter(|name| *name != ALL_TOPICS).map(str::parse);
@@ -116,7 +98,6 @@ impl Form {
         Ok((topics, written().any(|name| name == ALL_TOPICS)))
     }
 
-    /// The field of a line, if it is one.
     pub fn field(&self, line: usize) -> Option<&Field> {
         match self.lines.get(line).map(|line| &line.input) {
             Some(Input::Text(field)) => Some(field),
@@ -124,14 +105,13 @@ impl Form {
         }
     }
 
-    /// Replaces the text of a line.
     pub fn set(&mut self, line: usize, field: Field) {
         if let Some(Line { input: Input::Text(text), .. }) = self.lines.get_mut(line) {
             *text = field;
         }
     }
 
-    /// The number of the word chosen; 0 for a text.
+    /// 0 for a text.
     pub fn chosen(&self, line: usize) -> usize {
         match self.lines.get(line).map(|line| &line.input) {
             Some(Input::Choice { chosen, .. }) => *chosen,
@@ -139,7 +119,6 @@ impl Form {
         }
     }
 
-    /// Sets the error, leaving the focus where it is.
     pub fn refuse(&mut self, line: usize, error: impl Into<String>) {
         self.focus = line;
         self.error = Some(error.into());
@@ -175,7 +154,7 @@ impl Form {
             Some(Input::Choice { options, chosen }) => match key {
                 Key::Left => *chosen = chosen.checked_sub(1).unwrap_or(options.len().saturating_sub(1)),
                 Key::Right | Key::Char(' ') => *chosen = (*chosen + 1) % options.len().max(1),
-                // What is typed here would vanish without a word.
+                // Typed text would vanish without a word.
                 Key::Char(_) => self.error = Some("space changes this line; enter goes on to the next".to_owned()),
                 _ => {}
             },
@@ -189,7 +168,6 @@ pub const LONGEST: usize = 200;
 /// Space for [`LONGEST`] characters, so that a secret's buffer is never moved.
 const CAPACITY: usize = LONGEST * 4;
 
-/// A line of text being typed.
 pub struct Field {
     text: Zeroizing<String>,
     cursor: usize,
@@ -204,24 +182,21 @@ impl Default for Field {
 }
 
 impl Field {
-    /// An empty field that shows a dot per character.
     pub fn masked() -> Self {
         Self { masked: true, ..Self::default() }
     }
 
-    /// A field with an initial text.
     pub fn with(text: &str) -> Self {
         let mut field = Self::default();
         field.insert(text);
         field
     }
 
-    /// A field with an initial text that the first character typed replaces.
+    /// The first character typed replaces the text.
     pub fn offering(text: &str) -> Self {
         Self { offered: !text.is_empty(), ..Self::with(text) }
     }
 
-    /// Whether the first character typed replaces the text.
     pub fn is_offered(&self) -> bool {
         self.offered
     }
@@ -230,22 +205,21 @@ impl Field {
         &self.text
     }
 
-    /// What may be shown.
+    /// Dots for a secret.
     pub fn shown(&self) -> String {
         if self.masked { "•".repeat(self.text.chars().count()) } else { self.text.to_string() }
     }
 
-    /// Whether it holds a secret.
     pub fn is_masked(&self) -> bool {
         self.masked
     }
 
-    /// The position of the cursor, in characters.
+    /// In characters.
     pub fn cursor(&self) -> usize {
         self.cursor
     }
 
-    /// Inserts text at the cursor; control characters and excess text are dropped.
+    /// Drops control characters and excess text.
     pub fn insert(&mut self, text: &str) {
         if std::mem::take(&mut self.offered) {
             self.clear();
@@ -258,7 +232,7 @@ impl Field {
         }
     }
 
-    /// Handles a key; false if it has no meaning here.
+    /// False if the key has no meaning here.
     pub fn key(&mut self, key: Key) -> bool {
         self.offered &= matches!(key, Key::Char(_));
         match key {
@@ -300,16 +274,14 @@ impl std::fmt::Debug for Field {
     }
 }
 
-/// The shortest passphrase accepted for a new keyring, characters.
+/// Characters.
 pub const SHORTEST_PASSPHRASE: usize = 8;
 
-/// The kinds of key, in the order of the choice.
+/// In the order of the choice.
 const KINDS: [KeyKind; 3] = [KeyKind::Sm4, KeyKind::Sm2, KeyKind::Eoa];
 const KIND_WORDS: &[&str] = &["SM4 (32 hex or 16 raw bytes)", "SM2 (d_C, PEM)", "EOA (V3 keystore or hex)"];
-/// The second choice of which records a grant opens.
 const ALL_RECORDS: &str = "all, including earlier records";
 
-/// Asks for the passphrase of a new identity, twice.
 pub fn create_identity(profile: &str, notes: Vec<String>) -> Form {
     let lines = vec![
         Line::text("Passphrase", "at least 8 characters", Field::masked()),
@@ -318,7 +290,6 @@ pub fn create_identity(profile: &str, notes: Vec<String>) -> Form {
     Form::new(format!("New identity for profile {profile}"), notes, lines)
 }
 
-/// The command of a completed [`create_identity`].
 pub fn read_create(form: &Form) -> Result<Errand, Wrong> {
     if form.text(0).chars().count() < SHORTEST_PASSPHRASE {
         return Err((0, format!("use at least {SHORTEST_PASSPHRASE} characters")));
@@ -329,13 +300,11 @@ pub fn read_create(form: &Form) -> Result<Errand, Wrong> {
     Ok(Errand { command: Command::CreateIdentity { passphrase: secret(form, 0) }, tag: Tag::CreateIdentity })
 }
 
-/// Asks for the passphrase of a locked keyring.
 pub fn unlock(profile: &str, notes: Vec<String>) -> Form {
     let lines = vec![Line::text("Passphrase", "", Field::masked())];
     Form::new(format!("Unlock the keyring of profile {profile}"), notes, lines)
 }
 
-/// The command of a completed [`unlock`].
 pub fn read_unlock(form: &Form) -> Result<Errand, Wrong> {
     if form.text(0).is_empty() {
         return Err((0, "type the passphrase, or leave with esc".to_owned()));
@@ -343,11 +312,9 @@ pub fn read_unlock(form: &Form) -> Result<Errand, Wrong> {
     Ok(Errand { command: Command::Unlock { passphrase: secret(form, 0) }, tag: Tag::Unlock })
 }
 
-/// The word for all topics, which must be typed.
 pub const ALL_TOPICS: &str = "all";
 
-/// Asks whom to grant what; known values are filled in, and the first empty line has the focus.
-/// `opens` says from when on the grant opens records.
+/// Focuses the first empty line; `opens` says from when on the grant opens records.
 pub fn grant(grantee: &str, topics: &[String], ends: &str, opens: &str) -> Form {
     let lines = vec![
         Line::text("Address", "0x and 40 hex, or a contact's name", Field::offering(grantee)),
@@ -361,7 +328,6 @@ pub fn grant(grantee: &str, topics: &[String], ends: &str, opens: &str) -> Form 
     form
 }
 
-/// Asks for the new end of a grant.
 pub fn extend(grantee: &str, ends: &str) -> Form {
     let lines = vec![Line::text("Ends", "empty = never; 45m, 12h, 30d, 2036-12-31", Field::default())];
     let notes = vec![
@@ -371,26 +337,15 @@ pub fn extend(grantee: &str, ends: &str) -> Form {
     Form::new("Change the end of the grant", notes, lines)
 }
 
-/// The terms of a grant, as typed.
 #[derive(Debug, Clone)]
 pub struct GrantWish {
     pub grantee: Party,
-    /// Only these; empty = all.
+    /// Empty = all.
     pub topics: Vec<TopicName>,
     pub epochs: Epochs,
     pub expires: Option<Timestamp>,
 }
 
-impl GrantWish {
-    /// The command with these terms.
-    pub fn errand(self) -> Errand {
-        let Self { grantee, topics, epochs, expires } = self;
-        let tag = Tag::Grant(grantee.clone());
-        Errand { command: Command::Grant { grantee, topics, epochs, expires }, tag }
-    }
-}
-
-/// The terms of a completed [`grant`].
 pub fn read_grant(form: &Form, own: Option<Address>, now: Timestamp) -> Result<GrantWish, Wrong> {
     let grantee: Party = form.parsed(0)?;
     if grantee.address().is_some_and(|address| Some(address) == own) {
@@ -411,7 +366,6 @@ pub fn read_grant(form: &Form, own: Option<Address>, now: Timestamp) -> Result<G
     Ok(GrantWish { grantee, topics, epochs, expires })
 }
 
-/// Asks which publisher of a topic is no longer accepted.
 pub fn unpin(topic: &str, publisher: &str) -> Form {
     let lines = vec![
         Line::text("Topic", "such as /robot1/odom", Field::with(topic)),
@@ -420,7 +374,6 @@ pub fn unpin(topic: &str, publisher: &str) -> Form {
     Form::new("Unpin a publisher", vec!["Its messages are quarantined from then on.".to_owned()], lines)
 }
 
-/// The command of a completed [`unpin`].
 pub fn read_unpin(form: &Form) -> Result<Errand, Wrong> {
     let topic: TopicName = form.parsed(0)?;
     let missing = || (1, "enter the node's name; enter on the topic lists pinned publishers".to_owned());
@@ -429,7 +382,6 @@ pub fn read_unpin(form: &Form) -> Result<Errand, Wrong> {
     Ok(Errand { command: Command::UnpinTopic { topic, caller_id }, tag })
 }
 
-/// Asks for a key file.
 pub fn load_key() -> Form {
     let lines = vec![
         Line::choice("Key", KIND_WORDS),
@@ -439,24 +391,22 @@ pub fn load_key() -> Form {
     Form::new("Load a key file", vec!["Replaces the current key with one of yours.".to_owned()], lines)
 }
 
-/// The key file to load, as typed.
-#[derive(Debug, Clone)]
-pub struct KeyWish {
-    /// Which key it holds.
-    pub kind: KeyKind,
-    pub path: PathBuf,
-    /// Passphrase of a V3 keystore, if one was given.
-    pub passphrase: Option<SecretText>,
-}
-
-/// The key file of a completed [`load_key`].
-pub fn read_load(form: &Form, settings: &Settings) -> Result<KeyWish, Wrong> {
+pub fn read_load(form: &Form, settings: &Settings) -> Result<Confirm, Wrong> {
     let path = palette::of_line(form, 1, settings).ok_or((1, "enter the path of the key file".to_owned()))?;
     let passphrase = (!form.text(2).is_empty()).then(|| secret(form, 2));
-    Ok(KeyWish { kind: kind(form), path, passphrase })
+    let kind = kind(form);
+    let what = match kind {
+        KeyKind::Sm4 => "A new epoch begins with it; old records stay readable with their own keys.",
+        KeyKind::Sm2 => "The new key is registered on the chain; new records are signed with it.",
+        KeyKind::Eoa => "Your address on the chain changes: grants and records of the old one stay with it.",
+    };
+    let file = format!("File  {}", path.display());
+    let lines =
+        vec![file, what.to_owned(), "The current key is replaced; export it first if you still need it.".to_owned()];
+    let errand = Errand { command: Command::LoadKey { kind, path, passphrase }, tag: Tag::LoadKey(kind) };
+    Ok(Confirm { title: format!("Replace the {} key?", kind_word(kind)), lines, yes: "replace", typed: None, errand })
 }
 
-/// Asks which key to export.
 pub fn export_key(folder: Line) -> Form {
     let lines = vec![
         Line::choice("Key", KIND_WORDS),
@@ -468,7 +418,6 @@ pub fn export_key(folder: Line) -> Form {
     Form::new("Export a key", notes, lines)
 }
 
-/// The command of a completed [`export_key`].
 pub fn read_export(form: &Form) -> Result<Errand, Wrong> {
     let kind = kind(form);
     if kind == KeyKind::Eoa && form.text(1).chars().count() < SHORTEST_PASSPHRASE {

@@ -1,25 +1,23 @@
-//! The address book on screen (names for accounts and their known keys), and sharing without detours: the form filled in from
-//! the row under the cursor, names completed, everything that can be checked checked before the question, the terms of a
-//! grant changed.
+//! The address book on screen, and grants: forms filled from the selected row, terms checked before the question.
 
 use super::form::{self, Field, Form, GrantWish, Line, Wrong};
+use super::identity_path::{self, Need};
 use super::keymap::Key;
 use super::palette::common;
 use super::perform::copy;
 use super::popup::{self, Confirm, Popup, Purpose, moved};
 use super::screens::{day, end, is_active, is_given, other_side, scope};
 use super::update::Feed;
-use super::verb::{Effect, Errand, Tag};
+use super::verb::{Errand, Tag};
 use super::{Screen, State, when};
 use crate::model::{Address, ContactName, Party, Timestamp, TopicName};
 use crate::service::reply::{ContactRow, GrantRow};
 use crate::service::{Command, Epochs};
 
-/// Lines of the grant form: reader and topics.
 const GRANTEE: usize = 0;
 const TOPICS: usize = 1;
 
-/// Opens the form, filled in from the cursor; marked topics take precedence over the selected one.
+/// Fills the form from the cursor; marked topics take precedence over the selected one.
 pub fn begin(state: &mut State) {
     let (grantee, topics) = match state.screen {
         Screen::Topics => (String::new(), state.topics.targets().into_iter().map(|row| row.topic.clone()).collect()),
@@ -41,35 +39,31 @@ fn terms(row: &GrantRow) -> (String, Vec<String>) {
 
 fn open(state: &mut State, grantee: &str, topics: &[String], ends: &str) {
     state.feeds.slot_mut(Feed::Contacts).stale = true;
-    // How many records the grant opens is told as of now.
+    // The form shows how many records the grant opens now.
     state.feeds.slot_mut(Feed::Identity).stale = true;
     state.popups.push(Popup::Form(Purpose::Grant, form::grant(grantee, topics, ends, &opens(state))));
 }
 
-/// From when on a grant of the current epoch opens records, of all topics.
+/// From when on a grant of the current epoch opens records of all topics.
 pub fn opens(state: &State) -> String {
     let records = state.identity.as_ref().and_then(|identity| identity.epoch_records);
     records.map_or_else(|| "since this epoch began".to_owned(), |records| records.words(" of all topics"))
 }
 
-/// `grant bob /robot1/odom 30d` of the palette: the form with these terms, sent on to its question if they are valid.
-pub fn spoken(state: &mut State, words: &[&str]) -> Vec<Effect> {
-    let Some((grantee, rest)) = words.split_first() else { return Vec::new() };
+/// `grant bob /robot1/odom 30d` of the palette: the form with these terms.
+pub fn spoken(state: &mut State, words: &[&str]) {
+    let Some((grantee, rest)) = words.split_first() else { return };
     let is_topic = |word: &&str| word.starts_with('/') || *word == form::ALL_TOPICS;
     let (topics, ends): (Vec<&str>, Vec<&str>) = rest.iter().copied().partition(is_topic);
     let topics: Vec<String> = topics.into_iter().map(str::to_owned).collect();
     open(state, grantee, &topics, &ends.join(" "));
     if let Some(Popup::Form(Purpose::Grant, form)) = state.popups.last_mut().filter(|_| !topics.is_empty()) {
-        // The only line left is which records, and its usual answer is chosen: enter goes on to the question.
+        // Only the choice of records is left, preset to the usual answer: Enter goes on to the question.
         form.focus = form.lines.len().saturating_sub(1);
     }
-    Vec::new()
 }
 
-/// What is wrong with well-formed terms, as far as is known here: the line, and why.
-///
-/// # Errors
-/// A name that nobody has, or an account that has an active grant already.
+/// Refuses unknown names, and accounts with an active grant on the same terms.
 pub fn check(state: &State, wish: &GrantWish) -> Result<(), Wrong> {
     let known = state.feeds.slot(Feed::Contacts).loaded;
     let name = wish.grantee.to_string();
@@ -92,14 +86,13 @@ fn same_terms(row: &GrantRow, wish: &GrantWish) -> bool {
     wanted == given && wish.expires == row.expires
 }
 
-/// The question before a grant. If the account has an active one, that is revoked first: the question says so and is
-/// asked once.
-pub fn question(state: &mut State, wish: GrantWish) -> Confirm {
+/// Revokes an active grant to the account first; one question covers both acts.
+pub fn ask(state: &mut State, wish: GrantWish) {
     let name = wish.grantee.to_string();
     let contact = state.contacts.iter().find(|row| row.name.to_string() == name).map(|row| row.address);
     let standing = active(state, wish.grantee.address().or(contact), &name).cloned();
     let mut question = popup::grant(state, wish);
-    let Some(row) = standing else { return question };
+    let Some(row) = standing else { return state.popups.push(Popup::Confirm(question)) };
     let tag = Tag::Revoke(row.grantee);
     let revoke = Errand { command: Command::Revoke { grantee: row.grantee.into() }, tag: tag.clone() };
     let before = [
@@ -115,7 +108,7 @@ pub fn question(state: &mut State, wish: GrantWish) -> Confirm {
     "Revoke and grant again?".clone_into(&mut question.title);
     question.yes = "revoke and grant";
     state.follow_up = Some((tag, std::mem::replace(&mut question.errand, revoke)));
-    question
+    state.popups.push(Popup::Confirm(question));
 }
 
 fn active<'a>(state: &'a State, address: Option<Address>, name: &str) -> Option<&'a GrantRow> {
@@ -123,7 +116,7 @@ fn active<'a>(state: &'a State, address: Option<Address>, name: &str) -> Option<
     state.grants.rows.iter().filter(|row| is_given(row) && is_active(row)).find(is_it)
 }
 
-/// What deserves a second look before the grant: everything is shared, or a topic that nobody knows.
+/// What deserves a second look: sharing everything, or an unknown topic.
 pub fn caution(state: &State, command: &Command) -> Option<String> {
     if let (Command::Revoke { .. }, Some((_, after))) = (command, &state.follow_up) {
         return caution(state, &after.command);
@@ -138,7 +131,7 @@ pub fn caution(state: &State, command: &Command) -> Option<String> {
     (loaded && !unknown.is_empty()).then(|| format!("No topic of this name is known here: {}", unknown.join(" ")))
 }
 
-/// Completes the name at the end of a form line; false if there is nothing to complete.
+/// False if there is nothing to complete.
 pub fn complete(state: &State, form: &mut Form) -> bool {
     let names: Vec<String> = match form.focus {
         GRANTEE => state.contacts.iter().map(|row| row.name.to_string()).collect(),
@@ -148,7 +141,6 @@ pub fn complete(state: &State, form: &mut Form) -> bool {
     complete_from(form, &names)
 }
 
-/// Completes one of the names at the end of the line with the focus; false where there is nothing to complete.
 pub fn complete_from(form: &mut Form, names: &[String]) -> bool {
     let text = form.text(form.focus).to_owned();
     let (before, begun) = text.rsplit_once([' ', ',']).map_or(("", text.as_str()), |(before, begun)| (before, begun));
@@ -159,16 +151,6 @@ pub fn complete_from(form: &mut Form, names: &[String]) -> bool {
     true
 }
 
-/// A new end for a grant.
-#[derive(Debug)]
-pub enum Extension {
-    /// Later: the contract does that.
-    Later(Errand),
-    /// Sooner: a revoke and a new grant.
-    Sooner(GrantWish),
-}
-
-/// Asks for the new end of the selected grant.
 pub fn begin_extension(state: &mut State) {
     let Some(row) = state.grants.selected() else { return };
     let who = row.name.clone().unwrap_or_else(|| row.grantee.short());
@@ -176,22 +158,25 @@ pub fn begin_extension(state: &mut State) {
     state.popups.push(Popup::Form(Purpose::Extend, form::extend(&who, &ends)));
 }
 
-/// The command of a completed form of [`begin_extension`].
-pub fn read_extension(state: &State, form: &Form) -> Result<Extension, Wrong> {
+/// A later end is the contract's; a sooner one is a revoke and a new grant.
+pub fn extend(state: &mut State, form: &Form) -> Result<(), Wrong> {
     let row = state.grants.selected().filter(|row| is_given(row) && is_active(row));
     let row = row.ok_or((0, "this grant is no longer active".to_owned()))?;
     let expires = when::expiry(form.text(0), state.now).map_err(|error| (0, error))?;
-    match (expires, row.expires) {
-        (None, None) => return Err((0, "it already has no end; enter a time to end it then".to_owned())),
-        (Some(_), None) => return Ok(Extension::Sooner(sooner(row, expires)?)),
-        (Some(wanted), Some(now)) if wanted <= now => return Ok(Extension::Sooner(sooner(row, expires)?)),
-        (_, Some(_)) => {}
+    if expires.is_none() && row.expires.is_none() {
+        return Err((0, "it already has no end; enter a time to end it then".to_owned()));
     }
-    let command = Command::ExtendGrant { grantee: Party::from(row.grantee), expires };
-    Ok(Extension::Later(Errand { command, tag: Tag::Extend(row.grantee) }))
+    if expires.is_some_and(|wanted| row.expires.is_none_or(|now| wanted <= now)) {
+        let wish = sooner(row, expires)?;
+        ask(state, wish);
+    } else {
+        let command = Command::ExtendGrant { grantee: Party::from(row.grantee), expires };
+        let errand = Errand { command, tag: Tag::Extend(row.grantee) };
+        identity_path::run(state, Need::Registered, vec![errand]);
+    }
+    Ok(())
 }
 
-/// The same grant with an earlier end.
 fn sooner(row: &GrantRow, expires: Option<Timestamp>) -> Result<GrantWish, Wrong> {
     let topics: Result<Vec<TopicName>, _> = row.topics.iter().map(|topic| topic.parse()).collect();
     let topics =
@@ -199,7 +184,6 @@ fn sooner(row: &GrantRow, expires: Option<Timestamp>) -> Result<GrantWish, Wrong
     Ok(GrantWish { grantee: row.grantee.into(), topics, epochs: Epochs::Current, expires })
 }
 
-/// The contact under the cursor.
 pub fn chosen(state: &State, selected: usize) -> Option<&ContactRow> {
     state.contacts.get(selected.min(state.contacts.len().saturating_sub(1)))
 }
@@ -209,22 +193,17 @@ pub fn open_contacts(state: &mut State) {
     state.popups.push(Popup::Contacts(0));
 }
 
-/// The actions here, by key.
 pub fn hints(state: &State) -> Vec<(&'static str, &'static str)> {
+    let any = !state.contacts.is_empty();
     let changes = [("n", "new"), ("g", "grant"), ("c", "confirm key"), ("x", "remove")];
-    let changes = changes.into_iter().filter(|(key, _)| !state.settings.read_only && (*key == "n" || any(state)));
-    let looks = [("y", "copy address")].into_iter().filter(|_| any(state));
+    let changes = changes.into_iter().filter(|(key, _)| !state.settings.read_only && (*key == "n" || any));
+    let looks = any.then_some(("y", "copy address"));
     changes.chain(looks).chain([("q", "close")]).collect()
 }
 
-fn any(state: &State) -> bool {
-    !state.contacts.is_empty()
-}
-
-/// A key while the list is open.
-pub fn key(state: &mut State, selected: usize, key: Key) -> Vec<Effect> {
+pub fn key(state: &mut State, selected: usize, key: Key) {
     if matches!(key, Key::Escape | Key::Char('q')) {
-        return Vec::new();
+        return;
     }
     let selected = moved(selected, state.contacts.len(), key);
     let chosen = chosen(state, selected).cloned();
@@ -235,13 +214,11 @@ pub fn key(state: &mut State, selected: usize, key: Key) -> Vec<Effect> {
         (Key::Char('x'), Some(row)) if changes => state.popups.push(Popup::Confirm(removal(&row))),
         (Key::Char('c'), Some(row)) if changes => state.popups.push(Popup::Confirm(confirmation(&row))),
         (Key::Char('g'), Some(row)) if changes => open(state, &row.name.to_string(), &[], ""),
-        (Key::Char('y'), Some(row)) => return vec![copy(state, row.address.to_string())],
+        (Key::Char('y'), Some(row)) => copy(state, row.address.to_string()),
         _ => {}
     }
-    Vec::new()
 }
 
-/// Asks for a new contact.
 pub fn form() -> Form {
     let lines = vec![
         Line::text("Name", "such as bob", Field::default()),
@@ -255,7 +232,6 @@ pub fn form() -> Form {
     Form::new("New contact", notes, lines)
 }
 
-/// The command of a completed [`form`].
 pub fn read(form: &Form) -> Result<Errand, Wrong> {
     let (name, address): (ContactName, Address) = (form.parsed(0)?, form.parsed(1)?);
     let fingerprint = form.typed(2).map(str::to_owned);

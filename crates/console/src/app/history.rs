@@ -1,12 +1,10 @@
-//! The flow of records over the last hour, as far as this console has seen it: the ring behind the Overview's graphs;
-//! rates of topics, and how far long work has come.
+//! Records over the last hour as this console has seen them, for the graphs; rates of topics; progress of long work.
 
 use std::collections::VecDeque;
 
 use crate::model::Timestamp;
 use crate::service::reply::{LifeLine, ProgressView, SiteView};
 
-/// Nanoseconds per second.
 const SECOND: u64 = 1_000_000_000;
 /// Minimum distance between points of the newest minute, nanoseconds.
 const FINE: u64 = SECOND;
@@ -16,21 +14,18 @@ const COARSE: u64 = 10 * SECOND;
 const FINE_FOR: u64 = 65 * SECOND;
 /// How long points are kept, nanoseconds; slightly more than the hour that is shown.
 const KEPT: u64 = 3_640 * SECOND;
-/// After this long without news, nothing is assumed to have happened until just before the next news, nanoseconds.
+/// A longer silence counts as no change until just before the next news, nanoseconds.
 const QUIET: u64 = 3 * SECOND;
 
-/// The period of the graphs.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Period {
     Minute,
-    /// A quarter of an hour.
     #[default]
     Quarter,
     Hour,
 }
 
 impl Period {
-    /// The next, wrapping around.
     pub fn next(self) -> Self {
         match self {
             Self::Minute => Self::Quarter,
@@ -46,13 +41,9 @@ impl Period {
             Self::Hour => 60,
         }
     }
-
-    fn nanoseconds(self) -> u64 {
-        self.minutes() * 60 * SECOND
-    }
 }
 
-/// The site's figures at a moment. Counts only grow.
+/// Counts of the site at a moment; they only grow.
 #[derive(Debug, Clone, Default, PartialEq)]
 struct Point {
     at: Timestamp,
@@ -69,14 +60,13 @@ pub struct History {
     points: VecDeque<Point>,
 }
 
-/// Figures over a period, a value for each of its equal parts; `None` = unknown.
+/// A value for each part of a period; `None` = unknown.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Flow {
-    /// Records captured per second.
+    /// Per second.
     pub captured: Vec<Option<f64>>,
-    /// Records verified per second.
     pub verified: Vec<Option<f64>>,
-    /// Records not yet verified at the end of the part.
+    /// At the end of the part.
     pub pending: Vec<Option<f64>>,
     /// Seconds within which 99 of 100 records of the part were verified.
     pub slowest: Vec<Option<f64>>,
@@ -85,12 +75,11 @@ pub struct Flow {
 }
 
 impl Flow {
-    /// Whether there is anything to draw.
     pub fn any(&self) -> bool {
         [&self.captured, &self.verified, &self.pending].into_iter().any(|values| highest(values) > 0.0)
     }
 
-    /// Whether it changes as time passes without news.
+    /// Whether it changes without news.
     fn moves(&self) -> bool {
         let flows = highest(&self.captured) > 0.0 || highest(&self.verified) > 0.0;
         let pending = || self.pending.iter().map(|count| count.unwrap_or(0.0));
@@ -98,13 +87,11 @@ impl Flow {
     }
 }
 
-/// The highest known value.
 pub fn highest(values: &[Option<f64>]) -> f64 {
     values.iter().flatten().copied().fold(0.0, f64::max)
 }
 
 impl History {
-    /// Records the site's present figures.
     pub fn observe(&mut self, site: &SiteView, now: Timestamp) {
         let life = &site.life;
         let point = Point {
@@ -141,8 +128,7 @@ impl History {
         });
     }
 
-    /// Figures of the period that ends now, in this many parts. Parts lie on a grid of time, so that they move in whole
-    /// parts only.
+    /// Parts align to a grid of time, so that the graph moves in whole parts.
     pub fn flow(&self, period: Period, parts: usize, now: Timestamp) -> Flow {
         let part = part(period, parts);
         let end = now.0 / part * part;
@@ -159,7 +145,7 @@ impl History {
         }
     }
 
-    /// When the graph moves on without news; `None` = it shows nothing that could move.
+    /// `None` = nothing shown can move.
     pub fn moves_at(&self, period: Period, parts: usize, now: Timestamp) -> Option<Timestamp> {
         let part = part(period, parts);
         let moves = self.flow(period, parts, now).moves();
@@ -177,7 +163,7 @@ impl History {
         self.points.get(behind.checked_sub(1)?)
     }
 
-    /// The value of a count at a moment: interpolated between two points as if it had grown evenly.
+    /// Interpolated between two points as if the count had grown evenly.
     fn count(&self, at: Timestamp, of: fn(&Point) -> u64) -> Option<f64> {
         let behind = self.points.partition_point(|point| point.at <= at);
         let before = self.points.get(behind.checked_sub(1)?)?;
@@ -191,7 +177,7 @@ impl History {
         Some((self.count(to, of)? - self.count(from, of)?) / seconds)
     }
 
-    /// Seconds within which `percent` of a hundred records were verified, of those between two moments.
+    /// Seconds within which `percent` of the records between two moments were verified.
     fn within(&self, from: Timestamp, to: Timestamp, percent: u64) -> Option<f64> {
         let (first, last) = (&self.before(from)?.spread, &self.before(to)?.spread);
         let counted = |end: u64| first.iter().find(|(other, _)| *other == end).map_or(0, |(_, count)| *count);
@@ -209,7 +195,7 @@ impl History {
 }
 
 fn part(period: Period, parts: usize) -> u64 {
-    period.nanoseconds() / (parts.max(1) as u64)
+    period.minutes() * 60 * SECOND / (parts.max(1) as u64)
 }
 
 #[expect(clippy::cast_precision_loss, reason = "counts of records and nanoseconds of an hour stay below 2^53")]
@@ -217,30 +203,24 @@ fn float(count: u64) -> f64 {
     count as f64
 }
 
-/// The shortest time over which a rate is computed, nanoseconds.
+/// Shortest time over which a rate is computed, nanoseconds.
 const WINDOW: u64 = 2_000_000_000;
-/// After this long without news, the rates are zero, nanoseconds.
+/// Silence after which rates are zero, nanoseconds.
 const STILL_AFTER: u64 = 6_000_000_000;
 
 /// Stages of a record: captured, stored, anchored, confirmed, verified.
 pub const STATIONS: usize = 5;
 
-/// Records per second at each stage.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Rates {
     base: Option<(Timestamp, [u64; STATIONS])>,
-    /// Records per second, by stage.
+    /// By stage.
     pub stations: [f64; STATIONS],
 }
 
-fn counts(life: &LifeLine) -> [u64; STATIONS] {
-    [life.captured, life.stored, life.anchored, life.confirmed, life.verified]
-}
-
 impl Rates {
-    /// Takes in the counts at a moment.
     pub fn observe(&mut self, life: &LifeLine, now: Timestamp) {
-        let counts = counts(life);
+        let counts = [life.captured, life.stored, life.anchored, life.confirmed, life.verified];
         let Some((since, before)) = self.base else {
             self.base = Some((now, counts));
             return;
@@ -254,23 +234,20 @@ impl Rates {
         self.base = Some((now, counts));
     }
 
-    /// Captured per second.
     pub fn captured(&self) -> f64 {
         self.stations[0]
     }
 
-    /// Verified per second.
     pub fn verified(&self) -> f64 {
         self.stations[STATIONS - 1]
     }
 
-    /// When the rates become zero unless something arrives before.
+    /// When the rates fall to zero without news.
     pub fn still_at(&self) -> Option<Timestamp> {
         let flows = self.stations.iter().any(|rate| *rate > 0.0);
         self.base.filter(|_| flows).map(|(since, ..)| Timestamp(since.0.saturating_add(STILL_AFTER)))
     }
 
-    /// Sets the rates to zero when it is time.
     pub fn settle(&mut self, now: Timestamp) {
         if self.still_at().is_some_and(|at| at <= now) {
             *self = Self::default();
@@ -283,14 +260,13 @@ fn per_second(count: u64, nanoseconds: u64) -> f64 {
     count / std::time::Duration::from_nanos(nanoseconds).as_secs_f64()
 }
 
-/// A shorter run says nothing about its pace, nanoseconds.
+/// Nanoseconds; a shorter run says nothing about its pace.
 const LEAST: u64 = 2_000_000_000;
 
-/// One piece of work.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Run {
     view: ProgressView,
-    /// When its present step was first seen, and its progress then.
+    /// When its present step was first seen, and the progress then.
     seen: (Timestamp, u64),
 }
 
@@ -298,7 +274,6 @@ struct Run {
 pub struct Progress(Vec<Run>);
 
 impl Progress {
-    /// Takes over their present progress.
     pub fn set(&mut self, views: Vec<ProgressView>, now: Timestamp) {
         let before = std::mem::take(&mut self.0);
         let same = |view: &ProgressView, run: &&Run| run.view.file == view.file && run.view.step == view.step;
@@ -315,7 +290,6 @@ impl Progress {
         !self.0.is_empty()
     }
 
-    /// A line for each.
     pub fn lines(&self, now: Timestamp) -> Vec<String> {
         self.0.iter().map(|run| run.line(now)).collect()
     }
@@ -329,7 +303,7 @@ impl Run {
         format!("{step} {file}:{share} {messages} {unit}{left}")
     }
 
-    /// Seconds at the pace since its step was first seen.
+    /// Seconds at the pace since the step was first seen.
     fn left(&self, now: Timestamp) -> Option<u64> {
         let took = now.0.saturating_sub(self.seen.0.0);
         let made = self.view.done.checked_sub(self.seen.1).filter(|made| *made > 0 && took >= LEAST)?;

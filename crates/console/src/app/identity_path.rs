@@ -1,24 +1,21 @@
-//! Commands that need an identity: they wait while the operator is led through creating, unlocking and registering one,
-//! and are then sent.
+//! Commands that need an identity wait while the operator creates, unlocks and registers one.
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
 use super::popup::{Popup, Purpose};
 use super::update::Feed;
-use super::verb::{Effect, Errand, Tag};
+use super::verb::{Errand, Tag};
 use super::{State, form};
 use crate::service::reply::IdentityView;
 use crate::service::{Command, Failure};
 
-/// How much of an identity a command needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Need {
     Unlocked,
-    /// An open keyring and a registration on the chain.
+    /// Unlocked, and registered on the chain.
     Registered,
 }
 
-/// Commands waiting for an identity.
 #[derive(Debug)]
 pub struct IdentityPath {
     need: Need,
@@ -26,8 +23,7 @@ pub struct IdentityPath {
     errands: Vec<Errand>,
 }
 
-/// Sends the waiting commands as soon as the identity they need is there.
-pub fn run(state: &mut State, need: Need, errands: Vec<Errand>) -> Vec<Effect> {
+pub fn run(state: &mut State, need: Need, errands: Vec<Errand>) {
     match &mut state.identity_path {
         Some(path) => {
             path.need = path.need.max(need);
@@ -35,16 +31,16 @@ pub fn run(state: &mut State, need: Need, errands: Vec<Errand>) -> Vec<Effect> {
         }
         None => state.identity_path = Some(IdentityPath { need, registered: false, errands }),
     }
-    advance(state)
+    advance(state);
 }
 
-/// Takes the next step of the waiting path, if any.
-pub fn advance(state: &mut State) -> Vec<Effect> {
+pub fn advance(state: &mut State) {
     let under_way = state.work.iter().any(|tag| matches!(tag, Tag::CreateIdentity | Tag::Unlock | Tag::Register));
-    let asking = state.popups.iter().any(is_identity_form);
-    let (Some(path), Some(identity)) = (&state.identity_path, &state.identity) else { return Vec::new() };
+    let asks = |popup: &Popup| matches!(popup, Popup::Form(Purpose::CreateIdentity | Purpose::Unlock, _));
+    let asking = state.popups.iter().any(asks);
+    let (Some(path), Some(identity)) = (&state.identity_path, &state.identity) else { return };
     if under_way || asking {
-        return Vec::new();
+        return;
     }
     if !identity.unlocked && state.settings.operator.is_some() {
         state.complain("the keyring is locked, and only the owner of this site unlocks it");
@@ -54,15 +50,13 @@ pub fn advance(state: &mut State) -> Vec<Effect> {
     } else if !identity.unlocked {
         open_form(state, Purpose::Unlock, None);
     } else if path.need == Need::Registered && !identity.registered && !path.registered {
-        return vec![state.send(Errand { command: Command::Register, tag: Tag::Register })];
+        state.send(Errand { command: Command::Register, tag: Tag::Register });
     } else if let Some(path) = state.identity_path.take() {
-        return path.errands.into_iter().map(|errand| state.send(errand)).collect();
+        path.errands.into_iter().for_each(|errand| state.send(errand));
     }
-    Vec::new()
 }
 
-/// Asks once, at the start, for the passphrase of a locked keyring, unless a key was pressed before: until then watched
-/// topics are not captured. If the keyring is opened in another way, nothing is asked any more.
+/// Asks once for the passphrase: until the keyring is open, watched topics are not captured.
 pub fn greet(state: &mut State) {
     if state.identity.as_ref().is_some_and(|identity| identity.unlocked) {
         return state.popups.retain(|popup| !matches!(popup, Popup::Form(Purpose::Unlock, _)));
@@ -73,7 +67,7 @@ pub fn greet(state: &mut State) {
     }
 }
 
-/// The operator cancelled; what waited is dropped and named.
+/// Drops what waited, and names it.
 pub fn abandon(state: &mut State) {
     if let Some(path) = state.identity_path.take() {
         let dropped: Vec<String> = path.errands.iter().map(|errand| errand.tag.words()).collect();
@@ -83,8 +77,7 @@ pub fn abandon(state: &mut State) {
     }
 }
 
-/// The identity is on the chain, or not.
-pub fn registered(state: &mut State, result: Result<IdentityView, Failure>) -> Vec<Effect> {
+pub fn registered(state: &mut State, result: Result<IdentityView, Failure>) {
     out_of_date(state);
     match result {
         Ok(identity) => {
@@ -93,34 +86,24 @@ pub fn registered(state: &mut State, result: Result<IdentityView, Failure>) -> V
             if let Some(path) = &mut state.identity_path {
                 path.registered = true;
             }
-            advance(state)
+            advance(state);
         }
         Err(failure) => {
             state.complain_of(&Tag::Register, &failure);
             abandon(state);
-            Vec::new()
         }
     }
 }
 
-/// The keyring of the form is open, newly made or unlocked, or it is not.
-pub fn opened(
-    state: &mut State,
-    result: Result<IdentityView, Failure>,
-    purpose: Purpose,
-    text: &'static str,
-) -> Vec<Effect> {
+pub fn opened(state: &mut State, result: Result<IdentityView, Failure>, purpose: Purpose, text: &'static str) {
     out_of_date(state);
     match result {
         Ok(identity) => {
             state.identity = Some(identity);
             state.inform(text);
-            advance(state)
+            advance(state);
         }
-        Err(failure) => {
-            open_form(state, purpose, Some(failure.message));
-            Vec::new()
-        }
+        Err(failure) => open_form(state, purpose, Some(failure.message)),
     }
 }
 
@@ -144,8 +127,4 @@ fn open_form(state: &mut State, purpose: Purpose, error: Option<String>) {
     };
     form.error = error;
     state.popups.push(Popup::Form(purpose, form));
-}
-
-fn is_identity_form(popup: &Popup) -> bool {
-    matches!(popup, Popup::Form(Purpose::CreateIdentity | Purpose::Unlock, _))
 }

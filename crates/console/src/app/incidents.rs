@@ -1,4 +1,4 @@
-//! Incidents on screen: opened from the row under the cursor, noted, closed, removed; what each holds.
+//! Incidents on screen: opened from the row under the cursor, noted, closed, removed; their contents.
 
 use super::form::{Field, Form, Line, Wrong};
 use super::keymap::Key;
@@ -6,25 +6,23 @@ use super::perform::{copy, go};
 use super::popup::{Confirm, Popup, Purpose, moved};
 use super::screens::day;
 use super::update::Feed;
-use super::verb::{Effect, Errand, Tag};
+use super::verb::{Errand, Tag};
 use super::{Screen, State, granting, palette, table};
 use crate::model::{IncidentName, Timestamp};
 use crate::service::command::filter::past;
 use crate::service::command::{CloseIncident, NoteIncident, OpenIncident, RemoveIncident};
 use crate::service::reply::IncidentView;
 
-/// How much before and after a record is kept with it, seconds.
+/// Seconds kept before and after a record.
 const AROUND: u64 = 600;
-/// The same before now, as it is written.
+/// [`AROUND`] before now, as typed.
 const BEFORE_NOW: &str = "10m";
-/// How often the console asks again what the incidents on screen hold, in nanoseconds: no event reports it.
+/// No event reports what incidents contain, so the console asks, nanoseconds.
 const ASKED_EVERY: u64 = 10_000_000_000;
-/// The most characters of topics that a line of a form takes.
+/// Characters of the topics' line.
 const LONGEST_TOPICS: usize = 200;
-/// The line of the topics.
 const TOPICS: usize = 3;
 
-/// What is done to an incident.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Deed {
     Open,
@@ -34,7 +32,6 @@ pub enum Deed {
 }
 
 impl Deed {
-    /// What is under way, in words.
     pub fn words(self, name: &IncidentName) -> String {
         match self {
             Self::Open => format!("opening incident {name}"),
@@ -44,7 +41,7 @@ impl Deed {
         }
     }
 
-    /// Why it cannot be taken back; `None` = removing takes it back.
+    /// Why it cannot be taken back; `None` = removing undoes it.
     pub fn stays(self) -> Option<&'static str> {
         match self {
             Self::Open => None,
@@ -55,17 +52,15 @@ impl Deed {
     }
 }
 
-/// What is known of the profile's incidents.
 #[derive(Debug, Clone, Default)]
 pub struct Incidents {
     /// In the order of the site.
     pub rows: Vec<IncidentView>,
-    /// When that was told.
+    /// When the site answered.
     told_at: Timestamp,
 }
 
 impl Incidents {
-    /// Takes all of them over.
     pub fn set(&mut self, rows: Vec<IncidentView>, now: Timestamp) {
         (self.rows, self.told_at) = (rows, now);
     }
@@ -78,16 +73,14 @@ impl Incidents {
     }
 }
 
-/// The list, with its cursor.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct IncidentList {
     pub selected: usize,
-    /// First line shown of what the incident under the cursor holds.
+    /// First line shown of the contents.
     pub scroll: usize,
 }
 
 impl IncidentList {
-    /// The incident under the cursor.
     pub fn chosen<'a>(&self, state: &'a State) -> Option<&'a IncidentView> {
         let rows = &state.incidents.rows;
         rows.get(self.selected.min(rows.len().saturating_sub(1)))
@@ -99,21 +92,13 @@ pub fn open(state: &mut State) {
     state.popups.push(Popup::Incidents(IncidentList::default()));
 }
 
-/// When the console next asks what the incidents on screen hold.
 pub fn asked_at(state: &State) -> Option<Timestamp> {
     let seen = matches!(state.popups.last(), Some(Popup::Incidents(_))) && !state.is_frozen();
     let goes_on = state.incidents.rows.iter().any(|row| row.open);
     (seen && goes_on).then(|| Timestamp(state.incidents.told_at.0.saturating_add(ASKED_EVERY)))
 }
 
-/// Asks again when it is time.
-pub fn tick(state: &mut State) {
-    if asked_at(state).is_some_and(|at| at <= state.now) {
-        state.feeds.slot_mut(Feed::Incidents).stale = true;
-    }
-}
-
-/// What can be done here: key, the word of the bar, the sentence of the help.
+/// Key, word of the bar, sentence of the help.
 fn possible(state: &State, list: &IncidentList) -> Vec<[&'static str; 3]> {
     let chosen = list.chosen(state);
     let changes = !state.settings.read_only;
@@ -132,21 +117,18 @@ fn possible(state: &State, list: &IncidentList) -> Vec<[&'static str; 3]> {
     all.into_iter().filter(|(_, possible)| *possible).map(|(told, _)| told).collect()
 }
 
-/// The keys, for the bar.
 pub fn hints(state: &State, list: &IncidentList) -> Vec<(&'static str, &'static str)> {
     possible(state, list).into_iter().map(|[key, word, _]| (key, word)).collect()
 }
 
-/// The keys, for the help of the window.
 pub fn explained(state: &State, list: &IncidentList) -> Vec<(&'static str, &'static str)> {
     possible(state, list).into_iter().map(|[key, _, sentence]| (key, sentence)).collect()
 }
 
-/// A key while the list is open.
-pub fn key(state: &mut State, mut list: IncidentList, key: Key) -> Vec<Effect> {
+pub fn key(state: &mut State, mut list: IncidentList, key: Key) {
     let before = list.selected;
     match key {
-        Key::Escape | Key::Char('q') => return Vec::new(),
+        Key::Escape | Key::Char('q') => return,
         Key::PageUp => list.scroll = list.scroll.saturating_sub(state.page_rows() / 2),
         Key::PageDown | Key::Char(' ') => {
             let most = list.chosen(state).map_or(0, |row| row.coverage.len() * 3 + row.notes.len() * 4);
@@ -159,8 +141,7 @@ pub fn key(state: &mut State, mut list: IncidentList, key: Key) -> Vec<Effect> {
     }
     let chosen = list.chosen(state).cloned();
     if let (Key::Enter, Some(row)) = (key, &chosen) {
-        show_records(state, &row.name);
-        return Vec::new();
+        return show_records(state, &row.name);
     }
     state.popups.push(Popup::Incidents(list));
     let changes = !state.settings.read_only;
@@ -173,19 +154,18 @@ pub fn key(state: &mut State, mut list: IncidentList, key: Key) -> Vec<Effect> {
         (Key::Char('x'), Some(row)) if changes => state.popups.push(Popup::Confirm(removal(&row))),
         (Key::Char('y'), Some(row)) => {
             let line = palette::of_words(state, &format!("incident show {}", row.name));
-            return vec![copy(state, line)];
+            copy(state, line);
         }
         (Key::Char('e'), Some(row)) => {
             let words = format!("evidence export {0}.authros --incident {0}", row.name);
             let line = palette::of_words(state, &words);
-            return vec![copy(state, line)];
+            copy(state, line);
         }
         _ => {}
     }
-    Vec::new()
 }
 
-/// Uploads, narrowed to what is in it.
+/// Uploads, filtered to the incident.
 fn show_records(state: &mut State, name: &IncidentName) {
     go(state, Screen::Uploads);
     state.uploads.table.filter = Field::with(&format!("incident:{name}"));
@@ -193,7 +173,7 @@ fn show_records(state: &mut State, name: &IncidentName) {
     table::restart_records(state);
 }
 
-/// What the row under the cursor, or the marked ones, say of an incident.
+/// Span and topics of the marked rows, or of the one under the cursor.
 struct Around {
     since: String,
     until: String,
@@ -220,7 +200,7 @@ fn around(state: &State) -> Around {
             topics.dedup();
             Around {
                 since: Timestamp::from_seconds(first.seconds().saturating_sub(AROUND)).to_string(),
-                // What is younger goes on.
+                // A span that reaches into the future stays open.
                 until: if until <= state.now { until.to_string() } else { String::new() },
                 topics,
                 at: first,
@@ -230,7 +210,7 @@ fn around(state: &State) -> Around {
     }
 }
 
-/// Asks for a new incident, filled from the row under the cursor; marked rows go before it.
+/// Fills the form from the marked rows, or else from the row under the cursor.
 pub fn begin(state: &mut State) {
     let form = form(&around(state));
     state.feeds.slot_mut(Feed::Incidents).stale = true;
@@ -266,7 +246,7 @@ fn fitting(topics: &[String]) -> (String, usize) {
     (line, 0)
 }
 
-/// `odom-1114-2213`: what and when.
+/// `odom-1114-2213`: topic and time.
 fn suggested(topics: &[String], at: Timestamp) -> String {
     let last = topics.first().and_then(|topic| topic.rsplit('/').find(|part| !part.is_empty())).unwrap_or_default();
     let plain: String = last.chars().filter(|letter| letter.is_ascii_alphanumeric() || *letter == '_').collect();
@@ -279,13 +259,11 @@ fn suggested(topics: &[String], at: Timestamp) -> String {
     }
 }
 
-/// Completes a topic's name; false where there is nothing to complete.
 pub fn complete(state: &State, form: &mut Form) -> bool {
     let names: Vec<String> = state.topics.rows.iter().map(|row| row.topic.clone()).collect();
     form.focus == TOPICS && granting::complete_from(form, &names)
 }
 
-/// The command of a filled form.
 pub fn read(state: &State, form: &Form) -> Result<Errand, Wrong> {
     let name: IncidentName = form.parsed(0)?;
     if state.incidents.rows.iter().any(|row| row.name == name) {
@@ -304,7 +282,7 @@ pub fn read(state: &State, form: &Form) -> Result<Errand, Wrong> {
     Ok(Errand { command: OpenIncident { name, since, until, topics, note, robots: Vec::new() }.into(), tag })
 }
 
-/// A moment; so long ago with or without the sign.
+/// A moment, or a span back from `now`, with or without the sign.
 fn moment(text: &str, now: Timestamp) -> Result<Timestamp, String> {
     let text = text.trim();
     past(text.strip_prefix('-').unwrap_or(text), now).map_err(|failure| failure.message)
@@ -321,7 +299,6 @@ fn note_form(name: &IncidentName) -> Form {
     form
 }
 
-/// The command of a filled form for a note.
 pub fn read_note(form: &Form) -> Result<Errand, Wrong> {
     let name: IncidentName = form.parsed(0)?;
     let text = form.typed(1).ok_or_else(|| (1, "type the note, or press esc".to_owned()))?.to_owned();
@@ -352,13 +329,11 @@ fn removal(row: &IncidentView) -> Confirm {
     Confirm { title: format!("Remove incident {}?", row.name), lines, yes: "remove", typed: None, errand }
 }
 
-/// The errand that takes an opened incident back.
 pub fn taken_back(name: &IncidentName) -> Errand {
     let tag = Tag::Incident(Deed::Remove, name.clone());
     Errand { command: RemoveIncident { name: name.clone() }.into(), tag }
 }
 
-/// An incident was opened, noted or closed.
 pub fn changed(state: &mut State, deed: Deed, view: IncidentView) {
     let held = super::counted(view.records, "record");
     let text = match deed {

@@ -1,5 +1,4 @@
-//! Which keys do what on each screen: the preset of the verb list, overridden by the operator's own `keymap.toml`. Key
-//! presses, help, bar and palette all ask here. Keys are named as that file writes them, independent of any terminal library.
+//! Keys of each screen: the preset of the verb list, overridden by the operator's `keymap.toml`.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -15,17 +14,15 @@ use toml::Spanned;
 /// The most keys of one chord.
 pub const LONGEST_CHORD: usize = 3;
 
-/// Keys that do something when pressed in sequence.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Binding {
     pub on: Vec<Key>,
     pub entry: &'static Entry,
-    /// The operator's own description.
+    /// The operator's own text.
     pub desc: Option<String>,
 }
 
 impl Binding {
-    /// A line of help.
     pub fn help(&self) -> &str {
         self.desc.as_deref().unwrap_or(self.entry.help)
     }
@@ -35,16 +32,15 @@ impl Binding {
     }
 }
 
-/// The meaning of keys pressed in sequence.
 #[derive(Debug, PartialEq)]
 pub enum Meaning<'a> {
     Does(Verb),
-    /// More keys must follow: these chords begin this way.
+    /// These chords begin with the keys.
     Begins(Vec<&'a Binding>),
     Nothing,
 }
 
-/// Where bindings apply; a more specific place takes precedence over a more general one.
+/// A more specific place takes precedence over a more general one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Place {
     Everywhere,
@@ -54,7 +50,7 @@ pub enum Place {
 }
 
 impl Place {
-    /// All, most general first.
+    /// Most general first.
     pub fn all() -> impl Iterator<Item = Self> {
         [Self::Everywhere, Self::Lists].into_iter().chain(Screen::all().map(Self::On))
     }
@@ -76,7 +72,6 @@ impl Place {
         }
     }
 
-    /// Where the preset binds an entry.
     fn of(entry: &Entry) -> Vec<Self> {
         let lists = || Screen::all().all(|screen| screen.has_table() == entry.on.contains(&screen));
         match entry.on {
@@ -87,55 +82,46 @@ impl Place {
     }
 }
 
-/// The bindings of every screen.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Keymap {
-    screens: Vec<Vec<Binding>>,
-}
+pub struct Keymap(Vec<Vec<Binding>>);
 
 impl Default for Keymap {
     fn default() -> Self {
-        Self::built(&|_| Vec::new())
+        Self::built(&[])
     }
 }
 
-/// A line of the operator's file: keys, and what they do or that they do nothing.
-#[derive(Debug, Clone)]
-struct Change {
-    on: Vec<Key>,
-    entry: Option<&'static Entry>,
-    desc: Option<String>,
-}
-
 impl Keymap {
-    /// The preset, overridden by an operator's file.
     pub fn with_file(file: &str, text: &str) -> Result<Self, FileError> {
         let source = Source { file, text };
         let lines = lines(&source)?;
-        let of = |place: Place| -> Vec<Change> {
-            lines.iter().filter(|line| line.place == place).map(|line| line.change.clone()).collect()
-        };
-        let keymap = Self::built(&of);
+        let keymap = Self::built(&lines);
         Screen::all().try_for_each(|screen| reachable(&source, &keymap, &lines, screen))?;
         Ok(keymap)
     }
 
-    fn built(changes: &dyn Fn(Place) -> Vec<Change>) -> Self {
+    /// A more specific binding replaces a more general one of the same keys.
+    fn built(lines: &[Read]) -> Self {
         let of_screen = |screen: Screen| {
-            let mut bindings = Vec::new();
+            let mut bindings: Vec<Binding> = Vec::new();
             for place in Place::all().filter(|place| place.holds_on(screen)) {
-                preset(place).chain(changes(place)).for_each(|change| apply(&mut bindings, change));
+                let own = lines.iter().filter(|line| line.place == place);
+                let own = own.map(|line| (line.on.clone(), line.entry, line.desc.clone()));
+                let preset = preset(place).map(|(on, entry)| (on, Some(entry), None));
+                for (on, entry, desc) in preset.chain(own) {
+                    bindings.retain(|binding| binding.on != on);
+                    bindings.extend(entry.map(|entry| Binding { on, entry, desc }));
+                }
             }
             bindings
         };
-        Self { screens: Screen::all().map(of_screen).collect() }
+        Self(Screen::all().map(of_screen).collect())
     }
 
     pub fn bindings(&self, screen: Screen) -> &[Binding] {
-        &self.screens[screen.index()]
+        &self.0[screen.index()]
     }
 
-    /// The meaning of these keys on a screen.
     pub fn meaning(&self, pressed: &[Key], screen: Screen) -> Meaning<'_> {
         let bindings = self.bindings(screen);
         if let Some(found) = bindings.iter().find(|binding| binding.on == pressed) {
@@ -145,33 +131,25 @@ impl Keymap {
         if begun.is_empty() { Meaning::Nothing } else { Meaning::Begins(begun) }
     }
 
-    /// The bindings of an entry on a screen, the preset's keys first.
+    /// The preset's keys first.
     pub fn of<'a>(&'a self, entry: &'a Entry, screen: Screen) -> impl Iterator<Item = &'a Binding> {
         self.bindings(screen).iter().filter(|binding| binding.entry.name == entry.name)
     }
 
-    /// The first keys of an entry on a screen, as written; empty if it has none there.
+    /// As written; empty if there are none.
     pub fn label(&self, entry: &Entry, screen: Screen) -> String {
         self.of(entry, screen).next().map(|binding| chord_label(&binding.on)).unwrap_or_default()
     }
 
-    /// Whether a key does `verb` and nothing else; never true for keys that type text.
+    /// Never true for keys that type text.
     pub fn is(&self, key: Key, verb: Verb, screen: Screen) -> bool {
         !matches!(key, Key::Char(_)) && self.meaning(&[key], screen) == Meaning::Does(verb)
     }
 }
 
-fn preset(place: Place) -> impl Iterator<Item = Change> {
+fn preset(place: Place) -> impl Iterator<Item = (Vec<Key>, &'static Entry)> {
     let here = VERBS.iter().filter(move |entry| Place::of(entry).contains(&place));
-    here.flat_map(|entry| entry.chords().map(move |on| Change { on, entry: Some(entry), desc: None }))
-}
-
-/// A more specific binding replaces a more general one with the same keys.
-fn apply(bindings: &mut Vec<Binding>, Change { on, entry, desc }: Change) {
-    bindings.retain(|binding| binding.on != on);
-    if let Some(entry) = entry {
-        bindings.push(Binding { on, entry, desc });
-    }
+    here.flat_map(|entry| entry.chords().map(move |on| (on, entry)))
 }
 
 const OPENING: &str = "# Keys of the AuthROS console, as they are without a keymap.toml.
@@ -190,15 +168,11 @@ home end,
 # ^x = Control and x. Terminals send ^h ^i ^j ^m as backspace, tab and enter, so these cannot be bound.
 ";
 
-/// The preset, in the format of the operator's file.
 pub fn preset_text() -> String {
     let mut text = OPENING.to_owned();
     for place in Place::all() {
-        let lines: Vec<[String; 3]> = VERBS
-            .iter()
-            .filter(|entry| Place::of(entry).contains(&place))
-            .flat_map(|entry| entry.chords().map(|on| [keys(&on), quoted(entry.name), quoted(entry.help)]))
-            .collect();
+        let line = |(on, entry): (Vec<Key>, &Entry)| [keys(&on), quoted(entry.name), quoted(entry.help)];
+        let lines: Vec<[String; 3]> = preset(place).map(line).collect();
         if lines.is_empty() {
             continue;
         }
@@ -225,17 +199,17 @@ fn quoted(text: &str) -> String {
     toml::Value::String(text.to_owned()).to_string()
 }
 
-/// The word that unbinds a preset.
+/// Unbinds a preset.
 const NONE: &str = "none";
-/// The most characters of a description.
+/// Characters.
 const LONGEST_DESC: usize = 100;
 
-/// What is wrong with a file of the operator: a keymap or a theme.
+/// An error in an operator's file: a keymap or a theme.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{file} line {line}: {what}")]
 pub struct FileError {
     pub file: String,
-    /// The line, from 1.
+    /// From 1.
     pub line: usize,
     /// What is wrong, and what to do.
     pub what: String,
@@ -262,26 +236,28 @@ enum On {
     Chord(Vec<String>),
 }
 
+/// A line of the operator's file; no entry = the keys do nothing.
 struct Read {
     place: Place,
-    change: Change,
+    on: Vec<Key>,
+    entry: Option<&'static Entry>,
+    desc: Option<String>,
     at: Range<usize>,
 }
 
-/// The text of such a file, and its name.
+/// An operator's file.
 pub(crate) struct Source<'a> {
     pub file: &'a str,
     pub text: &'a str,
 }
 
 impl Source<'_> {
-    /// What is wrong at that byte.
+    /// An error at that byte.
     pub fn wrong(&self, at: usize, what: impl Into<String>) -> FileError {
         let line = self.text.get(..at).map_or(1, |before| before.matches('\n').count() + 1);
         FileError { file: clean(self.file, 200), line, what: clean(&what.into(), 300) }
     }
 
-    /// What the text says.
     pub fn parsed<T: DeserializeOwned>(&self) -> Result<T, FileError> {
         toml::from_str(self.text).map_err(|error| {
             let at = error.span().map_or(0, |span| span.start);
@@ -301,8 +277,8 @@ fn lines(source: &Source) -> Result<Vec<Read>, FileError> {
         })?;
         for line in part.keys {
             let one = one(source, place, line)?;
-            if read.iter().any(|other| other.place == place && other.change.on == one.change.on) {
-                let keys = chord_label(&one.change.on);
+            if read.iter().any(|other| other.place == place && other.on == one.on) {
+                let keys = chord_label(&one.on);
                 return Err(source.wrong(one.at.start, format!("'{keys}' appears twice in [{}]", place.name())));
             }
             read.push(one);
@@ -321,7 +297,7 @@ fn one(source: &Source, place: Place, line: Line) -> Result<Read, FileError> {
         return Err(source.wrong(run_at, what));
     }
     let desc = line.desc.map(|desc| clean(&desc, LONGEST_DESC));
-    Ok(Read { place, change: Change { on, entry, desc }, at })
+    Ok(Read { place, on, entry, desc, at })
 }
 
 fn read_keys(source: &Source, at: usize, on: On) -> Result<Vec<Key>, FileError> {
@@ -341,7 +317,7 @@ fn read_keys(source: &Source, at: usize, on: On) -> Result<Vec<Key>, FileError> 
     labels.iter().map(key).collect()
 }
 
-/// No chord hides behind a shorter one, and there is a way to the palette and out.
+/// Refuses chords hidden behind shorter ones, and screens without a way to the palette or out.
 fn reachable(source: &Source, keymap: &Keymap, lines: &[Read], screen: Screen) -> Result<(), FileError> {
     let bindings = keymap.bindings(screen);
     let hidden = |long: &&Binding| bindings.iter().any(|short| long.begins_with(&short.on));
@@ -353,40 +329,34 @@ fn reachable(source: &Source, keymap: &Keymap, lines: &[Read], screen: Screen) -
             screen.title(),
             chord_label(&long.on)
         );
-        let concerned = |line: &&Read| line.change.on.starts_with(&long.on) || long.on.starts_with(&line.change.on);
+        let concerned = |line: &&Read| line.on.starts_with(&long.on) || long.on.starts_with(&line.on);
         return Err(source.wrong(lines.iter().find(concerned).map_or(0, |line| line.at.start), what));
     }
     for verb in [Verb::Palette, Verb::Quit] {
         if !bindings.iter().any(|binding| binding.entry.verb == verb) {
-            let taken = |line: &&Read| {
-                VERBS.iter().any(|entry| entry.verb == verb && entry.chords().any(|on| on == line.change.on))
-            };
+            let taken =
+                |line: &&Read| VERBS.iter().any(|entry| entry.verb == verb && entry.chords().any(|on| on == line.on));
             let at = lines.iter().rfind(taken).map_or(0, |line| line.at.start);
-            let what = format!("on the {} screen no key is left for '{}'", screen.title(), name_of(verb));
+            let name = VERBS.iter().find(|entry| entry.verb == verb).map_or("", |entry| entry.name);
+            let what = format!("on the {} screen no key is left for '{name}'", screen.title());
             return Err(source.wrong(at, what));
         }
     }
     Ok(())
 }
 
-fn name_of(verb: Verb) -> &'static str {
-    VERBS.iter().find(|entry| entry.verb == verb).map_or("", |entry| entry.name)
-}
-
-/// One key press. Alt, function keys and terminal-specific ones do not exist here.
+/// Alt, function keys and terminal-specific keys do not exist here.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Key {
-    /// A printable character, with shift already applied.
+    /// Printable, with shift applied.
     Char(char),
-    /// Control and a lower-case letter.
+    /// A lower-case letter.
     Control(char),
     Enter,
     Escape,
     Tab,
     BackTab,
-    /// Deletes to the left.
     Backspace,
-    /// Deletes to the right.
     Delete,
     Up,
     Down,
@@ -399,7 +369,6 @@ pub enum Key {
 }
 
 impl Key {
-    /// As written in help and bottom bar.
     pub fn label(self) -> String {
         let named = NAMED.iter().find(|(key, _)| *key == self).map(|(_, label)| (*label).to_owned());
         named.unwrap_or_else(|| match self {
@@ -409,7 +378,7 @@ impl Key {
         })
     }
 
-    /// Parses what [`Key::label`] writes; `None` = not a key that every terminal can send.
+    /// `None` if not every terminal can send the key.
     pub fn from_label(label: &str) -> Option<Self> {
         let named = NAMED.iter().find(|(_, name)| *name == label).map(|(key, _)| *key);
         named.or_else(|| Self::letter(label))
@@ -421,7 +390,7 @@ impl Key {
             (Some(character), None, _) => {
                 (!character.is_control() && character != ' ').then_some(Self::Char(character))
             }
-            // What terminals send for ^h, ^i, ^j and ^m is backspace, tab and enter.
+            // Terminals send ^h, ^i, ^j and ^m as backspace, tab and enter.
             (Some('^'), Some(letter @ 'a'..='z'), None) => {
                 (!matches!(letter, 'h' | 'i' | 'j' | 'm')).then_some(Self::Control(letter))
             }
@@ -430,7 +399,6 @@ impl Key {
     }
 }
 
-/// The keys with a name.
 const NAMED: [(Key, &str); 15] = [
     (Key::Char(' '), "space"),
     (Key::Enter, "enter"),
@@ -449,7 +417,7 @@ const NAMED: [(Key, &str); 15] = [
     (Key::End, "end"),
 ];
 
-/// Several keys in sequence, as written in help and bottom bar: `z t`.
+/// `z t`, as in help and bottom bar.
 pub fn chord_label(keys: &[Key]) -> String {
     keys.iter().map(|key| key.label()).collect::<Vec<_>>().join(" ")
 }

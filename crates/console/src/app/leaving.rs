@@ -1,5 +1,4 @@
-//! Leaving: what stops with this console and what goes on without it; at once, when all is verified, or after the
-//! capture was paused so that it can be.
+//! Leaving: what stops with this console and what continues; now, once all is verified, or after pausing the capture.
 
 use super::State;
 use super::keymap::Key;
@@ -9,79 +8,66 @@ use super::verb::{Effect, Errand, Tag};
 use crate::service::Command;
 use crate::service::reply::{HeldUp, TopicRow};
 
-/// How far leaving has come.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Leaving {
-    /// The question is on screen.
     Asked,
-    /// When everything is verified.
+    /// Quits when everything is verified.
     WhenVerified,
-    /// The capture is paused; when everything is verified.
+    /// Capture is paused; quits when everything is verified.
     Held,
 }
 
-/// What a console leaves behind.
-struct Behind {
-    /// What is captured, in words.
-    captured: Option<String>,
-    /// Whether the site ends with this console.
-    ends: bool,
-    pending: u64,
+/// Whether the site ends with this console.
+fn ends(state: &State) -> bool {
+    !matches!(Standing::of(state), Some(Standing::Joined(_)))
 }
 
-impl Behind {
-    fn of(state: &State) -> Self {
-        let ends = !matches!(Standing::of(state), Some(Standing::Joined(_)));
-        Self { captured: captured(state), ends, pending: state.pending_records() }
-    }
+/// Whether verifying everything requires pausing the capture first.
+fn can_drain(state: &State) -> bool {
+    ends(state) && captured(state).is_some()
+}
 
-    /// The fate of the capture.
-    fn capture(&self, state: &State) -> Vec<String> {
-        let site = match Standing::of(state) {
-            Some(Standing::Joined(0)) | None => "in the site".to_owned(),
-            Some(Standing::Joined(process)) => format!("in the site (process {process})"),
-            Some(Standing::Host) => String::new(),
-        };
-        let mut lines: Vec<String> = match &self.captured {
-            Some(what) if self.ends => vec![
-                format!("Quitting stops {what}."),
-                if state.settings.tour.is_some() {
-                    "The tour ends, and its temporary home is removed with all that is in it.".to_owned()
-                } else if can_leave_site(state) {
-                    "s: `authros serve` goes on with it, after a few seconds' gap; asks for the passphrase.".to_owned()
-                } else {
-                    "To keep it running without a console, use: authros serve".to_owned()
-                },
-            ],
-            Some(what) => vec![format!("{} continues {site}.", super::sentence(what))],
-            None => Vec::new(),
-        };
-        lines.extend(not_captured(state).map(|what| format!("{} anyway.", super::sentence(&what))));
-        lines
-    }
+fn capture_lines(state: &State) -> Vec<String> {
+    let site = match Standing::of(state) {
+        Some(Standing::Joined(0)) | None => "in the site".to_owned(),
+        Some(Standing::Joined(process)) => format!("in the site (process {process})"),
+        Some(Standing::Host) => String::new(),
+    };
+    let mut lines: Vec<String> = match captured(state) {
+        Some(what) if ends(state) => vec![
+            format!("Quitting stops {what}."),
+            if state.settings.tour.is_some() {
+                "The tour ends, and its temporary home is removed with all that is in it.".to_owned()
+            } else if can_leave_site(state) {
+                "s: `authros serve` goes on with it, after a few seconds' gap; asks for the passphrase.".to_owned()
+            } else {
+                "To keep it running without a console, use: authros serve".to_owned()
+            },
+        ],
+        Some(what) => vec![format!("{} continues {site}.", super::sentence(&what))],
+        None => Vec::new(),
+    };
+    lines.extend(not_captured(state).map(|what| format!("{} anyway.", super::sentence(&what))));
+    lines
+}
 
-    fn records(&self, state: &State) -> Vec<String> {
-        let records = match self.pending {
-            0 => return Vec::new(),
-            1 => "1 record is not verified yet".to_owned(),
-            more => format!("{more} records are not verified yet"),
-        };
-        if !self.ends {
-            return vec![format!("{records}; the site continues with them.")];
-        }
-        if state.settings.tour.is_some() {
-            return vec![format!("{records}.")];
-        }
-        vec![format!("{records}."), "They are safe on disk and continue at the next start.".to_owned()]
+fn record_lines(state: &State) -> Vec<String> {
+    let records = match state.pending_records() {
+        0 => return Vec::new(),
+        1 => "1 record is not verified yet".to_owned(),
+        more => format!("{more} records are not verified yet"),
+    };
+    if !ends(state) {
+        return vec![format!("{records}; the site continues with them.")];
     }
+    let safe = "They are safe on disk and continue at the next start.".to_owned();
+    [format!("{records}.")].into_iter().chain(state.settings.tour.is_none().then_some(safe)).collect()
 }
 
 impl Leaving {
-    /// What stops, what goes on, and what is waited for.
     pub fn lines(self, state: &State) -> Vec<String> {
-        let behind = Behind::of(state);
-        let mut lines = if self == Self::Held { Vec::new() } else { behind.capture(state) };
-        lines.extend(behind.records(state));
+        let mut lines = if self == Self::Held { Vec::new() } else { capture_lines(state) };
+        lines.extend(record_lines(state));
         lines
             .extend(state.work.iter().filter(|tag| tag.is_work()).map(|tag| format!("Still running: {}", tag.words())));
         if lines.is_empty() {
@@ -95,11 +81,9 @@ impl Leaving {
         lines
     }
 
-    /// The keys, with a word each.
     pub fn hints(self, state: &State) -> Vec<(&'static str, &'static str)> {
-        let behind = Behind::of(state);
         let mut hints = vec![("y", "quit now")];
-        if self == Self::Asked && behind.can_drain() {
+        if self == Self::Asked && can_drain(state) {
             hints.push(("d", "stop capture, finish, quit"));
             hints.extend(can_leave_site(state).then_some(("s", "leave it running")));
         } else if self == Self::Asked && state.has_pending_work() {
@@ -110,51 +94,40 @@ impl Leaving {
     }
 }
 
-impl Behind {
-    /// Whether all records can be verified only once the capture is paused.
-    fn can_drain(&self) -> bool {
-        self.ends && self.captured.is_some()
-    }
-}
-
-/// Whether a site can go on in this console's place.
+/// Whether a site can continue after this console.
 fn can_leave_site(state: &State) -> bool {
     let is_host = matches!(Standing::of(state), Some(Standing::Host));
     is_host && state.settings.leaves_site && state.identity.as_ref().is_some_and(|identity| identity.exists)
 }
 
-/// Whether leaving now would stop something, or leave something undone.
+/// Whether quitting now stops something or leaves it undone.
 pub fn asks(state: &State) -> bool {
-    state.has_pending_work() || Behind::of(state).can_drain()
+    state.has_pending_work() || can_drain(state)
 }
 
-/// A key while the question is on screen.
-pub fn key(state: &mut State, leaving: Leaving, key: Key) -> Vec<Effect> {
+pub fn key(state: &mut State, leaving: Leaving, key: Key) {
     match key {
-        Key::Char('y') | Key::Control('c') => return vec![Effect::Quit],
-        Key::Char('d') if leaving == Leaving::Asked && Behind::of(state).can_drain() => {
+        Key::Char('y') | Key::Control('c') => state.effects.push(Effect::Quit),
+        Key::Char('d') if leaving == Leaving::Asked && can_drain(state) => {
             state.popups.push(Popup::Quit(Leaving::Held));
-            return vec![hold(state, true)];
+            hold(state, true);
         }
-        Key::Char('s') if leaving == Leaving::Asked && Behind::of(state).can_drain() && can_leave_site(state) => {
-            return vec![Effect::LeaveSite];
+        Key::Char('s') if leaving == Leaving::Asked && can_drain(state) && can_leave_site(state) => {
+            state.effects.push(Effect::LeaveSite);
         }
-        Key::Char('w') if leaving == Leaving::Asked && !Behind::of(state).can_drain() => {
+        Key::Char('w') if leaving == Leaving::Asked && !can_drain(state) => {
             state.popups.push(Popup::Quit(Leaving::WhenVerified));
         }
         Key::Char('?') => state.popups.push(Popup::Quit(leaving)),
-        _ if leaving == Leaving::Held => return vec![hold(state, false)],
+        _ if leaving == Leaving::Held => hold(state, false),
         _ => {}
     }
-    Vec::new()
 }
 
-fn hold(state: &mut State, hold: bool) -> Effect {
-    let command = Command::HoldCapture { hold };
-    state.send(Errand { command, tag: Tag::HoldCapture })
+fn hold(state: &mut State, hold: bool) {
+    state.send(Errand { command: Command::HoldCapture { hold }, tag: Tag::HoldCapture });
 }
 
-/// Whether what was waited for is done.
 pub fn is_over(state: &State) -> bool {
     let site = state.feeds.slot(Feed::Site);
     let known = !site.stale && !site.outstanding;
@@ -165,28 +138,26 @@ pub fn is_over(state: &State) -> bool {
     }
 }
 
-/// Messages in memory that are not records yet; those of other profiles do not keep this one.
+/// Messages in memory that are not records yet; those of other profiles do not block leaving.
 fn waiting(state: &State) -> u64 {
     state.site.as_ref().filter(|site| site.profiles.len() <= 1).map_or(0, |site| site.queue.messages)
 }
 
-/// Where the site runs, seen from this console.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Standing {
-    /// In this process: it ends with the console.
+    /// In this process; it ends with the console.
     Host,
-    /// In another process, which continues; 0 = one that does not report its number.
+    /// In another process; 0 = one that does not report its number.
     Joined(u32),
 }
 
 impl Standing {
-    /// Where the site of this console runs; `None` = it has not answered yet.
+    /// `None` = the site has not answered yet.
     pub fn of(state: &State) -> Option<Self> {
         let process = state.site.as_ref()?.process;
         Some(if process == state.settings.process { Self::Host } else { Self::Joined(process) })
     }
 
-    /// The header's text for it.
     pub fn badge(self) -> String {
         match self {
             Self::Host => "HOST".to_owned(),
@@ -196,7 +167,6 @@ impl Standing {
     }
 }
 
-/// Whether a topic is captured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Capture {
     Unwatched,
@@ -204,12 +174,11 @@ pub enum Capture {
     /// Not until the keyring is unlocked.
     WaitsForKey,
     Paused,
-    /// Waiting for somebody to publish it.
     NoPublisher,
 }
 
 impl Capture {
-    /// The state of a topic; the worst one wins.
+    /// The worst reason wins.
     pub fn of(row: &TopicRow) -> Self {
         match row {
             TopicRow { watched: false, .. } => Self::Unwatched,
@@ -220,7 +189,6 @@ impl Capture {
         }
     }
 
-    /// In a word or two.
     pub fn word(self) -> &'static str {
         match self {
             Self::Unwatched => "-",
@@ -232,12 +200,11 @@ impl Capture {
     }
 }
 
-/// How many topics are in this state.
 pub fn count(state: &State, capture: Capture) -> usize {
     state.topics.rows.iter().filter(|row| Capture::of(row) == capture).count()
 }
 
-/// `the capture of /robot1/odom`, `the capture of 4 topics`; `None` = of none.
+/// `the capture of /robot1/odom`, `the capture of 4 topics`.
 pub fn captured(state: &State) -> Option<String> {
     let mut rows = state.topics.rows.iter().filter(|row| Capture::of(row) == Capture::Watched);
     let first = rows.next()?;
@@ -247,7 +214,7 @@ pub fn captured(state: &State) -> Option<String> {
     })
 }
 
-/// What is watched but not captured, and why; `None` = there is none.
+/// Watched topics that are not captured, and why.
 pub fn not_captured(state: &State) -> Option<String> {
     let topics = |count: usize| if count == 1 { "1 topic".to_owned() } else { format!("{count} topics") };
     match (count(state, Capture::WaitsForKey), count(state, Capture::Paused)) {

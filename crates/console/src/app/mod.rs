@@ -1,9 +1,4 @@
-//! The console's state and the pure `update(state, action) -> effects`.
-//!
-//! Nothing here draws, reads a clock, touches a file or waits: time comes in as
-//! [`Action::Tick`], data as answers to the commands that went out as [`Effect`]s.
-//! [`verb`] is the one list of what an operator can do; keymap, palette, help and bottom
-//! bar are made from it.
+//! The console's state and the pure `update(state, action) -> effects`; time comes as [`Action::Tick`].
 
 pub mod administration;
 pub mod alerts;
@@ -59,85 +54,62 @@ pub use verb::{Action, Contents, Effect, Errand, Tag, Verb};
 /// Rows of the screen that are not table rows: header, tabs, title, columns, message, bar.
 pub const FRAME_ROWS: u16 = 6;
 
-/// Interval between requests for the progress of running imports and exports, nanoseconds.
+/// Nanoseconds between requests for the progress of imports and exports.
 const PROGRESS_EVERY: u64 = 1_000_000_000;
-/// Parts of a period that a graph shows, each a column.
+/// Columns of a graph, each a part of the period.
 pub const GRAPH_PARTS: usize = 45;
 
-/// What does not change while the console runs.
 #[derive(Debug, Clone, Default)]
 pub struct Settings {
-    /// The profile it speaks for.
     pub profile: ProfileName,
-    /// The operator who speaks, if it is not the profile's owner.
+    /// The operator who speaks, unless it is the profile's owner.
     pub operator: Option<String>,
-    /// Hide what changes keys, grants or records.
+    /// Hides what changes keys, grants or records.
     pub read_only: bool,
-    /// Where relative paths start.
+    /// Base of relative paths.
     pub directory: PathBuf,
     /// The meaning of `~`.
     pub home: Option<PathBuf>,
-    /// Which keys do what.
     pub keymap: Keymap,
-    /// Names of the themes that can be chosen.
     pub themes: Vec<String>,
     /// Nanoseconds without a key after which the keyring locks; `None` = never.
     pub lock_after: Option<u64>,
-    /// The operator's time zone.
     pub zone: Zone,
-    /// The process that the console runs in.
     pub process: u32,
-    /// Ask for the passphrase of a locked keyring at the start.
+    /// Asks for the passphrase of a locked keyring at the start.
     pub asks_passphrase: bool,
-    /// The profiles of the home, as they were at the start.
+    /// The home's profiles at the start.
     pub profiles: Vec<ProfileName>,
-    /// Who is who in the tour, if the console starts with it.
     pub tour: Option<Cast>,
-    /// Whether a site can be left running in the console's place.
+    /// Whether a site can continue after this console.
     pub leaves_site: bool,
 }
 
-/// Everything the console knows and shows.
 #[derive(Debug, Default)]
 pub struct State {
-    /// What does not change.
     pub settings: Settings,
-    /// The latest known time.
     pub now: Timestamp,
-    /// Columns and rows of the terminal.
+    /// Columns and rows.
     pub size: (u16, u16),
-    /// The screen in view.
     pub screen: Screen,
-    /// The moment at which the view is frozen, if it is.
+    /// The moment of the freeze.
     pub frozen: Option<Timestamp>,
-    /// Whether any key was pressed, or the passphrase was asked for, since the start.
+    /// Set by the first key press or passphrase prompt.
     pub greeted: bool,
-    /// Name of the theme in use.
     pub theme: String,
-    /// Whether the console has the mouse.
     pub mouse: bool,
-    /// The state of the requests to the site.
     pub feeds: Feeds,
-    /// The profile's public side.
     pub identity: Option<IdentityView>,
     pub keys: Option<KeysView>,
-    /// The site at a glance.
     pub site: Option<SiteView>,
-    /// When it answered so.
+    /// When the site answered.
     pub site_at: Timestamp,
-    /// How fast records flow.
     pub rates: Rates,
-    /// Their flow over the last hour.
     pub history: History,
-    /// The period of the graphs.
     pub period: Period,
-    /// Imports, exports, audits and back-ups that run.
     pub progress: Progress,
-    /// When they were reported.
     pub progress_at: Timestamp,
-    /// The pane beside a list.
     pub detail: Detail,
-    /// What needs attention, or did recently.
     pub alerts: AlertBook,
     pub chain: Option<ChainView>,
     pub topics: Topics,
@@ -145,71 +117,62 @@ pub struct State {
     pub shared: Records,
     pub grants: Grants,
     pub log: Log,
-    /// The popups over the screen, topmost last.
+    /// Topmost last.
     pub popups: Vec<Popup>,
     pub toasts: Toasts,
-    /// Requests not yet answered, besides the feeds.
+    /// Unanswered requests, besides the feeds.
     pub work: Vec<Tag>,
-    /// Commands that wait for an identity.
     pub identity_path: Option<IdentityPath>,
     pub gateway: Gateway,
-    /// The file that is being read for a form.
+    /// The file being read for a form.
     pub reading: Option<PathBuf>,
     pub contacts: Vec<ContactRow>,
-    /// Spans that are kept.
     pub incidents: Incidents,
-    /// The form behind the act that is under way, to come back to where it fails.
+    /// The form of the running act, restored if the act fails.
     pub filled: Option<(Tag, Purpose, Form)>,
-    /// What is sent when the act of the tag is done, because one question asked for both.
+    /// Sent when the act of the tag succeeds: one question asked for both.
     pub follow_up: Option<(Tag, Errand)>,
-    /// The act that was sent last, as a command line.
+    /// The last act, as a command line.
     pub last_act: Option<String>,
-    /// What undoing would do.
     pub undo: Option<Undo>,
-    /// What was typed into the palette, the newest last.
+    /// Palette input, newest last.
     pub commands: Vec<String>,
-    /// What is being exported, and where to.
     pub exports: Exports,
-    /// When a key was last pressed.
+    /// Time of the last key press.
     pub touched: Timestamp,
-    /// Keys that wait for rows.
     pub ahead: Ahead,
-    /// Whether local times are shown beside UTC.
     pub local_time: bool,
-    /// The profile that this console spoke for before, until the current one is claimed.
+    /// The previous profile, until the current one is claimed.
     pub former: Option<ProfileName>,
-    /// The tour, while it runs.
     pub tour: Option<Tour>,
+    /// Work for the caller; `update` returns it.
+    pub effects: Vec<Effect>,
 }
 
 impl State {
-    /// Before the first answer.
     pub fn new(settings: Settings) -> Self {
         let tour = settings.tour.clone().map(Tour::new);
-        Self { settings, tour, size: (80, 24), ..Self::default() }
+        let records = || Records { table: Table::following(), ..Records::default() };
+        Self { settings, tour, size: (80, 24), uploads: records(), shared: records(), ..Self::default() }
     }
 
-    /// Whether the view is frozen.
     pub fn is_frozen(&self) -> bool {
         self.frozen.is_some()
     }
 
-    /// The moment that the screen shows.
     pub fn shown_at(&self) -> Timestamp {
         self.frozen.unwrap_or(self.now)
     }
 
-    /// Whether there is a keyring, and it is locked.
     pub fn is_locked(&self) -> bool {
         self.identity.as_ref().is_some_and(|identity| identity.exists && !identity.unlocked)
     }
 
-    /// How many table rows fit on the screen.
     pub fn page_rows(&self) -> usize {
         usize::from(self.size.1.saturating_sub(FRAME_ROWS + tour::rows(self))).max(1)
     }
 
-    /// When time alone changes something; `None` = never.
+    /// The next moment at which time alone changes the screen.
     pub fn deadline(&self) -> Option<Timestamp> {
         let ages = Some(()).filter(|()| self.screen == Screen::Topics && !self.is_frozen());
         let moments = [
@@ -231,31 +194,22 @@ impl State {
         moments.into_iter().flatten().min()
     }
 
-    /// When the progress of imports and exports is requested again: no event reports it.
+    /// No event reports the progress of imports and exports.
     fn progress_asked_at(&self) -> Option<Timestamp> {
         let seen = matches!(self.popups.last(), Some(Popup::Tasks)) && !self.is_frozen();
         (seen && self.progress.any()).then(|| Timestamp(self.progress_at.0.saturating_add(PROGRESS_EVERY)))
     }
 
-    /// Sends the request again when it is time.
-    pub fn ask_for_progress(&mut self) {
-        if self.progress_asked_at().is_some_and(|at| at <= self.now) {
-            self.feeds.slot_mut(Feed::Progress).stale = true;
-        }
-    }
-
-    /// When the graphs move on, if they are on screen.
     fn graphs_move_at(&self) -> Option<Timestamp> {
         let seen = self.screen == Screen::Overview && !self.is_frozen() && self.popups.is_empty();
         if seen { self.history.moves_at(self.period, GRAPH_PARTS, self.now) } else { None }
     }
 
-    /// Records not yet verified.
     pub fn pending_records(&self) -> u64 {
         self.site.as_ref().map_or(0, |site| site.life.pending)
     }
 
-    /// Whether something would be left undone by leaving now.
+    /// Whether quitting now leaves something undone.
     pub fn has_pending_work(&self) -> bool {
         self.pending_records() > 0 || self.work.iter().any(Tag::is_work)
     }
@@ -264,59 +218,56 @@ impl State {
         self.identity.as_ref().and_then(|identity| identity.address)
     }
 
-    /// Whether any topic is watched.
     pub fn watches(&self) -> bool {
         self.topics.rows.iter().any(|row| row.watched)
     }
 
-    /// Whether a feed's data is being requested for the first time.
+    /// Whether the feed's first answer is still outstanding.
     pub fn awaits(&self, feed: Feed) -> bool {
         !self.feeds.slot(feed).loaded && self.feeds.slot(feed).failure.is_none()
     }
 
-    /// Whether a feed is frozen with the view. The identity never is, because commands wait for it; nor are the counts
-    /// while the console waits for them to be able to leave.
+    /// Frozen with the view, except the identity (commands wait for it) and the counts while leaving waits for them.
     pub fn holds(&self, feed: Feed) -> bool {
         let leaving = matches!(self.popups.last(), Some(Popup::Quit(_)));
         let needed = feed == Feed::Identity || feed == Feed::Site && leaving;
-        // Pages of the past can still be turned; the request itself excludes what came later.
+        // Pages of the past can still be turned: the request itself excludes newer records.
         self.is_frozen() && self.feeds.slot(feed).is_answered() && !needed
     }
 
-    /// Shows the operator a message for 3 s.
+    /// Shows a message for 3 s.
     pub fn inform(&mut self, text: impl Into<String>) {
-        self.toasts.push(NoticeLevel::Info, text.into(), self.now);
+        self.toasts.push(NoticeLevel::Info, text.into(), self.now, None);
     }
 
-    /// Shows the operator a message until it is seen.
+    /// Shows a message until seen.
     pub fn warn(&mut self, text: impl Into<String>) {
         let text = text.into();
         self.log.notice(self.now, NoticeLevel::Warning, &text);
-        self.toasts.push(NoticeLevel::Warning, text, self.now);
+        self.toasts.push(NoticeLevel::Warning, text, self.now, None);
     }
 
-    /// `22:13:20`, with the local time beside it if that is wanted.
+    /// `22:13:20`, followed by the local time if shown.
     pub fn clock(&self, moment: Timestamp) -> String {
         let local = if self.local_time { self.settings.zone.clock(moment) } else { None };
         local.map_or_else(|| moment.clock(), |local| format!("{} {local}", moment.clock()))
     }
 
-    /// Reports a failure to the operator, until seen, and in the log.
+    /// Shows a failure until seen, and logs it.
     pub fn complain(&mut self, text: impl Into<String>) {
         let text = text.into();
         self.log.notice(self.now, NoticeLevel::Error, &text);
-        self.toasts.push(NoticeLevel::Error, text, self.now);
+        self.toasts.push(NoticeLevel::Error, text, self.now, None);
     }
 
-    /// Reports a failed command.
     pub fn complain_of(&mut self, tag: &Tag, failure: &Failure) {
         let text = format!("{}: {}", tag.words(), failure.message);
         self.log.notice(self.now, NoticeLevel::Error, &text);
-        self.toasts.push_about(NoticeLevel::Error, text, self.now, Some(tag.words()));
+        self.toasts.push(NoticeLevel::Error, text, self.now, Some(tag.words()));
     }
 
-    /// Sends a command; an opened record gets its popup at once.
-    pub fn send(&mut self, errand: Errand) -> Effect {
+    /// Opens the popup of a record before its answer.
+    pub fn send(&mut self, errand: Errand) {
         if let Tag::Open(id) = &errand.tag {
             self.popups.push(Popup::Record(Opening::new(id)));
         }
@@ -326,38 +277,29 @@ impl State {
             self.last_act = Some(line);
         }
         self.work.push(errand.tag.clone());
-        Effect::Send(errand.command, errand.tag)
+        self.effects.push(Effect::Send(errand.command, errand.tag));
     }
 
-    /// Sends what is not on its way already.
-    pub fn send_new(&mut self, errands: Vec<Errand>) -> Vec<Effect> {
-        let mut effects = Vec::new();
-        for errand in errands {
-            if !self.work.contains(&errand.tag) {
-                effects.push(self.send(errand));
-            }
+    /// Skips requests already in flight.
+    pub fn send_new(&mut self, errand: Errand) {
+        if !self.work.contains(&errand.tag) {
+            self.send(errand);
         }
-        effects
     }
 }
 
-/// A screen; number keys 1 to 9 switch in this order.
+/// Number keys 1 to 9 follow this order.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, EnumCount, EnumIter, IntoStaticStr)]
 pub enum Screen {
-    /// Health, record counts, alerts, busiest topics, first steps.
     #[default]
     Overview,
-    /// Topics of the ROS graph.
     Topics,
     Uploads,
-    /// Records shared with this profile.
     Shared,
-    /// Grants given and received.
     Grants,
     Keys,
     Chain,
     Gateway,
-    /// Notices and audit lines.
     Log,
 }
 
@@ -370,18 +312,17 @@ impl Screen {
         self.into()
     }
 
-    /// Its place, from 0.
     pub fn index(self) -> usize {
         self as usize
     }
 
-    /// The screen this many places further, wrapping around.
+    /// Wraps around.
     pub fn shifted(self, by: isize) -> Self {
         let place = (self.index().cast_signed() + by).rem_euclid(Self::COUNT.cast_signed());
         Self::iter().nth(place.cast_unsigned()).unwrap_or(self)
     }
 
-    /// The data it shows, besides what the header always shows.
+    /// Besides those the header always shows.
     pub fn feeds(self) -> &'static [Feed] {
         match self {
             Self::Overview => &[Feed::Topics, Feed::Grants],
@@ -396,7 +337,7 @@ impl Screen {
         }
     }
 
-    /// The orders of its table, in the order of `s`; none without a table.
+    /// In the order of `s`; empty without a table.
     pub fn orders(self) -> &'static [&'static str] {
         match self {
             Self::Topics => &["name", "Hz", "bytes/s", "watched"],
@@ -408,12 +349,10 @@ impl Screen {
         }
     }
 
-    /// Whether it is a table with cursor, filter and sort.
     pub fn has_table(self) -> bool {
         !self.orders().is_empty()
     }
 
-    /// Whether `s` can sort the lines of its table.
     pub fn sorts(self) -> bool {
         self.orders().len() > 1
     }
@@ -423,12 +362,11 @@ impl Screen {
 pub struct FirstStep {
     pub done: bool,
     pub name: &'static str,
-    /// The key to press.
     pub key: &'static str,
     pub text: &'static str,
 }
 
-/// The steps while one that matters is open; empty once the profile is set up.
+/// Empty once the profile is set up.
 pub fn first_steps(state: &State) -> Vec<FirstStep> {
     let Some(identity) = &state.identity else { return Vec::new() };
     let set_up = identity.exists && identity.registered;
@@ -440,21 +378,23 @@ pub fn first_steps(state: &State) -> Vec<FirstStep> {
         },
         step(identity.exists, "keys", "L", "created with the identity; press L to load your own"),
         step(state.watches(), "topics", "w", "watch a topic: its messages are encrypted and anchored"),
-        step(state.grants.any_given() || state.is_locked(), "grant", "g", "let another account read them"),
+        step(
+            state.grants.rows.iter().any(screens::is_given) || state.is_locked(),
+            "grant",
+            "g",
+            "let another account read them",
+        ),
     ];
     if steps.iter().all(|step| step.done) { Vec::new() } else { steps }
 }
 
-/// One table's filter and order.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct KeptTable {
-    /// The text of the filter.
     pub filter: String,
     pub sort: usize,
-    /// Whether the order is reversed.
     #[serde(default)]
     pub reversed: bool,
-    /// The columns chosen, in order; empty = the usual ones.
+    /// In order; empty = the usual ones.
     #[serde(default)]
     pub columns: Vec<String>,
 }
@@ -462,13 +402,11 @@ pub struct KeptTable {
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Kept {
-    /// Title of the screen in view.
     pub screen: String,
-    /// Tables of Topics, Uploads, Shared, Grants, Gateway, Log.
+    /// Topics, Uploads, Shared, Grants, Gateway, Log.
     pub tables: Vec<KeptTable>,
     /// The least urgent level of the log: 0 to 2.
     pub level: u8,
-    /// Whether local times are shown beside UTC.
     pub local_time: bool,
 }
 
@@ -481,7 +419,6 @@ fn keep(table: &Table) -> KeptTable {
     }
 }
 
-/// What the next run should know.
 pub fn kept(state: &State) -> Kept {
     Kept {
         screen: state.screen.title().to_owned(),
@@ -491,7 +428,7 @@ pub fn kept(state: &State) -> Kept {
     }
 }
 
-/// Restores the state of the last run; what makes no sense here is left as it is.
+/// Ignores what makes no sense here.
 pub fn recall(state: &mut State, kept: &Kept) {
     if let Some(screen) = Screen::all().find(|screen| screen.title() == kept.screen) {
         state.screen = screen;
@@ -509,7 +446,7 @@ pub fn recall(state: &mut State, kept: &Kept) {
     state.local_time = kept.local_time;
 }
 
-/// With its first letter in upper case.
+/// Upper-cases the first letter.
 pub fn sentence(text: &str) -> String {
     let mut characters = text.chars();
     characters.next().map_or_else(String::new, |first| first.to_uppercase().chain(characters).collect())

@@ -1,6 +1,6 @@
-//! An opened record over the screen, or beside the list: its faces (readable, plot, picture, fields, bytes), their
-//! keys, its files.
+//! An opened record over the screen or beside the list: its faces, their keys, its files.
 
+use strum::IntoStaticStr;
 use zeroize::Zeroizing;
 
 use super::keymap::Key;
@@ -13,39 +13,28 @@ use crate::service::command::ViewPath;
 use crate::service::reply::{CoverageView, OpenedView, PathView, Provenance};
 use crate::service::{Command, Failure};
 
-/// Records of a path that the console requests.
+/// Records of a requested path.
 const PATH: usize = 200;
 
-/// Bytes on a line in hex.
 pub const BYTES_A_LINE: usize = 16;
 
-/// A way to look at a message.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, IntoStaticStr)]
 pub enum Face {
-    /// Numbers and tables of well-known types.
+    #[strum(serialize = "Values")]
     Readable,
     /// Points of a plane, or the path over the topic's records.
     Plot,
-    /// A small version of a picture.
     Picture,
     Fields,
-    /// The message's first bytes.
     Bytes,
 }
 
 impl Face {
-    /// As written over the view.
     pub fn title(self) -> &'static str {
-        match self {
-            Self::Readable => "Values",
-            Self::Plot => "Plot",
-            Self::Picture => "Picture",
-            Self::Fields => "Fields",
-            Self::Bytes => "Bytes",
-        }
+        self.into()
     }
 
-    /// The faces that a record has; the first is shown first.
+    /// The first is shown first.
     pub fn of(view: &OpenedView) -> Vec<Self> {
         let readable = view.readable.as_ref();
         let has = |found: bool, face| found.then_some(face);
@@ -60,32 +49,25 @@ impl Face {
     }
 }
 
-/// An opened record over the screen.
 #[derive(Debug)]
 pub struct Opening {
-    /// The record, when it came.
     pub lookup: Lookup<OpenedView>,
-    /// The face in view.
     pub face: usize,
-    /// Whether a picture or a plot takes the whole window.
+    /// Whether a picture or plot fills the window.
     pub alone: bool,
-    /// The path over its topic, once requested.
     pub path: Option<Lookup<PathView>>,
 }
 
 impl Opening {
-    /// Asked for, not yet here.
     pub fn new(id: &str) -> Self {
         Self { lookup: Lookup::new(id), face: 0, alone: false, path: None }
     }
 
-    /// The face in view.
     pub fn shown(&self) -> Face {
         let faces = self.lookup.found().map(Face::of).unwrap_or_default();
         faces.get(self.face).copied().unwrap_or(Face::Fields)
     }
 
-    /// Its keys, for the bottom bar.
     pub fn hints(&self) -> Vec<(&'static str, &'static str)> {
         let Some(view) = self.lookup.found() else { return vec![("q", "close")] };
         let mut hints = vec![("tab", "next view"), ("n p", "next/prev")];
@@ -97,18 +79,17 @@ impl Opening {
         hints
     }
 
-    /// Whether the face in view is drawn, not written.
     pub fn is_drawn(&self) -> bool {
         matches!(self.shown(), Face::Picture | Face::Plot)
     }
 
-    fn turn(&mut self, by: usize) {
+    fn turn(&mut self, back: bool) {
         let count = self.lookup.found().map_or(1, |view| Face::of(view).len());
-        self.face = (self.face + by) % count;
+        self.face = (self.face + if back { count - 1 } else { 1 }) % count;
         self.lookup.scroll = 0;
     }
 
-    /// The path is requested when it is to be shown, once.
+    /// Requests the path once, when it is to be shown.
     fn wants_path(&mut self) -> Option<Errand> {
         let plot = self.lookup.found()?.readable.as_ref()?.plot.as_ref()?;
         if self.shown() != Face::Plot || !plot.path || plot.points.len() > 1 || self.path.is_some() {
@@ -133,66 +114,54 @@ impl Opening {
     }
 }
 
-/// Gives a key to the record in view.
-pub fn key(state: &mut State, mut opening: Opening, key: Key) -> Vec<Effect> {
-    let mut effects = Vec::new();
+pub fn key(state: &mut State, mut opening: Opening, key: Key) {
     match key {
-        Key::Tab | Key::Right => opening.turn(1),
-        Key::BackTab | Key::Left => {
-            let count = opening.lookup.found().map_or(1, |view| Face::of(view).len());
-            opening.turn(count - 1);
-        }
+        Key::Tab | Key::Right => opening.turn(false),
+        Key::BackTab | Key::Left => opening.turn(true),
         Key::Enter if opening.is_drawn() => opening.alone = !opening.alone,
         Key::Char('n') => return neighbour(state, Popup::Record(opening), 1),
         Key::Char('p') => return neighbour(state, Popup::Record(opening), -1),
         Key::Char('W') => match opening.lookup.found().map(writable) {
-            Some(Some(file)) => effects.push(Effect::WriteFiles { base: None, directory: None, files: vec![file] }),
+            Some(Some(file)) => {
+                state.effects.push(Effect::WriteFiles { base: None, directory: None, files: vec![file] });
+            }
             Some(None) => state
                 .inform(format!("too large to save here; use: authros shared open {} --out FILE", opening.lookup.id)),
             None => {}
         },
         Key::Char('y') => {
             let digest = opening.lookup.found().map(|view| view.record.digest.to_hex());
-            effects.extend(digest.map(|digest| copy(state, digest)));
+            digest.into_iter().for_each(|digest| copy(state, digest));
         }
         _ => match scrolled(opening.lookup.scroll, key, state.page_rows()) {
             Some(scroll) => opening.lookup.scroll = scroll.min(opening.lines()),
-            None => return effects,
+            None => return,
         },
     }
     let path = opening.wants_path();
     state.popups.push(Popup::Record(opening));
-    effects.extend(path.map(|errand| state.send(errand)));
-    effects
+    path.into_iter().for_each(|errand| state.send(errand));
 }
 
-/// The record above or below in the list replaces the one in view.
-pub fn neighbour(state: &mut State, popup: Popup, by: isize) -> Vec<Effect> {
+pub fn neighbour(state: &mut State, popup: Popup, by: isize) {
     let before = state.row_key();
     let keys = state.row_keys();
     let moved = state.table_mut().is_some_and(|table| table.step(&keys, by));
     if !moved || state.row_key() == before {
         state.popups.push(popup);
-        state.inform(if by > 0 {
-            "this is the last record of the page"
-        } else {
-            "this is the first record of the page"
-        });
-        return Vec::new();
+        let place = if by > 0 { "last" } else { "first" };
+        return state.inform(format!("this is the {place} record of the page"));
     }
     super::table::stand(state);
-    perform(state, if matches!(popup, Popup::Record(_)) { Verb::Open } else { Verb::Details })
+    perform(state, if matches!(popup, Popup::Record(_)) { Verb::Open } else { Verb::Details });
 }
 
-/// Takes the answer about a record.
-pub fn opened(state: &mut State, id: &str, answer: Result<Box<OpenedView>, Failure>) -> Vec<Effect> {
-    let Some(opening) = find(state, id) else { return Vec::new() };
+pub fn opened(state: &mut State, id: &str, answer: Result<Box<OpenedView>, Failure>) {
+    let Some(opening) = find(state, id) else { return };
     opening.lookup.answer = Some(answer);
-    let path = opening.wants_path();
-    path.map(|errand| state.send(errand)).into_iter().collect()
+    opening.wants_path().into_iter().for_each(|errand| state.send(errand));
 }
 
-/// Takes the answer about a path.
 pub fn path_found(state: &mut State, id: &str, answer: Result<PathView, Failure>) {
     if let Some(path) = find(state, id).and_then(|opening| opening.path.as_mut()) {
         path.answer = Some(answer.map(Box::new));
@@ -206,9 +175,10 @@ fn find<'a>(state: &'a mut State, id: &str) -> Option<&'a mut Opening> {
     })
 }
 
-/// What `W` writes for an opened record: its picture, or else its bytes, or else its fields; `None` if it is too long.
+/// The picture, or else the bytes, or else the fields; `None` if too long.
 fn writable(view: &OpenedView) -> Option<Contents> {
-    let stem: String = view.record.topic.trim_matches('/').chars().map(file_character).collect();
+    let plain = |character: char| if character.is_ascii_alphanumeric() { character } else { '_' };
+    let stem: String = view.record.topic.trim_matches('/').chars().map(plain).collect();
     let named = |extension: &str, bytes: &[u8]| Contents {
         name: format!("{stem}-{}.{extension}", view.record.seq),
         bytes: Zeroizing::new(bytes.to_vec()),
@@ -224,72 +194,53 @@ fn writable(view: &OpenedView) -> Option<Contents> {
     }
 }
 
-fn file_character(character: char) -> char {
-    if character.is_ascii_alphanumeric() { character } else { '_' }
-}
-
-/// Terminal width from which there is a pane, columns.
+/// Terminal width from which there is a pane.
 pub const WIDE_FROM: u16 = 140;
-/// The fewest columns that the list beside a pane keeps.
+/// Columns that the list beside a pane keeps.
 const LIST: u16 = 84;
-/// The greatest width of a pane, columns.
+/// Columns of the widest pane.
 const WIDEST: u16 = 84;
 /// How long the cursor rests before a record is requested, nanoseconds.
 const REST: u64 = 300_000_000;
-/// How often a topic's coverage in the pane is requested, nanoseconds.
+/// Nanoseconds between requests for a topic's coverage.
 const COVERAGE_EVERY: u64 = 30_000_000_000;
-/// Parts of a topic's coverage.
 const PARTS: usize = 60;
 
-/// The pane's data about a record.
 #[derive(Debug, Default)]
 pub struct Detail {
-    /// The record under the cursor, and its list.
     about: Option<(Screen, String)>,
-    /// When it is requested.
     due: Option<Timestamp>,
-    /// An own record's provenance and state.
     pub steps: Option<Lookup<Provenance>>,
     pub opening: Option<Opening>,
-    /// When there are records of a topic.
+    /// A topic, and when it has records.
     pub coverage: Option<(String, Result<Box<CoverageView>, Failure>)>,
 }
 
-impl Detail {
-    /// Forgets everything, as when the keys are wiped.
-    pub fn clear(&mut self) {
-        *self = Self::default();
-    }
-}
-
-/// The topic whose coverage is requested.
 pub fn coverage_of(topic: &TopicName) -> Errand {
     let command = Command::TopicCoverage { topic: topic.clone(), robot: None, since: None, until: None, parts: PARTS };
     Errand { command, tag: Tag::Beside(Screen::Topics, topic.to_string()) }
 }
 
-/// When the record under the cursor is requested. While an answer is awaited, that answer comes first.
+/// Waits while another answer is outstanding.
 pub fn due(state: &State) -> Option<Timestamp> {
     state.detail.due.filter(|_| may_ask(state))
 }
 
-/// One record is requested at a time, none behind a popup, and none while the keys are being wiped.
+/// One record at a time; nothing behind a popup or while keys are being wiped.
 fn may_ask(state: &State) -> bool {
     state.popups.is_empty() && !state.work.iter().any(|tag| matches!(tag, Tag::Beside(..) | Tag::Lock))
 }
 
-/// Whether there is a pane beside the list on screen.
 pub fn is_shown(state: &State) -> bool {
     state.size.0 >= WIDE_FROM && state.screen.has_table()
 }
 
-/// The width of the list on screen, columns: the terminal's, less the pane's.
 pub fn list_width(state: &State) -> u16 {
     let whole = state.size.0;
     if is_shown(state) { whole - (whole / 2).min(WIDEST).min(whole.saturating_sub(LIST)) } else { whole }
 }
 
-/// The record to show in the pane: one that the cursor was moved to, not just the newest.
+/// Only a record that the cursor was moved to, not just the newest.
 fn wanted(state: &State) -> Option<(Screen, String)> {
     let open = state.identity.as_ref().is_some_and(|identity| identity.unlocked);
     let tells = match state.screen {
@@ -305,24 +256,24 @@ fn wanted(state: &State) -> Option<(Screen, String)> {
     Some((state.screen, state.row_key()?))
 }
 
-/// Follows the cursor; sends a request when it has come to rest.
-pub fn follow(state: &mut State) -> Vec<Effect> {
+/// Sends a request once the cursor rests.
+pub fn follow(state: &mut State) {
     if state.popups.is_empty() {
         let wanted = wanted(state);
         if wanted != state.detail.about {
             let due = wanted.as_ref().map(|_| Timestamp(state.now.0.saturating_add(REST)));
-            // Coverage belongs to the topic that it names, and stays until another topic's arrives.
+            // Coverage names its topic, so it stays until another topic's arrives.
             let coverage = state.detail.coverage.take();
             state.detail = Detail { about: wanted, due, coverage, ..Detail::default() };
         }
     }
     let rested = state.detail.due.is_some_and(|due| due <= state.now);
     let may_ask = may_ask(state);
-    let Some((screen, id)) = state.detail.about.clone().filter(|_| rested && may_ask) else { return Vec::new() };
+    let Some((screen, id)) = state.detail.about.clone().filter(|_| rested && may_ask) else { return };
     state.detail.due = None;
     if screen == Screen::Topics {
         let topic = id.parse::<TopicName>().ok().filter(|_| state.topics.robot(&id).is_none());
-        return topic.map(|topic| coverage_of(&topic)).map(|errand| state.send(errand)).into_iter().collect();
+        return topic.into_iter().for_each(|topic| state.send(coverage_of(&topic)));
     }
     let command = if screen == Screen::Uploads {
         // The previous details stay until the new answer arrives.
@@ -333,10 +284,10 @@ pub fn follow(state: &mut State) -> Vec<Effect> {
         state.detail.opening = Some(Opening::new(&id));
         Command::OpenShared { id: id.clone() }
     };
-    vec![state.send(Errand { command, tag: Tag::Beside(screen, id) })]
+    state.send(Errand { command, tag: Tag::Beside(screen, id) });
 }
 
-/// Records changed state: if the one in the pane is not in its final state, it is requested again.
+/// Requests a record in the pane again unless it is in its final state.
 pub fn touch(state: &mut State) {
     let found = state.detail.steps.as_ref().and_then(Lookup::found);
     let goes_on = found.is_some_and(|found| !super::update::is_settled(found.record.state));
@@ -345,14 +296,13 @@ pub fn touch(state: &mut State) {
     }
 }
 
-/// Takes the answer about an own record.
 pub fn looked_up(state: &mut State, id: &str, answer: Result<Provenance, Failure>) {
     if let Some(steps) = state.detail.steps.as_mut().filter(|steps| steps.id == id) {
         steps.answer = Some(answer.map(Box::new));
     }
 }
 
-/// Takes the answer about a topic; in the pane it is requested again after a while, because no event reports it.
+/// No event reports coverage, so it is requested again after a while.
 pub fn covered(state: &mut State, topic: &str, answer: Result<CoverageView, Failure>) {
     state.detail.coverage = Some((topic.to_owned(), answer.map(Box::new)));
     let beside = state.detail.about.as_ref().is_some_and(|(screen, id)| *screen == Screen::Topics && id == topic);
@@ -361,7 +311,6 @@ pub fn covered(state: &mut State, topic: &str, answer: Result<CoverageView, Fail
     }
 }
 
-/// Takes the answer about another owner's record.
 pub fn opened_beside(state: &mut State, id: &str, answer: Result<Box<OpenedView>, Failure>) {
     if let Some(opening) = state.detail.opening.as_mut().filter(|opening| opening.lookup.id == id) {
         opening.lookup.answer = Some(answer);

@@ -1,6 +1,4 @@
-//! Keys of the palette: every command by name, some with terms behind it, and what was typed before; and each act as the
-//! command line that does the same. Paths in forms are completed here, too, as a shell does: as far as all names agree;
-//! pressed again, tab lists them. The folder is read outside, because nothing here waits.
+//! The palette, acts as command lines, and completion of paths in forms (folders are read outside: nothing here waits).
 #![deny(clippy::wildcard_enum_match_arm)]
 
 use std::path::PathBuf;
@@ -16,28 +14,27 @@ use crate::model::{Timestamp, clean, is_shown};
 use crate::service::command::{Administration, IncidentCommand, PlayWishes};
 use crate::service::{Command, Epochs, KeyKind};
 
-/// A key while the palette is open.
 #[allow(clippy::wildcard_enum_match_arm, reason = "any other key is typed")]
-pub(super) fn key(state: &mut State, mut palette: Palette, key: Key) -> Vec<Effect> {
+pub(super) fn key(state: &mut State, mut palette: Palette, key: Key) {
     let matches = palette.matches(state);
     let last = matches.len().saturating_sub(1);
     match key {
-        Key::Escape => return Vec::new(),
+        Key::Escape => return,
         Key::Enter => {
             remember(state, palette.field.text());
             let words: Vec<&str> = palette.field.text().split_whitespace().collect();
-            if let (Some(("grant", terms)), Ok(())) = (with_terms(&words), available(state, Verb::Grant)) {
-                return granting::spoken(state, terms);
+            let (grants, chooses) = (available(state, Verb::Grant).is_ok(), available(state, Verb::Columns).is_ok());
+            match with_terms(&words) {
+                Some(("grant", terms)) if grants => return granting::spoken(state, terms),
+                Some(("columns", names)) if chooses => return choosing::spoken(state, names),
+                Some(("profile", [name])) => {
+                    if let Ok(profile) = name.parse() {
+                        return perform::switch(state, profile);
+                    }
+                }
+                _ => {}
             }
-            if let (Some(("columns", names)), Ok(())) = (with_terms(&words), available(state, Verb::Columns)) {
-                return choosing::spoken(state, names);
-            }
-            if let Some(("profile", [name])) = with_terms(&words)
-                && let Ok(profile) = name.parse()
-            {
-                return perform::switch(state, profile);
-            }
-            let Some(entry) = matches.get(palette.selected.min(last)) else { return Vec::new() };
+            let Some(entry) = matches.get(palette.selected.min(last)) else { return };
             return perform(state, entry.verb);
         }
         Key::Up | Key::Down if recalls(state, &mut palette, key == Key::Up) => {}
@@ -49,10 +46,8 @@ pub(super) fn key(state: &mut State, mut palette: Palette, key: Key) -> Vec<Effe
         }
     }
     state.popups.push(Popup::Palette(palette));
-    Vec::new()
 }
 
-/// The most commands remembered.
 const MOST_COMMANDS: usize = 50;
 
 fn remember(state: &mut State, typed: &str) {
@@ -64,7 +59,7 @@ fn remember(state: &mut State, typed: &str) {
     }
 }
 
-/// In an empty palette, up brings the last command back, and then earlier ones; false if the arrow moves the cursor.
+/// Up in an empty palette recalls earlier commands; false if the arrow moves the cursor.
 fn recalls(state: &State, palette: &mut Palette, earlier: bool) -> bool {
     let wanted = match (palette.recalled, earlier) {
         (None, true) if palette.field.text().is_empty() && palette.selected == 0 => Some(0),
@@ -81,20 +76,17 @@ fn recalls(state: &State, palette: &mut Palette, earlier: bool) -> bool {
     true
 }
 
-/// A command's name and the terms after it, if there are any.
 fn with_terms<'a>(words: &'a [&'a str]) -> Option<(&'a str, &'a [&'a str])> {
     words.split_first().filter(|(_, terms)| !terms.is_empty()).map(|(name, terms)| (*name, terms))
 }
 
-/// How well `needle` matches: every word of it must be found in `text`, in order of its
-/// letters; lower is better, `None` is no match. An empty needle matches everything with 0.
+/// Letters of every word must occur in order; lower is better, `None` = no match.
 pub fn score(needle: &str, text: &str) -> Option<usize> {
     let text: Vec<char> = text.chars().flat_map(char::to_lowercase).collect();
     needle.split_whitespace().map(|word| word_score(word, &text)).sum()
 }
 
-/// The matching rows: those that contain every word as it is, or if there are none, those that contain its letters in
-/// order.
+/// Rows with every word as typed, or if there are none, rows with the letters in order.
 pub fn narrow<T>(needle: &str, rows: Vec<T>, text: impl Fn(&T) -> String) -> Vec<T> {
     if needle.trim().is_empty() {
         return rows;
@@ -105,13 +97,12 @@ pub fn narrow<T>(needle: &str, rows: Vec<T>, text: impl Fn(&T) -> String) -> Vec
     kept.filter(|(row, whole)| *whole || !any && score(needle, &text(row)).is_some()).map(|(row, _)| row).collect()
 }
 
-/// Whether `text` contains every word of `needle` as it is.
 pub fn whole_words(needle: &str, text: &str) -> bool {
     let text = text.to_lowercase();
     needle.split_whitespace().all(|word| text.contains(&word.to_lowercase()))
 }
 
-/// The distance of the letters from each other, and of the first one from the beginning.
+/// Distances between the letters, and of the first from the beginning.
 fn word_score(word: &str, text: &[char]) -> Option<usize> {
     let word: Vec<char> = word.chars().flat_map(char::to_lowercase).collect();
     let whole = text.windows(word.len().max(1)).position(|part| part == word.as_slice());
@@ -129,7 +120,7 @@ fn scattered(word: &[char], text: &[char]) -> Option<usize> {
     Some(gaps)
 }
 
-/// The act as a command line; `None` = it is no act, or one of the console alone.
+/// `None` for acts that have no command line.
 pub fn twin(state: &State, errand: &Errand) -> Option<String> {
     let line = of_words(state, &act(errand)?);
     // What follows a revoke is part of the same question.
@@ -138,7 +129,6 @@ pub fn twin(state: &State, errand: &Errand) -> Option<String> {
     Some(after.map_or_else(|| line.clone(), |after| format!("{line} && {after}")))
 }
 
-/// These words as a command line of the console's profile.
 pub fn of_words(state: &State, words: &str) -> String {
     match state.settings.profile.as_str() {
         "default" => format!("authros {words}"),
@@ -146,21 +136,10 @@ pub fn of_words(state: &State, words: &str) -> String {
     }
 }
 
-/// Copies the act of a question.
-pub fn copy(state: &mut State, errand: &Errand) -> Vec<Effect> {
-    twin(state, errand).map_or_else(Vec::new, |line| vec![perform::copy(state, line)])
-}
-
-/// Copies the act that was sent last.
-pub fn copy_last(state: &mut State) -> Vec<Effect> {
-    state.last_act.clone().map_or_else(Vec::new, |line| vec![perform::copy(state, line)])
-}
-
-/// The words behind `authros`.
 fn act(errand: &Errand) -> Option<String> {
     let Errand { tag, command } = errand;
     Some(match tag {
-        // Requests of the screens, and what only leaving or stopping a playback needs.
+        // Screens' own requests, and what only leaving or ending a playback sends.
         Tag::Feed(..) | Tag::OpenConsole | Tag::Beside(..) | Tag::Path(_) | Tag::HoldCapture | Tag::StopPlay => {
             return None;
         }
@@ -169,18 +148,13 @@ fn act(errand: &Errand) -> Option<String> {
         Tag::Register => "register".to_owned(),
         Tag::Watch(topic) => format!("topics watch {}", quoted(topic)),
         Tag::Unwatch(topic) => format!("topics unwatch {}", quoted(topic)),
-        Tag::Grant(_) | Tag::Extend(_) | Tag::Revoke(_) => of_right(command)?,
-        Tag::LoadKey(_) | Tag::ExportKey(_) => of_key(command)?,
+        Tag::Grant(_) | Tag::Extend(_) | Tag::Revoke(_) | Tag::LoadKey(_) | Tag::ExportKey(_) => of_command(command)?,
+        Tag::Unpin(_) | Tag::Contact(_) | Tag::Incident(..) | Tag::Administer(_) | Tag::Play(_) => of_command(command)?,
         Tag::Rotate => "keys rotate".to_owned(),
         Tag::Lock => "identity lock".to_owned(),
         Tag::BackUp => "keys backup --out FILE".to_owned(),
-        Tag::Administer(_) => of_administrator(command)?,
         Tag::Deploy => "chain deploy".to_owned(),
         Tag::Pin(topic) => format!("topics pin {}", quoted(topic)),
-        Tag::Unpin(topic) => {
-            let Command::UnpinTopic { caller_id, .. } = command else { return None };
-            format!("topics unpin {} {}", quoted(topic), quoted(caller_id))
-        }
         Tag::Release(topic) => format!("quarantine release --topic {}", quoted(topic)),
         Tag::Discard(topic) => format!("quarantine discard --topic {} --yes", quoted(topic)),
         Tag::Publishers(topic) => format!("topics pins --topic {}", quoted(topic)),
@@ -188,55 +162,59 @@ fn act(errand: &Errand) -> Option<String> {
         Tag::Open(id) => format!("shared open {id}"),
         Tag::Check(id) => format!("shared check {id}"),
         Tag::Export(id) => format!("uploads export {id} --dir DIR"),
-        Tag::Contact(_) => of_contact(command)?,
-        Tag::Incident(..) => of_incident(command)?,
         Tag::Robot(name) => format!("robots show {}", quoted(name)),
         Tag::SetPolicy(robot, Some(file)) => {
             format!("robots policy {} --set {}", quoted(robot), quoted(&file.to_string_lossy()))
         }
         Tag::SetPolicy(robot, None) => format!("robots policy {} --clear", quoted(robot)),
-        Tag::Play(_) => {
-            let Command::Play(wishes) = command else { return None };
-            of_playback(wishes)
-        }
     })
 }
 
-fn of_right(command: &Command) -> Option<String> {
-    if let Command::Grant { grantee, topics, epochs, expires } = command {
-        let topics = topics.iter().map(|topic| format!(" --topic {topic}")).collect::<String>();
-        let epochs = if *epochs == Epochs::All { " --epochs all" } else { "" };
-        return Some(format!("grant {grantee}{topics}{epochs}{}", expires.map_or_else(String::new, until)));
-    }
-    if let Command::ExtendGrant { grantee, expires } = command {
-        let end = expires.map_or_else(|| " --endless".to_owned(), until);
-        return Some(format!("grants extend {grantee}{end}"));
-    }
-    let Command::Revoke { grantee } = command else { return None };
-    Some(format!("revoke {grantee}"))
-}
-
-fn until(end: Timestamp) -> String {
-    format!(" --expires {end}")
-}
-
-fn of_key(command: &Command) -> Option<String> {
+#[allow(clippy::wildcard_enum_match_arm, reason = "the tags above name the commands that come here")]
+fn of_command(command: &Command) -> Option<String> {
+    let until = |end: Timestamp| format!(" --expires {end}");
     let keystore = |secret: bool| if secret { " --keystore-passphrase-file FILE" } else { "" };
-    if let Command::LoadKey { kind, path, passphrase } = command {
-        let path = quoted(&path.to_string_lossy());
-        return Some(format!("keys load --{} {path}{}", flag(*kind), keystore(passphrase.is_some())));
-    }
-    let Command::ExportKey { kind, passphrase } = command else { return None };
-    Some(format!("keys export {} --out FILE{}", flag(*kind), keystore(passphrase.is_some())))
+    let with = |fingerprint: &Option<String>| {
+        fingerprint.as_ref().map_or_else(String::new, |value| format!(" --fingerprint {}", quoted(value)))
+    };
+    Some(match command {
+        Command::Grant { grantee, topics, epochs, expires } => {
+            let topics = topics.iter().map(|topic| format!(" --topic {topic}")).collect::<String>();
+            let epochs = if *epochs == Epochs::All { " --epochs all" } else { "" };
+            format!("grant {grantee}{topics}{epochs}{}", expires.map_or_else(String::new, until))
+        }
+        Command::ExtendGrant { grantee, expires } => {
+            format!("grants extend {grantee}{}", expires.map_or_else(|| " --endless".to_owned(), until))
+        }
+        Command::Revoke { grantee } => format!("revoke {grantee}"),
+        Command::LoadKey { kind, path, passphrase } => {
+            let path = quoted(&path.to_string_lossy());
+            format!("keys load --{} {path}{}", flag(*kind), keystore(passphrase.is_some()))
+        }
+        Command::ExportKey { kind, passphrase } => {
+            format!("keys export {} --out FILE{}", flag(*kind), keystore(passphrase.is_some()))
+        }
+        Command::UnpinTopic { topic, caller_id } => {
+            format!("topics unpin {} {}", quoted(topic.as_str()), quoted(caller_id))
+        }
+        Command::AddContact { name, address, fingerprint } => {
+            format!("contacts add {name} {address}{}", with(fingerprint))
+        }
+        Command::ConfirmContact { name, fingerprint } => format!("contacts confirm {name}{}", with(fingerprint)),
+        Command::RemoveContact { name } => format!("contacts remove {name}"),
+        Command::Administer(administration) => of_administrator(administration),
+        Command::OfIncident(command) => of_incident(command),
+        Command::Play(wishes) => of_playback(wishes),
+        _ => return None,
+    })
 }
 
 fn flag(kind: KeyKind) -> String {
     kind_word(kind).to_lowercase()
 }
 
-fn of_administrator(command: &Command) -> Option<String> {
-    let Command::Administer(administration) = command else { return None };
-    Some(match administration {
+fn of_administrator(administration: &Administration) -> String {
+    match administration {
         Administration::Admit { account } => format!("chain admit {account}"),
         Administration::Dismiss { account } => format!("chain dismiss {account}"),
         Administration::Suspend { account } => format!("chain suspend {account}"),
@@ -252,26 +230,11 @@ fn of_administrator(command: &Command) -> Option<String> {
         Administration::Complete { lost } => format!("chain succession complete {lost}"),
         Administration::HandOver { account } => format!("chain hand-over {account}"),
         Administration::Accept => "chain accept".to_owned(),
-    })
+    }
 }
 
-fn of_contact(command: &Command) -> Option<String> {
-    let with = |fingerprint: &Option<String>| {
-        fingerprint.as_ref().map_or_else(String::new, |value| format!(" --fingerprint {}", quoted(value)))
-    };
-    if let Command::AddContact { name, address, fingerprint } = command {
-        return Some(format!("contacts add {name} {address}{}", with(fingerprint)));
-    }
-    if let Command::ConfirmContact { name, fingerprint } = command {
-        return Some(format!("contacts confirm {name}{}", with(fingerprint)));
-    }
-    let Command::RemoveContact { name } = command else { return None };
-    Some(format!("contacts remove {name}"))
-}
-
-fn of_incident(command: &Command) -> Option<String> {
-    let Command::OfIncident(command) = command else { return None };
-    Some(match command {
+fn of_incident(command: &IncidentCommand) -> String {
+    match command {
         IncidentCommand::OpenIncident { name, since, until, topics, note, robots } => {
             let mut words = format!("incident open {name} --since {since}");
             words.extend(until.map(|until| format!(" --until {until}")));
@@ -285,7 +248,7 @@ fn of_incident(command: &Command) -> Option<String> {
         IncidentCommand::RemoveIncident { name } => format!("incident remove {name} --yes"),
         IncidentCommand::ListIncidents => "incident list".to_owned(),
         IncidentCommand::ShowIncident { name } => format!("incident show {name}"),
-    })
+    }
 }
 
 fn of_playback(wishes: &PlayWishes) -> String {
@@ -296,7 +259,7 @@ fn of_playback(wishes: &PlayWishes) -> String {
     format!("{words} --follow")
 }
 
-/// One word for a POSIX shell.
+/// Quotes one word for a POSIX shell.
 fn quoted(text: &str) -> String {
     let plain = |letter: char| letter.is_ascii_alphanumeric() || "/._-:@,+".contains(letter);
     if !text.is_empty() && text.chars().all(plain) {
@@ -305,41 +268,34 @@ fn quoted(text: &str) -> String {
     format!("'{}'", text.replace('\'', "'\\''"))
 }
 
-/// The most names in a list.
 const MOST_LISTED: usize = 200;
-/// The most characters of a name in a list.
+/// Characters of a listed name.
 const WIDEST_NAME: usize = 60;
 
-/// What a path in a form leads to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PathKind {
-    /// A file; folders are on the way to it.
+    /// A file; folders lead to it.
     File,
     Folder,
 }
 
-/// The beginning of a path that was typed, and the folder to search for it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Sought {
-    /// The text as it was typed.
     pub typed: String,
-    /// The folder to read, absolute.
+    /// Absolute.
     pub folder: PathBuf,
-    /// The beginning of the names wanted; hidden names only if it begins with a dot.
+    /// Names must begin with this; hidden names only match a leading dot.
     pub begun: String,
-    /// What the path leads to.
     pub kind: PathKind,
 }
 
-/// A name in a folder.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Candidate {
-    /// The name; it comes from others.
+    /// Foreign text.
     pub name: String,
     pub folder: bool,
 }
 
-/// The names that begin as wanted.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Found {
     pub names: Vec<Candidate>,
@@ -348,7 +304,7 @@ pub struct Found {
 }
 
 impl Candidate {
-    /// Whether it can be typed into a line: other names are listed, and never completed.
+    /// Names that cannot be typed are listed, and never completed.
     fn is_typable(&self) -> bool {
         self.name.trim() == self.name && self.name.chars().all(is_shown)
     }
@@ -359,7 +315,7 @@ impl Candidate {
     }
 }
 
-/// The path meant by a text: `~` is the operator's home, and relative paths start where the console was started.
+/// `~` is the operator's home; relative paths start at the working directory.
 pub fn resolve(text: &str, settings: &Settings) -> PathBuf {
     match (text.strip_prefix('~'), &settings.home) {
         (Some(""), Some(home)) => home.clone(),
@@ -368,12 +324,12 @@ pub fn resolve(text: &str, settings: &Settings) -> PathBuf {
     }
 }
 
-/// What tab asks for in this form; `None` if the line with the focus is no path.
+/// `None` if the focused line is no path.
 fn sought(form: &Form, settings: &Settings) -> Option<Sought> {
     let kind = form.lines.get(form.focus)?.path?;
     let typed = form.text(form.focus).to_owned();
     let (folder, begun) = match typed.rsplit_once('/') {
-        // All that there is of the root is its slash.
+        // The root is only its slash.
         Some((folder, begun)) => (format!("{folder}/"), begun.to_owned()),
         None if typed == "~" => ("~".to_owned(), String::new()),
         None => (String::new(), typed.clone()),
@@ -381,15 +337,11 @@ fn sought(form: &Form, settings: &Settings) -> Option<Sought> {
     Some(Sought { folder: resolve(&folder, settings), begun, kind, typed })
 }
 
-/// A key of a form: tab in a path requests its completion.
 pub fn tab(state: &State, form: &Form, key: Key) -> Option<Effect> {
-    if key != Key::Tab {
-        return None;
-    }
-    sought(form, &state.settings).map(Effect::FindPaths)
+    sought(form, &state.settings).filter(|_| key == Key::Tab).map(Effect::FindPaths)
 }
 
-/// Completes the path of the form on top, if it is still the one that was asked about.
+/// Ignores an answer to a form that changed meanwhile.
 pub fn found(state: &mut State, sought: &Sought, found: Result<Found, String>) {
     let Some(Popup::Form(_, form)) = state.popups.last_mut() else { return };
     let here = form.lines.get(form.focus).is_some_and(|line| line.path == Some(sought.kind));
@@ -406,7 +358,7 @@ pub fn found(state: &mut State, sought: &Sought, found: Result<Found, String>) {
 
 fn complete(form: &mut Form, sought: &Sought, found: &Found, listed: bool) {
     if found.more {
-        // What was not read might begin otherwise.
+        // Unread names might begin otherwise.
         return form.told = list(found);
     }
     let typable: Vec<&Candidate> = found.names.iter().filter(|candidate| candidate.is_typable()).collect();
@@ -428,7 +380,7 @@ fn complete(form: &mut Form, sought: &Sought, found: &Found, listed: bool) {
         form.set(form.focus, Field::with(&line));
         form.tabbed = (found.names.len() > 1).then_some(line);
     } else if found.names.len() == 1 && !typable.is_empty() {
-        // Nothing is left to complete: on to the next line.
+        // Nothing left to complete: on to the next line.
         form.focus = (form.focus + 1) % form.lines.len().max(1);
     } else if listed {
         form.told = list(found);
@@ -446,7 +398,7 @@ fn nothing(sought: &Sought) -> String {
     }
 }
 
-/// The longest common beginning of names.
+/// Longest common beginning.
 pub(super) fn common<'a>(mut names: impl Iterator<Item = &'a str>) -> Option<String> {
     let first = names.next()?.to_owned();
     Some(names.fold(first, |common, name| {
@@ -455,7 +407,6 @@ pub(super) fn common<'a>(mut names: impl Iterator<Item = &'a str>) -> Option<Str
     }))
 }
 
-/// The names, as lines below the form: each drawn as far as there is room.
 fn list(found: &Found) -> Vec<String> {
     let names: Vec<String> = found.names.iter().take(MOST_LISTED).map(Candidate::shown).collect();
     let mut lines = vec![names.join("  ")];
@@ -472,36 +423,32 @@ fn list(found: &Found) -> Vec<String> {
     lines
 }
 
-/// The path of a line, absolute; `None` if it is empty.
+/// Absolute path; `None` if the line is empty.
 pub fn of_line(form: &Form, line: usize, settings: &Settings) -> Option<PathBuf> {
     let text = form.text(line).trim();
     (!text.is_empty()).then(|| resolve(text, settings))
 }
 
-/// What is being exported, and where to.
 #[derive(Debug, Default)]
 pub struct Exports {
-    /// The records that the form on screen is about.
+    /// Records of the form on screen.
     ids: Vec<String>,
-    /// The folder written last, as it was typed.
+    /// The last folder, as typed.
     last: String,
-    /// Where the answers under way are written, if not where the console was started.
+    /// Target folders of running exports; missing = the working directory.
     folders: Vec<(Tag, PathBuf)>,
 }
 
-/// The line that asks for a folder.
 pub fn folder_line(state: &State) -> Line {
     let hint = "empty = where this console was started";
     Line::text("Folder", hint, Field::offering(&state.exports.last)).path(PathKind::Folder)
 }
 
-/// Asks which key to export, and where it goes.
 pub fn begin_key(state: &mut State) {
     let form = form::export_key(folder_line(state));
     state.popups.push(Popup::Form(Purpose::ExportKey, form));
 }
 
-/// Asks where the marked records go, or the one under the cursor.
 pub fn begin(state: &mut State) {
     let ids = state.marked_keys();
     let title = match ids.len() {
@@ -517,19 +464,19 @@ pub fn begin(state: &mut State) {
     state.popups.push(Popup::Form(Purpose::Export, form));
 }
 
-/// Sends what the form asks for; what is on its way already is not asked for again.
-pub fn submit(state: &mut State, form: &Form) -> Vec<Effect> {
+pub fn submit(state: &mut State, form: &Form) {
     let ids = std::mem::take(&mut state.exports.ids);
     let errand = |id: String| Errand {
         command: Command::ExportUpload { id: id.clone(), addresses: false },
         tag: Tag::Export(id),
     };
     let fresh: Vec<Errand> = ids.into_iter().map(errand).filter(|errand| !state.work.contains(&errand.tag)).collect();
-    fresh.iter().for_each(|errand| goes_to(state, &errand.tag, form, 0));
-    fresh.into_iter().map(|errand| state.send(errand)).collect()
+    for errand in fresh {
+        goes_to(state, &errand.tag, form, 0);
+        state.send(errand);
+    }
 }
 
-/// Notes the folder in that line of the form for the answer with that tag.
 pub fn goes_to(state: &mut State, tag: &Tag, form: &Form, line: usize) {
     form.text(line).trim().clone_into(&mut state.exports.last);
     state.exports.folders.retain(|(other, _)| other != tag);
@@ -538,7 +485,7 @@ pub fn goes_to(state: &mut State, tag: &Tag, form: &Form, line: usize) {
     }
 }
 
-/// Where the answer with that tag is written; `None` = where the console was started.
+/// `None` = the working directory.
 pub fn folder_of(state: &mut State, tag: &Tag) -> Option<PathBuf> {
     let place = state.exports.folders.iter().position(|(other, _)| other == tag)?;
     Some(state.exports.folders.remove(place).1)

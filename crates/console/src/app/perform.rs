@@ -1,5 +1,4 @@
-//! What each verb does, and how the last act is undone, if it can be: also speaking for another profile of the same home,
-//! and playing shared records into the reader's own ROS.
+//! What each verb does, and how the last act is undone.
 #![deny(clippy::wildcard_enum_match_arm)]
 
 use super::available::available;
@@ -9,7 +8,7 @@ use super::identity_path::{self, Need};
 use super::leaving::{self, Leaving};
 use super::popup::{self, Confirm, Lookup, Palette, Popup, Purpose};
 use super::screens::{LogLine, other_side};
-use super::update::{self, Feed, start};
+use super::update::{self, Feed};
 use super::verb::{Contents, Effect, Errand, Tag, Verb};
 use super::{Screen, State, administration, granting, incidents, opening, palette, policies, table};
 use crate::model::{Address, Party, ProfileName, TopicName};
@@ -17,41 +16,38 @@ use crate::service::Command;
 use crate::service::command::{Pace, PlayWishes};
 use crate::service::reply::{PlayedView, TopicRow};
 
-/// Performs `verb`, or says why that is not possible now.
-pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
+pub fn perform(state: &mut State, verb: Verb) {
     if let Err(reason) = available(state, verb) {
-        refuse(state, verb, reason);
-        return Vec::new();
+        return refuse(state, verb, reason);
     }
     match verb {
-        Verb::Watch => return watch(state),
-        Verb::Details => return details(state),
-        Verb::Open => return open_record(state),
-        Verb::Check => return send_for_rows(state, Tag::Check, |id| Command::CheckShared { id }),
+        Verb::Watch => watch(state),
+        Verb::Details => details(state),
+        Verb::Open => open_record(state),
+        Verb::Check => check(state),
         Verb::Export => palette::begin(state),
-        Verb::CreateIdentity | Verb::Register => return identity_path::run(state, Need::Registered, Vec::new()),
-        Verb::Unlock => return identity_path::run(state, Need::Unlocked, Vec::new()),
-        Verb::Copy => return copied(state).map_or_else(Vec::new, |text| vec![copy(state, text)]),
-        Verb::WriteFile => return copied(state).map_or_else(Vec::new, |text| vec![write_file(state, &text)]),
-        Verb::CopyCommand => return palette::copy_last(state),
-        Verb::Quit => return quit(state),
-        Verb::Play => return toggle(state),
-        Verb::Publishers => return publishers(state),
-        Verb::Inspect => return policies::open(state),
-        Verb::Lock => return update::lock(state),
-        Verb::Undo => return undo(state),
-        Verb::BackUp => {
-            return vec![state.send(Errand { command: Command::BackUpKeys, tag: Tag::BackUp })];
-        }
-        Verb::ChooseTheme => return choosing::choose(state),
-        Verb::Ascii => return vec![Effect::ToggleAscii],
-        Verb::Mouse => return update::toggle(state),
-        Verb::Redraw => return vec![Effect::Redraw],
-        Verb::Suspend => return vec![Effect::Suspend],
+        Verb::CreateIdentity | Verb::Register => identity_path::run(state, Need::Registered, Vec::new()),
+        Verb::Unlock => identity_path::run(state, Need::Unlocked, Vec::new()),
+        Verb::Copy => copied(state).into_iter().for_each(|text| copy(state, text)),
+        Verb::WriteFile => copied(state).into_iter().for_each(|text| write_file(state, &text)),
+        Verb::CopyCommand => state.last_act.clone().into_iter().for_each(|line| copy(state, line)),
+        Verb::Quit if leaving::asks(state) => state.popups.push(Popup::Quit(Leaving::Asked)),
+        Verb::Quit => state.effects.push(Effect::Quit),
+        Verb::Play => toggle(state),
+        Verb::Publishers => publishers(state),
+        Verb::Inspect => policies::open(state),
+        Verb::Lock => update::lock(state),
+        Verb::Undo => undo(state),
+        Verb::BackUp => state.send(Errand { command: Command::BackUpKeys, tag: Tag::BackUp }),
+        Verb::ChooseTheme => choosing::choose(state),
+        Verb::Ascii => state.effects.push(Effect::ToggleAscii),
+        Verb::Mouse => update::toggle(state),
+        Verb::Redraw => state.effects.push(Effect::Redraw),
+        Verb::Suspend => state.effects.push(Effect::Suspend),
         Verb::Up | Verb::PreviousMatch => table::step(state, -1),
         Verb::Down | Verb::NextMatch => table::step(state, 1),
-        Verb::PageUp => table::step(state, -page(state)),
-        Verb::PageDown => table::step(state, page(state)),
+        Verb::PageUp => table::step(state, -state.page_rows().cast_signed()),
+        Verb::PageDown => table::step(state, state.page_rows().cast_signed()),
         Verb::Go(screen) => go(state, screen),
         Verb::NextScreen => go(state, state.screen.shifted(1)),
         Verb::PreviousScreen => go(state, state.screen.shifted(-1)),
@@ -66,7 +62,10 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Level => state.log.next_level(),
         Verb::Source => state.log.next_source(),
         Verb::Read => state.popups.extend(state.log.selected().cloned().map(Popup::Line)),
-        Verb::Tasks => tasks(state),
+        Verb::Tasks => {
+            state.feeds.slot_mut(Feed::Progress).stale = true;
+            state.popups.push(Popup::Tasks);
+        }
         Verb::Readers => readers(state),
         Verb::Contacts => granting::open_contacts(state),
         Verb::SetPolicy => policies::begin(state),
@@ -98,25 +97,17 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::ExportKey => palette::begin_key(state),
         Verb::Rotate => state.popups.push(Popup::Confirm(popup::rotate())),
     }
-    Vec::new()
 }
 
-/// Says why it is not possible.
 fn refuse(state: &mut State, verb: Verb, reason: &str) {
     if verb == Verb::Unlock && state.identity.as_ref().is_some_and(|identity| identity.unlocked) {
-        // A passphrase that is typed all the same must not be taken for commands.
+        // Otherwise a typed passphrase would be taken for commands.
         return state.popups.push(Popup::Unlocked);
     }
     let name = super::verb::entry_of(verb, state.screen).map_or("", |entry| entry.name);
     state.inform(format!("{name}: {reason}"));
 }
 
-fn tasks(state: &mut State) {
-    state.feeds.slot_mut(Feed::Progress).stale = true;
-    state.popups.push(Popup::Tasks);
-}
-
-/// Goes to a screen.
 pub(super) fn go(state: &mut State, screen: Screen) {
     if state.screen != screen {
         screen.feeds().iter().for_each(|feed| state.feeds.look(*feed));
@@ -124,20 +115,17 @@ pub(super) fn go(state: &mut State, screen: Screen) {
     state.screen = screen;
 }
 
-/// All screens freeze at this moment, or follow again.
 fn freeze(state: &mut State) {
     state.frozen = if state.is_frozen() { None } else { Some(state.now) };
     state.feeds.gather();
 }
 
-fn page(state: &State) -> isize {
-    state.page_rows().cast_signed()
-}
-
 fn mark(state: &mut State) {
     let (key, keys) = (state.row_key(), state.row_keys());
     let Some(table) = state.table_mut() else { return };
-    key.iter().for_each(|key| table.toggle_mark(key));
+    if let Some(key) = key.filter(|key| !table.marks.remove(key)) {
+        table.marks.insert(key);
+    }
     table.step(&keys, 1);
 }
 
@@ -153,11 +141,10 @@ fn dismiss(state: &mut State) {
     table::restart_records(state);
 }
 
-fn watch(state: &mut State) -> Vec<Effect> {
+fn watch(state: &mut State) {
     if state.screen == Screen::Overview {
         go(state, Screen::Topics);
-        state.inform("select a topic (arrows, or space to mark several), then press w");
-        return Vec::new();
+        return state.inform("select a topic (arrows, or space to mark several), then press w");
     }
     let targets: Vec<(String, bool)> =
         state.topics.targets().into_iter().map(|row| (row.topic.clone(), row.watched)).collect();
@@ -172,7 +159,7 @@ fn watch(state: &mut State) -> Vec<Effect> {
     if watches {
         return identity_path::run(state, Need::Registered, errands);
     }
-    errands.into_iter().map(|errand| state.send(errand)).collect()
+    errands.into_iter().for_each(|errand| state.send(errand));
 }
 
 fn watch_errand(topic: TopicName, watch: bool) -> Errand {
@@ -184,25 +171,24 @@ fn watch_errand(topic: TopicName, watch: bool) -> Errand {
     }
 }
 
-fn details(state: &mut State) -> Vec<Effect> {
-    let Some(id) = state.row_key() else { return Vec::new() };
+fn details(state: &mut State) {
+    let Some(id) = state.row_key() else { return };
     state.popups.push(Popup::Provenance(Lookup::new(&id)));
-    vec![state.send(Errand { command: Command::ShowUpload { id: id.clone() }, tag: Tag::Show(id) })]
+    state.send(Errand { command: Command::ShowUpload { id: id.clone() }, tag: Tag::Show(id) });
 }
 
-fn open_record(state: &mut State) -> Vec<Effect> {
-    let Some(id) = state.row_key() else { return Vec::new() };
+fn open_record(state: &mut State) {
+    let Some(id) = state.row_key() else { return };
     let errand = Errand { command: Command::OpenShared { id: id.clone() }, tag: Tag::Open(id) };
-    identity_path::run(state, Need::Unlocked, vec![errand])
+    identity_path::run(state, Need::Unlocked, vec![errand]);
 }
 
-/// For the marked rows, or else for the one under the cursor.
-fn send_for_rows(state: &mut State, tag: fn(String) -> Tag, command: fn(String) -> Command) -> Vec<Effect> {
-    let errand = |id: String| Errand { command: command(id.clone()), tag: tag(id) };
-    state.send_new(state.marked_keys().into_iter().map(errand).collect())
+fn check(state: &mut State) {
+    for id in state.marked_keys() {
+        state.send_new(Errand { command: Command::CheckShared { id: id.clone() }, tag: Tag::Check(id) });
+    }
 }
 
-/// The topic under the cursor, if its name is one.
 fn selected_topic(state: &mut State) -> Option<(TopicRow, TopicName)> {
     let row = state.topics.selected()?.clone();
     match row.topic.parse() {
@@ -214,15 +200,13 @@ fn selected_topic(state: &mut State) -> Option<(TopicRow, TopicName)> {
     }
 }
 
-fn publishers(state: &mut State) -> Vec<Effect> {
-    let Some((_, topic)) = selected_topic(state) else { return Vec::new() };
+fn publishers(state: &mut State) {
+    let Some((_, topic)) = selected_topic(state) else { return };
     let name = topic.to_string();
     state.popups.push(Popup::Publishers(Lookup::new(&name)));
     let coverage = opening::coverage_of(&topic);
-    let command = Command::ListPins { topic: Some(topic) };
-    let mut effects = vec![state.send(Errand { command, tag: Tag::Publishers(name) })];
-    effects.extend(state.send_new(vec![coverage]));
-    effects
+    state.send(Errand { command: Command::ListPins { topic: Some(topic) }, tag: Tag::Publishers(name) });
+    state.send_new(coverage);
 }
 
 fn ask_about(state: &mut State, question: fn(&TopicRow, TopicName) -> Confirm) {
@@ -236,7 +220,6 @@ fn unpin(state: &mut State) {
     state.popups.push(Popup::Form(Purpose::Unpin, form::unpin(topic.as_str(), &publisher)));
 }
 
-/// Who can read the topics, the record's topic, or what the grant covers.
 fn readers(state: &mut State) {
     let topics = match state.screen {
         Screen::Topics => state.topics.targets().into_iter().map(|row| row.topic.clone()).collect(),
@@ -251,28 +234,19 @@ fn readers(state: &mut State) {
     state.popups.push(Popup::Readers(topics));
 }
 
-fn quit(state: &mut State) -> Vec<Effect> {
-    if !leaving::asks(state) {
-        return vec![Effect::Quit];
-    }
-    state.popups.push(Popup::Quit(Leaving::Asked));
-    Vec::new()
-}
-
-/// Gives a text to the terminal; only the terminal knows whether it took it.
-pub fn copy(state: &mut State, text: String) -> Effect {
+/// Only the terminal knows whether it takes the text.
+pub fn copy(state: &mut State, text: String) {
     state.inform(format!("sent to the terminal's clipboard (W writes a file): {text}"));
-    Effect::CopyText(text)
+    state.effects.push(Effect::CopyText(text));
 }
 
-/// The same as a file, for terminals that accept nothing from a program.
-fn write_file(state: &State, text: &str) -> Effect {
+/// For terminals that accept no clipboard text.
+fn write_file(state: &mut State, text: &str) {
     let name = format!("{}.txt", state.screen.title().to_lowercase());
     let file = Contents { name, bytes: format!("{text}\n").into_bytes().into() };
-    Effect::WriteFiles { base: None, directory: None, files: vec![file] }
+    state.effects.push(Effect::WriteFiles { base: None, directory: None, files: vec![file] });
 }
 
-/// What `copy` would copy now.
 pub fn copied(state: &State) -> Option<String> {
     let digest = |rows: Vec<&crate::service::reply::RecordView>| {
         let key = state.row_key()?;
@@ -291,19 +265,16 @@ pub fn copied(state: &State) -> Option<String> {
     }
 }
 
-/// The last act, as far as undoing is concerned.
 #[expect(clippy::large_enum_variant, reason = "there is one at a time")]
 #[derive(Debug, Clone)]
 pub enum Undo {
-    /// This undoes it completely.
     By(Errand),
     /// A grant: revoking it is another transaction, and does not undo what was read meanwhile.
     Granted(String),
-    /// Nothing undoes it: why.
+    /// Why nothing undoes it.
     Never(&'static str),
 }
 
-/// Notes the effect of the command with `tag`.
 pub fn note(state: &mut State, tag: &Tag) {
     let watching = |name: &String, watch| name.parse().ok().map(|topic| Undo::By(watch_errand(topic, watch)));
     let undo = match tag {
@@ -319,14 +290,8 @@ pub fn note(state: &mut State, tag: &Tag) {
         Tag::Administer(_) | Tag::Deploy => {
             Some(Undo::Never("it was a transaction; send the opposite one instead (7, then :)"))
         }
-        Tag::Feed(..)
-        | Tag::OpenConsole
-        | Tag::CreateIdentity
-        | Tag::Unlock
-        | Tag::Register
-        | Tag::Lock
-        | Tag::HoldCapture => None,
-        Tag::ExportKey(_) | Tag::BackUp | Tag::Export(_) | Tag::Pin(_) | Tag::Unpin(_) => None,
+        Tag::Feed(..) | Tag::OpenConsole | Tag::CreateIdentity | Tag::Unlock | Tag::Register | Tag::Lock => None,
+        Tag::HoldCapture | Tag::ExportKey(_) | Tag::BackUp | Tag::Export(_) | Tag::Pin(_) | Tag::Unpin(_) => None,
         Tag::Incident(deed, name) => {
             Some(deed.stays().map_or_else(|| Undo::By(incidents::taken_back(name)), Undo::Never))
         }
@@ -339,10 +304,9 @@ pub fn note(state: &mut State, tag: &Tag) {
     }
 }
 
-/// Undoes the last act, or says why that is not possible.
-pub fn undo(state: &mut State) -> Vec<Effect> {
+pub fn undo(state: &mut State) {
     match state.undo.take() {
-        Some(Undo::By(errand)) => return vec![state.send(errand)],
+        Some(Undo::By(errand)) => state.send(errand),
         Some(Undo::Granted(grantee)) => {
             let row = state.grants.rows.iter().find(|row| {
                 let is_it = row.grantee.to_string() == grantee || row.name.as_deref() == Some(grantee.as_str());
@@ -356,21 +320,19 @@ pub fn undo(state: &mut State) -> Vec<Effect> {
         Some(Undo::Never(why)) => state.inform(format!("cannot be undone: {why}")),
         None => state.inform("nothing to undo"),
     }
-    Vec::new()
 }
 
-/// Plays the selected record's topic under `/shared/NAME`, or ends the playback.
-pub fn toggle(state: &mut State) -> Vec<Effect> {
+/// Plays the topic under `/shared/NAME`, or ends the playback.
+pub fn toggle(state: &mut State) {
     if state.work.iter().any(|tag| matches!(tag, Tag::Play(_))) {
-        return vec![state.send(Errand { command: Command::StopPlay, tag: Tag::StopPlay })];
+        return state.send(Errand { command: Command::StopPlay, tag: Tag::StopPlay });
     }
     let key = state.row_key();
     let row = state.shared.rows.iter().find(|row| Some(&row.id) == key.as_ref());
     let found = row.and_then(|row| Some((row.owner?, row.owner_name.clone(), row.topic.clone())));
-    let Some((owner, name, topic)) = found else { return Vec::new() };
+    let Some((owner, name, topic)) = found else { return };
     let (Ok(pattern), Some(prefix)) = (topic.parse(), prefix(owner, name.as_deref())) else {
-        state.complain(format!("{topic} cannot be played: its name is still a pseudonym"));
-        return Vec::new();
+        return state.complain(format!("{topic} cannot be played: its name is still a pseudonym"));
     };
     let played = format!("{prefix}{topic}");
     let wishes = PlayWishes {
@@ -380,10 +342,10 @@ pub fn toggle(state: &mut State) -> Vec<Effect> {
         prefix: Some(prefix),
         ..PlayWishes::default()
     };
-    identity_path::run(state, Need::Unlocked, vec![Errand { command: Command::Play(wishes), tag: Tag::Play(played) }])
+    identity_path::run(state, Need::Unlocked, vec![Errand { command: Command::Play(wishes), tag: Tag::Play(played) }]);
 }
 
-/// `/shared/` and the owner's name in a form that a graph allows, or else the beginning of the address.
+/// `/shared/` and the owner's name as a graph allows it, or else the beginning of the address.
 fn prefix(owner: Address, name: Option<&str>) -> Option<TopicName> {
     let plain = |name: &str| name.replace(|letter: char| !letter.is_ascii_alphanumeric(), "_");
     let of_name = name.and_then(|name| format!("/shared/{}", plain(name)).parse().ok());
@@ -393,7 +355,6 @@ fn prefix(owner: Address, name: Option<&str>) -> Option<TopicName> {
     })
 }
 
-/// The message when it has ended.
 pub fn ended(state: &mut State, view: &PlayedView) {
     let published = view.published;
     let not = view.refused + view.missing;
@@ -405,7 +366,6 @@ pub fn ended(state: &mut State, view: &PlayedView) {
     }
 }
 
-/// Asks for which profile.
 pub fn open(state: &mut State) {
     let lines = vec![Line::text("Profile", "name of a profile in this home", Field::default())];
     let known: Vec<String> = state.settings.profiles.iter().map(ToString::to_string).collect();
@@ -416,20 +376,18 @@ pub fn open(state: &mut State) {
     state.popups.push(Popup::Form(Purpose::Profile, Form::new("Switch to another profile", notes, lines)));
 }
 
-/// Switches to another profile: everything known belongs to the previous one and is requested anew.
-pub fn switch(state: &mut State, profile: ProfileName) -> Vec<Effect> {
+/// Everything known belongs to the previous profile and is requested anew.
+pub fn switch(state: &mut State, profile: ProfileName) {
     if profile == state.settings.profile {
-        state.inform(format!("this console already uses profile {profile}"));
-        return Vec::new();
+        return state.inform(format!("this console already uses profile {profile}"));
     }
     if let Some(work) = state.work.iter().find(|tag| tag.is_work()) {
         let text = format!("{} is still running; wait until it ends, then switch to {profile}", work.words());
-        state.inform(text);
-        return Vec::new();
+        return state.inform(text);
     }
     let mut settings = state.settings.clone();
     settings.profile.clone_from(&profile);
-    // The successor would be given the flags of the start, with another profile.
+    // The successor would start with this console's flags, but for another profile.
     settings.leaves_site = false;
     let mut next = State::new(settings);
     (next.now, next.touched, next.size) = (state.now, state.now, state.size);
@@ -439,11 +397,11 @@ pub fn switch(state: &mut State, profile: ProfileName) -> Vec<Effect> {
     next.log = std::mem::take(&mut state.log);
     next.screen = Screen::Overview;
     next.former = Some(state.settings.profile.clone());
-    // Requests of the previous profile are still answered, but not for this one.
+    // Answers to requests of the previous profile must not match this one's.
     next.feeds.follow(&state.feeds);
+    next.effects = std::mem::take(&mut state.effects);
     *state = next;
     state.inform(format!("this console now uses profile {profile}"));
-    let mut effects = vec![Effect::SpeakFor(profile)];
-    effects.extend(start(state));
-    effects
+    state.effects.push(Effect::SpeakFor(profile));
+    update::claim(state);
 }

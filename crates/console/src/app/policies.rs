@@ -1,5 +1,4 @@
-//! The policies of robots on screen: how each robot stands to its own, the window with all of it, and setting one from
-//! a file or clearing it.
+//! Policies of robots on screen: their standing, the window of a robot, setting and clearing.
 
 use std::path::{Path, PathBuf};
 
@@ -18,35 +17,28 @@ use crate::service::Failure;
 use crate::service::command::{SetRobotPolicy, ShowRobot};
 use crate::service::reply::{RobotRow, RobotView};
 
-/// How often the robots are asked for on the Gateway screen, and where only drift is told, nanoseconds; both only when
-/// records came meanwhile.
+/// Nanoseconds between requests on the Gateway screen, and elsewhere; only when records came meanwhile.
 const ASKED_EVERY: u64 = 5_000_000_000;
 const DRIFT_EVERY: u64 = 30_000_000_000;
-/// The line of the robot, and that of the file.
 const ROBOT: usize = 0;
 const FILE: usize = 1;
-/// The most names in a sentence.
 const MOST_NAMES: usize = 5;
 /// The site's word for a robot that has not taken its policy yet.
 const WAITING: &str = "waiting";
-/// The fewest characters of a device's id that name a robot.
+/// Characters of a device id that identify a robot.
 const LEAST_DEVICE: usize = 8;
 
-/// How a robot stands to its policy.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Standing {
-    /// It does not work by it, and will not by itself.
+    /// Works by another policy, and will not change without help.
     Wrong,
-    /// It does not work by it yet.
+    /// Does not work by it yet.
     Drifts,
-    /// It works by it.
     InForce,
-    /// None was ever set.
     Unset,
 }
 
 impl Standing {
-    /// How a robot stands.
     pub fn of(row: &RobotRow) -> Self {
         match row {
             RobotRow { drift: true, .. } if row.standing == WAITING => Self::Drifts,
@@ -57,7 +49,7 @@ impl Standing {
     }
 }
 
-/// How a robot stands to its policy, in a few words: those of `robots show`.
+/// The words of `robots show`.
 pub fn words(row: &RobotRow) -> String {
     let standing = clean(&row.standing, 40);
     match (Standing::of(row), row.running.unwrap_or_default()) {
@@ -68,30 +60,28 @@ pub fn words(row: &RobotRow) -> String {
     }
 }
 
-/// What a filter finds of it.
 pub fn searched(row: &RobotRow) -> String {
     let drift = if row.drift { "drift" } else { "" };
     format!("{} {} {drift} {}", words(row), row.standing, row.device.to_hex())
 }
 
-/// The order by policy: what is wrong first, then what waits, the older versions first.
+/// Wrong ones first, then waiting ones, older versions first.
 pub fn urgency(row: &RobotRow) -> (u8, u64) {
     (Standing::of(row) as u8, row.wanted)
 }
 
-/// Whether the site can say what robots told: that needs an open keyring.
+/// The site knows robots' reports only with an open keyring.
 pub fn is_open(state: &State) -> bool {
     state.identity.as_ref().is_some_and(|identity| identity.exists && identity.unlocked)
 }
 
-/// The robots, if they are wanted now.
 pub fn wanted(state: &State) -> Option<Feed> {
     let asks = |popup: &Popup| matches!(popup, Popup::Robot(_) | Popup::Form(Purpose::SetPolicy, _));
     let seen = matches!(state.screen, Screen::Overview | Screen::Gateway) || state.popups.iter().any(asks);
     (is_open(state) && seen).then_some(Feed::Robots)
 }
 
-/// When the robots are asked for again; `None` = not before something happens.
+/// `None` = not before an event.
 pub fn asked_at(state: &State) -> Option<Timestamp> {
     let slot = state.feeds.slot(Feed::Robots);
     let waits = slot.loaded && !slot.outstanding && !slot.stale && slot.failure.is_none();
@@ -101,14 +91,7 @@ pub fn asked_at(state: &State) -> Option<Timestamp> {
     wanted(state).filter(|_| waits && moved).map(|_| due)
 }
 
-/// Asks again when it is time.
-pub fn tick(state: &mut State) {
-    if asked_at(state).is_some_and(|at| at <= state.now) {
-        state.feeds.slot_mut(Feed::Robots).stale = true;
-    }
-}
-
-/// Forgets the robots once the keyring is locked: what they are said to be would grow old unnoticed.
+/// Forgets the robots of a locked keyring: they would grow old unnoticed.
 pub fn forget_if_locked(state: &mut State) {
     if state.is_locked() && !state.is_frozen() && state.feeds.slot(Feed::Robots).loaded {
         state.feeds.renew(Feed::Robots);
@@ -117,19 +100,21 @@ pub fn forget_if_locked(state: &mut State) {
     }
 }
 
-/// Takes the robots over; a window with one of them follows.
-pub fn listed(state: &mut State, rows: Vec<RobotRow>) -> Vec<Effect> {
+/// Refreshes the window of a robot that changed.
+pub fn listed(state: &mut State, rows: Vec<RobotRow>) {
     let (owner, now) = (state.address(), state.now);
     state.gateway.set_robots(rows, owner, now);
-    let Some(Popup::Robot(lookup)) = state.popups.last() else { return Vec::new() };
+    let Some(Popup::Robot(lookup)) = state.popups.last() else { return };
     let before = lookup.found().map(|view| &view.row);
     let row = state.gateway.robots.iter().find(|row| before.is_some_and(|before| before.device == row.device));
     let moved = row.is_some() && row != before;
     let errand = show(&lookup.id);
-    if moved && !state.is_frozen() { state.send_new(vec![errand]) } else { Vec::new() }
+    if moved && !state.is_frozen() {
+        state.send_new(errand);
+    }
 }
 
-/// The robots that do not work by their policies, as an alert: since when, and in words.
+/// Drifting robots as an alert: since when, and in words.
 pub fn drift(state: &State) -> Option<(Timestamp, String)> {
     let drifting: Vec<&RobotRow> = state.gateway.robots.iter().filter(|row| row.drift).collect();
     let since = drifting.iter().filter_map(|row| row.drift_since).min().unwrap_or(state.now);
@@ -146,12 +131,11 @@ pub fn drift(state: &State) -> Option<(Timestamp, String)> {
     }
 }
 
-/// The robot under the cursor of the Gateway screen.
 pub fn under_cursor(state: &State) -> Option<&RobotRow> {
     state.gateway.selected().filter(|_| state.screen == Screen::Gateway)?.robot
 }
 
-/// What a robot is called in a request: its name, unless another robot has it, too.
+/// The name, or the device id if another robot has the name too.
 fn called(state: &State, row: &RobotRow) -> String {
     let alone = state.gateway.robots.iter().filter(|other| other.name == row.name).count() <= 1;
     if alone { row.name.to_string() } else { row.device.to_hex() }
@@ -161,26 +145,22 @@ fn show(name: &str) -> Errand {
     Errand { command: ShowRobot { name: name.to_owned() }.into(), tag: Tag::Robot(name.to_owned()) }
 }
 
-/// Opens the window of the robot under the cursor.
-pub fn open(state: &mut State) -> Vec<Effect> {
-    let Some(name) = under_cursor(state).map(|row| called(state, row)) else { return Vec::new() };
+pub fn open(state: &mut State) {
+    let Some(name) = under_cursor(state).map(|row| called(state, row)) else { return };
     state.popups.push(Popup::Robot(Lookup::new(&name)));
-    state.send_new(vec![show(&name)])
+    state.send_new(show(&name));
 }
 
-/// Takes the answer about a robot.
 pub fn shown(state: &mut State, name: &str, answer: Result<RobotView, Failure>) {
     tell(state, name, answer, |popup| if let Popup::Robot(lookup) = popup { Some(lookup) } else { None });
 }
 
-/// The keys of the window, for the bar.
 pub fn hints(state: &State) -> Vec<(&'static str, &'static str)> {
     let changes = (!state.settings.read_only).then_some(("p", "set policy"));
     changes.into_iter().chain([("y", "copy command"), ("up down", "scroll"), ("q", "close")]).collect()
 }
 
-/// A key while the window is open.
-pub fn key(state: &mut State, mut lookup: Lookup<RobotView>, key: Key) -> Vec<Effect> {
+pub fn key(state: &mut State, mut lookup: Lookup<RobotView>, key: Key) {
     let length = |view: &RobotView| {
         12 + view.gateway.iter().map(|gateway| gateway.addresses.len()).sum::<usize>()
             + view.topics.len()
@@ -188,7 +168,7 @@ pub fn key(state: &mut State, mut lookup: Lookup<RobotView>, key: Key) -> Vec<Ef
             + view.policy.lines().count()
     };
     if !lookup.scrolls(key, state.page_rows(), length) {
-        return Vec::new();
+        return;
     }
     let name = lookup.id.clone();
     state.popups.push(Popup::Robot(lookup));
@@ -196,14 +176,12 @@ pub fn key(state: &mut State, mut lookup: Lookup<RobotView>, key: Key) -> Vec<Ef
         Key::Char('p') if !state.settings.read_only => ask(state, &name),
         Key::Char('y') => {
             let line = palette::of_words(state, &format!("robots show {name}"));
-            return vec![copy(state, line)];
+            copy(state, line);
         }
         _ => {}
     }
-    Vec::new()
 }
 
-/// Asks for the policy of the robot under the cursor, or of one to be named.
 pub fn begin(state: &mut State) {
     let name = under_cursor(state).map(|row| called(state, row)).unwrap_or_default();
     ask(state, &name);
@@ -223,29 +201,27 @@ fn ask(state: &mut State, name: &str) {
     state.popups.push(Popup::Form(Purpose::SetPolicy, form));
 }
 
-/// Completes a robot's name; false where there is nothing to complete.
 pub fn complete(state: &State, form: &mut Form) -> bool {
     let names: Vec<String> = state.gateway.robots.iter().map(|row| row.name.to_string()).collect();
     form.focus == ROBOT && complete_from(form, &names)
 }
 
-/// What a completed form leads to: a question at once, or first the text of the file.
-pub fn submit(state: &mut State, form: &Form) -> Result<Vec<Effect>, Wrong> {
+/// Asks the question, or first reads the file.
+pub fn submit(state: &mut State, form: &Form) -> Result<(), Wrong> {
     let robot = named(state, form)?;
     match palette::of_line(form, FILE, &state.settings) {
         Some(path) => {
             state.reading = Some(path.clone());
-            Ok(vec![Effect::ReadText(path)])
+            state.effects.push(Effect::ReadText(path));
         }
         None => {
             let question = question(state, &robot, None, String::new());
             state.popups.push(Popup::Confirm(question));
-            Ok(Vec::new())
         }
     }
+    Ok(())
 }
 
-/// The robot that a form names.
 fn named(state: &State, form: &Form) -> Result<String, Wrong> {
     let name = form.text(ROBOT).trim();
     if name.is_empty() {
@@ -263,7 +239,7 @@ fn named(state: &State, form: &Form) -> Result<String, Wrong> {
     Ok(name.to_owned())
 }
 
-/// The text of the file has been read, or cannot be: a question, or an error in the form that named it.
+/// Asks the question, or reports an error in the form that named the file.
 pub fn text_read(state: &mut State, path: &Path, read: Result<String, String>) {
     if state.reading.take_if(|reading| reading.as_path() == path).is_none() {
         return;
@@ -294,7 +270,7 @@ pub fn text_read(state: &mut State, path: &Path, read: Result<String, String>) {
     }
 }
 
-/// What a policy says, and what it leaves to the robot.
+/// What a policy sets, and what it leaves to the robot.
 fn summary(policy: &RobotPolicy) -> [String; 3] {
     let own = || "as the robot's own settings say".to_owned();
     let watched = policy.watched.as_ref().map_or_else(own, |topics| match topics.len() {
@@ -336,7 +312,6 @@ fn question(state: &State, robot: &str, file: Option<PathBuf>, text: String) -> 
     Confirm { title: title.to_owned(), lines, yes, typed: None, errand }
 }
 
-/// The policy is set: the robot stands differently now.
 pub fn set(state: &mut State, name: &str, view: RobotView) {
     let what = if view.policy.is_empty() { "is cleared" } else { "is set" };
     state.inform(format!("the policy of {} {what} as version {}", view.row.name, view.row.wanted));

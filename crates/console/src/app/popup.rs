@@ -1,70 +1,57 @@
-//! The popups over a screen, and the keys while one lies over it. The topmost popup has the keys; `q` or Esc closes it.
-//! Questions say what an act means before it is done.
+//! The popups over a screen and their keys: the topmost has the keys, `q` or Esc closes it.
 
 use super::administration::{self, Act};
 use super::available::available;
 use super::choosing::{self, ColumnChoice, ThemeChoice};
-use super::form::{self, Field, Form, FormStep, GrantWish, KeyWish, Wrong};
-use super::granting::{self, Extension};
+use super::form::{self, Field, Form, FormStep, GrantWish, Wrong};
+use super::granting;
 use super::identity_path::{self, Need};
 use super::incidents::{self, IncidentList};
 use super::keymap::{Key, Meaning, chord_label};
 use super::leaving::{self, Leaving};
 use super::opening::{self, Opening};
 use super::perform::{self, copy, perform};
-use super::screens::{LogLine, day, earlier, end, scope};
+use super::screens::{LogLine, day, earlier, end, is_active, is_given, scope};
 use super::update::Feed;
-use super::verb::{Effect, Entry, Errand, Tag, VERBS, Verb, kind_word};
+use super::verb::{Entry, Errand, Tag, VERBS, Verb};
 use super::{State, palette, policies};
 use crate::model::TopicName;
 use crate::service::command::Held;
 use crate::service::reply::{GrantRow, PinsView, Provenance, RobotView, TopicRow};
-use crate::service::{Command, Epochs, Failure, KeyKind};
+use crate::service::{Command, Epochs, Failure};
 
-/// A popup over the screen.
 #[derive(Debug)]
 #[allow(clippy::large_enum_variant, reason = "a handful at a time, and rarely moved")]
 pub enum Popup {
-    /// Every command by name.
     Palette(Palette),
-    /// What each key does here.
     Help(Help),
     /// Yes or no, default no.
     Confirm(Confirm),
     Form(Purpose, Form),
-    /// A record's provenance and state.
     Provenance(Lookup<Provenance>),
     Record(Opening),
-    /// The first keys of a chord; the possible next keys are shown.
+    /// A chord's first keys; shows the possible next ones.
     Chord(Vec<Key>),
-    /// Choosing of a theme.
     Themes(ThemeChoice),
-    /// Choosing of a list's columns.
     Columns(ColumnChoice),
-    /// Publishers of a topic: pinned, suspect, quarantined.
     Publishers(Lookup<PinsView>),
     /// Who can read these topics now; empty = all.
     Readers(Vec<String>),
-    /// Running commands and what waits.
     Tasks,
-    /// The keyring to be unlocked is open already.
+    /// The keyring to unlock is open already.
     Unlocked,
-    /// A line of the log, whole.
     Line(LogLine),
-    /// Choosing among what others share: the selected line.
+    /// The selected line.
     Browse(usize),
-    /// The address book: the selected line.
+    /// The selected line.
     Contacts(usize),
     Incidents(IncidentList),
-    /// A robot: its policy, topics, losses.
     Robot(Lookup<RobotView>),
-    /// Leaving while something would stop, or is not done.
     Quit(Leaving),
 }
 
 impl Popup {
-    /// The data it needs besides those of the screen: grants are requested before a confirmation, and a grant is checked
-    /// against the address book, and completed from it.
+    /// Besides those of the screen: a grant needs the address book, confirmations need the grants.
     pub fn feeds(&self) -> &'static [Feed] {
         match self {
             Self::Form(Purpose::Grant, _) => &[Feed::Grants, Feed::Contacts, Feed::Topics],
@@ -77,72 +64,54 @@ impl Popup {
     }
 }
 
-/// The purpose of a form.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Purpose {
-    /// Passphrase of a new identity.
     CreateIdentity,
-    /// Passphrase of a locked keyring.
     Unlock,
-    /// Terms of a grant.
     Grant,
-    /// A new end for a grant.
     Extend,
     LoadKey,
-    /// Which key to export.
     ExportKey,
-    /// Where records are exported to.
     Export,
-    /// The account of an administrator's act.
     Administer(Act),
-    /// A name for an account.
     AddContact,
-    /// A span to keep.
     OpenIncident,
-    /// Words about an incident.
     NoteIncident,
-    /// A robot and the file of its policy.
     SetPolicy,
-    /// Which profile to speak for.
     Profile,
-    /// A publisher of this kind of topic that is no longer accepted.
     Unpin,
 }
 
-/// A question answered by `y`; anything else means no.
+/// Answered by `y`; anything else means no.
 #[derive(Debug)]
 pub struct Confirm {
     pub title: String,
     pub lines: Vec<String>,
     /// The word beside `y`.
     pub yes: &'static str,
-    /// What must be typed instead of `y`, if the act is grave.
+    /// Typed instead of `y` for a grave act.
     pub typed: Option<Typed>,
-    /// What `y` sends.
     pub errand: Errand,
 }
 
-/// Something requested by id, shown when it arrives.
 #[derive(Debug)]
 pub struct Lookup<T> {
     pub id: String,
-    /// The answer, once it has arrived.
+    /// `None` until it arrives.
     pub answer: Option<Result<Box<T>, Failure>>,
     pub scroll: usize,
 }
 
 impl<T> Lookup<T> {
-    /// Requested, not here yet.
     pub fn new(id: &str) -> Self {
         Self { id: id.to_owned(), answer: None, scroll: 0 }
     }
 
-    /// The answer, if it has arrived and is not a failure.
     pub fn found(&self) -> Option<&T> {
         self.answer.as_ref()?.as_ref().ok().map(Box::as_ref)
     }
 
-    /// Scrolls by a key, in an answer of about so many lines; false = the key closes it.
+    /// Scrolls an answer of about that many lines; false = the key closes it.
     pub(super) fn scrolls(&mut self, key: Key, page: usize, lines: impl FnOnce(&T) -> usize) -> bool {
         let Some(scroll) = scrolled(self.scroll, key, page) else { return false };
         self.scroll = scroll.min(self.found().map_or(0, lines));
@@ -150,7 +119,6 @@ impl<T> Lookup<T> {
     }
 }
 
-/// Gives an answer to the window that asked for it.
 pub(super) fn tell<T>(
     state: &mut State,
     id: &str,
@@ -162,29 +130,26 @@ pub(super) fn tell<T>(
     }
 }
 
-/// What each key does, narrowed by what is typed.
 #[derive(Debug, Default)]
 pub struct Help {
     pub scroll: usize,
-    /// What is typed after `/`.
+    /// Typed after `/`.
     pub filter: Field,
-    /// Whether it is being typed.
     pub filtering: bool,
-    /// The keys of the window below; `None` = those of the screen.
+    /// Keys of the window below; `None` = those of the screen.
     pub window: Option<Vec<(&'static str, &'static str)>>,
 }
 
-/// Every command by name, narrowed by what is typed.
 #[derive(Debug, Default)]
 pub struct Palette {
     pub field: Field,
     pub selected: usize,
-    /// Which of the commands before is in the field, counted from the newest.
+    /// Recalled command, counted from the newest.
     pub recalled: Option<usize>,
 }
 
 impl Palette {
-    /// The matching commands: available ones first, best match first.
+    /// Available ones first, best match first.
     pub fn matches(&self, state: &State) -> Vec<&'static Entry> {
         let score = |entry: &'static Entry| {
             let name = palette::score(self.field.text(), entry.name);
@@ -199,7 +164,6 @@ impl Palette {
     }
 }
 
-/// A word that must be typed for a grave act.
 #[derive(Debug)]
 pub struct Typed {
     pub wanted: String,
@@ -211,20 +175,16 @@ impl Typed {
         Self { wanted: wanted.to_owned(), field: Field::default() }
     }
 
-    /// Whether the word is complete.
     pub fn is_done(&self) -> bool {
         self.field.text().trim() == self.wanted
     }
 }
 
-/// Before accepting the publishers being read now.
 pub fn pin(row: &TopicRow, topic: TopicName) -> Confirm {
+    let publishers = if row.publishers.is_empty() { "nobody".to_owned() } else { row.publishers.join(" ") };
     let lines = vec![
         format!("Topic       {topic}"),
-        format!(
-            "Publishers  {}",
-            if row.publishers.is_empty() { "nobody".to_owned() } else { row.publishers.join(" ") }
-        ),
+        format!("Publishers  {publishers}"),
         "Their messages are captured from now on; those of others are quarantined.".to_owned(),
         "Check host and type first: enter shows them (a name alone can be forged).".to_owned(),
     ];
@@ -233,7 +193,6 @@ pub fn pin(row: &TopicRow, topic: TopicName) -> Confirm {
     Confirm { title: "Accept these publishers?".to_owned(), lines, yes: "pin", typed: None, errand }
 }
 
-/// Before releasing or deleting quarantined messages.
 pub fn decide(row: &TopicRow, topic: TopicName, discard: bool) -> Confirm {
     let held = Held { topic: Some(topic.clone()), ids: Vec::new() };
     let mut lines = vec![format!("Topic  {topic}"), format!("Held   {} messages", row.quarantined)];
@@ -250,7 +209,6 @@ pub fn decide(row: &TopicRow, topic: TopicName, discard: bool) -> Confirm {
     Confirm { title: "Release quarantined messages?".to_owned(), lines, yes: "release", typed: None, errand }
 }
 
-/// Before a grant: what it opens, and who can read already.
 pub fn grant(state: &State, wish: GrantWish) -> Confirm {
     let topics: Vec<String> = wish.topics.iter().map(ToString::to_string).collect();
     let epochs = match wish.epochs {
@@ -267,10 +225,12 @@ pub fn grant(state: &State, wish: GrantWish) -> Confirm {
     ];
     lines.extend(readers(state, "Current readers:", None));
     lines.push("A later revoke stops new records; what was read cannot be recalled.".to_owned());
-    Confirm { title: "Grant this?".to_owned(), lines, yes: "grant", typed: None, errand: wish.errand() }
+    let GrantWish { grantee, topics, epochs, expires } = wish;
+    let tag = Tag::Grant(grantee.clone());
+    let errand = Errand { command: Command::Grant { grantee, topics, epochs, expires }, tag };
+    Confirm { title: "Grant this?".to_owned(), lines, yes: "grant", typed: None, errand }
 }
 
-/// Before a revoke: what it does and what it cannot do.
 pub fn revoke(state: &State, row: &GrantRow) -> Confirm {
     let mut lines = vec![
         format!("From    {}", row.grantee),
@@ -287,22 +247,6 @@ pub fn revoke(state: &State, row: &GrantRow) -> Confirm {
     Confirm { title: format!("Revoke {}?", row.grantee.short()), lines, yes: "revoke", typed: None, errand }
 }
 
-/// Before one key replaces another.
-pub fn load_key(wish: KeyWish) -> Confirm {
-    let KeyWish { kind, path, passphrase } = wish;
-    let what = match kind {
-        KeyKind::Sm4 => "A new epoch begins with it; old records stay readable with their own keys.",
-        KeyKind::Sm2 => "The new key is registered on the chain; new records are signed with it.",
-        KeyKind::Eoa => "Your address on the chain changes: grants and records of the old one stay with it.",
-    };
-    let file = format!("File  {}", path.display());
-    let lines =
-        vec![file, what.to_owned(), "The current key is replaced; export it first if you still need it.".to_owned()];
-    let errand = Errand { command: Command::LoadKey { kind, path, passphrase }, tag: Tag::LoadKey(kind) };
-    Confirm { title: format!("Replace the {} key?", kind_word(kind)), lines, yes: "replace", typed: None, errand }
-}
-
-/// Before a new epoch.
 pub fn rotate() -> Confirm {
     let lines = vec![
         "The next record is encrypted under a new key.".to_owned(),
@@ -312,9 +256,12 @@ pub fn rotate() -> Confirm {
     Confirm { title: "Begin a new epoch?".to_owned(), lines, yes: "rotate", typed: None, errand }
 }
 
-/// The present readers, one line each, under a title; `without` is left out.
+/// One line each under a title; `without` is left out.
 pub fn readers(state: &State, title: &str, without: Option<&GrantRow>) -> Vec<String> {
-    let readers = state.grants.readers(without.map(|row| row.grantee));
+    let without = without.map(|row| row.grantee);
+    let active = state.grants.rows.iter().filter(|row| is_given(row) && is_active(row) && Some(row.grantee) != without);
+    let line = |row: &GrantRow| (row.grantee, scope(&row.topics), end(row.expires), earlier(row));
+    let readers: Vec<_> = active.map(line).collect();
     let mut lines = vec![title.to_owned()];
     if state.awaits(Feed::Grants) {
         lines.push("  (the list of grants has not arrived yet)".to_owned());
@@ -322,14 +269,13 @@ pub fn readers(state: &State, title: &str, without: Option<&GrantRow>) -> Vec<St
         lines.push("  nobody but you".to_owned());
     }
     let more = readers.len().saturating_sub(5);
-    lines.extend(readers.into_iter().take(5).map(|reader| format!("  {reader}")));
+    lines.extend(readers.into_iter().take(5).map(|(who, what, end, too)| format!("  {who}  {what}  {end}{too}")));
     if more > 0 {
         lines.push(format!("  and {more} more"));
     }
     lines
 }
 
-/// A popup's keys, for the bottom bar: key and what it does.
 pub fn hints(state: &State, popup: &Popup) -> Vec<(&'static str, &'static str)> {
     match popup {
         Popup::Palette(_) => vec![("enter", "run"), ("up down", "choose, earlier"), ("esc", "close")],
@@ -369,17 +315,16 @@ pub fn hints(state: &State, popup: &Popup) -> Vec<(&'static str, &'static str)> 
     }
 }
 
-/// Gives a key to the topmost popup.
-pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
+pub fn popup_key(state: &mut State, key: Key) {
     if key == Key::Char('?') && !takes_text(state) {
         let window = state.popups.last().map(|popup| match popup {
             Popup::Incidents(list) => incidents::explained(state, list),
             other => hints(state, other),
         });
         state.popups.push(Popup::Help(Help { window, ..Help::default() }));
-        return Vec::new();
+        return;
     }
-    let Some(popup) = state.popups.pop() else { return Vec::new() };
+    let Some(popup) = state.popups.pop() else { return };
     let quitting = matches!(popup, Popup::Quit(_));
     let key = if key == Key::Control('c') && !quitting { Key::Escape } else { key };
     match popup {
@@ -396,21 +341,16 @@ pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
         Popup::Incidents(list) => incidents::key(state, list, key),
         Popup::Publishers(lookup) => publishers_key(state, lookup, key),
         Popup::Robot(lookup) => policies::key(state, lookup, key),
-        Popup::Tasks | Popup::Readers(_) if matches!(key, Key::Char('q' | 't' | 'i')) => Vec::new(),
-        Popup::Line(_) if key == Key::Char('q') => Vec::new(),
+        Popup::Tasks | Popup::Readers(_) if matches!(key, Key::Char('q' | 't' | 'i')) => {}
+        Popup::Line(_) if key == Key::Char('q') => {}
         Popup::Tasks | Popup::Readers(_) | Popup::Line(_) | Popup::Unlocked
-            if matches!(key, Key::Escape | Key::Enter) =>
-        {
-            Vec::new()
-        }
-        Popup::Tasks | Popup::Readers(_) | Popup::Unlocked => {
-            state.popups.push(popup);
-            Vec::new()
-        }
+            if matches!(key, Key::Escape | Key::Enter) => {}
+        Popup::Tasks | Popup::Readers(_) | Popup::Unlocked => state.popups.push(popup),
         Popup::Line(line) => {
-            let text = (key == Key::Char('y')).then(|| line.whole());
+            if key == Key::Char('y') {
+                copy(state, line.whole());
+            }
             state.popups.push(Popup::Line(line));
-            text.map(|text| copy(state, text)).into_iter().collect()
         }
         Popup::Provenance(_) if key == Key::Char('n') => opening::neighbour(state, popup, 1),
         Popup::Provenance(_) if key == Key::Char('p') => opening::neighbour(state, popup, -1),
@@ -418,13 +358,12 @@ pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
             if lookup.scrolls(key, state.page_rows(), |found| found.steps.len() * 3 + 8) {
                 state.popups.push(Popup::Provenance(lookup));
             }
-            Vec::new()
         }
         Popup::Help(help) => help_key(state, help, key),
     }
 }
 
-/// Whether a `?` is part of what is typed into the topmost popup, or the popup handles it itself.
+/// Whether the topmost popup takes `?` as text or handles it.
 fn takes_text(state: &State) -> bool {
     match state.popups.last() {
         Some(Popup::Form(_, form)) => {
@@ -437,7 +376,7 @@ fn takes_text(state: &State) -> bool {
     }
 }
 
-fn help_key(state: &mut State, mut help: Help, key: Key) -> Vec<Effect> {
+fn help_key(state: &mut State, mut help: Help, key: Key) {
     match key {
         Key::Escape if help.filtering || !help.filter.text().is_empty() => {
             (help.filtering, help.filter) = Default::default()
@@ -446,17 +385,15 @@ fn help_key(state: &mut State, mut help: Help, key: Key) -> Vec<Effect> {
         Key::Up | Key::Down | Key::PageUp | Key::PageDown | Key::Home if help.filtering => {}
         _ if help.filtering => drop(help.filter.key(key)),
         Key::Char('/') => help.filtering = true,
-        Key::Char('?') => return Vec::new(),
+        Key::Char('?') => return,
         _ => match scrolled(help.scroll, key, state.page_rows()) {
             Some(scroll) => help.scroll = scroll.min(super::verb::VERBS.len() * 2),
-            None => return Vec::new(),
+            None => return,
         },
     }
     state.popups.push(Popup::Help(help));
-    Vec::new()
 }
 
-/// Gives pasted text to the topmost popup.
 pub fn popup_paste(state: &mut State, text: &str) {
     match state.popups.last_mut() {
         Some(Popup::Form(_, form)) => form.paste(text),
@@ -466,7 +403,7 @@ pub fn popup_paste(state: &mut State, text: &str) {
     }
 }
 
-/// Where a key scrolls to; `None` = it closes.
+/// `None` = the key closes it.
 pub(super) fn scrolled(scroll: usize, key: Key, page: usize) -> Option<usize> {
     Some(match key {
         Key::Escape | Key::Char('q') => return None,
@@ -479,7 +416,6 @@ pub(super) fn scrolled(scroll: usize, key: Key, page: usize) -> Option<usize> {
     })
 }
 
-/// Where a key moves the cursor of a list of so many lines.
 pub(super) fn moved(selected: usize, count: usize, key: Key) -> usize {
     let last = count.saturating_sub(1);
     let selected = selected.min(last);
@@ -492,22 +428,20 @@ pub(super) fn moved(selected: usize, count: usize, key: Key) -> usize {
     }
 }
 
-/// The next key of a chord.
-fn chord_key(state: &mut State, mut pressed: Vec<Key>, key: Key) -> Vec<Effect> {
+fn chord_key(state: &mut State, mut pressed: Vec<Key>, key: Key) {
     if key == Key::Escape {
-        return Vec::new();
+        return;
     }
     pressed.push(key);
     let meaning = state.settings.keymap.meaning(&pressed, state.screen);
     match meaning {
-        Meaning::Does(verb) => return perform(state, verb),
+        Meaning::Does(verb) => perform(state, verb),
         Meaning::Begins(_) => state.popups.push(Popup::Chord(pressed)),
         Meaning::Nothing => state.inform(format!("'{}' does nothing here", chord_label(&pressed))),
     }
-    Vec::new()
 }
 
-fn publishers_key(state: &mut State, mut lookup: Lookup<PinsView>, key: Key) -> Vec<Effect> {
+fn publishers_key(state: &mut State, mut lookup: Lookup<PinsView>, key: Key) {
     match key {
         Key::Char('p') => return perform(state, Verb::Pin),
         Key::Char('P') => return perform(state, Verb::Unpin),
@@ -516,19 +450,14 @@ fn publishers_key(state: &mut State, mut lookup: Lookup<PinsView>, key: Key) -> 
     if lookup.scrolls(key, state.page_rows(), |found| found.pins.len() * 3 + found.alarms.len() * 3 + 4) {
         state.popups.push(Popup::Publishers(lookup));
     }
-    Vec::new()
 }
 
-/// The key that copies a question's act: where a word is typed, letters belong to it.
-fn copies(confirm: &Confirm) -> Key {
-    if confirm.typed.is_some() { Key::Control('y') } else { Key::Char('Y') }
-}
-
-fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) -> Vec<Effect> {
-    if key == copies(&confirm) {
-        let effects = palette::copy(state, &confirm.errand);
-        state.popups.push(Popup::Confirm(confirm));
-        return effects;
+fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) {
+    // Where a word is typed, letters belong to it.
+    let copies = if confirm.typed.is_some() { Key::Control('y') } else { Key::Char('Y') };
+    if key == copies {
+        palette::twin(state, &confirm.errand).into_iter().for_each(|line| copy(state, line));
+        return state.popups.push(Popup::Confirm(confirm));
     }
     let said = match &mut confirm.typed {
         Some(_) if key == Key::Escape => return unasked(state),
@@ -541,10 +470,9 @@ fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) -> Vec<Effect>
         None => true,
     };
     if !said {
-        state.popups.push(Popup::Confirm(confirm));
-        return Vec::new();
+        return state.popups.push(Popup::Confirm(confirm));
     }
-    // The form that led here has done its work.
+    // The form that led here is done.
     let led_here = |purpose: &Purpose| {
         use Purpose::{Administer, Extend, Grant, LoadKey, SetPolicy};
         matches!(purpose, Grant | Extend | LoadKey | Administer(_) | SetPolicy)
@@ -555,17 +483,16 @@ fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) -> Vec<Effect>
     }
     match need_of(&confirm) {
         Some(need) => identity_path::run(state, need, vec![confirm.errand]),
-        None => vec![state.send(confirm.errand)],
+        None => state.send(confirm.errand),
     }
 }
 
-/// A no: neither the act nor what was to follow it happens.
-fn unasked(state: &mut State) -> Vec<Effect> {
+/// Neither the act nor what was to follow it happens.
+fn unasked(state: &mut State) {
     state.follow_up = None;
-    Vec::new()
 }
 
-/// How much of an identity the act needs; pins do not need an open one.
+/// Pins do not need an open keyring.
 #[deny(clippy::wildcard_enum_match_arm)]
 fn need_of(confirm: &Confirm) -> Option<Need> {
     match confirm.errand.tag {
@@ -582,7 +509,7 @@ fn need_of(confirm: &Confirm) -> Option<Need> {
     }
 }
 
-fn form_key(state: &mut State, purpose: Purpose, mut form: Form, key: Key) -> Vec<Effect> {
+fn form_key(state: &mut State, purpose: Purpose, mut form: Form, key: Key) {
     let completes: fn(&State, &mut Form) -> bool = match purpose {
         Purpose::Grant => granting::complete,
         Purpose::OpenIncident => incidents::complete,
@@ -590,12 +517,11 @@ fn form_key(state: &mut State, purpose: Purpose, mut form: Form, key: Key) -> Ve
         _ => |_, _| false,
     };
     if key == Key::Tab && completes(state, &mut form) {
-        state.popups.push(Popup::Form(purpose, form));
-        return Vec::new();
+        return state.popups.push(Popup::Form(purpose, form));
     }
     if let Some(asked) = palette::tab(state, &form, key) {
-        state.popups.push(Popup::Form(purpose, form));
-        return vec![asked];
+        state.effects.push(asked);
+        return state.popups.push(Popup::Form(purpose, form));
     }
     match form.key(key) {
         FormStep::Stay => state.popups.push(Popup::Form(purpose, form)),
@@ -605,22 +531,17 @@ fn form_key(state: &mut State, purpose: Purpose, mut form: Form, key: Key) -> Ve
         FormStep::Cancel => {}
         FormStep::Submit => match submit(state, purpose, &form) {
             // The form stays below its question, so that a "no" returns to it.
-            Ok(effects) if matches!(state.popups.last(), Some(Popup::Confirm(_))) => {
+            Ok(()) if matches!(state.popups.last(), Some(Popup::Confirm(_))) => {
                 state.popups.insert(state.popups.len() - 1, Popup::Form(purpose, form));
-                return effects;
             }
-            // So it does while the file that it names is read.
-            Ok(effects) if matches!(effects.as_slice(), [Effect::ReadText(_)]) => {
-                state.popups.push(Popup::Form(purpose, form));
-                return effects;
-            }
-            Ok(effects) => {
-                // A contact or an incident that is refused is asked for again.
+            // The form also stays while its file is read.
+            Ok(()) if purpose == Purpose::SetPolicy => state.popups.push(Popup::Form(purpose, form)),
+            Ok(()) => {
+                // A refused contact or incident returns to its form.
                 let kept = matches!(purpose, Purpose::AddContact | Purpose::OpenIncident | Purpose::NoteIncident);
                 if let Some(tag) = state.work.last().filter(|_| kept).cloned() {
                     state.filled = Some((tag, purpose, form));
                 }
-                return effects;
             }
             Err((line, error)) => {
                 form.refuse(line, error);
@@ -628,37 +549,32 @@ fn form_key(state: &mut State, purpose: Purpose, mut form: Form, key: Key) -> Ve
             }
         },
     }
-    Vec::new()
 }
 
-fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<Vec<Effect>, Wrong> {
-    let question = match purpose {
-        Purpose::CreateIdentity => return Ok(vec![state.send(form::read_create(form)?)]),
-        Purpose::Unlock => return Ok(vec![state.send(form::read_unlock(form)?)]),
-        Purpose::Unpin => return Ok(vec![state.send(form::read_unpin(form)?)]),
-        Purpose::AddContact => return Ok(vec![state.send(granting::read(form)?)]),
-        Purpose::OpenIncident => return Ok(vec![state.send(incidents::read(state, form)?)]),
-        Purpose::NoteIncident => return Ok(vec![state.send(incidents::read_note(form)?)]),
-        Purpose::Export => return Ok(palette::submit(state, form)),
-        Purpose::SetPolicy => return policies::submit(state, form),
-        Purpose::Profile => return Ok(perform::switch(state, form.parsed(0)?)),
+fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<(), Wrong> {
+    match purpose {
+        Purpose::CreateIdentity => state.send(form::read_create(form)?),
+        Purpose::Unlock => state.send(form::read_unlock(form)?),
+        Purpose::Unpin => state.send(form::read_unpin(form)?),
+        Purpose::AddContact => state.send(granting::read(form)?),
+        Purpose::OpenIncident => state.send(incidents::read(state, form)?),
+        Purpose::NoteIncident => state.send(incidents::read_note(form)?),
+        Purpose::Export => palette::submit(state, form),
+        Purpose::SetPolicy => policies::submit(state, form)?,
+        Purpose::Profile => perform::switch(state, form.parsed(0)?),
         Purpose::ExportKey => {
             let errand = form::read_export(form)?;
             palette::goes_to(state, &errand.tag, form, 3);
-            return Ok(identity_path::run(state, Need::Unlocked, vec![errand]));
+            identity_path::run(state, Need::Unlocked, vec![errand]);
         }
         Purpose::Grant => {
             let wish = form::read_grant(form, state.address(), state.now)?;
             granting::check(state, &wish)?;
-            granting::question(state, wish)
+            granting::ask(state, wish);
         }
-        Purpose::Extend => match granting::read_extension(state, form)? {
-            Extension::Later(errand) => return Ok(identity_path::run(state, Need::Registered, vec![errand])),
-            Extension::Sooner(wish) => granting::question(state, wish),
-        },
-        Purpose::Administer(act) => administration::read(act, form)?,
-        Purpose::LoadKey => load_key(form::read_load(form, &state.settings)?),
-    };
-    state.popups.push(Popup::Confirm(question));
-    Ok(Vec::new())
+        Purpose::Extend => granting::extend(state, form)?,
+        Purpose::Administer(act) => state.popups.push(Popup::Confirm(administration::read(act, form)?)),
+        Purpose::LoadKey => state.popups.push(Popup::Confirm(form::read_load(form, &state.settings)?)),
+    }
+    Ok(())
 }

@@ -1,5 +1,4 @@
-//! A table's cursor, filter, sort order and marks. Rows are identified by their keys, so that the cursor stays on its
-//! row while the list changes.
+//! A table's cursor, filter, order and marks; rows have keys, so that the cursor stays on its row.
 
 use std::collections::BTreeSet;
 
@@ -8,64 +7,63 @@ use super::keymap::Key;
 use super::update::Feed;
 use super::{Screen, State};
 
-/// The most filters remembered.
 const MOST_REMEMBERED: usize = 50;
 
-/// State of one table.
 #[derive(Debug, Default)]
 pub struct Table {
     selected: Option<String>,
     index: usize,
     follows_top: bool,
-    /// Text of the filter; empty = none.
     pub filter: Field,
-    /// Whether the filter is being typed.
     pub filtering: bool,
     pub sort: usize,
-    /// Whether the order is reversed.
     pub reversed: bool,
-    /// The columns chosen, in order; empty = the usual ones.
+    /// In order; empty = the usual ones.
     pub columns: Vec<&'static str>,
-    /// Keys of the marked rows.
+    /// Keys of marked rows.
     pub marks: BTreeSet<String>,
-    /// Filters that were applied, the newest last.
+    /// Applied filters, newest last.
     history: Vec<String>,
-    /// Which of them is in the filter now, counted from the newest.
+    /// Recalled filter, counted from the newest.
     recalled: Option<usize>,
 }
 
 impl Table {
-    /// A table whose cursor, while on the first row, stays there as rows come in above.
+    /// While on the first row, the cursor stays there as rows come in above.
     pub fn following() -> Self {
         Self { follows_top: true, ..Self::default() }
     }
 
-    /// The row of the cursor among the rows shown now.
     pub fn position<K: AsRef<str>>(&self, keys: &[K]) -> usize {
         let found = self.selected.as_deref().and_then(|key| keys.iter().position(|other| other.as_ref() == key));
         found.unwrap_or_else(|| self.index.min(keys.len().saturating_sub(1)))
     }
 
-    /// Puts the cursor on a row.
+    /// The row under the cursor.
+    pub fn chosen<T: Copy, K: AsRef<str>>(&self, rows: Vec<T>, key: impl Fn(&T) -> K) -> Option<T> {
+        let keys: Vec<K> = rows.iter().map(key).collect();
+        rows.get(self.position(&keys)).copied()
+    }
+
     pub fn select<K: AsRef<str>>(&mut self, keys: &[K], position: usize) {
         self.index = position.min(keys.len().saturating_sub(1));
         let bound = self.index > 0 || !self.follows_top;
         self.selected = keys.get(self.index).filter(|_| bound).map(|key| key.as_ref().to_owned());
     }
 
-    /// Whether the cursor is bound to a row, rather than to the first place.
+    /// Whether the cursor is bound to a row, not to the first place.
     pub fn is_bound(&self) -> bool {
         self.selected.is_some()
     }
 
-    /// Binds the cursor to the row it is on, so that rows coming in above do not move it.
+    /// Keeps the cursor on its row as rows come in above.
     pub fn settle<K: AsRef<str>>(&mut self, keys: &[K]) {
         if self.selected.is_none() {
             self.select(keys, self.position(keys));
         }
     }
 
-    /// Moves the cursor by this many rows; false if it could not move.
+    /// False if the cursor could not move.
     pub fn step<K: AsRef<str>>(&mut self, keys: &[K], by: isize) -> bool {
         let from = self.position(keys);
         let wanted = from.saturating_add_signed(by).min(keys.len().saturating_sub(1));
@@ -73,23 +71,14 @@ impl Table {
         wanted != from
     }
 
-    /// Marks the row of the cursor, or unmarks it.
-    pub fn toggle_mark(&mut self, key: &str) {
-        if !self.marks.remove(key) {
-            self.marks.insert(key.to_owned());
-        }
-    }
-
-    /// Begins typing a filter. The present one, also one kept from the last console, stays until a character is typed
-    /// in its place, and is among the earlier ones then.
+    /// The present filter stays until a character replaces it, and is then among the earlier ones.
     pub fn begin_filter(&mut self) {
         self.remember();
         self.filter = Field::offering(self.filter.text().trim());
         self.filtering = true;
     }
 
-    /// Replaces the filter being typed with an earlier one, or a later one; false if something new is typed, or there
-    /// is none.
+    /// Steps through earlier filters; false if something new is typed, or there is no other.
     pub fn recall(&mut self, earlier: bool) -> bool {
         let offered = self.filter.is_offered();
         let untouched = match self.recalled {
@@ -100,7 +89,7 @@ impl Table {
             return false;
         }
         let wanted = match (self.recalled, earlier) {
-            // The newest is the one that is offered.
+            // The newest is the one on offer.
             (None, _) => Some(usize::from(offered && self.history.len() > 1)),
             (Some(back), true) => Some((back + 1).min(self.history.len().saturating_sub(1))),
             (Some(back), false) => back.checked_sub(1),
@@ -118,7 +107,6 @@ impl Table {
         self.history.iter().rev().nth(back).map(String::as_str)
     }
 
-    /// Keeps the filter for [`Self::recall`].
     fn remember(&mut self) {
         let text = self.filter.text().trim().to_owned();
         self.recalled = None;
@@ -129,7 +117,7 @@ impl Table {
         }
     }
 
-    /// A key while the filter is typed; true if the filter's text may have changed.
+    /// True if the filter's text may have changed.
     pub fn filter_key(&mut self, key: Key) -> bool {
         match key {
             Key::Enter => {
@@ -156,17 +144,14 @@ impl Table {
 }
 
 impl State {
-    /// The table on screen.
     pub fn table(&self) -> Option<&Table> {
         self.table_of(self.screen)
     }
 
-    /// The table on screen, mutable.
     pub fn table_mut(&mut self) -> Option<&mut Table> {
         self.table_of_mut(self.screen)
     }
 
-    /// The table of a screen, if it has one.
     pub fn table_of(&self, screen: Screen) -> Option<&Table> {
         match screen {
             Screen::Topics => Some(&self.topics.table),
@@ -191,7 +176,6 @@ impl State {
         }
     }
 
-    /// The keys of the rows shown in the table on screen.
     pub fn row_keys(&self) -> Vec<String> {
         let ids = |rows: Vec<&crate::service::reply::RecordView>| rows.iter().map(|row| row.id.clone()).collect();
         match self.screen {
@@ -205,7 +189,6 @@ impl State {
         }
     }
 
-    /// Whether the table on screen shows any row.
     pub fn has_rows(&self) -> bool {
         let plain = self.table().is_some_and(|table| table.filter.text().is_empty());
         match self.screen {
@@ -216,7 +199,6 @@ impl State {
         }
     }
 
-    /// The key of the row under the cursor.
     pub fn row_key(&self) -> Option<String> {
         if self.screen == Screen::Topics {
             return self.topics.selected().map(|row| row.topic.clone());
@@ -226,13 +208,13 @@ impl State {
         keys.into_iter().nth(position)
     }
 
-    /// The keys of the marked rows, or else of the one under the cursor.
+    /// Or else of the row under the cursor.
     pub fn marked_keys(&self) -> Vec<String> {
         let marks: Vec<String> = self.table().map(|table| table.marks.iter().cloned().collect()).unwrap_or_default();
         if marks.is_empty() { self.row_key().into_iter().collect() } else { marks }
     }
 
-    /// Whether the rows of the records on screen answer an earlier request, and those of the present one are on their way.
+    /// Whether the rows on screen answer an earlier request while the present one is in flight.
     pub fn awaits_rows(&self) -> bool {
         self.records_feed().is_some_and(|feed| {
             let slot = self.feeds.slot(feed);
@@ -241,7 +223,7 @@ impl State {
         })
     }
 
-    /// Whether the rows of the records on screen answer the present request.
+    /// Whether the rows on screen answer the present request.
     pub fn rows_are_here(&self) -> bool {
         self.records_feed().is_some_and(|feed| {
             let slot = self.feeds.slot(feed);
@@ -258,23 +240,22 @@ impl State {
     }
 }
 
-/// Moves the cursor; at the edge of a page of records the next or previous page is requested.
+/// At the edge of a page of records, turns the page.
 pub fn step(state: &mut State, by: isize) {
     let keys = state.row_keys();
     let moved = state.table_mut().is_some_and(|table| table.step(&keys, by));
     if moved { stand(state) } else { turn_page(state, by) }
 }
 
-/// A list of records whose cursor is on one of them keeps that record in its place.
+/// Keeps the record under the cursor in place.
 pub fn stand(state: &mut State) {
     let Some(feed) = state.records_feed() else { return };
     let records = records(state, feed);
-    if records.table.is_bound() && !records.stands() {
+    if records.table.is_bound() {
         records.stand();
     }
 }
 
-/// Moves the cursor to the row with that number.
 pub fn select(state: &mut State, position: usize) {
     let keys = state.row_keys();
     if let Some(table) = state.table_mut() {
@@ -283,7 +264,7 @@ pub fn select(state: &mut State, position: usize) {
     stand(state);
 }
 
-/// Reverses the order of the table on screen; for records this is the other of their two orders.
+/// For records: the other of their two orders.
 pub fn reverse(state: &mut State) {
     if state.records_feed().is_some() {
         return sort(state);
@@ -293,7 +274,7 @@ pub fn reverse(state: &mut State) {
     }
 }
 
-/// To the very first row, or to the last of the page.
+/// To the first row of all, or the last of the page.
 pub fn jump(state: &mut State, last: bool) {
     if let (false, Some(feed)) = (last, state.records_feed()) {
         records(state, feed).restart();
@@ -315,7 +296,6 @@ fn records(state: &mut State, feed: Feed) -> &mut super::screens::Records {
     if feed == Feed::Shared { &mut state.shared } else { &mut state.uploads }
 }
 
-/// The next order of the table on screen.
 pub fn sort(state: &mut State) {
     let orders = state.screen.orders().len().max(1);
     if let Some(table) = state.table_mut() {
@@ -324,7 +304,6 @@ pub fn sort(state: &mut State) {
     restart_records(state);
 }
 
-/// A key while a filter is typed.
 pub fn filter_key(state: &mut State, key: Key) {
     if state.table_mut().is_some_and(|table| table.filter_key(key)) {
         restart_records(state);
@@ -335,7 +314,6 @@ pub fn filter_key(state: &mut State, key: Key) {
     }
 }
 
-/// Text pasted while a filter is typed.
 pub fn filter_paste(state: &mut State, text: &str) {
     if let Some(table) = state.table_mut().filter(|table| table.filtering) {
         table.filter.insert(text);
@@ -343,7 +321,7 @@ pub fn filter_paste(state: &mut State, text: &str) {
     }
 }
 
-/// The request changed, so the visible page begins anew.
+/// The request changed: start at the first page.
 pub fn restart_records(state: &mut State) {
     if let Some(feed) = state.records_feed() {
         records(state, feed).restart();
@@ -351,7 +329,6 @@ pub fn restart_records(state: &mut State) {
     }
 }
 
-/// Marks every row shown, or clears all marks.
 pub fn mark_all(state: &mut State) {
     let keys = state.row_keys();
     if let Some(table) = state.table_mut() {

@@ -1,11 +1,10 @@
-//! One action in, the state changed, effects out. Never waits, never fails. Mouse, keys typed ahead of the rows they
-//! are for, and locking are here too.
+//! One action in, the state changed, effects out; never waits, never fails. Also the mouse, keys typed ahead, locking.
 
 use super::answer::answered;
 use super::keymap::{Key, Meaning, chord_label};
 use super::perform::perform;
 use super::popup::{Popup, Purpose, popup_key, popup_paste};
-use super::screens::MOST_AUDIT;
+use super::screens::{MOST_AUDIT, Records, Source};
 use super::verb::{Action, Effect, Errand, Tag, Verb};
 use super::{Screen, State, alerts, incidents, leaving, opening, palette, policies, table, tour, when};
 use crate::model::{RecordState, Timestamp};
@@ -14,12 +13,15 @@ use crate::service::reply::{Caveat, ShownState};
 use crate::service::{Command, Event, Failure, NoticeLevel, Part};
 use strum::{EnumCount, EnumIter, IntoEnumIterator as _};
 
-/// The first effects of a console: claim the profile, request what is on screen.
+/// Claims the profile and requests what is on screen.
 pub fn start(state: &mut State) -> Vec<Effect> {
-    let claim = Errand { command: Command::OpenConsole, tag: Tag::OpenConsole };
-    let mut effects = vec![state.send(claim)];
-    effects.extend(pull(state));
-    effects
+    claim(state);
+    std::mem::take(&mut state.effects)
+}
+
+pub(super) fn claim(state: &mut State) {
+    state.send(Errand { command: Command::OpenConsole, tag: Tag::OpenConsole });
+    pull(state);
 }
 
 pub fn update(state: &mut State, action: Action) -> Vec<Effect> {
@@ -27,57 +29,56 @@ pub fn update(state: &mut State, action: Action) -> Vec<Effect> {
         state.touched = state.now;
     }
     if matches!(action, Action::Paste(_) | Action::Click { .. } | Action::Do(_)) {
-        state.ahead.clear();
+        state.ahead.keys.clear();
     }
-    let mut effects = act(state, action);
+    act(state, action);
     for key in ready(state) {
-        effects.extend(pressed(state, key));
+        pressed(state, key);
     }
     state.topics.refresh(false);
     policies::forget_if_locked(state);
     alerts::refresh(state);
     tour::follow(state);
     if leaving::is_over(state) {
-        effects.push(Effect::Quit);
+        state.effects.push(Effect::Quit);
     }
-    effects.extend(opening::follow(state));
-    effects.extend(pull(state));
-    effects
+    opening::follow(state);
+    pull(state);
+    std::mem::take(&mut state.effects)
 }
 
-fn act(state: &mut State, action: Action) -> Vec<Effect> {
+fn act(state: &mut State, action: Action) {
     match action {
-        Action::Do(verb) => return perform(state, verb),
-        Action::Key(key) => return pressed(state, key),
-        Action::Answered { tag, result } => return answered(state, &tag, *result),
-        Action::Told(event) => return told(state, event),
+        Action::Do(verb) => perform(state, verb),
+        Action::Key(key) => pressed(state, key),
+        Action::Answered { tag, result } => answered(state, &tag, *result),
+        Action::Told(event) => told(state, event),
         Action::Paste(text) if state.popups.is_empty() => table::filter_paste(state, &text),
         Action::Paste(text) => popup_paste(state, &text),
         Action::Resize { columns, rows } => resize(state, columns, rows),
-        Action::Tick(now) => return tick(state, now),
+        Action::Tick(now) => tick(state, now),
         Action::Missed => state.feeds.touch_all(),
         Action::FilesWritten(Ok(place)) => state.inform(format!("written: {place}")),
         Action::FilesWritten(Err(error)) => state.complain(error),
         Action::Fault(error) => {
-            state.log.notice_about(state.now, NoticeLevel::Error, &error, None);
-            state.toasts.push(NoticeLevel::Error, error, state.now);
+            state.log.keep(state.now, NoticeLevel::Error, &error, Source::Site, None);
+            state.toasts.push(NoticeLevel::Error, error, state.now, None);
         }
         Action::PathsFound(sought, found) => palette::found(state, &sought, found),
         Action::TextRead(path, read) => policies::text_read(state, &path, read),
         Action::ThemeIs(name) => state.theme = name,
-        Action::Wheel { up } => return wheel(state, up),
+        Action::Wheel { up } => wheel(state, up),
         Action::Click { column, row } => click(state, column, row),
         Action::Resumed => {
             state.feeds.touch_all();
             state.inform("resumed; a site hosted by this console was stopped meanwhile");
         }
     }
-    Vec::new()
 }
 
-fn pressed(state: &mut State, key: Key) -> Vec<Effect> {
+fn pressed(state: &mut State, key: Key) {
     state.greeted = true;
-    // These two take precedence over any popup.
+    // Both take precedence over any popup.
     for verb in [Verb::Suspend, Verb::Redraw] {
         if state.settings.keymap.is(key, verb, state.screen) {
             return perform(state, verb);
@@ -90,20 +91,19 @@ fn pressed(state: &mut State, key: Key) -> Vec<Effect> {
         return filter_or_move(state, key);
     }
     if keeps(state, key) {
-        return Vec::new();
+        return;
     }
     match state.settings.keymap.meaning(&[key], state.screen) {
-        Meaning::Does(verb) => return perform(state, verb),
+        Meaning::Does(verb) => perform(state, verb),
         Meaning::Begins(_) => state.popups.push(Popup::Chord(vec![key])),
         Meaning::Nothing => say_where(state, key),
     }
-    Vec::new()
 }
 
-/// The most screens named for a key; one that works on more is no news.
+/// A key that works on more screens than this is no news.
 const MOST_PLACES: usize = 3;
 
-/// A letter of other screens does nothing here, and says where it would.
+/// A key of other screens does nothing here, and says where it would.
 fn say_where(state: &mut State, key: Key) {
     let means = |screen: &Screen| !matches!(state.settings.keymap.meaning(&[key], *screen), Meaning::Nothing);
     let places: Vec<String> =
@@ -113,53 +113,49 @@ fn say_where(state: &mut State, key: Key) {
     }
 }
 
-fn filter_or_move(state: &mut State, key: Key) -> Vec<Effect> {
+fn filter_or_move(state: &mut State, key: Key) {
     match key {
-        // In an empty filter the arrows go through earlier ones, otherwise through the rows.
+        // An empty filter recalls earlier ones; otherwise arrows move through the rows.
         Key::Up | Key::Down if state.table_mut().is_some_and(|table| table.recall(key == Key::Up)) => {
             table::restart_records(state);
         }
-        Key::Up => return perform(state, Verb::Up),
-        Key::Down => return perform(state, Verb::Down),
+        Key::Up => perform(state, Verb::Up),
+        Key::Down => perform(state, Verb::Down),
         _ => table::filter_key(state, key),
     }
-    Vec::new()
 }
 
-fn told(state: &mut State, event: Event) -> Vec<Effect> {
+fn told(state: &mut State, event: Event) {
     match event {
         Event::Changed { part } => {
             state.feeds.touch(part);
             if part == Part::Uploads {
                 opening::touch(state);
                 state.gateway.robots_told = true;
+                refresh_provenance(state);
             }
-            if part == Part::Uploads { refresh_provenance(state) } else { Vec::new() }
         }
         Event::Notice { at, level, text, about } => {
             if let Some(about) = &about {
                 state.toasts.supersede(about);
             }
-            state.log.notice_about(at, level, &text, about.clone());
+            state.log.keep(at, level, &text, Source::Site, about.clone());
             state.feeds.slot_mut(Feed::Audit).stale = true;
-            state.toasts.push_about(level, text, state.now, about);
-            Vec::new()
+            state.toasts.push(level, text, state.now, about);
         }
     }
 }
 
-/// An open provenance view follows its record until that is verified.
-fn refresh_provenance(state: &mut State) -> Vec<Effect> {
-    let Some(Popup::Provenance(lookup)) = state.popups.last() else { return Vec::new() };
+/// An open provenance view follows its record until it is settled.
+fn refresh_provenance(state: &mut State) {
+    let Some(Popup::Provenance(lookup)) = state.popups.last() else { return };
     let settled = lookup.found().is_some_and(|found| is_settled(found.record.state));
     let (id, tag) = (lookup.id.clone(), Tag::Show(lookup.id.clone()));
-    if settled || state.is_frozen() || state.work.contains(&tag) {
-        return Vec::new();
+    if !settled && !state.is_frozen() {
+        state.send_new(Errand { command: Command::ShowUpload { id }, tag });
     }
-    vec![state.send(Errand { command: Command::ShowUpload { id }, tag })]
 }
 
-/// Whether a record is in its final state.
 pub fn is_settled(state: ShownState) -> bool {
     matches!(
         state,
@@ -176,7 +172,7 @@ fn resize(state: &mut State, columns: u16, rows: u16) {
     }
 }
 
-fn tick(state: &mut State, now: Timestamp) -> Vec<Effect> {
+fn tick(state: &mut State, now: Timestamp) {
     state.now = now;
     if state.touched.0 == 0 {
         state.touched = now;
@@ -185,14 +181,19 @@ fn tick(state: &mut State, now: Timestamp) -> Vec<Effect> {
     state.feeds.retry(now);
     state.rates.settle(now);
     when::tick(state);
-    state.ask_for_progress();
-    incidents::tick(state);
-    policies::tick(state);
-    lock_when_due(state)
+    let again = [
+        (Feed::Progress, state.progress_asked_at()),
+        (Feed::Incidents, incidents::asked_at(state)),
+        (Feed::Robots, policies::asked_at(state)),
+    ];
+    for (feed, _) in again.into_iter().filter(|(_, at)| at.is_some_and(|at| at <= now)) {
+        state.feeds.slot_mut(feed).stale = true;
+    }
+    lock_when_due(state);
 }
 
-/// Asks for what is on screen and out of date, one question per feed at a time.
-fn pull(state: &mut State) -> Vec<Effect> {
+/// One request per feed at a time.
+fn pull(state: &mut State) {
     let now = state.frozen.unwrap_or(state.now);
     state.uploads.note_filter(now);
     state.shared.note_filter(now);
@@ -202,29 +203,27 @@ fn pull(state: &mut State) -> Vec<Effect> {
     wanted.extend(tour::wants_grants(state).then_some(Feed::Grants));
     wanted.extend(policies::wanted(state));
     if state.is_frozen() {
-        // All screens are frozen at one moment; data that is valid for it is not requested again.
+        // All screens freeze at one moment; data valid for it is not requested again.
         wanted.extend(Feed::iter());
     }
-    wanted.into_iter().filter_map(|feed| ask(state, feed)).collect()
+    wanted.into_iter().for_each(|feed| ask(state, feed));
 }
 
-fn ask(state: &mut State, feed: Feed) -> Option<Effect> {
+fn ask(state: &mut State, feed: Feed) {
     let slot = state.feeds.slot(feed);
-    let held = state.holds(feed);
-    if !slot.stale || slot.outstanding || held {
-        return None;
+    if !slot.stale || slot.outstanding || state.holds(feed) {
+        return;
     }
-    let command = question(state, feed)?;
+    let Some(command) = question(state, feed) else { return };
     let slot = state.feeds.slot_mut(feed);
-    slot.stale = false;
-    slot.outstanding = true;
-    Some(Effect::Send(command, Tag::Feed(feed, slot.generation)))
+    (slot.stale, slot.outstanding) = (false, true);
+    state.effects.push(Effect::Send(command, Tag::Feed(feed, slot.generation)));
 }
 
-/// The command of a feed; `None` while there is nothing to request.
+/// `None` while there is nothing to request.
 fn question(state: &State, feed: Feed) -> Option<Command> {
     let exists = state.identity.as_ref().is_some_and(|identity| identity.exists);
-    let rows = state.page_rows();
+    let query = |records: &Records| records.query(&state.topics.rows, state.page_rows(), state.frozen);
     match feed {
         Feed::Site => Some(Command::SiteStatus),
         Feed::Identity => Some(Command::ShowIdentity),
@@ -233,10 +232,8 @@ fn question(state: &State, feed: Feed) -> Option<Command> {
         Feed::Audit => Some(Command::ListAudit(AuditQuery { limit: MOST_AUDIT, ..AuditQuery::default() })),
         Feed::Keys => exists.then_some(Command::ListKeys),
         Feed::Grants => exists.then_some(Command::ListGrants),
-        Feed::Uploads => {
-            exists.then(|| Command::ListUploads(state.uploads.query(&state.topics.rows, rows, state.frozen)))
-        }
-        Feed::Shared => exists.then(|| Command::ListShared(state.shared.query(&state.topics.rows, rows, state.frozen))),
+        Feed::Uploads => exists.then(|| Command::ListUploads(query(&state.uploads))),
+        Feed::Shared => exists.then(|| Command::ListShared(query(&state.shared))),
         Feed::Contacts => exists.then_some(Command::ListContacts),
         Feed::Incidents => exists.then(|| ListIncidents.into()),
         Feed::Progress => Some(RecordingProgress.into()),
@@ -245,7 +242,6 @@ fn question(state: &State, feed: Feed) -> Option<Command> {
     }
 }
 
-/// Information for the message line that is not a toast: the running commands.
 pub fn under_way(state: &State) -> Option<String> {
     let mut work = state.work.iter().filter(|tag| tag.is_work());
     let first = work.next()?;
@@ -253,30 +249,25 @@ pub fn under_way(state: &State) -> Option<String> {
     Some(if more > 0 { format!("{} and {more} more", first.words()) } else { first.words() })
 }
 
-/// Rows above the first row of a list: header, screens, title, columns.
+/// Rows above a list: header, screens, title, columns.
 const ABOVE: u16 = 4;
 
-/// Takes the mouse, or leaves it to the terminal.
-pub fn toggle(state: &mut State) -> Vec<Effect> {
+pub fn toggle(state: &mut State) {
     state.mouse = !state.mouse;
-    let text = if state.mouse {
-        "mouse on; hold shift to select text in most terminals"
-    } else {
-        "mouse off; the terminal handles text selection again"
-    };
-    state.inform(text);
-    vec![Effect::Mouse(state.mouse)]
+    state.inform(match state.mouse {
+        true => "mouse on; hold shift to select text in most terminals",
+        false => "mouse off; the terminal handles text selection again",
+    });
+    state.effects.push(Effect::Mouse(state.mouse));
 }
 
-/// The wheel was turned.
-pub fn wheel(state: &mut State, up: bool) -> Vec<Effect> {
+pub fn wheel(state: &mut State, up: bool) {
     if state.popups.is_empty() {
         return perform(state, if up { Verb::Up } else { Verb::Down });
     }
-    popup_key(state, if up { Key::Up } else { Key::Down })
+    popup_key(state, if up { Key::Up } else { Key::Down });
 }
 
-/// A cell was clicked.
 pub fn click(state: &mut State, column: u16, row: u16) {
     if !state.popups.is_empty() {
         return;
@@ -287,7 +278,7 @@ pub fn click(state: &mut State, column: u16, row: u16) {
         }
         return;
     }
-    // The rows of this screen begin lower, and are in two parts.
+    // This screen's rows begin lower, in two parts.
     if state.screen == Screen::Gateway {
         return;
     }
@@ -303,7 +294,7 @@ pub fn click(state: &mut State, column: u16, row: u16) {
     }
 }
 
-/// The screen whose name is there; if names do not fit, nothing can be clicked.
+/// `None` everywhere if the names do not fit.
 fn named_at(columns: u16, column: u16) -> Option<Screen> {
     let gap = Screen::all().map(|screen| screen.title().len() + 3).sum::<usize>() < usize::from(columns);
     let mut left = 0;
@@ -315,34 +306,25 @@ fn named_at(columns: u16, column: u16) -> Option<Screen> {
     })
 }
 
-/// The longest wait for the rows, nanoseconds.
+/// Longest wait for rows, nanoseconds.
 const LONGEST: u64 = 3_000_000_000;
 /// The most keys that wait.
 const MOST: usize = 64;
 
-/// Keys that wait for rows.
 #[derive(Debug, Default)]
 pub struct Ahead {
     keys: Vec<Key>,
     since: Timestamp,
 }
 
-impl Ahead {
-    /// What waits is not done.
-    pub fn clear(&mut self) {
-        self.keys.clear();
-    }
-}
-
-/// Keeps `key` back if it is for rows that are not here yet, or comes after one that is. Esc takes back what waits;
-/// Ctrl-C never waits.
+/// Keeps back keys for rows that are still on their way, and keys after those; Esc drops them, Ctrl-C never waits.
 pub fn keeps(state: &mut State, key: Key) -> bool {
     if !state.awaits_rows() {
         return false;
     }
     let waiting = !state.ahead.keys.is_empty();
     if matches!(key, Key::Escape | Key::Control('c')) {
-        state.ahead.clear();
+        state.ahead.keys.clear();
         return waiting && key == Key::Escape;
     }
     if !waiting && !is_for_a_row(state, key) {
@@ -357,7 +339,7 @@ pub fn keeps(state: &mut State, key: Key) -> bool {
     true
 }
 
-/// The keys whose rows are here. Those whose rows do not come are given up, and the operator is told.
+/// Gives up keys whose rows do not come, and says so.
 pub fn ready(state: &mut State) -> Vec<Key> {
     if state.ahead.keys.is_empty() {
         return Vec::new();
@@ -370,52 +352,36 @@ pub fn ready(state: &mut State) -> Vec<Key> {
     if gives_up_at(state).is_some_and(|at| at <= state.now) { given_up(state) } else { Vec::new() }
 }
 
-/// When the wait is over, if anything waits.
 pub fn gives_up_at(state: &State) -> Option<Timestamp> {
     (!state.ahead.keys.is_empty()).then(|| Timestamp(state.ahead.since.0.saturating_add(LONGEST)))
 }
 
 fn given_up(state: &mut State) -> Vec<Key> {
-    state.ahead.clear();
+    state.ahead.keys.clear();
     state.inform("not done: the list was not here yet");
     Vec::new()
 }
 
 fn is_for_a_row(state: &State, key: Key) -> bool {
+    use Verb::{Check, Copy, Details, Export, Incident, Mark, MarkAll, Open, Play, Readers, WriteFile};
     let Meaning::Does(verb) = state.settings.keymap.meaning(&[key], state.screen) else { return false };
-    matches!(
-        verb,
-        Verb::Details
-            | Verb::Open
-            | Verb::Check
-            | Verb::Export
-            | Verb::Mark
-            | Verb::MarkAll
-            | Verb::Readers
-            | Verb::Play
-            | Verb::Incident
-            | Verb::Copy
-            | Verb::WriteFile
-    )
+    let acts = matches!(verb, Details | Open | Check | Export | Mark | MarkAll | Readers | Play | Incident);
+    acts || matches!(verb, Copy | WriteFile)
 }
 
-/// Asks the site to wipe the keys, and takes everything decrypted off the screen.
-pub fn lock(state: &mut State) -> Vec<Effect> {
+/// Wipes the keys, and takes everything decrypted off the screen.
+pub fn lock(state: &mut State) {
     state.popups.retain(|popup| match popup {
         Popup::Record(_) | Popup::Confirm(_) => false,
         Popup::Form(purpose, _) => *purpose == Purpose::Unlock,
         _ => true,
     });
     (state.identity_path, state.filled) = (None, None);
-    state.detail.clear();
-    state.ahead.clear();
-    if state.work.contains(&Tag::Lock) {
-        return Vec::new();
-    }
-    vec![state.send(Errand { command: Command::Lock, tag: Tag::Lock })]
+    state.detail = opening::Detail::default();
+    state.ahead.keys.clear();
+    state.send_new(Errand { command: Command::Lock, tag: Tag::Lock });
 }
 
-/// When the keyring locks unless a key is pressed first.
 pub fn due(state: &State) -> Option<Timestamp> {
     let after = state.settings.lock_after?;
     let open = state.identity.as_ref().is_some_and(|identity| identity.unlocked);
@@ -423,54 +389,38 @@ pub fn due(state: &State) -> Option<Timestamp> {
     (open && !begun && state.touched.0 > 0).then(|| Timestamp(state.touched.0.saturating_add(after)))
 }
 
-/// Locks when it is time.
-pub fn lock_when_due(state: &mut State) -> Vec<Effect> {
-    if due(state).is_none_or(|at| at > state.now) {
-        return Vec::new();
+pub fn lock_when_due(state: &mut State) {
+    if due(state).is_some_and(|at| at <= state.now) {
+        let minutes = state.settings.lock_after.unwrap_or(0) / 60_000_000_000;
+        state.warn(format!(
+            "locked after {minutes} minutes without a key press; a running capture continues, u unlocks"
+        ));
+        lock(state);
     }
-    let minutes = state.settings.lock_after.unwrap_or(0) / 60_000_000_000;
-    state.warn(format!("locked after {minutes} minutes without a key press; a running capture continues, u unlocks"));
-    lock(state)
 }
 
-/// Nanoseconds before a failed request is repeated.
+/// Nanoseconds.
 const RETRY_AFTER: u64 = 5_000_000_000;
 
-/// One list or view that the site can be asked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, EnumCount, EnumIter)]
 pub enum Feed {
-    /// `SiteStatus`.
     Site,
-    /// `ShowIdentity`.
     Identity,
-    /// `ListKeys`.
     Keys,
-    /// `ListTopics`.
     Topics,
-    /// `ListUploads`, one page.
     Uploads,
-    /// `ListShared`, one page.
     Shared,
-    /// `ListGrants`.
     Grants,
-    /// `ChainStatus`.
     Chain,
-    /// `ListAudit`.
     Audit,
-    /// `GatewayStatus`.
     Gateway,
-    /// `ListContacts`.
     Contacts,
-    /// `RecordingProgress`.
     Progress,
-    /// `ListIncidents`.
     Incidents,
-    /// `ListRobots`.
     Robots,
 }
 
 impl Feed {
-    /// What a change of `part` makes out of date.
     pub fn touched_by(part: Part) -> &'static [Self] {
         match part {
             Part::Topics => &[Self::Topics],
@@ -483,30 +433,26 @@ impl Feed {
     }
 }
 
-/// The state of one feed.
 #[expect(clippy::struct_excessive_bools, reason = "each is a fact of its own")]
 #[derive(Debug, Clone, Default)]
 pub struct Slot {
-    /// Increased when the request itself changes, so that older answers are dropped.
+    /// Grows when the request changes, so that older answers are dropped.
     pub generation: u64,
-    /// A request is in flight.
+    /// In flight.
     pub outstanding: bool,
-    /// The data here is older than the site's.
+    /// Older than the site's data.
     pub stale: bool,
-    /// Data arrived at least once.
+    /// Answered at least once.
     pub loaded: bool,
-    /// The data here is from an earlier visit to its screen.
+    /// From an earlier visit to the screen.
     pub left: bool,
-    /// The request answered by the data here.
+    /// The generation that the data answers.
     pub told: u64,
-    /// Why the last request failed.
     pub failure: Option<Failure>,
-    /// When a failed request is repeated.
     pub retry_at: Option<Timestamp>,
 }
 
 impl Slot {
-    /// Whether the data here answers the present request.
     pub fn is_answered(&self) -> bool {
         self.loaded && self.told == self.generation
     }
@@ -526,39 +472,35 @@ impl Feeds {
         &self.0[feed as usize]
     }
 
-    /// One feed's slot, mutable.
     pub fn slot_mut(&mut self, feed: Feed) -> &mut Slot {
         &mut self.0[feed as usize]
     }
 
-    /// The data of `part` is out of date.
     pub fn touch(&mut self, part: Part) {
         for feed in Feed::touched_by(part) {
             self.slot_mut(*feed).stale = true;
         }
     }
 
-    /// Everything is out of date.
     pub fn touch_all(&mut self) {
         for slot in &mut self.0 {
             slot.stale = true;
         }
     }
 
-    /// What could not be had is out of date.
     pub fn touch_failed(&mut self) {
         for slot in self.0.iter_mut().filter(|slot| slot.failure.is_some()) {
             slot.stale = true;
         }
     }
 
-    /// The screen of a feed becomes visible: data that is not up to date is from the last visit.
+    /// Marks data that went stale while its screen was hidden.
     pub fn look(&mut self, feed: Feed) {
         let slot = self.slot_mut(feed);
         slot.left |= slot.stale && slot.loaded;
     }
 
-    /// The request itself changed (page, filter): send it anew and drop the answer in flight.
+    /// The request changed (page, filter): drops the answer in flight.
     pub fn renew(&mut self, feed: Feed) {
         let slot = self.slot_mut(feed);
         slot.generation += 1;
@@ -566,8 +508,7 @@ impl Feeds {
         slot.stale = true;
     }
 
-    /// An act of this console changed the data. An answer in flight may be from before it, and is dropped; what is shown
-    /// answers the same request as the next one does.
+    /// An act of this console changed the data: an answer in flight may predate it, and is dropped.
     pub fn overtake(&mut self, feed: Feed) {
         let slot = self.slot_mut(feed);
         slot.stale = true;
@@ -577,19 +518,19 @@ impl Feeds {
         }
     }
 
-    /// No answer to a request of `former` answers one of these.
+    /// Answers to requests of `former` match none of these.
     pub fn follow(&mut self, former: &Self) {
         for (slot, before) in self.0.iter_mut().zip(&former.0) {
             slot.generation = before.generation + 1;
         }
     }
 
-    /// All are requested anew, once, even though the view is frozen from now on.
+    /// Requests everything once, even though the view is frozen from now on.
     pub fn gather(&mut self) {
         Feed::iter().for_each(|feed| self.renew(feed));
     }
 
-    /// Handles an answer; false if it answers an older request.
+    /// False for an answer to an older request.
     pub fn answered(&mut self, feed: Feed, generation: u64, failure: Option<Failure>, now: Timestamp) -> bool {
         let slot = self.slot_mut(feed);
         if slot.generation != generation {
@@ -604,7 +545,6 @@ impl Feeds {
         true
     }
 
-    /// Marks failed feeds whose pause is over as out of date.
     pub fn retry(&mut self, now: Timestamp) {
         for slot in self.0.iter_mut().filter(|slot| slot.retry_at.is_some_and(|at| at <= now)) {
             slot.retry_at = None;
@@ -612,7 +552,6 @@ impl Feeds {
         }
     }
 
-    /// The next moment at which a failed request is repeated.
     pub fn next_retry(&self) -> Option<Timestamp> {
         self.0.iter().filter_map(|slot| slot.retry_at).min()
     }

@@ -1,5 +1,4 @@
-//! The one list of what an operator can do: keymap, palette, help and bottom bar are made from it, and tests speak in it.
-//! And the input of `update` and its output.
+//! The one list of what an operator can do, and the input and output of `update`.
 
 use std::path::PathBuf;
 
@@ -10,11 +9,9 @@ use super::keymap::Key;
 use super::palette::{Found, Sought};
 use super::update::Feed;
 use crate::model::{Address, IncidentName, Party, ProfileName, Timestamp};
-use crate::service::reply::ExportedFile;
 use crate::service::{Command, Event, Failure, KeyKind, Reply};
 use zeroize::Zeroizing;
 
-/// Something an operator can do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Verb {
     Go(Screen),
@@ -24,155 +21,97 @@ pub enum Verb {
     Down,
     PageUp,
     PageDown,
-    /// To the first row.
     First,
-    /// To the last row.
     Last,
     Mark,
-    /// Mark every row shown, or none.
     MarkAll,
     Filter,
-    /// To the next row that matches the filter.
     NextMatch,
     PreviousMatch,
-    /// Sort by the next column.
     Sort,
     Reverse,
-    /// Choose the columns of the list.
     Columns,
-    /// Watch or unwatch the marked topics, or the selected one.
     Watch,
-    /// Provenance of the record.
     Details,
-    /// Check, decrypt and show the record.
     Open,
-    /// Check the record against the chain.
     Check,
-    /// Export the record's files for third parties to check.
     Export,
     CreateIdentity,
     Unlock,
-    /// Register the identity on the chain.
     Register,
-    /// Load a key file.
     LoadKey,
-    /// Write a key into a file.
     ExportKey,
-    /// Begin a new epoch.
     Rotate,
     Grant,
     Extend,
     Revoke,
-    /// Publishers of the topic, pinned and suspect.
     Publishers,
-    /// Accept the publishers being read now.
     Pin,
-    /// No longer accept a publisher.
     Unpin,
     Release,
     Discard,
-    /// Who can read this now.
     Readers,
     Contacts,
-    /// The robot under the cursor, in full.
     Inspect,
-    /// Set a robot's policy, or clear it.
     SetPolicy,
     Incident,
     Incidents,
-    /// Speak for another profile.
     Profile,
-    /// Remove the tour's strip.
     EndTour,
-    /// Browse what others share.
     Browse,
-    /// Play what is shared into ROS, or end that.
     Play,
-    /// A copy of the keyring.
     BackUp,
-    /// Wipe the keys from memory.
     Lock,
     Tasks,
-    /// Undo the last act.
     Undo,
-    /// Local times beside UTC.
     LocalTime,
-    /// An act of the administrator, or of the account that sets up the chain.
     Administer(Act),
-    /// Copy what the cursor is on.
     Copy,
-    /// Write the same into a file.
     WriteFile,
-    /// Copy the last act as a command line.
     CopyCommand,
-    /// Show only more urgent lines of the log.
     Level,
-    /// Show only lines of the log from one source.
     Source,
-    /// The whole of a line of the log.
     Read,
-    /// Freeze the view (capture continues).
     Freeze,
-    /// The next period of the graphs.
     Period,
-    /// A robot's topics in one row, or in a row each.
     Fold,
-    /// The same for all robots.
     FoldAll,
-    /// Every command by name.
     Palette,
-    /// The meaning of the keys.
     Help,
     Dismiss,
     ChooseTheme,
-    /// ASCII characters only, or all.
     Ascii,
-    /// The mouse for the console, or for the terminal's own selection.
     Mouse,
     Redraw,
-    /// Suspend, back to the shell.
     Suspend,
     Quit,
 }
 
-/// One entry of the list.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Entry {
     pub verb: Verb,
     /// Its name in the palette.
     pub name: &'static str,
-    /// The short word of the bottom bar; empty = not in the bar.
+    /// For the bottom bar; empty = not shown there.
     pub label: &'static str,
-    /// A line of help.
     pub help: &'static str,
-    /// The preset keys, as `keymap.toml` names them; several in one text are pressed in sequence.
+    /// As in `keymap.toml`; several in one text are pressed in sequence.
     pub keys: &'static [&'static str],
-    /// The screens where the keys work; empty = all.
+    /// Empty = all.
     pub on: &'static [Screen],
-    /// Whether it changes keys, grants or records; hidden when read-only.
+    /// Changes keys, grants or records; hidden when read-only.
     pub changes: bool,
-    /// Whether the palette lists it.
+    /// Listed in the palette.
     pub palette: bool,
 }
 
-const fn entry(
-    verb: Verb,
-    name: &'static str,
-    label: &'static str,
-    keys: &'static [&'static str],
-    help: &'static str,
-) -> Entry {
+type Word = &'static str;
+
+const fn entry(verb: Verb, name: Word, label: Word, keys: &'static [Word], help: Word) -> Entry {
     Entry { verb, name, label, help, keys, on: &[], changes: false, palette: true }
 }
 
-/// An entry that changes keys, grants or records.
-const fn act(
-    verb: Verb,
-    name: &'static str,
-    label: &'static str,
-    keys: &'static [&'static str],
-    help: &'static str,
-) -> Entry {
+const fn act(verb: Verb, name: Word, label: Word, keys: &'static [Word], help: Word) -> Entry {
     Entry { changes: true, ..entry(verb, name, label, keys, help) }
 }
 
@@ -187,18 +126,16 @@ impl Entry {
         self
     }
 
-    /// All keys for it in the preset.
     pub fn chords(&self) -> impl Iterator<Item = Vec<Key>> {
         self.keys.iter().map(|chord| chord.split(' ').filter_map(Key::from_label).collect())
     }
 
-    /// Whether the preset's keys work on a screen.
     pub fn works_on(&self, screen: Screen) -> bool {
         self.on.is_empty() || self.on.contains(&screen)
     }
 }
 
-/// The entry of a verb, the one of this screen first.
+/// This screen's entry first.
 pub fn entry_of(verb: Verb, screen: Screen) -> Option<&'static Entry> {
     let mut same = VERBS.iter().filter(|entry| entry.verb == verb);
     same.clone().find(|entry| entry.works_on(screen)).or_else(|| same.next())
@@ -209,12 +146,12 @@ const SORTED: &[Screen] = &[Topics, Uploads, Shared, Grants, Gateway];
 const MARKED: &[Screen] = &[Topics, Uploads, Shared];
 const COPIED: &[Screen] = &[Topics, Uploads, Shared, Grants, Keys, Chain, Gateway, Log];
 
-/// An act of the administrator: in the palette, on no key.
+/// In the palette, on no key.
 const fn administers(deed: Act, name: &'static str, help: &'static str) -> Entry {
     act(Verb::Administer(deed), name, "", &[], help).on(&[Chain])
 }
 
-/// Everything an operator can do; entries of a single screen come first.
+/// Entries of a single screen come first.
 pub static VERBS: &[Entry] = &[
     entry(Verb::Mark, "mark", "mark", &["space"], "Mark the row; commands then act on the marked rows").on(MARKED),
     entry(Verb::MarkAll, "mark-all", "mark all", &["a"], "Mark every row shown, or clear all marks").on(MARKED),
@@ -322,15 +259,12 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::Suspend, "shell", "", &["^z"], "Back to the shell; `fg` returns"),
 ];
 
-/// Everything that can happen to the console.
 #[derive(Debug)]
 pub enum Action {
-    /// The operator wants this done (palette, keymap, tests).
     Do(Verb),
-    /// A key was pressed.
     Key(Key),
     Paste(Zeroizing<String>),
-    /// The terminal has a new size, in cells.
+    /// In cells.
     Resize {
         columns: u16,
         rows: u16,
@@ -340,76 +274,61 @@ pub enum Action {
         tag: Tag,
         result: Box<Result<Reply, Failure>>,
     },
-    /// The site sent an event.
     Told(Event),
-    /// Events were missed; everything is requested again.
+    /// Events were lost; everything is requested again.
     Missed,
-    /// Files were written (where), or why not.
+    /// Where, or why not.
     FilesWritten(Result<String, String>),
-    /// The paths that begin as was typed, or why they cannot be read.
     PathsFound(Sought, Result<Found, String>),
-    /// A file was read as text, or why it cannot be.
     TextRead(PathBuf, Result<String, String>),
-    /// The theme is now this one.
     ThemeIs(String),
-    /// The wheel was turned: up or down.
     Wheel {
         up: bool,
     },
-    /// The left button was pressed on a cell, from 0.
+    /// Left button on a cell, from 0.
     Click {
         column: u16,
         row: u16,
     },
-    /// The process was suspended and is running again.
     Resumed,
-    /// A background task of this process failed.
     Fault(String),
 }
 
-/// What the caller of `update` must do next. None of it may block `update`.
+/// Work for the caller; nothing of it may block `update`.
 #[derive(Debug)]
 #[allow(clippy::large_enum_variant, reason = "a handful at a time, and gone at once")]
 pub enum Effect {
-    /// Send a command; its answer comes back under the tag.
     Send(Command, Tag),
     Quit,
-    /// Leave the console, and a site running in its place.
+    /// A site continues after the console.
     LeaveSite,
-    /// Leave the console because the site refuses it.
+    /// The site refuses this console.
     Leave(Failure),
-    /// Stop the process as Ctrl-Z does.
+    /// Stops the process as Ctrl-Z does.
     Suspend,
     Redraw,
-    /// Show the theme with this name.
     ShowTheme(String),
-    /// Toggle between ASCII characters only and all.
     ToggleAscii,
-    /// Take the mouse, or leave it to the terminal.
     Mouse(bool),
-    /// Give a text to the terminal's clipboard (OSC 52).
+    /// OSC 52.
     CopyText(String),
-    /// Speak for this profile from now on.
     SpeakFor(ProfileName),
-    /// Read which paths begin as typed.
     FindPaths(Sought),
-    /// Read a file as text, no further than a robot's policy may be long.
+    /// Reads no further than a robot's policy may be long.
     ReadText(PathBuf),
-    /// Write files into a new place below `base`, 0600, never overwriting others.
+    /// Into a new place below `base`, 0600, never overwriting.
     WriteFiles {
         /// An existing folder; `None` = the working directory.
         base: Option<PathBuf>,
-        /// Directory to create, if any.
+        /// Created, if named.
         directory: Option<String>,
         files: Vec<Contents>,
     },
 }
 
-/// One file to write.
 pub struct Contents {
-    /// Its name, no path.
+    /// No path.
     pub name: String,
-    /// Its bytes.
     pub bytes: Zeroizing<Vec<u8>>,
 }
 
@@ -419,101 +338,64 @@ impl std::fmt::Debug for Contents {
     }
 }
 
-impl From<ExportedFile> for Contents {
-    fn from(file: ExportedFile) -> Self {
-        Self { name: file.name, bytes: Zeroizing::new(file.bytes) }
-    }
-}
-
-/// A command to send, with the tag for its answer.
 #[derive(Debug, Clone)]
 pub struct Errand {
     pub command: Command,
-    /// The tag of its answer.
     pub tag: Tag,
 }
 
 /// The request that an answer belongs to.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Tag {
-    /// A feed's pull, with its generation.
+    /// With its generation.
     Feed(Feed, u64),
-    /// The claim of the profile for this console.
     OpenConsole,
-    /// Creation of an identity.
     CreateIdentity,
-    /// Opening of the keyring.
     Unlock,
-    /// Registration on the chain.
     Register,
-    /// Watching of a topic.
     Watch(String),
-    /// End of the watching of a topic.
     Unwatch(String),
     Grant(Party),
-    /// Extension of a grant.
     Extend(Address),
     Revoke(Address),
     LoadKey(KeyKind),
     ExportKey(KeyKind),
     Rotate,
-    /// Pausing the capture before leaving, or resuming it.
+    /// Pauses the capture before leaving, or resumes it.
     HoldCapture,
-    /// Wiping the keys from memory.
     Lock,
-    /// A copy of the keyring.
     BackUp,
-    /// An administrator's act, in a word.
     Administer(&'static str),
-    /// Deployment of the contract.
     Deploy,
-    /// Accepting of a topic's publishers.
     Pin(String),
-    /// A publisher of a topic is no longer accepted.
     Unpin(String),
-    /// Release of a topic's quarantined messages.
     Release(String),
-    /// Deletion of a topic's quarantined messages.
     Discard(String),
-    /// Publishers of a topic.
     Publishers(String),
-    /// Provenance of a record.
     Show(String),
-    /// Details of a record in the pane beside a list.
+    /// For the pane beside a list.
     Beside(Screen, String),
-    /// Opening of a record.
     Open(String),
-    /// The path over a record's topic.
     Path(String),
-    /// Check of a record.
     Check(String),
-    /// Export of a record.
     Export(String),
-    /// A contact added, confirmed or removed.
     Contact(String),
-    /// Something done to an incident.
     Incident(Deed, IncidentName),
-    /// A robot in full.
     Robot(String),
-    /// The policy of a robot, from this file; `None` = cleared.
+    /// From this file; `None` = cleared.
     SetPolicy(String, Option<PathBuf>),
-    /// Playing of a topic into ROS, under this name.
+    /// Under this name.
     Play(String),
-    /// End of a playback.
     StopPlay,
 }
 
 impl Tag {
     /// Whether the command changes something, so that quitting should wait or ask.
     pub fn is_work(&self) -> bool {
-        let looks = matches!(
-            self,
-            Self::Show(_) | Self::Beside(..) | Self::Open(_) | Self::Path(_) | Self::Check(_) | Self::Publishers(_)
-        );
-        !looks && !matches!(self, Self::Feed(..) | Self::OpenConsole | Self::Robot(_))
+        let looks = matches!(self, Self::Show(_) | Self::Beside(..) | Self::Open(_) | Self::Path(_) | Self::Check(_));
+        !looks && !matches!(self, Self::Feed(..) | Self::OpenConsole | Self::Robot(_) | Self::Publishers(_))
     }
 
-    /// The running command, in words.
     pub fn words(&self) -> String {
         match self {
             Self::Feed(..) => "asking the site".to_owned(),
@@ -556,7 +438,6 @@ impl Tag {
     }
 }
 
-/// A kind of key as shown on screen.
 pub fn kind_word(kind: KeyKind) -> &'static str {
     match kind {
         KeyKind::Sm4 => "SM4",

@@ -1,5 +1,4 @@
-//! Times: a grant's end as a person writes it (`30d`, `12h`, `2036-12-31`), the operator's own clock beside UTC, and
-//! the seconds until a part of the site is tried again.
+//! Times: a grant's end as typed (`30d`, `2036-12-31`), the operator's clock, countdowns of parts.
 
 use jiff::tz::TimeZone;
 
@@ -7,8 +6,7 @@ use super::State;
 use crate::model::{Timestamp, positive_span};
 use crate::service::reply::PartHealth;
 
-/// The moment `text` means, counted from `now` and rounded up to the whole second; `None` in the answer = no end
-/// (empty text).
+/// Counts from `now`, rounded up to the whole second; empty text = no end.
 pub fn expiry(text: &str, now: Timestamp) -> Result<Option<Timestamp>, String> {
     let text = text.trim();
     if text.is_empty() || text == "never" {
@@ -21,12 +19,11 @@ pub fn expiry(text: &str, now: Timestamp) -> Result<Option<Timestamp>, String> {
     if moment <= now { Err("that time has passed; enter a later one".to_owned()) } else { Ok(Some(moment)) }
 }
 
-/// Midnight UTC at the beginning of the day.
+/// Midnight UTC.
 fn date(text: &str) -> Option<Timestamp> {
     serde_json::from_value(serde_json::Value::String(format!("{text}T00:00:00Z"))).ok()
 }
 
-/// A time zone, or none.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Zone(Option<TimeZone>);
 
@@ -35,7 +32,7 @@ impl Zone {
         Self(Some(zone))
     }
 
-    /// `15:04:05` there, at that moment.
+    /// `15:04:05`.
     pub fn clock(&self, moment: Timestamp) -> Option<String> {
         let zone = self.0.as_ref()?;
         let nanoseconds = i128::from(moment.0);
@@ -44,12 +41,10 @@ impl Zone {
     }
 }
 
-/// Nanoseconds.
 const SECOND: u64 = 1_000_000_000;
-/// The words before the seconds.
 const BEGINS: &str = "retry in ";
 
-/// When a countdown on screen goes on; `None` = there is none.
+/// `None` = no countdown on screen.
 pub fn moves_at(state: &State) -> Option<Timestamp> {
     let parts = state.site.iter().flat_map(|site| &site.health);
     let gone = gone(state);
@@ -57,7 +52,7 @@ pub fn moves_at(state: &State) -> Option<Timestamp> {
     (goes_on && !state.is_frozen()).then(|| Timestamp(state.site_at.0.saturating_add((gone + 1) * SECOND)))
 }
 
-/// Says the seconds that are left now. The last one stays until the site says what came of the attempt.
+/// The last second stays until the site reports the attempt.
 pub fn tick(state: &mut State) {
     let gone = gone(state);
     if state.is_frozen() {
@@ -75,7 +70,7 @@ fn said(part: &PartHealth, gone: u64) -> Option<String> {
     Some(format!("{BEGINS}{} {after}", seconds.saturating_sub(gone).max(1)))
 }
 
-/// Whole seconds since the site said it.
+/// Whole seconds since the site's answer.
 fn gone(state: &State) -> u64 {
     state.now.0.saturating_sub(state.site_at.0) / SECOND
 }

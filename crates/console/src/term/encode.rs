@@ -1,18 +1,18 @@
-//! Ratatui's backend, and its cells as bytes in memory, never on the tty: as few as the change needs, in the colours that the
-//! terminal has.
+//! Ratatui's backend: cells in as few bytes as the change needs, in the terminal's colours, kept in memory.
 
 use std::collections::BTreeMap;
 use std::convert::Infallible;
 use std::io;
 
-use crate::ui::theme::{Rgb, SIXTEEN as BASIC, Shades, distance};
+pub use crate::ui::theme::Depth;
+use crate::ui::theme::{Rgb, SIXTEEN as BASIC, distance};
 use ratatui::backend::{Backend, ClearType, WindowSize};
 use ratatui::buffer::Cell;
 use ratatui::layout::{Position, Rect, Size};
 use ratatui::style::{Color, Modifier};
 use unicode_width::UnicodeWidthStr;
 
-/// Opens a frame that the terminal shows all at once.
+/// Synchronised update: the terminal shows the frame as a whole.
 pub const BEGIN_FRAME: &str = "\x1b[?2026h";
 pub const END_FRAME: &str = "\x1b[?2026l";
 
@@ -23,10 +23,9 @@ struct Look {
     modifier: Modifier,
 }
 
-/// The longest gap between changed cells that is rewritten rather than skipped; a skip takes as many bytes.
+/// Longest gap that is rewritten: skipping it takes as many bytes.
 const SHORT_GAP: u16 = 3;
 
-/// Turns cells into bytes, and remembers the terminal's pen position and content.
 #[derive(Debug)]
 pub struct Encoder {
     depth: Depth,
@@ -38,12 +37,11 @@ pub struct Encoder {
 }
 
 impl Encoder {
-    /// For a terminal in its first state: no style, cursor hidden.
+    /// For a terminal without style, its cursor hidden.
     pub fn new(depth: Depth) -> Self {
         Self { depth, shown: Vec::new(), look: Look::default(), pen: None, cursor: None, out: String::new() }
     }
 
-    /// Writes one changed cell.
     pub fn cell(&mut self, x: u16, y: u16, cell: &Cell) {
         self.begin();
         if !self.bridge(x, y) {
@@ -67,7 +65,7 @@ impl Encoder {
         self.pen = None;
     }
 
-    /// The cells in `area` were covered by a picture.
+    /// A picture covers these cells.
     pub fn cover(&mut self, area: Rect) {
         for place in area.positions() {
             let row = self.shown.get_mut(usize::from(place.y));
@@ -77,7 +75,7 @@ impl Encoder {
         }
     }
 
-    /// Shows the cursor at a place, or hides it; nothing is written if it is there already.
+    /// Writes nothing if the cursor is there already.
     pub fn cursor(&mut self, wanted: Option<Position>) {
         match wanted {
             Some(position) if self.cursor != wanted || !self.out.is_empty() => {
@@ -96,23 +94,16 @@ impl Encoder {
         self.cursor = wanted;
     }
 
-    /// Bytes of the frame so far.
-    pub fn length(&self) -> usize {
-        self.out.len()
-    }
-
-    /// The bytes of the frame, wrapped so that it is shown at once; empty if nothing changed.
+    /// Empty if nothing changed.
     pub fn take_frame(&mut self) -> String {
         if !self.out.is_empty() {
-            if self.look != Look::default() {
-                self.set_look(Look::default());
-            }
+            self.set_look(Look::default());
             self.out.push_str(END_FRAME);
         }
         std::mem::take(&mut self.out)
     }
 
-    /// The terminal was used by other programs: nothing about it is known any more.
+    /// Other programs used the terminal.
     pub fn forget(&mut self) {
         *self = Self::new(self.depth);
     }
@@ -121,7 +112,7 @@ impl Encoder {
         *self.shown.get(usize::from(y))?.get(usize::from(x))?
     }
 
-    /// Only characters that are certainly one column wide are rewritten.
+    /// Only characters certainly one column wide are rewritten.
     fn remember(&mut self, x: u16, y: u16, symbol: &str, look: Look) {
         let (x, y) = (usize::from(x), usize::from(y));
         if self.shown.len() <= y {
@@ -139,8 +130,7 @@ impl Encoder {
         }
     }
 
-    /// Reaches a cell a little further right by rewriting what is in between; only if all of that is plain, known, and
-    /// in the pen's style.
+    /// Rewrites the cells in between, if all are plain, known and in the pen's style.
     fn bridge(&mut self, x: u16, y: u16) -> bool {
         let Some(pen) = self.pen.filter(|pen| pen.y == y && pen.x < x && x - pen.x <= SHORT_GAP) else { return false };
         let between = (pen.x..x).map(|column| self.known(column, y).filter(|(_, look)| *look == self.look));
@@ -204,19 +194,8 @@ impl Encoder {
     }
 }
 
-/// How many colours the terminal has.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Depth {
-    True,
-    Indexed,
-    /// The sixteen ANSI colours.
-    Sixteen,
-    /// None; bold, underline and reverse only.
-    None,
-}
-
 impl Depth {
-    /// From the environment: `NO_COLOR`, `COLORTERM`, `TERM`.
+    /// `NO_COLOR`, `COLORTERM`, `TERM`.
     pub fn from_environment(variable: impl Fn(&str) -> Option<String>) -> Self {
         let is = |name: &str| variable(name).filter(|value| !value.is_empty());
         let term = is("TERM").unwrap_or_default();
@@ -230,16 +209,7 @@ impl Depth {
         if term.contains("256color") { Self::Indexed } else { Self::Sixteen }
     }
 
-    /// How many colours pictures may have.
-    pub fn shades(self) -> Shades {
-        match self {
-            Self::True | Self::Indexed => Shades::All,
-            Self::Sixteen => Shades::Sixteen,
-            Self::None => Shades::None,
-        }
-    }
-
-    /// The colour sent for a colour of the theme; `None` = the terminal's own.
+    /// `None` = the terminal's own.
     pub fn map(self, colour: Color) -> Option<Sent> {
         let Color::Rgb(red, green, blue) = colour else { return None };
         match self {
@@ -251,7 +221,6 @@ impl Depth {
     }
 }
 
-/// A colour as it is sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Sent {
     /// `38;2;r;g;b`.
@@ -269,7 +238,7 @@ fn basic(colour: Rgb) -> u8 {
     nearest.unwrap_or(7)
 }
 
-/// The nearest colour of the 6x6x6 cube and the 24 greys.
+/// Nearest of the 6x6x6 cube and the 24 greys.
 fn indexed(colour: Rgb) -> u8 {
     let cube = (0u8..216).map(|place| {
         let part = |step: u8| CUBE[usize::from(place / step % 6)];
@@ -279,21 +248,21 @@ fn indexed(colour: Rgb) -> u8 {
     cube.chain(greys).min_by_key(|(_, other)| distance(colour, *other)).map_or(7, |(index, _)| index)
 }
 
-/// A terminal in memory that keeps only the bytes of the frame.
+/// Keeps only the bytes of the frame.
 #[derive(Debug)]
 pub struct FrameBackend {
-    encoder: Encoder,
+    pub encoder: Encoder,
     size: Size,
     shown: bool,
     position: Position,
-    /// Changed cells that did not fit into a small frame, by row and column.
-    waiting: BTreeMap<(u16, u16), Cell>,
-    /// The most bytes of a frame, not counting whole rows that exceed it.
-    most: Option<usize>,
+    /// Changed cells that did not fit into a limited frame, by row and column.
+    pub waiting: BTreeMap<(u16, u16), Cell>,
+    /// Bytes of a frame, not counting the rest of whole rows; `None` = no limit, and waiting rows keep waiting: a key is
+    /// answered with only what is new.
+    pub most: Option<usize>,
 }
 
 impl FrameBackend {
-    /// Of that size and colour depth.
     pub fn new(depth: Depth, size: Size) -> Self {
         Self {
             encoder: Encoder::new(depth),
@@ -305,35 +274,16 @@ impl FrameBackend {
         }
     }
 
-    /// The terminal has a new size; the next frame is drawn completely.
     pub fn resize(&mut self, size: Size) {
         self.waiting.clear();
         self.size = size;
     }
 
-    /// The bytes of the last frame; empty if it equals the previous one.
     pub fn take_frame(&mut self) -> String {
         self.encoder.cursor(self.shown.then_some(self.position));
         self.encoder.take_frame()
     }
 
-    /// Limits frames from now on to this many bytes, plus the rest of whole rows; the other rows wait. `None` = no
-    /// limit, and what waits keeps waiting for a frame that has one: a key is answered with only what is new.
-    pub fn limit(&mut self, most: Option<usize>) {
-        self.most = most;
-    }
-
-    /// Whether rows wait for the next frame.
-    pub fn waits(&self) -> bool {
-        !self.waiting.is_empty()
-    }
-
-    /// The cells in `area` were covered by a picture.
-    pub fn cover(&mut self, area: Rect) {
-        self.encoder.cover(area);
-    }
-
-    /// The terminal was used by other programs.
     pub fn forget(&mut self) {
         self.waiting.clear();
         self.encoder.forget();
@@ -344,23 +294,16 @@ impl Backend for FrameBackend {
     type Error = Infallible;
 
     fn draw<'a, I: Iterator<Item = (u16, u16, &'a Cell)>>(&mut self, content: I) -> Result<(), Infallible> {
-        if self.most.is_none() && self.waiting.is_empty() {
+        let Some(most) = self.most else {
             for (x, y, cell) in content {
+                self.waiting.remove(&(y, x));
                 self.encoder.cell(x, y, cell);
             }
             return Ok(());
-        }
-        let new = content.map(|(x, y, cell)| ((y, x), cell.clone()));
-        let Some(most) = self.most else {
-            for ((y, x), cell) in new {
-                self.waiting.remove(&(y, x));
-                self.encoder.cell(x, y, &cell);
-            }
-            return Ok(());
         };
-        self.waiting.extend(new);
+        self.waiting.extend(content.map(|(x, y, cell)| ((y, x), cell.clone())));
         while let Some(row) = self.waiting.first_key_value().map(|((y, _), _)| *y) {
-            if self.encoder.length() >= most {
+            if self.encoder.out.len() >= most {
                 break;
             }
             let rest = self.waiting.split_off(&(row + 1, 0));
@@ -413,12 +356,10 @@ impl Backend for FrameBackend {
     }
 }
 
-/// What such a terminal is taken for where LINES and COLUMNS do not say better.
+/// Size of a terminal that reports none.
 const USUAL: (u16, u16) = (80, 24);
-/// The largest that a variable may say.
 const LARGEST: u16 = 1000;
 
-/// What to do so that it is known.
 pub const ADVICE: &str = "the terminal reports no size: stty rows 24 cols 80";
 
 /// Columns and rows, and whether the terminal reports them.
@@ -428,7 +369,7 @@ pub fn size() -> io::Result<((u16, u16), bool)> {
     Ok((known, known == reported))
 }
 
-/// The size reported, or that of the environment, or the usual one.
+/// Falls back to the environment, then to the usual size.
 pub fn known(reported: (u16, u16), variable: impl Fn(&str) -> Option<String>) -> (u16, u16) {
     if reported.0 > 0 && reported.1 > 0 {
         return reported;

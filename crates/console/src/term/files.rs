@@ -1,5 +1,4 @@
-//! Files of the operator: written without ever overwriting one, readable by the owner alone; names in folders, to
-//! complete a path; the clipboard, and what a console keeps for the next one.
+//! The operator's files (never overwritten, readable by the owner alone), names in folders, clipboard, kept settings.
 
 use std::fs::{DirBuilder, OpenOptions};
 use std::io::{self, ErrorKind, Read as _, Write};
@@ -15,17 +14,12 @@ use crate::model::clean;
 use crate::service::command::LONGEST_POLICY;
 use crate::store::files;
 
-/// The most entries of a folder that are read to complete a path.
+/// Entries read to complete a path.
 const MOST_READ: usize = 20_000;
-/// The most names given back.
 const MOST_FOUND: usize = 5_000;
-/// How many names are tried before giving up.
 const TRIES: u32 = 1_000;
 
-/// Writes `files` below `base`, into a new `directory` if one is named; where they are now.
-///
-/// # Errors
-/// A sentence that says what could not be written, and what to do.
+/// Writes into a new `directory` if one is named; returns the place, or a sentence for the operator.
 pub fn write_all(base: &Path, directory: Option<&str>, files: &[Contents]) -> Result<String, String> {
     let place = match directory {
         Some(name) => fresh(&base.join(file_name(name)), |path| DirBuilder::new().mode(0o700).create(path))?.0,
@@ -39,19 +33,19 @@ pub fn write_all(base: &Path, directory: Option<&str>, files: &[Contents]) -> Re
     Ok(shown.display().to_string())
 }
 
-/// The names in a folder that begin as wanted, by name; a bounded part of a large folder.
+/// Sorted; a bounded part of a large folder.
 pub fn find(sought: &Sought) -> Result<Found, String> {
     let cannot = |error: io::Error| format!("{} cannot be read: {error}", clean(&sought.folder.to_string_lossy(), 200));
     let mut entries = std::fs::read_dir(&sought.folder).map_err(cannot)?;
     let mut found = Found::default();
     for entry in entries.by_ref().take(MOST_READ).filter_map(Result::ok) {
-        // A name that is not UTF-8 cannot be typed, and cannot begin as anything typed.
+        // A name that is not UTF-8 cannot be typed.
         let Ok(name) = entry.file_name().into_string() else { continue };
         let wanted = name.starts_with(&sought.begun) && (sought.begun.starts_with('.') || !name.starts_with('.'));
         if !wanted {
             continue;
         }
-        // Follows links: one to a folder is a folder.
+        // Follows links to folders.
         let folder = std::fs::metadata(entry.path()).is_ok_and(|metadata| metadata.is_dir());
         if !folder && sought.kind == PathKind::Folder {
             continue;
@@ -67,11 +61,11 @@ pub fn find(sought: &Sought) -> Result<Found, String> {
     Ok(found)
 }
 
-/// The text of a file, read no further than a robot's policy may be long.
+/// Reads no further than a robot's policy may be long.
 pub fn read_text(path: &Path) -> Result<String, String> {
     let shown = clean(&path.to_string_lossy(), 200);
     let cannot = |error: io::Error| format!("{shown} cannot be read: {error}");
-    // What is no file may never end.
+    // A device may never end.
     if !std::fs::metadata(path).map_err(cannot)?.is_file() {
         return Err(format!("{shown} is not a file; enter the path of one"));
     }
@@ -92,7 +86,7 @@ fn write_one(place: &Path, file: &Contents) -> Result<PathBuf, String> {
     Ok(path)
 }
 
-/// Creates the first of `name`, `name-2`, `name-3` … that does not exist yet.
+/// Tries `name`, `name-2`, `name-3` …
 fn fresh<T>(wanted: &Path, make: impl Fn(&Path) -> io::Result<T>) -> Result<(PathBuf, T), String> {
     for number in 1..TRIES {
         let path = if number == 1 { wanted.to_owned() } else { numbered(wanted, number) };
@@ -111,7 +105,7 @@ fn numbered(path: &Path, number: u32) -> PathBuf {
     path.with_file_name(format!("{stem}-{number}{extension}"))
 }
 
-/// A name without any path in it.
+/// Strips any path.
 fn file_name(name: &str) -> String {
     let plain = |character: char| if matches!(character, '/' | '\\' | '\0') { '_' } else { character };
     let name: String = clean(name, 120).chars().map(plain).collect();
@@ -123,30 +117,28 @@ fn cannot(path: &Path, error: &io::Error) -> String {
     format!("{} cannot be written: {error}; choose a directory you can write to", path.display())
 }
 
-/// The most bytes sent; longer texts should be written to files.
+/// Bytes; longer texts belong into files.
 const MOST: usize = 4_096;
 
-/// The sequence that offers `text` to the terminal's clipboard.
+/// OSC 52.
 pub fn sequence(text: &str) -> String {
     let text = &text[..text.floor_char_boundary(MOST)];
     format!("\x1b]52;c;{}\x07", STANDARD.encode(text))
 }
 
-/// The longest file read, bytes.
+/// Bytes.
 const LONGEST: u64 = 64 * 1024;
 
-/// The state left by the last run.
 pub(super) fn read(path: &Path) -> Option<Kept> {
     let mut text = String::new();
     std::fs::File::open(path).ok()?.take(LONGEST).read_to_string(&mut text).ok()?;
     serde_json::from_str(&text).ok()
 }
 
-/// Saves it for the next run.
 pub(super) fn write(path: &Path, kept: &Kept) {
     let Some(directory) = path.parent() else { return };
     let Ok(text) = serde_json::to_vec_pretty(kept) else { return };
-    // A home that cannot be written has been reported before.
+    // An unwritable home has been reported before.
     if files::private_directory(directory).is_ok() {
         drop(files::atomic_write(path, &text));
     }

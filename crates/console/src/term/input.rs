@@ -1,4 +1,4 @@
-//! Keys, pastes, sizes, the mouse and signals, read by a thread of their own.
+//! Keys, pastes, sizes, mouse and signals, read by threads of their own.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -14,13 +14,11 @@ use zeroize::Zeroizing;
 use super::{THREAD_PREFIX, encode};
 use crate::app::{Action, Key};
 
-/// How long the thread waits for a key before it checks whether it should end. Each check costs CPU on an idle console,
-/// and nobody waits for this thread.
+/// Interval of checks for the end: each costs CPU on an idle console, and nobody waits for this thread.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// How long it pauses when reading fails.
+/// Pause after a failed read.
 const REST: Duration = Duration::from_millis(200);
 
-/// Gives what is typed to `typed` until `stop` is set.
 pub fn start(stop: Arc<AtomicBool>, typed: impl Fn(Action) + Send + 'static) -> io::Result<thread::JoinHandle<()>> {
     let read = move || {
         while !stop.load(Ordering::Relaxed) {
@@ -38,7 +36,6 @@ pub fn start(stop: Arc<AtomicBool>, typed: impl Fn(Action) + Send + 'static) -> 
     thread::Builder::new().name(format!("{THREAD_PREFIX}input")).spawn(read)
 }
 
-/// The next input; nothing if there was none for a while.
 fn next() -> io::Result<Vec<Action>> {
     if event::poll(PATIENCE)? { event::read().map(actions) } else { Ok(Vec::new()) }
 }
@@ -61,8 +58,7 @@ fn actions(event: Event) -> Vec<Action> {
     }
 }
 
-/// A key press in the console's words. Escape and a key close together arrive as Alt and that
-/// key: they are taken apart again.
+/// Escape and a key close together arrive as Alt and that key: split again.
 fn keys(event: KeyEvent) -> Vec<Key> {
     let control = event.modifiers.contains(KeyModifiers::CONTROL);
     let alt = event.modifiers.contains(KeyModifiers::ALT);
@@ -88,56 +84,31 @@ fn keys(event: KeyEvent) -> Vec<Key> {
     if alt { vec![Key::Escape, key] } else { vec![key] }
 }
 
-/// Signals that end the console.
 const ENDING: [i32; 4] = [SIGTERM, SIGHUP, SIGINT, SIGQUIT];
 
-/// Whether a signal asks for a suspension.
-pub fn suspends(signal: i32) -> bool {
-    signal == SIGTSTP
-}
-
-/// Whether a signal says that this process was stopped from outside and runs again.
-pub fn continues(signal: i32) -> bool {
-    signal == SIGCONT
-}
-
-/// Whether a signal says that the terminal hung up.
-pub fn hangs_up(signal: i32) -> bool {
-    signal == SIGHUP
-}
-
-/// Whether a signal ends the console.
-pub fn ends(signal: i32) -> bool {
-    ENDING.contains(&signal)
-}
-
 #[derive(Debug)]
-pub struct Listener {
-    handle: Handle,
-}
+pub struct Listener(Handle);
 
 impl Listener {
-    /// Passes every signal to `heard`, from a thread of its own.
     pub fn start(heard: impl Fn(i32) + Send + 'static) -> io::Result<Self> {
         let mut signals = Signals::new(ENDING.into_iter().chain([SIGTSTP, SIGCONT]))?;
         let handle = signals.handle();
         let wait = move || signals.forever().for_each(heard);
         thread::Builder::new().name(format!("{THREAD_PREFIX}signals")).spawn(wait)?;
-        Ok(Self { handle })
+        Ok(Self(handle))
     }
 }
 
 impl Drop for Listener {
     fn drop(&mut self) {
-        self.handle.close();
+        self.0.close();
         for signal in ENDING {
-            // Without this the closed handler would swallow the signal for good.
+            // Otherwise the closed handler would swallow the signal.
             drop(flag::register_conditional_default(signal, Arc::new(AtomicBool::new(true))));
         }
     }
 }
 
-/// Stops this process until it is continued.
 pub fn stop_here() -> io::Result<()> {
     low_level::emulate_default_handler(SIGTSTP)
 }

@@ -1,8 +1,5 @@
 //! The only module that knows the terminal: guard, signals, keys, renderer, colours, clipboard.
-//!
-//! [`run`] is the console: one thread reads keys, one waits for signals, one owns the screen and draws only the newest
-//! frame, and the caller's thread feeds `app::update`. It restores the terminal however it ends. What is shown is
-//! decided in `app` and `ui`.
+//! One thread reads keys, one waits for signals, one draws the newest frame; the caller's feeds `app::update`.
 
 pub mod encode;
 pub mod files;
@@ -20,9 +17,8 @@ use std::sync::{Arc, MutexGuard, OnceLock, PoisonError, TryLockError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use crate::app::palette::Sought;
 use crate::app::when::Zone;
-use crate::app::{Action, Contents, Effect, Settings, State, Tag, update};
+use crate::app::{Action, Effect, Settings, State, Tag, update};
 use crate::config::Pictures;
 use crate::model::{ErrorKind, ProfileName, Timestamp};
 use crate::service::client::site_gone;
@@ -34,47 +30,41 @@ use input::Listener;
 use pixels::Pixels;
 use renderer::{Budget, OVER_SSH, Painter, Stage, Wish};
 use rustix::termios::{LocalModes, OptionalActions, Termios, tcgetattr, tcsetattr};
+use signal_hook::consts::signal::{SIGCONT, SIGHUP, SIGTSTP};
 use tokio::runtime::Handle;
 use tokio::sync::broadcast::error::RecvError;
 use zeroize::Zeroizing;
 
-/// The console's appearance and permissions.
 #[derive(Debug, Clone)]
 pub struct ConsoleOptions {
-    /// What does not change while it runs; the process, its directories, its time zone and the names of the themes are
-    /// filled in by [`Session::open`].
+    /// [`Session::open`] fills in the process, directories, time zone and theme names.
     pub settings: Settings,
-    /// A theme's name; `None` = chosen by the terminal's colours.
+    /// `None` = by the terminal's colours.
     pub theme: Option<String>,
     pub themes: Themes,
-    /// Draw with ASCII characters only.
     pub ascii: bool,
-    /// Take the mouse from the beginning.
+    /// Take the mouse at the start.
     pub mouse: bool,
-    /// Bytes a second for drawing of data; `None` = 4 kB/s over SSH, else no limit.
+    /// For drawing of data; `None` = 4 kB/s over SSH, else no limit.
     pub bytes_per_second: Option<u32>,
-    /// How pictures are shown.
     pub pictures: Pictures,
-    /// Where screen, filters and orders are kept for the next start.
+    /// File of screen, filters and orders for the next start.
     pub kept: PathBuf,
 }
 
-/// Why the console ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum ExitReason {
     Quit,
-    /// The operator quit; a site continues without the console.
+    /// A site continues after the console.
     LeaveSite,
-    /// The site refused this console; the message is still to be shown.
+    /// The site's message, still to be shown.
     Refused(Failure),
-    /// A signal asked for it.
     Signal(i32),
-    /// The terminal vanished or hung up (SIGHUP); nothing may be printed.
+    /// The terminal vanished or hung up (SIGHUP): nothing may be printed.
     TerminalGone,
 }
 
 impl ExitReason {
-    /// The exit code of a process that ends for this reason.
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Quit | Self::LeaveSite => 0,
@@ -85,22 +75,17 @@ impl ExitReason {
     }
 }
 
-/// Why the console cannot run.
 #[derive(Debug, thiserror::Error)]
 pub enum TermError {
-    /// The theme cannot be used.
     #[error(transparent)]
     Theme(#[from] ThemeError),
-    /// The terminal failed at a request.
     #[error("the terminal cannot be used: {0}; try another terminal or TERM")]
     Terminal(#[from] io::Error),
-    /// A part of the console itself failed.
     #[error("the console failed: {0}; what was captured is safe, start it again")]
     Fault(String),
 }
 
 impl TermError {
-    /// Decides the exit code.
     pub fn kind(&self) -> ErrorKind {
         match self {
             Self::Theme(_) => ErrorKind::Input,
@@ -109,27 +94,23 @@ impl TermError {
     }
 }
 
-/// Whether there is a terminal to read keys from and to draw on.
 pub fn is_interactive() -> bool {
     io::stdin().is_terminal() && io::stdout().is_terminal()
 }
 
-/// Runs the console until it ends; the first frame is drawn before `client` is asked anything.
-///
-/// It claims the profile itself (`OpenConsole`). The thread that reads keys may linger for some seconds afterwards, and
-/// forever if the terminal is gone: the caller should end the process soon.
+/// Draws the first frame before asking `client` anything, and claims the profile (`OpenConsole`).
+/// The thread that reads keys may outlive it, forever if the terminal is gone: end the process soon.
 pub fn run(client: Client, handle: &Handle, options: &ConsoleOptions) -> Result<ExitReason, TermError> {
     Session::open(client, handle, options)?.run()
 }
 
-/// How often the terminal is checked.
+/// Interval of checks that the terminal exists.
 const WATCH_EVERY: Duration = Duration::from_secs(1);
-/// How long to wait for a size to settle.
+/// Pause until a new size counts as settled.
 const SETTLE: Duration = Duration::from_millis(40);
-/// How long a frame being written is waited for before the terminal counts as stuck.
+/// A frame written for longer means a stuck terminal.
 const STUCK_AFTER: Duration = Duration::from_millis(1500);
 
-/// One run of the console.
 pub struct Session {
     host: Host,
     stage: Arc<Stage>,
@@ -141,14 +122,12 @@ pub struct Session {
     themes: Themes,
     mouse: bool,
     kept: PathBuf,
-    /// The profile whose screens are remembered.
     profile: ProfileName,
     _guard: Guard,
     _signals: Listener,
 }
 
 impl Session {
-    /// Takes the terminal and draws the first frame.
     pub fn open(client: Client, handle: &Handle, options: &ConsoleOptions) -> Result<Self, TermError> {
         let depth = Depth::from_environment(|name| std::env::var(name).ok());
         let theme = theme(options, depth)?;
@@ -170,7 +149,8 @@ impl Session {
             sender(&sending, |fault| Message::Act(Action::Fault(fault))),
             sender(&sending, Message::Broken),
         )?;
-        let rate = bytes_per_second(options);
+        let over_ssh = std::env::var_os("SSH_CONNECTION").is_some();
+        let rate = options.bytes_per_second.or_else(|| over_ssh.then_some(OVER_SSH));
         let painter = Painter::new(depth, state.size).with_pixels(Pixels::new(options.pictures, rate));
         let stage = Arc::new(Stage::new(state, theme));
         let budget = Budget::new(rate, Instant::now());
@@ -199,27 +179,33 @@ impl Session {
         Ok(session)
     }
 
-    /// Runs until the console ends, and restores the terminal.
     pub fn run(mut self) -> Result<ExitReason, TermError> {
-        let effects = crate::app::update::start(&mut self.stage.scene().state);
-        let mut ended = self.carry_out(effects);
-        while ended.is_none() {
-            let received = self.messages.recv_timeout(self.patience());
-            ended = match received {
-                Ok(message) => self.receive(message),
-                Err(RecvTimeoutError::Timeout) => None,
-                Err(RecvTimeoutError::Disconnected) => Some(Err(TermError::Fault("its threads ended".to_owned()))),
-            };
-            ended = ended.or_else(|| self.look_around());
-        }
+        let ended = self.work();
         self.close();
-        if matches!(ended, Some(Ok(ExitReason::LeaveSite))) {
+        if matches!(ended, Ok(ExitReason::LeaveSite)) {
             self.leave_the_keys();
         }
-        ended.unwrap_or(Ok(ExitReason::Quit))
+        ended
     }
 
-    /// How long until the next check is due.
+    fn work(&mut self) -> Result<ExitReason, TermError> {
+        let effects = crate::app::update::start(&mut self.stage.scene().state);
+        let mut ended = self.carry_out(effects)?;
+        loop {
+            if let Some(reason) = ended {
+                return Ok(reason);
+            }
+            ended = match self.messages.recv_timeout(self.patience()) {
+                Ok(message) => self.receive(message)?,
+                Err(RecvTimeoutError::Timeout) => None,
+                Err(RecvTimeoutError::Disconnected) => return Err(TermError::Fault("its threads ended".to_owned())),
+            };
+            if ended.is_none() {
+                ended = self.look_around()?;
+            }
+        }
+    }
+
     fn patience(&self) -> Duration {
         let deadline = self.stage.scene().state.deadline();
         let now = Timestamp::now();
@@ -228,35 +214,36 @@ impl Session {
         [due, settled].into_iter().flatten().fold(WATCH_EVERY, Duration::min)
     }
 
-    fn receive(&mut self, message: Message) -> Option<Result<ExitReason, TermError>> {
+    fn receive(&mut self, message: Message) -> Result<Option<ExitReason>, TermError> {
         match message {
             Message::Act(Action::Resize { columns, rows }) => {
                 self.resized = Some((columns, rows, Instant::now() + SETTLE));
-                None
+                Ok(None)
             }
             Message::Act(action) => self.act(action),
-            Message::Signal(signal) if input::ends(signal) => Some(Ok(ended_by(signal))),
-            Message::Signal(signal) if input::suspends(signal) => self.suspend(),
-            Message::Signal(signal) if input::continues(signal) => self.retake(),
-            Message::Signal(_) => None,
+            Message::Signal(SIGTSTP) => self.suspend(),
+            // Stopped from outside, and running again.
+            Message::Signal(SIGCONT) => self.retake(),
             Message::TerminalFailed if io::stdin().is_terminal() => {
-                Some(Err(TermError::Fault("the terminal accepts no more output".to_owned())))
+                Err(TermError::Fault("the terminal accepts no more output".to_owned()))
             }
-            Message::TerminalFailed => Some(Ok(ExitReason::TerminalGone)),
-            Message::Broken(what) => Some(Err(TermError::Fault(what))),
+            Message::Signal(SIGHUP) | Message::TerminalFailed => Ok(Some(ExitReason::TerminalGone)),
+            Message::Signal(_) if !io::stdin().is_terminal() => Ok(Some(ExitReason::TerminalGone)),
+            Message::Signal(signal) => Ok(Some(ExitReason::Signal(signal))),
+            Message::Broken(what) => Err(TermError::Fault(what)),
         }
     }
 
-    /// Is the terminal still there, has time changed anything?
-    fn look_around(&mut self) -> Option<Result<ExitReason, TermError>> {
+    /// Checks the terminal, a settled size and the deadline.
+    fn look_around(&mut self) -> Result<Option<ExitReason>, TermError> {
         if self.watched_at.elapsed() >= WATCH_EVERY {
             self.watched_at = Instant::now();
             if !io::stdin().is_terminal() {
-                return Some(Ok(ExitReason::TerminalGone));
+                return Ok(Some(ExitReason::TerminalGone));
             }
         }
         if let Some((columns, rows, _)) = self.resized.take_if(|(_, _, at)| *at <= Instant::now()) {
-            // Even if the size is the old one again: the terminal may have cut off its content.
+            // Even at the old size: the terminal may have cut off its content.
             self.stage.change(Wish::None, |scene| scene.anew = true);
             return self.act(Action::Resize { columns, rows });
         }
@@ -264,10 +251,10 @@ impl Session {
         if deadline.is_some_and(|at| at <= Timestamp::now()) {
             return self.act(Action::Tick(Timestamp::now()));
         }
-        None
+        Ok(None)
     }
 
-    fn act(&mut self, action: Action) -> Option<Result<ExitReason, TermError>> {
+    fn act(&mut self, action: Action) -> Result<Option<ExitReason>, TermError> {
         let wish = match action {
             Action::Answered { .. } | Action::Told(_) | Action::Missed | Action::Tick(_) => Wish::Data,
             _ => Wish::Now,
@@ -280,13 +267,13 @@ impl Session {
         self.carry_out(effects)
     }
 
-    fn carry_out(&mut self, effects: Vec<Effect>) -> Option<Result<ExitReason, TermError>> {
+    fn carry_out(&mut self, effects: Vec<Effect>) -> Result<Option<ExitReason>, TermError> {
         for effect in effects {
             match effect {
                 Effect::Send(command, tag) => self.host.ask(command, tag),
-                Effect::Quit => return Some(Ok(ExitReason::Quit)),
-                Effect::LeaveSite => return Some(Ok(ExitReason::LeaveSite)),
-                Effect::Leave(failure) => return Some(Ok(ExitReason::Refused(failure))),
+                Effect::Quit => return Ok(Some(ExitReason::Quit)),
+                Effect::LeaveSite => return Ok(Some(ExitReason::LeaveSite)),
+                Effect::Leave(failure) => return Ok(Some(ExitReason::Refused(failure))),
                 Effect::Suspend => return self.suspend(),
                 Effect::Redraw => self.stage.change(Wish::Now, |scene| scene.anew = true),
                 Effect::ShowTheme(name) => self.show_theme(&name),
@@ -296,20 +283,30 @@ impl Session {
                     self.stage.change(Wish::Now, |scene| scene.extra.push_str(&files::sequence(&text)));
                 }
                 Effect::SpeakFor(profile) => self.host.speak_for(profile),
-                Effect::WriteFiles { base, directory, files } => self.host.write(base, directory, files),
-                Effect::FindPaths(sought) => self.host.find(sought),
-                Effect::ReadText(path) => self.host.read(path),
+                Effect::WriteFiles { base, directory, files } => {
+                    let base = base.unwrap_or_else(|| self.host.directory.clone());
+                    self.host
+                        .aside(move || Action::FilesWritten(files::write_all(&base, directory.as_deref(), &files)));
+                }
+                Effect::FindPaths(sought) => self.host.aside(move || {
+                    let found = files::find(&sought);
+                    Action::PathsFound(sought, found)
+                }),
+                Effect::ReadText(path) => self.host.aside(move || {
+                    let read = files::read_text(&path);
+                    Action::TextRead(path, read)
+                }),
             }
         }
-        None
+        Ok(None)
     }
 
     fn show_theme(&self, name: &str) {
-        // The names are those of the state, which come from here.
+        // The state's names come from here.
         let Ok(theme) = self.themes.named(name) else { return };
         self.stage.change(Wish::Now, |scene| {
-            let now = &scene.theme;
-            scene.theme = theme.with_ascii(now.ascii).with_shades(now.shades).with_pixels(now.pixels);
+            let Theme { ascii, depth, pixels, .. } = scene.theme;
+            scene.theme = Theme { ascii, depth, pixels, ..theme };
             drop(update(&mut scene.state, Action::ThemeIs(name.to_owned())));
         });
     }
@@ -320,23 +317,23 @@ impl Session {
         self.stage.change(Wish::Now, |scene| scene.extra.push_str(bytes));
     }
 
-    /// Gives the terminal to the shell until this process is continued.
-    fn suspend(&mut self) -> Option<Result<ExitReason, TermError>> {
+    /// Gives the terminal to the shell until SIGCONT.
+    fn suspend(&mut self) -> Result<Option<ExitReason>, TermError> {
         self.stage.change(Wish::None, |scene| scene.suspended = true);
-        let stopped = {
+        {
             let _writing = self.stage.output.lock().unwrap_or_else(PoisonError::into_inner);
             restore();
-            input::stop_here()
-        };
-        if let Err(error) = stopped {
-            return Some(Err(error.into()));
+            input::stop_here()?;
         }
         self.stage.change(Wish::None, |scene| scene.suspended = false);
-        self.retake().or_else(|| self.act(Action::Resumed))
+        match self.retake()? {
+            None => self.act(Action::Resumed),
+            ended => Ok(ended),
+        }
     }
 
-    /// Takes the terminal again after other programs had it.
-    fn retake(&mut self) -> Option<Result<ExitReason, TermError>> {
+    /// Takes the terminal back from other programs.
+    fn retake(&mut self) -> Result<Option<ExitReason>, TermError> {
         let taken = {
             let _writing = self.stage.output.lock().unwrap_or_else(PoisonError::into_inner);
             take().and_then(|()| encode::size())
@@ -345,22 +342,19 @@ impl Session {
         if self.mouse {
             self.take_mouse(true);
         }
-        match taken {
-            Ok(((columns, rows), _)) => self.act(Action::Resize { columns, rows }),
-            Err(error) => Some(Err(error.into())),
-        }
+        let ((columns, rows), _) = taken?;
+        self.act(Action::Resize { columns, rows })
     }
 
-    /// Waits until the thread that reads keys has ended: the next question at the terminal would share them with it.
+    /// The next question at the terminal would share keys with the reading thread.
     fn leave_the_keys(&mut self) {
-        // A new size is what it wakes up for without a key; without that it ends within its patience.
+        // A new size wakes it without a key; otherwise it ends within its patience.
         rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::WINCH).ok();
         if let Some(reading) = self.reading.take() {
             drop(reading.join());
         }
     }
 
-    /// Ends the threads and gives the terminal back.
     fn close(&self) {
         self.stop.store(true, Ordering::Relaxed);
         if *self.host.client.profile() == self.profile {
@@ -376,7 +370,6 @@ impl Session {
     }
 }
 
-/// The state before the first answer.
 fn first_state(options: &ConsoleOptions, directory: &Path) -> State {
     let mut state = State::new(Settings {
         directory: directory.to_owned(),
@@ -390,7 +383,7 @@ fn first_state(options: &ConsoleOptions, directory: &Path) -> State {
     state
 }
 
-/// Waits for the frame being written; `None` if the terminal takes no bytes.
+/// Waits for the frame being written; `None` if the terminal is stuck.
 fn finished(stage: &Stage) -> Option<MutexGuard<'_, ()>> {
     let patience = Instant::now() + STUCK_AFTER;
     loop {
@@ -403,47 +396,29 @@ fn finished(stage: &Stage) -> Option<MutexGuard<'_, ()>> {
     }
 }
 
-fn ended_by(signal: i32) -> ExitReason {
-    let gone = input::hangs_up(signal) || !io::stdin().is_terminal();
-    if gone { ExitReason::TerminalGone } else { ExitReason::Signal(signal) }
-}
-
 fn theme(options: &ConsoleOptions, depth: Depth) -> Result<Theme, TermError> {
     let fitting = if depth == Depth::None { "mono" } else { "night" };
     let theme = options.themes.named(options.theme.as_deref().unwrap_or(fitting))?;
     let pixels = options.pictures != Pictures::HalfBlocks;
-    Ok(theme.with_ascii(options.ascii).with_shades(depth.shades()).with_pixels(pixels))
+    Ok(Theme { ascii: options.ascii, depth, pixels, ..theme })
 }
 
-fn bytes_per_second(options: &ConsoleOptions) -> Option<u32> {
-    let over_ssh = std::env::var_os("SSH_CONNECTION").is_some();
-    options.bytes_per_second.or_else(|| over_ssh.then_some(OVER_SSH))
-}
-
-/// Messages to the updating thread.
 pub enum Message {
-    /// An action for `app::update`.
     Act(Action),
     Signal(i32),
-    /// The terminal takes no more bytes.
     TerminalFailed,
     /// A thread of the console panicked.
     Broken(String),
 }
 
-/// The site and the files.
 pub struct Host {
-    /// Talks to the site.
     pub client: Client,
     pub handle: Handle,
-    /// To the updating thread.
     pub messages: Sender<Message>,
-    /// Where files are written.
     pub directory: PathBuf,
 }
 
 impl Host {
-    /// Forwards the site's events.
     pub fn listen(&self) {
         let mut events = self.client.events();
         let say = sender(&self.messages, Message::Act);
@@ -458,12 +433,10 @@ impl Host {
         });
     }
 
-    /// Speaks for this profile from now on.
     pub fn speak_for(&mut self, profile: ProfileName) {
         self.client = self.client.for_profile(profile);
     }
 
-    /// Sends a command; its answer comes as an action.
     pub fn ask(&self, command: Command, tag: Tag) {
         let answer = self.client.send(command);
         let say = sender(&self.messages, Message::Act);
@@ -473,74 +446,47 @@ impl Host {
         });
     }
 
-    /// Writes files; their paths come as an action.
-    pub fn write(&self, base: Option<PathBuf>, directory: Option<String>, contents: Vec<Contents>) {
-        let base = base.unwrap_or_else(|| self.directory.clone());
+    /// Does work that may block outside of the updating thread.
+    fn aside(&self, work: impl FnOnce() -> Action + Send + 'static) {
         let say = sender(&self.messages, Message::Act);
-        self.handle.spawn_blocking(move || {
-            say(Action::FilesWritten(files::write_all(&base, directory.as_deref(), &contents)));
-        });
-    }
-
-    /// Reads a file as text; it comes as an action.
-    pub fn read(&self, path: PathBuf) {
-        let say = sender(&self.messages, Message::Act);
-        self.handle.spawn_blocking(move || {
-            let read = files::read_text(&path);
-            say(Action::TextRead(path, read));
-        });
-    }
-
-    /// Reads which paths begin as typed; they come as an action.
-    pub fn find(&self, sought: Sought) {
-        let say = sender(&self.messages, Message::Act);
-        self.handle.spawn_blocking(move || {
-            let found = files::find(&sought);
-            say(Action::PathsFound(sought, found));
-        });
+        self.handle.spawn_blocking(move || say(work()));
     }
 }
 
-/// Sends things to the updating thread, each wrapped.
 pub fn sender<T, W: Fn(T) -> Message>(messages: &Sender<Message>, wrap: W) -> impl Fn(T) + use<T, W> {
     let messages = messages.clone();
-    // After the end nobody listens, and nothing is lost by that.
+    // After the end nobody listens.
     move |thing| drop(messages.send(wrap(thing)))
 }
 
 /// Alternate screen, no cursor, bracketed paste.
 const ENTER: &str = "\x1b[?1049h\x1b[?25l\x1b[?2004h\x1b[2J";
-/// The way back, also from a half-drawn frame and with the mouse taken.
+/// Also from a half-drawn frame, and with the mouse taken.
 const LEAVE: &str = "\x1b[?2026l\x1b[m\x1b[?1006l\x1b[?1000l\x1b[?2004l\x1b[?25h\x1b[?1049l";
-/// Buttons and wheel are sent to the console, in cells.
+/// Buttons and wheel, in cells.
 pub const TAKE_MOUSE: &str = "\x1b[?1000h\x1b[?1006h";
-/// The terminal has the mouse for itself again.
 pub const LEAVE_MOUSE: &str = "\x1b[?1006l\x1b[?1000l";
-/// The prefix of the console's thread names.
 pub const THREAD_PREFIX: &str = "console-";
 
 static ENTERED: AtomicBool = AtomicBool::new(false);
-/// Removes our pictures before the screen is given back.
+/// Written before the screen is given back.
 static TAKE_PICTURES: OnceLock<&'static str> = OnceLock::new();
 
 type Hook = Box<dyn Fn(&PanicHookInfo<'_>) + Send + Sync + 'static>;
 
-/// Holds the terminal in the console's modes; restores it when dropped.
+/// Restores the terminal when dropped.
 #[derive(Debug)]
-pub struct Guard {
-    _private: (),
-}
+pub struct Guard(());
 
 impl Guard {
-    /// Takes the terminal; when it is given back, `take_pictures` is written first. A panic of the console restores it
-    /// before anything is printed; if the panic was not in the caller's thread, `broken` is called, because nothing
-    /// draws or reads any more. A panic of any other thread is passed to `fault` and leaves the terminal alone.
+    /// A panic in one of the console's threads restores the terminal before it prints, and calls `broken` unless it is
+    /// the caller's; a panic elsewhere goes to `fault` and leaves the terminal alone.
     pub fn enter(
         take_pictures: &'static str,
         fault: impl Fn(String) + Send + Sync + 'static,
         broken: impl Fn(String) + Send + Sync + 'static,
     ) -> io::Result<Self> {
-        // One console per process: the first one counts.
+        // One console per process: the first counts.
         TAKE_PICTURES.get_or_init(|| take_pictures);
         take()?;
         let previous: Arc<Hook> = Arc::new(panic::take_hook());
@@ -558,7 +504,7 @@ impl Guard {
                 fault(describe(info));
             }
         }));
-        Ok(Self { _private: () })
+        Ok(Self(()))
     }
 }
 
@@ -568,10 +514,9 @@ impl Drop for Guard {
     }
 }
 
-/// Takes the terminal, at the beginning or after a suspension.
 pub fn take() -> io::Result<()> {
     if ENTERED.load(Ordering::SeqCst) {
-        // The shell may have changed the modes behind our back; enabling them twice has no effect.
+        // The shell may have changed the modes; enabling them twice has no effect.
         patiently(disable_raw_mode)?;
     }
     patiently(enable_raw_mode)?;
@@ -589,26 +534,26 @@ fn patiently(change: impl Fn() -> io::Result<()>) -> io::Result<()> {
     }
 }
 
-/// Gives the terminal back, once; nothing is written to one that is gone.
+/// Only once; writes nothing to a terminal that is gone.
 pub fn restore() {
     if !ENTERED.swap(false, Ordering::SeqCst) {
         return;
     }
     if io::stdin().is_terminal() {
-        // Nothing can be done about a terminal that fails now.
+        // A terminal that fails now cannot be helped.
         drop(write(&[TAKE_PICTURES.get().copied().unwrap_or_default(), LEAVE].concat()));
         drop(disable_raw_mode());
     }
 }
 
-/// The terminal is gone or stuck: write nothing to it any more.
+/// Writes nothing more to a terminal that is gone or stuck.
 pub fn abandon() {
     if ENTERED.swap(false, Ordering::SeqCst) && io::stdin().is_terminal() {
         drop(disable_raw_mode());
     }
 }
 
-/// Writes to the terminal, bypassing our buffers.
+/// Bypasses stdout's buffer.
 pub fn write(bytes: &str) -> io::Result<()> {
     let mut out = io::stdout().lock();
     out.write_all(bytes.as_bytes())?;
@@ -624,12 +569,11 @@ fn describe(info: &PanicHookInfo<'_>) -> String {
     format!("{} failed at {place}: {text}", thread.name().unwrap_or("a background task"))
 }
 
-/// Space for a line, so that a secret's buffer is never moved.
+/// Keeps a secret's buffer from moving.
 const CAPACITY: usize = 4096;
-/// The character Ctrl-C types when it sends no signal.
+/// Ctrl-C, when it sends no signal.
 const CANCEL: char = '\u{3}';
 
-/// Restores the terminal's previous modes.
 struct Kept<'a>(&'a std::fs::File, Termios);
 
 impl Drop for Kept<'_> {
@@ -638,8 +582,7 @@ impl Drop for Kept<'_> {
     }
 }
 
-/// Asks for a secret at the terminal that controls this process; `None` if standard input is not a terminal, or the
-/// answer is Ctrl-C, Ctrl-D or nothing.
+/// `None` if standard input is no terminal, or the answer is Ctrl-C, Ctrl-D or nothing.
 pub fn secret(question: &str) -> io::Result<Option<Zeroizing<String>>> {
     if !io::stdin().is_terminal() {
         return Ok(None);
@@ -647,7 +590,7 @@ pub fn secret(question: &str) -> io::Result<Option<Zeroizing<String>>> {
     let Ok(mut terminal) = OpenOptions::new().read(true).write(true).open("/dev/tty") else { return Ok(None) };
     let before = tcgetattr(&terminal)?;
     let mut modes = before.clone();
-    // Ctrl-C is read, rather than being a signal: the terminal would be left without its echo.
+    // Ctrl-C is read, not a signal: that would leave the terminal without its echo.
     modes.local_modes.remove(LocalModes::ECHO | LocalModes::ISIG);
     modes.local_modes.insert(LocalModes::ECHONL);
     tcsetattr(&terminal, OptionalActions::Flush, &modes)?;

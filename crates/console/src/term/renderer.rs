@@ -13,9 +13,9 @@ use ratatui::layout::Size;
 use super::THREAD_PREFIX;
 use super::pixels::Pixels;
 use crate::app::State;
+use crate::config::Pictures;
 use crate::ui::{self, Theme};
 
-/// Draws frames into bytes.
 #[derive(Debug)]
 pub struct Painter {
     terminal: Terminal<FrameBackend>,
@@ -24,27 +24,24 @@ pub struct Painter {
 }
 
 impl Painter {
-    /// For a terminal with that depth and size.
     pub fn new(depth: Depth, size: (u16, u16)) -> Self {
         let backend = FrameBackend::new(depth, cells(size));
         let Ok(terminal) = Terminal::new(backend);
-        Self { terminal, size, pixels: Pixels::default() }
+        Self { terminal, size, pixels: Pixels::new(Pictures::HalfBlocks, None) }
     }
 
-    /// With pictures as pixels.
     pub fn with_pixels(self, pixels: Pixels) -> Self {
         Self { pixels, ..self }
     }
 
-    /// The bytes that update the terminal to the present scene; empty if nothing changed.
+    /// Empty if nothing changed.
     pub fn paint(&mut self, scene: &mut Scene) -> String {
         self.paint_at_most(scene, None)
     }
 
-    /// The same in frames of at most this many bytes, plus the rest of whole rows; [`Self::is_behind`] says whether
-    /// more is to come.
+    /// Frames of at most that many bytes plus the rest of whole rows; see [`Self::is_behind`].
     pub fn paint_at_most(&mut self, scene: &mut Scene, most: Option<usize>) -> String {
-        self.terminal.backend_mut().limit(most);
+        self.terminal.backend_mut().most = most;
         let mut bytes = String::new();
         let anew = std::mem::take(&mut scene.anew);
         if anew || self.size != scene.state.size {
@@ -63,7 +60,7 @@ impl Painter {
         let backend = terminal.backend_mut();
         let Ok(()) = backend.draw(below.iter().map(|(x, y, cell)| (*x, *y, cell)));
         let change = pixels.show(placement);
-        change.covered.iter().for_each(|area| backend.cover(*area));
+        change.covered.iter().for_each(|area| backend.encoder.cover(*area));
         bytes.push_str(change.away);
         bytes.push_str(&backend.take_frame());
         bytes.push_str(&change.put);
@@ -71,9 +68,8 @@ impl Painter {
         bytes
     }
 
-    /// Whether rows wait for a further frame.
     pub fn is_behind(&self) -> bool {
-        self.terminal.backend().waits()
+        !self.terminal.backend().waiting.is_empty()
     }
 }
 
@@ -81,7 +77,7 @@ fn cells((columns, rows): (u16, u16)) -> Size {
     Size { width: columns.max(1), height: rows.max(1) }
 }
 
-/// Starts the thread; `failed` is called when the terminal takes no more bytes.
+/// `failed` is called when the terminal takes no more bytes.
 pub fn start(
     stage: Arc<Stage>,
     mut painter: Painter,
@@ -99,7 +95,7 @@ pub fn start(
     thread::Builder::new().name(format!("{THREAD_PREFIX}renderer")).spawn(render)
 }
 
-/// Waits until a frame is due and differs from the previous one; `None` = the end.
+/// `None` = the end.
 fn next_frame(stage: &Stage, painter: &mut Painter, budget: &Budget) -> Option<String> {
     let mut scene = stage.scene();
     loop {
@@ -117,7 +113,7 @@ fn next_frame(stage: &Stage, painter: &mut Painter, budget: &Budget) -> Option<S
     }
 }
 
-/// A panic in the thread that draws, to prove that the terminal is restored: on the screen Log.
+/// Panics on the screen Log under AUTHROS_FAULT: proves that the terminal is restored.
 fn fail_for_the_test(scene: &Scene) {
     let asked = scene.state.screen == crate::app::Screen::Log && authros_fault::is_off("renderer");
     assert!(!asked, "asked for by AUTHROS_FAULT");
@@ -139,48 +135,43 @@ fn due<'a>(stage: &Stage, mut scene: MutexGuard<'a, Scene>, budget: &Budget) -> 
     }
 }
 
-/// Writes a frame, unless the terminal was given away while it was drawn.
+/// Skips a frame if the terminal was given away while it was drawn.
 fn send(stage: &Stage, bytes: &str) -> io::Result<()> {
     let _writing = stage.output.lock().unwrap_or_else(PoisonError::into_inner);
     if is_given_away(stage) { Ok(()) } else { super::write(bytes) }
 }
 
-/// Whether the shell has the terminal: until this process is continued, or for good.
+/// Whether the shell has the terminal, or the renderer is to end.
 fn is_given_away(stage: &Stage) -> bool {
     let mut scene = stage.scene();
     scene.anew |= scene.suspended;
     scene.suspended || scene.over
 }
 
-/// How urgently a frame is wanted.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Wish {
     #[default]
     None,
-    /// Data changed: within the byte budget.
+    /// Within the byte budget.
     Data,
-    /// A key was pressed: at once.
+    /// Without delay.
     Now,
 }
 
 #[derive(Debug)]
 pub struct Scene {
-    /// Everything the console knows.
     pub state: State,
     pub theme: Theme,
-    /// Whether and how urgently a frame is wanted.
     pub wish: Wish,
-    /// Redraw everything, not only what changed.
     pub anew: bool,
-    /// Bytes to send besides the frame.
+    /// Sent besides the frame.
     pub extra: String,
-    /// The terminal belongs to the shell for now.
+    /// The shell has the terminal.
     pub suspended: bool,
     /// The renderer is to end.
     pub over: bool,
 }
 
-/// A scene, and a bell that rings when it changed.
 #[derive(Debug)]
 pub struct Stage {
     scene: Mutex<Scene>,
@@ -190,25 +181,22 @@ pub struct Stage {
 }
 
 impl Stage {
-    /// With a first frame wanted.
     pub fn new(state: State, theme: Theme) -> Self {
         let scene =
             Scene { state, theme, wish: Wish::Now, anew: false, extra: String::new(), suspended: false, over: false };
         Self { scene: Mutex::new(scene), bell: Condvar::new(), output: Mutex::new(()) }
     }
 
-    /// The scene, to read or to change. It is never held while anything waits.
+    /// Never held while anything waits.
     pub fn scene(&self) -> MutexGuard<'_, Scene> {
         self.scene.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The scene, once nobody shares it any more.
     #[cfg(test)]
     pub fn into_scene(self) -> Scene {
         self.scene.into_inner().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Changes the scene and wakes the renderer.
     pub fn change<T>(&self, wish: Wish, change: impl FnOnce(&mut Scene) -> T) -> T {
         let mut scene = self.scene();
         let result = change(&mut scene);
@@ -218,7 +206,6 @@ impl Stage {
         result
     }
 
-    /// Waits for the bell, at most this long.
     pub fn wait<'a>(&self, scene: MutexGuard<'a, Scene>, longest: Option<Duration>) -> MutexGuard<'a, Scene> {
         match longest {
             Some(longest) => self.bell.wait_timeout(scene, longest).unwrap_or_else(PoisonError::into_inner).0,
@@ -227,14 +214,14 @@ impl Stage {
     }
 }
 
-/// The default over SSH, bytes a second.
+/// Default over SSH, bytes a second.
 pub const OVER_SSH: u32 = 4_000;
-/// The shortest time between two frames for data.
+/// Shortest time between frames for data.
 const LEAST_GAP: Duration = Duration::from_millis(50);
-/// A frame for data takes the line for one part of a second in this many.
+/// A data frame occupies the line for 1/10 s.
 const IN_FLIGHT: u32 = 10;
 
-/// Bytes sent and still to be paid for by waiting.
+/// Bytes sent, paid for by waiting.
 #[derive(Debug)]
 pub struct Budget {
     bytes_per_second: Option<u32>,
@@ -242,30 +229,27 @@ pub struct Budget {
 }
 
 impl Budget {
-    /// This many bytes a second; `None` = only the gap counts.
+    /// `None` = only the gap counts.
     pub fn new(bytes_per_second: Option<u32>, now: Instant) -> Self {
         Self { bytes_per_second: bytes_per_second.filter(|bytes| *bytes > 0), next: now }
     }
 
-    /// The most bytes of a frame for data, whole rows beyond it not counted: what is on its way when a key is pressed
-    /// delays the answer. `None` = no limit.
+    /// Bytes on their way when a key is pressed delay its answer; `None` = no limit.
     pub fn most_at_once(&self) -> Option<usize> {
         let rate = self.bytes_per_second?;
         usize::try_from(rate / IN_FLIGHT).ok()
     }
 
-    /// How long a frame for data has to wait.
     pub fn wait(&self, now: Instant) -> Duration {
         self.next.saturating_duration_since(now)
     }
 
-    /// This many bytes were sent, for a key or for data.
     pub fn spend(&mut self, bytes: usize, now: Instant) {
         let bytes = u32::try_from(bytes).unwrap_or(u32::MAX);
         let cost = self
             .bytes_per_second
             .map_or(Duration::ZERO, |rate| Duration::from_secs_f64(f64::from(bytes) / f64::from(rate)));
-        // The debt of earlier frames is kept: keys draw at once, data pays for them.
+        // Earlier debt stays: keys draw without delay, data pays for them.
         self.next = self.next.max(now) + cost;
         self.next = self.next.max(now + LEAST_GAP);
     }

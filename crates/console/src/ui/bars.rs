@@ -1,4 +1,4 @@
-//! The lines on top (the profile, the state of the parts, badges; the screens) and at the bottom (messages, keys).
+//! The top lines (profile, health, badges; screens) and the bottom ones (messages, keys).
 
 use ratatui::layout::Rect;
 
@@ -13,12 +13,12 @@ use crate::app::{Screen, State};
 use crate::service::NoticeLevel;
 use crate::service::reply::{HealthLevel, PartHealth};
 
-/// Below this many columns only the screen in view is named.
+/// Narrower terminals name only the screen in view.
 const NAMED_FROM: u16 = 80;
 /// Columns from which the address is shown.
 const ADDRESS_FROM: u16 = 100;
 
-/// Columns that one short badge takes.
+/// Columns of a short badge.
 const BADGE: u16 = 12;
 
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
@@ -47,7 +47,7 @@ fn draw_first(canvas: &mut Canvas, area: Rect, state: &State) {
     }
 }
 
-/// What is unusual, from the right; and where the site runs, as far as there is room.
+/// From the right; where the site runs, if there is room.
 fn badges(state: &State) -> Vec<(String, Role)> {
     let frozen = state.frozen.map(|at| format!(" FROZEN {} ", at.clock()));
     let locked = state.is_locked().then(|| " LOCKED ".to_owned());
@@ -55,7 +55,7 @@ fn badges(state: &State) -> Vec<(String, Role)> {
     let operator = state.settings.operator.as_ref().map(|name| format!(" OPERATOR {name} "));
     let mut badges: Vec<(String, Role)> =
         [operator, frozen, locked, read_only].into_iter().flatten().map(|badge| (badge, Role::Badge)).collect();
-    // What is unusual takes precedence over where the site runs, and the health of its parts over both.
+    // Unusual badges take precedence over the site's place, and health over both.
     let room = if badges.is_empty() { NAMED_FROM } else { ADDRESS_FROM };
     if state.size.0 >= room {
         badges.extend(Standing::of(state).map(|standing| (standing.badge(), Role::Dim)));
@@ -63,9 +63,9 @@ fn badges(state: &State) -> Vec<(String, Role)> {
     badges
 }
 
-/// If there is no room, parts that are well are only a dot, and then the others one word.
+/// Without room, healthy parts shrink to a dot, then the others to one word.
 fn draw_health(canvas: &mut Canvas, area: Rect, health: &[PartHealth]) {
-    // Of what is only looked after in the background, the line tells what is wrong.
+    // Background parts show only if something is wrong.
     let shown: Vec<&PartHealth> =
         health.iter().filter(|part| part.part != "proofs" || part.level != HealthLevel::Ok).collect();
     let fits = |word: fn(&PartHealth) -> &str| {
@@ -94,7 +94,6 @@ fn briefest(part: &PartHealth) -> &str {
     }
 }
 
-/// Dot, role and words of a part's health.
 pub fn level(part: &PartHealth) -> (&'static str, Role, &str) {
     match part.level {
         HealthLevel::Ok => ("●", Role::Good, "ok"),
@@ -125,24 +124,21 @@ fn draw_screens(canvas: &mut Canvas, area: Rect, state: &State) {
     }
 }
 
-/// What keeps its place at the right of the bar.
+/// Stays at the right of the bar.
 const TAIL_NAMES: [&str; 3] = ["palette", "help", "quit"];
-/// The most lines a message takes.
 const MOST_LINES: usize = 3;
 
-/// The part of a screen that bar and message never cover.
+/// Never covered by bar and message.
 pub fn above(screen: Rect) -> Rect {
     let taken = u16::try_from(MOST_LINES + 1).unwrap_or(u16::MAX);
     Rect { height: screen.height.saturating_sub(taken), ..screen }
 }
 
-/// Draws message and bar at the bottom of `area`.
 pub fn draw_bottom(canvas: &mut Canvas, area: Rect, state: &State) {
     draw_message(canvas, Rect { height: area.height - 1, ..area }, state);
     draw_bar(canvas, row(area, area.height - 1), state);
 }
 
-/// Mark and role of a level.
 pub fn notice_level(level: NoticeLevel) -> (&'static str, Role) {
     match level {
         NoticeLevel::Info => ("› ", Role::Accent),
@@ -151,7 +147,7 @@ pub fn notice_level(level: NoticeLevel) -> (&'static str, Role) {
     }
 }
 
-/// Rows above its own that the message shown now takes.
+/// Rows above its own that the message takes.
 pub fn covered(state: &State, width: u16) -> u16 {
     let lines = state.toasts.shown().map(|toast| wrap(&toast.text, width_beside(&hint(state), width)).len());
     u16::try_from(lines.unwrap_or_default().clamp(1, MOST_LINES) - 1).unwrap_or_default()
@@ -200,12 +196,12 @@ fn draw_bar(canvas: &mut Canvas, area: Rect, state: &State) {
     if state.table().is_some_and(|table| table.filtering) {
         return draw_hints(canvas, area, &[("enter", "apply"), ("esc", "clear"), ("up down", "earlier filters, rows")]);
     }
-    // Help and quit keep their place at the right, whatever is cut.
+    // Help and quit stay at the right, whatever is cut.
     let tail = Rect { x: area.x + area.width.saturating_sub(TAIL), width: TAIL.min(area.width), ..area };
     draw_tail(canvas, tail, state);
     let mut rest = Rect { width: area.width - tail.width, ..area };
     let mut shown: Vec<&Entry> = entries(state).collect();
-    // The most used verbs keep their place when there is little room, and unavailable ones come last.
+    // The most used verbs win when there is little room; unavailable ones come last.
     shown.sort_by_key(|entry| (available(state, entry.verb).is_err(), use_of(entry.verb)));
     for entry in shown {
         rest = draw_entry(canvas, rest, state, entry);
@@ -229,31 +225,17 @@ fn draw_hints(canvas: &mut Canvas, area: Rect, hints: &[(&str, &str)]) {
     });
 }
 
-/// The verbs of the bar, most used first.
-const BY_USE: [Verb; 16] = [
-    Verb::Watch,
-    Verb::Details,
-    Verb::Inspect,
-    Verb::SetPolicy,
-    Verb::Open,
-    Verb::Grant,
-    Verb::Revoke,
-    Verb::Filter,
-    Verb::Browse,
-    Verb::Readers,
-    Verb::Extend,
-    Verb::Export,
-    Verb::Publishers,
-    Verb::Check,
-    Verb::Sort,
-    Verb::Mark,
-];
-
+/// Most used first.
 fn use_of(verb: Verb) -> usize {
-    BY_USE.iter().position(|other| *other == verb).unwrap_or(BY_USE.len())
+    use Verb::{
+        Browse, Check, Details, Export, Extend, Filter, Grant, Inspect, Mark, Open, Publishers, Readers, Revoke,
+    };
+    use Verb::{SetPolicy, Sort, Watch};
+    let often = [Watch, Details, Inspect, SetPolicy, Open, Grant, Revoke, Filter];
+    let rest = [Browse, Readers, Extend, Export, Publishers, Check, Sort, Mark];
+    often.iter().chain(&rest).position(|other| *other == verb).unwrap_or(often.len() + rest.len())
 }
 
-/// The verbs shown for a screen: its own first.
 fn entries(state: &State) -> impl Iterator<Item = &'static Entry> + use<'_> {
     let (screen, read_only) = (state.screen, state.settings.read_only);
     let shown = move |entry: &&Entry| {
@@ -261,7 +243,7 @@ fn entries(state: &State) -> impl Iterator<Item = &'static Entry> + use<'_> {
         let keys = state.settings.keymap.of(entry, screen).next().is_some();
         !entry.label.is_empty() && keys && !hidden && !TAIL_NAMES.contains(&entry.name)
     };
-    // What works everywhere, or is done once, is named only if it is available.
+    // Verbs that work everywhere or are done once show only when available.
     let rare = |verb| matches!(verb, Verb::CreateIdentity | Verb::Register | Verb::Inspect | Verb::SetPolicy);
     let once = move |entry: &Entry| entry.on.is_empty() || rare(entry.verb);
     let named = move |entry: &&Entry| !once(entry) || available(state, entry.verb).is_ok();

@@ -13,12 +13,10 @@ use crate::app::{Screen, State, opening};
 use crate::model::{Timestamp, clean};
 use crate::service::reply::{GrantRow, SenderView, TopicRow};
 
-/// Columns of the names of facts.
 const LABEL: u16 = 12;
-/// Rows of a topic's graph.
 const GRAPH: u16 = 8;
 
-/// Draws the pane if there is one; returns the space left for the list.
+/// Returns the space left for the list.
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) -> Rect {
     if !opening::is_shown(state) {
         return area;
@@ -44,7 +42,7 @@ fn draw_row(canvas: &mut Canvas, area: Rect, state: &State) {
     }
 }
 
-/// Names and values, wrapped if needed; returns the rows taken.
+/// Wraps values; returns the rows taken.
 fn facts(canvas: &mut Canvas, area: Rect, title: &str, facts: &[(&str, String)]) -> u16 {
     canvas.put(area, title, Role::Title);
     if facts.is_empty() {
@@ -96,7 +94,7 @@ fn about(topic: &TopicRow) -> Vec<(&'static str, String)> {
     ]
 }
 
-/// What the list knows of the record under the cursor, and a hint that more appears when the cursor is moved to one.
+/// The list's own data, and a hint to move the cursor.
 fn draw_record(canvas: &mut Canvas, area: Rect, state: &State, records: &Records, hint: &str) {
     let key = state.row_key();
     let Some(record) = records.rows.iter().find(|row| Some(&row.id) == key.as_ref()) else { return };
@@ -163,7 +161,6 @@ fn ends(row: &GrantRow, now: Timestamp) -> String {
     format!("{}{}", end(row.expires), left.unwrap_or_default())
 }
 
-/// The robot or sender under the cursor.
 fn draw_gateway(canvas: &mut Canvas, area: Rect, state: &State) {
     let plain = |facts: Vec<gateway::Fact>| facts.into_iter().map(|(name, text, _)| (name, text)).collect::<Vec<_>>();
     let (title, told) = match state.gateway.selected() {

@@ -13,10 +13,9 @@ use crate::app::{Screen, State, counted};
 use crate::model::{Timestamp, clean};
 use crate::service::reply::{GatewayStatusView, RobotRow, RobotView, SenderView, SystemKeyView};
 
-/// The most reasons of refusals shown.
 const MOST_REASONS: usize = 4;
 
-/// Nanoseconds of a day.
+/// Nanoseconds.
 const DAY: u64 = 86_400_000_000_000;
 
 const COLUMNS: &[Column] = &[
@@ -30,7 +29,7 @@ const COLUMNS: &[Column] = &[
     Column::text("Last UTC", 8),
 ];
 
-/// The same where the profile has robots.
+/// If the profile has robots.
 const WITH_POLICY: &[Column] = &[
     Column::text("State", 9),
     Column::name("Robot or operator"),
@@ -42,7 +41,7 @@ const WITH_POLICY: &[Column] = &[
     Column::text("Last UTC", 8),
 ];
 
-/// Robots where no gateway runs: what their owner's site knows of them.
+/// Where no gateway runs: what the owner's site knows.
 const OF_OWNER: &[Column] = &[
     Column::name("Robot"),
     Column::text("Policy", 26),
@@ -64,7 +63,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     }
 }
 
-/// What is served, its keys, its refusals; returns the rows that took.
+/// Returns the rows taken.
 fn draw_about(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView) -> u16 {
     canvas.put(area, "Gateway", Role::Title);
     let Some(served) = &view.served else {
@@ -119,7 +118,6 @@ fn refused(view: &GatewayStatusView) -> Vec<Fact> {
     facts
 }
 
-/// Names at the gateway and robots of the profile, in one list.
 fn draw_members(canvas: &mut Canvas, area: Rect, state: &State, rows: &[Member]) {
     let gateway = &state.gateway;
     let keys: Vec<String> = rows.iter().map(Member::key).collect();
@@ -193,15 +191,14 @@ fn last(state: &State, row: &Member) -> (String, Role) {
     (row.last().map(|last| when(last, state.shown_at())).unwrap_or_default(), Role::Dim)
 }
 
-/// The clock of today; how long ago, if that is longer than a day.
+/// The clock if within a day, else the age.
 fn when(last: Timestamp, now: Timestamp) -> String {
     if now.0.saturating_sub(last.0) < DAY { last.clock() } else { format!("{} ago", super::age(last, now)) }
 }
 
-/// A name of what is known, the words, and their role.
+/// Label, words, role.
 pub type Fact = (&'static str, String, Role);
 
-/// Mark, words and role of how a robot stands to its policy.
 pub fn standing(row: &RobotRow) -> (String, Role) {
     let (mark, role) = match Standing::of(row) {
         Standing::Unset => return (stands(row), Role::Dim),
@@ -212,7 +209,6 @@ pub fn standing(row: &RobotRow) -> (String, Role) {
     (format!("{mark} {}", stands(row)), role)
 }
 
-/// What the list knows of a robot.
 pub fn row_facts(row: &RobotRow, now: Timestamp) -> Vec<Fact> {
     let (text, role) = standing(row);
     let wanted = match row.wanted {
@@ -239,7 +235,7 @@ fn drift(row: &RobotRow, now: Timestamp) -> Option<Fact> {
     Some(("drift", format!("since {}, for {}", super::second(since), super::age(since, now)), Role::Warning))
 }
 
-/// All that is known of a robot, besides its topics and the policy's text.
+/// All but its topics and the policy's text.
 pub fn facts(view: &RobotView, now: Timestamp) -> Vec<Fact> {
     let row = &view.row;
     let waiting = counted(row.waiting, "record");

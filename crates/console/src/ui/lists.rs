@@ -1,4 +1,4 @@
-//! The screens that are lists, or little more: Topics, Uploads and Shared, Grants, Keys, Chain and Log.
+//! The list screens: Topics, Uploads, Shared, Grants, Keys, Chain and Log.
 
 use super::bars::notice_level;
 use super::gateway::Fact;
@@ -55,7 +55,6 @@ fn draw_known(canvas: &mut Canvas, area: Rect, state: &State, chain: &ChainView)
     }
 }
 
-/// The administrator's unusual decisions.
 fn decisions(decided: &AdministrationView) -> Vec<Fact> {
     let shown = |account: Address, name: &Option<String>| name.clone().unwrap_or_else(|| account.to_string());
     let paused = decided.paused.then(|| {
@@ -73,7 +72,7 @@ fn decisions(decided: &AdministrationView) -> Vec<Fact> {
     paused.into_iter().chain(proposals).chain(successions).collect()
 }
 
-/// The accounts that anchor, and what delays them; returns how many lines that took.
+/// Returns the rows taken.
 fn draw_lanes(canvas: &mut Canvas, area: Rect, lanes: &[LaneState]) -> u16 {
     let mut place = 0;
     for (number, lane) in (1..).zip(lanes) {
@@ -88,7 +87,7 @@ fn draw_lanes(canvas: &mut Canvas, area: Rect, lanes: &[LaneState]) -> u16 {
     place
 }
 
-/// The cost of anchoring a record, over the newest transactions.
+/// Per record, over the newest transactions.
 fn gas(view: &GasView) -> String {
     if view.records == 0 {
         return "nothing anchored yet".to_owned();
@@ -105,7 +104,6 @@ fn administrator(state: &State, decided: &AdministrationView) -> String {
     format!("{} ({whose}), {registration}", administrator.short())
 }
 
-/// Period, difficulty and signers, as far as the chain reports them.
 fn sealing(chain: &ChainView) -> String {
     let sealing = &chain.sealing;
     let mut parts = Vec::new();
@@ -155,7 +153,7 @@ pub fn draw_grants(canvas: &mut Canvas, area: Rect, state: &State) {
     draw_table(canvas, area, &sheet);
 }
 
-/// When it ends: if soon, by the time left, with the clock beside it.
+/// An end soon shows the time left beside the clock.
 fn ends(state: &State, row: &GrantRow) -> (String, Role) {
     let Some(end) = row.expires else { return ("no end".to_owned(), Role::Dim) };
     match soon(row.expires, state.shown_at()).filter(|_| is_active(row)) {
@@ -180,19 +178,14 @@ fn grant_cells(state: &State, row: &GrantRow) -> Vec<(String, Role)> {
     ]
 }
 
-/// Columns of the labels.
 const LABEL: u16 = 12;
-
-/// What a locked keyring can and cannot do, because watched topics are still captured.
-const LOCKED: &str = "locked (u unlocks it)";
-const LOCKED_AT_WORK: &str = "locked (u unlocks it); capture and anchoring continue";
 
 fn draw_fact(canvas: &mut Canvas, area: Rect, label: &str, value: &str, role: Role) {
     canvas.put(Rect { width: LABEL.min(area.width), ..area }, label, Role::Dim);
     canvas.put(right_of(area, LABEL), value, role);
 }
 
-/// Draws labels and their values, a row each; returns the rows that took.
+/// Returns the rows taken.
 pub fn draw_facts(canvas: &mut Canvas, area: Rect, facts: &[Fact]) -> u16 {
     for (place, (label, value, role)) in (0u16..).zip(facts) {
         draw_fact(canvas, row(area, place), label, value, *role);
@@ -215,8 +208,11 @@ pub fn draw_keys(canvas: &mut Canvas, area: Rect, state: &State) {
 
 fn draw_identity(canvas: &mut Canvas, area: Rect, state: &State, identity: &IdentityView) {
     let address = identity.address.map(|address| address.to_string()).unwrap_or_default();
-    let (keyring, keyring_role) =
-        if identity.unlocked { ("unlocked", Role::Good) } else { (locked(state), Role::Warning) };
+    let locked = match leaving::captured(state) {
+        Some(_) => "locked (u unlocks it); capture and anchoring continue",
+        None => "locked (u unlocks it)",
+    };
+    let (keyring, keyring_role) = if identity.unlocked { ("unlocked", Role::Good) } else { (locked, Role::Warning) };
     let (chain, chain_role) =
         if identity.registered { ("registered", Role::Good) } else { ("not registered: R registers", Role::Warning) };
     let facts = [
@@ -254,11 +250,6 @@ fn draw_epochs(canvas: &mut Canvas, area: Rect, keys: &KeysView) {
     }
 }
 
-/// What goes on is said only if it is known.
-fn locked(state: &State) -> &'static str {
-    if leaving::captured(state).is_some() { LOCKED_AT_WORK } else { LOCKED }
-}
-
 const LOG_COLUMNS: &[Column] =
     &[Column::text("UTC", 8), Column::text("Level", 7), Column::text("From", 11), Column::wide("What")];
 
@@ -280,25 +271,18 @@ pub fn draw_log(canvas: &mut Canvas, area: Rect, state: &State) {
     draw_table(canvas, area, &sheet);
 }
 
-/// Audit lines also show their number.
-fn from(line: &LogLine) -> String {
-    match line.source {
-        Source::Audit => line.key.clone(),
-        source => source.word().to_owned(),
-    }
-}
-
 fn log_cells(state: &State, line: &LogLine) -> Vec<(String, Role)> {
     let role = if line.level == NoticeLevel::Info { Role::Dim } else { notice_level(line.level).1 };
+    // Audit lines show their number.
+    let from = if line.source == Source::Audit { line.key.as_str() } else { line.source.word() };
     vec![
         (state.clock(line.at), Role::Dim),
         (line.level.word().to_owned(), role),
-        (from(line), Role::Dim),
+        (from.to_owned(), Role::Dim),
         (line.text.clone(), Role::Body),
     ]
 }
 
-/// All columns of the list.
 const TOPIC_COLUMNS: &[Column] = &[
     Column::name("Topic").named("topic"),
     Column::text("Type", 27).named("type"),
@@ -315,7 +299,7 @@ const TOPIC_COLUMNS: &[Column] = &[
     Column::text("", 9).from(100),
 ];
 
-/// Terminal width from which all topic columns fit.
+/// Terminal width that fits all topic columns.
 const ALL_FROM: u16 = 170;
 
 pub fn draw_topics(canvas: &mut Canvas, area: Rect, state: &State) {
@@ -343,8 +327,7 @@ pub fn draw_topics(canvas: &mut Canvas, area: Rect, state: &State) {
     }
 }
 
-/// The selected topic's data that the columns of a narrow screen leave out; it changes with every move of the cursor,
-/// so it is kept cheap: no colours.
+/// Data that a narrow screen's columns leave out; redrawn at every move of the cursor, so without colours.
 fn draw_detail(canvas: &mut Canvas, area: Rect, topic: &TopicRow) {
     let publishers = match topic.publishers.as_slice() {
         [] => "nobody".to_owned(),
@@ -366,7 +349,6 @@ fn draw_detail(canvas: &mut Canvas, area: Rect, topic: &TopicRow) {
     canvas.put(area, &detail, Role::Body);
 }
 
-/// The text for a feed without rows.
 pub fn empty<'a>(state: &'a State, feed: Feed, nothing: &'a str) -> &'a str {
     match &state.feeds.slot(feed).failure {
         Some(failure) => &failure.message,
@@ -396,7 +378,6 @@ fn topic_cells(state: &State, row: &TopicRow, scale: f64) -> Vec<(String, Role)>
     ]
 }
 
-/// The cell that says whether all publishers are pinned ones.
 pub fn pinned(row: &TopicRow) -> (String, Role) {
     match row {
         TopicRow { pins: 0, .. } => ("-".to_owned(), Role::Dim),
@@ -405,7 +386,7 @@ pub fn pinned(row: &TopicRow) -> (String, Role) {
     }
 }
 
-/// The same for a folded robot: how many of its topics.
+/// For a folded robot: how many of its topics.
 fn watched_of(state: &State, row: &TopicRow) -> (String, Role) {
     let Some(robot) = state.topics.robot(&row.topic) else { return watched(row) };
     let (count, all) = state.topics.watched_of(robot);
@@ -413,7 +394,6 @@ fn watched_of(state: &State, row: &TopicRow) -> (String, Role) {
     if row.watched && !row.alarm && row.held_up.is_none() { (format!("{count} of {all}"), role) } else { (word, role) }
 }
 
-/// The cell that says whether a topic is watched, or that one of its publishers is suspect.
 pub fn watched(row: &TopicRow) -> (String, Role) {
     match row {
         TopicRow { alarm: true, .. } => ("ALARM".to_owned(), Role::Bad),
@@ -430,14 +410,13 @@ fn capture_role(capture: Capture) -> Role {
     }
 }
 
-/// The cell that says what comes from a simulated robot: a mark in each row; the colour of warnings is for what is wrong.
+/// A mark without colour: the colour of warnings is for what is wrong.
 pub fn simulated(simulated: bool) -> (String, Role) {
     (if simulated { "SIMULATED".to_owned() } else { String::new() }, Role::Dim)
 }
 
-/// All columns of Uploads, of Shared, or of Topics.
 pub(in crate::ui) fn all_columns(screen: Screen) -> Vec<Column> {
-    // From which width the mark of simulated records is written out.
+    // From this width simulated records are marked in full.
     let (owner, wide) = match screen {
         Screen::Topics => return TOPIC_COLUMNS.to_vec(),
         Screen::Shared => (Some(Column::text("Owner", 13).named("owner")), 100),
@@ -460,7 +439,6 @@ pub(in crate::ui) fn all_columns(screen: Screen) -> Vec<Column> {
     [Column::text("State", 11).named("state")].into_iter().chain(owner).chain(rest).collect()
 }
 
-/// Draws Uploads or Shared.
 pub fn draw_records(canvas: &mut Canvas, area: Rect, state: &State) {
     let screen = state.screen;
     let (title, records, feed) = match screen {
@@ -537,7 +515,7 @@ fn record_cells(state: &State, row: &RecordView, with_owner: bool) -> Vec<(Strin
         RecordKind::Data => row.topic.clone(),
         kind => format!("{} ({})", row.topic, kind.word()),
     };
-    let mut cells = vec![(short_state(row.state.word()).to_owned(), state_role(row.state))];
+    let mut cells = vec![(row.state.word().trim_start_matches("waits: ").to_owned(), state_role(row.state))];
     if with_owner {
         let short = || row.owner.map(|owner| owner.short());
         cells.push((row.owner_name.clone().or_else(short).unwrap_or_default(), Role::Accent));
@@ -559,17 +537,11 @@ fn record_cells(state: &State, row: &RecordView, with_owner: bool) -> Vec<(Strin
     cells
 }
 
-/// Enough of a digest or a hash to compare it by eye.
+/// Enough to compare by eye.
 fn beginning(text: &str) -> String {
     text.chars().take(12).chain(['…']).collect()
 }
 
-/// A record's state, to fit into its column.
-fn short_state(state: &str) -> &str {
-    state.strip_prefix("waits: ").unwrap_or(state)
-}
-
-/// The role of a record's state.
 pub fn state_role(state: ShownState) -> Role {
     match state {
         ShownState::Kept(RecordState::Verified) | ShownState::Verified(Caveat::NamesUnchecked) => Role::Good,

@@ -31,18 +31,18 @@ use ratatui::buffer::Buffer;
 use ratatui::layout::{Position, Rect};
 use ratatui::style::Style;
 use ratatui::widgets::{Block, Clear, Widget};
-use theme::Shades;
+use theme::Depth;
 use unicode_width::UnicodeWidthStr;
 
 pub use self::plot::{BAYER, Placement};
 pub use theme::{Role, Theme, ThemeError, Themes};
 
-/// The smallest terminal the screens are made for, columns.
+/// Columns of the smallest supported terminal.
 pub const LEAST_COLUMNS: u16 = 60;
-/// The smallest terminal the screens are made for, rows.
+/// Rows of the smallest supported terminal.
 pub const LEAST_ROWS: u16 = 18;
 
-/// Draws the whole state; returns what is left to the terminal to draw.
+/// Returns the picture left to the terminal.
 pub fn draw(frame: &mut Frame, state: &State, theme: &Theme) -> Option<Placement> {
     let area = frame.area();
     let mut canvas = Canvas::new(frame.buffer_mut(), theme);
@@ -52,7 +52,7 @@ pub fn draw(frame: &mut Frame, state: &State, theme: &Theme) -> Option<Placement
     } else {
         draw_whole(&mut canvas, area, state);
     }
-    let (cursor, placement) = (canvas.cursor(), canvas.placement());
+    let (cursor, placement) = (canvas.cursor, canvas.placement());
     if theme.ascii {
         flatten(frame.buffer_mut());
     }
@@ -66,35 +66,29 @@ fn draw_whole(canvas: &mut Canvas, area: Rect, state: &State) {
     let strip = crate::app::tour::rows(state);
     let content = Rect { y: area.y + 2, height: area.height - 4 - strip, ..area };
     bars::draw(canvas, Rect { height: 2, ..area }, state);
-    // A message of several lines never lies over the row under the cursor: the list is shorter for so long.
+    // Several message lines shorten the list instead of covering the cursor's row.
     let covered = bars::covered(state, area.width).saturating_sub(strip).min(content.height / 2);
-    draw_content(canvas, Rect { height: content.height - covered, ..content }, state);
+    let list = detail::draw(canvas, Rect { height: content.height - covered, ..content }, state);
+    match state.screen {
+        Screen::Overview => overview::draw(canvas, list, state),
+        Screen::Topics => lists::draw_topics(canvas, list, state),
+        Screen::Uploads | Screen::Shared => lists::draw_records(canvas, list, state),
+        Screen::Grants => lists::draw_grants(canvas, list, state),
+        Screen::Keys => lists::draw_keys(canvas, list, state),
+        Screen::Chain => lists::draw_chain(canvas, list, state),
+        Screen::Gateway => gateway::draw(canvas, list, state),
+        Screen::Log => lists::draw_log(canvas, list, state),
+    }
     if let Some(popup) = state.popups.last() {
         popups::draw(canvas, content, state, popup);
     }
     if let Some(tour) = &state.tour {
         draw_tour(canvas, Rect { y: content.bottom(), height: strip, ..area }, tour);
     }
-    // A message of several lines takes precedence over the strip.
+    // Several message lines take precedence over the strip.
     bars::draw_bottom(canvas, area, state);
 }
 
-/// Draws the screen in view without header, messages and bar.
-fn draw_content(canvas: &mut Canvas, area: Rect, state: &State) {
-    let area = detail::draw(canvas, area, state);
-    match state.screen {
-        Screen::Overview => overview::draw(canvas, area, state),
-        Screen::Topics => lists::draw_topics(canvas, area, state),
-        Screen::Uploads | Screen::Shared => lists::draw_records(canvas, area, state),
-        Screen::Grants => lists::draw_grants(canvas, area, state),
-        Screen::Keys => lists::draw_keys(canvas, area, state),
-        Screen::Chain => lists::draw_chain(canvas, area, state),
-        Screen::Gateway => gateway::draw(canvas, area, state),
-        Screen::Log => lists::draw_log(canvas, area, state),
-    }
-}
-
-/// A buffer to draw on, with the theme's styles.
 pub struct Canvas<'a> {
     buffer: &'a mut Buffer,
     theme: &'a Theme,
@@ -102,67 +96,55 @@ pub struct Canvas<'a> {
     placement: Option<Placement>,
 }
 
-/// The columns `text` takes once it is cleaned.
+/// Columns of the cleaned text.
 pub fn columns(text: &str) -> u16 {
     u16::try_from(clean(text, usize::from(u16::MAX)).width()).unwrap_or(u16::MAX)
 }
 
-/// This many rows; more than any screen has are as many as there can be.
+/// Saturates: more rows than any screen has.
 pub fn rows(count: usize) -> u16 {
     u16::try_from(count).unwrap_or(u16::MAX)
 }
 
-/// The part of `area` below its first `rows`.
 pub fn below(area: Rect, rows: u16) -> Rect {
     let rows = rows.min(area.height);
     Rect { y: area.y + rows, height: area.height - rows, ..area }
 }
 
-/// One row of `area`; empty if it has no such row.
+/// Empty if `area` has no such row.
 pub fn row(area: Rect, number: u16) -> Rect {
     Rect { height: area.height.saturating_sub(number).min(1), ..below(area, number) }
 }
 
-/// The part of `area` right of its first `columns`.
 pub fn right_of(area: Rect, columns: u16) -> Rect {
     let columns = columns.min(area.width);
     Rect { x: area.x + columns, width: area.width - columns, ..area }
 }
 
 impl<'a> Canvas<'a> {
-    /// Draws on `buffer`.
     pub fn new(buffer: &'a mut Buffer, theme: &'a Theme) -> Self {
         Self { buffer, theme, cursor: None, placement: None }
     }
 
-    /// How many colours pictures may have; none in ASCII.
-    pub fn shades(&self) -> Shades {
-        if self.theme.ascii { Shades::None } else { self.theme.shades }
+    /// `None` in ASCII.
+    pub fn depth(&self) -> Depth {
+        if self.theme.ascii { Depth::None } else { self.theme.depth }
     }
 
-    /// Puts one character into a cell with a style of its own: only for pictures.
+    /// Only for pictures.
     pub fn paint(&mut self, place: Rect, character: char, style: Style) {
         if self.buffer.area().contains(Position { x: place.x, y: place.y }) {
             self.buffer[(place.x, place.y)].set_char(character).set_style(style);
         }
     }
 
-    /// Whether the terminal draws pictures itself, as pixels.
-    pub fn draws_pixels(&self) -> bool {
-        self.theme.draws_pixels()
-    }
-
-    pub fn screen(&self) -> Rect {
-        *self.buffer.area()
-    }
-
-    /// Leaves a picture to the terminal; its place stays empty.
+    /// The place stays empty for the terminal's picture.
     pub fn place(&mut self, placement: Placement) {
         self.wipe(placement.area);
         self.placement = Some(placement);
     }
 
-    /// The picture left to the terminal; none if anything was written over its place since.
+    /// `None` if anything was written over its place.
     pub fn placement(&mut self) -> Option<Placement> {
         let buffer = &*self.buffer;
         let free =
@@ -170,23 +152,13 @@ impl<'a> Canvas<'a> {
         self.placement.take().filter(|placement| free(placement.area))
     }
 
-    /// Where the terminal's cursor should be.
-    pub fn cursor(&self) -> Option<Position> {
-        self.cursor
-    }
-
-    /// Moves the terminal's cursor.
-    pub fn set_cursor(&mut self, x: u16, y: u16) {
-        self.cursor = Some(Position { x, y });
-    }
-
-    /// Writes `text` into the first row of `area`, cut at its edge; returns the columns it took.
+    /// First row of `area`, cut at its edge; returns the columns taken.
     pub fn put(&mut self, area: Rect, text: &str, role: Role) -> u16 {
         let area = area.intersection(*self.buffer.area());
         if area.is_empty() || text.is_empty() {
             return 0;
         }
-        // A gap that does not fit is not a text that was cut.
+        // A gap that does not fit is not a cut text.
         let text = if text.trim().is_empty() { text.get(..usize::from(area.width)).unwrap_or(text) } else { text };
         let mut shown = clean(text, usize::from(area.width));
         if shown.width() > usize::from(area.width) {
@@ -200,7 +172,7 @@ impl<'a> Canvas<'a> {
         end - area.x
     }
 
-    /// Writes pieces one after the other; returns what is left of `area`.
+    /// Returns what is left of `area`.
     pub fn puts(&mut self, area: Rect, pieces: &[(&str, Role)]) -> Rect {
         pieces.iter().fold(area, |rest, (text, role)| {
             let taken = self.put(rest, text, *role);
@@ -208,13 +180,12 @@ impl<'a> Canvas<'a> {
         })
     }
 
-    /// Writes `text` at the right edge of the first row of `area`.
     pub fn put_right(&mut self, area: Rect, text: &str, role: Role) -> u16 {
         let width = columns(text).min(area.width);
         self.put(right_of(area, area.width - width), text, role)
     }
 
-    /// Clears `area` and draws a frame with a title around it; returns the space inside.
+    /// Clears `area`; returns the space inside the frame.
     pub fn frame(&mut self, area: Rect, title: &str) -> Rect {
         Clear.render(area, self.buffer);
         let block = Block::bordered().border_style(self.theme.style(Role::Border));
@@ -225,13 +196,11 @@ impl<'a> Canvas<'a> {
         Rect { x: inner.x + 1, width: inner.width.saturating_sub(2), ..inner }
     }
 
-    /// Clears `area`.
     pub fn wipe(&mut self, area: Rect) {
         Clear.render(area.intersection(*self.buffer.area()), self.buffer);
     }
 }
 
-/// Replaces every cell that is not ASCII.
 pub fn flatten(buffer: &mut Buffer) {
     for cell in &mut buffer.content {
         if !cell.symbol().is_ascii() {
@@ -263,7 +232,7 @@ fn plain(character: char) -> char {
     }
 }
 
-/// A Braille pattern by how many of its eight dots are set.
+/// By how many of its eight dots are set.
 fn dots(pattern: char) -> char {
     match (u32::from(pattern) & 0xff).count_ones() {
         1 | 2 => '.',
@@ -285,12 +254,12 @@ pub fn count(number: u64) -> String {
     text
 }
 
-/// `20.0`, or `-` if it is not measured.
+/// `20.0`, or `-`.
 pub fn rate(rate: Option<f64>) -> String {
     rate.map_or_else(|| "-".to_owned(), |rate| format!("{rate:.1}"))
 }
 
-/// Bytes a second as kB/s, or `-` if it is not measured.
+/// kB/s, or `-`.
 pub fn kilobytes(bytes: Option<f64>) -> String {
     rate(bytes.map(|bytes| bytes / 1000.0))
 }
@@ -310,12 +279,12 @@ pub fn times(number: u64) -> String {
     if number == 1 { "once".to_owned() } else { format!("{} times", count(number)) }
 }
 
-/// A moment to the second: `2026-11-22T03:43:21Z`.
+/// `2026-11-22T03:43:21Z`.
 pub fn second(at: Timestamp) -> String {
     Timestamp::from_seconds(at.seconds()).to_string()
 }
 
-/// How long ago: `4 s`, `12 min`, `3 h`, `9 d`.
+/// `4 s`, `12 min`, `3 h`, `9 d`.
 pub fn age(then: Timestamp, now: Timestamp) -> String {
     let seconds = now.0.saturating_sub(then.0) / 1_000_000_000;
     match seconds {
@@ -326,7 +295,7 @@ pub fn age(then: Timestamp, now: Timestamp) -> String {
     }
 }
 
-/// Seconds in a column: `0.42 s`, `12 s`, `3.1 min`.
+/// `0.42 s`, `12 s`, `3.1 min`.
 pub fn seconds(seconds: f64) -> String {
     match seconds {
         under if under < 10.0 => format!("{under:.2} s"),
@@ -335,7 +304,7 @@ pub fn seconds(seconds: f64) -> String {
     }
 }
 
-/// Lines of at most `width` columns, wrapped at spaces if there are any.
+/// Wraps at spaces if there are any.
 pub fn wrap(text: &str, width: u16) -> Vec<String> {
     let width = usize::from(width.max(1));
     let indent = text.len() - text.trim_start_matches(' ').len();

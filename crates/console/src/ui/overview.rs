@@ -12,12 +12,12 @@ use crate::app::{FirstStep, GRAPH_PARTS, State, first_steps};
 use crate::model::clean;
 use crate::service::reply::{LifeLine, SiteView};
 
-/// Below this many rows blank lines are left out and only the next step is shown.
+/// Fewer rows drop blank lines and show only the next step.
 const ROOMY_FROM: u16 = 18;
-/// The most alerts shown on a roomy screen.
+/// On a roomy screen.
 const MOST_ALERTS: usize = 4;
 
-/// Below this many columns the clock beside an alert has no word.
+/// Narrower alerts show the clock without a word.
 const SAID_FROM: u16 = 100;
 
 const COLUMNS: &[Column] = &[
@@ -60,13 +60,13 @@ fn draw_health(canvas: &mut Canvas, area: Rect, site: &SiteView) -> Rect {
         canvas.put(place, &part.part, Role::Body);
         let mut rest = right_of(place, 9);
         if part.part == "ros" && site.robots > 0 {
-            // What is simulated must be said, whatever else is cut.
+            // Simulation must show, whatever else is cut.
             let badge = canvas.put_right(rest, "SIMULATED", Role::Badge);
             rest.width -= badge;
             let robots = canvas.put_right(rest, &format!(" {} robots ", site.robots), Role::Body);
             rest.width -= robots;
         }
-        // The robots are named at the right already.
+        // The badge at the right names the robots already.
         let text = part.text.strip_suffix(&format!(", {} SIMULATED robots", site.robots)).unwrap_or(&part.text);
         canvas.puts(rest, &[(dot, role), (" ", Role::Body), (text, Role::Body)]);
     }
@@ -101,7 +101,7 @@ fn draw_life(canvas: &mut Canvas, area: Rect, state: &State, life: &LifeLine) ->
     below(area, 4 + u16::from(lost))
 }
 
-/// Captured = verified + pending + right ended + quarantined + dropped + tampered, in figures, and whether it balances.
+/// Captured = verified + pending + right ended + quarantined + dropped + tampered, and whether this balances.
 fn draw_law(canvas: &mut Canvas, area: Rect, life: &LifeLine) {
     let parts = [
         (life.verified, "verified", Role::Good),
@@ -119,7 +119,7 @@ fn draw_law(canvas: &mut Canvas, area: Rect, life: &LifeLine) {
     };
     let mut rest =
         canvas.puts(area, &[(verdict, role), (&super::count(life.captured), Role::Accent), (" = ", Role::Dim)]);
-    // Unusual states are named if there are any; figures grow, and the line is short.
+    // Unusual states show only if there are any: the line is short.
     let named = parts.into_iter().enumerate().filter(|(place, (count, ..))| *place < 2 || *count > 0);
     for (place, (count, name, role)) in named {
         let plus = if place == 0 { "" } else { " + " };
@@ -140,7 +140,6 @@ fn draw_alerts(canvas: &mut Canvas, area: Rect, state: &State, most: usize) -> R
     below(area, u16::try_from(shown).unwrap_or(0) + gap)
 }
 
-/// One alert with its start and count, or that it has ended.
 fn draw_alert(canvas: &mut Canvas, area: Rect, state: &State, alert: &Alert) {
     let often = if alert.count > 1 { format!(", {} times", alert.count) } else { String::new() };
     let since = if area.width < SAID_FROM { "" } else { "since " };
@@ -185,15 +184,13 @@ fn draw_busiest(canvas: &mut Canvas, area: Rect, state: &State) {
     draw_plain(canvas, area, COLUMNS, rows.collect());
 }
 
-/// Columns of the names of the graphs.
 const NAMES: u16 = 10;
-/// Terminal size from which the graphs are high, two side by side.
+/// Columns and rows from which two high graphs stand side by side.
 const HIGH_FROM: (u16, u16) = (110, 26);
-/// Rows of a high graph.
 const HIGH: u16 = 5;
-/// Rows that the busiest topics keep.
+/// Kept for the busiest topics.
 const KEPT: u16 = 5;
-/// Graphs, and their heading.
+/// Graphs and their heading.
 const ROWS: u16 = 5;
 
 struct Panel {
@@ -204,7 +201,7 @@ struct Panel {
     role: Role,
 }
 
-/// Draws as much as fits; returns what is left of `area`.
+/// Returns what is left of `area`.
 pub fn draw_flow(canvas: &mut Canvas, area: Rect, state: &State) -> Rect {
     if state.site.is_none() || area.height < ROWS + KEPT {
         return area;
@@ -260,7 +257,7 @@ fn low(canvas: &mut Canvas, area: Rect, panels: &[Panel]) -> Rect {
     below(area, ROWS - 1)
 }
 
-/// Two side by side, with their figures above.
+/// Side by side, figures above.
 fn high(canvas: &mut Canvas, area: Rect, panels: &[Panel]) -> Rect {
     let width = area.width / 2;
     for (place, panel) in (0u16..).zip(panels) {
@@ -273,7 +270,7 @@ fn high(canvas: &mut Canvas, area: Rect, panels: &[Panel]) -> Rect {
     below(area, 2 * (HIGH + 2))
 }
 
-/// Draws the card, or its next step if there is little room; returns what is left of `area`.
+/// Only the next step if there is little room; returns what is left of `area`.
 pub fn draw_first_run(canvas: &mut Canvas, area: Rect, state: &State, roomy: bool) -> Rect {
     let steps = first_steps(state);
     if steps.is_empty() || state.settings.read_only {

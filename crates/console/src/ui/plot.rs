@@ -1,32 +1,29 @@
-//! Plots: points of a plane in Braille dots, two by four to a cell, both axes to one scale, the ends of the axes
-//! beside it; a graph of one line; pixels as half blocks.
+//! Points of a plane in Braille dots, two by four to a cell, both axes to one scale; graphs; pixels as half blocks.
 
 use ratatui::layout::Rect;
 use ratatui::style::{Color, Style};
 
-use super::theme::{Rgb, Role, SIXTEEN, Shades, distance};
+use super::theme::{Depth, Rgb, Role, SIXTEEN, distance};
 use super::{Canvas, bars, below, row};
 use crate::ros::readable::{Plot, Raster};
 
-/// The smallest width that is plotted, metres or the unit of the axes.
+/// Smallest width plotted, in units of the axes.
 const LEAST: f64 = 0.1;
 
-/// Which dot of a Braille pattern is at a column and row of the cell.
+/// Braille bit of a column and row in the cell.
 const DOTS: [[u8; 4]; 2] = [[0x01, 0x02, 0x04, 0x40], [0x08, 0x10, 0x20, 0x80]];
 
-/// The visible part of the plane.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Window {
     left: f64,
     bottom: f64,
-    /// Length of one dot.
     dot: f64,
-    /// Dots across and down.
+    /// Across and down.
     dots: (u16, u16),
 }
 
 impl Window {
-    /// The smallest one that shows all points.
+    /// Smallest window around all points.
     fn around(points: &[(f64, f64)], cells: (u16, u16)) -> Option<Self> {
         let dots = (cells.0.checked_mul(2)?, cells.1.checked_mul(4)?);
         if dots.0 < 4 || dots.1 < 4 {
@@ -47,7 +44,7 @@ impl Window {
         (dot.is_finite() && window.left.is_finite() && window.bottom.is_finite()).then_some(window)
     }
 
-    /// The dot of a point, from the left and from above.
+    /// From the left and from above.
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "within the dots")]
     fn place(&self, point: (f64, f64)) -> Option<(u16, u16)> {
         let across = ((point.0 - self.left) / self.dot).round();
@@ -57,7 +54,6 @@ impl Window {
     }
 }
 
-/// Draws a plot with its title above and its ends below.
 pub fn draw(canvas: &mut Canvas, area: Rect, plot: &Plot) {
     canvas.puts(row(area, 0), &[(&plot.title, Role::Title), ("  ", Role::Body), (&legend(plot), Role::Dim)]);
     let field = Rect { height: area.height.saturating_sub(2), ..below(area, 1) };
@@ -93,7 +89,7 @@ fn ends(canvas: &mut Canvas, area: Rect, plot: &Plot, window: &Window) {
     canvas.put(area, &text, Role::Dim);
 }
 
-/// The Braille pattern of each cell, row by row.
+/// Row by row.
 fn patterns(plot: &Plot, window: &Window) -> Vec<u8> {
     let width = usize::from(window.dots.0 / 2);
     let mut cells = vec![0; width * usize::from(window.dots.1 / 4)];
@@ -115,7 +111,6 @@ fn patterns(plot: &Plot, window: &Window) -> Vec<u8> {
     cells
 }
 
-/// Dots on the line between two dots.
 fn between(from: (u16, u16), to: (u16, u16)) -> impl Iterator<Item = (u16, u16)> {
     let steps = from.0.abs_diff(to.0).max(from.1.abs_diff(to.1)).max(1);
     let along = move |from: u16, to: u16, step: u16| {
@@ -125,15 +120,14 @@ fn between(from: (u16, u16), to: (u16, u16)) -> impl Iterator<Item = (u16, u16)>
     (0..=steps).map(move |step| (along(from.0, to.0, step), along(from.1, to.1, step)))
 }
 
-/// Bars in eighths of a cell.
 const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
 
-/// One row of bars against a given scale, so that adjacent rows can be compared.
+/// A given scale makes adjacent rows comparable.
 pub fn sparkline(samples: &[f64], scale: f64) -> String {
     samples.iter().map(|sample| bar(Some(*sample), scale, 0, 1)).collect()
 }
 
-/// Fills `area` with bars against `scale`, the newest value at its right edge.
+/// The newest value is at the right edge.
 pub fn draw_graph(canvas: &mut Canvas, area: Rect, values: &[Option<f64>], scale: f64, role: Role) {
     let shown = values.get(values.len().saturating_sub(usize::from(area.width))..).unwrap_or(values);
     for level in 0..area.height {
@@ -142,7 +136,7 @@ pub fn draw_graph(canvas: &mut Canvas, area: Rect, values: &[Option<f64>], scale
     }
 }
 
-/// The character of a value in a row of a graph, `level` rows above its ground.
+/// `level` counts rows above the ground.
 fn bar(value: Option<f64>, scale: f64, level: u16, rows: u16) -> char {
     let Some(value) = value.filter(|value| value.is_finite()) else { return ' ' };
     if value <= 0.0 || scale <= 0.0 {
@@ -155,48 +149,44 @@ fn bar(value: Option<f64>, scale: f64, level: u16, rows: u16) -> char {
     filled.checked_sub(1).and_then(|place| BARS.get(place)).copied().unwrap_or(' ')
 }
 
-/// Characters from dark to bright.
+/// Dark to bright.
 const RAMP: &[u8] = b" .:-=+*#%@";
 
 /// Thresholds of ordered dithering, 0 to 15.
 pub const BAYER: [[u8; 4]; 4] = [[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]];
 
-/// A picture that the terminal draws itself, and where.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Placement {
-    /// The cells it fills, all of them empty.
+    /// All of them empty.
     pub area: Rect,
     pub raster: Raster,
 }
 
-/// Draws a picture into the upper left of `area`, as large as fits while keeping its shape.
+/// Upper left of `area`, as large as fits, keeping the shape.
 pub fn draw_raster(canvas: &mut Canvas, area: Rect, raster: &Raster) {
     let cells = (usize::from(area.width), usize::from(area.height));
-    if canvas.draws_pixels() {
+    if canvas.theme.draws_pixels() {
         return place(canvas, area, raster);
     }
-    let shades = canvas.shades();
-    if shades == Shades::None {
-        // A cell is about twice as high as wide.
-        let fitted = raster.fit((cells.0, cells.1 * 2));
-        each(area, (fitted.width, fitted.height.div_ceil(2)), |x, y, cell| {
-            let bright = usize::midpoint(brightness(fitted.pixel(x, y * 2)), brightness(fitted.pixel(x, y * 2 + 1)));
-            let letter = RAMP.get(bright * RAMP.len() / 256).copied().unwrap_or(b'@');
-            canvas.paint(cell, char::from(letter), Style::default());
-        });
-        return;
-    }
+    let depth = canvas.depth();
+    // A cell is about twice as high as wide.
     let fitted = raster.fit((cells.0, cells.1 * 2));
     each(area, (fitted.width, fitted.height.div_ceil(2)), |x, y, cell| {
-        let colour = |y: usize| coloured(fitted.pixel(x, y), (x, y), shades);
-        let style = Style::default().fg(colour(y * 2)).bg(colour(y * 2 + 1));
+        let (upper, lower) = (fitted.pixel(x, y * 2), fitted.pixel(x, y * 2 + 1));
+        if depth == Depth::None {
+            let bright = usize::midpoint(brightness(upper), brightness(lower));
+            let letter = RAMP.get(bright * RAMP.len() / 256).copied().unwrap_or(b'@');
+            return canvas.paint(cell, char::from(letter), Style::default());
+        }
+        let fg = coloured(upper, (x, y * 2), depth);
+        let style = Style::default().fg(fg).bg(coloured(lower, (x, y * 2 + 1), depth));
         canvas.paint(cell, '▀', style);
     });
 }
 
-/// The place that half-blocks would take, clear of the messages, which come and go.
+/// The half-blocks' place, clear of messages, which come and go.
 fn place(canvas: &mut Canvas, area: Rect, raster: &Raster) {
-    let area = area.intersection(bars::above(canvas.screen()));
+    let area = area.intersection(bars::above(*canvas.buffer.area()));
     let (width, height) = raster.size_within((usize::from(area.width), usize::from(area.height) * 2));
     let (Ok(width), Ok(height)) = (u16::try_from(width), u16::try_from(height.div_ceil(2))) else { return };
     let area = Rect { width, height, ..area };
@@ -219,16 +209,16 @@ fn brightness(pixel: [u8; 3]) -> usize {
     (red * 299 + green * 587 + blue * 114) / 1000
 }
 
-fn coloured(pixel: [u8; 3], place: (usize, usize), shades: Shades) -> Color {
-    let (red, green, blue) = match shades {
-        Shades::Sixteen => dithered(pixel, place),
+fn coloured(pixel: [u8; 3], place: (usize, usize), depth: Depth) -> Color {
+    let (red, green, blue) = match depth {
+        Depth::Sixteen => dithered(pixel, place),
         // Fewer steps make more neighbours equal, and equal cells are not sent again.
         _ => (pixel[0] & 0xf8, pixel[1] & 0xf8, pixel[2] & 0xf8),
     };
     Color::Rgb(red, green, blue)
 }
 
-/// One of the sixteen colours, depending on the place: an area of them approximates the colour.
+/// Ordered: an area of the sixteen approximates the colour.
 fn dithered(pixel: [u8; 3], place: (usize, usize)) -> Rgb {
     let shift = (i16::from(BAYER[place.1 % 4][place.0 % 4]) - 8) * 6;
     let part = |part: u8| u8::try_from((i16::from(part) + shift).clamp(0, 255)).unwrap_or(part);
@@ -304,8 +294,8 @@ mod raster_tests {
     use crate::ui::Theme;
     use ratatui::buffer::Buffer;
 
-    fn drawn(raster: &Raster, shades: Shades, ascii: bool) -> Buffer {
-        let theme = Theme::named("night").expect("embedded").with_ascii(ascii).with_shades(shades);
+    fn drawn(raster: &Raster, depth: Depth, ascii: bool) -> Buffer {
+        let theme = Theme { ascii, depth, ..Theme::named("night").expect("embedded") };
         let area = Rect::new(0, 0, 12, 6);
         let mut buffer = Buffer::empty(area);
         draw_raster(&mut Canvas::new(&mut buffer, &theme), area, raster);
@@ -319,7 +309,7 @@ mod raster_tests {
 
     #[test]
     fn half_blocks_carry_two_pixels_each() {
-        let buffer = drawn(&ramp(), Shades::All, false);
+        let buffer = drawn(&ramp(), Depth::True, false);
         assert_eq!(buffer[(0, 0)].symbol(), "▀");
         assert!(matches!(buffer[(11, 5)].bg, Color::Rgb(224.., 224.., 224..)), "{:?}", buffer[(11, 5)]);
     }
@@ -327,7 +317,7 @@ mod raster_tests {
     #[test]
     fn sixteen_colours_are_dithered() {
         let grey = Raster { width: 12, height: 12, rgb: vec![145; 432] };
-        let buffer = drawn(&grey, Shades::Sixteen, false);
+        let buffer = drawn(&grey, Depth::Sixteen, false);
         let kinds: std::collections::BTreeSet<String> =
             buffer.content().iter().map(|cell| format!("{:?}", cell.fg)).collect();
         assert!(kinds.len() > 1, "a grey between two is mixed of both: {kinds:?}");
@@ -346,21 +336,26 @@ mod raster_tests {
 
     #[test]
     fn a_terminal_that_draws_pictures_gets_a_place_clear_of_messages() {
-        let night = || Theme::named("night").expect("embedded").with_pixels(true);
+        let night = || Theme { pixels: true, ..Theme::named("night").expect("embedded") };
         let placement = placed(&night(), &ramp(), "").expect("a place");
         assert_eq!((placement.area, placement.raster), (Rect::new(3, 2, 12, 6), ramp()));
         assert!(placement.area.bottom() <= 8, "four rows are kept for messages and bar");
         assert_eq!(placed(&night(), &ramp(), "text"), None, "text over it wins");
         assert_eq!(placed(&night(), &Raster::default(), ""), None);
-        let mono = Theme::named("mono").expect("embedded").with_pixels(true);
-        for theme in [night().with_ascii(true), night().with_shades(Shades::None), night().with_pixels(false), mono] {
+        let mono = Theme { pixels: true, ..Theme::named("mono").expect("embedded") };
+        for theme in [
+            Theme { ascii: true, ..night() },
+            Theme { depth: Depth::None, ..night() },
+            Theme { pixels: false, ..night() },
+            mono,
+        ] {
             assert_eq!(placed(&theme, &ramp(), ""), None);
         }
     }
 
     #[test]
     fn without_colours_it_is_characters() {
-        for (shades, ascii) in [(Shades::None, false), (Shades::All, true)] {
+        for (shades, ascii) in [(Depth::None, false), (Depth::True, true)] {
             let buffer = drawn(&ramp(), shades, ascii);
             let row: String = (0..12).map(|x| buffer[(x, 2)].symbol()).collect();
             assert!(row.starts_with(' ') && row.ends_with('%') && row.is_ascii(), "{row}");

@@ -1,6 +1,6 @@
 //! Tables: a title line, column heads, and the page of rows that contains the cursor.
 
-use ratatui::layout::Rect;
+use ratatui::layout::{Position, Rect};
 
 use super::theme::Role;
 use super::{Canvas, below, columns, right_of, row};
@@ -8,55 +8,51 @@ use crate::app::choosing::wanted;
 use crate::app::table::Table;
 use crate::app::{Screen, State};
 
-/// The greatest width of a column of names.
+/// Greatest width of a name column.
 const WIDEST_NAME: u16 = 56;
-/// What chosen columns leave of it at least.
+/// What chosen columns leave of it.
 const LEAST_NAME: u16 = 12;
 
 #[derive(Debug, Clone, Copy)]
 pub struct Column {
     pub title: &'static str,
-    /// Its name in `:columns`; empty = it cannot be chosen.
+    /// In `:columns`; empty = cannot be chosen.
     pub name: &'static str,
-    /// Its width; 0 = what is left (one column of a table).
+    /// 0 = what is left (one column of a table).
     pub width: u16,
     pub most: u16,
-    /// Whether it is right-aligned.
     pub right: bool,
-    /// The terminal width from which it is shown, columns.
+    /// Terminal width from which it shows.
     pub from: u16,
-    /// Shown only below this terminal width, columns.
+    /// Terminal width below which it shows.
     pub below: u16,
 }
 
 impl Column {
-    /// A column of names that takes what is left, up to `WIDEST_NAME`; it carries the cursor.
+    /// Takes what is left, up to `WIDEST_NAME`; carries the cursor.
     pub const fn name(title: &'static str) -> Self {
         Self { title, name: "", width: 0, most: WIDEST_NAME, right: false, from: 0, below: u16::MAX }
     }
 
-    /// A column that takes all that is left; it carries the cursor.
+    /// Takes all that is left; carries the cursor.
     pub const fn wide(title: &'static str) -> Self {
         Self { title, name: "", width: 0, most: u16::MAX, right: false, from: 0, below: u16::MAX }
     }
 
-    /// A column of words.
     pub const fn text(title: &'static str, width: u16) -> Self {
         Self { title, name: "", width, most: width, right: false, from: 0, below: u16::MAX }
     }
 
-    /// A column of numbers.
     pub const fn number(title: &'static str, width: u16) -> Self {
         Self { title, name: "", width, most: width, right: true, from: 0, below: u16::MAX }
     }
 
-    /// The same, to be chosen by that name; its width says when it is usual.
+    /// Can be chosen by that name.
     pub const fn named(mut self, name: &'static str) -> Self {
         self.name = name;
         self
     }
 
-    /// The same, only on terminals with fewer columns.
     pub const fn below(mut self, columns: u16) -> Self {
         self.below = columns;
         self
@@ -66,14 +62,13 @@ impl Column {
         self.from <= whole && whole < self.below
     }
 
-    /// The same, only on terminals with at least this many columns.
     pub const fn from(mut self, columns: u16) -> Self {
         self.from = columns;
         self
     }
 }
 
-/// The same columns, with times wide enough for the local time if that is shown.
+/// Makes room for the local time if it is shown.
 pub fn with_local_time(columns: &[Column], state: &State) -> Vec<Column> {
     let wide = |column: &Column| match column.title {
         "UTC" if state.local_time => Column { title: "UTC      local", width: 17, most: 17, ..*column },
@@ -82,18 +77,16 @@ pub fn with_local_time(columns: &[Column], state: &State) -> Vec<Column> {
     columns.iter().map(wide).collect()
 }
 
-/// The columns of a list as they are shown.
 pub struct Layout {
-    /// The columns, in order.
     pub columns: Vec<Column>,
-    /// The place of each among all columns of the list.
+    /// Index of each among all columns of the list.
     places: Vec<usize>,
-    /// Names of the chosen ones for which there is no room.
+    /// Chosen ones without room.
     pub left_out: Vec<&'static str>,
 }
 
 impl Layout {
-    /// The chosen columns of a list that fit into `width`, or its usual ones; columns that cannot be chosen follow.
+    /// The chosen columns that fit into `width`, or the usual ones; unnamed columns follow.
     pub fn new(all: &[Column], screen: Screen, table: &Table, width: u16) -> Self {
         let marks = all.iter().filter(|column| column.name.is_empty() && column.is_shown(width));
         let taken: u16 = marks.map(|column| column.width + 1).sum();
@@ -119,17 +112,16 @@ impl Layout {
         layout
     }
 
-    /// The cells of a row, of those of all columns.
+    /// Picks from the cells of all columns.
     pub fn pick(&self, mut cells: Vec<(String, Role)>) -> Vec<(String, Role)> {
         self.places.iter().map(|place| cells.get_mut(*place).map(std::mem::take).unwrap_or_default()).collect()
     }
 
-    /// Whether the column of that name is shown.
     pub fn has(&self, name: &str) -> bool {
         self.columns.iter().any(|column| column.name == name)
     }
 
-    /// What the title says of chosen columns that have no room; empty if all have.
+    /// Names chosen columns without room.
     pub fn note(&self) -> String {
         match self.left_out.as_slice() {
             [] => String::new(),
@@ -138,7 +130,7 @@ impl Layout {
     }
 }
 
-/// The sort column of a table, with an arrow if its order is reversed.
+/// With an arrow for the direction.
 pub fn order(screen: Screen, table: &Table) -> String {
     let orders = screen.orders();
     let name = orders.get(table.sort).or(orders.first()).copied().unwrap_or_default();
@@ -146,19 +138,16 @@ pub fn order(screen: Screen, table: &Table) -> String {
 }
 
 pub struct Sheet<'a> {
-    /// Left part of the title line.
     pub title: &'a str,
-    /// The rest of the title line.
     pub note: String,
     pub columns: &'a [Column],
-    /// Keys of all rows, in order.
     pub keys: &'a [String],
-    /// The cells of a row; called only for rows on screen.
+    /// Called only for rows on screen.
     pub cells: &'a dyn Fn(usize) -> Vec<(String, Role)>,
     pub table: &'a Table,
-    /// Shown if there are no rows.
+    /// Shown without rows.
     pub empty: &'a str,
-    /// Whether the rows are older than the heading says.
+    /// Rows older than the heading says.
     pub old: bool,
 }
 
@@ -179,7 +168,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, sheet: &Sheet) {
     }
 }
 
-/// Draws column heads and rows without a cursor.
+/// Without a cursor.
 pub fn draw_plain(canvas: &mut Canvas, area: Rect, columns: &[Column], rows: Vec<Vec<(String, Role)>>) {
     let widths = widths(columns, area.width);
     draw_cells(canvas, row(area, 0), columns, &widths, |column| (column.title.to_owned(), Role::Title));
@@ -189,22 +178,23 @@ pub fn draw_plain(canvas: &mut Canvas, area: Rect, columns: &[Column], rows: Vec
     }
 }
 
-/// Columns before the first cell: cursor and mark.
+/// Cursor and mark, before the first cell.
 const GUTTER: u16 = 2;
 
 fn draw_title(canvas: &mut Canvas, area: Rect, sheet: &Sheet) {
     let mut rest = canvas.puts(area, &[(sheet.title, Role::Title), ("  ", Role::Body)]);
     let filter = &sheet.table.filter;
-    // What narrows the list is never cut for what is said about it.
+    // The filter is never cut for the note.
     if sheet.table.filtering || !filter.text().is_empty() {
         rest = canvas.puts(rest, &[("filter: ", Role::Accent)]);
         if sheet.table.filtering {
             let before: String = filter.text().chars().take(filter.cursor()).collect();
-            canvas.set_cursor((rest.x + columns(&before)).min(area.right().saturating_sub(1)), rest.y);
+            let x = (rest.x + columns(&before)).min(area.right().saturating_sub(1));
+            canvas.cursor = Some(Position { x, y: rest.y });
         }
         let selected = sheet.table.filtering && filter.is_offered();
         let role = if selected { Role::Selection } else { Role::Accent };
-        // While it is typed it has the line; afterwards half of it.
+        // While typed, it has the line; afterwards half of it.
         let most = if sheet.table.filtering { rest.width } else { area.width / 2 };
         let place = Rect { width: most.min(rest.width), ..rest };
         rest = right_of(rest, canvas.put(place, filter.text(), role) + 2);
@@ -212,14 +202,14 @@ fn draw_title(canvas: &mut Canvas, area: Rect, sheet: &Sheet) {
     canvas.put(rest, &sheet.note, Role::Dim);
 }
 
-/// Columns from which a row is too long to be followed from one end.
+/// Rows this long are hard to follow from one end.
 const LONG_FROM: u16 = 100;
 
 fn draw_row(canvas: &mut Canvas, area: Rect, sheet: &Sheet, widths: &[u16], index: usize, here: bool) {
     let marked = sheet.keys.get(index).is_some_and(|key| sheet.table.marks.contains(key));
     canvas.puts(area, &[(if here { "▌" } else { " " }, Role::Body), (if marked { "✓" } else { " " }, Role::Body)]);
     let cells = (sheet.cells)(index);
-    // Both ends of a long row are lit, so that the eye finds the way across; all of it would cost too many bytes.
+    // Highlights both ends of a long row to guide the eye; all of it would cost too many bytes.
     let shown = |((text, _), width): (&(String, Role), &u16)| *width > 0 && !text.is_empty();
     let last = cells.iter().zip(widths).rposition(shown).filter(|_| area.width >= LONG_FROM);
     let mut cells = cells.into_iter().enumerate();
@@ -253,7 +243,7 @@ fn draw_cells(
     }
 }
 
-/// The width of each column; 0 = not shown.
+/// 0 = not shown.
 fn widths(columns: &[Column], whole: u16) -> Vec<u16> {
     let shown = |column: &Column| column.is_shown(whole);
     let fixed: u16 = columns.iter().filter(|column| shown(column)).map(|column| column.width + 1).sum();

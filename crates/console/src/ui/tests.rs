@@ -300,7 +300,7 @@ fn every_theme_shows_the_same_words_and_ascii_only_ascii() {
         for name in ["day", "contrast", "mono"] {
             assert_eq!(shown(&robot.state, &Theme::named(name).expect("embedded")), text, "{name}");
         }
-        let ascii = shown(&robot.state, &night().with_ascii(true));
+        let ascii = shown(&robot.state, &Theme { ascii: true, ..night() });
         assert!(ascii.is_ascii());
         assert_eq!(ascii.len(), text.chars().count(), "nothing moves");
     }
@@ -334,7 +334,7 @@ fn one_pass_each_in_day_mono_and_ascii() {
     for screen in Screen::all() {
         for size in SIZES {
             let state = at(screen, size).state;
-            let plain = shown(&state, &night().with_ascii(true));
+            let plain = shown(&state, &Theme { ascii: true, ..night() });
             assert!(plain.is_ascii(), "{screen:?} {size:?}");
             if size == SIZES[2] {
                 ascii.push_str(&format!("{}\n{plain}\n", screen.title()));

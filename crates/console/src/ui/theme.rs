@@ -1,4 +1,4 @@
-//! Roles to colours. Code names only roles; the colours are in `themes/*.toml` or in a file of the operator.
+//! Roles to colours: code names only roles, colours are in `themes/*.toml` or the operator's file.
 
 use std::collections::BTreeMap;
 
@@ -10,20 +10,18 @@ use toml::Spanned;
 use crate::app::keymap::{FileError, Source};
 use crate::model::clean;
 
-/// The role of a piece of text.
 #[derive(
     Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, EnumCount, EnumIter, IntoStaticStr,
 )]
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case")]
 pub enum Role {
-    /// Ordinary text, the terminal's own colour.
+    /// The terminal's own colour.
     #[default]
     Body,
-    /// Titles and column heads.
     Title,
     Dim,
-    /// What stands out: names, important numbers.
+    /// Names, important numbers.
     Accent,
     Good,
     Warning,
@@ -32,29 +30,19 @@ pub enum Role {
     Border,
     /// FROZEN, SIMULATED, the screen in view.
     Badge,
-    /// A key to press.
     Key,
 }
 
 impl Role {
-    /// All roles; a theme names each exactly once.
-    pub fn all() -> impl Iterator<Item = Self> {
-        Self::iter()
-    }
-
-    /// Its name in a theme file.
     pub fn word(self) -> &'static str {
         self.into()
     }
 }
 
-/// Why a theme cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ThemeError {
-    /// There is no theme of that name.
     #[error("there is no theme '{name}'; choose {known}")]
     Unknown { name: String, known: String },
-    /// A theme file is wrong.
     #[error(transparent)]
     File(#[from] FileError),
 }
@@ -66,62 +54,43 @@ const EMBEDDED: [(&str, &str); 4] = [
     ("mono", include_str!("../../../../themes/mono.toml")),
 ];
 
-/// The text of the embedded theme of that name, as a template for one's own.
+/// A template for one's own.
 pub fn embedded_text(name: &str) -> Option<&'static str> {
     EMBEDDED.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
 }
 
-/// How many colours pictures may have.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub enum Shades {
-    /// As many as wanted.
-    #[default]
-    All,
+/// Colours of the terminal.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Depth {
+    True,
+    Indexed,
     Sixteen,
+    /// Bold, underline and reverse only.
     None,
 }
 
-/// The style of each role.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Theme {
     pub name: String,
-    /// Draw with ASCII characters only.
     pub ascii: bool,
-    /// How many colours pictures may have.
-    pub shades: Shades,
-    /// Whether the terminal draws pictures itself, as pixels.
+    pub depth: Depth,
+    /// The terminal draws pictures, as pixels.
     pub pixels: bool,
-    /// The background the colours are made for.
+    /// Background the colours are made for.
     pub assumed: Option<(u8, u8, u8)>,
-    styles: [Style; Role::COUNT],
+    pub(crate) styles: [Style; Role::COUNT],
 }
 
 impl Theme {
-    /// The embedded theme of that name.
     pub fn named(name: &str) -> Result<Self, ThemeError> {
         let text = embedded_text(name).ok_or_else(|| unknown(name, EMBEDDED.map(|(known, _)| known).join(", ")))?;
         Ok(read(name, text, &[])?)
     }
 
-    /// The same theme, drawn with ASCII characters only or not.
-    pub fn with_ascii(self, ascii: bool) -> Self {
-        Self { ascii, ..self }
-    }
-
-    /// The same theme on a terminal with this many colours.
-    pub fn with_shades(self, shades: Shades) -> Self {
-        Self { shades, ..self }
-    }
-
-    /// The same theme on a terminal that draws pictures itself, or not.
-    pub fn with_pixels(self, pixels: bool) -> Self {
-        Self { pixels, ..self }
-    }
-
-    /// Whether pictures are left to the terminal: never in ASCII, nor without colours.
+    /// Never in ASCII, nor without colours.
     pub fn draws_pixels(&self) -> bool {
         let colours = || self.styles.iter().any(|style| style.fg.is_some() || style.bg.is_some());
-        self.pixels && !self.ascii && self.shades != Shades::None && colours()
+        self.pixels && !self.ascii && self.depth != Depth::None && colours()
     }
 
     pub fn style(&self, role: Role) -> Style {
@@ -129,13 +98,12 @@ impl Theme {
     }
 }
 
-/// The available themes: the embedded ones, then the operator's own.
+/// Embedded ones, then the operator's.
 #[derive(Debug, Clone)]
 pub struct Themes(Vec<Theme>);
 
 impl Themes {
-    /// The embedded ones and those in the operator's files (name and text). A file contains only what differs from its
-    /// `base`; one with the name of an embedded theme replaces it.
+    /// `files`: name and text. One contains only what differs from its `base`, and can replace an embedded theme.
     pub fn with_files(files: &[(String, String)]) -> Result<Self, ThemeError> {
         let mut themes = EMBEDDED.iter().map(|(name, _)| Theme::named(name)).collect::<Result<Vec<_>, _>>()?;
         let mut from: Vec<(String, &str)> = Vec::new();
@@ -158,7 +126,6 @@ impl Themes {
         Ok(Self(themes))
     }
 
-    /// Their names, in the order shown.
     pub fn names(&self) -> Vec<String> {
         self.0.iter().map(|theme| theme.name.clone()).collect()
     }
@@ -175,7 +142,7 @@ fn unknown(name: &str, known: String) -> ThemeError {
 
 pub type Rgb = (u8, u8, u8);
 
-/// The sixteen, in the order of their codes.
+/// In the order of their codes.
 pub const SIXTEEN: [Rgb; 16] = [
     (0, 0, 0),
     (170, 0, 0),
@@ -195,16 +162,14 @@ pub const SIXTEEN: [Rgb; 16] = [
     (255, 255, 255),
 ];
 
-/// The perceived distance of two colours.
+/// Perceived distance.
 pub fn distance(one: Rgb, other: Rgb) -> u32 {
     let part = |one: u8, other: u8, weight: u32| u32::from(one.abs_diff(other)).pow(2) * weight;
     part(one.0, other.0, 3) + part(one.1, other.1, 6) + part(one.2, other.2, 2)
 }
 
-/// The default base of an operator's theme.
 const BASE: &str = "night";
 
-/// The style of one role, as written.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(clippy::struct_excessive_bools, reason = "each is a key of the theme file")]
@@ -259,8 +224,7 @@ impl Source<'_> {
     }
 }
 
-/// A theme from the text of its file; what it does not name is as in its base among `known`. If none is known, it must
-/// be complete.
+/// Takes the rest from its base among `known`; without a base the theme must be complete.
 fn read(file: &str, text: &str, known: &[Theme]) -> Result<Theme, FileError> {
     let source = Source { file, text };
     let parsed: ThemeFile = source.parsed()?;
@@ -270,12 +234,12 @@ fn read(file: &str, text: &str, known: &[Theme]) -> Result<Theme, FileError> {
     for (role, paint) in &parsed.roles {
         styles[*role as usize] = source.style(paint)?;
     }
-    if let (None, Some(role)) = (base, Role::all().find(|role| !parsed.roles.contains_key(role))) {
+    if let (None, Some(role)) = (base, Role::iter().find(|role| !parsed.roles.contains_key(role))) {
         return Err(source.wrong(0, format!("the theme does not define the role {}", role.word())));
     }
     let assumed = parsed.assumed.as_ref().map(|assumed| source.rgb(assumed)).transpose()?;
     let assumed = assumed.or_else(|| base.and_then(|base| base.assumed));
-    Ok(Theme { name, ascii: false, shades: Shades::All, pixels: false, assumed, styles })
+    Ok(Theme { name, ascii: false, depth: Depth::True, pixels: false, assumed, styles })
 }
 
 fn base<'a>(
@@ -320,7 +284,7 @@ mod tests {
         for (name, _) in EMBEDDED {
             let theme = Theme::named(name).expect("embedded");
             assert_eq!(theme.name, name);
-            for role in Role::all() {
+            for role in Role::iter() {
                 let style = theme.style(role);
                 let Some(text) = parts(style.fg) else { continue };
                 let ground = parts(style.bg).or(theme.assumed).expect("a background");
@@ -335,7 +299,7 @@ mod tests {
             assert_eq!(Theme::named(name).expect("embedded").style(Role::Body), Style::default());
         }
         let mono = Theme::named("mono").expect("embedded");
-        assert!(Role::all().all(|role| mono.style(role).fg.is_none() && mono.style(role).bg.is_none()));
+        assert!(Role::iter().all(|role| mono.style(role).fg.is_none() && mono.style(role).bg.is_none()));
     }
 
     fn one(text: &str) -> Result<Theme, ThemeError> {
@@ -355,7 +319,7 @@ mod tests {
         let own = one("name = 'sea'\nbase = 'day'\n[roles]\naccent = { fg = '#003366' }\n").expect("a theme");
         let day = Theme::named("day").expect("embedded");
         assert_eq!((own.name.as_str(), own.assumed), ("sea", day.assumed));
-        for role in Role::all() {
+        for role in Role::iter() {
             assert_eq!(own.style(role) == day.style(role), role != Role::Accent, "{role:?}");
         }
         let files = [("a.toml".to_owned(), "name = 'night'\n[roles]\nbody = { bold = true }\n".to_owned())];
@@ -384,7 +348,7 @@ mod tests {
 
     #[test]
     fn every_role_has_its_word() {
-        for role in Role::all() {
+        for role in Role::iter() {
             let text = format!("name = 'x'\n[roles]\n{} = {{ underline = true }}\n", role.word());
             assert!(one(&text).expect("known").style(role).add_modifier.contains(ratatui::style::Modifier::UNDERLINED));
         }

@@ -13,21 +13,20 @@ use crate::service::reply::{
     SenderView, TopicRow,
 };
 use crate::service::{NoticeLevel, UploadQuery};
+use strum::IntoStaticStr;
 
-/// Characters of a robot's device id that tell it apart from another one of its name.
+/// Characters of a device id that distinguish robots of one name.
 const DEVICE: usize = 8;
 
-/// The gateway of this site, and the robots of the profile.
 #[derive(Debug, Default)]
 pub struct Gateway {
     pub view: Option<GatewayStatusView>,
-    /// The enrolled robots of the profile; none while the keyring is locked.
+    /// Empty while the keyring is locked.
     pub robots: Vec<RobotRow>,
-    /// When they were reported.
     pub robots_at: Timestamp,
-    /// Whether records came since then: what a robot says of its policy is one.
+    /// Whether records came since: a robot's report is one.
     pub robots_told: bool,
-    /// The account of the profile, whose robots these are.
+    /// The profile's account.
     owner: Option<Address>,
     pub table: Table,
 }
@@ -35,9 +34,9 @@ pub struct Gateway {
 /// A name with a transport key, an enrolled robot of the profile, or both.
 #[derive(Debug, Clone, Copy)]
 pub struct Member<'a> {
-    /// What the gateway knows of it.
+    /// What the gateway knows.
     pub sender: Option<&'a SenderView>,
-    /// What its owner's site knows of it.
+    /// What the owner's site knows.
     pub robot: Option<&'a RobotRow>,
 }
 
@@ -47,17 +46,15 @@ impl Member<'_> {
         sender.or(self.robot.map(|robot| &robot.name)).map(ToString::to_string).unwrap_or_default()
     }
 
-    /// Whether it has a session at the gateway now.
     pub fn is_connected(&self) -> bool {
         self.sender.is_some_and(|sender| sender.sessions > 0)
     }
 
-    /// When it was last heard of: its last frame, or else its newest record.
+    /// Its last frame, or else its newest record.
     pub fn last(&self) -> Option<Timestamp> {
         self.sender.and_then(|sender| sender.last).or(self.robot.and_then(|robot| robot.last_seen))
     }
 
-    /// What its row is known by.
     pub fn key(&self) -> String {
         match (self.sender, self.robot) {
             (None, Some(robot)) => format!("{} {}", robot.name, beginning(&robot.device.to_hex(), DEVICE)),
@@ -65,7 +62,6 @@ impl Member<'_> {
         }
     }
 
-    /// What the filter looks at.
     fn text(&self) -> String {
         let state = if self.is_connected() { "connected" } else { "away" };
         let account = self.sender.map(|sender| sender.account.to_string()).unwrap_or_default();
@@ -73,37 +69,28 @@ impl Member<'_> {
         let policy = self.robot.map(policies::searched).unwrap_or_default();
         format!("{} {account} {peer} {state} {policy}", self.name())
     }
-
-    fn frames(&self) -> u64 {
-        self.sender.map_or(0, |sender| sender.frames)
-    }
 }
 
-/// The first characters of an id.
 pub fn beginning(hex: &str, characters: usize) -> String {
     hex.trim_start_matches("0x").chars().take(characters).collect()
 }
 
 impl Gateway {
-    /// Takes over the site's report.
     pub fn set(&mut self, view: GatewayStatusView) {
         self.view = Some(view);
         self.settle();
     }
 
-    /// Takes over the robots of an owner.
     pub fn set_robots(&mut self, rows: Vec<RobotRow>, owner: Option<Address>, now: Timestamp) {
         (self.robots, self.owner, self.robots_at, self.robots_told) = (rows, owner, now, false);
         self.settle();
     }
 
-    /// Binds the cursor to its row, once there is one.
     fn settle(&mut self) {
         let keys = self.keys();
         self.table.settle(&keys);
     }
 
-    /// All names and robots.
     pub fn all_members(&self) -> Vec<Member<'_>> {
         let mut alone: Vec<&RobotRow> = self.robots.iter().collect();
         let mut members = Vec::new();
@@ -116,12 +103,11 @@ impl Gateway {
         members
     }
 
-    /// The names and robots to show, filtered and in order.
     pub fn shown(&self) -> Vec<Member<'_>> {
         let mut members = palette::narrow(self.table.filter.text(), self.all_members(), Member::text);
         match self.table.sort {
             1 => members.sort_by_key(Member::name),
-            2 => members.sort_by_key(|row| std::cmp::Reverse(row.frames())),
+            2 => members.sort_by_key(|row| std::cmp::Reverse(row.sender.map_or(0, |sender| sender.frames))),
             3 => members.sort_by_key(|row| row.robot.map_or((u8::MAX, 0), policies::urgency)),
             _ => members.sort_by_key(|row| !row.is_connected()),
         }
@@ -131,36 +117,31 @@ impl Gateway {
         members
     }
 
-    /// The keys of all rows shown.
     pub fn keys(&self) -> Vec<String> {
         self.shown().iter().map(Member::key).collect()
     }
 
-    /// The row under the cursor.
     pub fn selected(&self) -> Option<Member<'_>> {
-        let members = self.shown();
-        let keys: Vec<String> = members.iter().map(Member::key).collect();
-        members.get(self.table.position(&keys)).copied()
+        self.table.chosen(self.shown(), Member::key)
     }
 }
 
-/// The robot of a topic: `/robot1` of `/robot1/odom`; none of `/tf`.
+/// `/robot1` of `/robot1/odom`; `None` for `/tf`.
 pub fn robot_of(topic: &str) -> Option<&str> {
     let end = topic.get(1..)?.find('/')? + 1;
     topic.get(..end)
 }
 
-/// The name of a folded robot's row. No topic name ends like this.
+/// No topic name ends like this.
 pub fn name_of(robot: &str) -> String {
     format!("{robot}/")
 }
 
-/// The robot of a folded robot's row.
 pub fn folded(name: &str) -> Option<&str> {
     name.strip_suffix('/')
 }
 
-/// A robot's topics in one row: the sum of rates and counts, and the worst state of any.
+/// The sum of rates and counts, and the worst state of any.
 pub fn together(robot: &str, rows: &[&TopicRow]) -> TopicRow {
     let sum = |of: fn(&TopicRow) -> u64| rows.iter().map(|row| of(row)).sum();
     let rate = |of: fn(&TopicRow) -> Option<f64>| {
@@ -196,18 +177,14 @@ pub fn together(robot: &str, rows: &[&TopicRow]) -> TopicRow {
     }
 }
 
-/// The most grants kept.
 const MOST_GRANTS: usize = 2_000;
 
-/// Grants given and received.
 #[derive(Debug, Default)]
 pub struct Grants {
-    /// All rows, as they came.
     pub rows: Vec<GrantRow>,
     pub table: Table,
 }
 
-/// Whether a grant was given by this profile.
 pub fn is_given(row: &GrantRow) -> bool {
     row.direction == Direction::Given
 }
@@ -226,7 +203,6 @@ pub fn key(row: &GrantRow) -> String {
 }
 
 impl Grants {
-    /// Takes over new rows.
     pub fn set(&mut self, mut rows: Vec<GrantRow>) {
         rows.truncate(MOST_GRANTS);
         self.rows = rows;
@@ -234,7 +210,6 @@ impl Grants {
         self.table.settle(&keys);
     }
 
-    /// The rows to show, filtered and in order.
     pub fn visible(&self) -> Vec<&GrantRow> {
         let text = |row: &&GrantRow| {
             let (direction, state) = (row.direction.word(), row.state.word());
@@ -252,19 +227,15 @@ impl Grants {
         rows
     }
 
-    /// The keys of the rows shown.
     pub fn keys(&self) -> Vec<String> {
         self.visible().into_iter().map(key).collect()
     }
 
-    /// The row of the cursor.
     pub fn selected(&self) -> Option<&GrantRow> {
-        let rows = self.visible();
-        let keys: Vec<String> = rows.iter().map(|row| key(row)).collect();
-        rows.get(self.table.position(&keys)).copied()
+        self.table.chosen(self.visible(), |row| key(row))
     }
 
-    /// When the displayed time left of a grant that ends soon changes without news; `None` = never.
+    /// When the time left of a grant that ends soon changes on screen.
     pub fn nearer_at(&self, now: Timestamp) -> Option<Timestamp> {
         let ends = self.rows.iter().filter(|row| is_active(row)).filter_map(|row| row.expires);
         let next = |end: Timestamp| {
@@ -274,22 +245,8 @@ impl Grants {
         };
         ends.filter_map(next).min()
     }
-
-    /// Whether anything was ever given.
-    pub fn any_given(&self) -> bool {
-        self.rows.iter().any(is_given)
-    }
-
-    /// Who can read now, one line each; `but` is left out.
-    pub fn readers(&self, but: Option<Address>) -> Vec<String> {
-        let active = self.rows.iter().filter(|row| is_given(row) && is_active(row) && Some(row.grantee) != but);
-        let line =
-            |row: &GrantRow| format!("{}  {}  {}{}", row.grantee, scope(&row.topics), end(row.expires), earlier(row));
-        active.map(line).collect()
-    }
 }
 
-/// What a grant covers, in words.
 pub fn scope(topics: &[String]) -> String {
     match topics {
         [] => "all topics".to_owned(),
@@ -298,22 +255,21 @@ pub fn scope(topics: &[String]) -> String {
     }
 }
 
-/// Whether older records are shared too, in words to follow others; empty = no, or not known.
+/// To follow other words; empty = no, or unknown.
 pub fn earlier(row: &GrantRow) -> &'static str {
     if row.earlier == Some(true) { ", earlier records too" } else { "" }
 }
 
-/// When a grant ends, in words.
 pub fn end(expires: Option<Timestamp>) -> String {
     expires.map_or_else(|| "no end".to_owned(), |moment| format!("until {}", day(moment)))
 }
 
-/// Grants that end within this time are shown with the time left, nanoseconds.
+/// Grants ending within this time show the time left, nanoseconds.
 const SOON: u64 = 48 * HOUR;
 const HOUR: u64 = 3_600_000_000_000;
 const MINUTE: u64 = 60_000_000_000;
 
-/// The time left of what ends soon, in words; `None` = it does not, or has ended.
+/// `None` if it does not end soon, or has ended.
 pub fn soon(expires: Option<Timestamp>, now: Timestamp) -> Option<String> {
     let left = expires?.0.checked_sub(now.0).filter(|left| *left < SOON)?;
     Some(match left / MINUTE {
@@ -329,9 +285,7 @@ pub fn day(moment: Timestamp) -> String {
     text.get(..16).map_or_else(|| text.clone(), |text| text.replace('T', " "))
 }
 
-/// The most notices kept.
 const MOST_NOTICES: usize = 500;
-/// The most audit lines requested.
 pub const MOST_AUDIT: usize = 300;
 /// Columns kept of a text.
 const WIDEST: usize = 400;
@@ -343,42 +297,34 @@ pub struct LogLine {
     pub key: String,
     pub source: Source,
     pub text: String,
-    /// Its subject, if a later notice about the same replaces it.
+    /// The subject, if a later notice about it replaces this one.
     pub about: Option<String>,
-    /// Whether the operator has seen it.
     pub seen: bool,
 }
 
 impl LogLine {
-    /// All of it in one line.
     pub fn whole(&self) -> String {
         format!("{} {} {}: {}", self.at, self.level.word(), self.key, self.text)
     }
 }
 
-/// The source of a line.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, IntoStaticStr)]
+#[strum(serialize_all = "lowercase")]
 pub enum Source {
-    /// This console: the operator's commands and how they ended.
+    /// The operator's commands and how they ended.
     Console,
     Site,
     Audit,
 }
 
 impl Source {
-    /// All, in the filter's order.
     pub const ALL: [Self; 3] = [Self::Console, Self::Site, Self::Audit];
 
     pub fn word(self) -> &'static str {
-        match self {
-            Self::Console => "console",
-            Self::Site => "site",
-            Self::Audit => "audit",
-        }
+        self.into()
     }
 }
 
-/// Notices and audit lines.
 #[derive(Debug)]
 pub struct Log {
     notices: VecDeque<LogLine>,
@@ -386,7 +332,7 @@ pub struct Log {
     pub table: Table,
     /// The least urgent level shown.
     pub least: NoticeLevel,
-    /// Lines from this source only; `None` = from all.
+    /// `None` = all.
     pub source: Option<Source>,
     told: u64,
 }
@@ -399,35 +345,27 @@ impl Default for Log {
 }
 
 impl Log {
-    /// Records what this console did or refused.
     pub fn notice(&mut self, at: Timestamp, level: NoticeLevel, text: &str) {
         self.keep(at, level, text, Source::Console, None);
     }
 
-    /// Records what the site reports, and its subject if it lasts.
-    pub fn notice_about(&mut self, at: Timestamp, level: NoticeLevel, text: &str, about: Option<String>) {
-        self.keep(at, level, text, Source::Site, about);
-    }
-
-    fn keep(&mut self, at: Timestamp, level: NoticeLevel, text: &str, source: Source, about: Option<String>) {
+    pub fn keep(&mut self, at: Timestamp, level: NoticeLevel, text: &str, source: Source, about: Option<String>) {
         self.told += 1;
         let (key, text) = (format!("notice {}", self.told), clean(text, WIDEST));
         self.notices.push_front(LogLine { at, level, key, source, text, about, seen: false });
         self.notices.truncate(MOST_NOTICES);
     }
 
-    /// The operator has seen this message.
     pub fn saw(&mut self, text: &str) {
         let text = clean(text, WIDEST);
         self.notices.iter_mut().filter(|line| line.text == text).for_each(|line| line.seen = true);
     }
 
-    /// Takes over audit lines.
     pub fn set_audit(&mut self, lines: Vec<AuditView>) {
         self.audit = lines.into_iter().take(MOST_AUDIT).map(audit_line).collect();
     }
 
-    /// The lines to show, newest first.
+    /// Newest first.
     pub fn visible(&self) -> Vec<&LogLine> {
         let wanted = |line: &&LogLine| line.level >= self.least && self.source.is_none_or(|from| line.source == from);
         let wanted = self.notices.iter().chain(&self.audit).filter(wanted).collect();
@@ -436,38 +374,31 @@ impl Log {
         lines
     }
 
-    /// How many lines there are.
     pub fn count(&self) -> usize {
         self.notices.len() + self.audit.len()
     }
 
-    /// The keys of the lines shown.
     pub fn keys(&self) -> Vec<String> {
         self.visible().into_iter().map(|line| line.key.clone()).collect()
     }
 
-    /// The line under the cursor.
     pub fn selected(&self) -> Option<&LogLine> {
-        let lines = self.visible();
-        let keys: Vec<&str> = lines.iter().map(|line| line.key.as_str()).collect();
-        lines.get(self.table.position(&keys)).copied()
+        self.table.chosen(self.visible(), |line| line.key.as_str())
     }
 
-    /// The newest warnings and errors that the site reported unasked and nobody has seen.
+    /// Newest unseen warnings and errors that the site reported unasked.
     pub fn urgent(&self, limit: usize) -> Vec<&LogLine> {
-        // What lasts is shown by the present health of its part; an operator's own mistake is not an alert.
+        // Lasting problems show as the health of their part; an operator's own mistake is no alert.
         let is_news = |line: &LogLine| line.source == Source::Site && line.about.is_none() && !line.seen;
         let is_alert = |line: &&LogLine| line.level > NoticeLevel::Info && is_news(line);
         self.notices.iter().filter(is_alert).take(limit).collect()
     }
 
-    /// Shows lines of only one source, then of the next, then all again.
     pub fn next_source(&mut self) {
         let place = self.source.map_or(0, |source| source as usize + 1);
         self.source = Source::ALL.get(place).copied();
     }
 
-    /// Shows only more urgent lines, then all again.
     pub fn next_level(&mut self) {
         self.least = match self.least {
             NoticeLevel::Info => NoticeLevel::Warning,
@@ -485,52 +416,33 @@ fn audit_line(view: AuditView) -> LogLine {
     LogLine { at: view.at, level, key, source: Source::Audit, text, about: None, seen: true }
 }
 
-/// The page in view.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Records {
-    /// The rows of the page.
     pub rows: Vec<RecordView>,
-    /// Cursor of the page after this one.
+    /// Cursor of the next page.
     pub next: Option<String>,
     /// Cursors that led here; empty = first page.
     pub path: Vec<String>,
-    /// Cursor in the table, filter; sort 0 = newest first, 1 = oldest first.
+    /// Sort 0 = newest first, 1 = oldest first.
     pub table: Table,
-    /// Nothing captured after it is shown, so that the row of the cursor stays in place; `None` = the newest.
+    /// Hides younger records, so that the row of the cursor stays in place.
     pub anchor: Option<Timestamp>,
-    /// The filter, and the moment when it was typed: `since:1m` is a minute before it, to the nanosecond, for as long as
-    /// the filter stays, so that it stays the same request too.
-    typed: (String, Timestamp),
+    /// The filter and when it was typed: `since:1m` counts from there, so that it stays the same request.
+    pub(super) typed: (String, Timestamp),
     /// Whether more records are on their way from the gateway.
     pub arriving: bool,
 }
 
-impl Default for Records {
-    fn default() -> Self {
-        Self {
-            rows: Vec::new(),
-            next: None,
-            path: Vec::new(),
-            table: Table::following(),
-            anchor: None,
-            typed: (String::new(), Timestamp(0)),
-            arriving: false,
-        }
-    }
-}
-
-/// The part of a filter that the site answers, and the part applied to the page.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Wanted {
-    /// The query; its page is not set here.
+    /// Without its page.
     pub asked: UploadQuery,
     /// Parts of ids, which only narrow the page on screen.
     pub rest: String,
 }
 
 impl Wanted {
-    /// Parses a filter: state words, complete or unambiguous topic names, addresses, and the terms of the command line
-    /// with their values: `owner:bob`, `tag:name=value`, `since:1h`, `until:2026-12-31`. Spans count back from `now`.
+    /// State words, topic names, addresses, and terms such as `owner:bob`; spans count back from `now`.
     pub fn read(filter: &str, topics: &[TopicRow], now: Timestamp) -> Self {
         let mut wanted = Self::default();
         for word in filter.split_whitespace() {
@@ -554,7 +466,7 @@ impl Wanted {
         wanted
     }
 
-    /// Adds `name:value`; false if the site cannot be asked for it.
+    /// False if the site cannot search for it.
     fn takes(&mut self, name: &str, value: &str, now: Timestamp) -> bool {
         // A prefix of the state's word.
         if name == "waits" {
@@ -565,7 +477,6 @@ impl Wanted {
     }
 }
 
-/// Whether it can only be a part of an id.
 fn is_of_an_id(word: &str) -> bool {
     let hex = word.len() >= 6 && word.bytes().all(|byte| byte.is_ascii_hexdigit());
     hex && word.bytes().any(|byte| byte.is_ascii_digit())
@@ -581,7 +492,7 @@ fn topic_named(word: &str, topics: &[TopicRow]) -> Option<TopicName> {
 }
 
 impl Records {
-    /// Notes when the filter was typed, if it is another one than before.
+    /// Notes when the filter was typed, if it changed.
     pub fn note_filter(&mut self, now: Timestamp) {
         let text = self.table.filter.text();
         if text != self.typed.0 {
@@ -589,15 +500,14 @@ impl Records {
         }
     }
 
-    /// What the filter asks for.
     pub fn wanted(&self, topics: &[TopicRow]) -> Wanted {
         Wanted::read(self.table.filter.text(), topics, self.typed.1)
     }
 
-    /// The request for the visible page, as of the moment of the freeze, if there is one.
+    /// As of the moment of the freeze, if frozen.
     pub fn query(&self, topics: &[TopicRow], limit: usize, frozen: Option<Timestamp>) -> UploadQuery {
         let asked = self.wanted(topics).asked;
-        // The query's end is exclusive; the record of that very moment is still shown.
+        // The query's end is exclusive; the record of that very moment still shows.
         let stands = [self.anchor, frozen].into_iter().flatten().map(|at| Timestamp(at.0.saturating_add(1)));
         UploadQuery {
             until: asked.until.into_iter().chain(stands).min(),
@@ -608,7 +518,6 @@ impl Records {
         }
     }
 
-    /// Takes over a page.
     pub fn set(&mut self, page: RecordPage, limit: usize) {
         self.arriving = page.arriving.is_some();
         self.rows = page.records;
@@ -616,7 +525,6 @@ impl Records {
         self.next = page.next;
     }
 
-    /// The rows to show.
     pub fn visible(&self, topics: &[TopicRow]) -> Vec<&RecordView> {
         if self.table.filter.text().is_empty() {
             return self.rows.iter().collect();
@@ -625,26 +533,20 @@ impl Records {
         palette::narrow(&rest, self.rows.iter().collect(), |row| haystack(row))
     }
 
-    /// Back to the first page, as after a new filter or order.
     pub fn restart(&mut self) {
         self.path.clear();
         self.anchor = None;
         self.table.select::<&str>(&[], 0);
     }
 
-    /// Whether newer records are left out.
-    pub fn stands(&self) -> bool {
-        self.anchor.is_some()
-    }
-
-    /// If the cursor has left the newest record, nothing newer comes in above it.
+    /// Once the cursor has left the newest record, nothing comes in above it.
     pub fn stand(&mut self) {
         if self.table.sort == 0 {
             self.anchor = self.anchor.or_else(|| self.rows.iter().map(|row| row.captured_at).max());
         }
     }
 
-    /// To the next page; false if there is none.
+    /// False on the last page.
     pub fn forward(&mut self) -> bool {
         let Some(next) = self.next.take() else { return false };
         self.stand();
@@ -653,7 +555,7 @@ impl Records {
         true
     }
 
-    /// To the previous page; false on the first.
+    /// False on the first page.
     pub fn back(&mut self) -> bool {
         self.table.select::<&str>(&[], 0);
         self.path.pop().is_some() || self.anchor.take().is_some()

@@ -8,57 +8,46 @@ use crate::app::table::Table;
 use crate::model::Timestamp;
 use crate::service::reply::TopicRow;
 
-/// The most topics kept.
 const MOST_TOPICS: usize = 5_000;
-/// Samples of a topic's transfer rate that its sparkline shows.
+/// Samples in a sparkline.
 pub const SAMPLES: usize = 8;
-/// Samples kept, for a view of the topic alone.
+/// Samples kept, for the pane.
 pub const KEPT_SAMPLES: usize = 60;
-/// Time between two samples, nanoseconds.
+/// Nanoseconds between samples.
 const SAMPLE_EVERY: u64 = 1_000_000_000;
 
-/// Topics of the graph.
 #[derive(Debug, Default)]
 pub struct Topics {
-    /// All rows, by name.
+    /// By name.
     pub rows: Vec<TopicRow>,
-    /// Cursor, filter, order, marks.
     pub table: Table,
     history: HashMap<String, VecDeque<f64>>,
     sampled_at: Timestamp,
-    /// Robots whose topics are folded into one row.
+    /// Robots shown as one row.
     folded: BTreeSet<String>,
-    /// The rows of folded robots.
+    /// Their rows.
     robots: BTreeMap<String, TopicRow>,
-    shown: Shown,
-}
-
-/// The rows shown for a filter and an order, computed once until one of them changes.
-#[derive(Debug, Default)]
-struct Shown {
-    filter: String,
-    sort: usize,
-    reversed: bool,
+    /// The rows shown, computed once until filter, order or rows change.
     places: Vec<Place>,
+    /// Filter, sort and direction of `places`.
+    ordered: (String, usize, bool),
 }
 
-/// What a row of the table stands for.
 #[derive(Debug, Clone)]
 enum Place {
-    /// The topic at that place among all rows.
+    /// Its index among all rows.
     Topic(usize),
-    /// All topics of a robot that match the filter.
+    /// A robot's topics that match the filter.
     Robot(String),
 }
 
 impl Topics {
-    /// Takes over new rows.
     pub fn set(&mut self, mut rows: Vec<TopicRow>, now: Timestamp) {
         rows.truncate(MOST_TOPICS);
         rows.sort_by(|one, other| one.topic.cmp(&other.topic));
         self.rows = rows;
         let (rows, folded) = (&self.rows, &self.folded);
-        // Sorted by name above.
+        // Sorted above.
         let is_there = |name: &String| {
             let robot = super::folded(name).is_some_and(|robot| folded.contains(robot));
             robot || rows.binary_search_by(|row| row.topic.cmp(name)).is_ok()
@@ -74,12 +63,12 @@ impl Topics {
         }
     }
 
-    /// Takes a sample of every topic; in seconds without news its rate was the previous one.
+    /// Seconds without news repeat the previous rate.
     fn sample(&mut self, missed: usize) {
         let rows = &self.rows;
         self.history.retain(|topic, _| rows.binary_search_by(|row| row.topic.cmp(topic)).is_ok());
         for row in &self.rows {
-            // Most are there already, and need no new copy of the name.
+            // Most are there already: no new copy of the name.
             let samples = match self.history.get_mut(&row.topic) {
                 Some(samples) => samples,
                 None => self.history.entry(row.topic.clone()).or_default(),
@@ -92,8 +81,7 @@ impl Topics {
         }
     }
 
-    /// Bytes per second of a topic, or of a folded robot, over at most the last `most` seconds, oldest first. The last
-    /// known value holds until there is another.
+    /// Bytes per second over at most the last `most` seconds, oldest first; the last value holds until the next.
     pub fn samples(&self, topic: &str, most: usize, now: Timestamp) -> Vec<f64> {
         let mut samples: Vec<f64> = match self.robot(topic) {
             None => self.history.get(topic).map(|samples| samples.iter().copied().collect()).unwrap_or_default(),
@@ -117,15 +105,15 @@ impl Topics {
         sums
     }
 
-    /// The highest sample of the rows shown: the common scale of all sparklines.
+    /// Common scale of all sparklines.
     pub fn scale(&self, now: Timestamp) -> f64 {
         let highest = |row: &TopicRow| self.samples(&row.topic, SAMPLES, now).into_iter().fold(0.0, f64::max);
         self.visible().into_iter().map(highest).fold(0.0, f64::max)
     }
 
-    /// The rows to show, filtered and in order, folded robots in one row each.
+    /// Filtered and in order, folded robots in one row each.
     pub fn visible(&self) -> Vec<&TopicRow> {
-        self.shown.places.iter().filter_map(|place| self.at(place)).collect()
+        self.places.iter().filter_map(|place| self.at(place)).collect()
     }
 
     fn at(&self, place: &Place) -> Option<&TopicRow> {
@@ -135,18 +123,18 @@ impl Topics {
         }
     }
 
-    /// The robot of the row with this name; `None` = it is a topic, whatever its name.
+    /// `None` = it is a topic, whatever its name.
     pub fn robot<'a>(&self, name: &'a str) -> Option<&'a str> {
         super::folded(name).filter(|robot| self.folded.contains(*robot))
     }
 
-    /// How many of a folded robot's topics are watched, and of how many.
+    /// How many of a folded robot's topics are watched, and how many it has.
     pub fn watched_of(&self, robot: &str) -> (usize, usize) {
         let rows = || self.rows.iter().filter(|row| super::robot_of(&row.topic) == Some(robot));
         (rows().filter(|row| row.watched).count(), rows().count())
     }
 
-    /// Folds the robot of the row under the cursor into one row, or unfolds it; false if the topic has none.
+    /// False if the row has no robot.
     pub fn fold(&mut self) -> bool {
         let Some(name) = self.selected().map(|row| row.topic.clone()) else { return false };
         let Some(robot) = super::robot_of(&name).map(str::to_owned) else { return false };
@@ -165,14 +153,14 @@ impl Topics {
         true
     }
 
-    /// A mark on a robot that is now unfolded would refer to nothing.
+    /// A mark on an unfolded robot would refer to nothing.
     fn unmark_robots(&mut self) {
         let folded = &self.folded;
         let stays = |name: &String| super::folded(name).is_none_or(|robot| folded.contains(robot));
         self.table.marks.retain(stays);
     }
 
-    /// Folds all robots, or unfolds all if none is left to fold.
+    /// Unfolds all if every robot is folded.
     pub fn fold_all(&mut self) {
         let all: BTreeSet<String> =
             self.rows.iter().filter_map(|row| super::robot_of(&row.topic).map(str::to_owned)).collect();
@@ -183,16 +171,12 @@ impl Topics {
         self.table.select(&keys, 0);
     }
 
-    fn is_fresh(&self) -> bool {
-        self.shown.filter == self.table.filter.text()
-            && self.shown.sort == self.table.sort
-            && self.shown.reversed == self.table.reversed
-    }
-
     fn found(&self) -> Vec<(usize, &TopicRow)> {
         let all = self.rows.iter().enumerate().collect();
-        let mut rows = palette::narrow(self.table.filter.text(), all, |(_, row)| haystack(row));
-        // A stable order: equal rows stay in the order of names.
+        let mut rows = palette::narrow(self.table.filter.text(), all, |(_, row)| {
+            format!("{} {}", row.topic, row.type_name.as_deref().unwrap_or(""))
+        });
+        // Stable: equal rows stay ordered by name.
         rows.sort_by(|(_, one), (_, other)| order(self.table.sort, one, other));
         if self.table.reversed {
             rows.reverse();
@@ -200,22 +184,16 @@ impl Topics {
         rows
     }
 
-    /// Recomputes the rows to show if filter or order changed, or `rows_changed`.
     pub fn refresh(&mut self, rows_changed: bool) {
-        if rows_changed || !self.is_fresh() {
-            let (places, robots) = self.places();
-            self.robots = robots;
-            self.shown = Shown {
-                filter: self.table.filter.text().to_owned(),
-                sort: self.table.sort,
-                reversed: self.table.reversed,
-                places,
-            };
+        let wanted = (self.table.filter.text().to_owned(), self.table.sort, self.table.reversed);
+        if rows_changed || self.ordered != wanted {
+            (self.places, self.robots) = self.arranged();
+            self.ordered = wanted;
         }
     }
 
-    /// What matches the filter, in order; topics of a folded robot are one row, at the place of the first.
-    fn places(&self) -> (Vec<Place>, BTreeMap<String, TopicRow>) {
+    /// Topics of a folded robot become one row, at the place of the first.
+    fn arranged(&self) -> (Vec<Place>, BTreeMap<String, TopicRow>) {
         let (mut places, mut taken) = (Vec::new(), BTreeMap::<String, Vec<&TopicRow>>::new());
         for (place, row) in self.found() {
             match super::robot_of(&row.topic).filter(|robot| self.folded.contains(*robot)) {
@@ -233,17 +211,15 @@ impl Topics {
         (places, robots)
     }
 
-    /// Whether any row matches the filter.
     pub fn any_visible(&self) -> bool {
-        !self.shown.places.is_empty()
+        !self.places.is_empty()
     }
 
-    /// The names of the rows shown.
     pub fn keys(&self) -> Vec<String> {
         self.visible().into_iter().map(|row| row.topic.clone()).collect()
     }
 
-    /// The busiest, by Hz, then by name.
+    /// By Hz, then by name.
     pub fn busiest(&self, limit: usize) -> Vec<&TopicRow> {
         let mut rows: Vec<_> = self.rows.iter().collect();
         rows.sort_by(|one, other| descending(one.hz, other.hz));
@@ -251,7 +227,7 @@ impl Topics {
         rows
     }
 
-    /// When the youngest age shown changes without news; `None` = no age is shown.
+    /// When the youngest age on screen changes without news.
     pub fn older_at(&self, now: Timestamp) -> Option<Timestamp> {
         const SECOND: u64 = 1_000_000_000;
         let youngest = self.rows.iter().filter_map(|row| row.last_message).max()?;
@@ -263,15 +239,11 @@ impl Topics {
         Some(Timestamp((now.0 / step + 1).saturating_mul(step)))
     }
 
-    /// The row of the cursor.
     pub fn selected(&self) -> Option<&TopicRow> {
-        let rows = self.visible();
-        let keys: Vec<&str> = rows.iter().map(|row| row.topic.as_str()).collect();
-        rows.get(self.table.position(&keys)).copied()
+        self.table.chosen(self.visible(), |row| row.topic.as_str())
     }
 
-    /// The marked topics, or else the one under the cursor; a robot's row stands for those of its topics that match the
-    /// filter.
+    /// Marked topics, or else the selected one; a robot's row stands for its topics that match the filter.
     pub fn targets(&self) -> Vec<&TopicRow> {
         let chosen: Vec<&str> = match self.table.marks.is_empty() {
             true => self.selected().map(|row| row.topic.as_str()).into_iter().collect(),
@@ -288,10 +260,6 @@ impl Topics {
     }
 }
 
-fn haystack(row: &TopicRow) -> String {
-    format!("{} {}", row.topic, row.type_name.as_deref().unwrap_or(""))
-}
-
 fn order(sort: usize, one: &TopicRow, other: &TopicRow) -> Ordering {
     match sort {
         1 => descending(one.hz, other.hz),
@@ -301,7 +269,7 @@ fn order(sort: usize, one: &TopicRow, other: &TopicRow) -> Ordering {
     }
 }
 
-/// Rates are compared in steps of a fifth, so that rows do not swap places at every small change.
+/// Steps of a fifth keep rows from swapping at every small change.
 fn descending(one: Option<f64>, other: Option<f64>) -> Ordering {
     let step = |rate: Option<f64>| rate.map_or(f64::NEG_INFINITY, |rate| (rate.max(0.01).log2() * 4.0).round());
     step(other).total_cmp(&step(one))

@@ -116,7 +116,8 @@ fn asked(purpose: Purpose) -> Robot {
     if let (Purpose::Administer(_), Some(chain)) = (purpose, &mut robot.state.chain) {
         chain.administration.administrator = Some(fixtures::OWN);
     }
-    let effects = perform(&mut robot.state, verb);
+    perform(&mut robot.state, verb);
+    let effects = std::mem::take(&mut robot.state.effects);
     robot.note(effects);
     match purpose {
         Purpose::AddContact => robot.types("n"),

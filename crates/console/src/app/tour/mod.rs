@@ -1,5 +1,4 @@
-//! The tour: the paper's mission, step by step, on the operator's own screen. It looks at the state and continues
-//! when its step is done.
+//! The tour: the paper's mission step by step; it watches the state and advances when a step is done.
 
 use super::State;
 use super::popup::{Lookup, Popup};
@@ -8,13 +7,11 @@ use super::update::is_settled;
 use super::verb::Verb;
 use crate::model::{ProfileName, Verdict};
 
-/// Rows of its strip at the bottom.
+/// Rows of the strip.
 pub const ROWS: u16 = 4;
 
-/// Who is who in the tour.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Cast {
-    /// The owner, whose records are captured and shared.
     pub owner: ProfileName,
     pub reader: ProfileName,
 }
@@ -30,40 +27,37 @@ impl Tour {
         Self { cast, place: 0 }
     }
 
-    /// Number of the current step, from 1, and of how many.
+    /// The step's number, from 1, and how many there are.
     pub fn count(&self) -> (usize, usize) {
         (self.place + 1, TEXT.len())
     }
 
-    /// Name, what to do, why.
+    /// Name, action, reason.
     pub fn lines(&self) -> Option<[String; 3]> {
-        let text = TEXT.get(self.place)?;
-        let fill =
-            |line: &str| line.replace("OWNER", self.cast.owner.as_str()).replace("READER", self.cast.reader.as_str());
-        Some([fill(text.name), fill(text.act), fill(text.why)])
+        let (_, text) = TEXT.get(self.place)?;
+        let (owner, reader) = (self.cast.owner.as_str(), self.cast.reader.as_str());
+        Some(text.map(|line| line.replace("OWNER", owner).replace("READER", reader)))
     }
 }
 
-/// Rows of the strip now.
 pub fn rows(state: &State) -> u16 {
     if state.tour.is_some() { ROWS } else { 0 }
 }
 
-/// Whether a verb is useful: the one that ends the tour is not, without a tour.
+/// Without a tour there is none to end.
 pub fn knows(state: &State, verb: Verb) -> bool {
     verb != Verb::EndTour || state.tour.is_some()
 }
 
-/// Whether the list of grants is needed to see that a step is done.
+/// Whether a step needs the list of grants.
 pub fn wants_grants(state: &State) -> bool {
-    let step = state.tour.as_ref().and_then(|tour| TEXT.get(tour.place)).map(|text| text.step);
-    matches!(step, Some(Step::Grant | Step::Revoke))
+    let text = state.tour.as_ref().and_then(|tour| TEXT.get(tour.place));
+    matches!(text, Some((Step::Grant | Step::Revoke, _)))
 }
 
-/// Advances as far as things are done.
 pub fn follow(state: &mut State) {
     let Some(mut tour) = state.tour.take() else { return };
-    while TEXT.get(tour.place).is_some_and(|text| is_done(state, &tour.cast, text.step)) {
+    while TEXT.get(tour.place).is_some_and(|(step, _)| is_done(state, &tour.cast, *step)) {
         tour.place += 1;
     }
     state.tour = (tour.place < TEXT.len()).then_some(tour);
@@ -79,12 +73,11 @@ fn is_done(state: &State, cast: &Cast, step: Step) -> bool {
         Step::Grant => owner && given(),
         Step::Open => !owner && state.settings.profile == cast.reader && has_opened(state),
         Step::Revoke => owner && state.feeds.slot(super::update::Feed::Grants).loaded && !given(),
-        // The last one stays until it is ended by its key.
+        // The last step stays until its key ends it.
         Step::End => false,
     }
 }
 
-/// A record's provenance is on screen, and the record is verified.
 fn sees_verified(state: &State) -> bool {
     let shown = |popup: &Popup| match popup {
         Popup::Provenance(lookup) => lookup.found().is_some_and(|found| is_settled(found.record.state)),
@@ -94,7 +87,7 @@ fn sees_verified(state: &State) -> bool {
         || state.detail.steps.as_ref().and_then(Lookup::found).is_some_and(|found| is_settled(found.record.state))
 }
 
-/// A record of the owner is on screen, checked and readable.
+/// Checked, readable, and the owner's.
 fn has_opened(state: &State) -> bool {
     let openings = state.popups.iter().filter_map(|popup| match popup {
         Popup::Record(opening) => Some(opening),
@@ -106,76 +99,73 @@ fn has_opened(state: &State) -> bool {
     openings.chain(state.detail.opening.as_ref()).any(opened)
 }
 
-/// What a step waits for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Step {
-    /// The identity is on the chain.
     Register,
-    /// A topic is watched.
     Watch,
-    /// A record's path to verified is on screen.
     Verified,
-    /// A grant is active.
     Grant,
-    /// The reader sees a record of the owner.
     Open,
-    /// No grant is active any more.
     Revoke,
     End,
 }
 
-/// The texts of a step: one line each.
-#[derive(Debug, Clone, Copy)]
-pub struct StepText {
-    /// What it waits for.
-    pub step: Step,
-    pub name: &'static str,
-    pub act: &'static str,
-    pub why: &'static str,
-}
-
-/// The steps in their order.
-pub const TEXT: [StepText; 7] = [
-    StepText {
-        step: Step::Register,
-        name: "Who you are",
-        act: "Press n and type any passphrase twice (this home is temporary).",
-        why: "Keys are created here; the chain gets only the public ones.",
-    },
-    StepText {
-        step: Step::Watch,
-        name: "Capture a robot",
-        act: "Press 2 for topics, select /robot1/odom with the arrows, press w.",
-        why: "Each message is encrypted and signed before anyone else sees it.",
-    },
-    StepText {
-        step: Step::Verified,
-        name: "See a record verified",
-        act: "Press 3 for your records, select one, then enter. esc closes it.",
-        why: "Its digest is on the chain: nobody can change it now, not even you.",
-    },
-    StepText {
-        step: Step::Grant,
-        name: "Share it",
-        act: "esc, 2, g on the topic; address READER. Enter through the form, then y.",
-        why: "READER gets the topic's key, sealed. The data itself does not move.",
-    },
-    StepText {
-        step: Step::Open,
-        name: "Be the reader",
-        act: "Type :profile READER and enter. Then 4, down, enter: a record opens.",
-        why: "READER checks digest and signature against the chain before decrypting.",
-    },
-    StepText {
-        step: Step::Revoke,
-        name: "Take it back",
-        act: "esc, :profile OWNER and enter. Then 5, x on the grant, and y.",
-        why: "The next record has a new key. What was already read stays read.",
-    },
-    StepText {
-        step: Step::End,
-        name: "That is all",
-        act: "Look around: ? lists the keys of a screen. E closes this strip.",
-        why: "Just authros opens your own site; the manual starts at docs/README.md.",
-    },
+/// Of each step: name, action, reason.
+pub const TEXT: [(Step, [&str; 3]); 7] = [
+    (
+        Step::Register,
+        [
+            "Who you are",
+            "Press n and type any passphrase twice (this home is temporary).",
+            "Keys are created here; the chain gets only the public ones.",
+        ],
+    ),
+    (
+        Step::Watch,
+        [
+            "Capture a robot",
+            "Press 2 for topics, select /robot1/odom with the arrows, press w.",
+            "Each message is encrypted and signed before anyone else sees it.",
+        ],
+    ),
+    (
+        Step::Verified,
+        [
+            "See a record verified",
+            "Press 3 for your records, select one, then enter. esc closes it.",
+            "Its digest is on the chain: nobody can change it now, not even you.",
+        ],
+    ),
+    (
+        Step::Grant,
+        [
+            "Share it",
+            "esc, 2, g on the topic; address READER. Enter through the form, then y.",
+            "READER gets the topic's key, sealed. The data itself does not move.",
+        ],
+    ),
+    (
+        Step::Open,
+        [
+            "Be the reader",
+            "Type :profile READER and enter. Then 4, down, enter: a record opens.",
+            "READER checks digest and signature against the chain before decrypting.",
+        ],
+    ),
+    (
+        Step::Revoke,
+        [
+            "Take it back",
+            "esc, :profile OWNER and enter. Then 5, x on the grant, and y.",
+            "The next record has a new key. What was already read stays read.",
+        ],
+    ),
+    (
+        Step::End,
+        [
+            "That is all",
+            "Look around: ? lists the keys of a screen. E closes this strip.",
+            "Just authros opens your own site; the manual starts at docs/README.md.",
+        ],
+    ),
 ];

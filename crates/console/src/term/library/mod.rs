@@ -64,7 +64,7 @@ fn emulated(state: State, theme: Theme, depth: Depth) -> Parser {
 }
 
 fn theme(name: &str, ascii: bool) -> Theme {
-    Theme::named(name).expect("embedded").with_ascii(ascii)
+    Theme { ascii, ..Theme::named(name).expect("embedded") }
 }
 
 /// Its rows, each cell by `of`, without what is empty at their ends.

@@ -1,8 +1,7 @@
-//! Pictures that the terminal draws itself, if configured: each is placed once, over empty cells, and removed when it goes.
-//! The terminal is never queried, and of a picture only its pixels are sent: to kitty as they are, scaled by the terminal to
-//! a number of cells; as Sixel (DEC STD 070) in 252 fixed colours, mixed by ordered dithering, with run lengths.
+//! Pictures drawn by the terminal, if configured. The terminal is never queried; only pixels are sent.
+//! kitty gets them as they are and scales them; Sixel (DEC STD 070) gets 252 dithered colours with run lengths.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::RangeInclusive;
 
 use crate::config::Pictures;
@@ -15,23 +14,21 @@ use ratatui::buffer::{Buffer, Cell};
 use ratatui::layout::Rect;
 use unicode_width::UnicodeWidthStr;
 
-/// No picture is read with more pixels than these, whatever size it claims.
+/// Pixels read of a picture, whatever size it claims.
 const LARGEST: (usize, usize) = (512, 512);
-/// The most bytes of one picture.
+/// Bytes of one picture.
 const MOST: usize = 256 * 1024;
-/// This many are allowed on the slowest line too.
+/// Allowed on the slowest line too.
 const LEAST: usize = 16 * 1024;
-/// Seconds for which one picture may occupy a line of limited bytes a second.
+/// Seconds that one picture may occupy a limited line.
 const SECONDS: usize = 8;
-/// A cell's width and height, pixels, if the terminal's are unknown.
+/// Width and height of a cell in pixels, if unknown.
 const ASSUMED: (usize, usize) = (8, 16);
-/// The plausible widths and heights of a cell.
 const BELIEVED: RangeInclusive<usize> = 4..=64;
 
-/// The widest and highest sixel, pixels: of larger ones xterm, with its defaults, shows only a part.
+/// Pixels a side: xterm's defaults cut larger sixels.
 const LARGEST_SIXEL: usize = 1000;
 
-/// Removes any picture of ours from the screen that is being left.
 pub fn taking_away(way: Pictures) -> &'static str {
     match way {
         Pictures::HalfBlocks => "",
@@ -40,10 +37,9 @@ pub fn taking_away(way: Pictures) -> &'static str {
     }
 }
 
-/// Returns a cell's width and height, pixels.
+/// A cell's width and height, pixels.
 type Measure = fn() -> (usize, usize);
 
-/// The picture that the terminal shows, and how to replace it.
 #[derive(Debug)]
 pub struct Pixels {
     way: Pictures,
@@ -52,41 +48,33 @@ pub struct Pixels {
     shown: Option<Placement>,
 }
 
-/// What takes the terminal from one picture to the next.
 #[derive(Debug, Default)]
 pub struct Change {
-    /// To be written before the cells of the frame.
+    /// Written before the frame's cells.
     pub away: &'static str,
-    /// To be written after them.
+    /// Written after them.
     pub put: String,
-    /// The cells that are now covered.
     pub covered: Option<Rect>,
 }
 
-impl Default for Pixels {
-    fn default() -> Self {
-        Self::new(Pictures::HalfBlocks, None)
-    }
-}
-
 impl Pixels {
-    /// None is shown yet; a line of limited `bytes_per_second` gets coarser ones.
+    /// A limited line gets coarser pictures.
     pub fn new(way: Pictures, bytes_per_second: Option<u32>) -> Self {
         let rate = bytes_per_second.map(|rate| usize::try_from(rate).unwrap_or(MOST));
         let most = rate.map_or(MOST, |rate| rate.saturating_mul(SECONDS).clamp(LEAST, MOST));
         Self { way, most, measure: cell_size, shown: None }
     }
 
-    /// The screen is about to be cleared, and what was shown has to be placed again; returns the bytes that remove it.
+    /// Before the screen is cleared: returns the bytes that remove the picture.
     pub fn forget(&mut self) -> &'static str {
         match (self.shown.take(), self.way) {
             (Some(_), Pictures::Kitty) => TAKE_AWAY,
-            // A sixel is part of its cells, and disappears with them.
+            // A sixel disappears with its cells.
             _ => "",
         }
     }
 
-    /// The cells that have to be rewritten so that the picture shown makes way for `wanted`.
+    /// Cells to rewrite so that the shown picture makes way for `wanted`.
     pub fn cells_below(&self, wanted: Option<&Placement>, buffer: &Buffer) -> Vec<(u16, u16, Cell)> {
         match &self.shown {
             Some(shown) if self.way == Pictures::Sixel && wanted != Some(shown) => cells(buffer, shown.area),
@@ -94,7 +82,7 @@ impl Pixels {
         }
     }
 
-    /// Shows a picture, or none; nothing is written if it is shown already.
+    /// Writes nothing if the picture is shown already.
     pub fn show(&mut self, wanted: Option<Placement>) -> Change {
         if wanted == self.shown {
             return Change::default();
@@ -106,7 +94,7 @@ impl Pixels {
         Change { away, put, covered }
     }
 
-    /// The cursor comes back to where it was: the next cells are written from there.
+    /// Restores the cursor: the next cells are written from there.
     fn put(&self, placement: &Placement) -> String {
         let (area, raster) = (placement.area, &placement.raster.fit(LARGEST));
         let (width, height) = (self.measure)();
@@ -126,7 +114,7 @@ impl Pixels {
     }
 }
 
-/// The cells of an area, to be written; the second column of a wide character belongs to its first.
+/// The second column of a wide character belongs to its first.
 fn cells(buffer: &Buffer, area: Rect) -> Vec<(u16, u16, Cell)> {
     let mut found = Vec::new();
     let area = area.intersection(*buffer.area());
@@ -145,7 +133,7 @@ fn cells(buffer: &Buffer, area: Rect) -> Vec<(u16, u16, Cell)> {
     found
 }
 
-/// The size in which a picture fills this many pixels while keeping its shape.
+/// Fills that many pixels, keeping the shape.
 fn filled(raster: &Raster, room: (usize, usize)) -> (usize, usize) {
     let (width, height) = (raster.width.max(1), raster.height.max(1));
     if width.saturating_mul(room.1) >= height.saturating_mul(room.0) {
@@ -155,12 +143,12 @@ fn filled(raster: &Raster, room: (usize, usize)) -> (usize, usize) {
     }
 }
 
-/// A cell's width and height, pixels, from the kernel's data about the terminal (TIOCGWINSZ).
+/// From the kernel (TIOCGWINSZ).
 fn cell_size() -> (usize, usize) {
     window_size().ok().and_then(|window| cell_of(&window)).unwrap_or(ASSUMED)
 }
 
-/// `None` if the terminal told the kernel nothing, or nothing plausible.
+/// `None` if the kernel knows nothing plausible.
 fn cell_of(window: &WindowSize) -> Option<(usize, usize)> {
     let part = |pixels: u16, cells: u16| {
         let size = usize::from(pixels).checked_div(usize::from(cells))?;
@@ -169,24 +157,23 @@ fn cell_of(window: &WindowSize) -> Option<(usize, usize)> {
     Some((part(window.width, window.columns)?, part(window.height, window.rows)?))
 }
 
-/// The picture in fewer pixels than `grid` has, down to one.
+/// In fewer pixels than `grid` has, down to one.
 fn coarser(raster: &Raster, grid: &Raster) -> Raster {
     let less = |size: usize| (size - size.div_ceil(6)).max(1);
     raster.fit((less(grid.width), less(grid.height)))
 }
 
-/// The id of our picture in the terminal; there is one at a time.
+/// There is one at a time.
 const IMAGE: u32 = 0x4155_5448;
-/// Removes it and frees the terminal's copy; the terminal does not answer.
+/// Also frees the terminal's copy; the terminal does not answer.
 pub const TAKE_AWAY: &str = "\x1b_Ga=d,d=I,i=1096111176,q=2\x1b\\";
 
-/// The longest chunk of data, bytes.
+/// Bytes of data in a chunk.
 const PIECE: usize = 4096;
-/// The most bytes a chunk has around its data.
+/// Bytes around a chunk's data.
 const AROUND: usize = 96;
 
-/// The picture in this many `cells`, its upper left corner at the cursor, in at most `most` bytes: coarser if it would
-/// take more. The cursor stays, and the terminal does not answer.
+/// Upper left corner at the cursor, which stays; coarser if it exceeds `most` bytes. The terminal does not answer.
 pub fn encode_kitty(raster: &Raster, cells: (usize, usize), most: usize) -> String {
     let mut grid = raster.clone();
     while length(&grid) > most && grid.rgb.len() > 3 {
@@ -211,7 +198,7 @@ pub fn encode_kitty(raster: &Raster, cells: (usize, usize), most: usize) -> Stri
     text
 }
 
-/// At least the number of bytes of a picture as it is sent.
+/// Not less than the bytes sent.
 fn length(grid: &Raster) -> usize {
     let data = grid.rgb.len().div_ceil(3) * 4;
     data + data.div_ceil(PIECE) * AROUND
@@ -219,13 +206,9 @@ fn length(grid: &Raster) -> usize {
 
 /// Steps of red, green and blue.
 const STEPS: [u32; 3] = [6, 7, 6];
-/// All mixtures of them.
-const COLOURS: usize = 252;
-/// Rows of pixels in one band.
 const BAND: usize = 6;
 
-/// The picture in `size` pixels, its upper left corner at the cursor, in at most `most` bytes: coarser if it would take
-/// more.
+/// Upper left corner at the cursor; coarser if it exceeds `most` bytes.
 pub fn encode_sixel(raster: &Raster, size: (usize, usize), most: usize) -> String {
     let mut grid = raster.fit(size);
     loop {
@@ -237,7 +220,7 @@ pub fn encode_sixel(raster: &Raster, size: (usize, usize), most: usize) -> Strin
     }
 }
 
-/// Each pixel of the grid becomes a rectangle, so that all of them fill `size`.
+/// Each pixel of the grid becomes a rectangle; together they fill `size`.
 fn drawn(grid: &Raster, size: (usize, usize)) -> String {
     let colours = dithered(grid);
     let mut text = format!("\x1bP0;1q\"1;1;{};{}", size.0, size.1);
@@ -255,7 +238,6 @@ fn drawn(grid: &Raster, size: (usize, usize)) -> String {
     text
 }
 
-/// The colour of each pixel of the grid, row by row.
 fn dithered(grid: &Raster) -> Vec<u8> {
     let places = (0..grid.height).flat_map(|y| (0..grid.width).map(move |x| (x, y)));
     let colour = |(x, y): (usize, usize)| {
@@ -267,28 +249,22 @@ fn dithered(grid: &Raster) -> Vec<u8> {
     places.map(colour).collect()
 }
 
-/// The step below or above, depending on the threshold: an area of them approximates the value.
+/// An area of dithered steps approximates the value.
 fn step(value: u8, steps: u32, threshold: u32) -> u32 {
     (u32::from(value) * (steps - 1) * 32 + (2 * threshold + 1) * 255) / (255 * 32)
 }
 
-/// Defines the numbers of the colours used, in per cent of red, green and blue.
+/// In per cent of red, green and blue.
 fn define(text: &mut String, colours: &[u8]) {
-    let mut used = [false; COLOURS];
-    for colour in colours {
-        if let Some(used) = used.get_mut(usize::from(*colour)) {
-            *used = true;
-        }
-    }
+    let used: BTreeSet<usize> = colours.iter().map(|colour| usize::from(*colour)).collect();
     let per_cent = |step: usize, steps: usize| (step * 200 + steps - 1) / (2 * (steps - 1));
-    for (index, _) in used.iter().enumerate().filter(|(_, used)| **used) {
+    for index in used {
         let (red, green, blue) = (index / 42, index / 6 % 7, index % 6);
         text.push_str(&format!("#{index};2;{};{};{}", per_cent(red, 6), per_cent(green, 7), per_cent(blue, 6)));
     }
 }
 
-/// One band: for each of its colours the pixels that have it, six of a column in one character. `rows` are those of the
-/// grid; each column of the grid ends at the pixel given by `ends`.
+/// For each colour, the pixels that have it, six of a column in one character; columns end at `ends`.
 fn band(text: &mut String, colours: &[u8], rows: &[usize], ends: &[usize]) {
     let width = ends.len();
     let mut planes: BTreeMap<u8, Vec<u8>> = BTreeMap::new();

@@ -27,7 +27,7 @@ fn scene() -> Scene {
     let readable = Readable { picture: Some(noise((240, 160), 0)), ..Readable::default() };
     let opened = crate::service::reply::OpenedView { readable: Some(readable), ..fixtures::opened(1_000, true) };
     robot.is_answered(&Tag::Open("00000000000003e8".into()), Ok(Reply::Opened(Box::new(opened))));
-    let theme = Theme::named("night").expect("embedded").with_pixels(true);
+    let theme = Theme { pixels: true, ..Theme::named("night").expect("embedded") };
     Stage::new(robot.state, theme).into_scene()
 }
 
@@ -152,15 +152,13 @@ fn expect_written(bytes: &str, area: Rect) {
 
 #[test]
 fn without_the_setting_or_colours_nothing_is_put() {
-    for (way, shades) in [
-        (Pictures::HalfBlocks, crate::ui::theme::Shades::All),
-        (Pictures::Kitty, crate::ui::theme::Shades::None),
-        (Pictures::Sixel, crate::ui::theme::Shades::None),
-    ] {
+    for (way, depth) in
+        [(Pictures::HalfBlocks, Depth::True), (Pictures::Kitty, Depth::None), (Pictures::Sixel, Depth::None)]
+    {
         let (mut scene, mut painter) = (scene(), painter(way));
-        scene.theme = scene.theme.with_shades(shades).with_pixels(way != Pictures::HalfBlocks);
+        scene.theme = Theme { depth, pixels: way != Pictures::HalfBlocks, ..scene.theme };
         let bytes = painter.paint(&mut scene);
-        assert!(!bytes.contains("\x1b_G") && !bytes.contains("\x1bP"), "{way:?} {shades:?}");
+        assert!(!bytes.contains("\x1b_G") && !bytes.contains("\x1bP"), "{way:?} {depth:?}");
         assert_eq!(bytes.contains('▀'), way == Pictures::HalfBlocks);
         assert_eq!(taking_away(way).is_empty(), way == Pictures::HalfBlocks);
     }

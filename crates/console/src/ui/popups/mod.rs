@@ -1,4 +1,4 @@
-//! Popups over a screen: a frame in its middle. The small ones are here, the large ones in a file each.
+//! Popups in the middle of the screen; the large ones are in `windows`.
 
 mod windows;
 
@@ -6,7 +6,8 @@ pub(in crate::ui) use windows::{
     Piece, coverage_lines, inside, provenance_lines, put_lines, record_lines as record_facts,
 };
 
-use ratatui::layout::Rect;
+use ratatui::layout::{Position, Rect};
+use strum::IntoEnumIterator as _;
 
 use super::lists::{self, empty};
 use super::table::Layout;
@@ -25,7 +26,6 @@ use crate::app::{State, granting, opening};
 use crate::model::clean;
 use crate::service::reply::ContactRow;
 
-/// Draws a popup into the middle of `area`.
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
     match popup {
         Popup::Palette(palette) => draw_palette(canvas, area, state, palette),
@@ -53,7 +53,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
     }
 }
 
-/// A framed area of at most that size in the middle of `area`; returns the space inside.
+/// At most that size, centred; returns the space inside.
 fn framed(canvas: &mut Canvas, area: Rect, title: &str, width: u16, height: u16) -> Rect {
     let width = (width + 4).min(area.width.saturating_sub(2));
     let height = (height + 2).min(area.height);
@@ -62,7 +62,7 @@ fn framed(canvas: &mut Canvas, area: Rect, title: &str, width: u16, height: u16)
     canvas.frame(Rect { x, y, width, height }, title)
 }
 
-/// A framed text with wrapped lines; the last line is the answer's.
+/// The last line is the answer's.
 fn draw_text(canvas: &mut Canvas, area: Rect, title: &str, lines: &[String], answer: &[(&str, Role)]) -> Rect {
     let widest = lines.iter().map(|line| columns(line)).max().unwrap_or(0);
     let width = widest.max(40).min(area.width.saturating_sub(6));
@@ -86,25 +86,20 @@ fn draw_confirm(canvas: &mut Canvas, area: Rect, state: &State, confirm: &Confir
         draw_text(canvas, area, &confirm.title, &lines, &[("› ", Role::Key), (&shown, Role::Warning)]);
         return;
     }
-    // What deserves a second look is above the terms.
-    let room = caution_lines(&caution);
-    let lines: Vec<String> = room.iter().map(|_| String::new()).chain(confirm.lines.iter().cloned()).collect();
+    // Above the terms, and marked so that it is visible without colour.
+    let caution = if caution.is_empty() { Vec::new() } else { wrap(&format!("◐ {}", clean(&caution, 500)), 60) };
+    let lines: Vec<String> = caution.iter().map(|_| String::new()).chain(confirm.lines.iter().cloned()).collect();
     let answer =
         [("y", Role::Key), (" ", Role::Body), (confirm.yes, Role::Warning), ("    any other key cancels", Role::Dim)];
     let inner = draw_text(canvas, area, &confirm.title, &lines, &answer);
-    for (place, line) in (0u16..).zip(&room) {
+    for (place, line) in (0u16..).zip(&caution) {
         canvas.put(row(inner, place), line, Role::Warning);
     }
 }
 
-/// The caution, marked so that it is visible without colour too, in lines of a popup.
-fn caution_lines(caution: &str) -> Vec<String> {
-    if caution.is_empty() { Vec::new() } else { wrap(&format!("◐ {}", clean(caution, 500)), 60) }
-}
-
 fn draw_quit(canvas: &mut Canvas, area: Rect, state: &State, leaving: Leaving) {
     let hints = leaving.hints(state);
-    // Four of them fit 80 columns only so.
+    // Four hints fit 80 columns only with narrow gaps.
     let gap = if hints.len() > 3 { "  " } else { "    " };
     let answer: Vec<(&str, Role)> = hints
         .iter()
@@ -113,7 +108,7 @@ fn draw_quit(canvas: &mut Canvas, area: Rect, state: &State, leaving: Leaving) {
     draw_text(canvas, area, "Quit?", &leaving.lines(state), &answer);
 }
 
-/// Draws the page of a list on which its cursor is: the cursor's mark, and what `line` makes of a row beside it.
+/// Draws the cursor's page; `line` draws a row beside the mark.
 fn draw_list<T>(
     canvas: &mut Canvas,
     area: Rect,
@@ -131,12 +126,10 @@ fn draw_list<T>(
     }
 }
 
-/// The role of a name in a list.
 fn name_role(here: bool) -> Role {
     if here { Role::Selection } else { Role::Body }
 }
 
-/// Columns of the choices.
 const TEXT: u16 = 34;
 
 fn draw_browse(canvas: &mut Canvas, area: Rect, state: &State, selected: usize) {
@@ -148,10 +141,9 @@ fn draw_browse(canvas: &mut Canvas, area: Rect, state: &State, selected: usize) 
     });
 }
 
-/// Columns of the keys.
 const KEYS: u16 = 8;
 
-/// Draws it above the bar, where the eyes are.
+/// Above the bar.
 pub fn draw_chord(canvas: &mut Canvas, area: Rect, state: &State, pressed: &[Key]) {
     let Meaning::Begins(begun) = state.settings.keymap.meaning(pressed, state.screen) else { return };
     let height = rows(begun.len()).saturating_add(2).min(area.height);
@@ -168,26 +160,25 @@ pub fn draw_chord(canvas: &mut Canvas, area: Rect, state: &State, pressed: &[Key
     }
 }
 
-/// Draws the choice, with a sample of every role beside it.
+/// With a sample of every role.
 fn draw_themes(canvas: &mut Canvas, area: Rect, state: &State, choice: &ThemeChoice) {
     let names = &state.settings.themes;
-    let inner = framed(canvas, area, "Theme", 44, rows(names.len().max(Role::all().count())));
+    let inner = framed(canvas, area, "Theme", 44, rows(names.len().max(Role::iter().count())));
     draw_list(canvas, inner, names, choice.selected, |canvas, line, name, here| {
         canvas.put(line, &clean(name, 20), name_role(here));
     });
-    for (line, role) in (0..inner.height).zip(Role::all()) {
+    for (line, role) in (0..inner.height).zip(Role::iter()) {
         canvas.put(right_of(row(inner, line), 24), role.word(), role);
     }
 }
 
-/// Columns of the names, and the mark before them.
 const NAME: u16 = 17;
 
 fn draw_palette(canvas: &mut Canvas, area: Rect, state: &State, palette: &Palette) {
     let inner = framed(canvas, area, "Commands", 72, 14);
     canvas.puts(inner, &[(": ", Role::Key), (palette.field.text(), Role::Accent)]);
     let before: String = palette.field.text().chars().take(palette.field.cursor()).collect();
-    canvas.set_cursor(inner.x + 2 + columns(&before), inner.y);
+    canvas.cursor = Some(Position { x: inner.x + 2 + columns(&before), y: inner.y });
     let matches = palette.matches(state);
     if matches.is_empty() {
         canvas.put(below(inner, 1), "no command matches", Role::Dim);
@@ -203,9 +194,7 @@ fn draw_palette(canvas: &mut Canvas, area: Rect, state: &State, palette: &Palett
     });
 }
 
-/// Columns of the window.
 const WIDTH: u16 = 66;
-/// Columns of the box.
 const BOX: u16 = 4;
 const COLUMNS_NAME: u16 = 12;
 
@@ -217,7 +206,7 @@ fn draw_columns(canvas: &mut Canvas, area: Rect, state: &State, choice: &ColumnC
     let offered = offered(state.screen);
     let title = format!("Columns of {}", state.screen.title());
     let inner = framed(canvas, area, &title, WIDTH, rows(offered.len()));
-    draw_list(canvas, inner, offered, choice.selected, |canvas, line, column, here| {
+    draw_list(canvas, inner, &offered, choice.selected, |canvas, line, column, here| {
         let (mark, role) = match (shown.contains(&column.name), column.name == ALWAYS) {
             (true, true) => ("[x]", Role::Dim),
             (true, false) => ("[x]", Role::Key),
@@ -234,28 +223,25 @@ fn draw_columns(canvas: &mut Canvas, area: Rect, state: &State, choice: &ColumnC
     });
 }
 
-/// Columns of the keys.
 const HELP_KEYS: u16 = 14;
-/// Columns of the list.
 const HELP_WIDTH: u16 = 72;
 
-/// A line of the list: keys, words, and whether it is available now.
-struct Told {
-    keys: String,
-    words: String,
-    possible: bool,
-}
+/// Keys, words, and the role of the words.
+type Told = (String, String, Role);
 
-/// Draws the list from its `scroll`-th line on; no sentence is cut.
+/// Never cuts a sentence.
 pub fn draw_help(canvas: &mut Canvas, area: Rect, state: &State, help: &Help) {
     let (title, told) = match &help.window {
-        Some(hints) => ("Keys of this window".to_owned(), of_window(hints)),
+        Some(hints) => {
+            let told = hints.iter().map(|(keys, words)| ((*keys).to_owned(), (*words).to_owned(), Role::Body));
+            ("Keys of this window".to_owned(), told.collect())
+        }
         None => (format!("Keys of the {} screen", state.screen.title()), of_screen(state)),
     };
     let width = HELP_WIDTH.min(area.width.saturating_sub(6));
     let wanted = help.filter.text();
-    let fits = |told: &&Told| whole_words(wanted, &format!("{} {}", told.keys, told.words));
-    let lines: Vec<(String, String, Role)> = told.iter().filter(fits).flat_map(|told| broken(told, width)).collect();
+    let fits = |(keys, words, _): &&Told| whole_words(wanted, &format!("{keys} {words}"));
+    let lines: Vec<Told> = told.iter().filter(fits).flat_map(|told| broken(told, width)).collect();
     let searched = help.filtering || !wanted.is_empty();
     let inner = framed(canvas, area, &title, HELP_WIDTH, rows(lines.len().max(1) + usize::from(searched)));
     let list = Rect { height: inner.height.saturating_sub(u16::from(searched)), ..inner };
@@ -275,13 +261,7 @@ pub fn draw_help(canvas: &mut Canvas, area: Rect, state: &State, help: &Help) {
     }
 }
 
-fn of_window(hints: &[(&str, &str)]) -> Vec<Told> {
-    let told =
-        |(keys, words): &(&str, &str)| Told { keys: (*keys).to_owned(), words: (*words).to_owned(), possible: true };
-    hints.iter().map(told).collect()
-}
-
-/// Verbs of the screen come first.
+/// Verbs of the screen first.
 fn of_screen(state: &State) -> Vec<Told> {
     let hidden =
         |entry: &&Entry| state.settings.read_only && entry.changes || !crate::app::tour::knows(state, entry.verb);
@@ -295,24 +275,21 @@ fn of_entry(state: &State, entry: &Entry) -> Told {
     let keys: Vec<String> = bindings.iter().map(|binding| chord_label(&binding.on)).collect();
     let words = bindings.iter().find(|binding| binding.desc.is_some()).map_or(entry.help, |binding| binding.help());
     let reason = available(state, entry.verb).err();
-    let possible = reason.is_none();
+    let role = if reason.is_none() { Role::Body } else { Role::Dim };
     let words = reason.map_or_else(|| words.to_owned(), |reason| format!("{words} ({reason})"));
-    Told { keys: keys.join(", "), words, possible }
+    (keys.join(", "), words, role)
 }
 
-fn broken(told: &Told, width: u16) -> Vec<(String, String, Role)> {
-    let role = if told.possible { Role::Body } else { Role::Dim };
-    let lines = wrap(&told.words, width.saturating_sub(HELP_KEYS)).into_iter().enumerate();
-    lines.map(|(place, line)| (if place == 0 { told.keys.clone() } else { String::new() }, line, role)).collect()
+fn broken((keys, words, role): &Told, width: u16) -> Vec<Told> {
+    let lines = wrap(words, width.saturating_sub(HELP_KEYS)).into_iter().enumerate();
+    lines.map(|(place, line)| (if place == 0 { keys.clone() } else { String::new() }, line, *role)).collect()
 }
 
-/// Columns of the labels.
 const LABEL: u16 = 13;
-/// The most characters of what tab found.
+/// Characters of what Tab found.
 const MOST_TOLD: usize = 20_000;
-/// Rows that notes, fields and frame take at most.
+/// Rows of notes, fields and frame.
 const ROWS: u16 = 12;
-/// Columns of a form.
 const FORM_WIDTH: u16 = 68;
 
 pub fn draw_form(canvas: &mut Canvas, area: Rect, form: &Form) {
@@ -323,24 +300,20 @@ pub fn draw_form(canvas: &mut Canvas, area: Rect, form: &Form) {
     let told = shortened(told, area.height.saturating_sub(ROWS));
     let needed = notes.len() + form.lines.len() + 2 + error.len() + told.len();
     let inner = framed(canvas, area, &form.title, FORM_WIDTH, rows(needed));
-    let mut place = 0;
-    for note in &notes {
+    for (place, note) in (0..).zip(&notes) {
         canvas.put(row(inner, place), note, Role::Dim);
-        place += 1;
     }
-    place += 1;
-    for (index, line) in form.lines.iter().enumerate() {
+    let fields = rows(notes.len()) + 1;
+    for (place, (index, line)) in (fields..).zip(form.lines.iter().enumerate()) {
         draw_line(canvas, row(inner, place), line, index == form.focus);
-        place += 1;
     }
-    place += 1;
-    for (line, role) in error.iter().map(|line| (line, Role::Bad)).chain(told.iter().map(|line| (line, Role::Dim))) {
+    let answers = error.iter().map(|line| (line, Role::Bad)).chain(told.iter().map(|line| (line, Role::Dim)));
+    for (place, (line, role)) in (fields + rows(form.lines.len()) + 1..).zip(answers) {
         canvas.put(row(inner, place), line, role);
-        place += 1;
     }
 }
 
-/// As many lines as there is room for; the last says how many are missing.
+/// The last line says how many are missing.
 fn shortened(mut lines: Vec<String>, room: u16) -> Vec<String> {
     let room = usize::from(room).max(2);
     let left = lines.len().saturating_sub(room - 1);
@@ -358,14 +331,14 @@ fn draw_line(canvas: &mut Canvas, area: Rect, line: &Line, focused: bool) {
     match &line.input {
         Input::Text(field) => {
             let before: String = field.shown().chars().take(field.cursor()).collect();
-            // A long text is scrolled so that the cursor is visible.
+            // Scrolls a long text so that the cursor is visible.
             let hidden = usize::from(columns(&before).saturating_sub(place.width.saturating_sub(1)));
             let shown: String = field.shown().chars().skip(hidden).collect();
             let empty = shown.is_empty();
             canvas.put(place, if empty { line.hint } else { &shown }, if empty { Role::Dim } else { Role::Body });
             if focused && place.width > 0 {
                 let offset = columns(&before).min(place.width - 1);
-                canvas.set_cursor(place.x + offset, place.y);
+                canvas.cursor = Some(Position { x: place.x + offset, y: place.y });
             }
         }
         Input::Choice { options, chosen } => {
@@ -376,14 +349,10 @@ fn draw_line(canvas: &mut Canvas, area: Rect, line: &Line, focused: bool) {
     }
 }
 
-/// Columns of a name.
 const CONTACTS_NAME: u16 = 15;
-/// Columns of an address, whole.
 const ADDRESS: u16 = 43;
-/// The greatest width of the list.
 const WIDEST: u16 = 124;
 
-/// Draws the list, and below it the keys of the contact under the cursor.
 fn draw_contacts(canvas: &mut Canvas, area: Rect, state: &State, selected: usize) {
     let width = WIDEST.min(area.width.saturating_sub(6));
     let inner = framed(canvas, area, "Address book", width, rows(state.contacts.len().max(1)).saturating_add(3));

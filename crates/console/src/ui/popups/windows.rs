@@ -1,6 +1,4 @@
-//! The large popups: a record, where it comes from, and opened, its description and below it one of its faces (values, plot,
-//! picture, fields, bytes); the present state: who can read, who publishes a topic, what is running, how a robot is; and the
-//! incidents: a line for each, and below what the one under the cursor holds.
+//! The large popups: records, readers, publishers, tasks, robots, incidents.
 
 use super::{draw_list, framed, name_role};
 use crate::app::incidents::IncidentList;
@@ -10,7 +8,6 @@ use crate::app::screens::{LogLine, day, end, is_active, is_given, scope};
 use crate::app::update::Feed;
 use crate::app::{State, Tag, counted};
 use crate::model::{Timestamp, Verdict, clean};
-use crate::pipeline::sender::LaneState;
 use crate::ros::readable::{Readable, Table};
 use crate::service::NoticeLevel;
 use crate::service::reply::{
@@ -26,10 +23,8 @@ use strum::IntoEnumIterator as _;
 
 const WIDEST: u16 = 120;
 
-/// Columns of the labels of values.
 const LABEL: u16 = 20;
 
-/// Draws the record in view.
 pub fn draw_opened(canvas: &mut Canvas, area: Rect, opening: &Opening) {
     let width = WIDEST.min(area.width.saturating_sub(6));
     let title = format!("Record {}", opening.lookup.id);
@@ -42,7 +37,7 @@ pub fn draw_opened(canvas: &mut Canvas, area: Rect, opening: &Opening) {
     put_lines(canvas, inner, &lines, 0);
 }
 
-/// The lines of an answer; before it is here, and where there is none, that and why, each line put by `one`.
+/// Lines of an answer, or of its absence and the reason.
 fn answered<T, L>(lookup: &Lookup<T>, width: u16, lines: impl FnOnce(&T) -> Vec<L>, one: fn(Piece) -> L) -> Vec<L> {
     match &lookup.answer {
         None => vec![one(("Asking…".to_owned(), Role::Dim))],
@@ -53,7 +48,6 @@ fn answered<T, L>(lookup: &Lookup<T>, width: u16, lines: impl FnOnce(&T) -> Vec<
     }
 }
 
-/// An opened record: its description, and below it the face in view.
 pub(in crate::ui) fn inside(canvas: &mut Canvas, inner: Rect, opening: &Opening, view: &OpenedView) {
     let head = if opening.alone && opening.is_drawn() { Vec::new() } else { head(view, inner.height) };
     put_lines(canvas, inner, &head, 0);
@@ -76,7 +70,7 @@ pub(in crate::ui) fn inside(canvas: &mut Canvas, inner: Rect, opening: &Opening,
     }
 }
 
-/// The record's description; shorter if there is little room.
+/// Shorter without room.
 fn head(view: &OpenedView, room: u16) -> Vec<Vec<Piece>> {
     let mut lines = vec![verdict_line(view.verdict)];
     let mut facts = record_lines(&view.record);
@@ -101,7 +95,6 @@ fn head(view: &OpenedView, room: u16) -> Vec<Vec<Piece>> {
     lines
 }
 
-/// The names of all faces; the one in view is highlighted.
 fn faces(canvas: &mut Canvas, area: Rect, opening: &Opening, view: &OpenedView) {
     let shown = opening.shown();
     let mut rest = area;
@@ -153,14 +146,14 @@ fn fields(view: &OpenedView, width: u16) -> Vec<Vec<Piece>> {
     notes.chain(view.fields.iter().map(line)).collect()
 }
 
-/// In the form of a hex dump: offset, sixteen bytes, their ASCII characters.
+/// Offset, sixteen bytes, ASCII.
 fn bytes(view: &OpenedView) -> Vec<Vec<Piece>> {
     let line = |(at, chunk): (usize, &[u8])| {
         let hex: Vec<String> = chunk.iter().map(|byte| format!("{byte:02x}")).collect();
         let shown = |byte: &u8| if byte.is_ascii_graphic() || *byte == b' ' { char::from(*byte) } else { '.' };
         vec![
             (format!("{:08x}  ", at * BYTES_A_LINE), Role::Dim),
-            // 74 columns in all: what a window of 80 has.
+            // 74 columns in all: a window of 80 fits them.
             (format!("{:47} ", hex.join(" ")), Role::Body),
             (chunk.iter().map(shown).collect(), Role::Accent),
         ]
@@ -172,7 +165,7 @@ pub(in crate::ui) fn put_lines(canvas: &mut Canvas, area: Rect, lines: &[Vec<Pie
     put_lines_above(canvas, area, lines, scroll, row(area, area.height.saturating_sub(1)));
 }
 
-/// The same; `edge` is where it says that there is more.
+/// `edge` says how much more there is.
 fn put_lines_above(canvas: &mut Canvas, area: Rect, lines: &[Vec<Piece>], scroll: usize, edge: Rect) {
     let height = usize::from(area.height);
     let first = scroll.min(lines.len().saturating_sub(height));
@@ -185,14 +178,11 @@ fn put_lines_above(canvas: &mut Canvas, area: Rect, lines: &[Vec<Piece>], scroll
     }
 }
 
-/// Columns of the labels of provenance steps.
 const STEP: u16 = 14;
-/// The greatest width of a record's view.
 const LOOKUP_WIDEST: u16 = 110;
 
 pub(in crate::ui) type Piece = (String, Role);
 
-/// Draws a record's provenance and state.
 pub fn draw_provenance(canvas: &mut Canvas, area: Rect, lookup: &Lookup<Provenance>) {
     let width = LOOKUP_WIDEST.min(area.width.saturating_sub(6));
     let lines = answered(lookup, width, |view| provenance_lines(view, width), |line| vec![line]);
@@ -201,9 +191,8 @@ pub fn draw_provenance(canvas: &mut Canvas, area: Rect, lookup: &Lookup<Provenan
     put_lines_above(canvas, inner, &lines, lookup.scroll, edge);
 }
 
-/// The steps of a record, in lines of that width.
 pub(in crate::ui) fn provenance_lines(view: &Provenance, width: u16) -> Vec<Vec<Piece>> {
-    // What the steps say themselves is not repeated before them: all of it should fit on a screen.
+    // Steps repeat the other facts; everything should fit on one screen.
     let mut lines: Vec<Vec<Piece>> = record_lines(&view.record).into_iter().take(2).collect();
     lines.push(Vec::new());
     let width = width.saturating_sub(STEP);
@@ -218,8 +207,7 @@ pub(in crate::ui) fn provenance_lines(view: &Provenance, width: u16) -> Vec<Vec<
     lines
 }
 
-/// Evidence in its width: if it does not fit, hashes are shortened to their ends (`authros uploads show` has them in
-/// full).
+/// Shortens hashes to their ends if the evidence does not fit; `authros uploads show` has them in full.
 fn fitted(evidence: &str, width: u16) -> String {
     const WHOLE: usize = 40;
     if columns(evidence) <= width {
@@ -232,7 +220,6 @@ fn fitted(evidence: &str, width: u16) -> String {
     evidence.split(' ').map(ends).collect::<Vec<_>>().join(" ")
 }
 
-/// A step that is done, or the state that a record is in.
 fn step_role(word: &str) -> Role {
     match ShownState::from_word(word) {
         Some(state) => state_role(state),
@@ -278,7 +265,6 @@ fn pad(text: &str, width: u16) -> String {
     format!("{text}{}", " ".repeat(missing))
 }
 
-/// Draws lines in a frame, from the `scroll`-th on.
 fn draw_lines(canvas: &mut Canvas, area: Rect, title: &str, lines: &[Piece], scroll: usize) {
     let width = area.width.saturating_sub(6).min(100);
     let wrapped: Vec<Piece> = lines
@@ -293,14 +279,13 @@ fn draw_lines(canvas: &mut Canvas, area: Rect, title: &str, lines: &[Piece], scr
     }
 }
 
-/// Draws who can read topics now; no topic = all of them.
+/// No topic = all of them.
 pub fn draw_readers(canvas: &mut Canvas, area: Rect, state: &State, topics: &[String]) {
+    let mut lines: Vec<Piece> = Vec::new();
     if topics.is_empty() {
-        let lines: Vec<Piece> =
-            readers(state, "New records of all topics:", None).into_iter().map(|line| (line, Role::Body)).collect();
-        return draw_lines(canvas, area, "Who can read this now?", &with_words(lines), 0);
+        let readers = readers(state, "New records of all topics:", None);
+        lines.extend(readers.into_iter().map(|line| (line, Role::Body)));
     }
-    let mut lines = Vec::new();
     let given: Vec<&GrantRow> = state.grants.rows.iter().filter(|row| is_given(row) && is_active(row)).collect();
     for topic in topics.iter().take(8) {
         lines.push((topic.clone(), Role::Accent));
@@ -311,17 +296,12 @@ pub fn draw_readers(canvas: &mut Canvas, area: Rect, state: &State, topics: &[St
     if topics.len() > 8 {
         lines.push((format!("and {} more topics", topics.len() - 8), Role::Dim));
     }
-    if state.awaits(Feed::Grants) {
+    if !topics.is_empty() && state.awaits(Feed::Grants) {
         lines.push(("(the list of grants has not arrived yet)".to_owned(), Role::Warning));
     }
-    draw_lines(canvas, area, "Who can read this now?", &with_words(lines), 0);
-}
-
-fn with_words(mut lines: Vec<Piece>) -> Vec<Piece> {
-    lines.push((String::new(), Role::Body));
     let text = "Revoking does not undo reads: anyone who read a record may have kept it.";
-    lines.push((text.to_owned(), Role::Dim));
-    lines
+    lines.extend([Piece::default(), (text.to_owned(), Role::Dim)]);
+    draw_lines(canvas, area, "Who can read this now?", &lines, 0);
 }
 
 fn reader(row: &GrantRow) -> String {
@@ -329,14 +309,9 @@ fn reader(row: &GrantRow) -> String {
     format!("  {name}, {}, {}", scope(&row.topics), end(row.expires))
 }
 
-/// Draws who publishes a topic: pinned, suspect.
 pub fn draw_publishers(canvas: &mut Canvas, area: Rect, state: &State, lookup: &Lookup<PinsView>) {
-    let lines = answered(
-        lookup,
-        area.width.saturating_sub(6).min(100),
-        |view| publishers(state, &lookup.id, view),
-        |line| line,
-    );
+    let width = area.width.saturating_sub(6).min(100);
+    let lines = answered(lookup, width, |view| publishers(state, &lookup.id, view), |line| line);
     draw_lines(canvas, area, &format!("Publishers of {}", lookup.id), &lines, lookup.scroll);
 }
 
@@ -357,7 +332,7 @@ fn publishers(state: &State, topic: &str, view: &PinsView) -> Vec<Piece> {
     lines
 }
 
-/// When there are records of a topic: from when to when, a strip of signs, and their meaning.
+/// From when to when, a strip of signs, and their meaning.
 pub fn coverage_lines(state: &State, topic: &str) -> Vec<Piece> {
     let Some((of, answer)) = &state.detail.coverage else { return Vec::new() };
     match answer {
@@ -404,14 +379,12 @@ fn reason(word: &str) -> &str {
     }
 }
 
-/// Draws a line of the log, whole.
 pub fn draw_line(canvas: &mut Canvas, area: Rect, line: &LogLine) {
     let about = format!("{}  {}  {}", line.at.in_milliseconds(), line.level.word(), line.key);
     let role = if line.level == NoticeLevel::Info { Role::Body } else { bars::notice_level(line.level).1 };
     draw_lines(canvas, area, "Log line", &[(about, Role::Dim), (line.text.clone(), role)], 0);
 }
 
-/// Draws what is running, what waits, and for how long.
 pub fn draw_tasks(canvas: &mut Canvas, area: Rect, state: &State) {
     let mut lines: Vec<Piece> = state.work.iter().map(Tag::words).map(|words| (words, Role::Accent)).collect();
     lines.extend(state.progress.lines(state.shown_at()).into_iter().map(|line| (line, Role::Accent)));
@@ -423,7 +396,8 @@ pub fn draw_tasks(canvas: &mut Canvas, area: Rect, state: &State) {
     if let Some(chain) = &state.chain {
         let pending = format!("{:<15} {} pending", "transactions", chain.pending);
         lines.push((pending, if chain.pending > 0 { Role::Warning } else { Role::Body }));
-        lines.extend(chain.lanes.iter().filter_map(paused));
+        let causes = chain.lanes.iter().filter_map(|lane| Some(lane.paused.as_ref()?.cause(lane.account)));
+        lines.extend(causes.map(|cause| (format!("paused  {cause}"), Role::Bad)));
     }
     for feed in Feed::iter() {
         let slot = state.feeds.slot(feed);
@@ -435,7 +409,7 @@ pub fn draw_tasks(canvas: &mut Canvas, area: Rect, state: &State) {
     draw_lines(canvas, area, "Tasks", &lines, 0);
 }
 
-/// The site's background tasks: how many are running, and each that is not or had to be restarted.
+/// How many run, and each that stopped or restarted.
 fn workers(state: &State) -> Vec<Piece> {
     let tasks: &[TaskView] = state.site.as_ref().map_or(&[], |site| &site.tasks);
     let running = tasks.iter().filter(|task| task.state == TaskState::Running).count();
@@ -457,16 +431,9 @@ fn records_on_their_way(state: &State) -> Vec<Piece> {
     let life = &site.life;
     let queue = &site.queue;
     let full = queue.bytes.saturating_mul(100).checked_div(queue.capacity).unwrap_or(0);
-    let mut lines = vec![(
-        format!(
-            "{:<15} {} message{}, {} (buffer {full} % full)",
-            "to be stored",
-            ui::count(queue.messages),
-            if queue.messages == 1 { "" } else { "s" },
-            ui::size(queue.bytes)
-        ),
-        if full >= 80 { Role::Bad } else { Role::Body },
-    )];
+    let (messages, bytes) = (many(queue.messages, "message"), ui::size(queue.bytes));
+    let stored = format!("{:<15} {messages}, {bytes} (buffer {full} % full)", "to be stored");
+    let mut lines = vec![(stored, if full >= 80 { Role::Bad } else { Role::Body })];
     let stations = [
         ("to be anchored", life.stored.saturating_sub(life.anchored)),
         ("to be confirmed", life.anchored.saturating_sub(life.confirmed)),
@@ -477,7 +444,7 @@ fn records_on_their_way(state: &State) -> Vec<Piece> {
     lines
 }
 
-/// How long what is pending will take at the present rates.
+/// At the present rates.
 fn left(pending: u64, captured: f64, verified: f64) -> String {
     if pending == 0 {
         return "all captured records are verified, quarantined or accounted for".to_owned();
@@ -495,20 +462,11 @@ fn left(pending: u64, captured: f64, verified: f64) -> String {
     format!("{count} pending, done in about {:.0} s", records / net.max(0.1))
 }
 
-fn paused(lane: &LaneState) -> Option<Piece> {
-    let cause = lane.paused.as_ref()?.cause(lane.account);
-    Some((format!("paused  {cause}"), Role::Bad))
-}
-
-/// Columns of the names of facts.
 const ROBOT_LABEL: u16 = 10;
-/// The greatest width of a window.
-const ROBOT_WIDEST: u16 = 110;
-/// Columns of the numbers of a topic.
 const NUMBER: usize = 9;
 
 pub fn draw_robot(canvas: &mut Canvas, area: Rect, state: &State, lookup: &Lookup<RobotView>) {
-    let width = ROBOT_WIDEST.min(area.width.saturating_sub(6));
+    let width = LOOKUP_WIDEST.min(area.width.saturating_sub(6));
     let whole = |view: &RobotView| {
         [told(&gateway::facts(view, state.shown_at()), width), topics(view, width), robot_text(view, width)].concat()
     };
@@ -519,7 +477,7 @@ pub fn draw_robot(canvas: &mut Canvas, area: Rect, state: &State, lookup: &Looku
     draw_told(canvas, inner, &lines, lookup.scroll);
 }
 
-/// Names and words; a name that repeats is said once.
+/// Says a repeated name once.
 fn told(facts: &[Fact], width: u16) -> Vec<Piece> {
     let mut lines = Vec::new();
     let mut before = "";
@@ -533,7 +491,6 @@ fn told(facts: &[Fact], width: u16) -> Vec<Piece> {
     lines
 }
 
-/// What the robot recorded, by topic.
 fn topics(view: &RobotView, width: u16) -> Vec<Piece> {
     if view.topics.is_empty() {
         return vec![Piece::default(), ("Nothing of it was recorded yet.".to_owned(), Role::Dim)];
@@ -551,7 +508,6 @@ fn topics(view: &RobotView, width: u16) -> Vec<Piece> {
     lines
 }
 
-/// The policy as it was set.
 fn robot_text(view: &RobotView, width: u16) -> Vec<Piece> {
     let mut lines = vec![Piece::default()];
     if view.policy.is_empty() {
@@ -565,18 +521,12 @@ fn robot_text(view: &RobotView, width: u16) -> Vec<Piece> {
     lines
 }
 
-/// Columns of a name.
 const INCIDENT_NAME: u16 = 22;
-/// Columns of a state.
 const STATE: u16 = 8;
-/// The widest the list grows.
-const INCIDENT_WIDEST: u16 = 110;
-/// Seconds of a day.
 const DAY: u64 = 86_400;
 
-/// Draws the list, and below it what the incident under the cursor holds.
 pub fn draw_incidents(canvas: &mut Canvas, area: Rect, state: &State, list: &IncidentList) {
-    let width = INCIDENT_WIDEST.min(area.width.saturating_sub(6));
+    let width = LOOKUP_WIDEST.min(area.width.saturating_sub(6));
     let Some(chosen) = list.chosen(state) else {
         let inner = framed(canvas, area, "Incidents", width.min(72), 2);
         let nothing = "None yet: n opens one, to keep the records of a time span.";
@@ -588,7 +538,7 @@ pub fn draw_incidents(canvas: &mut Canvas, area: Rect, state: &State, list: &Inc
         .into_iter()
         .flat_map(|(text, role)| ui::wrap(&text, width).into_iter().map(move |line| (line, role)))
         .collect();
-    // A third is the list's, however many there are.
+    // The list takes a third, however many there are.
     let listed = rows(incidents.len()).min((area.height.saturating_sub(4) / 3).max(1));
     let inner = framed(canvas, area, "Incidents", width, rows(told.len()).saturating_add(listed + 1));
     draw_list(canvas, Rect { height: listed, ..inner }, incidents, list.selected, draw_incident);
@@ -602,11 +552,11 @@ fn draw_incident(canvas: &mut Canvas, line: Rect, incident: &IncidentView, here:
     let (word, role) = if incident.open { ("open", Role::Good) } else { ("closed", Role::Dim) };
     canvas.put(rest, word, role);
     let topics = incident.coverage.iter().filter(|one| one.records > 0).count() as u64;
-    let held = format!("{} in {}", records(incident.records), counted(topics, "topic"));
+    let held = format!("{} in {}", many(incident.records, "record"), counted(topics, "topic"));
     canvas.puts(right_of(rest, STATE), &[(&held, Role::Body), (&format!(", {}", ui::size(incident.bytes)), Role::Dim)]);
 }
 
-/// Draws lines from the `scroll`-th on, and says how many are above and below.
+/// Says how many lines are above and below.
 fn draw_told(canvas: &mut Canvas, area: Rect, told: &[Piece], scroll: usize) {
     let height = usize::from(area.height);
     let first = scroll.min(told.len().saturating_sub(height));
@@ -620,11 +570,11 @@ fn draw_told(canvas: &mut Canvas, area: Rect, told: &[Piece], scroll: usize) {
     }
 }
 
-fn records(count: u64) -> String {
-    format!("{} {}", ui::count(count), if count == 1 { "record" } else { "records" })
+fn many(count: u64, one: &str) -> String {
+    format!("{} {one}{}", ui::count(count), if count == 1 { "" } else { "s" })
 }
 
-/// Its span, its notes, and what there is of each topic.
+/// Span, notes, and coverage of each topic.
 fn holdings(state: &State, incident: &IncidentView) -> Vec<Piece> {
     let to = match incident.until {
         Some(until) => format!("to {} UTC", day(until)),
@@ -655,7 +605,7 @@ fn topic(state: &State, one: &SpanCoverageView) -> Vec<Piece> {
     let name = clean(&one.topic, 255);
     let mut lines = match (one.first, one.last) {
         (Some(first), Some(last)) => {
-            vec![(format!("{name}  {}, {}", records(one.records), from_to(state, first, last)), Role::Body)]
+            vec![(format!("{name}  {}, {}", many(one.records, "record"), from_to(state, first, last)), Role::Body)]
         }
         _ if one.quarantined > 0 => vec![(format!("{name}  no record"), Role::Warning)],
         _ => vec![(format!("{name}  nothing in that time: check the name and whether it is watched"), Role::Warning)],
