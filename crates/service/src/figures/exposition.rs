@@ -1,15 +1,13 @@
-//! Figures in Prometheus's text format: names, units and types as its documentation asks, labels from a bounded set.
+//! Figures in Prometheus's text format.
 
 use super::{BOUNDS, Figures, Latency, LifeLine, OwnerFigures};
 use crate::model::Timestamp;
 use crate::reply::HealthLevel;
 
-/// The content type of the text.
 pub const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
 
 type Labels<'a> = &'a [(&'a str, &'a str)];
 
-/// The text of the figures as it grows.
 #[derive(Default)]
 struct Text(String);
 
@@ -33,7 +31,6 @@ impl Text {
         self.value(name, &[], value);
     }
 
-    /// A family with one value for each of `rows`; nothing if there are none.
     fn family<Row>(
         &mut self,
         (name, kind, help): (&str, &str, &str),
@@ -48,7 +45,6 @@ impl Text {
     }
 }
 
-/// A label's value, escaped for its quotes.
 fn escaped(text: &str) -> String {
     text.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n")
 }
@@ -74,7 +70,6 @@ pub fn text(figures: &Figures) -> String {
     text.0
 }
 
-/// The terms of the balance: captured = the sum of the states of `authros_records`.
 fn terms(life: &LifeLine) -> [(&'static str, u64); 6] {
     [
         ("verified", life.verified),

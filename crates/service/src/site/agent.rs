@@ -1,5 +1,4 @@
-//! The agent: a site without a chain, on a robot or its host. It captures in its owner's name, within its enrolment,
-//! and forwards everything to its gateway.
+//! The agent: a site without a chain, on a robot. It captures for its owner and forwards everything to a gateway.
 
 mod policy;
 
@@ -29,69 +28,53 @@ use crate::pipeline::{Author, CaptureSession, Observer as _, recorder_heads};
 use crate::reply::Failure;
 use crate::store::{DiskRing, RingFigures, StateCounts, TopicCounts};
 
-/// How long the gateway may take to answer.
 const PATIENCE: Duration = Duration::from_secs(10);
-/// Interval between looks at the figures.
 const LOOK: Duration = Duration::from_millis(200);
 
-/// What an agent is to capture.
 #[derive(Debug, Clone, Default)]
 pub struct AgentWishes {
-    /// The topics; empty = all those of the enrolment.
+    /// Empty = every topic of the enrolment.
     pub topics: Vec<TopicName>,
-    /// Tags for every record.
     pub tags: Vec<(String, String)>,
-    /// This many messages of each topic.
     pub count: Option<u64>,
     pub length: Option<Duration>,
 }
 
-/// The state of an agent. Messages are those of its whole outbox, over all its runs.
+/// Counts cover the whole outbox, over all runs, except `lost`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct AgentFigures {
-    /// N, its name at the gateway.
     pub name: ProfileName,
-    /// Acknowledged: sealed and fsynced on this machine.
+    /// Sealed and fsynced on this machine.
     pub captured: u64,
-    /// Of these, those that the gateway has signed for.
+    /// Signed for by the gateway.
     pub accepted: u64,
-    /// Of these, those that are verified at the gateway.
     pub verified: u64,
-    /// Messages of this run that were not captured: lost in transport, or dropped because the ring was full or there
-    /// was no key.
+    /// Lost in transport, or dropped for lack of room or of a key, in this run.
     pub lost: u64,
-    /// Captured and not verified yet.
     pub pending: u64,
     /// Damaged here, or altered at the gateway after it signed for them.
     pub tampered: u64,
-    /// Whether the gateway answers, in words.
     pub gateway: String,
-    /// What it keeps of topics that nobody watches, if it keeps a ring.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ring: Option<RingFigures>,
-    /// The policy that its owner set, if there ever was one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub policy: Option<PolicyFigures>,
 }
 
-/// Why an agent's work is over.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum AgentEnd {
-    /// Everything requested is captured, and its fate is known.
     Done,
-    /// Everything requested is captured; the gateway does not accept it from this robot.
+    /// Everything is captured, but the gateway does not accept it from this robot.
     Refused,
-    /// It was told to end.
     Told,
 }
 
-/// An agent at work.
 pub struct Agent {
     site: Arc<Site>,
     name: ProfileName,
     device: SignerId,
     author: Arc<Author>,
-    /// The first covers all topics at the start; there is another for each topic that the owner has added since.
+    /// The first covers the topics at the start; each topic added later has another.
     sessions: Vec<Arc<CaptureSession>>,
     topics: Vec<String>,
     ring: Option<AgentRing>,
@@ -101,17 +84,12 @@ pub struct Agent {
     refused: Arc<Mutex<HashSet<Digest>>>,
     /// Messages in the outbox when this run began.
     before: u64,
-    /// When the topics' numbers were last looked at.
     seen: Option<std::time::Instant>,
     forwarder: JoinHandle<()>,
 }
 
 impl Agent {
-    /// Starts to capture and to forward.
-    ///
-    /// # Errors
-    /// If a topic is not covered, or a file of the home cannot be used; a gateway or master that does not answer is
-    /// waited for.
+    /// Starts capturing and forwarding; a gateway or master that does not answer may come later.
     pub async fn start(site: &Arc<Site>, mut sealed: SealedEnrolment, wishes: AgentWishes) -> Result<Self, Failure> {
         let kept = SealedEnrolment::kept_in(site.parts.home.root());
         sealed.catch_up(&kept)?;
@@ -169,8 +147,7 @@ impl Agent {
         })
     }
 
-    /// Works until everything requested is verified, or until `told`. `progress` gets the figures when they have
-    /// changed, once a second.
+    /// Works until everything requested is verified, or until `told`; calls `progress` at most once a second.
     pub async fn run(
         &mut self,
         told: impl Future,
@@ -206,7 +183,7 @@ impl Agent {
             self.follow_topics();
             if let Some(ring) = &mut self.ring {
                 ring.follow(&self.site, &self.author, &self.topics);
-                // They are in the outbox, but this run did not capture them for it.
+                // They are in the outbox, but this run did not capture them.
                 self.before += ring.work(&self.site);
             }
             self.state_heads();
@@ -216,7 +193,6 @@ impl Agent {
         }
     }
 
-    /// States how far the numbers of this robot's recorder have come, if its keys cover that and it is time.
     fn state_heads(&mut self) {
         let Some(keys) = self.author.sealing() else { return };
         let (plant, every) = (&self.site.plant, self.site.parts.config.audit_every);
@@ -230,7 +206,6 @@ impl Agent {
         }
     }
 
-    /// Captures what the owner has added since, if the enrolment decides what is captured.
     fn follow_topics(&mut self) {
         let is_chosen = !self.wishes.topics.is_empty() || self.policy.watched().is_some();
         if is_chosen || self.sessions.iter().all(|session| session.is_closed()) {
@@ -303,7 +278,6 @@ impl Agent {
         Ok(self.site.plant.ledger.counts.by_state(None)?.topics)
     }
 
-    /// Ends: capture stops, everything captured is fsynced. Its figures can still be read.
     pub async fn stop(&mut self) {
         for session in &self.sessions {
             session.close();
@@ -344,8 +318,7 @@ fn forwarder(site: &Site, enrolment: &Enrolment) -> Result<Forwarder, Failure> {
     Ok(forwarder)
 }
 
-/// The topics to capture: those requested, or all with keys that are not for the ring. Some requested ones may lack a key as yet: their messages
-/// are refused and counted until the owner sends it.
+/// Some requested topics may lack a key for now: their messages are refused and counted until it comes.
 fn topics(enrolment: &Enrolment, asked: &[TopicName], ring: Option<&TopicPatterns>) -> Result<Vec<String>, Failure> {
     let covered = enrolment.keys.now.key.topics();
     if let (Some(covered), Some(strange)) = (&covered, asked.first())
@@ -378,26 +351,21 @@ fn topics(enrolment: &Enrolment, asked: &[TopicName], ring: Option<&TopicPattern
     Ok(topics)
 }
 
-/// The longest that one look brings records in.
+/// Time limit of one round of pulling.
 const AT_WORK: Duration = Duration::from_millis(100);
-/// Between two looks at what falls out by its age, and at new topics of the graph.
 const RING_LOOK: Duration = Duration::from_secs(1);
 
-/// A ring at work.
 struct AgentRing {
     ring: SharedRing,
     pulls: Pulls,
-    /// None = it is off; what is in it falls out by its age.
+    /// `None` = off; its content expires by age.
     patterns: Option<TopicPatterns>,
-    /// Topics that go into it.
     topics: BTreeSet<String>,
     looked: Option<Instant>,
-    /// Whether the last attempt failed, and it was told.
     failed: bool,
 }
 
 impl AgentRing {
-    /// Opens the ring of this home; from now on the sealer fills it.
     pub fn begin(site: &Site, author: &Author, settings: RingSettings) -> Result<Self, Failure> {
         let RingSettings { limits, topics } = settings;
         let recorder = RecorderPrefix::ring(random_bytes()?);
@@ -408,7 +376,6 @@ impl AgentRing {
         Ok(Self { ring, pulls, patterns: Some(topics), topics: BTreeSet::new(), looked: None, failed: false })
     }
 
-    /// From now on it keeps this, or nothing more.
     pub fn change(&mut self, site: &Site, author: &Arc<Author>, settings: Option<RingSettings>) -> Result<(), Failure> {
         let (limits, patterns) = settings.map(|settings| (settings.limits, settings.topics)).unzip();
         self.patterns = patterns;
@@ -425,17 +392,14 @@ impl AgentRing {
         Ok(())
     }
 
-    /// Whether it is on.
     pub fn is_on(&self) -> bool {
         self.patterns.is_some()
     }
 
-    /// Whether a topic is for the ring, unless it is watched.
     pub fn takes(&self, topic: &str) -> bool {
         self.patterns.as_ref().is_some_and(|patterns| patterns.matches(topic))
     }
 
-    /// What falls out falls out, and topics that are new are taken in, unless they are watched.
     pub fn follow(&mut self, site: &Site, author: &Arc<Author>, watched: &[String]) {
         if self.looked.is_some_and(|at| at.elapsed() < RING_LOOK) {
             return;
@@ -463,7 +427,7 @@ impl AgentRing {
         site.ros.wishes_changed();
     }
 
-    /// Brings in what the owner asks for, for a moment; returns how many records are in the outbox now that were not.
+    /// Serves pulls for a moment; returns how many records are new in the outbox.
     pub fn work(&mut self, site: &Site) -> u64 {
         let (begun, mut moved) = (Instant::now(), 0);
         while begun.elapsed() < AT_WORK {
@@ -490,7 +454,6 @@ impl AgentRing {
         self.ring.lock().unwrap_or_else(PoisonError::into_inner).figures()
     }
 
-    /// No further message goes into it.
     pub fn end(&self, site: &Site, author: &Arc<Author>) {
         self.topics.iter().for_each(|topic| site.recorder.keep_in_ring(topic, author, false));
     }
@@ -503,7 +466,7 @@ impl AgentRing {
     }
 }
 
-/// The topics that can be sealed at all: those with keys, or with keys for all those of the graph.
+/// The topics that can be sealed.
 fn possible(site: &Site, author: &Author) -> Vec<String> {
     let Some(keys) = author.sealing() else { return Vec::new() };
     if let Some(covered) = keys.names() {

@@ -1,5 +1,4 @@
-//! The policy of an agent: worked by from its arrival on and after every start, and told to the owner in a statement of
-//! this robot's recorder.
+//! The policy of an agent, and the statement that reports it to the owner.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -23,41 +22,34 @@ use crate::site::Site;
 use crate::store::Notes;
 use crate::store::notes::{PolicyHere, PolicyKept, PolicyTold};
 
-/// How long until what could not be applied is tried again.
 const AGAIN: Duration = Duration::from_secs(10);
 
-/// The state of an agent's policy, for people.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct PolicyFigures {
-    /// The version that the agent works by; 0 = its own settings alone.
+    /// 0 = the robot's own settings alone.
     pub version: u64,
-    /// Why the last one that it heard of was not taken up.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub refused: Option<String>,
-    /// Where the robot's own settings say something else, and the policy counts.
+    /// The robot's own settings that the policy overrides, in words.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub overruled: Vec<String>,
 }
 
-/// The policy that an agent works by.
 pub(super) struct AgentPolicy {
     pub keeper: Arc<PolicyKeeper>,
     changed: watch::Receiver<()>,
     kept: PolicyKept,
-    /// The version that was in force before the kept one.
+    /// The version in force before `kept`.
     before: u64,
-    /// Why the ring is not as the policy says, and when that is tried again.
+    /// Why the ring differs from the policy, and when to retry.
     unapplied: Option<(String, Instant)>,
     policy: RobotPolicy,
     overruled: Vec<String>,
-    /// What the owner was told last.
     told: Option<String>,
-    /// Whether there is a ring now.
     pub has_ring: Arc<AtomicBool>,
 }
 
 impl AgentPolicy {
-    /// What was taken up in earlier runs.
     pub fn open(notes: &Notes, enrolment: &Enrolment) -> Result<Self, Failure> {
         Self::by(notes, PolicyKeeper::open(notes, enrolment)?)
     }
@@ -80,7 +72,7 @@ impl AgentPolicy {
         Ok(policy)
     }
 
-    /// Takes over what is kept; returns whether it decides differently from before.
+    /// Loads the kept policy; returns whether it decides anything differently.
     fn read(&mut self) -> bool {
         if self.unapplied.is_none() {
             self.before = self.kept.version;
@@ -88,7 +80,7 @@ impl AgentPolicy {
         self.kept = self.keeper.kept();
         let policy = match RobotPolicy::read(&self.kept.text) {
             Ok(policy) => policy,
-            // It was valid when it was taken up, by a later version of this program.
+            // A later version of this program accepted it.
             Err(error) => {
                 self.kept.version = 0;
                 self.kept.refused = Some(clean(&error.to_string(), WIDEST));
@@ -100,12 +92,10 @@ impl AgentPolicy {
         changed
     }
 
-    /// The watched topics, if the policy names them.
     pub fn watched(&self) -> Option<Vec<String>> {
         self.policy.watched.as_ref().map(|topics| topics.iter().map(ToString::to_string).collect())
     }
 
-    /// The ring to keep.
     pub fn ring(&self, config: &Config) -> Option<RingSettings> {
         match &self.policy.ring {
             RingWish::Own => config.ring.clone(),
@@ -114,7 +104,6 @@ impl AgentPolicy {
         }
     }
 
-    /// The rules for topics are in force, and what the robot's own settings say otherwise is known.
     pub fn rule(&mut self, site: &Site, wishes: &AgentWishes) {
         let config = &site.parts.config;
         let rules = self.policy.rules.as_ref().unwrap_or(&config.topic_rules);
@@ -126,13 +115,12 @@ impl AgentPolicy {
         }
     }
 
-    /// Its state, if the owner ever set one.
     pub fn figures(&self) -> Option<PolicyFigures> {
         let PolicyReport { heard, running: version, refused, overruled } = self.report();
         (heard > 0).then_some(PolicyFigures { version, refused, overruled })
     }
 
-    /// The ring is as the policy says, or why not; returns whether that reason is a new one.
+    /// Records the outcome; returns whether the failure is a new one.
     fn ring_applied(&mut self, failure: Option<String>) -> bool {
         let why = failure.map(|failure| clean(&failure, WIDEST));
         let is_new = why.is_some() && why.as_ref() != self.unapplied.as_ref().map(|(why, _)| why);
@@ -150,7 +138,6 @@ impl AgentPolicy {
     }
 }
 
-/// Where a robot's own settings say something else than its policy, in words.
 fn overruled(policy: &RobotPolicy, config: &Config, wishes: &AgentWishes) -> Vec<String> {
     let mut told = Vec::new();
     if let Some(watched) =
@@ -177,7 +164,6 @@ fn overruled(policy: &RobotPolicy, config: &Config, wishes: &AgentWishes) -> Vec
 }
 
 impl Agent {
-    /// Works by what the owner has set since, and tells the owner.
     pub(super) fn follow_policy(&mut self) {
         if self.policy.changed.has_changed().unwrap_or(false) {
             self.policy.changed.mark_unchanged();
@@ -216,7 +202,7 @@ impl Agent {
         Ok(())
     }
 
-    /// What is to be watched now; none if that is not known, because there is no key at present.
+    /// The topics to watch; `None` while there is no key to tell.
     fn wanted(&self) -> Option<Vec<String>> {
         if let Some(watched) = self.policy.watched() {
             return Some(watched);
@@ -230,13 +216,12 @@ impl Agent {
         Some(covered.into_iter().filter(|topic| is_topic(topic) && !is_for_ring(topic)).collect())
     }
 
-    /// Begins and ends to watch topics, after the policy has changed.
     fn watch_as_wanted(&mut self) {
         let Some(wanted) = self.wanted() else { return };
         if self.sessions.iter().all(|session| session.is_closed()) {
             return;
         }
-        // First what begins, then the ring, then what ends: nothing that is to be kept falls between.
+        // Start first, then the ring, then stop, so that no message falls between them.
         let new: Vec<String> = wanted.iter().filter(|topic| !self.topics.contains(topic)).cloned().collect();
         self.watch(&new);
         if let Some(ring) = &mut self.ring {
@@ -265,7 +250,6 @@ impl Agent {
         self.site.ros.wishes_changed();
     }
 
-    /// States which policy this robot works by, if the owner does not know yet and its keys cover that.
     fn tell_policy(&mut self) -> Result<(), Failure> {
         if self.policy.kept.heard == 0 {
             return Ok(());
@@ -288,7 +272,6 @@ impl Agent {
     }
 }
 
-/// Tells the operator of a topic whose messages cannot be sealed.
 pub fn warn_of_key(site: &Site, author: &Author, name: &crate::model::ProfileName, topic: &str) {
     if author.sealing().is_some_and(|keys| keys.topic(topic).is_none()) {
         let text = format!(
@@ -299,22 +282,19 @@ pub fn warn_of_key(site: &Site, author: &Author, name: &crate::model::ProfileNam
     }
 }
 
-/// The widest text that reaches the owner, characters.
+/// The widest text in a report to the owner, characters.
 pub(super) const WIDEST: usize = 255;
 
-/// Checks and keeps what the owner sets.
 pub(super) struct PolicyKeeper {
     notes: Notes,
     domain: Domain,
     owner: Address,
     device: SignerId,
     kept: Mutex<PolicyKept>,
-    /// Rings when something else is kept.
     pub changed: watch::Sender<()>,
 }
 
 impl PolicyKeeper {
-    /// For the robot of an enrolment; what it took up before is in force.
     pub fn open(notes: &Notes, enrolment: &Enrolment) -> Result<Self, Failure> {
         Self::of(notes, enrolment.domain, enrolment.owner, enrolment.device_id())
     }
@@ -325,17 +305,14 @@ impl PolicyKeeper {
         Ok(Self { notes, domain, owner, device, kept: Mutex::new(kept), changed })
     }
 
-    /// What is kept now.
     pub fn kept(&self) -> PolicyKept {
         self.kept.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// The note of what the owner was told last.
     pub fn told(&self) -> PolicyTold {
         PolicyTold { owner: self.owner, device: self.device }
     }
 
-    /// The text of a policy that may be taken up after what is kept.
     fn judged(&self, policy: &SignedPolicy, kept: &PolicyKept) -> Result<String, String> {
         let unsigned = |_| "the owner's account did not sign it for this robot".to_owned();
         policy.check(&self.domain, &self.owner, &self.device).map_err(unsigned)?;

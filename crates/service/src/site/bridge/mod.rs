@@ -1,5 +1,4 @@
-//! Into the reader's ROS: records shared by others, each checked first, published in a graph or domain as they were
-//! captured.
+//! Publishes checked, shared records in the reader's ROS.
 
 mod feed;
 mod names;
@@ -34,26 +33,21 @@ use second::Domain;
 use stage::Stage;
 use target::Target;
 
-/// The name prefix of nodes that play; nodes that capture have another.
 const NODE: &str = "/authros_play_";
 
-/// Shared records on their way into ROS graphs.
 pub(in crate::site) struct Bridge {
     parts: Parts,
     contacts: Arc<Contacts>,
     ros: Arc<RosSide>,
-    /// Playbacks, and how to end each.
     running: Mutex<Vec<(ProfileName, watch::Sender<bool>)>>,
 }
 
 impl Bridge {
-    /// From the shared parts.
     pub fn new(parts: &Parts, contacts: &Arc<Contacts>, ros: &Arc<RosSide>) -> Self {
         let (parts, contacts, ros) = (parts.clone(), Arc::clone(contacts), Arc::clone(ros));
         Self { parts, contacts, ros, running: Mutex::default() }
     }
 
-    /// Ends a profile's playback; the answers follow.
     pub fn stop(&self, profile: &ProfileName) {
         let running = self.running.lock().unwrap_or_else(PoisonError::into_inner);
         running.iter().filter(|(owner, _)| owner == profile).for_each(|(_, stop)| {
@@ -61,7 +55,6 @@ impl Bridge {
         });
     }
 
-    /// Keeps how to end a playback that begins, and forgets those that are over.
     fn listed(&self, profile: &ProfileName) -> watch::Receiver<bool> {
         let (stop, stopped) = watch::channel(false);
         let mut running = self.running.lock().unwrap_or_else(PoisonError::into_inner);
@@ -70,7 +63,6 @@ impl Bridge {
         stopped
     }
 
-    /// Those who share with the reader now, limited to the request.
     fn givers(
         &self,
         owner: &Owner,
@@ -94,7 +86,7 @@ impl Bridge {
         }
     }
 
-    /// The participant that will publish, once it is certain that there is no loop; and whether this site captures from there.
+    /// Also returns whether this site captures from there, in which case the names must keep apart.
     fn domain(&self, domain: u16, names: &Names) -> Result<(Box<dyn Target>, bool), Failure> {
         let is_captured = self.ros.is_wanted() && self.parts.config.ros_domain == Some(domain);
         if is_captured {
@@ -105,11 +97,10 @@ impl Bridge {
         Ok((Box::new(Domain::new(publisher, names.prefix())), is_captured))
     }
 
-    /// The same for a node in a graph.
     async fn stage(&self, wishes: &PlayWishes, names: &Names) -> Result<(Box<dyn Target>, bool), Failure> {
         let own = match (self.ros.is_wanted(), &self.parts.config.ros_master) {
             (false, _) => None,
-            // While it is away, the site will still capture from it as soon as it is back.
+            // The site captures from it again as soon as it is back.
             (true, Some(named)) => Some(named.clone()),
             (true, None) => Some(self.ros.uri().await?),
         };
@@ -138,7 +129,6 @@ impl Bridge {
         }
     }
 
-    /// The node that publishes, by whom the settings say.
     fn publisher(&self, uri: &str, node: &str) -> Result<Box<dyn GraphPublisher>, RosError> {
         let host = self.parts.config.ros_host.as_deref();
         match self.parts.config.publisher {

@@ -1,4 +1,4 @@
-//! The names under which topics are played, and whether they keep played topics apart from captured ones.
+//! The names of played topics, and whether they stay apart from captured ones.
 
 use std::collections::HashMap;
 
@@ -7,9 +7,7 @@ use crate::service::command::PlayWishes;
 use crate::service::failure::input;
 use crate::service::reply::Failure;
 
-/// The names of one playing.
 pub(super) struct Names {
-    /// Without a trailing slash.
     prefix: Option<String>,
     remaps: HashMap<String, String>,
 }
@@ -26,12 +24,10 @@ impl Names {
         Ok(Self { prefix, remaps })
     }
 
-    /// The prefix of all names except remapped ones.
     pub fn prefix(&self) -> Option<String> {
         self.prefix.clone()
     }
 
-    /// The name under which a topic is played; `None` if it would not be valid.
     pub fn played(&self, topic: &str) -> Option<String> {
         if let Some(name) = self.remaps.get(topic) {
             return Some(name.clone());
@@ -40,7 +36,6 @@ impl Names {
         name.parse::<TopicName>().ok().map(|name| name.to_string())
     }
 
-    /// Whether every name is under a prefix, so that the graph from which this site captures can accept them.
     pub fn keep_apart(&self) -> Result<(), String> {
         let why = "the graph that this site captures from; anything played there would be captured again as new:";
         let Some(prefix) = &self.prefix else {
@@ -53,7 +48,6 @@ impl Names {
     }
 }
 
-/// Whether a name is a prefix with something after it.
 pub(super) fn is_under(prefix: &str, name: &str) -> bool {
     name.strip_prefix(prefix).is_some_and(|rest| rest.starts_with('/'))
 }

@@ -1,4 +1,4 @@
-//! When the next message is due, by the times of the capture, and the clock that shows these times.
+//! When the next message is due, and the clock that shows capture times.
 
 use std::time::{Duration, Instant};
 
@@ -6,16 +6,14 @@ use crate::model::Timestamp;
 use crate::ros::{Advertised, md5sum};
 use crate::service::command::Pace;
 
-/// Interval between messages of the clock, as in `rosbag play --clock`.
+/// As in `rosbag play --clock`.
 pub(super) const TICK: Duration = Duration::from_millis(10);
 
 const CLOCK: &str = "rosgraph_msgs/Clock";
 const DEFINITION: &str = "# The time of the capture, as this is played\ntime clock\n";
 
-/// The pace of one playback.
 pub(super) struct Pacer {
     thousandths: Option<u64>,
-    /// The first message's time, and when it was played.
     begun: Option<(Timestamp, Instant)>,
 }
 
@@ -28,7 +26,6 @@ impl Pacer {
         Self { thousandths, begun: None }
     }
 
-    /// How long until a message of this time is due.
     pub fn wait(&mut self, at: Timestamp, now: Instant) -> Duration {
         let Some(thousandths) = self.thousandths else { return Duration::ZERO };
         let (first, begun) = *self.begun.get_or_insert((at, now));
@@ -37,7 +34,6 @@ impl Pacer {
         after.saturating_sub(now.saturating_duration_since(begun))
     }
 
-    /// The current time of the capture, once playing has begun.
     pub fn clock(&self, now: Instant) -> Option<Timestamp> {
         let (first, begun) = self.begun?;
         let since = now.saturating_duration_since(begun).as_nanos() * u128::from(self.thousandths?) / 1000;
@@ -45,7 +41,6 @@ impl Pacer {
     }
 }
 
-/// The clock's topic under this name.
 pub(super) fn clock_topic(topic: String) -> Advertised {
     Advertised {
         topic,
@@ -56,7 +51,6 @@ pub(super) fn clock_topic(topic: String) -> Advertised {
     }
 }
 
-/// A message of the clock.
 pub(super) fn clock_message(at: Timestamp) -> Vec<u8> {
     let (seconds, rest) = (at.0 / 1_000_000_000, at.0 % 1_000_000_000);
     let half = |number: u64| u32::try_from(number).unwrap_or(u32::MAX).to_le_bytes();

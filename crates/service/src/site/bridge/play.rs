@@ -1,5 +1,4 @@
-//! One playback: each record is opened with the same checks as for viewing, and published only while its owner still
-//! shares it.
+//! One playback: each record passes the checks of a view, and its owner must still share it.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::sync::Arc;
@@ -30,37 +29,30 @@ use crate::service::reply::{Failure, PlayEnd, PlayedView};
 use crate::store::RecordRow;
 use rights::{Keys, key_of};
 
-/// Interval between looks for newly verified records.
 const LOOK: Duration = Duration::from_millis(200);
 
-/// Interval between looks at the rights; in addition, the right to each record is checked just before it is published.
+/// In addition, each record's right is checked before it is published.
 const RIGHTS: Duration = Duration::from_millis(20);
 
-/// The longest sleep without a look at what may end the playback.
 const NAP: Duration = Duration::from_millis(50);
 
-/// How long a subscriber that is far behind is waited for before it loses messages.
+/// How long a slow subscriber may delay the others before it loses messages.
 const CROWD: Duration = Duration::from_secs(5);
 
-/// How long subscribers get for the rest of their queues at an orderly end.
 const FAREWELL: Duration = Duration::from_secs(5);
 
-/// Interval between registrations at the master, and between looks at the child process.
 const REGISTERING: Duration = Duration::from_secs(5);
 
-/// The most reasons of refusals reported.
 const MOST_REASONS: usize = 20;
 
 const NO_RIGHT: &str = "no active grant covers it, or no key of this profile opens it";
 
-/// A record that passed every check, with its source and name for playing.
 struct Checked {
     record: OpenedRecord,
     form: Form,
     source: Source,
 }
 
-/// What became of the records so far.
 #[derive(Default)]
 struct Tally {
     published: u64,
@@ -75,7 +67,6 @@ struct Play<'a> {
     network: Network,
     owner: &'a Arc<Owner>,
     givers: HashMap<Address, Scope>,
-    /// The transaction by which each owner granted what is played.
     granted: HashMap<Address, Hash>,
     wishes: &'a PlayWishes,
     names: Names,
@@ -93,7 +84,6 @@ struct Play<'a> {
 }
 
 impl Bridge {
-    /// Plays until all is played, a right ends, or somebody ends it; `gone` resolves when nobody waits any more.
     pub async fn play(
         &self,
         owner: &Arc<Owner>,
@@ -134,17 +124,12 @@ impl Bridge {
     }
 }
 
-/// The owners who share with a reader now, each with the transaction that says so.
 fn granted_to(reader: &Owner, network: &Network) -> HashMap<Address, Hash> {
     let standing = authority::shared_with(&network.directory, reader.address);
     standing.into_iter().map(|grant| (grant.terms.owner, grant.transaction)).collect()
 }
 
 impl Play<'_> {
-    /// Plays to the end.
-    ///
-    /// # Errors
-    /// If chain, store, master or child process fail; what was queued is not sent then.
     async fn run(mut self, is_captured: bool) -> Result<PlayedView, Failure> {
         let begun = Instant::now();
         let mut ended = self.rounds(is_captured).await;
@@ -169,7 +154,6 @@ impl Play<'_> {
         })
     }
 
-    /// Sends subscribers the rest of their queues, as long as the right lasts.
     async fn farewell(&mut self, end: PlayEnd) -> PlayEnd {
         if end.is_by_right() {
             return end;
@@ -223,7 +207,6 @@ impl Play<'_> {
         }
     }
 
-    /// Checks one record, and plays it when it is due.
     async fn take(&mut self, item: &Item) -> Result<(), Stop> {
         let row = &item.row;
         if is_held(row) || (row.is_named() && !self.is_wanted(&row.topic)) {
@@ -249,13 +232,13 @@ impl Play<'_> {
         let Checked { record, form, source } = checked;
         let follows = self.wishes.pace == Pace::Follow;
         match self.target.show(form, *source, record.body.len()) {
-            // A master or a child process that restarts is back soon.
+            // A restarting master or child process is back soon.
             Err(Stop::Failed(_)) if follows => return Err(Stop::Later),
             shown => shown?,
         }
         let due = Some(record.header.captured_at).filter(|_| !item.only_latched);
         self.until_due(due).await.map_err(Stop::Ended)?;
-        // It may have been opened a while ago: the right is checked again.
+        // It may have been opened a while ago.
         self.is_given(&item.row)?;
         let allowed = self.reader().authorise(&item.row);
         allowed.map_err(|error| self.judge(&item.row, error))?;
@@ -279,7 +262,6 @@ impl Play<'_> {
         self.wishes.topics.is_empty() || self.wishes.topics.iter().any(|pattern| pattern.matches(topic))
     }
 
-    /// Waits until a message is due, and for subscribers that are far behind.
     async fn until_due(&mut self, due: Option<Timestamp>) -> Result<(), PlayEnd> {
         let mut crowded_since = None;
         loop {
@@ -299,7 +281,6 @@ impl Play<'_> {
         }
     }
 
-    /// Waits for the chain: without it nobody knows who may read what.
     async fn connected(&mut self) -> Result<(), PlayEnd> {
         loop {
             self.end()?;
@@ -311,7 +292,6 @@ impl Play<'_> {
         }
     }
 
-    /// Whether the playback goes on; why not, if it is over by now.
     fn end(&mut self) -> Result<(), PlayEnd> {
         let is_gone = !matches!(self.gone.try_recv(), Err(oneshot::error::TryRecvError::Empty));
         if *self.stopped.borrow() || is_gone {
@@ -328,7 +308,6 @@ impl Play<'_> {
         self.right_ended().map_or(Ok(()), Err)
     }
 
-    /// A record that does not open is counted; a failure that is not the record's ends the playback, or is retried.
     fn judge(&mut self, row: &RecordRow, error: PipelineError) -> Stop {
         let follows = self.wishes.pace == Pace::Follow;
         match (&error, error.kind()) {
@@ -365,7 +344,7 @@ impl Play<'_> {
         if !self.wishes.clock {
             return Ok(());
         }
-        // Nodes read the time under this one name; on a graph this site captures from, it would be captured.
+        // Nodes read the time under this one name; a captured graph would record it.
         let prefixed = if is_captured { self.names.played("/clock") } else { None };
         let topic = prefixed.unwrap_or_else(|| "/clock".to_owned());
         let (form, _) = self.target.clock(&topic, Timestamp::default());
@@ -381,7 +360,6 @@ impl Play<'_> {
         }
     }
 
-    /// How a record is played, or why it is not.
     async fn described(&mut self, item: &Item, record: OpenedRecord) -> Result<Checked, Stop> {
         if record.verdict != Verdict::Verified {
             return Err(Stop::Refused("not verified yet".to_owned()));
@@ -402,7 +380,7 @@ impl Play<'_> {
             Encoding::Cdr { .. } => of_two(&record, topic).map_err(Stop::Refused)?,
             Encoding::Beside(_) => return Err(Stop::Refused(NO_MESSAGE.to_owned())),
         };
-        // Publishers of one node share its name; those of ROS 2 have ids of their own.
+        // Publishers of one ROS 1 node share its name; those of ROS 2 have ids.
         let writer = record.head.tags.get(&format!("{CHANNEL}{WRITER}")).unwrap_or(&record.head.caller_id);
         let source = (item.row.owner, source_of(item.row.owner, writer));
         Ok(Checked { record, form, source })
@@ -420,7 +398,7 @@ impl Play<'_> {
     }
 }
 
-/// A message of ROS 2 needs no definition: its bytes are passed on under the name of its type.
+/// ROS 2 needs no definition: the bytes pass unchanged.
 fn of_two(record: &OpenedRecord, name: String) -> Result<Form, String> {
     let Some(([high, low, options @ ..], _)) = record.body.split_first_chunk::<4>() else {
         return Err("its message is shorter than the header of one".to_owned());
@@ -435,7 +413,6 @@ fn of_two(record: &OpenedRecord, name: String) -> Result<Form, String> {
     Ok(Form::Two(Offered { name, type_name, encoding, offer: offer(&record.head.tags) }))
 }
 
-/// The publisher of a message.
 fn source_of(owner: Address, caller_id: &str) -> u64 {
     let digest = sm3(&[&owner.0, caller_id.as_bytes()]);
     digest.first_chunk().map_or(0, |first| u64::from_be_bytes(*first))

@@ -1,5 +1,4 @@
-//! The node that publishes, and its topics: each as its publishers described it, unless that would mix with somebody
-//! else's.
+//! Publishes in a ROS 1 graph with the descriptions of the original publishers.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -13,24 +12,21 @@ use crate::ros::recording::Encoding;
 use crate::ros::{Graph, GraphPublisher};
 use crate::service::reply::Failure;
 
-/// The name prefix of the nodes that capture.
 const CAPTURING: &str = "/authros_";
 
 pub(super) struct Stage {
     topics: Topics,
     graph: Graph,
     publisher: Box<dyn GraphPublisher>,
-    /// Of each published topic the sources of its messages, with their owners.
     sources: HashMap<String, BTreeMap<u64, Address>>,
 }
 
 impl Stage {
-    /// A node in the graph of a master.
     pub fn new(uri: String, graph: Graph, publisher: Box<dyn GraphPublisher>, prefix: Option<String>) -> Self {
         Self { topics: Topics::new(uri, prefix), graph, publisher, sources: HashMap::new() }
     }
 
-    /// Why a name cannot be used without a prefix: a robot's own topic would get messages of another one.
+    /// Without a prefix, a robot's own topic would receive foreign messages.
     fn occupied(&self, topic: &str) -> Result<Option<String>, Failure> {
         if self.topics.is_inside(topic) {
             return Ok(None);

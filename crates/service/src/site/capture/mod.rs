@@ -1,4 +1,4 @@
-//! Captures with an end: a number of messages, a duration, or until told; answered when all is verified.
+//! Captures with an end: a count, a duration, or a command; answered when all is verified.
 
 mod policy;
 pub(super) mod ros;
@@ -23,10 +23,8 @@ use crate::pipeline::{CaptureSession, Losses, Owner, Recorder};
 use crate::service::failure::{input, refused};
 use crate::service::reply::{CaptureSummary, Failure, TopicSummary, UnreachedView};
 
-/// How long to wait before checking again whether a latched message came.
 const TICK: Duration = Duration::from_millis(50);
 
-/// Captures, and the rules for them.
 pub(in crate::site) struct Capture {
     parts: Parts,
     recorder: Arc<Recorder>,
@@ -39,7 +37,6 @@ pub(in crate::site) struct Capture {
 }
 
 impl Capture {
-    /// From the shared parts.
     pub fn new(
         parts: &Parts,
         recorder: &Arc<Recorder>,
@@ -54,7 +51,6 @@ impl Capture {
         Self { parts: parts.clone(), recorder, losses, ros, watches, profiles, pins, running: Mutex::default() }
     }
 
-    /// Runs one capture; registers the owner first if needed.
     pub async fn capture(
         &self,
         owner: &Arc<Owner>,
@@ -77,7 +73,7 @@ impl Capture {
         if owner.sealing().is_none() {
             self.profiles.register(owner).await?;
         } else {
-            // Somebody who waits for verified records is told at once if there is no chain to verify them.
+            // Verified records need a chain: fail now.
             self.parts.link.network().await?;
         }
         let names: Vec<String> = topics.iter().map(ToString::to_string).collect();
@@ -117,7 +113,7 @@ impl Capture {
         Ok(summary(&session, unreached))
     }
 
-    /// This long, or as long as the first message of a latched ROS 2 topic takes to arrive.
+    /// Waits longer for the first message of a latched ROS 2 topic.
     async fn last(&self, asked: Duration, topics: &[TopicName], session: &CaptureSession) {
         let begun = Instant::now();
         tokio::time::sleep(asked).await;
@@ -127,7 +123,6 @@ impl Capture {
         }
     }
 
-    /// The command that ends captures ends this, too.
     pub fn note(&self, profile: &ProfileName, session: &Arc<CaptureSession>) {
         let mut running = self.running.lock().unwrap_or_else(PoisonError::into_inner);
         running.push((profile.clone(), Arc::clone(session)));
@@ -138,7 +133,6 @@ impl Capture {
         running.retain(|(_, other)| !Arc::ptr_eq(other, session));
     }
 
-    /// Ends the running captures of a profile; their own answers follow.
     pub fn stop(&self, profile: &ProfileName) {
         self.ros.second.settle(None);
         let captures = self.running.lock().unwrap_or_else(PoisonError::into_inner);

@@ -1,4 +1,4 @@
-//! Rules for topics: which rule applies to which topic, and the topics' rates, so that rules can be drafted.
+//! Rules for topics, and measured rates to draft them from.
 
 use super::Capture;
 use std::time::Duration;
@@ -7,11 +7,9 @@ use crate::model::{ProfileName, TopicRule};
 use crate::service::failure::input;
 use crate::service::reply::{Failure, PolicyRow, PolicyView};
 
-/// The longest look at the graph.
 const LONGEST: u64 = 600_000;
 
 impl Capture {
-    /// What each topic does for this long.
     pub async fn learn_policy(&self, profile: &ProfileName, milliseconds: u64) -> Result<PolicyView, Failure> {
         if !(1000..=LONGEST).contains(&milliseconds) {
             return Err(input("observe the topics for 1 second to 10 minutes, as with `--for 5s`"));
@@ -29,7 +27,6 @@ impl Capture {
         view
     }
 
-    /// The rule of each topic.
     pub async fn policy_view(&self, profile: &ProfileName, learned: bool) -> Result<PolicyView, Failure> {
         let rules = &self.parts.config.topic_rules;
         let row = |row: crate::service::reply::TopicRow| PolicyRow {

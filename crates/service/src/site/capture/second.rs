@@ -1,4 +1,4 @@
-//! The site's ROS 2 side: one domain, read alongside ROS 1 by a program without keys.
+//! The site's ROS 2 side: one domain, read by a program without keys.
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -13,14 +13,11 @@ use crate::service::event::{NoticeLevel, Part};
 use crate::service::reply::{Failure, HealthLevel};
 use crate::site::parts::Parts;
 
-/// The longest that a list of topics waits for a domain that was just joined.
 const FIRST_LOOK: Duration = Duration::from_secs(6);
-/// Interval between looks at it meanwhile.
 const TICK: Duration = Duration::from_millis(50);
 /// Fast DDS delivers a latched message up to 3.2 s after a subscriber appears.
 const LATCHED: Duration = Duration::from_secs(4);
 
-/// The graph from which a topic is captured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::site) enum GraphOf {
     One,
@@ -29,27 +26,20 @@ pub(in crate::site) enum GraphOf {
     Open,
 }
 
-/// The state of the ROS 2 side.
 enum State {
-    /// This run has none.
     Off,
-    /// The program that reads it is missing.
     Absent(Failure),
-    /// It is being read.
     On(Arc<Ros2Capture>),
 }
 
-/// The ROS 2 side of a site.
 pub(in crate::site) struct Second {
     parts: Parts,
     recorder: Arc<Recorder>,
     state: Mutex<State>,
-    /// The graph in which a wanted topic was first found.
     decided: Mutex<HashMap<TopicName, GraphOf>>,
     told: Mutex<Told>,
 }
 
-/// What was reported already.
 #[derive(Default)]
 struct Told {
     standing: Option<String>,
@@ -63,7 +53,6 @@ fn locked<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
 }
 
 impl Second {
-    /// Off until it is started.
     pub fn new(parts: &Parts, recorder: &Arc<Recorder>) -> Self {
         Self {
             parts: parts.clone(),
@@ -74,7 +63,6 @@ impl Second {
         }
     }
 
-    /// Joins the domain in the settings, if they name one; reports it if it cannot.
     pub fn begin(&self) {
         let Some(domain) = self.parts.config.ros_domain else { return };
         if matches!(*locked(&self.state), State::On(_)) {
@@ -93,7 +81,6 @@ impl Second {
         self.parts.hub.changed(Part::Health);
     }
 
-    /// Leaves the domain; blocks until the program has ended.
     pub fn end(&self) {
         let state = std::mem::replace(&mut *locked(&self.state), State::Off);
         drop(state);
@@ -106,25 +93,21 @@ impl Second {
         }
     }
 
-    /// Captures the messages of a topic, or of all, that still wait for the identity of their publisher: before somebody
-    /// stops wanting them.
+    /// Captures messages that still wait for their publisher's identity, before their topic is unwatched.
     pub fn settle(&self, topic: Option<&str>) {
         if let Some(capture) = self.capture() {
             tokio::task::block_in_place(|| capture.settle(topic));
         }
     }
 
-    /// Whether there is a domain being read.
     pub fn is_on(&self) -> bool {
         self.capture().is_some()
     }
 
-    /// Topics that somebody publishes in the domain.
     pub fn topics(&self) -> Vec<Ros2Topic> {
         self.capture().map(|capture| capture.topics()).unwrap_or_default()
     }
 
-    /// Waits until there was time for discovery.
     pub async fn first_look(&self) {
         let begun = Instant::now();
         while begun.elapsed() < FIRST_LOOK
@@ -134,14 +117,12 @@ impl Second {
         }
     }
 
-    /// The shortest duration of a capture of these topics: a latched message may come late.
     pub fn least(&self, topics: &[TopicName]) -> Duration {
         let latched =
             |topic: &Ros2Topic| topic.quality.latched && topics.iter().any(|name| name.as_str() == topic.name);
         if self.topics().iter().any(latched) { LATCHED } else { Duration::ZERO }
     }
 
-    /// The health of this side and its words; `None` if the settings name no domain.
     pub fn health(&self) -> Option<(HealthLevel, String)> {
         match &*locked(&self.state) {
             State::Off => None,
@@ -150,7 +131,6 @@ impl Second {
         }
     }
 
-    /// Reports what is seen as soon as there was time to look; returns whether anything changed since the last look.
     pub fn look(&self) -> bool {
         let Some(capture) = self.capture() else { return false };
         let (standing, topics) = (capture.standing(), capture.topics());
@@ -175,7 +155,7 @@ impl Second {
         !stands || !lists
     }
 
-    /// Of the wanted topics, those to request from ROS 1; the others are requested from the domain at once.
+    /// Requests the domain's topics; returns those of ROS 1.
     pub fn share(&self, wanted: BTreeSet<TopicName>, all: bool, graph: &[TopicInfo]) -> BTreeSet<TopicName> {
         let Some(capture) = self.capture() else { return wanted };
         let topics = capture.topics();
@@ -183,7 +163,7 @@ impl Second {
         let mut of_two: BTreeSet<TopicName> =
             wanted.iter().filter(|topic| decide(topic) != GraphOf::One).cloned().collect();
         let one = wanted.iter().filter(|topic| decide(topic) != GraphOf::Two).cloned().collect();
-        // Everything is measured only on explicit request: it is read over the network.
+        // Reading everything costs network traffic, so only an explicit setting does it.
         if all && self.parts.config.source("ros.meter") != Source::Default {
             let names = topics.iter().filter_map(|topic| topic.name.parse::<TopicName>().ok());
             of_two.extend(names.filter(|topic| !is_published(topic, graph)));
@@ -195,7 +175,6 @@ impl Second {
         one
     }
 
-    /// The graph from which a ROS 1 topic is captured.
     pub fn graph_of(&self, info: &TopicInfo) -> GraphOf {
         let decided = locked(&self.decided);
         let known = decided.iter().find(|(topic, _)| topic.as_str() == info.name).map(|(_, graph)| *graph);
@@ -239,7 +218,6 @@ fn is_published(topic: &TopicName, graph: &[TopicInfo]) -> bool {
     graph.iter().any(|info| info.name == topic.as_str() && !info.publishers.is_empty())
 }
 
-/// The level and the words of a state.
 pub(in crate::site) fn health_of(standing: &Standing) -> (HealthLevel, String) {
     let level = match &standing.reading {
         Reading::Down { .. } => HealthLevel::Failed,

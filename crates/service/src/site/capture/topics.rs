@@ -1,5 +1,3 @@
-//! Topics of the graph: listed with their rates, watched and unwatched.
-
 use std::collections::{HashMap, HashSet};
 
 use tokio::task::block_in_place;
@@ -11,14 +9,12 @@ use crate::service::reply::{Failure, HeldUp, TopicRow};
 use crate::store::TopicCounts;
 
 impl Capture {
-    /// Every topic of the graph, and watched ones that nobody publishes yet.
     pub async fn topics(&self, profile: &ProfileName) -> Result<Vec<TopicRow>, Failure> {
         let link = self.ros.any().await?;
         let watches = block_in_place(|| self.watches.of(profile))?;
         let now = Timestamp::now();
         let of_two = self.ros.second.topics();
         let in_two = |name: &str| of_two.iter().any(|topic| topic.name == name);
-        // A name in both graphs is listed once, with the graph from which it is captured.
         let mut rows: Vec<TopicRow> = link
             .iter()
             .flat_map(|link| link.topics())
@@ -102,14 +98,12 @@ impl Capture {
         }
     }
 
-    /// The fate of the profile's messages, by topic.
     fn captured_by_topic(&self, profile: &ProfileName) -> Result<HashMap<String, TopicCounts>, Failure> {
         let Ok(owner) = self.parts.owners.address_of(profile) else { return Ok(HashMap::new()) };
         let counts = block_in_place(|| self.losses.counts(&self.parts.plant, owner))?;
         Ok(counts.topics.into_iter().map(|topic| (topic.topic.clone(), topic)).collect())
     }
 
-    /// Captures a topic until it is unwatched, across restarts.
     pub async fn watch(
         &self,
         profile: &ProfileName,
@@ -133,7 +127,6 @@ impl Capture {
         Ok(())
     }
 
-    /// Stops capturing a topic.
     pub async fn unwatch(&self, profile: &ProfileName, topic: &TopicName) -> Result<(), Failure> {
         let removed = async { self.watches.change(profile, |watches| watches.retain(|(watched, _)| watched != topic)) };
         self.parts.log.deed(profile, "unwatch", topic.as_str(), removed).await?;
@@ -145,7 +138,6 @@ impl Capture {
         Ok(())
     }
 
-    /// Pauses the capture of everything that the profile watches, or resumes it; the watch list stays.
     pub fn hold(&self, profile: &ProfileName, hold: bool) -> Result<(), Failure> {
         let Some(owner) = self.parts.owners.get(profile) else { return Ok(()) };
         if hold {

@@ -1,5 +1,4 @@
-//! The administrator's acts and their limits, and what everybody is told of them: above all who continues, or is to
-//! continue, for a lost account.
+//! The administrator's acts, and reports of successions.
 
 use crate::site::contacts::Contacts;
 use crate::site::parts::Parts;
@@ -15,7 +14,7 @@ use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::refused;
 use crate::service::reply::{AdministrationView, Failure, ProposalView, RecoveryView, SuccessionView, TransactionView};
 
-/// How long a pause lasts by default, seconds.
+/// Default length of a pause, seconds.
 const PAUSE: u64 = 86_400;
 
 pub struct Administering {
@@ -24,8 +23,7 @@ pub struct Administering {
 }
 
 impl Administering {
-    /// Performs one act of the administrator; the contract refuses it to anybody else, except acts open to others as
-    /// well.
+    /// The contract refuses acts of anybody else, except those open to others.
     pub async fn administer(&self, owner: &Arc<Owner>, act: &Administration) -> Result<TransactionView, Failure> {
         let network = self.parts.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
@@ -42,7 +40,6 @@ impl Administering {
         self.send_act(owner, &network, call, text).await
     }
 
-    /// Names who may stop a succession of the profile's own account; it takes effect after the contract's delay.
     pub async fn name_recovery(
         &self,
         owner: &Arc<Owner>,
@@ -81,8 +78,7 @@ impl Administering {
         Ok(TransactionView { transaction: Some(transaction), block: Some(receipt.block), epoch, text })
     }
 
-    /// Cancels a transaction of one of the owner's accounts. No change of the owner's is waited for: it may be the one
-    /// that is cancelled.
+    /// Does not wait for the owner's changes: one of them may be the cancelled one.
     pub async fn cancel(&self, owner: &Arc<Owner>, key: &EoaSecret, nonce: u64) -> Result<TransactionView, Failure> {
         const ACTION: &str = "cancel transaction";
         let network = self.parts.link.network().await?;
@@ -166,7 +162,6 @@ impl Administering {
         Ok((Call::ProposeSuccession { lost, successor }, text))
     }
 
-    /// The administrator's decisions, with the names of the address book; the recovery account is `own`'s.
     pub fn view(network: &Network, own: Option<Address>, names: &BTreeMap<Address, String>) -> AdministrationView {
         let (decided, now) = (network.directory.administration(), Timestamp::now());
         let name = |account: &Address| names.get(account).cloned();
@@ -206,7 +201,6 @@ impl Administering {
         }
     }
 
-    /// Reports successors and contacts with other keys as soon as the chain does, each once a run.
     pub async fn keep_parties_known(self: Arc<Self>) {
         let mut scanned = self.parts.link.scans();
         let (mut seen, mut told) = (None, HashSet::new());
@@ -234,7 +228,6 @@ impl Administering {
     }
 
     fn succession_texts(&self, network: &Network) -> Vec<String> {
-        // Without the address book accounts are shown by their addresses.
         let view = Self::view(network, None, &self.contacts.names().unwrap_or_default());
         let shown = |account: Address, name: &Option<String>| {
             name.as_ref().map_or_else(|| account.to_string(), |name| format!("{name} ({account})"))
@@ -263,12 +256,10 @@ impl Administering {
     }
 }
 
-/// Acts that are not only the administrator's.
 fn is_for_others(call: &Call) -> bool {
     matches!(call, Call::AcceptAdministrator | Call::CancelSuccession { .. } | Call::CompleteSuccession { .. })
 }
 
-/// The call of a pause or of its end, and what it means.
 fn pause(paused: bool, seconds: Option<u64>) -> (Call, String) {
     if !paused {
         return (Call::Resume, "changes are possible again".to_owned());

@@ -1,4 +1,4 @@
-//! Connecting to the chain and staying connected; the contract, and the pin of the home.
+//! The connection to the chain, its contract, and the pin of the home.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -20,10 +20,9 @@ use crate::site::NetworkState;
 use crate::site::mirror::remote::Remote;
 use crate::site::parts::Parts;
 
-/// The longest pause between two attempts to connect, seconds: a node that is back is found within it.
+/// Seconds between attempts: the longest wait for a node that is back.
 const LONGEST_PAUSE: u64 = 5;
 
-/// The connection to the chain, and the home's pin.
 pub struct Connection {
     parts: Parts,
     remote: Option<Arc<Remote>>,
@@ -31,18 +30,14 @@ pub struct Connection {
 }
 
 impl Connection {
-    /// From the shared parts.
     pub fn new(parts: &Parts, remote: Option<Arc<Remote>>) -> Self {
         Self { parts: parts.clone(), remote, deploying: tokio::sync::Mutex::default() }
     }
 
-    /// The chain and contract that the home is bound to; `None` = none yet.
     pub fn pin(&self) -> Result<Option<Pin>, Failure> {
         Ok(block_in_place(|| network_pin(&self.parts.plant.ledger.rights))?)
     }
 
-    /// Connects and stays connected, with growing pauses between attempts, until the site ends. Once connected, it
-    /// waits until the chain turns out to be another one, and then for the pinned one to come back.
     pub async fn keep_connected(self: Arc<Self>) {
         let mut pause = 1;
         while !self.parts.life.is_stopping() {
@@ -75,7 +70,7 @@ impl Connection {
     }
 
     async fn connect(&self) -> Result<(), Lost> {
-        // The contract may be being deployed, which connects as well.
+        // A deployment connects as well.
         let _one_at_a_time = self.deploying.lock().await;
         if matches!(*self.parts.link.state(), NetworkState::Up(_) | NetworkState::Bare(_) | NetworkState::Off) {
             return Ok(());
@@ -90,7 +85,6 @@ impl Connection {
         Ok(())
     }
 
-    /// The chain in the settings, compared with the home's pin.
     async fn reach_chain(&self) -> Result<Chain, Lost> {
         let (pinned, contract, confirmations) =
             (self.pin()?, self.parts.config.contract, self.parts.config.confirmations);
@@ -115,14 +109,12 @@ impl Connection {
         Ok(())
     }
 
-    /// The network; deploys the contract with the owner's account if there is none yet.
     pub async fn network_or_deploy(&self, owner: &Owner) -> Result<Network, Failure> {
         self.network_or_deploy_with(owner, DEFAULT_DELAY, false).await
     }
 
-    /// The same, with a given delay of successions; `anew`: even where the account has used this chain before.
     async fn network_or_deploy_with(&self, owner: &Owner, delay: Duration, anew: bool) -> Result<Network, Failure> {
-        // Not before the first attempt has ended, which needs the lock as well.
+        // The first attempt needs the lock as well.
         self.parts.link.settled().await?;
         let _one_at_a_time = self.deploying.lock().await;
         let NetworkState::Bare(chain) = self.parts.link.settled().await? else {
@@ -134,8 +126,8 @@ impl Connection {
         }
         self.fund(&chain, owner).await?;
         let mut deployed = chain.deploy_with(&eoa, delay, self.parts.sender.policy()).await?;
-        // A chain that was wiped and founded as before gives a contract the address of the lost one: records of both could
-        // not be distinguished. Each further deployment has another address.
+        // A refounded chain gives a contract the address of the lost one, which would mix their records. Each further
+        // deployment has another address.
         while !owner.epochs(deployed.pin.domain()).is_empty() {
             deployed = chain.deploy_with(&eoa, delay, self.parts.sender.policy()).await?;
         }
@@ -150,7 +142,6 @@ impl Connection {
         self.parts.link.network().await
     }
 
-    /// Asks a development node for money if the account has none.
     pub async fn fund(&self, chain: &Chain, owner: &Owner) -> Result<(), Failure> {
         if self.parts.config.chain_url.is_some() && chain.fund_from_node(owner.address).await? {
             self.parts
@@ -161,16 +152,14 @@ impl Connection {
     }
 }
 
-/// Whether a home is bound to a chain, without opening it; also if that cannot be told.
+/// Also `true` if nobody can tell.
 pub fn is_bound(home: &Home) -> bool {
     !matches!(block_in_place(|| network_pin_in(&home.ledger())), Ok(None))
 }
 
-/// The most contracts of an account that are compared.
 const MOST_COMPARED: u64 = 10_000;
 
-/// Refuses to deploy a contract for keys that had one on this chain: the home lost its ledger, and a second contract would
-/// hide everything that is on the first.
+/// A home that lost its ledger must not hide its first contract behind a second one.
 async fn is_new_here(chain: &Chain, owner: &Owner) -> Result<(), Failure> {
     let domains = owner.domains();
     let sent = if domains.is_empty() { 0 } else { chain.nonce(owner.address, false).await? };
@@ -192,9 +181,8 @@ async fn is_new_here(chain: &Chain, owner: &Owner) -> Result<(), Failure> {
     )))
 }
 
-/// Why the chain could not be connected.
 pub enum Lost {
-    /// Another chain answers, or the embedded one has no file any more.
+    /// Another chain answers, or the embedded one lost its file.
     Swapped(Failure),
     Other(Failure),
 }
@@ -232,7 +220,6 @@ impl From<Failure> for Lost {
 }
 
 impl Connection {
-    /// Deploys the contract with the owner's account and pins it.
     pub async fn deploy_contract(&self, owner: &Arc<Owner>, delay: Option<u64>) -> Result<DeployedView, Failure> {
         let delay = delay.map_or(DEFAULT_DELAY, Duration::from_secs);
         if !(SHORTEST_DELAY..=LONGEST_DELAY).contains(&delay) {
@@ -250,7 +237,6 @@ impl Connection {
         Ok(DeployedView { pin, administrator: owner.address })
     }
 
-    /// Answers other tools until `ended`, or the site's end.
     pub async fn serve_chain(
         self: &Arc<Self>,
         profile: &ProfileName,
@@ -278,7 +264,6 @@ impl Connection {
             let stop = async {
                 tokio::select! {
                     () = connection.parts.life.stopped() => {}
-                    // A dropped sender means the same.
                     _ = ended => {}
                 }
             };

@@ -1,4 +1,4 @@
-//! The accounts that anchor for each owner: the owner's own and extra ones, maintained and kept ready.
+//! The accounts that anchor for each owner: the owner's own and extra ones.
 
 use crate::site::parts::Parts;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -13,25 +13,20 @@ use crate::service::event::NoticeLevel;
 use crate::service::failure::refused;
 use crate::service::reply::Failure;
 
-/// How often to check whether the extra accounts are ready.
 const LOOK: Duration = Duration::from_secs(2);
 
-/// Extra accounts derived so far, by owner and network.
 type Derived = std::collections::HashMap<(Address, Domain), Arc<Vec<(Address, EoaSecret)>>>;
 
-/// The accounts that anchor.
 pub struct Lanes {
     parts: Parts,
     extra: Mutex<Derived>,
 }
 
 impl Lanes {
-    /// From the shared parts.
     pub fn new(parts: &Parts) -> Self {
         Self { parts: parts.clone(), extra: Mutex::default() }
     }
 
-    /// All extra accounts that the owner can have on this network.
     fn extra(&self, owner: &Owner, network: &Network) -> Result<Arc<Vec<(Address, EoaSecret)>>, Failure> {
         let mut known = self.extra.lock().unwrap_or_else(PoisonError::into_inner);
         let key = (owner.address, network.domain);
@@ -44,7 +39,6 @@ impl Lanes {
         Ok(found)
     }
 
-    /// The accounts that anchor for an owner now, the owner's own first.
     pub fn of(&self, owner: &Owner, network: &Network) -> Result<Vec<EoaSecret>, Failure> {
         let mut lanes = vec![owner.eoa()];
         if self.parts.config.lanes > 1 {
@@ -56,7 +50,7 @@ impl Lanes {
         Ok(lanes)
     }
 
-    /// The key of one of an owner's lanes, also of an extra one that the settings no longer use; `None` = its own.
+    /// Also finds extra accounts that the settings no longer use; `None` = the owner's own.
     pub fn key(&self, owner: &Owner, network: &Network, account: Option<Address>) -> Result<EoaSecret, Failure> {
         let Some(account) = account.filter(|account| *account != owner.address) else { return Ok(owner.eoa()) };
         let extra = self.extra(owner, network)?;
@@ -69,7 +63,6 @@ impl Lanes {
         })
     }
 
-    /// The state of an owner's lanes: its own, and that of every extra account in use or with pending transactions.
     pub fn lane_states(&self, owner: &Owner, network: &Network) -> Result<Vec<LaneState>, Failure> {
         let mut states = vec![self.parts.sender.state_of(owner.address)?];
         let wanted = usize::from(self.parts.config.lanes).saturating_sub(1);
@@ -82,14 +75,12 @@ impl Lanes {
         Ok(states)
     }
 
-    /// Why a lane of an open owner is stalled, if one is: in words, and whether somebody has to do something.
     pub fn paused(&self, network: &Network) -> Option<(String, bool)> {
         let owners = self.parts.owners.all();
         let mut states = owners.iter().filter_map(|owner| self.lane_states(owner, network).ok()).flatten();
         states.find_map(|state| state.paused.map(|reason| (reason.text(state.account), reason.is_alarm())))
     }
 
-    /// Maintains the lanes of every open owner: after each block, and while none comes.
     pub async fn tend(&self, network: &Network) {
         for owner in self.parts.owners.all() {
             if let Err(failure) = self.tend_lanes_of(&owner, network).await {
@@ -102,7 +93,7 @@ impl Lanes {
     async fn tend_lanes_of(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
         let mut keys = vec![owner.eoa()];
         for (account, key) in self.extra(owner, network)?.iter() {
-            // Also those of a setting that has been lowered since.
+            // Includes those above a lowered setting.
             let state = self.parts.sender.state_of(*account)?;
             if state.open > 0 || state.paused.is_some() {
                 keys.push(key.clone());
@@ -117,7 +108,6 @@ impl Lanes {
         Ok(())
     }
 
-    /// Keeps the extra accounts of an owner registered and able to pay, until the owner is closed or the site ends.
     pub async fn keep_extra(self: Arc<Self>, owner: Arc<Owner>) {
         while !self.parts.life.is_stopping() && self.parts.owners.is_open(&owner) {
             if let Some(network) = self.parts.link.network_now()

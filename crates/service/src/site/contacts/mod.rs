@@ -1,5 +1,4 @@
-//! The address book of this home: names for accounts, and each one's known fingerprint. It is stored in the ledger,
-//! never on the chain.
+//! The address book of this home, never on the chain: names for accounts, and their known fingerprints.
 
 #[cfg(test)]
 mod tests;
@@ -17,7 +16,6 @@ use crate::service::failure::{input, refused};
 use crate::service::reply::{CompareView, ContactRow, Failure};
 use crate::store::notes::{AddressBook, Contact, WrappedFor};
 
-/// The most contacts of a home.
 const MOST_CONTACTS: usize = 1_000;
 
 fn read(text: &str) -> Result<Fingerprint, Failure> {
@@ -26,12 +24,10 @@ fn read(text: &str) -> Result<Fingerprint, Failure> {
 
 pub struct Contacts {
     parts: Parts,
-    /// Changes of the book are made one at a time.
     changing: tokio::sync::Mutex<()>,
 }
 
 impl Contacts {
-    /// From the shared parts.
     pub fn new(parts: &Parts) -> Self {
         Self { parts: parts.clone(), changing: tokio::sync::Mutex::default() }
     }
@@ -46,7 +42,6 @@ impl Contacts {
         Ok(())
     }
 
-    /// The account meant by a person.
     pub(crate) fn resolve(&self, party: &Party) -> Result<Address, Failure> {
         match party {
             Party::Address(address) => Ok(*address),
@@ -64,19 +59,16 @@ impl Contacts {
         })
     }
 
-    /// Names by address, to show beside addresses.
     pub(crate) fn names(&self) -> Result<BTreeMap<Address, String>, Failure> {
         let book = self.book()?;
         Ok(book.into_iter().map(|contact| (contact.address, contact.name.to_string())).collect())
     }
 
-    /// The fingerprint of an account's registered key.
     pub fn registered_fingerprint(network: &Network, account: Address) -> Option<String> {
         network.directory.identity(account).ok().map(|identity| Fingerprint::of(&identity.signing).to_string())
     }
 
-    /// Adds an account; the same one a second time changes nothing. Without a fingerprint, that of its registered key is
-    /// noted as found.
+    /// Notes the registered fingerprint unless one is given.
     pub async fn add(
         &self,
         profile: &ProfileName,
@@ -94,7 +86,7 @@ impl Contacts {
         let fingerprint = fingerprint.map(|text| read(&text)).transpose()?.map(|found| found.to_string());
         let network = self.parts.link.network().await.ok();
         let registered = network.as_ref().and_then(|network| Self::registered_fingerprint(network, address));
-        // Where only a gateway tells what is registered, the given one is the better word, and `list` shows the difference.
+        // A given fingerprint outranks a gateway's word; `list` shows the difference.
         if let (Some(given), Some(registered)) = (&fingerprint, &registered)
             && given != registered
             && !self.parts.is_joined()
@@ -111,7 +103,7 @@ impl Contacts {
                 let same_key = !given || known.given && known.fingerprint == fingerprint;
                 known.name == name && known.address == address && same_key
             };
-            // A script that is repeated changes nothing.
+            // A repeated script changes nothing.
             if book.iter().any(is_same) {
                 return self.rows().await;
             }
@@ -146,7 +138,7 @@ impl Contacts {
         self.rows().await
     }
 
-    /// From now on the account's currently registered key is the known one; if a fingerprint is given, only that one.
+    /// Trusts the registered key; with a fingerprint, only that one.
     pub async fn confirm(
         &self,
         profile: &ProfileName,
@@ -183,7 +175,6 @@ impl Contacts {
         self.rows().await
     }
 
-    /// The whole book, each entry with the chain's present state.
     pub async fn rows(&self) -> Result<Vec<ContactRow>, Failure> {
         let network = self.parts.link.network().await.ok();
         let row = |contact: Contact| {
@@ -201,7 +192,6 @@ impl Contacts {
         Ok(self.book()?.into_iter().map(row).collect())
     }
 
-    /// Contacts whose registered key differs from the noted one.
     pub fn changed_contacts(&self, network: &Network) -> Result<Vec<String>, Failure> {
         let changed = |contact: &Contact| {
             let (noted, found) =
@@ -211,8 +201,7 @@ impl Contacts {
         Ok(self.book()?.iter().filter_map(changed).collect())
     }
 
-    /// Whether keys may be wrapped for this account: one in the address book only with the key noted there. If it had
-    /// none when it was added, it is noted now.
+    /// Allows wrapping keys only for the noted key; notes one that was missing.
     pub async fn check_contact(&self, network: &Network, account: Address) -> Result<(), Failure> {
         let _one_at_a_time = self.changing.lock().await;
         let mut book = self.book()?;
@@ -233,9 +222,7 @@ impl Contacts {
         }
     }
 
-    /// Whether the keys of a further epoch may be wrapped for a reader who had them before: not for a key that has
-    /// changed since, if the chain is known from a gateway's word, unless that key was compared. Notes the key the
-    /// first time.
+    /// On a gateway's word alone, a key that changed since the last epoch must be compared first.
     pub async fn check_reader(&self, network: &Network, owner: Address, reader: Address) -> Result<(), Failure> {
         let Some(found) = Self::registered_fingerprint(network, reader).filter(|_| self.parts.is_joined()) else {
             return Ok(());
@@ -249,7 +236,6 @@ impl Contacts {
         Ok(self.parts.plant.ledger.notes.write(&note, &found)?)
     }
 
-    /// Compares a fingerprint with that of an account's registered key, or of this profile's own.
     pub async fn compare(
         &self,
         profile: &ProfileName,

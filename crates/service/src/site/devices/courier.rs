@@ -1,5 +1,4 @@
-//! What robots need from their owner: notices, told by this home's gateway, or brought to another one where they ask
-//! for them. A function of the ledger: run again, it does what is left.
+//! Notices from owners to robots. A function of the ledger: each run does what is left.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, PoisonError};
@@ -22,15 +21,12 @@ use crate::site::gateway::desk::courier_of;
 use crate::store::notes::{Enrolled, EnrolledGateway, KeysTold, NoticesCarried, OwnerKeysTold};
 use crate::store::{RecordQuery, RecordRow};
 
-/// The pauses between two rounds: while something is left, and otherwise.
+/// Pauses between rounds: with notices left, and without.
 const PAUSES: (Duration, Duration) = (Duration::from_secs(5), Duration::from_secs(60));
-/// The most notices of a robot that are looked at.
 const MOST_NOTICES: usize = 10_000;
-/// Notices in one upload.
 const WINDOW: usize = 64;
 
 impl Devices {
-    /// Gives an enrolled robot a further address of its gateway; its next notice tells it.
     pub async fn add_address(
         &self,
         owner: &Arc<Owner>,
@@ -50,7 +46,7 @@ impl Devices {
         if gateway.addresses.len() >= MOST_ADDRESSES {
             return Err(input("a robot has at most eight addresses of its gateway"));
         }
-        // Until a new key is in place there is nobody whom robots would believe.
+        // Until a new key is in place, robots would believe nobody.
         if owner.keyring().keys().further.next_signing.is_some() {
             return Err(refused("the owner's key is being changed; try again when that is done"));
         }
@@ -61,7 +57,7 @@ impl Devices {
             let list = GatewayAddresses::sign(&network.domain, &owner.eoa(), device, listed)?;
             let (epoch, notice) = (network.directory.epoch(owner.address), Notice::Addresses(list));
             block_in_place(|| self.enrolments.seal_notice(owner, &network, &enrolled, epoch, &notice))?;
-            // After the notice: if this is interrupted in between, another one replaces it.
+            // After the notice: an interruption in between repeats it.
             self.enrolments.change(owner, device, |known| known.gateway = Some(gateway.clone()))
         };
         self.parts.log.deed(&owner.profile, "device addresses", &subject, told).await?;
@@ -69,7 +65,6 @@ impl Devices {
         Ok(DeviceAddressesView { name: enrolled.name, device, gateway: gateway.into() })
     }
 
-    /// Attends to an owner's robots until the owner is closed or the site ends.
     pub async fn keep_attending(self: Arc<Self>, owner: Arc<Owner>) {
         let mut sealed = self.enrolments.sealed.subscribe();
         while !self.parts.life.is_stopping() && self.parts.owners.is_open(&owner) {
@@ -84,14 +79,13 @@ impl Devices {
             let pause = if left { PAUSES.0 } else { PAUSES.1 };
             tokio::select! {
                 () = tokio::time::sleep(pause) => {}
-                // An error cannot be: the sender is in the enrolments.
+                // No error is possible: `self` has the sender.
                 _ = sealed.changed() => {}
                 () = self.parts.life.stopped() => return,
             }
         }
     }
 
-    /// One round; returns whether anything is left because a gateway is away.
     async fn attend(&self, owner: &Arc<Owner>, network: &Network) -> Result<bool, Failure> {
         let here = block_in_place(|| Cabinet::founded_in(&self.parts.home.gateway()));
         let mut away = Vec::new();
@@ -111,7 +105,6 @@ impl Devices {
         Ok(!away.is_empty())
     }
 
-    /// Brings a robot's notices to its gateway, oldest first.
     async fn carry(
         &self,
         owner: &Arc<Owner>,
@@ -141,8 +134,7 @@ impl Devices {
         Err(format!("its gateway {addresses}: {}", failure.message))
     }
 
-    /// The owner's notices to a robot that its gateway does not have, oldest first. Numbers begin anew under the recorder of
-    /// a restored home and of a new key.
+    /// Numbers restart under the recorder of a restored home and of a new key.
     fn notices_behind(
         &self,
         owner: &Owner,
@@ -185,23 +177,17 @@ fn carried(owner: &Owner, enrolled: &Enrolled, gateway: &EnrolledGateway, record
     NoticesCarried { owner: owner.address, device: enrolled.device, gateway: gateway.key, recorder }
 }
 
-/// The name under which an owner's site brings notices to gateways: its own, whatever profiles there are called.
 fn courier(owner: &Owner) -> Result<ProfileName, Failure> {
     courier_of(&owner.address).parse().map_err(|_| internal("the name of couriers"))
 }
 
-/// The type in the head of a notice.
 const TYPE: &str = "authros/Keys";
 
 impl Enrolments {
-    /// Seals a notice for each lent robot that does not know what it should seal under, whatever happens to the others. A
-    /// function of ledger and keyring: called again, it does what is left.
-    ///
-    /// # Errors
-    /// If some cannot be told: the first one's error, with the names of all.
+    /// One failure does not stop the others; returns the first error, with the names of all.
     pub fn tell_devices(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
         let sealing = owner.sealing().is_some_and(|keys| keys.domain == network.domain);
-        // Until a new key is in place there is nobody whom robots would believe.
+        // Until a new key is in place, robots would believe nobody.
         if !sealing || owner.keyring().keys().further.next_signing.is_some() {
             return Ok(());
         }
@@ -239,8 +225,7 @@ impl Enrolments {
         Ok(())
     }
 
-    /// Seals a notice for each lent robot that is to know its owner by `new` from now on: signed by the current key,
-    /// and within it by the account. Called again, it does what is left.
+    /// The current key signs the notice, and the account signs its content.
     pub fn tell_owner_key(&self, owner: &Owner, network: &Network, new: &PublicKey) -> Result<(), Failure> {
         let old = owner.signing().public;
         let change = OwnerKeyChange::sign(&network.domain, &owner.eoa(), old, *new)?;
@@ -257,7 +242,6 @@ impl Enrolments {
         Ok(())
     }
 
-    /// Seals a notice that asks a robot for a span of its ring.
     pub fn ask_for_ring(
         &self,
         owner: &Owner,
@@ -265,7 +249,7 @@ impl Enrolments {
         device: &Enrolled,
         span: &RingSpan,
     ) -> Result<(), Failure> {
-        // A robot hears only notices of the epoch it seals under, or of a later one.
+        // A robot accepts notices of its own epoch or later.
         let known = network.directory.epoch(owner.address);
         let epoch = owner.sealing().map_or(known, |keys| keys.epoch.max(known));
         self.seal_notice(owner, network, device, epoch, &Notice::Pull(span.clone()))?;
@@ -273,7 +257,6 @@ impl Enrolments {
         Ok(())
     }
 
-    /// The device knows these keys.
     pub fn note_told(&self, owner: &Owner, device: &Enrolled, keys: &IssuedKeys) -> Result<(), Failure> {
         Ok(self.parts.plant.ledger.notes.write(&keys_told(owner, device), &summary(keys))?)
     }
@@ -309,7 +292,7 @@ fn keys_told(owner: &Owner, device: &Enrolled) -> KeysTold {
     KeysTold { owner: owner.address, device: device.device }
 }
 
-/// Distinguishes one issue from another; not secret. Topics are represented by their number: they are only ever added.
+/// Not secret. A number stands for the topics, because they are only added.
 fn summary(keys: &IssuedKeys) -> String {
     let moment = |time: Option<Timestamp>| time.map_or(0, |time| time.0);
     let next = keys.next.as_ref().map_or((0, 0), |(moment, next)| (moment.0, next.epoch));

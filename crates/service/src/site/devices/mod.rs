@@ -24,10 +24,8 @@ use crate::pipeline::{Network, Owner, authority};
 use crate::reply::{DeviceRow, Failure, TransactionView};
 use crate::store::notes::EnrolledGateway;
 
-/// The fewest characters of a device's id that identify it.
 const SHORTEST: usize = 8;
 
-/// Devices that sign for their owners.
 pub struct Devices {
     pub parts: Parts,
     pub sharing: Arc<Sharing>,
@@ -35,7 +33,6 @@ pub struct Devices {
 }
 
 impl Devices {
-    /// Lets a device sign for the owner.
     pub async fn lend(
         &self,
         owner: &Arc<Owner>,
@@ -65,8 +62,7 @@ impl Devices {
         self.parts.log.deed(&owner.profile, "lend device", &device.to_string(), lent).await
     }
 
-    /// Recalls a device and begins a new epoch, so that what the device holds opens nothing sealed from now on.
-    /// Gateways follow the chain: the device's name ends, its subscriptions are cut, its next Command is refused.
+    /// A new epoch locks the device out of records sealed from now on; gateways end its session.
     pub async fn recall(&self, owner: &Arc<Owner>, device: &str) -> Result<TransactionView, Failure> {
         let network = self.parts.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
@@ -81,7 +77,7 @@ impl Devices {
         network: &Network,
         device: SignerId,
     ) -> Result<TransactionView, Failure> {
-        // In the keyring before anything is sent: if interrupted in between, it is resumed at the next start.
+        // Saved in the keyring before anything is sent: the next start resumes an interruption.
         owner.prepare_epoch(network.domain, network.directory.epoch(owner.address) + 1)?;
         let recalled = self.send_recall(owner, network, device).await?;
         self.enrolments.note_recalled(owner, device)?;
@@ -98,7 +94,6 @@ impl Devices {
         Ok(TransactionView { epoch: rotated.epoch, text, ..recalled })
     }
 
-    /// Recalls a device that nobody has used.
     pub async fn unlend_device(&self, owner: &Arc<Owner>, device: SignerId) -> Result<(), Failure> {
         let network = self.parts.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
@@ -130,7 +125,6 @@ impl Devices {
         Ok(TransactionView { transaction: Some(transaction), block: Some(receipt.block), epoch, text })
     }
 
-    /// Every device ever lent, newest first.
     pub async fn rows(&self, owner: &Arc<Owner>) -> Result<Vec<DeviceRow>, Failure> {
         let network = self.parts.link.network().await?;
         let row = |lending: &Lending| DeviceRow {
@@ -149,7 +143,6 @@ impl Devices {
         Ok(self.lendings(&network, owner).iter().rev().map(row).collect())
     }
 
-    /// The lent device identified by a person: a robot's name, or the beginning of a device's id.
     pub fn lent_device(&self, network: &Network, owner: &Owner, text: &str) -> Result<SignerId, Failure> {
         let called = self.called(network, owner, text)?;
         let lent: Vec<SignerId> = called.iter().filter(|(_, lent)| *lent).map(|(device, _)| *device).collect();
@@ -165,7 +158,6 @@ impl Devices {
         }
     }
 
-    /// The enrolled robots of this name that were not recalled, oldest first, and whether their loan still runs.
     pub fn called(&self, network: &Network, owner: &Owner, name: &str) -> Result<Vec<(SignerId, bool)>, Failure> {
         let lendings = self.lendings(network, owner);
         let state = |device: SignerId| {
@@ -184,7 +176,7 @@ impl Devices {
     }
 }
 
-/// The lent device whose id begins with this; a fingerprint is such a beginning.
+/// A fingerprint is such a beginning.
 fn find(lendings: &[Lending], text: &str) -> Result<SignerId, Failure> {
     let wanted: String = text.chars().filter(|character| !character.is_whitespace()).collect::<String>().to_lowercase();
     let wanted = wanted.trim_start_matches("0x");
@@ -206,12 +198,10 @@ fn find(lendings: &[Lending], text: &str) -> Result<SignerId, Failure> {
     }
 }
 
-/// How long a gateway may take to answer.
 const PATIENCE: Duration = Duration::from_secs(20);
-/// How often a device is announced to the gateway before the loan is on its chain.
+/// Attempts to announce a device before its loan reaches the gateway's chain.
 const ATTEMPTS: u32 = 20;
 
-/// A place at a gateway.
 struct Seat {
     endpoint: Endpoint,
     trust: Trust,
@@ -220,7 +210,7 @@ struct Seat {
 }
 
 impl Seat {
-    /// Allocates K_T for a name of the owner's, at the first address that answers.
+    /// Allocates K_T at the first address that answers.
     pub async fn allocate(
         owner: &Owner,
         context: Context,
@@ -236,13 +226,11 @@ impl Seat {
         Ok(Self { endpoint, trust, gateway, transport })
     }
 
-    /// A session under that name.
     pub async fn connect(&mut self, name: &ProfileName, token: Token) -> Result<Client, Failure> {
         let credentials = Credentials { name: name.clone(), key: self.transport.clone(), token };
         Ok(Client::connect(&self.endpoint, &mut self.trust, &credentials).await?)
     }
 
-    /// Tells the gateway whose the name is.
     pub async fn tell(
         &mut self,
         owner: &Owner,
@@ -252,7 +240,6 @@ impl Seat {
         let mut client = self.connect(name, token).await?;
         for attempt in 1.. {
             match client.device(&owner.signing(), notice).await {
-                // Its node may be behind ours.
                 Err(GatewayError::Refused(Code::Signature | Code::NotRegistered | Code::Stale))
                     if attempt < ATTEMPTS =>
                 {
@@ -264,12 +251,10 @@ impl Seat {
         Ok(())
     }
 
-    /// As the owner's ledger notes it.
     pub fn noted(&self) -> EnrolledGateway {
         EnrolledGateway { addresses: self.endpoint.addresses.clone(), key: self.gateway }
     }
 
-    /// As the robot knows it.
     pub fn access(&self) -> GatewayAccess {
         let (addresses, fingerprint) = (self.endpoint.addresses.clone(), self.gateway);
         GatewayAccess { addresses, fingerprint, transport: self.transport.clone() }

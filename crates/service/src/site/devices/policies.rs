@@ -1,4 +1,4 @@
-//! The policies that an owner sets for its robots, and what these tell of them.
+//! Policies that an owner sets for robots, and what robots report.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -18,14 +18,10 @@ use crate::service::reply::{Failure, RobotRow, RobotTopicRow, RobotView};
 use crate::store::notes::{Enrolled, PolicyWanted, WantedPolicy};
 use crate::store::{RecordQuery, RecordRow, SignerTopic};
 
-/// The most reports and losses looked at, the newest.
 const MOST: usize = 10_000;
-/// The most reports of losses that are opened for one robot.
 const MOST_LOSSES: usize = 256;
-/// The most robots whose last sign of life is known.
 const MOST_ROBOTS: usize = 100_000;
 
-/// What robots told, and what they recorded.
 struct Known {
     reports: BTreeMap<SignerId, (PolicyReport, Timestamp)>,
     seen: BTreeMap<SignerId, Timestamp>,
@@ -33,7 +29,6 @@ struct Known {
 }
 
 impl Devices {
-    /// The robots of an owner whose loans go on, by name.
     pub async fn robot_rows(&self, owner: &Arc<Owner>) -> Result<Vec<RobotRow>, Failure> {
         let network = self.parts.link.network().await?;
         let known = block_in_place(|| self.known(owner, &network))?;
@@ -46,7 +41,6 @@ impl Devices {
         Ok(rows)
     }
 
-    /// One robot with its policy, its topics and its losses.
     pub async fn robot_view(&self, owner: &Arc<Owner>, name: &str) -> Result<RobotView, Failure> {
         let network = self.parts.link.network().await?;
         let robot = self.robot(&network, owner, name)?;
@@ -68,7 +62,6 @@ impl Devices {
         })
     }
 
-    /// Sets the policy of a robot, which hears of it at its next contact; an empty one gives it back its own settings.
     pub async fn set_policy(&self, owner: &Arc<Owner>, name: &str, text: String) -> Result<RobotView, Failure> {
         if text.len() > LONGEST_POLICY {
             return Err(input(format!("the policy has {} bytes; {LONGEST_POLICY} are allowed", text.len())));
@@ -79,7 +72,7 @@ impl Devices {
         let one_at_a_time = owner.changes.lock().await;
         let before = self.wanted(owner, robot.device)?;
         let reports = block_in_place(|| self.reports(owner, &network))?;
-        // After a restored backup the robot may know a higher version than this ledger.
+        // After a restored backup, the robot may know a higher version.
         let running = reports.get(&robot.device).map_or(0, |(report, _)| report.running);
         let version = before.version.max(running).checked_add(1);
         let version =
@@ -88,7 +81,7 @@ impl Devices {
         let subject = format!("{}: version {version}, {what}", robot.device);
         let sent = async {
             let policy = SignedPolicy::sign(&network.domain, &owner.eoa(), robot.device, version, &text)?;
-            // Noted first: a number that was given away is never given to another policy.
+            // Noted first: two policies never share a number.
             self.note_wanted(owner, robot.device, &PolicyWanted { version, text, set_at: Timestamp::now() })?;
             block_in_place(|| self.enrolments.send_policy(owner, &network, &robot, policy))
         };
@@ -117,7 +110,6 @@ impl Devices {
         })
     }
 
-    /// The newest word of each robot about its policy.
     fn reports(
         &self,
         owner: &Owner,
@@ -148,7 +140,6 @@ impl Devices {
         Ok(reports)
     }
 
-    /// Messages that a robot lost, by topic, as far as its newest reports say.
     fn lost(&self, owner: &Owner, network: &Network, robot: &Enrolled) -> Result<BTreeMap<String, u64>, Failure> {
         let query = RecordQuery {
             owner: Some(owner.address),
@@ -169,7 +160,6 @@ impl Devices {
         Ok(lost)
     }
 
-    /// A record that a robot signed, if its bytes are here and whole.
     fn opened(&self, owner: &Owner, network: &Network, robot: &Enrolled, row: &RecordRow) -> Option<OpenedRecord> {
         let (signer, blob) = (robot.key, self.parts.plant.ciphertext.get(row.digest).ok()??);
         let key = topic_key(&owner.epoch_key(network.domain, row.epoch)?, &row.topic_id);
@@ -181,7 +171,6 @@ impl Devices {
 }
 
 impl super::enrolled::Enrolments {
-    /// Seals the notice that sets a robot's policy.
     fn send_policy(
         &self,
         owner: &Owner,
@@ -189,7 +178,7 @@ impl super::enrolled::Enrolments {
         device: &Enrolled,
         policy: SignedPolicy,
     ) -> Result<(), Failure> {
-        // A robot hears only notices of the epoch it seals under, or of a later one.
+        // A robot accepts notices of its own epoch or later.
         let known = network.directory.epoch(owner.address);
         let epoch = owner.sealing().map_or(known, |keys| keys.epoch.max(known));
         self.seal_notice(owner, network, device, epoch, &Notice::Policy(policy))?;
@@ -226,7 +215,6 @@ fn row(robot: &Enrolled, wanted: &PolicyWanted, known: &Known) -> RobotRow {
     }
 }
 
-/// How a robot stands to what is wanted of it, in words.
 fn standing(wanted: &PolicyWanted, report: Option<&PolicyReport>) -> &'static str {
     match report {
         Some(report) if report.running == wanted.version => "in force",

@@ -1,4 +1,4 @@
-//! What an owner asks of the ring of a robot.
+//! What an owner asks of a robot's ring.
 
 use std::sync::Arc;
 
@@ -13,11 +13,9 @@ use crate::service::reply::{Failure, Reply, RingPullView};
 use crate::site::incidents;
 use crate::store::notes::Enrolled;
 
-/// The widest topic shown, characters.
 const WIDEST: usize = 255;
 
 impl Devices {
-    /// Answers one request about robots.
     pub async fn answer(&self, owner: &Arc<Owner>, command: RobotCommand) -> Result<Reply, Failure> {
         match command {
             RobotCommand::PullRing { name, since, until, topics, incident } => {
@@ -41,7 +39,6 @@ impl Devices {
         }
     }
 
-    /// Asks a robot for a span of its ring: it hears of it with its next contact.
     pub async fn pull(&self, owner: &Arc<Owner>, name: &str, span: &RingSpan) -> Result<RingPullView, Failure> {
         let network = self.parts.link.network().await?;
         let robot = self.robot(&network, owner, name)?;
@@ -54,13 +51,11 @@ impl Devices {
         Ok(RingPullView { robot: robot.name, device: robot.device, since: *since, until: *until, topics })
     }
 
-    /// The robots of these names, before anything is done for any of them.
     pub async fn check_robots(&self, owner: &Owner, names: &[String]) -> Result<(), Failure> {
         let network = self.parts.link.network().await?;
         names.iter().try_for_each(|name| self.robot(&network, owner, name).map(drop))
     }
 
-    /// The lent robot that a person names.
     pub fn robot(&self, network: &Network, owner: &Owner, name: &str) -> Result<Enrolled, Failure> {
         let device = self.lent_device(network, owner, name)?;
         let known = self.enrolments.of(owner)?.into_iter().rfind(|robot| robot.device == device);
@@ -72,7 +67,7 @@ impl Devices {
     }
 }
 
-/// A span that has been: what is to come is not in a ring yet.
+/// A ring holds only the past.
 pub fn span(since: Timestamp, until: Option<Timestamp>, topics: Vec<TopicPattern>) -> Result<RingSpan, Failure> {
     let until = until.unwrap_or_else(Timestamp::now).min(Timestamp::now());
     if since >= until {
@@ -84,7 +79,7 @@ pub fn span(since: Timestamp, until: Option<Timestamp>, topics: Vec<TopicPattern
     Ok(RingSpan { since, until, topics: TopicPatterns(topics) })
 }
 
-/// The topics of an incident; a name that is no pattern is one that no robot has.
+/// A name that is no pattern matches no robot's topic.
 fn patterns(incident: &crate::service::reply::IncidentView) -> Vec<TopicPattern> {
     incident.topics.iter().filter_map(|topic| topic.parse().ok()).collect()
 }

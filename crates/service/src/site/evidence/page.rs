@@ -1,5 +1,4 @@
-//! `report.html` of a bundle: what its exporter's program says about it, for people and paper. It proves nothing, and
-//! says so. It has no scripts and requests nothing outside itself; every text in it is cleaned and escaped.
+//! `report.html` of a bundle. It proves nothing and says so; no scripts, no requests, every text cleaned and escaped.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -17,15 +16,11 @@ use crate::ros::readable::{self, Plot, Readable};
 use crate::ros::recording::{Described, TYPE_HASH, TypeFacts};
 use crate::ros::{Definition, Limits};
 
-/// The most records in the table of levels.
 const MOST_ROWS: usize = 500;
-/// The most disclosed records shown in full.
 const MOST_SHOWN: usize = 100;
-/// Size of the page from which disclosed records are no longer shown, bytes.
+/// Size from which disclosed records are left out, bytes.
 const LONGEST: usize = 4 << 20;
-/// The most fields of a message whose type is not well-known.
 const MOST_FIELDS: usize = 200;
-/// The widest foreign text, characters.
 const WIDEST: usize = 1000;
 
 const HEAD: &str = "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
@@ -49,7 +44,6 @@ const MARK: &str = "<p class=\"mark\"><b>This page is not authoritative.</b> It 
     it: <code>authros verify FILE.authros --trust trust.toml</code>, offline, with a trust file of your own, or by \
     <code>tools/verify.py</code> of the same source.</p>\n";
 
-/// A foreign text, escaped for HTML.
 pub(super) fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for character in clean(text, WIDEST).chars() {
@@ -66,11 +60,10 @@ pub(super) fn escape(text: &str) -> String {
 }
 
 fn put(out: &mut String, text: std::fmt::Arguments<'_>) {
-    // Writing into memory does not fail.
     let _infallible = out.write_fmt(text);
 }
 
-/// Digits and letters without a space from which a cell may be broken anywhere, characters.
+/// Characters from which a word may break anywhere.
 const LONG_WORD: usize = 40;
 
 fn row<'a>(out: &mut String, cell: &str, cells: impl IntoIterator<Item = &'a str>) {
@@ -82,11 +75,9 @@ fn row<'a>(out: &mut String, cell: &str, cells: impl IntoIterator<Item = &'a str
     out.push_str("</tr>\n");
 }
 
-/// A table; of facts, each with its name before it, there is no head.
 fn table(out: &mut String, class: &str, head: &[&str], rows: &[Vec<String>]) {
     put(out, format_args!("<table class=\"{class}\">\n"));
     if !head.is_empty() {
-        // Paper repeats it on each sheet.
         out.push_str("<thead>");
         row(out, "th", head.iter().copied());
         out.push_str("</thead>\n");
@@ -144,7 +135,7 @@ fn summary(out: &mut String, bundle: &Bundle, report: &Report) {
     put(out, format_args!("<p><b>By the exporter's own pins: {}.</b></p>\n", escape(report.last_line())));
 }
 
-/// What its owner calls the incident of these records. Its topics appear as their pseudonyms, as in the whole file.
+/// Topics appear as their pseudonyms.
 fn incident(out: &mut String, about: &IncidentView) {
     out.push_str("<h2>Incident, in its owner's words</h2>\n");
     let until = about.until.map_or_else(|| "still open".to_owned(), |until| until.to_string());
@@ -194,7 +185,7 @@ fn completeness(out: &mut String, report: &Report) {
     table(out, "plain", &["topic", "recorder", "result", "what is present"], &rows);
 }
 
-/// Whether it was disclosed for itself: a recorder's statements are reported under (f).
+/// Recorders' statements are reported under (f).
 fn is_chosen(record: &RecordReport) -> bool {
     record.disclosed.is_some() && !record.is_statement()
 }
@@ -237,8 +228,7 @@ fn one(out: &mut String, bundle: &Bundle, report: &Report, record: &RecordReport
     out.push_str("</section>\n");
 }
 
-/// The definition of a disclosed message: the one that its head names, or one that has its type's hash, or one built into this
-/// program with that hash.
+/// The one that the head names, or one with the type's hash, stored or built in.
 pub fn definition_of(bundle: &Bundle, head: &Head) -> Option<Arc<Definition>> {
     let about = importer::about(&head.tags);
     let (hash, encoding) = (about.get(TYPE_HASH).map(|hash| &**hash), importer::encoding(&head.tags));
@@ -251,7 +241,6 @@ pub fn definition_of(bundle: &Bundle, head: &Head) -> Option<Arc<Definition>> {
     Described::of(facts, &Folders::default()).definition
 }
 
-/// The message's values: in readable form for a known type, otherwise field by field.
 fn message(out: &mut String, bundle: &Bundle, report: &Report, record: &RecordReport, limits: &mut Limits) {
     let Some(revealed) = report.messages.get(&record.digest) else { return };
     let Some(definition) = definition_of(bundle, &revealed.head) else {
@@ -293,38 +282,32 @@ fn notes(out: &mut String, report: &Report) {
     put(out, format_args!("</ul>\n<h2>By hand</h2>\n<pre>{}</pre>\n", by_hand()));
 }
 
-/// The lines of `VERIFY.txt`.
 fn by_hand() -> String {
     authros_evidence::READ_ME_TEXT.lines().map(|line| escape(line) + "\n").collect()
 }
 
-/// Size of a plot, and the space around it.
 const WIDTH: f64 = 560.0;
 const HEIGHT: f64 = 320.0;
 const EDGE: f64 = 24.0;
 
-/// The bytes of a PNG as a data URL.
 pub(super) fn data_uri(png: &[u8]) -> String {
     format!("data:image/png;base64,{}", STANDARD.encode(png))
 }
 
-/// Points that can be drawn.
 fn finite(points: &[(f64, f64)]) -> impl Iterator<Item = (f64, f64)> {
     points.iter().copied().filter(|(x, y)| x.is_finite() && y.is_finite() && x.abs() < 1e12 && y.abs() < 1e12)
 }
 
-/// The minimum and the maximum, never equal.
 fn ends(numbers: impl Iterator<Item = f64>) -> (f64, f64) {
     let (least, most) = numbers.fold((f64::MAX, f64::MIN), |(least, most), one| (least.min(one), most.max(one)));
     if most > least { (least, most) } else { (least - 1.0, least + 1.0) }
 }
 
-/// A plot, with the end points of its axes.
 pub(super) fn plot(out: &mut String, plot: &Plot) {
     let points: Vec<(f64, f64)> = finite(&plot.points).collect();
     let here: Vec<(f64, f64)> = finite(plot.here.as_slice()).collect();
     let all = || points.iter().chain(&here);
-    // A single place in an empty frame says nothing that its numbers do not.
+    // A single place in an empty frame says nothing new.
     if all().all(|point| all().next() == Some(point)) {
         return;
     }
