@@ -8,7 +8,7 @@ use tokio::io::{AsyncRead, AsyncReadExt as _, AsyncWrite, AsyncWriteExt as _};
 
 use crate::chain::serve::is_this_machine;
 use crate::model::Timestamp;
-use crate::reply::{LifeLine, PartHealth, QueueView, TaskState, TaskView};
+use crate::reply::{LifeLine, PartHealth, QueueView, TaskView};
 use crate::store::CacheState;
 
 #[derive(Debug, Clone, Default)]
@@ -108,27 +108,17 @@ pub fn short(text: &str) -> String {
 
 impl Figures {
     pub fn age(&self, moment: Timestamp) -> f64 {
-        std::time::Duration::from_nanos(self.now.0.saturating_sub(moment.0)).as_secs_f64()
+        Duration::from_nanos(self.now.0.saturating_sub(moment.0)).as_secs_f64()
     }
 
     pub fn until(&self, moment: Timestamp) -> f64 {
-        std::time::Duration::from_nanos(moment.0.saturating_sub(self.now.0)).as_secs_f64()
-    }
-
-    pub fn resting(&self) -> usize {
-        self.tasks.iter().filter(|task| task.state == TaskState::Resting).count()
+        Duration::from_nanos(moment.0.saturating_sub(self.now.0)).as_secs_f64()
     }
 }
 
 const LONGEST_HEAD: usize = 8 * 1024;
 const PATIENCE: Duration = Duration::from_secs(2);
 pub const MOST: usize = 16;
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Asked {
-    Figures,
-    Refused(&'static str, &'static str),
-}
 
 /// `any_host`: the peer may use any name for this address. `figures` returns `None` if they cannot be read.
 pub async fn answer<S, Told>(mut stream: S, any_host: bool, figures: impl FnOnce() -> Told)
@@ -138,11 +128,11 @@ where
 {
     let Ok(Some(head)) = tokio::time::timeout(PATIENCE, head(&mut stream)).await else { return };
     let message = match judge(&head, any_host) {
-        Asked::Figures => match figures().await {
+        Ok(()) => match figures().await {
             Some(text) => message("200 OK", exposition::CONTENT_TYPE, &text),
             None => refusal("503 Service Unavailable", "the ledger cannot be read at the moment; try again"),
         },
-        Asked::Refused(status, why) => refusal(status, why),
+        Err((status, why)) => refusal(status, why),
     };
     let sent = async {
         stream.write_all(message.as_bytes()).await?;
@@ -166,22 +156,21 @@ fn ends(head: &[u8]) -> bool {
     head.windows(4).any(|four| four == b"\r\n\r\n") || head.windows(2).any(|two| two == b"\n\n")
 }
 
-pub fn judge(head: &[u8], any_host: bool) -> Asked {
-    use Asked::Refused;
+pub fn judge(head: &[u8], any_host: bool) -> Result<(), (&'static str, &'static str)> {
     if head.len() > LONGEST_HEAD && !ends(head) {
-        return Refused("431 Request Header Fields Too Large", "the head is too long");
+        return Err(("431 Request Header Fields Too Large", "the head is too long"));
     }
-    let Ok(text) = std::str::from_utf8(head) else { return Refused("400 Bad Request", "the head is not text") };
+    let Ok(text) = std::str::from_utf8(head) else { return Err(("400 Bad Request", "the head is not text")) };
     let mut lines = text.lines();
     let words: Vec<&str> = lines.next().unwrap_or_default().split(' ').collect();
     let [method, target, "HTTP/1.0" | "HTTP/1.1"] = words[..] else {
-        return Refused("400 Bad Request", "the request line is not METHOD TARGET HTTP/1.1");
+        return Err(("400 Bad Request", "the request line is not METHOD TARGET HTTP/1.1"));
     };
     if method != "GET" {
-        return Refused("405 Method Not Allowed", "use GET to read metrics");
+        return Err(("405 Method Not Allowed", "use GET to read metrics"));
     }
     if target.split('?').next() != Some("/metrics") {
-        return Refused("404 Not Found", "metrics are at /metrics");
+        return Err(("404 Not Found", "metrics are at /metrics"));
     }
     let headers: Vec<(String, &str)> = lines
         .take_while(|line| !line.is_empty())
@@ -191,13 +180,13 @@ pub fn judge(head: &[u8], any_host: bool) -> Asked {
     let of =
         |name: &str| headers.iter().filter(|(other, _)| other == name).map(|(_, value)| *value).collect::<Vec<_>>();
     if !of("origin").is_empty() {
-        return Refused("403 Forbidden", "requests from web pages are refused");
+        return Err(("403 Forbidden", "requests from web pages are refused"));
     }
     // A name that an attacker's DNS points here still reveals itself in `Host`.
     if !any_host && !matches!(of("host")[..], [host] if is_this_machine(host)) {
-        return Refused("403 Forbidden", "the Host header must name this machine: localhost or 127.0.0.1");
+        return Err(("403 Forbidden", "the Host header must name this machine: localhost or 127.0.0.1"));
     }
-    Asked::Figures
+    Ok(())
 }
 
 fn refusal(status: &str, why: &str) -> String {
@@ -219,8 +208,8 @@ mod http_tests {
 
     fn status(request: &str) -> String {
         match judge(request.as_bytes(), false) {
-            Asked::Figures => "200".to_owned(),
-            Asked::Refused(status, _) => status[..3].to_owned(),
+            Ok(()) => "200".to_owned(),
+            Err((status, _)) => status[..3].to_owned(),
         }
     }
 
@@ -246,8 +235,8 @@ mod http_tests {
         ] {
             assert_eq!(status(&request), expected, "{request:.200}");
         }
-        assert_eq!(judge(b"GET /metrics HTTP/1.1\r\n\r\n", true), Asked::Figures);
-        assert!(matches!(judge(b"\xff\n\n", true), Asked::Refused(..)));
+        assert_eq!(judge(b"GET /metrics HTTP/1.1\r\n\r\n", true), Ok(()));
+        assert!(judge(b"\xff\n\n", true).is_err());
     }
 
     async fn asked(request: &[u8]) -> String {

@@ -10,11 +10,10 @@ use std::time::{Duration, Instant};
 use serde::Serialize;
 use tokio::task::{JoinHandle, block_in_place};
 
-use self::policy::{AgentPolicy, PolicyFigures, warn_of_key};
+use self::policy::{AgentPolicy, PolicyFigures, PolicyKeeper};
 use super::Site;
 use crate::config::RingSettings;
 use crate::crypto::{Enrolment, SealedEnrolment, random_bytes};
-use crate::event::NoticeLevel;
 use crate::failure::{internal, refused};
 use crate::gateway::Context;
 use crate::model::{
@@ -24,7 +23,7 @@ use crate::pipeline::disk_ring::{Brought, Pulls, SharedRing, Step};
 use crate::pipeline::forwarder::{CopyKeeping, Forwarder, Link, Robot};
 use crate::pipeline::notices::Notices;
 use crate::pipeline::session::TopicFigures;
-use crate::pipeline::{Author, CaptureSession, Observer as _, recorder_heads};
+use crate::pipeline::{Author, CaptureSession, recorder_heads};
 use crate::reply::Failure;
 use crate::store::{DiskRing, RingFigures, StateCounts, TopicCounts};
 
@@ -94,48 +93,41 @@ impl Agent {
         let kept = SealedEnrolment::kept_in(site.parts.home.root());
         sealed.catch_up(&kept)?;
         let enrolment = &sealed.enrolment;
-        let mut policy = block_in_place(|| AgentPolicy::open(&site.plant.ledger.notes, enrolment))?;
+        let (owner, device) = (enrolment.owner, enrolment.device_id());
+        let mut policy = block_in_place(|| {
+            let keeper = PolicyKeeper::open(&site.plant.ledger.notes, enrolment.domain, owner, device)?;
+            AgentPolicy::open(&site.plant.ledger.notes, keeper)
+        })?;
         policy.rule(site, &wishes);
         let ring = policy.ring(&site.parts.config);
         let topics = match policy.watched() {
             Some(watched) => watched,
             None => topics(enrolment, &wishes.topics, ring.as_ref().map(|ring| &ring.topics))?,
         };
-        let device = enrolment.device_id();
         site.parts.log.write(&enrolment.name, "agent", &device.to_string(), "begun").await?;
-        let author = Arc::new(Author::new(enrolment.owner));
+        let author = Arc::new(Author::new(owner));
         author.obey(enrolment);
         let (name, forwarder) = (enrolment.name.clone(), block_in_place(|| forwarder(site, enrolment))?);
         let (provider, observer) = (site.plant.provider, Arc::clone(&site.plant.observer));
         let keeper = Arc::clone(&policy.keeper) as _;
         let notices = Notices::new(provider, observer, Arc::clone(&author), sealed, kept, keeper);
-        let mut ring = ring.map(|ring| AgentRing::begin(site, &author, ring)).transpose()?;
+        let ring = ring.map(|ring| AgentRing::begin(site, &author, ring)).transpose()?;
         policy.has_ring.store(ring.is_some(), Ordering::Release);
         let notices = notices.with_ring_while(site.plant.ledger.notes.clone(), &policy.has_ring);
         let named = notices.gateway();
         let forwarder = forwarder.with_errand(Box::new(notices)).following(named);
         let before = site.plant.ledger.counts.by_state(None)?.acknowledged;
-        let session = Arc::new(CaptureSession::unfollowed(&topics, wishes.count, wishes.tags.clone()));
-        for topic in &topics {
-            site.recorder.join(topic, &author, None, &session);
-            warn_of_key(site, &author, &name, topic);
-        }
-        if let Some(ring) = &mut ring {
-            ring.follow(site, &author, &topics);
-        }
-        site.ros.wishes_changed();
         let (link, refused) = (forwarder.link(), forwarder.refused());
         site.gateway.passes_on(link.clone());
         let forwarder = Arc::new(tokio::sync::Mutex::new(forwarder));
         let forwarder = site.supervise("forwarder", move |site| forward(site, Arc::clone(&forwarder)));
-        let (site, sessions) = (Arc::clone(site), vec![session]);
-        Ok(Self {
-            site,
+        let mut agent = Self {
+            site: Arc::clone(site),
             name,
             device,
             author,
-            sessions,
-            topics,
+            sessions: Vec::new(),
+            topics: Vec::new(),
             ring,
             policy,
             wishes,
@@ -144,7 +136,12 @@ impl Agent {
             before,
             seen: None,
             forwarder,
-        })
+        };
+        agent.watch(&topics);
+        if let Some(ring) = &mut agent.ring {
+            ring.follow(&agent.topics);
+        }
+        Ok(agent)
     }
 
     /// Works until everything requested is verified, or until `told`; calls `progress` at most once a second.
@@ -182,9 +179,9 @@ impl Agent {
             self.follow_policy();
             self.follow_topics();
             if let Some(ring) = &mut self.ring {
-                ring.follow(&self.site, &self.author, &self.topics);
+                ring.follow(&self.topics);
                 // They are in the outbox, but this run did not capture them.
-                self.before += ring.work(&self.site);
+                self.before += ring.work();
             }
             self.state_heads();
             if let Some(end) = self.end(&counts) {
@@ -200,8 +197,7 @@ impl Agent {
             Ok(Some(_)) => self.site.parts.hub.stored.notify_waiters(),
             Ok(None) => {}
             Err(error) => {
-                let text = format!("the recorder's head could not be recorded: {error}");
-                self.site.parts.hub.notice(NoticeLevel::Error, &text);
+                self.site.parts.hub.alarm(&format!("the recorder's head could not be recorded: {error}"));
             }
         }
     }
@@ -211,21 +207,15 @@ impl Agent {
         if is_chosen || self.sessions.iter().all(|session| session.is_closed()) {
             return;
         }
-        let covered = self.author.sealing().and_then(|keys| keys.names()).unwrap_or_default();
-        for topic in covered.into_iter().filter(|topic| topic.parse::<TopicName>().is_ok()) {
-            let is_for_ring = self.ring.as_ref().is_some_and(|ring| ring.takes(&topic));
-            if is_for_ring || self.topics.contains(&topic) {
-                continue;
-            }
-            self.watch(&[topic]);
-        }
+        self.watch_new(&self.wanted().unwrap_or_default());
     }
 
     fn warn_of_epoch(&self) {
         if self.author.sealing().is_none() {
-            let text = "this robot's epoch has ended and its owner has not sent the next key: nothing is captured \
-                        until the notice arrives or the robot is enrolled again";
-            self.site.parts.hub.alert(true, text.to_owned());
+            self.site.parts.hub.alarm(
+                "this robot's epoch has ended and its owner has not sent the next key: nothing is captured until the \
+                 notice arrives or the robot is enrolled again",
+            );
         }
     }
 
@@ -286,12 +276,12 @@ impl Agent {
             }
         }
         if let Some(ring) = &self.ring {
-            ring.end(&self.site, &self.author);
+            ring.topics.iter().for_each(|topic| ring.keep(topic, false));
         }
         self.forwarder.abort();
         let log = &self.site.parts.log;
         if let Err(failure) = log.write(&self.name, "agent", &self.device.to_string(), "done").await {
-            self.site.parts.hub.notice(NoticeLevel::Error, &failure.message);
+            self.site.parts.hub.alarm(&failure.message);
         }
         Arc::clone(&self.site).stop().await;
     }
@@ -356,6 +346,8 @@ const AT_WORK: Duration = Duration::from_millis(100);
 const RING_LOOK: Duration = Duration::from_secs(1);
 
 struct AgentRing {
+    site: Arc<Site>,
+    author: Arc<Author>,
     ring: SharedRing,
     pulls: Pulls,
     /// `None` = off; its content expires by age.
@@ -366,24 +358,23 @@ struct AgentRing {
 }
 
 impl AgentRing {
-    pub fn begin(site: &Site, author: &Author, settings: RingSettings) -> Result<Self, Failure> {
+    pub fn begin(site: &Arc<Site>, author: &Arc<Author>, settings: RingSettings) -> Result<Self, Failure> {
         let RingSettings { limits, topics } = settings;
         let recorder = RecorderPrefix::ring(random_bytes()?);
         let ring = block_in_place(|| DiskRing::open(&site.parts.home.ring(), limits, recorder))?;
         let ring: SharedRing = Arc::new(Mutex::new(ring));
         site.sealer.fill(&ring);
         let pulls = Pulls::new(site.plant.clone(), Arc::clone(&ring), author.address);
-        Ok(Self { ring, pulls, patterns: Some(topics), topics: BTreeSet::new(), looked: None, failed: false })
+        let (site, author, patterns) = (Arc::clone(site), Arc::clone(author), Some(topics));
+        Ok(Self { site, author, ring, pulls, patterns, topics: BTreeSet::new(), looked: None, failed: false })
     }
 
-    pub fn change(&mut self, site: &Site, author: &Arc<Author>, settings: Option<RingSettings>) -> Result<(), Failure> {
+    pub fn change(&mut self, settings: Option<RingSettings>) -> Result<(), Failure> {
         let (limits, patterns) = settings.map(|settings| (settings.limits, settings.topics)).unzip();
         self.patterns = patterns;
-        let before = std::mem::take(&mut self.topics);
-        let (kept, gone): (BTreeSet<String>, BTreeSet<String>) =
-            before.into_iter().partition(|topic| self.takes(topic));
+        let (kept, gone) = std::mem::take(&mut self.topics).into_iter().partition(|topic| self.takes(topic));
         self.topics = kept;
-        gone.iter().for_each(|topic| site.recorder.keep_in_ring(topic, author, false));
+        gone.iter().for_each(|topic| self.keep(topic, false));
         self.looked = None;
         if let Some(limits) = limits {
             let mut ring = self.ring.lock().unwrap_or_else(PoisonError::into_inner);
@@ -392,15 +383,15 @@ impl AgentRing {
         Ok(())
     }
 
-    pub fn is_on(&self) -> bool {
-        self.patterns.is_some()
-    }
-
     pub fn takes(&self, topic: &str) -> bool {
         self.patterns.as_ref().is_some_and(|patterns| patterns.matches(topic))
     }
 
-    pub fn follow(&mut self, site: &Site, author: &Arc<Author>, watched: &[String]) {
+    fn keep(&self, topic: &str, keep: bool) {
+        self.site.recorder.keep_in_ring(topic, &self.author, keep);
+    }
+
+    pub fn follow(&mut self, watched: &[String]) {
         if self.looked.is_some_and(|at| at.elapsed() < RING_LOOK) {
             return;
         }
@@ -410,25 +401,22 @@ impl AgentRing {
         let tended = block_in_place(|| ring.tend(now));
         drop(ring);
         if let Err(error) = tended {
-            self.tell(site, &format!("what is too old for the ring is still in it: {error}"));
+            self.tell(&format!("what is too old for the ring is still in it: {error}"));
         }
-        let new: Vec<String> = possible(site, author)
+        let new: Vec<String> = possible(&self.site, &self.author)
             .into_iter()
             .filter(|topic| self.takes(topic) && !self.topics.contains(topic) && !watched.contains(topic))
             .filter(|topic| topic.parse::<TopicName>().is_ok())
             .collect();
-        if new.is_empty() {
-            return;
+        if !new.is_empty() {
+            new.iter().for_each(|topic| self.keep(topic, true));
+            self.topics.extend(new);
+            self.site.ros.wishes_changed();
         }
-        for topic in new {
-            site.recorder.keep_in_ring(&topic, author, true);
-            self.topics.insert(topic);
-        }
-        site.ros.wishes_changed();
     }
 
     /// Serves pulls for a moment; returns how many records are new in the outbox.
-    pub fn work(&mut self, site: &Site) -> u64 {
+    pub fn work(&mut self) -> u64 {
         let (begun, mut moved) = (Instant::now(), 0);
         while begun.elapsed() < AT_WORK {
             match block_in_place(|| self.pulls.step()) {
@@ -436,16 +424,16 @@ impl AgentRing {
                 Ok(Step::Moved(count)) => moved += count,
                 Ok(Step::Done(_, brought)) => {
                     self.failed = false;
-                    site.parts.hub.alert(false, words(&brought));
+                    self.site.parts.hub.inform(&words(&brought));
                 }
                 Err(error) => {
-                    self.tell(site, &format!("what the owner asks of the ring is not in the outbox yet: {error}"));
+                    self.tell(&format!("what the owner asks of the ring is not in the outbox yet: {error}"));
                     break;
                 }
             }
         }
         if moved > 0 {
-            site.parts.hub.stored.notify_waiters();
+            self.site.parts.hub.stored.notify_waiters();
         }
         moved
     }
@@ -454,13 +442,9 @@ impl AgentRing {
         self.ring.lock().unwrap_or_else(PoisonError::into_inner).figures()
     }
 
-    pub fn end(&self, site: &Site, author: &Arc<Author>) {
-        self.topics.iter().for_each(|topic| site.recorder.keep_in_ring(topic, author, false));
-    }
-
-    fn tell(&mut self, site: &Site, text: &str) {
+    fn tell(&mut self, text: &str) {
         if !self.failed {
-            site.parts.hub.alert(true, text.to_owned());
+            self.site.parts.hub.alarm(text);
         }
         self.failed = true;
     }

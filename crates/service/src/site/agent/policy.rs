@@ -10,13 +10,12 @@ use tokio::task::block_in_place;
 
 use super::{Agent, AgentRing, AgentWishes};
 use crate::config::{Config, RingSettings, RingWish, RobotPolicy};
-use crate::crypto::{Enrolment, LONGEST_POLICY, SignedPolicy};
-use crate::event::NoticeLevel;
+use crate::crypto::{LONGEST_POLICY, SignedPolicy};
 use crate::model::bytes::hex;
 use crate::model::{Address, Domain, PolicyReport, RecordKind, SignerId, clean};
 use crate::pipeline::notices::PolicyTaker;
 use crate::pipeline::statement::{self, Statement};
-use crate::pipeline::{Author, CaptureSession, PipelineError, recorder_heads};
+use crate::pipeline::{CaptureSession, PipelineError, recorder_heads};
 use crate::reply::Failure;
 use crate::site::Site;
 use crate::store::Notes;
@@ -50,11 +49,7 @@ pub(super) struct AgentPolicy {
 }
 
 impl AgentPolicy {
-    pub fn open(notes: &Notes, enrolment: &Enrolment) -> Result<Self, Failure> {
-        Self::by(notes, PolicyKeeper::open(notes, enrolment)?)
-    }
-
-    fn by(notes: &Notes, keeper: PolicyKeeper) -> Result<Self, Failure> {
+    pub fn open(notes: &Notes, keeper: PolicyKeeper) -> Result<Self, Failure> {
         let keeper = Arc::new(keeper);
         let (changed, told) = (keeper.changed.subscribe(), notes.read(&keeper.told())?);
         let mut policy = Self {
@@ -110,8 +105,8 @@ impl AgentPolicy {
         site.recorder.set_rules(rules.clone());
         self.overruled = overruled(&self.policy, config, wishes);
         for text in &self.overruled {
-            let text = format!("policy {} counts, not this robot's own setting: {text}", self.kept.version);
-            site.parts.hub.notice(NoticeLevel::Warning, &text);
+            let version = self.kept.version;
+            site.parts.hub.warn(&format!("policy {version} counts, not this robot's own setting: {text}"));
         }
     }
 
@@ -177,7 +172,7 @@ impl Agent {
         }
         if let Err(failure) = self.tell_policy() {
             let text = format!("the owner cannot be told of this robot's policy yet: {}", failure.message);
-            self.site.parts.hub.notice(NoticeLevel::Error, &text);
+            self.site.parts.hub.alarm(&text);
         }
     }
 
@@ -186,15 +181,16 @@ impl Agent {
         let failure = self.change_ring(wanted).err();
         let failure = failure.map(|why| format!("the ring is not yet as the owner's policy says: {}", why.message));
         if self.policy.ring_applied(failure.clone()) {
-            self.site.parts.hub.notice(NoticeLevel::Error, &failure.unwrap_or_default());
+            self.site.parts.hub.alarm(&failure.unwrap_or_default());
         }
-        self.policy.has_ring.store(self.ring.as_ref().is_some_and(AgentRing::is_on), Ordering::Release);
+        let has_ring = self.ring.as_ref().is_some_and(|ring| ring.patterns.is_some());
+        self.policy.has_ring.store(has_ring, Ordering::Release);
         self.watch_as_wanted();
     }
 
     fn change_ring(&mut self, wanted: Option<RingSettings>) -> Result<(), Failure> {
         if let Some(ring) = &mut self.ring {
-            return ring.change(&self.site, &self.author, wanted);
+            return ring.change(wanted);
         }
         if let Some(wanted) = wanted {
             self.ring = Some(AgentRing::begin(&self.site, &self.author, wanted)?);
@@ -222,13 +218,12 @@ impl Agent {
             return;
         }
         // Start first, then the ring, then stop, so that no message falls between them.
-        let new: Vec<String> = wanted.iter().filter(|topic| !self.topics.contains(topic)).cloned().collect();
-        self.watch(&new);
+        self.watch_new(&wanted);
         if let Some(ring) = &mut self.ring {
-            ring.follow(&self.site, &self.author, &wanted);
+            ring.follow(&wanted);
         }
-        let before = std::mem::take(&mut self.topics);
-        let (kept, gone): (Vec<String>, Vec<String>) = before.into_iter().partition(|topic| wanted.contains(topic));
+        let before = std::mem::take(&mut self.topics).into_iter();
+        let (kept, gone): (Vec<String>, Vec<String>) = before.partition(|topic| wanted.contains(topic));
         self.topics = kept;
         for topic in &gone {
             self.sessions.iter().for_each(|session| self.site.recorder.leave(topic, &self.author, session));
@@ -236,14 +231,24 @@ impl Agent {
         self.site.ros.wishes_changed();
     }
 
-    pub(super) fn watch(&mut self, topics: &[String]) {
-        if topics.is_empty() {
-            return;
+    pub(super) fn watch_new(&mut self, wanted: &[String]) {
+        let new: Vec<String> = wanted.iter().filter(|topic| !self.topics.contains(topic)).cloned().collect();
+        if !new.is_empty() {
+            self.watch(&new);
         }
+    }
+
+    pub(super) fn watch(&mut self, topics: &[String]) {
         let session = Arc::new(CaptureSession::unfollowed(topics, self.wishes.count, self.wishes.tags.clone()));
         for topic in topics {
             self.site.recorder.join(topic, &self.author, None, &session);
-            warn_of_key(&self.site, &self.author, &self.name, topic);
+            if self.author.sealing().is_some_and(|keys| keys.topic(topic).is_none()) {
+                self.site.parts.hub.warn(&format!(
+                    "there is no key for topic {topic}: its messages are dropped and counted until the owner adds it \
+                     with `authros devices topics add {} {topic}`",
+                    self.name
+                ));
+            }
         }
         self.sessions.push(session);
         self.topics.extend_from_slice(topics);
@@ -272,16 +277,6 @@ impl Agent {
     }
 }
 
-pub fn warn_of_key(site: &Site, author: &Author, name: &crate::model::ProfileName, topic: &str) {
-    if author.sealing().is_some_and(|keys| keys.topic(topic).is_none()) {
-        let text = format!(
-            "there is no key for topic {topic}: its messages are dropped and counted until the owner adds it with \
-             `authros devices topics add {name} {topic}`"
-        );
-        site.parts.hub.notice(NoticeLevel::Warning, &text);
-    }
-}
-
 /// The widest text in a report to the owner, characters.
 pub(super) const WIDEST: usize = 255;
 
@@ -295,11 +290,7 @@ pub(super) struct PolicyKeeper {
 }
 
 impl PolicyKeeper {
-    pub fn open(notes: &Notes, enrolment: &Enrolment) -> Result<Self, Failure> {
-        Self::of(notes, enrolment.domain, enrolment.owner, enrolment.device_id())
-    }
-
-    pub fn of(notes: &Notes, domain: Domain, owner: Address, device: SignerId) -> Result<Self, Failure> {
+    pub fn open(notes: &Notes, domain: Domain, owner: Address, device: SignerId) -> Result<Self, Failure> {
         let kept = notes.read(&PolicyHere { owner, device })?.unwrap_or_default();
         let (notes, changed) = (notes.clone(), watch::channel(()).0);
         Ok(Self { notes, domain, owner, device, kept: Mutex::new(kept), changed })
@@ -365,8 +356,8 @@ mod tests {
         let ledger = Ledger::open(&home.path().join("ledger.db")).expect("a ledger");
         let (domain, device) = (Domain([1; 32]), SignerId([9; 32]));
         let account = EoaSecret::generate().expect("generates");
-        let keeper = PolicyKeeper::of(&ledger.notes, domain, account.address(), device).expect("opens");
-        let mut policy = AgentPolicy::by(&ledger.notes, keeper).expect("opens");
+        let keeper = PolicyKeeper::open(&ledger.notes, domain, account.address(), device).expect("opens");
+        let mut policy = AgentPolicy::open(&ledger.notes, keeper).expect("opens");
         let take = |policy: &mut AgentPolicy, version, text: &str| {
             let signed = SignedPolicy::sign(&domain, &account, device, version, text).expect("signs");
             policy.keeper.take(&signed).expect("kept");
@@ -419,7 +410,7 @@ mod kept_policy_tests {
         let home = tempfile::tempdir().expect("a folder");
         let ledger = Ledger::open(&home.path().join("ledger.db")).expect("a ledger");
         let (account, thief) = (EoaSecret::generate().expect("generates"), EoaSecret::generate().expect("generates"));
-        let open = || PolicyKeeper::of(&ledger.notes, DOMAIN, account.address(), DEVICE).expect("opens");
+        let open = || PolicyKeeper::open(&ledger.notes, DOMAIN, account.address(), DEVICE).expect("opens");
         let keeper = open();
         let signed = |by: &EoaSecret, version, text: &str| {
             SignedPolicy::sign(&DOMAIN, by, DEVICE, version, text).expect("signs")
@@ -461,7 +452,7 @@ mod kept_policy_tests {
         let home = tempfile::tempdir().expect("a folder");
         let ledger = Ledger::open(&home.path().join("ledger.db")).expect("a ledger");
         let account = EoaSecret::generate().expect("generates");
-        let open = |device| PolicyKeeper::of(&ledger.notes, DOMAIN, account.address(), device).expect("opens");
+        let open = |device| PolicyKeeper::open(&ledger.notes, DOMAIN, account.address(), device).expect("opens");
         open(DEVICE).take(&SignedPolicy::sign(&DOMAIN, &account, DEVICE, 5, WATCH).expect("signs")).expect("kept");
         let earlier = PolicyKept { version: 5, text: WATCH.to_owned(), heard: 5, refused: None };
         assert_eq!(open(DEVICE).kept(), earlier);

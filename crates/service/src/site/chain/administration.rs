@@ -10,7 +10,7 @@ use crate::crypto::EoaSecret;
 use crate::model::{Address, Party, Timestamp};
 use crate::pipeline::{Network, Owner};
 use crate::service::command::Administration;
-use crate::service::event::{NoticeLevel, Part};
+use crate::service::event::Part;
 use crate::service::failure::refused;
 use crate::service::reply::{AdministrationView, Failure, ProposalView, RecoveryView, SuccessionView, TransactionView};
 
@@ -69,9 +69,8 @@ impl Administering {
         text: String,
     ) -> Result<TransactionView, Failure> {
         let name = call.name();
-        self.parts.log.begin(owner, name, &text).await?;
-        let sent = self.parts.sender.send(&network.chain, &owner.eoa(), call, name).await.map_err(Failure::from);
-        let (transaction, receipt) = self.parts.log.end(owner, name, &text, sent).await?;
+        let sent = async { Ok(self.parts.sender.send(&network.chain, &owner.eoa(), call, name).await?) };
+        let (transaction, receipt) = self.parts.log.deed(&owner.profile, name, &text, sent).await?;
         self.parts.link.scanned(receipt.block).await;
         self.parts.hub.changed(Part::Chain);
         let epoch = network.directory.epoch(owner.address);
@@ -80,12 +79,10 @@ impl Administering {
 
     /// Does not wait for the owner's changes: one of them may be the cancelled one.
     pub async fn cancel(&self, owner: &Arc<Owner>, key: &EoaSecret, nonce: u64) -> Result<TransactionView, Failure> {
-        const ACTION: &str = "cancel transaction";
         let network = self.parts.link.network().await?;
         let subject = format!("nonce {nonce} of {}", key.address());
-        self.parts.log.begin(owner, ACTION, &subject).await?;
-        let cancelled = self.parts.sender.cancel(&network.chain, key, nonce).await.map_err(Failure::from);
-        let cancelled = self.parts.log.end(owner, ACTION, &subject, cancelled).await?;
+        let cancelled = async { Ok(self.parts.sender.cancel(&network.chain, key, nonce).await?) };
+        let cancelled = self.parts.log.deed(&owner.profile, "cancel transaction", &subject, cancelled).await?;
         self.parts.hub.changed(Part::Chain);
         let block = self.parts.sender.wait_cancelled(&network.chain, key, &cancelled).await?;
         if let Some(block) = block {
@@ -102,49 +99,51 @@ impl Administering {
     }
 
     fn act(&self, network: &Network, act: &Administration) -> Result<(Call, String), Failure> {
-        Ok(match act {
+        let resolved = |account: &Party| self.contacts.resolve(account);
+        let acted = |account: &Party, call: fn(Address) -> Call, what: &str| {
+            let account = resolved(account)?;
+            Ok((call(account), format!("{account} {what}")))
+        };
+        match act {
             Administration::Dismiss { account } => {
-                let account = self.contacts.resolve(account)?;
+                let account = resolved(account)?;
                 if network.directory.epoch(account) > 0 {
                     return Err(refused(format!("{account} has already registered; `authros chain suspend` stops it")));
                 }
-                (Call::Dismiss { account }, format!("{account} can no longer register while registration is closed"))
+                Ok((
+                    Call::Dismiss { account },
+                    format!("{account} can no longer register while registration is closed"),
+                ))
             }
-            Administration::Admit { account } => {
-                let account = self.contacts.resolve(account)?;
-                (Call::Admit { account }, format!("{account} can register"))
-            }
+            Administration::Admit { account } => acted(account, |account| Call::Admit { account }, "can register"),
             Administration::Suspend { account } => {
-                let account = self.contacts.resolve(account)?;
-                (Call::Suspend { account }, format!("{account} is suspended: it can only withdraw rights"))
+                acted(account, |account| Call::Suspend { account }, "is suspended: it can only withdraw rights")
             }
             Administration::Restore { account } => {
-                let account = self.contacts.resolve(account)?;
-                (Call::Restore { account }, format!("{account} is no longer suspended"))
+                acted(account, |account| Call::Restore { account }, "is no longer suspended")
             }
             Administration::Open { open } => {
                 let text = if *open { "anyone can register" } else { "only admitted accounts can register" };
-                (Call::SetOpen { open: *open }, text.to_owned())
+                Ok((Call::SetOpen { open: *open }, text.to_owned()))
             }
-            Administration::Pause { paused, seconds } => pause(*paused, *seconds),
+            Administration::Pause { paused, seconds } => Ok(pause(*paused, *seconds)),
             Administration::HandOver { account } => {
-                let account = self.contacts.resolve(account)?;
-                (
-                    Call::Nominate { account },
-                    format!("{account} is nominated as administrator; it takes over with `chain accept`"),
-                )
+                let what = "is nominated as administrator; it takes over with `chain accept`";
+                acted(account, |account| Call::Nominate { account }, what)
             }
-            Administration::Accept => (Call::AcceptAdministrator, "this profile administers the contract".to_owned()),
-            Administration::Propose { lost, successor } => self.propose(network, lost, successor)?,
+            Administration::Accept => {
+                Ok((Call::AcceptAdministrator, "this profile administers the contract".to_owned()))
+            }
+            Administration::Propose { lost, successor } => self.propose(network, lost, successor),
             Administration::Cancel { lost } => {
-                let lost = self.contacts.resolve(lost)?;
-                (Call::CancelSuccession { lost }, format!("the succession of {lost} is cancelled"))
+                let lost = resolved(lost)?;
+                Ok((Call::CancelSuccession { lost }, format!("the succession of {lost} is cancelled")))
             }
             Administration::Complete { lost } => {
-                let lost = self.contacts.resolve(lost)?;
-                (Call::CompleteSuccession { lost }, format!("{lost} is suspended permanently; its successor continues"))
+                let what = "is suspended permanently; its successor continues";
+                acted(lost, |lost| Call::CompleteSuccession { lost }, what)
             }
-        })
+        }
     }
 
     fn propose(&self, network: &Network, lost: &Party, successor: &Party) -> Result<(Call, String), Failure> {
@@ -221,7 +220,7 @@ impl Administering {
             }
             for text in texts {
                 if told.insert(text.clone()) {
-                    self.parts.hub.notice(NoticeLevel::Error, &text);
+                    self.parts.hub.alarm(&text);
                 }
             }
         }
@@ -235,10 +234,8 @@ impl Administering {
         let text = |named: &SuccessionView| {
             let (lost, successor) =
                 (shown(named.lost, &named.lost_name), shown(named.successor, &named.successor_name));
-            format!(
-                "the administrator declared {lost} lost and named {successor} its successor (block {})",
-                named.block
-            )
+            let block = named.block;
+            format!("the administrator declared {lost} lost and named {successor} its successor (block {block})")
         };
         let waits = |waits: &ProposalView| {
             let (lost, successor) =
@@ -247,9 +244,9 @@ impl Administering {
                 || "it has no recovery account".to_owned(),
                 |recovery| format!("its recovery account {recovery} can stop it: `authros chain succession cancel`"),
             );
+            let (due, block) = (waits.due, waits.block);
             format!(
-                "the administrator proposed that {successor} continue for {lost} from {} (block {}); {stop}",
-                waits.due, waits.block
+                "the administrator proposed that {successor} continue for {lost} from {due} (block {block}); {stop}"
             )
         };
         view.successions.iter().map(text).chain(view.proposals.iter().map(waits)).collect()

@@ -10,7 +10,6 @@ use tokio::task::block_in_place;
 use crate::chain::{
     Chain, ChainError, ChainOptions, DEFAULT_DELAY, Endpoint, LONGEST_DELAY, Pin, SHORTEST_DELAY, serve,
 };
-use crate::event::{NoticeLevel, Part};
 use crate::failure::{input, refused};
 use crate::model::ProfileName;
 use crate::paths::Home;
@@ -41,24 +40,21 @@ impl Connection {
     pub async fn keep_connected(self: Arc<Self>) {
         let mut pause = 1;
         while !self.parts.life.is_stopping() {
-            let is_lost = |state: &NetworkState| {
-                matches!(state, NetworkState::Connecting | NetworkState::Swapped(_) | NetworkState::Down { .. })
-            };
+            use NetworkState::{Connecting, Down, Off, Swapped};
+            let is_lost = |state: &NetworkState| matches!(state, Connecting | Swapped(_) | Down { .. });
             let mut state = self.parts.link.follow();
             if !is_lost(&state.borrow()) {
                 pause = 1;
                 // An error means that the site is gone.
-                drop(state.wait_for(|state| is_lost(state) || matches!(state, NetworkState::Off)).await);
+                drop(state.wait_for(|state| is_lost(state) || matches!(state, Off)).await);
                 continue;
             }
             match self.connect().await {
                 Ok(()) => continue,
                 Err(Lost::Swapped(failure)) => self.parts.link.lose_chain(failure),
                 Err(Lost::Other(failure)) => {
-                    self.parts.hub.notice(NoticeLevel::Error, &failure.message);
-                    self.parts
-                        .link
-                        .lost(NetworkState::Down { failure, next: Instant::now() + Duration::from_secs(pause) });
+                    self.parts.hub.alarm(&failure.message);
+                    self.parts.link.lost(Down { failure, next: Instant::now() + Duration::from_secs(pause) });
                 }
             }
             tokio::select! {
@@ -80,20 +76,18 @@ impl Connection {
             return self.use_network(chain, &pin).await;
         }
         self.parts.link.set(NetworkState::Bare(chain));
-        self.parts.hub.changed(Part::Chain);
-        self.parts.hub.changed(Part::Health);
         Ok(())
     }
 
     async fn reach_chain(&self) -> Result<Chain, Lost> {
-        let (pinned, contract, confirmations) =
-            (self.pin()?, self.parts.config.contract, self.parts.config.confirmations);
+        let (pinned, config) = (self.pin()?, &self.parts.config);
+        let (contract, confirmations) = (config.contract, config.confirmations);
         if let Some(remote) = &self.remote {
             return remote.chain((&self.parts.home, &self.parts.owners), pinned, contract, confirmations).await;
         }
-        let endpoint = match &self.parts.config.chain_url {
-            Some(url) => Endpoint::Node { url: url.clone(), roots: self.parts.config.chain_roots.clone() },
-            None => Endpoint::Embedded { directory: self.parts.home.chain(), consensus: self.parts.config.consensus },
+        let endpoint = match &config.chain_url {
+            Some(url) => Endpoint::Node { url: url.clone(), roots: config.chain_roots.clone() },
+            None => Endpoint::Embedded { directory: self.parts.home.chain(), consensus: config.consensus },
         };
         Ok(Chain::connect(ChainOptions { endpoint, contract, pinned, confirmations }).await?)
     }
@@ -104,8 +98,6 @@ impl Connection {
         let head = watcher::watch_round(&self.parts.plant, &network).await?;
         self.parts.link.has_scanned(head.number);
         self.parts.link.set(NetworkState::Up(Box::new(network)));
-        self.parts.hub.changed(Part::Chain);
-        self.parts.hub.changed(Part::Health);
         Ok(())
     }
 
@@ -135,18 +127,13 @@ impl Connection {
         let pin = deployed.pin;
         self.use_network(chain, &pin).await?;
         self.parts.log.write(&owner.profile, "deploy", &pin.contract.to_string(), "done").await?;
-        self.parts.hub.notice(
-            NoticeLevel::Info,
-            &format!("contract {} deployed; {} administers it", pin.contract, owner.address),
-        );
+        self.parts.hub.inform(&format!("contract {} deployed; {} administers it", pin.contract, owner.address));
         self.parts.link.network().await
     }
 
     pub async fn fund(&self, chain: &Chain, owner: &Owner) -> Result<(), Failure> {
         if self.parts.config.chain_url.is_some() && chain.fund_from_node(owner.address).await? {
-            self.parts
-                .hub
-                .notice(NoticeLevel::Info, &format!("the development node gave {} ether for gas", owner.address));
+            self.parts.hub.inform(&format!("the development node gave {} ether for gas", owner.address));
         }
         Ok(())
     }
@@ -256,9 +243,7 @@ impl Connection {
             chain_id: chain.chain_id(),
             contract: chain.pin().map(|pin| pin.contract),
         };
-        self.parts
-            .hub
-            .notice(NoticeLevel::Info, &format!("the chain is available to tools on this machine at {}", view.url));
+        self.parts.hub.inform(&format!("the chain is available to tools on this machine at {}", view.url));
         let connection = Arc::clone(self);
         tokio::spawn(async move {
             let stop = async {
@@ -269,7 +254,7 @@ impl Connection {
             };
             let served = chain.serve(listener, stop).await.map_err(Failure::from);
             if let Err(failure) = connection.parts.log.ended(&by, "serve chain", &subject, served).await {
-                connection.parts.hub.notice(NoticeLevel::Error, &failure.message);
+                connection.parts.hub.alarm(&failure.message);
             }
         });
         Ok(view)

@@ -9,7 +9,6 @@ use crate::model::{Address, Domain};
 use crate::pipeline::anchorer::{self, MOST_LANES};
 use crate::pipeline::sender::LaneState;
 use crate::pipeline::{Network, Owner};
-use crate::service::event::NoticeLevel;
 use crate::service::failure::refused;
 use crate::service::reply::Failure;
 
@@ -84,8 +83,7 @@ impl Lanes {
     pub async fn tend(&self, network: &Network) {
         for owner in self.parts.owners.all() {
             if let Err(failure) = self.tend_lanes_of(&owner, network).await {
-                let text = format!("transactions of {} are waiting: {}", owner.profile, failure.message);
-                self.parts.hub.notice(NoticeLevel::Error, &text);
+                self.parts.hub.alarm(&format!("transactions of {} are waiting: {}", owner.profile, failure.message));
             }
         }
     }
@@ -101,8 +99,7 @@ impl Lanes {
         }
         for key in keys {
             for reason in self.parts.sender.tend(&network.chain, &key).await? {
-                let text = format!("the contract rejected a transaction of {}: {reason}", owner.profile);
-                self.parts.hub.notice(NoticeLevel::Error, &text);
+                self.parts.hub.alarm(&format!("the contract rejected a transaction of {}: {reason}", owner.profile));
             }
         }
         Ok(())
@@ -115,7 +112,7 @@ impl Lanes {
                 && let Err(failure) = self.ready_extra(&owner, &network).await
             {
                 let text = format!("an extra anchoring account of {} is not ready: {}", owner.profile, failure.message);
-                self.parts.hub.notice(NoticeLevel::Warning, &text);
+                self.parts.hub.warn(&text);
             }
             if !self.parts.life.beat(LOOK).await {
                 return;

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use tokio::sync::watch;
 
 use crate::chain::{BlockRef, Chain, MEASURED};
-use crate::event::{NoticeLevel, Part};
+use crate::event::Part;
 use crate::failure::{input, internal};
 use crate::hub::Hub;
 use crate::model::steady_clock::look;
@@ -73,10 +73,16 @@ impl Link {
         // It may be another chain, or another node.
         *self.freshness() = Freshness::default();
         self.state.send_replace(state);
+        self.changed();
+    }
+
+    fn changed(&self) {
+        self.hub.changed(Part::Health);
+        self.hub.changed(Part::Chain);
     }
 
     pub fn lose_chain(&self, failure: Failure) {
-        self.hub.notice(NoticeLevel::Error, &failure.message);
+        self.hub.alarm(&failure.message);
         self.lost(NetworkState::Swapped(failure));
     }
 
@@ -89,8 +95,7 @@ impl Link {
             }
             !ending
         });
-        self.hub.changed(Part::Health);
-        self.hub.changed(Part::Chain);
+        self.changed();
     }
 
     pub async fn chain(&self) -> Result<Chain, Failure> {
@@ -206,11 +211,9 @@ pub enum NotFresh {
     #[error("the newest block was read {0} s ago, and the chain has not confirmed since that it is the newest")]
     Silent(u64),
     #[error("block {block} is {age} s old here, and the next one was due after {due} s: the node may be cut off")]
-    #[allow(missing_docs, reason = "the line names its fields")]
     Late { block: u64, age: u64, due: u64 },
     /// It came later than others, or faster than it was sealed.
     #[error("the node is catching up: block {block} is an old one")]
-    #[allow(missing_docs, reason = "the line names its fields")]
     Behind { block: u64 },
 }
 

@@ -13,7 +13,7 @@ use crate::crypto::{GatewayAddresses, IssuedKeys, Notice, OwnerKeyChange, notice
 use crate::event::NoticeLevel;
 use crate::failure::{input, internal, refused};
 use crate::gateway::{Cabinet, Context, Upload};
-use crate::model::{ProfileName, PublicKey, RecordKind, RecorderId, RingSpan, Timestamp, clean};
+use crate::model::{PublicKey, RecordKind, RecorderId, Timestamp, clean};
 use crate::pipeline::statement::{self, Speaker, Statement};
 use crate::pipeline::{Network, Owner};
 use crate::reply::{DeviceAddressesView, Failure};
@@ -61,7 +61,6 @@ impl Devices {
             self.enrolments.change(owner, device, |known| known.gateway = Some(gateway.clone()))
         };
         self.parts.log.deed(&owner.profile, "device addresses", &subject, told).await?;
-        self.parts.hub.stored.notify_waiters();
         Ok(DeviceAddressesView { name: enrolled.name, device, gateway: gateway.into() })
     }
 
@@ -114,12 +113,14 @@ impl Devices {
     ) -> Result<(), String> {
         let context = Context { provider: self.parts.plant.provider, domain: network.domain };
         let brought = async {
-            let (name, token) = (courier(owner)?, self.known_token(owner, network)?);
+            // A name of its own, whatever profiles there are called.
+            let name = courier_of(&owner.address).parse().map_err(|_| internal("the name of couriers"))?;
+            let token = self.known_token(owner, network)?;
             let at = (gateway.addresses.clone(), Some(gateway.key));
             let mut client = Seat::allocate(owner, context, at, &name).await?.connect(&name, token).await?;
             for window in waiting.chunks(WINDOW) {
-                let uploads = block_in_place(|| self.uploads(window))?;
-                client.upload(uploads).await?;
+                let uploads = || window.iter().map(|row| self.upload(row)).collect::<Result<_, _>>();
+                client.upload(block_in_place(uploads)?).await?;
                 for row in window {
                     let note = carried(owner, enrolled, gateway, row.recorder);
                     self.parts.plant.ledger.notes.write(&note, &row.seq)?;
@@ -162,23 +163,15 @@ impl Devices {
         Ok(rows)
     }
 
-    fn uploads(&self, rows: &[RecordRow]) -> Result<Vec<Upload>, Failure> {
-        let mut uploads = Vec::with_capacity(rows.len());
-        for row in rows {
-            let blob = self.parts.plant.ciphertext.get(row.digest)?;
-            let gone = || refused(format!("the notice {} is not in the store any more", row.id));
-            uploads.push(Upload { signature: row.signature, blob: blob.ok_or_else(gone)? });
-        }
-        Ok(uploads)
+    fn upload(&self, row: &RecordRow) -> Result<Upload, Failure> {
+        let gone = || refused(format!("the notice {} is not in the store any more", row.id));
+        let blob = self.parts.plant.ciphertext.get(row.digest)?.ok_or_else(gone)?;
+        Ok(Upload { signature: row.signature, blob })
     }
 }
 
 fn carried(owner: &Owner, enrolled: &Enrolled, gateway: &EnrolledGateway, recorder: RecorderId) -> NoticesCarried {
     NoticesCarried { owner: owner.address, device: enrolled.device, gateway: gateway.key, recorder }
-}
-
-fn courier(owner: &Owner) -> Result<ProfileName, Failure> {
-    courier_of(&owner.address).parse().map_err(|_| internal("the name of couriers"))
 }
 
 const TYPE: &str = "authros/Keys";
@@ -198,14 +191,10 @@ impl Enrolments {
                 self.note_untold(owner.address, device, Step::Carry, None);
                 continue;
             }
-            let told = self.tell_device(owner, network, device);
-            self.note_untold(
-                owner.address,
-                device,
-                Step::Seal,
-                told.as_ref().err().map(|failure| failure.message.clone()),
-            );
-            first = first.or(told.err());
+            let failure = self.tell_device(owner, network, device).err();
+            let why = failure.as_ref().map(|failure| failure.message.clone());
+            self.note_untold(owner.address, device, Step::Seal, why);
+            first = first.or(failure);
         }
         match first {
             Some(failure) => Err(Failure { message: words(&self.untold(Some(owner.address))), ..failure }),
@@ -217,10 +206,8 @@ impl Enrolments {
         let keys = self.issue(owner, network, device)?;
         let told = self.parts.plant.ledger.notes.read(&keys_told(owner, device))?;
         if told.as_deref() != Some(summary(&keys).as_str()) {
-            let epoch = keys.now.epoch;
-            self.seal_notice(owner, network, device, epoch, &Notice::Keys(keys.clone()))?;
+            self.seal_notice(owner, network, device, keys.now.epoch, &Notice::Keys(keys.clone()))?;
             self.note_told(owner, device, &keys)?;
-            self.parts.hub.stored.notify_waiters();
         }
         Ok(())
     }
@@ -237,31 +224,22 @@ impl Enrolments {
             }
             self.seal_notice(owner, network, &device, epoch, &Notice::OwnerKey(change))?;
             self.parts.plant.ledger.notes.write(&note, &told)?;
-            self.parts.hub.stored.notify_waiters();
         }
         Ok(())
     }
 
-    pub fn ask_for_ring(
-        &self,
-        owner: &Owner,
-        network: &Network,
-        device: &Enrolled,
-        span: &RingSpan,
-    ) -> Result<(), Failure> {
+    pub fn send(&self, owner: &Owner, network: &Network, device: &Enrolled, notice: &Notice) -> Result<(), Failure> {
         // A robot accepts notices of its own epoch or later.
         let known = network.directory.epoch(owner.address);
         let epoch = owner.sealing().map_or(known, |keys| keys.epoch.max(known));
-        self.seal_notice(owner, network, device, epoch, &Notice::Pull(span.clone()))?;
-        self.parts.hub.stored.notify_waiters();
-        Ok(())
+        self.seal_notice(owner, network, device, epoch, notice)
     }
 
     pub fn note_told(&self, owner: &Owner, device: &Enrolled, keys: &IssuedKeys) -> Result<(), Failure> {
         Ok(self.parts.plant.ledger.notes.write(&keys_told(owner, device), &summary(keys))?)
     }
 
-    pub fn seal_notice(
+    fn seal_notice(
         &self,
         owner: &Owner,
         network: &Network,
@@ -280,10 +258,10 @@ impl Enrolments {
             topic_key: &notice_key(&owner.eoa(), &network.domain, &device.device),
         };
         let statement = Statement { kind: RecordKind::Key, topic: &name, type_name: TYPE, body: &body };
-        statement::put(&self.parts.plant, &speaker, statement, |row| {
-            self.parts.plant.ledger.records.append(vec![row])
-        })?;
+        let plant = &self.parts.plant;
+        statement::put(plant, &speaker, statement, |row| plant.ledger.records.append(vec![row]))?;
         self.sealed.send_replace(());
+        self.parts.hub.stored.notify_waiters();
         Ok(())
     }
 }

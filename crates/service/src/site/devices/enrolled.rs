@@ -64,11 +64,9 @@ impl Enrolments {
         let sealing = sealing
             .ok_or_else(|| refused("no epoch has started that this keyring has the key of; run `authros register`"))?;
         let now = self.issue_of(owner, network, to, sealing.epoch)?;
-        let next = match owner.author.next().filter(|(_, keys)| keys.epoch > sealing.epoch) {
-            Some((moment, keys)) => Some((moment, self.issue_of(owner, network, to, keys.epoch)?)),
-            None => None,
-        };
-        Ok(IssuedKeys { now, next })
+        let next = owner.author.next().filter(|(_, keys)| keys.epoch > sealing.epoch);
+        let next = next.map(|(from, keys)| Ok::<_, Failure>((from, self.issue_of(owner, network, to, keys.epoch)?)));
+        Ok(IssuedKeys { now, next: next.transpose()? })
     }
 
     fn issue_of(&self, owner: &Owner, network: &Network, to: &Enrolled, epoch: u64) -> Result<EpochIssue, Failure> {

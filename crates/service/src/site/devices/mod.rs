@@ -67,47 +67,32 @@ impl Devices {
         let network = self.parts.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         let device = self.lent_device(&network, owner, device)?;
-        let recalled = self.recall_device(owner, &network, device);
-        self.parts.log.deed(&owner.profile, "recall device", &device.to_string(), recalled).await
-    }
-
-    async fn recall_device(
-        &self,
-        owner: &Arc<Owner>,
-        network: &Network,
-        device: SignerId,
-    ) -> Result<TransactionView, Failure> {
+        let recalled = async {
         // Saved in the keyring before anything is sent: the next start resumes an interruption.
-        owner.prepare_epoch(network.domain, network.directory.epoch(owner.address) + 1)?;
-        let recalled = self.send_recall(owner, network, device).await?;
-        self.enrolments.note_recalled(owner, device)?;
-        let rotated = self.sharing.next_epoch(owner, network, "recall").await.map_err(|failure| {
-            let what = "is recalled, but the new epoch is not on the chain yet and its keys still open new records; \
-                        `authros keys rotate` starts it";
-            Failure { message: format!("device {device} {what}: {}", failure.message), ..failure }
-        })?;
-        let text = format!(
-            "device {device} can no longer sign or read for {}: gateways end its session, and new records are sealed \
-             under epoch {}; what it signed before stays valid, what it has read cannot be recalled",
-            owner.address, rotated.epoch
-        );
-        Ok(TransactionView { epoch: rotated.epoch, text, ..recalled })
+            owner.prepare_epoch(network.domain, network.directory.epoch(owner.address) + 1)?;
+            let call = Call::Recall { device };
+            let recalled = self.change_devices(owner, &network, call, "recall", String::new()).await?;
+            self.enrolments.note_recalled(owner, device)?;
+            let rotated = self.sharing.next_epoch(owner, &network, "recall").await.map_err(|failure| {
+                let what = "is recalled, but the new epoch is not on the chain yet and its keys still open new \
+                            records; `authros keys rotate` starts it";
+                Failure { message: format!("device {device} {what}: {}", failure.message), ..failure }
+            })?;
+            let text = format!(
+                "device {device} can no longer sign or read for {}: gateways end its session, and new records are \
+                 sealed under epoch {}; what it signed before stays valid, what it has read cannot be recalled",
+                owner.address, rotated.epoch
+            );
+            Ok(TransactionView { epoch: rotated.epoch, text, ..recalled })
+        };
+        self.parts.log.deed(&owner.profile, "recall device", &device.to_string(), recalled).await
     }
 
     pub async fn unlend_device(&self, owner: &Arc<Owner>, device: SignerId) -> Result<(), Failure> {
         let network = self.parts.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
-        let recalled = self.send_recall(owner, &network, device);
+        let recalled = self.change_devices(owner, &network, Call::Recall { device }, "recall", String::new());
         self.parts.log.deed(&owner.profile, "recall device", &device.to_string(), recalled).await.map(drop)
-    }
-
-    async fn send_recall(
-        &self,
-        owner: &Arc<Owner>,
-        network: &Network,
-        device: SignerId,
-    ) -> Result<TransactionView, Failure> {
-        self.change_devices(owner, network, Call::Recall { device }, "recall", String::new()).await
     }
 
     async fn change_devices(

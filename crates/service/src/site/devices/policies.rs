@@ -33,10 +33,8 @@ impl Devices {
         let network = self.parts.link.network().await?;
         let known = block_in_place(|| self.known(owner, &network))?;
         let robots = self.enrolments.of(owner)?.into_iter().filter(|robot| !robot.ended);
-        let mut rows = Vec::new();
-        for robot in robots {
-            rows.push(row(&robot, &self.wanted(owner, robot.device)?, &known));
-        }
+        let row = |robot: Enrolled| Ok(row(&robot, &self.wanted(owner, robot.device)?, &known));
+        let mut rows = robots.map(row).collect::<Result<Vec<_>, Failure>>()?;
         rows.sort_by(|one, other| one.name.cmp(&other.name));
         Ok(rows)
     }
@@ -83,7 +81,7 @@ impl Devices {
             let policy = SignedPolicy::sign(&network.domain, &owner.eoa(), robot.device, version, &text)?;
             // Noted first: two policies never share a number.
             self.note_wanted(owner, robot.device, &PolicyWanted { version, text, set_at: Timestamp::now() })?;
-            block_in_place(|| self.enrolments.send_policy(owner, &network, &robot, policy))
+            block_in_place(|| self.enrolments.send(owner, &network, &robot, &Notice::Policy(policy)))
         };
         self.parts.log.deed(&owner.profile, "robot policy", &subject, sent).await?;
         drop(one_at_a_time);
@@ -170,42 +168,19 @@ impl Devices {
     }
 }
 
-impl super::enrolled::Enrolments {
-    fn send_policy(
-        &self,
-        owner: &Owner,
-        network: &Network,
-        device: &Enrolled,
-        policy: SignedPolicy,
-    ) -> Result<(), Failure> {
-        // A robot accepts notices of its own epoch or later.
-        let known = network.directory.epoch(owner.address);
-        let epoch = owner.sealing().map_or(known, |keys| keys.epoch.max(known));
-        self.seal_notice(owner, network, device, epoch, &Notice::Policy(policy))?;
-        self.parts.hub.stored.notify_waiters();
-        Ok(())
-    }
-}
-
 fn row(robot: &Enrolled, wanted: &PolicyWanted, known: &Known) -> RobotRow {
     let report = known.reports.get(&robot.device);
-    let recorded = known.seen.get(&robot.device).copied();
-    let told = report.map(|(_, at)| *at);
-    let last_seen = recorded.max(told);
     let running = report.map(|(report, _)| report.running);
     let drift = !robot.ended && running.unwrap_or_default() != wanted.version;
     let standing = if robot.ended { "recalled" } else { standing(wanted, report.map(|(report, _)| report)) };
     let of_robot = known.topics.iter().filter(|topic| topic.signer == robot.device);
     let waiting = of_robot.flat_map(|topic| &topic.records).filter(|(state, _)| state.is_pending());
+    let address = robot.gateway.as_ref().and_then(|gateway| gateway.addresses.first());
     RobotRow {
         name: robot.name.clone(),
         device: robot.device,
-        last_seen,
-        address: robot
-            .gateway
-            .as_ref()
-            .and_then(|gateway| gateway.addresses.first())
-            .map(|address| clean(address, 255)),
+        last_seen: known.seen.get(&robot.device).copied().max(report.map(|(_, at)| *at)),
+        address: address.map(|address| clean(address, 255)),
         waiting: waiting.map(|(_, count)| count).sum(),
         wanted: wanted.version,
         running,

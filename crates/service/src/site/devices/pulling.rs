@@ -5,6 +5,7 @@ use std::sync::Arc;
 use tokio::task::block_in_place;
 
 use super::Devices;
+use crate::crypto::Notice;
 use crate::model::{RingSpan, Timestamp, TopicPattern, TopicPatterns, clean};
 use crate::pipeline::{Network, Owner};
 use crate::service::command::{self as ask, Ask as _, RobotCommand};
@@ -45,7 +46,8 @@ impl Devices {
         let RingSpan { since, until, topics } = span;
         let told = if topics.0.is_empty() { "all topics".to_owned() } else { topics.to_string() };
         let subject = clean(&format!("{}: {since} to {until}, {told}", robot.device), 400);
-        let asked = async { block_in_place(|| self.enrolments.ask_for_ring(owner, &network, &robot, span)) };
+        let notice = Notice::Pull(span.clone());
+        let asked = async { block_in_place(|| self.enrolments.send(owner, &network, &robot, &notice)) };
         self.parts.log.deed(&owner.profile, "pull ring", &subject, asked).await?;
         let topics = topics.0.iter().map(|topic| clean(topic.as_str(), WIDEST)).collect();
         Ok(RingPullView { robot: robot.name, device: robot.device, since: *since, until: *until, topics })
