@@ -1,6 +1,5 @@
 //! Captures with an end: a count, a duration, or a command; answered when all is verified.
 
-mod policy;
 pub(super) mod ros;
 pub(super) mod sealer_thread;
 pub(super) mod second;

@@ -1,8 +1,7 @@
-use crate::config::Config;
 use crate::pipeline::Recorder;
 use crate::site::parts::Parts;
 use std::collections::{BTreeSet, HashMap};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::Duration;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
@@ -14,7 +13,7 @@ use crate::crypto::random_bytes;
 use crate::model::TopicName;
 use crate::model::bytes::hex;
 use crate::ros::graph::Unreached;
-use crate::ros::{Capture, CaptureOptions, EmbeddedMaster, Fleet, FleetOptions, Graph, LastLook, RosError, TopicInfo};
+use crate::ros::{Capture, CaptureOptions, EmbeddedMaster, Fleet, FleetOptions, Graph, LastLook, TopicInfo};
 use crate::service::event::Part;
 use crate::service::failure::internal;
 use crate::service::reply::Failure;
@@ -37,14 +36,6 @@ pub enum RosState {
     },
 }
 
-fn start_robots(config: &Config, uri: &str) -> Result<Fleet, RosError> {
-    let (robots, options) = (config.robots, FleetOptions::default());
-    match config.robots_by {
-        PublishedBy::Own => Fleet::start(uri, robots, options),
-        PublishedBy::Rosrust => Fleet::by_rosrust(uri, config.rosrust_program.as_deref(), robots, options),
-    }
-}
-
 pub struct RosLink {
     pub uri: String,
     pub embedded: bool,
@@ -52,8 +43,8 @@ pub struct RosLink {
     _fleet: Option<Fleet>,
     pub robots: u16,
     graph: Graph,
-    last_look: std::sync::Mutex<LastLook>,
-    topics: std::sync::RwLock<Vec<TopicInfo>>,
+    last_look: Mutex<LastLook>,
+    topics: RwLock<Vec<TopicInfo>>,
     // Dropped last: nodes unregister on drop.
     master: Option<EmbeddedMaster>,
 }
@@ -69,7 +60,7 @@ impl RosState {
 
 impl RosLink {
     pub fn topics(&self) -> Vec<TopicInfo> {
-        self.topics.read().unwrap_or_else(std::sync::PoisonError::into_inner).clone()
+        self.topics.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     fn has_lost_its_master(&self) -> bool {
@@ -77,10 +68,10 @@ impl RosLink {
     }
 
     fn look(&self) -> Result<bool, Failure> {
-        let mut last = self.last_look.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let mut last = self.last_look.lock().unwrap_or_else(PoisonError::into_inner);
         let mut found = self.graph.topics_again(&mut last)?;
         found.sort_by(|one, other| one.name.cmp(&other.name));
-        let mut topics = self.topics.write().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let mut topics = self.topics.write().unwrap_or_else(PoisonError::into_inner);
         let changed = *topics != found;
         *topics = found;
         Ok(changed)
@@ -139,8 +130,7 @@ impl RosSide {
             if let Some(link) = kept {
                 break link;
             }
-            let ros = Arc::clone(&self);
-            match blocking(&self, move |_| ros.start()).await {
+            match blocking(&self, Self::start).await {
                 Ok(link) => break Arc::new(link),
                 Err(failure) => {
                     self.parts.hub.alarm(&failure.message);
@@ -197,33 +187,32 @@ impl RosSide {
     }
 
     fn start(&self) -> Result<RosLink, Failure> {
-        let master = if self.parts.config.ros_master.is_none() { Some(EmbeddedMaster::start()?) } else { None };
-        let uri =
-            master.as_ref().map(|master| master.uri().to_owned()).or_else(|| self.parts.config.ros_master.clone());
+        let config = &self.parts.config;
+        let master = if config.ros_master.is_none() { Some(EmbeddedMaster::start()?) } else { None };
+        let uri = master.as_ref().map(|master| master.uri().to_owned()).or_else(|| config.ros_master.clone());
         let uri = uri.ok_or_else(|| internal("no ROS master is configured"))?;
         let node_name = format!("/authros_{}", hex(&random_bytes::<4>()?));
         let graph = Graph::new(&uri, &node_name)?;
         graph.ping()?;
-        let robots = self.parts.config.robots;
-        let fleet = match &master {
-            Some(_) if robots > 0 => Some(start_robots(&self.parts.config, &uri)?),
-            _ => None,
+        let robots = if master.is_some() { config.robots } else { 0 };
+        let (program, options) = (config.rosrust_program.as_deref(), FleetOptions::default());
+        let fleet = match config.robots_by {
+            _ if robots == 0 => None,
+            PublishedBy::Own => Some(Fleet::start(&uri, robots, options)?),
+            PublishedBy::Rosrust => Some(Fleet::by_rosrust(&uri, program, robots, options)?),
         };
-        let robots = if fleet.is_some() { robots } else { 0 };
         self.recorder.set_simulated((1..=robots).map(|number| format!("/robot{number}_sim")).collect());
-        let options =
-            CaptureOptions { master_uri: uri.clone(), own_host: self.parts.config.ros_host.clone(), node_name };
+        let options = CaptureOptions { master_uri: uri.clone(), own_host: config.ros_host.clone(), node_name };
         let capture = Capture::start(options, self.recorder.clone())?;
-        let embedded = master.is_some();
         let link = RosLink {
             uri,
-            embedded,
+            embedded: master.is_some(),
             capture,
             robots,
             _fleet: fleet,
             graph,
-            last_look: std::sync::Mutex::default(),
-            topics: std::sync::RwLock::default(),
+            last_look: Mutex::default(),
+            topics: RwLock::default(),
             master,
         };
         link.look()?;
@@ -263,11 +252,8 @@ impl RosSide {
     fn follow_wishes(&self, link: &RosLink) {
         let mut wanted = self.share_wishes(&link.topics());
         if self.is_measured() {
-            let of_two = |info: &&TopicInfo| self.graph_of(info) == GraphOf::Two;
-            let topics = link.topics();
-            let names =
-                topics.iter().filter(|info| !of_two(info)).filter_map(|info| info.name.parse::<TopicName>().ok());
-            wanted.extend(names);
+            let read = link.topics().into_iter().filter(|info| self.second.graph_of(info) != GraphOf::Two);
+            wanted.extend(read.filter_map(|info| info.name.parse::<TopicName>().ok()));
         }
         let watched: BTreeSet<TopicName> = link.capture.watched().into_iter().map(|(topic, _)| topic).collect();
         for topic in watched.difference(&wanted) {
@@ -301,10 +287,6 @@ impl RosSide {
         status.map(|topic| (topic.topic.to_string(), topic.unreached)).collect()
     }
 
-    pub fn graph_of(&self, info: &TopicInfo) -> GraphOf {
-        self.second.graph_of(info)
-    }
-
     /// `None` if only ROS 2 is there; waits for its discovery.
     pub async fn any(&self) -> Result<Option<Arc<RosLink>>, Failure> {
         let link = self.any_now().await?;
@@ -315,7 +297,7 @@ impl RosSide {
     pub async fn any_now(&self) -> Result<Option<Arc<RosLink>>, Failure> {
         match self.link().await {
             Ok(link) => Ok(Some(link)),
-            Err(_) if self.second.is_on() => Ok(None),
+            Err(_) if self.second.capture().is_some() => Ok(None),
             Err(failure) => Err(failure),
         }
     }

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use crate::config::Source;
 use crate::model::{TopicName, clean};
 use crate::pipeline::Recorder;
-use crate::ros::ros2::{Reading, Ros2Capture, Ros2Topic, Standing};
+use crate::ros::ros2::{Reading, Ros2Capture, Ros2Topic};
 use crate::ros::{CaptureNotice, MessageSink, TopicInfo, UNCONFINED};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::reply::{Failure, HealthLevel};
@@ -26,16 +26,11 @@ pub(in crate::site) enum GraphOf {
     Open,
 }
 
-enum State {
-    Off,
-    Absent(Failure),
-    On(Arc<Ros2Capture>),
-}
-
 pub(in crate::site) struct Second {
     parts: Parts,
     recorder: Arc<Recorder>,
-    state: Mutex<State>,
+    /// `None` = off; a failure = its program is missing.
+    state: Mutex<Option<Result<Arc<Ros2Capture>, Failure>>>,
     decided: Mutex<HashMap<TopicName, GraphOf>>,
     told: Mutex<Told>,
 }
@@ -57,7 +52,7 @@ impl Second {
         Self {
             parts: parts.clone(),
             recorder: Arc::clone(recorder),
-            state: Mutex::new(State::Off),
+            state: Mutex::default(),
             decided: Mutex::default(),
             told: Mutex::default(),
         }
@@ -65,32 +60,25 @@ impl Second {
 
     pub fn begin(&self) {
         let Some(domain) = self.parts.config.ros_domain else { return };
-        if matches!(*locked(&self.state), State::On(_)) {
+        if self.capture().is_some() {
             return;
         }
         let started = Ros2Capture::start(domain, self.parts.config.ros2_program.as_deref(), self.recorder.clone());
-        let state = match started {
-            Ok(capture) => State::On(Arc::new(capture)),
-            Err(error) => {
-                let failure = Failure::from(error);
-                self.parts.hub.alarm(&failure.message);
-                State::Absent(failure)
-            }
-        };
-        *locked(&self.state) = state;
+        let started = started.map(Arc::new).map_err(Failure::from);
+        if let Err(failure) = &started {
+            self.parts.hub.alarm(&failure.message);
+        }
+        *locked(&self.state) = Some(started);
         self.parts.hub.changed(Part::Health);
     }
 
     pub fn end(&self) {
-        let state = std::mem::replace(&mut *locked(&self.state), State::Off);
+        let state = locked(&self.state).take();
         drop(state);
     }
 
-    fn capture(&self) -> Option<Arc<Ros2Capture>> {
-        match &*locked(&self.state) {
-            State::On(capture) => Some(Arc::clone(capture)),
-            State::Off | State::Absent(_) => None,
-        }
+    pub fn capture(&self) -> Option<Arc<Ros2Capture>> {
+        locked(&self.state).as_ref()?.as_ref().ok().cloned()
     }
 
     /// Captures messages that still wait for their publisher's identity, before their topic is unwatched.
@@ -98,10 +86,6 @@ impl Second {
         if let Some(capture) = self.capture() {
             tokio::task::block_in_place(|| capture.settle(topic));
         }
-    }
-
-    pub fn is_on(&self) -> bool {
-        self.capture().is_some()
     }
 
     pub fn topics(&self) -> Vec<Ros2Topic> {
@@ -124,11 +108,16 @@ impl Second {
     }
 
     pub fn health(&self) -> Option<(HealthLevel, String)> {
-        match &*locked(&self.state) {
-            State::Off => None,
-            State::Absent(failure) => Some((HealthLevel::Failed, failure.message.clone())),
-            State::On(capture) => Some(health_of(&capture.standing())),
-        }
+        let standing = match locked(&self.state).as_ref()? {
+            Err(failure) => return Some((HealthLevel::Failed, failure.message.clone())),
+            Ok(capture) => capture.standing(),
+        };
+        let level = match &standing.reading {
+            Reading::Down { .. } => HealthLevel::Failed,
+            Reading::Up if !standing.is_empty() => HealthLevel::Ok,
+            Reading::Looking | Reading::Up => HealthLevel::Waiting,
+        };
+        Some((level, clean(&standing.text(), 400)))
     }
 
     pub fn look(&self) -> bool {
@@ -216,14 +205,4 @@ impl Second {
 
 fn is_published(topic: &TopicName, graph: &[TopicInfo]) -> bool {
     graph.iter().any(|info| info.name == topic.as_str() && !info.publishers.is_empty())
-}
-
-pub(in crate::site) fn health_of(standing: &Standing) -> (HealthLevel, String) {
-    let level = match &standing.reading {
-        Reading::Down { .. } => HealthLevel::Failed,
-        Reading::Looking => HealthLevel::Waiting,
-        Reading::Up if standing.is_empty() => HealthLevel::Waiting,
-        Reading::Up => HealthLevel::Ok,
-    };
-    (level, clean(&standing.text(), 400))
 }
