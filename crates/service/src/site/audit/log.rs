@@ -6,7 +6,6 @@ use super::{Refusals, doer};
 use crate::model::{ProfileName, Timestamp, clean};
 use crate::pipeline::{Owner, PipelineError};
 use crate::service::command::UploadQuery;
-use crate::service::event::NoticeLevel;
 use crate::service::failure::internal;
 use crate::service::hub::Hub;
 use crate::service::reply::{AuditView, ExportedFile, Failure};
@@ -40,7 +39,10 @@ impl Log {
         subject: &str,
         outcome: &str,
     ) -> Result<(), Failure> {
-        let entry = entry(&doer(profile.as_str()), action, subject, outcome);
+        self.append(entry(&doer(profile.as_str()), action, subject, outcome)).await
+    }
+
+    async fn append(self: &Arc<Self>, entry: AuditEntry) -> Result<(), Failure> {
         blocking(self, move |log| Ok(log.lines.append(entry)?)).await
     }
 
@@ -91,7 +93,7 @@ impl Log {
         let done = outcome?;
         // The deed is done and was announced; a failure to log its outcome is reported, not undone.
         if let Err(failure) = written {
-            self.hub.notice(NoticeLevel::Error, &failure.message);
+            self.hub.alarm(&failure.message);
         }
         Ok(done)
     }
@@ -133,18 +135,17 @@ impl Log {
         let mut refusals = self.counted.take(now).into_iter();
         while let Some(((minute, peer, code), count)) = refusals.next() {
             let outcome = format!("{count} in the minute from {}", Timestamp::from_seconds(minute * 60));
-            let line = entry(&peer, "refused", &code, &outcome);
-            if let Err(failure) = blocking(self, move |log| Ok(log.lines.append(line)?)).await {
+            if let Err(failure) = self.append(entry(&peer, "refused", &code, &outcome)).await {
                 let lost = std::iter::once(((minute, peer, code), count)).chain(refusals).collect();
                 self.counted.put_back(lost);
-                self.hub.notice(NoticeLevel::Error, &failure.message);
+                self.hub.alarm(&failure.message);
                 break;
             }
         }
-        for again in self.counted.repeated(now) {
-            let line = entry(&again.profile, "list shared", &again.query, &format!("{} times again", again.times));
-            if let Err(failure) = blocking(self, move |log| Ok(log.lines.append(line)?)).await {
-                self.hub.notice(NoticeLevel::Error, &failure.message);
+        for ((profile, query), times) in self.counted.repeated(now) {
+            let line = entry(&profile, "list shared", &query, &format!("{times} times again"));
+            if let Err(failure) = self.append(line).await {
+                self.hub.alarm(&failure.message);
                 return;
             }
         }

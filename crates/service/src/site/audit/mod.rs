@@ -14,7 +14,6 @@ use tokio::runtime::Handle;
 use super::blocking;
 use super::parts::Parts;
 use super::reading::view::OwnKeys;
-use crate::event::NoticeLevel;
 use crate::model::{Address, OperatorName, ProfileName, Timestamp, clean};
 use crate::pipeline::reader::Reader;
 use crate::pipeline::record_audit::{self, RecordAudit, Scope, scrub_round};
@@ -90,21 +89,15 @@ impl Audit {
             Err(failure) => {
                 let (profile, why) = (&owner.profile, failure.message);
                 let text = format!("heads of the audit log and of the recorder are not anchored for {profile}: {why}");
-                self.parts.hub.notice(NoticeLevel::Error, &text);
+                self.parts.hub.alarm(&text);
             }
         }
     }
 
     pub async fn verify(self: &Arc<Self>, owner: Option<Arc<Owner>>) -> Result<AuditCheck, Failure> {
         let walked = blocking(self, |audit| Ok(audit.parts.log.lines().verify())).await?;
-        let mut check = AuditCheck { ok: true, ..AuditCheck::default() };
-        let mut broken = match walked {
-            Ok(lines) => {
-                check.lines = lines;
-                None
-            }
-            Err(fault) => Some(fault),
-        };
+        let (lines, mut broken) = walked.map_or_else(|fault| (0, Some(fault)), |lines| (lines, None));
+        let mut check = AuditCheck { lines, ..AuditCheck::default() };
         if let Some(owner) = owner {
             let network = self.parts.link.network().await?;
             let reader = Reader { plant: &self.parts.plant, network: &network, reader: &owner };
@@ -191,8 +184,7 @@ impl Audit {
                 let (most, network) = (share.min(MOST_AT_ONCE), network.clone());
                 let done = blocking(&self, move |audit| Ok(scrub_round(&audit.parts.plant, &network, most)?)).await;
                 if let Err(failure) = done {
-                    let text = format!("the scrubber waits: {}", failure.message);
-                    self.parts.hub.notice(NoticeLevel::Warning, &text);
+                    self.parts.hub.warn(&format!("the scrubber waits: {}", failure.message));
                     break;
                 }
                 share -= most;
@@ -214,13 +206,6 @@ const MINUTE: u64 = 60_000_000_000;
 
 /// The minute since 1970, the peer, and the constant code.
 pub type Refusal = (u64, String, String);
-
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Repeated {
-    pub profile: String,
-    pub query: String,
-    pub times: u64,
-}
 
 #[derive(Debug, Default)]
 pub struct Refusals {
@@ -286,14 +271,13 @@ impl Refusals {
         self.asked().remove(&(profile.to_owned(), query.to_owned()));
     }
 
-    pub fn repeated(&self, now: Option<Timestamp>) -> Vec<Repeated> {
+    pub fn repeated(&self, now: Option<Timestamp>) -> Vec<((String, String), u64)> {
         let mut asked = self.asked();
         let ended = |first: &Timestamp| now.is_none_or(|now| now.0.saturating_sub(first.0) >= MINUTE);
-        let taken: Vec<_> = asked.extract_if(|_, (first, _)| ended(first)).collect();
-        let again = taken.into_iter().filter(|(_, (_, times))| *times > 0);
-        let mut again: Vec<Repeated> =
-            again.map(|((profile, query), (_, times))| Repeated { profile, query, times }).collect();
-        again.sort_by(|one, other| (&one.profile, &one.query).cmp(&(&other.profile, &other.query)));
+        let taken = asked.extract_if(|_, (first, _)| ended(first));
+        let mut again: Vec<_> =
+            taken.map(|(query, (_, times))| (query, times)).filter(|(_, times)| *times > 0).collect();
+        again.sort();
         again
     }
 }
@@ -343,7 +327,7 @@ mod refusals_tests {
         assert!(!refusals.is_new_query(at(3), "a", "all") && !refusals.is_new_query(at(60), "a", "all"));
         assert!(refusals.repeated(Some(at(60))).is_empty());
         let again = refusals.repeated(Some(at(62)));
-        assert_eq!(again, [Repeated { profile: "a".to_owned(), query: "all".to_owned(), times: 2 }]);
+        assert_eq!(again, [(("a".to_owned(), "all".to_owned()), 2)]);
         assert!(refusals.is_new_query(at(62), "a", "all"));
         refusals.forget_query("a", "all");
         assert!(refusals.is_new_query(at(62), "a", "all"), "its line was not written");

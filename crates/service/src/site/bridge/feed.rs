@@ -29,11 +29,6 @@ pub(super) struct Item {
     pub only_latched: bool,
 }
 
-pub(super) struct Round {
-    pub items: Vec<Item>,
-    pub is_last: bool,
-}
-
 pub(super) enum Feed {
     Past(Box<RecordQuery>),
     Live(Live),
@@ -81,13 +76,14 @@ impl Feed {
         })))
     }
 
-    pub fn next(&mut self, ledger: &Ledger, givers: &HashMap<Address, Scope>) -> Result<Round, Failure> {
+    /// The next records, and whether they are the last.
+    pub fn next(&mut self, ledger: &Ledger, givers: &HashMap<Address, Scope>) -> Result<(Vec<Item>, bool), Failure> {
         match self {
             Self::Past(query) => {
                 let page = ledger.records.list(query)?;
                 let items = page.rows.into_iter().map(|row| Item { row, only_latched: false }).collect();
                 query.after = page.next;
-                Ok(Round { items, is_last: query.after.is_none() })
+                Ok((items, query.after.is_none()))
             }
             Self::Live(live) => live.next(ledger, givers),
         }
@@ -101,7 +97,7 @@ impl Feed {
 }
 
 impl Live {
-    fn next(&mut self, ledger: &Ledger, givers: &HashMap<Address, Scope>) -> Result<Round, Failure> {
+    fn next(&mut self, ledger: &Ledger, givers: &HashMap<Address, Scope>) -> Result<(Vec<Item>, bool), Failure> {
         if self.place.is_none() {
             let page = ledger.feed.page(&[0; 16], &FeedFilter::default(), 1)?;
             self.place = Some((page.id, page.head));
@@ -125,7 +121,7 @@ impl Live {
         // Stable sort: records of one moment keep the order of their stream.
         ready.sort_by_key(|row: &RecordRow| row.captured_at);
         items.extend(ready.into_iter().map(|row| Item { row, only_latched: false }));
-        Ok(Round { items, is_last: false })
+        Ok((items, false))
     }
 
     fn look_late(
@@ -287,8 +283,8 @@ mod tests {
         let (mut live, givers) = (Live::default(), [(OWNER, Scope::All)].into());
         let played = |live: &mut Live| -> Vec<u64> {
             live.looked_late = None;
-            let round = live.next(&ledger, &givers).expect("read");
-            round.items.iter().map(|item| item.row.seq).collect()
+            let (items, _) = live.next(&ledger, &givers).expect("read");
+            items.iter().map(|item| item.row.seq).collect()
         };
         assert_eq!(played(&mut live), [0; 0]);
         keep(&ledger, 1, at(1));

@@ -47,12 +47,6 @@ const MOST_REASONS: usize = 20;
 
 const NO_RIGHT: &str = "no active grant covers it, or no key of this profile opens it";
 
-struct Checked {
-    record: OpenedRecord,
-    form: Form,
-    source: Source,
-}
-
 #[derive(Default)]
 struct Tally {
     published: u64,
@@ -177,10 +171,10 @@ impl Play<'_> {
             if let Err(end) = self.end() {
                 return Ok(end);
             }
-            let round = block_in_place(|| feed.next(ledger, &self.givers))?;
-            let is_idle = round.items.is_empty();
+            let (items, is_last) = block_in_place(|| feed.next(ledger, &self.givers))?;
+            let is_idle = items.is_empty();
             let mut held = HashSet::new();
-            for item in round.items {
+            for item in items {
                 let stream = (item.row.owner, item.row.topic_id);
                 if held.contains(&stream) {
                     feed.again(item);
@@ -198,7 +192,7 @@ impl Play<'_> {
                     Err(Stop::Failed(failure)) => return Err(failure),
                 }
             }
-            if round.is_last {
+            if is_last {
                 return Ok(PlayEnd::Whole);
             }
             if is_idle || self.wishes.pace == Pace::Follow {
@@ -224,14 +218,13 @@ impl Play<'_> {
         if is_passed || !self.is_wanted(&record.head.topic) {
             return Ok(());
         }
-        let checked = self.described(item, record).await?;
-        self.play(item, &checked).await
+        let (form, source) = self.described(item, &record).await?;
+        self.play(item, &record, &form, source).await
     }
 
-    async fn play(&mut self, item: &Item, checked: &Checked) -> Result<(), Stop> {
-        let Checked { record, form, source } = checked;
+    async fn play(&mut self, item: &Item, record: &OpenedRecord, form: &Form, source: Source) -> Result<(), Stop> {
         let follows = self.wishes.pace == Pace::Follow;
-        match self.target.show(form, *source, record.body.len()) {
+        match self.target.show(form, source, record.body.len()) {
             // A restarting master or child process is back soon.
             Err(Stop::Failed(_)) if follows => return Err(Stop::Later),
             shown => shown?,
@@ -242,7 +235,7 @@ impl Play<'_> {
         self.is_given(&item.row)?;
         let allowed = self.reader().authorise(&item.row);
         allowed.map_err(|error| self.judge(&item.row, error))?;
-        if !self.target.publish(form, *source, &record.body) {
+        if !self.target.publish(form, source, &record.body) {
             return Err(if follows { Stop::Later } else { Stop::Refused("nobody publishes it now".to_owned()) });
         }
         self.tally.published += 1;
@@ -360,7 +353,7 @@ impl Play<'_> {
         }
     }
 
-    async fn described(&mut self, item: &Item, record: OpenedRecord) -> Result<Checked, Stop> {
+    async fn described(&mut self, item: &Item, record: &OpenedRecord) -> Result<(Form, Source), Stop> {
         if record.verdict != Verdict::Verified {
             return Err(Stop::Refused("not verified yet".to_owned()));
         }
@@ -376,14 +369,13 @@ impl Play<'_> {
             return Err(Stop::Refused(format!("--clock publishes the time as {topic} instead")));
         }
         let form = match encoding {
-            Encoding::Ros1 => self.of_one(item, &record, topic).await?,
-            Encoding::Cdr { .. } => of_two(&record, topic).map_err(Stop::Refused)?,
+            Encoding::Ros1 => self.of_one(item, record, topic).await?,
+            Encoding::Cdr { .. } => of_two(record, topic).map_err(Stop::Refused)?,
             Encoding::Beside(_) => return Err(Stop::Refused(NO_MESSAGE.to_owned())),
         };
         // Publishers of one ROS 1 node share its name; those of ROS 2 have ids.
         let writer = record.head.tags.get(&format!("{CHANNEL}{WRITER}")).unwrap_or(&record.head.caller_id);
-        let source = (item.row.owner, source_of(item.row.owner, writer));
-        Ok(Checked { record, form, source })
+        Ok((form, (item.row.owner, source_of(item.row.owner, writer))))
     }
 
     async fn of_one(&mut self, item: &Item, record: &OpenedRecord, topic: String) -> Result<Form, Stop> {

@@ -10,7 +10,6 @@ use super::enrolled::{Enrolments, Step, is_lent, words};
 use super::{Devices, Seat};
 use crate::crypto::enrolment::MOST_ADDRESSES;
 use crate::crypto::{GatewayAddresses, IssuedKeys, Notice, OwnerKeyChange, notice_key, notice_topic};
-use crate::event::NoticeLevel;
 use crate::failure::{input, internal, refused};
 use crate::gateway::{Cabinet, Context, Upload};
 use crate::model::{PublicKey, RecordKind, RecorderId, Timestamp, clean};
@@ -71,7 +70,7 @@ impl Devices {
             let mut left = true;
             if let Some(network) = self.parts.link.network_now().filter(|_| !owner.is_locked()) {
                 left = self.attend(&owner, &network).await.unwrap_or_else(|failure| {
-                    self.parts.hub.notice(NoticeLevel::Warning, &failure.message);
+                    self.parts.hub.warn(&failure.message);
                     true
                 });
             }
@@ -131,7 +130,7 @@ impl Devices {
         let Err(failure) = brought.await else { return Ok(()) };
         let addresses = clean(&gateway.addresses.join(", "), 600);
         let text = format!("'{}' cannot be served at the gateway {addresses} now: {}", enrolled.name, failure.message);
-        self.parts.hub.notice(NoticeLevel::Warning, &text);
+        self.parts.hub.warn(&text);
         Err(format!("its gateway {addresses}: {}", failure.message))
     }
 

@@ -68,7 +68,7 @@ impl Devices {
         let _one_at_a_time = owner.changes.lock().await;
         let device = self.lent_device(&network, owner, device)?;
         let recalled = async {
-        // Saved in the keyring before anything is sent: the next start resumes an interruption.
+            // Saved in the keyring before anything is sent: the next start resumes an interruption.
             owner.prepare_epoch(network.domain, network.directory.epoch(owner.address) + 1)?;
             let call = Call::Recall { device };
             let recalled = self.change_devices(owner, &network, call, "recall", String::new()).await?;

@@ -245,13 +245,17 @@ impl ChainProofs {
             0 => String::new(),
             missed => format!("; {missed} batches have none, bundles of them ask the node"),
         };
-        let (level, since, why) = match trouble {
-            Some((since, why)) => (HealthLevel::Waiting, Some(since), format!("; {why}")),
-            None => (HealthLevel::Ok, None, String::new()),
-        };
-        let text = clean(&format!("{kept}{missed}{why}"), 300);
-        Ok(Some(PartHealth { part: "proofs".to_owned(), level, text, since, retry: None }))
+        Ok(Some(waiting_part("proofs", &format!("{kept}{missed}"), trouble)))
     }
+}
+
+/// A part that waits since its trouble began, if there is any.
+fn waiting_part(part: &str, told: &str, trouble: Option<(Timestamp, String)>) -> PartHealth {
+    let (level, since, text) = match trouble {
+        Some((since, why)) => (HealthLevel::Waiting, Some(since), format!("{told}; {why}")),
+        None => (HealthLevel::Ok, None, told.to_owned()),
+    };
+    PartHealth { part: part.to_owned(), level, text: clean(&text, 300), since, retry: None }
 }
 
 #[cfg(test)]

@@ -90,6 +90,10 @@ fn facts(out: &mut String, rows: &[Vec<String>]) {
     table(out, "facts", &[], rows);
 }
 
+fn fact(name: impl Into<String>, value: impl Into<String>) -> Vec<String> {
+    vec![name.into(), value.into()]
+}
+
 pub(super) fn page(bundle: &Bundle, report: &Report, about: Option<&IncidentView>) -> String {
     let mut out = format!("{HEAD}<h1>Evidence report</h1>\n{MARK}");
     summary(&mut out, bundle, report);
@@ -121,16 +125,14 @@ fn summary(out: &mut String, bundle: &Bundle, report: &Report) {
     }
     out.push_str("<h2>What, who, when</h2>\n");
     let mut rows = vec![
-        vec!["Records".to_owned(), format!("{}, {opened} of them disclosed", report.records.len())],
-        vec!["Captured, according to their owner".to_owned(), span(captured().min(), captured().max())],
-        vec!["Anchored, by the clock of the block sealers".to_owned(), span(anchored().min(), anchored().max())],
-        vec!["Existed before, by authorities' time stamps".to_owned(), span(stamped().min(), stamped().max())],
-        vec!["Assembled by".to_owned(), format!("{} with the key {}", exporter.account, exporter.key)],
-        vec!["Chain".to_owned(), format!("id {}, genesis {}, contract {}", chain.id, chain.genesis, chain.contract)],
+        fact("Records", format!("{}, {opened} of them disclosed", report.records.len())),
+        fact("Captured, according to their owner", span(captured().min(), captured().max())),
+        fact("Anchored, by the clock of the block sealers", span(anchored().min(), anchored().max())),
+        fact("Existed before, by authorities' time stamps", span(stamped().min(), stamped().max())),
+        fact("Assembled by", format!("{} with the key {}", exporter.account, exporter.key)),
+        fact("Chain", format!("id {}, genesis {}, contract {}", chain.id, chain.genesis, chain.contract)),
     ];
-    rows.extend(
-        owners.into_iter().map(|(owner, records)| vec!["Owner".to_owned(), format!("{owner}: {records} records")]),
-    );
+    rows.extend(owners.iter().map(|(owner, records)| fact("Owner", format!("{owner}: {records} records"))));
     facts(out, &rows);
     put(out, format_args!("<p><b>By the exporter's own pins: {}.</b></p>\n", escape(report.last_line())));
 }
@@ -139,12 +141,8 @@ fn summary(out: &mut String, bundle: &Bundle, report: &Report) {
 fn incident(out: &mut String, about: &IncidentView) {
     out.push_str("<h2>Incident, in its owner's words</h2>\n");
     let until = about.until.map_or_else(|| "still open".to_owned(), |until| until.to_string());
-    let mut rows = vec![
-        vec!["Name".to_owned(), about.name.to_string()],
-        vec!["From".to_owned(), about.since.to_string()],
-        vec!["To".to_owned(), until],
-    ];
-    rows.extend(about.notes.iter().map(|note| vec![format!("Note of {}", note.at), note.text.clone()]));
+    let mut rows = vec![fact("Name", about.name.to_string()), fact("From", about.since.to_string()), fact("To", until)];
+    rows.extend(about.notes.iter().map(|note| fact(format!("Note of {}", note.at), &*note.text)));
     facts(out, &rows);
 }
 
@@ -213,16 +211,14 @@ fn one(out: &mut String, bundle: &Bundle, report: &Report, record: &RecordReport
         format_args!("<section>\n<h3>{} <code>{}</code></h3>\n", escape(&opened.topic), escape(&opened.type_name)),
     );
     let mut rows = vec![
-        vec!["Record".to_owned(), record.digest.to_string()],
-        vec!["Published by".to_owned(), opened.publisher.clone()],
-        vec!["Message".to_owned(), format!("{} bytes, SM3 {}", opened.length, opened.message_sm3)],
+        fact("Record", record.digest.to_string()),
+        fact("Published by", opened.publisher.clone()),
+        fact("Message", format!("{} bytes, SM3 {}", opened.length, opened.message_sm3)),
     ];
-    rows.extend(opened.tags.iter().map(|(name, value)| vec![format!("Tag {name}"), value.clone()]));
-    rows.extend(
-        record
-            .levels()
-            .map(|(letter, level)| vec![format!("({letter}) {}", level.standing.word()), level.text.clone()]),
-    );
+    rows.extend(opened.tags.iter().map(|(name, value)| fact(format!("Tag {name}"), &**value)));
+    for (letter, level) in record.levels() {
+        rows.push(fact(format!("({letter}) {}", level.standing.word()), &*level.text));
+    }
     facts(out, &rows);
     message(out, bundle, report, record, limits);
     out.push_str("</section>\n");
@@ -254,13 +250,12 @@ fn message(out: &mut String, bundle: &Bundle, report: &Report, record: &RecordRe
         out.push_str("<p>Its fields are not shown: they do not fit the definition, or there are too many.</p>\n");
         return;
     };
-    let rows: Vec<Vec<String>> = value.flatten(MOST_FIELDS).into_iter().map(|(path, text)| vec![path, text]).collect();
+    let rows: Vec<_> = value.flatten(MOST_FIELDS).into_iter().map(|(path, text)| fact(path, text)).collect();
     table(out, "plain", &["field", "value"], &rows);
 }
 
 fn easy(out: &mut String, readable: &Readable) {
-    let lines: Vec<Vec<String>> =
-        readable.lines.iter().map(|(label, value)| vec![label.clone(), value.clone()]).collect();
+    let lines: Vec<_> = readable.lines.iter().map(|(label, value)| fact(&**label, &**value)).collect();
     facts(out, &lines);
     for shown in &readable.tables {
         put(out, format_args!("<p class=\"title\">{}</p>\n", escape(&shown.title)));
@@ -318,22 +313,19 @@ pub(super) fn plot(out: &mut String, plot: &Plot) {
         format!("{across:.1},{down:.1}")
     };
     let path: Vec<String> = points.iter().map(place).collect();
-    let mut svg = format!(
-        "<p class=\"title\">{}</p>\n<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" width=\"{WIDTH}\">\n",
-        escape(&plot.title)
-    );
+    put(out, format_args!("<p class=\"title\">{}</p>\n", escape(&plot.title)));
+    put(out, format_args!("<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" width=\"{WIDTH}\">\n"));
     if plot.path {
-        put(&mut svg, format_args!("<polyline fill=\"none\" stroke=\"#036\" points=\"{}\"/>\n", path.join(" ")));
+        put(out, format_args!("<polyline fill=\"none\" stroke=\"#036\" points=\"{}\"/>\n", path.join(" ")));
     }
     let dots = path.iter().filter(|_| !plot.path).map(|at| (at.clone(), "#036", 1.2));
     for (at, colour, radius) in dots.chain(here.iter().map(|point| (place(point), "#a00", 4.0))) {
         let (across, down) = at.split_once(',').unwrap_or(("0", "0"));
-        let _infallible = writeln!(svg, "<circle cx=\"{across}\" cy=\"{down}\" r=\"{radius}\" fill=\"{colour}\"/>");
+        put(out, format_args!("<circle cx=\"{across}\" cy=\"{down}\" r=\"{radius}\" fill=\"{colour}\"/>\n"));
     }
     let (across, up) = (escape(&plot.axes.0), escape(&plot.axes.1));
-    let _infallible =
-        writeln!(svg, "</svg>\n<p>{across}: {:.3} to {:.3}; {up}: {:.3} to {:.3}</p>", x.0, x.1, y.0, y.1);
-    out.push_str(&svg);
+    let ends = format!("{across}: {:.3} to {:.3}; {up}: {:.3} to {:.3}", x.0, x.1, y.0, y.1);
+    put(out, format_args!("</svg>\n<p>{ends}</p>\n"));
 }
 
 #[cfg(test)]

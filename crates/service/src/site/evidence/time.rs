@@ -19,7 +19,8 @@ use crate::crypto::random_bytes;
 use crate::model::{ErrorKind, Hash, Timestamp, clean};
 use crate::service::event::NoticeLevel;
 use crate::service::failure::{input, internal, refused};
-use crate::service::reply::{Failure, HealthLevel, PartHealth, StampView, StampedView};
+use crate::service::reply::{Failure, PartHealth, StampView, StampedView};
+use crate::site::evidence::waiting_part;
 use crate::site::parts::Parts;
 use crate::store::KeptStamp;
 
@@ -185,15 +186,10 @@ impl TimeStamps {
         let counts = self.parts.plant.ledger.proofs.stamp_counts()?;
         let newest = counts.before.map_or_else(|| "none yet".to_owned(), |before| format!("newest before {before}"));
         let told = format!("{} stamps, {newest}; {} wait", counts.stamped, counts.waiting);
-        let trouble = self.with(|last| last.trouble.clone());
         let failures = self.failures.load(Ordering::Acquire);
-        let (level, since, text) = match trouble {
-            Some((since, why)) => {
-                (HealthLevel::Waiting, Some(since), format!("{told}; {failures} requests failed: {why}"))
-            }
-            None => (HealthLevel::Ok, None, told),
-        };
-        Ok(Some(PartHealth { part: "time".to_owned(), level, text: clean(&text, 300), since, retry: None }))
+        let trouble = self.with(|last| last.trouble.clone());
+        let trouble = trouble.map(|(since, why)| (since, format!("{failures} requests failed: {why}")));
+        Ok(Some(waiting_part("time", &told, trouble)))
     }
 
     pub fn suggested(&self) -> Vec<PinnedAuthority> {
