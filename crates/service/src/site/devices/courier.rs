@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use tokio::task::block_in_place;
 
-use super::enrolled::{Enrolments, Step, is_lent, words};
+use super::enrolled::{Enrolments, Step, is_lent};
 use super::{Devices, Seat};
 use crate::crypto::enrolment::MOST_ADDRESSES;
 use crate::crypto::{GatewayAddresses, IssuedKeys, Notice, OwnerKeyChange, notice_key, notice_topic};
@@ -196,7 +196,10 @@ impl Enrolments {
             first = first.or(failure);
         }
         match first {
-            Some(failure) => Err(Failure { message: words(&self.untold(Some(owner.address))), ..failure }),
+            Some(failure) => {
+                let message = self.untold(Some(owner.address)).unwrap_or_default();
+                Err(Failure { message, ..failure })
+            }
             None => Ok(()),
         }
     }

@@ -1,6 +1,6 @@
 //! Enrolled robots, and the keys that each seals under.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use serde::{Deserialize, Serialize};
@@ -38,19 +38,13 @@ pub struct Enrolments {
     pub(super) sealed: watch::Sender<()>,
     /// Serialises the numbering of notices.
     pub(super) sealing: Mutex<()>,
-    untold: Mutex<BTreeMap<(Address, SignerId, Step), Untold>>,
+    untold: Mutex<BTreeMap<(Address, SignerId, Step), String>>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Step {
     Seal,
     Carry,
-}
-
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Untold {
-    pub name: ProfileName,
-    pub why: String,
 }
 
 impl Enrolments {
@@ -101,15 +95,17 @@ impl Enrolments {
         let mut untold = self.untold.lock().unwrap_or_else(PoisonError::into_inner);
         let place = (owner, robot.device, step);
         match why {
-            Some(why) => drop(untold.insert(place, Untold { name: robot.name.clone(), why })),
+            Some(why) => drop(untold.insert(place, format!("'{}' ({})", robot.name, clean(&why, 300)))),
             None => drop(untold.remove(&place)),
         }
     }
 
-    pub fn untold(&self, owner: Option<Address>) -> Vec<Untold> {
+    /// The robots of an owner, or of any, that lack a notice, in words; `None` if there are none.
+    pub fn untold(&self, owner: Option<Address>) -> Option<String> {
         let untold = self.untold.lock().unwrap_or_else(PoisonError::into_inner);
-        let of = |whose: &Address| owner.is_none_or(|owner| owner == *whose);
-        untold.iter().filter(|((whose, ..), _)| of(whose)).map(|(_, untold)| untold.clone()).collect()
+        let lacking = untold.iter().filter(|((of, ..), _)| owner.is_none_or(|owner| owner == *of));
+        let lacking: Vec<&str> = lacking.map(|(_, robot)| robot.as_str()).collect();
+        (!lacking.is_empty()).then(|| format!("FAILED to tell {}", lacking.join(", ")))
     }
 
     pub fn note_recalled(&self, owner: &Owner, device: SignerId) -> Result<(), Failure> {
@@ -135,12 +131,6 @@ impl Enrolments {
 pub(super) fn is_lent(owner: &Owner, network: &Network, robot: &Enrolled) -> bool {
     let now = Moment::newest(network.directory.now());
     !robot.ended && may_sign(&network.directory, owner.address, robot.device, now).is_ok()
-}
-
-pub fn words(untold: &[Untold]) -> String {
-    let each: Vec<String> =
-        untold.iter().map(|robot| format!("'{}' ({})", robot.name, clean(&robot.why, 300))).collect();
-    format!("FAILED to tell {}", each.join(", "))
 }
 
 pub fn of_account(notes: &Notes, owner: Address) -> Result<Vec<Enrolled>, Failure> {
@@ -267,9 +257,8 @@ impl Devices {
             return Err(refused(format!("'{}' already covers all topics", enrolled.name)));
         }
         let names = topics.iter().map(ToString::to_string);
-        let mut added: Vec<String> = names.filter(|topic| !enrolled.topics.contains(topic)).collect();
-        added.sort();
-        added.dedup();
+        let added: BTreeSet<String> = names.filter(|topic| !enrolled.topics.contains(topic)).collect();
+        let added = Vec::from_iter(added);
         if added.is_empty() {
             return Err(refused(format!("'{}' already covers these topics", enrolled.name)));
         }
@@ -306,8 +295,6 @@ fn covered(wishes: &EnrolWishes) -> Result<Vec<String>, Failure> {
              which gives it the epoch's key and the index key, so that anyone who steals it can read all it could",
         ));
     }
-    let mut topics: Vec<String> = wishes.topics.iter().map(ToString::to_string).collect();
-    topics.sort();
-    topics.dedup();
-    if topics.len() > MOST_NAMED { Err(input(TOO_MANY)) } else { Ok(topics) }
+    let topics: BTreeSet<String> = wishes.topics.iter().map(ToString::to_string).collect();
+    if topics.len() > MOST_NAMED { Err(input(TOO_MANY)) } else { Ok(topics.into_iter().collect()) }
 }

@@ -6,7 +6,6 @@ use std::time::{Duration, Instant};
 use tokio::task::block_in_place;
 
 use super::Devices;
-use super::enrolled::words;
 use crate::model::{ErrorKind, Timestamp};
 use crate::pipeline::Owner;
 use crate::service::reply::{Failure, TransactionView};
@@ -68,17 +67,13 @@ impl Devices {
             }
             tokio::time::sleep(LOOK).await;
         }
-        let untold = self.enrolments.untold(Some(owner.address));
-        if untold.is_empty() {
-            return Ok(deed);
-        }
-        let text = format!("{}; {}; they are told as soon as their gateway can be reached", deed.text, words(&untold));
+        let Some(untold) = self.enrolments.untold(Some(owner.address)) else { return Ok(deed) };
+        let text = format!("{}; {untold}; they are told as soon as their gateway can be reached", deed.text);
         Ok(TransactionView { text, ..deed })
     }
 
     pub fn untold_text(&self) -> Option<String> {
-        let untold = self.enrolments.untold(None);
-        (!untold.is_empty()).then(|| words(&untold))
+        self.enrolments.untold(None)
     }
 
     fn paces(

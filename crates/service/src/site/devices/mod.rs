@@ -6,6 +6,7 @@ mod following;
 mod policies;
 pub(super) mod pulling;
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -46,10 +47,9 @@ impl Devices {
             return Err(input("the loan would end before it starts; give a later --until"));
         }
         let until = until.map(|until| Timestamp::from_seconds(until.seconds()));
-        let known = self.lendings(&network, owner);
-        if known.iter().any(|lending| {
-            lending.device == device && lending.until == until && authority::is_lent(&network.directory, lending)
-        }) {
+        let is_same = |lending: &Lending| (lending.device, lending.until) == (device, until);
+        let is_lent = |lending: &Lending| is_same(lending) && authority::is_lent(&network.directory, lending);
+        if self.lendings(&network, owner).iter().any(is_lent) {
             return Err(refused(format!(
                 "device {device} is already on loan; `authros devices list` shows until when"
             )));
@@ -112,15 +112,15 @@ impl Devices {
 
     pub async fn rows(&self, owner: &Arc<Owner>) -> Result<Vec<DeviceRow>, Failure> {
         let network = self.parts.link.network().await?;
+        let state = |lending: &Lending| match lending.recalled {
+            Some(_) => "recalled",
+            None if authority::is_lent(&network.directory, lending) => "lent",
+            None => "expired",
+        };
         let row = |lending: &Lending| DeviceRow {
             device: lending.device,
             fingerprint: Fingerprint::of_signer(&lending.device).to_string(),
-            state: match (lending.recalled, authority::is_lent(&network.directory, lending)) {
-                (Some(_), _) => "recalled",
-                (None, true) => "lent",
-                (None, false) => "expired",
-            }
-            .to_owned(),
+            state: state(lending).to_owned(),
             from: lending.from,
             until: lending.until,
             recalled: lending.recalled,
@@ -172,13 +172,11 @@ fn find(lendings: &[Lending], text: &str) -> Result<SignerId, Failure> {
         )));
     }
     let open = lendings.iter().filter(|lending| lending.recalled.is_none());
-    let mut found: Vec<SignerId> =
-        open.map(|lending| lending.device).filter(|device| hex(&device.0).starts_with(wanted)).collect();
-    found.sort();
-    found.dedup();
-    match found.as_slice() {
-        [device] => Ok(*device),
-        [] => Err(refused("no such device is on loan; `authros devices list` shows those that are")),
+    let found = open.map(|lending| lending.device).filter(|device| hex(&device.0).starts_with(wanted));
+    let found: BTreeSet<SignerId> = found.collect();
+    match (found.first(), found.len()) {
+        (Some(device), 1) => Ok(*device),
+        (None, _) => Err(refused("no such device is on loan; `authros devices list` shows those that are")),
         _ => Err(input("several devices on loan start like this; give more of the id")),
     }
 }

@@ -8,8 +8,8 @@ use std::process::{Command, Stdio};
 use std::sync::mpsc;
 
 use super::*;
-use crate::reply::HealthLevel;
 use crate::model::{Address, Digest, RecordKind, RecordState, Signature, SignerId, TopicId};
+use crate::reply::HealthLevel;
 use crate::site::testing::Ground;
 use crate::store::{NewBatch, NewRecord};
 
