@@ -74,24 +74,17 @@ impl Webhook {
             return Ok(told);
         }
         let host = self.host();
+        let at = |who: &str, what: &str, advice: &str| format!("the {who} at {host} {what} ({told}); {advice}");
         let failure = refused(match (place, status.as_u16()) {
             (Some(place), code) => format!(
                 "the webhook at {host} answered {code} and points at {place}, which is not followed; set alerts.webhook \
                  to that address"
             ),
-            (None, 401) => {
-                format!("the webhook at {host} wants a user name and password ({told}); check alerts.webhook")
-            }
-            (None, 404) => format!("the webhook at {host} has nothing at this path ({told}); check alerts.webhook"),
-            (None, 413) => format!("the webhook at {host} finds the delivery too large ({told}); raise its limit"),
-            (None, 429) => {
-                format!(
-                    "the webhook at {host} limits how often it accepts alerts ({told}); this one is sent again later"
-                )
-            }
-            (None, 502..=504) => {
-                format!("the server at {host} does not reach its webhook ({told}); check that it is running")
-            }
+            (None, 401) => at("webhook", "wants a user name and password", "check alerts.webhook"),
+            (None, 404) => at("webhook", "has nothing at this path", "check alerts.webhook"),
+            (None, 413) => at("webhook", "finds the delivery too large", "raise its limit"),
+            (None, 429) => at("webhook", "limits how often it accepts alerts", "this one is sent again later"),
+            (None, 502..=504) => at("server", "does not reach its webhook", "check that it is running"),
             (None, _) => format!("the webhook at {host} answered {told}; check its log and alerts.secret"),
         });
         Err(Undelivered { failure, is_judged: JUDGED.contains(&status.as_u16()) })

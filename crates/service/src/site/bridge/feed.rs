@@ -57,7 +57,7 @@ struct Stream {
 }
 
 impl Feed {
-    pub fn begin(ledger: &Ledger, wishes: &PlayWishes, givers: &HashMap<Address, Scope>) -> Result<Self, Failure> {
+    pub fn begin(ledger: &Ledger, wishes: &PlayWishes, givers: &Givers) -> Result<Self, Failure> {
         if wishes.pace == Pace::Follow {
             return Ok(Self::Live(Live::default()));
         }
@@ -77,7 +77,7 @@ impl Feed {
     }
 
     /// The next records, and whether they are the last.
-    pub fn next(&mut self, ledger: &Ledger, givers: &HashMap<Address, Scope>) -> Result<(Vec<Item>, bool), Failure> {
+    pub fn next(&mut self, ledger: &Ledger, givers: &Givers) -> Result<(Vec<Item>, bool), Failure> {
         match self {
             Self::Past(query) => {
                 let page = ledger.records.list(query)?;
@@ -97,7 +97,7 @@ impl Feed {
 }
 
 impl Live {
-    fn next(&mut self, ledger: &Ledger, givers: &HashMap<Address, Scope>) -> Result<(Vec<Item>, bool), Failure> {
+    fn next(&mut self, ledger: &Ledger, givers: &Givers) -> Result<(Vec<Item>, bool), Failure> {
         if self.place.is_none() {
             let page = ledger.feed.page(&[0; 16], &FeedFilter::default(), 1)?;
             self.place = Some((page.id, page.head));
@@ -124,12 +124,7 @@ impl Live {
         Ok((items, false))
     }
 
-    fn look_late(
-        &mut self,
-        ledger: &Ledger,
-        givers: &HashMap<Address, Scope>,
-        ready: &mut Vec<RecordRow>,
-    ) -> Result<(), Failure> {
+    fn look_late(&mut self, ledger: &Ledger, givers: &Givers, ready: &mut Vec<RecordRow>) -> Result<(), Failure> {
         let mut passed: Option<HashSet<Digest>> = None;
         loop {
             let (id, after) = self.place.unwrap_or_default();
@@ -160,7 +155,7 @@ impl Live {
     }
 
     /// At the start, only the newest verified record of each stream is given out, to be latched.
-    fn list(&mut self, ledger: &Ledger, givers: &HashMap<Address, Scope>) -> Result<Vec<Item>, Failure> {
+    fn list(&mut self, ledger: &Ledger, givers: &Givers) -> Result<Vec<Item>, Failure> {
         let is_first = self.listed.is_none();
         let low = Timestamp(Timestamp::now().0.saturating_sub(BEFORE));
         let mut latched = Vec::new();

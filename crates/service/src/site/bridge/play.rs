@@ -10,14 +10,12 @@ use tokio::task::block_in_place;
 mod rights;
 
 use super::feed::{Feed, Item};
-use super::names::Names;
-use super::pacer::{Pacer, TICK};
 use super::second::offer;
 use super::target::{Form, NO_MESSAGE, NOBODY, Source, Stop, Target};
-use super::{Bridge, consistent, subject};
+use super::{Bridge, Givers, Names, consistent, subject};
 use crate::crypto::sm3::sm3;
 use crate::crypto::{CryptoError, OpenedRecord};
-use crate::model::{Address, ErrorKind, Hash, Scope, Timestamp, Verdict, clean};
+use crate::model::{Address, ErrorKind, Hash, Timestamp, Verdict, clean};
 use crate::pipeline::reader::{Definitions, Opening, Reader, is_held};
 use crate::pipeline::{Network, Owner, PipelineError, authority, importer};
 use crate::ros::Advertised;
@@ -30,6 +28,8 @@ use crate::store::RecordRow;
 use rights::{Keys, key_of};
 
 const LOOK: Duration = Duration::from_millis(200);
+/// As in `rosbag play --clock`.
+const TICK: Duration = Duration::from_millis(10);
 
 /// In addition, each record's right is checked before it is published.
 const RIGHTS: Duration = Duration::from_millis(20);
@@ -60,7 +60,7 @@ struct Play<'a> {
     bridge: &'a Bridge,
     network: Network,
     owner: &'a Arc<Owner>,
-    givers: HashMap<Address, Scope>,
+    givers: Givers,
     granted: HashMap<Address, Hash>,
     wishes: &'a PlayWishes,
     names: Names,
@@ -408,4 +408,55 @@ fn of_two(record: &OpenedRecord, name: String) -> Result<Form, String> {
 fn source_of(owner: Address, caller_id: &str) -> u64 {
     let digest = sm3(&[&owner.0, caller_id.as_bytes()]);
     digest.first_chunk().map_or(0, |first| u64::from_be_bytes(*first))
+}
+
+struct Pacer {
+    thousandths: Option<u64>,
+    begun: Option<(Timestamp, Instant)>,
+}
+
+impl Pacer {
+    pub fn new(pace: Pace) -> Self {
+        let thousandths = match pace {
+            Pace::Rated { thousandths } => Some(thousandths.max(1)),
+            Pace::AtOnce | Pace::Follow => None,
+        };
+        Self { thousandths, begun: None }
+    }
+
+    pub fn wait(&mut self, at: Timestamp, now: Instant) -> Duration {
+        let Some(thousandths) = self.thousandths else { return Duration::ZERO };
+        let (first, begun) = *self.begun.get_or_insert((at, now));
+        let after = u128::from(at.0.saturating_sub(first.0)) * 1000 / u128::from(thousandths);
+        let after = Duration::from_nanos(u64::try_from(after).unwrap_or(u64::MAX));
+        after.saturating_sub(now.saturating_duration_since(begun))
+    }
+
+    pub fn clock(&self, now: Instant) -> Option<Timestamp> {
+        let (first, begun) = self.begun?;
+        let since = now.saturating_duration_since(begun).as_nanos() * u128::from(self.thousandths?) / 1000;
+        Some(Timestamp(first.0.saturating_add(u64::try_from(since).unwrap_or(u64::MAX))))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SECOND: u64 = 1_000_000_000;
+
+    #[test]
+    fn messages_wait_as_long_as_they_were_apart_by_the_rate() {
+        let now = Instant::now();
+        let mut double = Pacer::new(Pace::Rated { thousandths: 2000 });
+        assert_eq!(double.wait(Timestamp(100 * SECOND), now), Duration::ZERO);
+        assert_eq!(double.wait(Timestamp(110 * SECOND), now), Duration::from_secs(5));
+        assert_eq!(double.wait(Timestamp(110 * SECOND), now + Duration::from_secs(4)), Duration::from_secs(1));
+        assert_eq!(double.wait(Timestamp(90 * SECOND), now), Duration::ZERO, "never back");
+        assert_eq!(double.clock(now + Duration::from_secs(4)), Some(Timestamp(108 * SECOND)));
+        let mut at_once = Pacer::new(Pace::AtOnce);
+        assert_eq!(at_once.wait(Timestamp(100 * SECOND), now), Duration::ZERO);
+        assert_eq!(at_once.wait(Timestamp(900 * SECOND), now), Duration::ZERO);
+        assert_eq!(at_once.clock(now), None);
+    }
 }

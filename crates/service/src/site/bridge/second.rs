@@ -4,8 +4,7 @@ use std::collections::{BTreeMap, HashMap};
 
 use tokio::task::block_in_place;
 
-use super::pacer::clock_message;
-use super::target::{Form, NO_MESSAGE, OTHER_ROS, Source, Stop, Target, Topics};
+use super::target::{Form, NO_MESSAGE, OTHER_ROS, Source, Stop, Target, Topics, clock_message};
 use crate::model::{Address, Timestamp, clean};
 use crate::pipeline::importer;
 use crate::ros::recording::Encoding;

@@ -5,8 +5,7 @@ use std::collections::{BTreeMap, HashMap};
 use tokio::task::block_in_place;
 
 use super::NODE;
-use super::pacer::{clock_message, clock_topic};
-use super::target::{Form, NO_MESSAGE, OTHER_ROS, Source, Stop, Target, Topics};
+use super::target::{Form, NO_MESSAGE, OTHER_ROS, Source, Stop, Target, Topics, clock_message, clock_topic};
 use crate::model::{Address, Timestamp, clean};
 use crate::ros::recording::Encoding;
 use crate::ros::{Graph, GraphPublisher};

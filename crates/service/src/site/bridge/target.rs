@@ -3,11 +3,11 @@
 use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
-use super::names::is_under;
+use super::is_under;
 use crate::model::{Address, ErrorKind, Timestamp, clean};
 use crate::ros::recording::Encoding;
 use crate::ros::ros2::Offered;
-use crate::ros::{Advertised, RosError};
+use crate::ros::{Advertised, RosError, md5sum};
 use crate::service::failure::{internal, refused};
 use crate::service::reply::{Failure, PlayEnd};
 
@@ -147,5 +147,36 @@ impl Topics {
 
     pub fn retain(&mut self, is_published: impl Fn(&str) -> bool) {
         self.types.retain(|topic, _| is_published(topic));
+    }
+}
+
+const CLOCK: &str = "rosgraph_msgs/Clock";
+const DEFINITION: &str = "# The time of the capture, as this is played\ntime clock\n";
+
+pub(super) fn clock_topic(topic: String) -> Advertised {
+    Advertised {
+        topic,
+        type_name: CLOCK.to_owned(),
+        md5sum: md5sum(CLOCK, DEFINITION).unwrap_or_default(),
+        definition: DEFINITION.to_owned(),
+        latching: false,
+    }
+}
+
+pub(super) fn clock_message(at: Timestamp) -> Vec<u8> {
+    let (seconds, rest) = (at.0 / 1_000_000_000, at.0 % 1_000_000_000);
+    let half = |number: u64| u32::try_from(number).unwrap_or(u32::MAX).to_le_bytes();
+    [half(seconds), half(rest)].concat()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_clock_is_ros_s_own() {
+        // As `rosmsg md5 rosgraph_msgs/Clock` prints it.
+        assert_eq!(clock_topic("/clock".into()).md5sum, "a9c97c1d230cfc112e270351a944ee47");
+        assert_eq!(clock_message(Timestamp(3_000_000_007)), [3, 0, 0, 0, 7, 0, 0, 0]);
     }
 }

@@ -176,19 +176,14 @@ pub enum Lost {
 
 impl From<ChainError> for Lost {
     fn from(error: ChainError) -> Self {
-        match error {
-            ChainError::Swapped { .. } | ChainError::Gone { .. } => Self::Swapped(error.into()),
-            other => Self::Other(other.into()),
-        }
+        PipelineError::from(error).into()
     }
 }
 
 impl From<PipelineError> for Lost {
     fn from(error: PipelineError) -> Self {
-        match error {
-            PipelineError::Chain(error) => error.into(),
-            other => Self::Other(other.into()),
-        }
+        let is_swapped = matches!(error, PipelineError::Chain(ChainError::Swapped { .. } | ChainError::Gone { .. }));
+        if is_swapped { Self::Swapped(error.into()) } else { Self::Other(error.into()) }
     }
 }
 

@@ -96,45 +96,41 @@ impl Contacts {
                  channel which one is right"
             )));
         }
-        {
-            let _one_at_a_time = self.changing.lock().await;
-            let mut book = self.book()?;
-            let is_same = |known: &Contact| {
-                let same_key = !given || known.given && known.fingerprint == fingerprint;
-                known.name == name && known.address == address && same_key
-            };
-            // A repeated script changes nothing.
-            if book.iter().any(is_same) {
-                return self.rows().await;
-            }
-            if let Some(known) = book.iter().find(|contact| contact.name == name || contact.address == address) {
-                let (name, address) = (&known.name, known.address);
-                return Err(refused(format!(
-                    "the address book already has '{name}' for {address}; `authros contacts remove {name}` removes it"
-                )));
-            }
-            if book.len() >= MOST_CONTACTS {
-                return Err(refused(format!(
-                    "the address book holds at most {MOST_CONTACTS} contacts; remove one first"
-                )));
-            }
-            let subject = format!("{name} {address}");
-            book.push(Contact { name, address, fingerprint: fingerprint.or(registered), given });
-            book.sort_by(|one, other| one.name.cmp(&other.name));
-            self.parts.log.deed(profile, "contact add", &subject, async { self.write_book(&book) }).await?;
+        let changing = self.changing.lock().await;
+        let mut book = self.book()?;
+        let is_same = |known: &Contact| {
+            let same_key = !given || known.given && known.fingerprint == fingerprint;
+            known.name == name && known.address == address && same_key
+        };
+        // A repeated script changes nothing.
+        if book.iter().any(is_same) {
+            return self.rows().await;
         }
+        if let Some(known) = book.iter().find(|contact| contact.name == name || contact.address == address) {
+            let (name, address) = (&known.name, known.address);
+            return Err(refused(format!(
+                "the address book already has '{name}' for {address}; `authros contacts remove {name}` removes it"
+            )));
+        }
+        if book.len() >= MOST_CONTACTS {
+            return Err(refused(format!("the address book holds at most {MOST_CONTACTS} contacts; remove one first")));
+        }
+        let subject = format!("{name} {address}");
+        book.push(Contact { name, address, fingerprint: fingerprint.or(registered), given });
+        book.sort_by(|one, other| one.name.cmp(&other.name));
+        self.parts.log.deed(profile, "contact add", &subject, async { self.write_book(&book) }).await?;
+        drop(changing);
         self.rows().await
     }
 
     pub async fn remove(&self, profile: &ProfileName, name: &ContactName) -> Result<Vec<ContactRow>, Failure> {
-        {
-            let _one_at_a_time = self.changing.lock().await;
-            let contact = self.contact(name)?;
-            let mut book = self.book()?;
-            book.retain(|other| *other != contact);
-            let subject = format!("{name} {}", contact.address);
-            self.parts.log.deed(profile, "contact remove", &subject, async { self.write_book(&book) }).await?;
-        }
+        let changing = self.changing.lock().await;
+        let contact = self.contact(name)?;
+        let mut book = self.book()?;
+        book.retain(|other| *other != contact);
+        let subject = format!("{name} {}", contact.address);
+        self.parts.log.deed(profile, "contact remove", &subject, async { self.write_book(&book) }).await?;
+        drop(changing);
         self.rows().await
     }
 
@@ -146,32 +142,31 @@ impl Contacts {
         fingerprint: Option<String>,
     ) -> Result<Vec<ContactRow>, Failure> {
         let network = self.parts.link.network().await?;
-        {
-            let _one_at_a_time = self.changing.lock().await;
-            let contact = self.contact(name)?;
-            if fingerprint.is_none() && self.parts.is_joined() {
-                return Err(refused(format!(
-                    "the key of '{name}' is known here only from a gateway; get its fingerprint from its owner over \
-                     another channel, then run `authros contacts confirm {name} --fingerprint FINGERPRINT`"
-                )));
-            }
-            let identity = network.directory.identity(contact.address)?;
-            let registered = Fingerprint::of(&identity.signing);
-            if let Some(given) = fingerprint.map(|text| read(&text)).transpose()?
-                && given != registered
-            {
-                return Err(refused(format!(
-                    "{} has registered {registered}, not {given}; ask '{name}' over another channel which one is right",
-                    contact.address
-                )));
-            }
-            let mut book = self.book()?;
-            for other in book.iter_mut().filter(|other| other.name == *name) {
-                (other.fingerprint, other.given) = (Some(registered.to_string()), true);
-            }
-            let subject = format!("{name} {registered}");
-            self.parts.log.deed(profile, "contact confirm", &subject, async { self.write_book(&book) }).await?;
+        let changing = self.changing.lock().await;
+        let contact = self.contact(name)?;
+        if fingerprint.is_none() && self.parts.is_joined() {
+            return Err(refused(format!(
+                "the key of '{name}' is known here only from a gateway; get its fingerprint from its owner over \
+                 another channel, then run `authros contacts confirm {name} --fingerprint FINGERPRINT`"
+            )));
         }
+        let identity = network.directory.identity(contact.address)?;
+        let registered = Fingerprint::of(&identity.signing);
+        if let Some(given) = fingerprint.map(|text| read(&text)).transpose()?
+            && given != registered
+        {
+            return Err(refused(format!(
+                "{} has registered {registered}, not {given}; ask '{name}' over another channel which one is right",
+                contact.address
+            )));
+        }
+        let mut book = self.book()?;
+        for other in book.iter_mut().filter(|other| other.name == *name) {
+            (other.fingerprint, other.given) = (Some(registered.to_string()), true);
+        }
+        let subject = format!("{name} {registered}");
+        self.parts.log.deed(profile, "contact confirm", &subject, async { self.write_book(&book) }).await?;
+        drop(changing);
         self.rows().await
     }
 

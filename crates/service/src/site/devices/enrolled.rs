@@ -171,54 +171,50 @@ impl Devices {
         let device = SmKeyPair::generate(self.parts.plant.provider)?;
         let id = signer_id(&device.public);
         let subject = format!("{} {id}", wishes.name);
-        let enrolled = self.enrol_device(owner, &network, wishes, (topics, passphrase), device);
-        self.parts.log.deed(&owner.profile, "enrol device", &subject, enrolled).await
-    }
-
-    async fn enrol_device(
-        &self,
-        owner: &Arc<Owner>,
-        network: &Network,
-        wishes: EnrolWishes,
-        (topics, passphrase): (Vec<String>, Passphrase),
-        device: SmKeyPair,
-    ) -> Result<EnrolledView, Failure> {
-        let id = signer_id(&device.public);
-        let context = Context { provider: self.parts.plant.provider, domain: network.domain };
-        let at = (wishes.addresses, wishes.fingerprint);
-        let mut seat = Seat::allocate(owner, context, at, &wishes.name).await?;
-        self.lend(owner, id, wishes.until).await?;
-        let notice_id = owner.topic_id(&notice_topic(&id));
-        let notice = DeviceNotice { key: device.public, notices: notice_id };
-        let token = self.known_token(owner, network)?;
-        if let Err(failure) = seat.tell(owner, (&wishes.name, token), notice).await {
-            // Nobody will use the device; if this fails too, `devices list` shows it.
-            drop(self.unlend_device(owner, id).await);
-            return Err(failure);
-        }
-        let (key, name, ended) = (device.public, wishes.name.clone(), false);
-        let enrolled = Enrolled { name, device: id, topics, ended, key, gateway: Some(seat.noted()) };
-        let keys = self.enrolments.issue(owner, network, &enrolled)?;
-        let enrolment = Enrolment {
-            domain: network.domain,
-            chain_id: network.chain.chain_id(),
-            gateway: seat.access(),
-            name: wishes.name,
-            owner: owner.address,
-            owner_key: owner.public_keys().0,
-            device,
-            // IK alone turns topic names into pseudonyms.
-            index: wishes.all_topics.then(|| owner.index()),
-            notice_id,
-            notice_key: notice_key(&owner.eoa(), &network.domain, &id),
-            token,
-            last_notice: None,
-            keys,
+        let enrolled = async {
+            let context = Context { provider: self.parts.plant.provider, domain: network.domain };
+            let at = (wishes.addresses, wishes.fingerprint);
+            let mut seat = Seat::allocate(owner, context, at, &wishes.name).await?;
+            self.lend(owner, id, wishes.until).await?;
+            let notice_id = owner.topic_id(&notice_topic(&id));
+            let notice = DeviceNotice { key: device.public, notices: notice_id };
+            let token = self.known_token(owner, &network)?;
+            if let Err(failure) = seat.tell(owner, (&wishes.name, token), notice).await {
+                // Nobody will use the device; if this fails too, `devices list` shows it.
+                drop(self.unlend_device(owner, id).await);
+                return Err(failure);
+            }
+            let (key, name, ended) = (device.public, wishes.name.clone(), false);
+            let enrolled = Enrolled { name, device: id, topics, ended, key, gateway: Some(seat.noted()) };
+            let keys = self.enrolments.issue(owner, &network, &enrolled)?;
+            let enrolment = Enrolment {
+                domain: network.domain,
+                chain_id: network.chain.chain_id(),
+                gateway: seat.access(),
+                name: wishes.name,
+                owner: owner.address,
+                owner_key: owner.public_keys().0,
+                device,
+                // IK alone turns topic names into pseudonyms.
+                index: wishes.all_topics.then(|| owner.index()),
+                notice_id,
+                notice_key: notice_key(&owner.eoa(), &network.domain, &id),
+                token,
+                last_notice: None,
+                keys,
+            };
+            block_in_place(|| self.enrolments.note_told(owner, &enrolled, &enrolment.keys))?;
+            self.enrolments.add(owner, enrolled.clone())?;
+            let file =
+                block_in_place(|| SealedEnrolment::new(enrolment, &passphrase).and_then(|sealed| sealed.seal()))?;
+            Ok(EnrolledView {
+                name: enrolled.name,
+                device: id,
+                gateway: seat.noted().into(),
+                file: SecretBytes::new(file),
+            })
         };
-        block_in_place(|| self.enrolments.note_told(owner, &enrolled, &enrolment.keys))?;
-        self.enrolments.add(owner, enrolled.clone())?;
-        let file = block_in_place(|| SealedEnrolment::new(enrolment, &passphrase).and_then(|sealed| sealed.seal()))?;
-        Ok(EnrolledView { name: enrolled.name, device: id, gateway: seat.noted().into(), file: SecretBytes::new(file) })
+        self.parts.log.deed(&owner.profile, "enrol device", &subject, enrolled).await
     }
 
     /// A recall by name must not leave another robot able to read.

@@ -49,8 +49,12 @@ impl Devices {
         block_in_place(|| self.enrolments.tell_devices(owner, &network))
             .map_err(|failure| incomplete(failure.message))?;
         let robots = self.enrolments.lent(owner, &network)?;
+        let pace = |robot: &Enrolled| {
+            let newest = self.parts.plant.ledger.counts.newest_of(owner.address, robot.device)?;
+            Ok((robot.name.to_string(), Pace::of(newest, deed.epoch, begun)))
+        };
         loop {
-            let paces = block_in_place(|| self.paces(owner, &robots, (deed.epoch, begun)))?;
+            let paces = block_in_place(|| robots.iter().map(pace).collect::<Result<Vec<_>, Failure>>())?;
             let behind: Vec<String> =
                 paces.iter().filter(|(_, pace)| *pace == Pace::Behind).map(|(name, _)| format!("'{name}'")).collect();
             let waits = paces.iter().any(|(_, pace)| *pace == Pace::Silent) && from.elapsed() < SILENCE;
@@ -74,19 +78,6 @@ impl Devices {
 
     pub fn untold_text(&self) -> Option<String> {
         self.enrolments.untold(None)
-    }
-
-    fn paces(
-        &self,
-        owner: &Owner,
-        robots: &[Enrolled],
-        (epoch, begun): (u64, Timestamp),
-    ) -> Result<Vec<(String, Pace)>, Failure> {
-        let pace = |robot: &Enrolled| {
-            let newest = self.parts.plant.ledger.counts.newest_of(owner.address, robot.device)?;
-            Ok::<_, Failure>((robot.name.to_string(), Pace::of(newest, epoch, begun)))
-        };
-        robots.iter().map(pace).collect()
     }
 }
 
