@@ -150,13 +150,7 @@ impl Agent {
         told: impl Future,
         mut progress: impl FnMut(&AgentFigures),
     ) -> Result<AgentEnd, Failure> {
-        let length = self.wishes.length;
-        let time_is_up = async {
-            match length {
-                Some(length) => tokio::time::sleep(length).await,
-                None => std::future::pending().await,
-            }
-        };
+        let time_is_up = tokio::time::sleep(self.wishes.length.unwrap_or(Duration::MAX));
         tokio::pin!(told, time_is_up);
         let (mut up, mut looks, mut shown) = (false, 0u32, None);
         loop {

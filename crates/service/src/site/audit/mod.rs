@@ -166,11 +166,7 @@ impl Audit {
     pub async fn keep_scrubbing(self: Arc<Self>) {
         let percent = self.parts.config.scrub_percent;
         let mut due = 0.0_f64;
-        while percent > 0 && !self.parts.life.is_stopping() {
-            tokio::select! {
-                () = tokio::time::sleep(SHARE_EVERY) => {}
-                () = self.parts.life.stopped() => return,
-            }
+        while percent > 0 && self.parts.life.beat(SHARE_EVERY).await {
             let Some(network) = self.parts.link.network_now() else { continue };
             let Ok(records) = blocking(&self, |audit| Ok(audit.parts.plant.ledger.inspection.size()?)).await else {
                 continue;

@@ -93,7 +93,6 @@ impl Bridge {
             None => self.stage(&wishes, &names).await?,
         };
         let subject = subject(&wishes, target.name());
-        self.parts.log.begin(owner, "play records", &subject).await?;
         let play = Play {
             bridge: self,
             granted: granted_to(owner, &network),
@@ -113,8 +112,7 @@ impl Bridge {
             registered_at: Instant::now(),
             tally: Tally::default(),
         };
-        let played = play.run(is_captured).await;
-        self.parts.log.end(owner, "play records", &subject, played).await
+        self.parts.log.deed(&owner.profile, "play records", &subject, play.run(is_captured)).await
     }
 }
 

@@ -85,15 +85,10 @@ impl Capture {
             Ok(())
         };
         self.parts.log.deed(&owner.profile, "capture start", &listed, started).await?;
-        let time_is_up = async {
-            match milliseconds {
-                Some(milliseconds) => self.last(Duration::from_millis(milliseconds), topics, &session).await,
-                None => std::future::pending().await,
-            }
-        };
+        let length = milliseconds.map_or(Duration::MAX, Duration::from_millis);
         tokio::select! {
             () = session.closed() => {}
-            () = time_is_up => {}
+            () = self.last(length, topics, &session) => {}
             () = self.parts.life.stopped() => {}
         }
         names.iter().for_each(|topic| self.ros.second.settle(Some(topic)));

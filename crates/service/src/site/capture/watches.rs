@@ -29,11 +29,10 @@ impl Watches {
     }
 
     pub fn change(&self, profile: &ProfileName, change: impl FnOnce(&mut List)) -> Result<(), Failure> {
-        let changed = |watches: &mut List| {
+        self.parts.plant.ledger.notes.change(&Watched { profile: profile.clone() }, |watches: &mut List| {
             change(watches);
             Ok(())
-        };
-        self.parts.plant.ledger.notes.change(&Watched { profile: profile.clone() }, changed)
+        })
     }
 
     pub fn hold(&self, owner: &Arc<Owner>) -> Result<(), Failure> {

@@ -120,11 +120,10 @@ impl Enrolments {
     }
 
     fn change_all(&self, owner: &Owner, change: impl FnOnce(&mut Vec<Enrolled>)) -> Result<(), Failure> {
-        let changed = |all: &mut Vec<Enrolled>| {
+        self.parts.plant.ledger.notes.change(&EnrolledRobots { owner: owner.address }, |all: &mut Vec<Enrolled>| {
             change(all);
             Ok(())
-        };
-        self.parts.plant.ledger.notes.change(&EnrolledRobots { owner: owner.address }, changed)
+        })
     }
 }
 

@@ -80,7 +80,8 @@ impl Devices {
         let sent = async {
             let policy = SignedPolicy::sign(&network.domain, &owner.eoa(), robot.device, version, &text)?;
             // Noted first: two policies never share a number.
-            self.note_wanted(owner, robot.device, &PolicyWanted { version, text, set_at: Timestamp::now() })?;
+            let (note, set_at) = (WantedPolicy { owner: owner.address, device: robot.device }, Timestamp::now());
+            self.parts.plant.ledger.notes.write(&note, &PolicyWanted { version, text, set_at })?;
             block_in_place(|| self.enrolments.send(owner, &network, &robot, &Notice::Policy(policy)))
         };
         self.parts.log.deed(&owner.profile, "robot policy", &subject, sent).await?;
@@ -91,11 +92,6 @@ impl Devices {
     fn wanted(&self, owner: &Owner, device: SignerId) -> Result<PolicyWanted, Failure> {
         let note = WantedPolicy { owner: owner.address, device };
         Ok(self.parts.plant.ledger.notes.read(&note)?.unwrap_or_default())
-    }
-
-    fn note_wanted(&self, owner: &Owner, device: SignerId, wanted: &PolicyWanted) -> Result<(), Failure> {
-        let note = WantedPolicy { owner: owner.address, device };
-        Ok(self.parts.plant.ledger.notes.write(&note, wanted)?)
     }
 
     fn known(&self, owner: &Owner, network: &Network) -> Result<Known, Failure> {

@@ -8,7 +8,7 @@ use authros_evidence::{Bundle, RecordReport, Report};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 
-use crate::model::{Head, clean};
+use crate::model::{Head, Timestamp, clean};
 use crate::pipeline::importer;
 use crate::reply::IncidentView;
 use crate::ros::message::{Folders, type_hash};
@@ -45,18 +45,8 @@ const MARK: &str = "<p class=\"mark\"><b>This page is not authoritative.</b> It 
     <code>tools/verify.py</code> of the same source.</p>\n";
 
 pub(super) fn escape(text: &str) -> String {
-    let mut out = String::with_capacity(text.len());
-    for character in clean(text, WIDEST).chars() {
-        match character {
-            '&' => out.push_str("&amp;"),
-            '<' => out.push_str("&lt;"),
-            '>' => out.push_str("&gt;"),
-            '"' => out.push_str("&quot;"),
-            '\'' => out.push_str("&#39;"),
-            other => out.push(other),
-        }
-    }
-    out
+    let text = clean(text, WIDEST).replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;");
+    text.replace('"', "&quot;").replace('\'', "&#39;")
 }
 
 fn put(out: &mut String, text: std::fmt::Arguments<'_>) {
@@ -110,12 +100,12 @@ pub(super) fn page(bundle: &Bundle, report: &Report, about: Option<&IncidentView
 
 fn summary(out: &mut String, bundle: &Bundle, report: &Report) {
     let (chain, exporter) = (&bundle.manifest.chain, &bundle.manifest.exporter);
-    let captured = || report.records.iter().filter_map(|record| record.captured_at);
-    let anchored = || report.records.iter().filter_map(|record| record.anchored_at);
-    let stamped = || report.records.iter().filter_map(|record| record.existed_before);
-    let span = |first: Option<crate::model::Timestamp>, last: Option<crate::model::Timestamp>| match first.zip(last) {
-        Some((first, last)) => format!("{first} to {last}"),
-        None => "not shown".to_owned(),
+    let span = |time: fn(&RecordReport) -> Option<Timestamp>| {
+        let times = || report.records.iter().filter_map(time);
+        match times().min().zip(times().max()) {
+            Some((first, last)) => format!("{first} to {last}"),
+            None => "not shown".to_owned(),
+        }
     };
     let opened = report.records.iter().filter(|record| record.disclosed.is_some()).count();
     let mut owners: BTreeMap<String, u64> = BTreeMap::new();
@@ -126,9 +116,9 @@ fn summary(out: &mut String, bundle: &Bundle, report: &Report) {
     out.push_str("<h2>What, who, when</h2>\n");
     let mut rows = vec![
         fact("Records", format!("{}, {opened} of them disclosed", report.records.len())),
-        fact("Captured, according to their owner", span(captured().min(), captured().max())),
-        fact("Anchored, by the clock of the block sealers", span(anchored().min(), anchored().max())),
-        fact("Existed before, by authorities' time stamps", span(stamped().min(), stamped().max())),
+        fact("Captured, according to their owner", span(|record| record.captured_at)),
+        fact("Anchored, by the clock of the block sealers", span(|record| record.anchored_at)),
+        fact("Existed before, by authorities' time stamps", span(|record| record.existed_before)),
         fact("Assembled by", format!("{} with the key {}", exporter.account, exporter.key)),
         fact("Chain", format!("id {}, genesis {}, contract {}", chain.id, chain.genesis, chain.contract)),
     ];
@@ -183,14 +173,11 @@ fn completeness(out: &mut String, report: &Report) {
     table(out, "plain", &["topic", "recorder", "result", "what is present"], &rows);
 }
 
-/// Recorders' statements are reported under (f).
-fn is_chosen(record: &RecordReport) -> bool {
-    record.disclosed.is_some() && !record.is_statement()
-}
-
 fn disclosed(out: &mut String, bundle: &Bundle, report: &Report) {
     let mut limits = Limits::default();
-    let opened: Vec<&RecordReport> = report.records.iter().filter(|record| is_chosen(record)).collect();
+    // Recorders' statements are reported under (f).
+    let is_chosen = |record: &&RecordReport| record.disclosed.is_some() && !record.is_statement();
+    let opened: Vec<&RecordReport> = report.records.iter().filter(is_chosen).collect();
     out.push_str("<h2>Disclosed records</h2>\n");
     if opened.is_empty() {
         out.push_str("<p>None: every message in the file is sealed, except recorders' own statements.</p>\n");
@@ -274,11 +261,8 @@ fn notes(out: &mut String, report: &Report) {
     out.push_str("<h2>Notes</h2>\n<ul>\n");
     put(out, format_args!("<li>{}</li>\n", escape(&report.exporter.text)));
     report.warnings.iter().for_each(|text| put(out, format_args!("<li>{}</li>\n", escape(text))));
-    put(out, format_args!("</ul>\n<h2>By hand</h2>\n<pre>{}</pre>\n", by_hand()));
-}
-
-fn by_hand() -> String {
-    authros_evidence::READ_ME_TEXT.lines().map(|line| escape(line) + "\n").collect()
+    let by_hand: String = authros_evidence::READ_ME_TEXT.lines().map(|line| escape(line) + "\n").collect();
+    put(out, format_args!("</ul>\n<h2>By hand</h2>\n<pre>{by_hand}</pre>\n"));
 }
 
 const WIDTH: f64 = 560.0;
