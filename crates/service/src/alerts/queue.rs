@@ -160,11 +160,6 @@ impl Queue {
         Some(key)
     }
 
-    #[cfg(test)]
-    pub fn is_kept(&self) -> bool {
-        !self.torn
-    }
-
     /// On a failed write, delivery continues and the next note rewrites the file.
     fn note(&mut self, line: Line) {
         let text = serde_json::to_string(&line).unwrap_or_default();
@@ -306,7 +301,7 @@ mod tests {
             let mut queue = Queue::open(&path);
             assert_eq!(queue.kept, known[whole], "cut at {cut}");
             queue.add(Change::Begun(alert("clock")));
-            assert!(queue.is_kept());
+            assert!(!queue.torn);
             assert_eq!(Queue::open(&path).kept, queue.kept, "cut at {cut}");
         }
     }
@@ -350,10 +345,10 @@ mod tests {
         let place = folder.path().join("not there yet");
         let mut queue = Queue::open(&place.join("alerts.queue"));
         queue.add(Change::Begun(alert("disk")));
-        assert!(!queue.is_kept() && queue.first().is_some());
+        assert!(queue.torn && queue.first().is_some());
         std::fs::create_dir(&place).expect("now it is");
         queue.done(1, 0);
-        assert!(queue.is_kept());
+        assert!(!queue.torn);
         assert_eq!(Queue::open(&place.join("alerts.queue")).standing(), [alert("disk")]);
     }
 }

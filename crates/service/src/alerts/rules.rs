@@ -80,7 +80,7 @@ impl Judge {
 
     pub fn judge(&mut self, figures: &Figures) -> Vec<Judged> {
         let since = *self.since.get_or_insert(figures.now);
-        let settled = passed(figures.now, since) >= nanos(SETTLING);
+        let settled = passed(figures.now, since) >= SETTLING;
         let mut judged = self.robots(figures, settled);
         for owner in &figures.owners {
             judged.extend(self.unanchored(figures, owner, settled));
@@ -103,8 +103,8 @@ impl Judge {
     fn robots(&self, figures: &Figures, settled: bool) -> Vec<Judged> {
         let Some(limit) = self.limits.robot_silent else { return Vec::new() };
         let silent = figures.robots.iter().map(|robot| (robot, passed(figures.now, robot.last_seen)));
-        let present = silent.filter(|(_, silent)| *silent < nanos(AWAY));
-        let judge = |(RobotFigures { robot, .. }, silent): (&RobotFigures, u64)| {
+        let present = silent.filter(|(_, silent)| *silent < AWAY);
+        let judge = |(RobotFigures { robot, .. }, silent): (&RobotFigures, Duration)| {
             let silence = words(silent);
             let text = format!(
                 "Nothing received from robot {robot} for {silence}; check its agent, its network and its clock."
@@ -117,7 +117,7 @@ impl Judge {
 
     fn unanchored(&self, figures: &Figures, owner: &OwnerFigures, settled: bool) -> Option<Judged> {
         let limit = self.limits.unanchored?;
-        let waited = owner.oldest_unanchored.map_or(0, |oldest| passed(figures.now, oldest));
+        let waited = owner.oldest_unanchored.map_or(Duration::ZERO, |oldest| passed(figures.now, oldest));
         let (account, waiting) = (&owner.owner, words(waited));
         let text = format!(
             "The oldest record of account {account} has been waiting {waiting} for a block; nothing is lost. See \
@@ -154,7 +154,7 @@ impl Judge {
             losses.grew = Some(figures.now);
         }
         losses.last = total;
-        let losing = losses.grew.is_some_and(|grew| passed(figures.now, grew) < nanos(LOSING));
+        let losing = losses.grew.is_some_and(|grew| passed(figures.now, grew) < LOSING);
         let (lost, untold) = (total.saturating_sub(losses.first), figures.untold_gaps);
         let text = format!(
             "Messages are being lost: {lost} since this site was started, and {untold} losses are not in a gap record \
@@ -170,7 +170,7 @@ impl Judge {
         let text = format!(
             "This machine's clock is {seconds} s {way} the time used for grants and loans; check its time service."
         );
-        Some(Judged::new("clock", Severity::Warning, over(seconds, limit), text))
+        Some(Judged::new("clock", Severity::Warning, over(seconds.into(), limit.into()), text))
     }
 
     fn ending_grants(&mut self, figures: &Figures) -> Vec<Judged> {
@@ -184,7 +184,7 @@ impl Judge {
             let GrantFigures { owner, reader, given, ends } = grant;
             let how = if *given { "`authros grants extend` extends it" } else { "only its owner can extend it" };
             let text = format!("The grant of account {owner} to {reader} ends at {ends}; {how}.");
-            let level = firing(left(grant) <= nanos(limit));
+            let level = firing(left(grant) <= limit);
             Judged::new(format!("{GRANT}/{owner}-{reader}"), Severity::Warning, level, text)
         };
         going.map(judge).collect()
@@ -202,7 +202,7 @@ impl Judge {
         let limit = self.limits.audit?;
         // Without a chain, heads are not anchored.
         figures.parts.iter().find(|part| part.part == "chain")?;
-        let waited = figures.audit_unanchored.map_or(0, |oldest| passed(figures.now, oldest));
+        let waited = figures.audit_unanchored.map_or(Duration::ZERO, |oldest| passed(figures.now, oldest));
         let age = words(waited);
         let text = format!(
             "The oldest audit log line not covered by an anchored head is {age} old. See `authros chain status`."
@@ -249,30 +249,26 @@ fn firing(is_trouble: bool) -> Level {
     if is_trouble { Level::Firing } else { Level::Clear }
 }
 
-fn over(value: u64, limit: u64) -> Level {
+fn over(value: u128, limit: u128) -> Level {
     if value > limit {
         return Level::Firing;
     }
     if value <= limit - limit / 10 { Level::Clear } else { Level::Between }
 }
 
-fn aged(age: u64, limit: Duration, settled: bool) -> Level {
-    match over(age, nanos(limit)) {
+fn aged(age: Duration, limit: Duration, settled: bool) -> Level {
+    match over(age.as_nanos(), limit.as_nanos()) {
         Level::Firing if !settled => Level::Between,
         level => level,
     }
 }
 
-fn passed(now: Timestamp, then: Timestamp) -> u64 {
-    now.0.saturating_sub(then.0)
+fn passed(now: Timestamp, then: Timestamp) -> Duration {
+    Duration::from_nanos(now.0.saturating_sub(then.0))
 }
 
-fn nanos(length: Duration) -> u64 {
-    u64::try_from(length.as_nanos()).unwrap_or(u64::MAX)
-}
-
-fn words(nanos: u64) -> String {
-    match nanos / 1_000_000_000 {
+fn words(age: Duration) -> String {
+    match age.as_secs() {
         seconds if seconds < 120 => format!("{seconds} s"),
         seconds if seconds < 7200 => format!("{} min", seconds / 60),
         seconds => format!("{} h", seconds / 3600),

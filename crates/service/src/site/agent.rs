@@ -315,14 +315,12 @@ fn topics(enrolment: &Enrolment, asked: &[TopicName], ring: Option<&TopicPattern
             enrolment.name
         )));
     }
-    let mut topics: Vec<String> = match covered {
+    let topics: BTreeSet<String> = match covered {
         Some(covered) if asked.is_empty() => {
             covered.into_iter().filter(|topic| !ring.is_some_and(|ring| ring.matches(topic))).collect()
         }
         _ => asked.iter().map(ToString::to_string).collect(),
     };
-    topics.sort();
-    topics.dedup();
     if topics.is_empty() && ring.is_none() {
         return Err(Failure::new(
             ErrorKind::Usage,
@@ -332,7 +330,7 @@ fn topics(enrolment: &Enrolment, asked: &[TopicName], ring: Option<&TopicPattern
     if topics.iter().any(|topic| topic.parse::<TopicName>().is_err()) {
         return Err(internal("the enrolment contains an invalid topic; ask its owner to enrol the robot again"));
     }
-    Ok(topics)
+    Ok(topics.into_iter().collect())
 }
 
 /// Time limit of one round of pulling.

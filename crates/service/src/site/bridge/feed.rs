@@ -195,7 +195,7 @@ impl Stream {
             if self.done.contains_key(&row.digest) || is_held(&row) || row.state == RecordState::RightEnded {
                 continue;
             }
-            if is_on_its_way(row.state) || ready.len() >= most {
+            if row.state.is_pending() || ready.len() >= most {
                 waiting = Some(row.captured_at);
                 break;
             }
@@ -218,11 +218,6 @@ fn of_stream((owner, topic): (Address, TopicId)) -> RecordQuery {
         limit: PAGE,
         ..RecordQuery::default()
     }
-}
-
-fn is_on_its_way(state: RecordState) -> bool {
-    use RecordState::{Batched, Captured, Confirmed, Mined, Stored, Submitted};
-    matches!(state, Captured | Stored | Batched | Submitted | Mined | Confirmed)
 }
 
 fn topics_of(counts: &Counts, owner: Address, scope: &Scope) -> Result<Vec<TopicId>, Failure> {

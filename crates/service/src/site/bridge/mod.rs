@@ -68,16 +68,14 @@ impl Bridge {
         let granted = authority::shared_with(&network.directory, owner.address);
         let granted = granted.into_iter().map(|grant| (grant.terms.owner, grant.terms.scope));
         let givers: Givers = granted.filter(|(giver, _)| wanted.is_none_or(|wanted| wanted == *giver)).collect();
-        match (givers.is_empty(), wanted) {
-            (false, _) => Ok(givers),
-            (true, Some(other)) => {
-                let what = "its records".to_owned();
-                Err(PipelineError::NotGranted { owner: other, reader: owner.address, what }.into())
-            }
-            (true, None) => {
-                Err(refused("nobody shares records with this profile at the moment; see `authros grants list`"))
-            }
+        if !givers.is_empty() {
+            return Ok(givers);
         }
+        let Some(other) = wanted else {
+            return Err(refused("nobody shares records with this profile at the moment; see `authros grants list`"));
+        };
+        let what = "its records".to_owned();
+        Err(PipelineError::NotGranted { owner: other, reader: owner.address, what }.into())
     }
 
     /// Also returns whether this site captures from there, in which case the names must keep apart.

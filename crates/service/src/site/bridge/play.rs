@@ -373,7 +373,9 @@ impl Play<'_> {
         };
         // Publishers of one ROS 1 node share its name; those of ROS 2 have ids.
         let writer = record.head.tags.get(&format!("{CHANNEL}{WRITER}")).unwrap_or(&record.head.caller_id);
-        Ok((form, (item.row.owner, source_of(item.row.owner, writer))))
+        let digest = sm3(&[&item.row.owner.0, writer.as_bytes()]);
+        let publisher = digest.first_chunk().map_or(0, |first| u64::from_be_bytes(*first));
+        Ok((form, (item.row.owner, publisher)))
     }
 
     async fn of_one(&mut self, item: &Item, record: &OpenedRecord, topic: String) -> Result<Form, Stop> {
@@ -401,11 +403,6 @@ fn of_two(record: &OpenedRecord, name: String) -> Result<Form, String> {
     }
     let (type_name, encoding) = (record.head.type_name.clone(), u16::from_be_bytes([*high, *low]));
     Ok(Form::Two(Offered { name, type_name, encoding, offer: offer(&record.head.tags) }))
-}
-
-fn source_of(owner: Address, caller_id: &str) -> u64 {
-    let digest = sm3(&[&owner.0, caller_id.as_bytes()]);
-    digest.first_chunk().map_or(0, |first| u64::from_be_bytes(*first))
 }
 
 struct Pacer {

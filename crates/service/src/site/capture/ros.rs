@@ -63,10 +63,6 @@ impl RosLink {
         self.topics.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    fn has_lost_its_master(&self) -> bool {
-        self.master.as_ref().is_some_and(|master| !master.is_running())
-    }
-
     fn look(&self) -> Result<bool, Failure> {
         let mut last = self.last_look.lock().unwrap_or_else(PoisonError::into_inner);
         let mut found = self.graph.topics_again(&mut last)?;
@@ -84,7 +80,7 @@ pub(in crate::site) struct RosSide {
     state: watch::Sender<RosState>,
     pub(in crate::site) second: Second,
     /// Each clone measures all topics.
-    learning: Arc<()>,
+    pub(super) learning: Arc<()>,
 }
 
 impl RosSide {
@@ -104,10 +100,6 @@ impl RosSide {
 
     pub fn is_wanted(&self) -> bool {
         !matches!(*self.state.borrow(), RosState::Off)
-    }
-
-    pub fn learn(&self) -> Arc<()> {
-        Arc::clone(&self.learning)
     }
 
     fn is_measured(&self) -> bool {
@@ -156,7 +148,7 @@ impl RosSide {
                 () = self.leaving() => break,
             }
             calm = if self.look_at_graph(&link).await { 0 } else { calm.saturating_add(1) };
-            if link.has_lost_its_master() {
+            if link.master.as_ref().is_some_and(|master| !master.is_running()) {
                 // Returning early restarts everything here, with another master.
                 self.state.send_if_modified(|state| {
                     let ending = matches!(state, RosState::Off);

@@ -34,9 +34,19 @@ impl SealerThread {
     /// A run that captures nothing may still import.
     pub fn begin(&self) -> Result<(), Failure> {
         let mut thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner);
-        if thread.is_none() && !self.rings.is_closed() {
-            *thread = Some(self.start()?);
+        if thread.is_some() || self.rings.is_closed() {
+            return Ok(());
         }
+        self.take_over();
+        let (plant, hub, losses) = (self.parts.plant.clone(), Arc::clone(&self.parts.hub), Arc::clone(&self.losses));
+        let (rings, ring, compression) =
+            (Arc::clone(&self.rings), Arc::clone(&self.ring), self.parts.config.compression);
+        *thread = Some(self.parts.supervisor.keep_thread("sealer", move || {
+            let sealer = Sealer::new(plant.clone(), Arc::clone(&hub.sessions), Arc::clone(&losses));
+            let sealer = sealer.with_ring(Arc::clone(&ring));
+            let mut sealer = if compression { sealer } else { sealer.without_compression() };
+            sealer.run(&rings, &|| hub.stored.notify_waiters());
+        })?);
         Ok(())
     }
 
@@ -51,19 +61,6 @@ impl SealerThread {
             Err(error) => format!("what waits in memory for a full disk will not be counted after a crash: {error}"),
         };
         self.parts.hub.warn(&text);
-    }
-
-    fn start(&self) -> Result<JoinHandle<()>, Failure> {
-        self.take_over();
-        let (plant, hub, losses) = (self.parts.plant.clone(), Arc::clone(&self.parts.hub), Arc::clone(&self.losses));
-        let (rings, compression, ring) =
-            (Arc::clone(&self.rings), self.parts.config.compression, Arc::clone(&self.ring));
-        self.parts.supervisor.keep_thread("sealer", move || {
-            let sealer = Sealer::new(plant.clone(), Arc::clone(&hub.sessions), Arc::clone(&losses));
-            let sealer = sealer.with_ring(Arc::clone(&ring));
-            let mut sealer = if compression { sealer } else { sealer.without_compression() };
-            sealer.run(&rings, &|| hub.stored.notify_waiters());
-        })
     }
 
     pub async fn finish(&self, patience: Duration) -> bool {

@@ -1,6 +1,7 @@
 //! Topics of the graph, their rates, and the rules for them.
 
 use std::collections::{HashMap, HashSet};
+use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::task::block_in_place;
@@ -151,7 +152,7 @@ impl Capture {
             return Err(input("observe the topics for 1 second to 10 minutes, as with `--for 5s`"));
         }
         self.ros.any().await?;
-        let learning = self.ros.learn();
+        let learning = Arc::clone(&self.ros.learning);
         self.ros.wishes_changed();
         tokio::select! {
             () = tokio::time::sleep(Duration::from_millis(milliseconds)) => {}

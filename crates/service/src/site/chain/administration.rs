@@ -25,12 +25,13 @@ pub struct Administering {
 impl Administering {
     /// The contract refuses acts of anybody else, except those open to others.
     pub async fn administer(&self, owner: &Arc<Owner>, act: &Administration) -> Result<TransactionView, Failure> {
+        use Administration::{Accept, Cancel, Complete};
         let network = self.parts.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         let (call, text) = self.act(&network, act)?;
         if let Some(administrator) = network.directory.administration().administrator
             && administrator != owner.address
-            && !is_for_others(&call)
+            && !matches!(act, Accept | Cancel { .. } | Complete { .. })
         {
             return Err(refused(format!(
                 "the administrator of this contract is {administrator}, not {}; only the administrator can do this",
@@ -227,19 +228,19 @@ impl Administering {
     }
 
     fn succession_texts(&self, network: &Network) -> Vec<String> {
-        let view = Self::view(network, None, &self.contacts.names().unwrap_or_default());
-        let shown = |account: Address, name: &Option<String>| {
-            name.as_ref().map_or_else(|| account.to_string(), |name| format!("{name} ({account})"))
+        let decided = network.directory.administration();
+        // Without the address book, addresses stand alone.
+        let names = self.contacts.names().unwrap_or_default();
+        let shown = |account: &Address| match names.get(account) {
+            Some(name) => format!("{name} ({account})"),
+            None => account.to_string(),
         };
-        let text = |named: &SuccessionView| {
-            let (lost, successor) =
-                (shown(named.lost, &named.lost_name), shown(named.successor, &named.successor_name));
-            let block = named.block;
+        let successions = decided.successions.iter().map(|named| {
+            let (lost, successor, block) = (shown(&named.lost), shown(&named.successor), named.block);
             format!("the administrator declared {lost} lost and named {successor} its successor (block {block})")
-        };
-        let waits = |waits: &ProposalView| {
-            let (lost, successor) =
-                (shown(waits.lost, &waits.lost_name), shown(waits.successor, &waits.successor_name));
+        });
+        let proposals = decided.proposals.iter().map(|waits| {
+            let (lost, successor) = (shown(&waits.lost), shown(&waits.successor));
             let stop = waits.recovery.map_or_else(
                 || "it has no recovery account".to_owned(),
                 |recovery| format!("its recovery account {recovery} can stop it: `authros chain succession cancel`"),
@@ -248,13 +249,9 @@ impl Administering {
             format!(
                 "the administrator proposed that {successor} continue for {lost} from {due} (block {block}); {stop}"
             )
-        };
-        view.successions.iter().map(text).chain(view.proposals.iter().map(waits)).collect()
+        });
+        successions.chain(proposals).collect()
     }
-}
-
-fn is_for_others(call: &Call) -> bool {
-    matches!(call, Call::AcceptAdministrator | Call::CancelSuccession { .. } | Call::CompleteSuccession { .. })
 }
 
 fn pause(paused: bool, seconds: Option<u64>) -> (Call, String) {

@@ -202,8 +202,14 @@ impl Contacts {
         let mut book = self.book()?;
         let contact = book.iter_mut().find(|contact| contact.address == account);
         if self.parts.is_joined() && contact.as_ref().is_none_or(|contact| !contact.given) {
-            let known = contact.as_ref().map(|contact| contact.name.clone());
-            return Err(refused(uncompared_text(known.as_ref(), account)));
+            let how = match contact {
+                Some(Contact { name, .. }) => format!("authros contacts confirm {name} --fingerprint FINGERPRINT"),
+                None => format!("authros contacts add NAME {account} --fingerprint FINGERPRINT"),
+            };
+            return Err(refused(format!(
+                "the key of {account} is known here only from a gateway, which could substitute its own: get its \
+                 fingerprint from its owner over another channel, then run `{how}` before granting"
+            )));
         }
         let Some(contact) = contact else { return Ok(()) };
         let Some(found) = Self::registered_fingerprint(network, account) else { return Ok(()) };
@@ -261,17 +267,6 @@ impl Contacts {
             equal: fingerprint == given,
         })
     }
-}
-
-fn uncompared_text(known: Option<&ContactName>, account: Address) -> String {
-    let how = match known {
-        Some(name) => format!("authros contacts confirm {name} --fingerprint FINGERPRINT"),
-        None => format!("authros contacts add NAME {account} --fingerprint FINGERPRINT"),
-    };
-    format!(
-        "the key of {account} is known here only from a gateway, which could substitute its own: get its fingerprint \
-         from its owner over another channel, then run `{how}` before granting"
-    )
 }
 
 fn changed_text(contact: &Contact, found: &str) -> String {

@@ -173,6 +173,7 @@ fn leave_out(rows: &mut Vec<RecordRow>, about: &IncidentView, named: &[String]) 
     take_out(|row| row.deleted_at.is_some(), "are not in the bundle: retention had already deleted their bytes");
     take_out(is_early, "are not stored yet and are left out: export it again later");
     if about.open {
+        let is_unanchored = |row: &RecordRow| row.block.is_none() && row.state.is_before_block();
         take_out(is_unanchored, "are not anchored yet and are left out: it is still open, export it again later");
     }
     notes
@@ -180,11 +181,6 @@ fn leave_out(rows: &mut Vec<RecordRow>, about: &IncidentView, named: &[String]) 
 
 fn is_early(row: &RecordRow) -> bool {
     row.state == RecordState::Captured
-}
-
-fn is_unanchored(row: &RecordRow) -> bool {
-    use RecordState::{Batched, Captured, RightEnded, Stored, Submitted};
-    row.block.is_none() && matches!(row.state, Captured | Stored | Batched | Submitted | RightEnded)
 }
 
 fn report(bundle: &Bundle, about: Option<&IncidentView>, provider: &dyn Provider) -> String {

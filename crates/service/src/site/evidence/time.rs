@@ -93,7 +93,7 @@ impl TimeStamps {
 
     fn begin(&self, at_once: bool, now: Timestamp) -> Result<u64, Failure> {
         let newest = self.parts.plant.ledger.proofs.stamp_counts()?.newest;
-        let due = newest.is_none_or(|newest| now.0.saturating_sub(newest.0) >= nanoseconds(PERIOD));
+        let due = newest.is_none_or(|newest| Duration::from_nanos(now.0.saturating_sub(newest.0)) >= PERIOD);
         if !at_once && !due {
             return Ok(0);
         }
@@ -200,10 +200,6 @@ impl TimeStamps {
         };
         self.parts.config.time_authorities.iter().filter_map(pin).collect()
     }
-}
-
-fn nanoseconds(span: Duration) -> u64 {
-    u64::try_from(span.as_nanos()).unwrap_or(u64::MAX)
 }
 
 /// Read each time: it may have been replaced.
