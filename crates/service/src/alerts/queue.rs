@@ -27,11 +27,7 @@ enum Line {
     Numbered(u64),
     Stand(Vec<AlertView>),
     Waits(Delivery),
-    /// It reported `told` dropped ones.
-    Done {
-        number: u64,
-        told: u64,
-    },
+    Done { number: u64, told: u64 },
     GivenUp(u64),
     Dropped(u64),
 }

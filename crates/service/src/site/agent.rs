@@ -236,6 +236,7 @@ impl Agent {
     fn figures_of(&self, counts: &StateCounts) -> AgentFigures {
         let lost: u64 = self.each_topic().map(|topic| topic.lost).sum();
         let verified = counts.data_in(RecordState::Verified);
+        let ring = self.ring.as_ref().map(|ring| &ring.ring);
         AgentFigures {
             name: self.name.clone(),
             captured: counts.acknowledged,
@@ -249,7 +250,7 @@ impl Agent {
                 Link::Up => "connected".to_owned(),
                 Link::InPlace(text) | Link::Away(text) | Link::Refused(text) => clean(text, 300),
             },
-            ring: self.ring.as_ref().map(AgentRing::figures),
+            ring: ring.map(|ring| ring.lock().unwrap_or_else(PoisonError::into_inner).figures()),
             policy: self.policy.figures(),
         }
     }
@@ -428,10 +429,6 @@ impl AgentRing {
             self.site.parts.hub.stored.notify_waiters();
         }
         moved
-    }
-
-    pub fn figures(&self) -> RingFigures {
-        self.ring.lock().unwrap_or_else(PoisonError::into_inner).figures()
     }
 
     fn tell(&mut self, text: &str) {

@@ -12,7 +12,7 @@ use super::{Agent, AgentRing, AgentWishes};
 use crate::config::{Config, RingSettings, RingWish, RobotPolicy};
 use crate::crypto::{LONGEST_POLICY, SignedPolicy};
 use crate::model::bytes::hex;
-use crate::model::{Address, Domain, PolicyReport, RecordKind, SignerId, clean};
+use crate::model::{Address, Domain, PolicyReport, RecordKind, SignerId, TopicName, clean};
 use crate::pipeline::notices::PolicyTaker;
 use crate::pipeline::statement::{self, Statement};
 use crate::pipeline::{CaptureSession, PipelineError, recorder_heads};
@@ -134,28 +134,22 @@ impl AgentPolicy {
 }
 
 fn overruled(policy: &RobotPolicy, config: &Config, wishes: &AgentWishes) -> Vec<String> {
-    let mut told = Vec::new();
-    if let Some(watched) =
-        policy.watched.as_ref().filter(|watched| !wishes.topics.is_empty() && **watched != wishes.topics)
-    {
-        let own: Vec<&str> = wishes.topics.iter().map(crate::model::TopicName::as_str).collect();
-        told.push(format!("--topic {}, the policy watches {} topics", own.join(" "), watched.len()));
-    }
-    if let Some(rules) =
-        policy.rules.as_ref().filter(|rules| !config.topic_rules.0.is_empty() && **rules != config.topic_rules)
-    {
-        let (own, count) = (config.topic_rules.0.len(), rules.0.len());
-        told.push(format!("{own} [[topic]] rules, the policy has {count}"));
-    }
-    let differs = match (&policy.ring, &config.ring) {
+    let own: Vec<&str> = wishes.topics.iter().map(TopicName::as_str).collect();
+    let watched = policy.watched.as_ref().filter(|watched| !own.is_empty() && **watched != wishes.topics);
+    let watched =
+        watched.map(|topics| format!("--topic {}, the policy watches {} topics", own.join(" "), topics.len()));
+    let own = config.topic_rules.0.len();
+    let rules = policy.rules.as_ref().filter(|rules| own > 0 && **rules != config.topic_rules);
+    let rules = rules.map(|rules| format!("{own} [[topic]] rules, the policy has {}", rules.0.len()));
+    let ring = match (&policy.ring, &config.ring) {
         (RingWish::Own, _) | (_, None) => None,
         (RingWish::Off, Some(own)) => Some((own, "there is to be none".to_owned())),
         (RingWish::Keep(ring), Some(own)) => {
             (ring != own).then(|| (own, format!("{} of {}", ring.limits, ring.topics)))
         }
     };
-    told.extend(differs.map(|(own, policy)| format!("ring {} of {}, by the policy {policy}", own.limits, own.topics)));
-    told.iter().map(|text| clean(text, WIDEST)).collect()
+    let ring = ring.map(|(own, policy)| format!("ring {} of {}, by the policy {policy}", own.limits, own.topics));
+    [watched, rules, ring].into_iter().flatten().map(|text| clean(&text, WIDEST)).collect()
 }
 
 impl Agent {
@@ -208,7 +202,7 @@ impl Agent {
         }
         let covered = self.author.sealing()?.names().unwrap_or_default();
         let is_for_ring = |topic: &String| self.ring.as_ref().is_some_and(|ring| ring.takes(topic));
-        let is_topic = |topic: &String| topic.parse::<crate::model::TopicName>().is_ok();
+        let is_topic = |topic: &String| topic.parse::<TopicName>().is_ok();
         Some(covered.into_iter().filter(|topic| is_topic(topic) && !is_for_ring(topic)).collect())
     }
 

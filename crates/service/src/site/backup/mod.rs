@@ -215,13 +215,9 @@ impl Read for Told<'_> {
 fn add(sealed: &mut impl Write, name: &str, path: &Path, view: &mut BackupView, run: &Run) -> io::Result<()> {
     let file = File::open(path)?;
     let length = file.metadata()?.len();
-    let mut bytes = Told { file, run };
-    if name.starts_with(RING) {
-        // Shortage of room truncates a ring file; its next opening cuts these zeros off.
-        archive::put(sealed, name, length, &mut bytes.chain(io::repeat(0)))?;
-    } else {
-        archive::put(sealed, name, length, &mut bytes)?;
-    }
+    // Shortage of room truncates a ring file; its next opening cuts these zeros off.
+    let zeros = if name.starts_with(RING) { length } else { 0 };
+    archive::put(sealed, name, length, &mut Told { file, run }.chain(io::repeat(0).take(zeros)))?;
     run.one_more();
     view.files += 1;
     view.bytes += length;

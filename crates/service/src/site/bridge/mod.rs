@@ -86,7 +86,7 @@ impl Bridge {
         }
         let publisher = block_in_place(|| Ros2Publisher::start(domain, self.parts.config.ros2_program.as_deref()))?;
         self.tell_of_walls(publisher.is_confined());
-        Ok((Box::new(Domain::new(publisher, names.prefix())), is_captured))
+        Ok((Box::new(Domain::new(publisher, names.prefix.clone())), is_captured))
     }
 
     async fn stage(&self, wishes: &PlayWishes, names: &Names) -> Result<(Box<dyn Target>, bool), Failure> {
@@ -110,7 +110,7 @@ impl Bridge {
                 names.keep_apart().map_err(|why| refused(format!("{} is {why}", clean(&uri, 120))))?;
             }
             let publisher = self.publisher(&uri, &node)?;
-            let stage: Box<dyn Target> = Box::new(Stage::new(uri.clone(), graph, publisher, names.prefix()));
+            let stage: Box<dyn Target> = Box::new(Stage::new(uri.clone(), graph, publisher, names.prefix.clone()));
             Ok((stage, is_captured))
         })
     }
@@ -175,10 +175,6 @@ impl Names {
         }
         let prefix = wishes.prefix.as_ref().map(TopicName::to_string);
         Ok(Self { prefix, remaps })
-    }
-
-    pub fn prefix(&self) -> Option<String> {
-        self.prefix.clone()
     }
 
     pub fn played(&self, topic: &str) -> Option<String> {

@@ -58,7 +58,7 @@ impl Domain {
                 let advice = if declined.occupied { "; give a --prefix" } else { "" };
                 let why = format!("{}{advice}", clean(&declined.reason, 300));
                 if alone {
-                    self.topics.decline(&about.name, &why);
+                    self.topics.declined.insert(about.name.clone(), why.clone());
                 }
                 Err(Stop::Refused(why))
             }
@@ -129,7 +129,7 @@ impl Target for Domain {
         block_in_place(|| {
             ways.extract_if(|way, _| way.owner == owner).for_each(|(_, writer)| publisher.withdraw(writer));
         });
-        self.topics.retain(|topic| ways.keys().any(|way| way.topic == topic));
+        self.topics.types.retain(|topic, _| ways.keys().any(|way| way.topic == *topic));
     }
 
     fn leave(&self) {

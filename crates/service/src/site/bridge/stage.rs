@@ -61,7 +61,7 @@ impl Target for Stage {
         let is_new = self.topics.admit(topic, kind, self.publisher.broken())?;
         if is_new {
             if let Some(why) = block_in_place(|| self.occupied(topic))? {
-                self.topics.decline(topic, &why);
+                self.topics.declined.insert(topic.clone(), why.clone());
                 return Err(Stop::Refused(why));
             }
             let publisher = &mut self.publisher;
@@ -110,7 +110,7 @@ impl Target for Stage {
             });
             publisher.cut(&cut);
         });
-        self.topics.retain(|topic| self.sources.contains_key(topic));
+        self.topics.types.retain(|topic, _| self.sources.contains_key(topic));
     }
 
     fn leave(&self) {

@@ -96,8 +96,8 @@ pub(super) trait Target: Send + Sync {
 pub(super) struct Topics {
     pub place: String,
     prefix: Option<String>,
-    types: HashMap<String, (String, String)>,
-    declined: HashMap<String, String>,
+    pub types: HashMap<String, (String, String)>,
+    pub declined: HashMap<String, String>,
     patience: Duration,
 }
 
@@ -139,14 +139,6 @@ impl Topics {
 
     pub fn publish(&mut self, topic: &str, (type_name, md5sum): (&str, &str)) {
         self.types.insert(topic.to_owned(), (type_name.to_owned(), md5sum.to_owned()));
-    }
-
-    pub fn decline(&mut self, topic: &str, why: &str) {
-        self.declined.insert(topic.to_owned(), why.to_owned());
-    }
-
-    pub fn retain(&mut self, is_published: impl Fn(&str) -> bool) {
-        self.types.retain(|topic, _| is_published(topic));
     }
 }
 

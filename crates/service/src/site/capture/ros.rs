@@ -24,16 +24,13 @@ const LOOK: Duration = Duration::from_secs(1);
 /// Looks without a change after which they become half as frequent.
 const CALM: u32 = 10;
 
+/// The capture of a link that is down recovers without help.
 #[derive(Clone)]
 pub enum RosState {
     Off,
     Starting,
     Up(Arc<RosLink>),
-    Down {
-        failure: Failure,
-        /// Its capture recovers without help.
-        link: Option<Arc<RosLink>>,
-    },
+    Down { failure: Failure, link: Option<Arc<RosLink>> },
 }
 
 pub struct RosLink {

@@ -15,18 +15,15 @@ use crate::model::steady_clock::look;
 use crate::pipeline::Network;
 use crate::reply::Failure;
 
+/// `Swapped` = another chain answers, or the pinned one wiped: anchoring pauses until the pinned one returns.
 #[derive(Clone)]
 pub enum NetworkState {
     Off,
     Connecting,
     Bare(Chain),
     Up(Box<Network>),
-    /// Another chain answers, or the pinned one wiped: anchoring pauses until the pinned one returns.
     Swapped(Failure),
-    Down {
-        failure: Failure,
-        next: Instant,
-    },
+    Down { failure: Failure, next: Instant },
 }
 
 pub struct Link {

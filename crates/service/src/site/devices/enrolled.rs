@@ -204,8 +204,7 @@ impl Devices {
             };
             block_in_place(|| self.enrolments.note_told(owner, &enrolled, &enrolment.keys))?;
             self.enrolments.add(owner, enrolled.clone())?;
-            let file =
-                block_in_place(|| SealedEnrolment::new(enrolment, &passphrase).and_then(|sealed| sealed.seal()))?;
+            let file = block_in_place(|| SealedEnrolment::new(enrolment, &passphrase)?.seal())?;
             Ok(EnrolledView {
                 name: enrolled.name,
                 device: id,

@@ -103,10 +103,13 @@ impl Evidence {
             if let Some(name) = &wishes.incident {
                 query = incidents::narrowed(&ledger.incidents, owner.address, name, query)?;
             }
+            let is_away = |row: &RecordRow| {
+                matches!(row.state, RecordState::Captured | RecordState::Quarantined | RecordState::Dropped)
+            };
             // The notes of an incident name what is not stored yet.
             let is_awaited = |row: &RecordRow| wishes.incident.is_some() && is_early(row);
             for row in ledger.records.all(query) {
-                rows.extend(Some(row?).filter(|row| is_stored(row) || is_awaited(row)));
+                rows.extend(Some(row?).filter(|row| !is_away(row) || is_awaited(row)));
                 if rows.len() > MOST_RECORDS {
                     return Err(input(format!(
                         "that is more than {MOST_RECORDS} records; narrow it with --topic, --since and --until"
@@ -128,7 +131,10 @@ impl Evidence {
         let provider = self.parts.plant.provider;
         let sign = |packing: Packing| packing.sign(claimed.clone(), owner.address, &owner.signing(), provider);
         let members = sign(packing)?;
-        let page = report(&Bundle::of_members(&members, provider)?, about, provider);
+        let bundle = Bundle::of_members(&members, provider)?;
+        // The report uses the pins that the bundle suggests.
+        let trust = bundle.suggested.as_ref().and_then(|text| Trust::parse(text.as_bytes()).ok());
+        let page = page::page(&bundle, &verify(&bundle, trust.as_ref(), provider), about);
         let mut packing = Packing::from(members);
         packing.report(page);
         pack(&sign(packing)?)
@@ -181,15 +187,6 @@ fn leave_out(rows: &mut Vec<RecordRow>, about: &IncidentView, named: &[String]) 
 
 fn is_early(row: &RecordRow) -> bool {
     row.state == RecordState::Captured
-}
-
-fn report(bundle: &Bundle, about: Option<&IncidentView>, provider: &dyn Provider) -> String {
-    let trust = bundle.suggested.as_ref().and_then(|text| Trust::parse(text.as_bytes()).ok());
-    page::page(bundle, &verify(bundle, trust.as_ref(), provider), about)
-}
-
-fn is_stored(row: &RecordRow) -> bool {
-    !matches!(row.state, RecordState::Captured | RecordState::Quarantined | RecordState::Dropped)
 }
 
 const LOOK: Duration = Duration::from_secs(2);

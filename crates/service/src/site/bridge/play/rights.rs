@@ -17,14 +17,10 @@ const UNSURE: Duration = Duration::from_secs(120);
 /// Wait where keys exist: those of the newest block may have come after the record was opened.
 const JUST_COME: Duration = Duration::from_secs(5);
 
+/// After a key `Came` and opened a record, one that it does not open belongs to somebody else.
 pub(super) enum TopicKeyState {
-    /// It opened a record; one that it does not open belongs to somebody else.
     Came,
-    Awaited {
-        since: Instant,
-        looked: Instant,
-        has_begun: bool,
-    },
+    Awaited { since: Instant, looked: Instant, has_begun: bool },
 }
 
 type Which = (Address, TopicId, u64);
