@@ -169,7 +169,12 @@ impl Agent {
                 shown = Some(figures);
             }
             looks = looks.wrapping_add(1);
-            self.warn_of_epoch();
+            if self.author.sealing().is_none() {
+                self.site.parts.hub.alarm(
+                    "this robot's epoch has ended and its owner has not sent the next key: nothing is captured until \
+                     the notice arrives or the robot is enrolled again",
+                );
+            }
             self.follow_policy();
             self.follow_topics();
             if let Some(ring) = &mut self.ring {
@@ -202,15 +207,6 @@ impl Agent {
             return;
         }
         self.watch_new(&self.wanted().unwrap_or_default());
-    }
-
-    fn warn_of_epoch(&self) {
-        if self.author.sealing().is_none() {
-            self.site.parts.hub.alarm(
-                "this robot's epoch has ended and its owner has not sent the next key: nothing is captured until the \
-                 notice arrives or the robot is enrolled again",
-            );
-        }
     }
 
     fn end(&self, counts: &StateCounts) -> Option<AgentEnd> {

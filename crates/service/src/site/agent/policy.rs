@@ -237,10 +237,10 @@ impl Agent {
         for topic in topics {
             self.site.recorder.join(topic, &self.author, None, &session);
             if self.author.sealing().is_some_and(|keys| keys.topic(topic).is_none()) {
+                let name = &self.name;
                 self.site.parts.hub.warn(&format!(
                     "there is no key for topic {topic}: its messages are dropped and counted until the owner adds it \
-                     with `authros devices topics add {} {topic}`",
-                    self.name
+                     with `authros devices topics add {name} {topic}`"
                 ));
             }
         }

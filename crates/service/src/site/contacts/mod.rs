@@ -155,9 +155,9 @@ impl Contacts {
         if let Some(given) = fingerprint.map(|text| read(&text)).transpose()?
             && given != registered
         {
+            let address = contact.address;
             return Err(refused(format!(
-                "{} has registered {registered}, not {given}; ask '{name}' over another channel which one is right",
-                contact.address
+                "{address} has registered {registered}, not {given}; ask '{name}' over another channel which one is right"
             )));
         }
         let mut book = self.book()?;

@@ -54,10 +54,8 @@ impl Devices {
                 "device {device} is already on loan; `authros devices list` shows until when"
             )));
         }
-        let text = match until {
-            Some(until) => format!("device {device} may sign for {} until {until}", owner.address),
-            None => format!("device {device} may sign for {} until it is recalled", owner.address),
-        };
+        let end = until.map_or_else(|| "it is recalled".to_owned(), |until| until.to_string());
+        let text = format!("device {device} may sign for {} until {end}", owner.address);
         let lent = self.change_devices(owner, &network, Call::Lend { device, until }, "lend", text);
         self.parts.log.deed(&owner.profile, "lend device", &device.to_string(), lent).await
     }

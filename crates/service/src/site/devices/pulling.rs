@@ -28,7 +28,10 @@ impl Devices {
                 let since = since.or(of_incident.map(|incident| incident.since));
                 let since = since.ok_or_else(|| input("say from when: --since 10m, or --incident NAME"))?;
                 let until = until.or(of_incident.and_then(|incident| incident.until));
-                let topics = if topics.is_empty() { of_incident.map_or_else(Vec::new, patterns) } else { topics };
+                // A name that is no pattern matches no robot's topic.
+                let of_all = of_incident.iter().flat_map(|incident| &incident.topics);
+                let of_all = of_all.filter_map(|topic| topic.parse().ok());
+                let topics = if topics.is_empty() { of_all.collect() } else { topics };
                 let span = span(since, until, topics)?;
                 self.pull(owner, &name, &span).await.map(ask::PullRing::told)
             }
@@ -79,9 +82,4 @@ pub fn span(since: Timestamp, until: Option<Timestamp>, topics: Vec<TopicPattern
         return Err(input(format!("ask a robot for at most {} topics at once", TopicPatterns::MOST)));
     }
     Ok(RingSpan { since, until, topics: TopicPatterns(topics) })
-}
-
-/// A name that is no pattern matches no robot's topic.
-fn patterns(incident: &crate::service::reply::IncidentView) -> Vec<TopicPattern> {
-    incident.topics.iter().filter_map(|topic| topic.parse().ok()).collect()
 }

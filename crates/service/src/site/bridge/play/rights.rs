@@ -79,13 +79,11 @@ impl Play<'_> {
         };
         let Some(waited) = self.keys.awaited(key_of(row), has_begun, longest, now) else { return false };
         if waited >= UNTOLD && self.keys.told.insert((row.owner, epoch)) {
-            let text = format!(
-                "playback into {} waits: the key of epoch {epoch} of {} has not come yet; her site gives it once it \
-                 reaches the chain",
-                self.target.name(),
-                self.name_of(row.owner)
-            );
-            self.bridge.parts.hub.warn(&text);
+            let (target, owner) = (self.target.name(), self.name_of(row.owner));
+            self.bridge.parts.hub.warn(&format!(
+                "playback into {target} waits: the key of epoch {epoch} of {owner} has not come yet; her site gives it \
+                 once it reaches the chain"
+            ));
         }
         true
     }
@@ -130,12 +128,8 @@ impl Play<'_> {
     }
 
     fn tell(&self, why: &str) {
-        let text = format!(
-            "playback into {} ended: {why}; {} messages were published",
-            self.target.name(),
-            self.tally.published
-        );
-        self.bridge.parts.hub.warn(&text);
+        let (target, count) = (self.target.name(), self.tally.published);
+        self.bridge.parts.hub.warn(&format!("playback into {target} ended: {why}; {count} messages were published"));
     }
 }
 
