@@ -156,7 +156,7 @@ impl Queue {
         Some(key)
     }
 
-    /// On a failed write, delivery continues and the next note rewrites the file.
+    /// On a failed write, delivery continues; the file is rewritten as soon as possible.
     fn note(&mut self, line: Line) {
         let text = serde_json::to_string(&line).unwrap_or_default();
         self.kept.apply(line);

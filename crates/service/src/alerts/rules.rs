@@ -16,7 +16,6 @@ const LOSING: Duration = Duration::from_secs(300);
 
 const GRANT: &str = "grant_ends";
 
-/// The prefixes of keys.
 pub const RULES: [&str; 12] = [
     "audit",
     "chain",

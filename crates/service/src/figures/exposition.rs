@@ -1,5 +1,3 @@
-//! Figures in Prometheus's text format.
-
 use super::{BOUNDS, Figures, LaneFigures, Latency, LifeLine, OwnerFigures, TopicFigures};
 use crate::model::Timestamp;
 use crate::reply::{HealthLevel, TaskState};

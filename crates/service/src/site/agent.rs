@@ -435,7 +435,6 @@ impl AgentRing {
     }
 }
 
-/// The topics that can be sealed.
 fn possible(site: &Site, author: &Author) -> Vec<String> {
     let Some(keys) = author.sealing() else { return Vec::new() };
     if let Some(covered) = keys.names() {

@@ -1,5 +1,3 @@
-//! The audit log as the site writes and shows it.
-
 use std::sync::Arc;
 
 use super::{Refusals, doer};
@@ -158,7 +156,6 @@ impl Log {
         Ok(lines.into_iter().map(view).collect())
     }
 
-    /// One JSON document a line.
     pub async fn export(self: &Arc<Self>, owner: &Arc<Owner>, addresses: bool) -> Result<Vec<ExportedFile>, Failure> {
         let subject = if addresses { "with addresses" } else { "redacted" };
         let bytes = self.deed(&owner.profile, "export audit", subject, self.whole(addresses)).await?;

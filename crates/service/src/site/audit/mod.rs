@@ -1,5 +1,3 @@
-//! The audit log, counted refusals, and the audit of records.
-
 pub(crate) mod log;
 
 pub(crate) use log::Log;
@@ -59,7 +57,6 @@ impl Audit {
                 && self.parts.plant.ledger.records.takes_records().is_ok()
             {
                 refill = Instant::now();
-                // Retried as long as the disk is full.
                 drop(blocking(&self, |audit| Ok(audit.reserve.refill()?)).await);
             }
         }

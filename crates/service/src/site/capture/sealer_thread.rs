@@ -27,7 +27,6 @@ impl SealerThread {
     }
 
     pub fn fill(&self, ring: &SharedRing) {
-        // A run has one ring.
         drop(self.ring.set(Arc::clone(ring)));
     }
 

@@ -1,5 +1,3 @@
-//! Enrolled robots, and the keys that each seals under.
-
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, PoisonError};
 

@@ -17,7 +17,7 @@ const BOUND: Duration = Duration::from_secs(12);
 /// How long to wait for a robot that fell silent.
 const SILENCE: Duration = Duration::from_secs(3);
 const LOOK: Duration = Duration::from_millis(200);
-/// A robot whose newest record is older, nanoseconds, is not at work.
+/// Nanoseconds; a robot whose newest record is older is not at work.
 const AT_WORK: u64 = 10_000_000_000;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -159,7 +159,7 @@ impl Devices {
     }
 }
 
-/// A fingerprint is such a beginning.
+/// By the beginning of an id; a fingerprint is one.
 fn find(lendings: &[Lending], text: &str) -> Result<SignerId, Failure> {
     let wanted: String = text.chars().filter(|character| !character.is_whitespace()).collect::<String>().to_lowercase();
     let wanted = wanted.trim_start_matches("0x");

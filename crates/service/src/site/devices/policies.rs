@@ -1,5 +1,3 @@
-//! Policies that an owner sets for robots, and what robots report.
-
 use std::collections::BTreeMap;
 use std::sync::Arc;
 

@@ -1,5 +1,3 @@
-//! What an owner asks of a robot's ring.
-
 use std::sync::Arc;
 
 use tokio::task::block_in_place;
