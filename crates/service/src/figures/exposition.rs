@@ -114,8 +114,8 @@ fn topics(text: &mut Text, figures: &Figures) {
     fn by<'a>((owner, topic): &(&'a str, &'a TopicFigures)) -> [(&'static str, &'a str); 2] {
         [("owner", owner), ("topic", &topic.topic)]
     }
-    let of = |owner: &'_ OwnerFigures| owner.topics.iter().map(|topic| (&*owner.owner, topic));
-    let rows: Vec<_> = figures.owners.iter().flat_map(of).collect();
+    let owners = figures.owners.iter();
+    let rows: Vec<_> = owners.flat_map(|row| row.topics.iter().map(move |topic| (&*row.owner, topic))).collect();
     let help = "Messages of a topic that were captured.";
     text.family("authros_topic_captured_total", "counter", help, &rows, |row| (by(row), row.1.captured));
     let help = "Records of a topic that are verified.";

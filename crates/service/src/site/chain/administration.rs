@@ -101,7 +101,7 @@ impl Administering {
 
     fn act(&self, network: &Network, act: &Administration) -> Result<(Call, String), Failure> {
         let resolved = |account: &Party| self.contacts.resolve(account);
-        let acted = |account: &Party, call: fn(Address) -> Call, what: &str| {
+        let acted = |account: &Party, call: fn(Address) -> Call, what: &str| -> Result<(Call, String), Failure> {
             let account = resolved(account)?;
             Ok((call(account), format!("{account} {what}")))
         };

@@ -27,7 +27,7 @@ impl Devices {
                 let since = since.ok_or_else(|| input("say from when: --since 10m, or --incident NAME"))?;
                 let until = until.or(of_incident.and_then(|incident| incident.until));
                 // A name that is no pattern matches no robot's topic.
-                let of_all = of_incident.iter().flat_map(|incident| &incident.topics);
+                let of_all = of_incident.into_iter().flat_map(|incident| &incident.topics);
                 let of_all = of_all.filter_map(|topic| topic.parse().ok());
                 let topics = if topics.is_empty() { of_all.collect() } else { topics };
                 let span = span(since, until, topics)?;

@@ -17,7 +17,7 @@ use super::incidents;
 use super::parts::Parts;
 use super::reading::Reading;
 use crate::command::EvidenceWishes;
-use crate::crypto::{Provider, private_file};
+use crate::crypto::private_file;
 use crate::event::NoticeLevel;
 use crate::failure::input;
 use crate::model::{Digest, RecordState, Timestamp, clean};
