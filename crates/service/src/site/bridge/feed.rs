@@ -3,6 +3,7 @@
 use std::collections::{HashMap, HashSet, VecDeque};
 use std::time::{Duration, Instant};
 
+use super::Givers;
 use crate::model::{Address, Digest, RecordKind, RecordState, Scope, Timestamp, TopicId};
 use crate::pipeline::reader::is_held;
 use crate::service::command::{Pace, PlayWishes};
