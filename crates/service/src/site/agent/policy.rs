@@ -193,7 +193,7 @@ impl Agent {
     }
 
     /// The topics to watch; `None` while there is no key to tell.
-    fn wanted(&self) -> Option<Vec<String>> {
+    pub(super) fn wanted(&self) -> Option<Vec<String>> {
         if let Some(watched) = self.policy.watched() {
             return Some(watched);
         }
