@@ -1,5 +1,4 @@
-//! Alerts: each problem is reported once when it begins and once when it ends, to a webhook or a command. The input is
-//! the figures; nothing here asks a site.
+//! Alerts, judged by the figures: each problem is delivered when it begins and when it ends.
 
 mod queue;
 mod rules;
@@ -19,28 +18,24 @@ use crate::model::{Timestamp, clean};
 use crate::service::failure::internal;
 use crate::service::reply::{AlertView, Failure};
 
-/// What a delivery says about its alert.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum News {
     Begun,
     Resolved,
-    /// Nothing: somebody is testing whether deliveries arrive.
     Test,
 }
 
-/// A delivery; once accepted, it is sent at least once.
+/// Sent at least once.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Delivery {
-    /// Counts up within a home: the same number is the same delivery.
+    /// Rises within a home: the same number is the same delivery.
     pub number: u64,
-    /// What happened to the alert.
     pub state: News,
     pub alert: AlertView,
     pub ended: Option<Timestamp>,
 }
 
-/// The JSON of a delivery in our own format.
 #[derive(Serialize)]
 struct Told<'a> {
     authros_alert: u8,
@@ -50,24 +45,21 @@ struct Told<'a> {
 }
 
 impl Delivery {
-    /// In our own format; `dropped` = earlier deliveries for which there was no room.
+    /// `dropped` = earlier deliveries for which there was no room.
     fn body(&self, dropped: u64) -> Vec<u8> {
         serde_json::to_vec(&Told { authros_alert: 1, delivery: self, dropped }).unwrap_or_default()
     }
 }
 
-/// Delivers to the destination in the settings.
 pub enum Carrier {
     Webhook(Webhook),
-    /// To a program and its arguments.
     Command(Vec<String>),
 }
 
-/// Why a delivery was not accepted.
 #[derive(Debug)]
 pub struct Undelivered {
     pub failure: Failure,
-    /// Whether the answer was about this delivery itself: it will be the same the next time.
+    /// The answer concerns this delivery: a retry gets the same.
     pub is_judged: bool,
 }
 
@@ -77,7 +69,6 @@ impl From<Failure> for Undelivered {
     }
 }
 
-/// Kills the program when nobody waits for it any more.
 struct Waiting(Arc<webhook::Wanted>);
 
 impl Drop for Waiting {
@@ -96,7 +87,6 @@ impl Carrier {
         })
     }
 
-    /// Delivers it and returns the reply. `dropped` = earlier deliveries for which there was no room.
     pub async fn carry(&self, delivery: &Delivery, dropped: u64) -> Result<String, Undelivered> {
         let words = match self {
             Self::Webhook(webhook) => return webhook.carry(delivery, dropped).await,
@@ -110,7 +100,7 @@ impl Carrier {
     }
 }
 
-/// The destination, without a URL's passwords and paths.
+/// Omits a URL's passwords and paths.
 pub fn place_name(place: &AlertPlace) -> String {
     match place {
         AlertPlace::Webhook { url, .. } => {

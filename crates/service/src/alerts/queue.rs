@@ -1,5 +1,4 @@
-//! Active alerts and waiting deliveries, in one append-only file of lines that is rewritten now and then: what was
-//! noted survives a kill, and a truncated line is ignored.
+//! Active alerts and waiting deliveries in an append-only file: notes survive a kill, truncated lines are ignored.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::fs::OpenOptions;
@@ -15,34 +14,24 @@ use crate::model::Timestamp;
 use crate::reply::AlertView;
 use crate::store::files::atomic_write;
 
-/// The most deliveries that wait; beyond that the oldest are dropped and counted.
+/// Beyond this the oldest are dropped and counted.
 const MOST_WAITING: usize = 200;
 /// Lines after which the file is rewritten.
 const MOST_LINES: usize = 500;
-/// The longest file that is read, bytes: many times what the limits above need.
+/// Bytes, many times what the limits above need.
 const LONGEST: u64 = 16 << 20;
 
-/// The content of a line of the file.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum Line {
-    /// The last number assigned.
     Numbered(u64),
     Stand(Vec<AlertView>),
-    /// A waiting delivery; its alert is active from then on, or no longer.
     Waits(Delivery),
-    /// This delivery is done, and it reported this many dropped ones.
-    Done {
-        number: u64,
-        told: u64,
-    },
-    /// This one was dropped: there was no room.
+    Done { number: u64, told: u64 },
     GivenUp(u64),
-    /// This many were dropped before.
     Dropped(u64),
 }
 
-/// The state that the lines add up to.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 struct Kept {
     numbered: u64,
@@ -79,28 +68,25 @@ impl Kept {
         }
     }
 
-    /// The fewest lines that give the same state.
     fn lines(&self) -> Vec<Line> {
         let mut lines = vec![Line::Numbered(self.numbered), Line::Dropped(self.dropped)];
         lines.extend(self.waiting.iter().cloned().map(Line::Waits));
-        // After the waiting ones: alerts that they began or ended may have changed since.
+        // After the waiting ones, which may have begun or ended alerts since.
         lines.push(Line::Stand(self.standing.values().cloned().collect()));
         lines
     }
 }
 
-/// The file and its content.
 #[derive(Debug)]
 pub struct Queue {
     path: PathBuf,
     kept: Kept,
     lines: usize,
-    /// Whether the file ends within a line or could not be written: it is then rewritten.
+    /// The file ends within a line or could not be written: the next note rewrites it.
     torn: bool,
 }
 
 impl Queue {
-    /// The content of the file; empty if there is none. The file is created with the first line.
     pub fn open(path: &Path) -> Self {
         let too_long = std::fs::metadata(path).is_ok_and(|about| about.len() > LONGEST);
         let bytes = if too_long { Vec::new() } else { std::fs::read(path).unwrap_or_default() };
@@ -120,12 +106,10 @@ impl Queue {
         self.kept.standing.values().cloned().collect()
     }
 
-    /// How many deliveries wait, and how many dropped ones no delivery has reported yet.
     pub fn counts(&self) -> (u64, u64) {
         (u64::try_from(self.kept.waiting.len()).unwrap_or(u64::MAX), self.kept.dropped)
     }
 
-    /// The next delivery, and how many were dropped before it.
     pub fn first(&self) -> Option<(Delivery, u64)> {
         Some((self.kept.waiting.front()?.clone(), self.kept.dropped))
     }
@@ -138,14 +122,13 @@ impl Queue {
         self.wait(state, alert, ended);
     }
 
-    /// Adds all active alerts again, for a destination that forgets alerts unless reminded.
+    /// For a destination that forgets alerts unless reminded.
     pub fn remind(&mut self) {
         for alert in self.standing() {
             self.wait(News::Begun, alert, None);
         }
     }
 
-    /// Numbers a delivery that does not wait in line.
     pub fn next_number(&mut self) -> u64 {
         let number = self.kept.numbered + 1;
         self.note(Line::Numbered(number));
@@ -163,25 +146,17 @@ impl Queue {
         self.note(Line::Waits(Delivery { number, state, alert, ended }));
     }
 
-    /// A delivery was accepted, and with it the report of `told` dropped ones.
     pub fn done(&mut self, number: u64, told: u64) {
         self.note(Line::Done { number, told });
     }
 
-    /// Drops the next delivery, which will never be accepted, and counts it; returns the key of its alert.
     pub fn give_up(&mut self) -> Option<String> {
         let (number, key) = self.kept.waiting.front().map(|first| (first.number, first.alert.key.clone()))?;
         self.note(Line::GivenUp(number));
         Some(key)
     }
 
-    /// Whether all that was noted is in the file.
-    #[cfg(test)]
-    pub fn is_kept(&self) -> bool {
-        !self.torn
-    }
-
-    /// What cannot be written is still delivered by this process, and written as soon as possible.
+    /// On a failed write, delivery continues; the file is rewritten as soon as possible.
     fn note(&mut self, line: Line) {
         let text = serde_json::to_string(&line).unwrap_or_default();
         self.kept.apply(line);
@@ -206,10 +181,9 @@ impl Queue {
     }
 }
 
-/// Consecutive looks that must find nothing wrong before an alert ends.
+/// Quiet looks before an alert ends.
 const CALM_LOOKS: u8 = 2;
 
-/// The active alerts, by their keys.
 #[derive(Debug, Default)]
 pub struct Standing {
     alerts: BTreeMap<String, Stands>,
@@ -218,31 +192,25 @@ pub struct Standing {
 #[derive(Debug)]
 struct Stands {
     alert: AlertView,
-    /// Consecutive looks that found nothing wrong.
     calm: u8,
 }
 
-/// What a look changed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Change {
     Begun(AlertView),
-    /// It ended at that time.
     Resolved(AlertView, Timestamp),
 }
 
 impl Standing {
-    /// Those that were active when the previous process ended.
     pub fn of(alerts: impl IntoIterator<Item = AlertView>) -> Self {
         let stands = |alert: AlertView| (alert.key.clone(), Stands { alert, calm: 0 });
         Self { alerts: alerts.into_iter().map(stands).collect() }
     }
 
-    /// All, by their keys.
     pub fn all(&self) -> Vec<AlertView> {
         self.alerts.values().map(|stands| stands.alert.clone()).collect()
     }
 
-    /// The changes from what was found at `now`. What is no longer among it is well.
     pub fn look(&mut self, now: Timestamp, site: &str, judged: Vec<Judged>) -> Vec<Change> {
         let mut well: BTreeSet<String> = self.alerts.keys().cloned().collect();
         let mut changes = Vec::new();
@@ -268,7 +236,6 @@ impl Standing {
         changes
     }
 
-    /// Notes that a look found nothing wrong; returns the alert if this ends it.
     fn calmed(&mut self, key: &str) -> Option<AlertView> {
         let stands = self.alerts.get_mut(key)?;
         stands.calm += 1;
@@ -330,7 +297,7 @@ mod tests {
             let mut queue = Queue::open(&path);
             assert_eq!(queue.kept, known[whole], "cut at {cut}");
             queue.add(Change::Begun(alert("clock")));
-            assert!(queue.is_kept());
+            assert!(!queue.torn);
             assert_eq!(Queue::open(&path).kept, queue.kept, "cut at {cut}");
         }
     }
@@ -374,10 +341,10 @@ mod tests {
         let place = folder.path().join("not there yet");
         let mut queue = Queue::open(&place.join("alerts.queue"));
         queue.add(Change::Begun(alert("disk")));
-        assert!(!queue.is_kept() && queue.first().is_some());
+        assert!(queue.torn && queue.first().is_some());
         std::fs::create_dir(&place).expect("now it is");
         queue.done(1, 0);
-        assert!(queue.is_kept());
+        assert!(!queue.torn);
         assert_eq!(Queue::open(&place.join("alerts.queue")).standing(), [alert("disk")]);
     }
 }

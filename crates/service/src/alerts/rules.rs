@@ -1,5 +1,4 @@
-//! What counts as trouble: rules over the figures of a site. Their texts name no topic, nobody from the address book
-//! and no key; accounts and robots appear as the eight digits of the figures.
+//! Rules over the figures of a site. Their texts name no topic, contact or key, and accounts by eight digits only.
 
 use std::time::Duration;
 
@@ -8,17 +7,15 @@ use crate::model::Timestamp;
 use crate::service::figures::{Figures, GrantFigures, OwnerFigures, RobotFigures};
 use crate::service::reply::{AlertView, HealthLevel, Severity};
 
-/// How long after a start ages are not judged: what waited while the site was down is worked off first.
+/// Time after a start to work off the backlog, without judging ages.
 const SETTLING: Duration = Duration::from_secs(120);
-/// A robot not heard of for this long is away, not silent.
+/// A robot silent for this long is away.
 const AWAY: Duration = Duration::from_secs(86_400);
-/// How long losses count as ongoing after the last one.
+/// How long losses count as ongoing.
 const LOSING: Duration = Duration::from_secs(300);
 
-/// The rule for grants about to end.
 const GRANT: &str = "grant_ends";
 
-/// Every rule: the prefix of its keys.
 pub const RULES: [&str; 12] = [
     "audit",
     "chain",
@@ -34,29 +31,23 @@ pub const RULES: [&str; 12] = [
     "unanchored",
 ];
 
-/// The rule that an alert's key belongs to.
 pub fn rule_of(key: &str) -> &str {
     key.split('/').next().unwrap_or(key)
 }
 
-/// The result of a rule.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Level {
-    /// It is an alert.
     Firing,
-    /// Too close to the limit to begin or to end an alert, or unknown at present.
+    /// Too close to the limit to begin or end an alert, or unknown.
     Between,
     Clear,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Judged {
-    /// The rule and its subject.
     pub key: String,
-    /// The severity if it is an alert.
     pub severity: Severity,
     pub level: Level,
-    /// What happened and what to do.
     pub text: String,
 }
 
@@ -66,18 +57,14 @@ impl Judged {
     }
 }
 
-/// Judges figures, and remembers what it needs of earlier ones.
 #[derive(Debug)]
 pub struct Judge {
     limits: AlertLimits,
-    /// When the first figures came.
     since: Option<Timestamp>,
     losses: Option<Losses>,
-    /// Grants about to end, as last known.
     grants: Option<Vec<GrantFigures>>,
 }
 
-/// Messages that did not become records.
 #[derive(Debug, Clone, Copy)]
 struct Losses {
     first: u64,
@@ -90,10 +77,9 @@ impl Judge {
         Self { limits, since: None, losses: None, grants: None }
     }
 
-    /// The findings of every rule.
     pub fn judge(&mut self, figures: &Figures) -> Vec<Judged> {
         let since = *self.since.get_or_insert(figures.now);
-        let settled = passed(figures.now, since) >= nanos(SETTLING);
+        let settled = passed(figures.now, since) >= SETTLING;
         let mut judged = self.robots(figures, settled);
         for owner in &figures.owners {
             judged.extend(self.unanchored(figures, owner, settled));
@@ -116,8 +102,8 @@ impl Judge {
     fn robots(&self, figures: &Figures, settled: bool) -> Vec<Judged> {
         let Some(limit) = self.limits.robot_silent else { return Vec::new() };
         let silent = figures.robots.iter().map(|robot| (robot, passed(figures.now, robot.last_seen)));
-        let present = silent.filter(|(_, silent)| *silent < nanos(AWAY));
-        let judge = |(RobotFigures { robot, .. }, silent): (&RobotFigures, u64)| {
+        let present = silent.filter(|(_, silent)| *silent < AWAY);
+        let judge = |(RobotFigures { robot, .. }, silent): (&RobotFigures, Duration)| {
             let silence = words(silent);
             let text = format!(
                 "Nothing received from robot {robot} for {silence}; check its agent, its network and its clock."
@@ -130,7 +116,7 @@ impl Judge {
 
     fn unanchored(&self, figures: &Figures, owner: &OwnerFigures, settled: bool) -> Option<Judged> {
         let limit = self.limits.unanchored?;
-        let waited = owner.oldest_unanchored.map_or(0, |oldest| passed(figures.now, oldest));
+        let waited = owner.oldest_unanchored.map_or(Duration::ZERO, |oldest| passed(figures.now, oldest));
         let (account, waiting) = (&owner.owner, words(waited));
         let text = format!(
             "The oldest record of account {account} has been waiting {waiting} for a block; nothing is lost. See \
@@ -167,7 +153,7 @@ impl Judge {
             losses.grew = Some(figures.now);
         }
         losses.last = total;
-        let losing = losses.grew.is_some_and(|grew| passed(figures.now, grew) < nanos(LOSING));
+        let losing = losses.grew.is_some_and(|grew| passed(figures.now, grew) < LOSING);
         let (lost, untold) = (total.saturating_sub(losses.first), figures.untold_gaps);
         let text = format!(
             "Messages are being lost: {lost} since this site was started, and {untold} losses are not in a gap record \
@@ -183,7 +169,7 @@ impl Judge {
         let text = format!(
             "This machine's clock is {seconds} s {way} the time used for grants and loans; check its time service."
         );
-        Some(Judged::new("clock", Severity::Warning, over(seconds, limit), text))
+        Some(Judged::new("clock", Severity::Warning, over(seconds.into(), limit.into()), text))
     }
 
     fn ending_grants(&mut self, figures: &Figures) -> Vec<Judged> {
@@ -197,13 +183,13 @@ impl Judge {
             let GrantFigures { owner, reader, given, ends } = grant;
             let how = if *given { "`authros grants extend` extends it" } else { "only its owner can extend it" };
             let text = format!("The grant of account {owner} to {reader} ends at {ends}; {how}.");
-            let level = firing(left(grant) <= nanos(limit));
+            let level = firing(left(grant) <= limit);
             Judged::new(format!("{GRANT}/{owner}-{reader}"), Severity::Warning, level, text)
         };
         going.map(judge).collect()
     }
 
-    /// Active alerts of a rule that cannot be judged yet: they neither continue nor end.
+    /// Alerts whose rule lacks data neither continue nor end.
     pub fn not_known(&self, standing: &[AlertView]) -> Vec<Judged> {
         let waits = self.limits.grant_ends.is_some() && self.grants.is_none();
         let of_grants = standing.iter().filter(|alert| rule_of(&alert.key) == GRANT && waits);
@@ -213,20 +199,19 @@ impl Judge {
 
     fn audit(&self, figures: &Figures, settled: bool) -> Option<Judged> {
         let limit = self.limits.audit?;
-        // Without a chain there is nowhere to anchor a head.
+        // Without a chain, heads are not anchored.
         figures.parts.iter().find(|part| part.part == "chain")?;
-        let waited = figures.audit_unanchored.map_or(0, |oldest| passed(figures.now, oldest));
+        let waited = figures.audit_unanchored.map_or(Duration::ZERO, |oldest| passed(figures.now, oldest));
         let age = words(waited);
         let text = format!(
             "The oldest audit log line not covered by an anchored head is {age} old. See `authros chain status`."
         );
-        // While every profile is locked nobody knows: what stands goes on, and nothing begins.
+        // While every profile is locked, alerts neither begin nor end.
         let level = if figures.audit_locked { Level::Between } else { aged(waited, limit, settled) };
         Some(Judged::new("audit", Severity::Warning, level, text))
     }
 }
 
-/// What is in quarantine, and what differs from the chain.
 fn records(owner: &OwnerFigures) -> [Judged; 2] {
     let (account, held, tampered) = (&owner.owner, owner.life.quarantined, owner.life.tampered);
     let text = format!(
@@ -241,7 +226,6 @@ fn records(owner: &OwnerFigures) -> [Judged; 2] {
     [held, Judged::new(format!("tampered/{account}"), Severity::Critical, firing(tampered > 0), text)]
 }
 
-/// A part of the site; nothing if this run does not have it.
 fn part(figures: &Figures, name: &str, text: &str) -> Option<Judged> {
     let part = figures.parts.iter().find(|part| part.part == name)?;
     let level = match part.level {
@@ -252,7 +236,7 @@ fn part(figures: &Figures, name: &str, text: &str) -> Option<Judged> {
     Some(Judged::new(name, Severity::Critical, level, text))
 }
 
-/// Stages that stand still; the part is there only while one does.
+/// The part exists only while a stage stands still.
 fn stages(figures: &Figures) -> Judged {
     let stands = figures.parts.iter().any(|part| part.part == "stages" && part.level == HealthLevel::Failed);
     let text = "A stage of this site has work and makes no progress; it is restarted, nothing acknowledged is lost. See \
@@ -264,34 +248,26 @@ fn firing(is_trouble: bool) -> Level {
     if is_trouble { Level::Firing } else { Level::Clear }
 }
 
-/// Over a limit, or at least a tenth below it.
-fn over(value: u64, limit: u64) -> Level {
+fn over(value: u128, limit: u128) -> Level {
     if value > limit {
         return Level::Firing;
     }
     if value <= limit - limit / 10 { Level::Clear } else { Level::Between }
 }
 
-/// An age, nanoseconds.
-fn aged(age: u64, limit: Duration, settled: bool) -> Level {
-    match over(age, nanos(limit)) {
+fn aged(age: Duration, limit: Duration, settled: bool) -> Level {
+    match over(age.as_nanos(), limit.as_nanos()) {
         Level::Firing if !settled => Level::Between,
         level => level,
     }
 }
 
-/// Nanoseconds from one moment to a later one.
-fn passed(now: Timestamp, then: Timestamp) -> u64 {
-    now.0.saturating_sub(then.0)
+fn passed(now: Timestamp, then: Timestamp) -> Duration {
+    Duration::from_nanos(now.0.saturating_sub(then.0))
 }
 
-fn nanos(length: Duration) -> u64 {
-    u64::try_from(length.as_nanos()).unwrap_or(u64::MAX)
-}
-
-/// A duration for people.
-fn words(nanos: u64) -> String {
-    match nanos / 1_000_000_000 {
+fn words(age: Duration) -> String {
+    match age.as_secs() {
         seconds if seconds < 120 => format!("{seconds} s"),
         seconds if seconds < 7200 => format!("{} min", seconds / 60),
         seconds => format!("{} h", seconds / 3600),

@@ -1,5 +1,4 @@
-//! Deliveries: over HTTP, as JSON with a signature over time and body or in Alertmanager's format; or by a command of
-//! the operator.
+//! Deliveries by HTTP, signed JSON or Alertmanager's format, or by a command.
 
 use std::io::Write as _;
 use std::os::unix::process::CommandExt as _;
@@ -21,16 +20,12 @@ use crate::failure::{input, refused};
 use crate::model::{ErrorKind, Timestamp, clean};
 use crate::reply::Failure;
 
-/// How long a delivery may take from connecting to the answer.
 const PATIENCE: Duration = Duration::from_secs(10);
-/// The most bytes of an answer that are read.
 const MOST_READ: usize = 512;
-/// Answers about the delivery itself, not about the address or the moment: it is malformed, too large, not to be processed.
+/// Malformed, too large, unprocessable: about the delivery, not the address or the moment.
 const JUDGED: [u16; 3] = [400, 413, 422];
-/// The longest secret file, bytes.
 const LONGEST_SECRET: usize = 4096;
 
-/// A server that accepts deliveries.
 pub struct Webhook {
     client: reqwest::Client,
     url: reqwest::Url,
@@ -39,14 +34,13 @@ pub struct Webhook {
 }
 
 impl Webhook {
-    /// At this URL; `secret` is the file with the signing secret.
     pub fn new(url: &str, form: AlertForm, secret: Option<&Path>, roots: Option<&Path>) -> Result<Self, Failure> {
         let unusable = || input("alerts.webhook is not a server address; use http:// or https://HOST:PORT/PATH");
         let mut url = reqwest::Url::parse(url).map_err(|_| unusable())?;
         if form == AlertForm::Alertmanager && !url.path().ends_with("/api/v2/alerts") {
             url.path_segments_mut().map_err(|()| unusable())?.pop_if_empty().extend(["api", "v2", "alerts"]);
         }
-        // Redirects are not followed: only the named server gets the alert.
+        // No redirects: only the named server gets the alert.
         let client = reqwest::Client::builder().no_proxy().redirect(reqwest::redirect::Policy::none());
         let client = if url.scheme() == "https" {
             let tls = authros_tls::tls(roots).map_err(|why| input(format!("{why}; check alerts.roots")))?;
@@ -60,10 +54,6 @@ impl Webhook {
         Ok(Self { client, url, form, secret })
     }
 
-    /// Delivers, and returns the reply.
-    ///
-    /// # Errors
-    /// Kind `Unreachable` if nothing answered, `Refused` if the answer is not a success.
     pub async fn carry(&self, delivery: &Delivery, dropped: u64) -> Result<String, Undelivered> {
         let body = match self.form {
             AlertForm::Authros => delivery.body(dropped),
@@ -84,24 +74,17 @@ impl Webhook {
             return Ok(told);
         }
         let host = self.host();
+        let at = |who: &str, what: &str, advice: &str| format!("the {who} at {host} {what} ({told}); {advice}");
         let failure = refused(match (place, status.as_u16()) {
             (Some(place), code) => format!(
                 "the webhook at {host} answered {code} and points at {place}, which is not followed; set alerts.webhook \
                  to that address"
             ),
-            (None, 401) => {
-                format!("the webhook at {host} wants a user name and password ({told}); check alerts.webhook")
-            }
-            (None, 404) => format!("the webhook at {host} has nothing at this path ({told}); check alerts.webhook"),
-            (None, 413) => format!("the webhook at {host} finds the delivery too large ({told}); raise its limit"),
-            (None, 429) => {
-                format!(
-                    "the webhook at {host} limits how often it accepts alerts ({told}); this one is sent again later"
-                )
-            }
-            (None, 502..=504) => {
-                format!("the server at {host} does not reach its webhook ({told}); check that it is running")
-            }
+            (None, 401) => at("webhook", "wants a user name and password", "check alerts.webhook"),
+            (None, 404) => at("webhook", "has nothing at this path", "check alerts.webhook"),
+            (None, 413) => at("webhook", "finds the delivery too large", "raise its limit"),
+            (None, 429) => at("webhook", "limits how often it accepts alerts", "this one is sent again later"),
+            (None, 502..=504) => at("server", "does not reach its webhook", "check that it is running"),
             (None, _) => format!("the webhook at {host} answered {told}; check its log and alerts.secret"),
         });
         Err(Undelivered { failure, is_judged: JUDGED.contains(&status.as_u16()) })
@@ -125,14 +108,13 @@ impl Webhook {
     }
 }
 
-/// The place that a redirect names.
 fn redirect(asked: &reqwest::Url, answer: &reqwest::Response) -> Option<String> {
     let location = answer.headers().get(reqwest::header::LOCATION).and_then(|place| place.to_str().ok());
     let is_redirect = matches!(answer.status().as_u16(), 301..=303 | 307 | 308);
     is_redirect.then(|| authros_tls::redirected(asked, location))
 }
 
-/// The beginning of an answer, for people; a server cannot hold us up with a long one.
+/// Bounded: a long answer must not block.
 async fn beginning(mut answer: reqwest::Response) -> String {
     let mut bytes = Vec::new();
     while bytes.len() < MOST_READ {
@@ -142,7 +124,6 @@ async fn beginning(mut answer: reqwest::Response) -> String {
     clean(String::from_utf8_lossy(&bytes).trim(), 200)
 }
 
-/// HMAC-SHA256 over time, a dot and the body.
 fn signature(secret: &[u8], time: &str, body: &[u8]) -> String {
     // HMAC takes keys of any length.
     let Ok(mut mac) = Hmac::<Sha256>::new_from_slice(secret) else { return String::new() };
@@ -153,7 +134,7 @@ fn signature(secret: &[u8], time: &str, body: &[u8]) -> String {
     format!("sha256={}", digest.iter().map(|byte| format!("{byte:02x}")).collect::<String>())
 }
 
-/// The body of `POST /api/v2/alerts`: no end means that the alert is active.
+/// Alertmanager's `POST /api/v2/alerts`: no end = active.
 fn alertmanager(delivery: &Delivery, dropped: u64) -> Vec<u8> {
     let alert = &delivery.alert;
     let (rule, subject) = alert.key.split_once('/').unwrap_or((&alert.key, ""));
@@ -167,7 +148,7 @@ fn alertmanager(delivery: &Delivery, dropped: u64) -> Vec<u8> {
         "annotations": { "summary": alert.text, "dropped": dropped.to_string() },
         "startsAt": alert.begun,
     });
-    // A test alert ends at once. None may end before it began, as it seems where the clock was set back.
+    // A test ends when it begins. A clock set back must not end an alert before its beginning.
     let ended = delivery.ended.map(|ended| ended.max(alert.begun));
     let ended = ended.or((delivery.state == News::Test).then_some(alert.begun));
     if let (Some(ended), Some(fields)) = (ended, one.as_object_mut()) {
@@ -176,15 +157,12 @@ fn alertmanager(delivery: &Delivery, dropped: u64) -> Vec<u8> {
     serde_json::to_vec(&[one]).unwrap_or_default()
 }
 
-/// How long it may run.
 pub const COMMAND_PATIENCE: Duration = Duration::from_secs(30);
-/// How often to check whether it has ended.
 const LOOK: Duration = Duration::from_millis(20);
-/// The part of this process's environment that it gets.
+/// The environment variables that the command inherits.
 const ENVIRONMENT: [&str; 3] = ["PATH", "HOME", "LANG"];
 
-/// Whether somebody waits for a program. The caller that ends the wait kills it, because a process that is ending may leave
-/// no time for the thread that supervises it.
+/// Killed by the caller that stops waiting: an ending process may leave its supervising thread no time.
 #[derive(Debug, Default)]
 pub struct Wanted(Mutex<State>);
 
@@ -192,14 +170,11 @@ pub struct Wanted(Mutex<State>);
 enum State {
     #[default]
     Waits,
-    /// Running, in a process group of its own.
     Runs(Pid),
-    /// Nobody waits any more, or it has ended.
     Over,
 }
 
 impl Wanted {
-    /// Nobody waits any more: a running program is killed, and none is started.
     pub fn end(&self) {
         end(&mut self.state());
     }
@@ -211,25 +186,21 @@ impl Wanted {
 
 fn end(state: &mut State) {
     if let State::Runs(group) = std::mem::replace(state, State::Over) {
-        // It may have ended in the meantime; then there is nothing to kill.
+        // It may have ended already.
         let _ = kill_process_group(group, Signal::KILL);
     }
 }
 
-/// Runs it to its end, for at most `patience` and only while it is wanted, and returns how it ended.
-///
-/// # Errors
-/// Kind `Unreachable` if it cannot be started, `Refused` if it failed, took too long or is no longer wanted.
 pub fn run(words: &[String], body: &[u8], patience: Duration, wanted: &Wanted) -> Result<String, Failure> {
     let Some((program, arguments)) = words.split_first() else { return Err(refused("alerts.command is empty")) };
     let shown = clean(program, 100);
     let mut command = Command::new(program);
     command.args(arguments).stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null()).env_clear();
     command.envs(ENVIRONMENT.iter().filter_map(|name| Some((name, std::env::var_os(name)?))));
-    // A process group of its own, so that its children end with it.
+    // Its own process group, so that its children end with it.
     command.process_group(0).current_dir("/");
     let mut child = begun(&mut command, wanted, &shown)?;
-    // A pipe holds many such bodies; a program that does not read its input is not an error.
+    // The pipe holds the whole body; a program may ignore its input.
     if let Some(mut stdin) = child.stdin.take() {
         drop(stdin.write_all(body));
     }
@@ -253,14 +224,13 @@ fn begun(command: &mut Command, wanted: &Wanted, shown: &str) -> Result<Child, F
     Ok(child)
 }
 
-/// How it ended; `None` = it was killed.
 fn ended(child: &mut Child, patience: Duration, wanted: &Wanted) -> Option<ExitStatus> {
     let begun = Instant::now();
     while begun.elapsed() < patience {
         let mut state = wanted.state();
         match child.try_wait() {
             Ok(Some(status)) => {
-                // Its number may belong to another process from now on.
+                // Another process may reuse its number.
                 let killed = std::mem::replace(&mut *state, State::Over) == State::Over;
                 return Some(status).filter(|_| !killed);
             }

@@ -1,15 +1,11 @@
-//! Figures in Prometheus's text format: names, units and types as its documentation asks, labels from a bounded set.
-
-use super::{BOUNDS, Figures, Latency, LifeLine, OwnerFigures};
+use super::{BOUNDS, Figures, LaneFigures, Latency, LifeLine, OwnerFigures, TopicFigures};
 use crate::model::Timestamp;
-use crate::reply::HealthLevel;
+use crate::reply::{HealthLevel, TaskState};
 
-/// The content type of the text.
 pub const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
 
 type Labels<'a> = &'a [(&'a str, &'a str)];
 
-/// The text of the figures as it grows.
 #[derive(Default)]
 struct Text(String);
 
@@ -33,22 +29,23 @@ impl Text {
         self.value(name, &[], value);
     }
 
-    /// A family with one value for each of `rows`; nothing if there are none.
-    fn family<Row>(
+    fn family<'r, Row, Value: std::fmt::Display, const LABELS: usize>(
         &mut self,
-        (name, kind, help): (&str, &str, &str),
-        rows: &[Row],
-        mut each: impl FnMut(&mut Self, &str, &Row),
+        name: &str,
+        kind: &str,
+        help: &str,
+        rows: &'r [Row],
+        each: impl Fn(&'r Row) -> ([(&'static str, &'r str); LABELS], Value),
     ) {
-        if rows.is_empty() {
-            return;
+        if !rows.is_empty() {
+            self.begin(name, kind, help);
         }
-        self.begin(name, kind, help);
-        rows.iter().for_each(|row| each(self, name, row));
+        for (labels, value) in rows.iter().map(each) {
+            self.value(name, &labels, value);
+        }
     }
 }
 
-/// A label's value, escaped for its quotes.
 fn escaped(text: &str) -> String {
     text.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n")
 }
@@ -63,19 +60,15 @@ pub fn text(figures: &Figures) -> String {
     line(&mut text, figures);
     chain(&mut text, figures);
     health(&mut text, figures);
-    figures.latencies.first().inspect(|_| {
-        text.begin(
-            "authros_latency_seconds",
-            "histogram",
-            "Time from capture to a milestone; the sum is at most 1/16 too high.",
-        );
-    });
+    if !figures.latencies.is_empty() {
+        let help = "Time from capture to a milestone; the sum is at most 1/16 too high.";
+        text.begin("authros_latency_seconds", "histogram", help);
+    }
     figures.latencies.iter().for_each(|latency| histogram(&mut text, latency));
     text.0
 }
 
-/// The terms of the balance: captured = the sum of the states of `authros_records`.
-fn terms(life: &LifeLine) -> [(&'static str, u64); 6] {
+fn states(life: &LifeLine) -> [(&'static str, u64); 6] {
     [
         ("verified", life.verified),
         ("pending", life.pending),
@@ -86,68 +79,65 @@ fn terms(life: &LifeLine) -> [(&'static str, u64); 6] {
     ]
 }
 
+fn losses(life: &LifeLine) -> [(&'static str, u64); 2] {
+    [("transport", life.lost_in_transport), ("recorder", life.lost_in_recorder)]
+}
+
 fn records(text: &mut Text, figures: &Figures) {
+    fn by(row: &OwnerFigures) -> [(&'static str, &str); 1] {
+        [("owner", &row.owner)]
+    }
+    fn split<const TERMS: usize>(
+        owners: &[OwnerFigures],
+        terms: fn(&LifeLine) -> [(&'static str, u64); TERMS],
+    ) -> Vec<(&str, &'static str, u64)> {
+        owners.iter().flat_map(|row| terms(&row.life).map(|(term, count)| (&*row.owner, term, count))).collect()
+    }
     let owners = &figures.owners;
-    let of = |text: &mut Text, name: &str, row: &OwnerFigures, value: u64| {
-        text.value(name, &[("owner", &row.owner)], value);
-    };
     let help = "Messages captured, including those dropped later.";
-    text.family(("authros_records_captured_total", "counter", help), owners, |text, name, row| {
-        of(text, name, row, row.life.captured);
-    });
+    text.family("authros_records_captured_total", "counter", help, owners, |row| (by(row), row.life.captured));
     let help = "Data records by state; their sum is authros_records_captured_total.";
-    text.family(("authros_records", "gauge", help), owners, |text, name, row| {
-        for (state, count) in terms(&row.life) {
-            text.value(name, &[("owner", &row.owner), ("state", state)], count);
-        }
+    text.family("authros_records", "gauge", help, &split(owners, states), |(owner, state, count)| {
+        ([("owner", owner), ("state", state)], count)
     });
     let help = "1 if captured equals the sum of all states, overall and per topic; otherwise 0.";
-    text.family(("authros_records_conserved", "gauge", help), owners, |text, name, row| {
-        of(text, name, row, u64::from(row.life.conserved));
-    });
+    text.family("authros_records_conserved", "gauge", help, owners, |row| (by(row), u64::from(row.life.conserved)));
     let help = "Messages that did not become records: transport (never arrived), recorder (no room or no key).";
-    text.family(("authros_losses_total", "counter", help), owners, |text, name, row| {
-        for (place, count) in [("transport", row.life.lost_in_transport), ("recorder", row.life.lost_in_recorder)] {
-            text.value(name, &[("owner", &row.owner), ("place", place)], count);
-        }
+    text.family("authros_losses_total", "counter", help, &split(owners, losses), |(owner, place, count)| {
+        ([("owner", owner), ("place", place)], count)
     });
     let help = "Quarantined records that the operator discarded.";
-    text.family(("authros_records_discarded_total", "counter", help), owners, |text, name, row| {
-        of(text, name, row, row.life.discarded);
-    });
+    text.family("authros_records_discarded_total", "counter", help, owners, |row| (by(row), row.life.discarded));
 }
 
 fn topics(text: &mut Text, figures: &Figures) {
-    let rows: Vec<_> =
-        figures.owners.iter().flat_map(|owner| owner.topics.iter().map(move |topic| (&owner.owner, topic))).collect();
+    fn by<'a>((owner, topic): &(&'a str, &'a TopicFigures)) -> [(&'static str, &'a str); 2] {
+        [("owner", owner), ("topic", &topic.topic)]
+    }
+    let owners = figures.owners.iter();
+    let rows: Vec<_> = owners.flat_map(|row| row.topics.iter().map(move |topic| (&*row.owner, topic))).collect();
     let help = "Messages of a topic that were captured.";
-    text.family(("authros_topic_captured_total", "counter", help), &rows, |text, name, (owner, row)| {
-        text.value(name, &[("owner", owner), ("topic", &row.topic)], row.captured);
-    });
+    text.family("authros_topic_captured_total", "counter", help, &rows, |row| (by(row), row.1.captured));
     let help = "Records of a topic that are verified.";
-    text.family(("authros_topic_verified_records", "gauge", help), &rows, |text, name, (owner, row)| {
-        text.value(name, &[("owner", owner), ("topic", &row.topic)], row.verified);
-    });
+    text.family("authros_topic_verified_records", "gauge", help, &rows, |row| (by(row), row.1.verified));
     let help = "Messages of a topic that never arrived.";
-    text.family(("authros_topic_missed_total", "counter", help), &rows, |text, name, (owner, row)| {
-        text.value(name, &[("owner", owner), ("topic", &row.topic)], row.missed);
-    });
+    text.family("authros_topic_missed_total", "counter", help, &rows, |row| (by(row), row.1.missed));
 }
 
 fn ages(text: &mut Text, figures: &Figures) {
     let age = |moment: Option<Timestamp>| moment.map_or(0.0, |moment| figures.age(moment));
     let help = "Age of the oldest record not yet in a block; 0 if all are.";
-    text.family(("authros_oldest_unanchored_age_seconds", "gauge", help), &figures.owners, |text, name, row| {
-        text.value(name, &[("owner", &row.owner)], age(row.oldest_unanchored));
+    text.family("authros_oldest_unanchored_age_seconds", "gauge", help, &figures.owners, |row| {
+        ([("owner", &row.owner)], age(row.oldest_unanchored))
     });
     let help = "Time since a robot's newest record was captured, by the robot's clock.";
-    text.family(("authros_robot_last_seen_age_seconds", "gauge", help), &figures.robots, |text, name, row| {
-        text.value(name, &[("robot", &row.robot)], figures.age(row.last_seen));
+    text.family("authros_robot_last_seen_age_seconds", "gauge", help, &figures.robots, |row| {
+        ([("robot", &row.robot)], figures.age(row.last_seen))
     });
     let help = "Time until a grant ends; the first 64 to end of those given, and of those received from contacts.";
     let grants = figures.grants.as_deref().unwrap_or_default();
-    text.family(("authros_grant_ends_seconds", "gauge", help), grants, |text, name, row| {
-        text.value(name, &[("owner", &row.owner), ("reader", &row.reader)], figures.until(row.ends));
+    text.family("authros_grant_ends_seconds", "gauge", help, grants, |row| {
+        ([("owner", &row.owner), ("reader", &row.reader)], figures.until(row.ends))
     });
     let help = "Age of the oldest audit log line not covered by an anchored head; 0 if all are covered.";
     text.single("authros_audit_unanchored_age_seconds", "gauge", help, age(figures.audit_unanchored));
@@ -158,31 +148,19 @@ fn line(text: &mut Text, figures: &Figures) {
     let queue = &figures.queue;
     text.single("authros_queue_messages", "gauge", "Messages in memory waiting to be sealed.", queue.messages);
     text.single("authros_queue_bytes", "gauge", "Bytes of messages waiting to be sealed.", queue.bytes);
-    text.single(
-        "authros_queue_capacity_bytes",
-        "gauge",
-        "Limit for bytes of messages waiting to be sealed.",
-        queue.capacity,
-    );
+    let help = "Limit for bytes of messages waiting to be sealed.";
+    text.single("authros_queue_capacity_bytes", "gauge", help, queue.capacity);
     cache(text, figures);
     text.single("authros_gaps_untold", "gauge", "Losses not yet reported in a gap record.", figures.untold_gaps);
     if let Some((free, reserve)) = figures.disk {
         text.single("authros_disk_free_bytes", "gauge", "Free space on the disk of the home.", free);
-        text.single(
-            "authros_disk_reserve_bytes",
-            "gauge",
-            "Free space below which no record is acknowledged.",
-            reserve,
-        );
+        let help = "Free space below which no record is acknowledged.";
+        text.single("authros_disk_reserve_bytes", "gauge", help, reserve);
     }
     let help = "Time that a pipeline stage spent working.";
-    text.family(
-        ("authros_stage_busy_seconds_total", "counter", help),
-        &figures.busy,
-        |text, name, (stage, seconds)| {
-            text.value(name, &[("stage", stage)], seconds);
-        },
-    );
+    text.family("authros_stage_busy_seconds_total", "counter", help, &figures.busy, |(stage, seconds)| {
+        ([("stage", stage)], seconds)
+    });
 }
 
 fn cache(text: &mut Text, figures: &Figures) {
@@ -201,52 +179,45 @@ fn cache(text: &mut Text, figures: &Figures) {
 }
 
 fn chain(text: &mut Text, figures: &Figures) {
+    fn by(row: &LaneFigures) -> [(&'static str, &str); 1] {
+        [("account", &row.account)]
+    }
     if let Some((number, time)) = figures.block {
         text.single("authros_chain_block_height", "gauge", "Height of the newest block.", number);
         let help = "Time since the newest block, by that block's own time.";
         text.single("authros_last_block_age_seconds", "gauge", help, figures.age(time));
     }
+    let (lanes, age) = (&figures.lanes, |oldest| figures.age(oldest));
     let help = "Transactions of a lane that are not in a block yet.";
-    text.family(("authros_lane_open_transactions", "gauge", help), &figures.lanes, |text, name, row| {
-        text.value(name, &[("account", &row.account)], row.open);
-    });
+    text.family("authros_lane_open_transactions", "gauge", help, lanes, |row| (by(row), row.open));
     let help = "Age of a lane's oldest open transaction; 0 if there is none.";
-    text.family(("authros_lane_oldest_age_seconds", "gauge", help), &figures.lanes, |text, name, row| {
-        text.value(name, &[("account", &row.account)], row.oldest.map_or(0.0, |oldest| figures.age(oldest)));
-    });
+    text.family("authros_lane_oldest_age_seconds", "gauge", help, lanes, |row| (by(row), row.oldest.map_or(0.0, age)));
     let help = "1 if a lane is stuck until somebody intervenes; otherwise 0.";
-    text.family(("authros_lane_paused", "gauge", help), &figures.lanes, |text, name, row| {
-        text.value(name, &[("account", &row.account)], u8::from(row.paused));
-    });
+    text.family("authros_lane_paused", "gauge", help, lanes, |row| (by(row), u8::from(row.paused)));
 }
 
 fn health(text: &mut Text, figures: &Figures) {
     let help = "1 if a part of the site works; 0 if it is starting, retrying, or has failed.";
-    text.family(("authros_part_up", "gauge", help), &figures.parts, |text, name, row| {
-        text.value(name, &[("part", &row.part)], u8::from(row.level == HealthLevel::Ok));
+    text.family("authros_part_up", "gauge", help, &figures.parts, |row| {
+        ([("part", &row.part)], u8::from(row.level == HealthLevel::Ok))
     });
     let help = "Seconds by which the machine's clock is ahead of the time used for grants and loans; negative if it is \
                 behind.";
     text.single("authros_clock_ahead_seconds", "gauge", help, figures.clock_ahead);
     text.begin("authros_tasks", "gauge", "Background tasks by state.");
-    let resting = figures.resting();
+    let resting = figures.tasks.iter().filter(|task| task.state == TaskState::Resting).count();
     text.value("authros_tasks", &[("state", "running")], figures.tasks.len() - resting);
     text.value("authros_tasks", &[("state", "resting")], resting);
     if let Some(gateway) = &figures.gateway {
         text.single("authros_gateway_connections", "gauge", "Open connections of the gateway.", gateway.connections);
         let help = "Frames and connections that the gateway refused, by the protocol's code.";
-        text.family(
-            ("authros_gateway_refused_total", "counter", help),
-            &gateway.refused,
-            |text, name, (code, count)| {
-                text.value(name, &[("code", &code.to_string())], count);
-            },
-        );
+        let refused: Vec<_> = gateway.refused.iter().map(|(code, count)| (code.to_string(), count)).collect();
+        text.family("authros_gateway_refused_total", "counter", help, &refused, |(code, count)| {
+            ([("code", code)], count)
+        });
     }
     let help = "Active alerts of the site itself, by rule.";
-    text.family(("authros_alerts", "gauge", help), &figures.alerts, |text, name, (rule, count)| {
-        text.value(name, &[("rule", rule)], count);
-    });
+    text.family("authros_alerts", "gauge", help, &figures.alerts, |(rule, count)| ([("rule", rule)], count));
     let (waiting, dropped) = figures.deliveries;
     text.single("authros_alert_deliveries_waiting", "gauge", "Alert deliveries that are queued.", waiting);
     let help = "Alert deliveries dropped because the queue was full, and not yet reported by another delivery.";
@@ -267,7 +238,7 @@ fn histogram(text: &mut Text, latency: &Latency) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::service::figures::{RobotFigures, TopicFigures};
+    use crate::service::figures::RobotFigures;
 
     fn figures() -> Figures {
         let life = LifeLine {

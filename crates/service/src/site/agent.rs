@@ -1,5 +1,4 @@
-//! The agent: a site without a chain, on a robot or its host. It captures in its owner's name, within its enrolment,
-//! and forwards everything to its gateway.
+//! The agent: a site without a chain, on a robot. It captures for its owner and forwards everything to a gateway.
 
 mod policy;
 
@@ -11,11 +10,10 @@ use std::time::{Duration, Instant};
 use serde::Serialize;
 use tokio::task::{JoinHandle, block_in_place};
 
-use self::policy::{AgentPolicy, PolicyFigures, warn_of_key};
+use self::policy::{AgentPolicy, PolicyFigures, PolicyKeeper};
 use super::Site;
 use crate::config::RingSettings;
 use crate::crypto::{Enrolment, SealedEnrolment, random_bytes};
-use crate::event::NoticeLevel;
 use crate::failure::{internal, refused};
 use crate::gateway::Context;
 use crate::model::{
@@ -25,73 +23,57 @@ use crate::pipeline::disk_ring::{Brought, Pulls, SharedRing, Step};
 use crate::pipeline::forwarder::{CopyKeeping, Forwarder, Link, Robot};
 use crate::pipeline::notices::Notices;
 use crate::pipeline::session::TopicFigures;
-use crate::pipeline::{Author, CaptureSession, Observer as _, recorder_heads};
+use crate::pipeline::{Author, CaptureSession, recorder_heads};
 use crate::reply::Failure;
 use crate::store::{DiskRing, RingFigures, StateCounts, TopicCounts};
 
-/// How long the gateway may take to answer.
 const PATIENCE: Duration = Duration::from_secs(10);
-/// Interval between looks at the figures.
 const LOOK: Duration = Duration::from_millis(200);
 
-/// What an agent is to capture.
 #[derive(Debug, Clone, Default)]
 pub struct AgentWishes {
-    /// The topics; empty = all those of the enrolment.
+    /// Empty = every topic of the enrolment.
     pub topics: Vec<TopicName>,
-    /// Tags for every record.
     pub tags: Vec<(String, String)>,
-    /// This many messages of each topic.
     pub count: Option<u64>,
     pub length: Option<Duration>,
 }
 
-/// The state of an agent. Messages are those of its whole outbox, over all its runs.
+/// Counts cover the whole outbox, over all runs, except `lost`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct AgentFigures {
-    /// N, its name at the gateway.
     pub name: ProfileName,
-    /// Acknowledged: sealed and fsynced on this machine.
+    /// Sealed and fsynced on this machine.
     pub captured: u64,
-    /// Of these, those that the gateway has signed for.
+    /// Signed for by the gateway.
     pub accepted: u64,
-    /// Of these, those that are verified at the gateway.
     pub verified: u64,
-    /// Messages of this run that were not captured: lost in transport, or dropped because the ring was full or there
-    /// was no key.
+    /// Lost in transport, or dropped for lack of room or of a key, in this run.
     pub lost: u64,
-    /// Captured and not verified yet.
     pub pending: u64,
     /// Damaged here, or altered at the gateway after it signed for them.
     pub tampered: u64,
-    /// Whether the gateway answers, in words.
     pub gateway: String,
-    /// What it keeps of topics that nobody watches, if it keeps a ring.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ring: Option<RingFigures>,
-    /// The policy that its owner set, if there ever was one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub policy: Option<PolicyFigures>,
 }
 
-/// Why an agent's work is over.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum AgentEnd {
-    /// Everything requested is captured, and its fate is known.
     Done,
-    /// Everything requested is captured; the gateway does not accept it from this robot.
+    /// Everything is captured, but the gateway does not accept it from this robot.
     Refused,
-    /// It was told to end.
     Told,
 }
 
-/// An agent at work.
 pub struct Agent {
     site: Arc<Site>,
     name: ProfileName,
     device: SignerId,
     author: Arc<Author>,
-    /// The first covers all topics at the start; there is another for each topic that the owner has added since.
+    /// The first covers the topics at the start; each topic added later has another.
     sessions: Vec<Arc<CaptureSession>>,
     topics: Vec<String>,
     ring: Option<AgentRing>,
@@ -101,63 +83,51 @@ pub struct Agent {
     refused: Arc<Mutex<HashSet<Digest>>>,
     /// Messages in the outbox when this run began.
     before: u64,
-    /// When the topics' numbers were last looked at.
     seen: Option<std::time::Instant>,
     forwarder: JoinHandle<()>,
 }
 
 impl Agent {
-    /// Starts to capture and to forward.
-    ///
-    /// # Errors
-    /// If a topic is not covered, or a file of the home cannot be used; a gateway or master that does not answer is
-    /// waited for.
+    /// Starts capturing and forwarding; a gateway or master that does not answer may come later.
     pub async fn start(site: &Arc<Site>, mut sealed: SealedEnrolment, wishes: AgentWishes) -> Result<Self, Failure> {
         let kept = SealedEnrolment::kept_in(site.parts.home.root());
         sealed.catch_up(&kept)?;
         let enrolment = &sealed.enrolment;
-        let mut policy = block_in_place(|| AgentPolicy::open(&site.plant.ledger.notes, enrolment))?;
+        let (owner, device) = (enrolment.owner, enrolment.device_id());
+        let mut policy = block_in_place(|| {
+            let keeper = PolicyKeeper::open(&site.plant.ledger.notes, enrolment.domain, owner, device)?;
+            AgentPolicy::open(&site.plant.ledger.notes, keeper)
+        })?;
         policy.rule(site, &wishes);
         let ring = policy.ring(&site.parts.config);
         let topics = match policy.watched() {
             Some(watched) => watched,
             None => topics(enrolment, &wishes.topics, ring.as_ref().map(|ring| &ring.topics))?,
         };
-        let device = enrolment.device_id();
         site.parts.log.write(&enrolment.name, "agent", &device.to_string(), "begun").await?;
-        let author = Arc::new(Author::new(enrolment.owner));
+        let author = Arc::new(Author::new(owner));
         author.obey(enrolment);
         let (name, forwarder) = (enrolment.name.clone(), block_in_place(|| forwarder(site, enrolment))?);
         let (provider, observer) = (site.plant.provider, Arc::clone(&site.plant.observer));
         let keeper = Arc::clone(&policy.keeper) as _;
         let notices = Notices::new(provider, observer, Arc::clone(&author), sealed, kept, keeper);
-        let mut ring = ring.map(|ring| AgentRing::begin(site, &author, ring)).transpose()?;
+        let ring = ring.map(|ring| AgentRing::begin(site, &author, ring)).transpose()?;
         policy.has_ring.store(ring.is_some(), Ordering::Release);
         let notices = notices.with_ring_while(site.plant.ledger.notes.clone(), &policy.has_ring);
         let named = notices.gateway();
         let forwarder = forwarder.with_errand(Box::new(notices)).following(named);
         let before = site.plant.ledger.counts.by_state(None)?.acknowledged;
-        let session = Arc::new(CaptureSession::unfollowed(&topics, wishes.count, wishes.tags.clone()));
-        for topic in &topics {
-            site.recorder.join(topic, &author, None, &session);
-            warn_of_key(site, &author, &name, topic);
-        }
-        if let Some(ring) = &mut ring {
-            ring.follow(site, &author, &topics);
-        }
-        site.ros.wishes_changed();
         let (link, refused) = (forwarder.link(), forwarder.refused());
         site.gateway.passes_on(link.clone());
         let forwarder = Arc::new(tokio::sync::Mutex::new(forwarder));
         let forwarder = site.supervise("forwarder", move |site| forward(site, Arc::clone(&forwarder)));
-        let (site, sessions) = (Arc::clone(site), vec![session]);
-        Ok(Self {
-            site,
+        let mut agent = Self {
+            site: Arc::clone(site),
             name,
             device,
             author,
-            sessions,
-            topics,
+            sessions: Vec::new(),
+            topics: Vec::new(),
             ring,
             policy,
             wishes,
@@ -166,23 +136,21 @@ impl Agent {
             before,
             seen: None,
             forwarder,
-        })
+        };
+        agent.watch(&topics);
+        if let Some(ring) = &mut agent.ring {
+            ring.follow(&agent.topics);
+        }
+        Ok(agent)
     }
 
-    /// Works until everything requested is verified, or until `told`. `progress` gets the figures when they have
-    /// changed, once a second.
+    /// Works until everything requested is verified, or until `told`; calls `progress` at most once a second.
     pub async fn run(
         &mut self,
         told: impl Future,
         mut progress: impl FnMut(&AgentFigures),
     ) -> Result<AgentEnd, Failure> {
-        let length = self.wishes.length;
-        let time_is_up = async {
-            match length {
-                Some(length) => tokio::time::sleep(length).await,
-                None => std::future::pending().await,
-            }
-        };
+        let time_is_up = tokio::time::sleep(self.wishes.length.unwrap_or(Duration::MAX));
         tokio::pin!(told, time_is_up);
         let (mut up, mut looks, mut shown) = (false, 0u32, None);
         loop {
@@ -201,13 +169,18 @@ impl Agent {
                 shown = Some(figures);
             }
             looks = looks.wrapping_add(1);
-            self.warn_of_epoch();
+            if self.author.sealing().is_none() {
+                self.site.parts.hub.alarm(
+                    "this robot's epoch has ended and its owner has not sent the next key: nothing is captured until \
+                     the notice arrives or the robot is enrolled again",
+                );
+            }
             self.follow_policy();
             self.follow_topics();
             if let Some(ring) = &mut self.ring {
-                ring.follow(&self.site, &self.author, &self.topics);
-                // They are in the outbox, but this run did not capture them for it.
-                self.before += ring.work(&self.site);
+                ring.follow(&self.topics);
+                // They are in the outbox, but this run did not capture them.
+                self.before += ring.work();
             }
             self.state_heads();
             if let Some(end) = self.end(&counts) {
@@ -216,7 +189,6 @@ impl Agent {
         }
     }
 
-    /// States how far the numbers of this robot's recorder have come, if its keys cover that and it is time.
     fn state_heads(&mut self) {
         let Some(keys) = self.author.sealing() else { return };
         let (plant, every) = (&self.site.plant, self.site.parts.config.audit_every);
@@ -224,34 +196,17 @@ impl Agent {
             Ok(Some(_)) => self.site.parts.hub.stored.notify_waiters(),
             Ok(None) => {}
             Err(error) => {
-                let text = format!("the recorder's head could not be recorded: {error}");
-                self.site.parts.hub.notice(NoticeLevel::Error, &text);
+                self.site.parts.hub.alarm(&format!("the recorder's head could not be recorded: {error}"));
             }
         }
     }
 
-    /// Captures what the owner has added since, if the enrolment decides what is captured.
     fn follow_topics(&mut self) {
         let is_chosen = !self.wishes.topics.is_empty() || self.policy.watched().is_some();
         if is_chosen || self.sessions.iter().all(|session| session.is_closed()) {
             return;
         }
-        let covered = self.author.sealing().and_then(|keys| keys.names()).unwrap_or_default();
-        for topic in covered.into_iter().filter(|topic| topic.parse::<TopicName>().is_ok()) {
-            let is_for_ring = self.ring.as_ref().is_some_and(|ring| ring.takes(&topic));
-            if is_for_ring || self.topics.contains(&topic) {
-                continue;
-            }
-            self.watch(&[topic]);
-        }
-    }
-
-    fn warn_of_epoch(&self) {
-        if self.author.sealing().is_none() {
-            let text = "this robot's epoch has ended and its owner has not sent the next key: nothing is captured \
-                        until the notice arrives or the robot is enrolled again";
-            self.site.parts.hub.alert(true, text.to_owned());
-        }
+        self.watch_new(&self.wanted().unwrap_or_default());
     }
 
     fn end(&self, counts: &StateCounts) -> Option<AgentEnd> {
@@ -277,6 +232,7 @@ impl Agent {
     fn figures_of(&self, counts: &StateCounts) -> AgentFigures {
         let lost: u64 = self.each_topic().map(|topic| topic.lost).sum();
         let verified = counts.data_in(RecordState::Verified);
+        let ring = self.ring.as_ref().map(|ring| &ring.ring);
         AgentFigures {
             name: self.name.clone(),
             captured: counts.acknowledged,
@@ -290,7 +246,7 @@ impl Agent {
                 Link::Up => "connected".to_owned(),
                 Link::InPlace(text) | Link::Away(text) | Link::Refused(text) => clean(text, 300),
             },
-            ring: self.ring.as_ref().map(AgentRing::figures),
+            ring: ring.map(|ring| ring.lock().unwrap_or_else(PoisonError::into_inner).figures()),
             policy: self.policy.figures(),
         }
     }
@@ -303,7 +259,6 @@ impl Agent {
         Ok(self.site.plant.ledger.counts.by_state(None)?.topics)
     }
 
-    /// Ends: capture stops, everything captured is fsynced. Its figures can still be read.
     pub async fn stop(&mut self) {
         for session in &self.sessions {
             session.close();
@@ -312,12 +267,12 @@ impl Agent {
             }
         }
         if let Some(ring) = &self.ring {
-            ring.end(&self.site, &self.author);
+            ring.topics.iter().for_each(|topic| ring.keep(topic, false));
         }
         self.forwarder.abort();
         let log = &self.site.parts.log;
         if let Err(failure) = log.write(&self.name, "agent", &self.device.to_string(), "done").await {
-            self.site.parts.hub.notice(NoticeLevel::Error, &failure.message);
+            self.site.parts.hub.alarm(&failure.message);
         }
         Arc::clone(&self.site).stop().await;
     }
@@ -344,8 +299,7 @@ fn forwarder(site: &Site, enrolment: &Enrolment) -> Result<Forwarder, Failure> {
     Ok(forwarder)
 }
 
-/// The topics to capture: those requested, or all with keys that are not for the ring. Some requested ones may lack a key as yet: their messages
-/// are refused and counted until the owner sends it.
+/// Some requested topics may lack a key for now: their messages are refused and counted until it comes.
 fn topics(enrolment: &Enrolment, asked: &[TopicName], ring: Option<&TopicPatterns>) -> Result<Vec<String>, Failure> {
     let covered = enrolment.keys.now.key.topics();
     if let (Some(covered), Some(strange)) = (&covered, asked.first())
@@ -358,14 +312,12 @@ fn topics(enrolment: &Enrolment, asked: &[TopicName], ring: Option<&TopicPattern
             enrolment.name
         )));
     }
-    let mut topics: Vec<String> = match covered {
+    let topics: BTreeSet<String> = match covered {
         Some(covered) if asked.is_empty() => {
             covered.into_iter().filter(|topic| !ring.is_some_and(|ring| ring.matches(topic))).collect()
         }
         _ => asked.iter().map(ToString::to_string).collect(),
     };
-    topics.sort();
-    topics.dedup();
     if topics.is_empty() && ring.is_none() {
         return Err(Failure::new(
             ErrorKind::Usage,
@@ -375,48 +327,43 @@ fn topics(enrolment: &Enrolment, asked: &[TopicName], ring: Option<&TopicPattern
     if topics.iter().any(|topic| topic.parse::<TopicName>().is_err()) {
         return Err(internal("the enrolment contains an invalid topic; ask its owner to enrol the robot again"));
     }
-    Ok(topics)
+    Ok(topics.into_iter().collect())
 }
 
-/// The longest that one look brings records in.
+/// Time limit of one round of pulling.
 const AT_WORK: Duration = Duration::from_millis(100);
-/// Between two looks at what falls out by its age, and at new topics of the graph.
 const RING_LOOK: Duration = Duration::from_secs(1);
 
-/// A ring at work.
 struct AgentRing {
+    site: Arc<Site>,
+    author: Arc<Author>,
     ring: SharedRing,
     pulls: Pulls,
-    /// None = it is off; what is in it falls out by its age.
+    /// `None` = off; its content expires by age.
     patterns: Option<TopicPatterns>,
-    /// Topics that go into it.
     topics: BTreeSet<String>,
     looked: Option<Instant>,
-    /// Whether the last attempt failed, and it was told.
     failed: bool,
 }
 
 impl AgentRing {
-    /// Opens the ring of this home; from now on the sealer fills it.
-    pub fn begin(site: &Site, author: &Author, settings: RingSettings) -> Result<Self, Failure> {
+    pub fn begin(site: &Arc<Site>, author: &Arc<Author>, settings: RingSettings) -> Result<Self, Failure> {
         let RingSettings { limits, topics } = settings;
         let recorder = RecorderPrefix::ring(random_bytes()?);
         let ring = block_in_place(|| DiskRing::open(&site.parts.home.ring(), limits, recorder))?;
         let ring: SharedRing = Arc::new(Mutex::new(ring));
         site.sealer.fill(&ring);
         let pulls = Pulls::new(site.plant.clone(), Arc::clone(&ring), author.address);
-        Ok(Self { ring, pulls, patterns: Some(topics), topics: BTreeSet::new(), looked: None, failed: false })
+        let (site, author, patterns) = (Arc::clone(site), Arc::clone(author), Some(topics));
+        Ok(Self { site, author, ring, pulls, patterns, topics: BTreeSet::new(), looked: None, failed: false })
     }
 
-    /// From now on it keeps this, or nothing more.
-    pub fn change(&mut self, site: &Site, author: &Arc<Author>, settings: Option<RingSettings>) -> Result<(), Failure> {
+    pub fn change(&mut self, settings: Option<RingSettings>) -> Result<(), Failure> {
         let (limits, patterns) = settings.map(|settings| (settings.limits, settings.topics)).unzip();
         self.patterns = patterns;
-        let before = std::mem::take(&mut self.topics);
-        let (kept, gone): (BTreeSet<String>, BTreeSet<String>) =
-            before.into_iter().partition(|topic| self.takes(topic));
+        let (kept, gone) = std::mem::take(&mut self.topics).into_iter().partition(|topic| self.takes(topic));
         self.topics = kept;
-        gone.iter().for_each(|topic| site.recorder.keep_in_ring(topic, author, false));
+        gone.iter().for_each(|topic| self.keep(topic, false));
         self.looked = None;
         if let Some(limits) = limits {
             let mut ring = self.ring.lock().unwrap_or_else(PoisonError::into_inner);
@@ -425,18 +372,15 @@ impl AgentRing {
         Ok(())
     }
 
-    /// Whether it is on.
-    pub fn is_on(&self) -> bool {
-        self.patterns.is_some()
-    }
-
-    /// Whether a topic is for the ring, unless it is watched.
     pub fn takes(&self, topic: &str) -> bool {
         self.patterns.as_ref().is_some_and(|patterns| patterns.matches(topic))
     }
 
-    /// What falls out falls out, and topics that are new are taken in, unless they are watched.
-    pub fn follow(&mut self, site: &Site, author: &Arc<Author>, watched: &[String]) {
+    fn keep(&self, topic: &str, keep: bool) {
+        self.site.recorder.keep_in_ring(topic, &self.author, keep);
+    }
+
+    pub fn follow(&mut self, watched: &[String]) {
         if self.looked.is_some_and(|at| at.elapsed() < RING_LOOK) {
             return;
         }
@@ -446,25 +390,22 @@ impl AgentRing {
         let tended = block_in_place(|| ring.tend(now));
         drop(ring);
         if let Err(error) = tended {
-            self.tell(site, &format!("what is too old for the ring is still in it: {error}"));
+            self.tell(&format!("what is too old for the ring is still in it: {error}"));
         }
-        let new: Vec<String> = possible(site, author)
+        let new: Vec<String> = possible(&self.site, &self.author)
             .into_iter()
             .filter(|topic| self.takes(topic) && !self.topics.contains(topic) && !watched.contains(topic))
             .filter(|topic| topic.parse::<TopicName>().is_ok())
             .collect();
-        if new.is_empty() {
-            return;
+        if !new.is_empty() {
+            new.iter().for_each(|topic| self.keep(topic, true));
+            self.topics.extend(new);
+            self.site.ros.wishes_changed();
         }
-        for topic in new {
-            site.recorder.keep_in_ring(&topic, author, true);
-            self.topics.insert(topic);
-        }
-        site.ros.wishes_changed();
     }
 
-    /// Brings in what the owner asks for, for a moment; returns how many records are in the outbox now that were not.
-    pub fn work(&mut self, site: &Site) -> u64 {
+    /// Serves pulls for a moment; returns how many records are new in the outbox.
+    pub fn work(&mut self) -> u64 {
         let (begun, mut moved) = (Instant::now(), 0);
         while begun.elapsed() < AT_WORK {
             match block_in_place(|| self.pulls.step()) {
@@ -472,38 +413,28 @@ impl AgentRing {
                 Ok(Step::Moved(count)) => moved += count,
                 Ok(Step::Done(_, brought)) => {
                     self.failed = false;
-                    site.parts.hub.alert(false, words(&brought));
+                    self.site.parts.hub.inform(&words(&brought));
                 }
                 Err(error) => {
-                    self.tell(site, &format!("what the owner asks of the ring is not in the outbox yet: {error}"));
+                    self.tell(&format!("what the owner asks of the ring is not in the outbox yet: {error}"));
                     break;
                 }
             }
         }
         if moved > 0 {
-            site.parts.hub.stored.notify_waiters();
+            self.site.parts.hub.stored.notify_waiters();
         }
         moved
     }
 
-    pub fn figures(&self) -> RingFigures {
-        self.ring.lock().unwrap_or_else(PoisonError::into_inner).figures()
-    }
-
-    /// No further message goes into it.
-    pub fn end(&self, site: &Site, author: &Arc<Author>) {
-        self.topics.iter().for_each(|topic| site.recorder.keep_in_ring(topic, author, false));
-    }
-
-    fn tell(&mut self, site: &Site, text: &str) {
+    fn tell(&mut self, text: &str) {
         if !self.failed {
-            site.parts.hub.alert(true, text.to_owned());
+            self.site.parts.hub.alarm(text);
         }
         self.failed = true;
     }
 }
 
-/// The topics that can be sealed at all: those with keys, or with keys for all those of the graph.
 fn possible(site: &Site, author: &Author) -> Vec<String> {
     let Some(keys) = author.sealing() else { return Vec::new() };
     if let Some(covered) = keys.names() {

@@ -1,5 +1,4 @@
-//! The policy of an agent: worked by from its arrival on and after every start, and told to the owner in a statement of
-//! this robot's recorder.
+//! The policy of an agent, and the statement that reports it to the owner.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -11,58 +10,46 @@ use tokio::task::block_in_place;
 
 use super::{Agent, AgentRing, AgentWishes};
 use crate::config::{Config, RingSettings, RingWish, RobotPolicy};
-use crate::crypto::{Enrolment, LONGEST_POLICY, SignedPolicy};
-use crate::event::NoticeLevel;
+use crate::crypto::{LONGEST_POLICY, SignedPolicy};
 use crate::model::bytes::hex;
-use crate::model::{Address, Domain, PolicyReport, RecordKind, SignerId, clean};
+use crate::model::{Address, Domain, PolicyReport, RecordKind, SignerId, TopicName, clean};
 use crate::pipeline::notices::PolicyTaker;
 use crate::pipeline::statement::{self, Statement};
-use crate::pipeline::{Author, CaptureSession, PipelineError, recorder_heads};
+use crate::pipeline::{CaptureSession, PipelineError, recorder_heads};
 use crate::reply::Failure;
 use crate::site::Site;
 use crate::store::Notes;
 use crate::store::notes::{PolicyHere, PolicyKept, PolicyTold};
 
-/// How long until what could not be applied is tried again.
 const AGAIN: Duration = Duration::from_secs(10);
 
-/// The state of an agent's policy, for people.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct PolicyFigures {
-    /// The version that the agent works by; 0 = its own settings alone.
+    /// 0 = the robot's own settings alone.
     pub version: u64,
-    /// Why the last one that it heard of was not taken up.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub refused: Option<String>,
-    /// Where the robot's own settings say something else, and the policy counts.
+    /// The robot's own settings that the policy overrides, in words.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub overruled: Vec<String>,
 }
 
-/// The policy that an agent works by.
 pub(super) struct AgentPolicy {
     pub keeper: Arc<PolicyKeeper>,
     changed: watch::Receiver<()>,
     kept: PolicyKept,
-    /// The version that was in force before the kept one.
+    /// The version in force before `kept`.
     before: u64,
-    /// Why the ring is not as the policy says, and when that is tried again.
+    /// Why the ring differs from the policy, and when to retry.
     unapplied: Option<(String, Instant)>,
     policy: RobotPolicy,
     overruled: Vec<String>,
-    /// What the owner was told last.
     told: Option<String>,
-    /// Whether there is a ring now.
     pub has_ring: Arc<AtomicBool>,
 }
 
 impl AgentPolicy {
-    /// What was taken up in earlier runs.
-    pub fn open(notes: &Notes, enrolment: &Enrolment) -> Result<Self, Failure> {
-        Self::by(notes, PolicyKeeper::open(notes, enrolment)?)
-    }
-
-    fn by(notes: &Notes, keeper: PolicyKeeper) -> Result<Self, Failure> {
+    pub fn open(notes: &Notes, keeper: PolicyKeeper) -> Result<Self, Failure> {
         let keeper = Arc::new(keeper);
         let (changed, told) = (keeper.changed.subscribe(), notes.read(&keeper.told())?);
         let mut policy = Self {
@@ -80,7 +67,7 @@ impl AgentPolicy {
         Ok(policy)
     }
 
-    /// Takes over what is kept; returns whether it decides differently from before.
+    /// Loads the kept policy; returns whether it decides anything differently.
     fn read(&mut self) -> bool {
         if self.unapplied.is_none() {
             self.before = self.kept.version;
@@ -88,7 +75,7 @@ impl AgentPolicy {
         self.kept = self.keeper.kept();
         let policy = match RobotPolicy::read(&self.kept.text) {
             Ok(policy) => policy,
-            // It was valid when it was taken up, by a later version of this program.
+            // A later version of this program accepted it.
             Err(error) => {
                 self.kept.version = 0;
                 self.kept.refused = Some(clean(&error.to_string(), WIDEST));
@@ -100,12 +87,10 @@ impl AgentPolicy {
         changed
     }
 
-    /// The watched topics, if the policy names them.
     pub fn watched(&self) -> Option<Vec<String>> {
         self.policy.watched.as_ref().map(|topics| topics.iter().map(ToString::to_string).collect())
     }
 
-    /// The ring to keep.
     pub fn ring(&self, config: &Config) -> Option<RingSettings> {
         match &self.policy.ring {
             RingWish::Own => config.ring.clone(),
@@ -114,25 +99,23 @@ impl AgentPolicy {
         }
     }
 
-    /// The rules for topics are in force, and what the robot's own settings say otherwise is known.
     pub fn rule(&mut self, site: &Site, wishes: &AgentWishes) {
         let config = &site.parts.config;
         let rules = self.policy.rules.as_ref().unwrap_or(&config.topic_rules);
         site.recorder.set_rules(rules.clone());
         self.overruled = overruled(&self.policy, config, wishes);
         for text in &self.overruled {
-            let text = format!("policy {} counts, not this robot's own setting: {text}", self.kept.version);
-            site.parts.hub.notice(NoticeLevel::Warning, &text);
+            let version = self.kept.version;
+            site.parts.hub.warn(&format!("policy {version} counts, not this robot's own setting: {text}"));
         }
     }
 
-    /// Its state, if the owner ever set one.
     pub fn figures(&self) -> Option<PolicyFigures> {
         let PolicyReport { heard, running: version, refused, overruled } = self.report();
         (heard > 0).then_some(PolicyFigures { version, refused, overruled })
     }
 
-    /// The ring is as the policy says, or why not; returns whether that reason is a new one.
+    /// Records the outcome; returns whether the failure is a new one.
     fn ring_applied(&mut self, failure: Option<String>) -> bool {
         let why = failure.map(|failure| clean(&failure, WIDEST));
         let is_new = why.is_some() && why.as_ref() != self.unapplied.as_ref().map(|(why, _)| why);
@@ -150,34 +133,26 @@ impl AgentPolicy {
     }
 }
 
-/// Where a robot's own settings say something else than its policy, in words.
 fn overruled(policy: &RobotPolicy, config: &Config, wishes: &AgentWishes) -> Vec<String> {
-    let mut told = Vec::new();
-    if let Some(watched) =
-        policy.watched.as_ref().filter(|watched| !wishes.topics.is_empty() && **watched != wishes.topics)
-    {
-        let own: Vec<&str> = wishes.topics.iter().map(crate::model::TopicName::as_str).collect();
-        told.push(format!("--topic {}, the policy watches {} topics", own.join(" "), watched.len()));
-    }
-    if let Some(rules) =
-        policy.rules.as_ref().filter(|rules| !config.topic_rules.0.is_empty() && **rules != config.topic_rules)
-    {
-        let (own, count) = (config.topic_rules.0.len(), rules.0.len());
-        told.push(format!("{own} [[topic]] rules, the policy has {count}"));
-    }
-    let differs = match (&policy.ring, &config.ring) {
+    let own: Vec<&str> = wishes.topics.iter().map(TopicName::as_str).collect();
+    let watched = policy.watched.as_ref().filter(|watched| !own.is_empty() && **watched != wishes.topics);
+    let watched =
+        watched.map(|topics| format!("--topic {}, the policy watches {} topics", own.join(" "), topics.len()));
+    let own = config.topic_rules.0.len();
+    let rules = policy.rules.as_ref().filter(|rules| own > 0 && **rules != config.topic_rules);
+    let rules = rules.map(|rules| format!("{own} [[topic]] rules, the policy has {}", rules.0.len()));
+    let ring = match (&policy.ring, &config.ring) {
         (RingWish::Own, _) | (_, None) => None,
         (RingWish::Off, Some(own)) => Some((own, "there is to be none".to_owned())),
         (RingWish::Keep(ring), Some(own)) => {
             (ring != own).then(|| (own, format!("{} of {}", ring.limits, ring.topics)))
         }
     };
-    told.extend(differs.map(|(own, policy)| format!("ring {} of {}, by the policy {policy}", own.limits, own.topics)));
-    told.iter().map(|text| clean(text, WIDEST)).collect()
+    let ring = ring.map(|(own, policy)| format!("ring {} of {}, by the policy {policy}", own.limits, own.topics));
+    [watched, rules, ring].into_iter().flatten().map(|text| clean(&text, WIDEST)).collect()
 }
 
 impl Agent {
-    /// Works by what the owner has set since, and tells the owner.
     pub(super) fn follow_policy(&mut self) {
         if self.policy.changed.has_changed().unwrap_or(false) {
             self.policy.changed.mark_unchanged();
@@ -191,7 +166,7 @@ impl Agent {
         }
         if let Err(failure) = self.tell_policy() {
             let text = format!("the owner cannot be told of this robot's policy yet: {}", failure.message);
-            self.site.parts.hub.notice(NoticeLevel::Error, &text);
+            self.site.parts.hub.alarm(&text);
         }
     }
 
@@ -200,15 +175,16 @@ impl Agent {
         let failure = self.change_ring(wanted).err();
         let failure = failure.map(|why| format!("the ring is not yet as the owner's policy says: {}", why.message));
         if self.policy.ring_applied(failure.clone()) {
-            self.site.parts.hub.notice(NoticeLevel::Error, &failure.unwrap_or_default());
+            self.site.parts.hub.alarm(&failure.unwrap_or_default());
         }
-        self.policy.has_ring.store(self.ring.as_ref().is_some_and(AgentRing::is_on), Ordering::Release);
+        let has_ring = self.ring.as_ref().is_some_and(|ring| ring.patterns.is_some());
+        self.policy.has_ring.store(has_ring, Ordering::Release);
         self.watch_as_wanted();
     }
 
     fn change_ring(&mut self, wanted: Option<RingSettings>) -> Result<(), Failure> {
         if let Some(ring) = &mut self.ring {
-            return ring.change(&self.site, &self.author, wanted);
+            return ring.change(wanted);
         }
         if let Some(wanted) = wanted {
             self.ring = Some(AgentRing::begin(&self.site, &self.author, wanted)?);
@@ -216,8 +192,8 @@ impl Agent {
         Ok(())
     }
 
-    /// What is to be watched now; none if that is not known, because there is no key at present.
-    fn wanted(&self) -> Option<Vec<String>> {
+    /// The topics to watch; `None` while there is no key to tell.
+    pub(super) fn wanted(&self) -> Option<Vec<String>> {
         if let Some(watched) = self.policy.watched() {
             return Some(watched);
         }
@@ -226,24 +202,22 @@ impl Agent {
         }
         let covered = self.author.sealing()?.names().unwrap_or_default();
         let is_for_ring = |topic: &String| self.ring.as_ref().is_some_and(|ring| ring.takes(topic));
-        let is_topic = |topic: &String| topic.parse::<crate::model::TopicName>().is_ok();
+        let is_topic = |topic: &String| topic.parse::<TopicName>().is_ok();
         Some(covered.into_iter().filter(|topic| is_topic(topic) && !is_for_ring(topic)).collect())
     }
 
-    /// Begins and ends to watch topics, after the policy has changed.
     fn watch_as_wanted(&mut self) {
         let Some(wanted) = self.wanted() else { return };
         if self.sessions.iter().all(|session| session.is_closed()) {
             return;
         }
-        // First what begins, then the ring, then what ends: nothing that is to be kept falls between.
-        let new: Vec<String> = wanted.iter().filter(|topic| !self.topics.contains(topic)).cloned().collect();
-        self.watch(&new);
+        // Start first, then the ring, then stop, so that no message falls between them.
+        self.watch_new(&wanted);
         if let Some(ring) = &mut self.ring {
-            ring.follow(&self.site, &self.author, &wanted);
+            ring.follow(&wanted);
         }
-        let before = std::mem::take(&mut self.topics);
-        let (kept, gone): (Vec<String>, Vec<String>) = before.into_iter().partition(|topic| wanted.contains(topic));
+        let before = std::mem::take(&mut self.topics).into_iter();
+        let (kept, gone): (Vec<String>, Vec<String>) = before.partition(|topic| wanted.contains(topic));
         self.topics = kept;
         for topic in &gone {
             self.sessions.iter().for_each(|session| self.site.recorder.leave(topic, &self.author, session));
@@ -251,21 +225,30 @@ impl Agent {
         self.site.ros.wishes_changed();
     }
 
-    pub(super) fn watch(&mut self, topics: &[String]) {
-        if topics.is_empty() {
-            return;
+    pub(super) fn watch_new(&mut self, wanted: &[String]) {
+        let new: Vec<String> = wanted.iter().filter(|topic| !self.topics.contains(topic)).cloned().collect();
+        if !new.is_empty() {
+            self.watch(&new);
         }
+    }
+
+    pub(super) fn watch(&mut self, topics: &[String]) {
         let session = Arc::new(CaptureSession::unfollowed(topics, self.wishes.count, self.wishes.tags.clone()));
         for topic in topics {
             self.site.recorder.join(topic, &self.author, None, &session);
-            warn_of_key(&self.site, &self.author, &self.name, topic);
+            if self.author.sealing().is_some_and(|keys| keys.topic(topic).is_none()) {
+                let name = &self.name;
+                self.site.parts.hub.warn(&format!(
+                    "there is no key for topic {topic}: its messages are dropped and counted until the owner adds it \
+                     with `authros devices topics add {name} {topic}`"
+                ));
+            }
         }
         self.sessions.push(session);
         self.topics.extend_from_slice(topics);
         self.site.ros.wishes_changed();
     }
 
-    /// States which policy this robot works by, if the owner does not know yet and its keys cover that.
     fn tell_policy(&mut self) -> Result<(), Failure> {
         if self.policy.kept.heard == 0 {
             return Ok(());
@@ -288,54 +271,33 @@ impl Agent {
     }
 }
 
-/// Tells the operator of a topic whose messages cannot be sealed.
-pub fn warn_of_key(site: &Site, author: &Author, name: &crate::model::ProfileName, topic: &str) {
-    if author.sealing().is_some_and(|keys| keys.topic(topic).is_none()) {
-        let text = format!(
-            "there is no key for topic {topic}: its messages are dropped and counted until the owner adds it with \
-             `authros devices topics add {name} {topic}`"
-        );
-        site.parts.hub.notice(NoticeLevel::Warning, &text);
-    }
-}
-
-/// The widest text that reaches the owner, characters.
+/// The widest text in a report to the owner, characters.
 pub(super) const WIDEST: usize = 255;
 
-/// Checks and keeps what the owner sets.
 pub(super) struct PolicyKeeper {
     notes: Notes,
     domain: Domain,
     owner: Address,
     device: SignerId,
     kept: Mutex<PolicyKept>,
-    /// Rings when something else is kept.
     pub changed: watch::Sender<()>,
 }
 
 impl PolicyKeeper {
-    /// For the robot of an enrolment; what it took up before is in force.
-    pub fn open(notes: &Notes, enrolment: &Enrolment) -> Result<Self, Failure> {
-        Self::of(notes, enrolment.domain, enrolment.owner, enrolment.device_id())
-    }
-
-    pub fn of(notes: &Notes, domain: Domain, owner: Address, device: SignerId) -> Result<Self, Failure> {
+    pub fn open(notes: &Notes, domain: Domain, owner: Address, device: SignerId) -> Result<Self, Failure> {
         let kept = notes.read(&PolicyHere { owner, device })?.unwrap_or_default();
         let (notes, changed) = (notes.clone(), watch::channel(()).0);
         Ok(Self { notes, domain, owner, device, kept: Mutex::new(kept), changed })
     }
 
-    /// What is kept now.
     pub fn kept(&self) -> PolicyKept {
         self.kept.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// The note of what the owner was told last.
     pub fn told(&self) -> PolicyTold {
         PolicyTold { owner: self.owner, device: self.device }
     }
 
-    /// The text of a policy that may be taken up after what is kept.
     fn judged(&self, policy: &SignedPolicy, kept: &PolicyKept) -> Result<String, String> {
         let unsigned = |_| "the owner's account did not sign it for this robot".to_owned();
         policy.check(&self.domain, &self.owner, &self.device).map_err(unsigned)?;
@@ -388,8 +350,8 @@ mod tests {
         let ledger = Ledger::open(&home.path().join("ledger.db")).expect("a ledger");
         let (domain, device) = (Domain([1; 32]), SignerId([9; 32]));
         let account = EoaSecret::generate().expect("generates");
-        let keeper = PolicyKeeper::of(&ledger.notes, domain, account.address(), device).expect("opens");
-        let mut policy = AgentPolicy::by(&ledger.notes, keeper).expect("opens");
+        let keeper = PolicyKeeper::open(&ledger.notes, domain, account.address(), device).expect("opens");
+        let mut policy = AgentPolicy::open(&ledger.notes, keeper).expect("opens");
         let take = |policy: &mut AgentPolicy, version, text: &str| {
             let signed = SignedPolicy::sign(&domain, &account, device, version, text).expect("signs");
             policy.keeper.take(&signed).expect("kept");
@@ -442,7 +404,7 @@ mod kept_policy_tests {
         let home = tempfile::tempdir().expect("a folder");
         let ledger = Ledger::open(&home.path().join("ledger.db")).expect("a ledger");
         let (account, thief) = (EoaSecret::generate().expect("generates"), EoaSecret::generate().expect("generates"));
-        let open = || PolicyKeeper::of(&ledger.notes, DOMAIN, account.address(), DEVICE).expect("opens");
+        let open = || PolicyKeeper::open(&ledger.notes, DOMAIN, account.address(), DEVICE).expect("opens");
         let keeper = open();
         let signed = |by: &EoaSecret, version, text: &str| {
             SignedPolicy::sign(&DOMAIN, by, DEVICE, version, text).expect("signs")
@@ -484,7 +446,7 @@ mod kept_policy_tests {
         let home = tempfile::tempdir().expect("a folder");
         let ledger = Ledger::open(&home.path().join("ledger.db")).expect("a ledger");
         let account = EoaSecret::generate().expect("generates");
-        let open = |device| PolicyKeeper::of(&ledger.notes, DOMAIN, account.address(), device).expect("opens");
+        let open = |device| PolicyKeeper::open(&ledger.notes, DOMAIN, account.address(), device).expect("opens");
         open(DEVICE).take(&SignedPolicy::sign(&DOMAIN, &account, DEVICE, 5, WATCH).expect("signs")).expect("kept");
         let earlier = PolicyKept { version: 5, text: WATCH.to_owned(), heard: 5, refused: None };
         assert_eq!(open(DEVICE).kept(), earlier);

@@ -1,24 +1,19 @@
-//! The audit log as the site writes and shows it, with what is only counted.
-
 use std::sync::Arc;
 
 use super::{Refusals, doer};
 use crate::model::{ProfileName, Timestamp, clean};
 use crate::pipeline::{Owner, PipelineError};
 use crate::service::command::UploadQuery;
-use crate::service::event::NoticeLevel;
 use crate::service::failure::internal;
 use crate::service::hub::Hub;
 use crate::service::reply::{AuditView, ExportedFile, Failure};
 use crate::site::blocking;
 use crate::store::{AuditEntry, AuditLine, AuditLog, AuditQuery};
 
-/// Lines exported at a time.
 const PAGE: usize = 1000;
-/// The longest outcome, characters: a reason may be a sentence or two.
+/// Characters; a reason may be a sentence or two.
 const LONGEST_OUTCOME: usize = 300;
 
-/// The log of a home, which every part writes.
 pub(crate) struct Log {
     lines: AuditLog,
     counted: Refusals,
@@ -26,17 +21,15 @@ pub(crate) struct Log {
 }
 
 impl Log {
-    /// Writes to these lines.
     pub fn new(lines: AuditLog, hub: Arc<Hub>) -> Self {
         Self { lines, counted: Refusals::default(), hub }
     }
 
-    /// The lines themselves, for checks of all of them.
     pub fn lines(&self) -> &AuditLog {
         &self.lines
     }
 
-    /// Writes one line, with the operator whose request this is, if it is one's; durable when this returns.
+    /// Writes one durable line, with the operator if one asked.
     pub(crate) async fn write(
         self: &Arc<Self>,
         profile: &ProfileName,
@@ -44,16 +37,18 @@ impl Log {
         subject: &str,
         outcome: &str,
     ) -> Result<(), Failure> {
-        let entry = entry(&doer(profile.as_str()), action, subject, outcome);
+        self.append(entry(&doer(profile.as_str()), action, subject, outcome)).await
+    }
+
+    async fn append(self: &Arc<Self>, entry: AuditEntry) -> Result<(), Failure> {
         blocking(self, move |log| Ok(log.lines.append(entry)?)).await
     }
 
-    /// No durable line, no deed: written before the deed it announces.
+    /// No durable line, no deed.
     pub(crate) async fn begin(self: &Arc<Self>, owner: &Owner, action: &str, subject: &str) -> Result<(), Failure> {
         self.write(&owner.profile, action, subject, "begun").await
     }
 
-    /// The outcome of a deed announced by [`Self::begin`].
     pub async fn end<T>(
         self: &Arc<Self>,
         owner: &Owner,
@@ -64,8 +59,7 @@ impl Log {
         self.ended(&owner.profile, action, subject, outcome).await
     }
 
-    /// A deed between its two lines: what it is, durable before it begins, and how it ended. Nothing of the deed runs if
-    /// the first cannot be written.
+    /// Brackets a deed with two lines; nothing of it runs unless the first one is durable.
     pub fn deed<'a, T: Send + 'a>(
         self: &'a Arc<Self>,
         profile: &'a ProfileName,
@@ -73,7 +67,7 @@ impl Log {
         subject: &'a str,
         deed: impl Future<Output = Result<T, Failure>> + Send + 'a,
     ) -> impl Future<Output = Result<T, Failure>> + Send + 'a {
-        // Some deeds are large futures; a caller that waits for one holds a pointer.
+        // Some deeds are large futures; a waiting caller holds a pointer.
         let deed = Box::pin(deed);
         async move {
             self.write(profile, action, subject, "begun").await?;
@@ -82,7 +76,6 @@ impl Log {
         }
     }
 
-    /// The second line of a deed: `done`, or `failed` and why.
     pub async fn ended<T>(
         self: &Arc<Self>,
         profile: &ProfileName,
@@ -96,14 +89,14 @@ impl Log {
         };
         let written = self.write(profile, action, subject, &words).await;
         let done = outcome?;
-        // The deed is done and was announced durably; if its outcome cannot be written, that is reported, not undone.
+        // The deed is done and was announced; a failure to log its outcome is reported, not undone.
         if let Err(failure) = written {
-            self.hub.notice(NoticeLevel::Error, &failure.message);
+            self.hub.alarm(&failure.message);
         }
         Ok(done)
     }
 
-    /// A page of somebody's list is handed out: preceded by a line, unless the same was requested within a minute.
+    /// Logs that a page of a list was read, once a minute for the same query.
     pub async fn asked(self: &Arc<Self>, owner: &Owner, action: &str, query: &UploadQuery) -> Result<(), Failure> {
         let (doer, text) = (doer(owner.profile.as_str()), query_text(query));
         if !self.counted.is_new_query(Timestamp::now(), &doer, &text) {
@@ -116,24 +109,19 @@ impl Log {
         written
     }
 
-    /// Whether this gets a line of its own: the same was not requested under this name within the last minute.
     pub fn is_new_query(&self, name: &str, query: &str) -> bool {
         self.counted.is_new_query(Timestamp::now(), name, query)
     }
 
-    /// The line of a query could not be written: it does not count as asked.
     pub fn forget_query(&self, name: &str, query: &str) {
         self.counted.forget_query(name, query);
     }
 
-    /// Counts a refusal; a line per peer, code and minute says how many there were. `peer` is a profile's name, or what
-    /// is known of a remote peer (no port: each connection has another); `code` is a constant of the program. Returns
-    /// whether it is the first of its minute.
+    /// Returns whether it is the first of its minute. `peer` has no port: each connection has another.
     pub(crate) fn refused(&self, peer: &str, code: &str) -> bool {
         self.counted.add(Timestamp::now(), peer, code)
     }
 
-    /// Counts a local refusal if there is one.
     pub fn count_refusal<T>(&self, owner: &Owner, outcome: &Result<T, PipelineError>) {
         if let Err(PipelineError::NotGranted { .. }) = outcome {
             let _first = self.refused(&doer(owner.profile.as_str()), "not_granted");
@@ -145,24 +133,22 @@ impl Log {
         let mut refusals = self.counted.take(now).into_iter();
         while let Some(((minute, peer, code), count)) = refusals.next() {
             let outcome = format!("{count} in the minute from {}", Timestamp::from_seconds(minute * 60));
-            let line = entry(&peer, "refused", &code, &outcome);
-            if let Err(failure) = blocking(self, move |log| Ok(log.lines.append(line)?)).await {
+            if let Err(failure) = self.append(entry(&peer, "refused", &code, &outcome)).await {
                 let lost = std::iter::once(((minute, peer, code), count)).chain(refusals).collect();
                 self.counted.put_back(lost);
-                self.hub.notice(NoticeLevel::Error, &failure.message);
+                self.hub.alarm(&failure.message);
                 break;
             }
         }
-        for again in self.counted.repeated(now) {
-            let line = entry(&again.profile, "list shared", &again.query, &format!("{} times again", again.times));
-            if let Err(failure) = blocking(self, move |log| Ok(log.lines.append(line)?)).await {
-                self.hub.notice(NoticeLevel::Error, &failure.message);
+        for ((profile, query), times) in self.counted.repeated(now) {
+            let line = entry(&profile, "list shared", &query, &format!("{times} times again"));
+            if let Err(failure) = self.append(line).await {
+                self.hub.alarm(&failure.message);
                 return;
             }
         }
     }
 
-    /// The newest matching lines, newest first.
     pub async fn list(self: &Arc<Self>, query: AuditQuery) -> Result<Vec<AuditView>, Failure> {
         let query = AuditQuery { limit: query.limit.clamp(1, PAGE), ..query };
         let mut lines = blocking(self, move |log| Ok(log.lines.list(&query)?)).await?;
@@ -170,7 +156,6 @@ impl Log {
         Ok(lines.into_iter().map(view).collect())
     }
 
-    /// The whole log as a file for third parties: one JSON document a line, addresses redacted unless asked for.
     pub async fn export(self: &Arc<Self>, owner: &Arc<Owner>, addresses: bool) -> Result<Vec<ExportedFile>, Failure> {
         let subject = if addresses { "with addresses" } else { "redacted" };
         let bytes = self.deed(&owner.profile, "export audit", subject, self.whole(addresses)).await?;
@@ -229,7 +214,6 @@ fn view(line: AuditLine) -> AuditView {
     }
 }
 
-/// The query in words: only the filters that are set.
 fn query_text(query: &UploadQuery) -> String {
     let mut words = vec!["records".to_owned()];
     words.extend(query.owner.as_ref().map(|owner| format!("of {owner}")));

@@ -1,5 +1,3 @@
-//! The audit: the log of deeds, what is only counted, and the audit of the records themselves.
-
 pub(crate) mod log;
 
 pub(crate) use log::Log;
@@ -14,7 +12,6 @@ use tokio::runtime::Handle;
 use super::blocking;
 use super::parts::Parts;
 use super::reading::view::OwnKeys;
-use crate::event::NoticeLevel;
 use crate::model::{Address, OperatorName, ProfileName, Timestamp, clean};
 use crate::pipeline::reader::Reader;
 use crate::pipeline::record_audit::{self, RecordAudit, Scope, scrub_round};
@@ -22,7 +19,7 @@ use crate::pipeline::{Owner, audit_head, recorder_heads};
 use crate::reply::{AuditCheck, Failure};
 use crate::store::Reserve;
 
-/// What both of two checks state; a failure of one does not hide what is wrong with the other.
+/// A failure of one check does not hide the result of the other.
 fn both<T>(log: Result<Option<T>, Failure>, recorder: Result<Option<T>, Failure>) -> Result<Option<T>, Failure> {
     match (log, recorder) {
         (Err(log), Err(recorder)) => Err(Failure::new(log.kind, format!("{}; {}", log.message, recorder.message))),
@@ -30,28 +27,21 @@ fn both<T>(log: Result<Option<T>, Failure>, recorder: Result<Option<T>, Failure>
     }
 }
 
-/// How often to check whether something is to be written or anchored.
 const LOOK: Duration = Duration::from_secs(1);
-/// How often setting a lost reserve aside again is tried.
 const REFILL: Duration = Duration::from_secs(60);
 
-/// The audit of a site: of its log and of its records.
 pub(super) struct Audit {
     parts: Parts,
     /// Space for a revoke on a full disk.
     reserve: Arc<Reserve>,
-    /// When the numbers of an owner's topics were last looked at.
     seen: Mutex<BTreeMap<Address, Instant>>,
 }
 
 impl Audit {
-    /// From the shared parts, and the space set aside for a revoke.
     pub fn new(parts: &Parts, reserve: &Arc<Reserve>) -> Self {
         Self { parts: parts.clone(), reserve: Arc::clone(reserve), seen: Mutex::default() }
     }
 
-    /// Writes the counters, anchors the heads of the log and of the recorder, sets a lost reserve aside again; until
-    /// the site ends.
     pub async fn keep(self: Arc<Self>) {
         let mut refill = Instant::now();
         while !self.parts.life.is_stopping() {
@@ -67,7 +57,6 @@ impl Audit {
                 && self.parts.plant.ledger.records.takes_records().is_ok()
             {
                 refill = Instant::now();
-                // On a disk that is still full it is tried again.
                 drop(blocking(&self, |audit| Ok(audit.reserve.refill()?)).await);
             }
         }
@@ -75,7 +64,7 @@ impl Audit {
 
     async fn anchor_heads(self: &Arc<Self>, owner: &Arc<Owner>) {
         let Some(network) = self.parts.link.network_now() else { return };
-        // Keys that are being changed must not sign now; the next look comes soon.
+        // Keys that are being changed must not sign.
         let Ok(_one_at_a_time) = owner.changes.try_lock() else { return };
         let (of, every) = (Arc::clone(owner), self.parts.config.audit_every);
         let stated = blocking(self, move |audit| {
@@ -97,22 +86,15 @@ impl Audit {
             Err(failure) => {
                 let (profile, why) = (&owner.profile, failure.message);
                 let text = format!("heads of the audit log and of the recorder are not anchored for {profile}: {why}");
-                self.parts.hub.notice(NoticeLevel::Error, &text);
+                self.parts.hub.alarm(&text);
             }
         }
     }
 
-    /// Walks the whole log, and compares it with the heads that this owner anchored.
     pub async fn verify(self: &Arc<Self>, owner: Option<Arc<Owner>>) -> Result<AuditCheck, Failure> {
         let walked = blocking(self, |audit| Ok(audit.parts.log.lines().verify())).await?;
-        let mut check = AuditCheck { ok: true, ..AuditCheck::default() };
-        let mut broken = match walked {
-            Ok(lines) => {
-                check.lines = lines;
-                None
-            }
-            Err(fault) => Some(fault),
-        };
+        let (lines, mut broken) = walked.map_or_else(|fault| (0, Some(fault)), |lines| (lines, None));
+        let mut check = AuditCheck { lines, ..AuditCheck::default() };
         if let Some(owner) = owner {
             let network = self.parts.link.network().await?;
             let reader = Reader { plant: &self.parts.plant, network: &network, reader: &owner };
@@ -136,33 +118,27 @@ tokio::task_local! {
     static OPERATOR: OperatorName;
 }
 
-/// Does the work of an operator's request.
 pub async fn acting_as<Work: Future>(operator: OperatorName, work: Work) -> Work::Output {
     OPERATOR.scope(operator, work).await
 }
 
-/// Whether an operator's request is answered in this task.
 pub fn is_operator() -> bool {
     OPERATOR.try_with(|_| ()).is_ok()
 }
 
-/// Who does what is done for a profile in this task, as the log has it: the profile, or `profile/operator`.
+/// The profile, or `profile/operator`, as the log names it.
 fn doer(profile: &str) -> String {
     OPERATOR.try_with(|operator| by(profile, operator)).unwrap_or_else(|_| profile.to_owned())
 }
 
-/// An operator of a profile, as the log has it.
 pub fn by(profile: impl Display, operator: &OperatorName) -> String {
     format!("{profile}/{operator}")
 }
 
-/// How often the scrubber does its share.
 const SHARE_EVERY: Duration = Duration::from_secs(5);
-/// The most records it checks at once.
 const MOST_AT_ONCE: usize = 256;
 
 impl Audit {
-    /// Audits all records of the home, for a profile that asks how far it is.
     pub async fn records(
         self: &Arc<Self>,
         profile: &ProfileName,
@@ -175,7 +151,6 @@ impl Audit {
         let running = self.parts.runs.begin_counted(profile, "this home", "auditing", "records");
         blocking(self, move |audit| {
             let keys = Arc::new(OwnKeys::of(&audit.parts.owners));
-            // How many are younger is known when they are read.
             running.run.expect(if since.is_none() { audit.parts.plant.ledger.inspection.size()? } else { 0 });
             let (since, looked_at) = (since.unwrap_or_default(), running.run.counter());
             let scope = Scope { deep, since, accounts: audit.parts.owners.accounts(), keys, looked_at };
@@ -185,15 +160,10 @@ impl Audit {
         .await
     }
 
-    /// Re-hashes the share of the stored records set by `audit.scrub`, until the site ends.
     pub async fn keep_scrubbing(self: Arc<Self>) {
         let percent = self.parts.config.scrub_percent;
         let mut due = 0.0_f64;
-        while percent > 0 && !self.parts.life.is_stopping() {
-            tokio::select! {
-                () = tokio::time::sleep(SHARE_EVERY) => {}
-                () = self.parts.life.stopped() => return,
-            }
+        while percent > 0 && self.parts.life.beat(SHARE_EVERY).await {
             let Some(network) = self.parts.link.network_now() else { continue };
             let Ok(records) = blocking(&self, |audit| Ok(audit.parts.plant.ledger.inspection.size()?)).await else {
                 continue;
@@ -207,8 +177,7 @@ impl Audit {
                 let (most, network) = (share.min(MOST_AT_ONCE), network.clone());
                 let done = blocking(&self, move |audit| Ok(scrub_round(&audit.parts.plant, &network, most)?)).await;
                 if let Err(failure) = done {
-                    let text = format!("the scrubber waits: {}", failure.message);
-                    self.parts.hub.notice(NoticeLevel::Warning, &text);
+                    self.parts.hub.warn(&format!("the scrubber waits: {}", failure.message));
                     break;
                 }
                 share -= most;
@@ -220,28 +189,17 @@ impl Audit {
     }
 }
 
-/// The most counters kept; beyond that, refusals are counted under [`OTHERS`].
+/// The most counters; beyond it, refusals count under [`OTHERS`].
 const MOST: usize = 1024;
-/// The most queries remembered; beyond that, each gets a line of its own.
+/// The most queries remembered; beyond it, each gets a line of its own.
 const MOST_QUERIES: usize = 256;
-/// The name under which further peers are counted.
 pub const OTHERS: &str = "other peers";
 
 const MINUTE: u64 = 60_000_000_000;
 
-/// One counter: the minute since 1970, the peer, and the constant code.
+/// The minute since 1970, the peer, and the constant code.
 pub type Refusal = (u64, String, String);
 
-/// A query repeated within its minute.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Repeated {
-    pub profile: String,
-    pub query: String,
-    /// The number of repetitions.
-    pub times: u64,
-}
-
-/// The counters of a site.
 #[derive(Debug, Default)]
 pub struct Refusals {
     counts: Mutex<BTreeMap<Refusal, u64>>,
@@ -257,7 +215,6 @@ impl Refusals {
         self.asked.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Counts a refusal; returns whether it is the first of its counter.
     pub fn add(&self, at: Timestamp, peer: &str, code: &str) -> bool {
         let mut counts = self.counts();
         let (peer, code) = (clean(peer, 100), clean(code, 60));
@@ -266,7 +223,7 @@ impl Refusals {
             OTHERS.clone_into(&mut key.1);
         }
         if counts.len() >= 2 * MOST && !counts.contains_key(&key) {
-            // Codes are constants of the program, so this takes many minutes without a ledger.
+            // Codes are constants of the program: reached only after many minutes without a ledger.
             "refused".clone_into(&mut key.2);
         }
         let count = counts.entry(key).or_default();
@@ -274,7 +231,6 @@ impl Refusals {
         *count == 1
     }
 
-    /// Takes the counters of the minutes that have ended at `now`; all of them if `now` is `None`.
     pub fn take(&self, now: Option<Timestamp>) -> Vec<(Refusal, u64)> {
         let mut counts = self.counts();
         let running = match now {
@@ -284,7 +240,6 @@ impl Refusals {
         std::mem::replace(&mut *counts, running).into_iter().collect()
     }
 
-    /// Puts back counters that could not be written.
     pub fn put_back(&self, refusals: Vec<(Refusal, u64)>) {
         let mut counts = self.counts();
         for (key, count) in refusals {
@@ -292,7 +247,6 @@ impl Refusals {
         }
     }
 
-    /// Whether a query gets a line of its own: this profile did not ask it within the last minute.
     pub fn is_new_query(&self, at: Timestamp, profile: &str, query: &str) -> bool {
         let mut asked = self.asked();
         let key = (profile.to_owned(), query.to_owned());
@@ -301,26 +255,22 @@ impl Refusals {
             return false;
         }
         if asked.len() < MOST_QUERIES {
-            // What was counted before is reported by `repeated`, which is called every second.
             asked.entry(key).or_insert((at, 0));
         }
         true
     }
 
-    /// The line of a query could not be written: it does not count as asked.
     pub fn forget_query(&self, profile: &str, query: &str) {
         self.asked().remove(&(profile.to_owned(), query.to_owned()));
     }
 
-    /// Takes the queries whose minute has ended at `now` (all if it is `None`) and that were repeated.
-    pub fn repeated(&self, now: Option<Timestamp>) -> Vec<Repeated> {
+    pub fn repeated(&self, now: Option<Timestamp>) -> Vec<((String, String), u64)> {
         let mut asked = self.asked();
         let ended = |first: &Timestamp| now.is_none_or(|now| now.0.saturating_sub(first.0) >= MINUTE);
-        let taken: Vec<_> = asked.extract_if(|_, (first, _)| ended(first)).collect();
-        let again = taken.into_iter().filter(|(_, (_, times))| *times > 0);
-        let mut again: Vec<Repeated> =
-            again.map(|((profile, query), (_, times))| Repeated { profile, query, times }).collect();
-        again.sort_by(|one, other| (&one.profile, &one.query).cmp(&(&other.profile, &other.query)));
+        let taken = asked.extract_if(|_, (first, _)| ended(first));
+        let mut again: Vec<_> =
+            taken.map(|(query, (_, times))| (query, times)).filter(|(_, times)| *times > 0).collect();
+        again.sort();
         again
     }
 }
@@ -370,7 +320,7 @@ mod refusals_tests {
         assert!(!refusals.is_new_query(at(3), "a", "all") && !refusals.is_new_query(at(60), "a", "all"));
         assert!(refusals.repeated(Some(at(60))).is_empty());
         let again = refusals.repeated(Some(at(62)));
-        assert_eq!(again, [Repeated { profile: "a".to_owned(), query: "all".to_owned(), times: 2 }]);
+        assert_eq!(again, [(("a".to_owned(), "all".to_owned()), 2)]);
         assert!(refusals.is_new_query(at(62), "a", "all"));
         refusals.forget_query("a", "all");
         assert!(refusals.is_new_query(at(62), "a", "all"), "its line was not written");

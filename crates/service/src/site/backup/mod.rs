@@ -1,4 +1,4 @@
-//! Backup of a running home: the store and the chain as of one moment, then the small files, sealed into one file.
+//! Backup of a running home: the store and the chain as of one moment, then the small files, in one sealed file.
 
 #[cfg(test)]
 mod tests;
@@ -26,24 +26,20 @@ use crate::service::reply::{BackupView, Failure};
 use crate::store::snapshot::Snapshot;
 use crate::store::{StoreError, archive};
 
-/// The names of copies in the backup, and their places in a home.
 pub const LEDGER: &str = "ledger.db";
 const CHAIN: &str = "chain/chain.db";
-/// The folder of a robot's ring, of which files fall out at any time.
 const RING: &str = "ring/";
-/// The longest that a backup waits for the chain of a site that has just begun.
 const OPENING: Duration = Duration::from_secs(30);
-/// Files that belong to the running process, or are recreated: by the beginning of the name.
+/// Prefixes of files that belong to the running process or are recreated.
 const LEFT_OUT: [&str; 5] = ["backup.lock", "backup.sock", "reserve", "waiting", unfinished::PREFIX];
 
-/// Backups of a running home.
 pub struct Backup {
     pub parts: Parts,
     pub quarantine: Arc<Quarantine>,
 }
 
 impl Backup {
-    /// Writes the home into one sealed file, 0600, never overwriting another; a crash leaves none.
+    /// Writes a new file, 0600; a crash leaves none.
     pub async fn back_up(
         self: &Arc<Self>,
         profile: &ProfileName,
@@ -65,11 +61,11 @@ impl Backup {
         let running = self.parts.runs.begin(profile, &shown, "copying into", "files");
         let runtime = Handle::current();
         let written = async {
-            // While an embedded chain is being opened, its file is locked and no connection has it.
+            // While an embedded chain opens, its file is locked and no connection has it.
             if self.parts.config.chain_url.is_none() {
                 drop(tokio::time::timeout(OPENING, self.parts.link.settled()).await);
             }
-            // Work that deletes ciphertext in a commit before the one that notes it waits until the moment is taken.
+            // Deletions commit before their notes; the snapshot must not fall between.
             let quiet = self.quarantine.quiet().await;
             let moment = blocking(self, move |backup| backup.moment(&runtime)).await?;
             drop(quiet);
@@ -78,10 +74,9 @@ impl Backup {
         self.parts.log.deed(profile, "back up", &shown, written).await
     }
 
-    /// Both databases as of one moment.
     fn moment(&self, runtime: &Handle) -> Result<Moment, Failure> {
         let unwritten = |error| unwritten(self.parts.home.root(), &error);
-        // The copies of a backup that was killed, which no erasure reaches.
+        // Copies of a killed backup, which no erasure reaches.
         unfinished::sweep(self.parts.home.root()).map_err(unwritten)?;
         let folder = UnfinishedFolder::new(self.parts.home.root()).map_err(unwritten)?;
         let (chain, runtime, copy) = (self.parts.link.connected(), runtime.clone(), folder.path().join("chain.db"));
@@ -92,7 +87,6 @@ impl Backup {
         Ok(Moment { folder, ledger, chain })
     }
 
-    /// Roughly how many bytes are to be written: the databases and a robot's ring are nearly all of a home.
     fn expected(&self, moment: &Moment) -> u64 {
         let chain = moment.chain.then(|| moment.folder.path().join("chain.db"));
         let ring = fs::read_dir(self.parts.home.ring()).into_iter().flatten().flatten().map(|entry| entry.path());
@@ -122,7 +116,7 @@ impl Backup {
         if moment.chain {
             add(&mut sealed, CHAIN, &moment.folder.path().join("chain.db"), &mut view, run).map_err(failed)?;
         }
-        // After the ledger: the keyring must have the keys of every epoch that the ledger names.
+        // After the ledger: the keyring must have the key of every epoch that the ledger names.
         let mut small = Small { sealed: &mut sealed, view: &mut view, run };
         small.directory("", self.parts.home.root()).map_err(failed)?;
         for (name, path) in self.parts.home.outside() {
@@ -138,7 +132,6 @@ impl Backup {
     }
 }
 
-/// Adds every other file of the home to the backup.
 struct Small<'a, W> {
     sealed: &'a mut W,
     view: &'a mut BackupView,
@@ -166,7 +159,7 @@ impl<W: Write> Small<'_, W> {
             self.directory(name, path)
         } else if kind.is_file() && archive::is_plain(name) {
             match add(self.sealed, name, path, self.view, self.run) {
-                // It fell out of the ring since the folder was listed, and is in no later backup either.
+                // It left the ring after the folder was listed.
                 Err(error) if error.kind() == io::ErrorKind::NotFound && name.starts_with(RING) => Ok(()),
                 added => added,
             }
@@ -176,7 +169,7 @@ impl<W: Write> Small<'_, W> {
         }
     }
 
-    /// The files in a folder of its own, if it exists. Settings are often links into a folder elsewhere.
+    /// Follows links: settings often point into another folder.
     fn outside(&mut self, name: &str, path: &Path) -> io::Result<()> {
         match fs::metadata(path) {
             Ok(about) => self.entry(name, path, about.file_type()),
@@ -186,15 +179,12 @@ impl<W: Write> Small<'_, W> {
     }
 }
 
-/// The databases of one moment; the temporary folder is removed with it.
 struct Moment {
     folder: UnfinishedFolder,
     ledger: Snapshot,
-    /// Whether the chain was copied into the folder.
     chain: bool,
 }
 
-/// Copies the embedded chain; returns whether there is one.
 fn copy_chain(chain: Option<Chain>, runtime: &Handle, closed: &Path, copy: PathBuf) -> Result<bool, StoreError> {
     let failed = |detail: String| StoreError::Database { file: closed.to_owned(), detail };
     if let Some(chain) = chain
@@ -209,7 +199,6 @@ fn copy_chain(chain: Option<Chain>, runtime: &Handle, closed: &Path, copy: PathB
     Ok(true)
 }
 
-/// A file whose reading is told.
 struct Told<'a> {
     file: File,
     run: &'a Run,
@@ -226,13 +215,9 @@ impl Read for Told<'_> {
 fn add(sealed: &mut impl Write, name: &str, path: &Path, view: &mut BackupView, run: &Run) -> io::Result<()> {
     let file = File::open(path)?;
     let length = file.metadata()?.len();
-    let mut bytes = Told { file, run };
-    if name.starts_with(RING) {
-        // A robot that is short of room takes half a record back: the next opening of the ring cuts these zeros off again.
-        archive::put(sealed, name, length, &mut bytes.chain(io::repeat(0)))?;
-    } else {
-        archive::put(sealed, name, length, &mut bytes)?;
-    }
+    // Shortage of room truncates a ring file; its next opening cuts these zeros off.
+    let zeros = if name.starts_with(RING) { length } else { 0 };
+    archive::put(sealed, name, length, &mut Told { file, run }.chain(io::repeat(0).take(zeros)))?;
     run.one_more();
     view.files += 1;
     view.bytes += length;

@@ -1,63 +1,49 @@
-//! Which records come next: all stored ones in the order of their capture, or, followed live, those verified from now
-//! on, each stream in its order.
+//! Which records come next: all in the order of capture, or, live, each stream as it is verified.
 
 use std::collections::{HashMap, HashSet, VecDeque};
 use std::time::{Duration, Instant};
 
+use super::Givers;
 use crate::model::{Address, Digest, RecordKind, RecordState, Scope, Timestamp, TopicId};
 use crate::pipeline::reader::is_held;
 use crate::service::command::{Pace, PlayWishes};
 use crate::service::reply::Failure;
 use crate::store::{Counts, FeedFilter, FeedPlace, FeedRow, Ledger, PlacedRecord, RecordQuery, RecordRow, Records};
 
-/// Records requested from the ledger at a time.
 const PAGE: usize = 500;
 
-/// How far back a live feed, when it begins, looks for records that are not verified yet, nanoseconds.
+/// How far back a live feed looks for unverified records at its start, nanoseconds.
 const BEFORE: u64 = 60_000_000_000;
 
-/// How much later than its neighbours a record may enter the ledger and still be seen at once, nanoseconds.
+/// How much later than its neighbours a record may enter the ledger and still be seen, nanoseconds.
 const SLACK: u64 = 500_000_000;
 
-/// Interval between looks for those that came later still, in the home's own feed.
+/// Interval between looks for records later than [`SLACK`].
 const LATE_LOOK: Duration = Duration::from_secs(1);
-/// How many of those given out are remembered.
 const MOST_PASSED: usize = 20_000;
 
-/// How often a live feed looks for further topics.
 const LISTING: Duration = Duration::from_millis(500);
 
-/// A record that may be played.
 pub(super) struct Item {
     pub row: RecordRow,
-    /// Played only if its publisher latches: it was verified before a live feed began.
+    /// Verified before a live feed began: played only if its publisher latches.
     pub only_latched: bool,
 }
 
-pub(super) struct Round {
-    pub items: Vec<Item>,
-    /// Nothing comes after it.
-    pub is_last: bool,
-}
-
-/// The source of records.
 pub(super) enum Feed {
     Past(Box<RecordQuery>),
-    /// Records verified from now on.
     Live(Live),
 }
 
-/// Streams that are followed.
 #[derive(Default)]
 pub(super) struct Live {
     streams: HashMap<(Address, TopicId), Stream>,
     listed: Option<Instant>,
     looked_late: Option<Instant>,
-    /// The place in the home's own feed.
     place: Option<([u8; 16], u64)>,
-    /// The newest of those given out before the places of their streams: verified again, they are not played again.
+    /// The newest records given out behind their streams; if verified again, they are not repeated.
     passed: VecDeque<Digest>,
-    /// Records that could not be played yet; their streams wait for them.
+    /// Records that must wait; their streams wait for them.
     pending: Vec<Item>,
 }
 
@@ -72,7 +58,7 @@ struct Stream {
 }
 
 impl Feed {
-    pub fn begin(ledger: &Ledger, wishes: &PlayWishes, givers: &HashMap<Address, Scope>) -> Result<Self, Failure> {
+    pub fn begin(ledger: &Ledger, wishes: &PlayWishes, givers: &Givers) -> Result<Self, Failure> {
         if wishes.pace == Pace::Follow {
             return Ok(Self::Live(Live::default()));
         }
@@ -91,19 +77,19 @@ impl Feed {
         })))
     }
 
-    pub fn next(&mut self, ledger: &Ledger, givers: &HashMap<Address, Scope>) -> Result<Round, Failure> {
+    /// The next records, and whether they are the last.
+    pub fn next(&mut self, ledger: &Ledger, givers: &Givers) -> Result<(Vec<Item>, bool), Failure> {
         match self {
             Self::Past(query) => {
                 let page = ledger.records.list(query)?;
                 let items = page.rows.into_iter().map(|row| Item { row, only_latched: false }).collect();
                 query.after = page.next;
-                Ok(Round { items, is_last: query.after.is_none() })
+                Ok((items, query.after.is_none()))
             }
             Self::Live(live) => live.next(ledger, givers),
         }
     }
 
-    /// A record that could not be played now is given out again.
     pub fn again(&mut self, item: Item) {
         if let Self::Live(live) = self {
             live.pending.push(item);
@@ -112,7 +98,7 @@ impl Feed {
 }
 
 impl Live {
-    fn next(&mut self, ledger: &Ledger, givers: &HashMap<Address, Scope>) -> Result<Round, Failure> {
+    fn next(&mut self, ledger: &Ledger, givers: &Givers) -> Result<(Vec<Item>, bool), Failure> {
         if self.place.is_none() {
             let page = ledger.feed.page(&[0; 16], &FeedFilter::default(), 1)?;
             self.place = Some((page.id, page.head));
@@ -133,19 +119,13 @@ impl Live {
         for (key, stream) in self.streams.iter_mut().filter(|(key, _)| !held.contains(key)) {
             stream.take(&ledger.records, *key, &mut ready)?;
         }
-        // Stable: records of one moment stay in the order of their stream.
+        // Stable sort: records of one moment keep the order of their stream.
         ready.sort_by_key(|row: &RecordRow| row.captured_at);
         items.extend(ready.into_iter().map(|row| Item { row, only_latched: false }));
-        Ok(Round { items, is_last: false })
+        Ok((items, false))
     }
 
-    /// Gives out what was verified since the last look, and captured before the place of its stream.
-    fn look_late(
-        &mut self,
-        ledger: &Ledger,
-        givers: &HashMap<Address, Scope>,
-        ready: &mut Vec<RecordRow>,
-    ) -> Result<(), Failure> {
+    fn look_late(&mut self, ledger: &Ledger, givers: &Givers, ready: &mut Vec<RecordRow>) -> Result<(), Failure> {
         let mut passed: Option<HashSet<Digest>> = None;
         loop {
             let (id, after) = self.place.unwrap_or_default();
@@ -167,7 +147,7 @@ impl Live {
                 break;
             }
         }
-        // Those given out before are behind the place now, unless the chain takes their blocks back.
+        // Records behind the stream's place cannot recur, unless a reorganisation verifies them again.
         for stream in self.streams.values_mut() {
             self.passed.extend(stream.done.extract_if(|_, at| *at < stream.low).map(|(digest, _)| digest));
         }
@@ -175,9 +155,8 @@ impl Live {
         Ok(())
     }
 
-    /// Follows the streams not followed yet. At the very beginning, records already verified are not played again, but
-    /// the newest of each stream may be latched.
-    fn list(&mut self, ledger: &Ledger, givers: &HashMap<Address, Scope>) -> Result<Vec<Item>, Failure> {
+    /// At the start, only the newest verified record of each stream is given out, to be latched.
+    fn list(&mut self, ledger: &Ledger, givers: &Givers) -> Result<Vec<Item>, Failure> {
         let is_first = self.listed.is_none();
         let low = Timestamp(Timestamp::now().0.saturating_sub(BEFORE));
         let mut latched = Vec::new();
@@ -198,7 +177,6 @@ impl Live {
 }
 
 impl Stream {
-    /// Marks verified records as done; returns the newest of them.
     fn skip_verified(&mut self, records: &Records, key: (Address, TopicId)) -> Result<Option<Item>, Failure> {
         let verified = RecordQuery { state: Some(RecordState::Verified), ..of_stream(key) };
         for row in records.all(RecordQuery { since: Some(self.low), ..verified.clone() }) {
@@ -209,8 +187,7 @@ impl Stream {
         Ok(newest.rows.into_iter().next().map(|row| Item { row, only_latched: true }))
     }
 
-    /// Gives out settled records, up to the first that is not settled yet: later ones wait behind it, so that their
-    /// order stays.
+    /// Stops at the first unsettled record, to preserve the order.
     fn take(&mut self, records: &Records, key: (Address, TopicId), ready: &mut Vec<RecordRow>) -> Result<(), Failure> {
         let query = RecordQuery { since: Some(self.low.max(self.floor)), ..of_stream(key) };
         let (mut waiting, most, now) = (None, ready.len() + PAGE, Timestamp::now());
@@ -219,12 +196,12 @@ impl Stream {
             if self.done.contains_key(&row.digest) || is_held(&row) || row.state == RecordState::RightEnded {
                 continue;
             }
-            if is_on_its_way(row.state) || ready.len() >= most {
+            if row.state.is_pending() || ready.len() >= most {
                 waiting = Some(row.captured_at);
                 break;
             }
             self.done.insert(row.digest, row.captured_at);
-            // A clock that is ahead does not put the others' records behind any more than ours.
+            // A publisher's clock that is ahead must not push other records behind.
             self.newest = self.newest.max(row.captured_at.min(now));
             ready.push(row);
         }
@@ -242,11 +219,6 @@ fn of_stream((owner, topic): (Address, TopicId)) -> RecordQuery {
         limit: PAGE,
         ..RecordQuery::default()
     }
-}
-
-fn is_on_its_way(state: RecordState) -> bool {
-    use RecordState::{Batched, Captured, Confirmed, Mined, Stored, Submitted};
-    matches!(state, Captured | Stored | Batched | Submitted | Mined | Confirmed)
 }
 
 fn topics_of(counts: &Counts, owner: Address, scope: &Scope) -> Result<Vec<TopicId>, Failure> {
@@ -302,8 +274,8 @@ mod tests {
         let (mut live, givers) = (Live::default(), [(OWNER, Scope::All)].into());
         let played = |live: &mut Live| -> Vec<u64> {
             live.looked_late = None;
-            let round = live.next(&ledger, &givers).expect("read");
-            round.items.iter().map(|item| item.row.seq).collect()
+            let (items, _) = live.next(&ledger, &givers).expect("read");
+            items.iter().map(|item| item.row.seq).collect()
         };
         assert_eq!(played(&mut live), [0; 0]);
         keep(&ledger, 1, at(1));

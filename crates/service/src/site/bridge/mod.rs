@@ -1,9 +1,6 @@
-//! Into the reader's ROS: records shared by others, each checked first, published in a graph or domain as they were
-//! captured.
+//! Publishes checked, shared records in the reader's ROS.
 
 mod feed;
-mod names;
-mod pacer;
 mod play;
 mod second;
 mod stage;
@@ -18,7 +15,7 @@ use tokio::task::block_in_place;
 use crate::config::PublishedBy;
 use crate::crypto::random_bytes;
 use crate::model::bytes::hex;
-use crate::model::{Address, ErrorKind, ProfileName, Scope, clean};
+use crate::model::{Address, ErrorKind, ProfileName, Scope, TopicName, clean};
 use crate::pipeline::{Network, Owner, PipelineError, authority};
 use crate::ros::ros2::Ros2Publisher;
 use crate::ros::{Graph, GraphPublisher, Publisher, RosError, RosrustPublisher, UNCONFINED};
@@ -29,31 +26,28 @@ use crate::site::capture::ros::RosSide;
 use crate::site::contacts::Contacts;
 use crate::site::parts::Parts;
 
-use names::Names;
 use second::Domain;
 use stage::Stage;
 use target::Target;
 
-/// The name prefix of nodes that play; nodes that capture have another.
 const NODE: &str = "/authros_play_";
 
-/// Shared records on their way into ROS graphs.
+/// Owners who share, and what.
+type Givers = HashMap<Address, Scope>;
+
 pub(in crate::site) struct Bridge {
     parts: Parts,
     contacts: Arc<Contacts>,
     ros: Arc<RosSide>,
-    /// Playbacks, and how to end each.
     running: Mutex<Vec<(ProfileName, watch::Sender<bool>)>>,
 }
 
 impl Bridge {
-    /// From the shared parts.
     pub fn new(parts: &Parts, contacts: &Arc<Contacts>, ros: &Arc<RosSide>) -> Self {
         let (parts, contacts, ros) = (parts.clone(), Arc::clone(contacts), Arc::clone(ros));
         Self { parts, contacts, ros, running: Mutex::default() }
     }
 
-    /// Ends a profile's playback; the answers follow.
     pub fn stop(&self, profile: &ProfileName) {
         let running = self.running.lock().unwrap_or_else(PoisonError::into_inner);
         running.iter().filter(|(owner, _)| owner == profile).for_each(|(_, stop)| {
@@ -61,7 +55,6 @@ impl Bridge {
         });
     }
 
-    /// Keeps how to end a playback that begins, and forgets those that are over.
     fn listed(&self, profile: &ProfileName) -> watch::Receiver<bool> {
         let (stop, stopped) = watch::channel(false);
         let mut running = self.running.lock().unwrap_or_else(PoisonError::into_inner);
@@ -70,31 +63,22 @@ impl Bridge {
         stopped
     }
 
-    /// Those who share with the reader now, limited to the request.
-    fn givers(
-        &self,
-        owner: &Owner,
-        network: &Network,
-        wishes: &PlayWishes,
-    ) -> Result<HashMap<Address, Scope>, Failure> {
+    fn givers(&self, owner: &Owner, network: &Network, wishes: &PlayWishes) -> Result<Givers, Failure> {
         let wanted = wishes.owner.as_ref().map(|party| self.contacts.resolve(party)).transpose()?;
         let granted = authority::shared_with(&network.directory, owner.address);
         let granted = granted.into_iter().map(|grant| (grant.terms.owner, grant.terms.scope));
-        let givers: HashMap<Address, Scope> =
-            granted.filter(|(giver, _)| wanted.is_none_or(|wanted| wanted == *giver)).collect();
-        match (givers.is_empty(), wanted) {
-            (false, _) => Ok(givers),
-            (true, Some(other)) => {
-                let what = "its records".to_owned();
-                Err(PipelineError::NotGranted { owner: other, reader: owner.address, what }.into())
-            }
-            (true, None) => {
-                Err(refused("nobody shares records with this profile at the moment; see `authros grants list`"))
-            }
+        let givers: Givers = granted.filter(|(giver, _)| wanted.is_none_or(|wanted| wanted == *giver)).collect();
+        if !givers.is_empty() {
+            return Ok(givers);
         }
+        let Some(other) = wanted else {
+            return Err(refused("nobody shares records with this profile at the moment; see `authros grants list`"));
+        };
+        let what = "its records".to_owned();
+        Err(PipelineError::NotGranted { owner: other, reader: owner.address, what }.into())
     }
 
-    /// The participant that will publish, once it is certain that there is no loop; and whether this site captures from there.
+    /// Also returns whether this site captures from there, in which case the names must keep apart.
     fn domain(&self, domain: u16, names: &Names) -> Result<(Box<dyn Target>, bool), Failure> {
         let is_captured = self.ros.is_wanted() && self.parts.config.ros_domain == Some(domain);
         if is_captured {
@@ -102,14 +86,13 @@ impl Bridge {
         }
         let publisher = block_in_place(|| Ros2Publisher::start(domain, self.parts.config.ros2_program.as_deref()))?;
         self.tell_of_walls(publisher.is_confined());
-        Ok((Box::new(Domain::new(publisher, names.prefix())), is_captured))
+        Ok((Box::new(Domain::new(publisher, names.prefix.clone())), is_captured))
     }
 
-    /// The same for a node in a graph.
     async fn stage(&self, wishes: &PlayWishes, names: &Names) -> Result<(Box<dyn Target>, bool), Failure> {
         let own = match (self.ros.is_wanted(), &self.parts.config.ros_master) {
             (false, _) => None,
-            // While it is away, the site will still capture from it as soon as it is back.
+            // The site captures from it again as soon as it is back.
             (true, Some(named)) => Some(named.clone()),
             (true, None) => Some(self.ros.uri().await?),
         };
@@ -127,7 +110,7 @@ impl Bridge {
                 names.keep_apart().map_err(|why| refused(format!("{} is {why}", clean(&uri, 120))))?;
             }
             let publisher = self.publisher(&uri, &node)?;
-            let stage: Box<dyn Target> = Box::new(Stage::new(uri.clone(), graph, publisher, names.prefix()));
+            let stage: Box<dyn Target> = Box::new(Stage::new(uri.clone(), graph, publisher, names.prefix.clone()));
             Ok((stage, is_captured))
         })
     }
@@ -138,7 +121,6 @@ impl Bridge {
         }
     }
 
-    /// The node that publishes, by whom the settings say.
     fn publisher(&self, uri: &str, node: &str) -> Result<Box<dyn GraphPublisher>, RosError> {
         let host = self.parts.config.ros_host.as_deref();
         match self.parts.config.publisher {
@@ -175,4 +157,82 @@ fn subject(wishes: &PlayWishes, uri: &str) -> String {
     let topics: Vec<String> = wishes.topics.iter().map(ToString::to_string).collect();
     let topics = if topics.is_empty() { "all topics".to_owned() } else { topics.join(" ") };
     clean(&format!("{topics} of {owner} into {uri}"), 300)
+}
+
+/// The names of played topics, and whether they stay apart from captured ones.
+struct Names {
+    prefix: Option<String>,
+    remaps: HashMap<String, String>,
+}
+
+impl Names {
+    pub fn of(wishes: &PlayWishes) -> Result<Self, Failure> {
+        let mut remaps = HashMap::new();
+        for remap in &wishes.remaps {
+            if remaps.insert(remap.from.to_string(), remap.to.to_string()).is_some() {
+                return Err(input(format!("{} is remapped twice; give it one name", remap.from)));
+            }
+        }
+        let prefix = wishes.prefix.as_ref().map(TopicName::to_string);
+        Ok(Self { prefix, remaps })
+    }
+
+    pub fn played(&self, topic: &str) -> Option<String> {
+        if let Some(name) = self.remaps.get(topic) {
+            return Some(name.clone());
+        }
+        let name = format!("{}{topic}", self.prefix.as_deref().unwrap_or_default());
+        name.parse::<TopicName>().ok().map(|name| name.to_string())
+    }
+
+    pub fn keep_apart(&self) -> Result<(), String> {
+        let why = "the graph that this site captures from; anything played there would be captured again as new:";
+        let Some(prefix) = &self.prefix else {
+            return Err(format!("{why} give a --prefix such as /shared/alice, or another graph with --to or --ros2"));
+        };
+        match self.remaps.values().find(|name| !is_under(prefix, name)) {
+            Some(name) => Err(format!("{why} remap to a name under {prefix}, unlike {name}")),
+            None => Ok(()),
+        }
+    }
+}
+
+fn is_under(prefix: &str, name: &str) -> bool {
+    name.strip_prefix(prefix).is_some_and(|rest| rest.starts_with('/'))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(prefix: Option<&str>, remaps: &[&str]) -> Result<Names, Failure> {
+        Names::of(&PlayWishes {
+            prefix: prefix.map(|prefix| prefix.parse().expect("a name")),
+            remaps: remaps.iter().map(|remap| remap.parse().expect("a remapping")).collect(),
+            ..PlayWishes::default()
+        })
+    }
+
+    #[test]
+    fn a_prefix_stands_before_every_name_that_is_not_remapped() {
+        let names = names(Some("/shared/alice"), &["/odom:=/shared/alice/position"]).expect("names");
+        assert_eq!(names.played("/imu").as_deref(), Some("/shared/alice/imu"));
+        assert_eq!(names.played("/odom").as_deref(), Some("/shared/alice/position"));
+        assert_eq!(names.played("no name"), None);
+        assert_eq!(names.keep_apart(), Ok(()));
+    }
+
+    #[test]
+    fn without_a_prefix_or_with_a_remapping_beside_it_the_captured_graph_is_refused() {
+        assert!(names(None, &[]).expect("names").keep_apart().is_err());
+        for beside in ["/odom:=/odom", "/odom:=/shared/alicex", "/odom:=/shared"] {
+            assert!(names(Some("/shared/alice"), &[beside]).expect("names").keep_apart().is_err(), "{beside}");
+        }
+        assert_eq!(names(None, &[]).expect("names").played("/odom").as_deref(), Some("/odom"));
+    }
+
+    #[test]
+    fn one_topic_has_one_name() {
+        assert!(names(None, &["/a:=/b", "/a:=/c"]).is_err());
+    }
 }

@@ -1,5 +1,4 @@
-//! One playback: each record is opened with the same checks as for viewing, and published only while its owner still
-//! shares it.
+//! One playback: each record passes the checks of a view, and its owner must still share it.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::sync::Arc;
@@ -11,14 +10,12 @@ use tokio::task::block_in_place;
 mod rights;
 
 use super::feed::{Feed, Item};
-use super::names::Names;
-use super::pacer::{Pacer, TICK};
 use super::second::offer;
 use super::target::{Form, NO_MESSAGE, NOBODY, Source, Stop, Target};
-use super::{Bridge, consistent, subject};
+use super::{Bridge, Givers, Names, consistent, subject};
 use crate::crypto::sm3::sm3;
 use crate::crypto::{CryptoError, OpenedRecord};
-use crate::model::{Address, ErrorKind, Hash, Scope, Timestamp, Verdict, clean};
+use crate::model::{Address, ErrorKind, Hash, Timestamp, Verdict, clean};
 use crate::pipeline::reader::{Definitions, Opening, Reader, is_held};
 use crate::pipeline::{Network, Owner, PipelineError, authority, importer};
 use crate::ros::Advertised;
@@ -30,37 +27,26 @@ use crate::service::reply::{Failure, PlayEnd, PlayedView};
 use crate::store::RecordRow;
 use rights::{Keys, key_of};
 
-/// Interval between looks for newly verified records.
 const LOOK: Duration = Duration::from_millis(200);
+/// As in `rosbag play --clock`.
+const TICK: Duration = Duration::from_millis(10);
 
-/// Interval between looks at the rights; in addition, the right to each record is checked just before it is published.
+/// In addition, each record's right is checked before it is published.
 const RIGHTS: Duration = Duration::from_millis(20);
 
-/// The longest sleep without a look at what may end the playback.
 const NAP: Duration = Duration::from_millis(50);
 
-/// How long a subscriber that is far behind is waited for before it loses messages.
+/// How long a slow subscriber may delay the others before it loses messages.
 const CROWD: Duration = Duration::from_secs(5);
 
-/// How long subscribers get for the rest of their queues at an orderly end.
 const FAREWELL: Duration = Duration::from_secs(5);
 
-/// Interval between registrations at the master, and between looks at the child process.
 const REGISTERING: Duration = Duration::from_secs(5);
 
-/// The most reasons of refusals reported.
 const MOST_REASONS: usize = 20;
 
 const NO_RIGHT: &str = "no active grant covers it, or no key of this profile opens it";
 
-/// A record that passed every check, with its source and name for playing.
-struct Checked {
-    record: OpenedRecord,
-    form: Form,
-    source: Source,
-}
-
-/// What became of the records so far.
 #[derive(Default)]
 struct Tally {
     published: u64,
@@ -74,8 +60,7 @@ struct Play<'a> {
     bridge: &'a Bridge,
     network: Network,
     owner: &'a Arc<Owner>,
-    givers: HashMap<Address, Scope>,
-    /// The transaction by which each owner granted what is played.
+    givers: Givers,
     granted: HashMap<Address, Hash>,
     wishes: &'a PlayWishes,
     names: Names,
@@ -93,7 +78,6 @@ struct Play<'a> {
 }
 
 impl Bridge {
-    /// Plays until all is played, a right ends, or somebody ends it; `gone` resolves when nobody waits any more.
     pub async fn play(
         &self,
         owner: &Arc<Owner>,
@@ -109,7 +93,6 @@ impl Bridge {
             None => self.stage(&wishes, &names).await?,
         };
         let subject = subject(&wishes, target.name());
-        self.parts.log.begin(owner, "play records", &subject).await?;
         let play = Play {
             bridge: self,
             granted: granted_to(owner, &network),
@@ -129,22 +112,16 @@ impl Bridge {
             registered_at: Instant::now(),
             tally: Tally::default(),
         };
-        let played = play.run(is_captured).await;
-        self.parts.log.end(owner, "play records", &subject, played).await
+        self.parts.log.deed(&owner.profile, "play records", &subject, play.run(is_captured)).await
     }
 }
 
-/// The owners who share with a reader now, each with the transaction that says so.
 fn granted_to(reader: &Owner, network: &Network) -> HashMap<Address, Hash> {
     let standing = authority::shared_with(&network.directory, reader.address);
     standing.into_iter().map(|grant| (grant.terms.owner, grant.transaction)).collect()
 }
 
 impl Play<'_> {
-    /// Plays to the end.
-    ///
-    /// # Errors
-    /// If chain, store, master or child process fail; what was queued is not sent then.
     async fn run(mut self, is_captured: bool) -> Result<PlayedView, Failure> {
         let begun = Instant::now();
         let mut ended = self.rounds(is_captured).await;
@@ -169,7 +146,6 @@ impl Play<'_> {
         })
     }
 
-    /// Sends subscribers the rest of their queues, as long as the right lasts.
     async fn farewell(&mut self, end: PlayEnd) -> PlayEnd {
         if end.is_by_right() {
             return end;
@@ -193,10 +169,10 @@ impl Play<'_> {
             if let Err(end) = self.end() {
                 return Ok(end);
             }
-            let round = block_in_place(|| feed.next(ledger, &self.givers))?;
-            let is_idle = round.items.is_empty();
+            let (items, is_last) = block_in_place(|| feed.next(ledger, &self.givers))?;
+            let is_idle = items.is_empty();
             let mut held = HashSet::new();
-            for item in round.items {
+            for item in items {
                 let stream = (item.row.owner, item.row.topic_id);
                 if held.contains(&stream) {
                     feed.again(item);
@@ -214,7 +190,7 @@ impl Play<'_> {
                     Err(Stop::Failed(failure)) => return Err(failure),
                 }
             }
-            if round.is_last {
+            if is_last {
                 return Ok(PlayEnd::Whole);
             }
             if is_idle || self.wishes.pace == Pace::Follow {
@@ -223,7 +199,6 @@ impl Play<'_> {
         }
     }
 
-    /// Checks one record, and plays it when it is due.
     async fn take(&mut self, item: &Item) -> Result<(), Stop> {
         let row = &item.row;
         if is_held(row) || (row.is_named() && !self.is_wanted(&row.topic)) {
@@ -241,25 +216,24 @@ impl Play<'_> {
         if is_passed || !self.is_wanted(&record.head.topic) {
             return Ok(());
         }
-        let checked = self.described(item, record).await?;
-        self.play(item, &checked).await
+        let (form, source) = self.described(item, &record).await?;
+        self.play(item, &record, &form, source).await
     }
 
-    async fn play(&mut self, item: &Item, checked: &Checked) -> Result<(), Stop> {
-        let Checked { record, form, source } = checked;
+    async fn play(&mut self, item: &Item, record: &OpenedRecord, form: &Form, source: Source) -> Result<(), Stop> {
         let follows = self.wishes.pace == Pace::Follow;
-        match self.target.show(form, *source, record.body.len()) {
-            // A master or a child process that restarts is back soon.
+        match self.target.show(form, source, record.body.len()) {
+            // A restarting master or child process is back soon.
             Err(Stop::Failed(_)) if follows => return Err(Stop::Later),
             shown => shown?,
         }
         let due = Some(record.header.captured_at).filter(|_| !item.only_latched);
         self.until_due(due).await.map_err(Stop::Ended)?;
-        // It may have been opened a while ago: the right is checked again.
+        // It may have been opened a while ago.
         self.is_given(&item.row)?;
         let allowed = self.reader().authorise(&item.row);
         allowed.map_err(|error| self.judge(&item.row, error))?;
-        if !self.target.publish(form, *source, &record.body) {
+        if !self.target.publish(form, source, &record.body) {
             return Err(if follows { Stop::Later } else { Stop::Refused("nobody publishes it now".to_owned()) });
         }
         self.tally.published += 1;
@@ -279,7 +253,6 @@ impl Play<'_> {
         self.wishes.topics.is_empty() || self.wishes.topics.iter().any(|pattern| pattern.matches(topic))
     }
 
-    /// Waits until a message is due, and for subscribers that are far behind.
     async fn until_due(&mut self, due: Option<Timestamp>) -> Result<(), PlayEnd> {
         let mut crowded_since = None;
         loop {
@@ -299,7 +272,6 @@ impl Play<'_> {
         }
     }
 
-    /// Waits for the chain: without it nobody knows who may read what.
     async fn connected(&mut self) -> Result<(), PlayEnd> {
         loop {
             self.end()?;
@@ -311,7 +283,6 @@ impl Play<'_> {
         }
     }
 
-    /// Whether the playback goes on; why not, if it is over by now.
     fn end(&mut self) -> Result<(), PlayEnd> {
         let is_gone = !matches!(self.gone.try_recv(), Err(oneshot::error::TryRecvError::Empty));
         if *self.stopped.borrow() || is_gone {
@@ -328,7 +299,6 @@ impl Play<'_> {
         self.right_ended().map_or(Ok(()), Err)
     }
 
-    /// A record that does not open is counted; a failure that is not the record's ends the playback, or is retried.
     fn judge(&mut self, row: &RecordRow, error: PipelineError) -> Stop {
         let follows = self.wishes.pace == Pace::Follow;
         match (&error, error.kind()) {
@@ -365,7 +335,7 @@ impl Play<'_> {
         if !self.wishes.clock {
             return Ok(());
         }
-        // Nodes read the time under this one name; on a graph this site captures from, it would be captured.
+        // Nodes read the time under this one name; a captured graph would record it.
         let prefixed = if is_captured { self.names.played("/clock") } else { None };
         let topic = prefixed.unwrap_or_else(|| "/clock".to_owned());
         let (form, _) = self.target.clock(&topic, Timestamp::default());
@@ -381,8 +351,7 @@ impl Play<'_> {
         }
     }
 
-    /// How a record is played, or why it is not.
-    async fn described(&mut self, item: &Item, record: OpenedRecord) -> Result<Checked, Stop> {
+    async fn described(&mut self, item: &Item, record: &OpenedRecord) -> Result<(Form, Source), Stop> {
         if record.verdict != Verdict::Verified {
             return Err(Stop::Refused("not verified yet".to_owned()));
         }
@@ -398,14 +367,15 @@ impl Play<'_> {
             return Err(Stop::Refused(format!("--clock publishes the time as {topic} instead")));
         }
         let form = match encoding {
-            Encoding::Ros1 => self.of_one(item, &record, topic).await?,
-            Encoding::Cdr { .. } => of_two(&record, topic).map_err(Stop::Refused)?,
+            Encoding::Ros1 => self.of_one(item, record, topic).await?,
+            Encoding::Cdr { .. } => of_two(record, topic).map_err(Stop::Refused)?,
             Encoding::Beside(_) => return Err(Stop::Refused(NO_MESSAGE.to_owned())),
         };
-        // Publishers of one node share its name; those of ROS 2 have ids of their own.
+        // Publishers of one ROS 1 node share its name; those of ROS 2 have ids.
         let writer = record.head.tags.get(&format!("{CHANNEL}{WRITER}")).unwrap_or(&record.head.caller_id);
-        let source = (item.row.owner, source_of(item.row.owner, writer));
-        Ok(Checked { record, form, source })
+        let digest = sm3(&[&item.row.owner.0, writer.as_bytes()]);
+        let publisher = digest.first_chunk().map_or(0, |first| u64::from_be_bytes(*first));
+        Ok((form, (item.row.owner, publisher)))
     }
 
     async fn of_one(&mut self, item: &Item, record: &OpenedRecord, topic: String) -> Result<Form, Stop> {
@@ -420,7 +390,7 @@ impl Play<'_> {
     }
 }
 
-/// A message of ROS 2 needs no definition: its bytes are passed on under the name of its type.
+/// ROS 2 needs no definition: the bytes pass unchanged.
 fn of_two(record: &OpenedRecord, name: String) -> Result<Form, String> {
     let Some(([high, low, options @ ..], _)) = record.body.split_first_chunk::<4>() else {
         return Err("its message is shorter than the header of one".to_owned());
@@ -435,8 +405,53 @@ fn of_two(record: &OpenedRecord, name: String) -> Result<Form, String> {
     Ok(Form::Two(Offered { name, type_name, encoding, offer: offer(&record.head.tags) }))
 }
 
-/// The publisher of a message.
-fn source_of(owner: Address, caller_id: &str) -> u64 {
-    let digest = sm3(&[&owner.0, caller_id.as_bytes()]);
-    digest.first_chunk().map_or(0, |first| u64::from_be_bytes(*first))
+struct Pacer {
+    thousandths: Option<u64>,
+    begun: Option<(Timestamp, Instant)>,
+}
+
+impl Pacer {
+    pub fn new(pace: Pace) -> Self {
+        let thousandths = match pace {
+            Pace::Rated { thousandths } => Some(thousandths.max(1)),
+            Pace::AtOnce | Pace::Follow => None,
+        };
+        Self { thousandths, begun: None }
+    }
+
+    pub fn wait(&mut self, at: Timestamp, now: Instant) -> Duration {
+        let Some(thousandths) = self.thousandths else { return Duration::ZERO };
+        let (first, begun) = *self.begun.get_or_insert((at, now));
+        let after = u128::from(at.0.saturating_sub(first.0)) * 1000 / u128::from(thousandths);
+        let after = Duration::from_nanos(u64::try_from(after).unwrap_or(u64::MAX));
+        after.saturating_sub(now.saturating_duration_since(begun))
+    }
+
+    pub fn clock(&self, now: Instant) -> Option<Timestamp> {
+        let (first, begun) = self.begun?;
+        let since = now.saturating_duration_since(begun).as_nanos() * u128::from(self.thousandths?) / 1000;
+        Some(Timestamp(first.0.saturating_add(u64::try_from(since).unwrap_or(u64::MAX))))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SECOND: u64 = 1_000_000_000;
+
+    #[test]
+    fn messages_wait_as_long_as_they_were_apart_by_the_rate() {
+        let now = Instant::now();
+        let mut double = Pacer::new(Pace::Rated { thousandths: 2000 });
+        assert_eq!(double.wait(Timestamp(100 * SECOND), now), Duration::ZERO);
+        assert_eq!(double.wait(Timestamp(110 * SECOND), now), Duration::from_secs(5));
+        assert_eq!(double.wait(Timestamp(110 * SECOND), now + Duration::from_secs(4)), Duration::from_secs(1));
+        assert_eq!(double.wait(Timestamp(90 * SECOND), now), Duration::ZERO, "never back");
+        assert_eq!(double.clock(now + Duration::from_secs(4)), Some(Timestamp(108 * SECOND)));
+        let mut at_once = Pacer::new(Pace::AtOnce);
+        assert_eq!(at_once.wait(Timestamp(100 * SECOND), now), Duration::ZERO);
+        assert_eq!(at_once.wait(Timestamp(900 * SECOND), now), Duration::ZERO);
+        assert_eq!(at_once.clock(now), None);
+    }
 }

@@ -1,27 +1,24 @@
-//! The participant that publishes in a ROS 2 domain, and its topics: each as its publishers offered it, unless that would
-//! mix with somebody else's.
+//! Publishes in a ROS 2 domain with the offers of the original publishers.
 
 use std::collections::{BTreeMap, HashMap};
 
 use tokio::task::block_in_place;
 
-use super::pacer::clock_message;
-use super::target::{Form, NO_MESSAGE, OTHER_ROS, Source, Stop, Target, Topics};
+use super::target::{Form, NO_MESSAGE, OTHER_ROS, Source, Stop, Target, Topics, clock_message};
 use crate::model::{Address, Timestamp, clean};
 use crate::pipeline::importer;
 use crate::ros::recording::Encoding;
 use crate::ros::recording::tags::CHANNEL;
 use crate::ros::ros2::{Delivery, Offer, Offered, QUALITY, Ros2Publisher};
 
-/// The most publishers of one latched topic that are told apart.
 const MOST_LATCHED: usize = 64;
 
-/// The clock's type, and its offer, as `ros2 bag play --clock` makes it.
+/// As `ros2 bag play --clock` offers it.
 const CLOCK: &str = "rosgraph_msgs/msg/Clock";
 const CLOCK_OFFER: Offer = Offer { reliable: false, latched: false, depth: 1 };
 const LITTLE: u16 = 1;
 
-/// How messages of one kind leave. A latched topic keeps the last messages of each source.
+/// A latched topic keeps the last messages of each source.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 struct Way {
     topic: String,
@@ -43,7 +40,6 @@ fn way(about: &Offered, (owner, source): Source) -> Way {
 }
 
 impl Domain {
-    /// A participant in a domain.
     pub fn new(publisher: Ros2Publisher, prefix: Option<String>) -> Self {
         let topics = Topics::new(format!("ROS 2 domain {}", publisher.domain()), prefix);
         Self { topics, publisher, ways: HashMap::new() }
@@ -62,14 +58,14 @@ impl Domain {
                 let advice = if declined.occupied { "; give a --prefix" } else { "" };
                 let why = format!("{}{advice}", clean(&declined.reason, 300));
                 if alone {
-                    self.topics.decline(&about.name, &why);
+                    self.topics.declined.insert(about.name.clone(), why.clone());
                 }
                 Err(Stop::Refused(why))
             }
         }
     }
 
-    /// A publisher that is restarted again and again is a new source each time: the oldest is taken back.
+    /// Each restart of a publisher is a new source: withdraws the oldest.
     fn make_room(&mut self, way: &Way) {
         let alike = |other: &Way| other.source.is_some() && (&other.topic, other.owner) == (&way.topic, way.owner);
         let alike: Vec<u32> = self.ways.iter().filter(|(other, _)| alike(other)).map(|(_, writer)| *writer).collect();
@@ -104,11 +100,9 @@ impl Target for Domain {
         block_in_place(|| self.begin(about, way, size, alone))
     }
 
-    /// With the encapsulation header of the message.
     fn publish(&mut self, form: &Form, source: Source, message: &[u8]) -> bool {
         let Form::Two(about) = form else { return false };
         let Some(writer) = self.ways.get(&way(about, source)).copied() else { return false };
-        // The pipe may be full for a moment.
         block_in_place(|| self.publisher.publish(writer, message))
     }
 
@@ -135,7 +129,7 @@ impl Target for Domain {
         block_in_place(|| {
             ways.extract_if(|way, _| way.owner == owner).for_each(|(_, writer)| publisher.withdraw(writer));
         });
-        self.topics.retain(|topic| ways.keys().any(|way| way.topic == topic));
+        self.topics.types.retain(|topic, _| ways.keys().any(|way| way.topic == *topic));
     }
 
     fn leave(&self) {
@@ -154,13 +148,11 @@ impl Target for Domain {
     }
 }
 
-/// Messages kept where the publisher did not say: as a node of ROS 2 does, and for those who subscribe later.
 const USUAL: u32 = 10;
 const LATCHED: u32 = 1;
-/// The most that are kept.
 const DEEPEST: u32 = 1000;
 
-/// The offer to be made with a message. Publishers of DDS do not announce how many messages they keep; recordings tell it.
+/// DDS publishers do not announce their depth; recordings do.
 pub(super) fn offer(tags: &BTreeMap<String, String>) -> Offer {
     let profiles = tags.get(&format!("{CHANNEL}{QUALITY}")).map(String::as_str).unwrap_or_default();
     let said = |name: &str| first(profiles, name);
@@ -179,7 +171,7 @@ pub(super) fn offer(tags: &BTreeMap<String, String>) -> Offer {
     Offer { reliable, latched, depth: depth.min(DEEPEST) }
 }
 
-/// The value of a name in the first of several profiles, which are a list in YAML.
+/// Profiles are a YAML list; only the first counts.
 fn first<'a>(profiles: &'a str, name: &str) -> Option<&'a str> {
     let lines = profiles.lines().enumerate();
     let own = lines.take_while(|(place, line)| *place == 0 || !line.starts_with('-')).map(|(_, line)| line);

@@ -1,36 +1,31 @@
-//! The node that publishes, and its topics: each as its publishers described it, unless that would mix with somebody
-//! else's.
+//! Publishes in a ROS 1 graph with the descriptions of the original publishers.
 
 use std::collections::{BTreeMap, HashMap};
 
 use tokio::task::block_in_place;
 
 use super::NODE;
-use super::pacer::{clock_message, clock_topic};
-use super::target::{Form, NO_MESSAGE, OTHER_ROS, Source, Stop, Target, Topics};
+use super::target::{Form, NO_MESSAGE, OTHER_ROS, Source, Stop, Target, Topics, clock_message, clock_topic};
 use crate::model::{Address, Timestamp, clean};
 use crate::ros::recording::Encoding;
 use crate::ros::{Graph, GraphPublisher};
 use crate::service::reply::Failure;
 
-/// The name prefix of the nodes that capture.
 const CAPTURING: &str = "/authros_";
 
 pub(super) struct Stage {
     topics: Topics,
     graph: Graph,
     publisher: Box<dyn GraphPublisher>,
-    /// Of each published topic the sources of its messages, with their owners.
     sources: HashMap<String, BTreeMap<u64, Address>>,
 }
 
 impl Stage {
-    /// A node in the graph of a master.
     pub fn new(uri: String, graph: Graph, publisher: Box<dyn GraphPublisher>, prefix: Option<String>) -> Self {
         Self { topics: Topics::new(uri, prefix), graph, publisher, sources: HashMap::new() }
     }
 
-    /// Why a name cannot be used without a prefix: a robot's own topic would get messages of another one.
+    /// Without a prefix, a robot's own topic would receive foreign messages.
     fn occupied(&self, topic: &str) -> Result<Option<String>, Failure> {
         if self.topics.is_inside(topic) {
             return Ok(None);
@@ -66,7 +61,7 @@ impl Target for Stage {
         let is_new = self.topics.admit(topic, kind, self.publisher.broken())?;
         if is_new {
             if let Some(why) = block_in_place(|| self.occupied(topic))? {
-                self.topics.decline(topic, &why);
+                self.topics.declined.insert(topic.clone(), why.clone());
                 return Err(Stop::Refused(why));
             }
             let publisher = &mut self.publisher;
@@ -115,7 +110,7 @@ impl Target for Stage {
             });
             publisher.cut(&cut);
         });
-        self.topics.retain(|topic| self.sources.contains_key(topic));
+        self.topics.types.retain(|topic, _| self.sources.contains_key(topic));
     }
 
     fn leave(&self) {

@@ -1,6 +1,5 @@
-//! Captures with an end: a number of messages, a duration, or until told; answered when all is verified.
+//! Captures with an end: a count, a duration, or a command; answered when all is verified.
 
-mod policy;
 pub(super) mod ros;
 pub(super) mod sealer_thread;
 pub(super) mod second;
@@ -23,10 +22,8 @@ use crate::pipeline::{CaptureSession, Losses, Owner, Recorder};
 use crate::service::failure::{input, refused};
 use crate::service::reply::{CaptureSummary, Failure, TopicSummary, UnreachedView};
 
-/// How long to wait before checking again whether a latched message came.
 const TICK: Duration = Duration::from_millis(50);
 
-/// Captures, and the rules for them.
 pub(in crate::site) struct Capture {
     parts: Parts,
     recorder: Arc<Recorder>,
@@ -39,7 +36,6 @@ pub(in crate::site) struct Capture {
 }
 
 impl Capture {
-    /// From the shared parts.
     pub fn new(
         parts: &Parts,
         recorder: &Arc<Recorder>,
@@ -54,7 +50,6 @@ impl Capture {
         Self { parts: parts.clone(), recorder, losses, ros, watches, profiles, pins, running: Mutex::default() }
     }
 
-    /// Runs one capture; registers the owner first if needed.
     pub async fn capture(
         &self,
         owner: &Arc<Owner>,
@@ -77,7 +72,7 @@ impl Capture {
         if owner.sealing().is_none() {
             self.profiles.register(owner).await?;
         } else {
-            // Somebody who waits for verified records is told at once if there is no chain to verify them.
+            // Verified records need a chain: fail now.
             self.parts.link.network().await?;
         }
         let names: Vec<String> = topics.iter().map(ToString::to_string).collect();
@@ -90,15 +85,10 @@ impl Capture {
             Ok(())
         };
         self.parts.log.deed(&owner.profile, "capture start", &listed, started).await?;
-        let time_is_up = async {
-            match milliseconds {
-                Some(milliseconds) => self.last(Duration::from_millis(milliseconds), topics, &session).await,
-                None => std::future::pending().await,
-            }
-        };
+        let length = milliseconds.map_or(Duration::MAX, Duration::from_millis);
         tokio::select! {
             () = session.closed() => {}
-            () = time_is_up => {}
+            () = self.last(length, topics, &session) => {}
             () = self.parts.life.stopped() => {}
         }
         names.iter().for_each(|topic| self.ros.second.settle(Some(topic)));
@@ -117,7 +107,7 @@ impl Capture {
         Ok(summary(&session, unreached))
     }
 
-    /// This long, or as long as the first message of a latched ROS 2 topic takes to arrive.
+    /// Waits longer for the first message of a latched ROS 2 topic.
     async fn last(&self, asked: Duration, topics: &[TopicName], session: &CaptureSession) {
         let begun = Instant::now();
         tokio::time::sleep(asked).await;
@@ -127,7 +117,6 @@ impl Capture {
         }
     }
 
-    /// The command that ends captures ends this, too.
     pub fn note(&self, profile: &ProfileName, session: &Arc<CaptureSession>) {
         let mut running = self.running.lock().unwrap_or_else(PoisonError::into_inner);
         running.push((profile.clone(), Arc::clone(session)));
@@ -138,7 +127,6 @@ impl Capture {
         running.retain(|(_, other)| !Arc::ptr_eq(other, session));
     }
 
-    /// Ends the running captures of a profile; their own answers follow.
     pub fn stop(&self, profile: &ProfileName) {
         self.ros.second.settle(None);
         let captures = self.running.lock().unwrap_or_else(PoisonError::into_inner);

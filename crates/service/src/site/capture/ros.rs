@@ -1,10 +1,7 @@
-//! The site's ROS side: master (embedded or real), simulated robots, the monitoring node.
-
-use crate::config::Config;
 use crate::pipeline::Recorder;
 use crate::site::parts::Parts;
 use std::collections::{BTreeSet, HashMap};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::Duration;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
@@ -16,59 +13,40 @@ use crate::crypto::random_bytes;
 use crate::model::TopicName;
 use crate::model::bytes::hex;
 use crate::ros::graph::Unreached;
-use crate::ros::{Capture, CaptureOptions, EmbeddedMaster, Fleet, FleetOptions, Graph, LastLook, RosError, TopicInfo};
+use crate::ros::{Capture, CaptureOptions, EmbeddedMaster, Fleet, FleetOptions, Graph, LastLook, TopicInfo};
 use crate::service::event::Part;
 use crate::service::failure::internal;
 use crate::service::reply::Failure;
 use crate::site::blocking;
 use crate::site::capture::second::{GraphOf, Second};
 
-/// Interval between looks at the graph.
 const LOOK: Duration = Duration::from_secs(1);
 /// Looks without a change after which they become half as frequent.
 const CALM: u32 = 10;
 
-/// The state of the ROS side.
+/// The capture of a link that is down recovers without help.
 #[derive(Clone)]
 pub enum RosState {
-    /// This run needs no ROS, or is ending.
     Off,
     Starting,
     Up(Arc<RosLink>),
-    /// The master does not answer; the next look may find it.
-    Down {
-        failure: Failure,
-        /// The link, if there was one: its capture recovers on its own.
-        link: Option<Arc<RosLink>>,
-    },
+    Down { failure: Failure, link: Option<Arc<RosLink>> },
 }
 
-/// Simulated robots: nodes of this process, or rosrust in processes of their own.
-fn start_robots(config: &Config, uri: &str) -> Result<Fleet, RosError> {
-    let (robots, options) = (config.robots, FleetOptions::default());
-    match config.robots_by {
-        PublishedBy::Own => Fleet::start(uri, robots, options),
-        PublishedBy::Rosrust => Fleet::by_rosrust(uri, config.rosrust_program.as_deref(), robots, options),
-    }
-}
-
-/// A working connection to a master.
 pub struct RosLink {
     pub uri: String,
-    /// Whether it belongs to this process.
     pub embedded: bool,
     pub capture: Capture,
     _fleet: Option<Fleet>,
     pub robots: u16,
     graph: Graph,
-    last_look: std::sync::Mutex<LastLook>,
-    topics: std::sync::RwLock<Vec<TopicInfo>>,
+    last_look: Mutex<LastLook>,
+    topics: RwLock<Vec<TopicInfo>>,
     // Dropped last: nodes unregister on drop.
     master: Option<EmbeddedMaster>,
 }
 
 impl RosState {
-    /// The link, also one that waits for its master.
     pub fn link(&self) -> Option<&Arc<RosLink>> {
         match self {
             Self::Up(link) | Self::Down { link: Some(link), .. } => Some(link),
@@ -78,40 +56,31 @@ impl RosState {
 }
 
 impl RosLink {
-    /// The graph's topics at the last look.
     pub fn topics(&self) -> Vec<TopicInfo> {
-        self.topics.read().unwrap_or_else(std::sync::PoisonError::into_inner).clone()
-    }
-
-    /// Whether the master in this process has ended because of a failure of its own.
-    fn has_lost_its_master(&self) -> bool {
-        self.master.as_ref().is_some_and(|master| !master.is_running())
+        self.topics.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     fn look(&self) -> Result<bool, Failure> {
-        let mut last = self.last_look.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let mut last = self.last_look.lock().unwrap_or_else(PoisonError::into_inner);
         let mut found = self.graph.topics_again(&mut last)?;
         found.sort_by(|one, other| one.name.cmp(&other.name));
-        let mut topics = self.topics.write().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let mut topics = self.topics.write().unwrap_or_else(PoisonError::into_inner);
         let changed = *topics != found;
         *topics = found;
         Ok(changed)
     }
 }
 
-/// The ROS side of a site.
 pub(in crate::site) struct RosSide {
     parts: Parts,
     recorder: Arc<Recorder>,
     state: watch::Sender<RosState>,
-    /// ROS 2, where the settings name a domain.
     pub(in crate::site) second: Second,
-    /// Held by those who are looking at every topic of the graph now.
-    learning: Arc<()>,
+    /// Each clone measures all topics.
+    pub(super) learning: Arc<()>,
 }
 
 impl RosSide {
-    /// From the shared parts.
     pub fn new(parts: &Parts, recorder: &Arc<Recorder>, needed: bool) -> Self {
         Self {
             parts: parts.clone(),
@@ -126,22 +95,14 @@ impl RosSide {
         self.state.borrow()
     }
 
-    /// Whether this run has a ROS side, and is not ending.
     pub fn is_wanted(&self) -> bool {
         !matches!(*self.state.borrow(), RosState::Off)
     }
 
-    /// Everything in the graph is subscribed to until the guard is dropped.
-    pub fn learn(&self) -> Arc<()> {
-        Arc::clone(&self.learning)
-    }
-
-    /// Whether all topics are read, to be measured.
     fn is_measured(&self) -> bool {
         self.parts.config.meter == MeterMode::All || Arc::strong_count(&self.learning) > 1
     }
 
-    /// The nodes leave the graph; waits for them no longer than `patience`. `task` is the one that keeps the side up.
     pub async fn leave(&self, task: Option<JoinHandle<()>>, patience: Duration) {
         self.state.send_replace(RosState::Off);
         if let Some(task) = task {
@@ -149,18 +110,16 @@ impl RosSide {
         }
     }
 
-    /// Brings up the ROS side and keeps looking at the graph until the site ends.
     pub async fn keep(self: Arc<Self>) {
         let ros = Arc::clone(&self);
         drop(tokio::task::spawn_blocking(move || ros.second.begin()).await);
         let link = loop {
-            // When restarted after a failure, the task finds the link still working.
+            // After a failure, the restarted task finds the link still working.
             let kept = self.state.borrow().link().cloned();
             if let Some(link) = kept {
                 break link;
             }
-            let ros = Arc::clone(&self);
-            match blocking(&self, move |_| ros.start()).await {
+            match blocking(&self, Self::start).await {
                 Ok(link) => break Arc::new(link),
                 Err(failure) => {
                     self.parts.hub.alarm(&failure.message);
@@ -168,7 +127,6 @@ impl RosSide {
                     self.parts.hub.changed(Part::Health);
                 }
             }
-            // ROS 2 needs no master.
             self.second.look();
             self.share_wishes(&[]);
             tokio::select! {
@@ -187,8 +145,8 @@ impl RosSide {
                 () = self.leaving() => break,
             }
             calm = if self.look_at_graph(&link).await { 0 } else { calm.saturating_add(1) };
-            if link.has_lost_its_master() {
-                // Returning early is a failure: everything here is started again, with another master.
+            if link.master.as_ref().is_some_and(|master| !master.is_running()) {
+                // Returning early restarts everything here, with another master.
                 self.state.send_if_modified(|state| {
                     let ending = matches!(state, RosState::Off);
                     if !ending {
@@ -200,11 +158,10 @@ impl RosSide {
             }
         }
         self.leave_second().await;
-        // The nodes unregister at the master and their threads are joined: not on an async thread.
+        // Nodes unregister and threads join: not on an async thread.
         drop(tokio::task::spawn_blocking(move || drop(link)).await);
     }
 
-    /// Leaves the domain, unless all of it is to be restarted.
     async fn leave_second(self: &Arc<Self>) {
         if !self.is_wanted() {
             let ros = Arc::clone(self);
@@ -214,38 +171,37 @@ impl RosSide {
 
     async fn leaving(&self) {
         let mut ros = self.state.subscribe();
-        // An error means that the site is gone, which is an end too.
+        // An error means that the site is gone.
         drop(ros.wait_for(|state| matches!(state, RosState::Off)).await);
     }
 
     fn start(&self) -> Result<RosLink, Failure> {
-        let master = if self.parts.config.ros_master.is_none() { Some(EmbeddedMaster::start()?) } else { None };
-        let uri =
-            master.as_ref().map(|master| master.uri().to_owned()).or_else(|| self.parts.config.ros_master.clone());
+        let config = &self.parts.config;
+        let master = if config.ros_master.is_none() { Some(EmbeddedMaster::start()?) } else { None };
+        let uri = master.as_ref().map(|master| master.uri().to_owned()).or_else(|| config.ros_master.clone());
         let uri = uri.ok_or_else(|| internal("no ROS master is configured"))?;
         let node_name = format!("/authros_{}", hex(&random_bytes::<4>()?));
         let graph = Graph::new(&uri, &node_name)?;
         graph.ping()?;
-        let robots = self.parts.config.robots;
-        let fleet = match &master {
-            Some(_) if robots > 0 => Some(start_robots(&self.parts.config, &uri)?),
-            _ => None,
+        let robots = if master.is_some() { config.robots } else { 0 };
+        let (program, options) = (config.rosrust_program.as_deref(), FleetOptions::default());
+        let fleet = match config.robots_by {
+            _ if robots == 0 => None,
+            PublishedBy::Own => Some(Fleet::start(&uri, robots, options)?),
+            PublishedBy::Rosrust => Some(Fleet::by_rosrust(&uri, program, robots, options)?),
         };
-        let robots = if fleet.is_some() { robots } else { 0 };
         self.recorder.set_simulated((1..=robots).map(|number| format!("/robot{number}_sim")).collect());
-        let options =
-            CaptureOptions { master_uri: uri.clone(), own_host: self.parts.config.ros_host.clone(), node_name };
+        let options = CaptureOptions { master_uri: uri.clone(), own_host: config.ros_host.clone(), node_name };
         let capture = Capture::start(options, self.recorder.clone())?;
-        let embedded = master.is_some();
         let link = RosLink {
             uri,
-            embedded,
+            embedded: master.is_some(),
             capture,
             robots,
             _fleet: fleet,
             graph,
-            last_look: std::sync::Mutex::default(),
-            topics: std::sync::RwLock::default(),
+            last_look: Mutex::default(),
+            topics: RwLock::default(),
             master,
         };
         link.look()?;
@@ -253,7 +209,6 @@ impl RosSide {
         Ok(link)
     }
 
-    /// Whether anything changed since the last look.
     async fn look_at_graph(self: &Arc<Self>, link: &Arc<RosLink>) -> bool {
         let in_two = self.second.look();
         in_two
@@ -278,20 +233,16 @@ impl RosSide {
                     self.parts.hub.changed(Part::Health);
                     true
                 }
-                // A master that is gone is asked as often as before, so that its return is noticed at once.
+                // Keeps the pace, to notice its return soon.
                 Err(_) => true,
             }
     }
 
-    /// Subscribes to what is wanted or measured, and to nothing else.
     fn follow_wishes(&self, link: &RosLink) {
         let mut wanted = self.share_wishes(&link.topics());
         if self.is_measured() {
-            let of_two = |info: &&TopicInfo| self.graph_of(info) == GraphOf::Two;
-            let topics = link.topics();
-            let names =
-                topics.iter().filter(|info| !of_two(info)).filter_map(|info| info.name.parse::<TopicName>().ok());
-            wanted.extend(names);
+            let read = link.topics().into_iter().filter(|info| self.second.graph_of(info) != GraphOf::Two);
+            wanted.extend(read.filter_map(|info| info.name.parse::<TopicName>().ok()));
         }
         let watched: BTreeSet<TopicName> = link.capture.watched().into_iter().map(|(topic, _)| topic).collect();
         for topic in watched.difference(&wanted) {
@@ -302,13 +253,11 @@ impl RosSide {
         }
     }
 
-    /// What the recorder wants from ROS 1; the rest is requested from ROS 2.
     fn share_wishes(&self, graph: &[TopicInfo]) -> BTreeSet<TopicName> {
         let wanted = self.recorder.wanted().iter().filter_map(|topic| topic.parse().ok()).collect();
         self.second.share(wanted, self.is_measured(), graph)
     }
 
-    /// Updates the subscriptions to the recorder's wishes at once.
     pub fn wishes_changed(&self) {
         if let Some(link) = self.state.borrow().link() {
             self.follow_wishes(link);
@@ -318,7 +267,6 @@ impl RosSide {
         self.parts.hub.changed(Part::Topics);
     }
 
-    /// The publishers of each captured topic that are listed and cannot be read, by topic.
     pub fn unreached(&self) -> HashMap<String, Vec<Unreached>> {
         let status = match &*self.state() {
             RosState::Up(link) => link.capture.status(),
@@ -328,36 +276,25 @@ impl RosSide {
         status.map(|topic| (topic.topic.to_string(), topic.unreached)).collect()
     }
 
-    /// The graph from which a ROS 1 topic is captured.
-    pub fn graph_of(&self, info: &TopicInfo) -> GraphOf {
-        self.second.graph_of(info)
-    }
-
-    /// The ROS 1 link, or none if ROS 2 is there without it; ROS 2 was given time for discovery.
-    ///
-    /// # Errors
-    /// Why the master cannot be reached, if there is no ROS 2 either.
+    /// `None` if only ROS 2 is there; waits for its discovery.
     pub async fn any(&self) -> Result<Option<Arc<RosLink>>, Failure> {
         let link = self.any_now().await?;
         self.second.first_look().await;
         Ok(link)
     }
 
-    /// Like [`Self::any`], without that time.
     pub async fn any_now(&self) -> Result<Option<Arc<RosLink>>, Failure> {
         match self.link().await {
             Ok(link) => Ok(Some(link)),
-            Err(_) if self.second.is_on() => Ok(None),
+            Err(_) if self.second.capture().is_some() => Ok(None),
             Err(failure) => Err(failure),
         }
     }
 
-    /// The master's URI, as soon as it is reached.
     pub async fn uri(&self) -> Result<String, Failure> {
         Ok(self.link().await?.uri.clone())
     }
 
-    /// The ROS link, as soon as the first attempt has ended.
     pub async fn link(&self) -> Result<Arc<RosLink>, Failure> {
         let mut state = self.state.subscribe();
         let settled = state.wait_for(|state| !matches!(state, RosState::Starting)).await;

@@ -1,4 +1,4 @@
-//! The thread that seals what is captured or imported, started on first use.
+//! The thread that seals captured and imported messages, started on first use.
 
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::thread::JoinHandle;
@@ -12,39 +12,44 @@ use crate::pipeline::sealer::Sealer;
 use crate::service::reply::Failure;
 use crate::site::parts::Parts;
 
-/// The sealer of a site.
 pub(in crate::site) struct SealerThread {
     parts: Parts,
     rings: Arc<Rings<CapturedMessage>>,
     losses: Arc<Losses>,
-    /// The ring on the disk, on a robot that keeps one.
     ring: Arc<OnceLock<SharedRing>>,
     thread: Mutex<Option<JoinHandle<()>>>,
 }
 
 impl SealerThread {
-    /// A sealer for what comes through `rings`, not started yet.
     pub fn new(parts: &Parts, rings: &Arc<Rings<CapturedMessage>>, losses: &Arc<Losses>) -> Self {
         let (parts, rings, losses) = (parts.clone(), Arc::clone(rings), Arc::clone(losses));
         Self { parts, rings, losses, ring: Arc::default(), thread: Mutex::default() }
     }
 
-    /// From now on messages of topics that nobody watches go into this ring; the first one counts.
     pub fn fill(&self, ring: &SharedRing) {
-        // A second ring in one run is not asked for by anybody.
         drop(self.ring.set(Arc::clone(ring)));
     }
 
-    /// Starts if it has not started yet: a run that captures nothing may still import.
+    /// A run that captures nothing may still import.
     pub fn begin(&self) -> Result<(), Failure> {
         let mut thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner);
-        if thread.is_none() && !self.rings.is_closed() {
-            *thread = Some(self.start()?);
+        if thread.is_some() || self.rings.is_closed() {
+            return Ok(());
         }
+        self.take_over();
+        let (plant, hub, losses) = (self.parts.plant.clone(), Arc::clone(&self.parts.hub), Arc::clone(&self.losses));
+        let (rings, ring, compression) =
+            (Arc::clone(&self.rings), Arc::clone(&self.ring), self.parts.config.compression);
+        *thread = Some(self.parts.supervisor.keep_thread("sealer", move || {
+            let sealer = Sealer::new(plant.clone(), Arc::clone(&hub.sessions), Arc::clone(&losses));
+            let sealer = sealer.with_ring(Arc::clone(&ring));
+            let mut sealer = if compression { sealer } else { sealer.without_compression() };
+            sealer.run(&rings, &|| hub.stored.notify_waiters());
+        })?);
         Ok(())
     }
 
-    /// Counts what died in memory with the process before, while its disk was full.
+    /// Counts messages that died in memory with the previous process, while its disk was full.
     fn take_over(&self) {
         let text = match self.losses.keep_in(&self.parts.home.waiting(), &self.parts.plant) {
             Ok(0) => return,
@@ -57,20 +62,6 @@ impl SealerThread {
         self.parts.hub.warn(&text);
     }
 
-    fn start(&self) -> Result<JoinHandle<()>, Failure> {
-        self.take_over();
-        let (plant, hub, losses) = (self.parts.plant.clone(), Arc::clone(&self.parts.hub), Arc::clone(&self.losses));
-        let (rings, compression, ring) =
-            (Arc::clone(&self.rings), self.parts.config.compression, Arc::clone(&self.ring));
-        self.parts.supervisor.keep_thread("sealer", move || {
-            let sealer = Sealer::new(plant.clone(), Arc::clone(&hub.sessions), Arc::clone(&losses));
-            let sealer = sealer.with_ring(Arc::clone(&ring));
-            let mut sealer = if compression { sealer } else { sealer.without_compression() };
-            sealer.run(&rings, &|| hub.stored.notify_waiters());
-        })
-    }
-
-    /// Accepts nothing more and seals what waits; returns whether that was done within `patience`.
     pub async fn finish(&self, patience: Duration) -> bool {
         self.rings.close();
         let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();

@@ -1,4 +1,4 @@
-//! The site's ROS 2 side: one domain, read alongside ROS 1 by a program without keys.
+//! The site's ROS 2 side: one domain, read by a program without keys.
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -7,20 +7,17 @@ use std::time::{Duration, Instant};
 use crate::config::Source;
 use crate::model::{TopicName, clean};
 use crate::pipeline::Recorder;
-use crate::ros::ros2::{Reading, Ros2Capture, Ros2Topic, Standing};
+use crate::ros::ros2::{Reading, Ros2Capture, Ros2Topic};
 use crate::ros::{CaptureNotice, MessageSink, TopicInfo, UNCONFINED};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::reply::{Failure, HealthLevel};
 use crate::site::parts::Parts;
 
-/// The longest that a list of topics waits for a domain that was just joined.
 const FIRST_LOOK: Duration = Duration::from_secs(6);
-/// Interval between looks at it meanwhile.
 const TICK: Duration = Duration::from_millis(50);
 /// Fast DDS delivers a latched message up to 3.2 s after a subscriber appears.
 const LATCHED: Duration = Duration::from_secs(4);
 
-/// The graph from which a topic is captured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::site) enum GraphOf {
     One,
@@ -29,27 +26,15 @@ pub(in crate::site) enum GraphOf {
     Open,
 }
 
-/// The state of the ROS 2 side.
-enum State {
-    /// This run has none.
-    Off,
-    /// The program that reads it is missing.
-    Absent(Failure),
-    /// It is being read.
-    On(Arc<Ros2Capture>),
-}
-
-/// The ROS 2 side of a site.
 pub(in crate::site) struct Second {
     parts: Parts,
     recorder: Arc<Recorder>,
-    state: Mutex<State>,
-    /// The graph in which a wanted topic was first found.
+    /// `None` = off; a failure = its program is missing.
+    state: Mutex<Option<Result<Arc<Ros2Capture>, Failure>>>,
     decided: Mutex<HashMap<TopicName, GraphOf>>,
     told: Mutex<Told>,
 }
 
-/// What was reported already.
 #[derive(Default)]
 struct Told {
     standing: Option<String>,
@@ -63,68 +48,50 @@ fn locked<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
 }
 
 impl Second {
-    /// Off until it is started.
     pub fn new(parts: &Parts, recorder: &Arc<Recorder>) -> Self {
         Self {
             parts: parts.clone(),
             recorder: Arc::clone(recorder),
-            state: Mutex::new(State::Off),
+            state: Mutex::default(),
             decided: Mutex::default(),
             told: Mutex::default(),
         }
     }
 
-    /// Joins the domain in the settings, if they name one; reports it if it cannot.
     pub fn begin(&self) {
         let Some(domain) = self.parts.config.ros_domain else { return };
-        if matches!(*locked(&self.state), State::On(_)) {
+        if self.capture().is_some() {
             return;
         }
         let started = Ros2Capture::start(domain, self.parts.config.ros2_program.as_deref(), self.recorder.clone());
-        let state = match started {
-            Ok(capture) => State::On(Arc::new(capture)),
-            Err(error) => {
-                let failure = Failure::from(error);
-                self.parts.hub.alarm(&failure.message);
-                State::Absent(failure)
-            }
-        };
-        *locked(&self.state) = state;
+        let started = started.map(Arc::new).map_err(Failure::from);
+        if let Err(failure) = &started {
+            self.parts.hub.alarm(&failure.message);
+        }
+        *locked(&self.state) = Some(started);
         self.parts.hub.changed(Part::Health);
     }
 
-    /// Leaves the domain; blocks until the program has ended.
     pub fn end(&self) {
-        let state = std::mem::replace(&mut *locked(&self.state), State::Off);
+        let state = locked(&self.state).take();
         drop(state);
     }
 
-    fn capture(&self) -> Option<Arc<Ros2Capture>> {
-        match &*locked(&self.state) {
-            State::On(capture) => Some(Arc::clone(capture)),
-            State::Off | State::Absent(_) => None,
-        }
+    pub fn capture(&self) -> Option<Arc<Ros2Capture>> {
+        locked(&self.state).as_ref()?.as_ref().ok().cloned()
     }
 
-    /// Captures the messages of a topic, or of all, that still wait for the identity of their publisher: before somebody
-    /// stops wanting them.
+    /// Captures messages that still wait for their publisher's identity, before their topic is unwatched.
     pub fn settle(&self, topic: Option<&str>) {
         if let Some(capture) = self.capture() {
             tokio::task::block_in_place(|| capture.settle(topic));
         }
     }
 
-    /// Whether there is a domain being read.
-    pub fn is_on(&self) -> bool {
-        self.capture().is_some()
-    }
-
-    /// Topics that somebody publishes in the domain.
     pub fn topics(&self) -> Vec<Ros2Topic> {
         self.capture().map(|capture| capture.topics()).unwrap_or_default()
     }
 
-    /// Waits until there was time for discovery.
     pub async fn first_look(&self) {
         let begun = Instant::now();
         while begun.elapsed() < FIRST_LOOK
@@ -134,23 +101,25 @@ impl Second {
         }
     }
 
-    /// The shortest duration of a capture of these topics: a latched message may come late.
     pub fn least(&self, topics: &[TopicName]) -> Duration {
         let latched =
             |topic: &Ros2Topic| topic.quality.latched && topics.iter().any(|name| name.as_str() == topic.name);
         if self.topics().iter().any(latched) { LATCHED } else { Duration::ZERO }
     }
 
-    /// The health of this side and its words; `None` if the settings name no domain.
     pub fn health(&self) -> Option<(HealthLevel, String)> {
-        match &*locked(&self.state) {
-            State::Off => None,
-            State::Absent(failure) => Some((HealthLevel::Failed, failure.message.clone())),
-            State::On(capture) => Some(health_of(&capture.standing())),
-        }
+        let standing = match locked(&self.state).as_ref()? {
+            Err(failure) => return Some((HealthLevel::Failed, failure.message.clone())),
+            Ok(capture) => capture.standing(),
+        };
+        let level = match &standing.reading {
+            Reading::Down { .. } => HealthLevel::Failed,
+            Reading::Up if !standing.is_empty() => HealthLevel::Ok,
+            Reading::Looking | Reading::Up => HealthLevel::Waiting,
+        };
+        Some((level, clean(&standing.text(), 400)))
     }
 
-    /// Reports what is seen as soon as there was time to look; returns whether anything changed since the last look.
     pub fn look(&self) -> bool {
         let Some(capture) = self.capture() else { return false };
         let (standing, topics) = (capture.standing(), capture.topics());
@@ -175,7 +144,7 @@ impl Second {
         !stands || !lists
     }
 
-    /// Of the wanted topics, those to request from ROS 1; the others are requested from the domain at once.
+    /// Requests the domain's topics; returns those of ROS 1.
     pub fn share(&self, wanted: BTreeSet<TopicName>, all: bool, graph: &[TopicInfo]) -> BTreeSet<TopicName> {
         let Some(capture) = self.capture() else { return wanted };
         let topics = capture.topics();
@@ -183,7 +152,7 @@ impl Second {
         let mut of_two: BTreeSet<TopicName> =
             wanted.iter().filter(|topic| decide(topic) != GraphOf::One).cloned().collect();
         let one = wanted.iter().filter(|topic| decide(topic) != GraphOf::Two).cloned().collect();
-        // Everything is measured only on explicit request: it is read over the network.
+        // Reading everything costs network traffic, so only an explicit setting does it.
         if all && self.parts.config.source("ros.meter") != Source::Default {
             let names = topics.iter().filter_map(|topic| topic.name.parse::<TopicName>().ok());
             of_two.extend(names.filter(|topic| !is_published(topic, graph)));
@@ -195,7 +164,6 @@ impl Second {
         one
     }
 
-    /// The graph from which a ROS 1 topic is captured.
     pub fn graph_of(&self, info: &TopicInfo) -> GraphOf {
         let decided = locked(&self.decided);
         let known = decided.iter().find(|(topic, _)| topic.as_str() == info.name).map(|(_, graph)| *graph);
@@ -237,15 +205,4 @@ impl Second {
 
 fn is_published(topic: &TopicName, graph: &[TopicInfo]) -> bool {
     graph.iter().any(|info| info.name == topic.as_str() && !info.publishers.is_empty())
-}
-
-/// The level and the words of a state.
-pub(in crate::site) fn health_of(standing: &Standing) -> (HealthLevel, String) {
-    let level = match &standing.reading {
-        Reading::Down { .. } => HealthLevel::Failed,
-        Reading::Looking => HealthLevel::Waiting,
-        Reading::Up if standing.is_empty() => HealthLevel::Waiting,
-        Reading::Up => HealthLevel::Ok,
-    };
-    (level, clean(&standing.text(), 400))
 }

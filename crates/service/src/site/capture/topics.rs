@@ -1,38 +1,40 @@
-//! Topics of the graph: listed with their rates, watched and unwatched.
+//! Topics of the graph, their rates, and the rules for them.
 
 use std::collections::{HashMap, HashSet};
+use std::sync::Arc;
+use std::time::Duration;
 
 use tokio::task::block_in_place;
 
 use super::Capture;
 use super::second::GraphOf;
-use crate::model::{ProfileName, Timestamp, TopicName, TypeName, clean, pinned_name};
-use crate::service::reply::{Failure, HeldUp, TopicRow};
+use crate::model::{ProfileName, Timestamp, TopicName, TopicRule, TypeName, clean, pinned_name};
+use crate::service::failure::input;
+use crate::service::reply::{Failure, HeldUp, PolicyRow, PolicyView, TopicRow};
 use crate::store::TopicCounts;
 
+/// The longest look at the graph, milliseconds.
+const LONGEST: u64 = 600_000;
+
 impl Capture {
-    /// Every topic of the graph, and watched ones that nobody publishes yet.
     pub async fn topics(&self, profile: &ProfileName) -> Result<Vec<TopicRow>, Failure> {
         let link = self.ros.any().await?;
         let watches = block_in_place(|| self.watches.of(profile))?;
         let now = Timestamp::now();
         let of_two = self.ros.second.topics();
         let in_two = |name: &str| of_two.iter().any(|topic| topic.name == name);
-        // A name in both graphs is listed once, with the graph from which it is captured.
         let mut rows: Vec<TopicRow> = link
             .iter()
             .flat_map(|link| link.topics())
-            .filter(|info| !(in_two(&info.name) && self.ros.graph_of(info) == GraphOf::Two))
+            .filter(|info| !(in_two(&info.name) && self.ros.second.graph_of(info) == GraphOf::Two))
             .map(|info| {
                 let simulated = info.publishers.iter().any(|publisher| self.recorder.is_simulated(publisher));
-                let publishers = info.publishers.iter().map(|publisher| clean(publisher, 255)).collect();
-                self.topic_row(&info.name, info.type_name.as_deref(), publishers, simulated, now)
+                self.topic_row(&info.name, info.type_name.as_deref(), &info.publishers, simulated, now)
             })
             .collect();
         for topic in &of_two {
             if !rows.iter().any(|row| row.topic == topic.name) {
-                let publishers = topic.publishers.iter().map(|publisher| clean(publisher, 255)).collect();
-                let row = self.topic_row(&topic.name, Some(&topic.type_name), publishers, false, now);
+                let row = self.topic_row(&topic.name, Some(&topic.type_name), &topic.publishers, false, now);
                 let type_hash = topic.type_hash.as_deref().map(|hash| clean(hash, 80));
                 rows.push(TopicRow { ros: 2, type_hash, qos: Some(topic.quality_text()), ..row });
             }
@@ -40,13 +42,8 @@ impl Capture {
         let published: HashSet<String> = rows.iter().map(|row| row.topic.clone()).collect();
         for (topic, type_name) in &watches {
             if !published.contains(topic.as_str()) {
-                rows.push(self.topic_row(
-                    topic.as_str(),
-                    type_name.as_ref().map(TypeName::as_str),
-                    Vec::new(),
-                    false,
-                    now,
-                ));
+                let type_name = type_name.as_ref().map(TypeName::as_str);
+                rows.push(self.topic_row(topic.as_str(), type_name, &[], false, now));
             }
         }
         let captured = self.captured_by_topic(profile)?;
@@ -83,7 +80,7 @@ impl Capture {
         &self,
         topic: &str,
         type_name: Option<&str>,
-        publishers: Vec<String>,
+        publishers: &[String],
         simulated: bool,
         now: Timestamp,
     ) -> TopicRow {
@@ -92,7 +89,7 @@ impl Capture {
             topic: clean(topic, 255),
             ros: 1,
             type_name: type_name.map(|name| clean(name, 255)),
-            publishers,
+            publishers: publishers.iter().map(|publisher| clean(publisher, 255)).collect(),
             simulated,
             hz: rate.map(|rate| rate.hz),
             bytes_per_second: rate.map(|rate| rate.bytes_per_second),
@@ -102,14 +99,12 @@ impl Capture {
         }
     }
 
-    /// The fate of the profile's messages, by topic.
     fn captured_by_topic(&self, profile: &ProfileName) -> Result<HashMap<String, TopicCounts>, Failure> {
         let Ok(owner) = self.parts.owners.address_of(profile) else { return Ok(HashMap::new()) };
         let counts = block_in_place(|| self.losses.counts(&self.parts.plant, owner))?;
         Ok(counts.topics.into_iter().map(|topic| (topic.topic.clone(), topic)).collect())
     }
 
-    /// Captures a topic until it is unwatched, across restarts.
     pub async fn watch(
         &self,
         profile: &ProfileName,
@@ -133,7 +128,6 @@ impl Capture {
         Ok(())
     }
 
-    /// Stops capturing a topic.
     pub async fn unwatch(&self, profile: &ProfileName, topic: &TopicName) -> Result<(), Failure> {
         let removed = async { self.watches.change(profile, |watches| watches.retain(|(watched, _)| watched != topic)) };
         self.parts.log.deed(profile, "unwatch", topic.as_str(), removed).await?;
@@ -145,12 +139,46 @@ impl Capture {
         Ok(())
     }
 
-    /// Pauses the capture of everything that the profile watches, or resumes it; the watch list stays.
     pub fn hold(&self, profile: &ProfileName, hold: bool) -> Result<(), Failure> {
         let Some(owner) = self.parts.owners.get(profile) else { return Ok(()) };
         if hold {
             self.ros.second.settle(None);
         }
         if hold { self.watches.hold(&owner) } else { self.watches.restore(&owner) }
+    }
+
+    pub async fn learn_policy(&self, profile: &ProfileName, milliseconds: u64) -> Result<PolicyView, Failure> {
+        if !(1000..=LONGEST).contains(&milliseconds) {
+            return Err(input("observe the topics for 1 second to 10 minutes, as with `--for 5s`"));
+        }
+        self.ros.any().await?;
+        let learning = Arc::clone(&self.ros.learning);
+        self.ros.wishes_changed();
+        tokio::select! {
+            () = tokio::time::sleep(Duration::from_millis(milliseconds)) => {}
+            () = self.parts.life.stopped() => {}
+        }
+        let view = self.policy_view(profile, true).await;
+        drop(learning);
+        self.ros.wishes_changed();
+        view
+    }
+
+    pub async fn policy_view(&self, profile: &ProfileName, learned: bool) -> Result<PolicyView, Failure> {
+        let rules = &self.parts.config.topic_rules;
+        let row = |row: TopicRow| PolicyRow {
+            rule: rules.of(&row.topic).map(|rule| TopicRule::clone(rule)),
+            left_out: row.left_out,
+            largest: self.recorder.meter().largest(&row.topic),
+            hz: row.hz,
+            bytes_per_second: row.bytes_per_second,
+            watched: row.watched,
+            type_name: row.type_name,
+            topic: row.topic,
+        };
+        let topics: Vec<PolicyRow> = self.topics(profile).await?.into_iter().map(row).collect();
+        let followed = |rule: &TopicRule| topics.iter().any(|row| row.rule.as_ref() == Some(rule));
+        let idle = rules.0.iter().filter(|rule| !followed(rule)).map(|rule| TopicRule::clone(rule)).collect();
+        Ok(PolicyView { topics, idle, learned })
     }
 }

@@ -1,4 +1,4 @@
-//! Watch lists: the topics that each profile captures until it unwatches them, across restarts.
+//! Watch lists: what each profile captures across restarts.
 
 use std::sync::Arc;
 
@@ -13,7 +13,6 @@ use crate::store::notes::Watched;
 
 type List = Vec<(TopicName, Option<TypeName>)>;
 
-/// The watch lists of a home.
 pub(in crate::site) struct Watches {
     parts: Parts,
     recorder: Arc<Recorder>,
@@ -21,26 +20,21 @@ pub(in crate::site) struct Watches {
 }
 
 impl Watches {
-    /// Lists followed by `recorder`.
     pub fn new(parts: &Parts, recorder: &Arc<Recorder>, ros: &Arc<RosSide>) -> Self {
         Self { parts: parts.clone(), recorder: Arc::clone(recorder), ros: Arc::clone(ros) }
     }
 
-    /// The list of a profile.
     pub fn of(&self, profile: &ProfileName) -> Result<List, Failure> {
         Ok(self.parts.plant.ledger.notes.read(&Watched { profile: profile.clone() })?.unwrap_or_default())
     }
 
-    /// Reads, changes and stores a watch list; of several simultaneous changes none is lost.
     pub fn change(&self, profile: &ProfileName, change: impl FnOnce(&mut List)) -> Result<(), Failure> {
-        let changed = |watches: &mut List| {
+        self.parts.plant.ledger.notes.change(&Watched { profile: profile.clone() }, |watches: &mut List| {
             change(watches);
             Ok(())
-        };
-        self.parts.plant.ledger.notes.change(&Watched { profile: profile.clone() }, changed)
+        })
     }
 
-    /// The recorder stops watching for the owner, until it is restored.
     pub fn hold(&self, owner: &Arc<Owner>) -> Result<(), Failure> {
         for (topic, _) in block_in_place(|| self.of(&owner.profile))? {
             self.recorder.unwatch(topic.as_str(), &owner.author);
@@ -49,7 +43,6 @@ impl Watches {
         Ok(())
     }
 
-    /// The recorder resumes what the owner watched before.
     pub fn restore(&self, owner: &Arc<Owner>) -> Result<(), Failure> {
         let watches = block_in_place(|| self.of(&owner.profile))?;
         for (topic, type_name) in watches {

@@ -1,5 +1,4 @@
-//! The administrator's acts and their limits, and what everybody is told of them: above all who continues, or is to
-//! continue, for a lost account.
+//! The administrator's acts, and reports of successions.
 
 use crate::site::contacts::Contacts;
 use crate::site::parts::Parts;
@@ -11,11 +10,11 @@ use crate::crypto::EoaSecret;
 use crate::model::{Address, Party, Timestamp};
 use crate::pipeline::{Network, Owner};
 use crate::service::command::Administration;
-use crate::service::event::{NoticeLevel, Part};
+use crate::service::event::Part;
 use crate::service::failure::refused;
 use crate::service::reply::{AdministrationView, Failure, ProposalView, RecoveryView, SuccessionView, TransactionView};
 
-/// How long a pause lasts by default, seconds.
+/// Default length of a pause, seconds.
 const PAUSE: u64 = 86_400;
 
 pub struct Administering {
@@ -24,15 +23,15 @@ pub struct Administering {
 }
 
 impl Administering {
-    /// Performs one act of the administrator; the contract refuses it to anybody else, except acts open to others as
-    /// well.
+    /// The contract refuses acts of anybody else, except those open to others.
     pub async fn administer(&self, owner: &Arc<Owner>, act: &Administration) -> Result<TransactionView, Failure> {
+        use Administration::{Accept, Cancel, Complete};
         let network = self.parts.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         let (call, text) = self.act(&network, act)?;
         if let Some(administrator) = network.directory.administration().administrator
             && administrator != owner.address
-            && !is_for_others(&call)
+            && !matches!(act, Accept | Cancel { .. } | Complete { .. })
         {
             return Err(refused(format!(
                 "the administrator of this contract is {administrator}, not {}; only the administrator can do this",
@@ -42,7 +41,6 @@ impl Administering {
         self.send_act(owner, &network, call, text).await
     }
 
-    /// Names who may stop a succession of the profile's own account; it takes effect after the contract's delay.
     pub async fn name_recovery(
         &self,
         owner: &Arc<Owner>,
@@ -72,24 +70,20 @@ impl Administering {
         text: String,
     ) -> Result<TransactionView, Failure> {
         let name = call.name();
-        self.parts.log.begin(owner, name, &text).await?;
-        let sent = self.parts.sender.send(&network.chain, &owner.eoa(), call, name).await.map_err(Failure::from);
-        let (transaction, receipt) = self.parts.log.end(owner, name, &text, sent).await?;
+        let sent = async { Ok(self.parts.sender.send(&network.chain, &owner.eoa(), call, name).await?) };
+        let (transaction, receipt) = self.parts.log.deed(&owner.profile, name, &text, sent).await?;
         self.parts.link.scanned(receipt.block).await;
         self.parts.hub.changed(Part::Chain);
         let epoch = network.directory.epoch(owner.address);
         Ok(TransactionView { transaction: Some(transaction), block: Some(receipt.block), epoch, text })
     }
 
-    /// Cancels a transaction of one of the owner's accounts. No change of the owner's is waited for: it may be the one
-    /// that is cancelled.
+    /// Does not wait for the owner's changes: one of them may be the cancelled one.
     pub async fn cancel(&self, owner: &Arc<Owner>, key: &EoaSecret, nonce: u64) -> Result<TransactionView, Failure> {
-        const ACTION: &str = "cancel transaction";
         let network = self.parts.link.network().await?;
         let subject = format!("nonce {nonce} of {}", key.address());
-        self.parts.log.begin(owner, ACTION, &subject).await?;
-        let cancelled = self.parts.sender.cancel(&network.chain, key, nonce).await.map_err(Failure::from);
-        let cancelled = self.parts.log.end(owner, ACTION, &subject, cancelled).await?;
+        let cancelled = async { Ok(self.parts.sender.cancel(&network.chain, key, nonce).await?) };
+        let cancelled = self.parts.log.deed(&owner.profile, "cancel transaction", &subject, cancelled).await?;
         self.parts.hub.changed(Part::Chain);
         let block = self.parts.sender.wait_cancelled(&network.chain, key, &cancelled).await?;
         if let Some(block) = block {
@@ -106,49 +100,51 @@ impl Administering {
     }
 
     fn act(&self, network: &Network, act: &Administration) -> Result<(Call, String), Failure> {
-        Ok(match act {
+        let resolved = |account: &Party| self.contacts.resolve(account);
+        let acted = |account: &Party, call: fn(Address) -> Call, what: &str| -> Result<(Call, String), Failure> {
+            let account = resolved(account)?;
+            Ok((call(account), format!("{account} {what}")))
+        };
+        match act {
             Administration::Dismiss { account } => {
-                let account = self.contacts.resolve(account)?;
+                let account = resolved(account)?;
                 if network.directory.epoch(account) > 0 {
                     return Err(refused(format!("{account} has already registered; `authros chain suspend` stops it")));
                 }
-                (Call::Dismiss { account }, format!("{account} can no longer register while registration is closed"))
+                Ok((
+                    Call::Dismiss { account },
+                    format!("{account} can no longer register while registration is closed"),
+                ))
             }
-            Administration::Admit { account } => {
-                let account = self.contacts.resolve(account)?;
-                (Call::Admit { account }, format!("{account} can register"))
-            }
+            Administration::Admit { account } => acted(account, |account| Call::Admit { account }, "can register"),
             Administration::Suspend { account } => {
-                let account = self.contacts.resolve(account)?;
-                (Call::Suspend { account }, format!("{account} is suspended: it can only withdraw rights"))
+                acted(account, |account| Call::Suspend { account }, "is suspended: it can only withdraw rights")
             }
             Administration::Restore { account } => {
-                let account = self.contacts.resolve(account)?;
-                (Call::Restore { account }, format!("{account} is no longer suspended"))
+                acted(account, |account| Call::Restore { account }, "is no longer suspended")
             }
             Administration::Open { open } => {
                 let text = if *open { "anyone can register" } else { "only admitted accounts can register" };
-                (Call::SetOpen { open: *open }, text.to_owned())
+                Ok((Call::SetOpen { open: *open }, text.to_owned()))
             }
-            Administration::Pause { paused, seconds } => pause(*paused, *seconds),
+            Administration::Pause { paused, seconds } => Ok(pause(*paused, *seconds)),
             Administration::HandOver { account } => {
-                let account = self.contacts.resolve(account)?;
-                (
-                    Call::Nominate { account },
-                    format!("{account} is nominated as administrator; it takes over with `chain accept`"),
-                )
+                let what = "is nominated as administrator; it takes over with `chain accept`";
+                acted(account, |account| Call::Nominate { account }, what)
             }
-            Administration::Accept => (Call::AcceptAdministrator, "this profile administers the contract".to_owned()),
-            Administration::Propose { lost, successor } => self.propose(network, lost, successor)?,
+            Administration::Accept => {
+                Ok((Call::AcceptAdministrator, "this profile administers the contract".to_owned()))
+            }
+            Administration::Propose { lost, successor } => self.propose(network, lost, successor),
             Administration::Cancel { lost } => {
-                let lost = self.contacts.resolve(lost)?;
-                (Call::CancelSuccession { lost }, format!("the succession of {lost} is cancelled"))
+                let lost = resolved(lost)?;
+                Ok((Call::CancelSuccession { lost }, format!("the succession of {lost} is cancelled")))
             }
             Administration::Complete { lost } => {
-                let lost = self.contacts.resolve(lost)?;
-                (Call::CompleteSuccession { lost }, format!("{lost} is suspended permanently; its successor continues"))
+                let what = "is suspended permanently; its successor continues";
+                acted(lost, |lost| Call::CompleteSuccession { lost }, what)
             }
-        })
+        }
     }
 
     fn propose(&self, network: &Network, lost: &Party, successor: &Party) -> Result<(Call, String), Failure> {
@@ -166,7 +162,6 @@ impl Administering {
         Ok((Call::ProposeSuccession { lost, successor }, text))
     }
 
-    /// The administrator's decisions, with the names of the address book; the recovery account is `own`'s.
     pub fn view(network: &Network, own: Option<Address>, names: &BTreeMap<Address, String>) -> AdministrationView {
         let (decided, now) = (network.directory.administration(), Timestamp::now());
         let name = |account: &Address| names.get(account).cloned();
@@ -206,7 +201,6 @@ impl Administering {
         }
     }
 
-    /// Reports successors and contacts with other keys as soon as the chain does, each once a run.
     pub async fn keep_parties_known(self: Arc<Self>) {
         let mut scanned = self.parts.link.scans();
         let (mut seen, mut told) = (None, HashSet::new());
@@ -227,48 +221,39 @@ impl Administering {
             }
             for text in texts {
                 if told.insert(text.clone()) {
-                    self.parts.hub.notice(NoticeLevel::Error, &text);
+                    self.parts.hub.alarm(&text);
                 }
             }
         }
     }
 
     fn succession_texts(&self, network: &Network) -> Vec<String> {
-        // Without the address book accounts are shown by their addresses.
-        let view = Self::view(network, None, &self.contacts.names().unwrap_or_default());
-        let shown = |account: Address, name: &Option<String>| {
-            name.as_ref().map_or_else(|| account.to_string(), |name| format!("{name} ({account})"))
+        let decided = network.directory.administration();
+        // Without the address book, addresses stand alone.
+        let names = self.contacts.names().unwrap_or_default();
+        let shown = |account: &Address| match names.get(account) {
+            Some(name) => format!("{name} ({account})"),
+            None => account.to_string(),
         };
-        let text = |named: &SuccessionView| {
-            let (lost, successor) =
-                (shown(named.lost, &named.lost_name), shown(named.successor, &named.successor_name));
-            format!(
-                "the administrator declared {lost} lost and named {successor} its successor (block {})",
-                named.block
-            )
-        };
-        let waits = |waits: &ProposalView| {
-            let (lost, successor) =
-                (shown(waits.lost, &waits.lost_name), shown(waits.successor, &waits.successor_name));
+        let successions = decided.successions.iter().map(|named| {
+            let (lost, successor, block) = (shown(&named.lost), shown(&named.successor), named.block);
+            format!("the administrator declared {lost} lost and named {successor} its successor (block {block})")
+        });
+        let proposals = decided.proposals.iter().map(|waits| {
+            let (lost, successor) = (shown(&waits.lost), shown(&waits.successor));
             let stop = waits.recovery.map_or_else(
                 || "it has no recovery account".to_owned(),
                 |recovery| format!("its recovery account {recovery} can stop it: `authros chain succession cancel`"),
             );
+            let (due, block) = (waits.due, waits.block);
             format!(
-                "the administrator proposed that {successor} continue for {lost} from {} (block {}); {stop}",
-                waits.due, waits.block
+                "the administrator proposed that {successor} continue for {lost} from {due} (block {block}); {stop}"
             )
-        };
-        view.successions.iter().map(text).chain(view.proposals.iter().map(waits)).collect()
+        });
+        successions.chain(proposals).collect()
     }
 }
 
-/// Acts that are not only the administrator's.
-fn is_for_others(call: &Call) -> bool {
-    matches!(call, Call::AcceptAdministrator | Call::CancelSuccession { .. } | Call::CompleteSuccession { .. })
-}
-
-/// The call of a pause or of its end, and what it means.
 fn pause(paused: bool, seconds: Option<u64>) -> (Call, String) {
     if !paused {
         return (Call::Resume, "changes are possible again".to_owned());

@@ -1,4 +1,4 @@
-//! Connecting to the chain and staying connected; the contract, and the pin of the home.
+//! The connection to the chain, its contract, and the pin of the home.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -10,7 +10,6 @@ use tokio::task::block_in_place;
 use crate::chain::{
     Chain, ChainError, ChainOptions, DEFAULT_DELAY, Endpoint, LONGEST_DELAY, Pin, SHORTEST_DELAY, serve,
 };
-use crate::event::{NoticeLevel, Part};
 use crate::failure::{input, refused};
 use crate::model::ProfileName;
 use crate::paths::Home;
@@ -20,10 +19,9 @@ use crate::site::NetworkState;
 use crate::site::mirror::remote::Remote;
 use crate::site::parts::Parts;
 
-/// The longest pause between two attempts to connect, seconds: a node that is back is found within it.
+/// Seconds between attempts: the longest wait for a node that is back.
 const LONGEST_PAUSE: u64 = 5;
 
-/// The connection to the chain, and the home's pin.
 pub struct Connection {
     parts: Parts,
     remote: Option<Arc<Remote>>,
@@ -31,39 +29,32 @@ pub struct Connection {
 }
 
 impl Connection {
-    /// From the shared parts.
     pub fn new(parts: &Parts, remote: Option<Arc<Remote>>) -> Self {
         Self { parts: parts.clone(), remote, deploying: tokio::sync::Mutex::default() }
     }
 
-    /// The chain and contract that the home is bound to; `None` = none yet.
     pub fn pin(&self) -> Result<Option<Pin>, Failure> {
         Ok(block_in_place(|| network_pin(&self.parts.plant.ledger.rights))?)
     }
 
-    /// Connects and stays connected, with growing pauses between attempts, until the site ends. Once connected, it
-    /// waits until the chain turns out to be another one, and then for the pinned one to come back.
     pub async fn keep_connected(self: Arc<Self>) {
         let mut pause = 1;
         while !self.parts.life.is_stopping() {
-            let is_lost = |state: &NetworkState| {
-                matches!(state, NetworkState::Connecting | NetworkState::Swapped(_) | NetworkState::Down { .. })
-            };
+            use NetworkState::{Connecting, Down, Off, Swapped};
+            let is_lost = |state: &NetworkState| matches!(state, Connecting | Swapped(_) | Down { .. });
             let mut state = self.parts.link.follow();
             if !is_lost(&state.borrow()) {
                 pause = 1;
                 // An error means that the site is gone.
-                drop(state.wait_for(|state| is_lost(state) || matches!(state, NetworkState::Off)).await);
+                drop(state.wait_for(|state| is_lost(state) || matches!(state, Off)).await);
                 continue;
             }
             match self.connect().await {
                 Ok(()) => continue,
                 Err(Lost::Swapped(failure)) => self.parts.link.lose_chain(failure),
                 Err(Lost::Other(failure)) => {
-                    self.parts.hub.notice(NoticeLevel::Error, &failure.message);
-                    self.parts
-                        .link
-                        .lost(NetworkState::Down { failure, next: Instant::now() + Duration::from_secs(pause) });
+                    self.parts.hub.alarm(&failure.message);
+                    self.parts.link.lost(Down { failure, next: Instant::now() + Duration::from_secs(pause) });
                 }
             }
             tokio::select! {
@@ -75,7 +66,7 @@ impl Connection {
     }
 
     async fn connect(&self) -> Result<(), Lost> {
-        // The contract may be being deployed, which connects as well.
+        // A deployment connects as well.
         let _one_at_a_time = self.deploying.lock().await;
         if matches!(*self.parts.link.state(), NetworkState::Up(_) | NetworkState::Bare(_) | NetworkState::Off) {
             return Ok(());
@@ -85,21 +76,18 @@ impl Connection {
             return self.use_network(chain, &pin).await;
         }
         self.parts.link.set(NetworkState::Bare(chain));
-        self.parts.hub.changed(Part::Chain);
-        self.parts.hub.changed(Part::Health);
         Ok(())
     }
 
-    /// The chain in the settings, compared with the home's pin.
     async fn reach_chain(&self) -> Result<Chain, Lost> {
-        let (pinned, contract, confirmations) =
-            (self.pin()?, self.parts.config.contract, self.parts.config.confirmations);
+        let (pinned, config) = (self.pin()?, &self.parts.config);
+        let (contract, confirmations) = (config.contract, config.confirmations);
         if let Some(remote) = &self.remote {
             return remote.chain((&self.parts.home, &self.parts.owners), pinned, contract, confirmations).await;
         }
-        let endpoint = match &self.parts.config.chain_url {
-            Some(url) => Endpoint::Node { url: url.clone(), roots: self.parts.config.chain_roots.clone() },
-            None => Endpoint::Embedded { directory: self.parts.home.chain(), consensus: self.parts.config.consensus },
+        let endpoint = match &config.chain_url {
+            Some(url) => Endpoint::Node { url: url.clone(), roots: config.chain_roots.clone() },
+            None => Endpoint::Embedded { directory: self.parts.home.chain(), consensus: config.consensus },
         };
         Ok(Chain::connect(ChainOptions { endpoint, contract, pinned, confirmations }).await?)
     }
@@ -110,19 +98,15 @@ impl Connection {
         let head = watcher::watch_round(&self.parts.plant, &network).await?;
         self.parts.link.has_scanned(head.number);
         self.parts.link.set(NetworkState::Up(Box::new(network)));
-        self.parts.hub.changed(Part::Chain);
-        self.parts.hub.changed(Part::Health);
         Ok(())
     }
 
-    /// The network; deploys the contract with the owner's account if there is none yet.
     pub async fn network_or_deploy(&self, owner: &Owner) -> Result<Network, Failure> {
         self.network_or_deploy_with(owner, DEFAULT_DELAY, false).await
     }
 
-    /// The same, with a given delay of successions; `anew`: even where the account has used this chain before.
     async fn network_or_deploy_with(&self, owner: &Owner, delay: Duration, anew: bool) -> Result<Network, Failure> {
-        // Not before the first attempt has ended, which needs the lock as well.
+        // The first attempt needs the lock as well.
         self.parts.link.settled().await?;
         let _one_at_a_time = self.deploying.lock().await;
         let NetworkState::Bare(chain) = self.parts.link.settled().await? else {
@@ -134,8 +118,8 @@ impl Connection {
         }
         self.fund(&chain, owner).await?;
         let mut deployed = chain.deploy_with(&eoa, delay, self.parts.sender.policy()).await?;
-        // A chain that was wiped and founded as before gives a contract the address of the lost one: records of both could
-        // not be distinguished. Each further deployment has another address.
+        // A refounded chain gives a contract the address of the lost one, which would mix their records. Each further
+        // deployment has another address.
         while !owner.epochs(deployed.pin.domain()).is_empty() {
             deployed = chain.deploy_with(&eoa, delay, self.parts.sender.policy()).await?;
         }
@@ -143,34 +127,26 @@ impl Connection {
         let pin = deployed.pin;
         self.use_network(chain, &pin).await?;
         self.parts.log.write(&owner.profile, "deploy", &pin.contract.to_string(), "done").await?;
-        self.parts.hub.notice(
-            NoticeLevel::Info,
-            &format!("contract {} deployed; {} administers it", pin.contract, owner.address),
-        );
+        self.parts.hub.inform(&format!("contract {} deployed; {} administers it", pin.contract, owner.address));
         self.parts.link.network().await
     }
 
-    /// Asks a development node for money if the account has none.
     pub async fn fund(&self, chain: &Chain, owner: &Owner) -> Result<(), Failure> {
         if self.parts.config.chain_url.is_some() && chain.fund_from_node(owner.address).await? {
-            self.parts
-                .hub
-                .notice(NoticeLevel::Info, &format!("the development node gave {} ether for gas", owner.address));
+            self.parts.hub.inform(&format!("the development node gave {} ether for gas", owner.address));
         }
         Ok(())
     }
 }
 
-/// Whether a home is bound to a chain, without opening it; also if that cannot be told.
+/// Also `true` if nobody can tell.
 pub fn is_bound(home: &Home) -> bool {
     !matches!(block_in_place(|| network_pin_in(&home.ledger())), Ok(None))
 }
 
-/// The most contracts of an account that are compared.
 const MOST_COMPARED: u64 = 10_000;
 
-/// Refuses to deploy a contract for keys that had one on this chain: the home lost its ledger, and a second contract would
-/// hide everything that is on the first.
+/// A home that lost its ledger must not hide its first contract behind a second one.
 async fn is_new_here(chain: &Chain, owner: &Owner) -> Result<(), Failure> {
     let domains = owner.domains();
     let sent = if domains.is_empty() { 0 } else { chain.nonce(owner.address, false).await? };
@@ -192,28 +168,22 @@ async fn is_new_here(chain: &Chain, owner: &Owner) -> Result<(), Failure> {
     )))
 }
 
-/// Why the chain could not be connected.
 pub enum Lost {
-    /// Another chain answers, or the embedded one has no file any more.
+    /// Another chain answers, or the embedded one lost its file.
     Swapped(Failure),
     Other(Failure),
 }
 
 impl From<ChainError> for Lost {
     fn from(error: ChainError) -> Self {
-        match error {
-            ChainError::Swapped { .. } | ChainError::Gone { .. } => Self::Swapped(error.into()),
-            other => Self::Other(other.into()),
-        }
+        PipelineError::from(error).into()
     }
 }
 
 impl From<PipelineError> for Lost {
     fn from(error: PipelineError) -> Self {
-        match error {
-            PipelineError::Chain(error) => error.into(),
-            other => Self::Other(other.into()),
-        }
+        let is_swapped = matches!(error, PipelineError::Chain(ChainError::Swapped { .. } | ChainError::Gone { .. }));
+        if is_swapped { Self::Swapped(error.into()) } else { Self::Other(error.into()) }
     }
 }
 
@@ -232,7 +202,6 @@ impl From<Failure> for Lost {
 }
 
 impl Connection {
-    /// Deploys the contract with the owner's account and pins it.
     pub async fn deploy_contract(&self, owner: &Arc<Owner>, delay: Option<u64>) -> Result<DeployedView, Failure> {
         let delay = delay.map_or(DEFAULT_DELAY, Duration::from_secs);
         if !(SHORTEST_DELAY..=LONGEST_DELAY).contains(&delay) {
@@ -250,7 +219,6 @@ impl Connection {
         Ok(DeployedView { pin, administrator: owner.address })
     }
 
-    /// Answers other tools until `ended`, or the site's end.
     pub async fn serve_chain(
         self: &Arc<Self>,
         profile: &ProfileName,
@@ -270,21 +238,18 @@ impl Connection {
             chain_id: chain.chain_id(),
             contract: chain.pin().map(|pin| pin.contract),
         };
-        self.parts
-            .hub
-            .notice(NoticeLevel::Info, &format!("the chain is available to tools on this machine at {}", view.url));
+        self.parts.hub.inform(&format!("the chain is available to tools on this machine at {}", view.url));
         let connection = Arc::clone(self);
         tokio::spawn(async move {
             let stop = async {
                 tokio::select! {
                     () = connection.parts.life.stopped() => {}
-                    // A dropped sender means the same.
                     _ = ended => {}
                 }
             };
             let served = chain.serve(listener, stop).await.map_err(Failure::from);
             if let Err(failure) = connection.parts.log.ended(&by, "serve chain", &subject, served).await {
-                connection.parts.hub.notice(NoticeLevel::Error, &failure.message);
+                connection.parts.hub.alarm(&failure.message);
             }
         });
         Ok(view)

@@ -1,4 +1,4 @@
-//! The accounts that anchor for each owner: the owner's own and extra ones, maintained and kept ready.
+//! The accounts that anchor for each owner: the owner's own and extra ones.
 
 use crate::site::parts::Parts;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -9,29 +9,23 @@ use crate::model::{Address, Domain};
 use crate::pipeline::anchorer::{self, MOST_LANES};
 use crate::pipeline::sender::LaneState;
 use crate::pipeline::{Network, Owner};
-use crate::service::event::NoticeLevel;
 use crate::service::failure::refused;
 use crate::service::reply::Failure;
 
-/// How often to check whether the extra accounts are ready.
 const LOOK: Duration = Duration::from_secs(2);
 
-/// Extra accounts derived so far, by owner and network.
 type Derived = std::collections::HashMap<(Address, Domain), Arc<Vec<(Address, EoaSecret)>>>;
 
-/// The accounts that anchor.
 pub struct Lanes {
     parts: Parts,
     extra: Mutex<Derived>,
 }
 
 impl Lanes {
-    /// From the shared parts.
     pub fn new(parts: &Parts) -> Self {
         Self { parts: parts.clone(), extra: Mutex::default() }
     }
 
-    /// All extra accounts that the owner can have on this network.
     fn extra(&self, owner: &Owner, network: &Network) -> Result<Arc<Vec<(Address, EoaSecret)>>, Failure> {
         let mut known = self.extra.lock().unwrap_or_else(PoisonError::into_inner);
         let key = (owner.address, network.domain);
@@ -44,7 +38,6 @@ impl Lanes {
         Ok(found)
     }
 
-    /// The accounts that anchor for an owner now, the owner's own first.
     pub fn of(&self, owner: &Owner, network: &Network) -> Result<Vec<EoaSecret>, Failure> {
         let mut lanes = vec![owner.eoa()];
         if self.parts.config.lanes > 1 {
@@ -56,7 +49,7 @@ impl Lanes {
         Ok(lanes)
     }
 
-    /// The key of one of an owner's lanes, also of an extra one that the settings no longer use; `None` = its own.
+    /// Also finds extra accounts that the settings no longer use; `None` = the owner's own.
     pub fn key(&self, owner: &Owner, network: &Network, account: Option<Address>) -> Result<EoaSecret, Failure> {
         let Some(account) = account.filter(|account| *account != owner.address) else { return Ok(owner.eoa()) };
         let extra = self.extra(owner, network)?;
@@ -69,7 +62,6 @@ impl Lanes {
         })
     }
 
-    /// The state of an owner's lanes: its own, and that of every extra account in use or with pending transactions.
     pub fn lane_states(&self, owner: &Owner, network: &Network) -> Result<Vec<LaneState>, Failure> {
         let mut states = vec![self.parts.sender.state_of(owner.address)?];
         let wanted = usize::from(self.parts.config.lanes).saturating_sub(1);
@@ -82,19 +74,16 @@ impl Lanes {
         Ok(states)
     }
 
-    /// Why a lane of an open owner is stalled, if one is: in words, and whether somebody has to do something.
     pub fn paused(&self, network: &Network) -> Option<(String, bool)> {
         let owners = self.parts.owners.all();
         let mut states = owners.iter().filter_map(|owner| self.lane_states(owner, network).ok()).flatten();
         states.find_map(|state| state.paused.map(|reason| (reason.text(state.account), reason.is_alarm())))
     }
 
-    /// Maintains the lanes of every open owner: after each block, and while none comes.
     pub async fn tend(&self, network: &Network) {
         for owner in self.parts.owners.all() {
             if let Err(failure) = self.tend_lanes_of(&owner, network).await {
-                let text = format!("transactions of {} are waiting: {}", owner.profile, failure.message);
-                self.parts.hub.notice(NoticeLevel::Error, &text);
+                self.parts.hub.alarm(&format!("transactions of {} are waiting: {}", owner.profile, failure.message));
             }
         }
     }
@@ -102,7 +91,7 @@ impl Lanes {
     async fn tend_lanes_of(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
         let mut keys = vec![owner.eoa()];
         for (account, key) in self.extra(owner, network)?.iter() {
-            // Also those of a setting that has been lowered since.
+            // Includes those above a lowered setting.
             let state = self.parts.sender.state_of(*account)?;
             if state.open > 0 || state.paused.is_some() {
                 keys.push(key.clone());
@@ -110,14 +99,12 @@ impl Lanes {
         }
         for key in keys {
             for reason in self.parts.sender.tend(&network.chain, &key).await? {
-                let text = format!("the contract rejected a transaction of {}: {reason}", owner.profile);
-                self.parts.hub.notice(NoticeLevel::Error, &text);
+                self.parts.hub.alarm(&format!("the contract rejected a transaction of {}: {reason}", owner.profile));
             }
         }
         Ok(())
     }
 
-    /// Keeps the extra accounts of an owner registered and able to pay, until the owner is closed or the site ends.
     pub async fn keep_extra(self: Arc<Self>, owner: Arc<Owner>) {
         while !self.parts.life.is_stopping() && self.parts.owners.is_open(&owner) {
             if let Some(network) = self.parts.link.network_now()
@@ -125,7 +112,7 @@ impl Lanes {
                 && let Err(failure) = self.ready_extra(&owner, &network).await
             {
                 let text = format!("an extra anchoring account of {} is not ready: {}", owner.profile, failure.message);
-                self.parts.hub.notice(NoticeLevel::Warning, &text);
+                self.parts.hub.warn(&text);
             }
             if !self.parts.life.beat(LOOK).await {
                 return;

@@ -1,5 +1,4 @@
-//! The site's link to its chain: whether there is a chain and a contract now, the newest head and how fresh it is,
-//! the watcher's progress.
+//! The site's link to its chain: its state, the newest head and its freshness, the watcher's progress.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -9,34 +8,24 @@ use std::time::{Duration, Instant};
 use tokio::sync::watch;
 
 use crate::chain::{BlockRef, Chain, MEASURED};
-use crate::event::{NoticeLevel, Part};
+use crate::event::Part;
 use crate::failure::{input, internal};
 use crate::hub::Hub;
 use crate::model::steady_clock::look;
 use crate::pipeline::Network;
 use crate::reply::Failure;
 
-/// The state of the link.
+/// `Swapped` = another chain answers, or the pinned one wiped: anchoring pauses until the pinned one returns.
 #[derive(Clone)]
 pub enum NetworkState {
-    /// This run needs no chain, or is ending.
     Off,
     Connecting,
-    /// Connected, but no contract is known yet: the first registration deploys one.
     Bare(Chain),
     Up(Box<Network>),
-    /// Another chain answers than the pinned one, or the same one wiped: anchoring stands still until the pinned one is
-    /// back.
     Swapped(Failure),
-    /// The last attempt failed; another follows.
-    Down {
-        failure: Failure,
-        /// When the next attempt is made.
-        next: Instant,
-    },
+    Down { failure: Failure, next: Instant },
 }
 
-/// The link, used by every part that needs the chain.
 pub struct Link {
     hub: Arc<Hub>,
     state: watch::Sender<NetworkState>,
@@ -48,7 +37,6 @@ pub struct Link {
 }
 
 impl Link {
-    /// A link to be connected, or none if this run needs no chain.
     pub fn new(hub: Arc<Hub>, needed: bool) -> Self {
         let state = if needed { NetworkState::Connecting } else { NetworkState::Off };
         let (state, scanned) = (watch::channel(state).0, watch::channel(0).0);
@@ -66,7 +54,6 @@ impl Link {
         self.state.borrow()
     }
 
-    /// The chain, if connected to one now.
     pub fn connected(&self) -> Option<Chain> {
         match &*self.state() {
             NetworkState::Bare(chain) => Some(chain.clone()),
@@ -79,20 +66,24 @@ impl Link {
         self.state.subscribe()
     }
 
-    /// Sets a new state.
     pub fn set(&self, state: NetworkState) {
         // It may be another chain, or another node.
         *self.freshness() = Freshness::default();
         self.state.send_replace(state);
+        self.changed();
     }
 
-    /// Another chain answers than the pinned one: everything that needs the chain stands still.
+    fn changed(&self) {
+        self.hub.changed(Part::Health);
+        self.hub.changed(Part::Chain);
+    }
+
     pub fn lose_chain(&self, failure: Failure) {
-        self.hub.notice(NoticeLevel::Error, &failure.message);
+        self.hub.alarm(&failure.message);
         self.lost(NetworkState::Swapped(failure));
     }
 
-    /// The chain is gone, unless the site is ending anyway.
+    /// Does nothing while the site ends.
     pub fn lost(&self, to: NetworkState) {
         self.state.send_if_modified(|state| {
             let ending = matches!(state, NetworkState::Off);
@@ -101,11 +92,9 @@ impl Link {
             }
             !ending
         });
-        self.hub.changed(Part::Health);
-        self.hub.changed(Part::Chain);
+        self.changed();
     }
 
-    /// The chain, as soon as the first attempt has ended.
     pub async fn chain(&self) -> Result<Chain, Failure> {
         match self.settled().await? {
             NetworkState::Bare(chain) => Ok(chain),
@@ -114,7 +103,6 @@ impl Link {
         }
     }
 
-    /// The state, as soon as the first attempt has ended.
     pub async fn settled(&self) -> Result<NetworkState, Failure> {
         let mut state = self.state.subscribe();
         let settled = state.wait_for(|state| !matches!(state, NetworkState::Connecting)).await;
@@ -125,7 +113,6 @@ impl Link {
         }
     }
 
-    /// The network with its contract.
     pub async fn network(&self) -> Result<Network, Failure> {
         match self.settled().await? {
             NetworkState::Up(network) => Ok(*network),
@@ -136,7 +123,6 @@ impl Link {
         }
     }
 
-    /// The network, if it is up right now.
     pub fn network_now(&self) -> Option<Network> {
         match &*self.state.borrow() {
             NetworkState::Up(network) => Some((**network).clone()),
@@ -148,60 +134,50 @@ impl Link {
         self.freshness.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Notes that everything was read up to this head, which the chain reported when it was asked at `asked`.
+    /// Everything up to `head` was read; the chain reported it when asked at `asked`.
     pub fn saw_head(&self, head: BlockRef, asked: Instant) {
         *self.head.lock().unwrap_or_else(PoisonError::into_inner) = Some((Instant::now(), head));
         self.freshness().read(head, asked, look().machine.seconds());
     }
 
-    /// The newest block, if everything up to it was read and it is known now that it is the newest.
     pub fn view(&self) -> Result<BlockRef, NotFresh> {
         self.freshness().judge(Instant::now())
     }
 
-    /// The chain was asked at `asked` and reported this head; whether everything up to it was read.
     pub fn is_named(&self, head: &BlockRef, asked: Instant) -> bool {
         self.freshness().is_named(head, asked)
     }
 
-    /// Measures how often blocks come, where that is due.
     pub async fn measure(&self, chain: &Chain) {
         if self.freshness().is_to_measure() {
-            // A node that does not answer is noticed as such.
+            // Other checks notice a silent node.
             let due = chain.due_within().await.unwrap_or_default();
             self.freshness().measured(due);
         }
     }
 
-    /// The newest head reported by the chain.
     pub fn newest_head(&self) -> Option<BlockRef> {
         self.head.lock().unwrap_or_else(PoisonError::into_inner).map(|(_, head)| head)
     }
 
-    /// The newest head, unless the chain has not reported one for `longest`.
     pub fn fresh_head(&self, longest: Duration) -> Option<BlockRef> {
         let seen = *self.head.lock().unwrap_or_else(PoisonError::into_inner);
         seen.filter(|(at, _)| at.elapsed() <= longest).map(|(_, head)| head)
     }
 
-    /// The watcher has seen everything up to this block.
     pub fn has_scanned(&self, number: u64) {
         self.scanned.send_replace(number);
     }
 
-    /// Follows the watcher's progress.
     pub fn scans(&self) -> watch::Receiver<u64> {
         self.scanned.subscribe()
     }
 
-    /// Waits until the watcher has seen block `number`.
     pub async fn scanned(&self, number: u64) {
         let mut scanned = self.scanned.subscribe();
-        // An error means that the site is ending.
         drop(scanned.wait_for(|seen| *seen >= number).await);
     }
 
-    /// Notes whether the chain answered the last time it was asked.
     pub fn answers(&self, answers: bool) {
         let before = self.silent.swap(!answers, Ordering::AcqRel);
         if before == answers {
@@ -209,7 +185,6 @@ impl Link {
         }
     }
 
-    /// Whether the chain did not answer the last time it was asked.
     pub fn is_silent(&self) -> bool {
         self.silent.load(Ordering::Acquire)
     }
@@ -219,63 +194,51 @@ fn off() -> Failure {
     internal("this site was started without a chain, or is stopping; run the command again")
 }
 
-/// How long a view holds after the node was asked, and how long after it was due a block may come.
+/// How long a view holds, and how late a block may be.
 pub const GRACE: Duration = Duration::from_secs(2);
 
-/// How many blocks say how late blocks usually come.
+/// Blocks in the median delay.
 const REMEMBERED: usize = 15;
 
-/// Why nobody's right is known now.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum NotFresh {
-    /// No block was read in this run.
     #[error("no block of the chain was read yet")]
     Unread,
-    /// The node did not answer lately, or what it names is not read yet.
+    /// The node did not answer lately, or names a block that was not read.
     #[error("the newest block was read {0} s ago, and the chain has not confirmed since that it is the newest")]
     Silent(u64),
-    /// The next block should have come.
     #[error("block {block} is {age} s old here, and the next one was due after {due} s: the node may be cut off")]
-    #[allow(missing_docs, reason = "the line names its fields")]
     Late { block: u64, age: u64, due: u64 },
-    /// It came later than others, or they come faster than they were sealed.
+    /// It came later than others, or faster than it was sealed.
     #[error("the node is catching up: block {block} is an old one")]
-    #[allow(missing_docs, reason = "the line names its fields")]
     Behind { block: u64 },
 }
 
 #[derive(Debug, Clone, Copy)]
 struct Seen {
     head: BlockRef,
-    /// When the node was last asked and named this one.
     confirmed: Instant,
-    /// When it was first named.
     since: Instant,
-    /// Its age when it came, by the clock here.
+    /// Its age by the local clock when it came.
     age: Duration,
-    /// It came no faster after the one before than its own time says, so the node is not catching up.
+    /// It came no faster than its own time says, so the node is not catching up.
     is_paced: bool,
-    /// How much later it came, after its own time, than blocks usually do here. The clock here is not asked for this.
+    /// Delay beyond the usual one here, independent of the local clock.
     lag: Duration,
 }
 
-/// What is known of the newest block.
 #[derive(Debug, Default)]
 pub struct Freshness {
     seen: Option<Seen>,
     due: Option<Duration>,
-    /// The block at which that was measured.
     measured: Option<u64>,
-    /// A block came later than it was due.
     was_late: bool,
-    /// The first moment, from which those below are counted.
     origin: Option<Instant>,
-    /// Seconds from each of the newest blocks' own time to its coming, up to a constant.
+    /// Seconds from a block's own time to its arrival, up to a constant.
     delays: VecDeque<i64>,
 }
 
 impl Freshness {
-    /// All was read up to `head`, which the node named when it was asked at `asked`; `clock` is the time here, seconds.
     pub fn read(&mut self, head: BlockRef, asked: Instant, clock: u64) {
         let before = self.seen;
         if let Some(seen) = self.seen.as_mut().filter(|seen| seen.head.hash == head.hash) {
@@ -295,7 +258,7 @@ impl Freshness {
         });
     }
 
-    /// Compares a block with the median of those before it: one sealer's wrong clock changes nothing.
+    /// The median of earlier blocks cancels one sealer's wrong clock.
     fn lag(&mut self, head: BlockRef, asked: Instant) -> Duration {
         let whole = |seconds: u64| i64::try_from(seconds).unwrap_or(i64::MAX);
         let passed = asked.saturating_duration_since(*self.origin.get_or_insert(asked)).as_secs();
@@ -310,27 +273,24 @@ impl Freshness {
         Duration::from_secs(u64::try_from(delay.saturating_sub(usual)).unwrap_or(0))
     }
 
-    /// The node was asked at `asked` and named this block; whether that is the one that was read.
     pub fn is_named(&mut self, head: &BlockRef, asked: Instant) -> bool {
         let Some(seen) = self.seen.as_mut().filter(|seen| seen.head.hash == head.hash) else { return false };
         seen.confirmed = seen.confirmed.max(asked);
         true
     }
 
-    /// Whether it is time to measure how often blocks come.
     pub fn is_to_measure(&self) -> bool {
         let Some(seen) = &self.seen else { return false };
         let is_old = |block: u64| seen.head.number < block || seen.head.number - block >= MEASURED;
         self.was_late || self.measured.is_none_or(is_old)
     }
 
-    /// What was measured. A busy chain shows no pauses: then the ones known before count, unless a block was late.
+    /// A busy chain shows no pauses: the known ones still count, unless a block was late.
     pub fn measured(&mut self, due: Option<Duration>) {
         self.due = due.or(self.due.filter(|_| !self.was_late));
         (self.measured, self.was_late) = (self.seen.map(|seen| seen.head.number), false);
     }
 
-    /// The newest block, if it is known now that it is the newest.
     pub fn judge(&self, now: Instant) -> Result<BlockRef, NotFresh> {
         let seen = self.seen.ok_or(NotFresh::Unread)?;
         let block = seen.head.number;

@@ -1,5 +1,4 @@
-//! The address book of this home: names for accounts, and each one's known fingerprint. It is stored in the ledger,
-//! never on the chain.
+//! The address book of this home, never on the chain: names for accounts, and their known fingerprints.
 
 #[cfg(test)]
 mod tests;
@@ -17,7 +16,6 @@ use crate::service::failure::{input, refused};
 use crate::service::reply::{CompareView, ContactRow, Failure};
 use crate::store::notes::{AddressBook, Contact, WrappedFor};
 
-/// The most contacts of a home.
 const MOST_CONTACTS: usize = 1_000;
 
 fn read(text: &str) -> Result<Fingerprint, Failure> {
@@ -26,12 +24,10 @@ fn read(text: &str) -> Result<Fingerprint, Failure> {
 
 pub struct Contacts {
     parts: Parts,
-    /// Changes of the book are made one at a time.
     changing: tokio::sync::Mutex<()>,
 }
 
 impl Contacts {
-    /// From the shared parts.
     pub fn new(parts: &Parts) -> Self {
         Self { parts: parts.clone(), changing: tokio::sync::Mutex::default() }
     }
@@ -46,7 +42,6 @@ impl Contacts {
         Ok(())
     }
 
-    /// The account meant by a person.
     pub(crate) fn resolve(&self, party: &Party) -> Result<Address, Failure> {
         match party {
             Party::Address(address) => Ok(*address),
@@ -64,19 +59,16 @@ impl Contacts {
         })
     }
 
-    /// Names by address, to show beside addresses.
     pub(crate) fn names(&self) -> Result<BTreeMap<Address, String>, Failure> {
         let book = self.book()?;
         Ok(book.into_iter().map(|contact| (contact.address, contact.name.to_string())).collect())
     }
 
-    /// The fingerprint of an account's registered key.
     pub fn registered_fingerprint(network: &Network, account: Address) -> Option<String> {
         network.directory.identity(account).ok().map(|identity| Fingerprint::of(&identity.signing).to_string())
     }
 
-    /// Adds an account; the same one a second time changes nothing. Without a fingerprint, that of its registered key is
-    /// noted as found.
+    /// Notes the registered fingerprint unless one is given.
     pub async fn add(
         &self,
         profile: &ProfileName,
@@ -94,7 +86,7 @@ impl Contacts {
         let fingerprint = fingerprint.map(|text| read(&text)).transpose()?.map(|found| found.to_string());
         let network = self.parts.link.network().await.ok();
         let registered = network.as_ref().and_then(|network| Self::registered_fingerprint(network, address));
-        // Where only a gateway tells what is registered, the given one is the better word, and `list` shows the difference.
+        // A given fingerprint outranks a gateway's word; `list` shows the difference.
         if let (Some(given), Some(registered)) = (&fingerprint, &registered)
             && given != registered
             && !self.parts.is_joined()
@@ -104,49 +96,45 @@ impl Contacts {
                  channel which one is right"
             )));
         }
-        {
-            let _one_at_a_time = self.changing.lock().await;
-            let mut book = self.book()?;
-            let is_same = |known: &Contact| {
-                let same_key = !given || known.given && known.fingerprint == fingerprint;
-                known.name == name && known.address == address && same_key
-            };
-            // A script that is repeated changes nothing.
-            if book.iter().any(is_same) {
-                return self.rows().await;
-            }
-            if let Some(known) = book.iter().find(|contact| contact.name == name || contact.address == address) {
-                let (name, address) = (&known.name, known.address);
-                return Err(refused(format!(
-                    "the address book already has '{name}' for {address}; `authros contacts remove {name}` removes it"
-                )));
-            }
-            if book.len() >= MOST_CONTACTS {
-                return Err(refused(format!(
-                    "the address book holds at most {MOST_CONTACTS} contacts; remove one first"
-                )));
-            }
-            let subject = format!("{name} {address}");
-            book.push(Contact { name, address, fingerprint: fingerprint.or(registered), given });
-            book.sort_by(|one, other| one.name.cmp(&other.name));
-            self.parts.log.deed(profile, "contact add", &subject, async { self.write_book(&book) }).await?;
+        let changing = self.changing.lock().await;
+        let mut book = self.book()?;
+        let is_same = |known: &Contact| {
+            let same_key = !given || known.given && known.fingerprint == fingerprint;
+            known.name == name && known.address == address && same_key
+        };
+        // A repeated script changes nothing.
+        if book.iter().any(is_same) {
+            return self.rows().await;
         }
+        if let Some(known) = book.iter().find(|contact| contact.name == name || contact.address == address) {
+            let (name, address) = (&known.name, known.address);
+            return Err(refused(format!(
+                "the address book already has '{name}' for {address}; `authros contacts remove {name}` removes it"
+            )));
+        }
+        if book.len() >= MOST_CONTACTS {
+            return Err(refused(format!("the address book holds at most {MOST_CONTACTS} contacts; remove one first")));
+        }
+        let subject = format!("{name} {address}");
+        book.push(Contact { name, address, fingerprint: fingerprint.or(registered), given });
+        book.sort_by(|one, other| one.name.cmp(&other.name));
+        self.parts.log.deed(profile, "contact add", &subject, async { self.write_book(&book) }).await?;
+        drop(changing);
         self.rows().await
     }
 
     pub async fn remove(&self, profile: &ProfileName, name: &ContactName) -> Result<Vec<ContactRow>, Failure> {
-        {
-            let _one_at_a_time = self.changing.lock().await;
-            let contact = self.contact(name)?;
-            let mut book = self.book()?;
-            book.retain(|other| *other != contact);
-            let subject = format!("{name} {}", contact.address);
-            self.parts.log.deed(profile, "contact remove", &subject, async { self.write_book(&book) }).await?;
-        }
+        let changing = self.changing.lock().await;
+        let contact = self.contact(name)?;
+        let mut book = self.book()?;
+        book.retain(|other| *other != contact);
+        let subject = format!("{name} {}", contact.address);
+        self.parts.log.deed(profile, "contact remove", &subject, async { self.write_book(&book) }).await?;
+        drop(changing);
         self.rows().await
     }
 
-    /// From now on the account's currently registered key is the known one; if a fingerprint is given, only that one.
+    /// Trusts the registered key; with a fingerprint, only that one.
     pub async fn confirm(
         &self,
         profile: &ProfileName,
@@ -154,36 +142,34 @@ impl Contacts {
         fingerprint: Option<String>,
     ) -> Result<Vec<ContactRow>, Failure> {
         let network = self.parts.link.network().await?;
-        {
-            let _one_at_a_time = self.changing.lock().await;
-            let contact = self.contact(name)?;
-            if fingerprint.is_none() && self.parts.is_joined() {
-                return Err(refused(format!(
-                    "the key of '{name}' is known here only from a gateway; get its fingerprint from its owner over \
-                     another channel, then run `authros contacts confirm {name} --fingerprint FINGERPRINT`"
-                )));
-            }
-            let identity = network.directory.identity(contact.address)?;
-            let registered = Fingerprint::of(&identity.signing);
-            if let Some(given) = fingerprint.map(|text| read(&text)).transpose()?
-                && given != registered
-            {
-                return Err(refused(format!(
-                    "{} has registered {registered}, not {given}; ask '{name}' over another channel which one is right",
-                    contact.address
-                )));
-            }
-            let mut book = self.book()?;
-            for other in book.iter_mut().filter(|other| other.name == *name) {
-                (other.fingerprint, other.given) = (Some(registered.to_string()), true);
-            }
-            let subject = format!("{name} {registered}");
-            self.parts.log.deed(profile, "contact confirm", &subject, async { self.write_book(&book) }).await?;
+        let changing = self.changing.lock().await;
+        let contact = self.contact(name)?;
+        if fingerprint.is_none() && self.parts.is_joined() {
+            return Err(refused(format!(
+                "the key of '{name}' is known here only from a gateway; get its fingerprint from its owner over \
+                 another channel, then run `authros contacts confirm {name} --fingerprint FINGERPRINT`"
+            )));
         }
+        let identity = network.directory.identity(contact.address)?;
+        let registered = Fingerprint::of(&identity.signing);
+        if let Some(given) = fingerprint.map(|text| read(&text)).transpose()?
+            && given != registered
+        {
+            let address = contact.address;
+            return Err(refused(format!(
+                "{address} has registered {registered}, not {given}; ask '{name}' over another channel which one is right"
+            )));
+        }
+        let mut book = self.book()?;
+        for other in book.iter_mut().filter(|other| other.name == *name) {
+            (other.fingerprint, other.given) = (Some(registered.to_string()), true);
+        }
+        let subject = format!("{name} {registered}");
+        self.parts.log.deed(profile, "contact confirm", &subject, async { self.write_book(&book) }).await?;
+        drop(changing);
         self.rows().await
     }
 
-    /// The whole book, each entry with the chain's present state.
     pub async fn rows(&self) -> Result<Vec<ContactRow>, Failure> {
         let network = self.parts.link.network().await.ok();
         let row = |contact: Contact| {
@@ -201,7 +187,6 @@ impl Contacts {
         Ok(self.book()?.into_iter().map(row).collect())
     }
 
-    /// Contacts whose registered key differs from the noted one.
     pub fn changed_contacts(&self, network: &Network) -> Result<Vec<String>, Failure> {
         let changed = |contact: &Contact| {
             let (noted, found) =
@@ -211,15 +196,20 @@ impl Contacts {
         Ok(self.book()?.iter().filter_map(changed).collect())
     }
 
-    /// Whether keys may be wrapped for this account: one in the address book only with the key noted there. If it had
-    /// none when it was added, it is noted now.
+    /// Allows wrapping keys only for the noted key; notes one that was missing.
     pub async fn check_contact(&self, network: &Network, account: Address) -> Result<(), Failure> {
         let _one_at_a_time = self.changing.lock().await;
         let mut book = self.book()?;
         let contact = book.iter_mut().find(|contact| contact.address == account);
         if self.parts.is_joined() && contact.as_ref().is_none_or(|contact| !contact.given) {
-            let known = contact.as_ref().map(|contact| contact.name.clone());
-            return Err(refused(uncompared_text(known.as_ref(), account)));
+            let how = match contact {
+                Some(Contact { name, .. }) => format!("authros contacts confirm {name} --fingerprint FINGERPRINT"),
+                None => format!("authros contacts add NAME {account} --fingerprint FINGERPRINT"),
+            };
+            return Err(refused(format!(
+                "the key of {account} is known here only from a gateway, which could substitute its own: get its \
+                 fingerprint from its owner over another channel, then run `{how}` before granting"
+            )));
         }
         let Some(contact) = contact else { return Ok(()) };
         let Some(found) = Self::registered_fingerprint(network, account) else { return Ok(()) };
@@ -233,9 +223,7 @@ impl Contacts {
         }
     }
 
-    /// Whether the keys of a further epoch may be wrapped for a reader who had them before: not for a key that has
-    /// changed since, if the chain is known from a gateway's word, unless that key was compared. Notes the key the
-    /// first time.
+    /// On a gateway's word alone, a key that changed since the last epoch must be compared first.
     pub async fn check_reader(&self, network: &Network, owner: Address, reader: Address) -> Result<(), Failure> {
         let Some(found) = Self::registered_fingerprint(network, reader).filter(|_| self.parts.is_joined()) else {
             return Ok(());
@@ -249,7 +237,6 @@ impl Contacts {
         Ok(self.parts.plant.ledger.notes.write(&note, &found)?)
     }
 
-    /// Compares a fingerprint with that of an account's registered key, or of this profile's own.
     pub async fn compare(
         &self,
         profile: &ProfileName,
@@ -280,17 +267,6 @@ impl Contacts {
             equal: fingerprint == given,
         })
     }
-}
-
-fn uncompared_text(known: Option<&ContactName>, account: Address) -> String {
-    let how = match known {
-        Some(name) => format!("authros contacts confirm {name} --fingerprint FINGERPRINT"),
-        None => format!("authros contacts add NAME {account} --fingerprint FINGERPRINT"),
-    };
-    format!(
-        "the key of {account} is known here only from a gateway, which could substitute its own: get its fingerprint \
-         from its owner over another channel, then run `{how}` before granting"
-    )
 }
 
 fn changed_text(contact: &Contact, found: &str) -> String {

@@ -1,5 +1,4 @@
-//! What robots need from their owner: notices, told by this home's gateway, or brought to another one where they ask
-//! for them. A function of the ledger: run again, it does what is left.
+//! Notices from owners to robots. A function of the ledger: each run does what is left.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, PoisonError};
@@ -7,14 +6,13 @@ use std::time::Duration;
 
 use tokio::task::block_in_place;
 
-use super::enrolled::{Enrolments, Step, is_lent, words};
+use super::enrolled::{Enrolments, Step, is_lent};
 use super::{Devices, Seat};
 use crate::crypto::enrolment::MOST_ADDRESSES;
 use crate::crypto::{GatewayAddresses, IssuedKeys, Notice, OwnerKeyChange, notice_key, notice_topic};
-use crate::event::NoticeLevel;
 use crate::failure::{input, internal, refused};
 use crate::gateway::{Cabinet, Context, Upload};
-use crate::model::{ProfileName, PublicKey, RecordKind, RecorderId, RingSpan, Timestamp, clean};
+use crate::model::{PublicKey, RecordKind, RecorderId, Timestamp, clean};
 use crate::pipeline::statement::{self, Speaker, Statement};
 use crate::pipeline::{Network, Owner};
 use crate::reply::{DeviceAddressesView, Failure};
@@ -22,15 +20,12 @@ use crate::site::gateway::desk::courier_of;
 use crate::store::notes::{Enrolled, EnrolledGateway, KeysTold, NoticesCarried, OwnerKeysTold};
 use crate::store::{RecordQuery, RecordRow};
 
-/// The pauses between two rounds: while something is left, and otherwise.
+/// Pauses between rounds: with notices left, and without.
 const PAUSES: (Duration, Duration) = (Duration::from_secs(5), Duration::from_secs(60));
-/// The most notices of a robot that are looked at.
 const MOST_NOTICES: usize = 10_000;
-/// Notices in one upload.
 const WINDOW: usize = 64;
 
 impl Devices {
-    /// Gives an enrolled robot a further address of its gateway; its next notice tells it.
     pub async fn add_address(
         &self,
         owner: &Arc<Owner>,
@@ -50,7 +45,7 @@ impl Devices {
         if gateway.addresses.len() >= MOST_ADDRESSES {
             return Err(input("a robot has at most eight addresses of its gateway"));
         }
-        // Until a new key is in place there is nobody whom robots would believe.
+        // Until a new key is in place, robots would believe nobody.
         if owner.keyring().keys().further.next_signing.is_some() {
             return Err(refused("the owner's key is being changed; try again when that is done"));
         }
@@ -61,15 +56,13 @@ impl Devices {
             let list = GatewayAddresses::sign(&network.domain, &owner.eoa(), device, listed)?;
             let (epoch, notice) = (network.directory.epoch(owner.address), Notice::Addresses(list));
             block_in_place(|| self.enrolments.seal_notice(owner, &network, &enrolled, epoch, &notice))?;
-            // After the notice: if this is interrupted in between, another one replaces it.
+            // After the notice: an interruption in between repeats it.
             self.enrolments.change(owner, device, |known| known.gateway = Some(gateway.clone()))
         };
         self.parts.log.deed(&owner.profile, "device addresses", &subject, told).await?;
-        self.parts.hub.stored.notify_waiters();
         Ok(DeviceAddressesView { name: enrolled.name, device, gateway: gateway.into() })
     }
 
-    /// Attends to an owner's robots until the owner is closed or the site ends.
     pub async fn keep_attending(self: Arc<Self>, owner: Arc<Owner>) {
         let mut sealed = self.enrolments.sealed.subscribe();
         while !self.parts.life.is_stopping() && self.parts.owners.is_open(&owner) {
@@ -77,21 +70,20 @@ impl Devices {
             let mut left = true;
             if let Some(network) = self.parts.link.network_now().filter(|_| !owner.is_locked()) {
                 left = self.attend(&owner, &network).await.unwrap_or_else(|failure| {
-                    self.parts.hub.notice(NoticeLevel::Warning, &failure.message);
+                    self.parts.hub.warn(&failure.message);
                     true
                 });
             }
             let pause = if left { PAUSES.0 } else { PAUSES.1 };
             tokio::select! {
                 () = tokio::time::sleep(pause) => {}
-                // An error cannot be: the sender is in the enrolments.
+                // No error is possible: `self` has the sender.
                 _ = sealed.changed() => {}
                 () = self.parts.life.stopped() => return,
             }
         }
     }
 
-    /// One round; returns whether anything is left because a gateway is away.
     async fn attend(&self, owner: &Arc<Owner>, network: &Network) -> Result<bool, Failure> {
         let here = block_in_place(|| Cabinet::founded_in(&self.parts.home.gateway()));
         let mut away = Vec::new();
@@ -111,7 +103,6 @@ impl Devices {
         Ok(!away.is_empty())
     }
 
-    /// Brings a robot's notices to its gateway, oldest first.
     async fn carry(
         &self,
         owner: &Arc<Owner>,
@@ -121,12 +112,14 @@ impl Devices {
     ) -> Result<(), String> {
         let context = Context { provider: self.parts.plant.provider, domain: network.domain };
         let brought = async {
-            let (name, token) = (courier(owner)?, self.known_token(owner, network)?);
+            // A name of its own, whatever profiles there are called.
+            let name = courier_of(&owner.address).parse().map_err(|_| internal("the name of couriers"))?;
+            let token = self.known_token(owner, network)?;
             let at = (gateway.addresses.clone(), Some(gateway.key));
             let mut client = Seat::allocate(owner, context, at, &name).await?.connect(&name, token).await?;
             for window in waiting.chunks(WINDOW) {
-                let uploads = block_in_place(|| self.uploads(window))?;
-                client.upload(uploads).await?;
+                let uploads = || window.iter().map(|row| self.upload(row)).collect::<Result<_, _>>();
+                client.upload(block_in_place(uploads)?).await?;
                 for row in window {
                     let note = carried(owner, enrolled, gateway, row.recorder);
                     self.parts.plant.ledger.notes.write(&note, &row.seq)?;
@@ -137,12 +130,11 @@ impl Devices {
         let Err(failure) = brought.await else { return Ok(()) };
         let addresses = clean(&gateway.addresses.join(", "), 600);
         let text = format!("'{}' cannot be served at the gateway {addresses} now: {}", enrolled.name, failure.message);
-        self.parts.hub.notice(NoticeLevel::Warning, &text);
+        self.parts.hub.warn(&text);
         Err(format!("its gateway {addresses}: {}", failure.message))
     }
 
-    /// The owner's notices to a robot that its gateway does not have, oldest first. Numbers begin anew under the recorder of
-    /// a restored home and of a new key.
+    /// Numbers restart under the recorder of a restored home and of a new key.
     fn notices_behind(
         &self,
         owner: &Owner,
@@ -170,14 +162,10 @@ impl Devices {
         Ok(rows)
     }
 
-    fn uploads(&self, rows: &[RecordRow]) -> Result<Vec<Upload>, Failure> {
-        let mut uploads = Vec::with_capacity(rows.len());
-        for row in rows {
-            let blob = self.parts.plant.ciphertext.get(row.digest)?;
-            let gone = || refused(format!("the notice {} is not in the store any more", row.id));
-            uploads.push(Upload { signature: row.signature, blob: blob.ok_or_else(gone)? });
-        }
-        Ok(uploads)
+    fn upload(&self, row: &RecordRow) -> Result<Upload, Failure> {
+        let gone = || refused(format!("the notice {} is not in the store any more", row.id));
+        let blob = self.parts.plant.ciphertext.get(row.digest)?.ok_or_else(gone)?;
+        Ok(Upload { signature: row.signature, blob })
     }
 }
 
@@ -185,23 +173,13 @@ fn carried(owner: &Owner, enrolled: &Enrolled, gateway: &EnrolledGateway, record
     NoticesCarried { owner: owner.address, device: enrolled.device, gateway: gateway.key, recorder }
 }
 
-/// The name under which an owner's site brings notices to gateways: its own, whatever profiles there are called.
-fn courier(owner: &Owner) -> Result<ProfileName, Failure> {
-    courier_of(&owner.address).parse().map_err(|_| internal("the name of couriers"))
-}
-
-/// The type in the head of a notice.
 const TYPE: &str = "authros/Keys";
 
 impl Enrolments {
-    /// Seals a notice for each lent robot that does not know what it should seal under, whatever happens to the others. A
-    /// function of ledger and keyring: called again, it does what is left.
-    ///
-    /// # Errors
-    /// If some cannot be told: the first one's error, with the names of all.
+    /// One failure does not stop the others; returns the first error, with the names of all.
     pub fn tell_devices(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
         let sealing = owner.sealing().is_some_and(|keys| keys.domain == network.domain);
-        // Until a new key is in place there is nobody whom robots would believe.
+        // Until a new key is in place, robots would believe nobody.
         if !sealing || owner.keyring().keys().further.next_signing.is_some() {
             return Ok(());
         }
@@ -212,17 +190,16 @@ impl Enrolments {
                 self.note_untold(owner.address, device, Step::Carry, None);
                 continue;
             }
-            let told = self.tell_device(owner, network, device);
-            self.note_untold(
-                owner.address,
-                device,
-                Step::Seal,
-                told.as_ref().err().map(|failure| failure.message.clone()),
-            );
-            first = first.or(told.err());
+            let failure = self.tell_device(owner, network, device).err();
+            let why = failure.as_ref().map(|failure| failure.message.clone());
+            self.note_untold(owner.address, device, Step::Seal, why);
+            first = first.or(failure);
         }
         match first {
-            Some(failure) => Err(Failure { message: words(&self.untold(Some(owner.address))), ..failure }),
+            Some(failure) => {
+                let message = self.untold(Some(owner.address)).unwrap_or_default();
+                Err(Failure { message, ..failure })
+            }
             None => Ok(()),
         }
     }
@@ -231,16 +208,13 @@ impl Enrolments {
         let keys = self.issue(owner, network, device)?;
         let told = self.parts.plant.ledger.notes.read(&keys_told(owner, device))?;
         if told.as_deref() != Some(summary(&keys).as_str()) {
-            let epoch = keys.now.epoch;
-            self.seal_notice(owner, network, device, epoch, &Notice::Keys(keys.clone()))?;
+            self.seal_notice(owner, network, device, keys.now.epoch, &Notice::Keys(keys.clone()))?;
             self.note_told(owner, device, &keys)?;
-            self.parts.hub.stored.notify_waiters();
         }
         Ok(())
     }
 
-    /// Seals a notice for each lent robot that is to know its owner by `new` from now on: signed by the current key,
-    /// and within it by the account. Called again, it does what is left.
+    /// The current key signs the notice, and the account signs its content.
     pub fn tell_owner_key(&self, owner: &Owner, network: &Network, new: &PublicKey) -> Result<(), Failure> {
         let old = owner.signing().public;
         let change = OwnerKeyChange::sign(&network.domain, &owner.eoa(), old, *new)?;
@@ -252,33 +226,22 @@ impl Enrolments {
             }
             self.seal_notice(owner, network, &device, epoch, &Notice::OwnerKey(change))?;
             self.parts.plant.ledger.notes.write(&note, &told)?;
-            self.parts.hub.stored.notify_waiters();
         }
         Ok(())
     }
 
-    /// Seals a notice that asks a robot for a span of its ring.
-    pub fn ask_for_ring(
-        &self,
-        owner: &Owner,
-        network: &Network,
-        device: &Enrolled,
-        span: &RingSpan,
-    ) -> Result<(), Failure> {
-        // A robot hears only notices of the epoch it seals under, or of a later one.
+    pub fn send(&self, owner: &Owner, network: &Network, device: &Enrolled, notice: &Notice) -> Result<(), Failure> {
+        // A robot accepts notices of its own epoch or later.
         let known = network.directory.epoch(owner.address);
         let epoch = owner.sealing().map_or(known, |keys| keys.epoch.max(known));
-        self.seal_notice(owner, network, device, epoch, &Notice::Pull(span.clone()))?;
-        self.parts.hub.stored.notify_waiters();
-        Ok(())
+        self.seal_notice(owner, network, device, epoch, notice)
     }
 
-    /// The device knows these keys.
     pub fn note_told(&self, owner: &Owner, device: &Enrolled, keys: &IssuedKeys) -> Result<(), Failure> {
         Ok(self.parts.plant.ledger.notes.write(&keys_told(owner, device), &summary(keys))?)
     }
 
-    pub fn seal_notice(
+    fn seal_notice(
         &self,
         owner: &Owner,
         network: &Network,
@@ -297,10 +260,10 @@ impl Enrolments {
             topic_key: &notice_key(&owner.eoa(), &network.domain, &device.device),
         };
         let statement = Statement { kind: RecordKind::Key, topic: &name, type_name: TYPE, body: &body };
-        statement::put(&self.parts.plant, &speaker, statement, |row| {
-            self.parts.plant.ledger.records.append(vec![row])
-        })?;
+        let plant = &self.parts.plant;
+        statement::put(plant, &speaker, statement, |row| plant.ledger.records.append(vec![row]))?;
         self.sealed.send_replace(());
+        self.parts.hub.stored.notify_waiters();
         Ok(())
     }
 }
@@ -309,7 +272,7 @@ fn keys_told(owner: &Owner, device: &Enrolled) -> KeysTold {
     KeysTold { owner: owner.address, device: device.device }
 }
 
-/// Distinguishes one issue from another; not secret. Topics are represented by their number: they are only ever added.
+/// Not secret. A number stands for the topics, because they are only added.
 fn summary(keys: &IssuedKeys) -> String {
     let moment = |time: Option<Timestamp>| time.map_or(0, |time| time.0);
     let next = keys.next.as_ref().map_or((0, 0), |(moment, next)| (moment.0, next.epoch));

@@ -1,6 +1,4 @@
-//! The robots enrolled by an owner, and what each is to seal under.
-
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use serde::{Deserialize, Serialize};
@@ -33,51 +31,34 @@ impl From<EnrolledGateway> for RobotGatewayView {
     }
 }
 
-/// The enrolled robots, and what they have been told.
 pub struct Enrolments {
     pub(super) parts: Parts,
-    /// Changes whenever a notice was sealed.
     pub(super) sealed: watch::Sender<()>,
-    /// Notices are numbered one at a time.
+    /// Serialises the numbering of notices.
     pub(super) sealing: Mutex<()>,
-    /// Robots that lack a notice, and why.
-    untold: Mutex<BTreeMap<(Address, SignerId, Step), Untold>>,
+    untold: Mutex<BTreeMap<(Address, SignerId, Step), String>>,
 }
 
-/// A step of a notice on its way to a robot.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Step {
-    /// Sealing and storing it here.
     Seal,
-    /// Bringing it to a gateway elsewhere.
     Carry,
 }
 
-/// A robot that a notice cannot reach.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Untold {
-    pub name: ProfileName,
-    pub why: String,
-}
-
 impl Enrolments {
-    /// From the shared parts.
     pub fn new(parts: &Parts) -> Self {
         let sealed = watch::channel(()).0;
         Self { parts: parts.clone(), sealed, sealing: Mutex::default(), untold: Mutex::default() }
     }
 
-    /// What a device is to seal under, as the owner's own recorder does.
     pub fn issue(&self, owner: &Owner, network: &Network, to: &Enrolled) -> Result<IssuedKeys, Failure> {
         let sealing = owner.sealing().filter(|keys| keys.domain == network.domain);
         let sealing = sealing
             .ok_or_else(|| refused("no epoch has started that this keyring has the key of; run `authros register`"))?;
         let now = self.issue_of(owner, network, to, sealing.epoch)?;
-        let next = match owner.author.next().filter(|(_, keys)| keys.epoch > sealing.epoch) {
-            Some((moment, keys)) => Some((moment, self.issue_of(owner, network, to, keys.epoch)?)),
-            None => None,
-        };
-        Ok(IssuedKeys { now, next })
+        let next = owner.author.next().filter(|(_, keys)| keys.epoch > sealing.epoch);
+        let next = next.map(|(from, keys)| Ok::<_, Failure>((from, self.issue_of(owner, network, to, keys.epoch)?)));
+        Ok(IssuedKeys { now, next: next.transpose()? })
     }
 
     fn issue_of(&self, owner: &Owner, network: &Network, to: &Enrolled, epoch: u64) -> Result<EpochIssue, Failure> {
@@ -89,20 +70,17 @@ impl Enrolments {
             let id = topic_id(&index, topic);
             (topic.clone(), IssuedTopic { id, filters: filter_key(&index, &id), key: topic_key(&key, &id) })
         };
-        // Its quarantine counts have a topic name of their own, and so has the statement of how high its topics'
-        // numbers are.
+        // A robot's own statements have topic names too.
         let statements = [quarantine::TOPIC, recorder_heads::TOPIC].map(ToOwned::to_owned);
         let keys = to.topics.iter().chain(&statements).map(of).collect();
         let key = if to.topics.is_empty() { SealingKey::Epoch(key) } else { SealingKey::Topics(keys) };
         Ok(EpochIssue { epoch, token, ends: earliest_expiry(owner, network, epoch), key })
     }
 
-    /// The robots enrolled by this owner, oldest first.
     pub fn of(&self, owner: &Owner) -> Result<Vec<Enrolled>, Failure> {
         block_in_place(|| of_account(&self.parts.plant.ledger.notes, owner.address))
     }
 
-    /// Those of them whose loan goes on now.
     pub fn lent(&self, owner: &Owner, network: &Network) -> Result<Vec<Enrolled>, Failure> {
         Ok(self.of(owner)?.into_iter().filter(|robot| is_lent(owner, network, robot)).collect())
     }
@@ -111,24 +89,23 @@ impl Enrolments {
         self.change_all(owner, |all| all.push(enrolled))
     }
 
-    /// Notes why a step of a robot's notices fails; `None` once it works or is not needed.
     pub fn note_untold(&self, owner: Address, robot: &Enrolled, step: Step, why: Option<String>) {
         let mut untold = self.untold.lock().unwrap_or_else(PoisonError::into_inner);
         let place = (owner, robot.device, step);
         match why {
-            Some(why) => drop(untold.insert(place, Untold { name: robot.name.clone(), why })),
+            Some(why) => drop(untold.insert(place, format!("'{}' ({})", robot.name, clean(&why, 300)))),
             None => drop(untold.remove(&place)),
         }
     }
 
-    /// The robots that lack a notice, of one owner or of all.
-    pub fn untold(&self, owner: Option<Address>) -> Vec<Untold> {
+    /// The robots of an owner, or of any, that lack a notice, in words; `None` if there are none.
+    pub fn untold(&self, owner: Option<Address>) -> Option<String> {
         let untold = self.untold.lock().unwrap_or_else(PoisonError::into_inner);
-        let of = |whose: &Address| owner.is_none_or(|owner| owner == *whose);
-        untold.iter().filter(|((whose, ..), _)| of(whose)).map(|(_, untold)| untold.clone()).collect()
+        let lacking = untold.iter().filter(|((of, ..), _)| owner.is_none_or(|owner| owner == *of));
+        let lacking: Vec<&str> = lacking.map(|(_, robot)| robot.as_str()).collect();
+        (!lacking.is_empty()).then(|| format!("FAILED to tell {}", lacking.join(", ")))
     }
 
-    /// Notes that a device was recalled.
     pub fn note_recalled(&self, owner: &Owner, device: SignerId) -> Result<(), Failure> {
         let mut untold = self.untold.lock().unwrap_or_else(PoisonError::into_inner);
         untold.retain(|(whose, of, _), _| (*whose, *of) != (owner.address, device));
@@ -136,60 +113,45 @@ impl Enrolments {
         self.change(owner, device, |enrolled| enrolled.ended = true)
     }
 
-    /// Changes what is noted of a device.
     pub fn change(&self, owner: &Owner, device: SignerId, change: impl Fn(&mut Enrolled)) -> Result<(), Failure> {
         self.change_all(owner, |all| all.iter_mut().filter(|enrolled| enrolled.device == device).for_each(change))
     }
 
     fn change_all(&self, owner: &Owner, change: impl FnOnce(&mut Vec<Enrolled>)) -> Result<(), Failure> {
-        let changed = |all: &mut Vec<Enrolled>| {
+        self.parts.plant.ledger.notes.change(&EnrolledRobots { owner: owner.address }, |all: &mut Vec<Enrolled>| {
             change(all);
             Ok(())
-        };
-        self.parts.plant.ledger.notes.change(&EnrolledRobots { owner: owner.address }, changed)
+        })
     }
 }
 
-/// Whether a robot may sign for its owner now.
 pub(super) fn is_lent(owner: &Owner, network: &Network, robot: &Enrolled) -> bool {
     let now = Moment::newest(network.directory.now());
     !robot.ended && may_sign(&network.directory, owner.address, robot.device, now).is_ok()
 }
 
-/// Which robots cannot be told what, in words.
-pub fn words(untold: &[Untold]) -> String {
-    let each: Vec<String> =
-        untold.iter().map(|robot| format!("'{}' ({})", robot.name, clean(&robot.why, 300))).collect();
-    format!("FAILED to tell {}", each.join(", "))
-}
-
-/// The robots enrolled by an account, oldest first. Waits for the disk.
 pub fn of_account(notes: &Notes, owner: Address) -> Result<Vec<Enrolled>, Failure> {
     Ok(notes.read(&EnrolledRobots { owner })?.unwrap_or_default())
 }
 
-/// The most topics that a robot can be limited to; one place is reserved for its own statements.
+/// One place is reserved for the robot's own statements.
 const MOST_NAMED: usize = crate::crypto::enrolment::MOST_TOPICS - 1;
 const TOO_MANY: &str = "a robot can be limited to at most 1,023 topics; use --all-topics to cover everything";
 
-/// An owner's request to enrol a robot.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct EnrolWishes {
-    /// The gateway's addresses, host:port each, in the order in which the robot tries them.
+    /// host:port each, in the order in which the robot tries them.
     pub addresses: Vec<String>,
-    /// SM3 of its identity key; `None` to trust whatever answers.
+    /// SM3 of the gateway's identity key; `None` trusts any.
     pub fingerprint: Option<SignerId>,
     pub name: ProfileName,
     pub topics: Vec<TopicName>,
-    /// All topics, including future ones: then no topic is named.
     pub all_topics: bool,
-    /// When the loan ends.
     pub until: Option<Timestamp>,
     pub passphrase: SecretText,
 }
 
 impl Devices {
-    /// Enrols a robot; the answer contains the sealed file.
     pub async fn enrol(&self, owner: &Arc<Owner>, wishes: EnrolWishes) -> Result<EnrolledView, Failure> {
         if self.parts.is_joined() && wishes.fingerprint.is_none() {
             return Err(refused(
@@ -206,58 +168,52 @@ impl Devices {
         let device = SmKeyPair::generate(self.parts.plant.provider)?;
         let id = signer_id(&device.public);
         let subject = format!("{} {id}", wishes.name);
-        let enrolled = self.enrol_device(owner, &network, wishes, (topics, passphrase), device);
+        let enrolled = async {
+            let context = Context { provider: self.parts.plant.provider, domain: network.domain };
+            let at = (wishes.addresses, wishes.fingerprint);
+            let mut seat = Seat::allocate(owner, context, at, &wishes.name).await?;
+            self.lend(owner, id, wishes.until).await?;
+            let notice_id = owner.topic_id(&notice_topic(&id));
+            let notice = DeviceNotice { key: device.public, notices: notice_id };
+            let token = self.known_token(owner, &network)?;
+            if let Err(failure) = seat.tell(owner, (&wishes.name, token), notice).await {
+                // Nobody will use the device; if this fails too, `devices list` shows it.
+                drop(self.unlend_device(owner, id).await);
+                return Err(failure);
+            }
+            let (key, name, ended) = (device.public, wishes.name.clone(), false);
+            let enrolled = Enrolled { name, device: id, topics, ended, key, gateway: Some(seat.noted()) };
+            let keys = self.enrolments.issue(owner, &network, &enrolled)?;
+            let enrolment = Enrolment {
+                domain: network.domain,
+                chain_id: network.chain.chain_id(),
+                gateway: seat.access(),
+                name: wishes.name,
+                owner: owner.address,
+                owner_key: owner.public_keys().0,
+                device,
+                // IK alone turns topic names into pseudonyms.
+                index: wishes.all_topics.then(|| owner.index()),
+                notice_id,
+                notice_key: notice_key(&owner.eoa(), &network.domain, &id),
+                token,
+                last_notice: None,
+                keys,
+            };
+            block_in_place(|| self.enrolments.note_told(owner, &enrolled, &enrolment.keys))?;
+            self.enrolments.add(owner, enrolled.clone())?;
+            let file = block_in_place(|| SealedEnrolment::new(enrolment, &passphrase)?.seal())?;
+            Ok(EnrolledView {
+                name: enrolled.name,
+                device: id,
+                gateway: seat.noted().into(),
+                file: SecretBytes::new(file),
+            })
+        };
         self.parts.log.deed(&owner.profile, "enrol device", &subject, enrolled).await
     }
 
-    /// Enrols this new device; what can be checked was.
-    async fn enrol_device(
-        &self,
-        owner: &Arc<Owner>,
-        network: &Network,
-        wishes: EnrolWishes,
-        (topics, passphrase): (Vec<String>, Passphrase),
-        device: SmKeyPair,
-    ) -> Result<EnrolledView, Failure> {
-        let id = signer_id(&device.public);
-        let context = Context { provider: self.parts.plant.provider, domain: network.domain };
-        let at = (wishes.addresses, wishes.fingerprint);
-        let mut seat = Seat::allocate(owner, context, at, &wishes.name).await?;
-        self.lend(owner, id, wishes.until).await?;
-        let notice_id = owner.topic_id(&notice_topic(&id));
-        let notice = DeviceNotice { key: device.public, notices: notice_id };
-        let token = self.known_token(owner, network)?;
-        if let Err(failure) = seat.tell(owner, (&wishes.name, token), notice).await {
-            // A device that nobody will ever use should not stay lent; if this fails too, `devices list` shows it.
-            drop(self.unlend_device(owner, id).await);
-            return Err(failure);
-        }
-        let (key, name, ended) = (device.public, wishes.name.clone(), false);
-        let enrolled = Enrolled { name, device: id, topics, ended, key, gateway: Some(seat.noted()) };
-        let keys = self.enrolments.issue(owner, network, &enrolled)?;
-        let enrolment = Enrolment {
-            domain: network.domain,
-            chain_id: network.chain.chain_id(),
-            gateway: seat.access(),
-            name: wishes.name,
-            owner: owner.address,
-            owner_key: owner.public_keys().0,
-            device,
-            // IK alone turns the names of any topic into pseudonyms.
-            index: wishes.all_topics.then(|| owner.index()),
-            notice_id,
-            notice_key: notice_key(&owner.eoa(), &network.domain, &id),
-            token,
-            last_notice: None,
-            keys,
-        };
-        block_in_place(|| self.enrolments.note_told(owner, &enrolled, &enrolment.keys))?;
-        self.enrolments.add(owner, enrolled.clone())?;
-        let file = block_in_place(|| SealedEnrolment::new(enrolment, &passphrase).and_then(|sealed| sealed.seal()))?;
-        Ok(EnrolledView { name: enrolled.name, device: id, gateway: seat.noted().into(), file: SecretBytes::new(file) })
-    }
-
-    /// One name is one robot: a recall by name must not leave another one able to read.
+    /// A recall by name must not leave another robot able to read.
     fn check_name(&self, network: &Network, owner: &Owner, name: &ProfileName) -> Result<(), Failure> {
         if is_reserved(name) {
             return Err(input(format!("'{name}' is a name that sites give themselves; give the robot another one")));
@@ -271,14 +227,12 @@ impl Devices {
         }
     }
 
-    /// A token of the owner that is on the chain.
     pub fn known_token(&self, owner: &Owner, network: &Network) -> Result<crate::model::Token, Failure> {
         let account = network.directory.account(owner.address);
         let token = account.and_then(|account| account.token);
         token.ok_or_else(|| refused("the chain has no token of this account; run `authros register` first"))
     }
 
-    /// Gives an enrolled robot the keys for more topics; its next notice tells it.
     pub async fn add_topics(
         &self,
         owner: &Arc<Owner>,
@@ -295,9 +249,8 @@ impl Devices {
             return Err(refused(format!("'{}' already covers all topics", enrolled.name)));
         }
         let names = topics.iter().map(ToString::to_string);
-        let mut added: Vec<String> = names.filter(|topic| !enrolled.topics.contains(topic)).collect();
-        added.sort();
-        added.dedup();
+        let added: BTreeSet<String> = names.filter(|topic| !enrolled.topics.contains(topic)).collect();
+        let added = Vec::from_iter(added);
         if added.is_empty() {
             return Err(refused(format!("'{}' already covers these topics", enrolled.name)));
         }
@@ -316,7 +269,6 @@ impl Devices {
     }
 }
 
-/// Whether a robot can be given these addresses.
 pub fn check_addresses(addresses: &[String]) -> Result<(), Failure> {
     if addresses.iter().any(|address| address.is_empty() || address.len() > LONGEST_ADDRESS) {
         return Err(input("an address of a gateway has 1 to 255 characters"));
@@ -327,7 +279,6 @@ pub fn check_addresses(addresses: &[String]) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The requested topics, in order; none for all.
 fn covered(wishes: &EnrolWishes) -> Result<Vec<String>, Failure> {
     if wishes.all_topics != wishes.topics.is_empty() {
         return Err(Failure::new(
@@ -336,8 +287,6 @@ fn covered(wishes: &EnrolWishes) -> Result<Vec<String>, Failure> {
              which gives it the epoch's key and the index key, so that anyone who steals it can read all it could",
         ));
     }
-    let mut topics: Vec<String> = wishes.topics.iter().map(ToString::to_string).collect();
-    topics.sort();
-    topics.dedup();
-    if topics.len() > MOST_NAMED { Err(input(TOO_MANY)) } else { Ok(topics) }
+    let topics: BTreeSet<String> = wishes.topics.iter().map(ToString::to_string).collect();
+    if topics.len() > MOST_NAMED { Err(input(TOO_MANY)) } else { Ok(topics.into_iter().collect()) }
 }

@@ -1,5 +1,4 @@
-//! Whether robots follow their owner into a new epoch. A robot that goes on under an older one still writes for a reader
-//! who was to lose access, so the command that ended that access says so.
+//! Whether robots follow their owner into a new epoch: one that does not still writes for a reader who lost access.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -7,34 +6,29 @@ use std::time::{Duration, Instant};
 use tokio::task::block_in_place;
 
 use super::Devices;
-use super::enrolled::words;
 use crate::model::{ErrorKind, Timestamp};
 use crate::pipeline::Owner;
 use crate::service::reply::{Failure, TransactionView};
 use crate::store::NewestRecord;
 use crate::store::notes::Enrolled;
 
-/// How long a robot at work may go on under an older epoch.
+/// How long a working robot may stay in an older epoch.
 const BOUND: Duration = Duration::from_secs(12);
-/// How long a robot that was at work until now may be silent before nobody waits for it.
+/// How long to wait for a robot that fell silent.
 const SILENCE: Duration = Duration::from_secs(3);
 const LOOK: Duration = Duration::from_millis(200);
-/// A robot whose newest record was captured and came this long ago, nanoseconds, is not at work.
+/// Nanoseconds; a robot whose newest record is older is not at work.
 const AT_WORK: u64 = 10_000_000_000;
 
-/// A robot's place between two epochs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Pace {
-    /// It seals under the new epoch, or is not at work.
     Settled,
-    /// It was at work until now and has not been heard of since.
     Silent,
-    /// It sends records that it captured since, under an older epoch.
     Behind,
 }
 
 impl Pace {
-    /// By a robot's newest record; `begun` is when it was told of `epoch`.
+    /// `begun` is when the owner told the robot of `epoch`.
     fn of(newest: Option<NewestRecord>, epoch: u64, begun: Timestamp) -> Self {
         let Some(newest) = newest.filter(|newest| newest.epoch < epoch) else { return Self::Settled };
         let heard = newest.acknowledged_at;
@@ -47,11 +41,7 @@ impl Pace {
 }
 
 impl Devices {
-    /// Tells the robots of an owner about the epoch that began with `deed`, and waits until those at work seal under it.
-    /// Names those that cannot be told because their gateway is away.
-    ///
-    /// # Errors
-    /// [`ErrorKind::Incomplete`] if a notice cannot be sealed, or a robot at work goes on under an older epoch.
+    /// Announces the epoch of `deed`, and fails as [`ErrorKind::Incomplete`] if a working robot stays in an older one.
     pub async fn lead(&self, owner: &Arc<Owner>, deed: TransactionView) -> Result<TransactionView, Failure> {
         let (begun, from) = (Timestamp::now(), Instant::now());
         let incomplete = |text: String| Failure::new(ErrorKind::Incomplete, format!("{}; but {text}", deed.text));
@@ -59,8 +49,12 @@ impl Devices {
         block_in_place(|| self.enrolments.tell_devices(owner, &network))
             .map_err(|failure| incomplete(failure.message))?;
         let robots = self.enrolments.lent(owner, &network)?;
+        let pace = |robot: &Enrolled| {
+            let newest = self.parts.plant.ledger.counts.newest_of(owner.address, robot.device)?;
+            Ok((robot.name.to_string(), Pace::of(newest, deed.epoch, begun)))
+        };
         loop {
-            let paces = block_in_place(|| self.paces(owner, &robots, (deed.epoch, begun)))?;
+            let paces = block_in_place(|| robots.iter().map(pace).collect::<Result<Vec<_>, Failure>>())?;
             let behind: Vec<String> =
                 paces.iter().filter(|(_, pace)| *pace == Pace::Behind).map(|(name, _)| format!("'{name}'")).collect();
             let waits = paces.iter().any(|(_, pace)| *pace == Pace::Silent) && from.elapsed() < SILENCE;
@@ -77,31 +71,13 @@ impl Devices {
             }
             tokio::time::sleep(LOOK).await;
         }
-        let untold = self.enrolments.untold(Some(owner.address));
-        if untold.is_empty() {
-            return Ok(deed);
-        }
-        let text = format!("{}; {}; they are told as soon as their gateway can be reached", deed.text, words(&untold));
+        let Some(untold) = self.enrolments.untold(Some(owner.address)) else { return Ok(deed) };
+        let text = format!("{}; {untold}; they are told as soon as their gateway can be reached", deed.text);
         Ok(TransactionView { text, ..deed })
     }
 
-    /// The robots of an owner that lack a notice, of any owner, in words; `None` if there are none.
     pub fn untold_text(&self) -> Option<String> {
-        let untold = self.enrolments.untold(None);
-        (!untold.is_empty()).then(|| words(&untold))
-    }
-
-    fn paces(
-        &self,
-        owner: &Owner,
-        robots: &[Enrolled],
-        (epoch, begun): (u64, Timestamp),
-    ) -> Result<Vec<(String, Pace)>, Failure> {
-        let pace = |robot: &Enrolled| {
-            let newest = self.parts.plant.ledger.counts.newest_of(owner.address, robot.device)?;
-            Ok::<_, Failure>((robot.name.to_string(), Pace::of(newest, epoch, begun)))
-        };
-        robots.iter().map(pace).collect()
+        self.enrolments.untold(None)
     }
 }
 

@@ -6,6 +6,7 @@ mod following;
 mod policies;
 pub(super) mod pulling;
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -24,10 +25,8 @@ use crate::pipeline::{Network, Owner, authority};
 use crate::reply::{DeviceRow, Failure, TransactionView};
 use crate::store::notes::EnrolledGateway;
 
-/// The fewest characters of a device's id that identify it.
 const SHORTEST: usize = 8;
 
-/// Devices that sign for their owners.
 pub struct Devices {
     pub parts: Parts,
     pub sharing: Arc<Sharing>,
@@ -35,7 +34,6 @@ pub struct Devices {
 }
 
 impl Devices {
-    /// Lets a device sign for the owner.
     pub async fn lend(
         &self,
         owner: &Arc<Owner>,
@@ -49,70 +47,50 @@ impl Devices {
             return Err(input("the loan would end before it starts; give a later --until"));
         }
         let until = until.map(|until| Timestamp::from_seconds(until.seconds()));
-        let known = self.lendings(&network, owner);
-        if known.iter().any(|lending| {
-            lending.device == device && lending.until == until && authority::is_lent(&network.directory, lending)
-        }) {
+        let is_same = |lending: &Lending| (lending.device, lending.until) == (device, until);
+        let is_lent = |lending: &Lending| is_same(lending) && authority::is_lent(&network.directory, lending);
+        if self.lendings(&network, owner).iter().any(is_lent) {
             return Err(refused(format!(
                 "device {device} is already on loan; `authros devices list` shows until when"
             )));
         }
-        let text = match until {
-            Some(until) => format!("device {device} may sign for {} until {until}", owner.address),
-            None => format!("device {device} may sign for {} until it is recalled", owner.address),
-        };
+        let end = until.map_or_else(|| "it is recalled".to_owned(), |until| until.to_string());
+        let text = format!("device {device} may sign for {} until {end}", owner.address);
         let lent = self.change_devices(owner, &network, Call::Lend { device, until }, "lend", text);
         self.parts.log.deed(&owner.profile, "lend device", &device.to_string(), lent).await
     }
 
-    /// Recalls a device and begins a new epoch, so that what the device holds opens nothing sealed from now on.
-    /// Gateways follow the chain: the device's name ends, its subscriptions are cut, its next Command is refused.
+    /// A new epoch locks the device out of records sealed from now on; gateways end its session.
     pub async fn recall(&self, owner: &Arc<Owner>, device: &str) -> Result<TransactionView, Failure> {
         let network = self.parts.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         let device = self.lent_device(&network, owner, device)?;
-        let recalled = self.recall_device(owner, &network, device);
+        let recalled = async {
+            // Saved in the keyring before anything is sent: the next start resumes an interruption.
+            owner.prepare_epoch(network.domain, network.directory.epoch(owner.address) + 1)?;
+            let call = Call::Recall { device };
+            let recalled = self.change_devices(owner, &network, call, "recall", String::new()).await?;
+            self.enrolments.note_recalled(owner, device)?;
+            let rotated = self.sharing.next_epoch(owner, &network, "recall").await.map_err(|failure| {
+                let what = "is recalled, but the new epoch is not on the chain yet and its keys still open new \
+                            records; `authros keys rotate` starts it";
+                Failure { message: format!("device {device} {what}: {}", failure.message), ..failure }
+            })?;
+            let text = format!(
+                "device {device} can no longer sign or read for {}: gateways end its session, and new records are \
+                 sealed under epoch {}; what it signed before stays valid, what it has read cannot be recalled",
+                owner.address, rotated.epoch
+            );
+            Ok(TransactionView { epoch: rotated.epoch, text, ..recalled })
+        };
         self.parts.log.deed(&owner.profile, "recall device", &device.to_string(), recalled).await
     }
 
-    async fn recall_device(
-        &self,
-        owner: &Arc<Owner>,
-        network: &Network,
-        device: SignerId,
-    ) -> Result<TransactionView, Failure> {
-        // In the keyring before anything is sent: if interrupted in between, it is resumed at the next start.
-        owner.prepare_epoch(network.domain, network.directory.epoch(owner.address) + 1)?;
-        let recalled = self.send_recall(owner, network, device).await?;
-        self.enrolments.note_recalled(owner, device)?;
-        let rotated = self.sharing.next_epoch(owner, network, "recall").await.map_err(|failure| {
-            let what = "is recalled, but the new epoch is not on the chain yet and its keys still open new records; \
-                        `authros keys rotate` starts it";
-            Failure { message: format!("device {device} {what}: {}", failure.message), ..failure }
-        })?;
-        let text = format!(
-            "device {device} can no longer sign or read for {}: gateways end its session, and new records are sealed \
-             under epoch {}; what it signed before stays valid, what it has read cannot be recalled",
-            owner.address, rotated.epoch
-        );
-        Ok(TransactionView { epoch: rotated.epoch, text, ..recalled })
-    }
-
-    /// Recalls a device that nobody has used.
     pub async fn unlend_device(&self, owner: &Arc<Owner>, device: SignerId) -> Result<(), Failure> {
         let network = self.parts.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
-        let recalled = self.send_recall(owner, &network, device);
+        let recalled = self.change_devices(owner, &network, Call::Recall { device }, "recall", String::new());
         self.parts.log.deed(&owner.profile, "recall device", &device.to_string(), recalled).await.map(drop)
-    }
-
-    async fn send_recall(
-        &self,
-        owner: &Arc<Owner>,
-        network: &Network,
-        device: SignerId,
-    ) -> Result<TransactionView, Failure> {
-        self.change_devices(owner, network, Call::Recall { device }, "recall", String::new()).await
     }
 
     async fn change_devices(
@@ -130,18 +108,17 @@ impl Devices {
         Ok(TransactionView { transaction: Some(transaction), block: Some(receipt.block), epoch, text })
     }
 
-    /// Every device ever lent, newest first.
     pub async fn rows(&self, owner: &Arc<Owner>) -> Result<Vec<DeviceRow>, Failure> {
         let network = self.parts.link.network().await?;
+        let state = |lending: &Lending| match lending.recalled {
+            Some(_) => "recalled",
+            None if authority::is_lent(&network.directory, lending) => "lent",
+            None => "expired",
+        };
         let row = |lending: &Lending| DeviceRow {
             device: lending.device,
             fingerprint: Fingerprint::of_signer(&lending.device).to_string(),
-            state: match (lending.recalled, authority::is_lent(&network.directory, lending)) {
-                (Some(_), _) => "recalled",
-                (None, true) => "lent",
-                (None, false) => "expired",
-            }
-            .to_owned(),
+            state: state(lending).to_owned(),
             from: lending.from,
             until: lending.until,
             recalled: lending.recalled,
@@ -149,7 +126,6 @@ impl Devices {
         Ok(self.lendings(&network, owner).iter().rev().map(row).collect())
     }
 
-    /// The lent device identified by a person: a robot's name, or the beginning of a device's id.
     pub fn lent_device(&self, network: &Network, owner: &Owner, text: &str) -> Result<SignerId, Failure> {
         let called = self.called(network, owner, text)?;
         let lent: Vec<SignerId> = called.iter().filter(|(_, lent)| *lent).map(|(device, _)| *device).collect();
@@ -165,7 +141,6 @@ impl Devices {
         }
     }
 
-    /// The enrolled robots of this name that were not recalled, oldest first, and whether their loan still runs.
     pub fn called(&self, network: &Network, owner: &Owner, name: &str) -> Result<Vec<(SignerId, bool)>, Failure> {
         let lendings = self.lendings(network, owner);
         let state = |device: SignerId| {
@@ -184,7 +159,7 @@ impl Devices {
     }
 }
 
-/// The lent device whose id begins with this; a fingerprint is such a beginning.
+/// By the beginning of an id; a fingerprint is one.
 fn find(lendings: &[Lending], text: &str) -> Result<SignerId, Failure> {
     let wanted: String = text.chars().filter(|character| !character.is_whitespace()).collect::<String>().to_lowercase();
     let wanted = wanted.trim_start_matches("0x");
@@ -195,23 +170,19 @@ fn find(lendings: &[Lending], text: &str) -> Result<SignerId, Failure> {
         )));
     }
     let open = lendings.iter().filter(|lending| lending.recalled.is_none());
-    let mut found: Vec<SignerId> =
-        open.map(|lending| lending.device).filter(|device| hex(&device.0).starts_with(wanted)).collect();
-    found.sort();
-    found.dedup();
-    match found.as_slice() {
-        [device] => Ok(*device),
-        [] => Err(refused("no such device is on loan; `authros devices list` shows those that are")),
+    let found = open.map(|lending| lending.device).filter(|device| hex(&device.0).starts_with(wanted));
+    let found: BTreeSet<SignerId> = found.collect();
+    match (found.first(), found.len()) {
+        (Some(device), 1) => Ok(*device),
+        (None, _) => Err(refused("no such device is on loan; `authros devices list` shows those that are")),
         _ => Err(input("several devices on loan start like this; give more of the id")),
     }
 }
 
-/// How long a gateway may take to answer.
 const PATIENCE: Duration = Duration::from_secs(20);
-/// How often a device is announced to the gateway before the loan is on its chain.
+/// Attempts to announce a device before its loan reaches the gateway's chain.
 const ATTEMPTS: u32 = 20;
 
-/// A place at a gateway.
 struct Seat {
     endpoint: Endpoint,
     trust: Trust,
@@ -220,7 +191,7 @@ struct Seat {
 }
 
 impl Seat {
-    /// Allocates K_T for a name of the owner's, at the first address that answers.
+    /// Allocates K_T at the first address that answers.
     pub async fn allocate(
         owner: &Owner,
         context: Context,
@@ -236,13 +207,11 @@ impl Seat {
         Ok(Self { endpoint, trust, gateway, transport })
     }
 
-    /// A session under that name.
     pub async fn connect(&mut self, name: &ProfileName, token: Token) -> Result<Client, Failure> {
         let credentials = Credentials { name: name.clone(), key: self.transport.clone(), token };
         Ok(Client::connect(&self.endpoint, &mut self.trust, &credentials).await?)
     }
 
-    /// Tells the gateway whose the name is.
     pub async fn tell(
         &mut self,
         owner: &Owner,
@@ -252,7 +221,6 @@ impl Seat {
         let mut client = self.connect(name, token).await?;
         for attempt in 1.. {
             match client.device(&owner.signing(), notice).await {
-                // Its node may be behind ours.
                 Err(GatewayError::Refused(Code::Signature | Code::NotRegistered | Code::Stale))
                     if attempt < ATTEMPTS =>
                 {
@@ -264,12 +232,10 @@ impl Seat {
         Ok(())
     }
 
-    /// As the owner's ledger notes it.
     pub fn noted(&self) -> EnrolledGateway {
         EnrolledGateway { addresses: self.endpoint.addresses.clone(), key: self.gateway }
     }
 
-    /// As the robot knows it.
     pub fn access(&self) -> GatewayAccess {
         let (addresses, fingerprint) = (self.endpoint.addresses.clone(), self.gateway);
         GatewayAccess { addresses, fingerprint, transport: self.transport.clone() }

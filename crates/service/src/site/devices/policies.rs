@@ -1,5 +1,3 @@
-//! The policies that an owner sets for its robots, and what these tell of them.
-
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -18,14 +16,10 @@ use crate::service::reply::{Failure, RobotRow, RobotTopicRow, RobotView};
 use crate::store::notes::{Enrolled, PolicyWanted, WantedPolicy};
 use crate::store::{RecordQuery, RecordRow, SignerTopic};
 
-/// The most reports and losses looked at, the newest.
 const MOST: usize = 10_000;
-/// The most reports of losses that are opened for one robot.
 const MOST_LOSSES: usize = 256;
-/// The most robots whose last sign of life is known.
 const MOST_ROBOTS: usize = 100_000;
 
-/// What robots told, and what they recorded.
 struct Known {
     reports: BTreeMap<SignerId, (PolicyReport, Timestamp)>,
     seen: BTreeMap<SignerId, Timestamp>,
@@ -33,20 +27,16 @@ struct Known {
 }
 
 impl Devices {
-    /// The robots of an owner whose loans go on, by name.
     pub async fn robot_rows(&self, owner: &Arc<Owner>) -> Result<Vec<RobotRow>, Failure> {
         let network = self.parts.link.network().await?;
         let known = block_in_place(|| self.known(owner, &network))?;
         let robots = self.enrolments.of(owner)?.into_iter().filter(|robot| !robot.ended);
-        let mut rows = Vec::new();
-        for robot in robots {
-            rows.push(row(&robot, &self.wanted(owner, robot.device)?, &known));
-        }
+        let row = |robot: Enrolled| Ok(row(&robot, &self.wanted(owner, robot.device)?, &known));
+        let mut rows = robots.map(row).collect::<Result<Vec<_>, Failure>>()?;
         rows.sort_by(|one, other| one.name.cmp(&other.name));
         Ok(rows)
     }
 
-    /// One robot with its policy, its topics and its losses.
     pub async fn robot_view(&self, owner: &Arc<Owner>, name: &str) -> Result<RobotView, Failure> {
         let network = self.parts.link.network().await?;
         let robot = self.robot(&network, owner, name)?;
@@ -68,7 +58,6 @@ impl Devices {
         })
     }
 
-    /// Sets the policy of a robot, which hears of it at its next contact; an empty one gives it back its own settings.
     pub async fn set_policy(&self, owner: &Arc<Owner>, name: &str, text: String) -> Result<RobotView, Failure> {
         if text.len() > LONGEST_POLICY {
             return Err(input(format!("the policy has {} bytes; {LONGEST_POLICY} are allowed", text.len())));
@@ -79,7 +68,7 @@ impl Devices {
         let one_at_a_time = owner.changes.lock().await;
         let before = self.wanted(owner, robot.device)?;
         let reports = block_in_place(|| self.reports(owner, &network))?;
-        // After a restored backup the robot may know a higher version than this ledger.
+        // After a restored backup, the robot may know a higher version.
         let running = reports.get(&robot.device).map_or(0, |(report, _)| report.running);
         let version = before.version.max(running).checked_add(1);
         let version =
@@ -88,9 +77,10 @@ impl Devices {
         let subject = format!("{}: version {version}, {what}", robot.device);
         let sent = async {
             let policy = SignedPolicy::sign(&network.domain, &owner.eoa(), robot.device, version, &text)?;
-            // Noted first: a number that was given away is never given to another policy.
-            self.note_wanted(owner, robot.device, &PolicyWanted { version, text, set_at: Timestamp::now() })?;
-            block_in_place(|| self.enrolments.send_policy(owner, &network, &robot, policy))
+            // Noted first: two policies never share a number.
+            let (note, set_at) = (WantedPolicy { owner: owner.address, device: robot.device }, Timestamp::now());
+            self.parts.plant.ledger.notes.write(&note, &PolicyWanted { version, text, set_at })?;
+            block_in_place(|| self.enrolments.send(owner, &network, &robot, &Notice::Policy(policy)))
         };
         self.parts.log.deed(&owner.profile, "robot policy", &subject, sent).await?;
         drop(one_at_a_time);
@@ -100,11 +90,6 @@ impl Devices {
     fn wanted(&self, owner: &Owner, device: SignerId) -> Result<PolicyWanted, Failure> {
         let note = WantedPolicy { owner: owner.address, device };
         Ok(self.parts.plant.ledger.notes.read(&note)?.unwrap_or_default())
-    }
-
-    fn note_wanted(&self, owner: &Owner, device: SignerId, wanted: &PolicyWanted) -> Result<(), Failure> {
-        let note = WantedPolicy { owner: owner.address, device };
-        Ok(self.parts.plant.ledger.notes.write(&note, wanted)?)
     }
 
     fn known(&self, owner: &Owner, network: &Network) -> Result<Known, Failure> {
@@ -117,7 +102,6 @@ impl Devices {
         })
     }
 
-    /// The newest word of each robot about its policy.
     fn reports(
         &self,
         owner: &Owner,
@@ -148,7 +132,6 @@ impl Devices {
         Ok(reports)
     }
 
-    /// Messages that a robot lost, by topic, as far as its newest reports say.
     fn lost(&self, owner: &Owner, network: &Network, robot: &Enrolled) -> Result<BTreeMap<String, u64>, Failure> {
         let query = RecordQuery {
             owner: Some(owner.address),
@@ -169,7 +152,6 @@ impl Devices {
         Ok(lost)
     }
 
-    /// A record that a robot signed, if its bytes are here and whole.
     fn opened(&self, owner: &Owner, network: &Network, robot: &Enrolled, row: &RecordRow) -> Option<OpenedRecord> {
         let (signer, blob) = (robot.key, self.parts.plant.ciphertext.get(row.digest).ok()??);
         let key = topic_key(&owner.epoch_key(network.domain, row.epoch)?, &row.topic_id);
@@ -180,43 +162,19 @@ impl Devices {
     }
 }
 
-impl super::enrolled::Enrolments {
-    /// Seals the notice that sets a robot's policy.
-    fn send_policy(
-        &self,
-        owner: &Owner,
-        network: &Network,
-        device: &Enrolled,
-        policy: SignedPolicy,
-    ) -> Result<(), Failure> {
-        // A robot hears only notices of the epoch it seals under, or of a later one.
-        let known = network.directory.epoch(owner.address);
-        let epoch = owner.sealing().map_or(known, |keys| keys.epoch.max(known));
-        self.seal_notice(owner, network, device, epoch, &Notice::Policy(policy))?;
-        self.parts.hub.stored.notify_waiters();
-        Ok(())
-    }
-}
-
 fn row(robot: &Enrolled, wanted: &PolicyWanted, known: &Known) -> RobotRow {
     let report = known.reports.get(&robot.device);
-    let recorded = known.seen.get(&robot.device).copied();
-    let told = report.map(|(_, at)| *at);
-    let last_seen = recorded.max(told);
     let running = report.map(|(report, _)| report.running);
     let drift = !robot.ended && running.unwrap_or_default() != wanted.version;
     let standing = if robot.ended { "recalled" } else { standing(wanted, report.map(|(report, _)| report)) };
     let of_robot = known.topics.iter().filter(|topic| topic.signer == robot.device);
     let waiting = of_robot.flat_map(|topic| &topic.records).filter(|(state, _)| state.is_pending());
+    let address = robot.gateway.as_ref().and_then(|gateway| gateway.addresses.first());
     RobotRow {
         name: robot.name.clone(),
         device: robot.device,
-        last_seen,
-        address: robot
-            .gateway
-            .as_ref()
-            .and_then(|gateway| gateway.addresses.first())
-            .map(|address| clean(address, 255)),
+        last_seen: known.seen.get(&robot.device).copied().max(report.map(|(_, at)| *at)),
+        address: address.map(|address| clean(address, 255)),
         waiting: waiting.map(|(_, count)| count).sum(),
         wanted: wanted.version,
         running,
@@ -226,7 +184,6 @@ fn row(robot: &Enrolled, wanted: &PolicyWanted, known: &Known) -> RobotRow {
     }
 }
 
-/// How a robot stands to what is wanted of it, in words.
 fn standing(wanted: &PolicyWanted, report: Option<&PolicyReport>) -> &'static str {
     match report {
         Some(report) if report.running == wanted.version => "in force",

@@ -1,10 +1,9 @@
-//! What an owner asks of the ring of a robot.
-
 use std::sync::Arc;
 
 use tokio::task::block_in_place;
 
 use super::Devices;
+use crate::crypto::Notice;
 use crate::model::{RingSpan, Timestamp, TopicPattern, TopicPatterns, clean};
 use crate::pipeline::{Network, Owner};
 use crate::service::command::{self as ask, Ask as _, RobotCommand};
@@ -13,11 +12,9 @@ use crate::service::reply::{Failure, Reply, RingPullView};
 use crate::site::incidents;
 use crate::store::notes::Enrolled;
 
-/// The widest topic shown, characters.
 const WIDEST: usize = 255;
 
 impl Devices {
-    /// Answers one request about robots.
     pub async fn answer(&self, owner: &Arc<Owner>, command: RobotCommand) -> Result<Reply, Failure> {
         match command {
             RobotCommand::PullRing { name, since, until, topics, incident } => {
@@ -29,7 +26,10 @@ impl Devices {
                 let since = since.or(of_incident.map(|incident| incident.since));
                 let since = since.ok_or_else(|| input("say from when: --since 10m, or --incident NAME"))?;
                 let until = until.or(of_incident.and_then(|incident| incident.until));
-                let topics = if topics.is_empty() { of_incident.map_or_else(Vec::new, patterns) } else { topics };
+                // A name that is no pattern matches no robot's topic.
+                let of_all = of_incident.into_iter().flat_map(|incident| &incident.topics);
+                let of_all = of_all.filter_map(|topic| topic.parse().ok());
+                let topics = if topics.is_empty() { of_all.collect() } else { topics };
                 let span = span(since, until, topics)?;
                 self.pull(owner, &name, &span).await.map(ask::PullRing::told)
             }
@@ -41,26 +41,24 @@ impl Devices {
         }
     }
 
-    /// Asks a robot for a span of its ring: it hears of it with its next contact.
     pub async fn pull(&self, owner: &Arc<Owner>, name: &str, span: &RingSpan) -> Result<RingPullView, Failure> {
         let network = self.parts.link.network().await?;
         let robot = self.robot(&network, owner, name)?;
         let RingSpan { since, until, topics } = span;
         let told = if topics.0.is_empty() { "all topics".to_owned() } else { topics.to_string() };
         let subject = clean(&format!("{}: {since} to {until}, {told}", robot.device), 400);
-        let asked = async { block_in_place(|| self.enrolments.ask_for_ring(owner, &network, &robot, span)) };
+        let notice = Notice::Pull(span.clone());
+        let asked = async { block_in_place(|| self.enrolments.send(owner, &network, &robot, &notice)) };
         self.parts.log.deed(&owner.profile, "pull ring", &subject, asked).await?;
         let topics = topics.0.iter().map(|topic| clean(topic.as_str(), WIDEST)).collect();
         Ok(RingPullView { robot: robot.name, device: robot.device, since: *since, until: *until, topics })
     }
 
-    /// The robots of these names, before anything is done for any of them.
     pub async fn check_robots(&self, owner: &Owner, names: &[String]) -> Result<(), Failure> {
         let network = self.parts.link.network().await?;
         names.iter().try_for_each(|name| self.robot(&network, owner, name).map(drop))
     }
 
-    /// The lent robot that a person names.
     pub fn robot(&self, network: &Network, owner: &Owner, name: &str) -> Result<Enrolled, Failure> {
         let device = self.lent_device(network, owner, name)?;
         let known = self.enrolments.of(owner)?.into_iter().rfind(|robot| robot.device == device);
@@ -72,7 +70,7 @@ impl Devices {
     }
 }
 
-/// A span that has been: what is to come is not in a ring yet.
+/// A ring holds only the past.
 pub fn span(since: Timestamp, until: Option<Timestamp>, topics: Vec<TopicPattern>) -> Result<RingSpan, Failure> {
     let until = until.unwrap_or_else(Timestamp::now).min(Timestamp::now());
     if since >= until {
@@ -82,9 +80,4 @@ pub fn span(since: Timestamp, until: Option<Timestamp>, topics: Vec<TopicPattern
         return Err(input(format!("ask a robot for at most {} topics at once", TopicPatterns::MOST)));
     }
     Ok(RingSpan { since, until, topics: TopicPatterns(topics) })
-}
-
-/// The topics of an incident; a name that is no pattern is one that no robot has.
-fn patterns(incident: &crate::service::reply::IncidentView) -> Vec<TopicPattern> {
-    incident.topics.iter().filter_map(|topic| topic.parse().ok()).collect()
 }

@@ -1,5 +1,3 @@
-//! Bundles of evidence: own records with all their proofs, for a reader who trusts nobody.
-
 mod page;
 mod time;
 
@@ -19,7 +17,7 @@ use super::incidents;
 use super::parts::Parts;
 use super::reading::Reading;
 use crate::command::EvidenceWishes;
-use crate::crypto::{Provider, private_file};
+use crate::crypto::private_file;
 use crate::event::NoticeLevel;
 use crate::failure::input;
 use crate::model::{Digest, RecordState, Timestamp, clean};
@@ -30,10 +28,8 @@ use crate::pipeline::{Network, Owner, PipelineError};
 use crate::reply::{EvidenceView, Failure, HealthLevel, IncidentView, PartHealth};
 use crate::store::{RecordQuery, RecordRow};
 
-/// Records requested from the ledger at a time.
 const PAGE: usize = 1000;
 
-/// Exports of proofs of own records.
 pub(in crate::site) struct Evidence {
     parts: Parts,
     reading: Arc<Reading>,
@@ -41,12 +37,10 @@ pub(in crate::site) struct Evidence {
 }
 
 impl Evidence {
-    /// From the shared parts.
     pub fn new(parts: &Parts, reading: &Arc<Reading>, stamps: &Arc<TimeStamps>) -> Self {
         Self { parts: parts.clone(), reading: Arc::clone(reading), stamps: Arc::clone(stamps) }
     }
 
-    /// Writes records with all their proofs into a new file, 0600.
     pub async fn export(&self, owner: &Arc<Owner>, wishes: EvidenceWishes) -> Result<EvidenceView, Failure> {
         if wishes.file.symlink_metadata().is_ok() {
             return Err(input(format!("{} already exists; choose a new file", wishes.file.display())));
@@ -69,7 +63,7 @@ impl Evidence {
             return Err(input([vec![none], left_out].concat().join("; ")));
         }
         for row in rows.iter().filter(|row| reveal.contains(&row.digest)) {
-            // A disclosure cannot be undone: it is logged before anything leaves.
+            // A disclosure cannot be undone: logged before anything leaves.
             self.parts.log.begin(owner, "disclose record", &row.id).await?;
         }
         let file = clean(&wishes.file.display().to_string(), 300);
@@ -81,13 +75,12 @@ impl Evidence {
         });
         for row in rows.iter().filter(|row| reveal.contains(&row.digest)) {
             let ended = written.as_ref().map(|_| ()).map_err(Clone::clone);
-            // What went wrong is reported once, below.
+            // `export evidence` reports the failure once.
             drop(self.parts.log.end(owner, "disclose record", &row.id, ended).await);
         }
         self.parts.log.end(owner, "export evidence", &file, written).await
     }
 
-    /// The requested own records whose bytes are stored; all of them if nothing narrows it.
     fn chosen(&self, owner: &Owner, wishes: &EvidenceWishes) -> Result<Vec<RecordRow>, Failure> {
         let named = wishes.records.iter().map(|id| self.reading.own_record(&owner.profile, id));
         let mut rows = named.collect::<Result<Vec<_>, Failure>>()?;
@@ -110,10 +103,13 @@ impl Evidence {
             if let Some(name) = &wishes.incident {
                 query = incidents::narrowed(&ledger.incidents, owner.address, name, query)?;
             }
-            // For an incident, the notes say what is left out because it is not stored yet.
+            let is_away = |row: &RecordRow| {
+                matches!(row.state, RecordState::Captured | RecordState::Quarantined | RecordState::Dropped)
+            };
+            // The notes of an incident name what is not stored yet.
             let is_awaited = |row: &RecordRow| wishes.incident.is_some() && is_early(row);
             for row in ledger.records.all(query) {
-                rows.extend(Some(row?).filter(|row| is_stored(row) || is_awaited(row)));
+                rows.extend(Some(row?).filter(|row| !is_away(row) || is_awaited(row)));
                 if rows.len() > MOST_RECORDS {
                     return Err(input(format!(
                         "that is more than {MOST_RECORDS} records; narrow it with --topic, --since and --until"
@@ -124,7 +120,7 @@ impl Evidence {
         })
     }
 
-    /// The file: signed once so that the page can be made from it, and again with the page.
+    /// Signed once to make the page from it, and again with the page.
     fn packed(
         &self,
         owner: &Owner,
@@ -135,7 +131,10 @@ impl Evidence {
         let provider = self.parts.plant.provider;
         let sign = |packing: Packing| packing.sign(claimed.clone(), owner.address, &owner.signing(), provider);
         let members = sign(packing)?;
-        let page = report(&Bundle::of_members(&members, provider)?, about, provider);
+        let bundle = Bundle::of_members(&members, provider)?;
+        // The report uses the pins that the bundle suggests.
+        let trust = bundle.suggested.as_ref().and_then(|text| Trust::parse(text.as_bytes()).ok());
+        let page = page::page(&bundle, &verify(&bundle, trust.as_ref(), provider), about);
         let mut packing = Packing::from(members);
         packing.report(page);
         pack(&sign(packing)?)
@@ -168,8 +167,7 @@ impl Evidence {
     }
 }
 
-/// Takes out the records of an incident that prove nothing in its bundle, unless they are named: those whose bytes are
-/// gone; and those that no block anchors yet, as long as it is open and will be exported again. Says how many.
+/// Drops what proves nothing in an incident's bundle unless named; says how many.
 fn leave_out(rows: &mut Vec<RecordRow>, about: &IncidentView, named: &[String]) -> Vec<String> {
     let mut notes = Vec::new();
     let mut take_out = |is_out: fn(&RecordRow) -> bool, why: &str| {
@@ -181,52 +179,29 @@ fn leave_out(rows: &mut Vec<RecordRow>, about: &IncidentView, named: &[String]) 
     take_out(|row| row.deleted_at.is_some(), "are not in the bundle: retention had already deleted their bytes");
     take_out(is_early, "are not stored yet and are left out: export it again later");
     if about.open {
+        let is_unanchored = |row: &RecordRow| row.block.is_none() && row.state.is_before_block();
         take_out(is_unanchored, "are not anchored yet and are left out: it is still open, export it again later");
     }
     notes
 }
 
-/// Whether a record is not in the store yet.
 fn is_early(row: &RecordRow) -> bool {
     row.state == RecordState::Captured
 }
 
-/// Whether no block is known to anchor a record.
-fn is_unanchored(row: &RecordRow) -> bool {
-    use RecordState::{Batched, Captured, RightEnded, Stored, Submitted};
-    row.block.is_none() && matches!(row.state, Captured | Stored | Batched | Submitted | RightEnded)
-}
-
-/// What this program itself says about a bundle, using the pins that it suggests.
-fn report(bundle: &Bundle, about: Option<&IncidentView>, provider: &dyn Provider) -> String {
-    let trust = bundle.suggested.as_ref().and_then(|text| Trust::parse(text.as_bytes()).ok());
-    page::page(bundle, &verify(bundle, trust.as_ref(), provider), about)
-}
-
-/// Whether a record's ciphertext should be in the store.
-fn is_stored(row: &RecordRow) -> bool {
-    !matches!(row.state, RecordState::Captured | RecordState::Quarantined | RecordState::Dropped)
-}
-
-/// How often to look for batches without a proof.
 const LOOK: Duration = Duration::from_secs(2);
-/// The subject of notices.
 const ABOUT: &str = "chain proofs";
 
-/// The chain proofs of a site.
 pub(in crate::site) struct ChainProofs {
     parts: Parts,
-    /// Why the last round failed, and since when rounds do.
     trouble: Mutex<Option<(Timestamp, String)>>,
 }
 
 impl ChainProofs {
-    /// From the shared parts.
     pub fn new(parts: &Parts) -> Self {
         Self { parts: parts.clone(), trouble: Mutex::default() }
     }
 
-    /// Collects proofs until the site ends.
     pub async fn keep(self: Arc<Self>) {
         let mut rounds = Rounds::default();
         while self.parts.life.beat(LOOK).await {
@@ -251,7 +226,6 @@ impl ChainProofs {
         *trouble = problem.map(|why| (since, why));
     }
 
-    /// The state of the proofs, if there are any or should be.
     pub fn health(&self) -> Result<Option<PartHealth>, Failure> {
         let counts = self.parts.plant.ledger.proofs.chain_proof_counts()?;
         let trouble = self.trouble.lock().unwrap_or_else(PoisonError::into_inner).clone();
@@ -264,13 +238,17 @@ impl ChainProofs {
             0 => String::new(),
             missed => format!("; {missed} batches have none, bundles of them ask the node"),
         };
-        let (level, since, why) = match trouble {
-            Some((since, why)) => (HealthLevel::Waiting, Some(since), format!("; {why}")),
-            None => (HealthLevel::Ok, None, String::new()),
-        };
-        let text = clean(&format!("{kept}{missed}{why}"), 300);
-        Ok(Some(PartHealth { part: "proofs".to_owned(), level, text, since, retry: None }))
+        Ok(Some(waiting_part("proofs", &format!("{kept}{missed}"), trouble)))
     }
+}
+
+/// A part that waits since its trouble began, if there is any.
+fn waiting_part(part: &str, told: &str, trouble: Option<(Timestamp, String)>) -> PartHealth {
+    let (level, since, text) = match trouble {
+        Some((since, why)) => (HealthLevel::Waiting, Some(since), format!("{told}; {why}")),
+        None => (HealthLevel::Ok, None, told.to_owned()),
+    };
+    PartHealth { part: part.to_owned(), level, text: clean(&text, 300), since, retry: None }
 }
 
 #[cfg(test)]

@@ -1,5 +1,4 @@
-//! `report.html` of a bundle: what its exporter's program says about it, for people and paper. It proves nothing, and
-//! says so. It has no scripts and requests nothing outside itself; every text in it is cleaned and escaped.
+//! `report.html` of a bundle. It proves nothing and says so; no scripts, no requests, every text cleaned and escaped.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -9,7 +8,7 @@ use authros_evidence::{Bundle, RecordReport, Report};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 
-use crate::model::{Head, clean};
+use crate::model::{Head, Timestamp, clean};
 use crate::pipeline::importer;
 use crate::reply::IncidentView;
 use crate::ros::message::{Folders, type_hash};
@@ -17,15 +16,11 @@ use crate::ros::readable::{self, Plot, Readable};
 use crate::ros::recording::{Described, TYPE_HASH, TypeFacts};
 use crate::ros::{Definition, Limits};
 
-/// The most records in the table of levels.
 const MOST_ROWS: usize = 500;
-/// The most disclosed records shown in full.
 const MOST_SHOWN: usize = 100;
-/// Size of the page from which disclosed records are no longer shown, bytes.
+/// Size from which disclosed records are left out, bytes.
 const LONGEST: usize = 4 << 20;
-/// The most fields of a message whose type is not well-known.
 const MOST_FIELDS: usize = 200;
-/// The widest foreign text, characters.
 const WIDEST: usize = 1000;
 
 const HEAD: &str = "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
@@ -49,28 +44,16 @@ const MARK: &str = "<p class=\"mark\"><b>This page is not authoritative.</b> It 
     it: <code>authros verify FILE.authros --trust trust.toml</code>, offline, with a trust file of your own, or by \
     <code>tools/verify.py</code> of the same source.</p>\n";
 
-/// A foreign text, escaped for HTML.
 pub(super) fn escape(text: &str) -> String {
-    let mut out = String::with_capacity(text.len());
-    for character in clean(text, WIDEST).chars() {
-        match character {
-            '&' => out.push_str("&amp;"),
-            '<' => out.push_str("&lt;"),
-            '>' => out.push_str("&gt;"),
-            '"' => out.push_str("&quot;"),
-            '\'' => out.push_str("&#39;"),
-            other => out.push(other),
-        }
-    }
-    out
+    let text = clean(text, WIDEST).replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;");
+    text.replace('"', "&quot;").replace('\'', "&#39;")
 }
 
 fn put(out: &mut String, text: std::fmt::Arguments<'_>) {
-    // Writing into memory does not fail.
     let _infallible = out.write_fmt(text);
 }
 
-/// Digits and letters without a space from which a cell may be broken anywhere, characters.
+/// Characters from which a word may break anywhere.
 const LONG_WORD: usize = 40;
 
 fn row<'a>(out: &mut String, cell: &str, cells: impl IntoIterator<Item = &'a str>) {
@@ -82,11 +65,9 @@ fn row<'a>(out: &mut String, cell: &str, cells: impl IntoIterator<Item = &'a str
     out.push_str("</tr>\n");
 }
 
-/// A table; of facts, each with its name before it, there is no head.
 fn table(out: &mut String, class: &str, head: &[&str], rows: &[Vec<String>]) {
     put(out, format_args!("<table class=\"{class}\">\n"));
     if !head.is_empty() {
-        // Paper repeats it on each sheet.
         out.push_str("<thead>");
         row(out, "th", head.iter().copied());
         out.push_str("</thead>\n");
@@ -97,6 +78,10 @@ fn table(out: &mut String, class: &str, head: &[&str], rows: &[Vec<String>]) {
 
 fn facts(out: &mut String, rows: &[Vec<String>]) {
     table(out, "facts", &[], rows);
+}
+
+fn fact(name: impl Into<String>, value: impl Into<String>) -> Vec<String> {
+    vec![name.into(), value.into()]
 }
 
 pub(super) fn page(bundle: &Bundle, report: &Report, about: Option<&IncidentView>) -> String {
@@ -115,12 +100,12 @@ pub(super) fn page(bundle: &Bundle, report: &Report, about: Option<&IncidentView
 
 fn summary(out: &mut String, bundle: &Bundle, report: &Report) {
     let (chain, exporter) = (&bundle.manifest.chain, &bundle.manifest.exporter);
-    let captured = || report.records.iter().filter_map(|record| record.captured_at);
-    let anchored = || report.records.iter().filter_map(|record| record.anchored_at);
-    let stamped = || report.records.iter().filter_map(|record| record.existed_before);
-    let span = |first: Option<crate::model::Timestamp>, last: Option<crate::model::Timestamp>| match first.zip(last) {
-        Some((first, last)) => format!("{first} to {last}"),
-        None => "not shown".to_owned(),
+    let span = |time: fn(&RecordReport) -> Option<Timestamp>| {
+        let times = || report.records.iter().filter_map(time);
+        match times().min().zip(times().max()) {
+            Some((first, last)) => format!("{first} to {last}"),
+            None => "not shown".to_owned(),
+        }
     };
     let opened = report.records.iter().filter(|record| record.disclosed.is_some()).count();
     let mut owners: BTreeMap<String, u64> = BTreeMap::new();
@@ -130,30 +115,24 @@ fn summary(out: &mut String, bundle: &Bundle, report: &Report) {
     }
     out.push_str("<h2>What, who, when</h2>\n");
     let mut rows = vec![
-        vec!["Records".to_owned(), format!("{}, {opened} of them disclosed", report.records.len())],
-        vec!["Captured, according to their owner".to_owned(), span(captured().min(), captured().max())],
-        vec!["Anchored, by the clock of the block sealers".to_owned(), span(anchored().min(), anchored().max())],
-        vec!["Existed before, by authorities' time stamps".to_owned(), span(stamped().min(), stamped().max())],
-        vec!["Assembled by".to_owned(), format!("{} with the key {}", exporter.account, exporter.key)],
-        vec!["Chain".to_owned(), format!("id {}, genesis {}, contract {}", chain.id, chain.genesis, chain.contract)],
+        fact("Records", format!("{}, {opened} of them disclosed", report.records.len())),
+        fact("Captured, according to their owner", span(|record| record.captured_at)),
+        fact("Anchored, by the clock of the block sealers", span(|record| record.anchored_at)),
+        fact("Existed before, by authorities' time stamps", span(|record| record.existed_before)),
+        fact("Assembled by", format!("{} with the key {}", exporter.account, exporter.key)),
+        fact("Chain", format!("id {}, genesis {}, contract {}", chain.id, chain.genesis, chain.contract)),
     ];
-    rows.extend(
-        owners.into_iter().map(|(owner, records)| vec!["Owner".to_owned(), format!("{owner}: {records} records")]),
-    );
+    rows.extend(owners.iter().map(|(owner, records)| fact("Owner", format!("{owner}: {records} records"))));
     facts(out, &rows);
     put(out, format_args!("<p><b>By the exporter's own pins: {}.</b></p>\n", escape(report.last_line())));
 }
 
-/// What its owner calls the incident of these records. Its topics appear as their pseudonyms, as in the whole file.
+/// Topics appear as their pseudonyms.
 fn incident(out: &mut String, about: &IncidentView) {
     out.push_str("<h2>Incident, in its owner's words</h2>\n");
     let until = about.until.map_or_else(|| "still open".to_owned(), |until| until.to_string());
-    let mut rows = vec![
-        vec!["Name".to_owned(), about.name.to_string()],
-        vec!["From".to_owned(), about.since.to_string()],
-        vec!["To".to_owned(), until],
-    ];
-    rows.extend(about.notes.iter().map(|note| vec![format!("Note of {}", note.at), note.text.clone()]));
+    let mut rows = vec![fact("Name", about.name.to_string()), fact("From", about.since.to_string()), fact("To", until)];
+    rows.extend(about.notes.iter().map(|note| fact(format!("Note of {}", note.at), &*note.text)));
     facts(out, &rows);
 }
 
@@ -194,14 +173,11 @@ fn completeness(out: &mut String, report: &Report) {
     table(out, "plain", &["topic", "recorder", "result", "what is present"], &rows);
 }
 
-/// Whether it was disclosed for itself: a recorder's statements are reported under (f).
-fn is_chosen(record: &RecordReport) -> bool {
-    record.disclosed.is_some() && !record.is_statement()
-}
-
 fn disclosed(out: &mut String, bundle: &Bundle, report: &Report) {
     let mut limits = Limits::default();
-    let opened: Vec<&RecordReport> = report.records.iter().filter(|record| is_chosen(record)).collect();
+    // Recorders' statements are reported under (f).
+    let is_chosen = |record: &&RecordReport| record.disclosed.is_some() && !record.is_statement();
+    let opened: Vec<&RecordReport> = report.records.iter().filter(is_chosen).collect();
     out.push_str("<h2>Disclosed records</h2>\n");
     if opened.is_empty() {
         out.push_str("<p>None: every message in the file is sealed, except recorders' own statements.</p>\n");
@@ -222,23 +198,20 @@ fn one(out: &mut String, bundle: &Bundle, report: &Report, record: &RecordReport
         format_args!("<section>\n<h3>{} <code>{}</code></h3>\n", escape(&opened.topic), escape(&opened.type_name)),
     );
     let mut rows = vec![
-        vec!["Record".to_owned(), record.digest.to_string()],
-        vec!["Published by".to_owned(), opened.publisher.clone()],
-        vec!["Message".to_owned(), format!("{} bytes, SM3 {}", opened.length, opened.message_sm3)],
+        fact("Record", record.digest.to_string()),
+        fact("Published by", opened.publisher.clone()),
+        fact("Message", format!("{} bytes, SM3 {}", opened.length, opened.message_sm3)),
     ];
-    rows.extend(opened.tags.iter().map(|(name, value)| vec![format!("Tag {name}"), value.clone()]));
-    rows.extend(
-        record
-            .levels()
-            .map(|(letter, level)| vec![format!("({letter}) {}", level.standing.word()), level.text.clone()]),
-    );
+    rows.extend(opened.tags.iter().map(|(name, value)| fact(format!("Tag {name}"), &**value)));
+    for (letter, level) in record.levels() {
+        rows.push(fact(format!("({letter}) {}", level.standing.word()), &*level.text));
+    }
     facts(out, &rows);
     message(out, bundle, report, record, limits);
     out.push_str("</section>\n");
 }
 
-/// The definition of a disclosed message: the one that its head names, or one that has its type's hash, or one built into this
-/// program with that hash.
+/// The one that the head names, or one with the type's hash, stored or built in.
 pub fn definition_of(bundle: &Bundle, head: &Head) -> Option<Arc<Definition>> {
     let about = importer::about(&head.tags);
     let (hash, encoding) = (about.get(TYPE_HASH).map(|hash| &**hash), importer::encoding(&head.tags));
@@ -251,7 +224,6 @@ pub fn definition_of(bundle: &Bundle, head: &Head) -> Option<Arc<Definition>> {
     Described::of(facts, &Folders::default()).definition
 }
 
-/// The message's values: in readable form for a known type, otherwise field by field.
 fn message(out: &mut String, bundle: &Bundle, report: &Report, record: &RecordReport, limits: &mut Limits) {
     let Some(revealed) = report.messages.get(&record.digest) else { return };
     let Some(definition) = definition_of(bundle, &revealed.head) else {
@@ -265,13 +237,12 @@ fn message(out: &mut String, bundle: &Bundle, report: &Report, record: &RecordRe
         out.push_str("<p>Its fields are not shown: they do not fit the definition, or there are too many.</p>\n");
         return;
     };
-    let rows: Vec<Vec<String>> = value.flatten(MOST_FIELDS).into_iter().map(|(path, text)| vec![path, text]).collect();
+    let rows: Vec<_> = value.flatten(MOST_FIELDS).into_iter().map(|(path, text)| fact(path, text)).collect();
     table(out, "plain", &["field", "value"], &rows);
 }
 
 fn easy(out: &mut String, readable: &Readable) {
-    let lines: Vec<Vec<String>> =
-        readable.lines.iter().map(|(label, value)| vec![label.clone(), value.clone()]).collect();
+    let lines: Vec<_> = readable.lines.iter().map(|(label, value)| fact(&**label, &**value)).collect();
     facts(out, &lines);
     for shown in &readable.tables {
         put(out, format_args!("<p class=\"title\">{}</p>\n", escape(&shown.title)));
@@ -290,41 +261,32 @@ fn notes(out: &mut String, report: &Report) {
     out.push_str("<h2>Notes</h2>\n<ul>\n");
     put(out, format_args!("<li>{}</li>\n", escape(&report.exporter.text)));
     report.warnings.iter().for_each(|text| put(out, format_args!("<li>{}</li>\n", escape(text))));
-    put(out, format_args!("</ul>\n<h2>By hand</h2>\n<pre>{}</pre>\n", by_hand()));
+    let by_hand: String = authros_evidence::READ_ME_TEXT.lines().map(|line| escape(line) + "\n").collect();
+    put(out, format_args!("</ul>\n<h2>By hand</h2>\n<pre>{by_hand}</pre>\n"));
 }
 
-/// The lines of `VERIFY.txt`.
-fn by_hand() -> String {
-    authros_evidence::READ_ME_TEXT.lines().map(|line| escape(line) + "\n").collect()
-}
-
-/// Size of a plot, and the space around it.
 const WIDTH: f64 = 560.0;
 const HEIGHT: f64 = 320.0;
 const EDGE: f64 = 24.0;
 
-/// The bytes of a PNG as a data URL.
 pub(super) fn data_uri(png: &[u8]) -> String {
     format!("data:image/png;base64,{}", STANDARD.encode(png))
 }
 
-/// Points that can be drawn.
 fn finite(points: &[(f64, f64)]) -> impl Iterator<Item = (f64, f64)> {
     points.iter().copied().filter(|(x, y)| x.is_finite() && y.is_finite() && x.abs() < 1e12 && y.abs() < 1e12)
 }
 
-/// The minimum and the maximum, never equal.
 fn ends(numbers: impl Iterator<Item = f64>) -> (f64, f64) {
     let (least, most) = numbers.fold((f64::MAX, f64::MIN), |(least, most), one| (least.min(one), most.max(one)));
     if most > least { (least, most) } else { (least - 1.0, least + 1.0) }
 }
 
-/// A plot, with the end points of its axes.
 pub(super) fn plot(out: &mut String, plot: &Plot) {
     let points: Vec<(f64, f64)> = finite(&plot.points).collect();
     let here: Vec<(f64, f64)> = finite(plot.here.as_slice()).collect();
     let all = || points.iter().chain(&here);
-    // A single place in an empty frame says nothing that its numbers do not.
+    // A single place in an empty frame says nothing new.
     if all().all(|point| all().next() == Some(point)) {
         return;
     }
@@ -335,22 +297,19 @@ pub(super) fn plot(out: &mut String, plot: &Plot) {
         format!("{across:.1},{down:.1}")
     };
     let path: Vec<String> = points.iter().map(place).collect();
-    let mut svg = format!(
-        "<p class=\"title\">{}</p>\n<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" width=\"{WIDTH}\">\n",
-        escape(&plot.title)
-    );
+    put(out, format_args!("<p class=\"title\">{}</p>\n", escape(&plot.title)));
+    put(out, format_args!("<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" width=\"{WIDTH}\">\n"));
     if plot.path {
-        put(&mut svg, format_args!("<polyline fill=\"none\" stroke=\"#036\" points=\"{}\"/>\n", path.join(" ")));
+        put(out, format_args!("<polyline fill=\"none\" stroke=\"#036\" points=\"{}\"/>\n", path.join(" ")));
     }
     let dots = path.iter().filter(|_| !plot.path).map(|at| (at.clone(), "#036", 1.2));
     for (at, colour, radius) in dots.chain(here.iter().map(|point| (place(point), "#a00", 4.0))) {
         let (across, down) = at.split_once(',').unwrap_or(("0", "0"));
-        let _infallible = writeln!(svg, "<circle cx=\"{across}\" cy=\"{down}\" r=\"{radius}\" fill=\"{colour}\"/>");
+        put(out, format_args!("<circle cx=\"{across}\" cy=\"{down}\" r=\"{radius}\" fill=\"{colour}\"/>\n"));
     }
     let (across, up) = (escape(&plot.axes.0), escape(&plot.axes.1));
-    let _infallible =
-        writeln!(svg, "</svg>\n<p>{across}: {:.3} to {:.3}; {up}: {:.3} to {:.3}</p>", x.0, x.1, y.0, y.1);
-    out.push_str(&svg);
+    let ends = format!("{across}: {:.3} to {:.3}; {up}: {:.3} to {:.3}", x.0, x.1, y.0, y.1);
+    put(out, format_args!("</svg>\n<p>{ends}</p>\n"));
 }
 
 #[cfg(test)]

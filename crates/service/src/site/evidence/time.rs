@@ -1,5 +1,4 @@
-//! External time: each hour the configured authorities stamp the roots of the batches closed since. An authority that
-//! does not answer is asked again, at growing intervals; nothing waits for it.
+//! External time: each hour, the configured authorities stamp the roots of new batches; nothing waits for them.
 
 #[cfg(test)]
 mod tests;
@@ -20,26 +19,21 @@ use crate::crypto::random_bytes;
 use crate::model::{ErrorKind, Hash, Timestamp, clean};
 use crate::service::event::NoticeLevel;
 use crate::service::failure::{input, internal, refused};
-use crate::service::reply::{Failure, HealthLevel, PartHealth, StampView, StampedView};
+use crate::service::reply::{Failure, PartHealth, StampView, StampedView};
+use crate::site::evidence::waiting_part;
 use crate::site::parts::Parts;
 use crate::store::KeptStamp;
 
-/// How long an authority may take from connecting to the end of its answer.
 const PATIENCE: Duration = Duration::from_secs(15);
-/// How often batches are stamped.
 const PERIOD: Duration = Duration::from_secs(3600);
-/// How often to check whether it is time.
 const LOOK: Duration = Duration::from_secs(60);
-/// The first pause after an authority did not stamp, and the longest.
+/// First and longest pause after a failure.
 const PAUSES: (Duration, Duration) = (LOOK, PERIOD);
-/// The most stamps requested from one authority in one round.
 const AT_ONCE: usize = 64;
-/// The longest certificate file, bytes.
 const LONGEST_CERTIFICATE: u64 = 64 * 1024;
-/// The subject of notices.
 const ABOUT: &str = "time stamps";
 
-/// When a round begins: by the machine's clock, and by one that does not jump.
+/// The machine's clock, and one that does not jump.
 #[derive(Debug, Clone, Copy)]
 struct Moment {
     wall: Timestamp,
@@ -52,34 +46,26 @@ impl Moment {
     }
 }
 
-/// The result of the last round.
 #[derive(Default)]
 struct Last {
-    /// What went wrong, and since when.
     trouble: Option<(Timestamp, String)>,
-    /// Nobody is asked again before this.
     again: Option<Instant>,
     pause: Duration,
 }
 
-/// The stamps of a site.
 pub(in crate::site) struct TimeStamps {
     parts: Parts,
-    /// Requests without a stamp since the site started.
     failures: AtomicU64,
     last: Mutex<Last>,
-    /// One round at a time.
     turn: tokio::sync::Mutex<()>,
 }
 
 impl TimeStamps {
-    /// From the shared parts.
     pub fn new(parts: &Parts) -> Self {
         let (failures, last, turn) = (AtomicU64::new(0), Mutex::default(), tokio::sync::Mutex::default());
         Self { parts: parts.clone(), failures, last, turn }
     }
 
-    /// Whether any authority is configured.
     pub fn is_wanted(&self) -> bool {
         !self.parts.config.time_authorities.is_empty()
     }
@@ -88,14 +74,12 @@ impl TimeStamps {
         work(&mut self.last.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
-    /// Stamps what is due, until the site ends.
     pub async fn keep(self: Arc<Self>) {
         while self.parts.life.beat(LOOK).await {
             self.look(Moment::now()).await;
         }
     }
 
-    /// Stamps what is due at this moment, unless it is too early to ask again.
     async fn look(&self, now: Moment) {
         if self.with(|last| last.again.is_some_and(|again| again > now.steady)) {
             return;
@@ -107,10 +91,9 @@ impl TimeStamps {
         }
     }
 
-    /// Puts batches under stamps: at once, or if the last time was long enough ago.
     fn begin(&self, at_once: bool, now: Timestamp) -> Result<u64, Failure> {
         let newest = self.parts.plant.ledger.proofs.stamp_counts()?.newest;
-        let due = newest.is_none_or(|newest| now.0.saturating_sub(newest.0) >= nanoseconds(PERIOD));
+        let due = newest.is_none_or(|newest| Duration::from_nanos(now.0.saturating_sub(newest.0)) >= PERIOD);
         if !at_once && !due {
             return Ok(0);
         }
@@ -124,7 +107,6 @@ impl TimeStamps {
         }
     }
 
-    /// Stamps now what is not stamped yet.
     pub async fn stamp(&self) -> Result<StampView, Failure> {
         if !self.is_wanted() {
             return Err(input("no time stamp authority is configured; set time.authorities (see docs/evidence.md)"));
@@ -140,7 +122,6 @@ impl TimeStamps {
         }
     }
 
-    /// Asks each authority for its missing stamps; returns what it gave, and the first failure.
     async fn ask_all(&self, now: Moment) -> (Vec<StampedView>, Option<Failure>) {
         let (mut tokens, mut problem) = (Vec::new(), None);
         for authority in &self.parts.config.time_authorities {
@@ -198,7 +179,6 @@ impl TimeStamps {
         Ok(())
     }
 
-    /// The state of stamping, if any authority is configured.
     pub fn health(&self) -> Result<Option<PartHealth>, Failure> {
         if !self.is_wanted() {
             return Ok(None);
@@ -206,18 +186,12 @@ impl TimeStamps {
         let counts = self.parts.plant.ledger.proofs.stamp_counts()?;
         let newest = counts.before.map_or_else(|| "none yet".to_owned(), |before| format!("newest before {before}"));
         let told = format!("{} stamps, {newest}; {} wait", counts.stamped, counts.waiting);
-        let trouble = self.with(|last| last.trouble.clone());
         let failures = self.failures.load(Ordering::Acquire);
-        let (level, since, text) = match trouble {
-            Some((since, why)) => {
-                (HealthLevel::Waiting, Some(since), format!("{told}; {failures} requests failed: {why}"))
-            }
-            None => (HealthLevel::Ok, None, told),
-        };
-        Ok(Some(PartHealth { part: "time".to_owned(), level, text: clean(&text, 300), since, retry: None }))
+        let trouble = self.with(|last| last.trouble.clone());
+        let trouble = trouble.map(|(since, why)| (since, format!("{failures} requests failed: {why}")));
+        Ok(Some(waiting_part("time", &told, trouble)))
     }
 
-    /// The authorities as named in a trust file; one whose certificate cannot be read is left out.
     pub fn suggested(&self) -> Vec<PinnedAuthority> {
         let pin = |authority: &TimeAuthority| {
             read(authority).ok()?;
@@ -228,11 +202,7 @@ impl TimeStamps {
     }
 }
 
-fn nanoseconds(span: Duration) -> u64 {
-    u64::try_from(span.as_nanos()).unwrap_or(u64::MAX)
-}
-
-/// The pinned certificate, read anew each time: it may have been replaced.
+/// Read each time: it may have been replaced.
 fn read(authority: &TimeAuthority) -> Result<Certificate, Failure> {
     let path = clean(&authority.certificate.display().to_string(), 200);
     let failed = |why: String| input(format!("{path}: {why}; set time.authorities to a PEM certificate"));
@@ -245,7 +215,6 @@ fn read(authority: &TimeAuthority) -> Result<Certificate, Failure> {
 }
 
 fn client(authority: &TimeAuthority) -> Result<reqwest::Client, Failure> {
-    // Only authorities in the settings are asked.
     let client = reqwest::Client::builder().no_proxy().redirect(reqwest::redirect::Policy::none());
     let client = if authority.url.starts_with("https://") {
         let tls =

@@ -1,4 +1,4 @@
-//! Whether the right to play continues, owner by owner, according to the chain now; and whose next key is on its way.
+//! Whether the right to play continues, and whose next key is on its way.
 
 use std::collections::{HashMap, HashSet};
 use std::time::{Duration, Instant};
@@ -8,39 +8,27 @@ use crate::model::{Address, TopicId};
 use crate::service::reply::PlayEnd;
 use crate::store::RecordRow;
 
-/// How long a key is awaited before the operator is told, and how often it is looked for.
 const UNTOLD: Duration = Duration::from_secs(10);
 const LOOK: Duration = Duration::from_millis(500);
 
-/// How long records wait for a key that need not come: of an epoch that the chain does not know yet, because its owner's sites
-/// seal under it before they send it, and anybody who may sign for her can make up a number; or of one that was passed over.
+/// Wait for a key that may never come: anybody who signs for the owner can name an epoch unknown to the chain.
 const UNSURE: Duration = Duration::from_secs(120);
 
-/// How long they wait where there are keys: those of the newest block may have come while the record was looked at.
+/// Wait where keys exist: those of the newest block may have come after the record was opened.
 const JUST_COME: Duration = Duration::from_secs(5);
 
-/// What is known of a topic's key in an epoch.
+/// After a key `Came` and opened a record, one that it does not open belongs to somebody else.
 pub(super) enum TopicKeyState {
-    /// It opened a record. One that it does not open is another's.
     Came,
-    /// It did not open the first one yet.
-    Awaited {
-        since: Instant,
-        looked: Instant,
-        /// Whether the chain knew the epoch by then.
-        has_begun: bool,
-    },
+    Awaited { since: Instant, looked: Instant, has_begun: bool },
 }
 
-/// Owner, topic and epoch.
 type Which = (Address, TopicId, u64);
 
-/// The key that opens a record.
 pub(super) fn key_of(row: &RecordRow) -> Which {
     (row.owner, row.topic_id, row.epoch)
 }
 
-/// What is known of the keys, and the owners and epochs that the operator was told of.
 #[derive(Default)]
 pub(super) struct Keys {
     states: HashMap<Which, TopicKeyState>,
@@ -48,19 +36,16 @@ pub(super) struct Keys {
 }
 
 impl Keys {
-    /// Whether a record's key is awaited, and was looked for a moment ago.
     pub fn looked_for(&self, which: Which, now: Instant) -> bool {
         let state = self.states.get(&which);
         matches!(state, Some(TopicKeyState::Awaited { looked, .. }) if now.duration_since(*looked) < LOOK)
     }
 
-    /// It opened a record.
     pub fn came(&mut self, which: Which) {
         self.states.insert(which, TopicKeyState::Came);
     }
 
-    /// For how long it has been awaited, now that it opens nothing; nothing if it came, or was awaited for `longest`: records
-    /// are refused at once then.
+    /// The wait so far; `None` if the key came, or `longest` is over.
     fn awaited(&mut self, which: Which, begun: bool, longest: Duration, now: Instant) -> Option<Duration> {
         let fresh = || TopicKeyState::Awaited { since: now, looked: now, has_begun: begun };
         let state = self.states.entry(which).or_insert_with(fresh);
@@ -78,7 +63,6 @@ impl Keys {
 }
 
 impl Play<'_> {
-    /// Whether the key of a record's epoch is still to come: an epoch begins before its keys reach those who may read on.
     pub(super) fn awaits_key(&mut self, row: &RecordRow) -> bool {
         let directory = &self.network.directory;
         let (epoch, newest_epoch, now) = (row.epoch, directory.epoch(row.owner), Instant::now());
@@ -95,18 +79,15 @@ impl Play<'_> {
         };
         let Some(waited) = self.keys.awaited(key_of(row), has_begun, longest, now) else { return false };
         if waited >= UNTOLD && self.keys.told.insert((row.owner, epoch)) {
-            let text = format!(
-                "playback into {} waits: the key of epoch {epoch} of {} has not come yet; her site gives it once it \
-                 reaches the chain",
-                self.target.name(),
-                self.name_of(row.owner)
-            );
-            self.bridge.parts.hub.warn(&text);
+            let (target, owner) = (self.target.name(), self.name_of(row.owner));
+            self.bridge.parts.hub.warn(&format!(
+                "playback into {target} waits: the key of epoch {epoch} of {owner} has not come yet; her site gives it \
+                 once it reaches the chain"
+            ));
         }
         true
     }
 
-    /// Whether the right to everything that is played has ended, according to the chain now.
     pub(super) fn right_ended(&mut self) -> Option<PlayEnd> {
         if self.owner.is_locked() {
             self.tell("the keyring was locked");
@@ -120,7 +101,7 @@ impl Play<'_> {
         }
         self.rights_at = Instant::now();
         let standing = granted_to(self.owner, &self.network);
-        // A grant that was revoked and given again, perhaps for less, is a different grant.
+        // A grant that was revoked and given again, perhaps for less, differs.
         let is_over = |giver: &&Address| standing.get(giver).is_none_or(|now| self.granted.get(giver) != Some(now));
         let ended: Vec<Address> = self.givers.keys().filter(is_over).copied().collect();
         let mut end = None;
@@ -130,7 +111,6 @@ impl Play<'_> {
         end.filter(|_| self.givers.is_empty())
     }
 
-    /// An owner no longer shares: her queued and latched messages are not given out either.
     pub(super) fn take_back(&mut self, giver: Address) -> PlayEnd {
         self.givers.remove(&giver);
         self.target.silence(giver);
@@ -148,12 +128,8 @@ impl Play<'_> {
     }
 
     fn tell(&self, why: &str) {
-        let text = format!(
-            "playback into {} ended: {why}; {} messages were published",
-            self.target.name(),
-            self.tally.published
-        );
-        self.bridge.parts.hub.warn(&text);
+        let (target, count) = (self.target.name(), self.tally.published);
+        self.bridge.parts.hub.warn(&format!("playback into {target} ended: {why}; {count} messages were published"));
     }
 }
 

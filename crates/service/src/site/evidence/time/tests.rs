@@ -9,6 +9,7 @@ use std::sync::mpsc;
 
 use super::*;
 use crate::model::{Address, Digest, RecordKind, RecordState, Signature, SignerId, TopicId};
+use crate::reply::HealthLevel;
 use crate::site::testing::Ground;
 use crate::store::{NewBatch, NewRecord};
 
