@@ -1,5 +1,5 @@
-//! The doctor: checks everything a home depends on (files, chain, peers), says how it is and what to do. Needs no
-//! passphrase, changes nothing, starts no robots; a part that is embedded and not running is fine.
+//! Checks everything a home depends on: files, chain, peers. Needs no passphrase and changes nothing; an embedded part
+//! that is not running is fine.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -18,12 +18,11 @@ use crate::site::{STORE_LOST, is_bound, keyring_faults, misses_store, store_loss
 use crate::store::notes::{ProfileAccounts, StoreWasGone};
 use crate::store::{CacheSettings, Glance, SiteLock, StoreError, cache, files, snapshot};
 
-/// Checks all of it. `site` is what a running site of this home says about its parts, or why it says nothing; `None` if
-/// none runs.
+/// `site` is a running site's own status, or why it does not answer; `None` if none runs.
 pub async fn examine(home: &Home, config: &Config, site: Option<Result<SiteView, String>>) -> DoctorView {
     let mut sheet = Sheet::default();
     let runs = site.is_some();
-    // Held so that no site starts while its files are checked.
+    // No site can start while its files are checked.
     let lock = if runs { None } else { SiteLock::acquire(&home.site_lock()).ok().flatten() };
     tokio::task::block_in_place(|| {
         home_folder(home, &mut sheet);
@@ -32,7 +31,7 @@ pub async fn examine(home: &Home, config: &Config, site: Option<Result<SiteView,
         disk(home, &mut sheet);
         cache(config, &mut sheet);
         ros_master(config, &mut sheet);
-        // A running site of this home is in the domain already, and says below what it sees.
+        // A running site has joined the domain already and reports it below.
         if !runs {
             second(config, &mut sheet);
         }
@@ -50,7 +49,7 @@ pub async fn examine(home: &Home, config: &Config, site: Option<Result<SiteView,
     sheet.view()
 }
 
-/// The state of a home's peers if no site of it runs: master and chain are asked now.
+/// Health of a home's peers if no site of it runs.
 pub async fn peers(home: &Home, config: &Config) -> Vec<PartHealth> {
     let (mut ros, mut chain) = (Sheet::default(), Sheet::default());
     tokio::task::block_in_place(|| ros_master(config, &mut ros));
@@ -89,7 +88,6 @@ fn of_site(site: &SiteView, sheet: &mut Sheet) {
     }
 }
 
-/// The findings so far.
 #[derive(Debug, Default)]
 struct Sheet {
     checks: Vec<DoctorCheck>,
@@ -114,7 +112,7 @@ impl Sheet {
         self.add(name, CheckStatus::Fail, detail, advice);
     }
 
-    /// All findings as the health of one part: the first failure, or the first finding and `well`.
+    /// The first failure, or the first finding and `well`.
     fn health(&self, name: &str, well: HealthLevel) -> PartHealth {
         let failed = self.checks.iter().find(|check| check.status == CheckStatus::Fail);
         match failed {
@@ -133,7 +131,6 @@ const AHEAD: u64 = 15;
 /// Seconds beyond which things break: grants begin and end by the chain's time.
 const FAR_AHEAD: u64 = 120;
 
-/// The name of the embedded chain.
 const EMBEDDED: &str = "embedded";
 
 async fn look(home: &Home, config: &Config, site_runs: bool, sheet: &mut Sheet) {
@@ -215,7 +212,7 @@ async fn answered(chain: &Chain, name: &str, has_pin: bool, sheet: &mut Sheet) {
     }
 }
 
-/// Records are anchored on it: whether that holds against its operator, too.
+/// Whether the anchors hold against the chain's operator, too.
 fn who_seals(sealed_by: &SealedBy, sheet: &mut Sheet) {
     if sealed_by.alone {
         let text = format!("records are anchored on a chain sealed by a single party: {}", sealed_by.text);
@@ -229,7 +226,7 @@ fn who_seals(sealed_by: &SealedBy, sheet: &mut Sheet) {
     }
 }
 
-/// The first address that answers will do; the others are told in a warning.
+/// One address that answers is enough; the others cause a warning.
 async fn remote(addresses: &[String], sheet: &mut Sheet) {
     let patience = std::time::Duration::from_secs(3);
     let mut silent = Vec::new();
@@ -255,9 +252,9 @@ async fn remote(addresses: &[String], sheet: &mut Sheet) {
     sheet.fail("chain", &silent.join("; "), "start it or correct site.address");
 }
 
-/// Free space below which a site soon stops acknowledging, bytes.
+/// Bytes; with less, a site soon stops acknowledging.
 const TIGHT: u64 = 1 << 30;
-/// Free space below which it cannot work, bytes.
+/// Bytes; with less, it cannot work.
 const FULL: u64 = 32 << 20;
 
 fn home_folder(home: &Home, sheet: &mut Sheet) {
@@ -326,10 +323,9 @@ fn keys(home: &Home, sheet: &mut Sheet) {
     }
 }
 
-/// What to do about a damaged file.
 const DAMAGED: &str = "keep a copy of the home, then restore the last backup: authros restore FILE";
 
-/// Whether the store is well-formed, and what is noted in it can be read.
+/// Whether the store is well-formed and its notes can be read.
 fn store(home: &Home, sheet: &mut Sheet) {
     let path = home.ledger();
     if misses_store(home) {
@@ -355,7 +351,6 @@ fn store(home: &Home, sheet: &mut Sheet) {
     }
 }
 
-/// Room on the disk of the home.
 fn disk(home: &Home, sheet: &mut Sheet) {
     let mut place = home.root();
     while !place.exists() {
@@ -377,11 +372,9 @@ fn disk(home: &Home, sheet: &mut Sheet) {
     }
 }
 
-/// The longest look at a ROS 2 domain.
 const LOOK: Duration = Duration::from_secs(6);
 const TICK: Duration = Duration::from_millis(50);
 
-/// The cache, if there is one: whether it answers.
 fn cache(config: &Config, sheet: &mut Sheet) {
     let Some(url) = config.cache_url.clone() else { return };
     match cache::examine(&CacheSettings { url, roots: config.cache_roots.clone() }) {
@@ -394,7 +387,6 @@ fn cache(config: &Config, sheet: &mut Sheet) {
     }
 }
 
-/// Captures nothing: the doctor only looks.
 struct Nobody;
 
 impl MessageSink for Nobody {
@@ -402,7 +394,7 @@ impl MessageSink for Nobody {
     fn notice(&self, _: CaptureNotice) {}
 }
 
-/// The participants of the ROS 2 domain, if the settings name one; it is joined for a moment.
+/// Joins the ROS 2 domain of the settings for a moment.
 fn second(config: &Config, sheet: &mut Sheet) {
     let Some(domain) = config.ros_domain.filter(|_| config.site.is_none()) else { return };
     let capture = match Ros2Capture::start(domain, config.ros2_program.as_deref(), Arc::new(Nobody)) {
@@ -427,7 +419,7 @@ fn second(config: &Config, sheet: &mut Sheet) {
     walls(standing.confined, sheet);
 }
 
-/// Whether what parses the network reaches nothing else of this machine.
+/// Whether the process that parses the network can reach anything else of this machine.
 fn walls(confined: Option<bool>, sheet: &mut Sheet) {
     let advice = "use a kernel of 5.13 or later with landlock among its security modules (/sys/kernel/security/lsm); until \
                   then start the site as root, which gives the program a user of its own";
@@ -438,7 +430,6 @@ fn walls(confined: Option<bool>, sheet: &mut Sheet) {
     }
 }
 
-/// The master, this machine's name and the host names given by publishers.
 fn ros_master(config: &Config, sheet: &mut Sheet) {
     if config.site.is_some() {
         return sheet.ok("ros", "is at the gateway");

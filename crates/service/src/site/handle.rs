@@ -16,7 +16,7 @@ use crate::site::devices::pulling::span;
 use crate::site::mirror::remote::{FIRST_ROUND, LISTING};
 
 impl Site {
-    /// Answers one request. Each variant has its arm here, so a request that nothing answers does not compile.
+    /// One arm for each request, so that an unanswered one does not compile.
     #[allow(clippy::too_many_lines, reason = "an arm for each request")]
     pub async fn handle(self: &Arc<Self>, request: Request, claims: &Claims) -> Result<Reply, Failure> {
         let Request { profile, command } = request;
@@ -249,14 +249,14 @@ impl Site {
             Command::ListAdmitted => self.admissions.rows().map(ask::ListAdmitted::told),
             Command::OfIncident(command) => self.of_incident(&profile, command).await,
             Command::OfRobot(command) => {
-                // What robots recorded arrives without the names of its topics.
+                // Robots' records arrive without topic names.
                 self.reading.learn_own_names(&profile).await?;
                 self.devices.answer(&owner()?, command).await
             }
         }
     }
 
-    /// Answers a request about incidents; the rings of robots are asked once the incident is there.
+    /// Answers a request about incidents; robots' rings are requested once the incident exists.
     async fn of_incident(&self, profile: &ProfileName, command: IncidentCommand) -> Result<Reply, Failure> {
         let asked = if let IncidentCommand::OpenIncident { since, until, topics, robots, .. } = &command
             && !robots.is_empty()
@@ -269,7 +269,7 @@ impl Site {
         if let Some((owner, robots, _)) = &asked {
             self.devices.check_robots(owner, robots).await?;
         }
-        // What a topic's records are counted by is its name.
+        // Records are counted by topic name.
         self.reading.learn_own_names(profile).await?;
         let told = self.incidents.answer(profile, command).await?;
         if let Some((owner, robots, span)) = &asked {
@@ -280,8 +280,8 @@ impl Site {
         Ok(told)
     }
 
-    /// What is here of the records shared with a profile. A first list of a large gateway takes long, and a gateway may be
-    /// out of reach; what came so far is shown, with why it may not be all.
+    /// Records shared with a profile, as far as they are here. A large gateway's first list is slow and a gateway may
+    /// be away, so the page says why it may be incomplete.
     async fn list_shared(&self, owner: &Arc<Owner>, query: UploadQuery) -> Result<RecordPage, Failure> {
         let arriving = match self.joined.arriving(&owner.profile, LISTING).await {
             Ok(None) => return self.reading.list_shared(owner, query).await,
@@ -301,7 +301,7 @@ impl Site {
         self.reading.list_shared(owner, query).await
     }
 
-    /// The profile's owner, once a record is here: it need not wait for those that are still coming.
+    /// The profile's owner, once this record is here; does not wait for others.
     async fn owner_with(&self, profile: &ProfileName, id: &str) -> Result<Arc<Owner>, Failure> {
         let owner = self.parts.owners.unlocked(profile)?;
         let more = self.joined.arriving(profile, LISTING).await?.is_some();
@@ -311,7 +311,7 @@ impl Site {
         Ok(owner)
     }
 
-    /// The profile's owner, once the records shared with it are known up to now.
+    /// The profile's owner, once the records shared with it are up to date.
     async fn caught_up_owner(&self, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
         let owner = self.parts.owners.unlocked(profile)?;
         self.joined.caught_up(profile).await?;
@@ -319,7 +319,6 @@ impl Site {
     }
 }
 
-/// Why nothing is changed in a home that cannot be written.
 fn read_only(original: &Path) -> Failure {
     let root = original.display();
     Failure::new(

@@ -6,10 +6,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 use crate::model::{ProfileName, clean};
 use crate::service::reply::ProgressView;
 
-/// The longest subject kept, characters.
+/// Characters.
 const WIDEST: usize = 300;
 
-/// One piece of work.
 pub(super) struct Run {
     profile: ProfileName,
     subject: String,
@@ -21,34 +20,31 @@ pub(super) struct Run {
 }
 
 impl Run {
-    /// What it does now.
     pub fn step(&self, word: &'static str) {
         *self.step.lock().unwrap_or_else(PoisonError::into_inner) = word;
     }
 
-    /// So much is done, of so much, and with it so many units.
+    /// Sets `done` of `of`, and the units.
     pub fn at(&self, done: u64, of: u64, units: u64) {
         self.done.store(done, Ordering::Relaxed);
         self.expect(of);
         self.units.store(units, Ordering::Relaxed);
     }
 
-    /// All that there is to do; 0 = not known.
+    /// 0 = unknown.
     pub fn expect(&self, of: u64) {
         self.of.store(of, Ordering::Relaxed);
     }
 
-    /// So much more is done.
     pub fn more(&self, done: u64) {
         self.done.fetch_add(done, Ordering::Relaxed);
     }
 
-    /// One more unit is done.
     pub fn one_more(&self) {
         self.units.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// What is done, for work that counts by itself.
+    /// For work that counts on its own.
     pub fn counter(&self) -> Arc<AtomicU64> {
         Arc::clone(&self.done)
     }
@@ -58,7 +54,7 @@ impl Run {
         ProgressView {
             step: (*self.step.lock().unwrap_or_else(PoisonError::into_inner)).to_owned(),
             file: self.subject.clone(),
-            // What comes in meanwhile was not expected.
+            // More may come than was expected.
             done: if of > 0 { done.min(of) } else { done },
             of,
             messages: self.units.load(Ordering::Relaxed),
@@ -67,17 +63,16 @@ impl Run {
     }
 }
 
-/// All that run now.
 #[derive(Clone, Default)]
 pub(super) struct Runs(Arc<Mutex<Vec<Arc<Run>>>>);
 
 impl Runs {
-    /// Work begins that a profile asked for: what about, with which step, and what is counted besides.
+    /// Begins work for a profile: its subject, first step, and unit.
     pub fn begin(&self, profile: &ProfileName, subject: &str, step: &'static str, unit: &'static str) -> Running {
         self.note(profile, subject, step, unit, (Arc::default(), Arc::default()))
     }
 
-    /// The same for work that is done in its units.
+    /// The same for work done in its units.
     pub fn begin_counted(
         &self,
         profile: &ProfileName,
@@ -104,14 +99,13 @@ impl Runs {
         Running { runs: self.clone(), run }
     }
 
-    /// All that the profile asked for.
     pub fn of(&self, profile: &ProfileName) -> Vec<ProgressView> {
         let runs = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         runs.iter().filter(|run| run.profile == *profile).map(|run| run.view()).collect()
     }
 }
 
-/// Takes a run off the list when it ends, however it ends.
+/// Removes the run when dropped.
 pub(super) struct Running {
     runs: Runs,
     pub run: Arc<Run>,

@@ -18,13 +18,10 @@ use crate::service::reply::{
 use crate::site::chain::administration::Administering;
 use crate::store::StateCounts;
 
-/// The most transactions used for the gas per record.
 const GAS_OVER: u64 = 100;
-/// The most waiting transactions shown one by one.
 const WAITING_SHOWN: usize = 20;
 
 impl Site {
-    /// Health, counts, robots and open profiles.
     pub(super) async fn site_view(&self, profile: &ProfileName) -> Result<SiteView, Failure> {
         let robots = match &*self.ros.state() {
             RosState::Up(link) => link.robots,
@@ -52,7 +49,7 @@ impl Site {
         })
     }
 
-    /// What is not well now, and what is: the one place used by status, figures and alerts.
+    /// The one source of health for status, figures and alerts.
     pub(super) fn parts_health(&self) -> Result<Vec<PartHealth>, Failure> {
         if let Some(original) = self.home().original() {
             let text = format!("{} cannot be written: this is what is in it, and nothing goes on", original.display());
@@ -112,7 +109,7 @@ impl Site {
             NetworkState::Swapped(failure) => (HealthLevel::Failed, failure.message.clone()),
             NetworkState::Down { failure, next } => {
                 let left = next.saturating_duration_since(Instant::now());
-                // The rest of a second counts as one: it is not over yet.
+                // A started second counts as one.
                 let retry = left.as_millis().div_ceil(1_000).try_into().unwrap_or(u64::MAX).max(1);
                 let text = format!("retry in {retry} s: {}", failure.message);
                 return PartHealth { retry: Some(retry), ..part("chain", HealthLevel::Failed, &text) };
@@ -128,7 +125,7 @@ impl Site {
         })
     }
 
-    /// The cache, if there is one. One that is away costs time alone.
+    /// A missing cache only costs time.
     fn cache_health(&self) -> Option<PartHealth> {
         let state = self.plant.ciphertext.cache()?;
         let (level, since) = match &state.away {
@@ -204,7 +201,6 @@ impl Site {
         })
     }
 
-    /// The chain from this profile's point of view.
     pub(super) async fn chain_view(self: &Arc<Self>, profile: &ProfileName) -> Result<ChainView, Failure> {
         let chain = self.parts.link.chain().await?;
         let path = self.parts.home.keyring(profile);
@@ -219,7 +215,7 @@ impl Site {
             (_, _, Some(address)) => vec![self.parts.sender.state_of(address)?],
             (_, _, None) => Vec::new(),
         };
-        // What is in a block already but not looked at yet does not wait any more.
+        // Rows already in a block, but not examined yet, no longer wait.
         let open = address.map(|address| self.plant.ledger.lanes.open_lane(address)).transpose()?;
         let names = self.contacts.names()?;
         let next = status.nonce.unwrap_or(0);
@@ -261,7 +257,7 @@ impl Site {
         PricesView { min_price: Wei(limits.floor), max_fee: limits.cap.map(Wei) }
     }
 
-    /// What the account lacks to pay for its next anchor; a node that does not say is asked again when it is sent.
+    /// What the account lacks for its next anchor; if the node does not say, sending will.
     async fn lacks(&self, chain: &Chain, account: Address) -> Option<Shortfall> {
         let anchor = Call::Anchor { root: Hash([0; 32]), count: 1, previous: Hash([0; 32]) };
         let market = chain.market().await.ok()?;
@@ -270,7 +266,6 @@ impl Site {
         Some(shortfall).filter(|shortfall| shortfall.held < shortfall.needed)
     }
 
-    /// The first transactions of these lanes that wait for a block.
     fn waiting_in(&self, lanes: &[LaneState]) -> Result<Vec<WaitingView>, Failure> {
         let mut views = Vec::new();
         for lane in lanes {
@@ -285,7 +280,6 @@ impl Site {
         Ok(views)
     }
 
-    /// The cost of anchoring, over the newest transactions of these lanes.
     fn gas_of(&self, lanes: &[LaneState]) -> Result<GasView, Failure> {
         let mut view = GasView::default();
         for lane in lanes {

@@ -1,5 +1,5 @@
-//! Keeps the background tasks of a site running: one that panics, or ends although it is still wanted, is restarted
-//! after a pause that doubles up to eight seconds. The operator is told, and `SiteStatus` shows every task.
+//! Keeps the background tasks of a site running: one that panics, or ends although still wanted, is restarted after a
+//! pause that doubles. `SiteStatus` shows every task.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
@@ -15,26 +15,23 @@ use crate::service::failure::internal;
 use crate::service::hub::Hub;
 use crate::service::reply::{Failure, TaskState, TaskView};
 
-/// The first pause before a task is restarted, and the longest.
 const PAUSES: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(8));
-/// After working this long, a task that fails gets the first pause again.
+/// After working this long, a failing task gets the first pause again.
 const STEADY: Duration = Duration::from_secs(60);
 /// How often a pausing thread checks whether the site ends.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// Keeps the tasks of a site running.
 pub(super) struct Supervisor {
     hub: Arc<Hub>,
     life: Arc<Lifetime>,
-    /// In the order in which they were started.
+    /// In starting order.
     tasks: Mutex<Vec<Arc<Task>>>,
 }
 
-/// One task, for as long as it is wanted.
 struct Task {
     name: String,
     standing: Mutex<Standing>,
-    /// Ends its present run, and why that was done.
+    /// Ends the present run, and why that was done.
     run: Mutex<(Option<AbortHandle>, Option<&'static str>)>,
 }
 
@@ -62,8 +59,8 @@ impl Supervisor {
         self.tasks.lock().unwrap_or_else(PoisonError::into_inner).retain(|other| !Arc::ptr_eq(other, task));
     }
 
-    /// Ends the present runs of the tasks of this name, or of this name and a profile's, so that they are begun again. A
-    /// thread cannot be ended.
+    /// Ends the present runs of tasks with this name, alone or with a profile's, so that they restart; threads cannot
+    /// be ended.
     pub fn restart(&self, name: &str, why: &'static str) {
         let is_of = |task: &&Arc<Task>| task.name.split(' ').next() == Some(name);
         for task in self.tasks.lock().unwrap_or_else(PoisonError::into_inner).iter().filter(is_of) {
@@ -75,7 +72,6 @@ impl Supervisor {
         }
     }
 
-    /// The state of all of them.
     pub fn views(&self) -> Vec<TaskView> {
         self.tasks.lock().unwrap_or_else(PoisonError::into_inner).iter().map(|task| task.view()).collect()
     }
@@ -93,7 +89,7 @@ impl Task {
         }
     }
 
-    /// Notes that it ended; returns how long it pauses.
+    /// Returns the pause.
     fn ended(&self, reason: &str) -> Duration {
         let mut standing = self.standing.lock().unwrap_or_else(PoisonError::into_inner);
         let pause = if standing.begun.elapsed() >= STEADY { PAUSES.0 } else { standing.pause };
@@ -112,7 +108,7 @@ impl Task {
 }
 
 impl Supervisor {
-    /// Keeps the work of a part running until the site ends; aborting the handle ends it.
+    /// Keeps work running until the site ends; aborting the handle ends it.
     pub fn keep<Whose, Work, Run>(self: &Arc<Self>, name: &str, part: &Arc<Whose>, work: Work) -> JoinHandle<()>
     where
         Whose: Send + Sync + 'static,
@@ -122,7 +118,7 @@ impl Supervisor {
         self.keep_while(name, part, |_| true, work)
     }
 
-    /// Keeps the work of a part running for as long as it is wanted and the site does not end.
+    /// Keeps work running while it is wanted and the site does not end.
     pub fn keep_while<Whose, Wanted, Work, Run>(
         self: &Arc<Self>,
         name: &str,
@@ -166,7 +162,7 @@ impl Supervisor {
         })
     }
 
-    /// Keeps the work of a thread running until it ends by itself: only a panic restarts it.
+    /// Keeps a thread running until it ends on its own: only a panic restarts it.
     pub fn keep_thread(
         self: &Arc<Self>,
         name: &'static str,
@@ -202,7 +198,6 @@ impl Supervisor {
     }
 }
 
-/// Ends a task when dropped.
 pub(super) struct Aborted(pub JoinHandle<()>);
 
 impl Drop for Aborted {
@@ -211,8 +206,8 @@ impl Drop for Aborted {
     }
 }
 
-/// Pauses a thread that panicked; returns whether it is still wanted then. What it holds must be worked off even while
-/// the site ends, so an end only shortens the pause.
+/// Pauses a thread that panicked; returns whether it is still wanted. An end of the site only shortens the pause: what
+/// the thread holds must be finished.
 fn rest(supervisor: &Weak<Supervisor>, task: &Task, reason: &str) -> bool {
     let Some(pause) = supervisor.upgrade().map(|supervisor| supervisor.tell_ended(task, reason)) else { return false };
     let resumes = Instant::now() + pause;
@@ -233,7 +228,6 @@ fn reason_of(error: tokio::task::JoinError) -> String {
     }
 }
 
-/// The message of a panic.
 fn words(panic: &(dyn std::any::Any + Send)) -> String {
     let text = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
     clean(text.unwrap_or("a bug in the program; please report it"), 200)

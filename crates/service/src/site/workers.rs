@@ -27,21 +27,19 @@ use crate::service::event::{NoticeLevel, Part};
 use crate::service::hub::Hub;
 use crate::service::reply::Failure;
 
-/// The shortest interval between looks at an owner's records while they come: each look asks about all of the owner's
-/// topics.
+/// Shortest interval between looks at an owner's records: each queries all of the owner's topics.
 const BETWEEN_LOOKS: Duration = Duration::from_millis(25);
 
-/// With a great many topics a look takes long: so many times as long nothing is looked at.
+/// Pause after a look, as a multiple of its length: with many topics a look is slow.
 const TIMES_A_LOOK: u32 = 4;
 
-/// Starts all tasks needed by the run.
 pub(super) fn start(
     site: &Arc<Site>,
     needs: Needs,
     opened: mpsc::UnboundedReceiver<Arc<Owner>>,
 ) -> Result<(), Failure> {
     if site.parts.home.original().is_some() {
-        // This site only reads: nothing is captured, sent or kept.
+        // A read-only site captures, sends and keeps nothing.
         site.parts.supervisor.keep("news", &site.parts.hub, Hub::run);
         if needs.chain {
             site.parts.supervisor.keep("chain", &site.connection, Connection::keep_connected);
@@ -78,7 +76,6 @@ pub(super) fn start(
     Ok(())
 }
 
-/// Starts the tasks of each owner as it is opened.
 fn begin_with_owners(site: &Arc<Site>, mut opened: mpsc::UnboundedReceiver<Arc<Owner>>) {
     let site = Arc::clone(site);
     tokio::spawn(async move {
@@ -106,12 +103,12 @@ async fn watch(site: Arc<Site>) {
         let begun = Instant::now();
         let pause = match watcher::watch_round(&site.plant, &network).await {
             Ok(head) => {
-                // The head was asked for at the earliest when the round began. Who waits for its block looks at it next.
+                // The head was requested when the round began at the earliest. Those waiting for its block look next.
                 site.parts.link.saw_head(head, begun);
                 site.parts.link.has_scanned(head.number);
                 site.parts.hub.stages.spent(Stage::Watch, begun.elapsed());
                 site.parts.link.answers(true);
-                // Only a gateway has to know, and it costs a few requests.
+                // Only a gateway needs this, and it costs a few requests.
                 if site.gateway.is_serving() {
                     site.parts.link.measure(&network.chain).await;
                 }
@@ -162,7 +159,7 @@ async fn verify(site: Arc<Site>) {
                     tokio::time::sleep(Duration::from_secs(1)).await;
                     break;
                 }
-                // A panic is for the supervisor to report and to recover from.
+                // The supervisor reports a panic and recovers.
                 Err(error) => return pass_on(error),
             }
         }
@@ -187,7 +184,6 @@ async fn anchor_round(
 }
 
 impl Site {
-    /// Starts the tasks of each open owner, until the owner is closed or the site ends.
     pub(super) fn work_for(self: &Arc<Self>, owner: &Arc<Owner>) {
         let (name, given) = (&owner.profile, Arc::clone(owner));
         self.parts.supervisor.keep_while(&format!("anchorer {name}"), self, while_open(self, owner), move |site| {
@@ -209,7 +205,6 @@ impl Site {
     }
 }
 
-/// Whether work for an owner is still wanted.
 fn while_open<Whose>(site: &Site, owner: &Arc<Owner>) -> impl Fn(&Arc<Whose>) -> bool + Send + 'static {
     let (owners, owner) = (Arc::clone(&site.parts.owners), Arc::clone(owner));
     move |_| owners.is_open(&owner)
@@ -234,7 +229,7 @@ async fn resume_owners(site: Arc<Site>) {
     }
 }
 
-/// Anchors the records of one owner until the owner is closed or the site ends.
+/// Anchors one owner's records until the owner is closed or the site ends.
 async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
     let mut pause = Duration::from_millis(250);
     let mut anchorer = Anchorer::new(site.parts.config.anchor_mode);
@@ -248,7 +243,7 @@ async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
             tokio::time::sleep(Duration::from_millis(200)).await;
             continue;
         };
-        // What is stored while this round looks is not missed.
+        // Subscribed before the round, so that nothing stored meanwhile is missed.
         let stored = site.parts.hub.stored.notified();
         let begun = Instant::now();
         match anchor_round(&site, &mut anchorer, &network, &owner).await {

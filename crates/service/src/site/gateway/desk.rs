@@ -1,5 +1,3 @@
-//! How the site's gateway handles each command.
-
 use std::net::SocketAddr;
 use std::sync::{Arc, PoisonError};
 
@@ -30,7 +28,7 @@ use crate::store::KeptBinding;
 use crate::store::notes::AnnouncedRevoke;
 
 impl GatewayDesk {
-    /// Does work that waits for disk or node, off the network's threads.
+    /// Runs work that waits for disk or node, off the network's threads.
     pub async fn blocking<T: Send + 'static>(
         &self,
         work: impl FnOnce(&Self) -> Result<T, Refusal> + Send + 'static,
@@ -50,7 +48,7 @@ impl GatewayDesk {
         written.map_err(|failure| Refusal::new(Code::Internal, failure.message))
     }
 
-    /// Like [`Self::audit`], but once a minute for the same event of the same caller; repetitions are counted.
+    /// Like [`Self::audit`], but once a minute for the same event of a caller; repetitions are counted.
     async fn audit_once(&self, caller: &Caller, action: &str, subject: &str) -> Result<(), Refusal> {
         let (log, query) = (&self.gateway.parts.log, format!("{action} {subject}"));
         if !log.is_new_query(caller.name.as_str(), &query) {
@@ -63,7 +61,7 @@ impl GatewayDesk {
         written
     }
 
-    /// A revoke that is not on the chain yet: it is obeyed from now on.
+    /// Obeys a revoke before it is on the chain.
     async fn revoked(&self, caller: &Caller, notice: &RevokeNotice) -> Result<(), Refusal> {
         let (note, epoch) = (AnnouncedRevoke { owner: caller.account, reader: notice.grantee }, notice.epoch);
         self.blocking(move |desk| {
@@ -74,7 +72,7 @@ impl GatewayDesk {
         self.audit(caller, "revoke notice", &notice.grantee.to_string()).await
     }
 
-    /// The caller's name belongs to a device.
+    /// Binds the caller's name to a device.
     async fn named(&self, caller: &Caller, notice: &DeviceNotice) -> Result<(), Refusal> {
         self.freshen().await?;
         let DeviceNotice { key, notices } = *notice;
@@ -92,10 +90,9 @@ impl GatewayDesk {
         .await
     }
 
-    /// Stores records of an owner.
     fn keep(&self, owner: &Address, records: Vec<Received>) -> Result<Timestamp, Refusal> {
         let guest = self.standing_of(&self.known_network()?, owner)? == Access::Guest;
-        // What is counted must not grow before it is stored.
+        // Counted records must be stored before anything else is counted.
         let _counting = guest.then(|| self.place.guests.lock().unwrap_or_else(PoisonError::into_inner));
         if guest {
             self.check_quota(owner, &records)?;
@@ -227,7 +224,7 @@ impl Desk for GatewayDesk {
     }
 
     async fn feed(&self, caller: &Caller, asked: &Feed, is_new: bool) -> Result<FeedPage, Refusal> {
-        // A robot asks about its own records, and learns nothing that its recall should end.
+        // A robot may always ask about its own records: a recall need not hide those.
         if caller.device.is_none() || asked.recorders.is_empty() {
             self.freshen().await?;
         }
@@ -278,7 +275,7 @@ impl Desk for GatewayDesk {
     }
 
     fn refused(&self, peer: SocketAddr, refusal: &Refusal) {
-        // A line per peer, code and minute: a peer refused again and again can fill neither log.
+        // One line per peer, code and minute: a persistent peer cannot fill either log.
         if self.gateway.parts.log.refused(&peer.ip().to_string(), &format!("{:?}", refusal.code)) {
             let text = format!("the gateway refused {}: {refusal}", peer.ip());
             self.gateway.parts.hub.notice(NoticeLevel::Info, &text);
@@ -286,24 +283,21 @@ impl Desk for GatewayDesk {
     }
 }
 
-/// How an owner's site calls itself that brings notices to robots.
+/// Name prefix of an owner's site that brings notices to robots.
 const COURIER: &str = "courier-";
-/// Digits of the account in such a name.
 const DIGITS: usize = 16;
 
-/// The name of an owner's courier.
 pub fn courier_of(account: &Address) -> String {
     let digits: String = account.to_string().chars().filter(char::is_ascii_hexdigit).skip(1).take(DIGITS).collect();
     format!("{COURIER}{}", digits.to_lowercase())
 }
 
-/// Whether no robot may be called so: `courier-0123456789abcdef`. Other names that begin like it are nobody's.
+/// Whether no robot may have this name: `courier-0123456789abcdef`.
 pub fn is_reserved(name: &ProfileName) -> bool {
     let digits = name.as_str().strip_prefix(COURIER);
     digits.is_some_and(|digits| digits.len() == DIGITS && digits.bytes().all(|byte| byte.is_ascii_hexdigit()))
 }
 
-/// Whether an account may have this name.
 pub fn check(name: &ProfileName, account: &Address) -> Result<(), Refusal> {
     if !is_reserved(name) || name.as_str() == courier_of(account) {
         return Ok(());
@@ -333,7 +327,6 @@ fn rejected(words: &str) -> RelayError {
 }
 
 impl GatewayDesk {
-    /// Forwards a request to the chain, if it is allowed.
     pub async fn pass_on(
         &self,
         caller: Option<&Caller>,
@@ -364,8 +357,8 @@ impl GatewayDesk {
         }
     }
 
-    /// A transaction proves its sender by itself: without a transport key, accounts that may use this gateway may still
-    /// send one, and a newcomer may send its registration.
+    /// A transaction proves its own sender: without a transport key, admitted accounts may send one, and a newcomer its
+    /// registration.
     fn check_sender(
         &self,
         network: &Network,
@@ -384,7 +377,6 @@ impl GatewayDesk {
         ))
     }
 
-    /// Whether an account is registered, not suspended, and may use this gateway.
     fn may_send(&self, network: &Network, account: &Address) -> bool {
         let known =
             network.directory.account(*account).is_some() && !authority::is_suspended(&network.directory, *account);

@@ -1,5 +1,5 @@
-//! The gateway of a site (the paper's CR): accepts frames over TCP, stores what robots send, anchors it with the
-//! account of the profile that runs it, and answers queries according to the chain's grants at that moment.
+//! The gateway of a site (the paper's CR): stores what robots send, anchors it with its keeper's account, and answers
+//! queries according to the chain's current grants.
 
 #[cfg(test)]
 mod admission_tests;
@@ -34,24 +34,23 @@ use crate::service::failure::{input, refused};
 use crate::service::figures::GatewayFigures;
 use crate::service::reply::{Failure, GatewayStatusView, GatewayView, RefusedView, SenderView, SystemKeyView};
 
-/// How long running requests may take when the gateway ends.
+/// Longest wait for running requests when the gateway ends.
 const FAREWELL: Duration = Duration::from_secs(3);
 
-/// The keeper's envelope pairs, which encrypt the stored transport keys, the current one first: kept beside the
-/// keyring, because robots connect also while that is locked.
+/// The keeper's envelope pairs, current first, which encrypt stored transport keys; kept because robots connect while
+/// the keyring is locked.
 pub(super) type KeptUnder = Arc<RwLock<Vec<SmKeyPair>>>;
 
-/// Where a gateway listens, and for whom.
 #[derive(Clone)]
 struct Place {
-    /// The profile whose account anchors, and whose SM2 key is, or was at its foundation, the gateway's identity.
+    /// Its account anchors; its SM2 key is, or was at the foundation, the gateway's identity.
     keeper: Arc<Owner>,
     under: KeptUnder,
     domain: Domain,
     address: SocketAddr,
-    /// Also for owners who were not admitted, within quotas.
+    /// Also for owners not admitted, within quotas.
     open: bool,
-    /// Accounts of the home's profiles when the gateway was started.
+    /// Accounts of the home's profiles when the gateway started.
     home_accounts: Arc<BTreeSet<Address>>,
     /// Held while a guest's records are counted and stored.
     guests: Arc<Mutex<()>>,
@@ -76,29 +75,25 @@ async fn serve_until(gateway: Arc<Gateway>, place: Place, server: Option<Server>
     server.stop(FAREWELL).await;
 }
 
-/// How a gateway handles commands; one profile of the site keeps it.
 #[derive(Clone)]
 pub(super) struct GatewayDesk {
     gateway: Arc<Gateway>,
     place: Place,
 }
 
-/// The gateway of this home.
 pub struct Gateway {
     parts: Parts,
     sharing: Arc<Sharing>,
     admissions: Arc<Admissions>,
-    /// Anchors of records that their owners had erased, as far as the chain confirmed them.
+    /// Confirmed anchors of records that their owners had erased.
     anchors: Anchors,
-    /// The running one, if there is one.
     serving: Mutex<Option<Serving>>,
     remote: Option<Arc<Remote>>,
-    /// The connection of the agent that works here, if there is one.
+    /// Connection of the agent that works here.
     passed_on: OnceLock<watch::Receiver<Line>>,
 }
 
 impl Gateway {
-    /// From the shared parts.
     pub fn new(
         parts: &Parts,
         sharing: &Arc<Sharing>,
@@ -116,17 +111,14 @@ impl Gateway {
         }
     }
 
-    /// The gateway as reported, while one is running.
     pub fn served(&self) -> Option<GatewayView> {
         self.serving.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map(|serving| serving.view.clone())
     }
 
-    /// Whether a gateway is running here.
     pub fn is_serving(&self) -> bool {
         self.serving.lock().unwrap_or_else(PoisonError::into_inner).is_some()
     }
 
-    /// Figures of the gateway running here, if there is one.
     pub fn figures(&self) -> Option<GatewayFigures> {
         let serving = self.serving.lock().unwrap_or_else(PoisonError::into_inner);
         let watch = &serving.as_ref()?.watch;
@@ -135,18 +127,17 @@ impl Gateway {
         Some(GatewayFigures { connections, refused })
     }
 
-    /// This home's records are forwarded to a gateway: the state of that connection.
+    /// Takes the state of the connection through which this home's records are forwarded.
     pub fn passes_on(&self, line: watch::Receiver<Line>) {
         // A site has at most one agent.
         let _ = self.passed_on.set(line);
     }
 
-    /// The state of the connection to the gateway to which this home's records are forwarded, if they are.
+    /// State of that connection, if there is one.
     pub fn line(&self) -> Option<Line> {
         self.passed_on.get().map(|line| line.borrow().clone())
     }
 
-    /// Serves the gateway's protocol until `ended`, or the site's end.
     pub async fn serve(
         self: &Arc<Self>,
         keeper: &Arc<Owner>,
@@ -192,7 +183,6 @@ impl Gateway {
         Ok(view)
     }
 
-    /// Keeps the gateway open at its address until `ended`, or the site's end.
     fn keep_gateway(self: &Arc<Self>, place: Place, server: Server, ended: oneshot::Receiver<()>) {
         let (over, is_over) = watch::channel(false);
         let gateway = Arc::clone(self);
@@ -235,16 +225,14 @@ impl Gateway {
     }
 }
 
-/// A running gateway: what is reported about it, and its server.
 pub struct Serving {
     pub view: GatewayView,
     pub watch: ServerWatch,
-    /// The keys that encrypt the transport keys.
     pub under: KeptUnder,
 }
 
 impl Gateway {
-    /// The keys that encrypt the transport keys of the gateway that this owner serves here.
+    /// The keys that encrypt the transport keys of this owner's gateway here.
     pub fn kept_under(&self, owner: &Owner) -> Option<KeptUnder> {
         let serving = self.serving.lock().unwrap_or_else(PoisonError::into_inner);
         serving

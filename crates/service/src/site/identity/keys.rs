@@ -23,7 +23,6 @@ use crate::store::notes::ProfileAccounts;
 use crate::store::{RecordQuery, RecordRow, StoreError};
 
 impl Profiles {
-    /// Keys with fingerprints and epochs; no secret.
     pub async fn keys(&self, owner: &Arc<Owner>) -> Result<KeysView, Failure> {
         let (signing, envelope) = owner.public_keys();
         let mut epochs = Vec::new();
@@ -45,7 +44,6 @@ impl Profiles {
         })
     }
 
-    /// Replaces one key with that in a file.
     pub async fn load_key(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -111,7 +109,7 @@ impl Profiles {
         self.keys(owner).await
     }
 
-    /// The network, if the owner is registered on it; nothing if this home has none.
+    /// The network, if the owner is registered on it; `None` if this home has none.
     pub async fn registered_network(&self, owner: &Owner) -> Result<Option<Network>, Failure> {
         match self.parts.link.network().await {
             Ok(network) => Ok(network.directory.identity(owner.address).is_ok().then_some(network)),
@@ -128,7 +126,7 @@ impl Profiles {
         path: PathBuf,
         passphrase: Option<SecretText>,
     ) -> Result<Arc<Owner>, Failure> {
-        // Registered meanwhile, the account and the keys of its epochs would be lost.
+        // If it registered meanwhile, the account and its epoch keys would be lost.
         let _one_at_a_time = owner.changes.lock().await;
         self.is_current(owner)?;
         if self.registered_network(owner).await?.is_some() {
@@ -158,7 +156,6 @@ impl Profiles {
         Ok(self.put_in_place(owner.with_new_account()))
     }
 
-    /// Exports one key, in the format of other tools.
     pub async fn export_key(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -192,14 +189,11 @@ impl Profiles {
     }
 }
 
-/// How long a change of the signing key waits for records signed by the old one.
+/// Longest wait for records signed by the old signing key.
 const DRAIN: Duration = Duration::from_secs(60);
-/// Interval between looks at them.
 const LOOK: Duration = Duration::from_millis(250);
-/// Records in one look.
 const PAGE: usize = 1000;
 
-/// The replacements of the pairs in use.
 #[derive(Default)]
 pub struct NewPairs {
     pub signing: Option<SmKeyPair>,
@@ -207,18 +201,18 @@ pub struct NewPairs {
 }
 
 impl Profiles {
-    /// Replaces pairs; on the chain too, if `network` is given: the owner is registered there.
+    /// Replaces pairs; on the chain too if `network` is given.
     pub async fn change_pairs(
         &self,
         owner: &Arc<Owner>,
         network: Option<&Network>,
         new: NewPairs,
     ) -> Result<(), Failure> {
-        // Until the new key signs: nothing may be signed by the old one once the chain has the new one.
+        // Until the new key signs: the old one may sign nothing once the chain has the new one.
         let _one_at_a_time = owner.changes.lock().await;
         if let Some(network) = network {
             self.drain_former(owner, network).await?;
-            // Robots know already of a change begun before.
+            // Robots already know of a change begun before.
             self.settle_pairs(owner, network).await?;
             if new.signing.is_some() {
                 self.nothing_is_captured(owner)?;
@@ -239,11 +233,8 @@ impl Profiles {
         }
     }
 
-    /// Where the chain went back to earlier pairs, waits until what its key signed is anchored, as it was before: once the
-    /// keyring's are registered again, that key has no right.
-    ///
-    /// # Errors
-    /// If it is not anchored after a minute; what is wrong is in the site's health then.
+    /// If the chain went back to earlier pairs, waits until everything signed with those is anchored: they lose their
+    /// right once the keyring's are registered again. Fails after a minute; the site's health then says why.
     pub async fn drain_former(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
         if !recovery::is_ahead(network, owner)? {
             return Ok(());
@@ -262,8 +253,8 @@ impl Profiles {
         drained
     }
 
-    /// Brings the chain to the pairs of the keyring: registers them again where it went back to earlier ones, and finishes a
-    /// change that was begun. The caller holds the owner's changes, has taken over what the chain hands out, and drained.
+    /// Brings the chain to the keyring's pairs: re-registers them where it went back, and finishes a change that was
+    /// begun. The caller holds the owner's changes, has recovered what the chain returns, and drained.
     pub async fn settle_pairs(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
         if recovery::is_ahead(network, owner)? {
             let (signing, envelope) = (owner.signing(), owner.envelope());
@@ -290,7 +281,7 @@ impl Profiles {
         self.finish_pairs(owner, network).await
     }
 
-    /// Finishes a change that was begun; does nothing if there is none. The caller holds the owner's changes.
+    /// Finishes a change that was begun, if any. The caller holds the owner's changes.
     pub async fn finish_pairs(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
         let (signing, envelope, moves) = {
             let keyring = owner.keyring();
@@ -355,8 +346,8 @@ impl Profiles {
         Ok(())
     }
 
-    /// The chain has the new pairs, or the owner is on no chain: they take their place in the keyring, and what they
-    /// encrypt follows.
+    /// Moves the new pairs, registered or of an owner on no chain, into their place in the keyring, and re-encrypts
+    /// what depends on them.
     fn take_over_pairs(&self, owner: &Owner, network: Option<&Network>) -> Result<(), Failure> {
         let founded = block_in_place(|| Cabinet::founded_in(&self.parts.home.gateway()));
         {
@@ -379,12 +370,12 @@ impl Profiles {
         }
         let Some(network) = network else { return Ok(()) };
         block_in_place(|| self.reseal_kept(owner))?;
-        // A joined gateway knows this site by its old keys only; another transport key is allocated.
+        // A joined gateway knows this site only by its old keys; another transport key is allocated.
         drop(std::fs::remove_file(self.parts.home.transport_key(&owner.profile)));
         self.sharing.take_up_epoch(owner, network)
     }
 
-    /// Re-encrypts the transport keys kept by this owner's gateway under its current pair.
+    /// Re-encrypts the transport keys of this owner's gateway under its current pair.
     fn reseal_kept(&self, owner: &Owner) -> Result<(), Failure> {
         let (pairs, provider, ledger) = (owner.envelopes(), self.parts.plant.provider, &self.parts.plant.ledger);
         let under = self.gateway.kept_under(owner);
@@ -417,7 +408,7 @@ impl Profiles {
         Err(refused("topics are being captured; stop watching them before changing the signing key"))
     }
 
-    /// Waits until no record signed by a key is still in flight. Those of lent devices may be.
+    /// Waits until no record signed by a key is in flight; lent devices' records may be.
     async fn drain(&self, owner: &Owner, signer: SignerId) -> Result<(), Failure> {
         let deadline = tokio::time::Instant::now() + DRAIN;
         loop {
@@ -434,7 +425,7 @@ impl Profiles {
         }
     }
 
-    /// How many records signed by this key are neither verified nor given up.
+    /// Records signed by this key that are neither verified nor given up.
     fn pending_of(&self, owner: &Owner, signer: SignerId) -> Result<usize, Failure> {
         let mut pending = 0;
         for state in unverified() {
@@ -452,8 +443,7 @@ impl Profiles {
     }
 }
 
-/// States of records that a new key would leave behind: also those waiting for their signer's right need the current
-/// one.
+/// States that a new key would leave behind; records waiting for their signer's right also need the current key.
 fn unverified() -> impl Iterator<Item = RecordState> {
     let waits = |state: &RecordState| state.is_pending() || *state == RecordState::RightEnded;
     RecordState::ALL.iter().copied().filter(waits)

@@ -21,16 +21,15 @@ use crate::service::reply::{Failure, OpenedView, PathView};
 use crate::site::reading;
 use crate::store::{RecordQuery, RecordRow};
 
-/// Messages up to this length include their bytes when viewed; longer ones only as files.
+/// Longer messages are viewed only as files.
 const WHOLE: usize = 4 << 20;
 
-/// Bytes that a view shows in hex.
+/// Bytes shown in hex.
 const SHOWN: usize = 16 << 10;
 
 /// Rows of fields in a view.
 const MOST_FIELDS: usize = 5_000;
 
-/// An opened record with what decodes it.
 struct Opened {
     row: RecordRow,
     record: OpenedRecord,
@@ -39,7 +38,6 @@ struct Opened {
 }
 
 impl Reading {
-    /// Checks, decrypts and decodes one record, shared or own.
     pub async fn open_record(&self, owner: &Arc<Owner>, id: &str) -> Result<OpenedView, Failure> {
         let opened = self.opened(owner, id, "decrypt").await?;
         Ok(block_in_place(|| {
@@ -84,7 +82,6 @@ impl Reading {
         Ok(Opened { row, record, reason, described })
     }
 
-    /// The definition by which the record's message is read.
     async fn described(
         &self,
         reader: &Reader<'_>,
@@ -137,7 +134,7 @@ impl Reading {
         Ok(PathView { id: row.id, topic, records: places.len(), unread, plot })
     }
 
-    /// Messages of the record's stream that were captured before it, newest first.
+    /// Earlier messages of the record's stream, newest first.
     fn before(&self, row: &RecordRow, most: usize) -> Result<Vec<RecordRow>, Failure> {
         let query = RecordQuery {
             owner: Some(row.owner),
@@ -154,7 +151,7 @@ impl Reading {
     }
 }
 
-/// An opened record is shown with its own names, also if a gateway's row could only know pseudonyms.
+/// Shows the record's own names, even where a gateway's row has only pseudonyms.
 fn as_signed(row: RecordRow, record: &OpenedRecord) -> RecordRow {
     let (header, head) = (&record.header, &record.head);
     RecordRow {
@@ -175,7 +172,7 @@ fn without_definition(row: &RecordRow, described: &Described) -> Failure {
     Failure::new(ErrorKind::Input, format!("{} can only be written as .bin: {why}", row.id))
 }
 
-/// What an attachment to a recording becomes as a file: its description, or the file that was attached.
+/// An attachment as a file: its description, or the attached file.
 fn attached(kind: Option<Exported>, opened: &Opened, view: &OpenedView) -> Result<Vec<u8>, Failure> {
     if kind == Some(Exported::Json) {
         return Ok(serde_json::to_vec_pretty(&view.message).unwrap_or_default());
@@ -188,7 +185,6 @@ fn attached(kind: Option<Exported>, opened: &Opened, view: &OpenedView) -> Resul
     })
 }
 
-/// A picture's own bytes, if the message is one.
 fn own_picture(opened: &Opened) -> Option<Vec<u8>> {
     let picture = opened.described.definition.as_ref()?.compressed_image(&opened.record.body)?;
     let bytes = opened.record.body.get(picture.data).map(<[u8]>::to_vec);

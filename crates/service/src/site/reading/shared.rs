@@ -58,7 +58,7 @@ impl Reading {
         Ok(page)
     }
 
-    /// The next page with a record that the reader's keys open; such pages may be short.
+    /// The next page with a record that the reader's keys open; it may be short.
     fn readable_page(
         &self,
         reader: &Reader<'_>,
@@ -77,8 +77,7 @@ impl Reading {
         }
     }
 
-    /// The ids by which another owner's records are found by their tags: that owner's IK, as a grant of all topics
-    /// carries it.
+    /// Filter ids of another owner's tags, from the IK that a grant of all topics carries.
     fn shared_tag_filters(
         &self,
         network: &Network,
@@ -104,7 +103,6 @@ impl Reading {
         }
     }
 
-    /// The topics that these scopes cover.
     pub fn readable_topics(&self, scopes: &HashMap<Address, Scope>) -> Result<Vec<TopicId>, Failure> {
         let mut ids = Vec::new();
         for (owner, scope) in scopes {
@@ -120,8 +118,8 @@ impl Reading {
         Ok(ids)
     }
 
-    /// A record that the owner may read at this moment, and the chain that says so; a refusal is counted. Own records are
-    /// read without the chain too, others' never.
+    /// A record that the owner may read now, and the chain that says so; counts a refusal. Own records need no chain,
+    /// others' always do.
     pub async fn authorised(&self, owner: &Arc<Owner>, id: &str) -> Result<(RecordRow, Network), Failure> {
         let row = self.find_record(id)?;
         let is_own = row.owner == owner.address;
@@ -132,8 +130,7 @@ impl Reading {
         Ok((row, network))
     }
 
-    /// The paper's `Data_Check`: digest against the chain, signature; no key needed. The contract is asked about the
-    /// right to read, too.
+    /// The paper's `Data_Check`: digest and signature, without any key; also asks the contract about the right to read.
     pub async fn check_record(&self, owner: &Arc<Owner>, id: &str) -> Result<CheckView, Failure> {
         let (row, network) = self.authorised(owner, id).await?;
         let reader = Reader { plant: &self.parts.plant, network: &network, reader: owner };

@@ -29,7 +29,6 @@ use crate::service::failure::{input, refused};
 use crate::service::reply::{Direction, EpochRecords, Failure, GrantRow, TransactionView};
 use crate::store::RecordRow;
 
-/// Who may read what of this home's owners.
 pub(in crate::site) struct Sharing {
     parts: Parts,
     contacts: Arc<Contacts>,
@@ -40,7 +39,6 @@ pub(in crate::site) struct Sharing {
 }
 
 impl Sharing {
-    /// From the shared parts.
     pub fn new(
         parts: &Parts,
         contacts: &Arc<Contacts>,
@@ -53,7 +51,7 @@ impl Sharing {
         Self { parts, contacts, enrolments, joined, reserve, missing: Mutex::default() }
     }
 
-    /// Shares with an account: its envelope goes on the chain.
+    /// Puts the grantee's envelope on the chain.
     pub async fn grant(
         &self,
         owner: &Arc<Owner>,
@@ -104,7 +102,7 @@ impl Sharing {
         let sent = self.parts.sender.send(&network.chain, &owner.eoa(), call, "authorityGrant").await;
         let sent = self.parts.log.end(owner, "grant", &grantee.to_string(), sent.map_err(Failure::from)).await;
         let (transaction, receipt) = sent?;
-        // The envelope opens for the grantee alone. Without this note the list says nothing of earlier epochs.
+        // Only the grantee can open the envelope: without this note the list cannot tell about earlier epochs.
         let note = GrantedEarlier { transaction };
         drop(self.parts.plant.ledger.notes.write(&note, &earlier));
         let notice = GrantNotice { grantee, epoch, expiry: expires.map_or(0, Timestamp::seconds), transaction };
@@ -123,7 +121,7 @@ impl Sharing {
         })
     }
 
-    /// What a grant of the current epoch opens of what is sealed by now.
+    /// What a grant of the current epoch opens already.
     fn opens_already(&self, terms: &GrantTerms) -> Result<EpochRecords, Failure> {
         let topics = match &terms.scope {
             Scope::All => None,
@@ -134,7 +132,7 @@ impl Sharing {
         Ok(EpochRecords { records, since })
     }
 
-    /// Extends an active grant; its keys and the epoch stay as they are.
+    /// Extends an active grant; its keys and epoch stay.
     pub async fn extend(
         &self,
         owner: &Arc<Owner>,
@@ -185,8 +183,7 @@ impl Sharing {
         })
     }
 
-    /// The names of the topics that a scoped grant of this owner covers, in the order of its event; `None` if no name
-    /// known here matches the pseudonym on the chain.
+    /// Topic names of this owner's scoped grant, in the event's order; `None` if no known name matches.
     pub fn granted_topics(&self, owner: &Owner, ids: &[TopicId]) -> Result<Vec<Option<String>>, Failure> {
         block_in_place(|| {
             let ledger = &self.parts.plant.ledger;
@@ -200,7 +197,6 @@ impl Sharing {
         })
     }
 
-    /// Grants given and received.
     pub async fn rows(&self, owner: &Arc<Owner>) -> Result<Vec<GrantRow>, Failure> {
         let network = self.parts.link.network().await?;
         let me = owner.address;
@@ -244,13 +240,13 @@ impl Sharing {
         })
     }
 
-    /// Whether a grant of this owner opens earlier epochs, as noted when it was given; `None` = it was given elsewhere.
+    /// Whether a given grant opens earlier epochs; `None` = given elsewhere.
     fn noted_earlier(&self, grant: &Granted) -> Result<Option<bool>, Failure> {
         let note = GrantedEarlier { transaction: grant.transaction };
         Ok(self.parts.plant.ledger.notes.read(&note)?)
     }
 
-    /// Whether a received grant opens epochs before its own, by the keys in its envelope; `None` = it does not open.
+    /// The same for a received grant, by its envelope; `None` = it does not open.
     fn received_earlier(&self, owner: &Owner, network: &Network, grant: &Granted) -> Option<bool> {
         let reader = Reader { plant: &self.parts.plant, network, reader: owner };
         let envelope = reader.open_envelope(grant, grant.terms.epoch).ok()?;
@@ -275,7 +271,7 @@ impl Sharing {
     }
 }
 
-/// Why a grant cannot end at the requested time; the chain's time may be ahead of this machine's clock.
+/// The chain's time may be ahead of this machine's clock.
 fn too_early(now: Timestamp) -> String {
     let ahead = now.seconds().saturating_sub(Timestamp::now().seconds());
     let why = || format!(": grants use the chain's time, which is {ahead} s ahead of this machine's clock");

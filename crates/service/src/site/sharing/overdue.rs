@@ -1,5 +1,5 @@
-//! What the chain is still owed: epochs ended by an expiry, revocations that did not reach it, envelopes that readers
-//! lack. All of it is sent again until it is on the chain.
+//! What the chain is still owed: expired epochs, unfinished revocations, missing envelopes. All of it is sent again
+//! until it is on the chain.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -20,18 +20,16 @@ use crate::store::notes::Revoking;
 /// How long before an expiry the next epoch is prepared, nanoseconds.
 const FORESIGHT: u64 = 60_000_000_000;
 
-/// The longest pause between two attempts to send what the chain is owed.
 const LONGEST_REST: Duration = Duration::from_secs(8);
 
 impl Sharing {
-    /// Prepares the end of the sealing epoch if a grant that covers it runs out soon, or did while nobody looked: from
-    /// that moment on records are sealed under the next epoch, whether or not the chain answers. `also` is an expiry
-    /// that is not on the chain yet.
+    /// Prepares the next epoch if a grant that covers the current one runs out soon or already did: from that moment
+    /// records are sealed under the next, even if the chain is away. `also` is an expiry not on the chain yet.
     pub fn foresee_expiry(&self, owner: &Owner, network: &Network, also: Option<Timestamp>) -> Result<(), Failure> {
         self.foresee(owner, network, also, Timestamp(network.directory.now().0 + FORESIGHT))
     }
 
-    /// The same however far away that moment is: with a locked keyring it could not be done when the time comes.
+    /// The same for any future expiry: a locked keyring could not do it in time.
     pub fn foresee_locked(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
         self.foresee(owner, network, None, Timestamp(u64::MAX))
     }
@@ -52,15 +50,14 @@ impl Sharing {
         Ok(())
     }
 
-    /// Sends what is overdue: the next epoch if a grant that covers the current one has run out or records are sealed
-    /// under the next one already, interrupted revocations, missing envelopes.
+    /// Sends what is overdue: the next epoch, interrupted revocations, missing envelopes.
     pub async fn settle_overdue(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
         if self.has_news(owner, network) {
             let _one_at_a_time = owner.changes.lock().await;
             self.take_up_epoch(owner, network)?;
         }
         self.foresee_expiry(owner, network, None)?;
-        // A robot that cannot be told keeps no revocation from the chain.
+        // A robot out of reach holds up no revocation.
         let told = block_in_place(|| self.enrolments.tell_devices(owner, network));
         self.settle_chain(owner, network).await.map_err(|failure| {
             let message =
@@ -101,8 +98,8 @@ impl Sharing {
         Ok(ended && !self.went_back(owner, network) || !self.owed_revocations(owner, network)?.is_empty())
     }
 
-    /// Begins the next epoch: through the interrupted revocation, if there is one, because a rotation would give the
-    /// new key to the reader who is to lose access.
+    /// Begins the next epoch, through an interrupted revocation if there is one: a rotation would give the new key to
+    /// the reader being revoked.
     pub async fn next_epoch(
         &self,
         owner: &Arc<Owner>,
@@ -126,7 +123,7 @@ impl Sharing {
         Ok(owed)
     }
 
-    /// Notes that `grantee` is to lose the grant, whatever happens now.
+    /// Notes that `grantee` will lose the grant, whatever happens now.
     pub fn owe_revocation(&self, owner: &Owner, grantee: Address) -> Result<(), Failure> {
         self.change_owed(owner, |owed| {
             if !owed.contains(&grantee) {
@@ -135,7 +132,7 @@ impl Sharing {
         })
     }
 
-    /// The revocation is on the chain, or a new grant takes its place.
+    /// The revocation is on the chain, or a new grant replaces it.
     pub fn settle_revocation(&self, owner: &Owner, grantee: Address) -> Result<(), Failure> {
         self.change_owed(owner, |owed| owed.retain(|other| *other != grantee))
     }
@@ -154,7 +151,7 @@ impl Sharing {
     }
 }
 
-/// When the first of the grants that cover an epoch expires.
+/// First expiry of the grants that cover an epoch.
 pub(in crate::site) fn earliest_expiry(owner: &Owner, network: &Network, epoch: u64) -> Option<Timestamp> {
     let grants = network.directory.grants_of(owner.address);
     let covering = grants.iter().filter(|grant| grant.is_wrapped(epoch));
@@ -162,7 +159,7 @@ pub(in crate::site) fn earliest_expiry(owner: &Owner, network: &Network, epoch: 
 }
 
 impl Sharing {
-    /// Sends what the chain is owed, and after a failure again with growing pauses.
+    /// Sends what the chain is owed; retries with growing pauses.
     pub async fn keep_settled(self: Arc<Self>) {
         let mut resting: HashMap<Address, (Instant, Duration)> = HashMap::new();
         while !self.parts.life.is_stopping() {
@@ -170,7 +167,7 @@ impl Sharing {
                 return;
             }
             let Some(network) = self.parts.link.network_now() else { continue };
-            // What is overdue needs keys that a locked keyring does not have; keys sealed ahead work without them.
+            // Overdue work needs keys that a locked keyring lacks; keys sealed ahead work without.
             for owner in self.parts.owners.all().into_iter().filter(|owner| !owner.is_locked()) {
                 if resting.get(&owner.address).is_some_and(|(until, _)| Instant::now() < *until) {
                     continue;
@@ -188,7 +185,7 @@ impl Sharing {
     }
 }
 
-/// How long the watcher may take to see the transactions of a first attempt.
+/// Time for the watcher to see the transactions of a first attempt.
 const PATIENCE: Duration = Duration::from_secs(30);
 
 impl Sharing {
@@ -238,7 +235,7 @@ impl Sharing {
         Ok(told(grantee, view))
     }
 
-    /// Resumes what is left of an attempt that the full disk interrupted at any point.
+    /// Resumes an attempt that a full disk interrupted at any point.
     async fn revoke_again(
         &self,
         owner: &Arc<Owner>,
