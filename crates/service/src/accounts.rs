@@ -89,18 +89,12 @@ impl Account {
 pub fn unknown(rules: &[OperatorRule]) -> Result<Vec<String>, AccountError> {
     let mut lines = Vec::new();
     for OperatorRule { whom, place, .. } in rules {
-        match whom {
-            Whom::User(name) if found(User::from_name(name.as_str()))?.is_none() => {
-                lines.push(format!(
-                    "{place}: this machine has no user '{name}'; correct the name, or create the account"
-                ));
-            }
-            Whom::Group(name) if group(name)?.is_none() => {
-                lines.push(format!(
-                    "{place}: this machine has no group '{name}'; correct the name, or create the group"
-                ));
-            }
-            Whom::User(_) | Whom::Group(_) => {}
+        let (is_known, what, thing, name) = match whom {
+            Whom::User(name) => (found(User::from_name(name.as_str()))?.is_some(), "user", "account", name),
+            Whom::Group(name) => (group(name)?.is_some(), "group", "group", name),
+        };
+        if !is_known {
+            lines.push(format!("{place}: this machine has no {what} '{name}'; correct the name, or create the {thing}"));
         }
     }
     Ok(lines)

@@ -27,8 +27,8 @@ macro_rules! requests {
             $(#[doc = $doc:literal])+ $(#[serde($($serde:tt)+)])?
             $name:ident $({ $(
                 $(#[doc = $field_doc:literal])* $(#[serde($($field_serde:tt)+)])?
-                $field:ident: $kind:ty,
-            )+ })? $(($one:ident: $inner:ty))? => $answer:ty, $needed:expr;
+                $field:ident: $kind:ty
+            ),+ $(,)? })? $(($one:ident: $inner:ty))? => $answer:ty, $needed:expr;
         )+
         $(groups { $($(#[doc = $group_doc:literal])+ $group:ident($members:ty);)+ })?
     ) => {

@@ -183,46 +183,25 @@ pub struct PlayWishes {
 #[serde(rename_all = "snake_case", tag = "act")]
 pub enum Administration {
     /// Lets an account register while registration is closed.
-    Admit {
-        account: Party,
-    },
-    Dismiss {
-        account: Party,
-    },
-    Suspend {
-        account: Party,
-    },
+    Admit { account: Party },
+    /// Withdraws an admission.
+    Dismiss { account: Party },
+    /// Blocks all changes by an account except those that take rights away.
+    Suspend { account: Party },
     /// Frees a suspended account.
-    Restore {
-        account: Party,
-    },
+    Restore { account: Party },
     /// Opens registration to all, or closes it.
-    Open {
-        open: bool,
-    },
-    /// Blocks all changes except those that take rights away, or allows them again.
-    Pause {
-        paused: bool,
-        /// Duration, seconds; `None` = a day.
-        seconds: Option<u64>,
-    },
+    Open { open: bool },
+    /// Blocks all changes except those that take rights away, for a day unless `seconds` are given, or allows them.
+    Pause { paused: bool, seconds: Option<u64> },
     /// Proposes the account that continues for a lost one.
-    Propose {
-        lost: Party,
-        successor: Party,
-    },
+    Propose { lost: Party, successor: Party },
     /// Stops a pending succession; the recovery account may do so too.
-    Cancel {
-        lost: Party,
-    },
+    Cancel { lost: Party },
     /// Completes a succession whose delay is over; anybody may.
-    Complete {
-        lost: Party,
-    },
+    Complete { lost: Party },
     /// Names the next administrator.
-    HandOver {
-        account: Party,
-    },
+    HandOver { account: Party },
     /// Takes over, as the account that was named.
     Accept,
 }

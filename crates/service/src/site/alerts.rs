@@ -98,11 +98,14 @@ impl Alerts {
 
     fn with<Told>(&self, work: impl FnOnce(&mut Known) -> Told) -> Told {
         let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
-        work(known.get_or_insert_with(|| {
+        let known = known.get_or_insert_with(|| {
             let queue = Queue::open(&self.path);
             let (judge, standing) = (Judge::new(self.settings.limits.clone()), Standing::of(queue.standing()));
             Known { judge, standing, queue, reminded: Instant::now() }
-        }))
+        });
+        let told = work(known);
+        self.shown_now().deliveries = known.queue.counts();
+        told
     }
 
     fn place(&self) -> Result<&AlertPlace, Failure> {
@@ -115,7 +118,7 @@ impl Alerts {
         let site = figures.owners.first().map_or("", |owner| owner.owner.as_str());
         let forgets = matches!(self.settings.place, Some(AlertPlace::Webhook { form: AlertForm::Alertmanager, .. }));
         let told = self.settings.place.is_some();
-        let (changes, standing, deliveries) = self.with(|known| {
+        let (changes, standing) = self.with(|known| {
             let mut judged = known.judge.judge(figures);
             judged.extend(known.judge.not_known(&known.standing.all()));
             let changes = known.standing.look(figures.now, site, judged);
@@ -127,29 +130,11 @@ impl Alerts {
                 known.reminded = Instant::now();
                 known.queue.remind();
             }
-            (changes, known.standing.all(), known.queue.counts())
+            (changes, known.standing.all())
         });
-        let mut shown = self.shown_now();
-        shown.refresh(figures.now, standing, &changes);
-        shown.deliveries = deliveries;
-        drop(shown);
+        self.shown_now().refresh(figures.now, standing, &changes);
         self.added.notify_one();
         changes
-    }
-
-    fn done(&self, number: u64, told: u64) {
-        let deliveries = self.with(|known| {
-            known.queue.done(number, told);
-            known.queue.counts()
-        });
-        self.shown_now().deliveries = deliveries;
-    }
-
-    /// Gives up the first delivery; returns the key of its alert.
-    fn give_up(&self) -> Option<String> {
-        let (key, deliveries) = self.with(|known| (known.queue.give_up(), known.queue.counts()));
-        self.shown_now().deliveries = deliveries;
-        key
     }
 
     fn view(&self) -> AlertsView {
@@ -198,43 +183,35 @@ impl Site {
 
     async fn deliver_alerts(self: Arc<Self>) {
         let (mut failures, mut judged) = (0, 0);
-        loop {
+        while !self.parts.life.is_stopping() {
             let carried = tokio::select! {
                 carried = self.deliver_next() => carried,
                 () = self.stopped() => return,
             };
-            let pause = match carried {
-                Ok(()) => {
-                    if failures > 0 {
-                        self.parts.hub.notice_about(DELIVERY, NoticeLevel::Info, "alert delivery works again");
-                    }
-                    (failures, judged) = (0, 0);
-                    continue;
+            let Err(Undelivered { failure, is_judged }) = carried else {
+                if failures > 0 {
+                    self.parts.hub.notice_about(DELIVERY, NoticeLevel::Info, "alert delivery works again");
                 }
-                Err(Undelivered { failure, is_judged }) => {
-                    if failures == 0 {
-                        let text = format!("an alert could not be delivered and will be retried: {failure}");
-                        self.parts.hub.notice_about(DELIVERY, NoticeLevel::Warning, &text);
-                    }
-                    failures += 1;
-                    judged = if is_judged { judged + 1 } else { 0 };
-                    if judged >= MOST_JUDGED {
-                        self.give_up_delivery(&failure).await;
-                        (failures, judged) = (1, 0);
-                    }
-                    pause(failures, RandomState::new().build_hasher().finish())
-                }
+                (failures, judged) = (0, 0);
+                continue;
             };
-            tokio::select! {
-                () = tokio::time::sleep(pause) => {}
-                () = self.stopped() => return,
+            if failures == 0 {
+                let text = format!("an alert could not be delivered and will be retried: {failure}");
+                self.parts.hub.notice_about(DELIVERY, NoticeLevel::Warning, &text);
             }
+            failures += 1;
+            judged = if is_judged { judged + 1 } else { 0 };
+            if judged >= MOST_JUDGED {
+                self.give_up_delivery(&failure).await;
+                (failures, judged) = (1, 0);
+            }
+            self.parts.life.rest(pause(failures, RandomState::new().build_hasher().finish())).await;
         }
     }
 
     /// Drops the first delivery, which is always refused, so that the others are sent.
     async fn give_up_delivery(self: &Arc<Self>, failure: &Failure) {
-        let given_up = blocking(self, |site| Ok(site.alerts.give_up())).await;
+        let given_up = blocking(self, |site| Ok(site.alerts.with(|known| known.queue.give_up()))).await;
         let Some(key) = given_up.ok().flatten() else { return };
         let text = format!("an alert was refused {MOST_JUDGED} times and is not sent again ({key}): {failure}");
         self.parts.hub.notice_about(DELIVERY, NoticeLevel::Error, &text);
@@ -250,11 +227,7 @@ impl Site {
         // Rebuilt each time: a secret may have been replaced.
         Carrier::of(self.alerts.place()?)?.carry(&delivery, dropped).await?;
         let number = delivery.number;
-        let done = move |site: &Self| {
-            site.alerts.done(number, dropped);
-            Ok(())
-        };
-        Ok(blocking(self, done).await?)
+        Ok(blocking(self, move |site| Ok(site.alerts.with(|known| known.queue.done(number, dropped)))).await?)
     }
 
     pub(super) async fn alerts_view(self: &Arc<Self>) -> Result<AlertsView, Failure> {

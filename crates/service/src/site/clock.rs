@@ -41,10 +41,7 @@ impl Clock {
         let begun = Instant::now();
         let (mut before, mut ahead) = (gained(&look(), begun), 0);
         self.compare_with_records().await;
-        while !self.parts.life.is_stopping() {
-            if !self.parts.life.beat(LOOK).await {
-                return;
-            }
+        while self.parts.life.beat(LOOK).await {
             let reading = look();
             let (now, doubted) = (gained(&reading, begun), reading.ahead());
             let jump = now - before;
@@ -110,7 +107,7 @@ impl Clock {
         let Some(profile) = open.or_else(|| NOBODY.parse::<ProfileName>().ok()) else { return };
         let written: Result<(), Failure> = self.parts.log.write(&profile, "clock", subject, "noticed").await;
         if let Err(failure) = written {
-            self.parts.hub.notice(NoticeLevel::Error, &failure.message);
+            self.parts.hub.alarm(&failure.message);
         }
     }
 

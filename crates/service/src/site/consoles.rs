@@ -10,7 +10,6 @@ use tokio::sync::oneshot;
 use super::Site;
 use super::operators::Asker;
 use crate::model::{ErrorKind, ProfileName};
-use crate::service::event::NoticeLevel;
 use crate::service::reply::Failure;
 
 /// Longest wait for a profile's dues to the chain before its keyring is locked.
@@ -105,7 +104,7 @@ impl Site {
         if let Err(failure) = self.profiles.lock(&profile).await {
             let text =
                 format!("the keyring of '{profile}' stays open although its console has closed: {}", failure.message);
-            self.parts.hub.notice(NoticeLevel::Warning, &text);
+            self.parts.hub.warn(&text);
         }
     }
 

@@ -16,7 +16,6 @@ use crate::model::steady_clock::look;
 use crate::model::{Address, Timestamp};
 use crate::pipeline::audit_head;
 use crate::pipeline::stages::{Milestone, Stage};
-use crate::service::event::NoticeLevel;
 use crate::service::figures::{
     BOUNDS, Figures, GrantFigures, LaneFigures, Latency, OwnerFigures, RobotFigures, TopicFigures, exposition, short,
 };
@@ -70,11 +69,8 @@ impl Site {
                 return;
             }
             let text = format!("metrics cannot be served at {failed}; choose another metrics.listen, or free it");
-            self.parts.hub.notice(NoticeLevel::Error, &text);
-            tokio::select! {
-                () = tokio::time::sleep(AGAIN) => {}
-                () = self.stopped() => return,
-            }
+            self.parts.hub.alarm(&text);
+            self.parts.life.rest(AGAIN).await;
         }
     }
 

@@ -56,12 +56,18 @@ impl Lifetime {
         drop(stopping.wait_for(|stopping| *stopping).await);
     }
 
-    /// Waits for the next whole multiple of `period`; `false` = the site stops.
-    pub async fn beat(&self, period: Duration) -> bool {
+    /// Pauses; `false` = the site stops.
+    pub async fn rest(&self, pause: Duration) -> bool {
         tokio::select! {
-            () = tokio::time::sleep_until(next(*BEGUN, Instant::now(), period)) => true,
+            () = tokio::time::sleep(pause) => true,
             () = self.stopped() => false,
         }
+    }
+
+    /// Waits for the next whole multiple of `period`; `false` = the site stops.
+    pub async fn beat(&self, period: Duration) -> bool {
+        let now = Instant::now();
+        self.rest(next(*BEGUN, now, period) - now).await
     }
 }
 

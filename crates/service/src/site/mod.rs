@@ -39,7 +39,7 @@ mod testing;
 mod workers;
 
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
@@ -97,6 +97,7 @@ use crate::config::Config;
 use crate::crypto::unfinished;
 use crate::model::ProfileName;
 use crate::paths::Home;
+use crate::pipeline::intake::Anchors;
 use crate::pipeline::recorder::CapturedMessage;
 use crate::pipeline::ring::Rings;
 use crate::pipeline::{Losses, Owner, PinRules, Pins, Plant, Recorder};
@@ -158,10 +159,6 @@ pub struct Site {
     _lock: SiteLock,
 }
 
-fn rings(config: &Config) -> Rings<CapturedMessage> {
-    Rings::new(usize::try_from(config.capture_memory).unwrap_or(usize::MAX))
-}
-
 /// The recorder, and the guard that judges publishers for it.
 fn recorder(parts: &Parts, rings: &Arc<Rings<CapturedMessage>>, losses: &Arc<Losses>) -> (Arc<Recorder>, Arc<Pins>) {
     let Parts { config, plant, hub, .. } = parts;
@@ -200,7 +197,7 @@ impl Site {
         let site = Arc::new(Self::assemble(parts, Arc::new(reserve), lock, needs)?);
         if let Err(error) = reserved {
             let text = format!("no space could be reserved for a revoke on a full disk: {error}");
-            site.parts.hub.notice(super::event::NoticeLevel::Warning, &text);
+            site.parts.hub.warn(&text);
         }
         workers::start(&site, needs, opened)?;
         if copied {
@@ -212,19 +209,36 @@ impl Site {
     /// Builds the features over the shared parts.
     fn assemble(parts: Parts, reserve: Arc<Reserve>, lock: SiteLock, needs: Needs) -> Result<Self, Failure> {
         let (of, config, plant) = (&parts, Arc::clone(&parts.config), parts.plant.clone());
-        let (rings, losses) = (Arc::new(rings(&config)), Arc::new(Losses::default()));
+        let memory = usize::try_from(config.capture_memory).unwrap_or(usize::MAX);
+        let (rings, losses) = (Arc::new(Rings::new(memory)), Arc::new(Losses::default()));
         let (recorder, judges) = recorder(&parts, &rings, &losses);
         let remote = config.site.as_ref().map(|site| Remote::new(site, &parts.home, plant.provider)).transpose()?;
         let remote = remote.map(Arc::new);
         let (lanes, connection) = (Arc::new(Lanes::new(of)), Arc::new(Connection::new(of, remote.clone())));
         let (contacts, sealer) = (Arc::new(Contacts::new(of)), Arc::new(SealerThread::new(of, &rings, &losses)));
-        let (joined, pins) = (Arc::new(Joined::new(of, remote.clone())), Arc::new(Pinning::new(of, &judges)));
+        let joined = Arc::new(Joined { parts: parts.clone(), remote: remote.clone() });
+        let pins = Arc::new(Pinning { parts: parts.clone(), pins: judges });
         let (ros, reading) = (Arc::new(RosSide::new(of, &recorder, needs.ros)), Arc::new(Reading::new(of, &contacts)));
         let quarantine = Arc::new(Quarantine::new(of, &reading));
         let admissions = Arc::new(Admissions::new(of, &contacts));
         let (stamps, enrolments) = (Arc::new(TimeStamps::new(of)), Arc::new(Enrolments::new(of)));
-        let sharing = Arc::new(Sharing::new(of, &contacts, &enrolments, &joined, &reserve));
-        let gateway = Arc::new(Gateway::new(of, &sharing, &admissions, remote));
+        let sharing = Arc::new(Sharing {
+            parts: parts.clone(),
+            contacts: Arc::clone(&contacts),
+            enrolments: Arc::clone(&enrolments),
+            joined: Arc::clone(&joined),
+            reserve: Arc::clone(&reserve),
+            missing: Mutex::default(),
+        });
+        let gateway = Arc::new(Gateway {
+            parts: parts.clone(),
+            sharing: Arc::clone(&sharing),
+            admissions: Arc::clone(&admissions),
+            anchors: Anchors::default(),
+            serving: Mutex::default(),
+            remote,
+            passed_on: OnceLock::new(),
+        });
         let watches = Arc::new(Watches::new(of, &recorder, &ros));
         let profiles = Arc::new(Profiles {
             parts: parts.clone(),
@@ -256,14 +270,18 @@ impl Site {
             audit: Arc::new(Audit::new(of, &reserve)),
             backup: Arc::new(Backup { parts: parts.clone(), quarantine: Arc::clone(&quarantine) }),
             evidence,
-            incidents: Arc::new(Incidents::new(of)),
+            incidents: Arc::new(Incidents { parts: parts.clone() }),
             stamps,
             chain_proofs: Arc::new(ChainProofs::new(of)),
             bridge: Arc::new(Bridge::new(of, &contacts, &ros)),
             storage: Arc::new(Storage::new(of, &reading)),
             clock: Arc::new(Clock { parts: parts.clone() }),
             alerts: Arc::new(Alerts::new(of)),
-            standstill: Arc::new(Standstill::new(of, &lanes)),
+            standstill: Arc::new(Standstill {
+                parts: parts.clone(),
+                lanes: Arc::clone(&lanes),
+                judge: Mutex::default(),
+            }),
             operators: Arc::new(Operators { parts: parts.clone() }),
             plant,
             parts,
@@ -381,7 +399,12 @@ impl Site {
         let ros = self.ros_task.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
         self.ros.leave(ros, LEAVING).await;
         if !self.sealer.finish(FLUSHING.saturating_sub(begun.elapsed())).await {
-            self.tell_unstored();
+            // The store cannot be written, and the process must still end.
+            self.parts.hub.alarm(&format!(
+                "{} or more captured messages could not be stored before shutdown; they were never acknowledged; check \
+                 the disk before the next start",
+                self.rings.depth().0
+            ));
         }
         let chain = self.parts.link.connected();
         self.parts.life.stop();
@@ -396,16 +419,6 @@ impl Site {
             ledger.close()
         };
         drop(tokio::task::spawn_blocking(close).await);
-    }
-
-    /// The store cannot be written, and the process must still end.
-    fn tell_unstored(&self) {
-        let (messages, _) = self.rings.depth();
-        let text = format!(
-            "{messages} or more captured messages could not be stored before shutdown; they were never acknowledged; \
-             check the disk before the next start"
-        );
-        self.parts.hub.notice(super::event::NoticeLevel::Error, &text);
     }
 }
 

@@ -16,7 +16,7 @@ pub(super) struct Run {
     step: Mutex<&'static str>,
     done: Arc<AtomicU64>,
     of: AtomicU64,
-    units: Arc<AtomicU64>,
+    units: AtomicU64,
 }
 
 impl Run {
@@ -57,7 +57,8 @@ impl Run {
             // More may come than was expected.
             done: if of > 0 { done.min(of) } else { done },
             of,
-            messages: self.units.load(Ordering::Relaxed),
+            // Records are the measure of the work itself.
+            messages: if self.unit == "records" { done } else { self.units.load(Ordering::Relaxed) },
             unit: self.unit.to_owned(),
         }
     }
@@ -69,32 +70,9 @@ pub(super) struct Runs(Arc<Mutex<Vec<Arc<Run>>>>);
 impl Runs {
     /// Begins work for a profile: its subject, first step, and unit.
     pub fn begin(&self, profile: &ProfileName, subject: &str, step: &'static str, unit: &'static str) -> Running {
-        self.note(profile, subject, step, unit, (Arc::default(), Arc::default()))
-    }
-
-    /// The same for work done in its units.
-    pub fn begin_counted(
-        &self,
-        profile: &ProfileName,
-        subject: &str,
-        step: &'static str,
-        unit: &'static str,
-    ) -> Running {
-        let done = Arc::<AtomicU64>::default();
-        self.note(profile, subject, step, unit, (Arc::clone(&done), done))
-    }
-
-    fn note(
-        &self,
-        profile: &ProfileName,
-        subject: &str,
-        step: &'static str,
-        unit: &'static str,
-        (done, units): (Arc<AtomicU64>, Arc<AtomicU64>),
-    ) -> Running {
-        let (profile, subject, step, of) =
-            (profile.clone(), clean(subject, WIDEST), Mutex::new(step), AtomicU64::new(0));
-        let run = Arc::new(Run { profile, subject, unit, step, done, of, units });
+        let (profile, subject) = (profile.clone(), clean(subject, WIDEST));
+        let (done, of, units) = (Arc::default(), AtomicU64::default(), AtomicU64::default());
+        let run = Arc::new(Run { profile, subject, unit, step: Mutex::new(step), done, of, units });
         self.0.lock().unwrap_or_else(PoisonError::into_inner).push(Arc::clone(&run));
         Running { runs: self.clone(), run }
     }
@@ -127,7 +105,7 @@ mod tests {
         let (alice, bob): (ProfileName, ProfileName) =
             ("alice".parse().expect("a name"), "bob".parse().expect("a name"));
         let runs = Runs::default();
-        let audit = runs.begin_counted(&alice, "this home", "auditing", "records");
+        let audit = runs.begin(&alice, "this home", "auditing", "records");
         audit.run.expect(1_000);
         audit.run.counter().fetch_add(250, Ordering::Relaxed);
         assert!(runs.of(&bob).is_empty());

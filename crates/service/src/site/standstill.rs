@@ -10,7 +10,7 @@ use super::chain::lanes::Lanes;
 use super::parts::Parts;
 use crate::model::{RecordState, Timestamp};
 use crate::pipeline::Network;
-use crate::service::event::{NoticeLevel, Part};
+use crate::service::event::Part;
 use crate::service::reply::{Failure, HealthLevel, PartHealth};
 
 const LOOK: Duration = Duration::from_secs(10);
@@ -78,7 +78,7 @@ enum Found {
 }
 
 #[derive(Debug, Default)]
-struct Judge(BTreeMap<Stage, Progress>);
+pub struct Judge(BTreeMap<Stage, Progress>);
 
 impl Judge {
     /// `work` is `None` while the stage waits for somebody else.
@@ -118,16 +118,12 @@ impl Judge {
 }
 
 pub struct Standstill {
-    parts: Parts,
-    lanes: Arc<Lanes>,
-    judge: Mutex<Judge>,
+    pub parts: Parts,
+    pub lanes: Arc<Lanes>,
+    pub judge: Mutex<Judge>,
 }
 
 impl Standstill {
-    pub fn new(parts: &Parts, lanes: &Arc<Lanes>) -> Self {
-        Self { parts: parts.clone(), lanes: Arc::clone(lanes), judge: Mutex::default() }
-    }
-
     pub async fn keep(self: Arc<Self>) {
         while self.parts.life.beat(LOOK).await {
             let network = self.parts.link.network_now().filter(|_| !self.parts.link.is_silent());
@@ -187,12 +183,12 @@ impl Standstill {
         drop(judge);
         match found {
             Found::Restart => {
-                self.parts.hub.notice(NoticeLevel::Error, &self.text().unwrap_or_default());
+                self.parts.hub.alarm(&self.text().unwrap_or_default());
                 self.parts.supervisor.restart(stage.task(), "it had work and made no progress");
             }
             Found::Going if before => {
                 let text = format!("the {} makes progress again", stage.task());
-                self.parts.hub.notice(NoticeLevel::Info, &text);
+                self.parts.hub.inform(&text);
             }
             Found::Going | Found::Standing => return,
         }

@@ -27,23 +27,17 @@ impl Site {
             RosState::Up(link) => link.robots,
             _ => 0,
         };
-        let profiles = self.parts.owners.all().iter().map(|owner| owner.profile.clone()).collect();
-        let health = block_in_place(|| self.parts_health())?;
-        let life = block_in_place(|| self.life_line(profile))?;
-        let (process, tasks) = (std::process::id(), self.parts.supervisor.views());
-        let verified_after = self.parts.hub.stages.spread(Milestone::Verified);
         let (alerts, alerts_over) = self.alerts.shown();
-        let (queue, cache) = (self.queue_view(), self.plant.ciphertext.cache());
         Ok(SiteView {
-            health,
-            life,
+            health: block_in_place(|| self.parts_health())?,
+            life: block_in_place(|| self.life_line(profile))?,
             robots,
-            profiles,
-            process,
-            tasks,
-            cache,
-            queue,
-            verified_after,
+            profiles: self.parts.owners.all().iter().map(|owner| owner.profile.clone()).collect(),
+            process: std::process::id(),
+            tasks: self.parts.supervisor.views(),
+            cache: self.plant.ciphertext.cache(),
+            queue: self.queue_view(),
+            verified_after: self.parts.hub.stages.spread(Milestone::Verified),
             alerts,
             alerts_over,
         })

@@ -10,7 +10,7 @@ use tokio::task::{AbortHandle, JoinHandle};
 use super::lifetime::Lifetime;
 use crate::crypto::fault;
 use crate::model::clean;
-use crate::service::event::{NoticeLevel, Part};
+use crate::service::event::Part;
 use crate::service::failure::internal;
 use crate::service::hub::Hub;
 use crate::service::reply::{Failure, TaskState, TaskView};
@@ -151,9 +151,8 @@ impl Supervisor {
                 let reason = ended.err().map_or_else(|| "it ended too early".to_owned(), reason_of);
                 let reason = restarted.map_or(reason, str::to_owned);
                 let pause = supervisor.tell_ended(&task, &reason);
-                tokio::select! {
-                    () = tokio::time::sleep(pause) => {}
-                    () = supervisor.life.stopped() => break,
+                if !supervisor.life.rest(pause).await {
+                    break;
                 }
                 task.begins_again();
                 supervisor.hub.changed(Part::Health);
@@ -185,9 +184,7 @@ impl Supervisor {
 
     fn tell_ended(&self, task: &Task, reason: &str) -> Duration {
         let pause = task.ended(reason);
-        self.hub.notice(
-            NoticeLevel::Error,
-            &format!(
+        self.hub.alarm(&format!(
                 "the task '{}' of this site failed and restarts in {:.1} s, nothing acknowledged is lost: {reason}",
                 task.name,
                 pause.as_secs_f32()

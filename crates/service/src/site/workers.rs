@@ -23,7 +23,7 @@ use crate::chain::ChainError;
 use crate::pipeline::anchorer::{Anchorer, Round};
 use crate::pipeline::stages::Stage;
 use crate::pipeline::{Network, Owner, PipelineError, verifier, watcher};
-use crate::service::event::{NoticeLevel, Part};
+use crate::service::event::Part;
 use crate::service::hub::Hub;
 use crate::service::reply::Failure;
 
@@ -38,40 +38,40 @@ pub(super) fn start(
     needs: Needs,
     opened: mpsc::UnboundedReceiver<Arc<Owner>>,
 ) -> Result<(), Failure> {
+    let supervisor = &site.parts.supervisor;
+    supervisor.keep("news", &site.parts.hub, Hub::run);
     if site.parts.home.original().is_some() {
-        // A read-only site captures, sends and keeps nothing.
-        site.parts.supervisor.keep("news", &site.parts.hub, Hub::run);
+        // This site only reads: it captures, sends and keeps nothing.
         if needs.chain {
-            site.parts.supervisor.keep("chain", &site.connection, Connection::keep_connected);
+            supervisor.keep("chain", &site.connection, Connection::keep_connected);
         }
         return Ok(());
     }
-    site.parts.supervisor.keep("news", &site.parts.hub, Hub::run);
-    site.parts.supervisor.keep("audit", &site.audit, Audit::keep);
-    site.parts.supervisor.keep("quarantine", &site.quarantine, Quarantine::keep);
-    site.parts.supervisor.keep("room", &site.storage, Storage::keep_room);
-    site.parts.supervisor.keep("clock", &site.clock, Clock::keep);
+    supervisor.keep("audit", &site.audit, Audit::keep);
+    supervisor.keep("quarantine", &site.quarantine, Quarantine::keep);
+    supervisor.keep("room", &site.storage, Storage::keep_room);
+    supervisor.keep("clock", &site.clock, Clock::keep);
     tokio::spawn(Arc::clone(&site.storage).check_after_crash());
-    site.parts.supervisor.keep("retention", &site.storage, Storage::keep_retention);
+    supervisor.keep("retention", &site.storage, Storage::keep_retention);
     begin_with_owners(site, opened);
     if needs.ros {
         site.sealer.begin()?;
-        let task = site.parts.supervisor.keep_while("ros", &site.ros, |ros| ros.is_wanted(), RosSide::keep);
+        let task = supervisor.keep_while("ros", &site.ros, |ros| ros.is_wanted(), RosSide::keep);
         *site.ros_task.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = Some(task);
     }
     if needs.chain {
-        site.parts.supervisor.keep("chain", &site.connection, Connection::keep_connected);
-        site.parts.supervisor.keep("owners", site, resume_owners);
-        site.parts.supervisor.keep("watcher", site, watch);
+        supervisor.keep("chain", &site.connection, Connection::keep_connected);
+        supervisor.keep("owners", site, resume_owners);
+        supervisor.keep("watcher", site, watch);
         if site.stamps.is_wanted() {
-            site.parts.supervisor.keep("time stamps", &site.stamps, TimeStamps::keep);
+            supervisor.keep("time stamps", &site.stamps, TimeStamps::keep);
         }
-        site.parts.supervisor.keep("chain proofs", &site.chain_proofs, ChainProofs::keep);
-        site.parts.supervisor.keep("verifier", site, verify);
-        site.parts.supervisor.keep("stages", &site.standstill, Standstill::keep);
-        site.parts.supervisor.keep("scrubber", &site.audit, Audit::keep_scrubbing);
-        site.parts.supervisor.keep("expiry", &site.sharing, Sharing::keep_settled);
-        site.parts.supervisor.keep("parties", &site.administering, Administering::keep_parties_known);
+        supervisor.keep("chain proofs", &site.chain_proofs, ChainProofs::keep);
+        supervisor.keep("verifier", site, verify);
+        supervisor.keep("stages", &site.standstill, Standstill::keep);
+        supervisor.keep("scrubber", &site.audit, Audit::keep_scrubbing);
+        supervisor.keep("expiry", &site.sharing, Sharing::keep_settled);
+        supervisor.keep("parties", &site.administering, Administering::keep_parties_known);
     }
     Ok(())
 }
@@ -81,10 +81,7 @@ fn begin_with_owners(site: &Arc<Site>, mut opened: mpsc::UnboundedReceiver<Arc<O
     tokio::spawn(async move {
         loop {
             tokio::select! {
-                owner = opened.recv() => match owner {
-                    Some(owner) => site.work_for(&owner),
-                    None => return,
-                },
+                Some(owner) = opened.recv() => site.work_for(&owner),
                 () = site.parts.life.stopped() => return,
             }
         }
@@ -131,7 +128,7 @@ async fn watch(site: Arc<Site>) {
         };
         if let Some(problem) = pause {
             site.parts.link.answers(false);
-            site.parts.hub.notice(NoticeLevel::Error, &problem);
+            site.parts.hub.alarm(&problem);
             tokio::time::sleep(Duration::from_secs(2)).await;
         }
     }
@@ -155,7 +152,7 @@ async fn verify(site: Arc<Site>) {
                 Ok(Ok(_)) => {}
                 Ok(Err(error)) => {
                     let text = format!("records cannot be verified at the moment and are waiting: {error}");
-                    site.parts.hub.notice(NoticeLevel::Error, &text);
+                    site.parts.hub.alarm(&text);
                     tokio::time::sleep(Duration::from_secs(1)).await;
                     break;
                 }
@@ -185,29 +182,28 @@ async fn anchor_round(
 
 impl Site {
     pub(super) fn work_for(self: &Arc<Self>, owner: &Arc<Owner>) {
-        let (name, given) = (&owner.profile, Arc::clone(owner));
-        self.parts.supervisor.keep_while(&format!("anchorer {name}"), self, while_open(self, owner), move |site| {
-            anchor(site, Arc::clone(&given))
-        });
+        self.keep_for(owner, "anchorer", self, anchor);
         if self.parts.config.lanes > 1 {
-            let given = Arc::clone(owner);
-            let work = move |lanes: Arc<Lanes>| lanes.keep_extra(Arc::clone(&given));
-            self.parts.supervisor.keep_while(&format!("lanes {name}"), &self.lanes, while_open(self, owner), work);
+            self.keep_for(owner, "lanes", &self.lanes, Lanes::keep_extra);
         }
-        let given = Arc::clone(owner);
-        let work = move |devices: Arc<Devices>| devices.keep_attending(Arc::clone(&given));
-        self.parts.supervisor.keep_while(&format!("courier {name}"), &self.devices, while_open(self, owner), work);
+        self.keep_for(owner, "courier", &self.devices, Devices::keep_attending);
         if self.joined.joins() {
-            let given = Arc::clone(owner);
-            let work = move |joined: Arc<Joined>| joined.mirror(Arc::clone(&given));
-            self.parts.supervisor.keep_while(&format!("mirror {name}"), &self.joined, while_open(self, owner), work);
+            self.keep_for(owner, "mirror", &self.joined, Joined::mirror);
         }
     }
-}
 
-fn while_open<Whose>(site: &Site, owner: &Arc<Owner>) -> impl Fn(&Arc<Whose>) -> bool + Send + 'static {
-    let (owners, owner) = (Arc::clone(&site.parts.owners), Arc::clone(owner));
-    move |_| owners.is_open(&owner)
+    /// Keeps work for an owner running until the owner is closed or the site ends.
+    fn keep_for<Whose, Work, Run>(&self, owner: &Arc<Owner>, name: &str, part: &Arc<Whose>, work: Work)
+    where
+        Whose: Send + Sync + 'static,
+        Work: Fn(Arc<Whose>, Arc<Owner>) -> Run + Send + 'static,
+        Run: Future<Output = ()> + Send + 'static,
+    {
+        let name = format!("{name} {}", owner.profile);
+        let (owners, owner, given) = (Arc::clone(&self.parts.owners), Arc::clone(owner), Arc::clone(owner));
+        let is_wanted = move |_: &Arc<Whose>| owners.is_open(&owner);
+        self.parts.supervisor.keep_while(&name, part, is_wanted, move |part| work(part, Arc::clone(&given)));
+    }
 }
 
 /// Resumes at each open owner's state on the chain, whenever the network comes up.
@@ -220,7 +216,7 @@ async fn resume_owners(site: Arc<Site>) {
         }
         for owner in site.parts.owners.all() {
             if let Err(failure) = site.profiles.resume(&owner).await {
-                site.parts.hub.notice(NoticeLevel::Error, &failure.message);
+                site.parts.hub.alarm(&failure.message);
             }
         }
         if state.changed().await.is_err() {
@@ -234,11 +230,7 @@ async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
     let mut pause = Duration::from_millis(250);
     let mut anchorer = Anchorer::new(site.parts.config.anchor_mode);
     let mut scanned = site.parts.link.scans();
-    while !site.parts.life.is_stopping() {
-        let still_open = site.parts.owners.is_open(&owner);
-        if !still_open {
-            return;
-        }
+    while !site.parts.life.is_stopping() && site.parts.owners.is_open(&owner) {
         let Some(network) = site.parts.link.network_now() else {
             tokio::time::sleep(Duration::from_millis(200)).await;
             continue;
@@ -266,10 +258,8 @@ async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
                 }
             }
             Err(error) => {
-                site.parts.hub.notice(
-                    NoticeLevel::Error,
-                    &format!("records of {} are waiting to be anchored: {}", owner.profile, error.message),
-                );
+                let why = format!("records of {} are waiting to be anchored: {}", owner.profile, error.message);
+                site.parts.hub.alarm(&why);
                 tokio::time::sleep(pause).await;
                 pause = (pause * 2).min(Duration::from_secs(5));
             }

@@ -24,12 +24,6 @@ use crate::store::files;
 
 const PATIENCE: Duration = Duration::from_secs(5);
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Role {
-    Owner,
-    Operator,
-}
-
 /// Joins the site of a home, if one answers; refuses a socket that somebody else could have put there.
 pub async fn join(home: &Home, profile: ProfileName) -> Result<Option<(Client, Greeting)>, Failure> {
     if home.root().exists() {
@@ -40,7 +34,7 @@ pub async fn join(home: &Home, profile: ProfileName) -> Result<Option<(Client, G
     let (owner, peer) = (std::fs::metadata(home.root()), stream.peer_cred());
     let (Ok(owner), Ok(peer)) = (owner, peer) else { return Ok(None) };
     check_peer(&home.socket(), owner.uid(), peer.uid())?;
-    greeted(stream, profile, Role::Owner).await
+    greeted(stream, profile, false).await
 }
 
 /// Only the owner or root may answer: the next message may be a passphrase.
@@ -59,12 +53,8 @@ fn check_peer(socket: &Path, owner: u32, peer: u32) -> Result<(), Failure> {
 pub async fn join_as_operator(path: &Path, profile: ProfileName) -> Result<Client, Failure> {
     let shown = path.display();
     let absent = |why: String| {
-        Failure::new(
-            ErrorKind::Unreachable,
-            format!(
-                "no site answers at {shown} ({why}); its owner starts it with `authros serve` and operators.socket"
-            ),
-        )
+        let advice = "its owner starts it with `authros serve` and operators.socket";
+        Failure::new(ErrorKind::Unreachable, format!("no site answers at {shown} ({why}); {advice}"))
     };
     let failed = |error: std::io::Error| match error.kind() {
         std::io::ErrorKind::PermissionDenied => refused(format!(
@@ -76,7 +66,7 @@ pub async fn join_as_operator(path: &Path, profile: ProfileName) -> Result<Clien
     let (short, _directory) = reachable(path).map_err(failed)?;
     let stream = UnixStream::connect(short).await.map_err(failed)?;
     check_peer(path, owner, stream.peer_cred().map_err(failed)?.uid())?;
-    let joined = greeted(stream, profile, Role::Operator).await?;
+    let joined = greeted(stream, profile, true).await?;
     joined.map(|(client, _)| client).ok_or_else(|| absent("it does not greet".to_owned()))
 }
 
@@ -98,7 +88,11 @@ fn owner_of(path: &Path, failed: &impl Fn(std::io::Error) -> Failure) -> Result<
 }
 
 /// A client of the site at the other end; `None` if it says nothing.
-async fn greeted(stream: UnixStream, profile: ProfileName, role: Role) -> Result<Option<(Client, Greeting)>, Failure> {
+async fn greeted(
+    stream: UnixStream,
+    profile: ProfileName,
+    is_operator: bool,
+) -> Result<Option<(Client, Greeting)>, Failure> {
     let (reader, writer) = stream.into_split();
     let mut reader = BufReader::new(reader);
     let mut line = Vec::new();
@@ -110,15 +104,13 @@ async fn greeted(stream: UnixStream, profile: ProfileName, role: Role) -> Result
         Ok(FromSite::Greeting(greeting)) => greeting,
         Ok(FromSite::Refused(failure)) => return Err(failure),
         _ => {
-            return Err(Failure::new(
-                ErrorKind::Home,
-                "the running site is of another version; stop it and start it again",
-            ));
+            let text = "the running site is of another version; stop it and start it again";
+            return Err(Failure::new(ErrorKind::Home, text));
         }
     };
     let (events, _) = broadcast::channel(1024);
     let (calls, receiver) = mpsc::unbounded_channel();
-    tokio::spawn(speak((reader, writer), role, receiver, events.clone()));
+    tokio::spawn(speak((reader, writer), is_operator, receiver, events.clone()));
     Ok(Some((Client::new(profile, calls, events), greeting)))
 }
 
@@ -130,7 +122,7 @@ fn sends_no_more(refusal: &Failure) -> Event {
 
 async fn speak(
     (mut reader, writer): (BufReader<OwnedReadHalf>, OwnedWriteHalf),
-    role: Role,
+    is_operator: bool,
     mut calls: mpsc::UnboundedReceiver<Call>,
     events: broadcast::Sender<Event>,
 ) {
@@ -154,7 +146,7 @@ async fn speak(
         tokio::select! {
             call = calls.recv() => {
                 let Some(Call { request, answer }) = call else { return };
-                if role == Role::Operator && request.command.needs() == Needed::Passphrase {
+                if is_operator && request.command.needs() == Needed::Passphrase {
                     let text = "an operator sends no passphrase; the site's owner does this, in a console or command of their own";
                     drop(answer.send(Err(refused(text))));
                     continue;
@@ -167,11 +159,9 @@ async fn speak(
                 }
             }
             message = messages.recv() => match message {
+                // Nobody may be waiting for the answer any more.
                 Some(Some(FromSite::Answer { number, with })) => {
-                    if let Some(answer) = waiting.remove(&number) {
-                        // Nobody may be waiting for the answer any more.
-                        drop(answer.send(*with));
-                    }
+                    drop(waiting.remove(&number).map(|answer| answer.send(*with)));
                 }
                 Some(Some(FromSite::Event(event))) => drop(events.send(event)),
                 Some(Some(FromSite::Ended(refusal))) => drop(events.send(sends_no_more(&refusal))),

@@ -58,18 +58,14 @@ struct Numbered<T> {
     with: T,
 }
 
+/// `Refused` comes instead of `Greeting`; after `Ended` no more events are sent.
 #[derive(Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum FromSite {
     Greeting(Greeting),
-    /// Instead of a greeting.
     Refused(Failure),
-    Answer {
-        number: u64,
-        with: Box<Result<Reply, Failure>>,
-    },
+    Answer { number: u64, with: Box<Result<Reply, Failure>> },
     Event(Event),
-    /// No further events are sent, and why.
     Ended(Failure),
 }
 

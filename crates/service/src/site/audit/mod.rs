@@ -172,7 +172,7 @@ impl Audit {
     ) -> Result<RecordAudit, Failure> {
         let network = if is_pinned { Some(self.parts.link.network().await) } else { None };
         let runtime = Handle::current();
-        let running = self.parts.runs.begin_counted(profile, "this home", "auditing", "records");
+        let running = self.parts.runs.begin(profile, "this home", "auditing", "records");
         blocking(self, move |audit| {
             let keys = Arc::new(OwnKeys::of(&audit.parts.owners));
             // How many are younger is known when they are read.

@@ -23,7 +23,7 @@ const MOST: usize = 10_000;
 pub struct Admissions {
     parts: Parts,
     contacts: Arc<Contacts>,
-    admitted: RwLock<Option<BTreeSet<Address>>>,
+    admitted: RwLock<BTreeSet<Address>>,
     changing: tokio::sync::Mutex<()>,
 }
 
@@ -39,26 +39,28 @@ impl Admissions {
 
     fn write(&self, list: &Vec<AdmittedOwner>) -> Result<(), Failure> {
         self.parts.plant.ledger.notes.write(&AdmittedOwners {}, list)?;
-        let owners = list.iter().map(|admitted| admitted.owner).collect();
-        *self.admitted.write().unwrap_or_else(PoisonError::into_inner) = Some(owners);
+        self.take_over(list);
         self.parts.hub.changed(Part::Health);
         Ok(())
     }
 
+    fn take_over(&self, list: &[AdmittedOwner]) {
+        let owners = list.iter().map(|admitted| admitted.owner).collect();
+        *self.admitted.write().unwrap_or_else(PoisonError::into_inner) = owners;
+    }
+
     /// Reads the list for [`Self::is_on_list`].
     pub fn open(&self) -> Result<(), Failure> {
-        let owners = self.list()?.iter().map(|admitted| admitted.owner).collect();
-        *self.admitted.write().unwrap_or_else(PoisonError::into_inner) = Some(owners);
+        self.take_over(&self.list()?);
         Ok(())
     }
 
     pub fn listed(&self) -> BTreeSet<Address> {
-        self.admitted.read().unwrap_or_else(PoisonError::into_inner).clone().unwrap_or_default()
+        self.admitted.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     pub fn is_on_list(&self, owner: &Address) -> bool {
-        let listed = self.admitted.read().unwrap_or_else(PoisonError::into_inner);
-        listed.as_ref().is_some_and(|owners| owners.contains(owner))
+        self.admitted.read().unwrap_or_else(PoisonError::into_inner).contains(owner)
     }
 
     pub async fn admit(&self, profile: &ProfileName, owner: &Party) -> Result<Vec<AdmittedView>, Failure> {

@@ -12,7 +12,6 @@ use super::reading::LONGEST_SILENCE;
 use crate::chain::RelayError;
 use crate::chain::relay::{Asker, Ground, Passed, examine};
 use crate::crypto::{SmKeyPair, check_identity, open_transport_key, seal_transport_key, signer_id};
-use crate::event::NoticeLevel;
 use crate::failure::internal;
 use crate::gateway::desk::Account;
 use crate::gateway::{
@@ -278,7 +277,7 @@ impl Desk for GatewayDesk {
         // One line per peer, code and minute: a persistent peer cannot fill either log.
         if self.gateway.parts.log.refused(&peer.ip().to_string(), &format!("{:?}", refusal.code)) {
             let text = format!("the gateway refused {}: {refusal}", peer.ip());
-            self.gateway.parts.hub.notice(NoticeLevel::Info, &text);
+            self.gateway.parts.hub.inform(&text);
         }
     }
 }

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use super::GatewayDesk;
 use crate::crypto::{ErasedStatement, SealedRecord, signer_id};
-use crate::event::{NoticeLevel, Part};
+use crate::event::Part;
 use crate::gateway::{Caller, Code, ErasedRecord, ErasureNotice, ErasureOutcome, Refusal};
 use crate::model::{Digest, Header};
 use crate::pipeline::Network;
@@ -65,7 +65,7 @@ impl GatewayDesk {
                 "told by their owner",
             );
             if let Err(failure) = written.await {
-                self.gateway.parts.hub.notice(NoticeLevel::Warning, &failure.message);
+                self.gateway.parts.hub.warn(&failure.message);
             }
         }
         ended.map(|()| outcomes)

@@ -16,7 +16,7 @@ use crate::site::parts::Parts;
 use crate::site::sharing::Sharing;
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::SocketAddr;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, RwLock};
 use std::time::Duration;
 
 use tokio::sync::{oneshot, watch};
@@ -29,7 +29,7 @@ use crate::model::{Address, AnchorMode, Domain, ProfileName, Timestamp};
 use crate::pipeline::Owner;
 use crate::pipeline::forwarder::Link as Line;
 use crate::pipeline::intake::Anchors;
-use crate::service::event::{NoticeLevel, Part};
+use crate::service::event::Part;
 use crate::service::failure::{input, refused};
 use crate::service::figures::GatewayFigures;
 use crate::service::reply::{Failure, GatewayStatusView, GatewayView, RefusedView, SenderView, SystemKeyView};
@@ -64,7 +64,7 @@ async fn serve_until(gateway: Arc<Gateway>, place: Place, server: Option<Server>
     };
     let mut server = match server {
         Ok(server) => server,
-        Err(failure) => return gateway.parts.hub.notice(NoticeLevel::Error, &failure.message),
+        Err(failure) => return gateway.parts.hub.alarm(&failure.message),
     };
     tokio::select! {
         () = gateway.parts.life.stopped() => {}
@@ -82,45 +82,32 @@ pub(super) struct GatewayDesk {
 }
 
 pub struct Gateway {
-    parts: Parts,
-    sharing: Arc<Sharing>,
-    admissions: Arc<Admissions>,
+    pub parts: Parts,
+    pub sharing: Arc<Sharing>,
+    pub admissions: Arc<Admissions>,
     /// Confirmed anchors of records that their owners had erased.
-    anchors: Anchors,
-    serving: Mutex<Option<Serving>>,
-    remote: Option<Arc<Remote>>,
+    pub anchors: Anchors,
+    pub serving: Mutex<Option<Serving>>,
+    pub remote: Option<Arc<Remote>>,
     /// Connection of the agent that works here.
-    passed_on: OnceLock<watch::Receiver<Line>>,
+    pub passed_on: OnceLock<watch::Receiver<Line>>,
 }
 
 impl Gateway {
-    pub fn new(
-        parts: &Parts,
-        sharing: &Arc<Sharing>,
-        admissions: &Arc<Admissions>,
-        remote: Option<Arc<Remote>>,
-    ) -> Self {
-        Self {
-            parts: parts.clone(),
-            sharing: Arc::clone(sharing),
-            admissions: Arc::clone(admissions),
-            anchors: Anchors::default(),
-            serving: Mutex::default(),
-            remote,
-            passed_on: OnceLock::new(),
-        }
+    fn serving(&self) -> MutexGuard<'_, Option<Serving>> {
+        self.serving.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     pub fn served(&self) -> Option<GatewayView> {
-        self.serving.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map(|serving| serving.view.clone())
+        self.serving().as_ref().map(|serving| serving.view.clone())
     }
 
     pub fn is_serving(&self) -> bool {
-        self.serving.lock().unwrap_or_else(PoisonError::into_inner).is_some()
+        self.serving().is_some()
     }
 
     pub fn figures(&self) -> Option<GatewayFigures> {
-        let serving = self.serving.lock().unwrap_or_else(PoisonError::into_inner);
+        let serving = self.serving();
         let watch = &serving.as_ref()?.watch;
         let connections = u64::try_from(watch.connections()).unwrap_or(u64::MAX);
         let refused = watch.refused().into_iter().map(|(code, count)| (code.number(), count)).collect();
@@ -159,25 +146,27 @@ impl Gateway {
             )));
         }
         self.admissions.open()?;
-        let open = open || self.parts.config.gateway.open;
         let under = Arc::new(RwLock::new(keeper.envelopes()));
-        let (keeper_of, kept) = (Arc::clone(keeper), Arc::clone(&under));
-        let (home_accounts, guests) = (Arc::new(self.admissions.home_accounts()), Arc::default());
-        let place =
-            Place { keeper: keeper_of, under: kept, domain: network.domain, address, open, home_accounts, guests };
+        let place = Place {
+            keeper: Arc::clone(keeper),
+            under: Arc::clone(&under),
+            domain: network.domain,
+            address,
+            open: open || self.parts.config.gateway.open,
+            home_accounts: Arc::new(self.admissions.home_accounts()),
+            guests: Arc::default(),
+        };
         let server = self.listen(&place).await?;
-        let fingerprint = Fingerprint::of(&keeper.gateway_identity().public).to_string();
         let view = GatewayView {
             address: server.address().to_string(),
             gateway: server.id(),
-            fingerprint,
+            fingerprint: Fingerprint::of(&keeper.gateway_identity().public).to_string(),
             account: keeper.address,
             domain: network.domain,
         };
         self.parts.log.write(&keeper.profile, "gateway", &view.address, "serving").await?;
-        self.parts.hub.notice(NoticeLevel::Info, &format!("the gateway is listening at {}", view.address));
-        *self.serving.lock().unwrap_or_else(PoisonError::into_inner) =
-            Some(Serving { view: view.clone(), watch: server.watch(), under: Arc::clone(&under) });
+        self.parts.hub.inform(&format!("the gateway is listening at {}", view.address));
+        *self.serving() = Some(Serving { view: view.clone(), watch: server.watch(), under });
         self.parts.hub.changed(Part::Health);
         self.keep_gateway(place, server, ended);
         Ok(view)
@@ -190,7 +179,7 @@ impl Gateway {
             // A dropped sender means the same.
             drop(ended.await);
             over.send_replace(true);
-            *gateway.serving.lock().unwrap_or_else(PoisonError::into_inner) = None;
+            *gateway.serving() = None;
             gateway.parts.hub.changed(Part::Health);
         });
         let (place, first) = (Place { address: server.address(), ..place }, Mutex::new(Some(server)));
@@ -206,10 +195,6 @@ impl Gateway {
         );
     }
 
-    fn desk(self: &Arc<Self>, place: &Place) -> GatewayDesk {
-        GatewayDesk { gateway: Arc::clone(self), place: place.clone() }
-    }
-
     async fn listen(self: &Arc<Self>, place: &Place) -> Result<Server, Failure> {
         let Place { keeper, domain, address, .. } = place;
         let provider = self.parts.plant.provider;
@@ -217,7 +202,7 @@ impl Gateway {
             let (directory, identity) = (self.parts.home.gateway(), keeper.gateway_identity());
             Cabinet::open(&directory, provider, *domain, identity, Schedule::default(), Timestamp::now())
         })?;
-        let desk = Arc::new(self.desk(place));
+        let desk = Arc::new(GatewayDesk { gateway: Arc::clone(self), place: place.clone() });
         let context = Context { provider, domain: *domain };
         Server::start(*address, desk, context, cabinet, Limits::default())
             .await
@@ -234,17 +219,15 @@ pub struct Serving {
 impl Gateway {
     /// The keys that encrypt the transport keys of this owner's gateway here.
     pub fn kept_under(&self, owner: &Owner) -> Option<KeptUnder> {
-        let serving = self.serving.lock().unwrap_or_else(PoisonError::into_inner);
-        serving
-            .as_ref()
-            .filter(|serving| serving.view.account == owner.address)
-            .map(|serving| Arc::clone(&serving.under))
+        let serving = self.serving();
+        let own = serving.as_ref().filter(|serving| serving.view.account == owner.address);
+        own.map(|serving| Arc::clone(&serving.under))
     }
 
     pub fn status(&self) -> Result<GatewayStatusView, Failure> {
         let bound = self.parts.plant.ledger.bindings.bound_names()?;
         let through = self.remote.as_ref().map(|remote| crate::model::clean(&remote.chain_text(), 300));
-        let serving = self.serving.lock().unwrap_or_else(PoisonError::into_inner);
+        let serving = self.serving();
         let Some(serving) = &*serving else {
             let senders = sender_rows(bound, Vec::new());
             return Ok(GatewayStatusView { through, senders, ..GatewayStatusView::default() });

@@ -12,7 +12,7 @@ use crate::command::{KeyKind, SecretBytes, SecretText};
 use crate::crypto::{
     Fingerprint, Keyring, SmKeyPair, keyfile, open_transport_key, prove, seal_transport_key, signer_id,
 };
-use crate::event::{NoticeLevel, Part};
+use crate::event::Part;
 use crate::failure::{input, refused};
 use crate::gateway::Cabinet;
 use crate::model::{RecordState, SignerId};
@@ -20,19 +20,18 @@ use crate::pipeline::{Network, Owner, PipelineError, recovery};
 use crate::reply::{EpochView, Failure, KeysView};
 use crate::site::blocking;
 use crate::store::notes::ProfileAccounts;
-use crate::store::{RecordQuery, RecordRow, StoreError};
+use crate::store::{RecordQuery, StoreError};
 
 impl Profiles {
     pub async fn keys(&self, owner: &Arc<Owner>) -> Result<KeysView, Failure> {
         let (signing, envelope) = owner.public_keys();
         let mut epochs = Vec::new();
-        if let Some(network) = self.parts.link.network_now() {
-            let current = owner.sealing().map(|keys| keys.epoch);
-            for epoch in owner.epochs(network.domain) {
-                if let Some(token) = owner.token(network.domain, epoch) {
-                    epochs.push(EpochView { epoch, token, current: current == Some(epoch) });
-                }
-            }
+        if let Some(Network { domain, .. }) = self.parts.link.network_now() {
+            let sealing = owner.sealing().map(|keys| keys.epoch);
+            let view = |epoch| {
+                Some(EpochView { epoch, token: owner.token(domain, epoch)?, current: sealing == Some(epoch) })
+            };
+            epochs.extend(owner.epochs(domain).into_iter().filter_map(view));
         }
         Ok(KeysView {
             address: owner.address,
@@ -55,7 +54,7 @@ impl Profiles {
         let word = format!("{kind:?}").to_lowercase();
         self.parts.log.begin(owner, "load key", &word).await?;
         let loaded = match kind {
-            KeyKind::Sm4 => self.load_sm4(owner, path, registered.is_some()).await,
+            KeyKind::Sm4 => self.load_sm4(owner, path, registered.is_some()).await.map(|()| Arc::clone(owner)),
             KeyKind::Sm2 => self.load_sm2(owner, path, registered.as_ref()).await.map(|()| Arc::clone(owner)),
             KeyKind::Eoa => self.load_eoa(owner, path, passphrase).await,
         };
@@ -64,12 +63,7 @@ impl Profiles {
         self.keys(&owner).await
     }
 
-    async fn load_sm4(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        path: PathBuf,
-        registered: bool,
-    ) -> Result<Arc<Owner>, Failure> {
+    async fn load_sm4(self: &Arc<Self>, owner: &Arc<Owner>, path: PathBuf, registered: bool) -> Result<(), Failure> {
         let key = blocking(self, move |_| Ok(keyfile::load_sm4(&path)?)).await?;
         {
             let _one_at_a_time = owner.changes.lock().await;
@@ -82,7 +76,7 @@ impl Profiles {
         if registered {
             self.sharing.rotate(owner, "a new SM4 key was loaded").await?;
         }
-        Ok(Arc::clone(owner))
+        Ok(())
     }
 
     async fn load_sm2(
@@ -275,7 +269,7 @@ impl Profiles {
                  registered again",
                 owner.profile
             );
-            self.parts.hub.notice(NoticeLevel::Warning, &text);
+            self.parts.hub.warn(&text);
             self.parts.hub.changed(Part::Identity);
         }
         self.finish_pairs(owner, network).await
@@ -428,23 +422,15 @@ impl Profiles {
     /// Records signed by this key that are neither verified nor given up.
     fn pending_of(&self, owner: &Owner, signer: SignerId) -> Result<usize, Failure> {
         let mut pending = 0;
-        for state in unverified() {
-            let mut after = None;
-            loop {
-                let (owner, state) = (Some(owner.address), Some(state));
-                let query = RecordQuery { owner, state, after, limit: PAGE, ..RecordQuery::default() };
-                let page = self.parts.plant.ledger.records.list(&query)?;
-                pending += page.rows.iter().filter(|row: &&RecordRow| row.signer == signer).count();
-                let Some(next) = page.next else { break };
-                after = Some(next);
+        // Records waiting for their signer's right also need the current key.
+        let waits = |state: &&RecordState| state.is_pending() || **state == RecordState::RightEnded;
+        for state in RecordState::ALL.iter().filter(waits).copied() {
+            let (owner, state) = (Some(owner.address), Some(state));
+            let query = RecordQuery { owner, state, limit: PAGE, ..RecordQuery::default() };
+            for row in self.parts.plant.ledger.records.all(query) {
+                pending += usize::from(row?.signer == signer);
             }
         }
         Ok(pending)
     }
-}
-
-/// States that a new key would leave behind; records waiting for their signer's right also need the current key.
-fn unverified() -> impl Iterator<Item = RecordState> {
-    let waits = |state: &RecordState| state.is_pending() || *state == RecordState::RightEnded;
-    RecordState::ALL.iter().copied().filter(waits)
 }

@@ -22,7 +22,7 @@ use super::sharing::Sharing;
 use crate::chain::Call;
 use crate::command::{SecretBytes, SecretText};
 use crate::crypto::{Fingerprint, Keyring, Passphrase, UnlockedKeyring, prove, read_public};
-use crate::event::{NoticeLevel, Part};
+use crate::event::Part;
 use crate::failure::{input, internal, refused};
 use crate::model::{Address, ProfileName};
 use crate::paths::Home;
@@ -141,14 +141,14 @@ impl Profiles {
             Ok::<(), StoreError>(())
         };
         if let Err(error) = self.parts.plant.ledger.notes.change(&ProfileAccounts {}, known) {
-            self.parts.hub.notice(NoticeLevel::Warning, &error.to_string());
+            self.parts.hub.warn(&error.to_string());
         }
         self.pins.introduce(&owner);
         self.parts.owners.insert(&owner);
         self.seal_as_before(&owner);
         if let Err(failure) = self.watches.restore(&owner) {
             let text = format!("what '{}' watches is not captured: {}", owner.profile, failure.message);
-            self.parts.hub.notice(NoticeLevel::Error, &text);
+            self.parts.hub.alarm(&text);
         }
         self.parts.hub.changed(Part::Identity);
         owner
@@ -176,7 +176,7 @@ impl Profiles {
         let domain = pin.domain();
         let newest = owner.epochs(domain).last().copied().filter(|_| owner.has_registered_epoch(domain));
         if let Some(Err(error)) = newest.map(|epoch| owner.seal_under(domain, epoch)) {
-            self.parts.hub.notice(NoticeLevel::Warning, &error.to_string());
+            self.parts.hub.warn(&error.to_string());
         }
     }
 
@@ -368,13 +368,10 @@ impl Profiles {
                 profiles.settle_pairs(&owner, &network).await
             };
             if let Err(failure) = pairs.await {
-                profiles
-                    .parts
-                    .hub
-                    .notice(NoticeLevel::Error, &format!("the change of an SM2 key: {}", failure.message));
+                profiles.parts.hub.alarm(&format!("the change of an SM2 key: {}", failure.message));
             }
             if let Err(failure) = profiles.sharing.finish_epoch(&owner).await {
-                profiles.parts.hub.notice(NoticeLevel::Error, &failure.message);
+                profiles.parts.hub.alarm(&failure.message);
             }
         });
         Ok(())
@@ -389,7 +386,7 @@ impl Profiles {
         if newer {
             self.finish_pairs(owner, network).await?;
             let text = format!("the chain handed newer SM2 keys over to the keyring of '{}'", owner.profile);
-            self.parts.hub.notice(NoticeLevel::Info, &text);
+            self.parts.hub.inform(&text);
         }
         Ok(())
     }

@@ -21,7 +21,7 @@ const LONGEST_NOTE: usize = 2000;
 const WIDEST: usize = 255;
 
 pub(in crate::site) struct Incidents {
-    parts: Parts,
+    pub parts: Parts,
 }
 
 struct Wanted {
@@ -31,10 +31,6 @@ struct Wanted {
 }
 
 impl Incidents {
-    pub fn new(parts: &Parts) -> Self {
-        Self { parts: parts.clone() }
-    }
-
     pub async fn answer(&self, profile: &ProfileName, command: IncidentCommand) -> Result<Reply, Failure> {
         let owner = self.parts.owners.address_of(profile)?;
         match command {

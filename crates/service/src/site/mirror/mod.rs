@@ -31,27 +31,12 @@ const TICK: Duration = Duration::from_millis(500);
 /// How long a gateway that lacks the chain's current state is retried silently.
 const QUIET: Duration = Duration::from_secs(15);
 
+#[derive(Debug, thiserror::Error)]
+#[error(transparent)]
 enum Broken {
-    Gateway(GatewayError),
-    Other(Failure),
-}
-
-impl From<GatewayError> for Broken {
-    fn from(error: GatewayError) -> Self {
-        Self::Gateway(error)
-    }
-}
-
-impl From<PipelineError> for Broken {
-    fn from(error: PipelineError) -> Self {
-        Self::Other(error.into())
-    }
-}
-
-impl From<Failure> for Broken {
-    fn from(failure: Failure) -> Self {
-        Self::Other(failure)
-    }
+    Gateway(#[from] GatewayError),
+    Pipeline(#[from] PipelineError),
+    Other(#[from] Failure),
 }
 
 impl Broken {
@@ -63,15 +48,11 @@ impl Broken {
 
 /// The other site that this one joins through its gateway, if any.
 pub(in crate::site) struct Joined {
-    parts: Parts,
-    remote: Option<Arc<Remote>>,
+    pub parts: Parts,
+    pub remote: Option<Arc<Remote>>,
 }
 
 impl Joined {
-    pub fn new(parts: &Parts, remote: Option<Arc<Remote>>) -> Self {
-        Self { parts: parts.clone(), remote }
-    }
-
     pub fn joins(&self) -> bool {
         self.remote.is_some()
     }
@@ -108,23 +89,15 @@ impl Joined {
             }
             if broken.is_stale() && stale.get_or_insert_with(Instant::now).elapsed() < QUIET {
                 remote.note(&owner.profile, Mirrored::Behind);
-                self.rest(TICK).await;
+                self.parts.life.rest(TICK).await;
                 continue;
             }
             if !broken.is_stale() {
                 stale = None;
             }
             self.tell_broken(remote, &owner, broken, pause);
-            self.rest(pause).await;
+            self.parts.life.rest(pause).await;
             pause = (pause * 2).min(PAUSES.1);
-        }
-    }
-
-    /// Pauses, or returns early when the site ends.
-    async fn rest(&self, pause: Duration) {
-        tokio::select! {
-            () = tokio::time::sleep(pause) => {}
-            () = self.parts.life.stopped() => {}
         }
     }
 
@@ -137,6 +110,7 @@ impl Joined {
                 }
                 error.into()
             }
+            Broken::Pipeline(error) => error.into(),
             Broken::Other(failure) => failure,
         };
         let seconds = pause.as_secs();

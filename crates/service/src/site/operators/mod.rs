@@ -17,7 +17,7 @@ use super::{Site, blocking};
 use crate::accounts::{self, Account, AccountError};
 use crate::command::{Needed, Request};
 use crate::crypto::hands::{self, Fault};
-use crate::event::{Event, NoticeLevel};
+use crate::event::Event;
 use crate::failure::refused;
 use crate::model::{ErrorKind, OperatorName, OperatorRight, OperatorRights, ProfileName};
 use crate::paths::Home;
@@ -78,14 +78,12 @@ impl Operators {
         self: &Arc<Self>,
         uid: u32,
     ) -> Result<Result<(OperatorName, OperatorRights), AccountError>, Failure> {
-        blocking(self, move |operators| {
-            let standing = Account::of(uid).and_then(|account| {
-                let rights = account.rights(&operators.parts.config.operators.rules)?;
-                Ok((account.name, rights))
-            });
-            Ok(standing)
-        })
-        .await
+        let of = move |operators: &Self| -> Result<_, AccountError> {
+            let account = Account::of(uid)?;
+            let rights = account.rights(&operators.parts.config.operators.rules)?;
+            Ok((account.name, rights))
+        };
+        blocking(self, move |operators| Ok(of(operators))).await
     }
 
     /// Counts a refusal of somebody who is no operator.
@@ -233,7 +231,7 @@ impl Site {
         let settings = &self.config().operators;
         let Some(path) = &settings.socket else { return };
         for line in block_in_place(|| accounts::unknown(&settings.rules)).unwrap_or_default() {
-            self.parts.hub.notice(NoticeLevel::Warning, &line);
+            self.parts.hub.warn(&line);
         }
         let mut told = None;
         while !self.parts.life.is_stopping() {
@@ -242,15 +240,12 @@ impl Site {
                 Err(why) => {
                     if told.as_ref() != Some(&why) {
                         let text = format!("operators cannot connect to {}: {why}", path.display());
-                        self.parts.hub.notice(NoticeLevel::Error, &text);
+                        self.parts.hub.alarm(&text);
                         told = Some(why);
                     }
                 }
             }
-            tokio::select! {
-                () = tokio::time::sleep(AGAIN) => {}
-                () = self.stopped() => return,
-            }
+            self.parts.life.rest(AGAIN).await;
         }
     }
 }

@@ -29,15 +29,11 @@ fn cleaned(publisher: Publisher) -> Publisher {
 }
 
 pub(in crate::site) struct Pinning {
-    parts: Parts,
-    pins: Arc<Pins>,
+    pub parts: Parts,
+    pub pins: Arc<Pins>,
 }
 
 impl Pinning {
-    pub fn new(parts: &Parts, pins: &Arc<Pins>) -> Self {
-        Self { parts: parts.clone(), pins: Arc::clone(pins) }
-    }
-
     /// Needs no passphrase.
     pub async fn view(&self, profile: &ProfileName, topic: Option<&TopicName>) -> Result<PinsView, Failure> {
         let owner = self.parts.owners.address_of(profile)?;

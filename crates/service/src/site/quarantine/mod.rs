@@ -40,10 +40,7 @@ impl Quarantine {
 
     /// Seals the due quarantine records, minute by minute.
     pub async fn keep(self: Arc<Self>) {
-        while !self.parts.life.is_stopping() {
-            if !self.parts.life.beat(LOOK).await {
-                return;
-            }
+        while self.parts.life.beat(LOOK).await {
             // Counted once records are acknowledged again.
             if self.parts.plant.ledger.records.takes_records().is_err() {
                 continue;

@@ -17,6 +17,7 @@ use crate::ros::message::Folders;
 use crate::ros::readable::{self, Exported};
 use crate::ros::recording::{Described, TYPE_HASH, TypeFacts};
 use crate::service::command::LONGEST_PATH;
+use crate::service::failure::input;
 use crate::service::reply::{Failure, OpenedView, PathView};
 use crate::site::reading;
 use crate::store::{RecordQuery, RecordRow};
@@ -169,7 +170,7 @@ fn as_signed(row: RecordRow, record: &OpenedRecord) -> RecordRow {
 
 fn without_definition(row: &RecordRow, described: &Described) -> Failure {
     let why = described.note.as_deref().unwrap_or("it is not a message");
-    Failure::new(ErrorKind::Input, format!("{} can only be written as .bin: {why}", row.id))
+    input(format!("{} can only be written as .bin: {why}", row.id))
 }
 
 /// An attachment as a file: its description, or the attached file.
@@ -179,9 +180,8 @@ fn attached(kind: Option<Exported>, opened: &Opened, view: &OpenedView) -> Resul
     }
     let content = reading::content(&opened.row.type_name, &opened.record.body).map(<[u8]>::to_vec);
     content.ok_or_else(|| {
-        let text =
-            format!("{} is not an attachment as MCAP has them; write it as .json to see what is known", opened.row.id);
-        Failure::new(ErrorKind::Input, text)
+        let id = &opened.row.id;
+        input(format!("{id} is not an attachment as MCAP has them; write it as .json to see what is known"))
     })
 }
 

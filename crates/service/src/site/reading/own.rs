@@ -9,7 +9,7 @@ use super::view::{record_page, record_query, record_view};
 use crate::crypto::{keyfile, record};
 use crate::model::bytes::hex;
 use crate::model::{Address, ProfileName, RecordState, Timestamp, TopicId, clean};
-use crate::pipeline::columns::{self, Caveat, Refusal, ShownState};
+use crate::pipeline::columns::{self, Caveat, Keys, Refusal, ShownState};
 use crate::pipeline::epoch::tag_choice;
 use crate::pipeline::retention::is_stated;
 use crate::pipeline::{Network, Owner, PipelineError, authority};
@@ -17,7 +17,7 @@ use crate::service::command::UploadQuery;
 use crate::service::failure::{input, internal};
 use crate::service::reply::{ExportedFile, Failure, Provenance, RecordPage, RecordView};
 use crate::site::incidents::narrowed;
-use crate::store::{BatchPlace, FilterChoice, RecordQuery, RecordRow};
+use crate::store::{self, BatchPlace, FilterChoice, RecordQuery, RecordRow};
 
 impl Reading {
     /// Needs no passphrase.
@@ -37,9 +37,7 @@ impl Reading {
             };
             Ok::<_, Failure>(ledger.records.list(&query)?)
         })?;
-        let mut page = record_page(&self.compared(page.rows, &self.own_keys(), &filters)?, page.next, false);
-        self.note_erased(&mut page.records)?;
-        Ok(page)
+        self.page_of(page, &self.own_keys(), &filters, false)
     }
 
     /// Records of all profiles of the home; needs no passphrase.
@@ -49,11 +47,24 @@ impl Reading {
         }
         let query = RecordQuery { owners: Some(self.parts.owners.accounts()), ..record_query(query) };
         let page = self.parts.plant.ledger.records.list(&query)?;
-        let mut page = record_page(&self.compared(page.rows, &self.own_keys(), &[])?, page.next, true);
+        self.page_of(page, &self.own_keys(), &[], true)
+    }
+
+    /// A page of the ledger as shown; `with_owner` for lists of other owners' records.
+    pub(super) fn page_of(
+        &self,
+        page: store::RecordPage,
+        keys: &dyn Keys,
+        filters: &[FilterChoice],
+        with_owner: bool,
+    ) -> Result<RecordPage, Failure> {
+        let mut page = record_page(&self.compared(page.rows, keys, filters)?, page.next, with_owner);
         self.note_erased(&mut page.records)?;
-        let names = self.contacts.names()?;
-        for record in &mut page.records {
-            record.owner_name = record.owner.and_then(|owner| names.get(&owner).cloned());
+        if with_owner {
+            let names = self.contacts.names()?;
+            for record in &mut page.records {
+                record.owner_name = record.owner.and_then(|owner| names.get(&owner).cloned());
+            }
         }
         Ok(page)
     }

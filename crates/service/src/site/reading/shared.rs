@@ -4,7 +4,7 @@ use super::Reading;
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use super::view::{reason_of, record_page, record_query};
+use super::view::{reason_of, record_query};
 use crate::crypto::GrantedKeys;
 use crate::model::{Address, Scope, TopicId};
 use crate::pipeline::directory::Granted;
@@ -20,18 +20,14 @@ impl Reading {
     /// Records of all owners with an active grant to this profile, within each grant's scope.
     pub async fn list_shared(&self, owner: &Arc<Owner>, query: UploadQuery) -> Result<RecordPage, Failure> {
         if query.incident.is_some() {
-            return Err(input(
-                "incidents cover your own records: use `authros uploads list --incident NAME`".to_owned(),
-            ));
+            return Err(input("incidents cover your own records: use `authros uploads list --incident NAME`"));
         }
         let network = self.parts.link.network().await?;
         let wanted = query.owner.as_ref().map(|owner| self.contacts.resolve(owner)).transpose()?;
         let mut grants = authority::shared_with(&network.directory, owner.address);
         grants.retain(|grant| wanted.is_none_or(|wanted| wanted == grant.terms.owner));
-        let mut scopes: HashMap<Address, Scope> = HashMap::new();
-        for grant in &grants {
-            scopes.insert(grant.terms.owner, grant.terms.scope.clone());
-        }
+        let scopes = grants.iter().map(|grant| (grant.terms.owner, grant.terms.scope.clone()));
+        let scopes: HashMap<Address, Scope> = scopes.collect();
         if scopes.is_empty() {
             return Ok(RecordPage { records: Vec::new(), next: None, arriving: None });
         }
@@ -50,12 +46,7 @@ impl Reading {
             filters: filters.clone(),
             ..record_query(query)
         };
-        let mut page = self.readable_page(&reader, query, &filters)?;
-        let names = self.contacts.names()?;
-        for record in &mut page.records {
-            record.owner_name = record.owner.and_then(|owner| names.get(&owner).cloned());
-        }
-        Ok(page)
+        self.readable_page(&reader, query, &filters)
     }
 
     /// The next page with a record that the reader's keys open; it may be short.
@@ -69,9 +60,7 @@ impl Reading {
             let mut page = self.parts.plant.ledger.records.list(&query)?;
             page.rows.retain(|row| !is_held(row) && reader.topic_key(row).is_ok());
             if !page.rows.is_empty() || page.next.is_none() {
-                let mut page = record_page(&self.compared(page.rows, reader, filters)?, page.next, true);
-                self.note_erased(&mut page.records)?;
-                return Ok(page);
+                return self.page_of(page, reader, filters, true);
             }
             query.after = page.next;
         }

@@ -98,7 +98,7 @@ impl Recordings {
         // Messages first: the first sets the file's profile. Patterns choose topics, and attachments have none.
         let kinds = [RecordKind::Data, RecordKind::Attachment];
         for kind in kinds.into_iter().filter(|kind| wishes.topics.is_empty() || *kind == RecordKind::Data) {
-            let mut query = RecordQuery {
+            let query = RecordQuery {
                 owners: Some(scopes.keys().copied().collect()),
                 topic_ids: Some(readable.clone()),
                 kind: Some(kind),
@@ -107,20 +107,13 @@ impl Recordings {
                 limit: PAGE,
                 ..RecordQuery::default()
             };
-            loop {
-                let page = self.parts.plant.ledger.records.list(&query)?;
-                for row in &page.rows {
-                    export.take(&reader, row).await?;
-                    seen += 1;
-                    run.at(seen, 0, export.view.messages);
-                }
+            for row in self.parts.plant.ledger.records.all(query) {
                 if self.parts.life.is_stopping() {
                     return Err(internal("the site stopped before the recording was complete; repeat the command"));
                 }
-                query.after = page.next;
-                if query.after.is_none() {
-                    break;
-                }
+                export.take(&reader, &row?).await?;
+                seen += 1;
+                run.at(seen, 0, export.view.messages);
             }
         }
         block_in_place(|| export.finish(draft))

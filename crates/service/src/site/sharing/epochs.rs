@@ -69,12 +69,8 @@ impl Sharing {
             ));
         }
         self.parts.hub.changed(Part::Grants);
-        Ok(TransactionView {
-            transaction: Some(transaction),
-            block: Some(receipt.block),
-            epoch: next,
-            text: format!("{purpose}: epoch {next} has started; new records are sealed under its key"),
-        })
+        let text = format!("{purpose}: epoch {next} has started; new records are sealed under its key");
+        Ok(TransactionView { transaction: Some(transaction), block: Some(receipt.block), epoch: next, text })
     }
 
     /// Begins again the epochs that the chain lost. None is used a second time: revoked readers know their keys.
@@ -111,11 +107,8 @@ impl Sharing {
     }
 
     pub async fn settle_open(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
-        let ledger = self.parts.plant.ledger.clone();
-        let account = owner.address;
         for _ in 0..60 {
-            let open = ledger.lanes.open_lane(account)?;
-            if open.iter().all(|row| row.anchors) {
+            if self.parts.plant.ledger.lanes.open_lane(owner.address)?.iter().all(|row| row.anchors) {
                 return Ok(());
             }
             let head = network.chain.head().await?.number;
@@ -241,7 +234,7 @@ impl Sharing {
 const MOST_NAMED: usize = 8;
 
 #[derive(Default)]
-pub(super) struct Missing {
+pub(in crate::site) struct Missing {
     epochs: BTreeMap<ProfileName, Lack>,
     /// Why the chain's newer SM2 pairs are not in the keyring, or the keyring's not on the chain.
     pairs: BTreeMap<ProfileName, String>,

@@ -11,6 +11,7 @@ use crate::site::mirror::Joined;
 use crate::site::parts::Parts;
 use crate::store::Reserve;
 use crate::store::notes::{GrantedEarlier, GrantedTopic};
+use std::collections::HashSet;
 use std::sync::{Arc, Mutex};
 
 use tokio::task::block_in_place;
@@ -30,27 +31,15 @@ use crate::service::reply::{Direction, EpochRecords, Failure, GrantRow, Transact
 use crate::store::RecordRow;
 
 pub(in crate::site) struct Sharing {
-    parts: Parts,
-    contacts: Arc<Contacts>,
-    enrolments: Arc<Enrolments>,
-    joined: Arc<Joined>,
-    reserve: Arc<Reserve>,
-    missing: Mutex<epochs::Missing>,
+    pub parts: Parts,
+    pub contacts: Arc<Contacts>,
+    pub enrolments: Arc<Enrolments>,
+    pub joined: Arc<Joined>,
+    pub reserve: Arc<Reserve>,
+    pub missing: Mutex<epochs::Missing>,
 }
 
 impl Sharing {
-    pub fn new(
-        parts: &Parts,
-        contacts: &Arc<Contacts>,
-        enrolments: &Arc<Enrolments>,
-        joined: &Arc<Joined>,
-        reserve: &Arc<Reserve>,
-    ) -> Self {
-        let (parts, contacts, enrolments) = (parts.clone(), Arc::clone(contacts), Arc::clone(enrolments));
-        let (joined, reserve) = (Arc::clone(joined), Arc::clone(reserve));
-        Self { parts, contacts, enrolments, joined, reserve, missing: Mutex::default() }
-    }
-
     /// Puts the grantee's envelope on the chain.
     pub async fn grant(
         &self,
@@ -110,15 +99,11 @@ impl Sharing {
         self.parts.link.scanned(receipt.block).await;
         self.parts.hub.changed(Part::Grants);
         let what = if names.is_empty() { "all topics".to_owned() } else { names.join(", ") };
-        Ok(TransactionView {
-            transaction: Some(transaction),
-            block: Some(receipt.block),
-            epoch,
-            text: match epochs {
-                Epochs::Current => format!("{grantee} can read {what}, {}", opens.words("")),
-                Epochs::All => format!("{grantee} can read {what}, earlier epochs included"),
-            },
-        })
+        let text = match epochs {
+            Epochs::Current => format!("{grantee} can read {what}, {}", opens.words("")),
+            Epochs::All => format!("{grantee} can read {what}, earlier epochs included"),
+        };
+        Ok(TransactionView { transaction: Some(transaction), block: Some(receipt.block), epoch, text })
     }
 
     /// What a grant of the current epoch opens already.
@@ -161,12 +146,9 @@ impl Sharing {
         self.parts.link.scanned(receipt.block).await;
         self.parts.hub.changed(Part::Grants);
         let end = expires.map_or_else(|| "has no end".to_owned(), |expires| format!("ends at {expires}"));
-        Ok(TransactionView {
-            transaction: Some(transaction),
-            block: Some(receipt.block),
-            epoch: network.directory.epoch(owner.address),
-            text: format!("the grant to {grantee} now {end} instead of {ends}"),
-        })
+        let epoch = network.directory.epoch(owner.address);
+        let text = format!("the grant to {grantee} now {end} instead of {ends}");
+        Ok(TransactionView { transaction: Some(transaction), block: Some(receipt.block), epoch, text })
     }
 
     pub fn active_grant(&self, network: &Network, owner: Address, grantee: Address) -> Option<Granted> {
@@ -175,12 +157,11 @@ impl Sharing {
 
     /// Names are stored under their pseudonyms on the chain, so that each grant finds its own.
     fn remember_topics(&self, owner: &Owner, topics: &[String]) -> Result<(), Failure> {
-        block_in_place(|| {
-            topics.iter().try_for_each(|topic| {
-                let note = GrantedTopic { owner: owner.address, topic: owner.topic_id(topic) };
-                Ok(self.parts.plant.ledger.notes.write(&note, topic)?)
-            })
-        })
+        let keep = |topic: &String| {
+            let note = GrantedTopic { owner: owner.address, topic: owner.topic_id(topic) };
+            Ok(self.parts.plant.ledger.notes.write(&note, topic)?)
+        };
+        block_in_place(|| topics.iter().try_for_each(keep))
     }
 
     /// Topic names of this owner's scoped grant, in the event's order; `None` if no known name matches.
@@ -229,7 +210,11 @@ impl Sharing {
             owner: grant.terms.owner,
             grantee: grant.terms.grantee,
             epoch: grant.terms.epoch,
-            earlier: if given { self.noted_earlier(grant)? } else { self.received_earlier(owner, network, grant) },
+            earlier: match given {
+                // `None` = given elsewhere.
+                true => self.parts.plant.ledger.notes.read(&GrantedEarlier { transaction: grant.transaction })?,
+                false => self.received_earlier(owner, network, grant),
+            },
             expires: grant.expiry(),
             topics,
             state: grant.state(network.directory.now()),
@@ -240,13 +225,7 @@ impl Sharing {
         })
     }
 
-    /// Whether a given grant opens earlier epochs; `None` = given elsewhere.
-    fn noted_earlier(&self, grant: &Granted) -> Result<Option<bool>, Failure> {
-        let note = GrantedEarlier { transaction: grant.transaction };
-        Ok(self.parts.plant.ledger.notes.read(&note)?)
-    }
-
-    /// The same for a received grant, by its envelope; `None` = it does not open.
+    /// Whether a received grant opens earlier epochs, by its envelope; `None` = that does not open.
     fn received_earlier(&self, owner: &Owner, network: &Network, grant: &Granted) -> Option<bool> {
         let reader = Reader { plant: &self.parts.plant, network, reader: owner };
         let envelope = reader.open_envelope(grant, grant.terms.epoch).ok()?;
@@ -283,11 +262,7 @@ fn scope(owner: &Owner, topics: &[TopicName]) -> Scope {
     if topics.is_empty() {
         return Scope::All;
     }
-    let mut ids: Vec<TopicId> = Vec::with_capacity(topics.len());
-    for id in topics.iter().map(|topic| owner.topic_id(topic.as_str())) {
-        if !ids.contains(&id) {
-            ids.push(id);
-        }
-    }
-    Scope::Topics(ids)
+    let mut known = HashSet::new();
+    let ids = topics.iter().map(|topic| owner.topic_id(topic.as_str()));
+    Scope::Topics(ids.filter(|id| known.insert(*id)).collect())
 }

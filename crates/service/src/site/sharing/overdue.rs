@@ -12,7 +12,7 @@ use crate::chain::Call;
 use crate::failure::refused;
 use crate::gateway::RevokeNotice;
 use crate::model::{Address, ErrorKind, Timestamp};
-use crate::pipeline::directory::Granted;
+use crate::pipeline::directory::{GrantState, Granted};
 use crate::pipeline::{Network, Owner};
 use crate::reply::{Failure, TransactionView};
 use crate::store::notes::Revoking;
@@ -90,9 +90,7 @@ impl Sharing {
             return Ok(false);
         }
         let sealing = owner.sealing().filter(|keys| keys.domain == network.domain);
-        let covered = |grant: &Granted| {
-            grant.state(now) == crate::pipeline::directory::GrantState::Expired && grant.is_wrapped(epoch)
-        };
+        let covered = |grant: &Granted| grant.state(now) == GrantState::Expired && grant.is_wrapped(epoch);
         let expired = network.directory.grants_of(owner.address).iter().any(covered);
         let ended = sealing.is_some_and(|keys| keys.epoch > epoch) || expired;
         Ok(ended && !self.went_back(owner, network) || !self.owed_revocations(owner, network)?.is_empty())
@@ -118,7 +116,8 @@ impl Sharing {
 
     /// Requested revocations that are not on the chain yet.
     pub fn owed_revocations(&self, owner: &Owner, network: &Network) -> Result<Vec<Address>, Failure> {
-        let mut owed = self.read_owed(owner)?;
+        let note = Revoking { owner: owner.address };
+        let mut owed = self.parts.plant.ledger.notes.read(&note)?.unwrap_or_default();
         owed.retain(|grantee| self.active_grant(network, owner.address, *grantee).is_some());
         Ok(owed)
     }
@@ -135,11 +134,6 @@ impl Sharing {
     /// The revocation is on the chain, or a new grant replaces it.
     pub fn settle_revocation(&self, owner: &Owner, grantee: Address) -> Result<(), Failure> {
         self.change_owed(owner, |owed| owed.retain(|other| *other != grantee))
-    }
-
-    fn read_owed(&self, owner: &Owner) -> Result<Vec<Address>, Failure> {
-        let note = Revoking { owner: owner.address };
-        Ok(self.parts.plant.ledger.notes.read(&note)?.unwrap_or_default())
     }
 
     fn change_owed(&self, owner: &Owner, change: impl FnOnce(&mut Vec<Address>)) -> Result<(), Failure> {
@@ -162,10 +156,7 @@ impl Sharing {
     /// Sends what the chain is owed; retries with growing pauses.
     pub async fn keep_settled(self: Arc<Self>) {
         let mut resting: HashMap<Address, (Instant, Duration)> = HashMap::new();
-        while !self.parts.life.is_stopping() {
-            if !self.parts.life.beat(Duration::from_secs(1)).await {
-                return;
-            }
+        while self.parts.life.beat(Duration::from_secs(1)).await {
             let Some(network) = self.parts.link.network_now() else { continue };
             // Overdue work needs keys that a locked keyring lacks; keys sealed ahead work without.
             for owner in self.parts.owners.all().into_iter().filter(|owner| !owner.is_locked()) {
@@ -208,9 +199,8 @@ impl Sharing {
             return Err(failure);
         }
         let _space_is_for_this = self.parts.plant.ledger.records.hold();
-        self.parts.hub.alarm(
-            "the disk is full: the reserved space was used for a revoke; free some space, records wait in memory",
-        );
+        let text = "the disk is full: the reserved space was used for a revoke; free some space, records wait in memory";
+        self.parts.hub.alarm(text);
         self.revoke_again(owner, &network, grantee).await
     }
 

@@ -97,10 +97,7 @@ impl Storage {
     pub async fn keep_room(self: Arc<Self>) {
         let (mut held, mut pause, mut away) = (None, LOOKS.0, None);
         let reserve = self.parts.config.disk_reserve;
-        while !self.parts.life.is_stopping() {
-            if !self.parts.life.beat(pause).await {
-                return;
-            }
+        while self.parts.life.beat(pause).await {
             let now_away = self.parts.plant.ciphertext.cache().and_then(|cache| cache.away).map(|away| away.since);
             if std::mem::replace(&mut away, now_away) != now_away {
                 self.parts.hub.changed(Part::Health);

@@ -27,10 +27,7 @@ impl Storage {
     pub async fn keep_retention(self: Arc<Self>) {
         let keeping = self.parts.config.keeping();
         let (mut rules, mut looks) = (Retention::new(keeping.clone()), 0u32);
-        while !self.parts.life.is_stopping() {
-            if !self.parts.life.beat(LOOK).await {
-                return;
-            }
+        while self.parts.life.beat(LOOK).await {
             let learns = !keeping.is_empty() && looks.is_multiple_of(LEARN);
             looks = looks.wrapping_add(1);
             for owner in self.parts.owners.all() {

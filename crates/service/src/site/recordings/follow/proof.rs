@@ -103,9 +103,7 @@ impl Recordings {
             let reader = Reader { plant: &recordings.parts.plant, network: &network, reader: &author };
             statement(&reader, &wanted)
         });
-        let Some(row) = row.await? else {
-            return Err(input("the record that states its digests is gone"));
-        };
+        let row = row.await?.ok_or_else(|| input("the record that states its digests is gone"))?;
         match row.state {
             RecordState::Verified => {}
             RecordState::Tampered => {
