@@ -243,9 +243,7 @@ impl Site {
             sealing: chain.sealing().await?,
         })
     }
-}
 
-impl Site {
     fn prices(&self) -> PricesView {
         let limits = self.parts.sender.limits();
         PricesView { min_price: Wei(limits.floor), max_fee: limits.cap.map(Wei) }

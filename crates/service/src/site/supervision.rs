@@ -75,39 +75,7 @@ impl Supervisor {
     pub fn views(&self) -> Vec<TaskView> {
         self.tasks.lock().unwrap_or_else(PoisonError::into_inner).iter().map(|task| task.view()).collect()
     }
-}
 
-impl Task {
-    fn view(&self) -> TaskView {
-        let standing = self.standing.lock().unwrap_or_else(PoisonError::into_inner);
-        TaskView {
-            name: clean(&self.name, 80),
-            state: if standing.resumes.is_some() { TaskState::Resting } else { TaskState::Running },
-            restarts: standing.restarts,
-            next_try: standing.resumes.map(|at| at.saturating_duration_since(Instant::now()).as_secs()),
-            reason: standing.reason.clone(),
-        }
-    }
-
-    /// Returns the pause.
-    fn ended(&self, reason: &str) -> Duration {
-        let mut standing = self.standing.lock().unwrap_or_else(PoisonError::into_inner);
-        let pause = if standing.begun.elapsed() >= STEADY { PAUSES.0 } else { standing.pause };
-        standing.pause = (pause * 2).min(PAUSES.1);
-        standing.resumes = Some(Instant::now() + pause);
-        standing.reason = Some(clean(reason, 200));
-        pause
-    }
-
-    fn begins_again(&self) {
-        let mut standing = self.standing.lock().unwrap_or_else(PoisonError::into_inner);
-        standing.begun = Instant::now();
-        standing.restarts += 1;
-        standing.resumes = None;
-    }
-}
-
-impl Supervisor {
     /// Keeps work running until the site ends; aborting the handle ends it.
     pub fn keep<Whose, Work, Run>(self: &Arc<Self>, name: &str, part: &Arc<Whose>, work: Work) -> JoinHandle<()>
     where
@@ -192,6 +160,36 @@ impl Supervisor {
         );
         self.hub.changed(Part::Health);
         pause
+    }
+}
+
+impl Task {
+    fn view(&self) -> TaskView {
+        let standing = self.standing.lock().unwrap_or_else(PoisonError::into_inner);
+        TaskView {
+            name: clean(&self.name, 80),
+            state: if standing.resumes.is_some() { TaskState::Resting } else { TaskState::Running },
+            restarts: standing.restarts,
+            next_try: standing.resumes.map(|at| at.saturating_duration_since(Instant::now()).as_secs()),
+            reason: standing.reason.clone(),
+        }
+    }
+
+    /// Returns the pause.
+    fn ended(&self, reason: &str) -> Duration {
+        let mut standing = self.standing.lock().unwrap_or_else(PoisonError::into_inner);
+        let pause = if standing.begun.elapsed() >= STEADY { PAUSES.0 } else { standing.pause };
+        standing.pause = (pause * 2).min(PAUSES.1);
+        standing.resumes = Some(Instant::now() + pause);
+        standing.reason = Some(clean(reason, 200));
+        pause
+    }
+
+    fn begins_again(&self) {
+        let mut standing = self.standing.lock().unwrap_or_else(PoisonError::into_inner);
+        standing.begun = Instant::now();
+        standing.restarts += 1;
+        standing.resumes = None;
     }
 }
 

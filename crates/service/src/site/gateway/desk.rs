@@ -26,6 +26,10 @@ use crate::pipeline::intake::accept_uploads;
 use crate::store::KeptBinding;
 use crate::store::notes::AnnouncedRevoke;
 
+/// Name prefix of an owner's site that brings notices to robots.
+const COURIER: &str = "courier-";
+const DIGITS: usize = 16;
+
 impl GatewayDesk {
     /// Runs work that waits for disk or node, off the network's threads.
     pub async fn blocking<T: Send + 'static>(
@@ -106,6 +110,77 @@ impl GatewayDesk {
         self.gateway.parts.hub.stored.notify_waiters();
         self.gateway.parts.hub.changed(crate::service::event::Part::Uploads);
         Ok(Timestamp::now())
+    }
+
+    /// Whether the newest loan of a device was recalled; a later loan is valid again.
+    pub fn is_recalled(&self, owner: &Address, device: &SignerId) -> Result<bool, Refusal> {
+        let account = self.known_network()?.directory.account(*owner);
+        let loans = account.map(|account| account.devices).unwrap_or_default();
+        Ok(loans.iter().rfind(|loan| loan.device == *device).is_some_and(|loan| loan.recalled.is_some()))
+    }
+
+    /// A device's session is valid as long as its loan.
+    pub fn check_loan(&self, network: &Network, caller: &Caller) -> Result<(), Refusal> {
+        let Some(device) = &caller.device else { return Ok(()) };
+        let now = Moment::newest(network.directory.now());
+        let right = may_sign(&network.directory, caller.account, device.id, now);
+        right.map(drop).map_err(|why| Refusal::new(Code::NotAuthorised, format_args!("device {}: {why}", device.id)))
+    }
+
+    pub async fn pass_on(
+        &self,
+        caller: Option<&Caller>,
+        method: &str,
+        parameters: &Value,
+    ) -> Result<Value, RelayError> {
+        let network = self.known_network().map_err(|refusal| RelayError::Silent(refusal.to_string()))?;
+        let (Some(pin), Some(head)) = (network.chain.pin(), self.gateway.parts.link.fresh_head(LONGEST_SILENCE)) else {
+            return Err(RelayError::Silent("no recent block from the chain".to_owned()));
+        };
+        let asker = if caller.is_some() { Asker::Registered } else { Asker::Visitor };
+        match examine(Ground { pin: &pin, head: head.number }, asker, method, parameters)? {
+            Passed::Read(parameters) => network.chain.relay(method, &parameters).await,
+            Passed::NoLogs => Ok(json!([])),
+            Passed::Estimate { from, registers } => {
+                let known = || from.is_some_and(|from| self.may_send(&network, &from));
+                if caller.is_none() && registers.is_none() && !known() {
+                    return Err(RelayError::NotAllowed);
+                }
+                network.chain.relay(method, parameters).await
+            }
+            Passed::Transaction { sender, registers } => {
+                if caller.is_none() {
+                    self.check_sender(&network, sender, registers)?;
+                }
+                network.chain.relay(method, parameters).await
+            }
+        }
+    }
+
+    /// A transaction proves its own sender: without a transport key, admitted accounts may send one, and a newcomer its
+    /// registration.
+    fn check_sender(
+        &self,
+        network: &Network,
+        sender: Address,
+        registers: Option<Box<Identity>>,
+    ) -> Result<(), RelayError> {
+        if let Some(identity) = registers {
+            return check_identity(self.gateway.parts.plant.provider, &self.place.domain, &sender, &identity)
+                .map_err(|_| rejected("the identity being registered is not proven by its own keys"));
+        }
+        if self.may_send(network, &sender) {
+            return Ok(());
+        }
+        Err(rejected(
+            "a visitor may only send its registration; ask the gateway's operator to admit this account first",
+        ))
+    }
+
+    fn may_send(&self, network: &Network, account: &Address) -> bool {
+        let known =
+            network.directory.account(*account).is_some() && !authority::is_suspended(&network.directory, *account);
+        known && self.standing_of(network, account).is_ok()
     }
 }
 
@@ -282,10 +357,6 @@ impl Desk for GatewayDesk {
     }
 }
 
-/// Name prefix of an owner's site that brings notices to robots.
-const COURIER: &str = "courier-";
-const DIGITS: usize = 16;
-
 pub fn courier_of(account: &Address) -> String {
     let digits: String = account.to_string().chars().filter(char::is_ascii_hexdigit).skip(1).take(DIGITS).collect();
     format!("{COURIER}{}", digits.to_lowercase())
@@ -304,83 +375,8 @@ pub fn check(name: &ProfileName, account: &Address) -> Result<(), Refusal> {
     Err(Refusal::new(Code::NameBound, format_args!("{name} is the name of another account's own site")))
 }
 
-impl GatewayDesk {
-    /// Whether the newest loan of a device was recalled; a later loan is valid again.
-    pub fn is_recalled(&self, owner: &Address, device: &SignerId) -> Result<bool, Refusal> {
-        let account = self.known_network()?.directory.account(*owner);
-        let loans = account.map(|account| account.devices).unwrap_or_default();
-        Ok(loans.iter().rfind(|loan| loan.device == *device).is_some_and(|loan| loan.recalled.is_some()))
-    }
-
-    /// A device's session is valid as long as its loan.
-    pub fn check_loan(&self, network: &Network, caller: &Caller) -> Result<(), Refusal> {
-        let Some(device) = &caller.device else { return Ok(()) };
-        let now = Moment::newest(network.directory.now());
-        let right = may_sign(&network.directory, caller.account, device.id, now);
-        right.map(drop).map_err(|why| Refusal::new(Code::NotAuthorised, format_args!("device {}: {why}", device.id)))
-    }
-}
-
 fn rejected(words: &str) -> RelayError {
     RelayError::Answered { code: -32003, message: words.to_owned(), data: None }
-}
-
-impl GatewayDesk {
-    pub async fn pass_on(
-        &self,
-        caller: Option<&Caller>,
-        method: &str,
-        parameters: &Value,
-    ) -> Result<Value, RelayError> {
-        let network = self.known_network().map_err(|refusal| RelayError::Silent(refusal.to_string()))?;
-        let (Some(pin), Some(head)) = (network.chain.pin(), self.gateway.parts.link.fresh_head(LONGEST_SILENCE)) else {
-            return Err(RelayError::Silent("no recent block from the chain".to_owned()));
-        };
-        let asker = if caller.is_some() { Asker::Registered } else { Asker::Visitor };
-        match examine(Ground { pin: &pin, head: head.number }, asker, method, parameters)? {
-            Passed::Read(parameters) => network.chain.relay(method, &parameters).await,
-            Passed::NoLogs => Ok(json!([])),
-            Passed::Estimate { from, registers } => {
-                let known = || from.is_some_and(|from| self.may_send(&network, &from));
-                if caller.is_none() && registers.is_none() && !known() {
-                    return Err(RelayError::NotAllowed);
-                }
-                network.chain.relay(method, parameters).await
-            }
-            Passed::Transaction { sender, registers } => {
-                if caller.is_none() {
-                    self.check_sender(&network, sender, registers)?;
-                }
-                network.chain.relay(method, parameters).await
-            }
-        }
-    }
-
-    /// A transaction proves its own sender: without a transport key, admitted accounts may send one, and a newcomer its
-    /// registration.
-    fn check_sender(
-        &self,
-        network: &Network,
-        sender: Address,
-        registers: Option<Box<Identity>>,
-    ) -> Result<(), RelayError> {
-        if let Some(identity) = registers {
-            return check_identity(self.gateway.parts.plant.provider, &self.place.domain, &sender, &identity)
-                .map_err(|_| rejected("the identity being registered is not proven by its own keys"));
-        }
-        if self.may_send(network, &sender) {
-            return Ok(());
-        }
-        Err(rejected(
-            "a visitor may only send its registration; ask the gateway's operator to admit this account first",
-        ))
-    }
-
-    fn may_send(&self, network: &Network, account: &Address) -> bool {
-        let known =
-            network.directory.account(*account).is_some() && !authority::is_suspended(&network.directory, *account);
-        known && self.standing_of(network, account).is_ok()
-    }
 }
 
 #[cfg(test)]

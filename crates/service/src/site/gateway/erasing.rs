@@ -147,19 +147,7 @@ impl GatewayDesk {
             Err(error) => Err(Refusal::new(Code::Internal, error)),
         }
     }
-}
 
-/// Refusals of the intake are the owner's fault.
-pub fn not_taken(reason: &Reason, detail: impl fmt::Display) -> Refusal {
-    let code = match reason {
-        Reason::Crypto(_) => Code::Signature,
-        Reason::Number => Code::Malformed,
-        _ => Code::Tampered,
-    };
-    Refusal::new(code, detail)
-}
-
-impl GatewayDesk {
     /// The remains of a readable record that its owner had erased.
     pub fn erased(&self, caller: &Caller, digest: &Digest) -> Result<ErasedRecord, Refusal> {
         let plant = &self.gateway.parts.plant;
@@ -207,6 +195,16 @@ impl GatewayDesk {
         plant.ledger.erasures.keep(vec![stated]).map_err(Refusal::internal)?;
         Ok(Some(statement))
     }
+}
+
+/// Refusals of the intake are the owner's fault.
+pub fn not_taken(reason: &Reason, detail: impl fmt::Display) -> Refusal {
+    let code = match reason {
+        Reason::Crypto(_) => Code::Signature,
+        Reason::Number => Code::Malformed,
+        _ => Code::Tampered,
+    };
+    Refusal::new(code, detail)
 }
 
 #[cfg(test)]

@@ -208,15 +208,7 @@ impl Gateway {
             .await
             .map_err(|error| input(format!("the gateway cannot listen at {address}: {error}; choose another --listen")))
     }
-}
 
-pub struct Serving {
-    pub view: GatewayView,
-    pub watch: ServerWatch,
-    pub under: KeptUnder,
-}
-
-impl Gateway {
     /// The keys that encrypt the transport keys of this owner's gateway here.
     pub fn kept_under(&self, owner: &Owner) -> Option<KeptUnder> {
         let serving = self.serving();
@@ -255,6 +247,12 @@ impl Gateway {
             refused,
         })
     }
+}
+
+pub struct Serving {
+    pub view: GatewayView,
+    pub watch: ServerWatch,
+    pub under: KeptUnder,
 }
 
 /// Every bound name with the sum of its sessions; connected ones first.

@@ -21,6 +21,9 @@ use crate::store::{self, FeedFilter, FeedPlace, FeedRow, RecordRow};
 /// [`GatewayDesk::fresh_network`].
 pub(super) const LONGEST_SILENCE: Duration = Duration::from_secs(30);
 
+/// Bytes of records per answer, unless a single one is larger.
+const MOST_BYTES: usize = 4 * 1024 * 1024;
+
 fn not_authorised(owner: &Address, reader: &Address) -> Refusal {
     Refusal::new(Code::NotAuthorised, format_args!("{reader} has no grant of {owner}"))
 }
@@ -126,12 +129,7 @@ impl GatewayDesk {
         }
         Ok(row)
     }
-}
 
-/// Bytes of records per answer, unless a single one is larger.
-const MOST_BYTES: usize = 4 * 1024 * 1024;
-
-impl GatewayDesk {
     /// Requested owners whose records the reader may have now.
     pub fn followed(&self, reader: &Address, asked: &Feed) -> Result<Vec<Address>, Refusal> {
         let network = self.fresh_network()?;

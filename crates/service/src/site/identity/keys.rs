@@ -22,6 +22,11 @@ use crate::site::blocking;
 use crate::store::notes::ProfileAccounts;
 use crate::store::{RecordQuery, StoreError};
 
+/// Longest wait for records signed by the old signing key.
+const DRAIN: Duration = Duration::from_secs(60);
+const LOOK: Duration = Duration::from_millis(250);
+const PAGE: usize = 1000;
+
 impl Profiles {
     pub async fn keys(&self, owner: &Arc<Owner>) -> Result<KeysView, Failure> {
         let (signing, envelope) = owner.public_keys();
@@ -181,20 +186,7 @@ impl Profiles {
             }
         }
     }
-}
 
-/// Longest wait for records signed by the old signing key.
-const DRAIN: Duration = Duration::from_secs(60);
-const LOOK: Duration = Duration::from_millis(250);
-const PAGE: usize = 1000;
-
-#[derive(Default)]
-pub struct NewPairs {
-    pub signing: Option<SmKeyPair>,
-    pub envelope: Option<SmKeyPair>,
-}
-
-impl Profiles {
     /// Replaces pairs; on the chain too if `network` is given.
     pub async fn change_pairs(
         &self,
@@ -434,3 +426,10 @@ impl Profiles {
         Ok(pending)
     }
 }
+
+#[derive(Default)]
+pub struct NewPairs {
+    pub signing: Option<SmKeyPair>,
+    pub envelope: Option<SmKeyPair>,
+}
+

@@ -34,6 +34,12 @@ use crate::store::notes::ProfileAccounts;
 /// Longest wait for the chain's word about a locked keyring's identity.
 const LOCKED: Duration = Duration::from_secs(3);
 
+type Accounts = BTreeMap<ProfileName, Vec<Address>>;
+/// Pause before retrying to anchor what a former key signed.
+const DRAIN_AGAIN: Duration = Duration::from_secs(10);
+/// How long a running change may delay the locking.
+const PATIENCE: Duration = Duration::from_secs(10);
+
 pub struct Profiles {
     pub parts: Parts,
     pub connection: Arc<Connection>,
@@ -226,46 +232,7 @@ impl Profiles {
         }
         Ok(view)
     }
-}
 
-type Accounts = BTreeMap<ProfileName, Vec<Address>>;
-
-pub(crate) fn keyring_faults(home: &Home, known: &Accounts) -> Vec<(ProfileName, String)> {
-    let fault = |(profile, accounts): (&ProfileName, &Vec<Address>)| {
-        Some((profile.clone(), keyring_fault(home, profile, accounts)?))
-    };
-    known.iter().filter_map(fault).collect()
-}
-
-fn keyring_fault(home: &Home, profile: &ProfileName, accounts: &[Address]) -> Option<String> {
-    let named: Vec<String> = accounts.iter().map(ToString::to_string).collect();
-    let account = named.join(" or ");
-    let path = home.keyring(profile);
-    if !path.exists() {
-        return Some(format!(
-            "the keyring of profile '{profile}', account {account}, is gone, and its records open with nothing else: put a \
-             copy of {} back or restore a backup (`authros restore FILE`); for another account use another --profile",
-            path.display()
-        ));
-    }
-    match read_public(&path) {
-        Ok(public) if accounts.contains(&public.address) => None,
-        Ok(public) => Some(format!(
-            "{} is the keyring of account {}, and profile '{profile}' of this home has account {account}: put its own \
-             keyring back, or use another --profile for the other account",
-            path.display(),
-            public.address
-        )),
-        Err(error) => Some(format!("the keyring of profile '{profile}', account {account}: {error}")),
-    }
-}
-
-/// Pause before retrying to anchor what a former key signed.
-const DRAIN_AGAIN: Duration = Duration::from_secs(10);
-/// How long a running change may delay the locking.
-const PATIENCE: Duration = Duration::from_secs(10);
-
-impl Profiles {
     /// Wipes the keys for reading, granting and revoking. Waits a moment for a running change of epochs or grants,
     /// which needs them.
     pub async fn lock(self: &Arc<Self>, profile: &ProfileName) -> Result<IdentityView, Failure> {
@@ -297,9 +264,7 @@ impl Profiles {
         let bytes = self.parts.log.deed(profile, "back up keys", "keyring", blocking(self, read)).await?;
         Ok(SecretBytes::new(bytes))
     }
-}
 
-impl Profiles {
     /// Registers the owner's identity; sends nothing if the chain has it.
     pub async fn register(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<IdentityView, Failure> {
         let network = self.connection.network_or_deploy(owner).await?;
@@ -389,6 +354,36 @@ impl Profiles {
             self.parts.hub.inform(&text);
         }
         Ok(())
+    }
+}
+
+pub(crate) fn keyring_faults(home: &Home, known: &Accounts) -> Vec<(ProfileName, String)> {
+    let fault = |(profile, accounts): (&ProfileName, &Vec<Address>)| {
+        Some((profile.clone(), keyring_fault(home, profile, accounts)?))
+    };
+    known.iter().filter_map(fault).collect()
+}
+
+fn keyring_fault(home: &Home, profile: &ProfileName, accounts: &[Address]) -> Option<String> {
+    let named: Vec<String> = accounts.iter().map(ToString::to_string).collect();
+    let account = named.join(" or ");
+    let path = home.keyring(profile);
+    if !path.exists() {
+        return Some(format!(
+            "the keyring of profile '{profile}', account {account}, is gone, and its records open with nothing else: put a \
+             copy of {} back or restore a backup (`authros restore FILE`); for another account use another --profile",
+            path.display()
+        ));
+    }
+    match read_public(&path) {
+        Ok(public) if accounts.contains(&public.address) => None,
+        Ok(public) => Some(format!(
+            "{} is the keyring of account {}, and profile '{profile}' of this home has account {account}: put its own \
+             keyring back, or use another --profile for the other account",
+            path.display(),
+            public.address
+        )),
+        Err(error) => Some(format!("the keyring of profile '{profile}', account {account}: {error}")),
     }
 }
 

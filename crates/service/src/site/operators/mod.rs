@@ -27,6 +27,11 @@ use crate::socket;
 /// How long a looked-up standing counts.
 const FRESH: Duration = Duration::from_secs(1);
 
+const LOOK: Duration = Duration::from_secs(1);
+const AGAIN: Duration = Duration::from_secs(5);
+/// The group may connect; the settings say what each user may do.
+const MODE: u32 = 0o660;
+
 #[derive(Clone, Default)]
 pub(crate) enum Asker {
     #[default]
@@ -90,86 +95,7 @@ impl Operators {
     fn count(&self, user: &dyn std::fmt::Display, word: &str) {
         let _first = self.parts.log.refused(&format!("user {user}"), word);
     }
-}
 
-impl Site {
-    /// Refuses everybody but the home's owner, even root.
-    pub(crate) fn check_owner(&self, uid: u32) -> Result<(), Failure> {
-        let root = self.home().root();
-        let owner = std::fs::metadata(root).map_err(|error| {
-            Failure::new(ErrorKind::Home, format!("the owner of {} is not known: {error}", root.display()))
-        })?;
-        if owner.uid() == uid {
-            return Ok(());
-        }
-        self.operators.count(&uid, "not the owner");
-        Err(refused(format!(
-            "{} belongs to user {}, and only that user may use its socket, not user {uid} nor root; operators connect to \
-             operators.socket with --site-socket",
-            root.display(),
-            owner.uid()
-        )))
-    }
-
-    pub(crate) async fn admit_operator(&self, uid: u32) -> Result<Arc<Operator>, Failure> {
-        self.operators.admit(uid).await
-    }
-
-    /// Refuses a request that carries a passphrase, which nothing has read.
-    pub(crate) fn refuse_passphrase(&self, operator: &Operator, profile: &ProfileName) -> Failure {
-        self.operators.count_refused(operator, profile, Needed::Passphrase);
-        refused("an operator sends no passphrase, so the site reads none here; its owner does this")
-    }
-}
-
-const LOOK: Duration = Duration::from_secs(1);
-
-pub(crate) enum Heard {
-    Event(Event),
-    /// Nothing more is sent, and why.
-    Ended(Failure),
-}
-
-impl Site {
-    /// Sends events until `tell` says that nobody listens, or the operator may not hear them.
-    pub(crate) async fn tell_events(self: Arc<Self>, claims: Claims, tell: impl Fn(Heard) -> bool + Send) {
-        let mut events = self.events();
-        loop {
-            let event = tokio::select! {
-                goes_on = self.parts.life.beat(LOOK), if matches!(claims.asker, Asker::Operator(_)) => {
-                    if goes_on { None } else { return }
-                }
-                event = events.recv() => match event {
-                    Ok(event) => Some(event),
-                    Err(RecvError::Lagged(_)) => continue,
-                    Err(RecvError::Closed) => return,
-                },
-            };
-            if let Asker::Operator(operator) = &claims.asker
-                && let Some(refusal) = self.operators.why_not(operator, Needed::Right(OperatorRight::Look)).await
-            {
-                tell(Heard::Ended(refusal));
-                return;
-            }
-            if let Some(event) = event
-                && !tell(Heard::Event(event))
-            {
-                return;
-            }
-        }
-    }
-}
-
-impl Site {
-    /// Answers an allowed request; an operator is named in each resulting audit line.
-    pub(in crate::site) async fn answer(self: &Arc<Self>, request: Request, claims: &Claims) -> Result<Reply, Failure> {
-        let Asker::Operator(operator) = &claims.asker else { return self.handle(request, claims).await };
-        self.operators.judge(operator, &request.profile, request.command.needs()).await?;
-        acting_as(operator.name.clone(), Box::pin(self.handle(request, claims))).await
-    }
-}
-
-impl Operators {
     async fn judge(
         self: &Arc<Self>,
         operator: &Operator,
@@ -208,25 +134,70 @@ impl Operators {
     }
 }
 
-/// Why these rights do not allow this; `None` if they do.
-fn why_not(name: &OperatorName, rights: &OperatorRights, needed: Needed) -> Option<String> {
-    match needed {
-        Needed::Right(right) if rights.has(right) => None,
-        Needed::Right(right) => Some(format!(
-            "this needs the right '{}', and user '{name}' has {rights}; ask the owner of this site",
-            right.word()
-        )),
-        Needed::Owner | Needed::Passphrase => {
-            Some(format!("only the owner of this site may do this, and user '{name}' is an operator with {rights}"))
+impl Site {
+    /// Refuses everybody but the home's owner, even root.
+    pub(crate) fn check_owner(&self, uid: u32) -> Result<(), Failure> {
+        let root = self.home().root();
+        let owner = std::fs::metadata(root).map_err(|error| {
+            Failure::new(ErrorKind::Home, format!("the owner of {} is not known: {error}", root.display()))
+        })?;
+        if owner.uid() == uid {
+            return Ok(());
+        }
+        self.operators.count(&uid, "not the owner");
+        Err(refused(format!(
+            "{} belongs to user {}, and only that user may use its socket, not user {uid} nor root; operators connect to \
+             operators.socket with --site-socket",
+            root.display(),
+            owner.uid()
+        )))
+    }
+
+    pub(crate) async fn admit_operator(&self, uid: u32) -> Result<Arc<Operator>, Failure> {
+        self.operators.admit(uid).await
+    }
+
+    /// Refuses a request that carries a passphrase, which nothing has read.
+    pub(crate) fn refuse_passphrase(&self, operator: &Operator, profile: &ProfileName) -> Failure {
+        self.operators.count_refused(operator, profile, Needed::Passphrase);
+        refused("an operator sends no passphrase, so the site reads none here; its owner does this")
+    }
+
+    /// Sends events until `tell` says that nobody listens, or the operator may not hear them.
+    pub(crate) async fn tell_events(self: Arc<Self>, claims: Claims, tell: impl Fn(Heard) -> bool + Send) {
+        let mut events = self.events();
+        loop {
+            let event = tokio::select! {
+                goes_on = self.parts.life.beat(LOOK), if matches!(claims.asker, Asker::Operator(_)) => {
+                    if goes_on { None } else { return }
+                }
+                event = events.recv() => match event {
+                    Ok(event) => Some(event),
+                    Err(RecvError::Lagged(_)) => continue,
+                    Err(RecvError::Closed) => return,
+                },
+            };
+            if let Asker::Operator(operator) = &claims.asker
+                && let Some(refusal) = self.operators.why_not(operator, Needed::Right(OperatorRight::Look)).await
+            {
+                tell(Heard::Ended(refusal));
+                return;
+            }
+            if let Some(event) = event
+                && !tell(Heard::Event(event))
+            {
+                return;
+            }
         }
     }
-}
 
-const AGAIN: Duration = Duration::from_secs(5);
-/// The group may connect; the settings say what each user may do.
-const MODE: u32 = 0o660;
+    /// Answers an allowed request; an operator is named in each resulting audit line.
+    pub(in crate::site) async fn answer(self: &Arc<Self>, request: Request, claims: &Claims) -> Result<Reply, Failure> {
+        let Asker::Operator(operator) = &claims.asker else { return self.handle(request, claims).await };
+        self.operators.judge(operator, &request.profile, request.command.needs()).await?;
+        acting_as(operator.name.clone(), Box::pin(self.handle(request, claims))).await
+    }
 
-impl Site {
     pub(in crate::site) async fn serve_operators(self: Arc<Self>) {
         let settings = &self.config().operators;
         let Some(path) = &settings.socket else { return };
@@ -246,6 +217,26 @@ impl Site {
                 }
             }
             self.parts.life.rest(AGAIN).await;
+        }
+    }
+}
+
+pub(crate) enum Heard {
+    Event(Event),
+    /// Nothing more is sent, and why.
+    Ended(Failure),
+}
+
+/// Why these rights do not allow this; `None` if they do.
+fn why_not(name: &OperatorName, rights: &OperatorRights, needed: Needed) -> Option<String> {
+    match needed {
+        Needed::Right(right) if rights.has(right) => None,
+        Needed::Right(right) => Some(format!(
+            "this needs the right '{}', and user '{name}' has {rights}; ask the owner of this site",
+            right.word()
+        )),
+        Needed::Owner | Needed::Passphrase => {
+            Some(format!("only the owner of this site may do this, and user '{name}' is an operator with {rights}"))
         }
     }
 }

@@ -26,6 +26,10 @@ use crate::ros::recording::{Beside, BesideContent};
 use crate::store::notes::Enrolled;
 use crate::store::{Coverage, CoverageQuery};
 
+const MOST_PARTS: usize = 1_000;
+/// Fewest characters of an id.
+const SHORTEST: usize = 8;
+
 pub(in crate::site) struct Reading {
     parts: Parts,
     contacts: Arc<Contacts>,
@@ -60,13 +64,7 @@ impl Reading {
     pub fn forget(&self) {
         self.heads.forget();
     }
-}
 
-const MOST_PARTS: usize = 1_000;
-/// Fewest characters of an id.
-const SHORTEST: usize = 8;
-
-impl Reading {
     /// A time span of one of the profile's topics, in parts, according to the ledger; needs no passphrase.
     pub async fn coverage(
         &self,

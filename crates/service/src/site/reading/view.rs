@@ -20,6 +20,11 @@ use crate::store::{FilterChoice, RecordQuery, RecordRow};
 /// Characters; ROS names are shorter.
 const WIDEST: usize = 255;
 
+/// Records of a stream opened to learn its names: among a stolen robot's, some are false.
+const TRIES: usize = 8;
+/// Records not opened again for their names.
+const MOST_NAMELESS: usize = 8192;
+
 pub(in crate::site) struct OwnKeys(HashMap<Address, Arc<Owner>>);
 
 impl OwnKeys {
@@ -67,61 +72,7 @@ impl Reading {
         let shown = self.compared(vec![row.clone()], keys, &[])?.into_iter().next();
         Ok(shown.unwrap_or_else(|| Shown::unread(row.clone())))
     }
-}
 
-/// `with_owner` for lists of other owners' records.
-pub(in crate::site) fn record_view(shown: &Shown, with_owner: bool) -> RecordView {
-    let row = &shown.row;
-    RecordView {
-        id: row.id.clone(),
-        owner: with_owner.then_some(row.owner),
-        owner_name: None,
-        seq: row.seq,
-        topic: clean(&row.topic, WIDEST),
-        type_name: clean(&row.type_name, WIDEST),
-        kind: row.kind,
-        state: shown.state(),
-        digest: row.digest,
-        bytes: row.bytes,
-        captured_at: row.captured_at,
-        epoch: row.epoch,
-        simulated: row.simulated,
-        transaction: row.transaction,
-        block: row.block,
-        compared: shown.compared,
-        differs: shown.differs.map(str::to_owned),
-        erased: None,
-    }
-}
-
-pub fn record_page(rows: &[Shown], next: Option<String>, with_owner: bool) -> RecordPage {
-    let records = rows.iter().map(|row| record_view(row, with_owner)).collect();
-    RecordPage { records, next, arriving: None }
-}
-
-/// Captured messages unless another kind is requested.
-pub(in crate::site) fn record_query(query: UploadQuery) -> RecordQuery {
-    RecordQuery {
-        topic: query.topic.map(|topic| topic.to_string()),
-        type_name: query.type_name.map(|name| name.to_string()),
-        words: query.words,
-        kind: Some(query.kind.unwrap_or(RecordKind::Data)),
-        state: query.state,
-        since: query.since,
-        until: query.until,
-        after: query.after,
-        limit: query.limit.clamp(1, 1000),
-        newest_first: query.newest_first,
-        ..RecordQuery::default()
-    }
-}
-
-/// Records of a stream opened to learn its names: among a stolen robot's, some are false.
-const TRIES: usize = 8;
-/// Records not opened again for their names.
-const MOST_NAMELESS: usize = 8192;
-
-impl Reading {
     /// Learns the names of the profile's own topics: robots' records arrive without.
     pub async fn learn_own_names(&self, profile: &ProfileName) -> Result<(), Failure> {
         let owner = self.parts.owners.get(profile).filter(|owner| !owner.is_locked());
@@ -199,3 +150,51 @@ impl Reading {
         nameless.insert(tried);
     }
 }
+
+/// `with_owner` for lists of other owners' records.
+pub(in crate::site) fn record_view(shown: &Shown, with_owner: bool) -> RecordView {
+    let row = &shown.row;
+    RecordView {
+        id: row.id.clone(),
+        owner: with_owner.then_some(row.owner),
+        owner_name: None,
+        seq: row.seq,
+        topic: clean(&row.topic, WIDEST),
+        type_name: clean(&row.type_name, WIDEST),
+        kind: row.kind,
+        state: shown.state(),
+        digest: row.digest,
+        bytes: row.bytes,
+        captured_at: row.captured_at,
+        epoch: row.epoch,
+        simulated: row.simulated,
+        transaction: row.transaction,
+        block: row.block,
+        compared: shown.compared,
+        differs: shown.differs.map(str::to_owned),
+        erased: None,
+    }
+}
+
+pub fn record_page(rows: &[Shown], next: Option<String>, with_owner: bool) -> RecordPage {
+    let records = rows.iter().map(|row| record_view(row, with_owner)).collect();
+    RecordPage { records, next, arriving: None }
+}
+
+/// Captured messages unless another kind is requested.
+pub(in crate::site) fn record_query(query: UploadQuery) -> RecordQuery {
+    RecordQuery {
+        topic: query.topic.map(|topic| topic.to_string()),
+        type_name: query.type_name.map(|name| name.to_string()),
+        words: query.words,
+        kind: Some(query.kind.unwrap_or(RecordKind::Data)),
+        state: query.state,
+        since: query.since,
+        until: query.until,
+        after: query.after,
+        limit: query.limit.clamp(1, 1000),
+        newest_first: query.newest_first,
+        ..RecordQuery::default()
+    }
+}
+

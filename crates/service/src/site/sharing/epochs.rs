@@ -20,6 +20,8 @@ use crate::service::reply::{Failure, TransactionView};
 /// Keeps a `wrap` transaction below 32 KB.
 const ENVELOPES_A_CALL: usize = 8;
 
+const MOST_NAMED: usize = 8;
+
 impl Sharing {
     pub async fn rotate(&self, owner: &Arc<Owner>, why: &str) -> Result<TransactionView, Failure> {
         let network = self.parts.link.network().await?;
@@ -229,42 +231,7 @@ impl Sharing {
         let wrapped = WrappedKeys { terms, keys };
         Ok(wrap(self.parts.plant.provider, &network.domain, &wrapped, &owner.signing(), &reader.envelope)?)
     }
-}
 
-const MOST_NAMED: usize = 8;
-
-#[derive(Default)]
-pub(in crate::site) struct Missing {
-    epochs: BTreeMap<ProfileName, Lack>,
-    /// Why the chain's newer SM2 pairs are not in the keyring, or the keyring's not on the chain.
-    pairs: BTreeMap<ProfileName, String>,
-    /// The chain has an earlier epoch than before.
-    back: BTreeMap<ProfileName, String>,
-}
-
-struct Lack {
-    epochs: Vec<u64>,
-    /// The current epoch is among them: nothing is sealed then.
-    current: bool,
-    /// The chain's newest event at that time.
-    seen: u64,
-}
-
-impl Lack {
-    fn text(&self, profile: &ProfileName) -> String {
-        let named: Vec<String> = self.epochs.iter().take(MOST_NAMED).map(ToString::to_string).collect();
-        let more = if self.epochs.len() > MOST_NAMED { ", ..." } else { "" };
-        let sealed = if self.current { " and nothing new is sealed" } else { "" };
-        let rotate = if self.current { ", or seal under a new epoch with `authros keys rotate`" } else { "" };
-        format!(
-            "the keyring of '{profile}' lacks the keys of epochs {}{more}: their records cannot be opened here{sealed}; \
-             the chain does not return them to these keys, so restore a newer backup of the keyring{rotate}",
-            named.join(", ")
-        )
-    }
-}
-
-impl Sharing {
     fn missing(&self) -> MutexGuard<'_, Missing> {
         self.missing.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -385,3 +352,35 @@ impl Sharing {
         (!texts.is_empty()).then(|| texts.join("; "))
     }
 }
+
+#[derive(Default)]
+pub(in crate::site) struct Missing {
+    epochs: BTreeMap<ProfileName, Lack>,
+    /// Why the chain's newer SM2 pairs are not in the keyring, or the keyring's not on the chain.
+    pairs: BTreeMap<ProfileName, String>,
+    /// The chain has an earlier epoch than before.
+    back: BTreeMap<ProfileName, String>,
+}
+
+struct Lack {
+    epochs: Vec<u64>,
+    /// The current epoch is among them: nothing is sealed then.
+    current: bool,
+    /// The chain's newest event at that time.
+    seen: u64,
+}
+
+impl Lack {
+    fn text(&self, profile: &ProfileName) -> String {
+        let named: Vec<String> = self.epochs.iter().take(MOST_NAMED).map(ToString::to_string).collect();
+        let more = if self.epochs.len() > MOST_NAMED { ", ..." } else { "" };
+        let sealed = if self.current { " and nothing new is sealed" } else { "" };
+        let rotate = if self.current { ", or seal under a new epoch with `authros keys rotate`" } else { "" };
+        format!(
+            "the keyring of '{profile}' lacks the keys of epochs {}{more}: their records cannot be opened here{sealed}; \
+             the chain does not return them to these keys, so restore a newer backup of the keyring{rotate}",
+            named.join(", ")
+        )
+    }
+}
+

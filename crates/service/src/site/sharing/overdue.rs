@@ -22,6 +22,9 @@ const FORESIGHT: u64 = 60_000_000_000;
 
 const LONGEST_REST: Duration = Duration::from_secs(8);
 
+/// Time for the watcher to see the transactions of a first attempt.
+const PATIENCE: Duration = Duration::from_secs(30);
+
 impl Sharing {
     /// Prepares the next epoch if a grant that covers the current one runs out soon or already did: from that moment
     /// records are sealed under the next, even if the chain is away. `also` is an expiry not on the chain yet.
@@ -143,16 +146,7 @@ impl Sharing {
         };
         self.parts.plant.ledger.notes.change(&Revoking { owner: owner.address }, changed)
     }
-}
 
-/// First expiry of the grants that cover an epoch.
-pub(in crate::site) fn earliest_expiry(owner: &Owner, network: &Network, epoch: u64) -> Option<Timestamp> {
-    let grants = network.directory.grants_of(owner.address);
-    let covering = grants.iter().filter(|grant| grant.is_wrapped(epoch));
-    covering.filter_map(Granted::expiry).min()
-}
-
-impl Sharing {
     /// Sends what the chain is owed; retries with growing pauses.
     pub async fn keep_settled(self: Arc<Self>) {
         let mut resting: HashMap<Address, (Instant, Duration)> = HashMap::new();
@@ -174,12 +168,7 @@ impl Sharing {
             }
         }
     }
-}
 
-/// Time for the watcher to see the transactions of a first attempt.
-const PATIENCE: Duration = Duration::from_secs(30);
-
-impl Sharing {
     /// Stops sharing with an account. What it has read cannot be recalled.
     pub async fn revoke(&self, owner: &Arc<Owner>, grantee: Address) -> Result<TransactionView, Failure> {
         let network = self.parts.link.network().await?;
@@ -245,6 +234,13 @@ impl Sharing {
         let view = TransactionView { transaction: None, block: None, epoch, text: String::new() };
         Ok(told(grantee, view))
     }
+}
+
+/// First expiry of the grants that cover an epoch.
+pub(in crate::site) fn earliest_expiry(owner: &Owner, network: &Network, epoch: u64) -> Option<Timestamp> {
+    let grants = network.directory.grants_of(owner.address);
+    let covering = grants.iter().filter(|grant| grant.is_wrapped(epoch));
+    covering.filter_map(Granted::expiry).min()
 }
 
 fn told(grantee: Address, view: TransactionView) -> TransactionView {

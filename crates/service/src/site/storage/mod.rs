@@ -19,6 +19,19 @@ use crate::store::files::free_bytes;
 use crate::store::notes::StoreWasGone;
 use crate::store::{Ledger, Reserve, StoreError};
 
+/// Shortest and longest interval between looks at the disk.
+const LOOKS: (Duration, Duration) = (Duration::from_millis(250), Duration::from_secs(2));
+/// Assumed fastest fill rate of a disk, bytes a second.
+const FASTEST: u64 = 1 << 30;
+/// Bytes set aside for states; each takes a few hundred.
+const MOST_FOR_STATES: u64 = 4 << 20;
+/// With less free space, what is set aside is released.
+const LAST: u64 = 512 << 10;
+/// Records re-read from the store: a crash can only have touched what was written last.
+const NEWEST: usize = 256;
+/// Time for the process that started the site to listen.
+const LISTENING: Duration = Duration::from_millis(500);
+
 pub(in crate::site) struct Storage {
     parts: Parts,
     /// Space for the states of records on a full disk.
@@ -43,56 +56,7 @@ impl Storage {
             seen: (AtomicU64::new(0), AtomicU64::new(0)),
         }
     }
-}
 
-/// Shortest and longest interval between looks at the disk.
-const LOOKS: (Duration, Duration) = (Duration::from_millis(250), Duration::from_secs(2));
-/// Assumed fastest fill rate of a disk, bytes a second.
-const FASTEST: u64 = 1 << 30;
-/// Bytes set aside for states; each takes a few hundred.
-const MOST_FOR_STATES: u64 = 4 << 20;
-/// With less free space, what is set aside is released.
-const LAST: u64 = 512 << 10;
-
-/// The ledger of a home, if need be with the space set aside for states. The second value: the home is a copy.
-pub(in crate::site) fn open_ledger(home: &Home) -> Result<(Ledger, bool), StoreError> {
-    if home.original().is_some() {
-        // A read-only home records nothing, so it needs no recorder of its own.
-        return Ok((Ledger::open(&home.ledger())?, false));
-    }
-    let missed = misses_store(home);
-    let opened = match Ledger::open_in_place(&home.ledger()) {
-        Err(StoreError::DiskFull { .. }) if std::fs::remove_file(home.working_reserve()).is_ok() => {
-            Ledger::open_in_place(&home.ledger())
-        }
-        opened => opened,
-    }?;
-    if missed {
-        opened.0.notes.write(&StoreWasGone {}, &Timestamp::now())?;
-    }
-    Ok(opened)
-}
-
-/// Whether a home without a store must have had one: it has keys or an embedded chain.
-pub(crate) fn misses_store(home: &Home) -> bool {
-    !home.ledger().exists() && (home.chain().join("chain.db").exists() || !home.profiles().is_empty())
-}
-
-/// What is wrong with a store that replaced a lost one, until it is bound to a contract.
-pub(crate) fn store_loss(home: &Home, missed: Timestamp) -> String {
-    format!("{} was gone at {missed}, and its records with it", home.ledger().display())
-}
-
-pub(crate) const STORE_LOST: &str =
-    "restore the last backup: authros restore FILE; without one, name the contract with --contract";
-
-/// Sets space aside for states, never leaving less than the reserve itself.
-pub(in crate::site) fn working_reserve(home: &Home, reserve: u64) -> Reserve {
-    // Without space now, it is tried again later.
-    Reserve::open(&home.working_reserve(), reserve.min(MOST_FOR_STATES)).0
-}
-
-impl Storage {
     /// Watches the free space on the disk, and the cache.
     pub async fn keep_room(self: Arc<Self>) {
         let (mut held, mut pause, mut away) = (None, LOOKS.0, None);
@@ -150,15 +114,7 @@ impl Storage {
         let unbound = missed.is_some() && network_pin(&ledger.rights)?.is_none();
         Ok(missed.filter(|_| unbound).map(|missed| format!("{}; {STORE_LOST}", store_loss(&self.parts.home, missed))))
     }
-}
 
-/// Records re-read from the store: a crash can only have touched what was written last.
-const NEWEST: usize = 256;
-
-/// Time for the process that started the site to listen.
-const LISTENING: Duration = Duration::from_millis(500);
-
-impl Storage {
     pub async fn tell_of_copy(self: Arc<Self>) {
         let text = "this home is a copy: its ledger is not the file it was when last used. New records are numbered \
                     under a new recorder; do not run it at the same time as the original";
@@ -190,6 +146,44 @@ impl Storage {
             }
         }
     }
+}
+
+/// The ledger of a home, if need be with the space set aside for states. The second value: the home is a copy.
+pub(in crate::site) fn open_ledger(home: &Home) -> Result<(Ledger, bool), StoreError> {
+    if home.original().is_some() {
+        // A read-only home records nothing, so it needs no recorder of its own.
+        return Ok((Ledger::open(&home.ledger())?, false));
+    }
+    let missed = misses_store(home);
+    let opened = match Ledger::open_in_place(&home.ledger()) {
+        Err(StoreError::DiskFull { .. }) if std::fs::remove_file(home.working_reserve()).is_ok() => {
+            Ledger::open_in_place(&home.ledger())
+        }
+        opened => opened,
+    }?;
+    if missed {
+        opened.0.notes.write(&StoreWasGone {}, &Timestamp::now())?;
+    }
+    Ok(opened)
+}
+
+/// Whether a home without a store must have had one: it has keys or an embedded chain.
+pub(crate) fn misses_store(home: &Home) -> bool {
+    !home.ledger().exists() && (home.chain().join("chain.db").exists() || !home.profiles().is_empty())
+}
+
+/// What is wrong with a store that replaced a lost one, until it is bound to a contract.
+pub(crate) fn store_loss(home: &Home, missed: Timestamp) -> String {
+    format!("{} was gone at {missed}, and its records with it", home.ledger().display())
+}
+
+pub(crate) const STORE_LOST: &str =
+    "restore the last backup: authros restore FILE; without one, name the contract with --contract";
+
+/// Sets space aside for states, never leaving less than the reserve itself.
+pub(in crate::site) fn working_reserve(home: &Home, reserve: u64) -> Reserve {
+    // Without space now, it is tried again later.
+    Reserve::open(&home.working_reserve(), reserve.min(MOST_FOR_STATES)).0
 }
 
 fn contradictions(plant: &Plant) -> Result<Vec<String>, Failure> {

@@ -23,6 +23,11 @@ const LOOK: Duration = Duration::from_secs(1);
 /// Looks between learning names: robots' records arrive without the names that rules use.
 const LEARN: u32 = 10;
 
+const MOST: usize = 100_000;
+const PAGE: usize = 10_000;
+/// Interval of the checks whether the bytes are gone, and their number.
+const ERASING_LOOK: (Duration, u32) = (Duration::from_millis(500), 240);
+
 impl Storage {
     pub async fn keep_retention(self: Arc<Self>) {
         let keeping = self.parts.config.keeping();
@@ -111,22 +116,7 @@ impl Storage {
         }
         Ok(())
     }
-}
 
-const MOST: usize = 100_000;
-const PAGE: usize = 10_000;
-/// Interval of the checks whether the bytes are gone, and their number.
-const ERASING_LOOK: (Duration, u32) = (Duration::from_millis(500), 240);
-
-/// Said with every erasure.
-const STAYS: [&str; 4] = [
-    "copies that readers have fetched",
-    "backups, exports and evidence bundles made before",
-    "a robot's own disk, until its copies leave by outbox.keep or fall out of its ring",
-    "the files of a Redis cache, until its server rewrites them, and what a disk keeps of overwritten blocks",
-];
-
-impl Storage {
     /// Shows what would be erased, or erases it.
     pub async fn erase(&self, owner: &Arc<Owner>, wishes: ErasureWishes) -> Result<ErasureView, Failure> {
         let reason = clean(wishes.reason.trim(), LONGEST_REASON);
@@ -190,6 +180,14 @@ impl Storage {
         Ok(true)
     }
 }
+
+/// Said with every erasure.
+const STAYS: [&str; 4] = [
+    "copies that readers have fetched",
+    "backups, exports and evidence bundles made before",
+    "a robot's own disk, until its copies leave by outbox.keep or fall out of its ring",
+    "the files of a Redis cache, until its server rewrites them, and what a disk keeps of overwritten blocks",
+];
 
 fn chosen(reader: &Reader<'_>, wishes: &ErasureWishes) -> Result<Vec<RecordRow>, Failure> {
     let (ledger, owner) = (&reader.plant.ledger, reader.reader.address);
