@@ -94,7 +94,8 @@ pub fn unknown(rules: &[OperatorRule]) -> Result<Vec<String>, AccountError> {
             Whom::Group(name) => (group(name)?.is_some(), "group", "group", name),
         };
         if !is_known {
-            lines.push(format!("{place}: this machine has no {what} '{name}'; correct the name, or create the {thing}"));
+            lines
+                .push(format!("{place}: this machine has no {what} '{name}'; correct the name, or create the {thing}"));
         }
     }
     Ok(lines)

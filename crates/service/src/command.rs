@@ -8,10 +8,7 @@ mod wishes;
 pub use self::ask::Ask;
 pub use self::filter::Term;
 pub use self::right::{Kind, Needed};
-pub use self::wishes::{
-    Administration, Epochs, ExportWishes, FollowWishes, Held, ImportWishes, KeyKind, Pace, PairKind, PlayWishes, Remap,
-    UploadQuery,
-};
+pub use self::wishes::*;
 pub use crate::store::AuditQuery;
 
 use std::fmt;

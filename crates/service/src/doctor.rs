@@ -11,7 +11,7 @@ use crate::crypto::read_public;
 use crate::model::{Timestamp, clean, without_secrets};
 use crate::paths::Home;
 use crate::pipeline::network_pin_in;
-use crate::reply::{CheckStatus, DoctorCheck, DoctorView, HealthLevel, PartHealth, SiteView};
+use crate::reply::{CheckStatus, DoctorCheck, DoctorView, HealthLevel, LifeLine, PartHealth, SiteView};
 use crate::ros::ros2::{Reading, Ros2Capture};
 use crate::ros::{CaptureNotice, Graph, Message, MessageSink, UNCONFINED};
 use crate::site::{STORE_LOST, is_bound, keyring_faults, misses_store, store_loss};
@@ -70,21 +70,15 @@ fn part(name: &str, level: HealthLevel, text: &str) -> PartHealth {
 fn of_site(site: &SiteView, sheet: &mut Sheet) {
     let failed: Vec<_> = site.health.iter().filter(|part| part.level == HealthLevel::Failed).collect();
     for part in &failed {
-        sheet.fail(
-            &format!("site {}", part.part),
-            &part.text,
-            "fix what it names; the site then continues automatically",
-        );
+        let advice = "fix what it names; the site then continues automatically";
+        sheet.fail(&format!("site {}", part.part), &part.text, advice);
     }
     for part in site.health.iter().filter(|part| part.level == HealthLevel::Waiting) {
         sheet.warn(&format!("site {}", part.part), &part.text, "check again in a moment");
     }
     if failed.is_empty() {
-        let life = &site.life;
-        sheet.ok(
-            "site",
-            &format!("running; {} records of this profile verified, {} pending", life.verified, life.pending),
-        );
+        let LifeLine { verified, pending, .. } = site.life;
+        sheet.ok("site", &format!("running; {verified} records of this profile verified, {pending} pending"));
     }
 }
 
@@ -95,9 +89,8 @@ struct Sheet {
 
 impl Sheet {
     fn add(&mut self, name: &str, status: CheckStatus, detail: &str, advice: &str) {
-        let check =
-            DoctorCheck { name: clean(name, 60), status, detail: clean(detail, 400), advice: clean(advice, 300) };
-        self.checks.push(check);
+        let (name, detail, advice) = (clean(name, 60), clean(detail, 400), clean(advice, 300));
+        self.checks.push(DoctorCheck { name, status, detail, advice });
     }
 
     fn ok(&mut self, name: &str, detail: &str) {
@@ -136,10 +129,7 @@ const EMBEDDED: &str = "embedded";
 async fn look(home: &Home, config: &Config, site_runs: bool, sheet: &mut Sheet) {
     let pinned = match tokio::task::block_in_place(|| network_pin_in(&home.ledger())) {
         Ok(pinned) => pinned,
-        Err(error) => {
-            let advice = "keep a copy of the home, then restore the last backup: authros restore FILE";
-            return sheet.fail("chain", &error.to_string(), advice);
-        }
+        Err(error) => return sheet.fail("chain", &error.to_string(), DAMAGED),
     };
     if let Some(site) = &config.site {
         return remote(&site.addresses, sheet).await;
@@ -155,10 +145,7 @@ async fn look(home: &Home, config: &Config, site_runs: bool, sheet: &mut Sheet) 
         None if pinned.is_none() && !home.chain().join("chain.db").exists() => {
             return sheet.ok("chain", "embedded; created with the first registration");
         }
-        None => {
-            let endpoint = Endpoint::Embedded { directory: home.chain(), consensus: config.consensus };
-            (endpoint, EMBEDDED.to_owned())
-        }
+        None => (Endpoint::Embedded { directory: home.chain(), consensus: config.consensus }, EMBEDDED.to_owned()),
     };
     let has_pin = pinned.is_some();
     let options = ChainOptions { endpoint, contract: config.contract, pinned, confirmations: config.confirmations };
@@ -185,13 +172,10 @@ async fn answered(chain: &Chain, name: &str, has_pin: bool, sheet: &mut Sheet) {
         }
         Some(pin) => sheet.ok("contract", &format!("{}, its code matches this program", pin.contract)),
         None if name == EMBEDDED && head.number > 0 => {
-            let text =
-                format!("the embedded chain has {} blocks, and this home's store names no contract on it", head.number);
-            sheet.fail(
-                "contract",
-                &text,
-                "the store was lost: restore the last backup, or name the contract with --contract",
-            );
+            let blocks = head.number;
+            let text = format!("the embedded chain has {blocks} blocks, and this home's store names no contract on it");
+            let advice = "the store was lost: restore the last backup, or name the contract with --contract";
+            sheet.fail("contract", &text, advice);
         }
         None => sheet.ok("contract", "none yet; deploy it with `authros register` or `authros chain deploy`"),
     }
@@ -216,11 +200,8 @@ async fn answered(chain: &Chain, name: &str, has_pin: bool, sheet: &mut Sheet) {
 fn who_seals(sealed_by: &SealedBy, sheet: &mut Sheet) {
     if sealed_by.alone {
         let text = format!("records are anchored on a chain sealed by a single party: {}", sealed_by.text);
-        sheet.warn(
-            "sealers",
-            &text,
-            "if that is not sufficient evidence, set chain.url to a chain sealed by several parties",
-        );
+        let advice = "if that is not sufficient evidence, set chain.url to a chain sealed by several parties";
+        sheet.warn("sealers", &text, advice);
     } else {
         sheet.ok("sealers", &sealed_by.text);
     }
@@ -228,25 +209,20 @@ fn who_seals(sealed_by: &SealedBy, sheet: &mut Sheet) {
 
 /// One address that answers is enough; the others cause a warning.
 async fn remote(addresses: &[String], sheet: &mut Sheet) {
-    let patience = std::time::Duration::from_secs(3);
+    let patience = Duration::from_secs(3);
     let mut silent = Vec::new();
     for address in addresses {
         match tokio::time::timeout(patience, tokio::net::TcpStream::connect(address)).await {
             Ok(Ok(_)) => {
                 let text = format!("through the gateway at {address}, which answers");
-                return match silent.as_slice() {
-                    [] => sheet.ok("chain", &text),
-                    _ => sheet.warn(
-                        "chain",
-                        &format!("{text}; {}", silent.join("; ")),
-                        "check that line, or site.address",
-                    ),
-                };
+                if silent.is_empty() {
+                    return sheet.ok("chain", &text);
+                }
+                let text = format!("{text}; {}", silent.join("; "));
+                return sheet.warn("chain", &text, "check that line, or site.address");
             }
             Ok(Err(error)) => silent.push(format!("the gateway at {address}: {error}")),
-            Err(_) => {
-                silent.push(format!("the gateway at {address} does not answer within {} s", patience.as_secs()));
-            }
+            Err(_) => silent.push(format!("the gateway at {address} does not answer within {} s", patience.as_secs())),
         }
     }
     sheet.fail("chain", &silent.join("; "), "start it or correct site.address");

@@ -6,25 +6,11 @@ mod records;
 mod site;
 mod topics;
 
-pub use self::chain::{
-    BackupView, ChainView, CheckStatus, DecidedView, DeployedView, DoctorCheck, DoctorView, ErasureView, FindingKind,
-    GasView, GatewayView, HeldView, PinView, PinsView, PricesView, QuarantineView, RecordAudit, RecordFinding,
-    ServedView, WaitingView,
-};
-pub use self::identity::{
-    AdministrationView, CompareView, ContactRow, DeviceAddressesView, DeviceRow, DeviceTopicsView, Direction,
-    EnrolledView, EpochRecords, EpochView, GrantRow, GrantState, IdentityView, KeyChangeView, KeysView, ProposalView,
-    RecoveryView, RobotGatewayView, SuccessionView, TransactionView,
-};
-pub use self::records::{
-    Caveat, CheckView, ContractAnswer, EvidenceView, ExportedFile, OpenedView, Provenance, RecordPage, RecordView,
-    Refusal, ShownState, StampView, StampedView,
-};
-pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
-pub use self::topics::{
-    CaptureSummary, CoverageView, ExportView, ExportedTopic, FollowView, FollowedFile, HeldUp, ImportView,
-    ImportedTopic, PlayEnd, PlayedView, PolicyRow, PolicyView, ProgressView, Refused, TopicRow, TopicSummary,
-};
+pub use self::chain::*;
+pub use self::identity::*;
+pub use self::records::*;
+pub use self::site::*;
+pub use self::topics::*;
 pub use crate::ros::graph::Unreached as UnreachedView;
 pub use crate::ros::recording::Unusable as LeftOut;
 pub use crate::store::{

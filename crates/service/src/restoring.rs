@@ -33,10 +33,8 @@ pub fn restore(file: &Path, home: &Home, secret: &SecretText) -> Result<BackupVi
     fault::point("restore-unpacked");
     let copied = Home::new(folder.path().to_owned());
     if !copied.ledger().exists() {
-        return Err(Failure::new(
-            ErrorKind::Tampered,
-            format!("{} contains no ledger, so it is not a backup", shown(file)),
-        ));
+        let text = format!("{} contains no ledger, so it is not a backup", shown(file));
+        return Err(Failure::new(ErrorKind::Tampered, text));
     }
     snapshot::renew_ledger(&copied.ledger())?;
     let has_ring = note_restored(&copied.ring())?;

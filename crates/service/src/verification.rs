@@ -2,7 +2,6 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
-use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
@@ -49,8 +48,7 @@ pub struct AnchoredAt {
 
 impl From<BlockRef> for AnchoredAt {
     fn from(block: BlockRef) -> Self {
-        let time = Timestamp::from_seconds(block.timestamp);
-        Self { block: block.number, hash: block.hash, time }
+        Self { block: block.number, hash: block.hash, time: Timestamp::from_seconds(block.timestamp) }
     }
 }
 
@@ -101,7 +99,7 @@ pub async fn verify(folder: &Path, url: Option<&str>, known: Known) -> Result<Fo
         ok: worst.is_none(),
         digest: folder.digest(provider),
         owner: folder.header.owner,
-        captured_at: folder.header.captured_at,
+        captured_at,
         anchored,
         steps,
         worst,
@@ -152,16 +150,11 @@ async fn ask(
 /// Whether the time in proof.json is that of its block.
 fn timed(folder: &ExportFolder, claimed: AnchoredAt) -> VerifyStep {
     let AnchoredAt { block, time, .. } = claimed;
-    match folder.proof.anchor.block_time {
-        Some(said) if said != time => {
-            VerifyStep::new("time", false, &format!("block {block} is dated {time}, but proof.json says {said}"))
-        }
-        _ => VerifyStep::new(
-            "time",
-            true,
-            &format!("block {block} is dated {time}, by the clock of this chain's sealers"),
-        ),
-    }
+    let (ok, text) = match folder.proof.anchor.block_time {
+        Some(said) if said != time => (false, format!("block {block} is dated {time}, but proof.json says {said}")),
+        _ => (true, format!("block {block} is dated {time}, by the clock of this chain's sealers")),
+    };
+    VerifyStep::new("time", ok, &text)
 }
 
 /// Blocks that anchor the record, in order: by its own digest, or by its batch's root over the path's number of leaves,
@@ -216,10 +209,8 @@ async fn check_anchor(
 ) -> Result<Option<BlockRef>, ChainError> {
     let anchor = &folder.proof.anchor;
     let Some(claimed) = anchor.block else {
-        steps.push(VerifyStep::open(
-            "anchor",
-            "the record was not in a block when it was exported; ask for a later export",
-        ));
+        let text = "the record was not in a block when it was exported; ask for a later export";
+        steps.push(VerifyStep::open("anchor", text));
         return Ok(None);
     };
     let block = chain.block(claimed).await?;
@@ -258,9 +249,7 @@ async fn judge_signer(
         let at = Moment::of_block(*number, Timestamp::from_seconds(block.timestamp));
         let text = match may_sign(&directory, owner, signer, at) {
             Ok(SigningRight::Owner(_)) => format!("the signer's key belonged to {owner} at block {number}"),
-            Ok(SigningRight::Device(_)) => {
-                format!("the signer is a device that {owner} had lent at block {number}")
-            }
+            Ok(SigningRight::Device(_)) => format!("the signer is a device that {owner} had lent at block {number}"),
             Err(why) => {
                 refused = refused.or(Some(why));
                 continue;
@@ -296,14 +285,14 @@ fn warnings(
     if let Some(anchored) = anchored {
         let (claimed, block) = (captured_at.seconds(), anchored.time.seconds());
         if block > claimed.saturating_add(USUAL) {
-            let apart = span(block - claimed);
+            let late = span(block - claimed);
             warnings.push(format!(
-                "it was anchored {apart} after its owner claims it was captured; nothing proves that time"
+                "it was anchored {late} after its owner claims it was captured; nothing proves that time"
             ));
         } else if claimed > block.saturating_add(AFTER) {
-            let apart = span(claimed - block);
+            let late = span(claimed - block);
             warnings
-                .push(format!("its owner claims it was captured {apart} after it was anchored, so that time is wrong"));
+                .push(format!("its owner claims it was captured {late} after it was anchored, so that time is wrong"));
         }
     }
     if !folders_word.is_empty() {
@@ -337,7 +326,7 @@ pub fn verdict(check: &FolderCheck) -> String {
 /// In its two largest units.
 fn span(seconds: u64) -> String {
     let units = [(86_400, "d"), (3_600, "h"), (60, "min"), (1, "s")];
-    let mut rest = Duration::from_secs(seconds).as_secs();
+    let mut rest = seconds;
     let mut parts = Vec::new();
     for (length, unit) in units {
         if rest >= length && parts.len() < 2 {

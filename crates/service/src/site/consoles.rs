@@ -65,12 +65,9 @@ impl Site {
         let mut consoles = self.consoles.lock().unwrap_or_else(PoisonError::into_inner);
         let own = held(claims).consoles.contains(&profile);
         if !consoles.open.insert(profile.clone()) && !own {
-            return Err(Failure::new(
-                ErrorKind::Home,
-                format!(
-                    "a console of profile '{profile}' is already open; close it, or open another profile with --profile"
-                ),
-            ));
+            let advice = "close it, or open another profile with --profile";
+            let text = format!("a console of profile '{profile}' is already open; {advice}");
+            return Err(Failure::new(ErrorKind::Home, text));
         }
         held(claims).consoles.insert(profile);
         Ok(())
@@ -110,17 +107,9 @@ impl Site {
 
     /// Waits until everything that needs the profile's keys is sent.
     async fn owes_nothing(&self, profile: &ProfileName) {
-        loop {
-            let (owner, network) = (self.parts.owners.unlocked(profile).ok(), self.parts.link.network_now());
-            let owes = match (owner, network) {
-                (Some(owner), Some(network)) => {
-                    tokio::task::block_in_place(|| self.sharing.owes(&owner, &network)).unwrap_or(false)
-                }
-                _ => false,
-            };
-            if !owes {
-                return;
-            }
+        while let (Ok(owner), Some(network)) = (self.parts.owners.unlocked(profile), self.parts.link.network_now())
+            && tokio::task::block_in_place(|| self.sharing.owes(&owner, &network)).unwrap_or(false)
+        {
             tokio::time::sleep(LOOK_EVERY).await;
         }
     }

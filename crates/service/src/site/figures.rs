@@ -113,7 +113,7 @@ impl Site {
 
     pub(super) fn figures(&self) -> Result<Figures, Failure> {
         let (audit_lines, audit_unanchored) = self.audit_figures()?;
-        let ledger = &self.plant.ledger;
+        let (ledger, head) = (&self.plant.ledger, self.parts.link.newest_head());
         Ok(Figures {
             now: Timestamp::now(),
             owners: self.owner_figures()?,
@@ -122,7 +122,7 @@ impl Site {
             tasks: self.parts.supervisor.views(),
             queue: self.queue_view(),
             lanes: self.lane_figures()?,
-            block: self.block_figures(),
+            block: head.map(|head| (head.number, Timestamp::from_seconds(head.timestamp))),
             grants: self.grant_figures(),
             disk: free_bytes(self.home().root()).ok().map(|free| (free, self.config().disk_reserve)),
             cache: self.plant.ciphertext.cache(),
@@ -195,10 +195,6 @@ impl Site {
         }
         let contacts = self.contacts.names().ok()?;
         Some(told_of(ending, &own, |owner| contacts.contains_key(&owner)))
-    }
-
-    fn block_figures(&self) -> Option<(u64, Timestamp)> {
-        self.parts.link.newest_head().map(|head| (head.number, Timestamp::from_seconds(head.timestamp)))
     }
 
     /// Lines of the audit log, and the time of the oldest that no open owner's head covers.

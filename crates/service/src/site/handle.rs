@@ -321,11 +321,9 @@ impl Site {
 
 fn read_only(original: &Path) -> Failure {
     let root = original.display();
-    Failure::new(
-        ErrorKind::Home,
-        format!(
-            "{root} cannot be written, so it can only be looked at (status, audit, uploads, shared, evidence export); \
-             make it writable for everything else"
-        ),
-    )
+    let text = format!(
+        "{root} cannot be written, so it can only be looked at (status, audit, uploads, shared, evidence export); make it \
+         writable for everything else"
+    );
+    Failure::new(ErrorKind::Home, text)
 }

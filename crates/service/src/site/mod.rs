@@ -196,8 +196,7 @@ impl Site {
         let (reserve, reserved) = Reserve::open(&parts.home.reserve(), RESERVE_BYTES);
         let site = Arc::new(Self::assemble(parts, Arc::new(reserve), lock, needs)?);
         if let Err(error) = reserved {
-            let text = format!("no space could be reserved for a revoke on a full disk: {error}");
-            site.parts.hub.warn(&text);
+            site.parts.hub.warn(&format!("no space could be reserved for a revoke on a full disk: {error}"));
         }
         workers::start(&site, needs, opened)?;
         if copied {

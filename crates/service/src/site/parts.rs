@@ -43,7 +43,9 @@ impl Parts {
     pub fn open(home: Home, config: Config, needs_chain: bool) -> Result<(Self, Opened, bool), Failure> {
         let (events, _) = broadcast::channel(1024);
         let hub = Arc::new(Hub::new(events));
-        check_versions(&home)?;
+        // An older program changes nothing in a newer home: all files are checked before the first is opened.
+        Ledger::check_version(&home.ledger())?;
+        check_embedded_chain(&home.chain())?;
         let (ledger, copied) = open_ledger(&home)?;
         let ciphertext = match &config.cache_url {
             Some(url) => {
@@ -76,10 +78,4 @@ impl Parts {
     pub fn is_joined(&self) -> bool {
         self.config.site.is_some()
     }
-}
-
-/// An older program changes nothing in a newer home: all files are checked before the first is opened.
-fn check_versions(home: &Home) -> Result<(), Failure> {
-    Ledger::check_version(&home.ledger())?;
-    Ok(check_embedded_chain(&home.chain())?)
 }

@@ -187,8 +187,7 @@ impl Standstill {
                 self.parts.supervisor.restart(stage.task(), "it had work and made no progress");
             }
             Found::Going if before => {
-                let text = format!("the {} makes progress again", stage.task());
-                self.parts.hub.inform(&text);
+                self.parts.hub.inform(&format!("the {} makes progress again", stage.task()));
             }
             Found::Going | Found::Standing => return,
         }

@@ -56,7 +56,11 @@ impl Site {
         health.extend(self.clock.health());
         health.extend(self.stamps.health()?);
         health.extend(self.chain_proofs.health()?);
-        health.extend(self.account_health()?);
+        let found = foreign::recent(&self.plant)?;
+        health.extend(found.map(|found| PartHealth {
+            since: Some(found.noted),
+            ..part("account", HealthLevel::Failed, &foreign::text(&found))
+        }));
         health.extend(self.sharing.missing_text().map(|text| part("keys", HealthLevel::Failed, &text)));
         let faults = self.profiles.keyring_faults()?;
         health.extend(faults.iter().map(|(_, text)| part("keyring", HealthLevel::Failed, text)));
@@ -129,15 +133,6 @@ impl Site {
         Some(PartHealth { since, ..part("cache", level, &state.line()) })
     }
 
-    /// The state of the home's accounts, if there is something to report.
-    fn account_health(&self) -> Result<Option<PartHealth>, Failure> {
-        let found = foreign::recent(&self.plant)?;
-        Ok(found.map(|found| PartHealth {
-            since: Some(found.noted),
-            ..part("account", HealthLevel::Failed, &foreign::text(&found))
-        }))
-    }
-
     fn gateway_health(&self) -> PartHealth {
         match self.gateway.line() {
             Some(Line::Connecting) => return part("gateway", HealthLevel::Waiting, "connecting"),
@@ -204,16 +199,17 @@ impl Site {
             None => None,
         };
         let status = chain.status(address).await?;
-        let lanes = match (self.parts.owners.get(profile), self.parts.link.network_now(), address) {
-            (Some(owner), Some(network), _) => self.lanes.lane_states(&owner, &network)?,
+        let network = self.parts.link.network_now();
+        let lanes = match (self.parts.owners.get(profile), &network, address) {
+            (Some(owner), Some(network), _) => self.lanes.lane_states(&owner, network)?,
             (_, _, Some(address)) => vec![self.parts.sender.state_of(address)?],
             (_, _, None) => Vec::new(),
         };
         // Rows already in a block, but not examined yet, no longer wait.
         let open = address.map(|address| self.plant.ledger.lanes.open_lane(address)).transpose()?;
-        let names = self.contacts.names()?;
-        let next = status.nonce.unwrap_or(0);
-        let pending = open.iter().flatten().filter(|row| row.nonce >= next).count() as u64;
+        let (names, limits) = (self.contacts.names()?, self.parts.sender.limits());
+        let nonce = status.nonce.unwrap_or(0);
+        let pending = open.iter().flatten().filter(|row| row.nonce >= nonce).count() as u64;
         Ok(ChainView {
             kind: status.kind,
             consensus: status.consensus,
@@ -222,7 +218,7 @@ impl Site {
             block: status.block,
             contract: status.contract,
             balance: status.balance.unwrap_or_else(|| "0".to_owned()),
-            nonce: status.nonce.unwrap_or(0),
+            nonce,
             pending,
             gas: block_in_place(|| self.gas_of(&lanes))?,
             waiting: block_in_place(|| self.waiting_in(&lanes))?,
@@ -230,23 +226,13 @@ impl Site {
                 Some(address) => self.lacks(&chain, address).await,
                 None => None,
             },
-            prices: self.prices(),
+            prices: PricesView { min_price: Wei(limits.floor), max_fee: limits.cap.map(Wei) },
             lanes,
             client: clean(&status.client, 100),
             through: self.joined.chain_text().map(|text| clean(&text, 300)),
-            administration: self
-                .parts
-                .link
-                .network_now()
-                .map(|network| Administering::view(&network, address, &names))
-                .unwrap_or_default(),
+            administration: network.map(|network| Administering::view(&network, address, &names)).unwrap_or_default(),
             sealing: chain.sealing().await?,
         })
-    }
-
-    fn prices(&self) -> PricesView {
-        let limits = self.parts.sender.limits();
-        PricesView { min_price: Wei(limits.floor), max_fee: limits.cap.map(Wei) }
     }
 
     /// What the account lacks for its next anchor; if the node does not say, sending will.

@@ -153,11 +153,10 @@ impl Supervisor {
     fn tell_ended(&self, task: &Task, reason: &str) -> Duration {
         let pause = task.ended(reason);
         self.hub.alarm(&format!(
-                "the task '{}' of this site failed and restarts in {:.1} s, nothing acknowledged is lost: {reason}",
-                task.name,
-                pause.as_secs_f32()
-            ),
-        );
+            "the task '{}' of this site failed and restarts in {:.1} s, nothing acknowledged is lost: {reason}",
+            task.name,
+            pause.as_secs_f32()
+        ));
         self.hub.changed(Part::Health);
         pause
     }

@@ -20,9 +20,9 @@ use super::standstill::Standstill;
 use super::storage::Storage;
 use super::{Needs, NetworkState, Site};
 use crate::chain::ChainError;
-use crate::pipeline::anchorer::{Anchorer, Round};
+use crate::pipeline::anchorer::Anchorer;
 use crate::pipeline::stages::Stage;
-use crate::pipeline::{Network, Owner, PipelineError, verifier, watcher};
+use crate::pipeline::{Owner, PipelineError, verifier, watcher};
 use crate::service::event::Part;
 use crate::service::hub::Hub;
 use crate::service::reply::Failure;
@@ -36,7 +36,7 @@ const TIMES_A_LOOK: u32 = 4;
 pub(super) fn start(
     site: &Arc<Site>,
     needs: Needs,
-    opened: mpsc::UnboundedReceiver<Arc<Owner>>,
+    mut opened: mpsc::UnboundedReceiver<Arc<Owner>>,
 ) -> Result<(), Failure> {
     let supervisor = &site.parts.supervisor;
     supervisor.keep("news", &site.parts.hub, Hub::run);
@@ -53,7 +53,15 @@ pub(super) fn start(
     supervisor.keep("clock", &site.clock, Clock::keep);
     tokio::spawn(Arc::clone(&site.storage).check_after_crash());
     supervisor.keep("retention", &site.storage, Storage::keep_retention);
-    begin_with_owners(site, opened);
+    let starting = Arc::clone(site);
+    tokio::spawn(async move {
+        loop {
+            tokio::select! {
+                Some(owner) = opened.recv() => starting.work_for(&owner),
+                () = starting.stopped() => return,
+            }
+        }
+    });
     if needs.ros {
         site.sealer.begin()?;
         let task = supervisor.keep_while("ros", &site.ros, |ros| ros.is_wanted(), RosSide::keep);
@@ -74,18 +82,6 @@ pub(super) fn start(
         supervisor.keep("parties", &site.administering, Administering::keep_parties_known);
     }
     Ok(())
-}
-
-fn begin_with_owners(site: &Arc<Site>, mut opened: mpsc::UnboundedReceiver<Arc<Owner>>) {
-    let site = Arc::clone(site);
-    tokio::spawn(async move {
-        loop {
-            tokio::select! {
-                Some(owner) = opened.recv() => site.work_for(&owner),
-                () = site.parts.life.stopped() => return,
-            }
-        }
-    });
 }
 
 async fn watch(site: Arc<Site>) {
@@ -151,8 +147,7 @@ async fn verify(site: Arc<Site>) {
                 Ok(Ok(0)) => break,
                 Ok(Ok(_)) => {}
                 Ok(Err(error)) => {
-                    let text = format!("records cannot be verified at the moment and are waiting: {error}");
-                    site.parts.hub.alarm(&text);
+                    site.parts.hub.alarm(&format!("records cannot be verified at the moment and are waiting: {error}"));
                     tokio::time::sleep(Duration::from_secs(1)).await;
                     break;
                 }
@@ -168,16 +163,6 @@ fn pass_on(error: tokio::task::JoinError) {
     if let Ok(panic) = error.try_into_panic() {
         std::panic::resume_unwind(panic);
     }
-}
-
-async fn anchor_round(
-    site: &Site,
-    anchorer: &mut Anchorer,
-    network: &Network,
-    owner: &Owner,
-) -> Result<Round, Failure> {
-    let lanes = site.lanes.of(owner, network)?;
-    Ok(anchorer.round(&site.plant, network, &site.parts.sender, owner.address, &lanes).await?)
 }
 
 impl Site {
@@ -238,7 +223,12 @@ async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
         // Subscribed before the round, so that nothing stored meanwhile is missed.
         let stored = site.parts.hub.stored.notified();
         let begun = Instant::now();
-        match anchor_round(&site, &mut anchorer, &network, &owner).await {
+        let round = async {
+            let lanes = site.lanes.of(&owner, &network)?;
+            let (sender, account) = (&site.parts.sender, owner.address);
+            Ok::<_, Failure>(anchorer.round(&site.plant, &network, sender, account, &lanes).await?)
+        };
+        match round.await {
             Ok(round) => {
                 site.parts.hub.stages.spent(Stage::Anchor, begun.elapsed());
                 pause = Duration::from_millis(250);

@@ -1,5 +1,5 @@
 use std::net::SocketAddr;
-use std::sync::{Arc, PoisonError};
+use std::sync::PoisonError;
 
 use async_trait::async_trait;
 use serde_json::{Value, json};
@@ -23,8 +23,8 @@ use crate::pipeline::Network;
 use crate::pipeline::authority::{self, Moment, SigningRight, may_sign};
 use crate::pipeline::directory::kept;
 use crate::pipeline::intake::accept_uploads;
-use crate::store::KeptBinding;
 use crate::store::notes::AnnouncedRevoke;
+use crate::store::{KeptBinding, Ledger};
 
 /// Name prefix of an owner's site that brings notices to robots.
 const COURIER: &str = "courier-";
@@ -36,19 +36,18 @@ impl GatewayDesk {
         &self,
         work: impl FnOnce(&Self) -> Result<T, Refusal> + Send + 'static,
     ) -> Result<T, Refusal> {
-        let desk = self.share();
+        let desk = self.clone();
         let joined = tokio::task::spawn_blocking(move || work(&desk)).await;
         joined.map_err(Refusal::internal)?
     }
 
-    pub fn share(&self) -> Arc<Self> {
-        Arc::new(self.clone())
+    fn ledger(&self) -> &Ledger {
+        &self.gateway.parts.plant.ledger
     }
 
     async fn audit(&self, caller: &Caller, action: &str, subject: &str) -> Result<(), Refusal> {
-        let outcome = format!("asked by {} ({})", caller.name, caller.account);
-        let written = self.gateway.parts.log.write(&self.place.keeper.profile, action, subject, &outcome).await;
-        written.map_err(|failure| Refusal::new(Code::Internal, failure.message))
+        let (log, outcome) = (&self.gateway.parts.log, format!("asked by {} ({})", caller.name, caller.account));
+        log.write(&self.place.keeper.profile, action, subject, &outcome).await.map_err(Refusal::internal)
     }
 
     /// Like [`Self::audit`], but once a minute for the same event of a caller; repetitions are counted.
@@ -67,10 +66,7 @@ impl GatewayDesk {
     /// Obeys a revoke before it is on the chain.
     async fn revoked(&self, caller: &Caller, notice: &RevokeNotice) -> Result<(), Refusal> {
         let (note, epoch) = (AnnouncedRevoke { owner: caller.account, reader: notice.grantee }, notice.epoch);
-        self.blocking(move |desk| {
-            desk.gateway.parts.plant.ledger.notes.write(&note, &epoch).map_err(Refusal::internal)
-        })
-        .await?;
+        self.blocking(move |desk| desk.ledger().notes.write(&note, &epoch).map_err(Refusal::internal)).await?;
         self.gateway.parts.hub.feed_changed();
         self.audit(caller, "revoke notice", &notice.grantee.to_string()).await
     }
@@ -86,7 +82,7 @@ impl GatewayDesk {
         self.audit(caller, "device notice", &device.to_string()).await?;
         let (name, account) = (caller.name.to_string(), caller.account);
         self.blocking(move |desk| {
-            let bindings = &desk.gateway.parts.plant.ledger.bindings;
+            let bindings = &desk.ledger().bindings;
             bindings.keep_signer(device, key).map_err(Refusal::internal)?;
             bindings.bind_device(&name, account, device, notices).map(drop).map_err(Refusal::internal)
         })
@@ -206,7 +202,7 @@ impl Desk for GatewayDesk {
             let (account, token) = (*account, *token);
             let is_known = self.blocking(move |desk| {
                 let directory = desk.known_network()?.directory;
-                let known = kept::has_token(&desk.gateway.parts.plant.ledger.rights, &directory, account, token);
+                let known = kept::has_token(&desk.ledger().rights, &directory, account, token);
                 known.map_err(Refusal::internal)
             });
             if !is_known.await? {
@@ -224,7 +220,7 @@ impl Desk for GatewayDesk {
         }
         let signer = *signer;
         self.blocking(move |desk| {
-            let key = desk.gateway.parts.plant.ledger.bindings.signer(signer).map_err(Refusal::internal)?;
+            let key = desk.ledger().bindings.signer(signer).map_err(Refusal::internal)?;
             Ok(key.filter(|key| signer_id(key) == signer))
         })
         .await
@@ -233,9 +229,8 @@ impl Desk for GatewayDesk {
     async fn binding(&self, name: &ProfileName) -> Result<Option<Binding>, Refusal> {
         let name = name.clone();
         self.blocking(move |desk| {
-            let Some(kept) = desk.gateway.parts.plant.ledger.bindings.binding(&name).map_err(Refusal::internal)? else {
-                return Ok(None);
-            };
+            let kept = desk.ledger().bindings.binding(&name).map_err(Refusal::internal)?;
+            let Some(kept) = kept else { return Ok(None) };
             let provider = desk.gateway.parts.plant.provider;
             let under = desk.place.under.read().unwrap_or_else(PoisonError::into_inner);
             let open =
@@ -263,8 +258,8 @@ impl Desk for GatewayDesk {
         let subject = format!("{name} for {}", binding.account);
         let (asked, account) = (name.clone(), binding.account);
         self.blocking(move |desk| desk.check_name(&desk.known_network()?, &account, &asked)).await?;
-        let audited = self.gateway.parts.log.write(&self.place.keeper.profile, "allocate key", &subject, "begun").await;
-        audited.map_err(|failure| Refusal::new(Code::Internal, failure.message))?;
+        let (log, keeper) = (&self.gateway.parts.log, &self.place.keeper.profile);
+        log.write(keeper, "allocate key", &subject, "begun").await.map_err(Refusal::internal)?;
         let name = name.clone();
         let bound = self.blocking(move |desk| {
             // Held until it is stored: a change of the keeper's pair re-encrypts what is there.
@@ -276,20 +271,12 @@ impl Desk for GatewayDesk {
             let sealed_key = sealed_key.map_err(Refusal::internal)?;
             let Binding { account, signing, envelope, .. } = binding;
             let kept = KeptBinding { account, signing, envelope, sealed_key, device: None };
-            desk.gateway.parts.plant.ledger.bindings.bind(&name, kept).map_err(Refusal::internal)
+            desk.ledger().bindings.bind(&name, kept).map_err(Refusal::internal)
         });
         let bound = bound.await;
-        let told = match &bound {
-            Ok(()) => Ok(()),
-            Err(refusal) => Err(internal(refusal.detail.clone())),
-        };
-        if let Err(failure) =
-            self.gateway.parts.log.ended(&self.place.keeper.profile, "allocate key", &subject, told).await
-            && bound.is_ok()
-        {
-            return Err(Refusal::new(Code::Internal, failure.message));
-        }
-        bound
+        let told = bound.as_ref().copied().map_err(|refusal| internal(refusal.detail.clone()));
+        let ended = log.ended(keeper, "allocate key", &subject, told).await;
+        bound.and_then(|()| ended.map_err(Refusal::internal))
     }
 
     async fn store(&self, caller: &Caller, records: Vec<Received>) -> Result<Timestamp, Refusal> {
@@ -351,8 +338,7 @@ impl Desk for GatewayDesk {
     fn refused(&self, peer: SocketAddr, refusal: &Refusal) {
         // One line per peer, code and minute: a persistent peer cannot fill either log.
         if self.gateway.parts.log.refused(&peer.ip().to_string(), &format!("{:?}", refusal.code)) {
-            let text = format!("the gateway refused {}: {refusal}", peer.ip());
-            self.gateway.parts.hub.inform(&text);
+            self.gateway.parts.hub.inform(&format!("the gateway refused {}: {refusal}", peer.ip()));
         }
     }
 }

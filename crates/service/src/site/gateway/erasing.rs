@@ -58,13 +58,8 @@ impl GatewayDesk {
         }
         if count > 0 {
             let subject = format!("{count} records of {}", caller.account);
-            let written = self.gateway.parts.log.write(
-                &self.place.keeper.profile,
-                "gateway erase",
-                &subject,
-                "told by their owner",
-            );
-            if let Err(failure) = written.await {
+            let (log, profile) = (&self.gateway.parts.log, &self.place.keeper.profile);
+            if let Err(failure) = log.write(profile, "gateway erase", &subject, "told by their owner").await {
                 self.gateway.parts.hub.warn(&failure.message);
             }
         }
@@ -128,8 +123,7 @@ impl GatewayDesk {
             RootSighting { account, root: inclusion.root, count: inclusion.count, transaction, block, block_hash };
         let taken = taken_erased(left.record.blob, &left.statement);
         let sealed = SealedRecord { header, blob: Vec::new(), digest, signature: left.record.signature };
-        let row = NewRecord::foreign(sealed, self.place.keeper.address);
-        let row = NewRecord { blob: None, ..row };
+        let row = NewRecord { blob: None, ..NewRecord::foreign(sealed, self.place.keeper.address) };
         let stated = (taken, account_signature.0.to_vec());
         match plant.ledger.erasures.take_told(row, stated, (inclusion, anchor)) {
             Ok(ToldErased::Listed | ToldErased::Named) => {

@@ -133,9 +133,8 @@ impl Gateway {
         ended: oneshot::Receiver<()>,
     ) -> Result<GatewayView, Failure> {
         if self.parts.config.anchor_mode == AnchorMode::Each {
-            return Err(input(
-                "a gateway anchors records of many owners, which requires batches; set anchor.mode = 'batch'",
-            ));
+            let text = "a gateway anchors records of many owners, which requires batches; set anchor.mode = 'batch'";
+            return Err(input(text));
         }
         let network = self.parts.link.network().await?;
         let registered = network.directory.identity(keeper.address)?;

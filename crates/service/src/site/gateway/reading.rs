@@ -98,7 +98,7 @@ impl GatewayDesk {
         let owners = self.gateway.parts.owners.all();
         let Some(local) = owners.iter().find(|local| local.address == *owner) else { return Ok(false) };
         let owed = self.gateway.sharing.owed_revocations(local, network);
-        Ok(owed.map_err(|failure| Refusal::new(Code::Internal, failure.message))?.contains(reader))
+        Ok(owed.map_err(Refusal::internal)?.contains(reader))
     }
 
     /// A record's bytes, compared with its digest before any of them leave.

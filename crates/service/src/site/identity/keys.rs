@@ -33,9 +33,8 @@ impl Profiles {
         let mut epochs = Vec::new();
         if let Some(Network { domain, .. }) = self.parts.link.network_now() {
             let sealing = owner.sealing().map(|keys| keys.epoch);
-            let view = |epoch| {
-                Some(EpochView { epoch, token: owner.token(domain, epoch)?, current: sealing == Some(epoch) })
-            };
+            let view =
+                |epoch| Some(EpochView { epoch, token: owner.token(domain, epoch)?, current: sealing == Some(epoch) });
             epochs.extend(owner.epochs(domain).into_iter().filter_map(view));
         }
         Ok(KeysView {
@@ -432,4 +431,3 @@ pub struct NewPairs {
     pub signing: Option<SmKeyPair>,
     pub envelope: Option<SmKeyPair>,
 }
-

@@ -105,9 +105,8 @@ impl Profiles {
     ) -> Result<(), Failure> {
         let path = self.parts.home.keyring(profile);
         if !path.exists() {
-            return Err(refused(format!(
-                "profile '{profile}' has no identity yet, so there is no passphrase to change"
-            )));
+            let text = format!("profile '{profile}' has no identity yet, so there is no passphrase to change");
+            return Err(refused(text));
         }
         let (old, new) = (Passphrase::new(old.expose().to_owned())?, Passphrase::new(new.expose().to_owned())?);
         self.parts.log.write(profile, "change passphrase", "keyring", "begun").await?;
@@ -153,8 +152,7 @@ impl Profiles {
         self.parts.owners.insert(&owner);
         self.seal_as_before(&owner);
         if let Err(failure) = self.watches.restore(&owner) {
-            let text = format!("what '{}' watches is not captured: {}", owner.profile, failure.message);
-            self.parts.hub.alarm(&text);
+            self.parts.hub.alarm(&format!("what '{}' watches is not captured: {}", owner.profile, failure.message));
         }
         self.parts.hub.changed(Part::Identity);
         owner

@@ -154,7 +154,7 @@ fn note_text(text: &str) -> Result<String, Failure> {
         return Err(input(format!("the note has {length} characters, the limit is {LONGEST_NOTE}; shorten it")));
     }
     let text = clean_lines(text, LONGEST_NOTE);
-    if text.trim().is_empty() { Err(input("the note is empty".to_owned())) } else { Ok(text) }
+    if text.trim().is_empty() { Err(input("the note is empty")) } else { Ok(text) }
 }
 
 fn taken(name: &IncidentName) -> Failure {

@@ -79,11 +79,6 @@ fn is_fresh(since: Option<Instant>, now: Instant) -> bool {
     since.is_some_and(|since| now.saturating_duration_since(since) < FRESH)
 }
 
-/// Whether more of what was passed over became readable. Later epochs do not count: what they open was noted.
-fn opens_more(known: &FollowedOwner, now: &FollowedOwner, epochs: &BTreeSet<u64>) -> bool {
-    now.grant != known.grant || epochs.range(..=known.newest).count() as u64 > known.count
-}
-
 impl Followed {
     /// Rereads everything, which also meets what waits.
     fn read_anew(&mut self) {
@@ -105,7 +100,8 @@ impl Followed {
         let known = self.taken.known;
         let now = FollowedOwner { grant, newest: epochs.last().copied().unwrap_or(0), count: epochs.len() as u64 };
         self.taken.known = now;
-        if opens_more(&known, &now, epochs) {
+        // Later epochs do not make passed-over rows readable: what they open was noted.
+        if now.grant != known.grant || epochs.range(..=known.newest).count() as u64 > known.count {
             self.read_anew();
             return true;
         }
@@ -216,12 +212,10 @@ impl Places {
         let is_due = time.0.saturating_sub(self.begun.0) > ANEW;
         if is_due {
             self.begun = time;
-            self.owners.values_mut().filter(|one| one.taken.place.is_some() && one.taken.back.is_none()).for_each(
-                |one| {
-                    one.read_anew();
-                    one.taken.is_again = true;
-                },
-            );
+            for one in self.owners.values_mut().filter(|one| one.taken.place.is_some() && one.taken.back.is_none()) {
+                one.read_anew();
+                one.taken.is_again = true;
+            }
         }
         let mut is_more = false;
         for (owner, (grant, epochs)) in sources {
@@ -330,10 +324,10 @@ impl Places {
             trial.again.is_none_or(|again| again <= now)
         };
         let of = |(owner, one): (&Address, &Followed)| -> Vec<Told> {
-            let waits = one.taken.waits.iter().filter(|(digest, _)| due(one, digest));
-            waits
-                .map(|(digest, erased)| Told { owner: *owner, digest: *digest, number: 0, is_erased: *erased })
-                .collect()
+            let told = |(digest, erased): (&Digest, &bool)| {
+                due(one, digest).then_some(Told { owner: *owner, digest: *digest, number: 0, is_erased: *erased })
+            };
+            one.taken.waits.iter().filter_map(told).collect()
         };
         self.owners.iter().flat_map(of).take(MOST_WAITING).collect()
     }

@@ -39,7 +39,9 @@ const LOOKING: Duration = Duration::from_millis(100);
 pub(in crate::site) enum Mirrored {
     Behind,
     /// It has all that the gateway gives; `lacks` if more is listed than given.
-    Caught { lacks: bool },
+    Caught {
+        lacks: bool,
+    },
     Failed(Failure),
 }
 
@@ -195,12 +197,6 @@ impl Remote {
         pinned.ok_or_else(|| Failure::new(ErrorKind::Unreachable, "no gateway has been contacted yet"))
     }
 
-    fn token(owner: &Owner, network: &Network) -> Result<crate::model::Token, Failure> {
-        // The chain's word, not the keyring's: a session needs no epoch key.
-        let token = network.directory.account(owner.address).and_then(|account| account.token);
-        Ok(token.ok_or(crate::pipeline::PipelineError::Unregistered(owner.address))?)
-    }
-
     /// A session in the owner's name; allocates a transport key if none is accepted.
     pub async fn connect(&self, home: &Home, owner: &Owner, network: &Network) -> Result<Client, GatewayError> {
         let (path, gateway) = (home.transport_key(&owner.profile), self.trust.current().pinned);
@@ -209,7 +205,9 @@ impl Remote {
         let usage = TransportUse { domain: &network.domain, gateway: &gateway.ok_or(unmet)?, name: &owner.profile };
         let secret = owner.envelope().secret;
         let known = block_in_place(|| load_transport_key(&path, self.provider, &secret, usage))?;
-        let token = Self::token(owner, network).map_err(|_| GatewayError::Unexpected("no token of the epoch"))?;
+        // The chain's word, not the keyring's: a session needs no epoch key.
+        let token = network.directory.account(owner.address).and_then(|account| account.token);
+        let token = token.ok_or(GatewayError::Unexpected("no token of the epoch"))?;
         let credentials = |key| Credentials { name: owner.profile.clone(), key, token };
         if let Some(key) = known {
             match self.open(&endpoint, credentials(key)).await {

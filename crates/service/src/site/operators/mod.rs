@@ -55,9 +55,8 @@ impl Operators {
         let (name, rights) = self.standing(uid).await?.inspect_err(|error| self.count(&uid, error.word()))?;
         if rights.is_empty() {
             self.count(&name, "no right");
-            return Err(refused(format!(
-                "user '{name}' has no right at this site; ask its owner for one in [operators.rights]"
-            )));
+            let text = format!("user '{name}' has no right at this site; ask its owner for one in [operators.rights]");
+            return Err(refused(text));
         }
         Ok(Arc::new(Operator { uid, name, standing: tokio::sync::Mutex::new((Instant::now(), rights)) }))
     }
@@ -210,8 +209,7 @@ impl Site {
                 Ok(listener) => return socket::accept_operators(&self, &listener).await,
                 Err(why) => {
                     if told.as_ref() != Some(&why) {
-                        let text = format!("operators cannot connect to {}: {why}", path.display());
-                        self.parts.hub.alarm(&text);
+                        self.parts.hub.alarm(&format!("operators cannot connect to {}: {why}", path.display()));
                         told = Some(why);
                     }
                 }

@@ -75,8 +75,8 @@ impl Quarantine {
     ) -> Result<QuarantineView, Failure> {
         let owner = self.parts.owners.address_of(profile)?;
         let name = topic.as_ref().map(ToString::to_string);
-        let query =
-            HeldQuery { topic: name.clone(), messages: true, limit: limit.clamp(1, 1000), ..HeldQuery::default() };
+        let (topic, limit) = (name.clone(), limit.clamp(1, 1000));
+        let query = HeldQuery { topic, messages: true, limit, ..HeldQuery::default() };
         let ledger = &self.parts.plant.ledger;
         let rows = ledger.quarantine.held(owner, &query)?;
         let counts = ledger.counts.by_state(Some(owner))?;
@@ -198,11 +198,9 @@ impl Quarantine {
             }
             tokio::time::sleep(Duration::from_millis(100)).await;
         }
-        Err(Failure::new(
-            ErrorKind::Incomplete,
-            "nothing was discarded: the quarantine records that count these messages are not on the chain yet; check \
-             `authros chain status`, then repeat the command",
-        ))
+        let text = "nothing was discarded: the quarantine records that count these messages are not on the chain yet; \
+                    check `authros chain status`, then repeat the command";
+        Err(Failure::new(ErrorKind::Incomplete, text))
     }
 
     /// Runs the deed between two log lines for each topic.

@@ -197,4 +197,3 @@ pub(in crate::site) fn record_query(query: UploadQuery) -> RecordQuery {
         ..RecordQuery::default()
     }
 }
-

@@ -40,9 +40,8 @@ impl Recordings {
     pub async fn export_recording(&self, owner: &Arc<Owner>, wishes: ExportWishes) -> Result<ExportView, Failure> {
         if !wishes.format.takes(wishes.compression) {
             let (format, compression) = (wishes.format.word(), wishes.compression);
-            return Err(input(format!(
-                "{format} chunks cannot be compressed with {compression}; choose another compression"
-            )));
+            let text = format!("{format} chunks cannot be compressed with {compression}; choose another compression");
+            return Err(input(text));
         }
         let network = self.reading.network_or_kept().await?;
         let scopes = self.readable_scopes(owner, &network, &wishes)?;

@@ -147,7 +147,10 @@ enum Found {
     /// Topic of a message that an earlier import sealed.
     Here(String),
     /// Not imported; `is_wanted` if somebody may expect it here.
-    Stays { why: &'static str, is_wanted: bool },
+    Stays {
+        why: &'static str,
+        is_wanted: bool,
+    },
 }
 
 struct Moving<'a> {
@@ -160,26 +163,21 @@ impl Moving<'_> {
     fn message(&mut self, row: &RecordRow) -> Result<Found, Failure> {
         let is_own = self.there.is_own_key(row.signer);
         let stays = |why| Ok(Found::Stays { why, is_wanted: true });
+        let went = |why| Ok(Found::Stays { why, is_wanted: false });
         match row.state {
             RecordState::Quarantined => return stays("quarantined in the old home"),
-            RecordState::Dropped => {
-                return Ok(Found::Stays { why: "discarded in the old home", is_wanted: false });
-            }
+            RecordState::Dropped => return went("discarded in the old home"),
             RecordState::Tampered => return stays("not the bytes that were anchored"),
             // Nobody vouches for what a device signed without a right; the owner signs the owner's again.
             RecordState::RightEnded if !is_own => return stays("signed by a device that had no right to sign"),
-            _ if row.deleted_at.is_some() => {
-                return Ok(Found::Stays { why: "deleted by retention, or erased", is_wanted: false });
-            }
+            _ if row.deleted_at.is_some() => return went("deleted by retention, or erased"),
             _ => {}
         }
-        let Some(blob) = self.there.own_bytes(row)? else {
-            return stays("the old home does not have its ciphertext");
-        };
+        let Some(blob) = self.there.own_bytes(row)? else { return stays("the old home does not have its ciphertext") };
         let Some(opened) = self.there.open_own(row, &blob)? else {
-            return stays(
-                "no key of this profile opens it, its signature is not valid, or its signer wrote a false name into it",
-            );
+            let why =
+                "no key of this profile opens it, its signature is not valid, or its signer wrote a false name into it";
+            return stays(why);
         };
         if self.is_here(&opened)? {
             return Ok(Found::Here(opened.head.topic));

@@ -132,11 +132,9 @@ impl Recordings {
         view.attachments = beside.iter().map(|topic| topic.imported + topic.already).sum();
         if !view.ended_early && view.lost == 0 {
             let address = owner.address;
-            let note = move |recordings: &Self| -> Result<(), Failure> {
-                for (digest, topics) in whole {
-                    recordings.add_standings((address, digest), None, topics, Standing::Whole)?;
-                }
-                Ok(())
+            let note = move |recordings: &Self| {
+                let add = |(digest, topics)| recordings.add_standings((address, digest), None, topics, Standing::Whole);
+                whole.into_iter().try_for_each(add)
             };
             blocking(self, note).await?;
         }
@@ -233,10 +231,8 @@ fn digests_of(
                 break;
             }
             if !goes_on() {
-                return Err(Failure::new(
-                    ErrorKind::Incomplete,
-                    "stopped before anything was imported; repeat the command",
-                ));
+                let text = "stopped before anything was imported; repeat the command";
+                return Err(Failure::new(ErrorKind::Incomplete, text));
             }
             hasher.update(bytes);
             done += read as u64;

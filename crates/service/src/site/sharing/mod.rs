@@ -54,9 +54,8 @@ impl Sharing {
         network.directory.identity(owner.address)?;
         let grantee = self.contacts.resolve(grantee)?;
         if grantee == owner.address {
-            return Err(refused(format!(
-                "{grantee} is this profile itself; it can read its own records without a grant"
-            )));
+            let text = format!("{grantee} is this profile itself; it can read its own records without a grant");
+            return Err(refused(text));
         }
         if topics.len() > MOST_TOPICS {
             return Err(input(format!("a grant can name at most {MOST_TOPICS} topics; grant fewer, or all topics")));

@@ -188,7 +188,8 @@ impl Sharing {
             return Err(failure);
         }
         let _space_is_for_this = self.parts.plant.ledger.records.hold();
-        let text = "the disk is full: the reserved space was used for a revoke; free some space, records wait in memory";
+        let text =
+            "the disk is full: the reserved space was used for a revoke; free some space, records wait in memory";
         self.parts.hub.alarm(text);
         self.revoke_again(owner, &network, grantee).await
     }

@@ -14,7 +14,7 @@ use super::Follower;
 use super::folder::is_database;
 use super::place::FileKey;
 use crate::crypto::sm3::sm3;
-use crate::model::{Digest, RecordKind, RecordState, Timestamp, clean};
+use crate::model::{Digest, ErrorKind, RecordKind, RecordState, Timestamp, clean};
 use crate::pipeline::Owner;
 use crate::pipeline::reader::Reader;
 use crate::ros::mcap;
@@ -107,22 +107,16 @@ impl Recordings {
         match row.state {
             RecordState::Verified => {}
             RecordState::Tampered => {
-                return Err(Failure::new(
-                    crate::model::ErrorKind::Tampered,
-                    format!("record {}, which states its digests, differs from what was anchored", row.id),
-                ));
+                let text = format!("record {}, which states its digests, differs from what was anchored", row.id);
+                return Err(Failure::new(ErrorKind::Tampered, text));
             }
             _ => return Ok(None),
         }
         let target = beside(&due.path);
         let mut one = Proven { record: Some(row.id.clone()), ..Proven::default() };
         if target.symlink_metadata().is_err() {
-            let wishes = EvidenceWishes {
-                file: target.clone(),
-                records: vec![row.id.clone()],
-                reveal: vec![row.id.clone()],
-                ..EvidenceWishes::default()
-            };
+            let (file, records, reveal) = (target.clone(), vec![row.id.clone()], vec![row.id.clone()]);
+            let wishes = EvidenceWishes { file, records, reveal, ..EvidenceWishes::default() };
             one.notes = self.evidence.export(owner, wishes).await?.notes;
         }
         one.proof = Some(clean(&target.display().to_string(), 300));
@@ -173,18 +167,15 @@ fn attach(path: &Path, proof: &Path, logged_at: Timestamp) -> Result<PathBuf, Fa
     let (draft, out) = super::super::export::Draft::begin(&copy)?;
     let title = proof.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let source = std::fs::File::open(path).map_err(failed)?;
-    mcap::attach(
-        source,
-        out,
-        &mcap::AttachedFile {
-            logged_at,
-            created_at: Timestamp::now().0,
-            name: title.into(),
-            media_type: MEDIA_TYPE.into(),
-            data: &data,
-            checksum: 0,
-        },
-    )?;
+    let attached = mcap::AttachedFile {
+        logged_at,
+        created_at: Timestamp::now().0,
+        name: title.into(),
+        media_type: MEDIA_TYPE.into(),
+        data: &data,
+        checksum: 0,
+    };
+    mcap::attach(source, out, &attached)?;
     draft.place()?;
     Ok(copy)
 }
