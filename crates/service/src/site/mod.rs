@@ -154,7 +154,7 @@ pub struct Site {
     standstill: Arc<Standstill>,
     consoles: Mutex<consoles::Consoles>,
     guests: AtomicUsize,
-    needs: Needs,
+    pub(crate) needs: Needs,
     ros_task: Mutex<Option<tokio::task::JoinHandle<()>>>,
     _lock: SiteLock,
 }
@@ -364,10 +364,6 @@ impl Site {
 
     pub fn place(&self) -> Home {
         self.parts.home.clone()
-    }
-
-    pub(crate) fn needs(&self) -> Needs {
-        self.needs
     }
 
     pub(crate) fn home(&self) -> &Home {

@@ -172,7 +172,7 @@ impl Site {
             self.keep_for(owner, "lanes", &self.lanes, Lanes::keep_extra);
         }
         self.keep_for(owner, "courier", &self.devices, Devices::keep_attending);
-        if self.joined.joins() {
+        if self.joined.remote.is_some() {
             self.keep_for(owner, "mirror", &self.joined, Joined::mirror);
         }
     }

@@ -225,7 +225,7 @@ fn greeting(site: &Site, asker: &Asker) -> Greeting {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         settings: settings.map(|setting| (setting.name.to_owned(), setting.value)).collect(),
         stays: site.is_to_stay(),
-        has: site.needs(),
+        has: site.needs,
     }
 }
 

@@ -53,10 +53,6 @@ pub(in crate::site) struct Joined {
 }
 
 impl Joined {
-    pub fn joins(&self) -> bool {
-        self.remote.is_some()
-    }
-
     /// Where the chain comes from, if that is the other site.
     pub fn chain_text(&self) -> Option<String> {
         self.remote.as_ref().map(|remote| remote.chain_text())
@@ -149,7 +145,7 @@ impl Joined {
             if following.adjust()? {
                 remote.note(&owner.profile, Mirrored::Behind);
             }
-            let followed = following.owners();
+            let followed = following.places.owners();
             let page = {
                 let asking = following.next(&mut client);
                 tokio::pin!(asking);
@@ -242,10 +238,6 @@ impl<'a> Following<'a> {
         });
         let sources = each.collect::<Result<_, PipelineError>>()?;
         Ok(self.places.adjust(&sources, Timestamp::now()))
-    }
-
-    pub fn owners(&self) -> BTreeSet<Address> {
-        self.places.owners()
     }
 
     /// The next page; `None` if every owner rests.

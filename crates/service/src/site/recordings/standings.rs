@@ -72,7 +72,7 @@ impl<'a> Parts<'a> {
         digests: BTreeMap<PathBuf, Digest>,
         again: bool,
     ) -> Result<Self, Failure> {
-        let (owner, mut by_content) = (sealed.owner(), HashMap::<Digest, Part>::new());
+        let (owner, mut by_content) = (sealed.reader.reader.address, HashMap::<Digest, Part>::new());
         for (path, digest) in &digests {
             let part = by_content.entry(*digest).or_default();
             if again {
@@ -149,10 +149,6 @@ pub(super) struct SealedBefore<'a> {
 impl<'a> SealedBefore<'a> {
     pub fn new(reader: Reader<'a>) -> Self {
         Self { reader, met: HashMap::new() }
-    }
-
-    pub fn owner(&self) -> Address {
-        self.reader.reader.address
     }
 
     /// Whether a record with one of these tags seals this message; each record stands for one message.

@@ -116,24 +116,16 @@ const BLOCK: usize = 256 * 1024;
 #[derive(Default)]
 pub(super) struct Hashed {
     whole: Sm3Hasher,
-    at: u64,
+    pub at: u64,
     spans: VecDeque<Range<u64>>,
     chunk: Sm3Hasher,
-    chunks: Vec<RecordedChunk>,
+    pub chunks: Vec<RecordedChunk>,
     buffer: Vec<u8>,
 }
 
 impl Hashed {
-    pub fn at(&self) -> u64 {
-        self.at
-    }
-
     pub fn digest(&self) -> Digest {
         Digest(self.whole.clone().finish())
-    }
-
-    pub fn chunks(&self) -> &[RecordedChunk] {
-        &self.chunks
     }
 
     /// `spans`: new chunks that end before `to`, in file order.
@@ -302,7 +294,7 @@ mod tests {
         assert_eq!(hashed.digest(), Digest(sm3(&[&bytes[..700_000]])));
         hashed.advance(&file, 1_000_000, std::iter::once(800_000..900_000).collect()).expect("read");
         assert_eq!(hashed.digest(), Digest(sm3(&[&bytes])));
-        let found: Vec<_> = hashed.chunks().iter().map(|chunk| (chunk.at, chunk.digest)).collect();
+        let found: Vec<_> = hashed.chunks.iter().map(|chunk| (chunk.at, chunk.digest)).collect();
         let expected = [(200, 600_000), (600_000, 700_000), (800_000, 900_000)];
         let expected = expected.map(|(from, to)| (from as u64, Digest(sm3(&[&bytes[from..to]]))));
         assert_eq!(found, expected);

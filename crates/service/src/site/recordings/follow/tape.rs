@@ -168,9 +168,9 @@ impl<'a> Tape<'a> {
     pub fn round(&mut self, files: &[PathBuf]) -> Result<Round, Failure> {
         let unreadable = |error: std::io::Error| input(format!("{} cannot be read: {error}", self.view.file));
         let length = self.file.metadata().map_err(unreadable)?.len();
-        if length < self.length.max(self.hashed.at()) {
+        if length < self.length.max(self.hashed.at) {
             self.view.is_altered = true;
-            self.view.notes.push(shrank(length, self.hashed.at()));
+            self.view.notes.push(shrank(length, self.hashed.at));
             return Ok(Round::Ended);
         }
         if length > self.length {
@@ -188,7 +188,7 @@ impl<'a> Tape<'a> {
             self.state()?;
             return Ok(if self.place.standing == FileStanding::Open { Round::Idle } else { Round::Ended });
         }
-        if self.place.at != self.hashed.at() || !self.is_kept {
+        if self.place.at != self.hashed.at || !self.is_kept {
             self.keep()?;
         }
         if self.is_abandoned(files) {
@@ -242,9 +242,9 @@ impl<'a> Tape<'a> {
 
     fn keep(&mut self) -> Result<(), Failure> {
         // What is not reread yet says less than what is kept.
-        if self.hashed.at() >= self.place.at {
-            (self.place.at, self.place.digest) = (self.hashed.at(), Some(self.hashed.digest()));
-            self.place.chunks = self.hashed.chunks().len() as u64;
+        if self.hashed.at >= self.place.at {
+            (self.place.at, self.place.digest) = (self.hashed.at, Some(self.hashed.digest()));
+            self.place.chunks = self.hashed.chunks.len() as u64;
         }
         self.follower.recordings.parts.plant.ledger.notes.write(&self.key.note, &self.place)?;
         self.is_kept = true;
@@ -306,10 +306,10 @@ impl<'a> Tape<'a> {
         self.place.ended_at = self.place.ended_at.or_else(|| Some(Timestamp::now()));
         let stated = RecordedFile {
             name: self.place.name.clone(),
-            length: self.hashed.at(),
+            length: self.hashed.at,
             digest: self.hashed.digest(),
             is_closed: self.place.closed,
-            chunks: self.hashed.chunks().to_vec(),
+            chunks: self.hashed.chunks.clone(),
         };
         let body = stated.to_bytes();
         let statement = Digest(sm3(&[&body]));
@@ -359,14 +359,14 @@ impl<'a> Tape<'a> {
 
     pub fn report(&self) -> FollowedFile {
         let (findings, mut view) = (self.reader.findings(), self.view.clone());
-        view.bytes = self.hashed.at();
+        view.bytes = self.hashed.at;
         view.found += findings.messages_skipped();
         view.lost = self.importer.lost();
         view.left_out = self.choosing.left_out(findings);
         view.skipped = view.left_out.iter().map(|row| row.messages).sum();
         view.damages.clone_from(&findings.damages);
         view.more_damages = findings.more_damages;
-        view.chunks = self.hashed.chunks().len() as u64;
+        view.chunks = self.hashed.chunks.len() as u64;
         let has_ended = self.place.standing != FileStanding::Open;
         view.digest = self.place.digest.filter(|_| has_ended);
         view.is_closed = has_ended && self.place.closed;
