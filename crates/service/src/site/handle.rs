@@ -117,10 +117,7 @@ impl Site {
                 self.evidence.export(&owner()?, wishes).await.map(ask::ExportEvidence::told)
             }
             Command::StampEvidence => self.stamps.stamp().await.map(ask::StampEvidence::told),
-            Command::ListShared(query) => {
-                let owner = owner()?;
-                self.list_shared(&owner, query).await.map(ask::ListShared::told)
-            }
+            Command::ListShared(query) => self.list_shared(&owner()?, query).await.map(ask::ListShared::told),
             Command::CheckShared { id } => {
                 let owner = self.owner_with(&profile, &id).await?;
                 self.reading.check_record(&owner, &id).await.map(ask::CheckShared::told)
@@ -138,8 +135,7 @@ impl Site {
                 self.reading.path_to(&owner, &id, records).await.map(ask::ViewPath::told)
             }
             Command::Play(wishes) => {
-                let owner = owner()?;
-                self.joined.caught_up(&profile).await?;
+                let owner = self.caught_up_owner(&profile).await?;
                 self.bridge.play(&owner, wishes, until_released(claims)).await.map(ask::Play::told)
             }
             Command::StopPlay => {
@@ -194,8 +190,7 @@ impl Site {
                 self.administering.name_recovery(&owner()?, recovery.as_ref()).await.map(ask::NameRecovery::told)
             }
             Command::ListSuccessions => {
-                let view = self.chain_view(&profile).await?;
-                Ok(ask::ListSuccessions::told(Box::new(view.administration)))
+                self.chain_view(&profile).await.map(|view| ask::ListSuccessions::told(Box::new(view.administration)))
             }
             Command::ChainStatus => self.chain_view(&profile).await.map(Box::new).map(ask::ChainStatus::told),
             Command::DeployContract { delay } => {
@@ -217,8 +212,7 @@ impl Site {
             Command::SiteStatus => self.site_view(&profile).await.map(ask::SiteStatus::told),
             Command::ListAudit(query) => self.parts.log.list(query).await.map(ask::ListAudit::told),
             Command::VerifyAudit { heads } => {
-                let owner = if heads { Some(owner()?) } else { None };
-                self.audit.verify(owner).await.map(ask::VerifyAudit::told)
+                self.audit.verify(heads.then(owner).transpose()?).await.map(ask::VerifyAudit::told)
             }
             Command::ExportAudit { addresses } => {
                 self.parts.log.export(&owner()?, addresses).await.map(ask::ExportAudit::told)

@@ -75,10 +75,8 @@ impl Reading {
             return Ok(Vec::new());
         }
         // IK stays in memory while the keyring is locked: records are sealed with it.
-        let index = self.parts.owners.get(profile).map_or_else(
-            || self.parts.owners.unlocked(profile).map(|owner| owner.index()),
-            |owner| Ok(owner.index()),
-        )?;
+        let opened = self.parts.owners.get(profile);
+        let index = opened.map_or_else(|| self.parts.owners.unlocked(profile), Ok)?.index();
         let topics = self.topics_of(self.parts.owners.address_of(profile)?)?;
         Ok(tags.iter().map(|(name, value)| tag_choice(&index, name, value, &topics)).collect())
     }
