@@ -35,13 +35,11 @@ pub(in crate::site) const LISTING: Duration = Duration::from_millis(1_500);
 const UNLOCKING: Duration = Duration::from_secs(10);
 const LOOKING: Duration = Duration::from_millis(100);
 
+/// A mirror lacks records that the gateway lists and does not give.
 #[derive(Debug, Clone)]
 pub(in crate::site) enum Mirrored {
     Behind,
-    /// It has all that the gateway gives; `lacks` if more is listed than given.
-    Caught {
-        lacks: bool,
-    },
+    Caught { lacks: bool },
     Failed(Failure),
 }
 

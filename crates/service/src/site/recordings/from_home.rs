@@ -142,15 +142,11 @@ fn beside(tags: &BTreeMap<String, String>) -> Encoding {
     }
 }
 
+/// `Here` has the topic of a message sealed by an earlier import; what stays is wanted if somebody may expect it here.
 enum Found {
     New(RecordedMessage, Vec<(String, String)>),
-    /// Topic of a message that an earlier import sealed.
     Here(String),
-    /// Not imported; `is_wanted` if somebody may expect it here.
-    Stays {
-        why: &'static str,
-        is_wanted: bool,
-    },
+    Stays { why: &'static str, is_wanted: bool },
 }
 
 struct Moving<'a> {
