@@ -1,5 +1,4 @@
-//! The user database of this machine: who a number is, and in which groups. A process says nothing about its own groups
-//! here; what counts is the number that the kernel gives.
+//! The machine's user database: names and groups behind the user numbers that the kernel gives.
 
 use std::ffi::CString;
 
@@ -11,33 +10,27 @@ use super::reply::Failure;
 use crate::config::{OperatorRule, Whom};
 use crate::model::{OperatorName, OperatorRights};
 
-/// Where the kernel says which number stands for a user of another user namespace.
+/// Number that the kernel shows for users of another user namespace.
 const OVERFLOW: &str = "/proc/sys/kernel/overflowuid";
-/// That number, unless it was changed.
 const USUAL_OVERFLOW: u32 = 65_534;
 
-/// Why a number is no operator.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum AccountError {
-    /// The kernel cannot say who it is.
     #[error(
         "user {0} is of another user namespace, so nobody can say who that is; site and operators have to run in one \
          namespace (PrivateUsers=no in the site's unit)"
     )]
     OtherNamespace(u32),
-    /// Nobody has this number.
     #[error("the user database has no name for user {0}; give the account a name, or connect as another user")]
     Nameless(u32),
-    /// The name would be ambiguous in the audit log.
     #[error("user {0} cannot be an operator: {1}")]
     Name(u32, String),
-    /// It does not answer.
     #[error("the user database does not answer ({0}); try again, or check /etc/nsswitch.conf")]
     Silent(Errno),
 }
 
 impl AccountError {
-    /// Its word, a constant: what is counted where it is refused.
+    /// A constant word, for counting refusals.
     pub fn word(&self) -> &'static str {
         match self {
             Self::OtherNamespace(_) => "other user namespace",
@@ -54,7 +47,6 @@ impl From<AccountError> for Failure {
     }
 }
 
-/// A user of this machine.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Account {
     pub name: OperatorName,
@@ -62,7 +54,6 @@ pub struct Account {
 }
 
 impl Account {
-    /// Looks a number up. Waits for the user database.
     pub fn of(uid: u32) -> Result<Self, AccountError> {
         if uid == overflow() {
             return Err(AccountError::OtherNamespace(uid));
@@ -74,12 +65,11 @@ impl Account {
         Ok(Self { name, groups })
     }
 
-    /// The user of this process.
     pub fn own() -> Result<Self, AccountError> {
         Self::of(rustix::process::geteuid().as_raw())
     }
 
-    /// What the rules give this user, by name and by group. Waits for the user database.
+    /// Rights that the rules give this user, by name and by group.
     pub fn rights(&self, rules: &[OperatorRule]) -> Result<OperatorRights, AccountError> {
         let mut rights = OperatorRights::default();
         for rule in rules {
@@ -95,22 +85,17 @@ impl Account {
     }
 }
 
-/// The rules for users and groups that this machine does not have, each in a sentence that says where it is written.
+/// Rules for users and groups that this machine does not have, each as a sentence with its place in the settings.
 pub fn unknown(rules: &[OperatorRule]) -> Result<Vec<String>, AccountError> {
     let mut lines = Vec::new();
     for OperatorRule { whom, place, .. } in rules {
-        match whom {
-            Whom::User(name) if found(User::from_name(name.as_str()))?.is_none() => {
-                lines.push(format!(
-                    "{place}: this machine has no user '{name}'; correct the name, or create the account"
-                ));
-            }
-            Whom::Group(name) if group(name)?.is_none() => {
-                lines.push(format!(
-                    "{place}: this machine has no group '{name}'; correct the name, or create the group"
-                ));
-            }
-            Whom::User(_) | Whom::Group(_) => {}
+        let (is_known, what, thing, name) = match whom {
+            Whom::User(name) => (found(User::from_name(name.as_str()))?.is_some(), "user", "account", name),
+            Whom::Group(name) => (group(name)?.is_some(), "group", "group", name),
+        };
+        if !is_known {
+            lines
+                .push(format!("{place}: this machine has no {what} '{name}'; correct the name, or create the {thing}"));
         }
     }
     Ok(lines)
@@ -120,7 +105,7 @@ fn group(name: &OperatorName) -> Result<Option<Gid>, AccountError> {
     Ok(found(Group::from_name(name.as_str()))?.map(|group| group.gid))
 }
 
-/// Some databases say by an error number that there is no such entry (getpwnam(3)).
+/// Some databases report a missing entry as an error number (getpwnam(3)).
 fn found<Entry>(entry: nix::Result<Option<Entry>>) -> Result<Option<Entry>, AccountError> {
     match entry {
         Err(Errno::ENOENT | Errno::ESRCH | Errno::EBADF | Errno::EPERM) => Ok(None),
@@ -128,7 +113,7 @@ fn found<Entry>(entry: nix::Result<Option<Entry>>) -> Result<Option<Entry>, Acco
     }
 }
 
-/// The number that stands for every user whom this namespace does not know.
+/// Stands for every user whom this namespace does not know.
 fn overflow() -> u32 {
     let text = std::fs::read_to_string(OVERFLOW).ok();
     text.and_then(|text| text.trim().parse().ok()).unwrap_or(USUAL_OVERFLOW)

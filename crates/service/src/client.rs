@@ -1,4 +1,4 @@
-//! The handle through which console and command line talk to a site, local or remote.
+//! Handle through which console and command line talk to a site.
 
 use tokio::sync::{broadcast, mpsc, oneshot};
 
@@ -7,15 +7,13 @@ use super::event::Event;
 use super::reply::{Failure, Reply};
 use crate::model::{ErrorKind, ProfileName};
 
-/// One request, with the channel for its answer.
 #[derive(Debug)]
 pub struct Call {
     pub request: Request,
-    /// The channel for the answer.
     pub answer: oneshot::Sender<Result<Reply, Failure>>,
 }
 
-/// Talks to a site on behalf of one profile. Cheap to clone.
+/// Talks to a site, local or remote, on behalf of one profile. Cheap to clone.
 #[derive(Debug, Clone)]
 pub struct Client {
     profile: ProfileName,
@@ -24,7 +22,6 @@ pub struct Client {
 }
 
 impl Client {
-    /// A client whose calls are received at the other end of `calls`.
     pub fn new(profile: ProfileName, calls: mpsc::UnboundedSender<Call>, events: broadcast::Sender<Event>) -> Self {
         Self { profile, calls, events }
     }
@@ -33,43 +30,35 @@ impl Client {
         &self.profile
     }
 
-    /// The same site, for another profile.
     pub fn for_profile(&self, profile: ProfileName) -> Self {
         Self { profile, ..self.clone() }
     }
 
-    /// Sends a command without waiting; the answer arrives in the receiver.
+    /// Sends a command without waiting; the receiver gets the answer.
     pub fn send(&self, command: Command) -> oneshot::Receiver<Result<Reply, Failure>> {
         let (answer, receiver) = oneshot::channel();
         let call = Call { request: Request { profile: self.profile.clone(), command }, answer };
-        // A site that has ended drops the sender, which the receiver reports.
+        // If the site has ended, the sender is dropped and the receiver reports it.
         drop(self.calls.send(call));
         receiver
     }
 
-    /// Sends a command chosen at run time, and waits for its answer.
-    ///
-    /// # Errors
-    /// The site's [`Failure`], or one of kind `Unreachable` if the site has ended.
+    /// Sends a command chosen at run time and waits; `Unreachable` if the site has ended.
     pub async fn request(&self, command: Command) -> Result<Reply, Failure> {
         self.send(command).await.unwrap_or_else(|_| Err(site_gone()))
     }
 
-    /// Sends a request and waits for its answer.
-    ///
-    /// # Errors
-    /// The site's [`Failure`], or one of kind `Unreachable` if the site has ended.
+    /// Sends a request and waits; `Unreachable` if the site has ended.
     pub async fn ask<A: Ask>(&self, ask: A) -> Result<A::Answer, Failure> {
         A::heard(self.request(ask.into()).await)
     }
 
-    /// All events of the site from now on.
+    /// All events from now on.
     pub fn events(&self) -> broadcast::Receiver<Event> {
         self.events.subscribe()
     }
 }
 
-/// The failure of a call whose site ended.
 pub fn site_gone() -> Failure {
     Failure::new(ErrorKind::Unreachable, "the site ended before it answered; start it again and repeat the command")
 }

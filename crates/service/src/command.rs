@@ -1,5 +1,3 @@
-//! The requests to a site.
-
 #[macro_use]
 mod ask;
 
@@ -10,13 +8,11 @@ mod wishes;
 pub use self::ask::Ask;
 pub use self::filter::Term;
 pub use self::right::{Kind, Needed};
-pub use self::wishes::{
-    Administration, Epochs, ExportWishes, FollowWishes, Held, ImportWishes, KeyKind, Pace, PairKind, PlayWishes, Remap,
-    UploadQuery,
-};
+pub use self::wishes::*;
 pub use crate::store::AuditQuery;
 
 use std::fmt;
+use std::ops::Deref;
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
@@ -42,26 +38,19 @@ requests! {
     #[serde(rename_all = "snake_case", tag = "command")]
     enum Command by std::convert::identity;
     /// Create a profile's keys and keyring.
-    CreateIdentity {
-        /// Protects the keyring.
-        passphrase: SecretText,
-    } => IdentityView, PASSPHRASE;
+    CreateIdentity { passphrase: SecretText } => IdentityView, PASSPHRASE;
     /// Show the profile's public identity; needs no passphrase.
     ShowIdentity => IdentityView, LOOK;
     /// Open the keyring for this session of the site.
-    Unlock {
-        /// The keyring's passphrase.
-        passphrase: SecretText,
-    } => IdentityView, PASSPHRASE;
+    Unlock { passphrase: SecretText } => IdentityView, PASSPHRASE;
     /// Register the identity on the chain.
     Register => IdentityView, OWNER;
     /// Keys with fingerprints and epochs.
     ListKeys => KeysView, LOOK;
     /// Replace one key with one from a file.
     LoadKey {
-        /// Which key.
         kind: KeyKind,
-        /// The file, absolute; 0600. Read by the site, which runs as the same user.
+        /// Absolute, 0600; read by the site, which runs as the same user.
         path: std::path::PathBuf,
         /// Passphrase of a V3 keystore file.
         passphrase: Option<SecretText>,
@@ -71,97 +60,48 @@ requests! {
     /// Replace the envelope pair with a new one.
     RotateEnvelope => KeysView, OWNER;
     /// Who is affected by another SM2 pair; changes nothing.
-    ForeseeKeyChange {
-        /// Which pair.
-        kind: PairKind,
-    } => KeyChangeView, LOOK;
+    ForeseeKeyChange { kind: PairKind } => KeyChangeView, LOOK;
     /// Protect the keyring with another passphrase.
-    ChangePassphrase {
-        /// The current one.
-        old: SecretText,
-        /// The new one.
-        new: SecretText,
-    } => (), PASSPHRASE;
-    /// Export one key.
-    ExportKey {
-        /// Which key.
-        kind: KeyKind,
-        /// Passphrase for the V3 keystore to be written (EOA only).
-        passphrase: Option<SecretText>,
-    } => SecretBytes, PASSPHRASE;
+    ChangePassphrase { old: SecretText, new: SecretText } => (), PASSPHRASE;
+    /// Export one key; the passphrase is for the V3 keystore of the EOA.
+    ExportKey { kind: KeyKind, passphrase: Option<SecretText> } => SecretBytes, PASSPHRASE;
     /// All topics of the ROS graph.
     ListTopics => Vec<TopicRow>, LOOK;
     /// When there are own records of a topic, where some are missing, and what was quarantined; needs no passphrase.
     TopicCoverage {
-        /// The topic.
         topic: TopicName,
-        /// What one robot recorded of it: its name, or the beginning of its device's id; `None` = all that there is.
+        /// Robot's name, or the beginning of its device's id; `None` = all robots.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         robot: Option<String>,
-        /// From this time; `None` = from its first record.
+        /// `None` = from the first record.
         since: Option<Timestamp>,
-        /// Before this time; `None` = until now.
+        /// `None` = until now.
         until: Option<Timestamp>,
-        /// Divided into this many parts, 1 to 1,000.
+        /// 1 to 1,000.
         parts: usize,
     } => CoverageView, LOOK;
-    /// Capture a topic until it is unwatched, across restarts.
-    WatchTopic {
-        /// The topic.
-        topic: TopicName,
-        /// Refuse other types.
-        type_name: Option<TypeName>,
-    } => (), CAPTURE;
+    /// Capture a topic, in this type if one is given, until it is unwatched; lasts across restarts.
+    WatchTopic { topic: TopicName, type_name: Option<TypeName> } => (), CAPTURE;
     /// Stop capturing a topic.
-    UnwatchTopic {
-        /// The topic.
-        topic: TopicName,
-    } => (), CAPTURE;
+    UnwatchTopic { topic: TopicName } => (), CAPTURE;
     /// Pinned publishers, and alarms about others.
-    ListPins {
-        /// Only for this topic.
-        topic: Option<TopicName>,
-    } => PinsView, LOOK;
-    /// Accept publishers of a topic.
-    PinTopic {
-        /// The topic.
-        topic: TopicName,
-        /// Their publishers; empty = those being read now.
-        publishers: Vec<Publisher>,
-    } => PinsView, CAPTURE;
-    /// No longer accept a caller id on a topic.
-    UnpinTopic {
-        /// The topic.
-        topic: TopicName,
-        /// The node name.
-        caller_id: String,
-    } => PinsView, CAPTURE;
-    /// Quarantined messages, oldest first.
-    ListQuarantine {
-        /// Only of this topic.
-        topic: Option<TopicName>,
-        /// At most this many, 1 to 1,000.
-        limit: usize,
-    } => QuarantineView, LOOK;
+    ListPins { topic: Option<TopicName> } => PinsView, LOOK;
+    /// Accept publishers of a topic; empty = those being read now.
+    PinTopic { topic: TopicName, publishers: Vec<Publisher> } => PinsView, CAPTURE;
+    /// No longer accept a node name on a topic.
+    UnpinTopic { topic: TopicName, caller_id: String } => PinsView, CAPTURE;
+    /// Quarantined messages, oldest first; `limit` 1 to 1,000.
+    ListQuarantine { topic: Option<TopicName>, limit: usize } => QuarantineView, LOOK;
     /// Release quarantined messages.
-    ReleaseHeld {
-        /// Which ones.
-        held: Held,
-    } => DecidedView, OWNER;
+    ReleaseHeld { held: Held } => DecidedView, OWNER;
     /// Delete quarantined messages.
-    DiscardHeld {
-        /// Which ones.
-        held: Held,
-    } => DecidedView, OWNER;
+    DiscardHeld { held: Held } => DecidedView, OWNER;
     /// Capture topics until a count or time is reached; answered when everything captured is verified.
     Capture {
-        /// The topics.
         topics: Vec<TopicName>,
         /// Refuse other types.
         type_name: Option<TypeName>,
-        /// This many messages of each topic.
         count: Option<u64>,
-        /// For this many milliseconds.
         milliseconds: Option<u64>,
         /// Tags for the sealed head.
         tags: Vec<(String, String)>,
@@ -170,240 +110,122 @@ requests! {
     StopCapture => (), CAPTURE;
     /// The rule of each topic.
     ShowPolicy => PolicyView, LOOK;
-    /// What each topic of the graph does for a while; looks at the graph only, for rules to be written.
-    LearnPolicy {
-        /// How long to look, milliseconds.
-        milliseconds: u64,
-    } => PolicyView, CAPTURE;
-    // Recordings are files that the site reads and writes as its user.
-    /// Seal the messages of a recording as records; answered when all are verified.
+    /// What each topic of the graph does for a while; captures nothing.
+    LearnPolicy { milliseconds: u64 } => PolicyView, CAPTURE;
+    // The site reads and writes recordings as its user.
+    /// Seal the messages of a recording; answered when all are verified.
     ImportRecording(wishes: ImportWishes) => ImportView, OWNER;
-    /// Seal what is recorded into a folder, until it is closed or this is ended.
+    /// Seal what is recorded into a folder, until the recording is closed or this is stopped.
     FollowFolder(wishes: FollowWishes) => FollowView, OWNER;
-    /// Seal every message of another home of the same owner; answered when all are verified.
-    ImportHome {
-        /// Its folder, absolute; read by the site, which runs as the same user.
-        home: PathBuf,
-    } => ImportView, OWNER;
+    /// Seal every message of another home (absolute, read as the site's user); answered when all are verified.
+    ImportHome { home: PathBuf } => ImportView, OWNER;
     /// Write records that this profile may read as a recording.
     ExportRecording(wishes: ExportWishes) => ExportView, OWNER;
-    /// How far the profile's imports, exports, audits and back-ups are; needs no keyring.
+    /// Progress of the profile's imports, exports, audits and back-ups; needs no keyring.
     RecordingProgress => Vec<ProgressView>, LOOK;
     /// Own records.
     ListUploads(query: UploadQuery) => RecordPage, LOOK;
-    /// One own record with its provenance.
-    ShowUpload {
-        /// Its id, or the beginning of its digest.
-        id: String,
-    } => Provenance, LOOK;
-    /// One own record's files for third parties to check.
-    ExportUpload {
-        /// Its id.
-        id: String,
-        /// With full addresses.
-        addresses: bool,
-    } => Vec<ExportedFile>, OWNER;
+    /// One own record with its provenance, by its id or the beginning of its digest.
+    ShowUpload { id: String } => Provenance, LOOK;
+    /// One own record's files for third parties to check; accounts are redacted without `addresses`.
+    ExportUpload { id: String, addresses: bool } => Vec<ExportedFile>, OWNER;
     /// Own records with all their proofs, in one file.
     ExportEvidence(wishes: EvidenceWishes) => EvidenceView, OWNER;
-    /// Get time stamps now for what the authorities have not stamped yet.
+    /// Request time stamps now for what the authorities have not stamped yet.
     StampEvidence => StampView, OWNER;
     /// Share with another account.
     Grant {
-        /// The reader.
         grantee: Party,
         /// Only these topics; empty = all.
         topics: Vec<TopicName>,
-        /// Which epochs.
         epochs: Epochs,
-        /// When the grant ends.
         expires: Option<Timestamp>,
     } => TransactionView, GRANT;
     /// Extend an active grant.
-    ExtendGrant {
-        /// The reader.
-        grantee: Party,
-        /// Its new end; `None` = no end.
-        expires: Option<Timestamp>,
-    } => TransactionView, GRANT;
+    ExtendGrant { grantee: Party, expires: Option<Timestamp> } => TransactionView, GRANT;
     /// Stop sharing with an account; begins a new epoch.
-    Revoke {
-        /// The reader to revoke.
-        grantee: Party,
-    } => TransactionView, GRANT;
+    Revoke { grantee: Party } => TransactionView, GRANT;
     /// Grants given and received.
     ListGrants => Vec<GrantRow>, LOOK;
     /// Records others share with this profile.
     ListShared(query: UploadQuery) => RecordPage, LOOK;
-    /// The paper's Data_Check of one record: digest against the chain, signature, and the contract's answer about the
-    /// right to read it.
-    CheckShared {
-        /// Its id.
-        id: String,
-    } => CheckView, LOOK;
+    /// The paper's Data_Check of one record: digest, signature, and the contract's answer about the right to read it.
+    CheckShared { id: String } => CheckView, LOOK;
     /// Check, decrypt and decode one record (shared or own).
-    OpenShared {
-        /// Its id.
-        id: String,
-    } => Box<OpenedView>, OWNER;
-    /// Publish shared records in a ROS graph, each checked first; ends at the latest with the connection that requested
-    /// it.
+    OpenShared { id: String } => Box<OpenedView>, OWNER;
+    /// Publish shared records in a ROS graph, each checked first; ends with the connection that requested it.
     Play(wishes: PlayWishes) => PlayedView, OWNER;
     /// End this profile's playback (the answers follow).
     StopPlay => (), OWNER;
-    /// Let a device sign for the profile.
-    LendDevice {
-        /// SM3 of its public key.
-        device: SignerId,
-        /// When the loan ends, whole seconds.
-        until: Option<Timestamp>,
-    } => TransactionView, OWNER;
-    /// Recall a device.
-    RecallDevice {
-        /// The device's id, or the beginning of it.
-        device: String,
-    } => TransactionView, OWNER;
-    /// Give an enrolled robot the keys for more topics.
-    AddDeviceTopics {
-        /// Its name, the device's id, or the beginning of it.
-        device: String,
-        /// The topics.
-        topics: Vec<TopicName>,
-    } => DeviceTopicsView, OWNER;
-    /// Give an enrolled robot a further address of its gateway.
-    AddDeviceAddress {
-        /// Its name, the device's id, or the beginning of it.
-        device: String,
-        /// Host:port.
-        address: String,
-    } => DeviceAddressesView, OWNER;
+    /// Let a device (SM3 of its public key) sign for the profile, until a whole second.
+    LendDevice { device: SignerId, until: Option<Timestamp> } => TransactionView, OWNER;
+    /// Recall a device, by its id or the beginning of it.
+    RecallDevice { device: String } => TransactionView, OWNER;
+    /// Give a robot the keys for more topics; `device` is its name, its device's id, or the beginning of that.
+    AddDeviceTopics { device: String, topics: Vec<TopicName> } => DeviceTopicsView, OWNER;
+    /// Give a robot a further address of its gateway; `device` is its name, its device's id, or the beginning of that.
+    AddDeviceAddress { device: String, address: String } => DeviceAddressesView, OWNER;
     /// Make a robot a device of the profile, known to its gateway.
     EnrolDevice(wishes: super::site::EnrolWishes) => EnrolledView, PASSPHRASE;
     /// Devices lent and recalled.
     ListDevices => Vec<DeviceRow>, LOOK;
-    /// Compare a fingerprint with that of an account's registered key.
-    CompareFingerprint {
-        /// As a person passed it on.
-        fingerprint: String,
-        /// The account; `None` = this profile's own.
-        account: Option<Party>,
-    } => CompareView, LOOK;
+    /// Compare a fingerprint with that of an account's registered key; `None` = this profile's own.
+    CompareFingerprint { fingerprint: String, account: Option<Party> } => CompareView, LOOK;
     /// The address book of this home.
     ListContacts => Vec<ContactRow>, LOOK;
-    /// Add an account.
-    AddContact {
-        /// Its name here.
-        name: ContactName,
-        /// Its address.
-        address: Address,
-        /// Of its SM2 key, as a person passed it on.
-        fingerprint: Option<String>,
-    } => Vec<ContactRow>, OWNER;
-    /// Remove an account.
-    RemoveContact {
-        /// Its name.
-        name: ContactName,
-    } => Vec<ContactRow>, OWNER;
-    /// Accept the key that an account has registered now as the right one.
-    ConfirmContact {
-        /// Its name.
-        name: ContactName,
-        /// Only if it has this fingerprint.
-        fingerprint: Option<String>,
-    } => Vec<ContactRow>, OWNER;
+    /// Add an account to the address book, with its SM2 fingerprint as passed on by a person.
+    AddContact { name: ContactName, address: Address, fingerprint: Option<String> } => Vec<ContactRow>, OWNER;
+    /// Remove an account from the address book.
+    RemoveContact { name: ContactName } => Vec<ContactRow>, OWNER;
+    /// Accept the key that an account has registered now, if it has the given fingerprint.
+    ConfirmContact { name: ContactName, fingerprint: Option<String> } => Vec<ContactRow>, OWNER;
     /// An act of the contract's administrator.
     Administer(act: Administration) => TransactionView, OWNER;
     /// Name who may stop a succession of the profile's account; `None` = nobody.
-    NameRecovery {
-        /// The account.
-        recovery: Option<Party>,
-    } => TransactionView, OWNER;
+    NameRecovery { recovery: Option<Party> } => TransactionView, OWNER;
     /// The chain as seen by this profile.
     ChainStatus => Box<ChainView>, LOOK;
     /// Pending and completed successions, and the profile's recovery account.
     ListSuccessions => Box<AdministrationView>, LOOK;
-    /// Deploy the contract and pin it; refused if one is pinned already.
-    DeployContract {
-        /// The delay before a succession, seconds [default: a week].
-        delay: Option<u64>,
-    } => DeployedView, OWNER;
-    /// Cancel a transaction of this profile that is in no block: an empty one takes its nonce. Records that it anchored
-    /// are anchored again.
-    CancelTransaction {
-        /// Its nonce.
-        nonce: u64,
-        /// The account; `None` = the profile's own.
-        account: Option<Address>,
-    } => TransactionView, OWNER;
-    /// Answer other tools' JSON-RPC for the embedded chain, until the connection that requested it ends.
-    ServeChain {
-        /// The address, on loopback.
-        address: std::net::SocketAddr,
-    } => ServedView, OWNER;
-    /// Serve robots and operators that run no chain client, until the connection that requested it ends. The profile's
-    /// account anchors what they send.
+    /// Deploy the contract and pin it, unless one is pinned; delay of a succession in seconds [default: a week].
+    DeployContract { delay: Option<u64> } => DeployedView, OWNER;
+    /// Cancel a transaction that is in no block: an empty one takes its nonce. `None` = the profile's own account.
+    CancelTransaction { nonce: u64, account: Option<Address> } => TransactionView, OWNER;
+    /// Answer other tools' JSON-RPC for the embedded chain on loopback, until the connection that requested it ends.
+    ServeChain { address: std::net::SocketAddr } => ServedView, OWNER;
+    /// Serve robots and operators that run no chain client, until this connection ends; the profile's account anchors.
     ServeGateway {
-        /// The address.
         address: std::net::SocketAddr,
-        /// Also for owners who were not admitted, whatever the settings say.
+        /// Admit every owner, whatever the settings say.
         open: bool,
     } => GatewayView, OWNER;
     /// Health, counts and alerts of the whole site.
     SiteStatus => SiteView, LOOK;
     /// The newest matching audit lines.
     ListAudit(query: AuditQuery) => Vec<AuditView>, LOOK;
-    /// Recompute the whole audit log and compare it with the heads anchored by this profile.
-    VerifyAudit {
-        /// Also the anchored heads: needs the keyring open.
-        heads: bool,
-    } => AuditCheck, LOOK;
-    /// The whole audit log as a file for third parties.
-    ExportAudit {
-        /// With full addresses.
-        addresses: bool,
-    } => Vec<ExportedFile>, OWNER;
+    /// Recompute the whole audit log; with `heads`, which needs the keyring, compare it with the anchored heads.
+    VerifyAudit { heads: bool } => AuditCheck, LOOK;
+    /// The whole audit log as a file for third parties; accounts are redacted without `addresses`.
+    ExportAudit { addresses: bool } => Vec<ExportedFile>, OWNER;
     /// Claims the profile for a console until the connection ends; refused if one is open already.
     OpenConsole => (), LOOK;
-    /// One record, checked and opened, with its message as a file.
-    ViewFile {
-        /// Its id.
-        id: String,
-        /// The format; `None` = a picture's own bytes if it is one, else the message's.
-        kind: Option<Exported>,
-    } => Box<OpenedView>, OWNER;
-    /// The robot's positions, from the records of a topic up to this one.
-    ViewPath {
-        /// Its id.
-        id: String,
-        /// At most this many records, including this one; 2 to [`LONGEST_PATH`].
-        records: usize,
-    } => PathView, OWNER;
-    /// Compare all records with their proofs and the chain.
-    AuditRecords {
-        /// Also every stored byte and every signature.
-        deep: bool,
-        /// Only records captured at this time or later.
-        since: Option<Timestamp>,
-    } => Box<RecordAudit>, LOOK;
-    // Records of other profiles are not this owner's to show.
+    /// One record, checked and opened, as a file; without `kind` a picture's own bytes, else the message's.
+    ViewFile { id: String, kind: Option<Exported> } => Box<OpenedView>, OWNER;
+    /// The robot's positions from the records of a topic up to this one; `records` 2 to [`LONGEST_PATH`].
+    ViewPath { id: String, records: usize } => PathView, OWNER;
+    /// Compare all records with their proofs and the chain; with `deep`, also every stored byte and signature.
+    AuditRecords { deep: bool, since: Option<Timestamp> } => Box<RecordAudit>, LOOK;
+    // Other profiles' records are not for this profile's operators.
     /// Records of all profiles of the home.
     ListAllUploads(query: UploadQuery) => RecordPage, OWNER;
-    /// Write keyrings, store and chain, settings and pins into one encrypted file.
-    BackUp {
-        /// The file, absolute; must not exist.
-        file: PathBuf,
-        /// Protects the backup.
-        passphrase: SecretText,
-    } => BackupView, PASSPHRASE;
+    /// Write keyrings, store and chain, settings and pins into one new encrypted file (absolute).
+    BackUp { file: PathBuf, passphrase: SecretText } => BackupView, PASSPHRASE;
     /// Show which records would be erased, or erase them; needs the keyring.
     EraseRecords(wishes: ErasureWishes) => ErasureView, OWNER;
-    /// Wipe the keys for reading, granting and revoking from memory, while capture and anchoring go on. `Unlock` brings
-    /// them back.
+    /// Wipe the keys for reading, granting and revoking; capture and anchoring go on. `Unlock` restores them.
     Lock => IdentityView, OWNER;
     /// Pause the capture of all watched topics, or resume it; watched topics stay watched.
-    HoldCapture {
-        /// Whether it is paused.
-        hold: bool,
-    } => (), CAPTURE;
+    HoldCapture { hold: bool } => (), CAPTURE;
     /// The profile's keyring as stored on disk, under its passphrase.
     BackUpKeys => SecretBytes, OWNER;
     /// Active alerts.
@@ -413,31 +235,22 @@ requests! {
     /// Who is connected to the gateway of this site, its system keys, and its refusals.
     GatewayStatus => GatewayStatusView, LOOK;
     /// Let an owner use the gateway of this home.
-    Admit {
-        /// The owner.
-        owner: Party,
-    } => Vec<AdmittedView>, OWNER;
+    Admit { owner: Party } => Vec<AdmittedView>, OWNER;
     /// No longer let an owner use it.
-    Dismiss {
-        /// The owner.
-        owner: Party,
-    } => Vec<AdmittedView>, OWNER;
+    Dismiss { owner: Party } => Vec<AdmittedView>, OWNER;
     /// The admitted owners.
     ListAdmitted => Vec<AdmittedView>, LOOK;
     groups {
         /// Incidents: spans of own records, kept together.
         OfIncident(IncidentCommand);
-        /// Robots: what is asked of them.
+        /// Robots.
         OfRobot(RobotCommand);
     }
 }
 
-/// A command with its profile.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Request {
-    /// The profile whose keys and records are used.
     pub profile: ProfileName,
-    /// The command.
     pub command: Command,
 }
 
@@ -446,169 +259,119 @@ pub struct Request {
 pub struct ErasureWishes {
     /// Messages of this topic.
     pub topic: Option<TopicName>,
-    /// Captured at this time or later.
     pub since: Option<Timestamp>,
-    /// Captured before this time.
     pub until: Option<Timestamp>,
-    /// These records, by the beginnings of their digests; then nothing else decides.
+    /// Beginnings of digests; nothing else then decides.
     pub records: Vec<String>,
-    /// Only those that an import of this recording sealed: its tag, 16 hexadecimal digits.
+    /// Tag of the import that sealed them, 16 hexadecimal digits.
     pub recording: Option<String>,
-    /// Why; kept with who and when.
+    /// Kept with who and when.
     pub reason: String,
-    /// Do it; else it is only shown.
+    /// Erase; otherwise only show.
     pub sure: bool,
 }
 
 /// Own records for a bundle; all if nothing narrows it.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EvidenceWishes {
-    /// The file, absolute; must not exist. Written by the site, which runs as the same user.
+    /// Absolute; must not exist. Written by the site, which runs as the same user.
     pub file: PathBuf,
-    /// These records, by their ids.
     pub records: Vec<String>,
-    /// Those of this topic.
     pub topic: Option<TopicName>,
     /// Those in this incident.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub incident: Option<IncidentName>,
-    /// Captured at or after.
     pub since: Option<Timestamp>,
-    /// Captured before.
     pub until: Option<Timestamp>,
-    /// The ids of records to disclose.
+    /// Ids of records to disclose.
     pub reveal: Vec<String>,
 }
 
 requests! {
-    /// One of these; needs no keyring.
+    /// Needs no keyring.
     #[serde(rename_all = "snake_case", tag = "incident")]
     enum IncidentCommand by Command::OfIncident;
     /// Keep a span together: retention does not delete its records.
     OpenIncident {
-        /// Its name.
         name: IncidentName,
-        /// Records captured at this time or later.
+        /// Captured at this time or later.
         since: Timestamp,
-        /// Records captured before this time; `None` = until it is closed.
+        /// Captured before; `None` = until it is closed.
         until: Option<Timestamp>,
-        /// Of these topics; empty = of all.
+        /// Empty = all.
         topics: Vec<TopicName>,
-        /// A description.
         note: Option<String>,
-        /// Robots whose rings are asked for it; then the keyring is needed.
+        /// Robots whose rings are searched for it; needs the keyring.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
         robots: Vec<String>,
     } => IncidentView, OWNER;
     /// All incidents of the profile, each with what it holds.
     ListIncidents => Vec<IncidentView>, LOOK;
-    /// One of them.
-    ShowIncident {
-        /// Its name.
-        name: IncidentName,
-    } => IncidentView, LOOK;
+    /// One incident.
+    ShowIncident { name: IncidentName } => IncidentView, LOOK;
     /// Add a note.
-    NoteIncident {
-        /// Its name.
-        name: IncidentName,
-        /// The note.
-        text: String,
-    } => IncidentView, OWNER;
+    NoteIncident { name: IncidentName, text: String } => IncidentView, OWNER;
     /// End its span now; its records stay held.
-    CloseIncident {
-        /// Its name.
-        name: IncidentName,
-    } => IncidentView, OWNER;
+    CloseIncident { name: IncidentName } => IncidentView, OWNER;
     /// Remove it: its records are subject to retention again.
-    RemoveIncident {
-        /// Its name.
-        name: IncidentName,
-    } => Vec<IncidentView>, OWNER;
+    RemoveIncident { name: IncidentName } => Vec<IncidentView>, OWNER;
 }
 
 /// The longest policy of a robot, bytes.
 pub const LONGEST_POLICY: usize = crate::crypto::LONGEST_POLICY;
 
 requests! {
-    /// One of these; needs the keyring.
+    /// Needs the keyring.
     #[serde(rename_all = "snake_case", tag = "robot")]
     enum RobotCommand by Command::OfRobot;
-    /// Ask a robot for a span of its ring; it sends that like other records.
+    /// Request a span of a robot's ring; the robot sends it like other records.
     PullRing {
-        /// Its name, or the beginning of its device's id.
+        /// Name, or the beginning of the device's id.
         name: String,
-        /// What was captured at this time or later; `None` = since the incident begins.
+        /// `None` = since the incident begins.
         since: Option<Timestamp>,
-        /// Before this time; `None` = until the incident ends, or until now.
+        /// `None` = until the incident ends, or until now.
         until: Option<Timestamp>,
-        /// Of these topics; empty = of those of the incident, or of all.
+        /// Empty = those of the incident, or all.
         topics: Vec<TopicPattern>,
-        /// Takes from this incident what is not named here.
+        /// Supplies what is not given here.
         incident: Option<IncidentName>,
     } => RingPullView, OWNER;
     /// The enrolled robots, each with the policy wanted and the one it works by.
     ListRobots => Vec<RobotRow>, LOOK;
-    /// One robot with its policy, topics and losses.
-    ShowRobot {
-        /// Its name, or the beginning of its device's id.
-        name: String,
-    } => RobotView, LOOK;
+    /// One robot with its policy, topics and losses, by its name or the beginning of its device's id.
+    ShowRobot { name: String } => RobotView, LOOK;
     // The account signs what a robot obeys.
-    /// Set the policy of a robot.
-    SetRobotPolicy {
-        /// Its name, or the beginning of its device's id.
-        name: String,
-        /// The policy, as TOML; empty = the robot's own settings alone.
-        text: String,
-    } => RobotView, OWNER;
+    /// Set the policy of a robot, as TOML; empty = its own settings alone.
+    SetRobotPolicy { name: String, text: String } => RobotView, OWNER;
 }
 
 /// The most records of a path.
 pub const LONGEST_PATH: usize = 1_000;
 
-/// A secret text on its way to the site of the same user: a passphrase. Never in Debug.
+/// A secret on its way to or from the site of the same user. Never in Debug.
 #[derive(Clone, Serialize, Deserialize, Zeroize, ZeroizeOnDrop)]
 #[serde(transparent)]
-pub struct SecretText(String);
+pub struct Secret<T: Zeroize>(T);
 
-impl SecretText {
-    /// Wraps the text.
-    pub fn new(text: String) -> Self {
-        Self(text)
+/// A passphrase.
+pub type SecretText = Secret<String>;
+/// A key file.
+pub type SecretBytes = Secret<Vec<u8>>;
+
+impl<T: Zeroize + Deref> Secret<T> {
+    pub fn new(secret: T) -> Self {
+        Self(secret)
     }
 
-    /// The text itself.
-    pub fn expose(&self) -> &str {
+    pub fn expose(&self) -> &T::Target {
         &self.0
     }
 }
 
-impl fmt::Debug for SecretText {
+impl<T: Zeroize> fmt::Debug for Secret<T> {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str("SecretText(…)")
-    }
-}
-
-/// Secret bytes on their way to or from the site of the same user: a key file. Never in Debug.
-#[derive(Clone, Serialize, Deserialize, Zeroize, ZeroizeOnDrop)]
-#[serde(transparent)]
-pub struct SecretBytes(Vec<u8>);
-
-impl SecretBytes {
-    /// Wraps the bytes.
-    pub fn new(bytes: Vec<u8>) -> Self {
-        Self(bytes)
-    }
-
-    /// The bytes themselves.
-    pub fn expose(&self) -> &[u8] {
-        &self.0
-    }
-}
-
-impl fmt::Debug for SecretBytes {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str("SecretBytes(…)")
+        formatter.write_str("Secret(…)")
     }
 }
 

@@ -1,28 +1,22 @@
-//! Completions for a word of a command line, read from a home without a site: names of topics, contacts and profiles,
-//! ids of records. Bounded, and silent if something is wrong. A word that a shell could read as anything but one plain
-//! word is never offered: names in a ledger may be a stranger's.
+//! Completions for a word of a command line, read from a home without a site. Bounded and silent on errors. Offers only
+//! words that every shell reads as one plain word: names in a ledger may come from strangers.
 
 use crate::model::{ContactName, ProfileName, TopicName};
 use crate::paths::Home;
 use crate::store::Glance;
 use crate::store::notes::AddressBook;
 
-/// The most words returned.
 const MOST: usize = 200;
-/// The kind of word to complete.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Completed {
     /// A topic with records.
     Topic,
-    /// A name of the address book.
     Contact,
-    /// A record, by its id.
     Record,
-    /// A profile of the home.
     Profile,
 }
 
-/// Words of a kind with this prefix; none if the home does not exist or cannot be read.
+/// Words of a kind with this prefix; none if the home cannot be read.
 pub fn words(home: &Home, kind: Completed, begun: &str) -> Vec<String> {
     let glance = || Glance::at(&home.ledger()).ok();
     let found = match kind {
@@ -38,7 +32,7 @@ pub fn words(home: &Home, kind: Completed, begun: &str) -> Vec<String> {
     found.unwrap_or_default().into_iter().filter(|word| is_plain(kind, word) && begins(word)).take(MOST).collect()
 }
 
-/// Whether a word has the form of its kind: none of these forms has a character with a meaning to a shell.
+/// Whether a word has the form of its kind; none of these forms contains a shell's special character.
 fn is_plain(kind: Completed, word: &str) -> bool {
     match kind {
         Completed::Topic => word.parse::<TopicName>().is_ok(),

@@ -1,5 +1,5 @@
-//! The doctor: checks everything a home depends on (files, chain, peers), says how it is and what to do. Needs no
-//! passphrase, changes nothing, starts no robots; a part that is embedded and not running is fine.
+//! Checks everything a home depends on: files, chain, peers. Needs no passphrase and changes nothing; an embedded part
+//! that is not running is fine.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -11,19 +11,18 @@ use crate::crypto::read_public;
 use crate::model::{Timestamp, clean, without_secrets};
 use crate::paths::Home;
 use crate::pipeline::network_pin_in;
-use crate::reply::{CheckStatus, DoctorCheck, DoctorView, HealthLevel, PartHealth, SiteView};
+use crate::reply::{CheckStatus, DoctorCheck, DoctorView, HealthLevel, LifeLine, PartHealth, SiteView};
 use crate::ros::ros2::{Reading, Ros2Capture};
 use crate::ros::{CaptureNotice, Graph, Message, MessageSink, UNCONFINED};
 use crate::site::{STORE_LOST, is_bound, keyring_faults, misses_store, store_loss};
 use crate::store::notes::{ProfileAccounts, StoreWasGone};
 use crate::store::{CacheSettings, Glance, SiteLock, StoreError, cache, files, snapshot};
 
-/// Checks all of it. `site` is what a running site of this home says about its parts, or why it says nothing; `None` if
-/// none runs.
+/// `site` is a running site's own status, or why it does not answer; `None` if none runs.
 pub async fn examine(home: &Home, config: &Config, site: Option<Result<SiteView, String>>) -> DoctorView {
     let mut sheet = Sheet::default();
     let runs = site.is_some();
-    // Held so that no site starts while its files are checked.
+    // No site can start while its files are checked.
     let lock = if runs { None } else { SiteLock::acquire(&home.site_lock()).ok().flatten() };
     tokio::task::block_in_place(|| {
         home_folder(home, &mut sheet);
@@ -32,7 +31,7 @@ pub async fn examine(home: &Home, config: &Config, site: Option<Result<SiteView,
         disk(home, &mut sheet);
         cache(config, &mut sheet);
         ros_master(config, &mut sheet);
-        // A running site of this home is in the domain already, and says below what it sees.
+        // A running site has joined the domain already and reports it below.
         if !runs {
             second(config, &mut sheet);
         }
@@ -50,7 +49,7 @@ pub async fn examine(home: &Home, config: &Config, site: Option<Result<SiteView,
     sheet.view()
 }
 
-/// The state of a home's peers if no site of it runs: master and chain are asked now.
+/// Health of a home's peers if no site of it runs.
 pub async fn peers(home: &Home, config: &Config) -> Vec<PartHealth> {
     let (mut ros, mut chain) = (Sheet::default(), Sheet::default());
     tokio::task::block_in_place(|| ros_master(config, &mut ros));
@@ -71,25 +70,18 @@ fn part(name: &str, level: HealthLevel, text: &str) -> PartHealth {
 fn of_site(site: &SiteView, sheet: &mut Sheet) {
     let failed: Vec<_> = site.health.iter().filter(|part| part.level == HealthLevel::Failed).collect();
     for part in &failed {
-        sheet.fail(
-            &format!("site {}", part.part),
-            &part.text,
-            "fix what it names; the site then continues automatically",
-        );
+        let advice = "fix what it names; the site then continues automatically";
+        sheet.fail(&format!("site {}", part.part), &part.text, advice);
     }
     for part in site.health.iter().filter(|part| part.level == HealthLevel::Waiting) {
         sheet.warn(&format!("site {}", part.part), &part.text, "check again in a moment");
     }
     if failed.is_empty() {
-        let life = &site.life;
-        sheet.ok(
-            "site",
-            &format!("running; {} records of this profile verified, {} pending", life.verified, life.pending),
-        );
+        let LifeLine { verified, pending, .. } = site.life;
+        sheet.ok("site", &format!("running; {verified} records of this profile verified, {pending} pending"));
     }
 }
 
-/// The findings so far.
 #[derive(Debug, Default)]
 struct Sheet {
     checks: Vec<DoctorCheck>,
@@ -97,9 +89,8 @@ struct Sheet {
 
 impl Sheet {
     fn add(&mut self, name: &str, status: CheckStatus, detail: &str, advice: &str) {
-        let check =
-            DoctorCheck { name: clean(name, 60), status, detail: clean(detail, 400), advice: clean(advice, 300) };
-        self.checks.push(check);
+        let (name, detail, advice) = (clean(name, 60), clean(detail, 400), clean(advice, 300));
+        self.checks.push(DoctorCheck { name, status, detail, advice });
     }
 
     fn ok(&mut self, name: &str, detail: &str) {
@@ -114,7 +105,7 @@ impl Sheet {
         self.add(name, CheckStatus::Fail, detail, advice);
     }
 
-    /// All findings as the health of one part: the first failure, or the first finding and `well`.
+    /// The first failure, or the first finding and `well`.
     fn health(&self, name: &str, well: HealthLevel) -> PartHealth {
         let failed = self.checks.iter().find(|check| check.status == CheckStatus::Fail);
         match failed {
@@ -133,16 +124,12 @@ const AHEAD: u64 = 15;
 /// Seconds beyond which things break: grants begin and end by the chain's time.
 const FAR_AHEAD: u64 = 120;
 
-/// The name of the embedded chain.
 const EMBEDDED: &str = "embedded";
 
 async fn look(home: &Home, config: &Config, site_runs: bool, sheet: &mut Sheet) {
     let pinned = match tokio::task::block_in_place(|| network_pin_in(&home.ledger())) {
         Ok(pinned) => pinned,
-        Err(error) => {
-            let advice = "keep a copy of the home, then restore the last backup: authros restore FILE";
-            return sheet.fail("chain", &error.to_string(), advice);
-        }
+        Err(error) => return sheet.fail("chain", &error.to_string(), DAMAGED),
     };
     if let Some(site) = &config.site {
         return remote(&site.addresses, sheet).await;
@@ -158,10 +145,7 @@ async fn look(home: &Home, config: &Config, site_runs: bool, sheet: &mut Sheet) 
         None if pinned.is_none() && !home.chain().join("chain.db").exists() => {
             return sheet.ok("chain", "embedded; created with the first registration");
         }
-        None => {
-            let endpoint = Endpoint::Embedded { directory: home.chain(), consensus: config.consensus };
-            (endpoint, EMBEDDED.to_owned())
-        }
+        None => (Endpoint::Embedded { directory: home.chain(), consensus: config.consensus }, EMBEDDED.to_owned()),
     };
     let has_pin = pinned.is_some();
     let options = ChainOptions { endpoint, contract: config.contract, pinned, confirmations: config.confirmations };
@@ -188,13 +172,10 @@ async fn answered(chain: &Chain, name: &str, has_pin: bool, sheet: &mut Sheet) {
         }
         Some(pin) => sheet.ok("contract", &format!("{}, its code matches this program", pin.contract)),
         None if name == EMBEDDED && head.number > 0 => {
-            let text =
-                format!("the embedded chain has {} blocks, and this home's store names no contract on it", head.number);
-            sheet.fail(
-                "contract",
-                &text,
-                "the store was lost: restore the last backup, or name the contract with --contract",
-            );
+            let blocks = head.number;
+            let text = format!("the embedded chain has {blocks} blocks, and this home's store names no contract on it");
+            let advice = "the store was lost: restore the last backup, or name the contract with --contract";
+            sheet.fail("contract", &text, advice);
         }
         None => sheet.ok("contract", "none yet; deploy it with `authros register` or `authros chain deploy`"),
     }
@@ -215,49 +196,41 @@ async fn answered(chain: &Chain, name: &str, has_pin: bool, sheet: &mut Sheet) {
     }
 }
 
-/// Records are anchored on it: whether that holds against its operator, too.
+/// Whether the anchors hold against the chain's operator, too.
 fn who_seals(sealed_by: &SealedBy, sheet: &mut Sheet) {
     if sealed_by.alone {
         let text = format!("records are anchored on a chain sealed by a single party: {}", sealed_by.text);
-        sheet.warn(
-            "sealers",
-            &text,
-            "if that is not sufficient evidence, set chain.url to a chain sealed by several parties",
-        );
+        let advice = "if that is not sufficient evidence, set chain.url to a chain sealed by several parties";
+        sheet.warn("sealers", &text, advice);
     } else {
         sheet.ok("sealers", &sealed_by.text);
     }
 }
 
-/// The first address that answers will do; the others are told in a warning.
+/// One address that answers is enough; the others cause a warning.
 async fn remote(addresses: &[String], sheet: &mut Sheet) {
-    let patience = std::time::Duration::from_secs(3);
+    let patience = Duration::from_secs(3);
     let mut silent = Vec::new();
     for address in addresses {
         match tokio::time::timeout(patience, tokio::net::TcpStream::connect(address)).await {
             Ok(Ok(_)) => {
                 let text = format!("through the gateway at {address}, which answers");
-                return match silent.as_slice() {
-                    [] => sheet.ok("chain", &text),
-                    _ => sheet.warn(
-                        "chain",
-                        &format!("{text}; {}", silent.join("; ")),
-                        "check that line, or site.address",
-                    ),
-                };
+                if silent.is_empty() {
+                    return sheet.ok("chain", &text);
+                }
+                let text = format!("{text}; {}", silent.join("; "));
+                return sheet.warn("chain", &text, "check that line, or site.address");
             }
             Ok(Err(error)) => silent.push(format!("the gateway at {address}: {error}")),
-            Err(_) => {
-                silent.push(format!("the gateway at {address} does not answer within {} s", patience.as_secs()));
-            }
+            Err(_) => silent.push(format!("the gateway at {address} does not answer within {} s", patience.as_secs())),
         }
     }
     sheet.fail("chain", &silent.join("; "), "start it or correct site.address");
 }
 
-/// Free space below which a site soon stops acknowledging, bytes.
+/// Bytes; with less, a site soon stops acknowledging.
 const TIGHT: u64 = 1 << 30;
-/// Free space below which it cannot work, bytes.
+/// Bytes; with less, it cannot work.
 const FULL: u64 = 32 << 20;
 
 fn home_folder(home: &Home, sheet: &mut Sheet) {
@@ -326,10 +299,9 @@ fn keys(home: &Home, sheet: &mut Sheet) {
     }
 }
 
-/// What to do about a damaged file.
 const DAMAGED: &str = "keep a copy of the home, then restore the last backup: authros restore FILE";
 
-/// Whether the store is well-formed, and what is noted in it can be read.
+/// Whether the store is well-formed and its notes can be read.
 fn store(home: &Home, sheet: &mut Sheet) {
     let path = home.ledger();
     if misses_store(home) {
@@ -355,7 +327,6 @@ fn store(home: &Home, sheet: &mut Sheet) {
     }
 }
 
-/// Room on the disk of the home.
 fn disk(home: &Home, sheet: &mut Sheet) {
     let mut place = home.root();
     while !place.exists() {
@@ -377,11 +348,9 @@ fn disk(home: &Home, sheet: &mut Sheet) {
     }
 }
 
-/// The longest look at a ROS 2 domain.
 const LOOK: Duration = Duration::from_secs(6);
 const TICK: Duration = Duration::from_millis(50);
 
-/// The cache, if there is one: whether it answers.
 fn cache(config: &Config, sheet: &mut Sheet) {
     let Some(url) = config.cache_url.clone() else { return };
     match cache::examine(&CacheSettings { url, roots: config.cache_roots.clone() }) {
@@ -394,7 +363,6 @@ fn cache(config: &Config, sheet: &mut Sheet) {
     }
 }
 
-/// Captures nothing: the doctor only looks.
 struct Nobody;
 
 impl MessageSink for Nobody {
@@ -402,7 +370,7 @@ impl MessageSink for Nobody {
     fn notice(&self, _: CaptureNotice) {}
 }
 
-/// The participants of the ROS 2 domain, if the settings name one; it is joined for a moment.
+/// Joins the ROS 2 domain of the settings for a moment.
 fn second(config: &Config, sheet: &mut Sheet) {
     let Some(domain) = config.ros_domain.filter(|_| config.site.is_none()) else { return };
     let capture = match Ros2Capture::start(domain, config.ros2_program.as_deref(), Arc::new(Nobody)) {
@@ -427,7 +395,7 @@ fn second(config: &Config, sheet: &mut Sheet) {
     walls(standing.confined, sheet);
 }
 
-/// Whether what parses the network reaches nothing else of this machine.
+/// Whether the process that parses the network can reach anything else of this machine.
 fn walls(confined: Option<bool>, sheet: &mut Sheet) {
     let advice = "use a kernel of 5.13 or later with landlock among its security modules (/sys/kernel/security/lsm); until \
                   then start the site as root, which gives the program a user of its own";
@@ -438,7 +406,6 @@ fn walls(confined: Option<bool>, sheet: &mut Sheet) {
     }
 }
 
-/// The master, this machine's name and the host names given by publishers.
 fn ros_master(config: &Config, sheet: &mut Sheet) {
     if config.site.is_some() {
         return sheet.ok("ros", "is at the gateway");

@@ -1,10 +1,9 @@
-//! What a site reports without being asked: small notes; the data is then pulled with a command.
+//! Notes that a site sends on its own; a command then pulls the data.
 
 use serde::{Deserialize, Serialize};
 
 use crate::model::Timestamp;
 
-/// Which part of the site's data changed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Part {
@@ -22,42 +21,34 @@ pub enum Part {
     Identity,
 }
 
-/// How urgent a notice is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, strum::IntoStaticStr)]
+#[strum(serialize_all = "snake_case")]
 #[serde(rename_all = "snake_case")]
 pub enum NoticeLevel {
     /// Shown for 3 s.
     Info,
-    /// Something is waiting or was counted.
     Warning,
     Error,
 }
 
 impl NoticeLevel {
-    /// Its word in logs.
     pub fn word(self) -> &'static str {
-        match self {
-            Self::Info => "info",
-            Self::Warning => "warning",
-            Self::Error => "error",
-        }
+        self.into()
     }
 }
 
-/// Sent to every console and follower of the site.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "event")]
 pub enum Event {
-    /// Pull this part again. Sent at most four times a second per part.
+    /// Pull this part again; at most four times a second per part.
     Changed { part: Part },
-    /// Something an operator should know; the text is cleaned.
+    /// Something an operator should know; cleaned.
     Notice {
         at: Timestamp,
         level: NoticeLevel,
-        /// What happened, to what, what to do.
+        /// What happened, to what, and what to do.
         text: String,
-        /// The subject, if a later notice about the same replaces this one (`chain`); one that is only information
-        /// clears it.
+        /// Subject: a later notice about it replaces this one; an informational one clears it.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         about: Option<String>,
     },

@@ -21,11 +21,10 @@ macro_rules! failure_from {
 }
 failure_from!(ChainError, ConfigError, CryptoError, GatewayError, RosError);
 
-/// Ends the text about a full disk: a refused request has to be repeated.
+/// Ends the text about a full disk: a refused request must be repeated.
 pub const AGAIN: &str = ", then do it again";
 
 impl From<StoreError> for Failure {
-    /// A refused command does not continue when there is space again: it has to be repeated.
     fn from(error: StoreError) -> Self {
         let again = if matches!(error, StoreError::DiskFull { .. }) { AGAIN } else { "" };
         Self::new(error.kind(), clean(&format!("{error}{again}"), 600))
@@ -41,17 +40,15 @@ impl From<PipelineError> for Failure {
     }
 }
 
-/// A failure of kind `Refused`.
 pub fn refused(message: impl Into<String>) -> Failure {
     Failure::new(ErrorKind::Refused, message)
 }
 
-/// A failure of kind `Input`.
 pub fn input(message: impl Into<String>) -> Failure {
     Failure::new(ErrorKind::Input, message)
 }
 
-/// A failure of kind `Internal`, for what no act of an operator can cause.
+/// For what no act of an operator can cause.
 pub fn internal(message: impl Into<String>) -> Failure {
     Failure::new(ErrorKind::Internal, message)
 }

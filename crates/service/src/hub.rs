@@ -1,5 +1,4 @@
-//! Collects the workers' news and passes it on at a pace people can follow: small notes, at most four a second per
-//! part.
+//! Collects the workers' news and passes it on, at most four notes a second per part.
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -16,38 +15,32 @@ use crate::pipeline::stages::Stages;
 use crate::pipeline::watcher::foreign;
 use crate::store::notes::ForeignAnchors;
 
-/// Shortest time between two notes about the same part.
 const PACE: Duration = Duration::from_millis(250);
-/// The same alert is repeated only after this time.
+/// Pause before the same alert is repeated.
 const REPEAT: Duration = Duration::from_secs(30);
-/// The most alerts remembered.
 const MOST_ALERTS: usize = 200;
 
-/// The subject of notices about anchors that were not sent from here.
 const ACCOUNT: &str = "account";
 
 const PARTS: [Part; 6] = [Part::Topics, Part::Uploads, Part::Grants, Part::Chain, Part::Health, Part::Identity];
 
-/// The place where all news of a site comes together.
 pub struct Hub {
     events: broadcast::Sender<Event>,
     dirty: [AtomicBool; PARTS.len()],
     wake: Notify,
     told: Mutex<HashMap<String, Instant>>,
-    /// Which captures wait for which records.
+    /// Captures that wait for records.
     pub sessions: Arc<Sessions>,
-    /// Rings when records were stored and wait to be anchored.
+    /// Rings when stored records wait to be anchored.
     pub stored: Notify,
     /// Rings when records are deep enough to be verified.
     pub confirmed: Notify,
-    /// Times of the line.
     pub stages: Stages,
-    /// Counts what may change what readers are told: rows of the feed, and rights, also those only announced.
+    /// Counts changes of what readers may be told: rows of the feed, and rights, even if only announced.
     pub feed: watch::Sender<u64>,
 }
 
 impl Hub {
-    /// A hub that sends its news through `events`.
     pub fn new(events: broadcast::Sender<Event>) -> Self {
         Self {
             events,
@@ -62,12 +55,10 @@ impl Hub {
         }
     }
 
-    /// The sender of events, for further clients.
     pub fn events(&self) -> &broadcast::Sender<Event> {
         &self.events
     }
 
-    /// A part's data changed.
     pub fn changed(&self, part: Part) {
         if let Some(index) = PARTS.iter().position(|other| *other == part) {
             self.dirty[index].store(true, Ordering::Release);
@@ -75,12 +66,10 @@ impl Hub {
         }
     }
 
-    /// What readers are told may have changed.
     pub fn feed_changed(&self) {
         self.feed.send_modify(|count| *count += 1);
     }
 
-    /// Sends a notice that only informs.
     pub fn inform(&self, text: &str) {
         self.notice(NoticeLevel::Info, text);
     }
@@ -89,12 +78,11 @@ impl Hub {
         self.notice(NoticeLevel::Warning, text);
     }
 
-    /// Tells that something does not work.
     pub fn alarm(&self, text: &str) {
         self.notice(NoticeLevel::Error, text);
     }
 
-    /// Sends a notice, unless the same text was sent a moment ago.
+    /// Sends a notice, unless the same text was sent within [`REPEAT`].
     pub fn notice(&self, level: NoticeLevel, text: &str) {
         let text = clean(text, 400);
         let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
@@ -109,8 +97,7 @@ impl Hub {
         self.tell(level, text, None);
     }
 
-    /// Sends a notice about something that lasts: it replaces the previous one about the same, and one that is only
-    /// information clears it.
+    /// Sends a lasting notice: it replaces the previous one about the same; an informational one clears it.
     pub fn notice_about(&self, about: &str, level: NoticeLevel, text: &str) {
         self.tell(level, clean(text, 400), Some(about.to_owned()));
     }
@@ -120,7 +107,6 @@ impl Hub {
         drop(self.events.send(Event::Notice { at: Timestamp::now(), level, text, about }));
     }
 
-    /// Passes the notes on until the site ends.
     pub async fn run(self: Arc<Self>) {
         loop {
             self.wake.notified().await;
@@ -172,7 +158,7 @@ impl Observer for Hub {
 
     fn foreign_anchors(&self, found: &ForeignAnchors) {
         self.changed(Part::Health);
-        // The first at once, then one now and then: the account's health keeps the count.
+        // The first immediately, then ever fewer; the account's health keeps the count.
         if found.count.is_power_of_two() {
             self.notice_about(ACCOUNT, NoticeLevel::Error, &foreign::text(found));
         }

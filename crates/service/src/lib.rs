@@ -1,7 +1,4 @@
-//! Command in, Event out: everything the product can do, and the owner of all background tasks.
-//!
-//! The console and the command line talk only through [`Client`]: to the site of this process, or over the home's
-//! socket to the site of another. Nothing here draws or prints.
+//! Command in, Event out. Console and command line talk only through [`Client`]; nothing here draws or prints.
 
 use crate as service;
 use authros_chain as chain;

@@ -1,5 +1,4 @@
-//! A home that cannot be written, such as an image of a disk that is mounted read-only: commands read a working copy
-//! in the folder for temporary files. Not a byte is written to the home itself.
+//! A home that cannot be written, such as a read-only image: commands read a working copy among the temporary files.
 
 use std::fs::{self, File, TryLockError};
 use std::io;
@@ -10,27 +9,22 @@ use super::reply::Failure;
 use crate::model::{ByteSize, ErrorKind};
 use crate::paths::Home;
 
-/// Files of the home's folder that are larger are not copied but referred to.
+/// Larger files are linked, not copied.
 const SMALL: u64 = 64 << 20;
-/// What a site makes for itself: space set aside, locks, its socket, what it told.
+/// What a site makes for itself.
 const OWN: [&str; 6] = ["reserve", "reserve.states", "waiting", "site.lock", "site.sock", "serve.log"];
 /// Folders that a site writes to.
 const COPIED: [&str; 3] = ["chain", "gateway", "profiles"];
 
-/// Whether there is a home whose folder cannot be written.
 pub fn is_read_only(home: &Home) -> bool {
     let denied =
         |error: &io::Error| matches!(error.kind(), io::ErrorKind::ReadOnlyFilesystem | io::ErrorKind::PermissionDenied);
     home.ledger().exists() && tempfile::tempfile_in(home.root()).is_err_and(|error| denied(&error))
 }
 
-/// A working copy of such a home, private to this user. `None` while another
-/// process has the home. The caller deletes it with [`forget`].
-///
-/// # Errors
-/// If something of it cannot be read, or there is no room for the copy.
+/// A private working copy of such a home, for [`forget`] to delete; `None` while another process has the home.
 pub fn working_copy(home: &Home) -> Result<Option<Home>, Failure> {
-    // Where it can be written by others it may be in use.
+    // If others can write it, it may be in use.
     let lock = File::open(home.site_lock()).ok();
     if lock.as_ref().is_some_and(|lock| matches!(lock.try_lock(), Err(TryLockError::WouldBlock))) {
         return Ok(None);
@@ -45,7 +39,7 @@ pub fn working_copy(home: &Home) -> Result<Option<Home>, Failure> {
     Ok(Some(home.copied_to(folder.keep())))
 }
 
-/// Deletes a working copy; does nothing to any other home.
+/// Deletes a working copy, and nothing else.
 pub fn forget(home: &Home) {
     if home.original().is_some() {
         drop(fs::remove_dir_all(home.root()));
@@ -73,11 +67,11 @@ fn copy_home(from: &Path, to: &Path) -> io::Result<()> {
 }
 
 fn copy_folder(from: &Path, to: &Path) -> io::Result<()> {
-    make_folder(to)?;
+    fs::DirBuilder::new().mode(0o700).create(to)?;
     for entry in fs::read_dir(from)? {
         let (entry, name) = entry.map(|entry| (entry.path(), entry.file_name()))?;
         let (about, target) = (fs::symlink_metadata(&entry)?, to.join(&name));
-        // A passphrase stays where it is.
+        // A passphrase is never copied.
         if name == "passphrase" || name.to_string_lossy().ends_with("-shm") {
             continue;
         }
@@ -90,13 +84,9 @@ fn copy_folder(from: &Path, to: &Path) -> io::Result<()> {
     Ok(())
 }
 
-fn make_folder(path: &Path) -> io::Result<()> {
-    fs::DirBuilder::new().mode(0o700).create(path)
-}
-
 fn copy_file(from: &Path, to: &Path) -> io::Result<()> {
     fs::copy(from, to)?;
-    // A file that others can read is refused as it would be in the home; one that nobody can write is not.
+    // A file that others can read is refused as in the home; one that nobody can write is not.
     let mode = fs::metadata(from)?.permissions().mode();
     fs::set_permissions(to, fs::Permissions::from_mode(mode & 0o777 | 0o600))
 }

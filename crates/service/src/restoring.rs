@@ -15,12 +15,8 @@ use crate::model::{ErrorKind, clean};
 use crate::paths::Home;
 use crate::store::{archive, files, note_restored, snapshot};
 
-/// Restores a backup as the home, which must be empty or absent; so must the places beside it for which the backup has
-/// settings.
-///
-/// # Errors
-/// `Refused` if the home is not empty or the passphrase is wrong, `Tampered` if the file is damaged, `Input` and `Home`
-/// if a file cannot be read or created. The home is then unchanged.
+/// Restores a backup as the home. The home and the places outside it that the backup has settings for must be empty or
+/// absent; on failure the home is unchanged.
 pub fn restore(file: &Path, home: &Home, secret: &SecretText) -> Result<BackupView, Failure> {
     let passphrase = Passphrase::new(secret.expose().to_owned())?;
     let root = std::path::absolute(home.root()).map_err(|error| unmade(home.root(), &error))?;
@@ -37,17 +33,15 @@ pub fn restore(file: &Path, home: &Home, secret: &SecretText) -> Result<BackupVi
     fault::point("restore-unpacked");
     let copied = Home::new(folder.path().to_owned());
     if !copied.ledger().exists() {
-        return Err(Failure::new(
-            ErrorKind::Tampered,
-            format!("{} contains no ledger, so it is not a backup", shown(file)),
-        ));
+        let text = format!("{} contains no ledger, so it is not a backup", shown(file));
+        return Err(Failure::new(ErrorKind::Tampered, text));
     }
     snapshot::renew_ledger(&copied.ledger())?;
     let has_ring = note_restored(&copied.ring())?;
     let profiles = copied.profiles().iter().map(ToString::to_string).collect();
     is_free(&root)?;
     let apart = settings_apart(home, folder.path())?;
-    // Over an empty directory or nothing; otherwise it fails.
+    // Fails unless the target is an empty directory or absent.
     fs::rename(folder.path(), &root).map_err(|error| unmade(&root, &error))?;
     File::open(parent).and_then(|parent| parent.sync_all()).map_err(|error| unmade(parent, &error))?;
     let files = u64::try_from(unpacked.names.len()).unwrap_or(u64::MAX);
@@ -61,7 +55,7 @@ pub fn restore(file: &Path, home: &Home, secret: &SecretText) -> Result<BackupVi
                 .to_owned(),
         );
     }
-    // The home is complete by now: what cannot be moved is used where it is.
+    // The home is complete by now: what cannot be moved is used in place.
     notes.extend(apart.into_iter().filter_map(|(name, place)| put_back(&root.join(name), place)));
     Ok(BackupView { file: shown(file), files, bytes: unpacked.bytes, profiles, notes })
 }
@@ -75,7 +69,7 @@ fn is_free(root: &Path) -> Result<(), Failure> {
     if is_empty { Ok(()) } else { Err(occupied(root, "is not empty")) }
 }
 
-/// Unpacked files that belong outside of the home, by name and place; none of these places may be taken.
+/// Unpacked files that belong outside the home, by name and place; no place may be taken.
 fn settings_apart<'a>(home: &'a Home, unpacked: &Path) -> Result<Vec<(&'static str, &'a Path)>, Failure> {
     let apart: Vec<_> = home.outside().into_iter().filter(|(name, _)| unpacked.join(name).exists()).collect();
     match apart.iter().find(|(_, place)| place.symlink_metadata().is_ok()) {
@@ -89,7 +83,7 @@ fn occupied(place: &Path, how: &str) -> Failure {
     refused(format!("{} {how} and will not be overwritten; {advice}", shown(place)))
 }
 
-/// Moves a file or folder to its place, where nothing exists yet; returns what to say if that fails.
+/// Moves a file or folder to a free place; returns what to say if that fails.
 fn put_back(from: &Path, place: &Path) -> Option<String> {
     let error = move_to(from, place).err()?;
     Some(format!("{} could not be moved to {}: {error}; it is used in its current place", shown(from), shown(place)))

@@ -1,8 +1,7 @@
-//! The check of an export folder by somebody without a home or keys, against a chain that they trust.
+//! Check of an export folder without a home or keys, against a chain that the checker trusts.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
-use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
@@ -15,10 +14,9 @@ use crate::pipeline::export_folder::{AnchorWord, ExportFolder, VerifyStep};
 use crate::service::failure::input;
 use crate::service::reply::Failure;
 
-/// The most anchors of a record that are looked at, and the most besides in the block that the folder names.
+/// Most anchors of a record examined, and most of those in the block that the folder names.
 const MOST_ANCHORS: usize = 256;
 
-/// The result of checking a folder.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FolderCheck {
     /// Whether every step was done and passed.
@@ -26,55 +24,50 @@ pub struct FolderCheck {
     /// SM3 of the record.
     pub digest: Digest,
     pub owner: Address,
-    /// When it was captured, according to its owner.
+    /// According to its owner.
     pub captured_at: Timestamp,
-    /// The anchor that counts, according to the chain: the earliest at which its signer had the right. If there is
-    /// none, the one named in proof.json; `None` if the chain does not have that either.
+    /// The earliest anchor at which the signer had the right. If there is none, the one in proof.json; `None` if the
+    /// chain lacks that too.
     pub anchored: Option<AnchoredAt>,
-    /// Who seals that chain, according to its node.
+    /// According to the chain's node.
     pub sealed_by: Option<SealedBy>,
-    /// What the reader of the verdict has to know besides.
+    /// What the reader must know besides.
     pub warnings: Vec<String>,
     pub steps: Vec<VerifyStep>,
-    /// The kind of error that determines the exit code; `None` if every check passes.
+    /// Determines the exit code; `None` if every check passes.
     pub worst: Option<ErrorKind>,
 }
 
-/// A block of the chain that anchors a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AnchoredAt {
     pub block: u64,
     pub hash: Hash,
-    /// Its time, to the second, by the clocks of those who seal that chain.
+    /// To the second, by the sealers' clocks.
     pub time: Timestamp,
 }
 
 impl From<BlockRef> for AnchoredAt {
     fn from(block: BlockRef) -> Self {
-        let time = Timestamp::from_seconds(block.timestamp);
-        Self { block: block.number, hash: block.hash, time }
+        Self { block: block.number, hash: block.hash, time: Timestamp::from_seconds(block.timestamp) }
     }
 }
 
-/// What is known of the chain from another source than the folder; it takes precedence over the folder.
+/// Facts about the chain from another source; they take precedence over the folder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Known {
-    /// Hash of block 0.
     pub genesis: Option<Hash>,
     pub contract: Option<Address>,
 }
 
 impl Known {
-    /// How far the folder is trusted if nothing of the chain is known from another source.
+    /// What only the folder vouches for.
     fn missing(self) -> &'static [&'static str] {
         if self.genesis.is_some() || self.contract.is_some() { &[] } else { &["genesis", "contract"] }
     }
 }
 
-/// Checks a folder; `url` is the chain's.
-///
-/// # Errors
-/// `Input` if the folder does not exist. That the chain does not answer is reported in the steps.
+/// Checks a folder against the chain at `url`. The steps report a chain that does not answer; `Input` if the folder
+/// does not exist.
 pub async fn verify(folder: &Path, url: Option<&str>, known: Known) -> Result<FolderCheck, Failure> {
     let folder =
         tokio::task::block_in_place(|| ExportFolder::read(folder)).map_err(|error| input(error.to_string()))?;
@@ -106,7 +99,7 @@ pub async fn verify(folder: &Path, url: Option<&str>, known: Known) -> Result<Fo
         ok: worst.is_none(),
         digest: folder.digest(provider),
         owner: folder.header.owner,
-        captured_at: folder.header.captured_at,
+        captured_at,
         anchored,
         steps,
         worst,
@@ -157,20 +150,15 @@ async fn ask(
 /// Whether the time in proof.json is that of its block.
 fn timed(folder: &ExportFolder, claimed: AnchoredAt) -> VerifyStep {
     let AnchoredAt { block, time, .. } = claimed;
-    match folder.proof.anchor.block_time {
-        Some(said) if said != time => {
-            VerifyStep::new("time", false, &format!("block {block} is dated {time}, but proof.json says {said}"))
-        }
-        _ => VerifyStep::new(
-            "time",
-            true,
-            &format!("block {block} is dated {time}, by the clock of this chain's sealers"),
-        ),
-    }
+    let (ok, text) = match folder.proof.anchor.block_time {
+        Some(said) if said != time => (false, format!("block {block} is dated {time}, but proof.json says {said}")),
+        _ => (true, format!("block {block} is dated {time}, by the clock of this chain's sealers")),
+    };
+    VerifyStep::new("time", ok, &text)
 }
 
-/// Every block that anchors the record, in the chain's order: by its own digest, or by the root of its batch over the
-/// number of leaves that its path was made for, whoever put it there.
+/// Blocks that anchor the record, in order: by its own digest, or by its batch's root over the path's number of leaves,
+/// whoever anchored it.
 async fn anchors(folder: &ExportFolder, chain: &Chain, pin: &Pin) -> Result<Vec<u64>, ChainError> {
     if folder.proof.anchor.mode == AnchorWord::Each {
         let uploaded = chain.uploaded_at(folder.header.owner, folder.proof.digest).await?;
@@ -185,7 +173,7 @@ async fn anchors(folder: &ExportFolder, chain: &Chain, pin: &Pin) -> Result<Vec<
     });
     let (mut standing, mut blocks) = (BTreeMap::new(), BTreeSet::new());
     for (account, block) in chosen(told, folder.proof.anchor.block) {
-        // The contract's own state, so that events need not be trusted; once for each account.
+        // The contract's own state, so that events need no trust; once per account.
         let stands = match standing.get(&account) {
             Some(stands) => *stands,
             None => chain.root_anchored(account, inclusion.root).await?.is_some(),
@@ -198,8 +186,8 @@ async fn anchors(folder: &ExportFolder, chain: &Chain, pin: &Pin) -> Result<Vec<
     Ok(blocks.into_iter().collect())
 }
 
-/// The earliest of these anchors, and those in the block that the folder names: anybody can anchor a root again without
-/// end, and each one costs questions to the node.
+/// The earliest anchors, and those in the block that the folder names: anybody can anchor a root endlessly, and each
+/// anchor costs queries.
 fn chosen(told: impl Iterator<Item = (Address, u64)>, claimed: Option<u64>) -> BTreeSet<(Address, u64)> {
     let (mut first, mut named) = (BTreeSet::new(), BTreeSet::new());
     for (account, block) in told {
@@ -213,7 +201,6 @@ fn chosen(told: impl Iterator<Item = (Address, u64)>, claimed: Option<u64>) -> B
     first
 }
 
-/// Whether the chain has the record in the block named in proof.json.
 async fn check_anchor(
     folder: &ExportFolder,
     chain: &Chain,
@@ -222,10 +209,8 @@ async fn check_anchor(
 ) -> Result<Option<BlockRef>, ChainError> {
     let anchor = &folder.proof.anchor;
     let Some(claimed) = anchor.block else {
-        steps.push(VerifyStep::open(
-            "anchor",
-            "the record was not in a block when it was exported; ask for a later export",
-        ));
+        let text = "the record was not in a block when it was exported; ask for a later export";
+        steps.push(VerifyStep::open("anchor", text));
         return Ok(None);
     };
     let block = chain.block(claimed).await?;
@@ -242,8 +227,8 @@ async fn check_anchor(
     Ok(block.filter(|_| ok))
 }
 
-/// Whether the signer could sign for the owner: at the earliest of the anchors at which it had the right. Others are
-/// skipped, so that an anchor made while the owner was suspended neither proves nor spoils anything.
+/// Whether the signer had the right to sign, at the earliest anchor where it did. Others are skipped: an anchor during
+/// the owner's suspension neither proves nor spoils anything.
 async fn judge_signer(
     folder: &ExportFolder,
     chain: &Chain,
@@ -264,9 +249,7 @@ async fn judge_signer(
         let at = Moment::of_block(*number, Timestamp::from_seconds(block.timestamp));
         let text = match may_sign(&directory, owner, signer, at) {
             Ok(SigningRight::Owner(_)) => format!("the signer's key belonged to {owner} at block {number}"),
-            Ok(SigningRight::Device(_)) => {
-                format!("the signer is a device that {owner} had lent at block {number}")
-            }
+            Ok(SigningRight::Device(_)) => format!("the signer is a device that {owner} had lent at block {number}"),
             Err(why) => {
                 refused = refused.or(Some(why));
                 continue;
@@ -280,12 +263,11 @@ async fn judge_signer(
     Ok(claimed.into())
 }
 
-/// Seconds between the claimed capture and the anchor that need no comment.
+/// Seconds between claimed capture and anchor that need no comment.
 const USUAL: u64 = 10 * 60;
 /// Seconds that a capture may claim to be after its anchor: clocks differ, and block times are whole seconds.
 const AFTER: u64 = 15;
 
-/// What the reader of the verdict has to know besides.
 fn warnings(
     captured_at: Timestamp,
     anchored: Option<AnchoredAt>,
@@ -303,14 +285,14 @@ fn warnings(
     if let Some(anchored) = anchored {
         let (claimed, block) = (captured_at.seconds(), anchored.time.seconds());
         if block > claimed.saturating_add(USUAL) {
-            let apart = span(block - claimed);
+            let late = span(block - claimed);
             warnings.push(format!(
-                "it was anchored {apart} after its owner claims it was captured; nothing proves that time"
+                "it was anchored {late} after its owner claims it was captured; nothing proves that time"
             ));
         } else if claimed > block.saturating_add(AFTER) {
-            let apart = span(claimed - block);
+            let late = span(claimed - block);
             warnings
-                .push(format!("its owner claims it was captured {apart} after it was anchored, so that time is wrong"));
+                .push(format!("its owner claims it was captured {late} after it was anchored, so that time is wrong"));
         }
     }
     if !folders_word.is_empty() {
@@ -324,7 +306,7 @@ fn warnings(
     warnings
 }
 
-/// The verdict in words; a record is never called verified without the time shown by its anchor.
+/// The verdict in words; never "verified" without the time shown by the anchor.
 pub fn verdict(check: &FolderCheck) -> String {
     let first = match (check.worst, check.anchored) {
         (None, Some(anchored)) => format!(
@@ -341,10 +323,10 @@ pub fn verdict(check: &FolderCheck) -> String {
     std::iter::once(first).chain(sealed).chain(warnings).collect::<Vec<_>>().join("\n")
 }
 
-/// A span of seconds for people, in its two largest units.
+/// In its two largest units.
 fn span(seconds: u64) -> String {
     let units = [(86_400, "d"), (3_600, "h"), (60, "min"), (1, "s")];
-    let mut rest = Duration::from_secs(seconds).as_secs();
+    let mut rest = seconds;
     let mut parts = Vec::new();
     for (length, unit) in units {
         if rest >= length && parts.len() < 2 {

@@ -1,30 +1,24 @@
-//! Requests that name their answers. One list generates the enum that goes over the wire, a type for each request, and
-//! the link between the request and its answer.
+//! Requests that name their answers. One list generates the wire enum, a type for each request, and its answer.
 
 use super::Command;
 use crate::service::reply::{Answer, Failure, Reply};
 
-/// A request with the type of its answer.
 pub trait Ask: Into<Command> {
     type Answer: Answer;
 
-    /// Its answer as it goes over the wire.
+    /// The answer as it goes over the wire.
     fn told(answer: Self::Answer) -> Reply {
         answer.into_reply()
     }
 
-    /// Its answer, from what came over the wire.
-    ///
-    /// # Errors
-    /// The site's failure, or that it is of another version and answered something else.
+    /// The answer from what came over the wire, or the failure of a site of another version.
     fn heard(reply: Result<Reply, Failure>) -> Result<Self::Answer, Failure> {
         Self::Answer::from_reply(reply?).ok_or_else(Failure::of_another_version)
     }
 }
 
-/// Generates `enum $wire` with a variant for each request, which names its answer and the right that it needs, and a type
-/// of the same name and fields that implements [`Ask`]. The entries under `groups` are further variants: lists of their
-/// own.
+/// Generates `enum $wire`, the right that each variant needs, and a type per variant that implements [`Ask`]. Entries
+/// under `groups` are variants that hold further lists.
 macro_rules! requests {
     (
         $(#[$outer:meta])*
@@ -32,9 +26,9 @@ macro_rules! requests {
         $(
             $(#[doc = $doc:literal])+ $(#[serde($($serde:tt)+)])?
             $name:ident $({ $(
-                $(#[doc = $field_doc:literal])+ $(#[serde($($field_serde:tt)+)])?
-                $field:ident: $kind:ty,
-            )+ })? $(($one:ident: $inner:ty))? => $answer:ty, $needed:expr;
+                $(#[doc = $field_doc:literal])* $(#[serde($($field_serde:tt)+)])?
+                $field:ident: $kind:ty
+            ),+ $(,)? })? $(($one:ident: $inner:ty))? => $answer:ty, $needed:expr;
         )+
         $(groups { $($(#[doc = $group_doc:literal])+ $group:ident($members:ty);)+ })?
     ) => {
@@ -44,7 +38,7 @@ macro_rules! requests {
             $(
                 $(#[doc = $doc])+ $(#[serde($($serde)+)])?
                 $name $({ $(
-                    $(#[doc = $field_doc])+ $(#[serde($($field_serde)+)])?
+                    $(#[doc = $field_doc])* $(#[serde($($field_serde)+)])?
                     $field: $kind,
                 )+ })? $(($inner))?,
             )+
@@ -52,7 +46,6 @@ macro_rules! requests {
         }
 
         impl $wire {
-            /// What this request needs.
             pub fn needs(&self) -> Needed {
                 match self {
                     $(Self::$name { .. } => $needed,)+
@@ -62,7 +55,7 @@ macro_rules! requests {
         }
 
         $(
-            request!($(#[doc = $doc])+ $name $({ $($(#[doc = $field_doc])+ $field: $kind,)+ })? $(($inner))?);
+            request!($(#[doc = $doc])+ $name $({ $($(#[doc = $field_doc])* $field: $kind,)+ })? $(($inner))?);
 
             impl From<$name> for Command {
                 fn from(ask: $name) -> Self {
@@ -78,7 +71,6 @@ macro_rules! requests {
     };
 }
 
-/// The type of one request.
 macro_rules! request {
     ($(#[$doc:meta])+ $name:ident) => {
         $(#[$doc])+
@@ -89,15 +81,14 @@ macro_rules! request {
         $(#[$doc])+
         #[derive(Debug, Clone)]
         pub struct $name(
-            /// The request, in full.
             pub $inner,
         );
     };
-    ($(#[$doc:meta])+ $name:ident { $($(#[$field_doc:meta])+ $field:ident: $kind:ty,)+ }) => {
+    ($(#[$doc:meta])+ $name:ident { $($(#[$field_doc:meta])* $field:ident: $kind:ty,)+ }) => {
         $(#[$doc])+
         #[derive(Debug, Clone)]
         pub struct $name {
-            $($(#[$field_doc])+ pub $field: $kind,)+
+            $($(#[$field_doc])* pub $field: $kind,)+
         }
     };
 }

@@ -1,5 +1,4 @@
-//! The terms of a list of records, as flags of the command line (`--since 1h`) and as words of the console's filter
-//! (`since:1h`): one parser for both.
+//! Terms of a list of records: flags of the command line (`--since 1h`) and words of the console's filter (`since:1h`).
 
 use std::fmt::Display;
 use std::str::FromStr;
@@ -9,22 +8,19 @@ use crate::model::{RecordKind, RecordState, Timestamp, clean, positive_span};
 use crate::service::failure::input;
 use crate::service::reply::Failure;
 
-/// Records that wait for a right, in a word that a shell leaves whole.
+/// The state's word without quotes for a shell.
 const RIGHT_ENDED: &str = "right-ended";
 
-/// The subject of a term.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, strum::EnumString, strum::IntoStaticStr, strum::VariantArray)]
 #[strum(serialize_all = "snake_case")]
 pub enum Term {
     Owner,
     Topic,
-    /// Of one message type.
     Type,
-    /// With a tag; if there are several, all must be present.
+    /// Several tags must all be present.
     Tag,
     State,
     Kind,
-    /// Captured at or after.
     Since,
     Until,
     Incident,
@@ -49,7 +45,7 @@ impl UploadQuery {
             Term::Topic => self.topic = Some(parsed(text)?),
             Term::Type => self.type_name = Some(parsed(text)?),
             Term::Tag => self.tags.push(tag(text)?),
-            // The word as it is shown, or one that needs no quotes.
+            // The word as shown, or the one that needs no quotes.
             Term::State if text == RecordState::RightEnded.word() => self.state = Some(RecordState::RightEnded),
             Term::State => self.state = Some(one_of(text, "state", RecordState::ALL.iter().copied(), state_word)?),
             Term::Kind => {
@@ -64,7 +60,6 @@ impl UploadQuery {
     }
 }
 
-/// A state's word on a command line.
 fn state_word(state: RecordState) -> &'static str {
     if state == RecordState::RightEnded { RIGHT_ENDED } else { state.word() }
 }
@@ -100,13 +95,12 @@ pub fn tag(text: &str) -> Result<(String, String), Failure> {
     }
 }
 
-/// A moment in RFC 3339.
 pub fn moment(text: &str) -> Result<Timestamp, Failure> {
     serde_json::from_value(serde_json::Value::String(text.to_owned()))
         .map_err(|_| input(format!("'{}' is not a time; use the form 2026-11-21T08:30:00Z", clean(text, 40))))
 }
 
-/// A moment in the past: a time, the beginning of a day (UTC), or a duration before `now`.
+/// A time, the beginning of a day (UTC), or a duration before `now`.
 pub fn past(text: &str, now: Timestamp) -> Result<Timestamp, Failure> {
     if let Ok(moment) = moment(text).or_else(|_| moment(&format!("{text}T00:00:00Z"))) {
         return Ok(moment);

@@ -1,19 +1,17 @@
-//! The rights that the list of requests names beside each request. An operator's connection may do what its rights say;
-//! all else is the owner's. Looking is what decrypts no message, changes nothing and hands out no file: opening records
-//! is not looking.
+//! Rights that requests need. Looking decrypts no message, changes nothing and gives out no file; opening records is
+//! not looking.
 
 use serde::Deserialize;
 
 use super::Command;
 use crate::model::OperatorRight;
 
-/// Who may make a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Needed {
-    /// An operator with this right, and the owner.
+    /// An operator with this right, or the owner.
     Right(OperatorRight),
     Owner,
-    /// The owner alone, for it carries a passphrase.
+    /// The owner alone: it carries a passphrase.
     Passphrase,
 }
 
@@ -24,7 +22,7 @@ pub(super) const OWNER: Needed = Needed::Owner;
 pub(super) const PASSPHRASE: Needed = Needed::Passphrase;
 
 impl Needed {
-    /// Its word, a constant: what is counted where it is refused.
+    /// A constant word, for counting refusals.
     pub fn word(self) -> &'static str {
         match self {
             Self::Right(right) => right.word(),
@@ -34,14 +32,13 @@ impl Needed {
     }
 }
 
-/// A request by its tags, read without the rest of it.
+/// A request's tags, read without the rest of it.
 #[derive(Debug, Deserialize)]
 pub struct Kind {
     command: String,
 }
 
 impl Kind {
-    /// Whether such requests need [`Needed::Passphrase`].
     pub fn carries_passphrase(&self) -> bool {
         let with =
             ["create_identity", "unlock", "load_key", "change_passphrase", "export_key", "enrol_device", "back_up"];
@@ -50,7 +47,7 @@ impl Kind {
 }
 
 impl Command {
-    /// Whether it leaves home and chain as they are; all that a home is asked that cannot be written.
+    /// Whether it changes neither home nor chain; a read-only home allows nothing else.
     pub fn only_reads(&self) -> bool {
         let shows = matches!(
             self,

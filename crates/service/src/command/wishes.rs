@@ -1,4 +1,4 @@
-//! What requests choose from and ask for: keys, epochs, records, recordings, playback, acts of the administrator.
+//! What requests choose from: keys, epochs, records, recordings, playback, acts of the administrator.
 
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -8,7 +8,6 @@ use serde::{Deserialize, Serialize};
 use crate::model::{IncidentName, Party, RecordKind, RecordState, Timestamp, TopicName, TopicPattern, TypeName, clean};
 use crate::ros::recording::{ChunkCompression, RecordingFormat};
 
-/// Which key a key file holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum KeyKind {
@@ -20,7 +19,6 @@ pub enum KeyKind {
     Eoa,
 }
 
-/// Which epochs a grant opens.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Epochs {
@@ -31,48 +29,39 @@ pub enum Epochs {
     All,
 }
 
-/// Which records to list.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct UploadQuery {
-    /// Only of this owner (shared records).
     pub owner: Option<Party>,
-    /// Only of this topic.
     pub topic: Option<TopicName>,
-    /// Only of this kind; `None` = captured messages.
+    /// `None` = captured messages.
     pub kind: Option<RecordKind>,
-    /// Only of this message type.
     pub type_name: Option<TypeName>,
-    /// Only if the name of the topic or type contains each of these.
+    /// Words that the name of the topic or type must contain.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub words: Vec<String>,
-    /// Only with all of these tags (name, value) in the sealed head.
+    /// Names and values in the sealed head; all must match.
     pub tags: Vec<(String, String)>,
-    /// Only in this incident of the profile.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub incident: Option<IncidentName>,
-    /// Only in this state.
     pub state: Option<RecordState>,
-    /// Captured at or after.
     pub since: Option<Timestamp>,
     pub until: Option<Timestamp>,
-    /// Continue after this cursor (`next` of the previous page).
+    /// `next` of the previous page.
     pub after: Option<String>,
-    /// At most this many, 1 to 1,000.
+    /// 1 to 1,000.
     pub limit: usize,
-    /// Newest first (console) instead of oldest first.
+    /// Console: newest first; otherwise oldest first.
     pub newest_first: bool,
 }
 
-/// Which quarantined messages: all of a topic, or these.
+/// Quarantined messages: all of a topic, or some.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Held {
-    /// All of this topic.
     pub topic: Option<TopicName>,
-    /// Ids; only if no topic is given.
+    /// Only without a topic.
     pub ids: Vec<String>,
 }
 
-/// A pair of SM2 keys.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PairKind {
@@ -80,14 +69,12 @@ pub enum PairKind {
     Envelope,
 }
 
-/// A recording to import.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ImportWishes {
-    /// The file or folder, absolute; read by the site, which runs as the same user.
+    /// Absolute file or folder; read by the site, which runs as the same user.
     pub path: PathBuf,
-    /// Only topics that match any of these patterns; empty = all.
+    /// Empty = all.
     pub topics: Vec<TopicPattern>,
-    /// Tags for the sealed heads.
     pub tags: Vec<(String, String)>,
     /// Import again what was imported before.
     pub again: bool,
@@ -96,11 +83,10 @@ pub struct ImportWishes {
 /// A folder whose recordings are sealed while a recorder writes them.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FollowWishes {
-    /// The folder, absolute; it need not be there yet. Read by the site, which runs as the same user.
+    /// Absolute; need not exist yet. Read by the site, which runs as the same user.
     pub folder: PathBuf,
-    /// Only topics that match any of these patterns; empty = all.
+    /// Empty = all.
     pub topics: Vec<TopicPattern>,
-    /// Tags for the sealed heads.
     pub tags: Vec<(String, String)>,
     /// End when the recording is closed and its proofs are written.
     pub until_closed: bool,
@@ -108,26 +94,22 @@ pub struct FollowWishes {
     pub attach: bool,
 }
 
-/// A recording to write from records.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ExportWishes {
-    /// The file, absolute, which must not exist; written by the site, which runs as the same user.
+    /// Absolute; must not exist. Written by the site, which runs as the same user.
     pub path: PathBuf,
     pub format: RecordingFormat,
-    /// The compression of chunks.
     pub compression: ChunkCompression,
-    /// Only records of this owner.
     pub owner: Option<Party>,
-    /// Only topics that match any of these patterns; empty = all.
+    /// Empty = all.
     pub topics: Vec<TopicPattern>,
-    /// Captured at or after.
     pub since: Option<Timestamp>,
     pub until: Option<Timestamp>,
-    /// Also records that are not confirmed on the chain.
+    /// Also records not confirmed on the chain.
     pub unanchored: bool,
 }
 
-/// The slowest and the fastest playback, thousandths of the recorded pace.
+/// Slowest and fastest playback, as multiples of the recorded pace.
 const RATES: std::ops::RangeInclusive<f64> = 0.001..=1000.0;
 
 /// When messages are played.
@@ -137,19 +119,18 @@ pub enum Pace {
     /// Stored records, one after the other, as fast as they are checked and read.
     #[default]
     AtOnce,
-    /// Stored records, at this multiple of the pace of their capture.
+    /// Stored records, at this multiple of the captured pace.
     Rated {
         /// Thousandths; 1000 = as captured.
         thousandths: u64,
     },
-    /// Records verified from now on, as soon as they are.
+    /// Records verified from now on, immediately.
     Follow,
 }
 
 impl Pace {
     pub const AS_CAPTURED: Self = Self::Rated { thousandths: 1000 };
 
-    /// At this multiple of the pace of the capture.
     pub fn times(factor: f64) -> Result<Self, String> {
         if !RATES.contains(&factor) {
             let (slowest, fastest) = (RATES.start(), RATES.end());
@@ -161,12 +142,9 @@ impl Pace {
     }
 }
 
-/// Another name for a topic, `A:=B`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Remap {
-    /// The name as captured.
     pub from: TopicName,
-    /// The name as played.
     pub to: TopicName,
 }
 
@@ -180,26 +158,23 @@ impl FromStr for Remap {
     }
 }
 
-/// The shared records to be played, when, where, and under which names.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct PlayWishes {
-    /// Only records of this owner.
     pub owner: Option<Party>,
-    /// Only topics that match any of these patterns; empty = all.
+    /// Empty = all.
     pub topics: Vec<TopicPattern>,
-    /// Captured at or after.
     pub since: Option<Timestamp>,
     pub until: Option<Timestamp>,
     pub pace: Pace,
-    /// Also the captured time, as `/clock`.
+    /// Also publish the captured time as `/clock`.
     pub clock: bool,
-    /// Prefix for every name.
+    /// For every name.
     pub prefix: Option<TopicName>,
-    /// Replacements for names; the prefix is not applied to these.
+    /// Replace names; the prefix does not apply to these.
     pub remaps: Vec<Remap>,
-    /// The ROS master; `None` = this site's own.
+    /// ROS master; `None` = this site's own.
     pub master: Option<String>,
-    /// The ROS 2 domain, instead of a ROS 1 graph.
+    /// ROS 2 domain, instead of a ROS 1 graph.
     pub domain: Option<u16>,
 }
 
@@ -208,50 +183,25 @@ pub struct PlayWishes {
 #[serde(rename_all = "snake_case", tag = "act")]
 pub enum Administration {
     /// Lets an account register while registration is closed.
-    Admit {
-        account: Party,
-    },
-    Dismiss {
-        account: Party,
-    },
+    Admit { account: Party },
+    /// Withdraws an admission.
+    Dismiss { account: Party },
     /// Blocks all changes by an account except those that take rights away.
-    Suspend {
-        account: Party,
-    },
+    Suspend { account: Party },
     /// Frees a suspended account.
-    Restore {
-        account: Party,
-    },
+    Restore { account: Party },
     /// Opens registration to all, or closes it.
-    Open {
-        /// Whether anyone may register.
-        open: bool,
-    },
-    /// Blocks all changes except those that take rights away, or allows them again.
-    Pause {
-        /// Whether they are blocked.
-        paused: bool,
-        /// For how long, seconds; `None` = a day.
-        seconds: Option<u64>,
-    },
+    Open { open: bool },
+    /// Blocks all changes except those that take rights away, for a day unless `seconds` are given, or allows them.
+    Pause { paused: bool, seconds: Option<u64> },
     /// Proposes the account that continues for a lost one.
-    Propose {
-        /// The account whose key is lost.
-        lost: Party,
-        successor: Party,
-    },
-    /// Stops a pending succession; the recovery account may do so, too.
-    Cancel {
-        lost: Party,
-    },
+    Propose { lost: Party, successor: Party },
+    /// Stops a pending succession; the recovery account may do so too.
+    Cancel { lost: Party },
     /// Completes a succession whose delay is over; anybody may.
-    Complete {
-        lost: Party,
-    },
+    Complete { lost: Party },
     /// Names the next administrator.
-    HandOver {
-        account: Party,
-    },
+    HandOver { account: Party },
     /// Takes over, as the account that was named.
     Accept,
 }

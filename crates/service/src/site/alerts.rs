@@ -1,5 +1,4 @@
-//! Judges the figures of this site every few seconds and delivers what begins and ends. Both are tasks of their own: a
-//! dead webhook or a slow disk delays alerts, and nothing else.
+//! Judges the site's figures and delivers alerts, in separate tasks: a dead webhook or a slow disk delays only alerts.
 
 use std::collections::VecDeque;
 use std::collections::hash_map::RandomState;
@@ -22,42 +21,34 @@ use crate::service::failure::input;
 use crate::service::figures::{Figures, short};
 use crate::service::reply::{AlertTestView, AlertView, AlertsView, EndedAlert, Failure, Severity};
 
-/// The first pause after a failed delivery, and the longest.
 const PAUSES: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(300));
-/// After so many answers about the first delivery itself it is dropped: the others wait behind it.
+/// Refusals of the first delivery after which it is dropped: the others wait behind it.
 const MOST_JUDGED: u32 = 5;
-/// How often an Alertmanager is reminded of active alerts; it considers an alert over when it has not heard of it for
-/// five minutes.
+/// Alertmanager considers an alert over after five minutes without a reminder.
 const REMIND: Duration = Duration::from_secs(60);
-/// The subject of notices about deliveries.
 const DELIVERY: &str = "alert delivery";
-/// How long alerts that ended are still shown, nanoseconds, and how many of them.
+/// How long ended alerts are shown, nanoseconds, and how many.
 const KEPT: u64 = 15 * 60 * 1_000_000_000;
 const MOST_OVER: usize = 20;
 
-/// The alerts of a site.
 pub(super) struct Alerts {
     settings: AlertSettings,
     path: PathBuf,
-    /// Opened on first use.
     known: Mutex<Option<Known>>,
-    /// The result of the last look. A lock of its own: readers never wait for a disk.
+    /// Result of the last look. A separate lock: readers never wait for a disk.
     shown: Mutex<Shown>,
-    /// Rings when there is something to deliver.
     added: Notify,
 }
 
-/// The alerts as reported to readers.
 #[derive(Default)]
 struct Shown {
     alerts: Vec<AlertView>,
     over: VecDeque<EndedAlert>,
-    /// Deliveries that wait, and those dropped for want of room.
+    /// Waiting, and dropped for want of room.
     deliveries: (u64, u64),
 }
 
 impl Shown {
-    /// Takes over the result of a look at `now`.
     fn refresh(&mut self, now: Timestamp, alerts: Vec<AlertView>, changes: &[Change]) {
         self.alerts = alerts;
         for change in changes {
@@ -73,7 +64,6 @@ impl Shown {
     }
 }
 
-/// The rules, the active alerts and the waiting deliveries.
 struct Known {
     judge: Judge,
     standing: Standing,
@@ -82,7 +72,6 @@ struct Known {
 }
 
 impl Alerts {
-    /// From the shared parts.
     pub fn new(parts: &Parts) -> Self {
         let (settings, path) = (parts.config.alerts.clone(), parts.home.alerts());
         Self { settings, path, known: Mutex::default(), shown: Mutex::default(), added: Notify::new() }
@@ -92,31 +81,31 @@ impl Alerts {
         self.shown.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Active alerts at the last look, and those that ended recently.
     pub fn shown(&self) -> (Vec<AlertView>, Vec<EndedAlert>) {
         let shown = self.shown_now();
         (shown.alerts.clone(), shown.over.iter().cloned().collect())
     }
 
-    /// How many of each rule are active.
     pub fn by_rule(&self) -> Vec<(&'static str, u64)> {
         let shown = self.shown_now();
         let count = |rule: &str| shown.alerts.iter().filter(|alert| rule_of(&alert.key) == rule).count();
         RULES.iter().map(|rule| (*rule, u64::try_from(count(rule)).unwrap_or(u64::MAX))).collect()
     }
 
-    /// Deliveries that wait, and those dropped for want of room.
     pub fn deliveries(&self) -> (u64, u64) {
         self.shown_now().deliveries
     }
 
     fn with<Told>(&self, work: impl FnOnce(&mut Known) -> Told) -> Told {
         let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
-        work(known.get_or_insert_with(|| {
+        let known = known.get_or_insert_with(|| {
             let queue = Queue::open(&self.path);
             let (judge, standing) = (Judge::new(self.settings.limits.clone()), Standing::of(queue.standing()));
             Known { judge, standing, queue, reminded: Instant::now() }
-        }))
+        });
+        let told = work(known);
+        self.shown_now().deliveries = known.queue.counts();
+        told
     }
 
     fn place(&self) -> Result<&AlertPlace, Failure> {
@@ -124,16 +113,16 @@ impl Alerts {
         self.settings.place.as_ref().ok_or_else(|| input(nobody))
     }
 
-    /// The changes caused by these figures; their deliveries are then queued.
+    /// Changes caused by these figures; queues their deliveries.
     fn look(&self, figures: &Figures) -> Vec<Change> {
         let site = figures.owners.first().map_or("", |owner| owner.owner.as_str());
         let forgets = matches!(self.settings.place, Some(AlertPlace::Webhook { form: AlertForm::Alertmanager, .. }));
         let told = self.settings.place.is_some();
-        let (changes, standing, deliveries) = self.with(|known| {
+        let (changes, standing) = self.with(|known| {
             let mut judged = known.judge.judge(figures);
             judged.extend(known.judge.not_known(&known.standing.all()));
             let changes = known.standing.look(figures.now, site, judged);
-            // Without a destination nothing is stored either: if one is set later, the alerts begin for it then.
+            // Without a destination nothing is stored: if one is set later, the alerts begin for it then.
             for change in changes.iter().filter(|_| told) {
                 known.queue.add(change.clone());
             }
@@ -141,33 +130,13 @@ impl Alerts {
                 known.reminded = Instant::now();
                 known.queue.remind();
             }
-            (changes, known.standing.all(), known.queue.counts())
+            (changes, known.standing.all())
         });
-        let mut shown = self.shown_now();
-        shown.refresh(figures.now, standing, &changes);
-        shown.deliveries = deliveries;
-        drop(shown);
+        self.shown_now().refresh(figures.now, standing, &changes);
         self.added.notify_one();
         changes
     }
 
-    /// A delivery was accepted.
-    fn done(&self, number: u64, told: u64) {
-        let deliveries = self.with(|known| {
-            known.queue.done(number, told);
-            known.queue.counts()
-        });
-        self.shown_now().deliveries = deliveries;
-    }
-
-    /// The first delivery will never be accepted; returns the key of its alert.
-    fn give_up(&self) -> Option<String> {
-        let (key, deliveries) = self.with(|known| (known.queue.give_up(), known.queue.counts()));
-        self.shown_now().deliveries = deliveries;
-        key
-    }
-
-    /// All active alerts, and those that ended recently.
     fn view(&self) -> AlertsView {
         let nobody = || "nobody; set alerts.webhook or alerts.command".to_owned();
         let told = self.settings.place.as_ref().map_or_else(nobody, place_name);
@@ -177,7 +146,6 @@ impl Alerts {
 }
 
 impl Site {
-    /// Starts judging, and delivering if there is a destination.
     pub(super) fn watch_for_alerts(self: &Arc<Self>) {
         drop(self.parts.supervisor.keep("alerts", self, Self::judge_alerts));
         if self.alerts.settings.place.is_some() {
@@ -187,12 +155,12 @@ impl Site {
 
     async fn judge_alerts(self: Arc<Self>) {
         while self.parts.life.beat(self.alerts.settings.every).await {
-            // Figures that cannot be read now are read the next time.
+            // Unreadable figures are read the next time.
             let looked = blocking(&self, |site| Ok(site.alerts.look(&site.figures()?))).await.unwrap_or_default();
             if !looked.is_empty() {
                 self.parts.hub.changed(Part::Health);
             }
-            // Without a destination the parts' own notices are enough: consoles and `status` show what is active.
+            // Without a destination the parts' own notices suffice.
             for change in looked.iter().filter(|_| self.alerts.settings.place.is_some()) {
                 self.tell_of(change);
             }
@@ -215,43 +183,35 @@ impl Site {
 
     async fn deliver_alerts(self: Arc<Self>) {
         let (mut failures, mut judged) = (0, 0);
-        loop {
+        while !self.parts.life.is_stopping() {
             let carried = tokio::select! {
                 carried = self.deliver_next() => carried,
                 () = self.stopped() => return,
             };
-            let pause = match carried {
-                Ok(()) => {
-                    if failures > 0 {
-                        self.parts.hub.notice_about(DELIVERY, NoticeLevel::Info, "alert delivery works again");
-                    }
-                    (failures, judged) = (0, 0);
-                    continue;
+            let Err(Undelivered { failure, is_judged }) = carried else {
+                if failures > 0 {
+                    self.parts.hub.notice_about(DELIVERY, NoticeLevel::Info, "alert delivery works again");
                 }
-                Err(Undelivered { failure, is_judged }) => {
-                    if failures == 0 {
-                        let text = format!("an alert could not be delivered and will be retried: {failure}");
-                        self.parts.hub.notice_about(DELIVERY, NoticeLevel::Warning, &text);
-                    }
-                    failures += 1;
-                    judged = if is_judged { judged + 1 } else { 0 };
-                    if judged >= MOST_JUDGED {
-                        self.give_up_delivery(&failure).await;
-                        (failures, judged) = (1, 0);
-                    }
-                    pause(failures, RandomState::new().build_hasher().finish())
-                }
+                (failures, judged) = (0, 0);
+                continue;
             };
-            tokio::select! {
-                () = tokio::time::sleep(pause) => {}
-                () = self.stopped() => return,
+            if failures == 0 {
+                let text = format!("an alert could not be delivered and will be retried: {failure}");
+                self.parts.hub.notice_about(DELIVERY, NoticeLevel::Warning, &text);
             }
+            failures += 1;
+            judged = if is_judged { judged + 1 } else { 0 };
+            if judged >= MOST_JUDGED {
+                self.give_up_delivery(&failure).await;
+                (failures, judged) = (1, 0);
+            }
+            self.parts.life.rest(pause(failures, RandomState::new().build_hasher().finish())).await;
         }
     }
 
-    /// Drops the first delivery, which is refused each time, so that the others are sent.
+    /// Drops the first delivery, which is always refused, so that the others are sent.
     async fn give_up_delivery(self: &Arc<Self>, failure: &Failure) {
-        let given_up = blocking(self, |site| Ok(site.alerts.give_up())).await;
+        let given_up = blocking(self, |site| Ok(site.alerts.with(|known| known.queue.give_up()))).await;
         let Some(key) = given_up.ok().flatten() else { return };
         let text = format!("an alert was refused {MOST_JUDGED} times and is not sent again ({key}): {failure}");
         self.parts.hub.notice_about(DELIVERY, NoticeLevel::Error, &text);
@@ -264,21 +224,16 @@ impl Site {
             self.alerts.added.notified().await;
             return Ok(());
         };
-        // Built anew each time: a secret may have been replaced.
+        // Rebuilt each time: a secret may have been replaced.
         Carrier::of(self.alerts.place()?)?.carry(&delivery, dropped).await?;
         let number = delivery.number;
-        let done = move |site: &Self| {
-            site.alerts.done(number, dropped);
-            Ok(())
-        };
-        Ok(blocking(self, done).await?)
+        Ok(blocking(self, move |site| Ok(site.alerts.with(|known| known.queue.done(number, dropped)))).await?)
     }
 
     pub(super) async fn alerts_view(self: &Arc<Self>) -> Result<AlertsView, Failure> {
         blocking(self, |site| Ok(site.alerts.view())).await
     }
 
-    /// Sends a test alert, marked as such.
     pub(super) async fn test_alert(self: &Arc<Self>) -> Result<AlertTestView, Failure> {
         let place = self.alerts.place()?;
         let owner = self.parts.owners.all().first().map(|owner| short(&owner.address.to_string()));
@@ -297,8 +252,7 @@ impl Site {
     }
 }
 
-/// The pause after this many failures in a row: it doubles, and half of it is random, so that sites do not retry in
-/// step.
+/// Doubles with each failure in a row; half of it is random, so that sites do not retry in step.
 fn pause(failures: u32, chance: u64) -> Duration {
     let doubled = PAUSES.0.saturating_mul(1 << failures.saturating_sub(1).min(16)).min(PAUSES.1);
     let half = doubled / 2;

@@ -1,5 +1,5 @@
-//! The machine's clock, compared with one that does not jump: a jump is reported, written into the audit log, and part
-//! of the site's health until it is over or accepted.
+//! Compares the machine's clock with one that does not jump. A jump is reported, audited, and part of the health until
+//! it is over or accepted.
 
 use crate::site::parts::Parts;
 use std::sync::Arc;
@@ -16,12 +16,11 @@ const LOOK: Duration = Duration::from_secs(1);
 const SHORTEST: i64 = 5;
 /// Seconds that the chain may be ahead of this machine.
 const CHAIN_AHEAD: u64 = 60;
-/// The subject of its notices.
 const ABOUT: &str = "clock";
-/// The profile of the audit line if none is open.
+/// Profile of the audit line if none is open.
 const NOBODY: &str = "site";
 
-/// How many seconds more the machine's clock has advanced than have passed since `begun`.
+/// Seconds that the machine's clock advanced beyond those passed since `begun`.
 fn gained(reading: &Reading, begun: Instant) -> i64 {
     let machine = i64::try_from(reading.machine.seconds()).unwrap_or(i64::MAX);
     machine.saturating_sub(i64::try_from(begun.elapsed().as_secs()).unwrap_or(0))
@@ -38,15 +37,11 @@ pub struct Clock {
 }
 
 impl Clock {
-    /// Looks at the clock until the site ends.
     pub async fn keep(self: Arc<Self>) {
         let begun = Instant::now();
         let (mut before, mut ahead) = (gained(&look(), begun), 0);
         self.compare_with_records().await;
-        while !self.parts.life.is_stopping() {
-            if !self.parts.life.beat(LOOK).await {
-                return;
-            }
+        while self.parts.life.beat(LOOK).await {
             let reading = look();
             let (now, doubted) = (gained(&reading, begun), reading.ahead());
             let jump = now - before;
@@ -89,7 +84,7 @@ impl Clock {
         self.parts.hub.changed(Part::Grants);
     }
 
-    /// A machine without a battery wakes up in the past. Times of capture do not count: a recording has its own.
+    /// A machine without a battery wakes up in the past. Capture times do not count: a recording has its own.
     async fn compare_with_records(self: &Arc<Self>) {
         let Ok(Some(newest)) =
             blocking(self, |clock| Ok(clock.parts.plant.ledger.inspection.newest_acknowledgement()?)).await
@@ -112,11 +107,10 @@ impl Clock {
         let Some(profile) = open.or_else(|| NOBODY.parse::<ProfileName>().ok()) else { return };
         let written: Result<(), Failure> = self.parts.log.write(&profile, "clock", subject, "noticed").await;
         if let Err(failure) = written {
-            self.parts.hub.notice(NoticeLevel::Error, &failure.message);
+            self.parts.hub.alarm(&failure.message);
         }
     }
 
-    /// The state of the clock, if there is something to report.
     pub fn health(&self) -> Option<PartHealth> {
         let reading = look();
         let head = self.parts.link.newest_head();

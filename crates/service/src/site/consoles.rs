@@ -1,5 +1,5 @@
-//! Consoles: one per profile at a time. A keyring opened by a console is locked again when it leaves, once what the
-//! chain is owed was sent; one opened by `serve` or another command stays open.
+//! One console per profile. A keyring opened by a console is locked when it leaves, after the chain's dues are sent;
+//! one opened by `serve` or another command stays open.
 
 use std::collections::HashSet;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -10,44 +10,38 @@ use tokio::sync::oneshot;
 use super::Site;
 use super::operators::Asker;
 use crate::model::{ErrorKind, ProfileName};
-use crate::service::event::NoticeLevel;
 use crate::service::reply::Failure;
 
-/// How long a profile's debts to the chain are waited for before its keyring is locked.
+/// Longest wait for a profile's dues to the chain before its keyring is locked.
 const PATIENCE: Duration = Duration::from_secs(30);
-/// How often to check that.
 const LOOK_EVERY: Duration = Duration::from_millis(200);
 
-/// A connection: who asks through it, and what it holds as long as it lasts.
+/// A connection: who asks through it, and what it holds while it lasts.
 #[derive(Default)]
 pub struct Connected {
     pub(crate) asker: Asker,
     held: Mutex<Held>,
 }
 
-/// What a connection holds.
 #[derive(Default)]
 struct Held {
     consoles: HashSet<ProfileName>,
-    /// Profiles whose keyrings were opened through it.
+    /// Keyrings opened through it.
     opened: HashSet<ProfileName>,
-    /// Each ends a server of the chain when it is dropped.
+    /// Each ends a server of the chain when dropped.
     servers: Vec<oneshot::Sender<()>>,
 }
 
-/// A connection, shared by its requests.
 pub type Claims = Arc<Connected>;
 
-/// The connection of another process.
 pub(crate) fn joiner(asker: Asker) -> Claims {
     Arc::new(Connected { asker, held: Mutex::default() })
 }
 
-/// The consoles of a site.
 #[derive(Debug, Default)]
 pub(super) struct Consoles {
     open: HashSet<ProfileName>,
-    /// Profiles whose keyrings were opened by consoles that have left, or left them to the next one.
+    /// Profiles whose keyrings were opened by consoles that have left, or left to the next one.
     to_lock: HashSet<ProfileName>,
 }
 
@@ -55,7 +49,6 @@ fn held(claims: &Claims) -> std::sync::MutexGuard<'_, Held> {
     claims.held.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Notes that a keyring was opened through a connection.
 pub(super) fn opened_by(claims: &Claims, profile: ProfileName) {
     held(claims).opened.insert(profile);
 }
@@ -68,23 +61,19 @@ pub(super) fn until_released(claims: &Claims) -> oneshot::Receiver<()> {
 }
 
 impl Site {
-    /// Claims a profile for the console of a connection.
     pub(super) fn claim(&self, profile: ProfileName, claims: &Claims) -> Result<(), Failure> {
         let mut consoles = self.consoles.lock().unwrap_or_else(PoisonError::into_inner);
         let own = held(claims).consoles.contains(&profile);
         if !consoles.open.insert(profile.clone()) && !own {
-            return Err(Failure::new(
-                ErrorKind::Home,
-                format!(
-                    "a console of profile '{profile}' is already open; close it, or open another profile with --profile"
-                ),
-            ));
+            let advice = "close it, or open another profile with --profile";
+            let text = format!("a console of profile '{profile}' is already open; {advice}");
+            return Err(Failure::new(ErrorKind::Home, text));
         }
         held(claims).consoles.insert(profile);
         Ok(())
     }
 
-    /// Frees the consoles that a connection held, locks what they opened, and ends the servers it asked for.
+    /// Frees a connection's consoles, locks what they opened, and ends the servers it requested.
     pub(super) fn release(self: &Arc<Self>, claims: &Claims) {
         let left = std::mem::take(&mut *held(claims));
         let mut consoles = self.consoles.lock().unwrap_or_else(PoisonError::into_inner);
@@ -99,9 +88,9 @@ impl Site {
         }
     }
 
-    /// Locks a profile whose console left, unless the next one is there already: that one then locks it when it leaves.
+    /// Locks a profile whose console left, unless the next console is there: that one locks it when it leaves.
     async fn lock_behind(self: Arc<Self>, profile: ProfileName) {
-        // What it cannot wait for is resumed at the next unlock.
+        // What cannot be sent now is resumed at the next unlock.
         drop(tokio::time::timeout(PATIENCE, self.owes_nothing(&profile)).await);
         {
             let mut consoles = self.consoles.lock().unwrap_or_else(PoisonError::into_inner);
@@ -112,23 +101,15 @@ impl Site {
         if let Err(failure) = self.profiles.lock(&profile).await {
             let text =
                 format!("the keyring of '{profile}' stays open although its console has closed: {}", failure.message);
-            self.parts.hub.notice(NoticeLevel::Warning, &text);
+            self.parts.hub.warn(&text);
         }
     }
 
-    /// Waits until everything that needs the profile's keys was sent.
+    /// Waits until everything that needs the profile's keys is sent.
     async fn owes_nothing(&self, profile: &ProfileName) {
-        loop {
-            let (owner, network) = (self.parts.owners.unlocked(profile).ok(), self.parts.link.network_now());
-            let owes = match (owner, network) {
-                (Some(owner), Some(network)) => {
-                    tokio::task::block_in_place(|| self.sharing.owes(&owner, &network)).unwrap_or(false)
-                }
-                _ => false,
-            };
-            if !owes {
-                return;
-            }
+        while let (Ok(owner), Some(network)) = (self.parts.owners.unlocked(profile), self.parts.link.network_now())
+            && tokio::task::block_in_place(|| self.sharing.owes(&owner, &network)).unwrap_or(false)
+        {
             tokio::time::sleep(LOOK_EVERY).await;
         }
     }

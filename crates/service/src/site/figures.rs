@@ -1,5 +1,4 @@
-//! Fills in this site's figures and serves them. Everything is counted anyway; a scrape only looks, and at most one
-//! look a second goes to the ledger, however often anybody asks.
+//! Fills in and serves the site's figures. At most one look a second reads the ledger, however often anybody asks.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -17,7 +16,6 @@ use crate::model::steady_clock::look;
 use crate::model::{Address, Timestamp};
 use crate::pipeline::audit_head;
 use crate::pipeline::stages::{Milestone, Stage};
-use crate::service::event::NoticeLevel;
 use crate::service::figures::{
     BOUNDS, Figures, GrantFigures, LaneFigures, Latency, OwnerFigures, RobotFigures, TopicFigures, exposition, short,
 };
@@ -26,22 +24,18 @@ use crate::service::socket;
 use crate::store::StateCounts;
 use crate::store::files::free_bytes;
 
-/// How long figures are reused once read.
 const FRESH: Duration = Duration::from_secs(1);
-/// Interval between attempts to listen.
 const AGAIN: Duration = Duration::from_secs(5);
-/// The most accounts, robots, topics and grants that have figures of their own; for grants, given and received ones
-/// each.
+/// Most accounts, robots, topics and grants with figures of their own; grants given and received count separately.
 const MOST_OWNERS: usize = 64;
 const MOST_ROBOTS: usize = 256;
 const MOST_TOPICS: usize = 200;
 const MOST_GRANTS: usize = 64;
 
-/// The text read last, and when.
 type Kept = Mutex<Option<(Instant, Arc<str>)>>;
 
 impl Site {
-    /// Starts what only a site that is to stay has: alerts, figures, and the socket for operators.
+    /// Starts what only a lasting site has: alerts, figures, and the operators' socket.
     pub fn oversee(self: &Arc<Self>) {
         self.parts.life.stay();
         self.watch_for_alerts();
@@ -53,7 +47,7 @@ impl Site {
         }
     }
 
-    /// Whether it is to stay, and not to end with the command that it runs for.
+    /// Whether it stays, instead of ending with the command that it runs for.
     pub fn is_to_stay(&self) -> bool {
         self.parts.life.is_to_stay()
     }
@@ -75,15 +69,12 @@ impl Site {
                 return;
             }
             let text = format!("metrics cannot be served at {failed}; choose another metrics.listen, or free it");
-            self.parts.hub.notice(NoticeLevel::Error, &text);
-            tokio::select! {
-                () = tokio::time::sleep(AGAIN) => {}
-                () = self.stopped() => return,
-            }
+            self.parts.hub.alarm(&text);
+            self.parts.life.rest(AGAIN).await;
         }
     }
 
-    /// Answers until accepting fails, and returns why, or until the site ends.
+    /// Answers until the site ends, or accepting fails: then returns why.
     async fn answer_readers<S, Accepted>(self: &Arc<Self>, any_host: bool, accept: impl Fn() -> Accepted) -> String
     where
         S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
@@ -91,7 +82,7 @@ impl Site {
     {
         let (places, kept) = (Arc::new(Semaphore::new(figures::MOST)), Arc::new(Kept::default()));
         loop {
-            // A peer for whom there is no place waits before it is accepted.
+            // Without a free place, the next peer waits before it is accepted.
             let Ok(place) = Arc::clone(&places).acquire_owned().await else { return String::new() };
             let stream = tokio::select! {
                 stream = accept() => stream,
@@ -110,7 +101,7 @@ impl Site {
     }
 
     async fn figures_text(self: Arc<Self>, kept: Arc<Kept>) -> Option<Arc<str>> {
-        // Held while they are read: many simultaneous callers wait for one look.
+        // Held while reading: simultaneous callers share one look.
         let mut kept = kept.lock().await;
         if let Some((_, text)) = kept.as_ref().filter(|(at, _)| at.elapsed() < FRESH) {
             return Some(Arc::clone(text));
@@ -120,10 +111,9 @@ impl Site {
         Some(text)
     }
 
-    /// The figures of this moment.
     pub(super) fn figures(&self) -> Result<Figures, Failure> {
         let (audit_lines, audit_unanchored) = self.audit_figures()?;
-        let ledger = &self.plant.ledger;
+        let (ledger, head) = (&self.plant.ledger, self.parts.link.newest_head());
         Ok(Figures {
             now: Timestamp::now(),
             owners: self.owner_figures()?,
@@ -132,7 +122,7 @@ impl Site {
             tasks: self.parts.supervisor.views(),
             queue: self.queue_view(),
             lanes: self.lane_figures()?,
-            block: self.block_figures(),
+            block: head.map(|head| (head.number, Timestamp::from_seconds(head.timestamp))),
             grants: self.grant_figures(),
             disk: free_bytes(self.home().root()).ok().map(|free| (free, self.config().disk_reserve)),
             cache: self.plant.ciphertext.cache(),
@@ -191,7 +181,7 @@ impl Site {
 
     fn grant_figures(&self) -> Option<Vec<GrantFigures>> {
         let network = self.parts.link.network_now()?;
-        // Also of profiles that are not open yet: a grant ends whether or not somebody came to unlock them.
+        // Also profiles that are not open: a grant ends regardless.
         let owners = &self.parts.owners;
         let open = owners.all().into_iter().map(|owner| owner.address);
         let own: BTreeSet<Address> = open.chain(owners.accounts()).collect();
@@ -207,12 +197,7 @@ impl Site {
         Some(told_of(ending, &own, |owner| contacts.contains_key(&owner)))
     }
 
-    fn block_figures(&self) -> Option<(u64, Timestamp)> {
-        self.parts.link.newest_head().map(|head| (head.number, Timestamp::from_seconds(head.timestamp)))
-    }
-
-    /// How many lines the audit log has, and when the oldest was written that is not covered by a head of any open
-    /// owner.
+    /// Lines of the audit log, and the time of the oldest that no open owner's head covers.
     fn audit_figures(&self) -> Result<(u64, Option<Timestamp>), Failure> {
         let (lines, _) = self.parts.log.lines().head()?;
         let mut oldest: Option<Timestamp> = None;
@@ -229,8 +214,8 @@ impl Site {
     }
 }
 
-/// The grants to report, in the order of their ends. Received ones only from contacts: anybody can grant something
-/// unasked, and must not push out what counts.
+/// Grants to report, by their ends. Received ones only from contacts: a stranger's unasked grants must not displace
+/// what counts.
 fn told_of(
     ending: BTreeSet<(Timestamp, Address, Address)>,
     own: &BTreeSet<Address>,

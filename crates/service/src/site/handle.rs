@@ -16,7 +16,7 @@ use crate::site::devices::pulling::span;
 use crate::site::mirror::remote::{FIRST_ROUND, LISTING};
 
 impl Site {
-    /// Answers one request. Each variant has its arm here, so a request that nothing answers does not compile.
+    /// One arm for each request, so that an unanswered one does not compile.
     #[allow(clippy::too_many_lines, reason = "an arm for each request")]
     pub async fn handle(self: &Arc<Self>, request: Request, claims: &Claims) -> Result<Reply, Failure> {
         let Request { profile, command } = request;
@@ -117,10 +117,7 @@ impl Site {
                 self.evidence.export(&owner()?, wishes).await.map(ask::ExportEvidence::told)
             }
             Command::StampEvidence => self.stamps.stamp().await.map(ask::StampEvidence::told),
-            Command::ListShared(query) => {
-                let owner = owner()?;
-                self.list_shared(&owner, query).await.map(ask::ListShared::told)
-            }
+            Command::ListShared(query) => self.list_shared(&owner()?, query).await.map(ask::ListShared::told),
             Command::CheckShared { id } => {
                 let owner = self.owner_with(&profile, &id).await?;
                 self.reading.check_record(&owner, &id).await.map(ask::CheckShared::told)
@@ -138,8 +135,7 @@ impl Site {
                 self.reading.path_to(&owner, &id, records).await.map(ask::ViewPath::told)
             }
             Command::Play(wishes) => {
-                let owner = owner()?;
-                self.joined.caught_up(&profile).await?;
+                let owner = self.caught_up_owner(&profile).await?;
                 self.bridge.play(&owner, wishes, until_released(claims)).await.map(ask::Play::told)
             }
             Command::StopPlay => {
@@ -194,8 +190,7 @@ impl Site {
                 self.administering.name_recovery(&owner()?, recovery.as_ref()).await.map(ask::NameRecovery::told)
             }
             Command::ListSuccessions => {
-                let view = self.chain_view(&profile).await?;
-                Ok(ask::ListSuccessions::told(Box::new(view.administration)))
+                self.chain_view(&profile).await.map(|view| ask::ListSuccessions::told(Box::new(view.administration)))
             }
             Command::ChainStatus => self.chain_view(&profile).await.map(Box::new).map(ask::ChainStatus::told),
             Command::DeployContract { delay } => {
@@ -217,8 +212,7 @@ impl Site {
             Command::SiteStatus => self.site_view(&profile).await.map(ask::SiteStatus::told),
             Command::ListAudit(query) => self.parts.log.list(query).await.map(ask::ListAudit::told),
             Command::VerifyAudit { heads } => {
-                let owner = if heads { Some(owner()?) } else { None };
-                self.audit.verify(owner).await.map(ask::VerifyAudit::told)
+                self.audit.verify(heads.then(owner).transpose()?).await.map(ask::VerifyAudit::told)
             }
             Command::ExportAudit { addresses } => {
                 self.parts.log.export(&owner()?, addresses).await.map(ask::ExportAudit::told)
@@ -249,14 +243,14 @@ impl Site {
             Command::ListAdmitted => self.admissions.rows().map(ask::ListAdmitted::told),
             Command::OfIncident(command) => self.of_incident(&profile, command).await,
             Command::OfRobot(command) => {
-                // What robots recorded arrives without the names of its topics.
+                // Robots' records arrive without topic names.
                 self.reading.learn_own_names(&profile).await?;
                 self.devices.answer(&owner()?, command).await
             }
         }
     }
 
-    /// Answers a request about incidents; the rings of robots are asked once the incident is there.
+    /// Answers a request about incidents; robots' rings are requested once the incident exists.
     async fn of_incident(&self, profile: &ProfileName, command: IncidentCommand) -> Result<Reply, Failure> {
         let asked = if let IncidentCommand::OpenIncident { since, until, topics, robots, .. } = &command
             && !robots.is_empty()
@@ -269,7 +263,7 @@ impl Site {
         if let Some((owner, robots, _)) = &asked {
             self.devices.check_robots(owner, robots).await?;
         }
-        // What a topic's records are counted by is its name.
+        // Records are counted by topic name.
         self.reading.learn_own_names(profile).await?;
         let told = self.incidents.answer(profile, command).await?;
         if let Some((owner, robots, span)) = &asked {
@@ -280,8 +274,8 @@ impl Site {
         Ok(told)
     }
 
-    /// What is here of the records shared with a profile. A first list of a large gateway takes long, and a gateway may be
-    /// out of reach; what came so far is shown, with why it may not be all.
+    /// Records shared with a profile, as far as they are here. A large gateway's first list is slow and a gateway may
+    /// be away, so the page says why it may be incomplete.
     async fn list_shared(&self, owner: &Arc<Owner>, query: UploadQuery) -> Result<RecordPage, Failure> {
         let arriving = match self.joined.arriving(&owner.profile, LISTING).await {
             Ok(None) => return self.reading.list_shared(owner, query).await,
@@ -301,7 +295,7 @@ impl Site {
         self.reading.list_shared(owner, query).await
     }
 
-    /// The profile's owner, once a record is here: it need not wait for those that are still coming.
+    /// The profile's owner, once this record is here; does not wait for others.
     async fn owner_with(&self, profile: &ProfileName, id: &str) -> Result<Arc<Owner>, Failure> {
         let owner = self.parts.owners.unlocked(profile)?;
         let more = self.joined.arriving(profile, LISTING).await?.is_some();
@@ -311,7 +305,7 @@ impl Site {
         Ok(owner)
     }
 
-    /// The profile's owner, once the records shared with it are known up to now.
+    /// The profile's owner, once the records shared with it are up to date.
     async fn caught_up_owner(&self, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
         let owner = self.parts.owners.unlocked(profile)?;
         self.joined.caught_up(profile).await?;
@@ -319,14 +313,11 @@ impl Site {
     }
 }
 
-/// Why nothing is changed in a home that cannot be written.
 fn read_only(original: &Path) -> Failure {
     let root = original.display();
-    Failure::new(
-        ErrorKind::Home,
-        format!(
-            "{root} cannot be written, so it can only be looked at (status, audit, uploads, shared, evidence export); \
-             make it writable for everything else"
-        ),
-    )
+    let text = format!(
+        "{root} cannot be written, so it can only be looked at (status, audit, uploads, shared, evidence export); make it \
+         writable for everything else"
+    );
+    Failure::new(ErrorKind::Home, text)
 }

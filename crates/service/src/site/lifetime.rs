@@ -1,5 +1,5 @@
-//! How long a site lives: told to end, ending, stopped; and when background tasks look around, at common moments, so
-//! that an idle site seldom wakes the processor.
+//! The life of a site, and common moments at which background tasks look around, so that an idle site seldom wakes the
+//! processor.
 
 use std::sync::LazyLock;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -8,14 +8,12 @@ use std::time::Duration;
 use tokio::sync::watch;
 use tokio::time::Instant;
 
-/// All beats are counted from this.
 static BEGUN: LazyLock<Instant> = LazyLock::new(Instant::now);
 
-/// The life of a site, followed by all its parts.
 pub(super) struct Lifetime {
-    /// Set as soon as the site was told to end; background tasks are not restarted from then on.
+    /// Background tasks are not restarted from then on.
     ending: AtomicBool,
-    /// Whether it is to run until it is told to end, and not for one command.
+    /// Whether it stays, instead of ending with one command.
     stays: AtomicBool,
     stopping: watch::Sender<bool>,
 }
@@ -25,17 +23,15 @@ impl Lifetime {
         Self { ending: AtomicBool::new(false), stays: AtomicBool::new(false), stopping: watch::channel(false).0 }
     }
 
-    /// The site was told to end: nothing new is begun, what was captured is still stored.
+    /// Nothing new begins; captured messages are still stored.
     pub fn end(&self) {
         self.ending.store(true, Ordering::Release);
     }
 
-    /// The site is to run until it is told to end.
     pub fn stay(&self) {
         self.stays.store(true, Ordering::Release);
     }
 
-    /// Whether it is to run until it is told to end.
     pub fn is_to_stay(&self) -> bool {
         self.stays.load(Ordering::Acquire)
     }
@@ -45,34 +41,38 @@ impl Lifetime {
         self.stopping.send_replace(true);
     }
 
-    /// Whether the site was told to end; it may still be storing what was captured.
+    /// It may still be storing captured messages.
     pub fn is_ending(&self) -> bool {
         self.ending.load(Ordering::Acquire)
     }
 
-    /// Whether the site is stopping.
     pub fn is_stopping(&self) -> bool {
         *self.stopping.borrow()
     }
 
-    /// Waits until the site is stopping.
     pub async fn stopped(&self) {
         let mut stopping = self.stopping.subscribe();
         // An error means that the site is gone, which is an end too.
         drop(stopping.wait_for(|stopping| *stopping).await);
     }
 
-    /// Waits for the next whole multiple of `period`; `false` = the site stops.
-    pub async fn beat(&self, period: Duration) -> bool {
+    /// Pauses; `false` = the site stops.
+    pub async fn rest(&self, pause: Duration) -> bool {
         tokio::select! {
-            () = tokio::time::sleep_until(next(*BEGUN, Instant::now(), period)) => true,
+            () = tokio::time::sleep(pause) => true,
             () = self.stopped() => false,
         }
     }
+
+    /// Waits for the next whole multiple of `period`; `false` = the site stops.
+    pub async fn beat(&self, period: Duration) -> bool {
+        let now = Instant::now();
+        self.rest(next(*BEGUN, now, period) - now).await
+    }
 }
 
-/// The first moment after `now` that is a whole number of periods after `begun`; at least half a period away, so that
-/// work that ends shortly before a beat does not begin again at once.
+/// The next whole multiple of `period`, at least half a period away, so that work ending shortly before a beat does not
+/// begin again immediately.
 fn next(begun: Instant, now: Instant, period: Duration) -> Instant {
     let nanoseconds = period.as_nanos().max(1);
     let since = (now - begun).as_nanos() + nanoseconds / 2;

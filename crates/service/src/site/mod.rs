@@ -1,7 +1,5 @@
-//! The site: master, chain, store and pipeline of one home, and the open profiles that use them.
-//!
-//! `start` brings the parts up in the background; requests wait for the parts they need. One process of a home is the
-//! site, further ones join it over the socket (`service::socket`).
+//! The site: the parts of one home and the open profiles that use them. One process of a home is the site; others join
+//! it over the socket.
 
 mod agent;
 mod alerts;
@@ -41,7 +39,7 @@ mod testing;
 mod workers;
 
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
@@ -99,19 +97,19 @@ use crate::config::Config;
 use crate::crypto::unfinished;
 use crate::model::ProfileName;
 use crate::paths::Home;
+use crate::pipeline::intake::Anchors;
 use crate::pipeline::recorder::CapturedMessage;
 use crate::pipeline::ring::Rings;
 use crate::pipeline::{Losses, Owner, PinRules, Pins, Plant, Recorder};
 use crate::store::{RESERVE_BYTES, Reserve, SiteLock};
 
-/// How long the nodes may take to leave the ROS graph.
+/// Longest wait for the nodes to leave the ROS graph.
 const LEAVING: Duration = Duration::from_secs(2);
-/// How long the embedded chain may take to close its file.
+/// Longest wait for the embedded chain to close its file.
 const CLOSING: Duration = Duration::from_secs(2);
-/// How long captured messages may take to be stored at the end, counted from its beginning.
+/// Time for captured messages to be stored, counted from the beginning of the end.
 const FLUSHING: Duration = Duration::from_secs(4);
 
-/// Which parts this run needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Needs {
     /// ROS master, robots, capture.
@@ -119,9 +117,7 @@ pub struct Needs {
     pub chain: bool,
 }
 
-/// A running site: its parts and its features.
 pub struct Site {
-    /// Store and provider, shared by all its workers.
     pub plant: Plant,
     parts: Parts,
     rings: Arc<Rings<CapturedMessage>>,
@@ -158,17 +154,12 @@ pub struct Site {
     standstill: Arc<Standstill>,
     consoles: Mutex<consoles::Consoles>,
     guests: AtomicUsize,
-    needs: Needs,
+    pub(crate) needs: Needs,
     ros_task: Mutex<Option<tokio::task::JoinHandle<()>>>,
     _lock: SiteLock,
 }
 
-/// The rings before the sealer, bounded as the settings say.
-fn rings(config: &Config) -> Rings<CapturedMessage> {
-    Rings::new(usize::try_from(config.capture_memory).unwrap_or(usize::MAX))
-}
-
-/// The recorder that captures messages, and the guard that judges their publishers for it.
+/// The recorder, and the guard that judges publishers for it.
 fn recorder(parts: &Parts, rings: &Arc<Rings<CapturedMessage>>, losses: &Arc<Losses>) -> (Arc<Recorder>, Arc<Pins>) {
     let Parts { config, plant, hub, .. } = parts;
     let rules = PinRules { mode: config.pin_mode, listed: config.publishers.clone() };
@@ -177,7 +168,7 @@ fn recorder(parts: &Parts, rings: &Arc<Rings<CapturedMessage>>, losses: &Arc<Los
     (Arc::new(recorder.with_pins(Arc::clone(&judges)).with_rules(config.topic_rules.clone())), judges)
 }
 
-/// A request of a joined process.
+/// A joined process's request.
 pub(super) struct Guest(Arc<Site>);
 
 impl Drop for Guest {
@@ -186,8 +177,7 @@ impl Drop for Guest {
     }
 }
 
-/// Removes what processes that were killed left unfinished in the home: copies of a backup, of which no erasure knows,
-/// and files that were to replace others.
+/// Removes leftovers of killed processes: copies of a backup, which no erasure knows, and replacement files.
 fn sweep(home: &Home) {
     unfinished::sweep_below(home.root());
     for (_, place) in home.outside() {
@@ -197,10 +187,7 @@ fn sweep(home: &Home) {
 }
 
 impl Site {
-    /// Opens the store and starts the parts needed.
-    ///
-    /// # Errors
-    /// If the store cannot be opened; chain and master come up (or fail) later.
+    /// Opens the store and starts the needed parts; chain and master come up, or fail, later.
     pub fn start(home: Home, config: Config, lock: SiteLock, needs: Needs) -> Result<Arc<Self>, Failure> {
         // Robots are where the gateway is.
         let needs = Needs { ros: needs.ros && config.site.is_none(), ..needs };
@@ -209,8 +196,7 @@ impl Site {
         let (reserve, reserved) = Reserve::open(&parts.home.reserve(), RESERVE_BYTES);
         let site = Arc::new(Self::assemble(parts, Arc::new(reserve), lock, needs)?);
         if let Err(error) = reserved {
-            let text = format!("no space could be reserved for a revoke on a full disk: {error}");
-            site.parts.hub.notice(super::event::NoticeLevel::Warning, &text);
+            site.parts.hub.warn(&format!("no space could be reserved for a revoke on a full disk: {error}"));
         }
         workers::start(&site, needs, opened)?;
         if copied {
@@ -219,22 +205,39 @@ impl Site {
         Ok(site)
     }
 
-    /// The features over the shared parts, each with the ones it uses.
+    /// Builds the features over the shared parts.
     fn assemble(parts: Parts, reserve: Arc<Reserve>, lock: SiteLock, needs: Needs) -> Result<Self, Failure> {
         let (of, config, plant) = (&parts, Arc::clone(&parts.config), parts.plant.clone());
-        let (rings, losses) = (Arc::new(rings(&config)), Arc::new(Losses::default()));
+        let memory = usize::try_from(config.capture_memory).unwrap_or(usize::MAX);
+        let (rings, losses) = (Arc::new(Rings::new(memory)), Arc::new(Losses::default()));
         let (recorder, judges) = recorder(&parts, &rings, &losses);
         let remote = config.site.as_ref().map(|site| Remote::new(site, &parts.home, plant.provider)).transpose()?;
         let remote = remote.map(Arc::new);
         let (lanes, connection) = (Arc::new(Lanes::new(of)), Arc::new(Connection::new(of, remote.clone())));
         let (contacts, sealer) = (Arc::new(Contacts::new(of)), Arc::new(SealerThread::new(of, &rings, &losses)));
-        let (joined, pins) = (Arc::new(Joined::new(of, remote.clone())), Arc::new(Pinning::new(of, &judges)));
+        let joined = Arc::new(Joined { parts: parts.clone(), remote: remote.clone() });
+        let pins = Arc::new(Pinning { parts: parts.clone(), pins: judges });
         let (ros, reading) = (Arc::new(RosSide::new(of, &recorder, needs.ros)), Arc::new(Reading::new(of, &contacts)));
         let quarantine = Arc::new(Quarantine::new(of, &reading));
         let admissions = Arc::new(Admissions::new(of, &contacts));
         let (stamps, enrolments) = (Arc::new(TimeStamps::new(of)), Arc::new(Enrolments::new(of)));
-        let sharing = Arc::new(Sharing::new(of, &contacts, &enrolments, &joined, &reserve));
-        let gateway = Arc::new(Gateway::new(of, &sharing, &admissions, remote));
+        let sharing = Arc::new(Sharing {
+            parts: parts.clone(),
+            contacts: Arc::clone(&contacts),
+            enrolments: Arc::clone(&enrolments),
+            joined: Arc::clone(&joined),
+            reserve: Arc::clone(&reserve),
+            missing: Mutex::default(),
+        });
+        let gateway = Arc::new(Gateway {
+            parts: parts.clone(),
+            sharing: Arc::clone(&sharing),
+            admissions: Arc::clone(&admissions),
+            anchors: Anchors::default(),
+            serving: Mutex::default(),
+            remote,
+            passed_on: OnceLock::new(),
+        });
         let watches = Arc::new(Watches::new(of, &recorder, &ros));
         let profiles = Arc::new(Profiles {
             parts: parts.clone(),
@@ -266,14 +269,18 @@ impl Site {
             audit: Arc::new(Audit::new(of, &reserve)),
             backup: Arc::new(Backup { parts: parts.clone(), quarantine: Arc::clone(&quarantine) }),
             evidence,
-            incidents: Arc::new(Incidents::new(of)),
+            incidents: Arc::new(Incidents { parts: parts.clone() }),
             stamps,
             chain_proofs: Arc::new(ChainProofs::new(of)),
             bridge: Arc::new(Bridge::new(of, &contacts, &ros)),
             storage: Arc::new(Storage::new(of, &reading)),
             clock: Arc::new(Clock { parts: parts.clone() }),
             alerts: Arc::new(Alerts::new(of)),
-            standstill: Arc::new(Standstill::new(of, &lanes)),
+            standstill: Arc::new(Standstill {
+                parts: parts.clone(),
+                lanes: Arc::clone(&lanes),
+                judge: Mutex::default(),
+            }),
             operators: Arc::new(Operators { parts: parts.clone() }),
             plant,
             parts,
@@ -302,74 +309,61 @@ impl Site {
         })
     }
 
-    /// A client of this site, in this process.
     pub fn client(self: &Arc<Self>, profile: ProfileName) -> Client {
         let (calls, receiver) = mpsc::unbounded_channel();
         tokio::spawn(Arc::clone(self).serve(receiver, Claims::default()));
         Client::new(profile, calls, self.parts.hub.events().clone())
     }
 
-    /// Answers calls until their sender is gone; consoles claimed through it are then free again.
+    /// Answers calls until their sender is gone, then frees the consoles claimed through it.
     pub(super) async fn serve(self: Arc<Self>, mut calls: mpsc::UnboundedReceiver<Call>, claims: Claims) {
         while let Some(Call { request, answer }) = calls.recv().await {
             let (site, claims) = (Arc::clone(&self), Arc::clone(&claims));
             tokio::spawn(async move {
-                // It is not an error if nobody waits for the answer any more.
+                // Nobody may be waiting for the answer any more.
                 drop(answer.send(site.answer(request, &claims).await));
             });
         }
         self.release(&claims);
     }
 
-    /// All events of the site.
     pub fn events(&self) -> broadcast::Receiver<Event> {
         self.parts.hub.events().subscribe()
     }
 
-    /// A joined process sends a request; counted until the guard is dropped.
+    /// Counts a joined process's request until the guard is dropped.
     pub(super) fn welcome(self: &Arc<Self>) -> Guest {
         self.guests.fetch_add(1, Ordering::AcqRel);
         Guest(Arc::clone(self))
     }
 
-    /// Requests of joined processes not answered yet.
+    /// Unanswered requests of joined processes.
     pub fn guests(&self) -> usize {
         self.guests.load(Ordering::Acquire)
     }
 
-    /// Waits until the site is ending.
     pub async fn stopped(&self) {
         self.parts.life.stopped().await;
     }
 
-    /// The chain, as soon as the first attempt has ended.
     pub async fn chain(&self) -> Result<crate::chain::Chain, Failure> {
         self.parts.link.chain().await
     }
 
-    /// The network with its contract.
     pub async fn network(&self) -> Result<crate::pipeline::Network, Failure> {
         self.parts.link.network().await
     }
 
-    /// The owner behind a profile that is unlocked here.
     pub fn unlocked(&self, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
         self.parts.owners.unlocked(profile)
     }
 
-    /// The master's URI, as soon as it is reached.
     pub async fn ros_uri(&self) -> Result<String, Failure> {
         self.ros.uri().await
     }
 
-    /// The home that it works on.
     pub fn place(&self) -> Home {
         self.parts.home.clone()
-    }
-
-    /// The parts that it runs.
-    pub(crate) fn needs(&self) -> Needs {
-        self.needs
     }
 
     pub(crate) fn home(&self) -> &Home {
@@ -380,7 +374,6 @@ impl Site {
         &self.parts.config
     }
 
-    /// Times of the line since the site began.
     pub fn stages(&self) -> &crate::pipeline::stages::Stages {
         &self.parts.hub.stages
     }
@@ -394,14 +387,19 @@ impl Site {
         self.parts.supervisor.keep(name, self, work)
     }
 
-    /// Ends the site within five seconds: capture stops, all captured messages are acknowledged, files closed.
+    /// Ends the site within five seconds: capture stops, captured messages are acknowledged, files closed.
     pub async fn stop(self: Arc<Self>) {
         let begun = Instant::now();
         self.parts.life.end();
         let ros = self.ros_task.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
         self.ros.leave(ros, LEAVING).await;
         if !self.sealer.finish(FLUSHING.saturating_sub(begun.elapsed())).await {
-            self.tell_unstored();
+            // The store cannot be written, and the process must still end.
+            self.parts.hub.alarm(&format!(
+                "{} or more captured messages could not be stored before shutdown; they were never acknowledged; check \
+                 the disk before the next start",
+                self.rings.depth().0
+            ));
         }
         let chain = self.parts.link.connected();
         self.parts.life.stop();
@@ -417,19 +415,9 @@ impl Site {
         };
         drop(tokio::task::spawn_blocking(close).await);
     }
-
-    /// The store cannot be written, and the process must still end.
-    fn tell_unstored(&self) {
-        let (messages, _) = self.rings.depth();
-        let text = format!(
-            "{messages} or more captured messages could not be stored before shutdown; they were never acknowledged; \
-             check the disk before the next start"
-        );
-        self.parts.hub.notice(super::event::NoticeLevel::Error, &text);
-    }
 }
 
-/// Does work for a part that waits for the disk, off the runtime's threads.
+/// Runs work that waits for the disk off the runtime's threads.
 pub(crate) async fn blocking<Whose: Send + Sync + 'static, Done: Send + 'static>(
     part: &Arc<Whose>,
     work: impl FnOnce(&Whose) -> Result<Done, Failure> + Send + 'static,

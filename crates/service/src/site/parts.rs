@@ -1,4 +1,4 @@
-//! What the features of a site share; each takes what it needs.
+//! What the features of a site share.
 
 use std::sync::Arc;
 
@@ -20,7 +20,6 @@ use crate::service::hub::Hub;
 use crate::service::reply::Failure;
 use crate::store::{CacheSettings, Ciphertext, Ledger};
 
-/// The shared parts of one site.
 #[derive(Clone)]
 pub(super) struct Parts {
     pub home: Home,
@@ -33,7 +32,6 @@ pub(super) struct Parts {
     pub life: Arc<Lifetime>,
     pub supervisor: Arc<Supervisor>,
     pub sender: Arc<Sender>,
-    /// Work that takes long.
     pub runs: Runs,
 }
 
@@ -41,14 +39,13 @@ pub(super) struct Parts {
 pub(super) type Opened = mpsc::UnboundedReceiver<Arc<Owner>>;
 
 impl Parts {
-    /// Opens the store of a home; the last value says whether the home is a copy of another one.
-    ///
-    /// # Errors
-    /// If the store cannot be opened, or the cache's URL cannot be used.
+    /// Opens the store of a home; the last value says whether the home is a copy of another.
     pub fn open(home: Home, config: Config, needs_chain: bool) -> Result<(Self, Opened, bool), Failure> {
         let (events, _) = broadcast::channel(1024);
         let hub = Arc::new(Hub::new(events));
-        check_versions(&home)?;
+        // An older program changes nothing in a newer home: all files are checked before the first is opened.
+        Ledger::check_version(&home.ledger())?;
+        check_embedded_chain(&home.chain())?;
         let (ledger, copied) = open_ledger(&home)?;
         let ciphertext = match &config.cache_url {
             Some(url) => {
@@ -81,10 +78,4 @@ impl Parts {
     pub fn is_joined(&self) -> bool {
         self.config.site.is_some()
     }
-}
-
-/// An older program changes nothing in a newer home: all files are checked before the first is opened.
-fn check_versions(home: &Home) -> Result<(), Failure> {
-    Ledger::check_version(&home.ledger())?;
-    Ok(check_embedded_chain(&home.chain())?)
 }

@@ -6,10 +6,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 use crate::model::{ProfileName, clean};
 use crate::service::reply::ProgressView;
 
-/// The longest subject kept, characters.
+/// Characters.
 const WIDEST: usize = 300;
 
-/// One piece of work.
 pub(super) struct Run {
     profile: ProfileName,
     subject: String,
@@ -17,38 +16,35 @@ pub(super) struct Run {
     step: Mutex<&'static str>,
     done: Arc<AtomicU64>,
     of: AtomicU64,
-    units: Arc<AtomicU64>,
+    units: AtomicU64,
 }
 
 impl Run {
-    /// What it does now.
     pub fn step(&self, word: &'static str) {
         *self.step.lock().unwrap_or_else(PoisonError::into_inner) = word;
     }
 
-    /// So much is done, of so much, and with it so many units.
+    /// Sets `done` of `of`, and the units.
     pub fn at(&self, done: u64, of: u64, units: u64) {
         self.done.store(done, Ordering::Relaxed);
         self.expect(of);
         self.units.store(units, Ordering::Relaxed);
     }
 
-    /// All that there is to do; 0 = not known.
+    /// 0 = unknown.
     pub fn expect(&self, of: u64) {
         self.of.store(of, Ordering::Relaxed);
     }
 
-    /// So much more is done.
     pub fn more(&self, done: u64) {
         self.done.fetch_add(done, Ordering::Relaxed);
     }
 
-    /// One more unit is done.
     pub fn one_more(&self) {
         self.units.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// What is done, for work that counts by itself.
+    /// For work that counts on its own.
     pub fn counter(&self) -> Arc<AtomicU64> {
         Arc::clone(&self.done)
     }
@@ -58,60 +54,36 @@ impl Run {
         ProgressView {
             step: (*self.step.lock().unwrap_or_else(PoisonError::into_inner)).to_owned(),
             file: self.subject.clone(),
-            // What comes in meanwhile was not expected.
+            // More may come than was expected.
             done: if of > 0 { done.min(of) } else { done },
             of,
-            messages: self.units.load(Ordering::Relaxed),
+            // Records are the measure of the work itself.
+            messages: if self.unit == "records" { done } else { self.units.load(Ordering::Relaxed) },
             unit: self.unit.to_owned(),
         }
     }
 }
 
-/// All that run now.
 #[derive(Clone, Default)]
 pub(super) struct Runs(Arc<Mutex<Vec<Arc<Run>>>>);
 
 impl Runs {
-    /// Work begins that a profile asked for: what about, with which step, and what is counted besides.
+    /// Begins work for a profile: its subject, first step, and unit.
     pub fn begin(&self, profile: &ProfileName, subject: &str, step: &'static str, unit: &'static str) -> Running {
-        self.note(profile, subject, step, unit, (Arc::default(), Arc::default()))
-    }
-
-    /// The same for work that is done in its units.
-    pub fn begin_counted(
-        &self,
-        profile: &ProfileName,
-        subject: &str,
-        step: &'static str,
-        unit: &'static str,
-    ) -> Running {
-        let done = Arc::<AtomicU64>::default();
-        self.note(profile, subject, step, unit, (Arc::clone(&done), done))
-    }
-
-    fn note(
-        &self,
-        profile: &ProfileName,
-        subject: &str,
-        step: &'static str,
-        unit: &'static str,
-        (done, units): (Arc<AtomicU64>, Arc<AtomicU64>),
-    ) -> Running {
-        let (profile, subject, step, of) =
-            (profile.clone(), clean(subject, WIDEST), Mutex::new(step), AtomicU64::new(0));
-        let run = Arc::new(Run { profile, subject, unit, step, done, of, units });
+        let (profile, subject) = (profile.clone(), clean(subject, WIDEST));
+        let (done, of, units) = (Arc::default(), AtomicU64::default(), AtomicU64::default());
+        let run = Arc::new(Run { profile, subject, unit, step: Mutex::new(step), done, of, units });
         self.0.lock().unwrap_or_else(PoisonError::into_inner).push(Arc::clone(&run));
         Running { runs: self.clone(), run }
     }
 
-    /// All that the profile asked for.
     pub fn of(&self, profile: &ProfileName) -> Vec<ProgressView> {
         let runs = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         runs.iter().filter(|run| run.profile == *profile).map(|run| run.view()).collect()
     }
 }
 
-/// Takes a run off the list when it ends, however it ends.
+/// Removes the run when dropped.
 pub(super) struct Running {
     runs: Runs,
     pub run: Arc<Run>,
@@ -133,7 +105,7 @@ mod tests {
         let (alice, bob): (ProfileName, ProfileName) =
             ("alice".parse().expect("a name"), "bob".parse().expect("a name"));
         let runs = Runs::default();
-        let audit = runs.begin_counted(&alice, "this home", "auditing", "records");
+        let audit = runs.begin(&alice, "this home", "auditing", "records");
         audit.run.expect(1_000);
         audit.run.counter().fetch_add(250, Ordering::Relaxed);
         assert!(runs.of(&bob).is_empty());

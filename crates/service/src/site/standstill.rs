@@ -1,5 +1,5 @@
-//! Stages of a record's path that have work and make no progress: reported in the site's health and as an alert, and
-//! their tasks are restarted. A stage that waits for the chain or a key is not judged: who it waits for is reported.
+//! Stages that have work and make no progress are reported and their tasks restarted. A stage that waits for the chain
+//! or a key is not judged.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -10,17 +10,15 @@ use super::chain::lanes::Lanes;
 use super::parts::Parts;
 use crate::model::{RecordState, Timestamp};
 use crate::pipeline::Network;
-use crate::service::event::{NoticeLevel, Part};
+use crate::service::event::Part;
 use crate::service::reply::{Failure, HealthLevel, PartHealth};
 
 const LOOK: Duration = Duration::from_secs(10);
-/// The part of the health that reports it.
+/// Part of the health.
 pub(super) const PART: &str = "stages";
 
-/// A stage of a record's path.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Stage {
-    /// Closes batches and sends them.
     Anchorer,
     Watcher,
     Verifier,
@@ -29,7 +27,7 @@ enum Stage {
 impl Stage {
     const ALL: [Self; 3] = [Self::Anchorer, Self::Watcher, Self::Verifier];
 
-    /// The name of its tasks, or the beginning of it.
+    /// Name of its tasks, or the beginning of it.
     fn task(self) -> &'static str {
         match self {
             Self::Anchorer => "anchorer",
@@ -38,7 +36,6 @@ impl Stage {
         }
     }
 
-    /// What waits for it.
     fn work(self) -> &'static str {
         match self {
             Self::Anchorer => "records wait to be anchored",
@@ -47,7 +44,7 @@ impl Stage {
         }
     }
 
-    /// How long it may have work without doing any: many times what it takes on a busy machine.
+    /// Longest time with work and no progress: many times the need of a busy machine.
     fn patience(self) -> Duration {
         match self {
             Self::Watcher | Self::Verifier => Duration::from_secs(60),
@@ -56,14 +53,14 @@ impl Stage {
     }
 }
 
-/// What a stage has to do, and a number that changes with whatever it does.
+/// Waiting work, and a number that changes with any progress.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Work {
     waiting: u64,
     done: u64,
 }
 
-/// One stage's work as it was when it last made progress.
+/// One stage's work when it last made progress.
 #[derive(Debug, Clone, Copy)]
 struct Progress {
     since: Instant,
@@ -72,18 +69,16 @@ struct Progress {
     standing: Option<(Timestamp, Instant)>,
 }
 
-/// What a look at a stage came to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Found {
-    /// It works, or has nothing to do.
     Going,
-    /// It stands, and its task is to be restarted.
+    /// It stands, and its task must be restarted.
     Restart,
     Standing,
 }
 
 #[derive(Debug, Default)]
-struct Judge(BTreeMap<Stage, Progress>);
+pub struct Judge(BTreeMap<Stage, Progress>);
 
 impl Judge {
     /// `work` is `None` while the stage waits for somebody else.
@@ -116,26 +111,19 @@ impl Judge {
         }
     }
 
-    /// Those that stand: since when, and how much waits for them.
+    /// With since when, and how much waits.
     fn standing(&self) -> impl Iterator<Item = (Stage, Timestamp, u64)> {
         self.0.iter().filter_map(|(stage, progress)| Some((*stage, progress.standing?.0, progress.work.waiting)))
     }
 }
 
-/// The stages of a site.
 pub struct Standstill {
-    parts: Parts,
-    lanes: Arc<Lanes>,
-    judge: Mutex<Judge>,
+    pub parts: Parts,
+    pub lanes: Arc<Lanes>,
+    pub judge: Mutex<Judge>,
 }
 
 impl Standstill {
-    /// From the shared parts.
-    pub fn new(parts: &Parts, lanes: &Arc<Lanes>) -> Self {
-        Self { parts: parts.clone(), lanes: Arc::clone(lanes), judge: Mutex::default() }
-    }
-
-    /// Looks at the stages until the site ends.
     pub async fn keep(self: Arc<Self>) {
         while self.parts.life.beat(LOOK).await {
             let network = self.parts.link.network_now().filter(|_| !self.parts.link.is_silent());
@@ -144,7 +132,7 @@ impl Standstill {
                 None => None,
             };
             let found = blocking(&self, move |stages| stages.work(network.as_ref())).await;
-            // What the ledger does not answer, others report.
+            // Others report an unreadable ledger.
             let Ok(mut works) = found else { continue };
             works.insert(Stage::Watcher, blocks);
             for stage in Stage::ALL {
@@ -153,7 +141,7 @@ impl Standstill {
         }
     }
 
-    /// Blocks that the chain has and the watcher has not read.
+    /// Blocks of the chain that the watcher has not read.
     async fn unread(&self, network: &Network) -> Option<Work> {
         let head = network.chain.head().await.ok()?.number;
         let read = *self.parts.link.scans().borrow();
@@ -171,7 +159,7 @@ impl Standstill {
             done: of(RecordState::Verified) + of(RecordState::Tampered),
         });
         let anchored = match network.filter(|network| self.lanes.paused(network).is_none()) {
-            // What is on its way keeps the next ones waiting.
+            // A transaction in flight keeps the next ones waiting.
             Some(network) if of(RecordState::Submitted) == 0 => {
                 Some(Work { waiting: self.unbatched(network)?, done: beyond(RecordState::Stored) })
             }
@@ -180,7 +168,7 @@ impl Standstill {
         Ok([(Stage::Verifier, checked), (Stage::Anchorer, anchored)].into())
     }
 
-    /// Records that an open owner anchors and that are in no batch.
+    /// Records in no batch that an open owner anchors.
     fn unbatched(&self, network: &Network) -> Result<u64, Failure> {
         let owners = self.parts.owners.all();
         let open =
@@ -195,12 +183,11 @@ impl Standstill {
         drop(judge);
         match found {
             Found::Restart => {
-                self.parts.hub.notice(NoticeLevel::Error, &self.text().unwrap_or_default());
+                self.parts.hub.alarm(&self.text().unwrap_or_default());
                 self.parts.supervisor.restart(stage.task(), "it had work and made no progress");
             }
             Found::Going if before => {
-                let text = format!("the {} makes progress again", stage.task());
-                self.parts.hub.notice(NoticeLevel::Info, &text);
+                self.parts.hub.inform(&format!("the {} makes progress again", stage.task()));
             }
             Found::Going | Found::Standing => return,
         }
@@ -229,7 +216,6 @@ impl Standstill {
         })
     }
 
-    /// What stands, if anything does.
     pub fn health(&self) -> Option<PartHealth> {
         let since =
             self.judge.lock().unwrap_or_else(PoisonError::into_inner).standing().map(|(_, since, _)| since).min();

@@ -18,41 +18,32 @@ use crate::service::reply::{
 use crate::site::chain::administration::Administering;
 use crate::store::StateCounts;
 
-/// The most transactions used for the gas per record.
 const GAS_OVER: u64 = 100;
-/// The most waiting transactions shown one by one.
 const WAITING_SHOWN: usize = 20;
 
 impl Site {
-    /// Health, counts, robots and open profiles.
     pub(super) async fn site_view(&self, profile: &ProfileName) -> Result<SiteView, Failure> {
         let robots = match &*self.ros.state() {
             RosState::Up(link) => link.robots,
             _ => 0,
         };
-        let profiles = self.parts.owners.all().iter().map(|owner| owner.profile.clone()).collect();
-        let health = block_in_place(|| self.parts_health())?;
-        let life = block_in_place(|| self.life_line(profile))?;
-        let (process, tasks) = (std::process::id(), self.parts.supervisor.views());
-        let verified_after = self.parts.hub.stages.spread(Milestone::Verified);
         let (alerts, alerts_over) = self.alerts.shown();
-        let (queue, cache) = (self.queue_view(), self.plant.ciphertext.cache());
         Ok(SiteView {
-            health,
-            life,
+            health: block_in_place(|| self.parts_health())?,
+            life: block_in_place(|| self.life_line(profile))?,
             robots,
-            profiles,
-            process,
-            tasks,
-            cache,
-            queue,
-            verified_after,
+            profiles: self.parts.owners.all().iter().map(|owner| owner.profile.clone()).collect(),
+            process: std::process::id(),
+            tasks: self.parts.supervisor.views(),
+            cache: self.plant.ciphertext.cache(),
+            queue: self.queue_view(),
+            verified_after: self.parts.hub.stages.spread(Milestone::Verified),
             alerts,
             alerts_over,
         })
     }
 
-    /// What is not well now, and what is: the one place used by status, figures and alerts.
+    /// The one source of health for status, figures and alerts.
     pub(super) fn parts_health(&self) -> Result<Vec<PartHealth>, Failure> {
         if let Some(original) = self.home().original() {
             let text = format!("{} cannot be written: this is what is in it, and nothing goes on", original.display());
@@ -65,7 +56,11 @@ impl Site {
         health.extend(self.clock.health());
         health.extend(self.stamps.health()?);
         health.extend(self.chain_proofs.health()?);
-        health.extend(self.account_health()?);
+        let found = foreign::recent(&self.plant)?;
+        health.extend(found.map(|found| PartHealth {
+            since: Some(found.noted),
+            ..part("account", HealthLevel::Failed, &foreign::text(&found))
+        }));
         health.extend(self.sharing.missing_text().map(|text| part("keys", HealthLevel::Failed, &text)));
         let faults = self.profiles.keyring_faults()?;
         health.extend(faults.iter().map(|(_, text)| part("keyring", HealthLevel::Failed, text)));
@@ -112,7 +107,7 @@ impl Site {
             NetworkState::Swapped(failure) => (HealthLevel::Failed, failure.message.clone()),
             NetworkState::Down { failure, next } => {
                 let left = next.saturating_duration_since(Instant::now());
-                // The rest of a second counts as one: it is not over yet.
+                // A started second counts as one.
                 let retry = left.as_millis().div_ceil(1_000).try_into().unwrap_or(u64::MAX).max(1);
                 let text = format!("retry in {retry} s: {}", failure.message);
                 return PartHealth { retry: Some(retry), ..part("chain", HealthLevel::Failed, &text) };
@@ -128,7 +123,7 @@ impl Site {
         })
     }
 
-    /// The cache, if there is one. One that is away costs time alone.
+    /// A missing cache only costs time.
     fn cache_health(&self) -> Option<PartHealth> {
         let state = self.plant.ciphertext.cache()?;
         let (level, since) = match &state.away {
@@ -136,15 +131,6 @@ impl Site {
             None => (HealthLevel::Ok, None),
         };
         Some(PartHealth { since, ..part("cache", level, &state.line()) })
-    }
-
-    /// The state of the home's accounts, if there is something to report.
-    fn account_health(&self) -> Result<Option<PartHealth>, Failure> {
-        let found = foreign::recent(&self.plant)?;
-        Ok(found.map(|found| PartHealth {
-            since: Some(found.noted),
-            ..part("account", HealthLevel::Failed, &foreign::text(&found))
-        }))
     }
 
     fn gateway_health(&self) -> PartHealth {
@@ -204,7 +190,6 @@ impl Site {
         })
     }
 
-    /// The chain from this profile's point of view.
     pub(super) async fn chain_view(self: &Arc<Self>, profile: &ProfileName) -> Result<ChainView, Failure> {
         let chain = self.parts.link.chain().await?;
         let path = self.parts.home.keyring(profile);
@@ -214,16 +199,17 @@ impl Site {
             None => None,
         };
         let status = chain.status(address).await?;
-        let lanes = match (self.parts.owners.get(profile), self.parts.link.network_now(), address) {
-            (Some(owner), Some(network), _) => self.lanes.lane_states(&owner, &network)?,
+        let network = self.parts.link.network_now();
+        let lanes = match (self.parts.owners.get(profile), &network, address) {
+            (Some(owner), Some(network), _) => self.lanes.lane_states(&owner, network)?,
             (_, _, Some(address)) => vec![self.parts.sender.state_of(address)?],
             (_, _, None) => Vec::new(),
         };
-        // What is in a block already but not looked at yet does not wait any more.
+        // Rows already in a block, but not examined yet, no longer wait.
         let open = address.map(|address| self.plant.ledger.lanes.open_lane(address)).transpose()?;
-        let names = self.contacts.names()?;
-        let next = status.nonce.unwrap_or(0);
-        let pending = open.iter().flatten().filter(|row| row.nonce >= next).count() as u64;
+        let (names, limits) = (self.contacts.names()?, self.parts.sender.limits());
+        let nonce = status.nonce.unwrap_or(0);
+        let pending = open.iter().flatten().filter(|row| row.nonce >= nonce).count() as u64;
         Ok(ChainView {
             kind: status.kind,
             consensus: status.consensus,
@@ -232,7 +218,7 @@ impl Site {
             block: status.block,
             contract: status.contract,
             balance: status.balance.unwrap_or_else(|| "0".to_owned()),
-            nonce: status.nonce.unwrap_or(0),
+            nonce,
             pending,
             gas: block_in_place(|| self.gas_of(&lanes))?,
             waiting: block_in_place(|| self.waiting_in(&lanes))?,
@@ -240,28 +226,16 @@ impl Site {
                 Some(address) => self.lacks(&chain, address).await,
                 None => None,
             },
-            prices: self.prices(),
+            prices: PricesView { min_price: Wei(limits.floor), max_fee: limits.cap.map(Wei) },
             lanes,
             client: clean(&status.client, 100),
             through: self.joined.chain_text().map(|text| clean(&text, 300)),
-            administration: self
-                .parts
-                .link
-                .network_now()
-                .map(|network| Administering::view(&network, address, &names))
-                .unwrap_or_default(),
+            administration: network.map(|network| Administering::view(&network, address, &names)).unwrap_or_default(),
             sealing: chain.sealing().await?,
         })
     }
-}
 
-impl Site {
-    fn prices(&self) -> PricesView {
-        let limits = self.parts.sender.limits();
-        PricesView { min_price: Wei(limits.floor), max_fee: limits.cap.map(Wei) }
-    }
-
-    /// What the account lacks to pay for its next anchor; a node that does not say is asked again when it is sent.
+    /// What the account lacks for its next anchor; if the node does not say, sending will.
     async fn lacks(&self, chain: &Chain, account: Address) -> Option<Shortfall> {
         let anchor = Call::Anchor { root: Hash([0; 32]), count: 1, previous: Hash([0; 32]) };
         let market = chain.market().await.ok()?;
@@ -270,7 +244,6 @@ impl Site {
         Some(shortfall).filter(|shortfall| shortfall.held < shortfall.needed)
     }
 
-    /// The first transactions of these lanes that wait for a block.
     fn waiting_in(&self, lanes: &[LaneState]) -> Result<Vec<WaitingView>, Failure> {
         let mut views = Vec::new();
         for lane in lanes {
@@ -285,7 +258,6 @@ impl Site {
         Ok(views)
     }
 
-    /// The cost of anchoring, over the newest transactions of these lanes.
     fn gas_of(&self, lanes: &[LaneState]) -> Result<GasView, Failure> {
         let mut view = GasView::default();
         for lane in lanes {

@@ -1,5 +1,5 @@
-//! Keeps the background tasks of a site running: one that panics, or ends although it is still wanted, is restarted
-//! after a pause that doubles up to eight seconds. The operator is told, and `SiteStatus` shows every task.
+//! Keeps the background tasks of a site running: one that panics, or ends although still wanted, is restarted after a
+//! pause that doubles. `SiteStatus` shows every task.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
@@ -10,31 +10,28 @@ use tokio::task::{AbortHandle, JoinHandle};
 use super::lifetime::Lifetime;
 use crate::crypto::fault;
 use crate::model::clean;
-use crate::service::event::{NoticeLevel, Part};
+use crate::service::event::Part;
 use crate::service::failure::internal;
 use crate::service::hub::Hub;
 use crate::service::reply::{Failure, TaskState, TaskView};
 
-/// The first pause before a task is restarted, and the longest.
 const PAUSES: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(8));
-/// After working this long, a task that fails gets the first pause again.
+/// After working this long, a failing task gets the first pause again.
 const STEADY: Duration = Duration::from_secs(60);
 /// How often a pausing thread checks whether the site ends.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// Keeps the tasks of a site running.
 pub(super) struct Supervisor {
     hub: Arc<Hub>,
     life: Arc<Lifetime>,
-    /// In the order in which they were started.
+    /// In starting order.
     tasks: Mutex<Vec<Arc<Task>>>,
 }
 
-/// One task, for as long as it is wanted.
 struct Task {
     name: String,
     standing: Mutex<Standing>,
-    /// Ends its present run, and why that was done.
+    /// Ends the present run, and why that was done.
     run: Mutex<(Option<AbortHandle>, Option<&'static str>)>,
 }
 
@@ -62,8 +59,8 @@ impl Supervisor {
         self.tasks.lock().unwrap_or_else(PoisonError::into_inner).retain(|other| !Arc::ptr_eq(other, task));
     }
 
-    /// Ends the present runs of the tasks of this name, or of this name and a profile's, so that they are begun again. A
-    /// thread cannot be ended.
+    /// Ends the present runs of tasks with this name, alone or with a profile's, so that they restart; threads cannot
+    /// be ended.
     pub fn restart(&self, name: &str, why: &'static str) {
         let is_of = |task: &&Arc<Task>| task.name.split(' ').next() == Some(name);
         for task in self.tasks.lock().unwrap_or_else(PoisonError::into_inner).iter().filter(is_of) {
@@ -75,44 +72,11 @@ impl Supervisor {
         }
     }
 
-    /// The state of all of them.
     pub fn views(&self) -> Vec<TaskView> {
         self.tasks.lock().unwrap_or_else(PoisonError::into_inner).iter().map(|task| task.view()).collect()
     }
-}
 
-impl Task {
-    fn view(&self) -> TaskView {
-        let standing = self.standing.lock().unwrap_or_else(PoisonError::into_inner);
-        TaskView {
-            name: clean(&self.name, 80),
-            state: if standing.resumes.is_some() { TaskState::Resting } else { TaskState::Running },
-            restarts: standing.restarts,
-            next_try: standing.resumes.map(|at| at.saturating_duration_since(Instant::now()).as_secs()),
-            reason: standing.reason.clone(),
-        }
-    }
-
-    /// Notes that it ended; returns how long it pauses.
-    fn ended(&self, reason: &str) -> Duration {
-        let mut standing = self.standing.lock().unwrap_or_else(PoisonError::into_inner);
-        let pause = if standing.begun.elapsed() >= STEADY { PAUSES.0 } else { standing.pause };
-        standing.pause = (pause * 2).min(PAUSES.1);
-        standing.resumes = Some(Instant::now() + pause);
-        standing.reason = Some(clean(reason, 200));
-        pause
-    }
-
-    fn begins_again(&self) {
-        let mut standing = self.standing.lock().unwrap_or_else(PoisonError::into_inner);
-        standing.begun = Instant::now();
-        standing.restarts += 1;
-        standing.resumes = None;
-    }
-}
-
-impl Supervisor {
-    /// Keeps the work of a part running until the site ends; aborting the handle ends it.
+    /// Keeps work running until the site ends; aborting the handle ends it.
     pub fn keep<Whose, Work, Run>(self: &Arc<Self>, name: &str, part: &Arc<Whose>, work: Work) -> JoinHandle<()>
     where
         Whose: Send + Sync + 'static,
@@ -122,7 +86,7 @@ impl Supervisor {
         self.keep_while(name, part, |_| true, work)
     }
 
-    /// Keeps the work of a part running for as long as it is wanted and the site does not end.
+    /// Keeps work running while it is wanted and the site does not end.
     pub fn keep_while<Whose, Wanted, Work, Run>(
         self: &Arc<Self>,
         name: &str,
@@ -155,9 +119,8 @@ impl Supervisor {
                 let reason = ended.err().map_or_else(|| "it ended too early".to_owned(), reason_of);
                 let reason = restarted.map_or(reason, str::to_owned);
                 let pause = supervisor.tell_ended(&task, &reason);
-                tokio::select! {
-                    () = tokio::time::sleep(pause) => {}
-                    () = supervisor.life.stopped() => break,
+                if !supervisor.life.rest(pause).await {
+                    break;
                 }
                 task.begins_again();
                 supervisor.hub.changed(Part::Health);
@@ -166,7 +129,7 @@ impl Supervisor {
         })
     }
 
-    /// Keeps the work of a thread running until it ends by itself: only a panic restarts it.
+    /// Keeps a thread running until it ends on its own: only a panic restarts it.
     pub fn keep_thread(
         self: &Arc<Self>,
         name: &'static str,
@@ -189,20 +152,46 @@ impl Supervisor {
 
     fn tell_ended(&self, task: &Task, reason: &str) -> Duration {
         let pause = task.ended(reason);
-        self.hub.notice(
-            NoticeLevel::Error,
-            &format!(
-                "the task '{}' of this site failed and restarts in {:.1} s, nothing acknowledged is lost: {reason}",
-                task.name,
-                pause.as_secs_f32()
-            ),
-        );
+        self.hub.alarm(&format!(
+            "the task '{}' of this site failed and restarts in {:.1} s, nothing acknowledged is lost: {reason}",
+            task.name,
+            pause.as_secs_f32()
+        ));
         self.hub.changed(Part::Health);
         pause
     }
 }
 
-/// Ends a task when dropped.
+impl Task {
+    fn view(&self) -> TaskView {
+        let standing = self.standing.lock().unwrap_or_else(PoisonError::into_inner);
+        TaskView {
+            name: clean(&self.name, 80),
+            state: if standing.resumes.is_some() { TaskState::Resting } else { TaskState::Running },
+            restarts: standing.restarts,
+            next_try: standing.resumes.map(|at| at.saturating_duration_since(Instant::now()).as_secs()),
+            reason: standing.reason.clone(),
+        }
+    }
+
+    /// Returns the pause.
+    fn ended(&self, reason: &str) -> Duration {
+        let mut standing = self.standing.lock().unwrap_or_else(PoisonError::into_inner);
+        let pause = if standing.begun.elapsed() >= STEADY { PAUSES.0 } else { standing.pause };
+        standing.pause = (pause * 2).min(PAUSES.1);
+        standing.resumes = Some(Instant::now() + pause);
+        standing.reason = Some(clean(reason, 200));
+        pause
+    }
+
+    fn begins_again(&self) {
+        let mut standing = self.standing.lock().unwrap_or_else(PoisonError::into_inner);
+        standing.begun = Instant::now();
+        standing.restarts += 1;
+        standing.resumes = None;
+    }
+}
+
 pub(super) struct Aborted(pub JoinHandle<()>);
 
 impl Drop for Aborted {
@@ -211,8 +200,8 @@ impl Drop for Aborted {
     }
 }
 
-/// Pauses a thread that panicked; returns whether it is still wanted then. What it holds must be worked off even while
-/// the site ends, so an end only shortens the pause.
+/// Pauses a thread that panicked; returns whether it is still wanted. An end of the site only shortens the pause: what
+/// the thread holds must be finished.
 fn rest(supervisor: &Weak<Supervisor>, task: &Task, reason: &str) -> bool {
     let Some(pause) = supervisor.upgrade().map(|supervisor| supervisor.tell_ended(task, reason)) else { return false };
     let resumes = Instant::now() + pause;
@@ -233,7 +222,6 @@ fn reason_of(error: tokio::task::JoinError) -> String {
     }
 }
 
-/// The message of a panic.
 fn words(panic: &(dyn std::any::Any + Send)) -> String {
     let text = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
     clean(text.unwrap_or("a bug in the program; please report it"), 200)

@@ -20,78 +20,68 @@ use super::standstill::Standstill;
 use super::storage::Storage;
 use super::{Needs, NetworkState, Site};
 use crate::chain::ChainError;
-use crate::pipeline::anchorer::{Anchorer, Round};
+use crate::pipeline::anchorer::Anchorer;
 use crate::pipeline::stages::Stage;
-use crate::pipeline::{Network, Owner, PipelineError, verifier, watcher};
-use crate::service::event::{NoticeLevel, Part};
+use crate::pipeline::{Owner, PipelineError, verifier, watcher};
+use crate::service::event::Part;
 use crate::service::hub::Hub;
 use crate::service::reply::Failure;
 
-/// The shortest interval between looks at an owner's records while they come: each look asks about all of the owner's
-/// topics.
+/// Shortest interval between looks at an owner's records: each queries all of the owner's topics.
 const BETWEEN_LOOKS: Duration = Duration::from_millis(25);
 
-/// With a great many topics a look takes long: so many times as long nothing is looked at.
+/// Pause after a look, as a multiple of its length: with many topics a look is slow.
 const TIMES_A_LOOK: u32 = 4;
 
-/// Starts all tasks needed by the run.
 pub(super) fn start(
     site: &Arc<Site>,
     needs: Needs,
-    opened: mpsc::UnboundedReceiver<Arc<Owner>>,
+    mut opened: mpsc::UnboundedReceiver<Arc<Owner>>,
 ) -> Result<(), Failure> {
+    let supervisor = &site.parts.supervisor;
+    supervisor.keep("news", &site.parts.hub, Hub::run);
     if site.parts.home.original().is_some() {
-        // This site only reads: nothing is captured, sent or kept.
-        site.parts.supervisor.keep("news", &site.parts.hub, Hub::run);
+        // This site only reads: it captures, sends and keeps nothing.
         if needs.chain {
-            site.parts.supervisor.keep("chain", &site.connection, Connection::keep_connected);
+            supervisor.keep("chain", &site.connection, Connection::keep_connected);
         }
         return Ok(());
     }
-    site.parts.supervisor.keep("news", &site.parts.hub, Hub::run);
-    site.parts.supervisor.keep("audit", &site.audit, Audit::keep);
-    site.parts.supervisor.keep("quarantine", &site.quarantine, Quarantine::keep);
-    site.parts.supervisor.keep("room", &site.storage, Storage::keep_room);
-    site.parts.supervisor.keep("clock", &site.clock, Clock::keep);
+    supervisor.keep("audit", &site.audit, Audit::keep);
+    supervisor.keep("quarantine", &site.quarantine, Quarantine::keep);
+    supervisor.keep("room", &site.storage, Storage::keep_room);
+    supervisor.keep("clock", &site.clock, Clock::keep);
     tokio::spawn(Arc::clone(&site.storage).check_after_crash());
-    site.parts.supervisor.keep("retention", &site.storage, Storage::keep_retention);
-    begin_with_owners(site, opened);
-    if needs.ros {
-        site.sealer.begin()?;
-        let task = site.parts.supervisor.keep_while("ros", &site.ros, |ros| ros.is_wanted(), RosSide::keep);
-        *site.ros_task.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = Some(task);
-    }
-    if needs.chain {
-        site.parts.supervisor.keep("chain", &site.connection, Connection::keep_connected);
-        site.parts.supervisor.keep("owners", site, resume_owners);
-        site.parts.supervisor.keep("watcher", site, watch);
-        if site.stamps.is_wanted() {
-            site.parts.supervisor.keep("time stamps", &site.stamps, TimeStamps::keep);
-        }
-        site.parts.supervisor.keep("chain proofs", &site.chain_proofs, ChainProofs::keep);
-        site.parts.supervisor.keep("verifier", site, verify);
-        site.parts.supervisor.keep("stages", &site.standstill, Standstill::keep);
-        site.parts.supervisor.keep("scrubber", &site.audit, Audit::keep_scrubbing);
-        site.parts.supervisor.keep("expiry", &site.sharing, Sharing::keep_settled);
-        site.parts.supervisor.keep("parties", &site.administering, Administering::keep_parties_known);
-    }
-    Ok(())
-}
-
-/// Starts the tasks of each owner as it is opened.
-fn begin_with_owners(site: &Arc<Site>, mut opened: mpsc::UnboundedReceiver<Arc<Owner>>) {
-    let site = Arc::clone(site);
+    supervisor.keep("retention", &site.storage, Storage::keep_retention);
+    let starting = Arc::clone(site);
     tokio::spawn(async move {
         loop {
             tokio::select! {
-                owner = opened.recv() => match owner {
-                    Some(owner) => site.work_for(&owner),
-                    None => return,
-                },
-                () = site.parts.life.stopped() => return,
+                Some(owner) = opened.recv() => starting.work_for(&owner),
+                () = starting.stopped() => return,
             }
         }
     });
+    if needs.ros {
+        site.sealer.begin()?;
+        let task = supervisor.keep_while("ros", &site.ros, |ros| ros.is_wanted(), RosSide::keep);
+        *site.ros_task.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = Some(task);
+    }
+    if needs.chain {
+        supervisor.keep("chain", &site.connection, Connection::keep_connected);
+        supervisor.keep("owners", site, resume_owners);
+        supervisor.keep("watcher", site, watch);
+        if site.stamps.is_wanted() {
+            supervisor.keep("time stamps", &site.stamps, TimeStamps::keep);
+        }
+        supervisor.keep("chain proofs", &site.chain_proofs, ChainProofs::keep);
+        supervisor.keep("verifier", site, verify);
+        supervisor.keep("stages", &site.standstill, Standstill::keep);
+        supervisor.keep("scrubber", &site.audit, Audit::keep_scrubbing);
+        supervisor.keep("expiry", &site.sharing, Sharing::keep_settled);
+        supervisor.keep("parties", &site.administering, Administering::keep_parties_known);
+    }
+    Ok(())
 }
 
 async fn watch(site: Arc<Site>) {
@@ -106,12 +96,12 @@ async fn watch(site: Arc<Site>) {
         let begun = Instant::now();
         let pause = match watcher::watch_round(&site.plant, &network).await {
             Ok(head) => {
-                // The head was asked for at the earliest when the round began. Who waits for its block looks at it next.
+                // The head was requested when the round began at the earliest. Those waiting for its block look next.
                 site.parts.link.saw_head(head, begun);
                 site.parts.link.has_scanned(head.number);
                 site.parts.hub.stages.spent(Stage::Watch, begun.elapsed());
                 site.parts.link.answers(true);
-                // Only a gateway has to know, and it costs a few requests.
+                // Only a gateway needs this, and it costs a few requests.
                 if site.gateway.is_serving() {
                     site.parts.link.measure(&network.chain).await;
                 }
@@ -134,7 +124,7 @@ async fn watch(site: Arc<Site>) {
         };
         if let Some(problem) = pause {
             site.parts.link.answers(false);
-            site.parts.hub.notice(NoticeLevel::Error, &problem);
+            site.parts.hub.alarm(&problem);
             tokio::time::sleep(Duration::from_secs(2)).await;
         }
     }
@@ -157,12 +147,11 @@ async fn verify(site: Arc<Site>) {
                 Ok(Ok(0)) => break,
                 Ok(Ok(_)) => {}
                 Ok(Err(error)) => {
-                    let text = format!("records cannot be verified at the moment and are waiting: {error}");
-                    site.parts.hub.notice(NoticeLevel::Error, &text);
+                    site.parts.hub.alarm(&format!("records cannot be verified at the moment and are waiting: {error}"));
                     tokio::time::sleep(Duration::from_secs(1)).await;
                     break;
                 }
-                // A panic is for the supervisor to report and to recover from.
+                // The supervisor reports a panic and recovers.
                 Err(error) => return pass_on(error),
             }
         }
@@ -176,43 +165,30 @@ fn pass_on(error: tokio::task::JoinError) {
     }
 }
 
-async fn anchor_round(
-    site: &Site,
-    anchorer: &mut Anchorer,
-    network: &Network,
-    owner: &Owner,
-) -> Result<Round, Failure> {
-    let lanes = site.lanes.of(owner, network)?;
-    Ok(anchorer.round(&site.plant, network, &site.parts.sender, owner.address, &lanes).await?)
-}
-
 impl Site {
-    /// Starts the tasks of each open owner, until the owner is closed or the site ends.
     pub(super) fn work_for(self: &Arc<Self>, owner: &Arc<Owner>) {
-        let (name, given) = (&owner.profile, Arc::clone(owner));
-        self.parts.supervisor.keep_while(&format!("anchorer {name}"), self, while_open(self, owner), move |site| {
-            anchor(site, Arc::clone(&given))
-        });
+        self.keep_for(owner, "anchorer", self, anchor);
         if self.parts.config.lanes > 1 {
-            let given = Arc::clone(owner);
-            let work = move |lanes: Arc<Lanes>| lanes.keep_extra(Arc::clone(&given));
-            self.parts.supervisor.keep_while(&format!("lanes {name}"), &self.lanes, while_open(self, owner), work);
+            self.keep_for(owner, "lanes", &self.lanes, Lanes::keep_extra);
         }
-        let given = Arc::clone(owner);
-        let work = move |devices: Arc<Devices>| devices.keep_attending(Arc::clone(&given));
-        self.parts.supervisor.keep_while(&format!("courier {name}"), &self.devices, while_open(self, owner), work);
-        if self.joined.joins() {
-            let given = Arc::clone(owner);
-            let work = move |joined: Arc<Joined>| joined.mirror(Arc::clone(&given));
-            self.parts.supervisor.keep_while(&format!("mirror {name}"), &self.joined, while_open(self, owner), work);
+        self.keep_for(owner, "courier", &self.devices, Devices::keep_attending);
+        if self.joined.remote.is_some() {
+            self.keep_for(owner, "mirror", &self.joined, Joined::mirror);
         }
     }
-}
 
-/// Whether work for an owner is still wanted.
-fn while_open<Whose>(site: &Site, owner: &Arc<Owner>) -> impl Fn(&Arc<Whose>) -> bool + Send + 'static {
-    let (owners, owner) = (Arc::clone(&site.parts.owners), Arc::clone(owner));
-    move |_| owners.is_open(&owner)
+    /// Keeps work for an owner running until the owner is closed or the site ends.
+    fn keep_for<Whose, Work, Run>(&self, owner: &Arc<Owner>, name: &str, part: &Arc<Whose>, work: Work)
+    where
+        Whose: Send + Sync + 'static,
+        Work: Fn(Arc<Whose>, Arc<Owner>) -> Run + Send + 'static,
+        Run: Future<Output = ()> + Send + 'static,
+    {
+        let name = format!("{name} {}", owner.profile);
+        let (owners, owner, given) = (Arc::clone(&self.parts.owners), Arc::clone(owner), Arc::clone(owner));
+        let is_wanted = move |_: &Arc<Whose>| owners.is_open(&owner);
+        self.parts.supervisor.keep_while(&name, part, is_wanted, move |part| work(part, Arc::clone(&given)));
+    }
 }
 
 /// Resumes at each open owner's state on the chain, whenever the network comes up.
@@ -225,7 +201,7 @@ async fn resume_owners(site: Arc<Site>) {
         }
         for owner in site.parts.owners.all() {
             if let Err(failure) = site.profiles.resume(&owner).await {
-                site.parts.hub.notice(NoticeLevel::Error, &failure.message);
+                site.parts.hub.alarm(&failure.message);
             }
         }
         if state.changed().await.is_err() {
@@ -234,24 +210,25 @@ async fn resume_owners(site: Arc<Site>) {
     }
 }
 
-/// Anchors the records of one owner until the owner is closed or the site ends.
+/// Anchors one owner's records until the owner is closed or the site ends.
 async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
     let mut pause = Duration::from_millis(250);
     let mut anchorer = Anchorer::new(site.parts.config.anchor_mode);
     let mut scanned = site.parts.link.scans();
-    while !site.parts.life.is_stopping() {
-        let still_open = site.parts.owners.is_open(&owner);
-        if !still_open {
-            return;
-        }
+    while !site.parts.life.is_stopping() && site.parts.owners.is_open(&owner) {
         let Some(network) = site.parts.link.network_now() else {
             tokio::time::sleep(Duration::from_millis(200)).await;
             continue;
         };
-        // What is stored while this round looks is not missed.
+        // Subscribed before the round, so that nothing stored meanwhile is missed.
         let stored = site.parts.hub.stored.notified();
         let begun = Instant::now();
-        match anchor_round(&site, &mut anchorer, &network, &owner).await {
+        let round = async {
+            let lanes = site.lanes.of(&owner, &network)?;
+            let (sender, account) = (&site.parts.sender, owner.address);
+            Ok::<_, Failure>(anchorer.round(&site.plant, &network, sender, account, &lanes).await?)
+        };
+        match round.await {
             Ok(round) => {
                 site.parts.hub.stages.spent(Stage::Anchor, begun.elapsed());
                 pause = Duration::from_millis(250);
@@ -271,10 +248,8 @@ async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
                 }
             }
             Err(error) => {
-                site.parts.hub.notice(
-                    NoticeLevel::Error,
-                    &format!("records of {} are waiting to be anchored: {}", owner.profile, error.message),
-                );
+                let why = format!("records of {} are waiting to be anchored: {}", owner.profile, error.message);
+                site.parts.hub.alarm(&why);
                 tokio::time::sleep(pause).await;
                 pause = (pause * 2).min(Duration::from_secs(5));
             }

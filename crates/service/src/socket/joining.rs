@@ -1,5 +1,5 @@
-//! A joiner's side: the owner's at the home's socket, an operator's at the one outside it. An operator's connection checks
-//! whose socket that is, and sends no passphrase.
+//! A joiner's side: the owner's at the home's socket, an operator's outside it. An operator checks whose socket it is,
+//! and sends no passphrase.
 
 use std::collections::HashMap;
 use std::os::unix::fs::{FileTypeExt as _, MetadataExt as _};
@@ -22,20 +22,9 @@ use crate::service::failure::refused;
 use crate::service::reply::{Failure, Reply};
 use crate::store::files;
 
-/// How long a site may take to greet.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// As whom somebody joins.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Role {
-    Owner,
-    Operator,
-}
-
-/// Joins the site of a home, if one answers on its socket.
-///
-/// # Errors
-/// If somebody else could have put the socket there or answers at it, the site refuses, or it is of another version.
+/// Joins the site of a home, if one answers; refuses a socket that somebody else could have put there.
 pub async fn join(home: &Home, profile: ProfileName) -> Result<Option<(Client, Greeting)>, Failure> {
     if home.root().exists() {
         files::check_hands(home.root())?;
@@ -45,10 +34,10 @@ pub async fn join(home: &Home, profile: ProfileName) -> Result<Option<(Client, G
     let (owner, peer) = (std::fs::metadata(home.root()), stream.peer_cred());
     let (Ok(owner), Ok(peer)) = (owner, peer) else { return Ok(None) };
     check_peer(&home.socket(), owner.uid(), peer.uid())?;
-    greeted(stream, profile, Role::Owner).await
+    greeted(stream, profile, false).await
 }
 
-/// Only the owner or root may answer: the next thing sent may be a passphrase.
+/// Only the owner or root may answer: the next message may be a passphrase.
 fn check_peer(socket: &Path, owner: u32, peer: u32) -> Result<(), Failure> {
     if peer == owner || peer == 0 {
         return Ok(());
@@ -60,19 +49,12 @@ fn check_peer(socket: &Path, owner: u32, peer: u32) -> Result<(), Failure> {
     )))
 }
 
-/// Joins a site as an operator, at the socket that it keeps for them.
-///
-/// # Errors
-/// If no site answers, somebody else could answer in its place, or it refuses.
+/// Joins a site at the operators' socket, unless somebody else could answer there.
 pub async fn join_as_operator(path: &Path, profile: ProfileName) -> Result<Client, Failure> {
     let shown = path.display();
     let absent = |why: String| {
-        Failure::new(
-            ErrorKind::Unreachable,
-            format!(
-                "no site answers at {shown} ({why}); its owner starts it with `authros serve` and operators.socket"
-            ),
-        )
+        let advice = "its owner starts it with `authros serve` and operators.socket";
+        Failure::new(ErrorKind::Unreachable, format!("no site answers at {shown} ({why}); {advice}"))
     };
     let failed = |error: std::io::Error| match error.kind() {
         std::io::ErrorKind::PermissionDenied => refused(format!(
@@ -84,11 +66,11 @@ pub async fn join_as_operator(path: &Path, profile: ProfileName) -> Result<Clien
     let (short, _directory) = reachable(path).map_err(failed)?;
     let stream = UnixStream::connect(short).await.map_err(failed)?;
     check_peer(path, owner, stream.peer_cred().map_err(failed)?.uid())?;
-    let joined = greeted(stream, profile, Role::Operator).await?;
+    let joined = greeted(stream, profile, true).await?;
     joined.map(|(client, _)| client).ok_or_else(|| absent("it does not greet".to_owned()))
 }
 
-/// Whose socket this is; an error if anybody but that user and root could put another one there.
+/// The socket's owner; an error if anybody else but root could replace the socket.
 fn owner_of(path: &Path, failed: &impl Fn(std::io::Error) -> Failure) -> Result<u32, Failure> {
     let about = std::fs::symlink_metadata(path).map_err(failed)?;
     if !about.file_type().is_socket() {
@@ -106,7 +88,11 @@ fn owner_of(path: &Path, failed: &impl Fn(std::io::Error) -> Failure) -> Result<
 }
 
 /// A client of the site at the other end; `None` if it says nothing.
-async fn greeted(stream: UnixStream, profile: ProfileName, role: Role) -> Result<Option<(Client, Greeting)>, Failure> {
+async fn greeted(
+    stream: UnixStream,
+    profile: ProfileName,
+    is_operator: bool,
+) -> Result<Option<(Client, Greeting)>, Failure> {
     let (reader, writer) = stream.into_split();
     let mut reader = BufReader::new(reader);
     let mut line = Vec::new();
@@ -118,19 +104,17 @@ async fn greeted(stream: UnixStream, profile: ProfileName, role: Role) -> Result
         Ok(FromSite::Greeting(greeting)) => greeting,
         Ok(FromSite::Refused(failure)) => return Err(failure),
         _ => {
-            return Err(Failure::new(
-                ErrorKind::Home,
-                "the running site is of another version; stop it and start it again",
-            ));
+            let text = "the running site is of another version; stop it and start it again";
+            return Err(Failure::new(ErrorKind::Home, text));
         }
     };
     let (events, _) = broadcast::channel(1024);
     let (calls, receiver) = mpsc::unbounded_channel();
-    tokio::spawn(speak((reader, writer), role, receiver, events.clone()));
+    tokio::spawn(speak((reader, writer), is_operator, receiver, events.clone()));
     Ok(Some((Client::new(profile, calls, events), greeting)))
 }
 
-/// What is heard last where the site sends no further events.
+/// The last event, where the site sends no more.
 fn sends_no_more(refusal: &Failure) -> Event {
     let text = format!("this site tells nothing more of what happens: {}", clean(&refusal.message, 500));
     Event::Notice { at: Timestamp::now(), level: NoticeLevel::Error, text, about: None }
@@ -138,7 +122,7 @@ fn sends_no_more(refusal: &Failure) -> Event {
 
 async fn speak(
     (mut reader, writer): (BufReader<OwnedReadHalf>, OwnedWriteHalf),
-    role: Role,
+    is_operator: bool,
     mut calls: mpsc::UnboundedReceiver<Call>,
     events: broadcast::Sender<Event>,
 ) {
@@ -162,7 +146,7 @@ async fn speak(
         tokio::select! {
             call = calls.recv() => {
                 let Some(Call { request, answer }) = call else { return };
-                if role == Role::Operator && request.command.needs() == Needed::Passphrase {
+                if is_operator && request.command.needs() == Needed::Passphrase {
                     let text = "an operator sends no passphrase; the site's owner does this, in a console or command of their own";
                     drop(answer.send(Err(refused(text))));
                     continue;
@@ -175,16 +159,14 @@ async fn speak(
                 }
             }
             message = messages.recv() => match message {
+                // Nobody may be waiting for the answer any more.
                 Some(Some(FromSite::Answer { number, with })) => {
-                    if let Some(answer) = waiting.remove(&number) {
-                        // It is not an error if nobody waits for the answer any more.
-                        drop(answer.send(*with));
-                    }
+                    drop(waiting.remove(&number).map(|answer| answer.send(*with)));
                 }
                 Some(Some(FromSite::Event(event))) => drop(events.send(event)),
                 Some(Some(FromSite::Ended(refusal))) => drop(events.send(sends_no_more(&refusal))),
                 Some(Some(FromSite::Greeting(_) | FromSite::Refused(_))) => {}
-                // A line that cannot be read may be the answer to any of them.
+                // An unreadable line may be the answer to any of them.
                 Some(None) => {
                     for (_, answer) in waiting.drain() {
                         drop(answer.send(Err(Failure::of_another_version())));

@@ -1,7 +1,5 @@
-//! A site's Unix sockets: the home's own, for its owner, and one outside it for operators, if the settings name one.
-//!
-//! One JSON line per message. The site speaks first (`Greeting`, or why it refuses), so that a joiner can compare
-//! settings; then requests with a number, answers with that number, and events. The kernel says who joins.
+//! A site's Unix sockets, for its owner and for operators. One JSON line per message: first the site's `Greeting`, or
+//! why it refuses; then numbered requests and answers, and events. The kernel says who joins.
 
 mod joining;
 mod serving;
@@ -24,7 +22,7 @@ use super::event::Event;
 use super::reply::{Failure, Reply};
 use crate::site::Needs;
 
-/// The longest line accepted, bytes: an opened record of 64 MiB written as JSON.
+/// Bytes: an opened record of 64 MiB written as JSON.
 const LONGEST_LINE: usize = 512 * 1024 * 1024;
 
 /// Lines that may wait for a peer who does not read.
@@ -42,17 +40,14 @@ pub const BINDING: [&str; 8] = [
     "site.gateway_key",
 ];
 
-/// The site's first line.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Greeting {
-    /// Version of the program.
     pub version: String,
-    /// Settings that bind the owner's joiners: name and value. An operator is told none.
+    /// Settings that bind the owner's joiners; operators get none.
     pub settings: Vec<(String, String)>,
-    /// Whether the site is to stay, and does not end with the command that it runs for.
+    /// Whether the site stays, instead of ending with one command.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub stays: bool,
-    /// The parts that it runs.
     pub has: Needs,
 }
 
@@ -63,22 +58,18 @@ struct Numbered<T> {
     with: T,
 }
 
+/// `Refused` comes instead of `Greeting`; after `Ended` no more events are sent.
 #[derive(Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum FromSite {
     Greeting(Greeting),
-    /// Instead of a greeting: who joins is not served.
     Refused(Failure),
-    Answer {
-        number: u64,
-        with: Box<Result<Reply, Failure>>,
-    },
+    Answer { number: u64, with: Box<Result<Reply, Failure>> },
     Event(Event),
-    /// No further events are sent, and why.
     Ended(Failure),
 }
 
-/// A path to the socket that is short enough for the kernel, however deep its folder is.
+/// A path to the socket short enough for the kernel, however deep its folder is.
 fn reachable(path: &Path) -> std::io::Result<(PathBuf, Option<std::fs::File>)> {
     if path.as_os_str().len() < 100 {
         return Ok((path.to_owned(), None));
@@ -88,7 +79,7 @@ fn reachable(path: &Path) -> std::io::Result<(PathBuf, Option<std::fs::File>)> {
     Ok((Path::new("/proc/self/fd").join(directory.as_raw_fd().to_string()).join(name), Some(directory)))
 }
 
-/// Listens at a path with this mode; a socket that nobody answers any more is replaced.
+/// Listens with this mode; replaces a dead socket.
 pub(crate) fn bind(path: &Path, mode: u32) -> std::io::Result<UnixListener> {
     let (short, _directory) = reachable(path)?;
     let is_socket = std::fs::symlink_metadata(path).is_ok_and(|about| about.file_type().is_socket());
@@ -114,7 +105,7 @@ async fn write_lines(mut writer: OwnedWriteHalf, mut queue: mpsc::Receiver<Vec<u
     }
 }
 
-/// Reads up to the end of a line of at most `most` bytes; `false` at the end of the stream.
+/// Reads a line of at most `most` bytes; `false` at the end of the stream.
 async fn read_line(
     reader: &mut (impl AsyncBufReadExt + Unpin),
     line: &mut Vec<u8>,

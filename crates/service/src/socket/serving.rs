@@ -1,4 +1,4 @@
-//! The site's side: the kernel says who joins, which is judged before anything is read; then each line is answered.
+//! The site's side: the joiner, as named by the kernel, is judged before anything is read; then each line is answered.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -19,16 +19,15 @@ use crate::service::failure::refused;
 use crate::service::reply::{Failure, Reply};
 use crate::service::site::{Asker, Heard, Site, joiner};
 
-/// The longest line that an operator may send, bytes.
+/// Longest line from an operator, bytes.
 const LONGEST_OF_OPERATOR: usize = 1024 * 1024;
-/// Requests of a connection that may wait for their answers.
+/// Unanswered requests per connection.
 const MOST_WAITING: usize = 256;
 /// Connections of one operator.
 const MOST_CONNECTIONS: usize = 16;
-/// How long the last lines to a joiner may take.
+/// Time for the last lines to a joiner.
 const FAREWELL: Duration = Duration::from_secs(5);
 
-/// Accepts joiners at the home's own socket until the site ends.
 pub fn listen(site: &Arc<Site>) -> Result<(), Failure> {
     let path = site.home().socket();
     let unusable = |error: std::io::Error| {
@@ -46,30 +45,28 @@ pub fn listen(site: &Arc<Site>) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Accepts operators until the site ends.
 pub(crate) async fn accept_operators(site: &Arc<Site>, listener: &UnixListener) {
     accept(site, listener, &Door::Operators(Arc::default())).await;
 }
 
 #[derive(Clone)]
 enum Door {
-    /// At the home's own socket: its owner alone.
+    /// The home's own socket: its owner alone.
     Home,
-    /// At the operators' socket: users with rights.
+    /// The operators' socket: users with rights.
     Operators(Arc<Crowd>),
 }
 
-/// Connections of each user at the operators' socket.
+/// Connections per user.
 type Crowd = Mutex<HashMap<u32, usize>>;
 
-/// A connection that is counted.
 struct Place {
     crowd: Arc<Crowd>,
     uid: u32,
 }
 
 impl Place {
-    /// `None` if the user has as many as allowed.
+    /// `None` if the user has the most allowed.
     fn take(crowd: &Arc<Crowd>, uid: u32) -> Option<Self> {
         let mut users = crowd.lock().unwrap_or_else(PoisonError::into_inner);
         let connections = users.entry(uid).or_default();
@@ -108,9 +105,8 @@ async fn accept(site: &Arc<Site>, listener: &UnixListener, door: &Door) {
     }
 }
 
-/// Serves a joiner, or tells it why not.
 async fn receive(site: Arc<Site>, mut stream: UnixStream, door: Door) {
-    // Who has gone already needs no answer.
+    // A peer that has gone needs no answer.
     let Ok(peer) = stream.peer_cred() else { return };
     match judge(&site, peer.uid(), &door).await {
         Ok((asker, _place)) => serve_joiner(site, stream, asker).await,
@@ -122,7 +118,6 @@ async fn receive(site: Arc<Site>, mut stream: UnixStream, door: Door) {
     }
 }
 
-/// As whom a user may ask here.
 async fn judge(site: &Arc<Site>, uid: u32, door: &Door) -> Result<(Asker, Option<Place>), Failure> {
     let Door::Operators(crowd) = door else {
         return site.check_owner(uid).map(|()| (Asker::Owner, None));
@@ -161,7 +156,7 @@ async fn serve_joiner(site: Arc<Site>, stream: UnixStream, asker: Asker) {
     }
 }
 
-/// An operator's line by its tags alone: nothing else of it is read.
+/// An operator's line by its tags alone.
 #[derive(Deserialize)]
 struct Outline {
     number: u64,
@@ -177,7 +172,7 @@ struct Joiner {
 }
 
 impl Joiner {
-    /// Answers each line until the joiner leaves, or sends one that is not a request.
+    /// Answers each line until the joiner leaves or sends something else than a request.
     async fn answer_lines(self, mut reader: BufReader<OwnedReadHalf>) {
         let most = match self.asker {
             Asker::Owner => LONGEST_LINE,
@@ -219,7 +214,7 @@ async fn answer(lines: &mpsc::Sender<Vec<u8>>, number: u64, with: Result<Reply, 
     }
 }
 
-/// What a joiner is told first; the owner's settings are not an operator's business.
+/// The owner's settings are not an operator's business.
 fn greeting(site: &Site, asker: &Asker) -> Greeting {
     let settings = match asker {
         Asker::Owner => site.config().show(),
@@ -230,7 +225,7 @@ fn greeting(site: &Site, asker: &Asker) -> Greeting {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         settings: settings.map(|setting| (setting.name.to_owned(), setting.value)).collect(),
         stays: site.is_to_stay(),
-        has: site.needs(),
+        has: site.needs,
     }
 }
 

@@ -148,7 +148,7 @@ impl Audit {
     ) -> Result<RecordAudit, Failure> {
         let network = if is_pinned { Some(self.parts.link.network().await) } else { None };
         let runtime = Handle::current();
-        let running = self.parts.runs.begin_counted(profile, "this home", "auditing", "records");
+        let running = self.parts.runs.begin(profile, "this home", "auditing", "records");
         blocking(self, move |audit| {
             let keys = Arc::new(OwnKeys::of(&audit.parts.owners));
             running.run.expect(if since.is_none() { audit.parts.plant.ledger.inspection.size()? } else { 0 });

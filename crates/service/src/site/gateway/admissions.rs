@@ -1,5 +1,5 @@
-//! Owners who may use the gateway of this home, as its keeper decides; stored in the ledger, and asked of every
-//! caller.
+//! Owners who may use the gateway of this home, as its keeper decides; every caller is checked against the ledger's
+//! list.
 
 use std::collections::BTreeSet;
 use std::sync::{Arc, PoisonError, RwLock};
@@ -18,21 +18,16 @@ use crate::site::contacts::Contacts;
 use crate::site::parts::Parts;
 use crate::store::notes::{AdmittedOwner, AdmittedOwners};
 
-/// The most owners on it.
 const MOST: usize = 10_000;
 
-/// Who may use the gateway of this home.
 pub struct Admissions {
     parts: Parts,
     contacts: Arc<Contacts>,
-    /// The list, if it was read.
-    admitted: RwLock<Option<BTreeSet<Address>>>,
-    /// Changes are made one at a time.
+    admitted: RwLock<BTreeSet<Address>>,
     changing: tokio::sync::Mutex<()>,
 }
 
 impl Admissions {
-    /// From the shared parts.
     pub fn new(parts: &Parts, contacts: &Arc<Contacts>) -> Self {
         let (contacts, changing) = (Arc::clone(contacts), tokio::sync::Mutex::default());
         Self { parts: parts.clone(), contacts, admitted: RwLock::default(), changing }
@@ -44,31 +39,30 @@ impl Admissions {
 
     fn write(&self, list: &Vec<AdmittedOwner>) -> Result<(), Failure> {
         self.parts.plant.ledger.notes.write(&AdmittedOwners {}, list)?;
-        let owners = list.iter().map(|admitted| admitted.owner).collect();
-        *self.admitted.write().unwrap_or_else(PoisonError::into_inner) = Some(owners);
+        self.take_over(list);
         self.parts.hub.changed(Part::Health);
         Ok(())
     }
 
-    /// Reads the list, so that [`Self::is_on_list`] can tell.
+    fn take_over(&self, list: &[AdmittedOwner]) {
+        let owners = list.iter().map(|admitted| admitted.owner).collect();
+        *self.admitted.write().unwrap_or_else(PoisonError::into_inner) = owners;
+    }
+
+    /// Reads the list for [`Self::is_on_list`].
     pub fn open(&self) -> Result<(), Failure> {
-        let owners = self.list()?.iter().map(|admitted| admitted.owner).collect();
-        *self.admitted.write().unwrap_or_else(PoisonError::into_inner) = Some(owners);
+        self.take_over(&self.list()?);
         Ok(())
     }
 
-    /// The owners on the list.
     pub fn listed(&self) -> BTreeSet<Address> {
-        self.admitted.read().unwrap_or_else(PoisonError::into_inner).clone().unwrap_or_default()
+        self.admitted.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Whether an owner is on it.
     pub fn is_on_list(&self, owner: &Address) -> bool {
-        let listed = self.admitted.read().unwrap_or_else(PoisonError::into_inner);
-        listed.as_ref().is_some_and(|owners| owners.contains(owner))
+        self.admitted.read().unwrap_or_else(PoisonError::into_inner).contains(owner)
     }
 
-    /// Lets an owner use the gateway of this home.
     pub async fn admit(&self, profile: &ProfileName, owner: &Party) -> Result<Vec<AdmittedView>, Failure> {
         let owner = self.contacts.resolve(owner)?;
         {
@@ -86,7 +80,7 @@ impl Admissions {
         self.rows()
     }
 
-    /// Ends it: the owner is refused from the next Command on. What it sent is kept and anchored.
+    /// Refuses the owner from the next Command on; what it sent is kept and anchored.
     pub async fn dismiss(&self, profile: &ProfileName, owner: &Party) -> Result<Vec<AdmittedView>, Failure> {
         let owner = self.contacts.resolve(owner)?;
         if self.home_accounts().contains(&owner) {
@@ -105,7 +99,6 @@ impl Admissions {
         self.rows()
     }
 
-    /// The admitted owners, with the names of the address book.
     pub fn rows(&self) -> Result<Vec<AdmittedView>, Failure> {
         let (names, list) = (self.contacts.names()?, self.list()?);
         let row = |admitted: AdmittedOwner| AdmittedView {
@@ -117,39 +110,36 @@ impl Admissions {
         Ok(list.into_iter().map(row).collect())
     }
 
-    /// Accounts of this home's profiles, including those that are not open.
+    /// Including profiles that are not open.
     pub fn home_accounts(&self) -> BTreeSet<Address> {
         let open = self.parts.owners.all().iter().map(|owner| owner.address).collect::<BTreeSet<_>>();
         let kept = self.parts.home.profiles().into_iter().filter_map(|profile| {
             let public = block_in_place(|| crate::crypto::read_public(&self.parts.home.keyring(&profile)));
-            // One that cannot be read is reported where it is opened.
+            // An unreadable keyring is reported where it is opened.
             public.ok().map(|public| public.address)
         });
         open.into_iter().chain(kept).collect()
     }
 }
 
-/// The most owners that an open gateway accepts without admission.
 const MOST_GUESTS: usize = 256;
 
-/// Why an owner may use the gateway.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Standing {
     /// A profile of this home, or on the list.
     Admitted,
-    /// Nobody admitted it; the gateway is open.
+    /// Not admitted; the gateway is open.
     Guest,
 }
 
 impl GatewayDesk {
-    /// Why an account may use this gateway.
     pub fn standing_of(&self, network: &Network, account: &Address) -> Result<Standing, Refusal> {
         let gateway = &self.gateway;
         let own = || gateway.parts.owners.all().iter().any(|owner| owner.address == *account);
         if self.place.home_accounts.contains(account) || gateway.admissions.is_on_list(account) || own() {
             return Ok(Standing::Admitted);
         }
-        // The successor of a lost account takes its place.
+        // The successor of a lost account replaces it.
         if gateway.admissions.listed().iter().any(|lost| network.directory.successor(*lost) == Some(*account)) {
             return Ok(Standing::Admitted);
         }
@@ -181,7 +171,7 @@ impl GatewayDesk {
         Ok(())
     }
 
-    /// Whether these records of a guest fit its quotas. The caller holds off other records of guests meanwhile.
+    /// Whether a guest's records fit its quotas. The caller holds off other guests' records meanwhile.
     pub fn check_quota(&self, account: &Address, records: &[Received]) -> Result<(), Refusal> {
         let (ledger, rules) = (&self.gateway.parts.plant.ledger, &self.gateway.parts.config.gateway);
         let usage = ledger.counts.usage(*account).map_err(Refusal::internal)?;

@@ -1,7 +1,5 @@
-//! How the site's gateway handles each command.
-
 use std::net::SocketAddr;
-use std::sync::{Arc, PoisonError};
+use std::sync::PoisonError;
 
 use async_trait::async_trait;
 use serde_json::{Value, json};
@@ -14,7 +12,6 @@ use super::reading::LONGEST_SILENCE;
 use crate::chain::RelayError;
 use crate::chain::relay::{Asker, Ground, Passed, examine};
 use crate::crypto::{SmKeyPair, check_identity, open_transport_key, seal_transport_key, signer_id};
-use crate::event::NoticeLevel;
 use crate::failure::internal;
 use crate::gateway::desk::Account;
 use crate::gateway::{
@@ -26,31 +23,34 @@ use crate::pipeline::Network;
 use crate::pipeline::authority::{self, Moment, SigningRight, may_sign};
 use crate::pipeline::directory::kept;
 use crate::pipeline::intake::accept_uploads;
-use crate::store::KeptBinding;
 use crate::store::notes::AnnouncedRevoke;
+use crate::store::{KeptBinding, Ledger};
+
+/// Name prefix of an owner's site that brings notices to robots.
+const COURIER: &str = "courier-";
+const DIGITS: usize = 16;
 
 impl GatewayDesk {
-    /// Does work that waits for disk or node, off the network's threads.
+    /// Runs work that waits for disk or node, off the network's threads.
     pub async fn blocking<T: Send + 'static>(
         &self,
         work: impl FnOnce(&Self) -> Result<T, Refusal> + Send + 'static,
     ) -> Result<T, Refusal> {
-        let desk = self.share();
+        let desk = self.clone();
         let joined = tokio::task::spawn_blocking(move || work(&desk)).await;
         joined.map_err(Refusal::internal)?
     }
 
-    pub fn share(&self) -> Arc<Self> {
-        Arc::new(self.clone())
+    fn ledger(&self) -> &Ledger {
+        &self.gateway.parts.plant.ledger
     }
 
     async fn audit(&self, caller: &Caller, action: &str, subject: &str) -> Result<(), Refusal> {
-        let outcome = format!("asked by {} ({})", caller.name, caller.account);
-        let written = self.gateway.parts.log.write(&self.place.keeper.profile, action, subject, &outcome).await;
-        written.map_err(|failure| Refusal::new(Code::Internal, failure.message))
+        let (log, outcome) = (&self.gateway.parts.log, format!("asked by {} ({})", caller.name, caller.account));
+        log.write(&self.place.keeper.profile, action, subject, &outcome).await.map_err(Refusal::internal)
     }
 
-    /// Like [`Self::audit`], but once a minute for the same event of the same caller; repetitions are counted.
+    /// Like [`Self::audit`], but once a minute for the same event of a caller; repetitions are counted.
     async fn audit_once(&self, caller: &Caller, action: &str, subject: &str) -> Result<(), Refusal> {
         let (log, query) = (&self.gateway.parts.log, format!("{action} {subject}"));
         if !log.is_new_query(caller.name.as_str(), &query) {
@@ -63,18 +63,15 @@ impl GatewayDesk {
         written
     }
 
-    /// A revoke that is not on the chain yet: it is obeyed from now on.
+    /// Obeys a revoke before it is on the chain.
     async fn revoked(&self, caller: &Caller, notice: &RevokeNotice) -> Result<(), Refusal> {
         let (note, epoch) = (AnnouncedRevoke { owner: caller.account, reader: notice.grantee }, notice.epoch);
-        self.blocking(move |desk| {
-            desk.gateway.parts.plant.ledger.notes.write(&note, &epoch).map_err(Refusal::internal)
-        })
-        .await?;
+        self.blocking(move |desk| desk.ledger().notes.write(&note, &epoch).map_err(Refusal::internal)).await?;
         self.gateway.parts.hub.feed_changed();
         self.audit(caller, "revoke notice", &notice.grantee.to_string()).await
     }
 
-    /// The caller's name belongs to a device.
+    /// Binds the caller's name to a device.
     async fn named(&self, caller: &Caller, notice: &DeviceNotice) -> Result<(), Refusal> {
         self.freshen().await?;
         let DeviceNotice { key, notices } = *notice;
@@ -85,17 +82,16 @@ impl GatewayDesk {
         self.audit(caller, "device notice", &device.to_string()).await?;
         let (name, account) = (caller.name.to_string(), caller.account);
         self.blocking(move |desk| {
-            let bindings = &desk.gateway.parts.plant.ledger.bindings;
+            let bindings = &desk.ledger().bindings;
             bindings.keep_signer(device, key).map_err(Refusal::internal)?;
             bindings.bind_device(&name, account, device, notices).map(drop).map_err(Refusal::internal)
         })
         .await
     }
 
-    /// Stores records of an owner.
     fn keep(&self, owner: &Address, records: Vec<Received>) -> Result<Timestamp, Refusal> {
         let guest = self.standing_of(&self.known_network()?, owner)? == Access::Guest;
-        // What is counted must not grow before it is stored.
+        // Counted records must be stored before anything else is counted.
         let _counting = guest.then(|| self.place.guests.lock().unwrap_or_else(PoisonError::into_inner));
         if guest {
             self.check_quota(owner, &records)?;
@@ -110,6 +106,77 @@ impl GatewayDesk {
         self.gateway.parts.hub.stored.notify_waiters();
         self.gateway.parts.hub.changed(crate::service::event::Part::Uploads);
         Ok(Timestamp::now())
+    }
+
+    /// Whether the newest loan of a device was recalled; a later loan is valid again.
+    pub fn is_recalled(&self, owner: &Address, device: &SignerId) -> Result<bool, Refusal> {
+        let account = self.known_network()?.directory.account(*owner);
+        let loans = account.map(|account| account.devices).unwrap_or_default();
+        Ok(loans.iter().rfind(|loan| loan.device == *device).is_some_and(|loan| loan.recalled.is_some()))
+    }
+
+    /// A device's session is valid as long as its loan.
+    pub fn check_loan(&self, network: &Network, caller: &Caller) -> Result<(), Refusal> {
+        let Some(device) = &caller.device else { return Ok(()) };
+        let now = Moment::newest(network.directory.now());
+        let right = may_sign(&network.directory, caller.account, device.id, now);
+        right.map(drop).map_err(|why| Refusal::new(Code::NotAuthorised, format_args!("device {}: {why}", device.id)))
+    }
+
+    pub async fn pass_on(
+        &self,
+        caller: Option<&Caller>,
+        method: &str,
+        parameters: &Value,
+    ) -> Result<Value, RelayError> {
+        let network = self.known_network().map_err(|refusal| RelayError::Silent(refusal.to_string()))?;
+        let (Some(pin), Some(head)) = (network.chain.pin(), self.gateway.parts.link.fresh_head(LONGEST_SILENCE)) else {
+            return Err(RelayError::Silent("no recent block from the chain".to_owned()));
+        };
+        let asker = if caller.is_some() { Asker::Registered } else { Asker::Visitor };
+        match examine(Ground { pin: &pin, head: head.number }, asker, method, parameters)? {
+            Passed::Read(parameters) => network.chain.relay(method, &parameters).await,
+            Passed::NoLogs => Ok(json!([])),
+            Passed::Estimate { from, registers } => {
+                let known = || from.is_some_and(|from| self.may_send(&network, &from));
+                if caller.is_none() && registers.is_none() && !known() {
+                    return Err(RelayError::NotAllowed);
+                }
+                network.chain.relay(method, parameters).await
+            }
+            Passed::Transaction { sender, registers } => {
+                if caller.is_none() {
+                    self.check_sender(&network, sender, registers)?;
+                }
+                network.chain.relay(method, parameters).await
+            }
+        }
+    }
+
+    /// A transaction proves its own sender: without a transport key, admitted accounts may send one, and a newcomer its
+    /// registration.
+    fn check_sender(
+        &self,
+        network: &Network,
+        sender: Address,
+        registers: Option<Box<Identity>>,
+    ) -> Result<(), RelayError> {
+        if let Some(identity) = registers {
+            return check_identity(self.gateway.parts.plant.provider, &self.place.domain, &sender, &identity)
+                .map_err(|_| rejected("the identity being registered is not proven by its own keys"));
+        }
+        if self.may_send(network, &sender) {
+            return Ok(());
+        }
+        Err(rejected(
+            "a visitor may only send its registration; ask the gateway's operator to admit this account first",
+        ))
+    }
+
+    fn may_send(&self, network: &Network, account: &Address) -> bool {
+        let known =
+            network.directory.account(*account).is_some() && !authority::is_suspended(&network.directory, *account);
+        known && self.standing_of(network, account).is_ok()
     }
 }
 
@@ -135,7 +202,7 @@ impl Desk for GatewayDesk {
             let (account, token) = (*account, *token);
             let is_known = self.blocking(move |desk| {
                 let directory = desk.known_network()?.directory;
-                let known = kept::has_token(&desk.gateway.parts.plant.ledger.rights, &directory, account, token);
+                let known = kept::has_token(&desk.ledger().rights, &directory, account, token);
                 known.map_err(Refusal::internal)
             });
             if !is_known.await? {
@@ -153,7 +220,7 @@ impl Desk for GatewayDesk {
         }
         let signer = *signer;
         self.blocking(move |desk| {
-            let key = desk.gateway.parts.plant.ledger.bindings.signer(signer).map_err(Refusal::internal)?;
+            let key = desk.ledger().bindings.signer(signer).map_err(Refusal::internal)?;
             Ok(key.filter(|key| signer_id(key) == signer))
         })
         .await
@@ -162,9 +229,8 @@ impl Desk for GatewayDesk {
     async fn binding(&self, name: &ProfileName) -> Result<Option<Binding>, Refusal> {
         let name = name.clone();
         self.blocking(move |desk| {
-            let Some(kept) = desk.gateway.parts.plant.ledger.bindings.binding(&name).map_err(Refusal::internal)? else {
-                return Ok(None);
-            };
+            let kept = desk.ledger().bindings.binding(&name).map_err(Refusal::internal)?;
+            let Some(kept) = kept else { return Ok(None) };
             let provider = desk.gateway.parts.plant.provider;
             let under = desk.place.under.read().unwrap_or_else(PoisonError::into_inner);
             let open =
@@ -192,8 +258,8 @@ impl Desk for GatewayDesk {
         let subject = format!("{name} for {}", binding.account);
         let (asked, account) = (name.clone(), binding.account);
         self.blocking(move |desk| desk.check_name(&desk.known_network()?, &account, &asked)).await?;
-        let audited = self.gateway.parts.log.write(&self.place.keeper.profile, "allocate key", &subject, "begun").await;
-        audited.map_err(|failure| Refusal::new(Code::Internal, failure.message))?;
+        let (log, keeper) = (&self.gateway.parts.log, &self.place.keeper.profile);
+        log.write(keeper, "allocate key", &subject, "begun").await.map_err(Refusal::internal)?;
         let name = name.clone();
         let bound = self.blocking(move |desk| {
             // Held until it is stored: a change of the keeper's pair re-encrypts what is there.
@@ -205,20 +271,12 @@ impl Desk for GatewayDesk {
             let sealed_key = sealed_key.map_err(Refusal::internal)?;
             let Binding { account, signing, envelope, .. } = binding;
             let kept = KeptBinding { account, signing, envelope, sealed_key, device: None };
-            desk.gateway.parts.plant.ledger.bindings.bind(&name, kept).map_err(Refusal::internal)
+            desk.ledger().bindings.bind(&name, kept).map_err(Refusal::internal)
         });
         let bound = bound.await;
-        let told = match &bound {
-            Ok(()) => Ok(()),
-            Err(refusal) => Err(internal(refusal.detail.clone())),
-        };
-        if let Err(failure) =
-            self.gateway.parts.log.ended(&self.place.keeper.profile, "allocate key", &subject, told).await
-            && bound.is_ok()
-        {
-            return Err(Refusal::new(Code::Internal, failure.message));
-        }
-        bound
+        let told = bound.as_ref().copied().map_err(|refusal| internal(refusal.detail.clone()));
+        let ended = log.ended(keeper, "allocate key", &subject, told).await;
+        bound.and_then(|()| ended.map_err(Refusal::internal))
     }
 
     async fn store(&self, caller: &Caller, records: Vec<Received>) -> Result<Timestamp, Refusal> {
@@ -227,7 +285,7 @@ impl Desk for GatewayDesk {
     }
 
     async fn feed(&self, caller: &Caller, asked: &Feed, is_new: bool) -> Result<FeedPage, Refusal> {
-        // A robot asks about its own records, and learns nothing that its recall should end.
+        // A robot may always ask about its own records: a recall need not hide those.
         if caller.device.is_none() || asked.recorders.is_empty() {
             self.freshen().await?;
         }
@@ -278,32 +336,24 @@ impl Desk for GatewayDesk {
     }
 
     fn refused(&self, peer: SocketAddr, refusal: &Refusal) {
-        // A line per peer, code and minute: a peer refused again and again can fill neither log.
+        // One line per peer, code and minute: a persistent peer cannot fill either log.
         if self.gateway.parts.log.refused(&peer.ip().to_string(), &format!("{:?}", refusal.code)) {
-            let text = format!("the gateway refused {}: {refusal}", peer.ip());
-            self.gateway.parts.hub.notice(NoticeLevel::Info, &text);
+            self.gateway.parts.hub.inform(&format!("the gateway refused {}: {refusal}", peer.ip()));
         }
     }
 }
 
-/// How an owner's site calls itself that brings notices to robots.
-const COURIER: &str = "courier-";
-/// Digits of the account in such a name.
-const DIGITS: usize = 16;
-
-/// The name of an owner's courier.
 pub fn courier_of(account: &Address) -> String {
     let digits: String = account.to_string().chars().filter(char::is_ascii_hexdigit).skip(1).take(DIGITS).collect();
     format!("{COURIER}{}", digits.to_lowercase())
 }
 
-/// Whether no robot may be called so: `courier-0123456789abcdef`. Other names that begin like it are nobody's.
+/// Whether no robot may have this name: `courier-0123456789abcdef`.
 pub fn is_reserved(name: &ProfileName) -> bool {
     let digits = name.as_str().strip_prefix(COURIER);
     digits.is_some_and(|digits| digits.len() == DIGITS && digits.bytes().all(|byte| byte.is_ascii_hexdigit()))
 }
 
-/// Whether an account may have this name.
 pub fn check(name: &ProfileName, account: &Address) -> Result<(), Refusal> {
     if !is_reserved(name) || name.as_str() == courier_of(account) {
         return Ok(());
@@ -311,85 +361,8 @@ pub fn check(name: &ProfileName, account: &Address) -> Result<(), Refusal> {
     Err(Refusal::new(Code::NameBound, format_args!("{name} is the name of another account's own site")))
 }
 
-impl GatewayDesk {
-    /// Whether the newest loan of a device was recalled; a later loan is valid again.
-    pub fn is_recalled(&self, owner: &Address, device: &SignerId) -> Result<bool, Refusal> {
-        let account = self.known_network()?.directory.account(*owner);
-        let loans = account.map(|account| account.devices).unwrap_or_default();
-        Ok(loans.iter().rfind(|loan| loan.device == *device).is_some_and(|loan| loan.recalled.is_some()))
-    }
-
-    /// A device's session is valid as long as its loan.
-    pub fn check_loan(&self, network: &Network, caller: &Caller) -> Result<(), Refusal> {
-        let Some(device) = &caller.device else { return Ok(()) };
-        let now = Moment::newest(network.directory.now());
-        let right = may_sign(&network.directory, caller.account, device.id, now);
-        right.map(drop).map_err(|why| Refusal::new(Code::NotAuthorised, format_args!("device {}: {why}", device.id)))
-    }
-}
-
 fn rejected(words: &str) -> RelayError {
     RelayError::Answered { code: -32003, message: words.to_owned(), data: None }
-}
-
-impl GatewayDesk {
-    /// Forwards a request to the chain, if it is allowed.
-    pub async fn pass_on(
-        &self,
-        caller: Option<&Caller>,
-        method: &str,
-        parameters: &Value,
-    ) -> Result<Value, RelayError> {
-        let network = self.known_network().map_err(|refusal| RelayError::Silent(refusal.to_string()))?;
-        let (Some(pin), Some(head)) = (network.chain.pin(), self.gateway.parts.link.fresh_head(LONGEST_SILENCE)) else {
-            return Err(RelayError::Silent("no recent block from the chain".to_owned()));
-        };
-        let asker = if caller.is_some() { Asker::Registered } else { Asker::Visitor };
-        match examine(Ground { pin: &pin, head: head.number }, asker, method, parameters)? {
-            Passed::Read(parameters) => network.chain.relay(method, &parameters).await,
-            Passed::NoLogs => Ok(json!([])),
-            Passed::Estimate { from, registers } => {
-                let known = || from.is_some_and(|from| self.may_send(&network, &from));
-                if caller.is_none() && registers.is_none() && !known() {
-                    return Err(RelayError::NotAllowed);
-                }
-                network.chain.relay(method, parameters).await
-            }
-            Passed::Transaction { sender, registers } => {
-                if caller.is_none() {
-                    self.check_sender(&network, sender, registers)?;
-                }
-                network.chain.relay(method, parameters).await
-            }
-        }
-    }
-
-    /// A transaction proves its sender by itself: without a transport key, accounts that may use this gateway may still
-    /// send one, and a newcomer may send its registration.
-    fn check_sender(
-        &self,
-        network: &Network,
-        sender: Address,
-        registers: Option<Box<Identity>>,
-    ) -> Result<(), RelayError> {
-        if let Some(identity) = registers {
-            return check_identity(self.gateway.parts.plant.provider, &self.place.domain, &sender, &identity)
-                .map_err(|_| rejected("the identity being registered is not proven by its own keys"));
-        }
-        if self.may_send(network, &sender) {
-            return Ok(());
-        }
-        Err(rejected(
-            "a visitor may only send its registration; ask the gateway's operator to admit this account first",
-        ))
-    }
-
-    /// Whether an account is registered, not suspended, and may use this gateway.
-    fn may_send(&self, network: &Network, account: &Address) -> bool {
-        let known =
-            network.directory.account(*account).is_some() && !authority::is_suspended(&network.directory, *account);
-        known && self.standing_of(network, account).is_ok()
-    }
 }
 
 #[cfg(test)]

@@ -1,12 +1,12 @@
-//! What an owner says that she had erased at home: each record is compared with the chain that is known here, and she must
-//! have stated it with both keys. Then its bytes here are named to be overwritten, or the record is listed without bytes.
+//! Erasures announced by owners: each is checked against the chain and both of the owner's keys; then the bytes here
+//! are named to be overwritten, or the record is listed without bytes.
 
 use std::fmt;
 use std::time::Duration;
 
 use super::GatewayDesk;
 use crate::crypto::{ErasedStatement, SealedRecord, signer_id};
-use crate::event::{NoticeLevel, Part};
+use crate::event::Part;
 use crate::gateway::{Caller, Code, ErasedRecord, ErasureNotice, ErasureOutcome, Refusal};
 use crate::model::{Digest, Header};
 use crate::pipeline::Network;
@@ -15,20 +15,19 @@ use crate::pipeline::intake::{Accepted, Intake, Reason, taken_erased};
 use crate::pipeline::retention::{self, is_owners, left_of};
 use crate::store::{KeptErasure, NewRecord, RecordRow, Retained, RootSighting, StoreError, ToldErased};
 
-/// How long the watcher here may lag behind the block of a proof.
+/// Longest lag of the watcher here behind the block of a proof.
 const BEHIND: Duration = Duration::from_secs(3);
 
-/// The verdict on a record.
 enum Judged {
-    /// It is gone here too, or named.
+    /// Gone here too, or named.
     Taken,
     Known,
-    /// It may be taken another time.
+    /// May be taken later.
     Left,
 }
 
 impl GatewayDesk {
-    /// Erases here what the caller had erased at home: what becomes of each, in order.
+    /// Erases here what the caller had erased at home; returns the outcomes in order.
     pub async fn erase_for(
         &self,
         caller: &Caller,
@@ -48,7 +47,7 @@ impl GatewayDesk {
                 }
                 Ok(Judged::Known) => ErasureOutcome::Taken,
                 Ok(Judged::Left) => ErasureOutcome::Left,
-                // Nothing can be erased here now, whatever it is.
+                // Nothing can be erased here now.
                 Err(refusal) if matches!(refusal.code, Code::Stale | Code::Internal | Code::Closing) => {
                     ended = Err(refusal);
                     break;
@@ -59,20 +58,15 @@ impl GatewayDesk {
         }
         if count > 0 {
             let subject = format!("{count} records of {}", caller.account);
-            let written = self.gateway.parts.log.write(
-                &self.place.keeper.profile,
-                "gateway erase",
-                &subject,
-                "told by their owner",
-            );
-            if let Err(failure) = written.await {
-                self.gateway.parts.hub.notice(NoticeLevel::Warning, &failure.message);
+            let (log, profile) = (&self.gateway.parts.log, &self.place.keeper.profile);
+            if let Err(failure) = log.write(profile, "gateway erase", &subject, "told by their owner").await {
+                self.gateway.parts.hub.warn(&failure.message);
             }
         }
         ended.map(|()| outcomes)
     }
 
-    /// What can be said of it without a look at any signature.
+    /// Decides without checking any signature, if possible.
     fn known(&self, network: &Network, header: &Header, digest: Digest) -> Result<Option<Judged>, Refusal> {
         let ledger = &self.gateway.parts.plant.ledger;
         let Some(row) = ledger.records.find(digest).map_err(Refusal::internal)? else {
@@ -88,7 +82,7 @@ impl GatewayDesk {
             kept.account.is_some() && current
         };
         let is_known = match ledger.erasures.kept(digest).map_err(Refusal::internal)? {
-            // This home decided about it.
+            // Decided by this home.
             None => row.deleted_at.is_some(),
             Some(kept) => !kept.taken || stands(&kept),
         };
@@ -110,7 +104,7 @@ impl GatewayDesk {
             .map_err(Refusal::because(Code::Signature))?;
         let owners = network.directory.registered_as(signer_id(&statement.signer)) == Some(header.owner);
         if owners && !is_owners(network, header.owner, &statement.signer) {
-            // An earlier key of the owner, or one that is suspended: when it states the erasure again, that is passed on again.
+            // An earlier or suspended key of the owner: a new statement will be passed on.
             return Ok(Judged::Left);
         }
         let anchors = &self.gateway.anchors;
@@ -129,8 +123,7 @@ impl GatewayDesk {
             RootSighting { account, root: inclusion.root, count: inclusion.count, transaction, block, block_hash };
         let taken = taken_erased(left.record.blob, &left.statement);
         let sealed = SealedRecord { header, blob: Vec::new(), digest, signature: left.record.signature };
-        let row = NewRecord::foreign(sealed, self.place.keeper.address);
-        let row = NewRecord { blob: None, ..row };
+        let row = NewRecord { blob: None, ..NewRecord::foreign(sealed, self.place.keeper.address) };
         let stated = (taken, account_signature.0.to_vec());
         match plant.ledger.erasures.take_told(row, stated, (inclusion, anchor)) {
             Ok(ToldErased::Listed | ToldErased::Named) => {
@@ -148,20 +141,8 @@ impl GatewayDesk {
             Err(error) => Err(Refusal::new(Code::Internal, error)),
         }
     }
-}
 
-/// What the intake does not take is the owner's fault.
-pub fn not_taken(reason: &Reason, detail: impl fmt::Display) -> Refusal {
-    let code = match reason {
-        Reason::Crypto(_) => Code::Signature,
-        Reason::Number => Code::Malformed,
-        _ => Code::Tampered,
-    };
-    Refusal::new(code, detail)
-}
-
-impl GatewayDesk {
-    /// What is left of a record that the caller may read now and that its owner had erased.
+    /// The remains of a readable record that its owner had erased.
     pub fn erased(&self, caller: &Caller, digest: &Digest) -> Result<ErasedRecord, Refusal> {
         let plant = &self.gateway.parts.plant;
         let network = self.fresh_network()?;
@@ -176,8 +157,7 @@ impl GatewayDesk {
         Ok(ErasedRecord { record: record.ok_or_else(unknown)?, statement })
     }
 
-    /// The owner's statement; signed now if it was erased before there were statements, or if the owner has another key
-    /// since, and the owner's keys are here.
+    /// The owner's statement; signed now if it predates statements or the owner's current key, and the keys are here.
     fn stated(
         &self,
         network: &Network,
@@ -197,7 +177,7 @@ impl GatewayDesk {
         let (Some(keys), true) = (keys, retained.anchored) else { return Ok(None) };
         let about = (&row.digest, retained.header.as_slice());
         let Some(erasure) = &retained.erased else {
-            // What a rule deleted may be millions, and its statement goes to readers alone: it is not kept.
+            // Not kept: a rule may delete millions, and only readers get the statement.
             let when = (retained.report, retained.deleted_at.unwrap_or_default());
             let stated = ErasedStatement::sign(plant.provider, &keys.signing, about, when);
             return stated.map(Some).map_err(Refusal::internal);
@@ -209,6 +189,16 @@ impl GatewayDesk {
         plant.ledger.erasures.keep(vec![stated]).map_err(Refusal::internal)?;
         Ok(Some(statement))
     }
+}
+
+/// Refusals of the intake are the owner's fault.
+pub fn not_taken(reason: &Reason, detail: impl fmt::Display) -> Refusal {
+    let code = match reason {
+        Reason::Crypto(_) => Code::Signature,
+        Reason::Number => Code::Malformed,
+        _ => Code::Tampered,
+    };
+    Refusal::new(code, detail)
 }
 
 #[cfg(test)]

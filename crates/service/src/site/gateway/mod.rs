@@ -1,5 +1,5 @@
-//! The gateway of a site (the paper's CR): accepts frames over TCP, stores what robots send, anchors it with the
-//! account of the profile that runs it, and answers queries according to the chain's grants at that moment.
+//! The gateway of a site (the paper's CR): stores what robots send, anchors it with its keeper's account, and answers
+//! queries according to the chain's current grants.
 
 #[cfg(test)]
 mod admission_tests;
@@ -16,7 +16,7 @@ use crate::site::parts::Parts;
 use crate::site::sharing::Sharing;
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::SocketAddr;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, RwLock};
 use std::time::Duration;
 
 use tokio::sync::{oneshot, watch};
@@ -29,29 +29,28 @@ use crate::model::{Address, AnchorMode, Domain, ProfileName, Timestamp};
 use crate::pipeline::Owner;
 use crate::pipeline::forwarder::Link as Line;
 use crate::pipeline::intake::Anchors;
-use crate::service::event::{NoticeLevel, Part};
+use crate::service::event::Part;
 use crate::service::failure::{input, refused};
 use crate::service::figures::GatewayFigures;
 use crate::service::reply::{Failure, GatewayStatusView, GatewayView, RefusedView, SenderView, SystemKeyView};
 
-/// How long running requests may take when the gateway ends.
+/// Longest wait for running requests when the gateway ends.
 const FAREWELL: Duration = Duration::from_secs(3);
 
-/// The keeper's envelope pairs, which encrypt the stored transport keys, the current one first: kept beside the
-/// keyring, because robots connect also while that is locked.
+/// The keeper's envelope pairs, current first, which encrypt stored transport keys; kept because robots connect while
+/// the keyring is locked.
 pub(super) type KeptUnder = Arc<RwLock<Vec<SmKeyPair>>>;
 
-/// Where a gateway listens, and for whom.
 #[derive(Clone)]
 struct Place {
-    /// The profile whose account anchors, and whose SM2 key is, or was at its foundation, the gateway's identity.
+    /// Its account anchors; its SM2 key is, or was at the foundation, the gateway's identity.
     keeper: Arc<Owner>,
     under: KeptUnder,
     domain: Domain,
     address: SocketAddr,
-    /// Also for owners who were not admitted, within quotas.
+    /// Also for owners not admitted, within quotas.
     open: bool,
-    /// Accounts of the home's profiles when the gateway was started.
+    /// Accounts of the home's profiles when the gateway started.
     home_accounts: Arc<BTreeSet<Address>>,
     /// Held while a guest's records are counted and stored.
     guests: Arc<Mutex<()>>,
@@ -65,7 +64,7 @@ async fn serve_until(gateway: Arc<Gateway>, place: Place, server: Option<Server>
     };
     let mut server = match server {
         Ok(server) => server,
-        Err(failure) => return gateway.parts.hub.notice(NoticeLevel::Error, &failure.message),
+        Err(failure) => return gateway.parts.hub.alarm(&failure.message),
     };
     tokio::select! {
         () = gateway.parts.life.stopped() => {}
@@ -76,77 +75,56 @@ async fn serve_until(gateway: Arc<Gateway>, place: Place, server: Option<Server>
     server.stop(FAREWELL).await;
 }
 
-/// How a gateway handles commands; one profile of the site keeps it.
 #[derive(Clone)]
 pub(super) struct GatewayDesk {
     gateway: Arc<Gateway>,
     place: Place,
 }
 
-/// The gateway of this home.
 pub struct Gateway {
-    parts: Parts,
-    sharing: Arc<Sharing>,
-    admissions: Arc<Admissions>,
-    /// Anchors of records that their owners had erased, as far as the chain confirmed them.
-    anchors: Anchors,
-    /// The running one, if there is one.
-    serving: Mutex<Option<Serving>>,
-    remote: Option<Arc<Remote>>,
-    /// The connection of the agent that works here, if there is one.
-    passed_on: OnceLock<watch::Receiver<Line>>,
+    pub parts: Parts,
+    pub sharing: Arc<Sharing>,
+    pub admissions: Arc<Admissions>,
+    /// Confirmed anchors of records that their owners had erased.
+    pub anchors: Anchors,
+    pub serving: Mutex<Option<Serving>>,
+    pub remote: Option<Arc<Remote>>,
+    /// Connection of the agent that works here.
+    pub passed_on: OnceLock<watch::Receiver<Line>>,
 }
 
 impl Gateway {
-    /// From the shared parts.
-    pub fn new(
-        parts: &Parts,
-        sharing: &Arc<Sharing>,
-        admissions: &Arc<Admissions>,
-        remote: Option<Arc<Remote>>,
-    ) -> Self {
-        Self {
-            parts: parts.clone(),
-            sharing: Arc::clone(sharing),
-            admissions: Arc::clone(admissions),
-            anchors: Anchors::default(),
-            serving: Mutex::default(),
-            remote,
-            passed_on: OnceLock::new(),
-        }
+    fn serving(&self) -> MutexGuard<'_, Option<Serving>> {
+        self.serving.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The gateway as reported, while one is running.
     pub fn served(&self) -> Option<GatewayView> {
-        self.serving.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map(|serving| serving.view.clone())
+        self.serving().as_ref().map(|serving| serving.view.clone())
     }
 
-    /// Whether a gateway is running here.
     pub fn is_serving(&self) -> bool {
-        self.serving.lock().unwrap_or_else(PoisonError::into_inner).is_some()
+        self.serving().is_some()
     }
 
-    /// Figures of the gateway running here, if there is one.
     pub fn figures(&self) -> Option<GatewayFigures> {
-        let serving = self.serving.lock().unwrap_or_else(PoisonError::into_inner);
+        let serving = self.serving();
         let watch = &serving.as_ref()?.watch;
         let connections = u64::try_from(watch.connections()).unwrap_or(u64::MAX);
         let refused = watch.refused().into_iter().map(|(code, count)| (code.number(), count)).collect();
         Some(GatewayFigures { connections, refused })
     }
 
-    /// This home's records are forwarded to a gateway: the state of that connection.
+    /// Takes the state of the connection through which this home's records are forwarded.
     pub fn passes_on(&self, line: watch::Receiver<Line>) {
         // A site has at most one agent.
         let _ = self.passed_on.set(line);
     }
 
-    /// The state of the connection to the gateway to which this home's records are forwarded, if they are.
+    /// State of that connection, if there is one.
     pub fn line(&self) -> Option<Line> {
         self.passed_on.get().map(|line| line.borrow().clone())
     }
 
-    /// Serves the gateway's protocol until `ended`, or the site's end.
     pub async fn serve(
         self: &Arc<Self>,
         keeper: &Arc<Owner>,
@@ -155,9 +133,8 @@ impl Gateway {
         ended: oneshot::Receiver<()>,
     ) -> Result<GatewayView, Failure> {
         if self.parts.config.anchor_mode == AnchorMode::Each {
-            return Err(input(
-                "a gateway anchors records of many owners, which requires batches; set anchor.mode = 'batch'",
-            ));
+            let text = "a gateway anchors records of many owners, which requires batches; set anchor.mode = 'batch'";
+            return Err(input(text));
         }
         let network = self.parts.link.network().await?;
         let registered = network.directory.identity(keeper.address)?;
@@ -168,31 +145,32 @@ impl Gateway {
             )));
         }
         self.admissions.open()?;
-        let open = open || self.parts.config.gateway.open;
         let under = Arc::new(RwLock::new(keeper.envelopes()));
-        let (keeper_of, kept) = (Arc::clone(keeper), Arc::clone(&under));
-        let (home_accounts, guests) = (Arc::new(self.admissions.home_accounts()), Arc::default());
-        let place =
-            Place { keeper: keeper_of, under: kept, domain: network.domain, address, open, home_accounts, guests };
+        let place = Place {
+            keeper: Arc::clone(keeper),
+            under: Arc::clone(&under),
+            domain: network.domain,
+            address,
+            open: open || self.parts.config.gateway.open,
+            home_accounts: Arc::new(self.admissions.home_accounts()),
+            guests: Arc::default(),
+        };
         let server = self.listen(&place).await?;
-        let fingerprint = Fingerprint::of(&keeper.gateway_identity().public).to_string();
         let view = GatewayView {
             address: server.address().to_string(),
             gateway: server.id(),
-            fingerprint,
+            fingerprint: Fingerprint::of(&keeper.gateway_identity().public).to_string(),
             account: keeper.address,
             domain: network.domain,
         };
         self.parts.log.write(&keeper.profile, "gateway", &view.address, "serving").await?;
-        self.parts.hub.notice(NoticeLevel::Info, &format!("the gateway is listening at {}", view.address));
-        *self.serving.lock().unwrap_or_else(PoisonError::into_inner) =
-            Some(Serving { view: view.clone(), watch: server.watch(), under: Arc::clone(&under) });
+        self.parts.hub.inform(&format!("the gateway is listening at {}", view.address));
+        *self.serving() = Some(Serving { view: view.clone(), watch: server.watch(), under });
         self.parts.hub.changed(Part::Health);
         self.keep_gateway(place, server, ended);
         Ok(view)
     }
 
-    /// Keeps the gateway open at its address until `ended`, or the site's end.
     fn keep_gateway(self: &Arc<Self>, place: Place, server: Server, ended: oneshot::Receiver<()>) {
         let (over, is_over) = watch::channel(false);
         let gateway = Arc::clone(self);
@@ -200,7 +178,7 @@ impl Gateway {
             // A dropped sender means the same.
             drop(ended.await);
             over.send_replace(true);
-            *gateway.serving.lock().unwrap_or_else(PoisonError::into_inner) = None;
+            *gateway.serving() = None;
             gateway.parts.hub.changed(Part::Health);
         });
         let (place, first) = (Place { address: server.address(), ..place }, Mutex::new(Some(server)));
@@ -216,10 +194,6 @@ impl Gateway {
         );
     }
 
-    fn desk(self: &Arc<Self>, place: &Place) -> GatewayDesk {
-        GatewayDesk { gateway: Arc::clone(self), place: place.clone() }
-    }
-
     async fn listen(self: &Arc<Self>, place: &Place) -> Result<Server, Failure> {
         let Place { keeper, domain, address, .. } = place;
         let provider = self.parts.plant.provider;
@@ -227,36 +201,24 @@ impl Gateway {
             let (directory, identity) = (self.parts.home.gateway(), keeper.gateway_identity());
             Cabinet::open(&directory, provider, *domain, identity, Schedule::default(), Timestamp::now())
         })?;
-        let desk = Arc::new(self.desk(place));
+        let desk = Arc::new(GatewayDesk { gateway: Arc::clone(self), place: place.clone() });
         let context = Context { provider, domain: *domain };
         Server::start(*address, desk, context, cabinet, Limits::default())
             .await
             .map_err(|error| input(format!("the gateway cannot listen at {address}: {error}; choose another --listen")))
     }
-}
 
-/// A running gateway: what is reported about it, and its server.
-pub struct Serving {
-    pub view: GatewayView,
-    pub watch: ServerWatch,
-    /// The keys that encrypt the transport keys.
-    pub under: KeptUnder,
-}
-
-impl Gateway {
-    /// The keys that encrypt the transport keys of the gateway that this owner serves here.
+    /// The keys that encrypt the transport keys of this owner's gateway here.
     pub fn kept_under(&self, owner: &Owner) -> Option<KeptUnder> {
-        let serving = self.serving.lock().unwrap_or_else(PoisonError::into_inner);
-        serving
-            .as_ref()
-            .filter(|serving| serving.view.account == owner.address)
-            .map(|serving| Arc::clone(&serving.under))
+        let serving = self.serving();
+        let own = serving.as_ref().filter(|serving| serving.view.account == owner.address);
+        own.map(|serving| Arc::clone(&serving.under))
     }
 
     pub fn status(&self) -> Result<GatewayStatusView, Failure> {
         let bound = self.parts.plant.ledger.bindings.bound_names()?;
         let through = self.remote.as_ref().map(|remote| crate::model::clean(&remote.chain_text(), 300));
-        let serving = self.serving.lock().unwrap_or_else(PoisonError::into_inner);
+        let serving = self.serving();
         let Some(serving) = &*serving else {
             let senders = sender_rows(bound, Vec::new());
             return Ok(GatewayStatusView { through, senders, ..GatewayStatusView::default() });
@@ -284,6 +246,12 @@ impl Gateway {
             refused,
         })
     }
+}
+
+pub struct Serving {
+    pub view: GatewayView,
+    pub watch: ServerWatch,
+    pub under: KeptUnder,
 }
 
 /// Every bound name with the sum of its sessions; connected ones first.

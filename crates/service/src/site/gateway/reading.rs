@@ -17,27 +17,28 @@ use crate::site::chain::link::GRACE;
 use crate::store::notes::AnnouncedRevoke;
 use crate::store::{self, FeedFilter, FeedPlace, FeedRow, RecordRow};
 
-/// How long the chain may be silent before nothing is stored or passed on any more. Reading ends sooner, see
+/// Silence of the chain after which nothing is stored or passed on; reading ends sooner, see
 /// [`GatewayDesk::fresh_network`].
 pub(super) const LONGEST_SILENCE: Duration = Duration::from_secs(30);
+
+/// Bytes of records per answer, unless a single one is larger.
+const MOST_BYTES: usize = 4 * 1024 * 1024;
 
 fn not_authorised(owner: &Address, reader: &Address) -> Refusal {
     Refusal::new(Code::NotAuthorised, format_args!("{reader} has no grant of {owner}"))
 }
 
 impl GatewayDesk {
-    /// The network, if everything that is on the chain is known here, as of two seconds ago at most: only then is it known
-    /// who may read. Who asks calls [`Self::freshen`] before.
+    /// The network, if the chain's state of at most two seconds ago is known here: only then is it known who may read.
+    /// Call [`Self::freshen`] before.
     pub fn fresh_network(&self) -> Result<Network, Refusal> {
         let network = self.known_network()?;
         self.gateway.parts.link.view().map_err(Refusal::because(Code::Stale))?;
         Ok(network)
     }
 
-    /// Asks the chain for its newest block unless it was asked lately, and waits until that was read.
-    ///
-    /// # Errors
-    /// [`Refusal`] with `Stale` if the chain does not answer, is cut off, or reading its block takes too long.
+    /// Queries the chain's newest block, unless it did lately, and waits until it is read; `Stale` if that takes too
+    /// long.
     pub async fn freshen(&self) -> Result<(), Refusal> {
         let link = &self.gateway.parts.link;
         if link.view().is_ok() {
@@ -47,14 +48,13 @@ impl GatewayDesk {
         if let Ok(Ok(head)) = timeout(GRACE, network.chain.head()).await
             && !link.is_named(&head, asked)
         {
-            // Whether it has is seen below.
+            // The result shows below.
             drop(timeout(GRACE, link.scanned(head.number)).await);
         }
         link.view().map(drop).map_err(Refusal::because(Code::Stale))
     }
 
-    /// The network, if the chain has reported a head recently: enough for storing, since what is stored is judged again by
-    /// the block that anchors it.
+    /// The network, if the chain reported a head recently: enough for storing, which the anchoring block judges again.
     pub fn known_network(&self) -> Result<Network, Refusal> {
         let network = self.gateway.parts.link.network_now().filter(|network| network.domain == self.place.domain);
         let fresh = self.gateway.parts.link.fresh_head(LONGEST_SILENCE);
@@ -80,7 +80,7 @@ impl GatewayDesk {
         })
     }
 
-    /// The right by which a key signs for `owner` now: the later of the head's time and the clock here decides.
+    /// The right by which a key signs for `owner` now: the later of the head's time and this clock decides.
     pub fn may_sign_now(&self, owner: &Address, signer: &SignerId) -> Result<Result<SigningRight, NoRight>, Refusal> {
         let network = self.known_network()?;
         let head = self.gateway.parts.link.fresh_head(LONGEST_SILENCE).map_or(0, |head| head.timestamp);
@@ -98,7 +98,7 @@ impl GatewayDesk {
         let owners = self.gateway.parts.owners.all();
         let Some(local) = owners.iter().find(|local| local.address == *owner) else { return Ok(false) };
         let owed = self.gateway.sharing.owed_revocations(local, network);
-        Ok(owed.map_err(|failure| Refusal::new(Code::Internal, failure.message))?.contains(reader))
+        Ok(owed.map_err(Refusal::internal)?.contains(reader))
     }
 
     /// A record's bytes, compared with its digest before any of them leave.
@@ -118,7 +118,6 @@ impl GatewayDesk {
         Ok(Fetched { signer: signer.ok_or_else(unknown)?, signature: row.signature, proof, blob })
     }
 
-    /// A record that the caller may read now.
     pub fn readable(&self, network: &Network, caller: &Caller, digest: &Digest) -> Result<RecordRow, Refusal> {
         let row = self.gateway.parts.plant.ledger.records.find(*digest).map_err(Refusal::internal)?;
         let row = row.filter(is_offered);
@@ -130,13 +129,8 @@ impl GatewayDesk {
         }
         Ok(row)
     }
-}
 
-/// The most bytes of records in one answer, unless a single one is larger.
-const MOST_BYTES: usize = 4 * 1024 * 1024;
-
-impl GatewayDesk {
-    /// Those of the owners asked for whose records the reader may have now.
+    /// Requested owners whose records the reader may have now.
     pub fn followed(&self, reader: &Address, asked: &Feed) -> Result<Vec<Address>, Refusal> {
         let network = self.fresh_network()?;
         let (places, refused) = self.places(&network, reader, asked)?;
@@ -146,7 +140,7 @@ impl GatewayDesk {
         }
     }
 
-    /// Where the reader is with each owner, cut by his right; and who gives him nothing.
+    /// The reader's place with each owner, limited by the reader's right; and the owners who grant nothing.
     #[allow(clippy::type_complexity, reason = "who is refused, and why")]
     fn places(
         &self,
@@ -157,20 +151,20 @@ impl GatewayDesk {
         let (mut places, mut refused) = (Vec::new(), Vec::new());
         for Place { owner, after, grant } in &asked.places {
             match self.reach(network, reader, owner) {
-                // What was told by another grant than the one in force here may be less than this one gives.
+                // Rows seen under another grant may be fewer than the current one gives.
                 Ok(right) => match covered(&right, &asked.topics).filter(|_| is_by(&right, *grant)) {
                     Some(topics) => places.push(FeedPlace { owner: *owner, after: *after, topics }),
                     None => refused.push((*owner, not_authorised(owner, reader))),
                 },
                 Err(refusal) if refusal.code == Code::Stale => return Err(refusal),
-                // What cannot be read of one owner keeps no other away.
+                // One owner's refusal does not affect the others.
                 Err(refusal) => refused.push((*owner, refusal)),
             }
         }
         Ok((places, refused))
     }
 
-    /// What is there for the caller now, after the places that he asks from.
+    /// What is new for the caller after the requested places.
     pub fn page_of_feed(&self, caller: &Caller, asked: &Feed) -> Result<FeedPage, Refusal> {
         let of_own = caller.device.is_some() && !asked.recorders.is_empty();
         let network = if of_own { self.known_network()? } else { self.fresh_network()? };
@@ -185,14 +179,14 @@ impl GatewayDesk {
         let filter = FeedFilter { places, kind: asked.kind, recorders: asked.recorders.clone() };
         let page = self.gateway.parts.plant.ledger.feed.page(&asked.id, &filter, MOST_ENTRIES);
         let store::FeedPage { id, is_anew, head, upto, mut rows } = page.map_err(Refusal::internal)?;
-        // A device knows its owner's recorder from her notices.
+        // A device knows its owner's recorder from the owner's notices.
         rows.retain(|row| !of_own || is_a_device(&network, caller, &row.placed.row.signer));
         let refused = refused.into_iter().map(|(owner, refusal)| (owner, refusal.code)).collect();
         let page = FeedPage::new(id, (head, upto), refused, rows.into_iter().map(entry_of).collect());
         Ok(FeedPage { is_anew, ..page })
     }
 
-    /// What there is for the caller of the first of these records, as many as fit.
+    /// The first of these records, as many as fit.
     pub fn found(&self, caller: &Caller, digests: &[Digest], bytes: bool) -> Result<Vec<Found>, Refusal> {
         if !bytes {
             let network = if caller.device.is_some() { self.known_network()? } else { self.fresh_network()? };
@@ -239,7 +233,7 @@ impl GatewayDesk {
     }
 }
 
-/// A record that is not given is no reason to give none of the others.
+/// One missing record does not keep back the others.
 fn missing(refusal: Refusal) -> Result<Found, Refusal> {
     match refusal.code {
         Code::Stale => Err(refusal),
@@ -247,7 +241,7 @@ fn missing(refusal: Refusal) -> Result<Found, Refusal> {
     }
 }
 
-/// The topics that a right gives of those asked for, `Some(None)` for all; `None` if it gives none of them.
+/// The requested topics that a right covers: `Some(None)` = all, `None` = none.
 #[allow(clippy::option_option, reason = "no topic is not any topic")]
 fn covered(right: &ReadingRight, asked: &[TopicId]) -> Option<Option<Vec<TopicId>>> {
     let topics = match right.scope() {
@@ -258,7 +252,7 @@ fn covered(right: &ReadingRight, asked: &[TopicId]) -> Option<Option<Vec<TopicId
     (!topics.is_empty()).then_some(Some(topics))
 }
 
-/// Whether a right is by the grant whose transaction's hash begins so; 0 for any.
+/// Whether a right comes from the grant whose transaction hash begins with `grant`; 0 = any.
 fn is_by(right: &ReadingRight, grant: u64) -> bool {
     match right {
         ReadingRight::Granted(granted) => grant == 0 || Place::grant_of(&granted.transaction) == grant,
@@ -266,7 +260,7 @@ fn is_by(right: &ReadingRight, grant: u64) -> bool {
     }
 }
 
-/// Whether a key is the calling device's, or was lent by the same owner: a robot that is enrolled again has another one.
+/// Whether a key is the calling device's or was lent by the same owner: a re-enrolled robot has another key.
 fn is_a_device(network: &Network, caller: &Caller, signer: &SignerId) -> bool {
     let own = caller.device.is_some_and(|device| device.id == *signer);
     let account = network.directory.account(caller.account);
@@ -280,7 +274,7 @@ fn entry_of(row: FeedRow) -> FeedEntry {
     FeedEntry { number, fact, digest, owner, recorder, seq, topic_id, epoch, captured_at, length, kind, proof }
 }
 
-/// Whether a record may leave: quarantined or altered ones do not.
+/// Quarantined and altered records stay here.
 fn is_offered(row: &RecordRow) -> bool {
     use RecordState::{Captured, Dropped, Quarantined, Tampered};
     !matches!(row.state, Captured | Dropped | Quarantined | Tampered)

@@ -15,7 +15,6 @@ use crate::service::command::PairKind;
 use crate::service::reply::{Failure, KeyChangeView};
 
 impl Profiles {
-    /// Who is affected, and what happens then; changes nothing.
     pub async fn foresee_key_change(&self, owner: &Arc<Owner>, kind: PairKind) -> Result<KeyChangeView, Failure> {
         let network = self.registered_network(owner).await?;
         let Some(network) = network else {
@@ -41,7 +40,6 @@ impl Profiles {
     }
 }
 
-/// The other side of every grant, each once.
 fn parties(grants: &[Granted], other: impl Fn(&Granted) -> Address) -> Vec<Address> {
     let mut found: Vec<Address> = grants.iter().map(other).collect();
     found.sort();

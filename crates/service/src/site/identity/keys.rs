@@ -12,7 +12,7 @@ use crate::command::{KeyKind, SecretBytes, SecretText};
 use crate::crypto::{
     Fingerprint, Keyring, SmKeyPair, keyfile, open_transport_key, prove, seal_transport_key, signer_id,
 };
-use crate::event::{NoticeLevel, Part};
+use crate::event::Part;
 use crate::failure::{input, refused};
 use crate::gateway::Cabinet;
 use crate::model::{RecordState, SignerId};
@@ -20,20 +20,22 @@ use crate::pipeline::{Network, Owner, PipelineError, recovery};
 use crate::reply::{EpochView, Failure, KeysView};
 use crate::site::blocking;
 use crate::store::notes::ProfileAccounts;
-use crate::store::{RecordQuery, RecordRow, StoreError};
+use crate::store::{RecordQuery, StoreError};
+
+/// Longest wait for records signed by the old signing key.
+const DRAIN: Duration = Duration::from_secs(60);
+const LOOK: Duration = Duration::from_millis(250);
+const PAGE: usize = 1000;
 
 impl Profiles {
-    /// Keys with fingerprints and epochs; no secret.
     pub async fn keys(&self, owner: &Arc<Owner>) -> Result<KeysView, Failure> {
         let (signing, envelope) = owner.public_keys();
         let mut epochs = Vec::new();
-        if let Some(network) = self.parts.link.network_now() {
-            let current = owner.sealing().map(|keys| keys.epoch);
-            for epoch in owner.epochs(network.domain) {
-                if let Some(token) = owner.token(network.domain, epoch) {
-                    epochs.push(EpochView { epoch, token, current: current == Some(epoch) });
-                }
-            }
+        if let Some(Network { domain, .. }) = self.parts.link.network_now() {
+            let sealing = owner.sealing().map(|keys| keys.epoch);
+            let view =
+                |epoch| Some(EpochView { epoch, token: owner.token(domain, epoch)?, current: sealing == Some(epoch) });
+            epochs.extend(owner.epochs(domain).into_iter().filter_map(view));
         }
         Ok(KeysView {
             address: owner.address,
@@ -45,7 +47,6 @@ impl Profiles {
         })
     }
 
-    /// Replaces one key with that in a file.
     pub async fn load_key(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -57,7 +58,7 @@ impl Profiles {
         let word = format!("{kind:?}").to_lowercase();
         self.parts.log.begin(owner, "load key", &word).await?;
         let loaded = match kind {
-            KeyKind::Sm4 => self.load_sm4(owner, path, registered.is_some()).await,
+            KeyKind::Sm4 => self.load_sm4(owner, path, registered.is_some()).await.map(|()| Arc::clone(owner)),
             KeyKind::Sm2 => self.load_sm2(owner, path, registered.as_ref()).await.map(|()| Arc::clone(owner)),
             KeyKind::Eoa => self.load_eoa(owner, path, passphrase).await,
         };
@@ -66,12 +67,7 @@ impl Profiles {
         self.keys(&owner).await
     }
 
-    async fn load_sm4(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        path: PathBuf,
-        registered: bool,
-    ) -> Result<Arc<Owner>, Failure> {
+    async fn load_sm4(self: &Arc<Self>, owner: &Arc<Owner>, path: PathBuf, registered: bool) -> Result<(), Failure> {
         let key = blocking(self, move |_| Ok(keyfile::load_sm4(&path)?)).await?;
         {
             let _one_at_a_time = owner.changes.lock().await;
@@ -84,7 +80,7 @@ impl Profiles {
         if registered {
             self.sharing.rotate(owner, "a new SM4 key was loaded").await?;
         }
-        Ok(Arc::clone(owner))
+        Ok(())
     }
 
     async fn load_sm2(
@@ -111,7 +107,7 @@ impl Profiles {
         self.keys(owner).await
     }
 
-    /// The network, if the owner is registered on it; nothing if this home has none.
+    /// The network, if the owner is registered on it; `None` if this home has none.
     pub async fn registered_network(&self, owner: &Owner) -> Result<Option<Network>, Failure> {
         match self.parts.link.network().await {
             Ok(network) => Ok(network.directory.identity(owner.address).is_ok().then_some(network)),
@@ -128,7 +124,7 @@ impl Profiles {
         path: PathBuf,
         passphrase: Option<SecretText>,
     ) -> Result<Arc<Owner>, Failure> {
-        // Registered meanwhile, the account and the keys of its epochs would be lost.
+        // If it registered meanwhile, the account and its epoch keys would be lost.
         let _one_at_a_time = owner.changes.lock().await;
         self.is_current(owner)?;
         if self.registered_network(owner).await?.is_some() {
@@ -158,7 +154,6 @@ impl Profiles {
         Ok(self.put_in_place(owner.with_new_account()))
     }
 
-    /// Exports one key, in the format of other tools.
     pub async fn export_key(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -190,35 +185,19 @@ impl Profiles {
             }
         }
     }
-}
 
-/// How long a change of the signing key waits for records signed by the old one.
-const DRAIN: Duration = Duration::from_secs(60);
-/// Interval between looks at them.
-const LOOK: Duration = Duration::from_millis(250);
-/// Records in one look.
-const PAGE: usize = 1000;
-
-/// The replacements of the pairs in use.
-#[derive(Default)]
-pub struct NewPairs {
-    pub signing: Option<SmKeyPair>,
-    pub envelope: Option<SmKeyPair>,
-}
-
-impl Profiles {
-    /// Replaces pairs; on the chain too, if `network` is given: the owner is registered there.
+    /// Replaces pairs; on the chain too if `network` is given.
     pub async fn change_pairs(
         &self,
         owner: &Arc<Owner>,
         network: Option<&Network>,
         new: NewPairs,
     ) -> Result<(), Failure> {
-        // Until the new key signs: nothing may be signed by the old one once the chain has the new one.
+        // Until the new key signs: the old one may sign nothing once the chain has the new one.
         let _one_at_a_time = owner.changes.lock().await;
         if let Some(network) = network {
             self.drain_former(owner, network).await?;
-            // Robots know already of a change begun before.
+            // Robots already know of a change begun before.
             self.settle_pairs(owner, network).await?;
             if new.signing.is_some() {
                 self.nothing_is_captured(owner)?;
@@ -239,11 +218,8 @@ impl Profiles {
         }
     }
 
-    /// Where the chain went back to earlier pairs, waits until what its key signed is anchored, as it was before: once the
-    /// keyring's are registered again, that key has no right.
-    ///
-    /// # Errors
-    /// If it is not anchored after a minute; what is wrong is in the site's health then.
+    /// If the chain went back to earlier pairs, waits until everything signed with those is anchored: they lose their
+    /// right once the keyring's are registered again. Fails after a minute; the site's health then says why.
     pub async fn drain_former(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
         if !recovery::is_ahead(network, owner)? {
             return Ok(());
@@ -262,8 +238,8 @@ impl Profiles {
         drained
     }
 
-    /// Brings the chain to the pairs of the keyring: registers them again where it went back to earlier ones, and finishes a
-    /// change that was begun. The caller holds the owner's changes, has taken over what the chain hands out, and drained.
+    /// Brings the chain to the keyring's pairs: re-registers them where it went back, and finishes a change that was
+    /// begun. The caller holds the owner's changes, has recovered what the chain returns, and drained.
     pub async fn settle_pairs(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
         if recovery::is_ahead(network, owner)? {
             let (signing, envelope) = (owner.signing(), owner.envelope());
@@ -284,13 +260,13 @@ impl Profiles {
                  registered again",
                 owner.profile
             );
-            self.parts.hub.notice(NoticeLevel::Warning, &text);
+            self.parts.hub.warn(&text);
             self.parts.hub.changed(Part::Identity);
         }
         self.finish_pairs(owner, network).await
     }
 
-    /// Finishes a change that was begun; does nothing if there is none. The caller holds the owner's changes.
+    /// Finishes a change that was begun, if any. The caller holds the owner's changes.
     pub async fn finish_pairs(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
         let (signing, envelope, moves) = {
             let keyring = owner.keyring();
@@ -355,8 +331,8 @@ impl Profiles {
         Ok(())
     }
 
-    /// The chain has the new pairs, or the owner is on no chain: they take their place in the keyring, and what they
-    /// encrypt follows.
+    /// Moves the new pairs, registered or of an owner on no chain, into their place in the keyring, and re-encrypts
+    /// what depends on them.
     fn take_over_pairs(&self, owner: &Owner, network: Option<&Network>) -> Result<(), Failure> {
         let founded = block_in_place(|| Cabinet::founded_in(&self.parts.home.gateway()));
         {
@@ -379,12 +355,12 @@ impl Profiles {
         }
         let Some(network) = network else { return Ok(()) };
         block_in_place(|| self.reseal_kept(owner))?;
-        // A joined gateway knows this site by its old keys only; another transport key is allocated.
+        // A joined gateway knows this site only by its old keys; another transport key is allocated.
         drop(std::fs::remove_file(self.parts.home.transport_key(&owner.profile)));
         self.sharing.take_up_epoch(owner, network)
     }
 
-    /// Re-encrypts the transport keys kept by this owner's gateway under its current pair.
+    /// Re-encrypts the transport keys of this owner's gateway under its current pair.
     fn reseal_kept(&self, owner: &Owner) -> Result<(), Failure> {
         let (pairs, provider, ledger) = (owner.envelopes(), self.parts.plant.provider, &self.parts.plant.ledger);
         let under = self.gateway.kept_under(owner);
@@ -417,7 +393,7 @@ impl Profiles {
         Err(refused("topics are being captured; stop watching them before changing the signing key"))
     }
 
-    /// Waits until no record signed by a key is still in flight. Those of lent devices may be.
+    /// Waits until no record signed by a key is in flight; lent devices' records may be.
     async fn drain(&self, owner: &Owner, signer: SignerId) -> Result<(), Failure> {
         let deadline = tokio::time::Instant::now() + DRAIN;
         loop {
@@ -434,27 +410,24 @@ impl Profiles {
         }
     }
 
-    /// How many records signed by this key are neither verified nor given up.
+    /// Records signed by this key that are neither verified nor given up.
     fn pending_of(&self, owner: &Owner, signer: SignerId) -> Result<usize, Failure> {
         let mut pending = 0;
-        for state in unverified() {
-            let mut after = None;
-            loop {
-                let (owner, state) = (Some(owner.address), Some(state));
-                let query = RecordQuery { owner, state, after, limit: PAGE, ..RecordQuery::default() };
-                let page = self.parts.plant.ledger.records.list(&query)?;
-                pending += page.rows.iter().filter(|row: &&RecordRow| row.signer == signer).count();
-                let Some(next) = page.next else { break };
-                after = Some(next);
+        // Records waiting for their signer's right also need the current key.
+        let waits = |state: &&RecordState| state.is_pending() || **state == RecordState::RightEnded;
+        for state in RecordState::ALL.iter().filter(waits).copied() {
+            let (owner, state) = (Some(owner.address), Some(state));
+            let query = RecordQuery { owner, state, limit: PAGE, ..RecordQuery::default() };
+            for row in self.parts.plant.ledger.records.all(query) {
+                pending += usize::from(row?.signer == signer);
             }
         }
         Ok(pending)
     }
 }
 
-/// States of records that a new key would leave behind: also those waiting for their signer's right need the current
-/// one.
-fn unverified() -> impl Iterator<Item = RecordState> {
-    let waits = |state: &RecordState| state.is_pending() || *state == RecordState::RightEnded;
-    RecordState::ALL.iter().copied().filter(waits)
+#[derive(Default)]
+pub struct NewPairs {
+    pub signing: Option<SmKeyPair>,
+    pub envelope: Option<SmKeyPair>,
 }

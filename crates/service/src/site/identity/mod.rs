@@ -1,4 +1,4 @@
-//! Profiles of the home: making, opening, locking, registering and showing them; who is open.
+//! Profiles of the home: created, opened, locked, registered and shown; who is open.
 
 mod foreseeing;
 mod keys;
@@ -22,7 +22,7 @@ use super::sharing::Sharing;
 use crate::chain::Call;
 use crate::command::{SecretBytes, SecretText};
 use crate::crypto::{Fingerprint, Keyring, Passphrase, UnlockedKeyring, prove, read_public};
-use crate::event::{NoticeLevel, Part};
+use crate::event::Part;
 use crate::failure::{input, internal, refused};
 use crate::model::{Address, ProfileName};
 use crate::paths::Home;
@@ -31,10 +31,15 @@ use crate::reply::{EpochRecords, Failure, IdentityView};
 use crate::store::StoreError;
 use crate::store::notes::ProfileAccounts;
 
-/// The longest wait for the chain to tell of the identity of a locked keyring.
+/// Longest wait for the chain's word about a locked keyring's identity.
 const LOCKED: Duration = Duration::from_secs(3);
 
-/// The profiles of a home and their keys.
+type Accounts = BTreeMap<ProfileName, Vec<Address>>;
+/// Pause before retrying to anchor what a former key signed.
+const DRAIN_AGAIN: Duration = Duration::from_secs(10);
+/// How long a running change may delay the locking.
+const PATIENCE: Duration = Duration::from_secs(10);
+
 pub struct Profiles {
     pub parts: Parts,
     pub connection: Arc<Connection>,
@@ -69,7 +74,6 @@ impl Profiles {
         self.view(&profile).await
     }
 
-    /// Opens the keyring of a profile for this site.
     pub async fn unlock(self: &Arc<Self>, profile: ProfileName, secret: SecretText) -> Result<IdentityView, Failure> {
         if self.parts.owners.get(&profile).is_none_or(|owner| owner.is_locked()) {
             let _one_at_a_time = self.parts.owners.opening(&profile).await;
@@ -79,7 +83,7 @@ impl Profiles {
             let opened = blocking(self, move |_| Ok(UnlockedKeyring::open(&path, &passphrase)?)).await;
             let outcome = if opened.is_ok() { "done" } else { "refused" };
             self.parts.log.write(&profile, "unlock", "keyring", outcome).await?;
-            // Opened by another request meanwhile, the owner keeps the keys it has.
+            // If another request opened it meanwhile, the owner keeps its keys.
             match self.parts.owners.get(&profile) {
                 Some(owner) => owner.unlock(opened?),
                 None => drop(self.open(profile.clone(), opened?)),
@@ -92,7 +96,7 @@ impl Profiles {
         self.view(&profile).await
     }
 
-    /// Protects a keyring with another passphrase. The file is replaced in one step: it opens with one or the other.
+    /// Replaces the keyring's file in one step: it opens with either the old or the new passphrase.
     pub async fn change_passphrase(
         self: &Arc<Self>,
         profile: &ProfileName,
@@ -101,16 +105,15 @@ impl Profiles {
     ) -> Result<(), Failure> {
         let path = self.parts.home.keyring(profile);
         if !path.exists() {
-            return Err(refused(format!(
-                "profile '{profile}' has no identity yet, so there is no passphrase to change"
-            )));
+            let text = format!("profile '{profile}' has no identity yet, so there is no passphrase to change");
+            return Err(refused(text));
         }
         let (old, new) = (Passphrase::new(old.expose().to_owned())?, Passphrase::new(new.expose().to_owned())?);
         self.parts.log.write(profile, "change passphrase", "keyring", "begun").await?;
-        // Nor is it opened with the old passphrase meanwhile: what was read before could never be saved again.
+        // Nor may it be opened with the old passphrase meanwhile: that copy could never be saved again.
         let not_opened = self.parts.owners.opening(profile).await;
         let owner = self.parts.owners.get(profile).filter(|owner| !owner.is_locked());
-        // No save of the keyring under the old passphrase may come after it.
+        // No save under the old passphrase may come after this.
         let _one_at_a_time = match &owner {
             Some(owner) => Some(owner.changes.lock().await),
             None => None,
@@ -118,7 +121,7 @@ impl Profiles {
         let open = owner.clone();
         let changed = blocking(self, move |_| {
             let _until_written = not_opened;
-            // Also for an open keyring: the caller has to know the current one.
+            // Also for an open keyring: the caller must know the current passphrase.
             let mut kept = UnlockedKeyring::open(&path, &old)?;
             match &open {
                 Some(owner) => owner.keyring().change_passphrase(&new)?,
@@ -143,27 +146,25 @@ impl Profiles {
             Ok::<(), StoreError>(())
         };
         if let Err(error) = self.parts.plant.ledger.notes.change(&ProfileAccounts {}, known) {
-            self.parts.hub.notice(NoticeLevel::Warning, &error.to_string());
+            self.parts.hub.warn(&error.to_string());
         }
         self.pins.introduce(&owner);
         self.parts.owners.insert(&owner);
         self.seal_as_before(&owner);
         if let Err(failure) = self.watches.restore(&owner) {
-            let text = format!("what '{}' watches is not captured: {}", owner.profile, failure.message);
-            self.parts.hub.notice(NoticeLevel::Error, &text);
+            self.parts.hub.alarm(&format!("what '{}' watches is not captured: {}", owner.profile, failure.message));
         }
         self.parts.hub.changed(Part::Identity);
         owner
     }
 
-    /// Refuses a profile whose keyring is gone or another account's: what it sealed before would be nobody's.
+    /// Refuses a profile whose keyring is gone or another account's: its earlier records would have no owner.
     fn check_account(&self, profile: &ProfileName) -> Result<(), Failure> {
         let known = self.known_accounts()?;
         let fault = known.get(profile).and_then(|accounts| keyring_fault(&self.parts.home, profile, accounts));
         fault.map_or(Ok(()), |text| Err(refused(text)))
     }
 
-    /// What is wrong with the keyrings of the profiles that this home knows.
     pub fn keyring_faults(&self) -> Result<Vec<(ProfileName, String)>, Failure> {
         Ok(keyring_faults(&self.parts.home, &self.known_accounts()?))
     }
@@ -172,18 +173,18 @@ impl Profiles {
         Ok(self.parts.plant.ledger.notes.read(&ProfileAccounts {})?.unwrap_or_default())
     }
 
-    /// Seals under the newest epoch of the keyring until the chain's state is known, so that a start loses no message
-    /// and capture needs no chain; only if the chain is known to have an epoch of this owner.
+    /// Seals under the keyring's newest epoch until the chain's state is known, so that a start loses no message; only
+    /// if the chain once had an epoch of this owner.
     fn seal_as_before(&self, owner: &Owner) {
         let Ok(Some(pin)) = self.connection.pin() else { return };
         let domain = pin.domain();
         let newest = owner.epochs(domain).last().copied().filter(|_| owner.has_registered_epoch(domain));
         if let Some(Err(error)) = newest.map(|epoch| owner.seal_under(domain, epoch)) {
-            self.parts.hub.notice(NoticeLevel::Warning, &error.to_string());
+            self.parts.hub.warn(&error.to_string());
         }
     }
 
-    /// Refuses to go on with an owner whose account was replaced while it was waited for.
+    /// Refuses to continue with an owner whose account was replaced meanwhile.
     pub fn is_current(&self, owner: &Arc<Owner>) -> Result<(), Failure> {
         if self.parts.owners.is_open(owner) {
             return Ok(());
@@ -212,8 +213,8 @@ impl Profiles {
         view.signing_key = Some(public.signing);
         view.envelope_key = Some(public.envelope);
         view.fingerprint = Some(Fingerprint::of(&public.signing).to_string());
-        // A gateway that has no room for visitors may let the site in once the keyring is open: who is about to open it asks
-        // first whether it is.
+        // Without room for visitors, a gateway admits the site only once a keyring is open, so a locked view does not
+        // wait for it.
         let patience = if view.unlocked { Duration::MAX } else { LOCKED };
         if let Ok(Ok(network)) = tokio::time::timeout(patience, self.parts.link.network()).await {
             view.registered =
@@ -229,56 +230,14 @@ impl Profiles {
         }
         Ok(view)
     }
-}
 
-/// The accounts of profiles.
-type Accounts = BTreeMap<ProfileName, Vec<Address>>;
-
-/// What is wrong with the keyrings of these profiles.
-pub(crate) fn keyring_faults(home: &Home, known: &Accounts) -> Vec<(ProfileName, String)> {
-    let fault = |(profile, accounts): (&ProfileName, &Vec<Address>)| {
-        Some((profile.clone(), keyring_fault(home, profile, accounts)?))
-    };
-    known.iter().filter_map(fault).collect()
-}
-
-/// What is wrong with the keyring of a profile that had one of these accounts.
-fn keyring_fault(home: &Home, profile: &ProfileName, accounts: &[Address]) -> Option<String> {
-    let named: Vec<String> = accounts.iter().map(ToString::to_string).collect();
-    let account = named.join(" or ");
-    let path = home.keyring(profile);
-    if !path.exists() {
-        return Some(format!(
-            "the keyring of profile '{profile}', account {account}, is gone, and its records open with nothing else: put a \
-             copy of {} back or restore a backup (`authros restore FILE`); for another account use another --profile",
-            path.display()
-        ));
-    }
-    match read_public(&path) {
-        Ok(public) if accounts.contains(&public.address) => None,
-        Ok(public) => Some(format!(
-            "{} is the keyring of account {}, and profile '{profile}' of this home has account {account}: put its own \
-             keyring back, or use another --profile for the other account",
-            path.display(),
-            public.address
-        )),
-        Err(error) => Some(format!("the keyring of profile '{profile}', account {account}: {error}")),
-    }
-}
-
-/// Pause before it is tried again to anchor what a former key signed.
-const DRAIN_AGAIN: Duration = Duration::from_secs(10);
-/// How long a running change may delay the locking.
-const PATIENCE: Duration = Duration::from_secs(10);
-
-impl Profiles {
-    /// Wipes the keys for reading, granting and revoking. A running change of epochs or grants is waited for a moment:
-    /// without its keys it could not be finished.
+    /// Wipes the keys for reading, granting and revoking. Waits a moment for a running change of epochs or grants,
+    /// which needs them.
     pub async fn lock(self: &Arc<Self>, profile: &ProfileName) -> Result<IdentityView, Failure> {
         let _not_opened = self.parts.owners.opening(profile).await;
         if let Some(owner) = self.parts.owners.get(profile).filter(|owner| !owner.is_locked()) {
             {
-                // One that hangs is cut off: what it leaves open is resumed at the next unlock.
+                // A hanging change is cut off and resumes at the next unlock.
                 let _one_at_a_time = tokio::time::timeout(PATIENCE, owner.changes.lock()).await.ok();
                 if let Some(network) = self.parts.link.network_now() {
                     block_in_place(|| self.sharing.foresee_locked(&owner, &network))?;
@@ -303,10 +262,8 @@ impl Profiles {
         let bytes = self.parts.log.deed(profile, "back up keys", "keyring", blocking(self, read)).await?;
         Ok(SecretBytes::new(bytes))
     }
-}
 
-impl Profiles {
-    /// Registers the owner's identity; nothing is sent if the chain has it already.
+    /// Registers the owner's identity; sends nothing if the chain has it.
     pub async fn register(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<IdentityView, Failure> {
         let network = self.connection.network_or_deploy(owner).await?;
         if network.directory.identity(owner.address).is_ok() {
@@ -343,14 +300,14 @@ impl Profiles {
         Ok(())
     }
 
-    /// Resumes at the state of the owner's keys on the chain: fetches those that the keyring lacks, seals under the
-    /// current epoch, or finishes one that was begun and never reached the chain; re-wraps what readers lack.
+    /// Brings the owner to the chain's state: fetches missing keys, seals under the current epoch or finishes one that
+    /// never reached the chain, and re-wraps what readers lack.
     pub async fn resume(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<(), Failure> {
         if self.parts.home.original().is_some() {
             return Ok(());
         }
         let network = self.parts.link.network().await?;
-        // A locked keyring goes on sealing as it was told.
+        // A locked keyring keeps sealing as before.
         if owner.is_locked() || network.directory.identity(owner.address).is_err() {
             return Ok(());
         }
@@ -361,7 +318,7 @@ impl Profiles {
         let profiles = Arc::clone(self);
         let owner = Arc::clone(owner);
         tokio::spawn(async move {
-            // What is wrong is in the site's health.
+            // The site's health says what is wrong.
             while profiles.drain_former(&owner, &network).await.is_err() {
                 tokio::time::sleep(DRAIN_AGAIN).await;
                 if !profiles.parts.owners.is_open(&owner) {
@@ -374,19 +331,16 @@ impl Profiles {
                 profiles.settle_pairs(&owner, &network).await
             };
             if let Err(failure) = pairs.await {
-                profiles
-                    .parts
-                    .hub
-                    .notice(NoticeLevel::Error, &format!("the change of an SM2 key: {}", failure.message));
+                profiles.parts.hub.alarm(&format!("the change of an SM2 key: {}", failure.message));
             }
             if let Err(failure) = profiles.sharing.finish_epoch(&owner).await {
-                profiles.parts.hub.notice(NoticeLevel::Error, &failure.message);
+                profiles.parts.hub.alarm(&failure.message);
             }
         });
         Ok(())
     }
 
-    /// Brings the keyring to what the chain has of this owner's pairs and epochs. The caller holds the owner's changes.
+    /// Brings the keyring to the chain's pairs and epochs of this owner. The caller holds the owner's changes.
     async fn take_up(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
         let newer = block_in_place(|| recovery::recover_pairs(&self.parts.plant, network, owner));
         self.sharing.note_pairs(owner, newer.as_ref().err().map(ToString::to_string));
@@ -395,30 +349,58 @@ impl Profiles {
         if newer {
             self.finish_pairs(owner, network).await?;
             let text = format!("the chain handed newer SM2 keys over to the keyring of '{}'", owner.profile);
-            self.parts.hub.notice(NoticeLevel::Info, &text);
+            self.parts.hub.inform(&text);
         }
         Ok(())
     }
 }
 
-/// The owners of a site.
+pub(crate) fn keyring_faults(home: &Home, known: &Accounts) -> Vec<(ProfileName, String)> {
+    let fault = |(profile, accounts): (&ProfileName, &Vec<Address>)| {
+        Some((profile.clone(), keyring_fault(home, profile, accounts)?))
+    };
+    known.iter().filter_map(fault).collect()
+}
+
+fn keyring_fault(home: &Home, profile: &ProfileName, accounts: &[Address]) -> Option<String> {
+    let named: Vec<String> = accounts.iter().map(ToString::to_string).collect();
+    let account = named.join(" or ");
+    let path = home.keyring(profile);
+    if !path.exists() {
+        return Some(format!(
+            "the keyring of profile '{profile}', account {account}, is gone, and its records open with nothing else: put a \
+             copy of {} back or restore a backup (`authros restore FILE`); for another account use another --profile",
+            path.display()
+        ));
+    }
+    match read_public(&path) {
+        Ok(public) if accounts.contains(&public.address) => None,
+        Ok(public) => Some(format!(
+            "{} is the keyring of account {}, and profile '{profile}' of this home has account {account}: put its own \
+             keyring back, or use another --profile for the other account",
+            path.display(),
+            public.address
+        )),
+        Err(error) => Some(format!("the keyring of profile '{profile}', account {account}: {error}")),
+    }
+}
+
 pub struct Owners {
     home: Home,
     open: RwLock<BTreeMap<ProfileName, Arc<Owner>>>,
-    /// Profiles that are being opened, locked or given another passphrase.
+    /// Profiles being opened, locked or given another passphrase.
     opening: Mutex<BTreeMap<ProfileName, Arc<tokio::sync::Mutex<()>>>>,
-    /// Receives each owner as it is opened.
     opened: mpsc::UnboundedSender<Arc<Owner>>,
 }
 
 impl Owners {
-    /// Nobody yet; `opened` receives each owner that is opened.
+    /// `opened` receives each owner that is opened.
     pub fn new(home: Home, opened: mpsc::UnboundedSender<Arc<Owner>>) -> Self {
         Self { home, open: RwLock::default(), opening: Mutex::default(), opened }
     }
 
-    /// Waits until nobody else opens, locks or newly protects the keyring of a profile, and keeps others from it while
-    /// held: a keyring that is read twice has two copies, of which one is out of date with the first change.
+    /// Waits until nobody else opens, locks or re-protects a profile's keyring, and excludes others while held: of two
+    /// copies of a keyring, one is outdated after the first change.
     pub async fn opening(&self, profile: &ProfileName) -> tokio::sync::OwnedMutexGuard<()> {
         let lock = {
             let mut opening = self.opening.lock().unwrap_or_else(PoisonError::into_inner);
@@ -437,22 +419,19 @@ impl Owners {
         drop(self.opened.send(Arc::clone(owner)));
     }
 
-    /// The owner behind a profile, if its keyring was opened; it may be locked by now.
+    /// The owner of an opened keyring; it may be locked by now.
     pub fn get(&self, profile: &ProfileName) -> Option<Arc<Owner>> {
         self.open.read().unwrap_or_else(PoisonError::into_inner).get(profile).cloned()
     }
 
-    /// All that were opened.
     pub fn all(&self) -> Vec<Arc<Owner>> {
         self.open.read().unwrap_or_else(PoisonError::into_inner).values().cloned().collect()
     }
 
-    /// Whether this is still the owner behind its profile.
     pub fn is_open(&self, owner: &Arc<Owner>) -> bool {
         self.get(&owner.profile).is_some_and(|other| Arc::ptr_eq(&other, owner))
     }
 
-    /// The owner behind a profile that is unlocked here.
     pub fn unlocked(&self, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
         let owner = self.get(profile).filter(|owner| !owner.is_locked());
         owner.ok_or_else(|| match self.home.keyring(profile).exists() {
@@ -463,7 +442,6 @@ impl Owners {
         })
     }
 
-    /// The account of a profile; needs no passphrase.
     pub fn address_of(&self, profile: &ProfileName) -> Result<Address, Failure> {
         if let Some(owner) = self.get(profile) {
             return Ok(owner.address);
@@ -475,7 +453,7 @@ impl Owners {
         Ok(block_in_place(|| read_public(&path))?.address)
     }
 
-    /// The accounts of all profiles of the home; a keyring that cannot be read has none.
+    /// An unreadable keyring has no account.
     pub fn accounts(&self) -> Vec<Address> {
         let profiles = self.home.profiles();
         profiles.iter().filter_map(|profile| Some(read_public(&self.home.keyring(profile)).ok()?.address)).collect()

@@ -1,4 +1,4 @@
-//! Incidents: spans of time and topics of own records, exempt from retention as long as the incidents exist.
+//! Incidents: spans of time and topics of own records, exempt from retention while the incidents exist.
 
 #[cfg(test)]
 mod tests;
@@ -13,23 +13,17 @@ use crate::service::reply::{Failure, IncidentView, Reply};
 use crate::site::parts::Parts;
 use crate::store::{IncidentNote, IncidentRow, IncidentSpan, Incidents as KeptIncidents, RecordQuery, SpanCoverage};
 
-/// The most incidents of a profile.
 const MOST: usize = 200;
-/// The most topics that an incident names.
 const MOST_TOPICS: usize = 256;
-/// The most notes of an incident.
 const MOST_NOTES: usize = 200;
-/// The longest note, characters.
+/// Characters.
 const LONGEST_NOTE: usize = 2000;
-/// The widest topic shown, characters.
 const WIDEST: usize = 255;
 
-/// Incidents as the operator opens, notes, closes and removes them.
 pub(in crate::site) struct Incidents {
-    parts: Parts,
+    pub parts: Parts,
 }
 
-/// The description of a new incident.
 struct Wanted {
     name: IncidentName,
     span: IncidentSpan,
@@ -37,11 +31,6 @@ struct Wanted {
 }
 
 impl Incidents {
-    /// From the shared parts.
-    pub fn new(parts: &Parts) -> Self {
-        Self { parts: parts.clone() }
-    }
-
     pub async fn answer(&self, profile: &ProfileName, command: IncidentCommand) -> Result<Reply, Failure> {
         let owner = self.parts.owners.address_of(profile)?;
         match command {
@@ -136,7 +125,7 @@ impl Incidents {
     }
 }
 
-/// Bounds are checked, and foreign text is cleaned, before anything is written.
+/// Checks bounds and cleans foreign text before anything is written.
 fn wanted(
     name: IncidentName,
     (since, until): (Timestamp, Option<Timestamp>),
@@ -165,7 +154,7 @@ fn note_text(text: &str) -> Result<String, Failure> {
         return Err(input(format!("the note has {length} characters, the limit is {LONGEST_NOTE}; shorten it")));
     }
     let text = clean_lines(text, LONGEST_NOTE);
-    if text.trim().is_empty() { Err(input("the note is empty".to_owned())) } else { Ok(text) }
+    if text.trim().is_empty() { Err(input("the note is empty")) } else { Ok(text) }
 }
 
 fn taken(name: &IncidentName) -> Failure {
@@ -184,17 +173,13 @@ fn known(kept: &KeptIncidents, owner: Address, name: &IncidentName) -> Result<In
     kept.find(owner, name)?.ok_or_else(|| unknown(name))
 }
 
-/// The subject in the audit log.
 fn subject(name: &IncidentName, span: &IncidentSpan) -> String {
     let until = span.until.map_or_else(|| "until it is closed".to_owned(), |until| format!("until {until}"));
     let topics = if span.topics.is_empty() { "all topics".to_owned() } else { span.topics.join(" ") };
     clean(&format!("{name}: since {} {until}, {topics}", span.since), 400)
 }
 
-/// A query that finds only what is in an incident of the owner.
-///
-/// # Errors
-/// Kind `Input` if there is none of this name; errors of the ledger.
+/// Narrows a query to an incident of the owner; `Input` if there is none of this name.
 pub(super) fn narrowed(
     kept: &KeptIncidents,
     owner: Address,
@@ -206,7 +191,6 @@ pub(super) fn narrowed(
     Ok(RecordQuery { since: query.since.max(Some(since)), until, topics, ..query })
 }
 
-/// One incident of the owner, for the page of a bundle.
 pub(super) fn view(kept: &KeptIncidents, owner: Address, name: &IncidentName) -> Result<IncidentView, Failure> {
     covered(kept, owner, known(kept, owner, name)?)
 }

@@ -7,7 +7,7 @@ use crate::site::testing::{Ground, profile};
 use crate::store::NewRecord;
 
 fn incidents(ground: &Ground) -> Incidents {
-    Incidents::new(&ground.parts)
+    Incidents { parts: ground.parts.clone() }
 }
 
 fn name(text: &str) -> IncidentName {

@@ -1,5 +1,5 @@
-//! Mirrors a profile's records of the joined gateway here: follows the gateway's feed, takes in what is told there, and keeps the
-//! place. A lost connection is opened again, with pauses that grow to five seconds.
+//! Mirrors a profile's records of the joined gateway: follows the gateway's feed, takes records in, and remembers the
+//! place.
 
 mod own_erasures;
 mod places;
@@ -24,69 +24,41 @@ use crate::service::reply::Failure;
 use crate::site::parts::Parts;
 use crate::store::notes::{FeedTaken, TakenOfFeed};
 
-/// The first pause after a failure, and the longest.
 const PAUSES: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(5));
-/// A session as long as this says nothing of the next one.
 const LONG: Duration = Duration::from_secs(10);
-/// Interval between looks for something to do.
+/// Interval between looks for work.
 const TICK: Duration = Duration::from_millis(500);
-/// How long a gateway that does not know its chain now is asked again without a word.
+/// How long a gateway that lacks the chain's current state is retried silently.
 const QUIET: Duration = Duration::from_secs(15);
 
-/// Why a mirror's round ended.
+#[derive(Debug, thiserror::Error)]
+#[error(transparent)]
 enum Broken {
-    Gateway(GatewayError),
-    Other(Failure),
-}
-
-impl From<GatewayError> for Broken {
-    fn from(error: GatewayError) -> Self {
-        Self::Gateway(error)
-    }
-}
-
-impl From<PipelineError> for Broken {
-    fn from(error: PipelineError) -> Self {
-        Self::Other(error.into())
-    }
-}
-
-impl From<Failure> for Broken {
-    fn from(failure: Failure) -> Self {
-        Self::Other(failure)
-    }
+    Gateway(#[from] GatewayError),
+    Pipeline(#[from] PipelineError),
+    Other(#[from] Failure),
 }
 
 impl Broken {
-    /// The gateway does not know its chain as it is now, and tells nobody anything until it does.
+    /// The gateway lacks the chain's current state and refuses everybody until it has it.
     fn is_stale(&self) -> bool {
         matches!(self, Self::Gateway(GatewayError::Refused(Code::Stale)))
     }
 }
 
-/// The site that this one joins through its gateway, if it joins one.
+/// The other site that this one joins through its gateway, if any.
 pub(in crate::site) struct Joined {
-    parts: Parts,
-    remote: Option<Arc<Remote>>,
+    pub parts: Parts,
+    pub remote: Option<Arc<Remote>>,
 }
 
 impl Joined {
-    /// From the shared parts.
-    pub fn new(parts: &Parts, remote: Option<Arc<Remote>>) -> Self {
-        Self { parts: parts.clone(), remote }
-    }
-
-    /// Whether this site joins a gateway.
-    pub fn joins(&self) -> bool {
-        self.remote.is_some()
-    }
-
-    /// Where the chain comes from, in words, if that is the other site.
+    /// Where the chain comes from, if that is the other site.
     pub fn chain_text(&self) -> Option<String> {
         self.remote.as_ref().map(|remote| remote.chain_text())
     }
 
-    /// Mirrors a profile's records of the gateway until its owner is closed or the site ends.
+    /// Mirrors until the owner is closed or the site ends.
     pub async fn mirror(self: Arc<Self>, owner: Arc<Owner>) {
         let Some(remote) = &self.remote else { return };
         let (mut pause, mut stale) = (PAUSES.0, None);
@@ -113,35 +85,28 @@ impl Joined {
             }
             if broken.is_stale() && stale.get_or_insert_with(Instant::now).elapsed() < QUIET {
                 remote.note(&owner.profile, Mirrored::Behind);
-                self.rest(TICK).await;
+                self.parts.life.rest(TICK).await;
                 continue;
             }
             if !broken.is_stale() {
                 stale = None;
             }
             self.tell_broken(remote, &owner, broken, pause);
-            self.rest(pause).await;
+            self.parts.life.rest(pause).await;
             pause = (pause * 2).min(PAUSES.1);
-        }
-    }
-
-    /// Waits for so long, or until the site ends.
-    async fn rest(&self, pause: Duration) {
-        tokio::select! {
-            () = tokio::time::sleep(pause) => {}
-            () = self.parts.life.stopped() => {}
         }
     }
 
     fn tell_broken(&self, remote: &Remote, owner: &Owner, broken: Broken, pause: Duration) {
         let failure = match broken {
             Broken::Gateway(error) => {
-                // The chain has other keys by now than those the transport key was allocated under: allocate again.
+                // The transport key was allocated under keys that the chain no longer has.
                 if matches!(error, GatewayError::Refused(Code::NotRegistered)) {
                     drop(std::fs::remove_file(self.parts.home.transport_key(&owner.profile)));
                 }
                 error.into()
             }
+            Broken::Pipeline(error) => error.into(),
             Broken::Other(failure) => failure,
         };
         let seconds = pause.as_secs();
@@ -171,7 +136,7 @@ impl Joined {
         let mut is_slow_told = false;
         let has_others =
             |followed: &BTreeSet<Address>| sources(network, owner).keys().any(|source| !followed.contains(source));
-        // Where the chain is read anew, rights are judged by what is read then.
+        // When the chain is read anew, that reading judges rights.
         let is_known =
             || self.parts.link.network_now().is_none_or(|now| Arc::ptr_eq(&now.directory, &network.directory));
         let is_open = || !self.parts.life.is_stopping() && self.parts.owners.is_open(owner) && !owner.is_locked();
@@ -180,7 +145,7 @@ impl Joined {
             if following.adjust()? {
                 remote.note(&owner.profile, Mirrored::Behind);
             }
-            let followed = following.owners();
+            let followed = following.places.owners();
             let page = {
                 let asking = following.next(&mut client);
                 tokio::pin!(asking);
@@ -189,7 +154,7 @@ impl Joined {
                         page = &mut asking => break page?,
                         () = self.parts.life.stopped() => return Ok(()),
                         Ok(()) = rights.changed() => {
-                            // Somebody shares from now on: what is asked for next includes that.
+                            // A new sharer is part of the next request.
                             if has_others(&followed) {
                                 remote.note(&owner.profile, Mirrored::Behind);
                             }
@@ -224,31 +189,27 @@ impl Joined {
     }
 }
 
-/// How long the watcher here may lag behind the block of a proof before the record is for later.
+/// Longest lag of the watcher here behind the block of a proof; beyond it, the record is for later.
 const BEHIND: Duration = Duration::from_secs(3);
-/// Records asked for at once.
 const WINDOW: usize = 64;
-/// Pauses before the next page, by how many in a row brought nothing new.
+/// Pauses before the next page, by the number of pages in a row without news.
 const PAGES: [(usize, Duration); 2] = [(10_000, Duration::from_millis(100)), (100, Duration::from_millis(10))];
-/// The shortest time between two pages without any entry.
+/// Shortest time between two empty pages.
 const EMPTY: Duration = Duration::from_millis(100);
 
-/// The reader's side of one session.
 struct Following<'a> {
     joined: &'a Joined,
     intake: Intake<'a>,
     reader: Reader<'a>,
     note: TakenOfFeed,
     places: Places,
-    /// As it was stored last.
     saved: FeedTaken,
-    /// Pages in a row that brought nothing new: a feed of what is here already may be long and honest.
+    /// Pages in a row without news: a feed of records already here may be long and honest.
     idle: usize,
     asked: Instant,
 }
 
 impl<'a> Following<'a> {
-    /// From where it was.
     pub fn load(
         joined: &'a Joined,
         (owner, network): (&'a Owner, &'a Network),
@@ -269,7 +230,7 @@ impl<'a> Following<'a> {
         })
     }
 
-    /// Follows who shares now, and nobody else; again where more can be read than before. Returns whether more may come for that.
+    /// Follows exactly those who share now, and rereads where more became readable. Returns whether more may come.
     pub fn adjust(&mut self) -> Result<bool, PipelineError> {
         let each = sources(self.reader.network, self.reader.reader).into_iter().map(|(owner, grant)| {
             let epochs = block_in_place(|| self.reader.epochs_of(owner))?;
@@ -279,12 +240,7 @@ impl<'a> Following<'a> {
         Ok(self.places.adjust(&sources, Timestamp::now()))
     }
 
-    /// The owners that are followed.
-    pub fn owners(&self) -> BTreeSet<Address> {
-        self.places.owners()
-    }
-
-    /// The next page; nothing if nobody is to be asked about now.
+    /// The next page; `None` if every owner rests.
     pub async fn next(&mut self, client: &mut Client) -> Result<Option<FeedPage>, GatewayError> {
         self.asked = Instant::now();
         let Some(asked) = self.places.asks(self.asked) else {
@@ -294,7 +250,7 @@ impl<'a> Following<'a> {
         client.feed(asked).await.map(Some)
     }
 
-    /// Takes in what a page tells, and what is due of what had to wait. Returns how the reader stands then.
+    /// Takes in a page and what is due of what waits; returns the reader's standing.
     pub async fn take(&mut self, client: &mut Client, page: Option<FeedPage>) -> Result<Standing, Broken> {
         let due = self.still_wanted()?;
         self.intake.patience = Duration::ZERO;
@@ -316,7 +272,7 @@ impl<'a> Following<'a> {
         Ok(self.places.standing(Instant::now()))
     }
 
-    /// Keeps a gateway from wearing this site out with pages that bring nothing.
+    /// Keeps a gateway from exhausting this site with pages without news.
     async fn pace(&mut self, is_empty: bool, is_new: bool) {
         if is_empty && self.places.is_look_between() {
             return;
@@ -331,7 +287,7 @@ impl<'a> Following<'a> {
         }
     }
 
-    /// What is due of what had to wait, and is not here by another way.
+    /// Due records that did not arrive another way.
     fn still_wanted(&mut self) -> Result<Vec<Told>, PipelineError> {
         let mut due = self.places.due(Instant::now());
         let rows = block_in_place(|| {
@@ -348,7 +304,7 @@ impl<'a> Following<'a> {
         Ok(due)
     }
 
-    /// What to ask for of a page. Of owners that nobody follows nothing is believed.
+    /// Records of a page to request. Nothing is believed about owners not followed.
     fn wanted(&mut self, page: &FeedPage) -> Result<Vec<Told>, PipelineError> {
         let mut wanted = Vec::new();
         for entry in &page.entries {
@@ -383,9 +339,9 @@ impl<'a> Following<'a> {
         let accepted = match record {
             Ok(record) => self.intake.accept(reader, owner, digest, record).await?,
             Err(GatewayError::Erased(erased)) => self.intake.accept_erased(reader, owner, digest, *erased).await?,
-            // Its owner does not state it: nothing is left that could be shown, and when that changes the feed tells it anew.
+            // Its owner has not stated it: nothing is left to show, and the feed reports any change.
             Err(GatewayError::Refused(Code::NotFound)) if told.is_erased => Accepted::Held(false),
-            // It has no bytes of it now, or cannot read them, or its right is not clear to it.
+            // The gateway has no bytes of it now, cannot read them, or is unsure of the right.
             Err(GatewayError::Refused(_)) => {
                 self.places.wait(told, false, Instant::now());
                 return Ok(false);
@@ -420,7 +376,6 @@ impl<'a> Following<'a> {
         Ok(is_new)
     }
 
-    /// Stores how far all is dealt with.
     fn save(&mut self) -> Result<(), PipelineError> {
         let taken = self.places.taken();
         if taken != self.saved {
@@ -430,7 +385,7 @@ impl<'a> Following<'a> {
         Ok(())
     }
 
-    /// The owners whose records the gateway refuses for longer than it needs to see a block, for people.
+    /// Owners whose records the gateway refuses for longer than it needs to see a block.
     pub fn refused(&self) -> String {
         self.places.long_refused().map(ToString::to_string).collect::<Vec<_>>().join(", ")
     }

@@ -1,5 +1,5 @@
-//! What the owner of this home had erased is told to the gateway that it joins, which overwrites its copies: what is gone
-//! here, by the owner's statement under both keys.
+//! Reports the owner's erasures to the joined gateway, which overwrites its copies, with the owner's statement under
+//! both keys.
 
 use std::time::{Duration, Instant};
 
@@ -16,18 +16,18 @@ use crate::pipeline::{Network, Owner, PipelineError};
 use crate::service::reply::{ErasureView, Failure};
 use crate::store::notes::ErasuresTold;
 
-/// How often all is told again: a gateway may have been restored from a backup.
+/// How often everything is reported again: a gateway may have been restored from a backup.
 const WHOLE: Duration = Duration::from_secs(3600);
 /// The same after a gateway left something that it may take later.
 const SOON: Duration = Duration::from_secs(60);
-/// The most pages told without looking at anything else.
+/// Pages reported before anything else gets a turn.
 const MOST_PAGES: usize = 8;
 
-/// How far the gateway was told, over all sessions with it.
+/// Progress over all sessions with the gateway.
 #[derive(Debug, Default)]
 pub(super) struct OwnErasures {
     after: u64,
-    /// What was noted after this number was never told before.
+    /// Numbers after this were never reported.
     known: Option<u64>,
     begun: Option<Instant>,
     at_end: bool,
@@ -37,18 +37,17 @@ pub(super) struct OwnErasures {
     will: Will,
 }
 
-/// Whether the gateway takes any of it: one that no longer serves the owner does not.
+/// A gateway that no longer serves the owner takes none of it.
 #[derive(Debug, Default, PartialEq, Eq)]
 enum Will {
     #[default]
     Unknown,
-    /// Not in this session; that was said.
+    /// In this session; already reported.
     Refuses,
-    /// Not in an earlier session.
+    /// In an earlier session.
     Refused,
 }
 
-/// What became of a page.
 #[derive(Debug, Default, PartialEq, Eq)]
 struct Told {
     taken: u64,
@@ -68,7 +67,7 @@ impl Told {
 }
 
 impl OwnErasures {
-    /// Another session: it may serve the owner again.
+    /// A new session may serve the owner again.
     pub fn connected(&mut self) {
         if self.will == Will::Refuses {
             self.will = Will::Refused;
@@ -85,7 +84,7 @@ impl OwnErasures {
         }
     }
 
-    /// The place behind which nothing was told, as of the last run of this home.
+    /// The place behind which nothing was reported, as of the last run.
     fn load(&mut self, joined: &Joined, note: &ErasuresTold) -> Result<u64, Failure> {
         if let Some(known) = self.known {
             return Ok(known);
@@ -97,7 +96,7 @@ impl OwnErasures {
 }
 
 impl Joined {
-    /// Tells the gateway what it was not told yet; now and then all of it again.
+    /// Reports what is new to the gateway, and everything again from time to time.
     pub(super) async fn tell_erasures(
         &self,
         client: &mut Client,
@@ -108,7 +107,7 @@ impl Joined {
             return Ok(());
         }
         let keeper = remote.keeper(network)?;
-        // Numbers are the ledger's own: those of a restored home begin anew.
+        // Numbers are the ledger's own: a restored home counts anew.
         let ledger = hex(self.parts.plant.ledger.records.recorder().as_bytes());
         let note = ErasuresTold { domain: network.domain, ledger, keeper, owner: owner.address };
         let mut known = told.load(self, &note)?;
@@ -138,7 +137,7 @@ impl Joined {
         Ok(())
     }
 
-    /// Tells one page; `None` if the gateway takes none of it in this session.
+    /// Reports one page; `None` if the gateway takes none of it in this session.
     async fn tell_some(
         &self,
         client: &mut Client,
@@ -162,8 +161,8 @@ impl Joined {
         }
     }
 
-    /// Once for each key of the owner: what was erased under an earlier one, or before accounts signed, is stated anew. Returns
-    /// whether all of it is stated.
+    /// Once per key of the owner, restates erasures stated under an earlier key or without the account. Returns whether
+    /// all are stated.
     fn stated(&self, owner: &Owner, network: &Network, told: &mut OwnErasures) -> Result<bool, PipelineError> {
         let keys = owner.sealing().filter(|keys| is_owners(network, owner.address, &keys.signing.public));
         let Some(keys) = keys else { return Ok(false) };
@@ -175,7 +174,6 @@ impl Joined {
         Ok(done)
     }
 
-    /// Those of these records that are the owner's own.
     fn own(
         &self,
         owner: Address,
@@ -215,7 +213,7 @@ impl Joined {
         self.parts.hub.warn(&text);
     }
 
-    /// What an erasure does not reach, where this site joins a gateway.
+    /// Names the gateway among what an erasure does not reach.
     pub fn names_who_is_told(&self, mut view: ErasureView) -> ErasureView {
         if let (Some(remote), Some(copies)) = (&self.remote, view.stays.first_mut()) {
             *copies = format!("copies that readers have fetched; the gateway {} erases its own", remote.address());

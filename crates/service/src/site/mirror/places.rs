@@ -1,5 +1,5 @@
-//! Where a reader is in a gateway's feed: how far each owner's rows are told, what has to wait, and what is read again. It only decides
-//! and remembers; `following` asks and takes in. No owner waits for another one: each has places, room and pauses of its own.
+//! A reader's places in a gateway's feed: progress per owner, what waits, and what is reread. No owner waits for
+//! another: each has its own place, room and pauses.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
@@ -9,27 +9,25 @@ use crate::gateway::{Feed, FeedEntry, FeedPage, Place};
 use crate::model::{Address, Digest, Fact, Timestamp};
 use crate::store::notes::{FeedTaken, FollowedOwner, TakenOfOwner};
 
-/// How long the gateway may wait for something to tell.
+/// How long the gateway may wait for news.
 const WAIT: Duration = Duration::from_secs(1);
-/// The most records of one owner that wait.
 const MOST_WAITING: usize = 256;
-/// The first pause before one is tried again, and the longest.
+/// First pause before a retry, and the longest.
 const PAUSES: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(60));
-/// The longest for what only waits for the chain here.
+/// The longest for records that only wait for the chain here.
 const NEAR: Duration = Duration::from_secs(10);
-/// How long what cannot be had is expected any moment.
+/// How long a missing record is expected any moment.
 const FRESH: Duration = Duration::from_secs(30);
-/// Where more had to wait than there is room for and those do not come, how often the others are tried all the same.
+/// How often records beyond the room are tried although the waiting ones do not come.
 const AGAIN: Duration = Duration::from_secs(600);
-/// The first pause before the gateway is asked again about an owner whose records it does not give, and the longest.
+/// First pause before asking again about an owner whom the gateway refuses, and the longest.
 const RESTS: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(10));
-/// How often all is read again: a gateway may have passed over what it has by now, nanoseconds.
+/// Nanoseconds between complete rereads: a gateway may have passed over what it has by now.
 const ANEW: u64 = 7 * 24 * 3_600 * 1_000_000_000;
 
-/// Who shares, and what a reader has of each: the beginning of the grant's transaction, and the epochs with keys.
+/// Sharers, with the beginning of the grant's transaction and the epochs with keys here.
 pub(super) type Sources = BTreeMap<Address, (u64, BTreeSet<u64>)>;
 
-/// A row of the feed, as far as it has to be remembered.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Told {
     pub owner: Address,
@@ -45,18 +43,17 @@ impl From<&FeedEntry> for Told {
     }
 }
 
-/// How a reader stands.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Standing {
-    /// Something is still to be read, or is expected any moment.
+    /// Something is still to be read, or expected any moment.
     Arriving,
-    /// The next page tells.
+    /// The next page decides.
     Reading,
-    /// All that the gateway gives is here; whether it tells of records that cannot be had.
+    /// All that the gateway gives is here; `lacks` if it lists records that it does not give.
     Here { lacks: bool },
 }
 
-/// When a record is tried again. One that was stored as waiting is tried at once.
+/// Without `again`, as after loading, it is due immediately.
 #[derive(Debug, Clone, Copy, Default)]
 struct Trial {
     since: Option<Instant>,
@@ -64,18 +61,17 @@ struct Trial {
     pause: Duration,
 }
 
-/// An owner who is followed.
 #[derive(Debug, Default)]
 struct Followed {
     taken: TakenOfOwner,
     trials: BTreeMap<Digest, Trial>,
-    /// When what had no room was last read again.
+    /// Last reread of what had no room.
     went_back: Option<Instant>,
     /// Since when a key is missing.
     locked_since: Option<Instant>,
-    /// Whether the last page about it was the last one there was.
+    /// The last page about it reached the feed's end.
     is_at_head: bool,
-    /// Until when the gateway is not asked about it, and after which pause.
+    /// End of the pause before the gateway is asked about it, and its length.
     rests: Option<(Instant, Duration)>,
 }
 
@@ -83,13 +79,8 @@ fn is_fresh(since: Option<Instant>, now: Instant) -> bool {
     since.is_some_and(|since| now.saturating_duration_since(since) < FRESH)
 }
 
-/// Whether more can be read of what was passed by than before. Keys of later epochs are no such thing: what they open was noted.
-fn opens_more(known: &FollowedOwner, now: &FollowedOwner, epochs: &BTreeSet<u64>) -> bool {
-    now.grant != known.grant || epochs.range(..=known.newest).count() as u64 > known.count
-}
-
 impl Followed {
-    /// Reads all from the beginning; what waits is met there.
+    /// Rereads everything, which also meets what waits.
     fn read_anew(&mut self) {
         let (known, place) = (self.taken.known, self.taken.place);
         self.taken = TakenOfOwner { known, place, back: Some(0), ..TakenOfOwner::default() };
@@ -97,19 +88,20 @@ impl Followed {
         self.locked_since = None;
     }
 
-    /// Reads again from a row on.
+    /// Rereads from a row on.
     fn read_again(&mut self, number: u64) {
         let before = number.saturating_sub(1);
         self.taken.back = Some(self.taken.back.map_or(before, |back| back.min(before)));
         self.taken.is_again = false;
     }
 
-    /// What the reader knows of it now; returns whether something is read again for that.
+    /// Takes over what is known now; returns whether something is reread.
     fn adjust(&mut self, grant: u64, epochs: &BTreeSet<u64>) -> bool {
         let known = self.taken.known;
         let now = FollowedOwner { grant, newest: epochs.last().copied().unwrap_or(0), count: epochs.len() as u64 };
         self.taken.known = now;
-        if opens_more(&known, &now, epochs) {
+        // Later epochs do not make passed-over rows readable: what they open was noted.
+        if now.grant != known.grant || epochs.range(..=known.newest).count() as u64 > known.count {
             self.read_anew();
             return true;
         }
@@ -121,7 +113,7 @@ impl Followed {
         unlocked.is_some()
     }
 
-    /// Goes back for what had no room, once there is room, and now and then.
+    /// Goes back for records beyond the room once there is room, and from time to time.
     fn go_back(&mut self, room: usize, now: Instant) {
         let is_due = || self.went_back.is_none_or(|went| now.saturating_duration_since(went) >= AGAIN);
         let may = self.taken.back.is_none() && (self.taken.waits.len() <= room / 2 || is_due());
@@ -132,7 +124,7 @@ impl Followed {
         }
     }
 
-    /// Has a record wait; `is_near` if it only waits for the chain here. Returns whether it did not wait before.
+    /// Queues a record; `is_near` if it only waits for the chain here. Returns whether it is new in the queue.
     fn wait(&mut self, told: Told, is_near: bool, (room, now): (usize, Instant)) -> bool {
         let is_new = !self.taken.waits.contains_key(&told.digest);
         if is_new && self.taken.waits.len() >= room {
@@ -175,7 +167,7 @@ impl Followed {
         (self.rests, self.is_at_head) = (Some((now + pause, pause)), false);
     }
 
-    /// Whether something of it is expected any moment.
+    /// Something is expected any moment.
     fn is_arriving(&self, now: Instant) -> bool {
         (self.taken.back.is_some() && !self.taken.is_again)
             || is_fresh(self.locked_since, now)
@@ -187,14 +179,12 @@ impl Followed {
     }
 }
 
-/// Which rows are asked for: new ones of all owners, or those that are read again. One never waits for the other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Turn {
     Live,
     Back,
 }
 
-/// A reader's places in a gateway's feed.
 #[derive(Debug)]
 pub(super) struct Places {
     reader: Address,
@@ -206,32 +196,26 @@ pub(super) struct Places {
 }
 
 impl Places {
-    /// As they were stored.
     pub fn load(reader: Address, taken: FeedTaken) -> Self {
         let owners = taken.owners.into_iter().map(|(owner, taken)| (owner, Followed { taken, ..Followed::default() }));
         let (feed, begun, owners) = (taken.feed, taken.begun, owners.collect());
         Self { reader, feed, begun, owners, turn: Turn::Live, asked: Feed::of(reader) }
     }
 
-    /// As they are to be stored.
     pub fn taken(&self) -> FeedTaken {
         let owners = self.owners.iter().map(|(owner, one)| (*owner, one.taken.clone())).collect();
         FeedTaken { feed: self.feed, begun: self.begun, owners }
     }
 
-    /// Follows who shares now, and nobody else; again where more can be read than before, and all of it now and then. Returns
-    /// whether more may come for that.
     pub fn adjust(&mut self, sources: &Sources, time: Timestamp) -> bool {
         self.owners.retain(|owner, _| sources.contains_key(owner));
         let is_due = time.0.saturating_sub(self.begun.0) > ANEW;
         if is_due {
             self.begun = time;
-            self.owners.values_mut().filter(|one| one.taken.place.is_some() && one.taken.back.is_none()).for_each(
-                |one| {
-                    one.read_anew();
-                    one.taken.is_again = true;
-                },
-            );
+            for one in self.owners.values_mut().filter(|one| one.taken.place.is_some() && one.taken.back.is_none()) {
+                one.read_anew();
+                one.taken.is_again = true;
+            }
         }
         let mut is_more = false;
         for (owner, (grant, epochs)) in sources {
@@ -245,12 +229,11 @@ impl Places {
         is_more
     }
 
-    /// The owners that are followed.
     pub fn owners(&self) -> BTreeSet<Address> {
         self.owners.keys().copied().collect()
     }
 
-    /// How many records of each owner may wait: less, where there are many owners.
+    /// Room per owner for waiting records; less with many owners.
     fn room(&self) -> usize {
         (16 * MOST_WAITING / self.owners.len().max(1)).clamp(16, MOST_WAITING)
     }
@@ -262,12 +245,12 @@ impl Places {
             Some(Place { owner: *owner, after, grant: one.taken.known.grant })
         });
         let mut places: Vec<Place> = places.collect();
-        // Who is behind comes first, where there are more than fit into one request.
+        // The furthest behind come first if one request cannot hold all.
         places.sort_by_key(|place| place.after);
         places
     }
 
-    /// What to ask for next; nothing if every owner rests.
+    /// The next request; `None` if every owner rests.
     pub fn asks(&mut self, now: Instant) -> Option<&Feed> {
         let room = self.room();
         self.owners.values_mut().for_each(|one| one.go_back(room, now));
@@ -279,7 +262,7 @@ impl Places {
         if places.is_empty() {
             return None;
         }
-        // The reader's own are never refused: a request that is all about others might be, and end the session.
+        // The reader's own are never refused: a request about others alone might be, and end the session.
         let own = live_own.filter(|own| !places.iter().any(|place| place.owner == own.owner));
         places.truncate(MOST_OWNERS - 1);
         places.extend(own);
@@ -291,12 +274,12 @@ impl Places {
         Some(&self.asked)
     }
 
-    /// Whether the last request was for new rows while others are still read: a short look in between.
+    /// The last request was a short look for new rows while others are reread.
     pub fn is_look_between(&self) -> bool {
         self.turn == Turn::Live && self.asked.wait.is_zero()
     }
 
-    /// Whether a page is of another feed: then nothing on it counts, and all is read anew.
+    /// Whether a page is of another feed: then it counts for nothing, and everything is read anew.
     pub fn is_of_another(&mut self, page: &FeedPage) -> bool {
         self.feed = page.id;
         if page.is_anew {
@@ -309,12 +292,11 @@ impl Places {
         page.is_anew
     }
 
-    /// The newest epoch of an owner with keys here; nothing if nobody follows it.
+    /// Newest epoch with keys here; `None` if the owner is not followed.
     pub fn newest(&self, owner: &Address) -> Option<u64> {
         self.owners.get(owner).map(|one| one.taken.known.newest)
     }
 
-    /// A record is dealt with.
     pub fn done(&mut self, told: &Told) {
         if let Some(one) = self.owners.get_mut(&told.owner) {
             one.taken.waits.remove(&told.digest);
@@ -322,13 +304,13 @@ impl Places {
         }
     }
 
-    /// Has a record wait. Returns whether it did not wait before.
+    /// Queues a record; returns whether it is new in the queue.
     pub fn wait(&mut self, told: Told, is_near: bool, now: Instant) -> bool {
         let room = self.room();
         self.owners.get_mut(&told.owner).is_some_and(|one| one.wait(told, is_near, (room, now)))
     }
 
-    /// The key of a record was not handed over yet.
+    /// The key of a record has not arrived yet.
     pub fn is_locked(&mut self, told: Told, now: Instant) {
         if let Some(one) = self.owners.get_mut(&told.owner) {
             one.taken.locked = Some(one.taken.locked.map_or(told.number, |lowest| lowest.min(told.number)));
@@ -336,22 +318,21 @@ impl Places {
         }
     }
 
-    /// What is to be tried again.
     pub fn due(&self, now: Instant) -> Vec<Told> {
         let due = |one: &Followed, digest: &Digest| {
             let trial = one.trials.get(digest).copied().unwrap_or_default();
             trial.again.is_none_or(|again| again <= now)
         };
         let of = |(owner, one): (&Address, &Followed)| -> Vec<Told> {
-            let waits = one.taken.waits.iter().filter(|(digest, _)| due(one, digest));
-            waits
-                .map(|(digest, erased)| Told { owner: *owner, digest: *digest, number: 0, is_erased: *erased })
-                .collect()
+            let told = |(digest, erased): (&Digest, &bool)| {
+                due(one, digest).then_some(Told { owner: *owner, digest: *digest, number: 0, is_erased: *erased })
+            };
+            one.taken.waits.iter().filter_map(told).collect()
         };
         self.owners.iter().flat_map(of).take(MOST_WAITING).collect()
     }
 
-    /// Everything on a page was dealt with.
+    /// Everything on a page is dealt with.
     pub fn took(&mut self, page: &FeedPage, now: Instant) {
         let refused: BTreeSet<Address> = page.refused.iter().map(|(owner, _)| *owner).collect();
         let turn = self.turn;
@@ -364,7 +345,7 @@ impl Places {
         }
     }
 
-    /// How the reader stands. An owner whose records the gateway does not give keeps nobody waiting.
+    /// Owners whom the gateway refuses keep nobody waiting.
     pub fn standing(&self, now: Instant) -> Standing {
         let awake = || self.owners.values().filter(|one| one.rests.is_none_or(|(until, _)| until <= now));
         if awake().any(|one| one.is_arriving(now)) {
@@ -376,7 +357,7 @@ impl Places {
         }
     }
 
-    /// Owners whose records the gateway refuses for longer than it needs to see a block.
+    /// Owners refused for longer than the gateway needs to see a block.
     pub fn long_refused(&self) -> impl Iterator<Item = &Address> {
         let long = |one: &Followed| one.rests.is_some_and(|(_, pause)| pause >= Duration::from_secs(4));
         self.owners.iter().filter(move |(_, one)| long(one)).map(|(owner, _)| owner)

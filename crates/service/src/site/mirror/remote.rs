@@ -1,5 +1,5 @@
-//! The gateway of the site that this one joins: records come from there, and the chain, for which that operator's word has
-//! to be trusted. What follows from signatures and digests is still checked here.
+//! The gateway of the site that this one joins: source of records, and of the chain, on that operator's word.
+//! Signatures and digests are still checked here.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -25,37 +25,31 @@ use crate::service::reply::Failure;
 use crate::site::chain::connection::Lost;
 use crate::site::identity::Owners;
 
-/// How long the gateway may take to answer.
 const PATIENCE: Duration = Duration::from_secs(20);
-/// How long a command waits until the gateway's records are here.
+/// Longest wait of a command for the gateway's records.
 pub(in crate::site) const FIRST_ROUND: Duration = Duration::from_secs(90);
-/// How long a list that can show some of them waits for the others.
+/// Longest wait of a list that can show a part.
 pub(in crate::site) const LISTING: Duration = Duration::from_millis(1_500);
 
-/// How long a home with a transport key waits for its owner to unlock it where visitors have no room, and how often it
-/// looks.
+/// Where visitors have no room: how long a home with a transport key waits to be unlocked, and how often it checks.
 const UNLOCKING: Duration = Duration::from_secs(10);
 const LOOKING: Duration = Duration::from_millis(100);
 
-/// What a profile's mirror has come to.
+/// A mirror lacks records that the gateway lists and does not give.
 #[derive(Debug, Clone)]
 pub(in crate::site) enum Mirrored {
-    /// It has not caught up yet.
     Behind,
-    /// It has everything that the gateway gives it; whether that tells of records that cannot be had.
     Caught { lacks: bool },
-    /// The last attempt failed; another follows.
     Failed(Failure),
 }
 
-/// The progress of a profile's mirror.
 #[derive(Debug, Clone, Default)]
 struct Progress {
-    /// Since when it has neither caught up nor failed; nothing if that is how it stands.
+    /// `None` once it has caught up or failed.
     behind_since: Option<Instant>,
-    /// How often it has caught up or failed. A gateway that is never done lets it catch up for moments.
+    /// Times it caught up or failed: a gateway that never ends lets it catch up for moments.
     settled: u64,
-    /// The end of the last attempt; whether there are records that cannot be had.
+    /// End of the last attempt; `true` if records are listed but not given.
     last: Option<Result<bool, Failure>>,
 }
 
@@ -73,7 +67,6 @@ impl Progress {
     }
 }
 
-/// The link to the gateway.
 pub(crate) struct Remote {
     addresses: Vec<String>,
     provider: &'static dyn Provider,
@@ -83,7 +76,7 @@ pub(crate) struct Remote {
 }
 
 impl Remote {
-    /// As named in the settings; nothing is sent yet.
+    /// As set; sends nothing yet.
     pub fn new(site: &RemoteSite, home: &Home, provider: &'static dyn Provider) -> Result<Self, Failure> {
         let trust = KeptTrust::open(home.gateway_trust(), site.gateway_key, site.trust_first)?;
         Ok(Self::trusting(site.addresses.clone(), trust, provider))
@@ -94,12 +87,12 @@ impl Remote {
         Self { addresses, provider, trust, line: Mutex::default(), mirrored }
     }
 
-    /// Its addresses, for people.
+    /// For people.
     pub fn address(&self) -> String {
         clean(&self.addresses.join(", "), 600)
     }
 
-    /// Where the chain comes from, in words.
+    /// For people.
     pub fn chain_text(&self) -> String {
         format!("as reported by the gateway {}, not by your own node", self.address())
     }
@@ -109,7 +102,6 @@ impl Remote {
         GatewayEndpoint { addresses: self.addresses.clone(), context, patience: PATIENCE }
     }
 
-    /// The line to the chain behind it.
     fn line(&self, domain: Domain) -> Result<Arc<ChainLine>, Failure> {
         let mut slot = self.line.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(line) = slot.as_ref().filter(|line| line.endpoint().context.domain == domain) {
@@ -121,10 +113,7 @@ impl Remote {
         Ok(line)
     }
 
-    /// The chain behind the gateway; it must be the pinned one if there is a pin.
-    ///
-    /// # Errors
-    /// If the gateway does not answer, or its chain does not, or is a different one.
+    /// The chain behind the gateway, which must be the pinned one, if any.
     pub async fn chain(
         &self,
         (home, owners): (&Home, &Owners),
@@ -148,8 +137,8 @@ impl Remote {
         Ok(chain)
     }
 
-    /// Begins with the transport key of a profile that is unlocked. Where no profile is, but one has such a key, a
-    /// visit will do; if visitors have no room, its owner is waited for, not a visitor's place.
+    /// Begins with the transport key of an unlocked profile. If profiles have one but none is unlocked, a visit will
+    /// do; if visitors have no room, waits for the owner.
     async fn meet(&self, line: &ChainLine, home: &Home, owners: &Owners) -> Result<(), GatewayError> {
         let domain = line.endpoint().context.domain;
         let prove = || {
@@ -175,7 +164,7 @@ impl Remote {
         Ok(())
     }
 
-    /// The credentials of a profile as they are kept here; nothing if it is locked or has none for this gateway.
+    /// A profile's credentials as kept here; `None` if it is locked or has none for this gateway.
     fn kept(&self, home: &Home, owner: &Owner, domain: Domain) -> Option<Credentials> {
         if owner.is_locked() {
             return None;
@@ -184,7 +173,7 @@ impl Remote {
         let usage = TransportUse { domain: &domain, gateway: &gateway, name: &owner.profile };
         let secret = owner.envelope().secret;
         let kept = load_transport_key(&home.transport_key(&owner.profile), self.provider, &secret, usage);
-        // A key that cannot be read is told where it is needed: by `connect`.
+        // `connect` reports an unreadable key.
         let key = kept.ok().flatten()?;
         Some(Credentials { name: owner.profile.clone(), key, token })
     }
@@ -206,13 +195,7 @@ impl Remote {
         pinned.ok_or_else(|| Failure::new(ErrorKind::Unreachable, "no gateway has been contacted yet"))
     }
 
-    fn token(owner: &Owner, network: &Network) -> Result<crate::model::Token, Failure> {
-        // The chain's word, not the keyring's: a session needs no key of an epoch.
-        let token = network.directory.account(owner.address).and_then(|account| account.token);
-        Ok(token.ok_or(crate::pipeline::PipelineError::Unregistered(owner.address))?)
-    }
-
-    /// A session in the owner's name; allocates the transport key if there is none, or none that is accepted.
+    /// A session in the owner's name; allocates a transport key if none is accepted.
     pub async fn connect(&self, home: &Home, owner: &Owner, network: &Network) -> Result<Client, GatewayError> {
         let (path, gateway) = (home.transport_key(&owner.profile), self.trust.current().pinned);
         let endpoint = self.endpoint(network.domain);
@@ -220,11 +203,13 @@ impl Remote {
         let usage = TransportUse { domain: &network.domain, gateway: &gateway.ok_or(unmet)?, name: &owner.profile };
         let secret = owner.envelope().secret;
         let known = block_in_place(|| load_transport_key(&path, self.provider, &secret, usage))?;
-        let token = Self::token(owner, network).map_err(|_| GatewayError::Unexpected("no token of the epoch"))?;
+        // The chain's word, not the keyring's: a session needs no epoch key.
+        let token = network.directory.account(owner.address).and_then(|account| account.token);
+        let token = token.ok_or(GatewayError::Unexpected("no token of the epoch"))?;
         let credentials = |key| Credentials { name: owner.profile.clone(), key, token };
         if let Some(key) = known {
             match self.open(&endpoint, credentials(key)).await {
-                // Sent in clear: without a common key there is no other way. The allocation proves itself.
+                // In clear: there is no common key. The allocation proves itself.
                 Err(GatewayError::RefusedInClear(Code::Tag)) => {}
                 opened => return opened,
             }
@@ -254,7 +239,7 @@ impl Remote {
         Ok(key)
     }
 
-    /// Nothing is asked of the gateway for a profile now; it is not the gateway that keeps it waiting.
+    /// The gateway is not asked for a profile now, so the wait does not count against it.
     pub fn not_asked(&self, profile: &ProfileName) {
         self.mirrored.send_if_modified(|all| {
             if let Some(since) = all.get_mut(profile).and_then(|one| one.behind_since.as_mut()) {
@@ -268,15 +253,14 @@ impl Remote {
         format!("the records of the gateway {} are still arriving", self.address())
     }
 
-    /// Notes the progress of a profile's mirror.
     pub fn note(&self, profile: &ProfileName, mirrored: Mirrored) {
         self.mirrored.send_modify(|all| {
             all.entry(profile.clone()).or_default().note(mirrored);
         });
     }
 
-    /// Waits until the mirror has caught up for a profile, or failed; nothing if it has been behind for too long, or this
-    /// wait lasted for `most`.
+    /// Waits until a profile's mirror has caught up or failed; `None` after `most`, or if it has been behind for too
+    /// long.
     async fn settled(&self, profile: &ProfileName, most: Duration) -> Option<Result<bool, Failure>> {
         let mut progress = self.mirrored.subscribe();
         let begun = progress.borrow().get(profile).cloned().unwrap_or_default();
@@ -299,7 +283,7 @@ impl Joined {
         }
     }
 
-    /// Whether the gateway tells of records that cannot be had; after this long, in words, that more is still arriving.
+    /// Whether the gateway lists records that it does not give; if more is still arriving after this long, a text.
     async fn settled(&self, profile: &ProfileName, most: Duration) -> Result<Result<bool, String>, Failure> {
         let Some(remote) = self.remote.as_ref().filter(|_| self.parts.home.original().is_none()) else {
             return Ok(Ok(false));
@@ -308,7 +292,7 @@ impl Joined {
         remote.settled(profile, most).await.transpose().map(|lacks| lacks.ok_or_else(|| remote.still_arriving()))
     }
 
-    /// The same for a list, which shows what is here: what is missing after this long, in words.
+    /// The same for a list, which shows what is here: what is missing, in words.
     pub async fn arriving(&self, profile: &ProfileName, most: Duration) -> Result<Option<String>, Failure> {
         Ok(match self.settled(profile, most).await? {
             Ok(lacks) => lacks.then(|| {
@@ -320,12 +304,12 @@ impl Joined {
         })
     }
 
-    /// The words for a list that may not be all; none if this site joins no gateway.
+    /// Words for an incomplete list; `None` if this site joins no gateway.
     pub fn still_arriving(&self) -> Option<String> {
         self.remote.as_ref().map(|remote| remote.still_arriving())
     }
 
-    /// Tells the gateway of a grant, so that it need not wait for the chain.
+    /// Reports a grant to the gateway before the chain does.
     pub async fn tell_of_grant(&self, owner: &Owner, network: &Network, notice: GrantNotice) {
         if let Some(remote) = &self.remote {
             let told =
@@ -334,7 +318,7 @@ impl Joined {
         }
     }
 
-    /// Tells the gateway of a revoke, so that it obeys at once.
+    /// Reports a revoke to the gateway, which obeys immediately.
     pub async fn tell_of_revoke(&self, owner: &Owner, network: &Network, notice: RevokeNotice) {
         if let Some(remote) = &self.remote {
             let told = async {

@@ -1,5 +1,5 @@
-//! Operators at a site: Unix users whom the kernel names, with rights from the settings by user and by group. Their
-//! standing is looked up again while they are connected, and each request is judged before anything answers it.
+//! Operators: Unix users named by the kernel, with rights from the settings. Their standing is refreshed while they are
+//! connected, and every request is judged before it is answered.
 
 use std::os::unix::fs::MetadataExt as _;
 use std::path::Path;
@@ -17,56 +17,51 @@ use super::{Site, blocking};
 use crate::accounts::{self, Account, AccountError};
 use crate::command::{Needed, Request};
 use crate::crypto::hands::{self, Fault};
-use crate::event::{Event, NoticeLevel};
+use crate::event::Event;
 use crate::failure::refused;
 use crate::model::{ErrorKind, OperatorName, OperatorRight, OperatorRights, ProfileName};
 use crate::paths::Home;
 use crate::reply::{Failure, Reply};
 use crate::socket;
 
-/// How long an operator's standing counts once it was looked up.
+/// How long a looked-up standing counts.
 const FRESH: Duration = Duration::from_secs(1);
 
-/// Who asks through a connection.
+const LOOK: Duration = Duration::from_secs(1);
+const AGAIN: Duration = Duration::from_secs(5);
+/// The group may connect; the settings say what each user may do.
+const MODE: u32 = 0o660;
+
 #[derive(Clone, Default)]
 pub(crate) enum Asker {
-    /// The owner of the home.
     #[default]
     Owner,
-    /// A user with rights.
     Operator(Arc<Operator>),
 }
 
-/// A user at the operators' socket.
 pub(crate) struct Operator {
     uid: u32,
     name: OperatorName,
-    /// What the user may do, and when that was looked up.
+    /// Rights, and when they were looked up.
     standing: tokio::sync::Mutex<(Instant, OperatorRights)>,
 }
 
-/// The operators of a site.
 pub(super) struct Operators {
     pub parts: Parts,
 }
 
 impl Operators {
-    /// Lets a user in who has rights here.
     async fn admit(self: &Arc<Self>, uid: u32) -> Result<Arc<Operator>, Failure> {
         let (name, rights) = self.standing(uid).await?.inspect_err(|error| self.count(&uid, error.word()))?;
         if rights.is_empty() {
             self.count(&name, "no right");
-            return Err(refused(format!(
-                "user '{name}' has no right at this site; ask its owner for one in [operators.rights]"
-            )));
+            let text = format!("user '{name}' has no right at this site; ask its owner for one in [operators.rights]");
+            return Err(refused(text));
         }
         Ok(Arc::new(Operator { uid, name, standing: tokio::sync::Mutex::new((Instant::now(), rights)) }))
     }
 
-    /// What an operator may do now.
-    ///
-    /// # Errors
-    /// If the user has no right any more, or nobody can say who that is.
+    /// Current rights of an operator; an error if there are none left or the user is unknown.
     async fn rights(self: &Arc<Self>, operator: &Operator) -> Result<OperatorRights, Failure> {
         let mut standing = operator.standing.lock().await;
         if standing.0.elapsed() >= FRESH {
@@ -82,29 +77,64 @@ impl Operators {
         Ok(standing.1.clone())
     }
 
-    /// The name and the rights of a user; the outer error is that of a task that failed.
+    /// Name and rights of a user; the outer error is that of a failed task.
     async fn standing(
         self: &Arc<Self>,
         uid: u32,
     ) -> Result<Result<(OperatorName, OperatorRights), AccountError>, Failure> {
-        blocking(self, move |operators| {
-            let standing = Account::of(uid).and_then(|account| {
-                let rights = account.rights(&operators.parts.config.operators.rules)?;
-                Ok((account.name, rights))
-            });
-            Ok(standing)
-        })
-        .await
+        let of = move |operators: &Self| -> Result<_, AccountError> {
+            let account = Account::of(uid)?;
+            let rights = account.rights(&operators.parts.config.operators.rules)?;
+            Ok((account.name, rights))
+        };
+        blocking(self, move |operators| Ok(of(operators))).await
     }
 
-    /// Counts a refusal of a user who is nobody's operator.
+    /// Counts a refusal of somebody who is no operator.
     fn count(&self, user: &dyn std::fmt::Display, word: &str) {
         let _first = self.parts.log.refused(&format!("user {user}"), word);
+    }
+
+    async fn judge(
+        self: &Arc<Self>,
+        operator: &Operator,
+        profile: &ProfileName,
+        needed: Needed,
+    ) -> Result<(), Failure> {
+        let refusal = if self.has(profile) {
+            self.why_not(operator, needed).await
+        } else {
+            Some(refused(format!("this site has no profile '{profile}'; choose one that it has with --profile")))
+        };
+        let Some(refusal) = refusal else { return Ok(()) };
+        self.count_refused(operator, profile, needed);
+        Err(refusal)
+    }
+
+    /// Counts a refusal, except of mere looking.
+    fn count_refused(&self, operator: &Operator, profile: &ProfileName, needed: Needed) {
+        if needed == Needed::Right(OperatorRight::Look) {
+            return;
+        }
+        // Names of missing profiles could be endless.
+        let who = if self.has(profile) { by(profile, &operator.name) } else { format!("user {}", operator.name) };
+        let _first = self.parts.log.refused(&who, &format!("needs {}", needed.word()));
+    }
+
+    fn has(&self, profile: &ProfileName) -> bool {
+        self.parts.home.keyring(profile).exists()
+    }
+
+    async fn why_not(self: &Arc<Self>, operator: &Operator, needed: Needed) -> Option<Failure> {
+        match self.rights(operator).await {
+            Ok(rights) => why_not(&operator.name, &rights, needed).map(refused),
+            Err(failure) => Some(failure),
+        }
     }
 }
 
 impl Site {
-    /// Refuses everybody but the owner of the home, root as well.
+    /// Refuses everybody but the home's owner, even root.
     pub(crate) fn check_owner(&self, uid: u32) -> Result<(), Failure> {
         let root = self.home().root();
         let owner = std::fs::metadata(root).map_err(|error| {
@@ -122,10 +152,6 @@ impl Site {
         )))
     }
 
-    /// Lets a user in at the operators' socket.
-    ///
-    /// # Errors
-    /// If the user has no rights, or nobody can say who that is.
     pub(crate) async fn admit_operator(&self, uid: u32) -> Result<Arc<Operator>, Failure> {
         self.operators.admit(uid).await
     }
@@ -135,20 +161,8 @@ impl Site {
         self.operators.count_refused(operator, profile, Needed::Passphrase);
         refused("an operator sends no passphrase, so the site reads none here; its owner does this")
     }
-}
 
-/// Interval between looks at an operator's standing.
-const LOOK: Duration = Duration::from_secs(1);
-
-/// What is sent through a connection.
-pub(crate) enum Heard {
-    Event(Event),
-    /// Nothing more is sent, and why.
-    Ended(Failure),
-}
-
-impl Site {
-    /// Sends events to a connection, until `tell` says that nobody listens or its operator may not hear them.
+    /// Sends events until `tell` says that nobody listens, or the operator may not hear them.
     pub(crate) async fn tell_events(self: Arc<Self>, claims: Claims, tell: impl Fn(Heard) -> bool + Send) {
         let mut events = self.events();
         loop {
@@ -175,58 +189,43 @@ impl Site {
             }
         }
     }
-}
 
-impl Site {
-    /// Answers a request of a connection if who asks may make it; an operator is named in each line of what follows.
+    /// Answers an allowed request; an operator is named in each resulting audit line.
     pub(in crate::site) async fn answer(self: &Arc<Self>, request: Request, claims: &Claims) -> Result<Reply, Failure> {
         let Asker::Operator(operator) = &claims.asker else { return self.handle(request, claims).await };
         self.operators.judge(operator, &request.profile, request.command.needs()).await?;
         acting_as(operator.name.clone(), Box::pin(self.handle(request, claims))).await
     }
-}
 
-impl Operators {
-    async fn judge(
-        self: &Arc<Self>,
-        operator: &Operator,
-        profile: &ProfileName,
-        needed: Needed,
-    ) -> Result<(), Failure> {
-        let refusal = if self.has(profile) {
-            self.why_not(operator, needed).await
-        } else {
-            Some(refused(format!("this site has no profile '{profile}'; choose one that it has with --profile")))
-        };
-        let Some(refusal) = refusal else { return Ok(()) };
-        self.count_refused(operator, profile, needed);
-        Err(refusal)
-    }
-
-    /// Counts a refusal; of one that only looks nothing would have changed.
-    fn count_refused(&self, operator: &Operator, profile: &ProfileName, needed: Needed) {
-        if needed == Needed::Right(OperatorRight::Look) {
-            return;
+    pub(in crate::site) async fn serve_operators(self: Arc<Self>) {
+        let settings = &self.config().operators;
+        let Some(path) = &settings.socket else { return };
+        for line in block_in_place(|| accounts::unknown(&settings.rules)).unwrap_or_default() {
+            self.parts.hub.warn(&line);
         }
-        // The names of profiles that are not there could be many.
-        let who = if self.has(profile) { by(profile, &operator.name) } else { format!("user {}", operator.name) };
-        let _first = self.parts.log.refused(&who, &format!("needs {}", needed.word()));
-    }
-
-    fn has(&self, profile: &ProfileName) -> bool {
-        self.parts.home.keyring(profile).exists()
-    }
-
-    /// Why an operator may not do this now; `None` if it may.
-    async fn why_not(self: &Arc<Self>, operator: &Operator, needed: Needed) -> Option<Failure> {
-        match self.rights(operator).await {
-            Ok(rights) => why_not(&operator.name, &rights, needed).map(refused),
-            Err(failure) => Some(failure),
+        let mut told = None;
+        while !self.parts.life.is_stopping() {
+            match block_in_place(|| listen(self.home(), path)) {
+                Ok(listener) => return socket::accept_operators(&self, &listener).await,
+                Err(why) => {
+                    if told.as_ref() != Some(&why) {
+                        self.parts.hub.alarm(&format!("operators cannot connect to {}: {why}", path.display()));
+                        told = Some(why);
+                    }
+                }
+            }
+            self.parts.life.rest(AGAIN).await;
         }
     }
 }
 
-/// Why a user with these rights may not do this; `None` if the user may.
+pub(crate) enum Heard {
+    Event(Event),
+    /// Nothing more is sent, and why.
+    Ended(Failure),
+}
+
+/// Why these rights do not allow this; `None` if they do.
 fn why_not(name: &OperatorName, rights: &OperatorRights, needed: Needed) -> Option<String> {
     match needed {
         Needed::Right(right) if rights.has(right) => None,
@@ -236,39 +235,6 @@ fn why_not(name: &OperatorName, rights: &OperatorRights, needed: Needed) -> Opti
         )),
         Needed::Owner | Needed::Passphrase => {
             Some(format!("only the owner of this site may do this, and user '{name}' is an operator with {rights}"))
-        }
-    }
-}
-
-/// Interval between attempts to listen.
-const AGAIN: Duration = Duration::from_secs(5);
-/// The group of the socket may connect: what a user may do there, the settings say.
-const MODE: u32 = 0o660;
-
-impl Site {
-    /// Serves operators until the site ends.
-    pub(in crate::site) async fn serve_operators(self: Arc<Self>) {
-        let settings = &self.config().operators;
-        let Some(path) = &settings.socket else { return };
-        for line in block_in_place(|| accounts::unknown(&settings.rules)).unwrap_or_default() {
-            self.parts.hub.notice(NoticeLevel::Warning, &line);
-        }
-        let mut told = None;
-        while !self.parts.life.is_stopping() {
-            match block_in_place(|| listen(self.home(), path)) {
-                Ok(listener) => return socket::accept_operators(&self, &listener).await,
-                Err(why) => {
-                    if told.as_ref() != Some(&why) {
-                        let text = format!("operators cannot connect to {}: {why}", path.display());
-                        self.parts.hub.notice(NoticeLevel::Error, &text);
-                        told = Some(why);
-                    }
-                }
-            }
-            tokio::select! {
-                () = tokio::time::sleep(AGAIN) => {}
-                () = self.stopped() => return,
-            }
         }
     }
 }

@@ -16,10 +16,8 @@ use crate::service::event::Part;
 use crate::service::failure::input;
 use crate::service::reply::{AlarmView, Failure, PinView, PinsView};
 
-/// Widest publisher shown, characters.
 const WIDEST: usize = 400;
 
-/// A publisher as shown to people.
 fn cleaned(publisher: Publisher) -> Publisher {
     let Publisher { caller_id, host, type_name, md5sum } = publisher;
     Publisher {
@@ -30,19 +28,13 @@ fn cleaned(publisher: Publisher) -> Publisher {
     }
 }
 
-/// Pinned publishers as the operator sees and decides about them.
 pub(in crate::site) struct Pinning {
-    parts: Parts,
-    pins: Arc<Pins>,
+    pub parts: Parts,
+    pub pins: Arc<Pins>,
 }
 
 impl Pinning {
-    /// From the shared parts.
-    pub fn new(parts: &Parts, pins: &Arc<Pins>) -> Self {
-        Self { parts: parts.clone(), pins: Arc::clone(pins) }
-    }
-
-    /// Pins and alarms of a profile; needs no passphrase.
+    /// Needs no passphrase.
     pub async fn view(&self, profile: &ProfileName, topic: Option<&TopicName>) -> Result<PinsView, Failure> {
         let owner = self.parts.owners.address_of(profile)?;
         let topic = topic.map(|topic| topic.as_str().to_owned());
@@ -93,7 +85,6 @@ impl Pinning {
         self.view(profile, Some(topic)).await
     }
 
-    /// No longer accepts a caller id on a topic.
     pub async fn unpin(&self, profile: &ProfileName, topic: &TopicName, caller_id: &str) -> Result<PinsView, Failure> {
         let owner = self.parts.owners.address_of(profile)?;
         let name = clean(caller_id, 255);
@@ -120,7 +111,7 @@ impl Pinning {
         Ok(alarms.into_iter().filter(|alarm| alarm.open).map(|alarm| alarm.topic).collect())
     }
 
-    /// Node names pinned to each topic, by the operator, by first sight or by the settings.
+    /// Node names pinned to each topic, by the operator, first sight or the settings.
     pub fn pinned_names(&self, profile: &ProfileName) -> Result<HashMap<String, HashSet<String>>, Failure> {
         let Ok(owner) = self.parts.owners.address_of(profile) else { return Ok(HashMap::new()) };
         let kept = self.parts.plant.ledger.pins.list(owner, None)?;
@@ -133,7 +124,7 @@ impl Pinning {
         Ok(names)
     }
 
-    /// Publishers of an owner are known by its profile's name.
+    /// Names an owner's publishers by its profile.
     pub fn introduce(&self, owner: &Owner) {
         self.pins.introduce(owner.address, owner.profile.as_str());
     }

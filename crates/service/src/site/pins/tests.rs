@@ -32,7 +32,7 @@ fn origin(number: u64, caller_id: &str) -> Arc<Origin> {
 fn pinning(ground: &Ground, mode: PinMode, listed: &str) -> Arc<Pinning> {
     let (ledger, hub) = (ground.parts.plant.ledger.clone(), ground.parts.hub.clone());
     let pins = Pins::new(&ledger, hub, PinRules { mode, listed: listed.parse().expect("a list") });
-    Arc::new(Pinning::new(&ground.parts, &Arc::new(pins)))
+    Arc::new(Pinning { parts: ground.parts.clone(), pins: Arc::new(pins) })
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -24,7 +24,6 @@ use crate::store::{HeldQuery, HeldRow, RecordRow};
 /// How long a discard waits for the quarantine records to be in a block.
 const PATIENCE: Duration = Duration::from_secs(60);
 const LOOK: Duration = Duration::from_secs(1);
-/// The most records decided about in one command.
 const MOST: usize = 100_000;
 
 pub(in crate::site) struct Quarantine {
@@ -35,18 +34,14 @@ pub(in crate::site) struct Quarantine {
 }
 
 impl Quarantine {
-    /// From the shared parts.
     pub fn new(parts: &Parts, reading: &Arc<Reading>) -> Self {
         Self { parts: parts.clone(), reading: Arc::clone(reading), reporting: tokio::sync::Mutex::default() }
     }
 
-    /// Seals the quarantine records that are due, minute by minute, until the site ends.
+    /// Seals the due quarantine records, minute by minute.
     pub async fn keep(self: Arc<Self>) {
-        while !self.parts.life.is_stopping() {
-            if !self.parts.life.beat(LOOK).await {
-                return;
-            }
-            // It is counted once records are acknowledged again.
+        while self.parts.life.beat(LOOK).await {
+            // Counted once records are acknowledged again.
             if self.parts.plant.ledger.records.takes_records().is_err() {
                 continue;
             }
@@ -66,12 +61,12 @@ impl Quarantine {
         Ok(())
     }
 
-    /// While this is held, no quarantined record is counted or discarded.
+    /// While held, no quarantined record is counted or discarded.
     pub async fn quiet(&self) -> tokio::sync::MutexGuard<'_, ()> {
         self.reporting.lock().await
     }
 
-    /// A profile's quarantined messages; needs no passphrase.
+    /// Needs no passphrase.
     pub async fn view(
         &self,
         profile: &ProfileName,
@@ -80,8 +75,8 @@ impl Quarantine {
     ) -> Result<QuarantineView, Failure> {
         let owner = self.parts.owners.address_of(profile)?;
         let name = topic.as_ref().map(ToString::to_string);
-        let query =
-            HeldQuery { topic: name.clone(), messages: true, limit: limit.clamp(1, 1000), ..HeldQuery::default() };
+        let (topic, limit) = (name.clone(), limit.clamp(1, 1000));
+        let query = HeldQuery { topic, messages: true, limit, ..HeldQuery::default() };
         let ledger = &self.parts.plant.ledger;
         let rows = ledger.quarantine.held(owner, &query)?;
         let counts = ledger.counts.by_state(Some(owner))?;
@@ -100,13 +95,12 @@ impl Quarantine {
         })
     }
 
-    /// All that is quarantined, or all of a topic.
     fn held(&self, owner: &Owner, topic: Option<String>) -> Result<Vec<HeldRow>, Failure> {
         let query = HeldQuery { topic, limit: MOST, ..HeldQuery::default() };
         Ok(self.parts.plant.ledger.quarantine.held(owner.address, &query)?)
     }
 
-    /// The quarantined records named by a person; definitions are among them only by their topic.
+    /// Quarantined records named by a person; definitions only by topic.
     async fn named(&self, owner: &Arc<Owner>, held: &Held) -> Result<Vec<HeldRow>, Failure> {
         let mut rows = self.held(owner, held.topic.as_ref().map(ToString::to_string))?;
         if held.topic.is_some() {
@@ -140,14 +134,14 @@ impl Quarantine {
     }
 
     async fn release_rows(&self, owner: &Arc<Owner>, held: &Held, rows: &[HeldRow]) -> Result<(), Failure> {
-        // The record of the quarantine comes first, so that its count includes everything that was held.
+        // The quarantine record comes first, so that it counts everything held.
         self.report(&owner.author, u64::MAX).await?;
         let digests: Vec<Digest> = self.with_definitions(owner, rows)?.into_iter().collect();
         self.parts.plant.ledger.quarantine.release(&digests)?;
         self.decided(owner, held)
     }
 
-    /// A released message needs its definition, which is quarantined with its first message.
+    /// A released message needs its definition, quarantined with its first message.
     fn with_definitions(&self, owner: &Owner, rows: &[HeldRow]) -> Result<BTreeSet<Digest>, Failure> {
         let topics: BTreeSet<&String> = rows.iter().map(|row| &row.record.topic).collect();
         let mut digests: BTreeSet<Digest> = rows.iter().map(|row| row.record.digest).collect();
@@ -162,7 +156,7 @@ impl Quarantine {
     pub async fn discard(&self, owner: &Arc<Owner>, held: Held) -> Result<DecidedView, Failure> {
         let rows = self.named(owner, &held).await?;
         self.report(&owner.author, u64::MAX).await?;
-        // Asked again: the reports are known only now.
+        // Read again: the reports are known only now.
         let mut rows_now = self.named(owner, &held).await?;
         let known: BTreeSet<Digest> = rows.iter().map(|row| row.record.digest).collect();
         rows_now.retain(|row| row.is_message() && known.contains(&row.record.digest));
@@ -187,7 +181,7 @@ impl Quarantine {
         self.decided(owner, held)
     }
 
-    /// The quarantine records that count these, as soon as all of them are in a block.
+    /// The quarantine records that count these, as soon as all are in a block.
     async fn anchored_reports(&self, rows: &[HeldRow]) -> Result<Vec<Digest>, Failure> {
         let reports: BTreeSet<Digest> = rows.iter().filter_map(|row| row.report).collect();
         let reports: Vec<Digest> = reports.into_iter().collect();
@@ -204,14 +198,12 @@ impl Quarantine {
             }
             tokio::time::sleep(Duration::from_millis(100)).await;
         }
-        Err(Failure::new(
-            ErrorKind::Incomplete,
-            "nothing was discarded: the quarantine records that count these messages are not on the chain yet; check \
-             `authros chain status`, then repeat the command",
-        ))
+        let text = "nothing was discarded: the quarantine records that count these messages are not on the chain yet; \
+                    check `authros chain status`, then repeat the command";
+        Err(Failure::new(ErrorKind::Incomplete, text))
     }
 
-    /// Does it between two lines of the log for each topic.
+    /// Runs the deed between two log lines for each topic.
     async fn audited(
         &self,
         owner: &Arc<Owner>,
@@ -230,7 +222,7 @@ impl Quarantine {
         }
         let outcome = deed.await;
         for subject in subjects {
-            // What went wrong is reported once, below.
+            // The failure is reported once, below.
             drop(self.parts.log.end(owner, action, &subject, outcome.clone()).await);
         }
         outcome

@@ -1,4 +1,4 @@
-//! Records as shown to people: a profile's own and those that others share, listed, checked, opened and exported.
+//! Records as shown to people, own and shared: listed, checked, opened and exported.
 
 mod opened;
 mod own;
@@ -26,27 +26,26 @@ use crate::ros::recording::{Beside, BesideContent};
 use crate::store::notes::Enrolled;
 use crate::store::{Coverage, CoverageQuery};
 
-/// Records as people read them.
+const MOST_PARTS: usize = 1_000;
+/// Fewest characters of an id.
+const SHORTEST: usize = 8;
+
 pub(in crate::site) struct Reading {
     parts: Parts,
     contacts: Arc<Contacts>,
     /// Heads of records opened for lists.
     heads: Heads,
-    /// Records that have no names to learn for a reader.
+    /// Records with no names to learn for a reader.
     nameless: Mutex<HashSet<(Address, Digest)>>,
 }
 
 impl Reading {
-    /// From the shared parts.
     pub fn new(parts: &Parts, contacts: &Arc<Contacts>) -> Self {
         let (parts, contacts) = (parts.clone(), Arc::clone(contacts));
         Self { parts, contacts, heads: Heads::default(), nameless: Mutex::default() }
     }
 
-    /// The network; if its chain cannot be asked now, what this home kept of it, to read own records by.
-    ///
-    /// # Errors
-    /// Why the link is down, if the home is bound to no chain yet.
+    /// The network; without its chain, what this home kept of it, to read own records by.
     pub async fn network_or_kept(&self) -> Result<Network, Failure> {
         let failure = match self.parts.link.network().await {
             Ok(_) if self.parts.link.is_silent() => {
@@ -62,22 +61,11 @@ impl Reading {
         }
     }
 
-    /// Forgets the heads that were opened for lists.
     pub fn forget(&self) {
         self.heads.forget();
     }
-}
 
-/// The most parts of one answer.
-const MOST_PARTS: usize = 1_000;
-/// The fewest characters of an id.
-const SHORTEST: usize = 8;
-
-impl Reading {
-    /// A span of time of one of the profile's topics, in parts; according to the ledger, and without a passphrase.
-    ///
-    /// # Errors
-    /// A span that ends before it begins, too many parts, or no robot of that name.
+    /// A time span of one of the profile's topics, in parts, according to the ledger; needs no passphrase.
     pub async fn coverage(
         &self,
         profile: &ProfileName,
@@ -93,7 +81,7 @@ impl Reading {
         if !(1..=MOST_PARTS).contains(&parts) {
             return Err(input(format!("a span can have 1 to {MOST_PARTS} parts, not {parts}")));
         }
-        // What robots recorded arrives without the names of its topics.
+        // Robots' records arrive without topic names.
         self.learn_own_names(profile).await?;
         let (ledger, name) = (&self.parts.plant.ledger, topic.to_string());
         let enrolled = block_in_place(|| enrolled::of_account(&ledger.notes, owner))?;
@@ -107,8 +95,7 @@ impl Reading {
     }
 }
 
-/// The devices that a person means: all that were ever enrolled under a name, for a robot that is enrolled again is the
-/// same robot with another key; or the one whose id begins so.
+/// Devices ever enrolled under a name (a re-enrolled robot has another key), or the one whose id begins so.
 fn devices_of(enrolled: &[Enrolled], robot: &str) -> Result<BTreeSet<SignerId>, Failure> {
     let devices = |is_meant: &dyn Fn(&Enrolled) -> bool| -> BTreeSet<SignerId> {
         enrolled.iter().filter(|one| is_meant(one)).map(|one| one.device).collect()
@@ -131,20 +118,17 @@ fn devices_of(enrolled: &[Enrolled], robot: &str) -> Result<BTreeSet<SignerId>, 
     )))
 }
 
-/// The names of the robots among these keys, each once.
 fn names(enrolled: &[Enrolled], signers: &BTreeSet<SignerId>) -> Vec<String> {
     let robots = enrolled.iter().filter(|robot| signers.contains(&robot.device));
     let names: BTreeSet<&str> = robots.map(|robot| robot.name.as_str()).collect();
     names.into_iter().map(str::to_owned).collect()
 }
 
-/// The widest text from a body, characters.
 const WIDEST: usize = 255;
 
-/// The longest value of metadata that is shown, characters.
 const LONGEST_VALUE: usize = 64 * 1024;
 
-/// The body of a gap, retention or attachment record by the names of its fields; `None` for other kinds.
+/// A gap, retention or attachment record's body by field names; `None` for other kinds.
 pub(in crate::site) fn view(kind: RecordKind, type_name: &str, body: &[u8]) -> Option<Value> {
     match kind {
         RecordKind::Gap => GapReport::parse(body).ok().map(|gap| {
@@ -182,7 +166,7 @@ fn beside(type_name: &str, body: &[u8]) -> Option<Value> {
     })
 }
 
-/// The file that an attachment is, or the bytes of metadata; `None` if it is neither.
+/// The attached file, or the bytes of metadata; `None` if it is neither.
 pub(in crate::site) fn content<'a>(type_name: &str, body: &'a [u8]) -> Option<&'a [u8]> {
     Some(match Beside::of_type(type_name)?.parse(body)? {
         BesideContent::File(file) => file.data,
@@ -190,7 +174,7 @@ pub(in crate::site) fn content<'a>(type_name: &str, body: &'a [u8]) -> Option<&'
     })
 }
 
-/// The same as names and values, for screens.
+/// Names and values, for screens.
 pub(in crate::site) fn fields(view: &Value) -> Vec<(String, String)> {
     let text = |value: &Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
     view.as_object().into_iter().flatten().map(|(name, value)| (name.clone(), text(value))).collect()

@@ -17,20 +17,20 @@ use crate::ros::message::Folders;
 use crate::ros::readable::{self, Exported};
 use crate::ros::recording::{Described, TYPE_HASH, TypeFacts};
 use crate::service::command::LONGEST_PATH;
+use crate::service::failure::input;
 use crate::service::reply::{Failure, OpenedView, PathView};
 use crate::site::reading;
 use crate::store::{RecordQuery, RecordRow};
 
-/// Messages up to this length include their bytes when viewed; longer ones only as files.
+/// Longer messages are viewed only as files.
 const WHOLE: usize = 4 << 20;
 
-/// Bytes that a view shows in hex.
+/// Bytes shown in hex.
 const SHOWN: usize = 16 << 10;
 
 /// Rows of fields in a view.
 const MOST_FIELDS: usize = 5_000;
 
-/// An opened record with what decodes it.
 struct Opened {
     row: RecordRow,
     record: OpenedRecord,
@@ -39,7 +39,6 @@ struct Opened {
 }
 
 impl Reading {
-    /// Checks, decrypts and decodes one record, shared or own.
     pub async fn open_record(&self, owner: &Arc<Owner>, id: &str) -> Result<OpenedView, Failure> {
         let opened = self.opened(owner, id, "decrypt").await?;
         Ok(block_in_place(|| {
@@ -84,7 +83,6 @@ impl Reading {
         Ok(Opened { row, record, reason, described })
     }
 
-    /// The definition by which the record's message is read.
     async fn described(
         &self,
         reader: &Reader<'_>,
@@ -137,7 +135,7 @@ impl Reading {
         Ok(PathView { id: row.id, topic, records: places.len(), unread, plot })
     }
 
-    /// Messages of the record's stream that were captured before it, newest first.
+    /// Earlier messages of the record's stream, newest first.
     fn before(&self, row: &RecordRow, most: usize) -> Result<Vec<RecordRow>, Failure> {
         let query = RecordQuery {
             owner: Some(row.owner),
@@ -154,7 +152,7 @@ impl Reading {
     }
 }
 
-/// An opened record is shown with its own names, also if a gateway's row could only know pseudonyms.
+/// Shows the record's own names, even where a gateway's row has only pseudonyms.
 fn as_signed(row: RecordRow, record: &OpenedRecord) -> RecordRow {
     let (header, head) = (&record.header, &record.head);
     RecordRow {
@@ -172,23 +170,21 @@ fn as_signed(row: RecordRow, record: &OpenedRecord) -> RecordRow {
 
 fn without_definition(row: &RecordRow, described: &Described) -> Failure {
     let why = described.note.as_deref().unwrap_or("it is not a message");
-    Failure::new(ErrorKind::Input, format!("{} can only be written as .bin: {why}", row.id))
+    input(format!("{} can only be written as .bin: {why}", row.id))
 }
 
-/// What an attachment to a recording becomes as a file: its description, or the file that was attached.
+/// An attachment as a file: its description, or the attached file.
 fn attached(kind: Option<Exported>, opened: &Opened, view: &OpenedView) -> Result<Vec<u8>, Failure> {
     if kind == Some(Exported::Json) {
         return Ok(serde_json::to_vec_pretty(&view.message).unwrap_or_default());
     }
     let content = reading::content(&opened.row.type_name, &opened.record.body).map(<[u8]>::to_vec);
     content.ok_or_else(|| {
-        let text =
-            format!("{} is not an attachment as MCAP has them; write it as .json to see what is known", opened.row.id);
-        Failure::new(ErrorKind::Input, text)
+        let id = &opened.row.id;
+        input(format!("{id} is not an attachment as MCAP has them; write it as .json to see what is known"))
     })
 }
 
-/// A picture's own bytes, if the message is one.
 fn own_picture(opened: &Opened) -> Option<Vec<u8>> {
     let picture = opened.described.definition.as_ref()?.compressed_image(&opened.record.body)?;
     let bytes = opened.record.body.get(picture.data).map(<[u8]>::to_vec);

@@ -9,7 +9,7 @@ use super::view::{record_page, record_query, record_view};
 use crate::crypto::{keyfile, record};
 use crate::model::bytes::hex;
 use crate::model::{Address, ProfileName, RecordState, Timestamp, TopicId, clean};
-use crate::pipeline::columns::{self, Caveat, Refusal, ShownState};
+use crate::pipeline::columns::{self, Caveat, Keys, Refusal, ShownState};
 use crate::pipeline::epoch::tag_choice;
 use crate::pipeline::retention::is_stated;
 use crate::pipeline::{Network, Owner, PipelineError, authority};
@@ -17,10 +17,10 @@ use crate::service::command::UploadQuery;
 use crate::service::failure::{input, internal};
 use crate::service::reply::{ExportedFile, Failure, Provenance, RecordPage, RecordView};
 use crate::site::incidents::narrowed;
-use crate::store::{BatchPlace, FilterChoice, RecordQuery, RecordRow};
+use crate::store::{self, BatchPlace, FilterChoice, RecordQuery, RecordRow};
 
 impl Reading {
-    /// Own records; needs no passphrase.
+    /// Needs no passphrase.
     pub async fn list_own(&self, profile: &ProfileName, query: UploadQuery) -> Result<RecordPage, Failure> {
         let owner = self.parts.owners.address_of(profile)?;
         let index = self.parts.owners.get(profile).map(|owner| owner.index());
@@ -37,42 +37,51 @@ impl Reading {
             };
             Ok::<_, Failure>(ledger.records.list(&query)?)
         })?;
-        let mut page = record_page(&self.compared(page.rows, &self.own_keys(), &filters)?, page.next, false);
-        self.note_erased(&mut page.records)?;
-        Ok(page)
+        self.page_of(page, &self.own_keys(), &filters, false)
     }
 
-    /// Records of all profiles of the home, each with its owner; needs no passphrase.
+    /// Records of all profiles of the home; needs no passphrase.
     pub fn list_all(&self, query: UploadQuery) -> Result<RecordPage, Failure> {
         if query.incident.is_some() {
             return Err(input("an incident belongs to one profile: omit --all, or the incident".to_owned()));
         }
         let query = RecordQuery { owners: Some(self.parts.owners.accounts()), ..record_query(query) };
         let page = self.parts.plant.ledger.records.list(&query)?;
-        let mut page = record_page(&self.compared(page.rows, &self.own_keys(), &[])?, page.next, true);
+        self.page_of(page, &self.own_keys(), &[], true)
+    }
+
+    /// A page of the ledger as shown; `with_owner` for lists of other owners' records.
+    pub(super) fn page_of(
+        &self,
+        page: store::RecordPage,
+        keys: &dyn Keys,
+        filters: &[FilterChoice],
+        with_owner: bool,
+    ) -> Result<RecordPage, Failure> {
+        let mut page = record_page(&self.compared(page.rows, keys, filters)?, page.next, with_owner);
         self.note_erased(&mut page.records)?;
-        let names = self.contacts.names()?;
-        for record in &mut page.records {
-            record.owner_name = record.owner.and_then(|owner| names.get(&owner).cloned());
+        if with_owner {
+            let names = self.contacts.names()?;
+            for record in &mut page.records {
+                record.owner_name = record.owner.and_then(|owner| names.get(&owner).cloned());
+            }
         }
         Ok(page)
     }
 
-    /// The ids by which a profile's own records are found by their tags; derived from IK.
+    /// Filter ids of a profile's own tags, derived from IK.
     fn own_tag_filters(&self, profile: &ProfileName, tags: &[(String, String)]) -> Result<Vec<FilterChoice>, Failure> {
         if tags.is_empty() {
             return Ok(Vec::new());
         }
         // IK stays in memory while the keyring is locked: records are sealed with it.
-        let index = self.parts.owners.get(profile).map_or_else(
-            || self.parts.owners.unlocked(profile).map(|owner| owner.index()),
-            |owner| Ok(owner.index()),
-        )?;
+        let opened = self.parts.owners.get(profile);
+        let index = opened.map_or_else(|| self.parts.owners.unlocked(profile), Ok)?.index();
         let topics = self.topics_of(self.parts.owners.address_of(profile)?)?;
         Ok(tags.iter().map(|(name, value)| tag_choice(&index, name, value, &topics)).collect())
     }
 
-    /// Says of records whose ciphertext is gone who had them erased, if somebody did.
+    /// Adds who had deleted records erased.
     pub(super) fn note_erased(&self, records: &mut [RecordView]) -> Result<(), Failure> {
         let gone = ShownState::Verified(Caveat::Deleted);
         for record in records.iter_mut().filter(|record| record.state == gone) {
@@ -82,19 +91,17 @@ impl Reading {
         Ok(())
     }
 
-    /// The topics of which an owner has records here.
     pub fn topics_of(&self, owner: Address) -> Result<Vec<TopicId>, Failure> {
         let counts = self.parts.plant.ledger.counts.by_state(Some(owner))?;
         Ok(counts.topics.iter().filter_map(|topic| topic.topic_id).collect())
     }
 
-    /// A record by its id, regardless of its owner.
+    /// A record of any owner.
     pub fn find_record(&self, id: &str) -> Result<RecordRow, Failure> {
         let row = self.parts.plant.ledger.records.by_id(id)?;
         Ok(row.ok_or_else(|| PipelineError::NoRecord(clean(id, 64)))?)
     }
 
-    /// One of the profile's own.
     pub fn own_record(&self, profile: &ProfileName, id: &str) -> Result<RecordRow, Failure> {
         let row = self.find_record(id)?;
         match row.owner == self.parts.owners.address_of(profile)? {
@@ -103,7 +110,6 @@ impl Reading {
         }
     }
 
-    /// A record's provenance and state, step by step.
     pub fn provenance(&self, profile: &ProfileName, id: &str) -> Result<Provenance, Failure> {
         let shown = self.compared_one(&self.own_record(profile, id)?, &self.own_keys())?;
         let row = &shown.row;
@@ -167,8 +173,7 @@ impl Reading {
         Ok(Provenance { record, steps })
     }
 
-    /// The files with which others check a record using openssl and a node; accounts are redacted in `proof.json`
-    /// unless `addresses` are requested.
+    /// Files for checking a record with openssl and a node; `proof.json` redacts accounts unless `addresses`.
     pub async fn export_upload(
         &self,
         owner: &Arc<Owner>,
@@ -190,7 +195,7 @@ impl Reading {
         let (plant, digest) = (&self.parts.plant, row.digest);
         let blob = block_in_place(|| plant.stored_bytes(row))?;
         let placed = plant.ledger.records.placed(digest)?;
-        // Block, transaction and path of one moment, whatever the row was when it was asked for.
+        // Block, transaction and path of one moment, whatever `row` was.
         let (row, place) = placed.map_or_else(|| (row.clone(), None), |placed| (placed.row, placed.place));
         let row = &row;
         let gone = plant.ledger.retention.find(digest)?;
@@ -207,7 +212,7 @@ impl Reading {
         let signer = signer.map_err(|why| PipelineError::NoRight { id: row.id.clone(), why: Box::new(why) })?;
         let signed = record::signed_bytes(&network.domain, &row.digest);
         let pin = network.chain.pin();
-        // The record's own header and leaf must contain the owner: only the files beside them are redacted.
+        // The record's header and leaf must contain the owner: only the files beside them are redacted.
         let shown = |account: Address| if addresses { account.to_string() } else { account.redacted() };
         let mut anchor = anchor_json(row, place.as_ref(), &shown);
         let block = match row.block {
@@ -250,7 +255,7 @@ impl Reading {
     }
 }
 
-/// The text if a row and its record differ.
+/// A row and its record differ.
 fn altered(field: &str) -> String {
     format!(
         "the ledger was altered: its row differs from the record in its {field}; the record's own value is shown, \
@@ -258,7 +263,7 @@ fn altered(field: &str) -> String {
     )
 }
 
-/// The text for a record whose signer wrote a false name into it.
+/// The signer wrote a false name into the record.
 fn misnamed(what: &str) -> String {
     format!(
         "its bytes are as they were sealed and signed, but its signer wrote a false {what} into it, which does not belong \
@@ -266,7 +271,7 @@ fn misnamed(what: &str) -> String {
     )
 }
 
-/// The text for a verified record that no key here opens.
+/// A verified record that no key here opens.
 fn unchecked() -> String {
     format!(
         "{}; topic, type, length and SIMULATED mark are only the ledger's claim: they are sealed, and no keyring is \
@@ -295,7 +300,7 @@ fn standing(state: RecordState) -> &'static str {
     }
 }
 
-/// The digest's place on the chain, and for a batched one the path from its leaf to the root.
+/// The digest's place on the chain, with the path to the root if it was batched.
 fn anchor_json(row: &RecordRow, place: Option<&BatchPlace>, shown: &dyn Fn(Address) -> String) -> serde_json::Value {
     let (transaction, block, block_hash) = (row.transaction, row.block, row.block_hash);
     let Some(place) = place else {

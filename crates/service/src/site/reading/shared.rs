@@ -4,7 +4,7 @@ use super::Reading;
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use super::view::{reason_of, record_page, record_query};
+use super::view::{reason_of, record_query};
 use crate::crypto::GrantedKeys;
 use crate::model::{Address, Scope, TopicId};
 use crate::pipeline::directory::Granted;
@@ -20,18 +20,14 @@ impl Reading {
     /// Records of all owners with an active grant to this profile, within each grant's scope.
     pub async fn list_shared(&self, owner: &Arc<Owner>, query: UploadQuery) -> Result<RecordPage, Failure> {
         if query.incident.is_some() {
-            return Err(input(
-                "incidents cover your own records: use `authros uploads list --incident NAME`".to_owned(),
-            ));
+            return Err(input("incidents cover your own records: use `authros uploads list --incident NAME`"));
         }
         let network = self.parts.link.network().await?;
         let wanted = query.owner.as_ref().map(|owner| self.contacts.resolve(owner)).transpose()?;
         let mut grants = authority::shared_with(&network.directory, owner.address);
         grants.retain(|grant| wanted.is_none_or(|wanted| wanted == grant.terms.owner));
-        let mut scopes: HashMap<Address, Scope> = HashMap::new();
-        for grant in &grants {
-            scopes.insert(grant.terms.owner, grant.terms.scope.clone());
-        }
+        let scopes = grants.iter().map(|grant| (grant.terms.owner, grant.terms.scope.clone()));
+        let scopes: HashMap<Address, Scope> = scopes.collect();
         if scopes.is_empty() {
             return Ok(RecordPage { records: Vec::new(), next: None, arriving: None });
         }
@@ -50,15 +46,10 @@ impl Reading {
             filters: filters.clone(),
             ..record_query(query)
         };
-        let mut page = self.readable_page(&reader, query, &filters)?;
-        let names = self.contacts.names()?;
-        for record in &mut page.records {
-            record.owner_name = record.owner.and_then(|owner| names.get(&owner).cloned());
-        }
-        Ok(page)
+        self.readable_page(&reader, query, &filters)
     }
 
-    /// The next page with a record that the reader's keys open; such pages may be short.
+    /// The next page with a record that the reader's keys open; it may be short.
     fn readable_page(
         &self,
         reader: &Reader<'_>,
@@ -69,16 +60,13 @@ impl Reading {
             let mut page = self.parts.plant.ledger.records.list(&query)?;
             page.rows.retain(|row| !is_held(row) && reader.topic_key(row).is_ok());
             if !page.rows.is_empty() || page.next.is_none() {
-                let mut page = record_page(&self.compared(page.rows, reader, filters)?, page.next, true);
-                self.note_erased(&mut page.records)?;
-                return Ok(page);
+                return self.page_of(page, reader, filters, true);
             }
             query.after = page.next;
         }
     }
 
-    /// The ids by which another owner's records are found by their tags: that owner's IK, as a grant of all topics
-    /// carries it.
+    /// Filter ids of another owner's tags, from the IK that a grant of all topics carries.
     fn shared_tag_filters(
         &self,
         network: &Network,
@@ -104,7 +92,6 @@ impl Reading {
         }
     }
 
-    /// The topics that these scopes cover.
     pub fn readable_topics(&self, scopes: &HashMap<Address, Scope>) -> Result<Vec<TopicId>, Failure> {
         let mut ids = Vec::new();
         for (owner, scope) in scopes {
@@ -120,8 +107,8 @@ impl Reading {
         Ok(ids)
     }
 
-    /// A record that the owner may read at this moment, and the chain that says so; a refusal is counted. Own records are
-    /// read without the chain too, others' never.
+    /// A record that the owner may read now, and the chain that says so; counts a refusal. Own records need no chain,
+    /// others' always do.
     pub async fn authorised(&self, owner: &Arc<Owner>, id: &str) -> Result<(RecordRow, Network), Failure> {
         let row = self.find_record(id)?;
         let is_own = row.owner == owner.address;
@@ -132,8 +119,7 @@ impl Reading {
         Ok((row, network))
     }
 
-    /// The paper's `Data_Check`: digest against the chain, signature; no key needed. The contract is asked about the
-    /// right to read, too.
+    /// The paper's `Data_Check`: digest and signature, without any key; also asks the contract about the right to read.
     pub async fn check_record(&self, owner: &Arc<Owner>, id: &str) -> Result<CheckView, Failure> {
         let (row, network) = self.authorised(owner, id).await?;
         let reader = Reader { plant: &self.parts.plant, network: &network, reader: owner };

@@ -1,4 +1,4 @@
-//! Ledger rows for viewing: first compared with their records, untrusted text cleaned, names learnt for pseudonyms.
+//! Ledger rows for viewing: compared with their records, untrusted text cleaned, names learnt for pseudonyms.
 
 use std::collections::HashMap;
 use std::sync::{Arc, PoisonError};
@@ -17,14 +17,17 @@ use crate::reply::{Failure, RecordPage, RecordView};
 use crate::site::identity::Owners;
 use crate::store::{FilterChoice, RecordQuery, RecordRow};
 
-/// Widest topic or type shown, characters (ROS names are shorter than this).
+/// Characters; ROS names are shorter.
 const WIDEST: usize = 255;
 
-/// Keys of the profiles that are open here.
+/// Records of a stream opened to learn its names: among a stolen robot's, some are false.
+const TRIES: usize = 8;
+/// Records not opened again for their names.
+const MOST_NAMELESS: usize = 8192;
+
 pub(in crate::site) struct OwnKeys(HashMap<Address, Arc<Owner>>);
 
 impl OwnKeys {
-    /// Of the profiles whose keyrings were opened since the site began.
     pub fn of(owners: &Owners) -> Self {
         Self(owners.all().into_iter().map(|owner| (owner.address, owner)).collect())
     }
@@ -43,18 +46,18 @@ impl Keys for OwnKeys {
     }
 }
 
-/// Why a record was not checked against the chain, if it was not.
+/// Why a record was not checked against the chain.
 pub(super) fn reason_of(verdict: Verdict, network: &Network) -> Option<String> {
     network.absent.as_ref().filter(|_| verdict == Verdict::NotChecked).map(ToString::to_string)
 }
 
 impl Reading {
-    /// Keys of the profiles whose keyrings were opened since the site began.
+    /// Keys of the profiles opened since the site began.
     pub fn own_keys(&self) -> OwnKeys {
         OwnKeys::of(&self.parts.owners)
     }
 
-    /// Rows ready to be shown; each must have the ids in `filters` by which they were found.
+    /// Rows ready to be shown; each must have the ids in `filters` by which it was found.
     pub fn compared(
         &self,
         rows: Vec<RecordRow>,
@@ -65,14 +68,90 @@ impl Reading {
         Ok(block_in_place(|| comparison.of(rows))?)
     }
 
-    /// One row ready to be shown.
     pub fn compared_one(&self, row: &RecordRow, keys: &dyn Keys) -> Result<Shown, Failure> {
         let shown = self.compared(vec![row.clone()], keys, &[])?.into_iter().next();
         Ok(shown.unwrap_or_else(|| Shown::unread(row.clone())))
     }
+
+    /// Learns the names of the profile's own topics: robots' records arrive without.
+    pub async fn learn_own_names(&self, profile: &ProfileName) -> Result<(), Failure> {
+        let owner = self.parts.owners.get(profile).filter(|owner| !owner.is_locked());
+        let (Some(owner), Some(network)) = (owner, self.parts.link.network_now()) else { return Ok(()) };
+        let reader = Reader { plant: &self.parts.plant, network: &network, reader: &owner };
+        self.learn_names(&reader, owner.address).await
+    }
+
+    /// Opens a record of each unnamed stream of `owner`, as far as the reader may.
+    pub async fn learn_names(&self, reader: &Reader<'_>, owner: Address) -> Result<(), Failure> {
+        let unnamed = self.parts.plant.ledger.names.unnamed(owner, TRIES)?;
+        for stream in unnamed {
+            for digest in stream {
+                if self.learn_from(reader, digest).await? {
+                    break;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Names the requested topic, if it is here only as a pseudonym. IK derives that from the name, so no record is
+    /// opened or believed.
+    pub fn name_asked(
+        &self,
+        owner: Address,
+        index: Option<IndexKey>,
+        topic: Option<&TopicName>,
+    ) -> Result<(), Failure> {
+        let (Some(index), Some(name)) = (index, topic.map(ToString::to_string)) else { return Ok(()) };
+        let id = topic_id(&index, &name);
+        Ok(self.parts.plant.ledger.names.keep_topic(owner, id, name)?)
+    }
+
+    /// Returns whether there were names to learn.
+    async fn learn_from(&self, reader: &Reader<'_>, digest: Digest) -> Result<bool, Failure> {
+        let tried = (reader.reader.address, digest);
+        if self.nameless.lock().unwrap_or_else(PoisonError::into_inner).contains(&tried) {
+            return Ok(false);
+        }
+        let row = self.parts.plant.ledger.records.find(digest)?;
+        let Some(row) = row else { return Ok(false) };
+        let opened = match reader.open(&row).await {
+            Ok(opened) => opened,
+            Err(error) => {
+                if matches!(error, PipelineError::Crypto(CryptoError::FalseName(_))) {
+                    self.pass_over(tried);
+                }
+                return Ok(false);
+            }
+        };
+        let (topic, type_name) = (opened.head.topic, opened.head.type_name);
+        let with_type = !row.type_name.is_empty() && row.type_name != type_name;
+        // Without IK the owner of the type's pseudonym is unknown: its name stays with each record.
+        let with_type = with_type && reader.index_key(&row).is_some();
+        if !with_type {
+            self.pass_over(tried);
+        }
+        block_in_place(|| {
+            let names = &self.parts.plant.ledger.names;
+            names.keep(row.owner, hex(&row.topic_id.0), topic)?;
+            if with_type {
+                names.keep(row.owner, row.type_name, type_name)?;
+            }
+            Ok(true)
+        })
+    }
+
+    /// Opens a record no more for its names.
+    fn pass_over(&self, tried: (Address, Digest)) {
+        let mut nameless = self.nameless.lock().unwrap_or_else(PoisonError::into_inner);
+        if nameless.len() >= MOST_NAMELESS {
+            nameless.clear();
+        }
+        nameless.insert(tried);
+    }
 }
 
-/// One row; `with_owner` for lists of other owners' records.
+/// `with_owner` for lists of other owners' records.
 pub(in crate::site) fn record_view(shown: &Shown, with_owner: bool) -> RecordView {
     let row = &shown.row;
     RecordView {
@@ -97,13 +176,12 @@ pub(in crate::site) fn record_view(shown: &Shown, with_owner: bool) -> RecordVie
     }
 }
 
-/// A page of rows, and where the next one begins.
 pub fn record_page(rows: &[Shown], next: Option<String>, with_owner: bool) -> RecordPage {
     let records = rows.iter().map(|row| record_view(row, with_owner)).collect();
     RecordPage { records, next, arriving: None }
 }
 
-/// A person's query in the ledger's form; captured messages unless another kind is requested.
+/// Captured messages unless another kind is requested.
 pub(in crate::site) fn record_query(query: UploadQuery) -> RecordQuery {
     RecordQuery {
         topic: query.topic.map(|topic| topic.to_string()),
@@ -117,89 +195,5 @@ pub(in crate::site) fn record_query(query: UploadQuery) -> RecordQuery {
         limit: query.limit.clamp(1, 1000),
         newest_first: query.newest_first,
         ..RecordQuery::default()
-    }
-}
-
-/// Records of a stream that are opened to learn its names: among those of a stolen robot, some are false.
-const TRIES: usize = 8;
-/// Records that are not opened again for their names.
-const MOST_NAMELESS: usize = 8192;
-
-impl Reading {
-    /// Learns what can be learned now of the profile's own topics: those of its robots arrive without names.
-    pub async fn learn_own_names(&self, profile: &ProfileName) -> Result<(), Failure> {
-        let owner = self.parts.owners.get(profile).filter(|owner| !owner.is_locked());
-        let (Some(owner), Some(network)) = (owner, self.parts.link.network_now()) else { return Ok(()) };
-        let reader = Reader { plant: &self.parts.plant, network: &network, reader: &owner };
-        self.learn_names(&reader, owner.address).await
-    }
-
-    /// Opens a record of each stream of `owner` that has no name yet, as far as the reader may.
-    pub async fn learn_names(&self, reader: &Reader<'_>, owner: Address) -> Result<(), Failure> {
-        let unnamed = self.parts.plant.ledger.names.unnamed(owner, TRIES)?;
-        for stream in unnamed {
-            for digest in stream {
-                if self.learn_from(reader, digest).await? {
-                    break;
-                }
-            }
-        }
-        Ok(())
-    }
-
-    /// Names the topic that is asked for, if it is here under its pseudonym alone. With IK that is derived from the
-    /// name, so no record has to be opened, nor believed.
-    pub fn name_asked(
-        &self,
-        owner: Address,
-        index: Option<IndexKey>,
-        topic: Option<&TopicName>,
-    ) -> Result<(), Failure> {
-        let (Some(index), Some(name)) = (index, topic.map(ToString::to_string)) else { return Ok(()) };
-        let id = topic_id(&index, &name);
-        Ok(self.parts.plant.ledger.names.keep_topic(owner, id, name)?)
-    }
-
-    /// Learns the names of one record; whether there was something to learn.
-    async fn learn_from(&self, reader: &Reader<'_>, digest: Digest) -> Result<bool, Failure> {
-        let tried = (reader.reader.address, digest);
-        if self.nameless.lock().unwrap_or_else(PoisonError::into_inner).contains(&tried) {
-            return Ok(false);
-        }
-        let row = self.parts.plant.ledger.records.find(digest)?;
-        let Some(row) = row else { return Ok(false) };
-        let opened = match reader.open(&row).await {
-            Ok(opened) => opened,
-            Err(error) => {
-                if matches!(error, PipelineError::Crypto(CryptoError::FalseName(_))) {
-                    self.pass_over(tried);
-                }
-                return Ok(false);
-            }
-        };
-        let (topic, type_name) = (opened.head.topic, opened.head.type_name);
-        let with_type = !row.type_name.is_empty() && row.type_name != type_name;
-        // Without IK nobody knows whose pseudonym the type's is: its name stays with each record.
-        let with_type = with_type && reader.index_key(&row).is_some();
-        if !with_type {
-            self.pass_over(tried);
-        }
-        block_in_place(|| {
-            let names = &self.parts.plant.ledger.names;
-            names.keep(row.owner, hex(&row.topic_id.0), topic)?;
-            if with_type {
-                names.keep(row.owner, row.type_name, type_name)?;
-            }
-            Ok(true)
-        })
-    }
-
-    /// This reader opens a record no more for its names.
-    fn pass_over(&self, tried: (Address, Digest)) {
-        let mut nameless = self.nameless.lock().unwrap_or_else(PoisonError::into_inner);
-        if nameless.len() >= MOST_NAMELESS {
-            nameless.clear();
-        }
-        nameless.insert(tried);
     }
 }

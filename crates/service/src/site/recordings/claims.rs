@@ -1,5 +1,5 @@
-//! Which recordings are being sealed now, and which folders are followed. There is one site of a home, so this holds for the
-//! home: an import and a follower, or two of either, never seal one file at the same time.
+//! Recordings being sealed and folders being followed. A home has one site, so no two imports or followers seal one
+//! file at the same time.
 
 use std::fs;
 use std::os::unix::fs::MetadataExt;
@@ -8,14 +8,13 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::model::Address;
 
-/// What is sealed, and what it is known by meanwhile.
 #[derive(Debug, Clone, PartialEq, Eq)]
 enum Mark {
-    /// Its device and inode: it may have other names.
+    /// Device and inode: a file may have other names.
     Place(u64, u64),
-    /// Its name. A recorder makes another file of one that it compresses when it is closed, with the same messages.
+    /// A recorder that compresses a file on closing makes another one with the same messages.
     Name(PathBuf),
-    /// A folder, and all below it.
+    /// With all below it.
     Folder(PathBuf),
 }
 
@@ -28,20 +27,15 @@ impl Mark {
     }
 }
 
-/// Who seals a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::site) enum Holder {
-    /// `bag import`.
     Import,
-    /// `bag follow`.
     Follower,
 }
 
-/// What is being sealed, each for its owner.
 #[derive(Debug, Default)]
 pub(in crate::site) struct Claims(Mutex<Vec<(Address, Mark, Holder)>>);
 
-/// Some of them, until this is dropped.
 #[derive(Debug)]
 pub(in crate::site) struct Claim {
     claims: Arc<Claims>,
@@ -71,7 +65,7 @@ impl Claims {
         self.take_marks(owner, marks.collect(), holder)
     }
 
-    /// Takes a folder for a follower. Its files are not taken by that.
+    /// Takes a folder for a follower, but not its files.
     pub fn take_folder(self: &Arc<Self>, owner: Address, folder: &Path) -> Result<Claim, (PathBuf, Holder)> {
         self.take_marks(owner, vec![(folder, Mark::Folder(folder.to_owned()))], Holder::Follower)
     }

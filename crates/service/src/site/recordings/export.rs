@@ -1,4 +1,4 @@
-//! An export: what this profile may read, each record checked and verified before it is written.
+//! An export: what this profile may read, each record verified before it is written.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fs::File;
@@ -20,13 +20,10 @@ use crate::service::failure::{input, internal};
 use crate::service::reply::{ExportView, ExportedTopic, Failure, Refused};
 use crate::store::{RecordQuery, RecordRow};
 
-/// Records requested from the ledger at a time.
 const PAGE: usize = 500;
 
-/// The most suspicious records that are named.
 const MOST_NAMED: usize = 100;
 
-/// An export under way.
 struct Export<'a> {
     wishes: &'a ExportWishes,
     writer: RecordingWriter,
@@ -43,9 +40,8 @@ impl Recordings {
     pub async fn export_recording(&self, owner: &Arc<Owner>, wishes: ExportWishes) -> Result<ExportView, Failure> {
         if !wishes.format.takes(wishes.compression) {
             let (format, compression) = (wishes.format.word(), wishes.compression);
-            return Err(input(format!(
-                "{format} chunks cannot be compressed with {compression}; choose another compression"
-            )));
+            let text = format!("{format} chunks cannot be compressed with {compression}; choose another compression");
+            return Err(input(text));
         }
         let network = self.reading.network_or_kept().await?;
         let scopes = self.readable_scopes(owner, &network, &wishes)?;
@@ -55,7 +51,7 @@ impl Recordings {
         self.parts.log.deed(&owner.profile, "export recording", &file, written).await
     }
 
-    /// The owners whose records are requested, and their scope.
+    /// Owners whose records are requested, with their scopes.
     fn readable_scopes(
         &self,
         owner: &Owner,
@@ -65,7 +61,7 @@ impl Recordings {
         let me = owner.address;
         let wanted = wishes.owner.as_ref().map(|party| self.contacts.resolve(party)).transpose()?;
         let is_wanted = |address: Address| wanted.is_none_or(|wanted| wanted == address);
-        // Whether others still grant, only the chain knows.
+        // Only the chain knows whether others still grant.
         let granted = match network.absent {
             None => authority::shared_with(&network.directory, me),
             Some(_) => Vec::new(),
@@ -98,10 +94,10 @@ impl Recordings {
         let (draft, file) = block_in_place(|| Draft::begin(&wishes.path))?;
         let mut export = Export::begin(wishes, RecordingWriter::begin(wishes.format, wishes.compression, file)?);
         let mut seen = 0;
-        // Messages first: a file's profile is that of the first. Patterns choose topics, and attachments have none.
+        // Messages first: the first sets the file's profile. Patterns choose topics, and attachments have none.
         let kinds = [RecordKind::Data, RecordKind::Attachment];
         for kind in kinds.into_iter().filter(|kind| wishes.topics.is_empty() || *kind == RecordKind::Data) {
-            let mut query = RecordQuery {
+            let query = RecordQuery {
                 owners: Some(scopes.keys().copied().collect()),
                 topic_ids: Some(readable.clone()),
                 kind: Some(kind),
@@ -110,20 +106,13 @@ impl Recordings {
                 limit: PAGE,
                 ..RecordQuery::default()
             };
-            loop {
-                let page = self.parts.plant.ledger.records.list(&query)?;
-                for row in &page.rows {
-                    export.take(&reader, row).await?;
-                    seen += 1;
-                    run.at(seen, 0, export.view.messages);
-                }
+            for row in self.parts.plant.ledger.records.all(query) {
                 if self.parts.life.is_stopping() {
                     return Err(internal("the site stopped before the recording was complete; repeat the command"));
                 }
-                query.after = page.next;
-                if query.after.is_none() {
-                    break;
-                }
+                export.take(&reader, &row?).await?;
+                seen += 1;
+                run.at(seen, 0, export.view.messages);
             }
         }
         block_in_place(|| export.finish(draft))
@@ -222,7 +211,7 @@ impl<'a> Export<'a> {
         Arc::clone(self.channels.entry(channel).or_insert(shared))
     }
 
-    /// A record that does not open is counted by reason; a failure that is not the record's ends the export.
+    /// Counts a record that does not open; a failure that is not the record's ends the export.
     fn refuse(&mut self, row: &RecordRow, error: PipelineError) -> Result<(), Failure> {
         match (&error, error.kind()) {
             (PipelineError::Missing(_), _) => self.view.refused.missing += 1,
@@ -261,7 +250,7 @@ impl<'a> Export<'a> {
     }
 }
 
-/// Whether a record's content is what its kind says: an attachment as MCAP has it, or a message.
+/// Whether the content fits the kind: an attachment as MCAP has it, or a message.
 fn is_as_its_kind(encoding: Encoding, opened: &OpenedRecord) -> bool {
     let is_sound = match encoding {
         Encoding::Beside(kind) => kind.parse(&opened.body).is_some(),
@@ -270,14 +259,14 @@ fn is_as_its_kind(encoding: Encoding, opened: &OpenedRecord) -> bool {
     is_sound && importer::kind_of(encoding) == opened.header.kind
 }
 
-/// A file being written; it is removed unless it is moved to its destination.
+/// A file being written; removed unless it is moved to its destination.
 pub(super) struct Draft {
     target: PathBuf,
     file: NamedTempFile,
 }
 
 impl Draft {
-    /// A new file (0600) beside `target`, which must not exist. What a killed export left there is removed.
+    /// A new file (0600) beside `target`, which must not exist; removes leftovers of a killed export.
     pub fn begin(target: &Path) -> Result<(Self, File), Failure> {
         let taken = || input(format!("{} already exists; choose a new file", target.display()));
         if target.symlink_metadata().is_ok() {
@@ -294,7 +283,7 @@ impl Draft {
         Ok((Self { target: target.to_owned(), file }, open))
     }
 
-    /// Moves the file to its destination; one that has appeared there meanwhile is not replaced.
+    /// Moves the file to its destination, without replacing anything.
     pub fn place(self) -> Result<(), Failure> {
         let failed = |error: std::io::Error| input(format!("{} cannot be written: {error}", self.target.display()));
         match std::fs::hard_link(self.file.path(), &self.target) {
@@ -307,8 +296,7 @@ impl Draft {
         }
     }
 
-    /// Moves the file into a new folder at its destination, with a description beside it that is made from the file's name
-    /// there. The folder appears whole.
+    /// Moves the file and a description, made from its name there, into a new folder that appears whole.
     pub fn place_in_folder(self, description: &str, describe: impl FnOnce(&str) -> String) -> Result<(), Failure> {
         let failed = |error: std::io::Error| input(format!("{} cannot be written: {error}", self.target.display()));
         let parent = self.target.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));

@@ -1,5 +1,5 @@
-//! Every message of another home sealed anew: its records are opened with the same keys and without its chain, and
-//! become records of this home, with their own capture times. Nothing in the other home changes.
+//! Seals every message of another home anew: its records are opened with the same keys, without its chain, and keep
+//! their capture times. The other home does not change.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -23,10 +23,8 @@ use crate::service::reply::{Failure, ImportView, ImportedTopic};
 use crate::site::blocking;
 use crate::store::{Ciphertext, Ledger, RecordQuery, RecordRow, SiteLock};
 
-/// Records requested from the other ledger at a time.
 const PAGE: usize = 500;
 
-/// Another home, open for reading.
 struct OldHome {
     plant: Plant,
     network: Network,
@@ -86,7 +84,7 @@ impl Recordings {
         Ok(OldHome { plant, network, _lock: lock })
     }
 
-    /// Reads the home to its end and gives every message to the sealer that is not sealed here yet.
+    /// Gives every message that is not sealed here yet to the sealer.
     fn read_home(
         &self,
         owner: &Arc<Owner>,
@@ -137,7 +135,6 @@ impl Recordings {
     }
 }
 
-/// Which kind of attachment a record is, by its tags.
 fn beside(tags: &BTreeMap<String, String>) -> Encoding {
     match importer::encoding(tags) {
         beside @ Encoding::Beside(_) => beside,
@@ -145,17 +142,13 @@ fn beside(tags: &BTreeMap<String, String>) -> Encoding {
     }
 }
 
-/// What an import finds in a record of the other home.
+/// `Here` has the topic of a message sealed by an earlier import; what stays is wanted if somebody may expect it here.
 enum Found {
-    /// A message to seal, with its tags.
     New(RecordedMessage, Vec<(String, String)>),
-    /// A message of this topic that an earlier import sealed.
     Here(String),
-    /// It is not brought, and why; whether somebody may expect it here.
     Stays { why: &'static str, is_wanted: bool },
 }
 
-/// Messages on their way from one home to another.
 struct Moving<'a> {
     there: Reader<'a>,
     here: Reader<'a>,
@@ -166,26 +159,21 @@ impl Moving<'_> {
     fn message(&mut self, row: &RecordRow) -> Result<Found, Failure> {
         let is_own = self.there.is_own_key(row.signer);
         let stays = |why| Ok(Found::Stays { why, is_wanted: true });
+        let went = |why| Ok(Found::Stays { why, is_wanted: false });
         match row.state {
             RecordState::Quarantined => return stays("quarantined in the old home"),
-            RecordState::Dropped => {
-                return Ok(Found::Stays { why: "discarded in the old home", is_wanted: false });
-            }
+            RecordState::Dropped => return went("discarded in the old home"),
             RecordState::Tampered => return stays("not the bytes that were anchored"),
-            // Nobody vouches for what a device signed without a right; what the owner signed, the owner signs again.
+            // Nobody vouches for what a device signed without a right; the owner signs the owner's again.
             RecordState::RightEnded if !is_own => return stays("signed by a device that had no right to sign"),
-            _ if row.deleted_at.is_some() => {
-                return Ok(Found::Stays { why: "deleted by retention, or erased", is_wanted: false });
-            }
+            _ if row.deleted_at.is_some() => return went("deleted by retention, or erased"),
             _ => {}
         }
-        let Some(blob) = self.there.own_bytes(row)? else {
-            return stays("the old home does not have its ciphertext");
-        };
+        let Some(blob) = self.there.own_bytes(row)? else { return stays("the old home does not have its ciphertext") };
         let Some(opened) = self.there.open_own(row, &blob)? else {
-            return stays(
-                "no key of this profile opens it, its signature is not valid, or its signer wrote a false name into it",
-            );
+            let why =
+                "no key of this profile opens it, its signature is not valid, or its signer wrote a false name into it";
+            return stays(why);
         };
         if self.is_here(&opened)? {
             return Ok(Found::Here(opened.head.topic));
@@ -205,7 +193,7 @@ impl Moving<'_> {
             definition,
             caller_id: head.caller_id.as_str().into(),
             latching: head.tags.contains_key(LATCHING),
-            // What a message is, and what a recording says of it, is in the tags.
+            // The tags say what a message is, and what a recording says of it.
             encoding: if header.kind == RecordKind::Data { Encoding::Ros1 } else { beside(&head.tags) },
             about: BTreeMap::new(),
         };
@@ -216,7 +204,7 @@ impl Moving<'_> {
         Ok(Found::New(message, tags))
     }
 
-    /// Whether an earlier import sealed this record's message: then a record of the same topic and time names it.
+    /// An earlier import sealed this message if a record of the same topic and time names it.
     fn is_here(&self, opened: &OpenedRecord) -> Result<bool, Failure> {
         let Header { kind, captured_at, .. } = opened.header;
         let former = opened.digest.to_hex();

@@ -1,7 +1,5 @@
-//! An import: every message of a recording sealed as a record with its own time.
-//!
-//! Each file is known by its SM3, also one of a folder. The ledger stores which of its topics were begun and which are
-//! complete, so that nothing is sealed twice that was imported or followed before, and an interrupted import continues.
+//! An import: every message of a recording sealed with its own time. Files are known by SM3; the ledger notes which of
+//! their topics are begun and complete, so that nothing is sealed twice and an interrupted import continues.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
@@ -25,19 +23,16 @@ use crate::service::reply::{Failure, ImportView, ImportedTopic, LeftOut};
 use crate::site::blocking;
 use crate::store::notes::Standing;
 
-/// The most tags that a person may give: with the importer's own they stay far below the limit of a head.
+/// Most tags a person may give; with the importer's own, far below a head's limit.
 pub(super) const MOST_TAGS: usize = 24;
 
-/// The tag that names the file by the beginning of its digest.
+/// Tag with the beginning of the file's digest.
 pub(in crate::site) const RECORDING: &str = "recording";
 
-/// The result of reading a file or a home.
 pub(super) struct ReadOut {
-    /// What there was to import.
     pub view: ImportView,
-    /// What was given to the sealer.
     pub sessions: Vec<Arc<CaptureSession>>,
-    /// Files, and their topics that are whole once all of this is verified.
+    /// Files, with the topics that are whole once everything is verified.
     pub whole: Vec<(Digest, BTreeSet<String>)>,
 }
 
@@ -56,7 +51,7 @@ impl Recordings {
         // Without a chain nothing would ever be verified.
         let network = self.parts.link.network().await?;
         let (author, path) = (Arc::clone(owner), wishes.path.clone());
-        // Until its records are verified, also where nobody waits for that any more.
+        // Until its records are verified, even if nobody waits for that any more.
         let claim = Arc::new(self.claim(owner, &path)?);
         let held = Arc::clone(&claim);
         let read = move |recordings: &Self, run: &Run, control: &CaptureSession| {
@@ -82,7 +77,7 @@ impl Recordings {
         })
     }
 
-    /// Reads with `read`, and waits until all that it gave to the sealer is verified.
+    /// Reads with `read`, and waits until everything given to the sealer is verified.
     pub(super) async fn run_import(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -94,7 +89,7 @@ impl Recordings {
         let file = clean(&path.display().to_string(), 300);
         let running = self.begin_run(&owner.profile, path, "reading");
         self.parts.log.begin(owner, action, &file).await?;
-        // Ends the import as a capture is ended: by the same command.
+        // Ends like a capture: by the same command.
         let control = Arc::new(CaptureSession::new(&[], None, Vec::new()));
         self.capture.note(&owner.profile, &control);
         let (run, stop) = (Arc::clone(&running.run), Arc::clone(&control));
@@ -108,7 +103,7 @@ impl Recordings {
         ended
     }
 
-    /// Waits until what was sealed is verified; the topics are then complete.
+    /// Waits until everything is verified; the topics are then complete.
     async fn settle_import(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -137,11 +132,9 @@ impl Recordings {
         view.attachments = beside.iter().map(|topic| topic.imported + topic.already).sum();
         if !view.ended_early && view.lost == 0 {
             let address = owner.address;
-            let note = move |recordings: &Self| -> Result<(), Failure> {
-                for (digest, topics) in whole {
-                    recordings.add_standings((address, digest), None, topics, Standing::Whole)?;
-                }
-                Ok(())
+            let note = move |recordings: &Self| {
+                let add = |(digest, topics)| recordings.add_standings((address, digest), None, topics, Standing::Whole);
+                whole.into_iter().try_for_each(add)
             };
             blocking(self, note).await?;
         }
@@ -150,7 +143,7 @@ impl Recordings {
         Ok(view)
     }
 
-    /// Reads the file to its end and gives every wanted message to the sealer.
+    /// Gives every wanted message to the sealer.
     fn read_recording(
         &self,
         owner: &Arc<Owner>,
@@ -204,7 +197,7 @@ impl Recordings {
     }
 }
 
-/// By topic and reason; names come from the file, so they are cleaned.
+/// Names come from the file, so they are cleaned.
 pub(super) fn left_out_list(counts: BTreeMap<(Arc<str>, &'static str), u64>) -> Vec<LeftOut> {
     let list = counts.into_iter().map(|((topic, why), messages)| LeftOut {
         topic: clean(&topic, 255),
@@ -214,8 +207,7 @@ pub(super) fn left_out_list(counts: BTreeMap<(Arc<str>, &'static str), u64>) -> 
     list.collect()
 }
 
-/// SM3 of a recording, and of each of its files, unpacked where they are compressed as a whole. That of a folder is of its
-/// files' names, lengths and digests.
+/// SM3 of a recording and of each of its files, unpacked. A folder's is over its files' names, lengths and digests.
 fn digests_of(
     path: &Path,
     run: &Run,
@@ -239,10 +231,8 @@ fn digests_of(
                 break;
             }
             if !goes_on() {
-                return Err(Failure::new(
-                    ErrorKind::Incomplete,
-                    "stopped before anything was imported; repeat the command",
-                ));
+                let text = "stopped before anything was imported; repeat the command";
+                return Err(Failure::new(ErrorKind::Incomplete, text));
             }
             hasher.update(bytes);
             done += read as u64;
@@ -262,7 +252,6 @@ fn digests_of(
     Ok((Digest(folder.finish()), digests))
 }
 
-/// Chooses the messages of one recording.
 #[derive(Debug)]
 pub(super) struct Choosing {
     patterns: Vec<TopicPattern>,
@@ -271,17 +260,17 @@ pub(super) struct Choosing {
 }
 
 impl Choosing {
-    /// Topics that match any of these patterns; of none, all.
+    /// Empty = all.
     pub fn new(patterns: &[TopicPattern]) -> Self {
         Self { patterns: patterns.to_vec(), names: RecordedNames::default(), left_out: BTreeMap::new() }
     }
 
-    /// The topic under which a message is sealed; `None` if it is not wanted, or was counted as left out.
+    /// The topic to seal a message under; `None` if it is unwanted or left out.
     pub fn topic(&mut self, message: &RecordedMessage) -> Option<Arc<str>> {
         let recorded = &message.channel.topic;
         let is_message = kind_of(message.channel.encoding) == RecordKind::Data;
         let named = if is_message { self.names.resolve(recorded) } else { Ok(Arc::clone(recorded)) };
-        // Patterns choose topics; what is beside the messages has none, and belongs to the recording as a whole.
+        // Patterns choose topics; attachments have none and belong to the whole recording.
         let matches = |name: &Arc<str>| self.patterns.iter().any(|pattern| pattern.matches(name));
         let is_chosen = || is_message && [Some(recorded), named.as_ref().ok()].into_iter().flatten().any(matches);
         if !self.patterns.is_empty() && !is_chosen() {
@@ -296,7 +285,7 @@ impl Choosing {
         }
     }
 
-    /// What was left out, here and by the reader.
+    /// Left out here and by the reader.
     pub fn left_out(&self, findings: &Findings) -> Vec<LeftOut> {
         let mut list = left_out_list(self.left_out.clone());
         list.extend_from_slice(&findings.unusable);

@@ -24,7 +24,6 @@ use std::sync::Arc;
 
 use crate::model::ProfileName;
 
-/// Imports and exports of recordings.
 pub(in crate::site) struct Recordings {
     pub parts: Parts,
     pub contacts: Arc<Contacts>,

@@ -1,6 +1,5 @@
-//! What is sealed already of a recording's files, however it was: alone, with its folder, or while it was recorded.
-//!
-//! Each file is known by its own SM3, also within a folder; its messages by the file, the time and the content.
+//! What is sealed already of a recording's files: alone, with their folder, or while recorded. A file is known by its
+//! SM3, a message by file, time and content.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
@@ -24,7 +23,7 @@ impl Recordings {
         Ok(self.parts.plant.ledger.notes.read(&Imported { owner, file: digest })?.unwrap_or_default())
     }
 
-    /// Adds that topics of a file stand so, and that its records may have a tag; what is whole stays whole.
+    /// Notes the standing of a file's topics, and a tag of its records; what is whole stays whole.
     pub(super) fn add_standings(
         &self,
         (owner, digest): (Address, Digest),
@@ -43,31 +42,29 @@ impl Recordings {
     }
 }
 
-/// The content of a file that is imported.
 #[derive(Debug, Default)]
 struct Part {
     before: Standings,
-    /// Whether it was followed, so that any of its messages may be sealed.
+    /// It was followed, so any of its messages may be sealed.
     is_followed: bool,
     met: BTreeSet<String>,
     /// Topics of which something is sealed now.
     begun: BTreeSet<String>,
 }
 
-/// The files of a recording that is imported.
 pub(super) struct Parts<'a> {
     recordings: &'a Recordings,
     owner: Address,
     tag: String,
     sealed: SealedBefore<'a>,
     digests: BTreeMap<PathBuf, Digest>,
-    /// Files of the same content are one.
+    /// Files with the same content are one.
     by_content: HashMap<Digest, Part>,
     again: bool,
 }
 
 impl<'a> Parts<'a> {
-    /// What is known of these files; `again` is to know nothing. `tag` is that of their new records.
+    /// `again` ignores what is known; `tag` is for the new records.
     pub fn new(
         recordings: &'a Recordings,
         sealed: SealedBefore<'a>,
@@ -75,14 +72,14 @@ impl<'a> Parts<'a> {
         digests: BTreeMap<PathBuf, Digest>,
         again: bool,
     ) -> Result<Self, Failure> {
-        let (owner, mut by_content) = (sealed.owner(), HashMap::<Digest, Part>::new());
+        let (owner, mut by_content) = (sealed.reader.reader.address, HashMap::<Digest, Part>::new());
         for (path, digest) in &digests {
             let part = by_content.entry(*digest).or_default();
             if again {
                 continue;
             }
             let followed = followed_as(&recordings.parts.plant.ledger.notes, owner, path)?;
-            // Two files of one content have the same standings, and each may have been followed.
+            // Two files with one content share their standings, and each may have been followed.
             let tags = std::mem::take(&mut part.before.tags);
             part.before = recordings.standings(owner, *digest)?;
             part.is_followed |= followed.is_some();
@@ -113,7 +110,7 @@ impl<'a> Parts<'a> {
         part.map_or(Ok(false), |part| self.sealed.take(topic, message, &part.before.tags))
     }
 
-    /// Keeps that a topic of a file is begun, before the first of its messages is given to the sealer.
+    /// Notes that a topic of a file is begun, before its first message goes to the sealer.
     pub fn begin(&mut self, file: &Path, topic: &str) -> Result<(), Failure> {
         let (digest, part) = self.part(file)?;
         if part.begun.contains(topic) {
@@ -127,7 +124,7 @@ impl<'a> Parts<'a> {
         self.recordings.add_standings((self.owner, digest), Some(&self.tag), topics, Standing::Begun)
     }
 
-    /// The topics of each file that are whole once all is verified.
+    /// Topics of each file that are whole once everything is verified.
     pub fn whole(self) -> Vec<(Digest, BTreeSet<String>)> {
         if self.again {
             return Vec::new();
@@ -136,33 +133,25 @@ impl<'a> Parts<'a> {
     }
 }
 
-/// Records requested from the ledger at a time.
 const PAGE: usize = 1000;
 
-/// How often a content was sealed, with each value of the tag that names the file.
+/// How often a content was sealed, per value of the tag that names the file.
 type Contents = HashMap<[u8; 32], HashMap<String, u64>>;
 
-/// Looks up messages of one recording among its owner's records.
+/// Finds messages of one recording among its owner's records.
 pub(super) struct SealedBefore<'a> {
     reader: Reader<'a>,
-    /// For each topic and time met: what was sealed there and not met yet. Two recordings may have the same topics and
-    /// times, so only records that name the file count, and only by their content. Metadata of MCAP has no time of its own:
-    /// what it gets depends on whether the end of the file was known.
+    /// By topic and time: what was sealed there and not met yet. Two recordings may share both, so only records that
+    /// name the file count, by content. MCAP metadata has no time of its own.
     met: HashMap<(Arc<str>, Option<Timestamp>), Contents>,
 }
 
 impl<'a> SealedBefore<'a> {
-    /// For the owner who reads.
     pub fn new(reader: Reader<'a>) -> Self {
         Self { reader, met: HashMap::new() }
     }
 
-    /// Whose records it looks among.
-    pub fn owner(&self) -> Address {
-        self.reader.reader.address
-    }
-
-    /// Whether this message of a file is sealed, by records with one of these tags; each stands for one message.
+    /// Whether a record with one of these tags seals this message; each record stands for one message.
     pub fn take(
         &mut self,
         topic: &Arc<str>,
@@ -195,7 +184,7 @@ impl<'a> SealedBefore<'a> {
     }
 }
 
-/// A query for records of a topic and kind, captured at this moment, or whenever.
+/// Records of a topic and kind, captured at this moment or at any.
 pub(super) fn at(topic: &str, kind: RecordKind, time: Option<Timestamp>) -> RecordQuery {
     RecordQuery {
         topic: Some(topic.to_owned()),

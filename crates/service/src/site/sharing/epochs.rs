@@ -1,6 +1,5 @@
-//! Epochs: beginning a new one at a revoke, a rotation or an expiry, and re-wrapping the remaining readers' keys. The
-//! recorder switches before the transaction is sent. Keys of epochs that a keyring lacks, because it is older than the chain, are
-//! fetched from there, and otherwise told.
+//! Epochs: begun at a revoke, a rotation or an expiry, and re-wrapped for the remaining readers. The recorder switches
+//! before the transaction is sent. Epoch keys that an old keyring lacks come from the chain, or are reported.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, MutexGuard, PoisonError};
@@ -18,11 +17,12 @@ use crate::service::event::Part;
 use crate::service::failure::refused;
 use crate::service::reply::{Failure, TransactionView};
 
-/// The most envelopes in a `wrap` transaction, to stay below 32 KB.
+/// Keeps a `wrap` transaction below 32 KB.
 const ENVELOPES_A_CALL: usize = 8;
 
+const MOST_NAMED: usize = 8;
+
 impl Sharing {
-    /// Begins a new epoch.
     pub async fn rotate(&self, owner: &Arc<Owner>, why: &str) -> Result<TransactionView, Failure> {
         let network = self.parts.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
@@ -31,8 +31,8 @@ impl Sharing {
         self.begin_epoch(owner, &network, &format!("rotate ({why})"), call).await
     }
 
-    /// Switches the recorder to the next epoch, tells the chain, and re-wraps for the remaining readers. The key goes to
-    /// the chain with the same transaction, wrapped for its owner. The keys of earlier epochs are not needed.
+    /// Switches the recorder to the next epoch, sends it to the chain with its key wrapped for the owner, and re-wraps
+    /// for the remaining readers. Needs no earlier keys.
     pub async fn begin_epoch(
         &self,
         owner: &Arc<Owner>,
@@ -71,16 +71,11 @@ impl Sharing {
             ));
         }
         self.parts.hub.changed(Part::Grants);
-        Ok(TransactionView {
-            transaction: Some(transaction),
-            block: Some(receipt.block),
-            epoch: next,
-            text: format!("{purpose}: epoch {next} has started; new records are sealed under its key"),
-        })
+        let text = format!("{purpose}: epoch {next} has started; new records are sealed under its key");
+        Ok(TransactionView { transaction: Some(transaction), block: Some(receipt.block), epoch: next, text })
     }
 
-    /// Begins the epochs that the chain had before and lost again. None of them is used for a second time: readers who were
-    /// revoked know their keys.
+    /// Begins again the epochs that the chain lost. None is used a second time: revoked readers know their keys.
     async fn repeat_epochs(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
         let seen = owner.confirmed_epoch(network.domain);
         for epoch in network.directory.epoch(owner.address) + 1..=seen {
@@ -97,7 +92,7 @@ impl Sharing {
         Ok(())
     }
 
-    /// Finishes an epoch that was begun but did not reach the chain, and re-wraps what is missing.
+    /// Finishes an epoch that did not reach the chain, and re-wraps what is missing.
     pub async fn finish_epoch(&self, owner: &Arc<Owner>) -> Result<(), Failure> {
         let network = self.parts.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
@@ -114,11 +109,8 @@ impl Sharing {
     }
 
     pub async fn settle_open(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
-        let ledger = self.parts.plant.ledger.clone();
-        let account = owner.address;
         for _ in 0..60 {
-            let open = ledger.lanes.open_lane(account)?;
-            if open.iter().all(|row| row.anchors) {
+            if self.parts.plant.ledger.lanes.open_lane(owner.address)?.iter().all(|row| row.anchors) {
                 return Ok(());
             }
             let head = network.chain.head().await?.number;
@@ -128,9 +120,8 @@ impl Sharing {
         Err(refused(format!("earlier transactions of '{}' are still not in a block", owner.profile)))
     }
 
-    /// Active readers who lack an envelope, by its epoch: of the current one for their current key, or of an earlier one that
-    /// began since their grant, because the epoch after it began before they could be given it. Not those who are being
-    /// revoked.
+    /// Active readers who lack an envelope, by epoch: the current one for their current key, or one since their grant
+    /// that ended before they got it. Not those being revoked.
     pub fn lacking(&self, owner: &Owner, network: &Network) -> Result<BTreeMap<u64, Vec<Granted>>, Failure> {
         if self.went_back(owner, network) {
             return Ok(BTreeMap::new());
@@ -156,8 +147,7 @@ impl Sharing {
         Ok(lacking)
     }
 
-    /// Sends every active reader the envelopes that they lack, the oldest epoch first. If one reader cannot be given any,
-    /// the others still get theirs.
+    /// Sends readers their missing envelopes, oldest epoch first; one failing reader does not hold up the others.
     pub async fn rewrap(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
         let mut failed = None;
         for (epoch, grants) in self.lacking(owner, network)? {
@@ -241,52 +231,14 @@ impl Sharing {
         let wrapped = WrappedKeys { terms, keys };
         Ok(wrap(self.parts.plant.provider, &network.domain, &wrapped, &owner.signing(), &reader.envelope)?)
     }
-}
 
-/// The most epochs that are named.
-const MOST_NAMED: usize = 8;
-
-/// What open profiles lack.
-#[derive(Default)]
-pub(super) struct Missing {
-    epochs: BTreeMap<ProfileName, Lack>,
-    /// Why newer SM2 pairs of the chain are not in the keyring, or those of the keyring not on the chain.
-    pairs: BTreeMap<ProfileName, String>,
-    /// That the chain has an earlier epoch than it had before.
-    back: BTreeMap<ProfileName, String>,
-}
-
-/// What one profile lacks.
-struct Lack {
-    epochs: Vec<u64>,
-    /// Whether the current one is among them: nothing is sealed then.
-    current: bool,
-    /// The newest event of the chain when this was found out.
-    seen: u64,
-}
-
-impl Lack {
-    fn text(&self, profile: &ProfileName) -> String {
-        let named: Vec<String> = self.epochs.iter().take(MOST_NAMED).map(ToString::to_string).collect();
-        let more = if self.epochs.len() > MOST_NAMED { ", ..." } else { "" };
-        let sealed = if self.current { " and nothing new is sealed" } else { "" };
-        let rotate = if self.current { ", or seal under a new epoch with `authros keys rotate`" } else { "" };
-        format!(
-            "the keyring of '{profile}' lacks the keys of epochs {}{more}: their records cannot be opened here{sealed}; \
-             the chain does not return them to these keys, so restore a newer backup of the keyring{rotate}",
-            named.join(", ")
-        )
-    }
-}
-
-impl Sharing {
     fn missing(&self) -> MutexGuard<'_, Missing> {
         self.missing.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Brings keyring and recorder to the chain's epochs: keys that the keyring lacks are fetched from there, and records
-    /// are sealed under the current epoch, or one that was begun and never reached the chain. Without the key of the
-    /// current epoch nothing is sealed: nobody knows who reads under an earlier one. The caller holds the owner's changes.
+    /// Brings keyring and recorder to the chain's epochs: fetches missing keys, and seals under the current epoch or
+    /// one that never reached the chain. Without the current key nothing is sealed: nobody knows who reads under an
+    /// earlier one. The caller holds the owner's changes.
     pub fn take_up_epoch(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
         if owner.is_locked() {
             return Ok(());
@@ -313,7 +265,7 @@ impl Sharing {
         Ok(())
     }
 
-    /// Whether the chain may have keys that an open profile lacks, and was not asked for them since its newest event.
+    /// Whether the chain has an event, since the last attempt, that may supply missing keys.
     pub fn has_news(&self, owner: &Owner, network: &Network) -> bool {
         if network.directory.epoch(owner.address) == 0 {
             return false;
@@ -339,7 +291,7 @@ impl Sharing {
         self.note_missing(owner, network)
     }
 
-    /// Notes what the keyring lacks now, and tells it once.
+    /// Notes what the keyring lacks now, and reports it once.
     pub(super) fn note_missing(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
         // Read before: an event that comes meanwhile is news.
         let seen = network.directory.newest();
@@ -358,7 +310,7 @@ impl Sharing {
         Ok(())
     }
 
-    /// Notes why a profile lacks newer SM2 pairs that the chain has; `None` if it has them.
+    /// `None` if the profile has the chain's SM2 pairs.
     pub fn note_pairs(&self, owner: &Owner, why: Option<String>) {
         match why {
             Some(why) => {
@@ -369,8 +321,8 @@ impl Sharing {
         }
     }
 
-    /// Whether the chain has an earlier epoch than it had before, as an older copy or a node that is behind does. A reader
-    /// revoked since may stand in it again, so nothing is wrapped for anyone until the owner has looked.
+    /// Whether the chain has an earlier epoch than before, as an older copy or a lagging node does. A reader revoked
+    /// since may be active again in it, so nothing is wrapped until the owner has looked.
     pub fn went_back(&self, owner: &Owner, network: &Network) -> bool {
         let (chain, seen) = (network.directory.epoch(owner.address), owner.confirmed_epoch(network.domain));
         if chain >= seen {
@@ -392,11 +344,42 @@ impl Sharing {
         true
     }
 
-    /// What open profiles lack, in words; `None` if they have all keys.
+    /// `None` if open profiles have all keys.
     pub fn missing_text(&self) -> Option<String> {
         let missing = self.missing();
         let mut texts: Vec<String> = missing.pairs.values().chain(missing.back.values()).cloned().collect();
         texts.extend(missing.epochs.iter().map(|(profile, lack)| lack.text(profile)));
         (!texts.is_empty()).then(|| texts.join("; "))
+    }
+}
+
+#[derive(Default)]
+pub(in crate::site) struct Missing {
+    epochs: BTreeMap<ProfileName, Lack>,
+    /// Why the chain's newer SM2 pairs are not in the keyring, or the keyring's not on the chain.
+    pairs: BTreeMap<ProfileName, String>,
+    /// The chain has an earlier epoch than before.
+    back: BTreeMap<ProfileName, String>,
+}
+
+struct Lack {
+    epochs: Vec<u64>,
+    /// The current epoch is among them: nothing is sealed then.
+    current: bool,
+    /// The chain's newest event at that time.
+    seen: u64,
+}
+
+impl Lack {
+    fn text(&self, profile: &ProfileName) -> String {
+        let named: Vec<String> = self.epochs.iter().take(MOST_NAMED).map(ToString::to_string).collect();
+        let more = if self.epochs.len() > MOST_NAMED { ", ..." } else { "" };
+        let sealed = if self.current { " and nothing new is sealed" } else { "" };
+        let rotate = if self.current { ", or seal under a new epoch with `authros keys rotate`" } else { "" };
+        format!(
+            "the keyring of '{profile}' lacks the keys of epochs {}{more}: their records cannot be opened here{sealed}; \
+             the chain does not return them to these keys, so restore a newer backup of the keyring{rotate}",
+            named.join(", ")
+        )
     }
 }

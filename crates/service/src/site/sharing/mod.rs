@@ -11,6 +11,7 @@ use crate::site::mirror::Joined;
 use crate::site::parts::Parts;
 use crate::store::Reserve;
 use crate::store::notes::{GrantedEarlier, GrantedTopic};
+use std::collections::HashSet;
 use std::sync::{Arc, Mutex};
 
 use tokio::task::block_in_place;
@@ -29,31 +30,17 @@ use crate::service::failure::{input, refused};
 use crate::service::reply::{Direction, EpochRecords, Failure, GrantRow, TransactionView};
 use crate::store::RecordRow;
 
-/// Who may read what of this home's owners.
 pub(in crate::site) struct Sharing {
-    parts: Parts,
-    contacts: Arc<Contacts>,
-    enrolments: Arc<Enrolments>,
-    joined: Arc<Joined>,
-    reserve: Arc<Reserve>,
-    missing: Mutex<epochs::Missing>,
+    pub parts: Parts,
+    pub contacts: Arc<Contacts>,
+    pub enrolments: Arc<Enrolments>,
+    pub joined: Arc<Joined>,
+    pub reserve: Arc<Reserve>,
+    pub missing: Mutex<epochs::Missing>,
 }
 
 impl Sharing {
-    /// From the shared parts.
-    pub fn new(
-        parts: &Parts,
-        contacts: &Arc<Contacts>,
-        enrolments: &Arc<Enrolments>,
-        joined: &Arc<Joined>,
-        reserve: &Arc<Reserve>,
-    ) -> Self {
-        let (parts, contacts, enrolments) = (parts.clone(), Arc::clone(contacts), Arc::clone(enrolments));
-        let (joined, reserve) = (Arc::clone(joined), Arc::clone(reserve));
-        Self { parts, contacts, enrolments, joined, reserve, missing: Mutex::default() }
-    }
-
-    /// Shares with an account: its envelope goes on the chain.
+    /// Puts the grantee's envelope on the chain.
     pub async fn grant(
         &self,
         owner: &Arc<Owner>,
@@ -67,9 +54,8 @@ impl Sharing {
         network.directory.identity(owner.address)?;
         let grantee = self.contacts.resolve(grantee)?;
         if grantee == owner.address {
-            return Err(refused(format!(
-                "{grantee} is this profile itself; it can read its own records without a grant"
-            )));
+            let text = format!("{grantee} is this profile itself; it can read its own records without a grant");
+            return Err(refused(text));
         }
         if topics.len() > MOST_TOPICS {
             return Err(input(format!("a grant can name at most {MOST_TOPICS} topics; grant fewer, or all topics")));
@@ -104,7 +90,7 @@ impl Sharing {
         let sent = self.parts.sender.send(&network.chain, &owner.eoa(), call, "authorityGrant").await;
         let sent = self.parts.log.end(owner, "grant", &grantee.to_string(), sent.map_err(Failure::from)).await;
         let (transaction, receipt) = sent?;
-        // The envelope opens for the grantee alone. Without this note the list says nothing of earlier epochs.
+        // Only the grantee can open the envelope: without this note the list cannot tell about earlier epochs.
         let note = GrantedEarlier { transaction };
         drop(self.parts.plant.ledger.notes.write(&note, &earlier));
         let notice = GrantNotice { grantee, epoch, expiry: expires.map_or(0, Timestamp::seconds), transaction };
@@ -112,18 +98,14 @@ impl Sharing {
         self.parts.link.scanned(receipt.block).await;
         self.parts.hub.changed(Part::Grants);
         let what = if names.is_empty() { "all topics".to_owned() } else { names.join(", ") };
-        Ok(TransactionView {
-            transaction: Some(transaction),
-            block: Some(receipt.block),
-            epoch,
-            text: match epochs {
-                Epochs::Current => format!("{grantee} can read {what}, {}", opens.words("")),
-                Epochs::All => format!("{grantee} can read {what}, earlier epochs included"),
-            },
-        })
+        let text = match epochs {
+            Epochs::Current => format!("{grantee} can read {what}, {}", opens.words("")),
+            Epochs::All => format!("{grantee} can read {what}, earlier epochs included"),
+        };
+        Ok(TransactionView { transaction: Some(transaction), block: Some(receipt.block), epoch, text })
     }
 
-    /// What a grant of the current epoch opens of what is sealed by now.
+    /// What a grant of the current epoch opens already.
     fn opens_already(&self, terms: &GrantTerms) -> Result<EpochRecords, Failure> {
         let topics = match &terms.scope {
             Scope::All => None,
@@ -134,7 +116,7 @@ impl Sharing {
         Ok(EpochRecords { records, since })
     }
 
-    /// Extends an active grant; its keys and the epoch stay as they are.
+    /// Extends an active grant; its keys and epoch stay.
     pub async fn extend(
         &self,
         owner: &Arc<Owner>,
@@ -163,12 +145,9 @@ impl Sharing {
         self.parts.link.scanned(receipt.block).await;
         self.parts.hub.changed(Part::Grants);
         let end = expires.map_or_else(|| "has no end".to_owned(), |expires| format!("ends at {expires}"));
-        Ok(TransactionView {
-            transaction: Some(transaction),
-            block: Some(receipt.block),
-            epoch: network.directory.epoch(owner.address),
-            text: format!("the grant to {grantee} now {end} instead of {ends}"),
-        })
+        let epoch = network.directory.epoch(owner.address);
+        let text = format!("the grant to {grantee} now {end} instead of {ends}");
+        Ok(TransactionView { transaction: Some(transaction), block: Some(receipt.block), epoch, text })
     }
 
     pub fn active_grant(&self, network: &Network, owner: Address, grantee: Address) -> Option<Granted> {
@@ -177,16 +156,14 @@ impl Sharing {
 
     /// Names are stored under their pseudonyms on the chain, so that each grant finds its own.
     fn remember_topics(&self, owner: &Owner, topics: &[String]) -> Result<(), Failure> {
-        block_in_place(|| {
-            topics.iter().try_for_each(|topic| {
-                let note = GrantedTopic { owner: owner.address, topic: owner.topic_id(topic) };
-                Ok(self.parts.plant.ledger.notes.write(&note, topic)?)
-            })
-        })
+        let keep = |topic: &String| {
+            let note = GrantedTopic { owner: owner.address, topic: owner.topic_id(topic) };
+            Ok(self.parts.plant.ledger.notes.write(&note, topic)?)
+        };
+        block_in_place(|| topics.iter().try_for_each(keep))
     }
 
-    /// The names of the topics that a scoped grant of this owner covers, in the order of its event; `None` if no name
-    /// known here matches the pseudonym on the chain.
+    /// Topic names of this owner's scoped grant, in the event's order; `None` if no known name matches.
     pub fn granted_topics(&self, owner: &Owner, ids: &[TopicId]) -> Result<Vec<Option<String>>, Failure> {
         block_in_place(|| {
             let ledger = &self.parts.plant.ledger;
@@ -200,7 +177,6 @@ impl Sharing {
         })
     }
 
-    /// Grants given and received.
     pub async fn rows(&self, owner: &Arc<Owner>) -> Result<Vec<GrantRow>, Failure> {
         let network = self.parts.link.network().await?;
         let me = owner.address;
@@ -233,7 +209,11 @@ impl Sharing {
             owner: grant.terms.owner,
             grantee: grant.terms.grantee,
             epoch: grant.terms.epoch,
-            earlier: if given { self.noted_earlier(grant)? } else { self.received_earlier(owner, network, grant) },
+            earlier: match given {
+                // `None` = given elsewhere.
+                true => self.parts.plant.ledger.notes.read(&GrantedEarlier { transaction: grant.transaction })?,
+                false => self.received_earlier(owner, network, grant),
+            },
             expires: grant.expiry(),
             topics,
             state: grant.state(network.directory.now()),
@@ -244,13 +224,7 @@ impl Sharing {
         })
     }
 
-    /// Whether a grant of this owner opens earlier epochs, as noted when it was given; `None` = it was given elsewhere.
-    fn noted_earlier(&self, grant: &Granted) -> Result<Option<bool>, Failure> {
-        let note = GrantedEarlier { transaction: grant.transaction };
-        Ok(self.parts.plant.ledger.notes.read(&note)?)
-    }
-
-    /// Whether a received grant opens epochs before its own, by the keys in its envelope; `None` = it does not open.
+    /// Whether a received grant opens earlier epochs, by its envelope; `None` = that does not open.
     fn received_earlier(&self, owner: &Owner, network: &Network, grant: &Granted) -> Option<bool> {
         let reader = Reader { plant: &self.parts.plant, network, reader: owner };
         let envelope = reader.open_envelope(grant, grant.terms.epoch).ok()?;
@@ -275,7 +249,7 @@ impl Sharing {
     }
 }
 
-/// Why a grant cannot end at the requested time; the chain's time may be ahead of this machine's clock.
+/// The chain's time may be ahead of this machine's clock.
 fn too_early(now: Timestamp) -> String {
     let ahead = now.seconds().saturating_sub(Timestamp::now().seconds());
     let why = || format!(": grants use the chain's time, which is {ahead} s ahead of this machine's clock");
@@ -287,11 +261,7 @@ fn scope(owner: &Owner, topics: &[TopicName]) -> Scope {
     if topics.is_empty() {
         return Scope::All;
     }
-    let mut ids: Vec<TopicId> = Vec::with_capacity(topics.len());
-    for id in topics.iter().map(|topic| owner.topic_id(topic.as_str())) {
-        if !ids.contains(&id) {
-            ids.push(id);
-        }
-    }
-    Scope::Topics(ids)
+    let mut known = HashSet::new();
+    let ids = topics.iter().map(|topic| owner.topic_id(topic.as_str()));
+    Scope::Topics(ids.filter(|id| known.insert(*id)).collect())
 }

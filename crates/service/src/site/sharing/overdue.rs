@@ -1,5 +1,5 @@
-//! What the chain is still owed: epochs ended by an expiry, revocations that did not reach it, envelopes that readers
-//! lack. All of it is sent again until it is on the chain.
+//! What the chain is still owed: expired epochs, unfinished revocations, missing envelopes. All of it is sent again
+//! until it is on the chain.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -12,7 +12,7 @@ use crate::chain::Call;
 use crate::failure::refused;
 use crate::gateway::RevokeNotice;
 use crate::model::{Address, ErrorKind, Timestamp};
-use crate::pipeline::directory::Granted;
+use crate::pipeline::directory::{GrantState, Granted};
 use crate::pipeline::{Network, Owner};
 use crate::reply::{Failure, TransactionView};
 use crate::store::notes::Revoking;
@@ -20,18 +20,19 @@ use crate::store::notes::Revoking;
 /// How long before an expiry the next epoch is prepared, nanoseconds.
 const FORESIGHT: u64 = 60_000_000_000;
 
-/// The longest pause between two attempts to send what the chain is owed.
 const LONGEST_REST: Duration = Duration::from_secs(8);
 
+/// Time for the watcher to see the transactions of a first attempt.
+const PATIENCE: Duration = Duration::from_secs(30);
+
 impl Sharing {
-    /// Prepares the end of the sealing epoch if a grant that covers it runs out soon, or did while nobody looked: from
-    /// that moment on records are sealed under the next epoch, whether or not the chain answers. `also` is an expiry
-    /// that is not on the chain yet.
+    /// Prepares the next epoch if a grant that covers the current one runs out soon or already did: from that moment
+    /// records are sealed under the next, even if the chain is away. `also` is an expiry not on the chain yet.
     pub fn foresee_expiry(&self, owner: &Owner, network: &Network, also: Option<Timestamp>) -> Result<(), Failure> {
         self.foresee(owner, network, also, Timestamp(network.directory.now().0 + FORESIGHT))
     }
 
-    /// The same however far away that moment is: with a locked keyring it could not be done when the time comes.
+    /// The same for any future expiry: a locked keyring could not do it in time.
     pub fn foresee_locked(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
         self.foresee(owner, network, None, Timestamp(u64::MAX))
     }
@@ -52,15 +53,14 @@ impl Sharing {
         Ok(())
     }
 
-    /// Sends what is overdue: the next epoch if a grant that covers the current one has run out or records are sealed
-    /// under the next one already, interrupted revocations, missing envelopes.
+    /// Sends what is overdue: the next epoch, interrupted revocations, missing envelopes.
     pub async fn settle_overdue(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
         if self.has_news(owner, network) {
             let _one_at_a_time = owner.changes.lock().await;
             self.take_up_epoch(owner, network)?;
         }
         self.foresee_expiry(owner, network, None)?;
-        // A robot that cannot be told keeps no revocation from the chain.
+        // A robot out of reach holds up no revocation.
         let told = block_in_place(|| self.enrolments.tell_devices(owner, network));
         self.settle_chain(owner, network).await.map_err(|failure| {
             let message =
@@ -93,16 +93,14 @@ impl Sharing {
             return Ok(false);
         }
         let sealing = owner.sealing().filter(|keys| keys.domain == network.domain);
-        let covered = |grant: &Granted| {
-            grant.state(now) == crate::pipeline::directory::GrantState::Expired && grant.is_wrapped(epoch)
-        };
+        let covered = |grant: &Granted| grant.state(now) == GrantState::Expired && grant.is_wrapped(epoch);
         let expired = network.directory.grants_of(owner.address).iter().any(covered);
         let ended = sealing.is_some_and(|keys| keys.epoch > epoch) || expired;
         Ok(ended && !self.went_back(owner, network) || !self.owed_revocations(owner, network)?.is_empty())
     }
 
-    /// Begins the next epoch: through the interrupted revocation, if there is one, because a rotation would give the
-    /// new key to the reader who is to lose access.
+    /// Begins the next epoch, through an interrupted revocation if there is one: a rotation would give the new key to
+    /// the reader being revoked.
     pub async fn next_epoch(
         &self,
         owner: &Arc<Owner>,
@@ -121,12 +119,13 @@ impl Sharing {
 
     /// Requested revocations that are not on the chain yet.
     pub fn owed_revocations(&self, owner: &Owner, network: &Network) -> Result<Vec<Address>, Failure> {
-        let mut owed = self.read_owed(owner)?;
+        let note = Revoking { owner: owner.address };
+        let mut owed = self.parts.plant.ledger.notes.read(&note)?.unwrap_or_default();
         owed.retain(|grantee| self.active_grant(network, owner.address, *grantee).is_some());
         Ok(owed)
     }
 
-    /// Notes that `grantee` is to lose the grant, whatever happens now.
+    /// Notes that `grantee` will lose the grant, whatever happens now.
     pub fn owe_revocation(&self, owner: &Owner, grantee: Address) -> Result<(), Failure> {
         self.change_owed(owner, |owed| {
             if !owed.contains(&grantee) {
@@ -135,14 +134,9 @@ impl Sharing {
         })
     }
 
-    /// The revocation is on the chain, or a new grant takes its place.
+    /// The revocation is on the chain, or a new grant replaces it.
     pub fn settle_revocation(&self, owner: &Owner, grantee: Address) -> Result<(), Failure> {
         self.change_owed(owner, |owed| owed.retain(|other| *other != grantee))
-    }
-
-    fn read_owed(&self, owner: &Owner) -> Result<Vec<Address>, Failure> {
-        let note = Revoking { owner: owner.address };
-        Ok(self.parts.plant.ledger.notes.read(&note)?.unwrap_or_default())
     }
 
     fn change_owed(&self, owner: &Owner, change: impl FnOnce(&mut Vec<Address>)) -> Result<(), Failure> {
@@ -152,25 +146,13 @@ impl Sharing {
         };
         self.parts.plant.ledger.notes.change(&Revoking { owner: owner.address }, changed)
     }
-}
 
-/// When the first of the grants that cover an epoch expires.
-pub(in crate::site) fn earliest_expiry(owner: &Owner, network: &Network, epoch: u64) -> Option<Timestamp> {
-    let grants = network.directory.grants_of(owner.address);
-    let covering = grants.iter().filter(|grant| grant.is_wrapped(epoch));
-    covering.filter_map(Granted::expiry).min()
-}
-
-impl Sharing {
-    /// Sends what the chain is owed, and after a failure again with growing pauses.
+    /// Sends what the chain is owed; retries with growing pauses.
     pub async fn keep_settled(self: Arc<Self>) {
         let mut resting: HashMap<Address, (Instant, Duration)> = HashMap::new();
-        while !self.parts.life.is_stopping() {
-            if !self.parts.life.beat(Duration::from_secs(1)).await {
-                return;
-            }
+        while self.parts.life.beat(Duration::from_secs(1)).await {
             let Some(network) = self.parts.link.network_now() else { continue };
-            // What is overdue needs keys that a locked keyring does not have; keys sealed ahead work without them.
+            // Overdue work needs keys that a locked keyring lacks; keys sealed ahead work without.
             for owner in self.parts.owners.all().into_iter().filter(|owner| !owner.is_locked()) {
                 if resting.get(&owner.address).is_some_and(|(until, _)| Instant::now() < *until) {
                     continue;
@@ -186,12 +168,7 @@ impl Sharing {
             }
         }
     }
-}
 
-/// How long the watcher may take to see the transactions of a first attempt.
-const PATIENCE: Duration = Duration::from_secs(30);
-
-impl Sharing {
     /// Stops sharing with an account. What it has read cannot be recalled.
     pub async fn revoke(&self, owner: &Arc<Owner>, grantee: Address) -> Result<TransactionView, Failure> {
         let network = self.parts.link.network().await?;
@@ -211,9 +188,9 @@ impl Sharing {
             return Err(failure);
         }
         let _space_is_for_this = self.parts.plant.ledger.records.hold();
-        self.parts.hub.alarm(
-            "the disk is full: the reserved space was used for a revoke; free some space, records wait in memory",
-        );
+        let text =
+            "the disk is full: the reserved space was used for a revoke; free some space, records wait in memory";
+        self.parts.hub.alarm(text);
         self.revoke_again(owner, &network, grantee).await
     }
 
@@ -238,7 +215,7 @@ impl Sharing {
         Ok(told(grantee, view))
     }
 
-    /// Resumes what is left of an attempt that the full disk interrupted at any point.
+    /// Resumes an attempt that a full disk interrupted at any point.
     async fn revoke_again(
         &self,
         owner: &Arc<Owner>,
@@ -258,6 +235,13 @@ impl Sharing {
         let view = TransactionView { transaction: None, block: None, epoch, text: String::new() };
         Ok(told(grantee, view))
     }
+}
+
+/// First expiry of the grants that cover an epoch.
+pub(in crate::site) fn earliest_expiry(owner: &Owner, network: &Network, epoch: u64) -> Option<Timestamp> {
+    let grants = network.directory.grants_of(owner.address);
+    let covering = grants.iter().filter(|grant| grant.is_wrapped(epoch));
+    covering.filter_map(Granted::expiry).min()
 }
 
 fn told(grantee: Address, view: TransactionView) -> TransactionView {

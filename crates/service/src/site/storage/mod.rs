@@ -1,4 +1,4 @@
-//! Data on the disk: space for it, how long it is kept, and whether it is intact after a crash.
+//! Data on the disk: space for it, retention, and integrity after a crash.
 
 mod retention;
 
@@ -19,7 +19,19 @@ use crate::store::files::free_bytes;
 use crate::store::notes::StoreWasGone;
 use crate::store::{Ledger, Reserve, StoreError};
 
-/// The disk under a site.
+/// Shortest and longest interval between looks at the disk.
+const LOOKS: (Duration, Duration) = (Duration::from_millis(250), Duration::from_secs(2));
+/// Assumed fastest fill rate of a disk, bytes a second.
+const FASTEST: u64 = 1 << 30;
+/// Bytes set aside for states; each takes a few hundred.
+const MOST_FOR_STATES: u64 = 4 << 20;
+/// With less free space, what is set aside is released.
+const LAST: u64 = 512 << 10;
+/// Records re-read from the store: a crash can only have touched what was written last.
+const NEWEST: usize = 256;
+/// Time for the process that started the site to listen.
+const LISTENING: Duration = Duration::from_millis(500);
+
 pub(in crate::site) struct Storage {
     parts: Parts,
     /// Space for the states of records on a full disk.
@@ -27,14 +39,13 @@ pub(in crate::site) struct Storage {
     reading: Arc<Reading>,
     /// Records are named one caller at a time.
     naming: tokio::sync::Mutex<()>,
-    /// Whether named ciphertext may be left to delete.
+    /// Named ciphertext may be left to delete.
     has_named: AtomicBool,
-    /// How often owners elsewhere had something named, as of the last look; and how much of it incidents hold here.
+    /// Erasures named by owners elsewhere, and how many of those incidents hold, as of the last look.
     seen: (AtomicU64, AtomicU64),
 }
 
 impl Storage {
-    /// From the shared parts.
     pub fn new(parts: &Parts, reading: &Arc<Reading>) -> Self {
         Self {
             parts: parts.clone(),
@@ -45,66 +56,12 @@ impl Storage {
             seen: (AtomicU64::new(0), AtomicU64::new(0)),
         }
     }
-}
 
-/// Interval between looks at the disk: the shortest and the longest.
-const LOOKS: (Duration, Duration) = (Duration::from_millis(250), Duration::from_secs(2));
-/// The fastest rate at which a disk is assumed to fill up, bytes a second.
-const FASTEST: u64 = 1 << 30;
-/// The most bytes set aside for states; each takes a few hundred.
-const MOST_FOR_STATES: u64 = 4 << 20;
-/// With less free space than this, what is set aside is released.
-const LAST: u64 = 512 << 10;
-
-/// The ledger of a home; on a full disk the space set aside for the states of its records is released for it. The
-/// second value says whether the home is a copy.
-pub(in crate::site) fn open_ledger(home: &Home) -> Result<(Ledger, bool), StoreError> {
-    if home.original().is_some() {
-        // Nothing is recorded in it, so it needs no recorder of its own.
-        return Ok((Ledger::open(&home.ledger())?, false));
-    }
-    let missed = misses_store(home);
-    let opened = match Ledger::open_in_place(&home.ledger()) {
-        Err(StoreError::DiskFull { .. }) if std::fs::remove_file(home.working_reserve()).is_ok() => {
-            Ledger::open_in_place(&home.ledger())
-        }
-        opened => opened,
-    }?;
-    if missed {
-        opened.0.notes.write(&StoreWasGone {}, &Timestamp::now())?;
-    }
-    Ok(opened)
-}
-
-/// Whether a home without a store has keys or an embedded chain, so that it had one.
-pub(crate) fn misses_store(home: &Home) -> bool {
-    !home.ledger().exists() && (home.chain().join("chain.db").exists() || !home.profiles().is_empty())
-}
-
-/// What is wrong with a store that began in the place of one that was gone, until it is bound to a contract.
-pub(crate) fn store_loss(home: &Home, missed: Timestamp) -> String {
-    format!("{} was gone at {missed}, and its records with it", home.ledger().display())
-}
-
-/// What to do where the store is gone.
-pub(crate) const STORE_LOST: &str =
-    "restore the last backup: authros restore FILE; without one, name the contract with --contract";
-
-/// Sets space aside for the states of records, never so much that the rest is less than the reserve itself.
-pub(in crate::site) fn working_reserve(home: &Home, reserve: u64) -> Reserve {
-    // If there is no space now, it is tried again when there is.
-    Reserve::open(&home.working_reserve(), reserve.min(MOST_FOR_STATES)).0
-}
-
-impl Storage {
-    /// Watches the free space on the disk, and whether the cache is away, until the site ends.
+    /// Watches the free space on the disk, and the cache.
     pub async fn keep_room(self: Arc<Self>) {
         let (mut held, mut pause, mut away) = (None, LOOKS.0, None);
         let reserve = self.parts.config.disk_reserve;
-        while !self.parts.life.is_stopping() {
-            if !self.parts.life.beat(pause).await {
-                return;
-            }
+        while self.parts.life.beat(pause).await {
             let now_away = self.parts.plant.ciphertext.cache().and_then(|cache| cache.away).map(|away| away.since);
             if std::mem::replace(&mut away, now_away) != now_away {
                 self.parts.hub.changed(Part::Health);
@@ -119,7 +76,7 @@ impl Storage {
                 // Removing a file takes no space.
                 drop(block_in_place(|| self.states.release()));
             }
-            // Somewhat more than the reserve, so that it does not flutter.
+            // More than the reserve, so that it does not flutter.
             if free >= reserve.saturating_add(reserve / 4) {
                 if held.take().is_some() {
                     self.tell_room(NoticeLevel::Info, "there is disk space again: records are accepted again");
@@ -147,7 +104,7 @@ impl Storage {
         )
     }
 
-    /// What is wrong with the store: it refuses records, or began in the place of one that was gone.
+    /// The store refuses records, or replaced a lost one.
     pub fn fault(&self) -> Result<Option<String>, Failure> {
         if self.parts.plant.ledger.records.takes_records().is_err() {
             return Ok(Some(self.full_text(free_bytes(self.parts.home.root()).unwrap_or(0))));
@@ -157,16 +114,7 @@ impl Storage {
         let unbound = missed.is_some() && network_pin(&ledger.rights)?.is_none();
         Ok(missed.filter(|_| unbound).map(|missed| format!("{}; {STORE_LOST}", store_loss(&self.parts.home, missed))))
     }
-}
 
-/// Records re-read from the store; a crash can only have touched what was written last.
-const NEWEST: usize = 256;
-
-/// How long the process that started the site may take to listen.
-const LISTENING: Duration = Duration::from_millis(500);
-
-impl Storage {
-    /// This home is a copy of another one.
     pub async fn tell_of_copy(self: Arc<Self>) {
         let text = "this home is a copy: its ledger is not the file it was when last used. New records are numbered \
                     under a new recorder; do not run it at the same time as the original";
@@ -198,6 +146,44 @@ impl Storage {
             }
         }
     }
+}
+
+/// The ledger of a home, if need be with the space set aside for states. The second value: the home is a copy.
+pub(in crate::site) fn open_ledger(home: &Home) -> Result<(Ledger, bool), StoreError> {
+    if home.original().is_some() {
+        // A read-only home records nothing, so it needs no recorder of its own.
+        return Ok((Ledger::open(&home.ledger())?, false));
+    }
+    let missed = misses_store(home);
+    let opened = match Ledger::open_in_place(&home.ledger()) {
+        Err(StoreError::DiskFull { .. }) if std::fs::remove_file(home.working_reserve()).is_ok() => {
+            Ledger::open_in_place(&home.ledger())
+        }
+        opened => opened,
+    }?;
+    if missed {
+        opened.0.notes.write(&StoreWasGone {}, &Timestamp::now())?;
+    }
+    Ok(opened)
+}
+
+/// Whether a home without a store must have had one: it has keys or an embedded chain.
+pub(crate) fn misses_store(home: &Home) -> bool {
+    !home.ledger().exists() && (home.chain().join("chain.db").exists() || !home.profiles().is_empty())
+}
+
+/// What is wrong with a store that replaced a lost one, until it is bound to a contract.
+pub(crate) fn store_loss(home: &Home, missed: Timestamp) -> String {
+    format!("{} was gone at {missed}, and its records with it", home.ledger().display())
+}
+
+pub(crate) const STORE_LOST: &str =
+    "restore the last backup: authros restore FILE; without one, name the contract with --contract";
+
+/// Sets space aside for states, never leaving less than the reserve itself.
+pub(in crate::site) fn working_reserve(home: &Home, reserve: u64) -> Reserve {
+    // Without space now, it is tried again later.
+    Reserve::open(&home.working_reserve(), reserve.min(MOST_FOR_STATES)).0
 }
 
 fn contradictions(plant: &Plant) -> Result<Vec<String>, Failure> {

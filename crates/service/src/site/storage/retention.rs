@@ -1,5 +1,4 @@
-//! Retention and erasing at work: rules applied, deletions written into the audit log, local copies beside a cache
-//! deleted.
+//! Retention and erasing: rules applied, deletions audited, local copies beside a cache deleted.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -21,18 +20,19 @@ use crate::site::recordings::RECORDING;
 use crate::store::{Erasure, IncidentRow, RecordQuery, RecordRow};
 
 const LOOK: Duration = Duration::from_secs(1);
-/// Looks after which names are learned anew: what robots bring arrives without those that rules are about.
+/// Looks between learning names: robots' records arrive without the names that rules use.
 const LEARN: u32 = 10;
 
+const MOST: usize = 100_000;
+const PAGE: usize = 10_000;
+/// Interval of the checks whether the bytes are gone, and their number.
+const ERASING_LOOK: (Duration, u32) = (Duration::from_millis(500), 240);
+
 impl Storage {
-    /// Applies the rules until the site ends.
     pub async fn keep_retention(self: Arc<Self>) {
         let keeping = self.parts.config.keeping();
         let (mut rules, mut looks) = (Retention::new(keeping.clone()), 0u32);
-        while !self.parts.life.is_stopping() {
-            if !self.parts.life.beat(LOOK).await {
-                return;
-            }
+        while self.parts.life.beat(LOOK).await {
             let learns = !keeping.is_empty() && looks.is_multiple_of(LEARN);
             looks = looks.wrapping_add(1);
             for owner in self.parts.owners.all() {
@@ -59,7 +59,7 @@ impl Storage {
         }
     }
 
-    /// Without rules only what a person had erased is left to delete, and mostly there is nothing.
+    /// Without rules only erased records are left to delete, and mostly there are none.
     async fn sweep(&self, owner: &Arc<Owner>) -> Result<(), Failure> {
         if !self.has_named.load(Ordering::Acquire) {
             return Ok(());
@@ -70,7 +70,7 @@ impl Storage {
         self.tell(owner, &Round { deleted, ..Round::default() }).await
     }
 
-    /// What owners whose homes join this gateway had erased, whichever profile is open here.
+    /// Erasures by owners whose homes join this gateway, whichever profile is open here.
     async fn sweep_told(&self) -> Result<(), Failure> {
         let named = self.parts.plant.ledger.erasures.named_elsewhere();
         if self.seen.0.swap(named, Ordering::AcqRel) != named {
@@ -116,24 +116,7 @@ impl Storage {
         }
         Ok(())
     }
-}
 
-/// The most records of one erasure.
-const MOST: usize = 100_000;
-/// Records of one page.
-const PAGE: usize = 10_000;
-/// How often to check whether the bytes are gone, and how many times.
-const ERASING_LOOK: (Duration, u32) = (Duration::from_millis(500), 240);
-
-/// What erasing does not reach, said each time.
-const STAYS: [&str; 4] = [
-    "copies that readers have fetched",
-    "backups, exports and evidence bundles made before",
-    "a robot's own disk, until its copies leave by outbox.keep or fall out of its ring",
-    "the files of a Redis cache, until its server rewrites them, and what a disk keeps of overwritten blocks",
-];
-
-impl Storage {
     /// Shows what would be erased, or erases it.
     pub async fn erase(&self, owner: &Arc<Owner>, wishes: ErasureWishes) -> Result<ErasureView, Failure> {
         let reason = clean(wishes.reason.trim(), LONGEST_REASON);
@@ -177,7 +160,7 @@ impl Storage {
         Ok(named?)
     }
 
-    /// Waits for a while until what was named of these is deleted; returns whether something is left.
+    /// Waits a while for the deletion; returns whether something is left.
     async fn wait_for_erasing(&self, mut digests: Vec<Digest>) -> Result<bool, Failure> {
         for _ in 0..ERASING_LOOK.1 {
             while let Some(last) = digests.last() {
@@ -198,7 +181,14 @@ impl Storage {
     }
 }
 
-/// The chosen records of an owner.
+/// Said with every erasure.
+const STAYS: [&str; 4] = [
+    "copies that readers have fetched",
+    "backups, exports and evidence bundles made before",
+    "a robot's own disk, until its copies leave by outbox.keep or fall out of its ring",
+    "the files of a Redis cache, until its server rewrites them, and what a disk keeps of overwritten blocks",
+];
+
 fn chosen(reader: &Reader<'_>, wishes: &ErasureWishes) -> Result<Vec<RecordRow>, Failure> {
     let (ledger, owner) = (&reader.plant.ledger, reader.reader.address);
     let mut rows = Vec::new();
@@ -215,7 +205,7 @@ fn chosen(reader: &Reader<'_>, wishes: &ErasureWishes) -> Result<Vec<RecordRow>,
     if wishes.topic.is_none() && wishes.recording.is_none() {
         return Err(input("choose what to erase: --topic or --recording, with --since and --until, or --record"));
     }
-    // A recording is its messages and what it holds beside them; a topic has nothing beside its messages.
+    // A recording includes its attachments; a topic has none.
     let kinds = [RecordKind::Data, RecordKind::Attachment];
     for kind in kinds.into_iter().filter(|kind| wishes.topic.is_none() || *kind == RecordKind::Data) {
         rows.extend(chosen_of(reader, wishes, kind)?);
@@ -230,7 +220,6 @@ fn too_many() -> Failure {
     input(format!("these are more than {MOST} records; choose a shorter span and repeat it"))
 }
 
-/// The chosen records of a kind, by topic or recording.
 fn chosen_of(reader: &Reader<'_>, wishes: &ErasureWishes, kind: RecordKind) -> Result<Vec<RecordRow>, Failure> {
     let mut rows = Vec::new();
     let query = RecordQuery {
@@ -256,7 +245,7 @@ fn chosen_of(reader: &Reader<'_>, wishes: &ErasureWishes, kind: RecordKind) -> R
     Ok(rows)
 }
 
-/// Whether an import of a recording sealed it, as its sealed tags say. What is gone already cannot be opened.
+/// Whether an import of a recording sealed it, by its sealed tags. Deleted records cannot be opened.
 fn is_imported(reader: &Reader<'_>, row: &RecordRow, recording: &str) -> Result<bool, Failure> {
     let opened = reader.own_contents(row)?;
     Ok(opened.is_some_and(|opened| {
@@ -285,7 +274,7 @@ fn planned(rows: &[RecordRow], incidents: &[IncidentRow]) -> (ErasureView, Vec<R
     (view, erasable)
 }
 
-/// Quarantined, discarded or altered: decided about elsewhere.
+/// Quarantined, discarded or altered: decided elsewhere.
 fn is_other(row: &RecordRow) -> bool {
     row.deleted_at.is_none() && !row.state.is_pending() && row.state != RecordState::Verified
 }

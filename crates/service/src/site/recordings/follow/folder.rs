@@ -1,5 +1,5 @@
-//! What is in a followed folder, in the order of recording, and whether a recorder is done with a file. A database is opened only
-//! then: a second process that opens it while it is recorded can end its recorder (rosbag2 #602, #1140).
+//! The recordings of a followed folder, in order, and whether a recorder is done with one. A database is opened only
+//! then: a second process that opens it can kill its recorder (rosbag2 #602, #1140).
 
 use std::cmp::Ordering;
 use std::fs;
@@ -10,41 +10,34 @@ use std::time::{Duration, Instant};
 
 use crate::ros::rosbag2::{ATTACHED, METADATA, has_journal};
 
-/// The most entries that are looked at.
 const MOST_ENTRIES: usize = 16 * 1024;
 
-/// How deep folders in the folder are looked into: a recorder makes one for each recording.
+/// Depth of folders searched: a recorder makes one for each recording.
 const DEEPEST: usize = 2;
 
-/// What was found of the folder.
 pub(super) enum Look {
-    /// It is not there yet.
     NotYet,
-    /// It was there, and is no more, or another one is in its place.
+    /// Gone after it was there, or replaced.
     Gone,
-    /// It cannot be read now.
     Unreadable(String),
     Files(Found),
 }
 
-/// What is in a folder.
 #[derive(Default)]
 pub(super) struct Found {
-    /// MCAP files and databases, in the order of recording.
     pub files: Vec<PathBuf>,
-    /// Databases that the recorder compressed as a whole when it closed them.
+    /// Databases that the recorder compressed as a whole on closing.
     pub packed: Vec<PathBuf>,
     entries: usize,
 }
 
-/// A folder, known by its place on the disk once it was there.
+/// Identified by its place on the disk once it was there.
 pub(super) struct Folder {
     pub path: PathBuf,
     seen: Option<(u64, u64)>,
 }
 
 impl Folder {
-    /// One that need not be there yet.
     pub fn new(path: PathBuf) -> Self {
         Self { path, seen: None }
     }
@@ -78,7 +71,7 @@ fn gather(folder: &Path, deeper: usize, found: &mut Found) -> std::io::Result<()
         if found.entries > MOST_ENTRIES {
             return Err(std::io::Error::other(format!("it has more than {MOST_ENTRIES} entries")));
         }
-        // A file that vanishes meanwhile is searched for again in the next round.
+        // A file that vanishes meanwhile is found in the next round.
         let Ok(kind) = entry.file_type() else { continue };
         let path = entry.path();
         if kind.is_dir() && deeper > 0 {
@@ -97,22 +90,21 @@ fn is_recording(name: &str) -> bool {
     is_one && !name.ends_with(ATTACHED) && !name.starts_with('.')
 }
 
-/// Whether a file is a database of rosbag2 by its name.
+/// By its name.
 pub(super) fn is_database(path: &Path) -> bool {
     path.extension().is_some_and(|end| end == "db3")
 }
 
-/// In the order of recording.
 pub(super) fn sort(paths: &mut [PathBuf]) {
     paths.sort_by(|one, other| in_order(&one.to_string_lossy(), &other.to_string_lossy()));
 }
 
-/// Compares names so that numbers in them count as numbers: `run_9` is before `run_10`.
+/// Numbers in names count as numbers: `run_9` is before `run_10`.
 pub(super) fn in_order(one: &str, other: &str) -> Ordering {
     parts(one).cmp(&parts(other)).then_with(|| one.cmp(other))
 }
 
-/// Text and the number behind it, without its zeros in front, by length and then by digits.
+/// Text and the number after it, without leading zeros, by length and then by digits.
 fn parts(name: &str) -> Vec<(&str, usize, &str)> {
     let (mut rest, mut parts) = (name, Vec::new());
     while !rest.is_empty() {
@@ -127,17 +119,17 @@ fn parts(name: &str) -> Vec<(&str, usize, &str)> {
     parts
 }
 
-/// Unchanged for so long, a file that nobody is seen to write is no longer written.
+/// Without changes and a visible writer for this long, a file is no longer written.
 pub(super) const QUIET: Duration = Duration::from_secs(10);
 
-/// Unchanged for so long, a database that a later file or the description follows is closed if nobody has it open: a recorder
-/// opens the next file before it closes the former.
+/// The same for a database with a later file or a description: a recorder opens the next file before it closes the
+/// former.
 const SETTLED: Duration = Duration::from_secs(1);
 
-/// The most of a description that is looked at, bytes.
+/// Bytes of a description that are searched.
 const LONGEST_DESCRIPTION: u64 = 4 << 20;
 
-/// Whether rosbag2 has closed the recording that a file is of, or a later file of it is there.
+/// Whether rosbag2 has closed the file's recording, or a later file of it exists.
 pub(super) fn is_followed_by(path: &Path, files: &[PathBuf]) -> bool {
     has_description(path) || has_later(path, files)
 }
@@ -151,12 +143,11 @@ fn has_later(path: &Path, files: &[PathBuf]) -> bool {
     files.iter().any(is_later)
 }
 
-/// Whether the description that rosbag2 writes last is beside a file.
+/// rosbag2 writes the description last.
 pub(super) fn has_description(path: &Path) -> bool {
     path.parent().is_some_and(|folder| folder.join(METADATA).exists())
 }
 
-/// Whether that description names the file.
 fn is_described(path: &Path) -> bool {
     let (Some(folder), Some(name)) = (path.parent(), path.file_name()) else { return false };
     let Ok(file) = fs::File::open(folder.join(METADATA)) else { return false };
@@ -164,13 +155,12 @@ fn is_described(path: &Path) -> bool {
     file.take(LONGEST_DESCRIPTION).read_to_string(&mut text).is_ok() && text.contains(&*name.to_string_lossy())
 }
 
-/// Who writes a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Writers {
     /// A process has it open for writing.
     Seen,
     Nobody,
-    /// None that may be looked at.
+    /// Some processes may not be examined.
     Unknown,
 }
 
@@ -199,7 +189,7 @@ fn writers(device: u64, inode: u64) -> Writers {
     found
 }
 
-/// Whether a process that may be looked at has the file open for writing.
+/// Whether a process that may be examined has the file open for writing.
 pub(super) fn has_writer(device: u64, inode: u64) -> bool {
     writers(device, inode) == Writers::Seen
 }
@@ -208,16 +198,16 @@ fn is_for_writing(about: &Path) -> bool {
     let text = fs::read_to_string(about).unwrap_or_default();
     let flags = text.lines().find_map(|line| line.strip_prefix("flags:"));
     let flags = flags.and_then(|flags| u32::from_str_radix(flags.trim(), 8).ok());
-    // The way of access is in the lowest two bits; 0 is reading.
+    // The access mode is in the lowest two bits; 0 is reading.
     flags.is_some_and(|flags| flags & 0b11 != 0)
 }
 
-/// Length and time of change, by which is seen that a file was written.
+/// Length and time of change, which show that a file was written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Stamp(u64, i64, i64);
 
 impl Stamp {
-    /// Of a file; `None` if it is not there.
+    /// `None` if it does not exist.
     pub fn of(path: &Path) -> Option<Self> {
         fs::metadata(path).ok().as_ref().map(Self::from)
     }
@@ -229,7 +219,6 @@ impl From<&fs::Metadata> for Stamp {
     }
 }
 
-/// A database whose end is waited for.
 #[derive(Debug)]
 pub(super) struct Waiting {
     stamp: Option<Stamp>,
@@ -245,7 +234,7 @@ impl Default for Waiting {
 }
 
 impl Waiting {
-    /// Looks at the file, without opening it, whether its recorder is done with it.
+    /// Checks, without opening the file, whether its recorder is done with it.
     pub fn is_over(&mut self, path: &Path, files: &[PathBuf]) -> bool {
         let Ok(found) = fs::metadata(path) else { return false };
         let stamp = Some(Stamp::from(&found));

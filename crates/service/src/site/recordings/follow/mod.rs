@@ -1,8 +1,6 @@
-//! A folder whose recordings are sealed while a recorder writes them (decision 090).
-//!
-//! Files are only read. The ledger keeps how far each is sealed, before and after the records of a round: a crash
-//! between leaves a few messages in doubt, which are looked for among the records. A file that has ended is stated: its
-//! length and digests become a record, and the bundle of that record, opened, is written beside the file.
+//! A folder whose recordings are sealed while a recorder writes them (decision 090). Files are only read. The ledger
+//! keeps how far each is sealed, before and after the records of a round: after a crash, the messages in doubt are
+//! searched among the records.
 
 mod folder;
 mod place;
@@ -36,13 +34,11 @@ use crate::site::blocking;
 use crate::store::Notes;
 use crate::store::notes::{FilePlace, FileStanding};
 
-/// Between two looks at the folder.
 const LOOK: Duration = Duration::from_millis(250);
 
-/// Between two looks whether proofs can be written.
 const PROVING: Duration = Duration::from_millis(500);
 
-/// What the tag of a file's records says if it was followed, to its end or not; `None` if it was not.
+/// The tag of a file's records if it was followed.
 pub(super) fn followed_as(notes: &Notes, owner: Address, path: &Path) -> Result<Option<String>, Failure> {
     let file = File::open(path).map_err(|error| input(format!("{} cannot be read: {error}", path.display())))?;
     Ok(match place::known(notes, owner, &file, true)? {
@@ -60,7 +56,7 @@ struct Follower<'a> {
     network: &'a Network,
     wishes: &'a FollowWishes,
     control: &'a CaptureSession,
-    /// Takes the proofs that are to be written.
+    /// Takes the proofs to be written.
     due: mpsc::UnboundedSender<Due>,
 }
 
@@ -78,7 +74,6 @@ impl<'a> Follower<'a> {
         Importer::new(&self.recordings.rings, author, rules, tags).unfollowed()
     }
 
-    /// The name of a file in the folder.
     fn name_of(&self, path: &Path) -> String {
         clean(&path.strip_prefix(&self.wishes.folder).unwrap_or(path).display().to_string(), 300)
     }
@@ -87,26 +82,25 @@ impl<'a> Follower<'a> {
         self.recordings.parts.hub.notice(level, text);
     }
 
-    /// Says of a file, by its name, what is not well.
+    /// Reports a problem with a file.
     fn warn(&self, name: &str, text: &str) {
         self.tell(NoticeLevel::Warning, &format!("{name}: {text}"));
     }
 }
 
-/// What is known of a path.
 enum Entry<'a> {
     /// A database that its recorder may still write, or a file that an import seals now.
     Waiting(Waiting),
     Open(Box<Tape<'a>>),
-    /// Another name of a file that is followed.
+    /// Another name of a followed file.
     Same,
     Ended(Box<Ended>),
 }
 
-/// A file that was sealed to its end, or that cannot be followed.
+/// A file sealed to its end, or one that cannot be followed.
 struct Ended {
     file: FollowedFile,
-    /// How far it is sealed, where that is to its end.
+    /// If it is sealed to its end.
     place: Option<FilePlace>,
     stamp: Option<Stamp>,
 }
@@ -118,7 +112,7 @@ impl Entry<'_> {
 }
 
 impl Ended {
-    /// Looks whether it was written since, and then whether it is still what was sealed; what to say if not.
+    /// Checks whether it was written since, and still is what was sealed; what to say if not.
     fn look(&mut self, path: &Path) -> Option<String> {
         let place = self.place.as_ref().filter(|_| !self.file.is_altered)?;
         let stamp = Stamp::of(path).filter(|stamp| self.stamp != Some(*stamp))?;
@@ -136,7 +130,7 @@ impl Ended {
 }
 
 impl Recordings {
-    /// Seals what is recorded into a folder, until it is closed, this is ended, or the client has gone.
+    /// Seals what is recorded into a folder, until it is closed, this is stopped, or the client has gone.
     pub async fn follow(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -161,7 +155,7 @@ impl Recordings {
         })?;
         self.parts.log.begin(owner, "follow recordings", &shown).await?;
         let running = self.begin_run(&owner.profile, &folder, "following");
-        // Ends as a capture is ended: by the same command.
+        // Ends like a capture: by the same command.
         let control = Arc::new(CaptureSession::new(&[], None, Vec::new()));
         self.capture.note(&owner.profile, &control);
         let followed = self.follow_and_prove(owner, network, wishes, (&running.run, &control), gone).await;
@@ -220,7 +214,7 @@ fn with_proofs(mut view: FollowView, waiting: &[Due], proven: &mut BTreeMap<Stri
     view
 }
 
-/// A path without links, as far as it is there.
+/// A path without links, as far as it exists.
 fn resolved(path: &Path) -> Result<PathBuf, Failure> {
     let failed = |error: std::io::Error| input(format!("{} cannot be followed: {error}", path.display()));
     if path.is_file() {
@@ -290,7 +284,7 @@ fn follow_folder(follower: &Follower<'_>, run: &Run) -> FollowView {
     view
 }
 
-/// A recorder that compresses whole files takes a database away as soon as it is closed.
+/// A recorder that compresses whole files removes a database as soon as it is closed.
 fn tell_packed(follower: &Follower<'_>, path: &Path, entries: &BTreeMap<PathBuf, Entry<'_>>) {
     if matches!(entries.get(&path.with_extension("")), None | Some(Entry::Waiting(_))) {
         let name = follower.name_of(path);
@@ -301,7 +295,7 @@ fn tell_packed(follower: &Follower<'_>, path: &Path, entries: &BTreeMap<PathBuf,
     }
 }
 
-/// Opens what is new; `true` if something was.
+/// Opens a new file; returns whether it did.
 fn open<'a>(
     follower: &'a Follower<'a>,
     path: &Path,
@@ -346,14 +340,13 @@ fn open<'a>(
     is_met
 }
 
-/// The files in the order in which they were recorded.
 fn in_recorded_order(entries: &BTreeMap<PathBuf, Entry<'_>>) -> Vec<PathBuf> {
     let mut paths: Vec<PathBuf> = entries.keys().cloned().collect();
     folder::sort(&mut paths);
     paths
 }
 
-/// One round of all open files; whether any moved. A failure is told, and tried again.
+/// One round of all open files; returns whether any moved. A failure is reported and retried.
 fn go_round(follower: &Follower<'_>, files: &[PathBuf], entries: &mut BTreeMap<PathBuf, Entry<'_>>) -> bool {
     let mut moved = false;
     for path in in_recorded_order(entries) {

@@ -1,5 +1,5 @@
-//! How far a file of a followed folder is sealed, kept in the home's ledger; and its digests so far: of all that was read, and of
-//! each of its chunks.
+//! How far a followed file is sealed, kept in the home's ledger, with the digests of all that was read and of each
+//! chunk.
 
 use std::collections::VecDeque;
 use std::fs::File;
@@ -19,13 +19,12 @@ use crate::service::reply::Failure;
 use crate::store::Notes;
 use crate::store::notes::{FilePlace, FileStanding, Followed, SealedUnderName};
 
-/// A file is recognised by this many bytes at its beginning. A recorder's first chunk, with its times, begins within them.
+/// Bytes that identify a file. A recorder's first chunk, with its times, begins within them.
 const LEAD: usize = 1024;
 
-/// The most files that one place on the disk was used for, of which all began alike.
+/// Most files with the same beginning that used one place on the disk.
 const MOST_AGAIN: u32 = 64;
 
-/// What there is to say of a file that is no longer what was sealed to its end.
 pub(super) fn changed(place: &FilePlace, name: &str) -> String {
     let (name, messages) = (clean(name, 80), place.stored.saturating_sub(1));
     let when = place.ended_at.map(|time| format!(" at {time}")).unwrap_or_default();
@@ -36,27 +35,23 @@ pub(super) fn changed(place: &FilePlace, name: &str) -> String {
     )
 }
 
-/// The key of a file in the ledger, and the tag of its records.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub(super) struct FileKey {
     pub note: Followed,
     pub tag: String,
 }
 
-/// By its inode and its first bytes. The number of its device is not in it: the same disk may have another one after
-/// the machine was started again.
+/// By inode and first bytes. Not by device number, which may change with a restart of the machine.
 fn key_of(owner: Address, inode: u64, lead: &[u8], again: u32) -> FileKey {
     let file = Digest(sm3(&[&inode.to_be_bytes(), &again.to_be_bytes(), lead]));
     FileKey { note: Followed { owner, file }, tag: file.to_hex().chars().take(16).collect() }
 }
 
-/// What is known of a file that is there.
 pub(super) enum Known {
-    /// It is too short to be told from others, and may grow.
+    /// Too short to be identified; may grow.
     TooShort,
-    /// It is new, or goes on where it was; with the last of those that began alike and were here before.
+    /// New, or resumed; with the last of those that began alike and were here before.
     Here(FileKey, Box<FilePlace>, Option<Box<(FileKey, FilePlace)>>),
-    /// It is shorter than what was sealed of it so far.
     Shrank(Box<FilePlace>),
 }
 
@@ -67,7 +62,6 @@ fn is_closed(file: &File, length: u64) -> bool {
     at.is_some_and(|at| file.read_exact_at(&mut end, at).is_ok()) && end == *MAGIC
 }
 
-/// Finds a file's place.
 pub(super) fn known(notes: &Notes, owner: Address, file: &File, is_whole: bool) -> Result<Known, Failure> {
     let unreadable = |error: std::io::Error| internal(format!("it cannot be read: {error}"));
     let metadata = file.metadata().map_err(unreadable)?;
@@ -82,7 +76,7 @@ pub(super) fn known(notes: &Notes, owner: Address, file: &File, is_whole: bool) 
         let Some(place) = notes.read(&key.note)? else {
             return Ok(Known::Here(key, Box::default(), former));
         };
-        // What was sealed to its end does not go on.
+        // A file sealed to its end does not go on.
         let is_over = place.standing != FileStanding::Open;
         if is_over && metadata.len() != place.at {
             former = Some(Box::new((key, place)));
@@ -110,42 +104,31 @@ pub(super) fn put_name(notes: &Notes, owner: Address, path: &Path, key: &FileKey
     Ok(notes.write(&name_of(owner, path), &key.note.file)?)
 }
 
-/// The file that was sealed to its end under a name.
+/// The file sealed to its end under a name.
 pub(super) fn sealed_at(notes: &Notes, owner: Address, path: &Path) -> Result<Option<FilePlace>, Failure> {
     let Some(file) = notes.read(&name_of(owner, path))? else { return Ok(None) };
     Ok(notes.read(&Followed { owner, file })?)
 }
 
-/// Bytes read at a time.
 const BLOCK: usize = 256 * 1024;
 
-/// A file hashed up to a place. Where a read fails it goes on from there.
+/// A file hashed up to a place, which resumes there after a failed read.
 #[derive(Default)]
 pub(super) struct Hashed {
     whole: Sm3Hasher,
-    at: u64,
+    pub at: u64,
     spans: VecDeque<Range<u64>>,
     chunk: Sm3Hasher,
-    chunks: Vec<RecordedChunk>,
+    pub chunks: Vec<RecordedChunk>,
     buffer: Vec<u8>,
 }
 
 impl Hashed {
-    /// Bytes hashed so far.
-    pub fn at(&self) -> u64 {
-        self.at
-    }
-
     pub fn digest(&self) -> Digest {
         Digest(self.whole.clone().finish())
     }
 
-    /// The chunks among them.
-    pub fn chunks(&self) -> &[RecordedChunk] {
-        &self.chunks
-    }
-
-    /// Hashes on to a place; `spans` are the chunks that end before it and were not told before, in file order.
+    /// `spans`: new chunks that end before `to`, in file order.
     pub fn advance(&mut self, file: &File, to: u64, spans: Vec<Range<u64>>) -> std::io::Result<()> {
         self.spans.extend(spans);
         while let Some(span) = self.spans.front().cloned() {
@@ -311,7 +294,7 @@ mod tests {
         assert_eq!(hashed.digest(), Digest(sm3(&[&bytes[..700_000]])));
         hashed.advance(&file, 1_000_000, std::iter::once(800_000..900_000).collect()).expect("read");
         assert_eq!(hashed.digest(), Digest(sm3(&[&bytes])));
-        let found: Vec<_> = hashed.chunks().iter().map(|chunk| (chunk.at, chunk.digest)).collect();
+        let found: Vec<_> = hashed.chunks.iter().map(|chunk| (chunk.at, chunk.digest)).collect();
         let expected = [(200, 600_000), (600_000, 700_000), (800_000, 900_000)];
         let expected = expected.map(|(from, to)| (from as u64, Digest(sm3(&[&bytes[from..to]]))));
         assert_eq!(found, expected);

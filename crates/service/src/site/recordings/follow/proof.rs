@@ -1,4 +1,4 @@
-//! The proof of a recorded file: the bundle of the record that states its digests, opened, beside the file.
+//! The proof of a recorded file: the opened bundle of the record that states its digests, beside the file.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -14,7 +14,7 @@ use super::Follower;
 use super::folder::is_database;
 use super::place::FileKey;
 use crate::crypto::sm3::sm3;
-use crate::model::{Digest, RecordKind, RecordState, Timestamp, clean};
+use crate::model::{Digest, ErrorKind, RecordKind, RecordState, Timestamp, clean};
 use crate::pipeline::Owner;
 use crate::pipeline::reader::Reader;
 use crate::ros::mcap;
@@ -27,16 +27,14 @@ use crate::site::blocking;
 use crate::store::RecordRow;
 use crate::store::notes::{FilePlace, FileStanding};
 
-/// The end of a proof's name.
 const PROOF: &str = ".authros";
 
-/// Its media type in a copy of the file.
 const MEDIA_TYPE: &str = "application/vnd.authros.evidence+zip";
 
-/// A proof to be written as soon as the statement's record is verified.
+/// Written as soon as the statement's record is verified.
 #[derive(Debug, Clone)]
 pub(super) struct Due {
-    /// The file's name in the folder, cleaned.
+    /// In the folder, cleaned.
     pub name: String,
     path: PathBuf,
     key: FileKey,
@@ -55,7 +53,7 @@ pub(super) struct Proven {
 }
 
 impl Follower<'_> {
-    /// Has the proof of a file written, if it is stated.
+    /// Requests the proof of a file, if it is stated.
     pub fn prove(&self, key: &FileKey, place: &FilePlace, path: &Path) {
         let (Some(stated_at), Some(statement)) = (place.stated_at, place.statement) else { return };
         let due = Due {
@@ -67,13 +65,13 @@ impl Follower<'_> {
             statement,
             attach: self.wishes.attach && place.closed && !is_database(path),
         };
-        // Nobody writes proofs any more once following has ended.
+        // Nobody writes proofs once following has ended.
         drop(self.due.send(due));
     }
 }
 
 impl Recordings {
-    /// Writes the proofs that can be written; the others go on waiting.
+    /// Writes the proofs that can be written; the others keep waiting.
     pub(super) async fn prove(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -105,28 +103,20 @@ impl Recordings {
             let reader = Reader { plant: &recordings.parts.plant, network: &network, reader: &author };
             statement(&reader, &wanted)
         });
-        let Some(row) = row.await? else {
-            return Err(input("the record that states its digests is gone"));
-        };
+        let row = row.await?.ok_or_else(|| input("the record that states its digests is gone"))?;
         match row.state {
             RecordState::Verified => {}
             RecordState::Tampered => {
-                return Err(Failure::new(
-                    crate::model::ErrorKind::Tampered,
-                    format!("record {}, which states its digests, differs from what was anchored", row.id),
-                ));
+                let text = format!("record {}, which states its digests, differs from what was anchored", row.id);
+                return Err(Failure::new(ErrorKind::Tampered, text));
             }
             _ => return Ok(None),
         }
         let target = beside(&due.path);
         let mut one = Proven { record: Some(row.id.clone()), ..Proven::default() };
         if target.symlink_metadata().is_err() {
-            let wishes = EvidenceWishes {
-                file: target.clone(),
-                records: vec![row.id.clone()],
-                reveal: vec![row.id.clone()],
-                ..EvidenceWishes::default()
-            };
+            let (file, records, reveal) = (target.clone(), vec![row.id.clone()], vec![row.id.clone()]);
+            let wishes = EvidenceWishes { file, records, reveal, ..EvidenceWishes::default() };
             one.notes = self.evidence.export(owner, wishes).await?.notes;
         }
         one.proof = Some(clean(&target.display().to_string(), 300));
@@ -136,7 +126,7 @@ impl Recordings {
         Ok(Some(one))
     }
 
-    /// Looks that the bundle is the file's, attaches it, and keeps that this is done.
+    /// Checks that the bundle is the file's, attaches it, and notes that.
     fn finish_proof(&self, due: &Due, target: &Path, record: Digest) -> Result<Option<PathBuf>, Failure> {
         let is_its_own =
             Bundle::read(target, self.parts.plant.provider).is_ok_and(|bundle| bundle.records.contains_key(&record));
@@ -154,14 +144,13 @@ impl Recordings {
     }
 }
 
-/// Where the proof of a file is.
 pub(super) fn beside(path: &Path) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(PROOF);
     name.into()
 }
 
-/// Where the copy of a file is that has its proof attached.
+/// The copy of a file with its proof attached.
 pub(super) fn copy_of(path: &Path) -> PathBuf {
     let mut name = path.with_extension("").into_os_string();
     name.push(ATTACHED);
@@ -178,23 +167,19 @@ fn attach(path: &Path, proof: &Path, logged_at: Timestamp) -> Result<PathBuf, Fa
     let (draft, out) = super::super::export::Draft::begin(&copy)?;
     let title = proof.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let source = std::fs::File::open(path).map_err(failed)?;
-    mcap::attach(
-        source,
-        out,
-        &mcap::AttachedFile {
-            logged_at,
-            created_at: Timestamp::now().0,
-            name: title.into(),
-            media_type: MEDIA_TYPE.into(),
-            data: &data,
-            checksum: 0,
-        },
-    )?;
+    let attached = mcap::AttachedFile {
+        logged_at,
+        created_at: Timestamp::now().0,
+        name: title.into(),
+        media_type: MEDIA_TYPE.into(),
+        data: &data,
+        checksum: 0,
+    };
+    mcap::attach(source, out, &attached)?;
     draft.place()?;
     Ok(copy)
 }
 
-/// The record of a file's statement.
 fn statement(reader: &Reader<'_>, due: &Due) -> Result<Option<RecordRow>, Failure> {
     for found in reader.own_opened(at(BESIDE, RecordKind::Attachment, Some(due.stated_at))) {
         let (row, opened) = found?;

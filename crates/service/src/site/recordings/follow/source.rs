@@ -1,4 +1,4 @@
-//! What reads a followed file: MCAP while it grows, a database of rosbag2 once it is closed.
+//! Reader of a followed file: MCAP while it grows, a database of rosbag2 once it is closed.
 
 use std::fs::File;
 use std::io::BufReader;
@@ -15,7 +15,7 @@ use crate::service::reply::Failure;
 
 const BUFFER: usize = 256 * 1024;
 
-/// The pieces of a database that have a digest of their own: the least length, bytes, and the most of them.
+/// Shortest piece of a database with a digest of its own, bytes, and the most pieces.
 const PIECE: u64 = 1 << 20;
 const MOST_PIECES: u64 = 1 << 16;
 
@@ -24,17 +24,16 @@ pub(super) enum Source {
     /// A `.db3` that nobody writes.
     Closed {
         reader: Box<Db3Reader>,
-        /// Whether the last message was read.
         is_finished: bool,
-        /// Its pieces, until they are taken.
+        /// Until they are taken.
         pieces: Vec<Range<u64>>,
-        /// Whether its recorder closed it.
+        /// Its recorder closed it.
         is_complete: bool,
     },
 }
 
 impl Source {
-    /// Opens a file of this length; `is_followed` says whether a later one is there, or the recording was closed.
+    /// `is_followed`: a later file exists, or the recording was closed.
     pub fn open(path: &Path, length: u64, is_followed: bool) -> Result<Self, Failure> {
         if is_database(path) {
             let reader = Box::new(Db3Reader::open(path)?);
@@ -44,7 +43,7 @@ impl Source {
         Ok(Self::Growing(Box::new(McapReader::follow(BufReader::with_capacity(BUFFER, file))?)))
     }
 
-    /// The next message; `None` at the end, or where the next is not whole yet.
+    /// `None` at the end, or where the next message is incomplete.
     pub fn next_message(&mut self) -> Result<Option<RecordedMessage>, RosError> {
         match self {
             Self::Growing(reader) => reader.next_message(),
@@ -56,7 +55,7 @@ impl Source {
         }
     }
 
-    /// The file is now so long, bytes.
+    /// The new length, bytes.
     pub fn grown(&mut self, length: u64) {
         if let Self::Growing(reader) = self {
             reader.grown(length);
@@ -71,7 +70,7 @@ impl Source {
         }
     }
 
-    /// Whether all of it was read, and nothing more is expected.
+    /// Everything was read, and nothing more is expected.
     pub fn is_finished(&self) -> bool {
         match self {
             Self::Growing(reader) => reader.is_finished(),
@@ -79,7 +78,7 @@ impl Source {
         }
     }
 
-    /// Whether its recorder closed it.
+    /// Its recorder closed it.
     pub fn is_complete(&self) -> bool {
         match self {
             Self::Growing(reader) => reader.has_footer(),
@@ -87,7 +86,6 @@ impl Source {
         }
     }
 
-    /// Bytes read so far.
     pub fn at(&self) -> u64 {
         match self {
             Self::Growing(reader) => reader.progress().0,
@@ -95,7 +93,7 @@ impl Source {
         }
     }
 
-    /// Its chunks that were read since this was last asked; of a database its pieces, all at once.
+    /// New chunks since the last call; for a database all its pieces at once.
     pub fn take_chunks(&mut self) -> Vec<Range<u64>> {
         match self {
             Self::Growing(reader) => reader.take_chunks(),
@@ -103,7 +101,6 @@ impl Source {
         }
     }
 
-    /// What has been skipped so far.
     pub fn findings(&self) -> &Findings {
         match self {
             Self::Growing(reader) => reader.findings(),
@@ -112,7 +109,7 @@ impl Source {
     }
 }
 
-/// Pieces of a file that has no chunks, so that a place in it can be named where it differs.
+/// Pieces of a file without chunks, so that the place of a difference can be named.
 fn pieces(length: u64) -> Vec<Range<u64>> {
     let size = length.div_ceil(MOST_PIECES).next_multiple_of(PIECE).max(PIECE);
     (0..length.div_ceil(size)).map(|number| number * size..((number + 1) * size).min(length)).collect()

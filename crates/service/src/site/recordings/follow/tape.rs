@@ -1,4 +1,4 @@
-//! One file of a followed folder: read as it grows, sealed in file order, and stated when it has ended.
+//! One followed file: read as it grows, sealed in file order, and stated when it has ended.
 
 use std::collections::{BTreeSet, VecDeque};
 use std::fs::File;
@@ -25,17 +25,15 @@ use crate::service::failure::input;
 use crate::service::reply::{Failure, FollowedFile};
 use crate::store::notes::{FilePlace, FileStanding, Standing as Imported, Standings};
 
-/// The most messages, and about the most bytes of them, that are sealed before it is kept that they are.
+/// Limits of what is sealed before the ledger notes it.
 const MOST_MESSAGES: usize = 4_000;
 const MOST_BYTES: usize = 32 << 20;
 
-/// Between two looks whether records are stored.
 const TICK: Duration = Duration::from_millis(3);
 
-/// How long the last records of a run that was ended are waited for.
+/// Longest wait for the last records of a run that was stopped.
 const LAST: Duration = Duration::from_secs(10);
 
-/// What a look at a file came to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Round {
     Idle,
@@ -45,7 +43,6 @@ pub(super) enum Round {
     Ended,
 }
 
-/// A file being followed.
 pub(super) struct Tape<'a> {
     follower: &'a Follower<'a>,
     pub key: FileKey,
@@ -59,25 +56,22 @@ pub(super) struct Tape<'a> {
     choosing: Choosing,
     importer: Importer<'a>,
     sealed_before: SealedBefore<'a>,
-    /// What imports have sealed of it, alone or with its folder; with the tags of its records, its own among them.
+    /// What imports have sealed of it, alone or with its folder; with the tags of its records, its own included.
     imported: Standings,
-    /// Messages up to this one were perhaps sealed by an earlier run.
+    /// An earlier run may have sealed messages up to this one.
     doubt: u64,
     batch: VecDeque<(Option<Arc<str>>, RecordedMessage)>,
-    /// Messages read so far.
     met: u64,
     latest: Option<Timestamp>,
     topics: BTreeSet<String>,
     length: u64,
     grew: Instant,
-    /// What was found so far.
     pub view: FollowedFile,
     _claim: Claim,
 }
 
 impl<'a> Tape<'a> {
-    /// Opens a file for reading, and finds where it goes on; nothing if there is not enough of it to begin with. It waits where an
-    /// import seals it now.
+    /// Finds where a file continues; `None` if it is too short, `Waiting` while an import seals it.
     pub fn open(follower: &'a Follower<'a>, path: &Path, files: &[PathBuf]) -> Result<Option<Entry<'a>>, Failure> {
         let done = |view: FollowedFile| Ok(Some(Entry::ended(path, view, None)));
         let unreadable = |error: std::io::Error| input(format!("it cannot be read: {error}"));
@@ -114,7 +108,7 @@ impl<'a> Tape<'a> {
         }
         let reader = match Source::open(path, length, is_followed) {
             Ok(reader) => reader,
-            // It is closed, so it will not become better.
+            // It is closed, so it will not improve.
             Err(failure) if is_database => {
                 view.notes.push(failure.message);
                 return done(view);
@@ -152,7 +146,7 @@ impl<'a> Tape<'a> {
         Ok(Some(Entry::Open(Box::new(tape))))
     }
 
-    /// A file that nobody writes when it is first met may have been imported.
+    /// A file without a writer when first met may have been imported.
     fn find_import(&mut self, length: u64) -> Result<(), Failure> {
         let mut tail = [0; 8];
         let unreadable = |error: std::io::Error| input(format!("it cannot be read: {error}"));
@@ -171,13 +165,12 @@ impl<'a> Tape<'a> {
         Ok(())
     }
 
-    /// Looks whether there is more, and seals it.
     pub fn round(&mut self, files: &[PathBuf]) -> Result<Round, Failure> {
         let unreadable = |error: std::io::Error| input(format!("{} cannot be read: {error}", self.view.file));
         let length = self.file.metadata().map_err(unreadable)?.len();
-        if length < self.length.max(self.hashed.at()) {
+        if length < self.length.max(self.hashed.at) {
             self.view.is_altered = true;
-            self.view.notes.push(shrank(length, self.hashed.at()));
+            self.view.notes.push(shrank(length, self.hashed.at));
             return Ok(Round::Ended);
         }
         if length > self.length {
@@ -195,7 +188,7 @@ impl<'a> Tape<'a> {
             self.state()?;
             return Ok(if self.place.standing == FileStanding::Open { Round::Idle } else { Round::Ended });
         }
-        if self.place.at != self.hashed.at() || !self.is_kept {
+        if self.place.at != self.hashed.at || !self.is_kept {
             self.keep()?;
         }
         if self.is_abandoned(files) {
@@ -205,7 +198,7 @@ impl<'a> Tape<'a> {
         Ok(Round::Idle)
     }
 
-    /// Whether nobody writes it any more, although it was not closed.
+    /// Not closed, but nobody writes it any more.
     fn is_abandoned(&self, files: &[PathBuf]) -> bool {
         let is_over = self.follower.wishes.until_closed || folder::is_followed_by(&self.path, files);
         let is_written =
@@ -213,7 +206,7 @@ impl<'a> Tape<'a> {
         is_over && self.grew.elapsed() >= folder::QUIET && !is_written()
     }
 
-    /// Reads the next messages; those that are sealed already are passed over.
+    /// Reads the next messages, except those already sealed.
     fn fill(&mut self) -> Result<(), Failure> {
         let mut bytes = 0;
         while self.batch.len() < MOST_MESSAGES && bytes < MOST_BYTES && self.follower.goes_on() {
@@ -241,17 +234,17 @@ impl<'a> Tape<'a> {
         self.hashed.advance(&self.file, at, spans).map_err(failed)
     }
 
-    /// Keeps how far it is, before anything further is sealed: up to `begun` may be sealed when this run dies.
+    /// Notes the plan before sealing: up to `begun` may be sealed when this run dies.
     fn begin_to(&mut self, begun: u64) -> Result<(), Failure> {
         self.place.begun = self.place.begun.max(begun);
         self.keep()
     }
 
     fn keep(&mut self) -> Result<(), Failure> {
-        // What is not read again yet says less than what is kept.
-        if self.hashed.at() >= self.place.at {
-            (self.place.at, self.place.digest) = (self.hashed.at(), Some(self.hashed.digest()));
-            self.place.chunks = self.hashed.chunks().len() as u64;
+        // What is not reread yet says less than what is kept.
+        if self.hashed.at >= self.place.at {
+            (self.place.at, self.place.digest) = (self.hashed.at, Some(self.hashed.digest()));
+            self.place.chunks = self.hashed.chunks.len() as u64;
         }
         self.follower.recordings.parts.plant.ledger.notes.write(&self.key.note, &self.place)?;
         self.is_kept = true;
@@ -290,7 +283,7 @@ impl<'a> Tape<'a> {
         Ok(())
     }
 
-    /// Waits until it is so; `false` if this is to end first.
+    /// `false` if this is to end first.
     fn is_stored(&self, is_so: impl Fn(&Self) -> bool) -> bool {
         while !is_so(self) {
             if !self.follower.goes_on() {
@@ -301,7 +294,7 @@ impl<'a> Tape<'a> {
         true
     }
 
-    /// Seals what is to be known of the whole file.
+    /// Seals the statement about the whole file.
     fn state(&mut self) -> Result<(), Failure> {
         // A stopped batch is not the end.
         if self.place.stored < self.met {
@@ -313,10 +306,10 @@ impl<'a> Tape<'a> {
         self.place.ended_at = self.place.ended_at.or_else(|| Some(Timestamp::now()));
         let stated = RecordedFile {
             name: self.place.name.clone(),
-            length: self.hashed.at(),
+            length: self.hashed.at,
             digest: self.hashed.digest(),
             is_closed: self.place.closed,
-            chunks: self.hashed.chunks().to_vec(),
+            chunks: self.hashed.chunks.clone(),
         };
         let body = stated.to_bytes();
         let statement = Digest(sm3(&[&body]));
@@ -342,7 +335,7 @@ impl<'a> Tape<'a> {
         self.note_as_imported(stated.digest)
     }
 
-    /// An import of the same file, or of its folder, has then nothing left to seal.
+    /// Leaves nothing for an import of the same file or folder to seal.
     fn note_as_imported(&self, digest: Digest) -> Result<(), Failure> {
         let is_whole = !self.place.chosen && self.importer.lost() == 0;
         let standing = if is_whole { Imported::Whole } else { Imported::Begun };
@@ -350,8 +343,8 @@ impl<'a> Tape<'a> {
         self.follower.recordings.add_standings(file, tag, self.topics.iter().cloned(), standing)
     }
 
-    /// Keeps how far it is at the end of a run. What was given to the sealer is waited for, as long as the site goes on: an
-    /// import that comes next must find it among the records.
+    /// Notes the progress at the end of a run. Waits for the sealer while the site goes on: the next import must find
+    /// these messages among the records.
     pub fn leave(&mut self) {
         let since = Instant::now();
         let may_wait = || !self.follower.recordings.parts.life.is_stopping() && since.elapsed() < LAST;
@@ -359,22 +352,21 @@ impl<'a> Tape<'a> {
             std::thread::sleep(TICK);
         }
         if !self.is_kept && self.batch.is_empty() {
-            // What is not kept is found among the records by the next run.
+            // The next run finds the rest among the records.
             drop(self.keep());
         }
     }
 
-    /// What there is to say of it.
     pub fn report(&self) -> FollowedFile {
         let (findings, mut view) = (self.reader.findings(), self.view.clone());
-        view.bytes = self.hashed.at();
+        view.bytes = self.hashed.at;
         view.found += findings.messages_skipped();
         view.lost = self.importer.lost();
         view.left_out = self.choosing.left_out(findings);
         view.skipped = view.left_out.iter().map(|row| row.messages).sum();
         view.damages.clone_from(&findings.damages);
         view.more_damages = findings.more_damages;
-        view.chunks = self.hashed.chunks().len() as u64;
+        view.chunks = self.hashed.chunks.len() as u64;
         let has_ended = self.place.standing != FileStanding::Open;
         view.digest = self.place.digest.filter(|_| has_ended);
         view.is_closed = has_ended && self.place.closed;
@@ -382,7 +374,7 @@ impl<'a> Tape<'a> {
     }
 }
 
-/// Notes that another state of a file was sealed; `true` if it is not to be sealed as it is, because its proof is of that one.
+/// Notes that another state of the file was sealed; `true` if its proof is of that one, so that this one is not sealed.
 fn changed_before(
     follower: &Follower<'_>,
     path: &Path,
@@ -392,7 +384,7 @@ fn changed_before(
     view.is_altered = former.is_some();
     let named = place::sealed_at(&follower.recordings.parts.plant.ledger.notes, follower.owner.address, path)?;
     let sealed = named.or(former.filter(|place| place.standing != FileStanding::Open));
-    // Without its proof another file may well have its name.
+    // Without its proof, another file may well have its name.
     let proven = sealed.filter(|_| proof::beside(path).symlink_metadata().is_ok());
     view.is_altered |= proven.is_some();
     let note = match &proven {
@@ -405,7 +397,7 @@ fn changed_before(
     Ok(proven.is_some())
 }
 
-/// A file that an earlier run is done with.
+/// A file that an earlier run completed.
 fn settled<'a>(
     follower: &Follower<'a>,
     path: &Path,
@@ -429,12 +421,12 @@ fn settled<'a>(
     Entry::ended(path, view, Some(place))
 }
 
-/// Whether the first bytes are those of MCAP, as far as they are there.
+/// As far as there are bytes.
 fn begins_as_mcap(file: &File) -> std::io::Result<bool> {
     let mut begin = [0; MAGIC.len()];
     let read = file.read_at(&mut begin, 0)?;
     let begin = begin.get(..read).unwrap_or_default();
-    // Room that is there before anything is written in it.
+    // Space reserved before anything is written.
     Ok(MAGIC.starts_with(begin) || begin.iter().all(|byte| *byte == 0))
 }
 
