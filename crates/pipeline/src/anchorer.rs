@@ -1,5 +1,4 @@
-//! Puts stored records on the chain: as Merkle batches, or one `dataUpload` each; from an owner's further accounts
-//! too.
+//! Puts stored records on the chain: as Merkle batches, or one `dataUpload` each; from an owner's further accounts too.
 
 use std::collections::HashMap;
 use std::time::{Duration, Instant};
@@ -20,11 +19,11 @@ use crate::{Network, Owner, PipelineError, Plant, Sender, authority};
 const ROUND: usize = 128;
 /// Batches of one account that may wait for a block; while they do, the next one gets wider.
 const MOST_OPEN_BATCHES: usize = 2;
-/// How long a refused extra account rests.
+/// Rest of a refused extra account.
 const REST: Duration = Duration::from_secs(60);
-/// How long to wait when only the chain can bring news.
+/// Wait when only the chain can bring news.
 const IDLE: Duration = Duration::from_secs(1);
-/// How often the anchorer checks for rights that have ended while nothing is closed or sent.
+/// Interval of checks for rights that have ended, while nothing is closed or sent.
 const LOOK: Duration = Duration::from_millis(500);
 /// Leaf orders tried to find a root that no batch had before.
 const MOST_ORDERS: usize = 16;
@@ -33,14 +32,12 @@ const MOST_ORDERS: usize = 16;
 pub struct Anchorer {
     mode: AnchorMode,
     pace: Pace,
-    /// Extra accounts whose anchors the contract refused (because they are suspended, for example), and until when they
-    /// rest.
+    /// Extra accounts whose anchors the contract refused, and until when they rest.
     resting: HashMap<Address, Instant>,
-    /// When it was looked whose right to sign has ended or begun again.
+    /// When rights that ended or began again were last looked for.
     settled: Option<Instant>,
 }
 
-/// The result of a round.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Round {
     /// Transactions that were signed and stored.
@@ -56,17 +53,13 @@ impl Round {
 }
 
 impl Anchorer {
-    /// An anchorer of one owner's records.
     pub fn new(mode: AnchorMode) -> Self {
         Self { mode, pace: Pace::default(), resting: HashMap::new(), settled: None }
     }
 
-    /// Does what is due now; records whose signer may not sign now wait. `lanes` are the accounts that anchor batches
-    /// in parallel, the owner's own first; individual records go through the owner's own only, and where that is not
-    /// among them everything goes in batches.
-    ///
-    /// # Errors
-    /// Errors of chain and ledger; nothing is lost, the records stay `stored` or `batched`.
+    /// `lanes` anchor batches in parallel, the owner's own account first. Individual records go through the own account
+    /// only; where that is absent everything goes in batches. On an error nothing is lost: records stay `stored` or
+    /// `batched`.
     pub async fn round(
         &mut self,
         plant: &Plant,
@@ -105,8 +98,7 @@ impl Anchorer {
         }
     }
 
-    /// Anchors a closed batch. An extra account that the contract refuses rests; a refusal of the owner's own account
-    /// is reported.
+    /// An extra account that the contract refuses rests; a refusal of the owner's own account is an error.
     async fn send(
         &mut self,
         plant: &Plant,
@@ -125,8 +117,7 @@ impl Anchorer {
         }
     }
 
-    /// Lets records of signers who may not sign now wait, and those of signers who may again go on. That looks at all
-    /// topics, so it is done before a batch is closed or sent, and else only now and then.
+    /// This looks at all topics, so it runs before a batch is closed or sent, and otherwise only now and then.
     fn settle(&mut self, plant: &Plant, network: &Network, owner: Address) -> Result<(), PipelineError> {
         block_in_place(|| authority::settle_waiting(plant, network, owner))?;
         self.settled = Some(Instant::now());
@@ -176,7 +167,6 @@ impl Anchorer {
     }
 }
 
-/// Closes a batch over these leaves.
 pub(super) fn close_batch(
     plant: &Plant,
     owner: Address,
@@ -257,8 +247,7 @@ async fn send(
     }
 }
 
-/// Up to [`ROUND`] stored records, one transaction each. Those sealed under an epoch that the chain
-/// does not know yet wait for it.
+/// Up to [`ROUND`] stored records, one transaction each; those of an epoch that the chain does not know yet wait.
 async fn one_by_one(
     plant: &Plant,
     network: &Network,
@@ -293,19 +282,14 @@ pub const MOST_LANES: u8 = 8;
 const PROVISION: u128 = 500;
 /// The gas assumed for one anchor and its share of the registration.
 const ANCHOR_GAS: u128 = 120_000;
-/// The purpose of a transfer that funds an extra account.
 const PROVISION_PURPOSE: &str = "fund anchoring account";
 
 /// The extra anchoring accounts of an owner on one network, for `lanes` accounts in total.
-///
-/// # Errors
-/// [`CryptoError::SecretRange`] if a derived number is not a valid key, which does not happen in practice.
 pub fn extra(owner: &EoaSecret, domain: &Domain, lanes: u8) -> Result<Vec<EoaSecret>, CryptoError> {
     (1..lanes.min(MOST_LANES)).map(|index| anchoring_secret(owner, domain, index)).collect()
 }
 
-/// Makes an extra account ready to anchor: with ether if the chain requires it, and registered. Returns whether it is ready
-/// now; what is missing is done when this is called again.
+/// Funds an extra account where needed, and registers it. Returns whether it is ready; call again until it is.
 pub async fn ensure_ready(
     plant: &Plant,
     network: &Network,
@@ -336,8 +320,7 @@ pub async fn ensure_ready(
     Ok(false)
 }
 
-/// Gives an extra account ether for its next anchors if it has too little: from a development node, otherwise from the
-/// owner.
+/// Gives an extra account ether for its next anchors: from a development node, otherwise from the owner.
 async fn provide(
     plant: &Plant,
     network: &Network,

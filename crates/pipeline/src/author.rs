@@ -1,5 +1,4 @@
-//! An author: the owner for whom messages are sealed, with the keys and when each takes effect. An owner's site has one
-//! per open keyring, a robot one from its enrolment.
+//! The owner for whom messages are sealed, with the keys, of a keyring or an enrolment, and when each takes effect.
 
 use std::sync::{Arc, PoisonError, RwLock};
 
@@ -9,13 +8,11 @@ use crate::model::{Address, Timestamp};
 
 use super::epoch::EpochKeys;
 
-/// The owner of the records, with the keys in use.
 pub struct Author {
     pub address: Address,
     sealing: RwLock<Sealing>,
 }
 
-/// The keys that seal new records, and those that will from a later moment.
 #[derive(Default)]
 struct Sealing {
     keys: Option<Arc<EpochKeys>>,
@@ -23,15 +20,12 @@ struct Sealing {
 }
 
 impl Author {
-    /// An author without keys yet.
     pub fn new(address: Address) -> Self {
         Self { address, sealing: RwLock::default() }
     }
 
-    /// The keys that seal new records; `None` before the first, and after the last have ended.
-    ///
-    /// A message captured after the moment given to [`Self::seal_from`] is never sealed under the earlier keys, even if
-    /// nothing ran at that moment.
+    /// `None` before the first keys and after the last have ended. A message captured after the moment of
+    /// [`Self::seal_from`] is never sealed under the earlier keys, even if nothing ran at that moment.
     pub fn sealing(&self) -> Option<Arc<EpochKeys>> {
         {
             let sealing = self.sealing.read().unwrap_or_else(PoisonError::into_inner);
@@ -46,12 +40,11 @@ impl Author {
         in_force(sealing.keys.as_ref())
     }
 
-    /// The keys to seal with from a future moment.
     pub fn next(&self) -> Option<(Timestamp, Arc<EpochKeys>)> {
         self.sealing.read().unwrap_or_else(PoisonError::into_inner).next.clone()
     }
 
-    /// Seals as an owner has instructed a device: with the present keys, and with others from a future moment.
+    /// Takes the keys that an owner sent to a device: the present ones, and others from a future moment.
     pub fn obey(&self, enrolment: &Enrolment) {
         self.seal_under(Arc::new(EpochKeys::issued(enrolment, &enrolment.keys.now)));
         if let Some((moment, next)) = &enrolment.keys.next {
@@ -59,12 +52,10 @@ impl Author {
         }
     }
 
-    /// From now on records are sealed with these keys.
     pub fn seal_under(&self, keys: Arc<EpochKeys>) {
         *self.sealing.write().unwrap_or_else(PoisonError::into_inner) = Sealing { keys: Some(keys), next: None };
     }
 
-    /// From now on nothing is sealed.
     pub fn rest(&self) {
         *self.sealing.write().unwrap_or_else(PoisonError::into_inner) = Sealing::default();
     }

@@ -1,8 +1,5 @@
-//! The only place that decides who may sign and who may read.
-//!
-//! A right to sign is judged at the block that anchors a record: by the state after all events of that block, at that
-//! block's own time. A right to read is judged at the moment of reading, by a named policy. Both answers give the
-//! right, or say in words why there is none.
+//! The only place that decides who may sign and who may read. A right to sign is judged at the anchoring block: by the
+//! state after all its events, at its own time. A right to read is judged when reading, by a named policy.
 
 use std::collections::HashMap;
 
@@ -15,11 +12,8 @@ use crate::model::{Address, PublicKey, Scope, SignerId, Timestamp, TopicId};
 use crate::store::{RecordRow, WaitingSigner};
 use crate::{Network, PipelineError, Plant};
 
-/// Asks the contract whether `reader` may read what `owner` sealed in an epoch. `None` if the chain's events name no token
-/// of that epoch, or there is no chain to ask.
-///
-/// # Errors
-/// [`PipelineError::Contradicted`] if the answer differs from what the events say; errors of chain and ledger.
+/// Whether the contract lets `reader` read `owner`'s epoch. `None` without a token of that epoch, or without a chain.
+/// [`PipelineError::Contradicted`] if the answer differs from what the events say.
 pub async fn ask_contract(
     plant: &Plant,
     network: &Network,
@@ -65,7 +59,6 @@ fn is_covered(
     }
 }
 
-/// What is required for reading.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Policy {
     /// A reader's own site: a grant in force by the clock here, and the reader not suspended.
@@ -82,16 +75,13 @@ pub enum Policy {
     },
 }
 
-/// The right by which someone reads.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum ReadingRight {
-    /// The records are the reader's own.
     Own,
     Granted(Box<Granted>),
 }
 
 impl ReadingRight {
-    /// What the grant covers.
     pub fn scope(&self) -> &Scope {
         match self {
             Self::Own => &Scope::All,
@@ -99,26 +89,20 @@ impl ReadingRight {
         }
     }
 
-    /// Whether records of a topic are covered.
     pub fn covers(&self, topic: TopicId) -> bool {
         self.scope().covers(topic)
     }
 }
 
-/// Why someone may not read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs, reason = "each variant's line names its fields")]
 pub enum ReadRefused {
-    /// No grant is in force.
     #[error("{reader} has no grant of {owner}")]
     NotGranted { owner: Address, reader: Address },
-    /// A grant is in force but does not cover the topic.
     #[error("the grant of {owner} to {reader} does not cover this topic")]
     NotCovered { owner: Address, reader: Address },
-    /// The reader is suspended.
     #[error("{reader} has been suspended since block {since}")]
     Suspended { reader: Address, since: u64 },
-    /// There was no head lately, so nobody's right is known.
     #[error("no recent block from the chain")]
     Stale,
 }
@@ -168,7 +152,6 @@ fn stands(grant: &Granted, now: Timestamp, policy: Policy) -> bool {
     demanded && grant.is_active(now)
 }
 
-/// The grants by which others currently let `reader` read on its own site.
 pub fn shared_with(directory: &Directory, reader: Address) -> Vec<Granted> {
     if not_suspended(directory, reader).is_err() {
         return Vec::new();
@@ -177,18 +160,15 @@ pub fn shared_with(directory: &Directory, reader: Address) -> Vec<Granted> {
     directory.grants_to(reader).into_iter().filter(|grant| grant.is_active(now)).collect()
 }
 
-/// The grant of `owner` to `grantee` currently in force, for the owner's own management.
 pub fn standing_grant(directory: &Directory, owner: Address, grantee: Address) -> Option<Granted> {
     directory.grant_between(owner, grantee).filter(|grant| grant.is_active(directory.now()))
 }
 
-/// All grants by `owner` currently in force.
 pub fn standing_grants(directory: &Directory, owner: Address) -> Vec<Granted> {
     let now = directory.now();
     directory.grants_of(owner).into_iter().filter(|grant| grant.is_active(now)).collect()
 }
 
-/// What is known of the signers of some records that are looked at together.
 pub struct Signers<'a> {
     plant: &'a Plant,
     network: &'a Network,
@@ -196,15 +176,11 @@ pub struct Signers<'a> {
 }
 
 impl<'a> Signers<'a> {
-    /// Nothing is known yet.
     pub fn new(plant: &'a Plant, network: &'a Network) -> Self {
         Self { plant, network, known: HashMap::new() }
     }
 
-    /// The key that signed a record, see [`signer_of`].
-    ///
-    /// # Errors
-    /// Errors of chain and ledger; lack of a right is part of the answer.
+    /// See [`signer_of`].
     pub fn of(&mut self, row: &RecordRow) -> Result<Result<PublicKey, NoRight>, PipelineError> {
         let asked = (row.owner, row.signer, row.block);
         if let Some(known) = self.known.get(&asked) {
@@ -226,57 +202,42 @@ pub struct Moment {
 }
 
 impl Moment {
-    /// After a block's events.
     pub fn of_block(block: u64, time: Timestamp) -> Self {
         Self { block: Some(block), time }
     }
 
-    /// After every known event.
     pub fn newest(time: Timestamp) -> Self {
         Self { block: None, time }
     }
 }
 
-/// The right by which a record was signed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum SigningRight {
-    /// With the owner's own key.
     Owner(PublicKey),
-    /// With the key of a device lent by the owner.
     Device(Lending),
 }
 
-/// Why a signer had no right to sign for an owner.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs, reason = "each variant's line names its fields")]
 pub enum NoRight {
-    /// The owner had not registered an identity yet.
     #[error("{owner} was not registered yet {}", when(.block))]
     Unregistered { owner: Address, block: Option<u64> },
-    /// The owner's identity has no valid proof.
     #[error("the identity that {owner} had registered does not verify")]
     Unproven { owner: Address },
-    /// The owner was suspended.
     #[error("{owner} was suspended {}, since block {since}", when(.block))]
     Suspended { owner: Address, since: u64, block: Option<u64> },
-    /// The owner's account was lost and another account took over.
     #[error("{owner} was declared lost {}, and {successor} is its successor since block {since}", when(.block))]
     Succeeded { owner: Address, successor: Address, since: u64, block: Option<u64> },
-    /// The key had been the owner's, but was replaced.
     #[error("{owner} had replaced the signer's key {}, in block {since}", when(.block))]
     Replaced { owner: Address, since: u64, block: Option<u64> },
-    /// The device was lent later.
     #[error("the signer is a device that {owner} lent only in block {from}, after the record was anchored")]
     LentLater { owner: Address, from: u64 },
-    /// The device was recalled.
     #[error("the signer is a device that {owner} had recalled in block {recalled}")]
     Recalled { owner: Address, recalled: u64 },
-    /// The device's loan had ended.
     #[error("the signer is a device that {owner} had lent until {until}, but the anchoring block is dated {time}")]
     Ended { owner: Address, until: Timestamp, time: Timestamp },
     #[error("{owner} had not registered the signer's key {}, nor lent it", when(.block))]
     Unknown { owner: Address, block: Option<u64> },
-    /// The device was lent, but its public key is not known here.
     #[error("the signer is a device of {owner} whose key is unknown here; ask its owner for an export")]
     KeyUnknown { owner: Address },
 }
@@ -291,12 +252,11 @@ pub fn is_suspended(directory: &Directory, account: Address) -> bool {
     directory.account(account).is_some_and(|account| account.suspended_at(None).is_some())
 }
 
-/// Whether a loan is currently in force, by the chain's clock.
+/// By the chain's clock.
 pub fn is_lent(directory: &Directory, lending: &Lending) -> bool {
     lending.recalled.is_none() && lending.until.is_none_or(|until| until > directory.now())
 }
 
-/// Whether the key with this id could sign for `owner` at a given moment.
 pub fn may_sign(directory: &Directory, owner: Address, signer: SignerId, at: Moment) -> Result<SigningRight, NoRight> {
     let right = directory.with_account(owner, |account| by_block(account, owner, signer, at.block))?;
     in_time(right, owner, at.time)
@@ -353,11 +313,7 @@ fn in_time(right: SigningRight, owner: Address, time: Timestamp) -> Result<Signi
     }
 }
 
-/// The right by which a key signed for `owner`, at a block of the chain; the block's time is requested only if it
-/// matters.
-///
-/// # Errors
-/// Errors of the chain; lack of a right is part of the answer.
+/// Asks for the block's time only if it matters.
 pub fn right_of(
     network: &Network,
     owner: Address,
@@ -375,12 +331,8 @@ pub fn right_of(
     Ok(Ok(right))
 }
 
-/// The key that signed a record, if its signer had the right at the anchoring block. Before a record is anchored
-/// nothing is decided: then any key that its owner ever registered or lent. The chain has only the ids of devices;
-/// their keys are those known to the ledger.
-///
-/// # Errors
-/// Errors of chain and ledger; lack of a right is part of the answer.
+/// The key that signed a record, if its signer had the right at the anchoring block; before it is anchored, any key
+/// that its owner ever registered or lent. The chain has only the ids of devices; their keys come from the ledger.
 pub fn signer_of(
     plant: &Plant,
     network: &Network,
@@ -400,7 +352,6 @@ pub fn signer_of(
     })
 }
 
-/// Like [`signer_of`], without the reason.
 pub fn key_of(plant: &Plant, network: &Network, row: &RecordRow) -> Result<Option<PublicKey>, PipelineError> {
     Ok(signer_of(plant, network, row)?.ok())
 }
@@ -415,8 +366,7 @@ fn ever(account: Option<&Account>, owner: Address, signer: SignerId) -> Result<S
     lent.map(|lending| SigningRight::Device(lending.clone())).ok_or(NoRight::Unknown { owner, block: None })
 }
 
-/// Holds back what `keeper` would anchor although its signer may not sign now, and releases what waited for a right
-/// that is back. To be called before anything is anchored.
+/// Holds back what may not be signed now, and releases what waited for a right that is back. Call before anchoring.
 pub fn settle_waiting(plant: &Plant, network: &Network, keeper: Address) -> Result<(), PipelineError> {
     for waiting in plant.ledger.batches.waiting_signers(keeper)? {
         let now = Moment::newest(network.directory.now());

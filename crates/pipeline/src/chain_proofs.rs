@@ -1,6 +1,5 @@
-//! Proofs of anchors, and of the chain's state (EIP-1186) for each anchored batch, fetched while the node still has
-//! the state after its block and kept in the ledger with the headers: a bundle made years later needs no node that
-//! keeps old states, or none.
+//! Proofs of anchors, and of the chain's state (EIP-1186) for each batch, fetched while the node still has that state
+//! and kept with the headers: a bundle made years later needs no node that keeps old states.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -21,7 +20,6 @@ const ATTEMPTS: u32 = 3;
 /// What is to be proven of the contract's storage for a record.
 #[derive(Debug, Clone, Copy)]
 pub struct Shown {
-    /// The owner of the record.
     pub owner: Address,
     pub signer: SignerId,
     /// The version of the owner's keys at the block; 0 if it was not registered then.
@@ -29,7 +27,6 @@ pub struct Shown {
     pub anchor: Anchor,
 }
 
-/// What the contract holds of a record.
 #[derive(Debug, Clone, Copy)]
 pub enum Anchor {
     /// Its digest alone, under its owner.
@@ -40,7 +37,6 @@ pub enum Anchor {
 
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Collected {
-    /// Batches whose proofs are kept now.
     pub kept: u64,
     /// Batches that will have none here.
     pub missed: u64,
@@ -48,7 +44,6 @@ pub struct Collected {
     pub problem: Option<String>,
 }
 
-/// What the caller keeps from round to round.
 #[derive(Debug, Default)]
 pub struct Rounds {
     /// How often each block's proof was requested in vain.
@@ -59,7 +54,6 @@ pub struct Rounds {
     awaited: BTreeSet<u64>,
 }
 
-/// The slots of these, each once.
 pub fn slots(all: impl IntoIterator<Item = Shown>) -> Vec<Slot> {
     let mut slots = BTreeSet::new();
     for Shown { owner, signer, keys, anchor } in all {
@@ -85,12 +79,8 @@ pub fn key_version(network: &Network, owner: Address, block: u64) -> u64 {
     })
 }
 
-/// Fetches the proofs of confirmed batches that lack them, once for all batches of a block, the newest first: the node
-/// forgets the oldest states first, and those are gone already after a long pause.
-///
-/// # Errors
-/// Errors of the ledger; a node that cannot be reached. What the node refuses, or what does not prove the anchor, is
-/// requested three times and then counted.
+/// Fetches missing proofs of confirmed batches, block by block, the newest first: the node forgets the oldest states
+/// first. What the node refuses, or what does not prove the anchor, is asked for three times and then counted.
 pub async fn collect(plant: &Plant, network: &Network, rounds: &mut Rounds) -> Result<Collected, PipelineError> {
     let head = network.chain.head().await?.number;
     let confirmed = (head + 1).saturating_sub(network.confirmations);
@@ -156,13 +146,10 @@ impl Rounds {
     }
 }
 
-/// An answer of the node about one block.
 enum Fetched {
-    /// The block's header, and the nodes.
     Proof(Vec<u8>, Nodes),
     /// The chain has another block of that number now; the watcher is about to notice.
     OtherBlock,
-    /// There is no proof, and why.
     Refused(String),
 }
 
@@ -260,7 +247,6 @@ pub fn anchor_proof(placed: PlacedRecord) -> Option<AnchorProof> {
     }
 }
 
-/// Whether the stored path leads from the record's leaf to the batch's root.
 pub fn is_included(place: &BatchPlace, row: &RecordRow) -> bool {
     place.inclusion.proves(&row.leaf()) || fault::is_off("proof")
 }
@@ -310,7 +296,7 @@ pub fn was_sighted(plant: &Plant, row: &RecordRow) -> Result<bool, PipelineError
     Ok(were_sighted(plant, &[row])?.contains(&true))
 }
 
-/// Like [`was_sighted`], for many records in their order; the ledger is asked once.
+/// In order; the ledger is asked once.
 pub fn were_sighted(plant: &Plant, rows: &[&RecordRow]) -> Result<Vec<bool>, PipelineError> {
     let digests: Vec<_> = rows.iter().map(|row| row.digest).collect();
     let sighted = |(row, placed): (&&RecordRow, Option<PlacedRecord>)| {

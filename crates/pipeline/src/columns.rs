@@ -1,7 +1,6 @@
-//! Compares a ledger's row with its record. A row is a note for lists and workers; what was captured, when and by whom
-//! is what the signed header says, and the sealed head if there is a key for it here. A row that says anything else is
-//! shown with the record's own values, and never as verified. Names in a head that do not belong to the pseudonyms in
-//! the header are nobody's values: they are not shown at all.
+//! Compares a ledger's row with its record: what was captured is what the signed header says, and the sealed head if
+//! its key is here. A row that differs is shown with the record's values, never as verified; names in a head that do
+//! not belong to the pseudonyms in the header are not shown.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -26,7 +25,6 @@ pub const FRONT: usize = 2048;
 /// Heads cached in memory.
 const MOST_HEADS: usize = 8192;
 
-/// How much of a row was compared with its record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Compared {
@@ -41,19 +39,14 @@ pub enum Compared {
     Head,
 }
 
-/// A record's state, as it may be shown.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum ShownState {
-    /// As in the ledger.
     Kept(RecordState),
-    /// Verified, with a remark.
     Verified(Caveat),
-    /// Not shown as what its signer says it is.
     Refused(Refusal),
 }
 
-/// Why a record is not shown as what its signer says it is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Refusal {
@@ -62,11 +55,9 @@ pub enum Refusal {
     FalseName,
 }
 
-/// A remark on a verified record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Caveat {
-    /// Retention has deleted its ciphertext.
     Deleted,
     /// Its bytes are not here now, so they cannot be compared.
     Unread,
@@ -76,7 +67,6 @@ pub enum Caveat {
 }
 
 impl ShownState {
-    /// In a few words, for screens and JSON.
     pub fn word(self) -> &'static str {
         match self {
             Self::Kept(state) => state.word(),
@@ -87,7 +77,6 @@ impl ShownState {
         }
     }
 
-    /// The state that belongs to these words.
     pub fn from_word(word: &str) -> Option<Self> {
         let kept = RecordState::ALL.iter().copied().map(Self::Kept);
         let more = [Caveat::Deleted, Caveat::Unread, Caveat::NamesUnchecked].into_iter().map(Self::Verified);
@@ -95,12 +84,10 @@ impl ShownState {
     }
 }
 
-/// A row as it may be shown.
 #[derive(Debug, Clone)]
 pub struct Shown {
     /// The row; if it was compared, with the record's own values instead of the ledger's.
     pub row: RecordRow,
-    /// How much of it was compared.
     pub compared: Compared,
     /// The field in which ledger and record differ.
     pub differs: Option<&'static str>,
@@ -109,13 +96,12 @@ pub struct Shown {
 }
 
 impl Shown {
-    /// A row taken from the ledger alone.
     pub fn unread(row: RecordRow) -> Self {
         Self { row, compared: Compared::Nothing, differs: None, false_name: None }
     }
 
-    /// The record's state: as in the ledger, but never verified if it was not compared, and with a remark if its names
-    /// were not, or false.
+    /// As in the ledger, but never verified if not compared, and with a remark if names were not compared, or are
+    /// false.
     pub fn state(&self) -> ShownState {
         match (self.differs, self.compared, self.row.state) {
             (Some(_), ..) => ShownState::Kept(RecordState::Tampered),
@@ -128,12 +114,9 @@ impl Shown {
     }
 }
 
-/// What may open the sealed head of a row's record.
 pub trait Keys {
-    /// The key of the topic and epoch that a header names, if it is here, and what the names in the head are compared
-    /// with.
+    /// The key of the header's topic and epoch, if it is here, and what names in the head are compared with.
     fn opening(&self, header: &Header) -> Option<(TopicKey, Names)>;
-    /// IK of the record's owner, if it is here.
     fn index_key(&self, row: &RecordRow) -> Option<IndexKey>;
 }
 
@@ -156,16 +139,13 @@ impl Heads {
         opened
     }
 
-    /// Clears the cache: a keyring was locked.
     pub fn forget(&self) {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).clear();
     }
 }
 
-/// What rows are compared with.
 pub struct Comparison<'a> {
     pub plant: &'a Plant,
-    /// The keys for sealed heads.
     pub keys: &'a dyn Keys,
     pub heads: &'a Heads,
     /// The filters by which the rows were found: each header must have them.
@@ -173,8 +153,7 @@ pub struct Comparison<'a> {
 }
 
 impl Comparison<'_> {
-    /// Compares rows with the first bytes of their records. If these cannot be read, rows are shown as they are in the
-    /// ledger alone.
+    /// Rows whose bytes cannot be read are shown as the ledger has them.
     pub fn of(&self, rows: Vec<RecordRow>) -> Result<Vec<Shown>, StoreError> {
         let unknown: Vec<Digest> =
             rows.iter().map(|row| row.digest).filter(|digest| self.heads.of(*digest).is_none()).collect();
@@ -225,7 +204,7 @@ impl Comparison<'_> {
         self.keys.index_key(row).and_then(|index| name_difference(row, header, &index))
     }
 
-    /// What the first bytes of a record say; `whole` if its head must be among them.
+    /// `whole` if the head must be among the first bytes.
     fn look(&self, row: &RecordRow, front: &[u8], whole: bool) -> Sight {
         let Ok((header, length)) = Header::parse(front) else { return Sight::Broken("stored bytes") };
         let opening = if whole { self.keys.opening(&header) } else { None };
@@ -265,7 +244,6 @@ pub(super) fn false_name(
     }
 }
 
-/// What was seen of a record.
 enum Sight {
     Nothing,
     Broken(&'static str),
@@ -330,7 +308,6 @@ pub fn head_difference(row: &RecordRow, head: &Head, here: RecorderPrefix) -> Op
     fields.iter().find(|(_, same)| !same).map(|(field, _)| *field)
 }
 
-/// The field in which a row and an opened record differ.
 pub fn difference(row: &RecordRow, opened: &OpenedRecord, here: RecorderPrefix) -> Option<&'static str> {
     header_difference(row, &opened.header).or_else(|| head_difference(row, &opened.head, here))
 }
@@ -364,7 +341,6 @@ fn is_pseudonym(type_name: &str) -> bool {
     type_name.is_empty() || (type_name.len() == 16 && type_name.bytes().all(|byte| byte.is_ascii_hexdigit()))
 }
 
-/// Puts the record's own values in place of the ledger's.
 fn take_over(row: &mut RecordRow, header: &Header, head: Option<&Head>) {
     row.owner = header.owner;
     row.recorder = header.recorder;
@@ -385,7 +361,6 @@ fn take_over(row: &mut RecordRow, header: &Header, head: Option<&Head>) {
     }
 }
 
-/// Inconsistencies between a row, its place in a batch and its state.
 fn place_difference(placed: &PlacedRecord) -> Option<&'static str> {
     let row = &placed.row;
     let settled = matches!(row.state, RecordState::Mined | RecordState::Confirmed | RecordState::Verified);
@@ -395,7 +370,6 @@ fn place_difference(placed: &PlacedRecord) -> Option<&'static str> {
     anchor_difference(placed)
 }
 
-/// Inconsistencies between a row and its place in a batch.
 pub(super) fn anchor_difference(PlacedRecord { row, place }: &PlacedRecord) -> Option<&'static str> {
     let place = place.as_ref()?;
     if !chain_proofs::is_included(place, row) {

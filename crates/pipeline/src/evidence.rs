@@ -1,7 +1,6 @@
 //! What an evidence bundle is assembled from: records from the store, their places in batches, and the chain's proofs
 //! of their anchors and their signers' keys.
 
-/// The most records in a bundle.
 pub use authros_evidence::MOST_RECORDS;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -33,19 +32,15 @@ use crate::{PipelineError, Plant, authority};
 /// The most kept headers after a block that are included.
 const MOST_FURTHER: u64 = 16;
 
-/// A bundle being assembled, and what could not be included.
 #[derive(Debug, Default)]
 pub struct Gathered {
     pub packing: Packing,
-    /// The number of records.
     pub records: u64,
-    /// The number of them that are disclosed.
     pub revealed: u64,
     /// What is missing, in words.
     pub notes: Vec<String>,
 }
 
-/// What the chain has to prove for a record of the bundle.
 struct Asked {
     digest: Digest,
     owner: Address,
@@ -57,7 +52,6 @@ struct Asked {
 }
 
 impl Asked {
-    /// The root of its batch.
     fn root(&self) -> Option<Hash> {
         match &self.anchor {
             Anchoring::Each {} => None,
@@ -70,8 +64,8 @@ fn refused(error: PackingError) -> PipelineError {
     PipelineError::Refused(error.to_string())
 }
 
-/// Collects these records, the reader's own, and discloses the named ones; the suggested trust file names these time
-/// stamp authorities.
+/// Collects these records, the reader's own, and discloses the named ones; the suggested trust file names
+/// `authorities`.
 pub async fn gather(
     reader: &Reader<'_>,
     rows: &[RecordRow],
@@ -161,7 +155,6 @@ fn stored(
     Ok(Some((header, key, record)))
 }
 
-/// The block of the record's anchor, and the kind of anchor.
 fn anchoring(reader: &Reader<'_>, row: &RecordRow) -> Result<Option<(u64, Anchoring)>, PipelineError> {
     let placed = reader.plant.ledger.records.placed(row.digest)?;
     let (block, place) = placed.map_or((row.block, None), |placed| (placed.row.block, placed.place));
@@ -246,8 +239,7 @@ async fn show(
     Ok(headers)
 }
 
-/// The nodes that show these slots, and after which block; `None` if nothing proves them any more. Without a head there
-/// is no chain to ask.
+/// The nodes that show these slots, and after which block; `None` if nothing proves them. No head: no chain to ask.
 async fn shown(
     reader: &Reader<'_>,
     (block, head, further): (u64, Option<u64>, u64),
@@ -280,7 +272,6 @@ async fn add_headers(
     Ok(())
 }
 
-/// What has to be proven of the contract's storage for these records.
 fn slots(all: &[Asked]) -> Vec<Slot> {
     let wanted = all.iter().map(|Asked { digest, owner, signer, keys, anchor, .. }| {
         let anchor = match anchor {
@@ -302,7 +293,6 @@ async fn state_nodes(reader: &Reader<'_>, block: u64, slots: &[Slot]) -> Result<
     }
 }
 
-/// Who seals the chain, as far as it can be known.
 struct Sealers {
     addresses: Vec<Address>,
     /// They are the exporter's own program.
@@ -310,7 +300,6 @@ struct Sealers {
 }
 
 impl Sealers {
-    /// As the node says.
     async fn of(chain: &Chain) -> Result<Self, PipelineError> {
         let mut addresses = chain.sealing().await?.sealers;
         addresses.sort_unstable();
@@ -325,7 +314,6 @@ impl Sealers {
     }
 }
 
-/// The trust file that the exporter would write.
 fn suggest(
     reader: &Reader<'_>,
     sealers: Sealers,
@@ -375,18 +363,13 @@ pub(super) fn add(plant: &Plant, roots: &BTreeSet<Hash>, gathered: &mut Gathered
 /// The most statements of one type by one recorder that are searched.
 const MOST_STATEMENTS: usize = 16;
 
-/// Statements that a bundle discloses for completeness.
 #[derive(Debug, Default)]
 pub(super) struct Shown {
-    /// The records of heads and births.
     pub rows: Vec<RecordRow>,
-    /// Highest numbers with their paths.
     pub heights: Vec<Height>,
-    /// What is missing, in words.
     pub notes: Vec<String>,
 }
 
-/// What there is for these records.
 pub(super) async fn heights_shown(reader: &Reader<'_>, rows: &[RecordRow]) -> Result<Shown, PipelineError> {
     let mut topics: BTreeMap<RecorderId, BTreeSet<TopicId>> = BTreeMap::new();
     // The recorder of a ring states nothing: its id says that its numbers may be missing.
@@ -405,7 +388,6 @@ pub(super) async fn heights_shown(reader: &Reader<'_>, rows: &[RecordRow]) -> Re
     Ok(shown)
 }
 
-/// What there is for one recorder.
 async fn one(
     reader: &Reader<'_>,
     (recorder, topics): (RecorderId, &BTreeSet<TopicId>),
@@ -438,7 +420,7 @@ async fn one(
     Ok(())
 }
 
-/// Anchored statements of a recorder, in search order: heads from the newest, births from the oldest.
+/// In search order: heads from the newest, births from the oldest.
 fn statements(reader: &Reader<'_>, recorder: RecorderId, type_name: &str) -> Result<Vec<RecordRow>, PipelineError> {
     let query = RecordQuery {
         owner: Some(reader.reader.address),
@@ -458,12 +440,10 @@ fn is_confirmed(row: &RecordRow) -> bool {
     matches!(row.state, RecordState::Confirmed | RecordState::Verified)
 }
 
-/// The content of a statement.
 async fn body(reader: &Reader<'_>, row: &RecordRow) -> Option<Vec<u8>> {
     Some(reader.open(row).await.ok()?.body)
 }
 
-/// The list of numbers under a head.
 async fn heights(reader: &Reader<'_>, row: &RecordRow) -> Option<Heights> {
     let heads = Heads::parse(&body(reader, row).await?).ok()?;
     let listed = reader.plant.ledger.records.find(heads.heights).ok()??;

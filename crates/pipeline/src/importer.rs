@@ -39,8 +39,7 @@ pub const RECORDED_TOPIC: &str = "recorded_topic";
 /// The largest body that a record holds, bytes.
 const LARGEST: u64 = LARGEST_BODY - TAG_LENGTH as u64;
 
-/// Why a message cannot be imported; `None` if it can. What no record can hold must not reach the sealer, which tries again
-/// until it succeeds.
+/// What no record can hold must not reach the sealer, which tries again until it succeeds.
 pub fn fault(message: &RecordedMessage) -> Option<&'static str> {
     let channel = &message.channel;
     if message.body.len() as u64 > LARGEST {
@@ -53,7 +52,6 @@ pub fn fault(message: &RecordedMessage) -> Option<&'static str> {
     channel.type_name.is_empty().then_some("it has no type")
 }
 
-/// The encoding stated in a record's tags.
 pub fn encoding(tags: &BTreeMap<String, String>) -> Encoding {
     match tags.get(ENCODING).map(String::as_str) {
         Some("cdr") => Encoding::Cdr { idl: false },
@@ -64,21 +62,18 @@ pub fn encoding(tags: &BTreeMap<String, String>) -> Encoding {
     }
 }
 
-/// The recording's metadata of a record's channel.
 pub fn about(tags: &BTreeMap<String, String>) -> BTreeMap<Arc<str>, Arc<str>> {
     let of_channel =
         |(key, value): (&String, &String)| Some((key.strip_prefix(CHANNEL)?.into(), value.as_str().into()));
     tags.iter().filter_map(of_channel).collect()
 }
 
-/// The recording's metadata of a record's publishing.
 pub fn sent(tags: &BTreeMap<String, String>, recorded: Timestamp) -> Option<Sent> {
     let sequence = tags.get(SEQUENCE)?.parse().ok()?;
     let time = tags.get(PUBLISHED).and_then(|time| time.parse().ok()).map_or(recorded, Timestamp);
     Some(Sent { time, sequence })
 }
 
-/// The kind of record that holds what is encoded like this.
 pub fn kind_of(encoding: Encoding) -> RecordKind {
     match encoding {
         Encoding::Ros1 | Encoding::Cdr { .. } => RecordKind::Data,
@@ -94,7 +89,6 @@ fn tags_of(sent: Sent, recorded: Timestamp) -> Vec<(String, String)> {
     tags
 }
 
-/// Imports one recording, or one home, for one author.
 pub struct Importer<'a> {
     rings: &'a Rings<CapturedMessage>,
     author: Arc<Author>,
@@ -132,7 +126,6 @@ impl Stream {
     }
 }
 
-/// What the tags say of a recording's channel.
 fn channel_tags(channel: &Channel, topic: &Arc<str>) -> Vec<(String, String)> {
     let mut tags = vec![(SOURCE.0.to_owned(), SOURCE.1.to_owned())];
     let encoding = match channel.encoding {
@@ -151,7 +144,6 @@ fn channel_tags(channel: &Channel, topic: &Arc<str>) -> Vec<(String, String)> {
 }
 
 impl<'a> Importer<'a> {
-    /// Imports for `author`; every message gets the tags.
     pub fn new(
         rings: &'a Rings<CapturedMessage>,
         author: Arc<Author>,
@@ -166,7 +158,7 @@ impl<'a> Importer<'a> {
         Self { followed: false, ..self }
     }
 
-    /// Imports one recorded message under a graph name, as soon as there is room. `false` if the import is to end.
+    /// Waits for room; `false` if the import is to end.
     pub fn take(&mut self, message: RecordedMessage, topic: &Arc<str>, goes_on: &dyn Fn() -> bool) -> bool {
         if !self.sessions.contains_key(&message.channel) {
             let tags = [self.tags.clone(), channel_tags(&message.channel, topic)].concat();
@@ -262,7 +254,6 @@ impl<'a> Importer<'a> {
         }
     }
 
-    /// Messages passed to the sealer.
     pub fn offered(&self) -> u64 {
         self.offered
     }

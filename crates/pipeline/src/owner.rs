@@ -13,12 +13,11 @@ use crate::model::{Address, Digest, Domain, ProfileName, PublicKey, Timestamp, T
 use super::epoch::EpochKeys;
 use super::{Author, PipelineError};
 
-/// A profile with its keys. Its address does not change while it is open.
+/// Its address does not change while it is open.
 pub struct Owner {
     /// Its name on this machine.
     pub profile: ProfileName,
     pub address: Address,
-    /// Seals in its name.
     pub author: Arc<Author>,
     keyring: Arc<Mutex<UnlockedKeyring>>,
     /// Envelopes opened so far, by SM3 of the envelope.
@@ -29,7 +28,6 @@ pub struct Owner {
 }
 
 impl Owner {
-    /// An owner with an open keyring.
     pub fn new(profile: ProfileName, keyring: UnlockedKeyring) -> Self {
         let address = keyring.keys().eoa.address();
         Self {
@@ -43,8 +41,8 @@ impl Owner {
         }
     }
 
-    /// The owner of the same keyring after its account changed. Both share the one copy of the keys, so neither can save
-    /// an older one over the other's.
+    /// The owner of the same keyring after its account changed. Both share the one copy of the keys, so neither can
+    /// save an older one over the other's.
     #[must_use]
     pub fn with_new_account(&self) -> Self {
         let address = self.keyring().keys().eoa.address();
@@ -150,24 +148,20 @@ impl Owner {
         self.keyring().keys().index.clone()
     }
 
-    /// The pseudonym of a topic.
     pub fn topic_id(&self, topic: &str) -> TopicId {
         topic_id(&self.keyring().keys().index, topic)
     }
 
-    /// The keys that seal new records; `None` until an epoch was begun or resumed.
     pub fn sealing(&self) -> Option<Arc<EpochKeys>> {
         self.author.sealing()
     }
 
-    /// The key of an epoch of this owner on a network, if the keyring has it.
     pub fn epoch_key(&self, domain: Domain, epoch: u64) -> Option<EpochKey> {
         let keyring = self.keyring();
         let secret = keyring.keys().networks.get(&domain).and_then(|network| network.epochs.get(&epoch))?;
         Some(secret.key.clone())
     }
 
-    /// The networks of which the keyring has epochs.
     pub fn domains(&self) -> Vec<Domain> {
         let keyring = self.keyring();
         let used = keyring.keys().networks.iter().filter(|(_, network)| !network.epochs.is_empty());
@@ -181,7 +175,6 @@ impl Owner {
         network.map(|network| network.epochs.keys().copied().collect()).unwrap_or_default()
     }
 
-    /// Token of an epoch in the keyring.
     pub fn token(&self, domain: Domain, epoch: u64) -> Option<Token> {
         self.epoch_key(domain, epoch).map(|key| token(&domain, &self.address, epoch, &key))
     }
@@ -203,14 +196,12 @@ impl Owner {
         self.token(domain, epoch).ok_or(PipelineError::UnknownEpoch(epoch))
     }
 
-    /// From now on records are sealed under `epoch`, which is in the keyring.
     pub fn seal_under(&self, domain: Domain, epoch: u64) -> Result<(), PipelineError> {
         self.author.seal_under(self.epoch_keys(domain, epoch)?);
         Ok(())
     }
 
-    /// From `moment` on records are sealed under `epoch`, which is in the keyring; of two such moments
-    /// the earlier counts.
+    /// Of two such moments the earlier counts.
     pub fn seal_from(&self, moment: Timestamp, domain: Domain, epoch: u64) -> Result<(), PipelineError> {
         self.author.seal_from(moment, self.epoch_keys(domain, epoch)?);
         Ok(())
@@ -261,7 +252,6 @@ impl Owner {
         })
     }
 
-    /// The chain has this epoch: records that in the keyring.
     pub fn confirm_epoch(&self, domain: Domain, epoch: u64) -> Result<(), CryptoError> {
         let mut keyring = self.keyring();
         let Some(network) = keyring.keys().networks.get(&domain) else { return Ok(()) };

@@ -29,12 +29,10 @@ pub struct Reader<'a> {
 }
 
 impl Reader<'_> {
-    /// The right by which this reader reads `owner`'s records of a topic, on its own site.
     fn right(&self, owner: Address, topic: Option<TopicId>) -> Result<ReadingRight, ReadRefused> {
         may_read(&self.network.directory, self.reader.address, owner, topic, Policy::OwnSite)
     }
 
-    /// Whether the chain's grants let this reader see the record at all.
     pub fn authorise(&self, row: &RecordRow) -> Result<(), PipelineError> {
         let own = row.owner == self.reader.address;
         if !own && is_held(row) {
@@ -52,10 +50,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Checks a record without opening it (the paper's `Data_Check`).
-    ///
-    /// # Errors
-    /// Errors of store and chain; what is wrong with the record itself is in the verdict.
+    /// Checks a record without opening it (the paper's `Data_Check`); what is wrong with it is in the verdict.
     pub async fn check(&self, row: &RecordRow) -> Result<(Verdict, Digest), PipelineError> {
         let checked = self.check_once(row).await?;
         if checked.0 != Verdict::Tampered {
@@ -69,7 +64,7 @@ impl Reader<'_> {
     }
 
     async fn check_once(&self, row: &RecordRow) -> Result<(Verdict, Digest), PipelineError> {
-        // Never from the cache: a check is of what lies on the disk.
+        // Never from the cache: a check is of what is on the disk.
         let stored = block_in_place(|| match row.deleted_at {
             None => self.plant.ciphertext.get(row.digest),
             Some(_) => Ok(None),
@@ -115,7 +110,6 @@ impl Reader<'_> {
         block_in_place(|| Ok(self.plant.stored_bytes(row)?))
     }
 
-    /// What the chain says of the record, or said when it could be asked.
     async fn anchor(&self, row: &RecordRow) -> Result<Anchor, PipelineError> {
         let confirmed = matches!(row.state, RecordState::Confirmed | RecordState::Verified | RecordState::Tampered);
         let (anchored, digest) = match self.network.absent {
@@ -126,11 +120,8 @@ impl Reader<'_> {
         Ok(if anchored { digest } else { Anchor::Unanchored })
     }
 
-    /// Checks and decrypts a record.
-    ///
-    /// # Errors
-    /// `NotGranted`; `CryptoError` of kind `Tampered` if a check fails, `Refused` if no key of this reader opens it or
-    /// its signer wrote a false name into it; a missing blob counts as tampering too.
+    /// `Tampered` if a check fails, `Refused` if no key of this reader opens it or its signer wrote a false name into
+    /// it; a missing blob counts as tampering too.
     pub async fn open(&self, row: &RecordRow) -> Result<OpenedRecord, PipelineError> {
         self.authorise(row)?;
         let Some(blob) = self.blob(row)? else {
@@ -178,7 +169,6 @@ impl Reader<'_> {
         }
     }
 
-    /// The key of the record's topic in its epoch.
     pub fn topic_key(&self, row: &RecordRow) -> Result<TopicKey, PipelineError> {
         Ok(self.opening_of(row.owner, row.epoch, row.topic_id)?.0)
     }
@@ -200,7 +190,6 @@ impl Reader<'_> {
         Err(CryptoError::WrongKey.into())
     }
 
-    /// The epochs of an owner for which this reader has keys.
     pub fn epochs_of(&self, owner: Address) -> Result<BTreeSet<u64>, PipelineError> {
         if owner == self.reader.address {
             return Ok(self.reader.epochs(self.network.domain).into_iter().collect());
@@ -302,22 +291,19 @@ fn find_opening(keys: &GrantedKeys, epoch: u64, topic: TopicId) -> Option<(Topic
 }
 
 impl Reader<'_> {
-    /// The topics of an owner that this reader may read now; `None` = none.
+    /// The topics that this reader may read now.
     pub fn scope(&self, owner: Address) -> Option<Scope> {
         self.right(owner, None).ok().map(|right| right.scope().clone())
     }
 }
 
 impl Reader<'_> {
-    /// What this reader sealed in a record; `None` if its bytes are gone or do not open. Waits for the store.
+    /// `None` if the bytes are gone or do not open. Waits for the store.
     pub fn own_contents(&self, row: &RecordRow) -> Result<Option<OpenedRecord>, PipelineError> {
         Ok(self.own_bytes(row)?.map(|blob| self.open_own(row, &blob)).transpose()?.flatten())
     }
 
-    /// The reader's own records that a query finds, opened by what the home itself knows; without those that do not open.
-    ///
-    /// # Errors
-    /// Errors of the ledger.
+    /// Opened by what the home itself knows; without those that do not open.
     pub fn own_opened(
         &self,
         query: RecordQuery,
@@ -329,13 +315,11 @@ impl Reader<'_> {
         })
     }
 
-    /// The stored bytes of a record.
     pub fn own_bytes(&self, row: &RecordRow) -> Result<Option<Vec<u8>>, PipelineError> {
         Ok(self.plant.stored_bytes(row)?)
     }
 
-    /// Opens an own record with the key that signed it, of the owner or of a device; `None` if it does not open, or
-    /// if its signer wrote a false name into it.
+    /// Opens an own record with the key of the owner or of a device; `None` if it does not open, or has a false name.
     pub fn open_own(&self, row: &RecordRow, blob: &[u8]) -> Result<Option<OpenedRecord>, PipelineError> {
         let Some(signer) = self.own_signer(row.signer)?.filter(|_| row.owner == self.reader.address) else {
             return Ok(None);
@@ -355,7 +339,6 @@ impl Reader<'_> {
         }
     }
 
-    /// The signing keys that the reader's account ever registered.
     fn registered_keys(&self) -> Vec<PublicKey> {
         self.network.directory.with_account(self.reader.address, |account| {
             account.map(|account| account.identities.iter().map(|known| known.signing).collect()).unwrap_or_default()

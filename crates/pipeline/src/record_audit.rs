@@ -1,7 +1,6 @@
-//! The audit of records: ledger rows against proofs and chain, batches against the chain's events, sequences without
-//! gaps, the audit log's hashes; `deep` also re-hashes every stored ciphertext and checks its signature.
-//!
-//! Pages are read from the ledger, one snapshot each, and shared by workers: memory does not grow with the store.
+//! The audit of records: rows against proofs and chain, batches against events, sequences without gaps, the audit log's
+//! hashes; `deep` also every stored byte and signature. Pages are shared by workers: memory does not grow with the
+//! store.
 
 mod batches;
 mod records;
@@ -28,14 +27,12 @@ use crate::store::{AuditLog, AuditedRecord, Ledger, StoreError};
 use crate::watcher;
 use crate::{Network, Plant, audit_head};
 
-/// The scope of an audit.
 #[derive(Clone)]
 pub struct Scope {
     /// Also every stored byte and every signature.
     pub deep: bool,
     /// Only records captured at or after this time; batches, numbers and the audit log are always checked in full.
     pub since: Timestamp,
-    /// Accounts of the home's profiles.
     pub accounts: Vec<Address>,
     /// Keys of the profiles whose keyrings are open: names are compared by their pseudonyms.
     pub keys: Arc<dyn Keys + Send + Sync>,
@@ -43,12 +40,8 @@ pub struct Scope {
     pub looked_at: Arc<AtomicU64>,
 }
 
-/// Audits the store. `chain` is what the rows are compared with, or why it cannot be queried (then the rest is done all
-/// the same); `None` in a home that never used a chain. Blocks for as long as it takes; call it on a thread that may
-/// block and may wait for the runtime.
-///
-/// # Errors
-/// Errors of the store if they do not answer at all; faults in them are part of the answer.
+/// `chain` is what the rows are compared with, or why it cannot be queried; `None` in a home that never used a chain.
+/// Blocks: call it on a thread that may wait for the runtime. Faults in the store are part of the answer.
 pub fn audit(
     plant: &Plant,
     chain: Option<Result<&Network, String>>,
@@ -178,7 +171,6 @@ fn differences(
     Ok(found)
 }
 
-/// Chain and ledger side by side.
 struct Compared<'a> {
     /// On the chain alone.
     missing: Vec<&'a EventAt>,
@@ -214,12 +206,10 @@ impl<'a> Compared<'a> {
     }
 }
 
-/// The result of a round.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Scrubbed {
     pub records: u64,
     pub bytes: u64,
-    /// Records that are tampered or missing.
     pub bad: u64,
 }
 

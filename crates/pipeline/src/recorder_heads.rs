@@ -23,9 +23,8 @@ pub fn tree(heights: &Heights) -> Option<Tree> {
     Tree::new(heights.topics.iter().map(|(topic, number)| height_hash(topic, *number)).collect())
 }
 
-/// States the numbers of this ledger's recorder for `owner` if they have changed and were not stated or checked
-/// (`seen`, kept by the caller) for `every`; the first time also its birth. Returns the record of the head. One caller
-/// at a time.
+/// States the numbers of this ledger's recorder if they changed and were not looked at (`seen`) for `every`; the first
+/// time also its birth. Returns the record of the head. One caller at a time.
 pub fn state(
     plant: &Plant,
     owner: Address,

@@ -36,8 +36,7 @@ pub fn handover(
     Ok(hand_over(plant.provider, &network.domain, &owner.eoa(), next, &registered.envelope)?)
 }
 
-/// The epochs on the chain whose key the keyring lacks, oldest first: one that the chain's token does not commit to
-/// counts as missing.
+/// Oldest first. A key that the chain's token does not commit to counts as missing.
 pub fn lacking(plant: &Plant, network: &Network, owner: &Owner) -> Result<Vec<u64>, PipelineError> {
     let mut lacking = Vec::new();
     for epoch in 1..=network.directory.epoch(owner.address) {
@@ -49,7 +48,6 @@ pub fn lacking(plant: &Plant, network: &Network, owner: &Owner) -> Result<Vec<u6
     Ok(lacking)
 }
 
-/// Whether the keyring has the key of the chain's current epoch.
 pub fn holds_current(network: &Network, owner: &Owner) -> bool {
     let account = network.directory.account(owner.address).unwrap_or_default();
     account.token.is_some() && owner.token(network.domain, account.epoch) == account.token
@@ -107,11 +105,8 @@ fn open_own(
     Ok(good.then_some((key, index_key)))
 }
 
-/// Notes in the keyring the SM2 pairs that the chain has and the keyring lacks, as the next ones, and all those in
-/// between as former ones; returns whether there were any. The caller puts them into use.
-///
-/// # Errors
-/// Errors of the ledger and of saving the keyring; [`PipelineError::NoHandover`] if no key here leads to the registered
+/// Notes the SM2 pairs that the chain has and the keyring lacks as the next ones, and those between as former ones;
+/// returns whether there were any. The caller puts them into use. `NoHandover` if no key here leads to the registered
 /// pairs.
 pub fn recover_pairs(plant: &Plant, network: &Network, owner: &Owner) -> Result<bool, PipelineError> {
     let registered = network.directory.identity(owner.address)?;

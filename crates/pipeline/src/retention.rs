@@ -27,7 +27,6 @@ const ROUND: usize = 1024;
 /// Rounds after which records that were overtaken (still pending then) are searched for.
 const ANEW: u32 = 600;
 
-/// The rules in force for the owners of a site.
 pub struct Retention {
     rules: Keeping,
     /// Where the search for each topic's oldest record begins.
@@ -37,26 +36,19 @@ pub struct Retention {
     rounds: u32,
 }
 
-/// The result of a round.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Round {
-    /// Topics and how many of their records were named.
     pub named: Vec<(String, u64)>,
-    /// Records whose ciphertext was deleted.
     pub deleted: u64,
 }
 
 impl Retention {
-    /// Rules not applied yet.
     pub fn new(rules: Keeping) -> Self {
         Self { rules, since: HashMap::new(), held: HashMap::new(), rounds: 0 }
     }
 
-    /// Names the records of an owner that are no longer kept, and deletes those that were named and whose retention
-    /// record is anchored. One caller at a time.
-    ///
-    /// # Errors
-    /// Errors of sealing and of the store; what is done so far stays.
+    /// Names records that are no longer kept, and deletes those whose retention record is anchored. One caller at a
+    /// time.
     pub fn round(&mut self, plant: &Plant, owner: &Owner) -> Result<Round, PipelineError> {
         self.rounds += 1;
         if self.rounds.is_multiple_of(ANEW) {
@@ -215,8 +207,7 @@ fn report(
     Ok(true)
 }
 
-/// Overwrites records that their owners told this gateway to erase, and that are still here; returns how many. One caller at
-/// a time.
+/// Overwrites records that owners told this gateway to erase; returns how many. One caller at a time.
 pub fn delete_told(plant: &Plant) -> Result<u64, PipelineError> {
     let digests = plant.ledger.erasures.told_to_delete(ROUND)?;
     if !digests.is_empty() {
@@ -246,7 +237,6 @@ pub fn delete(plant: &Plant, owner: &Owner) -> Result<u64, PipelineError> {
 /// The longest reason, characters.
 pub const LONGEST_REASON: usize = 500;
 
-/// What became of the chosen records.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Erased {
     /// Named: their bytes go when the retention records are confirmed.
@@ -260,10 +250,7 @@ pub fn can_be(row: &RecordRow) -> bool {
     row.kind.is_content() && row.state == RecordState::Verified && row.deleted_at.is_none()
 }
 
-/// Names these records of an owner, each of which [`can_be`] erased, as erased. One caller at a time.
-///
-/// # Errors
-/// [`PipelineError::Uncovered`] without keys to seal with, errors of sealing and of the store; what was named stays so.
+/// Names records, each of which [`can_be`] erased. What was named before an error stays so. One caller at a time.
 pub fn name(plant: &Plant, owner: &Owner, rows: &[RecordRow], erasure: &Erasure) -> Result<Erased, PipelineError> {
     let mut topics: BTreeMap<(TopicId, RecorderId), Vec<&RecordRow>> = BTreeMap::new();
     for row in rows {
@@ -292,7 +279,6 @@ pub fn name(plant: &Plant, owner: &Owner, rows: &[RecordRow], erasure: &Erasure)
     Ok(done)
 }
 
-/// Seals and stores the retention record of some records of one topic.
 fn report_erased(
     plant: &Plant,
     owner: &Owner,
@@ -329,7 +315,6 @@ fn state(
     Ok(plant.ledger.erasures.keep(statements)?)
 }
 
-/// What an owner states of one erased record, signed by d_C and by the account.
 pub fn stated(
     plant: &Plant,
     (signing, account): (&SmKeyPair, &EoaSecret),
@@ -342,8 +327,7 @@ pub fn stated(
     Ok(StatedErasure { digest: *about.0, statement: statement.encode(), account })
 }
 
-/// States again what an owner had erased under an earlier key. Returns whether nothing is left to state; as long as there is,
-/// it is to be called again.
+/// States erasures made under an earlier key again. Returns whether none is left; until then, call again.
 pub fn restate(plant: &Plant, owner: &Owner, signing: &SmKeyPair) -> Result<bool, PipelineError> {
     let unstated = plant.ledger.erasures.unstated(owner.address, &signing.public, ROUND)?;
     let (keys, count) = ((signing, &owner.eoa()), unstated.len());
@@ -355,8 +339,8 @@ pub fn restate(plant: &Plant, owner: &Owner, signing: &SmKeyPair) -> Result<bool
     Ok(count < ROUND)
 }
 
-/// Whether a record that is gone, and whose retention record is not here, was erased as its owner states: with a key that
-/// was the owner's, if a network is there to say so.
+/// Whether a gone record whose retention record is not here was erased as its owner states, with a key that was the
+/// owner's if a network is there to say so.
 pub fn is_stated(plant: &Plant, network: Option<&Network>, digest: Digest, retained: &Retained) -> bool {
     let Some(bytes) = &retained.stated else { return false };
     let Ok(statement) = ErasedStatement::parse(bytes) else { return false };
@@ -387,7 +371,6 @@ struct Held {
 }
 
 impl Held {
-    /// For a topic, by its name.
     pub fn of(topic: &str, incidents: &[IncidentRow]) -> Self {
         let about = |span: &&IncidentSpan| span.topics.is_empty() || span.topics.iter().any(|name| name == topic);
         let spans = incidents.iter().map(|incident| &incident.span).filter(about);
@@ -413,7 +396,6 @@ impl Held {
         Ok(bytes)
     }
 
-    /// The time between the spans, within one stretch.
     pub fn between(&self, (since, until): Span) -> Vec<Span> {
         let mut free = Vec::with_capacity(self.spans.len() + 1);
         let mut begin = since;
@@ -454,8 +436,8 @@ pub fn left_of(
     Ok(Some(Fetched { signer, signature: row.signature, proof, blob: header }))
 }
 
-/// The notice of an erased record, with the statement and the account's signature that the ledger has. `None` if nobody would
-/// accept it now: its owner has another key, its anchor is in no batch of a block, or its signer is unknown.
+/// `None` if nobody would accept it now: its owner has another key, it is in no batch of a block, or its signer is
+/// unknown.
 pub fn notice_of(
     plant: &Plant,
     network: &Network,
@@ -477,7 +459,6 @@ pub fn notice_of(
     Ok(left.map(|left| ErasureNotice { digest, account_signature: AccountSignature(account), left }))
 }
 
-/// Whether this is the key that an owner has now.
 pub fn is_owners(network: &Network, owner: Address, key: &PublicKey) -> bool {
     let now = Moment::newest(network.directory.now());
     matches!(may_sign(&network.directory, owner, signer_id(key), now), Ok(SigningRight::Owner(_)))

@@ -1,5 +1,4 @@
-//! How long a message takes from capture to each milestone, and how busy each stage of the line is. Counters only: they
-//! cost a few atomic additions per round.
+//! Times from capture to each milestone, and how busy each stage is: counters that cost a few atomic additions a round.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
@@ -15,7 +14,6 @@ const QUARTER: usize = 4;
 /// Total buckets, up to 2^40 microseconds (twelve days).
 const BUCKETS: usize = 16 * 37;
 
-/// A milestone of a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Milestone {
     Durable,
@@ -36,7 +34,6 @@ impl Milestone {
     }
 }
 
-/// A stage of the line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stage {
     /// Key derivation, SM4, SM3, SM2 signature.
@@ -51,7 +48,6 @@ pub enum Stage {
 }
 
 impl Stage {
-    /// All, in the order of the line.
     pub const ALL: [Self; 5] = [Self::Seal, Self::Commit, Self::Anchor, Self::Watch, Self::Verify];
 
     pub fn word(self) -> &'static str {
@@ -65,13 +61,11 @@ impl Stage {
     }
 }
 
-/// Times of one milestone.
 #[derive(Debug)]
 struct Times {
     buckets: [AtomicU64; BUCKETS],
 }
 
-/// The counters of a site.
 #[derive(Debug, Default)]
 pub struct Stages {
     reached: [Times; Milestone::ALL.len()],
@@ -85,7 +79,6 @@ impl Default for Times {
 }
 
 impl Stages {
-    /// Messages captured at these times have now reached a milestone.
     pub fn reached(&self, milestone: Milestone, captured: impl IntoIterator<Item = Timestamp>) {
         let now = Timestamp::now();
         for captured in captured {
@@ -95,7 +88,6 @@ impl Stages {
         }
     }
 
-    /// Does `work`, and counts the time it takes.
     pub fn count<T>(&self, stage: Stage, work: impl FnOnce() -> T) -> T {
         let begun = Instant::now();
         let done = work();
@@ -103,18 +95,15 @@ impl Stages {
         done
     }
 
-    /// A stage was busy for this long.
     pub fn spent(&self, stage: Stage, time: Duration) {
         let nanoseconds = u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
         self.busy[stage as usize].fetch_add(nanoseconds, Ordering::Relaxed);
     }
 
-    /// How long a stage was busy since the site started.
     pub fn busy(&self, stage: Stage) -> Duration {
         Duration::from_nanos(self.busy[stage as usize].load(Ordering::Relaxed))
     }
 
-    /// How many messages have reached a milestone.
     pub fn count_of(&self, milestone: Milestone) -> u64 {
         self.reached[milestone as usize].buckets.iter().map(|bucket| bucket.load(Ordering::Relaxed)).sum()
     }
@@ -134,8 +123,7 @@ impl Stages {
         (within, all, seconds)
     }
 
-    /// How many messages reached a milestone, by the longest time of their quarter of a doubling, microseconds; only
-    /// times that occurred.
+    /// Messages by the longest time of their quarter of a doubling, microseconds; only times that occurred.
     pub fn spread(&self, milestone: Milestone) -> Vec<(u64, u64)> {
         let buckets = &self.reached[milestone as usize].buckets;
         let counted = buckets.chunks(QUARTER).enumerate().map(|(place, quarter)| {

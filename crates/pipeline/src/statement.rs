@@ -1,5 +1,4 @@
-//! Records that the site itself writes for an owner: sealed, stored and acknowledged like captured messages, then
-//! batched, anchored and verified by the same workers.
+//! Records that the site writes for an owner: sealed, stored, anchored and verified like captured messages.
 
 use crate::crypto::{SealRequest, SmKeyPair, TopicKey, seal, signer_id};
 use crate::model::head::Compression;
@@ -9,21 +8,17 @@ use crate::store::{NewRecord, StoreError};
 use super::epoch::{EpochKeys, TopicKeys};
 use super::{PipelineError, Plant};
 
-/// The content of a statement.
 #[derive(Debug, Clone, Copy)]
 pub struct Statement<'a> {
-    /// The kind of record.
     pub kind: RecordKind,
     /// The name it is filed under; no ROS name begins like this (`authros/…`).
     pub topic: &'a str,
     /// Takes the place of a message type.
     pub type_name: &'a str,
-    /// The bytes to seal.
     pub body: &'a [u8],
 }
 
-/// Seals and stores a statement of `owner`; durable when this returns. `None` if the keys do not cover its name. One
-/// caller at a time per owner and topic.
+/// Durable when this returns. `None` if the keys do not cover its name. One caller at a time per owner and topic.
 pub fn state(
     plant: &Plant,
     owner: Address,
@@ -54,20 +49,16 @@ pub fn state_to_be_found(
     })
 }
 
-/// The owner and keys of a statement.
 pub struct Speaker<'a> {
     pub domain: Domain,
     pub owner: Address,
     pub signing: &'a SmKeyPair,
-    /// The epoch stated in its header.
     pub epoch: u64,
-    /// Pseudonym of the name it is filed under.
     pub topic_id: TopicId,
     pub topic_key: &'a TopicKey,
 }
 
 impl<'a> Speaker<'a> {
-    /// `owner`, with the keys of an epoch, about a topic of it.
     pub fn of(keys: &'a EpochKeys, owner: Address, topic: &'a TopicKeys) -> Self {
         Self {
             domain: keys.domain,
@@ -80,7 +71,6 @@ impl<'a> Speaker<'a> {
     }
 }
 
-/// Seals a statement and stores it, acknowledged by what `acknowledge` does with its row.
 pub fn put<T>(
     plant: &Plant,
     speaker: &Speaker<'_>,

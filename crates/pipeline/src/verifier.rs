@@ -1,5 +1,4 @@
-//! The last step: re-reads confirmed records from the store and checks digest and signature, some at a time on as many
-//! cores as it pays. The store is asked for many at once; each record is checked by itself.
+//! The last step: re-reads confirmed records from the store, and checks digest and signature on several cores.
 
 use std::time::Instant;
 
@@ -16,7 +15,6 @@ const ROUND: usize = 512;
 /// Bytes read before they are checked together, unless a single record is larger.
 const PIECE: u64 = 4 << 20;
 
-/// What a page of records came to.
 #[derive(Default)]
 struct Outcome<'a> {
     good: Vec<&'a RecordRow>,
@@ -63,7 +61,7 @@ fn verify_page(plant: &Plant, network: &Network, rows: &[RecordRow]) -> Result<u
 }
 
 impl<'a> Outcome<'a> {
-    /// Reads some records and checks them together: each in full, including its signature, own and foreign ones alike.
+    /// Own and foreign records alike are checked in full, signature included.
     fn judge(&mut self, plant: &Plant, network: &Network, rows: &[&'a RecordRow]) -> Result<(), PipelineError> {
         let mut read = Vec::with_capacity(rows.len());
         for (row, found) in rows.iter().zip(read_back(plant, network, rows)?) {
@@ -128,7 +126,6 @@ fn pass_over(plant: &Plant, passed: &[(&RecordRow, NoRight)]) -> Result<(), Pipe
     Ok(())
 }
 
-/// A record as it was read back.
 enum ReadBack {
     /// Its stored bytes, and the key that could sign it.
     Bytes(Vec<u8>, PublicKey),
@@ -138,13 +135,13 @@ enum ReadBack {
     PassedOver(NoRight),
 }
 
-/// Reads some records back, in their order. The caller bounds their bytes.
+/// In order. The caller bounds their bytes.
 fn read_back(plant: &Plant, network: &Network, rows: &[&RecordRow]) -> Result<Vec<ReadBack>, PipelineError> {
     let mut signers = authority::Signers::new(plant, network);
     let signers = rows.iter().map(|row| signers.of(row)).collect::<Result<Vec<_>, _>>()?;
     let wanted = rows.iter().zip(&signers).filter(|(_, signer)| signer.is_ok());
     let wanted: Vec<Digest> = wanted.map(|(row, _)| row.digest).collect();
-    // Never from the cache: this proves what lies on the disk.
+    // Never from the cache: this proves what is on the disk.
     let mut blobs = plant.ciphertext.get_many(&wanted)?.into_iter();
     let one = |(row, signer): (&&RecordRow, Result<PublicKey, NoRight>)| {
         let signer = match signer {

@@ -1,6 +1,5 @@
-//! The outbox, and the line to the gateway: connects at the first address that answers, sends, and follows the feed for what the
-//! gateway signed for. At another address than the first it goes back as soon as the gateway
-//! answers there again.
+//! The outbox, and the line to the gateway: connects at the first address that answers, sends, and follows the feed.
+//! From a later address it goes back as soon as the gateway answers at an earlier one.
 
 use std::collections::HashSet;
 use std::convert::Infallible;
@@ -30,7 +29,6 @@ pub(super) struct Line<'a> {
     gate: Gate,
     link: watch::Sender<Link>,
     errand: &'a mut Option<Box<dyn Errand>>,
-    /// What the gateway tells of this robot's records.
     pub(super) proofs: Proofs,
     checked: Option<Instant>,
     /// Whether the present session achieved anything.
@@ -61,7 +59,6 @@ impl<'a> Line<'a> {
         }
     }
 
-    /// Works until it is dropped; `stored` signals when records wait. Can be cancelled at any point.
     pub async fn run(&mut self, stored: &Notify) -> Infallible {
         let mut pauses = Pauses::of(self.outbox.pace);
         loop {
@@ -97,8 +94,7 @@ impl<'a> Line<'a> {
         self.outbox.plant.observer.alert(urgent, text);
     }
 
-    /// One session: connects, then sends and checks until the connection breaks, the session is used up or the gateway
-    /// answers at an earlier address.
+    /// Ends when the connection breaks, the session is used up, or the gateway answers at an earlier address.
     async fn session(&mut self, stored: &Notify) -> Result<(), ForwardError> {
         let mut client = Client::connect(&self.gate.endpoint, &mut self.gate.trust, &self.gate.credentials).await?;
         block_in_place(|| self.gate.trust.save(&self.gate.trust_file)).map_err(PipelineError::from)?;
@@ -113,7 +109,7 @@ impl<'a> Line<'a> {
             tokio::pin!(waiting);
             waiting.as_mut().enable();
             if self.work(&mut client, &up).await? == 0 {
-                // Both outcomes mean: look again.
+                // Either way: look again.
                 tokio::select! {
                     () = waiting => {}
                     () = sleep(self.outbox.pace.check) => {}
@@ -123,7 +119,7 @@ impl<'a> Line<'a> {
         Ok(())
     }
 
-    /// The state of the connection; says why the addresses before this one are not used.
+    /// Reports why the addresses before this one are not used.
     fn up(&self, client: &Client) -> Link {
         let Some((first, _)) = client.passed_over().first() else { return Link::Up };
         let address = clean(client.address(), 255);
@@ -154,7 +150,6 @@ impl<'a> Line<'a> {
         earlier
     }
 
-    /// Does what is due; returns how many records were sent.
     async fn work(&mut self, client: &mut Client, up: &Link) -> Result<usize, ForwardError> {
         if let Some(errand) = self.errand {
             errand.run(client).await?;
@@ -182,7 +177,7 @@ impl<'a> Line<'a> {
         Ok(sent)
     }
 
-    /// Sends the oldest waiting records; returns how many the gateway took over, or refused for their own sake.
+    /// Returns how many records the gateway took over, or refused for their own sake.
     async fn upload(&mut self, client: &mut Client) -> Result<usize, ForwardError> {
         let window = block_in_place(|| self.outbox.window())?;
         let (digests, uploads): (Vec<Digest>, Vec<Upload>) = window.into_iter().unzip();
@@ -203,7 +198,7 @@ impl<'a> Line<'a> {
     }
 }
 
-/// The pauses after failures: each is twice as long as the one before, up to the longest.
+/// Each pause after a failure is twice as long as the one before, up to the longest.
 struct Pauses {
     pace: Pace,
     next: Duration,
@@ -225,7 +220,7 @@ impl Pauses {
     }
 }
 
-/// A pause between half of this and all of it, by a random `share` of 255: robots that lost their gateway together do not
+/// Between half of `pause` and all of it, by a random `share` of 255: robots that lost their gateway together do not
 /// come back together.
 fn shortened(pause: Duration, share: u8) -> Duration {
     let half = pause / 2;
@@ -239,12 +234,10 @@ const WINDOW_BYTES: usize = 4 * 1024 * 1024;
 /// Copies given up at once.
 const PAGE: usize = 256;
 
-/// The outbox of a robot.
 pub(super) struct Outbox {
     pub plant: Plant,
     home: PathBuf,
     keeping: CopyKeeping,
-    /// Records refused for their own sake.
     refused: Arc<Mutex<HashSet<Digest>>>,
     pub pace: Pace,
     /// Since when the first of them has been waiting for another attempt.
@@ -283,8 +276,7 @@ impl Outbox {
         self.plant.observer.alert(true, format!("record {digest} stays in the outbox: {error}"));
     }
 
-    /// Records refused for their own sake are sent again when their pause is over: gateways get repaired, and settings
-    /// change.
+    /// Sends refused records again after their pause: gateways get repaired, and settings change.
     pub fn retry_refused(&mut self) {
         if self.aside_since.is_some_and(|since| since.elapsed() >= self.retry) {
             self.refused().clear();
@@ -325,7 +317,6 @@ impl Outbox {
         Ok(window)
     }
 
-    /// Tidies now and then.
     pub fn keep_tidy(&mut self) -> Result<(), PipelineError> {
         if self.tidied.is_none_or(|at| at.elapsed() >= self.pace.tidy) {
             block_in_place(|| self.tidy())?;
@@ -334,7 +325,6 @@ impl Outbox {
         Ok(())
     }
 
-    /// See [`super::Forwarder::tidy`].
     pub fn tidy(&self) -> Result<(), PipelineError> {
         let time = u64::try_from(self.keeping.time.as_nanos()).unwrap_or(u64::MAX);
         let due = Timestamp(Timestamp::now().0.saturating_sub(time));

@@ -1,8 +1,6 @@
-//! The definition that a message names. A topic gets a record of it in each epoch and by each recorder, so there may be
-//! thousands; the one that a message names was written by its own recorder, shortly before it.
-//!
-//! A message of ROS 2 that names an empty one was captured before its definition was known. Its type's hash names the
-//! definition too, so a record of it that was written later, or by another recorder, serves as well.
+//! The definition that a message names: its own recorder wrote it, shortly before it, one of perhaps thousands. A
+//! message of ROS 2 that names an empty one was captured before its definition was known; its type's hash then names
+//! it, so a later record, or another recorder's, serves as well.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -29,7 +27,6 @@ const MOST_KEPT: usize = 1024;
 /// What decides about a message's definition within an epoch: its owner, topic, digest, type and the type's hash.
 type Key = (Address, TopicId, u64, Digest, String, Option<String>);
 
-/// How the records of definitions are opened.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Opening {
     /// As every record that is read: with its anchor and its reader's rights.
@@ -43,7 +40,6 @@ pub enum Opening {
 pub struct Definitions(HashMap<Key, Arc<str>>);
 
 impl Definitions {
-    /// Like [`Reader::definition_text`].
     pub async fn text(
         &mut self,
         reader: &Reader<'_>,
@@ -103,7 +99,6 @@ impl Reader<'_> {
     }
 }
 
-/// What a message's definition is known by.
 struct Wanted {
     /// `None` if the message names an empty one.
     digest: Option<Digest>,
@@ -119,9 +114,8 @@ impl Wanted {
         Self { digest, by_hash: hash.map(|hash| (head.type_name.clone(), hash)) }
     }
 
-    /// Where to look. By digest: the topic's definition records of the message's recorder from
-    /// before it, all of that recorder, all there are; the newest first. By hash: those of the recorder from the message on, the
-    /// oldest first, and then all.
+    /// By digest: the topic's definition records of the message's recorder from before it, all of that recorder, all
+    /// there are; the newest first. By hash: those of the recorder from the message on, the oldest first, and then all.
     fn attempts(&self, row: &RecordRow) -> Vec<RecordQuery> {
         let all = RecordQuery {
             owner: Some(row.owner),

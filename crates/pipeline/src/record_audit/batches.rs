@@ -83,8 +83,7 @@ async fn compare_page(
             Ok(Some(_)) => {}
             Err(error) => return Ok(Err(error)),
         }
-        // The chain may have been replaced below us, or a node have answered that is behind: what the ledger and the next
-        // answer say now counts.
+        // The chain may have been replaced below us, or a node that is behind have answered: what both say now counts.
         let now = inspection.audit_batches(batch.key - 1, 1)?.pop().filter(|now| now.key == batch.key).unwrap_or(batch);
         if now.block.is_none() {
             continue;
@@ -97,7 +96,6 @@ async fn compare_page(
     Ok(Ok(()))
 }
 
-/// How the chain contradicts a batch that the ledger has in a block.
 async fn differs(chain: &Chain, batch: &AuditedBatch) -> Result<Option<String>, ChainError> {
     let (Some(block), Some(account)) = (batch.block, batch.account) else {
         return Ok(Some("the ledger has it in a block but does not say who anchored it".to_owned()));
@@ -141,7 +139,7 @@ async fn walk(
         return Ok(Err(error));
     }
     if !walk.found.findings().is_empty() {
-        // Blocks may have been replaced, or a node have answered that is behind, while they were read one after the other.
+        // Blocks may have been replaced, or a node that is behind have answered, between two reads.
         walk = Walk::new(&plant.ledger.notes, own)?;
         if let Err(error) = walk.all(plant, network, None).await? {
             return Ok(Err(error));
@@ -158,13 +156,11 @@ async fn walk(
     Ok(Ok(()))
 }
 
-/// State kept between two parts of the chain.
 struct Walk {
     own: HashSet<Address>,
     previous: HashMap<Address, Hash>,
     /// The last block known to the backup that this ledger was restored from.
     copied_at: Option<u64>,
-    /// When it was restored.
     restored_at: Timestamp,
     /// What the ledger lacks of later blocks, each with its block.
     later: Vec<(String, u64)>,
@@ -215,7 +211,6 @@ impl Walk {
             let time = match network.ask_time(block).await {
                 Ok(time) => time.seconds(),
                 Err(PipelineError::Chain(error)) => return Ok(Err(error)),
-                // The chain has no such block any more.
                 Err(_) => 0,
             };
             if time <= self.restored_at.seconds().saturating_add(CLOCKS) {

@@ -9,24 +9,18 @@ const MOST_TOLD: usize = 100;
 /// The longest text of a finding, characters.
 const WIDEST: usize = 400;
 
-/// The kind of finding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FindingKind {
-    /// Something differs from what was written, anchored or signed.
     Tampered,
-    /// Something required is missing.
     Missing,
     /// A record is as it was sealed, but its signer wrote a name into it that belongs to another pseudonym.
     FalseName,
-    /// Sequence numbers of a topic are missing.
     Gap,
-    /// A peer could not be queried.
     Unreachable,
 }
 
 impl FindingKind {
-    /// Its name on screen.
     pub fn word(self) -> &'static str {
         match self {
             Self::Tampered => "tampered",
@@ -38,40 +32,32 @@ impl FindingKind {
     }
 }
 
-/// One thing that is wrong.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RecordFinding {
     pub kind: FindingKind,
     /// Its subject: a record's id, a batch's root, a topic, `audit log`, `chain`.
     pub subject: String,
-    /// What is wrong, cleaned.
     pub text: String,
 }
 
-/// The answer to an audit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RecordAudit {
-    /// Whether there are no findings.
     pub ok: bool,
-    /// Whether stored bytes and signatures were checked too.
     pub deep: bool,
     pub records: u64,
     /// Stored bytes hashed (deep), or bytes of the messages.
     pub bytes: u64,
-    /// Missing items: stored bytes, rows, batches.
     pub missing: u64,
-    /// Items that differ from what was written, anchored or signed.
     pub tampered: u64,
     /// Records whose signers wrote false names into them; everything else about them is as it was sealed.
     pub false_names: u64,
     pub gaps: u64,
     pub batches: u64,
-    /// Lines of the audit log with correct hashes.
     pub audit_lines: u64,
     /// Records not yet on any chain.
     pub pending: u64,
-    /// Records whose bytes were deleted on purpose, with a statement to that effect: discarded from quarantine, deleted
-    /// by retention, handed over to a gateway.
+    /// Records whose bytes were deleted on purpose: discarded from quarantine, by retention, or handed over to a
+    /// gateway.
     pub given_up: u64,
     /// Records whose signature could not be checked: the signer's key is not on any chain known here (deep).
     pub unchecked: u64,
@@ -83,9 +69,7 @@ pub struct RecordAudit {
     /// The speed of SM3 alone on as many threads, megabytes a second, measured in this run.
     pub sm3_megabytes_per_second: f64,
     pub threads: usize,
-    /// The first hundred findings.
     pub findings: Vec<RecordFinding>,
-    /// The number of further findings.
     pub findings_left_out: u64,
     /// What was left out of the audit, and why that is not a finding.
     pub notes: Vec<String>,
@@ -106,7 +90,6 @@ impl RecordAudit {
     }
 }
 
-/// Counters of a running audit.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Tally {
     pub records: u64,
@@ -119,9 +102,7 @@ pub(super) struct Tally {
     pub unchecked: u64,
     /// Entries of the index of tags supported by headers.
     pub indexed: u64,
-    /// Records whose names could not be compared.
     pub unnamed: u64,
-    /// Records whose headers are not here.
     pub unread: u64,
     /// The highest row number.
     pub last: u64,
@@ -133,7 +114,6 @@ pub(super) struct Tally {
     notes: Vec<String>,
 }
 
-/// How long reading the records took, and on how many threads.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Reading {
     pub seconds: f64,
@@ -141,7 +121,6 @@ pub(super) struct Reading {
 }
 
 impl Tally {
-    /// Counts a finding, and lists it while there is room.
     pub fn find(&mut self, kind: FindingKind, subject: &str, text: &str) {
         match kind {
             FindingKind::Tampered => self.tampered += 1,
@@ -155,12 +134,10 @@ impl Tally {
         }
     }
 
-    /// Reports what was left out.
     pub fn note(&mut self, text: &str) {
         self.notes.push(clean(text, WIDEST));
     }
 
-    /// Adds another thread's counters.
     pub fn join(&mut self, other: Self) {
         self.records += other.records;
         self.bytes += other.bytes;
@@ -182,7 +159,6 @@ impl Tally {
         self.notes.extend(other.notes);
     }
 
-    /// The findings, for the console's scrubber and the report.
     pub fn findings(&self) -> &[RecordFinding] {
         &self.findings
     }

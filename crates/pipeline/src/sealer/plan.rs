@@ -1,5 +1,5 @@
-//! The plan of a round of messages, made in order before anything is sealed: keys, numbers, definitions that go first,
-//! and what to try compressing. The result no longer depends on which thread seals what when.
+//! The plan of a round, made in order before anything is sealed: keys, numbers, definitions that go first, and what to
+//! compress. The result does not depend on which thread seals what when.
 
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
@@ -14,27 +14,22 @@ use crate::store::notes::StoredDefinition;
 /// The most definition hashes remembered.
 const MOST_HASHES: usize = 1024;
 
-/// The owner, signer and topic of a sequence.
 pub type Stream = (Address, SignerId, TopicId);
 
-/// What is sealed of a message.
 pub enum Content {
     Definition(StoredDefinition),
-    /// Itself; compressed, where that is tried and pays.
+    /// Compressed where that is tried and pays.
     Message(Option<Try>),
 }
 
 impl Content {
-    /// A definition on its way into the ring, of (network, owner, epoch).
     pub fn ring_definition((domain, owner, epoch): (Domain, Address, u64), topic: TopicId, digest: Digest) -> Self {
         Self::Definition(StoredDefinition { domain, owner, epoch, topic, digest, held: false })
     }
 }
 
-/// One record to be sealed.
 pub struct Task<'a> {
     pub item: &'a CapturedMessage,
-    /// Which part of it.
     pub content: Content,
     pub keys: Arc<EpochKeys>,
     pub topic: Arc<TopicKeys>,
@@ -46,12 +41,10 @@ pub struct Task<'a> {
 }
 
 impl Task<'_> {
-    /// Whether it is the message itself.
     pub fn is_message(&self) -> bool {
         matches!(self.content, Content::Message(_))
     }
 
-    /// The definition in this task, if it is one.
     pub fn definition_id(&self) -> Option<StoredDefinition> {
         match &self.content {
             Content::Definition(definition) => Some(definition.clone()),
@@ -60,24 +53,19 @@ impl Task<'_> {
     }
 }
 
-/// A round's records in order.
 #[derive(Default)]
 pub struct Plan<'a> {
-    /// What is to be sealed.
     pub tasks: Vec<Task<'a>>,
-    /// Messages for which there is no key.
+    /// Messages without a key.
     pub keyless: Vec<&'a CapturedMessage>,
-    /// Numbers assigned, the last of each stream.
+    /// Last number assigned in each stream.
     pub seqs: HashMap<Stream, u64>,
-    /// The definitions among the tasks.
     definitions: HashSet<StoredDefinition>,
 }
 
-/// What is known from earlier rounds.
 pub struct Planner {
     /// The last stored number of each stream.
     pub seqs: HashMap<Stream, u64>,
-    /// Definitions that are stored.
     pub definitions: HashSet<StoredDefinition>,
     hashes: HashMap<Arc<str>, Digest>,
     /// The last definition of each topic: nearly always the next one too, and then the same text.
@@ -87,7 +75,6 @@ pub struct Planner {
 }
 
 impl Planner {
-    /// Nothing is known yet.
     pub fn new() -> Self {
         Self {
             seqs: HashMap::new(),
@@ -98,7 +85,7 @@ impl Planner {
         }
     }
 
-    /// The plan for these messages. Numbers count only once [`Self::seqs`] has them.
+    /// Numbers count only once [`Self::seqs`] has them.
     pub fn plan<'a>(&mut self, plant: &Plant, items: &'a [CapturedMessage]) -> Result<Plan<'a>, PipelineError> {
         let mut plan = Plan::default();
         let recorder = plant.ledger.records.recorder();
@@ -136,7 +123,7 @@ impl Planner {
         Ok(plan)
     }
 
-    /// The message's definition, if it is neither stored yet nor in the plan.
+    /// `None` if the definition is stored or in the plan.
     fn unsent(
         &mut self,
         plant: &Plant,
@@ -181,7 +168,6 @@ impl Planner {
         digest
     }
 
-    /// The next number of a stream, which the plan then contains.
     fn next_seq(&self, plant: &Plant, stream: Stream, plan: &mut Plan<'_>) -> Result<u64, PipelineError> {
         let seq = match plan.seqs.get(&stream).or_else(|| self.seqs.get(&stream)) {
             Some(last) => last + 1,

@@ -1,4 +1,4 @@
-//! A nonce lane while it is held: nobody else signs for the account meanwhile; and how it stands.
+//! A held nonce lane, and the state of one.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -14,24 +14,20 @@ use crate::crypto::{EoaSecret, fault};
 use crate::model::{Address, Hash, Timestamp, Wei};
 use crate::store::{Anchors, NewTransaction};
 
-/// A call to be signed, stored and sent.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Outgoing {
     pub call: Call,
-    /// Its purpose, in a word: `anchor`, `grant`, ….
+    /// A word: `anchor`, `grant`, ….
     pub purpose: String,
-    /// The records it anchors.
     pub anchors: Anchors,
 }
 
 impl Outgoing {
-    /// A call that anchors no records.
     pub fn plain(call: Call, purpose: &str) -> Self {
         Self { call, purpose: purpose.to_owned(), anchors: Anchors::Nothing }
     }
 }
 
-/// What is remembered of an account's lane between checks.
 pub(super) struct Cell {
     /// Held while nonces are assigned.
     pub nonces: std::sync::Arc<tokio::sync::Mutex<()>>,
@@ -68,17 +64,14 @@ impl Lane<'_> {
         self.account
     }
 
-    /// The state of the lane.
     pub fn state(&self) -> Result<LaneState, PipelineError> {
         self.sender.state_of(self.account)
     }
 
-    /// How many more transactions it accepts now; 0 while it is paused.
     pub fn room(&self) -> Result<usize, PipelineError> {
         self.sender.room(self.account)
     }
 
-    /// The lane's open transactions by nonce, without their bytes.
     pub fn open(&self) -> Result<Vec<crate::store::OpenTransaction>, PipelineError> {
         Ok(self.sender.ledger.lanes.open_lane(self.account)?)
     }
@@ -90,7 +83,7 @@ impl Lane<'_> {
         Ok(open.highest.map_or(0, |nonce| nonce + 1).max(pending))
     }
 
-    /// The most that gas may cost now, wei.
+    /// Wei per gas.
     pub(super) async fn price(&self) -> Result<u128, PipelineError> {
         match self.sender.policy().fresh(&self.chain.market().await?) {
             Priced::At(price) => Ok(price),
@@ -98,11 +91,8 @@ impl Lane<'_> {
         }
     }
 
-    /// Signs and stores `outgoing` in order, releases the lane, then sends it.
-    ///
-    /// # Errors
-    /// Errors of the chain while signing, of the ledger while storing; then nothing is stored. A transaction that is
-    /// stored but could not be handed to the node is not an error: it is sent again.
+    /// Signs and stores in order, releases the lane, then sends. On an error nothing is stored; a stored transaction
+    /// that the node did not take is no error: it is sent again.
     pub async fn submit(self, outgoing: Vec<Outgoing>) -> Result<Vec<Hash>, PipelineError> {
         if outgoing.is_empty() {
             return Ok(Vec::new());
@@ -142,7 +132,6 @@ impl Lane<'_> {
 }
 
 impl Lane<'_> {
-    /// Signs and stores a transfer of ether, releases the lane, then sends it.
     pub async fn transfer(self, to: Address, wei: u128, purpose: &str) -> Result<Hash, PipelineError> {
         let (price, nonce) = (self.price().await?, self.next_nonce().await?);
         let signed = self.chain.sign_transfer(self.eoa, nonce, to, wei, price)?;
@@ -169,7 +158,6 @@ impl Lane<'_> {
     }
 }
 
-/// The outcome of handing bytes to the node.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum HandedIn {
     /// The node has them, or will be asked about their nonce.
@@ -184,7 +172,6 @@ pub(super) enum HandedIn {
 pub(super) const BROKEN: Duration = Duration::from_secs(8);
 
 impl Sender {
-    /// Hands stored bytes to the node.
     pub(super) async fn hand_in(&self, chain: &Chain, account: Address, hash: Hash, raw: &[u8]) -> HandedIn {
         let answer = chain.broadcast(raw).await;
         let cell = self.cell(account);
@@ -217,11 +204,8 @@ const JUMP: u64 = 32;
 const PAUSE: Duration = Duration::from_millis(500);
 
 impl Sender {
-    /// Both next nonces of an account. Where they are far beyond what was signed here, the node is asked twice: a site
-    /// that shares the account may have sent that many.
-    ///
-    /// # Errors
-    /// Errors of chain and ledger; [`ChainError::Answer`] if the second answer contradicts the first.
+    /// Where the nonces are far beyond what was signed here, the node is asked twice: a site that shares the account
+    /// may have sent that many. [`ChainError::Answer`] if the second answer contradicts the first.
     pub(super) async fn nonces(&self, chain: &Chain, account: Address) -> Result<Nonces, PipelineError> {
         let known = self.ledger.lanes.highest_nonce(account)?.map_or(0, |nonce| nonce + 1);
         let first = chain.nonces(account).await?;
@@ -245,38 +229,33 @@ const GWEI: u128 = 1_000_000_000;
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "reason")]
 pub enum PauseReason {
-    /// The account cannot pay for the gas of its next transaction.
     NoEther(Shortfall),
     /// The node says that it cannot pay, and is behind a block that it had before.
     CatchingUp {
         block: u64,
-        /// The newest block that it had.
+        /// Newest block that it had.
         highest: u64,
     },
-    /// The network requires more than the operator's cap.
+    /// Gwei per gas: the network requires `needed`, rounded up, and `chain.max_fee` is `cap`.
     FeeCap {
-        /// Gwei per gas required, rounded up.
         needed: u64,
-        /// Gwei per gas allowed by `chain.max_fee`.
         cap: u64,
     },
     /// Blocks are made, and pass by the account's next transaction. Its price is raised meanwhile.
     PassedBy {
         blocks: u64,
-        /// The price per gas that it offers.
         price: Wei,
     },
     /// No block was made for a while although transactions are waiting.
     Stalled,
-    /// The node refuses the next transaction for another reason.
     Refused {
-        /// In its words, cleaned.
+        /// In the node's words, cleaned.
         why: String,
     },
 }
 
 impl PauseReason {
-    /// The cap forbids a price, given in wei per gas.
+    /// Prices in wei per gas.
     pub(super) fn capped(needed: u128, cap: u128) -> Self {
         let gwei = |wei: u128| u64::try_from(wei.div_ceil(GWEI)).unwrap_or(u64::MAX);
         Self::FeeCap { needed: gwei(needed), cap: gwei(cap) }
@@ -299,7 +278,6 @@ impl PauseReason {
         !matches!(self, Self::CatchingUp { .. })
     }
 
-    /// What happened and what to do, for the lane's account.
     pub fn text(&self, account: Address) -> String {
         format!("anchoring for {account} is paused, nothing is lost: {}", self.cause(account))
     }
@@ -321,7 +299,6 @@ impl PauseReason {
     }
 }
 
-/// A nonce lane at a glance.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LaneState {
     pub account: Address,
@@ -329,12 +306,10 @@ pub struct LaneState {
     pub open: u64,
     /// When the oldest of them was first signed.
     pub oldest: Option<Timestamp>,
-    /// Why it is paused, if it is.
     pub paused: Option<PauseReason>,
 }
 
 impl LaneState {
-    /// A lane with nothing in it.
     pub fn idle(account: Address) -> Self {
         Self { account, open: 0, oldest: None, paused: None }
     }

@@ -1,8 +1,5 @@
 //! Nonce lanes: one per EOA. A signed transaction is stored before it is sent, and the same bytes are sent again until
-//! the chain has decided about its nonce.
-//!
-//! After every block a lane is *tended* ([`Sender::tend`]): its transactions are closed, yielded to others, replaced at
-//! a higher price, gaps filled, or the lane visibly paused; nothing is lost.
+//! the chain has decided about its nonce. After every block a lane is tended ([`Sender::tend`]).
 
 mod lane;
 mod tend;
@@ -26,7 +23,6 @@ pub const MOST_OPEN: u64 = 1024;
 /// How long a single transaction may take before its sender is told that it is waiting.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// Sends transactions of all accounts of the site.
 pub struct Sender {
     ledger: Ledger,
     observer: Arc<dyn Observer>,
@@ -38,7 +34,6 @@ pub struct Sender {
 }
 
 impl Sender {
-    /// A sender that stores its transactions in `ledger` and tells `observer` when a lane is paused.
     pub fn new(ledger: Ledger, observer: Arc<dyn Observer>, policy: Policy) -> Self {
         Self { ledger, observer, policy, needed: Mutex::default(), heads: Mutex::default(), lanes: Mutex::default() }
     }
@@ -48,14 +43,13 @@ impl Sender {
         Arc::clone(lanes.entry(account).or_insert_with(|| Arc::new(Cell::new())))
     }
 
-    /// Holds the account's lane: until it is released nobody else signs for it in this process.
+    /// Until the lane is released nobody else in this process signs for the account.
     pub async fn lane<'a>(&'a self, chain: &'a Chain, eoa: &'a EoaSecret) -> Lane<'a> {
         let account = eoa.address();
         let held = Arc::clone(&self.cell(account).nonces).lock_owned().await;
         Lane { sender: self, chain, eoa, account, held }
     }
 
-    /// The state of an account's lane.
     pub fn state_of(&self, account: Address) -> Result<LaneState, PipelineError> {
         let count = self.ledger.lanes.lane_count(account)?;
         let paused = self.cell(account).memory().paused.clone();
@@ -69,7 +63,6 @@ impl Sender {
         Ok(usize::try_from(room).unwrap_or(0))
     }
 
-    /// Signs, stores and sends `outgoing` in order.
     pub async fn submit(
         &self,
         chain: &Chain,
@@ -79,11 +72,8 @@ impl Sender {
         self.lane(chain, eoa).await.submit(outgoing).await
     }
 
-    /// Sends one call and waits until it is mined.
-    ///
-    /// # Errors
-    /// `Reverted` with the contract's reason, and `NoEther`, before anything is sent if the node can tell; `NotMined`
-    /// after two minutes at one price; `Cancelled`; errors of chain and ledger.
+    /// Sends one call and waits until it is mined. `Reverted` and `NoEther` come before anything is sent if the node
+    /// can tell; `NotMined` comes after two minutes at one price.
     pub async fn send(
         &self,
         chain: &Chain,
@@ -98,7 +88,6 @@ impl Sender {
         self.wait_mined(chain, eoa, hash, purpose).await
     }
 
-    /// Sends ether, and waits until it is mined.
     pub async fn transfer(
         &self,
         chain: &Chain,
@@ -156,7 +145,6 @@ impl Sender {
         PipelineError::NotMined { purpose: purpose.to_owned(), why }
     }
 
-    /// Follows a transaction to its last replacement.
     fn newest(&self, mut hash: Hash) -> Result<Option<TransactionRow>, PipelineError> {
         for _ in 0..1000 {
             let row = self.ledger.lanes.transaction(hash)?;
@@ -169,7 +157,6 @@ impl Sender {
         Ok(None)
     }
 
-    /// Pauses an account's lane, and reports it once.
     fn pause(&self, account: Address, reason: PauseReason) -> PipelineError {
         let text = reason.text(account);
         self.settle(account, Some(reason));
@@ -206,10 +193,9 @@ struct Needed {
     at: Instant,
 }
 
-/// The newest block of the node so far.
 #[derive(Debug, Default)]
 struct Heads {
-    /// Its number; 0 before the first look.
+    /// 0 before the first look.
     highest: u64,
     /// Since when the node has been below it.
     behind: Option<Instant>,
@@ -236,7 +222,6 @@ impl Sender {
         needed.map_or(self.policy, |needed| self.policy.with_floor(needed.price))
     }
 
-    /// The operator's limits, as they are set.
     pub fn limits(&self) -> Policy {
         self.policy
     }
@@ -246,7 +231,6 @@ impl Sender {
         *self.needed.lock().unwrap_or_else(PoisonError::into_inner) = Some(Needed { price, at: Instant::now() });
     }
 
-    /// Notes the node's newest block; returns the one that it had before, if it is behind that.
     fn see_head(&self, number: u64) -> Option<u64> {
         self.heads.lock().unwrap_or_else(PoisonError::into_inner).see(number, CATCHING_UP)
     }
@@ -264,7 +248,6 @@ impl Sender {
         Ok(lane::PauseReason::NoEther(Shortfall { account, held, needed: Wei(needed) }))
     }
 
-    /// Fails before anything is signed if the account cannot pay for the call.
     async fn expect_means(&self, chain: &Chain, account: Address, call: &Call) -> Result<(), PipelineError> {
         let Priced::At(price) = self.policy().fresh(&chain.market().await?) else { return Ok(()) };
         let lacking = chain.shortfall(account, call, price).await?;
@@ -286,22 +269,16 @@ const PURPOSE: &str = "cancel";
 pub struct Cancelled {
     pub nonce: u64,
     pub purpose: String,
-    /// Whether it anchored records; they wait to be anchored again.
+    /// Its records wait to be anchored again.
     pub anchors: bool,
-    /// The transaction in its place.
     pub hash: Hash,
-    /// The price per gas that this one offers.
     pub price: Wei,
 }
 
 impl Sender {
-    /// Replaces the account's open transaction with this nonce by an empty one to the account itself, at a higher
-    /// price. The records that it anchors wait to be anchored again; whatever else it was for does not happen, and
-    /// its callers get an error. If the chain takes the old one after all, that is recognised as for any other.
-    ///
-    /// # Errors
-    /// `Refused` if there is no such transaction, it is in a block already, or the cap forbids a higher price;
-    /// `NoEther`; errors of chain and ledger.
+    /// Replaces the open transaction with this nonce by an empty one at a higher price. Records that it anchors are
+    /// anchored again; other effects do not happen, and its callers get an error. If the chain takes the old one after
+    /// all, that counts.
     pub async fn cancel(&self, chain: &Chain, eoa: &EoaSecret, nonce: u64) -> Result<Cancelled, PipelineError> {
         let account = eoa.address();
         let cell = self.cell(account);
@@ -338,8 +315,8 @@ impl Sender {
         Ok(Cancelled { nonce, purpose: row.purpose, anchors: row.anchors, hash, price: Wei(price) })
     }
 
-    /// Waits until the chain has used a cancelled transaction's nonce; returns the block of the one in its place, or
-    /// `None` if the cancelled one was mined after all.
+    /// Returns the block of the transaction in place of a cancelled one, or `None` if the cancelled one was mined after
+    /// all.
     pub async fn wait_cancelled(
         &self,
         chain: &Chain,

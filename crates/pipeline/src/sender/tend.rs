@@ -19,19 +19,15 @@ use crate::sender;
 /// A nonce counts as taken by a foreign transaction when no receipt of ours was found for this long.
 const SURE: Duration = Duration::from_secs(1);
 
-/// What is remembered of a lane; all of it may be lost at any time.
+/// Memory of a lane; all of it may be lost at any time.
 pub(super) struct Memory {
-    /// Why the lane is paused.
     pub paused: Option<PauseReason>,
     /// The word of the alarm that was raised and not taken back.
     pub alarm: Option<&'static str>,
-    /// When bytes were last handed to the node.
     sent: HashMap<Hash, Instant>,
     /// Since when a transaction's nonce has been used although it has no receipt.
     missing: HashMap<Hash, Instant>,
-    /// The gas terms of transactions.
     pub prices: HashMap<Hash, Offered>,
-    /// Refused by the node as too cheap.
     pub cheap: HashSet<Hash>,
     /// The lowest nonce that nobody holds, and since when.
     pub hole: Option<(u64, Instant)>,
@@ -56,12 +52,10 @@ impl Memory {
         }
     }
 
-    /// Notes that bytes were just handed in.
     pub fn sent(&mut self, hash: Hash) {
         self.sent.insert(hash, Instant::now());
     }
 
-    /// Whether bytes were not handed in for this long.
     pub fn is_quiet(&self, hash: Hash, length: Duration) -> bool {
         self.sent.get(&hash).is_none_or(|at| at.elapsed() >= length)
     }
@@ -74,7 +68,6 @@ impl Memory {
         self.head.1.elapsed()
     }
 
-    /// Notes the nonce of the first waiting transaction; returns how long it has been the first.
     pub fn see_front(&mut self, nonce: u64, block: u64) -> Wait {
         match self.front {
             Some((front, wait)) if front == nonce => wait,
@@ -86,14 +79,13 @@ impl Memory {
         }
     }
 
-    /// Notes that the first waiting transaction was just offered at a higher price, because blocks passed it by.
     pub fn raise_front(&mut self, block: u64) {
         if let Some((_, wait)) = &mut self.front {
             wait.raise(block);
         }
     }
 
-    /// Whether the transaction with this nonce was offered at a higher price because blocks passed it by.
+    /// Whether blocks passed the transaction by, so that it was offered at a higher price.
     fn was_raised(&self, nonce: u64) -> bool {
         self.front.is_some_and(|(front, wait)| front == nonce && wait.is_raised())
     }
@@ -111,9 +103,7 @@ impl Memory {
     }
 }
 
-/// What the chain says about a used nonce.
 enum Decided {
-    /// The open transaction is in a block.
     Own(Receipt),
     /// Another one signed here with this nonce is.
     Kin(Hash, Vec<u8>, Receipt),
@@ -122,8 +112,7 @@ enum Decided {
 }
 
 impl Sender {
-    /// Checks every open transaction of the account, and does what is needed for each. Called after every block seen by
-    /// the watcher, and while none comes. Returns the reasons of refused ones.
+    /// Called after every block of the watcher, and while none comes. Returns the reasons of refused transactions.
     pub async fn tend(&self, chain: &Chain, eoa: &EoaSecret) -> Result<Vec<String>, PipelineError> {
         let account = eoa.address();
         let cell = self.cell(account);
@@ -165,8 +154,7 @@ impl Sender {
             }
             found.push((row, decided));
         }
-        // A receipt counts only on the chain that the watcher follows; otherwise it would be closed for a block that is
-        // gone, and nobody would reopen it.
+        // A receipt counts only on the watcher's chain: nobody would reopen what was closed for a block that is gone.
         if chain.block(seen).await?.is_none_or(|block| block.hash != hash) {
             return Ok(Vec::new());
         }
@@ -182,7 +170,7 @@ impl Sender {
                 other => others.push((row, other)),
             }
         }
-        // At once, before the chain is queried again: these receipts are of the chain just examined.
+        // Before the chain is queried again: these receipts are of the chain just examined.
         if !closings.is_empty() {
             self.ledger.lanes.close_transactions(closings)?;
         }
@@ -255,8 +243,7 @@ impl Sender {
         self.give_way(chain, eoa, row).await
     }
 
-    /// The nonce belongs to another transaction: one that anchors records returns them to be anchored again, on the
-    /// chain's head at that time; any other call is signed again with the next nonce.
+    /// Records of an anchoring transaction are anchored again; any other call is signed again with the next nonce.
     async fn give_way(&self, chain: &Chain, eoa: &EoaSecret, row: &OpenTransaction) -> Result<(), PipelineError> {
         if row.anchors || [waiting::HOLE, sender::PURPOSE].contains(&row.purpose.as_str()) {
             let closing = vec![(row.hash, TransactionOutcome::Replaced)];

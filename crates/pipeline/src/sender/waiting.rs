@@ -28,19 +28,17 @@ const ROUND: usize = 128;
 /// The most gaps filled in one round.
 const HOLES: usize = 32;
 
-/// One check of a lane's transactions whose nonces the chain has not used.
 pub(super) struct Round<'a> {
     pub sender: &'a Sender,
     pub chain: &'a Chain,
     pub eoa: &'a EoaSecret,
     pub account: Address,
-    /// The next nonces that the chain will use, and that the node has not been given.
     pub nonces: Nonces,
     pub rows: &'a [OpenTransaction],
 }
 
 impl Round<'_> {
-    /// Does what is needed; returns the obstacle.
+    /// Returns the obstacle.
     pub async fn run(self) -> Result<Option<PauseReason>, PipelineError> {
         let Some(first) = self.rows.first() else { return Ok(None) };
         let market = self.chain.market().await?;
@@ -111,7 +109,7 @@ impl Round<'_> {
         Ok(None)
     }
 
-    /// Replaces transactions that have become too cheap. Returns the replaced ones, and the obstacle.
+    /// Replaces transactions that have become too cheap; returns them, and the obstacle.
     async fn raise(
         &self,
         cell: &Arc<Cell>,
@@ -221,8 +219,7 @@ impl Round<'_> {
         }
     }
 
-    /// The node refuses these bytes: the same call is signed again by what gas and price are now, and takes their place
-    /// if that makes a difference. The node does not hold the old ones, so the price need not rise.
+    /// Signs a refused call again. The node does not hold the old bytes, so the price need not rise.
     async fn renew(&self, market: &Market, row: &OpenTransaction, raw: &[u8]) -> Result<(), PipelineError> {
         let Priced::At(price) = self.sender.policy().fresh(market) else { return Ok(()) };
         let signed = self.chain.resign(self.eoa, raw, row.nonce, price).await?;

@@ -1,5 +1,4 @@
 //! Anchors by this home's accounts that this home did not send: a copy of it runs elsewhere, or a key is stolen.
-//! Reported at once, noted in the ledger for `status`, and written to the audit log.
 
 use std::collections::HashMap;
 
@@ -9,12 +8,11 @@ use crate::pipeline::{PipelineError, Plant};
 use crate::store::AuditEntry;
 use crate::store::notes::{CopiedAt, ForeignAnchors, ForeignHistory, SeenForeign};
 
-/// How long it is part of `status` after the last one; nanoseconds.
+/// Time it stays in `status`, nanoseconds.
 const RECENT: u64 = 24 * 3600 * 1_000_000_000;
 /// The shortest time between two lines in the audit log; nanoseconds.
 const LINES_EVERY: u64 = 3600 * 1_000_000_000;
 
-/// What was seen, in words, with the likely cause and what to do.
 pub fn text(found: &ForeignAnchors) -> String {
     let ForeignAnchors { account, count, block, .. } = found;
     format!(
@@ -31,7 +29,6 @@ pub fn recent(plant: &Plant) -> Result<Option<ForeignAnchors>, PipelineError> {
     Ok(seen.filter(|found| now.abs_diff(found.seen.0) < RECENT))
 }
 
-/// Searches events of blocks up to `head` for anchors that this home does not know.
 pub(super) fn look(plant: &Plant, events: &[EventAt], head: u64) -> Result<(), PipelineError> {
     let found = unknown(plant, events)?;
     if found.is_empty() {
@@ -63,7 +60,6 @@ fn history(plant: &Plant, head: u64) -> Result<u64, PipelineError> {
     Ok(head)
 }
 
-/// Anchors of batches and records that the ledger does not hold.
 fn unknown<'a>(plant: &Plant, events: &'a [EventAt]) -> Result<Vec<(Address, &'a EventAt)>, PipelineError> {
     let (mut roots, mut digests) = (HashMap::new(), HashMap::new());
     for at in events {

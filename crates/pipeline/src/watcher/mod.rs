@@ -1,8 +1,6 @@
-//! Follows the chain: which records are in a block, which blocks have enough confirmations, who was registered, granted
-//! and revoked. A function of the ledger's cursor; a restart runs it again.
-//!
-//! Several nodes may answer at one URL, some of them behind the others. So the newest blocks are read one by one,
-//! what is not sure is read again, and a node that is behind is no reorg ([`reorg`]).
+//! Follows the chain: blocks and confirmations of records, registrations, grants. A function of the ledger's cursor.
+//! Several nodes may answer at one URL, some of them behind: the newest blocks are read one by one, what is not sure is
+//! read again, and a node that is behind is no reorg ([`reorg`]).
 
 pub mod foreign;
 mod reorg;
@@ -27,28 +25,25 @@ use crate::{Directory, Network, PipelineError, Plant};
 const CHUNK: u64 = 2_000;
 /// How often a part of the chain is read again because it changed meanwhile.
 const ATTEMPTS: usize = 5;
-/// How long to wait before asking a node again that is behind.
+/// Pause before a node that is behind is asked again.
 const PAUSE: Duration = Duration::from_millis(200);
 
-/// How far a scan came.
 enum Reached {
     Head,
-    /// Not to the head: the chain changed while it was read.
+    /// The chain changed while it was read.
     Changed,
-    /// Not to the head: the node that answered does not have this block, or not all of it.
+    /// The node that answered does not have this block, or not all of it.
     Before(u64),
 }
 
-/// Binds the ledger to the contract and reads the directory back from it; if nothing was stored yet, or it cannot be
-/// read, it is scanned from the contract's first block.
+/// Binds the ledger to the contract and reads the directory back; without a readable one, scans from the first block.
 pub fn restore(plant: &Plant, network: &Network) -> Result<(), PipelineError> {
     let pin = network.chain.pin().ok_or(ChainError::NoContract)?;
     plant.ledger.rights.bind_contract(network.domain, &serde_json::to_string(&pin).unwrap_or_default())?;
     read_back(plant, network, &network.directory)
 }
 
-/// Fills an empty directory with what was stored up to the cursor. If nothing was, or it cannot be read, the scan begins
-/// anew.
+/// If nothing readable is stored, the scan begins anew.
 fn read_back(plant: &Plant, network: &Network, directory: &Directory) -> Result<(), PipelineError> {
     if let Some((number, _)) = plant.ledger.trail.cursor()? {
         // What was stored of blocks after the cursor is read again: they may have been replaced meanwhile.
@@ -75,12 +70,9 @@ fn first_block(network: &Network) -> u64 {
     network.chain.pin().map_or(0, |pin| pin.deployed_at)
 }
 
-/// Scans all blocks after the cursor; returns the head it reached. After a reorg it first goes back to where the chains
-/// diverge, and after an event that was missed to the block before it.
-///
-/// # Errors
-/// Errors of chain and ledger; the cursor stays where the last chunk was written. `ChainError::Swapped` if another
-/// chain answers now, or the same one without its history; `NodeBehind` if the node has not what it had before.
+/// Scans all blocks after the cursor; returns the head it reached. On an error the cursor stays at the last written
+/// chunk. `Swapped`: another chain answers now, or this one without its history. `NodeBehind`: it lacks what it had
+/// before.
 pub async fn watch_round(plant: &Plant, network: &Network) -> Result<BlockRef, PipelineError> {
     let mut obstacle = PipelineError::Unsteady;
     for _ in 0..ATTEMPTS {
@@ -140,8 +132,7 @@ fn cursor_number(plant: &Plant) -> Result<u64, PipelineError> {
     Ok(plant.ledger.trail.cursor()?.map_or(0, |(number, _)| number))
 }
 
-/// The directory without what was read after the cursor; `None` if the one in use is that. If it cannot be read back, all
-/// of it is scanned again.
+/// The directory as of the cursor; `None` if the one in use is that. Scanned again if it cannot be read back.
 fn as_of_the_cursor(plant: &Plant, network: &Network) -> Result<Option<Directory>, PipelineError> {
     let Some((number, _)) = plant.ledger.trail.cursor()? else { return Ok(None) };
     if network.directory.newest() <= number {
@@ -152,8 +143,8 @@ fn as_of_the_cursor(plant: &Plant, network: &Network) -> Result<Option<Directory
     Ok(Some(fresh))
 }
 
-/// Scans from the cursor to `head`: old blocks many at a time, the newest ones one by one. A directory in use, `shown`,
-/// becomes that of `network` with the last of them, before anybody can see that they were read.
+/// Scans to `head`: old blocks many at a time, the newest one by one. The directory in use, `shown`, becomes that of
+/// `network` with the last of them, before anybody can see that they were read.
 async fn scan(
     plant: &Plant,
     network: &Network,
@@ -187,13 +178,12 @@ async fn scan(
     read(plant, network, (from, head.number), below, shown).await
 }
 
-/// Whether the chain still has this block.
 async fn stands(network: &Network, block: Option<(u64, Hash)>) -> Result<bool, PipelineError> {
     let Some((number, hash)) = block else { return Ok(true) };
     Ok(network.chain.block(number).await?.is_some_and(|block| block.hash == hash))
 }
 
-/// Writes the events of blocks up to `to`; `met` are blocks on the way. `shown` then becomes the directory of `network`.
+/// `met` are blocks on the way. `shown` then becomes the directory of `network`.
 fn write(
     plant: &Plant,
     network: &Network,
@@ -287,7 +277,7 @@ pub(crate) fn note(notes: &Notes, block: u64) -> Result<(), StoreError> {
     notes.write(&MissedFrom {}, &block)
 }
 
-/// How long a block is waited for whose header names events that nobody gives.
+/// Wait for events that a block's header names and nobody gives.
 const NEAR_PATIENCE: Duration = Duration::from_secs(5);
 
 /// Reads blocks `from` to `to` on top of `below`, as far as they are there, and writes them.

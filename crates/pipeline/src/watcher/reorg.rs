@@ -1,5 +1,5 @@
-//! Replaced blocks: everything read from them is undone, from where the chains diverge. A block that the node does
-//! not have is not replaced: the node is behind, and is waited for. What is not sure is read again.
+//! Replaced blocks: what was read from them is undone. A block that the node does not have is not replaced: the node is
+//! behind, and is waited for.
 
 use std::time::Duration;
 
@@ -14,22 +14,19 @@ use crate::{Network, PipelineError, Plant};
 
 /// If a reorg leaves nothing of this many blocks, it is not a reorg.
 const DEEPEST: u64 = 1024;
-/// After naming the same older head for so long, that is the chain: somebody took it back.
+/// The chain was taken back if it names the same older head for this long.
 const TAKEN_BACK: Duration = Duration::from_secs(300);
 
-/// How the chain stands to what was read of it.
 pub(super) enum Standing {
-    /// It holds the newest block that was read; or it was gone back.
+    /// The chain holds the newest block that was read, or the watcher went back.
     Holds,
-    /// The node does not have block `read`, which was read before.
+    /// The node does not have block `read`, the newest that was read.
     Behind {
-        /// The newest block that was read.
         read: u64,
     },
 }
 
-/// Whether the chain still holds the newest block seen; if another one is in its place, goes back to the last block that
-/// both chains have. A chain without that history is another one.
+/// Goes back to the last common block if the newest one was replaced. A chain without that history is another.
 pub(super) async fn follow(plant: &Plant, network: &Network, head: BlockRef) -> Result<Standing, PipelineError> {
     let newest =
         block_in_place(|| Ok::<_, PipelineError>(plant.ledger.trail.end()?.max(plant.ledger.trail.cursor()?)))?;
@@ -95,8 +92,7 @@ async fn only_young(network: &Network, trail: &[(u64, Hash)]) -> Result<(), Pipe
     Err(ChainError::Swapped { url, what: "history", pinned, found }.into())
 }
 
-/// The highest block of the trail that the chain has too. Chains agree up to one block and differ from there on, so
-/// bisection finds it.
+/// By bisection: chains agree up to one block and differ from there on.
 async fn last_common(network: &Network, trail: &[(u64, Hash)]) -> Result<Option<(u64, Hash)>, PipelineError> {
     let (mut agree, mut differ) = (0, trail.len());
     while agree < differ {
@@ -110,8 +106,7 @@ async fn last_common(network: &Network, trail: &[(u64, Hash)]) -> Result<Option<
     Ok(agree.checked_sub(1).and_then(|last| trail.get(last).copied()))
 }
 
-/// Undoes what was read after `common`; rights follow as the cursor is behind them. Each step may be interrupted: the
-/// cursor moves last, so the next round finds the same reorg.
+/// Undoes what was read after `common`. The cursor moves last: if interrupted, the next round finds the same reorg.
 async fn go_back(plant: &Plant, network: &Network, common: (u64, Hash), was_at: u64) -> Result<(), PipelineError> {
     let from = common.0 + 1;
     network.times.forget_from(from);
@@ -132,9 +127,9 @@ async fn go_back(plant: &Plant, network: &Network, common: (u64, Hash), was_at: 
     Ok(())
 }
 
-/// How far below the head such a block is read again, each time. A node that is further behind is not just a little late.
+/// Depths below the head at which an unsure block is read again. A node further behind is not just a little late.
 const DEPTHS: [u64; 4] = [2, 6, 16, NEAR];
-/// The most such blocks; beyond, the oldest are given up.
+/// The most unsure blocks; beyond, the oldest are given up.
 const MOST: usize = 256;
 
 /// For how long this very block has been waited for.
@@ -150,7 +145,6 @@ pub(super) fn waited(
     }
 }
 
-/// The node is not waited for any more.
 fn no_longer_behind(notes: &Notes) -> Result<(), PipelineError> {
     match notes.read(&NodeBehind {})? {
         Some(known) => Ok(notes.forget(&NodeBehind {}, &known)?),
@@ -158,7 +152,6 @@ fn no_longer_behind(notes: &Notes) -> Result<(), PipelineError> {
     }
 }
 
-/// Notes those of these blocks that are to be read again.
 pub(super) fn note(plant: &Plant, read: &[BlockEvents]) -> Result<(), PipelineError> {
     let unsure = read.iter().filter(|read| read.completeness != Completeness::Whole).map(|read| UnsureBlock {
         block: read.block.number,
@@ -196,7 +189,7 @@ pub(super) async fn look(plant: &Plant, network: &Network, head: u64) -> Result<
     Ok(())
 }
 
-/// Reads a block again if that is due; returns what is still unsure.
+/// Returns what is still unsure.
 async fn look_at(
     plant: &Plant,
     network: &Network,
