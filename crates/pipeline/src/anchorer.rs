@@ -13,7 +13,7 @@ use crate::model::{Address, AnchorMode, Domain, RecordState, Timestamp, Token, W
 use crate::pace::{LONGEST_WAIT, Pace};
 use crate::sender::Outgoing;
 use crate::store::{Anchors, NewBatch, RecordRow, WaitingBatch};
-use crate::{Network, Owner, PipelineError, Plant, Sender, authority};
+use crate::{Network, Owner, PipelineError, Plant, Result, Sender, authority};
 
 /// Records per round when uploaded individually: one ledger commit for this many signed transactions.
 const ROUND: usize = 128;
@@ -67,7 +67,7 @@ impl Anchorer {
         sender: &Sender,
         owner: Address,
         lanes: &[EoaSecret],
-    ) -> Result<Round, PipelineError> {
+    ) -> Result<Round> {
         if network.directory.epoch(owner) == 0 {
             return Ok(Round::wait(IDLE));
         }
@@ -107,7 +107,7 @@ impl Anchorer {
         lane: &EoaSecret,
         owner: Address,
         batch: WaitingBatch,
-    ) -> Result<Round, PipelineError> {
+    ) -> Result<Round> {
         match send(plant, network, sender, lane, batch).await {
             Err(PipelineError::Chain(ChainError::Reverted { .. })) if lane.address() != owner => {
                 self.resting.insert(lane.address(), Instant::now() + REST);
@@ -118,7 +118,7 @@ impl Anchorer {
     }
 
     /// This looks at all topics, so it runs before a batch is closed or sent, and otherwise only now and then.
-    fn settle(&mut self, plant: &Plant, network: &Network, owner: Address) -> Result<(), PipelineError> {
+    fn settle(&mut self, plant: &Plant, network: &Network, owner: Address) -> Result<()> {
         block_in_place(|| authority::settle_waiting(plant, network, owner))?;
         self.settled = Some(Instant::now());
         Ok(())
@@ -131,7 +131,7 @@ impl Anchorer {
         network: &Network,
         owner: Address,
         look: bool,
-    ) -> Result<Option<WaitingBatch>, PipelineError> {
+    ) -> Result<Option<WaitingBatch>> {
         let first = || plant.ledger.batches.waiting(owner, 1).map(|found| found.first().copied());
         let found = first()?;
         if found.is_none() || !look {
@@ -148,7 +148,7 @@ impl Anchorer {
         network: &Network,
         owner: Address,
         idle: bool,
-    ) -> Result<Result<WaitingBatch, Duration>, PipelineError> {
+    ) -> Result<Result<WaitingBatch, Duration>> {
         block_in_place(|| {
             let (waiting, oldest) = plant.ledger.batches.unbatched(owner)?;
             let Some(oldest) = oldest.filter(|_| waiting > 0) else { return Ok(Err(LONGEST_WAIT)) };
@@ -167,11 +167,7 @@ impl Anchorer {
     }
 }
 
-pub(super) fn close_batch(
-    plant: &Plant,
-    owner: Address,
-    mut leaves: Vec<Leaf>,
-) -> Result<Option<WaitingBatch>, PipelineError> {
+pub(super) fn close_batch(plant: &Plant, owner: Address, mut leaves: Vec<Leaf>) -> Result<Option<WaitingBatch>> {
     let Some(tree) = tree_of_another_root(plant, &mut leaves)? else { return Ok(None) };
     let places = leaves.iter().enumerate();
     let leaves: Vec<_> = places.map(|(index, leaf)| (leaf.digest, tree.path(index))).collect();
@@ -185,7 +181,7 @@ pub(super) fn close_batch(
 
 /// The tree over the leaves, in an order whose root no batch had before. The contract keeps only a root's first block,
 /// so after a skipped anchor the same root would show the wrong block forever. A single leaf has only one order.
-fn tree_of_another_root(plant: &Plant, leaves: &mut [Leaf]) -> Result<Option<Tree>, PipelineError> {
+fn tree_of_another_root(plant: &Plant, leaves: &mut [Leaf]) -> Result<Option<Tree>> {
     for _ in 1..leaves.len().min(MOST_ORDERS) {
         let Some(tree) = Tree::new(Leaf::hashes(leaves)) else { return Ok(None) };
         if !plant.ledger.inspection.unknown_roots(&[tree.root()])?.is_empty() {
@@ -197,7 +193,7 @@ fn tree_of_another_root(plant: &Plant, leaves: &mut [Leaf]) -> Result<Option<Tre
 }
 
 /// Records whose own uploads were skipped: the contract accepts a digest once, so they go into a batch.
-fn again(plant: &Plant, owner: Address) -> Result<Option<WaitingBatch>, PipelineError> {
+fn again(plant: &Plant, owner: Address) -> Result<Option<WaitingBatch>> {
     block_in_place(|| {
         let leaves = plant.ledger.batches.passed_over_leaves(owner, MOST_LEAVES)?;
         close_batch(plant, owner, leaves)
@@ -210,7 +206,7 @@ fn free_lane<'a>(
     sender: &Sender,
     lanes: &'a [EoaSecret],
     resting: &HashMap<Address, Instant>,
-) -> Result<Option<(&'a EoaSecret, usize)>, PipelineError> {
+) -> Result<Option<(&'a EoaSecret, usize)>> {
     block_in_place(|| {
         let (mut best, mut fewest) = (None, MOST_OPEN_BATCHES);
         for lane in lanes.iter().filter(|lane| !resting.contains_key(&lane.address())) {
@@ -229,7 +225,7 @@ async fn send(
     sender: &Sender,
     lane: &EoaSecret,
     batch: WaitingBatch,
-) -> Result<Round, PipelineError> {
+) -> Result<Round> {
     // Held from checking what is open until the next one is signed, so that the chain of roots does not fork.
     let held = sender.lane(&network.chain, lane).await;
     let open = plant.ledger.batches.open_roots(lane.address())?;
@@ -253,7 +249,7 @@ async fn one_by_one(
     network: &Network,
     sender: &Sender,
     (owner, own): (Address, &EoaSecret),
-) -> Result<Round, PipelineError> {
+) -> Result<Round> {
     let room = sender.room(owner)?.min(ROUND);
     if room == 0 {
         return Ok(Round::wait(IDLE));
@@ -296,7 +292,7 @@ pub async fn ensure_ready(
     sender: &Sender,
     owner: &Owner,
     key: &EoaSecret,
-) -> Result<bool, PipelineError> {
+) -> Result<bool> {
     let account = key.address();
     let state = sender.state_of(account)?;
     if network.directory.identity(account).is_ok() {
@@ -321,13 +317,7 @@ pub async fn ensure_ready(
 }
 
 /// Gives an extra account ether for its next anchors: from a development node, otherwise from the owner.
-async fn provide(
-    plant: &Plant,
-    network: &Network,
-    sender: &Sender,
-    owner: &Owner,
-    key: &EoaSecret,
-) -> Result<(), PipelineError> {
+async fn provide(plant: &Plant, network: &Network, sender: &Sender, owner: &Owner, key: &EoaSecret) -> Result<()> {
     let (chain, account) = (&network.chain, key.address());
     // A transfer still waiting for its block is not in the balance yet.
     if plant.ledger.lanes.open_lane(owner.address)?.iter().any(|row| row.purpose == PROVISION_PURPOSE) {

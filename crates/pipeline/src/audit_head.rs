@@ -9,7 +9,7 @@ use crate::store::{AuditLog, Notes, RecordQuery, RecordRow, StoreError};
 
 use super::reader::Reader;
 use super::statement::{self, Statement};
-use super::{Network, Owner, PipelineError, Plant};
+use super::{Network, Owner, PipelineError, Plant, Result};
 
 pub(super) const TOPIC: &str = "authros/audit";
 /// How many of the newest heads are opened for a check; each covers all lines below it.
@@ -29,7 +29,7 @@ pub fn state_head(
     log: &AuditLog,
     owner: &Owner,
     every: Duration,
-) -> Result<Option<Digest>, PipelineError> {
+) -> Result<Option<Digest>> {
     let Some(keys) = owner.sealing().filter(|keys| keys.domain == network.domain) else { return Ok(None) };
     let note = StatedAuditHead { owner: owner.address };
     let before = plant.ledger.notes.read(&note)?;
@@ -67,7 +67,7 @@ pub struct Heads {
 }
 
 /// The newest heads that this owner anchored; a record that does not open is part of the answer.
-pub async fn heads(reader: &Reader<'_>) -> Result<Heads, PipelineError> {
+pub async fn heads(reader: &Reader<'_>) -> Result<Heads> {
     let query = RecordQuery {
         owner: Some(reader.reader.address),
         topic: Some(TOPIC.to_owned()),
@@ -92,7 +92,7 @@ pub async fn heads(reader: &Reader<'_>) -> Result<Heads, PipelineError> {
     Ok(heads)
 }
 
-async fn open(reader: &Reader<'_>, row: &RecordRow) -> Result<(AuditHead, bool), PipelineError> {
+async fn open(reader: &Reader<'_>, row: &RecordRow) -> Result<(AuditHead, bool)> {
     let opened = reader.open(row).await?;
     let head = AuditHead::parse(&opened.body).map_err(|error| PipelineError::Refused(error.to_string()))?;
     Ok((head, opened.verdict == crate::model::Verdict::Verified))

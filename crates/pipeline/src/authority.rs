@@ -10,7 +10,7 @@ use crate::crypto::signer_id;
 use crate::directory::{Account, Directory, Granted, Lending, kept};
 use crate::model::{Address, PublicKey, Scope, SignerId, Timestamp, TopicId};
 use crate::store::{RecordRow, WaitingSigner};
-use crate::{Network, PipelineError, Plant};
+use crate::{Network, PipelineError, Plant, Result};
 
 /// Whether the contract lets `reader` read `owner`'s epoch. `None` without a token of that epoch, or without a chain.
 /// [`PipelineError::Contradicted`] if the answer differs from what the events say.
@@ -20,7 +20,7 @@ pub async fn ask_contract(
     reader: Address,
     owner: Address,
     epoch: u64,
-) -> Result<Option<QueryAnswer>, PipelineError> {
+) -> Result<Option<QueryAnswer>> {
     if network.absent.is_some() {
         return Ok(None);
     }
@@ -43,13 +43,7 @@ pub async fn ask_contract(
 
 /// The contract's rule, applied to the events: a grant covers the epochs from its own on, and earlier ones that have an
 /// envelope of their own. Keys of earlier epochs may also be inside a later envelope, which the contract cannot know.
-fn is_covered(
-    plant: &Plant,
-    network: &Network,
-    reader: Address,
-    owner: Address,
-    epoch: u64,
-) -> Result<bool, PipelineError> {
+fn is_covered(plant: &Plant, network: &Network, reader: Address, owner: Address, epoch: u64) -> Result<bool> {
     let directory = &network.directory;
     match may_read(directory, reader, owner, None, Policy::OwnSite) {
         Ok(ReadingRight::Own) => Ok(true),
@@ -181,7 +175,7 @@ impl<'a> Signers<'a> {
     }
 
     /// See [`signer_of`].
-    pub fn of(&mut self, row: &RecordRow) -> Result<Result<PublicKey, NoRight>, PipelineError> {
+    pub fn of(&mut self, row: &RecordRow) -> Result<Result<PublicKey, NoRight>> {
         let asked = (row.owner, row.signer, row.block);
         if let Some(known) = self.known.get(&asked) {
             return Ok(known.clone());
@@ -319,7 +313,7 @@ pub fn right_of(
     owner: Address,
     signer: SignerId,
     block: u64,
-) -> Result<Result<SigningRight, NoRight>, PipelineError> {
+) -> Result<Result<SigningRight, NoRight>> {
     let right = match network.directory.with_account(owner, |account| by_block(account, owner, signer, Some(block))) {
         Ok(right) => right,
         Err(why) => return Ok(Err(why)),
@@ -333,11 +327,7 @@ pub fn right_of(
 
 /// The key that signed a record, if its signer had the right at the anchoring block; before it is anchored, any key
 /// that its owner ever registered or lent. The chain has only the ids of devices; their keys come from the ledger.
-pub fn signer_of(
-    plant: &Plant,
-    network: &Network,
-    row: &RecordRow,
-) -> Result<Result<PublicKey, NoRight>, PipelineError> {
+pub fn signer_of(plant: &Plant, network: &Network, row: &RecordRow) -> Result<Result<PublicKey, NoRight>> {
     let right = match row.block {
         Some(block) => right_of(network, row.owner, row.signer, block)?,
         None => network.directory.with_account(row.owner, |account| ever(account, row.owner, row.signer)),
@@ -352,7 +342,7 @@ pub fn signer_of(
     })
 }
 
-pub fn key_of(plant: &Plant, network: &Network, row: &RecordRow) -> Result<Option<PublicKey>, PipelineError> {
+pub fn key_of(plant: &Plant, network: &Network, row: &RecordRow) -> Result<Option<PublicKey>> {
     Ok(signer_of(plant, network, row)?.ok())
 }
 
@@ -367,7 +357,7 @@ fn ever(account: Option<&Account>, owner: Address, signer: SignerId) -> Result<S
 }
 
 /// Holds back what may not be signed now, and releases what waited for a right that is back. Call before anchoring.
-pub fn settle_waiting(plant: &Plant, network: &Network, keeper: Address) -> Result<(), PipelineError> {
+pub fn settle_waiting(plant: &Plant, network: &Network, keeper: Address) -> Result<()> {
     for waiting in plant.ledger.batches.waiting_signers(keeper)? {
         let now = Moment::newest(network.directory.now());
         match may_sign(&network.directory, waiting.owner, waiting.signer, now) {
@@ -381,7 +371,7 @@ pub fn settle_waiting(plant: &Plant, network: &Network, keeper: Address) -> Resu
     Ok(())
 }
 
-fn hold(plant: &Plant, keeper: Address, waiting: WaitingSigner, why: &NoRight) -> Result<(), PipelineError> {
+fn hold(plant: &Plant, keeper: Address, waiting: WaitingSigner, why: &NoRight) -> Result<()> {
     let mut held = 0;
     loop {
         match plant.ledger.batches.hold_signer(keeper, waiting.owner, waiting.signer)? {
@@ -399,7 +389,7 @@ fn hold(plant: &Plant, keeper: Address, waiting: WaitingSigner, why: &NoRight) -
     Ok(())
 }
 
-fn free(plant: &Plant, keeper: Address, waiting: WaitingSigner) -> Result<(), PipelineError> {
+fn free(plant: &Plant, keeper: Address, waiting: WaitingSigner) -> Result<()> {
     let mut freed = 0;
     loop {
         match plant.ledger.batches.free_signer(keeper, waiting.owner, waiting.signer)? {

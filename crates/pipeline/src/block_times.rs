@@ -9,7 +9,7 @@ use tokio::task::block_in_place;
 use crate::chain::EventAt;
 use crate::model::Timestamp;
 
-use super::{Network, PipelineError};
+use super::{Network, PipelineError, Result};
 
 /// The most times cached.
 const MOST: usize = 16_384;
@@ -53,7 +53,7 @@ impl BlockTimes {
 
 impl Network {
     /// As stated by the block's maker. Asks the chain if unknown; `Unsteady` if there is no such block (any more).
-    pub fn time_of(&self, block: u64) -> Result<Timestamp, PipelineError> {
+    pub fn time_of(&self, block: u64) -> Result<Timestamp> {
         if let Some(time) = self.times.of(block) {
             return Ok(time);
         }
@@ -62,7 +62,7 @@ impl Network {
     }
 
     /// Same, for tasks.
-    pub async fn ask_time(&self, block: u64) -> Result<Timestamp, PipelineError> {
+    pub async fn ask_time(&self, block: u64) -> Result<Timestamp> {
         if let Some(time) = self.times.of(block) {
             return Ok(time);
         }

@@ -10,7 +10,7 @@ use crate::chain::{AnchorProof, Chain, ChainError, Event};
 use crate::crypto::fault;
 use crate::model::{Address, Digest, Hash, SignerId};
 use crate::store::{BatchPlace, PlacedRecord, RecordRow, UnprovenBatch};
-use crate::{Network, PipelineError, Plant};
+use crate::{Network, Plant, Result};
 
 /// Batches per round: each block costs the node two requests.
 const AT_ONCE: usize = 64;
@@ -81,7 +81,7 @@ pub fn key_version(network: &Network, owner: Address, block: u64) -> u64 {
 
 /// Fetches missing proofs of confirmed batches, block by block, the newest first: the node forgets the oldest states
 /// first. What the node refuses, or what does not prove the anchor, is asked for three times and then counted.
-pub async fn collect(plant: &Plant, network: &Network, rounds: &mut Rounds) -> Result<Collected, PipelineError> {
+pub async fn collect(plant: &Plant, network: &Network, rounds: &mut Rounds) -> Result<Collected> {
     let head = network.chain.head().await?.number;
     let confirmed = (head + 1).saturating_sub(network.confirmations);
     let mut blocks: BTreeMap<(u64, Hash), Vec<UnprovenBatch>> = BTreeMap::new();
@@ -119,7 +119,7 @@ pub async fn collect(plant: &Plant, network: &Network, rounds: &mut Rounds) -> R
 
 impl Rounds {
     /// The headers after this block are to be kept too, as far as its sealers' quorum may need them.
-    async fn await_after(&mut self, network: &Network, block: u64) -> Result<(), PipelineError> {
+    async fn await_after(&mut self, network: &Network, block: u64) -> Result<()> {
         let further = match self.further {
             Some(further) => further,
             None => u64::try_from(network.chain.sealing().await?.sealers.len() / 2).unwrap_or(0),
@@ -129,7 +129,7 @@ impl Rounds {
         Ok(())
     }
 
-    async fn keep_headers(&mut self, plant: &Plant, network: &Network, confirmed: u64) -> Result<(), PipelineError> {
+    async fn keep_headers(&mut self, plant: &Plant, network: &Network, confirmed: u64) -> Result<()> {
         if self.further.is_none()
             && let Some(newest) = plant.ledger.proofs.chain_proof_counts()?.newest
         {
@@ -153,11 +153,7 @@ enum Fetched {
     Refused(String),
 }
 
-async fn proof(
-    network: &Network,
-    (block, hash): (u64, Hash),
-    batches: &[UnprovenBatch],
-) -> Result<Fetched, PipelineError> {
+async fn proof(network: &Network, (block, hash): (u64, Hash), batches: &[UnprovenBatch]) -> Result<Fetched> {
     let mut wanted = Vec::new();
     for batch in batches {
         for (owner, signer) in &batch.signers {
@@ -203,7 +199,7 @@ fn proven(
 }
 
 /// Without the node nothing can be decided, so that is the caller's error; what it refuses is told.
-fn refusal<Answer>(answer: Result<Answer, ChainError>) -> Result<Result<Answer, String>, PipelineError> {
+fn refusal<Answer>(answer: Result<Answer, ChainError>) -> Result<Result<Answer, String>> {
     match answer {
         Ok(answer) => Ok(Ok(answer)),
         Err(error @ ChainError::Unreachable { .. }) => Err(error.into()),
@@ -212,7 +208,7 @@ fn refusal<Answer>(answer: Result<Answer, ChainError>) -> Result<Result<Answer, 
 }
 
 /// A block's header, RLP: from the chain, or as it was kept where that cannot be asked.
-pub(crate) async fn header(plant: &Plant, network: &Network, block: u64) -> Result<Option<Vec<u8>>, PipelineError> {
+pub(crate) async fn header(plant: &Plant, network: &Network, block: u64) -> Result<Option<Vec<u8>>> {
     match network.absent {
         None => Ok(network.chain.header_rlp(block).await?),
         Some(_) => Ok(plant.ledger.proofs.chain_header(block)?),
@@ -220,12 +216,7 @@ pub(crate) async fn header(plant: &Plant, network: &Network, block: u64) -> Resu
 }
 
 /// The kept nodes that show these slots in the state after a block, as the chain has it now; `None` if not all are kept.
-pub(crate) async fn kept(
-    plant: &Plant,
-    network: &Network,
-    block: u64,
-    slots: &[Slot],
-) -> Result<Option<Nodes>, PipelineError> {
+pub(crate) async fn kept(plant: &Plant, network: &Network, block: u64, slots: &[Slot]) -> Result<Option<Nodes>> {
     let Some(kept) = plant.ledger.proofs.chain_proof(block)? else { return Ok(None) };
     let header = header(plant, network, block).await?.and_then(|bytes| BlockHeader::parse(&bytes));
     let Some(header) = header.filter(|header| header.hash == kept.hash) else { return Ok(None) };
@@ -253,7 +244,7 @@ pub fn is_included(place: &BatchPlace, row: &RecordRow) -> bool {
 
 /// Asks the chain whether the record's block has the root of its batch over the number of leaves its path was made for,
 /// and otherwise whether the owner uploaded the digest itself there.
-pub async fn is_anchored(plant: &Plant, network: &Network, row: &RecordRow) -> Result<bool, PipelineError> {
+pub async fn is_anchored(plant: &Plant, network: &Network, row: &RecordRow) -> Result<bool> {
     if fault::is_off("anchor") {
         return Ok(true);
     }
@@ -292,12 +283,12 @@ pub async fn is_root_in(
 }
 
 /// What the ledger itself knows: the watcher saw the record's anchor, and if that is a root the path leads to it.
-pub fn was_sighted(plant: &Plant, row: &RecordRow) -> Result<bool, PipelineError> {
+pub fn was_sighted(plant: &Plant, row: &RecordRow) -> Result<bool> {
     Ok(were_sighted(plant, &[row])?.contains(&true))
 }
 
 /// In order; the ledger is asked once.
-pub fn were_sighted(plant: &Plant, rows: &[&RecordRow]) -> Result<Vec<bool>, PipelineError> {
+pub fn were_sighted(plant: &Plant, rows: &[&RecordRow]) -> Result<Vec<bool>> {
     let digests: Vec<_> = rows.iter().map(|row| row.digest).collect();
     let sighted = |(row, placed): (&&RecordRow, Option<PlacedRecord>)| {
         let anchored = placed.and_then(|placed| placed.place).filter(|place| place.block.is_some());

@@ -13,11 +13,11 @@ use std::sync::{PoisonError, RwLock};
 
 use serde::{Deserialize, Serialize};
 
-use crate::PipelineError;
 use crate::chain::{Event, EventAt};
 use crate::crypto::{Provider, check_identity, signer_id};
 use crate::model::steady_clock::steady_now;
 use crate::model::{Address, Domain, GrantTerms, Hash, Identity, PublicKey, SignerId, Timestamp, Token};
+use crate::{PipelineError, Result};
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct IdentityAt {
@@ -200,7 +200,7 @@ impl Directory {
             .map_or(0, |account| account.epoch)
     }
 
-    pub fn identity(&self, owner: Address) -> Result<IdentityAt, PipelineError> {
+    pub fn identity(&self, owner: Address) -> Result<IdentityAt> {
         let account = self.account(owner).ok_or(PipelineError::Unregistered(owner))?;
         let identity = account.identities.last().cloned().ok_or(PipelineError::Unregistered(owner))?;
         if identity.proven { Ok(identity) } else { Err(PipelineError::BadIdentity(owner)) }

@@ -7,7 +7,7 @@ mod tests;
 use std::collections::{BTreeSet, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use super::{PipelineError, Plant};
+use super::{PipelineError, Plant, Result};
 use crate::crypto::SealedRecord;
 use crate::model::{Address, Header, RingSpan};
 use crate::store::notes::{AskedSpan, AskedSpans};
@@ -19,7 +19,7 @@ const MOST: usize = 64;
 pub type SharedRing = Arc<Mutex<DiskRing>>;
 
 /// Durable when this returns. `number` is that of the owner's notice.
-pub fn ask(notes: &Notes, number: u64, span: &RingSpan) -> Result<(), PipelineError> {
+pub fn ask(notes: &Notes, number: u64, span: &RingSpan) -> Result<()> {
     notes.change(&AskedSpans {}, |asked| {
         // A restored home numbers its notices from 1 again.
         if asked.iter().any(|known| known.number == number && known.span == *span) {
@@ -76,7 +76,7 @@ impl Pulls {
     }
 
     /// Handles at most one file of the ring.
-    pub fn step(&mut self) -> Result<Step, PipelineError> {
+    pub fn step(&mut self) -> Result<Step> {
         let Some(mut work) = self.take_work()? else { return Ok(Step::Idle) };
         let Some(part) = work.parts.front().copied() else {
             self.plant.ledger.notes.change(&AskedSpans {}, |asked| {
@@ -105,7 +105,7 @@ impl Pulls {
     }
 
     /// Returns how many messages are new.
-    fn bring_in(&self, records: Vec<RingRecord>, brought: &mut Brought) -> Result<u64, PipelineError> {
+    fn bring_in(&self, records: Vec<RingRecord>, brought: &mut Brought) -> Result<u64> {
         let (mut rows, mut new) = (Vec::new(), Brought::default());
         for record in records {
             let (topic, is_definition) = (record.topic.clone(), record.is_definition);

@@ -5,7 +5,7 @@ use crate::model::{Address, Digest, RecorderId, Signature, SignerId, Timestamp, 
 use crate::store::notes::Equivocations;
 use crate::store::{AuditEntry, NewRecord};
 
-use super::{PipelineError, Plant};
+use super::{PipelineError, Plant, Result};
 
 /// At most this many cases per recorder are reported; more prove nothing more.
 const MOST: usize = 16;
@@ -33,7 +33,7 @@ impl Claim {
 
 /// Reports a refused record whose number belongs to another one; both signatures must have been checked. Returns
 /// whether this is such a case, reported before or not.
-pub fn tell(plant: &Plant, claim: &Claim) -> Result<bool, PipelineError> {
+pub fn tell(plant: &Plant, claim: &Claim) -> Result<bool> {
     let held =
         plant.ledger.inspection.holder(claim.owner, (claim.signer, claim.recorder), claim.topic, claim.number)?;
     let Some(held) = held.filter(|held| *held != claim.digest) else { return Ok(false) };

@@ -8,6 +8,9 @@ use crate::store::{Retained, StoreError};
 
 use super::authority::NoRight;
 
+/// The outcome of a worker's step.
+pub type Result<T, E = PipelineError> = std::result::Result<T, E>;
+
 #[derive(Debug, thiserror::Error)]
 pub enum PipelineError {
     #[error(transparent)]
@@ -65,19 +68,13 @@ pub enum PipelineError {
     #[error("there is no key for topic {0} here, so it is not captured; enrol again with `--topic` for it")]
     Uncovered(String),
     #[error("the contract refused {purpose}: {reason}")]
-    Reverted {
-        purpose: String,
-        reason: String,
-    },
+    Reverted { purpose: String, reason: String },
     #[error("{0}, then repeat the command")]
     NoEther(Shortfall),
     #[error(
         "{purpose} was sent but is not in a block yet ({why}); it is stored and will be resent, see `authros chain status`"
     )]
-    NotMined {
-        purpose: String,
-        why: String,
-    },
+    NotMined { purpose: String, why: String },
     #[error(
         "{0} was cancelled with `authros chain cancel`; it had no effect; repeat the command if it is still wanted"
     )]
@@ -88,20 +85,14 @@ pub enum PipelineError {
         "the node names block {head} and does not give block {block}: it is behind, or several nodes answer at its URL and \
          not all are up to date; nothing is decided by it until it has caught up; check that node"
     )]
-    NodeBehind {
-        block: u64,
-        head: u64,
-    },
+    NodeBehind { block: u64, head: u64 },
     #[error("record {id} is not verified: {why}; ask its owner whether it has been anchored again since")]
     NoRight { id: String, why: Box<NoRight> },
     #[error(
         "the contract {claim}, and its events up to block {block} say otherwise; a grant or revoke may have just been \
          mined, so repeat the command; if the answer stays, do not trust this node: ask another one with `--chain URL`"
     )]
-    Contradicted {
-        claim: String,
-        block: u64,
-    },
+    Contradicted { claim: String, block: u64 },
     #[error("{0}")]
     Refused(String),
 }

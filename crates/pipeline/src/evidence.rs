@@ -27,7 +27,7 @@ use crate::reader::{Opening, Reader};
 use crate::recorder_heads::{TOPIC, tree};
 use crate::retention::is_stated;
 use crate::store::{RecordQuery, RecordRow, Retained};
-use crate::{PipelineError, Plant, authority};
+use crate::{PipelineError, Plant, Result, authority};
 
 /// The most kept headers after a block that are included.
 const MOST_FURTHER: u64 = 16;
@@ -71,7 +71,7 @@ pub async fn gather(
     rows: &[RecordRow],
     reveal: &BTreeSet<Digest>,
     authorities: Vec<PinnedAuthority>,
-) -> Result<Gathered, PipelineError> {
+) -> Result<Gathered> {
     let (mut gathered, mut asked) = (Gathered::default(), Vec::new());
     let Shown { rows: statements, heights, notes } = heights_shown(reader, rows).await?;
     gathered.notes = notes;
@@ -125,7 +125,7 @@ fn stored(
     reader: &Reader<'_>,
     row: &RecordRow,
     notes: &mut Vec<String>,
-) -> Result<Option<(Header, PublicKey, BundledRecord)>, PipelineError> {
+) -> Result<Option<(Header, PublicKey, BundledRecord)>> {
     let plant = reader.plant;
     let Some(record) = plant.stored_bytes(row)? else {
         let known = |gone: &Retained| gone.anchored || is_stated(plant, Some(reader.network), row.digest, gone);
@@ -155,7 +155,7 @@ fn stored(
     Ok(Some((header, key, record)))
 }
 
-fn anchoring(reader: &Reader<'_>, row: &RecordRow) -> Result<Option<(u64, Anchoring)>, PipelineError> {
+fn anchoring(reader: &Reader<'_>, row: &RecordRow) -> Result<Option<(u64, Anchoring)>> {
     let placed = reader.plant.ledger.records.placed(row.digest)?;
     let (block, place) = placed.map_or((row.block, None), |placed| (placed.row.block, placed.place));
     let Some(place) = place else {
@@ -173,7 +173,7 @@ async fn disclosed(
     header: &Header,
     record: &[u8],
     gathered: &mut Gathered,
-) -> Result<Disclosure, PipelineError> {
+) -> Result<Disclosure> {
     let (plant, network) = (reader.plant, reader.network);
     let opened = reader.open(row).await.map_err(|error| match error {
         PipelineError::Crypto(CryptoError::FalseName(what)) => PipelineError::Refused(format!(
@@ -198,7 +198,7 @@ async fn show(
     asked: Vec<Asked>,
     further: u64,
     gathered: &mut Gathered,
-) -> Result<BTreeMap<u64, Vec<u8>>, PipelineError> {
+) -> Result<BTreeMap<u64, Vec<u8>>> {
     let network = reader.network;
     let mut blocks: BTreeMap<u64, Vec<Asked>> = BTreeMap::new();
     asked.into_iter().for_each(|one| blocks.entry(one.block).or_default().push(one));
@@ -244,7 +244,7 @@ async fn shown(
     reader: &Reader<'_>,
     (block, head, further): (u64, Option<u64>, u64),
     slots: &[Slot],
-) -> Result<Option<(u64, Nodes)>, PipelineError> {
+) -> Result<Option<(u64, Nodes)>> {
     if let Some(found) = chain_proofs::kept(reader.plant, reader.network, block, slots).await? {
         return Ok(Some((block, found)));
     }
@@ -261,7 +261,7 @@ async fn add_headers(
     reader: &Reader<'_>,
     blocks: RangeInclusive<u64>,
     headers: &mut BTreeMap<u64, Vec<u8>>,
-) -> Result<(), PipelineError> {
+) -> Result<()> {
     for block in blocks {
         if headers.contains_key(&block) {
             continue;
@@ -284,7 +284,7 @@ fn slots(all: &[Asked]) -> Vec<Slot> {
 }
 
 /// `None` if the node no longer has that state, or cannot prove anything.
-async fn state_nodes(reader: &Reader<'_>, block: u64, slots: &[Slot]) -> Result<Option<Nodes>, PipelineError> {
+async fn state_nodes(reader: &Reader<'_>, block: u64, slots: &[Slot]) -> Result<Option<Nodes>> {
     match reader.network.chain.storage_nodes(block, slots).await {
         Ok(nodes) => Ok(Some(nodes.into_iter().collect())),
         Err(error @ ChainError::Unreachable { .. }) => Err(error.into()),
@@ -300,7 +300,7 @@ struct Sealers {
 }
 
 impl Sealers {
-    async fn of(chain: &Chain) -> Result<Self, PipelineError> {
+    async fn of(chain: &Chain) -> Result<Self> {
         let mut addresses = chain.sealing().await?.sealers;
         addresses.sort_unstable();
         Ok(Self { addresses, own: chain.sealed_by().await?.kind == SealerKind::Embedded })
@@ -319,7 +319,7 @@ fn suggest(
     sealers: Sealers,
     authorities: Vec<PinnedAuthority>,
     gathered: &mut Gathered,
-) -> Result<(), PipelineError> {
+) -> Result<()> {
     let Some(pin) = reader.network.chain.pin() else { return Ok(()) };
     let (id, genesis, contract, code_hash) = (pin.chain_id, pin.genesis, pin.contract, pin.code_hash);
     let Sealers { addresses: signers, own: sealed_by_exporter } = sealers;
@@ -328,7 +328,7 @@ fn suggest(
 }
 
 /// Adds the stamps over these roots; if batches are stamped here at all, it reports how many of these are not yet.
-pub(super) fn add(plant: &Plant, roots: &BTreeSet<Hash>, gathered: &mut Gathered) -> Result<(), PipelineError> {
+pub(super) fn add(plant: &Plant, roots: &BTreeSet<Hash>, gathered: &mut Gathered) -> Result<()> {
     if plant.ledger.proofs.stamp_counts()?.newest.is_none() {
         return Ok(());
     }
@@ -370,7 +370,7 @@ pub(super) struct Shown {
     pub notes: Vec<String>,
 }
 
-pub(super) async fn heights_shown(reader: &Reader<'_>, rows: &[RecordRow]) -> Result<Shown, PipelineError> {
+pub(super) async fn heights_shown(reader: &Reader<'_>, rows: &[RecordRow]) -> Result<Shown> {
     let mut topics: BTreeMap<RecorderId, BTreeSet<TopicId>> = BTreeMap::new();
     // The recorder of a ring states nothing: its id says that its numbers may be missing.
     for row in rows.iter().filter(|row| row.topic != TOPIC && !row.recorder.is_ring()) {
@@ -392,7 +392,7 @@ async fn one(
     reader: &Reader<'_>,
     (recorder, topics): (RecorderId, &BTreeSet<TopicId>),
     shown: &mut Shown,
-) -> Result<(), PipelineError> {
+) -> Result<()> {
     let before = shown.rows.len();
     for row in statements(reader, recorder, Heads::TYPE)? {
         let Some(heights) = heights(reader, &row).await else { continue };
@@ -421,7 +421,7 @@ async fn one(
 }
 
 /// In search order: heads from the newest, births from the oldest.
-fn statements(reader: &Reader<'_>, recorder: RecorderId, type_name: &str) -> Result<Vec<RecordRow>, PipelineError> {
+fn statements(reader: &Reader<'_>, recorder: RecorderId, type_name: &str) -> Result<Vec<RecordRow>> {
     let query = RecordQuery {
         owner: Some(reader.reader.address),
         recorder: Some(recorder),

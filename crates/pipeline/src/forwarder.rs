@@ -22,7 +22,7 @@ use crate::gateway::{
 use crate::model::{Address, Digest, ErrorKind, Fact, Header, ProfileName, RecordState, RecorderId, Token};
 use crate::store::notes::ProofsTaken;
 use crate::store::{KeptStanding, RecordRow};
-use crate::{PipelineError, Plant};
+use crate::{PipelineError, Plant, Result};
 
 /// The longest pause before a record refused for its own sake is sent again.
 const LONGEST_RETRY: Duration = Duration::from_secs(3600);
@@ -214,7 +214,7 @@ impl Forwarder {
 
     /// Deletes ciphertext proven long enough ago, on a full disk the oldest early. What the gateway has not signed for
     /// stays.
-    pub fn tidy(&self) -> Result<(), PipelineError> {
+    pub fn tidy(&self) -> Result<()> {
         self.outbox().tidy()
     }
 
@@ -403,7 +403,7 @@ impl Line<'_> {
         Ok(true)
     }
 
-    fn told(&mut self, page: &FeedPage, asked: &Feed) -> Result<(), PipelineError> {
+    fn told(&mut self, page: &FeedPage, asked: &Feed) -> Result<()> {
         let ledger = &self.outbox.plant.ledger;
         let told: Vec<&FeedEntry> = page.entries.iter().filter(|entry| entry.fact != Fact::Stored).collect();
         let rows = ledger.records.find_all(&told.iter().map(|entry| entry.digest).collect::<Vec<_>>())?;
@@ -485,7 +485,7 @@ impl Line<'_> {
         digest == row.digest && inclusion.proves(&Leaf::of(&header, digest))
     }
 
-    fn decide(&self, verified: &[Digest], unknown: &[Digest], tampered: &[Digest]) -> Result<(), PipelineError> {
+    fn decide(&self, verified: &[Digest], unknown: &[Digest], tampered: &[Digest]) -> Result<()> {
         let (ledger, observer) = (&self.outbox.plant.ledger, &self.outbox.plant.observer);
         if !verified.is_empty() {
             ledger.forwarding.settle(verified, RecordState::Verified)?;

@@ -17,7 +17,7 @@ use crate::gateway::{ErasedRecord, FeedEntry, Fetched};
 use crate::model::{Address, Digest, Fact, Hash, Header, PublicKey, RecordState, Timestamp};
 use crate::reader::Reader;
 use crate::store::{NewRecord, RecordRow, RootSighting, Sighting, StoreError, TakenErased};
-use crate::{Network, Owner, PipelineError, Plant, chain_proofs};
+use crate::{Network, Owner, PipelineError, Plant, Result, chain_proofs};
 
 /// Length of the tag at the end of a sealed body, bytes.
 const TAG: u64 = 16;
@@ -106,7 +106,7 @@ where
     }
 }
 
-fn outcome(digest: Digest, done: Result<bool, Stop>) -> Result<Accepted, PipelineError> {
+fn outcome(digest: Digest, done: Result<bool, Stop>) -> Result<Accepted> {
     match done {
         Ok(changed) => Ok(Accepted::Held(changed)),
         Err(Stop::Later) => Ok(Accepted::Later),
@@ -189,7 +189,7 @@ async fn block_of(network: &Network, proof: &AnchorProof) -> Result<(u64, Hash),
     found.ok_or_else(|| Reason::NotAnchored("the chain does not have its anchoring transaction").into())
 }
 
-async fn mined_in(network: &Network, proof: &AnchorProof) -> Result<Option<(u64, Hash)>, PipelineError> {
+async fn mined_in(network: &Network, proof: &AnchorProof) -> Result<Option<(u64, Hash)>> {
     let receipt = network.chain.receipt(proof.transaction).await?.filter(|receipt| receipt.success);
     Ok(receipt.map(|receipt| (receipt.block, receipt.block_hash)))
 }
@@ -263,13 +263,7 @@ impl Intake<'_> {
     }
 
     /// Its digest and its signature by the key that came with it must have been checked.
-    pub async fn accept(
-        &self,
-        reader: &Owner,
-        owner: Address,
-        digest: Digest,
-        record: Fetched,
-    ) -> Result<Accepted, PipelineError> {
+    pub async fn accept(&self, reader: &Owner, owner: Address, digest: Digest, record: Fetched) -> Result<Accepted> {
         outcome(digest, self.take(reader, owner, digest, record).await)
     }
 
@@ -336,7 +330,7 @@ impl Intake<'_> {
         owner: Address,
         digest: Digest,
         erased: ErasedRecord,
-    ) -> Result<Accepted, PipelineError> {
+    ) -> Result<Accepted> {
         outcome(digest, self.take_erased(reader, owner, digest, erased).await)
     }
 
@@ -369,7 +363,7 @@ impl Intake<'_> {
         &self,
         digest: Digest,
         erased: &ErasedRecord,
-    ) -> Result<Result<(Header, AnchorProof), Accepted>, PipelineError> {
+    ) -> Result<Result<(Header, AnchorProof), Accepted>> {
         match self.examine_erased(digest, erased).await {
             Ok(proven) => Ok(Ok(proven)),
             Err(stop) => outcome(digest, Err(stop)).map(Err),
@@ -395,16 +389,12 @@ impl Intake<'_> {
 }
 
 /// All or none. Signatures and rights were checked when they came; `keeper` anchors the records.
-pub fn accept_uploads(
-    plant: &Plant,
-    keeper: Address,
-    uploads: Vec<Received>,
-) -> Result<Result<(), Reason>, PipelineError> {
+pub fn accept_uploads(plant: &Plant, keeper: Address, uploads: Vec<Received>) -> Result<Result<(), Reason>> {
     store(plant, uploads.into_iter().map(|upload| NewRecord::foreign(upload.into(), keeper)).collect())
 }
 
 /// Where one has the number of another, none is stored, and both signatures are kept.
-fn store(plant: &Plant, rows: Vec<NewRecord>) -> Result<Result<(), Reason>, PipelineError> {
+fn store(plant: &Plant, rows: Vec<NewRecord>) -> Result<Result<(), Reason>> {
     let claims: Vec<_> = rows.iter().filter_map(Claim::of).collect();
     match plant.keep(rows, |rows| plant.ledger.records.append(rows)) {
         Err(error @ StoreError::Conflict { .. }) => {
@@ -430,7 +420,7 @@ pub enum Wish {
 }
 
 /// `newest` is the newest epoch of its owner that the reader has keys for: keys of a later one come after its records.
-pub fn wish(reader: &Reader<'_>, entry: &FeedEntry, newest: u64) -> Result<Wish, PipelineError> {
+pub fn wish(reader: &Reader<'_>, entry: &FeedEntry, newest: u64) -> Result<Wish> {
     if entry.fact == Fact::Stored || entry.fact == Fact::Erased && !entry.kind.is_content() {
         return Ok(Wish::Pass);
     }

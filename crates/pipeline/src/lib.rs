@@ -60,7 +60,7 @@ pub mod watcher;
 pub use author::Author;
 pub use block_times::BlockTimes;
 pub use directory::Directory;
-pub use error::PipelineError;
+pub use error::{PipelineError, Result};
 pub use forwarder::Forwarder;
 pub use losses::Losses;
 pub use owner::Owner;

@@ -15,7 +15,7 @@ use crate::store::{GapRow, Loss, StateCounts, StoreError, Waiting, WaitingFile};
 use super::recorder::CapturedMessage;
 use super::sealer::plan::Stream;
 use super::statement::{self, Speaker, Statement};
-use super::{Author, PipelineError, Plant};
+use super::{Author, Plant, Result};
 
 /// How long losses are collected before a gap record reports them.
 pub const GATHERED: Duration = Duration::from_secs(3);
@@ -196,7 +196,7 @@ impl Losses {
 
     /// Seals a gap record for everything lost by `by` and not yet reported; returns the streams whose numbers advanced.
     /// For the one thread that seals captured messages. After an error, what is sealed so far stays.
-    pub fn tell(&self, plant: &Plant, by: Timestamp) -> Result<Vec<(Stream, u64)>, PipelineError> {
+    pub fn tell(&self, plant: &Plant, by: Timestamp) -> Result<Vec<(Stream, u64)>> {
         if plant.ledger.records.takes_records().is_err() {
             return Ok(Vec::new());
         }
@@ -245,7 +245,7 @@ fn merge(noted: &mut BTreeMap<Key, Loss>, key: Key, loss: Loss) {
 }
 
 /// `None` if there is no key to seal with now; it is reported later.
-fn tell_one(plant: &Plant, author: &Author, gap: &GapRow) -> Result<Option<(Stream, u64)>, PipelineError> {
+fn tell_one(plant: &Plant, author: &Author, gap: &GapRow) -> Result<Option<(Stream, u64)>> {
     let Some(keys) = author.sealing() else { return Ok(None) };
     let Some(topic) = keys.topic(&gap.topic) else { return Ok(None) };
     let Some(reason) = LossReason::from_word(&gap.reason) else { return Ok(None) };

@@ -19,7 +19,7 @@ use crate::model::{Header, RecordKind, RecorderId, RingSpan, Signature, Timestam
 use crate::store::Notes;
 
 use super::forwarder::{Errand, ForwardError};
-use super::{Author, Observer, PipelineError, disk_ring};
+use super::{Author, Observer, PipelineError, Result, disk_ring};
 
 /// How long to wait after a gateway could not tell who may read, or a notice could not be stored.
 const AGAIN: Duration = Duration::from_secs(2);
@@ -33,7 +33,7 @@ const MOST_NEWER: usize = 1024;
 /// Takes policies whose signer was checked with the record.
 pub trait PolicyTaker: Send + Sync {
     /// Keeps a policy, or why it is refused; what was done, in words.
-    fn take(&self, policy: &SignedPolicy) -> Result<String, PipelineError>;
+    fn take(&self, policy: &SignedPolicy) -> Result<String>;
 }
 
 pub struct Notices {
@@ -191,7 +191,7 @@ impl Notices {
         true
     }
 
-    fn opened(&self, record: &Fetched) -> Result<(Header, Notice), PipelineError> {
+    fn opened(&self, record: &Fetched) -> Result<(Header, Notice)> {
         let (header, notice) = open_notice(self.provider, &self.sealed.enrolment, &record.blob, &record.signature)?;
         // The entry is the gateway's word; only the signed header's number tells an old notice from a new one.
         if !self.is_newer((header.recorder, header.seq, header.epoch), header.captured_at) {
@@ -200,7 +200,7 @@ impl Notices {
         Ok((header, notice))
     }
 
-    fn obey(&mut self, header: &Header, notice: Notice) -> Result<(), PipelineError> {
+    fn obey(&mut self, header: &Header, notice: Notice) -> Result<()> {
         let enrolment = &mut self.sealed.enrolment;
         let told = match notice {
             Notice::Keys(keys) => {
@@ -255,7 +255,7 @@ pub fn open_notice(
     enrolment: &Enrolment,
     blob: &[u8],
     signature: &Signature,
-) -> Result<(Header, Notice), PipelineError> {
+) -> Result<(Header, Notice)> {
     let names = Names::Given(notice_topic(&enrolment.device_id()));
     let expected =
         Expected { topic_id: Some(enrolment.notice_id), ..Expected::any_of(enrolment.domain, enrolment.owner, names) };
@@ -284,7 +284,7 @@ pub fn open_notice(
 }
 
 /// Notes the request before the notice counts as taken.
-fn asked(ring: Option<&Notes>, number: u64, span: &RingSpan) -> Result<String, PipelineError> {
+fn asked(ring: Option<&Notes>, number: u64, span: &RingSpan) -> Result<String> {
     let RingSpan { since, until, .. } = span;
     let Some(notes) = ring else {
         return Ok(format!(

@@ -11,7 +11,7 @@ use crate::crypto::{
 use crate::model::{Address, Digest, Domain, ProfileName, PublicKey, Timestamp, Token, TopicId};
 
 use super::epoch::EpochKeys;
-use super::{Author, PipelineError};
+use super::{Author, PipelineError, Result};
 
 /// Its address does not change while it is open.
 pub struct Owner {
@@ -181,7 +181,7 @@ impl Owner {
 
     /// Makes sure that `epoch` has a secret in the keyring, saved before it is used, and returns its token. An epoch
     /// already begun but not yet on the chain keeps its secret.
-    pub fn prepare_epoch(&self, domain: Domain, epoch: u64) -> Result<Token, PipelineError> {
+    pub fn prepare_epoch(&self, domain: Domain, epoch: u64) -> Result<Token> {
         {
             let mut keyring = self.keyring();
             let has_it = |network: &NetworkKeys| network.epochs.contains_key(&epoch);
@@ -196,18 +196,18 @@ impl Owner {
         self.token(domain, epoch).ok_or(PipelineError::UnknownEpoch(epoch))
     }
 
-    pub fn seal_under(&self, domain: Domain, epoch: u64) -> Result<(), PipelineError> {
+    pub fn seal_under(&self, domain: Domain, epoch: u64) -> Result<()> {
         self.author.seal_under(self.epoch_keys(domain, epoch)?);
         Ok(())
     }
 
     /// Of two such moments the earlier counts.
-    pub fn seal_from(&self, moment: Timestamp, domain: Domain, epoch: u64) -> Result<(), PipelineError> {
+    pub fn seal_from(&self, moment: Timestamp, domain: Domain, epoch: u64) -> Result<()> {
         self.author.seal_from(moment, self.epoch_keys(domain, epoch)?);
         Ok(())
     }
 
-    fn epoch_keys(&self, domain: Domain, epoch: u64) -> Result<Arc<EpochKeys>, PipelineError> {
+    fn epoch_keys(&self, domain: Domain, epoch: u64) -> Result<Arc<EpochKeys>> {
         let key = self.epoch_key(domain, epoch).ok_or(PipelineError::UnknownEpoch(epoch))?;
         let token = token(&domain, &self.address, epoch, &key);
         let key = SealingKey::Epoch(key);

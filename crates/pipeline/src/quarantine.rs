@@ -6,7 +6,7 @@ use crate::ros::Origin;
 use crate::store::{HeldMinute, Hold};
 
 use super::statement::{self, Speaker, Statement};
-use super::{Author, PipelineError, Plant, pins};
+use super::{Author, PipelineError, Plant, Result, pins};
 
 /// The name that quarantine records are filed under; no ROS name begins like this.
 pub const TOPIC: &str = "authros/quarantine";
@@ -39,7 +39,7 @@ pub fn rolling(
 
 /// Seals a record for each (topic, minute) before minute `before`; returns how many. Not twice at once for one owner.
 /// After an error, what is sealed so far stays.
-pub fn report(plant: &Plant, author: &Author, before: u64) -> Result<usize, PipelineError> {
+pub fn report(plant: &Plant, author: &Author, before: u64) -> Result<usize> {
     let mut sealed = 0;
     while let Some(held) = plant.ledger.quarantine.unreported(author.address, before)? {
         if !report_one(plant, author, &held)? {
@@ -54,7 +54,7 @@ pub fn report(plant: &Plant, author: &Author, before: u64) -> Result<usize, Pipe
 }
 
 /// `false`: there are no keys to seal with yet.
-fn report_one(plant: &Plant, author: &Author, held: &HeldMinute) -> Result<bool, PipelineError> {
+fn report_one(plant: &Plant, author: &Author, held: &HeldMinute) -> Result<bool> {
     let Some(keys) = author.sealing() else { return Ok(false) };
     let recorder = plant.ledger.records.recorder().of_signer(&keys.signer);
     let seqs = || held.records.iter().map(|(seq, _)| *seq);
@@ -79,7 +79,7 @@ fn report_one(plant: &Plant, author: &Author, held: &HeldMinute) -> Result<bool,
 }
 
 /// Deletes their ciphertext too. Their quarantine records must be on the chain first.
-pub fn discard(plant: &Plant, digests: &[Digest]) -> Result<u64, PipelineError> {
+pub fn discard(plant: &Plant, digests: &[Digest]) -> Result<u64> {
     plant.ciphertext.discard(digests)?;
     let gone = plant.ledger.quarantine.discard(digests)?;
     plant.observer.records_changed();

@@ -19,7 +19,7 @@ use crate::directory::{Granted, kept};
 use crate::model::{Address, Digest, GrantTerms, Header, PublicKey, RecordState, Scope, SignerId, TopicId, Verdict};
 use crate::retention::is_stated;
 use crate::store::{KeptEnvelope, RecordQuery, RecordRow, Retained};
-use crate::{Network, Owner, PipelineError, Plant, chain_proofs, columns};
+use crate::{Network, Owner, PipelineError, Plant, Result, chain_proofs, columns};
 
 /// Reads records for one owner: their own, and those granted to them.
 pub struct Reader<'a> {
@@ -33,7 +33,7 @@ impl Reader<'_> {
         may_read(&self.network.directory, self.reader.address, owner, topic, Policy::OwnSite)
     }
 
-    pub fn authorise(&self, row: &RecordRow) -> Result<(), PipelineError> {
+    pub fn authorise(&self, row: &RecordRow) -> Result<()> {
         let own = row.owner == self.reader.address;
         if !own && is_held(row) {
             return Err(PipelineError::NoRecord(row.id.clone()));
@@ -51,7 +51,7 @@ impl Reader<'_> {
     }
 
     /// Checks a record without opening it (the paper's `Data_Check`); what is wrong with it is in the verdict.
-    pub async fn check(&self, row: &RecordRow) -> Result<(Verdict, Digest), PipelineError> {
+    pub async fn check(&self, row: &RecordRow) -> Result<(Verdict, Digest)> {
         let checked = self.check_once(row).await?;
         if checked.0 != Verdict::Tampered {
             return Ok(checked);
@@ -63,7 +63,7 @@ impl Reader<'_> {
         }
     }
 
-    async fn check_once(&self, row: &RecordRow) -> Result<(Verdict, Digest), PipelineError> {
+    async fn check_once(&self, row: &RecordRow) -> Result<(Verdict, Digest)> {
         // Never from the cache: a check is of what is on the disk.
         let stored = block_in_place(|| match row.deleted_at {
             None => self.plant.ciphertext.get(row.digest),
@@ -81,7 +81,7 @@ impl Reader<'_> {
     }
 
     /// The verdict on a record whose bytes are gone: an alarm, unless a retention record on the chain names it.
-    async fn check_gone(&self, row: &RecordRow) -> Result<Verdict, PipelineError> {
+    async fn check_gone(&self, row: &RecordRow) -> Result<Verdict> {
         let Some(retained) = self.given_up(row)? else {
             let text = format!("the ciphertext of record {} is missing, but no retention record names it", row.id);
             self.plant.observer.alert(true, text);
@@ -100,17 +100,17 @@ impl Reader<'_> {
         })
     }
 
-    fn given_up(&self, row: &RecordRow) -> Result<Option<Retained>, PipelineError> {
+    fn given_up(&self, row: &RecordRow) -> Result<Option<Retained>> {
         let retained = self.plant.ledger.retention.find(row.digest)?;
         let stated = |retained: &Retained| is_stated(self.plant, Some(self.network), row.digest, retained);
         Ok(retained.filter(|retained| retained.anchored || stated(retained)))
     }
 
-    fn blob(&self, row: &RecordRow) -> Result<Option<Vec<u8>>, PipelineError> {
+    fn blob(&self, row: &RecordRow) -> Result<Option<Vec<u8>>> {
         block_in_place(|| Ok(self.plant.stored_bytes(row)?))
     }
 
-    async fn anchor(&self, row: &RecordRow) -> Result<Anchor, PipelineError> {
+    async fn anchor(&self, row: &RecordRow) -> Result<Anchor> {
         let confirmed = matches!(row.state, RecordState::Confirmed | RecordState::Verified | RecordState::Tampered);
         let (anchored, digest) = match self.network.absent {
             _ if !confirmed => return Ok(Anchor::Unanchored),
@@ -122,7 +122,7 @@ impl Reader<'_> {
 
     /// `Tampered` if a check fails, `Refused` if no key of this reader opens it or its signer wrote a false name into
     /// it; a missing blob counts as tampering too.
-    pub async fn open(&self, row: &RecordRow) -> Result<OpenedRecord, PipelineError> {
+    pub async fn open(&self, row: &RecordRow) -> Result<OpenedRecord> {
         self.authorise(row)?;
         let Some(blob) = self.blob(row)? else {
             let given_up = self.given_up(row)?;
@@ -133,7 +133,7 @@ impl Reader<'_> {
     }
 
     /// Like [`Self::open`], for bytes that the store need not have.
-    pub async fn open_bytes(&self, row: &RecordRow, blob: &[u8]) -> Result<OpenedRecord, PipelineError> {
+    pub async fn open_bytes(&self, row: &RecordRow, blob: &[u8]) -> Result<OpenedRecord> {
         self.authorise(row)?;
         self.compare(row, blob)?;
         let anchor = self.anchor(row).await?;
@@ -159,7 +159,7 @@ impl Reader<'_> {
     }
 
     /// Whether the row agrees with the header of the stored bytes; if these were altered, that is reported instead.
-    fn compare(&self, row: &RecordRow, blob: &[u8]) -> Result<(), PipelineError> {
+    fn compare(&self, row: &RecordRow, blob: &[u8]) -> Result<()> {
         let header = Header::parse(blob).map(|(header, _)| header);
         match header.ok().and_then(|header| columns::header_difference(row, &header)) {
             Some(field) if Digest(self.plant.provider.sm3(&[blob])) == row.digest => {
@@ -169,13 +169,13 @@ impl Reader<'_> {
         }
     }
 
-    pub fn topic_key(&self, row: &RecordRow) -> Result<TopicKey, PipelineError> {
+    pub fn topic_key(&self, row: &RecordRow) -> Result<TopicKey> {
         Ok(self.opening_of(row.owner, row.epoch, row.topic_id)?.0)
     }
 
     /// The key of a topic in an epoch, and what the names of its records are compared with: IK for an owner and for
     /// readers of all topics, otherwise the name that the owner gave with the key.
-    fn opening_of(&self, owner: Address, epoch: u64, topic: TopicId) -> Result<(TopicKey, Names), PipelineError> {
+    fn opening_of(&self, owner: Address, epoch: u64, topic: TopicId) -> Result<(TopicKey, Names)> {
         if owner == self.reader.address {
             let epoch_key =
                 self.reader.epoch_key(self.network.domain, epoch).ok_or(PipelineError::UnknownEpoch(epoch))?;
@@ -190,7 +190,7 @@ impl Reader<'_> {
         Err(CryptoError::WrongKey.into())
     }
 
-    pub fn epochs_of(&self, owner: Address) -> Result<BTreeSet<u64>, PipelineError> {
+    pub fn epochs_of(&self, owner: Address) -> Result<BTreeSet<u64>> {
         if owner == self.reader.address {
             return Ok(self.reader.epochs(self.network.domain).into_iter().collect());
         }
@@ -206,13 +206,13 @@ impl Reader<'_> {
     }
 
     /// The contents of a grant's envelopes that this reader can open, the newest epoch first.
-    pub fn envelopes(&self, grant: &Granted) -> Result<Vec<Arc<WrappedKeys>>, PipelineError> {
+    pub fn envelopes(&self, grant: &Granted) -> Result<Vec<Arc<WrappedKeys>>> {
         let all = kept::envelopes(&self.plant.ledger.rights, grant)?;
         Ok(all.iter().filter_map(|envelope| self.open_one(grant, envelope).ok()).collect())
     }
 
     /// Opens a grant's envelope for an epoch: the newest that this reader has the key for.
-    pub fn open_envelope(&self, grant: &Granted, epoch: u64) -> Result<Arc<WrappedKeys>, PipelineError> {
+    pub fn open_envelope(&self, grant: &Granted, epoch: u64) -> Result<Arc<WrappedKeys>> {
         let mut all = kept::envelopes(&self.plant.ledger.rights, grant)?;
         all.retain(|envelope| envelope.epoch == epoch);
         first_good(all.iter().map(|envelope| self.open_one(grant, envelope)))
@@ -221,7 +221,7 @@ impl Reader<'_> {
 
     /// Opens an envelope with the keys of its time: signed with the key its owner had registered then, encrypted to the
     /// one the reader had.
-    fn open_one(&self, grant: &Granted, envelope: &KeptEnvelope) -> Result<Arc<WrappedKeys>, PipelineError> {
+    fn open_one(&self, grant: &Granted, envelope: &KeptEnvelope) -> Result<Arc<WrappedKeys>> {
         let (epoch, bytes) = (envelope.epoch, &envelope.bytes);
         let digest = Digest(self.plant.provider.sm3(&[bytes]));
         if let Some(known) = self.reader.opened.lock().unwrap_or_else(PoisonError::into_inner).get(&digest) {
@@ -242,7 +242,7 @@ impl Reader<'_> {
 }
 
 /// The first success; the first failure if there is none; `None` for an empty list.
-fn first_good<T>(mut results: impl Iterator<Item = Result<T, PipelineError>>) -> Option<Result<T, PipelineError>> {
+fn first_good<T>(mut results: impl Iterator<Item = Result<T>>) -> Option<Result<T>> {
     let first = results.next()?;
     Some(first.or_else(|error| results.find_map(Result::ok).ok_or(error)))
 }
@@ -299,15 +299,12 @@ impl Reader<'_> {
 
 impl Reader<'_> {
     /// `None` if the bytes are gone or do not open. Waits for the store.
-    pub fn own_contents(&self, row: &RecordRow) -> Result<Option<OpenedRecord>, PipelineError> {
+    pub fn own_contents(&self, row: &RecordRow) -> Result<Option<OpenedRecord>> {
         Ok(self.own_bytes(row)?.map(|blob| self.open_own(row, &blob)).transpose()?.flatten())
     }
 
     /// Opened by what the home itself knows; without those that do not open.
-    pub fn own_opened(
-        &self,
-        query: RecordQuery,
-    ) -> impl Iterator<Item = Result<(RecordRow, OpenedRecord), PipelineError>> {
+    pub fn own_opened(&self, query: RecordQuery) -> impl Iterator<Item = Result<(RecordRow, OpenedRecord)>> {
         let query = RecordQuery { owner: Some(self.reader.address), ..query };
         self.plant.ledger.records.all(query).filter_map(|row| match row {
             Ok(row) => Some(self.own_contents(&row).transpose()?.map(|opened| (row, opened))),
@@ -315,12 +312,12 @@ impl Reader<'_> {
         })
     }
 
-    pub fn own_bytes(&self, row: &RecordRow) -> Result<Option<Vec<u8>>, PipelineError> {
+    pub fn own_bytes(&self, row: &RecordRow) -> Result<Option<Vec<u8>>> {
         Ok(self.plant.stored_bytes(row)?)
     }
 
     /// Opens an own record with the key of the owner or of a device; `None` if it does not open, or has a false name.
-    pub fn open_own(&self, row: &RecordRow, blob: &[u8]) -> Result<Option<OpenedRecord>, PipelineError> {
+    pub fn open_own(&self, row: &RecordRow, blob: &[u8]) -> Result<Option<OpenedRecord>> {
         let Some(signer) = self.own_signer(row.signer)?.filter(|_| row.owner == self.reader.address) else {
             return Ok(None);
         };
@@ -330,7 +327,7 @@ impl Reader<'_> {
         Ok(open(self.plant.provider, blob, &row.signature, &signer, Anchor::Unanchored, &key, &expected).ok())
     }
 
-    fn own_signer(&self, signer: SignerId) -> Result<Option<PublicKey>, PipelineError> {
+    fn own_signer(&self, signer: SignerId) -> Result<Option<PublicKey>> {
         let registered = self.registered_keys();
         let known = [self.reader.signing().public].into_iter().chain(registered);
         match known.into_iter().find(|key| signer_id(key) == signer) {

@@ -9,7 +9,7 @@ use crate::store::notes::{StatedNumbers, StatedRoot};
 
 use super::epoch::EpochKeys;
 use super::statement::{self, Statement};
-use super::{PipelineError, Plant, audit_head};
+use super::{Plant, Result, audit_head};
 
 /// The name that the records are filed under.
 pub const TOPIC: &str = "authros/recorder";
@@ -31,7 +31,7 @@ pub fn state(
     keys: &EpochKeys,
     every: Duration,
     seen: &mut Option<Instant>,
-) -> Result<Option<Digest>, PipelineError> {
+) -> Result<Option<Digest>> {
     if keys.topic(TOPIC).is_none() || seen.is_some_and(|seen| seen.elapsed() < every) {
         return Ok(None);
     }
@@ -69,7 +69,7 @@ fn stated(
     keys: &EpochKeys,
     heights: &Heights,
     (root, before): (Hash, Option<Digest>),
-) -> Result<Option<Digest>, PipelineError> {
+) -> Result<Option<Digest>> {
     let put = |type_name, body: Vec<u8>| {
         let statement = Statement { kind: RecordKind::Audit, topic: TOPIC, type_name, body: &body };
         statement::state(plant, owner, keys, statement)

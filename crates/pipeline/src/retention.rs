@@ -16,7 +16,7 @@ use crate::store::{
     Erasure, IncidentRow, IncidentSpan, KeptTopic, OldRecord, PlacedRecord, RecordRow, Retained, StatedErasure,
     Unstated,
 };
-use crate::{Network, Owner, PipelineError, Plant};
+use crate::{Network, Owner, PipelineError, Plant, Result};
 
 /// The name that retention records are filed under; no ROS name begins like this.
 pub const TOPIC: &str = "authros/retention";
@@ -49,7 +49,7 @@ impl Retention {
 
     /// Names records that are no longer kept, and deletes those whose retention record is anchored. One caller at a
     /// time.
-    pub fn round(&mut self, plant: &Plant, owner: &Owner) -> Result<Round, PipelineError> {
+    pub fn round(&mut self, plant: &Plant, owner: &Owner) -> Result<Round> {
         self.rounds += 1;
         if self.rounds.is_multiple_of(ANEW) {
             self.since.clear();
@@ -78,13 +78,7 @@ impl Retention {
         }
     }
 
-    fn name(
-        &mut self,
-        plant: &Plant,
-        owner: &Owner,
-        topic: &KeptTopic,
-        rule: &RetentionRule,
-    ) -> Result<u64, PipelineError> {
+    fn name(&mut self, plant: &Plant, owner: &Owner, topic: &KeptTopic, rule: &RetentionRule) -> Result<u64> {
         let place = (owner.address, topic.key);
         let since = self.since.get(&place).copied().unwrap_or_default();
         let due = due(plant, topic, rule, since, self.held.entry(place).or_default())?;
@@ -112,7 +106,7 @@ fn due(
     rule: &RetentionRule,
     since: Timestamp,
     held: &mut Held,
-) -> Result<Vec<OldRecord>, PipelineError> {
+) -> Result<Vec<OldRecord>> {
     let now = Timestamp::now();
     let mut excess = rule.bytes.map_or(0, |budget| topic.bytes.saturating_sub(budget));
     if excess > 0 {
@@ -139,7 +133,7 @@ fn due(
 }
 
 /// The public header of the stored bytes, if these are still what was anchored.
-fn header_of(plant: &Plant, digest: Digest) -> Result<Option<Vec<u8>>, PipelineError> {
+fn header_of(plant: &Plant, digest: Digest) -> Result<Option<Vec<u8>>> {
     let Some(blob) = plant.ciphertext.get(digest)? else { return Ok(None) };
     let right = Digest(plant.provider.sm3(&[&blob])) == digest;
     let length = Header::parse(&blob).ok().map(|(_, length)| length).filter(|_| right);
@@ -194,7 +188,7 @@ fn report(
     topic: &KeptTopic,
     rule: &RetentionRule,
     records: Vec<(OldRecord, Vec<u8>)>,
-) -> Result<bool, PipelineError> {
+) -> Result<bool> {
     let Some(keys) = owner.sealing() else { return Ok(false) };
     let place = keys.topic(TOPIC).ok_or_else(|| PipelineError::Uncovered(TOPIC.to_owned()))?;
     let gone: Vec<_> = records.iter().map(|(record, _)| (record.digest, record.seq, record.bytes)).collect();
@@ -208,7 +202,7 @@ fn report(
 }
 
 /// Overwrites records that owners told this gateway to erase; returns how many. One caller at a time.
-pub fn delete_told(plant: &Plant) -> Result<u64, PipelineError> {
+pub fn delete_told(plant: &Plant) -> Result<u64> {
     let digests = plant.ledger.erasures.told_to_delete(ROUND)?;
     if !digests.is_empty() {
         plant.ciphertext.scour(&digests)?;
@@ -220,7 +214,7 @@ pub fn delete_told(plant: &Plant) -> Result<u64, PipelineError> {
 }
 
 /// Deletes records named in anchored retention records; returns how many. One caller at a time.
-pub fn delete(plant: &Plant, owner: &Owner) -> Result<u64, PipelineError> {
+pub fn delete(plant: &Plant, owner: &Owner) -> Result<u64> {
     let digests = plant.ledger.retention.to_delete(owner.address, ROUND)?;
     if digests.is_empty() {
         return Ok(0);
@@ -251,7 +245,7 @@ pub fn can_be(row: &RecordRow) -> bool {
 }
 
 /// Names records, each of which [`can_be`] erased. What was named before an error stays so. One caller at a time.
-pub fn name(plant: &Plant, owner: &Owner, rows: &[RecordRow], erasure: &Erasure) -> Result<Erased, PipelineError> {
+pub fn name(plant: &Plant, owner: &Owner, rows: &[RecordRow], erasure: &Erasure) -> Result<Erased> {
     let mut topics: BTreeMap<(TopicId, RecorderId), Vec<&RecordRow>> = BTreeMap::new();
     for row in rows {
         topics.entry((row.topic_id, row.recorder)).or_default().push(row);
@@ -279,12 +273,7 @@ pub fn name(plant: &Plant, owner: &Owner, rows: &[RecordRow], erasure: &Erasure)
     Ok(done)
 }
 
-fn report_erased(
-    plant: &Plant,
-    owner: &Owner,
-    records: Vec<(&RecordRow, Vec<u8>)>,
-    erasure: &Erasure,
-) -> Result<(), PipelineError> {
+fn report_erased(plant: &Plant, owner: &Owner, records: Vec<(&RecordRow, Vec<u8>)>, erasure: &Erasure) -> Result<()> {
     let uncovered = || PipelineError::Uncovered(TOPIC.to_owned());
     let keys = owner.sealing().ok_or_else(uncovered)?;
     let place = keys.topic(TOPIC).ok_or_else(uncovered)?;
@@ -301,12 +290,7 @@ fn report_erased(
 }
 
 /// Signs for readers who never had these records, and for gateways that have copies, that they were erased.
-fn state(
-    plant: &Plant,
-    keys: (&SmKeyPair, &EoaSecret),
-    erasure: &Erasure,
-    erased: &[(Digest, Vec<u8>)],
-) -> Result<(), PipelineError> {
+fn state(plant: &Plant, keys: (&SmKeyPair, &EoaSecret), erasure: &Erasure, erased: &[(Digest, Vec<u8>)]) -> Result<()> {
     let mut statements = Vec::with_capacity(erased.len());
     for (digest, header) in erased {
         let Some(retained) = plant.ledger.retention.find(*digest)? else { continue };
@@ -320,7 +304,7 @@ pub fn stated(
     (signing, account): (&SmKeyPair, &EoaSecret),
     about: (&Digest, &[u8]),
     when: (Digest, Timestamp),
-) -> Result<StatedErasure, PipelineError> {
+) -> Result<StatedErasure> {
     let statement = ErasedStatement::sign(plant.provider, signing, about, when)?;
     let signature = statement.sign_by_account(plant.provider, account, about)?;
     let account = Some(signature.0.to_vec());
@@ -328,7 +312,7 @@ pub fn stated(
 }
 
 /// States erasures made under an earlier key again. Returns whether none is left; until then, call again.
-pub fn restate(plant: &Plant, owner: &Owner, signing: &SmKeyPair) -> Result<bool, PipelineError> {
+pub fn restate(plant: &Plant, owner: &Owner, signing: &SmKeyPair) -> Result<bool> {
     let unstated = plant.ledger.erasures.unstated(owner.address, &signing.public, ROUND)?;
     let (keys, count) = ((signing, &owner.eoa()), unstated.len());
     let mut statements = Vec::with_capacity(count);
@@ -378,14 +362,14 @@ impl Held {
     }
 
     /// The bytes in the spans that retention has not deleted. What was captured a while ago is summed up only once.
-    pub fn bytes(&mut self, plant: &Plant, topic: &KeptTopic, now: Timestamp) -> Result<u64, PipelineError> {
+    pub fn bytes(&mut self, plant: &Plant, topic: &KeptTopic, now: Timestamp) -> Result<u64> {
         let settled = Timestamp(now.0.saturating_sub(UNSETTLED)).max(self.counted);
         self.bytes += self.between_moments(plant, topic, (self.counted, settled))?;
         self.counted = settled;
         Ok(self.bytes + self.between_moments(plant, topic, (settled, EVER))?)
     }
 
-    fn between_moments(&self, plant: &Plant, topic: &KeptTopic, (from, to): Span) -> Result<u64, PipelineError> {
+    fn between_moments(&self, plant: &Plant, topic: &KeptTopic, (from, to): Span) -> Result<u64> {
         let mut bytes = 0;
         for &(since, until) in &self.spans {
             let stretch = (since.max(from), until.min(to));
@@ -424,12 +408,7 @@ fn merged(mut spans: Vec<Span>) -> Vec<Span> {
 }
 
 /// A record without its message: the header in place of its bytes. `None` if its signer is unknown.
-pub fn left_of(
-    plant: &Plant,
-    network: &Network,
-    row: &RecordRow,
-    header: Vec<u8>,
-) -> Result<Option<Fetched>, PipelineError> {
+pub fn left_of(plant: &Plant, network: &Network, row: &RecordRow, header: Vec<u8>) -> Result<Option<Fetched>> {
     let Some(signer) = key_of(plant, network, row)? else { return Ok(None) };
     let placed = plant.ledger.records.placed(row.digest)?;
     let proof = placed.and_then(anchor_proof).map(|proof| proof.encode()).unwrap_or_default();
@@ -442,7 +421,7 @@ pub fn notice_of(
     plant: &Plant,
     network: &Network,
     (digest, statement, account): (Digest, &[u8], &[u8]),
-) -> Result<Option<ErasureNotice>, PipelineError> {
+) -> Result<Option<ErasureNotice>> {
     let ledger = &plant.ledger;
     let (Ok(statement), Ok(account)) = (ErasedStatement::parse(statement), account.try_into()) else {
         return Ok(None);

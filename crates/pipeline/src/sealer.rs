@@ -19,7 +19,7 @@ use super::recorder::CapturedMessage;
 use super::ring::{Rings, Weighted};
 use super::session::Sessions;
 use super::stages::{Milestone, Stage};
-use super::{PipelineError, Plant};
+use super::{PipelineError, Plant, Result};
 
 use self::plan::{Planner, Task};
 use self::sealing::{Ready, seal_all};
@@ -203,7 +203,7 @@ impl Sealer {
     }
 
     /// Returns the definitions that were stored.
-    fn round(&mut self, items: &[CapturedMessage]) -> Result<Vec<StoredDefinition>, PipelineError> {
+    fn round(&mut self, items: &[CapturedMessage]) -> Result<Vec<StoredDefinition>> {
         let begun = Instant::now();
         let plan = self.planner.plan(&self.plant, items)?;
         let ready = seal_all(&self.plant, self.boot_id, &plan.tasks)?;
@@ -239,7 +239,7 @@ impl Sealer {
         }
     }
 
-    fn acknowledge(&self, tasks: &[Task<'_>], ready: Vec<Ready>) -> Result<(), PipelineError> {
+    fn acknowledge(&self, tasks: &[Task<'_>], ready: Vec<Ready>) -> Result<()> {
         let (rows, holds): (Vec<_>, Vec<_>) = ready.into_iter().map(|one| (one.row, one.hold)).unzip();
         let sound = |task: &&Task<'_>| task.is_message() && task.item.doubt.is_none();
         let kept = self.plant.keep(rows, |rows| {

@@ -6,7 +6,7 @@ use crate::model::{Address, Digest, Domain, FilterId, Head, RecordKind, Timestam
 use crate::store::{NewRecord, StoreError};
 
 use super::epoch::{EpochKeys, TopicKeys};
-use super::{PipelineError, Plant};
+use super::{Plant, Result};
 
 #[derive(Debug, Clone, Copy)]
 pub struct Statement<'a> {
@@ -19,12 +19,7 @@ pub struct Statement<'a> {
 }
 
 /// Durable when this returns. `None` if the keys do not cover its name. One caller at a time per owner and topic.
-pub fn state(
-    plant: &Plant,
-    owner: Address,
-    keys: &EpochKeys,
-    statement: Statement<'_>,
-) -> Result<Option<Digest>, PipelineError> {
+pub fn state(plant: &Plant, owner: Address, keys: &EpochKeys, statement: Statement<'_>) -> Result<Option<Digest>> {
     let Some(topic) = keys.topic(statement.topic) else { return Ok(None) };
     let speaker = Speaker::of(keys, owner, &topic);
     put(plant, &speaker, statement, |row| {
@@ -39,7 +34,7 @@ pub fn state_to_be_found(
     owner: Address,
     keys: &EpochKeys,
     statement: Statement<'_>,
-) -> Result<Option<Digest>, PipelineError> {
+) -> Result<Option<Digest>> {
     let Some(topic) = keys.topic(statement.topic) else { return Ok(None) };
     let filters = topic.filters(statement.type_name, &std::collections::BTreeMap::new());
     let speaker = Speaker::of(keys, owner, &topic);
@@ -76,7 +71,7 @@ pub fn put<T>(
     speaker: &Speaker<'_>,
     statement: Statement<'_>,
     acknowledge: impl FnOnce(NewRecord) -> Result<T, StoreError>,
-) -> Result<T, PipelineError> {
+) -> Result<T> {
     put_filtered(plant, speaker, statement, Vec::new(), acknowledge)
 }
 
@@ -86,7 +81,7 @@ fn put_filtered<T>(
     statement: Statement<'_>,
     filters: Vec<FilterId>,
     acknowledge: impl FnOnce(NewRecord) -> Result<T, StoreError>,
-) -> Result<T, PipelineError> {
+) -> Result<T> {
     let Statement { kind, topic, type_name, body } = statement;
     let Speaker { domain, owner, signing, epoch, topic_id, topic_key } = *speaker;
     let seq = plant.ledger.records.next_seq(owner, signer_id(&signing.public), topic_id)?;

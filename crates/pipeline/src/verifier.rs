@@ -8,7 +8,7 @@ use crate::model::{Digest, PublicKey, RecordState};
 use crate::retention::is_stated;
 use crate::stages::{Milestone, Stage};
 use crate::store::{RecordQuery, RecordRow};
-use crate::{Network, PipelineError, Plant, chain_proofs, columns};
+use crate::{Network, Plant, Result, chain_proofs, columns};
 
 /// Records per round: this many share the cost of a page of a ledger with many topics.
 const ROUND: usize = 512;
@@ -24,13 +24,13 @@ struct Outcome<'a> {
 }
 
 /// Checks up to [`ROUND`] confirmed records; returns how many it decided about.
-pub fn verify_round(plant: &Plant, network: &Network) -> Result<usize, PipelineError> {
+pub fn verify_round(plant: &Plant, network: &Network) -> Result<usize> {
     let state = Some(RecordState::Confirmed);
     let page = plant.ledger.records.list(&RecordQuery { state, limit: ROUND, ..RecordQuery::default() })?;
     verify_page(plant, network, &page.rows)
 }
 
-fn verify_page(plant: &Plant, network: &Network, rows: &[RecordRow]) -> Result<usize, PipelineError> {
+fn verify_page(plant: &Plant, network: &Network, rows: &[RecordRow]) -> Result<usize> {
     let begun = Instant::now();
     if !rows.is_empty() {
         fault::point("read-back");
@@ -62,7 +62,7 @@ fn verify_page(plant: &Plant, network: &Network, rows: &[RecordRow]) -> Result<u
 
 impl<'a> Outcome<'a> {
     /// Own and foreign records alike are checked in full, signature included.
-    fn judge(&mut self, plant: &Plant, network: &Network, rows: &[&'a RecordRow]) -> Result<(), PipelineError> {
+    fn judge(&mut self, plant: &Plant, network: &Network, rows: &[&'a RecordRow]) -> Result<()> {
         let mut read = Vec::with_capacity(rows.len());
         for (row, found) in rows.iter().zip(read_back(plant, network, rows)?) {
             match found {
@@ -94,7 +94,7 @@ impl<'a> Outcome<'a> {
     }
 }
 
-fn settle(plant: &Plant, rows: &[&RecordRow], state: RecordState) -> Result<(), PipelineError> {
+fn settle(plant: &Plant, rows: &[&RecordRow], state: RecordState) -> Result<()> {
     if rows.is_empty() {
         return Ok(());
     }
@@ -115,7 +115,7 @@ fn settle(plant: &Plant, rows: &[&RecordRow], state: RecordState) -> Result<(), 
 }
 
 /// Records whose anchors do not count are stored again: they are anchored anew as soon as their signers may sign.
-fn pass_over(plant: &Plant, passed: &[(&RecordRow, NoRight)]) -> Result<(), PipelineError> {
+fn pass_over(plant: &Plant, passed: &[(&RecordRow, NoRight)]) -> Result<()> {
     let Some((_, why)) = passed.first() else { return Ok(()) };
     let digests: Vec<Digest> = passed.iter().map(|(row, _)| row.digest).collect();
     let moved = plant.ledger.batches.pass_over(&digests)?;
@@ -136,7 +136,7 @@ enum ReadBack {
 }
 
 /// In order. The caller bounds their bytes.
-fn read_back(plant: &Plant, network: &Network, rows: &[&RecordRow]) -> Result<Vec<ReadBack>, PipelineError> {
+fn read_back(plant: &Plant, network: &Network, rows: &[&RecordRow]) -> Result<Vec<ReadBack>> {
     let mut signers = authority::Signers::new(plant, network);
     let signers = rows.iter().map(|row| signers.of(row)).collect::<Result<Vec<_>, _>>()?;
     let wanted = rows.iter().zip(&signers).filter(|(_, signer)| signer.is_ok());
@@ -158,12 +158,7 @@ fn read_back(plant: &Plant, network: &Network, rows: &[&RecordRow]) -> Result<Ve
 }
 
 /// After a reorganisation a record is verified again although retention has deleted it meanwhile.
-fn is_sound_without(
-    plant: &Plant,
-    network: &Network,
-    row: &RecordRow,
-    signer: &PublicKey,
-) -> Result<bool, PipelineError> {
+fn is_sound_without(plant: &Plant, network: &Network, row: &RecordRow, signer: &PublicKey) -> Result<bool> {
     let Some(retained) = plant.ledger.retention.find(row.digest)?.filter(|retained| retained.deleted_at.is_some())
     else {
         return Ok(false);

@@ -17,7 +17,7 @@ use crate::gateway::{Client, GatewayError, Upload};
 use crate::model::{Address, Digest, RecordState, Timestamp, clean};
 use crate::store::files::free_bytes;
 use crate::store::{KeptReceipt, RecordQuery};
-use crate::{PipelineError, Plant};
+use crate::{PipelineError, Plant, Result};
 
 /// How long a gateway with several addresses may be silent before it is polled.
 const SILENCE: Duration = Duration::from_secs(3);
@@ -286,7 +286,7 @@ impl Outbox {
     }
 
     /// The next records to send, their bytes compared with their digests.
-    pub fn window(&mut self) -> Result<Vec<(Digest, Upload)>, PipelineError> {
+    pub fn window(&mut self) -> Result<Vec<(Digest, Upload)>> {
         let refused = self.refused().clone();
         let most = if self.singly > 0 { 1 } else { WINDOW };
         self.singly = self.singly.saturating_sub(1);
@@ -317,7 +317,7 @@ impl Outbox {
         Ok(window)
     }
 
-    pub fn keep_tidy(&mut self) -> Result<(), PipelineError> {
+    pub fn keep_tidy(&mut self) -> Result<()> {
         if self.tidied.is_none_or(|at| at.elapsed() >= self.pace.tidy) {
             block_in_place(|| self.tidy())?;
             self.tidied = Some(Instant::now());
@@ -325,7 +325,7 @@ impl Outbox {
         Ok(())
     }
 
-    pub fn tidy(&self) -> Result<(), PipelineError> {
+    pub fn tidy(&self) -> Result<()> {
         let time = u64::try_from(self.keeping.time.as_nanos()).unwrap_or(u64::MAX);
         let due = Timestamp(Timestamp::now().0.saturating_sub(time));
         loop {
@@ -348,7 +348,7 @@ impl Outbox {
         Ok(())
     }
 
-    fn give_up(&self, digests: &[Digest]) -> Result<(), PipelineError> {
+    fn give_up(&self, digests: &[Digest]) -> Result<()> {
         // Deleted first: after an interruption it is deleted again.
         self.plant.ciphertext.discard(digests)?;
         Ok(self.plant.ledger.forwarding.proven_gone(digests)?)

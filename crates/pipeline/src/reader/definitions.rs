@@ -11,7 +11,7 @@ use super::Reader;
 use crate::crypto::OpenedRecord;
 use crate::crypto::sm3::sm3;
 use crate::model::{Address, Digest, Head, RecordKind, Timestamp, TopicId};
-use crate::pipeline::PipelineError;
+use crate::pipeline::Result;
 use crate::ros::message::{is_built_in, type_hash};
 use crate::ros::recording::TYPE_HASH;
 use crate::ros::recording::tags::CHANNEL;
@@ -46,7 +46,7 @@ impl Definitions {
         row: &RecordRow,
         opened: &OpenedRecord,
         by: Opening,
-    ) -> Result<Option<Arc<str>>, PipelineError> {
+    ) -> Result<Option<Arc<str>>> {
         let key = key(row, opened);
         match self.0.get(&key) {
             Some(known) => Ok(Some(Arc::clone(known))),
@@ -75,12 +75,7 @@ fn hash_of(head: &Head) -> Option<String> {
 impl Reader<'_> {
     /// The text of the definition that an opened message names, from its owner's definition records, as its publisher
     /// gave it; for a message that names an empty one, a text that has its type's hash.
-    pub async fn definition_text(
-        &self,
-        row: &RecordRow,
-        opened: &OpenedRecord,
-        by: Opening,
-    ) -> Result<Option<String>, PipelineError> {
+    pub async fn definition_text(&self, row: &RecordRow, opened: &OpenedRecord, by: Opening) -> Result<Option<String>> {
         let wanted = Wanted::of(opened);
         for query in wanted.attempts(row) {
             let listed = self.plant.ledger.records.list(&query)?.rows;

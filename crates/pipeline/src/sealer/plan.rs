@@ -8,7 +8,7 @@ use crate::model::{Address, Digest, Domain, RecordKind, RecorderPrefix, SignerId
 use crate::pipeline::epoch::{EpochKeys, TopicKeys};
 use crate::pipeline::packing::{Packing, Try};
 use crate::pipeline::recorder::CapturedMessage;
-use crate::pipeline::{PipelineError, Plant};
+use crate::pipeline::{PipelineError, Plant, Result};
 use crate::store::notes::StoredDefinition;
 
 /// The most definition hashes remembered.
@@ -86,7 +86,7 @@ impl Planner {
     }
 
     /// Numbers count only once [`Self::seqs`] has them.
-    pub fn plan<'a>(&mut self, plant: &Plant, items: &'a [CapturedMessage]) -> Result<Plan<'a>, PipelineError> {
+    pub fn plan<'a>(&mut self, plant: &Plant, items: &'a [CapturedMessage]) -> Result<Plan<'a>> {
         let mut plan = Plan::default();
         let recorder = plant.ledger.records.recorder();
         for item in items.iter().filter(|item| !item.ring) {
@@ -130,7 +130,7 @@ impl Planner {
         plan: &Plan<'_>,
         item: &CapturedMessage,
         (keys, topic, digest): (&EpochKeys, TopicId, Digest),
-    ) -> Result<Option<StoredDefinition>, PipelineError> {
+    ) -> Result<Option<StoredDefinition>> {
         let (owner, held) = (item.author.address, item.doubt.is_some());
         let definition = StoredDefinition { domain: keys.domain, owner, epoch: keys.epoch, topic, digest, held };
         if plan.definitions.contains(&definition) || self.definitions.contains(&definition) {
@@ -168,7 +168,7 @@ impl Planner {
         digest
     }
 
-    fn next_seq(&self, plant: &Plant, stream: Stream, plan: &mut Plan<'_>) -> Result<u64, PipelineError> {
+    fn next_seq(&self, plant: &Plant, stream: Stream, plan: &mut Plan<'_>) -> Result<u64> {
         let seq = match plan.seqs.get(&stream).or_else(|| self.seqs.get(&stream)) {
             Some(last) => last + 1,
             None => plant.ledger.records.next_seq(stream.0, stream.1, stream.2)?,

@@ -15,7 +15,7 @@ use crate::model::{Head, LossReason, RecordKind, RecordState, TopicId};
 use crate::recorder::CapturedMessage;
 use crate::ring::Weighted as _;
 use crate::store::{DiskRing, Hold, KnownDefinition, NewRecord, RingRecord};
-use crate::{PipelineError, Plant, importer, quarantine};
+use crate::{Plant, Result, importer, quarantine};
 
 pub struct Ready {
     pub row: NewRecord,
@@ -24,7 +24,7 @@ pub struct Ready {
     pub paid: Option<bool>,
 }
 
-pub fn seal_all(plant: &Plant, boot_id: [u8; 16], tasks: &[Task<'_>]) -> Result<Vec<Ready>, PipelineError> {
+pub fn seal_all(plant: &Plant, boot_id: [u8; 16], tasks: &[Task<'_>]) -> Result<Vec<Ready>> {
     let bytes = tasks.iter().map(|task| task.body().len()).sum();
     each(tasks, helpers_for(tasks.len(), bytes), |task| task.seal(plant, boot_id)).into_iter().collect()
 }
@@ -51,7 +51,7 @@ impl Task<'_> {
         }
     }
 
-    fn seal(&self, plant: &Plant, boot_id: [u8; 16]) -> Result<Ready, PipelineError> {
+    fn seal(&self, plant: &Plant, boot_id: [u8; 16]) -> Result<Ready> {
         let (message, body, tags) = (&*self.item.message, self.body(), tags(self.item));
         let packed = self.pack();
         let filters = self.topic.filters(&message.type_name, &tags);
@@ -144,7 +144,7 @@ impl Sealer {
     }
 
     /// Either all messages that have a key get into the ring, or none.
-    fn ring_round(&mut self, ring: &SharedRing, items: &[&CapturedMessage]) -> Result<(), PipelineError> {
+    fn ring_round(&mut self, ring: &SharedRing, items: &[&CapturedMessage]) -> Result<()> {
         let mut ring = lock(ring);
         if let Err(full) = self.plant.ledger.records.takes_records() {
             // The disk belongs to what is acknowledged.

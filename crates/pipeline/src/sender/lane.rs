@@ -8,11 +8,11 @@ use tokio::sync::OwnedMutexGuard;
 
 use super::Sender;
 use super::tend::Memory;
-use crate::PipelineError;
 use crate::chain::{Call, Chain, ChainError, Nonces, Priced, Shortfall, offered, passed_by};
 use crate::crypto::{EoaSecret, fault};
 use crate::model::{Address, Hash, Timestamp, Wei};
 use crate::store::{Anchors, NewTransaction};
+use crate::{PipelineError, Result};
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Outgoing {
@@ -64,27 +64,27 @@ impl Lane<'_> {
         self.account
     }
 
-    pub fn state(&self) -> Result<LaneState, PipelineError> {
+    pub fn state(&self) -> Result<LaneState> {
         self.sender.state_of(self.account)
     }
 
-    pub fn room(&self) -> Result<usize, PipelineError> {
+    pub fn room(&self) -> Result<usize> {
         self.sender.room(self.account)
     }
 
-    pub fn open(&self) -> Result<Vec<crate::store::OpenTransaction>, PipelineError> {
+    pub fn open(&self) -> Result<Vec<crate::store::OpenTransaction>> {
         Ok(self.sender.ledger.lanes.open_lane(self.account)?)
     }
 
     /// The next nonce, after everything mined, pending at the node (signed here or elsewhere), or open here.
-    pub async fn next_nonce(&self) -> Result<u64, PipelineError> {
+    pub async fn next_nonce(&self) -> Result<u64> {
         let pending = self.sender.nonces(self.chain, self.account).await?.pending;
         let open = self.sender.ledger.lanes.lane_count(self.account)?;
         Ok(open.highest.map_or(0, |nonce| nonce + 1).max(pending))
     }
 
     /// Wei per gas.
-    pub(super) async fn price(&self) -> Result<u128, PipelineError> {
+    pub(super) async fn price(&self) -> Result<u128> {
         match self.sender.policy().fresh(&self.chain.market().await?) {
             Priced::At(price) => Ok(price),
             Priced::Capped { needed, cap } => Err(self.sender.pause(self.account, PauseReason::capped(needed, cap))),
@@ -93,7 +93,7 @@ impl Lane<'_> {
 
     /// Signs and stores in order, releases the lane, then sends. On an error nothing is stored; a stored transaction
     /// that the node did not take is no error: it is sent again.
-    pub async fn submit(self, outgoing: Vec<Outgoing>) -> Result<Vec<Hash>, PipelineError> {
+    pub async fn submit(self, outgoing: Vec<Outgoing>) -> Result<Vec<Hash>> {
         if outgoing.is_empty() {
             return Ok(Vec::new());
         }
@@ -132,7 +132,7 @@ impl Lane<'_> {
 }
 
 impl Lane<'_> {
-    pub async fn transfer(self, to: Address, wei: u128, purpose: &str) -> Result<Hash, PipelineError> {
+    pub async fn transfer(self, to: Address, wei: u128, purpose: &str) -> Result<Hash> {
         let (price, nonce) = (self.price().await?, self.next_nonce().await?);
         let signed = self.chain.sign_transfer(self.eoa, nonce, to, wei, price)?;
         let cost = wei.saturating_add(price.saturating_mul(u128::from(signed.gas_limit)));
@@ -206,7 +206,7 @@ const PAUSE: Duration = Duration::from_millis(500);
 impl Sender {
     /// Where the nonces are far beyond what was signed here, the node is asked twice: a site that shares the account
     /// may have sent that many. [`ChainError::Answer`] if the second answer contradicts the first.
-    pub(super) async fn nonces(&self, chain: &Chain, account: Address) -> Result<Nonces, PipelineError> {
+    pub(super) async fn nonces(&self, chain: &Chain, account: Address) -> Result<Nonces> {
         let known = self.ledger.lanes.highest_nonce(account)?.map_or(0, |nonce| nonce + 1);
         let first = chain.nonces(account).await?;
         if first.pending <= known.saturating_add(JUMP) {

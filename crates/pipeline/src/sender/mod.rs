@@ -16,7 +16,7 @@ use crate::chain::{Call, Chain, Policy, Priced, Receipt, Shortfall, offered};
 use crate::crypto::EoaSecret;
 use crate::model::{Address, Hash, Wei, clean};
 use crate::store::{Anchors, Ledger, NewTransaction, TransactionRow, TransactionState};
-use crate::{Observer, PipelineError};
+use crate::{Observer, PipelineError, Result};
 
 /// Transactions of one account that may wait for a block.
 pub const MOST_OPEN: u64 = 1024;
@@ -50,37 +50,26 @@ impl Sender {
         Lane { sender: self, chain, eoa, account, held }
     }
 
-    pub fn state_of(&self, account: Address) -> Result<LaneState, PipelineError> {
+    pub fn state_of(&self, account: Address) -> Result<LaneState> {
         let count = self.ledger.lanes.lane_count(account)?;
         let paused = self.cell(account).memory().paused.clone();
         Ok(LaneState { account, open: count.open, oldest: count.oldest, paused })
     }
 
     /// How many more transactions an account's lane accepts now; 0 while it is paused.
-    pub fn room(&self, account: Address) -> Result<usize, PipelineError> {
+    pub fn room(&self, account: Address) -> Result<usize> {
         let state = self.state_of(account)?;
         let room = if state.paused.is_some() { 0 } else { MOST_OPEN.saturating_sub(state.open) };
         Ok(usize::try_from(room).unwrap_or(0))
     }
 
-    pub async fn submit(
-        &self,
-        chain: &Chain,
-        eoa: &EoaSecret,
-        outgoing: Vec<Outgoing>,
-    ) -> Result<Vec<Hash>, PipelineError> {
+    pub async fn submit(&self, chain: &Chain, eoa: &EoaSecret, outgoing: Vec<Outgoing>) -> Result<Vec<Hash>> {
         self.lane(chain, eoa).await.submit(outgoing).await
     }
 
     /// Sends one call and waits until it is mined. `Reverted` and `NoEther` come before anything is sent if the node
     /// can tell; `NotMined` comes after two minutes at one price.
-    pub async fn send(
-        &self,
-        chain: &Chain,
-        eoa: &EoaSecret,
-        call: Call,
-        purpose: &str,
-    ) -> Result<(Hash, Receipt), PipelineError> {
+    pub async fn send(&self, chain: &Chain, eoa: &EoaSecret, call: Call, purpose: &str) -> Result<(Hash, Receipt)> {
         self.expect_means(chain, eoa.address(), &call).await?;
         chain.simulate(eoa.address(), &call).await?;
         let hashes = self.submit(chain, eoa, vec![Outgoing::plain(call, purpose)]).await?;
@@ -88,14 +77,7 @@ impl Sender {
         self.wait_mined(chain, eoa, hash, purpose).await
     }
 
-    pub async fn transfer(
-        &self,
-        chain: &Chain,
-        eoa: &EoaSecret,
-        to: Address,
-        wei: u128,
-        purpose: &str,
-    ) -> Result<(), PipelineError> {
+    pub async fn transfer(&self, chain: &Chain, eoa: &EoaSecret, to: Address, wei: u128, purpose: &str) -> Result<()> {
         let hash = self.lane(chain, eoa).await.transfer(to, wei, purpose).await?;
         self.wait_mined(chain, eoa, hash, purpose).await.map(|_| ())
     }
@@ -107,7 +89,7 @@ impl Sender {
         eoa: &EoaSecret,
         mut hash: Hash,
         purpose: &str,
-    ) -> Result<(Hash, Receipt), PipelineError> {
+    ) -> Result<(Hash, Receipt)> {
         let (first, mut deadline) = (hash, Instant::now() + PATIENCE);
         let mut head = chain.head().await?.number;
         loop {
@@ -145,7 +127,7 @@ impl Sender {
         PipelineError::NotMined { purpose: purpose.to_owned(), why }
     }
 
-    fn newest(&self, mut hash: Hash) -> Result<Option<TransactionRow>, PipelineError> {
+    fn newest(&self, mut hash: Hash) -> Result<Option<TransactionRow>> {
         for _ in 0..1000 {
             let row = self.ledger.lanes.transaction(hash)?;
             let is_replaced = |row: &&TransactionRow| row.state == TransactionState::Replaced;
@@ -236,7 +218,7 @@ impl Sender {
     }
 
     /// Why the account cannot pay so much. A node that is behind its own earlier head does not know what it holds.
-    async fn shortage(&self, chain: &Chain, account: Address, needed: u128) -> Result<PauseReason, PipelineError> {
+    async fn shortage(&self, chain: &Chain, account: Address, needed: u128) -> Result<PauseReason> {
         // Before the head is asked for; where the chain became shorter, the watcher goes back itself.
         let read = self.ledger.trail.cursor()?.map(|(block, _)| block);
         let block = chain.head().await?.number;
@@ -248,7 +230,7 @@ impl Sender {
         Ok(lane::PauseReason::NoEther(Shortfall { account, held, needed: Wei(needed) }))
     }
 
-    async fn expect_means(&self, chain: &Chain, account: Address, call: &Call) -> Result<(), PipelineError> {
+    async fn expect_means(&self, chain: &Chain, account: Address, call: &Call) -> Result<()> {
         let Priced::At(price) = self.policy().fresh(&chain.market().await?) else { return Ok(()) };
         let lacking = chain.shortfall(account, call, price).await?;
         if lacking.held >= lacking.needed {
@@ -279,7 +261,7 @@ impl Sender {
     /// Replaces the open transaction with this nonce by an empty one at a higher price. Records that it anchors are
     /// anchored again; other effects do not happen, and its callers get an error. If the chain takes the old one after
     /// all, that counts.
-    pub async fn cancel(&self, chain: &Chain, eoa: &EoaSecret, nonce: u64) -> Result<Cancelled, PipelineError> {
+    pub async fn cancel(&self, chain: &Chain, eoa: &EoaSecret, nonce: u64) -> Result<Cancelled> {
         let account = eoa.address();
         let cell = self.cell(account);
         let _alone = cell.tending.lock().await;
@@ -317,12 +299,7 @@ impl Sender {
 
     /// Returns the block of the transaction in place of a cancelled one, or `None` if the cancelled one was mined after
     /// all.
-    pub async fn wait_cancelled(
-        &self,
-        chain: &Chain,
-        eoa: &EoaSecret,
-        cancelled: &Cancelled,
-    ) -> Result<Option<u64>, PipelineError> {
+    pub async fn wait_cancelled(&self, chain: &Chain, eoa: &EoaSecret, cancelled: &Cancelled) -> Result<Option<u64>> {
         let (account, deadline) = (eoa.address(), Instant::now() + PATIENCE);
         let mut head = chain.head().await?.number;
         while self.nonces(chain, account).await?.mined <= cancelled.nonce {

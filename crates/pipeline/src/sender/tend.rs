@@ -8,7 +8,7 @@ use tokio::task::block_in_place;
 use crate::chain::{Chain, Offered, Priced, Receipt, Wait, is_same_call, offered};
 use crate::crypto::EoaSecret;
 use crate::model::{Address, Hash, clean};
-use crate::pipeline::PipelineError;
+use crate::pipeline::Result;
 use crate::store::{OpenTransaction, Reissue, TransactionOutcome};
 use crate::watcher;
 
@@ -113,7 +113,7 @@ enum Decided {
 
 impl Sender {
     /// Called after every block of the watcher, and while none comes. Returns the reasons of refused transactions.
-    pub async fn tend(&self, chain: &Chain, eoa: &EoaSecret) -> Result<Vec<String>, PipelineError> {
+    pub async fn tend(&self, chain: &Chain, eoa: &EoaSecret) -> Result<Vec<String>> {
         let account = eoa.address();
         let cell = self.cell(account);
         let Ok(_alone) = cell.tending.try_lock() else { return Ok(Vec::new()) };
@@ -139,12 +139,7 @@ impl Sender {
     }
 
     /// Closes what the chain has decided, as far as the watcher has seen the same chain.
-    async fn decide(
-        &self,
-        chain: &Chain,
-        eoa: &EoaSecret,
-        used: Vec<OpenTransaction>,
-    ) -> Result<Vec<String>, PipelineError> {
+    async fn decide(&self, chain: &Chain, eoa: &EoaSecret, used: Vec<OpenTransaction>) -> Result<Vec<String>> {
         let Some((seen, hash)) = self.ledger.trail.cursor()? else { return Ok(Vec::new()) };
         let mut found = Vec::with_capacity(used.len());
         for row in used {
@@ -191,7 +186,7 @@ impl Sender {
     }
 
     /// A transaction that had to be offered at a higher price than quoted shows what the next ones need.
-    fn learn_price(&self, account: Address, row: &OpenTransaction) -> Result<(), PipelineError> {
+    fn learn_price(&self, account: Address, row: &OpenTransaction) -> Result<()> {
         if !self.cell(account).memory().was_raised(row.nonce) {
             return Ok(());
         }
@@ -203,14 +198,14 @@ impl Sender {
     }
 
     /// The watcher has read the receipt's block: what the receipt says happened there must be known by now.
-    fn hold_against_what_was_read(&self, receipt: &Receipt) -> Result<(), PipelineError> {
+    fn hold_against_what_was_read(&self, receipt: &Receipt) -> Result<()> {
         if !watcher::of(&self.ledger, &receipt.events)?.is_empty() {
             watcher::note(&self.ledger.notes, receipt.block)?;
         }
         Ok(())
     }
 
-    async fn look_up(&self, chain: &Chain, account: Address, row: &OpenTransaction) -> Result<Decided, PipelineError> {
+    async fn look_up(&self, chain: &Chain, account: Address, row: &OpenTransaction) -> Result<Decided> {
         if let Some(receipt) = chain.receipt(row.hash).await? {
             return Ok(Decided::Own(receipt));
         }
@@ -234,7 +229,7 @@ impl Sender {
         kin: Hash,
         raw: &[u8],
         receipt: &Receipt,
-    ) -> Result<(), PipelineError> {
+    ) -> Result<()> {
         let own = self.ledger.lanes.raw_transaction(row.hash)?.unwrap_or_default();
         if is_same_call(&own, raw) {
             return Ok(self.ledger.lanes.decide_nonce(row.hash, kin, outcome(receipt))?);
@@ -244,7 +239,7 @@ impl Sender {
     }
 
     /// Records of an anchoring transaction are anchored again; any other call is signed again with the next nonce.
-    async fn give_way(&self, chain: &Chain, eoa: &EoaSecret, row: &OpenTransaction) -> Result<(), PipelineError> {
+    async fn give_way(&self, chain: &Chain, eoa: &EoaSecret, row: &OpenTransaction) -> Result<()> {
         if row.anchors || [waiting::HOLE, sender::PURPOSE].contains(&row.purpose.as_str()) {
             let closing = vec![(row.hash, TransactionOutcome::Replaced)];
             return Ok(self.ledger.lanes.close_transactions(closing)?);

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use crate::chain::{Chain, ChainError, Market, Nonces, Offered, Priced, SignedTransaction, Wait, is_outbid, offered};
 use crate::crypto::EoaSecret;
 use crate::model::{Address, Hash, Wei, clean};
-use crate::pipeline::PipelineError;
+use crate::pipeline::Result;
 use crate::store::{Anchors, NewTransaction, OpenTransaction, Reissue};
 
 use super::Sender;
@@ -39,7 +39,7 @@ pub(super) struct Round<'a> {
 
 impl Round<'_> {
     /// Returns the obstacle.
-    pub async fn run(self) -> Result<Option<PauseReason>, PipelineError> {
+    pub async fn run(self) -> Result<Option<PauseReason>> {
         let Some(first) = self.rows.first() else { return Ok(None) };
         let market = self.chain.market().await?;
         let cell = self.sender.cell(self.account);
@@ -59,7 +59,7 @@ impl Round<'_> {
     }
 
     /// The first waiting transaction at its present price, which may just have been raised.
-    fn passed_by(&self, blocks: u64, nonce: u64) -> Result<PauseReason, PipelineError> {
+    fn passed_by(&self, blocks: u64, nonce: u64) -> Result<PauseReason> {
         let newest = self.sender.ledger.lanes.of_nonce(self.account, nonce)?;
         let offer = newest.first().and_then(|(_, raw)| offered(raw).ok());
         Ok(PauseReason::PassedBy { blocks, price: Wei(offer.map_or(0, |offer| offer.price)) })
@@ -67,12 +67,7 @@ impl Round<'_> {
 
     /// A nonce below an open one that neither the node nor we hold blocks everything after it: its transaction was
     /// another process's, or was lost with a replaced block.
-    async fn fill_holes(
-        &self,
-        cell: &Arc<Cell>,
-        market: &Market,
-        held: u64,
-    ) -> Result<Option<PauseReason>, PipelineError> {
+    async fn fill_holes(&self, cell: &Arc<Cell>, market: &Market, held: u64) -> Result<Option<PauseReason>> {
         let own: HashSet<u64> = self.rows.iter().map(|row| row.nonce).collect();
         let last = self.rows.last().map_or(held, |row| row.nonce);
         let holes: Vec<u64> = (held..last).filter(|nonce| !own.contains(nonce)).take(HOLES).collect();
@@ -115,7 +110,7 @@ impl Round<'_> {
         cell: &Arc<Cell>,
         market: &Market,
         wait: Wait,
-    ) -> Result<(HashSet<Hash>, Option<PauseReason>), PipelineError> {
+    ) -> Result<(HashSet<Hash>, Option<PauseReason>)> {
         let mut replaced = HashSet::new();
         let policy = self.sender.policy();
         for (index, row) in self.rows.iter().take(ROUND).enumerate() {
@@ -152,7 +147,7 @@ impl Round<'_> {
         Ok((replaced, None))
     }
 
-    fn offer_of(&self, cell: &Arc<Cell>, row: &OpenTransaction) -> Result<Option<(Vec<u8>, Offered)>, PipelineError> {
+    fn offer_of(&self, cell: &Arc<Cell>, row: &OpenTransaction) -> Result<Option<(Vec<u8>, Offered)>> {
         let Some(raw) = self.sender.ledger.lanes.raw_transaction(row.hash)? else { return Ok(None) };
         let known = cell.memory().prices.get(&row.hash).copied();
         let offer = match known {
@@ -163,12 +158,12 @@ impl Round<'_> {
         Ok(Some((raw, offer)))
     }
 
-    async fn replace(&self, row: &OpenTransaction, raw: &[u8], price: u128) -> Result<(), PipelineError> {
+    async fn replace(&self, row: &OpenTransaction, raw: &[u8], price: u128) -> Result<()> {
         let signed = self.chain.resign(self.eoa, raw, row.nonce, price).await?;
         self.put_in_place(row, signed).await
     }
 
-    async fn put_in_place(&self, row: &OpenTransaction, signed: SignedTransaction) -> Result<(), PipelineError> {
+    async fn put_in_place(&self, row: &OpenTransaction, signed: SignedTransaction) -> Result<()> {
         let reissue = Reissue { hash: signed.hash, nonce: signed.nonce, raw: signed.raw.clone() };
         self.sender.ledger.lanes.reissue(row.hash, reissue)?;
         self.sender.hand_in(self.chain, self.account, signed.hash, &signed.raw).await;
@@ -182,7 +177,7 @@ impl Round<'_> {
         market: &Market,
         held: u64,
         replaced: &HashSet<Hash>,
-    ) -> Result<Option<PauseReason>, PipelineError> {
+    ) -> Result<Option<PauseReason>> {
         let due = |row: &&OpenTransaction| {
             let length = if row.nonce < held { REMINDER } else { QUIET };
             !replaced.contains(&row.hash) && cell.memory().is_quiet(row.hash, length)
@@ -220,7 +215,7 @@ impl Round<'_> {
     }
 
     /// Signs a refused call again. The node does not hold the old bytes, so the price need not rise.
-    async fn renew(&self, market: &Market, row: &OpenTransaction, raw: &[u8]) -> Result<(), PipelineError> {
+    async fn renew(&self, market: &Market, row: &OpenTransaction, raw: &[u8]) -> Result<()> {
         let Priced::At(price) = self.sender.policy().fresh(market) else { return Ok(()) };
         let signed = self.chain.resign(self.eoa, raw, row.nonce, price).await?;
         if signed.hash == row.hash {
@@ -236,7 +231,7 @@ impl Round<'_> {
         row: &OpenTransaction,
         raw: &[u8],
         old: Offered,
-    ) -> Result<Option<PauseReason>, PipelineError> {
+    ) -> Result<Option<PauseReason>> {
         let fresh = match self.sender.policy().fresh(market) {
             Priced::At(price) if price < old.price && price.saturating_mul(2) <= old.price => Some(price),
             Priced::At(_) | Priced::Capped { .. } => None,

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use crate::chain::{Event, EventAt};
 use crate::model::{Address, Digest, Hash, Timestamp};
-use crate::pipeline::{PipelineError, Plant};
+use crate::pipeline::{Plant, Result};
 use crate::store::AuditEntry;
 use crate::store::notes::{CopiedAt, ForeignAnchors, ForeignHistory, SeenForeign};
 
@@ -23,13 +23,13 @@ pub fn text(found: &ForeignAnchors) -> String {
 }
 
 /// Those seen within the last day.
-pub fn recent(plant: &Plant) -> Result<Option<ForeignAnchors>, PipelineError> {
+pub fn recent(plant: &Plant) -> Result<Option<ForeignAnchors>> {
     let now = Timestamp::now().0;
     let seen = plant.ledger.notes.read(&SeenForeign {})?;
     Ok(seen.filter(|found| now.abs_diff(found.seen.0) < RECENT))
 }
 
-pub(super) fn look(plant: &Plant, events: &[EventAt], head: u64) -> Result<(), PipelineError> {
+pub(super) fn look(plant: &Plant, events: &[EventAt], head: u64) -> Result<()> {
     let found = unknown(plant, events)?;
     if found.is_empty() {
         return Ok(());
@@ -49,7 +49,7 @@ pub(super) fn look(plant: &Plant, events: &[EventAt], head: u64) -> Result<(), P
 
 /// A restored or copied ledger does not know what came between; anything on the chain when it is first examined is
 /// history, not a rival.
-fn history(plant: &Plant, head: u64) -> Result<u64, PipelineError> {
+fn history(plant: &Plant, head: u64) -> Result<u64> {
     if plant.ledger.notes.read(&CopiedAt {})?.is_none() {
         return Ok(0);
     }
@@ -60,7 +60,7 @@ fn history(plant: &Plant, head: u64) -> Result<u64, PipelineError> {
     Ok(head)
 }
 
-fn unknown<'a>(plant: &Plant, events: &'a [EventAt]) -> Result<Vec<(Address, &'a EventAt)>, PipelineError> {
+fn unknown<'a>(plant: &Plant, events: &'a [EventAt]) -> Result<Vec<(Address, &'a EventAt)>> {
     let (mut roots, mut digests) = (HashMap::new(), HashMap::new());
     for at in events {
         match &at.event {
@@ -78,7 +78,7 @@ fn unknown<'a>(plant: &Plant, events: &'a [EventAt]) -> Result<Vec<(Address, &'a
     Ok(found)
 }
 
-fn tell(plant: &Plant, account: Address, at: &EventAt) -> Result<(), PipelineError> {
+fn tell(plant: &Plant, account: Address, at: &EventAt) -> Result<()> {
     let (now, before) = (Timestamp::now(), plant.ledger.notes.read(&SeenForeign {})?);
     let before = before.filter(|before| before.account == account);
     // A chunk of events may be read twice.

@@ -19,7 +19,7 @@ use crate::model::Hash;
 use crate::stages::Milestone;
 use crate::store::notes::{DoubtedBlock, MissedFrom};
 use crate::store::{Ledger, Notes, RootSighting, Sighting, StoreError};
-use crate::{Directory, Network, PipelineError, Plant};
+use crate::{Directory, Network, PipelineError, Plant, Result};
 
 /// Blocks scanned at a time.
 const CHUNK: u64 = 2_000;
@@ -37,14 +37,14 @@ enum Reached {
 }
 
 /// Binds the ledger to the contract and reads the directory back; without a readable one, scans from the first block.
-pub fn restore(plant: &Plant, network: &Network) -> Result<(), PipelineError> {
+pub fn restore(plant: &Plant, network: &Network) -> Result<()> {
     let pin = network.chain.pin().ok_or(ChainError::NoContract)?;
     plant.ledger.rights.bind_contract(network.domain, &serde_json::to_string(&pin).unwrap_or_default())?;
     read_back(plant, network, &network.directory)
 }
 
 /// If nothing readable is stored, the scan begins anew.
-fn read_back(plant: &Plant, network: &Network, directory: &Directory) -> Result<(), PipelineError> {
+fn read_back(plant: &Plant, network: &Network, directory: &Directory) -> Result<()> {
     if let Some((number, _)) = plant.ledger.trail.cursor()? {
         // What was stored of blocks after the cursor is read again: they may have been replaced meanwhile.
         plant.ledger.rights.take_back_rights(number + 1)?;
@@ -73,7 +73,7 @@ fn first_block(network: &Network) -> u64 {
 /// Scans all blocks after the cursor; returns the head it reached. On an error the cursor stays at the last written
 /// chunk. `Swapped`: another chain answers now, or this one without its history. `NodeBehind`: it lacks what it had
 /// before.
-pub async fn watch_round(plant: &Plant, network: &Network) -> Result<BlockRef, PipelineError> {
+pub async fn watch_round(plant: &Plant, network: &Network) -> Result<BlockRef> {
     let mut obstacle = PipelineError::Unsteady;
     for _ in 0..ATTEMPTS {
         let head = network.chain.head().await?;
@@ -99,7 +99,7 @@ pub async fn watch_round(plant: &Plant, network: &Network) -> Result<BlockRef, P
     Err(obstacle)
 }
 
-fn confirm(plant: &Plant, network: &Network, head: u64) -> Result<(), PipelineError> {
+fn confirm(plant: &Plant, network: &Network, head: u64) -> Result<()> {
     let deep = (head + 1).saturating_sub(network.confirmations);
     let confirmed = plant.ledger.batches.confirm(deep)?;
     if !confirmed.is_empty() {
@@ -114,7 +114,7 @@ fn confirm(plant: &Plant, network: &Network, head: u64) -> Result<(), PipelineEr
 
 /// Scans up to `head`. If the cursor went back, the directory is built anew beside the one in use, which stays until the
 /// new one is complete: a right that ended in between must not come back for a moment.
-async fn read_on(plant: &Plant, network: &Network, head: BlockRef) -> Result<Reached, PipelineError> {
+async fn read_on(plant: &Plant, network: &Network, head: BlockRef) -> Result<Reached> {
     let Some(directory) = block_in_place(|| as_of_the_cursor(plant, network))? else {
         return scan(plant, network, head, None).await;
     };
@@ -128,12 +128,12 @@ async fn read_on(plant: &Plant, network: &Network, head: BlockRef) -> Result<Rea
     reached
 }
 
-fn cursor_number(plant: &Plant) -> Result<u64, PipelineError> {
+fn cursor_number(plant: &Plant) -> Result<u64> {
     Ok(plant.ledger.trail.cursor()?.map_or(0, |(number, _)| number))
 }
 
 /// The directory as of the cursor; `None` if the one in use is that. Scanned again if it cannot be read back.
-fn as_of_the_cursor(plant: &Plant, network: &Network) -> Result<Option<Directory>, PipelineError> {
+fn as_of_the_cursor(plant: &Plant, network: &Network) -> Result<Option<Directory>> {
     let Some((number, _)) = plant.ledger.trail.cursor()? else { return Ok(None) };
     if network.directory.newest() <= number {
         return Ok(None);
@@ -145,12 +145,7 @@ fn as_of_the_cursor(plant: &Plant, network: &Network) -> Result<Option<Directory
 
 /// Scans to `head`: old blocks many at a time, the newest one by one. The directory in use, `shown`, becomes that of
 /// `network` with the last of them, before anybody can see that they were read.
-async fn scan(
-    plant: &Plant,
-    network: &Network,
-    head: BlockRef,
-    shown: Option<&Directory>,
-) -> Result<Reached, PipelineError> {
+async fn scan(plant: &Plant, network: &Network, head: BlockRef, shown: Option<&Directory>) -> Result<Reached> {
     let first = first_block(network);
     let cursor = plant.ledger.trail.cursor()?;
     let mut from = cursor.map_or(first, |(number, _)| (number + 1).max(first));
@@ -178,7 +173,7 @@ async fn scan(
     read(plant, network, (from, head.number), below, shown).await
 }
 
-async fn stands(network: &Network, block: Option<(u64, Hash)>) -> Result<bool, PipelineError> {
+async fn stands(network: &Network, block: Option<(u64, Hash)>) -> Result<bool> {
     let Some((number, hash)) = block else { return Ok(true) };
     Ok(network.chain.block(number).await?.is_some_and(|block| block.hash == hash))
 }
@@ -191,7 +186,7 @@ fn write(
     to: (u64, Hash),
     met: Vec<(u64, Hash)>,
     shown: Option<&Directory>,
-) -> Result<(), PipelineError> {
+) -> Result<()> {
     let sightings: Vec<Sighting> = events.iter().filter_map(sighting).collect();
     let roots: Vec<RootSighting> = events.iter().filter_map(root_sighting).collect();
     if !sightings.is_empty() || !roots.is_empty() {
@@ -287,7 +282,7 @@ async fn read(
     (from, to): (u64, u64),
     below: Option<(u64, Hash)>,
     shown: Option<&Directory>,
-) -> Result<Reached, PipelineError> {
+) -> Result<Reached> {
     let (mut read, mut top, mut next) = (Vec::new(), below, from);
     let mut reached = Reached::Head;
     'all: while next <= to {
@@ -317,7 +312,7 @@ async fn read(
 }
 
 /// A block whose header names more than anybody gives is waited for, but not for ever: a bloom may name what is not there.
-fn is_to_be_taken(plant: &Plant, found: &BlockEvents) -> Result<bool, PipelineError> {
+fn is_to_be_taken(plant: &Plant, found: &BlockEvents) -> Result<bool> {
     if found.completeness != Completeness::Doubtful {
         return Ok(true);
     }
@@ -335,13 +330,7 @@ fn is_to_be_taken(plant: &Plant, found: &BlockEvents) -> Result<bool, PipelineEr
     Ok(true)
 }
 
-fn take(
-    plant: &Plant,
-    network: &Network,
-    read: &[BlockEvents],
-    head: u64,
-    shown: Option<&Directory>,
-) -> Result<(), PipelineError> {
+fn take(plant: &Plant, network: &Network, read: &[BlockEvents], head: u64, shown: Option<&Directory>) -> Result<()> {
     let Some(last) = read.last() else { return Ok(()) };
     // Before the cursor passes them, so that a restart knows them too.
     reorg::note(plant, read)?;

@@ -10,7 +10,7 @@ use crate::chain::{BlockEvents, BlockRef, ChainError, Completeness, NEAR};
 use crate::model::{Hash, Timestamp};
 use crate::store::notes::{AwaitedBlock, MissedFrom, NodeBehind, UnsureBlock, UnsureBlocks};
 use crate::store::{Note, Notes};
-use crate::{Network, PipelineError, Plant};
+use crate::{Network, PipelineError, Plant, Result};
 
 /// If a reorg leaves nothing of this many blocks, it is not a reorg.
 const DEEPEST: u64 = 1024;
@@ -21,13 +21,11 @@ pub(super) enum Standing {
     /// The chain holds the newest block that was read, or the watcher went back.
     Holds,
     /// The node does not have block `read`, the newest that was read.
-    Behind {
-        read: u64,
-    },
+    Behind { read: u64 },
 }
 
 /// Goes back to the last common block if the newest one was replaced. A chain without that history is another.
-pub(super) async fn follow(plant: &Plant, network: &Network, head: BlockRef) -> Result<Standing, PipelineError> {
+pub(super) async fn follow(plant: &Plant, network: &Network, head: BlockRef) -> Result<Standing> {
     let newest =
         block_in_place(|| Ok::<_, PipelineError>(plant.ledger.trail.end()?.max(plant.ledger.trail.cursor()?)))?;
     let Some((number, _)) = newest.filter(|(number, _)| *number >= first_block(network)) else {
@@ -58,12 +56,7 @@ pub(super) async fn follow(plant: &Plant, network: &Network, head: BlockRef) -> 
 }
 
 /// Whether another block is where one was read, and not just none; or none for so long that the chain was taken back.
-async fn is_replaced(
-    plant: &Plant,
-    network: &Network,
-    head: BlockRef,
-    trail: &[(u64, Hash)],
-) -> Result<bool, PipelineError> {
+async fn is_replaced(plant: &Plant, network: &Network, head: BlockRef, trail: &[(u64, Hash)]) -> Result<bool> {
     if network.chain.is_exact() {
         return Ok(true);
     }
@@ -80,7 +73,7 @@ async fn is_replaced(
 
 /// No block that was ever seen is there any more. On a short history that is a deep reorg; if blocks far below the head
 /// are gone as well, it is another chain that happens to hold our contract at the same address.
-async fn only_young(network: &Network, trail: &[(u64, Hash)]) -> Result<(), PipelineError> {
+async fn only_young(network: &Network, trail: &[(u64, Hash)]) -> Result<()> {
     let (Some(oldest), Some(newest)) = (trail.first(), trail.last()) else { return Ok(()) };
     let deepest = DEEPEST.max(network.confirmations.saturating_mul(4));
     if newest.0.saturating_sub(oldest.0) <= deepest {
@@ -93,7 +86,7 @@ async fn only_young(network: &Network, trail: &[(u64, Hash)]) -> Result<(), Pipe
 }
 
 /// By bisection: chains agree up to one block and differ from there on.
-async fn last_common(network: &Network, trail: &[(u64, Hash)]) -> Result<Option<(u64, Hash)>, PipelineError> {
+async fn last_common(network: &Network, trail: &[(u64, Hash)]) -> Result<Option<(u64, Hash)>> {
     let (mut agree, mut differ) = (0, trail.len());
     while agree < differ {
         let middle = agree + (differ - agree) / 2;
@@ -107,7 +100,7 @@ async fn last_common(network: &Network, trail: &[(u64, Hash)]) -> Result<Option<
 }
 
 /// Undoes what was read after `common`. The cursor moves last: if interrupted, the next round finds the same reorg.
-async fn go_back(plant: &Plant, network: &Network, common: (u64, Hash), was_at: u64) -> Result<(), PipelineError> {
+async fn go_back(plant: &Plant, network: &Network, common: (u64, Hash), was_at: u64) -> Result<()> {
     let from = common.0 + 1;
     network.times.forget_from(from);
     let (moved, deep) = plant.ledger.batches.take_back(from)?;
@@ -133,11 +126,7 @@ const DEPTHS: [u64; 4] = [2, 6, 16, NEAR];
 const MOST: usize = 256;
 
 /// For how long this very block has been waited for.
-pub(super) fn waited(
-    notes: &Notes,
-    note: &impl Note<Value = AwaitedBlock>,
-    block: (u64, Hash),
-) -> Result<Duration, PipelineError> {
+pub(super) fn waited(notes: &Notes, note: &impl Note<Value = AwaitedBlock>, block: (u64, Hash)) -> Result<Duration> {
     let now = Timestamp::now();
     match notes.read(note)?.filter(|known| known.block == block) {
         Some(known) => Ok(Duration::from_nanos(now.0.saturating_sub(known.since.0))),
@@ -145,14 +134,14 @@ pub(super) fn waited(
     }
 }
 
-fn no_longer_behind(notes: &Notes) -> Result<(), PipelineError> {
+fn no_longer_behind(notes: &Notes) -> Result<()> {
     match notes.read(&NodeBehind {})? {
         Some(known) => Ok(notes.forget(&NodeBehind {}, &known)?),
         None => Ok(()),
     }
 }
 
-pub(super) fn note(plant: &Plant, read: &[BlockEvents]) -> Result<(), PipelineError> {
+pub(super) fn note(plant: &Plant, read: &[BlockEvents]) -> Result<()> {
     let unsure = read.iter().filter(|read| read.completeness != Completeness::Whole).map(|read| UnsureBlock {
         block: read.block.number,
         hash: read.block.hash,
@@ -171,7 +160,7 @@ pub(super) fn note(plant: &Plant, read: &[BlockEvents]) -> Result<(), PipelineEr
 }
 
 /// Reads again what is due at this head, and goes back to the first block of which something was missed.
-pub(super) async fn look(plant: &Plant, network: &Network, head: u64) -> Result<(), PipelineError> {
+pub(super) async fn look(plant: &Plant, network: &Network, head: u64) -> Result<()> {
     let notes = &plant.ledger.notes;
     if let Some(block) = notes.read(&MissedFrom {})? {
         block_in_place(|| go_back_before(plant, network, block))?;
@@ -190,12 +179,7 @@ pub(super) async fn look(plant: &Plant, network: &Network, head: u64) -> Result<
 }
 
 /// Returns what is still unsure.
-async fn look_at(
-    plant: &Plant,
-    network: &Network,
-    head: u64,
-    mut unsure: UnsureBlock,
-) -> Result<Option<UnsureBlock>, PipelineError> {
+async fn look_at(plant: &Plant, network: &Network, head: u64, mut unsure: UnsureBlock) -> Result<Option<UnsureBlock>> {
     let Some(depth) = DEPTHS.get(unsure.times) else { return Ok(None) };
     if head.saturating_sub(unsure.block) < *depth {
         return Ok(Some(unsure));
@@ -214,7 +198,7 @@ async fn look_at(
 }
 
 /// An event of this block was missed, or is not on the chain. Their order counts, so all is read again from there.
-fn go_back_before(plant: &Plant, network: &Network, block: u64) -> Result<(), PipelineError> {
+fn go_back_before(plant: &Plant, network: &Network, block: u64) -> Result<()> {
     let trail = plant.ledger.trail.blocks()?;
     let before = trail.iter().rev().find(|(number, _)| *number < block).copied();
     let before = before.unwrap_or_else(|| beginning(network));
