@@ -8,7 +8,7 @@ use tokio::sync::OwnedMutexGuard;
 
 use super::Sender;
 use super::tend::Memory;
-use crate::chain::{Call, Chain, ChainError, Nonces, Priced, Shortfall, offered, passed_by};
+use crate::chain::{Call, Chain, ChainError, Nonces, Priced, Shortfall, SignedTransaction, offered, passed_by};
 use crate::crypto::{EoaSecret, fault};
 use crate::model::{Address, Hash, Timestamp, Wei};
 use crate::store::{Anchors, NewTransaction};
@@ -28,6 +28,7 @@ impl Outgoing {
     }
 }
 
+#[derive(Default)]
 pub(super) struct Cell {
     /// Held while nonces are assigned.
     pub nonces: std::sync::Arc<tokio::sync::Mutex<()>>,
@@ -37,14 +38,6 @@ pub(super) struct Cell {
 }
 
 impl Cell {
-    pub fn new() -> Self {
-        Self {
-            nonces: std::sync::Arc::default(),
-            tending: tokio::sync::Mutex::default(),
-            memory: Mutex::new(Memory::new()),
-        }
-    }
-
     pub fn memory(&self) -> MutexGuard<'_, Memory> {
         self.memory.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -60,22 +53,6 @@ pub struct Lane<'a> {
 }
 
 impl Lane<'_> {
-    pub fn account(&self) -> Address {
-        self.account
-    }
-
-    pub fn state(&self) -> Result<LaneState> {
-        self.sender.state_of(self.account)
-    }
-
-    pub fn room(&self) -> Result<usize> {
-        self.sender.room(self.account)
-    }
-
-    pub fn open(&self) -> Result<Vec<crate::store::OpenTransaction>> {
-        Ok(self.sender.ledger.lanes.open_lane(self.account)?)
-    }
-
     /// The next nonce, after everything mined, pending at the node (signed here or elsewhere), or open here.
     pub async fn next_nonce(&self) -> Result<u64> {
         let pending = self.sender.nonces(self.chain, self.account).await?.pending;
@@ -129,9 +106,7 @@ impl Lane<'_> {
         fault::point("handed-in");
         Ok(hashes)
     }
-}
 
-impl Lane<'_> {
     pub async fn transfer(self, to: Address, wei: u128, purpose: &str) -> Result<Hash> {
         let (price, nonce) = (self.price().await?, self.next_nonce().await?);
         let signed = self.chain.sign_transfer(self.eoa, nonce, to, wei, price)?;
@@ -141,21 +116,18 @@ impl Lane<'_> {
             let (account, held, needed) = (self.account, Wei(held), Wei(cost));
             return Err(PipelineError::NoEther(Shortfall { account, held, needed }));
         }
-        let (hash, account, raw) = (signed.hash, self.account, signed.raw);
-        let row = NewTransaction {
-            hash,
-            account,
-            nonce,
-            raw: raw.clone(),
-            purpose: purpose.to_owned(),
-            anchors: Anchors::Nothing,
-        };
-        self.sender.ledger.lanes.submit(row)?;
-        let (sender, chain) = (self.sender, self.chain);
+        let (sender, chain, account) = (self.sender, self.chain, self.account);
+        sender.ledger.lanes.submit(row_of(&signed, account, purpose))?;
         drop(self.held);
-        sender.hand_in(chain, account, hash, &raw).await;
-        Ok(hash)
+        sender.hand_in(chain, account, signed.hash, &signed.raw).await;
+        Ok(signed.hash)
     }
+}
+
+/// The row of a transaction that anchors no records.
+pub(super) fn row_of(signed: &SignedTransaction, account: Address, purpose: &str) -> NewTransaction {
+    let (hash, nonce, raw, purpose) = (signed.hash, signed.nonce, signed.raw.clone(), purpose.to_owned());
+    NewTransaction { hash, account, nonce, raw, purpose, anchors: Anchors::Nothing }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -168,6 +140,9 @@ pub(super) enum HandedIn {
     Refused,
 }
 
+/// Transactions that others may have sent from the account without a second question.
+const JUMP: u64 = 32;
+const PAUSE: Duration = Duration::from_millis(500);
 /// While answers fail, the longest that bytes are handed in one after the other.
 pub(super) const BROKEN: Duration = Duration::from_secs(8);
 
@@ -197,13 +172,7 @@ impl Sender {
             Err(_) => HandedIn::Refused,
         }
     }
-}
 
-/// Transactions that others may have sent from the account without a second question.
-const JUMP: u64 = 32;
-const PAUSE: Duration = Duration::from_millis(500);
-
-impl Sender {
     /// Where the nonces are far beyond what was signed here, the node is asked twice: a site that shares the account
     /// may have sent that many. [`ChainError::Answer`] if the second answer contradicts the first.
     pub(super) async fn nonces(&self, chain: &Chain, account: Address) -> Result<Nonces> {

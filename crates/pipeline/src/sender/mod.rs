@@ -15,13 +15,58 @@ use self::lane::Cell;
 use crate::chain::{Call, Chain, Policy, Priced, Receipt, Shortfall, offered};
 use crate::crypto::EoaSecret;
 use crate::model::{Address, Hash, Wei, clean};
-use crate::store::{Anchors, Ledger, NewTransaction, TransactionRow, TransactionState};
+use crate::store::{Ledger, TransactionRow, TransactionState};
 use crate::{Observer, PipelineError, Result};
 
 /// Transactions of one account that may wait for a block.
 pub const MOST_OPEN: u64 = 1024;
 /// How long a single transaction may take before its sender is told that it is waiting.
 const PATIENCE: Duration = Duration::from_secs(120);
+/// How long a price that was needed once is offered from the start.
+const REMEMBERED: Duration = Duration::from_secs(3_600);
+/// How long a node may take to have the blocks again that it had; after that the chain is taken to be shorter.
+const CATCHING_UP: Duration = Duration::from_secs(120);
+/// The purpose of the transaction that takes a cancelled one's nonce.
+const PURPOSE: &str = "cancel";
+
+/// A price that a transaction had to offer before it was mined.
+#[derive(Debug, Clone, Copy)]
+struct Needed {
+    price: u128,
+    at: Instant,
+}
+
+#[derive(Debug, Default)]
+struct Heads {
+    /// 0 before the first look.
+    highest: u64,
+    /// Since when the node has been below it.
+    behind: Option<Instant>,
+}
+
+impl Heads {
+    /// Notes the node's newest block; returns the one that it had before, if it is behind that.
+    fn see(&mut self, number: u64, patience: Duration) -> Option<u64> {
+        let highest = self.highest;
+        let since = *self.behind.get_or_insert_with(Instant::now);
+        if number >= highest || since.elapsed() > patience {
+            (self.highest, self.behind) = (number, None);
+            return None;
+        }
+        Some(highest)
+    }
+}
+
+/// A transaction that was cancelled, unless the chain takes it all the same.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Cancelled {
+    pub nonce: u64,
+    pub purpose: String,
+    /// Whether it anchored records, which are anchored again.
+    pub anchors: bool,
+    pub hash: Hash,
+    pub price: Wei,
+}
 
 pub struct Sender {
     ledger: Ledger,
@@ -40,7 +85,7 @@ impl Sender {
 
     fn cell(&self, account: Address) -> Arc<Cell> {
         let mut lanes = self.lanes.lock().unwrap_or_else(PoisonError::into_inner);
-        Arc::clone(lanes.entry(account).or_insert_with(|| Arc::new(Cell::new())))
+        Arc::clone(lanes.entry(account).or_default())
     }
 
     /// Until the lane is released nobody else in this process signs for the account.
@@ -63,16 +108,12 @@ impl Sender {
         Ok(usize::try_from(room).unwrap_or(0))
     }
 
-    pub async fn submit(&self, chain: &Chain, eoa: &EoaSecret, outgoing: Vec<Outgoing>) -> Result<Vec<Hash>> {
-        self.lane(chain, eoa).await.submit(outgoing).await
-    }
-
     /// Sends one call and waits until it is mined. `Reverted` and `NoEther` come before anything is sent if the node
     /// can tell; `NotMined` comes after two minutes at one price.
     pub async fn send(&self, chain: &Chain, eoa: &EoaSecret, call: Call, purpose: &str) -> Result<(Hash, Receipt)> {
         self.expect_means(chain, eoa.address(), &call).await?;
         chain.simulate(eoa.address(), &call).await?;
-        let hashes = self.submit(chain, eoa, vec![Outgoing::plain(call, purpose)]).await?;
+        let hashes = self.lane(chain, eoa).await.submit(vec![Outgoing::plain(call, purpose)]).await?;
         let hash = hashes.first().copied().ok_or_else(|| self.not_mined(eoa.address(), purpose))?;
         self.wait_mined(chain, eoa, hash, purpose).await
     }
@@ -150,7 +191,7 @@ impl Sender {
             let cell = self.cell(account);
             let mut memory = cell.memory();
             memory.paused.clone_from(&paused);
-            let alarm = paused.as_ref().filter(|reason| reason.is_alarm()).map(lane::PauseReason::word);
+            let alarm = paused.as_ref().filter(|reason| reason.is_alarm()).map(PauseReason::word);
             // While the node is catching up nothing is known anew, so an alarm stands.
             let alarm = if paused.is_some() { alarm.or(memory.alarm) } else { None };
             (std::mem::replace(&mut memory.alarm, alarm), alarm)
@@ -161,42 +202,7 @@ impl Sender {
             (_, None) => self.observer.alert(false, format!("anchoring for {account} resumes")),
         }
     }
-}
 
-/// How long a price that was needed once is offered from the start.
-const REMEMBERED: Duration = Duration::from_secs(3_600);
-/// How long a node may take to have the blocks again that it had; after that the chain is taken to be shorter.
-const CATCHING_UP: Duration = Duration::from_secs(120);
-
-/// A price that a transaction had to offer before it was mined.
-#[derive(Debug, Clone, Copy)]
-struct Needed {
-    price: u128,
-    at: Instant,
-}
-
-#[derive(Debug, Default)]
-struct Heads {
-    /// 0 before the first look.
-    highest: u64,
-    /// Since when the node has been below it.
-    behind: Option<Instant>,
-}
-
-impl Heads {
-    /// Notes the node's newest block; returns the one that it had before, if it is behind that.
-    fn see(&mut self, number: u64, patience: Duration) -> Option<u64> {
-        let highest = self.highest;
-        let since = *self.behind.get_or_insert_with(Instant::now);
-        if number >= highest || since.elapsed() > patience {
-            (self.highest, self.behind) = (number, None);
-            return None;
-        }
-        Some(highest)
-    }
-}
-
-impl Sender {
     /// The operator's limits; the floor is at least what was needed within the last hour.
     pub fn policy(&self) -> Policy {
         let needed = self.needed.lock().unwrap_or_else(PoisonError::into_inner);
@@ -224,10 +230,10 @@ impl Sender {
         let block = chain.head().await?.number;
         let seen = self.see_head(block).max(read.filter(|read| *read > block));
         if let Some(highest) = seen {
-            return Ok(lane::PauseReason::CatchingUp { block, highest });
+            return Ok(PauseReason::CatchingUp { block, highest });
         }
         let held = Wei(chain.wealth(account).await?);
-        Ok(lane::PauseReason::NoEther(Shortfall { account, held, needed: Wei(needed) }))
+        Ok(PauseReason::NoEther(Shortfall { account, held, needed: Wei(needed) }))
     }
 
     async fn expect_means(&self, chain: &Chain, account: Address, call: &Call) -> Result<()> {
@@ -237,27 +243,11 @@ impl Sender {
             return Ok(());
         }
         match self.shortage(chain, account, lacking.needed.0).await? {
-            lane::PauseReason::NoEther(lacking) => Err(PipelineError::NoEther(lacking)),
+            PauseReason::NoEther(lacking) => Err(PipelineError::NoEther(lacking)),
             reason => Err(PipelineError::Refused(reason.cause(account))),
         }
     }
-}
 
-/// The purpose of the transaction that takes a cancelled one's nonce.
-const PURPOSE: &str = "cancel";
-
-/// A transaction that was cancelled, unless the chain takes it all the same.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Cancelled {
-    pub nonce: u64,
-    pub purpose: String,
-    /// Its records wait to be anchored again.
-    pub anchors: bool,
-    pub hash: Hash,
-    pub price: Wei,
-}
-
-impl Sender {
     /// Replaces the open transaction with this nonce by an empty one at a higher price. Records that it anchors are
     /// anchored again; other effects do not happen, and its callers get an error. If the chain takes the old one after
     /// all, that counts.
@@ -279,22 +269,20 @@ impl Sender {
         let price = match self.policy().replacement(offered(&raw)?.price, &chain.market().await?) {
             Priced::At(price) => price,
             Priced::Capped { needed, cap } => {
-                return Err(PipelineError::Refused(lane::PauseReason::capped(needed, cap).cause(account)));
+                return Err(PipelineError::Refused(PauseReason::capped(needed, cap).cause(account)));
             }
         };
         let signed = chain.sign_transfer(eoa, nonce, account, 0, price)?;
         let cost = price.saturating_mul(u128::from(signed.gas_limit));
         if chain.wealth(account).await? < cost {
             return Err(match self.shortage(chain, account, cost).await? {
-                lane::PauseReason::NoEther(lacking) => PipelineError::NoEther(lacking),
+                PauseReason::NoEther(lacking) => PipelineError::NoEther(lacking),
                 reason => PipelineError::Refused(reason.cause(account)),
             });
         }
-        let (hash, raw, purpose) = (signed.hash, signed.raw, PURPOSE.to_owned());
-        let new = NewTransaction { hash, account, nonce, raw: raw.clone(), purpose, anchors: Anchors::Nothing };
-        self.ledger.lanes.replace_transaction(row.hash, new)?;
-        self.hand_in(chain, account, hash, &raw).await;
-        Ok(Cancelled { nonce, purpose: row.purpose, anchors: row.anchors, hash, price: Wei(price) })
+        self.ledger.lanes.replace_transaction(row.hash, lane::row_of(&signed, account, PURPOSE))?;
+        self.hand_in(chain, account, signed.hash, &signed.raw).await;
+        Ok(Cancelled { nonce, purpose: row.purpose, anchors: row.anchors, hash: signed.hash, price: Wei(price) })
     }
 
     /// Returns the block of the transaction in place of a cancelled one, or `None` if the cancelled one was mined after

@@ -1,17 +1,16 @@
 //! Transactions waiting for a block: resend, raise the price, fill nonce gaps.
 
 use std::collections::HashSet;
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::chain::{Chain, ChainError, Market, Nonces, Offered, Priced, SignedTransaction, Wait, is_outbid, offered};
 use crate::crypto::EoaSecret;
 use crate::model::{Address, Hash, Wei, clean};
 use crate::pipeline::Result;
-use crate::store::{Anchors, NewTransaction, OpenTransaction, Reissue};
+use crate::store::{OpenTransaction, Reissue};
 
 use super::Sender;
-use super::lane::{BROKEN, Cell, PauseReason};
+use super::lane::{BROKEN, Cell, PauseReason, row_of};
 
 /// The purpose of an empty transfer to oneself that fills a nonce gap.
 pub(super) const HOLE: &str = "nonce";
@@ -33,28 +32,25 @@ pub(super) struct Round<'a> {
     pub chain: &'a Chain,
     pub eoa: &'a EoaSecret,
     pub account: Address,
+    pub cell: &'a Cell,
     pub nonces: Nonces,
     pub rows: &'a [OpenTransaction],
 }
 
 impl Round<'_> {
     /// Returns the obstacle.
-    pub async fn run(self) -> Result<Option<PauseReason>> {
+    pub async fn run(&self) -> Result<Option<PauseReason>> {
         let Some(first) = self.rows.first() else { return Ok(None) };
         let market = self.chain.market().await?;
-        let cell = self.sender.cell(self.account);
-        let still = cell.memory().see_head(market.head.number);
+        let still = self.cell.memory().see_head(market.head.number);
         self.sender.see_head(market.head.number);
-        let wait = cell.memory().see_front(first.nonce, market.head.number);
-        let held = self.nonces.pending;
-        let hole = self.fill_holes(&cell, &market, held).await?;
-        let (replaced, dear) = self.raise(&cell, &market, wait).await?;
-        let refused = self.repeat(&cell, &market, held, &replaced).await?;
+        let wait = self.cell.memory().see_front(first.nonce, market.head.number);
+        let hole = self.fill_holes(&market).await?;
+        let (replaced, dear) = self.raise(&market, wait).await?;
+        let refused = self.repeat(&market, &replaced).await?;
         let stalled = (still >= STALLED).then_some(PauseReason::Stalled);
-        let passed_by = match wait.passed_by(market.head.number) {
-            Some(blocks) => Some(self.passed_by(blocks, first.nonce)?),
-            None => None,
-        };
+        let passed_by = wait.passed_by(market.head.number);
+        let passed_by = passed_by.map(|blocks| self.passed_by(blocks, first.nonce)).transpose()?;
         Ok(hole.or(dear).or(refused).or(stalled).or(passed_by))
     }
 
@@ -67,16 +63,17 @@ impl Round<'_> {
 
     /// A nonce below an open one that neither the node nor we hold blocks everything after it: its transaction was
     /// another process's, or was lost with a replaced block.
-    async fn fill_holes(&self, cell: &Arc<Cell>, market: &Market, held: u64) -> Result<Option<PauseReason>> {
+    async fn fill_holes(&self, market: &Market) -> Result<Option<PauseReason>> {
+        let held = self.nonces.pending;
         let own: HashSet<u64> = self.rows.iter().map(|row| row.nonce).collect();
         let last = self.rows.last().map_or(held, |row| row.nonce);
         let holes: Vec<u64> = (held..last).filter(|nonce| !own.contains(nonce)).take(HOLES).collect();
         let Some(lowest) = holes.first().copied() else {
-            cell.memory().hole = None;
+            self.cell.memory().hole = None;
             return Ok(None);
         };
         {
-            let mut memory = cell.memory();
+            let mut memory = self.cell.memory();
             let since = memory.hole.filter(|(nonce, _)| *nonce == lowest).map(|(_, since)| since);
             if since.is_none_or(|since| since.elapsed() < QUIET) {
                 memory.hole = Some((lowest, since.unwrap_or_else(Instant::now)));
@@ -89,40 +86,27 @@ impl Round<'_> {
         };
         for nonce in holes {
             let signed = self.chain.sign_transfer(self.eoa, nonce, self.account, 0, price)?;
-            let row = NewTransaction {
-                hash: signed.hash,
-                account: self.account,
-                nonce,
-                raw: signed.raw.clone(),
-                purpose: HOLE.to_owned(),
-                anchors: Anchors::Nothing,
-            };
-            self.sender.ledger.lanes.submit(row)?;
+            self.sender.ledger.lanes.submit(row_of(&signed, self.account, HOLE))?;
             self.sender.hand_in(self.chain, self.account, signed.hash, &signed.raw).await;
         }
-        cell.memory().hole = None;
+        self.cell.memory().hole = None;
         Ok(None)
     }
 
     /// Replaces transactions that have become too cheap; returns them, and the obstacle.
-    async fn raise(
-        &self,
-        cell: &Arc<Cell>,
-        market: &Market,
-        wait: Wait,
-    ) -> Result<(HashSet<Hash>, Option<PauseReason>)> {
+    async fn raise(&self, market: &Market, wait: Wait) -> Result<(HashSet<Hash>, Option<PauseReason>)> {
         let mut replaced = HashSet::new();
         let policy = self.sender.policy();
         for (index, row) in self.rows.iter().take(ROUND).enumerate() {
             let is_passed_by = index == 0 && wait.is_due(market.head.number) && policy.raises(market);
-            let is_cheap = cell.memory().cheap.contains(&row.hash);
+            let is_cheap = self.cell.memory().cheap.contains(&row.hash);
             if market.base.is_none() && policy.floor == 0 && !is_cheap && !is_passed_by {
                 continue;
             }
-            let Some((raw, old)) = self.offer_of(cell, row)? else { continue };
+            let Some((raw, old)) = self.offer_of(row)? else { continue };
             let (is_outbid, is_below) = (is_outbid(old.price, market), old.price < policy.floor);
             let is_late = is_cheap && market.offer() > old.price;
-            let is_wanted = (is_outbid || is_below || is_late) && cell.memory().is_quiet(row.hash, QUIET);
+            let is_wanted = (is_outbid || is_below || is_late) && self.cell.memory().is_quiet(row.hash, QUIET);
             if !is_wanted && !is_passed_by {
                 continue;
             }
@@ -130,9 +114,7 @@ impl Round<'_> {
                 Priced::At(price) => price,
                 // What it offers may still be enough, only not soon.
                 Priced::Capped { .. } if !is_outbid && !is_late => continue,
-                Priced::Capped { needed, cap } => {
-                    return Ok((replaced, Some(PauseReason::capped(needed, cap))));
-                }
+                Priced::Capped { needed, cap } => return Ok((replaced, Some(PauseReason::capped(needed, cap)))),
             };
             let cost = old.cost_at(price);
             if self.chain.wealth(self.account).await? < cost {
@@ -140,21 +122,18 @@ impl Round<'_> {
             }
             self.replace(row, &raw, price).await?;
             if is_passed_by {
-                cell.memory().raise_front(market.head.number);
+                self.cell.memory().raise_front(market.head.number);
             }
             replaced.insert(row.hash);
         }
         Ok((replaced, None))
     }
 
-    fn offer_of(&self, cell: &Arc<Cell>, row: &OpenTransaction) -> Result<Option<(Vec<u8>, Offered)>> {
+    fn offer_of(&self, row: &OpenTransaction) -> Result<Option<(Vec<u8>, Offered)>> {
         let Some(raw) = self.sender.ledger.lanes.raw_transaction(row.hash)? else { return Ok(None) };
-        let known = cell.memory().prices.get(&row.hash).copied();
-        let offer = match known {
-            Some(offer) => offer,
-            None => offered(&raw)?,
-        };
-        cell.memory().prices.insert(row.hash, offer);
+        let known = self.cell.memory().prices.get(&row.hash).copied();
+        let offer = known.map_or_else(|| offered(&raw), Ok)?;
+        self.cell.memory().prices.insert(row.hash, offer);
         Ok(Some((raw, offer)))
     }
 
@@ -171,16 +150,10 @@ impl Round<'_> {
     }
 
     /// Hands in again, byte for byte, what the node does not hold.
-    async fn repeat(
-        &self,
-        cell: &Arc<Cell>,
-        market: &Market,
-        held: u64,
-        replaced: &HashSet<Hash>,
-    ) -> Result<Option<PauseReason>> {
+    async fn repeat(&self, market: &Market, replaced: &HashSet<Hash>) -> Result<Option<PauseReason>> {
         let due = |row: &&OpenTransaction| {
-            let length = if row.nonce < held { REMINDER } else { QUIET };
-            !replaced.contains(&row.hash) && cell.memory().is_quiet(row.hash, length)
+            let length = if row.nonce < self.nonces.pending { REMINDER } else { QUIET };
+            !replaced.contains(&row.hash) && self.cell.memory().is_quiet(row.hash, length)
         };
         let begun = Instant::now();
         let (mut answered, mut lost) = (false, None);
@@ -188,11 +161,11 @@ impl Round<'_> {
             if lost.is_some() && begun.elapsed() > BROKEN {
                 break;
             }
-            let Some((raw, offer)) = self.offer_of(cell, row)? else { continue };
+            let Some((raw, offer)) = self.offer_of(row)? else { continue };
             match self.chain.broadcast(&raw).await {
                 Ok(_) | Err(ChainError::AlreadyKnown | ChainError::NonceTooLow | ChainError::Reverted { .. }) => {}
                 Err(ChainError::Underpriced) => {
-                    cell.memory().cheap.insert(row.hash);
+                    self.cell.memory().cheap.insert(row.hash);
                 }
                 Err(ChainError::InsufficientFunds) => return self.cheapen(market, row, &raw, offer).await,
                 Err(error @ (ChainError::Unreachable { .. } | ChainError::Answer { .. })) => {
@@ -206,12 +179,9 @@ impl Round<'_> {
                 }
             }
             answered = true;
-            cell.memory().sent(row.hash);
+            self.cell.memory().sent(row.hash);
         }
-        match lost.filter(|_| !answered) {
-            Some(error) => Err(error.into()),
-            None => Ok(None),
-        }
+        lost.filter(|_| !answered).map_or(Ok(None), |error| Err(error.into()))
     }
 
     /// Signs a refused call again. The node does not hold the old bytes, so the price need not rise.
