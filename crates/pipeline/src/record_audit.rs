@@ -87,7 +87,7 @@ fn run_chain_again(network: &Network, runtime: &Handle, tally: &mut Tally) {
 /// The audit log's own hash chain, and the heads that the home's profiles noted when they sealed them.
 fn log_of(plant: &Plant, log: &AuditLog, scope: &Scope, tally: &mut Tally) -> Result<(), StoreError> {
     match log.verify() {
-        Ok(lines) => tally.lines = lines,
+        Ok(lines) => tally.audit.audit_lines = lines,
         Err(fault) => tally.find(FindingKind::Tampered, "audit log", &fault.to_string()),
     }
     for account in &scope.accounts {
@@ -97,6 +97,15 @@ fn log_of(plant: &Plant, log: &AuditLog, scope: &Scope, tally: &mut Tally) -> Re
         }
     }
     Ok(())
+}
+
+/// Why a comparison with the chain ended early.
+#[derive(Debug, thiserror::Error)]
+enum Stop {
+    #[error(transparent)]
+    Chain(#[from] ChainError),
+    #[error(transparent)]
+    Store(#[from] StoreError),
 }
 
 /// The most differing blocks of a page that are named one by one.
@@ -120,14 +129,11 @@ async fn compare(
     (from, to): (u64, u64),
     events: &[EventAt],
     tally: &mut Tally,
-) -> Result<Result<(), ChainError>, StoreError> {
+) -> Result<(), Stop> {
     let differing = differing_blocks(&plant.ledger, (from, to), events)?;
     let mut first = None;
     for block in differing.iter().copied().take(MOST_BLOCKS) {
-        let again = match network.chain.events(block, block).await {
-            Ok(events) => events,
-            Err(error) => return Ok(Err(error)),
-        };
+        let again = network.chain.events(block, block).await?;
         let found = differences(&plant.ledger, (block, block), &again)?;
         for (kind, text) in &found {
             tally.find(*kind, &format!("block {block}"), &format!("{text}; {ADVICE}"));
@@ -141,7 +147,7 @@ async fn compare(
     if let Some(block) = first {
         watcher::note(&plant.ledger.notes, block)?;
     }
-    Ok(Ok(()))
+    Ok(())
 }
 
 fn differing_blocks(ledger: &Ledger, (from, to): (u64, u64), events: &[EventAt]) -> Result<BTreeSet<u64>, StoreError> {
@@ -252,7 +258,7 @@ fn scrub(
         look(bench, &piece, &mut tally)?;
     }
     done.records += 1;
-    done.bytes += tally.bytes;
+    done.bytes += tally.audit.bytes;
     let Some(finding) = tally.findings().first() else { return Ok(None) };
     plant
         .observer

@@ -116,7 +116,7 @@ fn feed(
             match record {
                 Ok(record) => records.push(record),
                 Err((row, reason)) => {
-                    tally.records += 1;
+                    tally.audit.records += 1;
                     tally.find(FindingKind::Tampered, &format!("row {row}"), &format!("cannot be read: {reason}"));
                 }
             }
@@ -229,9 +229,9 @@ fn look_twice(bench: Bench<'_>, runtime: &Handle, piece: &[Looked]) -> Result<Ta
 /// Examines some records; `deep` also their bytes, all of them read before the first is checked.
 pub(super) fn look(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -> Result<(), StoreError> {
     for (record, uploaded) in piece {
-        tally.records += 1;
+        tally.audit.records += 1;
         tally.last = tally.last.max(record.number);
-        tally.pending += u64::from(record.row.state.is_pending() || record.row.state == RecordState::RightEnded);
+        tally.audit.pending += u64::from(record.row.state.is_pending() || record.row.state == RecordState::RightEnded);
         // What is missing is found among the bytes.
         if !is_missed(record)
             && let Some(text) = row_fault(bench, record, *uploaded)
@@ -239,7 +239,7 @@ pub(super) fn look(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -> Res
             tally.find(FindingKind::Tampered, &subject(record), &text);
         }
         if !bench.deep {
-            tally.bytes += record.row.bytes;
+            tally.audit.bytes += record.row.bytes;
         }
     }
     if bench.deep { look_deep(bench, piece, tally) } else { look_at_headers(bench, piece, tally) }
@@ -342,7 +342,7 @@ pub(super) fn compare_sequences(plant: &Plant, scope: &Scope, tally: &mut Tally)
             }
             continue;
         }
-        tally.gaps += lost;
+        tally.audit.gaps += lost;
         let holes = plant.ledger.inspection.holes(&sequence, MOST_HOLES)?;
         let words: Vec<String> = holes.iter().take(MOST_HOLES).map(|(from, to)| span(*from, *to)).collect();
         let text = format!(

@@ -40,7 +40,7 @@ pub(super) fn look_deep(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -
     }
     let mut checked = check_alone(bench.plant.provider, &records).into_iter();
     for (record, blob, signer) in &found {
-        tally.bytes += u64::try_from(blob.len()).unwrap_or(0);
+        tally.audit.bytes += u64::try_from(blob.len()).unwrap_or(0);
         let checked = if signer.is_some() { checked.next() } else { None };
         if let Ok((header, _)) = Header::parse(blob) {
             compare_names(bench, &record.row, &header, blob, tally);
@@ -48,7 +48,7 @@ pub(super) fn look_deep(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -
         }
         match bytes_fault(bench, record, blob, checked) {
             Fault::None => {}
-            Fault::Unchecked => tally.unchecked += 1,
+            Fault::Unchecked => tally.audit.unchecked += 1,
             Fault::Text(text) => tally.find(FindingKind::Tampered, &subject(record), &text),
         }
     }
@@ -60,10 +60,10 @@ fn gone(bench: Bench<'_>, record: &AuditedRecord, tally: &mut Tally) -> Result<(
     let Some(now) = bench.plant.ledger.records.find(record.row.digest)? else { return Ok(()) };
     let handed_over = now.state == RecordState::Verified && bench.network.is_none() && !bench.blind;
     if now.state == RecordState::Dropped || handed_over {
-        tally.given_up += 1;
+        tally.audit.given_up += 1;
     } else if let Some(retained) = bench.plant.ledger.retention.find(now.digest)? {
         match retention_fault(bench, &now, &retained)? {
-            None => tally.given_up += 1,
+            None => tally.audit.given_up += 1,
             Some(text) => tally.find(FindingKind::Tampered, &subject(record), &text),
         }
     } else if bench.plant.ciphertext.get(now.digest)?.is_none() {

@@ -116,20 +116,16 @@ fn confirm(plant: &Plant, network: &Network, head: u64) -> Result<()> {
 /// new one is complete: a right that ended in between must not come back for a moment.
 async fn read_on(plant: &Plant, network: &Network, head: BlockRef) -> Result<Reached> {
     let Some(directory) = block_in_place(|| as_of_the_cursor(plant, network))? else {
-        return scan(plant, network, head, None).await;
+        return Walk { plant, network, head: head.number, shown: None }.scan().await;
     };
     let beside = Network { directory: Arc::new(directory), ..network.clone() };
-    let reached = scan(plant, &beside, head, Some(&network.directory)).await;
-    let is_behind = || Ok::<_, PipelineError>(cursor_number(plant)? >= network.directory.newest());
-    if matches!(reached, Ok(Reached::Head)) || block_in_place(is_behind)? {
+    let reached = Walk { plant, network: &beside, head: head.number, shown: Some(&network.directory) }.scan().await;
+    let read = || Ok::<_, PipelineError>(plant.ledger.trail.cursor()?.map_or(0, |(number, _)| number));
+    if matches!(reached, Ok(Reached::Head)) || block_in_place(read)? >= network.directory.newest() {
         network.directory.become_like(&beside.directory);
         plant.observer.directory_changed();
     }
     reached
-}
-
-fn cursor_number(plant: &Plant) -> Result<u64> {
-    Ok(plant.ledger.trail.cursor()?.map_or(0, |(number, _)| number))
 }
 
 /// The directory as of the cursor; `None` if the one in use is that. Scanned again if it cannot be read back.
@@ -143,34 +139,111 @@ fn as_of_the_cursor(plant: &Plant, network: &Network) -> Result<Option<Directory
     Ok(Some(fresh))
 }
 
-/// Scans to `head`: old blocks many at a time, the newest one by one. The directory in use, `shown`, becomes that of
-/// `network` with the last of them, before anybody can see that they were read.
-async fn scan(plant: &Plant, network: &Network, head: BlockRef, shown: Option<&Directory>) -> Result<Reached> {
-    let first = first_block(network);
-    let cursor = plant.ledger.trail.cursor()?;
-    let mut from = cursor.map_or(first, |(number, _)| (number + 1).max(first));
-    let mut below = cursor.filter(|(number, _)| *number >= first);
-    let near = network.chain.first_near(head.number);
-    while from < near {
-        let to = (near - 1).min(from + CHUNK - 1);
-        let Some(last) = network.chain.block(to).await? else { return Ok(Reached::Changed) };
-        if !stands(network, below).await? {
-            return Ok(Reached::Changed);
+/// Reads the chain from the cursor to `head`.
+struct Walk<'a> {
+    plant: &'a Plant,
+    network: &'a Network,
+    head: u64,
+    shown: Option<&'a Directory>,
+}
+
+impl Walk<'_> {
+    /// Old blocks many at a time, the newest one by one. The directory in use, `shown`, becomes that of `network` with the
+    /// last of them, before anybody can see that they were read.
+    async fn scan(&self) -> Result<Reached> {
+        let first = first_block(self.network);
+        let cursor = self.plant.ledger.trail.cursor()?;
+        let mut from = cursor.map_or(first, |(number, _)| (number + 1).max(first));
+        let mut below = cursor.filter(|(number, _)| *number >= first);
+        let near = self.network.chain.first_near(self.head);
+        while from < near {
+            let to = (near - 1).min(from + CHUNK - 1);
+            let Some(last) = self.network.chain.block(to).await? else { return Ok(Reached::Changed) };
+            if !stands(self.network, below).await? {
+                return Ok(Reached::Changed);
+            }
+            let events = self.network.chain.events(from, to).await?;
+            // The same block at the top means that nothing below changed while it was read.
+            if !stands(self.network, Some((to, last.hash))).await? {
+                return Ok(Reached::Changed);
+            }
+            let mut met: Vec<(u64, Hash)> = events.iter().map(|event| (event.block, event.block_hash)).collect();
+            met.dedup();
+            block_in_place(|| self.write(&events, (to, last.hash), met))?;
+            below = Some((to, last.hash));
+            from = to + 1;
         }
-        let events = network.chain.events(from, to).await?;
-        // The same block at the top means that nothing below changed while it was read.
-        if !stands(network, Some((to, last.hash))).await? {
-            return Ok(Reached::Changed);
-        }
-        let mut met: Vec<(u64, Hash)> = events.iter().map(|event| (event.block, event.block_hash)).collect();
-        met.dedup();
-        let shown = shown.filter(|_| to == head.number);
-        block_in_place(|| write(plant, network, &events, (to, last.hash), met, shown))?;
-        block_in_place(|| foreign::look(plant, &events, head.number))?;
-        below = Some((to, last.hash));
-        from = to + 1;
+        self.read(from, below).await
     }
-    read(plant, network, (from, head.number), below, shown).await
+
+    /// `met` are blocks on the way.
+    fn write(&self, events: &[EventAt], to: (u64, Hash), met: Vec<(u64, Hash)>) -> Result<()> {
+        let (plant, network) = (self.plant, self.network);
+        let sightings: Vec<Sighting> = events.iter().filter_map(sighting).collect();
+        let roots: Vec<RootSighting> = events.iter().filter_map(root_sighting).collect();
+        if !sightings.is_empty() || !roots.is_empty() {
+            fault::point("events-read");
+        }
+        let mut changed = !sightings.is_empty() && plant.ledger.batches.mined(&sightings)? > 0;
+        changed |= !roots.is_empty() && plant.ledger.batches.anchored(&roots)? > 0;
+        if changed {
+            fault::point("mined");
+        }
+        events.iter().for_each(|event| network.times.note(event));
+        let told: Vec<Told> = events.iter().filter_map(|event| network.directory.judge(event)).collect();
+        if !told.is_empty() {
+            // Envelopes are stored before anyone looks for them.
+            let kept = kept::keep(&plant.ledger.rights, &told);
+            // A right that ended has ended, even if the disk is full; what could not be stored is read again.
+            if told.iter().filter(|told| network.directory.take(told)).count() > 0 {
+                plant.observer.directory_changed();
+            }
+            kept?;
+            fault::point("directory-kept");
+        }
+        if let Some(shown) = self.shown.filter(|_| to.0 == self.head) {
+            shown.become_like(&network.directory);
+        }
+        plant.ledger.trail.walk_to(to, met)?;
+        if changed {
+            fault::point("walked");
+            plant.observer.records_changed();
+        }
+        foreign::look(plant, events, self.head)
+    }
+
+    /// Reads blocks on top of `below`, as far as they are there, and writes them.
+    async fn read(&self, from: u64, below: Option<(u64, Hash)>) -> Result<Reached> {
+        let (mut read, mut top, mut next) = (Vec::new(), below, from);
+        let reached = 'all: {
+            while next <= self.head {
+                let last = self.head.min(next + AT_ONCE - 1);
+                for (number, found) in (next..=last).zip(self.network.chain.each_block(next, last).await?) {
+                    let Some(found) = found else { break 'all Reached::Before(number) };
+                    if top.is_some_and(|(below, hash)| below + 1 == number && hash != found.parent) {
+                        break 'all Reached::Changed;
+                    }
+                    if !block_in_place(|| is_to_be_taken(self.plant, &found))? {
+                        break 'all Reached::Before(number);
+                    }
+                    top = Some((number, found.block.hash));
+                    read.push(found);
+                }
+                next = last + 1;
+            }
+            Reached::Head
+        };
+        if let Some(BlockRef { number, hash, .. }) = read.last().map(|last: &BlockEvents| last.block) {
+            block_in_place(|| {
+                // Before the cursor passes them, so that a restart knows them too.
+                reorg::note(self.plant, &read)?;
+                let met = read.iter().map(|read| (read.block.number, read.block.hash)).collect();
+                let events: Vec<EventAt> = read.into_iter().flat_map(|block| block.events).collect();
+                self.write(&events, (number, hash), met)
+            })?;
+        }
+        Ok(reached)
+    }
 }
 
 async fn stands(network: &Network, block: Option<(u64, Hash)>) -> Result<bool> {
@@ -178,69 +251,16 @@ async fn stands(network: &Network, block: Option<(u64, Hash)>) -> Result<bool> {
     Ok(network.chain.block(number).await?.is_some_and(|block| block.hash == hash))
 }
 
-/// `met` are blocks on the way. `shown` then becomes the directory of `network`.
-fn write(
-    plant: &Plant,
-    network: &Network,
-    events: &[EventAt],
-    to: (u64, Hash),
-    met: Vec<(u64, Hash)>,
-    shown: Option<&Directory>,
-) -> Result<()> {
-    let sightings: Vec<Sighting> = events.iter().filter_map(sighting).collect();
-    let roots: Vec<RootSighting> = events.iter().filter_map(root_sighting).collect();
-    if !sightings.is_empty() || !roots.is_empty() {
-        fault::point("events-read");
-    }
-    let mut changed = !sightings.is_empty() && plant.ledger.batches.mined(&sightings)? > 0;
-    changed |= !roots.is_empty() && plant.ledger.batches.anchored(&roots)? > 0;
-    if changed {
-        fault::point("mined");
-    }
-    events.iter().for_each(|event| network.times.note(event));
-    let told: Vec<Told> = events.iter().filter_map(|event| network.directory.judge(event)).collect();
-    if !told.is_empty() {
-        // Envelopes are stored before anyone looks for them.
-        let kept = kept::keep(&plant.ledger.rights, &told);
-        // A right that ended has ended, even if the disk is full; what could not be stored is read again.
-        if told.iter().filter(|told| network.directory.take(told)).count() > 0 {
-            plant.observer.directory_changed();
-        }
-        kept?;
-        fault::point("directory-kept");
-    }
-    if let Some(shown) = shown {
-        shown.become_like(&network.directory);
-    }
-    plant.ledger.trail.walk_to(to, met)?;
-    if changed {
-        fault::point("walked");
-        plant.observer.records_changed();
-    }
-    Ok(())
-}
-
 fn sighting(at: &EventAt) -> Option<Sighting> {
-    let Event::DataUploaded { owner, digest, .. } = &at.event else { return None };
-    Some(Sighting {
-        owner: *owner,
-        digest: *digest,
-        transaction: at.transaction,
-        block: at.block,
-        block_hash: at.block_hash,
-    })
+    let Event::DataUploaded { owner, digest, .. } = at.event else { return None };
+    let EventAt { transaction, block, block_hash, .. } = *at;
+    Some(Sighting { owner, digest, transaction, block, block_hash })
 }
 
 fn root_sighting(at: &EventAt) -> Option<RootSighting> {
-    let Event::Anchored { account, root, count, .. } = &at.event else { return None };
-    Some(RootSighting {
-        account: *account,
-        root: *root,
-        count: *count,
-        transaction: at.transaction,
-        block: at.block,
-        block_hash: at.block_hash,
-    })
+    let Event::Anchored { account, root, count, .. } = at.event else { return None };
+    let EventAt { transaction, block, block_hash, .. } = *at;
+    Some(RootSighting { account, root, count, transaction, block, block_hash })
 }
 
 /// How long to wait for a next block before checking again.
@@ -275,42 +295,6 @@ pub(crate) fn note(notes: &Notes, block: u64) -> Result<(), StoreError> {
 /// Wait for events that a block's header names and nobody gives.
 const NEAR_PATIENCE: Duration = Duration::from_secs(5);
 
-/// Reads blocks `from` to `to` on top of `below`, as far as they are there, and writes them.
-async fn read(
-    plant: &Plant,
-    network: &Network,
-    (from, to): (u64, u64),
-    below: Option<(u64, Hash)>,
-    shown: Option<&Directory>,
-) -> Result<Reached> {
-    let (mut read, mut top, mut next) = (Vec::new(), below, from);
-    let mut reached = Reached::Head;
-    'all: while next <= to {
-        let last = to.min(next + AT_ONCE - 1);
-        for (number, found) in (next..=last).zip(network.chain.each_block(next, last).await?) {
-            let Some(found) = found else {
-                reached = Reached::Before(number);
-                break 'all;
-            };
-            if top.is_some_and(|(below, hash)| below + 1 == number && hash != found.parent) {
-                reached = Reached::Changed;
-                break 'all;
-            }
-            if !block_in_place(|| is_to_be_taken(plant, &found))? {
-                reached = Reached::Before(number);
-                break 'all;
-            }
-            top = Some((number, found.block.hash));
-            read.push(found);
-        }
-        next = last + 1;
-    }
-    if !read.is_empty() {
-        block_in_place(|| take(plant, network, &read, to, shown))?;
-    }
-    Ok(reached)
-}
-
 /// A block whose header names more than anybody gives is waited for, but not for ever: a bloom may name what is not there.
 fn is_to_be_taken(plant: &Plant, found: &BlockEvents) -> Result<bool> {
     if found.completeness != Completeness::Doubtful {
@@ -328,17 +312,6 @@ fn is_to_be_taken(plant: &Plant, found: &BlockEvents) -> Result<bool> {
         ),
     );
     Ok(true)
-}
-
-fn take(plant: &Plant, network: &Network, read: &[BlockEvents], head: u64, shown: Option<&Directory>) -> Result<()> {
-    let Some(last) = read.last() else { return Ok(()) };
-    // Before the cursor passes them, so that a restart knows them too.
-    reorg::note(plant, read)?;
-    let events: Vec<EventAt> = read.iter().flat_map(|block| block.events.iter().cloned()).collect();
-    let met = read.iter().map(|read| (read.block.number, read.block.hash)).collect();
-    let shown = shown.filter(|_| last.block.number == head);
-    write(plant, network, &events, (last.block.number, last.block.hash), met, shown)?;
-    foreign::look(plant, &events, head)
 }
 
 #[cfg(test)]
