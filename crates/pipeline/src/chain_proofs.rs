@@ -93,16 +93,18 @@ pub async fn collect(plant: &Plant, network: &Network, rounds: &mut Rounds) -> R
     for (at, batches) in blocks.into_iter().rev() {
         let keys: Vec<u64> = batches.iter().map(|batch| batch.key).collect();
         let count = keys.len() as u64;
-        match proof(network, at, &batches).await? {
-            Fetched::Proof(header, nodes) => {
+        match proof(network, at, &batches).await {
+            Ok(Some((header, nodes))) => {
                 block_in_place(|| {
                     plant.ledger.proofs.keep_chain_proof(at, header, keys, nodes.into_hashed().collect())
                 })?;
                 rounds.await_after(network, at.0).await?;
                 collected.kept += count;
             }
-            Fetched::OtherBlock => {}
-            Fetched::Refused(why) => {
+            // The chain has another block of that number now; the watcher is about to notice.
+            Ok(None) => {}
+            Err(Stop::Failed(error)) => return Err(error.into()),
+            Err(Stop::Refused(why)) => {
                 let attempt = rounds.attempts.entry(at.0).or_default();
                 *attempt += 1;
                 if *attempt >= ATTEMPTS {
@@ -137,8 +139,10 @@ impl Rounds {
             self.await_after(network, newest).await?;
         }
         while let Some(block) = self.awaited.first().copied().filter(|block| *block <= confirmed) {
-            if let Ok(Some(header)) = refusal(network.chain.header_rlp(block).await)? {
-                plant.ledger.proofs.keep_chain_header(block, header)?;
+            match network.chain.header_rlp(block).await {
+                Ok(Some(header)) => plant.ledger.proofs.keep_chain_header(block, header)?,
+                Err(error @ ChainError::Unreachable { .. }) => return Err(error.into()),
+                Ok(None) | Err(_) => {}
             }
             self.awaited.remove(&block);
         }
@@ -146,14 +150,27 @@ impl Rounds {
     }
 }
 
-enum Fetched {
-    Proof(Vec<u8>, Nodes),
-    /// The chain has another block of that number now; the watcher is about to notice.
-    OtherBlock,
+enum Stop {
+    /// Without the node nothing can be decided.
+    Failed(ChainError),
     Refused(String),
 }
 
-async fn proof(network: &Network, (block, hash): (u64, Hash), batches: &[UnprovenBatch]) -> Result<Fetched> {
+impl From<ChainError> for Stop {
+    fn from(error: ChainError) -> Self {
+        match error {
+            ChainError::Unreachable { .. } => Self::Failed(error),
+            error => Self::Refused(error.to_string()),
+        }
+    }
+}
+
+/// The header of a block, and the nodes that prove the anchors; `None` if the chain has another block of that number.
+async fn proof(
+    network: &Network,
+    (block, hash): (u64, Hash),
+    batches: &[UnprovenBatch],
+) -> Result<Option<(Vec<u8>, Nodes)>, Stop> {
     let mut wanted = Vec::new();
     for batch in batches {
         for (owner, signer) in &batch.signers {
@@ -162,21 +179,15 @@ async fn proof(network: &Network, (block, hash): (u64, Hash), batches: &[Unprove
         }
     }
     let slots = slots(wanted);
-    let bytes = match refusal(network.chain.header_rlp(block).await)? {
-        Ok(header) => header.unwrap_or_default(),
-        Err(why) => return Ok(Fetched::Refused(why)),
-    };
+    let bytes = network.chain.header_rlp(block).await?.unwrap_or_default();
     let header = BlockHeader::parse(&bytes).filter(|header| header.hash == hash);
-    let Some(header) = header else { return Ok(Fetched::OtherBlock) };
-    let nodes: Nodes = match refusal(network.chain.storage_nodes(block, &slots).await)? {
-        Ok(nodes) => nodes.into_iter().collect(),
-        Err(why) => return Ok(Fetched::Refused(why)),
-    };
-    let Some(pin) = network.chain.pin() else { return Ok(Fetched::OtherBlock) };
-    Ok(match proven(&nodes, (header.state_root, pin.contract), &slots, batches) {
-        Ok(nodes) => Fetched::Proof(bytes, nodes),
-        Err(why) => Fetched::Refused(format!("the node's proof for block {block} proves nothing: {why}")),
-    })
+    let Some(header) = header else { return Ok(None) };
+    let nodes: Nodes = network.chain.storage_nodes(block, &slots).await?.into_iter().collect();
+    let Some(pin) = network.chain.pin() else { return Ok(None) };
+    match proven(&nodes, (header.state_root, pin.contract), &slots, batches) {
+        Ok(nodes) => Ok(Some((bytes, nodes))),
+        Err(why) => Err(Stop::Refused(format!("the node's proof for block {block} proves nothing: {why}"))),
+    }
 }
 
 /// What the nodes prove is looked at before it is kept: in some years nobody can fetch it again.
@@ -196,15 +207,6 @@ fn proven(
         }
     }
     Ok(proving)
-}
-
-/// Without the node nothing can be decided, so that is the caller's error; what it refuses is told.
-fn refusal<Answer>(answer: Result<Answer, ChainError>) -> Result<Result<Answer, String>> {
-    match answer {
-        Ok(answer) => Ok(Ok(answer)),
-        Err(error @ ChainError::Unreachable { .. }) => Err(error.into()),
-        Err(error) => Ok(Err(error.to_string())),
-    }
 }
 
 /// A block's header, RLP: from the chain, or as it was kept where that cannot be asked.

@@ -146,50 +146,31 @@ impl Robot {
 }
 
 pub struct Forwarder {
-    plant: Plant,
+    outbox: Outbox,
     robot: Robot,
     gate: Gate,
-    pace: Pace,
     link: watch::Sender<Link>,
     errand: Option<Box<dyn Errand>>,
-    /// Records that the gateway refuses for their own sake: sent again after a pause, and at the next start.
-    refused: Arc<Mutex<HashSet<Digest>>>,
-    keeping: CopyKeeping,
     named: Option<watch::Receiver<GatewayAccess>>,
 }
 
 impl Forwarder {
     /// [`CryptoError::NotAKey`] if the home is another robot's.
     pub fn new(plant: Plant, robot: Robot, access: &GatewayAccess) -> Result<Self, CryptoError> {
-        Ok(Self {
-            plant,
-            gate: robot.gate(access)?,
-            robot,
-            pace: Pace::default(),
-            link: watch::channel(Link::Connecting).0,
-            errand: None,
-            refused: Arc::default(),
-            keeping: CopyKeeping::default(),
-            named: None,
-        })
+        let gate = robot.gate(access)?;
+        let (outbox, link) = (Outbox::new(plant, robot.home.clone()), watch::channel(Link::Connecting).0);
+        Ok(Self { outbox, robot, gate, link, errand: None, named: None })
     }
 
-    #[must_use]
-    pub fn paced(self, pace: Pace) -> Self {
-        Self { pace, ..self }
+    pub fn keeping(mut self, keeping: CopyKeeping) -> Self {
+        self.outbox.keeping = keeping;
+        self
     }
 
-    #[must_use]
-    pub fn keeping(self, keeping: CopyKeeping) -> Self {
-        Self { keeping, ..self }
-    }
-
-    #[must_use]
     pub fn with_errand(self, errand: Box<dyn Errand>) -> Self {
         Self { errand: Some(errand), ..self }
     }
 
-    #[must_use]
     pub fn following(self, named: watch::Receiver<GatewayAccess>) -> Self {
         Self { named: Some(named), ..self }
     }
@@ -199,30 +180,20 @@ impl Forwarder {
     }
 
     pub fn refused(&self) -> Arc<Mutex<HashSet<Digest>>> {
-        Arc::clone(&self.refused)
-    }
-
-    fn outbox(&self) -> Outbox {
-        line::Outbox::new(
-            self.plant.clone(),
-            self.robot.home.clone(),
-            self.keeping.clone(),
-            Arc::clone(&self.refused),
-            self.pace,
-        )
+        Arc::clone(&self.outbox.refused)
     }
 
     /// Deletes ciphertext proven long enough ago, on a full disk the oldest early. What the gateway has not signed for
     /// stays.
     pub fn tidy(&self) -> Result<()> {
-        self.outbox().tidy()
+        self.outbox.tidy()
     }
 
     /// Works until it is dropped; `stored` signals when records wait. Can be cancelled at any point.
     pub async fn run(&mut self, stored: &Notify) {
         loop {
-            let mut line =
-                Line::new((self.outbox(), self.robot.owner), self.gate.clone(), self.link.clone(), &mut self.errand);
+            let outbox = (&mut self.outbox, self.robot.owner);
+            let mut line = Line::new(outbox, self.gate.clone(), self.link.clone(), &mut self.errand);
             tokio::select! {
                 never = line.run(stored) => match never {},
                 () = changed(&mut self.named) => {}
@@ -238,7 +209,7 @@ impl Forwarder {
             Ok(gate) => self.gate = gate,
             Err(error) => {
                 let text = format!("the gateway's new addresses cannot be used, the old ones stay: {error}");
-                self.plant.observer.alert(true, text);
+                self.outbox.plant.observer.alert(true, text);
             }
         }
     }

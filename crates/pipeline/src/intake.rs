@@ -292,7 +292,7 @@ impl Intake<'_> {
         record: Fetched,
         block: u64,
     ) -> Result<(), Stop> {
-        let asked = RecordRow { block: Some(block), ..row_of(&header, digest, &record) };
+        let asked = row_of(&header, digest, &record, block);
         let opener = Reader { plant: self.plant, network: self.network, reader };
         let opened = opener.open_bytes(&asked, &record.blob).await?;
         let sealed = SealedRecord { header, blob: record.blob, digest, signature: record.signature };
@@ -346,7 +346,7 @@ impl Intake<'_> {
             return Err(Reason::AnotherOwner.into());
         }
         let opener = Reader { plant: self.plant, network: self.network, reader };
-        block_in_place(|| opener.topic_key(&row_of(&header, digest, &erased.record)))?;
+        block_in_place(|| opener.opening_of(owner, header.epoch, header.topic_id))?;
         let (header, proof) = self.examine_erased(digest, &erased).await?;
         let ErasedRecord { record, statement } = erased;
         let taken = taken_erased(record.blob, &statement);
@@ -427,7 +427,7 @@ pub fn wish(reader: &Reader<'_>, entry: &FeedEntry, newest: u64) -> Result<Wish>
     Ok(match reader.plant.ledger.records.find(entry.digest)? {
         Some(row) if is_wanted(Some(&row), entry.fact == Fact::Erased) => Wish::Ask,
         Some(_) => Wish::Pass,
-        None if block_in_place(|| reader.topic_key(&row_of_entry(entry))).is_ok() => Wish::Ask,
+        None if block_in_place(|| reader.opening_of(entry.owner, entry.epoch, entry.topic_id)).is_ok() => Wish::Ask,
         None if entry.epoch > newest => Wish::Later,
         None => Wish::Pass,
     })
@@ -440,46 +440,28 @@ pub fn is_wanted(row: Option<&RecordRow>, is_erased: bool) -> bool {
     row.is_none_or(|row| !is_erased && matches!(row.state, Stored | Batched | Submitted))
 }
 
-/// Enough of a row to find keys and open the record.
-fn row_of(header: &Header, digest: Digest, record: &Fetched) -> RecordRow {
-    let entry = FeedEntry {
-        number: 0,
-        fact: Fact::Verified,
+/// Enough of a row to open the record.
+fn row_of(header: &Header, digest: Digest, record: &Fetched, block: u64) -> RecordRow {
+    RecordRow {
+        id: digest.to_hex().get(..16).unwrap_or_default().to_owned(),
         digest,
         owner: header.owner,
         recorder: header.recorder,
-        seq: header.seq,
         topic_id: header.topic_id,
+        seq: header.seq,
         epoch: header.epoch,
-        captured_at: header.captured_at,
-        length: header.body_length.saturating_sub(TAG),
         kind: header.kind,
-        proof: Vec::new(),
-    };
-    RecordRow { signer: header.signer, signature: record.signature, ..row_of_entry(&entry) }
-}
-
-fn row_of_entry(entry: &FeedEntry) -> RecordRow {
-    RecordRow {
-        id: entry.digest.to_hex().get(..16).unwrap_or_default().to_owned(),
-        digest: entry.digest,
-        owner: entry.owner,
-        recorder: entry.recorder,
-        topic_id: entry.topic_id,
-        seq: entry.seq,
-        epoch: entry.epoch,
-        kind: entry.kind,
-        signer: crate::model::SignerId([0; 32]),
-        signature: crate::model::Signature([0; 64]),
-        topic: RecordRow::unnamed(entry.topic_id),
+        signer: header.signer,
+        signature: record.signature,
+        topic: RecordRow::unnamed(header.topic_id),
         type_name: String::new(),
-        bytes: entry.length,
-        captured_at: entry.captured_at,
+        bytes: header.body_length.saturating_sub(TAG),
+        captured_at: header.captured_at,
         acknowledged_at: Timestamp::now(),
         simulated: false,
         state: RecordState::Stored,
         transaction: None,
-        block: None,
+        block: Some(block),
         block_hash: None,
         deleted_at: None,
     }

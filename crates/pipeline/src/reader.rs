@@ -175,7 +175,7 @@ impl Reader<'_> {
 
     /// The key of a topic in an epoch, and what the names of its records are compared with: IK for an owner and for
     /// readers of all topics, otherwise the name that the owner gave with the key.
-    fn opening_of(&self, owner: Address, epoch: u64, topic: TopicId) -> Result<(TopicKey, Names)> {
+    pub(crate) fn opening_of(&self, owner: Address, epoch: u64, topic: TopicId) -> Result<(TopicKey, Names)> {
         if owner == self.reader.address {
             let epoch_key =
                 self.reader.epoch_key(self.network.domain, epoch).ok_or(PipelineError::UnknownEpoch(epoch))?;
@@ -239,15 +239,7 @@ impl Reader<'_> {
         self.reader.opened.lock().unwrap_or_else(PoisonError::into_inner).insert(digest, Arc::clone(&wrapped));
         Ok(wrapped)
     }
-}
 
-/// The first success; the first failure if there is none; `None` for an empty list.
-fn first_good<T>(mut results: impl Iterator<Item = Result<T>>) -> Option<Result<T>> {
-    let first = results.next()?;
-    Some(first.or_else(|error| results.find_map(Result::ok).ok_or(error)))
-}
-
-impl Reader<'_> {
     /// IK of an owner: the reader's own, or the one that a grant of all topics carries.
     pub fn index_of(&self, owner: Address) -> Option<IndexKey> {
         if owner == self.reader.address {
@@ -260,44 +252,12 @@ impl Reader<'_> {
         };
         self.envelopes(&grant).unwrap_or_default().into_iter().find_map(index)
     }
-}
 
-impl columns::Keys for Reader<'_> {
-    fn opening(&self, header: &Header) -> Option<(TopicKey, Names)> {
-        self.opening_of(header.owner, header.epoch, header.topic_id).ok()
-    }
-
-    fn index_key(&self, row: &RecordRow) -> Option<IndexKey> {
-        self.index_of(row.owner)
-    }
-}
-
-/// Whether a record is for its owner only: quarantined, or discarded.
-pub fn is_held(row: &RecordRow) -> bool {
-    matches!(row.state, RecordState::Quarantined | RecordState::Dropped)
-}
-
-fn find_opening(keys: &GrantedKeys, epoch: u64, topic: TopicId) -> Option<(TopicKey, Names)> {
-    match keys {
-        GrantedKeys::All { epochs, index_key } => {
-            let found = epochs.iter().find(|(number, _)| *number == epoch);
-            found.map(|(_, key)| (topic_key(key, &topic), Names::Derived(index_key.clone())))
-        }
-        GrantedKeys::Topics { keys } => {
-            let found = keys.iter().find(|(number, _, id, _)| (*number, *id) == (epoch, topic));
-            found.map(|(_, name, _, key)| (key.clone(), Names::Given(name.clone())))
-        }
-    }
-}
-
-impl Reader<'_> {
     /// The topics that this reader may read now.
     pub fn scope(&self, owner: Address) -> Option<Scope> {
         self.right(owner, None).ok().map(|right| right.scope().clone())
     }
-}
 
-impl Reader<'_> {
     /// `None` if the bytes are gone or do not open. Waits for the store.
     pub fn own_contents(&self, row: &RecordRow) -> Result<Option<OpenedRecord>> {
         Ok(self.own_bytes(row)?.map(|blob| self.open_own(row, &blob)).transpose()?.flatten())
@@ -328,23 +288,57 @@ impl Reader<'_> {
     }
 
     fn own_signer(&self, signer: SignerId) -> Result<Option<PublicKey>> {
-        let registered = self.registered_keys();
-        let known = [self.reader.signing().public].into_iter().chain(registered);
-        match known.into_iter().find(|key| signer_id(key) == signer) {
+        match self.own_keys().into_iter().find(|key| signer_id(key) == signer) {
             Some(key) => Ok(Some(key)),
             None => Ok(self.plant.ledger.bindings.signer(signer)?),
         }
     }
 
-    fn registered_keys(&self) -> Vec<PublicKey> {
+    /// The signing keys that the reader's account has or ever registered.
+    fn own_keys(&self) -> Vec<PublicKey> {
+        let mut keys = vec![self.reader.signing().public];
         self.network.directory.with_account(self.reader.address, |account| {
-            account.map(|account| account.identities.iter().map(|known| known.signing).collect()).unwrap_or_default()
-        })
+            keys.extend(account.into_iter().flat_map(|account| &account.identities).map(|known| known.signing));
+        });
+        keys
     }
 
     /// Whether the key with this id is, or was, the reader's own signing key, and no device's.
     pub fn is_own_key(&self, signer: SignerId) -> bool {
-        signer_id(&self.reader.signing().public) == signer
-            || self.registered_keys().iter().any(|key| signer_id(key) == signer)
+        self.own_keys().iter().any(|key| signer_id(key) == signer)
+    }
+}
+
+/// The first success; the first failure if there is none; `None` for an empty list.
+fn first_good<T>(mut results: impl Iterator<Item = Result<T>>) -> Option<Result<T>> {
+    let first = results.next()?;
+    Some(first.or_else(|error| results.find_map(Result::ok).ok_or(error)))
+}
+
+impl columns::Keys for Reader<'_> {
+    fn opening(&self, header: &Header) -> Option<(TopicKey, Names)> {
+        self.opening_of(header.owner, header.epoch, header.topic_id).ok()
+    }
+
+    fn index_key(&self, row: &RecordRow) -> Option<IndexKey> {
+        self.index_of(row.owner)
+    }
+}
+
+/// Whether a record is for its owner only: quarantined, or discarded.
+pub fn is_held(row: &RecordRow) -> bool {
+    matches!(row.state, RecordState::Quarantined | RecordState::Dropped)
+}
+
+fn find_opening(keys: &GrantedKeys, epoch: u64, topic: TopicId) -> Option<(TopicKey, Names)> {
+    match keys {
+        GrantedKeys::All { epochs, index_key } => {
+            let found = epochs.iter().find(|(number, _)| *number == epoch);
+            found.map(|(_, key)| (topic_key(key, &topic), Names::Derived(index_key.clone())))
+        }
+        GrantedKeys::Topics { keys } => {
+            let found = keys.iter().find(|(number, _, id, _)| (*number, *id) == (epoch, topic));
+            found.map(|(_, name, _, key)| (key.clone(), Names::Given(name.clone())))
+        }
     }
 }

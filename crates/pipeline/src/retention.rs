@@ -2,19 +2,21 @@
 //! confirmed on the chain. A function of the ledger: called again, it does what is left. Erasing takes the same way.
 
 use std::collections::{BTreeMap, HashMap};
+use std::sync::Arc;
 
 use crate::authority::{Moment, SigningRight, key_of, may_sign};
 use crate::chain_proofs::anchor_proof;
 use crate::crypto::{AccountSignature, EoaSecret, ErasedStatement, SmKeyPair, signer_id};
+use crate::epoch::EpochKeys;
 use crate::gateway::{ErasedRecord, ErasureNotice, Fetched};
 use crate::model::{
-    Address, Digest, Domain, Header, Keeping, PublicKey, RecordKind, RecordState, RecorderId, RetentionReport,
-    RetentionRule, Timestamp, TopicId,
+    Address, Digest, Header, Keeping, PublicKey, RecordKind, RecordState, RecorderId, RetentionReport, RetentionRule,
+    Timestamp, TopicId,
 };
 use crate::statement::{self, Speaker, Statement};
 use crate::store::{
-    Erasure, IncidentRow, IncidentSpan, KeptTopic, OldRecord, PlacedRecord, RecordRow, Retained, StatedErasure,
-    Unstated,
+    Erasure, IncidentRow, IncidentSpan, KeptTopic, NewRecord, OldRecord, PlacedRecord, RecordRow, Retained,
+    StatedErasure, StoreError, Unstated,
 };
 use crate::{Network, Owner, PipelineError, Plant, Result};
 
@@ -91,8 +93,14 @@ impl Retention {
             }
         }
         let count = whole.len() as u64;
-        if count > 0 && !report(plant, owner, topic, rule, whole)? {
-            return Ok(0);
+        if count > 0 {
+            let gone: Vec<_> = whole.iter().map(|(record, _)| (record.digest, record.seq, record.bytes)).collect();
+            let about = (topic.topic_id, topic.name.clone(), rule.to_string());
+            let store = |row| plant.ledger.retention.give_up(topic, row, whole);
+            if report(plant, owner, about, &gone, store)?.is_none() {
+                return Ok(0);
+            }
+            plant.observer.records_changed();
         }
         self.since.insert(place, last);
         Ok(count)
@@ -148,26 +156,20 @@ fn missing(plant: &Plant, digest: Digest) {
     plant.observer.alert(true, text);
 }
 
-/// The rolling hash over digests; see [`RetentionReport`].
-pub fn rolling(
+/// Seals and stores the retention record of `gone` records of one topic: digest, number and length of each. Returns the
+/// keys that sealed it; `None` if there are none now.
+fn report(
     plant: &Plant,
-    domain: &Domain,
-    owner: Address,
-    topic: TopicId,
-    digests: impl IntoIterator<Item = Digest>,
-) -> Digest {
-    let start = plant.provider.sm3(&[b"AuthROS/retained/1", &domain.0, &owner.0, &topic.0]);
-    Digest(digests.into_iter().fold(start, |rolling, digest| plant.provider.sm3(&[&rolling, &digest.0])))
-}
-
-/// The report about records of one topic, each with its sequence number and the length of its message.
-fn report_body(
-    plant: &Plant,
-    (domain, owner): (&Domain, Address),
+    owner: &Owner,
     (topic_id, topic, rule): (TopicId, String, String),
     gone: &[(Digest, u64, u64)],
-) -> Vec<u8> {
+    store: impl FnOnce(NewRecord) -> Result<(), StoreError>,
+) -> Result<Option<Arc<EpochKeys>>> {
+    let Some(keys) = owner.sealing() else { return Ok(None) };
+    let place = keys.topic(TOPIC).ok_or_else(|| PipelineError::Uncovered(TOPIC.to_owned()))?;
     let seqs = || gone.iter().map(|(_, seq, _)| *seq);
+    let start = plant.provider.sm3(&[b"AuthROS/retained/1", &keys.domain.0, &owner.address.0, &topic_id.0]);
+    let rolling = gone.iter().fold(start, |rolling, (digest, ..)| plant.provider.sm3(&[&rolling, &digest.0]));
     let report = RetentionReport {
         topic_id,
         topic,
@@ -176,29 +178,13 @@ fn report_body(
         last_seq: seqs().max().unwrap_or(0),
         count: gone.len() as u64,
         bytes: gone.iter().map(|(_, _, bytes)| bytes).sum(),
-        rolling: rolling(plant, domain, owner, topic_id, gone.iter().map(|(digest, ..)| *digest)),
+        rolling: Digest(rolling),
     };
-    report.encode()
-}
-
-/// `false`: there are no keys to seal with now.
-fn report(
-    plant: &Plant,
-    owner: &Owner,
-    topic: &KeptTopic,
-    rule: &RetentionRule,
-    records: Vec<(OldRecord, Vec<u8>)>,
-) -> Result<bool> {
-    let Some(keys) = owner.sealing() else { return Ok(false) };
-    let place = keys.topic(TOPIC).ok_or_else(|| PipelineError::Uncovered(TOPIC.to_owned()))?;
-    let gone: Vec<_> = records.iter().map(|(record, _)| (record.digest, record.seq, record.bytes)).collect();
-    let about = (topic.topic_id, topic.name.clone(), rule.to_string());
-    let body = report_body(plant, (&keys.domain, owner.address), about, &gone);
     let speaker = Speaker::of(&keys, owner.address, &place);
+    let body = report.encode();
     let statement = Statement { kind: RecordKind::Retention, topic: TOPIC, type_name: TYPE, body: &body };
-    statement::put(plant, &speaker, statement, |row| plant.ledger.retention.give_up(topic, row, records))?;
-    plant.observer.records_changed();
-    Ok(true)
+    statement::put(plant, &speaker, statement, store)?;
+    Ok(Some(keys))
 }
 
 /// Overwrites records that owners told this gateway to erase; returns how many. One caller at a time.
@@ -206,9 +192,7 @@ pub fn delete_told(plant: &Plant) -> Result<u64> {
     let digests = plant.ledger.erasures.told_to_delete(ROUND)?;
     if !digests.is_empty() {
         plant.ciphertext.scour(&digests)?;
-        plant.ledger.retention.deleted(&digests)?;
-        plant.observer.erased();
-        plant.observer.records_changed();
+        note_deleted(plant, &digests)?;
     }
     Ok(digests.len() as u64)
 }
@@ -216,16 +200,20 @@ pub fn delete_told(plant: &Plant) -> Result<u64> {
 /// Deletes records named in anchored retention records; returns how many. One caller at a time.
 pub fn delete(plant: &Plant, owner: &Owner) -> Result<u64> {
     let digests = plant.ledger.retention.to_delete(owner.address, ROUND)?;
-    if digests.is_empty() {
-        return Ok(0);
+    if !digests.is_empty() {
+        let erased = plant.ledger.erasures.erased_among(&digests)?;
+        plant.ciphertext.scour(&erased)?;
+        plant.ciphertext.discard(&digests)?;
+        note_deleted(plant, &digests)?;
     }
-    let erased = plant.ledger.erasures.erased_among(&digests)?;
-    plant.ciphertext.scour(&erased)?;
-    plant.ciphertext.discard(&digests)?;
-    plant.ledger.retention.deleted(&digests)?;
+    Ok(digests.len() as u64)
+}
+
+fn note_deleted(plant: &Plant, digests: &[Digest]) -> Result<()> {
+    plant.ledger.retention.deleted(digests)?;
     plant.observer.erased();
     plant.observer.records_changed();
-    Ok(digests.len() as u64)
+    Ok(())
 }
 
 /// The longest reason, characters.
@@ -274,18 +262,13 @@ pub fn name(plant: &Plant, owner: &Owner, rows: &[RecordRow], erasure: &Erasure)
 }
 
 fn report_erased(plant: &Plant, owner: &Owner, records: Vec<(&RecordRow, Vec<u8>)>, erasure: &Erasure) -> Result<()> {
-    let uncovered = || PipelineError::Uncovered(TOPIC.to_owned());
-    let keys = owner.sealing().ok_or_else(uncovered)?;
-    let place = keys.topic(TOPIC).ok_or_else(uncovered)?;
     let Some((first, _)) = records.first() else { return Ok(()) };
     let gone: Vec<_> = records.iter().map(|(row, _)| (row.digest, row.seq, row.bytes)).collect();
     let about = (first.topic_id, first.topic.clone(), erasure.to_string());
-    let body = report_body(plant, (&keys.domain, owner.address), about, &gone);
-    let speaker = Speaker::of(&keys, owner.address, &place);
-    let statement = Statement { kind: RecordKind::Retention, topic: TOPIC, type_name: TYPE, body: &body };
     let named: Vec<(Digest, Vec<u8>)> = records.into_iter().map(|(row, header)| (row.digest, header)).collect();
     let told = named.clone();
-    statement::put(plant, &speaker, statement, |row| plant.ledger.erasures.erase(row, erasure, named))?;
+    let sealed = report(plant, owner, about, &gone, |row| plant.ledger.erasures.erase(row, erasure, named))?;
+    let keys = sealed.ok_or_else(|| PipelineError::Uncovered(TOPIC.to_owned()))?;
     state(plant, (&keys.signing, &owner.eoa()), erasure, &told)
 }
 

@@ -52,8 +52,8 @@ pub struct Sealer {
 
 impl Sealer {
     pub fn new(plant: Plant, sessions: Arc<Sessions>, losses: Arc<Losses>) -> Self {
-        let (losses_at, planner) = (Instant::now(), Planner::new());
-        Self { plant, sessions, losses, losses_at, boot_id: boot_id(), planner, ring: Arc::default() }
+        let planner = Planner::new();
+        Self { plant, sessions, losses, losses_at: Instant::now(), boot_id: boot_id(), planner, ring: Arc::default() }
     }
 
     pub fn without_compression(mut self) -> Self {

@@ -25,7 +25,7 @@ const SILENCE: Duration = Duration::from_secs(3);
 const LONGEST_LOOK: Duration = Duration::from_secs(300);
 
 pub(super) struct Line<'a> {
-    pub outbox: Outbox,
+    pub outbox: &'a mut Outbox,
     gate: Gate,
     link: watch::Sender<Link>,
     errand: &'a mut Option<Box<dyn Errand>>,
@@ -41,7 +41,7 @@ pub(super) struct Line<'a> {
 
 impl<'a> Line<'a> {
     pub fn new(
-        (outbox, owner): (Outbox, Address),
+        (outbox, owner): (&'a mut Outbox, Address),
         gate: Gate,
         link: watch::Sender<Link>,
         errand: &'a mut Option<Box<dyn Errand>>,
@@ -237,28 +237,22 @@ const PAGE: usize = 256;
 pub(super) struct Outbox {
     pub plant: Plant,
     home: PathBuf,
-    keeping: CopyKeeping,
-    refused: Arc<Mutex<HashSet<Digest>>>,
+    pub keeping: CopyKeeping,
+    pub refused: Arc<Mutex<HashSet<Digest>>>,
     pub pace: Pace,
-    /// Since when the first of them has been waiting for another attempt.
+    /// Since when the first refused record has been waiting for another attempt.
     aside_since: Option<Instant>,
     /// How many of the next uploads are sent one by one, because one of them is refused.
     singly: usize,
-    /// Before they are sent again; it doubles.
-    retry: Duration,
+    /// The pause before refused records are sent again; it doubles, from the pace's on.
+    retry: Option<Duration>,
     tidied: Option<Instant>,
 }
 
 impl Outbox {
-    pub fn new(
-        plant: Plant,
-        home: PathBuf,
-        keeping: CopyKeeping,
-        refused: Arc<Mutex<HashSet<Digest>>>,
-        pace: Pace,
-    ) -> Self {
-        let retry = pace.retry;
-        Self { plant, home, keeping, refused, pace, aside_since: None, singly: 0, retry, tidied: None }
+    pub fn new(plant: Plant, home: PathBuf) -> Self {
+        let (keeping, pace, refused) = (CopyKeeping::default(), Pace::default(), Arc::default());
+        Self { plant, home, keeping, refused, pace, aside_since: None, singly: 0, retry: None, tidied: None }
     }
 
     fn refused(&self) -> MutexGuard<'_, HashSet<Digest>> {
@@ -278,10 +272,11 @@ impl Outbox {
 
     /// Sends refused records again after their pause: gateways get repaired, and settings change.
     pub fn retry_refused(&mut self) {
-        if self.aside_since.is_some_and(|since| since.elapsed() >= self.retry) {
+        let pause = self.retry.unwrap_or(self.pace.retry);
+        if self.aside_since.is_some_and(|since| since.elapsed() >= pause) {
             self.refused().clear();
             self.aside_since = None;
-            self.retry = (self.retry * 2).min(LONGEST_RETRY);
+            self.retry = Some((pause * 2).min(LONGEST_RETRY));
         }
     }
 

@@ -4,7 +4,7 @@
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
-use crate::model::{Address, Digest, Domain, RecordKind, RecorderPrefix, SignerId, TopicId};
+use crate::model::{Address, Digest, RecordKind, RecorderPrefix, SignerId, TopicId};
 use crate::pipeline::epoch::{EpochKeys, TopicKeys};
 use crate::pipeline::packing::{Packing, Try};
 use crate::pipeline::recorder::CapturedMessage;
@@ -20,12 +20,6 @@ pub enum Content {
     Definition(StoredDefinition),
     /// Compressed where that is tried and pays.
     Message(Option<Try>),
-}
-
-impl Content {
-    pub fn ring_definition((domain, owner, epoch): (Domain, Address, u64), topic: TopicId, digest: Digest) -> Self {
-        Self::Definition(StoredDefinition { domain, owner, epoch, topic, digest, held: false })
-    }
 }
 
 pub struct Task<'a> {
@@ -63,6 +57,7 @@ pub struct Plan<'a> {
     definitions: HashSet<StoredDefinition>,
 }
 
+#[derive(Default)]
 pub struct Planner {
     /// The last stored number of each stream.
     pub seqs: HashMap<Stream, u64>,
@@ -76,13 +71,7 @@ pub struct Planner {
 
 impl Planner {
     pub fn new() -> Self {
-        Self {
-            seqs: HashMap::new(),
-            definitions: HashSet::new(),
-            hashes: HashMap::new(),
-            last: HashMap::new(),
-            packing: Some(Packing::default()),
-        }
+        Self { packing: Some(Packing::default()), ..Self::default() }
     }
 
     /// Numbers count only once [`Self::seqs`] has them.

@@ -14,6 +14,7 @@ use crate::model::head::{Compression, SIMULATED};
 use crate::model::{Head, LossReason, RecordKind, RecordState, TopicId};
 use crate::recorder::CapturedMessage;
 use crate::ring::Weighted as _;
+use crate::store::notes::StoredDefinition;
 use crate::store::{DiskRing, Hold, KnownDefinition, NewRecord, RingRecord};
 use crate::{Plant, Result, importer, quarantine};
 
@@ -184,8 +185,9 @@ impl Sealer {
             let planned = |task: &Task<'_>| known_definition(task) == Some(known);
             let mut contents = Vec::with_capacity(2);
             if !ring.has_definition(&known) && !plan.tasks.iter().any(planned) {
-                let owner = item.author.address;
-                contents.push(Content::ring_definition((keys.domain, owner, keys.epoch), topic.id, definition));
+                let (domain, owner, epoch) = (keys.domain, item.author.address, keys.epoch);
+                let (topic, digest, held) = (topic.id, definition, false);
+                contents.push(Content::Definition(StoredDefinition { domain, owner, epoch, topic, digest, held }));
             }
             let tried = self.planner.packing.as_mut().and_then(|packing| packing.decide(&item.message));
             contents.push(Content::Message(tried));
