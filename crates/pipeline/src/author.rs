@@ -1,6 +1,6 @@
 //! The owner for whom messages are sealed, with the keys, of a keyring or an enrolment, and when each takes effect.
 
-use std::sync::{Arc, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::crypto::Enrolment;
 use crate::model::steady_clock::steady_now;
@@ -10,7 +10,7 @@ use super::epoch::EpochKeys;
 
 pub struct Author {
     pub address: Address,
-    sealing: RwLock<Sealing>,
+    sealing: Mutex<Sealing>,
 }
 
 #[derive(Default)]
@@ -21,27 +21,25 @@ struct Sealing {
 
 impl Author {
     pub fn new(address: Address) -> Self {
-        Self { address, sealing: RwLock::default() }
+        Self { address, sealing: Mutex::default() }
     }
 
     /// `None` before the first keys and after the last have ended. A message captured after the moment of
     /// [`Self::seal_from`] is never sealed under the earlier keys, even if nothing ran at that moment.
     pub fn sealing(&self) -> Option<Arc<EpochKeys>> {
-        {
-            let sealing = self.sealing.read().unwrap_or_else(PoisonError::into_inner);
-            if sealing.next.as_ref().is_none_or(|(from, _)| steady_now() < *from) {
-                return in_force(sealing.keys.as_ref());
-            }
-        }
-        let mut sealing = self.sealing.write().unwrap_or_else(PoisonError::into_inner);
+        let mut sealing = self.lock();
         if let Some((_, keys)) = sealing.next.take_if(|(from, _)| steady_now() >= *from) {
             sealing.keys = Some(keys);
         }
-        in_force(sealing.keys.as_ref())
+        sealing.keys.as_ref().filter(|keys| keys.ends.is_none_or(|ends| steady_now() < ends)).cloned()
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Sealing> {
+        self.sealing.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     pub fn next(&self) -> Option<(Timestamp, Arc<EpochKeys>)> {
-        self.sealing.read().unwrap_or_else(PoisonError::into_inner).next.clone()
+        self.lock().next.clone()
     }
 
     /// Takes the keys that an owner sent to a device: the present ones, and others from a future moment.
@@ -53,17 +51,17 @@ impl Author {
     }
 
     pub fn seal_under(&self, keys: Arc<EpochKeys>) {
-        *self.sealing.write().unwrap_or_else(PoisonError::into_inner) = Sealing { keys: Some(keys), next: None };
+        *self.lock() = Sealing { keys: Some(keys), next: None };
     }
 
     pub fn rest(&self) {
-        *self.sealing.write().unwrap_or_else(PoisonError::into_inner) = Sealing::default();
+        *self.lock() = Sealing::default();
     }
 
     /// From `moment` on records are sealed with these keys, unless those of the same or a later epoch are already in
     /// use; of two such moments the earlier counts.
     pub fn seal_from(&self, moment: Timestamp, keys: Arc<EpochKeys>) {
-        let mut sealing = self.sealing.write().unwrap_or_else(PoisonError::into_inner);
+        let mut sealing = self.lock();
         if sealing.keys.as_ref().is_some_and(|now| now.domain == keys.domain && now.epoch >= keys.epoch) {
             return;
         }
@@ -71,8 +69,4 @@ impl Author {
             sealing.next = Some((moment, keys));
         }
     }
-}
-
-fn in_force(keys: Option<&Arc<EpochKeys>>) -> Option<Arc<EpochKeys>> {
-    keys.filter(|keys| keys.ends.is_none_or(|ends| steady_now() < ends)).cloned()
 }

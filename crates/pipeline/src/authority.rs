@@ -1,15 +1,13 @@
 //! The only place that decides who may sign and who may read. A right to sign is judged at the anchoring block: by the
 //! state after all its events, at its own time. A right to read is judged when reading, by a named policy.
 
-use std::collections::HashMap;
-
 use tokio::task::block_in_place;
 
 use crate::chain::{BlockRef, QueryAnswer};
 use crate::crypto::signer_id;
 use crate::directory::{Account, Directory, Granted, Lending, kept};
 use crate::model::{Address, PublicKey, Scope, SignerId, Timestamp, TopicId};
-use crate::store::{RecordRow, WaitingSigner};
+use crate::store::{RecordRow, StoreError, WaitingSigner};
 use crate::{Network, PipelineError, Plant, Result};
 
 /// Whether the contract lets `reader` read `owner`'s epoch. `None` without a token of that epoch, or without a chain.
@@ -89,7 +87,6 @@ impl ReadingRight {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs, reason = "each variant's line names its fields")]
 pub enum ReadRefused {
     #[error("{reader} has no grant of {owner}")]
     NotGranted { owner: Address, reader: Address },
@@ -163,29 +160,6 @@ pub fn standing_grants(directory: &Directory, owner: Address) -> Vec<Granted> {
     directory.grants_of(owner).into_iter().filter(|grant| grant.is_active(now)).collect()
 }
 
-pub struct Signers<'a> {
-    plant: &'a Plant,
-    network: &'a Network,
-    known: HashMap<(Address, SignerId, Option<u64>), Result<PublicKey, NoRight>>,
-}
-
-impl<'a> Signers<'a> {
-    pub fn new(plant: &'a Plant, network: &'a Network) -> Self {
-        Self { plant, network, known: HashMap::new() }
-    }
-
-    /// See [`signer_of`].
-    pub fn of(&mut self, row: &RecordRow) -> Result<Result<PublicKey, NoRight>> {
-        let asked = (row.owner, row.signer, row.block);
-        if let Some(known) = self.known.get(&asked) {
-            return Ok(known.clone());
-        }
-        let signer = signer_of(self.plant, self.network, row)?;
-        self.known.insert(asked, signer.clone());
-        Ok(signer)
-    }
-}
-
 /// The moment at which a right is judged: the state after all events of a block, and that block's own time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Moment {
@@ -212,7 +186,6 @@ pub enum SigningRight {
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs, reason = "each variant's line names its fields")]
 pub enum NoRight {
     #[error("{owner} was not registered yet {}", when(.block))]
     Unregistered { owner: Address, block: Option<u64> },
@@ -372,13 +345,7 @@ pub fn settle_waiting(plant: &Plant, network: &Network, keeper: Address) -> Resu
 }
 
 fn hold(plant: &Plant, keeper: Address, waiting: WaitingSigner, why: &NoRight) -> Result<()> {
-    let mut held = 0;
-    loop {
-        match plant.ledger.batches.hold_signer(keeper, waiting.owner, waiting.signer)? {
-            0 => break,
-            more => held += more,
-        }
-    }
+    let held = all(|| plant.ledger.batches.hold_signer(keeper, waiting.owner, waiting.signer))?;
     // Messages captured meanwhile join the waiting ones; this is reported once.
     if held > 0 && !waiting.held {
         plant.observer.alert(true, format!("records are kept but not anchored: {why}"));
@@ -390,19 +357,24 @@ fn hold(plant: &Plant, keeper: Address, waiting: WaitingSigner, why: &NoRight) -
 }
 
 fn free(plant: &Plant, keeper: Address, waiting: WaitingSigner) -> Result<()> {
-    let mut freed = 0;
-    loop {
-        match plant.ledger.batches.free_signer(keeper, waiting.owner, waiting.signer)? {
-            0 => break,
-            more => freed += more,
-        }
-    }
+    let freed = all(|| plant.ledger.batches.free_signer(keeper, waiting.owner, waiting.signer))?;
     if freed > 0 {
         let owner = waiting.owner;
         plant.observer.alert(false, format!("{freed} records of {owner} resume: their signer may sign again"));
         plant.observer.records_changed();
     }
     Ok(())
+}
+
+/// Repeats `some` until it moves no further records.
+fn all(some: impl Fn() -> Result<u64, StoreError>) -> Result<u64> {
+    let mut moved = 0;
+    loop {
+        match some()? {
+            0 => return Ok(moved),
+            more => moved += more,
+        }
+    }
 }
 
 #[cfg(test)]

@@ -126,21 +126,19 @@ fn tag_text(name: &str, value: &str) -> String {
     format!("{name}={value}")
 }
 
-pub fn tag_filter(index: &IndexKey, name: &str, value: &str) -> FilterId {
-    filter_id(index, "tag", &tag_text(name, value))
-}
-
 /// The ids by which records with a tag are found: that from IK and, for each of `topics`, that from its filter key.
 pub fn tag_choice(index: &IndexKey, name: &str, value: &str, topics: &[TopicId]) -> FilterChoice {
-    let text = tag_text(name, value);
-    let of_topic = |topic: &TopicId| (*topic, topic_filter_id(&filter_key(index, topic), "tag", &text));
-    FilterChoice { id: tag_filter(index, name, value), by_topic: topics.iter().map(of_topic).collect() }
+    choice(index, "tag", &tag_text(name, value), topics)
 }
 
 /// Same, for a type.
 pub fn type_choice(index: &IndexKey, type_name: &str, topics: &[TopicId]) -> FilterChoice {
-    let of_topic = |topic: &TopicId| (*topic, topic_filter_id(&filter_key(index, topic), "type", type_name));
-    FilterChoice { id: filter_id(index, "type", type_name), by_topic: topics.iter().map(of_topic).collect() }
+    choice(index, "type", type_name, topics)
+}
+
+fn choice(index: &IndexKey, kind: &str, text: &str, topics: &[TopicId]) -> FilterChoice {
+    let of_topic = |topic: &TopicId| (*topic, topic_filter_id(&filter_key(index, topic), kind, text));
+    FilterChoice { id: filter_id(index, kind, text), by_topic: topics.iter().map(of_topic).collect() }
 }
 
 #[cfg(test)]
@@ -177,7 +175,7 @@ mod tests {
     #[test]
     fn type_and_simulated_come_first_and_no_more_than_fit() {
         let keys = keys(SealingKey::Epoch(EpochKey::new([4; 32])));
-        let tag = |name: &str, value: &str| tag_filter(&IndexKey::new([3; 32]), name, value);
+        let tag = |name: &str, value: &str| tag_choice(&IndexKey::new([3; 32]), name, value, &[]).id;
         let tags: BTreeMap<String, String> = [("a", "1"), ("b", "2"), ("c", "3"), ("simulated", "true")]
             .map(|(name, value)| (name.to_owned(), value.to_owned()))
             .into();

@@ -112,17 +112,11 @@ impl PipelineError {
             Self::Store(error) => error.kind(),
             Self::Chain(error) => error.kind(),
             Self::Ros(error) => error.kind(),
-            Self::NoEther(_) | Self::Unregistered(_) | Self::BadIdentity(_) | Self::NotGranted { .. } => {
-                ErrorKind::Refused
-            }
-            Self::Cancelled(_) | Self::Reverted { .. } | Self::Contradicted { .. } | Self::Refused(_) => {
-                ErrorKind::Refused
-            }
             Self::NoRecord(_) => ErrorKind::Input,
             Self::Missing(_) | Self::RowDiffers { .. } | Self::NoRight { .. } => ErrorKind::Tampered,
-            Self::Deleted(..) | Self::Erased { .. } => ErrorKind::Refused,
-            Self::UnknownEpoch(_) | Self::NoHandover(_) | Self::Uncovered(_) => ErrorKind::Refused,
             Self::NotMined { .. } | Self::Unsteady | Self::NodeBehind { .. } => ErrorKind::Incomplete,
+            // What the state of things forbids.
+            _ => ErrorKind::Refused,
         }
     }
 }

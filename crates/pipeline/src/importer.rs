@@ -36,6 +36,14 @@ pub const LATCHING: &str = "latching";
 /// Tag of messages whose topic was recorded under a name that is not a graph name: that name.
 pub const RECORDED_TOPIC: &str = "recorded_topic";
 
+/// The words for encodings in records' tags; a record without one is of ROS 1.
+const ENCODINGS: [(&str, Encoding); 4] = [
+    ("cdr", Encoding::Cdr { idl: false }),
+    ("cdr-idl", Encoding::Cdr { idl: true }),
+    ("mcap-attachment", Encoding::Beside(Beside::Attachment)),
+    ("mcap-metadata", Encoding::Beside(Beside::Metadata)),
+];
+
 /// The largest body that a record holds, bytes.
 const LARGEST: u64 = LARGEST_BODY - TAG_LENGTH as u64;
 
@@ -53,13 +61,8 @@ pub fn fault(message: &RecordedMessage) -> Option<&'static str> {
 }
 
 pub fn encoding(tags: &BTreeMap<String, String>) -> Encoding {
-    match tags.get(ENCODING).map(String::as_str) {
-        Some("cdr") => Encoding::Cdr { idl: false },
-        Some("cdr-idl") => Encoding::Cdr { idl: true },
-        Some("mcap-attachment") => Encoding::Beside(Beside::Attachment),
-        Some("mcap-metadata") => Encoding::Beside(Beside::Metadata),
-        _ => Encoding::Ros1,
-    }
+    let stated = tags.get(ENCODING).and_then(|word| ENCODINGS.iter().find(|(known, _)| known == word));
+    stated.map_or(Encoding::Ros1, |(_, encoding)| *encoding)
 }
 
 pub fn about(tags: &BTreeMap<String, String>) -> BTreeMap<Arc<str>, Arc<str>> {
@@ -128,14 +131,8 @@ impl Stream {
 
 fn channel_tags(channel: &Channel, topic: &Arc<str>) -> Vec<(String, String)> {
     let mut tags = vec![(SOURCE.0.to_owned(), SOURCE.1.to_owned())];
-    let encoding = match channel.encoding {
-        Encoding::Ros1 => None,
-        Encoding::Cdr { idl: false } => Some("cdr"),
-        Encoding::Cdr { idl: true } => Some("cdr-idl"),
-        Encoding::Beside(Beside::Attachment) => Some("mcap-attachment"),
-        Encoding::Beside(Beside::Metadata) => Some("mcap-metadata"),
-    };
-    tags.extend(encoding.map(|encoding| (ENCODING.to_owned(), encoding.to_owned())));
+    let stated = ENCODINGS.iter().find(|(_, encoding)| *encoding == channel.encoding);
+    tags.extend(stated.map(|(word, _)| (ENCODING.to_owned(), (*word).to_owned())));
     tags.extend(channel.about.iter().map(|(key, value)| (format!("{CHANNEL}{key}"), value.to_string())));
     if channel.topic != *topic {
         tags.push((RECORDED_TOPIC.to_owned(), channel.topic.to_string()));
@@ -162,8 +159,8 @@ impl<'a> Importer<'a> {
     pub fn take(&mut self, message: RecordedMessage, topic: &Arc<str>, goes_on: &dyn Fn() -> bool) -> bool {
         if !self.sessions.contains_key(&message.channel) {
             let tags = [self.tags.clone(), channel_tags(&message.channel, topic)].concat();
-            self.sessions
-                .insert(Arc::clone(&message.channel), Stream::new(&message.channel, topic, tags, self.followed));
+            let stream = Stream::new(&message.channel, topic, tags, self.followed);
+            self.sessions.insert(Arc::clone(&message.channel), stream);
         }
         let tags = message.sent.map(|sent| tags_of(sent, message.time)).unwrap_or_default();
         let has_rule = kind_of(message.channel.encoding) == RecordKind::Data;

@@ -29,32 +29,26 @@ pub struct Owner {
 
 impl Owner {
     pub fn new(profile: ProfileName, keyring: UnlockedKeyring) -> Self {
-        let address = keyring.keys().eoa.address();
-        Self {
-            profile,
-            address,
-            author: Arc::new(Author::new(address)),
-            keyring: Arc::new(Mutex::new(keyring)),
-            opened: Mutex::default(),
-            changes: Arc::default(),
-            locked: Arc::default(),
-        }
+        Self::of(profile, Arc::new(Mutex::new(keyring)), Arc::default(), Arc::default())
     }
 
-    /// The owner of the same keyring after its account changed. Both share the one copy of the keys, so neither can
-    /// save an older one over the other's.
+    /// The owner of the same keyring after its account changed. Both share the one copy of the keys, so neither can save
+    /// an older one over the other's.
     #[must_use]
     pub fn with_new_account(&self) -> Self {
-        let address = self.keyring().keys().eoa.address();
-        Self {
-            profile: self.profile.clone(),
-            address,
-            author: Arc::new(Author::new(address)),
-            keyring: Arc::clone(&self.keyring),
-            opened: Mutex::default(),
-            changes: Arc::clone(&self.changes),
-            locked: Arc::clone(&self.locked),
-        }
+        let (keyring, changes) = (Arc::clone(&self.keyring), Arc::clone(&self.changes));
+        Self::of(self.profile.clone(), keyring, changes, Arc::clone(&self.locked))
+    }
+
+    fn of(
+        profile: ProfileName,
+        keyring: Arc<Mutex<UnlockedKeyring>>,
+        changes: Arc<tokio::sync::Mutex<()>>,
+        locked: Arc<AtomicBool>,
+    ) -> Self {
+        let address = keyring.lock().unwrap_or_else(PoisonError::into_inner).keys().eoa.address();
+        let author = Arc::new(Author::new(address));
+        Self { profile, address, author, keyring, opened: Mutex::default(), changes, locked }
     }
 
     /// Whether the keys that decrypt, grant and revoke were wiped.

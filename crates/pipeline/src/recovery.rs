@@ -3,9 +3,9 @@
 //! to everything, however old the keyring is. A key of an epoch is believed only if the chain's token commits to it.
 
 use crate::crypto::{
-    EoaSecret, EpochKey, GrantedKeys, IndexKey, SmKeyPair, WrappedKeys, hand_over, take_over, token, unwrap, wrap,
+    EpochKey, GrantedKeys, IndexKey, SmKeyPair, WrappedKeys, hand_over, take_over, token, unwrap, wrap,
 };
-use crate::model::{GrantTerms, Identity, PublicKey, Scope};
+use crate::model::{GrantTerms, PublicKey, Scope};
 use crate::store::KeptEnvelope;
 
 use super::directory::kept;
@@ -107,7 +107,10 @@ pub fn recover_pairs(plant: &Plant, network: &Network, owner: &Owner) -> Result<
     let (eoa, mut known) = (owner.eoa(), owner.envelopes());
     let mut opened: Vec<(SmKeyPair, SmKeyPair)> = Vec::new();
     for (identity, envelope) in kept::handed_over(&plant.ledger.rights, owner.address)? {
-        if let Some(pairs) = opens(plant, network, &eoa, &identity, &envelope, &known) {
+        let open = |pair: &SmKeyPair| {
+            take_over(plant.provider, &network.domain, &eoa, &identity, &envelope, &pair.secret).ok()
+        };
+        if let Some(pairs) = known.iter().rev().find_map(open) {
             known.push(pairs.1.clone());
             opened.push(pairs);
         }
@@ -133,17 +136,4 @@ pub fn is_ahead(network: &Network, owner: &Owner) -> Result<bool> {
 /// Whether the keyring has these as its pairs, or as the next ones.
 fn holds_pairs(owner: &Owner, pairs: (PublicKey, PublicKey)) -> bool {
     owner.public_keys() == pairs || owner.next_public_keys() == pairs
-}
-
-fn opens(
-    plant: &Plant,
-    network: &Network,
-    eoa: &EoaSecret,
-    identity: &Identity,
-    envelope: &[u8],
-    known: &[SmKeyPair],
-) -> Option<(SmKeyPair, SmKeyPair)> {
-    let open =
-        |pair: &SmKeyPair| take_over(plant.provider, &network.domain, eoa, identity, envelope, &pair.secret).ok();
-    known.iter().rev().find_map(open)
 }

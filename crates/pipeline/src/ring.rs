@@ -32,13 +32,6 @@ struct Inner<T> {
     closed: bool,
 }
 
-impl<T> Default for Inner<T> {
-    fn default() -> Self {
-        let (rings, turns) = (HashMap::new(), VecDeque::new());
-        Self { rings, turns, waiting: 0, held: 0, in_hand: 0, takers: 0, closed: false }
-    }
-}
-
 impl<T> Inner<T> {
     fn append(&mut self, topic: &Arc<str>, item: T, weight: usize) {
         let new = || Ring { items: VecDeque::new(), held: 0 };
@@ -96,7 +89,9 @@ impl<T> Drop for Taken<'_, T> {
 
 impl<T: Weighted> Rings<T> {
     pub fn new(capacity: usize) -> Self {
-        Self { inner: Mutex::default(), filled: Condvar::new(), emptied: Condvar::new(), capacity }
+        let (rings, turns) = (HashMap::new(), VecDeque::new());
+        let inner = Inner { rings, turns, waiting: 0, held: 0, in_hand: 0, takers: 0, closed: false };
+        Self { inner: Mutex::new(inner), filled: Condvar::new(), emptied: Condvar::new(), capacity }
     }
 
     fn lock(&self) -> MutexGuard<'_, Inner<T>> {

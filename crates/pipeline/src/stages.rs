@@ -62,19 +62,15 @@ impl Stage {
 }
 
 #[derive(Debug)]
-struct Times {
-    buckets: [AtomicU64; BUCKETS],
-}
-
-#[derive(Debug, Default)]
 pub struct Stages {
-    reached: [Times; Milestone::ALL.len()],
+    reached: [[AtomicU64; BUCKETS]; Milestone::ALL.len()],
     busy: [AtomicU64; Stage::ALL.len()],
 }
 
-impl Default for Times {
+impl Default for Stages {
     fn default() -> Self {
-        Self { buckets: std::array::from_fn(|_| AtomicU64::new(0)) }
+        let none = || std::array::from_fn(|_| AtomicU64::new(0));
+        Self { reached: std::array::from_fn(|_| none()), busy: Default::default() }
     }
 }
 
@@ -83,8 +79,7 @@ impl Stages {
         let now = Timestamp::now();
         for captured in captured {
             let microseconds = now.0.saturating_sub(captured.0) / 1_000;
-            let times = &self.reached[milestone as usize];
-            times.buckets[bucket(microseconds)].fetch_add(1, Ordering::Relaxed);
+            self.reached[milestone as usize][bucket(microseconds)].fetch_add(1, Ordering::Relaxed);
         }
     }
 
@@ -105,14 +100,14 @@ impl Stages {
     }
 
     pub fn count_of(&self, milestone: Milestone) -> u64 {
-        self.reached[milestone as usize].buckets.iter().map(|bucket| bucket.load(Ordering::Relaxed)).sum()
+        self.reached[milestone as usize].iter().map(|bucket| bucket.load(Ordering::Relaxed)).sum()
     }
 
     /// How many messages reached a milestone within each of these powers of two, microseconds; the total number; and
     /// the total of their seconds, at most 1/16 too high.
     pub fn within_powers(&self, milestone: Milestone, powers: &[u32]) -> (Vec<u64>, u64, f64) {
         let (mut within, mut all, mut seconds) = (vec![0; powers.len()], 0, 0.0);
-        for (index, bucket) in self.reached[milestone as usize].buckets.iter().enumerate() {
+        for (index, bucket) in self.reached[milestone as usize].iter().enumerate() {
             let (count, end) = (bucket.load(Ordering::Relaxed), end_of(index));
             all += count;
             seconds += Duration::from_micros(end).as_secs_f64() * to_float(count);
@@ -125,7 +120,7 @@ impl Stages {
 
     /// Messages by the longest time of their quarter of a doubling, microseconds; only times that occurred.
     pub fn spread(&self, milestone: Milestone) -> Vec<(u64, u64)> {
-        let buckets = &self.reached[milestone as usize].buckets;
+        let buckets = &self.reached[milestone as usize];
         let counted = buckets.chunks(QUARTER).enumerate().map(|(place, quarter)| {
             let count = quarter.iter().map(|bucket| bucket.load(Ordering::Relaxed)).sum();
             (end_of(place * QUARTER + QUARTER - 1), count)
@@ -138,7 +133,7 @@ impl Stages {
         let all = self.count_of(milestone);
         let rank = (all * percent).div_ceil(100).max(1);
         let mut seen = 0;
-        let buckets = &self.reached[milestone as usize].buckets;
+        let buckets = &self.reached[milestone as usize];
         let found = buckets.iter().position(|bucket| {
             seen += bucket.load(Ordering::Relaxed);
             seen >= rank
@@ -204,7 +199,7 @@ mod tests {
     fn a_time_just_below_a_power_of_two_is_within_it_and_one_of_it_is_not() {
         let stages = Stages::default();
         for microseconds in [1_023, 1_024, 4_095, 70_000] {
-            stages.reached[0].buckets[bucket(microseconds)].fetch_add(1, Ordering::Relaxed);
+            stages.reached[0][bucket(microseconds)].fetch_add(1, Ordering::Relaxed);
         }
         assert_eq!(stages.spread(Milestone::Durable), [(1_023, 1), (1_279, 1), (4_095, 1), (81_919, 1)]);
         assert!(stages.spread(Milestone::Verified).is_empty());
