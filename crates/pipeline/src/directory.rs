@@ -192,12 +192,7 @@ impl Directory {
 
     /// 0 if not registered.
     pub fn epoch(&self, owner: Address) -> u64 {
-        self.state
-            .read()
-            .unwrap_or_else(PoisonError::into_inner)
-            .accounts
-            .get(&owner)
-            .map_or(0, |account| account.epoch)
+        self.with_account(owner, |account| account.map_or(0, |account| account.epoch))
     }
 
     pub fn identity(&self, owner: Address) -> Result<IdentityAt> {

@@ -56,14 +56,12 @@ pub fn tell(plant: &Plant, claim: &Claim) -> Result<bool> {
     if !is_new {
         return Ok(true);
     }
-    plant.observer.alert(
-        true,
-        format!(
-            "equivocation: the key {signer} of {owner} signed two records with number {number} of topic {topic} (recorder \
-             {recorder}): {held} is kept, {digest} refused; the audit log keeps both signatures. Either two copies of its \
-             home are running, or it is cheating"
-        ),
+    let text = format!(
+        "equivocation: the key {signer} of {owner} signed two records with number {number} of topic {topic} (recorder \
+         {recorder}): {held} is kept, {digest} refused; the audit log keeps both signatures. Either two copies of its \
+         home are running, or it is cheating"
     );
+    plant.observer.alert(true, text);
     Ok(true)
 }
 

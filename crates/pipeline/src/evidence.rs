@@ -343,10 +343,7 @@ pub(super) fn add(plant: &Plant, roots: &BTreeSet<Hash>, gathered: &mut Gathered
         let stamp = plant.ledger.proofs.stamp(key)?.filter(|stamp| !stamp.tokens.is_empty());
         match stamp.and_then(|stamp| StampTree::new(stamp.roots).zip(Some(stamp.tokens))) {
             Some((tree, tokens)) => {
-                gathered
-                    .packing
-                    .stamps(&tree, &wanted, &tokens)
-                    .map_err(|error| PipelineError::Refused(error.to_string()))?;
+                gathered.packing.stamps(&tree, &wanted, &tokens).map_err(refused)?;
             }
             None => bare += wanted.len() as u64,
         }
@@ -401,9 +398,8 @@ async fn one(
         break;
     }
     if shown.rows.len() == before {
-        shown
-            .notes
-            .push(format!("recorder {recorder} has no anchored heads record here: nothing says how far its topics go"));
+        let text = format!("recorder {recorder} has no anchored heads record here: nothing says how far its topics go");
+        shown.notes.push(text);
     }
     let before = shown.rows.len();
     for row in statements(reader, recorder, Birth::TYPE)? {
@@ -413,9 +409,9 @@ async fn one(
         }
     }
     if shown.rows.len() == before {
-        shown.notes.push(format!(
-            "recorder {recorder} has no anchored birth record here: nothing says which recorder it follows"
-        ));
+        let text =
+            format!("recorder {recorder} has no anchored birth record here: nothing says which recorder it follows");
+        shown.notes.push(text);
     }
     Ok(())
 }
@@ -432,12 +428,8 @@ fn statements(reader: &Reader<'_>, recorder: RecorderId, type_name: &str) -> Res
         ..RecordQuery::default()
     };
     let mut rows = reader.plant.ledger.records.list(&query)?.rows;
-    rows.retain(is_confirmed);
+    rows.retain(|row| matches!(row.state, RecordState::Confirmed | RecordState::Verified));
     Ok(rows)
-}
-
-fn is_confirmed(row: &RecordRow) -> bool {
-    matches!(row.state, RecordState::Confirmed | RecordState::Verified)
 }
 
 async fn body(reader: &Reader<'_>, row: &RecordRow) -> Option<Vec<u8>> {

@@ -189,15 +189,12 @@ impl ExportFolder {
             ("number", header.seq == proof.seq),
             ("network", header.domain == proof.domain),
         ];
-        match fields.iter().find(|(_, same)| !same) {
-            Some((field, _)) => {
-                VerifyStep::new("header", false, &format!("record.bin and proof.json differ in their {field}"))
-            }
-            None => {
-                let text = format!("of {}, number {}, captured {}", header.owner, header.seq, header.captured_at);
-                VerifyStep::new("header", true, &text)
-            }
-        }
+        let different = fields.iter().find(|(_, same)| !same);
+        let text = match different {
+            Some((field, _)) => format!("record.bin and proof.json differ in their {field}"),
+            None => format!("of {}, number {}, captured {}", header.owner, header.seq, header.captured_at),
+        };
+        VerifyStep::new("header", different.is_none(), &text)
     }
 
     fn check_path(&self, digest: Digest) -> Option<VerifyStep> {
@@ -205,11 +202,8 @@ impl ExportFolder {
             return None;
         }
         let Some(inclusion) = self.proof.inclusion() else {
-            return Some(VerifyStep::new(
-                "proof",
-                false,
-                "proof.json names a batch, but not the whole path to its root",
-            ));
+            let text = "proof.json names a batch, but not the whole path to its root";
+            return Some(VerifyStep::new("proof", false, text));
         };
         let leaf = self.leaf(digest);
         let named = self.proof.anchor.leaf.is_none_or(|claimed| claimed == leaf.hash());

@@ -464,23 +464,19 @@ impl Line<'_> {
         }
         if !unknown.is_empty() && ledger.forwarding.settle(unknown, RecordState::Stored)? > 0 {
             let count = unknown.len();
-            observer.alert(
-                true,
-                format!(
-                    "the gateway signed for {count} records but no longer has them; they are sent again, and its \
-                     receipts are kept"
-                ),
+            let text = format!(
+                "the gateway signed for {count} records but no longer has them; they are sent again, and its receipts are \
+                 kept"
             );
+            observer.alert(true, text);
         }
         if !tampered.is_empty() && ledger.forwarding.settle(tampered, RecordState::Tampered)? > 0 {
             observer.tampered(tampered);
             let count = tampered.len();
-            observer.alert(
-                true,
-                format!(
-                    "{count} records were altered at the gateway after it signed for them; the originals are kept here"
-                ),
+            let text = format!(
+                "{count} records were altered at the gateway after it signed for them; the originals are kept here"
             );
+            observer.alert(true, text);
         }
         if !(verified.is_empty() && unknown.is_empty() && tampered.is_empty()) {
             observer.records_changed();

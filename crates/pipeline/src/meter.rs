@@ -73,7 +73,8 @@ impl Meter {
             messages += u64::from(bucket.messages);
             bytes += bucket.bytes;
         }
-        let per_second = |total: u64| u32::try_from(total).map_or(f64::from(u32::MAX), f64::from) / span_seconds(span);
+        let seconds = u32::try_from(span).map_or(1.0, f64::from);
+        let per_second = |total: u64| u32::try_from(total).map_or(f64::from(u32::MAX), f64::from) / seconds;
         Some(Rate {
             hz: per_second(messages),
             bytes_per_second: per_second(bytes),
@@ -81,10 +82,6 @@ impl Meter {
             last: track.last,
         })
     }
-}
-
-fn span_seconds(span: u64) -> f64 {
-    u32::try_from(span).map_or(1.0, f64::from)
 }
 
 #[cfg(test)]

@@ -67,7 +67,8 @@ impl Notices {
         policies: Arc<dyn PolicyTaker>,
     ) -> Self {
         let gateway = watch::channel(sealed.enrolment.gateway.clone()).0;
-        let follow = from_the_beginning(&sealed.enrolment);
+        let (kind, topics) = (Some(RecordKind::Key), vec![sealed.enrolment.notice_id]);
+        let follow = Feed { kind, topics, ..Feed::of(sealed.enrolment.owner) };
         Self {
             provider,
             observer,
@@ -88,13 +89,11 @@ impl Notices {
         self.gateway.subscribe()
     }
 
-    #[must_use]
     pub fn with_ring(self, notes: Notes) -> Self {
         Self { ring: Some(notes), ..self }
     }
 
     /// For a robot whose ring comes and goes with its policy.
-    #[must_use]
     pub fn with_ring_while(self, notes: Notes, has_ring: &Arc<AtomicBool>) -> Self {
         Self { has_ring: Arc::clone(has_ring), ..self.with_ring(notes) }
     }
@@ -327,9 +326,4 @@ impl Errand for Notices {
             done => done,
         }
     }
-}
-
-fn from_the_beginning(enrolment: &Enrolment) -> Feed {
-    let (kind, topics) = (Some(RecordKind::Key), vec![enrolment.notice_id]);
-    Feed { kind, topics, ..Feed::of(enrolment.owner) }
 }

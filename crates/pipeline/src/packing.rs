@@ -51,12 +51,16 @@ impl Packing {
             // Until the outcome is known, the last one is assumed: others of its round are not tried in vain.
             habit.waits = next_pause(habit.pause);
         }
+        if self.definitions.len() >= MOST_KNOWN && !self.definitions.contains_key(&message.definition) {
+            self.definitions.clear();
+        }
         let parsed = || {
             let (name, text) = (&message.type_name, &message.definition);
             let parse = if name.contains("/msg/") { Definition::parse_ros2 } else { Definition::parse };
             parse(name, text).ok().map(Arc::new)
         };
-        Some(Try { definition: known(&mut self.definitions, &message.definition, parsed) })
+        let definition = self.definitions.entry(Arc::clone(&message.definition)).or_insert_with(parsed).clone();
+        Some(Try { definition })
     }
 
     pub fn learn(&mut self, topic: &Arc<str>, paid: bool) {
@@ -75,17 +79,6 @@ fn entry<'a>(habits: &'a mut HashMap<Arc<str>, Habit>, topic: &Arc<str>) -> &'a 
         habits.clear();
     }
     habits.entry(Arc::clone(topic)).or_default()
-}
-
-fn known(
-    definitions: &mut HashMap<Arc<str>, Option<Arc<Definition>>>,
-    text: &Arc<str>,
-    parse: impl FnOnce() -> Option<Arc<Definition>>,
-) -> Option<Arc<Definition>> {
-    if definitions.len() >= MOST_KNOWN && !definitions.contains_key(text) {
-        definitions.clear();
-    }
-    definitions.entry(Arc::clone(text)).or_insert_with(parse).clone()
 }
 
 #[cfg(test)]

@@ -139,10 +139,8 @@ impl Pins {
                 doubt
             }
             Err(error) => {
-                self.observer.alert(
-                    true,
-                    format!("publishers of {topic} cannot be checked, so their messages are held back: {error}"),
-                );
+                let text = format!("publishers of {topic} cannot be checked, so their messages are held back: {error}");
+                self.observer.alert(true, text);
                 Some(Doubt::New)
             }
         }
@@ -297,14 +295,12 @@ impl Pins {
         let name = clean(&publisher.to_string(), 200);
         self.note(owner, "pin on first use", &format!("{topic} {name}"), "done")?;
         let (caller, host) = (clean(&publisher.caller_id, 100), clean(&publisher.host, 100));
-        self.observer.alert(
-            false,
-            format!(
-                "{topic}: {caller} on {host}{} is accepted from now on (first seen); enter on Topics, or `authros topics \
-                 pins`, shows it in full",
-                if caller.ends_with('#') { " (# is any number: it draws one at each start)" } else { "" }
-            ),
+        let number = if caller.ends_with('#') { " (# is any number: it draws one at each start)" } else { "" };
+        let text = format!(
+            "{topic}: {caller} on {host}{number} is accepted from now on (first seen); enter on Topics, or `authros topics \
+             pins`, shows it in full"
         );
+        self.observer.alert(false, text);
         Ok(())
     }
 

@@ -260,9 +260,8 @@ fn scrub(
     done.records += 1;
     done.bytes += tally.audit.bytes;
     let Some(finding) = tally.findings().first() else { return Ok(None) };
-    plant
-        .observer
-        .alert(true, format!("{}: {}; `authros audit --deep` checks all records", finding.subject, finding.text));
+    let text = format!("{}: {}; `authros audit --deep` checks all records", finding.subject, finding.text);
+    plant.observer.alert(true, text);
     Ok(Some(digest))
 }
 

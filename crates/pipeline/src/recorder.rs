@@ -55,6 +55,11 @@ impl Interest {
         self.wanted().is_none_or(|wanted| wanted.as_str() == type_name)
     }
 
+    fn item(&self, message: &Arc<Message>, kind: RecordKind, simulated: bool) -> CapturedMessage {
+        let (author, message, rule) = (Arc::clone(&self.author), Arc::clone(message), self.rule.clone());
+        CapturedMessage { author, message, kind, simulated, sessions: Vec::new(), doubt: None, rule, ring: false }
+    }
+
     /// Whether the topic's rule lets this message of an undoubted publisher through.
     fn takes(&self, at: Timestamp) -> bool {
         let Some(rule) = &self.rule else { return true };
@@ -141,16 +146,8 @@ impl Recorder {
         let list = interests.entry(topic.to_owned()).or_default();
         if !list.iter().any(|interest| interest.author.address == author.address) {
             let rule = self.rules.read().unwrap_or_else(PoisonError::into_inner).of(topic).cloned();
-            let (author, sampler) = (Arc::clone(author), Mutex::default());
-            list.push(Interest {
-                author,
-                watched: false,
-                ringed: false,
-                type_name: None,
-                sessions: Vec::new(),
-                rule,
-                sampler,
-            });
+            let (author, sessions, sampler) = (Arc::clone(author), Vec::new(), Mutex::default());
+            list.push(Interest { author, watched: false, ringed: false, type_name: None, sessions, rule, sampler });
         }
         if let Some(interest) = list.iter_mut().find(|interest| interest.author.address == author.address) {
             change(interest);
@@ -233,11 +230,8 @@ impl Recorder {
             return;
         }
         let ring = !watched && doubt.is_none();
-        let author = Arc::clone(&interest.author);
-        let rule = interest.rule.clone();
-        let message_of = Arc::clone(message);
-        let kind = RecordKind::Data;
-        let item = CapturedMessage { author, message: message_of, kind, simulated, sessions, doubt, rule, ring };
+        let item = interest.item(message, RecordKind::Data, simulated);
+        let item = CapturedMessage { sessions, doubt, ring, ..item };
         if let Err(refused) = self.rings.push(&message.topic, item) {
             self.losses.note(&refused.author, Lost::message(message), self.losses.cause());
             refused.sessions.iter().for_each(|session| session.dropped(&message.topic, refused.doubt.is_some()));
@@ -250,16 +244,8 @@ impl Recorder {
         if !is_wanted || !interest.wants(&message.type_name) {
             return;
         }
-        let item = CapturedMessage {
-            author: Arc::clone(&interest.author),
-            message: Arc::clone(message),
-            kind: RecordKind::Definition,
-            simulated,
-            sessions: Vec::new(),
-            doubt: self.doubt(interest, &message.topic, &message.origin),
-            rule: interest.rule.clone(),
-            ring: false,
-        };
+        let doubt = self.doubt(interest, &message.topic, &message.origin);
+        let item = CapturedMessage { doubt, ..interest.item(message, RecordKind::Definition, simulated) };
         // Without it the messages are shown as bytes, and nothing is lost: what does not fit is no loss.
         drop(self.rings.push(&message.topic, item));
     }

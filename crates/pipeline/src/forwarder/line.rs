@@ -305,9 +305,8 @@ impl Outbox {
             self.plant.ledger.records.advance(&spoilt, RecordState::Stored, RecordState::Tampered)?;
             self.plant.observer.tampered(&spoilt);
             let count = spoilt.len();
-            self.plant
-                .observer
-                .alert(true, format!("{count} records in the outbox are damaged or missing; they were not sent"));
+            let text = format!("{count} records in the outbox are damaged or missing; they were not sent");
+            self.plant.observer.alert(true, text);
         }
         Ok(window)
     }

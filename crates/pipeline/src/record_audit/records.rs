@@ -255,13 +255,10 @@ pub(super) fn read_again(plant: &Plant, piece: &[Looked]) -> Result<Vec<AuditedR
         // Rows between them may have been left out of the audit, for their age.
         let found = match now.remove(&record.number) {
             Some(found) => Some(found),
-            None => plant
-                .ledger
-                .inspection
-                .audit_page(record.number.saturating_sub(1), Timestamp(0), 1)?
-                .records
-                .pop()
-                .and_then(Result::ok),
+            None => {
+                let page = plant.ledger.inspection.audit_page(record.number.saturating_sub(1), Timestamp(0), 1)?;
+                page.records.into_iter().flatten().next_back()
+            }
         };
         again.push(found.filter(|found| found.number == record.number).unwrap_or_else(|| record.clone()));
     }

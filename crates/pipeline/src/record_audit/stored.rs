@@ -19,13 +19,8 @@ pub(super) fn look_deep(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -
         match blob {
             Some(blob) => found.push((record, blob, signer_of(bench, &record.row)?)),
             None => {
-                match bench
-                    .plant
-                    .ledger
-                    .retention
-                    .find(record.row.digest)?
-                    .and_then(|kept| Header::parse(&kept.header).ok())
-                {
+                let kept = bench.plant.ledger.retention.find(record.row.digest)?;
+                match kept.and_then(|kept| Header::parse(&kept.header).ok()) {
                     Some((header, _)) => compare_tags(bench, record, &header, tally)?,
                     None => tally.unread += 1,
                 }

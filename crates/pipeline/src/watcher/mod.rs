@@ -11,7 +11,6 @@ use std::time::Duration;
 
 use tokio::task::block_in_place;
 
-use self::reorg::Standing;
 use crate::chain::{AT_ONCE, BlockEvents, BlockRef, ChainError, Completeness, Event, EventAt};
 use crate::crypto::fault;
 use crate::directory::{Told, kept};
@@ -77,24 +76,23 @@ pub async fn watch_round(plant: &Plant, network: &Network) -> Result<BlockRef> {
     let mut obstacle = PipelineError::Unsteady;
     for _ in 0..ATTEMPTS {
         let head = network.chain.head().await?;
-        if let Standing::Behind { read } = reorg::follow(plant, network, head).await? {
-            obstacle = PipelineError::NodeBehind { block: read, head: head.number };
-            tokio::time::sleep(PAUSE).await;
-            continue;
-        }
-        network.directory.saw_head_of(head.timestamp);
-        reorg::look(plant, network, head.number).await?;
-        match read_on(plant, network, head).await? {
-            Reached::Head => {}
-            Reached::Changed => continue,
-            Reached::Before(block) => {
-                obstacle = PipelineError::NodeBehind { block, head: head.number };
-                tokio::time::sleep(PAUSE).await;
-                continue;
+        let lacking = match reorg::follow(plant, network, head).await? {
+            Some(read) => read,
+            None => {
+                network.directory.saw_head_of(head.timestamp);
+                reorg::look(plant, network, head.number).await?;
+                match read_on(plant, network, head).await? {
+                    Reached::Head => {
+                        confirm(plant, network, head.number)?;
+                        return Ok(head);
+                    }
+                    Reached::Changed => continue,
+                    Reached::Before(block) => block,
+                }
             }
-        }
-        confirm(plant, network, head.number)?;
-        return Ok(head);
+        };
+        obstacle = PipelineError::NodeBehind { block: lacking, head: head.number };
+        tokio::time::sleep(PAUSE).await;
     }
     Err(obstacle)
 }
@@ -304,13 +302,11 @@ fn is_to_be_taken(plant: &Plant, found: &BlockEvents) -> Result<bool> {
     if reorg::waited(&plant.ledger.notes, &DoubtedBlock {}, (number, hash))? < NEAR_PATIENCE {
         return Ok(false);
     }
-    plant.observer.alert(
-        false,
-        format!(
-            "the header of block {number} names events that the node does not give; it is read again later. If this comes \
-             often, check the node, and run `authros audit`"
-        ),
+    let text = format!(
+        "the header of block {number} names events that the node does not give; it is read again later. If this comes \
+         often, check the node, and run `authros audit`"
     );
+    plant.observer.alert(false, text);
     Ok(true)
 }
 

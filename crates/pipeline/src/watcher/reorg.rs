@@ -17,23 +17,17 @@ const DEEPEST: u64 = 1024;
 /// The chain was taken back if it names the same older head for this long.
 const TAKEN_BACK: Duration = Duration::from_secs(300);
 
-pub(super) enum Standing {
-    /// The chain holds the newest block that was read, or the watcher went back.
-    Holds,
-    /// The node does not have block `read`, the newest that was read.
-    Behind { read: u64 },
-}
-
-/// Goes back to the last common block if the newest one was replaced. A chain without that history is another.
-pub(super) async fn follow(plant: &Plant, network: &Network, head: BlockRef) -> Result<Standing> {
+/// Goes back to the last common block if the newest one was replaced. A chain without that history is another. Returns the
+/// newest block that was read, if the node does not have it.
+pub(super) async fn follow(plant: &Plant, network: &Network, head: BlockRef) -> Result<Option<u64>> {
     let newest =
         block_in_place(|| Ok::<_, PipelineError>(plant.ledger.trail.end()?.max(plant.ledger.trail.cursor()?)))?;
     let Some((number, _)) = newest.filter(|(number, _)| *number >= first_block(network)) else {
-        return Ok(Standing::Holds);
+        return Ok(None);
     };
     if number <= head.number && stands(network, newest).await? {
         block_in_place(|| no_longer_behind(&plant.ledger.notes))?;
-        return Ok(Standing::Holds);
+        return Ok(None);
     }
     let identified = network.chain.identify().await;
     let trail = plant.ledger.trail.blocks()?;
@@ -45,14 +39,14 @@ pub(super) async fn follow(plant: &Plant, network: &Network, head: BlockRef) -> 
         identified?;
     }
     if !is_replaced {
-        return Ok(Standing::Behind { read: number });
+        return Ok(Some(number));
     }
     let common = last_common(network, &trail).await?;
     if common.is_none() && !trail.is_empty() {
         only_young(network, &trail).await?;
     }
     go_back(plant, network, common.unwrap_or_else(|| beginning(network)), number).await?;
-    Ok(Standing::Holds)
+    Ok(None)
 }
 
 /// Whether another block is where one was read, and not just none; or none for so long that the chain was taken back.
@@ -109,10 +103,10 @@ async fn go_back(plant: &Plant, network: &Network, common: (u64, Hash), was_at: 
     let text = format!("the chain replaced its last {depth} blocks; {moved} records are anchored again");
     if deep > 0 {
         let confirmations = network.confirmations;
-        plant.observer.alert(
-            true,
-            format!("{text}, {deep} of them verified before: the reorg is deeper than confirmations = {confirmations}, raise the setting"),
+        let text = format!(
+            "{text}, {deep} of them verified before: the reorg is deeper than confirmations = {confirmations}, raise the setting"
         );
+        plant.observer.alert(true, text);
     } else {
         plant.observer.alert(moved > 0, text);
     }
@@ -205,12 +199,10 @@ fn go_back_before(plant: &Plant, network: &Network, block: u64) -> Result<()> {
     // The cursor first: what is stored of blocks after it is taken back at any start.
     plant.ledger.trail.walk_back(before)?;
     plant.ledger.rights.take_back_rights(before.0 + 1)?;
-    plant.observer.alert(
-        false,
-        format!(
-            "the events of block {block} as they were read differ from those on the chain: a node that is behind gives none; \
-             the chain is read again from there, nothing is lost. Check that all nodes behind the URL are up to date"
-        ),
+    let text = format!(
+        "the events of block {block} as they were read differ from those on the chain: a node that is behind gives none; \
+         the chain is read again from there, nothing is lost. Check that all nodes behind the URL are up to date"
     );
+    plant.observer.alert(false, text);
     Ok(())
 }
