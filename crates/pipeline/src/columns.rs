@@ -9,9 +9,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use serde::{Deserialize, Serialize};
 
 use crate::crypto::record::open_front;
-use crate::crypto::{
-    CryptoError, IndexKey, Names, OpenedRecord, TopicKey, filter_id, filter_key, topic_filter_id, topic_id,
-};
+use crate::crypto::{CryptoError, IndexKey, Names, TopicKey, filter_id, filter_key, topic_filter_id, topic_id};
 use crate::model::bytes::hex;
 use crate::model::head::SIMULATED;
 use crate::model::header::TAG_LENGTH;
@@ -176,16 +174,20 @@ impl Comparison<'_> {
         let sight = match (self.heads.of(row.digest), fronts.remove(&row.digest)) {
             (Some(opened), _) => Sight::Head(opened),
             (None, Some(front)) => self.look(&row, &front, true),
-            (None, None) => match kept_front(self.plant, &row)? {
-                Some(front) => self.look(&row, &front, row.deleted_at.is_none()),
+            (None, None) if row.deleted_at.is_some() => match self.plant.ledger.retention.find(row.digest)? {
+                Some(retained) => self.look(&row, &retained.header, false),
                 None => Sight::Nothing,
             },
+            (None, None) => Sight::Nothing,
         };
         let here = self.plant.ledger.records.recorder();
         let (compared, sealed) = match &sight {
             Sight::Nothing => return Ok(Shown { differs: place, ..Shown::unread(row) }),
             Sight::Broken(what) => return Ok(Shown { differs: Some(what), ..Shown::unread(row) }),
-            Sight::FalseName(header, _) => (Compared::Head, self.name_difference(&row, header)),
+            Sight::FalseName(header, _) => {
+                let index = self.keys.index_key(&row);
+                (Compared::Head, index.and_then(|index| name_difference(&row, header, &index)))
+            }
             Sight::Head(opened) => (Compared::Head, head_difference(&row, &opened.1, here)),
             Sight::Header(header) => match self.keys.index_key(&row) {
                 Some(index) => (Compared::Names, name_difference(&row, header, &index)),
@@ -198,10 +200,6 @@ impl Comparison<'_> {
         let differs = header_difference(&row, header).or(sealed).or(place).or((!found).then_some("tags"));
         take_over(&mut row, header, head);
         Ok(Shown { row, compared, differs, false_name })
-    }
-
-    fn name_difference(&self, row: &RecordRow, header: &Header) -> Option<&'static str> {
-        self.keys.index_key(row).and_then(|index| name_difference(row, header, &index))
     }
 
     /// `whole` if the head must be among the first bytes.
@@ -263,14 +261,6 @@ impl Sight {
     }
 }
 
-/// What the ledger keeps of a record whose bytes retention deleted: its header.
-fn kept_front(plant: &Plant, row: &RecordRow) -> Result<Option<Vec<u8>>, StoreError> {
-    match row.deleted_at {
-        Some(_) => Ok(plant.ledger.retention.find(row.digest)?.map(|retained| retained.header)),
-        None => Ok(None),
-    }
-}
-
 /// The field in which a row and the signed header of its record differ.
 pub fn header_difference(row: &RecordRow, header: &Header) -> Option<&'static str> {
     let length = header.body_length.saturating_sub(TAG_LENGTH as u64);
@@ -306,10 +296,6 @@ pub fn head_difference(row: &RecordRow, head: &Head, here: RecorderPrefix) -> Op
         ("mark of simulation", simulated == row.simulated || (foreign && !row.simulated)),
     ];
     fields.iter().find(|(_, same)| !same).map(|(field, _)| *field)
-}
-
-pub fn difference(row: &RecordRow, opened: &OpenedRecord, here: RecorderPrefix) -> Option<&'static str> {
-    header_difference(row, &opened.header).or_else(|| head_difference(row, &opened.head, here))
 }
 
 /// Like [`head_difference`], without a key for the head: names and mark by the pseudonyms in the header.

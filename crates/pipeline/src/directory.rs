@@ -129,10 +129,6 @@ impl Directory {
         steady_now().max(Timestamp::from_seconds(self.head_time.load(Ordering::Acquire)))
     }
 
-    pub fn domain(&self) -> Domain {
-        self.domain
-    }
-
     pub fn blank(&self) -> Self {
         Self::new(self.domain, self.provider)
     }

@@ -158,10 +158,6 @@ impl ExportFolder {
         Digest(provider.sm3(&[&self.record]))
     }
 
-    pub fn leaf(&self, digest: Digest) -> Leaf {
-        Leaf::of(&self.header, digest)
-    }
-
     pub fn check(&self, provider: &dyn Provider) -> Vec<VerifyStep> {
         let digest = self.digest(provider);
         let mut steps = vec![
@@ -205,7 +201,7 @@ impl ExportFolder {
             let text = "proof.json names a batch, but not the whole path to its root";
             return Some(VerifyStep::new("proof", false, text));
         };
-        let leaf = self.leaf(digest);
+        let leaf = Leaf::of(&self.header, digest);
         let named = self.proof.anchor.leaf.is_none_or(|claimed| claimed == leaf.hash());
         let text =
             format!("leaf {} of {}, root {}", inclusion.index.saturating_add(1), inclusion.count, inclusion.root);

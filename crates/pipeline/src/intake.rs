@@ -127,9 +127,7 @@ pub struct Intake<'a> {
 
 /// Blocks of confirmed anchors, by account, root, number of leaves and transaction.
 #[derive(Default)]
-pub struct Anchors(Mutex<BTreeMap<AnchorKey, (u64, Hash)>>);
-
-type AnchorKey = (Address, Hash, u64, Hash);
+pub struct Anchors(Mutex<BTreeMap<(Address, Hash, u64, Hash), (u64, Hash)>>);
 
 impl Anchors {
     /// Forgets what the chain said: it replaced blocks.

@@ -42,12 +42,6 @@ impl<'a> Lost<'a> {
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Unwritten {
-    pub in_transport: u64,
-    pub in_recorder: u64,
-}
-
 type Key = (Address, String, LossReason, String);
 
 #[derive(Default)]
@@ -141,33 +135,30 @@ impl Losses {
         merge(&mut noted, key_of(&loss), loss);
     }
 
-    fn unwritten(&self, owner: Address, topic: Option<&str>) -> Unwritten {
-        let mut sum = Unwritten::default();
+    /// Losses in transport and in the recorder that the ledger has not counted yet.
+    fn unwritten(&self, owner: Address, topic: Option<&str>) -> (u64, u64) {
         let noted = lock(&self.noted);
-        for loss in noted.values() {
-            if loss.owner == owner && topic.is_none_or(|topic| topic == loss.topic) {
-                let counter =
-                    if loss.reason == LossReason::Transport { &mut sum.in_transport } else { &mut sum.in_recorder };
-                *counter += loss.count;
-            }
-        }
-        sum
+        let of = |loss: &&Loss| loss.owner == owner && topic.is_none_or(|topic| topic == loss.topic);
+        let (transport, recorder): (Vec<&Loss>, Vec<&Loss>) =
+            noted.values().filter(of).partition(|loss| loss.reason == LossReason::Transport);
+        let sum = |losses: Vec<&Loss>| losses.iter().map(|loss| loss.count).sum::<u64>();
+        (sum(transport), sum(recorder))
     }
 
     /// Counts of ledger and memory together: consistent, each loss once.
     pub fn counts(&self, plant: &Plant, owner: Address) -> Result<StateCounts, StoreError> {
         let _still = lock(&self.moving);
         let mut counts = plant.ledger.counts.by_state(Some(owner))?;
-        let all = self.unwritten(owner, None);
-        counts.lost_in_transport += all.in_transport;
-        counts.lost_in_recorder += all.in_recorder;
-        *counts.data.entry(RecordState::Dropped).or_default() += all.in_recorder;
+        let (in_transport, in_recorder) = self.unwritten(owner, None);
+        counts.lost_in_transport += in_transport;
+        counts.lost_in_recorder += in_recorder;
+        *counts.data.entry(RecordState::Dropped).or_default() += in_recorder;
         for topic in &mut counts.topics {
-            let of_topic = self.unwritten(owner, Some(&topic.topic));
-            topic.missed += of_topic.in_transport;
-            topic.dropped += of_topic.in_recorder;
-            topic.lost += of_topic.in_recorder;
-            topic.captured += of_topic.in_recorder;
+            let (in_transport, in_recorder) = self.unwritten(owner, Some(&topic.topic));
+            topic.missed += in_transport;
+            topic.dropped += in_recorder;
+            topic.lost += in_recorder;
+            topic.captured += in_recorder;
         }
         Ok(counts)
     }

@@ -106,10 +106,6 @@ impl Reader<'_> {
         Ok(retained.filter(|retained| retained.anchored || stated(retained)))
     }
 
-    fn blob(&self, row: &RecordRow) -> Result<Option<Vec<u8>>> {
-        block_in_place(|| Ok(self.plant.stored_bytes(row)?))
-    }
-
     async fn anchor(&self, row: &RecordRow) -> Result<Anchor> {
         let confirmed = matches!(row.state, RecordState::Confirmed | RecordState::Verified | RecordState::Tampered);
         let (anchored, digest) = match self.network.absent {
@@ -124,7 +120,7 @@ impl Reader<'_> {
     /// it; a missing blob counts as tampering too.
     pub async fn open(&self, row: &RecordRow) -> Result<OpenedRecord> {
         self.authorise(row)?;
-        let Some(blob) = self.blob(row)? else {
+        let Some(blob) = block_in_place(|| self.plant.stored_bytes(row))? else {
             let given_up = self.given_up(row)?;
             let why = given_up.map(|retained| PipelineError::gone(&row.id, retained));
             return Err(why.unwrap_or_else(|| PipelineError::Missing(row.id.clone())));
@@ -153,7 +149,9 @@ impl Reader<'_> {
         let differs = |field| PipelineError::RowDiffers { id: row.id.clone(), field };
         // A record that is only about to be kept here has no place that it could contradict.
         let placed = self.plant.ledger.records.placed(row.digest)?;
-        let found = columns::difference(row, &opened, self.plant.ledger.records.recorder())
+        let here = self.plant.ledger.records.recorder();
+        let found = columns::header_difference(row, &opened.header)
+            .or_else(|| columns::head_difference(row, &opened.head, here))
             .or_else(|| placed.as_ref().and_then(columns::anchor_difference));
         found.map_or(Ok(opened), |field| Err(differs(field)))
     }

@@ -232,7 +232,9 @@ pub fn scrub_round(plant: &Plant, network: &Network, most: usize) -> Result<Scru
         }
     }
     if !bad.is_empty() {
-        mark(plant, &bad)?;
+        plant.ledger.records.advance(&bad, RecordState::Verified, RecordState::Tampered)?;
+        plant.observer.tampered(&bad);
+        plant.observer.records_changed();
     }
     done.bad = u64::try_from(bad.len()).unwrap_or(u64::MAX);
     plant.ledger.notes.write(&ScrubbedUpTo {}, &page.next.unwrap_or(0))?;
@@ -263,11 +265,4 @@ fn scrub(
     let text = format!("{}: {}; `authros audit --deep` checks all records", finding.subject, finding.text);
     plant.observer.alert(true, text);
     Ok(Some(digest))
-}
-
-fn mark(plant: &Plant, bad: &[Digest]) -> Result<(), StoreError> {
-    plant.ledger.records.advance(bad, RecordState::Verified, RecordState::Tampered)?;
-    plant.observer.tampered(bad);
-    plant.observer.records_changed();
-    Ok(())
 }

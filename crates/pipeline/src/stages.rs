@@ -69,8 +69,8 @@ pub struct Stages {
 
 impl Default for Stages {
     fn default() -> Self {
-        let none = || std::array::from_fn(|_| AtomicU64::new(0));
-        Self { reached: std::array::from_fn(|_| none()), busy: Default::default() }
+        let zero = |_: usize| AtomicU64::new(0);
+        Self { reached: std::array::from_fn(|_| std::array::from_fn(zero)), busy: std::array::from_fn(zero) }
     }
 }
 

@@ -1,5 +1,7 @@
 //! Records that the site writes for an owner: sealed, stored, anchored and verified like captured messages.
 
+use std::collections::BTreeMap;
+
 use crate::crypto::{SealRequest, SmKeyPair, TopicKey, seal, signer_id};
 use crate::model::head::Compression;
 use crate::model::{Address, Digest, Domain, FilterId, Head, RecordKind, Timestamp, TopicId};
@@ -36,7 +38,7 @@ pub fn state_to_be_found(
     statement: Statement<'_>,
 ) -> Result<Option<Digest>> {
     let Some(topic) = keys.topic(statement.topic) else { return Ok(None) };
-    let filters = topic.filters(statement.type_name, &std::collections::BTreeMap::new());
+    let filters = topic.filters(statement.type_name, &BTreeMap::new());
     let speaker = Speaker::of(keys, owner, &topic);
     put_filtered(plant, &speaker, statement, filters, |row| {
         let digest = row.digest;
@@ -85,7 +87,17 @@ fn put_filtered<T>(
     let Statement { kind, topic, type_name, body } = statement;
     let Speaker { domain, owner, signing, epoch, topic_id, topic_key } = *speaker;
     let seq = plant.ledger.records.next_seq(owner, signer_id(&signing.public), topic_id)?;
-    let head = head(topic, type_name, body.len());
+    let head = Head {
+        topic: topic.to_owned(),
+        type_name: type_name.to_owned(),
+        md5sum: String::new(),
+        definition: Digest([0; 32]),
+        caller_id: String::new(),
+        boot_id: [0; 16],
+        compression: Compression::None,
+        plain_length: body.len() as u64,
+        tags: BTreeMap::new(),
+    };
     let request = SealRequest {
         domain,
         owner,
@@ -103,18 +115,4 @@ fn put_filtered<T>(
     };
     let row = NewRecord::sealed(seal(plant.provider, &request)?).named(&head);
     Ok(plant.keep([row], |[row]| acknowledge(row))?)
-}
-
-fn head(topic: &str, type_name: &str, length: usize) -> Head {
-    Head {
-        topic: topic.to_owned(),
-        type_name: type_name.to_owned(),
-        md5sum: String::new(),
-        definition: Digest([0; 32]),
-        caller_id: String::new(),
-        boot_id: [0; 16],
-        compression: Compression::None,
-        plain_length: length as u64,
-        tags: std::collections::BTreeMap::new(),
-    }
 }
