@@ -14,7 +14,7 @@ use crate::{Network, Plant, Result};
 
 /// Batches per round: each block costs the node two requests.
 const AT_ONCE: usize = 64;
-/// So often a node is asked for one block's proof: it may just have been busy.
+/// Requests for one block's proof: the node may just have been busy.
 const ATTEMPTS: u32 = 3;
 
 /// What is to be proven of the contract's storage for a record.
@@ -190,7 +190,7 @@ async fn proof(
     }
 }
 
-/// What the nodes prove is looked at before it is kept: in some years nobody can fetch it again.
+/// Checks proofs before they are kept: in some years nobody can fetch them again.
 fn proven(
     nodes: &Nodes,
     (state, contract): (Hash, Address),
@@ -289,7 +289,7 @@ pub fn was_sighted(plant: &Plant, row: &RecordRow) -> Result<bool> {
     Ok(were_sighted(plant, &[row])?.contains(&true))
 }
 
-/// In order; the ledger is asked once.
+/// In order, by one query of the ledger.
 pub fn were_sighted(plant: &Plant, rows: &[&RecordRow]) -> Result<Vec<bool>> {
     let digests: Vec<_> = rows.iter().map(|row| row.digest).collect();
     let sighted = |(row, placed): (&&RecordRow, Option<PlacedRecord>)| {

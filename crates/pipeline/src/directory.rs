@@ -138,7 +138,7 @@ impl Directory {
         self.state.write().unwrap_or_else(PoisonError::into_inner).applied = last;
     }
 
-    /// Takes over the whole state of another directory at once, after it was rebuilt without replaced or missed blocks.
+    /// Takes over the whole state of a directory that was rebuilt without replaced or missed blocks.
     pub fn become_like(&self, other: &Self) {
         let state = other.state.read().unwrap_or_else(PoisonError::into_inner).clone();
         *self.state.write().unwrap_or_else(PoisonError::into_inner) = state;

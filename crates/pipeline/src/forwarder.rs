@@ -244,11 +244,11 @@ fn trust_in(file: &Path, fingerprint: crate::model::SignerId) -> Result<Trust, C
     Err(CryptoError::NotAKey { path: crate::crypto::error::shown(file), wanted: "the note of this gateway", found })
 }
 
-/// Records asked about at once.
+/// Records in one question to the gateway.
 const PAGE: usize = 256;
 /// Pages of the feed taken between two looks at the outbox.
 const MOST_PAGES: usize = 8;
-/// After how many checks of the feed the gateway is asked whether it still has what it signed for.
+/// Checks of the feed between two questions whether the gateway still has what it signed for.
 const SWEEP: u32 = 60;
 
 /// What a robot learns of its records: the gateway's feed, cut to what was numbered here.
@@ -256,7 +256,7 @@ const SWEEP: u32 = 60;
 struct Proofs {
     owner: Address,
     id: FeedId,
-    /// The highest number told so far: rows of a recorder that was not known by then come after it.
+    /// The highest number read so far: rows of a recorder that was not known by then come after it.
     newest: u64,
     /// Who numbered what waits here: every start of a ring is another one.
     recorders: BTreeMap<RecorderId, Told>,
@@ -294,7 +294,7 @@ impl Proofs {
         self.recorders.values().map(Told::done).min().unwrap_or(self.newest)
     }
 
-    /// Follows these recorders, and goes back for what was held, when it is time and the rest was told.
+    /// Follows these recorders, and goes back for held entries when it is time and the rest was read.
     fn follow(&mut self, recorders: &BTreeSet<RecorderId>, now: Instant) {
         self.recorders.retain(|recorder, _| recorders.contains(recorder));
         for recorder in recorders {
@@ -310,7 +310,7 @@ impl Proofs {
         }
     }
 
-    /// Recorders of whom everything was told so far, and those who are behind: neither waits for the other.
+    /// Recorders that are read up to date, and those that are behind: neither waits for the other.
     fn groups(&self) -> [Vec<RecorderId>; 2] {
         let mut sorted: Vec<(&RecorderId, &Told)> = self.recorders.iter().collect();
         sorted.sort_by_key(|(_, told)| told.place);
@@ -347,7 +347,7 @@ impl Proofs {
     }
 }
 
-/// The longest pause before an entry whose proof does not hold is looked at again.
+/// The longest pause before an entry whose proof does not hold is checked again.
 const LONGEST_HOLD: Duration = Duration::from_secs(600);
 
 impl Line<'_> {

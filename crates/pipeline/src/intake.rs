@@ -216,7 +216,7 @@ impl Intake<'_> {
             return Err(Reason::AnotherSigner.into());
         }
         if proof.is_empty() {
-            // The chain took its block back since it was told of.
+            // The chain has taken its block back since.
             return Err(Stop::Later);
         }
         let told = AnchorProof::parse(proof).map_err(|_| Reason::NoProof)?;

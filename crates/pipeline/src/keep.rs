@@ -1,5 +1,5 @@
 //! The only way for a sealed record into a site: the reserve is checked, row and bytes are written in one commit, which
-//! acknowledges it, and only then the cache is told.
+//! acknowledges it, and only then the cache learns of it.
 
 use crate::store::{NewRecord, RecordRow, StoreError};
 

@@ -45,15 +45,15 @@ pub struct Notices {
     kept: PathBuf,
     /// Changes when the owner has named other addresses of the gateway.
     gateway: watch::Sender<GatewayAccess>,
-    /// Notes what is asked of the ring, where this robot has one.
+    /// Records requests to the ring, where this robot has one.
     ring: Option<Notes>,
     has_ring: Arc<AtomicBool>,
     policies: Arc<dyn PolicyTaker>,
     /// Where it is in the gateway's feed; it begins anew with each start.
     follow: Feed,
-    /// What was told and not taken yet.
+    /// Announced and not taken yet.
     newer: Vec<FeedEntry>,
-    /// Nothing is asked before.
+    /// No requests before this.
     rests_until: Option<Instant>,
 }
 
@@ -273,7 +273,7 @@ pub fn open_notice(
             list.check(&enrolment.domain, &enrolment.owner, &enrolment.device_id())?;
             true
         }
-        // A policy is checked by whoever takes it: its refusal is to reach the owner.
+        // The taker checks a policy: its refusal is to reach the owner.
         Notice::Pull(_) | Notice::Policy(_) | Notice::Unknown(_) => true,
     };
     if fits && opened.header.kind == RecordKind::Key {
@@ -318,7 +318,7 @@ impl Errand for Notices {
             return Ok(());
         }
         match self.look(client).await {
-            // That gateway does not know its chain now and tells nobody anything; it takes records all the same.
+            // Such a gateway does not know its chain now and answers nobody, but still takes records.
             Err(ForwardError::Gateway(GatewayError::Refused(Code::Stale))) => {
                 self.rest(AGAIN);
                 Ok(())

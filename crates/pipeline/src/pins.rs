@@ -1,5 +1,5 @@
 //! Node forging: who may publish a watched topic, and the alarm about anyone else. All that is compared is claimed: ROS
-//! 1 authenticates nobody. A publisher with the pinned one's claims is doubted only if both were there at once.
+//! 1 authenticates nobody. A publisher with the pinned one's claims is doubted only if both were there together.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};

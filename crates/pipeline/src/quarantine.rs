@@ -37,7 +37,7 @@ pub fn rolling(
     Digest(end)
 }
 
-/// Seals a record for each (topic, minute) before minute `before`; returns how many. Not twice at once for one owner.
+/// Seals a record for each (topic, minute) before minute `before`; returns how many. One caller at a time.
 /// After an error, what is sealed so far stays.
 pub fn report(plant: &Plant, author: &Author, before: u64) -> Result<usize> {
     let mut sealed = 0;

@@ -35,7 +35,7 @@ pub(super) struct Line<'a> {
     pub moved: bool,
     /// When the gateway last answered.
     heard: Instant,
-    /// The pause before an earlier address is looked at. It doubles while that answers and does not lead to the gateway.
+    /// The pause before an earlier address is tried. It doubles while that answers and does not lead to the gateway.
     look_after: Duration,
 }
 
@@ -231,7 +231,7 @@ fn shortened(pause: Duration, share: u8) -> Duration {
 const WINDOW: usize = 256;
 /// The most bytes in one upload, unless a single record is larger.
 const WINDOW_BYTES: usize = 4 * 1024 * 1024;
-/// Copies given up at once.
+/// Copies given up together.
 const PAGE: usize = 256;
 
 pub(super) struct Outbox {

@@ -19,7 +19,7 @@ use crate::store::{RecordQuery, RecordRow};
 
 /// The most definition records opened at each attempt.
 const MOST_OPENED: usize = 200;
-/// The most of which the ledger is asked at each attempt.
+/// The most that each attempt lists from the ledger.
 const MOST_LISTED: usize = 10_000;
 /// The most texts that are kept.
 const MOST_KEPT: usize = 1024;
@@ -67,7 +67,7 @@ fn key(row: &RecordRow, opened: &OpenedRecord) -> Key {
     (row.owner, row.topic_id, row.epoch, head.definition, head.type_name.clone(), hash_of(head))
 }
 
-/// The hash of a message's type, if its publisher or its recording told it.
+/// The hash of a message's type, if its publisher or its recording gave it.
 fn hash_of(head: &Head) -> Option<String> {
     head.tags.get(&format!("{CHANNEL}{TYPE_HASH}")).filter(|hash| !hash.is_empty()).cloned()
 }

@@ -10,7 +10,7 @@ use crate::pipeline::{PipelineError, authority, columns};
 use crate::retention::is_stated;
 use crate::store::{AuditedRecord, RecordRow, Retained, StoreError};
 
-/// Reads the stored bytes at once and computes their digests in parallel.
+/// Reads the stored bytes together and computes their digests in parallel.
 pub(super) fn look_deep(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -> Result<(), StoreError> {
     let digests: Vec<Digest> = piece.iter().map(|(record, _)| record.row.digest).collect();
     let mut found = Vec::with_capacity(piece.len());

@@ -20,7 +20,7 @@ use crate::{Observer, PipelineError, Result};
 
 /// Transactions of one account that may wait for a block.
 pub const MOST_OPEN: u64 = 1024;
-/// How long a single transaction may take before its sender is told that it is waiting.
+/// How long a caller waits for a single transaction.
 const PATIENCE: Duration = Duration::from_secs(120);
 /// How long a price that was needed once is offered from the start.
 const REMEMBERED: Duration = Duration::from_secs(3_600);
@@ -57,7 +57,7 @@ impl Heads {
     }
 }
 
-/// A transaction that was cancelled, unless the chain takes it all the same.
+/// A transaction that was cancelled, unless the chain still takes it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Cancelled {
     pub nonce: u64,

@@ -169,7 +169,7 @@ impl Round<'_> {
                 }
                 Err(ChainError::InsufficientFunds) => return self.cheapen(market, row, &raw, offer).await,
                 Err(error @ (ChainError::Unreachable { .. } | ChainError::Answer { .. })) => {
-                    // The node may have it all the same, and the next answer may arrive.
+                    // The node may still have it, and the next answer may arrive.
                     lost = Some(error);
                     continue;
                 }

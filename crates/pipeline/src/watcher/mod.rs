@@ -24,7 +24,7 @@ use crate::{Directory, Network, PipelineError, Plant, Result};
 const CHUNK: u64 = 2_000;
 /// How often a part of the chain is read again because it changed meanwhile.
 const ATTEMPTS: usize = 5;
-/// Pause before a node that is behind is asked again.
+/// Pause before the next question to a node that is behind.
 const PAUSE: Duration = Duration::from_millis(200);
 
 enum Reached {
@@ -293,7 +293,7 @@ pub(crate) fn note(notes: &Notes, block: u64) -> Result<(), StoreError> {
 /// Wait for events that a block's header names and nobody gives.
 const NEAR_PATIENCE: Duration = Duration::from_secs(5);
 
-/// A block whose header names more than anybody gives is waited for, but not for ever: a bloom may name what is not there.
+/// A block whose header names more than anybody gives has to wait, but not forever: a bloom may name what is not there.
 fn is_to_be_taken(plant: &Plant, found: &BlockEvents) -> Result<bool> {
     if found.completeness != Completeness::Doubtful {
         return Ok(true);

@@ -49,7 +49,7 @@ pub(super) async fn follow(plant: &Plant, network: &Network, head: BlockRef) -> 
     Ok(None)
 }
 
-/// Whether another block is where one was read, and not just none; or none for so long that the chain was taken back.
+/// Whether another block replaces one that was read; or none does for so long that the chain was taken back.
 async fn is_replaced(plant: &Plant, network: &Network, head: BlockRef, trail: &[(u64, Hash)]) -> Result<bool> {
     if network.chain.is_exact() {
         return Ok(true);
