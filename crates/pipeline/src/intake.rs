@@ -125,9 +125,11 @@ pub struct Intake<'a> {
     pub patience: Duration,
 }
 
+type AnchorKey = (Address, Hash, u64, Hash);
+
 /// Blocks of confirmed anchors, by account, root, number of leaves and transaction.
 #[derive(Default)]
-pub struct Anchors(Mutex<BTreeMap<(Address, Hash, u64, Hash), (u64, Hash)>>);
+pub struct Anchors(Mutex<BTreeMap<AnchorKey, (u64, Hash)>>);
 
 impl Anchors {
     /// Forgets what the chain said: it replaced blocks.

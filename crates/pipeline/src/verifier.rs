@@ -66,7 +66,7 @@ impl<'a> Outcome<'a> {
     /// Own and foreign records alike are checked in full, signature included.
     fn judge(&mut self, plant: &Plant, network: &Network, rows: &[&'a RecordRow]) -> Result<()> {
         let mut signed = Vec::with_capacity(rows.len());
-        let mut known = HashMap::new();
+        let mut known: HashMap<_, Result<PublicKey, NoRight>> = HashMap::new();
         for &row in rows {
             let signer = match known.entry((row.owner, row.signer, row.block)) {
                 Entry::Occupied(known) => known.get().clone(),
