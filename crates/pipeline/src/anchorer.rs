@@ -1,5 +1,4 @@
-//! Puts stored records on the chain: as Merkle batches, or one `dataUpload` each; from an owner's further accounts
-//! too.
+//! Puts stored records on the chain: as Merkle batches, or one `dataUpload` each; from an owner's further accounts too.
 
 use std::collections::HashMap;
 use std::time::{Duration, Instant};
@@ -14,18 +13,25 @@ use crate::model::{Address, AnchorMode, Domain, RecordState, Timestamp, Token, W
 use crate::pace::{LONGEST_WAIT, Pace};
 use crate::sender::Outgoing;
 use crate::store::{Anchors, NewBatch, RecordRow, WaitingBatch};
-use crate::{Network, Owner, PipelineError, Plant, Sender, authority};
+use crate::{Network, Owner, PipelineError, Plant, Result, Sender, authority};
 
 /// Records per round when uploaded individually: one ledger commit for this many signed transactions.
 const ROUND: usize = 128;
 /// Batches of one account that may wait for a block; while they do, the next one gets wider.
 const MOST_OPEN_BATCHES: usize = 2;
-/// How long a refused extra account rests.
+/// Rest of a refused extra account.
 const REST: Duration = Duration::from_secs(60);
-/// How long to wait when only the chain can bring news.
+/// Wait when only the chain can bring news.
 const IDLE: Duration = Duration::from_secs(1);
-/// How often the anchorer checks for rights that have ended while nothing is closed or sent.
+/// Interval of checks for rights that have ended, while nothing is closed or sent.
 const LOOK: Duration = Duration::from_millis(500);
+/// The most accounts that anchor for one owner, including the owner's own.
+pub const MOST_LANES: u8 = 8;
+/// The number of anchors an account gets ether for at a time.
+const PROVISION: u128 = 500;
+/// The gas assumed for one anchor and its share of the registration.
+const ANCHOR_GAS: u128 = 120_000;
+const PROVISION_PURPOSE: &str = "fund anchoring account";
 /// Leaf orders tried to find a root that no batch had before.
 const MOST_ORDERS: usize = 16;
 
@@ -33,14 +39,12 @@ const MOST_ORDERS: usize = 16;
 pub struct Anchorer {
     mode: AnchorMode,
     pace: Pace,
-    /// Extra accounts whose anchors the contract refused (because they are suspended, for example), and until when they
-    /// rest.
+    /// Extra accounts whose anchors the contract refused, and until when they rest.
     resting: HashMap<Address, Instant>,
-    /// When it was looked whose right to sign has ended or begun again.
+    /// When rights that ended or began again were last looked for.
     settled: Option<Instant>,
 }
 
-/// The result of a round.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Round {
     /// Transactions that were signed and stored.
@@ -55,18 +59,23 @@ impl Round {
     }
 }
 
+/// What a round works with.
+#[derive(Clone, Copy)]
+struct Bench<'a> {
+    plant: &'a Plant,
+    network: &'a Network,
+    sender: &'a Sender,
+    owner: Address,
+}
+
 impl Anchorer {
-    /// An anchorer of one owner's records.
     pub fn new(mode: AnchorMode) -> Self {
         Self { mode, pace: Pace::default(), resting: HashMap::new(), settled: None }
     }
 
-    /// Does what is due now; records whose signer may not sign now wait. `lanes` are the accounts that anchor batches
-    /// in parallel, the owner's own first; individual records go through the owner's own only, and where that is not
-    /// among them everything goes in batches.
-    ///
-    /// # Errors
-    /// Errors of chain and ledger; nothing is lost, the records stay `stored` or `batched`.
+    /// `lanes` anchor batches in parallel, the owner's own account first. Individual records go through the own account
+    /// only; where that is absent everything goes in batches. On an error nothing is lost: records stay `stored` or
+    /// `batched`.
     pub async fn round(
         &mut self,
         plant: &Plant,
@@ -74,50 +83,41 @@ impl Anchorer {
         sender: &Sender,
         owner: Address,
         lanes: &[EoaSecret],
-    ) -> Result<Round, PipelineError> {
+    ) -> Result<Round> {
+        let bench = Bench { plant, network, sender, owner };
         if network.directory.epoch(owner) == 0 {
             return Ok(Round::wait(IDLE));
         }
         let lately = self.settled.is_some_and(|at| at.elapsed() < LOOK);
         if !lately || self.mode == AnchorMode::Each {
-            self.settle(plant, network, owner)?;
+            self.settle(bench)?;
         }
         self.resting.retain(|_, until| Instant::now() < *until);
-        let free = free_lane(plant, sender, lanes, &self.resting)?;
-        let Some((lane, open)) = free else { return Ok(Round::wait(IDLE)) };
+        let Some((lane, open)) = bench.free_lane(lanes, &self.resting)? else { return Ok(Round::wait(IDLE)) };
         // Batches already closed come first, whatever the mode is now.
-        if let Some(batch) = self.waiting(plant, network, owner, lately)? {
-            return self.send(plant, network, sender, lane, owner, batch).await;
+        if let Some(batch) = self.waiting(bench, lately)? {
+            return self.send(bench, lane, batch).await;
         }
         let own = match self.mode {
             AnchorMode::Each => lanes.iter().find(|lane| lane.address() == owner),
             AnchorMode::Batch => None,
         };
         match own {
-            Some(own) => match again(plant, owner)? {
-                Some(batch) => self.send(plant, network, sender, lane, owner, batch).await,
-                None => one_by_one(plant, network, sender, (owner, own)).await,
+            Some(own) => match bench.again()? {
+                Some(batch) => self.send(bench, lane, batch).await,
+                None => bench.one_by_one(own).await,
             },
-            None => match self.close(plant, network, owner, open == 0)? {
-                Ok(batch) => self.send(plant, network, sender, lane, owner, batch).await,
+            None => match self.close(bench, open == 0)? {
+                Ok(batch) => self.send(bench, lane, batch).await,
                 Err(due_in) => Ok(Round::wait(due_in)),
             },
         }
     }
 
-    /// Anchors a closed batch. An extra account that the contract refuses rests; a refusal of the owner's own account
-    /// is reported.
-    async fn send(
-        &mut self,
-        plant: &Plant,
-        network: &Network,
-        sender: &Sender,
-        lane: &EoaSecret,
-        owner: Address,
-        batch: WaitingBatch,
-    ) -> Result<Round, PipelineError> {
-        match send(plant, network, sender, lane, batch).await {
-            Err(PipelineError::Chain(ChainError::Reverted { .. })) if lane.address() != owner => {
+    /// An extra account that the contract refuses rests; a refusal of the owner's own account is an error.
+    async fn send(&mut self, bench: Bench<'_>, lane: &EoaSecret, batch: WaitingBatch) -> Result<Round> {
+        match bench.send(lane, batch).await {
+            Err(PipelineError::Chain(ChainError::Reverted { .. })) if lane.address() != bench.owner => {
                 self.resting.insert(lane.address(), Instant::now() + REST);
                 Ok(Round::wait(Duration::ZERO))
             }
@@ -125,39 +125,27 @@ impl Anchorer {
         }
     }
 
-    /// Lets records of signers who may not sign now wait, and those of signers who may again go on. That looks at all
-    /// topics, so it is done before a batch is closed or sent, and else only now and then.
-    fn settle(&mut self, plant: &Plant, network: &Network, owner: Address) -> Result<(), PipelineError> {
-        block_in_place(|| authority::settle_waiting(plant, network, owner))?;
+    /// This looks at all topics, so it runs before a batch is closed or sent, and otherwise only now and then.
+    fn settle(&mut self, bench: Bench<'_>) -> Result<()> {
+        block_in_place(|| authority::settle_waiting(bench.plant, bench.network, bench.owner))?;
         self.settled = Some(Instant::now());
         Ok(())
     }
 
     /// A closed batch that no transaction anchors.
-    fn waiting(
-        &mut self,
-        plant: &Plant,
-        network: &Network,
-        owner: Address,
-        look: bool,
-    ) -> Result<Option<WaitingBatch>, PipelineError> {
-        let first = || plant.ledger.batches.waiting(owner, 1).map(|found| found.first().copied());
+    fn waiting(&mut self, bench: Bench<'_>, look: bool) -> Result<Option<WaitingBatch>> {
+        let first = || bench.plant.ledger.batches.waiting(bench.owner, 1).map(|found| found.first().copied());
         let found = first()?;
         if found.is_none() || !look {
             return Ok(found);
         }
-        self.settle(plant, network, owner)?;
+        self.settle(bench)?;
         Ok(first()?)
     }
 
     /// Closes a batch if one is due; otherwise returns how long until then.
-    fn close(
-        &mut self,
-        plant: &Plant,
-        network: &Network,
-        owner: Address,
-        idle: bool,
-    ) -> Result<Result<WaitingBatch, Duration>, PipelineError> {
+    fn close(&mut self, bench: Bench<'_>, idle: bool) -> Result<Result<WaitingBatch, Duration>> {
+        let (plant, owner) = (bench.plant, bench.owner);
         block_in_place(|| {
             let (waiting, oldest) = plant.ledger.batches.unbatched(owner)?;
             let Some(oldest) = oldest.filter(|_| waiting > 0) else { return Ok(Err(LONGEST_WAIT)) };
@@ -166,7 +154,7 @@ impl Anchorer {
             if !due_in.is_zero() {
                 return Ok(Err(due_in));
             }
-            self.settle(plant, network, owner)?;
+            self.settle(bench)?;
             let leaves = plant.ledger.batches.stored_leaves(owner, MOST_LEAVES)?;
             let count = leaves.len();
             let Some(batch) = close_batch(plant, owner, leaves)? else { return Ok(Err(LONGEST_WAIT)) };
@@ -176,12 +164,7 @@ impl Anchorer {
     }
 }
 
-/// Closes a batch over these leaves.
-pub(super) fn close_batch(
-    plant: &Plant,
-    owner: Address,
-    mut leaves: Vec<Leaf>,
-) -> Result<Option<WaitingBatch>, PipelineError> {
+pub(super) fn close_batch(plant: &Plant, owner: Address, mut leaves: Vec<Leaf>) -> Result<Option<WaitingBatch>> {
     let Some(tree) = tree_of_another_root(plant, &mut leaves)? else { return Ok(None) };
     let places = leaves.iter().enumerate();
     let leaves: Vec<_> = places.map(|(index, leaf)| (leaf.digest, tree.path(index))).collect();
@@ -195,7 +178,7 @@ pub(super) fn close_batch(
 
 /// The tree over the leaves, in an order whose root no batch had before. The contract keeps only a root's first block,
 /// so after a skipped anchor the same root would show the wrong block forever. A single leaf has only one order.
-fn tree_of_another_root(plant: &Plant, leaves: &mut [Leaf]) -> Result<Option<Tree>, PipelineError> {
+fn tree_of_another_root(plant: &Plant, leaves: &mut [Leaf]) -> Result<Option<Tree>> {
     for _ in 1..leaves.len().min(MOST_ORDERS) {
         let Some(tree) = Tree::new(Leaf::hashes(leaves)) else { return Ok(None) };
         if !plant.ledger.inspection.unknown_roots(&[tree.root()])?.is_empty() {
@@ -206,80 +189,70 @@ fn tree_of_another_root(plant: &Plant, leaves: &mut [Leaf]) -> Result<Option<Tre
     Ok(Tree::new(Leaf::hashes(leaves)))
 }
 
-/// Records whose own uploads were skipped: the contract accepts a digest once, so they go into a batch.
-fn again(plant: &Plant, owner: Address) -> Result<Option<WaitingBatch>, PipelineError> {
-    block_in_place(|| {
-        let leaves = plant.ledger.batches.passed_over_leaves(owner, MOST_LEAVES)?;
-        close_batch(plant, owner, leaves)
-    })
-}
+impl Bench<'_> {
+    /// Records whose own uploads were skipped: the contract accepts a digest once, so they go into a batch.
+    fn again(&self) -> Result<Option<WaitingBatch>> {
+        block_in_place(|| {
+            let leaves = self.plant.ledger.batches.passed_over_leaves(self.owner, MOST_LEAVES)?;
+            close_batch(self.plant, self.owner, leaves)
+        })
+    }
 
-/// The account with the fewest open batches, and how many; `None` if all are full or paused.
-fn free_lane<'a>(
-    plant: &Plant,
-    sender: &Sender,
-    lanes: &'a [EoaSecret],
-    resting: &HashMap<Address, Instant>,
-) -> Result<Option<(&'a EoaSecret, usize)>, PipelineError> {
-    block_in_place(|| {
-        let (mut best, mut fewest) = (None, MOST_OPEN_BATCHES);
-        for lane in lanes.iter().filter(|lane| !resting.contains_key(&lane.address())) {
-            let open = plant.ledger.batches.open_roots(lane.address())?.len();
-            if open < fewest && sender.room(lane.address())? > 0 {
-                (best, fewest) = (Some(lane), open);
+    /// The account with the fewest open batches, and how many; `None` if all are full or paused.
+    fn free_lane<'k>(
+        &self,
+        lanes: &'k [EoaSecret],
+        resting: &HashMap<Address, Instant>,
+    ) -> Result<Option<(&'k EoaSecret, usize)>> {
+        block_in_place(|| {
+            let (mut best, mut fewest) = (None, MOST_OPEN_BATCHES);
+            for lane in lanes.iter().filter(|lane| !resting.contains_key(&lane.address())) {
+                let open = self.plant.ledger.batches.open_roots(lane.address())?.len();
+                if open < fewest && self.sender.room(lane.address())? > 0 {
+                    (best, fewest) = (Some(lane), open);
+                }
             }
+            Ok(best.map(|lane| (lane, fewest)))
+        })
+    }
+
+    async fn send(&self, lane: &EoaSecret, batch: WaitingBatch) -> Result<Round> {
+        // Held from checking what is open until the next one is signed, so that the chain of roots does not fork.
+        let held = self.sender.lane(&self.network.chain, lane).await;
+        let open = self.plant.ledger.batches.open_roots(lane.address())?;
+        let previous = match open.last() {
+            Some(root) => *root,
+            None => self.network.chain.anchor_head(lane.address()).await?,
+        };
+        let call = Call::Anchor { root: batch.root, count: batch.count, previous };
+        let outgoing = Outgoing { call, purpose: "anchor".to_owned(), anchors: Anchors::Batch(batch.root) };
+        match held.submit(vec![outgoing]).await {
+            Ok(hashes) => Ok(Round { submitted: hashes.len(), next: Duration::ZERO }),
+            // If its gas must be estimated again, the root before it has to be mined first.
+            Err(PipelineError::Chain(ChainError::Reverted { .. })) if !open.is_empty() => Ok(Round::wait(IDLE)),
+            Err(error) => Err(error),
         }
-        Ok(best.map(|lane| (lane, fewest)))
-    })
-}
+    }
 
-async fn send(
-    plant: &Plant,
-    network: &Network,
-    sender: &Sender,
-    lane: &EoaSecret,
-    batch: WaitingBatch,
-) -> Result<Round, PipelineError> {
-    // Held from checking what is open until the next one is signed, so that the chain of roots does not fork.
-    let held = sender.lane(&network.chain, lane).await;
-    let open = plant.ledger.batches.open_roots(lane.address())?;
-    let previous = match open.last() {
-        Some(root) => *root,
-        None => network.chain.anchor_head(lane.address()).await?,
-    };
-    let call = Call::Anchor { root: batch.root, count: batch.count, previous };
-    let outgoing = Outgoing { call, purpose: "anchor".to_owned(), anchors: Anchors::Batch(batch.root) };
-    match held.submit(vec![outgoing]).await {
-        Ok(hashes) => Ok(Round { submitted: hashes.len(), next: Duration::ZERO }),
-        // If its gas must be estimated again, the root before it has to be mined first.
-        Err(PipelineError::Chain(ChainError::Reverted { .. })) if !open.is_empty() => Ok(Round::wait(IDLE)),
-        Err(error) => Err(error),
+    /// Up to [`ROUND`] stored records, one transaction each; those of an epoch that the chain does not know yet wait.
+    async fn one_by_one(&self, own: &EoaSecret) -> Result<Round> {
+        let Bench { plant, network, sender, owner } = *self;
+        let room = sender.room(owner)?.min(ROUND);
+        if room == 0 {
+            return Ok(Round::wait(IDLE));
+        }
+        let rows = plant.ledger.records.in_state(Some(owner), RecordState::Stored, room)?;
+        let mut uploads = Vec::with_capacity(rows.len());
+        for row in &rows {
+            let token = block_in_place(|| kept::token(&plant.ledger.rights, &network.directory, row.owner, row.epoch))?;
+            uploads.extend(token.map(|token| upload(row, token)));
+        }
+        if uploads.is_empty() {
+            return Ok(Round::wait(IDLE));
+        }
+        let submitted = sender.lane(&network.chain, own).await.submit(uploads).await?.len();
+        Ok(Round { submitted, next: Duration::ZERO })
     }
-}
-
-/// Up to [`ROUND`] stored records, one transaction each. Those sealed under an epoch that the chain
-/// does not know yet wait for it.
-async fn one_by_one(
-    plant: &Plant,
-    network: &Network,
-    sender: &Sender,
-    (owner, own): (Address, &EoaSecret),
-) -> Result<Round, PipelineError> {
-    let room = sender.room(owner)?.min(ROUND);
-    if room == 0 {
-        return Ok(Round::wait(IDLE));
-    }
-    let rows = plant.ledger.records.in_state(Some(owner), RecordState::Stored, room)?;
-    let mut uploads = Vec::with_capacity(rows.len());
-    for row in &rows {
-        let token = block_in_place(|| kept::token(&plant.ledger.rights, &network.directory, row.owner, row.epoch))?;
-        uploads.extend(token.map(|token| upload(row, token)));
-    }
-    if uploads.is_empty() {
-        return Ok(Round::wait(IDLE));
-    }
-    let submitted = sender.submit(&network.chain, own, uploads).await?.len();
-    Ok(Round { submitted, next: Duration::ZERO })
 }
 
 fn upload(row: &RecordRow, token: Token) -> Outgoing {
@@ -287,64 +260,42 @@ fn upload(row: &RecordRow, token: Token) -> Outgoing {
     Outgoing { call, purpose: "dataUpload".to_owned(), anchors: Anchors::Digests(vec![row.digest]) }
 }
 
-/// The most accounts that anchor for one owner, including the owner's own.
-pub const MOST_LANES: u8 = 8;
-/// The number of anchors an account gets ether for at a time.
-const PROVISION: u128 = 500;
-/// The gas assumed for one anchor and its share of the registration.
-const ANCHOR_GAS: u128 = 120_000;
-/// The purpose of a transfer that funds an extra account.
-const PROVISION_PURPOSE: &str = "fund anchoring account";
-
 /// The extra anchoring accounts of an owner on one network, for `lanes` accounts in total.
-///
-/// # Errors
-/// [`CryptoError::SecretRange`] if a derived number is not a valid key, which does not happen in practice.
 pub fn extra(owner: &EoaSecret, domain: &Domain, lanes: u8) -> Result<Vec<EoaSecret>, CryptoError> {
     (1..lanes.min(MOST_LANES)).map(|index| anchoring_secret(owner, domain, index)).collect()
 }
 
-/// Makes an extra account ready to anchor: with ether if the chain requires it, and registered. Returns whether it is ready
-/// now; what is missing is done when this is called again.
+/// Funds an extra account where needed, and registers it. Returns whether it is ready; call again until it is.
 pub async fn ensure_ready(
     plant: &Plant,
     network: &Network,
     sender: &Sender,
     owner: &Owner,
     key: &EoaSecret,
-) -> Result<bool, PipelineError> {
+) -> Result<bool> {
     let account = key.address();
-    let state = sender.state_of(account)?;
-    if network.directory.identity(account).is_ok() {
-        if state.paused.is_some() {
-            provide(plant, network, sender, owner, key).await?;
-        }
-        return Ok(true);
-    }
-    if state.open > 0 {
+    let (state, is_registered) = (sender.state_of(account)?, network.directory.identity(account).is_ok());
+    if !is_registered && state.open > 0 {
         // Its registration is on the way, perhaps since before a restart.
         return Ok(false);
     }
-    provide(plant, network, sender, owner, key).await?;
+    if !is_registered || state.paused.is_some() {
+        provide(plant, network, sender, owner, key).await?;
+    }
+    if is_registered {
+        return Ok(true);
+    }
     let (signing, (_, envelope)) = (owner.signing(), owner.public_keys());
     // A token of its own that belongs to no key: these accounts seal nothing.
     let token = Token(random_bytes()?);
     let identity = prove(plant.provider, &network.domain, &account, &signing, &envelope, token)?;
-    sender
-        .send(&network.chain, key, Call::Register { identity, envelope: Vec::new() }, "register anchoring account")
-        .await?;
+    let call = Call::Register { identity, envelope: Vec::new() };
+    sender.send(&network.chain, key, call, "register anchoring account").await?;
     Ok(false)
 }
 
-/// Gives an extra account ether for its next anchors if it has too little: from a development node, otherwise from the
-/// owner.
-async fn provide(
-    plant: &Plant,
-    network: &Network,
-    sender: &Sender,
-    owner: &Owner,
-    key: &EoaSecret,
-) -> Result<(), PipelineError> {
+/// Gives an extra account ether for its next anchors: from a development node, otherwise from the owner.
+async fn provide(plant: &Plant, network: &Network, sender: &Sender, owner: &Owner, key: &EoaSecret) -> Result<()> {
     let (chain, account) = (&network.chain, key.address());
     // A transfer still waiting for its block is not in the balance yet.
     if plant.ledger.lanes.open_lane(owner.address)?.iter().any(|row| row.purpose == PROVISION_PURPOSE) {

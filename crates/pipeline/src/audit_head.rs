@@ -1,6 +1,5 @@
-//! The head of the audit log, anchored while the log changes, as a record of each owner whose keyring is open. Each
-//! owner signs their own head: nobody can open another owner's record, and a head signed by someone else proves
-//! nothing.
+//! The head of the audit log, anchored while the log changes, as a record of each owner whose keyring is open: a head
+//! signed by someone else proves nothing.
 
 use std::time::Duration;
 
@@ -10,9 +9,8 @@ use crate::store::{AuditLog, Notes, RecordQuery, RecordRow, StoreError};
 
 use super::reader::Reader;
 use super::statement::{self, Statement};
-use super::{Network, Owner, PipelineError, Plant};
+use super::{Network, Owner, PipelineError, Plant, Result};
 
-/// The name that the records are filed under.
 pub(super) const TOPIC: &str = "authros/audit";
 /// How many of the newest heads are opened for a check; each covers all lines below it.
 const MOST_HEADS: usize = 100;
@@ -22,20 +20,16 @@ pub fn noted(notes: &Notes, owner: Address) -> Result<Option<(u64, Digest)>, Sto
     Ok(notes.read(&StatedAuditHead { owner })?.map(|last| (last.line, last.hash)))
 }
 
-/// Seals the log's head for `owner` if the oldest line not covered by one of the owner's heads is older than `every`. A
-/// function of the ledger: it continues after a restart, and idles while nothing changes. The caller holds
-/// [`Owner::changes`]: a head must not be signed by a key that is being replaced.
-///
-/// # Errors
-/// Errors of the store; `StoreError::Corrupt` if the log does not continue from the previous head, in which case
-/// no new head is sealed.
+/// Seals the log's head if its oldest uncovered line is older than `every`. The caller holds [`Owner::changes`]: a head
+/// must not be signed by a key that is being replaced. `Corrupt`, and no head, if the log does not continue from the
+/// last.
 pub fn state_head(
     plant: &Plant,
     network: &Network,
     log: &AuditLog,
     owner: &Owner,
     every: Duration,
-) -> Result<Option<Digest>, PipelineError> {
+) -> Result<Option<Digest>> {
     let Some(keys) = owner.sealing().filter(|keys| keys.domain == network.domain) else { return Ok(None) };
     let note = StatedAuditHead { owner: owner.address };
     let before = plant.ledger.notes.read(&note)?;
@@ -62,7 +56,6 @@ pub fn state_head(
     Ok(Some(digest))
 }
 
-/// The log's heads in a reader's own records.
 #[derive(Debug, Default)]
 pub struct Heads {
     /// Number of lines and hash each, newest first, from records whose checks passed.
@@ -73,11 +66,8 @@ pub struct Heads {
     pub bad: Vec<(String, String)>,
 }
 
-/// Opens the newest heads of the log that this owner anchored.
-///
-/// # Errors
-/// Errors of the ledger; a record that does not open is listed in the answer.
-pub async fn heads(reader: &Reader<'_>) -> Result<Heads, PipelineError> {
+/// The newest heads that this owner anchored; a record that does not open is part of the answer.
+pub async fn heads(reader: &Reader<'_>) -> Result<Heads> {
     let query = RecordQuery {
         owner: Some(reader.reader.address),
         topic: Some(TOPIC.to_owned()),
@@ -102,7 +92,7 @@ pub async fn heads(reader: &Reader<'_>) -> Result<Heads, PipelineError> {
     Ok(heads)
 }
 
-async fn open(reader: &Reader<'_>, row: &RecordRow) -> Result<(AuditHead, bool), PipelineError> {
+async fn open(reader: &Reader<'_>, row: &RecordRow) -> Result<(AuditHead, bool)> {
     let opened = reader.open(row).await?;
     let head = AuditHead::parse(&opened.body).map_err(|error| PipelineError::Refused(error.to_string()))?;
     Ok((head, opened.verdict == crate::model::Verdict::Verified))

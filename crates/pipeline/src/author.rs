@@ -1,7 +1,6 @@
-//! An author: the owner for whom messages are sealed, with the keys and when each takes effect. An owner's site has one
-//! per open keyring, a robot one from its enrolment.
+//! The owner for whom messages are sealed, with the keys, of a keyring or an enrolment, and when each takes effect.
 
-use std::sync::{Arc, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::crypto::Enrolment;
 use crate::model::steady_clock::steady_now;
@@ -9,13 +8,11 @@ use crate::model::{Address, Timestamp};
 
 use super::epoch::EpochKeys;
 
-/// The owner of the records, with the keys in use.
 pub struct Author {
     pub address: Address,
-    sealing: RwLock<Sealing>,
+    sealing: Mutex<Sealing>,
 }
 
-/// The keys that seal new records, and those that will from a later moment.
 #[derive(Default)]
 struct Sealing {
     keys: Option<Arc<EpochKeys>>,
@@ -23,35 +20,29 @@ struct Sealing {
 }
 
 impl Author {
-    /// An author without keys yet.
     pub fn new(address: Address) -> Self {
-        Self { address, sealing: RwLock::default() }
+        Self { address, sealing: Mutex::default() }
     }
 
-    /// The keys that seal new records; `None` before the first, and after the last have ended.
-    ///
-    /// A message captured after the moment given to [`Self::seal_from`] is never sealed under the earlier keys, even if
-    /// nothing ran at that moment.
+    /// `None` before the first keys and after the last have ended. A message captured after the moment of
+    /// [`Self::seal_from`] is never sealed under the earlier keys, even if nothing ran at that moment.
     pub fn sealing(&self) -> Option<Arc<EpochKeys>> {
-        {
-            let sealing = self.sealing.read().unwrap_or_else(PoisonError::into_inner);
-            if sealing.next.as_ref().is_none_or(|(from, _)| steady_now() < *from) {
-                return in_force(sealing.keys.as_ref());
-            }
-        }
-        let mut sealing = self.sealing.write().unwrap_or_else(PoisonError::into_inner);
+        let mut sealing = self.lock();
         if let Some((_, keys)) = sealing.next.take_if(|(from, _)| steady_now() >= *from) {
             sealing.keys = Some(keys);
         }
-        in_force(sealing.keys.as_ref())
+        sealing.keys.as_ref().filter(|keys| keys.ends.is_none_or(|ends| steady_now() < ends)).cloned()
     }
 
-    /// The keys to seal with from a future moment.
+    fn lock(&self) -> MutexGuard<'_, Sealing> {
+        self.sealing.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     pub fn next(&self) -> Option<(Timestamp, Arc<EpochKeys>)> {
-        self.sealing.read().unwrap_or_else(PoisonError::into_inner).next.clone()
+        self.lock().next.clone()
     }
 
-    /// Seals as an owner has instructed a device: with the present keys, and with others from a future moment.
+    /// Takes the keys that an owner sent to a device: the present ones, and others from a future moment.
     pub fn obey(&self, enrolment: &Enrolment) {
         self.seal_under(Arc::new(EpochKeys::issued(enrolment, &enrolment.keys.now)));
         if let Some((moment, next)) = &enrolment.keys.next {
@@ -59,20 +50,18 @@ impl Author {
         }
     }
 
-    /// From now on records are sealed with these keys.
     pub fn seal_under(&self, keys: Arc<EpochKeys>) {
-        *self.sealing.write().unwrap_or_else(PoisonError::into_inner) = Sealing { keys: Some(keys), next: None };
+        *self.lock() = Sealing { keys: Some(keys), next: None };
     }
 
-    /// From now on nothing is sealed.
     pub fn rest(&self) {
-        *self.sealing.write().unwrap_or_else(PoisonError::into_inner) = Sealing::default();
+        *self.lock() = Sealing::default();
     }
 
     /// From `moment` on records are sealed with these keys, unless those of the same or a later epoch are already in
     /// use; of two such moments the earlier counts.
     pub fn seal_from(&self, moment: Timestamp, keys: Arc<EpochKeys>) {
-        let mut sealing = self.sealing.write().unwrap_or_else(PoisonError::into_inner);
+        let mut sealing = self.lock();
         if sealing.keys.as_ref().is_some_and(|now| now.domain == keys.domain && now.epoch >= keys.epoch) {
             return;
         }
@@ -80,8 +69,4 @@ impl Author {
             sealing.next = Some((moment, keys));
         }
     }
-}
-
-fn in_force(keys: Option<&Arc<EpochKeys>>) -> Option<Arc<EpochKeys>> {
-    keys.filter(|keys| keys.ends.is_none_or(|ends| steady_now() < ends)).cloned()
 }

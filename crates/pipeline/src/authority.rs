@@ -1,10 +1,5 @@
-//! The only place that decides who may sign and who may read.
-//!
-//! A right to sign is judged at the block that anchors a record: by the state after all events of that block, at that
-//! block's own time. A right to read is judged at the moment of reading, by a named policy. Both answers give the
-//! right, or say in words why there is none.
-
-use std::collections::HashMap;
+//! The only place that decides who may sign and who may read. A right to sign is judged at the anchoring block: by the
+//! state after all its events, at its own time. A right to read is judged when reading, by a named policy.
 
 use tokio::task::block_in_place;
 
@@ -12,21 +7,18 @@ use crate::chain::{BlockRef, QueryAnswer};
 use crate::crypto::signer_id;
 use crate::directory::{Account, Directory, Granted, Lending, kept};
 use crate::model::{Address, PublicKey, Scope, SignerId, Timestamp, TopicId};
-use crate::store::{RecordRow, WaitingSigner};
-use crate::{Network, PipelineError, Plant};
+use crate::store::{RecordRow, StoreError, WaitingSigner};
+use crate::{Network, PipelineError, Plant, Result};
 
-/// Asks the contract whether `reader` may read what `owner` sealed in an epoch. `None` if the chain's events name no token
-/// of that epoch, or there is no chain to ask.
-///
-/// # Errors
-/// [`PipelineError::Contradicted`] if the answer differs from what the events say; errors of chain and ledger.
+/// Whether the contract lets `reader` read `owner`'s epoch. `None` without a token of that epoch, or without a chain.
+/// [`PipelineError::Contradicted`] if the answer differs from what the events say.
 pub async fn ask_contract(
     plant: &Plant,
     network: &Network,
     reader: Address,
     owner: Address,
     epoch: u64,
-) -> Result<Option<QueryAnswer>, PipelineError> {
+) -> Result<Option<QueryAnswer>> {
     if network.absent.is_some() {
         return Ok(None);
     }
@@ -49,13 +41,7 @@ pub async fn ask_contract(
 
 /// The contract's rule, applied to the events: a grant covers the epochs from its own on, and earlier ones that have an
 /// envelope of their own. Keys of earlier epochs may also be inside a later envelope, which the contract cannot know.
-fn is_covered(
-    plant: &Plant,
-    network: &Network,
-    reader: Address,
-    owner: Address,
-    epoch: u64,
-) -> Result<bool, PipelineError> {
+fn is_covered(plant: &Plant, network: &Network, reader: Address, owner: Address, epoch: u64) -> Result<bool> {
     let directory = &network.directory;
     match may_read(directory, reader, owner, None, Policy::OwnSite) {
         Ok(ReadingRight::Own) => Ok(true),
@@ -65,7 +51,6 @@ fn is_covered(
     }
 }
 
-/// What is required for reading.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Policy {
     /// A reader's own site: a grant in force by the clock here, and the reader not suspended.
@@ -82,16 +67,13 @@ pub enum Policy {
     },
 }
 
-/// The right by which someone reads.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum ReadingRight {
-    /// The records are the reader's own.
     Own,
     Granted(Box<Granted>),
 }
 
 impl ReadingRight {
-    /// What the grant covers.
     pub fn scope(&self) -> &Scope {
         match self {
             Self::Own => &Scope::All,
@@ -99,26 +81,19 @@ impl ReadingRight {
         }
     }
 
-    /// Whether records of a topic are covered.
     pub fn covers(&self, topic: TopicId) -> bool {
         self.scope().covers(topic)
     }
 }
 
-/// Why someone may not read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs, reason = "each variant's line names its fields")]
 pub enum ReadRefused {
-    /// No grant is in force.
     #[error("{reader} has no grant of {owner}")]
     NotGranted { owner: Address, reader: Address },
-    /// A grant is in force but does not cover the topic.
     #[error("the grant of {owner} to {reader} does not cover this topic")]
     NotCovered { owner: Address, reader: Address },
-    /// The reader is suspended.
     #[error("{reader} has been suspended since block {since}")]
     Suspended { reader: Address, since: u64 },
-    /// There was no head lately, so nobody's right is known.
     #[error("no recent block from the chain")]
     Stale,
 }
@@ -168,7 +143,6 @@ fn stands(grant: &Granted, now: Timestamp, policy: Policy) -> bool {
     demanded && grant.is_active(now)
 }
 
-/// The grants by which others currently let `reader` read on its own site.
 pub fn shared_with(directory: &Directory, reader: Address) -> Vec<Granted> {
     if not_suspended(directory, reader).is_err() {
         return Vec::new();
@@ -177,43 +151,13 @@ pub fn shared_with(directory: &Directory, reader: Address) -> Vec<Granted> {
     directory.grants_to(reader).into_iter().filter(|grant| grant.is_active(now)).collect()
 }
 
-/// The grant of `owner` to `grantee` currently in force, for the owner's own management.
 pub fn standing_grant(directory: &Directory, owner: Address, grantee: Address) -> Option<Granted> {
     directory.grant_between(owner, grantee).filter(|grant| grant.is_active(directory.now()))
 }
 
-/// All grants by `owner` currently in force.
 pub fn standing_grants(directory: &Directory, owner: Address) -> Vec<Granted> {
     let now = directory.now();
     directory.grants_of(owner).into_iter().filter(|grant| grant.is_active(now)).collect()
-}
-
-/// What is known of the signers of some records that are looked at together.
-pub struct Signers<'a> {
-    plant: &'a Plant,
-    network: &'a Network,
-    known: HashMap<(Address, SignerId, Option<u64>), Result<PublicKey, NoRight>>,
-}
-
-impl<'a> Signers<'a> {
-    /// Nothing is known yet.
-    pub fn new(plant: &'a Plant, network: &'a Network) -> Self {
-        Self { plant, network, known: HashMap::new() }
-    }
-
-    /// The key that signed a record, see [`signer_of`].
-    ///
-    /// # Errors
-    /// Errors of chain and ledger; lack of a right is part of the answer.
-    pub fn of(&mut self, row: &RecordRow) -> Result<Result<PublicKey, NoRight>, PipelineError> {
-        let asked = (row.owner, row.signer, row.block);
-        if let Some(known) = self.known.get(&asked) {
-            return Ok(known.clone());
-        }
-        let signer = signer_of(self.plant, self.network, row)?;
-        self.known.insert(asked, signer.clone());
-        Ok(signer)
-    }
 }
 
 /// The moment at which a right is judged: the state after all events of a block, and that block's own time.
@@ -226,57 +170,41 @@ pub struct Moment {
 }
 
 impl Moment {
-    /// After a block's events.
     pub fn of_block(block: u64, time: Timestamp) -> Self {
         Self { block: Some(block), time }
     }
 
-    /// After every known event.
     pub fn newest(time: Timestamp) -> Self {
         Self { block: None, time }
     }
 }
 
-/// The right by which a record was signed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum SigningRight {
-    /// With the owner's own key.
     Owner(PublicKey),
-    /// With the key of a device lent by the owner.
     Device(Lending),
 }
 
-/// Why a signer had no right to sign for an owner.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs, reason = "each variant's line names its fields")]
 pub enum NoRight {
-    /// The owner had not registered an identity yet.
     #[error("{owner} was not registered yet {}", when(.block))]
     Unregistered { owner: Address, block: Option<u64> },
-    /// The owner's identity has no valid proof.
     #[error("the identity that {owner} had registered does not verify")]
     Unproven { owner: Address },
-    /// The owner was suspended.
     #[error("{owner} was suspended {}, since block {since}", when(.block))]
     Suspended { owner: Address, since: u64, block: Option<u64> },
-    /// The owner's account was lost and another account took over.
     #[error("{owner} was declared lost {}, and {successor} is its successor since block {since}", when(.block))]
     Succeeded { owner: Address, successor: Address, since: u64, block: Option<u64> },
-    /// The key had been the owner's, but was replaced.
     #[error("{owner} had replaced the signer's key {}, in block {since}", when(.block))]
     Replaced { owner: Address, since: u64, block: Option<u64> },
-    /// The device was lent later.
     #[error("the signer is a device that {owner} lent only in block {from}, after the record was anchored")]
     LentLater { owner: Address, from: u64 },
-    /// The device was recalled.
     #[error("the signer is a device that {owner} had recalled in block {recalled}")]
     Recalled { owner: Address, recalled: u64 },
-    /// The device's loan had ended.
     #[error("the signer is a device that {owner} had lent until {until}, but the anchoring block is dated {time}")]
     Ended { owner: Address, until: Timestamp, time: Timestamp },
     #[error("{owner} had not registered the signer's key {}, nor lent it", when(.block))]
     Unknown { owner: Address, block: Option<u64> },
-    /// The device was lent, but its public key is not known here.
     #[error("the signer is a device of {owner} whose key is unknown here; ask its owner for an export")]
     KeyUnknown { owner: Address },
 }
@@ -291,12 +219,11 @@ pub fn is_suspended(directory: &Directory, account: Address) -> bool {
     directory.account(account).is_some_and(|account| account.suspended_at(None).is_some())
 }
 
-/// Whether a loan is currently in force, by the chain's clock.
+/// By the chain's clock.
 pub fn is_lent(directory: &Directory, lending: &Lending) -> bool {
     lending.recalled.is_none() && lending.until.is_none_or(|until| until > directory.now())
 }
 
-/// Whether the key with this id could sign for `owner` at a given moment.
 pub fn may_sign(directory: &Directory, owner: Address, signer: SignerId, at: Moment) -> Result<SigningRight, NoRight> {
     let right = directory.with_account(owner, |account| by_block(account, owner, signer, at.block))?;
     in_time(right, owner, at.time)
@@ -353,17 +280,13 @@ fn in_time(right: SigningRight, owner: Address, time: Timestamp) -> Result<Signi
     }
 }
 
-/// The right by which a key signed for `owner`, at a block of the chain; the block's time is requested only if it
-/// matters.
-///
-/// # Errors
-/// Errors of the chain; lack of a right is part of the answer.
+/// Asks for the block's time only if it matters.
 pub fn right_of(
     network: &Network,
     owner: Address,
     signer: SignerId,
     block: u64,
-) -> Result<Result<SigningRight, NoRight>, PipelineError> {
+) -> Result<Result<SigningRight, NoRight>> {
     let right = match network.directory.with_account(owner, |account| by_block(account, owner, signer, Some(block))) {
         Ok(right) => right,
         Err(why) => return Ok(Err(why)),
@@ -375,17 +298,9 @@ pub fn right_of(
     Ok(Ok(right))
 }
 
-/// The key that signed a record, if its signer had the right at the anchoring block. Before a record is anchored
-/// nothing is decided: then any key that its owner ever registered or lent. The chain has only the ids of devices;
-/// their keys are those known to the ledger.
-///
-/// # Errors
-/// Errors of chain and ledger; lack of a right is part of the answer.
-pub fn signer_of(
-    plant: &Plant,
-    network: &Network,
-    row: &RecordRow,
-) -> Result<Result<PublicKey, NoRight>, PipelineError> {
+/// The key that signed a record, if its signer had the right at the anchoring block; before it is anchored, any key
+/// that its owner ever registered or lent. The chain has only the ids of devices; their keys come from the ledger.
+pub fn signer_of(plant: &Plant, network: &Network, row: &RecordRow) -> Result<Result<PublicKey, NoRight>> {
     let right = match row.block {
         Some(block) => right_of(network, row.owner, row.signer, block)?,
         None => network.directory.with_account(row.owner, |account| ever(account, row.owner, row.signer)),
@@ -400,8 +315,7 @@ pub fn signer_of(
     })
 }
 
-/// Like [`signer_of`], without the reason.
-pub fn key_of(plant: &Plant, network: &Network, row: &RecordRow) -> Result<Option<PublicKey>, PipelineError> {
+pub fn key_of(plant: &Plant, network: &Network, row: &RecordRow) -> Result<Option<PublicKey>> {
     Ok(signer_of(plant, network, row)?.ok())
 }
 
@@ -415,9 +329,8 @@ fn ever(account: Option<&Account>, owner: Address, signer: SignerId) -> Result<S
     lent.map(|lending| SigningRight::Device(lending.clone())).ok_or(NoRight::Unknown { owner, block: None })
 }
 
-/// Holds back what `keeper` would anchor although its signer may not sign now, and releases what waited for a right
-/// that is back. To be called before anything is anchored.
-pub fn settle_waiting(plant: &Plant, network: &Network, keeper: Address) -> Result<(), PipelineError> {
+/// Holds back what may not be signed now, and releases what waited for a right that is back. Call before anchoring.
+pub fn settle_waiting(plant: &Plant, network: &Network, keeper: Address) -> Result<()> {
     for waiting in plant.ledger.batches.waiting_signers(keeper)? {
         let now = Moment::newest(network.directory.now());
         match may_sign(&network.directory, waiting.owner, waiting.signer, now) {
@@ -431,14 +344,8 @@ pub fn settle_waiting(plant: &Plant, network: &Network, keeper: Address) -> Resu
     Ok(())
 }
 
-fn hold(plant: &Plant, keeper: Address, waiting: WaitingSigner, why: &NoRight) -> Result<(), PipelineError> {
-    let mut held = 0;
-    loop {
-        match plant.ledger.batches.hold_signer(keeper, waiting.owner, waiting.signer)? {
-            0 => break,
-            more => held += more,
-        }
-    }
+fn hold(plant: &Plant, keeper: Address, waiting: WaitingSigner, why: &NoRight) -> Result<()> {
+    let held = all(|| plant.ledger.batches.hold_signer(keeper, waiting.owner, waiting.signer))?;
     // Messages captured meanwhile join the waiting ones; this is reported once.
     if held > 0 && !waiting.held {
         plant.observer.alert(true, format!("records are kept but not anchored: {why}"));
@@ -449,20 +356,25 @@ fn hold(plant: &Plant, keeper: Address, waiting: WaitingSigner, why: &NoRight) -
     Ok(())
 }
 
-fn free(plant: &Plant, keeper: Address, waiting: WaitingSigner) -> Result<(), PipelineError> {
-    let mut freed = 0;
-    loop {
-        match plant.ledger.batches.free_signer(keeper, waiting.owner, waiting.signer)? {
-            0 => break,
-            more => freed += more,
-        }
-    }
+fn free(plant: &Plant, keeper: Address, waiting: WaitingSigner) -> Result<()> {
+    let freed = all(|| plant.ledger.batches.free_signer(keeper, waiting.owner, waiting.signer))?;
     if freed > 0 {
         let owner = waiting.owner;
         plant.observer.alert(false, format!("{freed} records of {owner} resume: their signer may sign again"));
         plant.observer.records_changed();
     }
     Ok(())
+}
+
+/// Repeats `some` until it moves no further records.
+fn all(some: impl Fn() -> Result<u64, StoreError>) -> Result<u64> {
+    let mut moved = 0;
+    loop {
+        match some()? {
+            0 => return Ok(moved),
+            more => moved += more,
+        }
+    }
 }
 
 #[cfg(test)]

@@ -9,12 +9,11 @@ use tokio::task::block_in_place;
 use crate::chain::EventAt;
 use crate::model::Timestamp;
 
-use super::{Network, PipelineError};
+use super::{Network, PipelineError, Result};
 
 /// The most times cached.
 const MOST: usize = 16_384;
 
-/// Times of known blocks.
 pub struct BlockTimes {
     known: Mutex<BTreeMap<u64, Timestamp>>,
     /// The runtime on which threads outside it can query the chain.
@@ -28,7 +27,6 @@ impl Default for BlockTimes {
 }
 
 impl BlockTimes {
-    /// Notes the time of a block that an event included.
     pub(super) fn note(&self, at: &EventAt) {
         if let Some(time) = at.timestamp {
             self.keep(at.block, Timestamp::from_seconds(time));
@@ -54,11 +52,8 @@ impl BlockTimes {
 }
 
 impl Network {
-    /// The time of a block, as stated by its maker. Queries the chain if it is not known yet.
-    ///
-    /// # Errors
-    /// Errors of the chain; `Unsteady` if it has no such block (any more).
-    pub fn time_of(&self, block: u64) -> Result<Timestamp, PipelineError> {
+    /// As stated by the block's maker. Asks the chain if unknown; `Unsteady` if there is no such block (any more).
+    pub fn time_of(&self, block: u64) -> Result<Timestamp> {
         if let Some(time) = self.times.of(block) {
             return Ok(time);
         }
@@ -66,8 +61,8 @@ impl Network {
         block_in_place(|| runtime.block_on(self.ask_time(block)))
     }
 
-    /// Like [`Network::time_of`], for tasks.
-    pub async fn ask_time(&self, block: u64) -> Result<Timestamp, PipelineError> {
+    /// Same, for tasks.
+    pub async fn ask_time(&self, block: u64) -> Result<Timestamp> {
         if let Some(time) = self.times.of(block) {
             return Ok(time);
         }

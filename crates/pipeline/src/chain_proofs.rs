@@ -1,6 +1,5 @@
-//! Proofs of anchors, and of the chain's state (EIP-1186) for each anchored batch, fetched while the node still has
-//! the state after its block and kept in the ledger with the headers: a bundle made years later needs no node that
-//! keeps old states, or none.
+//! Proofs of anchors, and of the chain's state (EIP-1186) for each batch, fetched while the node still has that state
+//! and kept with the headers: a bundle made years later needs no node that keeps old states.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -11,17 +10,16 @@ use crate::chain::{AnchorProof, Chain, ChainError, Event};
 use crate::crypto::fault;
 use crate::model::{Address, Digest, Hash, SignerId};
 use crate::store::{BatchPlace, PlacedRecord, RecordRow, UnprovenBatch};
-use crate::{Network, PipelineError, Plant};
+use crate::{Network, Plant, Result};
 
 /// Batches per round: each block costs the node two requests.
 const AT_ONCE: usize = 64;
-/// So often a node is asked for one block's proof: it may just have been busy.
+/// Requests for one block's proof: the node may just have been busy.
 const ATTEMPTS: u32 = 3;
 
 /// What is to be proven of the contract's storage for a record.
 #[derive(Debug, Clone, Copy)]
 pub struct Shown {
-    /// The owner of the record.
     pub owner: Address,
     pub signer: SignerId,
     /// The version of the owner's keys at the block; 0 if it was not registered then.
@@ -29,7 +27,6 @@ pub struct Shown {
     pub anchor: Anchor,
 }
 
-/// What the contract holds of a record.
 #[derive(Debug, Clone, Copy)]
 pub enum Anchor {
     /// Its digest alone, under its owner.
@@ -40,7 +37,6 @@ pub enum Anchor {
 
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Collected {
-    /// Batches whose proofs are kept now.
     pub kept: u64,
     /// Batches that will have none here.
     pub missed: u64,
@@ -48,7 +44,6 @@ pub struct Collected {
     pub problem: Option<String>,
 }
 
-/// What the caller keeps from round to round.
 #[derive(Debug, Default)]
 pub struct Rounds {
     /// How often each block's proof was requested in vain.
@@ -59,7 +54,6 @@ pub struct Rounds {
     awaited: BTreeSet<u64>,
 }
 
-/// The slots of these, each once.
 pub fn slots(all: impl IntoIterator<Item = Shown>) -> Vec<Slot> {
     let mut slots = BTreeSet::new();
     for Shown { owner, signer, keys, anchor } in all {
@@ -85,13 +79,9 @@ pub fn key_version(network: &Network, owner: Address, block: u64) -> u64 {
     })
 }
 
-/// Fetches the proofs of confirmed batches that lack them, once for all batches of a block, the newest first: the node
-/// forgets the oldest states first, and those are gone already after a long pause.
-///
-/// # Errors
-/// Errors of the ledger; a node that cannot be reached. What the node refuses, or what does not prove the anchor, is
-/// requested three times and then counted.
-pub async fn collect(plant: &Plant, network: &Network, rounds: &mut Rounds) -> Result<Collected, PipelineError> {
+/// Fetches missing proofs of confirmed batches, block by block, the newest first: the node forgets the oldest states
+/// first. What the node refuses, or what does not prove the anchor, is asked for three times and then counted.
+pub async fn collect(plant: &Plant, network: &Network, rounds: &mut Rounds) -> Result<Collected> {
     let head = network.chain.head().await?.number;
     let confirmed = (head + 1).saturating_sub(network.confirmations);
     let mut blocks: BTreeMap<(u64, Hash), Vec<UnprovenBatch>> = BTreeMap::new();
@@ -103,16 +93,18 @@ pub async fn collect(plant: &Plant, network: &Network, rounds: &mut Rounds) -> R
     for (at, batches) in blocks.into_iter().rev() {
         let keys: Vec<u64> = batches.iter().map(|batch| batch.key).collect();
         let count = keys.len() as u64;
-        match proof(network, at, &batches).await? {
-            Fetched::Proof(header, nodes) => {
+        match proof(network, at, &batches).await {
+            Ok(Some((header, nodes))) => {
                 block_in_place(|| {
                     plant.ledger.proofs.keep_chain_proof(at, header, keys, nodes.into_hashed().collect())
                 })?;
                 rounds.await_after(network, at.0).await?;
                 collected.kept += count;
             }
-            Fetched::OtherBlock => {}
-            Fetched::Refused(why) => {
+            // The chain has another block of that number now; the watcher is about to notice.
+            Ok(None) => {}
+            Err(Stop::Failed(error)) => return Err(error.into()),
+            Err(Stop::Refused(why)) => {
                 let attempt = rounds.attempts.entry(at.0).or_default();
                 *attempt += 1;
                 if *attempt >= ATTEMPTS {
@@ -129,7 +121,7 @@ pub async fn collect(plant: &Plant, network: &Network, rounds: &mut Rounds) -> R
 
 impl Rounds {
     /// The headers after this block are to be kept too, as far as its sealers' quorum may need them.
-    async fn await_after(&mut self, network: &Network, block: u64) -> Result<(), PipelineError> {
+    async fn await_after(&mut self, network: &Network, block: u64) -> Result<()> {
         let further = match self.further {
             Some(further) => further,
             None => u64::try_from(network.chain.sealing().await?.sealers.len() / 2).unwrap_or(0),
@@ -139,7 +131,7 @@ impl Rounds {
         Ok(())
     }
 
-    async fn keep_headers(&mut self, plant: &Plant, network: &Network, confirmed: u64) -> Result<(), PipelineError> {
+    async fn keep_headers(&mut self, plant: &Plant, network: &Network, confirmed: u64) -> Result<()> {
         if self.further.is_none()
             && let Some(newest) = plant.ledger.proofs.chain_proof_counts()?.newest
         {
@@ -147,8 +139,10 @@ impl Rounds {
             self.await_after(network, newest).await?;
         }
         while let Some(block) = self.awaited.first().copied().filter(|block| *block <= confirmed) {
-            if let Ok(Some(header)) = refusal(network.chain.header_rlp(block).await)? {
-                plant.ledger.proofs.keep_chain_header(block, header)?;
+            match network.chain.header_rlp(block).await {
+                Ok(Some(header)) => plant.ledger.proofs.keep_chain_header(block, header)?,
+                Err(error @ ChainError::Unreachable { .. }) => return Err(error.into()),
+                Ok(None) | Err(_) => {}
             }
             self.awaited.remove(&block);
         }
@@ -156,21 +150,27 @@ impl Rounds {
     }
 }
 
-/// An answer of the node about one block.
-enum Fetched {
-    /// The block's header, and the nodes.
-    Proof(Vec<u8>, Nodes),
-    /// The chain has another block of that number now; the watcher is about to notice.
-    OtherBlock,
-    /// There is no proof, and why.
+enum Stop {
+    /// Without the node nothing can be decided.
+    Failed(ChainError),
     Refused(String),
 }
 
+impl From<ChainError> for Stop {
+    fn from(error: ChainError) -> Self {
+        match error {
+            ChainError::Unreachable { .. } => Self::Failed(error),
+            error => Self::Refused(error.to_string()),
+        }
+    }
+}
+
+/// The header of a block, and the nodes that prove the anchors; `None` if the chain has another block of that number.
 async fn proof(
     network: &Network,
     (block, hash): (u64, Hash),
     batches: &[UnprovenBatch],
-) -> Result<Fetched, PipelineError> {
+) -> Result<Option<(Vec<u8>, Nodes)>, Stop> {
     let mut wanted = Vec::new();
     for batch in batches {
         for (owner, signer) in &batch.signers {
@@ -179,24 +179,18 @@ async fn proof(
         }
     }
     let slots = slots(wanted);
-    let bytes = match refusal(network.chain.header_rlp(block).await)? {
-        Ok(header) => header.unwrap_or_default(),
-        Err(why) => return Ok(Fetched::Refused(why)),
-    };
+    let bytes = network.chain.header_rlp(block).await?.unwrap_or_default();
     let header = BlockHeader::parse(&bytes).filter(|header| header.hash == hash);
-    let Some(header) = header else { return Ok(Fetched::OtherBlock) };
-    let nodes: Nodes = match refusal(network.chain.storage_nodes(block, &slots).await)? {
-        Ok(nodes) => nodes.into_iter().collect(),
-        Err(why) => return Ok(Fetched::Refused(why)),
-    };
-    let Some(pin) = network.chain.pin() else { return Ok(Fetched::OtherBlock) };
-    Ok(match proven(&nodes, (header.state_root, pin.contract), &slots, batches) {
-        Ok(nodes) => Fetched::Proof(bytes, nodes),
-        Err(why) => Fetched::Refused(format!("the node's proof for block {block} proves nothing: {why}")),
-    })
+    let Some(header) = header else { return Ok(None) };
+    let nodes: Nodes = network.chain.storage_nodes(block, &slots).await?.into_iter().collect();
+    let Some(pin) = network.chain.pin() else { return Ok(None) };
+    match proven(&nodes, (header.state_root, pin.contract), &slots, batches) {
+        Ok(nodes) => Ok(Some((bytes, nodes))),
+        Err(why) => Err(Stop::Refused(format!("the node's proof for block {block} proves nothing: {why}"))),
+    }
 }
 
-/// What the nodes prove is looked at before it is kept: in some years nobody can fetch it again.
+/// Checks proofs before they are kept: in some years nobody can fetch them again.
 fn proven(
     nodes: &Nodes,
     (state, contract): (Hash, Address),
@@ -215,17 +209,8 @@ fn proven(
     Ok(proving)
 }
 
-/// Without the node nothing can be decided, so that is the caller's error; what it refuses is told.
-fn refusal<Answer>(answer: Result<Answer, ChainError>) -> Result<Result<Answer, String>, PipelineError> {
-    match answer {
-        Ok(answer) => Ok(Ok(answer)),
-        Err(error @ ChainError::Unreachable { .. }) => Err(error.into()),
-        Err(error) => Ok(Err(error.to_string())),
-    }
-}
-
 /// A block's header, RLP: from the chain, or as it was kept where that cannot be asked.
-pub(crate) async fn header(plant: &Plant, network: &Network, block: u64) -> Result<Option<Vec<u8>>, PipelineError> {
+pub(crate) async fn header(plant: &Plant, network: &Network, block: u64) -> Result<Option<Vec<u8>>> {
     match network.absent {
         None => Ok(network.chain.header_rlp(block).await?),
         Some(_) => Ok(plant.ledger.proofs.chain_header(block)?),
@@ -233,12 +218,7 @@ pub(crate) async fn header(plant: &Plant, network: &Network, block: u64) -> Resu
 }
 
 /// The kept nodes that show these slots in the state after a block, as the chain has it now; `None` if not all are kept.
-pub(crate) async fn kept(
-    plant: &Plant,
-    network: &Network,
-    block: u64,
-    slots: &[Slot],
-) -> Result<Option<Nodes>, PipelineError> {
+pub(crate) async fn kept(plant: &Plant, network: &Network, block: u64, slots: &[Slot]) -> Result<Option<Nodes>> {
     let Some(kept) = plant.ledger.proofs.chain_proof(block)? else { return Ok(None) };
     let header = header(plant, network, block).await?.and_then(|bytes| BlockHeader::parse(&bytes));
     let Some(header) = header.filter(|header| header.hash == kept.hash) else { return Ok(None) };
@@ -260,14 +240,13 @@ pub fn anchor_proof(placed: PlacedRecord) -> Option<AnchorProof> {
     }
 }
 
-/// Whether the stored path leads from the record's leaf to the batch's root.
 pub fn is_included(place: &BatchPlace, row: &RecordRow) -> bool {
     place.inclusion.proves(&row.leaf()) || fault::is_off("proof")
 }
 
 /// Asks the chain whether the record's block has the root of its batch over the number of leaves its path was made for,
 /// and otherwise whether the owner uploaded the digest itself there.
-pub async fn is_anchored(plant: &Plant, network: &Network, row: &RecordRow) -> Result<bool, PipelineError> {
+pub async fn is_anchored(plant: &Plant, network: &Network, row: &RecordRow) -> Result<bool> {
     if fault::is_off("anchor") {
         return Ok(true);
     }
@@ -306,12 +285,12 @@ pub async fn is_root_in(
 }
 
 /// What the ledger itself knows: the watcher saw the record's anchor, and if that is a root the path leads to it.
-pub fn was_sighted(plant: &Plant, row: &RecordRow) -> Result<bool, PipelineError> {
+pub fn was_sighted(plant: &Plant, row: &RecordRow) -> Result<bool> {
     Ok(were_sighted(plant, &[row])?.contains(&true))
 }
 
-/// Like [`was_sighted`], for many records in their order; the ledger is asked once.
-pub fn were_sighted(plant: &Plant, rows: &[&RecordRow]) -> Result<Vec<bool>, PipelineError> {
+/// In order, by one query of the ledger.
+pub fn were_sighted(plant: &Plant, rows: &[&RecordRow]) -> Result<Vec<bool>> {
     let digests: Vec<_> = rows.iter().map(|row| row.digest).collect();
     let sighted = |(row, placed): (&&RecordRow, Option<PlacedRecord>)| {
         let anchored = placed.and_then(|placed| placed.place).filter(|place| place.block.is_some());

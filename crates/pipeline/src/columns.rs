@@ -1,7 +1,6 @@
-//! Compares a ledger's row with its record. A row is a note for lists and workers; what was captured, when and by whom
-//! is what the signed header says, and the sealed head if there is a key for it here. A row that says anything else is
-//! shown with the record's own values, and never as verified. Names in a head that do not belong to the pseudonyms in
-//! the header are nobody's values: they are not shown at all.
+//! Compares a ledger's row with its record: what was captured is what the signed header says, and the sealed head if
+//! its key is here. A row that differs is shown with the record's values, never as verified; names in a head that do
+//! not belong to the pseudonyms in the header are not shown.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -10,9 +9,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use serde::{Deserialize, Serialize};
 
 use crate::crypto::record::open_front;
-use crate::crypto::{
-    CryptoError, IndexKey, Names, OpenedRecord, TopicKey, filter_id, filter_key, topic_filter_id, topic_id,
-};
+use crate::crypto::{CryptoError, IndexKey, Names, TopicKey, filter_id, filter_key, topic_filter_id, topic_id};
 use crate::model::bytes::hex;
 use crate::model::head::SIMULATED;
 use crate::model::header::TAG_LENGTH;
@@ -26,7 +23,6 @@ pub const FRONT: usize = 2048;
 /// Heads cached in memory.
 const MOST_HEADS: usize = 8192;
 
-/// How much of a row was compared with its record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Compared {
@@ -41,19 +37,14 @@ pub enum Compared {
     Head,
 }
 
-/// A record's state, as it may be shown.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum ShownState {
-    /// As in the ledger.
     Kept(RecordState),
-    /// Verified, with a remark.
     Verified(Caveat),
-    /// Not shown as what its signer says it is.
     Refused(Refusal),
 }
 
-/// Why a record is not shown as what its signer says it is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Refusal {
@@ -62,11 +53,9 @@ pub enum Refusal {
     FalseName,
 }
 
-/// A remark on a verified record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Caveat {
-    /// Retention has deleted its ciphertext.
     Deleted,
     /// Its bytes are not here now, so they cannot be compared.
     Unread,
@@ -76,7 +65,6 @@ pub enum Caveat {
 }
 
 impl ShownState {
-    /// In a few words, for screens and JSON.
     pub fn word(self) -> &'static str {
         match self {
             Self::Kept(state) => state.word(),
@@ -87,7 +75,6 @@ impl ShownState {
         }
     }
 
-    /// The state that belongs to these words.
     pub fn from_word(word: &str) -> Option<Self> {
         let kept = RecordState::ALL.iter().copied().map(Self::Kept);
         let more = [Caveat::Deleted, Caveat::Unread, Caveat::NamesUnchecked].into_iter().map(Self::Verified);
@@ -95,12 +82,10 @@ impl ShownState {
     }
 }
 
-/// A row as it may be shown.
 #[derive(Debug, Clone)]
 pub struct Shown {
     /// The row; if it was compared, with the record's own values instead of the ledger's.
     pub row: RecordRow,
-    /// How much of it was compared.
     pub compared: Compared,
     /// The field in which ledger and record differ.
     pub differs: Option<&'static str>,
@@ -109,13 +94,12 @@ pub struct Shown {
 }
 
 impl Shown {
-    /// A row taken from the ledger alone.
     pub fn unread(row: RecordRow) -> Self {
         Self { row, compared: Compared::Nothing, differs: None, false_name: None }
     }
 
-    /// The record's state: as in the ledger, but never verified if it was not compared, and with a remark if its names
-    /// were not, or false.
+    /// As in the ledger, but never verified if not compared, and with a remark if names were not compared, or are
+    /// false.
     pub fn state(&self) -> ShownState {
         match (self.differs, self.compared, self.row.state) {
             (Some(_), ..) => ShownState::Kept(RecordState::Tampered),
@@ -128,12 +112,9 @@ impl Shown {
     }
 }
 
-/// What may open the sealed head of a row's record.
 pub trait Keys {
-    /// The key of the topic and epoch that a header names, if it is here, and what the names in the head are compared
-    /// with.
+    /// The key of the header's topic and epoch, if it is here, and what names in the head are compared with.
     fn opening(&self, header: &Header) -> Option<(TopicKey, Names)>;
-    /// IK of the record's owner, if it is here.
     fn index_key(&self, row: &RecordRow) -> Option<IndexKey>;
 }
 
@@ -156,16 +137,13 @@ impl Heads {
         opened
     }
 
-    /// Clears the cache: a keyring was locked.
     pub fn forget(&self) {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).clear();
     }
 }
 
-/// What rows are compared with.
 pub struct Comparison<'a> {
     pub plant: &'a Plant,
-    /// The keys for sealed heads.
     pub keys: &'a dyn Keys,
     pub heads: &'a Heads,
     /// The filters by which the rows were found: each header must have them.
@@ -173,8 +151,7 @@ pub struct Comparison<'a> {
 }
 
 impl Comparison<'_> {
-    /// Compares rows with the first bytes of their records. If these cannot be read, rows are shown as they are in the
-    /// ledger alone.
+    /// Rows whose bytes cannot be read are shown as the ledger has them.
     pub fn of(&self, rows: Vec<RecordRow>) -> Result<Vec<Shown>, StoreError> {
         let unknown: Vec<Digest> =
             rows.iter().map(|row| row.digest).filter(|digest| self.heads.of(*digest).is_none()).collect();
@@ -197,16 +174,20 @@ impl Comparison<'_> {
         let sight = match (self.heads.of(row.digest), fronts.remove(&row.digest)) {
             (Some(opened), _) => Sight::Head(opened),
             (None, Some(front)) => self.look(&row, &front, true),
-            (None, None) => match kept_front(self.plant, &row)? {
-                Some(front) => self.look(&row, &front, row.deleted_at.is_none()),
+            (None, None) if row.deleted_at.is_some() => match self.plant.ledger.retention.find(row.digest)? {
+                Some(retained) => self.look(&row, &retained.header, false),
                 None => Sight::Nothing,
             },
+            (None, None) => Sight::Nothing,
         };
         let here = self.plant.ledger.records.recorder();
         let (compared, sealed) = match &sight {
             Sight::Nothing => return Ok(Shown { differs: place, ..Shown::unread(row) }),
             Sight::Broken(what) => return Ok(Shown { differs: Some(what), ..Shown::unread(row) }),
-            Sight::FalseName(header, _) => (Compared::Head, self.name_difference(&row, header)),
+            Sight::FalseName(header, _) => {
+                let index = self.keys.index_key(&row);
+                (Compared::Head, index.and_then(|index| name_difference(&row, header, &index)))
+            }
             Sight::Head(opened) => (Compared::Head, head_difference(&row, &opened.1, here)),
             Sight::Header(header) => match self.keys.index_key(&row) {
                 Some(index) => (Compared::Names, name_difference(&row, header, &index)),
@@ -221,11 +202,7 @@ impl Comparison<'_> {
         Ok(Shown { row, compared, differs, false_name })
     }
 
-    fn name_difference(&self, row: &RecordRow, header: &Header) -> Option<&'static str> {
-        self.keys.index_key(row).and_then(|index| name_difference(row, header, &index))
-    }
-
-    /// What the first bytes of a record say; `whole` if its head must be among them.
+    /// `whole` if the head must be among the first bytes.
     fn look(&self, row: &RecordRow, front: &[u8], whole: bool) -> Sight {
         let Ok((header, length)) = Header::parse(front) else { return Sight::Broken("stored bytes") };
         let opening = if whole { self.keys.opening(&header) } else { None };
@@ -265,7 +242,6 @@ pub(super) fn false_name(
     }
 }
 
-/// What was seen of a record.
 enum Sight {
     Nothing,
     Broken(&'static str),
@@ -282,14 +258,6 @@ impl Sight {
             Self::Header(header) | Self::FalseName(header, _) => Some((header, None)),
             Self::Head(opened) => Some((&opened.0, Some(&opened.1))),
         }
-    }
-}
-
-/// What the ledger keeps of a record whose bytes retention deleted: its header.
-fn kept_front(plant: &Plant, row: &RecordRow) -> Result<Option<Vec<u8>>, StoreError> {
-    match row.deleted_at {
-        Some(_) => Ok(plant.ledger.retention.find(row.digest)?.map(|retained| retained.header)),
-        None => Ok(None),
     }
 }
 
@@ -330,11 +298,6 @@ pub fn head_difference(row: &RecordRow, head: &Head, here: RecorderPrefix) -> Op
     fields.iter().find(|(_, same)| !same).map(|(field, _)| *field)
 }
 
-/// The field in which a row and an opened record differ.
-pub fn difference(row: &RecordRow, opened: &OpenedRecord, here: RecorderPrefix) -> Option<&'static str> {
-    header_difference(row, &opened.header).or_else(|| head_difference(row, &opened.head, here))
-}
-
 /// Like [`head_difference`], without a key for the head: names and mark by the pseudonyms in the header.
 pub fn name_difference(row: &RecordRow, header: &Header, index: &IndexKey) -> Option<&'static str> {
     if row.is_named() && topic_id(index, &row.topic) != header.topic_id {
@@ -364,7 +327,6 @@ fn is_pseudonym(type_name: &str) -> bool {
     type_name.is_empty() || (type_name.len() == 16 && type_name.bytes().all(|byte| byte.is_ascii_hexdigit()))
 }
 
-/// Puts the record's own values in place of the ledger's.
 fn take_over(row: &mut RecordRow, header: &Header, head: Option<&Head>) {
     row.owner = header.owner;
     row.recorder = header.recorder;
@@ -385,7 +347,6 @@ fn take_over(row: &mut RecordRow, header: &Header, head: Option<&Head>) {
     }
 }
 
-/// Inconsistencies between a row, its place in a batch and its state.
 fn place_difference(placed: &PlacedRecord) -> Option<&'static str> {
     let row = &placed.row;
     let settled = matches!(row.state, RecordState::Mined | RecordState::Confirmed | RecordState::Verified);
@@ -395,7 +356,6 @@ fn place_difference(placed: &PlacedRecord) -> Option<&'static str> {
     anchor_difference(placed)
 }
 
-/// Inconsistencies between a row and its place in a batch.
 pub(super) fn anchor_difference(PlacedRecord { row, place }: &PlacedRecord) -> Option<&'static str> {
     let place = place.as_ref()?;
     if !chain_proofs::is_included(place, row) {

@@ -1,8 +1,5 @@
-//! Who is registered and who may read what, rebuilt only from the contract's events.
-//!
-//! Events are applied in chain order; one that is not after the last one applied is skipped. The current state is held
-//! in memory; each event is also stored in the ledger ([`kept`]), so that a restart scans only new blocks, and revoked
-//! grants are read from there. Conclusions are up to `authority`.
+//! Who is registered and who may read what, rebuilt only from the contract's events, in chain order. The current state
+//! is in memory; each event is stored too ([`kept`]), so that a restart scans only new blocks.
 
 mod administration;
 pub mod kept;
@@ -16,31 +13,28 @@ use std::sync::{PoisonError, RwLock};
 
 use serde::{Deserialize, Serialize};
 
-use crate::PipelineError;
 use crate::chain::{Event, EventAt};
 use crate::crypto::{Provider, check_identity, signer_id};
 use crate::model::steady_clock::steady_now;
 use crate::model::{Address, Domain, GrantTerms, Hash, Identity, PublicKey, SignerId, Timestamp, Token};
+use crate::{PipelineError, Result};
 
-/// One identity of an account, valid from a block on.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct IdentityAt {
     /// Block of the registration or key rotation.
     pub block: u64,
     pub signing: PublicKey,
     pub envelope: PublicKey,
-    /// Whether the proof verifies.
     pub proven: bool,
 }
 
-/// A period in which a device is lent.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Lending {
     /// SM3 of the device's public key.
     pub device: SignerId,
-    /// From this block on.
+    /// First block.
     pub from: u64,
-    /// Until this block, if recalled.
+    /// Block, if recalled.
     pub recalled: Option<u64>,
     /// Until this moment; `None` = no end.
     pub until: Option<Timestamp>,
@@ -49,15 +43,14 @@ pub struct Lending {
 /// A period in which the administrator had suspended an account's changes, and with them its right to sign.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Suspension {
-    /// From this block on.
+    /// First block.
     pub from: u64,
-    /// Until this block, in which the suspension was lifted.
+    /// Block in which it was lifted.
     pub until: Option<u64>,
     /// Its successor, if the account was lost.
     pub successor: Option<Address>,
 }
 
-/// What the chain knows of one account.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Account {
     pub identities: Vec<IdentityAt>,
@@ -105,16 +98,14 @@ struct State {
     accounts: BTreeMap<Address, Account>,
     /// Indices of its owner's loans that were not recalled.
     open_loans: BTreeMap<(Address, SignerId), Vec<usize>>,
-    /// Grants not revoked, by owner and grantee.
     grants: BTreeMap<(Address, Address), Granted>,
-    /// The same pairs the other way round.
+    /// Same pairs, the other way round.
     received: BTreeSet<(Address, Address)>,
     administration: Administration,
     /// Block and index of the last event applied.
     applied: Option<(u64, u64)>,
 }
 
-/// Registrations and grants of one contract.
 pub struct Directory {
     domain: Domain,
     provider: &'static dyn Provider,
@@ -128,7 +119,6 @@ impl Directory {
         Self { domain, provider, state: RwLock::default(), head_time: AtomicU64::new(0) }
     }
 
-    /// Notes the time of the newest block, seconds.
     pub fn saw_head_of(&self, seconds: u64) {
         self.head_time.store(seconds, Ordering::Release);
     }
@@ -139,12 +129,6 @@ impl Directory {
         steady_now().max(Timestamp::from_seconds(self.head_time.load(Ordering::Acquire)))
     }
 
-    /// What binds records to its contract.
-    pub fn domain(&self) -> Domain {
-        self.domain
-    }
-
-    /// An empty directory of the same network.
     pub fn blank(&self) -> Self {
         Self::new(self.domain, self.provider)
     }
@@ -154,7 +138,7 @@ impl Directory {
         self.state.write().unwrap_or_else(PoisonError::into_inner).applied = last;
     }
 
-    /// Takes over the whole state of another directory at once, after it was rebuilt without replaced or missed blocks.
+    /// Takes over the whole state of a directory that was rebuilt without replaced or missed blocks.
     pub fn become_like(&self, other: &Self) {
         let state = other.state.read().unwrap_or_else(PoisonError::into_inner).clone();
         *self.state.write().unwrap_or_else(PoisonError::into_inner) = state;
@@ -165,7 +149,7 @@ impl Directory {
         self.state.read().unwrap_or_else(PoisonError::into_inner).applied.map_or(0, |(block, _)| block)
     }
 
-    /// Applies one event; returns whether it was new and changes rights.
+    /// Returns whether the event was new and changes rights.
     pub fn apply(&self, at: &EventAt) -> bool {
         self.judge(at).is_some_and(|told| self.take(&told))
     }
@@ -183,7 +167,6 @@ impl Directory {
         Some(Told { block, place, transaction, event: at.event.clone(), proven })
     }
 
-    /// Applies an event's content; returns whether it was new.
     pub fn take(&self, told: &Told) -> bool {
         let mut state = self.state.write().unwrap_or_else(PoisonError::into_inner);
         let place = (told.block, told.place);
@@ -195,28 +178,20 @@ impl Directory {
         true
     }
 
-    /// What is known of an account.
     pub fn account(&self, owner: Address) -> Option<Account> {
         self.state.read().unwrap_or_else(PoisonError::into_inner).accounts.get(&owner).cloned()
     }
 
-    /// Reads an account without copying it.
     pub(super) fn with_account<T>(&self, owner: Address, look: impl FnOnce(Option<&Account>) -> T) -> T {
         look(self.state.read().unwrap_or_else(PoisonError::into_inner).accounts.get(&owner))
     }
 
-    /// The account's current epoch; 0 = not registered.
+    /// 0 if not registered.
     pub fn epoch(&self, owner: Address) -> u64 {
-        self.state
-            .read()
-            .unwrap_or_else(PoisonError::into_inner)
-            .accounts
-            .get(&owner)
-            .map_or(0, |account| account.epoch)
+        self.with_account(owner, |account| account.map_or(0, |account| account.epoch))
     }
 
-    /// The account's current identity.
-    pub fn identity(&self, owner: Address) -> Result<IdentityAt, PipelineError> {
+    pub fn identity(&self, owner: Address) -> Result<IdentityAt> {
         let account = self.account(owner).ok_or(PipelineError::Unregistered(owner))?;
         let identity = account.identities.last().cloned().ok_or(PipelineError::Unregistered(owner))?;
         if identity.proven { Ok(identity) } else { Err(PipelineError::BadIdentity(owner)) }
@@ -250,8 +225,7 @@ impl Directory {
         self.state.read().unwrap_or_else(PoisonError::into_inner).administration.clone()
     }
 
-    /// The successor of the lost account `account`; `None` if the administrator named none. If a successor was lost as
-    /// well, its own successor.
+    /// `None` if the administrator named none. If a successor was lost as well, its own successor.
     pub fn successor(&self, account: Address) -> Option<Address> {
         self.state.read().unwrap_or_else(PoisonError::into_inner).administration.successor(account)
     }
@@ -267,19 +241,19 @@ impl Directory {
         state.accounts.iter().find(|(_, account)| has(account)).map(|(address, _)| *address)
     }
 
-    /// The grant of an owner to a grantee that was not revoked; it may have expired.
+    /// Not revoked; it may have expired.
     pub fn grant_between(&self, owner: Address, grantee: Address) -> Option<Granted> {
         self.state.read().unwrap_or_else(PoisonError::into_inner).grants.get(&(owner, grantee)).cloned()
     }
 
-    /// The grants to an account that were not revoked, oldest first.
+    /// Not revoked, oldest first.
     pub fn grants_to(&self, grantee: Address) -> Vec<Granted> {
         let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
         let owners = state.received.range((grantee, LOWEST)..=(grantee, HIGHEST)).map(|(_, owner)| *owner);
         oldest_first(owners.filter_map(|owner| state.grants.get(&(owner, grantee)).cloned()))
     }
 
-    /// The grants by an account that were not revoked, oldest first.
+    /// Not revoked, oldest first.
     pub fn grants_of(&self, owner: Address) -> Vec<Granted> {
         let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
         oldest_first(state.grants.range((owner, LOWEST)..=(owner, HIGHEST)).map(|(_, grant)| grant.clone()))
@@ -375,12 +349,10 @@ fn identity_at(told: &Told, identity: &Identity) -> IdentityAt {
 /// This many of a grant's newest epochs are held in memory; all others are read from the ledger.
 const EPOCHS_HELD: usize = 8;
 
-/// An extension of a grant.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Extension {
-    /// Its end from then on; `None` = no end.
+    /// `None` = no end.
     pub expiry: Option<Timestamp>,
-    /// Block of the extension.
     pub block: u64,
 }
 
@@ -389,9 +361,7 @@ pub struct Granted {
     /// The terms of the grant, as its envelopes repeat them; for its end see [`Granted::expiry`].
     pub terms: GrantTerms,
     pub extended: Option<Extension>,
-    /// Block of the grant.
     pub block: u64,
-    /// Transaction of the grant.
     pub transaction: Hash,
     /// The epoch that began with its revocation.
     pub revoked: Option<u64>,
@@ -402,7 +372,7 @@ pub struct Granted {
 }
 
 impl Granted {
-    /// From its event; a grant that it renews already had envelopes.
+    /// A grant that it renews already had envelopes.
     fn of(terms: GrantTerms, told: &Told, renewed: Option<&Self>) -> Self {
         Self {
             terms,
@@ -415,7 +385,6 @@ impl Granted {
         }
     }
 
-    /// The position of its event on the chain.
     fn place(&self) -> (u64, u64) {
         (self.block, self.place)
     }
@@ -425,12 +394,10 @@ impl Granted {
         self.extended.map_or(self.terms.expiry, |extended| extended.expiry)
     }
 
-    /// Whether it is neither revoked nor expired at `now`.
     pub fn is_active(&self, now: Timestamp) -> bool {
         self.revoked.is_none() && self.expiry().is_none_or(|expiry| expiry > now)
     }
 
-    /// Its state at `now`.
     pub fn state(&self, now: Timestamp) -> GrantState {
         match (self.revoked, self.is_active(now)) {
             (Some(_), _) => GrantState::Revoked,
@@ -439,7 +406,6 @@ impl Granted {
         }
     }
 
-    /// Whether it has an envelope for an epoch, one of the newest with any.
     pub fn is_wrapped(&self, epoch: u64) -> bool {
         self.wrapped.contains_key(&epoch)
     }
@@ -449,7 +415,6 @@ impl Granted {
         self.wrapped.get(&epoch).is_some_and(|newest| *newest >= block)
     }
 
-    /// The newest epoch that has an envelope.
     pub fn newest_wrapped(&self) -> Option<u64> {
         self.wrapped.keys().next_back().copied()
     }
@@ -461,7 +426,6 @@ impl Granted {
         (oldest.max(self.terms.epoch)..epoch).filter(|epoch| !self.is_wrapped(*epoch))
     }
 
-    /// The number of its entries in memory.
     #[cfg(test)]
     fn held(&self) -> usize {
         1 + self.wrapped.len()
@@ -476,20 +440,15 @@ impl Granted {
     }
 }
 
-/// The state of a grant.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GrantState {
-    /// It opens new records.
     Active,
-    /// Its end has come.
     Expired,
-    /// Its owner revoked it.
     Revoked,
 }
 
 impl GrantState {
-    /// One word for screens and JSON.
     pub fn word(self) -> &'static str {
         match self {
             Self::Active => "active",

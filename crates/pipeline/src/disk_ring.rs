@@ -1,5 +1,5 @@
-//! What a robot's owner asks of its ring: noted in the ledger, so that it is done after a restart too, and then brought
-//! from the ring into the outbox, file by file. Bringing in a record twice changes nothing.
+//! What a robot's owner asks of its ring: noted in the ledger, so that a restart continues, then brought into the
+//! outbox, file by file. Bringing in a record twice changes nothing.
 
 #[cfg(test)]
 mod tests;
@@ -7,7 +7,7 @@ mod tests;
 use std::collections::{BTreeSet, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use super::{PipelineError, Plant};
+use super::{PipelineError, Plant, Result};
 use crate::crypto::SealedRecord;
 use crate::model::{Address, Header, RingSpan};
 use crate::store::notes::{AskedSpan, AskedSpans};
@@ -16,14 +16,10 @@ use crate::store::{DiskRing, NewRecord, Notes, RingRecord, StoreError};
 /// The most spans asked for at a time.
 const MOST: usize = 64;
 
-/// A ring, filled by the sealer and read when its owner asks.
 pub type SharedRing = Arc<Mutex<DiskRing>>;
 
-/// Notes that the owner asks for a span, by the number of its notice; durable when this returns.
-///
-/// # Errors
-/// [`PipelineError::Refused`] if more is asked for already than is noted, errors of the ledger.
-pub fn ask(notes: &Notes, number: u64, span: &RingSpan) -> Result<(), PipelineError> {
+/// Durable when this returns. `number` is that of the owner's notice.
+pub fn ask(notes: &Notes, number: u64, span: &RingSpan) -> Result<()> {
     notes.change(&AskedSpans {}, |asked| {
         // A restored home numbers its notices from 1 again.
         if asked.iter().any(|known| known.number == number && known.span == *span) {
@@ -37,12 +33,11 @@ pub fn ask(notes: &Notes, number: u64, span: &RingSpan) -> Result<(), PipelineEr
     })
 }
 
-/// The spans asked for and not brought in yet, the oldest request first.
+/// Oldest request first.
 pub fn waiting(notes: &Notes) -> Result<Vec<RingSpan>, StoreError> {
     Ok(notes.read(&AskedSpans {})?.unwrap_or_default().into_iter().map(|asked| asked.span).collect())
 }
 
-/// What was brought in for one request.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Brought {
     /// Messages that are in the outbox now and were not before.
@@ -50,7 +45,6 @@ pub struct Brought {
     pub topics: BTreeSet<String>,
 }
 
-/// A request at work.
 struct Work {
     asked: AskedSpan,
     parts: VecDeque<u64>,
@@ -59,15 +53,12 @@ struct Work {
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Step {
-    /// Nothing is asked for.
     Idle,
-    /// So many messages are in the outbox now that were not before; there is more to do.
+    /// New messages in the outbox; there is more to do.
     Moved(u64),
-    /// A request is done.
     Done(RingSpan, Brought),
 }
 
-/// Brings what is asked for into the outbox.
 pub struct Pulls {
     plant: Plant,
     ring: SharedRing,
@@ -76,7 +67,6 @@ pub struct Pulls {
 }
 
 impl Pulls {
-    /// From the ring into the outbox of `plant`, for records of `owner`.
     pub fn new(plant: Plant, ring: SharedRing, owner: Address) -> Self {
         Self { plant, ring, owner, work: None }
     }
@@ -85,8 +75,8 @@ impl Pulls {
         self.ring.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Does a little, at most one file of the ring.
-    pub fn step(&mut self) -> Result<Step, PipelineError> {
+    /// Handles at most one file of the ring.
+    pub fn step(&mut self) -> Result<Step> {
         let Some(mut work) = self.take_work()? else { return Ok(Step::Idle) };
         let Some(part) = work.parts.front().copied() else {
             self.plant.ledger.notes.change(&AskedSpans {}, |asked| {
@@ -115,7 +105,7 @@ impl Pulls {
     }
 
     /// Returns how many messages are new.
-    fn bring_in(&self, records: Vec<RingRecord>, brought: &mut Brought) -> Result<u64, PipelineError> {
+    fn bring_in(&self, records: Vec<RingRecord>, brought: &mut Brought) -> Result<u64> {
         let (mut rows, mut new) = (Vec::new(), Brought::default());
         for record in records {
             let (topic, is_definition) = (record.topic.clone(), record.is_definition);

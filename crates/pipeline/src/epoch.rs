@@ -13,15 +13,12 @@ use crate::model::header::MOST_FILTERS;
 use crate::model::{Domain, FilterId, SignerId, Timestamp, Token, TopicId};
 use crate::store::FilterChoice;
 
-/// What sealing a topic's records requires.
 pub struct TopicKeys {
     pub id: TopicId,
-    /// Seals its records in this epoch.
     pub key: TopicKey,
     filters: Filters,
 }
 
-/// The key for the filter ids of a record.
 enum Filters {
     /// IK: the same ids on every topic.
     Index(IndexKey),
@@ -38,7 +35,6 @@ impl Filters {
     }
 }
 
-/// Everything that seals records in one epoch.
 pub struct EpochKeys {
     pub domain: Domain,
     pub epoch: u64,
@@ -54,8 +50,7 @@ pub struct EpochKeys {
 }
 
 impl EpochKeys {
-    /// The keys of an epoch; `signing` is the owner's pair or that of a lent device, `index` is IK, which a device for
-    /// some topics does not hold.
+    /// `signing` is the owner's pair or a lent device's; `index` is IK, which a device for some topics does not hold.
     pub fn new(
         domain: Domain,
         (epoch, token): (u64, Token),
@@ -77,7 +72,6 @@ impl EpochKeys {
         }
     }
 
-    /// The keys of an epoch as issued to a device.
     pub fn issued(enrolment: &Enrolment, issue: &EpochIssue) -> Self {
         let (signing, key, index) = (enrolment.device.clone(), issue.key.clone(), enrolment.index.clone());
         let keys = Self::new(enrolment.domain, (issue.epoch, issue.token), signing, key, index);
@@ -89,7 +83,7 @@ impl EpochKeys {
         self.key.topics()
     }
 
-    /// The keys of a topic, derived once; `None` for a topic not covered.
+    /// Derived once; `None` for a topic not covered.
     pub fn topic(&self, topic: &str) -> Option<Arc<TopicKeys>> {
         let mut topics = self.topics.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(keys) = topics.get(topic) {
@@ -132,22 +126,19 @@ fn tag_text(name: &str, value: &str) -> String {
     format!("{name}={value}")
 }
 
-/// The filter id of a tag, as computed by owners and devices with IK.
-pub fn tag_filter(index: &IndexKey, name: &str, value: &str) -> FilterId {
-    filter_id(index, "tag", &tag_text(name, value))
-}
-
 /// The ids by which records with a tag are found: that from IK and, for each of `topics`, that from its filter key.
 pub fn tag_choice(index: &IndexKey, name: &str, value: &str, topics: &[TopicId]) -> FilterChoice {
-    let text = tag_text(name, value);
-    let of_topic = |topic: &TopicId| (*topic, topic_filter_id(&filter_key(index, topic), "tag", &text));
-    FilterChoice { id: tag_filter(index, name, value), by_topic: topics.iter().map(of_topic).collect() }
+    choice(index, "tag", &tag_text(name, value), topics)
 }
 
-/// The ids by which records of a type are found: that from IK and, for each of `topics`, that from its filter key.
+/// Same, for a type.
 pub fn type_choice(index: &IndexKey, type_name: &str, topics: &[TopicId]) -> FilterChoice {
-    let of_topic = |topic: &TopicId| (*topic, topic_filter_id(&filter_key(index, topic), "type", type_name));
-    FilterChoice { id: filter_id(index, "type", type_name), by_topic: topics.iter().map(of_topic).collect() }
+    choice(index, "type", type_name, topics)
+}
+
+fn choice(index: &IndexKey, kind: &str, text: &str, topics: &[TopicId]) -> FilterChoice {
+    let of_topic = |topic: &TopicId| (*topic, topic_filter_id(&filter_key(index, topic), kind, text));
+    FilterChoice { id: filter_id(index, kind, text), by_topic: topics.iter().map(of_topic).collect() }
 }
 
 #[cfg(test)]
@@ -184,7 +175,7 @@ mod tests {
     #[test]
     fn type_and_simulated_come_first_and_no_more_than_fit() {
         let keys = keys(SealingKey::Epoch(EpochKey::new([4; 32])));
-        let tag = |name: &str, value: &str| tag_filter(&IndexKey::new([3; 32]), name, value);
+        let tag = |name: &str, value: &str| tag_choice(&IndexKey::new([3; 32]), name, value, &[]).id;
         let tags: BTreeMap<String, String> = [("a", "1"), ("b", "2"), ("c", "3"), ("simulated", "true")]
             .map(|(name, value)| (name.to_owned(), value.to_owned()))
             .into();

@@ -1,17 +1,15 @@
-//! Two signed records with the same number: a key that used (owner, recorder, topic, number) twice either lied or
-//! ran twice. The first record stays; the other one is refused, reported, and stored in the audit log with both
-//! signatures, as evidence.
+//! Two signed records with the same number: a key that used one twice either lied or ran twice. The first record stays;
+//! the other is refused, reported, and kept in the audit log with both signatures.
 
 use crate::model::{Address, Digest, RecorderId, Signature, SignerId, Timestamp, TopicId};
 use crate::store::notes::Equivocations;
 use crate::store::{AuditEntry, NewRecord};
 
-use super::{PipelineError, Plant};
+use super::{PipelineError, Plant, Result};
 
 /// At most this many cases per recorder are reported; more prove nothing more.
 const MOST: usize = 16;
 
-/// A record that claims a number.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Claim {
     pub owner: Address,
@@ -21,12 +19,11 @@ pub struct Claim {
     pub topic: TopicId,
     pub number: u64,
     pub digest: Digest,
-    /// That key's signature over the digest.
     pub signature: Signature,
 }
 
 impl Claim {
-    /// The claim of a record that came from elsewhere; `None` for one recorded here.
+    /// `None` for a record numbered here.
     pub fn of(record: &NewRecord) -> Option<Self> {
         let recorder = record.foreign?.recorder;
         let (owner, signer, topic, number) = (record.owner, record.signer, record.topic_id, record.seq);
@@ -34,9 +31,9 @@ impl Claim {
     }
 }
 
-/// Reports a refused record whose number belongs to another one; the caller must have checked both signatures. Returns
+/// Reports a refused record whose number belongs to another one; both signatures must have been checked. Returns
 /// whether this is such a case, reported before or not.
-pub fn tell(plant: &Plant, claim: &Claim) -> Result<bool, PipelineError> {
+pub fn tell(plant: &Plant, claim: &Claim) -> Result<bool> {
     let held =
         plant.ledger.inspection.holder(claim.owner, (claim.signer, claim.recorder), claim.topic, claim.number)?;
     let Some(held) = held.filter(|held| *held != claim.digest) else { return Ok(false) };
@@ -59,14 +56,12 @@ pub fn tell(plant: &Plant, claim: &Claim) -> Result<bool, PipelineError> {
     if !is_new {
         return Ok(true);
     }
-    plant.observer.alert(
-        true,
-        format!(
-            "equivocation: the key {signer} of {owner} signed two records with number {number} of topic {topic} (recorder \
-             {recorder}): {held} is kept, {digest} refused; the audit log keeps both signatures. Either two copies of its \
-             home are running, or it is cheating"
-        ),
+    let text = format!(
+        "equivocation: the key {signer} of {owner} signed two records with number {number} of topic {topic} (recorder \
+         {recorder}): {held} is kept, {digest} refused; the audit log keeps both signatures. Either two copies of its \
+         home are running, or it is cheating"
     );
+    plant.observer.alert(true, text);
     Ok(true)
 }
 

@@ -1,7 +1,6 @@
 //! What an evidence bundle is assembled from: records from the store, their places in batches, and the chain's proofs
 //! of their anchors and their signers' keys.
 
-/// The most records in a bundle.
 pub use authros_evidence::MOST_RECORDS;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -28,24 +27,20 @@ use crate::reader::{Opening, Reader};
 use crate::recorder_heads::{TOPIC, tree};
 use crate::retention::is_stated;
 use crate::store::{RecordQuery, RecordRow, Retained};
-use crate::{PipelineError, Plant, authority};
+use crate::{PipelineError, Plant, Result, authority};
 
 /// The most kept headers after a block that are included.
 const MOST_FURTHER: u64 = 16;
 
-/// A bundle being assembled, and what could not be included.
 #[derive(Debug, Default)]
 pub struct Gathered {
     pub packing: Packing,
-    /// The number of records.
     pub records: u64,
-    /// The number of them that are disclosed.
     pub revealed: u64,
     /// What is missing, in words.
     pub notes: Vec<String>,
 }
 
-/// What the chain has to prove for a record of the bundle.
 struct Asked {
     digest: Digest,
     owner: Address,
@@ -57,7 +52,6 @@ struct Asked {
 }
 
 impl Asked {
-    /// The root of its batch.
     fn root(&self) -> Option<Hash> {
         match &self.anchor {
             Anchoring::Each {} => None,
@@ -70,14 +64,14 @@ fn refused(error: PackingError) -> PipelineError {
     PipelineError::Refused(error.to_string())
 }
 
-/// Collects these records, the reader's own, and discloses the named ones; the suggested trust file names these time
-/// stamp authorities.
+/// Collects these records, the reader's own, and discloses the named ones; the suggested trust file names
+/// `authorities`.
 pub async fn gather(
     reader: &Reader<'_>,
     rows: &[RecordRow],
     reveal: &BTreeSet<Digest>,
     authorities: Vec<PinnedAuthority>,
-) -> Result<Gathered, PipelineError> {
+) -> Result<Gathered> {
     let (mut gathered, mut asked) = (Gathered::default(), Vec::new());
     let Shown { rows: statements, heights, notes } = heights_shown(reader, rows).await?;
     gathered.notes = notes;
@@ -131,7 +125,7 @@ fn stored(
     reader: &Reader<'_>,
     row: &RecordRow,
     notes: &mut Vec<String>,
-) -> Result<Option<(Header, PublicKey, BundledRecord)>, PipelineError> {
+) -> Result<Option<(Header, PublicKey, BundledRecord)>> {
     let plant = reader.plant;
     let Some(record) = plant.stored_bytes(row)? else {
         let known = |gone: &Retained| gone.anchored || is_stated(plant, Some(reader.network), row.digest, gone);
@@ -161,8 +155,7 @@ fn stored(
     Ok(Some((header, key, record)))
 }
 
-/// The block of the record's anchor, and the kind of anchor.
-fn anchoring(reader: &Reader<'_>, row: &RecordRow) -> Result<Option<(u64, Anchoring)>, PipelineError> {
+fn anchoring(reader: &Reader<'_>, row: &RecordRow) -> Result<Option<(u64, Anchoring)>> {
     let placed = reader.plant.ledger.records.placed(row.digest)?;
     let (block, place) = placed.map_or((row.block, None), |placed| (placed.row.block, placed.place));
     let Some(place) = place else {
@@ -180,7 +173,7 @@ async fn disclosed(
     header: &Header,
     record: &[u8],
     gathered: &mut Gathered,
-) -> Result<Disclosure, PipelineError> {
+) -> Result<Disclosure> {
     let (plant, network) = (reader.plant, reader.network);
     let opened = reader.open(row).await.map_err(|error| match error {
         PipelineError::Crypto(CryptoError::FalseName(what)) => PipelineError::Refused(format!(
@@ -205,7 +198,7 @@ async fn show(
     asked: Vec<Asked>,
     further: u64,
     gathered: &mut Gathered,
-) -> Result<BTreeMap<u64, Vec<u8>>, PipelineError> {
+) -> Result<BTreeMap<u64, Vec<u8>>> {
     let network = reader.network;
     let mut blocks: BTreeMap<u64, Vec<Asked>> = BTreeMap::new();
     asked.into_iter().for_each(|one| blocks.entry(one.block).or_default().push(one));
@@ -246,13 +239,12 @@ async fn show(
     Ok(headers)
 }
 
-/// The nodes that show these slots, and after which block; `None` if nothing proves them any more. Without a head there
-/// is no chain to ask.
+/// The nodes that show these slots, and after which block; `None` if nothing proves them. No head: no chain to ask.
 async fn shown(
     reader: &Reader<'_>,
     (block, head, further): (u64, Option<u64>, u64),
     slots: &[Slot],
-) -> Result<Option<(u64, Nodes)>, PipelineError> {
+) -> Result<Option<(u64, Nodes)>> {
     if let Some(found) = chain_proofs::kept(reader.plant, reader.network, block, slots).await? {
         return Ok(Some((block, found)));
     }
@@ -269,7 +261,7 @@ async fn add_headers(
     reader: &Reader<'_>,
     blocks: RangeInclusive<u64>,
     headers: &mut BTreeMap<u64, Vec<u8>>,
-) -> Result<(), PipelineError> {
+) -> Result<()> {
     for block in blocks {
         if headers.contains_key(&block) {
             continue;
@@ -280,7 +272,6 @@ async fn add_headers(
     Ok(())
 }
 
-/// What has to be proven of the contract's storage for these records.
 fn slots(all: &[Asked]) -> Vec<Slot> {
     let wanted = all.iter().map(|Asked { digest, owner, signer, keys, anchor, .. }| {
         let anchor = match anchor {
@@ -293,7 +284,7 @@ fn slots(all: &[Asked]) -> Vec<Slot> {
 }
 
 /// `None` if the node no longer has that state, or cannot prove anything.
-async fn state_nodes(reader: &Reader<'_>, block: u64, slots: &[Slot]) -> Result<Option<Nodes>, PipelineError> {
+async fn state_nodes(reader: &Reader<'_>, block: u64, slots: &[Slot]) -> Result<Option<Nodes>> {
     match reader.network.chain.storage_nodes(block, slots).await {
         Ok(nodes) => Ok(Some(nodes.into_iter().collect())),
         Err(error @ ChainError::Unreachable { .. }) => Err(error.into()),
@@ -302,7 +293,6 @@ async fn state_nodes(reader: &Reader<'_>, block: u64, slots: &[Slot]) -> Result<
     }
 }
 
-/// Who seals the chain, as far as it can be known.
 struct Sealers {
     addresses: Vec<Address>,
     /// They are the exporter's own program.
@@ -310,8 +300,7 @@ struct Sealers {
 }
 
 impl Sealers {
-    /// As the node says.
-    async fn of(chain: &Chain) -> Result<Self, PipelineError> {
+    async fn of(chain: &Chain) -> Result<Self> {
         let mut addresses = chain.sealing().await?.sealers;
         addresses.sort_unstable();
         Ok(Self { addresses, own: chain.sealed_by().await?.kind == SealerKind::Embedded })
@@ -325,13 +314,12 @@ impl Sealers {
     }
 }
 
-/// The trust file that the exporter would write.
 fn suggest(
     reader: &Reader<'_>,
     sealers: Sealers,
     authorities: Vec<PinnedAuthority>,
     gathered: &mut Gathered,
-) -> Result<(), PipelineError> {
+) -> Result<()> {
     let Some(pin) = reader.network.chain.pin() else { return Ok(()) };
     let (id, genesis, contract, code_hash) = (pin.chain_id, pin.genesis, pin.contract, pin.code_hash);
     let Sealers { addresses: signers, own: sealed_by_exporter } = sealers;
@@ -340,7 +328,7 @@ fn suggest(
 }
 
 /// Adds the stamps over these roots; if batches are stamped here at all, it reports how many of these are not yet.
-pub(super) fn add(plant: &Plant, roots: &BTreeSet<Hash>, gathered: &mut Gathered) -> Result<(), PipelineError> {
+pub(super) fn add(plant: &Plant, roots: &BTreeSet<Hash>, gathered: &mut Gathered) -> Result<()> {
     if plant.ledger.proofs.stamp_counts()?.newest.is_none() {
         return Ok(());
     }
@@ -355,10 +343,7 @@ pub(super) fn add(plant: &Plant, roots: &BTreeSet<Hash>, gathered: &mut Gathered
         let stamp = plant.ledger.proofs.stamp(key)?.filter(|stamp| !stamp.tokens.is_empty());
         match stamp.and_then(|stamp| StampTree::new(stamp.roots).zip(Some(stamp.tokens))) {
             Some((tree, tokens)) => {
-                gathered
-                    .packing
-                    .stamps(&tree, &wanted, &tokens)
-                    .map_err(|error| PipelineError::Refused(error.to_string()))?;
+                gathered.packing.stamps(&tree, &wanted, &tokens).map_err(refused)?;
             }
             None => bare += wanted.len() as u64,
         }
@@ -375,19 +360,14 @@ pub(super) fn add(plant: &Plant, roots: &BTreeSet<Hash>, gathered: &mut Gathered
 /// The most statements of one type by one recorder that are searched.
 const MOST_STATEMENTS: usize = 16;
 
-/// Statements that a bundle discloses for completeness.
 #[derive(Debug, Default)]
 pub(super) struct Shown {
-    /// The records of heads and births.
     pub rows: Vec<RecordRow>,
-    /// Highest numbers with their paths.
     pub heights: Vec<Height>,
-    /// What is missing, in words.
     pub notes: Vec<String>,
 }
 
-/// What there is for these records.
-pub(super) async fn heights_shown(reader: &Reader<'_>, rows: &[RecordRow]) -> Result<Shown, PipelineError> {
+pub(super) async fn heights_shown(reader: &Reader<'_>, rows: &[RecordRow]) -> Result<Shown> {
     let mut topics: BTreeMap<RecorderId, BTreeSet<TopicId>> = BTreeMap::new();
     // The recorder of a ring states nothing: its id says that its numbers may be missing.
     for row in rows.iter().filter(|row| row.topic != TOPIC && !row.recorder.is_ring()) {
@@ -405,12 +385,11 @@ pub(super) async fn heights_shown(reader: &Reader<'_>, rows: &[RecordRow]) -> Re
     Ok(shown)
 }
 
-/// What there is for one recorder.
 async fn one(
     reader: &Reader<'_>,
     (recorder, topics): (RecorderId, &BTreeSet<TopicId>),
     shown: &mut Shown,
-) -> Result<(), PipelineError> {
+) -> Result<()> {
     let before = shown.rows.len();
     for row in statements(reader, recorder, Heads::TYPE)? {
         let Some(heights) = heights(reader, &row).await else { continue };
@@ -419,9 +398,8 @@ async fn one(
         break;
     }
     if shown.rows.len() == before {
-        shown
-            .notes
-            .push(format!("recorder {recorder} has no anchored heads record here: nothing says how far its topics go"));
+        let text = format!("recorder {recorder} has no anchored heads record here: nothing says how far its topics go");
+        shown.notes.push(text);
     }
     let before = shown.rows.len();
     for row in statements(reader, recorder, Birth::TYPE)? {
@@ -431,15 +409,15 @@ async fn one(
         }
     }
     if shown.rows.len() == before {
-        shown.notes.push(format!(
-            "recorder {recorder} has no anchored birth record here: nothing says which recorder it follows"
-        ));
+        let text =
+            format!("recorder {recorder} has no anchored birth record here: nothing says which recorder it follows");
+        shown.notes.push(text);
     }
     Ok(())
 }
 
-/// Anchored statements of a recorder, in search order: heads from the newest, births from the oldest.
-fn statements(reader: &Reader<'_>, recorder: RecorderId, type_name: &str) -> Result<Vec<RecordRow>, PipelineError> {
+/// In search order: heads from the newest, births from the oldest.
+fn statements(reader: &Reader<'_>, recorder: RecorderId, type_name: &str) -> Result<Vec<RecordRow>> {
     let query = RecordQuery {
         owner: Some(reader.reader.address),
         recorder: Some(recorder),
@@ -450,20 +428,14 @@ fn statements(reader: &Reader<'_>, recorder: RecorderId, type_name: &str) -> Res
         ..RecordQuery::default()
     };
     let mut rows = reader.plant.ledger.records.list(&query)?.rows;
-    rows.retain(is_confirmed);
+    rows.retain(|row| matches!(row.state, RecordState::Confirmed | RecordState::Verified));
     Ok(rows)
 }
 
-fn is_confirmed(row: &RecordRow) -> bool {
-    matches!(row.state, RecordState::Confirmed | RecordState::Verified)
-}
-
-/// The content of a statement.
 async fn body(reader: &Reader<'_>, row: &RecordRow) -> Option<Vec<u8>> {
     Some(reader.open(row).await.ok()?.body)
 }
 
-/// The list of numbers under a head.
 async fn heights(reader: &Reader<'_>, row: &RecordRow) -> Option<Heights> {
     let heads = Heads::parse(&body(reader, row).await?).ok()?;
     let listed = reader.plant.ledger.records.find(heads.heights).ok()??;

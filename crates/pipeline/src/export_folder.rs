@@ -1,5 +1,4 @@
-//! A folder from `uploads export`, as seen by a recipient who trusts nobody: read within limits, and checked as far as
-//! possible without a chain. The chain is queried elsewhere.
+//! A folder of `uploads export`, read within limits and checked without a chain, for a recipient who trusts nobody.
 
 use std::fs::File;
 use std::io::Read as _;
@@ -21,7 +20,6 @@ const LONGEST_SMALL: u64 = 64 * 1024;
 /// A generous limit for a record's header, bytes.
 const LONGEST_HEADER: u64 = 1024;
 
-/// Why a folder cannot be examined.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{file}: {why}; ask whoever gave you the folder for a new `authros uploads export`")]
 pub struct FolderError {
@@ -36,19 +34,15 @@ impl FolderError {
     }
 }
 
-/// How a record was anchored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum AnchorWord {
     Each,
-    /// The root of its batch.
     Batch,
 }
 
-/// Where `proof.json` says the record is anchored.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ClaimedAnchor {
-    /// The kind of anchor.
     pub mode: AnchorWord,
     pub leaf: Option<Hash>,
     pub index: Option<u64>,
@@ -64,7 +58,6 @@ pub struct ClaimedAnchor {
     pub block_time: Option<Timestamp>,
 }
 
-/// The claims in `proof.json`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ClaimedProof {
     pub format: String,
@@ -72,23 +65,18 @@ pub struct ClaimedProof {
     pub digest: Digest,
     /// SM3 of the signer's key.
     pub signer: SignerId,
-    /// The epoch that seals it.
     pub epoch: u64,
     pub recorder: RecorderId,
     pub topic_id: TopicId,
     pub seq: u64,
-    /// The network it is bound to.
     pub domain: Domain,
     pub chain_id: u64,
-    /// Hash of block 0.
     pub genesis: Hash,
     pub contract: Option<Address>,
-    /// Where it is anchored.
     pub anchor: ClaimedAnchor,
 }
 
 impl ClaimedProof {
-    /// From the text of `proof.json`.
     pub fn parse(text: &[u8]) -> Result<Self, FolderError> {
         let wrong = |why: &str| FolderError::new("proof.json", why);
         let proof: Self = serde_json::from_slice(text).map_err(|error| wrong(&error.to_string()))?;
@@ -101,14 +89,13 @@ impl ClaimedProof {
         Ok(proof)
     }
 
-    /// The path, if the record is in a batch and the claim is complete.
+    /// `None` unless the record is in a batch and the claim is complete.
     pub fn inclusion(&self) -> Option<Inclusion> {
         let anchor = &self.anchor;
         Some(Inclusion { index: anchor.index?, count: anchor.count?, path: anchor.path.clone()?, root: anchor.root? })
     }
 }
 
-/// One step of a check.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct VerifyStep {
     pub name: String,
@@ -118,29 +105,23 @@ pub struct VerifyStep {
 }
 
 impl VerifyStep {
-    /// A step that passes or fails.
     pub fn new(name: &str, ok: bool, text: &str) -> Self {
         Self { name: name.to_owned(), ok: Some(ok), text: clean(text, 400) }
     }
 
-    /// A step that could not be done.
     pub fn open(name: &str, text: &str) -> Self {
         Self { name: name.to_owned(), ok: None, text: clean(text, 400) }
     }
 }
 
-/// The files of a folder, each within its limits and well-formed.
 #[derive(Debug, Clone)]
 pub struct ExportFolder {
-    /// The record as stored.
     pub record: Vec<u8>,
     pub header: Header,
     /// The signed bytes, as found in the folder.
     pub message: Vec<u8>,
     pub signature: Signature,
-    /// The key in `signer.pem`.
     pub signer: PublicKey,
-    /// The claims in `proof.json`.
     pub proof: ClaimedProof,
 }
 
@@ -153,7 +134,6 @@ impl ExportFolder {
         Self::parse(record, message, &signature, &small("signer.pem")?, &small("proof.json")?)
     }
 
-    /// From the files' bytes.
     pub fn parse(
         record: Vec<u8>,
         message: Vec<u8>,
@@ -174,17 +154,10 @@ impl ExportFolder {
         Ok(Self { record, header, message, signature, signer, proof: ClaimedProof::parse(proof)? })
     }
 
-    /// SM3 of the record.
     pub fn digest(&self, provider: &dyn Provider) -> Digest {
         Digest(provider.sm3(&[&self.record]))
     }
 
-    /// The leaf of the record in its batch.
-    pub fn leaf(&self, digest: Digest) -> Leaf {
-        Leaf::of(&self.header, digest)
-    }
-
-    /// Everything that can be checked without a chain.
     pub fn check(&self, provider: &dyn Provider) -> Vec<VerifyStep> {
         let digest = self.digest(provider);
         let mut steps = vec![
@@ -212,15 +185,12 @@ impl ExportFolder {
             ("number", header.seq == proof.seq),
             ("network", header.domain == proof.domain),
         ];
-        match fields.iter().find(|(_, same)| !same) {
-            Some((field, _)) => {
-                VerifyStep::new("header", false, &format!("record.bin and proof.json differ in their {field}"))
-            }
-            None => {
-                let text = format!("of {}, number {}, captured {}", header.owner, header.seq, header.captured_at);
-                VerifyStep::new("header", true, &text)
-            }
-        }
+        let different = fields.iter().find(|(_, same)| !same);
+        let text = match different {
+            Some((field, _)) => format!("record.bin and proof.json differ in their {field}"),
+            None => format!("of {}, number {}, captured {}", header.owner, header.seq, header.captured_at),
+        };
+        VerifyStep::new("header", different.is_none(), &text)
     }
 
     fn check_path(&self, digest: Digest) -> Option<VerifyStep> {
@@ -228,13 +198,10 @@ impl ExportFolder {
             return None;
         }
         let Some(inclusion) = self.proof.inclusion() else {
-            return Some(VerifyStep::new(
-                "proof",
-                false,
-                "proof.json names a batch, but not the whole path to its root",
-            ));
+            let text = "proof.json names a batch, but not the whole path to its root";
+            return Some(VerifyStep::new("proof", false, text));
         };
-        let leaf = self.leaf(digest);
+        let leaf = Leaf::of(&self.header, digest);
         let named = self.proof.anchor.leaf.is_none_or(|claimed| claimed == leaf.hash());
         let text =
             format!("leaf {} of {}, root {}", inclusion.index.saturating_add(1), inclusion.count, inclusion.root);

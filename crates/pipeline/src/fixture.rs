@@ -188,7 +188,7 @@ impl Process {
     pub async fn anchor(&self, most: usize) {
         let rows = self.plant.ledger.records.in_state(None, RecordState::Stored, most).expect("read");
         let outgoing = rows.iter().map(|row| Self::upload(row.seq - 1)).collect();
-        self.sender.submit(&self.network.chain, &self.eoa, outgoing).await.expect("submits");
+        self.sender.lane(&self.network.chain, &self.eoa).await.submit(outgoing).await.expect("submits");
     }
 
     /// One round of the watcher, then the lane is tended.

@@ -1,6 +1,5 @@
-//! Passes stored records on to a gateway and follows its feed until they are verified there: the durable outbox of a robot.
-//! A function of the ledger: `stored` waits to be sent, `submitted` has a gateway's signed receipt, `verified` is
-//! verified there, and only then is the local ciphertext deleted.
+//! The durable outbox of a robot: passes records to a gateway and follows its feed until they are verified there.
+//! `submitted` has the gateway's signed receipt; only after `verified` is the local ciphertext deleted.
 
 mod line;
 
@@ -23,7 +22,7 @@ use crate::gateway::{
 use crate::model::{Address, Digest, ErrorKind, Fact, Header, ProfileName, RecordState, RecorderId, Token};
 use crate::store::notes::ProofsTaken;
 use crate::store::{KeptStanding, RecordRow};
-use crate::{PipelineError, Plant};
+use crate::{PipelineError, Plant, Result};
 
 /// The longest pause before a record refused for its own sake is sent again.
 const LONGEST_RETRY: Duration = Duration::from_secs(3600);
@@ -45,12 +44,10 @@ impl Default for CopyKeeping {
     }
 }
 
-/// The timing of a forwarder.
 #[derive(Debug, Clone, Copy)]
 pub struct Pace {
-    /// The first pause after a failure; it doubles.
+    /// Pause after the first failure; it doubles, up to `longest_pause`.
     pub first_pause: Duration,
-    /// The longest pause after a failure.
     pub longest_pause: Duration,
     /// The time between two looks at the gateway's feed.
     pub check: Duration,
@@ -72,7 +69,6 @@ impl Default for Pace {
     }
 }
 
-/// The state of the connection to the gateway.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Link {
     Connecting,
@@ -88,20 +84,15 @@ pub enum Link {
 /// What a session does besides uploads and checks, periodically.
 #[async_trait::async_trait]
 pub trait Errand: Send {
-    /// A session has begun.
     async fn begin(&mut self, client: &mut Client) -> Result<(), ForwardError>;
 
-    /// Does what is due.
     async fn run(&mut self, client: &mut Client) -> Result<(), ForwardError>;
 }
 
-/// Why a session with the gateway ended.
 #[derive(Debug, thiserror::Error)]
 pub enum ForwardError {
-    /// The gateway or the connection to it.
     #[error(transparent)]
     Gateway(#[from] GatewayError),
-    /// The store of this robot.
     #[error(transparent)]
     Here(#[from] PipelineError),
 }
@@ -113,7 +104,6 @@ impl From<crate::store::StoreError> for ForwardError {
 }
 
 impl ForwardError {
-    /// The state of the connection afterwards.
     fn link(&self) -> Link {
         let text = self.to_string();
         match self {
@@ -123,7 +113,6 @@ impl ForwardError {
     }
 }
 
-/// The gateway, and what this robot knows of it.
 #[derive(Clone)]
 struct Gate {
     endpoint: Endpoint,
@@ -134,18 +123,14 @@ struct Gate {
     trust_file: PathBuf,
 }
 
-/// A robot, as it presents itself to its gateway.
 #[derive(Clone)]
 pub struct Robot {
     pub owner: Address,
-    /// The network, and the crypto provider.
     pub context: Context,
     pub name: ProfileName,
-    /// A token of its owner.
     pub token: Token,
     /// How long the gateway may take to answer; with several addresses it gets at most five seconds at each.
     pub patience: Duration,
-    /// Its directory, with its note of the gateway.
     pub home: PathBuf,
 }
 
@@ -160,96 +145,55 @@ impl Robot {
     }
 }
 
-/// Sends records of an outbox, oldest first.
 pub struct Forwarder {
-    plant: Plant,
+    outbox: Outbox,
     robot: Robot,
     gate: Gate,
-    pace: Pace,
     link: watch::Sender<Link>,
     errand: Option<Box<dyn Errand>>,
-    /// Records that the gateway refuses for their own sake: sent again after a pause, and at the next start.
-    refused: Arc<Mutex<HashSet<Digest>>>,
-    /// What happens to ciphertext that the gateway also has.
-    keeping: CopyKeeping,
-    /// The gateway with the addresses that the owner named last.
     named: Option<watch::Receiver<GatewayAccess>>,
 }
 
 impl Forwarder {
-    /// A forwarder of a robot to its gateway.
-    ///
-    /// # Errors
-    /// Errors of the note of the gateway; [`CryptoError::NotAKey`] if the home is another robot's.
+    /// [`CryptoError::NotAKey`] if the home is another robot's.
     pub fn new(plant: Plant, robot: Robot, access: &GatewayAccess) -> Result<Self, CryptoError> {
-        Ok(Self {
-            plant,
-            gate: robot.gate(access)?,
-            robot,
-            pace: Pace::default(),
-            link: watch::channel(Link::Connecting).0,
-            errand: None,
-            refused: Arc::default(),
-            keeping: CopyKeeping::default(),
-            named: None,
-        })
+        let gate = robot.gate(access)?;
+        let (outbox, link) = (Outbox::new(plant, robot.home.clone()), watch::channel(Link::Connecting).0);
+        Ok(Self { outbox, robot, gate, link, errand: None, named: None })
     }
 
-    /// The same with other timing.
-    #[must_use]
-    pub fn paced(self, pace: Pace) -> Self {
-        Self { pace, ..self }
+    pub fn keeping(mut self, keeping: CopyKeeping) -> Self {
+        self.outbox.keeping = keeping;
+        self
     }
 
-    /// The same with other rules for its copies.
-    #[must_use]
-    pub fn keeping(self, keeping: CopyKeeping) -> Self {
-        Self { keeping, ..self }
-    }
-
-    /// The same with additional work.
-    #[must_use]
     pub fn with_errand(self, errand: Box<dyn Errand>) -> Self {
         Self { errand: Some(errand), ..self }
     }
 
-    /// The same, using the gateway's addresses that the owner sends.
-    #[must_use]
     pub fn following(self, named: watch::Receiver<GatewayAccess>) -> Self {
         Self { named: Some(named), ..self }
     }
 
-    /// The state of the connection to the gateway, from now on.
     pub fn link(&self) -> watch::Receiver<Link> {
         self.link.subscribe()
     }
 
-    /// Records that the gateway refuses for their own sake, as they become known.
     pub fn refused(&self) -> Arc<Mutex<HashSet<Digest>>> {
-        Arc::clone(&self.refused)
+        Arc::clone(&self.outbox.refused)
     }
 
-    fn outbox(&self) -> Outbox {
-        line::Outbox::new(
-            self.plant.clone(),
-            self.robot.home.clone(),
-            self.keeping.clone(),
-            Arc::clone(&self.refused),
-            self.pace,
-        )
-    }
-
-    /// Deletes ciphertext whose proof was checked and signed long enough ago; on a full disk the oldest of it early.
-    /// Whatever the gateway has not signed for stays.
-    pub fn tidy(&self) -> Result<(), PipelineError> {
-        self.outbox().tidy()
+    /// Deletes ciphertext proven long enough ago, on a full disk the oldest early. What the gateway has not signed for
+    /// stays.
+    pub fn tidy(&self) -> Result<()> {
+        self.outbox.tidy()
     }
 
     /// Works until it is dropped; `stored` signals when records wait. Can be cancelled at any point.
     pub async fn run(&mut self, stored: &Notify) {
         loop {
-            let mut line =
-                Line::new((self.outbox(), self.robot.owner), self.gate.clone(), self.link.clone(), &mut self.errand);
+            let outbox = (&mut self.outbox, self.robot.owner);
+            let mut line = Line::new(outbox, self.gate.clone(), self.link.clone(), &mut self.errand);
             tokio::select! {
                 never = line.run(stored) => match never {},
                 () = changed(&mut self.named) => {}
@@ -258,7 +202,6 @@ impl Forwarder {
         }
     }
 
-    /// Applies the addresses that the owner named last.
     fn apply_addresses(&mut self) {
         let Some(named) = &mut self.named else { return };
         let access = named.borrow_and_update().clone();
@@ -266,13 +209,12 @@ impl Forwarder {
             Ok(gate) => self.gate = gate,
             Err(error) => {
                 let text = format!("the gateway's new addresses cannot be used, the old ones stay: {error}");
-                self.plant.observer.alert(true, text);
+                self.outbox.plant.observer.alert(true, text);
             }
         }
     }
 }
 
-/// Waits until the owner has named other addresses.
 async fn changed(named: &mut Option<watch::Receiver<GatewayAccess>>) {
     if let Some(named) = named
         && named.changed().await.is_ok()
@@ -290,7 +232,6 @@ fn is_about_a_record(error: &GatewayError) -> bool {
     )
 }
 
-/// What is known of the gateway from earlier runs, or only its fingerprint.
 fn trust_in(file: &Path, fingerprint: crate::model::SignerId) -> Result<Trust, CryptoError> {
     if !file.exists() {
         return Ok(Trust::pinned(fingerprint));
@@ -303,11 +244,11 @@ fn trust_in(file: &Path, fingerprint: crate::model::SignerId) -> Result<Trust, C
     Err(CryptoError::NotAKey { path: crate::crypto::error::shown(file), wanted: "the note of this gateway", found })
 }
 
-/// Records asked about at once.
+/// Records in one question to the gateway.
 const PAGE: usize = 256;
 /// Pages of the feed taken between two looks at the outbox.
 const MOST_PAGES: usize = 8;
-/// After how many checks of the feed the gateway is asked whether it still has what it signed for.
+/// Checks of the feed between two questions whether the gateway still has what it signed for.
 const SWEEP: u32 = 60;
 
 /// What a robot learns of its records: the gateway's feed, cut to what was numbered here.
@@ -315,7 +256,7 @@ const SWEEP: u32 = 60;
 struct Proofs {
     owner: Address,
     id: FeedId,
-    /// The highest number up to which anything was told: rows of a recorder that was not known by then come after it.
+    /// The highest number read so far: rows of a recorder that was not known by then come after it.
     newest: u64,
     /// Who numbered what waits here: every start of a ring is another one.
     recorders: BTreeMap<RecorderId, Told>,
@@ -324,13 +265,11 @@ struct Proofs {
     swept: Option<Instant>,
 }
 
-/// How far the feed is read for one recorder.
 #[derive(Debug, Clone, Copy, Default)]
 struct Told {
     place: u64,
     /// The lowest number of an entry that could not be dealt with: its proof does not hold, or its receipt was lost.
     held: Option<u64>,
-    /// When the feed is read again from there.
     again: Option<Instant>,
     pause: Duration,
 }
@@ -343,7 +282,7 @@ impl Told {
 }
 
 impl Proofs {
-    /// From where it was. A place that cannot be read is told, and is the beginning: nothing is lost by that.
+    /// A place that cannot be read is reported and replaced by the beginning: nothing is lost by that.
     fn load(plant: &Plant, owner: Address) -> Self {
         let kept = plant.ledger.notes.read(&ProofsTaken { owner });
         let kept = kept.inspect_err(|error| plant.observer.alert(true, error.to_string()));
@@ -351,12 +290,11 @@ impl Proofs {
         Self { owner, id, newest, recorders: BTreeMap::new(), sweep: None, swept: None }
     }
 
-    /// The number up to which all is dealt with.
     fn done(&self) -> u64 {
         self.recorders.values().map(Told::done).min().unwrap_or(self.newest)
     }
 
-    /// Follows these recorders, and goes back for what was held, when it is time and the rest was told.
+    /// Follows these recorders, and goes back for held entries when it is time and the rest was read.
     fn follow(&mut self, recorders: &BTreeSet<RecorderId>, now: Instant) {
         self.recorders.retain(|recorder, _| recorders.contains(recorder));
         for recorder in recorders {
@@ -372,7 +310,7 @@ impl Proofs {
         }
     }
 
-    /// What to ask for: of those of whom everything was told so far, and of those who are behind. One never waits for the other.
+    /// Recorders that are read up to date, and those that are behind: neither waits for the other.
     fn groups(&self) -> [Vec<RecorderId>; 2] {
         let mut sorted: Vec<(&RecorderId, &Told)> = self.recorders.iter().collect();
         sorted.sort_by_key(|(_, told)| told.place);
@@ -380,14 +318,13 @@ impl Proofs {
         [live, behind].map(|group| group.into_iter().take(MOST_NAMED).map(|(recorder, _)| *recorder).collect())
     }
 
-    /// The request for the next page about a group; nothing if it is empty.
     fn asks(&self, group: &[RecorderId]) -> Option<Feed> {
         let after = group.iter().filter_map(|recorder| self.recorders.get(recorder)).map(|told| told.place).min()?;
         let places = vec![Place { owner: self.owner, after, grant: 0 }];
         Some(Feed { id: self.id, recorders: group.to_vec(), places, ..Feed::of(self.owner) })
     }
 
-    /// A page was dealt with. Returns whether the feed is another one than it was.
+    /// Returns whether the feed is another one than it was.
     fn took(&mut self, page: &FeedPage, asked: &Feed) -> bool {
         if page.is_anew {
             self.newest = 0;
@@ -400,7 +337,6 @@ impl Proofs {
         page.is_anew
     }
 
-    /// Something on a page has to be looked at again.
     fn hold(&mut self, (recorder, number): (RecorderId, u64), first_pause: Duration) {
         let Some(told) = self.recorders.get_mut(&recorder) else { return };
         if told.held.is_none() {
@@ -411,12 +347,12 @@ impl Proofs {
     }
 }
 
-/// The longest pause before an entry whose proof does not hold is looked at again.
+/// The longest pause before an entry whose proof does not hold is checked again.
 const LONGEST_HOLD: Duration = Duration::from_secs(600);
 
 impl Line<'_> {
-    /// Takes what the gateway's feed tells of this robot's records, and asks now and then whether the gateway still has what it
-    /// signed for. Returns whether it was asked anything.
+    /// Follows the feed, and sometimes asks whether the gateway still has what it signed for. Returns whether it was
+    /// asked.
     async fn check(&mut self, client: &mut Client) -> Result<bool, ForwardError> {
         let ledger = &self.outbox.plant.ledger;
         if ledger.forwarding.undecided(None, 1)?.rows.is_empty() {
@@ -438,8 +374,7 @@ impl Line<'_> {
         Ok(true)
     }
 
-    /// A page of the feed.
-    fn told(&mut self, page: &FeedPage, asked: &Feed) -> Result<(), PipelineError> {
+    fn told(&mut self, page: &FeedPage, asked: &Feed) -> Result<()> {
         let ledger = &self.outbox.plant.ledger;
         let told: Vec<&FeedEntry> = page.entries.iter().filter(|entry| entry.fact != Fact::Stored).collect();
         let rows = ledger.records.find_all(&told.iter().map(|entry| entry.digest).collect::<Vec<_>>())?;
@@ -521,7 +456,7 @@ impl Line<'_> {
         digest == row.digest && inclusion.proves(&Leaf::of(&header, digest))
     }
 
-    fn decide(&self, verified: &[Digest], unknown: &[Digest], tampered: &[Digest]) -> Result<(), PipelineError> {
+    fn decide(&self, verified: &[Digest], unknown: &[Digest], tampered: &[Digest]) -> Result<()> {
         let (ledger, observer) = (&self.outbox.plant.ledger, &self.outbox.plant.observer);
         if !verified.is_empty() {
             ledger.forwarding.settle(verified, RecordState::Verified)?;
@@ -529,23 +464,19 @@ impl Line<'_> {
         }
         if !unknown.is_empty() && ledger.forwarding.settle(unknown, RecordState::Stored)? > 0 {
             let count = unknown.len();
-            observer.alert(
-                true,
-                format!(
-                    "the gateway signed for {count} records but no longer has them; they are sent again, and its \
-                     receipts are kept"
-                ),
+            let text = format!(
+                "the gateway signed for {count} records but no longer has them; they are sent again, and its receipts are \
+                 kept"
             );
+            observer.alert(true, text);
         }
         if !tampered.is_empty() && ledger.forwarding.settle(tampered, RecordState::Tampered)? > 0 {
             observer.tampered(tampered);
             let count = tampered.len();
-            observer.alert(
-                true,
-                format!(
-                    "{count} records were altered at the gateway after it signed for them; the originals are kept here"
-                ),
+            let text = format!(
+                "{count} records were altered at the gateway after it signed for them; the originals are kept here"
             );
+            observer.alert(true, text);
         }
         if !(verified.is_empty() && unknown.is_empty() && tampered.is_empty()) {
             observer.records_changed();

@@ -36,11 +36,18 @@ pub const LATCHING: &str = "latching";
 /// Tag of messages whose topic was recorded under a name that is not a graph name: that name.
 pub const RECORDED_TOPIC: &str = "recorded_topic";
 
+/// The words for encodings in records' tags; a record without one is of ROS 1.
+const ENCODINGS: [(&str, Encoding); 4] = [
+    ("cdr", Encoding::Cdr { idl: false }),
+    ("cdr-idl", Encoding::Cdr { idl: true }),
+    ("mcap-attachment", Encoding::Beside(Beside::Attachment)),
+    ("mcap-metadata", Encoding::Beside(Beside::Metadata)),
+];
+
 /// The largest body that a record holds, bytes.
 const LARGEST: u64 = LARGEST_BODY - TAG_LENGTH as u64;
 
-/// Why a message cannot be imported; `None` if it can. What no record can hold must not reach the sealer, which tries again
-/// until it succeeds.
+/// What no record can hold must not reach the sealer, which tries again until it succeeds.
 pub fn fault(message: &RecordedMessage) -> Option<&'static str> {
     let channel = &message.channel;
     if message.body.len() as u64 > LARGEST {
@@ -53,32 +60,23 @@ pub fn fault(message: &RecordedMessage) -> Option<&'static str> {
     channel.type_name.is_empty().then_some("it has no type")
 }
 
-/// The encoding stated in a record's tags.
 pub fn encoding(tags: &BTreeMap<String, String>) -> Encoding {
-    match tags.get(ENCODING).map(String::as_str) {
-        Some("cdr") => Encoding::Cdr { idl: false },
-        Some("cdr-idl") => Encoding::Cdr { idl: true },
-        Some("mcap-attachment") => Encoding::Beside(Beside::Attachment),
-        Some("mcap-metadata") => Encoding::Beside(Beside::Metadata),
-        _ => Encoding::Ros1,
-    }
+    let stated = tags.get(ENCODING).and_then(|word| ENCODINGS.iter().find(|(known, _)| known == word));
+    stated.map_or(Encoding::Ros1, |(_, encoding)| *encoding)
 }
 
-/// The recording's metadata of a record's channel.
 pub fn about(tags: &BTreeMap<String, String>) -> BTreeMap<Arc<str>, Arc<str>> {
     let of_channel =
         |(key, value): (&String, &String)| Some((key.strip_prefix(CHANNEL)?.into(), value.as_str().into()));
     tags.iter().filter_map(of_channel).collect()
 }
 
-/// The recording's metadata of a record's publishing.
 pub fn sent(tags: &BTreeMap<String, String>, recorded: Timestamp) -> Option<Sent> {
     let sequence = tags.get(SEQUENCE)?.parse().ok()?;
     let time = tags.get(PUBLISHED).and_then(|time| time.parse().ok()).map_or(recorded, Timestamp);
     Some(Sent { time, sequence })
 }
 
-/// The kind of record that holds what is encoded like this.
 pub fn kind_of(encoding: Encoding) -> RecordKind {
     match encoding {
         Encoding::Ros1 | Encoding::Cdr { .. } => RecordKind::Data,
@@ -94,7 +92,6 @@ fn tags_of(sent: Sent, recorded: Timestamp) -> Vec<(String, String)> {
     tags
 }
 
-/// Imports one recording, or one home, for one author.
 pub struct Importer<'a> {
     rings: &'a Rings<CapturedMessage>,
     author: Arc<Author>,
@@ -132,17 +129,10 @@ impl Stream {
     }
 }
 
-/// What the tags say of a recording's channel.
 fn channel_tags(channel: &Channel, topic: &Arc<str>) -> Vec<(String, String)> {
     let mut tags = vec![(SOURCE.0.to_owned(), SOURCE.1.to_owned())];
-    let encoding = match channel.encoding {
-        Encoding::Ros1 => None,
-        Encoding::Cdr { idl: false } => Some("cdr"),
-        Encoding::Cdr { idl: true } => Some("cdr-idl"),
-        Encoding::Beside(Beside::Attachment) => Some("mcap-attachment"),
-        Encoding::Beside(Beside::Metadata) => Some("mcap-metadata"),
-    };
-    tags.extend(encoding.map(|encoding| (ENCODING.to_owned(), encoding.to_owned())));
+    let stated = ENCODINGS.iter().find(|(_, encoding)| *encoding == channel.encoding);
+    tags.extend(stated.map(|(word, _)| (ENCODING.to_owned(), (*word).to_owned())));
     tags.extend(channel.about.iter().map(|(key, value)| (format!("{CHANNEL}{key}"), value.to_string())));
     if channel.topic != *topic {
         tags.push((RECORDED_TOPIC.to_owned(), channel.topic.to_string()));
@@ -151,7 +141,6 @@ fn channel_tags(channel: &Channel, topic: &Arc<str>) -> Vec<(String, String)> {
 }
 
 impl<'a> Importer<'a> {
-    /// Imports for `author`; every message gets the tags.
     pub fn new(
         rings: &'a Rings<CapturedMessage>,
         author: Arc<Author>,
@@ -166,12 +155,12 @@ impl<'a> Importer<'a> {
         Self { followed: false, ..self }
     }
 
-    /// Imports one recorded message under a graph name, as soon as there is room. `false` if the import is to end.
+    /// Waits for room; `false` if the import is to end.
     pub fn take(&mut self, message: RecordedMessage, topic: &Arc<str>, goes_on: &dyn Fn() -> bool) -> bool {
         if !self.sessions.contains_key(&message.channel) {
             let tags = [self.tags.clone(), channel_tags(&message.channel, topic)].concat();
-            self.sessions
-                .insert(Arc::clone(&message.channel), Stream::new(&message.channel, topic, tags, self.followed));
+            let stream = Stream::new(&message.channel, topic, tags, self.followed);
+            self.sessions.insert(Arc::clone(&message.channel), stream);
         }
         let tags = message.sent.map(|sent| tags_of(sent, message.time)).unwrap_or_default();
         let has_rule = kind_of(message.channel.encoding) == RecordKind::Data;
@@ -262,7 +251,6 @@ impl<'a> Importer<'a> {
         }
     }
 
-    /// Messages passed to the sealer.
     pub fn offered(&self) -> u64 {
         self.offered
     }

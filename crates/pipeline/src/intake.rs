@@ -1,6 +1,5 @@
-//! The one way in for records that were not sealed here: a reader's, an owner's uploads to a gateway, and what their owners had
-//! erased. Every claim of a proof is compared with the chain, in the same steps and with the same words, no matter who brings it;
-//! then the record is stored as if it had been captured here. A gateway that lies gets nothing in.
+//! The one way in for records sealed elsewhere: a reader's, an owner's uploads, and what owners had erased. Every claim
+//! of a proof is compared with the chain, in the same steps whoever brings it.
 
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
@@ -18,7 +17,7 @@ use crate::gateway::{ErasedRecord, FeedEntry, Fetched};
 use crate::model::{Address, Digest, Fact, Hash, Header, PublicKey, RecordState, Timestamp};
 use crate::reader::Reader;
 use crate::store::{NewRecord, RecordRow, RootSighting, Sighting, StoreError, TakenErased};
-use crate::{Network, Owner, PipelineError, Plant, chain_proofs};
+use crate::{Network, Owner, PipelineError, Plant, Result, chain_proofs};
 
 /// Length of the tag at the end of a sealed body, bytes.
 const TAG: u64 = 16;
@@ -27,51 +26,36 @@ const LOOK: Duration = Duration::from_millis(50);
 /// The most anchors cached.
 const MOST_ANCHORS: usize = 4096;
 
-/// Why a record from elsewhere is not taken in.
 #[derive(Debug, thiserror::Error)]
 pub enum Reason {
-    /// What came does not parse.
     #[error("it is not a record")]
     NotARecord,
-    /// Its header names another owner or network.
     #[error("it does not belong to the requested owner or network")]
     AnotherOwner,
-    /// Its header names another key.
     #[error("its header names a different key than the one that signed it")]
     AnotherSigner,
-    /// There is no proof of its anchor that could be read.
     #[error("it has no proof of its anchor")]
     NoProof,
-    /// The chain does not have what the proof says.
     #[error("{0}")]
     NotAnchored(&'static str),
-    /// Its signer had no right at the anchoring block.
     #[error("{0}")]
     NoRight(Box<NoRight>),
-    /// A signature, a commitment or a tag does not hold.
     #[error("{0}")]
     Crypto(CryptoError),
-    /// A name in it does not belong to its pseudonym.
     #[error("its signer wrote a false {0} into it")]
     FalseName(&'static str),
-    /// The ledger has another record in its place.
     #[error("its number belongs to another record, or its topic has another name")]
     Number,
-    /// Only messages and attachments are erased.
     #[error("what is left of it is not the header of a message or an attachment")]
     NotErasable,
-    /// The statement is by another key.
     #[error("that it was erased is not stated with its owner's key")]
     NotStated,
-    /// Another owner's record with a number of this home.
     #[error("it claims to be numbered here, and is not from here")]
     NumberedHere,
-    /// It does not open.
     #[error("{0}")]
     Unopened(Box<PipelineError>),
 }
 
-/// A record that is not taken in.
 #[derive(Debug, thiserror::Error)]
 #[error("record {digest} from the gateway was rejected: {reason}; tell its owner and the gateway's operator")]
 pub struct Refused {
@@ -79,18 +63,15 @@ pub struct Refused {
     pub reason: Reason,
 }
 
-/// What became of a record.
 #[derive(Debug)]
 pub enum Accepted {
     /// It is here; whether anything changed.
     Held(bool),
     /// The chain here does not show enough yet to judge it.
     Later,
-    /// It will not be taken in.
     Refused(Refused),
 }
 
-/// Why the steps ended early.
 enum Stop {
     Later,
     Refused(Reason),
@@ -125,7 +106,7 @@ where
     }
 }
 
-fn outcome(digest: Digest, done: Result<bool, Stop>) -> Result<Accepted, PipelineError> {
+fn outcome(digest: Digest, done: Result<bool, Stop>) -> Result<Accepted> {
     match done {
         Ok(changed) => Ok(Accepted::Held(changed)),
         Err(Stop::Later) => Ok(Accepted::Later),
@@ -137,7 +118,6 @@ fn outcome(digest: Digest, done: Result<bool, Stop>) -> Result<Accepted, Pipelin
 pub struct Intake<'a> {
     pub plant: &'a Plant,
     pub network: &'a Network,
-    /// Anchors that the chain confirmed.
     pub anchors: &'a Anchors,
     /// The gateway's account: it anchors what it keeps for others, so nobody here tries to.
     pub keeper: Address,
@@ -145,12 +125,11 @@ pub struct Intake<'a> {
     pub patience: Duration,
 }
 
-/// Anchors that the chain confirmed, by account, root, leaves and transaction: their blocks.
+type AnchorKey = (Address, Hash, u64, Hash);
+
+/// Blocks of confirmed anchors, by account, root, number of leaves and transaction.
 #[derive(Default)]
 pub struct Anchors(Mutex<BTreeMap<AnchorKey, (u64, Hash)>>);
-
-/// Account, root, number of leaves, transaction.
-type AnchorKey = (Address, Hash, u64, Hash);
 
 impl Anchors {
     /// Forgets what the chain said: it replaced blocks.
@@ -197,7 +176,6 @@ impl Anchors {
     }
 }
 
-/// The block that has the proof's transaction.
 async fn block_of(network: &Network, proof: &AnchorProof) -> Result<(u64, Hash), Stop> {
     if let Some(found) = mined_in(network, proof).await? {
         return Ok(found);
@@ -211,13 +189,13 @@ async fn block_of(network: &Network, proof: &AnchorProof) -> Result<(u64, Hash),
     found.ok_or_else(|| Reason::NotAnchored("the chain does not have its anchoring transaction").into())
 }
 
-async fn mined_in(network: &Network, proof: &AnchorProof) -> Result<Option<(u64, Hash)>, PipelineError> {
+async fn mined_in(network: &Network, proof: &AnchorProof) -> Result<Option<(u64, Hash)>> {
     let receipt = network.chain.receipt(proof.transaction).await?.filter(|receipt| receipt.success);
     Ok(receipt.map(|receipt| (receipt.block, receipt.block_hash)))
 }
 
-/// The owners whose records a reader may have: itself, and everyone who currently shares with it; with the transaction of
-/// the grant, which is another one when an owner shares anew. For the reader itself that is zero.
+/// The owners whose records a reader may have, with the transaction of the grant, which changes when an owner shares
+/// anew. It is zero for the reader itself.
 pub fn sources(network: &Network, reader: &Owner) -> BTreeMap<Address, Hash> {
     let grants = authority::shared_with(&network.directory, reader.address);
     let shared = grants.into_iter().map(|grant| (grant.terms.owner, grant.transaction));
@@ -225,8 +203,8 @@ pub fn sources(network: &Network, reader: &Owner) -> BTreeMap<Address, Hash> {
 }
 
 impl Intake<'_> {
-    /// The steps that every record takes: its network, the key that signed it, its anchor on the chain, and the signer's right at
-    /// that block, for which the watcher must have read it. A device's key is known from its records alone, and is noted.
+    /// The steps of every record: its network, its key, its anchor, and the signer's right at that block, which the
+    /// watcher must have read. A device's key is known from its records alone, and is noted.
     async fn examine(
         &self,
         header: &Header,
@@ -240,13 +218,13 @@ impl Intake<'_> {
             return Err(Reason::AnotherSigner.into());
         }
         if proof.is_empty() {
-            // The chain took its block back since it was told of.
+            // The chain has taken its block back since.
             return Err(Stop::Later);
         }
         let told = AnchorProof::parse(proof).map_err(|_| Reason::NoProof)?;
         let (mut proof, mut right) = self.judge(header, digest, told.clone()).await?;
         if right.is_err() {
-            // The directory may be of blocks that the chain replaced, until it is built anew; and so may what is cached of its anchor.
+            // The directory may be of blocks that the chain replaced, until it is built anew; so may the cached anchor.
             let read = self.plant.ledger.trail.cursor()?;
             if read.is_none_or(|(block, _)| block < self.network.directory.newest()) {
                 return Err(Stop::Later);
@@ -260,7 +238,6 @@ impl Intake<'_> {
         Ok(proof)
     }
 
-    /// The record's anchor, and its signer's right there.
     async fn judge(
         &self,
         header: &Header,
@@ -285,15 +262,8 @@ impl Intake<'_> {
         Ok(())
     }
 
-    /// Takes one record in for a reader who asked for this owner's. Its digest and its signature by the key that came with it have
-    /// been checked already.
-    pub async fn accept(
-        &self,
-        reader: &Owner,
-        owner: Address,
-        digest: Digest,
-        record: Fetched,
-    ) -> Result<Accepted, PipelineError> {
+    /// Its digest and its signature by the key that came with it must have been checked.
+    pub async fn accept(&self, reader: &Owner, owner: Address, digest: Digest, record: Fetched) -> Result<Accepted> {
         outcome(digest, self.take(reader, owner, digest, record).await)
     }
 
@@ -322,7 +292,7 @@ impl Intake<'_> {
         record: Fetched,
         block: u64,
     ) -> Result<(), Stop> {
-        let asked = RecordRow { block: Some(block), ..row_of(&header, digest, &record) };
+        let asked = row_of(&header, digest, &record, block);
         let opener = Reader { plant: self.plant, network: self.network, reader };
         let opened = opener.open_bytes(&asked, &record.blob).await?;
         let sealed = SealedRecord { header, blob: record.blob, digest, signature: record.signature };
@@ -354,14 +324,13 @@ impl Intake<'_> {
         }
     }
 
-    /// Takes in for a reader what is left of a record that its owner had erased.
     pub async fn accept_erased(
         &self,
         reader: &Owner,
         owner: Address,
         digest: Digest,
         erased: ErasedRecord,
-    ) -> Result<Accepted, PipelineError> {
+    ) -> Result<Accepted> {
         outcome(digest, self.take_erased(reader, owner, digest, erased).await)
     }
 
@@ -377,7 +346,7 @@ impl Intake<'_> {
             return Err(Reason::AnotherOwner.into());
         }
         let opener = Reader { plant: self.plant, network: self.network, reader };
-        block_in_place(|| opener.topic_key(&row_of(&header, digest, &erased.record)))?;
+        block_in_place(|| opener.opening_of(owner, header.epoch, header.topic_id))?;
         let (header, proof) = self.examine_erased(digest, &erased).await?;
         let ErasedRecord { record, statement } = erased;
         let taken = taken_erased(record.blob, &statement);
@@ -389,13 +358,12 @@ impl Intake<'_> {
         })
     }
 
-    /// Judges what is left of an erased record by the chain: the record's signature, its owner's statement by the key of now, and all
-    /// that any record has to show.
+    /// Checks the record's signature, its owner's statement by the present key, and all that any record has to show.
     pub async fn judge_erased(
         &self,
         digest: Digest,
         erased: &ErasedRecord,
-    ) -> Result<Result<(Header, AnchorProof), Accepted>, PipelineError> {
+    ) -> Result<Result<(Header, AnchorProof), Accepted>> {
         match self.examine_erased(digest, erased).await {
             Ok(proven) => Ok(Ok(proven)),
             Err(stop) => outcome(digest, Err(stop)).map(Err),
@@ -420,18 +388,13 @@ impl Intake<'_> {
     }
 }
 
-/// Takes an owner's uploads in, all or none: their signatures and their signers' rights were checked when they came, and `keeper`
-/// anchors them from here.
-pub fn accept_uploads(
-    plant: &Plant,
-    keeper: Address,
-    uploads: Vec<Received>,
-) -> Result<Result<(), Reason>, PipelineError> {
+/// All or none. Signatures and rights were checked when they came; `keeper` anchors the records.
+pub fn accept_uploads(plant: &Plant, keeper: Address, uploads: Vec<Received>) -> Result<Result<(), Reason>> {
     store(plant, uploads.into_iter().map(|upload| NewRecord::foreign(upload.into(), keeper)).collect())
 }
 
-/// Stores records that were not sealed here. Where one has the number of another, none is stored, and both signatures are kept.
-fn store(plant: &Plant, rows: Vec<NewRecord>) -> Result<Result<(), Reason>, PipelineError> {
+/// Where one has the number of another, none is stored, and both signatures are kept.
+fn store(plant: &Plant, rows: Vec<NewRecord>) -> Result<Result<(), Reason>> {
     let claims: Vec<_> = rows.iter().filter_map(Claim::of).collect();
     match plant.keep(rows, |rows| plant.ledger.records.append(rows)) {
         Err(error @ StoreError::Conflict { .. }) => {
@@ -446,7 +409,6 @@ fn store(plant: &Plant, rows: Vec<NewRecord>) -> Result<Result<(), Reason>, Pipe
     }
 }
 
-/// What a reader makes of an entry of a feed, before it asks for the record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Wish {
     /// It asks for it: it is not here, or not with the proof that now exists.
@@ -457,74 +419,54 @@ pub enum Wish {
     Later,
 }
 
-/// What to do about an entry. `newest` is the newest epoch of its owner that the reader has keys for: keys of a later one come
-/// after the records that are sealed under it.
-pub fn wish(reader: &Reader<'_>, entry: &FeedEntry, newest: u64) -> Result<Wish, PipelineError> {
+/// `newest` is the newest epoch of its owner that the reader has keys for: keys of a later one come after its records.
+pub fn wish(reader: &Reader<'_>, entry: &FeedEntry, newest: u64) -> Result<Wish> {
     if entry.fact == Fact::Stored || entry.fact == Fact::Erased && !entry.kind.is_content() {
         return Ok(Wish::Pass);
     }
     Ok(match reader.plant.ledger.records.find(entry.digest)? {
         Some(row) if is_wanted(Some(&row), entry.fact == Fact::Erased) => Wish::Ask,
         Some(_) => Wish::Pass,
-        None if block_in_place(|| reader.topic_key(&row_of_entry(entry))).is_ok() => Wish::Ask,
+        None if block_in_place(|| reader.opening_of(entry.owner, entry.epoch, entry.topic_id)).is_ok() => Wish::Ask,
         None if entry.epoch > newest => Wish::Later,
         None => Wish::Pass,
     })
 }
 
-/// Whether a record that a gateway tells of is to be asked for: it is not here, or no block with its anchor is known here. After the
-/// chain replaced blocks the gateway may have placed it in another batch.
+/// A record is wanted if it is not here, or if no block with its anchor is known here: after the chain replaced blocks
+/// the gateway may have placed it in another batch.
 pub fn is_wanted(row: Option<&RecordRow>, is_erased: bool) -> bool {
     use RecordState::{Batched, Stored, Submitted};
     row.is_none_or(|row| !is_erased && matches!(row.state, Stored | Batched | Submitted))
 }
 
-/// As a row that the ledger does not have yet: enough to find keys and open it.
-fn row_of(header: &Header, digest: Digest, record: &Fetched) -> RecordRow {
-    let entry = FeedEntry {
-        number: 0,
-        fact: Fact::Verified,
+/// Enough of a row to open the record.
+fn row_of(header: &Header, digest: Digest, record: &Fetched, block: u64) -> RecordRow {
+    RecordRow {
+        id: digest.to_hex().get(..16).unwrap_or_default().to_owned(),
         digest,
         owner: header.owner,
         recorder: header.recorder,
-        seq: header.seq,
         topic_id: header.topic_id,
+        seq: header.seq,
         epoch: header.epoch,
-        captured_at: header.captured_at,
-        length: header.body_length.saturating_sub(TAG),
         kind: header.kind,
-        proof: Vec::new(),
-    };
-    RecordRow { signer: header.signer, signature: record.signature, ..row_of_entry(&entry) }
-}
-
-fn row_of_entry(entry: &FeedEntry) -> RecordRow {
-    RecordRow {
-        id: entry.digest.to_hex().get(..16).unwrap_or_default().to_owned(),
-        digest: entry.digest,
-        owner: entry.owner,
-        recorder: entry.recorder,
-        topic_id: entry.topic_id,
-        seq: entry.seq,
-        epoch: entry.epoch,
-        kind: entry.kind,
-        signer: crate::model::SignerId([0; 32]),
-        signature: crate::model::Signature([0; 64]),
-        topic: RecordRow::unnamed(entry.topic_id),
+        signer: header.signer,
+        signature: record.signature,
+        topic: RecordRow::unnamed(header.topic_id),
         type_name: String::new(),
-        bytes: entry.length,
-        captured_at: entry.captured_at,
+        bytes: header.body_length.saturating_sub(TAG),
+        captured_at: header.captured_at,
         acknowledged_at: Timestamp::now(),
         simulated: false,
         state: RecordState::Stored,
         transaction: None,
-        block: None,
+        block: Some(block),
         block_hash: None,
         deleted_at: None,
     }
 }
 
-/// What the ledger notes of an erased record.
 pub fn taken_erased(header: Vec<u8>, statement: &ErasedStatement) -> TakenErased {
     TakenErased { header, report: statement.report, at: statement.at, statement: statement.encode() }
 }

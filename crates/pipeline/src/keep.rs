@@ -1,16 +1,12 @@
-//! The only way for a sealed record into a site, this owner's or another's: the reserve is checked, then row and bytes are written
-//! in one commit, which acknowledges it, and only then the cache is told, which nobody waits for.
+//! The only way for a sealed record into a site: the reserve is checked, row and bytes are written in one commit, which
+//! acknowledges it, and only then the cache learns of it.
 
 use crate::store::{NewRecord, RecordRow, StoreError};
 
 use super::Plant;
 
 impl Plant {
-    /// Stores records with their bytes, in the commit of `acknowledge`. What was deleted here is acknowledged as known, and
-    /// its bytes do not come back.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] while records are held back; errors of `acknowledge`. None of them is stored then.
+    /// In the commit of `acknowledge`; after an error none is stored. Bytes that were deleted here do not come back.
     pub fn keep<R: AsRef<[NewRecord]>, T>(
         &self,
         records: R,
@@ -24,8 +20,7 @@ impl Plant {
         Ok(done)
     }
 
-    /// The stored bytes of a record, for a reader: the cache may have them. Deleted ones are gone, even where they lie in
-    /// the store or the cache again.
+    /// Perhaps from the cache. Deleted bytes are gone, even where store or cache have them again.
     pub fn stored_bytes(&self, row: &RecordRow) -> Result<Option<Vec<u8>>, StoreError> {
         if row.deleted_at.is_some() {
             return Ok(None);

@@ -1,7 +1,4 @@
-//! Capture -> seal -> store -> anchor -> confirm -> verify, as workers over the ledger's tables.
-//!
-//! Every worker is a function of the ledger: a restart simply runs it again. Profiles, commands and sockets are up to
-//! the service; screens know nothing of this crate.
+//! Capture -> seal -> store -> anchor -> confirm -> verify, as workers over the ledger: a restart runs them again.
 
 use crate as pipeline;
 use authros_chain as chain;
@@ -63,7 +60,7 @@ pub mod watcher;
 pub use author::Author;
 pub use block_times::BlockTimes;
 pub use directory::Directory;
-pub use error::PipelineError;
+pub use error::{PipelineError, Result};
 pub use forwarder::Forwarder;
 pub use losses::Losses;
 pub use owner::Owner;
@@ -80,21 +77,15 @@ use crate::crypto::Provider;
 use crate::model::{Digest, Domain};
 use crate::store::{Ciphertext, Ledger, Rights, StoreError};
 
-/// A worker's report to the service; short, never blocking.
+/// What workers report to the service. Implementations return quickly and never block.
 pub trait Observer: Send + Sync {
-    /// Records were acknowledged, or changed their state.
     fn records_changed(&self);
-    /// These records are now verified.
     fn verified(&self, digests: &[Digest]);
     /// These records differ from what was anchored, or are missing.
     fn tampered(&self, digests: &[Digest]);
-    /// Registrations or grants changed on the chain.
     fn directory_changed(&self);
-    /// Ciphertext of some records was deleted.
     fn erased(&self) {}
-    /// A publisher of a watched topic is doubted.
     fn publishers_doubted(&self) {}
-    /// Where times are counted, if they are.
     fn stages(&self) -> Option<&stages::Stages> {
         None
     }
@@ -104,31 +95,23 @@ pub trait Observer: Send + Sync {
     fn alert(&self, urgent: bool, text: String);
 }
 
-/// State shared by all workers of a site.
 #[derive(Clone)]
 pub struct Plant {
-    /// States of all records.
     pub ledger: Ledger,
-    /// Their ciphertext, of the same store.
     pub ciphertext: Ciphertext,
     pub provider: &'static dyn Provider,
     pub observer: Arc<dyn Observer>,
 }
 
-/// The chain in use with everything bound to it.
 #[derive(Clone)]
 pub struct Network {
-    /// The node or embedded chain, with the contract.
     pub chain: Chain,
-    /// Binds records to this chain and contract.
     pub domain: Domain,
-    /// Registrations and grants, from the chain's events.
     pub directory: Arc<Directory>,
     /// Confirmations an anchor needs, its own block included.
     pub confirmations: u64,
-    /// Times of known blocks.
     pub times: Arc<BlockTimes>,
-    /// Why the chain cannot be asked, if it cannot: then this is what the home kept of it.
+    /// Why the chain cannot be asked; then this is what the home kept of it.
     pub absent: Option<Arc<str>>,
 }
 
@@ -137,7 +120,7 @@ pub fn network_pin(rights: &Rights) -> Result<Option<Pin>, StoreError> {
     rights.contract_pin()?.map(|text| read_pin(&text, rights.path())).transpose()
 }
 
-/// The same of a home whose ledger is not open here.
+/// Same, for a home whose ledger is not open here.
 pub fn network_pin_in(path: &Path) -> Result<Option<Pin>, StoreError> {
     Rights::contract_pin_in(path)?.map(|text| read_pin(&text, path)).transpose()
 }
@@ -148,7 +131,6 @@ fn read_pin(text: &str, path: &Path) -> Result<Pin, StoreError> {
 }
 
 impl Network {
-    /// A connected chain with the contract of this pin; nothing is known of its accounts yet.
     pub fn new(chain: Chain, pin: &Pin, provider: &'static dyn Provider, confirmations: u64) -> Self {
         let domain = pin.domain();
         let directory = Arc::new(Directory::new(domain, provider));

@@ -1,6 +1,5 @@
-//! Messages that do not become records: noted in memory where they are lost, written to the ledger every second, and
-//! reported in gap records, sealed in the sequence of their own topic, so that anyone who may read the topic learns of
-//! them.
+//! Messages that do not become records: noted in memory, written to the ledger every second, and reported in gap
+//! records in their topic's own sequence, so that its readers learn of them.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -16,18 +15,17 @@ use crate::store::{GapRow, Loss, StateCounts, StoreError, Waiting, WaitingFile};
 use super::recorder::CapturedMessage;
 use super::sealer::plan::Stream;
 use super::statement::{self, Speaker, Statement};
-use super::{Author, PipelineError, Plant};
+use super::{Author, Plant, Result};
 
 /// How long losses are collected before a gap record reports them.
 pub const GATHERED: Duration = Duration::from_secs(3);
 /// Takes the place of a message type.
 pub const TYPE: &str = "authros/Gap";
-/// The most topics, publishers and reasons told apart in memory.
+/// Entries kept apart in memory.
 const MOST: usize = 4096;
 /// The most gap records sealed at once.
 const ROUND: usize = 256;
 
-/// The losses at one place.
 #[derive(Debug, Clone, Copy)]
 pub struct Lost<'a> {
     pub topic: &'a str,
@@ -44,26 +42,17 @@ impl<'a> Lost<'a> {
     }
 }
 
-/// Unacknowledged messages that the ledger has not counted yet.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Unwritten {
-    pub in_transport: u64,
-    pub in_recorder: u64,
-}
-
 type Key = (Address, String, LossReason, String);
 
-/// Messages that wait in memory, counted by topic and publisher.
 #[derive(Default)]
 pub struct InMemory(BTreeMap<Key, Loss>);
 
 impl InMemory {
-    /// Whether there are none.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
-    /// Counts one more. What nobody watches is kept in the ring on the disk, as long as that goes.
+    /// Not what nobody watches: the ring on the disk keeps it, as long as that goes.
     pub fn add(&mut self, item: &CapturedMessage) {
         if !item.ring && item.kind != RecordKind::Definition {
             let at = item.message.captured_at;
@@ -73,16 +62,15 @@ impl InMemory {
     }
 }
 
-/// Losses of all topics, with the authors that can seal gap records for them.
 #[derive(Default)]
 pub struct Losses {
     noted: Mutex<BTreeMap<Key, Loss>>,
     /// Held while losses move from memory into the ledger, so that nobody counts them twice or not at all.
     moving: Mutex<()>,
     authors: Mutex<BTreeMap<Address, Arc<Author>>>,
-    /// Code of the reason why messages do not fit now.
+    /// Code of a [`LossReason`].
     cause: AtomicU8,
-    /// Where what is not in the ledger yet is noted while the disk is full.
+    /// Holds what is not in the ledger yet while the disk is full.
     file: Mutex<Option<WaitingFile>>,
 }
 
@@ -91,13 +79,12 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Losses {
-    /// Records of this author may have to report losses.
     pub fn know(&self, author: &Arc<Author>) {
         lock(&self.authors).insert(author.address, Arc::clone(author));
     }
 
-    /// Notes in this file what is not in the ledger while the disk is full, and takes over what is left in it: it died with
-    /// the process before. The first file counts. Returns the number of those messages.
+    /// Opens the file that holds losses while the disk is full, and takes over what a dead process left in it; returns
+    /// the number of those messages. The first file counts.
     pub fn keep_in(&self, path: &Path, plant: &Plant) -> Result<u64, StoreError> {
         let mut file = lock(&self.file);
         if file.is_some() {
@@ -116,7 +103,6 @@ impl Losses {
         Ok(count)
     }
 
-    /// Whether something is noted in the file.
     pub fn is_noted(&self) -> bool {
         lock(&self.file).as_ref().is_some_and(|file| !file.is_empty())
     }
@@ -131,7 +117,6 @@ impl Losses {
         if file.is_empty() && now == Waiting::default() { Ok(()) } else { file.write(&now) }
     }
 
-    /// The present reason for messages that do not fit into memory.
     pub fn cause(&self) -> LossReason {
         LossReason::from_code(self.cause.load(Ordering::Acquire)).unwrap_or(LossReason::Memory)
     }
@@ -144,40 +129,36 @@ impl Losses {
     pub fn note(&self, author: &Arc<Author>, lost: Lost<'_>, reason: LossReason) {
         let now = Timestamp::now();
         let mut noted = lock(&self.noted);
-        // A peer can invent names without end; beyond a limit they are no longer told apart.
+        // A peer can invent names without end; beyond a limit they share an entry.
         let publisher = if noted.len() < MOST { lost.publisher } else { "" };
         let loss = loss_of(author, Lost { publisher, ..lost }, reason, now);
         merge(&mut noted, key_of(&loss), loss);
     }
 
-    /// Losses of an owner that the ledger has not counted yet, on one topic or on all.
-    fn unwritten(&self, owner: Address, topic: Option<&str>) -> Unwritten {
-        let mut sum = Unwritten::default();
+    /// Losses in transport and in the recorder that the ledger has not counted yet.
+    fn unwritten(&self, owner: Address, topic: Option<&str>) -> (u64, u64) {
         let noted = lock(&self.noted);
-        for loss in noted.values() {
-            if loss.owner == owner && topic.is_none_or(|topic| topic == loss.topic) {
-                let counter =
-                    if loss.reason == LossReason::Transport { &mut sum.in_transport } else { &mut sum.in_recorder };
-                *counter += loss.count;
-            }
-        }
-        sum
+        let of = |loss: &&Loss| loss.owner == owner && topic.is_none_or(|topic| topic == loss.topic);
+        let (transport, recorder): (Vec<&Loss>, Vec<&Loss>) =
+            noted.values().filter(of).partition(|loss| loss.reason == LossReason::Transport);
+        let sum = |losses: Vec<&Loss>| losses.iter().map(|loss| loss.count).sum::<u64>();
+        (sum(transport), sum(recorder))
     }
 
     /// Counts of ledger and memory together: consistent, each loss once.
     pub fn counts(&self, plant: &Plant, owner: Address) -> Result<StateCounts, StoreError> {
         let _still = lock(&self.moving);
         let mut counts = plant.ledger.counts.by_state(Some(owner))?;
-        let all = self.unwritten(owner, None);
-        counts.lost_in_transport += all.in_transport;
-        counts.lost_in_recorder += all.in_recorder;
-        *counts.data.entry(RecordState::Dropped).or_default() += all.in_recorder;
+        let (in_transport, in_recorder) = self.unwritten(owner, None);
+        counts.lost_in_transport += in_transport;
+        counts.lost_in_recorder += in_recorder;
+        *counts.data.entry(RecordState::Dropped).or_default() += in_recorder;
         for topic in &mut counts.topics {
-            let of_topic = self.unwritten(owner, Some(&topic.topic));
-            topic.missed += of_topic.in_transport;
-            topic.dropped += of_topic.in_recorder;
-            topic.lost += of_topic.in_recorder;
-            topic.captured += of_topic.in_recorder;
+            let (in_transport, in_recorder) = self.unwritten(owner, Some(&topic.topic));
+            topic.missed += in_transport;
+            topic.dropped += in_recorder;
+            topic.lost += in_recorder;
+            topic.captured += in_recorder;
         }
         Ok(counts)
     }
@@ -204,12 +185,9 @@ impl Losses {
         written
     }
 
-    /// Seals a gap record for everything lost by `by` and not yet reported; returns how many, with the streams whose
-    /// numbers advanced. For the one thread that seals captured messages.
-    ///
-    /// # Errors
-    /// Errors of sealing and of the store; what is sealed so far stays.
-    pub fn tell(&self, plant: &Plant, by: Timestamp) -> Result<Vec<(Stream, u64)>, PipelineError> {
+    /// Seals a gap record for everything lost by `by` and not yet reported; returns the streams whose numbers advanced.
+    /// For the one thread that seals captured messages. After an error, what is sealed so far stays.
+    pub fn tell(&self, plant: &Plant, by: Timestamp) -> Result<Vec<(Stream, u64)>> {
         if plant.ledger.records.takes_records().is_err() {
             return Ok(Vec::new());
         }
@@ -258,7 +236,7 @@ fn merge(noted: &mut BTreeMap<Key, Loss>, key: Key, loss: Loss) {
 }
 
 /// `None` if there is no key to seal with now; it is reported later.
-fn tell_one(plant: &Plant, author: &Author, gap: &GapRow) -> Result<Option<(Stream, u64)>, PipelineError> {
+fn tell_one(plant: &Plant, author: &Author, gap: &GapRow) -> Result<Option<(Stream, u64)>> {
     let Some(keys) = author.sealing() else { return Ok(None) };
     let Some(topic) = keys.topic(&gap.topic) else { return Ok(None) };
     let Some(reason) = LossReason::from_word(&gap.reason) else { return Ok(None) };

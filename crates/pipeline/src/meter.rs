@@ -7,14 +7,11 @@ use crate::model::Timestamp;
 
 const WINDOW: u64 = 5;
 
-/// The activity of one topic.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Rate {
     pub hz: f64,
     pub bytes_per_second: f64,
-    /// Messages since the start.
     pub messages: u64,
-    /// Arrival of the last one.
     pub last: Option<Timestamp>,
 }
 
@@ -34,14 +31,12 @@ struct Track {
     last: Option<Timestamp>,
 }
 
-/// Rates of all topics seen.
 #[derive(Debug, Default)]
 pub struct Meter {
     tracks: Mutex<HashMap<String, Track>>,
 }
 
 impl Meter {
-    /// Counts one message of `bytes` that arrived at `at`.
     pub fn count(&self, topic: &str, bytes: usize, at: Timestamp) {
         let mut tracks = self.tracks.lock().unwrap_or_else(PoisonError::into_inner);
         let second = at.seconds();
@@ -60,7 +55,7 @@ impl Meter {
         track.last = Some(at);
     }
 
-    /// Bytes of the largest message of `topic`; `None` if it was never seen.
+    /// Bytes; `None` if the topic was never seen.
     pub fn largest(&self, topic: &str) -> Option<u64> {
         self.tracks.lock().unwrap_or_else(PoisonError::into_inner).get(topic).map(|track| track.largest)
     }
@@ -78,7 +73,8 @@ impl Meter {
             messages += u64::from(bucket.messages);
             bytes += bucket.bytes;
         }
-        let per_second = |total: u64| u32::try_from(total).map_or(f64::from(u32::MAX), f64::from) / span_seconds(span);
+        let seconds = u32::try_from(span).map_or(1.0, f64::from);
+        let per_second = |total: u64| u32::try_from(total).map_or(f64::from(u32::MAX), f64::from) / seconds;
         Some(Rate {
             hz: per_second(messages),
             bytes_per_second: per_second(bytes),
@@ -86,10 +82,6 @@ impl Meter {
             last: track.last,
         })
     }
-}
-
-fn span_seconds(span: u64) -> f64 {
-    u32::try_from(span).map_or(1.0, f64::from)
 }
 
 #[cfg(test)]

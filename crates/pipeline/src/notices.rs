@@ -1,6 +1,5 @@
-//! Notices of an owner to its robots: keys of a new epoch or of more topics, other addresses of their gateway, sealed for one device,
-//! signed by d_C and numbered. This is the robot's side: it follows its gateway's feed, takes notices newer than those it has, saves
-//! them and applies them.
+//! A robot's side of its owner's notices, which are sealed for one device, signed by d_C and numbered: it follows the
+//! feed, takes notices newer than those it has, saves them and applies them.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -20,7 +19,7 @@ use crate::model::{Header, RecordKind, RecorderId, RingSpan, Signature, Timestam
 use crate::store::Notes;
 
 use super::forwarder::{Errand, ForwardError};
-use super::{Author, Observer, PipelineError, disk_ring};
+use super::{Author, Observer, PipelineError, Result, disk_ring};
 
 /// How long to wait after a gateway could not tell who may read, or a notice could not be stored.
 const AGAIN: Duration = Duration::from_secs(2);
@@ -31,13 +30,12 @@ const MOST_PAGES: usize = 32;
 /// The most notices remembered before they are taken.
 const MOST_NEWER: usize = 1024;
 
-/// Takes the policies that an owner sets for a robot, after their signer was checked with the record.
+/// Takes policies whose signer was checked with the record.
 pub trait PolicyTaker: Send + Sync {
     /// Keeps a policy, or why it is refused; what was done, in words.
-    fn take(&self, policy: &SignedPolicy) -> Result<String, PipelineError>;
+    fn take(&self, policy: &SignedPolicy) -> Result<String>;
 }
 
-/// A robot's receiver for notices of its owner.
 pub struct Notices {
     provider: &'static dyn Provider,
     observer: Arc<dyn Observer>,
@@ -47,21 +45,19 @@ pub struct Notices {
     kept: PathBuf,
     /// Changes when the owner has named other addresses of the gateway.
     gateway: watch::Sender<GatewayAccess>,
-    /// Notes what is asked of the ring, where this robot has one.
+    /// Records requests to the ring, where this robot has one.
     ring: Option<Notes>,
-    /// Whether it has one now.
     has_ring: Arc<AtomicBool>,
     policies: Arc<dyn PolicyTaker>,
     /// Where it is in the gateway's feed; it begins anew with each start.
     follow: Feed,
-    /// What was told and not taken yet.
+    /// Announced and not taken yet.
     newer: Vec<FeedEntry>,
-    /// Nothing is asked before.
+    /// No requests before this.
     rests_until: Option<Instant>,
 }
 
 impl Notices {
-    /// For the robot of an enrolment, whose records `author` seals.
     pub fn new(
         provider: &'static dyn Provider,
         observer: Arc<dyn Observer>,
@@ -71,7 +67,8 @@ impl Notices {
         policies: Arc<dyn PolicyTaker>,
     ) -> Self {
         let gateway = watch::channel(sealed.enrolment.gateway.clone()).0;
-        let follow = from_the_beginning(&sealed.enrolment);
+        let (kind, topics) = (Some(RecordKind::Key), vec![sealed.enrolment.notice_id]);
+        let follow = Feed { kind, topics, ..Feed::of(sealed.enrolment.owner) };
         Self {
             provider,
             observer,
@@ -88,31 +85,26 @@ impl Notices {
         }
     }
 
-    /// The gateway, with the addresses that the owner names from now on.
     pub fn gateway(&self) -> watch::Receiver<GatewayAccess> {
         self.gateway.subscribe()
     }
 
-    /// The same for a robot with a ring: what is asked of it is noted in the ledger.
-    #[must_use]
     pub fn with_ring(self, notes: Notes) -> Self {
         Self { ring: Some(notes), ..self }
     }
 
-    /// The same for a robot whose ring comes and goes with its policy.
-    #[must_use]
+    /// For a robot whose ring comes and goes with its policy.
     pub fn with_ring_while(self, notes: Notes, has_ring: &Arc<AtomicBool>) -> Self {
         Self { has_ring: Arc::clone(has_ring), ..self.with_ring(notes) }
     }
 
-    /// Whether an entry says that it is a notice to this device and newer than the newest one taken.
     fn may_be_newer(&self, entry: &FeedEntry) -> bool {
         let is_notice = (entry.kind, entry.topic_id) == (RecordKind::Key, self.sealed.enrolment.notice_id);
         is_notice && self.is_newer((entry.recorder, entry.seq, entry.epoch), entry.captured_at)
     }
 
-    /// Whether a notice of this recorder, number and epoch, sealed at `at`, is newer than the newest one taken. A restored home
-    /// is another recorder and numbers from 1: then the owner's signed time decides, so that nothing old is new.
+    /// A restored home is another recorder and numbers from 1: then the owner's signed time decides, so that nothing
+    /// old is new.
     fn is_newer(&self, (recorder, seq, epoch): (RecorderId, u64, u64), at: Timestamp) -> bool {
         let enrolment = &self.sealed.enrolment;
         let known = enrolment.keys.now.epoch;
@@ -123,8 +115,8 @@ impl Notices {
         }
     }
 
-    /// Reads on, and at the feed's end takes newer notices in order: they may be of several kinds. What could not be taken is not
-    /// read again, only tried.
+    /// At the feed's end takes newer notices in order: they may be of several kinds. What could not be taken is only
+    /// tried again.
     async fn look(&mut self, client: &mut Client) -> Result<(), ForwardError> {
         self.rest(LOOK);
         for _ in 0..MOST_PAGES {
@@ -166,13 +158,12 @@ impl Notices {
         Ok(())
     }
 
-    /// Nothing is asked for a moment.
     fn rest(&mut self, pause: Duration) {
         self.rests_until = Some(Instant::now() + pause);
     }
 
-    /// Takes a notice if it is the owner's, for this device, and newer; anything else changes nothing. Returns whether it is
-    /// dealt with: one that could not be stored has to be heard again before those behind it.
+    /// Takes a notice if it is the owner's, for this device, and newer. Returns whether it is dealt with: one that
+    /// could not be stored has to be heard again before those behind it.
     pub(super) fn hear(&mut self, entry: &FeedEntry, record: &Fetched) -> bool {
         if !self.may_be_newer(entry) {
             return true;
@@ -199,7 +190,7 @@ impl Notices {
         true
     }
 
-    fn opened(&self, record: &Fetched) -> Result<(Header, Notice), PipelineError> {
+    fn opened(&self, record: &Fetched) -> Result<(Header, Notice)> {
         let (header, notice) = open_notice(self.provider, &self.sealed.enrolment, &record.blob, &record.signature)?;
         // The entry is the gateway's word; only the signed header's number tells an old notice from a new one.
         if !self.is_newer((header.recorder, header.seq, header.epoch), header.captured_at) {
@@ -208,7 +199,7 @@ impl Notices {
         Ok((header, notice))
     }
 
-    fn obey(&mut self, header: &Header, notice: Notice) -> Result<(), PipelineError> {
+    fn obey(&mut self, header: &Header, notice: Notice) -> Result<()> {
         let enrolment = &mut self.sealed.enrolment;
         let told = match notice {
             Notice::Keys(keys) => {
@@ -257,16 +248,13 @@ impl Notices {
     }
 }
 
-/// Opens a record that is to be a notice of the owner of an enrolment to its device.
-///
-/// # Errors
-/// If it is not the owner's, not for this device, or no notice.
+/// Fails if the record is not the owner's, not for this device, or no notice.
 pub fn open_notice(
     provider: &dyn Provider,
     enrolment: &Enrolment,
     blob: &[u8],
     signature: &Signature,
-) -> Result<(Header, Notice), PipelineError> {
+) -> Result<(Header, Notice)> {
     let names = Names::Given(notice_topic(&enrolment.device_id()));
     let expected =
         Expected { topic_id: Some(enrolment.notice_id), ..Expected::any_of(enrolment.domain, enrolment.owner, names) };
@@ -285,7 +273,7 @@ pub fn open_notice(
             list.check(&enrolment.domain, &enrolment.owner, &enrolment.device_id())?;
             true
         }
-        // A policy is checked by whoever takes it: its refusal is to reach the owner.
+        // The taker checks a policy: its refusal is to reach the owner.
         Notice::Pull(_) | Notice::Policy(_) | Notice::Unknown(_) => true,
     };
     if fits && opened.header.kind == RecordKind::Key {
@@ -294,8 +282,8 @@ pub fn open_notice(
     Err(PipelineError::Refused("it is not a notice to a robot".to_owned()))
 }
 
-/// Notes what is asked of the ring before the notice counts as taken; what was done, in words.
-fn asked(ring: Option<&Notes>, number: u64, span: &RingSpan) -> Result<String, PipelineError> {
+/// Notes the request before the notice counts as taken.
+fn asked(ring: Option<&Notes>, number: u64, span: &RingSpan) -> Result<String> {
     let RingSpan { since, until, .. } = span;
     let Some(notes) = ring else {
         return Ok(format!(
@@ -307,7 +295,6 @@ fn asked(ring: Option<&Notes>, number: u64, span: &RingSpan) -> Result<String, P
     Ok(format!("the owner asks for what the ring has from {since} to {until}; it goes into the outbox"))
 }
 
-/// What changes with these keys, in words.
 fn told(before: &IssuedKeys, after: &IssuedKeys) -> String {
     let (epoch, known) = (after.now.epoch, before.now.key.topics().unwrap_or_default());
     let new: Vec<String> = after.now.key.topics().unwrap_or_default();
@@ -331,7 +318,7 @@ impl Errand for Notices {
             return Ok(());
         }
         match self.look(client).await {
-            // That gateway does not know its chain now and tells nobody anything; it takes records all the same.
+            // Such a gateway does not know its chain now and answers nobody, but still takes records.
             Err(ForwardError::Gateway(GatewayError::Refused(Code::Stale))) => {
                 self.rest(AGAIN);
                 Ok(())
@@ -339,10 +326,4 @@ impl Errand for Notices {
             done => done,
         }
     }
-}
-
-/// An owner's notices to the device of this enrolment, from the first on.
-fn from_the_beginning(enrolment: &Enrolment) -> Feed {
-    let (kind, topics) = (Some(RecordKind::Key), vec![enrolment.notice_id]);
-    Feed { kind, topics, ..Feed::of(enrolment.owner) }
 }

@@ -11,14 +11,13 @@ use crate::crypto::{
 use crate::model::{Address, Digest, Domain, ProfileName, PublicKey, Timestamp, Token, TopicId};
 
 use super::epoch::EpochKeys;
-use super::{Author, PipelineError};
+use super::{Author, PipelineError, Result};
 
-/// A profile with its keys. Its address does not change while it is open.
+/// Its address does not change while it is open.
 pub struct Owner {
     /// Its name on this machine.
     pub profile: ProfileName,
     pub address: Address,
-    /// Seals in its name.
     pub author: Arc<Author>,
     keyring: Arc<Mutex<UnlockedKeyring>>,
     /// Envelopes opened so far, by SM3 of the envelope.
@@ -29,34 +28,27 @@ pub struct Owner {
 }
 
 impl Owner {
-    /// An owner with an open keyring.
     pub fn new(profile: ProfileName, keyring: UnlockedKeyring) -> Self {
-        let address = keyring.keys().eoa.address();
-        Self {
-            profile,
-            address,
-            author: Arc::new(Author::new(address)),
-            keyring: Arc::new(Mutex::new(keyring)),
-            opened: Mutex::default(),
-            changes: Arc::default(),
-            locked: Arc::default(),
-        }
+        Self::of(profile, Arc::new(Mutex::new(keyring)), Arc::default(), Arc::default())
     }
 
     /// The owner of the same keyring after its account changed. Both share the one copy of the keys, so neither can save
     /// an older one over the other's.
     #[must_use]
     pub fn with_new_account(&self) -> Self {
-        let address = self.keyring().keys().eoa.address();
-        Self {
-            profile: self.profile.clone(),
-            address,
-            author: Arc::new(Author::new(address)),
-            keyring: Arc::clone(&self.keyring),
-            opened: Mutex::default(),
-            changes: Arc::clone(&self.changes),
-            locked: Arc::clone(&self.locked),
-        }
+        let (keyring, changes) = (Arc::clone(&self.keyring), Arc::clone(&self.changes));
+        Self::of(self.profile.clone(), keyring, changes, Arc::clone(&self.locked))
+    }
+
+    fn of(
+        profile: ProfileName,
+        keyring: Arc<Mutex<UnlockedKeyring>>,
+        changes: Arc<tokio::sync::Mutex<()>>,
+        locked: Arc<AtomicBool>,
+    ) -> Self {
+        let address = keyring.lock().unwrap_or_else(PoisonError::into_inner).keys().eoa.address();
+        let author = Arc::new(Author::new(address));
+        Self { profile, address, author, keyring, opened: Mutex::default(), changes, locked }
     }
 
     /// Whether the keys that decrypt, grant and revoke were wiped.
@@ -150,24 +142,20 @@ impl Owner {
         self.keyring().keys().index.clone()
     }
 
-    /// The pseudonym of a topic.
     pub fn topic_id(&self, topic: &str) -> TopicId {
         topic_id(&self.keyring().keys().index, topic)
     }
 
-    /// The keys that seal new records; `None` until an epoch was begun or resumed.
     pub fn sealing(&self) -> Option<Arc<EpochKeys>> {
         self.author.sealing()
     }
 
-    /// The key of an epoch of this owner on a network, if the keyring has it.
     pub fn epoch_key(&self, domain: Domain, epoch: u64) -> Option<EpochKey> {
         let keyring = self.keyring();
         let secret = keyring.keys().networks.get(&domain).and_then(|network| network.epochs.get(&epoch))?;
         Some(secret.key.clone())
     }
 
-    /// The networks of which the keyring has epochs.
     pub fn domains(&self) -> Vec<Domain> {
         let keyring = self.keyring();
         let used = keyring.keys().networks.iter().filter(|(_, network)| !network.epochs.is_empty());
@@ -181,14 +169,13 @@ impl Owner {
         network.map(|network| network.epochs.keys().copied().collect()).unwrap_or_default()
     }
 
-    /// Token of an epoch in the keyring.
     pub fn token(&self, domain: Domain, epoch: u64) -> Option<Token> {
         self.epoch_key(domain, epoch).map(|key| token(&domain, &self.address, epoch, &key))
     }
 
     /// Makes sure that `epoch` has a secret in the keyring, saved before it is used, and returns its token. An epoch
     /// already begun but not yet on the chain keeps its secret.
-    pub fn prepare_epoch(&self, domain: Domain, epoch: u64) -> Result<Token, PipelineError> {
+    pub fn prepare_epoch(&self, domain: Domain, epoch: u64) -> Result<Token> {
         {
             let mut keyring = self.keyring();
             let has_it = |network: &NetworkKeys| network.epochs.contains_key(&epoch);
@@ -203,20 +190,18 @@ impl Owner {
         self.token(domain, epoch).ok_or(PipelineError::UnknownEpoch(epoch))
     }
 
-    /// From now on records are sealed under `epoch`, which is in the keyring.
-    pub fn seal_under(&self, domain: Domain, epoch: u64) -> Result<(), PipelineError> {
+    pub fn seal_under(&self, domain: Domain, epoch: u64) -> Result<()> {
         self.author.seal_under(self.epoch_keys(domain, epoch)?);
         Ok(())
     }
 
-    /// From `moment` on records are sealed under `epoch`, which is in the keyring; of two such moments
-    /// the earlier counts.
-    pub fn seal_from(&self, moment: Timestamp, domain: Domain, epoch: u64) -> Result<(), PipelineError> {
+    /// Of two such moments the earlier counts.
+    pub fn seal_from(&self, moment: Timestamp, domain: Domain, epoch: u64) -> Result<()> {
         self.author.seal_from(moment, self.epoch_keys(domain, epoch)?);
         Ok(())
     }
 
-    fn epoch_keys(&self, domain: Domain, epoch: u64) -> Result<Arc<EpochKeys>, PipelineError> {
+    fn epoch_keys(&self, domain: Domain, epoch: u64) -> Result<Arc<EpochKeys>> {
         let key = self.epoch_key(domain, epoch).ok_or(PipelineError::UnknownEpoch(epoch))?;
         let token = token(&domain, &self.address, epoch, &key);
         let key = SealingKey::Epoch(key);
@@ -261,7 +246,6 @@ impl Owner {
         })
     }
 
-    /// The chain has this epoch: records that in the keyring.
     pub fn confirm_epoch(&self, domain: Domain, epoch: u64) -> Result<(), CryptoError> {
         let mut keyring = self.keyring();
         let Some(network) = keyring.keys().networks.get(&domain) else { return Ok(()) };

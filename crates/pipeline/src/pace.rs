@@ -1,6 +1,5 @@
-//! When a batch closes: at 256 leaves, after a second, or when nothing more comes and no batch before it waits for a
-//! block. It gets wider the faster records come, and early closes are paid for by seconds without one, so that there is
-//! about one transaction a second.
+//! A batch closes at 256 leaves, after a second, or when nothing more comes and no batch waits for a block. It gets
+//! wider with the rate, and early closes are paid for by seconds without one: about one transaction a second.
 
 use std::time::{Duration, Instant};
 
@@ -16,7 +15,6 @@ const LULL: Duration = Duration::from_millis(10);
 /// The most credit for early closes.
 const MOST_SAVED: Duration = Duration::from_secs(4);
 
-/// The width of an owner's batches.
 #[derive(Debug)]
 pub struct Pace {
     width: usize,
@@ -69,7 +67,6 @@ impl Pace {
     }
 }
 
-/// The sampling state of one topic for one author.
 #[derive(Debug, Default)]
 pub(super) struct Sampler {
     seen: u64,
@@ -78,7 +75,7 @@ pub(super) struct Sampler {
 }
 
 impl Sampler {
-    /// Whether the rule takes a message of this time. The first is taken; over time no more than the rate.
+    /// Takes the first message, and over time no more than the rate.
     pub fn takes(&mut self, rule: &TopicRule, at: Timestamp) -> bool {
         let nth = rule.every.is_none_or(|every| self.seen.is_multiple_of(every.max(1)));
         self.seen = self.seen.wrapping_add(1);

@@ -1,5 +1,5 @@
-//! Which captured messages are compressed before they are sealed. Each is compressed on its own; all that is learnt per
-//! topic is whether it paid, so that topics of JPEGs cost only an occasional try.
+//! Which captured messages are compressed before they are sealed. Learns per topic whether that pays, so that topics of
+//! JPEGs cost only an occasional try.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -13,7 +13,6 @@ const LONGEST_PAUSE: u32 = 256;
 /// The most topics and definitions remembered.
 const MOST_KNOWN: usize = 1024;
 
-/// How well compression worked on one topic.
 #[derive(Debug, Default)]
 struct Habit {
     /// Messages to skip before the next try.
@@ -22,21 +21,18 @@ struct Habit {
     pause: u32,
 }
 
-/// What is known about the topics.
 #[derive(Debug, Default)]
 pub struct Packing {
     habits: HashMap<Arc<str>, Habit>,
     definitions: HashMap<Arc<str>, Option<Arc<Definition>>>,
 }
 
-/// A message to try.
 #[derive(Debug)]
 pub struct Try {
     definition: Option<Arc<Definition>>,
 }
 
 impl Try {
-    /// The message compressed, if that pays.
     pub fn pack(&self, message: &Message) -> Option<Packed> {
         let matrix = self.definition.as_ref().and_then(|definition| definition.matrix(&message.body));
         pack(&message.body, matrix.as_ref())
@@ -44,8 +40,7 @@ impl Try {
 }
 
 impl Packing {
-    /// Whether to try the message; the outcome is to be passed to [`Self::learn`], topic by topic in the order of
-    /// messages.
+    /// Pass each outcome to [`Self::learn`], topic by topic in the order of messages.
     pub fn decide(&mut self, message: &Message) -> Option<Try> {
         let habit = entry(&mut self.habits, &message.topic);
         if habit.waits > 0 {
@@ -56,15 +51,18 @@ impl Packing {
             // Until the outcome is known, the last one is assumed: others of its round are not tried in vain.
             habit.waits = next_pause(habit.pause);
         }
+        if self.definitions.len() >= MOST_KNOWN && !self.definitions.contains_key(&message.definition) {
+            self.definitions.clear();
+        }
         let parsed = || {
             let (name, text) = (&message.type_name, &message.definition);
             let parse = if name.contains("/msg/") { Definition::parse_ros2 } else { Definition::parse };
             parse(name, text).ok().map(Arc::new)
         };
-        Some(Try { definition: known(&mut self.definitions, &message.definition, parsed) })
+        let definition = self.definitions.entry(Arc::clone(&message.definition)).or_insert_with(parsed).clone();
+        Some(Try { definition })
     }
 
-    /// Whether a try on a topic paid.
     pub fn learn(&mut self, topic: &Arc<str>, paid: bool) {
         let habit = entry(&mut self.habits, topic);
         habit.pause = if paid { 0 } else { next_pause(habit.pause) };
@@ -81,17 +79,6 @@ fn entry<'a>(habits: &'a mut HashMap<Arc<str>, Habit>, topic: &Arc<str>) -> &'a 
         habits.clear();
     }
     habits.entry(Arc::clone(topic)).or_default()
-}
-
-fn known(
-    definitions: &mut HashMap<Arc<str>, Option<Arc<Definition>>>,
-    text: &Arc<str>,
-    parse: impl FnOnce() -> Option<Arc<Definition>>,
-) -> Option<Arc<Definition>> {
-    if definitions.len() >= MOST_KNOWN && !definitions.contains_key(text) {
-        definitions.clear();
-    }
-    definitions.entry(Arc::clone(text)).or_insert_with(parse).clone()
 }
 
 #[cfg(test)]

@@ -1,7 +1,5 @@
-//! Node forging: who may publish a watched topic, and the alarm about anyone else.
-//!
-//! All that is compared is claimed: ROS 1 authenticates nobody. A publisher whose claims equal the pinned one's is
-//! doubted only if both were there at once.
+//! Node forging: who may publish a watched topic, and the alarm about anyone else. All that is compared is claimed: ROS
+//! 1 authenticates nobody. A publisher with the pinned one's claims is doubted only if both were there together.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
@@ -18,16 +16,12 @@ const MOST_VERDICTS: usize = 4096;
 /// The most publishers of a topic reported individually, in this process.
 const MOST_ALARMS: usize = 64;
 
-/// The settings that pinning follows.
 #[derive(Debug, Clone, Default)]
 pub struct PinRules {
-    /// How topics without pins get them.
     pub mode: PinMode,
-    /// Publishers that the settings allow.
     pub listed: ListedPublishers,
 }
 
-/// The pinned publishers of all owners of a site.
 pub struct Pins {
     kept: KeptPins,
     audit: AuditLog,
@@ -40,20 +34,16 @@ pub struct Pins {
     live: Mutex<HashMap<u64, Live>>,
 }
 
-/// A publisher that is being read, by its number.
 type Live = (Arc<str>, Arc<Origin>);
 
-/// The verdict on a publisher: why it is doubted, its host.
 struct Judged(Option<Doubt>);
 
-/// The verdict on one publisher, for one owner.
 struct Verdict {
     topic: String,
     origin: Arc<Origin>,
     doubt: Option<Doubt>,
 }
 
-/// What is known of one topic of one owner.
 #[derive(Default)]
 struct Known {
     pins: Vec<Publisher>,
@@ -68,7 +58,6 @@ struct Known {
     alarms: usize,
 }
 
-/// The publisher that an origin claims to be.
 pub fn publisher_of(origin: &Origin) -> Publisher {
     Publisher {
         caller_id: pinned_name(&origin.caller_id).into_owned(),
@@ -79,7 +68,6 @@ pub fn publisher_of(origin: &Origin) -> Publisher {
 }
 
 impl Pins {
-    /// Pins stored in a ledger; alarms go to `observer` and into the audit log.
     pub fn new(ledger: &Ledger, observer: Arc<dyn Observer>, rules: PinRules) -> Self {
         let mut listed: BTreeMap<String, Vec<Publisher>> = BTreeMap::new();
         for (topic, publisher) in rules.listed.0 {
@@ -98,38 +86,31 @@ impl Pins {
         }
     }
 
-    /// The name of an owner in the audit log.
     pub fn introduce(&self, owner: Address, name: &str) {
         self.names.write().unwrap_or_else(PoisonError::into_inner).insert(owner, name.to_owned());
     }
 
-    /// How topics get their pins.
     pub fn mode(&self) -> PinMode {
         self.mode
     }
 
-    /// The publishers of a topic that the settings allow.
     pub fn listed(&self, topic: &str) -> &[Publisher] {
         self.listed.get(topic).map_or(&[], Vec::as_slice)
     }
 
-    /// Everything the settings allow, topic by topic.
     pub fn all_listed(&self) -> impl Iterator<Item = (&String, &Publisher)> {
         self.listed.iter().flat_map(|(topic, publishers)| publishers.iter().map(move |one| (topic, one)))
     }
 
-    /// A publisher is being read.
     pub fn connected(&self, topic: &Arc<str>, origin: &Arc<Origin>) {
         let mut live = self.live.lock().unwrap_or_else(PoisonError::into_inner);
         live.insert(origin.number, (Arc::clone(topic), Arc::clone(origin)));
     }
 
-    /// A publisher is no longer read.
     pub fn lost(&self, number: u64) {
         self.live.lock().unwrap_or_else(PoisonError::into_inner).remove(&number);
     }
 
-    /// Publishers of a topic that are being read now.
     pub fn live(&self, topic: &str) -> Vec<Publisher> {
         let live = self.live.lock().unwrap_or_else(PoisonError::into_inner);
         let mut found: Vec<_> =
@@ -139,8 +120,7 @@ impl Pins {
         found
     }
 
-    /// Why this publisher's messages on the topic must be quarantined; `None` for a pinned one. The first doubt raises
-    /// the alarm. Cheap for a publisher judged before.
+    /// Why this publisher's messages must be quarantined. The first doubt raises the alarm; a known verdict is cheap.
     pub fn judge(&self, owner: Address, topic: &str, origin: &Arc<Origin>) -> Option<Doubt> {
         if self.mode == PinMode::Off {
             return None;
@@ -159,10 +139,8 @@ impl Pins {
                 doubt
             }
             Err(error) => {
-                self.observer.alert(
-                    true,
-                    format!("publishers of {topic} cannot be checked, so their messages are held back: {error}"),
-                );
+                let text = format!("publishers of {topic} cannot be checked, so their messages are held back: {error}");
+                self.observer.alert(true, text);
                 Some(Doubt::New)
             }
         }
@@ -262,7 +240,6 @@ impl Pins {
         Ok(())
     }
 
-    /// The doubt that follows from the claims alone.
     fn claims(&self, known: &Known, topic: &str, origin: &Origin, publisher: &Publisher) -> Option<Doubt> {
         let allowed = || known.pins.iter().chain(self.listed(topic));
         if allowed().any(|pin| pin == publisher) {
@@ -318,14 +295,12 @@ impl Pins {
         let name = clean(&publisher.to_string(), 200);
         self.note(owner, "pin on first use", &format!("{topic} {name}"), "done")?;
         let (caller, host) = (clean(&publisher.caller_id, 100), clean(&publisher.host, 100));
-        self.observer.alert(
-            false,
-            format!(
-                "{topic}: {caller} on {host}{} is accepted from now on (first seen); enter on Topics, or `authros topics \
-                 pins`, shows it in full",
-                if caller.ends_with('#') { " (# is any number: it draws one at each start)" } else { "" }
-            ),
+        let number = if caller.ends_with('#') { " (# is any number: it draws one at each start)" } else { "" };
+        let text = format!(
+            "{topic}: {caller} on {host}{number} is accepted from now on (first seen); enter on Topics, or `authros topics \
+             pins`, shows it in full"
         );
+        self.observer.alert(false, text);
         Ok(())
     }
 
@@ -382,7 +357,6 @@ impl Pins {
         self.audit.append(AuditEntry { at: Timestamp::now(), profile, action, subject: clean(subject, 200), outcome })
     }
 
-    /// The operator accepts publishers of a topic.
     pub fn pin(&self, owner: Address, topic: &str, publishers: &[Publisher]) -> Result<(), StoreError> {
         let mut topics = self.topics.lock().unwrap_or_else(PoisonError::into_inner);
         self.kept.pin(owner, topic, publishers, "operator")?;
@@ -395,7 +369,7 @@ impl Pins {
         Ok(())
     }
 
-    /// The operator no longer accepts a caller id on a topic; returns how many pins that were.
+    /// Returns how many pins are gone.
     pub fn unpin(&self, owner: Address, topic: &str, caller_id: &str) -> Result<u64, StoreError> {
         let mut topics = self.topics.lock().unwrap_or_else(PoisonError::into_inner);
         let name = pinned_name(caller_id);

@@ -1,14 +1,12 @@
-//! Quarantine records: what was quarantined, per topic and minute, anchored before anyone can pick and choose.
-//!
-//! They are filed under a topic of their own, so that only the sealer uses its numbers; a function of the ledger:
-//! called again, it does what is left.
+//! Quarantine records: what was quarantined, per topic and minute, anchored before anyone can pick and choose. They
+//! have a topic of their own, so that only the sealer uses its numbers.
 
 use crate::model::{Address, Digest, Domain, Doubt, QuarantineReport, RecordKind, RecorderId, Timestamp, TopicId};
 use crate::ros::Origin;
 use crate::store::{HeldMinute, Hold};
 
 use super::statement::{self, Speaker, Statement};
-use super::{Author, PipelineError, Plant, pins};
+use super::{Author, PipelineError, Plant, Result, pins};
 
 /// The name that quarantine records are filed under; no ROS name begins like this.
 pub const TOPIC: &str = "authros/quarantine";
@@ -20,7 +18,6 @@ pub fn minute(at: Timestamp) -> u64 {
     at.0 / 60_000_000_000
 }
 
-/// Why a record is quarantined, as stored in the ledger.
 pub fn hold(digest: Digest, doubt: Doubt, origin: &Origin) -> Hold {
     Hold { digest, reason: doubt.word(), publisher: pins::publisher_of(origin).to_string() }
 }
@@ -40,12 +37,9 @@ pub fn rolling(
     Digest(end)
 }
 
-/// Seals a quarantine record for every (topic, minute) of the author's owner before minute `before` with uncounted records;
-/// returns how many were sealed. Must not run twice at once for one owner.
-///
-/// # Errors
-/// Errors of sealing and of the store; what is sealed so far stays.
-pub fn report(plant: &Plant, author: &Author, before: u64) -> Result<usize, PipelineError> {
+/// Seals a record for each (topic, minute) before minute `before`; returns how many. One caller at a time.
+/// After an error, what is sealed so far stays.
+pub fn report(plant: &Plant, author: &Author, before: u64) -> Result<usize> {
     let mut sealed = 0;
     while let Some(held) = plant.ledger.quarantine.unreported(author.address, before)? {
         if !report_one(plant, author, &held)? {
@@ -60,7 +54,7 @@ pub fn report(plant: &Plant, author: &Author, before: u64) -> Result<usize, Pipe
 }
 
 /// `false`: there are no keys to seal with yet.
-fn report_one(plant: &Plant, author: &Author, held: &HeldMinute) -> Result<bool, PipelineError> {
+fn report_one(plant: &Plant, author: &Author, held: &HeldMinute) -> Result<bool> {
     let Some(keys) = author.sealing() else { return Ok(false) };
     let recorder = plant.ledger.records.recorder().of_signer(&keys.signer);
     let seqs = || held.records.iter().map(|(seq, _)| *seq);
@@ -84,9 +78,8 @@ fn report_one(plant: &Plant, author: &Author, held: &HeldMinute) -> Result<bool,
     Ok(true)
 }
 
-/// Discards quarantined records and deletes their ciphertext; returns how many. Their quarantine records must be on the
-/// chain first.
-pub fn discard(plant: &Plant, digests: &[Digest]) -> Result<u64, PipelineError> {
+/// Deletes their ciphertext too. Their quarantine records must be on the chain first.
+pub fn discard(plant: &Plant, digests: &[Digest]) -> Result<u64> {
     plant.ciphertext.discard(digests)?;
     let gone = plant.ledger.quarantine.discard(digests)?;
     plant.observer.records_changed();

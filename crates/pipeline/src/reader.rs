@@ -19,7 +19,7 @@ use crate::directory::{Granted, kept};
 use crate::model::{Address, Digest, GrantTerms, Header, PublicKey, RecordState, Scope, SignerId, TopicId, Verdict};
 use crate::retention::is_stated;
 use crate::store::{KeptEnvelope, RecordQuery, RecordRow, Retained};
-use crate::{Network, Owner, PipelineError, Plant, chain_proofs, columns};
+use crate::{Network, Owner, PipelineError, Plant, Result, chain_proofs, columns};
 
 /// Reads records for one owner: their own, and those granted to them.
 pub struct Reader<'a> {
@@ -29,13 +29,11 @@ pub struct Reader<'a> {
 }
 
 impl Reader<'_> {
-    /// The right by which this reader reads `owner`'s records of a topic, on its own site.
     fn right(&self, owner: Address, topic: Option<TopicId>) -> Result<ReadingRight, ReadRefused> {
         may_read(&self.network.directory, self.reader.address, owner, topic, Policy::OwnSite)
     }
 
-    /// Whether the chain's grants let this reader see the record at all.
-    pub fn authorise(&self, row: &RecordRow) -> Result<(), PipelineError> {
+    pub fn authorise(&self, row: &RecordRow) -> Result<()> {
         let own = row.owner == self.reader.address;
         if !own && is_held(row) {
             return Err(PipelineError::NoRecord(row.id.clone()));
@@ -52,11 +50,8 @@ impl Reader<'_> {
         }
     }
 
-    /// Checks a record without opening it (the paper's `Data_Check`).
-    ///
-    /// # Errors
-    /// Errors of store and chain; what is wrong with the record itself is in the verdict.
-    pub async fn check(&self, row: &RecordRow) -> Result<(Verdict, Digest), PipelineError> {
+    /// Checks a record without opening it (the paper's `Data_Check`); what is wrong with it is in the verdict.
+    pub async fn check(&self, row: &RecordRow) -> Result<(Verdict, Digest)> {
         let checked = self.check_once(row).await?;
         if checked.0 != Verdict::Tampered {
             return Ok(checked);
@@ -68,8 +63,8 @@ impl Reader<'_> {
         }
     }
 
-    async fn check_once(&self, row: &RecordRow) -> Result<(Verdict, Digest), PipelineError> {
-        // Never from the cache: a check is of what lies on the disk.
+    async fn check_once(&self, row: &RecordRow) -> Result<(Verdict, Digest)> {
+        // Never from the cache: a check is of what is on the disk.
         let stored = block_in_place(|| match row.deleted_at {
             None => self.plant.ciphertext.get(row.digest),
             Some(_) => Ok(None),
@@ -86,7 +81,7 @@ impl Reader<'_> {
     }
 
     /// The verdict on a record whose bytes are gone: an alarm, unless a retention record on the chain names it.
-    async fn check_gone(&self, row: &RecordRow) -> Result<Verdict, PipelineError> {
+    async fn check_gone(&self, row: &RecordRow) -> Result<Verdict> {
         let Some(retained) = self.given_up(row)? else {
             let text = format!("the ciphertext of record {} is missing, but no retention record names it", row.id);
             self.plant.observer.alert(true, text);
@@ -105,18 +100,13 @@ impl Reader<'_> {
         })
     }
 
-    fn given_up(&self, row: &RecordRow) -> Result<Option<Retained>, PipelineError> {
+    fn given_up(&self, row: &RecordRow) -> Result<Option<Retained>> {
         let retained = self.plant.ledger.retention.find(row.digest)?;
         let stated = |retained: &Retained| is_stated(self.plant, Some(self.network), row.digest, retained);
         Ok(retained.filter(|retained| retained.anchored || stated(retained)))
     }
 
-    fn blob(&self, row: &RecordRow) -> Result<Option<Vec<u8>>, PipelineError> {
-        block_in_place(|| Ok(self.plant.stored_bytes(row)?))
-    }
-
-    /// What the chain says of the record, or said when it could be asked.
-    async fn anchor(&self, row: &RecordRow) -> Result<Anchor, PipelineError> {
+    async fn anchor(&self, row: &RecordRow) -> Result<Anchor> {
         let confirmed = matches!(row.state, RecordState::Confirmed | RecordState::Verified | RecordState::Tampered);
         let (anchored, digest) = match self.network.absent {
             _ if !confirmed => return Ok(Anchor::Unanchored),
@@ -126,14 +116,11 @@ impl Reader<'_> {
         Ok(if anchored { digest } else { Anchor::Unanchored })
     }
 
-    /// Checks and decrypts a record.
-    ///
-    /// # Errors
-    /// `NotGranted`; `CryptoError` of kind `Tampered` if a check fails, `Refused` if no key of this reader opens it or
-    /// its signer wrote a false name into it; a missing blob counts as tampering too.
-    pub async fn open(&self, row: &RecordRow) -> Result<OpenedRecord, PipelineError> {
+    /// `Tampered` if a check fails, `Refused` if no key of this reader opens it or its signer wrote a false name into
+    /// it; a missing blob counts as tampering too.
+    pub async fn open(&self, row: &RecordRow) -> Result<OpenedRecord> {
         self.authorise(row)?;
-        let Some(blob) = self.blob(row)? else {
+        let Some(blob) = block_in_place(|| self.plant.stored_bytes(row))? else {
             let given_up = self.given_up(row)?;
             let why = given_up.map(|retained| PipelineError::gone(&row.id, retained));
             return Err(why.unwrap_or_else(|| PipelineError::Missing(row.id.clone())));
@@ -142,7 +129,7 @@ impl Reader<'_> {
     }
 
     /// Like [`Self::open`], for bytes that the store need not have.
-    pub async fn open_bytes(&self, row: &RecordRow, blob: &[u8]) -> Result<OpenedRecord, PipelineError> {
+    pub async fn open_bytes(&self, row: &RecordRow, blob: &[u8]) -> Result<OpenedRecord> {
         self.authorise(row)?;
         self.compare(row, blob)?;
         let anchor = self.anchor(row).await?;
@@ -162,13 +149,15 @@ impl Reader<'_> {
         let differs = |field| PipelineError::RowDiffers { id: row.id.clone(), field };
         // A record that is only about to be kept here has no place that it could contradict.
         let placed = self.plant.ledger.records.placed(row.digest)?;
-        let found = columns::difference(row, &opened, self.plant.ledger.records.recorder())
+        let here = self.plant.ledger.records.recorder();
+        let found = columns::header_difference(row, &opened.header)
+            .or_else(|| columns::head_difference(row, &opened.head, here))
             .or_else(|| placed.as_ref().and_then(columns::anchor_difference));
         found.map_or(Ok(opened), |field| Err(differs(field)))
     }
 
     /// Whether the row agrees with the header of the stored bytes; if these were altered, that is reported instead.
-    fn compare(&self, row: &RecordRow, blob: &[u8]) -> Result<(), PipelineError> {
+    fn compare(&self, row: &RecordRow, blob: &[u8]) -> Result<()> {
         let header = Header::parse(blob).map(|(header, _)| header);
         match header.ok().and_then(|header| columns::header_difference(row, &header)) {
             Some(field) if Digest(self.plant.provider.sm3(&[blob])) == row.digest => {
@@ -178,14 +167,13 @@ impl Reader<'_> {
         }
     }
 
-    /// The key of the record's topic in its epoch.
-    pub fn topic_key(&self, row: &RecordRow) -> Result<TopicKey, PipelineError> {
+    pub fn topic_key(&self, row: &RecordRow) -> Result<TopicKey> {
         Ok(self.opening_of(row.owner, row.epoch, row.topic_id)?.0)
     }
 
     /// The key of a topic in an epoch, and what the names of its records are compared with: IK for an owner and for
     /// readers of all topics, otherwise the name that the owner gave with the key.
-    fn opening_of(&self, owner: Address, epoch: u64, topic: TopicId) -> Result<(TopicKey, Names), PipelineError> {
+    pub(crate) fn opening_of(&self, owner: Address, epoch: u64, topic: TopicId) -> Result<(TopicKey, Names)> {
         if owner == self.reader.address {
             let epoch_key =
                 self.reader.epoch_key(self.network.domain, epoch).ok_or(PipelineError::UnknownEpoch(epoch))?;
@@ -200,8 +188,7 @@ impl Reader<'_> {
         Err(CryptoError::WrongKey.into())
     }
 
-    /// The epochs of an owner for which this reader has keys.
-    pub fn epochs_of(&self, owner: Address) -> Result<BTreeSet<u64>, PipelineError> {
+    pub fn epochs_of(&self, owner: Address) -> Result<BTreeSet<u64>> {
         if owner == self.reader.address {
             return Ok(self.reader.epochs(self.network.domain).into_iter().collect());
         }
@@ -217,13 +204,13 @@ impl Reader<'_> {
     }
 
     /// The contents of a grant's envelopes that this reader can open, the newest epoch first.
-    pub fn envelopes(&self, grant: &Granted) -> Result<Vec<Arc<WrappedKeys>>, PipelineError> {
+    pub fn envelopes(&self, grant: &Granted) -> Result<Vec<Arc<WrappedKeys>>> {
         let all = kept::envelopes(&self.plant.ledger.rights, grant)?;
         Ok(all.iter().filter_map(|envelope| self.open_one(grant, envelope).ok()).collect())
     }
 
     /// Opens a grant's envelope for an epoch: the newest that this reader has the key for.
-    pub fn open_envelope(&self, grant: &Granted, epoch: u64) -> Result<Arc<WrappedKeys>, PipelineError> {
+    pub fn open_envelope(&self, grant: &Granted, epoch: u64) -> Result<Arc<WrappedKeys>> {
         let mut all = kept::envelopes(&self.plant.ledger.rights, grant)?;
         all.retain(|envelope| envelope.epoch == epoch);
         first_good(all.iter().map(|envelope| self.open_one(grant, envelope)))
@@ -232,7 +219,7 @@ impl Reader<'_> {
 
     /// Opens an envelope with the keys of its time: signed with the key its owner had registered then, encrypted to the
     /// one the reader had.
-    fn open_one(&self, grant: &Granted, envelope: &KeptEnvelope) -> Result<Arc<WrappedKeys>, PipelineError> {
+    fn open_one(&self, grant: &Granted, envelope: &KeptEnvelope) -> Result<Arc<WrappedKeys>> {
         let (epoch, bytes) = (envelope.epoch, &envelope.bytes);
         let digest = Digest(self.plant.provider.sm3(&[bytes]));
         if let Some(known) = self.reader.opened.lock().unwrap_or_else(PoisonError::into_inner).get(&digest) {
@@ -250,15 +237,7 @@ impl Reader<'_> {
         self.reader.opened.lock().unwrap_or_else(PoisonError::into_inner).insert(digest, Arc::clone(&wrapped));
         Ok(wrapped)
     }
-}
 
-/// The first success; the first failure if there is none; `None` for an empty list.
-fn first_good<T>(mut results: impl Iterator<Item = Result<T, PipelineError>>) -> Option<Result<T, PipelineError>> {
-    let first = results.next()?;
-    Some(first.or_else(|error| results.find_map(Result::ok).ok_or(error)))
-}
-
-impl Reader<'_> {
     /// IK of an owner: the reader's own, or the one that a grant of all topics carries.
     pub fn index_of(&self, owner: Address) -> Option<IndexKey> {
         if owner == self.reader.address {
@@ -271,6 +250,67 @@ impl Reader<'_> {
         };
         self.envelopes(&grant).unwrap_or_default().into_iter().find_map(index)
     }
+
+    /// The topics that this reader may read now.
+    pub fn scope(&self, owner: Address) -> Option<Scope> {
+        self.right(owner, None).ok().map(|right| right.scope().clone())
+    }
+
+    /// `None` if the bytes are gone or do not open. Waits for the store.
+    pub fn own_contents(&self, row: &RecordRow) -> Result<Option<OpenedRecord>> {
+        Ok(self.own_bytes(row)?.map(|blob| self.open_own(row, &blob)).transpose()?.flatten())
+    }
+
+    /// Opened by what the home itself knows; without those that do not open.
+    pub fn own_opened(&self, query: RecordQuery) -> impl Iterator<Item = Result<(RecordRow, OpenedRecord)>> {
+        let query = RecordQuery { owner: Some(self.reader.address), ..query };
+        self.plant.ledger.records.all(query).filter_map(|row| match row {
+            Ok(row) => Some(self.own_contents(&row).transpose()?.map(|opened| (row, opened))),
+            Err(error) => Some(Err(error.into())),
+        })
+    }
+
+    pub fn own_bytes(&self, row: &RecordRow) -> Result<Option<Vec<u8>>> {
+        Ok(self.plant.stored_bytes(row)?)
+    }
+
+    /// Opens an own record with the key of the owner or of a device; `None` if it does not open, or has a false name.
+    pub fn open_own(&self, row: &RecordRow, blob: &[u8]) -> Result<Option<OpenedRecord>> {
+        let Some(signer) = self.own_signer(row.signer)?.filter(|_| row.owner == self.reader.address) else {
+            return Ok(None);
+        };
+        let Ok(key) = self.topic_key(row) else { return Ok(None) };
+        let names = Names::Derived(self.reader.index());
+        let expected = Expected::any_of(self.network.domain, row.owner, names);
+        Ok(open(self.plant.provider, blob, &row.signature, &signer, Anchor::Unanchored, &key, &expected).ok())
+    }
+
+    fn own_signer(&self, signer: SignerId) -> Result<Option<PublicKey>> {
+        match self.own_keys().into_iter().find(|key| signer_id(key) == signer) {
+            Some(key) => Ok(Some(key)),
+            None => Ok(self.plant.ledger.bindings.signer(signer)?),
+        }
+    }
+
+    /// The signing keys that the reader's account has or ever registered.
+    fn own_keys(&self) -> Vec<PublicKey> {
+        let mut keys = vec![self.reader.signing().public];
+        self.network.directory.with_account(self.reader.address, |account| {
+            keys.extend(account.into_iter().flat_map(|account| &account.identities).map(|known| known.signing));
+        });
+        keys
+    }
+
+    /// Whether the key with this id is, or was, the reader's own signing key, and no device's.
+    pub fn is_own_key(&self, signer: SignerId) -> bool {
+        self.own_keys().iter().any(|key| signer_id(key) == signer)
+    }
+}
+
+/// The first success; the first failure if there is none; `None` for an empty list.
+fn first_good<T>(mut results: impl Iterator<Item = Result<T>>) -> Option<Result<T>> {
+    let first = results.next()?;
+    Some(first.or_else(|error| results.find_map(Result::ok).ok_or(error)))
 }
 
 impl columns::Keys for Reader<'_> {
@@ -298,73 +338,5 @@ fn find_opening(keys: &GrantedKeys, epoch: u64, topic: TopicId) -> Option<(Topic
             let found = keys.iter().find(|(number, _, id, _)| (*number, *id) == (epoch, topic));
             found.map(|(_, name, _, key)| (key.clone(), Names::Given(name.clone())))
         }
-    }
-}
-
-impl Reader<'_> {
-    /// The topics of an owner that this reader may read now; `None` = none.
-    pub fn scope(&self, owner: Address) -> Option<Scope> {
-        self.right(owner, None).ok().map(|right| right.scope().clone())
-    }
-}
-
-impl Reader<'_> {
-    /// What this reader sealed in a record; `None` if its bytes are gone or do not open. Waits for the store.
-    pub fn own_contents(&self, row: &RecordRow) -> Result<Option<OpenedRecord>, PipelineError> {
-        Ok(self.own_bytes(row)?.map(|blob| self.open_own(row, &blob)).transpose()?.flatten())
-    }
-
-    /// The reader's own records that a query finds, opened by what the home itself knows; without those that do not open.
-    ///
-    /// # Errors
-    /// Errors of the ledger.
-    pub fn own_opened(
-        &self,
-        query: RecordQuery,
-    ) -> impl Iterator<Item = Result<(RecordRow, OpenedRecord), PipelineError>> {
-        let query = RecordQuery { owner: Some(self.reader.address), ..query };
-        self.plant.ledger.records.all(query).filter_map(|row| match row {
-            Ok(row) => Some(self.own_contents(&row).transpose()?.map(|opened| (row, opened))),
-            Err(error) => Some(Err(error.into())),
-        })
-    }
-
-    /// The stored bytes of a record.
-    pub fn own_bytes(&self, row: &RecordRow) -> Result<Option<Vec<u8>>, PipelineError> {
-        Ok(self.plant.stored_bytes(row)?)
-    }
-
-    /// Opens an own record with the key that signed it, of the owner or of a device; `None` if it does not open, or
-    /// if its signer wrote a false name into it.
-    pub fn open_own(&self, row: &RecordRow, blob: &[u8]) -> Result<Option<OpenedRecord>, PipelineError> {
-        let Some(signer) = self.own_signer(row.signer)?.filter(|_| row.owner == self.reader.address) else {
-            return Ok(None);
-        };
-        let Ok(key) = self.topic_key(row) else { return Ok(None) };
-        let names = Names::Derived(self.reader.index());
-        let expected = Expected::any_of(self.network.domain, row.owner, names);
-        Ok(open(self.plant.provider, blob, &row.signature, &signer, Anchor::Unanchored, &key, &expected).ok())
-    }
-
-    fn own_signer(&self, signer: SignerId) -> Result<Option<PublicKey>, PipelineError> {
-        let registered = self.registered_keys();
-        let known = [self.reader.signing().public].into_iter().chain(registered);
-        match known.into_iter().find(|key| signer_id(key) == signer) {
-            Some(key) => Ok(Some(key)),
-            None => Ok(self.plant.ledger.bindings.signer(signer)?),
-        }
-    }
-
-    /// The signing keys that the reader's account ever registered.
-    fn registered_keys(&self) -> Vec<PublicKey> {
-        self.network.directory.with_account(self.reader.address, |account| {
-            account.map(|account| account.identities.iter().map(|known| known.signing).collect()).unwrap_or_default()
-        })
-    }
-
-    /// Whether the key with this id is, or was, the reader's own signing key, and no device's.
-    pub fn is_own_key(&self, signer: SignerId) -> bool {
-        signer_id(&self.reader.signing().public) == signer
-            || self.registered_keys().iter().any(|key| signer_id(key) == signer)
     }
 }

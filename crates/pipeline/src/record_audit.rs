@@ -1,7 +1,6 @@
-//! The audit of records: ledger rows against proofs and chain, batches against the chain's events, sequences without
-//! gaps, the audit log's hashes; `deep` also re-hashes every stored ciphertext and checks its signature.
-//!
-//! Pages are read from the ledger, one snapshot each, and shared by workers: memory does not grow with the store.
+//! The audit of records: rows against proofs and chain, batches against events, sequences without gaps, the audit log's
+//! hashes; `deep` also every stored byte and signature. Pages are shared by workers: memory does not grow with the
+//! store.
 
 mod batches;
 mod records;
@@ -28,14 +27,12 @@ use crate::store::{AuditLog, AuditedRecord, Ledger, StoreError};
 use crate::watcher;
 use crate::{Network, Plant, audit_head};
 
-/// The scope of an audit.
 #[derive(Clone)]
 pub struct Scope {
     /// Also every stored byte and every signature.
     pub deep: bool,
     /// Only records captured at or after this time; batches, numbers and the audit log are always checked in full.
     pub since: Timestamp,
-    /// Accounts of the home's profiles.
     pub accounts: Vec<Address>,
     /// Keys of the profiles whose keyrings are open: names are compared by their pseudonyms.
     pub keys: Arc<dyn Keys + Send + Sync>,
@@ -43,12 +40,8 @@ pub struct Scope {
     pub looked_at: Arc<AtomicU64>,
 }
 
-/// Audits the store. `chain` is what the rows are compared with, or why it cannot be queried (then the rest is done all
-/// the same); `None` in a home that never used a chain. Blocks for as long as it takes; call it on a thread that may
-/// block and may wait for the runtime.
-///
-/// # Errors
-/// Errors of the store if they do not answer at all; faults in them are part of the answer.
+/// `chain` is what the rows are compared with, or why it cannot be queried; `None` in a home that never used a chain.
+/// Blocks: call it on a thread that may wait for the runtime. Faults in the store are part of the answer.
 pub fn audit(
     plant: &Plant,
     chain: Option<Result<&Network, String>>,
@@ -94,7 +87,7 @@ fn run_chain_again(network: &Network, runtime: &Handle, tally: &mut Tally) {
 /// The audit log's own hash chain, and the heads that the home's profiles noted when they sealed them.
 fn log_of(plant: &Plant, log: &AuditLog, scope: &Scope, tally: &mut Tally) -> Result<(), StoreError> {
     match log.verify() {
-        Ok(lines) => tally.lines = lines,
+        Ok(lines) => tally.audit.audit_lines = lines,
         Err(fault) => tally.find(FindingKind::Tampered, "audit log", &fault.to_string()),
     }
     for account in &scope.accounts {
@@ -104,6 +97,15 @@ fn log_of(plant: &Plant, log: &AuditLog, scope: &Scope, tally: &mut Tally) -> Re
         }
     }
     Ok(())
+}
+
+/// Why a comparison with the chain ended early.
+#[derive(Debug, thiserror::Error)]
+enum Stop {
+    #[error(transparent)]
+    Chain(#[from] ChainError),
+    #[error(transparent)]
+    Store(#[from] StoreError),
 }
 
 /// The most differing blocks of a page that are named one by one.
@@ -127,14 +129,11 @@ async fn compare(
     (from, to): (u64, u64),
     events: &[EventAt],
     tally: &mut Tally,
-) -> Result<Result<(), ChainError>, StoreError> {
+) -> Result<(), Stop> {
     let differing = differing_blocks(&plant.ledger, (from, to), events)?;
     let mut first = None;
     for block in differing.iter().copied().take(MOST_BLOCKS) {
-        let again = match network.chain.events(block, block).await {
-            Ok(events) => events,
-            Err(error) => return Ok(Err(error)),
-        };
+        let again = network.chain.events(block, block).await?;
         let found = differences(&plant.ledger, (block, block), &again)?;
         for (kind, text) in &found {
             tally.find(*kind, &format!("block {block}"), &format!("{text}; {ADVICE}"));
@@ -148,7 +147,7 @@ async fn compare(
     if let Some(block) = first {
         watcher::note(&plant.ledger.notes, block)?;
     }
-    Ok(Ok(()))
+    Ok(())
 }
 
 fn differing_blocks(ledger: &Ledger, (from, to): (u64, u64), events: &[EventAt]) -> Result<BTreeSet<u64>, StoreError> {
@@ -178,7 +177,6 @@ fn differences(
     Ok(found)
 }
 
-/// Chain and ledger side by side.
 struct Compared<'a> {
     /// On the chain alone.
     missing: Vec<&'a EventAt>,
@@ -214,12 +212,10 @@ impl<'a> Compared<'a> {
     }
 }
 
-/// The result of a round.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Scrubbed {
     pub records: u64,
     pub bytes: u64,
-    /// Records that are tampered or missing.
     pub bad: u64,
 }
 
@@ -236,7 +232,9 @@ pub fn scrub_round(plant: &Plant, network: &Network, most: usize) -> Result<Scru
         }
     }
     if !bad.is_empty() {
-        mark(plant, &bad)?;
+        plant.ledger.records.advance(&bad, RecordState::Verified, RecordState::Tampered)?;
+        plant.observer.tampered(&bad);
+        plant.observer.records_changed();
     }
     done.bad = u64::try_from(bad.len()).unwrap_or(u64::MAX);
     plant.ledger.notes.write(&ScrubbedUpTo {}, &page.next.unwrap_or(0))?;
@@ -262,17 +260,9 @@ fn scrub(
         look(bench, &piece, &mut tally)?;
     }
     done.records += 1;
-    done.bytes += tally.bytes;
+    done.bytes += tally.audit.bytes;
     let Some(finding) = tally.findings().first() else { return Ok(None) };
-    plant
-        .observer
-        .alert(true, format!("{}: {}; `authros audit --deep` checks all records", finding.subject, finding.text));
+    let text = format!("{}: {}; `authros audit --deep` checks all records", finding.subject, finding.text);
+    plant.observer.alert(true, text);
     Ok(Some(digest))
-}
-
-fn mark(plant: &Plant, bad: &[Digest]) -> Result<(), StoreError> {
-    plant.ledger.records.advance(bad, RecordState::Verified, RecordState::Tampered)?;
-    plant.observer.tampered(bad);
-    plant.observer.records_changed();
-    Ok(())
 }

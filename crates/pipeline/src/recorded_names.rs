@@ -54,7 +54,6 @@ impl RecordedNames {
     }
 }
 
-/// A part of a name in the characters of a graph name.
 fn graph_part(part: &str) -> String {
     let allowed = |character: char| if character.is_ascii_alphanumeric() { character } else { '_' };
     let clean: String = part.chars().map(allowed).collect();

@@ -1,5 +1,4 @@
-//! Takes messages from the capture threads: measures them, determines who wants them, and puts one item per interested
-//! author into the rings. Never seals, never waits.
+//! Takes messages from the capture threads and puts one item per interested author into the rings. Never waits.
 
 use std::collections::{HashMap, HashSet};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -16,21 +15,16 @@ use super::{Author, CaptureSession, Observer, Pins};
 
 /// One message for one author, on its way to the sealer.
 pub struct CapturedMessage {
-    /// The author that seals it.
     pub author: Arc<Author>,
     pub message: Arc<Message>,
-    /// The kind of record it becomes: a captured message, what a recording holds beside its messages, or the message's
-    /// definition alone.
+    /// A captured message, what a recording holds beside its messages, or a definition alone.
     pub kind: RecordKind,
-    /// Whether a simulated robot sent it.
     pub simulated: bool,
-    /// Sessions waiting for it.
     pub sessions: Vec<Arc<CaptureSession>>,
     /// Why it must be quarantined.
     pub doubt: Option<Doubt>,
-    /// The rule of its topic, whose tags it gets.
     pub rule: Option<Arc<TopicRule>>,
-    /// Nobody watches its topic: it goes into the ring on the disk, not into the ledger.
+    /// Goes into the ring on the disk, because nobody watches its topic.
     pub ring: bool,
 }
 
@@ -43,7 +37,7 @@ impl Weighted for CapturedMessage {
 struct Interest {
     author: Arc<Author>,
     watched: bool,
-    /// What nobody wants of it goes into the ring on the disk.
+    /// Messages that nobody wants go into the ring on the disk.
     ringed: bool,
     type_name: Option<TypeName>,
     sessions: Vec<Arc<CaptureSession>>,
@@ -52,7 +46,6 @@ struct Interest {
 }
 
 impl Interest {
-    /// The type requested, if any.
     fn wanted(&self) -> Option<&TypeName> {
         let by_rule = self.rule.as_ref().and_then(|rule| rule.type_name.as_ref());
         self.type_name.as_ref().or(by_rule)
@@ -62,6 +55,11 @@ impl Interest {
         self.wanted().is_none_or(|wanted| wanted.as_str() == type_name)
     }
 
+    fn item(&self, message: &Arc<Message>, kind: RecordKind, simulated: bool) -> CapturedMessage {
+        let (author, message, rule) = (Arc::clone(&self.author), Arc::clone(message), self.rule.clone());
+        CapturedMessage { author, message, kind, simulated, sessions: Vec::new(), doubt: None, rule, ring: false }
+    }
+
     /// Whether the topic's rule lets this message of an undoubted publisher through.
     fn takes(&self, at: Timestamp) -> bool {
         let Some(rule) = &self.rule else { return true };
@@ -69,7 +67,6 @@ impl Interest {
     }
 }
 
-/// Decides what happens to each captured message.
 pub struct Recorder {
     rings: Arc<Rings<CapturedMessage>>,
     losses: Arc<Losses>,
@@ -87,7 +84,6 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// A recorder that fills `rings`, and records in `losses` what does not fit.
     pub fn new(rings: Arc<Rings<CapturedMessage>>, losses: Arc<Losses>, observer: Arc<dyn Observer>) -> Self {
         Self {
             rings,
@@ -104,12 +100,11 @@ impl Recorder {
         }
     }
 
-    /// Messages are taken according to the rules of their topics.
     pub fn with_rules(self, rules: TopicRules) -> Self {
         Self { rules: RwLock::new(rules), ..self }
     }
 
-    /// From now on messages are taken according to these rules, also of topics that are wanted already.
+    /// Applies to topics that are already wanted too.
     pub fn set_rules(&self, rules: TopicRules) {
         let mut interests = self.interests.write().unwrap_or_else(PoisonError::into_inner);
         for (topic, list) in interests.iter_mut() {
@@ -123,7 +118,7 @@ impl Recorder {
         *self.rules.write().unwrap_or_else(PoisonError::into_inner) = rules;
     }
 
-    /// Messages of publishers that are not pinned are quarantined.
+    /// Quarantines messages of publishers that are not pinned.
     pub fn with_pins(self, pins: Arc<Pins>) -> Self {
         Self { pins: Some(pins), ..self }
     }
@@ -133,17 +128,14 @@ impl Recorder {
         self.moved.swap(false, Ordering::AcqRel)
     }
 
-    /// Rates of all topics.
     pub fn meter(&self) -> &Meter {
         &self.meter
     }
 
-    /// Node names of the simulated robots of this site.
     pub fn set_simulated(&self, nodes: Vec<String>) {
         *self.simulated.write().unwrap_or_else(PoisonError::into_inner) = nodes;
     }
 
-    /// Whether a simulated robot of this site has this node name.
     pub fn is_simulated(&self, caller_id: &str) -> bool {
         self.simulated.read().unwrap_or_else(PoisonError::into_inner).iter().any(|node| node == caller_id)
     }
@@ -154,16 +146,8 @@ impl Recorder {
         let list = interests.entry(topic.to_owned()).or_default();
         if !list.iter().any(|interest| interest.author.address == author.address) {
             let rule = self.rules.read().unwrap_or_else(PoisonError::into_inner).of(topic).cloned();
-            let (author, sampler) = (Arc::clone(author), Mutex::default());
-            list.push(Interest {
-                author,
-                watched: false,
-                ringed: false,
-                type_name: None,
-                sessions: Vec::new(),
-                rule,
-                sampler,
-            });
+            let (author, sessions, sampler) = (Arc::clone(author), Vec::new(), Mutex::default());
+            list.push(Interest { author, watched: false, ringed: false, type_name: None, sessions, rule, sampler });
         }
         if let Some(interest) = list.iter_mut().find(|interest| interest.author.address == author.address) {
             change(interest);
@@ -174,7 +158,6 @@ impl Recorder {
         }
     }
 
-    /// The author wants every message of the topic from now on.
     pub fn watch(&self, topic: &str, author: &Arc<Author>, type_name: Option<TypeName>) {
         self.change(topic, author, |interest| {
             interest.watched = true;
@@ -182,24 +165,22 @@ impl Recorder {
         });
     }
 
-    /// The author no longer wants the topic; running sessions continue.
+    /// Running sessions continue.
     pub fn unwatch(&self, topic: &str, author: &Arc<Author>) {
         self.change(topic, author, |interest| interest.watched = false);
     }
 
-    /// What nobody wants of the topic goes into the ring on the disk from now on, or no longer.
+    /// Whether messages that nobody wants go into the ring on the disk.
     pub fn keep_in_ring(&self, topic: &str, author: &Arc<Author>, ringed: bool) {
         self.change(topic, author, |interest| interest.ringed = ringed);
     }
 
-    /// Whether the author wants every message of the topic now.
     pub fn is_watched(&self, topic: &str, address: Address) -> bool {
         let interests = self.interests.read().unwrap_or_else(PoisonError::into_inner);
         let own = |interest: &Interest| interest.watched && interest.author.address == address;
         interests.get(topic).is_some_and(|list| list.iter().any(own))
     }
 
-    /// A session takes messages of the topic.
     pub fn join(&self, topic: &str, author: &Arc<Author>, type_name: Option<TypeName>, session: &Arc<CaptureSession>) {
         self.change(topic, author, |interest| {
             if !interest.watched {
@@ -209,17 +190,14 @@ impl Recorder {
         });
     }
 
-    /// A session is over.
     pub fn leave(&self, topic: &str, author: &Arc<Author>, session: &Arc<CaptureSession>) {
         self.change(topic, author, |interest| interest.sessions.retain(|other| !Arc::ptr_eq(other, session)));
     }
 
-    /// Topics that anyone wants.
     pub fn wanted(&self) -> Vec<String> {
         self.interests.read().unwrap_or_else(PoisonError::into_inner).keys().cloned().collect()
     }
 
-    /// Topics that this author wants.
     pub fn wanted_by(&self, author: &Author) -> Vec<String> {
         let interests = self.interests.read().unwrap_or_else(PoisonError::into_inner);
         let wants = |list: &Vec<Interest>| list.iter().any(|interest| interest.author.address == author.address);
@@ -252,33 +230,22 @@ impl Recorder {
             return;
         }
         let ring = !watched && doubt.is_none();
-        let author = Arc::clone(&interest.author);
-        let rule = interest.rule.clone();
-        let message_of = Arc::clone(message);
-        let kind = RecordKind::Data;
-        let item = CapturedMessage { author, message: message_of, kind, simulated, sessions, doubt, rule, ring };
+        let item = interest.item(message, RecordKind::Data, simulated);
+        let item = CapturedMessage { sessions, doubt, ring, ..item };
         if let Err(refused) = self.rings.push(&message.topic, item) {
             self.losses.note(&refused.author, Lost::message(message), self.losses.cause());
             refused.sessions.iter().for_each(|session| session.dropped(&message.topic, refused.doubt.is_some()));
         }
     }
 
-    /// The definition of messages that were sealed without it; a publisher that comes later has it with each message.
+    /// For messages that were sealed without it; a publisher that comes later has it with each message.
     fn offer_definition(&self, interest: &Interest, message: &Arc<Message>, simulated: bool) {
         let is_wanted = interest.watched || !interest.sessions.is_empty();
         if !is_wanted || !interest.wants(&message.type_name) {
             return;
         }
-        let item = CapturedMessage {
-            author: Arc::clone(&interest.author),
-            message: Arc::clone(message),
-            kind: RecordKind::Definition,
-            simulated,
-            sessions: Vec::new(),
-            doubt: self.doubt(interest, &message.topic, &message.origin),
-            rule: interest.rule.clone(),
-            ring: false,
-        };
+        let doubt = self.doubt(interest, &message.topic, &message.origin);
+        let item = CapturedMessage { doubt, ..interest.item(message, RecordKind::Definition, simulated) };
         // Without it the messages are shown as bytes, and nothing is lost: what does not fit is no loss.
         drop(self.rings.push(&message.topic, item));
     }

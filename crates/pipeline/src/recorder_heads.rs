@@ -9,7 +9,7 @@ use crate::store::notes::{StatedNumbers, StatedRoot};
 
 use super::epoch::EpochKeys;
 use super::statement::{self, Statement};
-use super::{PipelineError, Plant, audit_head};
+use super::{Plant, Result, audit_head};
 
 /// The name that the records are filed under.
 pub const TOPIC: &str = "authros/recorder";
@@ -23,16 +23,15 @@ pub fn tree(heights: &Heights) -> Option<Tree> {
     Tree::new(heights.topics.iter().map(|(topic, number)| height_hash(topic, *number)).collect())
 }
 
-/// States the numbers of this ledger's recorder for `owner` if they have changed and were not stated or checked
-/// (`seen`, kept by the caller) for `every`; the first time also its birth. Returns the record of the head. One caller
-/// at a time.
+/// States the numbers of this ledger's recorder if they changed and were not looked at (`seen`) for `every`; the first
+/// time also its birth. Returns the record of the head. One caller at a time.
 pub fn state(
     plant: &Plant,
     owner: Address,
     keys: &EpochKeys,
     every: Duration,
     seen: &mut Option<Instant>,
-) -> Result<Option<Digest>, PipelineError> {
+) -> Result<Option<Digest>> {
     if keys.topic(TOPIC).is_none() || seen.is_some_and(|seen| seen.elapsed() < every) {
         return Ok(None);
     }
@@ -70,7 +69,7 @@ fn stated(
     keys: &EpochKeys,
     heights: &Heights,
     (root, before): (Hash, Option<Digest>),
-) -> Result<Option<Digest>, PipelineError> {
+) -> Result<Option<Digest>> {
     let put = |type_name, body: Vec<u8>| {
         let statement = Statement { kind: RecordKind::Audit, topic: TOPIC, type_name, body: &body };
         statement::state(plant, owner, keys, statement)

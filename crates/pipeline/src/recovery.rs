@@ -3,13 +3,13 @@
 //! to everything, however old the keyring is. A key of an epoch is believed only if the chain's token commits to it.
 
 use crate::crypto::{
-    EoaSecret, EpochKey, GrantedKeys, IndexKey, SmKeyPair, WrappedKeys, hand_over, take_over, token, unwrap, wrap,
+    EpochKey, GrantedKeys, IndexKey, SmKeyPair, WrappedKeys, hand_over, take_over, token, unwrap, wrap,
 };
-use crate::model::{GrantTerms, Identity, PublicKey, Scope};
+use crate::model::{GrantTerms, PublicKey, Scope};
 use crate::store::KeptEnvelope;
 
 use super::directory::kept;
-use super::{Network, Owner, PipelineError, Plant};
+use super::{Network, Owner, PipelineError, Plant, Result};
 
 /// The terms under which an owner keeps an epoch's key for itself: those of a grant, which the contract refuses to
 /// give to oneself.
@@ -18,7 +18,7 @@ fn terms(owner: &Owner, epoch: u64) -> GrantTerms {
 }
 
 /// Wraps the key of an epoch in the keyring, and IK, for its owner.
-pub fn own_envelope(plant: &Plant, network: &Network, owner: &Owner, epoch: u64) -> Result<Vec<u8>, PipelineError> {
+pub fn own_envelope(plant: &Plant, network: &Network, owner: &Owner, epoch: u64) -> Result<Vec<u8>> {
     let key = owner.epoch_key(network.domain, epoch).ok_or(PipelineError::UnknownEpoch(epoch))?;
     let keys = GrantedKeys::All { epochs: vec![(epoch, key)], index_key: owner.index() };
     let wrapped = WrappedKeys { terms: terms(owner, epoch), keys };
@@ -26,19 +26,13 @@ pub fn own_envelope(plant: &Plant, network: &Network, owner: &Owner, epoch: u64)
 }
 
 /// Wraps an owner's next pairs, (d_C, P_C) and (d_E, P_E), for those that the chain has now.
-pub fn handover(
-    plant: &Plant,
-    network: &Network,
-    owner: &Owner,
-    next: (&SmKeyPair, &SmKeyPair),
-) -> Result<Vec<u8>, PipelineError> {
+pub fn handover(plant: &Plant, network: &Network, owner: &Owner, next: (&SmKeyPair, &SmKeyPair)) -> Result<Vec<u8>> {
     let registered = network.directory.identity(owner.address)?;
     Ok(hand_over(plant.provider, &network.domain, &owner.eoa(), next, &registered.envelope)?)
 }
 
-/// The epochs on the chain whose key the keyring lacks, oldest first: one that the chain's token does not commit to
-/// counts as missing.
-pub fn lacking(plant: &Plant, network: &Network, owner: &Owner) -> Result<Vec<u64>, PipelineError> {
+/// Oldest first. A key that the chain's token does not commit to counts as missing.
+pub fn lacking(plant: &Plant, network: &Network, owner: &Owner) -> Result<Vec<u64>> {
     let mut lacking = Vec::new();
     for epoch in 1..=network.directory.epoch(owner.address) {
         let known = kept::token(&plant.ledger.rights, &network.directory, owner.address, epoch)?;
@@ -49,19 +43,13 @@ pub fn lacking(plant: &Plant, network: &Network, owner: &Owner) -> Result<Vec<u6
     Ok(lacking)
 }
 
-/// Whether the keyring has the key of the chain's current epoch.
 pub fn holds_current(network: &Network, owner: &Owner) -> bool {
     let account = network.directory.account(owner.address).unwrap_or_default();
     account.token.is_some() && owner.token(network.domain, account.epoch) == account.token
 }
 
 /// Saves in the keyring what the chain returns of the keys of these epochs; returns those that are still missing.
-pub fn recover_epochs(
-    plant: &Plant,
-    network: &Network,
-    owner: &Owner,
-    lacking: &[u64],
-) -> Result<Vec<u64>, PipelineError> {
+pub fn recover_epochs(plant: &Plant, network: &Network, owner: &Owner, lacking: &[u64]) -> Result<Vec<u64>> {
     let (Some(first), Some(last)) = (lacking.first(), lacking.last()) else { return Ok(Vec::new()) };
     let envelopes = plant.ledger.rights.own_envelopes(owner.address, *first, *last)?;
     // A keyring that knows no epoch of this network was made anew around the same keys: IK is the one of then.
@@ -89,7 +77,7 @@ fn open_own(
     network: &Network,
     owner: &Owner,
     envelope: &KeptEnvelope,
-) -> Result<Option<(EpochKey, IndexKey)>, PipelineError> {
+) -> Result<Option<(EpochKey, IndexKey)>> {
     let (epoch, domain) = (envelope.epoch, &network.domain);
     let expected = terms(owner, epoch);
     let signers = network.directory.identities_at(owner.address, envelope.block);
@@ -107,13 +95,10 @@ fn open_own(
     Ok(good.then_some((key, index_key)))
 }
 
-/// Notes in the keyring the SM2 pairs that the chain has and the keyring lacks, as the next ones, and all those in
-/// between as former ones; returns whether there were any. The caller puts them into use.
-///
-/// # Errors
-/// Errors of the ledger and of saving the keyring; [`PipelineError::NoHandover`] if no key here leads to the registered
+/// Notes the SM2 pairs that the chain has and the keyring lacks as the next ones, and those between as former ones;
+/// returns whether there were any. The caller puts them into use. `NoHandover` if no key here leads to the registered
 /// pairs.
-pub fn recover_pairs(plant: &Plant, network: &Network, owner: &Owner) -> Result<bool, PipelineError> {
+pub fn recover_pairs(plant: &Plant, network: &Network, owner: &Owner) -> Result<bool> {
     let registered = network.directory.identity(owner.address)?;
     let goal = (registered.signing, registered.envelope);
     if holds_pairs(owner, goal) {
@@ -122,7 +107,10 @@ pub fn recover_pairs(plant: &Plant, network: &Network, owner: &Owner) -> Result<
     let (eoa, mut known) = (owner.eoa(), owner.envelopes());
     let mut opened: Vec<(SmKeyPair, SmKeyPair)> = Vec::new();
     for (identity, envelope) in kept::handed_over(&plant.ledger.rights, owner.address)? {
-        if let Some(pairs) = opens(plant, network, &eoa, &identity, &envelope, &known) {
+        let open = |pair: &SmKeyPair| {
+            take_over(plant.provider, &network.domain, &eoa, &identity, &envelope, &pair.secret).ok()
+        };
+        if let Some(pairs) = known.iter().rev().find_map(open) {
             known.push(pairs.1.clone());
             opened.push(pairs);
         }
@@ -139,7 +127,7 @@ pub fn recover_pairs(plant: &Plant, network: &Network, owner: &Owner) -> Result<
 
 /// Whether the keyring went past the pairs that the chain has now: the chain is an older copy, or its node is behind.
 /// What leads from the registered pairs to newer ones must have been tried before ([`recover_pairs`]).
-pub fn is_ahead(network: &Network, owner: &Owner) -> Result<bool, PipelineError> {
+pub fn is_ahead(network: &Network, owner: &Owner) -> Result<bool> {
     let registered = network.directory.identity(owner.address)?;
     let holds = holds_pairs(owner, (registered.signing, registered.envelope));
     Ok(!holds && owner.envelopes().iter().any(|pair| pair.public == registered.envelope))
@@ -148,17 +136,4 @@ pub fn is_ahead(network: &Network, owner: &Owner) -> Result<bool, PipelineError>
 /// Whether the keyring has these as its pairs, or as the next ones.
 fn holds_pairs(owner: &Owner, pairs: (PublicKey, PublicKey)) -> bool {
     owner.public_keys() == pairs || owner.next_public_keys() == pairs
-}
-
-fn opens(
-    plant: &Plant,
-    network: &Network,
-    eoa: &EoaSecret,
-    identity: &Identity,
-    envelope: &[u8],
-    known: &[SmKeyPair],
-) -> Option<(SmKeyPair, SmKeyPair)> {
-    let open =
-        |pair: &SmKeyPair| take_over(plant.provider, &network.domain, eoa, identity, envelope, &pair.secret).ok();
-    known.iter().rev().find_map(open)
 }

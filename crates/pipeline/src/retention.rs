@@ -2,21 +2,23 @@
 //! confirmed on the chain. A function of the ledger: called again, it does what is left. Erasing takes the same way.
 
 use std::collections::{BTreeMap, HashMap};
+use std::sync::Arc;
 
 use crate::authority::{Moment, SigningRight, key_of, may_sign};
 use crate::chain_proofs::anchor_proof;
 use crate::crypto::{AccountSignature, EoaSecret, ErasedStatement, SmKeyPair, signer_id};
+use crate::epoch::EpochKeys;
 use crate::gateway::{ErasedRecord, ErasureNotice, Fetched};
 use crate::model::{
-    Address, Digest, Domain, Header, Keeping, PublicKey, RecordKind, RecordState, RecorderId, RetentionReport,
-    RetentionRule, Timestamp, TopicId,
+    Address, Digest, Header, Keeping, PublicKey, RecordKind, RecordState, RecorderId, RetentionReport, RetentionRule,
+    Timestamp, TopicId,
 };
 use crate::statement::{self, Speaker, Statement};
 use crate::store::{
-    Erasure, IncidentRow, IncidentSpan, KeptTopic, OldRecord, PlacedRecord, RecordRow, Retained, StatedErasure,
-    Unstated,
+    Erasure, IncidentRow, IncidentSpan, KeptTopic, NewRecord, OldRecord, PlacedRecord, RecordRow, Retained,
+    StatedErasure, StoreError, Unstated,
 };
-use crate::{Network, Owner, PipelineError, Plant};
+use crate::{Network, Owner, PipelineError, Plant, Result};
 
 /// The name that retention records are filed under; no ROS name begins like this.
 pub const TOPIC: &str = "authros/retention";
@@ -27,7 +29,6 @@ const ROUND: usize = 1024;
 /// Rounds after which records that were overtaken (still pending then) are searched for.
 const ANEW: u32 = 600;
 
-/// The rules in force for the owners of a site.
 pub struct Retention {
     rules: Keeping,
     /// Where the search for each topic's oldest record begins.
@@ -37,27 +38,20 @@ pub struct Retention {
     rounds: u32,
 }
 
-/// The result of a round.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Round {
-    /// Topics and how many of their records were named.
     pub named: Vec<(String, u64)>,
-    /// Records whose ciphertext was deleted.
     pub deleted: u64,
 }
 
 impl Retention {
-    /// Rules not applied yet.
     pub fn new(rules: Keeping) -> Self {
         Self { rules, since: HashMap::new(), held: HashMap::new(), rounds: 0 }
     }
 
-    /// Names the records of an owner that are no longer kept, and deletes those that were named and whose retention
-    /// record is anchored. One caller at a time.
-    ///
-    /// # Errors
-    /// Errors of sealing and of the store; what is done so far stays.
-    pub fn round(&mut self, plant: &Plant, owner: &Owner) -> Result<Round, PipelineError> {
+    /// Names records that are no longer kept, and deletes those whose retention record is anchored. One caller at a
+    /// time.
+    pub fn round(&mut self, plant: &Plant, owner: &Owner) -> Result<Round> {
         self.rounds += 1;
         if self.rounds.is_multiple_of(ANEW) {
             self.since.clear();
@@ -86,13 +80,7 @@ impl Retention {
         }
     }
 
-    fn name(
-        &mut self,
-        plant: &Plant,
-        owner: &Owner,
-        topic: &KeptTopic,
-        rule: &RetentionRule,
-    ) -> Result<u64, PipelineError> {
+    fn name(&mut self, plant: &Plant, owner: &Owner, topic: &KeptTopic, rule: &RetentionRule) -> Result<u64> {
         let place = (owner.address, topic.key);
         let since = self.since.get(&place).copied().unwrap_or_default();
         let due = due(plant, topic, rule, since, self.held.entry(place).or_default())?;
@@ -105,8 +93,14 @@ impl Retention {
             }
         }
         let count = whole.len() as u64;
-        if count > 0 && !report(plant, owner, topic, rule, whole)? {
-            return Ok(0);
+        if count > 0 {
+            let gone: Vec<_> = whole.iter().map(|(record, _)| (record.digest, record.seq, record.bytes)).collect();
+            let about = (topic.topic_id, topic.name.clone(), rule.to_string());
+            let store = |row| plant.ledger.retention.give_up(topic, row, whole);
+            if report(plant, owner, about, &gone, store)?.is_none() {
+                return Ok(0);
+            }
+            plant.observer.records_changed();
         }
         self.since.insert(place, last);
         Ok(count)
@@ -120,7 +114,7 @@ fn due(
     rule: &RetentionRule,
     since: Timestamp,
     held: &mut Held,
-) -> Result<Vec<OldRecord>, PipelineError> {
+) -> Result<Vec<OldRecord>> {
     let now = Timestamp::now();
     let mut excess = rule.bytes.map_or(0, |budget| topic.bytes.saturating_sub(budget));
     if excess > 0 {
@@ -147,7 +141,7 @@ fn due(
 }
 
 /// The public header of the stored bytes, if these are still what was anchored.
-fn header_of(plant: &Plant, digest: Digest) -> Result<Option<Vec<u8>>, PipelineError> {
+fn header_of(plant: &Plant, digest: Digest) -> Result<Option<Vec<u8>>> {
     let Some(blob) = plant.ciphertext.get(digest)? else { return Ok(None) };
     let right = Digest(plant.provider.sm3(&[&blob])) == digest;
     let length = Header::parse(&blob).ok().map(|(_, length)| length).filter(|_| right);
@@ -162,26 +156,20 @@ fn missing(plant: &Plant, digest: Digest) {
     plant.observer.alert(true, text);
 }
 
-/// The rolling hash over digests; see [`RetentionReport`].
-pub fn rolling(
+/// Seals and stores the retention record of `gone` records of one topic: digest, number and length of each. Returns the
+/// keys that sealed it; `None` if there are none now.
+fn report(
     plant: &Plant,
-    domain: &Domain,
-    owner: Address,
-    topic: TopicId,
-    digests: impl IntoIterator<Item = Digest>,
-) -> Digest {
-    let start = plant.provider.sm3(&[b"AuthROS/retained/1", &domain.0, &owner.0, &topic.0]);
-    Digest(digests.into_iter().fold(start, |rolling, digest| plant.provider.sm3(&[&rolling, &digest.0])))
-}
-
-/// The report about records of one topic, each with its sequence number and the length of its message.
-fn report_body(
-    plant: &Plant,
-    (domain, owner): (&Domain, Address),
+    owner: &Owner,
     (topic_id, topic, rule): (TopicId, String, String),
     gone: &[(Digest, u64, u64)],
-) -> Vec<u8> {
+    store: impl FnOnce(NewRecord) -> Result<(), StoreError>,
+) -> Result<Option<Arc<EpochKeys>>> {
+    let Some(keys) = owner.sealing() else { return Ok(None) };
+    let place = keys.topic(TOPIC).ok_or_else(|| PipelineError::Uncovered(TOPIC.to_owned()))?;
     let seqs = || gone.iter().map(|(_, seq, _)| *seq);
+    let start = plant.provider.sm3(&[b"AuthROS/retained/1", &keys.domain.0, &owner.address.0, &topic_id.0]);
+    let rolling = gone.iter().fold(start, |rolling, (digest, ..)| plant.provider.sm3(&[&rolling, &digest.0]));
     let report = RetentionReport {
         topic_id,
         topic,
@@ -190,63 +178,47 @@ fn report_body(
         last_seq: seqs().max().unwrap_or(0),
         count: gone.len() as u64,
         bytes: gone.iter().map(|(_, _, bytes)| bytes).sum(),
-        rolling: rolling(plant, domain, owner, topic_id, gone.iter().map(|(digest, ..)| *digest)),
+        rolling: Digest(rolling),
     };
-    report.encode()
-}
-
-/// `false`: there are no keys to seal with now.
-fn report(
-    plant: &Plant,
-    owner: &Owner,
-    topic: &KeptTopic,
-    rule: &RetentionRule,
-    records: Vec<(OldRecord, Vec<u8>)>,
-) -> Result<bool, PipelineError> {
-    let Some(keys) = owner.sealing() else { return Ok(false) };
-    let place = keys.topic(TOPIC).ok_or_else(|| PipelineError::Uncovered(TOPIC.to_owned()))?;
-    let gone: Vec<_> = records.iter().map(|(record, _)| (record.digest, record.seq, record.bytes)).collect();
-    let about = (topic.topic_id, topic.name.clone(), rule.to_string());
-    let body = report_body(plant, (&keys.domain, owner.address), about, &gone);
     let speaker = Speaker::of(&keys, owner.address, &place);
+    let body = report.encode();
     let statement = Statement { kind: RecordKind::Retention, topic: TOPIC, type_name: TYPE, body: &body };
-    statement::put(plant, &speaker, statement, |row| plant.ledger.retention.give_up(topic, row, records))?;
-    plant.observer.records_changed();
-    Ok(true)
+    statement::put(plant, &speaker, statement, store)?;
+    Ok(Some(keys))
 }
 
-/// Overwrites records that their owners told this gateway to erase, and that are still here; returns how many. One caller at
-/// a time.
-pub fn delete_told(plant: &Plant) -> Result<u64, PipelineError> {
+/// Overwrites records that owners told this gateway to erase; returns how many. One caller at a time.
+pub fn delete_told(plant: &Plant) -> Result<u64> {
     let digests = plant.ledger.erasures.told_to_delete(ROUND)?;
     if !digests.is_empty() {
         plant.ciphertext.scour(&digests)?;
-        plant.ledger.retention.deleted(&digests)?;
-        plant.observer.erased();
-        plant.observer.records_changed();
+        note_deleted(plant, &digests)?;
     }
     Ok(digests.len() as u64)
 }
 
 /// Deletes records named in anchored retention records; returns how many. One caller at a time.
-pub fn delete(plant: &Plant, owner: &Owner) -> Result<u64, PipelineError> {
+pub fn delete(plant: &Plant, owner: &Owner) -> Result<u64> {
     let digests = plant.ledger.retention.to_delete(owner.address, ROUND)?;
-    if digests.is_empty() {
-        return Ok(0);
+    if !digests.is_empty() {
+        let erased = plant.ledger.erasures.erased_among(&digests)?;
+        plant.ciphertext.scour(&erased)?;
+        plant.ciphertext.discard(&digests)?;
+        note_deleted(plant, &digests)?;
     }
-    let erased = plant.ledger.erasures.erased_among(&digests)?;
-    plant.ciphertext.scour(&erased)?;
-    plant.ciphertext.discard(&digests)?;
-    plant.ledger.retention.deleted(&digests)?;
+    Ok(digests.len() as u64)
+}
+
+fn note_deleted(plant: &Plant, digests: &[Digest]) -> Result<()> {
+    plant.ledger.retention.deleted(digests)?;
     plant.observer.erased();
     plant.observer.records_changed();
-    Ok(digests.len() as u64)
+    Ok(())
 }
 
 /// The longest reason, characters.
 pub const LONGEST_REASON: usize = 500;
 
-/// What became of the chosen records.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Erased {
     /// Named: their bytes go when the retention records are confirmed.
@@ -260,11 +232,8 @@ pub fn can_be(row: &RecordRow) -> bool {
     row.kind.is_content() && row.state == RecordState::Verified && row.deleted_at.is_none()
 }
 
-/// Names these records of an owner, each of which [`can_be`] erased, as erased. One caller at a time.
-///
-/// # Errors
-/// [`PipelineError::Uncovered`] without keys to seal with, errors of sealing and of the store; what was named stays so.
-pub fn name(plant: &Plant, owner: &Owner, rows: &[RecordRow], erasure: &Erasure) -> Result<Erased, PipelineError> {
+/// Names records, each of which [`can_be`] erased. What was named before an error stays so. One caller at a time.
+pub fn name(plant: &Plant, owner: &Owner, rows: &[RecordRow], erasure: &Erasure) -> Result<Erased> {
     let mut topics: BTreeMap<(TopicId, RecorderId), Vec<&RecordRow>> = BTreeMap::new();
     for row in rows {
         topics.entry((row.topic_id, row.recorder)).or_default().push(row);
@@ -292,35 +261,19 @@ pub fn name(plant: &Plant, owner: &Owner, rows: &[RecordRow], erasure: &Erasure)
     Ok(done)
 }
 
-/// Seals and stores the retention record of some records of one topic.
-fn report_erased(
-    plant: &Plant,
-    owner: &Owner,
-    records: Vec<(&RecordRow, Vec<u8>)>,
-    erasure: &Erasure,
-) -> Result<(), PipelineError> {
-    let uncovered = || PipelineError::Uncovered(TOPIC.to_owned());
-    let keys = owner.sealing().ok_or_else(uncovered)?;
-    let place = keys.topic(TOPIC).ok_or_else(uncovered)?;
+fn report_erased(plant: &Plant, owner: &Owner, records: Vec<(&RecordRow, Vec<u8>)>, erasure: &Erasure) -> Result<()> {
     let Some((first, _)) = records.first() else { return Ok(()) };
     let gone: Vec<_> = records.iter().map(|(row, _)| (row.digest, row.seq, row.bytes)).collect();
     let about = (first.topic_id, first.topic.clone(), erasure.to_string());
-    let body = report_body(plant, (&keys.domain, owner.address), about, &gone);
-    let speaker = Speaker::of(&keys, owner.address, &place);
-    let statement = Statement { kind: RecordKind::Retention, topic: TOPIC, type_name: TYPE, body: &body };
     let named: Vec<(Digest, Vec<u8>)> = records.into_iter().map(|(row, header)| (row.digest, header)).collect();
     let told = named.clone();
-    statement::put(plant, &speaker, statement, |row| plant.ledger.erasures.erase(row, erasure, named))?;
+    let sealed = report(plant, owner, about, &gone, |row| plant.ledger.erasures.erase(row, erasure, named))?;
+    let keys = sealed.ok_or_else(|| PipelineError::Uncovered(TOPIC.to_owned()))?;
     state(plant, (&keys.signing, &owner.eoa()), erasure, &told)
 }
 
 /// Signs for readers who never had these records, and for gateways that have copies, that they were erased.
-fn state(
-    plant: &Plant,
-    keys: (&SmKeyPair, &EoaSecret),
-    erasure: &Erasure,
-    erased: &[(Digest, Vec<u8>)],
-) -> Result<(), PipelineError> {
+fn state(plant: &Plant, keys: (&SmKeyPair, &EoaSecret), erasure: &Erasure, erased: &[(Digest, Vec<u8>)]) -> Result<()> {
     let mut statements = Vec::with_capacity(erased.len());
     for (digest, header) in erased {
         let Some(retained) = plant.ledger.retention.find(*digest)? else { continue };
@@ -329,22 +282,20 @@ fn state(
     Ok(plant.ledger.erasures.keep(statements)?)
 }
 
-/// What an owner states of one erased record, signed by d_C and by the account.
 pub fn stated(
     plant: &Plant,
     (signing, account): (&SmKeyPair, &EoaSecret),
     about: (&Digest, &[u8]),
     when: (Digest, Timestamp),
-) -> Result<StatedErasure, PipelineError> {
+) -> Result<StatedErasure> {
     let statement = ErasedStatement::sign(plant.provider, signing, about, when)?;
     let signature = statement.sign_by_account(plant.provider, account, about)?;
     let account = Some(signature.0.to_vec());
     Ok(StatedErasure { digest: *about.0, statement: statement.encode(), account })
 }
 
-/// States again what an owner had erased under an earlier key. Returns whether nothing is left to state; as long as there is,
-/// it is to be called again.
-pub fn restate(plant: &Plant, owner: &Owner, signing: &SmKeyPair) -> Result<bool, PipelineError> {
+/// States erasures made under an earlier key again. Returns whether none is left; until then, call again.
+pub fn restate(plant: &Plant, owner: &Owner, signing: &SmKeyPair) -> Result<bool> {
     let unstated = plant.ledger.erasures.unstated(owner.address, &signing.public, ROUND)?;
     let (keys, count) = ((signing, &owner.eoa()), unstated.len());
     let mut statements = Vec::with_capacity(count);
@@ -355,8 +306,8 @@ pub fn restate(plant: &Plant, owner: &Owner, signing: &SmKeyPair) -> Result<bool
     Ok(count < ROUND)
 }
 
-/// Whether a record that is gone, and whose retention record is not here, was erased as its owner states: with a key that
-/// was the owner's, if a network is there to say so.
+/// Whether a gone record whose retention record is not here was erased as its owner states, with a key that was the
+/// owner's if a network is there to say so.
 pub fn is_stated(plant: &Plant, network: Option<&Network>, digest: Digest, retained: &Retained) -> bool {
     let Some(bytes) = &retained.stated else { return false };
     let Ok(statement) = ErasedStatement::parse(bytes) else { return false };
@@ -387,7 +338,6 @@ struct Held {
 }
 
 impl Held {
-    /// For a topic, by its name.
     pub fn of(topic: &str, incidents: &[IncidentRow]) -> Self {
         let about = |span: &&IncidentSpan| span.topics.is_empty() || span.topics.iter().any(|name| name == topic);
         let spans = incidents.iter().map(|incident| &incident.span).filter(about);
@@ -395,14 +345,14 @@ impl Held {
     }
 
     /// The bytes in the spans that retention has not deleted. What was captured a while ago is summed up only once.
-    pub fn bytes(&mut self, plant: &Plant, topic: &KeptTopic, now: Timestamp) -> Result<u64, PipelineError> {
+    pub fn bytes(&mut self, plant: &Plant, topic: &KeptTopic, now: Timestamp) -> Result<u64> {
         let settled = Timestamp(now.0.saturating_sub(UNSETTLED)).max(self.counted);
         self.bytes += self.between_moments(plant, topic, (self.counted, settled))?;
         self.counted = settled;
         Ok(self.bytes + self.between_moments(plant, topic, (settled, EVER))?)
     }
 
-    fn between_moments(&self, plant: &Plant, topic: &KeptTopic, (from, to): Span) -> Result<u64, PipelineError> {
+    fn between_moments(&self, plant: &Plant, topic: &KeptTopic, (from, to): Span) -> Result<u64> {
         let mut bytes = 0;
         for &(since, until) in &self.spans {
             let stretch = (since.max(from), until.min(to));
@@ -413,7 +363,6 @@ impl Held {
         Ok(bytes)
     }
 
-    /// The time between the spans, within one stretch.
     pub fn between(&self, (since, until): Span) -> Vec<Span> {
         let mut free = Vec::with_capacity(self.spans.len() + 1);
         let mut begin = since;
@@ -442,25 +391,20 @@ fn merged(mut spans: Vec<Span>) -> Vec<Span> {
 }
 
 /// A record without its message: the header in place of its bytes. `None` if its signer is unknown.
-pub fn left_of(
-    plant: &Plant,
-    network: &Network,
-    row: &RecordRow,
-    header: Vec<u8>,
-) -> Result<Option<Fetched>, PipelineError> {
+pub fn left_of(plant: &Plant, network: &Network, row: &RecordRow, header: Vec<u8>) -> Result<Option<Fetched>> {
     let Some(signer) = key_of(plant, network, row)? else { return Ok(None) };
     let placed = plant.ledger.records.placed(row.digest)?;
     let proof = placed.and_then(anchor_proof).map(|proof| proof.encode()).unwrap_or_default();
     Ok(Some(Fetched { signer, signature: row.signature, proof, blob: header }))
 }
 
-/// The notice of an erased record, with the statement and the account's signature that the ledger has. `None` if nobody would
-/// accept it now: its owner has another key, its anchor is in no batch of a block, or its signer is unknown.
+/// `None` if nobody would accept it now: its owner has another key, it is in no batch of a block, or its signer is
+/// unknown.
 pub fn notice_of(
     plant: &Plant,
     network: &Network,
     (digest, statement, account): (Digest, &[u8], &[u8]),
-) -> Result<Option<ErasureNotice>, PipelineError> {
+) -> Result<Option<ErasureNotice>> {
     let ledger = &plant.ledger;
     let (Ok(statement), Ok(account)) = (ErasedStatement::parse(statement), account.try_into()) else {
         return Ok(None);
@@ -477,7 +421,6 @@ pub fn notice_of(
     Ok(left.map(|left| ErasureNotice { digest, account_signature: AccountSignature(account), left }))
 }
 
-/// Whether this is the key that an owner has now.
 pub fn is_owners(network: &Network, owner: Address, key: &PublicKey) -> bool {
     let now = Moment::newest(network.directory.now());
     matches!(may_sign(&network.directory, owner, signer_id(key), now), Ok(SigningRight::Owner(_)))

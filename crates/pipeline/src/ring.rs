@@ -1,13 +1,12 @@
-//! The rings between capture and sealer, one per topic: together they hold no more bytes than one budget, and what does
-//! not fit is the newest message, returned to the caller, who counts it. A message holds its bytes until it is
-//! acknowledged, and a topic may hold as much as is left for all the others, so that none can starve them.
+//! Queues between capture and sealer, one a topic, under one budget of bytes. A message that does not fit goes back to
+//! the caller, who counts it. A topic may hold as much as is left for all others, so none starves them.
 
 use std::collections::{HashMap, VecDeque};
 use std::ops::Deref;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// Something with a size in memory.
+/// Size in memory, bytes.
 pub trait Weighted {
     fn weight(&self) -> usize;
 }
@@ -22,22 +21,15 @@ struct Ring<T> {
 #[derive(Debug)]
 struct Inner<T> {
     rings: HashMap<Arc<str>, Ring<T>>,
-    /// Topics with waiting items, in order of their turns.
+    /// Topics with waiting items, in the order of their turns.
     turns: VecDeque<Arc<str>>,
     waiting: usize,
     held: usize,
     /// Items taken and not yet acknowledged.
     in_hand: usize,
-    /// Takers that wait for an item: if there are none, nobody has to be woken, which saves a system call.
+    /// Takers that wait; with none, waking would waste a system call.
     takers: usize,
     closed: bool,
-}
-
-impl<T> Default for Inner<T> {
-    fn default() -> Self {
-        let (rings, turns) = (HashMap::new(), VecDeque::new());
-        Self { rings, turns, waiting: 0, held: 0, in_hand: 0, takers: 0, closed: false }
-    }
 }
 
 impl<T> Inner<T> {
@@ -54,7 +46,6 @@ impl<T> Inner<T> {
     }
 }
 
-/// Queues of all topics under one budget of bytes.
 #[derive(Debug)]
 pub struct Rings<T> {
     inner: Mutex<Inner<T>>,
@@ -97,9 +88,10 @@ impl<T> Drop for Taken<'_, T> {
 }
 
 impl<T: Weighted> Rings<T> {
-    /// Empty rings for at most `capacity` bytes together.
     pub fn new(capacity: usize) -> Self {
-        Self { inner: Mutex::default(), filled: Condvar::new(), emptied: Condvar::new(), capacity }
+        let (rings, turns) = (HashMap::new(), VecDeque::new());
+        let inner = Inner { rings, turns, waiting: 0, held: 0, in_hand: 0, takers: 0, closed: false };
+        Self { inner: Mutex::new(inner), filled: Condvar::new(), emptied: Condvar::new(), capacity }
     }
 
     fn lock(&self) -> MutexGuard<'_, Inner<T>> {
@@ -114,7 +106,7 @@ impl<T: Weighted> Rings<T> {
         }
     }
 
-    /// Appends `item` to its topic's ring, or gives it back where there is no room for it, or all is closed.
+    /// Returns `item` if there is no room or the rings are closed.
     pub fn push(&self, topic: &Arc<str>, item: T) -> Result<(), T> {
         let mut guard = self.lock();
         let inner = &mut *guard;
@@ -130,11 +122,8 @@ impl<T: Weighted> Rings<T> {
         Ok(())
     }
 
-    /// Appends `item` once all rings together hold at most `limit` bytes with it, or nothing; waits up to `patience`
-    /// for that. Items that can wait thus leave the rest of the budget to those that cannot.
-    ///
-    /// # Errors
-    /// The item itself, if there was no room or the rings are closed.
+    /// Waits up to `patience` until all rings together hold at most `limit` bytes with `item`, or nothing; else returns
+    /// it. Items that can wait leave the rest of the budget to those that cannot.
     pub fn push_within(&self, topic: &Arc<str>, item: T, limit: usize, patience: Duration) -> Result<(), T> {
         let (inner, weight) = (self.lock(), item.weight());
         let full = |inner: &mut Inner<T>| !inner.closed && inner.held > 0 && inner.held + weight > limit;
@@ -187,7 +176,6 @@ impl<T: Weighted> Rings<T> {
         self.emptied.notify_all();
     }
 
-    /// Whether further items are refused for good.
     pub fn is_closed(&self) -> bool {
         self.lock().closed
     }
@@ -198,12 +186,10 @@ impl<T: Weighted> Rings<T> {
         (inner.waiting + inner.in_hand, inner.held)
     }
 
-    /// Shows each item that nobody has taken yet.
     pub fn each_waiting(&self, mut show: impl FnMut(&T)) {
         self.lock().rings.values().flat_map(|ring| &ring.items).for_each(&mut show);
     }
 
-    /// The most bytes they may hold.
     pub fn capacity(&self) -> usize {
         self.capacity
     }

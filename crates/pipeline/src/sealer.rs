@@ -1,6 +1,5 @@
-//! Seals captured messages and acknowledges them: a round is planned in order (`plan`), sealed on as many cores as is
-//! worthwhile (`sealing`) and acknowledged in order again, with one fsync for all waiting records. What fails is kept
-//! and tried again; the rings fill meanwhile.
+//! Seals captured messages and acknowledges them: a round is planned in order, sealed on several cores and acknowledged
+//! in order, with one fsync. What fails is kept and tried again; the rings fill meanwhile.
 
 pub(super) mod plan;
 mod sealing;
@@ -20,14 +19,13 @@ use super::recorder::CapturedMessage;
 use super::ring::{Rings, Weighted};
 use super::session::Sessions;
 use super::stages::{Milestone, Stage};
-use super::{PipelineError, Plant};
+use super::{PipelineError, Plant, Result};
 
 use self::plan::{Planner, Task};
 use self::sealing::{Ready, seal_all};
 
-/// The most messages sealed before they are acknowledged together.
+/// Messages, and below bytes, sealed before they are acknowledged together.
 const ROUND: usize = 256;
-/// The most bytes sealed before they are acknowledged together.
 const ROUND_BYTES: usize = 8 * 1024 * 1024;
 /// A round of this many messages suggests that more are coming.
 const SOME: usize = 8;
@@ -41,7 +39,6 @@ const LAST_TRIES: Duration = Duration::from_secs(3);
 /// A round ended in a panic; its messages are not acknowledged.
 struct Panicked;
 
-/// Seals everything that comes through the rings.
 pub struct Sealer {
     plant: Plant,
     sessions: Arc<Sessions>,
@@ -49,24 +46,21 @@ pub struct Sealer {
     losses_at: Instant,
     boot_id: [u8; 16],
     planner: Planner,
-    /// Where messages of topics go that nobody watches, once there is one.
+    /// Takes messages of topics that nobody watches.
     ring: Arc<OnceLock<SharedRing>>,
 }
 
 impl Sealer {
-    /// A sealer over `plant`; `sessions` learn which records they wait for, `losses` what did not become one.
     pub fn new(plant: Plant, sessions: Arc<Sessions>, losses: Arc<Losses>) -> Self {
-        let (losses_at, planner) = (Instant::now(), Planner::new());
-        Self { plant, sessions, losses, losses_at, boot_id: boot_id(), planner, ring: Arc::default() }
+        let planner = Planner::new();
+        Self { plant, sessions, losses, losses_at: Instant::now(), boot_id: boot_id(), planner, ring: Arc::default() }
     }
 
-    /// Seals messages without compression.
     pub fn without_compression(mut self) -> Self {
         self.planner.packing = None;
         self
     }
 
-    /// The same with a ring on the disk, now or later.
     #[must_use]
     pub fn with_ring(self, ring: Arc<OnceLock<SharedRing>>) -> Self {
         Self { ring, ..self }
@@ -104,7 +98,7 @@ impl Sealer {
         }
     }
 
-    /// Not forever when the program ends: then they are counted as lost.
+    /// Gives up when the program ends; then the messages count as lost.
     fn try_to_store(
         &mut self,
         items: &[CapturedMessage],
@@ -154,7 +148,7 @@ impl Sealer {
         Ok(())
     }
 
-    /// Notes what would die with the process, or that there is nothing any more.
+    /// Notes what would die with the process, or that nothing would.
     fn note_waiting(&self, waiting: InMemory) {
         if waiting.is_empty() && !self.losses.is_noted() {
             return;
@@ -185,8 +179,7 @@ impl Sealer {
         self.losses.note(&item.author, Lost::message(&item.message), reason);
     }
 
-    /// Writes losses to the ledger, once a second, and seals gap records for those a few seconds old; all of them at
-    /// the `end`.
+    /// Writes losses to the ledger once a second, and seals gap records for older ones; at the `end`, for all.
     fn tell_losses(&mut self, end: bool) {
         if !end && self.losses_at.elapsed() < LOSSES_EVERY {
             return;
@@ -198,7 +191,7 @@ impl Sealer {
         match told.and_then(|()| self.losses.tell(&self.plant, by)) {
             Ok(told) => self.planner.seqs.extend(told),
             Err(error) => {
-                // The ledger knows of a stream whose number was used all the same.
+                // Numbers may have been used: the ledger knows.
                 self.planner.seqs.clear();
                 let text = format!("lost messages are counted, but not yet reported in gap records: {error}");
                 self.plant.observer.alert(true, text);
@@ -209,8 +202,8 @@ impl Sealer {
         }
     }
 
-    /// Seals and stores; the definitions that went with it.
-    fn round(&mut self, items: &[CapturedMessage]) -> Result<Vec<StoredDefinition>, PipelineError> {
+    /// Returns the definitions that were stored.
+    fn round(&mut self, items: &[CapturedMessage]) -> Result<Vec<StoredDefinition>> {
         let begun = Instant::now();
         let plan = self.planner.plan(&self.plant, items)?;
         let ready = seal_all(&self.plant, self.boot_id, &plan.tasks)?;
@@ -231,7 +224,6 @@ impl Sealer {
         Ok(plan.tasks.iter().filter_map(Task::definition_id).collect())
     }
 
-    /// The outcome of compression for each message, in order.
     fn learn(&mut self, tasks: &[Task<'_>], ready: &[Ready]) {
         let Some(packing) = &mut self.planner.packing else { return };
         for (task, one) in tasks.iter().zip(ready) {
@@ -247,7 +239,7 @@ impl Sealer {
         }
     }
 
-    fn acknowledge(&self, tasks: &[Task<'_>], ready: Vec<Ready>) -> Result<(), PipelineError> {
+    fn acknowledge(&self, tasks: &[Task<'_>], ready: Vec<Ready>) -> Result<()> {
         let (rows, holds): (Vec<_>, Vec<_>) = ready.into_iter().map(|one| (one.row, one.hold)).unzip();
         let sound = |task: &&Task<'_>| task.is_message() && task.item.doubt.is_none();
         let kept = self.plant.keep(rows, |rows| {
@@ -265,15 +257,13 @@ impl Sealer {
     }
 }
 
-/// How long the next round collects messages after one with this number of messages and bytes and this duration: the
-/// fixed cost of a commit is then shared by more records. There is no wait if few messages come, if a round was full,
-/// or if as many again might not fit into the rings.
+/// How long the next round collects messages, so that more records share the cost of a commit. Zero after few messages,
+/// after a full round, or if as many again might not fit into the rings.
 fn gathering((taken, bytes): (usize, usize), took: Duration, capacity: usize) -> Duration {
     let more = (SOME..ROUND).contains(&taken) && bytes < ROUND_BYTES && bytes <= capacity / 4;
     if more { took.min(LONGEST_GATHERING) } else { Duration::ZERO }
 }
 
-/// Why messages wait, as a gap record tells it of those that did not fit any more.
 fn cause(error: &PipelineError) -> LossReason {
     match error {
         PipelineError::Store(StoreError::DiskFull { .. }) => LossReason::Disk,

@@ -8,7 +8,6 @@ use tokio::sync::Notify;
 
 use crate::model::Digest;
 
-/// Figures of one topic of a session.
 #[derive(Debug, Default)]
 struct TopicTally {
     captured: AtomicU64,
@@ -20,18 +19,15 @@ struct TopicTally {
     type_name: OnceLock<String>,
 }
 
-/// Figures of one topic, as counted so far.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TopicFigures {
     pub topic: String,
-    /// Type of the first message, if one came.
     pub type_name: Option<String>,
     /// Messages taken, including quarantined ones.
     pub captured: u64,
     pub verified: u64,
     /// Of these tampered or missing.
     pub tampered: u64,
-    /// Of these quarantined, because their publisher is not a pinned one.
     pub quarantined: u64,
     /// Lost in transport or in the recorder.
     pub lost: u64,
@@ -39,7 +35,6 @@ pub struct TopicFigures {
     pub skipped: u64,
 }
 
-/// A capture with an end.
 #[derive(Debug)]
 pub struct CaptureSession {
     topics: BTreeMap<String, TopicTally>,
@@ -47,7 +42,6 @@ pub struct CaptureSession {
     tags: Vec<(String, String)>,
     /// Whether the outcome of its records is followed.
     followed: bool,
-    /// How many of its messages are stored and acknowledged.
     acknowledged: AtomicU64,
     closed: AtomicBool,
     changed: Notify,
@@ -67,7 +61,6 @@ impl CaptureSession {
         Self { followed: false, ..Self::new(topics, limit, tags) }
     }
 
-    /// Tags that its messages get.
     pub fn tags(&self) -> &[(String, String)] {
         &self.tags
     }
@@ -96,7 +89,6 @@ impl CaptureSession {
         true
     }
 
-    /// A message of another type than requested came, and was not taken.
     pub fn skip(&self, topic: &str) {
         if let Some(tally) = self.topics.get(topic).filter(|_| !self.closed.load(Ordering::Acquire)) {
             tally.skipped.fetch_add(1, Ordering::AcqRel);
@@ -113,7 +105,6 @@ impl CaptureSession {
         self.changed.notify_waiters();
     }
 
-    /// Messages that never arrived.
     pub fn lost_in_transport(&self, topic: &str, count: u64) {
         if let Some(tally) = self.topics.get(topic).filter(|_| !self.closed.load(Ordering::Acquire)) {
             tally.lost.fetch_add(count, Ordering::AcqRel);
@@ -128,13 +119,11 @@ impl CaptureSession {
         self.changed.notify_waiters();
     }
 
-    /// So many more of its messages are stored and acknowledged.
     pub(crate) fn acknowledge(&self, messages: u64) {
         self.acknowledged.fetch_add(messages, Ordering::AcqRel);
         self.changed.notify_waiters();
     }
 
-    /// Whether every captured message is stored and acknowledged.
     pub fn is_acknowledged(&self) -> bool {
         let acknowledged = self.acknowledged.load(Ordering::Acquire);
         self.figures().iter().map(|topic| topic.captured).sum::<u64>() <= acknowledged
@@ -145,18 +134,15 @@ impl CaptureSession {
         self.topics.values().all(full)
     }
 
-    /// Takes no further messages.
     pub fn close(&self) {
         self.closed.store(true, Ordering::Release);
         self.changed.notify_waiters();
     }
 
-    /// Whether it takes no further messages.
     pub fn is_closed(&self) -> bool {
         self.closed.load(Ordering::Acquire)
     }
 
-    /// Waits until it is closed.
     pub async fn closed(&self) {
         self.wait_for(Self::is_closed).await;
     }
@@ -199,14 +185,12 @@ impl CaptureSession {
 
 type Waiting = Vec<(Arc<CaptureSession>, Arc<str>)>;
 
-/// Which sessions wait for which records.
 #[derive(Debug, Default)]
 pub struct Sessions {
     waiting: Mutex<HashMap<Digest, Waiting>>,
 }
 
 impl Sessions {
-    /// `sessions` wait for the record `digest` of `topic`.
     pub fn wait(&self, digest: Digest, topic: &Arc<str>, sessions: &[Arc<CaptureSession>]) {
         let mut followed = sessions.iter().filter(|session| session.followed).peekable();
         if followed.peek().is_none() {
@@ -216,7 +200,6 @@ impl Sessions {
         self.waiting.lock().unwrap_or_else(PoisonError::into_inner).entry(digest).or_default().extend(entries);
     }
 
-    /// The outcome of these records is known.
     pub fn settle(&self, digests: &[Digest], verified: bool) {
         let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
         for (session, topic) in digests.iter().filter_map(|digest| waiting.remove(digest)).flatten() {

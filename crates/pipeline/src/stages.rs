@@ -1,5 +1,4 @@
-//! How long a message takes from capture to each milestone, and how busy each stage of the line is. Counters only: they
-//! cost a few atomic additions per round.
+//! Times from capture to each milestone, and how busy each stage is: counters that cost a few atomic additions a round.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
@@ -15,7 +14,6 @@ const QUARTER: usize = 4;
 /// Total buckets, up to 2^40 microseconds (twelve days).
 const BUCKETS: usize = 16 * 37;
 
-/// A milestone of a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Milestone {
     Durable,
@@ -36,7 +34,6 @@ impl Milestone {
     }
 }
 
-/// A stage of the line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stage {
     /// Key derivation, SM4, SM3, SM2 signature.
@@ -51,7 +48,6 @@ pub enum Stage {
 }
 
 impl Stage {
-    /// All, in the order of the line.
     pub const ALL: [Self; 5] = [Self::Seal, Self::Commit, Self::Anchor, Self::Watch, Self::Verify];
 
     pub fn word(self) -> &'static str {
@@ -65,37 +61,28 @@ impl Stage {
     }
 }
 
-/// Times of one milestone.
 #[derive(Debug)]
-struct Times {
-    buckets: [AtomicU64; BUCKETS],
-}
-
-/// The counters of a site.
-#[derive(Debug, Default)]
 pub struct Stages {
-    reached: [Times; Milestone::ALL.len()],
+    reached: [[AtomicU64; BUCKETS]; Milestone::ALL.len()],
     busy: [AtomicU64; Stage::ALL.len()],
 }
 
-impl Default for Times {
+impl Default for Stages {
     fn default() -> Self {
-        Self { buckets: std::array::from_fn(|_| AtomicU64::new(0)) }
+        let zero = |_: usize| AtomicU64::new(0);
+        Self { reached: std::array::from_fn(|_| std::array::from_fn(zero)), busy: std::array::from_fn(zero) }
     }
 }
 
 impl Stages {
-    /// Messages captured at these times have now reached a milestone.
     pub fn reached(&self, milestone: Milestone, captured: impl IntoIterator<Item = Timestamp>) {
         let now = Timestamp::now();
         for captured in captured {
             let microseconds = now.0.saturating_sub(captured.0) / 1_000;
-            let times = &self.reached[milestone as usize];
-            times.buckets[bucket(microseconds)].fetch_add(1, Ordering::Relaxed);
+            self.reached[milestone as usize][bucket(microseconds)].fetch_add(1, Ordering::Relaxed);
         }
     }
 
-    /// Does `work`, and counts the time it takes.
     pub fn count<T>(&self, stage: Stage, work: impl FnOnce() -> T) -> T {
         let begun = Instant::now();
         let done = work();
@@ -103,27 +90,24 @@ impl Stages {
         done
     }
 
-    /// A stage was busy for this long.
     pub fn spent(&self, stage: Stage, time: Duration) {
         let nanoseconds = u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
         self.busy[stage as usize].fetch_add(nanoseconds, Ordering::Relaxed);
     }
 
-    /// How long a stage was busy since the site started.
     pub fn busy(&self, stage: Stage) -> Duration {
         Duration::from_nanos(self.busy[stage as usize].load(Ordering::Relaxed))
     }
 
-    /// How many messages have reached a milestone.
     pub fn count_of(&self, milestone: Milestone) -> u64 {
-        self.reached[milestone as usize].buckets.iter().map(|bucket| bucket.load(Ordering::Relaxed)).sum()
+        self.reached[milestone as usize].iter().map(|bucket| bucket.load(Ordering::Relaxed)).sum()
     }
 
     /// How many messages reached a milestone within each of these powers of two, microseconds; the total number; and
     /// the total of their seconds, at most 1/16 too high.
     pub fn within_powers(&self, milestone: Milestone, powers: &[u32]) -> (Vec<u64>, u64, f64) {
         let (mut within, mut all, mut seconds) = (vec![0; powers.len()], 0, 0.0);
-        for (index, bucket) in self.reached[milestone as usize].buckets.iter().enumerate() {
+        for (index, bucket) in self.reached[milestone as usize].iter().enumerate() {
             let (count, end) = (bucket.load(Ordering::Relaxed), end_of(index));
             all += count;
             seconds += Duration::from_micros(end).as_secs_f64() * to_float(count);
@@ -134,10 +118,9 @@ impl Stages {
         (within, all, seconds)
     }
 
-    /// How many messages reached a milestone, by the longest time of their quarter of a doubling, microseconds; only
-    /// times that occurred.
+    /// Messages by the longest time of their quarter of a doubling, microseconds; only times that occurred.
     pub fn spread(&self, milestone: Milestone) -> Vec<(u64, u64)> {
-        let buckets = &self.reached[milestone as usize].buckets;
+        let buckets = &self.reached[milestone as usize];
         let counted = buckets.chunks(QUARTER).enumerate().map(|(place, quarter)| {
             let count = quarter.iter().map(|bucket| bucket.load(Ordering::Relaxed)).sum();
             (end_of(place * QUARTER + QUARTER - 1), count)
@@ -150,7 +133,7 @@ impl Stages {
         let all = self.count_of(milestone);
         let rank = (all * percent).div_ceil(100).max(1);
         let mut seen = 0;
-        let buckets = &self.reached[milestone as usize].buckets;
+        let buckets = &self.reached[milestone as usize];
         let found = buckets.iter().position(|bucket| {
             seen += bucket.load(Ordering::Relaxed);
             seen >= rank
@@ -216,7 +199,7 @@ mod tests {
     fn a_time_just_below_a_power_of_two_is_within_it_and_one_of_it_is_not() {
         let stages = Stages::default();
         for microseconds in [1_023, 1_024, 4_095, 70_000] {
-            stages.reached[0].buckets[bucket(microseconds)].fetch_add(1, Ordering::Relaxed);
+            stages.reached[0][bucket(microseconds)].fetch_add(1, Ordering::Relaxed);
         }
         assert_eq!(stages.spread(Milestone::Durable), [(1_023, 1), (1_279, 1), (4_095, 1), (81_919, 1)]);
         assert!(stages.spread(Milestone::Verified).is_empty());

@@ -1,5 +1,6 @@
-//! Records that the site itself writes for an owner: sealed, stored and acknowledged like captured messages, then
-//! batched, anchored and verified by the same workers.
+//! Records that the site writes for an owner: sealed, stored, anchored and verified like captured messages.
+
+use std::collections::BTreeMap;
 
 use crate::crypto::{SealRequest, SmKeyPair, TopicKey, seal, signer_id};
 use crate::model::head::Compression;
@@ -7,29 +8,20 @@ use crate::model::{Address, Digest, Domain, FilterId, Head, RecordKind, Timestam
 use crate::store::{NewRecord, StoreError};
 
 use super::epoch::{EpochKeys, TopicKeys};
-use super::{PipelineError, Plant};
+use super::{Plant, Result};
 
-/// The content of a statement.
 #[derive(Debug, Clone, Copy)]
 pub struct Statement<'a> {
-    /// The kind of record.
     pub kind: RecordKind,
     /// The name it is filed under; no ROS name begins like this (`authros/…`).
     pub topic: &'a str,
     /// Takes the place of a message type.
     pub type_name: &'a str,
-    /// The bytes to seal.
     pub body: &'a [u8],
 }
 
-/// Seals and stores a statement of `owner`; durable when this returns. `None` if the keys do not cover its name. One
-/// caller at a time per owner and topic.
-pub fn state(
-    plant: &Plant,
-    owner: Address,
-    keys: &EpochKeys,
-    statement: Statement<'_>,
-) -> Result<Option<Digest>, PipelineError> {
+/// Durable when this returns. `None` if the keys do not cover its name. One caller at a time per owner and topic.
+pub fn state(plant: &Plant, owner: Address, keys: &EpochKeys, statement: Statement<'_>) -> Result<Option<Digest>> {
     let Some(topic) = keys.topic(statement.topic) else { return Ok(None) };
     let speaker = Speaker::of(keys, owner, &topic);
     put(plant, &speaker, statement, |row| {
@@ -44,9 +36,9 @@ pub fn state_to_be_found(
     owner: Address,
     keys: &EpochKeys,
     statement: Statement<'_>,
-) -> Result<Option<Digest>, PipelineError> {
+) -> Result<Option<Digest>> {
     let Some(topic) = keys.topic(statement.topic) else { return Ok(None) };
-    let filters = topic.filters(statement.type_name, &std::collections::BTreeMap::new());
+    let filters = topic.filters(statement.type_name, &BTreeMap::new());
     let speaker = Speaker::of(keys, owner, &topic);
     put_filtered(plant, &speaker, statement, filters, |row| {
         let digest = row.digest;
@@ -54,20 +46,16 @@ pub fn state_to_be_found(
     })
 }
 
-/// The owner and keys of a statement.
 pub struct Speaker<'a> {
     pub domain: Domain,
     pub owner: Address,
     pub signing: &'a SmKeyPair,
-    /// The epoch stated in its header.
     pub epoch: u64,
-    /// Pseudonym of the name it is filed under.
     pub topic_id: TopicId,
     pub topic_key: &'a TopicKey,
 }
 
 impl<'a> Speaker<'a> {
-    /// `owner`, with the keys of an epoch, about a topic of it.
     pub fn of(keys: &'a EpochKeys, owner: Address, topic: &'a TopicKeys) -> Self {
         Self {
             domain: keys.domain,
@@ -80,13 +68,12 @@ impl<'a> Speaker<'a> {
     }
 }
 
-/// Seals a statement and stores it, acknowledged by what `acknowledge` does with its row.
 pub fn put<T>(
     plant: &Plant,
     speaker: &Speaker<'_>,
     statement: Statement<'_>,
     acknowledge: impl FnOnce(NewRecord) -> Result<T, StoreError>,
-) -> Result<T, PipelineError> {
+) -> Result<T> {
     put_filtered(plant, speaker, statement, Vec::new(), acknowledge)
 }
 
@@ -96,11 +83,21 @@ fn put_filtered<T>(
     statement: Statement<'_>,
     filters: Vec<FilterId>,
     acknowledge: impl FnOnce(NewRecord) -> Result<T, StoreError>,
-) -> Result<T, PipelineError> {
+) -> Result<T> {
     let Statement { kind, topic, type_name, body } = statement;
     let Speaker { domain, owner, signing, epoch, topic_id, topic_key } = *speaker;
     let seq = plant.ledger.records.next_seq(owner, signer_id(&signing.public), topic_id)?;
-    let head = head(topic, type_name, body.len());
+    let head = Head {
+        topic: topic.to_owned(),
+        type_name: type_name.to_owned(),
+        md5sum: String::new(),
+        definition: Digest([0; 32]),
+        caller_id: String::new(),
+        boot_id: [0; 16],
+        compression: Compression::None,
+        plain_length: body.len() as u64,
+        tags: BTreeMap::new(),
+    };
     let request = SealRequest {
         domain,
         owner,
@@ -118,18 +115,4 @@ fn put_filtered<T>(
     };
     let row = NewRecord::sealed(seal(plant.provider, &request)?).named(&head);
     Ok(plant.keep([row], |[row]| acknowledge(row))?)
-}
-
-fn head(topic: &str, type_name: &str, length: usize) -> Head {
-    Head {
-        topic: topic.to_owned(),
-        type_name: type_name.to_owned(),
-        md5sum: String::new(),
-        definition: Digest([0; 32]),
-        caller_id: String::new(),
-        boot_id: [0; 16],
-        compression: Compression::None,
-        plain_length: length as u64,
-        tags: std::collections::BTreeMap::new(),
-    }
 }

@@ -1,6 +1,7 @@
-//! The last step: re-reads confirmed records from the store and checks digest and signature, some at a time on as many
-//! cores as it pays. The store is asked for many at once; each record is checked by itself.
+//! The last step: re-reads confirmed records from the store, and checks digest and signature on several cores.
 
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::time::Instant;
 
 use crate::authority::{self, NoRight};
@@ -9,14 +10,13 @@ use crate::model::{Digest, PublicKey, RecordState};
 use crate::retention::is_stated;
 use crate::stages::{Milestone, Stage};
 use crate::store::{RecordQuery, RecordRow};
-use crate::{Network, PipelineError, Plant, chain_proofs, columns};
+use crate::{Network, Plant, Result, chain_proofs, columns};
 
 /// Records per round: this many share the cost of a page of a ledger with many topics.
 const ROUND: usize = 512;
 /// Bytes read before they are checked together, unless a single record is larger.
 const PIECE: u64 = 4 << 20;
 
-/// What a page of records came to.
 #[derive(Default)]
 struct Outcome<'a> {
     good: Vec<&'a RecordRow>,
@@ -26,13 +26,13 @@ struct Outcome<'a> {
 }
 
 /// Checks up to [`ROUND`] confirmed records; returns how many it decided about.
-pub fn verify_round(plant: &Plant, network: &Network) -> Result<usize, PipelineError> {
+pub fn verify_round(plant: &Plant, network: &Network) -> Result<usize> {
     let state = Some(RecordState::Confirmed);
     let page = plant.ledger.records.list(&RecordQuery { state, limit: ROUND, ..RecordQuery::default() })?;
     verify_page(plant, network, &page.rows)
 }
 
-fn verify_page(plant: &Plant, network: &Network, rows: &[RecordRow]) -> Result<usize, PipelineError> {
+fn verify_page(plant: &Plant, network: &Network, rows: &[RecordRow]) -> Result<usize> {
     let begun = Instant::now();
     if !rows.is_empty() {
         fault::point("read-back");
@@ -63,15 +63,30 @@ fn verify_page(plant: &Plant, network: &Network, rows: &[RecordRow]) -> Result<u
 }
 
 impl<'a> Outcome<'a> {
-    /// Reads some records and checks them together: each in full, including its signature, own and foreign ones alike.
-    fn judge(&mut self, plant: &Plant, network: &Network, rows: &[&'a RecordRow]) -> Result<(), PipelineError> {
-        let mut read = Vec::with_capacity(rows.len());
-        for (row, found) in rows.iter().zip(read_back(plant, network, rows)?) {
-            match found {
-                ReadBack::Bytes(blob, signer) => read.push((*row, blob, signer)),
-                ReadBack::Decided(true) => self.good.push(row),
-                ReadBack::Decided(false) => self.bad.push(row),
-                ReadBack::PassedOver(why) => self.passed.push((*row, why)),
+    /// Own and foreign records alike are checked in full, signature included.
+    fn judge(&mut self, plant: &Plant, network: &Network, rows: &[&'a RecordRow]) -> Result<()> {
+        let mut signed = Vec::with_capacity(rows.len());
+        let mut known: HashMap<_, Result<PublicKey, NoRight>> = HashMap::new();
+        for &row in rows {
+            let signer = match known.entry((row.owner, row.signer, row.block)) {
+                Entry::Occupied(known) => known.get().clone(),
+                Entry::Vacant(unknown) => unknown.insert(authority::signer_of(plant, network, row)?).clone(),
+            };
+            match signer {
+                Ok(signer) => signed.push((row, signer)),
+                Err(NoRight::KeyUnknown { .. }) => self.bad.push(row),
+                // Its signer had no right at the anchoring block: that anchor does not count, but a later one may.
+                Err(why) => self.passed.push((row, why)),
+            }
+        }
+        let wanted: Vec<Digest> = signed.iter().map(|(row, _)| row.digest).collect();
+        let mut read = Vec::with_capacity(signed.len());
+        // Never from the cache: this proves what is on the disk.
+        for ((row, signer), blob) in signed.into_iter().zip(plant.ciphertext.get_many(&wanted)?) {
+            match blob {
+                Some(blob) => read.push((row, blob, signer)),
+                None if is_sound_without(plant, network, row, &signer)? => self.good.push(row),
+                None => self.bad.push(row),
             }
         }
         let mut records = Vec::with_capacity(read.len());
@@ -79,16 +94,15 @@ impl<'a> Outcome<'a> {
             let (signature, anchor) = (&row.signature, Anchor::Chain(row.digest));
             records.push(Unchecked { blob, signature, signer, anchor });
         }
-        let (mut same, mut other) = (Vec::with_capacity(read.len()), Vec::new());
+        let mut same = Vec::with_capacity(read.len());
         for ((row, ..), checked) in read.iter().zip(check_many(plant.provider, &records)) {
             let is_same = checked.is_ok_and(|(header, digest, _)| {
                 digest == row.digest
                     && columns::header_difference(row, &header).is_none()
                     && network.domain == header.domain
             });
-            if is_same { same.push(*row) } else { other.push(*row) }
+            if is_same { same.push(*row) } else { self.bad.push(row) }
         }
-        self.bad.extend(other);
         for (row, sighted) in same.iter().zip(chain_proofs::were_sighted(plant, &same)?) {
             if sighted { self.good.push(row) } else { self.bad.push(row) }
         }
@@ -96,7 +110,7 @@ impl<'a> Outcome<'a> {
     }
 }
 
-fn settle(plant: &Plant, rows: &[&RecordRow], state: RecordState) -> Result<(), PipelineError> {
+fn settle(plant: &Plant, rows: &[&RecordRow], state: RecordState) -> Result<()> {
     if rows.is_empty() {
         return Ok(());
     }
@@ -107,66 +121,27 @@ fn settle(plant: &Plant, rows: &[&RecordRow], state: RecordState) -> Result<(), 
         plant.observer.verified(&digests);
     } else {
         plant.observer.tampered(&digests);
-        plant.observer.alert(
-            true,
-            format!("{} records differ from what was anchored, or are missing from the store", digests.len()),
-        );
+        let count = digests.len();
+        let text = format!("{count} records differ from what was anchored, or are missing from the store");
+        plant.observer.alert(true, text);
     }
     plant.observer.records_changed();
     Ok(())
 }
 
 /// Records whose anchors do not count are stored again: they are anchored anew as soon as their signers may sign.
-fn pass_over(plant: &Plant, passed: &[(&RecordRow, NoRight)]) -> Result<(), PipelineError> {
+fn pass_over(plant: &Plant, passed: &[(&RecordRow, NoRight)]) -> Result<()> {
     let Some((_, why)) = passed.first() else { return Ok(()) };
     let digests: Vec<Digest> = passed.iter().map(|(row, _)| row.digest).collect();
     let moved = plant.ledger.batches.pass_over(&digests)?;
-    plant
-        .observer
-        .alert(false, format!("{moved} records will be anchored again because their block does not count: {why}"));
+    let text = format!("{moved} records will be anchored again because their block does not count: {why}");
+    plant.observer.alert(false, text);
     plant.observer.records_changed();
     Ok(())
 }
 
-/// A record as it was read back.
-enum ReadBack {
-    /// Its stored bytes, and the key that could sign it.
-    Bytes(Vec<u8>, PublicKey),
-    /// There is nothing to check: whether that is as it should be.
-    Decided(bool),
-    /// Its signer had no right at the anchoring block: that anchor does not count, but a later one may.
-    PassedOver(NoRight),
-}
-
-/// Reads some records back, in their order. The caller bounds their bytes.
-fn read_back(plant: &Plant, network: &Network, rows: &[&RecordRow]) -> Result<Vec<ReadBack>, PipelineError> {
-    let mut signers = authority::Signers::new(plant, network);
-    let signers = rows.iter().map(|row| signers.of(row)).collect::<Result<Vec<_>, _>>()?;
-    let wanted = rows.iter().zip(&signers).filter(|(_, signer)| signer.is_ok());
-    let wanted: Vec<Digest> = wanted.map(|(row, _)| row.digest).collect();
-    // Never from the cache: this proves what lies on the disk.
-    let mut blobs = plant.ciphertext.get_many(&wanted)?.into_iter();
-    let one = |(row, signer): (&&RecordRow, Result<PublicKey, NoRight>)| {
-        let signer = match signer {
-            Ok(signer) => signer,
-            Err(NoRight::KeyUnknown { .. }) => return Ok(ReadBack::Decided(false)),
-            Err(why) => return Ok(ReadBack::PassedOver(why)),
-        };
-        match blobs.next().flatten() {
-            Some(blob) => Ok(ReadBack::Bytes(blob, signer)),
-            None => is_sound_without(plant, network, row, &signer).map(ReadBack::Decided),
-        }
-    };
-    rows.iter().zip(signers).map(one).collect()
-}
-
 /// After a reorganisation a record is verified again although retention has deleted it meanwhile.
-fn is_sound_without(
-    plant: &Plant,
-    network: &Network,
-    row: &RecordRow,
-    signer: &PublicKey,
-) -> Result<bool, PipelineError> {
+fn is_sound_without(plant: &Plant, network: &Network, row: &RecordRow, signer: &PublicKey) -> Result<bool> {
     let Some(retained) = plant.ledger.retention.find(row.digest)?.filter(|retained| retained.deleted_at.is_some())
     else {
         return Ok(false);

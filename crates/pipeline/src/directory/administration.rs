@@ -8,27 +8,23 @@ use super::Told;
 use crate::chain::Event;
 use crate::model::{Address, Hash, Timestamp};
 
-/// A lost account and its successor.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Succession {
     /// The account whose key is lost or stolen; suspended permanently.
     pub lost: Address,
     pub successor: Address,
-    /// Block in which the administrator named it.
     pub block: u64,
     pub transaction: Hash,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Proposal {
-    /// The account whose key is said to be lost or stolen.
     pub lost: Address,
     pub successor: Address,
     /// Who may stop it, besides the administrator; `None` if its owner had named nobody.
     pub recovery: Option<Address>,
     /// When it can be completed.
     pub due: Timestamp,
-    /// Block in which the administrator proposed it.
     pub block: u64,
 }
 
@@ -43,8 +39,7 @@ pub struct Recovery {
 }
 
 impl Recovery {
-    /// After another account was named, effective at `from`, `delay` seconds after it was named. One that was read
-    /// before changes nothing.
+    /// `next` takes effect at `from`, `delay` seconds after it was named. A naming read before changes nothing.
     pub(super) fn named(known: Option<Self>, next: Option<Address>, from: Timestamp, delay: u64) -> Self {
         let made = Timestamp::from_seconds(from.seconds().saturating_sub(delay));
         match known {
@@ -60,12 +55,10 @@ impl Recovery {
     }
 }
 
-/// The administrator and its decisions.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Administration {
-    /// The administrator; `None` before the first event.
+    /// `None` before the first event.
     pub administrator: Option<Address>,
-    /// The nominated administrator, until it accepts.
     pub nominee: Option<Address>,
     /// Whether anyone may register.
     pub open: bool,
@@ -81,7 +74,7 @@ pub struct Administration {
 }
 
 impl Administration {
-    /// Applies one event; applying it twice changes nothing.
+    /// Applying an event twice changes nothing.
     pub(super) fn apply(&mut self, at: &Told) {
         match &at.event {
             Event::Suspended { account } => drop(self.suspended.insert(*account)),
@@ -115,7 +108,6 @@ impl Administration {
         }
     }
 
-    /// Whether all changes except those that take rights away are paused at `now`.
     pub fn is_paused(&self, now: Timestamp) -> bool {
         self.paused_until.is_some_and(|until| now < until)
     }

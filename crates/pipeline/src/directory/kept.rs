@@ -10,7 +10,6 @@ use crate::chain::{Event, EventAt};
 use crate::model::{Address, Hash, Identity, Token};
 use crate::store::{KeptEnvelope, KeptRight, RightEvent, RightKind, Rights, StoreError};
 
-/// An event with what follows from it alone.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Told {
     pub block: u64,
@@ -31,7 +30,6 @@ struct Written {
 }
 
 impl Told {
-    /// As stored in the ledger.
     pub fn to_row(&self) -> RightEvent {
         let mut event = self.event.clone();
         let envelope = match &mut event {
@@ -81,10 +79,7 @@ impl Told {
     }
 }
 
-/// Fills an empty directory from the ledger; `false` if nothing is stored.
-///
-/// # Errors
-/// Errors of the ledger; [`StoreError::Corrupt`] if what is stored cannot be read, and the directory is then empty.
+/// Fills an empty directory; `false` if nothing is stored. After an error the directory is empty.
 pub fn read_back(rights: &Rights, directory: &Directory) -> Result<bool, StoreError> {
     let standing = rights.standing_rights()?;
     let told: Vec<Told> = standing.events.iter().map(|row| Told::from_row(rights, row)).collect::<Result<_, _>>()?;
@@ -159,8 +154,7 @@ pub fn envelopes(rights: &Rights, grant: &Granted) -> Result<Vec<KeptEnvelope>, 
     Ok(epochs.into_values().rev().flat_map(|known| known.into_iter().rev()).collect())
 }
 
-/// The identities that an account rotated to, with the envelope that hands each over to the keys before it, in the
-/// chain's order.
+/// In the chain's order, each with the envelope that hands it over to the keys before it.
 pub fn handed_over(rights: &Rights, account: Address) -> Result<Vec<(Identity, Vec<u8>)>, StoreError> {
     let mut found = Vec::new();
     for row in rights.other_rights(account)? {
@@ -173,7 +167,6 @@ pub fn handed_over(rights: &Rights, account: Address) -> Result<Vec<(Identity, V
     Ok(found)
 }
 
-/// The token that an account registered for an epoch.
 pub fn token(rights: &Rights, directory: &Directory, owner: Address, epoch: u64) -> Result<Option<Token>, StoreError> {
     let now = directory.with_account(owner, |account| {
         account.filter(|account| account.epoch == epoch).and_then(|account| account.token)
@@ -181,7 +174,6 @@ pub fn token(rights: &Rights, directory: &Directory, owner: Address, epoch: u64)
     now.map_or_else(|| rights.epoch_token(owner, epoch), |token| Ok(Some(token)))
 }
 
-/// Whether an account ever registered this token.
 pub fn has_token(rights: &Rights, directory: &Directory, owner: Address, token: Token) -> Result<bool, StoreError> {
     let now = directory.with_account(owner, |account| account.is_some_and(|account| account.token == Some(token)));
     Ok(now || rights.ever_had_token(owner, token)?)

@@ -1,6 +1,5 @@
-//! The outbox, and the line to the gateway: connects at the first address that answers, sends, and follows the feed for what the
-//! gateway signed for. At another address than the first it goes back as soon as the gateway
-//! answers there again.
+//! The outbox, and the line to the gateway: connects at the first address that answers, sends, and follows the feed.
+//! From a later address it goes back as soon as the gateway answers at an earlier one.
 
 use std::collections::HashSet;
 use std::convert::Infallible;
@@ -18,7 +17,7 @@ use crate::gateway::{Client, GatewayError, Upload};
 use crate::model::{Address, Digest, RecordState, Timestamp, clean};
 use crate::store::files::free_bytes;
 use crate::store::{KeptReceipt, RecordQuery};
-use crate::{PipelineError, Plant};
+use crate::{PipelineError, Plant, Result};
 
 /// How long a gateway with several addresses may be silent before it is polled.
 const SILENCE: Duration = Duration::from_secs(3);
@@ -26,24 +25,23 @@ const SILENCE: Duration = Duration::from_secs(3);
 const LONGEST_LOOK: Duration = Duration::from_secs(300);
 
 pub(super) struct Line<'a> {
-    pub outbox: Outbox,
+    pub outbox: &'a mut Outbox,
     gate: Gate,
     link: watch::Sender<Link>,
     errand: &'a mut Option<Box<dyn Errand>>,
-    /// What the gateway tells of this robot's records.
     pub(super) proofs: Proofs,
     checked: Option<Instant>,
     /// Whether the present session achieved anything.
     pub moved: bool,
     /// When the gateway last answered.
     heard: Instant,
-    /// The pause before an earlier address is looked at. It doubles while that answers and does not lead to the gateway.
+    /// The pause before an earlier address is tried. It doubles while that answers and does not lead to the gateway.
     look_after: Duration,
 }
 
 impl<'a> Line<'a> {
     pub fn new(
-        (outbox, owner): (Outbox, Address),
+        (outbox, owner): (&'a mut Outbox, Address),
         gate: Gate,
         link: watch::Sender<Link>,
         errand: &'a mut Option<Box<dyn Errand>>,
@@ -61,7 +59,6 @@ impl<'a> Line<'a> {
         }
     }
 
-    /// Works until it is dropped; `stored` signals when records wait. Can be cancelled at any point.
     pub async fn run(&mut self, stored: &Notify) -> Infallible {
         let mut pauses = Pauses::of(self.outbox.pace);
         loop {
@@ -97,8 +94,7 @@ impl<'a> Line<'a> {
         self.outbox.plant.observer.alert(urgent, text);
     }
 
-    /// One session: connects, then sends and checks until the connection breaks, the session is used up or the gateway
-    /// answers at an earlier address.
+    /// Ends when the connection breaks, the session is used up, or the gateway answers at an earlier address.
     async fn session(&mut self, stored: &Notify) -> Result<(), ForwardError> {
         let mut client = Client::connect(&self.gate.endpoint, &mut self.gate.trust, &self.gate.credentials).await?;
         block_in_place(|| self.gate.trust.save(&self.gate.trust_file)).map_err(PipelineError::from)?;
@@ -113,7 +109,7 @@ impl<'a> Line<'a> {
             tokio::pin!(waiting);
             waiting.as_mut().enable();
             if self.work(&mut client, &up).await? == 0 {
-                // Both outcomes mean: look again.
+                // Either way: look again.
                 tokio::select! {
                     () = waiting => {}
                     () = sleep(self.outbox.pace.check) => {}
@@ -123,7 +119,7 @@ impl<'a> Line<'a> {
         Ok(())
     }
 
-    /// The state of the connection; says why the addresses before this one are not used.
+    /// Reports why the addresses before this one are not used.
     fn up(&self, client: &Client) -> Link {
         let Some((first, _)) = client.passed_over().first() else { return Link::Up };
         let address = clean(client.address(), 255);
@@ -154,7 +150,6 @@ impl<'a> Line<'a> {
         earlier
     }
 
-    /// Does what is due; returns how many records were sent.
     async fn work(&mut self, client: &mut Client, up: &Link) -> Result<usize, ForwardError> {
         if let Some(errand) = self.errand {
             errand.run(client).await?;
@@ -182,7 +177,7 @@ impl<'a> Line<'a> {
         Ok(sent)
     }
 
-    /// Sends the oldest waiting records; returns how many the gateway took over, or refused for their own sake.
+    /// Returns how many records the gateway took over, or refused for their own sake.
     async fn upload(&mut self, client: &mut Client) -> Result<usize, ForwardError> {
         let window = block_in_place(|| self.outbox.window())?;
         let (digests, uploads): (Vec<Digest>, Vec<Upload>) = window.into_iter().unzip();
@@ -203,7 +198,7 @@ impl<'a> Line<'a> {
     }
 }
 
-/// The pauses after failures: each is twice as long as the one before, up to the longest.
+/// Each pause after a failure is twice as long as the one before, up to the longest.
 struct Pauses {
     pace: Pace,
     next: Duration,
@@ -225,7 +220,7 @@ impl Pauses {
     }
 }
 
-/// A pause between half of this and all of it, by a random `share` of 255: robots that lost their gateway together do not
+/// Between half of `pause` and all of it, by a random `share` of 255: robots that lost their gateway together do not
 /// come back together.
 fn shortened(pause: Duration, share: u8) -> Duration {
     let half = pause / 2;
@@ -236,36 +231,28 @@ fn shortened(pause: Duration, share: u8) -> Duration {
 const WINDOW: usize = 256;
 /// The most bytes in one upload, unless a single record is larger.
 const WINDOW_BYTES: usize = 4 * 1024 * 1024;
-/// Copies given up at once.
+/// Copies given up together.
 const PAGE: usize = 256;
 
-/// The outbox of a robot.
 pub(super) struct Outbox {
     pub plant: Plant,
     home: PathBuf,
-    keeping: CopyKeeping,
-    /// Records refused for their own sake.
-    refused: Arc<Mutex<HashSet<Digest>>>,
+    pub keeping: CopyKeeping,
+    pub refused: Arc<Mutex<HashSet<Digest>>>,
     pub pace: Pace,
-    /// Since when the first of them has been waiting for another attempt.
+    /// Since when the first refused record has been waiting for another attempt.
     aside_since: Option<Instant>,
     /// How many of the next uploads are sent one by one, because one of them is refused.
     singly: usize,
-    /// Before they are sent again; it doubles.
-    retry: Duration,
+    /// The pause before refused records are sent again; it doubles, from the pace's on.
+    retry: Option<Duration>,
     tidied: Option<Instant>,
 }
 
 impl Outbox {
-    pub fn new(
-        plant: Plant,
-        home: PathBuf,
-        keeping: CopyKeeping,
-        refused: Arc<Mutex<HashSet<Digest>>>,
-        pace: Pace,
-    ) -> Self {
-        let retry = pace.retry;
-        Self { plant, home, keeping, refused, pace, aside_since: None, singly: 0, retry, tidied: None }
+    pub fn new(plant: Plant, home: PathBuf) -> Self {
+        let (keeping, pace, refused) = (CopyKeeping::default(), Pace::default(), Arc::default());
+        Self { plant, home, keeping, refused, pace, aside_since: None, singly: 0, retry: None, tidied: None }
     }
 
     fn refused(&self) -> MutexGuard<'_, HashSet<Digest>> {
@@ -283,18 +270,18 @@ impl Outbox {
         self.plant.observer.alert(true, format!("record {digest} stays in the outbox: {error}"));
     }
 
-    /// Records refused for their own sake are sent again when their pause is over: gateways get repaired, and settings
-    /// change.
+    /// Sends refused records again after their pause: gateways get repaired, and settings change.
     pub fn retry_refused(&mut self) {
-        if self.aside_since.is_some_and(|since| since.elapsed() >= self.retry) {
+        let pause = self.retry.unwrap_or(self.pace.retry);
+        if self.aside_since.is_some_and(|since| since.elapsed() >= pause) {
             self.refused().clear();
             self.aside_since = None;
-            self.retry = (self.retry * 2).min(LONGEST_RETRY);
+            self.retry = Some((pause * 2).min(LONGEST_RETRY));
         }
     }
 
     /// The next records to send, their bytes compared with their digests.
-    pub fn window(&mut self) -> Result<Vec<(Digest, Upload)>, PipelineError> {
+    pub fn window(&mut self) -> Result<Vec<(Digest, Upload)>> {
         let refused = self.refused().clone();
         let most = if self.singly > 0 { 1 } else { WINDOW };
         self.singly = self.singly.saturating_sub(1);
@@ -318,15 +305,13 @@ impl Outbox {
             self.plant.ledger.records.advance(&spoilt, RecordState::Stored, RecordState::Tampered)?;
             self.plant.observer.tampered(&spoilt);
             let count = spoilt.len();
-            self.plant
-                .observer
-                .alert(true, format!("{count} records in the outbox are damaged or missing; they were not sent"));
+            let text = format!("{count} records in the outbox are damaged or missing; they were not sent");
+            self.plant.observer.alert(true, text);
         }
         Ok(window)
     }
 
-    /// Tidies now and then.
-    pub fn keep_tidy(&mut self) -> Result<(), PipelineError> {
+    pub fn keep_tidy(&mut self) -> Result<()> {
         if self.tidied.is_none_or(|at| at.elapsed() >= self.pace.tidy) {
             block_in_place(|| self.tidy())?;
             self.tidied = Some(Instant::now());
@@ -334,8 +319,7 @@ impl Outbox {
         Ok(())
     }
 
-    /// See [`super::Forwarder::tidy`].
-    pub fn tidy(&self) -> Result<(), PipelineError> {
+    pub fn tidy(&self) -> Result<()> {
         let time = u64::try_from(self.keeping.time.as_nanos()).unwrap_or(u64::MAX);
         let due = Timestamp(Timestamp::now().0.saturating_sub(time));
         loop {
@@ -358,7 +342,7 @@ impl Outbox {
         Ok(())
     }
 
-    fn give_up(&self, digests: &[Digest]) -> Result<(), PipelineError> {
+    fn give_up(&self, digests: &[Digest]) -> Result<()> {
         // Deleted first: after an interruption it is deleted again.
         self.plant.ciphertext.discard(digests)?;
         Ok(self.plant.ledger.forwarding.proven_gone(digests)?)

@@ -63,6 +63,11 @@ fn plant(home: &std::path::Path, notes: &Arc<Notes>) -> Plant {
     }
 }
 
+fn paced(mut forwarder: Forwarder, pace: Pace) -> Forwarder {
+    forwarder.outbox.pace = pace;
+    forwarder
+}
+
 impl Scene {
     async fn new() -> Self {
         let stage = Stage::new().await;
@@ -109,7 +114,7 @@ impl Scene {
     fn forwarder_to(&self, access: &GatewayAccess) -> Forwarder {
         let keeping = CopyKeeping { time: self.keep, reserve: 0 };
         let forwarder = Forwarder::new(self.plant.clone(), self.robot(), access).expect("trusts");
-        forwarder.paced(QUICK).keeping(keeping)
+        paced(forwarder, QUICK).keeping(keeping)
     }
 
     fn work(&self) -> Work {
@@ -117,7 +122,7 @@ impl Scene {
     }
 
     fn work_at(&self, pace: Pace) -> Work {
-        let mut forwarder = self.forwarder().paced(pace);
+        let mut forwarder = paced(self.forwarder(), pace);
         let (link, refused, stored) = (forwarder.link(), forwarder.refused(), Arc::clone(&self.stored));
         Work { link, refused, task: tokio::spawn(async move { forwarder.run(&stored).await }) }
     }

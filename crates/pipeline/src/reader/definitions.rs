@@ -1,8 +1,6 @@
-//! The definition that a message names. A topic gets a record of it in each epoch and by each recorder, so there may be
-//! thousands; the one that a message names was written by its own recorder, shortly before it.
-//!
-//! A message of ROS 2 that names an empty one was captured before its definition was known. Its type's hash names the
-//! definition too, so a record of it that was written later, or by another recorder, serves as well.
+//! The definition that a message names: its own recorder wrote it, shortly before it, one of perhaps thousands. A
+//! message of ROS 2 that names an empty one was captured before its definition was known; its type's hash then names
+//! it, so a later record, or another recorder's, serves as well.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -13,7 +11,7 @@ use super::Reader;
 use crate::crypto::OpenedRecord;
 use crate::crypto::sm3::sm3;
 use crate::model::{Address, Digest, Head, RecordKind, Timestamp, TopicId};
-use crate::pipeline::PipelineError;
+use crate::pipeline::Result;
 use crate::ros::message::{is_built_in, type_hash};
 use crate::ros::recording::TYPE_HASH;
 use crate::ros::recording::tags::CHANNEL;
@@ -21,7 +19,7 @@ use crate::store::{RecordQuery, RecordRow};
 
 /// The most definition records opened at each attempt.
 const MOST_OPENED: usize = 200;
-/// The most of which the ledger is asked at each attempt.
+/// The most that each attempt lists from the ledger.
 const MOST_LISTED: usize = 10_000;
 /// The most texts that are kept.
 const MOST_KEPT: usize = 1024;
@@ -29,7 +27,6 @@ const MOST_KEPT: usize = 1024;
 /// What decides about a message's definition within an epoch: its owner, topic, digest, type and the type's hash.
 type Key = (Address, TopicId, u64, Digest, String, Option<String>);
 
-/// How the records of definitions are opened.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Opening {
     /// As every record that is read: with its anchor and its reader's rights.
@@ -43,14 +40,13 @@ pub enum Opening {
 pub struct Definitions(HashMap<Key, Arc<str>>);
 
 impl Definitions {
-    /// Like [`Reader::definition_text`].
     pub async fn text(
         &mut self,
         reader: &Reader<'_>,
         row: &RecordRow,
         opened: &OpenedRecord,
         by: Opening,
-    ) -> Result<Option<Arc<str>>, PipelineError> {
+    ) -> Result<Option<Arc<str>>> {
         let key = key(row, opened);
         match self.0.get(&key) {
             Some(known) => Ok(Some(Arc::clone(known))),
@@ -71,7 +67,7 @@ fn key(row: &RecordRow, opened: &OpenedRecord) -> Key {
     (row.owner, row.topic_id, row.epoch, head.definition, head.type_name.clone(), hash_of(head))
 }
 
-/// The hash of a message's type, if its publisher or its recording told it.
+/// The hash of a message's type, if its publisher or its recording gave it.
 fn hash_of(head: &Head) -> Option<String> {
     head.tags.get(&format!("{CHANNEL}{TYPE_HASH}")).filter(|hash| !hash.is_empty()).cloned()
 }
@@ -79,12 +75,7 @@ fn hash_of(head: &Head) -> Option<String> {
 impl Reader<'_> {
     /// The text of the definition that an opened message names, from its owner's definition records, as its publisher
     /// gave it; for a message that names an empty one, a text that has its type's hash.
-    pub async fn definition_text(
-        &self,
-        row: &RecordRow,
-        opened: &OpenedRecord,
-        by: Opening,
-    ) -> Result<Option<String>, PipelineError> {
+    pub async fn definition_text(&self, row: &RecordRow, opened: &OpenedRecord, by: Opening) -> Result<Option<String>> {
         let wanted = Wanted::of(opened);
         for query in wanted.attempts(row) {
             let listed = self.plant.ledger.records.list(&query)?.rows;
@@ -103,7 +94,6 @@ impl Reader<'_> {
     }
 }
 
-/// What a message's definition is known by.
 struct Wanted {
     /// `None` if the message names an empty one.
     digest: Option<Digest>,
@@ -119,9 +109,8 @@ impl Wanted {
         Self { digest, by_hash: hash.map(|hash| (head.type_name.clone(), hash)) }
     }
 
-    /// Where to look. By digest: the topic's definition records of the message's recorder from
-    /// before it, all of that recorder, all there are; the newest first. By hash: those of the recorder from the message on, the
-    /// oldest first, and then all.
+    /// By digest: the topic's definition records of the message's recorder from before it, all of that recorder, all
+    /// there are; the newest first. By hash: those of the recorder from the message on, the oldest first, and then all.
     fn attempts(&self, row: &RecordRow) -> Vec<RecordQuery> {
         let all = RecordQuery {
             owner: Some(row.owner),

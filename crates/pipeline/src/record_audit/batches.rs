@@ -7,7 +7,7 @@ use tokio::runtime::Handle;
 use tokio::task::JoinSet;
 
 use super::report::{FindingKind, Tally};
-use super::{Network, Plant, Scope};
+use super::{Network, Plant, Scope, Stop};
 use crate::PipelineError;
 use crate::chain::{Chain, ChainError, Event, EventAt};
 use crate::chain_proofs::is_root_in;
@@ -39,7 +39,7 @@ pub(super) fn compare(
         let page = inspection.audit_batches(after, PAGE)?;
         let Some(last) = page.last() else { break };
         after = last.key;
-        tally.batches += u64::try_from(page.len()).unwrap_or(0);
+        tally.audit.batches += u64::try_from(page.len()).unwrap_or(0);
         // Of a batch that another ledger closed, only what came here is known: a reader's grant covers some of it, and a
         // record that came twice has its place in the first proof.
         for batch in page.iter().filter(|batch| batch.closed_here && batch.held != batch.count) {
@@ -47,18 +47,27 @@ pub(super) fn compare(
             tally.find(FindingKind::Missing, &name(&batch.root), &text);
         }
         if let Some(network) = asked
-            && let Err(error) = runtime.block_on(compare_page(inspection, network, page, tally))?
+            && let Some(error) = unanswered(runtime.block_on(compare_page(inspection, network, page, tally)))?
         {
             tally.find(FindingKind::Unreachable, "chain", &format!("not all batches were compared: {error}"));
             asked = None;
         }
     }
     if let Some(network) = asked
-        && let Err(error) = runtime.block_on(walk(plant, network, scope, tally))?
+        && let Some(error) = unanswered(runtime.block_on(walk(plant, network, scope, tally)))?
     {
         tally.find(FindingKind::Unreachable, "chain", &format!("not all of its events were read: {error}"));
     }
     Ok(())
+}
+
+/// What the chain did not answer, for a finding; only the store ends an audit.
+fn unanswered(done: Result<(), Stop>) -> Result<Option<ChainError>, StoreError> {
+    match done {
+        Ok(()) => Ok(None),
+        Err(Stop::Chain(error)) => Ok(Some(error)),
+        Err(Stop::Store(error)) => Err(error),
+    }
 }
 
 fn name(root: &Hash) -> String {
@@ -70,7 +79,7 @@ async fn compare_page(
     network: &Network,
     page: Vec<AuditedBatch>,
     tally: &mut Tally,
-) -> Result<Result<(), ChainError>, StoreError> {
+) -> Result<(), Stop> {
     let mut answers = JoinSet::new();
     for batch in page.into_iter().filter(|batch| batch.block.is_some()) {
         let chain = network.chain.clone();
@@ -78,26 +87,21 @@ async fn compare_page(
     }
     while let Some(answer) = answers.join_next().await {
         let Ok((answer, batch)) = answer else { continue };
-        match answer {
-            Ok(None) => continue,
-            Ok(Some(_)) => {}
-            Err(error) => return Ok(Err(error)),
+        if answer?.is_none() {
+            continue;
         }
-        // The chain may have been replaced below us, or a node have answered that is behind: what the ledger and the next
-        // answer say now counts.
+        // The chain may have been replaced below us, or a node that is behind have answered: what both say now counts.
         let now = inspection.audit_batches(batch.key - 1, 1)?.pop().filter(|now| now.key == batch.key).unwrap_or(batch);
         if now.block.is_none() {
             continue;
         }
-        match differs(&network.chain, &now).await {
-            Ok(text) => text.iter().for_each(|text| tally.find(FindingKind::Tampered, &name(&now.root), text)),
-            Err(error) => return Ok(Err(error)),
+        if let Some(text) = differs(&network.chain, &now).await? {
+            tally.find(FindingKind::Tampered, &name(&now.root), &text);
         }
     }
-    Ok(Ok(()))
+    Ok(())
 }
 
-/// How the chain contradicts a batch that the ledger has in a block.
 async fn differs(chain: &Chain, batch: &AuditedBatch) -> Result<Option<String>, ChainError> {
     let (Some(block), Some(account)) = (batch.block, batch.account) else {
         return Ok(Some("the ledger has it in a block but does not say who anchored it".to_owned()));
@@ -128,24 +132,15 @@ async fn differs(chain: &Chain, batch: &AuditedBatch) -> Result<Option<String>, 
 }
 
 /// Reads all of the contract's events: anchors by this home's accounts, and what the watcher should have taken in.
-async fn walk(
-    plant: &Plant,
-    network: &Network,
-    scope: &Scope,
-    tally: &mut Tally,
-) -> Result<Result<(), ChainError>, StoreError> {
+async fn walk(plant: &Plant, network: &Network, scope: &Scope, tally: &mut Tally) -> Result<(), Stop> {
     let mut own: HashSet<Address> = scope.accounts.iter().copied().collect();
     own.extend(plant.ledger.inspection.signing_accounts()?);
     let mut walk = Walk::new(&plant.ledger.notes, own.clone())?;
-    if let Err(error) = walk.all(plant, network, Some(tally)).await? {
-        return Ok(Err(error));
-    }
+    walk.all(plant, network, Some(tally)).await?;
     if !walk.found.findings().is_empty() {
-        // Blocks may have been replaced, or a node have answered that is behind, while they were read one after the other.
+        // Blocks may have been replaced, or a node that is behind have answered, between two reads.
         walk = Walk::new(&plant.ledger.notes, own)?;
-        if let Err(error) = walk.all(plant, network, None).await? {
-            return Ok(Err(error));
-        }
+        walk.all(plant, network, None).await?;
     }
     if walk.elsewhere > 0 {
         tally.note(&format!(
@@ -155,16 +150,14 @@ async fn walk(
         ));
     }
     tally.join(walk.found);
-    Ok(Ok(()))
+    Ok(())
 }
 
-/// State kept between two parts of the chain.
 struct Walk {
     own: HashSet<Address>,
     previous: HashMap<Address, Hash>,
     /// The last block known to the backup that this ledger was restored from.
     copied_at: Option<u64>,
-    /// When it was restored.
     restored_at: Timestamp,
     /// What the ledger lacks of later blocks, each with its block.
     later: Vec<(String, u64)>,
@@ -180,28 +173,15 @@ impl Walk {
     }
 
     /// From the contract's first block to the newest; `watched` if all events are to be compared with what the watcher read.
-    async fn all(
-        &mut self,
-        plant: &Plant,
-        network: &Network,
-        mut watched: Option<&mut Tally>,
-    ) -> Result<Result<(), ChainError>, StoreError> {
-        let head = match network.chain.head().await {
-            Ok(head) => head.number,
-            Err(error) => return Ok(Err(error)),
-        };
+    async fn all(&mut self, plant: &Plant, network: &Network, mut watched: Option<&mut Tally>) -> Result<(), Stop> {
+        let head = network.chain.head().await?.number;
         let mut from = network.chain.pin().map_or(0, |pin| pin.deployed_at);
         while from <= head {
             let to = head.min(from + STRIDE - 1);
-            let events = match network.chain.events(from, to).await {
-                Ok(events) => events,
-                Err(error) => return Ok(Err(error)),
-            };
+            let events = network.chain.events(from, to).await?;
             self.take(&plant.ledger.inspection, &events)?;
-            if let Some(tally) = watched.as_deref_mut()
-                && let Err(error) = record_audit::compare(plant, network, (from, to), &events, tally).await?
-            {
-                return Ok(Err(error));
+            if let Some(tally) = watched.as_deref_mut() {
+                record_audit::compare(plant, network, (from, to), &events, tally).await?;
             }
             from = to + 1;
         }
@@ -210,12 +190,11 @@ impl Walk {
 
     /// What was anchored between the backup and its restoring may be in the home that went on then. What came after is
     /// this home's own, and lost.
-    async fn judge_later(&mut self, network: &Network) -> Result<Result<(), ChainError>, StoreError> {
+    async fn judge_later(&mut self, network: &Network) -> Result<(), Stop> {
         for (subject, block) in std::mem::take(&mut self.later) {
             let time = match network.ask_time(block).await {
                 Ok(time) => time.seconds(),
-                Err(PipelineError::Chain(error)) => return Ok(Err(error)),
-                // The chain has no such block any more.
+                Err(PipelineError::Chain(error)) => return Err(error.into()),
                 Err(_) => 0,
             };
             if time <= self.restored_at.seconds().saturating_add(CLOCKS) {
@@ -224,7 +203,7 @@ impl Walk {
                 self.miss(&subject, Some(block));
             }
         }
-        Ok(Ok(()))
+        Ok(())
     }
 
     fn take(&mut self, inspection: &Inspection, events: &[EventAt]) -> Result<(), StoreError> {

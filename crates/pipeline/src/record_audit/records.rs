@@ -23,11 +23,9 @@ use crate::store::{AuditedRecord, StoreError};
 const PAGE: usize = 512;
 /// Bytes in one piece of work, unless a single record is larger.
 const PIECE: u64 = 4 << 20;
-/// Simultaneous queries to the chain.
 const AT_ONCE: usize = 32;
 const MOST_THREADS: usize = 16;
 
-/// What is compared, the same for every record.
 #[derive(Clone, Copy)]
 pub(super) struct Bench<'a> {
     pub plant: &'a Plant,
@@ -35,11 +33,9 @@ pub(super) struct Bench<'a> {
     /// Whether there is a chain that could not be queried.
     pub blind: bool,
     pub deep: bool,
-    /// The keys for comparing names.
     pub keys: Option<&'a (dyn Keys + Send + Sync)>,
 }
 
-/// Where the chain has a record that was uploaded individually.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Uploaded {
     /// It was not queried: the record is in a batch, in no block, or there is no chain.
@@ -50,7 +46,6 @@ pub(super) enum Uploaded {
 
 pub(super) type Looked = (AuditedRecord, Uploaded);
 
-/// Examines every record; returns how long it took, and on how many threads.
 pub(super) fn compare(
     plant: &Plant,
     network: Option<&Network>,
@@ -121,7 +116,7 @@ fn feed(
             match record {
                 Ok(record) => records.push(record),
                 Err((row, reason)) => {
-                    tally.records += 1;
+                    tally.audit.records += 1;
                     tally.find(FindingKind::Tampered, &format!("row {row}"), &format!("cannot be read: {reason}"));
                 }
             }
@@ -145,7 +140,6 @@ fn feed(
     Ok(())
 }
 
-/// Asks the chain about records that were uploaded individually.
 async fn ask(chain: Option<&Network>, records: Vec<AuditedRecord>) -> (Vec<Looked>, Option<ChainError>) {
     let mut looked: Vec<Looked> = records.into_iter().map(|record| (record, Uploaded::NotAsked)).collect();
     let Some(network) = chain else { return (looked, None) };
@@ -178,7 +172,6 @@ fn stands_alone(record: &AuditedRecord) -> bool {
     record.row.block.is_some() && !in_its_batch
 }
 
-/// Pieces of work of bounded size.
 fn cut(looked: Vec<Looked>) -> Vec<Vec<Looked>> {
     let mut pieces = vec![Vec::new()];
     let mut bytes = 0;
@@ -236,9 +229,9 @@ fn look_twice(bench: Bench<'_>, runtime: &Handle, piece: &[Looked]) -> Result<Ta
 /// Examines some records; `deep` also their bytes, all of them read before the first is checked.
 pub(super) fn look(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -> Result<(), StoreError> {
     for (record, uploaded) in piece {
-        tally.records += 1;
+        tally.audit.records += 1;
         tally.last = tally.last.max(record.number);
-        tally.pending += u64::from(record.row.state.is_pending() || record.row.state == RecordState::RightEnded);
+        tally.audit.pending += u64::from(record.row.state.is_pending() || record.row.state == RecordState::RightEnded);
         // What is missing is found among the bytes.
         if !is_missed(record)
             && let Some(text) = row_fault(bench, record, *uploaded)
@@ -246,13 +239,12 @@ pub(super) fn look(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -> Res
             tally.find(FindingKind::Tampered, &subject(record), &text);
         }
         if !bench.deep {
-            tally.bytes += record.row.bytes;
+            tally.audit.bytes += record.row.bytes;
         }
     }
     if bench.deep { look_deep(bench, piece, tally) } else { look_at_headers(bench, piece, tally) }
 }
 
-/// The same records as they are now.
 pub(super) fn read_again(plant: &Plant, piece: &[Looked]) -> Result<Vec<AuditedRecord>, StoreError> {
     let first = piece.first().map_or(0, |(record, _)| record.number);
     let page = plant.ledger.inspection.audit_page(first.saturating_sub(1), Timestamp(0), piece.len())?;
@@ -263,13 +255,10 @@ pub(super) fn read_again(plant: &Plant, piece: &[Looked]) -> Result<Vec<AuditedR
         // Rows between them may have been left out of the audit, for their age.
         let found = match now.remove(&record.number) {
             Some(found) => Some(found),
-            None => plant
-                .ledger
-                .inspection
-                .audit_page(record.number.saturating_sub(1), Timestamp(0), 1)?
-                .records
-                .pop()
-                .and_then(Result::ok),
+            None => {
+                let page = plant.ledger.inspection.audit_page(record.number.saturating_sub(1), Timestamp(0), 1)?;
+                page.records.into_iter().flatten().next_back()
+            }
         };
         again.push(found.filter(|found| found.number == record.number).unwrap_or_else(|| record.clone()));
     }
@@ -285,7 +274,6 @@ pub(super) fn subject(record: &AuditedRecord) -> String {
     format!("record {} ({} {})", record.row.id, record.row.topic, record.row.seq)
 }
 
-/// Inconsistencies in a row, alone and with its batch.
 fn row_fault(bench: Bench<'_>, record: &AuditedRecord, uploaded: Uploaded) -> Option<String> {
     let row = &record.row;
     if row.state == RecordState::Tampered {
@@ -335,8 +323,8 @@ fn row_fault(bench: Bench<'_>, record: &AuditedRecord, uploaded: Uploaded) -> Op
 /// The most gaps listed for one topic.
 const MOST_HOLES: usize = 5;
 
-/// Searches for missing numbers. What others numbered comes here as it is allowed and as it arrives: a gateway shows a
-/// reader only what it may see, and of a robot's records some may be on their way or at another gateway.
+/// Missing numbers of other recorders are only noted: a reader sees what it may, and a robot's records may be on their
+/// way.
 pub(super) fn compare_sequences(plant: &Plant, scope: &Scope, tally: &mut Tally) -> Result<(), StoreError> {
     let mut elsewhere = Vec::new();
     for sequence in plant.ledger.inspection.sequences()? {
@@ -351,7 +339,7 @@ pub(super) fn compare_sequences(plant: &Plant, scope: &Scope, tally: &mut Tally)
             }
             continue;
         }
-        tally.gaps += lost;
+        tally.audit.gaps += lost;
         let holes = plant.ledger.inspection.holes(&sequence, MOST_HOLES)?;
         let words: Vec<String> = holes.iter().take(MOST_HOLES).map(|(from, to)| span(*from, *to)).collect();
         let text = format!(
@@ -387,9 +375,7 @@ fn span(from: u64, to: u64) -> String {
     if from == to { from.to_string() } else { format!("{from} to {to}") }
 }
 
-/// How long to measure.
 const SPAN: Duration = Duration::from_millis(120);
-/// Bytes hashed at a time.
 const PIECE_BOUND: usize = 1 << 20;
 
 /// Megabytes (10^6) a second of SM3 on `threads` threads at once.

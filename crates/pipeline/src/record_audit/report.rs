@@ -9,24 +9,18 @@ const MOST_TOLD: usize = 100;
 /// The longest text of a finding, characters.
 const WIDEST: usize = 400;
 
-/// The kind of finding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FindingKind {
-    /// Something differs from what was written, anchored or signed.
     Tampered,
-    /// Something required is missing.
     Missing,
     /// A record is as it was sealed, but its signer wrote a name into it that belongs to another pseudonym.
     FalseName,
-    /// Sequence numbers of a topic are missing.
     Gap,
-    /// A peer could not be queried.
     Unreachable,
 }
 
 impl FindingKind {
-    /// Its name on screen.
     pub fn word(self) -> &'static str {
         match self {
             Self::Tampered => "tampered",
@@ -38,40 +32,32 @@ impl FindingKind {
     }
 }
 
-/// One thing that is wrong.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RecordFinding {
     pub kind: FindingKind,
     /// Its subject: a record's id, a batch's root, a topic, `audit log`, `chain`.
     pub subject: String,
-    /// What is wrong, cleaned.
     pub text: String,
 }
 
-/// The answer to an audit.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct RecordAudit {
-    /// Whether there are no findings.
     pub ok: bool,
-    /// Whether stored bytes and signatures were checked too.
     pub deep: bool,
     pub records: u64,
     /// Stored bytes hashed (deep), or bytes of the messages.
     pub bytes: u64,
-    /// Missing items: stored bytes, rows, batches.
     pub missing: u64,
-    /// Items that differ from what was written, anchored or signed.
     pub tampered: u64,
     /// Records whose signers wrote false names into them; everything else about them is as it was sealed.
     pub false_names: u64,
     pub gaps: u64,
     pub batches: u64,
-    /// Lines of the audit log with correct hashes.
     pub audit_lines: u64,
     /// Records not yet on any chain.
     pub pending: u64,
-    /// Records whose bytes were deleted on purpose, with a statement to that effect: discarded from quarantine, deleted
-    /// by retention, handed over to a gateway.
+    /// Records whose bytes were deleted on purpose: discarded from quarantine, by retention, or handed over to a
+    /// gateway.
     pub given_up: u64,
     /// Records whose signature could not be checked: the signer's key is not on any chain known here (deep).
     pub unchecked: u64,
@@ -83,9 +69,7 @@ pub struct RecordAudit {
     /// The speed of SM3 alone on as many threads, megabytes a second, measured in this run.
     pub sm3_megabytes_per_second: f64,
     pub threads: usize,
-    /// The first hundred findings.
     pub findings: Vec<RecordFinding>,
-    /// The number of further findings.
     pub findings_left_out: u64,
     /// What was left out of the audit, and why that is not a finding.
     pub notes: Vec<String>,
@@ -106,34 +90,20 @@ impl RecordAudit {
     }
 }
 
-/// Counters of a running audit.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Tally {
-    pub records: u64,
-    pub bytes: u64,
-    pub gaps: u64,
-    pub batches: u64,
-    pub lines: u64,
-    pub pending: u64,
-    pub given_up: u64,
-    pub unchecked: u64,
+    /// The figures so far; times and rates come with the report.
+    pub audit: RecordAudit,
     /// Entries of the index of tags supported by headers.
     pub indexed: u64,
-    /// Records whose names could not be compared.
     pub unnamed: u64,
     /// Records whose headers are not here.
     pub unread: u64,
     /// The highest row number.
     pub last: u64,
-    tampered: u64,
-    missing: u64,
-    false_names: u64,
     found: u64,
-    findings: Vec<RecordFinding>,
-    notes: Vec<String>,
 }
 
-/// How long reading the records took, and on how many threads.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Reading {
     pub seconds: f64,
@@ -141,50 +111,47 @@ pub(super) struct Reading {
 }
 
 impl Tally {
-    /// Counts a finding, and lists it while there is room.
     pub fn find(&mut self, kind: FindingKind, subject: &str, text: &str) {
         match kind {
-            FindingKind::Tampered => self.tampered += 1,
-            FindingKind::Missing => self.missing += 1,
-            FindingKind::FalseName => self.false_names += 1,
+            FindingKind::Tampered => self.audit.tampered += 1,
+            FindingKind::Missing => self.audit.missing += 1,
+            FindingKind::FalseName => self.audit.false_names += 1,
             FindingKind::Gap | FindingKind::Unreachable => {}
         }
         self.found += 1;
-        if self.findings.len() < MOST_TOLD {
-            self.findings.push(RecordFinding { kind, subject: clean(subject, 120), text: clean(text, WIDEST) });
+        if self.audit.findings.len() < MOST_TOLD {
+            self.audit.findings.push(RecordFinding { kind, subject: clean(subject, 120), text: clean(text, WIDEST) });
         }
     }
 
-    /// Reports what was left out.
     pub fn note(&mut self, text: &str) {
-        self.notes.push(clean(text, WIDEST));
+        self.audit.notes.push(clean(text, WIDEST));
     }
 
-    /// Adds another thread's counters.
     pub fn join(&mut self, other: Self) {
-        self.records += other.records;
-        self.bytes += other.bytes;
-        self.gaps += other.gaps;
-        self.batches += other.batches;
-        self.pending += other.pending;
-        self.given_up += other.given_up;
-        self.unchecked += other.unchecked;
+        let (own, more) = (&mut self.audit, other.audit);
+        own.records += more.records;
+        own.bytes += more.bytes;
+        own.gaps += more.gaps;
+        own.batches += more.batches;
+        own.pending += more.pending;
+        own.given_up += more.given_up;
+        own.unchecked += more.unchecked;
+        own.tampered += more.tampered;
+        own.missing += more.missing;
+        own.false_names += more.false_names;
+        let room = MOST_TOLD.saturating_sub(own.findings.len());
+        own.findings.extend(more.findings.into_iter().take(room));
+        own.notes.extend(more.notes);
         self.indexed += other.indexed;
         self.unnamed += other.unnamed;
         self.unread += other.unread;
         self.last = self.last.max(other.last);
-        self.tampered += other.tampered;
-        self.missing += other.missing;
-        self.false_names += other.false_names;
         self.found += other.found;
-        let room = MOST_TOLD.saturating_sub(self.findings.len());
-        self.findings.extend(other.findings.into_iter().take(room));
-        self.notes.extend(other.notes);
     }
 
-    /// The findings, for the console's scrubber and the report.
     pub fn findings(&self) -> &[RecordFinding] {
-        &self.findings
+        &self.audit.findings
     }
 
     pub fn report(self, deep: bool, seconds: f64, reading: Reading, sm3: f64) -> RecordAudit {
@@ -193,29 +160,17 @@ impl Tally {
             let count = count as f64;
             if reading.seconds > 0.0 { count / reading.seconds } else { 0.0 }
         };
-        let told = u64::try_from(self.findings.len()).unwrap_or(u64::MAX);
+        let told = u64::try_from(self.audit.findings.len()).unwrap_or(u64::MAX);
         RecordAudit {
             ok: self.found == 0,
             deep,
-            records: self.records,
-            bytes: self.bytes,
-            missing: self.missing,
-            tampered: self.tampered,
-            false_names: self.false_names,
-            gaps: self.gaps,
-            batches: self.batches,
-            audit_lines: self.lines,
-            pending: self.pending,
-            given_up: self.given_up,
-            unchecked: self.unchecked,
             seconds,
-            records_per_second: rate(self.records),
-            megabytes_per_second: rate(self.bytes) / 1e6,
+            records_per_second: rate(self.audit.records),
+            megabytes_per_second: rate(self.audit.bytes) / 1e6,
             sm3_megabytes_per_second: sm3,
             threads: reading.threads,
-            findings: self.findings,
             findings_left_out: self.found.saturating_sub(told),
-            notes: self.notes,
+            ..self.audit
         }
     }
 }

@@ -10,22 +10,17 @@ use crate::pipeline::{PipelineError, authority, columns};
 use crate::retention::is_stated;
 use crate::store::{AuditedRecord, RecordRow, Retained, StoreError};
 
-/// Checks the stored bytes of some records: read at once, with their digests computed in parallel.
+/// Reads the stored bytes together and computes their digests in parallel.
 pub(super) fn look_deep(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -> Result<(), StoreError> {
     let digests: Vec<Digest> = piece.iter().map(|(record, _)| record.row.digest).collect();
     let mut found = Vec::with_capacity(piece.len());
-    // Never from the cache: an audit is of what lies on the disk.
+    // Never from the cache: an audit is of what is on the disk.
     for ((record, _), blob) in piece.iter().zip(bench.plant.ciphertext.get_many(&digests)?) {
         match blob {
             Some(blob) => found.push((record, blob, signer_of(bench, &record.row)?)),
             None => {
-                match bench
-                    .plant
-                    .ledger
-                    .retention
-                    .find(record.row.digest)?
-                    .and_then(|kept| Header::parse(&kept.header).ok())
-                {
+                let kept = bench.plant.ledger.retention.find(record.row.digest)?;
+                match kept.and_then(|kept| Header::parse(&kept.header).ok()) {
                     Some((header, _)) => compare_tags(bench, record, &header, tally)?,
                     None => tally.unread += 1,
                 }
@@ -40,7 +35,7 @@ pub(super) fn look_deep(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -
     }
     let mut checked = check_alone(bench.plant.provider, &records).into_iter();
     for (record, blob, signer) in &found {
-        tally.bytes += u64::try_from(blob.len()).unwrap_or(0);
+        tally.audit.bytes += u64::try_from(blob.len()).unwrap_or(0);
         let checked = if signer.is_some() { checked.next() } else { None };
         if let Ok((header, _)) = Header::parse(blob) {
             compare_names(bench, &record.row, &header, blob, tally);
@@ -48,23 +43,22 @@ pub(super) fn look_deep(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -
         }
         match bytes_fault(bench, record, blob, checked) {
             Fault::None => {}
-            Fault::Unchecked => tally.unchecked += 1,
+            Fault::Unchecked => tally.audit.unchecked += 1,
             Fault::Text(text) => tally.find(FindingKind::Tampered, &subject(record), &text),
         }
     }
     Ok(())
 }
 
-/// Nothing is stored under a digest: whether that is as it should be.
 fn gone(bench: Bench<'_>, record: &AuditedRecord, tally: &mut Tally) -> Result<(), StoreError> {
     // It may have been deleted since its row was read.
     let Some(now) = bench.plant.ledger.records.find(record.row.digest)? else { return Ok(()) };
     let handed_over = now.state == RecordState::Verified && bench.network.is_none() && !bench.blind;
     if now.state == RecordState::Dropped || handed_over {
-        tally.given_up += 1;
+        tally.audit.given_up += 1;
     } else if let Some(retained) = bench.plant.ledger.retention.find(now.digest)? {
         match retention_fault(bench, &now, &retained)? {
-            None => tally.given_up += 1,
+            None => tally.audit.given_up += 1,
             Some(text) => tally.find(FindingKind::Tampered, &subject(record), &text),
         }
     } else if bench.plant.ciphertext.get(now.digest)?.is_none() {
@@ -73,8 +67,8 @@ fn gone(bench: Bench<'_>, record: &AuditedRecord, tally: &mut Tally) -> Result<(
     Ok(())
 }
 
-/// Inconsistencies after retention deleted a record: a retention record on the chain must name it, and what was kept of
-/// it (header, signature) must still be its owner's.
+/// After retention deleted a record, a retention record on the chain must name it, and its header and signature must
+/// still be its owner's.
 fn retention_fault(bench: Bench<'_>, row: &RecordRow, retained: &Retained) -> Result<Option<String>, StoreError> {
     let told = bench.plant.ledger.records.find(retained.report)?.filter(|told| told.kind == RecordKind::Retention);
     let anchored = told.is_some_and(|told| told.block.is_some() || bench.network.is_none());
@@ -139,14 +133,12 @@ fn bytes_fault(bench: Bench<'_>, record: &AuditedRecord, blob: &[u8], checked: O
     }
 }
 
-/// The field in which a row and the header of its record differ.
 fn header_fault(bench: Bench<'_>, row: &RecordRow, header: &Header) -> Option<&'static str> {
     let accepted = bench.network.is_none_or(|network| network.domain == header.domain);
     columns::header_difference(row, header).or((!accepted).then_some("network"))
 }
 
-/// Checks the headers of some records, without a key and without reading their bodies: a row must say what its record
-/// says.
+/// Without a key and without reading bodies.
 pub(super) fn look_at_headers(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -> Result<(), StoreError> {
     let digests: Vec<Digest> = piece.iter().map(|(record, _)| record.row.digest).collect();
     for ((record, _), front) in piece.iter().zip(bench.plant.ciphertext.fronts(&digests, columns::FRONT)?) {
@@ -169,7 +161,6 @@ pub(super) fn look_at_headers(bench: Bench<'_>, piece: &[Looked], tally: &mut Ta
     Ok(())
 }
 
-/// Compares a row and the index of tags with the header, and this with the sealed names.
 fn compare(
     bench: Bench<'_>,
     record: &AuditedRecord,
@@ -184,8 +175,8 @@ fn compare(
     compare_tags(bench, record, header, tally)
 }
 
-/// Compares the names in a row, and those in the sealed head, with their pseudonyms in the header, if these can be
-/// computed; `front` is the record's first bytes.
+/// Compares names in the row and in the sealed head with the header's pseudonyms, if these can be computed; `front` is
+/// the record's first bytes.
 fn compare_names(bench: Bench<'_>, row: &RecordRow, header: &Header, front: &[u8], tally: &mut Tally) {
     let Some(keys) = bench.keys else { return };
     let Some(index) = keys.index_key(row) else {

@@ -1,40 +1,29 @@
-//! The plan of a round of messages, made in order before anything is sealed: keys, numbers, definitions that go first,
-//! and what to try compressing. The result no longer depends on which thread seals what when.
+//! The plan of a round, made in order before anything is sealed: keys, numbers, definitions that go first, and what to
+//! compress. The result does not depend on which thread seals what when.
 
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
-use crate::model::{Address, Digest, Domain, RecordKind, RecorderPrefix, SignerId, TopicId};
+use crate::model::{Address, Digest, RecordKind, RecorderPrefix, SignerId, TopicId};
 use crate::pipeline::epoch::{EpochKeys, TopicKeys};
 use crate::pipeline::packing::{Packing, Try};
 use crate::pipeline::recorder::CapturedMessage;
-use crate::pipeline::{PipelineError, Plant};
+use crate::pipeline::{PipelineError, Plant, Result};
 use crate::store::notes::StoredDefinition;
 
 /// The most definition hashes remembered.
 const MOST_HASHES: usize = 1024;
 
-/// The owner, signer and topic of a sequence.
 pub type Stream = (Address, SignerId, TopicId);
 
-/// What is sealed of a message.
 pub enum Content {
     Definition(StoredDefinition),
-    /// Itself; compressed, where that is tried and pays.
+    /// Compressed where that is tried and pays.
     Message(Option<Try>),
 }
 
-impl Content {
-    /// A definition on its way into the ring, of (network, owner, epoch).
-    pub fn ring_definition((domain, owner, epoch): (Domain, Address, u64), topic: TopicId, digest: Digest) -> Self {
-        Self::Definition(StoredDefinition { domain, owner, epoch, topic, digest, held: false })
-    }
-}
-
-/// One record to be sealed.
 pub struct Task<'a> {
     pub item: &'a CapturedMessage,
-    /// Which part of it.
     pub content: Content,
     pub keys: Arc<EpochKeys>,
     pub topic: Arc<TopicKeys>,
@@ -46,12 +35,10 @@ pub struct Task<'a> {
 }
 
 impl Task<'_> {
-    /// Whether it is the message itself.
     pub fn is_message(&self) -> bool {
         matches!(self.content, Content::Message(_))
     }
 
-    /// The definition in this task, if it is one.
     pub fn definition_id(&self) -> Option<StoredDefinition> {
         match &self.content {
             Content::Definition(definition) => Some(definition.clone()),
@@ -60,24 +47,20 @@ impl Task<'_> {
     }
 }
 
-/// A round's records in order.
 #[derive(Default)]
 pub struct Plan<'a> {
-    /// What is to be sealed.
     pub tasks: Vec<Task<'a>>,
-    /// Messages for which there is no key.
+    /// Messages without a key.
     pub keyless: Vec<&'a CapturedMessage>,
-    /// Numbers assigned, the last of each stream.
+    /// Last number assigned in each stream.
     pub seqs: HashMap<Stream, u64>,
-    /// The definitions among the tasks.
     definitions: HashSet<StoredDefinition>,
 }
 
-/// What is known from earlier rounds.
+#[derive(Default)]
 pub struct Planner {
     /// The last stored number of each stream.
     pub seqs: HashMap<Stream, u64>,
-    /// Definitions that are stored.
     pub definitions: HashSet<StoredDefinition>,
     hashes: HashMap<Arc<str>, Digest>,
     /// The last definition of each topic: nearly always the next one too, and then the same text.
@@ -87,19 +70,12 @@ pub struct Planner {
 }
 
 impl Planner {
-    /// Nothing is known yet.
     pub fn new() -> Self {
-        Self {
-            seqs: HashMap::new(),
-            definitions: HashSet::new(),
-            hashes: HashMap::new(),
-            last: HashMap::new(),
-            packing: Some(Packing::default()),
-        }
+        Self { packing: Some(Packing::default()), ..Self::default() }
     }
 
-    /// The plan for these messages. Numbers count only once [`Self::seqs`] has them.
-    pub fn plan<'a>(&mut self, plant: &Plant, items: &'a [CapturedMessage]) -> Result<Plan<'a>, PipelineError> {
+    /// Numbers count only once [`Self::seqs`] has them.
+    pub fn plan<'a>(&mut self, plant: &Plant, items: &'a [CapturedMessage]) -> Result<Plan<'a>> {
         let mut plan = Plan::default();
         let recorder = plant.ledger.records.recorder();
         for item in items.iter().filter(|item| !item.ring) {
@@ -136,14 +112,14 @@ impl Planner {
         Ok(plan)
     }
 
-    /// The message's definition, if it is neither stored yet nor in the plan.
+    /// `None` if the definition is stored or in the plan.
     fn unsent(
         &mut self,
         plant: &Plant,
         plan: &Plan<'_>,
         item: &CapturedMessage,
         (keys, topic, digest): (&EpochKeys, TopicId, Digest),
-    ) -> Result<Option<StoredDefinition>, PipelineError> {
+    ) -> Result<Option<StoredDefinition>> {
         let (owner, held) = (item.author.address, item.doubt.is_some());
         let definition = StoredDefinition { domain: keys.domain, owner, epoch: keys.epoch, topic, digest, held };
         if plan.definitions.contains(&definition) || self.definitions.contains(&definition) {
@@ -181,8 +157,7 @@ impl Planner {
         digest
     }
 
-    /// The next number of a stream, which the plan then contains.
-    fn next_seq(&self, plant: &Plant, stream: Stream, plan: &mut Plan<'_>) -> Result<u64, PipelineError> {
+    fn next_seq(&self, plant: &Plant, stream: Stream, plan: &mut Plan<'_>) -> Result<u64> {
         let seq = match plan.seqs.get(&stream).or_else(|| self.seqs.get(&stream)) {
             Some(last) => last + 1,
             None => plant.ledger.records.next_seq(stream.0, stream.1, stream.2)?,

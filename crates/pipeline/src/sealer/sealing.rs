@@ -1,5 +1,4 @@
-//! Seals the records of a round in parallel: each independently, from the plan. Nothing here knows of the others,
-//! writes anything, or depends on the order of threads.
+//! Seals the records of a round in parallel, each independently of the others and of the order of threads.
 
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -15,21 +14,18 @@ use crate::model::head::{Compression, SIMULATED};
 use crate::model::{Head, LossReason, RecordKind, RecordState, TopicId};
 use crate::recorder::CapturedMessage;
 use crate::ring::Weighted as _;
+use crate::store::notes::StoredDefinition;
 use crate::store::{DiskRing, Hold, KnownDefinition, NewRecord, RingRecord};
-use crate::{PipelineError, Plant, importer, quarantine};
+use crate::{Plant, Result, importer, quarantine};
 
-/// A sealed record on its way into the store.
 pub struct Ready {
-    /// The record with its bytes.
     pub row: NewRecord,
-    /// Why it is quarantined, if it is.
     pub hold: Option<Hold>,
     /// Whether compressing it paid, if that was tried.
     pub paid: Option<bool>,
 }
 
-/// Seals a whole round, on as many cores as is worthwhile.
-pub fn seal_all(plant: &Plant, boot_id: [u8; 16], tasks: &[Task<'_>]) -> Result<Vec<Ready>, PipelineError> {
+pub fn seal_all(plant: &Plant, boot_id: [u8; 16], tasks: &[Task<'_>]) -> Result<Vec<Ready>> {
     let bytes = tasks.iter().map(|task| task.body().len()).sum();
     each(tasks, helpers_for(tasks.len(), bytes), |task| task.seal(plant, boot_id)).into_iter().collect()
 }
@@ -56,7 +52,7 @@ impl Task<'_> {
         }
     }
 
-    fn seal(&self, plant: &Plant, boot_id: [u8; 16]) -> Result<Ready, PipelineError> {
+    fn seal(&self, plant: &Plant, boot_id: [u8; 16]) -> Result<Ready> {
         let (message, body, tags) = (&*self.item.message, self.body(), tags(self.item));
         let packed = self.pack();
         let filters = self.topic.filters(&message.type_name, &tags);
@@ -122,11 +118,11 @@ fn tags(item: &CapturedMessage) -> BTreeMap<String, String> {
     tags
 }
 
-/// A record with its number, the definition that it is, and its topic.
+/// A record, its number, the definition that it is, and its topic.
 type Numbered = (RingRecord, u64, Option<KnownDefinition>, TopicId);
 
 impl Sealer {
-    /// Seals what is for the ring. What fails is counted as lost: nothing waits for the ring.
+    /// A failure counts as lost: nothing waits for the ring.
     pub(super) fn keep_in_ring(&mut self, items: &[CapturedMessage]) {
         let items: Vec<&CapturedMessage> = items.iter().filter(|item| item.ring).collect();
         let Some(ring) = self.ring.get().cloned().filter(|_| !items.is_empty()) else {
@@ -148,8 +144,8 @@ impl Sealer {
         }
     }
 
-    /// One round; either all of its messages that have a key are in the ring, or none.
-    fn ring_round(&mut self, ring: &SharedRing, items: &[&CapturedMessage]) -> Result<(), PipelineError> {
+    /// Either all messages that have a key get into the ring, or none.
+    fn ring_round(&mut self, ring: &SharedRing, items: &[&CapturedMessage]) -> Result<()> {
         let mut ring = lock(ring);
         if let Err(full) = self.plant.ledger.records.takes_records() {
             // The disk belongs to what is acknowledged.
@@ -189,8 +185,9 @@ impl Sealer {
             let planned = |task: &Task<'_>| known_definition(task) == Some(known);
             let mut contents = Vec::with_capacity(2);
             if !ring.has_definition(&known) && !plan.tasks.iter().any(planned) {
-                let owner = item.author.address;
-                contents.push(Content::ring_definition((keys.domain, owner, keys.epoch), topic.id, definition));
+                let (domain, owner, epoch) = (keys.domain, item.author.address, keys.epoch);
+                let (topic, digest, held) = (topic.id, definition, false);
+                contents.push(Content::Definition(StoredDefinition { domain, owner, epoch, topic, digest, held }));
             }
             let tried = self.planner.packing.as_mut().and_then(|packing| packing.decide(&item.message));
             contents.push(Content::Message(tried));
@@ -205,7 +202,6 @@ impl Sealer {
     }
 }
 
-/// The items in rounds of about `most` bytes.
 fn rounds<'a, 'b>(items: &'b [&'a CapturedMessage], most: u64) -> Vec<&'b [&'a CapturedMessage]> {
     let (mut rounds, mut rest) = (Vec::new(), items);
     while !rest.is_empty() {

@@ -1,4 +1,4 @@
-//! A nonce lane while it is held: nobody else signs for the account meanwhile; and how it stands.
+//! A held nonce lane, and the state of one.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -8,30 +8,27 @@ use tokio::sync::OwnedMutexGuard;
 
 use super::Sender;
 use super::tend::Memory;
-use crate::PipelineError;
-use crate::chain::{Call, Chain, ChainError, Nonces, Priced, Shortfall, offered, passed_by};
+use crate::chain::{Call, Chain, ChainError, Nonces, Priced, Shortfall, SignedTransaction, offered, passed_by};
 use crate::crypto::{EoaSecret, fault};
 use crate::model::{Address, Hash, Timestamp, Wei};
 use crate::store::{Anchors, NewTransaction};
+use crate::{PipelineError, Result};
 
-/// A call to be signed, stored and sent.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Outgoing {
     pub call: Call,
-    /// Its purpose, in a word: `anchor`, `grant`, ….
+    /// A word: `anchor`, `grant`, ….
     pub purpose: String,
-    /// The records it anchors.
     pub anchors: Anchors,
 }
 
 impl Outgoing {
-    /// A call that anchors no records.
     pub fn plain(call: Call, purpose: &str) -> Self {
         Self { call, purpose: purpose.to_owned(), anchors: Anchors::Nothing }
     }
 }
 
-/// What is remembered of an account's lane between checks.
+#[derive(Default)]
 pub(super) struct Cell {
     /// Held while nonces are assigned.
     pub nonces: std::sync::Arc<tokio::sync::Mutex<()>>,
@@ -41,14 +38,6 @@ pub(super) struct Cell {
 }
 
 impl Cell {
-    pub fn new() -> Self {
-        Self {
-            nonces: std::sync::Arc::default(),
-            tending: tokio::sync::Mutex::default(),
-            memory: Mutex::new(Memory::new()),
-        }
-    }
-
     pub fn memory(&self) -> MutexGuard<'_, Memory> {
         self.memory.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -64,46 +53,24 @@ pub struct Lane<'a> {
 }
 
 impl Lane<'_> {
-    pub fn account(&self) -> Address {
-        self.account
-    }
-
-    /// The state of the lane.
-    pub fn state(&self) -> Result<LaneState, PipelineError> {
-        self.sender.state_of(self.account)
-    }
-
-    /// How many more transactions it accepts now; 0 while it is paused.
-    pub fn room(&self) -> Result<usize, PipelineError> {
-        self.sender.room(self.account)
-    }
-
-    /// The lane's open transactions by nonce, without their bytes.
-    pub fn open(&self) -> Result<Vec<crate::store::OpenTransaction>, PipelineError> {
-        Ok(self.sender.ledger.lanes.open_lane(self.account)?)
-    }
-
     /// The next nonce, after everything mined, pending at the node (signed here or elsewhere), or open here.
-    pub async fn next_nonce(&self) -> Result<u64, PipelineError> {
+    pub async fn next_nonce(&self) -> Result<u64> {
         let pending = self.sender.nonces(self.chain, self.account).await?.pending;
         let open = self.sender.ledger.lanes.lane_count(self.account)?;
         Ok(open.highest.map_or(0, |nonce| nonce + 1).max(pending))
     }
 
-    /// The most that gas may cost now, wei.
-    pub(super) async fn price(&self) -> Result<u128, PipelineError> {
+    /// Wei per gas.
+    pub(super) async fn price(&self) -> Result<u128> {
         match self.sender.policy().fresh(&self.chain.market().await?) {
             Priced::At(price) => Ok(price),
             Priced::Capped { needed, cap } => Err(self.sender.pause(self.account, PauseReason::capped(needed, cap))),
         }
     }
 
-    /// Signs and stores `outgoing` in order, releases the lane, then sends it.
-    ///
-    /// # Errors
-    /// Errors of the chain while signing, of the ledger while storing; then nothing is stored. A transaction that is
-    /// stored but could not be handed to the node is not an error: it is sent again.
-    pub async fn submit(self, outgoing: Vec<Outgoing>) -> Result<Vec<Hash>, PipelineError> {
+    /// Signs and stores in order, releases the lane, then sends. On an error nothing is stored; a stored transaction
+    /// that the node did not take is no error: it is sent again.
+    pub async fn submit(self, outgoing: Vec<Outgoing>) -> Result<Vec<Hash>> {
         if outgoing.is_empty() {
             return Ok(Vec::new());
         }
@@ -139,11 +106,8 @@ impl Lane<'_> {
         fault::point("handed-in");
         Ok(hashes)
     }
-}
 
-impl Lane<'_> {
-    /// Signs and stores a transfer of ether, releases the lane, then sends it.
-    pub async fn transfer(self, to: Address, wei: u128, purpose: &str) -> Result<Hash, PipelineError> {
+    pub async fn transfer(self, to: Address, wei: u128, purpose: &str) -> Result<Hash> {
         let (price, nonce) = (self.price().await?, self.next_nonce().await?);
         let signed = self.chain.sign_transfer(self.eoa, nonce, to, wei, price)?;
         let cost = wei.saturating_add(price.saturating_mul(u128::from(signed.gas_limit)));
@@ -152,24 +116,20 @@ impl Lane<'_> {
             let (account, held, needed) = (self.account, Wei(held), Wei(cost));
             return Err(PipelineError::NoEther(Shortfall { account, held, needed }));
         }
-        let (hash, account, raw) = (signed.hash, self.account, signed.raw);
-        let row = NewTransaction {
-            hash,
-            account,
-            nonce,
-            raw: raw.clone(),
-            purpose: purpose.to_owned(),
-            anchors: Anchors::Nothing,
-        };
-        self.sender.ledger.lanes.submit(row)?;
-        let (sender, chain) = (self.sender, self.chain);
+        let (sender, chain, account) = (self.sender, self.chain, self.account);
+        sender.ledger.lanes.submit(row_of(&signed, account, purpose))?;
         drop(self.held);
-        sender.hand_in(chain, account, hash, &raw).await;
-        Ok(hash)
+        sender.hand_in(chain, account, signed.hash, &signed.raw).await;
+        Ok(signed.hash)
     }
 }
 
-/// The outcome of handing bytes to the node.
+/// The row of a transaction that anchors no records.
+pub(super) fn row_of(signed: &SignedTransaction, account: Address, purpose: &str) -> NewTransaction {
+    let (hash, nonce, raw, purpose) = (signed.hash, signed.nonce, signed.raw.clone(), purpose.to_owned());
+    NewTransaction { hash, account, nonce, raw, purpose, anchors: Anchors::Nothing }
+}
+
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum HandedIn {
     /// The node has them, or will be asked about their nonce.
@@ -180,11 +140,13 @@ pub(super) enum HandedIn {
     Refused,
 }
 
+/// Transactions that others may have sent from the account without a second question.
+const JUMP: u64 = 32;
+const PAUSE: Duration = Duration::from_millis(500);
 /// While answers fail, the longest that bytes are handed in one after the other.
 pub(super) const BROKEN: Duration = Duration::from_secs(8);
 
 impl Sender {
-    /// Hands stored bytes to the node.
     pub(super) async fn hand_in(&self, chain: &Chain, account: Address, hash: Hash, raw: &[u8]) -> HandedIn {
         let answer = chain.broadcast(raw).await;
         let cell = self.cell(account);
@@ -210,19 +172,10 @@ impl Sender {
             Err(_) => HandedIn::Refused,
         }
     }
-}
 
-/// Transactions that others may have sent from the account without a second question.
-const JUMP: u64 = 32;
-const PAUSE: Duration = Duration::from_millis(500);
-
-impl Sender {
-    /// Both next nonces of an account. Where they are far beyond what was signed here, the node is asked twice: a site
-    /// that shares the account may have sent that many.
-    ///
-    /// # Errors
-    /// Errors of chain and ledger; [`ChainError::Answer`] if the second answer contradicts the first.
-    pub(super) async fn nonces(&self, chain: &Chain, account: Address) -> Result<Nonces, PipelineError> {
+    /// Where the nonces are far beyond what was signed here, the node is asked twice: a site that shares the account
+    /// may have sent that many. [`ChainError::Answer`] if the second answer contradicts the first.
+    pub(super) async fn nonces(&self, chain: &Chain, account: Address) -> Result<Nonces> {
         let known = self.ledger.lanes.highest_nonce(account)?.map_or(0, |nonce| nonce + 1);
         let first = chain.nonces(account).await?;
         if first.pending <= known.saturating_add(JUMP) {
@@ -245,38 +198,33 @@ const GWEI: u128 = 1_000_000_000;
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "reason")]
 pub enum PauseReason {
-    /// The account cannot pay for the gas of its next transaction.
     NoEther(Shortfall),
     /// The node says that it cannot pay, and is behind a block that it had before.
     CatchingUp {
         block: u64,
-        /// The newest block that it had.
+        /// Newest block that it had.
         highest: u64,
     },
-    /// The network requires more than the operator's cap.
+    /// Gwei per gas: the network requires `needed`, rounded up, and `chain.max_fee` is `cap`.
     FeeCap {
-        /// Gwei per gas required, rounded up.
         needed: u64,
-        /// Gwei per gas allowed by `chain.max_fee`.
         cap: u64,
     },
     /// Blocks are made, and pass by the account's next transaction. Its price is raised meanwhile.
     PassedBy {
         blocks: u64,
-        /// The price per gas that it offers.
         price: Wei,
     },
     /// No block was made for a while although transactions are waiting.
     Stalled,
-    /// The node refuses the next transaction for another reason.
     Refused {
-        /// In its words, cleaned.
+        /// In the node's words, cleaned.
         why: String,
     },
 }
 
 impl PauseReason {
-    /// The cap forbids a price, given in wei per gas.
+    /// Prices in wei per gas.
     pub(super) fn capped(needed: u128, cap: u128) -> Self {
         let gwei = |wei: u128| u64::try_from(wei.div_ceil(GWEI)).unwrap_or(u64::MAX);
         Self::FeeCap { needed: gwei(needed), cap: gwei(cap) }
@@ -299,7 +247,6 @@ impl PauseReason {
         !matches!(self, Self::CatchingUp { .. })
     }
 
-    /// What happened and what to do, for the lane's account.
     pub fn text(&self, account: Address) -> String {
         format!("anchoring for {account} is paused, nothing is lost: {}", self.cause(account))
     }
@@ -321,7 +268,6 @@ impl PauseReason {
     }
 }
 
-/// A nonce lane at a glance.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LaneState {
     pub account: Address,
@@ -329,12 +275,10 @@ pub struct LaneState {
     pub open: u64,
     /// When the oldest of them was first signed.
     pub oldest: Option<Timestamp>,
-    /// Why it is paused, if it is.
     pub paused: Option<PauseReason>,
 }
 
 impl LaneState {
-    /// A lane with nothing in it.
     pub fn idle(account: Address) -> Self {
         Self { account, open: 0, oldest: None, paused: None }
     }

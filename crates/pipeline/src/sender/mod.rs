@@ -1,8 +1,5 @@
 //! Nonce lanes: one per EOA. A signed transaction is stored before it is sent, and the same bytes are sent again until
-//! the chain has decided about its nonce.
-//!
-//! After every block a lane is *tended* ([`Sender::tend`]): its transactions are closed, yielded to others, replaced at
-//! a higher price, gaps filled, or the lane visibly paused; nothing is lost.
+//! the chain has decided about its nonce. After every block a lane is tended ([`Sender::tend`]).
 
 mod lane;
 mod tend;
@@ -18,15 +15,59 @@ use self::lane::Cell;
 use crate::chain::{Call, Chain, Policy, Priced, Receipt, Shortfall, offered};
 use crate::crypto::EoaSecret;
 use crate::model::{Address, Hash, Wei, clean};
-use crate::store::{Anchors, Ledger, NewTransaction, TransactionRow, TransactionState};
-use crate::{Observer, PipelineError};
+use crate::store::{Ledger, TransactionRow, TransactionState};
+use crate::{Observer, PipelineError, Result};
 
 /// Transactions of one account that may wait for a block.
 pub const MOST_OPEN: u64 = 1024;
-/// How long a single transaction may take before its sender is told that it is waiting.
+/// How long a caller waits for a single transaction.
 const PATIENCE: Duration = Duration::from_secs(120);
+/// How long a price that was needed once is offered from the start.
+const REMEMBERED: Duration = Duration::from_secs(3_600);
+/// How long a node may take to have the blocks again that it had; after that the chain is taken to be shorter.
+const CATCHING_UP: Duration = Duration::from_secs(120);
+/// The purpose of the transaction that takes a cancelled one's nonce.
+const PURPOSE: &str = "cancel";
 
-/// Sends transactions of all accounts of the site.
+/// A price that a transaction had to offer before it was mined.
+#[derive(Debug, Clone, Copy)]
+struct Needed {
+    price: u128,
+    at: Instant,
+}
+
+#[derive(Debug, Default)]
+struct Heads {
+    /// 0 before the first look.
+    highest: u64,
+    /// Since when the node has been below it.
+    behind: Option<Instant>,
+}
+
+impl Heads {
+    /// Notes the node's newest block; returns the one that it had before, if it is behind that.
+    fn see(&mut self, number: u64, patience: Duration) -> Option<u64> {
+        let highest = self.highest;
+        let since = *self.behind.get_or_insert_with(Instant::now);
+        if number >= highest || since.elapsed() > patience {
+            (self.highest, self.behind) = (number, None);
+            return None;
+        }
+        Some(highest)
+    }
+}
+
+/// A transaction that was cancelled, unless the chain still takes it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Cancelled {
+    pub nonce: u64,
+    pub purpose: String,
+    /// Whether it anchored records, which are anchored again.
+    pub anchors: bool,
+    pub hash: Hash,
+    pub price: Wei,
+}
+
 pub struct Sender {
     ledger: Ledger,
     observer: Arc<dyn Observer>,
@@ -38,75 +79,46 @@ pub struct Sender {
 }
 
 impl Sender {
-    /// A sender that stores its transactions in `ledger` and tells `observer` when a lane is paused.
     pub fn new(ledger: Ledger, observer: Arc<dyn Observer>, policy: Policy) -> Self {
         Self { ledger, observer, policy, needed: Mutex::default(), heads: Mutex::default(), lanes: Mutex::default() }
     }
 
     fn cell(&self, account: Address) -> Arc<Cell> {
         let mut lanes = self.lanes.lock().unwrap_or_else(PoisonError::into_inner);
-        Arc::clone(lanes.entry(account).or_insert_with(|| Arc::new(Cell::new())))
+        Arc::clone(lanes.entry(account).or_default())
     }
 
-    /// Holds the account's lane: until it is released nobody else signs for it in this process.
+    /// Until the lane is released nobody else in this process signs for the account.
     pub async fn lane<'a>(&'a self, chain: &'a Chain, eoa: &'a EoaSecret) -> Lane<'a> {
         let account = eoa.address();
         let held = Arc::clone(&self.cell(account).nonces).lock_owned().await;
         Lane { sender: self, chain, eoa, account, held }
     }
 
-    /// The state of an account's lane.
-    pub fn state_of(&self, account: Address) -> Result<LaneState, PipelineError> {
+    pub fn state_of(&self, account: Address) -> Result<LaneState> {
         let count = self.ledger.lanes.lane_count(account)?;
         let paused = self.cell(account).memory().paused.clone();
         Ok(LaneState { account, open: count.open, oldest: count.oldest, paused })
     }
 
     /// How many more transactions an account's lane accepts now; 0 while it is paused.
-    pub fn room(&self, account: Address) -> Result<usize, PipelineError> {
+    pub fn room(&self, account: Address) -> Result<usize> {
         let state = self.state_of(account)?;
         let room = if state.paused.is_some() { 0 } else { MOST_OPEN.saturating_sub(state.open) };
         Ok(usize::try_from(room).unwrap_or(0))
     }
 
-    /// Signs, stores and sends `outgoing` in order.
-    pub async fn submit(
-        &self,
-        chain: &Chain,
-        eoa: &EoaSecret,
-        outgoing: Vec<Outgoing>,
-    ) -> Result<Vec<Hash>, PipelineError> {
-        self.lane(chain, eoa).await.submit(outgoing).await
-    }
-
-    /// Sends one call and waits until it is mined.
-    ///
-    /// # Errors
-    /// `Reverted` with the contract's reason, and `NoEther`, before anything is sent if the node can tell; `NotMined`
-    /// after two minutes at one price; `Cancelled`; errors of chain and ledger.
-    pub async fn send(
-        &self,
-        chain: &Chain,
-        eoa: &EoaSecret,
-        call: Call,
-        purpose: &str,
-    ) -> Result<(Hash, Receipt), PipelineError> {
+    /// Sends one call and waits until it is mined. `Reverted` and `NoEther` come before anything is sent if the node
+    /// can tell; `NotMined` comes after two minutes at one price.
+    pub async fn send(&self, chain: &Chain, eoa: &EoaSecret, call: Call, purpose: &str) -> Result<(Hash, Receipt)> {
         self.expect_means(chain, eoa.address(), &call).await?;
         chain.simulate(eoa.address(), &call).await?;
-        let hashes = self.submit(chain, eoa, vec![Outgoing::plain(call, purpose)]).await?;
+        let hashes = self.lane(chain, eoa).await.submit(vec![Outgoing::plain(call, purpose)]).await?;
         let hash = hashes.first().copied().ok_or_else(|| self.not_mined(eoa.address(), purpose))?;
         self.wait_mined(chain, eoa, hash, purpose).await
     }
 
-    /// Sends ether, and waits until it is mined.
-    pub async fn transfer(
-        &self,
-        chain: &Chain,
-        eoa: &EoaSecret,
-        to: Address,
-        wei: u128,
-        purpose: &str,
-    ) -> Result<(), PipelineError> {
+    pub async fn transfer(&self, chain: &Chain, eoa: &EoaSecret, to: Address, wei: u128, purpose: &str) -> Result<()> {
         let hash = self.lane(chain, eoa).await.transfer(to, wei, purpose).await?;
         self.wait_mined(chain, eoa, hash, purpose).await.map(|_| ())
     }
@@ -118,7 +130,7 @@ impl Sender {
         eoa: &EoaSecret,
         mut hash: Hash,
         purpose: &str,
-    ) -> Result<(Hash, Receipt), PipelineError> {
+    ) -> Result<(Hash, Receipt)> {
         let (first, mut deadline) = (hash, Instant::now() + PATIENCE);
         let mut head = chain.head().await?.number;
         loop {
@@ -156,8 +168,7 @@ impl Sender {
         PipelineError::NotMined { purpose: purpose.to_owned(), why }
     }
 
-    /// Follows a transaction to its last replacement.
-    fn newest(&self, mut hash: Hash) -> Result<Option<TransactionRow>, PipelineError> {
+    fn newest(&self, mut hash: Hash) -> Result<Option<TransactionRow>> {
         for _ in 0..1000 {
             let row = self.ledger.lanes.transaction(hash)?;
             let is_replaced = |row: &&TransactionRow| row.state == TransactionState::Replaced;
@@ -169,7 +180,6 @@ impl Sender {
         Ok(None)
     }
 
-    /// Pauses an account's lane, and reports it once.
     fn pause(&self, account: Address, reason: PauseReason) -> PipelineError {
         let text = reason.text(account);
         self.settle(account, Some(reason));
@@ -181,7 +191,7 @@ impl Sender {
             let cell = self.cell(account);
             let mut memory = cell.memory();
             memory.paused.clone_from(&paused);
-            let alarm = paused.as_ref().filter(|reason| reason.is_alarm()).map(lane::PauseReason::word);
+            let alarm = paused.as_ref().filter(|reason| reason.is_alarm()).map(PauseReason::word);
             // While the node is catching up nothing is known anew, so an alarm stands.
             let alarm = if paused.is_some() { alarm.or(memory.alarm) } else { None };
             (std::mem::replace(&mut memory.alarm, alarm), alarm)
@@ -192,43 +202,7 @@ impl Sender {
             (_, None) => self.observer.alert(false, format!("anchoring for {account} resumes")),
         }
     }
-}
 
-/// How long a price that was needed once is offered from the start.
-const REMEMBERED: Duration = Duration::from_secs(3_600);
-/// How long a node may take to have the blocks again that it had; after that the chain is taken to be shorter.
-const CATCHING_UP: Duration = Duration::from_secs(120);
-
-/// A price that a transaction had to offer before it was mined.
-#[derive(Debug, Clone, Copy)]
-struct Needed {
-    price: u128,
-    at: Instant,
-}
-
-/// The newest block of the node so far.
-#[derive(Debug, Default)]
-struct Heads {
-    /// Its number; 0 before the first look.
-    highest: u64,
-    /// Since when the node has been below it.
-    behind: Option<Instant>,
-}
-
-impl Heads {
-    /// Notes the node's newest block; returns the one that it had before, if it is behind that.
-    fn see(&mut self, number: u64, patience: Duration) -> Option<u64> {
-        let highest = self.highest;
-        let since = *self.behind.get_or_insert_with(Instant::now);
-        if number >= highest || since.elapsed() > patience {
-            (self.highest, self.behind) = (number, None);
-            return None;
-        }
-        Some(highest)
-    }
-}
-
-impl Sender {
     /// The operator's limits; the floor is at least what was needed within the last hour.
     pub fn policy(&self) -> Policy {
         let needed = self.needed.lock().unwrap_or_else(PoisonError::into_inner);
@@ -236,7 +210,6 @@ impl Sender {
         needed.map_or(self.policy, |needed| self.policy.with_floor(needed.price))
     }
 
-    /// The operator's limits, as they are set.
     pub fn limits(&self) -> Policy {
         self.policy
     }
@@ -246,63 +219,39 @@ impl Sender {
         *self.needed.lock().unwrap_or_else(PoisonError::into_inner) = Some(Needed { price, at: Instant::now() });
     }
 
-    /// Notes the node's newest block; returns the one that it had before, if it is behind that.
     fn see_head(&self, number: u64) -> Option<u64> {
         self.heads.lock().unwrap_or_else(PoisonError::into_inner).see(number, CATCHING_UP)
     }
 
     /// Why the account cannot pay so much. A node that is behind its own earlier head does not know what it holds.
-    async fn shortage(&self, chain: &Chain, account: Address, needed: u128) -> Result<PauseReason, PipelineError> {
+    async fn shortage(&self, chain: &Chain, account: Address, needed: u128) -> Result<PauseReason> {
         // Before the head is asked for; where the chain became shorter, the watcher goes back itself.
         let read = self.ledger.trail.cursor()?.map(|(block, _)| block);
         let block = chain.head().await?.number;
         let seen = self.see_head(block).max(read.filter(|read| *read > block));
         if let Some(highest) = seen {
-            return Ok(lane::PauseReason::CatchingUp { block, highest });
+            return Ok(PauseReason::CatchingUp { block, highest });
         }
         let held = Wei(chain.wealth(account).await?);
-        Ok(lane::PauseReason::NoEther(Shortfall { account, held, needed: Wei(needed) }))
+        Ok(PauseReason::NoEther(Shortfall { account, held, needed: Wei(needed) }))
     }
 
-    /// Fails before anything is signed if the account cannot pay for the call.
-    async fn expect_means(&self, chain: &Chain, account: Address, call: &Call) -> Result<(), PipelineError> {
+    async fn expect_means(&self, chain: &Chain, account: Address, call: &Call) -> Result<()> {
         let Priced::At(price) = self.policy().fresh(&chain.market().await?) else { return Ok(()) };
         let lacking = chain.shortfall(account, call, price).await?;
         if lacking.held >= lacking.needed {
             return Ok(());
         }
         match self.shortage(chain, account, lacking.needed.0).await? {
-            lane::PauseReason::NoEther(lacking) => Err(PipelineError::NoEther(lacking)),
+            PauseReason::NoEther(lacking) => Err(PipelineError::NoEther(lacking)),
             reason => Err(PipelineError::Refused(reason.cause(account))),
         }
     }
-}
 
-/// The purpose of the transaction that takes a cancelled one's nonce.
-const PURPOSE: &str = "cancel";
-
-/// A transaction that was cancelled, unless the chain takes it all the same.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Cancelled {
-    pub nonce: u64,
-    pub purpose: String,
-    /// Whether it anchored records; they wait to be anchored again.
-    pub anchors: bool,
-    /// The transaction in its place.
-    pub hash: Hash,
-    /// The price per gas that this one offers.
-    pub price: Wei,
-}
-
-impl Sender {
-    /// Replaces the account's open transaction with this nonce by an empty one to the account itself, at a higher
-    /// price. The records that it anchors wait to be anchored again; whatever else it was for does not happen, and
-    /// its callers get an error. If the chain takes the old one after all, that is recognised as for any other.
-    ///
-    /// # Errors
-    /// `Refused` if there is no such transaction, it is in a block already, or the cap forbids a higher price;
-    /// `NoEther`; errors of chain and ledger.
-    pub async fn cancel(&self, chain: &Chain, eoa: &EoaSecret, nonce: u64) -> Result<Cancelled, PipelineError> {
+    /// Replaces the open transaction with this nonce by an empty one at a higher price. Records that it anchors are
+    /// anchored again; other effects do not happen, and its callers get an error. If the chain takes the old one after
+    /// all, that counts.
+    pub async fn cancel(&self, chain: &Chain, eoa: &EoaSecret, nonce: u64) -> Result<Cancelled> {
         let account = eoa.address();
         let cell = self.cell(account);
         let _alone = cell.tending.lock().await;
@@ -320,32 +269,25 @@ impl Sender {
         let price = match self.policy().replacement(offered(&raw)?.price, &chain.market().await?) {
             Priced::At(price) => price,
             Priced::Capped { needed, cap } => {
-                return Err(PipelineError::Refused(lane::PauseReason::capped(needed, cap).cause(account)));
+                return Err(PipelineError::Refused(PauseReason::capped(needed, cap).cause(account)));
             }
         };
         let signed = chain.sign_transfer(eoa, nonce, account, 0, price)?;
         let cost = price.saturating_mul(u128::from(signed.gas_limit));
         if chain.wealth(account).await? < cost {
             return Err(match self.shortage(chain, account, cost).await? {
-                lane::PauseReason::NoEther(lacking) => PipelineError::NoEther(lacking),
+                PauseReason::NoEther(lacking) => PipelineError::NoEther(lacking),
                 reason => PipelineError::Refused(reason.cause(account)),
             });
         }
-        let (hash, raw, purpose) = (signed.hash, signed.raw, PURPOSE.to_owned());
-        let new = NewTransaction { hash, account, nonce, raw: raw.clone(), purpose, anchors: Anchors::Nothing };
-        self.ledger.lanes.replace_transaction(row.hash, new)?;
-        self.hand_in(chain, account, hash, &raw).await;
-        Ok(Cancelled { nonce, purpose: row.purpose, anchors: row.anchors, hash, price: Wei(price) })
+        self.ledger.lanes.replace_transaction(row.hash, lane::row_of(&signed, account, PURPOSE))?;
+        self.hand_in(chain, account, signed.hash, &signed.raw).await;
+        Ok(Cancelled { nonce, purpose: row.purpose, anchors: row.anchors, hash: signed.hash, price: Wei(price) })
     }
 
-    /// Waits until the chain has used a cancelled transaction's nonce; returns the block of the one in its place, or
-    /// `None` if the cancelled one was mined after all.
-    pub async fn wait_cancelled(
-        &self,
-        chain: &Chain,
-        eoa: &EoaSecret,
-        cancelled: &Cancelled,
-    ) -> Result<Option<u64>, PipelineError> {
+    /// Returns the block of the transaction in place of a cancelled one, or `None` if the cancelled one was mined after
+    /// all.
+    pub async fn wait_cancelled(&self, chain: &Chain, eoa: &EoaSecret, cancelled: &Cancelled) -> Result<Option<u64>> {
         let (account, deadline) = (eoa.address(), Instant::now() + PATIENCE);
         let mut head = chain.head().await?.number;
         while self.nonces(chain, account).await?.mined <= cancelled.nonce {

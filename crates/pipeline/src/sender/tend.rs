@@ -7,74 +7,52 @@ use tokio::task::block_in_place;
 
 use crate::chain::{Chain, Offered, Priced, Receipt, Wait, is_same_call, offered};
 use crate::crypto::EoaSecret;
-use crate::model::{Address, Hash, clean};
-use crate::pipeline::PipelineError;
+use crate::model::{Hash, clean};
+use crate::pipeline::Result;
 use crate::store::{OpenTransaction, Reissue, TransactionOutcome};
 use crate::watcher;
 
 use super::lane::PauseReason;
-use super::{Sender, waiting};
-use crate::sender;
+use super::waiting::{self, Round};
+use super::{PURPOSE, Sender};
 
 /// A nonce counts as taken by a foreign transaction when no receipt of ours was found for this long.
 const SURE: Duration = Duration::from_secs(1);
 
-/// What is remembered of a lane; all of it may be lost at any time.
+/// Memory of a lane; all of it may be lost at any time.
+#[derive(Default)]
 pub(super) struct Memory {
-    /// Why the lane is paused.
     pub paused: Option<PauseReason>,
     /// The word of the alarm that was raised and not taken back.
     pub alarm: Option<&'static str>,
-    /// When bytes were last handed to the node.
     sent: HashMap<Hash, Instant>,
     /// Since when a transaction's nonce has been used although it has no receipt.
     missing: HashMap<Hash, Instant>,
-    /// The gas terms of transactions.
     pub prices: HashMap<Hash, Offered>,
-    /// Refused by the node as too cheap.
     pub cheap: HashSet<Hash>,
     /// The lowest nonce that nobody holds, and since when.
     pub hole: Option<(u64, Instant)>,
     /// The newest block, and since when.
-    head: (u64, Instant),
+    head: Option<(u64, Instant)>,
     /// The nonce of the first waiting transaction, and how long it has been the first.
     front: Option<(u64, Wait)>,
 }
 
 impl Memory {
-    pub fn new() -> Self {
-        Self {
-            paused: None,
-            alarm: None,
-            sent: HashMap::new(),
-            missing: HashMap::new(),
-            prices: HashMap::new(),
-            cheap: HashSet::new(),
-            hole: None,
-            head: (0, Instant::now()),
-            front: None,
-        }
-    }
-
-    /// Notes that bytes were just handed in.
     pub fn sent(&mut self, hash: Hash) {
         self.sent.insert(hash, Instant::now());
     }
 
-    /// Whether bytes were not handed in for this long.
     pub fn is_quiet(&self, hash: Hash, length: Duration) -> bool {
         self.sent.get(&hash).is_none_or(|at| at.elapsed() >= length)
     }
 
     /// Notes the newest block; returns for how long it has been the newest.
     pub fn see_head(&mut self, number: u64) -> Duration {
-        if self.head.0 != number {
-            self.head = (number, Instant::now());
-        }
-        self.head.1.elapsed()
+        let known = self.head.filter(|(head, _)| *head == number);
+        self.head.insert(known.unwrap_or_else(|| (number, Instant::now()))).1.elapsed()
     }
 
-    /// Notes the nonce of the first waiting transaction; returns how long it has been the first.
     pub fn see_front(&mut self, nonce: u64, block: u64) -> Wait {
         match self.front {
             Some((front, wait)) if front == nonce => wait,
@@ -86,14 +64,13 @@ impl Memory {
         }
     }
 
-    /// Notes that the first waiting transaction was just offered at a higher price, because blocks passed it by.
     pub fn raise_front(&mut self, block: u64) {
         if let Some((_, wait)) = &mut self.front {
             wait.raise(block);
         }
     }
 
-    /// Whether the transaction with this nonce was offered at a higher price because blocks passed it by.
+    /// Whether blocks passed the transaction by, so that it was offered at a higher price.
     fn was_raised(&self, nonce: u64) -> bool {
         self.front.is_some_and(|(front, wait)| front == nonce && wait.is_raised())
     }
@@ -111,20 +88,17 @@ impl Memory {
     }
 }
 
-/// What the chain says about a used nonce.
 enum Decided {
-    /// The open transaction is in a block.
     Own(Receipt),
-    /// Another one signed here with this nonce is.
+    /// Another one signed here with this nonce is in a block.
     Kin(Hash, Vec<u8>, Receipt),
-    /// None signed here is.
+    /// None signed here is in a block.
     Taken,
 }
 
 impl Sender {
-    /// Checks every open transaction of the account, and does what is needed for each. Called after every block seen by
-    /// the watcher, and while none comes. Returns the reasons of refused ones.
-    pub async fn tend(&self, chain: &Chain, eoa: &EoaSecret) -> Result<Vec<String>, PipelineError> {
+    /// Called after every block of the watcher, and while none comes. Returns the reasons of refused transactions.
+    pub async fn tend(&self, chain: &Chain, eoa: &EoaSecret) -> Result<Vec<String>> {
         let account = eoa.address();
         let cell = self.cell(account);
         let Ok(_alone) = cell.tending.try_lock() else { return Ok(Vec::new()) };
@@ -139,35 +113,32 @@ impl Sender {
         }
         let nonces = self.nonces(chain, account).await?;
         let (used, waiting): (Vec<_>, Vec<_>) = open.into_iter().partition(|row| row.nonce < nonces.mined);
+        let round = Round { sender: self, chain, eoa, account, cell: &cell, nonces, rows: &waiting };
         for row in &used {
-            self.learn_price(account, row)?;
+            round.learn_price(row)?;
         }
         cell.memory().missing.retain(|hash, _| used.iter().any(|row| row.hash == *hash));
-        let refused = self.decide(chain, eoa, used).await?;
-        let paused = waiting::Round { sender: self, chain, eoa, account, nonces, rows: &waiting }.run().await?;
+        let refused = round.decide(used).await?;
+        let paused = round.run().await?;
         self.settle(account, paused);
         Ok(refused)
     }
+}
 
+impl Round<'_> {
     /// Closes what the chain has decided, as far as the watcher has seen the same chain.
-    async fn decide(
-        &self,
-        chain: &Chain,
-        eoa: &EoaSecret,
-        used: Vec<OpenTransaction>,
-    ) -> Result<Vec<String>, PipelineError> {
-        let Some((seen, hash)) = self.ledger.trail.cursor()? else { return Ok(Vec::new()) };
+    async fn decide(&self, used: Vec<OpenTransaction>) -> Result<Vec<String>> {
+        let Some((seen, hash)) = self.sender.ledger.trail.cursor()? else { return Ok(Vec::new()) };
         let mut found = Vec::with_capacity(used.len());
         for row in used {
-            let decided = self.look_up(chain, eoa.address(), &row).await?;
+            let decided = self.look_up(&row).await?;
             if !matches!(decided, Decided::Taken) {
-                self.cell(eoa.address()).memory().missing.remove(&row.hash);
+                self.cell.memory().missing.remove(&row.hash);
             }
             found.push((row, decided));
         }
-        // A receipt counts only on the chain that the watcher follows; otherwise it would be closed for a block that is
-        // gone, and nobody would reopen it.
-        if chain.block(seen).await?.is_none_or(|block| block.hash != hash) {
+        // A receipt counts only on the watcher's chain: nobody would reopen what was closed for a block that is gone.
+        if self.chain.block(seen).await?.is_none_or(|block| block.hash != hash) {
             return Ok(Vec::new());
         }
         let (mut closings, mut refused, mut others) = (Vec::new(), Vec::new(), Vec::new());
@@ -182,19 +153,19 @@ impl Sender {
                 other => others.push((row, other)),
             }
         }
-        // At once, before the chain is queried again: these receipts are of the chain just examined.
+        // Before the chain is queried again: these receipts are of the chain just examined.
         if !closings.is_empty() {
-            self.ledger.lanes.close_transactions(closings)?;
+            self.sender.ledger.lanes.close_transactions(closings)?;
         }
         for (row, decided) in others {
             match decided {
                 Decided::Kin(kin, raw, receipt) => {
                     block_in_place(|| self.hold_against_what_was_read(&receipt))?;
                     refused.extend(refusal(&row, &receipt));
-                    self.give_to_kin(chain, eoa, &row, kin, &raw, &receipt).await?;
+                    self.give_to_kin(&row, (kin, &raw), &receipt).await?;
                 }
-                Decided::Taken if self.cell(eoa.address()).memory().is_surely_missing(row.hash) => {
-                    self.give_way(chain, eoa, &row).await?;
+                Decided::Taken if self.cell.memory().is_surely_missing(row.hash) => {
+                    self.give_way(&row).await?;
                 }
                 Decided::Own(_) | Decided::Taken => {}
             }
@@ -203,34 +174,34 @@ impl Sender {
     }
 
     /// A transaction that had to be offered at a higher price than quoted shows what the next ones need.
-    fn learn_price(&self, account: Address, row: &OpenTransaction) -> Result<(), PipelineError> {
-        if !self.cell(account).memory().was_raised(row.nonce) {
+    fn learn_price(&self, row: &OpenTransaction) -> Result<()> {
+        if !self.cell.memory().was_raised(row.nonce) {
             return Ok(());
         }
-        let raw = self.ledger.lanes.raw_transaction(row.hash)?;
+        let raw = self.sender.ledger.lanes.raw_transaction(row.hash)?;
         if let Some(offer) = raw.and_then(|raw| offered(&raw).ok()) {
-            self.note_needed(offer.price);
+            self.sender.note_needed(offer.price);
         }
         Ok(())
     }
 
     /// The watcher has read the receipt's block: what the receipt says happened there must be known by now.
-    fn hold_against_what_was_read(&self, receipt: &Receipt) -> Result<(), PipelineError> {
-        if !watcher::of(&self.ledger, &receipt.events)?.is_empty() {
-            watcher::note(&self.ledger.notes, receipt.block)?;
+    fn hold_against_what_was_read(&self, receipt: &Receipt) -> Result<()> {
+        if !watcher::of(&self.sender.ledger, &receipt.events)?.is_empty() {
+            watcher::note(&self.sender.ledger.notes, receipt.block)?;
         }
         Ok(())
     }
 
-    async fn look_up(&self, chain: &Chain, account: Address, row: &OpenTransaction) -> Result<Decided, PipelineError> {
-        if let Some(receipt) = chain.receipt(row.hash).await? {
+    async fn look_up(&self, row: &OpenTransaction) -> Result<Decided> {
+        if let Some(receipt) = self.chain.receipt(row.hash).await? {
             return Ok(Decided::Own(receipt));
         }
-        for (kin, raw) in self.ledger.lanes.of_nonce(account, row.nonce)? {
+        for (kin, raw) in self.sender.ledger.lanes.of_nonce(self.account, row.nonce)? {
             if kin == row.hash {
                 continue;
             }
-            if let Some(receipt) = chain.receipt(kin).await? {
+            if let Some(receipt) = self.chain.receipt(kin).await? {
                 return Ok(Decided::Kin(kin, raw, receipt));
             }
         }
@@ -238,50 +209,37 @@ impl Sender {
     }
 
     /// An earlier transaction of ours with the same nonce was mined after all.
-    async fn give_to_kin(
-        &self,
-        chain: &Chain,
-        eoa: &EoaSecret,
-        row: &OpenTransaction,
-        kin: Hash,
-        raw: &[u8],
-        receipt: &Receipt,
-    ) -> Result<(), PipelineError> {
-        let own = self.ledger.lanes.raw_transaction(row.hash)?.unwrap_or_default();
+    async fn give_to_kin(&self, row: &OpenTransaction, (kin, raw): (Hash, &[u8]), receipt: &Receipt) -> Result<()> {
+        let own = self.sender.ledger.lanes.raw_transaction(row.hash)?.unwrap_or_default();
         if is_same_call(&own, raw) {
-            return Ok(self.ledger.lanes.decide_nonce(row.hash, kin, outcome(receipt))?);
+            return Ok(self.sender.ledger.lanes.decide_nonce(row.hash, kin, outcome(receipt))?);
         }
-        self.ledger.lanes.close_transactions(vec![(kin, outcome(receipt))])?;
-        self.give_way(chain, eoa, row).await
+        self.sender.ledger.lanes.close_transactions(vec![(kin, outcome(receipt))])?;
+        self.give_way(row).await
     }
 
-    /// The nonce belongs to another transaction: one that anchors records returns them to be anchored again, on the
-    /// chain's head at that time; any other call is signed again with the next nonce.
-    async fn give_way(&self, chain: &Chain, eoa: &EoaSecret, row: &OpenTransaction) -> Result<(), PipelineError> {
-        if row.anchors || [waiting::HOLE, sender::PURPOSE].contains(&row.purpose.as_str()) {
+    /// Records of an anchoring transaction are anchored again; any other call is signed again with the next nonce.
+    async fn give_way(&self, row: &OpenTransaction) -> Result<()> {
+        if row.anchors || [waiting::HOLE, PURPOSE].contains(&row.purpose.as_str()) {
             let closing = vec![(row.hash, TransactionOutcome::Replaced)];
-            return Ok(self.ledger.lanes.close_transactions(closing)?);
+            return Ok(self.sender.ledger.lanes.close_transactions(closing)?);
         }
-        let lane = self.lane(chain, eoa).await;
-        let raw = self.ledger.lanes.raw_transaction(row.hash)?.unwrap_or_default();
-        let signed = chain.resign(eoa, &raw, lane.next_nonce().await?, lane.price().await?).await?;
+        let lane = self.sender.lane(self.chain, self.eoa).await;
+        let raw = self.sender.ledger.lanes.raw_transaction(row.hash)?.unwrap_or_default();
+        let signed = self.chain.resign(self.eoa, &raw, lane.next_nonce().await?, lane.price().await?).await?;
         let reissue = Reissue { hash: signed.hash, nonce: signed.nonce, raw: signed.raw.clone() };
-        self.ledger.lanes.reissue(row.hash, reissue)?;
+        self.sender.ledger.lanes.reissue(row.hash, reissue)?;
         drop(lane);
-        self.hand_in(chain, eoa.address(), signed.hash, &signed.raw).await;
+        self.sender.hand_in(self.chain, self.account, signed.hash, &signed.raw).await;
         Ok(())
     }
 }
 
 fn outcome(receipt: &Receipt) -> TransactionOutcome {
-    if receipt.success {
-        TransactionOutcome::Mined {
-            block: receipt.block,
-            block_hash: receipt.block_hash,
-            gas_used: Some(receipt.gas_used),
-        }
-    } else {
-        TransactionOutcome::Reverted { reason: reason(receipt) }
+    let Receipt { block, block_hash, gas_used, .. } = *receipt;
+    match receipt.success {
+        true => TransactionOutcome::Mined { block, block_hash, gas_used: Some(gas_used) },
+        false => TransactionOutcome::Reverted { reason: reason(receipt) },
     }
 }
 

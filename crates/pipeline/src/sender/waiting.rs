@@ -1,17 +1,16 @@
 //! Transactions waiting for a block: resend, raise the price, fill nonce gaps.
 
 use std::collections::HashSet;
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::chain::{Chain, ChainError, Market, Nonces, Offered, Priced, SignedTransaction, Wait, is_outbid, offered};
 use crate::crypto::EoaSecret;
 use crate::model::{Address, Hash, Wei, clean};
-use crate::pipeline::PipelineError;
-use crate::store::{Anchors, NewTransaction, OpenTransaction, Reissue};
+use crate::pipeline::Result;
+use crate::store::{OpenTransaction, Reissue};
 
 use super::Sender;
-use super::lane::{BROKEN, Cell, PauseReason};
+use super::lane::{BROKEN, Cell, PauseReason, row_of};
 
 /// The purpose of an empty transfer to oneself that fills a nonce gap.
 pub(super) const HOLE: &str = "nonce";
@@ -28,40 +27,35 @@ const ROUND: usize = 128;
 /// The most gaps filled in one round.
 const HOLES: usize = 32;
 
-/// One check of a lane's transactions whose nonces the chain has not used.
 pub(super) struct Round<'a> {
     pub sender: &'a Sender,
     pub chain: &'a Chain,
     pub eoa: &'a EoaSecret,
     pub account: Address,
-    /// The next nonces that the chain will use, and that the node has not been given.
+    pub cell: &'a Cell,
     pub nonces: Nonces,
     pub rows: &'a [OpenTransaction],
 }
 
 impl Round<'_> {
-    /// Does what is needed; returns the obstacle.
-    pub async fn run(self) -> Result<Option<PauseReason>, PipelineError> {
+    /// Returns the obstacle.
+    pub async fn run(&self) -> Result<Option<PauseReason>> {
         let Some(first) = self.rows.first() else { return Ok(None) };
         let market = self.chain.market().await?;
-        let cell = self.sender.cell(self.account);
-        let still = cell.memory().see_head(market.head.number);
+        let still = self.cell.memory().see_head(market.head.number);
         self.sender.see_head(market.head.number);
-        let wait = cell.memory().see_front(first.nonce, market.head.number);
-        let held = self.nonces.pending;
-        let hole = self.fill_holes(&cell, &market, held).await?;
-        let (replaced, dear) = self.raise(&cell, &market, wait).await?;
-        let refused = self.repeat(&cell, &market, held, &replaced).await?;
+        let wait = self.cell.memory().see_front(first.nonce, market.head.number);
+        let hole = self.fill_holes(&market).await?;
+        let (replaced, dear) = self.raise(&market, wait).await?;
+        let refused = self.repeat(&market, &replaced).await?;
         let stalled = (still >= STALLED).then_some(PauseReason::Stalled);
-        let passed_by = match wait.passed_by(market.head.number) {
-            Some(blocks) => Some(self.passed_by(blocks, first.nonce)?),
-            None => None,
-        };
+        let passed_by = wait.passed_by(market.head.number);
+        let passed_by = passed_by.map(|blocks| self.passed_by(blocks, first.nonce)).transpose()?;
         Ok(hole.or(dear).or(refused).or(stalled).or(passed_by))
     }
 
     /// The first waiting transaction at its present price, which may just have been raised.
-    fn passed_by(&self, blocks: u64, nonce: u64) -> Result<PauseReason, PipelineError> {
+    fn passed_by(&self, blocks: u64, nonce: u64) -> Result<PauseReason> {
         let newest = self.sender.ledger.lanes.of_nonce(self.account, nonce)?;
         let offer = newest.first().and_then(|(_, raw)| offered(raw).ok());
         Ok(PauseReason::PassedBy { blocks, price: Wei(offer.map_or(0, |offer| offer.price)) })
@@ -69,21 +63,17 @@ impl Round<'_> {
 
     /// A nonce below an open one that neither the node nor we hold blocks everything after it: its transaction was
     /// another process's, or was lost with a replaced block.
-    async fn fill_holes(
-        &self,
-        cell: &Arc<Cell>,
-        market: &Market,
-        held: u64,
-    ) -> Result<Option<PauseReason>, PipelineError> {
+    async fn fill_holes(&self, market: &Market) -> Result<Option<PauseReason>> {
+        let held = self.nonces.pending;
         let own: HashSet<u64> = self.rows.iter().map(|row| row.nonce).collect();
         let last = self.rows.last().map_or(held, |row| row.nonce);
         let holes: Vec<u64> = (held..last).filter(|nonce| !own.contains(nonce)).take(HOLES).collect();
         let Some(lowest) = holes.first().copied() else {
-            cell.memory().hole = None;
+            self.cell.memory().hole = None;
             return Ok(None);
         };
         {
-            let mut memory = cell.memory();
+            let mut memory = self.cell.memory();
             let since = memory.hole.filter(|(nonce, _)| *nonce == lowest).map(|(_, since)| since);
             if since.is_none_or(|since| since.elapsed() < QUIET) {
                 memory.hole = Some((lowest, since.unwrap_or_else(Instant::now)));
@@ -96,40 +86,27 @@ impl Round<'_> {
         };
         for nonce in holes {
             let signed = self.chain.sign_transfer(self.eoa, nonce, self.account, 0, price)?;
-            let row = NewTransaction {
-                hash: signed.hash,
-                account: self.account,
-                nonce,
-                raw: signed.raw.clone(),
-                purpose: HOLE.to_owned(),
-                anchors: Anchors::Nothing,
-            };
-            self.sender.ledger.lanes.submit(row)?;
+            self.sender.ledger.lanes.submit(row_of(&signed, self.account, HOLE))?;
             self.sender.hand_in(self.chain, self.account, signed.hash, &signed.raw).await;
         }
-        cell.memory().hole = None;
+        self.cell.memory().hole = None;
         Ok(None)
     }
 
-    /// Replaces transactions that have become too cheap. Returns the replaced ones, and the obstacle.
-    async fn raise(
-        &self,
-        cell: &Arc<Cell>,
-        market: &Market,
-        wait: Wait,
-    ) -> Result<(HashSet<Hash>, Option<PauseReason>), PipelineError> {
+    /// Replaces transactions that have become too cheap; returns them, and the obstacle.
+    async fn raise(&self, market: &Market, wait: Wait) -> Result<(HashSet<Hash>, Option<PauseReason>)> {
         let mut replaced = HashSet::new();
         let policy = self.sender.policy();
         for (index, row) in self.rows.iter().take(ROUND).enumerate() {
             let is_passed_by = index == 0 && wait.is_due(market.head.number) && policy.raises(market);
-            let is_cheap = cell.memory().cheap.contains(&row.hash);
+            let is_cheap = self.cell.memory().cheap.contains(&row.hash);
             if market.base.is_none() && policy.floor == 0 && !is_cheap && !is_passed_by {
                 continue;
             }
-            let Some((raw, old)) = self.offer_of(cell, row)? else { continue };
+            let Some((raw, old)) = self.offer_of(row)? else { continue };
             let (is_outbid, is_below) = (is_outbid(old.price, market), old.price < policy.floor);
             let is_late = is_cheap && market.offer() > old.price;
-            let is_wanted = (is_outbid || is_below || is_late) && cell.memory().is_quiet(row.hash, QUIET);
+            let is_wanted = (is_outbid || is_below || is_late) && self.cell.memory().is_quiet(row.hash, QUIET);
             if !is_wanted && !is_passed_by {
                 continue;
             }
@@ -137,9 +114,7 @@ impl Round<'_> {
                 Priced::At(price) => price,
                 // What it offers may still be enough, only not soon.
                 Priced::Capped { .. } if !is_outbid && !is_late => continue,
-                Priced::Capped { needed, cap } => {
-                    return Ok((replaced, Some(PauseReason::capped(needed, cap))));
-                }
+                Priced::Capped { needed, cap } => return Ok((replaced, Some(PauseReason::capped(needed, cap)))),
             };
             let cost = old.cost_at(price);
             if self.chain.wealth(self.account).await? < cost {
@@ -147,30 +122,27 @@ impl Round<'_> {
             }
             self.replace(row, &raw, price).await?;
             if is_passed_by {
-                cell.memory().raise_front(market.head.number);
+                self.cell.memory().raise_front(market.head.number);
             }
             replaced.insert(row.hash);
         }
         Ok((replaced, None))
     }
 
-    fn offer_of(&self, cell: &Arc<Cell>, row: &OpenTransaction) -> Result<Option<(Vec<u8>, Offered)>, PipelineError> {
+    fn offer_of(&self, row: &OpenTransaction) -> Result<Option<(Vec<u8>, Offered)>> {
         let Some(raw) = self.sender.ledger.lanes.raw_transaction(row.hash)? else { return Ok(None) };
-        let known = cell.memory().prices.get(&row.hash).copied();
-        let offer = match known {
-            Some(offer) => offer,
-            None => offered(&raw)?,
-        };
-        cell.memory().prices.insert(row.hash, offer);
+        let known = self.cell.memory().prices.get(&row.hash).copied();
+        let offer = known.map_or_else(|| offered(&raw), Ok)?;
+        self.cell.memory().prices.insert(row.hash, offer);
         Ok(Some((raw, offer)))
     }
 
-    async fn replace(&self, row: &OpenTransaction, raw: &[u8], price: u128) -> Result<(), PipelineError> {
+    async fn replace(&self, row: &OpenTransaction, raw: &[u8], price: u128) -> Result<()> {
         let signed = self.chain.resign(self.eoa, raw, row.nonce, price).await?;
         self.put_in_place(row, signed).await
     }
 
-    async fn put_in_place(&self, row: &OpenTransaction, signed: SignedTransaction) -> Result<(), PipelineError> {
+    async fn put_in_place(&self, row: &OpenTransaction, signed: SignedTransaction) -> Result<()> {
         let reissue = Reissue { hash: signed.hash, nonce: signed.nonce, raw: signed.raw.clone() };
         self.sender.ledger.lanes.reissue(row.hash, reissue)?;
         self.sender.hand_in(self.chain, self.account, signed.hash, &signed.raw).await;
@@ -178,16 +150,10 @@ impl Round<'_> {
     }
 
     /// Hands in again, byte for byte, what the node does not hold.
-    async fn repeat(
-        &self,
-        cell: &Arc<Cell>,
-        market: &Market,
-        held: u64,
-        replaced: &HashSet<Hash>,
-    ) -> Result<Option<PauseReason>, PipelineError> {
+    async fn repeat(&self, market: &Market, replaced: &HashSet<Hash>) -> Result<Option<PauseReason>> {
         let due = |row: &&OpenTransaction| {
-            let length = if row.nonce < held { REMINDER } else { QUIET };
-            !replaced.contains(&row.hash) && cell.memory().is_quiet(row.hash, length)
+            let length = if row.nonce < self.nonces.pending { REMINDER } else { QUIET };
+            !replaced.contains(&row.hash) && self.cell.memory().is_quiet(row.hash, length)
         };
         let begun = Instant::now();
         let (mut answered, mut lost) = (false, None);
@@ -195,15 +161,15 @@ impl Round<'_> {
             if lost.is_some() && begun.elapsed() > BROKEN {
                 break;
             }
-            let Some((raw, offer)) = self.offer_of(cell, row)? else { continue };
+            let Some((raw, offer)) = self.offer_of(row)? else { continue };
             match self.chain.broadcast(&raw).await {
                 Ok(_) | Err(ChainError::AlreadyKnown | ChainError::NonceTooLow | ChainError::Reverted { .. }) => {}
                 Err(ChainError::Underpriced) => {
-                    cell.memory().cheap.insert(row.hash);
+                    self.cell.memory().cheap.insert(row.hash);
                 }
                 Err(ChainError::InsufficientFunds) => return self.cheapen(market, row, &raw, offer).await,
                 Err(error @ (ChainError::Unreachable { .. } | ChainError::Answer { .. })) => {
-                    // The node may have it all the same, and the next answer may arrive.
+                    // The node may still have it, and the next answer may arrive.
                     lost = Some(error);
                     continue;
                 }
@@ -213,17 +179,13 @@ impl Round<'_> {
                 }
             }
             answered = true;
-            cell.memory().sent(row.hash);
+            self.cell.memory().sent(row.hash);
         }
-        match lost.filter(|_| !answered) {
-            Some(error) => Err(error.into()),
-            None => Ok(None),
-        }
+        lost.filter(|_| !answered).map_or(Ok(None), |error| Err(error.into()))
     }
 
-    /// The node refuses these bytes: the same call is signed again by what gas and price are now, and takes their place
-    /// if that makes a difference. The node does not hold the old ones, so the price need not rise.
-    async fn renew(&self, market: &Market, row: &OpenTransaction, raw: &[u8]) -> Result<(), PipelineError> {
+    /// Signs a refused call again. The node does not hold the old bytes, so the price need not rise.
+    async fn renew(&self, market: &Market, row: &OpenTransaction, raw: &[u8]) -> Result<()> {
         let Priced::At(price) = self.sender.policy().fresh(market) else { return Ok(()) };
         let signed = self.chain.resign(self.eoa, raw, row.nonce, price).await?;
         if signed.hash == row.hash {
@@ -239,7 +201,7 @@ impl Round<'_> {
         row: &OpenTransaction,
         raw: &[u8],
         old: Offered,
-    ) -> Result<Option<PauseReason>, PipelineError> {
+    ) -> Result<Option<PauseReason>> {
         let fresh = match self.sender.policy().fresh(market) {
             Priced::At(price) if price < old.price && price.saturating_mul(2) <= old.price => Some(price),
             Priced::At(_) | Priced::Capped { .. } => None,

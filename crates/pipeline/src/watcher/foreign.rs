@@ -1,20 +1,18 @@
 //! Anchors by this home's accounts that this home did not send: a copy of it runs elsewhere, or a key is stolen.
-//! Reported at once, noted in the ledger for `status`, and written to the audit log.
 
 use std::collections::HashMap;
 
 use crate::chain::{Event, EventAt};
 use crate::model::{Address, Digest, Hash, Timestamp};
-use crate::pipeline::{PipelineError, Plant};
+use crate::pipeline::{Plant, Result};
 use crate::store::AuditEntry;
 use crate::store::notes::{CopiedAt, ForeignAnchors, ForeignHistory, SeenForeign};
 
-/// How long it is part of `status` after the last one; nanoseconds.
+/// Time it stays in `status`, nanoseconds.
 const RECENT: u64 = 24 * 3600 * 1_000_000_000;
 /// The shortest time between two lines in the audit log; nanoseconds.
 const LINES_EVERY: u64 = 3600 * 1_000_000_000;
 
-/// What was seen, in words, with the likely cause and what to do.
 pub fn text(found: &ForeignAnchors) -> String {
     let ForeignAnchors { account, count, block, .. } = found;
     format!(
@@ -25,14 +23,13 @@ pub fn text(found: &ForeignAnchors) -> String {
 }
 
 /// Those seen within the last day.
-pub fn recent(plant: &Plant) -> Result<Option<ForeignAnchors>, PipelineError> {
+pub fn recent(plant: &Plant) -> Result<Option<ForeignAnchors>> {
     let now = Timestamp::now().0;
     let seen = plant.ledger.notes.read(&SeenForeign {})?;
     Ok(seen.filter(|found| now.abs_diff(found.seen.0) < RECENT))
 }
 
-/// Searches events of blocks up to `head` for anchors that this home does not know.
-pub(super) fn look(plant: &Plant, events: &[EventAt], head: u64) -> Result<(), PipelineError> {
+pub(super) fn look(plant: &Plant, events: &[EventAt], head: u64) -> Result<()> {
     let found = unknown(plant, events)?;
     if found.is_empty() {
         return Ok(());
@@ -52,7 +49,7 @@ pub(super) fn look(plant: &Plant, events: &[EventAt], head: u64) -> Result<(), P
 
 /// A restored or copied ledger does not know what came between; anything on the chain when it is first examined is
 /// history, not a rival.
-fn history(plant: &Plant, head: u64) -> Result<u64, PipelineError> {
+fn history(plant: &Plant, head: u64) -> Result<u64> {
     if plant.ledger.notes.read(&CopiedAt {})?.is_none() {
         return Ok(0);
     }
@@ -63,8 +60,7 @@ fn history(plant: &Plant, head: u64) -> Result<u64, PipelineError> {
     Ok(head)
 }
 
-/// Anchors of batches and records that the ledger does not hold.
-fn unknown<'a>(plant: &Plant, events: &'a [EventAt]) -> Result<Vec<(Address, &'a EventAt)>, PipelineError> {
+fn unknown<'a>(plant: &Plant, events: &'a [EventAt]) -> Result<Vec<(Address, &'a EventAt)>> {
     let (mut roots, mut digests) = (HashMap::new(), HashMap::new());
     for at in events {
         match &at.event {
@@ -82,7 +78,7 @@ fn unknown<'a>(plant: &Plant, events: &'a [EventAt]) -> Result<Vec<(Address, &'a
     Ok(found)
 }
 
-fn tell(plant: &Plant, account: Address, at: &EventAt) -> Result<(), PipelineError> {
+fn tell(plant: &Plant, account: Address, at: &EventAt) -> Result<()> {
     let (now, before) = (Timestamp::now(), plant.ledger.notes.read(&SeenForeign {})?);
     let before = before.filter(|before| before.account == account);
     // A chunk of events may be read twice.

@@ -1,8 +1,6 @@
-//! Follows the chain: which records are in a block, which blocks have enough confirmations, who was registered, granted
-//! and revoked. A function of the ledger's cursor; a restart runs it again.
-//!
-//! Several nodes may answer at one URL, some of them behind the others. So the newest blocks are read one by one,
-//! what is not sure is read again, and a node that is behind is no reorg ([`reorg`]).
+//! Follows the chain: blocks and confirmations of records, registrations, grants. A function of the ledger's cursor.
+//! Several nodes may answer at one URL, some of them behind: the newest blocks are read one by one, what is not sure is
+//! read again, and a node that is behind is no reorg ([`reorg`]).
 
 pub mod foreign;
 mod reorg;
@@ -13,7 +11,6 @@ use std::time::Duration;
 
 use tokio::task::block_in_place;
 
-use self::reorg::Standing;
 use crate::chain::{AT_ONCE, BlockEvents, BlockRef, ChainError, Completeness, Event, EventAt};
 use crate::crypto::fault;
 use crate::directory::{Told, kept};
@@ -21,35 +18,32 @@ use crate::model::Hash;
 use crate::stages::Milestone;
 use crate::store::notes::{DoubtedBlock, MissedFrom};
 use crate::store::{Ledger, Notes, RootSighting, Sighting, StoreError};
-use crate::{Directory, Network, PipelineError, Plant};
+use crate::{Directory, Network, PipelineError, Plant, Result};
 
 /// Blocks scanned at a time.
 const CHUNK: u64 = 2_000;
 /// How often a part of the chain is read again because it changed meanwhile.
 const ATTEMPTS: usize = 5;
-/// How long to wait before asking a node again that is behind.
+/// Pause before the next question to a node that is behind.
 const PAUSE: Duration = Duration::from_millis(200);
 
-/// How far a scan came.
 enum Reached {
     Head,
-    /// Not to the head: the chain changed while it was read.
+    /// The chain changed while it was read.
     Changed,
-    /// Not to the head: the node that answered does not have this block, or not all of it.
+    /// The node that answered does not have this block, or not all of it.
     Before(u64),
 }
 
-/// Binds the ledger to the contract and reads the directory back from it; if nothing was stored yet, or it cannot be
-/// read, it is scanned from the contract's first block.
-pub fn restore(plant: &Plant, network: &Network) -> Result<(), PipelineError> {
+/// Binds the ledger to the contract and reads the directory back; without a readable one, scans from the first block.
+pub fn restore(plant: &Plant, network: &Network) -> Result<()> {
     let pin = network.chain.pin().ok_or(ChainError::NoContract)?;
     plant.ledger.rights.bind_contract(network.domain, &serde_json::to_string(&pin).unwrap_or_default())?;
     read_back(plant, network, &network.directory)
 }
 
-/// Fills an empty directory with what was stored up to the cursor. If nothing was, or it cannot be read, the scan begins
-/// anew.
-fn read_back(plant: &Plant, network: &Network, directory: &Directory) -> Result<(), PipelineError> {
+/// If nothing readable is stored, the scan begins anew.
+fn read_back(plant: &Plant, network: &Network, directory: &Directory) -> Result<()> {
     if let Some((number, _)) = plant.ledger.trail.cursor()? {
         // What was stored of blocks after the cursor is read again: they may have been replaced meanwhile.
         plant.ledger.rights.take_back_rights(number + 1)?;
@@ -75,39 +69,35 @@ fn first_block(network: &Network) -> u64 {
     network.chain.pin().map_or(0, |pin| pin.deployed_at)
 }
 
-/// Scans all blocks after the cursor; returns the head it reached. After a reorg it first goes back to where the chains
-/// diverge, and after an event that was missed to the block before it.
-///
-/// # Errors
-/// Errors of chain and ledger; the cursor stays where the last chunk was written. `ChainError::Swapped` if another
-/// chain answers now, or the same one without its history; `NodeBehind` if the node has not what it had before.
-pub async fn watch_round(plant: &Plant, network: &Network) -> Result<BlockRef, PipelineError> {
+/// Scans all blocks after the cursor; returns the head it reached. On an error the cursor stays at the last written
+/// chunk. `Swapped`: another chain answers now, or this one without its history. `NodeBehind`: it lacks what it had
+/// before.
+pub async fn watch_round(plant: &Plant, network: &Network) -> Result<BlockRef> {
     let mut obstacle = PipelineError::Unsteady;
     for _ in 0..ATTEMPTS {
         let head = network.chain.head().await?;
-        if let Standing::Behind { read } = reorg::follow(plant, network, head).await? {
-            obstacle = PipelineError::NodeBehind { block: read, head: head.number };
-            tokio::time::sleep(PAUSE).await;
-            continue;
-        }
-        network.directory.saw_head_of(head.timestamp);
-        reorg::look(plant, network, head.number).await?;
-        match read_on(plant, network, head).await? {
-            Reached::Head => {}
-            Reached::Changed => continue,
-            Reached::Before(block) => {
-                obstacle = PipelineError::NodeBehind { block, head: head.number };
-                tokio::time::sleep(PAUSE).await;
-                continue;
+        let lacking = match reorg::follow(plant, network, head).await? {
+            Some(read) => read,
+            None => {
+                network.directory.saw_head_of(head.timestamp);
+                reorg::look(plant, network, head.number).await?;
+                match read_on(plant, network, head).await? {
+                    Reached::Head => {
+                        confirm(plant, network, head.number)?;
+                        return Ok(head);
+                    }
+                    Reached::Changed => continue,
+                    Reached::Before(block) => block,
+                }
             }
-        }
-        confirm(plant, network, head.number)?;
-        return Ok(head);
+        };
+        obstacle = PipelineError::NodeBehind { block: lacking, head: head.number };
+        tokio::time::sleep(PAUSE).await;
     }
     Err(obstacle)
 }
 
-fn confirm(plant: &Plant, network: &Network, head: u64) -> Result<(), PipelineError> {
+fn confirm(plant: &Plant, network: &Network, head: u64) -> Result<()> {
     let deep = (head + 1).saturating_sub(network.confirmations);
     let confirmed = plant.ledger.batches.confirm(deep)?;
     if !confirmed.is_empty() {
@@ -122,27 +112,22 @@ fn confirm(plant: &Plant, network: &Network, head: u64) -> Result<(), PipelineEr
 
 /// Scans up to `head`. If the cursor went back, the directory is built anew beside the one in use, which stays until the
 /// new one is complete: a right that ended in between must not come back for a moment.
-async fn read_on(plant: &Plant, network: &Network, head: BlockRef) -> Result<Reached, PipelineError> {
+async fn read_on(plant: &Plant, network: &Network, head: BlockRef) -> Result<Reached> {
     let Some(directory) = block_in_place(|| as_of_the_cursor(plant, network))? else {
-        return scan(plant, network, head, None).await;
+        return Walk { plant, network, head: head.number, shown: None }.scan().await;
     };
     let beside = Network { directory: Arc::new(directory), ..network.clone() };
-    let reached = scan(plant, &beside, head, Some(&network.directory)).await;
-    let is_behind = || Ok::<_, PipelineError>(cursor_number(plant)? >= network.directory.newest());
-    if matches!(reached, Ok(Reached::Head)) || block_in_place(is_behind)? {
+    let reached = Walk { plant, network: &beside, head: head.number, shown: Some(&network.directory) }.scan().await;
+    let read = || Ok::<_, PipelineError>(plant.ledger.trail.cursor()?.map_or(0, |(number, _)| number));
+    if matches!(reached, Ok(Reached::Head)) || block_in_place(read)? >= network.directory.newest() {
         network.directory.become_like(&beside.directory);
         plant.observer.directory_changed();
     }
     reached
 }
 
-fn cursor_number(plant: &Plant) -> Result<u64, PipelineError> {
-    Ok(plant.ledger.trail.cursor()?.map_or(0, |(number, _)| number))
-}
-
-/// The directory without what was read after the cursor; `None` if the one in use is that. If it cannot be read back, all
-/// of it is scanned again.
-fn as_of_the_cursor(plant: &Plant, network: &Network) -> Result<Option<Directory>, PipelineError> {
+/// The directory as of the cursor; `None` if the one in use is that. Scanned again if it cannot be read back.
+fn as_of_the_cursor(plant: &Plant, network: &Network) -> Result<Option<Directory>> {
     let Some((number, _)) = plant.ledger.trail.cursor()? else { return Ok(None) };
     if network.directory.newest() <= number {
         return Ok(None);
@@ -152,110 +137,128 @@ fn as_of_the_cursor(plant: &Plant, network: &Network) -> Result<Option<Directory
     Ok(Some(fresh))
 }
 
-/// Scans from the cursor to `head`: old blocks many at a time, the newest ones one by one. A directory in use, `shown`,
-/// becomes that of `network` with the last of them, before anybody can see that they were read.
-async fn scan(
-    plant: &Plant,
-    network: &Network,
-    head: BlockRef,
-    shown: Option<&Directory>,
-) -> Result<Reached, PipelineError> {
-    let first = first_block(network);
-    let cursor = plant.ledger.trail.cursor()?;
-    let mut from = cursor.map_or(first, |(number, _)| (number + 1).max(first));
-    let mut below = cursor.filter(|(number, _)| *number >= first);
-    let near = network.chain.first_near(head.number);
-    while from < near {
-        let to = (near - 1).min(from + CHUNK - 1);
-        let Some(last) = network.chain.block(to).await? else { return Ok(Reached::Changed) };
-        if !stands(network, below).await? {
-            return Ok(Reached::Changed);
-        }
-        let events = network.chain.events(from, to).await?;
-        // The same block at the top means that nothing below changed while it was read.
-        if !stands(network, Some((to, last.hash))).await? {
-            return Ok(Reached::Changed);
-        }
-        let mut met: Vec<(u64, Hash)> = events.iter().map(|event| (event.block, event.block_hash)).collect();
-        met.dedup();
-        let shown = shown.filter(|_| to == head.number);
-        block_in_place(|| write(plant, network, &events, (to, last.hash), met, shown))?;
-        block_in_place(|| foreign::look(plant, &events, head.number))?;
-        below = Some((to, last.hash));
-        from = to + 1;
-    }
-    read(plant, network, (from, head.number), below, shown).await
+/// Reads the chain from the cursor to `head`.
+struct Walk<'a> {
+    plant: &'a Plant,
+    network: &'a Network,
+    head: u64,
+    shown: Option<&'a Directory>,
 }
 
-/// Whether the chain still has this block.
-async fn stands(network: &Network, block: Option<(u64, Hash)>) -> Result<bool, PipelineError> {
+impl Walk<'_> {
+    /// Old blocks many at a time, the newest one by one. The directory in use, `shown`, becomes that of `network` with the
+    /// last of them, before anybody can see that they were read.
+    async fn scan(&self) -> Result<Reached> {
+        let first = first_block(self.network);
+        let cursor = self.plant.ledger.trail.cursor()?;
+        let mut from = cursor.map_or(first, |(number, _)| (number + 1).max(first));
+        let mut below = cursor.filter(|(number, _)| *number >= first);
+        let near = self.network.chain.first_near(self.head);
+        while from < near {
+            let to = (near - 1).min(from + CHUNK - 1);
+            let Some(last) = self.network.chain.block(to).await? else { return Ok(Reached::Changed) };
+            if !stands(self.network, below).await? {
+                return Ok(Reached::Changed);
+            }
+            let events = self.network.chain.events(from, to).await?;
+            // The same block at the top means that nothing below changed while it was read.
+            if !stands(self.network, Some((to, last.hash))).await? {
+                return Ok(Reached::Changed);
+            }
+            let mut met: Vec<(u64, Hash)> = events.iter().map(|event| (event.block, event.block_hash)).collect();
+            met.dedup();
+            block_in_place(|| self.write(&events, (to, last.hash), met))?;
+            below = Some((to, last.hash));
+            from = to + 1;
+        }
+        self.read(from, below).await
+    }
+
+    /// `met` are blocks on the way.
+    fn write(&self, events: &[EventAt], to: (u64, Hash), met: Vec<(u64, Hash)>) -> Result<()> {
+        let (plant, network) = (self.plant, self.network);
+        let sightings: Vec<Sighting> = events.iter().filter_map(sighting).collect();
+        let roots: Vec<RootSighting> = events.iter().filter_map(root_sighting).collect();
+        if !sightings.is_empty() || !roots.is_empty() {
+            fault::point("events-read");
+        }
+        let mut changed = !sightings.is_empty() && plant.ledger.batches.mined(&sightings)? > 0;
+        changed |= !roots.is_empty() && plant.ledger.batches.anchored(&roots)? > 0;
+        if changed {
+            fault::point("mined");
+        }
+        events.iter().for_each(|event| network.times.note(event));
+        let told: Vec<Told> = events.iter().filter_map(|event| network.directory.judge(event)).collect();
+        if !told.is_empty() {
+            // Envelopes are stored before anyone looks for them.
+            let kept = kept::keep(&plant.ledger.rights, &told);
+            // A right that ended has ended, even if the disk is full; what could not be stored is read again.
+            if told.iter().filter(|told| network.directory.take(told)).count() > 0 {
+                plant.observer.directory_changed();
+            }
+            kept?;
+            fault::point("directory-kept");
+        }
+        if let Some(shown) = self.shown.filter(|_| to.0 == self.head) {
+            shown.become_like(&network.directory);
+        }
+        plant.ledger.trail.walk_to(to, met)?;
+        if changed {
+            fault::point("walked");
+            plant.observer.records_changed();
+        }
+        foreign::look(plant, events, self.head)
+    }
+
+    /// Reads blocks on top of `below`, as far as they are there, and writes them.
+    async fn read(&self, from: u64, below: Option<(u64, Hash)>) -> Result<Reached> {
+        let (mut read, mut top, mut next) = (Vec::new(), below, from);
+        let reached = 'all: {
+            while next <= self.head {
+                let last = self.head.min(next + AT_ONCE - 1);
+                for (number, found) in (next..=last).zip(self.network.chain.each_block(next, last).await?) {
+                    let Some(found) = found else { break 'all Reached::Before(number) };
+                    if top.is_some_and(|(below, hash)| below + 1 == number && hash != found.parent) {
+                        break 'all Reached::Changed;
+                    }
+                    if !block_in_place(|| is_to_be_taken(self.plant, &found))? {
+                        break 'all Reached::Before(number);
+                    }
+                    top = Some((number, found.block.hash));
+                    read.push(found);
+                }
+                next = last + 1;
+            }
+            Reached::Head
+        };
+        if let Some(BlockRef { number, hash, .. }) = read.last().map(|last: &BlockEvents| last.block) {
+            block_in_place(|| {
+                // Before the cursor passes them, so that a restart knows them too.
+                reorg::note(self.plant, &read)?;
+                let met = read.iter().map(|read| (read.block.number, read.block.hash)).collect();
+                let events: Vec<EventAt> = read.into_iter().flat_map(|block| block.events).collect();
+                self.write(&events, (number, hash), met)
+            })?;
+        }
+        Ok(reached)
+    }
+}
+
+async fn stands(network: &Network, block: Option<(u64, Hash)>) -> Result<bool> {
     let Some((number, hash)) = block else { return Ok(true) };
     Ok(network.chain.block(number).await?.is_some_and(|block| block.hash == hash))
 }
 
-/// Writes the events of blocks up to `to`; `met` are blocks on the way. `shown` then becomes the directory of `network`.
-fn write(
-    plant: &Plant,
-    network: &Network,
-    events: &[EventAt],
-    to: (u64, Hash),
-    met: Vec<(u64, Hash)>,
-    shown: Option<&Directory>,
-) -> Result<(), PipelineError> {
-    let sightings: Vec<Sighting> = events.iter().filter_map(sighting).collect();
-    let roots: Vec<RootSighting> = events.iter().filter_map(root_sighting).collect();
-    if !sightings.is_empty() || !roots.is_empty() {
-        fault::point("events-read");
-    }
-    let mut changed = !sightings.is_empty() && plant.ledger.batches.mined(&sightings)? > 0;
-    changed |= !roots.is_empty() && plant.ledger.batches.anchored(&roots)? > 0;
-    if changed {
-        fault::point("mined");
-    }
-    events.iter().for_each(|event| network.times.note(event));
-    let told: Vec<Told> = events.iter().filter_map(|event| network.directory.judge(event)).collect();
-    if !told.is_empty() {
-        // Envelopes are stored before anyone looks for them.
-        let kept = kept::keep(&plant.ledger.rights, &told);
-        // A right that ended has ended, even if the disk is full; what could not be stored is read again.
-        if told.iter().filter(|told| network.directory.take(told)).count() > 0 {
-            plant.observer.directory_changed();
-        }
-        kept?;
-        fault::point("directory-kept");
-    }
-    if let Some(shown) = shown {
-        shown.become_like(&network.directory);
-    }
-    plant.ledger.trail.walk_to(to, met)?;
-    if changed {
-        fault::point("walked");
-        plant.observer.records_changed();
-    }
-    Ok(())
-}
-
 fn sighting(at: &EventAt) -> Option<Sighting> {
-    let Event::DataUploaded { owner, digest, .. } = &at.event else { return None };
-    Some(Sighting {
-        owner: *owner,
-        digest: *digest,
-        transaction: at.transaction,
-        block: at.block,
-        block_hash: at.block_hash,
-    })
+    let Event::DataUploaded { owner, digest, .. } = at.event else { return None };
+    let EventAt { transaction, block, block_hash, .. } = *at;
+    Some(Sighting { owner, digest, transaction, block, block_hash })
 }
 
 fn root_sighting(at: &EventAt) -> Option<RootSighting> {
-    let Event::Anchored { account, root, count, .. } = &at.event else { return None };
-    Some(RootSighting {
-        account: *account,
-        root: *root,
-        count: *count,
-        transaction: at.transaction,
-        block: at.block,
-        block_hash: at.block_hash,
-    })
+    let Event::Anchored { account, root, count, .. } = at.event else { return None };
+    let EventAt { transaction, block, block_hash, .. } = *at;
+    Some(RootSighting { account, root, count, transaction, block, block_hash })
 }
 
 /// How long to wait for a next block before checking again.
@@ -287,47 +290,11 @@ pub(crate) fn note(notes: &Notes, block: u64) -> Result<(), StoreError> {
     notes.write(&MissedFrom {}, &block)
 }
 
-/// How long a block is waited for whose header names events that nobody gives.
+/// Wait for events that a block's header names and nobody gives.
 const NEAR_PATIENCE: Duration = Duration::from_secs(5);
 
-/// Reads blocks `from` to `to` on top of `below`, as far as they are there, and writes them.
-async fn read(
-    plant: &Plant,
-    network: &Network,
-    (from, to): (u64, u64),
-    below: Option<(u64, Hash)>,
-    shown: Option<&Directory>,
-) -> Result<Reached, PipelineError> {
-    let (mut read, mut top, mut next) = (Vec::new(), below, from);
-    let mut reached = Reached::Head;
-    'all: while next <= to {
-        let last = to.min(next + AT_ONCE - 1);
-        for (number, found) in (next..=last).zip(network.chain.each_block(next, last).await?) {
-            let Some(found) = found else {
-                reached = Reached::Before(number);
-                break 'all;
-            };
-            if top.is_some_and(|(below, hash)| below + 1 == number && hash != found.parent) {
-                reached = Reached::Changed;
-                break 'all;
-            }
-            if !block_in_place(|| is_to_be_taken(plant, &found))? {
-                reached = Reached::Before(number);
-                break 'all;
-            }
-            top = Some((number, found.block.hash));
-            read.push(found);
-        }
-        next = last + 1;
-    }
-    if !read.is_empty() {
-        block_in_place(|| take(plant, network, &read, to, shown))?;
-    }
-    Ok(reached)
-}
-
-/// A block whose header names more than anybody gives is waited for, but not for ever: a bloom may name what is not there.
-fn is_to_be_taken(plant: &Plant, found: &BlockEvents) -> Result<bool, PipelineError> {
+/// A block whose header names more than anybody gives has to wait, but not forever: a bloom may name what is not there.
+fn is_to_be_taken(plant: &Plant, found: &BlockEvents) -> Result<bool> {
     if found.completeness != Completeness::Doubtful {
         return Ok(true);
     }
@@ -335,31 +302,12 @@ fn is_to_be_taken(plant: &Plant, found: &BlockEvents) -> Result<bool, PipelineEr
     if reorg::waited(&plant.ledger.notes, &DoubtedBlock {}, (number, hash))? < NEAR_PATIENCE {
         return Ok(false);
     }
-    plant.observer.alert(
-        false,
-        format!(
-            "the header of block {number} names events that the node does not give; it is read again later. If this comes \
-             often, check the node, and run `authros audit`"
-        ),
+    let text = format!(
+        "the header of block {number} names events that the node does not give; it is read again later. If this comes \
+         often, check the node, and run `authros audit`"
     );
+    plant.observer.alert(false, text);
     Ok(true)
-}
-
-fn take(
-    plant: &Plant,
-    network: &Network,
-    read: &[BlockEvents],
-    head: u64,
-    shown: Option<&Directory>,
-) -> Result<(), PipelineError> {
-    let Some(last) = read.last() else { return Ok(()) };
-    // Before the cursor passes them, so that a restart knows them too.
-    reorg::note(plant, read)?;
-    let events: Vec<EventAt> = read.iter().flat_map(|block| block.events.iter().cloned()).collect();
-    let met = read.iter().map(|read| (read.block.number, read.block.hash)).collect();
-    let shown = shown.filter(|_| last.block.number == head);
-    write(plant, network, &events, (last.block.number, last.block.hash), met, shown)?;
-    foreign::look(plant, &events, head)
 }
 
 #[cfg(test)]

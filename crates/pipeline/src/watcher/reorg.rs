@@ -1,5 +1,5 @@
-//! Replaced blocks: everything read from them is undone, from where the chains diverge. A block that the node does
-//! not have is not replaced: the node is behind, and is waited for. What is not sure is read again.
+//! Replaced blocks: what was read from them is undone. A block that the node does not have is not replaced: the node is
+//! behind, and is waited for.
 
 use std::time::Duration;
 
@@ -10,35 +10,24 @@ use crate::chain::{BlockEvents, BlockRef, ChainError, Completeness, NEAR};
 use crate::model::{Hash, Timestamp};
 use crate::store::notes::{AwaitedBlock, MissedFrom, NodeBehind, UnsureBlock, UnsureBlocks};
 use crate::store::{Note, Notes};
-use crate::{Network, PipelineError, Plant};
+use crate::{Network, PipelineError, Plant, Result};
 
 /// If a reorg leaves nothing of this many blocks, it is not a reorg.
 const DEEPEST: u64 = 1024;
-/// After naming the same older head for so long, that is the chain: somebody took it back.
+/// The chain was taken back if it names the same older head for this long.
 const TAKEN_BACK: Duration = Duration::from_secs(300);
 
-/// How the chain stands to what was read of it.
-pub(super) enum Standing {
-    /// It holds the newest block that was read; or it was gone back.
-    Holds,
-    /// The node does not have block `read`, which was read before.
-    Behind {
-        /// The newest block that was read.
-        read: u64,
-    },
-}
-
-/// Whether the chain still holds the newest block seen; if another one is in its place, goes back to the last block that
-/// both chains have. A chain without that history is another one.
-pub(super) async fn follow(plant: &Plant, network: &Network, head: BlockRef) -> Result<Standing, PipelineError> {
+/// Goes back to the last common block if the newest one was replaced. A chain without that history is another. Returns the
+/// newest block that was read, if the node does not have it.
+pub(super) async fn follow(plant: &Plant, network: &Network, head: BlockRef) -> Result<Option<u64>> {
     let newest =
         block_in_place(|| Ok::<_, PipelineError>(plant.ledger.trail.end()?.max(plant.ledger.trail.cursor()?)))?;
     let Some((number, _)) = newest.filter(|(number, _)| *number >= first_block(network)) else {
-        return Ok(Standing::Holds);
+        return Ok(None);
     };
     if number <= head.number && stands(network, newest).await? {
         block_in_place(|| no_longer_behind(&plant.ledger.notes))?;
-        return Ok(Standing::Holds);
+        return Ok(None);
     }
     let identified = network.chain.identify().await;
     let trail = plant.ledger.trail.blocks()?;
@@ -50,23 +39,18 @@ pub(super) async fn follow(plant: &Plant, network: &Network, head: BlockRef) -> 
         identified?;
     }
     if !is_replaced {
-        return Ok(Standing::Behind { read: number });
+        return Ok(Some(number));
     }
     let common = last_common(network, &trail).await?;
     if common.is_none() && !trail.is_empty() {
         only_young(network, &trail).await?;
     }
     go_back(plant, network, common.unwrap_or_else(|| beginning(network)), number).await?;
-    Ok(Standing::Holds)
+    Ok(None)
 }
 
-/// Whether another block is where one was read, and not just none; or none for so long that the chain was taken back.
-async fn is_replaced(
-    plant: &Plant,
-    network: &Network,
-    head: BlockRef,
-    trail: &[(u64, Hash)],
-) -> Result<bool, PipelineError> {
+/// Whether another block replaces one that was read; or none does for so long that the chain was taken back.
+async fn is_replaced(plant: &Plant, network: &Network, head: BlockRef, trail: &[(u64, Hash)]) -> Result<bool> {
     if network.chain.is_exact() {
         return Ok(true);
     }
@@ -83,7 +67,7 @@ async fn is_replaced(
 
 /// No block that was ever seen is there any more. On a short history that is a deep reorg; if blocks far below the head
 /// are gone as well, it is another chain that happens to hold our contract at the same address.
-async fn only_young(network: &Network, trail: &[(u64, Hash)]) -> Result<(), PipelineError> {
+async fn only_young(network: &Network, trail: &[(u64, Hash)]) -> Result<()> {
     let (Some(oldest), Some(newest)) = (trail.first(), trail.last()) else { return Ok(()) };
     let deepest = DEEPEST.max(network.confirmations.saturating_mul(4));
     if newest.0.saturating_sub(oldest.0) <= deepest {
@@ -95,9 +79,8 @@ async fn only_young(network: &Network, trail: &[(u64, Hash)]) -> Result<(), Pipe
     Err(ChainError::Swapped { url, what: "history", pinned, found }.into())
 }
 
-/// The highest block of the trail that the chain has too. Chains agree up to one block and differ from there on, so
-/// bisection finds it.
-async fn last_common(network: &Network, trail: &[(u64, Hash)]) -> Result<Option<(u64, Hash)>, PipelineError> {
+/// By bisection: chains agree up to one block and differ from there on.
+async fn last_common(network: &Network, trail: &[(u64, Hash)]) -> Result<Option<(u64, Hash)>> {
     let (mut agree, mut differ) = (0, trail.len());
     while agree < differ {
         let middle = agree + (differ - agree) / 2;
@@ -110,9 +93,8 @@ async fn last_common(network: &Network, trail: &[(u64, Hash)]) -> Result<Option<
     Ok(agree.checked_sub(1).and_then(|last| trail.get(last).copied()))
 }
 
-/// Undoes what was read after `common`; rights follow as the cursor is behind them. Each step may be interrupted: the
-/// cursor moves last, so the next round finds the same reorg.
-async fn go_back(plant: &Plant, network: &Network, common: (u64, Hash), was_at: u64) -> Result<(), PipelineError> {
+/// Undoes what was read after `common`. The cursor moves last: if interrupted, the next round finds the same reorg.
+async fn go_back(plant: &Plant, network: &Network, common: (u64, Hash), was_at: u64) -> Result<()> {
     let from = common.0 + 1;
     network.times.forget_from(from);
     let (moved, deep) = plant.ledger.batches.take_back(from)?;
@@ -121,10 +103,10 @@ async fn go_back(plant: &Plant, network: &Network, common: (u64, Hash), was_at: 
     let text = format!("the chain replaced its last {depth} blocks; {moved} records are anchored again");
     if deep > 0 {
         let confirmations = network.confirmations;
-        plant.observer.alert(
-            true,
-            format!("{text}, {deep} of them verified before: the reorg is deeper than confirmations = {confirmations}, raise the setting"),
+        let text = format!(
+            "{text}, {deep} of them verified before: the reorg is deeper than confirmations = {confirmations}, raise the setting"
         );
+        plant.observer.alert(true, text);
     } else {
         plant.observer.alert(moved > 0, text);
     }
@@ -132,17 +114,13 @@ async fn go_back(plant: &Plant, network: &Network, common: (u64, Hash), was_at: 
     Ok(())
 }
 
-/// How far below the head such a block is read again, each time. A node that is further behind is not just a little late.
+/// Depths below the head at which an unsure block is read again. A node further behind is not just a little late.
 const DEPTHS: [u64; 4] = [2, 6, 16, NEAR];
-/// The most such blocks; beyond, the oldest are given up.
+/// The most unsure blocks; beyond, the oldest are given up.
 const MOST: usize = 256;
 
 /// For how long this very block has been waited for.
-pub(super) fn waited(
-    notes: &Notes,
-    note: &impl Note<Value = AwaitedBlock>,
-    block: (u64, Hash),
-) -> Result<Duration, PipelineError> {
+pub(super) fn waited(notes: &Notes, note: &impl Note<Value = AwaitedBlock>, block: (u64, Hash)) -> Result<Duration> {
     let now = Timestamp::now();
     match notes.read(note)?.filter(|known| known.block == block) {
         Some(known) => Ok(Duration::from_nanos(now.0.saturating_sub(known.since.0))),
@@ -150,16 +128,14 @@ pub(super) fn waited(
     }
 }
 
-/// The node is not waited for any more.
-fn no_longer_behind(notes: &Notes) -> Result<(), PipelineError> {
+fn no_longer_behind(notes: &Notes) -> Result<()> {
     match notes.read(&NodeBehind {})? {
         Some(known) => Ok(notes.forget(&NodeBehind {}, &known)?),
         None => Ok(()),
     }
 }
 
-/// Notes those of these blocks that are to be read again.
-pub(super) fn note(plant: &Plant, read: &[BlockEvents]) -> Result<(), PipelineError> {
+pub(super) fn note(plant: &Plant, read: &[BlockEvents]) -> Result<()> {
     let unsure = read.iter().filter(|read| read.completeness != Completeness::Whole).map(|read| UnsureBlock {
         block: read.block.number,
         hash: read.block.hash,
@@ -178,7 +154,7 @@ pub(super) fn note(plant: &Plant, read: &[BlockEvents]) -> Result<(), PipelineEr
 }
 
 /// Reads again what is due at this head, and goes back to the first block of which something was missed.
-pub(super) async fn look(plant: &Plant, network: &Network, head: u64) -> Result<(), PipelineError> {
+pub(super) async fn look(plant: &Plant, network: &Network, head: u64) -> Result<()> {
     let notes = &plant.ledger.notes;
     if let Some(block) = notes.read(&MissedFrom {})? {
         block_in_place(|| go_back_before(plant, network, block))?;
@@ -196,13 +172,8 @@ pub(super) async fn look(plant: &Plant, network: &Network, head: u64) -> Result<
     Ok(())
 }
 
-/// Reads a block again if that is due; returns what is still unsure.
-async fn look_at(
-    plant: &Plant,
-    network: &Network,
-    head: u64,
-    mut unsure: UnsureBlock,
-) -> Result<Option<UnsureBlock>, PipelineError> {
+/// Returns what is still unsure.
+async fn look_at(plant: &Plant, network: &Network, head: u64, mut unsure: UnsureBlock) -> Result<Option<UnsureBlock>> {
     let Some(depth) = DEPTHS.get(unsure.times) else { return Ok(None) };
     if head.saturating_sub(unsure.block) < *depth {
         return Ok(Some(unsure));
@@ -221,19 +192,17 @@ async fn look_at(
 }
 
 /// An event of this block was missed, or is not on the chain. Their order counts, so all is read again from there.
-fn go_back_before(plant: &Plant, network: &Network, block: u64) -> Result<(), PipelineError> {
+fn go_back_before(plant: &Plant, network: &Network, block: u64) -> Result<()> {
     let trail = plant.ledger.trail.blocks()?;
     let before = trail.iter().rev().find(|(number, _)| *number < block).copied();
     let before = before.unwrap_or_else(|| beginning(network));
     // The cursor first: what is stored of blocks after it is taken back at any start.
     plant.ledger.trail.walk_back(before)?;
     plant.ledger.rights.take_back_rights(before.0 + 1)?;
-    plant.observer.alert(
-        false,
-        format!(
-            "the events of block {block} as they were read differ from those on the chain: a node that is behind gives none; \
-             the chain is read again from there, nothing is lost. Check that all nodes behind the URL are up to date"
-        ),
+    let text = format!(
+        "the events of block {block} as they were read differ from those on the chain: a node that is behind gives none; \
+         the chain is read again from there, nothing is lost. Check that all nodes behind the URL are up to date"
     );
+    plant.observer.alert(false, text);
     Ok(())
 }
