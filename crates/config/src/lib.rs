@@ -1,5 +1,4 @@
-//! Settings: flags override the environment, which overrides `config.toml`, which overrides defaults; each value with
-//! its source.
+//! Settings: flags override the environment, that overrides `config.toml`, that overrides defaults.
 
 use authros_crypto as crypto;
 use authros_model as model;
@@ -43,12 +42,9 @@ const CACHES: &[&str] = &[
     "rediss+sentinel://",
 ];
 
-/// Which topics' rates are measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MeterMode {
-    /// Every topic of the graph.
     All,
-    /// Only watched topics.
     Watched,
 }
 
@@ -61,55 +57,43 @@ pub enum PublishedBy {
     Rosrust,
 }
 
-/// All effective settings.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Config {
     values: BTreeMap<&'static str, (String, Source)>,
-    /// URI of a real ROS master.
     pub ros_master: Option<String>,
     /// The address at which other ROS nodes reach this machine.
     pub ros_host: Option<String>,
-    /// Which topics are measured.
     pub meter: MeterMode,
-    /// How captured topics get their pinned publishers.
     pub pin_mode: PinMode,
-    /// Publishers pinned by the settings.
     pub publishers: ListedPublishers,
     /// Where ROS 2 is installed: prefixes, as in `AMENT_PREFIX_PATH`; empty = nowhere.
     pub definitions: String,
-    /// Domain of ROS 2 to capture from; `None` = no ROS 2.
+    /// `None` = no ROS 2.
     pub ros_domain: Option<u16>,
-    /// The program that reads ROS 2, if it is not beside this one.
     pub ros2_program: Option<PathBuf>,
     /// What publishes shared records in a graph of ROS 1.
     pub publisher: PublishedBy,
-    /// What the simulated robots are.
     pub robots_by: PublishedBy,
-    /// The program in which rosrust runs, if it is not beside this one.
     pub rosrust_program: Option<PathBuf>,
     /// Simulated robots; 0 with a real master.
     pub robots: u16,
-    /// Node of a real chain.
     pub chain_url: Option<String>,
-    /// The file with the certificate authorities to accept for a node behind TLS, instead of those the machine trusts.
+    /// PEM file with the authorities to accept for a node behind TLS; `None` = those of this machine.
     pub chain_roots: Option<PathBuf>,
-    /// The contract's address.
     pub contract: Option<Address>,
-    /// The most wei per gas that a transaction may offer.
+    /// In wei per gas.
     pub max_fee: Option<u128>,
-    /// The least wei per gas that a transaction offers.
+    /// In wei per gas.
     pub min_price: u128,
-    /// Accounts that anchor in parallel, including the owner's.
     pub lanes: u8,
-    /// The consensus required of the embedded chain; a new one is founded with it.
+    /// Required of the embedded chain; a new one is founded with it.
     pub consensus: Option<Consensus>,
     /// Memory for captured messages waiting to be stored, bytes.
     pub capture_memory: u64,
     /// Redis as a cache in front of the store.
     pub cache_url: Option<String>,
-    /// A PEM file with the authorities to accept for its TLS.
     pub cache_roots: Option<PathBuf>,
-    /// How long a robot keeps ciphertext that its gateway has proven to hold; `None` = always.
+    /// How long a robot keeps ciphertext that its gateway has proven to hold; `None` = for ever.
     pub outbox_keep: Option<Duration>,
     /// What a robot keeps of topics that nobody watches.
     pub ring: Option<RingSettings>,
@@ -119,62 +103,44 @@ pub struct Config {
     pub disk_reserve: u64,
     /// Whether messages are compressed before they are sealed.
     pub compression: bool,
-    /// The SM provider.
     pub provider: ProviderName,
     /// The SM4 kernel, if not the fastest.
     pub sm4_kernel: Option<Kernel>,
-    /// How digests are put on the chain.
     pub anchor_mode: AnchorMode,
-    /// How long a line of the audit log may wait for an anchored head.
     pub audit_every: Duration,
     /// Per cent of the stored records that a running site re-hashes per hour.
     pub scrub_percent: u64,
-    /// Where operators connect, and their rights.
     pub operators: OperatorSettings,
-    /// Where figures are served, and which.
     pub metrics: MetricsSettings,
-    /// The time stamp authorities to ask.
     pub time_authorities: Vec<TimeAuthority>,
-    /// Who is told of trouble, and what is trouble.
     pub alerts: AlertSettings,
-    /// Required confirmations.
     pub confirmations: u64,
-    /// Who may use this home's gateway.
     pub gateway: GatewayRules,
-    /// The gateway of the remote site that this one joins.
     pub site: Option<RemoteSite>,
     /// Rules for topics (`[[topic]]` tables of the file).
     pub topic_rules: TopicRules,
-    /// The console's appearance.
     pub console: ConsoleSettings,
 }
 
-/// The ring of a robot.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RingSettings {
-    /// How much it keeps.
     pub limits: RingLimits,
-    /// Of which topics.
     pub topics: TopicPatterns,
 }
 
-/// Who may use this home's gateway.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct GatewayRules {
     /// Also owners that were not admitted, within the following quotas.
     pub open: bool,
-    /// Bytes of such an owner's records.
     pub bytes: u64,
-    /// Names of such an owner.
     pub names: u64,
     /// Streams of such an owner: combinations of recorder, topic, kind, type and signer.
     pub streams: u64,
 }
 
-/// A remote site as named in the settings.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RemoteSite {
-    /// HOST:PORT of its gateway each, in the order in which they are tried; at least one.
+    /// HOST:PORT, in the order tried; at least one.
     pub addresses: Vec<String>,
     /// SM3 of its gateway's identity key.
     pub gateway_key: Option<SignerId>,
@@ -183,11 +149,7 @@ pub struct RemoteSite {
 }
 
 impl Config {
-    /// Resolves flags, environment and file. `flags` and `environment` look up a value by setting and variable name;
-    /// `file` is the text of `config.toml` if it exists.
-    ///
-    /// # Errors
-    /// [`ConfigError`] names the file and line, variable or flag at fault.
+    /// `flags` and `environment` look up a value by setting and variable name; `file` is `config.toml`, if it exists.
     pub fn resolve(
         flags: &dyn Fn(&str) -> Option<String>,
         environment: &dyn Fn(&str) -> Option<String>,
@@ -277,12 +239,11 @@ impl Config {
         })
     }
 
-    /// What ciphertext is kept, according to the setting and the rules of topics.
     pub fn keeping(&self) -> Keeping {
         Keeping::new(self.topic_rules.clone(), self.retention.clone())
     }
 
-    /// All settings for display, with passwords and paths in URLs hidden.
+    /// Passwords and paths in URLs are hidden.
     pub fn show(&self) -> Vec<SettingView> {
         let view = |definition: &Definition| {
             let (value, source) = self.values.get(definition.name).cloned().unwrap_or((String::new(), Source::Default));
@@ -296,7 +257,6 @@ impl Config {
         DEFINITIONS.iter().map(view).collect()
     }
 
-    /// The source of a setting.
     pub fn source(&self, name: &str) -> Source {
         self.values.get(name).map_or(Source::Default, |(_, source)| source.clone())
     }
@@ -306,10 +266,9 @@ fn published_by(values: &Values, name: &'static str) -> Result<PublishedBy, Conf
     Ok(if switch(values, name, ("own", "rosrust"))? { PublishedBy::Own } else { PublishedBy::Rosrust })
 }
 
-/// The most addresses of the gateway that is joined.
 const MOST_ADDRESSES: usize = 8;
 
-/// Hex digits of a key's fingerprint: half of the key's.
+/// Half of a key's.
 const FINGERPRINT_DIGITS: usize = 32;
 
 fn ring(values: &Values) -> Result<Option<RingSettings>, ConfigError> {
@@ -356,7 +315,6 @@ fn remote_site(values: &Values) -> Result<Option<RemoteSite>, ConfigError> {
     Ok(Some(RemoteSite { addresses, gateway_key, trust_first }))
 }
 
-/// Whether this is HOST:PORT.
 fn is_place(address: &str) -> bool {
     let parts = address.rsplit_once(':').filter(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok());
     parts.is_some() && address.len() <= 260 && address.bytes().all(|byte| byte.is_ascii_graphic() && byte != b'/')

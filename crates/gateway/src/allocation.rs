@@ -1,6 +1,6 @@
-//! Key allocation (the paper's Initialization): the client sends K_T, P_C, P_E and Addr to the gateway under a system
-//! key; d_C and the EOA both sign one transcript. Body: system key id (32) || length of CT (2) || CT || SM2 signature
-//! (64) || EOA signature (65).
+//! Key allocation (the paper's Initialization): the client seals K_T, P_C, P_E and Addr to a system key; d_C and the
+//! EOA sign one transcript. Body: system key id (32) || length of CT (2) || CT || SM2 signature (64) || EOA signature
+//! (65).
 
 use zeroize::Zeroizing;
 
@@ -16,15 +16,13 @@ use super::error::{Code, Refusal};
 use super::hello::{Agreed, Context};
 use super::system_keys::SystemKey;
 
-/// The longest CT accepted, bytes; ours has 213 bytes of plaintext.
+/// Bytes; ours has 213 bytes of plaintext.
 const LONGEST_CT: usize = 512;
-/// The longest name, bytes.
 const NAME: usize = 32;
-/// The EIP-712 type that the account signs.
+/// The account signs this EIP-712 type.
 const TYPE: &str = "KeyAllocation(bytes32 gateway,bytes32 systemKey,bytes32 clientNonce,bytes32 gatewayNonce,\
                     uint8 command,string name,bytes signingKey,address account,bytes32 ciphertext)";
 
-/// The client's keys and what it requests.
 #[derive(Debug)]
 pub struct Applicant<'a> {
     pub name: &'a ProfileName,
@@ -33,7 +31,7 @@ pub struct Applicant<'a> {
     pub account: &'a EoaSecret,
 }
 
-/// What the client seals to the system key: name length (1) name (32) K_T (32) P_C (64) P_E (64) Addr (20).
+/// Sealed to the system key: name length (1) name (32) K_T (32) P_C (64) P_E (64) Addr (20).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Allocation {
     pub name: ProfileName,
@@ -78,7 +76,7 @@ impl Allocation {
     }
 }
 
-/// The transcript that both keys sign.
+/// Signed by both keys.
 struct Transcript<'a> {
     domain: &'a Domain,
     agreed: &'a Agreed,
@@ -88,8 +86,8 @@ struct Transcript<'a> {
 }
 
 impl Transcript<'_> {
-    /// label || domain || gateway || system key || client nonce || gateway nonce || Command || N || P_C ||
-    /// Addr || SM3(CT); N with its length before it.
+    /// label || domain || gateway || system key || client nonce || gateway nonce || Command || N || P_C || Addr ||
+    /// SM3(CT); N behind its length.
     fn signed_bytes(&self) -> Vec<u8> {
         let mut out = [
             &b"AuthROS/allocation/1"[..],
@@ -108,7 +106,6 @@ impl Transcript<'_> {
         out
     }
 
-    /// The same fields as typed data.
     fn account_hash(&self) -> [u8; 32] {
         TypedStructure::new(TYPE)
             .word(&self.agreed.gateway.0)
@@ -124,7 +121,7 @@ impl Transcript<'_> {
     }
 }
 
-/// The client's side: a fresh K_T and the body of the command.
+/// Makes K_T and the command's body.
 pub fn apply(
     context: &Context,
     agreed: &Agreed,
@@ -149,13 +146,12 @@ pub fn apply(
     Ok((allocation.key, request.encode()))
 }
 
-/// The message the client sends.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AllocationRequest {
     pub system_key: SignerId,
     pub ciphertext: Vec<u8>,
     pub signature: Signature,
-    /// Signature by the EOA.
+    /// By the EOA.
     pub account_signature: AccountSignature,
 }
 
@@ -190,8 +186,8 @@ impl AllocationRequest {
     }
 }
 
-/// The gateway's side without the chain: opens CT, checks that N is the session's, then the SM2 signature, then the
-/// account's. `secret` is d_S of the request's system key, `None` if that key is not in use.
+/// The gateway's checks without the chain: CT, N, the SM2 signature, the account's. `secret`: d_S of the request's
+/// system key; `None` if not in use.
 pub fn examine(
     context: &Context,
     agreed: &Agreed,

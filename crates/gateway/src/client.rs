@@ -1,5 +1,4 @@
-//! The client's end over TCP: connects, judges the gateway, proves itself with K_T, sends commands, verifies receipts
-//! and records. One request after the other, or several in flight with `send` and `receive`.
+//! The client's end over TCP. One request after the other, or several in flight with `send` and `receive`.
 
 use std::io;
 use std::net::{IpAddr, SocketAddr};
@@ -28,14 +27,12 @@ use crate::session::Session;
 use crate::system_keys::SystemKeyList;
 use crate::trust::Trust;
 
-/// A gateway's addresses, and how to talk to it.
 #[derive(Clone)]
 pub struct Endpoint {
-    /// Host and port each; the first that answers is used.
+    /// Host and port; the first that answers is used.
     pub addresses: Vec<String>,
-    /// The network, and the crypto provider.
     pub context: Context,
-    /// How long to wait for an answer.
+    /// For an answer.
     pub patience: Duration,
 }
 
@@ -43,11 +40,10 @@ pub struct Endpoint {
 pub struct Credentials {
     pub name: ProfileName,
     pub key: TransportKey,
-    /// A token of the account, the current one.
+    /// The account's current token.
     pub token: Token,
 }
 
-/// A session with a gateway.
 pub struct Client {
     line: Line,
     address: String,
@@ -61,10 +57,8 @@ pub struct Client {
 }
 
 impl Client {
-    /// Connects with a transport key. `trust` records what the gateway showed: save it.
-    ///
-    /// # Errors
-    /// [`GatewayError`]; `RefusedInClear(Tag)` also if the gateway does not know the name or has another K_T.
+    /// `trust` records what the gateway showed: save it. `RefusedInClear(Tag)` also if the gateway does not know the
+    /// name or has another K_T.
     pub async fn connect(
         endpoint: &Endpoint,
         trust: &mut Trust,
@@ -73,7 +67,7 @@ impl Client {
         Self::connect_from(None, endpoint, trust, credentials).await
     }
 
-    /// The same from one of this machine's addresses: a gateway limits each address by itself.
+    /// `source`: one of this machine's addresses, each of which has its own limits at a gateway.
     pub async fn connect_from(
         source: Option<IpAddr>,
         endpoint: &Endpoint,
@@ -112,11 +106,8 @@ impl Client {
         Err(GatewayError::of_addresses(failed))
     }
 
-    /// Allocates a transport key: binds N to the account and gives K_T to the gateway. The receipt proves it.
-    ///
-    /// # Errors
-    /// [`GatewayError`]; then nothing is bound, or, if the answer was lost, N is bound to a key that nobody has:
-    /// allocating again replaces it.
+    /// Binds N to the account and gives K_T to the gateway, with a receipt. After a lost answer N may be bound to a
+    /// lost key: allocating again replaces it.
     pub async fn allocate(
         endpoint: &Endpoint,
         trust: &mut Trust,
@@ -125,7 +116,6 @@ impl Client {
         Self::allocate_from(None, endpoint, trust, applicant).await
     }
 
-    /// The same from one of this machine's addresses.
     pub async fn allocate_from(
         source: Option<IpAddr>,
         endpoint: &Endpoint,
@@ -143,8 +133,7 @@ impl Client {
         Ok((key, receipt))
     }
 
-    /// Asks the first of these addresses that answers which network it is on. Nothing is proven yet; the hello on that
-    /// network proves it.
+    /// The network of the first address that answers, proven only by a later hello.
     pub async fn inquire(addresses: &[String], patience: Duration) -> Result<NetworkName, GatewayError> {
         let mut failed = Vec::new();
         for address in addresses {
@@ -157,7 +146,7 @@ impl Client {
         Err(GatewayError::of_addresses(failed))
     }
 
-    /// Connects without a transport key, to read the chain through the gateway. `name` is only for the gateway's log.
+    /// Without a transport key, to read the chain. `name` is only for the gateway's log.
     pub async fn visit(endpoint: &Endpoint, trust: &mut Trust, name: &ProfileName) -> Result<Self, GatewayError> {
         let mut client = Self::open(endpoint, trust, (None, name, None), Token([0; 32])).await?;
         // The gateway signed the hello and holds its keys: from the pong on, large frames are accepted.
@@ -166,7 +155,7 @@ impl Client {
         Ok(client)
     }
 
-    /// Has the gateway pass a JSON-RPC request on to its chain. The answer is the gateway's word.
+    /// Passes a JSON-RPC request to the chain; the answer is the gateway's word.
     pub async fn relay(&mut self, method: &str, parameters: &serde_json::Value) -> Result<Relayed, GatewayError> {
         let call = RelayCall { method: method.to_owned(), parameters: parameters.to_string() };
         if call.parameters.len() > LONGEST_PARAMETERS {
@@ -178,22 +167,21 @@ impl Client {
         }
     }
 
-    /// The address at which the gateway answered.
+    /// That answered.
     pub fn address(&self) -> &str {
         &self.address
     }
 
-    /// The addresses that were tried before that one, cleaned, and why they cannot be used.
+    /// Addresses tried before that one, cleaned, and why they failed.
     pub fn passed_over(&self) -> &[(String, GatewayError)] {
         &self.passed_over
     }
 
-    /// The terms agreed with the gateway.
     pub fn agreed(&self) -> &Agreed {
         &self.agreed
     }
 
-    /// Whether it is time to reconnect: the session's frames or its hour are nearly used up.
+    /// The session's frames or its hour are nearly used up: reconnect.
     pub fn is_spent(&self) -> bool {
         self.session.is_spent(Instant::now() + self.endpoint.patience)
     }
@@ -205,7 +193,7 @@ impl Client {
         }
     }
 
-    /// The published list, not yet checked.
+    /// Not yet checked.
     pub async fn system_keys(&mut self) -> Result<SystemKeyList, GatewayError> {
         match self.ask(&Request::SystemKeys).await? {
             Answer::SystemKeys(bytes) => {
@@ -215,7 +203,7 @@ impl Client {
         }
     }
 
-    /// Uploads records; the receipt is checked to cover all of them.
+    /// The receipt covers all of them.
     pub async fn upload(&mut self, mut uploads: Vec<Upload>) -> Result<Receipt, GatewayError> {
         let provider = self.endpoint.context.provider;
         let digests: Vec<Digest> = uploads.iter().map(|upload| Digest(provider.sm3(&[&upload.blob]))).collect();
@@ -226,8 +214,7 @@ impl Client {
         self.acknowledged(&request, &digests).await
     }
 
-    /// Has the gateway erase its copies of records that the session's owner had erased, at most 64; returns what becomes of
-    /// each, as the gateway states it.
+    /// At most 64 records that the session's owner had erased; returns the gateway's statement about each.
     pub async fn erase(&mut self, erasures: Vec<ErasureNotice>) -> Result<Vec<ErasureOutcome>, GatewayError> {
         let count = erasures.len();
         match self.ask(&Request::Erase(erasures)).await? {
@@ -236,17 +223,14 @@ impl Client {
         }
     }
 
-    /// A record; its bytes match that digest, and its signature is by the key that came with it. The reader must check
-    /// on the chain whether that key may sign for the owner and whether the anchor holds.
-    ///
-    /// # Errors
-    /// [`GatewayError`]; `Erased`, with nothing of it checked, if its owner had it erased.
+    /// Bytes match the digest, the signature is by the record's key. The reader must check key and anchor on the chain.
+    /// `Erased` comes unchecked.
     pub async fn fetch(&mut self, digest: &Digest) -> Result<Fetched, GatewayError> {
         let found = self.records(std::slice::from_ref(digest)).await?.pop();
         found.unwrap_or(Err(GatewayError::Unexpected("no record")))
     }
 
-    /// The next page of the gateway's feed, its signature checked. Checking the proofs is up to the caller.
+    /// Checks the signature; proofs are up to the caller.
     pub async fn feed(&mut self, asked: &Feed) -> Result<FeedPage, GatewayError> {
         let (number, context) = (self.send(&Request::Feed(asked.clone())).await?, self.endpoint.context);
         match self.answer_within(number, self.endpoint.patience + asked.wait).await? {
@@ -258,9 +242,8 @@ impl Client {
         }
     }
 
-    /// The first of these records, at least one: their bytes match the digests, and their signatures are by the keys that came
-    /// with them. The reader must check on the chain whether a key may sign for the owner and whether the anchor holds. Of each
-    /// why it is not given: `Refused`, `Erased` with nothing of it checked, or `Crypto`.
+    /// At least the first of these records. Bytes match digests, signatures are by the records' keys; the reader must
+    /// check keys and anchors on the chain. `Erased` comes unchecked.
     pub async fn records(&mut self, digests: &[Digest]) -> Result<Vec<Result<Fetched, GatewayError>>, GatewayError> {
         let found = self.found(digests, true).await?;
         let each = found.into_iter().zip(digests).map(|(found, digest)| match found {
@@ -272,7 +255,7 @@ impl Client {
         Ok(each.collect())
     }
 
-    /// Which of these records the gateway does not have for this session, and why.
+    /// What the gateway does not have for this session, and why.
     pub async fn missing(&mut self, digests: &[Digest]) -> Result<Vec<(Digest, Code)>, GatewayError> {
         let mut missing = Vec::new();
         let mut left = digests;
@@ -302,26 +285,26 @@ impl Client {
         Ok(record)
     }
 
-    /// Tells the gateway of a grant, signed by d_C.
+    /// Signed by d_C.
     pub async fn grant(&mut self, signing: &SmKeyPair, notice: GrantNotice) -> Result<Receipt, GatewayError> {
         self.signed(signing, &Request::Notice(Notice::Grant(notice))).await
     }
 
-    /// Tells the gateway of a revoke, signed by d_C: it applies at once.
+    /// Signed by d_C; applies at once.
     pub async fn revoke(&mut self, signing: &SmKeyPair, notice: RevokeNotice) -> Result<Receipt, GatewayError> {
         self.signed(signing, &Request::Notice(Notice::Revoke(notice))).await
     }
 
-    /// Tells the gateway, signed by d_C, that this session's name belongs to a device that is lent on the chain.
+    /// Signed by d_C: this session's name belongs to a device that is lent on the chain.
     pub async fn device(&mut self, signing: &SmKeyPair, notice: DeviceNotice) -> Result<Receipt, GatewayError> {
         self.signed(signing, &Request::Notice(Notice::Device(notice))).await
     }
 }
 
-/// Who connects: from which of this machine's addresses (`None` = whichever fits), N, and K_T if there is one.
+/// Own address (`None` = any), N, and K_T if there is one.
 type Who<'a> = (Option<IpAddr>, &'a ProfileName, Option<&'a TransportKey>);
 
-/// Each address of a name gets its share of the time: one that is silent must not use up that of the others.
+/// A silent address must not use up the time of the others.
 async fn dial(source: Option<IpAddr>, address: &str, patience: Duration) -> io::Result<TcpStream> {
     let fits = |place: &SocketAddr| source.is_none_or(|source| source.is_ipv4() == place.is_ipv4());
     let places: Vec<SocketAddr> = lookup_host(address).await?.filter(fits).collect();
@@ -341,7 +324,6 @@ async fn dial(source: Option<IpAddr>, address: &str, patience: Duration) -> io::
     Err(failed)
 }
 
-/// Connects and agrees on a session.
 async fn hello(
     endpoint: &Endpoint,
     address: &str,
@@ -362,7 +344,6 @@ async fn hello(
     Ok((line, agreed, session))
 }
 
-/// The network at an address.
 async fn inquire(address: &str, patience: Duration) -> Result<NetworkName, GatewayError> {
     let stream = dial(None, address, patience).await.map_err(|source| unreachable(address, source))?;
     let mut line = Line::new(stream);
@@ -386,7 +367,7 @@ fn line_error(address: &str, error: LineError) -> GatewayError {
     }
 }
 
-/// The payload of a frame of the expected kind, or the reason given in clear why there is none.
+/// The payload of the wanted kind, or the refusal in clear.
 fn expected(kind: FrameKind, payload: Vec<u8>, wanted: FrameKind) -> Result<Vec<u8>, GatewayError> {
     if kind == wanted {
         return Ok(payload);
@@ -398,8 +379,8 @@ fn expected(kind: FrameKind, payload: Vec<u8>, wanted: FrameKind) -> Result<Vec<
 }
 
 impl Client {
-    /// Sends a request and returns its number; [`Self::receive`] returns the answer. Read answers regularly: a gateway
-    /// closes a connection whose peer does not read.
+    /// Returns the request's number for [`Self::receive`]. Read answers regularly: a gateway closes a connection whose
+    /// peer does not read.
     pub async fn send(&mut self, request: &Request) -> Result<u32, GatewayError> {
         let body = request.encode();
         if body.len() > LARGEST_MESSAGE {
@@ -428,7 +409,7 @@ impl Client {
         }
     }
 
-    /// The next answer, to any request. Can be cancelled at any point.
+    /// The next answer, to any request; cancel-safe.
     pub async fn receive(&mut self, patience: Duration) -> Result<(u32, Answer), GatewayError> {
         let message = timeout(patience, self.message()).await.map_err(|_| GatewayError::TimedOut)??;
         let answer = Answer::parse(message.command, &message.body).map_err(GatewayError::malformed("answer"))?;
@@ -447,7 +428,6 @@ impl Client {
         }
     }
 
-    /// The answer to a request.
     async fn answer_to(&mut self, request: u32) -> Result<Answer, GatewayError> {
         self.answer_within(request, self.endpoint.patience).await
     }
@@ -470,7 +450,7 @@ impl Client {
         }
     }
 
-    /// Sends a request that is acknowledged by a receipt over exactly these digests.
+    /// A receipt must cover exactly these digests.
     async fn acknowledged(&mut self, request: &Request, digests: &[Digest]) -> Result<Receipt, GatewayError> {
         match self.ask(request).await? {
             Answer::Receipt(_, receipt) => self.verified(receipt, digests),
@@ -478,14 +458,14 @@ impl Client {
         }
     }
 
-    /// Checks a receipt returned by [`Self::receive`]: by this gateway, for this network, over these digests.
+    /// Checks that a receipt is by this gateway, for this network, over these digests.
     pub fn verified(&self, receipt: Receipt, digests: &[Digest]) -> Result<Receipt, GatewayError> {
         let context = &self.endpoint.context;
         receipt.verify(context.provider, &context.domain, &self.agreed.gateway_key)?;
         if receipt.digests == digests { Ok(receipt) } else { Err(GatewayError::Receipt("what was sent")) }
     }
 
-    /// Sends a signed Command: d_C signs for this very frame.
+    /// d_C signs for this very frame.
     async fn signed(&mut self, signing: &SmKeyPair, request: &Request) -> Result<Receipt, GatewayError> {
         let (context, command, body) = (self.endpoint.context, request.command(), request.encode());
         let digest = Digest(context.provider.sm3(&[&body]));

@@ -1,6 +1,5 @@
-//! The gateway's protocol, version 1 (PROTOCOL.md has every byte): state machines without I/O first
-//! (frame, hello, session, parts, command, allocation, system_keys, receipt, identity_check, limits), then
-//! the server with its `Desk` and the client over TCP.
+//! The gateway's protocol, version 1 (every byte is in PROTOCOL.md): state machines without I/O, then server and
+//! client.
 
 use crate as gateway;
 use authros_crypto as crypto;

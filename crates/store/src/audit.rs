@@ -1,8 +1,5 @@
-//! The audit log: who did what to what, and the outcome; append-only, each line chained to the one before.
-//!
-//! It is in the ledger's file, and each line is durable. [`AuditLog::verify`] finds lines that were edited, deleted,
-//! inserted or moved. The log alone does not show lines cut off at the end: that takes a head that was anchored on the
-//! chain before ([`AuditLog::hash_of`] gives the line that head belongs to).
+//! The audit log: append-only, each line durable and chained to the one before. Only a head anchored on the chain
+//! shows that lines are missing at its end.
 
 use rusqlite::{Connection, Row, params};
 use serde::{Deserialize, Serialize};
@@ -16,22 +13,18 @@ use crate::model::{Digest, Timestamp};
 const LABEL: &[u8] = b"AuthROS/audit/1";
 const COLUMNS: &str = "line, at, profile, action, subject, outcome, hash";
 
-/// An entry to be logged.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AuditEntry {
     pub at: Timestamp,
     /// Who did it: a profile, or `profile/operator`, which no profile's name can be; for refusals, a peer.
     pub profile: String,
-    /// The action, in a word: `grant`, `open`, ….
     pub action: String,
     pub subject: String,
     pub outcome: String,
 }
 
-/// A line of the log.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AuditLine {
-    /// Its number, from 1.
     pub line: u64,
     #[serde(flatten)]
     pub entry: AuditEntry,
@@ -39,21 +32,18 @@ pub struct AuditLine {
     pub hash: Digest,
 }
 
-/// Which lines to list.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AuditQuery {
-    /// Written at or after.
     pub since: Option<Timestamp>,
-    /// Only this action: `grant`, `decrypt`, ….
+    /// `grant`, `decrypt`, ….
     pub action: Option<String>,
-    /// Only those by this profile and its operators, or by `profile/operator` (for refusals: by this peer).
+    /// This profile with its operators, or `profile/operator` (for refusals: a peer).
     pub profile: Option<String>,
-    /// Only those by an operator of this name, of whichever profile.
+    /// An operator's name, in any profile.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub operator: Option<String>,
-    /// Only lines before this one, for paging back.
     pub before: Option<u64>,
-    /// At most this many, the newest.
+    /// The newest.
     pub limit: usize,
 }
 
@@ -61,13 +51,12 @@ pub struct AuditQuery {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("line {line} of the audit log: {what}; keep a copy of the ledger and find out who had write access")]
 pub struct AuditFault {
-    /// The first line that is wrong.
     pub line: u64,
     pub what: String,
 }
 
 impl AuditLog {
-    /// Adds a line; it is durable when this returns. No grant and no decryption may proceed without it.
+    /// Durable on return. No grant and no decryption may proceed without it.
     pub fn append(&self, entry: AuditEntry) -> Result<(), StoreError> {
         self.0.write(move |session| {
             let (count, head) = head(session.connection)?;
@@ -89,12 +78,11 @@ impl AuditLog {
         })
     }
 
-    /// The number of lines and the hash of the last one (zeros if there is none): the head that is anchored.
+    /// Number of lines, and hash of the last (zeros for an empty log): the head that is anchored.
     pub fn head(&self) -> Result<(u64, Digest), StoreError> {
         self.0.read(head)
     }
 
-    /// The hash stored with a line, to compare with a head that was anchored when the log was that long.
     pub fn hash_of(&self, line: u64) -> Result<Option<Digest>, StoreError> {
         let line = whole("line", line)?;
         self.0.read(|connection| {
@@ -102,20 +90,14 @@ impl AuditLog {
         })
     }
 
-    /// Recomputes the whole chain; returns the number of lines.
-    ///
-    /// # Errors
-    /// [`AuditFault`] with the first line that is wrong, or that cannot be read.
+    /// Recomputes the whole chain; returns the number of lines, or the first wrong one.
     pub fn verify(&self) -> Result<u64, AuditFault> {
         let walked = self.0.read(|connection| Ok(walk(connection)));
         walked.unwrap_or_else(|error| Err(AuditFault { line: 0, what: error.to_string() }))
     }
 
-    /// Compares the log with anchored heads: number of lines and hash each, in any order. Returns how many lines the
-    /// newest of them covers.
-    ///
-    /// # Errors
-    /// [`AuditFault`] with the first line that may be wrong: the one after the newest head that still agrees.
+    /// Compares anchored heads, in any order; returns how many lines the newest covers. A fault names the line after
+    /// the newest head that agrees.
     pub fn compare(&self, heads: &[(u64, Digest)]) -> Result<u64, AuditFault> {
         let mut heads = heads.to_vec();
         heads.sort_by_key(|(line, _)| *line);
@@ -138,7 +120,6 @@ impl AuditLog {
         Ok(agreed)
     }
 
-    /// When the line after `line` was written; `None` if there is none.
     pub fn written_after(&self, line: u64) -> Result<Option<Timestamp>, StoreError> {
         let next = whole("line", line.saturating_add(1))?;
         self.0.read(|connection| {
@@ -147,7 +128,7 @@ impl AuditLog {
         })
     }
 
-    /// The newest lines that match, oldest first.
+    /// The newest matches, oldest first.
     pub fn list(&self, query: &AuditQuery) -> Result<Vec<AuditLine>, StoreError> {
         let before = query.before.map_or(Ok(i64::MAX), |line| whole("line", line))?;
         let since = query.since.map_or(Ok(0), |since| whole("time", since.0))?;
@@ -186,7 +167,7 @@ fn line_of(row: &Row<'_>) -> rusqlite::Result<AuditLine> {
     Ok(AuditLine { line: row.get::<_, i64>(0)?.cast_unsigned(), entry, hash: Digest(row.get(6)?) })
 }
 
-/// SM3 over label, previous hash, and each field with its length (4 bytes, big endian) before it.
+/// SM3 over label, previous hash, and each field behind its length (4 bytes, big endian).
 fn chain(previous: Digest, entry: &AuditEntry) -> Digest {
     let mut hash = Sm3::new();
     hash.update(LABEL);

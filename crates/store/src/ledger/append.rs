@@ -15,7 +15,7 @@ use crate::model::{Address, Digest, FilterId, RecordKind, RecordState, SignerId,
 type StreamKey = (i64, u8, String);
 type TopicKey = (Address, SignerId, TopicId, Option<Foreign>);
 
-/// Keys of the names seen so far; only a cache of the tables.
+/// A cache of the tables.
 #[derive(Default)]
 pub(crate) struct KnownNames {
     topics: HashMap<TopicKey, (i64, String)>,
@@ -25,7 +25,7 @@ pub(crate) struct KnownNames {
 }
 
 impl KnownNames {
-    /// Clears it: a rollback may have removed some of them.
+    /// After a rollback that may have removed some.
     pub(super) fn clear(&mut self) {
         self.topics.clear();
         self.streams.clear();
@@ -35,8 +35,7 @@ impl KnownNames {
 }
 
 impl Records {
-    /// The highest acknowledged sequence number of a topic that `signer` gave in this ledger, plus 1. Records from
-    /// elsewhere never count.
+    /// The signer's highest number for a topic in this ledger, plus 1; records from elsewhere do not count.
     pub fn next_seq(&self, owner: Address, signer: SignerId, topic: TopicId) -> Result<u64, StoreError> {
         let recorder = self.0.shared.recorder.of_signer(&signer);
         self.0.read(|connection| {
@@ -49,14 +48,7 @@ impl Records {
         })
     }
 
-    /// Acknowledges records: all of them are durable when this returns, or none is. A record that the ledger already
-    /// holds is unchanged.
-    ///
-    /// # Errors
-    /// [`StoreError::Conflict`] if the sequence number is another record's or out of bounds, the topic id has another
-    /// name, or a record from elsewhere carries a recorder of this ledger,
-    /// [`StoreError::IllegalEdge`] if a record cannot begin in its state, [`StoreError::DiskFull`] and the like; then
-    /// nothing is acknowledged.
+    /// All records are durable on return, or none. Known records do not change.
     pub fn append(&self, records: Vec<NewRecord>) -> Result<(), StoreError> {
         self.0.takes_records()?;
         self.0.write_many(records.len(), move |session| {
@@ -65,7 +57,7 @@ impl Records {
         })
     }
 
-    /// Moves those of the records that are in state `from` to state `to`; returns how many.
+    /// Moves only records in state `from`; returns how many.
     pub fn advance(&self, digests: &[Digest], from: RecordState, to: RecordState) -> Result<u64, StoreError> {
         if !may(By::Worker, from, to) {
             return Err(StoreError::IllegalEdge { from, to });
@@ -75,8 +67,7 @@ impl Records {
     }
 }
 
-/// Whether a record may have its number: within bounds, and of this ledger's own recorders only if it was recorded here.
-/// `false` if it was, and came back.
+/// `false` for a record of this ledger's own that came back; else own recorders are only for records made here.
 fn check_number(connection: &Connection, record: &NewRecord) -> Result<bool, StoreError> {
     let refused = |detail: String| Err(StoreError::Conflict { digest: record.digest, detail });
     if !(1..=LARGEST_SEQ).contains(&record.seq) {
@@ -92,7 +83,6 @@ fn check_number(connection: &Connection, record: &NewRecord) -> Result<bool, Sto
     refused("it came from elsewhere and carries a recorder id of this ledger".to_owned())
 }
 
-/// Adds a record, unless it is known.
 pub(super) fn add(session: &mut Session<'_>, record: &NewRecord, now: i64) -> Result<(), StoreError> {
     if !matches!(record.state, RecordState::Stored | RecordState::Quarantined) {
         return Err(StoreError::IllegalEdge { from: RecordState::Captured, to: record.state });
@@ -159,8 +149,7 @@ fn store(connection: &Connection, record: &NewRecord, row: i64) -> Result<(), St
     Ok(())
 }
 
-/// A known record came again: bytes that were altered or lost here meanwhile are right again. What was deleted here, or is
-/// named to be, does not come back.
+/// Repairs altered or lost bytes of a known record, but not of a deleted one or one named for deletion.
 fn store_again(connection: &Connection, record: &NewRecord) -> Result<(), StoreError> {
     let Some(blob) = &record.blob else { return Ok(()) };
     let sql = "INSERT INTO ciphertext SELECT n, ?2 FROM records WHERE digest = ?1 AND deleted_at IS NULL
@@ -190,7 +179,7 @@ fn topic_key(session: &mut Session<'_>, record: &NewRecord) -> Result<i64, Store
         Entry::Occupied(found) => found.into_mut(),
         Entry::Vacant(place) => place.insert(find_topic(session.connection, record)?),
     };
-    // Its name became known only now.
+    // The name has become known.
     if found.1.is_empty() && !record.topic.is_empty() {
         *found = find_topic(session.connection, record)?;
     }

@@ -1,4 +1,4 @@
-//! Merkle batches: closing them, finding those still to be anchored, their state on the chain, a record's proof.
+//! Merkle batches, their way to the chain and back, and a record's proof.
 
 use std::collections::BTreeMap;
 
@@ -12,33 +12,26 @@ use crate::crypto::merkle::{Inclusion, Leaf};
 use crate::database::{Statements as _, capped, count, whole};
 use crate::model::{Address, Digest, Hash, RecordKind, RecordState, RecorderId, SignerId, Timestamp, TopicId};
 
-/// A batch to be closed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NewBatch {
-    /// The account that anchors them.
     pub owner: Address,
-    /// Merkle root over the leaves.
     pub root: Hash,
-    /// The records in leaf order, each with its path to the root.
+    /// In leaf order, each with its path to the root.
     pub leaves: Vec<(Digest, Vec<Hash>)>,
 }
 
-/// A closed batch that no transaction anchors yet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct WaitingBatch {
     pub root: Hash,
     pub count: u64,
 }
 
-/// A root found in a block.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct RootSighting {
-    /// The account that anchored it.
     pub account: Address,
     pub root: Hash,
-    /// The number of its leaves, as the chain says.
+    /// As the chain says.
     pub count: u64,
-    /// The transaction that anchored it.
     pub transaction: Hash,
     pub block: u64,
     pub block_hash: Hash,
@@ -47,49 +40,42 @@ pub struct RootSighting {
 /// A record's place in its batch, and the batch's state.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct BatchPlace {
-    /// Index, count, path and root.
     pub inclusion: Inclusion,
-    /// When the batch was closed.
     pub closed_at: Timestamp,
-    /// The account that anchored the root, or is to.
+    /// That anchored the root, or will.
     pub account: Option<Address>,
-    /// The block of the root's first anchoring.
+    /// Of the root's first anchoring.
     pub block: Option<u64>,
     pub block_hash: Option<Hash>,
-    /// The transaction that anchored it, or is to.
+    /// That anchored the root, or will.
     pub transaction: Option<Hash>,
-    /// Whether a verified record rests on this block, and what else the ledger knows of it is of another one.
+    /// A verified record depends on this block, but the ledger knows another one from elsewhere.
     pub is_contradicted: bool,
 }
 
-/// A record with its place, read in one transaction. Code that compares the two takes them from here: read one after the
-/// other, an honest ledger contradicts itself whenever the watcher writes in between.
+/// Read in one transaction: the watcher's writes between two reads would contradict each other.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PlacedRecord {
     pub row: RecordRow,
-    /// Its place, if it is in a batch.
     pub place: Option<BatchPlace>,
 }
 
-/// What a transaction anchors.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Anchors {
-    /// No records: it is a grant, a registration, ….
+    /// A grant, a registration, ….
     Nothing,
     Digests(Vec<Digest>),
-    /// All records of the batch with this root.
     Batch(Hash),
 }
 
 impl Batches {
-    /// Closes a batch: stores its root and every record's path, and moves its records from stored to batched, in one
-    /// commit. Closing the same batch again changes nothing, unless its records have left it: then it waits to be
-    /// anchored again.
+    /// Stores root and paths and moves the records to batched in one commit. A batch closed again waits again only if
+    /// its records have left it.
     pub fn close(&self, batch: NewBatch) -> Result<(), StoreError> {
         self.0.write_many(batch.leaves.len(), move |session| close(session.connection, &batch))
     }
 
-    /// Closed batches of an owner that no transaction anchors, oldest first.
+    /// Closed batches without a transaction, oldest first.
     pub fn waiting(&self, owner: Address, limit: usize) -> Result<Vec<WaitingBatch>, StoreError> {
         let sql = "SELECT root, count FROM batches INDEXED BY batches_waiting
             WHERE owner = ?1 AND tx IS NULL AND EXISTS (SELECT 1 FROM leaves WHERE batch = key)
@@ -99,18 +85,17 @@ impl Batches {
         })
     }
 
-    /// Roots anchored by an account's open transactions, by nonce.
+    /// Of an account's open transactions, by nonce.
     pub fn open_roots(&self, account: Address) -> Result<Vec<Hash>, StoreError> {
         let sql =
             "SELECT batch FROM transactions WHERE state = 0 AND account = ?1 AND batch IS NOT NULL ORDER BY nonce";
         self.0.list(sql, [account.0], |row| row.get(0).map(Hash))
     }
 
-    /// How many stored records that an account anchors (its own, and those it keeps for others) wait for a batch, and
-    /// when the first captured of them was acknowledged.
+    /// Stored records that an account anchors, for itself or others, and when the first captured one was acknowledged.
     pub fn unbatched(&self, keeper: Address) -> Result<(u64, Option<Timestamp>), StoreError> {
         self.0.read(|connection| {
-            // Usually none waits. Then no stream is looked at: a gateway may have ten thousand, and this is asked at each block.
+            // Usually none waits, and a gateway with ten thousand streams asks at each block.
             let stored = RecordState::Stored.code();
             let sql = "SELECT 1 FROM records INDEXED BY records_by_state WHERE state = ?1 LIMIT 1";
             if !connection.has(sql, [stored])? {
@@ -126,8 +111,7 @@ impl Batches {
         })
     }
 
-    /// Up to `limit` stored records that an account anchors, its own and those it keeps for others, as leaves, topic by
-    /// topic in the order of capture.
+    /// Stored records that an account anchors, for itself or others, by topic and capture time.
     pub fn stored_leaves(&self, keeper: Address, limit: usize) -> Result<Vec<Leaf>, StoreError> {
         let sql = "SELECT recorders.id, topics.topic_id, seq, digest, topics.owner, recorders.signer FROM streams
             JOIN topics ON topics.key = streams.topic JOIN recorders ON recorders.key = topics.recorder
@@ -136,10 +120,9 @@ impl Batches {
         self.0.list(sql, params![keeper.0, RecordState::Stored.code(), capped(limit)], leaf)
     }
 
-    /// Takes in roots found on the chain: pending records of the batch are now mined, with this transaction and block;
-    /// those in a block individually stay there. A root already in a block keeps that block: the earliest counts. Roots
-    /// of other ledgers, or over another number of leaves, are skipped. Returns how many records changed; seeing the
-    /// same again changes none.
+    /// Roots found on the chain: pending records of each batch are now mined, except those in a block of their own. A
+    /// root's earliest block counts; roots of other ledgers or leaf counts are skipped. Returns how many records
+    /// changed.
     pub fn anchored(&self, sightings: &[RootSighting]) -> Result<u64, StoreError> {
         let sightings = sightings.to_vec();
         self.0.write(move |session| {
@@ -147,7 +130,7 @@ impl Batches {
         })
     }
 
-    /// Which of these roots, of batches of this ledger, it has not taken in: they still wait for a block.
+    /// Roots of this ledger's batches that still wait for a block.
     pub fn waiting_roots(&self, sightings: &[RootSighting]) -> Result<Vec<Hash>, StoreError> {
         self.0.read(|connection| {
             // An anchor that did not count is no reason to read its block again.
@@ -163,33 +146,31 @@ impl Batches {
 }
 
 impl Records {
-    /// A record and its place in its batch, of one moment; `None` if the record is not here.
+    /// `None` for an unknown record.
     pub fn placed(&self, digest: Digest) -> Result<Option<PlacedRecord>, StoreError> {
         Ok(self.placed_all(&[digest])?.pop().flatten())
     }
 
-    /// The same for several records, in their order, all of one moment.
+    /// In order, all of one moment.
     pub fn placed_all(&self, digests: &[Digest]) -> Result<Vec<Option<PlacedRecord>>, StoreError> {
         self.0.read(|connection| placed_in(connection, digests))
     }
 }
 
-/// A leaf from recorder, topic, number, digest, owner and signer.
+/// From recorder, topic, number, digest, owner, signer.
 pub(super) fn leaf(row: &Row<'_>) -> rusqlite::Result<Leaf> {
     let (recorder, topic_id) = (RecorderId(row.get(0)?), TopicId(row.get(1)?));
     let (owner, signer) = (Address(row.get(4)?), SignerId(row.get(5)?));
     Ok(Leaf { owner, signer, recorder, topic_id, seq: unsigned(row, 2)?, digest: Digest(row.get(3)?) })
 }
 
-/// Whether a verified record rests on the block of its batch, and what else this ledger knows of that is of another one: the
-/// chain's proof, or the transaction. Before a record is verified, what is known is not of one moment; and the blocks that
-/// the watcher has read do not say: it forgets some when it reads again.
+/// A verified record's batch block differs from the chain's proof or the transaction. Earlier states are read at
+/// different moments, and the trail does not say: the watcher forgets blocks when it reads again.
 pub(super) const CONTRADICTED: &str = "records.state = 6 AND records.tx IS NULL AND (
     proof = 1 AND batches.block_hash IS NOT (SELECT hash FROM chain_proofs WHERE chain_proofs.block = batches.block)
     OR (batches.block, batches.block_hash) <> (SELECT block, block_hash FROM transactions
         WHERE transactions.hash = batches.tx AND transactions.state = 1)) IS TRUE";
 
-/// See [`Records::placed_all`].
 pub(super) fn placed_in(connection: &Connection, digests: &[Digest]) -> Result<Vec<Option<PlacedRecord>>, StoreError> {
     let rows = rows::rows_of(connection, digests)?;
     let mut find = connection.prepare_cached(&format!(
@@ -251,7 +232,7 @@ fn key_of(connection: &Connection, root: Hash) -> Result<Option<i64>, StoreError
     Ok(connection.find("SELECT key FROM batches WHERE root = ?1", [root.0], |row| row.get(0))?)
 }
 
-/// A root was found in a block; returns how many records are mined by that.
+/// Returns how many records are mined by it.
 pub(super) fn see(connection: &Connection, sighting: &RootSighting) -> Result<u64, StoreError> {
     let (block, leaves) = (whole("block", sighting.block)?, whole("count", sighting.count)?);
     let sql = "SELECT key FROM batches WHERE root = ?1 AND count = ?2 AND block IS NULL";
@@ -267,8 +248,7 @@ pub(super) fn see(connection: &Connection, sighting: &RootSighting) -> Result<u6
     Ok(count(changed))
 }
 
-/// A mined transaction is in the block that its batch is in: its sender may have seen it in one that was replaced since, while
-/// the watcher reads block by block.
+/// Moves a mined transaction to its batch's block: its sender may have seen a replaced one.
 pub(super) fn place_transaction(connection: &Connection, hash: Hash) -> Result<(), StoreError> {
     let sql = "UPDATE transactions SET (block, block_hash) = (SELECT block, block_hash FROM batches WHERE root = batch)
         WHERE hash = ?1 AND state = 1
@@ -293,7 +273,7 @@ pub(super) fn see_record(
     Ok(())
 }
 
-/// A transaction that anchors the batch was signed: its records are now submitted.
+/// A signed transaction anchors the batch.
 pub(super) fn submit(
     connection: &Connection,
     root: Hash,
@@ -327,8 +307,7 @@ pub(super) fn release(connection: &Connection, root: Hash, transaction: Hash) ->
     Ok(())
 }
 
-/// Blocks from this one on are gone, and batches lose their block; returns their keys. Whichever account anchored them, one of
-/// our open transactions that does so continues.
+/// Batches from this block on lose it; returns their keys. Any of our open transactions that anchors one continues.
 pub(super) fn take_back(connection: &Connection, block: i64) -> Result<Vec<i64>, StoreError> {
     let sql = "UPDATE batches SET block = NULL, block_hash = NULL, (tx, account) =
         (SELECT hash, transactions.account FROM transactions
@@ -337,15 +316,9 @@ pub(super) fn take_back(connection: &Connection, block: i64) -> Result<Vec<i64>,
     Ok(connection.list(sql, [block], |row| row.get(0))?)
 }
 
-// Anchors made elsewhere: a record that is here gets the one that another ledger made.
-
 impl Batches {
-    /// Notes where a stored record was anchored by another ledger: its place in the batch, and the block of the root
-    /// on the chain. From then on it counts as if anchored from here. Returns whether anything changed.
-    ///
-    /// # Errors
-    /// [`StoreError::NotReady`] if the record is unknown here, [`StoreError::Replaced`] if the watcher did not read that
-    /// block, [`StoreError::DiskFull`] and the like.
+    /// Notes where another ledger anchored a stored record; returns whether anything changed. [`StoreError::NotReady`]
+    /// for an unknown record, [`StoreError::Replaced`] if the watcher did not read the block.
     pub fn take_in(&self, digest: Digest, inclusion: Inclusion, anchor: RootSighting) -> Result<bool, StoreError> {
         self.0.write(move |session| take_in(session.connection, digest, &inclusion, &anchor))
     }
@@ -374,7 +347,7 @@ pub(super) fn take_in(
     Ok(true)
 }
 
-/// A record leaves the batch of another ledger whose block the chain took back, where that ledger has it in another one by now.
+/// Leaves another ledger's batch whose block was taken back, for that ledger's new one.
 fn leave_for(connection: &Connection, (record, state): (i64, RecordState), root: Hash) -> Result<bool, StoreError> {
     let sql = "SELECT 1 FROM leaves JOIN batches ON key = batch
              WHERE record = ?1 AND closed_here = 0 AND block IS NULL AND root <> ?2";
@@ -392,7 +365,7 @@ fn leave_for(connection: &Connection, (record, state): (i64, RecordState), root:
     Ok(true)
 }
 
-/// The key of an anchor's batch, which is noted if it is not known yet.
+/// Notes an unknown batch.
 fn batch_of(
     connection: &Connection,
     digest: Digest,
@@ -417,7 +390,7 @@ fn batch_of(
     Ok(connection.one("SELECT key FROM batches WHERE root = ?1", [inclusion.root.0], |row| row.get(0))?)
 }
 
-/// Whether the watcher read this very block. Of old ones not each is kept: no reorg goes as deep.
+/// Old blocks are not all kept, but no reorg reaches them.
 fn is_read(connection: &Connection, anchor: &RootSighting) -> Result<bool, StoreError> {
     let sql = "SELECT EXISTS (SELECT 1 FROM trail WHERE block = ?1 AND hash = ?2)
         OR ?1 + ?3 < coalesce((SELECT max(block) FROM trail), 0)";
@@ -428,19 +401,16 @@ fn is_read(connection: &Connection, anchor: &RootSighting) -> Result<bool, Store
     )?)
 }
 
-// What each signer of an owner has recorded, by topic: from the counters, whatever the number of records.
-
-/// The messages of one topic that one key signed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SignerTopic {
     pub signer: SignerId,
-    /// The topic's name, as far as it is known here.
+    /// Its name, as far as it is known here.
     pub topic: String,
     pub records: BTreeMap<RecordState, u64>,
 }
 
 impl Counts {
-    /// What keys other than `own` recorded for an owner.
+    /// Counted for keys other than `own`.
     pub fn signer_topics(&self, owner: Address, own: SignerId) -> Result<Vec<SignerTopic>, StoreError> {
         self.0.read(|connection| {
             let sql = format!(

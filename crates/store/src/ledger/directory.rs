@@ -1,6 +1,5 @@
-//! Who is registered and who may read what, as the contract's events say. Each event is a row, and events that no longer
-//! count are marked: the current ones are found without the others, the others are history, and a replaced block can be
-//! undone.
+//! Who is registered and who may read, by the contract's events. Superseded events stay, marked, as history and to undo
+//! a replaced block.
 
 use std::path::Path;
 
@@ -15,37 +14,33 @@ use crate::crypto::merkle::Leaf;
 use crate::database::{Statements as _, capped, count, whole};
 use crate::model::{Address, Digest, Domain, RecordState, SignerId, Token};
 
-/// The subject of an event, as far as it matters here.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RightKind {
     Grant = 1,
-    /// An envelope of another epoch.
+    /// Of another epoch.
     Envelope = 2,
-    /// An extension of a grant.
+    /// Of a grant.
     Extension = 3,
-    /// An epoch began; if a grantee is named, by the revocation of its grant.
+    /// With a grantee: its grant was revoked.
     Epoch = 4,
     Other = 5,
-    /// The key of an epoch, wrapped for its own owner. It is history from the start: only its owner ever reads it.
+    /// An epoch's key, wrapped for its owner, who alone reads it; history from the start.
     Own = 6,
 }
 
-/// An event to be stored.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RightEvent {
     pub block: u64,
-    /// Its index among the block's events.
+    /// Among the block's events.
     pub place: u64,
     pub kind: RightKind,
-    /// The owner of the right.
     pub owner: Option<Address>,
-    /// The grantee, current or former.
+    /// Current or former.
     pub grantee: Option<Address>,
-    /// The epoch it names.
     pub epoch: Option<u64>,
-    /// The token of that epoch.
+    /// Of that epoch.
     pub token: Option<Token>,
-    /// Everything but the envelope, encoded by its reader.
+    /// All but the envelope, in its reader's encoding.
     pub event: String,
     pub envelope: Option<Vec<u8>>,
 }
@@ -53,34 +48,31 @@ pub struct RightEvent {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct KeptRight {
     pub block: u64,
-    /// Its index among the block's events.
+    /// Among the block's events.
     pub place: u64,
     pub event: String,
-    /// The epoch that began when its grant was revoked.
+    /// The epoch that began with its grant's revocation.
     pub revoked: Option<u64>,
 }
 
-/// The current events of the contract.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct StandingRights {
-    /// Block and index of the last event stored; `None` before the first.
+    /// Block and place; `None` before the first event.
     pub last: Option<(u64, u64)>,
-    /// Those that still count, in the chain's order.
+    /// In the chain's order.
     pub events: Vec<KeptRight>,
 }
 
-/// An envelope from an event.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct KeptEnvelope {
-    /// The epoch whose keys it contains.
+    /// Whose keys it contains.
     pub epoch: u64,
-    /// The block of the event.
+    /// Of the event.
     pub block: u64,
     pub bytes: Vec<u8>,
 }
 
-/// What an event supersedes: an extension supersedes the one before it, an epoch the one before it, a revocation its
-/// grant.
+/// An extension or epoch supersedes the one before it, a revocation its grant.
 pub(super) const ENDING: [&str; 3] = [
     "UPDATE rights INDEXED BY rights_standing SET replaced = ?3
         WHERE owner = ?1 AND kind = 3 AND grantee = ?2 AND replaced IS NULL AND revoked IS NULL",
@@ -90,20 +82,17 @@ pub(super) const ENDING: [&str; 3] = [
         WHERE owner = ?1 AND kind IN (1, 2, 3) AND grantee = ?2
         AND replaced IS NULL AND revoked IS NULL",
 ];
-/// After every event of a block.
 const WHOLE_BLOCK: i64 = i64::MAX;
-/// How the contract is found again.
+/// Identifies the contract.
 pub(super) const PIN: &str = "SELECT pin FROM contract";
-/// Notes the last event.
 const UP_TO: &str = "UPDATE contract SET block = ?1, place = ?2";
 
 impl Rights {
-    /// The file in which they are.
     pub fn path(&self) -> &Path {
         self.0.path()
     }
 
-    /// Binds the ledger to one contract for good; `pin` says how it is found again.
+    /// A ledger is bound to one contract; `pin` identifies it.
     pub fn bind_contract(&self, domain: Domain, pin: &str) -> Result<(), StoreError> {
         let pin = pin.to_owned();
         self.0.write(move |session| {
@@ -116,12 +105,12 @@ impl Rights {
         })
     }
 
-    /// The pin of the contract that the ledger is bound to; `None` if it is bound to none yet.
+    /// `None` if unbound.
     pub fn contract_pin(&self) -> Result<Option<String>, StoreError> {
         self.0.find(PIN, [], |row| row.get(0))
     }
 
-    /// The same of a ledger that is not opened, because it may be in use or damaged; nothing is written.
+    /// Reads a ledger that may be in use or damaged; writes nothing.
     pub fn contract_pin_in(path: &Path) -> Result<Option<String>, StoreError> {
         if !path.exists() {
             return Ok(None);
@@ -129,7 +118,7 @@ impl Rights {
         Glance::at(path)?.contract_pin()
     }
 
-    /// Stores events in the chain's order, all in one commit; those already there are skipped.
+    /// Stores events in the chain's order in one commit; skips known ones.
     pub fn keep_rights(&self, events: Vec<RightEvent>) -> Result<(), StoreError> {
         self.0.write_many(events.len(), move |session| keep_all(session, &events))
     }
@@ -145,14 +134,14 @@ impl Rights {
         })
     }
 
-    /// The events about an account that are neither grants nor epochs, in the chain's order.
+    /// Neither grants nor epochs, in the chain's order.
     pub fn other_rights(&self, account: Address) -> Result<Vec<KeptRight>, StoreError> {
         let sql = "SELECT block, place, event, revoked FROM rights INDEXED BY rights_standing
             WHERE owner = ?1 AND kind = 5 AND replaced IS NULL AND revoked IS NULL ORDER BY block, place";
         self.0.list(sql, [account.0], kept)
     }
 
-    /// Undoes the events of all blocks from `from` on, and what they superseded, in one commit.
+    /// Undoes the events of blocks from `from` on, and what they superseded, in one commit.
     pub fn take_back_rights(&self, from: u64) -> Result<(), StoreError> {
         let from = whole("block", from)?;
         self.0.write_many(super::writer::MANY + 1, move |session| {
@@ -173,14 +162,14 @@ impl Rights {
         })
     }
 
-    /// Every event of blocks `from` to `to`, in the chain's order.
+    /// In the chain's order.
     pub fn rights_in(&self, from: u64, to: u64) -> Result<Vec<KeptRight>, StoreError> {
         let (from, to) = (whole("block", from)?, whole("block", to)?);
         let sql = "SELECT block, place, event, revoked FROM rights WHERE block BETWEEN ?1 AND ?2 ORDER BY block, place";
         self.0.list(sql, [from, to], kept)
     }
 
-    /// Which of these events, by block and index, are not stored.
+    /// Block and place of events that are not stored.
     pub fn unknown_rights(&self, places: &[(u64, u64)]) -> Result<Vec<(u64, u64)>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT 1 FROM rights WHERE block = ?1 AND place = ?2";
@@ -188,7 +177,7 @@ impl Rights {
         })
     }
 
-    /// Deletes all events, so that they are read again.
+    /// Makes the watcher read them again.
     pub fn forget_rights(&self) -> Result<(), StoreError> {
         self.0.write_many(super::writer::MANY + 1, move |session| {
             session.connection.execute_batch("DELETE FROM envelopes; DELETE FROM rights;")?;
@@ -197,7 +186,7 @@ impl Rights {
         })
     }
 
-    /// Grants that an account gave or received and that were revoked, with their extensions, in the chain's order.
+    /// Revoked grants that an account gave or received, with extensions, in the chain's order.
     pub fn revoked_grants(&self, account: Address) -> Result<Vec<KeptRight>, StoreError> {
         self.0.read(|connection| {
             let mut found: Vec<KeptRight> = Vec::new();
@@ -215,8 +204,7 @@ impl Rights {
         })
     }
 
-    /// The envelopes of a current grant, or of the one whose revocation began the epoch `revoked`; in the chain's
-    /// order.
+    /// Of the current grant, or of the one whose revocation began `revoked`; in the chain's order.
     pub fn envelopes_between(
         &self,
         owner: Address,
@@ -239,7 +227,7 @@ impl Rights {
         })
     }
 
-    /// The envelopes that an owner made for itself, from one epoch to another; in the chain's order.
+    /// Made by an owner for itself; in the chain's order.
     pub fn own_envelopes(&self, owner: Address, from: u64, to: u64) -> Result<Vec<KeptEnvelope>, StoreError> {
         let (from, to) = (whole("epoch", from)?, whole("epoch", to)?);
         let sql = "SELECT r.epoch, r.block, e.envelope FROM rights r INDEXED BY rights_own
@@ -250,14 +238,12 @@ impl Rights {
         })
     }
 
-    /// The envelope of one event.
     pub fn envelope_at(&self, block: u64, place: u64) -> Result<Option<Vec<u8>>, StoreError> {
         let at = (whole("block", block)?, whole("place", place)?);
         let sql = "SELECT envelope FROM envelopes WHERE block = ?1 AND place = ?2";
         self.0.find(sql, [at.0, at.1], |row| row.get(0))
     }
 
-    /// The token that an owner registered for an epoch.
     pub fn epoch_token(&self, owner: Address, epoch: u64) -> Result<Option<Token>, StoreError> {
         let epoch = whole("epoch", epoch)?;
         let sql = "SELECT token FROM rights INDEXED BY rights_tokens
@@ -266,7 +252,6 @@ impl Rights {
         self.0.find(sql, params![owner.0, epoch], |row| row.get(0).map(Token))
     }
 
-    /// Whether an owner ever registered this token.
     pub fn ever_had_token(&self, owner: Address, token: Token) -> Result<bool, StoreError> {
         let sql = "SELECT 1 FROM rights INDEXED BY rights_tokens WHERE owner = ?1 AND token IS NOT NULL AND token = ?2";
         self.0.has(sql, params![owner.0, token.0])
@@ -278,7 +263,7 @@ fn kept(row: &Row<'_>) -> rusqlite::Result<KeptRight> {
     Ok(KeptRight { block: unsigned(row, 0)?, place: unsigned(row, 1)?, event: row.get(2)?, revoked })
 }
 
-/// Block and index of the last event stored; (0, -1) before the first.
+/// Block and place; (0, -1) before the first event.
 fn last_event(connection: &Connection) -> Result<(i64, i64), StoreError> {
     let found = connection.find("SELECT block, place FROM contract", [], |row| Ok((row.get(0)?, row.get(1)?)))?;
     Ok(found.unwrap_or((0, -1)))
@@ -300,7 +285,6 @@ fn keep_all(session: &Session<'_>, events: &[RightEvent]) -> Result<(), StoreErr
     Ok(())
 }
 
-/// Marks what an event supersedes.
 fn end_others(connection: &Connection, event: &RightEvent) -> Result<(), StoreError> {
     let (Some(owner), block) = (event.owner, whole("block", event.block)?) else { return Ok(()) };
     let [extended, begun, revoked] = ENDING;
@@ -345,31 +329,30 @@ fn keep_one(connection: &Connection, event: &RightEvent) -> Result<(), StoreErro
     Ok(())
 }
 
-// Records whose signer may not sign for its owner wait here, and anchors that do not count are ignored. The ledger
-// does not know who has which right; its callers do.
+// Callers decide rights; the ledger holds records of signers without a right, and ignores their anchors.
 
-/// The most records moved in one commit.
+/// Per commit.
 const MOST: usize = 8192;
 
-/// A signer with records still to be anchored by an account.
+/// Has records that an account is to anchor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct WaitingSigner {
-    /// The owner it signed for.
+    /// For whom it signed.
     pub owner: Address,
     pub signer: SignerId,
-    /// Some of them are waiting for the right.
+    /// Records wait for its right.
     pub held: bool,
-    /// Some of them are ready to be anchored.
+    /// Records wait for an anchor.
     pub ready: bool,
 }
 
-/// The streams of one signer and owner that an account anchors.
+/// Of one signer and owner, anchored by one account.
 const STREAMS: &str =
     "SELECT s.key FROM streams s JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder
         WHERE coalesce(t.keeper, t.owner) = ?1 AND t.owner = ?2 AND r.signer = ?3";
 
 impl Batches {
-    /// The signers of the records that `keeper` anchors and that are stored, in a closed batch, or waiting for a right.
+    /// Signers of stored, batched or held records that `keeper` anchors.
     pub fn waiting_signers(&self, keeper: Address) -> Result<Vec<WaitingSigner>, StoreError> {
         let [held, stored, batched] =
             [RecordState::RightEnded, RecordState::Stored, RecordState::Batched].map(RecordState::code);
@@ -384,9 +367,8 @@ impl Batches {
         })
     }
 
-    /// A signer's right has ended: those of its records that no transaction anchors now wait. Unsent batches that
-    /// contain one of them are dissolved, and their other records are stored again. Returns how many records began to
-    /// wait; 0 once all do.
+    /// A right ended: records without a transaction wait, and unsent batches with them dissolve. Returns how many began
+    /// to wait; call until 0.
     pub fn hold_signer(&self, keeper: Address, owner: Address, signer: SignerId) -> Result<u64, StoreError> {
         self.0.write_many(MOST, move |session| {
             for batch in unsent_batches(session.connection, keeper, owner, signer)? {
@@ -396,16 +378,15 @@ impl Batches {
         })
     }
 
-    /// A signer's right is back: its records are stored, and anchored like all others. Returns how many; 0 once none
-    /// waits any more.
+    /// A right is back: its records are stored. Returns how many; call until 0.
     pub fn free_signer(&self, keeper: Address, owner: Address, signer: SignerId) -> Result<u64, StoreError> {
         self.0.write_many(MOST, move |session| {
             shift(session.connection, (keeper, owner, signer), RecordState::RightEnded, RecordState::Stored)
         })
     }
 
-    /// The blocks of these confirmed records do not count, because their signers had no right at that time: they leave
-    /// their batches and are stored, to be anchored again. Returns how many were confirmed.
+    /// Confirmed records whose signers had no right at their blocks leave their batches, to be anchored again. Returns
+    /// how many there were.
     pub fn pass_over(&self, digests: &[Digest]) -> Result<u64, StoreError> {
         let digests = digests.to_vec();
         self.0.write_many(digests.len(), move |session| {
@@ -413,7 +394,7 @@ impl Batches {
         })
     }
 
-    /// Stored records that an account anchors and whose blocks were ignored, as leaves.
+    /// Stored records whose blocks were ignored.
     pub fn passed_over_leaves(&self, keeper: Address, limit: usize) -> Result<Vec<Leaf>, StoreError> {
         let sql = "SELECT recorders.id, topics.topic_id, seq, digest, topics.owner, recorders.signer FROM passed_over
             JOIN records ON n = passed_over.record JOIN topics ON topics.key = records.topic
@@ -423,7 +404,7 @@ impl Batches {
     }
 }
 
-/// Moves up to [`MOST`] records of a signer.
+/// At most [`MOST`] records.
 fn shift(
     connection: &Connection,
     (keeper, owner, signer): (Address, Address, SignerId),
@@ -441,7 +422,6 @@ fn shift(
     Ok(count(connection.run(&sql, values)?))
 }
 
-/// Closed, unsent batches that contain records of a signer.
 fn unsent_batches(
     connection: &Connection,
     keeper: Address,
@@ -457,7 +437,7 @@ fn unsent_batches(
     Ok(connection.list(&sql, values, |row| row.get(0))?)
 }
 
-/// An unsent batch is dissolved; its root stays known as this ledger's.
+/// The root stays known as this ledger's.
 fn dissolve(connection: &Connection, batch: i64) -> Result<(), StoreError> {
     let [batched, stored] = [RecordState::Batched, RecordState::Stored];
     if !may(By::Right, batched, stored) {
@@ -491,7 +471,7 @@ fn pass_over_one(connection: &Connection, digest: Digest) -> Result<u64, StoreEr
     Ok(1)
 }
 
-/// A batch that all its records left is closed over the same ones again: it waits, as if it had never been sent.
+/// A batch that all its records left waits again when it is closed over the same ones.
 pub(super) fn begin_again(connection: &Connection, batch: i64) -> Result<bool, StoreError> {
     let in_use = connection.has("SELECT 1 FROM leaves WHERE batch = ?1", [batch])?;
     if in_use {

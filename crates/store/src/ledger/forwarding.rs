@@ -1,4 +1,4 @@
-//! Records passed on to a gateway: accepted by its signed receipt, verified or lost by its statement.
+//! Records passed on to a gateway, accepted by its receipt and decided by its statement.
 
 use std::collections::BTreeSet;
 
@@ -13,35 +13,29 @@ use crate::model::{
     Address, Digest, ProfileName, PublicKey, RecordState, RecorderId, Signature, SignerId, Timestamp, TopicId,
 };
 
-/// A gateway's signed receipt for records.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct KeptReceipt {
     pub time: Timestamp,
-    /// All digests it covers, in order.
+    /// In order.
     pub digests: Vec<Digest>,
-    /// Signature by the gateway's identity key.
+    /// By the gateway's identity key.
     pub signature: Signature,
 }
 
-/// A page of the records that a gateway signed for and that are not decided yet.
+/// Records with a receipt and no decision.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct ForwardedPage {
-    /// The records, in the order of this ledger.
     pub rows: Vec<RecordRow>,
-    /// Where the next page begins; none if this is the last.
+    /// `None` on the last page.
     pub next: Option<i64>,
 }
 
-/// Records of no transaction and no block of this ledger.
+/// Moves records without a transaction or block of this ledger.
 const MOVE: &str = "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2 AND tx IS NULL
     AND NOT EXISTS (SELECT 1 FROM leaves WHERE record = n)";
 
 impl Forwarding {
-    /// The gateway took records over: its receipt is stored, and those in state stored become submitted. Returns how many
-    /// changed.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then nothing changes, and they are passed on again.
+    /// Stores the gateway's receipt; stored records become submitted. Returns how many.
     pub fn accept(&self, receipt: KeptReceipt) -> Result<u64, StoreError> {
         self.0.write(move |session| {
             let digests: Vec<u8> = receipt.digests.iter().flat_map(|digest| digest.0).collect();
@@ -58,7 +52,7 @@ impl Forwarding {
         })
     }
 
-    /// The submitted records that the gateway signed for, after a page whose `next` was this.
+    /// Submitted records with a receipt, after a page's `next`.
     pub fn undecided(&self, after: Option<i64>, limit: usize) -> Result<ForwardedPage, StoreError> {
         let limit = limit.max(1);
         self.0.read(|connection| {
@@ -77,7 +71,7 @@ impl Forwarding {
         })
     }
 
-    /// Who numbered the records that wait here, to be passed on or for the gateway's word.
+    /// Recorders of records that wait for forwarding or the gateway's decision.
     pub fn recorders(&self) -> Result<BTreeSet<RecorderId>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT DISTINCT r.id FROM counters c JOIN streams s ON s.key = c.stream
@@ -89,8 +83,8 @@ impl Forwarding {
         })
     }
 
-    /// A gateway's standings of records it took over: verified, tampered, or, if it no longer knows them, stored again.
-    /// Receipts whose records are all verified are deleted. Returns how many records changed.
+    /// Applies the gateway's word: verified, tampered, or stored again if unknown there. Deletes receipts whose records
+    /// are all verified. Returns how many changed.
     pub fn settle(&self, digests: &[Digest], to: RecordState) -> Result<u64, StoreError> {
         let from = RecordState::Submitted;
         if !may(By::Gateway, from, to) {
@@ -109,7 +103,7 @@ impl Forwarding {
         })
     }
 
-    /// The newest receipt that covers a record not yet verified.
+    /// The newest that covers an unverified record.
     pub fn receipt_of(&self, digest: Digest) -> Result<Option<KeptReceipt>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT at, digests, signature FROM receipts WHERE key = (SELECT receipt FROM receipted
@@ -129,7 +123,6 @@ fn shift(session: &Session<'_>, digests: &[Digest], from: RecordState, to: Recor
     Ok(session.connection.run_each(MOVE, digests.iter().map(|digest| (digest.0, from.code(), to.code())))?)
 }
 
-/// The receipts that cover these records.
 fn held(session: &Session<'_>, digests: &[Digest]) -> Result<BTreeSet<i64>, StoreError> {
     let mut find = session
         .connection
@@ -138,46 +131,40 @@ fn held(session: &Session<'_>, digests: &[Digest]) -> Result<BTreeSet<i64>, Stor
     Ok(found.filter_map(Result::transpose).collect::<Result<_, _>>()?)
 }
 
-/// Deletes receipts that no longer cover any record.
+/// Deletes receipts that cover no record.
 fn sweep(session: &Session<'_>, receipts: BTreeSet<i64>) -> Result<(), StoreError> {
     let sql = "DELETE FROM receipts WHERE key = ?1 AND NOT EXISTS (SELECT 1 FROM receipted WHERE receipt = ?1)";
     session.connection.run_each(sql, receipts.into_iter().map(|receipt| [receipt]))?;
     Ok(())
 }
 
-// What a gateway keeps for others: public keys of their devices, and bindings of names.
-
-/// The binding of a name at a gateway.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct KeptBinding {
     pub account: Address,
-    /// P_C when the transport key was allocated.
+    /// P_C at the transport key's allocation.
     pub signing: PublicKey,
     /// P_E at that time.
     pub envelope: PublicKey,
-    /// The transport key, sealed by its keeper.
+    /// Sealed by its keeper.
     pub sealed_key: Vec<u8>,
-    /// The device that owns the name, with the topic id of its owner's notices to it; `None` if the name is its account's
-    /// own.
+    /// The device with the name, and the topic of notices to it; `None` = the account's own name.
     pub device: Option<(SignerId, TopicId)>,
 }
 
 impl Bindings {
-    /// Stores a device's public key under its id.
     pub fn keep_signer(&self, id: SignerId, key: PublicKey) -> Result<(), StoreError> {
-        // It comes with every record of the device, and a commit for each would be what takes the time.
+        // It comes with every record of the device: spares a commit each.
         if self.signer(id)?.is_some() {
             return Ok(());
         }
         self.0.write(move |session| add_signer(session.connection, id, key))
     }
 
-    /// The public key of a device, if it is known.
     pub fn signer(&self, id: SignerId) -> Result<Option<PublicKey>, StoreError> {
         self.0.find("SELECT key FROM signers WHERE id = ?1", [id.0], |row| row.get(0).map(PublicKey))
     }
 
-    /// Binds a name, replacing its previous binding.
+    /// Replaces the name's previous binding.
     pub fn bind(&self, name: &ProfileName, binding: KeptBinding) -> Result<(), StoreError> {
         let name = name.to_string();
         let sql = "REPLACE INTO bindings VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)";
@@ -195,15 +182,14 @@ impl Bindings {
         )
     }
 
-    /// Replaces the sealed form of a name's transport key; does nothing if another key has been bound meanwhile.
+    /// Does nothing if another key is bound meanwhile.
     pub fn reseal_binding(&self, name: &str, before: Vec<u8>, after: Vec<u8>) -> Result<(), StoreError> {
         let name = name.to_owned();
         let sql = "UPDATE bindings SET sealed_key = ?3 WHERE name = ?1 AND sealed_key = ?2";
         self.0.run(sql, (name, before, after))
     }
 
-    /// From now on a name of `account` belongs to a device, whose notices are filed under `notices`; its transport key
-    /// is unchanged. Returns whether there was such a name.
+    /// Gives a name of `account` to a device, with the same transport key; `false` if there is no such name.
     pub fn bind_device(
         &self,
         name: &str,
@@ -216,7 +202,6 @@ impl Bindings {
         Ok(self.0.changed(sql, (name, account.0, device.0, notices.0))? > 0)
     }
 
-    /// The binding of a name.
     pub fn binding(&self, name: &ProfileName) -> Result<Option<KeptBinding>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT account, signing, envelope, sealed_key, device, notices FROM bindings WHERE name = ?1";
@@ -236,7 +221,7 @@ impl Bindings {
         })
     }
 
-    /// Every bound name with its account, by name.
+    /// Ordered by name.
     pub fn bound_names(&self) -> Result<Vec<(String, Address)>, StoreError> {
         self.0
             .list("SELECT name, account FROM bindings ORDER BY name", [], |row| Ok((row.get(0)?, Address(row.get(1)?))))
@@ -244,13 +229,12 @@ impl Bindings {
 }
 
 impl Names {
-    /// Stores the meaning of a pseudonym (lower-case hex of a topic id, or of a type's filter id); the caller must have
-    /// derived one from the other.
+    /// `id`: lower-case hex of a topic id or of a type's filter id, derived by the caller.
     pub fn keep(&self, owner: Address, id: String, name: String) -> Result<(), StoreError> {
         self.0.run("INSERT INTO names VALUES (?1, ?2, ?3) ON CONFLICT DO NOTHING", (owner.0, id, name))
     }
 
-    /// The name of a topic of an owner, derived by who asks; nothing happens if the topic is not here, or has a name.
+    /// Names a topic that is here without a name.
     pub fn keep_topic(&self, owner: Address, topic: TopicId, name: String) -> Result<(), StoreError> {
         let is_here = self.0.read(|connection| {
             let sql = "SELECT EXISTS (SELECT 1 FROM topics WHERE owner = ?1 AND topic_id = ?2 AND name = '')
@@ -260,14 +244,14 @@ impl Names {
         if is_here { self.keep(owner, hex(&topic.0), name) } else { Ok(()) }
     }
 
-    /// Every name that a topic of an owner ever had here: captured, learnt or given; none of them is proven.
+    /// Captured, learnt or given; none is proven.
     pub fn of_topic(&self, owner: Address, topic: TopicId) -> Result<Vec<String>, StoreError> {
         let sql = "SELECT name FROM topics WHERE owner = ?1 AND topic_id = ?2 AND name <> ''
             UNION SELECT name FROM names WHERE owner = ?1 AND id = lower(hex(?2))";
         self.0.list(sql, params![owner.0, topic.0], |row| row.get(0))
     }
 
-    /// Up to `most` records of each of an owner's streams whose topic or type is known only by its pseudonym.
+    /// Up to `most` records of each stream whose topic or type is known only by its pseudonym.
     pub fn unnamed(&self, owner: Address, most: usize) -> Result<Vec<Vec<Digest>>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT s.key FROM streams s JOIN topics t ON t.key = s.topic

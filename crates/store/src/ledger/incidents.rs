@@ -1,4 +1,4 @@
-//! Incidents: spans of time and topics with notes. Retention does not delete records in one as long as it exists.
+//! Incidents: spans of time and topics with notes. Retention keeps records in them.
 
 use std::collections::BTreeMap;
 
@@ -11,60 +11,50 @@ use crate::StoreError;
 use crate::database::{Statements as _, capped, count, whole};
 use crate::model::{Address, IncidentName, IncidentNameError, RecordKind, RecordState, Timestamp};
 
-/// The scope of an incident.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct IncidentSpan {
-    /// Records captured at this time or later.
+    /// First capture.
     pub since: Timestamp,
-    /// Records captured before this time; `None` = it is still open.
+    /// Captured before; `None` = still open.
     pub until: Option<Timestamp>,
-    /// Of topics with these names; empty = of all.
+    /// By name; empty = all.
     pub topics: Vec<String>,
 }
 
-/// A note about an incident.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct IncidentNote {
-    /// When it was written.
     pub at: Timestamp,
-    /// Its text, as given: clean it.
+    /// As written: clean it.
     pub text: String,
 }
 
-/// An incident as the ledger stores it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct IncidentRow {
-    /// Its name, unique for an owner.
     pub name: IncidentName,
     pub span: IncidentSpan,
-    /// When it was opened.
     pub opened_at: Timestamp,
-    /// When it was closed.
     pub closed_at: Option<Timestamp>,
     pub notes: Vec<IncidentNote>,
 }
 
-/// One topic's records in a span.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct SpanCoverage {
     pub topic: String,
-    /// Captured messages that are records, without quarantined ones.
+    /// Captured messages except quarantined ones.
     pub records: u64,
-    /// Bytes of these messages.
     pub bytes: u64,
-    /// When the first of them was captured.
+    /// First capture.
     pub first: Option<Timestamp>,
-    /// When the last was.
+    /// Last capture.
     pub last: Option<Timestamp>,
-    /// How many of them have lost their ciphertext to retention already.
+    /// Those without ciphertext.
     pub deleted: u64,
     pub quarantined: u64,
-    /// Messages that were lost in stretches of time that overlap the span.
+    /// Lost in stretches that overlap the span.
     pub lost: u64,
 }
 
 impl SpanCoverage {
-    /// Adds the figures of another part of the same topic.
     fn add(&mut self, part: &Self) {
         self.records += part.records;
         self.bytes += part.bytes;
@@ -77,7 +67,7 @@ impl SpanCoverage {
 }
 
 impl Incidents {
-    /// Stores a new incident; `false` if the owner has one of this name already.
+    /// `false` if the owner has one of this name.
     pub fn open(
         &self,
         owner: Address,
@@ -108,7 +98,7 @@ impl Incidents {
         })
     }
 
-    /// The incidents of an owner, the newest span last.
+    /// The newest span last.
     pub fn list(&self, owner: Address) -> Result<Vec<IncidentRow>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT key, name, since, until, opened_at, closed_at FROM incidents WHERE owner = ?1
@@ -119,7 +109,6 @@ impl Incidents {
         })
     }
 
-    /// One incident of an owner.
     pub fn find(&self, owner: Address, name: &IncidentName) -> Result<Option<IncidentRow>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT key, name, since, until, opened_at, closed_at FROM incidents
@@ -130,7 +119,7 @@ impl Incidents {
         })
     }
 
-    /// Adds a note; `false` if there is no such incident.
+    /// `false` if there is none of this name.
     pub fn note(&self, owner: Address, name: &IncidentName, text: &str) -> Result<bool, StoreError> {
         let (name, now) = (name.as_str().to_owned(), whole("time", Timestamp::now().0)?);
         let sql = "INSERT INTO incident_notes SELECT key,
@@ -139,7 +128,7 @@ impl Incidents {
         Ok(self.0.changed(sql, (owner.0, name, now, text.to_owned()))? > 0)
     }
 
-    /// Closes an open incident: its span ends now, if it did not end before. `false` if none of this name is open.
+    /// Ends its span now, unless it ended before. `false` if none of this name is open.
     pub fn close(&self, owner: Address, name: &IncidentName) -> Result<bool, StoreError> {
         let (name, now) = (name.as_str().to_owned(), whole("time", Timestamp::now().0)?);
         let sql = "UPDATE incidents SET closed_at = ?3, until = min(coalesce(until, ?3), ?3)
@@ -147,7 +136,7 @@ impl Incidents {
         Ok(self.0.changed(sql, (owner.0, name, now))? > 0)
     }
 
-    /// Removes an incident; its records are subject to retention again. `false` if there is none of this name.
+    /// Retention may delete its records again. `false` if there is none of this name.
     pub fn remove(&self, owner: Address, name: &IncidentName) -> Result<bool, StoreError> {
         let name = name.clone();
         self.0.write(move |session| {
@@ -163,7 +152,7 @@ impl Incidents {
         })
     }
 
-    /// Each topic's records in a span of an owner's records: of the named topics, or of all that have any.
+    /// Of the named topics, or of all with records.
     pub fn span_coverage(&self, owner: Address, span: &IncidentSpan) -> Result<Vec<SpanCoverage>, StoreError> {
         self.0.read(|connection| {
             let mut found: BTreeMap<String, SpanCoverage> =
@@ -176,7 +165,7 @@ impl Incidents {
         })
     }
 
-    /// Bytes of a topic's captured messages in a stretch of time whose ciphertext retention has not deleted.
+    /// Captured bytes with ciphertext.
     pub fn bytes_between(&self, topic: i64, (since, until): (Timestamp, Timestamp)) -> Result<u64, StoreError> {
         let sql = "SELECT coalesce(sum(r.bytes), 0) FROM streams s JOIN counters c ON c.stream = s.key
             JOIN records r INDEXED BY records_by_state ON r.state = c.state AND r.stream = s.key
@@ -205,7 +194,6 @@ fn incident(row: &Row<'_>) -> rusqlite::Result<IncidentRow> {
     })
 }
 
-/// With its topics and notes.
 fn whole_of(connection: &Connection, key: i64, mut row: IncidentRow) -> Result<IncidentRow, StoreError> {
     let sql = "SELECT topic FROM incident_topics WHERE incident = ?1 ORDER BY topic";
     row.span.topics = connection.list(sql, [key], |row| row.get(0))?;
@@ -215,7 +203,6 @@ fn whole_of(connection: &Connection, key: i64, mut row: IncidentRow) -> Result<I
     Ok(row)
 }
 
-/// The contribution of the records of each topic and state.
 fn counted(connection: &Connection, owner: Address, span: &IncidentSpan) -> Result<Vec<SpanCoverage>, StoreError> {
     let sql = format!(
         "SELECT {TOPIC_NAME}, r.state, count(*), sum(r.bytes), min(r.captured_at), max(r.captured_at),
@@ -243,7 +230,6 @@ fn counted(connection: &Connection, owner: Address, span: &IncidentSpan) -> Resu
     })?)
 }
 
-/// Messages of each topic that were lost in stretches of time that overlap the span.
 fn losses(connection: &Connection, owner: Address, span: &IncidentSpan) -> Result<Vec<SpanCoverage>, StoreError> {
     let sql = "SELECT topic, sum(count) FROM gaps WHERE owner = ?1 AND last_at >= ?2 AND first_at < ?3 GROUP BY topic";
     Ok(connection.list(sql, params![owner.0, bound(span.since), end(span)], |row| {

@@ -1,5 +1,5 @@
-//! What an audit reads: records with their places in batches, batches, sequences; page by page, each page one snapshot,
-//! so that memory stays constant. An unreadable row is reported and does not end the walk.
+//! An audit's pages, one snapshot each, so that memory stays constant. An unreadable row is reported, and the walk goes
+//! on.
 
 use std::collections::HashMap;
 
@@ -13,78 +13,67 @@ use crate::crypto::merkle::Inclusion;
 use crate::database::{Statements as _, capped, count, whole};
 use crate::model::{Address, Digest, FilterId, Hash, RecordState, RecorderId, SignerId, Timestamp, TopicId, clean};
 
-/// Columns of a record, in the order of [`rows::record`].
+/// Of [`rows::record`].
 const RECORD_COLUMNS: usize = 14;
 
-/// A record's place in a batch, as an audit compares it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AuditedPlace {
-    /// Index, count, path and root; `None` if the batch is gone.
+    /// `None` if the batch is gone.
     pub inclusion: Option<Inclusion>,
-    /// The transaction of the batch.
     pub transaction: Option<Hash>,
     pub block: Option<u64>,
     pub block_hash: Option<Hash>,
-    /// Whether a verified record rests on this block, and what else the ledger knows of it is of another one.
+    /// A verified record depends on this block, but the ledger knows another one from elsewhere.
     pub is_contradicted: bool,
 }
 
-/// A record with everything an audit compares with it.
 #[allow(clippy::struct_excessive_bools, reason = "each says another thing of the row")]
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AuditedRecord {
     pub number: u64,
     pub row: RecordRow,
-    /// Its place in a batch.
     pub place: Option<AuditedPlace>,
-    /// Whether its bytes are there.
     pub is_stored: bool,
-    /// Whether its row and its stream name the same topic.
+    /// Row and stream name the same topic.
     pub in_its_topic: bool,
-    /// Whether row and retention agree on when its ciphertext was deleted.
+    /// Row and retention agree on the deletion's time.
     pub as_retained: bool,
 }
 
-/// A page of records, in the order of acknowledgement.
 #[derive(Debug, Default)]
 pub struct AuditPage {
-    /// The records; for an unreadable row, its number and the reason.
+    /// An unreadable row as its number and the reason.
     pub records: Vec<Result<AuditedRecord, (u64, String)>>,
-    /// Cursor of the next page; `None` at the end.
+    /// `None` at the end.
     pub next: Option<u64>,
 }
 
-/// A batch as an audit compares it with the chain.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AuditedBatch {
     pub key: u64,
     pub root: Hash,
-    /// Leaves it was closed with.
+    /// At closing.
     pub count: u64,
-    /// Leaves whose records the ledger has.
+    /// With records in the ledger.
     pub held: u64,
-    /// Whether this ledger closed it; otherwise only some of its records may ever have come here.
+    /// Else perhaps not all its records ever came here.
     pub closed_here: bool,
-    /// The account that anchored it, or is to.
+    /// That anchored it, or will.
     pub account: Option<Address>,
     pub transaction: Option<Hash>,
     pub block: Option<u64>,
     pub block_hash: Option<Hash>,
 }
 
-/// The range of one topic's sequence numbers.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Sequence {
-    /// The ledger's own key of the topic.
     pub key: i64,
     pub owner: Address,
-    /// Its name, or its pseudonym if the name is unknown.
+    /// Or its pseudonym.
     pub name: String,
-    /// The account that anchors it instead of its owner.
+    /// Anchors it instead of the owner.
     pub keeper: Option<Address>,
-    /// Whose key signs them.
     pub signer: SignerId,
-    /// Who gave the numbers.
     pub recorder: RecorderId,
     pub count: u64,
     pub first: u64,
@@ -92,7 +81,7 @@ pub struct Sequence {
 }
 
 impl Inspection {
-    /// The records after row `after`, captured at `since` or later, at most `limit`.
+    /// After row `after`, captured at `since` or later.
     pub fn audit_page(&self, after: u64, since: Timestamp, limit: usize) -> Result<AuditPage, StoreError> {
         let (after, since) = (whole("row", after)?, whole("time", since.0)?);
         let limit = capped(limit);
@@ -122,7 +111,7 @@ impl Inspection {
         })
     }
 
-    /// How many of these ids find a record, by its row number, in the index of tags and of their streams.
+    /// How many of these ids find a record in the indexes of tags and of their streams.
     pub fn indexed(&self, number: u64, filters: &[FilterId]) -> Result<u64, StoreError> {
         let number = whole("row", number)?;
         self.0.read(|connection| {
@@ -134,7 +123,6 @@ impl Inspection {
         })
     }
 
-    /// Entries of the index of tags for rows up to a number.
     pub fn size_of_index(&self, last: u64) -> Result<u64, StoreError> {
         let last = whole("row", last)?;
         self.0.read(|connection| {
@@ -143,7 +131,6 @@ impl Inspection {
         })
     }
 
-    /// The batches after number `after`, at most `limit`.
     pub fn audit_batches(&self, after: u64, limit: usize) -> Result<Vec<AuditedBatch>, StoreError> {
         let after = whole("batch", after)?;
         let sql = "SELECT key, root, count, (SELECT count(*) FROM leaves JOIN records ON n = record WHERE batch = key)
@@ -152,7 +139,7 @@ impl Inspection {
         self.0.list(sql, params![after, capped(limit)], batch)
     }
 
-    /// When the newest record was acknowledged, by this machine's clock.
+    /// By this machine's clock.
     pub fn newest_acknowledgement(&self) -> Result<Option<Timestamp>, StoreError> {
         let sql = "SELECT acknowledged_at FROM records ORDER BY n DESC LIMIT 1";
         self.0.read(|connection| {
@@ -161,36 +148,31 @@ impl Inspection {
         })
     }
 
-    /// Which of these roots belong to no batch of this ledger.
     pub fn unknown_roots(&self, roots: &[Hash]) -> Result<Vec<Hash>, StoreError> {
         let sql = "SELECT 1 FROM batches WHERE root = ?1";
         self.0.read(|connection| connection.among(sql, roots, |root| Ok([root.0]), false))
     }
 
-    /// Which of these digests belong to no record of this ledger.
     pub fn unknown_digests(&self, digests: &[Digest]) -> Result<Vec<Digest>, StoreError> {
         let sql = "SELECT 1 FROM records WHERE digest = ?1";
         self.0.read(|connection| connection.among(sql, digests, |digest| Ok([digest.0]), false))
     }
 
-    /// All records, of any kind and state.
     pub fn size(&self) -> Result<u64, StoreError> {
         let sql = "SELECT coalesce(sum(records), 0) FROM counters";
         self.0.one(sql, [], |row| unsigned(row, 0))
     }
 
-    /// The accounts that this ledger has ever signed for.
     pub fn signing_accounts(&self) -> Result<Vec<Address>, StoreError> {
         self.0.list("SELECT DISTINCT account FROM transactions", [], |row| row.get(0).map(Address))
     }
 
-    /// Whether this ledger has ever signed for an account.
     pub fn signs_for(&self, account: Address) -> Result<bool, StoreError> {
         let sql = "SELECT EXISTS (SELECT 1 FROM transactions WHERE account = ?1)";
         self.0.one(sql, [account.0], |row| row.get(0))
     }
 
-    /// Topics with records stamped more than five seconds earlier than the record before them, and how many.
+    /// Topics with records stamped more than five seconds before their predecessor, and how many.
     pub fn backwards(&self) -> Result<Vec<(String, u64)>, StoreError> {
         let sql = "SELECT coalesce(nullif(name, ''), lower(hex(topic_id))), held FROM
             (SELECT topic, count(*) AS held FROM
@@ -200,7 +182,6 @@ impl Inspection {
         self.0.list(sql, [], |row| Ok((row.get(0)?, unsigned(row, 1)?)))
     }
 
-    /// The record with a sequence number of a topic, signed by `signer` in `recorder`.
     pub fn holder(
         &self,
         owner: Address,
@@ -217,7 +198,6 @@ impl Inspection {
         self.0.find(sql, values, |row| row.get(0).map(Digest))
     }
 
-    /// Every topic with its range of sequence numbers.
     pub fn sequences(&self) -> Result<Vec<Sequence>, StoreError> {
         let sql = "SELECT topics.key, owner, coalesce(nullif(name, ''), lower(hex(topic_id))), keeper, held, low, high, id, signer
             FROM (SELECT topic, count(*) AS held, min(seq) AS low, max(seq) AS high FROM records GROUP BY topic)
@@ -238,7 +218,7 @@ impl Inspection {
         })
     }
 
-    /// The first `limit` gaps in a topic's sequence numbers: first and last missing number.
+    /// First and last missing numbers.
     pub fn holes(&self, sequence: &Sequence, limit: usize) -> Result<Vec<(u64, u64)>, StoreError> {
         let before = (sequence.first > 1).then(|| (1, sequence.first - 1));
         let sql = "SELECT seq + 1, next - 1 FROM
@@ -297,9 +277,9 @@ fn batch(row: &Row<'_>) -> rusqlite::Result<AuditedBatch> {
     })
 }
 
-// Whether the ledger's tables agree with each other: checked after an unclean shutdown, and when a home is examined.
+// Whether the tables agree: checked after an unclean shutdown, and when a home is examined.
 
-/// A query that must find nothing, and the meaning if it does.
+/// Queries that must count zero, with the meaning of any other count.
 const RULES: [(&str, &str); 4] = [
     (
         "SELECT count(*) FROM (SELECT stream, state, count(*) AS rows FROM records GROUP BY state, stream) found
@@ -325,12 +305,12 @@ const RULES: [(&str, &str); 4] = [
 ];
 
 impl Inspection {
-    /// Whether the previous process closed it. If not, the file's structure was checked on opening.
+    /// If not, opening checked the file's structure.
     pub fn ended_cleanly(&self) -> bool {
         self.0.shared.clean
     }
 
-    /// Contradictions in its tables, in words; takes about a second per million records.
+    /// Takes about a second per million records.
     pub fn contradictions(&self) -> Result<Vec<String>, StoreError> {
         self.0.read(|connection| {
             let found = RULES.iter().map(|(sql, text)| {
@@ -341,7 +321,7 @@ impl Inspection {
         })
     }
 
-    /// The records acknowledged last, at most `limit`, whose ciphertext should be there: retention did not delete it.
+    /// Those acknowledged last whose ciphertext should be there.
     pub fn newest_stored(&self, limit: usize) -> Result<Vec<Digest>, StoreError> {
         self.0.read(|connection| newest(connection, limit))
     }

@@ -1,4 +1,4 @@
-//! What was not kept as it came: records held back, publishers that are pinned or raised an alarm, and gaps.
+//! Records held back, pinned publishers and their alarms, and gaps.
 
 use rusqlite::{Connection, Row, params};
 use serde::{Deserialize, Serialize};
@@ -11,27 +11,24 @@ use crate::database::{Statements as _, capped, count, whole};
 use crate::model::{Address, Digest, LossReason, Publisher, RecordKind, RecordState, Timestamp, TopicId};
 use crate::notes::{self, LossesCounted};
 
-/// Nanoseconds in a minute.
 const MINUTE: i64 = 60_000_000_000;
 
-/// Why a record is quarantined.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Hold {
-    /// The record, acknowledged in the same commit.
+    /// Acknowledged in the same commit.
     pub digest: Digest,
-    /// The name of the doubt.
+    /// The doubt's name.
     pub reason: &'static str,
-    /// Its sender, written as in pins.
+    /// As written in pins.
     pub publisher: String,
 }
 
-/// A record that is or was quarantined.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct HeldRow {
     pub record: RecordRow,
-    /// The name of the doubt.
+    /// The doubt's name.
     pub reason: String,
-    /// Its sender, written as in pins; untrusted text: clean it.
+    /// As written in pins; untrusted text: clean it.
     pub publisher: String,
     /// The quarantine record that counts it.
     pub report: Option<Digest>,
@@ -39,37 +36,30 @@ pub struct HeldRow {
     pub decision: Option<String>,
 }
 
-/// Records of one topic and minute that no quarantine record counts yet.
+/// Not counted by a quarantine record.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct HeldMinute {
-    /// Pseudonym of the topic.
     pub topic_id: TopicId,
     pub topic: String,
     /// Minutes since 1970 UTC.
     pub minute: u64,
-    /// Sequence numbers and digests in the order of acknowledgement.
+    /// In order of acknowledgement.
     pub records: Vec<(u64, Digest)>,
 }
 
-/// Which quarantined records to list.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct HeldQuery {
-    /// Only of this topic.
     pub topic: Option<String>,
-    /// Including those already decided.
+    /// Includes decided ones.
     pub decided: bool,
-    /// Only captured messages, no definitions.
+    /// Excludes definitions.
     pub messages: bool,
-    /// At most this many.
     pub limit: usize,
 }
 
 impl Quarantine {
-    /// Like [`Records::append`], with the reasons why some of the records are quarantined; all of it is durable when
-    /// this returns, or nothing is.
-    ///
-    /// # Errors
-    /// See [`Records::append`]; [`StoreError::NotReady`] if a record given a reason is not in state quarantined.
+    /// Like [`Records::append`], durable with the reasons or not at all. [`StoreError::NotReady`] if a record with a
+    /// reason is not quarantined.
     pub fn append_held(&self, records: Vec<NewRecord>, holds: Vec<Hold>) -> Result<(), StoreError> {
         self.0.write_many(records.len(), move |session| {
             let now = whole("time", Timestamp::now().0)?;
@@ -78,7 +68,7 @@ impl Quarantine {
         })
     }
 
-    /// Quarantined records of an owner, oldest first.
+    /// Oldest first.
     pub fn held(&self, owner: Address, query: &HeldQuery) -> Result<Vec<HeldRow>, StoreError> {
         self.0.read(|connection| {
             let streams = rows::all_streams(connection)?;
@@ -103,8 +93,8 @@ impl Quarantine {
         })
     }
 
-    /// What the next quarantine record has to count: the oldest (topic, minute) of an owner before minute `before` with
-    /// uncounted records, and all of those.
+    /// For the next quarantine record: the oldest topic and minute before `before` with uncounted records, and all of
+    /// those.
     pub fn unreported(&self, owner: Address, before: u64) -> Result<Option<HeldMinute>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT topics.key, topic_id, name, minute FROM held INDEXED BY held_unreported
@@ -124,7 +114,7 @@ impl Quarantine {
         })
     }
 
-    /// Acknowledges a quarantine record and notes the records it counts, in one commit.
+    /// Notes the counted records in the same commit.
     pub fn report(&self, report: NewRecord, counted: Vec<Digest>) -> Result<(), StoreError> {
         self.0.write_many(counted.len(), move |session| {
             let now = whole("time", Timestamp::now().0)?;
@@ -140,13 +130,12 @@ impl Quarantine {
         })
     }
 
-    /// Releases quarantined records to stored; returns how many.
+    /// Moves records to stored; returns how many.
     pub fn release(&self, digests: &[Digest]) -> Result<u64, StoreError> {
         self.decide(digests, "released", RecordState::Stored)
     }
 
-    /// Drops quarantined records; digests, signatures and reasons stay. The caller discards their ciphertext first.
-    /// Returns how many were dropped.
+    /// Keeps digests, signatures and reasons; the caller discards ciphertext first. Returns how many.
     pub fn discard(&self, digests: &[Digest]) -> Result<u64, StoreError> {
         self.decide(digests, "discarded", RecordState::Dropped)
     }
@@ -195,13 +184,11 @@ fn note(connection: &Connection, digest: Digest, decision: &str, now: i64) -> Re
 }
 
 impl HeldRow {
-    /// Whether it is a captured message rather than a definition.
+    /// Not a definition.
     pub fn is_message(&self) -> bool {
         self.record.kind == RecordKind::Data
     }
 }
-
-// Pinned publishers of topics, and the alarms raised about others.
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PinRow {
@@ -209,26 +196,23 @@ pub struct PinRow {
     pub publisher: Publisher,
     /// `first` (first seen), or `operator`.
     pub source: String,
-    /// When it was pinned.
     pub at: Timestamp,
 }
 
-/// An alarm about a publisher.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AlarmRow {
     pub topic: String,
-    /// Its publisher, written as in pins, or a URI. Untrusted text: clean it.
+    /// As written in pins, or a URI. Untrusted text: clean it.
     pub publisher: String,
-    /// The name of the doubt.
+    /// The doubt's name.
     pub reason: String,
-    /// When it was raised.
     pub at: Timestamp,
-    /// Whether the operator has yet to decide.
+    /// Without a decision.
     pub open: bool,
 }
 
 impl Pins {
-    /// Pins publishers of a topic; those already pinned are unchanged. Alarms about them are deleted.
+    /// Deletes alarms about them; existing pins stay.
     pub fn pin(
         &self,
         owner: Address,
@@ -245,26 +229,25 @@ impl Pins {
         })
     }
 
-    /// Removes every pin of a caller id on a topic; returns how many there were.
+    /// Returns how many there were.
     pub fn unpin(&self, owner: Address, topic: &str, caller_id: &str) -> Result<u64, StoreError> {
         let (topic, caller_id) = (topic.to_owned(), caller_id.to_owned());
         let sql = "DELETE FROM pins WHERE owner = ?1 AND topic = ?2 AND caller_id = ?3";
         self.0.changed(sql, (owner.0, topic, caller_id))
     }
 
-    /// The pins of an owner, of one topic or of all.
+    /// Of one topic or all.
     pub fn list(&self, owner: Address, topic: Option<&str>) -> Result<Vec<PinRow>, StoreError> {
         let sql = "SELECT topic, caller_id, host, type_name, md5sum, source, at FROM pins
             WHERE owner = ?1 AND (?2 IS NULL OR topic = ?2) ORDER BY topic, at, caller_id";
         self.0.list(sql, params![owner.0, topic], pin_row)
     }
 
-    /// Whether a topic ever had pins.
     pub fn was_pinned(&self, owner: Address, topic: &str) -> Result<bool, StoreError> {
         self.0.has("SELECT 1 FROM pinned_topics WHERE owner = ?1 AND topic = ?2", params![owner.0, topic])
     }
 
-    /// Raises an alarm; `false` if the same publisher already has an open alarm on this topic.
+    /// `false` if the publisher has an open alarm on this topic.
     pub fn raise_alarm(
         &self,
         owner: Address,
@@ -280,14 +263,14 @@ impl Pins {
         Ok(self.0.changed(sql, (owner.0, topic, publisher, reason, now))? > 0)
     }
 
-    /// The operator has decided about a topic: its alarms are closed but kept. Returns how many were open.
+    /// Keeps the alarms, closed; returns how many were open.
     pub fn close_alarms(&self, owner: Address, topic: &str) -> Result<u64, StoreError> {
         let topic = topic.to_owned();
         let sql = "UPDATE alarms SET open = 0 WHERE owner = ?1 AND topic = ?2 AND open = 1";
         self.0.changed(sql, (owner.0, topic))
     }
 
-    /// The alarms of an owner, including closed ones, of one topic or of all.
+    /// Includes closed ones; of one topic or all.
     pub fn alarms(&self, owner: Address, topic: Option<&str>) -> Result<Vec<AlarmRow>, StoreError> {
         let sql = "SELECT topic, publisher, reason, at, open FROM alarms
             WHERE owner = ?1 AND (?2 IS NULL OR topic = ?2) ORDER BY topic, at";
@@ -331,43 +314,36 @@ fn pin_row(row: &Row<'_>) -> rusqlite::Result<PinRow> {
     })
 }
 
-// Messages that did not become records: counted durably per topic and reason, then reported in a signed gap record.
+// Messages that did not become records: counted durably, then reported in a signed gap record.
 
-/// Messages of one topic and publisher that were lost for one reason.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Loss {
     pub owner: Address,
     pub topic: String,
-    /// The sending node; untrusted text.
+    /// Untrusted text.
     pub publisher: String,
     pub reason: LossReason,
     pub count: u64,
-    /// `header.seq` of the first and the last, if they have one.
+    /// First and last `header.seq`, if any.
     pub numbers: Option<(u32, u32)>,
-    /// When the first loss was noticed.
     pub first_at: Timestamp,
-    /// When the last loss was noticed.
     pub last_at: Timestamp,
 }
 
-/// Losses as stored in the ledger.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct GapRow {
-    /// The id of the row.
     pub key: i64,
     pub topic: String,
-    /// The sending node; untrusted text: clean it.
+    /// Untrusted text: clean it.
     pub publisher: String,
-    /// The name of the [`LossReason`].
+    /// A [`LossReason`]'s name.
     pub reason: String,
     pub count: u64,
-    /// `header.seq` of the first and the last.
+    /// First and last `header.seq`.
     pub numbers: Option<(u32, u32)>,
-    /// When the first loss was noticed.
     pub first_at: Timestamp,
-    /// When the last loss was noticed.
     pub last_at: Timestamp,
-    /// The gap record that reports them; none until it is sealed.
+    /// The gap record that reports them.
     pub report: Option<Digest>,
 }
 
@@ -375,12 +351,12 @@ const COLUMNS: &str =
     "key, topic, publisher, reason, count, first_number, last_number, first_at, last_at, report FROM gaps";
 
 impl Losses {
-    /// Counts losses durably, all or none; they stay open until a gap record reports them.
+    /// Counts all or none; gap records report them later.
     pub fn count(&self, losses: Vec<Loss>) -> Result<(), StoreError> {
         self.0.write(move |session| losses.iter().try_for_each(|loss| count_one(session.connection, loss)))
     }
 
-    /// The same, and notes in the same commit up to which text of [`crate::WaitingFile`] its losses are counted.
+    /// Notes the last text of [`crate::WaitingFile`] with counted losses in the same commit.
     pub fn count_up_to(&self, losses: Vec<Loss>, number: u64) -> Result<(), StoreError> {
         self.0.write(move |session| {
             losses.iter().try_for_each(|loss| count_one(session.connection, loss))?;
@@ -388,7 +364,7 @@ impl Losses {
         })
     }
 
-    /// Losses of an owner that no gap record reports and that began before a given time, oldest first, at most `limit`.
+    /// Unreported losses that began by `by`, oldest first.
     pub fn open_gaps(&self, owner: Address, by: Timestamp, limit: usize) -> Result<Vec<GapRow>, StoreError> {
         let sql = format!(
             "SELECT {COLUMNS} INDEXED BY gaps_open WHERE report IS NULL AND owner = ?1 AND first_at <= ?2
@@ -398,8 +374,7 @@ impl Losses {
         self.0.list(&sql, params![owner.0, by, limit], gap_row)
     }
 
-    /// Acknowledges a gap record and notes the losses it reports, in one commit. Losses since the row was read stay
-    /// open.
+    /// Notes the reported losses with the gap record in one commit. Later losses stay open.
     pub fn close_gap(&self, gap: &GapRow, report: NewRecord) -> Result<(), StoreError> {
         let gap = gap.clone();
         self.0.write(move |session| {
@@ -409,7 +384,7 @@ impl Losses {
         })
     }
 
-    /// The losses of an owner, newest first, at most `limit`.
+    /// Newest first.
     pub fn gaps(&self, owner: Address, limit: usize) -> Result<Vec<GapRow>, StoreError> {
         let sql = format!("SELECT {COLUMNS} WHERE owner = ?1 ORDER BY key DESC LIMIT ?2");
         self.0.list(&sql, params![owner.0, capped(limit)], gap_row)

@@ -1,5 +1,5 @@
-//! Records whose ciphertext is deleted: named in a retention record first, deleted once that is anchored. Digest,
-//! signature, place in the batch and public header stay.
+//! Deletion of ciphertext: a retention record names it first, and must be anchored. Digest, signature, place and header
+//! stay.
 
 use std::path::PathBuf;
 
@@ -13,56 +13,48 @@ use crate::database::{Statements as _, capped, whole};
 use crate::model::{Address, Digest, RecordKind, RecordState, Timestamp, TopicId};
 use crate::notes::{self, Erased};
 
-/// A topic considered for retention.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct KeptTopic {
-    /// Its key in this ledger.
     pub key: i64,
     pub topic_id: TopicId,
     pub name: String,
-    /// Bytes of the messages whose ciphertext is still there.
+    /// Of messages with ciphertext.
     pub bytes: u64,
 }
 
 impl KeptTopic {
-    /// Whether its name is known here.
     pub fn is_named(&self) -> bool {
         self.name != super::RecordRow::unnamed(self.topic_id)
     }
 }
 
-/// A record whose ciphertext could be deleted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct OldRecord {
     /// SM3 of its stored bytes.
     pub digest: Digest,
     pub seq: u64,
-    /// Length of its message.
     pub bytes: u64,
-    /// When it was captured.
     pub captured_at: Timestamp,
 }
 
-/// What is known of a record deleted by retention.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Retained {
     /// The retention record that names it.
     pub report: Digest,
-    /// Whether that is confirmed on the chain: without it a missing ciphertext is an alarm.
+    /// Confirmed on the chain; if not, missing ciphertext is an alarm.
     pub anchored: bool,
-    /// The public header of its stored bytes.
+    /// Of its stored bytes.
     pub header: Vec<u8>,
-    /// When its ciphertext was deleted.
+    /// When the ciphertext was deleted.
     pub deleted_at: Option<Timestamp>,
-    /// Who had it erased, unless a rule did.
+    /// Set unless a rule deleted it.
     pub erased: Option<Erasure>,
-    /// If it was erased before it came here: what its owner stated, to be checked before anything relies on it.
+    /// An unchecked statement of its owner, if it was erased before it came here.
     pub stated: Option<Vec<u8>>,
 }
 
 impl Retention {
-    /// An owner's topics here: what the owner records, and what its robots bring to a gateway of this home. One whose name
-    /// is not known yet has its pseudonym in place of it, which no rule is about.
+    /// Of the owner and of robots that bring records here. No rule matches the pseudonym of an unnamed topic.
     pub fn topics(&self, owner: Address) -> Result<Vec<KeptTopic>, StoreError> {
         let values = params![owner.0, RecordKind::Data.code(), RecordState::Dropped.code()];
         let sql = format!(
@@ -81,8 +73,7 @@ impl Retention {
         })
     }
 
-    /// The oldest verified messages of a topic not yet deleted by retention, captured from `since` on and before
-    /// `until`.
+    /// The oldest verified messages of a topic that retention has not deleted, from `since` to before `until`.
     pub fn oldest(
         &self,
         topic: &KeptTopic,
@@ -113,10 +104,8 @@ impl Retention {
         })
     }
 
-    /// Acknowledges a retention record and notes the records it names, with their public headers, in one commit.
-    ///
-    /// # Errors
-    /// See [`Records::append`]; [`StoreError::NotReady`] if one of them is no longer verified, or already named.
+    /// Acknowledges the retention record and notes what it names in one commit. [`StoreError::NotReady`] for a record
+    /// not verified, or already named.
     pub fn give_up(
         &self,
         topic: &KeptTopic,
@@ -139,8 +128,7 @@ impl Retention {
         })
     }
 
-    /// Records of an owner whose retention record stands confirmed, whose ciphertext is still to be deleted, and that no
-    /// incident holds.
+    /// Records with a confirmed retention record, ciphertext and no incident.
     pub fn to_delete(&self, owner: Address, limit: usize) -> Result<Vec<Digest>, StoreError> {
         let (confirmed, verified) = (RecordState::Confirmed.code(), RecordState::Verified.code());
         let values = params![owner.0, confirmed, verified, capped(limit)];
@@ -154,7 +142,7 @@ impl Retention {
         self.0.list(&sql, values, |row| row.get(0).map(Digest))
     }
 
-    /// Notes that the ciphertext of these is deleted.
+    /// Notes the deletion of ciphertext.
     pub fn deleted(&self, digests: &[Digest]) -> Result<(), StoreError> {
         let digests = digests.to_vec();
         self.0.write_many(digests.len(), move |session| {
@@ -164,7 +152,7 @@ impl Retention {
                     "UPDATE retained SET deleted_at = coalesce(deleted_at, ?2)
                         WHERE record = (SELECT n FROM records WHERE digest = ?1)",
                     "UPDATE records SET deleted_at = coalesce(deleted_at, ?2) WHERE digest = ?1",
-                    // Listed from now on: who tells the gateway of erasures may be past the earlier number.
+                    // Renumbers erasures: the gateway may have been told past the earlier number.
                     "REPLACE INTO erasures (record, statement, account, taken)
                         SELECT record, statement, account, taken FROM erasures
                         WHERE record = (SELECT n FROM records WHERE digest = ?1) AND ?2 > 0",
@@ -176,7 +164,7 @@ impl Retention {
         })
     }
 
-    /// Whether retention has deleted a record, and what is left of it.
+    /// `None` unless retention names the record.
     pub fn find(&self, digest: Digest) -> Result<Option<Retained>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT report, coalesce(told.state IN (?2, ?3), 0), header, retained.deleted_at,
@@ -200,7 +188,7 @@ impl Retention {
             )?;
             let Some((mut retained, told)) = found else { return Ok(None) };
             retained.erased = notes::read_in(connection, &Erased { report: retained.report })?;
-            // Its own erasures a ledger knows without a statement.
+            // A ledger needs no statement for its own erasures.
             retained.stated = retained.stated.filter(|_| retained.erased.is_none());
             let Some(stated) = &retained.stated else { return Ok(told.then_some(retained)) };
             let erased = Erasure::stated(stated).ok_or_else(|| {
@@ -212,14 +200,14 @@ impl Retention {
         })
     }
 
-    /// How many messages of an owner retention has deleted.
+    /// Counts messages deleted by retention.
     pub fn given_up(&self, owner: Address) -> Result<u64, StoreError> {
         let sql = "SELECT coalesce(sum(records), 0) FROM retained_topics JOIN topics ON key = topic WHERE owner = ?1";
         self.0.one(sql, [owner.0], |row| unsigned(row, 0))
     }
 }
 
-/// Whether an incident of its owner holds the record `one`, of the topic `t`, with [`LEARNED_NAME`] joined.
+/// Whether an incident holds record `one` of topic `t`; needs [`LEARNED_NAME`].
 pub(super) fn is_held() -> String {
     format!(
         "EXISTS (SELECT 1 FROM incidents i WHERE i.owner = t.owner

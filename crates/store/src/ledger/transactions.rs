@@ -1,4 +1,4 @@
-//! The sender's transactions: signed bytes are stored before they are sent, with the records they anchor.
+//! The sender's transactions, stored with the records they anchor before they are sent.
 
 use rusqlite::{Connection, Row, params};
 use serde::{Deserialize, Serialize};
@@ -9,31 +9,25 @@ use crate::StoreError;
 use crate::database::{Statements as _, whole};
 use crate::model::{Address, Digest, Hash, RecordState, Timestamp, clean};
 
-/// A signed transaction, before it is sent.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NewTransaction {
     pub hash: Hash,
     pub account: Address,
     pub nonce: u64,
-    /// The signed bytes, as sent.
+    /// As sent.
     pub raw: Vec<u8>,
-    /// Its purpose, in a word: `anchor`, `grant`, ….
+    /// `anchor`, `grant`, ….
     pub purpose: String,
-    /// The records that it anchors.
     pub anchors: Anchors,
 }
 
-/// The state of a transaction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TransactionState {
-    /// Signed, perhaps sent; not seen in a block.
+    /// Perhaps sent; in no block.
     Open,
-    /// In a block, successful.
     Mined,
-    /// In a block, failed.
     Reverted,
-    /// Another one took its nonce.
     Replaced,
 }
 
@@ -45,19 +39,17 @@ impl TransactionState {
     }
 }
 
-/// How a transaction ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[allow(missing_docs, reason = "each variant's line names its fields")]
 pub enum TransactionOutcome {
-    /// In a block, successful. Its records wait for the watcher, which will find their anchors there.
+    /// Its records wait for the watcher.
     Mined { block: u64, block_hash: Hash, gas_used: Option<u64> },
-    /// In a block, failed; its records are stored again.
+    /// Its records are stored again.
     Reverted { reason: String },
-    /// Another one took its nonce; its records are stored again.
+    /// Another took its nonce; its records are stored again.
     Replaced,
 }
 
-/// A transaction as the ledger knows it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TransactionRow {
     pub hash: Hash,
@@ -65,16 +57,13 @@ pub struct TransactionRow {
     pub nonce: u64,
     pub raw: Vec<u8>,
     pub purpose: String,
-    /// The records that it anchors.
     pub anchors: Anchors,
-    /// When it was stored here.
     pub signed_at: Timestamp,
     pub state: TransactionState,
-    /// The block it was mined in.
     pub block: Option<u64>,
     pub gas_used: Option<u64>,
     pub reason: Option<String>,
-    /// The transaction that took its nonce, if it was signed here.
+    /// If signed here.
     pub replaced_by: Option<Hash>,
 }
 
@@ -82,41 +71,32 @@ const COLUMNS: &str =
     "hash, account, nonce, raw, purpose, digests, signed_at, state, block, gas_used, reason, replaced_by, batch";
 
 impl Lanes {
-    /// Stores a signed transaction and moves its records (stored ones, or those of its batch) to submitted, in one
-    /// commit. Storing the same open transaction again changes nothing.
-    ///
-    /// # Errors
-    /// [`StoreError::NotReady`] if a record is not stored or batched, [`StoreError::Transaction`] if another open
-    /// transaction has this nonce or this one is closed; then nothing is written.
+    /// Stores it and moves its records to submitted in one commit. [`StoreError::NotReady`] if a record is not stored
+    /// or batched, [`StoreError::Transaction`] if the nonce is in use or the transaction is closed.
     pub fn submit(&self, transaction: NewTransaction) -> Result<(), StoreError> {
         self.submit_many(vec![transaction])
     }
 
-    /// [`Lanes::submit`] for several, all or none.
+    /// All or none.
     pub fn submit_many(&self, transactions: Vec<NewTransaction>) -> Result<(), StoreError> {
         self.0.write_many(transactions.len(), move |session| {
             transactions.iter().try_for_each(|new| keep(session.connection, new))
         })
     }
 
-    /// The transactions of an account in no block yet, by nonce.
+    /// In no block, by nonce.
     pub fn open_transactions(&self, account: Address) -> Result<Vec<TransactionRow>, StoreError> {
         let sql = format!("SELECT {COLUMNS} FROM transactions WHERE state = 0 AND account = ?1 ORDER BY nonce");
         self.0.list(&sql, [account.0], transaction_row)
     }
 
-    /// The transaction with this hash.
     pub fn transaction(&self, hash: Hash) -> Result<Option<TransactionRow>, StoreError> {
         let sql = format!("SELECT {COLUMNS} FROM transactions WHERE hash = ?1");
         self.0.find(&sql, [hash.0], transaction_row)
     }
 
-    /// Replaces an open transaction with another of the same account and nonce, in one commit: records that the new one
-    /// also anchors stay submitted (under it), the others are stored again.
-    ///
-    /// # Errors
-    /// [`StoreError::Transaction`] if the old one is not open or the nonce differs, [`StoreError::NotReady`] as in
-    /// [`Lanes::submit`].
+    /// Replaces an open transaction with one of the same account and nonce in one commit: records that both anchor stay
+    /// submitted, others are stored again.
     pub fn replace_transaction(&self, old: Hash, new: NewTransaction) -> Result<(), StoreError> {
         self.0.write(move |session| {
             let connection = session.connection;
@@ -135,7 +115,6 @@ pub(super) fn transaction_error(hash: Hash, detail: &str) -> StoreError {
     StoreError::Transaction { hash: hash.to_hex(), detail: detail.to_owned() }
 }
 
-/// Account and nonce of an open transaction.
 fn lane(connection: &Connection, hash: Hash) -> Result<Option<(Address, u64)>, StoreError> {
     Ok(connection.find("SELECT account, nonce FROM transactions WHERE hash = ?1 AND state = 0", [hash.0], |row| {
         Ok((Address(row.get(0)?), unsigned(row, 1)?))
@@ -218,7 +197,7 @@ pub(super) fn close(connection: &Connection, hash: Hash, outcome: TransactionOut
     }
 }
 
-/// Records of a transaction that will never be mined are stored (or batched) again.
+/// Its records are stored or batched again.
 fn release(connection: &Connection, hash: Hash) -> Result<(), StoreError> {
     let (digests, batch): (Vec<u8>, Option<[u8; 32]>) =
         connection.one("SELECT digests, batch FROM transactions WHERE hash = ?1", [hash.0], |row| {
@@ -264,41 +243,36 @@ fn transaction_row(row: &Row<'_>) -> rusqlite::Result<TransactionRow> {
     })
 }
 
-// Nonce lanes as the ledger knows them: open transactions, those that share a nonce, and replacing one signed
-// transaction with another along with everything it carries.
+// Nonce lanes: open transactions, and replacing one with another along with everything it carries.
 
-/// The open part of a lane.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct LaneCount {
-    /// Transactions in no block yet.
     pub open: u64,
-    /// The highest nonce among them.
     pub highest: Option<u64>,
-    /// When the oldest of them was first signed.
+    /// The oldest's first signature.
     pub oldest: Option<Timestamp>,
 }
 
-/// An open transaction without its bytes.
+/// Without its bytes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct OpenTransaction {
     pub hash: Hash,
     pub nonce: u64,
     pub purpose: String,
-    /// Whether its records go back if it fails; otherwise it is a call of its own, to be signed again.
+    /// Its records go back if it fails; else the call must be signed again.
     pub anchors: bool,
 }
 
-/// An open transaction's call, signed again.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Reissue {
     pub hash: Hash,
-    /// The new nonce, or the same at another price.
+    /// New, or the same at another price.
     pub nonce: u64,
     pub raw: Vec<u8>,
 }
 
 impl Lanes {
-    /// How many transactions of an account are open, read from an index.
+    /// From an index.
     pub fn lane_count(&self, account: Address) -> Result<LaneCount, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT count(*), max(nonce), min(signed_at) FROM transactions WHERE state = 0 AND account = ?1";
@@ -310,7 +284,7 @@ impl Lanes {
         })
     }
 
-    /// The highest nonce of an account's transactions signed here, whatever became of them.
+    /// Of those signed here, whatever became of them.
     pub fn highest_nonce(&self, account: Address) -> Result<Option<u64>, StoreError> {
         self.0.read(|connection| {
             let highest: Option<i64> =
@@ -320,8 +294,7 @@ impl Lanes {
         })
     }
 
-    /// The cost of an account's newest `most` anchoring transactions in blocks: their number, their gas, and the
-    /// records they anchored. Read from an index, whatever the number of transactions.
+    /// Number, gas and records of the newest `most` anchoring transactions in blocks, from an index.
     pub fn anchoring_gas(&self, account: Address, most: u64) -> Result<(u64, u64, u64), StoreError> {
         let most = whole("transactions", most)?;
         self.0.read(|connection| {
@@ -338,7 +311,7 @@ impl Lanes {
         })
     }
 
-    /// The open transactions of an account by nonce, without their bytes.
+    /// By nonce.
     pub fn open_lane(&self, account: Address) -> Result<Vec<OpenTransaction>, StoreError> {
         let sql = "SELECT hash, nonce, purpose, length(digests) > 0 OR batch IS NOT NULL FROM transactions
             WHERE state = 0 AND account = ?1 ORDER BY nonce";
@@ -352,35 +325,27 @@ impl Lanes {
         })
     }
 
-    /// The signed bytes of a transaction; `None` if the ledger does not hold it.
     pub fn raw_transaction(&self, hash: Hash) -> Result<Option<Vec<u8>>, StoreError> {
         self.0.find("SELECT raw FROM transactions WHERE hash = ?1", [hash.0], |row| row.get(0))
     }
 
-    /// Hash and bytes of every transaction ever signed here with this nonce, whatever its outcome, newest first.
+    /// Every transaction signed here with a nonce, newest first.
     pub fn of_nonce(&self, account: Address, nonce: u64) -> Result<Vec<(Hash, Vec<u8>)>, StoreError> {
         let nonce = whole("nonce", nonce)?;
         let sql = "SELECT hash, raw FROM transactions WHERE account = ?1 AND nonce = ?2 ORDER BY key DESC";
         self.0.list(sql, params![account.0, nonce], |row| Ok((Hash(row.get(0)?), row.get(1)?)))
     }
 
-    /// Records how transactions ended, in one commit. If one failed or was replaced, its submitted records are stored (or
-    /// batched) again; if it was mined they wait for the watcher ([`Batches::mined`]).
-    ///
-    /// # Errors
-    /// [`StoreError::Transaction`] if the ledger does not hold one of them; then none is closed.
+    /// Records outcomes in one commit, all or none. Failed or replaced: records are stored or batched again; mined:
+    /// they wait for the watcher ([`Batches::mined`]).
     pub fn close_transactions(&self, closings: Vec<(Hash, TransactionOutcome)>) -> Result<(), StoreError> {
         self.0.write_many(closings.len(), move |session| {
             closings.into_iter().try_for_each(|(hash, outcome)| close(session.connection, hash, outcome))
         })
     }
 
-    /// Replaces an open transaction with the same call, signed again, in one commit: purpose, age and everything it
-    /// anchors pass to the new one. The new one may be one that was replaced before.
-    ///
-    /// # Errors
-    /// [`StoreError::Transaction`] if the old one is not open, or the new one is the old one or was closed by the
-    /// chain.
+    /// Replaces an open transaction with the same call, signed again, in one commit: purpose, age and anchors pass on.
+    /// The new one may be one replaced before, but not one closed by the chain.
     pub fn reissue(&self, old: Hash, new: Reissue) -> Result<(), StoreError> {
         let nonce = whole("nonce", new.nonce)?;
         self.0.write(move |session| {
@@ -399,8 +364,7 @@ impl Lanes {
         })
     }
 
-    /// The chain chose `winner`, which makes the same call with the same nonce as the open `loser`: what the loser
-    /// carries passes to the winner, which then ends with `outcome`.
+    /// The chain chose `winner`, the same call and nonce as the open `loser`: it takes what the loser carries.
     pub fn decide_nonce(&self, loser: Hash, winner: Hash, outcome: TransactionOutcome) -> Result<(), StoreError> {
         self.0.write(move |session| {
             let connection = session.connection;
@@ -412,7 +376,6 @@ impl Lanes {
     }
 }
 
-/// Moves records and a batch from one transaction to another.
 fn hand_over(connection: &Connection, from: Hash, to: Hash) -> Result<(), StoreError> {
     let (digests, batch): (Vec<u8>, Option<[u8; 32]>) =
         connection.one("SELECT digests, batch FROM transactions WHERE hash = ?1", [from.0], |row| {
@@ -427,7 +390,7 @@ fn hand_over(connection: &Connection, from: Hash, to: Hash) -> Result<(), StoreE
     Ok(())
 }
 
-/// Marks a transaction as replaced by another one, without returning its records.
+/// Keeps its records.
 fn supersede(connection: &Connection, old: Hash, new: Hash) -> Result<(), StoreError> {
     connection.run("UPDATE transactions SET state = 3, replaced_by = ?2 WHERE hash = ?1", [old.0, new.0])?;
     Ok(())

@@ -1,7 +1,6 @@
-//! The only writer thread: takes all waiting work (up to a limit), does it in one transaction, fsyncs once, then
-//! answers everyone. A failing piece of work does not affect the others: the first in a transaction is alone in it so
-//! far, the others have savepoints. Work on a great many records starts a transaction: inside a savepoint SQLite copies
-//! every page that changes, and walks all copies so far after every statement.
+//! The only writer thread: does waiting work in one transaction, fsyncs once, then answers. Work after the first has a
+//! savepoint, so that failures stay apart. Large work starts a transaction: inside a savepoint SQLite copies every
+//! changed page and walks all copies after every statement.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
@@ -17,25 +16,21 @@ use crate::crypto::fault;
 use crate::database::Statements as _;
 use crate::database::{self, Checkpoints};
 
-/// The most pieces of work in one transaction.
+/// Pieces of work in a transaction.
 const GROUP: usize = 256;
-/// Work on more records than this starts a new transaction; another fsync is negligible then.
+/// More records start a new transaction: another fsync is negligible then.
 pub(super) const MANY: usize = 1_000;
 
-/// The context of a piece of work: the connection inside the open transaction, and the keys of known names.
 pub(crate) struct Session<'a> {
-    /// Inside a transaction; never commit or roll back here.
+    /// Inside a transaction: never commit or roll back here.
     pub connection: &'a Connection,
-    /// Keys of topics and streams seen before.
     pub names: &'a mut KnownNames,
 }
 
 trait Job: Send {
-    /// Whether it starts a new transaction.
     fn is_large(&self) -> bool;
-    /// Does the work; returns whether it may stay.
+    /// Returns whether the work may stay.
     fn run(&mut self, session: &mut Session<'_>) -> bool;
-    /// Answers the waiting caller.
     fn answer(self: Box<Self>, committed: Result<(), StoreError>);
 }
 
@@ -53,7 +48,7 @@ impl<T: Send, F: FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send> Job f
 
     fn run(&mut self, session: &mut Session<'_>) -> bool {
         if let Some(work) = self.work.take() {
-            // The result if the work panics.
+            // If the work panics.
             self.outcome = Err(failed_job());
             self.outcome = work(session);
         }
@@ -65,7 +60,6 @@ impl<T: Send, F: FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send> Job f
             (Some(_never_tried), Err(error)) => Err(error),
             (_, committed) => self.outcome.and_then(|value| committed.map(|()| value)),
         };
-        // A caller that went away needs no answer.
         let _ = self.caller.send(answer);
     }
 }
@@ -76,15 +70,14 @@ enum Message {
     Leave,
 }
 
-/// The handle of the writer thread. Dropping it ends the thread without marking the file as closed.
+/// Dropping it ends the thread without marking the file as closed.
 pub(super) struct Writer {
     messages: Sender<Message>,
     thread: Mutex<Option<JoinHandle<()>>>,
 }
 
 impl Writer {
-    /// Starts the thread that owns `connection` from now on; `closed` says whether the file is marked as cleanly
-    /// closed.
+    /// `closed`: the file is marked as cleanly closed.
     pub(super) fn start(connection: Connection, path: &Path, closed: bool) -> Result<Self, StoreError> {
         let (messages, inbox) = mpsc::channel();
         let thread = thread::Builder::new()
@@ -98,7 +91,7 @@ impl Writer {
         Ok(Self { messages, thread: Mutex::new(Some(thread)) })
     }
 
-    /// Waits until `work`, which changes this many records, is done and durable.
+    /// Returns when the work is durable.
     pub(super) fn write<T: Send + 'static>(
         &self,
         records: usize,
@@ -107,7 +100,7 @@ impl Writer {
         self.ask(records, work)?.recv().map_err(|_| StoreError::Closed)?
     }
 
-    /// Queues work; the answer comes when it is durable.
+    /// The answer comes when the work is durable.
     pub(super) fn ask<T: Send + 'static>(
         &self,
         records: usize,
@@ -119,7 +112,6 @@ impl Writer {
         Ok(answer)
     }
 
-    /// Lets waiting work finish, marks the file as cleanly closed and ends the thread.
     pub(super) fn close(&self) -> Result<(), StoreError> {
         let (caller, answer) = mpsc::sync_channel(1);
         self.messages.send(Message::Close(caller)).map_err(|_| StoreError::Closed)?;
@@ -139,22 +131,20 @@ impl Writer {
 
 impl Drop for Writer {
     fn drop(&mut self) {
-        // The thread may have ended before.
         let _ = self.messages.send(Message::Leave);
         self.join();
     }
 }
 
-/// What the file says of the process that has it open: from its first change that it is open, and from the first number that it
-/// gives in the feed another id of that.
+/// Marks the file as open at the first change, and renews the feed's id at its first number.
 struct Mark {
-    /// Whether it says that it was cleanly closed.
+    /// As the file says.
     closed: bool,
     is_told: bool,
     has_feed: bool,
-    /// Changes that the connection had made before.
+    /// `total_changes` at the start.
     untouched: u64,
-    /// The last number in the feed before.
+    /// The feed's last number at the start.
     head: i64,
 }
 
@@ -164,8 +154,8 @@ impl Mark {
         Ok(Self { closed, is_told: false, has_feed: false, untouched, head: head(connection)? })
     }
 
-    /// In the transaction of a change: whether the file is marked as open from its commit on, and whether its feed has an id of this
-    /// process's.
+    /// Inside a change's transaction: whether, from its commit on, the file is marked open and the feed has this
+    /// process's id.
     fn open(&self, connection: &Connection) -> Result<(bool, bool), StoreError> {
         let is_told = self.is_told || connection.total_changes() != self.untouched;
         if is_told && !self.is_told {
@@ -205,7 +195,7 @@ fn serve(connection: Connection, mut checkpoints: Checkpoints, mut mark: Mark, i
     }
 }
 
-/// Collects waiting work; returns the message that ends the thread, if one came.
+/// Returns the message that ends the thread, if one came.
 fn gather(first: Message, inbox: &Receiver<Message>, group: &mut Vec<Box<dyn Job>>) -> Option<Message> {
     let mut next = Some(first);
     while let Some(message) = next {
@@ -240,7 +230,7 @@ fn commit(connection: &Connection, names: &mut KnownNames, mark: &mut Mark, grou
             }
         }
         if connection.is_autocommit() {
-            // The transaction is gone (disk full, I/O error): nobody in it was acknowledged yet.
+            // The transaction is gone (disk full, I/O error), and nobody in it was answered.
             names.clear();
             answer_all(&mut done, &lost_group());
         }
@@ -248,7 +238,6 @@ fn commit(connection: &Connection, names: &mut KnownNames, mark: &mut Mark, grou
     settle(connection, names, mark, &mut done);
 }
 
-/// Ends the transaction, if there is one, and answers those whose work is in it.
 fn settle(connection: &Connection, names: &mut KnownNames, mark: &mut Mark, done: &mut Vec<Box<dyn Job>>) {
     let result = if connection.is_autocommit() { Ok(()) } else { end(connection, mark) };
     if result.is_err() {
@@ -257,11 +246,11 @@ fn settle(connection: &Connection, names: &mut KnownNames, mark: &mut Mark, done
     answer_all(done, &result);
 }
 
-/// Whether the job did its work; an error means that it could not be tried, kept or rolled back.
+/// Whether the job did its work; an error if it could not be tried, kept or rolled back.
 fn attempt(connection: &Connection, names: &mut KnownNames, job: &mut dyn Job) -> Result<bool, StoreError> {
     let is_first = connection.is_autocommit();
     run(connection, if is_first { "BEGIN IMMEDIATE" } else { "SAVEPOINT job" })?;
-    // A fault in one piece of work must end neither this thread nor the others' work.
+    // A fault must end neither this thread nor other work.
     let done = catch_unwind(AssertUnwindSafe(|| job.run(&mut Session { connection, names })));
     if matches!(done, Ok(true)) {
         if !is_first {
