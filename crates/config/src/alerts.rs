@@ -6,7 +6,7 @@ use std::time::Duration;
 use crate::crypto::hands::{self, Fault};
 use crate::crypto::private_file;
 use crate::model::clean;
-use crate::read::{ConfigError, Source, Values, bytes, certificates, number, source_of, span, value, wrong};
+use crate::read::{ConfigError, Source, Values, bytes, certificates, choice, number, source_of, span, value, wrong};
 
 /// The shortest secret that may sign deliveries, bytes.
 const SHORTEST_SECRET: usize = 16;
@@ -77,11 +77,8 @@ impl AlertSettings {
 }
 
 fn place(values: &Values) -> Result<Option<AlertPlace>, ConfigError> {
-    let form = match value(values, "alerts.form") {
-        Some("authros") => AlertForm::Authros,
-        Some("alertmanager") => AlertForm::Alertmanager,
-        _ => return Err(wrong(values, "alerts.form", "choose authros or alertmanager")),
-    };
+    let forms = [("authros", AlertForm::Authros), ("alertmanager", AlertForm::Alertmanager)];
+    let form = choice(values, "alerts.form", forms)?;
     let (secret, roots) = (secret(values)?, certificates(values, "alerts.roots")?);
     match (webhook(values)?, command(values)?) {
         (Some(_), Some(_)) => {

@@ -18,7 +18,9 @@ use std::time::Duration;
 
 pub use self::alerts::{AlertForm, AlertLimits, AlertPlace, AlertSettings};
 pub use self::definitions::{DEFINITIONS, Definition};
-use self::read::{Values, bytes, certificates, find, number, parsed, read_file, span, switch, url, value, wrong};
+use self::read::{
+    Values, bytes, certificates, choice, find, number, parsed, read_file, span, switch, url, value, wrong,
+};
 use crate::crypto::{Kernel, ProviderName};
 use crate::model::{
     Address, AnchorMode, Consensus, Keeping, ListedPublishers, PinMode, RetentionRules, RingLimits, SignerId,
@@ -166,8 +168,7 @@ impl Config {
     }
 
     fn typed(values: BTreeMap<&'static str, (String, Source)>) -> Result<Self, ConfigError> {
-        let text =
-            |name: &'static str| values.get(name).map(|(value, _)| value.as_str()).filter(|value| !value.is_empty());
+        let text = |name| value(&values, name);
         let ros_master = url(&values, "ros.master", &["http://"])?;
         let meter = match (text("ros.meter"), &ros_master) {
             (Some("all"), _) | (Some("auto"), None) => MeterMode::All,
@@ -246,13 +247,9 @@ impl Config {
     /// Passwords and paths in URLs are hidden.
     pub fn show(&self) -> Vec<SettingView> {
         let view = |definition: &Definition| {
-            let (value, source) = self.values.get(definition.name).cloned().unwrap_or((String::new(), Source::Default));
-            SettingView {
-                name: definition.name,
-                value: clean(&without_secrets(&value), 200),
-                source: source.to_string(),
-                text: definition.text,
-            }
+            let Definition { name, text, .. } = *definition;
+            let (value, source) = self.values.get(name).cloned().unwrap_or((String::new(), Source::Default));
+            SettingView { name, value: clean(&without_secrets(&value), 200), source: source.to_string(), text }
         };
         DEFINITIONS.iter().map(view).collect()
     }
@@ -263,7 +260,7 @@ impl Config {
 }
 
 fn published_by(values: &Values, name: &'static str) -> Result<PublishedBy, ConfigError> {
-    Ok(if switch(values, name, ("own", "rosrust"))? { PublishedBy::Own } else { PublishedBy::Rosrust })
+    choice(values, name, [("own", PublishedBy::Own), ("rosrust", PublishedBy::Rosrust)])
 }
 
 const MOST_ADDRESSES: usize = 8;
@@ -290,11 +287,7 @@ fn remote_site(values: &Values) -> Result<Option<RemoteSite>, ConfigError> {
         return Err(wrong(values, "site.gateway_key", advice));
     }
     let gateway_key = parsed(values, "site.gateway_key")?;
-    let trust_first = match value(values, "site.trust_first") {
-        Some("yes") => true,
-        Some("no") | None => false,
-        Some(_) => return Err(wrong(values, "site.trust_first", "choose yes or no")),
-    };
+    let trust_first = choice(values, "site.trust_first", [("yes", true), ("no", false), ("", false)])?;
     let Some(text) = value(values, "site.address") else { return Ok(None) };
     if text.contains('=') {
         let advice = "a site has one gateway: list only its addresses, HOST:PORT separated by commas, and give its key in \
@@ -306,11 +299,8 @@ fn remote_site(values: &Values) -> Result<Option<RemoteSite>, ConfigError> {
         return Err(wrong(values, "site.address", "use HOST:PORT, or up to eight of them separated by commas"));
     }
     if value(values, "chain.url").is_some() {
-        return Err(wrong(
-            values,
-            "chain.url",
-            "leave it empty while site.address is set: that site supplies the chain",
-        ));
+        let advice = "leave it empty while site.address is set: that site supplies the chain";
+        return Err(wrong(values, "chain.url", advice));
     }
     Ok(Some(RemoteSite { addresses, gateway_key, trust_first }))
 }

@@ -56,8 +56,7 @@ fn folders() -> Result<Option<ProjectDirs>, PlaceError> {
 impl Home {
     /// A single-folder home, for `--home`.
     pub fn new(root: PathBuf) -> Self {
-        let [settings, keymap, themes, console] = [SETTINGS, KEYMAP, THEMES, CONSOLE].map(|name| root.join(name));
-        Self { root, settings, keymap, themes, console, original: None }
+        Self::apart(&root, &root, &root)
     }
 
     /// The same home with its data in `copy`; no change leaves the copy.
@@ -137,58 +136,6 @@ impl Home {
         self.console.join(format!("{profile}.json"))
     }
 
-    pub fn site_lock(&self) -> PathBuf {
-        self.root.join("site.lock")
-    }
-
-    pub fn serve_log(&self) -> PathBuf {
-        self.root.join("serve.log")
-    }
-
-    pub fn socket(&self) -> PathBuf {
-        self.root.join("site.sock")
-    }
-
-    pub fn ledger(&self) -> PathBuf {
-        self.root.join("ledger.db")
-    }
-
-    /// Space for a revoke on a full disk.
-    pub fn reserve(&self) -> PathBuf {
-        self.root.join("reserve")
-    }
-
-    /// Space for the states of records on a full disk.
-    pub fn working_reserve(&self) -> PathBuf {
-        self.root.join("reserve.states")
-    }
-
-    /// Counts what waits in memory for a full disk; allocated beforehand.
-    pub fn waiting(&self) -> PathBuf {
-        self.root.join("waiting")
-    }
-
-    pub fn alerts(&self) -> PathBuf {
-        self.root.join("alerts.queue")
-    }
-
-    /// The ring of a robot: sealed records of topics that nobody watches.
-    pub fn ring(&self) -> PathBuf {
-        self.root.join("ring")
-    }
-
-    pub fn gateway(&self) -> PathBuf {
-        self.root.join("gateway")
-    }
-
-    pub fn chain(&self) -> PathBuf {
-        self.root.join("chain")
-    }
-
-    pub fn gateway_trust(&self) -> PathBuf {
-        self.root.join("gateway-trust.json")
-    }
-
     /// The transport key of a profile at that gateway, sealed under its keyring.
     pub fn transport_key(&self, profile: &ProfileName) -> PathBuf {
         self.profile(profile).join("transport-key")
@@ -216,6 +163,36 @@ impl Home {
         names.sort();
         names
     }
+}
+
+/// Paths inside a home's folder.
+macro_rules! paths {
+    ($($(#[$doc:meta])* $name:ident: $place:literal;)*) => {
+        impl Home {
+            $($(#[$doc])* pub fn $name(&self) -> PathBuf {
+                self.root.join($place)
+            })*
+        }
+    };
+}
+
+paths! {
+    site_lock: "site.lock";
+    serve_log: "serve.log";
+    socket: "site.sock";
+    ledger: "ledger.db";
+    /// Space for a revoke on a full disk.
+    reserve: "reserve";
+    /// Space for the states of records on a full disk.
+    working_reserve: "reserve.states";
+    /// Counts what waits in memory for a full disk; allocated beforehand.
+    waiting: "waiting";
+    alerts: "alerts.queue";
+    /// The ring of a robot: sealed records of topics that nobody watches.
+    ring: "ring";
+    gateway: "gateway";
+    chain: "chain";
+    gateway_trust: "gateway-trust.json";
 }
 
 #[cfg(test)]

@@ -118,12 +118,8 @@ pub(super) fn wrong(values: &Values, name: &'static str, what: &str) -> ConfigEr
     let (value, source) = values.get(name).cloned().unwrap_or((String::new(), Source::Default));
     // What was meant as a server's URL may be all path, which may be a key.
     let shown = if matches!(name, "chain.url" | "alerts.webhook") { address_without_secrets } else { without_secrets };
-    ConfigError::Value {
-        name,
-        value: clean(&shown(&value), 100),
-        source_name: source.to_string(),
-        what: what.to_owned(),
-    }
+    let (value, source_name) = (clean(&shown(&value), 100), source.to_string());
+    ConfigError::Value { name, value, source_name, what: what.to_owned() }
 }
 
 pub(super) fn source_of(values: &Values, name: &str) -> String {
@@ -147,11 +143,22 @@ pub(super) fn bytes(values: &Values, name: &'static str, least: u64) -> Result<u
 
 /// One of two words; the first means yes.
 pub(super) fn switch(values: &Values, name: &'static str, words: (&str, &str)) -> Result<bool, ConfigError> {
-    match value(values, name) {
-        Some(word) if word == words.0 => Ok(true),
-        Some(word) if word == words.1 => Ok(false),
-        _ => Err(wrong(values, name, &format!("choose {} or {}", words.0, words.1))),
-    }
+    choice(values, name, [(words.0, true), (words.1, false)])
+}
+
+/// The value of the chosen word; "" also stands for a missing one.
+pub(super) fn choice<T: Copy, const N: usize>(
+    values: &Values,
+    name: &'static str,
+    choices: [(&str, T); N],
+) -> Result<T, ConfigError> {
+    let text = value(values, name).unwrap_or_default();
+    let chosen = choices.iter().find(|(word, _)| *word == text);
+    chosen.map(|(_, chosen)| *chosen).ok_or_else(|| {
+        let words: Vec<&str> = choices.iter().map(|(word, _)| *word).filter(|word| !word.is_empty()).collect();
+        let (last, first) = words.split_last().unwrap_or((&"", &[]));
+        wrong(values, name, &format!("choose {} or {last}", first.join(", ")))
+    })
 }
 
 /// `None` = the word `endless`.
@@ -181,13 +188,11 @@ pub(super) fn url(values: &Values, name: &'static str, schemes: &[&str]) -> Resu
     if usable || Path::new(text).extension().is_some_and(|end| end == "ipc") && schemes.contains(&"ipc://") {
         return Ok(Some(text.to_owned()));
     }
-    let refused = wrong(values, name, &format!("it must start with {}", schemes.join(", ")));
-    Err(match refused {
-        ConfigError::Value { name, value, source_name, what } => {
-            ConfigError::Value { name, value: without_path(&value), source_name, what }
-        }
-        other => other,
-    })
+    let mut refused = wrong(values, name, &format!("it must start with {}", schemes.join(", ")));
+    if let ConfigError::Value { value, .. } = &mut refused {
+        *value = without_path(value);
+    }
+    Err(refused)
 }
 
 /// Cut after the host: a provider's path is as secret as a password.

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
+use crate::model::topic_rule::PatternError;
 use crate::model::{TopicName, TopicRule, TopicRules, TypeName, positive_span};
 use crate::read::{Lines, Source, Values, document, read_document};
 use crate::{ConfigError, RingSettings, ring};
@@ -59,13 +60,11 @@ impl RobotPolicy {
 }
 
 /// A setting's error names the policy, not the file of settings.
-fn named(error: ConfigError) -> ConfigError {
-    match error {
-        ConfigError::Value { name, value, what, .. } => {
-            ConfigError::Value { name, value, source_name: FILE.to_owned(), what }
-        }
-        other => other,
+fn named(mut error: ConfigError) -> ConfigError {
+    if let ConfigError::Value { source_name, .. } = &mut error {
+        FILE.clone_into(source_name);
     }
+    error
 }
 
 fn watched(tables: &Value, lines: &Lines) -> Result<Vec<TopicName>, ConfigError> {
@@ -125,9 +124,7 @@ fn rule(table: &toml::Table, line: usize) -> Result<TopicRule, Wrong<'_>> {
     let pattern =
         pattern.ok_or(("match", "a rule must say which topics it applies to: match = \"/robot*/odom\"".to_owned()))?;
     Ok(TopicRule {
-        pattern: pattern
-            .parse()
-            .map_err(|error: crate::model::topic_rule::PatternError| ("match", error.to_string()))?,
+        pattern: pattern.parse().map_err(|error: PatternError| ("match", error.to_string()))?,
         line,
         type_name: table.get("type").map(type_name).transpose()?,
         rate: table.get("rate").map(rate).transpose()?,

@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 use crate::model::{OperatorName, OperatorRight, OperatorRights, clean};
-use crate::read::{ConfigError, Source, Values, lines_of, number, source_of, switch, value, wrong};
+use crate::read::{ConfigError, Source, Values, choice, lines_of, number, source_of, switch, value, wrong};
 use serde::Deserialize as _;
 
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -32,31 +32,22 @@ pub struct ConsoleSettings {
 
 impl ConsoleSettings {
     pub(super) fn read(values: &Values) -> Result<Self, ConfigError> {
-        let ascii = match value(values, "console.ascii") {
-            Some("yes") => Some(true),
-            Some("no") => Some(false),
-            Some("auto") | None => None,
-            Some(_) => return Err(wrong(values, "console.ascii", "choose yes, no or auto")),
-        };
+        let ascii = [("yes", Some(true)), ("no", Some(false)), ("auto", None), ("", None)];
         let bytes_per_second = match value(values, "console.bytes_per_second") {
             Some(_) => u32::try_from(number(values, "console.bytes_per_second", 500, 100_000_000)?).ok(),
             None => None,
         };
-        let pictures = match value(values, "console.pictures") {
-            Some("half-blocks") | None => Pictures::HalfBlocks,
-            Some("sixel") => Pictures::Sixel,
-            Some("kitty") => Pictures::Kitty,
-            Some(_) => return Err(wrong(values, "console.pictures", "choose half-blocks, sixel or kitty")),
-        };
+        let (blocks, sixel, kitty) = (Pictures::HalfBlocks, Pictures::Sixel, Pictures::Kitty);
+        let pictures = [("half-blocks", blocks), ("sixel", sixel), ("kitty", kitty), ("", blocks)];
         let minutes = number(values, "console.lock_after", 0, 10_080)?;
         let lock_after = (minutes > 0).then(|| minutes * 60_000_000_000);
         Ok(Self {
             lock_after,
             theme: value(values, "console.theme").map(str::to_owned),
-            ascii,
+            ascii: choice(values, "console.ascii", ascii)?,
             mouse: switch(values, "console.mouse", ("yes", "no"))?,
             bytes_per_second,
-            pictures,
+            pictures: choice(values, "console.pictures", pictures)?,
         })
     }
 }

@@ -13,12 +13,11 @@ use crate::model::{Address, Digest, Domain, ProfileName, PublicKey, Signature, S
 
 use super::command::Command;
 use super::error::{Code, Refusal};
-use super::hello::{Agreed, Context};
+use super::hello::{Agreed, Context, padded, read_padded};
 use super::system_keys::SystemKey;
 
 /// Bytes; ours has 213 bytes of plaintext.
 const LONGEST_CT: usize = 512;
-const NAME: usize = 32;
 /// The account signs this EIP-712 type.
 const TYPE: &str = "KeyAllocation(bytes32 gateway,bytes32 systemKey,bytes32 clientNonce,bytes32 gatewayNonce,\
                     uint8 command,string name,bytes signingKey,address account,bytes32 ciphertext)";
@@ -43,13 +42,8 @@ pub struct Allocation {
 
 impl Allocation {
     fn encode(&self) -> Zeroizing<Vec<u8>> {
-        let name = self.name.as_str().as_bytes();
-        let name = &name[..name.len().min(NAME)];
-        let mut field = [0; NAME];
-        field[..name.len()].copy_from_slice(name);
-        let mut out = Zeroizing::new(Vec::with_capacity(213));
-        out.push(u8::try_from(name.len()).unwrap_or(0));
-        for part in [&field[..], self.key.expose(), &self.signing.0, &self.envelope.0, &self.account.0] {
+        let (name, mut out) = (padded(&self.name), Zeroizing::new(Vec::with_capacity(213)));
+        for part in [&name[..], self.key.expose(), &self.signing.0, &self.envelope.0, &self.account.0] {
             out.extend_from_slice(part);
         }
         out
@@ -57,15 +51,8 @@ impl Allocation {
 
     fn parse(plain: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(plain);
-        let length = usize::from(reader.u8("name")?);
-        let field = reader.take(NAME, "name")?;
-        let (name, padding) = field.split_at_checked(length).ok_or(WireError::Value("name"))?;
-        if padding.iter().any(|byte| *byte != 0) {
-            return Err(WireError::Value("name"));
-        }
-        let name = std::str::from_utf8(name).ok().and_then(|name| name.parse().ok());
         let allocation = Self {
-            name: name.ok_or(WireError::Value("name"))?,
+            name: read_padded(&mut reader)?,
             key: TransportKey::new(reader.array("transport key")?),
             signing: PublicKey(reader.array("signing key")?),
             envelope: PublicKey(reader.array("envelope key")?),
@@ -128,13 +115,9 @@ pub fn apply(
     system_key: &SystemKey,
     applicant: &Applicant<'_>,
 ) -> Result<(TransportKey, Vec<u8>), CryptoError> {
-    let allocation = Allocation {
-        name: applicant.name.clone(),
-        key: TransportKey::generate()?,
-        signing: applicant.signing.public,
-        envelope: applicant.envelope,
-        account: applicant.account.address(),
-    };
+    let (name, key, signing) = (applicant.name.clone(), TransportKey::generate()?, applicant.signing.public);
+    let (envelope, account) = (applicant.envelope, applicant.account.address());
+    let allocation = Allocation { name, key, signing, envelope, account };
     let ciphertext = context.provider.encrypt(&system_key.public, &allocation.encode())?;
     let id = system_key.id();
     let digest = Digest(context.provider.sm3(&[&ciphertext]));
@@ -203,14 +186,8 @@ pub fn examine(
     if allocation.name != *name {
         return Err(Refusal::new(Code::Malformed, "the allocation names a different profile than the hello"));
     }
-    let ciphertext = request.digest(provider);
-    let transcript = Transcript {
-        domain: &context.domain,
-        agreed,
-        system_key: &request.system_key,
-        allocation: &allocation,
-        ciphertext,
-    };
+    let (domain, system_key, ciphertext) = (&context.domain, &request.system_key, request.digest(provider));
+    let transcript = Transcript { domain, agreed, system_key, allocation: &allocation, ciphertext };
     provider
         .verify(&allocation.signing, &transcript.signed_bytes(), &request.signature)
         .map_err(Refusal::because(Code::Signature))?;

@@ -88,17 +88,9 @@ impl Client {
             let hello = timeout(endpoint.patience, hello(endpoint, address, trust, who)).await;
             match hello.unwrap_or(Err(GatewayError::TimedOut)) {
                 Ok((line, agreed, session)) => {
-                    return Ok(Self {
-                        line,
-                        address: address.clone(),
-                        passed_over: failed,
-                        endpoint: endpoint.clone(),
-                        agreed,
-                        session,
-                        token,
-                        requests: 0,
-                        assembler: Assembler::new(),
-                    });
+                    let (address, endpoint, passed_over) = (address.clone(), endpoint.clone(), failed);
+                    let (requests, assembler) = (0, Assembler::default());
+                    return Ok(Self { line, address, passed_over, endpoint, agreed, session, token, requests, assembler });
                 }
                 Err(error) => failed.push((clean(address, 240), error)),
             }
@@ -161,10 +153,9 @@ impl Client {
         if call.parameters.len() > LONGEST_PARAMETERS {
             return Err(GatewayError::TooLarge(call.parameters.len()));
         }
-        match self.ask(&Request::Relay(call)).await? {
-            Answer::Relayed(relayed) => Ok(relayed),
-            _ => Err(GatewayError::Unexpected("no answer of the chain")),
-        }
+        let answer = self.ask(&Request::Relay(call)).await?;
+        let Answer::Relayed(relayed) = answer else { return unexpected("no answer of the chain") };
+        Ok(relayed)
     }
 
     /// That answered.
@@ -187,20 +178,14 @@ impl Client {
     }
 
     pub async fn ping(&mut self) -> Result<Timestamp, GatewayError> {
-        match self.ask(&Request::Ping).await? {
-            Answer::Time(time) => Ok(time),
-            _ => Err(GatewayError::Unexpected("no time")),
-        }
+        let Answer::Time(time) = self.ask(&Request::Ping).await? else { return unexpected("no time") };
+        Ok(time)
     }
 
     /// Not yet checked.
     pub async fn system_keys(&mut self) -> Result<SystemKeyList, GatewayError> {
-        match self.ask(&Request::SystemKeys).await? {
-            Answer::SystemKeys(bytes) => {
-                SystemKeyList::parse(&bytes).map_err(GatewayError::malformed("list of system keys"))
-            }
-            _ => Err(GatewayError::Unexpected("no list")),
-        }
+        let Answer::SystemKeys(bytes) = self.ask(&Request::SystemKeys).await? else { return unexpected("no list") };
+        SystemKeyList::parse(&bytes).map_err(GatewayError::malformed("list of system keys"))
     }
 
     /// The receipt covers all of them.
@@ -233,13 +218,10 @@ impl Client {
     /// Checks the signature; proofs are up to the caller.
     pub async fn feed(&mut self, asked: &Feed) -> Result<FeedPage, GatewayError> {
         let (number, context) = (self.send(&Request::Feed(asked.clone())).await?, self.endpoint.context);
-        match self.answer_within(number, self.endpoint.patience + asked.wait).await? {
-            Answer::Feed(page) => {
-                page.verify(context.provider, &context.domain, &self.agreed.gateway_key)?;
-                Ok(*page)
-            }
-            _ => Err(GatewayError::Unexpected("no page of the feed")),
-        }
+        let answer = self.answer_within(number, self.endpoint.patience + asked.wait).await?;
+        let Answer::Feed(page) = answer else { return unexpected("no page of the feed") };
+        page.verify(context.provider, &context.domain, &self.agreed.gateway_key)?;
+        Ok(*page)
     }
 
     /// At least the first of these records. Bytes match digests, signatures are by the records' keys; the reader must
@@ -354,6 +336,10 @@ async fn inquire(address: &str, patience: Duration) -> Result<NetworkName, Gatew
     NetworkName::parse(&payload).map_err(GatewayError::malformed("network"))
 }
 
+fn unexpected<T>(what: &'static str) -> Result<T, GatewayError> {
+    Err(GatewayError::Unexpected(what))
+}
+
 fn unreachable(address: &str, source: std::io::Error) -> GatewayError {
     GatewayError::Unreachable { address: clean(address, 240), source }
 }
@@ -443,19 +429,13 @@ impl Client {
     async fn ask(&mut self, request: &Request) -> Result<Answer, GatewayError> {
         let number = self.send(request).await?;
         let answer = self.answer_to(number).await?;
-        if answer.command() == request.command() {
-            Ok(answer)
-        } else {
-            Err(GatewayError::Unexpected("another command"))
-        }
+        if answer.command() == request.command() { Ok(answer) } else { unexpected("another command") }
     }
 
     /// A receipt must cover exactly these digests.
     async fn acknowledged(&mut self, request: &Request, digests: &[Digest]) -> Result<Receipt, GatewayError> {
-        match self.ask(request).await? {
-            Answer::Receipt(_, receipt) => self.verified(receipt, digests),
-            _ => Err(GatewayError::Unexpected("no receipt")),
-        }
+        let Answer::Receipt(_, receipt) = self.ask(request).await? else { return unexpected("no receipt") };
+        self.verified(receipt, digests)
     }
 
     /// Checks that a receipt is by this gateway, for this network, over these digests.

@@ -20,51 +20,52 @@ pub const LARGEST_MESSAGE: usize = 64 * 1024 * 1024 + 128 * 1024;
 pub const LARGEST_PART: usize = LONGEST_TEXT - 128;
 const FROM_GATEWAY: u8 = 128;
 
-macro_rules! commands {
-    ($($(#[$doc:meta])* $name:ident = $number:literal;)*) => {
-        #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-        #[repr(u8)]
-        pub enum Command {
-            $($(#[$doc])* $name = $number,)*
-        }
+numbered! {
+    Command {
+        SystemKeys = 1,
+        /// K_T to the gateway; binds N to an account.
+        KeyAllocation = 2,
+        Upload = 4,
+        UploadMany = 5,
+        Feed = 6,
+        Records = 7,
+        GrantNotice = 11,
+        /// Applies at once.
+        RevokeNotice = 12,
+        /// Answered with the gateway's time.
+        Ping = 13,
+        /// Only from the gateway.
+        Refuse = 16,
+        /// Gives the session's name to a device lent on the chain, which has only the key's hash.
+        DeviceNotice = 17,
+        Relay = 18,
+        /// Erases copies of records that the session's owner had erased.
+        Erase = 19,
+    }
 
-        impl Command {
-            pub const ALL: &[Self] = &[$(Self::$name),*];
-        }
-    };
+    /// Parts of one message are consecutive.
+    Part {
+        Whole = 0,
+        /// Its body begins with the total length of all bodies (4).
+        First = 1,
+        Middle = 2,
+        Last = 3,
+    }
+
+    /// One byte.
+    ErasureOutcome {
+        /// No change; the owner may try again.
+        Left = 0,
+        /// Gone, or overwritten once no incident there holds it.
+        Taken = 1,
+        /// The notice does not hold.
+        Refused = 2,
+    }
 }
 
-commands! {
-    SystemKeys = 1;
-    /// K_T to the gateway; binds N to an account.
-    KeyAllocation = 2;
-    Upload = 4;
-    UploadMany = 5;
-    Feed = 6;
-    Records = 7;
-    GrantNotice = 11;
-    /// Applies at once.
-    RevokeNotice = 12;
-    /// Answered with the gateway's time.
-    Ping = 13;
-    /// Only from the gateway.
-    Refuse = 16;
-    /// Gives the session's name to a device lent on the chain, which has only the key's hash.
-    DeviceNotice = 17;
-    Relay = 18;
-    /// Erases copies of records that the session's owner had erased.
-    Erase = 19;
-}
+layout!(ErasureOutcome by number, from_number);
 
 impl Command {
-    pub fn number(self) -> u8 {
-        self as u8
-    }
-
-    pub fn from_number(number: u8) -> Option<Self> {
-        Self::ALL.iter().copied().find(|command| command.number() == number)
-    }
-
     pub fn is_request(self) -> bool {
         !matches!(self, Self::Refuse)
     }
@@ -80,22 +81,7 @@ impl Command {
     }
 }
 
-/// Parts of one message are consecutive.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[repr(u8)]
-pub enum Part {
-    Whole = 0,
-    /// Its body begins with the total length of all bodies (4).
-    First = 1,
-    Middle = 2,
-    Last = 3,
-}
-
 impl Part {
-    fn from_code(code: u8) -> Option<Self> {
-        [Self::Whole, Self::First, Self::Middle, Self::Last].into_iter().find(|part| *part as u8 == code)
-    }
-
     fn begins(self) -> bool {
         matches!(self, Self::Whole | Self::First)
     }
@@ -149,7 +135,7 @@ impl<'a> Inner<'a> {
 }
 
 fn part_and_request(reader: &mut Reader<'_>) -> Result<(Part, u32), WireError> {
-    let part = Part::from_code(reader.u8("part")?).ok_or(WireError::Value("part"))?;
+    let part = Part::from_number(reader.u8("part")?).ok_or(WireError::Value("part"))?;
     Ok((part, reader.u32("request")?))
 }
 
@@ -274,30 +260,6 @@ fn read_erasures(reader: &mut Reader<'_>) -> Result<Vec<ErasureNotice>, WireErro
         one.end().map(|()| erasure)
     };
     all.iter().map(one).collect()
-}
-
-/// One byte.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[repr(u8)]
-pub enum ErasureOutcome {
-    /// No change; the owner may try again.
-    Left = 0,
-    /// Gone, or overwritten once no incident there holds it.
-    Taken = 1,
-    /// The notice does not hold.
-    Refused = 2,
-}
-
-layout!(ErasureOutcome by code, from_code);
-
-impl ErasureOutcome {
-    fn code(self) -> u8 {
-        self as u8
-    }
-
-    fn from_code(code: u8) -> Option<Self> {
-        [Self::Left, Self::Taken, Self::Refused].into_iter().find(|outcome| *outcome as u8 == code)
-    }
 }
 
 #[cfg(test)]

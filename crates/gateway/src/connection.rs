@@ -73,9 +73,10 @@ impl Shared {
     }
 
     /// Only when it is time.
-    pub fn rotate(&self) -> Result<(), Refusal> {
-        let rotated = self.with_cabinet(|cabinet| cabinet.rotate(Timestamp::now()));
-        rotated.map(|_| ()).map_err(Refusal::internal)
+    pub fn rotate(&self) {
+        if let Err(error) = self.with_cabinet(|cabinet| cabinet.rotate(Timestamp::now())) {
+            self.refused(SocketAddr::from(([0, 0, 0, 0], 0)), &Refusal::internal(error));
+        }
     }
 
     fn receipt(&self, time: Timestamp, digests: Vec<Digest>) -> Result<Receipt, Refusal> {
@@ -234,7 +235,7 @@ impl Connection {
             let (counter, text) = session.open(&payload)?;
             deadline = deadline.max(begun + patience);
             let inner = Inner::from_client(&text)?;
-            let message = Assembler::<()>::new().take(&inner, counter, |_| {
+            let message = Assembler::<()>::default().take(&inner, counter, |_| {
                 Err(Refusal::new(Code::Length, "a multi-part message in an allocation session"))
             })?;
             let Some(message) = message else { continue };
@@ -281,7 +282,7 @@ impl Connection {
         self.line.raise_cap();
         let presence = self.shared.tally.enter(present, desk.caller.account, self.peer);
         presence.frame(payload.len());
-        let mut assembler = Assembler::new();
+        let mut assembler = Assembler::default();
         self.frame(&mut session, &mut desk, &mut assembler, first.0, &first.1).await?;
         let end = Instant::now() + LONGEST_LIFE;
         loop {

@@ -44,7 +44,7 @@ impl Place {
 
 /// feed id (16) || wait (2, milliseconds) || kind (1, 0 for any) || topics (1), 16 each || recorders (1), 16 each ||
 /// owners (2), each a [`Place`].
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Feed {
     pub id: FeedId,
     /// Without news, at most [`LONGEST_WAIT`].
@@ -60,15 +60,7 @@ pub struct Feed {
 impl Feed {
     /// From the beginning.
     pub fn of(owner: Address) -> Self {
-        let (wait, topics, recorders) = (Duration::ZERO, Vec::new(), Vec::new());
-        Self {
-            id: FeedId::default(),
-            wait,
-            kind: None,
-            topics,
-            recorders,
-            places: vec![Place { owner, after: 0, grant: 0 }],
-        }
+        Self { places: vec![Place { owner, after: 0, grant: 0 }], ..Self::default() }
     }
 
     /// Moves on past a page. Returns whether the feed starts over.

@@ -18,33 +18,20 @@ pub const CAP_AFTER: usize = 1024 * 1024;
 const KEPT: usize = 16 * 1024;
 const PREFIX: usize = 4;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[repr(u8)]
-pub enum FrameKind {
-    Hello = 1,
-    /// Signed.
-    Answer = 2,
-    /// N under the agreed key.
-    Identify = 3,
-    Transfer = 4,
-    /// A code in clear before the connection closes.
-    Refusal = 5,
-    /// From a client that does not know the network yet, before the hello.
-    Inquiry = 6,
-    /// In clear; the hello proves it.
-    Network = 7,
-}
-
-impl FrameKind {
-    const ALL: [Self; 7] =
-        [Self::Hello, Self::Answer, Self::Identify, Self::Transfer, Self::Refusal, Self::Inquiry, Self::Network];
-
-    pub fn code(self) -> u8 {
-        self as u8
-    }
-
-    pub fn from_code(code: u8) -> Option<Self> {
-        Self::ALL.into_iter().find(|kind| kind.code() == code)
+numbered! {
+    FrameKind {
+        Hello = 1,
+        /// Signed.
+        Answer = 2,
+        /// N under the agreed key.
+        Identify = 3,
+        Transfer = 4,
+        /// A code in clear before the connection closes.
+        Refusal = 5,
+        /// From a client that does not know the network yet, before the hello.
+        Inquiry = 6,
+        /// In clear; the hello proves it.
+        Network = 7,
     }
 }
 
@@ -63,7 +50,7 @@ pub fn encode(kind: FrameKind, payload: &[u8]) -> Vec<u8> {
     let length = u32::try_from(payload.len().saturating_add(1)).unwrap_or(u32::MAX);
     let mut out = Vec::with_capacity(PREFIX + 1 + payload.len());
     out.extend_from_slice(&length.to_be_bytes());
-    out.push(kind.code());
+    out.push(kind.number());
     out.extend_from_slice(payload);
     out
 }
@@ -76,11 +63,6 @@ pub struct FrameDecoder {
 }
 
 impl FrameDecoder {
-    /// With the cap for an unauthenticated peer.
-    pub fn new() -> Self {
-        Self { cap: CAP_BEFORE, buffer: Vec::new(), start: 0 }
-    }
-
     /// Call once the peer is authenticated.
     pub fn raise_cap(&mut self) {
         self.cap = CAP_AFTER;
@@ -127,7 +109,7 @@ impl FrameDecoder {
         }
         let begin = self.start + PREFIX;
         let Some(&code) = self.buffer.get(begin) else { return Ok(None) };
-        let kind = FrameKind::from_code(code).ok_or(FrameError::Kind(code))?;
+        let kind = FrameKind::from_number(code).ok_or(FrameError::Kind(code))?;
         if self.buffer.len() < begin + length {
             return Ok(None);
         }
@@ -137,8 +119,9 @@ impl FrameDecoder {
 }
 
 impl Default for FrameDecoder {
+    /// With the cap for an unauthenticated peer.
     fn default() -> Self {
-        Self::new()
+        Self { cap: CAP_BEFORE, buffer: Vec::new(), start: 0 }
     }
 }
 
@@ -165,10 +148,6 @@ pub struct Assembler<C> {
 }
 
 impl<C> Assembler<C> {
-    pub fn new() -> Self {
-        Self { unfinished: None }
-    }
-
     pub fn is_partial(&self) -> bool {
         self.unfinished.is_some()
     }
@@ -235,20 +214,13 @@ impl<C> Assembler<C> {
 
 impl<C> Default for Assembler<C> {
     fn default() -> Self {
-        Self::new()
+        Self { unfinished: None }
     }
 }
 
 fn message<C>(inner: &Inner<'_>, counter: u64, body: Vec<u8>, charge: Option<C>) -> Message<C> {
-    Message {
-        command: inner.command,
-        request: inner.request,
-        token: inner.token,
-        signature: inner.signature,
-        counter,
-        body,
-        charge,
-    }
+    let Inner { command, request, token, signature, .. } = *inner;
+    Message { command, request, token, signature, counter, body, charge }
 }
 
 /// Time and bytes to read after a refusal, so that the peer gets to read it.
@@ -272,7 +244,7 @@ impl Line {
     pub fn new(stream: TcpStream) -> Self {
         // Without it only small answers are delayed.
         let _ = stream.set_nodelay(true);
-        Self { stream, decoder: FrameDecoder::new() }
+        Self { stream, decoder: FrameDecoder::default() }
     }
 
     pub fn raise_cap(&mut self) {
@@ -357,16 +329,16 @@ mod tests {
 
     #[test]
     fn the_cap_is_checked_before_the_bytes_arrive() {
-        let mut decoder = FrameDecoder::new();
+        let mut decoder = FrameDecoder::default();
         feed(&mut decoder, &4097u32.to_be_bytes());
         assert_eq!(decoder.next_frame(), Err(FrameError::Length(4097)));
-        let mut decoder = FrameDecoder::new();
+        let mut decoder = FrameDecoder::default();
         decoder.raise_cap();
         feed(&mut decoder, &u32::try_from(CAP_AFTER).expect("fits").to_be_bytes());
         assert_eq!(decoder.next_frame(), Ok(None));
         assert!(decoder.space().capacity() <= 64 * 1024, "a mere claim allocates little");
         for wrong in [0, u32::MAX, 1024 * 1024 + 1] {
-            let mut decoder = FrameDecoder::new();
+            let mut decoder = FrameDecoder::default();
             decoder.raise_cap();
             feed(&mut decoder, &wrong.to_be_bytes());
             assert_eq!(decoder.next_frame(), Err(FrameError::Length(wrong)));
@@ -375,10 +347,10 @@ mod tests {
 
     #[test]
     fn an_unknown_kind_ends_the_stream_and_an_idle_buffer_is_given_back() {
-        let mut decoder = FrameDecoder::new();
+        let mut decoder = FrameDecoder::default();
         feed(&mut decoder, &[0, 0, 0, 9, 77]);
         assert_eq!(decoder.next_frame(), Err(FrameError::Kind(77)));
-        let mut decoder = FrameDecoder::new();
+        let mut decoder = FrameDecoder::default();
         feed(&mut decoder, &encode(FrameKind::Hello, b"x"));
         assert_eq!(decoder.next_frame(), Ok(Some((FrameKind::Hello, &b"x"[..]))));
         decoder.rest();
@@ -392,7 +364,7 @@ mod tests {
             cuts in proptest::collection::vec(1usize..200, 1..40),
         ) {
             let wire: Vec<u8> = payloads.iter().flat_map(|payload| encode(FrameKind::Transfer, payload)).collect();
-            let mut decoder = FrameDecoder::new();
+            let mut decoder = FrameDecoder::default();
             let (mut seen, mut rest) = (Vec::new(), &wire[..]);
             for cut in cuts.iter().cycle() {
                 let (now, later) = rest.split_at(rest.len().min(*cut));
@@ -410,7 +382,7 @@ mod tests {
 
         #[test]
         fn garbage_never_panics(noise in proptest::collection::vec(any::<u8>(), 0..2000)) {
-            let mut decoder = FrameDecoder::new();
+            let mut decoder = FrameDecoder::default();
             feed(&mut decoder, &noise);
             while let Ok(Some(_)) = decoder.next_frame() {}
         }
@@ -430,7 +402,7 @@ mod parts_tests {
     }
 
     fn assemble(texts: &[Vec<u8>]) -> Result<Option<Message<usize>>, Refusal> {
-        let mut assembler = Assembler::new();
+        let mut assembler = Assembler::default();
         let mut whole = None;
         for (counter, text) in (0..).zip(texts) {
             let inner = Inner::from_client(text)?;
@@ -463,7 +435,7 @@ mod parts_tests {
         assert_eq!(assemble(&[claims_more]).expect_err("too long").code, Code::Length);
         let (_, other) = texts(10);
         assert!(assemble(&[all[0].clone(), other[0].clone()]).is_err(), "another message in between");
-        let refused = Assembler::<()>::new()
+        let refused = Assembler::<()>::default()
             .take(&Inner::from_client(&all[0]).expect("parses"), 0, |_| Err(Refusal::new(Code::Quota, "full")));
         assert_eq!(refused.expect_err("refused").code, Code::Quota);
     }

@@ -209,11 +209,6 @@ fn halves(bytes: &[u8; 28]) -> (Zeroizing<[u8; 16]>, [u8; 12]) {
     (Zeroizing::new(std::array::from_fn(|index| bytes[index])), std::array::from_fn(|index| bytes[16 + index]))
 }
 
-/// SM3 of an identity key: pinned, registered and compared.
-pub fn gateway_id(key: &PublicKey) -> SignerId {
-    signer_id(key)
-}
-
 impl From<WireError> for Refusal {
     fn from(error: WireError) -> Self {
         Self::new(Code::Malformed, error)
@@ -331,26 +326,33 @@ impl Answer {
     }
 
     fn agreed(&self, client_nonce: [u8; 32]) -> Agreed {
-        Agreed {
-            gateway: gateway_id(&self.identity),
-            gateway_key: self.identity,
-            client_nonce,
-            gateway_nonce: self.nonce,
-            session: self.session,
-            list: self.list,
-        }
+        let (gateway, gateway_key, gateway_nonce) = (signer_id(&self.identity), self.identity, self.nonce);
+        Agreed { gateway, gateway_key, client_nonce, gateway_nonce, session: self.session, list: self.list }
     }
 }
 
 /// Purpose (1) length of the name (1) name, padded with zeros to 32.
 fn encode_name(purpose: Purpose, name: &ProfileName) -> Vec<u8> {
+    [&[purpose as u8][..], &padded(name)].concat()
+}
+
+/// Length of the name (1) name, padded with zeros to 32.
+pub(super) fn padded(name: &ProfileName) -> [u8; 1 + NAME] {
     let bytes = name.as_str().as_bytes();
     let bytes = &bytes[..bytes.len().min(NAME)];
-    let mut out = vec![0; 2 + NAME];
-    out[0] = purpose as u8;
-    out[1] = u8::try_from(bytes.len()).unwrap_or(0);
-    out[2..2 + bytes.len()].copy_from_slice(bytes);
+    let mut out = [0; 1 + NAME];
+    out[0] = u8::try_from(bytes.len()).unwrap_or(0);
+    out[1..=bytes.len()].copy_from_slice(bytes);
     out
+}
+
+pub(super) fn read_padded(reader: &mut Reader<'_>) -> Result<ProfileName, WireError> {
+    let length = usize::from(reader.u8("name")?);
+    let (name, padding) = reader.take(NAME, "name")?.split_at_checked(length).ok_or(WireError::Value("name"))?;
+    if padding.iter().any(|byte| *byte != 0) {
+        return Err(WireError::Value("name"));
+    }
+    std::str::from_utf8(name).ok().and_then(|name| name.parse().ok()).ok_or(WireError::Value("name"))
 }
 
 fn parse_name(plain: &Zeroizing<Vec<u8>>) -> Result<(Purpose, ProfileName), WireError> {
@@ -360,14 +362,8 @@ fn parse_name(plain: &Zeroizing<Vec<u8>>) -> Result<(Purpose, ProfileName), Wire
         1 => Purpose::Transfer,
         _ => return Err(WireError::Value("purpose")),
     };
-    let length = usize::from(reader.u8("name")?);
-    let field = reader.take(NAME, "name")?;
+    let name = read_padded(&mut reader)?;
     reader.end()?;
-    let (name, padding) = field.split_at_checked(length).ok_or(WireError::Value("name"))?;
-    if padding.iter().any(|byte| *byte != 0) {
-        return Err(WireError::Value("name"));
-    }
-    let name = std::str::from_utf8(name).ok().and_then(|name| name.parse().ok()).ok_or(WireError::Value("name"))?;
     Ok((purpose, name))
 }
 

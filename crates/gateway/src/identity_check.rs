@@ -4,7 +4,7 @@ use crate::crypto::record::Checked;
 use crate::crypto::{Anchor, SmSecret, Unchecked, check_many};
 use crate::model::{Digest, Header, ProfileName, PublicKey, RecordKind};
 
-use super::allocation::{AllocationRequest, examine};
+use super::allocation::{Allocation, AllocationRequest, examine};
 use super::command::{Notice, Request, Upload, signed_bytes};
 use super::desk::{Account, Binding, Caller, Desk, Received};
 use super::error::{Code, Refusal};
@@ -80,10 +80,9 @@ pub async fn check_records(
         if header.domain != context.domain || header.owner != caller.account {
             return Err(Refusal::new(Code::NotYours, format_args!("a record of {}", header.owner)));
         }
-        let known = last.as_ref().filter(|(before, _)| before.signer == header.signer).map(|(_, key)| *key);
-        let signer = match known {
-            Some(key) => key,
-            None => desk
+        let signer = match &last {
+            Some((before, key)) if before.signer == header.signer => *key,
+            _ => desk
                 .signer(&caller.account, &header.signer)
                 .await?
                 .ok_or_else(|| Refusal::new(Code::Signature, format_args!("signer {} may not sign", header.signer)))?,
@@ -150,13 +149,7 @@ pub async fn allocate(
     {
         return Err(Refusal::new(Code::NameBound, format_args!("{name} belongs to {}", bound.account)));
     }
-    let binding = Binding {
-        account: allocation.account,
-        key: allocation.key,
-        signing: allocation.signing,
-        envelope: allocation.envelope,
-        device: None,
-    };
-    desk.bind(name, binding).await?;
+    let Allocation { account, key, signing, envelope, .. } = allocation;
+    desk.bind(name, Binding { account, key, signing, envelope, device: None }).await?;
     Ok(request.digest(context.provider))
 }

@@ -80,16 +80,6 @@ impl Default for Limits {
     }
 }
 
-impl Limits {
-    fn handshakes_of_peer(&self) -> usize {
-        self.handshakes.div_ceil(8)
-    }
-
-    fn handshakes_of_network(&self) -> usize {
-        self.handshakes.div_ceil(4)
-    }
-}
-
 #[derive(Debug, Clone)]
 pub struct Peers {
     limits: Limits,
@@ -124,7 +114,7 @@ impl Peers {
         let place = counts.place_of(address, limits, now);
         counts.check_room(&place, limits, now)?;
         let (number, evicted) = counts.enter(place, limits.handshakes);
-        Ok(Seat::new(self.clone(), place, number, evicted))
+        Ok(Seat { peers: self.clone(), place, handshake: Some((number, evicted)), visit: None })
     }
 }
 
@@ -182,10 +172,6 @@ pub struct Seat {
 }
 
 impl Seat {
-    fn new(peers: Peers, place: Place, number: u64, evicted: oneshot::Receiver<()>) -> Self {
-        Self { peers, place, handshake: Some((number, evicted)), visit: None }
-    }
-
     pub fn authenticated(&mut self) {
         if let Some((number, _)) = self.handshake.take() {
             self.peers.lock().leave_handshake(number);
@@ -232,10 +218,8 @@ impl Seat {
         if self.peers.lock().take_newcomer(&self.place, &self.peers.limits, now) {
             return Ok(());
         }
-        Err(Refusal::new(
-            Code::Quota,
-            format_args!("too many transactions of newcomers, one more from {}", self.place.peer),
-        ))
+        let peer = self.place.peer;
+        Err(Refusal::new(Code::Quota, format_args!("too many transactions of newcomers, one more from {peer}")))
     }
 
     /// Until the charge is dropped.
@@ -424,9 +408,9 @@ impl Counts {
         let busy = |what: &str, of: &IpAddr| Err(Refusal::new(Code::Busy, format_args!("too many {what} of {of}")));
         let all = limits.connections_of_peer.saturating_mul(PEERS_OF_NETWORK);
         let network = place.network.and_then(|key| Some((key, self.networks.get_mut(&key)?)));
-        let network = network.map(|(key, share)| (key, share, all, limits.handshakes_of_network()));
+        let network = network.map(|(key, share)| (key, share, all, limits.handshakes.div_ceil(4)));
         let peer = self.peers.get_mut(&place.peer).map(|peer| (place.peer, &mut peer.share));
-        let peer = peer.map(|(key, share)| (key, share, limits.connections_of_peer, limits.handshakes_of_peer()));
+        let peer = peer.map(|(key, share)| (key, share, limits.connections_of_peer, limits.handshakes.div_ceil(8)));
         for (key, share, connections, handshakes) in network.into_iter().chain(peer) {
             if share.connections >= connections {
                 return busy("connections", &key);

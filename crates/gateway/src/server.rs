@@ -15,7 +15,8 @@ use crate::connection::{Shared, serve};
 use crate::desk::Desk;
 use crate::error::Code;
 use crate::frame::{FrameKind, Line, encode};
-use crate::hello::{Context, gateway_id};
+use crate::crypto::signer_id;
+use crate::hello::Context;
 use crate::limits::{Limits, Peers};
 use crate::model::{Address, ProfileName, SignerId, Timestamp};
 use crate::system_keys::{Cabinet, SystemKeyList};
@@ -44,15 +45,9 @@ impl Server {
         let listener = TcpListener::bind(address).await?;
         let address = listener.local_addr()?;
         let identity = cabinet.identity().clone();
-        let shared = Arc::new(Shared {
-            desk,
-            context,
-            identity,
-            cabinet: Mutex::new(cabinet),
-            peers: Peers::new(limits),
-            binding: tokio::sync::Mutex::new(()),
-            tally: Tally::default(),
-        });
+        let (cabinet, peers, tally) = (Mutex::new(cabinet), Peers::new(limits), Tally::default());
+        let binding = tokio::sync::Mutex::new(());
+        let shared = Arc::new(Shared { desk, context, identity, cabinet, peers, binding, tally });
         let (stop, stopping) = watch::channel(false);
         let task = tokio::spawn(listen(listener, Arc::clone(&shared), stopping));
         Ok(Self { address, shared, stop, task })
@@ -64,7 +59,7 @@ impl Server {
 
     /// SM3 of its identity key, which clients pin.
     pub fn id(&self) -> SignerId {
-        gateway_id(&self.shared.identity.public)
+        signer_id(&self.shared.identity.public)
     }
 
     pub fn connections(&self) -> usize {
@@ -102,14 +97,14 @@ impl ServerWatch {
         self.0.peers.connections()
     }
 
-    /// Sessions under a transport key.
+    /// Sessions under a transport key, the longest connected first.
     pub fn senders(&self) -> Vec<Sender> {
-        self.0.tally.senders()
+        self.0.tally.lock().senders.values().cloned().collect()
     }
 
     /// Since the start.
     pub fn refused(&self) -> Vec<(Code, u64)> {
-        self.0.tally.refused()
+        self.0.tally.lock().refused.iter().map(|(code, count)| (*code, *count)).collect()
     }
 
     pub fn system_keys(&self) -> SystemKeyList {
@@ -169,11 +164,7 @@ fn admit(
 /// Writing keys waits for the disk, so not on the network threads.
 fn rotate(shared: &Arc<Shared>) {
     let shared = Arc::clone(shared);
-    tokio::task::spawn_blocking(move || {
-        if let Err(refusal) = shared.rotate() {
-            shared.refused(SocketAddr::from(([0, 0, 0, 0], 0)), &refusal);
-        }
-    });
+    tokio::task::spawn_blocking(move || shared.rotate());
 }
 
 /// Its session is under its transport key.
@@ -220,15 +211,6 @@ impl Tally {
     pub fn refuse(&self, code: Code) {
         *self.lock().refused.entry(code).or_default() += 1;
     }
-
-    /// The longest connected first.
-    pub fn senders(&self) -> Vec<Sender> {
-        self.lock().senders.values().cloned().collect()
-    }
-
-    pub fn refused(&self) -> Vec<(Code, u64)> {
-        self.lock().refused.iter().map(|(code, count)| (*code, *count)).collect()
-    }
 }
 
 #[derive(Debug)]
@@ -271,12 +253,12 @@ mod tally_tests {
         let presence = tally.enter("robot1".parse().expect("a name"), Address([7; 20]), peer);
         presence.frame(100);
         presence.frame(28);
-        let senders = tally.senders();
+        let senders: Vec<Sender> = tally.lock().senders.values().cloned().collect();
         assert_eq!((senders.len(), senders[0].frames, senders[0].bytes), (1, 2, 128));
         drop(presence);
-        assert!(tally.senders().is_empty());
+        assert!(tally.lock().senders.is_empty());
         tally.refuse(Code::Tag);
         tally.refuse(Code::Tag);
-        assert_eq!(tally.refused(), [(Code::Tag, 2)]);
+        assert_eq!(tally.lock().refused, BTreeMap::from([(Code::Tag, 2)]));
     }
 }

@@ -79,7 +79,7 @@ impl SessionKeys {
 
 fn aad(id: &SessionId, counter: u64) -> [u8; 25] {
     let mut aad = [0; 25];
-    aad[0] = FrameKind::Transfer.code();
+    aad[0] = FrameKind::Transfer.number();
     aad[1..17].copy_from_slice(&id.0);
     aad[17..].copy_from_slice(&counter.to_be_bytes());
     aad
@@ -163,10 +163,8 @@ impl Session {
             return Err(Refusal::new(Code::Counter, format_args!("counter {counter}, expected {expected}")));
         }
         let keys = &self.receiving.keys;
-        let text = self
-            .provider
-            .gcm_open(&keys.key, &keys.nonce(counter), &aad(&id, counter), reader.rest())
-            .map_err(Refusal::because(Code::Tag))?;
+        let opened = self.provider.gcm_open(&keys.key, &keys.nonce(counter), &aad(&id, counter), reader.rest());
+        let text = opened.map_err(Refusal::because(Code::Tag))?;
         self.receiving.counter = counter + 1;
         Ok((counter, text))
     }

@@ -237,7 +237,8 @@ impl Cabinet {
         };
         let mut cabinet = Self { directory, provider, domain, schedule, identity, list, keys };
         if !cabinet.rotate(now)?.published {
-            cabinet.publish_anew(now)?;
+            // A restored home has an older list than its clients accept, and cannot know: each opening signs a newer version.
+            cabinet.publish(now, cabinet.list.keys.clone())?;
         }
         cabinet.erase_strays()?;
         Ok(cabinet)
@@ -276,14 +277,9 @@ impl Cabinet {
         Ok(rotation)
     }
 
-    /// A restored home has an older list than its clients accept, and cannot know: each opening signs a newer version.
-    fn publish_anew(&mut self, now: Timestamp) -> Result<(), CryptoError> {
+    fn publish(&mut self, now: Timestamp, keys: Vec<SystemKey>) -> Result<(), CryptoError> {
+        // The seconds keep versions increasing even if the list was lost with its file.
         let version = (self.list.version + 1).max(now.seconds());
-        let keys = self.list.keys.clone();
-        self.publish(version, now, keys)
-    }
-
-    fn publish(&mut self, version: u64, now: Timestamp, keys: Vec<SystemKey>) -> Result<(), CryptoError> {
         let list = sign_list(self.provider, self.domain, &self.identity, version, now, keys)?;
         write_private(&self.directory.join(LIST), &list.encode())?;
         self.list = list;
@@ -300,9 +296,7 @@ impl Cabinet {
             keys.push(key);
             fresh.push((key, secret));
         }
-        // The seconds keep versions increasing even if the list was lost with its file.
-        let version = (self.list.version + 1).max(now.seconds());
-        self.publish(version, now, keys)?;
+        self.publish(now, keys)?;
         self.keys.extend(fresh);
         Ok(())
     }

@@ -106,17 +106,12 @@ impl KeptTrust {
     pub fn open(path: PathBuf, pinned: Option<SignerId>, first_use: bool) -> Result<Self, GatewayError> {
         let trust = match path.exists() {
             false => Trust { pinned, first_use: first_use && pinned.is_none(), seen: None },
-            true => {
-                let known = Trust::load(&path)?;
-                match (known.pinned, pinned) {
-                    (Some(found), Some(pinned)) if found != pinned => {
-                        return Err(GatewayError::NotTheGateway { pinned, found });
-                    }
-                    _ => known,
-                }
-            }
+            true => Trust::load(&path)?,
         };
-        Ok(Self { path, trust: Mutex::new(trust) })
+        match (trust.pinned, pinned) {
+            (Some(found), Some(pinned)) if found != pinned => Err(GatewayError::NotTheGateway { pinned, found }),
+            _ => Ok(Self { path, trust: Mutex::new(trust) }),
+        }
     }
 
     pub fn current(&self) -> Trust {

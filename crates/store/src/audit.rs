@@ -7,7 +7,7 @@ use sm3::{Digest as _, Sm3};
 
 use super::StoreError;
 use crate::database::{Statements as _, capped, whole};
-use crate::ledger::AuditLog;
+use crate::ledger::{AuditLog, time, unsigned};
 use crate::model::{Digest, Timestamp};
 
 const LABEL: &[u8] = b"AuthROS/audit/1";
@@ -60,21 +60,10 @@ impl AuditLog {
     pub fn append(&self, entry: AuditEntry) -> Result<(), StoreError> {
         self.0.write(move |session| {
             let (count, head) = head(session.connection)?;
-            let hash = chain(head, &entry);
+            let hash = chain(head, &entry).0;
             let sql = "INSERT INTO audit VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)";
-            session.connection.run(
-                sql,
-                params![
-                    whole("line", count + 1)?,
-                    whole("time", entry.at.0)?,
-                    entry.profile,
-                    entry.action,
-                    entry.subject,
-                    entry.outcome,
-                    hash.0
-                ],
-            )?;
-            Ok(())
+            let (line, at) = (whole("line", count + 1)?, whole("time", entry.at.0)?);
+            session.connection.run(sql, (line, at, entry.profile, entry.action, entry.subject, entry.outcome, hash))
         })
     }
 
@@ -85,9 +74,7 @@ impl AuditLog {
 
     pub fn hash_of(&self, line: u64) -> Result<Option<Digest>, StoreError> {
         let line = whole("line", line)?;
-        self.0.read(|connection| {
-            Ok(connection.find("SELECT hash FROM audit WHERE line = ?1", [line], |row| row.get(0))?.map(Digest))
-        })
+        self.0.find("SELECT hash FROM audit WHERE line = ?1", [line], |row| row.get(0).map(Digest))
     }
 
     /// Recomputes the whole chain; returns the number of lines, or the first wrong one.
@@ -122,10 +109,7 @@ impl AuditLog {
 
     pub fn written_after(&self, line: u64) -> Result<Option<Timestamp>, StoreError> {
         let next = whole("line", line.saturating_add(1))?;
-        self.0.read(|connection| {
-            let at = connection.find("SELECT at FROM audit WHERE line = ?1", [next], |row| row.get::<_, i64>(0))?;
-            Ok(at.map(|at| Timestamp(at.cast_unsigned())))
-        })
+        self.0.find("SELECT at FROM audit WHERE line = ?1", [next], |row| time(row, 0))
     }
 
     /// The newest matches, oldest first.
@@ -139,10 +123,8 @@ impl AuditLog {
                  AND (?6 IS NULL OR (instr(profile, '/') > 0 AND substr(profile, instr(profile, '/') + 1) = ?6)) \
                  ORDER BY line DESC LIMIT ?5"
             );
-            let mut statement = connection.prepare_cached(&sql)?;
             let values = params![before, since, query.action, query.profile, capped(query.limit), query.operator];
-            let rows = statement.query_map(values, line_of)?;
-            let mut lines = rows.collect::<Result<Vec<_>, _>>()?;
+            let mut lines: Vec<_> = connection.list(&sql, values, line_of)?;
             lines.reverse();
             Ok(lines)
         })
@@ -150,21 +132,15 @@ impl AuditLog {
 }
 
 fn head(connection: &Connection) -> Result<(u64, Digest), StoreError> {
-    let found = connection.find("SELECT line, hash FROM audit ORDER BY line DESC LIMIT 1", [], |row| {
-        Ok((row.get::<_, i64>(0)?.cast_unsigned(), Digest(row.get(1)?)))
-    })?;
+    let sql = "SELECT line, hash FROM audit ORDER BY line DESC LIMIT 1";
+    let found = connection.find(sql, [], |row| Ok((unsigned(row, 0)?, Digest(row.get(1)?))))?;
     Ok(found.unwrap_or((0, Digest([0; Digest::LENGTH]))))
 }
 
 fn line_of(row: &Row<'_>) -> rusqlite::Result<AuditLine> {
-    let entry = AuditEntry {
-        at: Timestamp(row.get::<_, i64>(1)?.cast_unsigned()),
-        profile: row.get(2)?,
-        action: row.get(3)?,
-        subject: row.get(4)?,
-        outcome: row.get(5)?,
-    };
-    Ok(AuditLine { line: row.get::<_, i64>(0)?.cast_unsigned(), entry, hash: Digest(row.get(6)?) })
+    let (profile, action, subject, outcome) = (row.get(2)?, row.get(3)?, row.get(4)?, row.get(5)?);
+    let entry = AuditEntry { at: time(row, 1)?, profile, action, subject, outcome };
+    Ok(AuditLine { line: unsigned(row, 0)?, entry, hash: Digest(row.get(6)?) })
 }
 
 /// SM3 over label, previous hash, and each field behind its length (4 bytes, big endian).

@@ -4,7 +4,9 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use rusqlite::config::DbConfig;
-use rusqlite::{CachedStatement, Connection, OpenFlags, OptionalExtension as _, Params, Row, TransactionBehavior};
+use rusqlite::{
+    CachedStatement, Connection, OpenFlags, OptionalExtension as _, Params, Result as SqlResult, Row, TransactionBehavior,
+};
 
 use super::{StoreError, files};
 
@@ -227,9 +229,14 @@ pub(super) fn count(rows: usize) -> u64 {
 pub(super) trait Statements {
     fn prepared(&self, sql: &str) -> rusqlite::Result<CachedStatement<'_>>;
 
+    fn run(&self, sql: &str, values: impl Params) -> Result<(), StoreError> {
+        self.prepared(sql)?.execute(values)?;
+        Ok(())
+    }
+
     /// Returns the number of changed rows.
-    fn run(&self, sql: &str, values: impl Params) -> rusqlite::Result<usize> {
-        self.prepared(sql)?.execute(values)
+    fn changed(&self, sql: &str, values: impl Params) -> rusqlite::Result<u64> {
+        self.prepared(sql)?.execute(values).map(count)
     }
 
     fn run_each<P: Params>(&self, sql: &str, each: impl IntoIterator<Item = P>) -> rusqlite::Result<u64> {
@@ -269,16 +276,13 @@ pub(super) trait Statements {
         Ok(())
     }
 
-    fn one<T, Read>(&self, sql: &str, values: impl Params, read: Read) -> rusqlite::Result<T>
-    where
-        Read: FnOnce(&Row<'_>) -> rusqlite::Result<T>,
-    {
+    fn one<T, R: FnOnce(&Row<'_>) -> SqlResult<T>>(&self, sql: &str, values: impl Params, read: R) -> SqlResult<T> {
         self.prepared(sql)?.query_row(values, read)
     }
 
-    fn find<T, Read>(&self, sql: &str, values: impl Params, read: Read) -> rusqlite::Result<Option<T>>
+    fn find<T, R>(&self, sql: &str, values: impl Params, read: R) -> SqlResult<Option<T>>
     where
-        Read: FnOnce(&Row<'_>) -> rusqlite::Result<T>,
+        R: FnOnce(&Row<'_>) -> SqlResult<T>,
     {
         self.one(sql, values, read).optional()
     }

@@ -294,11 +294,10 @@ impl DiskRing {
         }
         let Some(oldest) = self.segments.first_entry() else { return Ok(()) };
         // The file first: on a full disk its space is needed to write the count.
-        match fs::remove_file(&oldest.get().path) {
-            Err(error) if error.kind() != ErrorKind::NotFound => {
-                return Err(StoreError::home(&oldest.get().path, &error));
-            }
-            Ok(()) | Err(_) => {}
+        if let Err(error) = fs::remove_file(&oldest.get().path)
+            && error.kind() != ErrorKind::NotFound
+        {
+            return Err(StoreError::home(&oldest.get().path, &error));
         }
         for (topic, count) in oldest.remove().messages {
             *self.fallen.entry(topic).or_default() += count;
@@ -469,17 +468,10 @@ fn read(reader: &mut BufReader<&File>, beginning: Beginning) -> std::io::Result<
     reader.read_exact(&mut rest)?;
     let mut fields = Reader::new(&rest);
     let Ok((type_name, digest, signature)) = signed(&mut fields) else { return Ok(None) };
-    Ok(Some(RingRecord {
-        digest,
-        signature,
-        type_name,
-        captured_at: beginning.captured_at,
-        is_definition: beginning.is_definition(),
-        simulated: beginning.flags & SIMULATED != 0,
-        plain_length: beginning.plain_length,
-        blob: fields.rest().to_vec(),
-        topic: beginning.topic,
-    }))
+    let (is_definition, simulated) = (beginning.is_definition(), beginning.flags & SIMULATED != 0);
+    let (Beginning { captured_at, plain_length, topic, .. }, blob) = (beginning, fields.rest().to_vec());
+    let record = RingRecord { digest, signature, topic, type_name, captured_at, is_definition, simulated, plain_length, blob };
+    Ok(Some(record))
 }
 
 fn put(out: &mut Vec<u8>, record: &RingRecord) {

@@ -115,7 +115,8 @@ impl StoreError {
     /// Adds the file's name to an SQLite error without one.
     pub(super) fn in_file(mut self, path: &Path) -> Self {
         match &mut self {
-            Self::DiskFull { file }
+            Self::Home { path: file, .. }
+            | Self::DiskFull { file }
             | Self::Corrupt { file, .. }
             | Self::Note { file, .. }
             | Self::Database { file, .. }
@@ -123,7 +124,6 @@ impl StoreError {
             {
                 path.clone_into(file);
             }
-            Self::Home { path: file, .. } if file.as_os_str().is_empty() => path.clone_into(file),
             _ => {}
         }
         self

@@ -98,15 +98,6 @@ pub(super) fn sync_directory(directory: &Path) -> std::io::Result<()> {
     File::open(directory)?.sync_all()
 }
 
-fn lock(path: &Path) -> Result<Option<File>, StoreError> {
-    let file = open_private(path)?;
-    match file.try_lock() {
-        Ok(()) => Ok(Some(file)),
-        Err(TryLockError::WouldBlock) => Ok(None),
-        Err(TryLockError::Error(error)) => Err(StoreError::home(path, &error)),
-    }
-}
-
 /// Held by the site of a home until dropped.
 #[derive(Debug)]
 pub struct SiteLock {
@@ -116,20 +107,12 @@ pub struct SiteLock {
 impl SiteLock {
     /// `None` if it is held already.
     pub fn acquire(path: &Path) -> Result<Option<Self>, StoreError> {
-        Ok(lock(path)?.map(|file| Self { _file: file }))
-    }
-}
-
-/// Held by the console of a profile until dropped.
-#[derive(Debug)]
-pub struct ConsoleLock {
-    _file: File,
-}
-
-impl ConsoleLock {
-    /// `None` if it is held already.
-    pub fn acquire(path: &Path) -> Result<Option<Self>, StoreError> {
-        Ok(lock(path)?.map(|file| Self { _file: file }))
+        let file = open_private(path)?;
+        match file.try_lock() {
+            Ok(()) => Ok(Some(Self { _file: file })),
+            Err(TryLockError::WouldBlock) => Ok(None),
+            Err(TryLockError::Error(error)) => Err(StoreError::home(path, &error)),
+        }
     }
 }
 
@@ -211,8 +194,5 @@ mod tests {
         assert!(SiteLock::acquire(&path).expect("works").is_none());
         drop(first);
         assert!(SiteLock::acquire(&path).expect("works").is_some());
-        let console = home.path().join("console.lock");
-        let held = ConsoleLock::acquire(&console).expect("works");
-        assert!(held.is_some() && ConsoleLock::acquire(&console).expect("works").is_none());
     }
 }

@@ -43,6 +43,7 @@ pub use self::quarantine::{AlarmRow, GapRow, HeldMinute, HeldQuery, HeldRow, Hol
 pub use self::query::{FilterChoice, Glance, LastSeen, NewestRecord, RecordPage, RecordQuery};
 pub use self::retention::{KeptTopic, OldRecord, Retained};
 pub use self::rows::{Foreign, NewRecord, RecordRow, is_legal};
+pub(crate) use self::rows::{time, unsigned};
 pub use self::sightings::{KeptStanding, Sighting};
 pub use self::transactions::{
     LaneCount, NewTransaction, OpenTransaction, Reissue, TransactionOutcome, TransactionRow, TransactionState,
@@ -109,11 +110,12 @@ stores! {
 }
 
 /// Clones share the writer thread and the readers.
-#[derive(Clone)]
+#[derive(Debug, Clone)]
 pub(crate) struct Database {
     shared: Arc<Shared>,
 }
 
+#[derive(Debug)]
 struct Shared {
     path: PathBuf,
     recorder: RecorderPrefix,
@@ -139,16 +141,9 @@ impl Ledger {
         let connection = database::open_writer(path, &SCHEMA)?;
         let (recorder, clean, is_new) = begin(&connection, path).map_err(|error| error.in_file(path))?;
         let writer = writer::Writer::start(connection, path, clean && !is_new)?;
-        let shared = Shared {
-            path: path.to_owned(),
-            recorder,
-            clean,
-            writer,
-            readers: Mutex::default(),
-            notes: Mutex::default(),
-            held: AtomicUsize::new(0),
-            told: AtomicU64::new(0),
-        };
+        let (path, readers, notes) = (path.to_owned(), Mutex::default(), Mutex::default());
+        let (held, told) = (AtomicUsize::new(0), AtomicU64::new(0));
+        let shared = Shared { path, recorder, clean, writer, readers, notes, held, told };
         Ok(Self::from(Database { shared: Arc::new(shared) }))
     }
 
@@ -294,12 +289,6 @@ pub struct RecordsHeld(Database);
 impl Drop for RecordsHeld {
     fn drop(&mut self) {
         self.0.shared.held.fetch_sub(1, Ordering::AcqRel);
-    }
-}
-
-impl std::fmt::Debug for Database {
-    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        formatter.debug_struct("Database").field("path", &self.path()).finish_non_exhaustive()
     }
 }
 

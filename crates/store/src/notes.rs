@@ -428,13 +428,11 @@ pub(crate) fn write_in<N: Note>(connection: &Connection, note: &N, value: &N::Va
 
 /// Whatever its value.
 pub(crate) fn forget_in<N: Note>(connection: &Connection, note: &N) -> Result<(), StoreError> {
-    connection.run("DELETE FROM notes WHERE kind = ?1 AND about = ?2", [N::NAME, &note.about()])?;
-    Ok(())
+    connection.run("DELETE FROM notes WHERE kind = ?1 AND about = ?2", [N::NAME, &note.about()])
 }
 
 fn put(connection: &Connection, row: NoteRow) -> Result<(), StoreError> {
-    connection.run("REPLACE INTO notes VALUES (?1, ?2, ?3)", row)?;
-    Ok(())
+    connection.run("REPLACE INTO notes VALUES (?1, ?2, ?3)", row)
 }
 
 fn row<N: Note>(note: &N, value: &N::Value) -> Result<NoteRow, StoreError> {

@@ -58,10 +58,8 @@ impl Reserve {
         if *held {
             return Ok(());
         }
-        let filled = files::open_private(&self.path).and_then(|file| {
-            fill(file, self.bytes).map_err(|error| StoreError::home(&self.path, &error))?;
-            Ok(())
-        });
+        let filled = files::open_private(&self.path)
+            .and_then(|file| fill(file, self.bytes).map_err(|error| StoreError::home(&self.path, &error)));
         if let Err(error) = filled {
             // Half a reserve would take space that others need now.
             drop(fs::remove_file(&self.path));

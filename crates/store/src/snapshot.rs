@@ -1,10 +1,11 @@
 //! Copies of SQLite files as of one moment, while others write: SQLite's online backup inside a read transaction.
 
+use std::ffi::c_int;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use rusqlite::Connection;
-use rusqlite::backup::{Backup, StepResult};
+use rusqlite::backup::Backup;
 
 use super::{Ledger, StoreError, database, files};
 
@@ -43,15 +44,7 @@ impl Snapshot {
 pub fn copy(from: &Connection, file: &Path) -> Result<(), StoreError> {
     drop(files::open_private(file)?);
     let mut to = Connection::open(file)?;
-    let backup = Backup::new(from, &mut to)?;
-    loop {
-        match backup.step(-1)? {
-            StepResult::Done => break,
-            StepResult::More => {}
-            _ => std::thread::sleep(Duration::from_millis(20)),
-        }
-    }
-    drop(backup);
+    Backup::new(from, &mut to)?.run_to_completion(c_int::MAX, Duration::from_millis(20), None)?;
     to.close().map_err(|(_, error)| error)?;
     files::open_private(file)?.sync_all().map_err(|error| StoreError::home(file, &error))
 }

@@ -150,7 +150,9 @@ impl Commands {
                     let device = BoundDevice { id: signer_id(&key), notices };
                     (self.caller.device, self.binding.device) = (Some(device), Some(device));
                 }
-                self.noted(shared, message)
+                let digest = Digest(shared.provider().sm3(&[&message.body]));
+                let receipt = shared.receipt(Timestamp::now(), vec![digest])?;
+                Ok(Answer::Receipt(message.command, receipt))
             }
             Request::Erase(erasures) => desk.erase(&self.caller, erasures).await.map(Answer::Erasures),
             _ => Err(Refusal::new(Code::NotHere, "a command for a session without a transport key")),
@@ -207,12 +209,6 @@ impl Commands {
         let page = desk.feed(&self.caller, asked, is_new).await?;
         self.followed.extend(asked.places.iter().map(|place| place.owner));
         Ok(page)
-    }
-
-    fn noted(&self, shared: &Shared, message: &Message<Charge>) -> Result<Answer, Refusal> {
-        let digest = Digest(shared.provider().sm3(&[&message.body]));
-        let receipt = shared.receipt(Timestamp::now(), vec![digest])?;
-        Ok(Answer::Receipt(message.command, receipt))
     }
 
     async fn store(&self, shared: &Shared, command: Command, uploads: Vec<Upload>) -> Result<Answer, Refusal> {

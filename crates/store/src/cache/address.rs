@@ -10,7 +10,7 @@ pub(super) struct Address {
     pub shown: String,
     pub is_tls: bool,
     /// `USER:PASSWORD@` as written; empty if there is none.
-    credentials: String,
+    pub credentials: String,
     pub place: Place,
 }
 

@@ -1,7 +1,7 @@
 //! One server, the master that sentinels name, or a cluster's nodes. Only the writing thread asks a failed one, so
 //! readers wait for a silence once.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
 use std::error::Error;
 use std::io;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
@@ -55,16 +55,9 @@ impl Servers {
             .transpose()
             .map_err(wrong)?;
         let one = match &address.place {
-            Place::Server(info) => Some(Source::Fixed((**info).clone())),
-            Place::Sentinels(hosts, master, database) => Some(Source::Sentinels {
-                address: Box::new(address.clone()),
-                hosts: hosts.clone(),
-                master: master.clone(),
-                database: database.clone(),
-            }),
             Place::Cluster(_) => None,
+            Place::Server(_) | Place::Sentinels(..) => Some(Arc::new(Node::new(address.clone(), tls.clone()))),
         };
-        let one = one.map(|source| Arc::new(Node::new(&address.shown, source, tls.clone())));
         Ok(Self { address, tls, one, cluster: RwLock::default() })
     }
 
@@ -129,7 +122,7 @@ impl Servers {
         for (digest, bytes) in entries {
             let key = key(*digest);
             if let Some(node) = self.node_of(&key) {
-                pipelines.of(node).cmd("SET").arg(key).arg(bytes).arg("EX").arg(KEPT);
+                pipelines.of(node, *digest).cmd("SET").arg(key).arg(bytes).arg("EX").arg(KEPT);
             }
         }
         let taken = pipelines.sent().filter(|(_, reply)| matches!(reply, Some(Value::Okay))).count();
@@ -142,29 +135,18 @@ impl Servers {
 
     /// Returns those that servers may still have.
     pub(super) fn delete(&self, digests: &[Digest]) -> Vec<Digest> {
-        let (mut left, mut pipelines, mut asked) = (Vec::new(), Pipelines::default(), Vec::new());
+        let (mut left, mut pipelines) = (Vec::new(), Pipelines::default());
         for digest in digests {
             let key = key(*digest);
             match self.node_of(&key) {
                 Some(node) => {
-                    let name = node.shown.clone();
-                    pipelines.of(node).cmd("DEL").arg(key);
-                    asked.push((name, *digest));
+                    pipelines.of(node, *digest).cmd("DEL").arg(key);
                 }
                 None => left.push(*digest),
             }
         }
-        let mut replies: HashMap<String, Vec<Option<Value>>> = HashMap::new();
-        for (name, reply) in pipelines.sent() {
-            replies.entry(name).or_default().push(reply);
-        }
-        replies.values_mut().for_each(|of_node| of_node.reverse());
-        for (name, digest) in asked {
-            let reply = replies.get_mut(&name).and_then(Vec::pop).flatten();
-            if !matches!(reply, Some(Value::Int(_))) {
-                left.push(digest);
-            }
-        }
+        let failed = pipelines.sent().filter(|(_, reply)| !matches!(reply, Some(Value::Int(_))));
+        left.extend(failed.map(|(digest, _)| digest));
         left
     }
 
@@ -189,8 +171,9 @@ impl Servers {
     }
 
     fn member(&self, host: &str) -> Option<Arc<Node>> {
-        let info = self.address.server(host, "0").ok()?;
-        Some(Arc::new(Node::new(&clean(host, 120), Source::Fixed(info), self.tls.clone())))
+        let place = Place::Server(Box::new(self.address.server(host, "0").ok()?));
+        let address = Address { shown: clean(host, 120), place, ..self.address.clone() };
+        Some(Arc::new(Node::new(address, self.tls.clone())))
     }
 
     fn slots(&self, asked: &str, ranges: Vec<Value>, known: &[Arc<Node>]) -> Option<Slots> {
@@ -232,26 +215,26 @@ fn range_of(asked: &str, range: Value) -> Option<(u16, u16, String)> {
 }
 
 #[derive(Default)]
-struct Pipelines(BTreeMap<String, (Arc<Node>, Pipeline)>);
+struct Pipelines(BTreeMap<String, (Arc<Node>, Pipeline, Vec<Digest>)>);
 
 impl Pipelines {
-    fn of(&mut self, node: Arc<Node>) -> &mut Pipeline {
-        &mut self.0.entry(node.shown.clone()).or_insert_with(|| (node, pipe())).1
+    /// For one more command about this record.
+    fn of(&mut self, node: Arc<Node>, digest: Digest) -> &mut Pipeline {
+        let (_, pipeline, digests) =
+            self.0.entry(node.shown.clone()).or_insert_with(|| (node, pipe(), Vec::new()));
+        digests.push(digest);
+        pipeline
     }
 
-    /// Each command's reply with its node's name.
-    fn sent(self) -> impl Iterator<Item = (String, Option<Value>)> {
-        self.0.into_values().flat_map(|(node, pipeline)| {
+    /// Each command's record and reply.
+    fn sent(self) -> impl Iterator<Item = (Digest, Option<Value>)> {
+        self.0.into_values().flat_map(|(node, pipeline, digests)| {
             let asked = node.with(|connection| {
                 let replies = connection.ask(&pipeline)?;
                 replies.iter().try_for_each(demoted)?;
                 Ok(replies)
             });
-            let replies = asked.unwrap_or_default();
-            let missing = pipeline.len().saturating_sub(replies.len());
-            let name = node.shown.clone();
-            let all = replies.into_iter().map(Some).chain(std::iter::repeat_n(None, missing));
-            all.map(move |reply| (name.clone(), reply)).collect::<Vec<_>>()
+            digests.into_iter().zip(asked.unwrap_or_default().into_iter().map(Some).chain(std::iter::repeat(None)))
         })
     }
 }
@@ -264,18 +247,13 @@ fn demoted(reply: &Value) -> RedisResult<()> {
     }
 }
 
-enum Source {
-    Fixed(ConnectionInfo),
-    Sentinels { address: Box<Address>, hosts: Vec<ConnectionInfo>, master: String, database: String },
-}
-
 enum Failure {
     Nonsense,
     Other,
 }
 
 struct Node {
-    source: Source,
+    address: Address,
     tls: Option<Arc<ClientConfig>>,
     /// Without secrets; HOST:PORT of a cluster's node.
     shown: String,
@@ -284,8 +262,8 @@ struct Node {
 }
 
 impl Node {
-    fn new(shown: &str, source: Source, tls: Option<Arc<ClientConfig>>) -> Self {
-        Self { source, tls, shown: shown.to_owned(), idle: Mutex::default(), away: Mutex::default() }
+    fn new(address: Address, tls: Option<Arc<ClientConfig>>) -> Self {
+        Self { shown: address.shown.clone(), address, tls, idle: Mutex::default(), away: Mutex::default() }
     }
 
     fn away(&self) -> MutexGuard<'_, Option<Away>> {
@@ -371,12 +349,13 @@ impl Node {
     }
 
     fn connect(&self) -> RedisResult<Connection> {
-        let (address, hosts, master, database) = match &self.source {
-            Source::Fixed(server) => return Connection::open(server, self.tls.as_ref()),
-            Source::Sentinels { address, hosts, master, database } => (address, hosts, master, database),
+        let (hosts, master, database) = match &self.address.place {
+            Place::Server(server) => return Connection::open(server, self.tls.as_ref()),
+            Place::Sentinels(hosts, master, database) => (hosts, master, database),
+            Place::Cluster(_) => return Err(io::Error::other("a cluster is no single server").into()),
         };
         let host = self.master(hosts, master)?;
-        let server = address.server(&host, database).map_err(io::Error::other)?;
+        let server = self.address.server(&host, database).map_err(io::Error::other)?;
         let mut connection = Connection::open(&server, self.tls.as_ref())?;
         let role: Vec<Value> = cmd("ROLE").query(&mut connection)?;
         let role = role.into_iter().next().map(from_redis_value::<String>);

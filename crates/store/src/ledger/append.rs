@@ -5,7 +5,7 @@ use std::collections::{HashMap, HashSet};
 
 use rusqlite::{Connection, params};
 
-use super::rows::{By, may};
+use super::rows::{By, check};
 use super::{Foreign, NewRecord, Records, Session, own_prefix};
 use crate::StoreError;
 use crate::database::{Statements as _, whole};
@@ -22,16 +22,6 @@ pub(crate) struct KnownNames {
     streams: HashMap<StreamKey, i64>,
     filters: HashMap<FilterId, i64>,
     filter_streams: HashSet<(i64, i64)>,
-}
-
-impl KnownNames {
-    /// After a rollback that may have removed some.
-    pub(super) fn clear(&mut self) {
-        self.topics.clear();
-        self.streams.clear();
-        self.filters.clear();
-        self.filter_streams.clear();
-    }
 }
 
 impl Records {
@@ -59,9 +49,7 @@ impl Records {
 
     /// Moves only records in state `from`; returns how many.
     pub fn advance(&self, digests: &[Digest], from: RecordState, to: RecordState) -> Result<u64, StoreError> {
-        if !may(By::Worker, from, to) {
-            return Err(StoreError::IllegalEdge { from, to });
-        }
+        check(By::Worker, from, to)?;
         let sql = "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2";
         self.0.run_each(sql, digests.iter().map(|digest| (digest.0, from.code(), to.code())).collect())
     }
@@ -98,28 +86,20 @@ pub(super) fn add(session: &mut Session<'_>, record: &NewRecord, now: i64) -> Re
     let stream = stream_key(session, record, topic)?;
     let sql = "INSERT INTO records (digest, topic, stream, seq, epoch, signature, bytes, captured_at,
         acknowledged_at, simulated, state) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)";
-    session.connection.run(
-        sql,
-        params![
-            record.digest.0,
-            topic,
-            stream,
-            seq,
-            whole("epoch", record.epoch)?,
-            record.signature.0,
-            whole("length", record.bytes)?,
-            whole("capture time", record.captured_at.0)?,
-            now,
-            record.simulated,
-            record.state.code(),
-        ],
-    )?;
+    let (epoch, bytes) = (whole("epoch", record.epoch)?, whole("length", record.bytes)?);
+    let (digest, captured_at) = (record.digest.0, whole("capture time", record.captured_at.0)?);
+    let (signature, simulated, state) = (record.signature.0, record.simulated, record.state.code());
+    let values = params![digest, topic, stream, seq, epoch, signature, bytes, captured_at, now, simulated, state];
+    session.connection.run(sql, values)?;
     let row = session.connection.last_insert_rowid();
     if record.kind == RecordKind::Key {
         super::feed::note(session.connection, row, topic)?;
     }
     keep_filters(session, record, row, stream)?;
-    store(session.connection, record, row)
+    match &record.blob {
+        Some(blob) => session.connection.run("INSERT INTO ciphertext VALUES (?1, ?2)", params![row, blob]),
+        None => Ok(()),
+    }
 }
 
 fn keep_filters(session: &mut Session<'_>, record: &NewRecord, row: i64, stream: i64) -> Result<(), StoreError> {
@@ -142,21 +122,13 @@ fn filter_key(connection: &Connection, filter: FilterId) -> Result<i64, StoreErr
     Ok(connection.one("SELECT key FROM filter_ids WHERE id = ?1", [filter.0], |row| row.get(0))?)
 }
 
-fn store(connection: &Connection, record: &NewRecord, row: i64) -> Result<(), StoreError> {
-    if let Some(blob) = &record.blob {
-        connection.run("INSERT INTO ciphertext VALUES (?1, ?2)", params![row, blob.as_slice()])?;
-    }
-    Ok(())
-}
-
 /// Repairs altered or lost bytes of a known record, but not of a deleted one or one named for deletion.
 fn store_again(connection: &Connection, record: &NewRecord) -> Result<(), StoreError> {
     let Some(blob) = &record.blob else { return Ok(()) };
     let sql = "INSERT INTO ciphertext SELECT n, ?2 FROM records WHERE digest = ?1 AND deleted_at IS NULL
         AND NOT EXISTS (SELECT 1 FROM retained WHERE record = n)
         ON CONFLICT DO UPDATE SET bytes = excluded.bytes WHERE bytes <> excluded.bytes";
-    connection.run(sql, params![record.digest.0, blob.as_slice()])?;
-    Ok(())
+    connection.run(sql, params![record.digest.0, blob.as_slice()])
 }
 
 fn is_known(connection: &Connection, record: &NewRecord, topic: i64, seq: i64) -> Result<bool, StoreError> {
@@ -183,13 +155,8 @@ fn topic_key(session: &mut Session<'_>, record: &NewRecord) -> Result<i64, Store
     if found.1.is_empty() && !record.topic.is_empty() {
         *found = find_topic(session.connection, record)?;
     }
-    check_name(record, &found.1)?;
-    Ok(found.0)
-}
-
-fn check_name(record: &NewRecord, name: &str) -> Result<(), StoreError> {
-    if record.topic.is_empty() || record.topic == name {
-        return Ok(());
+    if record.topic.is_empty() || record.topic == found.1 {
+        return Ok(found.0);
     }
     let detail = format!("topic id {} is already used for another topic", record.topic_id);
     Err(StoreError::Conflict { digest: record.digest, detail })
@@ -202,8 +169,8 @@ fn find_topic(connection: &Connection, record: &NewRecord) -> Result<(i64, Strin
         ON CONFLICT DO UPDATE SET name = CASE name WHEN '' THEN excluded.name ELSE name END";
     connection.run(sql, params![record.owner.0, recorder, record.topic_id.0, record.topic, keeper])?;
     let sql = "SELECT key, name FROM topics WHERE owner = ?1 AND topic_id = ?2 AND recorder = ?3";
-    Ok(connection
-        .one(sql, params![record.owner.0, record.topic_id.0, recorder], |row| Ok((row.get(0)?, row.get(1)?)))?)
+    let values = params![record.owner.0, record.topic_id.0, recorder];
+    Ok(connection.one(sql, values, |row| Ok((row.get(0)?, row.get(1)?)))?)
 }
 
 fn recorder_key(connection: &Connection, record: &NewRecord) -> Result<i64, StoreError> {
@@ -222,9 +189,8 @@ fn stream_key(session: &mut Session<'_>, record: &NewRecord, topic: i64) -> Resu
         return Ok(*key);
     }
     let values = params![topic, known.1, known.2];
-    session
-        .connection
-        .run("INSERT INTO streams (topic, kind, type_name) VALUES (?1, ?2, ?3) ON CONFLICT DO NOTHING", values)?;
+    let sql = "INSERT INTO streams (topic, kind, type_name) VALUES (?1, ?2, ?3) ON CONFLICT DO NOTHING";
+    session.connection.run(sql, values)?;
     let sql = "SELECT key FROM streams WHERE topic = ?1 AND kind = ?2 AND type_name = ?3";
     let key = session.connection.one(sql, values, |row| row.get(0))?;
     session.names.streams.insert(known, key);

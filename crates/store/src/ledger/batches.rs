@@ -5,11 +5,11 @@ use std::collections::BTreeMap;
 use rusqlite::{Connection, OptionalExtension as _, Row, params};
 use serde::{Deserialize, Serialize};
 
-use super::rows::{self, By, LEARNED_NAME, TOPIC_NAME, may, unsigned};
+use super::rows::{self, By, LEARNED_NAME, TOPIC_NAME, may, optional, time, unsigned};
 use super::{Batches, Counts, RecordRow, Records, branches, directory, sightings};
 use crate::StoreError;
 use crate::crypto::merkle::{Inclusion, Leaf};
-use crate::database::{Statements as _, capped, count, whole};
+use crate::database::{Statements as _, capped, whole};
 use crate::model::{Address, Digest, Hash, RecordKind, RecordState, RecorderId, SignerId, Timestamp, TopicId};
 
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -87,8 +87,7 @@ impl Batches {
 
     /// Of an account's open transactions, by nonce.
     pub fn open_roots(&self, account: Address) -> Result<Vec<Hash>, StoreError> {
-        let sql =
-            "SELECT batch FROM transactions WHERE state = 0 AND account = ?1 AND batch IS NOT NULL ORDER BY nonce";
+        let sql = "SELECT batch FROM transactions WHERE state = 0 AND account = ?1 AND batch IS NOT NULL ORDER BY nonce";
         self.0.list(sql, [account.0], |row| row.get(0).map(Hash))
     }
 
@@ -105,9 +104,8 @@ impl Batches {
                 min((SELECT acknowledged_at FROM records INDEXED BY records_by_state
                      WHERE state = ?2 AND stream = streams.key ORDER BY captured_at LIMIT 1))
                 FROM streams JOIN topics ON topics.key = topic WHERE coalesce(keeper, owner) = ?1";
-            Ok(connection.one(sql, params![keeper.0, stored], |row| {
-                Ok((unsigned(row, 0)?, row.get::<_, Option<i64>>(1)?.map(|at| Timestamp(at.cast_unsigned()))))
-            })?)
+            let values = params![keeper.0, stored];
+            Ok(connection.one(sql, values, |row| Ok((unsigned(row, 0)?, optional(row, 1)?.map(Timestamp))))?)
         })
     }
 
@@ -180,25 +178,19 @@ pub(super) fn placed_in(connection: &Connection, digests: &[Digest]) -> Result<V
             WHERE digest = ?1",
         branches::JOINED
     ))?;
-    let mut with_place = |row: RecordRow| -> Result<PlacedRecord, StoreError> {
-        let place = find.query_row([row.digest.0], place).optional()?;
-        Ok(PlacedRecord { row, place })
-    };
+    let mut with_place =
+        |row: RecordRow| Ok(PlacedRecord { place: find.query_row([row.digest.0], place).optional()?, row });
     rows.into_iter().map(|row| row.map(&mut with_place).transpose()).collect()
 }
 
 fn place(row: &Row<'_>) -> rusqlite::Result<BatchPlace> {
     let (index, count) = (unsigned(row, 0)?, unsigned(row, 1)?);
     let path = branches::path_of(row, 2, (index, count))?;
-    Ok(BatchPlace {
-        inclusion: Inclusion { index, count, path, root: Hash(row.get(3)?) },
-        closed_at: Timestamp(unsigned(row, 4)?),
-        account: row.get::<_, Option<_>>(5)?.map(Address),
-        block: row.get::<_, Option<i64>>(6)?.map(i64::cast_unsigned),
-        block_hash: row.get::<_, Option<_>>(7)?.map(Hash),
-        transaction: row.get::<_, Option<_>>(8)?.map(Hash),
-        is_contradicted: row.get(9)?,
-    })
+    let (closed_at, account) = (time(row, 4)?, row.get::<_, Option<_>>(5)?.map(Address));
+    let (block, block_hash) = (optional(row, 6)?, row.get::<_, Option<_>>(7)?.map(Hash));
+    let (transaction, is_contradicted) = (row.get::<_, Option<_>>(8)?.map(Hash), row.get(9)?);
+    let inclusion = Inclusion { index, count, path, root: Hash(row.get(3)?) };
+    Ok(BatchPlace { inclusion, closed_at, account, block, block_hash, transaction, is_contradicted })
 }
 
 fn close(connection: &Connection, batch: &NewBatch) -> Result<(), StoreError> {
@@ -244,8 +236,7 @@ pub(super) fn see(connection: &Connection, sighting: &RootSighting) -> Result<u6
     let sql = "UPDATE records SET tx = NULL, state = CASE WHEN state IN (?2, ?3) THEN ?4 ELSE state END
         WHERE block IS NULL AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
     let [batched, submitted, mined] = [RecordState::Batched, RecordState::Submitted, RecordState::Mined];
-    let changed = connection.run(sql, params![key, batched.code(), submitted.code(), mined.code()])?;
-    Ok(count(changed))
+    Ok(connection.changed(sql, params![key, batched.code(), submitted.code(), mined.code()])?)
 }
 
 /// Moves a mined transaction to its batch's block: its sender may have seen a replaced one.
@@ -253,8 +244,7 @@ pub(super) fn place_transaction(connection: &Connection, hash: Hash) -> Result<(
     let sql = "UPDATE transactions SET (block, block_hash) = (SELECT block, block_hash FROM batches WHERE root = batch)
         WHERE hash = ?1 AND state = 1
         AND EXISTS (SELECT 1 FROM batches WHERE root = batch AND tx = ?1 AND batches.block IS NOT NULL)";
-    connection.run(sql, [hash.0])?;
-    Ok(())
+    connection.run(sql, [hash.0])
 }
 
 /// A record joined a batch that is already in a block, or is now through this anchor.
@@ -264,13 +254,11 @@ pub(super) fn see_record(
     batch: i64,
     anchor: &RootSighting,
 ) -> Result<(), StoreError> {
-    let seen = see(connection, anchor)?;
-    if seen > 0 {
+    if see(connection, anchor)? > 0 {
         return Ok(());
     }
     let sql = "UPDATE records SET state = ?3 WHERE n = ?1 AND (SELECT block FROM batches WHERE key = ?2) IS NOT NULL";
-    connection.run(sql, params![record, batch, RecordState::Mined.code()])?;
-    Ok(())
+    connection.run(sql, params![record, batch, RecordState::Mined.code()])
 }
 
 /// A signed transaction anchors the batch.
@@ -283,28 +271,24 @@ pub(super) fn submit(
     let detail = |detail: &str| StoreError::Transaction { hash: transaction.to_hex(), detail: detail.to_owned() };
     let key = key_of(connection, root)?.ok_or_else(|| detail("anchors a batch that is not in the ledger"))?;
     let sql = "UPDATE batches SET tx = ?2, account = ?3 WHERE key = ?1 AND tx IS NULL";
-    let taken = connection.run(sql, params![key, transaction.0, account.0])?;
-    if taken == 0 {
+    if connection.changed(sql, params![key, transaction.0, account.0])? == 0 {
         return Err(detail("anchors a batch that another transaction anchors"));
     }
     let sql = "UPDATE records SET tx = NULL, state = CASE state WHEN ?2 THEN ?3 ELSE state END
         WHERE block IS NULL AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
-    connection.run(sql, params![key, RecordState::Batched.code(), RecordState::Submitted.code()])?;
-    Ok(())
+    connection.run(sql, params![key, RecordState::Batched.code(), RecordState::Submitted.code()])
 }
 
 /// The transaction will never be mined: unless something else anchored the batch, it waits again.
 pub(super) fn release(connection: &Connection, root: Hash, transaction: Hash) -> Result<(), StoreError> {
     let Some(key) = key_of(connection, root)? else { return Ok(()) };
     let sql = "UPDATE batches SET tx = NULL, account = NULL WHERE key = ?1 AND tx = ?2 AND block IS NULL";
-    let freed = connection.run(sql, params![key, transaction.0])?;
-    if freed == 0 {
+    if connection.changed(sql, params![key, transaction.0])? == 0 {
         return Ok(());
     }
     let sql = "UPDATE records SET state = ?3 WHERE +state = ?2 AND tx IS NULL
         AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
-    connection.run(sql, params![key, RecordState::Submitted.code(), RecordState::Batched.code()])?;
-    Ok(())
+    connection.run(sql, params![key, RecordState::Submitted.code(), RecordState::Batched.code()])
 }
 
 /// Batches from this block on lose it; returns their keys. Any of our open transactions that anchors one continues.
@@ -377,28 +361,17 @@ fn batch_of(
     }
     let sql = "INSERT INTO batches (root, owner, count, closed_at, account, tx, closed_here)
         VALUES (?1, ?2, ?3, ?4, ?2, ?5, 0) ON CONFLICT DO NOTHING";
-    connection.run(
-        sql,
-        params![
-            inclusion.root.0,
-            anchor.account.0,
-            whole("count", inclusion.count)?,
-            whole("time", Timestamp::now().0)?,
-            anchor.transaction.0
-        ],
-    )?;
-    Ok(connection.one("SELECT key FROM batches WHERE root = ?1", [inclusion.root.0], |row| row.get(0))?)
+    let (root, count, now) = (inclusion.root.0, whole("count", inclusion.count)?, whole("time", Timestamp::now().0)?);
+    connection.run(sql, params![root, anchor.account.0, count, now, anchor.transaction.0])?;
+    Ok(connection.one("SELECT key FROM batches WHERE root = ?1", [root], |row| row.get(0))?)
 }
 
 /// Old blocks are not all kept, but no reorg reaches them.
 fn is_read(connection: &Connection, anchor: &RootSighting) -> Result<bool, StoreError> {
     let sql = "SELECT EXISTS (SELECT 1 FROM trail WHERE block = ?1 AND hash = ?2)
         OR ?1 + ?3 < coalesce((SELECT max(block) FROM trail), 0)";
-    Ok(connection.one(
-        sql,
-        params![whole("block", anchor.block)?, anchor.block_hash.0, whole("block", sightings::DENSE)?],
-        |row| row.get(0),
-    )?)
+    let (block, dense) = (whole("block", anchor.block)?, whole("block", sightings::DENSE)?);
+    Ok(connection.one(sql, params![block, anchor.block_hash.0, dense], |row| row.get(0))?)
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -426,8 +399,7 @@ impl Counts {
                 found.entry(place).or_default().insert(rows::state(row, 2)?, unsigned(row, 3)?);
                 Ok(())
             })?;
-            let topics = found.into_iter().map(|((signer, topic), records)| SignerTopic { signer, topic, records });
-            Ok(topics.collect())
+            Ok(found.into_iter().map(|((signer, topic), records)| SignerTopic { signer, topic, records }).collect())
         })
     }
 }

@@ -107,8 +107,7 @@ impl Branch {
             return Ok(());
         }
         let sql = "REPLACE INTO branches VALUES (?1, ?2, ?3)";
-        connection.run(sql, params![batch, whole("branch", self.number)?, self.to_bytes()])?;
-        Ok(())
+        connection.run(sql, params![batch, whole("branch", self.number)?, self.to_bytes()])
     }
 }
 

@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use rusqlite::{Connection, params};
 
-use super::Proofs;
-use super::rows::unsigned;
+use super::rows::{optional, unsigned};
+use super::{Proofs, Session};
 use crate::StoreError;
 use crate::database::{Statements as _, capped, count, whole};
 use crate::model::{Address, Hash, SignerId, Timestamp};
@@ -71,8 +71,7 @@ impl Proofs {
         nodes: Vec<HashedNode>,
     ) -> Result<(), StoreError> {
         let block = whole("block", block)?;
-        self.0.write(move |session| {
-            let connection = session.connection;
+        self.0.write(move |Session { connection, .. }| {
             let sql = "SELECT nodes FROM chain_proofs WHERE block = ?1 AND hash = ?2";
             let before: Option<Vec<u8>> = connection.find(sql, params![block, hash.0], |row| row.get(0))?;
             let mut keys = before.unwrap_or_default();
@@ -112,10 +111,8 @@ impl Proofs {
     pub fn chain_proof(&self, block: u64) -> Result<Option<KeptProof>, StoreError> {
         let block = whole("block", block)?;
         self.0.read(|connection| {
-            let found: Option<([u8; 32], Vec<u8>)> =
-                connection.find("SELECT hash, nodes FROM chain_proofs WHERE block = ?1", [block], |row| {
-                    Ok((row.get(0)?, row.get(1)?))
-                })?;
+            let sql = "SELECT hash, nodes FROM chain_proofs WHERE block = ?1";
+            let found = connection.find(sql, [block], |row| Ok((Hash(row.get(0)?), row.get::<_, Vec<u8>>(1)?)))?;
             let Some((hash, keys)) = found else { return Ok(None) };
             let mut find = connection.prepare_cached("SELECT node FROM chain_nodes WHERE key = ?1")?;
             let (keys, rest) = keys.as_chunks::<8>();
@@ -125,7 +122,7 @@ impl Proofs {
             }
             let keys = keys.iter().map(|key| i64::from_be_bytes(*key));
             let nodes = keys.map(|key| find.query_row([key], |row| row.get(0))).collect::<Result<_, _>>()?;
-            Ok(Some(KeptProof { hash: Hash(hash), nodes }))
+            Ok(Some(KeptProof { hash, nodes }))
         })
     }
 
@@ -133,8 +130,7 @@ impl Proofs {
         let sql = "SELECT (SELECT max(block) FROM chain_proofs),
             (SELECT count(*) FROM batches INDEXED BY batches_without_proof WHERE proof = 2)";
         self.0.one(sql, [], |row| {
-            let newest = row.get::<_, Option<i64>>(0)?.map(i64::cast_unsigned);
-            Ok(ProofCounts { newest, missed: unsigned(row, 1)? })
+            Ok(ProofCounts { newest: optional(row, 0)?, missed: unsigned(row, 1)? })
         })
     }
 }
@@ -148,8 +144,7 @@ fn signers(connection: &Connection, batch: i64) -> Result<Vec<(Address, SignerId
 
 fn keep_header(connection: &Connection, block: i64, header: &[u8]) -> Result<(), StoreError> {
     let sql = "REPLACE INTO chain_headers (block, header) VALUES (?1, ?2)";
-    connection.run(sql, params![block, header])?;
-    Ok(())
+    connection.run(sql, params![block, header])
 }
 
 fn node_key(connection: &Connection, hash: Hash, node: &[u8]) -> Result<i64, StoreError> {
@@ -187,15 +182,14 @@ impl Proofs {
     /// Stamps the oldest `most` of the batches closed since the last stamp; returns how many.
     pub fn begin_stamp(&self, most: usize, at: Timestamp) -> Result<u64, StoreError> {
         let (most, at) = (capped(most), whole("time", at.0)?);
-        self.0.write(move |session| {
-            let connection = session.connection;
+        self.0.write(move |Session { connection, .. }| {
             let sql = "SELECT key, root FROM batches WHERE key > coalesce((SELECT max(upto) FROM stamps), 0)
                 ORDER BY key LIMIT ?1";
             let found: Vec<(i64, [u8; 32])> = connection.list(sql, [most], |row| Ok((row.get(0)?, row.get(1)?)))?;
             let Some((upto, _)) = found.last() else { return Ok(0) };
             let roots: Vec<u8> = found.iter().flat_map(|(_, root)| *root).collect();
-            connection
-                .run("INSERT INTO stamps (made_at, upto, roots) VALUES (?1, ?2, ?3)", params![at, upto, roots])?;
+            let sql = "INSERT INTO stamps (made_at, upto, roots) VALUES (?1, ?2, ?3)";
+            connection.run(sql, params![at, upto, roots])?;
             let key = connection.last_insert_rowid();
             let sql = "INSERT OR IGNORE INTO stamped_roots VALUES (?1, ?2)";
             connection.run_each(sql, found.iter().map(|(_, root)| (root, key)))?;
@@ -241,10 +235,9 @@ impl Proofs {
         let sql = "SELECT (SELECT count(*) FROM stamps), (SELECT count(DISTINCT stamp) FROM stamp_tokens),
             (SELECT max(made_at) FROM stamps), (SELECT max(before) FROM stamp_tokens)";
         self.0.one(sql, [], |row| {
-            let time =
-                |at| Ok::<_, rusqlite::Error>(row.get::<_, Option<i64>>(at)?.map(|at| Timestamp(at.cast_unsigned())));
             let (all, stamped) = (unsigned(row, 0)?, unsigned(row, 1)?);
-            Ok(StampCounts { stamped, waiting: all.saturating_sub(stamped), newest: time(2)?, before: time(3)? })
+            let (newest, before) = (optional(row, 2)?.map(Timestamp), optional(row, 3)?.map(Timestamp));
+            Ok(StampCounts { stamped, waiting: all.saturating_sub(stamped), newest, before })
         })
     }
 }

@@ -2,11 +2,11 @@
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
-use rusqlite::{Connection, OptionalExtension as _, params};
+use rusqlite::{Connection, Row, params};
 use serde::{Deserialize, Serialize};
 
 use super::Counts;
-use super::rows::{self, Stream, Which, unsigned};
+use super::rows::{self, Stream, Which, optional, time, unsigned};
 use crate::StoreError;
 use crate::database::{Statements as _, whole};
 use crate::model::{Address, LossReason, RecordKind, RecordState, RecorderId, SignerId, Timestamp, TopicId};
@@ -111,16 +111,15 @@ impl Counts {
             JOIN streams ON streams.key = epoch_records.stream JOIN topics ON topics.key = streams.topic
             WHERE topics.owner = ?1 AND epoch = ?2 AND kind = ?3";
         let values = params![owner.0, whole("epoch", epoch)?, RecordKind::Data.code()];
-        let mut found: Vec<(TopicId, u64, Timestamp)> = self
-            .0
-            .list(sql, values, |row| Ok((TopicId(row.get(0)?), unsigned(row, 1)?, Timestamp(unsigned(row, 2)?))))?;
+        let row = |row: &Row<'_>| Ok((TopicId(row.get(0)?), unsigned(row, 1)?, time(row, 2)?));
+        let mut found: Vec<(TopicId, u64, Timestamp)> = self.0.list(sql, values, row)?;
         found.retain(|(topic, ..)| topics.is_none_or(|topics| topics.contains(topic)));
         Ok((found.iter().map(|(_, records, _)| records).sum(), found.iter().map(|(.., first)| *first).min()))
     }
 
     pub fn in_each_state(&self) -> Result<BTreeMap<RecordState, u64>, StoreError> {
         let sql = "SELECT state, sum(records) FROM counters GROUP BY state HAVING sum(records) > 0";
-        self.0.list(sql, [], |row| Ok((rows::state(row, 0)?, rows::unsigned(row, 1)?)))
+        self.0.list(sql, [], |row| Ok((rows::state(row, 0)?, unsigned(row, 1)?)))
     }
 }
 
@@ -189,11 +188,9 @@ impl Tally {
     }
 
     fn add_drops(&mut self, connection: &Connection, owner: Option<Address>) -> Result<(), StoreError> {
-        let mut statement = connection
-            .prepare_cached("SELECT owner, topic, reason, count FROM drops WHERE ?1 IS NULL OR owner = ?1")?;
-        let mut rows = statement.query([owner.map(|owner| owner.0)])?;
-        while let Some(row) = rows.next()? {
-            let (topic, reason, count) = (row.get::<_, String>(1)?, row.get::<_, String>(2)?, rows::unsigned(row, 3)?);
+        let sql = "SELECT owner, topic, reason, count FROM drops WHERE ?1 IS NULL OR owner = ?1";
+        connection.each(sql, [owner.map(|owner| owner.0)], |row| {
+            let (topic, reason, count) = (row.get::<_, String>(1)?, row.get::<_, String>(2)?, unsigned(row, 3)?);
             let topic = self.topic(Address(row.get(0)?), &topic);
             if reason == LossReason::Transport.word() {
                 topic.missed += count;
@@ -205,8 +202,8 @@ impl Tally {
                 self.counts.lost_in_recorder += count;
                 *self.counts.data.entry(RecordState::Dropped).or_default() += count;
             }
-        }
-        Ok(())
+            Ok(())
+        })
     }
 
     fn topic(&mut self, owner: Address, topic: &str) -> &mut TopicCounts {
@@ -253,7 +250,7 @@ pub struct CoverageQuery {
     pub parts: usize,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct CoveragePart {
     pub at: Timestamp,
     /// Neither quarantined nor altered.
@@ -336,12 +333,10 @@ fn ends(connection: &Connection, lanes: &[Lane]) -> Result<(Option<Timestamp>, O
         let sql = format!(
             "SELECT {which}(captured_at) FROM records INDEXED BY records_by_state WHERE state = ?1 AND stream = ?2"
         );
-        let mut statement = connection.prepare_cached(&sql)?;
         let mut found = Vec::new();
         for lane in lanes {
-            let values = params![i64::from(lane.state.code()), lane.stream];
-            let at: Option<i64> = statement.query_row(values, |row| row.get(0))?;
-            found.extend(at.map(|at| Timestamp(at.cast_unsigned())));
+            let values = [i64::from(lane.state.code()), lane.stream];
+            found.extend(connection.one(&sql, values, |row| optional(row, 0))?.map(Timestamp));
         }
         Ok(found)
     };
@@ -351,29 +346,21 @@ fn ends(connection: &Connection, lanes: &[Lane]) -> Result<(Option<Timestamp>, O
 fn empty(since: Timestamp, query: &CoverageQuery) -> Vec<CoveragePart> {
     let count = query.parts.clamp(1, MOST_PARTS) as u64;
     let length = (query.until.0 - since.0).div_ceil(count).max(1);
-    let part = |place: u64| CoveragePart {
-        at: Timestamp(since.0.saturating_add(place * length)),
-        data: false,
-        quarantined: false,
-        tampered: false,
-        lost: 0,
-    };
+    let at = |place: u64| Timestamp(since.0.saturating_add(place * length));
+    let part = |place| CoveragePart { at: at(place), ..CoveragePart::default() };
     (0..count).map(part).take_while(|part| part.at < query.until || part.at == since).collect()
 }
 
 impl Lane {
     /// Jumps to the next part with records.
     fn walk(&self, connection: &Connection, until: Timestamp, parts: &mut [CoveragePart]) -> Result<(), StoreError> {
-        let mut statement = connection.prepare_cached(
-            "SELECT captured_at FROM records INDEXED BY records_by_state
-                WHERE state = ?1 AND stream = ?2 AND captured_at >= ?3 AND captured_at < ?4 ORDER BY captured_at LIMIT 1",
-        )?;
+        let sql = "SELECT captured_at FROM records INDEXED BY records_by_state
+                WHERE state = ?1 AND stream = ?2 AND captured_at >= ?3 AND captured_at < ?4 ORDER BY captured_at LIMIT 1";
+        let (state, until) = (i64::from(self.state.code()), whole("time", until.0)?);
         let mut from = parts.first().map(|part| part.at);
         while let Some(at) = from {
-            let values =
-                params![i64::from(self.state.code()), self.stream, whole("time", at.0)?, whole("time", until.0)?];
-            let found: Option<i64> = statement.query_row(values, |row| row.get(0)).optional()?;
-            let Some(found) = found.map(i64::cast_unsigned) else { return Ok(()) };
+            let values = [state, self.stream, whole("time", at.0)?, until];
+            let Some(found) = connection.find(sql, values, |row| unsigned(row, 0))? else { return Ok(()) };
             let behind = parts.partition_point(|part| part.at.0 <= found);
             if let Some(part) = behind.checked_sub(1).and_then(|place| parts.get_mut(place)) {
                 self.note(part);
@@ -387,35 +374,26 @@ impl Lane {
         match self.state {
             RecordState::Quarantined | RecordState::Dropped => part.quarantined = true,
             RecordState::Tampered => part.tampered = true,
-            RecordState::Captured
-            | RecordState::Stored
-            | RecordState::Batched
-            | RecordState::Submitted
-            | RecordState::Mined
-            | RecordState::Confirmed
-            | RecordState::Verified
-            | RecordState::RightEnded => part.data = true,
+            _ => part.data = true,
         }
     }
 }
 
 fn add_losses(connection: &Connection, query: &CoverageQuery, parts: &mut [CoveragePart]) -> Result<(), StoreError> {
     let Some(since) = parts.first().map(|part| part.at) else { return Ok(()) };
-    let mut statement = connection.prepare_cached(
+    let sql =
         "SELECT count, first_at, last_at FROM gaps WHERE owner = ?1 AND topic = ?2 AND last_at >= ?3 AND first_at < ?4
-            ORDER BY key DESC LIMIT ?5",
-    )?;
+            ORDER BY key DESC LIMIT ?5";
     let (since, until) = (whole("time", since.0)?, whole("time", query.until.0)?);
-    let mut found = statement.query(params![query.owner.0, query.topic, since, until, MOST_LOSSES])?;
-    while let Some(row) = found.next()? {
+    connection.each(sql, params![query.owner.0, query.topic, since, until, MOST_LOSSES], |row| {
         let (count, first, last) = (unsigned(row, 0)?, unsigned(row, 1)?, unsigned(row, 2)?);
         let from = parts.partition_point(|part| part.at.0 <= first).saturating_sub(1);
         let to = parts.partition_point(|part| part.at.0 <= last);
         for part in parts.iter_mut().take(to).skip(from) {
             part.lost = part.lost.saturating_add(count);
         }
-    }
-    Ok(())
+        Ok(())
+    })
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

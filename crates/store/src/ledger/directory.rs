@@ -6,12 +6,12 @@ use std::path::Path;
 use rusqlite::{Connection, Row, params};
 
 use super::query::Glance;
-use super::rows::{By, anchored, may, of_its_batch, unsigned};
+use super::rows::{By, anchored, check, of_its_batch, optional, unsigned};
 use super::writer::Session;
 use super::{Batches, Rights, batches};
 use crate::StoreError;
 use crate::crypto::merkle::Leaf;
-use crate::database::{Statements as _, capped, count, whole};
+use crate::database::{Statements as _, capped, whole};
 use crate::model::{Address, Digest, Domain, RecordState, SignerId, Token};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -95,8 +95,7 @@ impl Rights {
     /// A ledger is bound to one contract; `pin` identifies it.
     pub fn bind_contract(&self, domain: Domain, pin: &str) -> Result<(), StoreError> {
         let pin = pin.to_owned();
-        self.0.write(move |session| {
-            let connection = session.connection;
+        self.0.write(move |Session { connection, .. }| {
             let sql = "INSERT INTO contract VALUES (1, ?1, ?2, 0, -1) ON CONFLICT DO UPDATE SET pin = excluded.pin \
                        WHERE domain = excluded.domain AND pin <> excluded.pin";
             connection.run(sql, params![domain.0, pin])?;
@@ -144,8 +143,7 @@ impl Rights {
     /// Undoes the events of blocks from `from` on, and what they superseded, in one commit.
     pub fn take_back_rights(&self, from: u64) -> Result<(), StoreError> {
         let from = whole("block", from)?;
-        self.0.write_many(super::writer::MANY + 1, move |session| {
-            let connection = session.connection;
+        self.0.write_many(super::writer::MANY + 1, move |Session { connection, .. }| {
             if last_event(connection)?.0 < from {
                 return Ok(());
             }
@@ -157,8 +155,7 @@ impl Rights {
             ] {
                 connection.run(sql, [from])?;
             }
-            connection.run(UP_TO, [from - 1, WHOLE_BLOCK])?;
-            Ok(())
+            connection.run(UP_TO, [from - 1, WHOLE_BLOCK])
         })
     }
 
@@ -181,8 +178,7 @@ impl Rights {
     pub fn forget_rights(&self) -> Result<(), StoreError> {
         self.0.write_many(super::writer::MANY + 1, move |session| {
             session.connection.execute_batch("DELETE FROM envelopes; DELETE FROM rights;")?;
-            session.connection.run(UP_TO, [0, -1])?;
-            Ok(())
+            session.connection.run(UP_TO, [0, -1])
         })
     }
 
@@ -222,9 +218,7 @@ impl Rights {
                 WHERE owner = ?1 AND kind IN (1, 2) AND grantee = ?2 AND {which}
                 ORDER BY r.block, r.place"
         );
-        self.0.list(&sql, params![owner.0, grantee.0, asked], |row| {
-            Ok(KeptEnvelope { epoch: unsigned(row, 0)?, block: unsigned(row, 1)?, bytes: row.get(2)? })
-        })
+        self.0.list(&sql, params![owner.0, grantee.0, asked], envelope)
     }
 
     /// Made by an owner for itself; in the chain's order.
@@ -233,15 +227,12 @@ impl Rights {
         let sql = "SELECT r.epoch, r.block, e.envelope FROM rights r INDEXED BY rights_own
             JOIN envelopes e ON e.block = r.block AND e.place = r.place
             WHERE owner = ?1 AND epoch BETWEEN ?2 AND ?3 AND kind = 6 ORDER BY r.block, r.place";
-        self.0.list(sql, params![owner.0, from, to], |row| {
-            Ok(KeptEnvelope { epoch: unsigned(row, 0)?, block: unsigned(row, 1)?, bytes: row.get(2)? })
-        })
+        self.0.list(sql, params![owner.0, from, to], envelope)
     }
 
     pub fn envelope_at(&self, block: u64, place: u64) -> Result<Option<Vec<u8>>, StoreError> {
-        let at = (whole("block", block)?, whole("place", place)?);
         let sql = "SELECT envelope FROM envelopes WHERE block = ?1 AND place = ?2";
-        self.0.find(sql, [at.0, at.1], |row| row.get(0))
+        self.0.find(sql, [whole("block", block)?, whole("place", place)?], |row| row.get(0))
     }
 
     pub fn epoch_token(&self, owner: Address, epoch: u64) -> Result<Option<Token>, StoreError> {
@@ -259,8 +250,12 @@ impl Rights {
 }
 
 fn kept(row: &Row<'_>) -> rusqlite::Result<KeptRight> {
-    let revoked = row.get::<_, Option<i64>>(3)?.map(i64::cast_unsigned);
-    Ok(KeptRight { block: unsigned(row, 0)?, place: unsigned(row, 1)?, event: row.get(2)?, revoked })
+    let (block, place, revoked) = (unsigned(row, 0)?, unsigned(row, 1)?, optional(row, 3)?);
+    Ok(KeptRight { block, place, event: row.get(2)?, revoked })
+}
+
+fn envelope(row: &Row<'_>) -> rusqlite::Result<KeptEnvelope> {
+    Ok(KeptEnvelope { epoch: unsigned(row, 0)?, block: unsigned(row, 1)?, bytes: row.get(2)? })
 }
 
 /// Block and place; (0, -1) before the first event.
@@ -281,8 +276,7 @@ fn keep_all(session: &Session<'_>, events: &[RightEvent]) -> Result<(), StoreErr
         keep_one(connection, event)?;
         (block, place) = at;
     }
-    connection.run(UP_TO, [block, place])?;
-    Ok(())
+    connection.run(UP_TO, [block, place])
 }
 
 fn end_others(connection: &Connection, event: &RightEvent) -> Result<(), StoreError> {
@@ -309,20 +303,10 @@ fn keep_one(connection: &Connection, event: &RightEvent) -> Result<(), StoreErro
     let epoch = event.epoch.map(|epoch| whole("epoch", epoch)).transpose()?;
     let sql = "INSERT INTO rights (block, place, kind, owner, grantee, epoch, token, event, replaced)
         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)";
-    connection.run(
-        sql,
-        params![
-            block,
-            place,
-            event.kind as i64,
-            event.owner.map(|owner| owner.0),
-            event.grantee.map(|grantee| grantee.0),
-            epoch,
-            event.token.map(|token| token.0),
-            event.event,
-            (event.kind == RightKind::Own).then_some(block),
-        ],
-    )?;
+    let [owner, grantee] = [event.owner, event.grantee].map(|account| account.map(|account| account.0));
+    let (kind, token) = (event.kind as i64, event.token.map(|token| token.0));
+    let replaced = (event.kind == RightKind::Own).then_some(block);
+    connection.run(sql, params![block, place, kind, owner, grantee, epoch, token, event.event, replaced])?;
     if let Some(envelope) = &event.envelope {
         connection.run("INSERT INTO envelopes VALUES (?1, ?2, ?3)", params![block, place, envelope])?;
     }
@@ -330,6 +314,9 @@ fn keep_one(connection: &Connection, event: &RightEvent) -> Result<(), StoreErro
 }
 
 // Callers decide rights; the ledger holds records of signers without a right, and ignores their anchors.
+
+/// The account that anchors, the owner and the signer of records.
+type Whose = (Address, Address, SignerId);
 
 /// Per commit.
 const MOST: usize = 8192;
@@ -371,17 +358,18 @@ impl Batches {
     /// to wait; call until 0.
     pub fn hold_signer(&self, keeper: Address, owner: Address, signer: SignerId) -> Result<u64, StoreError> {
         self.0.write_many(MOST, move |session| {
-            for batch in unsent_batches(session.connection, keeper, owner, signer)? {
+            let whose = (keeper, owner, signer);
+            for batch in unsent_batches(session.connection, whose)? {
                 dissolve(session.connection, batch)?;
             }
-            shift(session.connection, (keeper, owner, signer), RecordState::Stored, RecordState::RightEnded)
+            shift(session.connection, whose, (RecordState::Stored, RecordState::RightEnded))
         })
     }
 
     /// A right is back: its records are stored. Returns how many; call until 0.
     pub fn free_signer(&self, keeper: Address, owner: Address, signer: SignerId) -> Result<u64, StoreError> {
         self.0.write_many(MOST, move |session| {
-            shift(session.connection, (keeper, owner, signer), RecordState::RightEnded, RecordState::Stored)
+            shift(session.connection, (keeper, owner, signer), (RecordState::RightEnded, RecordState::Stored))
         })
     }
 
@@ -407,27 +395,19 @@ impl Batches {
 /// At most [`MOST`] records.
 fn shift(
     connection: &Connection,
-    (keeper, owner, signer): (Address, Address, SignerId),
-    from: RecordState,
-    to: RecordState,
+    (keeper, owner, signer): Whose,
+    (from, to): (RecordState, RecordState),
 ) -> Result<u64, StoreError> {
-    if !may(By::Right, from, to) {
-        return Err(StoreError::IllegalEdge { from, to });
-    }
+    check(By::Right, from, to)?;
     let sql = format!(
         "UPDATE records SET state = ?5 WHERE n IN (SELECT n FROM records INDEXED BY records_by_state
             WHERE state = ?4 AND stream IN ({STREAMS}) LIMIT {MOST})"
     );
     let values = params![keeper.0, owner.0, signer.0, from.code(), to.code()];
-    Ok(count(connection.run(&sql, values)?))
+    Ok(connection.changed(&sql, values)?)
 }
 
-fn unsent_batches(
-    connection: &Connection,
-    keeper: Address,
-    owner: Address,
-    signer: SignerId,
-) -> Result<Vec<i64>, StoreError> {
+fn unsent_batches(connection: &Connection, (keeper, owner, signer): Whose) -> Result<Vec<i64>, StoreError> {
     let sql = format!(
         "SELECT DISTINCT batch FROM records INDEXED BY records_by_state JOIN leaves ON record = n
             JOIN batches ON key = batch WHERE state = ?4 AND stream IN ({STREAMS})
@@ -440,21 +420,16 @@ fn unsent_batches(
 /// The root stays known as this ledger's.
 fn dissolve(connection: &Connection, batch: i64) -> Result<(), StoreError> {
     let [batched, stored] = [RecordState::Batched, RecordState::Stored];
-    if !may(By::Right, batched, stored) {
-        return Err(StoreError::IllegalEdge { from: batched, to: stored });
-    }
+    check(By::Right, batched, stored)?;
     let sql = "UPDATE records SET state = ?3 WHERE +state = ?2 AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
     connection.run(sql, params![batch, batched.code(), stored.code()])?;
     connection.run("REPLACE INTO left_places SELECT batch, leaf, record FROM leaves WHERE batch = ?1", [batch])?;
-    connection.run("DELETE FROM leaves WHERE batch = ?1", [batch])?;
-    Ok(())
+    connection.run("DELETE FROM leaves WHERE batch = ?1", [batch])
 }
 
 fn pass_over_one(connection: &Connection, digest: Digest) -> Result<u64, StoreError> {
     let [confirmed, stored] = [RecordState::Confirmed, RecordState::Stored];
-    if !may(By::Right, confirmed, stored) {
-        return Err(StoreError::IllegalEdge { from: confirmed, to: stored });
-    }
+    check(By::Right, confirmed, stored)?;
     let sql =
         concat!("SELECT n FROM records WHERE digest = ?1 AND state = ?2 AND ", anchored!("block"), " IS NOT NULL");
     let found: Option<i64> = connection.find(sql, params![digest.0, confirmed.code()], |row| row.get(0))?;
@@ -473,8 +448,7 @@ fn pass_over_one(connection: &Connection, digest: Digest) -> Result<u64, StoreEr
 
 /// A batch that all its records left waits again when it is closed over the same ones.
 pub(super) fn begin_again(connection: &Connection, batch: i64) -> Result<bool, StoreError> {
-    let in_use = connection.has("SELECT 1 FROM leaves WHERE batch = ?1", [batch])?;
-    if in_use {
+    if connection.has("SELECT 1 FROM leaves WHERE batch = ?1", [batch])? {
         return Ok(false);
     }
     connection.run("DELETE FROM left_places WHERE batch = ?1", [batch])?;

@@ -75,9 +75,8 @@ impl Erasures {
         let sql = "REPLACE INTO erasures (record, statement, account, taken)
             SELECT n, ?2, ?3, coalesce((SELECT taken FROM erasures WHERE record = records.n), 0)
             FROM records WHERE digest = ?1";
-        self.0
-            .run_each(sql, stated.into_iter().map(|one| (one.digest.0, one.statement, one.account)).collect())
-            .map(drop)
+        let rows = stated.into_iter().map(|one| (one.digest.0, one.statement, one.account)).collect();
+        self.0.run_each(sql, rows).map(drop)
     }
 
     pub fn kept(&self, digest: Digest) -> Result<Option<KeptErasure>, StoreError> {
@@ -188,17 +187,15 @@ fn told() -> String {
 
 fn kept(connection: &Connection, digest: Digest) -> Result<Option<KeptErasure>, StoreError> {
     let sql = "SELECT statement, account, taken FROM erasures WHERE record = (SELECT n FROM records WHERE digest = ?1)";
-    let found = connection.find(sql, [digest.0], |row| {
+    Ok(connection.find(sql, [digest.0], |row| {
         Ok(KeptErasure { statement: row.get(0)?, account: row.get(1)?, taken: row.get(2)? })
-    })?;
-    Ok(found)
+    })?)
 }
 
 /// State, and whether the bytes are gone.
 fn found(connection: &Connection, digest: Digest) -> Result<Option<(RecordState, bool)>, StoreError> {
-    Ok(connection.find("SELECT state, deleted_at IS NOT NULL FROM records WHERE digest = ?1", [digest.0], |row| {
-        Ok((state(row, 0)?, row.get(1)?))
-    })?)
+    let sql = "SELECT state, deleted_at IS NOT NULL FROM records WHERE digest = ?1";
+    Ok(connection.find(sql, [digest.0], |row| Ok((state(row, 0)?, row.get(1)?)))?)
 }
 
 /// Not while an operator decides.
@@ -235,8 +232,7 @@ fn give_up(connection: &Connection, digest: Digest, taken: &TakenErased) -> Resu
     let sql = "INSERT INTO retained (record, report, header) SELECT n, ?2, ?3 FROM records WHERE digest = ?1
         ON CONFLICT DO UPDATE SET report = excluded.report, header = excluded.header
         WHERE NOT EXISTS (SELECT 1 FROM notes WHERE kind = 'erased' AND about = lower(hex(retained.report)))";
-    let named = connection.run(sql, params![digest.0, taken.report.0, taken.header])?;
-    if named == 0 {
+    if connection.changed(sql, params![digest.0, taken.report.0, taken.header])? == 0 {
         return Ok(ToldErased::Unchanged);
     }
     if !is_named {
@@ -286,15 +282,13 @@ fn take_from_rule(connection: &Connection, digest: Digest, report: Digest) -> Re
     let sql = "UPDATE retained SET report = ?2 WHERE record = (SELECT n FROM records WHERE digest = ?1)
         AND deleted_at IS NULL
         AND NOT EXISTS (SELECT 1 FROM notes WHERE kind = 'erased' AND about = lower(hex(report)))";
-    let taken = connection.run(sql, params![digest.0, report.0])?;
-    Ok(taken > 0)
+    Ok(connection.changed(sql, params![digest.0, report.0])? > 0)
 }
 
 pub(super) fn count_given_up(connection: &Connection, digest: Digest) -> Result<(), StoreError> {
     let sql = "INSERT INTO retained_topics SELECT topic, 1, bytes FROM records WHERE digest = ?1
         ON CONFLICT DO UPDATE SET records = records + excluded.records, bytes = bytes + excluded.bytes";
-    connection.run(sql, [digest.0])?;
-    Ok(())
+    connection.run(sql, [digest.0])
 }
 
 impl Erasures {
@@ -336,8 +330,7 @@ impl Erasures {
             let (connection, at) = (session.connection, whole("time", taken.at.0)?);
             let sql = "INSERT INTO retained (record, report, header, deleted_at) SELECT n, ?2, ?3, ?4 FROM records
                 WHERE digest = ?1 ON CONFLICT DO NOTHING";
-            let named = connection.run(sql, params![digest, taken.report.0, taken.header, at])?;
-            if named > 0 {
+            if connection.changed(sql, params![digest, taken.report.0, taken.header, at])? > 0 {
                 count_given_up(connection, record.digest)?;
             }
             let sql = "UPDATE records SET deleted_at = ?2 WHERE digest = ?1 AND deleted_at IS NULL";

@@ -65,16 +65,14 @@ const MOST_IDS: i64 = 4096;
 /// Gives the feed a new id: a copy of the file that falls behind `after` would give the same numbers again.
 pub(super) fn begin(connection: &Connection, after: i64) -> Result<(), StoreError> {
     connection.run("INSERT INTO feeds (id, after) VALUES (randomblob(16), ?1)", [after])?;
-    connection.run("DELETE FROM feeds WHERE key <= (SELECT max(key) FROM feeds) - ?1", [MOST_IDS])?;
-    Ok(())
+    connection.run("DELETE FROM feeds WHERE key <= (SELECT max(key) FROM feeds) - ?1", [MOST_IDS])
 }
 
 /// Adds an owner's notice.
 pub(super) fn note(connection: &Connection, record: i64, topic: i64) -> Result<(), StoreError> {
     connection.run("UPDATE about SET head = head + 1", [])?;
     let sql = "INSERT INTO feed SELECT head, ?1, ?2, ?3 FROM about";
-    connection.run(sql, params![record, topic, Fact::Stored.code()])?;
-    Ok(())
+    connection.run(sql, params![record, topic, Fact::Stored.code()])
 }
 
 fn page(connection: &Connection, id: &[u8; 16], filter: &FeedFilter, limit: usize) -> Result<FeedPage, StoreError> {
@@ -88,38 +86,23 @@ fn page(connection: &Connection, id: &[u8; 16], filter: &FeedFilter, limit: usiz
     let place = |after: u64| if is_anew { 0 } else { after };
     let topics = topics(connection, filter, place)?;
     let first = filter.places.iter().map(|wanted| place(wanted.after)).min().unwrap_or(head);
-    let mut found = Found { upto: first, rows: Vec::new() };
-    let looked_at = found.look(connection, &topics, limit)?;
-    if looked_at < MOST_LOOKED_AT && found.rows.len() < limit {
-        found.upto = head;
-    }
-    Ok(FeedPage { id: own, is_anew, head, upto: found.upto, rows: filled(connection, found.rows, filter.kind)? })
-}
-
-struct Found {
-    upto: u64,
-    rows: Vec<(u64, Fact, i64)>,
-}
-
-impl Found {
-    /// Returns how many rows it read.
-    fn look(&mut self, connection: &Connection, topics: &HashMap<i64, u64>, limit: usize) -> Result<i64, StoreError> {
-        let mut statement = connection.prepare_cached(
-            "SELECT number, record, topic, fact FROM feed WHERE number > ?1 ORDER BY number LIMIT ?2",
-        )?;
-        let mut rows = statement.query(params![self.upto.cast_signed(), MOST_LOOKED_AT])?;
-        let mut looked_at = 0;
-        while self.rows.len() < limit
-            && let Some(row) = rows.next()?
-        {
-            (self.upto, looked_at) = (unsigned(row, 0)?, looked_at + 1);
-            if topics.get(&row.get(2)?).is_some_and(|after| self.upto > *after) {
-                let fact = Fact::from_code(row.get(3)?).ok_or_else(|| out_of_range(3))?;
-                self.rows.push((self.upto, fact, row.get(1)?));
-            }
+    let (mut upto, mut found, mut looked_at) = (first, Vec::new(), 0);
+    let sql = "SELECT number, record, topic, fact FROM feed WHERE number > ?1 ORDER BY number LIMIT ?2";
+    let mut statement = connection.prepare_cached(sql)?;
+    let mut rows = statement.query(params![first.cast_signed(), MOST_LOOKED_AT])?;
+    while found.len() < limit
+        && let Some(row) = rows.next()?
+    {
+        (upto, looked_at) = (unsigned(row, 0)?, looked_at + 1);
+        if topics.get(&row.get(2)?).is_some_and(|after| upto > *after) {
+            let fact = Fact::from_code(row.get(3)?).ok_or_else(|| out_of_range(3))?;
+            found.push((upto, fact, row.get(1)?));
         }
-        Ok(looked_at)
     }
+    if looked_at < MOST_LOOKED_AT && found.len() < limit {
+        upto = head;
+    }
+    Ok(FeedPage { id: own, is_anew, head, upto, rows: filled(connection, found, filter.kind)? })
 }
 
 /// Wanted topics by key, each with the number to start after.
@@ -152,11 +135,8 @@ fn filled(
     kind: Option<RecordKind>,
 ) -> Result<Vec<FeedRow>, StoreError> {
     let mut digest = connection.prepare_cached("SELECT digest FROM records WHERE n = ?1")?;
-    let digests: Vec<Digest> = found
-        .iter()
-        .map(|(_, _, record)| digest.query_row([record], |row| row.get(0).map(Digest)))
-        .collect::<Result<_, _>>()?;
-    let placed = placed_in(connection, &digests)?;
+    let digests = found.iter().map(|(_, _, record)| digest.query_row([record], |row| row.get(0).map(Digest)));
+    let placed = placed_in(connection, &digests.collect::<Result<Vec<_>, _>>()?)?;
     let rows = found.into_iter().zip(placed).filter_map(|((number, fact, _), placed)| {
         let placed = placed.filter(|placed| kind.is_none_or(|kind| placed.row.kind == kind))?;
         Some(FeedRow { number, fact, placed })

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use rusqlite::{Connection, OptionalExtension as _, params};
 
-use super::rows::{self, By, RecordRow, may};
+use super::rows::{self, By, RecordRow, check, time};
 use super::{Bindings, Forwarding, Names, Session};
 use crate::StoreError;
 use crate::database::{Statements as _, capped, whole};
@@ -78,8 +78,7 @@ impl Forwarding {
                      JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder
                      WHERE c.state IN (?1, ?2) AND c.records > 0";
             let values = params![RecordState::Stored.code(), RecordState::Submitted.code()];
-            let found: Vec<RecorderId> = connection.list(sql, values, |row| row.get(0).map(RecorderId))?;
-            Ok(found.into_iter().collect())
+            Ok(connection.list(sql, values, |row| row.get(0).map(RecorderId))?)
         })
     }
 
@@ -87,9 +86,7 @@ impl Forwarding {
     /// are all verified. Returns how many changed.
     pub fn settle(&self, digests: &[Digest], to: RecordState) -> Result<u64, StoreError> {
         let from = RecordState::Submitted;
-        if !may(By::Gateway, from, to) {
-            return Err(StoreError::IllegalEdge { from, to });
-        }
+        check(By::Gateway, from, to)?;
         let digests = digests.to_vec();
         self.0.write_many(digests.len(), move |session| {
             let moved = shift(session, &digests, from, to)?;
@@ -105,16 +102,12 @@ impl Forwarding {
 
     /// The newest that covers an unverified record.
     pub fn receipt_of(&self, digest: Digest) -> Result<Option<KeptReceipt>, StoreError> {
-        self.0.read(|connection| {
-            let sql = "SELECT at, digests, signature FROM receipts WHERE key = (SELECT receipt FROM receipted
+        let sql = "SELECT at, digests, signature FROM receipts WHERE key = (SELECT receipt FROM receipted
                 WHERE record = (SELECT n FROM records WHERE digest = ?1))";
-            let row: Option<(i64, Vec<u8>, [u8; 64])> =
-                connection.find(sql, params![digest.0], |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?)))?;
-            Ok(row.map(|(at, digests, signature)| KeptReceipt {
-                time: Timestamp(at.cast_unsigned()),
-                digests: digests.chunks(Digest::LENGTH).filter_map(Digest::from_slice).collect(),
-                signature: Signature(signature),
-            }))
+        self.0.find(sql, [digest.0], |row| {
+            let digests: Vec<u8> = row.get(1)?;
+            let digests = digests.chunks(Digest::LENGTH).filter_map(Digest::from_slice).collect();
+            Ok(KeptReceipt { time: time(row, 0)?, digests, signature: Signature(row.get(2)?) })
         })
     }
 }
@@ -124,10 +117,9 @@ fn shift(session: &Session<'_>, digests: &[Digest], from: RecordState, to: Recor
 }
 
 fn held(session: &Session<'_>, digests: &[Digest]) -> Result<BTreeSet<i64>, StoreError> {
-    let mut find = session
-        .connection
-        .prepare_cached("SELECT receipt FROM receipted WHERE record = (SELECT n FROM records WHERE digest = ?1)")?;
-    let found = digests.iter().map(|digest| find.query_row(params![digest.0], |row| row.get(0)).optional());
+    let sql = "SELECT receipt FROM receipted WHERE record = (SELECT n FROM records WHERE digest = ?1)";
+    let mut find = session.connection.prepare_cached(sql)?;
+    let found = digests.iter().map(|digest| find.query_row([digest.0], |row| row.get(0)).optional());
     Ok(found.filter_map(Result::transpose).collect::<Result<_, _>>()?)
 }
 
@@ -166,20 +158,10 @@ impl Bindings {
 
     /// Replaces the name's previous binding.
     pub fn bind(&self, name: &ProfileName, binding: KeptBinding) -> Result<(), StoreError> {
-        let name = name.to_string();
+        let KeptBinding { account, signing, envelope, sealed_key, device } = binding;
+        let (device, notices) = device.map(|(device, notices)| (device.0, notices.0)).unzip();
         let sql = "REPLACE INTO bindings VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)";
-        self.0.run(
-            sql,
-            (
-                name,
-                binding.account.0,
-                binding.signing.0,
-                binding.envelope.0,
-                binding.sealed_key,
-                binding.device.map(|(device, _)| device.0),
-                binding.device.map(|(_, notices)| notices.0),
-            ),
-        )
+        self.0.run(sql, (name.to_string(), account.0, signing.0, envelope.0, sealed_key, device, notices))
     }
 
     /// Does nothing if another key is bound meanwhile.
@@ -203,28 +185,21 @@ impl Bindings {
     }
 
     pub fn binding(&self, name: &ProfileName) -> Result<Option<KeptBinding>, StoreError> {
-        self.0.read(|connection| {
-            let sql = "SELECT account, signing, envelope, sealed_key, device, notices FROM bindings WHERE name = ?1";
-            let binding = connection.find(sql, [name.as_str()], |row| {
-                Ok(KeptBinding {
-                    account: Address(row.get(0)?),
-                    signing: PublicKey(row.get(1)?),
-                    envelope: PublicKey(row.get(2)?),
-                    sealed_key: row.get(3)?,
-                    device: match row.get::<_, Option<_>>(4)? {
-                        Some(device) => Some((SignerId(device), TopicId(row.get(5)?))),
-                        None => None,
-                    },
-                })
-            })?;
-            Ok(binding)
+        let sql = "SELECT account, signing, envelope, sealed_key, device, notices FROM bindings WHERE name = ?1";
+        self.0.find(sql, [name.as_str()], |row| {
+            let device = match row.get::<_, Option<_>>(4)? {
+                Some(device) => Some((SignerId(device), TopicId(row.get(5)?))),
+                None => None,
+            };
+            let (account, signing, envelope) = (Address(row.get(0)?), PublicKey(row.get(1)?), PublicKey(row.get(2)?));
+            Ok(KeptBinding { account, signing, envelope, sealed_key: row.get(3)?, device })
         })
     }
 
     /// Ordered by name.
     pub fn bound_names(&self) -> Result<Vec<(String, Address)>, StoreError> {
-        self.0
-            .list("SELECT name, account FROM bindings ORDER BY name", [], |row| Ok((row.get(0)?, Address(row.get(1)?))))
+        let sql = "SELECT name, account FROM bindings ORDER BY name";
+        self.0.list(sql, [], |row| Ok((row.get(0)?, Address(row.get(1)?))))
     }
 }
 
@@ -236,12 +211,9 @@ impl Names {
 
     /// Names a topic that is here without a name.
     pub fn keep_topic(&self, owner: Address, topic: TopicId, name: String) -> Result<(), StoreError> {
-        let is_here = self.0.read(|connection| {
-            let sql = "SELECT EXISTS (SELECT 1 FROM topics WHERE owner = ?1 AND topic_id = ?2 AND name = '')
+        let sql = "SELECT EXISTS (SELECT 1 FROM topics WHERE owner = ?1 AND topic_id = ?2 AND name = '')
                 AND NOT EXISTS (SELECT 1 FROM names WHERE owner = ?1 AND id = lower(hex(?2)))";
-            Ok(connection.one(sql, params![owner.0, topic.0], |row| row.get::<_, bool>(0))?)
-        })?;
-        if is_here { self.keep(owner, hex(&topic.0), name) } else { Ok(()) }
+        if self.0.one(sql, params![owner.0, topic.0], |row| row.get(0))? { self.keep(owner, hex(&topic.0), name) } else { Ok(()) }
     }
 
     /// Captured, learnt or given; none is proven.
@@ -262,16 +234,15 @@ impl Names {
             let streams: Vec<i64> = connection.list(sql, [owner.0], |row| row.get(0))?;
             let sql = "SELECT digest FROM counters c JOIN records r ON r.state = c.state AND r.stream = c.stream
                 WHERE c.stream = ?1 AND c.records > 0 LIMIT ?2";
-            let of =
-                |stream: i64| Ok(connection.list(sql, params![stream, capped(most)], |row| row.get(0).map(Digest))?);
+            let most = capped(most);
+            let of = |stream: i64| Ok(connection.list(sql, [stream, most], |row| row.get(0).map(Digest))?);
             streams.into_iter().map(of).collect()
         })
     }
 }
 
 pub(super) fn add_signer(connection: &Connection, id: SignerId, key: PublicKey) -> Result<(), StoreError> {
-    connection.run("INSERT INTO signers VALUES (?1, ?2) ON CONFLICT DO NOTHING", params![id.0, key.0])?;
-    Ok(())
+    connection.run("INSERT INTO signers VALUES (?1, ?2) ON CONFLICT DO NOTHING", params![id.0, key.0])
 }
 
 #[cfg(test)]

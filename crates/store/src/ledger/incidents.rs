@@ -5,10 +5,10 @@ use std::collections::BTreeMap;
 use rusqlite::{Connection, Row, params};
 use serde::{Deserialize, Serialize};
 
-use super::Incidents;
-use super::rows::{LEARNED_NAME, TOPIC_NAME, unsigned};
+use super::rows::{LEARNED_NAME, TOPIC_NAME, optional, time, unsigned};
+use super::{Incidents, Session};
 use crate::StoreError;
-use crate::database::{Statements as _, capped, count, whole};
+use crate::database::{Statements as _, capped, whole};
 use crate::model::{Address, IncidentName, IncidentNameError, RecordKind, RecordState, Timestamp};
 
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -76,23 +76,21 @@ impl Incidents {
         note: Option<&str>,
     ) -> Result<bool, StoreError> {
         let (name, span, note) = (name.clone(), span.clone(), note.map(str::to_owned));
-        self.0.write(move |session| {
-            let connection = session.connection;
+        self.0.write(move |Session { connection, .. }| {
             let now = whole("time", Timestamp::now().0)?;
             let until = span.until.map(|until| whole("time", until.0)).transpose()?;
-            let added = connection.execute(
-                "INSERT OR IGNORE INTO incidents (owner, name, since, until, opened_at) VALUES (?1, ?2, ?3, ?4, ?5)",
-                params![owner.0, name.as_str(), whole("time", span.since.0)?, until, now],
-            )?;
-            if added == 0 {
+            let since = whole("time", span.since.0)?;
+            let sql =
+                "INSERT OR IGNORE INTO incidents (owner, name, since, until, opened_at) VALUES (?1, ?2, ?3, ?4, ?5)";
+            if connection.changed(sql, params![owner.0, name.as_str(), since, until, now])? == 0 {
                 return Ok(false);
             }
             let key = connection.last_insert_rowid();
             for topic in &span.topics {
-                connection.execute("INSERT OR IGNORE INTO incident_topics VALUES (?1, ?2)", params![key, topic])?;
+                connection.run("INSERT OR IGNORE INTO incident_topics VALUES (?1, ?2)", params![key, topic])?;
             }
             if let Some(text) = note {
-                connection.execute("INSERT INTO incident_notes VALUES (?1, 1, ?2, ?3)", params![key, now, text])?;
+                connection.run("INSERT INTO incident_notes VALUES (?1, 1, ?2, ?3)", params![key, now, text])?;
             }
             Ok(true)
         })
@@ -103,9 +101,8 @@ impl Incidents {
         self.0.read(|connection| {
             let sql = "SELECT key, name, since, until, opened_at, closed_at FROM incidents WHERE owner = ?1
                 ORDER BY since, key";
-            let rows: Vec<(i64, IncidentRow)> =
-                connection.list(sql, [owner.0], |row| Ok((row.get(0)?, incident(row)?)))?;
-            rows.into_iter().map(|(key, row)| whole_of(connection, key, row)).collect()
+            let rows: Vec<_> = connection.list(sql, [owner.0], incident)?;
+            rows.into_iter().map(|row| whole_of(connection, row)).collect()
         })
     }
 
@@ -113,9 +110,8 @@ impl Incidents {
         self.0.read(|connection| {
             let sql = "SELECT key, name, since, until, opened_at, closed_at FROM incidents
                 WHERE owner = ?1 AND name = ?2";
-            let found =
-                connection.find(sql, params![owner.0, name.as_str()], |row| Ok((row.get(0)?, incident(row)?)))?;
-            found.map(|(key, row)| whole_of(connection, key, row)).transpose()
+            let found = connection.find(sql, params![owner.0, name.as_str()], incident)?;
+            found.map(|row| whole_of(connection, row)).transpose()
         })
     }
 
@@ -139,16 +135,15 @@ impl Incidents {
     /// Retention may delete its records again. `false` if there is none of this name.
     pub fn remove(&self, owner: Address, name: &IncidentName) -> Result<bool, StoreError> {
         let name = name.clone();
-        self.0.write(move |session| {
-            let connection = session.connection;
+        self.0.write(move |Session { connection, .. }| {
             let whose = params![owner.0, name.as_str()];
             for table in ["incident_topics", "incident_notes"] {
                 let sql = format!(
                     "DELETE FROM {table} WHERE incident IN (SELECT key FROM incidents WHERE owner = ?1 AND name = ?2)"
                 );
-                connection.execute(&sql, whose)?;
+                connection.run(&sql, whose)?;
             }
-            Ok(count(connection.execute("DELETE FROM incidents WHERE owner = ?1 AND name = ?2", whose)?) > 0)
+            Ok(connection.changed("DELETE FROM incidents WHERE owner = ?1 AND name = ?2", whose)? > 0)
         })
     }
 
@@ -178,28 +173,22 @@ impl Incidents {
     }
 }
 
-fn incident(row: &Row<'_>) -> rusqlite::Result<IncidentRow> {
+fn incident(row: &Row<'_>) -> rusqlite::Result<(i64, IncidentRow)> {
     let name: String = row.get(1)?;
     let name = name.parse().map_err(|error: IncidentNameError| {
         rusqlite::Error::FromSqlConversionFailure(1, rusqlite::types::Type::Text, Box::new(error))
     })?;
-    let time =
-        |column| Ok::<_, rusqlite::Error>(row.get::<_, Option<i64>>(column)?.map(|at| Timestamp(at.cast_unsigned())));
-    Ok(IncidentRow {
-        name,
-        span: IncidentSpan { since: Timestamp(unsigned(row, 2)?), until: time(3)?, topics: Vec::new() },
-        opened_at: Timestamp(unsigned(row, 4)?),
-        closed_at: time(5)?,
-        notes: Vec::new(),
-    })
+    let (since, until) = (time(row, 2)?, optional(row, 3)?.map(Timestamp));
+    let (opened_at, closed_at) = (time(row, 4)?, optional(row, 5)?.map(Timestamp));
+    let span = IncidentSpan { since, until, topics: Vec::new() };
+    Ok((row.get(0)?, IncidentRow { name, span, opened_at, closed_at, notes: Vec::new() }))
 }
 
-fn whole_of(connection: &Connection, key: i64, mut row: IncidentRow) -> Result<IncidentRow, StoreError> {
+fn whole_of(connection: &Connection, (key, mut row): (i64, IncidentRow)) -> Result<IncidentRow, StoreError> {
     let sql = "SELECT topic FROM incident_topics WHERE incident = ?1 ORDER BY topic";
     row.span.topics = connection.list(sql, [key], |row| row.get(0))?;
     let sql = "SELECT at, text FROM incident_notes WHERE incident = ?1 ORDER BY number";
-    row.notes =
-        connection.list(sql, [key], |row| Ok(IncidentNote { at: Timestamp(unsigned(row, 0)?), text: row.get(1)? }))?;
+    row.notes = connection.list(sql, [key], |row| Ok(IncidentNote { at: time(row, 0)?, text: row.get(1)? }))?;
     Ok(row)
 }
 
@@ -218,15 +207,9 @@ fn counted(connection: &Connection, owner: Address, span: &IncidentSpan) -> Resu
         if row.get::<_, u8>(1)? == RecordState::Quarantined.code() {
             return Ok(SpanCoverage { topic, quarantined: records, ..SpanCoverage::default() });
         }
-        Ok(SpanCoverage {
-            topic,
-            records,
-            bytes: unsigned(row, 3)?,
-            first: Some(Timestamp(unsigned(row, 4)?)),
-            last: Some(Timestamp(unsigned(row, 5)?)),
-            deleted: unsigned(row, 6)?,
-            ..SpanCoverage::default()
-        })
+        let (bytes, deleted) = (unsigned(row, 3)?, unsigned(row, 6)?);
+        let (first, last) = (Some(time(row, 4)?), Some(time(row, 5)?));
+        Ok(SpanCoverage { topic, records, bytes, first, last, deleted, ..SpanCoverage::default() })
     })?)
 }
 

@@ -6,7 +6,7 @@ use std::collections::HashMap;
 use rusqlite::{Connection, Row, params};
 
 use super::Inspection;
-use super::rows::{self, RecordRow, Stream, unsigned};
+use super::rows::{self, RecordRow, Stream, optional, unsigned};
 use super::{batches, branches};
 use crate::StoreError;
 use crate::crypto::merkle::Inclusion;
@@ -125,10 +125,7 @@ impl Inspection {
 
     pub fn size_of_index(&self, last: u64) -> Result<u64, StoreError> {
         let last = whole("row", last)?;
-        self.0.read(|connection| {
-            let sql = "SELECT count(*) FROM filters WHERE record <= ?1";
-            Ok(connection.query_row(sql, [last], |row| unsigned(row, 0))?)
-        })
+        self.0.one("SELECT count(*) FROM filters WHERE record <= ?1", [last], |row| unsigned(row, 0))
     }
 
     pub fn audit_batches(&self, after: u64, limit: usize) -> Result<Vec<AuditedBatch>, StoreError> {
@@ -142,10 +139,8 @@ impl Inspection {
     /// By this machine's clock.
     pub fn newest_acknowledgement(&self) -> Result<Option<Timestamp>, StoreError> {
         let sql = "SELECT acknowledged_at FROM records ORDER BY n DESC LIMIT 1";
-        self.0.read(|connection| {
-            let newest: Option<i64> = connection.find(sql, [], |row| row.get(0))?;
-            Ok(newest.and_then(|newest| u64::try_from(newest).ok()).map(Timestamp))
-        })
+        let newest: Option<i64> = self.0.find(sql, [], |row| row.get(0))?;
+        Ok(newest.and_then(|newest| u64::try_from(newest).ok()).map(Timestamp))
     }
 
     pub fn unknown_roots(&self, roots: &[Hash]) -> Result<Vec<Hash>, StoreError> {
@@ -159,8 +154,7 @@ impl Inspection {
     }
 
     pub fn size(&self) -> Result<u64, StoreError> {
-        let sql = "SELECT coalesce(sum(records), 0) FROM counters";
-        self.0.one(sql, [], |row| unsigned(row, 0))
+        self.0.one("SELECT coalesce(sum(records), 0) FROM counters", [], |row| unsigned(row, 0))
     }
 
     pub fn signing_accounts(&self) -> Result<Vec<Address>, StoreError> {
@@ -204,17 +198,11 @@ impl Inspection {
             JOIN topics ON topics.key = topic JOIN recorders ON recorders.key = topics.recorder
             ORDER BY topics.key";
         self.0.list(sql, [], |row| {
-            Ok(Sequence {
-                key: row.get(0)?,
-                owner: Address(row.get(1)?),
-                name: row.get(2)?,
-                keeper: row.get::<_, Option<_>>(3)?.map(Address),
-                count: unsigned(row, 4)?,
-                first: unsigned(row, 5)?,
-                last: unsigned(row, 6)?,
-                recorder: RecorderId(row.get(7)?),
-                signer: SignerId(row.get(8)?),
-            })
+            let (owner, keeper) = (Address(row.get(1)?), row.get::<_, Option<_>>(3)?.map(Address));
+            let (count, first, last) = (unsigned(row, 4)?, unsigned(row, 5)?, unsigned(row, 6)?);
+            let (recorder, signer) = (RecorderId(row.get(7)?), SignerId(row.get(8)?));
+            let (key, name) = (row.get(0)?, row.get(2)?);
+            Ok(Sequence { key, owner, name, keeper, signer, recorder, count, first, last })
         })
     }
 
@@ -246,35 +234,24 @@ fn place(row: &Row<'_>) -> rusqlite::Result<Option<AuditedPlace>> {
     if row.get::<_, Option<i64>>(column(1))?.is_none() {
         return Ok(None);
     }
-    let inclusion = match row.get::<_, Option<_>>(column(4))?.map(Hash) {
-        Some(root) => {
-            let (index, count) = (unsigned(row, column(2))?, unsigned(row, column(5))?);
-            let path = branches::path_of(row, column(3), (index, count))?;
-            Some(Inclusion { index, count, path, root })
-        }
-        None => None,
+    let within = |root| {
+        let (index, count) = (unsigned(row, column(2))?, unsigned(row, column(5))?);
+        let path = branches::path_of(row, column(3), (index, count))?;
+        Ok::<_, rusqlite::Error>(Inclusion { index, count, path, root })
     };
-    Ok(Some(AuditedPlace {
-        inclusion,
-        transaction: row.get::<_, Option<_>>(column(6))?.map(Hash),
-        block: row.get::<_, Option<i64>>(column(7))?.map(i64::cast_unsigned),
-        block_hash: row.get::<_, Option<_>>(column(8))?.map(Hash),
-        is_contradicted: row.get(column(12))?,
-    }))
+    let inclusion = row.get::<_, Option<_>>(column(4))?.map(Hash).map(within).transpose()?;
+    let (transaction, block) = (row.get::<_, Option<_>>(column(6))?.map(Hash), optional(row, column(7))?);
+    let (block_hash, is_contradicted) = (row.get::<_, Option<_>>(column(8))?.map(Hash), row.get(column(12))?);
+    Ok(Some(AuditedPlace { inclusion, transaction, block, block_hash, is_contradicted }))
 }
 
 fn batch(row: &Row<'_>) -> rusqlite::Result<AuditedBatch> {
-    Ok(AuditedBatch {
-        key: unsigned(row, 0)?,
-        root: Hash(row.get(1)?),
-        count: unsigned(row, 2)?,
-        held: unsigned(row, 3)?,
-        account: row.get::<_, Option<_>>(4)?.map(Address),
-        transaction: row.get::<_, Option<_>>(5)?.map(Hash),
-        block: row.get::<_, Option<i64>>(6)?.map(i64::cast_unsigned),
-        block_hash: row.get::<_, Option<_>>(7)?.map(Hash),
-        closed_here: row.get(8)?,
-    })
+    let (key, count, held) = (unsigned(row, 0)?, unsigned(row, 2)?, unsigned(row, 3)?);
+    let (account, transaction) =
+        (row.get::<_, Option<_>>(4)?.map(Address), row.get::<_, Option<_>>(5)?.map(Hash));
+    let (block, block_hash) = (optional(row, 6)?, row.get::<_, Option<_>>(7)?.map(Hash));
+    let (root, closed_here) = (Hash(row.get(1)?), row.get(8)?);
+    Ok(AuditedBatch { key, root, count, held, closed_here, account, transaction, block, block_hash })
 }
 
 // Whether the tables agree: checked after an unclean shutdown, and when a home is examined.
@@ -323,16 +300,12 @@ impl Inspection {
 
     /// Those acknowledged last whose ciphertext should be there.
     pub fn newest_stored(&self, limit: usize) -> Result<Vec<Digest>, StoreError> {
-        self.0.read(|connection| newest(connection, limit))
-    }
-}
-
-fn newest(connection: &Connection, limit: usize) -> Result<Vec<Digest>, StoreError> {
-    let states = (RecordState::Stored.code(), RecordState::Verified.code());
-    let values = (states.0, states.1, capped(limit), RecordState::RightEnded.code());
-    let sql = "SELECT digest FROM records NOT INDEXED WHERE (state BETWEEN ?1 AND ?2 OR state = ?4)
+        let states = (RecordState::Stored.code(), RecordState::Verified.code());
+        let values = (states.0, states.1, capped(limit), RecordState::RightEnded.code());
+        let sql = "SELECT digest FROM records NOT INDEXED WHERE (state BETWEEN ?1 AND ?2 OR state = ?4)
         AND NOT EXISTS (SELECT 1 FROM retained WHERE record = n) ORDER BY n DESC LIMIT ?3";
-    Ok(connection.list(sql, values, |row| row.get(0).map(Digest))?)
+        self.0.list(sql, values, |row| row.get(0).map(Digest))
+    }
 }
 
 #[cfg(test)]

@@ -4,10 +4,10 @@ use rusqlite::{Connection, Row, params};
 use serde::{Deserialize, Serialize};
 
 use super::append::add;
-use super::rows::{self, By, RecordRow, may, unsigned};
-use super::{Losses, NewRecord, Pins, Quarantine};
+use super::rows::{self, By, RecordRow, check, time, unsigned};
+use super::{Losses, NewRecord, Pins, Quarantine, Session};
 use crate::StoreError;
-use crate::database::{Statements as _, capped, count, whole};
+use crate::database::{Statements as _, capped, whole};
 use crate::model::{Address, Digest, LossReason, Publisher, RecordKind, RecordState, Timestamp, TopicId};
 use crate::notes::{self, LossesCounted};
 
@@ -82,13 +82,9 @@ impl Quarantine {
             let data = RecordKind::Data.code();
             let values = params![query.decided, owner.0, query.topic, capped(query.limit), query.messages, data];
             Ok(connection.list(&sql, values, |row| {
-                Ok(HeldRow {
-                    record: rows::record(row, &streams)?,
-                    reason: row.get(14)?,
-                    publisher: row.get(15)?,
-                    report: row.get::<_, Option<_>>(16)?.map(Digest),
-                    decision: row.get(17)?,
-                })
+                let (record, report) = (rows::record(row, &streams)?, row.get::<_, Option<_>>(16)?.map(Digest));
+                let (reason, publisher, decision) = (row.get(14)?, row.get(15)?, row.get(17)?);
+                Ok(HeldRow { record, reason, publisher, report, decision })
             })?)
         })
     }
@@ -104,13 +100,11 @@ impl Quarantine {
                 Ok((row.get::<_, i64>(0)?, TopicId(row.get(1)?), row.get::<_, String>(2)?, unsigned(row, 3)?))
             })?;
             let Some((key, topic_id, topic, minute)) = first else { return Ok(None) };
-            let mut statement = connection.prepare_cached(
-                "SELECT seq, digest FROM held INDEXED BY held_unreported CROSS JOIN records ON n = record
-                    WHERE report IS NULL AND minute = ?1 AND topic = ?2 ORDER BY record",
-            )?;
-            let records = statement
-                .query_map(params![minute.cast_signed(), key], |row| Ok((unsigned(row, 0)?, Digest(row.get(1)?))))?;
-            Ok(Some(HeldMinute { topic_id, topic, minute, records: records.collect::<Result<_, _>>()? }))
+            let sql = "SELECT seq, digest FROM held INDEXED BY held_unreported CROSS JOIN records ON n = record
+                    WHERE report IS NULL AND minute = ?1 AND topic = ?2 ORDER BY record";
+            let values = params![minute.cast_signed(), key];
+            let records = connection.list(sql, values, |row| Ok((unsigned(row, 0)?, Digest(row.get(1)?))))?;
+            Ok(Some(HeldMinute { topic_id, topic, minute, records }))
         })
     }
 
@@ -142,16 +136,14 @@ impl Quarantine {
 
     fn decide(&self, digests: &[Digest], decision: &'static str, to: RecordState) -> Result<u64, StoreError> {
         let from = RecordState::Quarantined;
-        if !may(By::Operator, from, to) {
-            return Err(StoreError::IllegalEdge { from, to });
-        }
+        check(By::Operator, from, to)?;
         let digests = digests.to_vec();
         self.0.write_many(digests.len(), move |session| {
             let (connection, now) = (session.connection, whole("time", Timestamp::now().0)?);
             let mut decided = 0;
             for digest in &digests {
                 let sql = "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2";
-                let moved = count(connection.run(sql, params![digest.0, from.code(), to.code()])?);
+                let moved = connection.changed(sql, params![digest.0, from.code(), to.code()])?;
                 if moved > 0 {
                     note(connection, *digest, decision, now)?;
                 }
@@ -165,13 +157,10 @@ impl Quarantine {
 fn hold(connection: &Connection, hold: &Hold) -> Result<(), StoreError> {
     let sql = "INSERT INTO held (record, minute, reason, publisher)
         SELECT n, captured_at / ?5, ?3, ?4 FROM records WHERE digest = ?1 AND state = ?2 ON CONFLICT DO NOTHING";
-    let held = connection
-        .run(sql, params![hold.digest.0, RecordState::Quarantined.code(), hold.reason, hold.publisher, MINUTE])?;
-    let known = || {
-        let sql = "SELECT 1 FROM held JOIN records ON n = record WHERE digest = ?1";
-        connection.has(sql, [hold.digest.0])
-    };
-    if held == 0 && !known()? {
+    let values = params![hold.digest.0, RecordState::Quarantined.code(), hold.reason, hold.publisher, MINUTE];
+    let held = connection.changed(sql, values)?;
+    let known = "SELECT 1 FROM held JOIN records ON n = record WHERE digest = ?1";
+    if held == 0 && !connection.has(known, [hold.digest.0])? {
         return Err(StoreError::NotReady { digest: hold.digest, found: "not quarantined" });
     }
     Ok(())
@@ -179,8 +168,7 @@ fn hold(connection: &Connection, hold: &Hold) -> Result<(), StoreError> {
 
 fn note(connection: &Connection, digest: Digest, decision: &str, now: i64) -> Result<(), StoreError> {
     let sql = "UPDATE held SET decision = ?2, decided_at = ?3 WHERE record = (SELECT n FROM records WHERE digest = ?1)";
-    connection.run(sql, params![digest.0, decision, now])?;
-    Ok(())
+    connection.run(sql, params![digest.0, decision, now])
 }
 
 impl HeldRow {
@@ -221,9 +209,8 @@ impl Pins {
         source: &'static str,
     ) -> Result<(), StoreError> {
         let (topic, publishers) = (topic.to_owned(), publishers.to_vec());
-        self.0.write(move |session| {
-            let connection = session.connection;
-            connection.execute("INSERT OR IGNORE INTO pinned_topics VALUES (?1, ?2)", params![owner.0, topic])?;
+        self.0.write(move |Session { connection, .. }| {
+            connection.run("INSERT OR IGNORE INTO pinned_topics VALUES (?1, ?2)", params![owner.0, topic])?;
             let now = whole("time", Timestamp::now().0)?;
             publishers.iter().try_for_each(|publisher| pin(connection, owner, &topic, publisher, (source, now)))
         })
@@ -275,13 +262,8 @@ impl Pins {
         let sql = "SELECT topic, publisher, reason, at, open FROM alarms
             WHERE owner = ?1 AND (?2 IS NULL OR topic = ?2) ORDER BY topic, at";
         self.0.list(sql, params![owner.0, topic], |row| {
-            Ok(AlarmRow {
-                topic: row.get(0)?,
-                publisher: row.get(1)?,
-                reason: row.get(2)?,
-                at: Timestamp(unsigned(row, 3)?),
-                open: row.get(4)?,
-            })
+            let (at, open) = (time(row, 3)?, row.get(4)?);
+            Ok(AlarmRow { topic: row.get(0)?, publisher: row.get(1)?, reason: row.get(2)?, at, open })
         })
     }
 }
@@ -294,24 +276,16 @@ fn pin(
     (source, now): (&str, i64),
 ) -> Result<(), StoreError> {
     let Publisher { caller_id, host, type_name, md5sum } = publisher;
-    connection.execute(
-        "INSERT OR IGNORE INTO pins VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)",
-        params![owner.0, topic, caller_id, host, type_name, md5sum, source, now],
-    )?;
-    connection.execute(
-        "DELETE FROM alarms WHERE owner = ?1 AND topic = ?2 AND publisher = ?3",
-        params![owner.0, topic, publisher.to_string()],
-    )?;
-    Ok(())
+    let sql = "INSERT OR IGNORE INTO pins VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)";
+    connection.run(sql, params![owner.0, topic, caller_id, host, type_name, md5sum, source, now])?;
+    let sql = "DELETE FROM alarms WHERE owner = ?1 AND topic = ?2 AND publisher = ?3";
+    connection.run(sql, params![owner.0, topic, publisher.to_string()])
 }
 
 fn pin_row(row: &Row<'_>) -> rusqlite::Result<PinRow> {
-    Ok(PinRow {
-        topic: row.get(0)?,
-        publisher: Publisher { caller_id: row.get(1)?, host: row.get(2)?, type_name: row.get(3)?, md5sum: row.get(4)? },
-        source: row.get(5)?,
-        at: Timestamp(unsigned(row, 6)?),
-    })
+    let (caller_id, host, type_name, md5sum) = (row.get(1)?, row.get(2)?, row.get(3)?, row.get(4)?);
+    let publisher = Publisher { caller_id, host, type_name, md5sum };
+    Ok(PinRow { topic: row.get(0)?, publisher, source: row.get(5)?, at: time(row, 6)? })
 }
 
 // Messages that did not become records: counted durably, then reported in a signed gap record.
@@ -378,8 +352,7 @@ impl Losses {
     pub fn close_gap(&self, gap: &GapRow, report: NewRecord) -> Result<(), StoreError> {
         let gap = gap.clone();
         self.0.write(move |session| {
-            let now = whole("time", Timestamp::now().0)?;
-            add(session, &report, now)?;
+            add(session, &report, whole("time", Timestamp::now().0)?)?;
             settle(session.connection, &gap, report.digest)
         })
     }
@@ -400,35 +373,22 @@ fn count_one(connection: &Connection, loss: &Loss) -> Result<(), StoreError> {
         ON CONFLICT (owner, topic, publisher, reason) WHERE report IS NULL DO UPDATE SET
         count = count + excluded.count, last_number = excluded.last_number, last_at = excluded.last_at,
         first_number = coalesce(first_number, excluded.first_number)";
-    connection.run(
-        sql,
-        params![
-            loss.owner.0,
-            loss.topic,
-            loss.publisher,
-            word,
-            count,
-            loss.numbers.map(|(first, _)| first),
-            loss.numbers.map(|(_, last)| last),
-            whole("time", loss.first_at.0)?,
-            whole("time", loss.last_at.0)?,
-        ],
-    )?;
-    Ok(())
+    let Loss { owner, topic, publisher, numbers, .. } = loss;
+    let (first, last) = (numbers.map(|(first, _)| first), numbers.map(|(_, last)| last));
+    let (first_at, last_at) = (whole("time", loss.first_at.0)?, whole("time", loss.last_at.0)?);
+    connection.run(sql, params![owner.0, topic, publisher, word, count, first, last, first_at, last_at])
 }
 
 fn settle(connection: &Connection, gap: &GapRow, report: Digest) -> Result<(), StoreError> {
     let not_open = || StoreError::NotReady { digest: report, found: "already reported" };
     let told = whole("count", gap.count)?;
-    let (count, last_number, last_at): (i64, Option<u32>, i64) = connection
-        .find("SELECT count, last_number, last_at FROM gaps WHERE key = ?1 AND report IS NULL", [gap.key], |row| {
-            Ok((row.get(0)?, row.get(1)?, row.get(2)?))
-        })?
-        .filter(|(count, _, _)| *count >= told)
-        .ok_or_else(not_open)?;
+    let sql = "SELECT count, last_number, last_at FROM gaps WHERE key = ?1 AND report IS NULL";
+    let found = connection.find(sql, [gap.key], |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?)))?;
+    let (count, last_number, last_at): (i64, Option<u32>, i64) =
+        found.filter(|(count, ..)| *count >= told).ok_or_else(not_open)?;
     let sql = "UPDATE gaps SET report = ?2, count = ?3, last_number = ?4, last_at = ?5 WHERE key = ?1";
-    connection
-        .run(sql, params![gap.key, report.0, told, gap.numbers.map(|(_, last)| last), whole("time", gap.last_at.0)?])?;
+    let (number, at) = (gap.numbers.map(|(_, last)| last), whole("time", gap.last_at.0)?);
+    connection.run(sql, params![gap.key, report.0, told, number, at])?;
     if count > told {
         let sql =
             "INSERT INTO gaps (owner, topic, publisher, reason, count, first_number, last_number, first_at, last_at)
@@ -439,18 +399,11 @@ fn settle(connection: &Connection, gap: &GapRow, report: Digest) -> Result<(), S
 }
 
 fn gap_row(row: &Row<'_>) -> rusqlite::Result<GapRow> {
+    let (key, topic, publisher, reason) = (row.get(0)?, row.get(1)?, row.get(2)?, row.get(3)?);
     let numbers = row.get::<_, Option<u32>>(5)?.zip(row.get::<_, Option<u32>>(6)?);
-    Ok(GapRow {
-        key: row.get(0)?,
-        topic: row.get(1)?,
-        publisher: row.get(2)?,
-        reason: row.get(3)?,
-        count: unsigned(row, 4)?,
-        numbers,
-        first_at: Timestamp(unsigned(row, 7)?),
-        last_at: Timestamp(unsigned(row, 8)?),
-        report: row.get::<_, Option<_>>(9)?.map(Digest),
-    })
+    let (count, first_at, last_at) = (unsigned(row, 4)?, time(row, 7)?, time(row, 8)?);
+    let report = row.get::<_, Option<_>>(9)?.map(Digest);
+    Ok(GapRow { key, topic, publisher, reason, count, numbers, first_at, last_at, report })
 }
 
 #[cfg(test)]

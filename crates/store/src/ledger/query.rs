@@ -11,7 +11,7 @@ use rusqlite::{CachedStatement, Connection, OpenFlags, Row, params};
 use serde::{Deserialize, Serialize};
 
 use super::directory;
-use super::rows::{self, RecordRow, Stream, Which, unsigned};
+use super::rows::{self, RecordRow, Stream, Which, time, unsigned};
 use super::{Counts, Losses, Records};
 use crate::StoreError;
 use crate::database::{Statements as _, capped, whole};
@@ -73,6 +73,8 @@ pub struct RecordQuery {
 
 impl RecordQuery {
     fn wants(&self, stream: &Stream) -> bool {
+        let names = [&stream.topic, &stream.type_name];
+        let says = |word: &str| names.iter().any(|name| name.to_lowercase().contains(word));
         self.owner.is_none_or(|owner| owner == stream.owner)
             && self.owners.as_ref().is_none_or(|owners| owners.contains(&stream.owner))
             && self.topic.as_ref().is_none_or(|topic| *topic == stream.topic)
@@ -81,12 +83,8 @@ impl RecordQuery {
             && self.recorder.is_none_or(|recorder| recorder == stream.recorder)
             && self.type_name.as_ref().is_none_or(|name| *name == stream.type_name)
             && self.kind.is_none_or(|kind| kind == stream.kind)
-            && self.words.iter().all(|word| says(stream, &word.to_lowercase()))
+            && self.words.iter().all(|word| says(&word.to_lowercase()))
     }
-}
-
-fn says(stream: &Stream, word: &str) -> bool {
-    [&stream.topic, &stream.type_name].into_iter().any(|name| name.to_lowercase().contains(word))
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -155,9 +153,8 @@ fn candidates(connection: &Connection, query: &RecordQuery) -> Result<Vec<Stream
     match (query.owner, &query.owners, query.state) {
         (Some(owner), ..) => rows::streams(connection, &Which::Of(owner)),
         (None, Some(owners), _) => {
-            let distinct: BTreeSet<&Address> = owners.iter().collect();
             let mut found = Vec::new();
-            for owner in distinct {
+            for owner in owners.iter().collect::<BTreeSet<_>>() {
                 found.extend(rows::streams(connection, &Which::Of(*owner))?);
             }
             found.sort_by_key(|stream| stream.key);
@@ -227,10 +224,9 @@ impl Range {
     }
 
     fn behind(self, key: Key) -> Self {
-        if self.newest_first {
-            Self { high: self.high.min(key), ..self }
-        } else {
-            Self { low: self.low.max(key), ..self }
+        match self.newest_first {
+            true => Self { high: self.high.min(key), ..self },
+            false => Self { low: self.low.max(key), ..self },
         }
     }
 
@@ -266,19 +262,16 @@ struct Lane {
 
 /// Keeps streams that ever had an id of each choice.
 fn narrow(connection: &Connection, streams: &mut Vec<&Stream>, choices: &[FilterChoice]) -> Result<(), StoreError> {
-    let mut on_any =
-        connection.prepare_cached("SELECT stream FROM filter_streams JOIN filter_ids ON key = filter WHERE id = ?1")?;
-    let mut on_one = connection.prepare_cached(
-        "SELECT EXISTS (SELECT 1 FROM filter_streams JOIN filter_ids ON key = filter WHERE id = ?1 AND stream = ?2)",
-    )?;
+    let on_any = "SELECT stream FROM filter_streams JOIN filter_ids ON key = filter WHERE id = ?1";
+    let on_one =
+        "SELECT EXISTS (SELECT 1 FROM filter_streams JOIN filter_ids ON key = filter WHERE id = ?1 AND stream = ?2)";
     for choice in choices {
-        let having: HashSet<i64> =
-            on_any.query_map([choice.id.0], |row| row.get(0))?.collect::<rusqlite::Result<_>>()?;
+        let having: HashSet<i64> = connection.list(on_any, [choice.id.0], |row| row.get(0))?;
         let mut left = Vec::with_capacity(streams.len());
         for stream in streams.iter() {
             let has = match choice.by_topic.get(&stream.topic_id) {
                 _ if having.contains(&stream.key) => true,
-                Some(id) => on_one.query_row(params![id.0, stream.key], |row| row.get(0))?,
+                Some(id) => connection.one(on_one, params![id.0, stream.key], |row| row.get(0))?,
                 None => false,
             };
             if has {
@@ -298,19 +291,15 @@ fn lanes(connection: &Connection, streams: &[i64], wanted: Option<RecordState>) 
     let lane = |row: &Row<'_>| Ok((row.get(0)?, row.get(1)?));
     if streams.len() >= MANY {
         let wanted: HashSet<i64> = streams.iter().copied().collect();
-        let mut statement = connection.prepare_cached("SELECT stream, state FROM counters WHERE records > 0")?;
-        let lanes = statement.query_map([], lane)?;
-        return Ok(lanes
-            .filter(|lane| lane.as_ref().map_or(true, |lane| wanted.contains(&lane.0)))
-            .collect::<Result<_, _>>()?);
+        let mut lanes: Vec<(i64, u8)> =
+            connection.list("SELECT stream, state FROM counters WHERE records > 0", [], lane)?;
+        lanes.retain(|(stream, _)| wanted.contains(stream));
+        return Ok(lanes);
     }
-    let mut statement =
-        connection.prepare_cached("SELECT stream, state FROM counters WHERE stream = ?1 AND records > 0")?;
     let mut lanes = Vec::with_capacity(streams.len());
     for stream in streams {
-        for found in statement.query_map([stream], lane)? {
-            lanes.push(found?);
-        }
+        let sql = "SELECT stream, state FROM counters WHERE stream = ?1 AND records > 0";
+        lanes.extend(connection.list::<_, Vec<_>, _>(sql, [stream], lane)?);
     }
     Ok(lanes)
 }
@@ -353,14 +342,11 @@ impl<'a> Merge<'a> {
         let mut keys = Vec::with_capacity(wanted);
         while keys.len() < wanted {
             let Some((Reverse(rank), index)) = self.heap.pop() else { break };
-            keys.push(if self.is_reversed() { flip(rank) } else { rank });
+            let is_reversed = self.lanes.first().is_some_and(|lane| lane.range.newest_first);
+            keys.push(if is_reversed { flip(rank) } else { rank });
             self.offer(index)?;
         }
         Ok(keys)
-    }
-
-    fn is_reversed(&self) -> bool {
-        self.lanes.first().is_some_and(|lane| lane.range.newest_first)
     }
 
     /// Pushes a lane's next key, reading on if none is prefetched.
@@ -462,8 +448,7 @@ impl Counts {
     /// For the `limit` most recent signers.
     pub fn last_seen(&self, limit: usize) -> Result<Vec<LastSeen>, StoreError> {
         self.0.list(&last_seen(), params![RecordKind::Data.code(), capped(limit)], |row| {
-            let at: i64 = row.get(1)?;
-            Ok(LastSeen { signer: SignerId(row.get(0)?), at: Timestamp(at.cast_unsigned()) })
+            Ok(LastSeen { signer: SignerId(row.get(0)?), at: time(row, 1)? })
         })
     }
 
@@ -474,8 +459,7 @@ impl Counts {
             JOIN records x ON x.topic = t.key AND x.seq = (SELECT max(seq) FROM records WHERE topic = t.key)
             WHERE t.owner = ?1 AND r.signer = ?2 ORDER BY x.captured_at DESC LIMIT 1";
         self.0.find(sql, params![owner.0, signer.0], |row| {
-            let time = |column| unsigned(row, column).map(Timestamp);
-            Ok(NewestRecord { epoch: unsigned(row, 0)?, captured_at: time(1)?, acknowledged_at: time(2)? })
+            Ok(NewestRecord { epoch: unsigned(row, 0)?, captured_at: time(row, 1)?, acknowledged_at: time(row, 2)? })
         })
     }
 }
@@ -536,12 +520,11 @@ impl Glance {
         let sql = format!(
             "SELECT lower(hex(digest)) FROM records WHERE digest BETWEEN unhex(?1) AND unhex(?2) ORDER BY {order} LIMIT ?3"
         );
-        let mut statement = self.0.prepare(&sql)?;
-        let found = statement.query_map(params![fill("0"), fill("f"), capped(limit)], |row| row.get::<_, String>(0))?;
-        let ids: Result<Vec<String>, _> = found.collect();
+        let values = params![fill("0"), fill("f"), capped(limit)];
+        let ids: Vec<String> = self.0.list(&sql, values, |row| row.get(0))?;
         // Text beyond an id's length stays as typed.
         let length = ID_LENGTH.max(begun.len());
-        Ok(ids?.into_iter().map(|digest| digest.chars().take(length).collect()).collect())
+        Ok(ids.into_iter().map(|digest| digest.chars().take(length).collect()).collect())
     }
 
     /// Returns how many it read.

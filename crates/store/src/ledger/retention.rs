@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use rusqlite::{Connection, params};
 
 use super::append::add;
-use super::rows::{LEARNED_NAME, TOPIC_NAME, unsigned};
+use super::rows::{LEARNED_NAME, TOPIC_NAME, optional, time, unsigned};
 use super::{Erasure, NewRecord, Retention};
 use crate::StoreError;
 use crate::database::{Statements as _, capped, whole};
@@ -64,12 +64,8 @@ impl Retention {
                 WHERE t.owner = ?1 AND s.kind = ?2 AND c.state <> ?3 GROUP BY t.key"
         );
         self.0.list(&sql, values, |row| {
-            Ok(KeptTopic {
-                key: row.get(0)?,
-                topic_id: TopicId(row.get(1)?),
-                name: row.get(2)?,
-                bytes: unsigned(row, 3)?,
-            })
+            let (topic_id, bytes) = (TopicId(row.get(1)?), unsigned(row, 3)?);
+            Ok(KeptTopic { key: row.get(0)?, topic_id, name: row.get(2)?, bytes })
         })
     }
 
@@ -80,27 +76,15 @@ impl Retention {
         (since, until): (Timestamp, Timestamp),
         limit: usize,
     ) -> Result<Vec<OldRecord>, StoreError> {
-        let key = topic.key;
-        let time = |at: Timestamp| capped(at.0);
-        let values = params![
-            RecordState::Verified.code(),
-            key,
-            RecordKind::Data.code(),
-            time(since),
-            time(until),
-            capped(limit)
-        ];
+        let (verified, data) = (RecordState::Verified.code(), RecordKind::Data.code());
+        let values = params![verified, topic.key, data, capped(since.0), capped(until.0), capped(limit)];
         let sql = "SELECT digest, seq, bytes, captured_at FROM records
             WHERE state = ?1 AND stream IN (SELECT key FROM streams WHERE topic = ?2 AND kind = ?3)
             AND captured_at >= ?4 AND captured_at < ?5
             AND NOT EXISTS (SELECT 1 FROM retained WHERE record = n) ORDER BY captured_at, n LIMIT ?6";
         self.0.list(sql, values, |row| {
-            Ok(OldRecord {
-                digest: Digest(row.get(0)?),
-                seq: unsigned(row, 1)?,
-                bytes: unsigned(row, 2)?,
-                captured_at: Timestamp(unsigned(row, 3)?),
-            })
+            let (digest, captured_at) = (Digest(row.get(0)?), time(row, 3)?);
+            Ok(OldRecord { digest, seq: unsigned(row, 1)?, bytes: unsigned(row, 2)?, captured_at })
         })
     }
 
@@ -123,8 +107,7 @@ impl Retention {
             }
             let sql = "INSERT INTO retained_topics VALUES (?1, ?2, ?3)
                 ON CONFLICT DO UPDATE SET records = records + excluded.records, bytes = bytes + excluded.bytes";
-            connection.run(sql, params![key, whole("count", records.len() as u64)?, whole("bytes", bytes)?])?;
-            Ok(())
+            connection.run(sql, params![key, whole("count", records.len() as u64)?, whole("bytes", bytes)?])
         })
     }
 
@@ -171,21 +154,13 @@ impl Retention {
                 told.n IS NOT NULL,
                 (SELECT statement FROM erasures WHERE erasures.record = one.n AND taken = 1) FROM records one
                 JOIN retained ON record = one.n LEFT JOIN records told ON told.digest = report WHERE one.digest = ?1";
-            let found = connection.find(
-                sql,
-                params![digest.0, RecordState::Confirmed.code(), RecordState::Verified.code()],
-                |row| {
-                    let retained = Retained {
-                        report: Digest(row.get(0)?),
-                        anchored: row.get(1)?,
-                        header: row.get(2)?,
-                        deleted_at: row.get::<_, Option<i64>>(3)?.map(|at| Timestamp(at.cast_unsigned())),
-                        erased: None,
-                        stated: row.get(5)?,
-                    };
-                    Ok((retained, row.get::<_, bool>(4)?))
-                },
-            )?;
+            let values = params![digest.0, RecordState::Confirmed.code(), RecordState::Verified.code()];
+            let found = connection.find(sql, values, |row| {
+                let (report, deleted_at) = (Digest(row.get(0)?), optional(row, 3)?.map(Timestamp));
+                let (anchored, header, stated) = (row.get(1)?, row.get(2)?, row.get(5)?);
+                let retained = Retained { report, anchored, header, deleted_at, erased: None, stated };
+                Ok((retained, row.get::<_, bool>(4)?))
+            })?;
             let Some((mut retained, told)) = found else { return Ok(None) };
             retained.erased = notes::read_in(connection, &Erased { report: retained.report })?;
             // A ledger needs no statement for its own erasures.
@@ -220,8 +195,7 @@ pub(super) fn is_held() -> String {
 pub(super) fn name(connection: &Connection, digest: Digest, report: Digest, header: &[u8]) -> Result<(), StoreError> {
     let sql = "INSERT INTO retained (record, report, header) SELECT n, ?2, ?3 FROM records
         WHERE digest = ?1 AND state = ?4 ON CONFLICT DO NOTHING";
-    let named = connection.run(sql, params![digest.0, report.0, header, RecordState::Verified.code()])?;
-    match named {
+    match connection.changed(sql, params![digest.0, report.0, header, RecordState::Verified.code()])? {
         1 => Ok(()),
         _ => Err(StoreError::NotReady { digest, found: "not verified, or already discarded" }),
     }

@@ -217,19 +217,6 @@ pub(super) fn keyed_streams(
     Ok(found)
 }
 
-/// Adds the stream of a row with [`COLUMNS`] unless known.
-pub(super) fn learn_stream(
-    connection: &Connection,
-    row: &Row<'_>,
-    streams: &mut HashMap<i64, Stream>,
-) -> Result<(), StoreError> {
-    let key: i64 = row.get(0)?;
-    if !streams.contains_key(&key) {
-        streams.extend(keyed_streams(connection, [key])?);
-    }
-    Ok(())
-}
-
 impl RecordRow {
     pub fn is_named(&self) -> bool {
         !self.topic.starts_with(UNNAMED)
@@ -293,20 +280,29 @@ pub(super) fn record(row: &Row<'_>, streams: &HashMap<i64, Stream>) -> rusqlite:
         topic: stream.topic.clone(),
         type_name: stream.type_name.clone(),
         bytes: unsigned(row, 5)?,
-        captured_at: Timestamp(unsigned(row, 6)?),
-        acknowledged_at: Timestamp(unsigned(row, 7)?),
+        captured_at: time(row, 6)?,
+        acknowledged_at: time(row, 7)?,
         simulated: row.get(8)?,
         state: state(row, 9)?,
         transaction: row.get::<_, Option<_>>(10)?.map(Hash),
-        block: row.get::<_, Option<i64>>(11)?.map(i64::cast_unsigned),
+        block: optional(row, 11)?,
         block_hash: row.get::<_, Option<_>>(12)?.map(Hash),
-        deleted_at: row.get::<_, Option<i64>>(13)?.map(|at| Timestamp(at.cast_unsigned())),
+        deleted_at: optional(row, 13)?.map(Timestamp),
     })
 }
 
 /// From 0 to 2^63 - 1.
-pub(super) fn unsigned(row: &Row<'_>, column: usize) -> rusqlite::Result<u64> {
+pub(crate) fn unsigned(row: &Row<'_>, column: usize) -> rusqlite::Result<u64> {
     row.get(column).map(i64::cast_unsigned)
+}
+
+pub(crate) fn time(row: &Row<'_>, column: usize) -> rusqlite::Result<Timestamp> {
+    unsigned(row, column).map(Timestamp)
+}
+
+/// `None` for NULL.
+pub(super) fn optional(row: &Row<'_>, column: usize) -> rusqlite::Result<Option<u64>> {
+    row.get::<_, Option<i64>>(column).map(|value| value.map(i64::cast_unsigned))
 }
 
 pub(super) fn state(row: &Row<'_>, column: usize) -> rusqlite::Result<RecordState> {
@@ -361,6 +357,11 @@ pub fn is_legal(from: RecordState, to: RecordState) -> bool {
     EDGES.iter().any(|(before, after, _)| before.contains(&from) && after.contains(&to))
 }
 
+/// Refuses a transition that `by` may not make.
+pub(super) fn check(by: By, from: RecordState, to: RecordState) -> Result<(), StoreError> {
+    if may(by, from, to) { Ok(()) } else { Err(StoreError::IllegalEdge { from, to }) }
+}
+
 pub(super) fn may(by: By, from: RecordState, to: RecordState) -> bool {
     EDGES.iter().any(|(before, after, who)| *who == by && before.contains(&from) && after.contains(&to))
 }
@@ -395,7 +396,10 @@ pub(super) fn rows_of(connection: &Connection, digests: &[Digest]) -> Result<Vec
     let one = |digest: &Digest| {
         let mut found = find.query([digest.0])?;
         let Some(row) = found.next()? else { return Ok(None) };
-        learn_stream(connection, row, &mut by_key)?;
+        let key = row.get(0)?;
+        if !by_key.contains_key(&key) {
+            by_key.extend(keyed_streams(connection, [key])?);
+        }
         Ok(Some(record(row, &by_key)?))
     };
     digests.iter().map(one).collect()

@@ -1,11 +1,11 @@
 //! What the watcher read on the chain: blocks, and anchors in them.
 
-use rusqlite::{Connection, params};
+use rusqlite::{Connection, Row, params};
 
-use super::rows::{self, By, anchored, may, of_its_batch, unsigned};
-use super::{Batches, Counts, Forwarding, Trail, batches};
+use super::rows::{self, By, anchored, check, may, of_its_batch, time, unsigned};
+use super::{Batches, Counts, Forwarding, Session, Trail, batches};
 use crate::StoreError;
-use crate::database::{Statements as _, capped, count, whole};
+use crate::database::{Statements as _, capped, whole};
 use crate::model::{Address, Digest, Hash, RecordState, RecorderId, Signature, SignerId, Timestamp, TopicId};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -73,8 +73,7 @@ impl Batches {
     /// broken chain causes.
     pub fn take_back(&self, from_block: u64) -> Result<(u64, u64), StoreError> {
         let block = whole("block", from_block)?;
-        self.0.write(move |session| {
-            let connection = session.connection;
+        self.0.write(move |Session { connection, .. }| {
             let sql = "UPDATE transactions SET state = 0, block = NULL, block_hash = NULL, gas_used = NULL
                 WHERE state = 1 AND block >= ?1";
             connection.run(sql, [block])?;
@@ -117,10 +116,9 @@ fn standing(connection: &Connection, sighting: &Sighting) -> Result<Option<Stand
         anchored!("block_hash"),
         " FROM records JOIN topics ON key = topic WHERE digest = ?1 AND topics.owner = ?2"
     );
-    let found = connection.find(sql, params![sighting.digest.0, sighting.owner.0], |row| {
+    Ok(connection.find(sql, params![sighting.digest.0, sighting.owner.0], |row| {
         Ok(Standing { n: row.get(0)?, state: rows::state(row, 1)?, block: row.get(2)?, block_hash: row.get(3)? })
-    })?;
-    Ok(found)
+    })?)
 }
 
 /// State ?1, with a block of their own from ?2 on.
@@ -148,12 +146,12 @@ fn unplace(connection: &Connection, from: RecordState, lost: (&str, i64)) -> Res
     ];
     let mut moved = 0;
     for (to, transaction, condition) in steps {
-        if from != to && !may(By::Reorg, from, to) {
-            return Err(StoreError::IllegalEdge { from, to });
+        if from != to {
+            check(By::Reorg, from, to)?;
         }
         let values = format!("state = ?3, tx = {transaction}, block = NULL, block_hash = NULL");
         let sql = format!("UPDATE {} AND {condition}", lost.0.replace("{}", &values));
-        moved += count(connection.run(&sql, params![from.code(), lost.1, to.code()])?);
+        moved += connection.changed(&sql, params![from.code(), lost.1, to.code()])?;
     }
     Ok(moved)
 }
@@ -168,7 +166,11 @@ const SPARSE: u64 = 256;
 const SET_CURSOR: &str = "REPLACE INTO cursor VALUES (1, ?1, ?2)";
 
 pub(super) fn cursor_in(connection: &Connection) -> Result<Option<(u64, Hash)>, StoreError> {
-    Ok(connection.find("SELECT block, hash FROM cursor", [], |row| Ok((unsigned(row, 0)?, Hash(row.get(1)?))))?)
+    Ok(connection.find("SELECT block, hash FROM cursor", [], block)?)
+}
+
+fn block(row: &Row<'_>) -> rusqlite::Result<(u64, Hash)> {
+    Ok((unsigned(row, 0)?, Hash(row.get(1)?)))
 }
 
 impl Trail {
@@ -184,8 +186,7 @@ impl Trail {
     /// Moves the cursor and stores the blocks met in one commit.
     pub fn walk_to(&self, to: (u64, Hash), met: Vec<(u64, Hash)>) -> Result<(), StoreError> {
         let block = whole("block", to.0)?;
-        self.0.write(move |session| {
-            let connection = session.connection;
+        self.0.write(move |Session { connection, .. }| {
             let mut keep = connection.prepare_cached("REPLACE INTO trail VALUES (?1, ?2)")?;
             for (number, hash) in met.iter().chain([&to]) {
                 keep.execute(params![whole("block", *number)?, hash.0])?;
@@ -203,23 +204,19 @@ impl Trail {
 
     /// Oldest first.
     pub fn blocks(&self) -> Result<Vec<(u64, Hash)>, StoreError> {
-        self.0
-            .list("SELECT block, hash FROM trail ORDER BY block", [], |row| Ok((unsigned(row, 0)?, Hash(row.get(1)?))))
+        self.0.list("SELECT block, hash FROM trail ORDER BY block", [], block)
     }
 
     pub fn end(&self) -> Result<Option<(u64, Hash)>, StoreError> {
-        let sql = "SELECT block, hash FROM trail ORDER BY block DESC LIMIT 1";
-        self.0.find(sql, [], |row| Ok((unsigned(row, 0)?, Hash(row.get(1)?))))
+        self.0.find("SELECT block, hash FROM trail ORDER BY block DESC LIMIT 1", [], block)
     }
 
     /// Moves a later cursor back to `to` and deletes the blocks after it, in one commit.
     pub fn walk_back(&self, to: (u64, Hash)) -> Result<(), StoreError> {
         let block = whole("block", to.0)?;
-        self.0.write(move |session| {
-            let connection = session.connection;
+        self.0.write(move |Session { connection, .. }| {
             connection.run("DELETE FROM trail WHERE block > ?1", [block])?;
-            connection.run("UPDATE cursor SET block = ?1, hash = ?2 WHERE block > ?1", params![block, to.1.0])?;
-            Ok(())
+            connection.run("UPDATE cursor SET block = ?1, hash = ?2 WHERE block > ?1", params![block, to.1.0])
         })
     }
 }
@@ -227,8 +224,7 @@ impl Trail {
 impl Counts {
     /// The signer's highest number in each topic of an owner, by topic id, except topics with these names.
     pub fn heights(&self, owner: Address, signer: SignerId, but: [&str; 2]) -> Result<Vec<(TopicId, u64)>, StoreError> {
-        let recorder = self.0.shared.recorder.of_signer(&signer);
-        let [one, other] = but;
+        let (recorder, [one, other]) = (self.0.shared.recorder.of_signer(&signer), but);
         let sql = "SELECT topic_id, highest FROM
             (SELECT topic_id, (SELECT max(seq) FROM records WHERE topic = topics.key) AS highest FROM topics
              WHERE owner = ?1 AND keeper IS NULL AND name NOT IN (?2, ?3)
@@ -281,7 +277,7 @@ impl Forwarding {
     /// Verified before a time, with ciphertext, oldest first.
     pub fn proven_before(&self, moment: Timestamp, limit: usize) -> Result<Vec<Digest>, StoreError> {
         let (moment, limit) = (whole("time", moment.0)?, capped(limit));
-        let verified = crate::model::RecordState::Verified.code();
+        let verified = RecordState::Verified.code();
         let sql = "SELECT digest FROM proven JOIN records ON n = record
             WHERE gone = 0 AND at < ?1 AND state = ?3 ORDER BY at LIMIT ?2";
         self.0.list(sql, params![moment, limit, verified], |row| row.get(0).map(Digest))
@@ -298,7 +294,7 @@ impl Forwarding {
         let sql = "SELECT s.at, statement, signature, proof FROM proven p JOIN standings s ON s.key = p.standing
             WHERE record = (SELECT n FROM records WHERE digest = ?1)";
         self.0.find(sql, [digest.0], |row| {
-            let (time, signature) = (Timestamp(unsigned(row, 0)?), Signature(row.get(2)?));
+            let (time, signature) = (time(row, 0)?, Signature(row.get(2)?));
             Ok(KeptStanding { time, statement: row.get(1)?, signature, proofs: vec![(digest, row.get(3)?)] })
         })
     }

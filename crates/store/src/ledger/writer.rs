@@ -71,6 +71,7 @@ enum Message {
 }
 
 /// Dropping it ends the thread without marking the file as closed.
+#[derive(Debug)]
 pub(super) struct Writer {
     messages: Sender<Message>,
     thread: Mutex<Option<JoinHandle<()>>>,
@@ -159,7 +160,7 @@ impl Mark {
     fn open(&self, connection: &Connection) -> Result<(bool, bool), StoreError> {
         let is_told = self.is_told || connection.total_changes() != self.untouched;
         if is_told && !self.is_told {
-            run(connection, "UPDATE about SET clean = 0")?;
+            connection.run("UPDATE about SET clean = 0", [])?;
         }
         let has_feed = self.has_feed || head(connection)? != self.head;
         if has_feed && !self.has_feed {
@@ -223,7 +224,7 @@ fn commit(connection: &Connection, names: &mut KnownNames, mark: &mut Mark, grou
             Err(error) => {
                 job.answer(Err(error));
                 // A half-done piece may still be in there.
-                if !connection.is_autocommit() && run(connection, "ROLLBACK").is_err() {
+                if !connection.is_autocommit() && connection.run("ROLLBACK", []).is_err() {
                     answer_all(&mut done, &lost_group());
                     return;
                 }
@@ -231,7 +232,7 @@ fn commit(connection: &Connection, names: &mut KnownNames, mark: &mut Mark, grou
         }
         if connection.is_autocommit() {
             // The transaction is gone (disk full, I/O error), and nobody in it was answered.
-            names.clear();
+            *names = KnownNames::default();
             answer_all(&mut done, &lost_group());
         }
     }
@@ -241,7 +242,7 @@ fn commit(connection: &Connection, names: &mut KnownNames, mark: &mut Mark, grou
 fn settle(connection: &Connection, names: &mut KnownNames, mark: &mut Mark, done: &mut Vec<Box<dyn Job>>) {
     let result = if connection.is_autocommit() { Ok(()) } else { end(connection, mark) };
     if result.is_err() {
-        names.clear();
+        *names = KnownNames::default();
     }
     answer_all(done, &result);
 }
@@ -249,16 +250,16 @@ fn settle(connection: &Connection, names: &mut KnownNames, mark: &mut Mark, done
 /// Whether the job did its work; an error if it could not be tried, kept or rolled back.
 fn attempt(connection: &Connection, names: &mut KnownNames, job: &mut dyn Job) -> Result<bool, StoreError> {
     let is_first = connection.is_autocommit();
-    run(connection, if is_first { "BEGIN IMMEDIATE" } else { "SAVEPOINT job" })?;
+    connection.run(if is_first { "BEGIN IMMEDIATE" } else { "SAVEPOINT job" }, [])?;
     // A fault must end neither this thread nor other work.
     let done = catch_unwind(AssertUnwindSafe(|| job.run(&mut Session { connection, names })));
     if matches!(done, Ok(true)) {
         if !is_first {
-            run(connection, "RELEASE job")?;
+            connection.run("RELEASE job", [])?;
         }
         return Ok(true);
     }
-    names.clear();
+    *names = KnownNames::default();
     if !connection.is_autocommit() {
         take_back(connection, is_first)?;
     }
@@ -267,10 +268,10 @@ fn attempt(connection: &Connection, names: &mut KnownNames, job: &mut dyn Job) -
 
 fn take_back(connection: &Connection, is_first: bool) -> Result<(), StoreError> {
     if is_first {
-        return run(connection, "ROLLBACK");
+        return connection.run("ROLLBACK", []);
     }
-    run(connection, "ROLLBACK TO job")?;
-    run(connection, "RELEASE job")
+    connection.run("ROLLBACK TO job", [])?;
+    connection.run("RELEASE job", [])
 }
 
 fn failed_job() -> StoreError {
@@ -281,18 +282,13 @@ fn failed_job() -> StoreError {
 fn end(connection: &Connection, mark: &mut Mark) -> Result<(), StoreError> {
     let opened = mark.open(connection);
     fault::point("commit-begun");
-    let result = opened.and_then(|opened| run(connection, "COMMIT").map(|()| opened));
+    let result = opened.and_then(|opened| connection.run("COMMIT", []).map(|()| opened));
     fault::point("committed");
     if result.is_err() && !connection.is_autocommit() {
-        run(connection, "ROLLBACK")?;
+        connection.run("ROLLBACK", [])?;
     }
     (mark.is_told, mark.has_feed) = result?;
     mark.closed &= !mark.is_told;
-    Ok(())
-}
-
-fn run(connection: &Connection, sql: &str) -> Result<(), StoreError> {
-    connection.run(sql, [])?;
     Ok(())
 }
 
