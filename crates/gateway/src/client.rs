@@ -86,14 +86,16 @@ impl Client {
         let mut failed = Vec::new();
         for address in &endpoint.addresses {
             let hello = timeout(endpoint.patience, hello(endpoint, address, trust, who)).await;
-            match hello.unwrap_or(Err(GatewayError::TimedOut)) {
-                Ok((line, agreed, session)) => {
-                    let (address, endpoint, passed_over) = (address.clone(), endpoint.clone(), failed);
-                    let (requests, assembler) = (0, Assembler::default());
-                    return Ok(Self { line, address, passed_over, endpoint, agreed, session, token, requests, assembler });
+            let (line, agreed, session) = match hello.unwrap_or(Err(GatewayError::TimedOut)) {
+                Ok(greeted) => greeted,
+                Err(error) => {
+                    failed.push((clean(address, 240), error));
+                    continue;
                 }
-                Err(error) => failed.push((clean(address, 240), error)),
-            }
+            };
+            let (address, endpoint, passed_over) = (address.clone(), endpoint.clone(), failed);
+            let (requests, assembler) = (0, Assembler::default());
+            return Ok(Self { line, address, passed_over, endpoint, agreed, session, token, requests, assembler });
         }
         Err(GatewayError::of_addresses(failed))
     }

@@ -237,7 +237,7 @@ impl Cabinet {
         };
         let mut cabinet = Self { directory, provider, domain, schedule, identity, list, keys };
         if !cabinet.rotate(now)?.published {
-            // A restored home has an older list than its clients accept, and cannot know: each opening signs a newer version.
+            // Clients refuse the older list of a restored home, which cannot know: each opening signs a newer version.
             cabinet.publish(now, cabinet.list.keys.clone())?;
         }
         cabinet.erase_strays()?;

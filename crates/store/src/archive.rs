@@ -21,9 +21,8 @@ pub fn is_plain(name: &str) -> bool {
 
 /// Writes one file: exactly `length` bytes of `bytes`.
 pub fn put(archive: &mut impl Write, name: &str, length: u64, bytes: &mut impl Read) -> io::Result<()> {
-    let size = u16::try_from(name.len()).ok().filter(|_| is_plain(name));
-    let size =
-        size.ok_or_else(|| io::Error::new(io::ErrorKind::InvalidInput, format!("'{name}' is not a plain file name")))?;
+    let refused = || io::Error::new(io::ErrorKind::InvalidInput, format!("'{name}' is not a plain file name"));
+    let size = u16::try_from(name.len()).ok().filter(|_| is_plain(name)).ok_or_else(refused)?;
     archive.write_all(&[FILE])?;
     archive.write_all(&size.to_be_bytes())?;
     archive.write_all(name.as_bytes())?;

@@ -140,15 +140,15 @@ impl Cache {
 
     pub(crate) fn get(&self, digest: Digest) -> Option<Vec<u8>> {
         let shared = &self.shared;
-        let found = match shared.servers.get(digest) {
+        match shared.servers.get(digest) {
             Answer::Bytes(bytes) if sm3(&[&bytes]) == digest.0 => {
                 shared.hits.fetch_add(1, Ordering::Relaxed);
                 return Some(bytes);
             }
-            other => other,
-        };
-        if matches!(found, Answer::Bytes(_) | Answer::Nonsense) {
-            shared.wrong.fetch_add(1, Ordering::Relaxed);
+            Answer::Bytes(_) | Answer::Nonsense => {
+                shared.wrong.fetch_add(1, Ordering::Relaxed);
+            }
+            Answer::Nothing => {}
         }
         shared.misses.fetch_add(1, Ordering::Relaxed);
         None

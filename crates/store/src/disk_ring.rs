@@ -468,10 +468,17 @@ fn read(reader: &mut BufReader<&File>, beginning: Beginning) -> std::io::Result<
     reader.read_exact(&mut rest)?;
     let mut fields = Reader::new(&rest);
     let Ok((type_name, digest, signature)) = signed(&mut fields) else { return Ok(None) };
-    let (is_definition, simulated) = (beginning.is_definition(), beginning.flags & SIMULATED != 0);
-    let (Beginning { captured_at, plain_length, topic, .. }, blob) = (beginning, fields.rest().to_vec());
-    let record = RingRecord { digest, signature, topic, type_name, captured_at, is_definition, simulated, plain_length, blob };
-    Ok(Some(record))
+    Ok(Some(RingRecord {
+        digest,
+        signature,
+        type_name,
+        captured_at: beginning.captured_at,
+        is_definition: beginning.is_definition(),
+        simulated: beginning.flags & SIMULATED != 0,
+        plain_length: beginning.plain_length,
+        blob: fields.rest().to_vec(),
+        topic: beginning.topic,
+    }))
 }
 
 fn put(out: &mut Vec<u8>, record: &RingRecord) {

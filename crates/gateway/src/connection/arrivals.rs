@@ -77,7 +77,10 @@ impl Connection {
 
     /// Delays a peer that sends more than it may.
     pub(super) async fn pace(&self, bytes: usize) {
-        let pause = self.seat.pace(std::time::Instant::now(), bytes);
+        self.pause(self.seat.pace(std::time::Instant::now(), bytes)).await;
+    }
+
+    async fn pause(&self, pause: Duration) {
         if pause > Duration::ZERO {
             sleep(pause.min(self.shared.limits().frame_time)).await;
         }
@@ -96,10 +99,7 @@ impl Connection {
     /// Delays a peer whose requests cost the chain more than they may.
     pub(super) async fn pace_relay(&self, body: &[u8]) {
         let Ok(Request::Relay(call)) = Request::parse(Command::Relay, body) else { return };
-        let pause = self.seat.pace_relay(std::time::Instant::now(), weight(&call.method));
-        if pause > Duration::ZERO {
-            sleep(pause.min(self.shared.limits().frame_time)).await;
-        }
+        self.pause(self.seat.pace_relay(std::time::Instant::now(), weight(&call.method))).await;
     }
 }
 

@@ -5,7 +5,7 @@ use std::collections::{HashMap, HashSet};
 
 use rusqlite::{Connection, params};
 
-use super::rows::{By, check};
+use super::rows::{By, check, optional};
 use super::{Foreign, NewRecord, Records, Session, own_prefix};
 use crate::StoreError;
 use crate::database::{Statements as _, whole};
@@ -32,9 +32,8 @@ impl Records {
             let sql = "SELECT max(seq) FROM records WHERE topic =
                 (SELECT key FROM topics WHERE owner = ?1 AND topic_id = ?2 AND keeper IS NULL
                  AND recorder = (SELECT key FROM recorders WHERE id = ?3 AND signer = ?4))";
-            let highest: Option<i64> =
-                connection.one(sql, params![owner.0, topic.0, recorder.0, signer.0], |row| row.get(0))?;
-            Ok(highest.map_or(1, |seq| seq.cast_unsigned() + 1))
+            let values = params![owner.0, topic.0, recorder.0, signer.0];
+            Ok(connection.one(sql, values, |row| optional(row, 0))?.map_or(1, |seq| seq + 1))
         })
     }
 

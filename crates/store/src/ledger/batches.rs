@@ -314,9 +314,8 @@ pub(super) fn take_in(
     inclusion: &Inclusion,
     anchor: &RootSighting,
 ) -> Result<bool, StoreError> {
-    let found = connection.find("SELECT n, state FROM records WHERE digest = ?1", [digest.0], |row| {
-        Ok((row.get::<_, i64>(0)?, rows::state(row, 1)?))
-    })?;
+    let sql = "SELECT n, state FROM records WHERE digest = ?1";
+    let found = connection.find(sql, [digest.0], |row| Ok((row.get::<_, i64>(0)?, rows::state(row, 1)?)))?;
     let (record, state) = found.ok_or(StoreError::NotReady { digest, found: "unknown" })?;
     if !may(By::Batch, state, RecordState::Batched) && !leave_for(connection, (record, state), inclusion.root)? {
         return Ok(false);

@@ -111,20 +111,18 @@ fn topics(
     filter: &FeedFilter,
     place: impl Fn(u64) -> u64,
 ) -> Result<HashMap<i64, u64>, StoreError> {
-    let mut statement = connection.prepare_cached(
-        "SELECT t.key, t.topic_id, r.id FROM topics t JOIN recorders r ON r.key = t.recorder WHERE t.owner = ?1",
-    )?;
+    let sql = "SELECT t.key, t.topic_id, r.id FROM topics t JOIN recorders r ON r.key = t.recorder WHERE t.owner = ?1";
     let mut found = HashMap::new();
     for FeedPlace { owner, after, topics } in &filter.places {
-        let mut rows = statement.query([owner.0])?;
-        while let Some(row) = rows.next()? {
+        connection.each(sql, [owner.0], |row| {
             let (topic, recorder) = (TopicId(row.get(1)?), RecorderId(row.get(2)?));
             let is_wanted = topics.as_ref().is_none_or(|topics| topics.contains(&topic))
                 && (filter.recorders.is_empty() || filter.recorders.contains(&recorder));
             if is_wanted {
                 found.insert(row.get(0)?, place(*after));
             }
-        }
+            Ok(())
+        })?;
     }
     Ok(found)
 }

@@ -213,7 +213,8 @@ impl Names {
     pub fn keep_topic(&self, owner: Address, topic: TopicId, name: String) -> Result<(), StoreError> {
         let sql = "SELECT EXISTS (SELECT 1 FROM topics WHERE owner = ?1 AND topic_id = ?2 AND name = '')
                 AND NOT EXISTS (SELECT 1 FROM names WHERE owner = ?1 AND id = lower(hex(?2)))";
-        if self.0.one(sql, params![owner.0, topic.0], |row| row.get(0))? { self.keep(owner, hex(&topic.0), name) } else { Ok(()) }
+        let is_here: bool = self.0.one(sql, params![owner.0, topic.0], |row| row.get(0))?;
+        if is_here { self.keep(owner, hex(&topic.0), name) } else { Ok(()) }
     }
 
     /// Captured, learnt or given; none is proven.

@@ -3,7 +3,7 @@
 
 use std::collections::HashMap;
 
-use rusqlite::{Connection, Row, params};
+use rusqlite::{Row, params};
 
 use super::Inspection;
 use super::rows::{self, RecordRow, Stream, optional, unsigned};

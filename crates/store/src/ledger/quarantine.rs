@@ -113,11 +113,10 @@ impl Quarantine {
         self.0.write_many(counted.len(), move |session| {
             let now = whole("time", Timestamp::now().0)?;
             add(session, &report, now)?;
-            let mut statement = session.connection.prepare_cached(
-                "UPDATE held SET report = ?2
-                    WHERE report IS NULL AND record = (SELECT n FROM records WHERE digest = ?1)",
-            )?;
-            counted.iter().try_for_each(|digest| match statement.execute(params![digest.0, report.digest.0])? {
+            let sql = "UPDATE held SET report = ?2
+                    WHERE report IS NULL AND record = (SELECT n FROM records WHERE digest = ?1)";
+            let mark = |digest: &Digest| session.connection.changed(sql, params![digest.0, report.digest.0]);
+            counted.iter().try_for_each(|digest| match mark(digest)? {
                 1 => Ok(()),
                 _ => Err(StoreError::NotReady { digest: *digest, found: "not quarantined, or already counted" }),
             })

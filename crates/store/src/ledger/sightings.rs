@@ -41,12 +41,11 @@ impl Batches {
             // An anchor that did not count is no reason to read its block again.
             let sql =
                 "SELECT 1 FROM passed_over JOIN records ON n = record WHERE digest = ?1 AND passed_over.block = ?2";
-            let mut passed_over = connection.prepare_cached(sql)?;
             let mut waiting = Vec::new();
             for sighting in sightings {
                 let found = standing(connection, sighting)?.filter(|found| found.block.is_none());
                 let is_open = found.is_some_and(|found| may(By::Sight, found.state, RecordState::Mined));
-                if is_open && !passed_over.exists(params![sighting.digest.0, whole("block", sighting.block)?])? {
+                if is_open && !connection.has(sql, params![sighting.digest.0, whole("block", sighting.block)?])? {
                     waiting.push(sighting.digest);
                 }
             }

@@ -141,8 +141,8 @@ fn keep(connection: &Connection, new: &NewTransaction) -> Result<(), StoreError>
 }
 
 fn mark(connection: &Connection, digest: Digest, hash: Hash) -> Result<(), StoreError> {
-    let found =
-        connection.find("SELECT state FROM records WHERE digest = ?1", [digest.0], |row| rows::state(row, 0))?;
+    let sql = "SELECT state FROM records WHERE digest = ?1";
+    let found = connection.find(sql, [digest.0], |row| rows::state(row, 0))?;
     // A batched record is anchored with its batch, never individually.
     let ready = |state| state != RecordState::Batched && may(By::Submit, state, RecordState::Submitted);
     if !found.is_some_and(ready) {

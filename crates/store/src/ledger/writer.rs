@@ -3,7 +3,7 @@
 //! changed page and walks all copies after every statement.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::mpsc::{self, Receiver, Sender, SyncSender};
 use std::sync::{Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
@@ -49,7 +49,7 @@ impl<T: Send, F: FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send> Job f
     fn run(&mut self, session: &mut Session<'_>) -> bool {
         if let Some(work) = self.work.take() {
             // If the work panics.
-            self.outcome = Err(failed_job());
+            self.outcome = Err(failed("a write failed because of a bug and was rolled back; please report it"));
             self.outcome = work(session);
         }
         self.outcome.is_ok()
@@ -261,22 +261,16 @@ fn attempt(connection: &Connection, names: &mut KnownNames, job: &mut dyn Job) -
     }
     *names = KnownNames::default();
     if !connection.is_autocommit() {
-        take_back(connection, is_first)?;
+        connection.run(if is_first { "ROLLBACK" } else { "ROLLBACK TO job" }, [])?;
+        if !is_first {
+            connection.run("RELEASE job", [])?;
+        }
     }
     Ok(false)
 }
 
-fn take_back(connection: &Connection, is_first: bool) -> Result<(), StoreError> {
-    if is_first {
-        return connection.run("ROLLBACK", []);
-    }
-    connection.run("ROLLBACK TO job", [])?;
-    connection.run("RELEASE job", [])
-}
-
-fn failed_job() -> StoreError {
-    let detail = "a write failed because of a bug and was rolled back; please report it".to_owned();
-    StoreError::Database { file: std::path::PathBuf::new(), detail }
+fn failed(detail: &str) -> StoreError {
+    StoreError::Database { file: PathBuf::new(), detail: detail.to_owned() }
 }
 
 fn end(connection: &Connection, mark: &mut Mark) -> Result<(), StoreError> {
@@ -293,8 +287,7 @@ fn end(connection: &Connection, mark: &mut Mark) -> Result<(), StoreError> {
 }
 
 fn lost_group() -> Result<(), StoreError> {
-    let detail = "the disk refused a write, so the whole group of writes was rolled back".to_owned();
-    Err(StoreError::Database { file: std::path::PathBuf::new(), detail })
+    Err(failed("the disk refused a write, so the whole group of writes was rolled back"))
 }
 
 fn answer_all(done: &mut Vec<Box<dyn Job>>, result: &Result<(), StoreError>) {
