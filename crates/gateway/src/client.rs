@@ -78,7 +78,7 @@ impl Client {
         let mut client = Self::open(endpoint, trust, who, credentials.token).await?;
         // Both sides hold K_T: from the pong on, large frames are accepted.
         client.ping().await?;
-        client.line.raise_cap();
+        client.line.decoder.raise_cap();
         Ok(client)
     }
 
@@ -145,7 +145,7 @@ impl Client {
         let mut client = Self::open(endpoint, trust, (None, name, None), Token([0; 32])).await?;
         // The gateway signed the hello and holds its keys: from the pong on, large frames are accepted.
         client.ping().await?;
-        client.line.raise_cap();
+        client.line.decoder.raise_cap();
         Ok(client)
     }
 

@@ -279,7 +279,7 @@ impl Connection {
         let first = session.open(&payload)?;
         // The sender of this frame holds K_T.
         self.seat.authenticated();
-        self.line.raise_cap();
+        self.line.decoder.raise_cap();
         let presence = self.shared.tally.enter(present, desk.caller.account, self.peer);
         presence.frame(payload.len());
         let mut assembler = Assembler::default();

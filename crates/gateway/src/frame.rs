@@ -237,7 +237,7 @@ pub(super) enum LineError {
 
 pub(super) struct Line {
     stream: TcpStream,
-    decoder: FrameDecoder,
+    pub decoder: FrameDecoder,
 }
 
 impl Line {
@@ -245,19 +245,6 @@ impl Line {
         // Without it only small answers are delayed.
         let _ = stream.set_nodelay(true);
         Self { stream, decoder: FrameDecoder::default() }
-    }
-
-    pub fn raise_cap(&mut self) {
-        self.decoder.raise_cap();
-    }
-
-    pub fn is_partial(&self) -> bool {
-        self.decoder.is_partial()
-    }
-
-    /// Of the current frame, if allowed.
-    pub fn announced(&self) -> Option<usize> {
-        self.decoder.announced_length()
     }
 
     pub fn arrived(&mut self) -> Result<Option<(FrameKind, Vec<u8>)>, LineError> {

@@ -184,9 +184,17 @@ impl DiskRing {
             self.close();
         }
         self.make_room(incoming)?;
-        if self.writer.is_none() {
-            self.begin_file()?;
+        if self.writer.is_some() {
+            return Ok(());
         }
+        let number = self.segments.keys().next_back().map_or(1, |last| last + 1);
+        let path = self.folder.join(format!("{number:016}.ring"));
+        let mut file = files::open_private(&path)?;
+        let begun = file.set_len(0).and_then(|()| file.write_all(&MAGIC));
+        begun.map_err(|error| StoreError::home(&path, &error))?;
+        self.segments.insert(number, Segment::new(path));
+        self.writer = Some(file);
+        self.definitions.clear();
         Ok(())
     }
 
@@ -265,18 +273,6 @@ impl DiskRing {
         // The system still writes what was not synced: only a power failure loses it.
         self.writer = None;
         self.definitions.clear();
-    }
-
-    fn begin_file(&mut self) -> Result<(), StoreError> {
-        let number = self.segments.keys().next_back().map_or(1, |last| last + 1);
-        let path = self.folder.join(format!("{number:016}.ring"));
-        let mut file = files::open_private(&path)?;
-        let begun = file.set_len(0).and_then(|()| file.write_all(&MAGIC));
-        begun.map_err(|error| StoreError::home(&path, &error))?;
-        self.segments.insert(number, Segment::new(path));
-        self.writer = Some(file);
-        self.definitions.clear();
-        Ok(())
     }
 
     /// Drops the oldest files until `incoming` bytes fit.

@@ -303,7 +303,12 @@ fn begin(connection: &Connection, path: &Path) -> Result<(RecorderPrefix, bool, 
             }
             Ok((recorder, clean, false))
         }
-        None => Ok((name_recorder(connection, path)?, true, true)),
+        None => {
+            let prefix = random_prefix(path)?;
+            connection.execute("INSERT INTO about VALUES (1, ?1, 0, 0)", [prefix.as_bytes()])?;
+            feed::begin(connection, 0)?;
+            Ok((prefix, true, true))
+        }
     }
 }
 
@@ -343,11 +348,4 @@ fn random_prefix(path: &Path) -> Result<RecorderPrefix, StoreError> {
 fn own_prefix(connection: &Connection) -> Result<RecorderPrefix, StoreError> {
     let prefix: Vec<u8> = connection.one("SELECT recorder FROM about", [], |row| row.get(0))?;
     Ok(RecorderPrefix::from_slice(&prefix).ok_or_else(|| rows::out_of_range(0))?)
-}
-
-fn name_recorder(connection: &Connection, path: &Path) -> Result<RecorderPrefix, StoreError> {
-    let prefix = random_prefix(path)?;
-    connection.execute("INSERT INTO about VALUES (1, ?1, 0, 0)", [prefix.as_bytes()])?;
-    feed::begin(connection, 0)?;
-    Ok(prefix)
 }

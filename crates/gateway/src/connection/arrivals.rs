@@ -40,7 +40,7 @@ impl Connection {
                 self.partial = false;
                 return Ok(Next::Frame(kind, payload));
             }
-            let partial = self.line.is_partial();
+            let partial = self.line.decoder.is_partial();
             if partial && !self.partial {
                 self.since = Instant::now();
             }
@@ -69,7 +69,7 @@ impl Connection {
     /// Charges a large frame to its peer before it is read; `false` while the peer has too many in flight.
     fn has_room(&mut self) -> bool {
         let charged = self.in_parts || self.charge.is_some();
-        let large = self.line.announced().filter(|length| *length > CHARGED && !charged);
+        let large = self.line.decoder.announced_length().filter(|length| *length > CHARGED && !charged);
         let Some(length) = large else { return true };
         self.charge = self.seat.charge(length).ok();
         self.charge.is_some()

@@ -191,7 +191,7 @@ async fn a_signature_of_another_frame_or_command_is_refused() {
         let (_, answer) = sealing.open(&answer).expect("opens");
         let inner = Inner::from_gateway(&answer).expect("parses");
         assert_eq!(Answer::parse(inner.command, inner.body), Ok(Answer::Refused(Code::Signature)));
-        line.raise_cap();
+        line.decoder.raise_cap();
     }
     let signature = sign(&sealing, sealing.next_counter(), grant);
     let payload = sealing.seal(&text(grant, alice.token, signature)).expect("seals");

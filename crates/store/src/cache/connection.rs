@@ -337,11 +337,9 @@ fn body(stream: &mut impl BufRead, mut length: u64, left: &mut Left, reply: &mut
 
 /// `None` = -1.
 fn number(line: &[u8]) -> IoResult<Option<u64>> {
-    let text = std::str::from_utf8(line.trim_ascii_end()).ok();
-    match text {
-        Some("-1") => Ok(None),
-        Some(text) => text.parse().map(Some).map_err(|_| nonsense("a length is no number")),
-        None => Err(nonsense("a length is no number")),
+    match std::str::from_utf8(line.trim_ascii_end()).unwrap_or_default() {
+        "-1" => Ok(None),
+        text => text.parse().map(Some).map_err(|_| nonsense("a length is no number")),
     }
 }
 

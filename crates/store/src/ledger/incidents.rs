@@ -168,7 +168,7 @@ impl Incidents {
             AND r.captured_at >= ?4 AND r.captured_at < ?5
             AND NOT EXISTS (SELECT 1 FROM retained WHERE record = r.n)";
         let (kind, dropped) = (RecordKind::Data.code(), RecordState::Dropped.code());
-        let values = params![topic, kind, dropped, bound(since), bound(until)];
+        let values = params![topic, kind, dropped, capped(since.0), capped(until.0)];
         self.0.one(sql, values, |row| unsigned(row, 0))
     }
 }
@@ -202,7 +202,7 @@ fn counted(connection: &Connection, owner: Address, span: &IncidentSpan) -> Resu
             AND r.captured_at >= ?4 AND r.captured_at < ?5 GROUP BY 1, r.state"
     );
     let (kind, dropped) = (RecordKind::Data.code(), RecordState::Dropped.code());
-    Ok(connection.list(&sql, params![owner.0, kind, dropped, bound(span.since), end(span)], |row| {
+    Ok(connection.list(&sql, params![owner.0, kind, dropped, capped(span.since.0), end(span)], |row| {
         let (topic, records) = (row.get(0)?, unsigned(row, 2)?);
         if row.get::<_, u8>(1)? == RecordState::Quarantined.code() {
             return Ok(SpanCoverage { topic, quarantined: records, ..SpanCoverage::default() });
@@ -215,15 +215,11 @@ fn counted(connection: &Connection, owner: Address, span: &IncidentSpan) -> Resu
 
 fn losses(connection: &Connection, owner: Address, span: &IncidentSpan) -> Result<Vec<SpanCoverage>, StoreError> {
     let sql = "SELECT topic, sum(count) FROM gaps WHERE owner = ?1 AND last_at >= ?2 AND first_at < ?3 GROUP BY topic";
-    Ok(connection.list(sql, params![owner.0, bound(span.since), end(span)], |row| {
+    Ok(connection.list(sql, params![owner.0, capped(span.since.0), end(span)], |row| {
         Ok(SpanCoverage { topic: row.get(0)?, lost: unsigned(row, 1)?, ..SpanCoverage::default() })
     })?)
 }
 
-fn bound(at: Timestamp) -> i64 {
-    capped(at.0)
-}
-
 fn end(span: &IncidentSpan) -> i64 {
-    span.until.map_or(i64::MAX, bound)
+    span.until.map_or(i64::MAX, |until| capped(until.0))
 }
