@@ -31,17 +31,11 @@ pub enum GatewayError {
         "this is not the pinned gateway: {found} instead of {pinned}; someone may be intercepting the connection, do \
          not continue"
     )]
-    NotTheGateway {
-        pinned: SignerId,
-        found: SignerId,
-    },
+    NotTheGateway { pinned: SignerId, found: SignerId },
     #[error(
         "the gateway presents version {found} of its system keys, but version {seen} was seen before; do not continue"
     )]
-    RolledBack {
-        seen: u64,
-        found: u64,
-    },
+    RolledBack { seen: u64, found: u64 },
     #[error(
         "the gateway presents two lists of system keys under version {0}; do not continue, ask its operator to explain"
     )]
@@ -51,10 +45,7 @@ pub enum GatewayError {
     #[error("the record was erased by its owner; its proof remains")]
     Erased(Box<ErasedRecord>),
     #[error("the gateway's {what} is malformed ({why}); use the same version on both sides")]
-    Malformed {
-        what: &'static str,
-        why: WireError,
-    },
+    Malformed { what: &'static str, why: WireError },
     #[error("the gateway's answer does not match the request ({0}); connect again")]
     Unexpected(&'static str),
     #[error("the gateway's receipt does not cover {0}; keep the records and send them again")]

@@ -12,10 +12,10 @@ use tokio::task::{JoinHandle, JoinSet};
 use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
 
 use crate::connection::{Shared, serve};
+use crate::crypto::signer_id;
 use crate::desk::Desk;
 use crate::error::Code;
 use crate::frame::{FrameKind, Line, encode};
-use crate::crypto::signer_id;
 use crate::hello::Context;
 use crate::limits::{Limits, Peers};
 use crate::model::{Address, ProfileName, SignerId, Timestamp};

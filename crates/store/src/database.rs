@@ -5,7 +5,8 @@ use std::time::Duration;
 
 use rusqlite::config::DbConfig;
 use rusqlite::{
-    CachedStatement, Connection, OpenFlags, OptionalExtension as _, Params, Result as SqlResult, Row, TransactionBehavior,
+    CachedStatement, Connection, OpenFlags, OptionalExtension as _, Params, Result as SqlResult, Row,
+    TransactionBehavior,
 };
 
 use super::{StoreError, files};

@@ -220,8 +220,7 @@ struct Pipelines(BTreeMap<String, (Arc<Node>, Pipeline, Vec<Digest>)>);
 impl Pipelines {
     /// For one more command about this record.
     fn of(&mut self, node: Arc<Node>, digest: Digest) -> &mut Pipeline {
-        let (_, pipeline, digests) =
-            self.0.entry(node.shown.clone()).or_insert_with(|| (node, pipe(), Vec::new()));
+        let (_, pipeline, digests) = self.0.entry(node.shown.clone()).or_insert_with(|| (node, pipe(), Vec::new()));
         digests.push(digest);
         pipeline
     }

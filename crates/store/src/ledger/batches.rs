@@ -87,7 +87,8 @@ impl Batches {
 
     /// Of an account's open transactions, by nonce.
     pub fn open_roots(&self, account: Address) -> Result<Vec<Hash>, StoreError> {
-        let sql = "SELECT batch FROM transactions WHERE state = 0 AND account = ?1 AND batch IS NOT NULL ORDER BY nonce";
+        let sql =
+            "SELECT batch FROM transactions WHERE state = 0 AND account = ?1 AND batch IS NOT NULL ORDER BY nonce";
         self.0.list(sql, [account.0], |row| row.get(0).map(Hash))
     }
 

@@ -129,9 +129,7 @@ impl Proofs {
     pub fn chain_proof_counts(&self) -> Result<ProofCounts, StoreError> {
         let sql = "SELECT (SELECT max(block) FROM chain_proofs),
             (SELECT count(*) FROM batches INDEXED BY batches_without_proof WHERE proof = 2)";
-        self.0.one(sql, [], |row| {
-            Ok(ProofCounts { newest: optional(row, 0)?, missed: unsigned(row, 1)? })
-        })
+        self.0.one(sql, [], |row| Ok(ProofCounts { newest: optional(row, 0)?, missed: unsigned(row, 1)? }))
     }
 }
 

@@ -247,8 +247,7 @@ fn place(row: &Row<'_>) -> rusqlite::Result<Option<AuditedPlace>> {
 
 fn batch(row: &Row<'_>) -> rusqlite::Result<AuditedBatch> {
     let (key, count, held) = (unsigned(row, 0)?, unsigned(row, 2)?, unsigned(row, 3)?);
-    let (account, transaction) =
-        (row.get::<_, Option<_>>(4)?.map(Address), row.get::<_, Option<_>>(5)?.map(Hash));
+    let (account, transaction) = (row.get::<_, Option<_>>(4)?.map(Address), row.get::<_, Option<_>>(5)?.map(Hash));
     let (block, block_hash) = (optional(row, 6)?, row.get::<_, Option<_>>(7)?.map(Hash));
     let (root, closed_here) = (Hash(row.get(1)?), row.get(8)?);
     Ok(AuditedBatch { key, root, count, held, closed_here, account, transaction, block, block_hash })
