@@ -146,7 +146,7 @@ pub struct RemoteSite {
     pub addresses: Vec<String>,
     /// SM3 of its gateway's identity key.
     pub gateway_key: Option<SignerId>,
-    /// Whether to pin whichever gateway answers first.
+    /// Pin the first gateway that answers.
     pub trust_first: bool,
 }
 

@@ -98,7 +98,7 @@ impl Home {
         }
     }
 
-    /// What lies outside [`Self::root`], each with its name in a single-folder home.
+    /// Paths outside [`Self::root`], each with its name in a single-folder home.
     pub fn outside(&self) -> Vec<(&'static str, &Path)> {
         let all =
             [(SETTINGS, &self.settings), (KEYMAP, &self.keymap), (THEMES, &self.themes), (CONSOLE, &self.console)];

@@ -274,7 +274,7 @@ impl Client {
         self.signed(signing, &Request::Notice(Notice::Grant(notice))).await
     }
 
-    /// Signed by d_C; applies at once.
+    /// Signed by d_C; takes effect immediately.
     pub async fn revoke(&mut self, signing: &SmKeyPair, notice: RevokeNotice) -> Result<Receipt, GatewayError> {
         self.signed(signing, &Request::Notice(Notice::Revoke(notice))).await
     }

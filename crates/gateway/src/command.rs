@@ -30,7 +30,7 @@ numbered! {
         Feed = 6,
         Records = 7,
         GrantNotice = 11,
-        /// Applies at once.
+        /// Takes effect immediately.
         RevokeNotice = 12,
         /// Answered with the gateway's time.
         Ping = 13,

@@ -17,7 +17,7 @@ pub struct Limits {
     pub connections_of_peer: usize,
     /// Unauthenticated, in total; a peer has at most an eighth, an IPv6 network a quarter. A newcomer drops the oldest.
     pub handshakes: usize,
-    /// Of one peer at once.
+    /// Burst of one peer.
     pub handshake_burst: f64,
     /// Of one peer per second, sustained.
     pub handshake_rate: f64,
@@ -25,11 +25,11 @@ pub struct Limits {
     pub frame_rate: f64,
     /// Of one peer per second; more are slowed down.
     pub byte_rate: f64,
-    /// Of one peer at once, weighted by cost.
+    /// Burst of one peer, weighted by cost.
     pub relay_burst: f64,
     /// The same per second, sustained; more are slowed down.
     pub relay_rate: f64,
-    /// Newcomers' transactions from one peer at once; four times as many from all.
+    /// Burst of newcomers' transactions from one peer; four times as many from all.
     pub newcomer_burst: f64,
     /// Per second, sustained, of one peer and of all; more are refused: each makes the chain longer for ever.
     pub newcomer_rate: f64,
@@ -44,8 +44,7 @@ pub struct Limits {
     pub idle_time: Duration,
     /// Until the peer accepts what is sent.
     pub write_time: Duration,
-    /// Connections without a transport key that read the chain, in total. A newcomer drops the oldest of whoever has
-    /// most.
+    /// Visitors, who read the chain without a transport key, in total. A newcomer evicts one as in `enter_visit`.
     pub visits: usize,
     /// Of one peer.
     pub visits_of_peer: usize,
@@ -457,7 +456,7 @@ impl Counts {
         peer.into_iter().chain(network).for_each(change);
     }
 
-    /// Drops, if all places are taken, the oldest visitor of whoever has most: many addresses must not keep others out.
+    /// Evicts the oldest visitor of the largest holder if all places are taken: many addresses must not keep others out.
     pub fn enter_visit(&mut self, place: Place, limits: &Limits) -> Result<(u64, oneshot::Receiver<()>), Refusal> {
         let of_network = limits.visits_of_peer.saturating_mul(2);
         let network = place.network.and_then(|key| self.networks.get(&key));

@@ -300,7 +300,7 @@ pub struct TakenOfOwner {
     pub back: Option<u64>,
     /// Reads again only what the gateway did not have before.
     pub is_again: bool,
-    /// Records to be taken in later, with whether each was erased.
+    /// Records to process later, with whether each was erased.
     pub waits: BTreeMap<Digest, bool>,
     /// The lowest number without room in `waits`.
     pub beyond: Option<u64>,

@@ -45,7 +45,7 @@ impl Fetched {
 pub enum Found {
     /// Nothing for this caller.
     Missing(Code),
-    /// Without its bytes, as asked.
+    /// In reply to a request without bytes.
     Here,
     Held(Fetched),
     Erased(ErasedRecord),

@@ -198,7 +198,7 @@ impl Servers {
 }
 
 /// First and last slot, and HOST:PORT of the master, from `[first, last, [host, port, …], …]`.
-/// A node without its own name leaves it out: the asked one is meant.
+/// A node that does not know its own name leaves it out: use the queried one.
 fn range_of(asked: &str, range: Value) -> Option<(u16, u16, String)> {
     let Value::Array(parts) = range else { return None };
     let mut parts = parts.into_iter();
