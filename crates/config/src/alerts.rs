@@ -6,7 +6,7 @@ use std::time::Duration;
 use crate::crypto::hands::{self, Fault};
 use crate::crypto::private_file;
 use crate::model::clean;
-use crate::read::{ConfigError, Source, Values, bytes, certificates, number, source_of, span, value, wrong};
+use crate::read::{ConfigError, Source, Values, bytes, certificates, choice, number, source_of, span, value, wrong};
 
 /// The shortest secret that may sign deliveries, bytes.
 const SHORTEST_SECRET: usize = 16;
@@ -15,29 +15,24 @@ const LONGEST_SECRET: usize = 4096;
 /// The most words in a command.
 const MOST_WORDS: usize = 32;
 
-/// The format of a webhook.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum AlertForm {
     /// One JSON object of our own format for each delivery.
     Authros,
-    /// The format that Prometheus uses for an Alertmanager, version 2.
+    /// The format of an Alertmanager's API, version 2.
     Alertmanager,
 }
 
-/// The recipient.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum AlertPlace {
-    /// A server, over HTTP or HTTPS.
     Webhook {
         url: String,
-        /// Its format.
         form: AlertForm,
-        /// The file with the secret that signs deliveries.
+        /// File with the secret that signs deliveries.
         secret: Option<PathBuf>,
-        /// The file with the certificate authorities to accept, instead of those the machine trusts.
+        /// PEM file with the authorities to accept; `None` = those of this machine.
         roots: Option<PathBuf>,
     },
-    /// A program on this machine and its arguments.
     Command(Vec<String>),
 }
 
@@ -58,14 +53,11 @@ pub struct AlertLimits {
     pub audit: Option<Duration>,
 }
 
-/// What the settings say about alerts.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AlertSettings {
-    /// The destination; `None` = none; active alerts are shown all the same.
+    /// `None` = alerts are shown, not sent.
     pub place: Option<AlertPlace>,
-    /// The time between checks.
     pub every: Duration,
-    /// The thresholds.
     pub limits: AlertLimits,
 }
 
@@ -85,11 +77,8 @@ impl AlertSettings {
 }
 
 fn place(values: &Values) -> Result<Option<AlertPlace>, ConfigError> {
-    let form = match value(values, "alerts.form") {
-        Some("authros") => AlertForm::Authros,
-        Some("alertmanager") => AlertForm::Alertmanager,
-        _ => return Err(wrong(values, "alerts.form", "choose authros or alertmanager")),
-    };
+    let forms = [("authros", AlertForm::Authros), ("alertmanager", AlertForm::Alertmanager)];
+    let form = choice(values, "alerts.form", forms)?;
     let (secret, roots) = (secret(values)?, certificates(values, "alerts.roots")?);
     match (webhook(values)?, command(values)?) {
         (Some(_), Some(_)) => {
@@ -113,7 +102,7 @@ fn webhook(values: &Values) -> Result<Option<String>, ConfigError> {
     Ok(Some(text.to_owned()))
 }
 
-/// The file is read when it is used, but checked for readability at the start.
+/// Checks at the start that the file, which is read on use, is readable.
 fn secret(values: &Values) -> Result<Option<PathBuf>, ConfigError> {
     let Some(path) = value(values, "alerts.secret").map(PathBuf::from) else { return Ok(None) };
     let wrong = |what: &str| wrong(values, "alerts.secret", what);
@@ -130,7 +119,6 @@ fn secret(values: &Values) -> Result<Option<PathBuf>, ConfigError> {
     Ok(Some(path))
 }
 
-/// A list in the file, the same text in a variable.
 fn command(values: &Values) -> Result<Option<Vec<String>>, ConfigError> {
     let Some(text) = value(values, "alerts.command") else { return Ok(None) };
     let wrong = |what| wrong(values, "alerts.command", what);
@@ -145,8 +133,7 @@ fn command(values: &Values) -> Result<Option<Vec<String>>, ConfigError> {
     }
 }
 
-/// A command runs with this user's rights, so nobody else may be able to change the file that names it, the program
-/// itself, or the folders above both.
+/// Nobody else may be able to change the file that names the command, the program itself, or the folders above both.
 pub(super) fn check_hands(values: &Values, file: Option<&Path>) -> Result<(), ConfigError> {
     let Some((_, source)) = values.get("alerts.command").filter(|(command, _)| !command.is_empty()) else {
         return Ok(());
@@ -156,7 +143,7 @@ pub(super) fn check_hands(values: &Values, file: Option<&Path>) -> Result<(), Co
         own_hands(file).map_err(wrong)?;
     }
     match command(values)?.and_then(|words| words.first().map(PathBuf::from)) {
-        // A missing one is reported when it is to be run; it may be on a disk that is not there yet.
+        // A missing one is reported when it runs; its disk may not be there yet.
         Some(program) if program.exists() => own_hands(&program).map_err(wrong),
         _ => Ok(()),
     }

@@ -1,13 +1,10 @@
 //! Every setting by name, variable, default and meaning.
 
-/// What a setting is.
 #[derive(Debug)]
 pub struct Definition {
-    /// Its name in `config.toml` and in `config show`.
     pub name: &'static str,
-    /// Its environment variable.
     pub variable: &'static str,
-    /// Its default; empty = embedded or chosen by the program.
+    /// Empty = embedded, or chosen by the program.
     pub default: &'static str,
     /// One line for people.
     pub text: &'static str,

@@ -1,5 +1,4 @@
-//! Settings: flags override the environment, which overrides `config.toml`, which overrides defaults; each value with
-//! its source.
+//! Settings: flags override the environment, that overrides `config.toml`, that overrides defaults.
 
 use authros_crypto as crypto;
 use authros_model as model;
@@ -19,7 +18,9 @@ use std::time::Duration;
 
 pub use self::alerts::{AlertForm, AlertLimits, AlertPlace, AlertSettings};
 pub use self::definitions::{DEFINITIONS, Definition};
-use self::read::{Values, bytes, certificates, find, number, parsed, read_file, span, switch, url, value, wrong};
+use self::read::{
+    Values, bytes, certificates, choice, find, number, parsed, read_file, span, switch, url, value, wrong,
+};
 use crate::crypto::{Kernel, ProviderName};
 use crate::model::{
     Address, AnchorMode, Consensus, Keeping, ListedPublishers, PinMode, RetentionRules, RingLimits, SignerId,
@@ -43,12 +44,9 @@ const CACHES: &[&str] = &[
     "rediss+sentinel://",
 ];
 
-/// Which topics' rates are measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MeterMode {
-    /// Every topic of the graph.
     All,
-    /// Only watched topics.
     Watched,
 }
 
@@ -61,55 +59,43 @@ pub enum PublishedBy {
     Rosrust,
 }
 
-/// All effective settings.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Config {
     values: BTreeMap<&'static str, (String, Source)>,
-    /// URI of a real ROS master.
     pub ros_master: Option<String>,
     /// The address at which other ROS nodes reach this machine.
     pub ros_host: Option<String>,
-    /// Which topics are measured.
     pub meter: MeterMode,
-    /// How captured topics get their pinned publishers.
     pub pin_mode: PinMode,
-    /// Publishers pinned by the settings.
     pub publishers: ListedPublishers,
     /// Where ROS 2 is installed: prefixes, as in `AMENT_PREFIX_PATH`; empty = nowhere.
     pub definitions: String,
-    /// Domain of ROS 2 to capture from; `None` = no ROS 2.
+    /// `None` = no ROS 2.
     pub ros_domain: Option<u16>,
-    /// The program that reads ROS 2, if it is not beside this one.
     pub ros2_program: Option<PathBuf>,
     /// What publishes shared records in a graph of ROS 1.
     pub publisher: PublishedBy,
-    /// What the simulated robots are.
     pub robots_by: PublishedBy,
-    /// The program in which rosrust runs, if it is not beside this one.
     pub rosrust_program: Option<PathBuf>,
     /// Simulated robots; 0 with a real master.
     pub robots: u16,
-    /// Node of a real chain.
     pub chain_url: Option<String>,
-    /// The file with the certificate authorities to accept for a node behind TLS, instead of those the machine trusts.
+    /// PEM file with the authorities to accept for a node behind TLS; `None` = those of this machine.
     pub chain_roots: Option<PathBuf>,
-    /// The contract's address.
     pub contract: Option<Address>,
-    /// The most wei per gas that a transaction may offer.
+    /// In wei per gas.
     pub max_fee: Option<u128>,
-    /// The least wei per gas that a transaction offers.
+    /// In wei per gas.
     pub min_price: u128,
-    /// Accounts that anchor in parallel, including the owner's.
     pub lanes: u8,
-    /// The consensus required of the embedded chain; a new one is founded with it.
+    /// Required of the embedded chain; a new one is founded with it.
     pub consensus: Option<Consensus>,
     /// Memory for captured messages waiting to be stored, bytes.
     pub capture_memory: u64,
     /// Redis as a cache in front of the store.
     pub cache_url: Option<String>,
-    /// A PEM file with the authorities to accept for its TLS.
     pub cache_roots: Option<PathBuf>,
-    /// How long a robot keeps ciphertext that its gateway has proven to hold; `None` = always.
+    /// How long a robot keeps ciphertext that its gateway has proven to hold; `None` = for ever.
     pub outbox_keep: Option<Duration>,
     /// What a robot keeps of topics that nobody watches.
     pub ring: Option<RingSettings>,
@@ -119,75 +105,53 @@ pub struct Config {
     pub disk_reserve: u64,
     /// Whether messages are compressed before they are sealed.
     pub compression: bool,
-    /// The SM provider.
     pub provider: ProviderName,
     /// The SM4 kernel, if not the fastest.
     pub sm4_kernel: Option<Kernel>,
-    /// How digests are put on the chain.
     pub anchor_mode: AnchorMode,
-    /// How long a line of the audit log may wait for an anchored head.
     pub audit_every: Duration,
     /// Per cent of the stored records that a running site re-hashes per hour.
     pub scrub_percent: u64,
-    /// Where operators connect, and their rights.
     pub operators: OperatorSettings,
-    /// Where figures are served, and which.
     pub metrics: MetricsSettings,
-    /// The time stamp authorities to ask.
     pub time_authorities: Vec<TimeAuthority>,
-    /// Who is told of trouble, and what is trouble.
     pub alerts: AlertSettings,
-    /// Required confirmations.
     pub confirmations: u64,
-    /// Who may use this home's gateway.
     pub gateway: GatewayRules,
-    /// The gateway of the remote site that this one joins.
     pub site: Option<RemoteSite>,
     /// Rules for topics (`[[topic]]` tables of the file).
     pub topic_rules: TopicRules,
-    /// The console's appearance.
     pub console: ConsoleSettings,
 }
 
-/// The ring of a robot.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RingSettings {
-    /// How much it keeps.
     pub limits: RingLimits,
-    /// Of which topics.
     pub topics: TopicPatterns,
 }
 
-/// Who may use this home's gateway.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct GatewayRules {
     /// Also owners that were not admitted, within the following quotas.
     pub open: bool,
-    /// Bytes of such an owner's records.
     pub bytes: u64,
-    /// Names of such an owner.
     pub names: u64,
     /// Streams of such an owner: combinations of recorder, topic, kind, type and signer.
     pub streams: u64,
 }
 
-/// A remote site as named in the settings.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RemoteSite {
-    /// HOST:PORT of its gateway each, in the order in which they are tried; at least one.
+    /// HOST:PORT, in the order tried; at least one.
     pub addresses: Vec<String>,
     /// SM3 of its gateway's identity key.
     pub gateway_key: Option<SignerId>,
-    /// Whether to pin whichever gateway answers first.
+    /// Pin the first gateway that answers.
     pub trust_first: bool,
 }
 
 impl Config {
-    /// Resolves flags, environment and file. `flags` and `environment` look up a value by setting and variable name;
-    /// `file` is the text of `config.toml` if it exists.
-    ///
-    /// # Errors
-    /// [`ConfigError`] names the file and line, variable or flag at fault.
+    /// `flags` and `environment` look up a value by setting and variable name; `file` is `config.toml`, if it exists.
     pub fn resolve(
         flags: &dyn Fn(&str) -> Option<String>,
         environment: &dyn Fn(&str) -> Option<String>,
@@ -204,8 +168,7 @@ impl Config {
     }
 
     fn typed(values: BTreeMap<&'static str, (String, Source)>) -> Result<Self, ConfigError> {
-        let text =
-            |name: &'static str| values.get(name).map(|(value, _)| value.as_str()).filter(|value| !value.is_empty());
+        let text = |name| value(&values, name);
         let ros_master = url(&values, "ros.master", &["http://"])?;
         let meter = match (text("ros.meter"), &ros_master) {
             (Some("all"), _) | (Some("auto"), None) => MeterMode::All,
@@ -277,39 +240,32 @@ impl Config {
         })
     }
 
-    /// What ciphertext is kept, according to the setting and the rules of topics.
     pub fn keeping(&self) -> Keeping {
         Keeping { topics: self.topic_rules.clone(), setting: self.retention.clone() }
     }
 
-    /// All settings for display, with passwords and paths in URLs hidden.
+    /// Passwords and paths in URLs are hidden.
     pub fn show(&self) -> Vec<SettingView> {
         let view = |definition: &Definition| {
-            let (value, source) = self.values.get(definition.name).cloned().unwrap_or((String::new(), Source::Default));
-            SettingView {
-                name: definition.name,
-                value: clean(&without_secrets(&value), 200),
-                source: source.to_string(),
-                text: definition.text,
-            }
+            let Definition { name, text, .. } = *definition;
+            let (value, source) = self.values.get(name).cloned().unwrap_or((String::new(), Source::Default));
+            SettingView { name, value: clean(&without_secrets(&value), 200), source: source.to_string(), text }
         };
         DEFINITIONS.iter().map(view).collect()
     }
 
-    /// The source of a setting.
     pub fn source(&self, name: &str) -> Source {
         self.values.get(name).map_or(Source::Default, |(_, source)| source.clone())
     }
 }
 
 fn published_by(values: &Values, name: &'static str) -> Result<PublishedBy, ConfigError> {
-    Ok(if switch(values, name, ("own", "rosrust"))? { PublishedBy::Own } else { PublishedBy::Rosrust })
+    choice(values, name, [("own", PublishedBy::Own), ("rosrust", PublishedBy::Rosrust)])
 }
 
-/// The most addresses of the gateway that is joined.
 const MOST_ADDRESSES: usize = 8;
 
-/// Hex digits of a key's fingerprint: half of the key's.
+/// Half of a key's.
 const FINGERPRINT_DIGITS: usize = 32;
 
 fn ring(values: &Values) -> Result<Option<RingSettings>, ConfigError> {
@@ -331,11 +287,7 @@ fn remote_site(values: &Values) -> Result<Option<RemoteSite>, ConfigError> {
         return Err(wrong(values, "site.gateway_key", advice));
     }
     let gateway_key = parsed(values, "site.gateway_key")?;
-    let trust_first = match value(values, "site.trust_first") {
-        Some("yes") => true,
-        Some("no") | None => false,
-        Some(_) => return Err(wrong(values, "site.trust_first", "choose yes or no")),
-    };
+    let trust_first = choice(values, "site.trust_first", [("yes", true), ("no", false), ("", false)])?;
     let Some(text) = value(values, "site.address") else { return Ok(None) };
     if text.contains('=') {
         let advice = "a site has one gateway: list only its addresses, HOST:PORT separated by commas, and give its key in \
@@ -347,16 +299,12 @@ fn remote_site(values: &Values) -> Result<Option<RemoteSite>, ConfigError> {
         return Err(wrong(values, "site.address", "use HOST:PORT, or up to eight of them separated by commas"));
     }
     if value(values, "chain.url").is_some() {
-        return Err(wrong(
-            values,
-            "chain.url",
-            "leave it empty while site.address is set: that site supplies the chain",
-        ));
+        let advice = "leave it empty while site.address is set: that site supplies the chain";
+        return Err(wrong(values, "chain.url", advice));
     }
     Ok(Some(RemoteSite { addresses, gateway_key, trust_first }))
 }
 
-/// Whether this is HOST:PORT.
 fn is_place(address: &str) -> bool {
     let parts = address.rsplit_once(':').filter(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok());
     parts.is_some() && address.len() <= 260 && address.bytes().all(|byte| byte.is_ascii_graphic() && byte != b'/')

@@ -7,29 +7,25 @@ use directories::ProjectDirs;
 
 use crate::model::{ErrorKind, ProfileName};
 
-/// The name of our folder inside each of the user's folders.
 const FOLDER: &str = "authros";
 /// The home if neither `HOME` nor `XDG_DATA_HOME` is set.
 const WITHOUT_HOME: &str = "authros-home";
-/// What lies outside a standard home, by its name in a single-folder home.
+/// Names, in a single-folder home, of what a standard home keeps elsewhere.
 const SETTINGS: &str = "config.toml";
 const KEYMAP: &str = "keymap.toml";
 const THEMES: &str = "themes";
 const CONSOLE: &str = "console";
 
-/// A variable that must hold an absolute path does not.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0} is '{1}', which is not an absolute path; correct it, or give --home")]
 pub struct PlaceError(&'static str, String);
 
 impl PlaceError {
-    /// Determines the exit code.
     pub fn kind(&self) -> ErrorKind {
         ErrorKind::Input
     }
 }
 
-/// The directory that holds everything of one site, and the paths of what people write for it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Home {
     root: PathBuf,
@@ -37,11 +33,10 @@ pub struct Home {
     keymap: PathBuf,
     themes: PathBuf,
     console: PathBuf,
-    /// What this is a working copy of.
+    /// The read-only folder that this is a working copy of.
     original: Option<PathBuf>,
 }
 
-/// An environment variable that is set and not empty.
 fn set(name: &str) -> Option<OsString> {
     std::env::var_os(name).filter(|value| !value.is_empty())
 }
@@ -59,26 +54,22 @@ fn folders() -> Result<Option<ProjectDirs>, PlaceError> {
 }
 
 impl Home {
-    /// A single-folder home at `root`, for `--home`.
+    /// A single-folder home, for `--home`.
     pub fn new(root: PathBuf) -> Self {
-        let [settings, keymap, themes, console] = [SETTINGS, KEYMAP, THEMES, CONSOLE].map(|name| root.join(name));
-        Self { root, settings, keymap, themes, console, original: None }
+        Self::apart(&root, &root, &root)
     }
 
-    /// The same home with its data in `copy`, because nothing can be written to its own folder. Nothing of what it does
-    /// leaves the copy.
+    /// The same home with its data in `copy`; no change leaves the copy.
     #[must_use]
     pub fn copied_to(&self, copy: PathBuf) -> Self {
         Self { root: copy, original: Some(self.root.clone()), ..self.clone() }
     }
 
-    /// The read-only folder that this is a working copy of; `None` for every other home.
     pub fn original(&self) -> Option<&Path> {
         self.original.as_deref()
     }
 
-    /// The user's own: data, settings and console memory, each in its folder. Without `HOME` a single-folder home,
-    /// `$XDG_DATA_HOME/authros` or `./authros-home`.
+    /// The user's own home. Without `HOME` a single-folder home, `$XDG_DATA_HOME/authros` or `./authros-home`.
     pub fn standard() -> Result<Self, PlaceError> {
         let root = Self::standard_root()?;
         let Some(folders) = folders()? else { return Ok(Self::new(root)) };
@@ -91,7 +82,6 @@ impl Home {
         if root == Self::standard_root()? { Self::standard() } else { Ok(Self::new(root.to_owned())) }
     }
 
-    /// Only the data folder of [`Self::standard`].
     pub fn standard_root() -> Result<PathBuf, PlaceError> {
         let alone = || set("XDG_DATA_HOME").map_or_else(|| WITHOUT_HOME.into(), |data| Path::new(&data).join(FOLDER));
         Ok(folders()?.map_or_else(alone, |folders| folders.data_dir().to_owned()))
@@ -108,7 +98,7 @@ impl Home {
         }
     }
 
-    /// What lies outside [`Self::root`], each with its name in a single-folder home.
+    /// Paths outside [`Self::root`], each with its name in a single-folder home.
     pub fn outside(&self) -> Vec<(&'static str, &Path)> {
         let all =
             [(SETTINGS, &self.settings), (KEYMAP, &self.keymap), (THEMES, &self.themes), (CONSOLE, &self.console)];
@@ -118,12 +108,11 @@ impl Home {
             .collect()
     }
 
-    /// The directory itself.
     pub fn root(&self) -> &Path {
         &self.root
     }
 
-    /// Whether there is anything at its place; an empty folder is no home yet.
+    /// False for an empty folder.
     pub fn is_there(&self) -> bool {
         match self.root.read_dir() {
             Ok(mut entries) => entries.next().is_some(),
@@ -131,84 +120,20 @@ impl Home {
         }
     }
 
-    /// The settings file.
     pub fn config(&self) -> PathBuf {
         self.settings.clone()
     }
 
-    /// Changes to the console's default keys.
     pub fn keymap(&self) -> PathBuf {
         self.keymap.clone()
     }
 
-    /// The operator's own themes, one file each.
     pub fn themes(&self) -> PathBuf {
         self.themes.clone()
     }
 
-    /// What the console of a profile remembers from its last run.
     pub fn console(&self, profile: &ProfileName) -> PathBuf {
         self.console.join(format!("{profile}.json"))
-    }
-
-    /// Held by the process that is the site.
-    pub fn site_lock(&self) -> PathBuf {
-        self.root.join("site.lock")
-    }
-
-    /// What a site that was started in the background tells.
-    pub fn serve_log(&self) -> PathBuf {
-        self.root.join("serve.log")
-    }
-
-    /// Where further processes join.
-    pub fn socket(&self) -> PathBuf {
-        self.root.join("site.sock")
-    }
-
-    /// Records and their states.
-    pub fn ledger(&self) -> PathBuf {
-        self.root.join("ledger.db")
-    }
-
-    /// Space reserved for a revoke on a full disk.
-    pub fn reserve(&self) -> PathBuf {
-        self.root.join("reserve")
-    }
-
-    /// Space reserved for the states of records on a full disk.
-    pub fn working_reserve(&self) -> PathBuf {
-        self.root.join("reserve.states")
-    }
-
-    /// What waits in memory for a full disk, by number only; allocated beforehand.
-    pub fn waiting(&self) -> PathBuf {
-        self.root.join("waiting")
-    }
-
-    /// Active alerts, and those not delivered yet.
-    pub fn alerts(&self) -> PathBuf {
-        self.root.join("alerts.queue")
-    }
-
-    /// The ring of a robot: sealed records of topics that nobody watches.
-    pub fn ring(&self) -> PathBuf {
-        self.root.join("ring")
-    }
-
-    /// System keys of the gateway.
-    pub fn gateway(&self) -> PathBuf {
-        self.root.join("gateway")
-    }
-
-    /// Blocks of the embedded chain.
-    pub fn chain(&self) -> PathBuf {
-        self.root.join("chain")
-    }
-
-    /// What is known about the gateway through which this home joins.
-    pub fn gateway_trust(&self) -> PathBuf {
-        self.root.join("gateway-trust.json")
     }
 
     /// The transport key of a profile at that gateway, sealed under its keyring.
@@ -216,12 +141,10 @@ impl Home {
         self.profile(profile).join("transport-key")
     }
 
-    /// The directory of a profile.
     pub fn profile(&self, profile: &ProfileName) -> PathBuf {
         self.root.join("profiles").join(profile.as_str())
     }
 
-    /// The encrypted keys of a profile.
     pub fn keyring(&self, profile: &ProfileName) -> PathBuf {
         self.profile(profile).join("keyring")
     }
@@ -231,7 +154,6 @@ impl Home {
         self.profile(profile).join("passphrase")
     }
 
-    /// Names of the profiles that have a keyring.
     pub fn profiles(&self) -> Vec<ProfileName> {
         let entries = std::fs::read_dir(self.root.join("profiles")).into_iter().flatten().flatten();
         let mut names: Vec<ProfileName> = entries
@@ -241,6 +163,36 @@ impl Home {
         names.sort();
         names
     }
+}
+
+/// Paths inside a home's folder.
+macro_rules! paths {
+    ($($(#[$doc:meta])* $name:ident: $place:literal;)*) => {
+        impl Home {
+            $($(#[$doc])* pub fn $name(&self) -> PathBuf {
+                self.root.join($place)
+            })*
+        }
+    };
+}
+
+paths! {
+    site_lock: "site.lock";
+    serve_log: "serve.log";
+    socket: "site.sock";
+    ledger: "ledger.db";
+    /// Space for a revoke on a full disk.
+    reserve: "reserve";
+    /// Space for the states of records on a full disk.
+    working_reserve: "reserve.states";
+    /// Counts what waits in memory for a full disk; allocated beforehand.
+    waiting: "waiting";
+    alerts: "alerts.queue";
+    /// The ring of a robot: sealed records of topics that nobody watches.
+    ring: "ring";
+    gateway: "gateway";
+    chain: "chain";
+    gateway_trust: "gateway-trust.json";
 }
 
 #[cfg(test)]

@@ -1,5 +1,4 @@
-//! Values as text with their sources (flag, environment, file, default) and lines, parsed into their types, and why some
-//! cannot be used.
+//! Values with their sources and lines, parsed into their types.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -13,16 +12,12 @@ use serde::Serialize;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-/// The source of a value.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Source {
-    /// Built in.
     Default,
     /// `config.toml`, with the line.
     File(usize),
-    /// An environment variable.
     Environment(&'static str),
-    /// A command-line flag.
     Flag,
 }
 
@@ -37,13 +32,12 @@ impl fmt::Display for Source {
     }
 }
 
-/// One setting as printed by `config show`.
+/// As `config show` prints it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct SettingView {
     pub name: &'static str,
     pub value: String,
     pub source: String,
-    /// Its meaning.
     pub text: &'static str,
 }
 
@@ -83,12 +77,10 @@ pub(super) fn read_file(path: &Path, text: &str) -> Result<(FileValues, TopicRul
     read_document(document(&lines.file, text)?, &lines)
 }
 
-/// The lines of a file, with its name in messages.
 pub(super) fn lines_of(path: &Path, text: &str) -> Lines {
     Lines::of(&clean(&path.display().to_string(), 200), text)
 }
 
-/// Settings and rules of a document.
 pub(super) fn read_document(mut document: toml::Table, lines: &Lines) -> Result<(FileValues, TopicRules), ConfigError> {
     let rules = document.remove(rules::TABLE).map(|tables| rules::read(&tables, lines)).transpose()?;
     let mut values = FileValues::new();
@@ -126,15 +118,10 @@ pub(super) fn wrong(values: &Values, name: &'static str, what: &str) -> ConfigEr
     let (value, source) = values.get(name).cloned().unwrap_or((String::new(), Source::Default));
     // What was meant as a server's URL may be all path, which may be a key.
     let shown = if matches!(name, "chain.url" | "alerts.webhook") { address_without_secrets } else { without_secrets };
-    ConfigError::Value {
-        name,
-        value: clean(&shown(&value), 100),
-        source_name: source.to_string(),
-        what: what.to_owned(),
-    }
+    let (value, source_name) = (clean(&shown(&value), 100), source.to_string());
+    ConfigError::Value { name, value, source_name, what: what.to_owned() }
 }
 
-/// The source of a value, for display.
 pub(super) fn source_of(values: &Values, name: &str) -> String {
     values.get(name).map_or(Source::Default, |(_, source)| source.clone()).to_string()
 }
@@ -156,14 +143,25 @@ pub(super) fn bytes(values: &Values, name: &'static str, least: u64) -> Result<u
 
 /// One of two words; the first means yes.
 pub(super) fn switch(values: &Values, name: &'static str, words: (&str, &str)) -> Result<bool, ConfigError> {
-    match value(values, name) {
-        Some(word) if word == words.0 => Ok(true),
-        Some(word) if word == words.1 => Ok(false),
-        _ => Err(wrong(values, name, &format!("choose {} or {}", words.0, words.1))),
-    }
+    choice(values, name, [(words.0, true), (words.1, false)])
 }
 
-/// A time span, or `None` for the word that means no limit.
+/// The value of the chosen word; "" also stands for a missing one.
+pub(super) fn choice<T: Copy, const N: usize>(
+    values: &Values,
+    name: &'static str,
+    choices: [(&str, T); N],
+) -> Result<T, ConfigError> {
+    let text = value(values, name).unwrap_or_default();
+    let chosen = choices.iter().find(|(word, _)| *word == text);
+    chosen.map(|(_, chosen)| *chosen).ok_or_else(|| {
+        let words: Vec<&str> = choices.iter().map(|(word, _)| *word).filter(|word| !word.is_empty()).collect();
+        let (last, first) = words.split_last().unwrap_or((&"", &[]));
+        wrong(values, name, &format!("choose {} or {last}", first.join(", ")))
+    })
+}
+
+/// `None` = the word `endless`.
 pub(super) fn span(values: &Values, name: &'static str, endless: &str) -> Result<Option<Duration>, ConfigError> {
     match value(values, name) {
         Some(text) if text == endless => Ok(None),
@@ -190,16 +188,14 @@ pub(super) fn url(values: &Values, name: &'static str, schemes: &[&str]) -> Resu
     if usable || Path::new(text).extension().is_some_and(|end| end == "ipc") && schemes.contains(&"ipc://") {
         return Ok(Some(text.to_owned()));
     }
-    let refused = wrong(values, name, &format!("it must start with {}", schemes.join(", ")));
-    Err(match refused {
-        ConfigError::Value { name, value, source_name, what } => {
-            ConfigError::Value { name, value: without_path(&value), source_name, what }
-        }
-        other => other,
-    })
+    let mut refused = wrong(values, name, &format!("it must start with {}", schemes.join(", ")));
+    if let ConfigError::Value { value, .. } = &mut refused {
+        *value = without_path(value);
+    }
+    Err(refused)
 }
 
-/// A URL up to its host: at a provider the path is as secret as a password.
+/// Cut after the host: a provider's path is as secret as a password.
 fn without_path(url: &str) -> String {
     let Some((scheme, rest)) = url.split_once("://") else { return url.to_owned() };
     match rest.split_once(['/', '?', '#']) {
@@ -208,7 +204,7 @@ fn without_path(url: &str) -> String {
     }
 }
 
-/// A file of PEM certificates; whether it holds any is checked when it is used.
+/// Whether it has certificates is checked on use.
 pub(super) fn certificates(values: &Values, name: &'static str) -> Result<Option<PathBuf>, ConfigError> {
     let Some(path) = value(values, name).map(PathBuf::from) else { return Ok(None) };
     if !path.is_absolute() || !path.is_file() {
@@ -220,13 +216,13 @@ pub(super) fn certificates(values: &Values, name: &'static str) -> Result<Option
 /// The line of each key of a file, from 1; the second table of `[[watch]]` is `watch.1`, its topic `watch.1.topic`.
 #[derive(Debug)]
 pub(super) struct Lines {
-    /// The file's name in messages.
+    /// Its name in messages.
     pub file: String,
     lines: BTreeMap<String, usize>,
 }
 
 impl Lines {
-    /// The lines of `text`; invalid TOML yields none.
+    /// Empty for invalid TOML.
     pub fn of(file: &str, text: &str) -> Self {
         let ends: Vec<usize> = text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n').map(|(at, _)| at).collect();
         let line = |at: usize| ends.partition_point(|end| *end < at) + 1;
@@ -237,7 +233,7 @@ impl Lines {
         lines
     }
 
-    /// The line of a key, otherwise of what contains it; the first line if neither is known.
+    /// The line of a key, else of what contains it, else 1.
     pub fn line(&self, name: &str) -> usize {
         let mut name = name;
         loop {
@@ -249,7 +245,6 @@ impl Lines {
         }
     }
 
-    /// The error for a key or table that is invalid.
     pub fn fault(&self, name: &str, what: &str) -> ConfigError {
         ConfigError::Entry { file: self.file.clone(), line: self.line(name), what: clean(what, 300) }
     }
@@ -275,10 +270,8 @@ impl Lines {
     }
 }
 
-/// Why the settings cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ConfigError {
-    /// The file is not TOML.
     #[error("{file} is not valid TOML: {what}; correct it, or move it away to use the defaults")]
     Syntax { file: String, what: String },
     /// A key that is not a setting; lines count from 1.
@@ -287,13 +280,11 @@ pub enum ConfigError {
     /// An invalid `[[topic]]` or `[[watch]]` table, or a key that does not belong in this file.
     #[error("{file} line {line}: {what}")]
     Entry { file: String, line: usize, what: String },
-    /// A value that its setting does not accept.
     #[error("{name} = '{value}' (from {source_name}) is invalid: {what}")]
     Value { name: &'static str, value: String, source_name: String, what: String },
 }
 
 impl ConfigError {
-    /// Determines the exit code.
     pub fn kind(&self) -> ErrorKind {
         ErrorKind::Input
     }

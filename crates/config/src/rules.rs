@@ -1,9 +1,9 @@
-//! `[[topic]]` tables of `config.toml`: rules for topics that match a pattern, in file order; and the policy that an owner
-//! sets for a robot: the keys of the robot's own settings that decide what it captures.
+//! `[[topic]]` tables of `config.toml`, in file order, and the policy that an owner sets for a robot.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
+use crate::model::topic_rule::PatternError;
 use crate::model::{TopicName, TopicRule, TopicRules, TypeName, positive_span};
 use crate::read::{Lines, Source, Values, document, read_document};
 use crate::{ConfigError, RingSettings, ring};
@@ -11,41 +11,29 @@ use toml::Value;
 
 /// What errors call the text.
 const FILE: &str = "the policy";
-/// The most watched topics, as many as an enrolment can name.
+/// As many as an enrolment can name.
 const MOST_WATCHED: usize = 1023;
-/// The tables of watched topics.
 const WATCH: &str = "watch";
-/// The settings beside the tables.
 const SETTINGS: [&str; 2] = ["ring.keep", "ring.topics"];
 
-/// What a policy says of a robot's ring.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub enum RingWish {
     /// Nothing: the robot's own settings count.
     #[default]
     Own,
-    /// There is to be none.
     Off,
-    /// This one.
     Keep(RingSettings),
 }
 
-/// A policy; what it does not say is decided by the robot's own settings.
+/// Where it is silent, the robot's own settings count.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct RobotPolicy {
-    /// The rules for topics (`[[topic]]` tables).
     pub rules: Option<TopicRules>,
-    /// The ring (`ring.keep`, `ring.topics`).
     pub ring: RingWish,
-    /// The watched topics (`[[watch]]` tables), in order.
     pub watched: Option<Vec<TopicName>>,
 }
 
 impl RobotPolicy {
-    /// Reads a policy; an empty one says nothing.
-    ///
-    /// # Errors
-    /// [`ConfigError`] for the first thing that is not valid.
     pub fn read(text: &str) -> Result<Self, ConfigError> {
         let lines = Lines::of(FILE, text);
         let mut document = document(FILE, text)?;
@@ -72,13 +60,11 @@ impl RobotPolicy {
 }
 
 /// A setting's error names the policy, not the file of settings.
-fn named(error: ConfigError) -> ConfigError {
-    match error {
-        ConfigError::Value { name, value, what, .. } => {
-            ConfigError::Value { name, value, source_name: FILE.to_owned(), what }
-        }
-        other => other,
+fn named(mut error: ConfigError) -> ConfigError {
+    if let ConfigError::Value { source_name, .. } = &mut error {
+        FILE.clone_into(source_name);
     }
+    error
 }
 
 fn watched(tables: &Value, lines: &Lines) -> Result<Vec<TopicName>, ConfigError> {
@@ -105,16 +91,13 @@ fn watched(tables: &Value, lines: &Lines) -> Result<Vec<TopicName>, ConfigError>
     Ok(topics.into_iter().collect())
 }
 
-/// The name of the tables.
 pub(super) const TABLE: &str = "topic";
 
 const MOST_RULES: usize = 1000;
-/// The most tags of a rule.
 const MOST_TAGS: usize = 16;
-/// The highest rate that limits anything, messages a second.
+/// Messages a second.
 const FASTEST: f64 = 100_000.0;
 
-/// Reads the rules from the value of `topic`.
 pub(super) fn read(value: &toml::Value, lines: &Lines) -> Result<TopicRules, ConfigError> {
     let form = |place: &str| lines.fault(place, "write topic rules as [[topic]] tables");
     let tables = value.as_array().ok_or_else(|| form(TABLE))?;
@@ -141,9 +124,7 @@ fn rule(table: &toml::Table, line: usize) -> Result<TopicRule, Wrong<'_>> {
     let pattern =
         pattern.ok_or(("match", "a rule must say which topics it applies to: match = \"/robot*/odom\"".to_owned()))?;
     Ok(TopicRule {
-        pattern: pattern
-            .parse()
-            .map_err(|error: crate::model::topic_rule::PatternError| ("match", error.to_string()))?,
+        pattern: pattern.parse().map_err(|error: PatternError| ("match", error.to_string()))?,
         line,
         type_name: table.get("type").map(type_name).transpose()?,
         rate: table.get("rate").map(rate).transpose()?,
@@ -188,7 +169,6 @@ fn tags(value: &toml::Value) -> Result<BTreeMap<String, String>, Wrong<'static>>
     table.iter().map(tag).collect()
 }
 
-/// A number and `s`, `m`, `h`, `d` or `w`, as in the setting.
 fn retention(value: &toml::Value) -> Result<u64, Wrong<'static>> {
     let wrong = || ("retention", "give retention as a time, such as \"12h\" or \"30d\"".to_owned());
     let span = value.as_str().and_then(|text| positive_span(text).ok());

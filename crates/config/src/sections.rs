@@ -1,37 +1,30 @@
-//! What the settings say about one part of a site each: the console's appearance, where figures are served, where
-//! operators connect and what each of them may do, and the time stamp authorities to ask.
+//! Settings of one part of a site each: console, figures, operators, time stamp authorities.
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 use crate::model::{OperatorName, OperatorRight, OperatorRights, clean};
-use crate::read::{ConfigError, Source, Values, lines_of, number, source_of, switch, value, wrong};
+use crate::read::{ConfigError, Source, Values, choice, lines_of, number, source_of, switch, value, wrong};
 use serde::Deserialize as _;
 
-/// How the console shows the pictures of records.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Pictures {
-    /// In cells, two pixels each.
     #[default]
     HalfBlocks,
-    /// As pixels drawn by the terminal: sixel graphics.
+    /// Pixels drawn by the terminal.
     Sixel,
-    /// As pixels drawn by the terminal: kitty's graphics protocol.
     Kitty,
 }
 
-/// What the settings say about the console.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ConsoleSettings {
-    /// A theme's name; `None` = chosen to match the terminal's colours.
+    /// `None` = chosen to match the terminal's colours.
     pub theme: Option<String>,
-    /// Only ASCII characters; `None` = decided by the locale.
+    /// `None` = decided by the locale.
     pub ascii: Option<bool>,
-    /// Whether the console uses the mouse.
     pub mouse: bool,
-    /// The most bytes a second drawn because data changed.
+    /// For redraws caused by new data.
     pub bytes_per_second: Option<u32>,
-    /// How pictures are shown.
     pub pictures: Pictures,
     /// Nanoseconds without a key after which the keyring locks; `None` = never.
     pub lock_after: Option<u64>,
@@ -39,48 +32,37 @@ pub struct ConsoleSettings {
 
 impl ConsoleSettings {
     pub(super) fn read(values: &Values) -> Result<Self, ConfigError> {
-        let ascii = match value(values, "console.ascii") {
-            Some("yes") => Some(true),
-            Some("no") => Some(false),
-            Some("auto") | None => None,
-            Some(_) => return Err(wrong(values, "console.ascii", "choose yes, no or auto")),
-        };
+        let ascii = [("yes", Some(true)), ("no", Some(false)), ("auto", None), ("", None)];
         let bytes_per_second = match value(values, "console.bytes_per_second") {
             Some(_) => u32::try_from(number(values, "console.bytes_per_second", 500, 100_000_000)?).ok(),
             None => None,
         };
-        let pictures = match value(values, "console.pictures") {
-            Some("half-blocks") | None => Pictures::HalfBlocks,
-            Some("sixel") => Pictures::Sixel,
-            Some("kitty") => Pictures::Kitty,
-            Some(_) => return Err(wrong(values, "console.pictures", "choose half-blocks, sixel or kitty")),
-        };
+        let (blocks, sixel, kitty) = (Pictures::HalfBlocks, Pictures::Sixel, Pictures::Kitty);
+        let pictures = [("half-blocks", blocks), ("sixel", sixel), ("kitty", kitty), ("", blocks)];
         let minutes = number(values, "console.lock_after", 0, 10_080)?;
         let lock_after = (minutes > 0).then(|| minutes * 60_000_000_000);
         Ok(Self {
             lock_after,
             theme: value(values, "console.theme").map(str::to_owned),
-            ascii,
+            ascii: choice(values, "console.ascii", ascii)?,
             mouse: switch(values, "console.mouse", ("yes", "no"))?,
             bytes_per_second,
-            pictures,
+            pictures: choice(values, "console.pictures", pictures)?,
         })
     }
 }
 
-/// Where figures are served.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum FiguresPlace {
-    /// An address; on this machine only, unless `open` allows others to reach it.
+    /// On this machine only, unless `open`.
     Address { address: SocketAddr, open: bool },
     /// A socket in the file system, protected by its folder's permissions.
     Socket(PathBuf),
 }
 
-/// What the settings say about figures.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct MetricsSettings {
-    /// Where they are served; `None` = nowhere.
+    /// `None` = nowhere.
     pub listen: Option<FiguresPlace>,
     /// Whether topics have figures under their names.
     pub topics: bool,
@@ -110,36 +92,28 @@ fn place(values: &Values, text: &str, open: bool) -> Result<FiguresPlace, Config
 
 const SOCKET: &str = "operators.socket";
 const RIGHTS: &str = "operators.rights";
-/// The most rules.
 const MOST: usize = 256;
-/// The form of the rules.
 const FORM: &str = "use { NAME = [\"look\", \"grant\"], \"@GROUP\" = [\"capture\"] }, at most 256 of them";
 
-/// Whom a rule is for, by the name in the user database.
+/// By name in the user database.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Whom {
     User(OperatorName),
-    /// Everybody in a group.
     Group(OperatorName),
 }
 
-/// What a user or the users of a group may do.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct OperatorRule {
-    /// Who.
     pub whom: Whom,
-    /// What.
     pub rights: OperatorRights,
     /// Where this is written: file and line, or the variable.
     pub place: String,
 }
 
-/// What the settings say about operators.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct OperatorSettings {
-    /// The socket they connect to; `None` = there are none.
+    /// `None` = there are none.
     pub socket: Option<PathBuf>,
-    /// Their rights.
     pub rules: Vec<OperatorRule>,
 }
 
@@ -162,7 +136,6 @@ fn socket(values: &Values) -> Result<Option<PathBuf>, ConfigError> {
     Ok(Some(path))
 }
 
-/// A table in the file, the same text in a variable.
 fn rules(values: &Values, file: Option<(&Path, &str)>) -> Result<Vec<OperatorRule>, ConfigError> {
     let Some(text) = value(values, RIGHTS) else { return Ok(Vec::new()) };
     let form = || wrong(values, RIGHTS, FORM);
@@ -207,7 +180,6 @@ fn rights_of(value: &toml::Value) -> Result<OperatorRights, String> {
 }
 
 const MOST_AUTHORITIES: usize = 4;
-/// The form of the setting's value.
 const AUTHORITY_FORM: &str =
     "use [{ name = \"NAME\", url = \"http://HOST/PATH\", certificate = \"/PATH/OF.pem\" }], at most four of them";
 
@@ -216,13 +188,11 @@ const AUTHORITY_FORM: &str =
 pub struct TimeAuthority {
     /// Its name; the host of its URL unless a name was set.
     pub name: String,
-    /// Its address for requests.
     pub url: String,
     /// The file with its certificate, or that of its issuer, PEM.
     pub certificate: PathBuf,
 }
 
-/// A list of tables in the file, the same text in a variable.
 pub(super) fn authorities(values: &Values) -> Result<Vec<TimeAuthority>, ConfigError> {
     let Some(text) = value(values, "time.authorities") else { return Ok(Vec::new()) };
     let wrong = |what: &str| wrong(values, "time.authorities", what);

@@ -1,6 +1,6 @@
-//! Key allocation (the paper's Initialization): the client sends K_T, P_C, P_E and Addr to the gateway under a system
-//! key; d_C and the EOA both sign one transcript. Body: system key id (32) || length of CT (2) || CT || SM2 signature
-//! (64) || EOA signature (65).
+//! Key allocation (the paper's Initialization): the client seals K_T, P_C, P_E and Addr to a system key; d_C and the
+//! EOA sign one transcript. Body: system key id (32) || length of CT (2) || CT || SM2 signature (64) || EOA signature
+//! (65).
 
 use zeroize::Zeroizing;
 
@@ -13,18 +13,15 @@ use crate::model::{Address, Digest, Domain, ProfileName, PublicKey, Signature, S
 
 use super::command::Command;
 use super::error::{Code, Refusal};
-use super::hello::{Agreed, Context};
+use super::hello::{Agreed, Context, padded, read_padded};
 use super::system_keys::SystemKey;
 
-/// The longest CT accepted, bytes; ours has 213 bytes of plaintext.
+/// Bytes; ours has 213 bytes of plaintext.
 const LONGEST_CT: usize = 512;
-/// The longest name, bytes.
-const NAME: usize = 32;
-/// The EIP-712 type that the account signs.
+/// The account signs this EIP-712 type.
 const TYPE: &str = "KeyAllocation(bytes32 gateway,bytes32 systemKey,bytes32 clientNonce,bytes32 gatewayNonce,\
                     uint8 command,string name,bytes signingKey,address account,bytes32 ciphertext)";
 
-/// The client's keys and what it requests.
 #[derive(Debug)]
 pub struct Applicant<'a> {
     pub name: &'a ProfileName,
@@ -33,7 +30,7 @@ pub struct Applicant<'a> {
     pub account: &'a EoaSecret,
 }
 
-/// What the client seals to the system key: name length (1) name (32) K_T (32) P_C (64) P_E (64) Addr (20).
+/// Sealed to the system key: name length (1) name (32) K_T (32) P_C (64) P_E (64) Addr (20).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Allocation {
     pub name: ProfileName,
@@ -45,13 +42,8 @@ pub struct Allocation {
 
 impl Allocation {
     fn encode(&self) -> Zeroizing<Vec<u8>> {
-        let name = self.name.as_str().as_bytes();
-        let name = &name[..name.len().min(NAME)];
-        let mut field = [0; NAME];
-        field[..name.len()].copy_from_slice(name);
-        let mut out = Zeroizing::new(Vec::with_capacity(213));
-        out.push(u8::try_from(name.len()).unwrap_or(0));
-        for part in [&field[..], self.key.expose(), &self.signing.0, &self.envelope.0, &self.account.0] {
+        let (name, mut out) = (padded(&self.name), Zeroizing::new(Vec::with_capacity(213)));
+        for part in [&name[..], self.key.expose(), &self.signing.0, &self.envelope.0, &self.account.0] {
             out.extend_from_slice(part);
         }
         out
@@ -59,15 +51,8 @@ impl Allocation {
 
     fn parse(plain: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(plain);
-        let length = usize::from(reader.u8("name")?);
-        let field = reader.take(NAME, "name")?;
-        let (name, padding) = field.split_at_checked(length).ok_or(WireError::Value("name"))?;
-        if padding.iter().any(|byte| *byte != 0) {
-            return Err(WireError::Value("name"));
-        }
-        let name = std::str::from_utf8(name).ok().and_then(|name| name.parse().ok());
         let allocation = Self {
-            name: name.ok_or(WireError::Value("name"))?,
+            name: read_padded(&mut reader)?,
             key: TransportKey::new(reader.array("transport key")?),
             signing: PublicKey(reader.array("signing key")?),
             envelope: PublicKey(reader.array("envelope key")?),
@@ -78,7 +63,7 @@ impl Allocation {
     }
 }
 
-/// The transcript that both keys sign.
+/// Signed by both keys.
 struct Transcript<'a> {
     domain: &'a Domain,
     agreed: &'a Agreed,
@@ -88,8 +73,8 @@ struct Transcript<'a> {
 }
 
 impl Transcript<'_> {
-    /// label || domain || gateway || system key || client nonce || gateway nonce || Command || N || P_C ||
-    /// Addr || SM3(CT); N with its length before it.
+    /// label || domain || gateway || system key || client nonce || gateway nonce || Command || N || P_C || Addr ||
+    /// SM3(CT); N behind its length.
     fn signed_bytes(&self) -> Vec<u8> {
         let mut out = [
             &b"AuthROS/allocation/1"[..],
@@ -108,7 +93,6 @@ impl Transcript<'_> {
         out
     }
 
-    /// The same fields as typed data.
     fn account_hash(&self) -> [u8; 32] {
         TypedStructure::new(TYPE)
             .word(&self.agreed.gateway.0)
@@ -124,20 +108,16 @@ impl Transcript<'_> {
     }
 }
 
-/// The client's side: a fresh K_T and the body of the command.
+/// Makes K_T and the command's body.
 pub fn apply(
     context: &Context,
     agreed: &Agreed,
     system_key: &SystemKey,
     applicant: &Applicant<'_>,
 ) -> Result<(TransportKey, Vec<u8>), CryptoError> {
-    let allocation = Allocation {
-        name: applicant.name.clone(),
-        key: TransportKey::generate()?,
-        signing: applicant.signing.public,
-        envelope: applicant.envelope,
-        account: applicant.account.address(),
-    };
+    let (name, key, signing) = (applicant.name.clone(), TransportKey::generate()?, applicant.signing.public);
+    let (envelope, account) = (applicant.envelope, applicant.account.address());
+    let allocation = Allocation { name, key, signing, envelope, account };
     let ciphertext = context.provider.encrypt(&system_key.public, &allocation.encode())?;
     let id = system_key.id();
     let digest = Digest(context.provider.sm3(&[&ciphertext]));
@@ -149,13 +129,12 @@ pub fn apply(
     Ok((allocation.key, request.encode()))
 }
 
-/// The message the client sends.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AllocationRequest {
     pub system_key: SignerId,
     pub ciphertext: Vec<u8>,
     pub signature: Signature,
-    /// Signature by the EOA.
+    /// By the EOA.
     pub account_signature: AccountSignature,
 }
 
@@ -190,8 +169,8 @@ impl AllocationRequest {
     }
 }
 
-/// The gateway's side without the chain: opens CT, checks that N is the session's, then the SM2 signature, then the
-/// account's. `secret` is d_S of the request's system key, `None` if that key is not in use.
+/// The gateway's checks without the chain: CT, N, the SM2 signature, the account's. `secret`: d_S of the request's
+/// system key; `None` if not in use.
 pub fn examine(
     context: &Context,
     agreed: &Agreed,
@@ -207,14 +186,8 @@ pub fn examine(
     if allocation.name != *name {
         return Err(Refusal::new(Code::Malformed, "the allocation names a different profile than the hello"));
     }
-    let ciphertext = request.digest(provider);
-    let transcript = Transcript {
-        domain: &context.domain,
-        agreed,
-        system_key: &request.system_key,
-        allocation: &allocation,
-        ciphertext,
-    };
+    let (domain, system_key, ciphertext) = (&context.domain, &request.system_key, request.digest(provider));
+    let transcript = Transcript { domain, agreed, system_key, allocation: &allocation, ciphertext };
     provider
         .verify(&allocation.signing, &transcript.signed_bytes(), &request.signature)
         .map_err(Refusal::because(Code::Signature))?;

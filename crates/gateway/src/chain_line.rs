@@ -1,5 +1,4 @@
-//! The chain through a gateway: the chain crate's transport over one connection that reconnects by itself, a visitor's session until
-//! there are credentials.
+//! The chain through a gateway, over one connection that reconnects; a visitor's session until there are credentials.
 
 use std::sync::{Arc, PoisonError, RwLock};
 
@@ -15,7 +14,6 @@ use crate::model::ProfileName;
 use crate::model::relay::{Relay, RelayError};
 use crate::trust::KeptTrust;
 
-/// A client's own requests to the chain behind a gateway.
 pub struct ChainLine {
     endpoint: Endpoint,
     trust: Arc<KeptTrust>,
@@ -30,7 +28,7 @@ struct Open {
 }
 
 impl ChainLine {
-    /// To the gateway at `endpoint`; nothing is sent yet. `visitor` is the name to give before there are credentials.
+    /// Sends nothing yet. `visitor`: the name before there are credentials.
     pub fn new(endpoint: Endpoint, trust: Arc<KeptTrust>, visitor: ProfileName) -> Self {
         Self { endpoint, trust, visitor, credentials: RwLock::default(), open: Mutex::default() }
     }
@@ -39,13 +37,11 @@ impl ChainLine {
         &self.endpoint
     }
 
-    /// From the next request on, acts for an account.
     pub fn prove_by(&self, credentials: Credentials) {
         *self.credentials.write().unwrap_or_else(PoisonError::into_inner) = Some(credentials);
     }
 
-    /// Connects if there is no connection, so that a gateway other than the pinned one can be told from one that does
-    /// not answer.
+    /// Connects if needed: tells a gateway other than the pinned one from one that does not answer.
     pub async fn meet(&self) -> Result<Agreed, GatewayError> {
         let mut open = self.open.lock().await;
         let met = match open.take() {
@@ -57,7 +53,7 @@ impl ChainLine {
         Ok(agreed)
     }
 
-    /// Takes its place at the gateway by a small request: before there are credentials, a visitor's.
+    /// Takes a place at the gateway by a small request.
     pub async fn probe(&self) -> Result<(), GatewayError> {
         self.relay("eth_chainId", &Value::Array(Vec::new())).await.map(drop)
     }
@@ -67,7 +63,7 @@ impl ChainLine {
         let mut trust = self.trust.current();
         if let Some(credentials) = credentials {
             match Client::connect(&self.endpoint, &mut trust, &credentials).await {
-                // Replacing a void key is up to its owner; the chain is open to visitors. Other refusals in clear may be
+                // Only its owner replaces a void key; visitors may read the chain. Other refusals in clear may be
                 // forged, and one for want of room would meet a visitor first.
                 Err(GatewayError::RefusedInClear(Code::Tag) | GatewayError::Refused(_)) => {
                     self.forget(&credentials);
@@ -92,7 +88,7 @@ impl ChainLine {
     async fn relay(&self, method: &str, parameters: &Value) -> Result<Relayed, GatewayError> {
         let mut slot = self.open.lock().await;
         let waiting = self.credentials.read().unwrap_or_else(PoisonError::into_inner).is_some();
-        // Taken out meanwhile: a request abandoned halfway must not leave its answer to the next one.
+        // A request abandoned halfway must not leave its answer to the next one.
         let kept = slot.take().filter(|open| !open.client.is_spent() && (open.proven || !waiting));
         let reused = kept.is_some();
         let mut open = match kept {
@@ -100,8 +96,7 @@ impl ChainLine {
             None => self.connect().await?,
         };
         let mut relayed = open.client.relay(method, parameters).await;
-        // The other end may long since have closed an idle connection. Asking again does no harm: the chain recognises
-        // the same transaction, whatever became of the first attempt.
+        // The other end may have closed an idle connection. The chain recognises a repeated transaction.
         if reused && !goes_on(&relayed) {
             open = self.connect().await?;
             relayed = open.client.relay(method, parameters).await;
@@ -113,7 +108,6 @@ impl ChainLine {
     }
 }
 
-/// Whether the session continues after this answer.
 fn goes_on(relayed: &Result<Relayed, GatewayError>) -> bool {
     match relayed {
         Ok(_) => true,

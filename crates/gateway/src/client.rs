@@ -1,5 +1,4 @@
-//! The client's end over TCP: connects, judges the gateway, proves itself with K_T, sends commands, verifies receipts
-//! and records. One request after the other, or several in flight with `send` and `receive`.
+//! The client's end over TCP. One request after the other, or several in flight with `send` and `receive`.
 
 use std::io;
 use std::net::{IpAddr, SocketAddr};
@@ -28,14 +27,12 @@ use crate::session::Session;
 use crate::system_keys::SystemKeyList;
 use crate::trust::Trust;
 
-/// A gateway's addresses, and how to talk to it.
 #[derive(Clone)]
 pub struct Endpoint {
-    /// Host and port each; the first that answers is used.
+    /// Host and port; the first that answers is used.
     pub addresses: Vec<String>,
-    /// The network, and the crypto provider.
     pub context: Context,
-    /// How long to wait for an answer.
+    /// For an answer.
     pub patience: Duration,
 }
 
@@ -43,11 +40,10 @@ pub struct Endpoint {
 pub struct Credentials {
     pub name: ProfileName,
     pub key: TransportKey,
-    /// A token of the account, the current one.
+    /// The account's current token.
     pub token: Token,
 }
 
-/// A session with a gateway.
 pub struct Client {
     line: Line,
     address: String,
@@ -61,10 +57,8 @@ pub struct Client {
 }
 
 impl Client {
-    /// Connects with a transport key. `trust` records what the gateway showed: save it.
-    ///
-    /// # Errors
-    /// [`GatewayError`]; `RefusedInClear(Tag)` also if the gateway does not know the name or has another K_T.
+    /// `trust` records what the gateway showed: save it. `RefusedInClear(Tag)` also if the gateway does not know the
+    /// name or has another K_T.
     pub async fn connect(
         endpoint: &Endpoint,
         trust: &mut Trust,
@@ -73,7 +67,7 @@ impl Client {
         Self::connect_from(None, endpoint, trust, credentials).await
     }
 
-    /// The same from one of this machine's addresses: a gateway limits each address by itself.
+    /// `source`: one of this machine's addresses, each of which has its own limits at a gateway.
     pub async fn connect_from(
         source: Option<IpAddr>,
         endpoint: &Endpoint,
@@ -84,7 +78,7 @@ impl Client {
         let mut client = Self::open(endpoint, trust, who, credentials.token).await?;
         // Both sides hold K_T: from the pong on, large frames are accepted.
         client.ping().await?;
-        client.line.raise_cap();
+        client.line.decoder.raise_cap();
         Ok(client)
     }
 
@@ -92,31 +86,22 @@ impl Client {
         let mut failed = Vec::new();
         for address in &endpoint.addresses {
             let hello = timeout(endpoint.patience, hello(endpoint, address, trust, who)).await;
-            match hello.unwrap_or(Err(GatewayError::TimedOut)) {
-                Ok((line, agreed, session)) => {
-                    return Ok(Self {
-                        line,
-                        address: address.clone(),
-                        passed_over: failed,
-                        endpoint: endpoint.clone(),
-                        agreed,
-                        session,
-                        token,
-                        requests: 0,
-                        assembler: Assembler::new(),
-                    });
+            let (line, agreed, session) = match hello.unwrap_or(Err(GatewayError::TimedOut)) {
+                Ok(greeted) => greeted,
+                Err(error) => {
+                    failed.push((clean(address, 240), error));
+                    continue;
                 }
-                Err(error) => failed.push((clean(address, 240), error)),
-            }
+            };
+            let (address, endpoint, passed_over) = (address.clone(), endpoint.clone(), failed);
+            let (requests, assembler) = (0, Assembler::default());
+            return Ok(Self { line, address, passed_over, endpoint, agreed, session, token, requests, assembler });
         }
         Err(GatewayError::of_addresses(failed))
     }
 
-    /// Allocates a transport key: binds N to the account and gives K_T to the gateway. The receipt proves it.
-    ///
-    /// # Errors
-    /// [`GatewayError`]; then nothing is bound, or, if the answer was lost, N is bound to a key that nobody has:
-    /// allocating again replaces it.
+    /// Binds N to the account and gives K_T to the gateway, with a receipt. After a lost answer N may be bound to a
+    /// lost key: allocating again replaces it.
     pub async fn allocate(
         endpoint: &Endpoint,
         trust: &mut Trust,
@@ -125,7 +110,6 @@ impl Client {
         Self::allocate_from(None, endpoint, trust, applicant).await
     }
 
-    /// The same from one of this machine's addresses.
     pub async fn allocate_from(
         source: Option<IpAddr>,
         endpoint: &Endpoint,
@@ -143,8 +127,7 @@ impl Client {
         Ok((key, receipt))
     }
 
-    /// Asks the first of these addresses that answers which network it is on. Nothing is proven yet; the hello on that
-    /// network proves it.
+    /// The network of the first address that answers, proven only by a later hello.
     pub async fn inquire(addresses: &[String], patience: Duration) -> Result<NetworkName, GatewayError> {
         let mut failed = Vec::new();
         for address in addresses {
@@ -157,65 +140,57 @@ impl Client {
         Err(GatewayError::of_addresses(failed))
     }
 
-    /// Connects without a transport key, to read the chain through the gateway. `name` is only for the gateway's log.
+    /// Without a transport key, to read the chain. `name` is only for the gateway's log.
     pub async fn visit(endpoint: &Endpoint, trust: &mut Trust, name: &ProfileName) -> Result<Self, GatewayError> {
         let mut client = Self::open(endpoint, trust, (None, name, None), Token([0; 32])).await?;
         // The gateway signed the hello and holds its keys: from the pong on, large frames are accepted.
         client.ping().await?;
-        client.line.raise_cap();
+        client.line.decoder.raise_cap();
         Ok(client)
     }
 
-    /// Has the gateway pass a JSON-RPC request on to its chain. The answer is the gateway's word.
+    /// Passes a JSON-RPC request to the chain; the answer is the gateway's word.
     pub async fn relay(&mut self, method: &str, parameters: &serde_json::Value) -> Result<Relayed, GatewayError> {
         let call = RelayCall { method: method.to_owned(), parameters: parameters.to_string() };
         if call.parameters.len() > LONGEST_PARAMETERS {
             return Err(GatewayError::TooLarge(call.parameters.len()));
         }
-        match self.ask(&Request::Relay(call)).await? {
-            Answer::Relayed(relayed) => Ok(relayed),
-            _ => Err(GatewayError::Unexpected("no answer of the chain")),
-        }
+        let answer = self.ask(&Request::Relay(call)).await?;
+        let Answer::Relayed(relayed) = answer else { return unexpected("no answer of the chain") };
+        Ok(relayed)
     }
 
-    /// The address at which the gateway answered.
+    /// That answered.
     pub fn address(&self) -> &str {
         &self.address
     }
 
-    /// The addresses that were tried before that one, cleaned, and why they cannot be used.
+    /// Addresses tried before that one, cleaned, and why they failed.
     pub fn passed_over(&self) -> &[(String, GatewayError)] {
         &self.passed_over
     }
 
-    /// The terms agreed with the gateway.
     pub fn agreed(&self) -> &Agreed {
         &self.agreed
     }
 
-    /// Whether it is time to reconnect: the session's frames or its hour are nearly used up.
+    /// The session's frames or its hour are nearly used up: reconnect.
     pub fn is_spent(&self) -> bool {
         self.session.is_spent(Instant::now() + self.endpoint.patience)
     }
 
     pub async fn ping(&mut self) -> Result<Timestamp, GatewayError> {
-        match self.ask(&Request::Ping).await? {
-            Answer::Time(time) => Ok(time),
-            _ => Err(GatewayError::Unexpected("no time")),
-        }
+        let Answer::Time(time) = self.ask(&Request::Ping).await? else { return unexpected("no time") };
+        Ok(time)
     }
 
-    /// The published list, not yet checked.
+    /// Not yet checked.
     pub async fn system_keys(&mut self) -> Result<SystemKeyList, GatewayError> {
-        match self.ask(&Request::SystemKeys).await? {
-            Answer::SystemKeys(bytes) => {
-                SystemKeyList::parse(&bytes).map_err(GatewayError::malformed("list of system keys"))
-            }
-            _ => Err(GatewayError::Unexpected("no list")),
-        }
+        let Answer::SystemKeys(bytes) = self.ask(&Request::SystemKeys).await? else { return unexpected("no list") };
+        SystemKeyList::parse(&bytes).map_err(GatewayError::malformed("list of system keys"))
     }
 
-    /// Uploads records; the receipt is checked to cover all of them.
+    /// The receipt covers all of them.
     pub async fn upload(&mut self, mut uploads: Vec<Upload>) -> Result<Receipt, GatewayError> {
         let provider = self.endpoint.context.provider;
         let digests: Vec<Digest> = uploads.iter().map(|upload| Digest(provider.sm3(&[&upload.blob]))).collect();
@@ -226,8 +201,7 @@ impl Client {
         self.acknowledged(&request, &digests).await
     }
 
-    /// Has the gateway erase its copies of records that the session's owner had erased, at most 64; returns what becomes of
-    /// each, as the gateway states it.
+    /// At most 64 records that the session's owner had erased; returns the gateway's statement about each.
     pub async fn erase(&mut self, erasures: Vec<ErasureNotice>) -> Result<Vec<ErasureOutcome>, GatewayError> {
         let count = erasures.len();
         match self.ask(&Request::Erase(erasures)).await? {
@@ -236,31 +210,24 @@ impl Client {
         }
     }
 
-    /// A record; its bytes match that digest, and its signature is by the key that came with it. The reader must check
-    /// on the chain whether that key may sign for the owner and whether the anchor holds.
-    ///
-    /// # Errors
-    /// [`GatewayError`]; `Erased`, with nothing of it checked, if its owner had it erased.
+    /// Bytes match the digest, the signature is by the record's key. The reader must check key and anchor on the chain.
+    /// `Erased` comes unchecked.
     pub async fn fetch(&mut self, digest: &Digest) -> Result<Fetched, GatewayError> {
         let found = self.records(std::slice::from_ref(digest)).await?.pop();
         found.unwrap_or(Err(GatewayError::Unexpected("no record")))
     }
 
-    /// The next page of the gateway's feed, its signature checked. Checking the proofs is up to the caller.
+    /// Checks the signature; proofs are up to the caller.
     pub async fn feed(&mut self, asked: &Feed) -> Result<FeedPage, GatewayError> {
         let (number, context) = (self.send(&Request::Feed(asked.clone())).await?, self.endpoint.context);
-        match self.answer_within(number, self.endpoint.patience + asked.wait).await? {
-            Answer::Feed(page) => {
-                page.verify(context.provider, &context.domain, &self.agreed.gateway_key)?;
-                Ok(*page)
-            }
-            _ => Err(GatewayError::Unexpected("no page of the feed")),
-        }
+        let answer = self.answer_within(number, self.endpoint.patience + asked.wait).await?;
+        let Answer::Feed(page) = answer else { return unexpected("no page of the feed") };
+        page.verify(context.provider, &context.domain, &self.agreed.gateway_key)?;
+        Ok(*page)
     }
 
-    /// The first of these records, at least one: their bytes match the digests, and their signatures are by the keys that came
-    /// with them. The reader must check on the chain whether a key may sign for the owner and whether the anchor holds. Of each
-    /// why it is not given: `Refused`, `Erased` with nothing of it checked, or `Crypto`.
+    /// At least the first of these records. Bytes match digests, signatures are by the records' keys; the reader must
+    /// check keys and anchors on the chain. `Erased` comes unchecked.
     pub async fn records(&mut self, digests: &[Digest]) -> Result<Vec<Result<Fetched, GatewayError>>, GatewayError> {
         let found = self.found(digests, true).await?;
         let each = found.into_iter().zip(digests).map(|(found, digest)| match found {
@@ -272,7 +239,7 @@ impl Client {
         Ok(each.collect())
     }
 
-    /// Which of these records the gateway does not have for this session, and why.
+    /// What the gateway does not have for this session, and why.
     pub async fn missing(&mut self, digests: &[Digest]) -> Result<Vec<(Digest, Code)>, GatewayError> {
         let mut missing = Vec::new();
         let mut left = digests;
@@ -302,26 +269,26 @@ impl Client {
         Ok(record)
     }
 
-    /// Tells the gateway of a grant, signed by d_C.
+    /// Signed by d_C.
     pub async fn grant(&mut self, signing: &SmKeyPair, notice: GrantNotice) -> Result<Receipt, GatewayError> {
         self.signed(signing, &Request::Notice(Notice::Grant(notice))).await
     }
 
-    /// Tells the gateway of a revoke, signed by d_C: it applies at once.
+    /// Signed by d_C; takes effect immediately.
     pub async fn revoke(&mut self, signing: &SmKeyPair, notice: RevokeNotice) -> Result<Receipt, GatewayError> {
         self.signed(signing, &Request::Notice(Notice::Revoke(notice))).await
     }
 
-    /// Tells the gateway, signed by d_C, that this session's name belongs to a device that is lent on the chain.
+    /// Signed by d_C: this session's name belongs to a device that is lent on the chain.
     pub async fn device(&mut self, signing: &SmKeyPair, notice: DeviceNotice) -> Result<Receipt, GatewayError> {
         self.signed(signing, &Request::Notice(Notice::Device(notice))).await
     }
 }
 
-/// Who connects: from which of this machine's addresses (`None` = whichever fits), N, and K_T if there is one.
+/// Own address (`None` = any), N, and K_T if there is one.
 type Who<'a> = (Option<IpAddr>, &'a ProfileName, Option<&'a TransportKey>);
 
-/// Each address of a name gets its share of the time: one that is silent must not use up that of the others.
+/// A silent address must not use up the time of the others.
 async fn dial(source: Option<IpAddr>, address: &str, patience: Duration) -> io::Result<TcpStream> {
     let fits = |place: &SocketAddr| source.is_none_or(|source| source.is_ipv4() == place.is_ipv4());
     let places: Vec<SocketAddr> = lookup_host(address).await?.filter(fits).collect();
@@ -341,7 +308,6 @@ async fn dial(source: Option<IpAddr>, address: &str, patience: Duration) -> io::
     Err(failed)
 }
 
-/// Connects and agrees on a session.
 async fn hello(
     endpoint: &Endpoint,
     address: &str,
@@ -362,7 +328,6 @@ async fn hello(
     Ok((line, agreed, session))
 }
 
-/// The network at an address.
 async fn inquire(address: &str, patience: Duration) -> Result<NetworkName, GatewayError> {
     let stream = dial(None, address, patience).await.map_err(|source| unreachable(address, source))?;
     let mut line = Line::new(stream);
@@ -371,6 +336,10 @@ async fn inquire(address: &str, patience: Duration) -> Result<NetworkName, Gatew
     let (kind, payload) = line.frame().await.map_err(send)?;
     let payload = expected(kind, payload, FrameKind::Network)?;
     NetworkName::parse(&payload).map_err(GatewayError::malformed("network"))
+}
+
+fn unexpected<T>(what: &'static str) -> Result<T, GatewayError> {
+    Err(GatewayError::Unexpected(what))
 }
 
 fn unreachable(address: &str, source: std::io::Error) -> GatewayError {
@@ -386,7 +355,7 @@ fn line_error(address: &str, error: LineError) -> GatewayError {
     }
 }
 
-/// The payload of a frame of the expected kind, or the reason given in clear why there is none.
+/// The payload of the wanted kind, or the refusal in clear.
 fn expected(kind: FrameKind, payload: Vec<u8>, wanted: FrameKind) -> Result<Vec<u8>, GatewayError> {
     if kind == wanted {
         return Ok(payload);
@@ -398,8 +367,8 @@ fn expected(kind: FrameKind, payload: Vec<u8>, wanted: FrameKind) -> Result<Vec<
 }
 
 impl Client {
-    /// Sends a request and returns its number; [`Self::receive`] returns the answer. Read answers regularly: a gateway
-    /// closes a connection whose peer does not read.
+    /// Returns the request's number for [`Self::receive`]. Read answers regularly: a gateway closes a connection whose
+    /// peer does not read.
     pub async fn send(&mut self, request: &Request) -> Result<u32, GatewayError> {
         let body = request.encode();
         if body.len() > LARGEST_MESSAGE {
@@ -428,7 +397,7 @@ impl Client {
         }
     }
 
-    /// The next answer, to any request. Can be cancelled at any point.
+    /// The next answer, to any request; cancel-safe.
     pub async fn receive(&mut self, patience: Duration) -> Result<(u32, Answer), GatewayError> {
         let message = timeout(patience, self.message()).await.map_err(|_| GatewayError::TimedOut)??;
         let answer = Answer::parse(message.command, &message.body).map_err(GatewayError::malformed("answer"))?;
@@ -447,7 +416,6 @@ impl Client {
         }
     }
 
-    /// The answer to a request.
     async fn answer_to(&mut self, request: u32) -> Result<Answer, GatewayError> {
         self.answer_within(request, self.endpoint.patience).await
     }
@@ -463,29 +431,23 @@ impl Client {
     async fn ask(&mut self, request: &Request) -> Result<Answer, GatewayError> {
         let number = self.send(request).await?;
         let answer = self.answer_to(number).await?;
-        if answer.command() == request.command() {
-            Ok(answer)
-        } else {
-            Err(GatewayError::Unexpected("another command"))
-        }
+        if answer.command() == request.command() { Ok(answer) } else { unexpected("another command") }
     }
 
-    /// Sends a request that is acknowledged by a receipt over exactly these digests.
+    /// A receipt must cover exactly these digests.
     async fn acknowledged(&mut self, request: &Request, digests: &[Digest]) -> Result<Receipt, GatewayError> {
-        match self.ask(request).await? {
-            Answer::Receipt(_, receipt) => self.verified(receipt, digests),
-            _ => Err(GatewayError::Unexpected("no receipt")),
-        }
+        let Answer::Receipt(_, receipt) = self.ask(request).await? else { return unexpected("no receipt") };
+        self.verified(receipt, digests)
     }
 
-    /// Checks a receipt returned by [`Self::receive`]: by this gateway, for this network, over these digests.
+    /// Checks that a receipt is by this gateway, for this network, over these digests.
     pub fn verified(&self, receipt: Receipt, digests: &[Digest]) -> Result<Receipt, GatewayError> {
         let context = &self.endpoint.context;
         receipt.verify(context.provider, &context.domain, &self.agreed.gateway_key)?;
         if receipt.digests == digests { Ok(receipt) } else { Err(GatewayError::Receipt("what was sent")) }
     }
 
-    /// Sends a signed Command: d_C signs for this very frame.
+    /// d_C signs for this very frame.
     async fn signed(&mut self, signing: &SmKeyPair, request: &Request) -> Result<Receipt, GatewayError> {
         let (context, command, body) = (self.endpoint.context, request.command(), request.encode());
         let digest = Digest(context.provider.sm3(&[&body]));

@@ -1,6 +1,4 @@
-//! ND2: the request or answer in one frame. From the client: Command (1) || part (1) || request (4) || token (32) ||
-//! signature (64, of signed Commands only) || body. From the gateway: Command + 128 (1) || part (1) || request (4) ||
-//! body. Later parts of a message carry no token and no signature.
+//! ND2: the request or answer in one frame, laid out in PROTOCOL.md. Only the first part has token and signature.
 
 pub mod answer;
 pub mod relay;
@@ -16,100 +14,74 @@ use crate::model::wire::{Reader, Wire, WireError, put_list, read_list};
 use crate::model::{Address, Digest, Domain, Header, Signature, SignerId, Token};
 use crate::session::{LONGEST_TEXT, SessionId};
 
-/// The largest message, in parts or whole, bytes of body: a record of 64 MiB with its head and header.
+/// In bytes of body, over all parts: a record of 64 MiB with head and header.
 pub const LARGEST_MESSAGE: usize = 64 * 1024 * 1024 + 128 * 1024;
-/// The largest body of one frame, bytes: the same in both directions and for every Command.
+/// Of one frame, in bytes, for both directions and every Command.
 pub const LARGEST_PART: usize = LONGEST_TEXT - 128;
-/// Added to a Command's number in messages from the gateway.
 const FROM_GATEWAY: u8 = 128;
 
-macro_rules! commands {
-    ($($(#[$doc:meta])* $name:ident = $number:literal;)*) => {
-        /// The operation field of a frame.
-        #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-        #[repr(u8)]
-        pub enum Command {
-            $($(#[$doc])* $name = $number,)*
-        }
+numbered! {
+    Command {
+        SystemKeys = 1,
+        /// K_T to the gateway; binds N to an account.
+        KeyAllocation = 2,
+        Upload = 4,
+        UploadMany = 5,
+        Feed = 6,
+        Records = 7,
+        GrantNotice = 11,
+        /// Takes effect immediately.
+        RevokeNotice = 12,
+        /// Answered with the gateway's time.
+        Ping = 13,
+        /// Only from the gateway.
+        Refuse = 16,
+        /// Gives the session's name to a device lent on the chain, which has only the key's hash.
+        DeviceNotice = 17,
+        Relay = 18,
+        /// Erases copies of records that the session's owner had erased.
+        Erase = 19,
+    }
 
-        impl Command {
-            pub const ALL: &[Self] = &[$(Self::$name),*];
-        }
-    };
+    /// Parts of one message are consecutive.
+    Part {
+        Whole = 0,
+        /// Its body begins with the total length of all bodies (4).
+        First = 1,
+        Middle = 2,
+        Last = 3,
+    }
+
+    /// One byte.
+    ErasureOutcome {
+        /// No change; the owner may try again.
+        Left = 0,
+        /// Gone, or overwritten once no incident there holds it.
+        Taken = 1,
+        /// The notice does not hold.
+        Refused = 2,
+    }
 }
 
-commands! {
-    /// The list of system keys.
-    SystemKeys = 1;
-    /// K_T to the gateway, N bound to an account.
-    KeyAllocation = 2;
-    Upload = 4;
-    UploadMany = 5;
-    /// What the gateway holds, in the order of its own numbers.
-    Feed = 6;
-    /// Records by their digests.
-    Records = 7;
-    /// A grant was sent to the chain.
-    GrantNotice = 11;
-    /// A revoke was sent to the chain; it applies at once.
-    RevokeNotice = 12;
-    /// Nothing; the gateway answers with its time.
-    Ping = 13;
-    /// Only from the gateway: a refusal.
-    Refuse = 16;
-    /// The public key of a device that its owner has lent on the chain, which knows only its hash: from now on the
-    /// session's name is the device's.
-    DeviceNotice = 17;
-    /// A JSON-RPC request, passed on to the chain.
-    Relay = 18;
-    /// Records that the session's owner had erased at home, for the gateway to erase its copies.
-    Erase = 19;
-}
+layout!(ErasureOutcome by number, from_number);
 
 impl Command {
-    /// The byte on the wire, from the client.
-    pub fn number(self) -> u8 {
-        self as u8
-    }
-
-    /// From that byte.
-    pub fn from_number(number: u8) -> Option<Self> {
-        Self::ALL.iter().copied().find(|command| command.number() == number)
-    }
-
-    /// Whether a client may send it.
     pub fn is_request(self) -> bool {
         !matches!(self, Self::Refuse)
     }
 
-    /// Whether it changes state and is signed by d_C. Uploads carry their records' signatures, an allocation has its
-    /// own.
+    /// By d_C. Uploads and allocations have signatures of their own.
     pub fn is_signed(self) -> bool {
         matches!(self, Self::GrantNotice | Self::RevokeNotice | Self::DeviceNotice)
     }
 
-    /// Whether a session without a transport key may use it.
+    /// Allowed without a transport key.
     pub fn is_for_allocation(self) -> bool {
         matches!(self, Self::SystemKeys | Self::KeyAllocation | Self::Ping | Self::Relay)
     }
 }
 
-/// Whether a frame is a whole message or a part of one. Parts of one message follow one another.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[repr(u8)]
-pub enum Part {
-    Whole = 0,
-    /// The first part: its body begins with the total length of all bodies (4).
-    First = 1,
-    Middle = 2,
-    Last = 3,
-}
-
 impl Part {
-    fn from_code(code: u8) -> Option<Self> {
-        [Self::Whole, Self::First, Self::Middle, Self::Last].into_iter().find(|part| *part as u8 == code)
-    }
-
     fn begins(self) -> bool {
         matches!(self, Self::Whole | Self::First)
     }
@@ -118,9 +90,8 @@ impl Part {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Inner<'a> {
     pub command: Command,
-    /// Whether it is complete.
     pub part: Part,
-    /// The client's number of the request; answers and events repeat it.
+    /// Answers repeat the client's number.
     pub request: u32,
     /// From the client: token of the epoch; zeros before registration.
     pub token: Option<Token>,
@@ -129,7 +100,6 @@ pub struct Inner<'a> {
 }
 
 impl<'a> Inner<'a> {
-    /// From a client's plaintext.
     pub fn from_client(text: &'a [u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(text);
         let command = Command::from_number(reader.u8("command")?).filter(|command| command.is_request());
@@ -144,7 +114,6 @@ impl<'a> Inner<'a> {
         Ok(Self { command, part, request, token, signature, body: reader.rest() })
     }
 
-    /// From a gateway's plaintext.
     pub fn from_gateway(text: &'a [u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(text);
         let command = reader.u8("command")?.checked_sub(FROM_GATEWAY).and_then(Command::from_number);
@@ -153,7 +122,6 @@ impl<'a> Inner<'a> {
         Ok(Self { command, part, request, token: None, signature: None, body: reader.rest() })
     }
 
-    /// Its encoding, as a client or the gateway writes it.
     pub fn encode(&self, from_gateway: bool) -> Vec<u8> {
         let mut out = Vec::with_capacity(128 + self.body.len());
         out.push(self.command.number() + if from_gateway { FROM_GATEWAY } else { 0 });
@@ -167,19 +135,17 @@ impl<'a> Inner<'a> {
 }
 
 fn part_and_request(reader: &mut Reader<'_>) -> Result<(Part, u32), WireError> {
-    let part = Part::from_code(reader.u8("part")?).ok_or(WireError::Value("part"))?;
+    let part = Part::from_number(reader.u8("part")?).ok_or(WireError::Value("part"))?;
     Ok((part, reader.u32("request")?))
 }
 
-/// The sender, and the fields before the body.
 #[derive(Debug, Clone, Copy)]
 pub enum Speaker {
-    /// A client, with its token.
     Client(Token),
     Gateway,
 }
 
-/// The ND2s of an unsigned message, in the order to send them.
+/// The ND2s of an unsigned message, in order.
 pub fn split(command: Command, request: u32, speaker: Speaker, body: &[u8]) -> Vec<Vec<u8>> {
     let (token, from_gateway) = match speaker {
         Speaker::Client(token) => (Some(token), false),
@@ -201,7 +167,7 @@ pub fn split(command: Command, request: u32, speaker: Speaker, body: &[u8]) -> V
     out
 }
 
-/// The bytes d_C signs for a signed Command: label || domain || gateway || session || counter || Command || SM3(body).
+/// Signed by d_C: label || domain || gateway || session || counter || Command || SM3(body).
 pub fn signed_bytes(
     domain: &Domain,
     gateway: &SignerId,
@@ -216,24 +182,22 @@ pub fn signed_bytes(
     parts.concat()
 }
 
-/// A record as sent to a reader, with the public header in place of the record, and the owner's statement.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ErasedRecord {
-    /// Signer, signature and proof as of any record; its blob is the public header alone.
+    /// Its blob is the public header alone.
     pub record: Fetched,
-    /// What the owner states.
     pub statement: ErasedStatement,
 }
 
 impl ErasedRecord {
-    /// As it travels: the statement behind the header.
+    /// The statement follows the header.
     pub(crate) fn into_fetched(self) -> Fetched {
         let Self { mut record, statement } = self;
         record.blob.extend_from_slice(&statement.encode());
         record
     }
 
-    /// From what travelled; only the form is checked.
+    /// Checks only the form.
     pub(crate) fn from_fetched(mut record: Fetched) -> Result<Self, WireError> {
         let header = record.blob.len().checked_sub(ErasedStatement::LENGTH).ok_or(WireError::Short("statement"))?;
         let statement = ErasedStatement::parse(&record.blob.split_off(header))?;
@@ -241,24 +205,21 @@ impl ErasedRecord {
     }
 }
 
-/// The most records told at a time.
 pub const MOST_ERASURES: usize = 64;
-/// The longest of them, bytes: header, statement and proof are far shorter.
+/// Bytes; header, statement and proof are far shorter.
 const LONGEST_ERASURE: usize = 4096;
 
-/// A record that its owner had erased: digest (32) || account's signature (65) || what is left of it.
+/// digest (32) || account's signature (65) || header, signature, proof, statement.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ErasureNotice {
     /// D, which nobody can compute any more.
     pub digest: Digest,
-    /// The owner's EOA signature over the same as the statement.
+    /// EOA signature over what the statement signs.
     pub account_signature: AccountSignature,
-    /// Header, signature, proof, statement.
     pub left: ErasedRecord,
 }
 
 impl ErasureNotice {
-    /// Whether its header names this owner.
     pub fn is_of(&self, owner: Address) -> bool {
         Header::parse(&self.left.record.blob).is_ok_and(|(header, _)| header.owner == owner)
     }
@@ -276,14 +237,14 @@ impl ErasureNotice {
     }
 }
 
-/// Count (2) || each; what is too much is cut.
+/// Count (2) || each, at most `most`.
 fn list(all: &[impl Wire], most: usize) -> Vec<u8> {
     let mut out = Vec::new();
     put_list::<u16>(&mut out, all, most);
     out
 }
 
-/// Count (2) || length (4) and erasure each; what is too much is cut.
+/// Count (2) || length (4) and erasure each.
 fn encode_erasures(erasures: &[ErasureNotice]) -> Vec<u8> {
     list(&erasures.iter().map(ErasureNotice::encode).collect::<Vec<_>>(), MOST_ERASURES)
 }
@@ -299,30 +260,6 @@ fn read_erasures(reader: &mut Reader<'_>) -> Result<Vec<ErasureNotice>, WireErro
         one.end().map(|()| erasure)
     };
     all.iter().map(one).collect()
-}
-
-/// What becomes of a copy at a gateway at its owner's word (1).
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[repr(u8)]
-pub enum ErasureOutcome {
-    /// Nothing now; it may be told again later.
-    Left = 0,
-    /// It is gone, or is being overwritten as soon as no incident of its owner there holds it.
-    Taken = 1,
-    /// Nothing: what was told does not hold.
-    Refused = 2,
-}
-
-layout!(ErasureOutcome by code, from_code);
-
-impl ErasureOutcome {
-    fn code(self) -> u8 {
-        self as u8
-    }
-
-    fn from_code(code: u8) -> Option<Self> {
-        [Self::Left, Self::Taken, Self::Refused].into_iter().find(|outcome| *outcome as u8 == code)
-    }
 }
 
 #[cfg(test)]

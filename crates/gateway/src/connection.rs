@@ -1,5 +1,4 @@
-//! One connection at the gateway's end: hello, then either key allocation or commands until it ends. Frames are handled
-//! one after the other; effects follow the order of the counter.
+//! The gateway's end of a connection: hello, then key allocation or commands, one frame after the other.
 
 mod arrivals;
 mod commands;
@@ -30,12 +29,10 @@ use crate::system_keys::{Cabinet, SystemKeyList};
 #[cfg(test)]
 pub(super) use self::agreed_elsewhere::serve_agreed;
 
-/// An allocation asks the chain: it gets this many times the patience of a hello.
+/// Times the hello's patience: an allocation asks the chain.
 const ALLOCATION_PATIENCE: u32 = 3;
-/// The most frames of a session for allocation.
 const MOST_ALLOCATION_FRAMES: usize = 8;
 
-/// State shared by all connections.
 pub(super) struct Shared {
     pub desk: Arc<dyn Desk>,
     pub context: Context,
@@ -65,21 +62,21 @@ impl Shared {
         self.with_cabinet(|cabinet| (cabinet.list().summary(self.provider()), cabinet.list().encode()))
     }
 
-    /// Counts a refusal and reports it to the desk.
+    /// Counts it and reports it to the desk.
     pub fn refused(&self, peer: SocketAddr, refusal: &Refusal) {
         self.tally.refuse(refusal.code);
         self.desk.refused(peer, refusal);
     }
 
-    /// The published list of system keys.
     pub fn system_keys(&self) -> SystemKeyList {
         self.with_cabinet(|cabinet| cabinet.list().clone())
     }
 
-    /// Rotates the system keys when it is time.
-    pub fn rotate(&self) -> Result<(), Refusal> {
-        let rotated = self.with_cabinet(|cabinet| cabinet.rotate(Timestamp::now()));
-        rotated.map(|_| ()).map_err(Refusal::internal)
+    /// Only when it is time.
+    pub fn rotate(&self) {
+        if let Err(error) = self.with_cabinet(|cabinet| cabinet.rotate(Timestamp::now())) {
+            self.refused(SocketAddr::from(([0, 0, 0, 0], 0)), &Refusal::internal(error));
+        }
     }
 
     fn receipt(&self, time: Timestamp, digests: Vec<Digest>) -> Result<Receipt, Refusal> {
@@ -87,9 +84,7 @@ impl Shared {
     }
 }
 
-/// Why a connection ended.
 enum End {
-    /// The peer went away.
     Closed,
     Refused(Refusal),
 }
@@ -116,10 +111,9 @@ impl From<LineError> for End {
     }
 }
 
-/// Serves one connection until it ends.
 pub(super) async fn serve(shared: Arc<Shared>, line: Line, peer: SocketAddr, seat: Seat, stop: watch::Receiver<bool>) {
     let mut connection = Connection::new(shared, line, peer, seat, stop);
-    // The session's state is large and idle connections are many: only running ones are on the heap.
+    // Only running sessions are on the heap: their state is large, and idle connections are many.
     let outcome = Box::pin(connection.run()).await;
     connection.close(outcome).await;
 }
@@ -133,9 +127,9 @@ struct Connection {
     /// When the last frame was complete, or the present one began.
     since: Instant,
     partial: bool,
-    /// Charge for the memory of the frame being read or answered, if it is a large one.
+    /// For a large frame being read or answered.
     charge: Option<Charge>,
-    /// A message in parts is under way; it is charged as a whole.
+    /// Its message is charged as a whole.
     in_parts: bool,
 }
 
@@ -192,7 +186,7 @@ impl Connection {
         Ok(())
     }
 
-    /// Sends the outcome of a request. A refusal that ends the session is returned instead.
+    /// Returns refusals that end the session instead of sending them.
     async fn reply(
         &mut self,
         session: &mut Session,
@@ -200,7 +194,7 @@ impl Connection {
         outcome: Result<Answer, Refusal>,
     ) -> Result<(), End> {
         let charged = outcome.and_then(|answer| {
-            // Chain answers are bounded by the chain crate; their memory counts against the caller.
+            // The chain crate bounds its answers; their memory counts against the caller.
             let length = answer.relayed_length();
             let charge = if length > 0 { Some(self.seat.charge(length)?) } else { None };
             Ok((answer, charge))
@@ -219,7 +213,7 @@ impl Connection {
         Ok(())
     }
 
-    /// A session without a transport key: few, small frames and a short life; a longer one only for reading the chain.
+    /// Without a transport key: few, small frames and a short life, longer only for reading the chain.
     async fn allocation(&mut self, identified: Identified, hello_deadline: Instant) -> Result<(), End> {
         let (agreed, name) = (identified.agreed(), identified.name.clone());
         self.allocation_frames(identified.session(None), agreed, name, hello_deadline).await
@@ -241,7 +235,7 @@ impl Connection {
             let (counter, text) = session.open(&payload)?;
             deadline = deadline.max(begun + patience);
             let inner = Inner::from_client(&text)?;
-            let message = Assembler::<()>::new().take(&inner, counter, |_| {
+            let message = Assembler::<()>::default().take(&inner, counter, |_| {
                 Err(Refusal::new(Code::Length, "a multi-part message in an allocation session"))
             })?;
             let Some(message) = message else { continue };
@@ -261,7 +255,6 @@ impl Connection {
         Err(Refusal::new(Code::Session, "the allocation session has ended").into())
     }
 
-    /// A session under a transport key.
     async fn transfer(&mut self, identified: Identified, hello_deadline: Instant) -> Result<(), End> {
         let binding = self.shared.desk.binding(&identified.name).await?;
         let (agreed, name) = (identified.agreed(), identified.name.clone());
@@ -286,10 +279,10 @@ impl Connection {
         let first = session.open(&payload)?;
         // The sender of this frame holds K_T.
         self.seat.authenticated();
-        self.line.raise_cap();
+        self.line.decoder.raise_cap();
         let presence = self.shared.tally.enter(present, desk.caller.account, self.peer);
         presence.frame(payload.len());
-        let mut assembler = Assembler::new();
+        let mut assembler = Assembler::default();
         self.frame(&mut session, &mut desk, &mut assembler, first.0, &first.1).await?;
         let end = Instant::now() + LONGEST_LIFE;
         loop {
@@ -316,7 +309,7 @@ impl Connection {
         }
     }
 
-    /// Looks again whether a request for the feed that waits has an answer.
+    /// Answers a waiting request for the feed, if it can.
     async fn due(&mut self, session: &mut Session, commands: &mut Commands) -> Result<(), End> {
         match commands.due(&self.shared).await {
             Some((request, outcome)) => self.reply(session, request, outcome).await,
@@ -324,7 +317,7 @@ impl Connection {
         }
     }
 
-    /// An unbound name fails like a wrong key.
+    /// Fails like a wrong key.
     async fn refuse_unknown(&mut self, identified: Identified, deadline: Instant) -> Result<(), End> {
         let key = TransportKey::generate().map_err(Refusal::internal)?;
         let mut session = identified.session(Some(&key));
@@ -343,7 +336,7 @@ impl Connection {
     ) -> Result<(), End> {
         let inner = Inner::from_client(text)?;
         if inner.part != Part::Whole {
-            // The whole message is charged, so its frames no longer are.
+            // The whole message is charged instead.
             self.charge = None;
         }
         let message = assembler.take(&inner, counter, |bytes| self.seat.charge(bytes))?;

@@ -1,5 +1,4 @@
-//! The interface to what a gateway does with a command once its sender is known; the service implements it. A command
-//! that reaches a desk has passed every check that frames, session and signatures allow.
+//! The service's side of a gateway. Commands arrive here after every check of frame, session and signatures.
 
 use std::net::SocketAddr;
 
@@ -18,69 +17,65 @@ use super::error::{Code, Refusal};
 use super::feed::{Feed, FeedPage};
 use super::hello::NetworkName;
 
-/// The chain's view of an account.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Account {
-    /// P_C as registered now, its proof checked.
+    /// P_C as registered, its proof checked.
     pub signing: PublicKey,
-    /// P_E as registered now.
+    /// P_E as registered.
     pub envelope: PublicKey,
 }
 
-/// The device that owns a name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct BoundDevice {
     /// SM3 of its public key.
     pub id: SignerId,
-    /// Where its owner's notices to it are filed.
+    /// Topic of its owner's notices.
     pub notices: TopicId,
 }
 
 impl BoundDevice {
-    /// Whether a request for the feed is for nothing but `owner`'s notices to this device.
+    /// Asks for nothing but `owner`'s notices to this device.
     pub fn asks_for_notices(&self, owner: &Address, feed: &Feed) -> bool {
         let is_owners = feed.places.iter().all(|place| place.owner == *owner);
         is_owners && feed.topics == [self.notices] && feed.kind == Some(RecordKind::Key)
     }
 
-    /// Whether a record is one of its owner's notices to this device.
     pub fn is_for(&self, kind: RecordKind, topic: TopicId) -> bool {
         kind == RecordKind::Key && topic == self.notices
     }
 }
 
-/// The binding of a name at this gateway.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Binding {
     pub account: Address,
     pub key: TransportKey,
-    /// P_C when the key was allocated.
+    /// P_C at the allocation.
     pub signing: PublicKey,
-    /// P_E when the key was allocated.
+    /// P_E at the allocation.
     pub envelope: PublicKey,
-    /// The device that owns the name, if it is not the account's own.
+    /// `None` for the account's own name.
     pub device: Option<BoundDevice>,
 }
 
-/// The caller, authenticated by K_T.
+/// Authenticated by K_T.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Caller {
     pub name: ProfileName,
     pub account: Address,
     /// P_C as registered when the session began.
     pub signing: PublicKey,
-    /// The calling device, if it is one: it may use only what a device needs.
+    /// A device may use only what it needs.
     pub device: Option<BoundDevice>,
     pub peer: SocketAddr,
 }
 
-/// A record whose header, network, owner and signature have been checked.
+/// Header, network, owner and signature are checked.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Received {
     pub header: Header,
     pub digest: Digest,
     pub signature: Signature,
-    /// The key that verified it: the owner's or a lent one.
+    /// The owner's key, or a lent one.
     pub signer: PublicKey,
     pub blob: Vec<u8>,
 }
@@ -92,63 +87,56 @@ impl From<Received> for SealedRecord {
     }
 }
 
-/// The work of a gateway. Refusals go to the peer as their code.
+/// Refusals go to the peer as their code.
 #[async_trait]
 pub trait Desk: Send + Sync + 'static {
-    /// The chain's view of an account: `NotRegistered`, `Suspended` or `Stale` if it does not allow it, `NotAuthorised` if it is
-    /// not lending this device now.
+    /// `NotRegistered`, `Suspended` or `Stale` unless the chain allows the account, `NotAuthorised` unless it lends
+    /// this device.
     async fn account(&self, account: &Address, device: Option<&SignerId>) -> Result<Account, Refusal>;
 
-    /// Whether the account may use this gateway now: `Token` if it never registered this token, `NotAuthorised` if its keeper did
-    /// not admit it.
+    /// `Token` for one that the account never registered, `NotAuthorised` unless the keeper admitted the account.
     async fn admits(&self, account: &Address, token: Option<&Token>) -> Result<(), Refusal>;
 
-    /// The public key of a signer id, if it is the owner's or lent by the owner now.
+    /// `None` unless it is the owner's key, or lent by the owner now.
     async fn signer(&self, owner: &Address, signer: &SignerId) -> Result<Option<PublicKey>, Refusal>;
 
-    /// A name's binding; nothing if it belonged to a device that has been recalled.
+    /// `None` also for a recalled device's name.
     async fn binding(&self, name: &ProfileName) -> Result<Option<Binding>, Refusal>;
 
-    /// The successor of a lost account, as the administrator declared on the chain.
+    /// Declared on the chain by the administrator.
     async fn successor(&self, lost: &Address) -> Result<Option<Address>, Refusal>;
 
-    /// Binds a name, durably before it returns. Called one at a time, and only if the name is free, bound to the same
-    /// account, or to one that this account succeeds.
+    /// Durable on return. Called one at a time, for a name that is free, the account's, or of one that it succeeds.
     async fn bind(&self, name: &ProfileName, binding: Binding) -> Result<(), Refusal>;
 
-    /// Stores records, on disk before it returns; known ones are acknowledged again. Returns the time for the receipt.
+    /// Durable on return; acknowledges known records again. Returns the receipt's time.
     async fn store(&self, caller: &Caller, records: Vec<Received>) -> Result<Timestamp, Refusal>;
 
-    /// The next page of the feed for the caller, from what is there now; `is_new` if this session did not ask for these owners
-    /// before. Not signed yet.
+    /// Not signed. `is_new`: the session asks for some of these owners for the first time.
     async fn feed(&self, caller: &Caller, asked: &Feed, is_new: bool) -> Result<FeedPage, Refusal>;
 
-    /// Changes when [`Self::feed`] may have something else to say: there is more, or somebody's right changed.
+    /// Changes when [`Self::feed`] may differ: more rows, or another right.
     fn changes(&self) -> watch::Receiver<u64>;
 
-    /// What there is for the caller of the first of these records, as many as fit into one answer and at least one: with
-    /// their bytes, compared with the chain, or only whether they are there.
+    /// For the first digests, at least one, as many as fit into an answer; `bytes`: compared with the chain.
     async fn records(&self, caller: &Caller, digests: &[Digest], bytes: bool) -> Result<Vec<Found>, Refusal>;
 
-    /// What the caller tells, signed by d_C. From a revoke on the grantee is refused. From a device's key on, a point of the curve,
-    /// the caller's name belongs to that device: both are stored durably, so that [`Self::signer`] can return the key as long as
-    /// the device is lent, and the name ends with the loan; `Signature` if the chain has no such loan.
+    /// Signed by d_C. A revoke applies from now on. A device's key, a point of the curve, is durable and takes the name
+    /// while the loan lasts; `Signature` without a loan on the chain.
     async fn notice(&self, caller: &Caller, notice: &Notice) -> Result<(), Refusal>;
 
-    /// The network it is on, which anyone may ask: `Stale` before it is known.
+    /// For anyone; `Stale` before it is known.
     async fn network_name(&self) -> Result<NetworkName, Refusal>;
 
-    /// Passes a JSON-RPC request on to the chain, for an authenticated caller or (`None`) for a visitor without a
-    /// transport key. What may pass is decided by the chain's client.
+    /// For a caller, or a visitor without a transport key. The chain's client decides what may pass.
     async fn relay(&self, caller: Option<&Caller>, method: &str, parameters: &Value) -> Result<Value, RelayError>;
 
-    /// Erases here what the caller had erased at home; returns what becomes of each record, in order. `NotAuthorised` if one
-    /// of them is somebody else's.
+    /// Returns each record's outcome, in order; `NotAuthorised` for another owner's record.
     async fn erase(&self, caller: &Caller, erasures: Vec<ErasureNotice>) -> Result<Vec<ErasureOutcome>, Refusal> {
         let _ = erasures;
         Err(Refusal::new(Code::NotHere, format_args!("nothing of {} is kept here", caller.account)))
     }
 
-    /// Reports a refusal: for the log, counted by (peer, code, minute).
+    /// For the log, counted by (peer, code, minute).
     fn refused(&self, peer: SocketAddr, refusal: &Refusal);
 }

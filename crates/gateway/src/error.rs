@@ -1,4 +1,4 @@
-//! Refusals by their codes, and what can go wrong at the client's end; each message says what to do next.
+//! Refusals by code, and a client's errors; each message says what to do next.
 
 use std::fmt;
 
@@ -7,88 +7,58 @@ use crate::crypto::CryptoError;
 use crate::model::wire::WireError;
 use crate::model::{ErrorKind, SignerId};
 
-/// Why a client gave up.
 #[derive(Debug, thiserror::Error)]
 pub enum GatewayError {
-    /// Nobody listens, or the connection broke.
     #[error("the gateway at {address} does not answer ({source}); check the address and that the gateway is running")]
     Unreachable { address: String, source: std::io::Error },
-    /// None of its addresses leads to the gateway.
     #[error("none of the gateway's addresses can be used: {}", each(.0))]
     Nowhere(Vec<(String, GatewayError)>),
-    /// The gateway closed the connection.
     #[error("the gateway closed the connection; connect again, and see its log for the reason")]
     Closed,
-    /// The gateway did not answer in time.
     #[error("the gateway did not answer in time; try again")]
     TimedOut,
     #[error("the gateway refused: {0}")]
     Refused(Code),
-    /// A refusal in clear: anyone on the network can forge one, so it means no more than a closed connection.
+    /// Anyone on the network can forge it: it means no more than a closed connection.
     #[error("the gateway closed the connection with an unauthenticated message: {0}")]
     RefusedInClear(Code),
-    /// No fingerprint is pinned, and trust on first use was not requested.
     #[error(
         "no gateway is pinned, and this one presents {0}; confirm it with its operator and pin it, or allow trust on \
          first use"
     )]
     NotPinned(SignerId),
-    /// A gateway other than the pinned one.
     #[error(
         "this is not the pinned gateway: {found} instead of {pinned}; someone may be intercepting the connection, do \
          not continue"
     )]
-    NotTheGateway {
-        pinned: SignerId,
-        /// The fingerprint it showed.
-        found: SignerId,
-    },
-    /// An older system-key list than one seen before.
+    NotTheGateway { pinned: SignerId, found: SignerId },
     #[error(
         "the gateway presents version {found} of its system keys, but version {seen} was seen before; do not continue"
     )]
-    RolledBack {
-        /// The highest version seen so far.
-        seen: u64,
-        found: u64,
-    },
-    /// Two lists with the same version.
+    RolledBack { seen: u64, found: u64 },
     #[error(
         "the gateway presents two lists of system keys under version {0}; do not continue, ask its operator to explain"
     )]
     TwoLists(u64),
-    /// A system-key list that is not the gateway's, or no longer valid.
     #[error("the list of system keys was rejected: {0}; fetch it again, or ask the gateway's operator")]
     List(&'static str),
-    /// A record that its owner had erased: its proof and the owner's statement remain.
     #[error("the record was erased by its owner; its proof remains")]
     Erased(Box<ErasedRecord>),
-    /// Malformed bytes.
     #[error("the gateway's {what} is malformed ({why}); use the same version on both sides")]
-    Malformed {
-        what: &'static str,
-        /// What is wrong with it.
-        why: WireError,
-    },
-    /// An answer to another request.
+    Malformed { what: &'static str, why: WireError },
     #[error("the gateway's answer does not match the request ({0}); connect again")]
     Unexpected(&'static str),
-    /// A receipt that does not cover what was sent.
     #[error("the gateway's receipt does not cover {0}; keep the records and send them again")]
     Receipt(&'static str),
-    /// A frame that could not be sealed or opened.
     #[error("the session with the gateway broke: {0}; connect again")]
     Session(Refusal),
-    /// A message larger than the protocol carries.
     #[error("the message has {0} bytes, more than a gateway accepts; send less at a time")]
     TooLarge(usize),
-    /// A key or signature.
     #[error(transparent)]
     Crypto(#[from] CryptoError),
 }
 
 impl GatewayError {
-    /// The kind of failure.
     pub fn kind(&self) -> ErrorKind {
         match self {
             Self::Unreachable { .. } | Self::Closed | Self::RefusedInClear(_) | Self::TimedOut => {
@@ -116,7 +86,6 @@ impl GatewayError {
         }
     }
 
-    /// Why each address of a gateway failed.
     pub(super) fn of_addresses(failed: Vec<(String, Self)>) -> Self {
         match <[_; 1]>::try_from(failed) {
             Ok([(_, only)]) => only,
@@ -141,7 +110,7 @@ impl From<Refusal> for GatewayError {
 
 macro_rules! codes {
     ($($(#[$doc:meta])* $name:ident = $number:literal $kind:ident $text:literal;)*) => {
-        /// A reason for refusing; the same for every peer, so that it reveals nothing about others.
+        /// The same for every peer, so that it reveals nothing about others.
         #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
         #[repr(u16)]
         pub enum Code {
@@ -151,14 +120,12 @@ macro_rules! codes {
         impl Code {
             pub const ALL: &[Self] = &[$(Self::$name),*];
 
-            /// What it means and what to do next.
             pub fn text(self) -> &'static str {
                 match self {
                     $(Self::$name => $text,)*
                 }
             }
 
-            /// The kind of failure.
             pub fn kind(self) -> ErrorKind {
                 match self {
                     $(Self::$name => ErrorKind::$kind,)*
@@ -169,76 +136,50 @@ macro_rules! codes {
 }
 
 codes! {
-    /// A frame or message over its cap, or truncated.
     Length = 1 Refused "a frame has an invalid length; connect again";
-    /// No such session, or it has ended.
     Session = 2 Refused "the session has ended; connect again";
-    /// A frame out of order: replayed, lost or swapped.
     Counter = 3 Refused "a frame came out of order; connect again";
-    /// Bytes that were altered, or another key.
     Tag = 4 Refused "a frame was altered or sealed under another key; allocate a transport key again";
-    /// A token that the owner never registered.
     Token = 5 Refused "the token does not belong to this account; register or rotate first";
-    /// An SM2 signature that does not verify, or by a key that may not sign.
     Signature = 6 Refused "the SM2 signature was rejected; sign with the registered key or a lent one";
-    /// An EOA signature that recovers another account.
     Account = 7 Refused "the account's signature was rejected; sign with the key of the registered account";
-    /// Bytes that are not a message.
     Malformed = 8 Refused "the gateway cannot read the message; use the same version on both sides";
-    /// Another version of the protocol.
     Version = 9 Refused "the gateway uses another version of the protocol; use the same version on both sides";
-    /// Another chain or contract.
     Network = 10 Refused "the gateway serves another network; check chain and contract on both sides";
-    /// A system key that is not, or no longer, in the list.
     SystemKey = 11 Refused "the system key is not in use; fetch the list again";
-    /// N belongs to another account.
     NameBound = 12 Refused "this name belongs to another account; choose another name";
-    /// The chain has no such identity.
     NotRegistered = 13 Refused "the chain knows no such identity; register it, or wait for its confirmation";
-    /// The administrator suspended the account.
     Suspended = 14 Refused "the account is suspended; ask the administrator";
-    /// No grant covers the request.
     NotAuthorised = 15 Refused "no grant covers this; ask the owner for one, and the gateway's operator to admit this \
                                 account";
-    /// Nothing with that digest.
     NotFound = 16 Refused "the gateway has no such record; check the digest";
-    /// Stored bytes that differ from the chain.
     Tampered = 17 Tampered "the stored record is not the one anchored; fetch it from elsewhere";
-    /// More than this peer may use at a time.
     Quota = 18 Refused "too many requests at once; send less and try again";
-    /// No room for another connection or handshake.
     Busy = 19 Unreachable "the gateway has no room at the moment; try again later";
-    /// Not allowed in this session.
     NotHere = 20 Refused "this command is not accepted in this session; connect with a transport key";
-    /// The gateway does not know the chain as it is now, so authority cannot be determined.
+    /// The chain's current state is unknown, so authority cannot be determined.
     Stale = 21 Unreachable "the gateway does not know the chain's newest block now, so it cannot tell who may do this; \
                             it answers again as soon as it does, so try again in a few seconds";
-    /// The gateway is stopping.
     Closing = 22 Unreachable "the gateway is stopping; try again later";
-    /// An internal error of the gateway.
     Internal = 23 Unreachable "the gateway failed; try again later, and see its log";
-    /// The peer took too long.
     TooSlow = 24 Unreachable "the connection was too slow or idle; connect again";
-    /// The record belongs to a network or owner other than the session's.
+    /// Of a network or owner other than the session's.
     NotYours = 25 Refused "the record belongs to another account or network; send your own";
-    /// A request that is not passed on to the chain.
     Method = 26 Refused "the gateway does not forward this request to the chain; use a node for it";
 }
 
 crate::model::layout!(Code by number, from_number);
 
 impl Code {
-    /// The two bytes on the wire.
     pub fn number(self) -> u16 {
         self as u16
     }
 
-    /// From the two bytes on the wire.
     pub fn from_number(number: u16) -> Option<Self> {
         Self::ALL.iter().copied().find(|code| code.number() == number)
     }
 
-    /// Whether it ends the connection: later frames could not be trusted or told apart.
+    /// Later frames could not be trusted.
     pub fn ends_session(self) -> bool {
         matches!(
             self,
@@ -261,28 +202,26 @@ impl fmt::Display for Code {
     }
 }
 
-/// A refusal made by the gateway: the code goes to the peer, the detail only to the log.
+/// The code goes to the peer, the detail only to the log.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{code} ({detail})")]
 pub struct Refusal {
-    /// The code for the peer.
     pub code: Code,
-    /// The detail for the operator; holds no secret, and text from peers only cleaned.
+    /// No secret; text from peers only cleaned.
     pub detail: String,
 }
 
 impl Refusal {
-    /// With a detail for the log.
     pub fn new(code: Code, detail: impl fmt::Display) -> Self {
         Self { code, detail: detail.to_string() }
     }
 
-    /// With `Internal`, for use in `map_err`: keeps the cause for the log.
+    /// For `map_err`: keeps the cause for the log.
     pub fn internal(cause: impl fmt::Display) -> Self {
         Self::new(Code::Internal, cause)
     }
 
-    /// For use in `map_err`: keeps the cause for the log.
+    /// For `map_err`: keeps the cause for the log.
     pub fn because<E: fmt::Display>(code: Code) -> impl Fn(E) -> Self {
         move |cause| Self::new(code, cause)
     }

@@ -1,6 +1,5 @@
-//! The feed: what a gateway holds for a reader, in the order of the gateway's own numbers. A page is asked for with [`Feed`], and
-//! answered with a [`FeedPage`], signed. A place is the id of a feed and, for each owner, a number: nothing ever appears behind it.
-//! [`Feed::after`] moves it on. The gateway says where a place is not of its feed, and reads it anew.
+//! The feed: what a gateway has for a reader, in the order of the gateway's own numbers. A place is a feed's id and a
+//! number for each owner: nothing ever appears behind it.
 
 use std::time::Duration;
 
@@ -13,70 +12,58 @@ use crate::model::{
     Address, Digest, Domain, Fact, Hash, PublicKey, RecordKind, RecorderId, Signature, Timestamp, TopicId,
 };
 
-/// The most entries on a page: with their proofs they fit into one frame.
+/// With their proofs they fit into one frame.
 pub const MOST_ENTRIES: usize = 256;
-/// The most owners followed by one request.
 pub const MOST_OWNERS: usize = 1024;
-/// The most recorders, and topics, that one request may name.
 pub const MOST_NAMED: usize = 32;
-/// The longest that a request waits for something to tell.
+/// Of a waiting request.
 pub const LONGEST_WAIT: Duration = Duration::from_secs(30);
 
-/// The id of a feed; zeros where none is known yet.
+/// Zeros if unknown.
 pub type FeedId = [u8; 16];
 
-/// An owner who is followed: owner (20) || number (8) || grant (8).
+/// owner (20) || number (8) || grant (8).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Place {
     pub owner: Address,
-    /// Rows up to this number were told.
+    /// Rows up to this number are done.
     pub after: u64,
-    /// The beginning of the hash of the transaction of the grant by which these rows count as told. A gateway that knows another
-    /// grant as the one in force tells nothing of this owner; 0 = whichever is in force, and the reader's own records.
+    /// [`Self::grant_of`] the grant for these rows; under another grant the gateway sends none. 0 = any grant, or own
+    /// records.
     pub grant: u64,
 }
 
 layout!(Place { owner: "owner", after: "number", grant: "grant" });
 
 impl Place {
-    /// How a grant is named, by its transaction.
+    /// The beginning of the transaction's hash.
     pub fn grant_of(transaction: &Hash) -> u64 {
         transaction.0.first_chunk().map_or(0, |first| u64::from_be_bytes(*first))
     }
 }
 
-/// What to tell next: feed id (16) || wait (2, milliseconds) || kind (1, 0 for any) || topics (1), 16 each || recorders (1), 16 each ||
+/// feed id (16) || wait (2, milliseconds) || kind (1, 0 for any) || topics (1), 16 each || recorders (1), 16 each ||
 /// owners (2), each a [`Place`].
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Feed {
-    /// The feed that the places belong to.
     pub id: FeedId,
-    /// How long to wait if there is nothing to tell, at most [`LONGEST_WAIT`].
+    /// Without news, at most [`LONGEST_WAIT`].
     pub wait: Duration,
-    /// Of one kind only.
     pub kind: Option<RecordKind>,
-    /// Of these topics only; empty for all.
+    /// Empty for all.
     pub topics: Vec<TopicId>,
-    /// Numbered by one of these; empty for any. It is how a device asks for its own: nobody else knows them.
+    /// Empty for any. Devices name their own recorder, which nobody else knows.
     pub recorders: Vec<RecorderId>,
     pub places: Vec<Place>,
 }
 
 impl Feed {
-    /// Everything of one owner, from the beginning.
+    /// From the beginning.
     pub fn of(owner: Address) -> Self {
-        let (wait, topics, recorders) = (Duration::ZERO, Vec::new(), Vec::new());
-        Self {
-            id: FeedId::default(),
-            wait,
-            kind: None,
-            topics,
-            recorders,
-            places: vec![Place { owner, after: 0, grant: 0 }],
-        }
+        Self { places: vec![Place { owner, after: 0, grant: 0 }], ..Self::default() }
     }
 
-    /// The same request after a page, with which everything on it was dealt with. Returns whether the feed is read anew.
+    /// Moves on past a page. Returns whether the feed starts over.
     pub fn after(&mut self, page: &FeedPage) -> bool {
         for place in &mut self.places {
             let told = if page.is_anew { 0 } else { place.after };
@@ -112,7 +99,7 @@ impl Feed {
     }
 }
 
-/// A row of the feed: number (8) || fact (1) || digest (32) || owner (20) || recorder (16) || seq (8) || topic id (16) || epoch (8) ||
+/// number (8) || fact (1) || digest (32) || owner (20) || recorder (16) || seq (8) || topic id (16) || epoch (8) ||
 /// capture time (8) || length (8) || kind (1) || length (4) and proof of its anchor.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FeedEntry {
@@ -122,17 +109,15 @@ pub struct FeedEntry {
     pub owner: Address,
     pub recorder: RecorderId,
     pub seq: u64,
-    /// Pseudonym of its topic.
+    /// Pseudonym.
     pub topic_id: TopicId,
-    /// The epoch whose key sealed it.
+    /// Its key seals the record.
     pub epoch: u64,
-    /// When it was captured.
     pub captured_at: Timestamp,
     /// Bytes of the message.
     pub length: u64,
-    /// The kind of record.
     pub kind: RecordKind,
-    /// Proof of the anchor, as written by the chain crate; empty where there is none yet.
+    /// In the chain crate's form; empty until there is one.
     pub proof: Vec<u8>,
 }
 
@@ -160,25 +145,22 @@ pub(crate) fn read_proof(reader: &mut Reader<'_>) -> Result<Vec<u8>, WireError> 
     Ok(reader.take(length, "proof")?.to_vec())
 }
 
-/// A page: feed id (16) || anew (1) || head (8) || upto (8) || refused owners (2), each: owner (20) || code (2) || entries (2), each
-/// as above || time (8) || signature (64).
+/// feed id (16) || anew (1) || head (8) || upto (8) || refused owners (2), each: owner (20) || code (2) || entries (2),
+/// each as above || time (8) || signature (64).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FeedPage {
-    /// The feed's id, for the next request.
     pub id: FeedId,
-    /// Whether the places asked from are not of this feed: the page begins at its beginning.
+    /// The places are of another feed: the page starts at the beginning.
     pub is_anew: bool,
-    /// The highest number given so far.
+    /// The highest number so far.
     pub head: u64,
-    /// All that was asked for up to this number is on this page or before it.
+    /// All wanted rows up to this number are on this page or before it.
     pub upto: u64,
-    /// Owners about whom this caller is told nothing, and why.
+    /// Owners whose rows this caller may not have.
     pub refused: Vec<(Address, Code)>,
-    /// The rows, by number.
     pub entries: Vec<FeedEntry>,
-    /// When the gateway said so.
     pub time: Timestamp,
-    /// Its signature, by which a robot can show what it was told; zeros if there are no entries.
+    /// A robot's evidence; zeros without entries.
     pub signature: Signature,
 }
 
@@ -187,14 +169,14 @@ impl FeedPage {
         Self { id, is_anew: false, head, upto, refused, entries, time: Timestamp::now(), signature: Signature([0; 64]) }
     }
 
-    /// Whether it is worth an answer before the time is over.
+    /// Worth an answer before the wait ends.
     pub(crate) fn tells(&self, asked: &Feed) -> bool {
         let is_behind = self.upto < self.head;
         !self.entries.is_empty() || !self.refused.is_empty() || self.is_anew || self.id != asked.id || is_behind
     }
 
-    /// The bytes signed, after the domain: time (8) || count (2) || for each entry: digest (32) || fact (1) || SM3 of its proof (32,
-    /// zeros if there is none).
+    /// Signed after the domain: time (8) || count (2) || per entry: digest (32) || fact (1) || SM3 of its proof (32,
+    /// else zeros).
     pub fn statement(&self, provider: &dyn Provider) -> Vec<u8> {
         let mut out = self.time.0.to_be_bytes().to_vec();
         out.extend_from_slice(&u16::try_from(self.entries.len()).unwrap_or(u16::MAX).to_be_bytes());
@@ -207,7 +189,7 @@ impl FeedPage {
         out
     }
 
-    /// Signs it, if it tells anything.
+    /// Only with entries.
     pub fn sign(mut self, provider: &dyn Provider, domain: &Domain, identity: &SmKeyPair) -> Result<Self, CryptoError> {
         if !self.entries.is_empty() {
             let signed = signed_bytes(domain, &self.statement(provider));
@@ -241,7 +223,7 @@ impl FeedPage {
         if entries.iter().any(|entry| entry.proof.len() > LONGEST_PROOF) {
             return Err(WireError::Value("proof length"));
         }
-        // A follower goes by these numbers: they rise, and lie within what the page says of itself.
+        // A follower goes by these numbers: they rise, and are within the page's bounds.
         let rise = entries.is_sorted_by(|one, next| one.number < next.number);
         if !rise || upto > head || entries.last().is_some_and(|last| last.number > upto) {
             return Err(WireError::Value("number"));

@@ -1,6 +1,5 @@
-//! Frames on the wire: length (4, big endian), kind (1), payload. The length counts kind and payload. The cap is
-//! checked before anything is stored, and no buffer grows ahead of the bytes that arrived. Messages of several parts
-//! are put together here, and a line is frames over TCP.
+//! Frames: length (4, big endian, of kind and payload), kind (1), payload. The cap is checked before anything is
+//! stored, and no buffer grows ahead of the bytes that arrived.
 
 use std::time::Duration;
 
@@ -12,69 +11,50 @@ use crate::command::{Command, Inner, LARGEST_MESSAGE, LARGEST_PART, Part};
 use crate::error::{Code, Refusal};
 use crate::model::{Signature, Token};
 
-/// The cap until the peer is authenticated, bytes of kind and payload.
+/// Before authentication; bytes of kind and payload.
 pub const CAP_BEFORE: usize = 4 * 1024;
 pub const CAP_AFTER: usize = 1024 * 1024;
-/// A buffer larger than this is released when it is empty, bytes.
+/// Larger buffers are released when empty; bytes.
 const KEPT: usize = 16 * 1024;
-/// Size of the length field, bytes.
 const PREFIX: usize = 4;
 
-/// The kind of a frame.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[repr(u8)]
-pub enum FrameKind {
-    /// The client's first message.
-    Hello = 1,
-    /// The gateway's answer, signed.
-    Answer = 2,
-    /// N under the agreed key.
-    Identify = 3,
-    Transfer = 4,
-    /// A code in clear, before the connection closes.
-    Refusal = 5,
-    /// Asks for the network, before the hello, from a client that does not know it yet.
-    Inquiry = 6,
-    /// The network, in clear; the hello that follows proves it.
-    Network = 7,
-}
-
-impl FrameKind {
-    const ALL: [Self; 7] =
-        [Self::Hello, Self::Answer, Self::Identify, Self::Transfer, Self::Refusal, Self::Inquiry, Self::Network];
-
-    /// The byte on the wire.
-    pub fn code(self) -> u8 {
-        self as u8
-    }
-
-    /// From the byte on the wire.
-    pub fn from_code(code: u8) -> Option<Self> {
-        Self::ALL.into_iter().find(|kind| kind.code() == code)
+numbered! {
+    FrameKind {
+        Hello = 1,
+        /// Signed.
+        Answer = 2,
+        /// N under the agreed key.
+        Identify = 3,
+        Transfer = 4,
+        /// A code in clear before the connection closes.
+        Refusal = 5,
+        /// From a client that does not know the network yet, before the hello.
+        Inquiry = 6,
+        /// In clear; the hello proves it.
+        Network = 7,
     }
 }
 
-/// Why bytes are not a frame; the stream is of no further use.
+/// The stream is of no further use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum FrameError {
-    /// Longer than the cap, or without a kind.
+    /// Over the cap, or without a kind.
     #[error("a frame of {0} bytes")]
     Length(u32),
     #[error("a frame of kind {0}")]
     Kind(u8),
 }
 
-/// Encodes one frame. Every reader refuses a payload over [`CAP_AFTER`].
+/// Every reader refuses a payload over [`CAP_AFTER`].
 pub fn encode(kind: FrameKind, payload: &[u8]) -> Vec<u8> {
     let length = u32::try_from(payload.len().saturating_add(1)).unwrap_or(u32::MAX);
     let mut out = Vec::with_capacity(PREFIX + 1 + payload.len());
     out.extend_from_slice(&length.to_be_bytes());
-    out.push(kind.code());
+    out.push(kind.number());
     out.extend_from_slice(payload);
     out
 }
 
-/// Takes bytes as they arrive and returns frames.
 #[derive(Debug)]
 pub struct FrameDecoder {
     cap: usize,
@@ -83,17 +63,12 @@ pub struct FrameDecoder {
 }
 
 impl FrameDecoder {
-    /// With the cap for an unauthenticated peer.
-    pub fn new() -> Self {
-        Self { cap: CAP_BEFORE, buffer: Vec::new(), start: 0 }
-    }
-
-    /// The peer is authenticated: allows larger frames from now on.
+    /// Call once the peer is authenticated.
     pub fn raise_cap(&mut self) {
         self.cap = CAP_AFTER;
     }
 
-    /// Where the next bytes are appended, with room for some; at most one cap of bytes is held unread.
+    /// Where to append, with room for some bytes; never holds more than one cap unread.
     pub fn space(&mut self) -> &mut Vec<u8> {
         if self.start > 0 {
             self.buffer.drain(..self.start);
@@ -104,7 +79,6 @@ impl FrameDecoder {
         &mut self.buffer
     }
 
-    /// Whether a frame has begun that is not complete yet.
     pub fn is_partial(&self) -> bool {
         self.start < self.buffer.len()
     }
@@ -117,7 +91,7 @@ impl FrameDecoder {
         }
     }
 
-    /// The length announced by the current frame, bytes of kind and payload, if it is not over the cap.
+    /// The current frame's announced length, unless over the cap.
     pub fn announced_length(&self) -> Option<usize> {
         self.announced().filter(|length| *length <= self.cap)
     }
@@ -127,10 +101,7 @@ impl FrameDecoder {
         usize::try_from(u32::from_be_bytes(*prefix)).ok()
     }
 
-    /// The next complete frame, `None` if more bytes are needed.
-    ///
-    /// # Errors
-    /// [`FrameError`] as soon as the length or the kind is known to be wrong.
+    /// `None` while incomplete; an error as soon as length or kind is known to be wrong.
     pub fn next_frame(&mut self) -> Result<Option<(FrameKind, &[u8])>, FrameError> {
         let Some(length) = self.announced() else { return Ok(None) };
         if length == 0 || length > self.cap {
@@ -138,7 +109,7 @@ impl FrameDecoder {
         }
         let begin = self.start + PREFIX;
         let Some(&code) = self.buffer.get(begin) else { return Ok(None) };
-        let kind = FrameKind::from_code(code).ok_or(FrameError::Kind(code))?;
+        let kind = FrameKind::from_number(code).ok_or(FrameError::Kind(code))?;
         if self.buffer.len() < begin + length {
             return Ok(None);
         }
@@ -148,19 +119,18 @@ impl FrameDecoder {
 }
 
 impl Default for FrameDecoder {
+    /// With the cap for an unauthenticated peer.
     fn default() -> Self {
-        Self::new()
+        Self { cap: CAP_BEFORE, buffer: Vec::new(), start: 0 }
     }
 }
 
 #[derive(Debug)]
 pub struct Message<C> {
     pub command: Command,
-    /// The client's number of the request.
     pub request: u32,
     pub token: Option<Token>,
     pub signature: Option<Signature>,
-    /// The counter of its last frame.
     pub counter: u64,
     pub body: Vec<u8>,
     /// Held as long as the message.
@@ -172,26 +142,18 @@ struct Unfinished<C> {
     total: usize,
 }
 
-/// Assembles the parts of one direction.
+/// For one direction.
 pub struct Assembler<C> {
     unfinished: Option<Unfinished<C>>,
 }
 
 impl<C> Assembler<C> {
-    pub fn new() -> Self {
-        Self { unfinished: None }
-    }
-
-    /// Whether an incomplete message has begun.
     pub fn is_partial(&self) -> bool {
         self.unfinished.is_some()
     }
 
-    /// Takes the next ND2; returns the message once it is complete. `charge` is called before a message in parts is
-    /// stored.
-    ///
-    /// # Errors
-    /// [`Refusal`] with `Length` or `Malformed` if parts do not follow one another, or from `charge`.
+    /// Returns a complete message. Calls `charge` before it stores a message in parts. Refuses parts that do not follow
+    /// one another with `Length` or `Malformed`.
     pub fn take(
         &mut self,
         inner: &Inner<'_>,
@@ -252,63 +214,39 @@ impl<C> Assembler<C> {
 
 impl<C> Default for Assembler<C> {
     fn default() -> Self {
-        Self::new()
+        Self { unfinished: None }
     }
 }
 
 fn message<C>(inner: &Inner<'_>, counter: u64, body: Vec<u8>, charge: Option<C>) -> Message<C> {
-    Message {
-        command: inner.command,
-        request: inner.request,
-        token: inner.token,
-        signature: inner.signature,
-        counter,
-        body,
-        charge,
-    }
+    let Inner { command, request, token, signature, .. } = *inner;
+    Message { command, request, token, signature, counter, body, charge }
 }
 
-/// How long and how much is read after a refusal, so that the peer gets to read it.
+/// Time and bytes to read after a refusal, so that the peer gets to read it.
 const LAST_WORDS: (Duration, usize) = (Duration::from_millis(500), 256 * 1024);
 
-/// Why a connection ended.
 #[derive(Debug)]
 pub(super) enum LineError {
-    /// The peer closed, or the network broke.
+    /// Or the network broke.
     Closed(Option<std::io::Error>),
-    /// Bytes that are not frames.
     Frame(FrameError),
-    /// The peer did not accept what was sent.
+    /// The peer does not read.
     TooSlow,
 }
 
 pub(super) struct Line {
     stream: TcpStream,
-    decoder: FrameDecoder,
+    pub decoder: FrameDecoder,
 }
 
 impl Line {
     pub fn new(stream: TcpStream) -> Self {
-        // Without it only small answers are delayed; nothing breaks.
+        // Without it only small answers are delayed.
         let _ = stream.set_nodelay(true);
-        Self { stream, decoder: FrameDecoder::new() }
+        Self { stream, decoder: FrameDecoder::default() }
     }
 
-    pub fn raise_cap(&mut self) {
-        self.decoder.raise_cap();
-    }
-
-    /// Whether an incomplete frame has begun.
-    pub fn is_partial(&self) -> bool {
-        self.decoder.is_partial()
-    }
-
-    /// Length of the frame that has begun, if it announces an allowed one.
-    pub fn announced(&self) -> Option<usize> {
-        self.decoder.announced_length()
-    }
-
-    /// A complete frame that has already arrived.
     pub fn arrived(&mut self) -> Result<Option<(FrameKind, Vec<u8>)>, LineError> {
         let frame = self.decoder.next_frame().map_err(LineError::Frame)?;
         let frame = frame.map(|(kind, payload)| (kind, payload.to_vec()));
@@ -318,7 +256,7 @@ impl Line {
         Ok(frame)
     }
 
-    /// Waits for bytes and reads what is there. Can be cancelled at any point.
+    /// Cancel-safe.
     pub async fn fill(&mut self) -> Result<(), LineError> {
         loop {
             self.stream.readable().await.map_err(|error| LineError::Closed(Some(error)))?;
@@ -331,7 +269,7 @@ impl Line {
         }
     }
 
-    /// The next frame. Can be cancelled at any point.
+    /// Cancel-safe.
     pub async fn frame(&mut self) -> Result<(FrameKind, Vec<u8>), LineError> {
         loop {
             if let Some(frame) = self.arrived()? {
@@ -349,8 +287,7 @@ impl Line {
         }
     }
 
-    /// Sends the reason in clear, then closes. Unread bytes would make the system reset the connection and the peer
-    /// lose the reason, so some are read first.
+    /// Sends the reason in clear and reads on a little: unread bytes would reset the connection and lose the reason.
     pub async fn refuse(mut self, code: Code) {
         let sent = self.send(FrameKind::Refusal, &code.number().to_be_bytes(), LAST_WORDS.0).await;
         if sent.is_err() || self.stream.shutdown().await.is_err() {
@@ -379,16 +316,16 @@ mod tests {
 
     #[test]
     fn the_cap_is_checked_before_the_bytes_arrive() {
-        let mut decoder = FrameDecoder::new();
+        let mut decoder = FrameDecoder::default();
         feed(&mut decoder, &4097u32.to_be_bytes());
         assert_eq!(decoder.next_frame(), Err(FrameError::Length(4097)));
-        let mut decoder = FrameDecoder::new();
+        let mut decoder = FrameDecoder::default();
         decoder.raise_cap();
         feed(&mut decoder, &u32::try_from(CAP_AFTER).expect("fits").to_be_bytes());
         assert_eq!(decoder.next_frame(), Ok(None));
         assert!(decoder.space().capacity() <= 64 * 1024, "a mere claim allocates little");
         for wrong in [0, u32::MAX, 1024 * 1024 + 1] {
-            let mut decoder = FrameDecoder::new();
+            let mut decoder = FrameDecoder::default();
             decoder.raise_cap();
             feed(&mut decoder, &wrong.to_be_bytes());
             assert_eq!(decoder.next_frame(), Err(FrameError::Length(wrong)));
@@ -397,10 +334,10 @@ mod tests {
 
     #[test]
     fn an_unknown_kind_ends_the_stream_and_an_idle_buffer_is_given_back() {
-        let mut decoder = FrameDecoder::new();
+        let mut decoder = FrameDecoder::default();
         feed(&mut decoder, &[0, 0, 0, 9, 77]);
         assert_eq!(decoder.next_frame(), Err(FrameError::Kind(77)));
-        let mut decoder = FrameDecoder::new();
+        let mut decoder = FrameDecoder::default();
         feed(&mut decoder, &encode(FrameKind::Hello, b"x"));
         assert_eq!(decoder.next_frame(), Ok(Some((FrameKind::Hello, &b"x"[..]))));
         decoder.rest();
@@ -414,7 +351,7 @@ mod tests {
             cuts in proptest::collection::vec(1usize..200, 1..40),
         ) {
             let wire: Vec<u8> = payloads.iter().flat_map(|payload| encode(FrameKind::Transfer, payload)).collect();
-            let mut decoder = FrameDecoder::new();
+            let mut decoder = FrameDecoder::default();
             let (mut seen, mut rest) = (Vec::new(), &wire[..]);
             for cut in cuts.iter().cycle() {
                 let (now, later) = rest.split_at(rest.len().min(*cut));
@@ -432,7 +369,7 @@ mod tests {
 
         #[test]
         fn garbage_never_panics(noise in proptest::collection::vec(any::<u8>(), 0..2000)) {
-            let mut decoder = FrameDecoder::new();
+            let mut decoder = FrameDecoder::default();
             feed(&mut decoder, &noise);
             while let Ok(Some(_)) = decoder.next_frame() {}
         }
@@ -452,7 +389,7 @@ mod parts_tests {
     }
 
     fn assemble(texts: &[Vec<u8>]) -> Result<Option<Message<usize>>, Refusal> {
-        let mut assembler = Assembler::new();
+        let mut assembler = Assembler::default();
         let mut whole = None;
         for (counter, text) in (0..).zip(texts) {
             let inner = Inner::from_client(text)?;
@@ -485,7 +422,7 @@ mod parts_tests {
         assert_eq!(assemble(&[claims_more]).expect_err("too long").code, Code::Length);
         let (_, other) = texts(10);
         assert!(assemble(&[all[0].clone(), other[0].clone()]).is_err(), "another message in between");
-        let refused = Assembler::<()>::new()
+        let refused = Assembler::<()>::default()
             .take(&Inner::from_client(&all[0]).expect("parses"), 0, |_| Err(Refusal::new(Code::Quota, "full")));
         assert_eq!(refused.expect_err("refused").code, Code::Quota);
     }

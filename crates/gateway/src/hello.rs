@@ -1,5 +1,4 @@
-//! The hello: both sides agree on fresh keys, the gateway signs the transcript, the client names itself. Pure state
-//! machines; PROTOCOL.md has every byte. Nothing here is kept once the session's keys exist.
+//! The hello (every byte is in PROTOCOL.md): fresh keys, a transcript signed by the gateway, the client's name.
 
 use zeroize::Zeroizing;
 
@@ -11,40 +10,34 @@ use crate::model::wire::{Reader, Wire as _, WireError};
 use crate::model::{Address, Digest, Domain, Hash, ProfileName, PublicKey, Signature, SignerId};
 use crate::session::{Session, SessionId, SessionKeys, Side};
 
-/// The version of the protocol.
 pub const VERSION: u8 = 1;
-/// The suite SM4-GCM, SM3, SM2, HKDF-SM3.
+/// SM4-GCM, SM3, SM2, HKDF-SM3.
 pub const SUITE_SM: u8 = 1;
 
-/// A peer's network and crypto provider.
 #[derive(Clone, Copy)]
 pub struct Context {
-    /// Computes SM2, SM3 and SM4.
     pub provider: &'static dyn Provider,
     pub domain: Domain,
 }
 
-/// The purpose of the session.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Purpose {
-    /// Key allocation: there is no transport key yet.
+    /// Without a transport key.
     Allocation = 0,
-    /// Everything else, under a transport key.
+    /// Under a transport key.
     Transfer = 1,
 }
 
-/// What both sides know after the hello.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Agreed {
-    /// SM3 of the gateway's identity key.
+    /// SM3 of the identity key.
     pub gateway: SignerId,
-    /// The gateway's identity key: verifies its lists and receipts.
+    /// The identity key: verifies lists and receipts.
     pub gateway_key: PublicKey,
     pub client_nonce: [u8; 32],
     pub gateway_nonce: [u8; 32],
     pub session: SessionId,
-    /// The gateway's current system-key list.
     pub list: ListSummary,
 }
 
@@ -54,12 +47,11 @@ fn transcript(context: &Context, hello: &Hello, answer: &Answer) -> Digest {
     Digest(context.provider.sm3(&parts))
 }
 
-/// The bytes that the gateway's identity key signs.
+/// Signed by the identity key.
 fn signed_bytes(domain: &Domain, transcript: &Digest) -> Vec<u8> {
     [&b"AuthROS/hello/1"[..], &domain.0, &transcript.0].concat()
 }
 
-/// The shared secret and the transcript so far.
 struct Shared {
     context: Context,
     secret: Zeroizing<[u8; 32]>,
@@ -77,7 +69,7 @@ impl Shared {
         [&b"AuthROS/identify/1"[..], &self.agreed.session.0].concat()
     }
 
-    /// The session, its keys bound to the whole transcript, including N.
+    /// Its keys are bound to the whole transcript, including N.
     fn session(self, side: Side, identify: &[u8], key: Option<&TransportKey>) -> Session {
         let parts: [&[u8]; 3] = [b"AuthROS/transcript/1", &self.transcript.0, identify];
         let salt = self.context.provider.sm3(&parts);
@@ -89,7 +81,6 @@ impl Shared {
     }
 }
 
-/// The client before the gateway's answer.
 pub struct ClientHello {
     context: Context,
     hello: Hello,
@@ -97,25 +88,22 @@ pub struct ClientHello {
 }
 
 impl ClientHello {
-    /// With fresh nonce and ephemeral key.
     pub fn begin(context: Context) -> Result<Self, GatewayError> {
         let ephemeral = Ephemeral::generate(context.provider)?;
         Ok(Self::with(context, random_bytes()?, ephemeral))
     }
 
-    /// With values drawn elsewhere; only test vectors need this.
+    /// For test vectors.
     pub(super) fn with(context: Context, nonce: [u8; 32], ephemeral: Ephemeral) -> Self {
         let hello = Hello { domain: context.domain, nonce, point: ephemeral.public() };
         Self { context, hello, ephemeral }
     }
 
-    /// The payload of the hello frame.
     pub fn encode(&self) -> Vec<u8> {
         self.hello.encode()
     }
 
-    /// Processes the gateway's answer: its signature, its point. Whether it is the intended gateway is for the caller
-    /// to judge by [`Agreed::gateway`] before naming itself.
+    /// Checks the answer. The caller must judge [`Agreed::gateway`] before it names itself.
     pub fn agree(self, payload: &[u8]) -> Result<ClientAgreed, GatewayError> {
         let answer = Answer::parse(payload).map_err(GatewayError::malformed("answer to the hello"))?;
         let transcript = transcript(&self.context, &self.hello, &answer);
@@ -127,7 +115,6 @@ impl ClientHello {
     }
 }
 
-/// The client once keys are agreed, before it names itself.
 pub struct ClientAgreed(Shared);
 
 impl ClientAgreed {
@@ -135,7 +122,7 @@ impl ClientAgreed {
         &self.0.agreed
     }
 
-    /// The payload of the identify frame, and the session. A session for transfer needs the transport key.
+    /// The identify frame's payload, and the session; one for transfer needs the key.
     pub fn identify(self, name: &ProfileName, key: Option<&TransportKey>) -> Result<(Vec<u8>, Session), GatewayError> {
         let purpose = if key.is_some() { Purpose::Transfer } else { Purpose::Allocation };
         let mut sealed = encode_name(purpose, name);
@@ -146,11 +133,9 @@ impl ClientAgreed {
     }
 }
 
-/// The gateway after its answer.
 pub struct GatewayHello(Shared);
 
 impl GatewayHello {
-    /// Answers a hello: the payload to send, and the next state.
     pub fn answer(
         context: Context,
         identity: &SmKeyPair,
@@ -163,7 +148,7 @@ impl GatewayHello {
         Self::answer_with(context, identity, list, payload, nonces, ephemeral)
     }
 
-    /// With values drawn elsewhere; only test vectors need this.
+    /// For test vectors.
     pub(super) fn answer_with(
         context: Context,
         identity: &SmKeyPair,
@@ -192,7 +177,6 @@ impl GatewayHello {
         &self.0.agreed
     }
 
-    /// Opens the identify frame.
     pub fn identified(self, payload: &[u8]) -> Result<Identified, Refusal> {
         let (key, nonce) = halves(&self.0.identify_key());
         let opened = self.0.context.provider.gcm_open(&key, &nonce, &self.0.identify_aad(), payload);
@@ -202,13 +186,11 @@ impl GatewayHello {
     }
 }
 
-/// The gateway once the client has named itself; the client's first frame proves it.
+/// The client's first frame must prove its name.
 pub struct Identified {
     shared: Shared,
     identify: Vec<u8>,
-    /// The purpose of the session.
     pub purpose: Purpose,
-    /// The name the client gave.
     pub name: ProfileName,
 }
 
@@ -217,8 +199,7 @@ impl Identified {
         self.shared.agreed
     }
 
-    /// The session. For an unbound name pass a random key: the first frame then fails as it does for a wrong key, so
-    /// names cannot be probed.
+    /// Pass a random key for an unbound name: it fails like a wrong key, so names cannot be probed.
     pub fn session(self, key: Option<&TransportKey>) -> Session {
         self.shared.session(Side::Gateway, &self.identify, key)
     }
@@ -228,27 +209,22 @@ fn halves(bytes: &[u8; 28]) -> (Zeroizing<[u8; 16]>, [u8; 12]) {
     (Zeroizing::new(std::array::from_fn(|index| bytes[index])), std::array::from_fn(|index| bytes[16 + index]))
 }
 
-/// SM3 of an identity key: the fingerprint that is pinned, registered and compared.
-pub fn gateway_id(key: &PublicKey) -> SignerId {
-    signer_id(key)
-}
-
 impl From<WireError> for Refusal {
     fn from(error: WireError) -> Self {
         Self::new(Code::Malformed, error)
     }
 }
 
-/// The longest name, bytes; shorter ones are padded, so that the frame's length reveals nothing.
+/// Shorter names are padded, so that the frame's length reveals nothing; bytes.
 const NAME: usize = 32;
 
-/// A gateway's network: version (1) chain id (8) genesis hash (32) contract (20). Sent in clear to anyone who sends the
-/// version (1); a wrong answer leads to a hello that the gateway does not sign.
+/// version (1) chain id (8) genesis hash (32) contract (20). In clear for anyone who sends the version (1); a wrong
+/// answer leads to a hello that the gateway does not sign.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct NetworkName {
-    /// The EIP-155 chain id.
+    /// EIP-155.
     pub chain_id: u64,
-    /// Hash of block 0.
+    /// Block 0.
     pub genesis: Hash,
     pub contract: Address,
 }
@@ -256,43 +232,39 @@ pub struct NetworkName {
 layout!(NetworkName { chain_id: "chain id", genesis: "genesis", contract: "contract" });
 
 impl NetworkName {
-    /// The request for it.
     pub const INQUIRY: [u8; 1] = [VERSION];
 
-    /// The domain derived from it.
     pub fn domain(&self) -> Domain {
         domain(self.chain_id, &self.genesis, &self.contract)
     }
 
-    /// The payload of the frame, 61 bytes.
+    /// 61 bytes.
     pub fn encode(&self) -> Vec<u8> {
         self.behind(&[VERSION])
     }
 
-    /// From the payload of a frame.
     pub fn parse(payload: &[u8]) -> Result<Self, WireError> {
         Self::whole_behind(&[VERSION], "version", payload)
     }
 }
 
-/// The client's first message: version (1) suite (1) domain (32) nonce (32) point (64).
+/// version (1) suite (1) domain (32) nonce (32) point (64).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Hello {
     pub domain: Domain,
     pub nonce: [u8; 32],
-    /// The client's ephemeral point.
     pub point: PublicKey,
 }
 
 layout!(Hello { domain: "domain", nonce: "nonce", point: "point" });
 
 impl Hello {
-    /// The payload of the frame, 130 bytes.
+    /// 130 bytes.
     pub fn encode(&self) -> Vec<u8> {
         self.behind(&[VERSION, SUITE_SM])
     }
 
-    /// From the payload of a frame; the point is not checked yet.
+    /// Does not check the point.
     pub fn parse(payload: &[u8]) -> Result<Self, Refusal> {
         let mut reader = Reader::new(payload);
         let (version, suite) = (reader.u8("version")?, reader.u8("suite")?);
@@ -303,7 +275,7 @@ impl Hello {
     }
 }
 
-/// A gateway's current system-key list: a client never accepts an older one.
+/// Of system keys; a client never accepts an older list.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ListSummary {
     pub version: u64,
@@ -311,20 +283,17 @@ pub struct ListSummary {
     pub digest: Digest,
 }
 
-/// The gateway's answer: version (1) suite (1) nonce (32) point (64) session (16) list version (8)
-/// list digest (32) identity key (64) signature (64).
+/// version (1) suite (1) nonce (32) point (64) session (16) list version (8) list digest (32) identity key (64)
+/// signature (64).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Answer {
     pub nonce: [u8; 32],
-    /// The gateway's ephemeral point.
     pub point: PublicKey,
-    /// Random; the session's id.
+    /// Random.
     pub session: SessionId,
-    /// The current system-key list.
     pub list: ListSummary,
-    /// The gateway's identity key.
     pub identity: PublicKey,
-    /// Signature by the identity key over the transcript.
+    /// By the identity key over the transcript.
     pub signature: Signature,
 }
 
@@ -339,45 +308,51 @@ layout!(Answer {
 });
 
 impl Answer {
-    /// The payload without the signature, 218 bytes: the gateway's part of the transcript.
+    /// 218 bytes: the gateway's part of the transcript.
     pub fn unsigned(&self) -> Vec<u8> {
         let mut out = self.encode();
         out.truncate(out.len() - Signature::LENGTH);
         out
     }
 
-    /// The payload of the frame, 282 bytes.
+    /// 282 bytes.
     pub fn encode(&self) -> Vec<u8> {
         self.behind(&[VERSION, SUITE_SM])
     }
 
-    /// From the payload of a frame; neither point nor signature is checked yet.
+    /// Checks neither point nor signature.
     pub fn parse(payload: &[u8]) -> Result<Self, WireError> {
         Self::whole_behind(&[VERSION, SUITE_SM], "version", payload)
     }
 
     fn agreed(&self, client_nonce: [u8; 32]) -> Agreed {
-        Agreed {
-            gateway: gateway_id(&self.identity),
-            gateway_key: self.identity,
-            client_nonce,
-            gateway_nonce: self.nonce,
-            session: self.session,
-            list: self.list,
-        }
+        let (gateway, gateway_key, gateway_nonce) = (signer_id(&self.identity), self.identity, self.nonce);
+        Agreed { gateway, gateway_key, client_nonce, gateway_nonce, session: self.session, list: self.list }
     }
 }
 
 /// Purpose (1) length of the name (1) name, padded with zeros to 32.
 fn encode_name(purpose: Purpose, name: &ProfileName) -> Vec<u8> {
+    [&[purpose as u8][..], &padded(name)].concat()
+}
+
+/// Length of the name (1) name, padded with zeros to 32.
+pub(super) fn padded(name: &ProfileName) -> [u8; 1 + NAME] {
     let bytes = name.as_str().as_bytes();
-    // A profile name has at most 32 bytes.
     let bytes = &bytes[..bytes.len().min(NAME)];
-    let mut out = vec![0; 2 + NAME];
-    out[0] = purpose as u8;
-    out[1] = u8::try_from(bytes.len()).unwrap_or(0);
-    out[2..2 + bytes.len()].copy_from_slice(bytes);
+    let mut out = [0; 1 + NAME];
+    out[0] = u8::try_from(bytes.len()).unwrap_or(0);
+    out[1..=bytes.len()].copy_from_slice(bytes);
     out
+}
+
+pub(super) fn read_padded(reader: &mut Reader<'_>) -> Result<ProfileName, WireError> {
+    let length = usize::from(reader.u8("name")?);
+    let (name, padding) = reader.take(NAME, "name")?.split_at_checked(length).ok_or(WireError::Value("name"))?;
+    if padding.iter().any(|byte| *byte != 0) {
+        return Err(WireError::Value("name"));
+    }
+    std::str::from_utf8(name).ok().and_then(|name| name.parse().ok()).ok_or(WireError::Value("name"))
 }
 
 fn parse_name(plain: &Zeroizing<Vec<u8>>) -> Result<(Purpose, ProfileName), WireError> {
@@ -387,14 +362,8 @@ fn parse_name(plain: &Zeroizing<Vec<u8>>) -> Result<(Purpose, ProfileName), Wire
         1 => Purpose::Transfer,
         _ => return Err(WireError::Value("purpose")),
     };
-    let length = usize::from(reader.u8("name")?);
-    let field = reader.take(NAME, "name")?;
+    let name = read_padded(&mut reader)?;
     reader.end()?;
-    let (name, padding) = field.split_at_checked(length).ok_or(WireError::Value("name"))?;
-    if padding.iter().any(|byte| *byte != 0) {
-        return Err(WireError::Value("name"));
-    }
-    let name = std::str::from_utf8(name).ok().and_then(|name| name.parse().ok()).ok_or(WireError::Value("name"))?;
     Ok((purpose, name))
 }
 

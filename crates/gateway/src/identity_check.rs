@@ -1,25 +1,21 @@
-//! The identity check of a command, before anything changes: token, then signature, then account. Length, session,
-//! counter and tag were checked before.
+//! A command's identity check before anything changes: token, signature, account.
 
 use crate::crypto::record::Checked;
 use crate::crypto::{Anchor, SmSecret, Unchecked, check_many};
 use crate::model::{Digest, Header, ProfileName, PublicKey, RecordKind};
 
-use super::allocation::{AllocationRequest, examine};
+use super::allocation::{Allocation, AllocationRequest, examine};
 use super::command::{Notice, Request, Upload, signed_bytes};
 use super::desk::{Account, Binding, Caller, Desk, Received};
 use super::error::{Code, Refusal};
 use super::frame::Message;
 use super::hello::{Agreed, Context};
 
-/// Above this many records or bytes, checking moves off the network threads.
+/// More records or bytes are checked off the network threads.
 const AT_ONCE: (usize, usize) = (8, 256 * 1024);
 
-/// The account is registered and not suspended, with the keys the session was allocated under; a device's session needs
-/// its loan instead of these keys.
-///
-/// # Errors
-/// [`Refusal`] with `NotRegistered`, `NotAuthorised` for a device that is not lent, or the desk's.
+/// A registered, unsuspended account with the session's keys, or a device on loan. Refuses with `NotRegistered`,
+/// `NotAuthorised` or the desk's code.
 pub async fn check_account(desk: &dyn Desk, binding: &Binding) -> Result<(), Refusal> {
     let device = binding.device.as_ref().map(|device| &device.id);
     let account = desk.account(&binding.account, device).await?;
@@ -27,18 +23,17 @@ pub async fn check_account(desk: &dyn Desk, binding: &Binding) -> Result<(), Ref
     if device.is_some() { Ok(()) } else { same_keys(&account, &binding.signing, &binding.envelope) }
 }
 
-/// What a device may ask: to store its records, what became of them, and its owner's notices to it; nothing else of its
-/// owner's. For single records ([`Request::Records`]) the desk decides.
+/// A device may store records, ask what became of them, and read notices to it. Single records are up to the desk.
 pub fn check_reach(caller: &Caller, request: &Request) -> Result<(), Refusal> {
     let Some(device) = &caller.device else { return Ok(()) };
     let may = match request {
-        // Its own records, or notices to it; whether devices of its owner signed them the desk decides.
+        // The desk decides whether devices of this owner signed them.
         Request::Feed(feed) => {
             let own = !feed.recorders.is_empty() && feed.places.iter().all(|place| place.owner == caller.account);
             own || device.asks_for_notices(&caller.account, feed)
         }
         Request::Notice(Notice::Grant(_) | Notice::Revoke(_)) | Request::Relay(_) => false,
-        // Its owner alone has anything erased.
+        // Only the owner erases.
         Request::Erase(_) => false,
         _ => true,
     };
@@ -56,7 +51,7 @@ fn same_keys(account: &Account, signing: &PublicKey, envelope: &PublicKey) -> Re
     Err(Refusal::new(Code::NotRegistered, "the chain has different keys for this account"))
 }
 
-/// A signed Command was signed by d_C for this very frame.
+/// d_C must have signed this very frame.
 pub fn check_signed<C>(
     context: &Context,
     agreed: &Agreed,
@@ -70,11 +65,8 @@ pub fn check_signed<C>(
     context.provider.verify(&caller.signing, &signed, &signature).map_err(Refusal::because(Code::Signature))
 }
 
-/// The records of an upload: of this network, owned by the caller, signed by the owner or a lent device; in a device's
-/// session, by that device. The header binds each number to its signer.
-///
-/// # Errors
-/// [`Refusal`] with `Malformed`, `NotYours` or `Signature`, or the desk's; one bad record refuses all.
+/// Records must be of this network, the caller's, and signed by the owner or a lent device; in a device's session, by
+/// that device. `Malformed`, `NotYours`, `Signature` or the desk's code for one bad record refuses all.
 pub async fn check_records(
     context: Context,
     desk: &dyn Desk,
@@ -88,10 +80,9 @@ pub async fn check_records(
         if header.domain != context.domain || header.owner != caller.account {
             return Err(Refusal::new(Code::NotYours, format_args!("a record of {}", header.owner)));
         }
-        let known = last.as_ref().filter(|(before, _)| before.signer == header.signer).map(|(_, key)| *key);
-        let signer = match known {
-            Some(key) => key,
-            None => desk
+        let signer = match &last {
+            Some((before, key)) if before.signer == header.signer => *key,
+            _ => desk
                 .signer(&caller.account, &header.signer)
                 .await?
                 .ok_or_else(|| Refusal::new(Code::Signature, format_args!("signer {} may not sign", header.signer)))?,
@@ -110,8 +101,7 @@ pub async fn check_records(
     Ok(received)
 }
 
-/// Whatever else it got hold of, a device's session adds to the device's own numbers alone, and no notices: those are its
-/// owner's.
+/// A device's session adds only to the device's own numbers, and no notices: those are its owner's.
 fn check_own(caller: &Caller, received: &[Received]) -> Result<(), Refusal> {
     let Some(device) = &caller.device else { return Ok(()) };
     let is_own = |header: &Header| header.signer == device.id && header.kind != RecordKind::Key;
@@ -124,7 +114,7 @@ fn check_own(caller: &Caller, received: &[Received]) -> Result<(), Refusal> {
     }
 }
 
-/// Whether each record is signed by the key beside it, in one go.
+/// Checks each record by the key beside it, in one go.
 pub fn verify_all(context: Context, uploads: Vec<Upload>, signers: &[PublicKey]) -> Result<Vec<Received>, Refusal> {
     let mut records = Vec::with_capacity(uploads.len());
     for (upload, signer) in uploads.iter().zip(signers) {
@@ -139,8 +129,8 @@ pub fn verify_all(context: Context, uploads: Vec<Upload>, signers: &[PublicKey])
     uploads.into_iter().zip(signers).zip(checked).map(one).collect()
 }
 
-/// A complete key allocation: both signatures, the chain's registration, the owner of the name. Binds the name as its
-/// last step; the caller must hold off other bindings meanwhile.
+/// Checks both signatures, the chain's registration and the name's owner, then binds the name. The caller must prevent
+/// other bindings meanwhile.
 pub async fn allocate(
     context: &Context,
     desk: &dyn Desk,
@@ -159,13 +149,7 @@ pub async fn allocate(
     {
         return Err(Refusal::new(Code::NameBound, format_args!("{name} belongs to {}", bound.account)));
     }
-    let binding = Binding {
-        account: allocation.account,
-        key: allocation.key,
-        signing: allocation.signing,
-        envelope: allocation.envelope,
-        device: None,
-    };
-    desk.bind(name, binding).await?;
+    let Allocation { account, key, signing, envelope, .. } = allocation;
+    desk.bind(name, Binding { account, key, signing, envelope, device: None }).await?;
     Ok(request.digest(context.provider))
 }

@@ -1,6 +1,5 @@
-//! The gateway's protocol, version 1 (PROTOCOL.md has every byte): state machines without I/O first
-//! (frame, hello, session, parts, command, allocation, system_keys, receipt, identity_check, limits), then
-//! the server with its `Desk` and the client over TCP.
+//! The gateway's protocol, version 1 (every byte is in PROTOCOL.md): state machines without I/O, then server and
+//! client.
 
 use crate as gateway;
 use authros_crypto as crypto;
@@ -8,6 +7,30 @@ use authros_model as model;
 // Fixtures shared with other crates' tests refer to this crate by the name those use.
 #[cfg(test)]
 extern crate self as authros_gateway;
+
+/// Enums by their byte on the wire.
+macro_rules! numbered {
+    ($($(#[$meta:meta])* $name:ident { $($(#[$doc:meta])* $variant:ident = $number:literal,)* })*) => {$(
+        $(#[$meta])*
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+        #[repr(u8)]
+        pub enum $name {
+            $($(#[$doc])* $variant = $number,)*
+        }
+
+        impl $name {
+            pub const ALL: &[Self] = &[$(Self::$variant),*];
+
+            pub fn number(self) -> u8 {
+                self as u8
+            }
+
+            pub fn from_number(number: u8) -> Option<Self> {
+                Self::ALL.iter().copied().find(|one| one.number() == number)
+            }
+        }
+    )*};
+}
 
 pub mod allocation;
 mod chain_line;

@@ -1,6 +1,5 @@
-//! What one peer may cost: connections, handshakes, frames, bytes, memory, requests to the chain. A peer is an IPv4
-//! address or an IPv6 network of 64 bits; all peers of an IPv6 network of 48 bits also share limits. Pure except for
-//! its lock: the caller passes the time.
+//! What one peer may cost. A peer is an IPv4 address or an IPv6 network of 64 bits; those of an IPv6 network of 48 bits
+//! also share limits. Pure except for its lock: the caller passes the time.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, HashMap};
@@ -12,49 +11,44 @@ use tokio::sync::oneshot;
 
 use crate::error::{Code, Refusal};
 
-/// The limits of a gateway.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Limits {
     pub connections: usize,
-    /// Connections of one peer.
     pub connections_of_peer: usize,
-    /// Total unauthenticated connections; one peer holds at most an eighth of them, an IPv6 network a quarter. When all
-    /// places are taken, the oldest is dropped.
+    /// Unauthenticated, in total; a peer has at most an eighth, an IPv6 network a quarter. A newcomer drops the oldest.
     pub handshakes: usize,
-    /// Handshakes of one peer at once.
+    /// Burst of one peer.
     pub handshake_burst: f64,
-    /// Sustained handshakes of one peer per second.
+    /// Of one peer per second, sustained.
     pub handshake_rate: f64,
-    /// Frames of one peer per second; more are slowed down.
+    /// Of one peer per second; more are slowed down.
     pub frame_rate: f64,
-    /// Bytes of one peer per second; more are slowed down.
+    /// Of one peer per second; more are slowed down.
     pub byte_rate: f64,
-    /// Requests to the chain of one peer at once, weighted by their cost.
+    /// Burst of one peer, weighted by cost.
     pub relay_burst: f64,
     /// The same per second, sustained; more are slowed down.
     pub relay_rate: f64,
-    /// Transactions of newcomers from one peer at once; four times as many from all peers together.
+    /// Burst of newcomers' transactions from one peer; four times as many from all.
     pub newcomer_burst: f64,
-    /// The same per second, sustained, of one peer and of all together; more are refused: each one makes the chain longer
-    /// for ever.
+    /// Per second, sustained, of one peer and of all; more are refused: each makes the chain longer for ever.
     pub newcomer_rate: f64,
-    /// Bytes of large frames and of messages in parts that one peer may have in flight.
+    /// Bytes of large frames and messages in parts that one peer may have in flight.
     pub quota_of_peer: usize,
-    /// The same for all peers together.
+    /// Of all peers.
     pub quota: usize,
-    /// From connecting until the first frame that opens.
+    /// From connecting to the first frame that opens.
     pub hello_time: Duration,
-    /// Until a frame that has begun, or a message in parts, is complete.
+    /// For a whole frame or message in parts.
     pub frame_time: Duration,
     pub idle_time: Duration,
-    /// Until the peer accepts what is sent to it.
+    /// Until the peer accepts what is sent.
     pub write_time: Duration,
-    /// Total connections that read the chain without a transport key. When all places are taken, the oldest of those who
-    /// hold the most is dropped.
+    /// Visitors, who read the chain without a transport key, in total. A newcomer evicts one as in `enter_visit`.
     pub visits: usize,
-    /// The same of one peer.
+    /// Of one peer.
     pub visits_of_peer: usize,
-    /// The longest life of such a connection.
+    /// The longest.
     pub visit_time: Duration,
 }
 
@@ -85,19 +79,6 @@ impl Default for Limits {
     }
 }
 
-impl Limits {
-    /// Handshake places of one peer.
-    fn handshakes_of_peer(&self) -> usize {
-        self.handshakes.div_ceil(8)
-    }
-
-    /// Handshake places of one IPv6 network.
-    fn handshakes_of_network(&self) -> usize {
-        self.handshakes.div_ceil(4)
-    }
-}
-
-/// All peers of a gateway.
 #[derive(Debug, Clone)]
 pub struct Peers {
     limits: Limits,
@@ -117,13 +98,12 @@ impl Peers {
         self.counts.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The current number of connections.
     pub fn connections(&self) -> usize {
         self.lock().connections
     }
 
-    /// Admits a connection, which is a handshake until [`Seat::authenticated`]. If every handshake place is taken, the
-    /// connection that has held one the longest is dropped ([`Seat::evicted`]).
+    /// A handshake until [`Seat::authenticated`]. Drops the oldest handshake if every place is taken
+    /// ([`Seat::evicted`]).
     pub fn admit(&self, address: IpAddr, now: Instant) -> Result<Seat, Refusal> {
         let limits = &self.limits;
         let mut counts = self.lock();
@@ -133,7 +113,7 @@ impl Peers {
         let place = counts.place_of(address, limits, now);
         counts.check_room(&place, limits, now)?;
         let (number, evicted) = counts.enter(place, limits.handshakes);
-        Ok(Seat::new(self.clone(), place, number, evicted))
+        Ok(Seat { peers: self.clone(), place, handshake: Some((number, evicted)), visit: None })
     }
 }
 
@@ -166,7 +146,7 @@ impl Bucket {
         there
     }
 
-    /// How long to wait until the debt is filled again.
+    /// How long the debt lasts.
     pub fn take(&mut self, now: Instant, amount: f64) -> Duration {
         self.fill(now);
         self.level -= amount;
@@ -179,31 +159,25 @@ impl Bucket {
     }
 }
 
-/// A connection's place; returned on drop.
+/// Returned on drop.
 #[derive(Debug)]
 pub struct Seat {
     peers: Peers,
     place: Place,
-    /// Its number among the handshakes, and the signal that it must go.
+    /// Number among the handshakes, and the signal to go.
     handshake: Option<(u64, oneshot::Receiver<()>)>,
     /// The same among the visitors.
     visit: Option<(u64, oneshot::Receiver<()>)>,
 }
 
 impl Seat {
-    fn new(peers: Peers, place: Place, number: u64, evicted: oneshot::Receiver<()>) -> Self {
-        Self { peers, place, handshake: Some((number, evicted)), visit: None }
-    }
-
-    /// The handshake is over.
     pub fn authenticated(&mut self) {
         if let Some((number, _)) = self.handshake.take() {
             self.peers.lock().leave_handshake(number);
         }
     }
 
-    /// Completes when the connection has to make room for another handshake or visitor; never once it is authenticated.
-    /// Can be cancelled at any point.
+    /// Completes when the connection must make room; never once it is authenticated. Cancel-safe.
     pub async fn evicted(&mut self) {
         if let Some((_, evicted)) = self.handshake.as_mut().or(self.visit.as_mut())
             && evicted.await.is_ok()
@@ -214,8 +188,7 @@ impl Seat {
         std::future::pending().await
     }
 
-    /// The connection reads the chain without a transport key: the handshake is over, and it takes a visitor's place
-    /// until it ends or has to make room for another visitor ([`Self::evicted`]).
+    /// Ends the handshake; takes a visitor's place until the connection ends or makes room ([`Self::evicted`]).
     pub fn visit(&mut self) -> Result<(), Refusal> {
         if self.visit.is_none() {
             self.visit = Some(self.peers.lock().enter_visit(self.place, &self.peers.limits)?);
@@ -224,7 +197,7 @@ impl Seat {
         Ok(())
     }
 
-    /// Counts one frame; returns how long the connection must wait before it reads on.
+    /// Counts a frame; returns how long to wait before reading on.
     pub fn pace(&self, now: Instant, bytes: usize) -> Duration {
         let mut counts = self.peers.lock();
         let Some(peer) = counts.peers.get_mut(&self.place.peer) else { return Duration::ZERO };
@@ -232,25 +205,23 @@ impl Seat {
         peer.frames.take(now, 1.0).max(peer.bytes.take(now, bytes))
     }
 
-    /// Counts a request to the chain by its weight; returns how long it must wait before it is passed on.
+    /// Counts a request by its weight; returns how long to wait before forwarding it.
     pub fn pace_relay(&self, now: Instant, weight: u32) -> Duration {
         let mut counts = self.peers.lock();
         let Some(peer) = counts.peers.get_mut(&self.place.peer) else { return Duration::ZERO };
         peer.relays.take(now, f64::from(weight))
     }
 
-    /// Counts a transaction of a peer without a transport key: each one makes the chain longer forever.
+    /// Counts a transaction from a peer without a transport key.
     pub fn newcomer(&self, now: Instant) -> Result<(), Refusal> {
         if self.peers.lock().take_newcomer(&self.place, &self.peers.limits, now) {
             return Ok(());
         }
-        Err(Refusal::new(
-            Code::Quota,
-            format_args!("too many transactions of newcomers, one more from {}", self.place.peer),
-        ))
+        let peer = self.place.peer;
+        Err(Refusal::new(Code::Quota, format_args!("too many transactions of newcomers, one more from {peer}")))
     }
 
-    /// Charges memory to the peer until the charge is dropped.
+    /// Until the charge is dropped.
     pub fn charge(&self, bytes: usize) -> Result<Charge, Refusal> {
         let mut counts = self.peers.lock();
         let limits = &self.peers.limits;
@@ -277,7 +248,6 @@ impl Drop for Seat {
     }
 }
 
-/// Memory charged to a peer.
 #[derive(Debug)]
 pub struct Charge {
     peers: Peers,
@@ -295,23 +265,22 @@ impl Drop for Charge {
     }
 }
 
-/// The most peers, and networks, remembered.
+/// Peers, and networks.
 const MOST_REMEMBERED: usize = 16_384;
-/// Time between searches for peers to forget.
+/// Between searches for peers to forget.
 const FORGETTING: Duration = Duration::from_secs(1);
-/// How many times as much an IPv6 network may use as one peer.
+/// Multiple of a peer's share for an IPv6 network.
 const PEERS_OF_NETWORK: usize = 4;
-/// All peers not remembered share one entry: forgetting the debts of others would pay them.
+/// Shared by all peers not remembered: forgetting their debts would pay them.
 const UNREMEMBERED: IpAddr = IpAddr::V6(Ipv6Addr::UNSPECIFIED);
 
-/// The peer and network of a connection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Place {
     pub peer: IpAddr,
     pub network: Option<IpAddr>,
 }
 
-/// What a peer holds, or the peers of a network together.
+/// Held by a peer, or by the peers of a network.
 #[derive(Debug)]
 struct Share {
     pub connections: usize,
@@ -330,7 +299,7 @@ struct Peer {
     newcomers: Bucket,
 }
 
-/// A connection that may have to make room for another one.
+/// May have to make room.
 #[derive(Debug)]
 struct Evictable {
     place: Place,
@@ -341,14 +310,14 @@ struct Evictable {
 struct Counts {
     pub connections: usize,
     pub charged: usize,
-    /// Transactions of newcomers, all peers together.
+    /// Of all peers.
     newcomers: Option<Bucket>,
-    /// Connections that have not authenticated, by number, the oldest first.
+    /// Unauthenticated connections, oldest first.
     handshaking: BTreeMap<u64, Evictable>,
-    /// Connections that read the chain without a transport key, likewise.
+    /// Visitors, oldest first.
     visiting: BTreeMap<u64, Evictable>,
     numbers: u64,
-    /// When idle peers were last forgotten.
+    /// The last search.
     forgot: Option<Instant>,
     pub peers: HashMap<IpAddr, Peer>,
     pub networks: HashMap<IpAddr, Share>,
@@ -358,7 +327,6 @@ fn masked(address: Ipv6Addr, bits: u32) -> IpAddr {
     IpAddr::V6((address.to_bits() & (u128::MAX << (128 - bits))).into())
 }
 
-/// The peer that an address belongs to, and its network.
 fn place_of(address: IpAddr) -> Place {
     match address.to_canonical() {
         IpAddr::V6(address) => Place { peer: masked(address, 64), network: Some(masked(address, 48)) },
@@ -367,13 +335,13 @@ fn place_of(address: IpAddr) -> Place {
 }
 
 impl Share {
-    /// Of one peer, or of `times` as many.
+    /// Of one peer, or `times` as many.
     fn new(limits: &Limits, times: f64, now: Instant) -> Self {
         let arrivals = Bucket::new(limits.handshake_rate * times, limits.handshake_burst * times, now);
         Self { connections: 0, handshakes: 0, visits: 0, arrivals }
     }
 
-    /// Whether it holds nothing and owes nothing.
+    /// Holds and owes nothing.
     fn is_idle(&mut self, now: Instant) -> bool {
         self.connections == 0 && self.arrivals.is_full(now)
     }
@@ -391,18 +359,17 @@ impl Peer {
         }
     }
 
-    /// Whether it holds nothing and owes nothing.
+    /// Holds and owes nothing.
     fn is_idle(&mut self, now: Instant) -> bool {
         self.share.is_idle(now) && self.charged == 0 && self.relays.is_full(now) && self.newcomers.is_full(now)
     }
 }
 
-/// How many times as much an IPv6 network may use as one peer.
 #[expect(clippy::cast_precision_loss, reason = "a handful")]
 const TIMES: f64 = PEERS_OF_NETWORK as f64;
 
 impl Counts {
-    /// Where a connection from `address` is counted; creates its peer and network if necessary.
+    /// Creates peer and network if necessary.
     pub fn place_of(&mut self, address: IpAddr, limits: &Limits, now: Instant) -> Place {
         let mut place = place_of(address);
         if !self.peers.contains_key(&place.peer) && self.peers.len() >= MOST_REMEMBERED {
@@ -425,7 +392,7 @@ impl Counts {
         place
     }
 
-    /// Forgets those that hold nothing and owe nothing; in a flood not for every connection.
+    /// Forgets idle ones; in a flood not for every connection.
     fn forget_idle(&mut self, now: Instant) {
         if self.forgot.is_some_and(|at| now.saturating_duration_since(at) < FORGETTING) {
             return;
@@ -435,14 +402,14 @@ impl Counts {
         self.networks.retain(|_, network| !network.is_idle(now));
     }
 
-    /// Whether one more connection fits here; if so, it is counted as an arrival.
+    /// Counts an arrival if one more connection fits.
     pub fn check_room(&mut self, place: &Place, limits: &Limits, now: Instant) -> Result<(), Refusal> {
         let busy = |what: &str, of: &IpAddr| Err(Refusal::new(Code::Busy, format_args!("too many {what} of {of}")));
         let all = limits.connections_of_peer.saturating_mul(PEERS_OF_NETWORK);
         let network = place.network.and_then(|key| Some((key, self.networks.get_mut(&key)?)));
-        let network = network.map(|(key, share)| (key, share, all, limits.handshakes_of_network()));
+        let network = network.map(|(key, share)| (key, share, all, limits.handshakes.div_ceil(4)));
         let peer = self.peers.get_mut(&place.peer).map(|peer| (place.peer, &mut peer.share));
-        let peer = peer.map(|(key, share)| (key, share, limits.connections_of_peer, limits.handshakes_of_peer()));
+        let peer = peer.map(|(key, share)| (key, share, limits.connections_of_peer, limits.handshakes.div_ceil(8)));
         for (key, share, connections, handshakes) in network.into_iter().chain(peer) {
             if share.connections >= connections {
                 return busy("connections", &key);
@@ -455,12 +422,12 @@ impl Counts {
         Ok(())
     }
 
-    /// Counts a connection and gives its handshake a place, if necessary the oldest one's.
+    /// Gives the handshake a place, if necessary the oldest one's.
     pub fn enter(&mut self, place: Place, most: usize) -> (u64, oneshot::Receiver<()>) {
         while self.handshaking.len() >= most.max(1) {
             let Some(oldest) = self.handshaking.keys().next().copied() else { break };
             if let Some(dropped) = self.leave_handshake(oldest) {
-                // One that is ending by itself needs no notice.
+                // One that is ending needs no notice.
                 let _ = dropped.send(());
             }
         }
@@ -475,22 +442,21 @@ impl Counts {
         (self.numbers, evicted)
     }
 
-    /// Returns a handshake's place; does nothing if it has none any more.
+    /// Returns a place, if there still is one.
     pub fn leave_handshake(&mut self, number: u64) -> Option<oneshot::Sender<()>> {
         let Evictable { place, evict } = self.handshaking.remove(&number)?;
         self.change(&place, |share| share.handshakes = share.handshakes.saturating_sub(1));
         Some(evict)
     }
 
-    /// Changes what a peer and its network hold.
+    /// Of a peer and its network.
     pub fn change(&mut self, place: &Place, change: impl Fn(&mut Share)) {
         let network = place.network.and_then(|key| self.networks.get_mut(&key));
         let peer = self.peers.get_mut(&place.peer).map(|peer| &mut peer.share);
         peer.into_iter().chain(network).for_each(change);
     }
 
-    /// Gives a connection a visitor's place. If all are taken, the oldest visitor of those who hold the most has to go:
-    /// somebody with many addresses must not keep others out.
+    /// Evicts the oldest visitor of the largest holder if all places are taken: many addresses must not keep others out.
     pub fn enter_visit(&mut self, place: Place, limits: &Limits) -> Result<(u64, oneshot::Receiver<()>), Refusal> {
         let of_network = limits.visits_of_peer.saturating_mul(2);
         let network = place.network.and_then(|key| self.networks.get(&key));
@@ -501,7 +467,7 @@ impl Counts {
         }
         while self.visiting.len() >= limits.visits.max(1) {
             let Some(dropped) = self.visit_to_end().and_then(|number| self.leave_visit(number)) else { break };
-            // One that is ending by itself needs no notice.
+            // One that is ending needs no notice.
             let _ = dropped.send(());
         }
         let (evict, evicted) = oneshot::channel();
@@ -511,7 +477,7 @@ impl Counts {
         Ok((self.numbers, evicted))
     }
 
-    /// The oldest visit of the network, or peer without one, that holds the most.
+    /// The oldest of the network, or peer without one, that has most.
     fn visit_to_end(&self) -> Option<u64> {
         let held = |place: &Place| match place.network {
             Some(network) => self.networks.get(&network).map_or(0, |network| network.visits),
@@ -521,7 +487,7 @@ impl Counts {
         visits.max().map(|(_, Reverse(number))| number)
     }
 
-    /// Counts a transaction of a newcomer; `false` if its peer, or all peers together, have sent as many as they may.
+    /// `false` if its peer, or all peers, have sent as many as they may.
     pub fn take_newcomer(&mut self, place: &Place, limits: &Limits, now: Instant) -> bool {
         if self.peers.get_mut(&place.peer).is_some_and(|peer| !peer.newcomers.take_if_there(now)) {
             return false;
@@ -531,7 +497,7 @@ impl Counts {
         all.take_if_there(now)
     }
 
-    /// Returns a visitor's place; does nothing if it has none any more.
+    /// Returns a place, if there still is one.
     pub fn leave_visit(&mut self, number: u64) -> Option<oneshot::Sender<()>> {
         let Evictable { place, evict } = self.visiting.remove(&number)?;
         self.change(&place, |share| share.visits = share.visits.saturating_sub(1));

@@ -1,20 +1,19 @@
-//! An acknowledgement: the gateway's signature over the time and the digests it stored, after fsync. time (8) || count
-//! (2) || digests (32 each) || signature (64).
+//! The gateway's signature over time and digests, after the fsync: time (8) || count (2) || digests (32 each) ||
+//! signature (64).
 
 use crate::crypto::{CryptoError, Provider, SmKeyPair};
 use crate::model::wire::{Reader, Wire as _, WireError, put_list, read_list};
 use crate::model::{Digest, Domain, PublicKey, Signature, Timestamp};
 
-/// The most digests in one receipt.
 pub const MOST_DIGESTS: usize = 1024;
 
-/// Kept by the sender until the proof arrives.
+/// The sender keeps it until the proof arrives.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Receipt {
-    /// When the gateway had them on disk.
+    /// When they were on disk.
     pub time: Timestamp,
     pub digests: Vec<Digest>,
-    /// Signature by the gateway's identity key.
+    /// By the identity key.
     pub signature: Signature,
 }
 
@@ -30,7 +29,7 @@ fn put(out: &mut Vec<u8>, time: Timestamp, digests: &[Digest]) {
 }
 
 impl Receipt {
-    /// A receipt of at most [`MOST_DIGESTS`] digests.
+    /// At most [`MOST_DIGESTS`].
     pub fn sign(
         provider: &dyn Provider,
         domain: &Domain,
@@ -45,7 +44,7 @@ impl Receipt {
         Ok(Self { time, digests, signature })
     }
 
-    /// Checks the signature; it covers [`Self::digests`].
+    /// The signature covers [`Self::digests`].
     pub fn verify(&self, provider: &dyn Provider, domain: &Domain, gateway: &PublicKey) -> Result<(), CryptoError> {
         provider.verify(gateway, &signed_bytes(domain, self.time, &self.digests), &self.signature)
     }

@@ -1,5 +1,4 @@
-//! The gateway's server over TCP: listens, admits peers within their limits, rotates the system keys, counts who
-//! sends, stops gracefully. What a command does is up to the desk.
+//! The gateway's server over TCP; the desk decides what commands do.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -13,20 +12,21 @@ use tokio::task::{JoinHandle, JoinSet};
 use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
 
 use crate::connection::{Shared, serve};
+use crate::crypto::signer_id;
 use crate::desk::Desk;
 use crate::error::Code;
 use crate::frame::{FrameKind, Line, encode};
-use crate::hello::{Context, gateway_id};
+use crate::hello::Context;
 use crate::limits::{Limits, Peers};
 use crate::model::{Address, ProfileName, SignerId, Timestamp};
 use crate::system_keys::{Cabinet, SystemKeyList};
 
-/// How often the system keys' schedule is checked.
+/// Between checks of the system keys' schedule.
 const ROTATION: Duration = Duration::from_secs(10);
-/// How long to wait after the system refused a connection (too many open files).
+/// After the system refused a connection (too many open files).
 const PAUSE: Duration = Duration::from_millis(100);
 
-/// A running gateway. Dropping it stops it at once; [`Self::stop`] lets requests in progress finish.
+/// Dropping it cuts off requests; [`Self::stop`] lets them finish.
 pub struct Server {
     address: SocketAddr,
     shared: Arc<Shared>,
@@ -35,7 +35,6 @@ pub struct Server {
 }
 
 impl Server {
-    /// Listens and serves until it is stopped.
     pub async fn start(
         address: impl ToSocketAddrs,
         desk: Arc<dyn Desk>,
@@ -46,31 +45,23 @@ impl Server {
         let listener = TcpListener::bind(address).await?;
         let address = listener.local_addr()?;
         let identity = cabinet.identity().clone();
-        let shared = Arc::new(Shared {
-            desk,
-            context,
-            identity,
-            cabinet: Mutex::new(cabinet),
-            peers: Peers::new(limits),
-            binding: tokio::sync::Mutex::new(()),
-            tally: Tally::default(),
-        });
+        let (cabinet, peers, tally) = (Mutex::new(cabinet), Peers::new(limits), Tally::default());
+        let binding = tokio::sync::Mutex::new(());
+        let shared = Arc::new(Shared { desk, context, identity, cabinet, peers, binding, tally });
         let (stop, stopping) = watch::channel(false);
         let task = tokio::spawn(listen(listener, Arc::clone(&shared), stopping));
         Ok(Self { address, shared, stop, task })
     }
 
-    /// The address it listens on.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 
     /// SM3 of its identity key, which clients pin.
     pub fn id(&self) -> SignerId {
-        gateway_id(&self.shared.identity.public)
+        signer_id(&self.shared.identity.public)
     }
 
-    /// The current number of connections.
     pub fn connections(&self) -> usize {
         self.shared.peers.connections()
     }
@@ -80,14 +71,12 @@ impl Server {
         ServerWatch(Arc::clone(&self.shared))
     }
 
-    /// Waits until it stops accepting connections through a fault of its own. Drop it then.
+    /// Returns if it stops accepting connections by a fault; drop it then.
     pub async fn broken(&mut self) {
-        // How it ended makes no difference.
         drop((&mut self.task).await);
     }
 
-    /// Accepts no more connections, lets requests in progress finish, closes all; whatever takes longer than `patience`
-    /// is cut off.
+    /// Lets requests in progress finish, for at most `patience`.
     pub async fn stop(mut self, patience: Duration) {
         self.stop.send_replace(true);
         let Ok(mut connections) = (&mut self.task).await else { return };
@@ -98,27 +87,26 @@ impl Server {
     }
 }
 
-/// A view of a server that does not delay it.
+/// Does not delay the server.
 #[derive(Clone)]
 pub struct ServerWatch(Arc<Shared>);
 
 impl ServerWatch {
-    /// The current number of connections, including handshakes.
+    /// Includes handshakes.
     pub fn connections(&self) -> usize {
         self.0.peers.connections()
     }
 
-    /// All sessions under a transport key.
+    /// Sessions under a transport key, the longest connected first.
     pub fn senders(&self) -> Vec<Sender> {
-        self.0.tally.senders()
+        self.0.tally.lock().senders.values().cloned().collect()
     }
 
-    /// The refusals since it was started, by reason.
+    /// Since the start.
     pub fn refused(&self) -> Vec<(Code, u64)> {
-        self.0.tally.refused()
+        self.0.tally.lock().refused.iter().map(|(code, count)| (*code, *count)).collect()
     }
 
-    /// The published list of system keys.
     pub fn system_keys(&self) -> SystemKeyList {
         self.0.system_keys()
     }
@@ -148,7 +136,7 @@ async fn listen(listener: TcpListener, shared: Arc<Shared>, mut stop: watch::Rec
     }
 }
 
-/// Completes when the gateway is to stop, or its handle is gone.
+/// Also when the handle is gone.
 pub(super) async fn stopped(stop: &mut watch::Receiver<bool>) {
     // Both outcomes mean the same.
     let _ = stop.wait_for(|stop| *stop).await;
@@ -167,7 +155,7 @@ fn admit(
         }
         Err(refusal) => {
             shared.refused(peer, &refusal);
-            // If it does not fit into the socket buffer at once, the peer gets nothing, at no cost to us.
+            // If the socket buffer is full the peer gets nothing, at no cost to us.
             let _ = stream.try_write(&encode(FrameKind::Refusal, &Code::Busy.number().to_be_bytes()));
         }
     }
@@ -176,25 +164,20 @@ fn admit(
 /// Writing keys waits for the disk, so not on the network threads.
 fn rotate(shared: &Arc<Shared>) {
     let shared = Arc::clone(shared);
-    tokio::task::spawn_blocking(move || {
-        if let Err(refusal) = shared.rotate() {
-            shared.refused(SocketAddr::from(([0, 0, 0, 0], 0)), &refusal);
-        }
-    });
+    tokio::task::spawn_blocking(move || shared.rotate());
 }
 
-/// A sender whose session is under its transport key.
+/// Its session is under its transport key.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Sender {
     pub name: ProfileName,
     pub account: Address,
     pub peer: SocketAddr,
     pub since: Timestamp,
-    /// Frames of this session.
+    /// Of this session.
     pub frames: u64,
-    /// Bytes of these frames.
+    /// Of these frames.
     pub bytes: u64,
-    /// When the last frame came.
     pub last: Timestamp,
 }
 
@@ -205,7 +188,7 @@ struct Counts {
     refused: BTreeMap<Code, u64>,
 }
 
-/// The counts of one gateway, shared by clones.
+/// Clones share the counts.
 #[derive(Debug, Clone, Default)]
 pub struct Tally(Arc<Mutex<Counts>>);
 
@@ -214,7 +197,7 @@ impl Tally {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A session under a transport key begins; it is counted until the guard is dropped.
+    /// Counts the session until the guard is dropped.
     pub fn enter(&self, name: ProfileName, account: Address, peer: SocketAddr) -> Presence {
         let now = Timestamp::now();
         let sender = Sender { name, account, peer, since: now, frames: 0, bytes: 0, last: now };
@@ -225,22 +208,11 @@ impl Tally {
         Presence { tally: self.clone(), number }
     }
 
-    /// A frame, or a connection, was refused.
     pub fn refuse(&self, code: Code) {
         *self.lock().refused.entry(code).or_default() += 1;
     }
-
-    /// Everyone connected, the longest first.
-    pub fn senders(&self) -> Vec<Sender> {
-        self.lock().senders.values().cloned().collect()
-    }
-
-    pub fn refused(&self) -> Vec<(Code, u64)> {
-        self.lock().refused.iter().map(|(code, count)| (*code, *count)).collect()
-    }
 }
 
-/// One session in the tally.
 #[derive(Debug)]
 pub struct Presence {
     tally: Tally,
@@ -281,12 +253,12 @@ mod tally_tests {
         let presence = tally.enter("robot1".parse().expect("a name"), Address([7; 20]), peer);
         presence.frame(100);
         presence.frame(28);
-        let senders = tally.senders();
+        let senders: Vec<Sender> = tally.lock().senders.values().cloned().collect();
         assert_eq!((senders.len(), senders[0].frames, senders[0].bytes), (1, 2, 128));
         drop(presence);
-        assert!(tally.senders().is_empty());
+        assert!(tally.lock().senders.is_empty());
         tally.refuse(Code::Tag);
         tally.refuse(Code::Tag);
-        assert_eq!(tally.refused(), [(Code::Tag, 2)]);
+        assert_eq!(tally.lock().refused, BTreeMap::from([(Code::Tag, 2)]));
     }
 }

@@ -1,5 +1,5 @@
-//! A session: keys for both directions, counters that never repeat, and its end. ND3 = session id (16) || counter (8)
-//! || CT2; CT2 is SM4-GCM with kind, id and counter as AAD.
+//! Session keys for both directions, and counters that never repeat. ND3 = session id (16) || counter (8) || CT2; CT2
+//! is SM4-GCM with kind, id and counter as AAD.
 
 use std::fmt;
 use std::time::{Duration, Instant};
@@ -14,16 +14,15 @@ use crate::model::wire::Reader;
 use super::error::{Code, Refusal};
 use super::frame::{CAP_AFTER, FrameKind};
 
-/// The most frames of one direction in a session.
+/// Of one direction.
 pub const MOST_FRAMES: u64 = 1 << 24;
-/// The longest life of a session.
 pub const LONGEST_LIFE: Duration = Duration::from_secs(3600);
-/// Bytes of ND3 around the plaintext: kind, session id, counter, tag.
+/// Kind, session id, counter and tag around the plaintext.
 pub const OVERHEAD: usize = 1 + 16 + 8 + 16;
-/// The longest plaintext of one frame, bytes.
+/// Of one frame, bytes.
 pub const LONGEST_TEXT: usize = CAP_AFTER - OVERHEAD;
 
-/// A session's id; random, drawn by the gateway.
+/// Random, from the gateway.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 pub struct SessionId(pub [u8; 16]);
 
@@ -35,16 +34,12 @@ impl fmt::Debug for SessionId {
     }
 }
 
-/// Which end of the connection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Side {
-    /// The side that connected.
     Client,
-    /// The side that listened.
     Gateway,
 }
 
-/// Key and iv of one direction.
 pub struct DirectionKeys {
     key: Zeroizing<[u8; 16]>,
     iv: Zeroizing<[u8; 12]>,
@@ -67,7 +62,6 @@ impl DirectionKeys {
     }
 }
 
-/// The keys of both directions.
 pub struct SessionKeys {
     from_client: DirectionKeys,
     from_gateway: DirectionKeys,
@@ -85,19 +79,18 @@ impl SessionKeys {
 
 fn aad(id: &SessionId, counter: u64) -> [u8; 25] {
     let mut aad = [0; 25];
-    aad[0] = FrameKind::Transfer.code();
+    aad[0] = FrameKind::Transfer.number();
     aad[1..17].copy_from_slice(&id.0);
     aad[17..].copy_from_slice(&counter.to_be_bytes());
     aad
 }
 
-/// One direction of a session.
 struct Direction {
     keys: DirectionKeys,
     counter: u64,
 }
 
-/// An agreed session. After [`Self::open`] has refused anything, it opens nothing more.
+/// Opens nothing after a refusal by [`Self::open`].
 pub struct Session {
     provider: &'static dyn Provider,
     id: SessionId,
@@ -108,7 +101,7 @@ pub struct Session {
 }
 
 impl Session {
-    /// One end of a session that begins now.
+    /// Begins now.
     pub fn new(provider: &'static dyn Provider, id: SessionId, side: Side, keys: SessionKeys) -> Self {
         let (sending, receiving) = match side {
             Side::Client => (keys.from_client, keys.from_gateway),
@@ -119,21 +112,18 @@ impl Session {
         Self { provider, id, sending, receiving, begun: Instant::now(), broken: false }
     }
 
-    /// The counter of the next frame sealed here.
+    /// Of the next sealed frame.
     pub fn next_counter(&self) -> u64 {
         self.sending.counter
     }
 
-    /// Whether it must be replaced by a new one: too many frames, or too old at `now`.
+    /// Must be replaced: too many frames, or too old.
     pub fn is_spent(&self, now: Instant) -> bool {
         let frames = self.sending.counter.max(self.receiving.counter);
         self.broken || frames >= MOST_FRAMES || now.saturating_duration_since(self.begun) >= LONGEST_LIFE
     }
 
-    /// Seals an ND2: the payload of a transfer frame.
-    ///
-    /// # Errors
-    /// [`Refusal`] with `Session` after the last frame, `Length` if the text is over [`LONGEST_TEXT`].
+    /// Seals an ND2. Refuses with `Session` after the last frame, `Length` over [`LONGEST_TEXT`].
     pub fn seal(&mut self, text: &[u8]) -> Result<Vec<u8>, Refusal> {
         let counter = self.sending.counter;
         if self.broken || counter >= MOST_FRAMES {
@@ -151,7 +141,7 @@ impl Session {
         Ok([&aad[1..], &sealed].concat())
     }
 
-    /// Opens the payload of a transfer frame; returns its counter and ND2.
+    /// Returns a transfer frame's counter and ND2.
     pub fn open(&mut self, payload: &[u8]) -> Result<(u64, Zeroizing<Vec<u8>>), Refusal> {
         let opened = self.opened(payload);
         self.broken |= opened.is_err();
@@ -173,10 +163,8 @@ impl Session {
             return Err(Refusal::new(Code::Counter, format_args!("counter {counter}, expected {expected}")));
         }
         let keys = &self.receiving.keys;
-        let text = self
-            .provider
-            .gcm_open(&keys.key, &keys.nonce(counter), &aad(&id, counter), reader.rest())
-            .map_err(Refusal::because(Code::Tag))?;
+        let opened = self.provider.gcm_open(&keys.key, &keys.nonce(counter), &aad(&id, counter), reader.rest());
+        let text = opened.map_err(Refusal::because(Code::Tag))?;
         self.receiving.counter = counter + 1;
         Ok((counter, text))
     }

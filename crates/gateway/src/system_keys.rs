@@ -1,5 +1,4 @@
-//! k_s: the system keys for key allocation, published as a signed, versioned, dated list that expires. One key is
-//! current, one is next. [`Cabinet`] stores and rotates the gateway's own.
+//! k_s: the system keys for key allocation, in a signed, versioned list that expires. One key is current, one is next.
 
 use std::fs::{self, OpenOptions};
 use std::io::Write as _;
@@ -16,13 +15,10 @@ use crate::hello::{Agreed, ListSummary};
 use crate::model::wire::{Reader, WireError};
 use crate::model::{Digest, Domain, PublicKey, Signature, SignerId, Timestamp};
 
-/// First bytes of a list.
 const MAGIC: [u8; 8] = *b"\x89AuthSys";
 const VERSION: u8 = 1;
-/// The most keys in a list.
 const MOST_KEYS: usize = 2;
 
-/// One P_S and its period of use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SystemKey {
     pub public: PublicKey,
@@ -31,32 +27,30 @@ pub struct SystemKey {
 }
 
 impl SystemKey {
-    /// SM3 of P_S: its id.
+    /// SM3 of P_S.
     pub fn id(&self) -> SignerId {
         signer_id(&self.public)
     }
 
-    /// Whether it is in use at `now`.
     pub fn is_in_use(&self, now: Timestamp) -> bool {
         self.not_before <= now && now < self.not_after
     }
 }
 
-/// The published list: magic (8) format (1) domain (32) gateway (32) version (8) issued (8) expires (8)
-/// count (1) keys (id 32, P_S 64, not before 8, not after 8) signature (64).
+/// magic (8) format (1) domain (32) gateway (32) version (8) issued (8) expires (8) count (1) keys (id 32, P_S 64, not
+/// before 8, not after 8) signature (64).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SystemKeyList {
     pub domain: Domain,
-    /// The gateway: SM3 of its identity key.
+    /// SM3 of its identity key.
     pub gateway: SignerId,
-    /// Higher with every list of this gateway.
+    /// Rises with every list.
     pub version: u64,
-    /// When it was signed.
     pub issued_at: Timestamp,
     pub expires_at: Timestamp,
     /// The current key, then the next.
     pub keys: Vec<SystemKey>,
-    /// Signature by the gateway's identity key.
+    /// By the identity key.
     pub signature: Signature,
 }
 
@@ -103,7 +97,7 @@ impl SystemKeyList {
         [&self.unsigned()[..], &self.signature.0].concat()
     }
 
-    /// From its encoding; only the form is checked.
+    /// Checks only the form.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(bytes);
         expect(reader.array("magic")? == MAGIC, "magic")?;
@@ -121,13 +115,11 @@ impl SystemKeyList {
         Ok(list)
     }
 
-    /// The hello's reference to it.
     pub fn summary(&self, provider: &dyn Provider) -> ListSummary {
         ListSummary { version: self.version, digest: Digest(provider.sm3(&[&self.encode()])) }
     }
 
-    /// Checks that it is the list named in the hello, signed by that gateway for this network, and not expired; returns
-    /// the key in use.
+    /// Must be the hello's list, signed by that gateway for this network, not expired. Returns the key in use.
     pub fn check(
         &self,
         provider: &dyn Provider,
@@ -182,15 +174,12 @@ fn expect(condition: bool, field: &'static str) -> Result<(), WireError> {
 const LIST: &str = "system-keys.list";
 const SYSTEM_KEY: &str = "system-";
 const SUFFIX: &str = ".key";
-/// The longest list, bytes.
 const LONGEST_LIST: usize = 1024;
 
-/// How long system keys and lists last.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Schedule {
-    /// How long a key is in use.
     pub lifetime: Duration,
-    /// How long a retired key still opens requests in flight; covers differing clocks.
+    /// A retired key still opens requests in flight; covers differing clocks.
     pub grace: Duration,
 }
 
@@ -204,12 +193,10 @@ fn after(moment: Timestamp, duration: Duration) -> Timestamp {
     Timestamp(moment.0.saturating_add(u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)))
 }
 
-/// What a rotation did.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Rotation {
-    /// A new list was published.
     pub published: bool,
-    /// The number of d_S erased.
+    /// How many d_S.
     pub erased: usize,
 }
 
@@ -220,16 +207,13 @@ pub struct Cabinet {
     schedule: Schedule,
     identity: SmKeyPair,
     list: SystemKeyList,
-    /// Those in the list, and retired ones within their grace period.
+    /// Listed ones, and retired ones in their grace period.
     keys: Vec<(SystemKey, SmSecret)>,
 }
 
 impl Cabinet {
-    /// Opens the keys in `directory`, creates what is missing, and brings the list up to date. `identity` signs the
-    /// list; it belongs to the gateway's keeper and is stored elsewhere.
-    ///
-    /// # Errors
-    /// [`CryptoError`] if a file is open to others, damaged, or cannot be read or written.
+    /// Creates missing keys and updates the list. `identity`, which signs it, belongs to the keeper and is stored
+    /// elsewhere.
     pub fn open(
         directory: &Path,
         provider: &'static dyn Provider,
@@ -253,13 +237,14 @@ impl Cabinet {
         };
         let mut cabinet = Self { directory, provider, domain, schedule, identity, list, keys };
         if !cabinet.rotate(now)?.published {
-            cabinet.publish_anew(now)?;
+            // Clients refuse the older list of a restored home, which cannot know: each opening signs a newer version.
+            cabinet.publish(now, cabinet.list.keys.clone())?;
         }
         cabinet.erase_strays()?;
         Ok(cabinet)
     }
 
-    /// The fingerprint of the gateway whose list is in a directory; `None` if there is none, or it cannot be read.
+    /// Whose list is in a directory; `None` without a readable one.
     pub fn founded_in(directory: &Path) -> Option<SignerId> {
         let bytes = read_private(&directory.join(LIST), LONGEST_LIST).ok()?;
         SystemKeyList::parse(&bytes).ok().map(|list| list.gateway)
@@ -269,21 +254,18 @@ impl Cabinet {
         &self.identity
     }
 
-    /// The currently published list.
     pub fn list(&self) -> &SystemKeyList {
         &self.list
     }
 
-    /// d_S of a system key that still opens allocations at `now`.
+    /// d_S that still opens allocations.
     pub fn secret(&self, id: &SignerId, now: Timestamp) -> Option<&SmSecret> {
         let key = self.keys.iter().find(|(key, _)| key.id() == *id);
         key.filter(|(key, _)| now < after(key.not_after, self.schedule.grace)).map(|(_, secret)| secret)
     }
 
-    /// Publishes a new list when the current key has expired, and erases keys past their grace period.
-    ///
-    /// # Errors
-    /// [`CryptoError`] if keys cannot be made or files not written; the old list then stays in force.
+    /// Replaces an expired current key and erases keys past their grace period; after an error the old list stays in
+    /// force.
     pub fn rotate(&mut self, now: Timestamp) -> Result<Rotation, CryptoError> {
         let mut rotation = Rotation::default();
         let current_ended = self.list.keys.first().is_none_or(|key| now >= key.not_after);
@@ -295,15 +277,9 @@ impl Cabinet {
         Ok(rotation)
     }
 
-    /// Signs the keys in use again under a newer version. A restored home has an older list than its clients have seen,
-    /// which they refuse; a restore cannot be detected, so this is done at each opening.
-    fn publish_anew(&mut self, now: Timestamp) -> Result<(), CryptoError> {
+    fn publish(&mut self, now: Timestamp, keys: Vec<SystemKey>) -> Result<(), CryptoError> {
+        // The seconds keep versions increasing even if the list was lost with its file.
         let version = (self.list.version + 1).max(now.seconds());
-        let keys = self.list.keys.clone();
-        self.publish(version, now, keys)
-    }
-
-    fn publish(&mut self, version: u64, now: Timestamp, keys: Vec<SystemKey>) -> Result<(), CryptoError> {
         let list = sign_list(self.provider, self.domain, &self.identity, version, now, keys)?;
         write_private(&self.directory.join(LIST), &list.encode())?;
         self.list = list;
@@ -320,9 +296,7 @@ impl Cabinet {
             keys.push(key);
             fresh.push((key, secret));
         }
-        // The seconds keep versions increasing even if the list was lost with its file.
-        let version = (self.list.version + 1).max(now.seconds());
-        self.publish(version, now, keys)?;
+        self.publish(now, keys)?;
         self.keys.extend(fresh);
         Ok(())
     }
@@ -337,8 +311,7 @@ impl Cabinet {
         Ok(ended.len())
     }
 
-    /// Key files that are in no list: left by a crash between creating and publishing, or retired while the gateway was
-    /// down.
+    /// Unlisted keys are from a crash before publishing, or were retired while the gateway was down.
     fn erase_strays(&self) -> Result<(), CryptoError> {
         let known: Vec<PathBuf> = self.keys.iter().map(|(key, _)| key_path(&self.directory, &key.id())).collect();
         let entries = fs::read_dir(&self.directory).map_err(CryptoError::read(&self.directory))?;
@@ -390,7 +363,7 @@ fn sign_list(
     SystemKeyList::sign(provider, domain, identity, version, (now, expires_at), keys)
 }
 
-/// The list on disk, if it is this gateway's, of this network and intact.
+/// `None` without a list; checks that it is intact, of this gateway and this network.
 fn read_list(
     path: &Path,
     provider: &dyn Provider,
@@ -409,8 +382,7 @@ fn read_list(
     Ok(Some(list))
 }
 
-/// Overwrites a key before it is removed. Journals and flash may keep copies; if that matters, put the directory on an
-/// encrypted disk.
+/// Overwrites a key before its removal. Journals and flash may keep copies: an encrypted disk prevents that.
 fn erase(path: &Path) -> Result<(), CryptoError> {
     let write = CryptoError::write(path);
     let mut file = OpenOptions::new().write(true).open(path).map_err(&write)?;

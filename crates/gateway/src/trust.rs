@@ -1,5 +1,5 @@
-//! Which gateway a client trusts: a pinned fingerprint, and the highest system-key list seen. Kept in a file, so that
-//! neither another gateway nor an older list is accepted after a restart.
+//! A client's pinned gateway and the highest system-key list seen, in a file: a restart accepts no other and none
+//! older.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
@@ -14,17 +14,14 @@ use crate::model::{Digest, SignerId};
 use super::error::GatewayError;
 use super::hello::{Agreed, ListSummary};
 
-/// The longest file, bytes.
 const LONGEST: usize = 4096;
 
-/// What a client knows about its gateway.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Trust {
-    /// SM3 of the gateway's identity key.
+    /// SM3 of the identity key.
     pub pinned: Option<SignerId>,
-    /// Whether to pin whichever gateway answers first; only at the user's explicit request.
+    /// Pin the first gateway that answers; only at the user's explicit request.
     pub first_use: bool,
-    /// The highest list seen.
     pub seen: Option<ListSummary>,
 }
 
@@ -47,12 +44,10 @@ impl File {
 }
 
 impl Trust {
-    /// Trust in one gateway only.
     pub fn pinned(gateway: SignerId) -> Self {
         Self { pinned: Some(gateway), ..Self::default() }
     }
 
-    /// Trust in whichever gateway answers first.
     pub fn on_first_use() -> Self {
         Self { first_use: true, ..Self::default() }
     }
@@ -64,8 +59,7 @@ impl Trust {
         Ok(Self { pinned: Some(file.gateway), first_use: false, seen: Some(seen) })
     }
 
-    /// Saves it. Before a gateway has been met there is nothing to write; a newer list of the same gateway that another
-    /// connection has seen stays.
+    /// Writes nothing before a gateway was met; keeps a newer list that another connection has seen.
     pub fn save(&self, path: &Path) -> Result<(), CryptoError> {
         let (Some(gateway), Some(seen)) = (self.pinned, self.seen) else { return Ok(()) };
         let file = File { gateway, list_version: seen.version, list_digest: seen.digest };
@@ -77,7 +71,7 @@ impl Trust {
         })
     }
 
-    /// Judges a gateway that has just proven its identity key; remembers what it showed if it passes.
+    /// Checks a gateway that has proven its identity key, and remembers it if it passes.
     pub fn judge(&mut self, agreed: &Agreed) -> Result<(), GatewayError> {
         match self.pinned {
             Some(pinned) if pinned != agreed.gateway => {
@@ -100,7 +94,7 @@ impl Trust {
     }
 }
 
-/// A [`Trust`] with its file, shared by all connections to one gateway.
+/// Shared by all connections to one gateway.
 #[derive(Debug)]
 pub struct KeptTrust {
     path: PathBuf,
@@ -108,33 +102,23 @@ pub struct KeptTrust {
 }
 
 impl KeptTrust {
-    /// The file's content, if it exists; otherwise what was requested: a pinned fingerprint, or trust on first use.
-    ///
-    /// # Errors
-    /// [`GatewayError::NotTheGateway`] if the file pins another gateway than requested, or errors from reading the
-    /// file.
+    /// Reads the file, or starts from the request. [`GatewayError::NotTheGateway`] if the file pins another gateway.
     pub fn open(path: PathBuf, pinned: Option<SignerId>, first_use: bool) -> Result<Self, GatewayError> {
         let trust = match path.exists() {
             false => Trust { pinned, first_use: first_use && pinned.is_none(), seen: None },
-            true => {
-                let known = Trust::load(&path)?;
-                match (known.pinned, pinned) {
-                    (Some(found), Some(pinned)) if found != pinned => {
-                        return Err(GatewayError::NotTheGateway { pinned, found });
-                    }
-                    _ => known,
-                }
-            }
+            true => Trust::load(&path)?,
         };
-        Ok(Self { path, trust: Mutex::new(trust) })
+        match (trust.pinned, pinned) {
+            (Some(found), Some(pinned)) if found != pinned => Err(GatewayError::NotTheGateway { pinned, found }),
+            _ => Ok(Self { path, trust: Mutex::new(trust) }),
+        }
     }
 
-    /// What is known now, for a connection to judge by.
     pub fn current(&self) -> Trust {
         self.trust.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Remembers what a connection has learnt, also in the file.
+    /// Also writes the file.
     pub fn learn(&self, learnt: &Trust) -> Result<(), GatewayError> {
         let mut trust = self.trust.lock().unwrap_or_else(PoisonError::into_inner);
         if let (Some(pinned), Some(found)) = (trust.pinned, learnt.pinned)

@@ -7,27 +7,22 @@ use std::io::{self, Read, Write};
 use std::os::unix::fs::{DirBuilderExt as _, OpenOptionsExt as _};
 use std::path::Path;
 
-/// The longest name, bytes.
 const LONGEST_NAME: usize = 512;
 const MOST_FILES: usize = 100_000;
 const FILE: u8 = 1;
 const END: u8 = 0;
 
-/// Whether a name is allowed in an archive: parts of letters, digits, `-`, `_` and `.`, none of them `.` or `..`.
+/// Parts of letters, digits, `-`, `_` and `.`, none of them `.` or `..`.
 pub fn is_plain(name: &str) -> bool {
     let usable = |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'-' | b'_' | b'.');
     let part = |part: &str| !part.is_empty() && part != "." && part != ".." && part.bytes().all(usable);
     name.len() <= LONGEST_NAME && name.split('/').all(part)
 }
 
-/// Writes one file under a name; exactly `length` bytes of `bytes`.
-///
-/// # Errors
-/// Errors from reading and writing; [`io::ErrorKind::InvalidInput`] for a name that is not plain.
+/// Writes one file: exactly `length` bytes of `bytes`.
 pub fn put(archive: &mut impl Write, name: &str, length: u64, bytes: &mut impl Read) -> io::Result<()> {
-    let size = u16::try_from(name.len()).ok().filter(|_| is_plain(name));
-    let size =
-        size.ok_or_else(|| io::Error::new(io::ErrorKind::InvalidInput, format!("'{name}' is not a plain file name")))?;
+    let refused = || io::Error::new(io::ErrorKind::InvalidInput, format!("'{name}' is not a plain file name"));
+    let size = u16::try_from(name.len()).ok().filter(|_| is_plain(name)).ok_or_else(refused)?;
     archive.write_all(&[FILE])?;
     archive.write_all(&size.to_be_bytes())?;
     archive.write_all(name.as_bytes())?;
@@ -36,7 +31,6 @@ pub fn put(archive: &mut impl Write, name: &str, length: u64, bytes: &mut impl R
     if copied == length { Ok(()) } else { Err(io::Error::other(format!("{name} became shorter while it was read"))) }
 }
 
-/// Writes the end marker.
 pub fn end(archive: &mut impl Write) -> io::Result<()> {
     archive.write_all(&[END])
 }
@@ -45,18 +39,13 @@ fn damaged(what: &str) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, what)
 }
 
-/// The contents of an archive.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Unpacked {
     pub names: Vec<String>,
-    /// Bytes of all files.
     pub bytes: u64,
 }
 
-/// Reads an archive to its end; every file is passed to `each` with its name and length, which must read all of it.
-///
-/// # Errors
-/// [`io::ErrorKind::InvalidData`] if it is not an archive, or errors from reading and from `each`.
+/// Passes every file with name and length to `each`, which must read all of it.
 pub fn read(
     archive: &mut impl Read,
     mut each: impl FnMut(&str, u64, &mut dyn Read) -> io::Result<()>,
@@ -99,7 +88,7 @@ fn array<const N: usize>(archive: &mut impl Read) -> io::Result<[u8; N]> {
     Ok(bytes)
 }
 
-/// Unpacks an archive below a directory: directories 0700, files 0600, each fsynced, none overwriting another.
+/// Directories 0700, files 0600, each fsynced, none overwriting another.
 pub fn unpack(archive: &mut impl Read, directory: &Path) -> io::Result<Unpacked> {
     read(archive, |name, _, bytes| {
         let path = directory.join(name);

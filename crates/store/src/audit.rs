@@ -1,8 +1,5 @@
-//! The audit log: who did what to what, and the outcome; append-only, each line chained to the one before.
-//!
-//! It is in the ledger's file, and each line is durable. [`AuditLog::verify`] finds lines that were edited, deleted,
-//! inserted or moved. The log alone does not show lines cut off at the end: that takes a head that was anchored on the
-//! chain before ([`AuditLog::hash_of`] gives the line that head belongs to).
+//! The audit log: append-only, each line durable and chained to the one before. Only a head anchored on the chain
+//! shows that lines are missing at its end.
 
 use rusqlite::{Connection, Row, params};
 use serde::{Deserialize, Serialize};
@@ -10,28 +7,24 @@ use sm3::{Digest as _, Sm3};
 
 use super::StoreError;
 use crate::database::{Statements as _, capped, whole};
-use crate::ledger::AuditLog;
+use crate::ledger::{AuditLog, time, unsigned};
 use crate::model::{Digest, Timestamp};
 
 const LABEL: &[u8] = b"AuthROS/audit/1";
 const COLUMNS: &str = "line, at, profile, action, subject, outcome, hash";
 
-/// An entry to be logged.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AuditEntry {
     pub at: Timestamp,
     /// Who did it: a profile, or `profile/operator`, which no profile's name can be; for refusals, a peer.
     pub profile: String,
-    /// The action, in a word: `grant`, `open`, ….
     pub action: String,
     pub subject: String,
     pub outcome: String,
 }
 
-/// A line of the log.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AuditLine {
-    /// Its number, from 1.
     pub line: u64,
     #[serde(flatten)]
     pub entry: AuditEntry,
@@ -39,21 +32,18 @@ pub struct AuditLine {
     pub hash: Digest,
 }
 
-/// Which lines to list.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AuditQuery {
-    /// Written at or after.
     pub since: Option<Timestamp>,
-    /// Only this action: `grant`, `decrypt`, ….
+    /// `grant`, `decrypt`, ….
     pub action: Option<String>,
-    /// Only those by this profile and its operators, or by `profile/operator` (for refusals: by this peer).
+    /// This profile with its operators, or `profile/operator` (for refusals: a peer).
     pub profile: Option<String>,
-    /// Only those by an operator of this name, of whichever profile.
+    /// An operator's name, in any profile.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub operator: Option<String>,
-    /// Only lines before this one, for paging back.
     pub before: Option<u64>,
-    /// At most this many, the newest.
+    /// The newest.
     pub limit: usize,
 }
 
@@ -61,61 +51,40 @@ pub struct AuditQuery {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("line {line} of the audit log: {what}; keep a copy of the ledger and find out who had write access")]
 pub struct AuditFault {
-    /// The first line that is wrong.
     pub line: u64,
     pub what: String,
 }
 
 impl AuditLog {
-    /// Adds a line; it is durable when this returns. No grant and no decryption may proceed without it.
+    /// Durable on return. No grant and no decryption may proceed without it.
     pub fn append(&self, entry: AuditEntry) -> Result<(), StoreError> {
         self.0.write(move |session| {
             let (count, head) = head(session.connection)?;
-            let hash = chain(head, &entry);
+            let hash = chain(head, &entry).0;
             let sql = "INSERT INTO audit VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)";
-            session.connection.run(
-                sql,
-                params![
-                    whole("line", count + 1)?,
-                    whole("time", entry.at.0)?,
-                    entry.profile,
-                    entry.action,
-                    entry.subject,
-                    entry.outcome,
-                    hash.0
-                ],
-            )?;
-            Ok(())
+            let (line, at) = (whole("line", count + 1)?, whole("time", entry.at.0)?);
+            session.connection.run(sql, (line, at, entry.profile, entry.action, entry.subject, entry.outcome, hash))
         })
     }
 
-    /// The number of lines and the hash of the last one (zeros if there is none): the head that is anchored.
+    /// Number of lines, and hash of the last (zeros for an empty log): the head that is anchored.
     pub fn head(&self) -> Result<(u64, Digest), StoreError> {
         self.0.read(head)
     }
 
-    /// The hash stored with a line, to compare with a head that was anchored when the log was that long.
     pub fn hash_of(&self, line: u64) -> Result<Option<Digest>, StoreError> {
         let line = whole("line", line)?;
-        self.0.read(|connection| {
-            Ok(connection.find("SELECT hash FROM audit WHERE line = ?1", [line], |row| row.get(0))?.map(Digest))
-        })
+        self.0.find("SELECT hash FROM audit WHERE line = ?1", [line], |row| row.get(0).map(Digest))
     }
 
-    /// Recomputes the whole chain; returns the number of lines.
-    ///
-    /// # Errors
-    /// [`AuditFault`] with the first line that is wrong, or that cannot be read.
+    /// Recomputes the whole chain; returns the number of lines, or the first wrong one.
     pub fn verify(&self) -> Result<u64, AuditFault> {
         let walked = self.0.read(|connection| Ok(walk(connection)));
         walked.unwrap_or_else(|error| Err(AuditFault { line: 0, what: error.to_string() }))
     }
 
-    /// Compares the log with anchored heads: number of lines and hash each, in any order. Returns how many lines the
-    /// newest of them covers.
-    ///
-    /// # Errors
-    /// [`AuditFault`] with the first line that may be wrong: the one after the newest head that still agrees.
+    /// Compares anchored heads, in any order; returns how many lines the newest covers. A fault names the line after
+    /// the newest head that agrees.
     pub fn compare(&self, heads: &[(u64, Digest)]) -> Result<u64, AuditFault> {
         let mut heads = heads.to_vec();
         heads.sort_by_key(|(line, _)| *line);
@@ -138,16 +107,12 @@ impl AuditLog {
         Ok(agreed)
     }
 
-    /// When the line after `line` was written; `None` if there is none.
     pub fn written_after(&self, line: u64) -> Result<Option<Timestamp>, StoreError> {
         let next = whole("line", line.saturating_add(1))?;
-        self.0.read(|connection| {
-            let at = connection.find("SELECT at FROM audit WHERE line = ?1", [next], |row| row.get::<_, i64>(0))?;
-            Ok(at.map(|at| Timestamp(at.cast_unsigned())))
-        })
+        self.0.find("SELECT at FROM audit WHERE line = ?1", [next], |row| time(row, 0))
     }
 
-    /// The newest lines that match, oldest first.
+    /// The newest matches, oldest first.
     pub fn list(&self, query: &AuditQuery) -> Result<Vec<AuditLine>, StoreError> {
         let before = query.before.map_or(Ok(i64::MAX), |line| whole("line", line))?;
         let since = query.since.map_or(Ok(0), |since| whole("time", since.0))?;
@@ -158,10 +123,8 @@ impl AuditLog {
                  AND (?6 IS NULL OR (instr(profile, '/') > 0 AND substr(profile, instr(profile, '/') + 1) = ?6)) \
                  ORDER BY line DESC LIMIT ?5"
             );
-            let mut statement = connection.prepare_cached(&sql)?;
             let values = params![before, since, query.action, query.profile, capped(query.limit), query.operator];
-            let rows = statement.query_map(values, line_of)?;
-            let mut lines = rows.collect::<Result<Vec<_>, _>>()?;
+            let mut lines: Vec<_> = connection.list(&sql, values, line_of)?;
             lines.reverse();
             Ok(lines)
         })
@@ -169,24 +132,18 @@ impl AuditLog {
 }
 
 fn head(connection: &Connection) -> Result<(u64, Digest), StoreError> {
-    let found = connection.find("SELECT line, hash FROM audit ORDER BY line DESC LIMIT 1", [], |row| {
-        Ok((row.get::<_, i64>(0)?.cast_unsigned(), Digest(row.get(1)?)))
-    })?;
+    let sql = "SELECT line, hash FROM audit ORDER BY line DESC LIMIT 1";
+    let found = connection.find(sql, [], |row| Ok((unsigned(row, 0)?, Digest(row.get(1)?))))?;
     Ok(found.unwrap_or((0, Digest([0; Digest::LENGTH]))))
 }
 
 fn line_of(row: &Row<'_>) -> rusqlite::Result<AuditLine> {
-    let entry = AuditEntry {
-        at: Timestamp(row.get::<_, i64>(1)?.cast_unsigned()),
-        profile: row.get(2)?,
-        action: row.get(3)?,
-        subject: row.get(4)?,
-        outcome: row.get(5)?,
-    };
-    Ok(AuditLine { line: row.get::<_, i64>(0)?.cast_unsigned(), entry, hash: Digest(row.get(6)?) })
+    let (profile, action, subject, outcome) = (row.get(2)?, row.get(3)?, row.get(4)?, row.get(5)?);
+    let entry = AuditEntry { at: time(row, 1)?, profile, action, subject, outcome };
+    Ok(AuditLine { line: unsigned(row, 0)?, entry, hash: Digest(row.get(6)?) })
 }
 
-/// SM3 over label, previous hash, and each field with its length (4 bytes, big endian) before it.
+/// SM3 over label, previous hash, and each field behind its length (4 bytes, big endian).
 fn chain(previous: Digest, entry: &AuditEntry) -> Digest {
     let mut hash = Sm3::new();
     hash.update(LABEL);

@@ -1,8 +1,5 @@
-//! Redis as a cache in front of the store: written after the commit, filled on a miss, and believed only where SM3 of what
-//! it answers is the digest asked for. Whatever it does costs time and nothing else.
-//!
-//! A thread of its own writes. It gets only digests and reads their bytes from the store itself: so nothing waits in
-//! memory twice, and what is deleted from the store meanwhile is not put into the cache again.
+//! Redis as a cache: written after the commit, filled on a miss, believed only where SM3 is the digest. Its thread
+//! takes digests and reads bytes from the store, so deleted ones do not return to the cache.
 
 mod address;
 mod connection;
@@ -25,50 +22,45 @@ use crate::ciphertext::Ciphertext;
 use crate::crypto::sm3::sm3;
 use crate::model::{Digest, Timestamp};
 
-/// The most records that wait for being written; what comes while so many wait is left out.
+/// Further records are not written to the cache.
 const MOST_WAITING: usize = 16 * 1024;
-/// The most deleted records that wait for servers which are away; the oldest are left to [`KEPT`].
+/// Deletions that wait for absent servers; the oldest are left to [`KEPT`].
 const MOST_FORGOTTEN: usize = 256 * 1024;
-/// The most bytes that are written at once; a larger record is written alone.
+/// Bytes of a write; a larger record is written alone.
 const PIECE: usize = 1 << 20;
-/// The most records written at once.
 const ROUND: usize = 64;
-/// How long a server that failed is left alone; then only the writing thread asks it.
+/// How long only the writing thread asks a failed server.
 const REST: Duration = Duration::from_secs(1);
-/// How often one that answers is asked whether it is there, so that what is said of it is true while nobody uses it.
+/// Time between pings, so that its state is current while unused.
 const LOOK: Duration = Duration::from_secs(5);
-/// How long a server keeps a record, seconds: an end of what could not be deleted because the server was away.
+/// Seconds a server keeps a record, so that a missed deletion ends.
 const KEPT: u32 = 24 * 60 * 60;
 
-/// Where a cache is.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CacheSettings {
     /// `redis://[USER:PASSWORD@]HOST:PORT/DB`, `rediss://` for TLS, `redis+unix:///PATH[?db=N]`,
     /// `redis+cluster://[USER:PASSWORD@]HOST:PORT,HOST:PORT`, or
     /// `redis+sentinel://[USER:PASSWORD@]HOST:PORT,HOST:PORT/MASTER[/DB]`; the last two with `rediss` for TLS, too.
     pub url: String,
-    /// A PEM file with the authorities to accept for TLS; `None` = those of this machine.
+    /// PEM file with the authorities to accept for TLS; `None` = those of this machine.
     pub roots: Option<PathBuf>,
 }
 
-/// How a cache does.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct CacheState {
-    /// Its URL, without secrets.
+    /// Without secrets.
     pub url: String,
-    /// Records that it had.
     pub hits: u64,
-    /// Records that it did not have, or that it was not asked for while it was away.
+    /// Also of a cache that was away.
     pub misses: u64,
-    /// Answers that were not the record asked for; each is a miss, too.
+    /// Answers that were another record; also misses.
     pub wrong: u64,
-    /// Records not written to it: too many waited, or it was away or full.
+    /// Not written: too many waited, or the cache was away or full.
     pub skipped: u64,
-    /// Since when it, or a part of it, does not answer, and why.
+    /// Set while any part of it does not answer.
     pub away: Option<Away>,
 }
 
-/// A server, or a part of a cluster, that does not answer.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Away {
     pub since: Timestamp,
@@ -76,7 +68,6 @@ pub struct Away {
 }
 
 impl CacheState {
-    /// In one line, for screens.
     pub fn line(&self) -> String {
         let Self { url, hits, misses, wrong, .. } = self;
         let mut line = format!("{url}: {hits} hits, {misses} misses");
@@ -90,7 +81,7 @@ impl CacheState {
     }
 }
 
-/// Asks a cache whether it answers, and returns its URL without secrets.
+/// Returns the URL without secrets, if the cache answers.
 pub fn examine(settings: &CacheSettings) -> Result<String, StoreError> {
     let servers = Servers::new(settings)?;
     servers.probe();
@@ -100,7 +91,6 @@ pub fn examine(settings: &CacheSettings) -> Result<String, StoreError> {
     }
 }
 
-/// A cache in front of a store.
 pub(crate) struct Cache {
     shared: Arc<Shared>,
     writer: Mutex<Option<JoinHandle<()>>>,
@@ -134,7 +124,7 @@ impl Shared {
 }
 
 impl Cache {
-    /// The cache at a URL, written by a thread that reads from `store`. It is not waited for, nor need it answer.
+    /// Does not wait for the cache.
     pub(crate) fn begin(settings: &CacheSettings, store: Ciphertext) -> Result<Self, StoreError> {
         let zero = AtomicU64::default;
         let (hits, misses, wrong, skipped) = (zero(), zero(), zero(), zero());
@@ -148,24 +138,23 @@ impl Cache {
         Ok(Self { shared, writer: Mutex::new(Some(writer)) })
     }
 
-    /// The bytes under a digest, if the cache has them and they are what was asked for.
     pub(crate) fn get(&self, digest: Digest) -> Option<Vec<u8>> {
         let shared = &self.shared;
-        let found = match shared.servers.get(digest) {
+        match shared.servers.get(digest) {
             Answer::Bytes(bytes) if sm3(&[&bytes]) == digest.0 => {
                 shared.hits.fetch_add(1, Ordering::Relaxed);
                 return Some(bytes);
             }
-            other => other,
-        };
-        if matches!(found, Answer::Bytes(_) | Answer::Nonsense) {
-            shared.wrong.fetch_add(1, Ordering::Relaxed);
+            Answer::Bytes(_) | Answer::Nonsense => {
+                shared.wrong.fetch_add(1, Ordering::Relaxed);
+            }
+            Answer::Nothing => {}
         }
         shared.misses.fetch_add(1, Ordering::Relaxed);
         None
     }
 
-    /// Has these records written soon, as far as they are in the store then. Never waits.
+    /// Queues records for writing, without waiting.
     pub(crate) fn fill(&self, digests: impl IntoIterator<Item = Digest>) {
         let is_away = self.shared.servers.is_gone();
         let mut waiting = self.shared.waiting();
@@ -182,7 +171,7 @@ impl Cache {
         self.shared.woken.notify_one();
     }
 
-    /// Has these records deleted soon; while the cache is away, as soon as it is back.
+    /// Queues deletions, until the cache is back if it is away.
     pub(crate) fn forget(&self, digests: &[Digest]) {
         self.shared.waiting().forget.extend(digests);
         self.shared.woken.notify_one();
@@ -201,13 +190,13 @@ impl Cache {
         }
     }
 
-    /// Ends the writing thread, after what is to be deleted.
+    /// Ends the writing thread after the deletions.
     pub(crate) fn close(&self) {
         self.shared.waiting().is_ending = true;
         self.shared.woken.notify_one();
         let writer = self.writer.lock().unwrap_or_else(PoisonError::into_inner).take();
         if let Some(writer) = writer {
-            // A panic there cost the cache alone.
+            // A panic there affects only the cache.
             drop(writer.join());
         }
     }
@@ -219,11 +208,10 @@ impl Drop for Cache {
     }
 }
 
-/// The thread that writes.
 struct Writer<'a> {
     shared: &'a Shared,
     store: &'a Ciphertext,
-    /// Deleted records that servers which are away may still have.
+    /// Deletions that absent servers have not made.
     left: Vec<Digest>,
 }
 
@@ -237,7 +225,7 @@ impl Writer<'_> {
                 self.shared.servers.probe();
                 probed = Instant::now();
             }
-            // What was read from the store before it was deleted is written before it is deleted in the cache.
+            // Before the deletions: a fill may still contain a record deleted meanwhile.
             self.fill(&fill);
             self.left.extend(forget);
             self.forget();
@@ -251,7 +239,6 @@ impl Writer<'_> {
         if self.shared.servers.away().is_some() { REST } else { LOOK }
     }
 
-    /// The next records to write and to delete; waits for them, but not for long.
     fn next(&self) -> (Vec<Digest>, VecDeque<Digest>, bool) {
         let idle = |waiting: &mut Waiting| waiting.fill.is_empty() && waiting.forget.is_empty() && !waiting.is_ending;
         let waiting = self.shared.woken.wait_timeout_while(self.shared.waiting(), self.pause(), idle);

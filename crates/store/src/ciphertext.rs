@@ -1,5 +1,4 @@
-//! Ciphertext of a home: in the file of the rows, and written in the commit of its row. It is addressed by digest, and
-//! checked when it is read: nothing here says that bytes are what was anchored.
+//! Ciphertext, committed with its row and addressed by digest. Readers must check it.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -15,14 +14,13 @@ use crate::{Ledger, StoreError};
 const GET: &str = "SELECT bytes FROM ciphertext WHERE record = (SELECT n FROM records WHERE digest = ?1)";
 const DELETE: &str = "DELETE FROM ciphertext WHERE record = (SELECT n FROM records WHERE digest = ?1)";
 
-/// How much ciphertext there is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Usage {
     pub entries: u64,
     pub bytes: u64,
 }
 
-/// The ciphertext of a home, and the cache in front of it, if there is one. Clones share both.
+/// Clones share the cache.
 #[derive(Clone)]
 pub struct Ciphertext {
     database: Database,
@@ -30,29 +28,26 @@ pub struct Ciphertext {
 }
 
 impl Ciphertext {
-    /// That of a ledger, with no cache in front of it.
     pub fn of(ledger: &Ledger) -> Self {
         Self { database: ledger.database.clone(), cache: None }
     }
 
-    /// That of a ledger, with a cache in front of it, which is not waited for.
+    /// Does not wait for the cache.
     pub fn cached(ledger: &Ledger, settings: &CacheSettings) -> Result<Self, StoreError> {
         let store = Self::of(ledger);
         let cache = Cache::begin(settings, store.clone())?;
         Ok(Self { cache: Some(Arc::new(cache)), ..store })
     }
 
-    /// Whether a cache is in front of it.
     pub fn is_cached(&self) -> bool {
         self.cache.is_some()
     }
 
-    /// The stored bytes under a digest. They may have been altered since: check them.
+    /// May have been altered: check it.
     pub fn get(&self, digest: Digest) -> Result<Option<Vec<u8>>, StoreError> {
         self.database.find(GET, [digest.0], |row| row.get(0))
     }
 
-    /// The stored bytes under several digests, in order.
     pub fn get_many(&self, digests: &[Digest]) -> Result<Vec<Option<Vec<u8>>>, StoreError> {
         self.database.read(|connection| {
             let mut statement = connection.prepare_cached(GET)?;
@@ -60,13 +55,12 @@ impl Ciphertext {
         })
     }
 
-    /// The first `length` bytes, at most, under several digests, in order: enough to read headers cheaply.
+    /// At most `length` bytes of each, in order: enough to read headers cheaply.
     pub fn fronts(&self, digests: &[Digest], length: usize) -> Result<Vec<Option<Vec<u8>>>, StoreError> {
         self.database.read(|connection| digests.iter().map(|digest| front(connection, *digest, length)).collect())
     }
 
-    /// The bytes under a digest for a reader: from the cache where it has them right, and from the store otherwise. For
-    /// opening and serving alone; a proof of what lies on the disk needs [`Self::get`].
+    /// For opening and serving; a proof of what is on the disk needs [`Self::get`].
     pub fn through_cache(&self, digest: Digest) -> Result<Option<Vec<u8>>, StoreError> {
         let Some(cache) = &self.cache else { return self.get(digest) };
         if let Some(bytes) = cache.get(digest) {
@@ -79,14 +73,13 @@ impl Ciphertext {
         Ok(found)
     }
 
-    /// Offers to the cache what was committed just now.
+    /// Offers committed records to the cache.
     pub fn written(&self, digests: impl IntoIterator<Item = Digest>) {
         if let Some(cache) = &self.cache {
             cache.fill(digests);
         }
     }
 
-    /// Deletes the bytes of these records, in the cache too.
     pub fn discard(&self, digests: &[Digest]) -> Result<(), StoreError> {
         if digests.is_empty() {
             return Ok(());
@@ -97,11 +90,7 @@ impl Ciphertext {
         Ok(())
     }
 
-    /// Overwrites the bytes of these records, in the file and in its log, and deletes them in the cache.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; [`StoreError::Database`] while somebody reads an earlier state. It is to be
-    /// done again then.
+    /// Overwrites the bytes in the file and its log. Fails while anyone reads an earlier state: try again.
     pub fn scour(&self, digests: &[Digest]) -> Result<(), StoreError> {
         if digests.is_empty() {
             return Ok(());

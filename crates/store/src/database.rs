@@ -1,44 +1,40 @@
-//! Opens an SQLite file the way the ledger needs it: private, WAL, every commit fsynced, schema up to date,
-//! contents checked after an unclean shutdown.
+//! SQLite files: private, WAL, every commit fsynced, checked after an unclean shutdown.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use rusqlite::config::DbConfig;
-use rusqlite::{CachedStatement, Connection, OpenFlags, OptionalExtension as _, Params, Row, TransactionBehavior};
+use rusqlite::{
+    CachedStatement, Connection, OpenFlags, OptionalExtension as _, Params, Result as SqlResult, Row,
+    TransactionBehavior,
+};
 
 use super::{StoreError, files};
 
 const BUSY: Duration = Duration::from_secs(10);
-/// How long shutdown waits for readers.
 const LAST_WAIT: Duration = Duration::from_millis(500);
 const STATEMENTS_KEPT: usize = 64;
-/// Pages that the one writer keeps in memory; negative is KiB, as in SQLite.
+/// The writer's page cache; negative is KiB, as in SQLite.
 const WRITERS_CACHE: i64 = -8 * 1024;
-/// The same for each reader: there are several, and under load every one of them fills its own.
+/// The same for each of several readers.
 const READERS_CACHE: i64 = -2 * 1024;
-/// Pages of the write-ahead log after which they go into the file itself, as SQLite has it.
+/// Log pages before a checkpoint: SQLite's default.
 const SHORT_LOG: i64 = 1_000;
-/// The same when the disk has plenty of room. When records of many topics alternate, the same pages change in every
-/// commit: the later the checkpoint, the fewer are written twice.
+/// With plenty of room: later checkpoints write fewer pages twice when records of many topics alternate.
 const LONG_LOG: i64 = 4_000;
-/// Deleted cells of a page are overwritten; pages that become free are only freed.
+/// Overwrites deleted cells, not freed pages.
 const CELLS: &str = "FAST";
-/// How much room counts as plenty, bytes: far more than both logs and the reserve for a full disk.
+/// Far more than both logs and the reserve.
 const PLENTY: u64 = 1024 * 1024 * 1024;
 
-/// The version of the schemas, kept in the file.
 const VERSION: i64 = 1;
 
-/// One SQLite file's shape.
 pub(super) struct Schema {
-    /// Written into the file, so that another program's database is not mistaken for ours.
+    /// Distinguishes our files from other programs'.
     pub application: i64,
-    /// The statements that make its tables.
     pub text: &'static str,
 }
 
-/// Opens (or creates) the file for its only writer.
 pub(super) fn open_writer(path: &Path, schema: &Schema) -> Result<Connection, StoreError> {
     let directory = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     files::private_directory(directory)?;
@@ -46,14 +42,13 @@ pub(super) fn open_writer(path: &Path, schema: &Schema) -> Result<Connection, St
     files::sync_directory(directory).map_err(|error| StoreError::home(path, &error))?;
     check_version(path, schema)?;
     let mut connection = connect(path)?;
-    // What is deleted in a page that is written anyway costs nothing to overwrite.
+    // Overwriting in a page that is written anyway costs nothing.
     connection.pragma_update(None, "secure_delete", CELLS).map_err(|error| StoreError::from(error).in_file(path))?;
     prepare(&mut connection, path, schema).map_err(|error| error.in_file(path))?;
     Ok(connection)
 }
 
-/// Refuses a file written by another version of this program, and leaves file and log as they are: closing must not
-/// merge the log. Other problems are reported when it is opened.
+/// Leaves file and log of another version as they are: closing must not merge the log.
 pub(super) fn check_version(path: &Path, schema: &Schema) -> Result<(), StoreError> {
     if !path.exists() {
         return Ok(());
@@ -82,15 +77,14 @@ pub(super) fn check_version(path: &Path, schema: &Schema) -> Result<(), StoreErr
     }
 }
 
-/// Works the log into the file, at the end of a process: other connections of it may outlive this one, and then
-/// closing would leave the log beside the file. Where somebody reads just now, or the disk is full, the log stays, and
-/// the next opening of the file works it in.
+/// Checkpoints before the end: another connection may outlive this one and leave the log. A failure waits for the next
+/// opening.
 pub(super) fn settle(connection: &Connection) {
     drop(connection.busy_timeout(LAST_WAIT));
     drop(connection.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |_| Ok(())));
 }
 
-/// Does `work` so that what it deletes is overwritten with zeros, not only freed.
+/// Overwrites what `work` deletes with zeros.
 pub(super) fn overwriting<T>(
     connection: &Connection,
     work: impl FnOnce(&Connection) -> Result<T, StoreError>,
@@ -101,7 +95,7 @@ pub(super) fn overwriting<T>(
     done
 }
 
-/// Works the log of a file into it and empties the log, so that nothing deleted stays in there.
+/// Checkpoints and truncates the log, so that no deleted data remains there.
 pub(super) fn empty_log(path: &Path) -> Result<(), StoreError> {
     let busy = || StoreError::Database {
         file: path.to_owned(),
@@ -115,7 +109,7 @@ pub(super) fn empty_log(path: &Path) -> Result<(), StoreError> {
     if left == 0 { Ok(()) } else { Err(busy()) }
 }
 
-/// How long a file's log may get; depends on the room on its disk.
+/// The log's length follows the room on its disk.
 #[derive(Debug)]
 pub(super) struct Checkpoints {
     directory: PathBuf,
@@ -123,20 +117,18 @@ pub(super) struct Checkpoints {
 }
 
 impl Checkpoints {
-    /// For the file at this path, opened by [`open_writer`].
     pub fn new(path: &Path) -> Self {
         Self { directory: path.parent().unwrap_or(Path::new(".")).to_owned(), pages: SHORT_LOG }
     }
 
-    /// To be called between transactions. When the room is gone, a long log is checkpointed at once, so that it starts
-    /// again from the beginning instead of growing.
+    /// Call between transactions. Checkpoints a long log when the room is gone, so that it restarts.
     pub fn adjust(&mut self, connection: &Connection) {
         let pages = log_pages(files::free_bytes(&self.directory).unwrap_or(0));
         if pages == self.pages {
             return;
         }
         self.pages = pages;
-        // If it cannot be set or written now, the log is only longer than necessary.
+        // If this fails the log is only longer.
         drop(connection.pragma_update(None, "wal_autocheckpoint", pages));
         if pages == SHORT_LOG {
             drop(connection.query_row("PRAGMA wal_checkpoint(PASSIVE)", [], |_| Ok(())));
@@ -148,7 +140,6 @@ fn log_pages(free: u64) -> i64 {
     if free < PLENTY { SHORT_LOG } else { LONG_LOG }
 }
 
-/// Opens the file for reading only.
 pub(super) fn open_reader(path: &Path) -> Result<Connection, StoreError> {
     let connection = connect(path)?;
     connection
@@ -163,26 +154,26 @@ fn connect(path: &Path) -> Result<Connection, StoreError> {
     Connection::open_with_flags(path, flags)
         .and_then(|connection| {
             connection.busy_timeout(BUSY)?;
-            // Else a statement with a partial index near it is planned again whenever another value is bound.
+            // Else every new value replans statements near a partial index.
             connection.set_db_config(DbConfig::SQLITE_DBCONFIG_ENABLE_QPSG, true)?;
             connection.set_prepared_statement_cache_capacity(STATEMENTS_KEPT);
             connection.pragma_update(None, "journal_mode", "WAL")?;
             connection.pragma_update(None, "synchronous", "FULL")?;
             connection.pragma_update(None, "cache_size", WRITERS_CACHE)?;
-            // Else savepoints of more than 64 KiB, and sorting, go through files outside of the home.
+            // Else large savepoints and sorts use files outside the home.
             connection.pragma_update(None, "temp_store", "MEMORY")?;
             Ok(connection)
         })
         .map_err(|error| StoreError::from(error).in_file(path))
 }
 
-/// The file's application id and version; both are 0 in a new file.
+/// Both 0 in a new file.
 fn identity(connection: &Connection) -> rusqlite::Result<(i64, i64)> {
     let pragma = |name| connection.pragma_query_value(None, name, |row| row.get::<_, i64>(0));
     Ok((pragma("application_id")?, pragma("user_version")?))
 }
 
-/// Makes the tables of a new file; writes nothing into any other.
+/// Writes only into new files.
 fn prepare(connection: &mut Connection, path: &Path, schema: &Schema) -> Result<(), StoreError> {
     let ours = (schema.application, VERSION);
     if identity(connection)? == ours {
@@ -203,12 +194,11 @@ fn prepare(connection: &mut Connection, path: &Path, schema: &Schema) -> Result<
     Ok(())
 }
 
-/// SQLite's `quick_check`: pages, records and indices are well-formed.
 pub(super) fn quick_check(connection: &Connection, path: &Path) -> Result<(), StoreError> {
     check(connection, "PRAGMA quick_check(1)", path)
 }
 
-/// The same for all tables but one.
+/// Skips one table.
 pub(super) fn quick_check_but(connection: &Connection, table: &str, path: &Path) -> Result<(), StoreError> {
     let others = "SELECT name FROM sqlite_schema WHERE type = 'table' AND name <> ?1 AND name NOT LIKE 'sqlite_%'";
     let others: Vec<String> = connection.list(others, [table], |row| row.get(0))?;
@@ -224,37 +214,38 @@ fn check(connection: &Connection, sql: &str, path: &Path) -> Result<(), StoreErr
     Err(StoreError::Corrupt { file: path.to_owned(), detail: crate::model::clean(&found, 200) })
 }
 
-/// A number as SQLite keeps it.
 pub(super) fn whole(field: &'static str, value: u64) -> Result<i64, StoreError> {
     i64::try_from(value).map_err(|_| StoreError::TooBig { field, value })
 }
 
-/// The same of a bound or a limit, where a larger one says no more than the largest.
+/// For bounds and limits: larger values mean the largest.
 pub(super) fn capped(value: impl TryInto<i64>) -> i64 {
     value.try_into().unwrap_or(i64::MAX)
 }
 
-/// A number of changed rows.
 pub(super) fn count(rows: usize) -> u64 {
     u64::try_from(rows).unwrap_or(u64::MAX)
 }
 
-/// Statements by their text, prepared once for each connection.
 pub(super) trait Statements {
     fn prepared(&self, sql: &str) -> rusqlite::Result<CachedStatement<'_>>;
 
-    /// Executes it, and says how many rows it changed.
-    fn run(&self, sql: &str, values: impl Params) -> rusqlite::Result<usize> {
-        self.prepared(sql)?.execute(values)
+    fn run(&self, sql: &str, values: impl Params) -> Result<(), StoreError> {
+        self.prepared(sql)?.execute(values)?;
+        Ok(())
     }
 
-    /// Executes it for each of these, and says how many rows that changed.
+    /// Returns the number of changed rows.
+    fn changed(&self, sql: &str, values: impl Params) -> rusqlite::Result<u64> {
+        self.prepared(sql)?.execute(values).map(count)
+    }
+
     fn run_each<P: Params>(&self, sql: &str, each: impl IntoIterator<Item = P>) -> rusqlite::Result<u64> {
         let mut statement = self.prepared(sql)?;
         each.into_iter().try_fold(0, |changed, values| Ok(changed + count(statement.execute(values)?)))
     }
 
-    /// Those of these for which a query has a row, or, with `false`, those for which it has none.
+    /// Values for which a query has a row (`has`), or has none.
     fn among<T: Copy, P: Params>(
         &self,
         sql: &str,
@@ -272,7 +263,6 @@ pub(super) trait Statements {
         Ok(found)
     }
 
-    /// Does something with each row of a query, until an error.
     fn each(
         &self,
         sql: &str,
@@ -287,23 +277,17 @@ pub(super) trait Statements {
         Ok(())
     }
 
-    /// The one row of a query.
-    fn one<T, Read>(&self, sql: &str, values: impl Params, read: Read) -> rusqlite::Result<T>
-    where
-        Read: FnOnce(&Row<'_>) -> rusqlite::Result<T>,
-    {
+    fn one<T, R: FnOnce(&Row<'_>) -> SqlResult<T>>(&self, sql: &str, values: impl Params, read: R) -> SqlResult<T> {
         self.prepared(sql)?.query_row(values, read)
     }
 
-    /// The first row of a query, if there is one.
-    fn find<T, Read>(&self, sql: &str, values: impl Params, read: Read) -> rusqlite::Result<Option<T>>
+    fn find<T, R>(&self, sql: &str, values: impl Params, read: R) -> SqlResult<Option<T>>
     where
-        Read: FnOnce(&Row<'_>) -> rusqlite::Result<T>,
+        R: FnOnce(&Row<'_>) -> SqlResult<T>,
     {
         self.one(sql, values, read).optional()
     }
 
-    /// All rows of a query.
     fn list<T, All, Read>(&self, sql: &str, values: impl Params, read: Read) -> rusqlite::Result<All>
     where
         All: FromIterator<T>,
@@ -312,7 +296,6 @@ pub(super) trait Statements {
         self.prepared(sql)?.query_map(values, read)?.collect()
     }
 
-    /// Whether a query has a row.
     fn has(&self, sql: &str, values: impl Params) -> rusqlite::Result<bool> {
         self.prepared(sql)?.exists(values)
     }

@@ -1,6 +1,5 @@
-//! The ring that a robot keeps on its disk, of topics that nobody watches: sealed records in files of their own, beside
-//! the store. The oldest file goes when time or size is reached; what goes with it is counted. Nobody reads it
-//! until its owner asks for a span.
+//! A robot's ring on disk: sealed records of unwatched topics, until their owner asks for a span. The oldest file is
+//! dropped at the limit of time or size, and its messages are counted.
 
 #[cfg(test)]
 mod tests;
@@ -17,77 +16,66 @@ use crate::model::wire::{Reader, WireError, put_text};
 use crate::model::{Digest, RecorderPrefix, RingLimits, RingSpan, Signature, Timestamp, TopicId};
 use crate::{StoreError, files};
 
-/// Into how many files time and size are divided.
+/// Files into which time and size are divided.
 const PARTS: u32 = 16;
-/// The largest file, bytes, unless one round is larger.
+/// In bytes, unless one round is larger.
 const LARGEST: u64 = 16 << 20;
-/// Between two fsyncs: a process that is killed loses nothing, a machine without power what came since.
+/// Between fsyncs: only a power failure loses what came since.
 const SYNC_EVERY: Duration = Duration::from_secs(1);
-/// Nanoseconds; what a clock gains or loses less than that at once is no jump.
+/// Nanoseconds; smaller corrections of the clock are no jump.
 const SHORTEST_JUMP: i128 = 5_000_000_000;
 
-/// The file with what fell out: lines of count and topic.
+/// Lines of count and topic of dropped messages.
 const FALLEN: &str = "fallen";
 
-/// A record of a ring.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RingRecord {
-    /// SM3 of its bytes.
     pub digest: Digest,
-    /// The raw signature, r || s.
+    /// r || s.
     pub signature: Signature,
     pub topic: String,
     pub type_name: String,
-    /// When it was captured.
     pub captured_at: Timestamp,
-    /// Whether it is the definition of a message type, not a message.
+    /// Of a message type.
     pub is_definition: bool,
-    /// Whether a simulated robot sent it.
     pub simulated: bool,
-    /// Length of the plaintext, bytes.
+    /// In bytes.
     pub plain_length: u64,
     /// Header, sealed head and sealed body.
     pub blob: Vec<u8>,
 }
 
-/// What a ring holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct RingFigures {
     pub messages: u64,
-    /// Bytes on the disk.
     pub bytes: u64,
-    /// Capture of the oldest message.
     pub since: Option<Timestamp>,
-    /// Messages that fell out, or were too large, since the ring was begun.
+    /// Messages dropped or refused since the ring began.
     pub fallen: u64,
 }
 
-/// A definition that the file in use has.
 pub type KnownDefinition = (TopicId, u64, Digest);
 
-/// A ring on the disk.
 #[derive(Debug)]
 pub struct DiskRing {
     folder: PathBuf,
     limits: RingLimits,
     recorder: RecorderPrefix,
-    /// By number; the last one is in use if there is a writer.
+    /// The last one is in use if there is a writer.
     segments: BTreeMap<u64, Segment>,
     writer: Option<File>,
     synced: Instant,
-    /// The last number of each topic.
     numbers: HashMap<TopicId, u64>,
-    /// The definitions in the file in use.
+    /// In the file in use.
     definitions: HashSet<KnownDefinition>,
-    /// Messages that are gone, by topic.
     fallen: BTreeMap<String, u64>,
-    /// When the clock was last looked at, and what it said.
+    /// The last reading of the clock.
     looked: (Instant, Timestamp),
 }
 
 impl DiskRing {
-    /// Opens the ring of a folder, or begins one. What is in it stays; new records are of `recorder`, which is new for
-    /// each start: so no number is given twice, whatever was lost with the power.
+    /// Records in it stay. `recorder` is new for each start, so that no number is given twice even after a power
+    /// failure.
     pub fn open(folder: &Path, limits: RingLimits, recorder: RecorderPrefix) -> Result<Self, StoreError> {
         files::private_directory(folder)?;
         let mut ring = Self {
@@ -99,7 +87,7 @@ impl DiskRing {
             synced: Instant::now(),
             numbers: HashMap::new(),
             definitions: HashSet::new(),
-            // What cannot be read begins anew: it is a count of what is gone, and nothing rests on it.
+            // An unreadable count starts anew: nothing depends on it.
             fallen: counts(&fs::read_to_string(folder.join(FALLEN)).unwrap_or_default()),
             looked: (Instant::now(), Timestamp::now()),
         };
@@ -116,7 +104,6 @@ impl DiskRing {
         Ok(ring)
     }
 
-    /// How much it keeps from now on; what is too much falls out.
     pub fn set_limits(&mut self, limits: RingLimits) -> Result<(), StoreError> {
         self.limits = limits;
         let now = self.now();
@@ -124,38 +111,32 @@ impl DiskRing {
         self.make_room(0)
     }
 
-    /// The recorder of what is added.
     pub fn recorder(&self) -> RecorderPrefix {
         self.recorder
     }
 
-    /// The next number of a topic.
     pub fn next_number(&self, topic: TopicId) -> u64 {
         self.numbers.get(&topic).map_or(1, |last| last + 1)
     }
 
-    /// Whether the file in use has this definition already.
+    /// Whether the file in use has it.
     pub fn has_definition(&self, definition: &KnownDefinition) -> bool {
         self.writer.is_some() && self.definitions.contains(definition)
     }
 
-    /// The most bytes of a round, unless it is a single message.
     pub fn round_bytes(&self) -> u64 {
         self.limits.bytes / 8
     }
 
-    /// Whether a message of this length is too large for the ring.
     pub fn is_too_large(&self, length: usize) -> bool {
         length as u64 > self.limits.bytes / 4
     }
 
-    /// Counts a message that was not taken in.
     pub fn refuse(&mut self, topic: &str) {
         *self.fallen.entry(topic.to_owned()).or_default() += 1;
     }
 
-    /// The time by this machine's clock. If that has jumped since it was last looked at, what is in the ring is no older and
-    /// no younger for it.
+    /// The clock's time. A jump since the last reading does not change the age of what the ring holds.
     pub fn now(&mut self) -> Timestamp {
         let (at, now) = (Instant::now(), Timestamp::now());
         let passed = i128::try_from(at.saturating_duration_since(self.looked.0).as_nanos()).unwrap_or(i128::MAX);
@@ -167,7 +148,7 @@ impl DiskRing {
         now
     }
 
-    /// The clock gained or lost so many nanoseconds at once and says `now`. From here on there is another file.
+    /// A jump by nanoseconds starts another file.
     fn jumped(&mut self, by: i128, now: Timestamp) {
         self.close();
         for segment in self.segments.values_mut() {
@@ -176,12 +157,12 @@ impl DiskRing {
         }
     }
 
-    /// What falls out by its age falls out.
+    /// Drops files by age.
     pub fn tend(&mut self, now: Timestamp) -> Result<(), StoreError> {
         let time = u64::try_from(self.limits.time.as_nanos()).unwrap_or(u64::MAX);
         let due = Timestamp(now.0.saturating_sub(time));
         while let Some(oldest) = self.segments.values().next().filter(|oldest| oldest.ages_from() < due) {
-            // Nothing of a file is older than the messages that are not in it yet.
+            // Messages still to be written are younger.
             if self.writer.is_some() && self.segments.len() == 1 && oldest.messages.is_empty() {
                 break;
             }
@@ -190,8 +171,7 @@ impl DiskRing {
         Ok(())
     }
 
-    /// Prepares for a round of about this many bytes: a full file is closed, and room is made. Only then is it known
-    /// which definitions have to go with the round.
+    /// Closes a full file and makes room; only then is it known which definitions the round needs.
     pub fn begin_round(&mut self, incoming: u64, now: Timestamp) -> Result<(), StoreError> {
         self.tend(now)?;
         let part = u64::try_from(self.limits.time.as_nanos() / u128::from(PARTS)).unwrap_or(u64::MAX);
@@ -204,13 +184,21 @@ impl DiskRing {
             self.close();
         }
         self.make_room(incoming)?;
-        if self.writer.is_none() {
-            self.begin_file()?;
+        if self.writer.is_some() {
+            return Ok(());
         }
+        let number = self.segments.keys().next_back().map_or(1, |last| last + 1);
+        let path = self.folder.join(format!("{number:016}.ring"));
+        let mut file = files::open_private(&path)?;
+        let begun = file.set_len(0).and_then(|()| file.write_all(&MAGIC));
+        begun.map_err(|error| StoreError::home(&path, &error))?;
+        self.segments.insert(number, Segment::new(path));
+        self.writer = Some(file);
+        self.definitions.clear();
         Ok(())
     }
 
-    /// Adds records. Their numbers are used up in any case.
+    /// Uses up the numbers even on failure.
     pub fn append(
         &mut self,
         records: &[(RingRecord, u64, Option<KnownDefinition>, TopicId)],
@@ -238,7 +226,7 @@ impl DiskRing {
             segment.note(record.captured_at, &record.topic, record.is_definition);
             self.definitions.extend(definition);
         }
-        // They are in the ring now. What fails from here on is tried again with the next round, and is that one's error.
+        // The records are in the ring: a later failure belongs to the next round, which tries again.
         if self.synced.elapsed() >= SYNC_EVERY && file.sync_data().is_ok() {
             self.synced = Instant::now();
         }
@@ -246,24 +234,23 @@ impl DiskRing {
         Ok(())
     }
 
-    /// Drops the oldest file although nothing is due: the disk is nearly full. Returns whether there was one.
+    /// Drops the oldest file, if any, because the disk is nearly full.
     pub fn shrink(&mut self) -> Result<bool, StoreError> {
         let is_some = !self.segments.is_empty();
         self.drop_oldest()?;
         Ok(is_some)
     }
 
-    /// The files in which something of a span may be, the oldest first.
+    /// Files that may contain records of a span, oldest first.
     pub fn parts_of(&self, span: &RingSpan) -> Vec<u64> {
         self.segments.iter().filter(|(_, segment)| segment.overlaps(span)).map(|(number, _)| *number).collect()
     }
 
-    /// What one file has of a span, with the definitions needed; nothing if it has fallen out meanwhile.
+    /// A file's records of a span with their definitions; empty if it was dropped meanwhile.
     pub fn select(&self, part: u64, span: &RingSpan) -> Result<Vec<RingRecord>, StoreError> {
         self.segments.get(&part).map_or(Ok(Vec::new()), |segment| segment.select(span))
     }
 
-    /// What it holds, and what it has lost.
     pub fn figures(&self) -> RingFigures {
         let filled = || self.segments.values().filter(|segment| !segment.messages.is_empty());
         RingFigures {
@@ -274,7 +261,6 @@ impl DiskRing {
         }
     }
 
-    /// Messages that fell out, by topic.
     pub fn fallen(&self) -> &BTreeMap<String, u64> {
         &self.fallen
     }
@@ -284,24 +270,12 @@ impl DiskRing {
     }
 
     fn close(&mut self) {
-        // What is not on the disk yet is in the system's memory: only a machine without power loses it.
+        // The system still writes what was not synced: only a power failure loses it.
         self.writer = None;
         self.definitions.clear();
     }
 
-    fn begin_file(&mut self) -> Result<(), StoreError> {
-        let number = self.segments.keys().next_back().map_or(1, |last| last + 1);
-        let path = self.folder.join(format!("{number:016}.ring"));
-        let mut file = files::open_private(&path)?;
-        let begun = file.set_len(0).and_then(|()| file.write_all(&MAGIC));
-        begun.map_err(|error| StoreError::home(&path, &error))?;
-        self.segments.insert(number, Segment::new(path));
-        self.writer = Some(file);
-        self.definitions.clear();
-        Ok(())
-    }
-
-    /// The oldest files fall out until so many more bytes fit.
+    /// Drops the oldest files until `incoming` bytes fit.
     fn make_room(&mut self, incoming: u64) -> Result<(), StoreError> {
         let least = usize::from(self.writer.is_some());
         while self.bytes() + incoming > self.limits.bytes && self.segments.len() > least {
@@ -315,18 +289,17 @@ impl DiskRing {
             self.close();
         }
         let Some(oldest) = self.segments.first_entry() else { return Ok(()) };
-        // The file before its count: on a full disk nothing can be written until it is gone.
-        match fs::remove_file(&oldest.get().path) {
-            Err(error) if error.kind() != ErrorKind::NotFound => {
-                return Err(StoreError::home(&oldest.get().path, &error));
-            }
-            Ok(()) | Err(_) => {}
+        // The file first: on a full disk its space is needed to write the count.
+        if let Err(error) = fs::remove_file(&oldest.get().path)
+            && error.kind() != ErrorKind::NotFound
+        {
+            return Err(StoreError::home(&oldest.get().path, &error));
         }
         for (topic, count) in oldest.remove().messages {
             *self.fallen.entry(topic).or_default() += count;
         }
         let text: String = self.fallen.iter().map(|(topic, count)| format!("{count} {topic}\n")).collect();
-        // The next file that falls out writes all of it again.
+        // The next drop writes all of it again.
         drop(files::atomic_write(&self.folder.join(FALLEN), text.as_bytes()));
         Ok(())
     }
@@ -340,35 +313,30 @@ fn counts(text: &str) -> BTreeMap<String, u64> {
     text.lines().filter_map(line).collect()
 }
 
-// A file of a ring: `0x89 "AuthRin" || 0x01`, then records. A record is `length of the rest (4) || captured (8) || 0, 1
-// for a definition, 2 if simulated (1) || plain length (8) || topic || type || digest (32) || signature (64) || blob`,
-// texts with their length (2) before them. What follows the last whole record was never written to its end.
+// A file: `0x89 "AuthRin" || 0x01`, then records of `length of the rest (4) || captured (8) || flags (1) || plain
+// length (8) || topic || type || digest (32) || signature (64) || blob`, texts behind their length (2). Bytes after the
+// last whole record were never completed.
 
-/// First bytes of a file.
 const MAGIC: [u8; 9] = *b"\x89AuthRin\x01";
-/// The longest record with what is noted beside it, bytes.
+/// With all fields, bytes.
 const LONGEST: u64 = 80 << 20;
 /// Length, time, flags and plain length.
 const FIXED: usize = 21;
-/// Bit of a definition, and of a simulated robot's message.
 const DEFINITION: u8 = 1;
 const SIMULATED: u8 = 2;
 
-/// What is known of a file.
 #[derive(Debug)]
 struct Segment {
     pub path: PathBuf,
     pub bytes: u64,
-    /// Capture of its first and last record.
     pub first: Timestamp,
     pub last: Timestamp,
-    /// From when on it ages in place of its last capture, because the clock has jumped since.
+    /// Replaces the last capture as its age after a jump of the clock.
     pub moved: Option<Timestamp>,
-    /// Messages of each topic, without definitions.
+    /// Without definitions.
     pub messages: BTreeMap<String, u64>,
 }
 
-/// The beginning of a record in a file.
 struct Beginning {
     length: u64,
     captured_at: Timestamp,
@@ -378,7 +346,7 @@ struct Beginning {
 }
 
 impl Beginning {
-    /// Bytes of the record behind its topic.
+    /// Bytes after the topic.
     fn rest(&self) -> u64 {
         self.length.saturating_sub(FIXED as u64 - 4 + 2 + self.topic.len() as u64)
     }
@@ -394,7 +362,7 @@ impl Segment {
         Self { path, bytes: MAGIC.len() as u64, first, last, moved: None, messages: BTreeMap::new() }
     }
 
-    /// What is in a file; what was not written to its end is cut off.
+    /// Cuts off a record that was not completed.
     pub fn open(path: PathBuf) -> Result<Self, StoreError> {
         let file = files::open_private(&path)?;
         let failed = |error: std::io::Error| StoreError::home(&path, &error);
@@ -417,12 +385,10 @@ impl Segment {
         Ok(segment)
     }
 
-    /// From when on it ages.
     pub fn ages_from(&self) -> Timestamp {
         self.moved.unwrap_or(self.last)
     }
 
-    /// Counts a record that is in the file now.
     pub fn note(&mut self, captured_at: Timestamp, topic: &str, is_definition: bool) {
         if is_definition {
             return;
@@ -435,12 +401,11 @@ impl Segment {
         }
     }
 
-    /// Whether something in it may be of a span.
     pub fn overlaps(&self, span: &RingSpan) -> bool {
         self.first < span.until && self.last >= span.since && self.messages.keys().any(|topic| span.has_topic(topic))
     }
 
-    /// The records of a span, in the order written; a topic's definitions go before them.
+    /// In the order written; a topic's definitions come before its messages.
     pub fn select(&self, span: &RingSpan) -> Result<Vec<RingRecord>, StoreError> {
         let file = files::read_private(&self.path)?;
         let failed = |error: std::io::Error| StoreError::home(&self.path, &error);
@@ -464,7 +429,7 @@ impl Segment {
     }
 }
 
-/// The beginning of the next record; `None` if the file does not hold all of it. `left` = bytes left in the file.
+/// `None` if the file does not have the whole record. `left`: bytes left in the file.
 fn beginning(reader: &mut BufReader<&File>, left: u64) -> std::io::Result<Option<Beginning>> {
     let mut fixed = [0; FIXED + 2];
     if left < fixed.len() as u64 {
@@ -482,20 +447,18 @@ fn beginning(reader: &mut BufReader<&File>, left: u64) -> std::io::Result<Option
     Ok(Some(Beginning { length, captured_at, flags, plain_length, topic }))
 }
 
-/// Length, time, flags, plain length and length of the topic.
 fn fields(fixed: &[u8]) -> Result<(u64, Timestamp, u8, u64, u16), WireError> {
     let mut fields = Reader::new(fixed);
     let (length, captured_at) = (fields.u32("length")?, Timestamp(fields.u64("time")?));
     Ok((u64::from(length), captured_at, fields.u8("flags")?, fields.u64("plain length")?, fields.u16("topic")?))
 }
 
-/// Type, digest and signature.
 fn signed(fields: &mut Reader<'_>) -> Result<(String, Digest, Signature), WireError> {
     let (type_name, digest) = (fields.text("type")?, Digest(fields.array("digest")?));
     Ok((type_name, digest, Signature(fields.array("signature")?)))
 }
 
-/// The rest of a record; `None` if it is malformed.
+/// `None` if the record is malformed.
 fn read(reader: &mut BufReader<&File>, beginning: Beginning) -> std::io::Result<Option<RingRecord>> {
     let mut rest = vec![0; usize::try_from(beginning.rest()).unwrap_or(0)];
     reader.read_exact(&mut rest)?;
@@ -514,7 +477,6 @@ fn read(reader: &mut BufReader<&File>, beginning: Beginning) -> std::io::Result<
     }))
 }
 
-/// Appends a record's bytes.
 fn put(out: &mut Vec<u8>, record: &RingRecord) {
     let begun = out.len();
     out.extend_from_slice(&[0; 4]);
@@ -531,7 +493,7 @@ fn put(out: &mut Vec<u8>, record: &RingRecord) {
     out.iter_mut().skip(begun).zip(length).for_each(|(place, byte)| *place = byte);
 }
 
-/// The files of a folder with their numbers, the oldest first.
+/// Numbered, oldest first.
 fn list(folder: &Path) -> Result<Vec<(u64, PathBuf)>, StoreError> {
     let failed = |error: std::io::Error| StoreError::home(folder, &error);
     let mut found = Vec::new();
@@ -539,20 +501,19 @@ fn list(folder: &Path) -> Result<Vec<(u64, PathBuf)>, StoreError> {
         let path = entry.map_err(failed)?.path();
         let is_one = path.extension().is_some_and(|end| end == "ring");
         let number: Option<u64> = path.file_stem().and_then(|stem| stem.to_str()).and_then(|stem| stem.parse().ok());
-        // The last number has none behind it for the next file.
+        // The next file needs a number.
         found.extend(number.filter(|number| is_one && *number < u64::MAX).map(|number| (number, path)));
     }
     found.sort();
     Ok(found)
 }
 
-// A ring that came out of a backup: what is in it was captured before, and would fall out by its age the moment it is
-// opened. It ages from the first opening after that instead: there is as much time to ask for it as its limits say.
+// A restored ring would be dropped by its age on opening, so it ages from the first opening after the restore.
 
-/// The file that says so: the last number of the files that came out of the backup, and, once the ring was opened, when.
+/// The last file number from the backup and, once opened, when.
 const RESTORED: &str = "restored";
 
-/// Notes that all files of a ring come out of a backup; returns whether there is one.
+/// Returns whether the folder has a ring.
 pub fn note_restored(folder: &Path) -> Result<bool, StoreError> {
     if !folder.exists() {
         return Ok(false);
@@ -562,19 +523,19 @@ pub fn note_restored(folder: &Path) -> Result<bool, StoreError> {
     Ok(true)
 }
 
-/// The last number that came out of a backup, and from when on all up to it age, where later than their capture.
+/// The last number from the backup, and the time from which files up to it age.
 fn ages_from(folder: &Path, now: Timestamp) -> Option<(u64, Timestamp)> {
     let path = folder.join(RESTORED);
     let bytes = fs::read(&path).ok()?;
     let text = String::from_utf8_lossy(&bytes);
     let mut words = text.split_whitespace();
-    // If that cannot be read, all that is there came out of the backup: it stays longer, nothing is lost.
+    // If unreadable, everything counts as restored and stays longer.
     let last: u64 = words.next().and_then(|word| word.parse().ok()).unwrap_or(u64::MAX);
     if let Some(opened) = words.next().and_then(|word| word.parse().ok()) {
-        // A clock that was ahead then, and is set right now, keeps nothing for ever.
+        // A clock that was ahead then must not keep records for ever.
         return Some((last, Timestamp(opened).min(now)));
     }
-    // Without this line the next opening counts as the first: they stay longer, nothing is lost.
+    // If this fails, the next opening counts as the first.
     drop(files::atomic_write(&path, format!("{last} {}\n", now.0).as_bytes()));
     Some((last, now))
 }

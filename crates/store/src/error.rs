@@ -1,109 +1,87 @@
-//! Everything that can go wrong in this crate; each message says what to do next.
+//! Errors of this crate; each message says what to do next.
 
 use std::path::{Path, PathBuf};
 
 use crate::model::{Digest, Domain, ErrorKind, RecordState, clean};
 
-/// Why the store, the audit log or a file could not do as asked.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs, reason = "the variants and their messages name the fields")]
 pub enum StoreError {
-    /// A directory or file of the home cannot be made, read or written.
     #[error("{} cannot be used: {detail}; make it writable for this user, or choose another home with \
              --home", path.display())]
     Home { path: PathBuf, detail: String },
-    /// Others than the owner can read or write a private file.
     #[error(
         "{} has mode {mode:04o}, so others can access it; run `chmod {advised:o} {}`", path.display(), path.display()
     )]
     Mode { path: PathBuf, mode: u32, advised: u32 },
-    /// A home, or a folder above it, belongs to somebody else.
     #[error(
         "{} belongs to user {owner}, not to you (user {user}), who could read what you type and write here; run this as that \
          user, for example with `sudo -u`, or choose another home with --home", path.display()
     )]
     Foreign { path: PathBuf, owner: u32, user: u32 },
-    /// Others can write to a home, or to a folder above it.
     #[error(
         "others can write to {} and could put a keyring or a socket of their own there; run `chmod go-w {}`, check what is in \
          it, then try again", path.display(), path.display()
     )]
     Open { path: PathBuf },
-    /// The disk is full; nothing of the request was acknowledged.
     #[error("the disk that holds {} is full; free some space", file.display())]
     DiskFull { file: PathBuf },
-    /// A database file is damaged or not a database.
     #[error("{} is damaged ({detail}); keep a copy of it and restore the last backup", file.display())]
     Corrupt { file: PathBuf, detail: String },
-    /// A note of the home is not what it should be.
     #[error(
         "the note about {what}{about} in {} is damaged ({detail}); keep a copy of the home and restore the last backup",
         file.display()
     )]
     Note { file: PathBuf, what: &'static str, about: String, detail: String },
-    /// A database was written by a later version of this program.
     #[error("{} has schema {found}, but this program supports only {known}; use a newer authros", file.display())]
     Newer { file: PathBuf, found: i64, known: i64 },
-    /// The ledger belongs to another chain or contract.
+    /// Of another chain or contract.
     #[error(
         "the ledger is bound to domain {bound}, but the chain and contract in use have domain {domain}; a home keeps its \
          chain: set `chain.url` and `chain.contract` to those of this home, or begin a new home for the other chain"
     )]
     Bound { bound: Domain, domain: Domain },
-    /// Any other failure of SQLite.
     #[error("{} failed: {detail}; check the disk and the system log, then start again", file.display())]
     Database { file: PathBuf, detail: String },
-    /// The ledger was closed while it still had work.
     #[error("the ledger is closed, so nothing more can be written; start the site again")]
     Closed,
-    /// A number that the ledger cannot hold.
     #[error("{field} {value} does not fit into the ledger; the limit is 2^63 - 1")]
     TooBig { field: &'static str, value: u64 },
-    /// A record contradicts what the ledger already holds.
     #[error("record {digest} contradicts the ledger: {detail}; keep a copy of the home and report this")]
     Conflict { digest: Digest, detail: String },
-    /// A record cannot go from this state to that one.
     #[error("a record cannot go from {} to {} this way; this is a bug, please report it", from.word(), to.word())]
     IllegalEdge { from: RecordState, to: RecordState },
-    /// An anchor in a block that is not among those read here, or not any more.
     #[error(
         "record {digest} is anchored in block {block} of a chain that the one here does not continue (any more); it is asked \
          for again; if that stays so, compare the nodes"
     )]
     Replaced { digest: Digest, block: u64 },
-    /// A record to be submitted has moved on (or never arrived) in the meantime; found is the name of
-    /// its state, or `unknown`.
+    /// `found`: its state's name, or `unknown`.
     #[error("record {digest} is {found}, not ready to be submitted; read the stored records again")]
     NotReady { digest: Digest, found: &'static str },
-    /// A transaction that the ledger does not hold, or that is closed.
+    /// Unknown or closed.
     #[error("transaction {hash} {detail}; read the open transactions again")]
     Transaction { hash: String, detail: String },
-    /// A malformed record id.
     #[error(
         "'{0}' is not a record id; give at least the first 4 of its hex characters, as `authros uploads list` shows \
          them"
     )]
     Id(String),
-    /// A record id that several records share.
     #[error("more than one record starts with {0}; give more characters of the digest")]
     Ambiguous(String),
-    /// A malformed page cursor.
     #[error("'{0}' is not a cursor; use the `next` of the page before")]
     Cursor(String),
-    /// The cache's URL cannot be used.
     #[error(
         "cache.url {url} cannot be used: {detail}; use redis://HOST:PORT/DB, redis+unix:///PATH, \
          redis+cluster://HOST:PORT,HOST:PORT or redis+sentinel://HOST:PORT,HOST:PORT/MASTER, with rediss for TLS, or \
          leave it empty"
     )]
     CacheUrl { url: String, detail: String },
-    /// The cache does not answer, which costs time alone.
     #[error("the cache {url} does not answer: {detail}; start it, correct cache.url, or leave that empty")]
     CacheAway { url: String, detail: String },
 }
 
 impl StoreError {
-    /// The kind of failure; it determines the exit code.
     pub fn kind(&self) -> ErrorKind {
         match self {
             Self::Home { .. } | Self::DiskFull { .. } => ErrorKind::Home,
@@ -127,7 +105,6 @@ impl StoreError {
         }
     }
 
-    /// A failure of the file system at `path`.
     pub(super) fn home(path: &Path, error: &std::io::Error) -> Self {
         if error.kind() == std::io::ErrorKind::StorageFull {
             return Self::DiskFull { file: path.to_owned() };
@@ -135,10 +112,11 @@ impl StoreError {
         Self::Home { path: path.to_owned(), detail: error.to_string() }
     }
 
-    /// Names the database file in an error from SQLite that lacks one.
+    /// Adds the file's name to an SQLite error without one.
     pub(super) fn in_file(mut self, path: &Path) -> Self {
         match &mut self {
-            Self::DiskFull { file }
+            Self::Home { path: file, .. }
+            | Self::DiskFull { file }
             | Self::Corrupt { file, .. }
             | Self::Note { file, .. }
             | Self::Database { file, .. }
@@ -146,7 +124,6 @@ impl StoreError {
             {
                 path.clone_into(file);
             }
-            Self::Home { path: file, .. } if file.as_os_str().is_empty() => path.clone_into(file),
             _ => {}
         }
         self

@@ -1,6 +1,4 @@
-//! Directories and files of a home: modes, locks, and atomic writes.
-//!
-//! Directories get mode 0700, files 0600. The content of the files is up to other modules.
+//! Directories (mode 0700) and files (0600) of a home: locks and atomic writes.
 
 use std::fs::{self, DirBuilder, File, OpenOptions, TryLockError};
 use std::io::Write as _;
@@ -15,18 +13,14 @@ const PRIVATE_DIRECTORY: u32 = 0o700;
 const PRIVATE_FILE: u32 = 0o600;
 const OTHERS: u32 = 0o077;
 
-/// Bytes that this user may still write to the file system of `path`.
+/// Free for this user.
 pub fn free_bytes(path: &Path) -> Result<u64, StoreError> {
     let about = rustix::fs::statvfs(path).map_err(|error| StoreError::home(path, &error.into()))?;
     Ok(about.f_bavail.saturating_mul(about.f_frsize))
 }
 
-/// Creates a directory and its parents (mode 0700) if missing, checks whose it is, and tries writing to it.
-///
-/// An existing one may be readable by others; see [`mode_advice`].
-///
-/// # Errors
-/// [`StoreError::Home`] if it cannot be created or written, [`StoreError::DiskFull`], and those of [`check_hands`].
+/// Creates it (mode 0700) if missing, checks its owner and that it is writable. An existing one may be readable by
+/// others; see [`mode_advice`].
 pub fn private_directory(path: &Path) -> Result<(), StoreError> {
     let unusable = |error| StoreError::home(path, &error);
     DirBuilder::new().recursive(true).mode(PRIVATE_DIRECTORY).create(path).map_err(unusable)?;
@@ -34,8 +28,8 @@ pub fn private_directory(path: &Path) -> Result<(), StoreError> {
     tempfile::tempfile_in(path).map(drop).map_err(unusable)
 }
 
-/// Checks that nobody but this user and root could put a keyring or a socket of his own into a home, or another home in
-/// its place. The door of every home: before a passphrase is sent into it, or a secret written.
+/// Nobody but this user and root may be able to put a keyring or socket into a home, or to replace it. Call before
+/// sending a passphrase or writing a secret.
 pub fn check_hands(path: &Path) -> Result<(), StoreError> {
     let user = rustix::process::geteuid().as_raw();
     match hands::fault_of_home(path, user).map_err(|error| StoreError::home(path, &error))? {
@@ -48,14 +42,14 @@ pub fn check_hands(path: &Path) -> Result<(), StoreError> {
     }
 }
 
-/// Advice about a file or directory that others can access; `None` if all is well.
+/// `None` if only the owner has access.
 pub fn mode_advice(path: &Path) -> Result<Option<String>, StoreError> {
     let about = fs::metadata(path).map_err(|error| StoreError::home(path, &error))?;
     let advised = if about.is_dir() { PRIVATE_DIRECTORY } else { PRIVATE_FILE };
     Ok(too_open(path, about.permissions().mode(), advised).map(|error| error.to_string()))
 }
 
-/// Creates a file (mode 0600) if missing, and refuses one that others can access.
+/// Creates the file (mode 0600) if missing; refuses one that others can access.
 pub fn open_private(path: &Path) -> Result<File, StoreError> {
     let file = OpenOptions::new()
         .read(true)
@@ -69,7 +63,7 @@ pub fn open_private(path: &Path) -> Result<File, StoreError> {
     Ok(file)
 }
 
-/// Reads a private file (a keyring, a key, a passphrase), which others must not be able to access.
+/// Refuses a file that others can access.
 pub fn read_private(path: &Path) -> Result<File, StoreError> {
     let file = File::open(path).map_err(|error| StoreError::home(path, &error))?;
     check_mode(path, &file)?;
@@ -85,7 +79,7 @@ fn too_open(path: &Path, mode: u32, advised: u32) -> Option<StoreError> {
     (mode & OTHERS != 0).then(|| StoreError::Mode { path: path.to_owned(), mode: mode & 0o7777, advised })
 }
 
-/// Replaces a file (mode 0600) with `bytes`: after a crash it holds the old content or the new, never a mixture.
+/// With mode 0600; after a crash the file holds the old content or the new.
 pub fn atomic_write(path: &Path, bytes: &[u8]) -> Result<(), StoreError> {
     let directory = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     replace(directory, path, bytes).map_err(|error| StoreError::home(path, &error))
@@ -99,43 +93,26 @@ fn replace(directory: &Path, path: &Path, bytes: &[u8]) -> std::io::Result<()> {
     sync_directory(directory)
 }
 
-/// Makes the names in a directory durable.
+/// Makes names durable.
 pub(super) fn sync_directory(directory: &Path) -> std::io::Result<()> {
     File::open(directory)?.sync_all()
 }
 
-fn lock(path: &Path) -> Result<Option<File>, StoreError> {
-    let file = open_private(path)?;
-    match file.try_lock() {
-        Ok(()) => Ok(Some(file)),
-        Err(TryLockError::WouldBlock) => Ok(None),
-        Err(TryLockError::Error(error)) => Err(StoreError::home(path, &error)),
-    }
-}
-
-/// Held by the one process that is the site of a home; released on drop or when the process ends.
+/// Held by the site of a home until dropped.
 #[derive(Debug)]
 pub struct SiteLock {
     _file: File,
 }
 
 impl SiteLock {
-    /// Takes the lock file at `path`; `None` if another process (or another lock in this one) holds it.
+    /// `None` if it is held already.
     pub fn acquire(path: &Path) -> Result<Option<Self>, StoreError> {
-        Ok(lock(path)?.map(|file| Self { _file: file }))
-    }
-}
-
-/// Held by the one console of a profile; released on drop or when the process ends.
-#[derive(Debug)]
-pub struct ConsoleLock {
-    _file: File,
-}
-
-impl ConsoleLock {
-    /// Takes the lock file at `path`; `None` if another console of the profile holds it.
-    pub fn acquire(path: &Path) -> Result<Option<Self>, StoreError> {
-        Ok(lock(path)?.map(|file| Self { _file: file }))
+        let file = open_private(path)?;
+        match file.try_lock() {
+            Ok(()) => Ok(Some(Self { _file: file })),
+            Err(TryLockError::WouldBlock) => Ok(None),
+            Err(TryLockError::Error(error)) => Err(StoreError::home(path, &error)),
+        }
     }
 }
 
@@ -217,8 +194,5 @@ mod tests {
         assert!(SiteLock::acquire(&path).expect("works").is_none());
         drop(first);
         assert!(SiteLock::acquire(&path).expect("works").is_some());
-        let console = home.path().join("console.lock");
-        let held = ConsoleLock::acquire(&console).expect("works");
-        assert!(held.is_some() && ConsoleLock::acquire(&console).expect("works").is_none());
     }
 }

@@ -1,8 +1,5 @@
-//! The ledger: one SQLite file with the description, the state and the ciphertext of every record.
-//!
-//! One thread writes and groups waiting work into one fsync ([`writer`]); readers have their own connections.
-//! Everything acknowledged is in here; workers are functions of these tables, so a restart simply runs them again.
-//! Ciphertext is read and deleted through [`crate::Ciphertext`].
+//! The ledger: one SQLite file with description, state and ciphertext of every record. One thread writes and groups
+//! waiting work into one fsync; readers have their own connections.
 
 mod append;
 mod batches;
@@ -46,6 +43,7 @@ pub use self::quarantine::{AlarmRow, GapRow, HeldMinute, HeldQuery, HeldRow, Hol
 pub use self::query::{FilterChoice, Glance, LastSeen, NewestRecord, RecordPage, RecordQuery};
 pub use self::retention::{KeptTopic, OldRecord, Retained};
 pub use self::rows::{Foreign, NewRecord, RecordRow, is_legal};
+pub(crate) use self::rows::{time, unsigned};
 pub use self::sightings::{KeptStanding, Sighting};
 pub use self::transactions::{
     LaneCount, NewTransaction, OpenTransaction, Reissue, TransactionOutcome, TransactionRow, TransactionState,
@@ -80,11 +78,8 @@ macro_rules! stores {
 }
 
 stores! {
-    /// Records, and their states.
     records: Records;
-    /// The way of records to the chain and back: who may sign, Merkle batches, and what blocks say of them.
     batches: Batches;
-    /// What is counted: records by state, topic, owner and signer, and their ages.
     counts: Counts;
     /// Records whose ciphertext is deleted by a rule.
     retention: Retention;
@@ -94,76 +89,61 @@ stores! {
     forwarding: Forwarding;
     /// What pseudonyms of topics and types mean.
     names: Names;
-    /// Incidents, and what they hold.
     incidents: Incidents;
-    /// Transactions, account by account.
     lanes: Lanes;
     /// Who may do what: events of the contract, and envelopes.
     rights: Rights;
-    /// Records that wait for an operator.
     quarantine: Quarantine;
-    /// Pinned publishers, and alarms about others.
     pins: Pins;
-    /// Messages that were lost.
     losses: Losses;
     /// What the chain and time authorities prove of batches.
     proofs: Proofs;
     /// The blocks that the watcher has read.
     trail: Trail;
-    /// Keys of signers, and names at this gateway.
     bindings: Bindings;
-    /// What readers may be given, in the order in which it came to be so.
+    /// Records for readers, in the order they became readable.
     feed: Feed;
     audit: AuditLog;
-    /// What an audit compares.
     inspection: Inspection;
-    /// What is noted beside the tables.
+    /// Facts beside the tables.
     notes: Notes;
 }
 
-/// The file that all stores of a home share. Clones share its writer thread and its readers.
-#[derive(Clone)]
+/// Clones share the writer thread and the readers.
+#[derive(Debug, Clone)]
 pub(crate) struct Database {
     shared: Arc<Shared>,
 }
 
+#[derive(Debug)]
 struct Shared {
     path: PathBuf,
     recorder: RecorderPrefix,
-    /// Whether the previous process closed the file.
     clean: bool,
     writer: writer::Writer,
     readers: Mutex<Vec<Connection>>,
     /// Held while a note is read, changed and written.
     notes: Mutex<()>,
-    /// How many holders are holding records back.
     held: AtomicUsize,
-    /// How often something was named at the word of an owner elsewhere.
+    /// Counts names received from owners elsewhere.
     told: AtomicU64,
 }
 
 impl Ledger {
-    /// Refuses a ledger written by a later version of this program, without touching it.
+    /// Does not touch the file.
     pub fn check_version(path: &Path) -> Result<(), StoreError> {
         database::check_version(path, &SCHEMA)
     }
 
-    /// Opens the ledger file, or makes it with a random prefix for its recorders. After an unclean end its contents
-    /// are checked first, but for the ciphertext (`quick_check`: about a second per million records).
+    /// Opens or creates the file. After an unclean end, checks everything but ciphertext (`quick_check`: about a second
+    /// per million records).
     pub fn open(path: &Path) -> Result<Self, StoreError> {
         let connection = database::open_writer(path, &SCHEMA)?;
         let (recorder, clean, is_new) = begin(&connection, path).map_err(|error| error.in_file(path))?;
         let writer = writer::Writer::start(connection, path, clean && !is_new)?;
-        let shared = Shared {
-            path: path.to_owned(),
-            recorder,
-            clean,
-            writer,
-            readers: Mutex::default(),
-            notes: Mutex::default(),
-            held: AtomicUsize::new(0),
-            told: AtomicU64::new(0),
-        };
+        let (path, readers, notes) = (path.to_owned(), Mutex::default(), Mutex::default());
+        let (held, told) = (AtomicUsize::new(0), AtomicU64::new(0));
+        let shared = Shared { path, recorder, clean, writer, readers, notes, held, told };
         Ok(Self::from(Database { shared: Arc::new(shared) }))
     }
 
@@ -171,26 +151,25 @@ impl Ledger {
         self.database.path()
     }
 
-    /// Ends the writer thread after all waiting work, and marks the file as cleanly closed. From then on, writes
-    /// through other clones fail with [`StoreError::Closed`].
+    /// Finishes waiting work and marks the file as cleanly closed; later writes of clones fail with
+    /// [`StoreError::Closed`].
     pub fn close(self) -> Result<(), StoreError> {
         self.database.shared.writer.close()
     }
 }
 
 impl Records {
-    /// The random prefix created with this file, of the recorders of its own records: one for each key that signs here.
+    /// Random for each file; recorders of its own records begin with it.
     pub fn recorder(&self) -> RecorderPrefix {
         self.0.shared.recorder
     }
 
-    /// Holds new records back until the guard is dropped: the space left on a full disk is needed for something else.
+    /// Refuses new records until the guard is dropped: the space left on a full disk has another use.
     pub fn hold(&self) -> RecordsHeld {
         self.0.shared.held.fetch_add(1, Ordering::AcqRel);
         RecordsHeld(self.0.clone())
     }
 
-    /// Whether new records are accepted now.
     pub fn takes_records(&self) -> Result<(), StoreError> {
         self.0.takes_records()
     }
@@ -201,7 +180,6 @@ impl Database {
         &self.shared.path
     }
 
-    /// See [`Records::takes_records`].
     pub fn takes_records(&self) -> Result<(), StoreError> {
         match self.shared.held.load(Ordering::Acquire) {
             0 => Ok(()),
@@ -209,12 +187,12 @@ impl Database {
         }
     }
 
-    /// While this is held, nobody else changes a note by what it said before.
+    /// Guards reading, changing and writing a note.
     pub fn one_at_a_time(&self) -> MutexGuard<'_, ()> {
         self.shared.notes.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Does `work` on the writer thread, in one transaction with whatever else is waiting; returns after fsync.
+    /// Runs `work` on the writer thread, in one transaction with other waiting work; returns after the fsync.
     pub fn write<T: Send + 'static>(
         &self,
         work: impl FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send + 'static,
@@ -222,8 +200,7 @@ impl Database {
         self.write_many(1, work)
     }
 
-    /// Like [`Self::write`], for work that changes this many records one by one; a large number starts a new
-    /// transaction.
+    /// For work on this many records; a large number starts a new transaction.
     pub fn write_many<T: Send + 'static>(
         &self,
         records: usize,
@@ -232,7 +209,7 @@ impl Database {
         relieved(|| self.shared.writer.write(records, work)).map_err(|error| error.in_file(&self.shared.path))
     }
 
-    /// Does `work` on one snapshot of the file.
+    /// Runs `work` on one snapshot.
     pub fn read<T>(&self, work: impl FnOnce(&Connection) -> Result<T, StoreError>) -> Result<T, StoreError> {
         relieved(|| self.read_here(work)).map_err(|error| error.in_file(&self.shared.path))
     }
@@ -247,7 +224,6 @@ impl Database {
         result
     }
 
-    /// The one row of a query.
     pub fn one<T>(
         &self,
         sql: &str,
@@ -257,7 +233,6 @@ impl Database {
         self.read(|connection| Ok(connection.one(sql, values, read)?))
     }
 
-    /// The first row of a query, if there is one.
     pub fn find<T>(
         &self,
         sql: &str,
@@ -267,7 +242,6 @@ impl Database {
         self.read(|connection| Ok(connection.find(sql, values, read)?))
     }
 
-    /// All rows of a query.
     pub fn list<T, All: FromIterator<T>>(
         &self,
         sql: &str,
@@ -277,17 +251,16 @@ impl Database {
         self.read(|connection| Ok(connection.list(sql, values, read)?))
     }
 
-    /// Whether a query has a row.
     pub fn has(&self, sql: &str, values: impl Params) -> Result<bool, StoreError> {
         self.read(|connection| Ok(connection.has(sql, values)?))
     }
 
-    /// Executes a statement for each of these in one commit, and says how many rows that changed.
+    /// In one commit; returns the number of changed rows.
     pub fn run_each<P: Params + Send + 'static>(&self, sql: &'static str, each: Vec<P>) -> Result<u64, StoreError> {
         self.write_many(each.len(), move |session| Ok(session.connection.run_each(sql, each)?))
     }
 
-    /// Executes a statement, and says how many rows it changed.
+    /// Returns the number of changed rows.
     pub fn changed(&self, sql: &'static str, values: impl Params + Send + 'static) -> Result<u64, StoreError> {
         self.run_each(sql, vec![values])
     }
@@ -302,8 +275,7 @@ impl Database {
     }
 }
 
-/// Does what waits for the disk. A worker thread of a runtime gives its other tasks to another one first: this is the only
-/// door to the file, so that nobody's reading keeps anybody else's task from running.
+/// The only door to the file: a runtime's worker thread gives its other tasks away before it waits for the disk.
 fn relieved<T>(work: impl FnOnce() -> T) -> T {
     match Handle::try_current().map(|runtime| runtime.runtime_flavor()) {
         Ok(RuntimeFlavor::MultiThread) => block_in_place(work),
@@ -311,7 +283,6 @@ fn relieved<T>(work: impl FnOnce() -> T) -> T {
     }
 }
 
-/// New records are held back while this lives.
 #[derive(Debug)]
 pub struct RecordsHeld(Database);
 
@@ -321,29 +292,26 @@ impl Drop for RecordsHeld {
     }
 }
 
-impl std::fmt::Debug for Database {
-    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        formatter.debug_struct("Database").field("path", &self.path()).finish_non_exhaustive()
-    }
-}
-
-/// Its recorder, whether it was closed cleanly, and whether it is new. It is marked as open with the first change: a
-/// process that only reads writes nothing.
+/// Its recorder, whether it was closed cleanly, and whether it is new. Reading never marks it as open.
 fn begin(connection: &Connection, path: &Path) -> Result<(RecorderPrefix, bool, bool), StoreError> {
     match connection.query_row("SELECT clean FROM about", [], |row| row.get::<_, bool>(0)).optional()? {
         Some(clean) => {
             let recorder = own_prefix(connection)?;
             if !clean {
-                // Ciphertext is checked by its digest when it is read, and may be most of the file.
+                // Readers check ciphertext, perhaps most of the file, by digest.
                 database::quick_check_but(connection, "ciphertext", path)?;
             }
             Ok((recorder, clean, false))
         }
-        None => Ok((name_recorder(connection, path)?, true, true)),
+        None => {
+            let prefix = random_prefix(path)?;
+            connection.execute("INSERT INTO about VALUES (1, ?1, 0, 0)", [prefix.as_bytes()])?;
+            feed::begin(connection, 0)?;
+            Ok((prefix, true, true))
+        }
     }
 }
 
-/// See [`super::snapshot::renew_ledger`].
 pub(super) fn renew(path: &Path) -> Result<(), StoreError> {
     let connection = database::open_writer(path, &SCHEMA)?;
     renew_in(&connection, path).map_err(|error| error.in_file(path))
@@ -355,15 +323,15 @@ fn renew_in(connection: &Connection, path: &Path) -> Result<(), StoreError> {
     transaction.execute("UPDATE about SET recorder = ?1, clean = 1", [random_prefix(path)?.as_bytes()])?;
     transaction.execute("DELETE FROM feeds", [])?;
     feed::begin(&transaction, 0)?;
-    // Followers of the original read anew: numbers that it gave since would be given again.
-    // The first of several restores counts: anything anchored since may be in another home.
+    // Followers of the original start over: it gave the same numbers since.
+    // The first of several restores counts: another home may hold anything anchored since.
     if let Some((block, _)) = sightings::cursor_in(&transaction)?
         && notes::read_in(&transaction, &CopiedAt {})?.is_none()
     {
         notes::write_in(&transaction, &CopiedAt {}, &block)?;
     }
     notes::write_in(&transaction, &RestoredAt {}, &Timestamp::now())?;
-    // Its location is new, and what its accounts anchored meanwhile is history.
+    // Its location is new, and its accounts' anchors since are history.
     notes::forget_in(&transaction, &LastPlace {})?;
     notes::forget_in(&transaction, &ForeignHistory {})?;
     transaction.commit()?;
@@ -377,15 +345,7 @@ fn random_prefix(path: &Path) -> Result<RecorderPrefix, StoreError> {
     Ok(RecorderPrefix::ledger(random))
 }
 
-/// The prefix of this ledger's own recorders.
 fn own_prefix(connection: &Connection) -> Result<RecorderPrefix, StoreError> {
     let prefix: Vec<u8> = connection.one("SELECT recorder FROM about", [], |row| row.get(0))?;
     Ok(RecorderPrefix::from_slice(&prefix).ok_or_else(|| rows::out_of_range(0))?)
-}
-
-fn name_recorder(connection: &Connection, path: &Path) -> Result<RecorderPrefix, StoreError> {
-    let prefix = random_prefix(path)?;
-    connection.execute("INSERT INTO about VALUES (1, ?1, 0, 0)", [prefix.as_bytes()])?;
-    feed::begin(connection, 0)?;
-    Ok(prefix)
 }

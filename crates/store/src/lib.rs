@@ -1,7 +1,4 @@
-//! What survives the process: the ledger of records and their states with their ciphertext (one SQLite file), the
-//! hash-chained audit log, and files with their modes and locks. Redis may be a cache in front of the ciphertext.
-//!
-//! Nothing here seals, opens or checks a record, and nothing here talks to the chain.
+//! What survives the process: the ledger with its ciphertext, the audit log, files with their modes and locks.
 
 pub mod archive;
 pub mod audit;
@@ -24,7 +21,7 @@ pub use crate::cache::{CacheSettings, CacheState};
 pub use crate::ciphertext::{Ciphertext, Usage};
 pub use crate::disk_ring::{DiskRing, KnownDefinition, RingFigures, RingRecord, note_restored};
 pub use crate::error::StoreError;
-pub use crate::files::{ConsoleLock, SiteLock, atomic_write};
+pub use crate::files::{SiteLock, atomic_write};
 pub use crate::ledger::*;
 pub use crate::notes::Note;
 pub use crate::reserve::{RESERVE_BYTES, Reserve, Waiting, WaitingFile};

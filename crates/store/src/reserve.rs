@@ -1,6 +1,5 @@
-//! Disk space reserved for what must succeed on a full disk: a file of random bytes, deleted when the space is needed.
-//!
-//! Random, so that no file system compresses it; written and fsynced, so that the space is really allocated.
+//! Disk space reserved for a full disk: random bytes, which no file system compresses, fsynced so that the space is
+//! really allocated; deleted when it is needed.
 
 use std::fs::{self, File};
 use std::io::Write as _;
@@ -14,25 +13,20 @@ use sm3::{Digest as _, Sm3};
 use crate::model::{Address, LossReason, Timestamp};
 use crate::{Loss, StoreError, files};
 
-/// Bytes reserved for a revoke: enough for it with its audit line, its transaction, the keyring and a block.
+/// For a revoke: its audit line, transaction, keyring and block.
 pub const RESERVE_BYTES: u64 = 4 * 1024 * 1024;
-/// Random bytes drawn at a time.
+/// Bytes drawn at a time.
 const PIECE: usize = 64 * 1024;
 
-/// The reserve of a home.
 #[derive(Debug)]
 pub struct Reserve {
     path: PathBuf,
     bytes: u64,
-    /// Whether the space is reserved.
     held: Mutex<bool>,
 }
 
 impl Reserve {
-    /// The reserve of this many bytes at `path`; it is [`Self::refill`]ed if it is missing or truncated.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`], [`StoreError::Home`]; there is no reserve then, but the handle can still be used.
+    /// Refills a missing or truncated reserve; the handle can be used even if that fails.
     pub fn open(path: &Path, bytes: u64) -> (Self, Result<(), StoreError>) {
         let whole = fs::metadata(path).is_ok_and(|about| about.len() == bytes);
         let reserve = Self { path: path.to_owned(), bytes, held: Mutex::new(whole) };
@@ -44,12 +38,11 @@ impl Reserve {
         self.held.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Whether the space is currently reserved.
     pub fn is_held(&self) -> bool {
         *self.held()
     }
 
-    /// Releases the space; returns whether there was any.
+    /// Returns whether there was any.
     pub fn release(&self) -> Result<bool, StoreError> {
         let mut held = self.held();
         if !*held {
@@ -60,16 +53,13 @@ impl Reserve {
         Ok(true)
     }
 
-    /// Reserves the space again, if it is not.
     pub fn refill(&self) -> Result<(), StoreError> {
         let mut held = self.held();
         if *held {
             return Ok(());
         }
-        let filled = files::open_private(&self.path).and_then(|file| {
-            fill(file, self.bytes).map_err(|error| StoreError::home(&self.path, &error))?;
-            Ok(())
-        });
+        let filled = files::open_private(&self.path)
+            .and_then(|file| fill(file, self.bytes).map_err(|error| StoreError::home(&self.path, &error)));
         if let Err(error) = filled {
             // Half a reserve would take space that others need now.
             drop(fs::remove_file(&self.path));
@@ -94,28 +84,24 @@ fn fill(mut file: File, bytes: u64) -> std::io::Result<()> {
     file.sync_all()
 }
 
-// The messages that wait in memory while the disk is full, as numbers in a file: it is allocated beforehand and
-// overwritten in place, so that it can be written where nothing else can. The next start learns from it what died
-// with the process.
-//
-// Two slots are written in turn, each `number (8) || length (4) || SM3 of number and text (32) || text`: after a crash one
-// of them is whole, and the whole one with the higher number counts.
+// Messages that wait in memory while the disk is full, counted in a file allocated beforehand and overwritten in place.
+// Two slots are written in turn, each `number (8) || length (4) || SM3 of number and text (32) || text`: after a crash
+// the whole one with the higher number counts.
 
-/// Bytes of a slot; a line of text takes about 200.
+/// A line of text takes about 200 bytes.
 const SLOT: usize = 128 * 1024;
-/// Bytes before the text of a slot.
+/// Bytes before a slot's text.
 const HEAD: usize = 8 + 4 + 32;
 
-/// What is not in the ledger yet.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Waiting {
-    /// Lost already, and not counted in the ledger.
+    /// Not counted in the ledger.
     pub lost: Vec<Loss>,
-    /// Not lost yet: they wait in memory, and are lost only if the process dies.
+    /// In memory; lost only if the process dies.
     pub waiting: Vec<Loss>,
 }
 
-/// The file, for the one process that is the site.
+/// For the one process that is the site.
 #[derive(Debug)]
 pub struct WaitingFile {
     path: PathBuf,
@@ -156,8 +142,7 @@ impl Line {
 }
 
 impl WaitingFile {
-    /// Opens the file, or allocates it, and returns what is left in it. Of what the process before had lost, only that
-    /// is returned which the ledger has not counted: `counted` is the number of the last text of which it has.
+    /// Opens or allocates the file; returns its contents, without losses that the ledger counted up to text `counted`.
     pub fn open(path: &Path, counted: u64) -> Result<(Self, Waiting), StoreError> {
         let file = files::open_private(path)?;
         let about = file.metadata().map_err(|error| StoreError::home(path, &error))?;
@@ -175,17 +160,16 @@ impl WaitingFile {
         Ok((Self { path: path.to_owned(), file, number, is_empty }, left))
     }
 
-    /// The number of the text in it.
+    /// Of the text.
     pub fn number(&self) -> u64 {
         self.number
     }
 
-    /// Whether it says that nothing waits.
     pub fn is_empty(&self) -> bool {
         self.is_empty
     }
 
-    /// Replaces the text; durable, and takes no space. What does not fit is left out, the last first.
+    /// Durable without taking space. What does not fit is left out, the last first.
     pub fn write(&mut self, now: &Waiting) -> Result<(), StoreError> {
         let number = self.number + 1;
         let text = text_of(now);

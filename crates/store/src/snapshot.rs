@@ -1,22 +1,21 @@
-//! Copies of SQLite files as of one moment, while others write: a read transaction holds the moment, SQLite's online
-//! backup copies it. Also what a copied ledger needs before it may be used beside its original.
+//! Copies of SQLite files as of one moment, while others write: SQLite's online backup inside a read transaction.
 
+use std::ffi::c_int;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use rusqlite::Connection;
-use rusqlite::backup::{Backup, StepResult};
+use rusqlite::backup::Backup;
 
 use super::{Ledger, StoreError, database, files};
 
-/// One moment of an SQLite file.
 pub struct Snapshot {
     path: PathBuf,
     connection: Connection,
 }
 
 impl Snapshot {
-    /// From now on; the file must exist.
+    /// The file must exist.
     pub fn begin(path: &Path) -> Result<Self, StoreError> {
         let connection = database::open_reader(path)?;
         connection
@@ -25,9 +24,8 @@ impl Snapshot {
         Ok(Self { path: path.to_owned(), connection })
     }
 
-    /// A moment of the ledger, and the result of `also`, run while nothing is written to the ledger: so a moment of
-    /// another file that is written before the ledger (the chain) holds everything this moment of the ledger
-    /// names.
+    /// Runs `also` while the ledger is not written: a snapshot there of a file written first (the chain) has everything
+    /// that this one names.
     pub fn of<T: Send + 'static>(
         ledger: &Ledger,
         also: impl FnOnce() -> Result<T, StoreError> + Send + 'static,
@@ -36,38 +34,29 @@ impl Snapshot {
         ledger.database.write(move |_| Ok((Self::begin(&path)?, also()?)))
     }
 
-    /// Writes the file as of that moment to a new private file.
+    /// To a new private file.
     pub fn copy_to(&self, file: &Path) -> Result<(), StoreError> {
         copy(&self.connection, file).map_err(|error| error.in_file(&self.path))
     }
 }
 
-/// Copies what a connection sees to a new private file.
+/// To a new private file.
 pub fn copy(from: &Connection, file: &Path) -> Result<(), StoreError> {
     drop(files::open_private(file)?);
     let mut to = Connection::open(file)?;
-    let backup = Backup::new(from, &mut to)?;
-    loop {
-        match backup.step(-1)? {
-            StepResult::Done => break,
-            StepResult::More => {}
-            _ => std::thread::sleep(Duration::from_millis(20)),
-        }
-    }
-    drop(backup);
+    Backup::new(from, &mut to)?.run_to_completion(c_int::MAX, Duration::from_millis(20), None)?;
     to.close().map_err(|(_, error)| error)?;
     files::open_private(file)?.sync_all().map_err(|error| StoreError::home(file, &error))
 }
 
-/// Whether a database file is well-formed (SQLite's `quick_check`), and its size in bytes.
+/// Runs `quick_check`; returns the size in bytes.
 pub fn examine(path: &Path) -> Result<u64, StoreError> {
     database::quick_check(&database::open_reader(path)?, path)?;
     let about = std::fs::metadata(path).map_err(|error| StoreError::home(path, &error))?;
     Ok(about.len())
 }
 
-/// Makes a copied ledger a separate one: a new recorder, so that no number is used twice, and a note of how far the
-/// chain was known.
+/// Gives a copied ledger a new recorder, so that no number is used twice, and notes how far the chain was known.
 pub fn renew_ledger(path: &Path) -> Result<(), StoreError> {
     super::ledger::renew(path)
 }

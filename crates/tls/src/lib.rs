@@ -1,5 +1,4 @@
-//! What every HTTP client of this program shares: whom TLS trusts, and plain words for what a server or its certificate
-//! says. Nothing here shows a path or a password, which may be secrets.
+//! Whom TLS trusts, and plain words for what a server or its certificate says. Shows no path or password.
 
 use std::error::Error;
 use std::path::{Path, PathBuf};
@@ -12,17 +11,12 @@ use tokio_rustls::rustls::pki_types::pem::PemObject as _;
 use tokio_rustls::rustls::{self, CertificateError, ClientConfig, RootCertStore};
 use url::Url;
 
-/// Where distributions keep their trusted authorities.
 const TRUSTED: [&str; 3] =
     ["/etc/ssl/certs/ca-certificates.crt", "/etc/pki/tls/certs/ca-bundle.crt", "/etc/ssl/cert.pem"];
-/// The longest file of authorities, bytes; distributions' have about 250 kB.
+/// In bytes; distributions' have about 250 kB.
 const LONGEST_ROOTS: u64 = 16 << 20;
 
-/// TLS that trusts the authorities in a PEM file, or else those that this machine trusts (`SSL_CERT_FILE`, or the
-/// distribution's file).
-///
-/// # Errors
-/// Why the file cannot be used, with its name.
+/// Trusts the authorities in a PEM file, or those of this machine (`SSL_CERT_FILE`, or the distribution's file).
 pub fn tls(file: Option<&Path>) -> Result<ClientConfig, String> {
     let named = std::env::var_os("SSL_CERT_FILE").map(PathBuf::from);
     let of_machine = || named.or_else(|| TRUSTED.iter().map(PathBuf::from).find(|path| path.is_file()));
@@ -49,16 +43,14 @@ pub fn tls(file: Option<&Path>) -> Result<ClientConfig, String> {
     Ok(config.with_root_certificates(roots).with_no_client_auth())
 }
 
-/// A fault of TLS: what is wrong with the server, and what to do about it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TlsFault {
-    /// What is wrong, as a predicate of the server.
+    /// A predicate of the server.
     pub reason: String,
-    /// What to do.
     pub advice: String,
 }
 
-/// The fault of TLS behind an error, if it is one. `roots`: the setting that names authorities.
+/// `roots`: the setting that names authorities.
 pub fn tls_fault(error: &(dyn Error + 'static), roots: &str) -> Option<TlsFault> {
     let fault = |reason: &str, advice: String| Some(TlsFault { reason: reason.to_owned(), advice });
     let rustls::Error::InvalidCertificate(certificate) = rustls_error(error)? else {
@@ -108,7 +100,7 @@ fn rustls_error<'a>(error: &'a (dyn Error + 'static)) -> Option<&'a rustls::Erro
     None
 }
 
-/// The root cause: "connection refused" rather than three layers around it. It does not contain the URL.
+/// "connection refused" rather than three layers around it; does not contain the URL.
 pub fn innermost(error: &(dyn Error + 'static)) -> String {
     let mut cause = error;
     while let Some(deeper) = cause.source() {
@@ -117,7 +109,7 @@ pub fn innermost(error: &(dyn Error + 'static)) -> String {
     clean(&cause.to_string(), 160)
 }
 
-/// The place that a redirect names, without what may be secret in it. `asked` is the URL that answered so.
+/// Where a redirect leads, without secrets. `asked` is the URL that answered.
 pub fn redirected(asked: &Url, location: Option<&str>) -> String {
     let Some(place) = location.and_then(|location| asked.join(location).ok()) else {
         return "a place that it does not name".to_owned();

@@ -47,7 +47,7 @@ static SEALED: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| {
 /// Bytes as read from a socket: flags (1: larger frames, 2: larger pieces), length of a piece, bytes.
 fn stream(bytes: &[u8]) -> bool {
     let Some((&[flags, step], bytes)) = bytes.split_first_chunk() else { return false };
-    let (mut decoder, mut session) = (FrameDecoder::new(), session(Side::Gateway));
+    let (mut decoder, mut session) = (FrameDecoder::default(), session(Side::Gateway));
     if flags & 1 != 0 {
         decoder.raise_cap();
     }
@@ -107,7 +107,7 @@ fn from_client(text: &[u8]) -> bool {
     let Ok(inner) = Inner::from_client(text) else { return false };
     same(&inner.encode(false), text);
     assert!(inner.command.is_request() && Inner::from_gateway(text).is_err());
-    let taken = Assembler::<()>::new().take(&inner, 0, |_| Ok(()));
+    let taken = Assembler::<()>::default().take(&inner, 0, |_| Ok(()));
     let Ok(Some(message)) = taken else { return false };
     let Ok(request) = Request::parse(message.command, &message.body) else { return false };
     assert_eq!(request.command(), message.command);
@@ -141,7 +141,7 @@ fn sealed(bytes: &[u8]) -> bool {
 /// A message in parts, by a script: each step is the claimed part and its length, then the length claimed in the first
 /// part.
 fn parts(script: &[u8]) -> bool {
-    let mut assembler = Assembler::<usize>::new();
+    let mut assembler = Assembler::<usize>::default();
     let mut rest = script;
     for counter in 0..MOST_PARTS {
         let Some((&[step, shift, low], after)) = rest.split_first_chunk() else { return false };

@@ -10,17 +10,15 @@ use crate::error::Code;
 use crate::feed::{FeedPage, read_proof};
 use crate::gateway::receipt::Receipt;
 
-/// The longest proof, bytes.
 pub const LONGEST_PROOF: usize = 64 * 1024;
-/// The longest system-key list, bytes.
 const LONGEST_LIST: usize = 1024;
-/// A record as sent to a reader: signer key (64) || signature (64) || proof length (4) || proof || blob.
+/// signer key (64) || signature (64) || proof length (4) || proof || blob.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Fetched {
-    /// The signer's key; the reader compares it with the chain.
+    /// The reader compares it with the chain.
     pub signer: PublicKey,
     pub signature: Signature,
-    /// Proof of the anchor, as written by the chain crate; empty until there is one.
+    /// In the chain crate's form; empty until there is one.
     pub proof: Vec<u8>,
     pub blob: Vec<u8>,
 }
@@ -42,16 +40,14 @@ impl Fetched {
     }
 }
 
-/// What a gateway has of a record that was asked for: 0 || code (2); 1; 2 || length (4) || record; or 3 || length (4) || record, whose
-/// blob is header and statement.
+/// 0 || code (2); 1; 2 || length (4) || record; or 3 || length (4) || record, whose blob is header and statement.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Found {
     /// Nothing for this caller.
     Missing(Code),
-    /// It is there; its bytes were not asked for.
+    /// In reply to a request without bytes.
     Here,
     Held(Fetched),
-    /// What is left of one that its owner had erased.
     Erased(ErasedRecord),
 }
 
@@ -80,20 +76,19 @@ impl Wire for Found {
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Answer {
-    /// The list, as its gateway encoded it.
+    /// In its gateway's encoding.
     SystemKeys(Vec<u8>),
-    /// A receipt: for an allocation (SM3(CT)), for uploads (their digests), for a notice (SM3(body)).
+    /// For an allocation (SM3(CT)), uploads (their digests), or a notice (SM3(body)).
     Receipt(Command, Receipt),
-    /// The gateway's time (8).
+    /// 8 bytes.
     Time(Timestamp),
     Relayed(Relayed),
-    /// What becomes of each erasure in the request, in order: count (2), a byte each.
+    /// For each erasure in order: count (2), a byte each.
     Erasures(Vec<ErasureOutcome>),
-    /// A page of the feed.
     Feed(Box<FeedPage>),
-    /// What there is of the first of the records asked for: count (2), then each; at least one.
+    /// For the first digests, at least one: count (2), then each.
     Records(Vec<Found>),
-    /// A refusal: code (2).
+    /// Code (2).
     Refused(Code),
 }
 
@@ -111,7 +106,7 @@ impl Answer {
         }
     }
 
-    /// Length of its part from the chain, bytes; 0 if it has none.
+    /// Bytes from the chain.
     pub fn relayed_length(&self) -> usize {
         if let Self::Relayed(relayed) = self { relayed.length() } else { 0 }
     }
@@ -129,7 +124,6 @@ impl Answer {
         }
     }
 
-    /// From a Command and its body.
     pub fn parse(command: Command, body: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(body);
         let answer = match command {

@@ -1,26 +1,23 @@
-//! A request to the chain that a gateway passes on, and the outcome. JSON is carried as plain text: its user parses it,
-//! and each text has exactly one encoding here.
+//! A forwarded request to the chain, and the outcome. JSON stays text, so that each message has one encoding.
 
 use crate::error::{Code, Refusal};
 use crate::model::relay::RelayError;
 use crate::model::wire::{Reader, WireError, put_text};
 
-/// The longest parameters, bytes of JSON: a raw transaction of 32 KiB in hex, and a little more.
+/// Bytes of JSON: a raw transaction of 32 KiB in hex, and a little more.
 pub const LONGEST_PARAMETERS: usize = 72 * 1024;
-/// The longest result, bytes of JSON.
+/// Bytes of JSON.
 pub const LONGEST_RESULT: usize = 32 * 1024 * 1024;
-/// The longest result for a visitor, bytes of JSON: more than the logs of any block.
+/// Bytes of JSON: more than any block's logs.
 pub const LONGEST_FOR_VISITOR: usize = 8 * 1024 * 1024;
-/// The longest name of a method, bytes.
 const LONGEST_METHOD: usize = 64;
-/// The longest error text of a node, bytes.
 const LONGEST_WORDS: usize = 2 * 1024;
-/// The longest revert data, bytes of JSON.
+/// Bytes of JSON.
 const LONGEST_DATA: usize = 64 * 1024;
 const RESULT: u8 = 0;
 const FAULT: u8 = 1;
 
-/// One request: length of the method (1) || method || parameters, a JSON array.
+/// length of the method (1) || method || parameters, a JSON array.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RelayCall {
     pub method: String,
@@ -48,25 +45,23 @@ impl RelayCall {
     }
 }
 
-/// The outcome: 0 (1) || result, or 1 (1) || code (8) || length of the words (2) || words || data.
+/// 0 (1) || result, or 1 (1) || code (8) || length of the words (2) || words || data.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Relayed {
-    /// The node's result, JSON.
+    /// JSON.
     Result(String),
     Fault {
         code: i64,
-        /// The node's words, cleaned.
+        /// Cleaned.
         words: String,
-        /// Its data, JSON; empty for none.
+        /// JSON; empty for none.
         data: String,
     },
 }
 
 impl Relayed {
-    /// The gateway's answer; a result longer than `most` bytes becomes an error that makes the client ask for less.
-    ///
-    /// # Errors
-    /// [`Refusal`] with `Method` if the method is not passed on, `Stale` if the chain does not answer.
+    /// A result longer than `most` bytes becomes an error that asks for less. Refuses with `Method` a method that is
+    /// not forwarded, with `Stale` a silent chain.
     pub fn of(outcome: Result<serde_json::Value, RelayError>, most: usize) -> Result<Self, Refusal> {
         match outcome {
             Ok(result) => {
@@ -87,7 +82,7 @@ impl Relayed {
         }
     }
 
-    /// Its approximate size, bytes.
+    /// Approximate, in bytes.
     pub(super) fn length(&self) -> usize {
         match self {
             Self::Result(result) => result.len(),

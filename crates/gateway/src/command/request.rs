@@ -1,4 +1,4 @@
-//! The client's requests, by Command: encoded and decoded, every count and length bounded.
+//! The client's requests, by Command; every count and length is bounded.
 
 use crate::crypto::SealedRecord;
 use crate::model::layout;
@@ -10,15 +10,12 @@ use super::{Command, ErasureNotice, encode_erasures, list, read_erasures};
 use crate::feed::Feed;
 use crate::gateway::allocation::AllocationRequest;
 
-/// The most records in one message.
 pub const MOST_UPLOADS: usize = 1024;
-/// The most records asked for at once.
 pub const MOST_DIGESTS: usize = 1024;
 
-/// A record as uploaded.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Upload {
-    /// (r, s): the record's own signature.
+    /// The record's own (r, s).
     pub signature: Signature,
     /// CT1: header, sealed head, sealed body.
     pub blob: Vec<u8>,
@@ -30,17 +27,17 @@ impl From<&SealedRecord> for Upload {
     }
 }
 
-/// A grant being sent to the chain: grantee (20) || epoch (8) || expiry (8) || transaction (32).
+/// On its way to the chain: grantee (20) || epoch (8) || expiry (8) || transaction (32).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct GrantNotice {
     pub grantee: Address,
     pub epoch: u64,
-    /// Its expiry, seconds since the Unix epoch; 0 for never.
+    /// Seconds since the Unix epoch; 0 for never.
     pub expiry: u64,
     pub transaction: Hash,
 }
 
-/// A revoke being sent to the chain: grantee (20) || new epoch (8) || new token (32) || transaction (32).
+/// On its way to the chain: grantee (20) || new epoch (8) || new token (32) || transaction (32).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RevokeNotice {
     pub grantee: Address,
@@ -50,43 +47,36 @@ pub struct RevokeNotice {
     pub transaction: Hash,
 }
 
-/// The device that the session's name belongs to from now on: P of a lent device (64) || the topic id of its notices (16).
+/// Gives the session's name to a lent device: its P (64) || the topic id of notices to it (16).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct DeviceNotice {
     pub key: PublicKey,
-    /// Where its owner's notices to it are filed.
     pub notices: TopicId,
 }
 
-/// What an owner tells her gateway, signed by d_C.
+/// From an owner, signed by d_C.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Notice {
     Grant(GrantNotice),
-    /// She shares no longer.
     Revoke(RevokeNotice),
-    /// This session's name belongs to a lent device.
     Device(DeviceNotice),
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Request {
-    /// The list of system keys.
     SystemKeys,
     KeyAllocation(AllocationRequest),
-    /// One record: signature (64) || blob.
+    /// signature (64) || blob.
     Upload(Upload),
-    /// Several: count (2), then length of the blob (4) || signature (64) || blob each.
+    /// count (2), then length of the blob (4) || signature (64) || blob each.
     UploadMany(Vec<Upload>),
-    /// What its owner tells.
     Notice(Notice),
     Ping,
-    /// A request to the chain.
     Relay(RelayCall),
-    /// Records that the session's owner had erased: count (2), then length (4) and erasure each.
+    /// count (2), then length (4) and erasure each.
     Erase(Vec<ErasureNotice>),
-    /// What to tell next.
     Feed(Feed),
-    /// Records: 1 with their bytes or 0 whether they are there (1) || count (2), then 32 bytes each.
+    /// 1 with bytes, 0 for presence (1) || count (2), then 32 bytes each.
     Records(bool, Vec<Digest>),
 }
 
@@ -108,7 +98,7 @@ impl Request {
         }
     }
 
-    /// The body. Lists that are too long are cut; their makers bound them.
+    /// Cuts lists that are too long; their makers bound them.
     pub fn encode(&self) -> Vec<u8> {
         match self {
             Self::SystemKeys | Self::Ping => Vec::new(),
@@ -125,10 +115,7 @@ impl Request {
         }
     }
 
-    /// From a Command and its body.
-    ///
-    /// # Errors
-    /// [`WireError`] if the body does not match the Command, or a client may not send the Command.
+    /// Refuses commands that no client may send.
     pub fn parse(command: Command, body: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(body);
         let request = match command {

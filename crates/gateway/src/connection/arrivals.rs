@@ -1,4 +1,4 @@
-//! Input of a connection: the next frame, in time, charged and paced, or news for a request that waits.
+//! The next frame in time, charged and paced, or news for a waiting request.
 
 use std::time::Duration;
 
@@ -12,9 +12,9 @@ use crate::gateway::frame::FrameKind;
 use crate::gateway::server::stopped;
 use crate::model::relay::weight;
 
-/// Frames that announce a greater length are charged before they are read, bytes.
+/// Longer frames are charged before they are read; bytes.
 const CHARGED: usize = 16 * 1024;
-/// How often a frame waiting for memory is tried again.
+/// Between attempts to get memory for a frame.
 const ROOM: Duration = Duration::from_millis(50);
 
 pub(super) enum Next {
@@ -31,7 +31,7 @@ impl Connection {
         }
     }
 
-    /// The next frame, or the moment to look again at a request that waits, until `deadline` or until the limits' patience ends.
+    /// Ends at `deadline`, or earlier with the limits' patience.
     pub(super) async fn next(&mut self, deadline: Instant, mut waiting: Option<&mut Waiting>) -> Result<Next, End> {
         self.charge = None;
         loop {
@@ -40,7 +40,7 @@ impl Connection {
                 self.partial = false;
                 return Ok(Next::Frame(kind, payload));
             }
-            let partial = self.line.is_partial();
+            let partial = self.line.decoder.is_partial();
             if partial && !self.partial {
                 self.since = Instant::now();
             }
@@ -66,25 +66,27 @@ impl Connection {
         }
     }
 
-    /// Whether the announced frame may be read: a large frame is charged to its peer first, and waits if the peer has
-    /// too many in flight.
+    /// Charges a large frame to its peer before it is read; `false` while the peer has too many in flight.
     fn has_room(&mut self) -> bool {
         let charged = self.in_parts || self.charge.is_some();
-        let large = self.line.announced().filter(|length| *length > CHARGED && !charged);
+        let large = self.line.decoder.announced_length().filter(|length| *length > CHARGED && !charged);
         let Some(length) = large else { return true };
         self.charge = self.seat.charge(length).ok();
         self.charge.is_some()
     }
 
-    /// Counts what arrived, and waits if the peer sends more than it may.
+    /// Delays a peer that sends more than it may.
     pub(super) async fn pace(&self, bytes: usize) {
-        let pause = self.seat.pace(std::time::Instant::now(), bytes);
+        self.pause(self.seat.pace(std::time::Instant::now(), bytes)).await;
+    }
+
+    async fn pause(&self, pause: Duration) {
         if pause > Duration::ZERO {
             sleep(pause.min(self.shared.limits().frame_time)).await;
         }
     }
 
-    /// Counts what a peer without a transport key sends to the chain.
+    /// Counts transactions from a peer without a transport key.
     pub(super) fn count_newcomer<C>(&self, message: &Message<C>) -> Result<(), Refusal> {
         let sends = message.command == Command::Relay
             && matches!(
@@ -94,13 +96,10 @@ impl Connection {
         if sends { self.seat.newcomer(std::time::Instant::now()) } else { Ok(()) }
     }
 
-    /// Counts a request to the chain by its cost there, and waits if the peer asks more than it may.
+    /// Delays a peer whose requests cost the chain more than they may.
     pub(super) async fn pace_relay(&self, body: &[u8]) {
         let Ok(Request::Relay(call)) = Request::parse(Command::Relay, body) else { return };
-        let pause = self.seat.pace_relay(std::time::Instant::now(), weight(&call.method));
-        if pause > Duration::ZERO {
-            sleep(pause.min(self.shared.limits().frame_time)).await;
-        }
+        self.pause(self.seat.pace_relay(std::time::Instant::now(), weight(&call.method))).await;
     }
 }
 

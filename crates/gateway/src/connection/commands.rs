@@ -1,4 +1,4 @@
-//! What a session may ask, and the order of its checks: token, then signature, then account, then the desk.
+//! Commands of a session. The order of the checks: token, signature, account, desk.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -55,24 +55,22 @@ async fn relayed(desk: &dyn Desk, caller: Option<&Caller>, call: &RelayCall) -> 
     Relayed::of(desk.relay(caller, &call.method, &parameters).await, most).map(Answer::Relayed)
 }
 
-/// What a session under a transport key may do.
+/// Under a transport key.
 pub(super) struct Commands {
     pub agreed: Agreed,
     pub caller: Caller,
     pub binding: Binding,
-    /// A request for the feed that waits for something to tell.
     pub waiting: Option<Waiting>,
-    /// Owners that this session has followed.
+    /// Owners whose feed this session has asked for.
     pub followed: BTreeSet<Address>,
 }
 
-/// How soon a request that waits is looked at again while the chain is not fresh.
+/// Until the next look while the chain is not fresh.
 const AGAIN: Duration = Duration::from_millis(500);
 
-/// The shortest time between two looks, however often something changes: all that wait look then.
+/// Between two looks, however often something changes: all waiting sessions look then.
 const LEAST: Duration = Duration::from_millis(50);
 
-/// A request for the feed that had no answer yet.
 pub(super) struct Waiting {
     request: u32,
     asked: Feed,
@@ -83,13 +81,12 @@ pub(super) struct Waiting {
 }
 
 impl Waiting {
-    /// Whether to look again.
     pub fn is_due(&self) -> bool {
         let now = Instant::now();
         self.again <= now || (self.changes.has_changed().unwrap_or(true) && self.looked + LEAST <= now)
     }
 
-    /// Waits until it is. Can be cancelled at any point.
+    /// Cancel-safe.
     pub async fn due(&mut self) {
         tokio::select! {
             changed = self.changes.changed() => if changed.is_err() { sleep_until(self.again).await },
@@ -102,7 +99,7 @@ impl Waiting {
 }
 
 impl Commands {
-    /// The answer; none yet if the request waits.
+    /// `None` while the request waits.
     pub async fn answer(&mut self, shared: &Shared, message: &Message<Charge>) -> Result<Option<Answer>, Refusal> {
         let desk = shared.desk.as_ref();
         let token = message.token.ok_or_else(|| Refusal::new(Code::Token, "no token"))?;
@@ -128,7 +125,7 @@ impl Commands {
         match request {
             Request::Ping => return Ok(Answer::Time(Timestamp::now())),
             Request::SystemKeys => return Ok(Answer::SystemKeys(shared.list().1)),
-            // Also for an account that is suspended or has other keys by now: the chain itself tells it so.
+            // Even for a suspended account or changed keys: the chain says so.
             Request::Relay(call) => return relayed(desk, Some(&self.caller), &call).await,
             Request::Upload(upload) => return self.store(shared, message.command, vec![upload]).await,
             Request::UploadMany(uploads) => return self.store(shared, message.command, uploads).await,
@@ -153,14 +150,16 @@ impl Commands {
                     let device = BoundDevice { id: signer_id(&key), notices };
                     (self.caller.device, self.binding.device) = (Some(device), Some(device));
                 }
-                self.noted(shared, message)
+                let digest = Digest(shared.provider().sm3(&[&message.body]));
+                let receipt = shared.receipt(Timestamp::now(), vec![digest])?;
+                Ok(Answer::Receipt(message.command, receipt))
             }
             Request::Erase(erasures) => desk.erase(&self.caller, erasures).await.map(Answer::Erasures),
             _ => Err(Refusal::new(Code::NotHere, "a command for a session without a transport key")),
         }
     }
 
-    /// A page of the feed, or nothing yet: then [`Self::due`] goes on.
+    /// `None` leaves the request to [`Self::due`].
     async fn follow(&mut self, shared: &Shared, request: u32, asked: Feed) -> Result<Option<Answer>, Refusal> {
         if self.waiting.is_some() {
             return Err(Refusal::new(Code::Quota, "one request for the feed is waiting already"));
@@ -172,9 +171,8 @@ impl Commands {
         self.due(shared).await.map(|(_, outcome)| outcome).transpose()
     }
 
-    /// Looks whether the request that waits has an answer: something to tell, a refusal, or the end of its time. While the
-    /// chain is not fresh it goes on waiting. It delivers under the same conditions as any request: an account that was
-    /// dismissed, or whose keys have changed since the session was allocated, gets nothing more.
+    /// Answers the waiting request with news, a refusal, or at the end of its time; waits on while the chain is not
+    /// fresh. Checks the account like any request: one dismissed, or with other keys, gets nothing.
     pub async fn due(&mut self, shared: &Shared) -> Option<(u32, Result<Answer, Refusal>)> {
         let mut waiting = self.waiting.take()?;
         waiting.changes.mark_unchanged();
@@ -211,12 +209,6 @@ impl Commands {
         let page = desk.feed(&self.caller, asked, is_new).await?;
         self.followed.extend(asked.places.iter().map(|place| place.owner));
         Ok(page)
-    }
-
-    fn noted(&self, shared: &Shared, message: &Message<Charge>) -> Result<Answer, Refusal> {
-        let digest = Digest(shared.provider().sm3(&[&message.body]));
-        let receipt = shared.receipt(Timestamp::now(), vec![digest])?;
-        Ok(Answer::Receipt(message.command, receipt))
     }
 
     async fn store(&self, shared: &Shared, command: Command, uploads: Vec<Upload>) -> Result<Answer, Refusal> {

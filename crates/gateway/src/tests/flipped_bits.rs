@@ -89,7 +89,7 @@ impl Scene {
 }
 
 fn first_frame(bytes: &[u8]) -> Option<(FrameKind, Vec<u8>)> {
-    let mut decoder = FrameDecoder::new();
+    let mut decoder = FrameDecoder::default();
     decoder.raise_cap();
     decoder.space().extend_from_slice(bytes);
     decoder.next_frame().expect("a gateway's frames").map(|(kind, payload)| (kind, payload.to_vec()))

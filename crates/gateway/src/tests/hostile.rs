@@ -28,7 +28,7 @@ pub(super) async fn last_words(stream: &mut TcpStream) -> Option<Code> {
     // A reset after the refusal is as good as a close.
     let _ = timeout(PATIENCE, stream.read_to_end(&mut bytes)).await.expect("the gateway closes");
     let refusal = bytes.get(bytes.len().checked_sub(7)?..)?;
-    assert_eq!(refusal[..5], [0, 0, 0, 3, FrameKind::Refusal.code()]);
+    assert_eq!(refusal[..5], [0, 0, 0, 3, FrameKind::Refusal.number()]);
     Code::from_number(u16::from_be_bytes([refusal[5], refusal[6]]))
 }
 
@@ -114,14 +114,14 @@ async fn connections_over_the_limit_are_refused_and_places_are_given_back() {
     let credentials = stage.enrol(&alice()).await;
     let client = stage.connect(&credentials).await.expect("connects");
     let mut more = Vec::new();
-    while stage.server.connections() < 3 {
+    while stage.server.watch().connections() < 3 {
         more.push(raw(&stage, &[]).await);
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
     assert_eq!(last_words(&mut raw(&stage, &[]).await).await, Some(Code::Busy));
     drop((client, more));
     let emptied = async {
-        while stage.server.connections() > 0 {
+        while stage.server.watch().connections() > 0 {
             tokio::time::sleep(Duration::from_millis(20)).await;
         }
     };
@@ -191,7 +191,7 @@ async fn a_signature_of_another_frame_or_command_is_refused() {
         let (_, answer) = sealing.open(&answer).expect("opens");
         let inner = Inner::from_gateway(&answer).expect("parses");
         assert_eq!(Answer::parse(inner.command, inner.body), Ok(Answer::Refused(Code::Signature)));
-        line.raise_cap();
+        line.decoder.raise_cap();
     }
     let signature = sign(&sealing, sealing.next_counter(), grant);
     let payload = sealing.seal(&text(grant, alice.token, signature)).expect("seals");

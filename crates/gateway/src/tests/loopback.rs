@@ -385,7 +385,7 @@ async fn many_idle_sessions_are_kept_and_served() {
     for _ in 0..count {
         clients.push(stage.connect(&credentials).await.expect("connects"));
     }
-    assert_eq!(stage.server.connections(), count);
+    assert_eq!(stage.server.watch().connections(), count);
     let used = resident().saturating_sub(before);
     println!("{count} idle sessions, both ends in this process: {used} KiB");
     let last = clients.last_mut().expect("connected");

@@ -5,30 +5,25 @@ use redis::{ConnectionInfo, IntoConnectionInfo as _};
 use crate::StoreError;
 use crate::model::clean;
 
-/// A cache's URL, parsed.
 #[derive(Clone)]
 pub(super) struct Address {
     pub shown: String,
-    /// Whether its servers speak TLS.
     pub is_tls: bool,
     /// `USER:PASSWORD@` as written; empty if there is none.
-    credentials: String,
-    /// What it leads to.
+    pub credentials: String,
     pub place: Place,
 }
 
-/// The kind of address.
 #[derive(Clone)]
 pub(super) enum Place {
     Server(Box<ConnectionInfo>),
-    /// Sentinels, their name for the master, its database.
+    /// Sentinels, master's name, database.
     Sentinels(Vec<ConnectionInfo>, String, String),
-    /// Nodes of a cluster as HOST:PORT; the rest are learnt from them.
+    /// HOST:PORT of seeds; the cluster names the rest.
     Cluster(Vec<String>),
 }
 
 impl Address {
-    /// Parses a URL, see [`super::CacheSettings::url`].
     pub(super) fn parse(url: &str) -> Result<Self, StoreError> {
         let shown = redact(url);
         let wrong = |detail: &str| StoreError::CacheUrl { url: shown.clone(), detail: clean(detail, 120) };
@@ -52,14 +47,13 @@ impl Address {
             _ => return Err(wrong("its scheme is not one of these")),
         };
         let address = Self { shown: shown.clone(), is_tls, credentials, place };
-        // Credentials that cannot be used are known now, not when the first node is asked.
+        // Unusable credentials fail here, not at the first request.
         if !address.credentials.is_empty() {
             address.server("localhost:1", "0").map_err(|why| wrong(&why))?;
         }
         Ok(address)
     }
 
-    /// One server of a cluster, or a master, as HOST:PORT.
     pub(super) fn server(&self, host: &str, database: &str) -> Result<ConnectionInfo, String> {
         server(&format!("redis://{}{host}/{database}", self.credentials))
     }
@@ -91,7 +85,7 @@ fn hosts(text: &str) -> Result<Vec<String>, &'static str> {
     if hosts.iter().all(|host| good(host)) { Ok(hosts) } else { Err("servers must be HOST:PORT, separated by commas") }
 }
 
-/// The URL without user, password and query, safe to show.
+/// Without user, password and query.
 fn redact(url: &str) -> String {
     let plain = url.split_once(['?', '#']).map_or(url, |(before, _)| before);
     let Some((scheme, rest)) = plain.split_once("://") else { return "(no URL)".to_owned() };

@@ -1,5 +1,4 @@
-//! A connection to Redis. The library packs commands and reads values; here a reply is cut out of the stream first, so that
-//! none is longer, wider, deeper or slower than any that we ask for: the library would read on for ever.
+//! A connection to Redis. Replies are bounded before the library parses them, which would read without end.
 
 use std::io::{BufRead, BufReader, Error, ErrorKind, Read, Result as IoResult, Write};
 use std::net::{TcpStream, ToSocketAddrs as _};
@@ -13,17 +12,16 @@ use tokio_rustls::rustls::{ClientConfig, ClientConnection, StreamOwned};
 
 use crate::model::header::LARGEST_BODY;
 
-/// How long connecting may take, and how long a server may be silent in the middle of anything.
+/// For connecting, and for every read and write.
 pub(super) const SILENCE: Duration = Duration::from_millis(300);
-/// How long one request may take altogether: what is sent at once, all replies to it, and the beginning of TLS before it.
+/// For a request with all its replies, and TLS before it.
 pub(super) const WHOLE: Duration = Duration::from_secs(1);
-/// The most bytes of the replies: the largest record, with room for what stands around it.
+/// The largest record and its surroundings.
 const MOST_BYTES: usize = 72 << 20;
-/// The most values in them, each of which takes more memory than its bytes: the slots of a cluster, one by one.
+/// Values take more memory than their bytes; a cluster lists its slots.
 const MOST_VALUES: u64 = 1 << 19;
-/// The most arrays in each other; the slots of a cluster have three.
+/// A cluster's slots have three levels.
 const DEEPEST: usize = 8;
-/// The longest line: a length, a word or an error.
 const LONGEST_LINE: u64 = 64 << 10;
 const PIECE: u64 = 64 << 10;
 
@@ -39,7 +37,7 @@ enum Stream {
     Tls(Box<StreamOwned<ClientConnection, Timed>>),
 }
 
-/// A socket whose every read and write ends at a deadline, however the bytes trickle.
+/// Every read and write ends at the deadline, however the bytes trickle.
 struct Timed {
     socket: Socket,
     deadline: Instant,
@@ -51,7 +49,6 @@ enum Socket {
 }
 
 impl Timed {
-    /// What is left until the deadline, at most [`SILENCE`].
     fn left(&self) -> IoResult<Option<Duration>> {
         let left = self.deadline.saturating_duration_since(Instant::now()).min(SILENCE);
         if left.is_zero() { Err(ErrorKind::TimedOut.into()) } else { Ok(Some(left)) }
@@ -128,7 +125,6 @@ impl Stream {
         }
     }
 
-    /// A new request begins.
     fn begin(&mut self) {
         let timed = match self {
             Self::Plain(stream) => stream,
@@ -138,7 +134,7 @@ impl Stream {
     }
 }
 
-/// Each address of the name gets its share of the time.
+/// Divides the time among the addresses of the name.
 fn tcp(host: &str, port: u16) -> IoResult<TcpStream> {
     let addresses: Vec<_> = (host, port).to_socket_addrs()?.collect();
     let share = SILENCE / u32::try_from(addresses.len().max(1)).unwrap_or(u32::MAX);
@@ -153,7 +149,6 @@ fn tcp(host: &str, port: u16) -> IoResult<TcpStream> {
 }
 
 impl Connection {
-    /// Connects, and signs in as the address says.
     pub(super) fn open(server: &ConnectionInfo, tls: Option<&Arc<ClientConfig>>) -> RedisResult<Self> {
         let stream = BufReader::new(Stream::open(server.addr(), tls)?);
         let settings = server.redis_settings();
@@ -167,7 +162,7 @@ impl Connection {
         Ok(connection)
     }
 
-    /// Servers of before version 6 know no user names.
+    /// Servers before version 6 have no user names.
     fn sign_in(&mut self, user: Option<&str>, password: &str) -> RedisResult<()> {
         let Value::ServerError(refusal) = self.req_command(cmd("AUTH").arg(user).arg(password))? else { return Ok(()) };
         let is_old = refusal.details().is_some_and(|words| words.contains("wrong number of arguments"));
@@ -184,12 +179,11 @@ impl Connection {
         Ok(stream.flush()?)
     }
 
-    /// The bytes under a key.
     pub(super) fn get(&mut self, key: &str) -> RedisResult<Option<Vec<u8>>> {
         self.send(&cmd("GET").arg(key).get_packed_command())?;
         let mut reply = reply(&mut self.stream, &mut Left::default())?;
         let is_value = reply.starts_with(b"$") && !reply.starts_with(b"$-");
-        // A value is moved to the front, where the library would make a second one.
+        // In place: the library would copy the value.
         if let Some(end) = reply.iter().position(|byte| *byte == b'\n').filter(|_| is_value) {
             reply.drain(..=end);
             reply.truncate(reply.len().saturating_sub(2));
@@ -198,14 +192,12 @@ impl Connection {
         Ok(redis::from_redis_value(redis::parse_redis_value(&reply)?.extract_error()?)?)
     }
 
-    /// Sends several commands at once and reads a reply for each, also after one that was refused. The library's own
-    /// pipeline goes on reading after a silence, and waits once for every reply that does not come.
+    /// Reads every reply, also after a refusal. The library's own pipeline reads on after a silence.
     pub(super) fn ask(&mut self, commands: &Pipeline) -> RedisResult<Vec<Value>> {
         self.send(&commands.get_packed_pipeline())?;
         self.replies(commands.len())
     }
 
-    /// The next `count` replies.
     fn replies(&mut self, count: usize) -> RedisResult<Vec<Value>> {
         let mut left = Left::default();
         (0..count).map(|_| redis::parse_redis_value(&reply(&mut self.stream, &mut left)?)).collect()
@@ -238,7 +230,6 @@ impl ConnectionLike for Connection {
     }
 }
 
-/// What the replies may still take.
 struct Left {
     bytes: usize,
     values: u64,
@@ -267,15 +258,13 @@ impl Left {
     }
 }
 
-/// No reply that a Redis gives to us.
 fn nonsense(why: &str) -> Error {
     Error::new(ErrorKind::InvalidData, why)
 }
 
-/// The bytes of one reply.
 fn reply(stream: &mut impl BufRead, left: &mut Left) -> IoResult<Vec<u8>> {
     let mut reply = Vec::new();
-    // How many values are still to come in each array around the next one.
+    // Values still to come in each array around the next one.
     let mut arrays: Vec<u64> = Vec::new();
     loop {
         let line = line(stream, left)?;
@@ -284,7 +273,7 @@ fn reply(stream: &mut impl BufRead, left: &mut Left) -> IoResult<Vec<u8>> {
             Some((b'+' | b'-' | b':', _)) => {}
             Some((b'$', length)) => {
                 if let Some(length) = number(length)? {
-                    // The line's end follows the bytes.
+                    // With the line's end.
                     body(stream, length.saturating_add(2), left, &mut reply)?;
                 }
             }
@@ -301,7 +290,7 @@ fn reply(stream: &mut impl BufRead, left: &mut Left) -> IoResult<Vec<u8>> {
             }
             _ => return Err(nonsense("it does not speak Redis' protocol")),
         }
-        // That value ended, and perhaps arrays with it.
+        // The value ended, and perhaps arrays with it.
         loop {
             match arrays.last_mut() {
                 None => return Ok(reply),
@@ -328,9 +317,9 @@ fn line(stream: &mut impl BufRead, left: &mut Left) -> IoResult<Vec<u8>> {
     }
 }
 
-/// Piece by piece: a length that is only claimed takes no memory.
+/// In pieces: a false length takes no memory.
 fn body(stream: &mut impl BufRead, mut length: u64, left: &mut Left, reply: &mut Vec<u8>) -> IoResult<()> {
-    // Known to be too long before any of it is read.
+    // Too long before any of it is read.
     if usize::try_from(length).map_or(true, |length| length > left.bytes) {
         return left.take(length);
     }
@@ -346,13 +335,11 @@ fn body(stream: &mut impl BufRead, mut length: u64, left: &mut Left, reply: &mut
     Ok(())
 }
 
-/// A length; `None` for that of nothing.
+/// `None` = -1.
 fn number(line: &[u8]) -> IoResult<Option<u64>> {
-    let text = std::str::from_utf8(line.trim_ascii_end()).ok();
-    match text {
-        Some("-1") => Ok(None),
-        Some(text) => text.parse().map(Some).map_err(|_| nonsense("a length is no number")),
-        None => Err(nonsense("a length is no number")),
+    match std::str::from_utf8(line.trim_ascii_end()).unwrap_or_default() {
+        "-1" => Ok(None),
+        text => text.parse().map(Some).map_err(|_| nonsense("a length is no number")),
     }
 }
 

@@ -1,7 +1,7 @@
-//! The servers of a cache: one, the master that sentinels name, or the nodes of a cluster. One that fails is left alone
-//! until the writing thread, which alone asks it then, finds it back: so a reader waits for a silence once.
+//! One server, the master that sentinels name, or a cluster's nodes. Only the writing thread asks a failed one, so
+//! readers wait for a silence once.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
 use std::error::Error;
 use std::io;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
@@ -17,33 +17,26 @@ use super::{Away, CacheSettings, KEPT};
 use crate::StoreError;
 use crate::model::{Digest, Timestamp, clean};
 
-/// Connections kept open to a server.
 const MOST_IDLE: usize = 4;
-/// The most nodes of a cluster.
 const MOST_NODES: usize = 1_000;
-/// The slots of a cluster.
 const SLOTS: u16 = 16_384;
 
-/// What was said to a request for a record.
 pub(super) enum Answer {
-    /// Bytes, whatever they are.
+    /// Not yet compared with the digest.
     Bytes(Vec<u8>),
-    /// It does not have the record, or does not answer.
     Nothing,
-    /// No reply that a Redis gives.
+    /// No reply that Redis gives.
     Nonsense,
 }
 
-/// Servers of a cache.
 pub(super) struct Servers {
     address: Address,
     tls: Option<Arc<ClientConfig>>,
-    /// The only server; `None` for a cluster.
+    /// `None` for a cluster.
     one: Option<Arc<Node>>,
     cluster: RwLock<Slots>,
 }
 
-/// Which node of a cluster has which slots.
 #[derive(Default)]
 struct Slots {
     /// Index among the nodes, by slot.
@@ -52,7 +45,7 @@ struct Slots {
 }
 
 impl Servers {
-    /// The servers at a URL; none is asked yet.
+    /// Connects to none yet.
     pub(super) fn new(settings: &CacheSettings) -> Result<Self, StoreError> {
         let address = Address::parse(&settings.url)?;
         let wrong = |detail| StoreError::CacheUrl { url: address.shown.clone(), detail };
@@ -62,20 +55,12 @@ impl Servers {
             .transpose()
             .map_err(wrong)?;
         let one = match &address.place {
-            Place::Server(info) => Some(Source::Fixed((**info).clone())),
-            Place::Sentinels(hosts, master, database) => Some(Source::Sentinels {
-                address: Box::new(address.clone()),
-                hosts: hosts.clone(),
-                master: master.clone(),
-                database: database.clone(),
-            }),
             Place::Cluster(_) => None,
+            Place::Server(_) | Place::Sentinels(..) => Some(Arc::new(Node::new(address.clone(), tls.clone()))),
         };
-        let one = one.map(|source| Arc::new(Node::new(&address.shown, source, tls.clone())));
         Ok(Self { address, tls, one, cluster: RwLock::default() })
     }
 
-    /// The URL without secrets.
     pub(super) fn shown(&self) -> &str {
         &self.address.shown
     }
@@ -87,7 +72,6 @@ impl Servers {
         }
     }
 
-    /// The node that has a key, as far as known.
     fn node_of(&self, key: &str) -> Option<Arc<Node>> {
         if let Some(node) = &self.one {
             return Some(Arc::clone(node));
@@ -97,7 +81,6 @@ impl Servers {
         slots.nodes.get(usize::from(index)).cloned()
     }
 
-    /// Since when all of it, or a part, does not answer.
     pub(super) fn away(&self) -> Option<Away> {
         let nodes = self.nodes();
         let mut away: Vec<Away> = nodes.iter().filter_map(|node| node.away().clone()).collect();
@@ -111,12 +94,11 @@ impl Servers {
         Some(Away { since: first.since, why })
     }
 
-    /// Whether nothing of it answers.
     pub(super) fn is_gone(&self) -> bool {
         self.nodes().iter().all(|node| node.away().is_some())
     }
 
-    /// Asks those that are away, and a cluster for its slots.
+    /// Pings the nodes, and asks a cluster for its slots.
     pub(super) fn probe(&self) {
         if self.one.is_none() {
             self.learn();
@@ -124,7 +106,6 @@ impl Servers {
         self.nodes().iter().for_each(|node| node.probe());
     }
 
-    /// The bytes under a digest.
     pub(super) fn get(&self, digest: Digest) -> Answer {
         let key = key(digest);
         let Some(node) = self.node_of(&key) else { return Answer::Nothing };
@@ -135,52 +116,41 @@ impl Servers {
         }
     }
 
-    /// Writes records; returns how many were taken.
+    /// Returns how many were taken.
     pub(super) fn put(&self, entries: &[(Digest, Vec<u8>)]) -> usize {
         let mut pipelines = Pipelines::default();
         for (digest, bytes) in entries {
             let key = key(*digest);
             if let Some(node) = self.node_of(&key) {
-                pipelines.of(node).cmd("SET").arg(key).arg(bytes).arg("EX").arg(KEPT);
+                pipelines.of(node, *digest).cmd("SET").arg(key).arg(bytes).arg("EX").arg(KEPT);
             }
         }
         let taken = pipelines.sent().filter(|(_, reply)| matches!(reply, Some(Value::Okay))).count();
         if taken < entries.len() && self.one.is_none() {
-            // Its slots may have moved.
+            // Slots may have moved.
             self.learn();
         }
         taken
     }
 
-    /// Deletes records; returns those that servers may still have.
+    /// Returns those that servers may still have.
     pub(super) fn delete(&self, digests: &[Digest]) -> Vec<Digest> {
-        let (mut left, mut pipelines, mut asked) = (Vec::new(), Pipelines::default(), Vec::new());
+        let (mut left, mut pipelines) = (Vec::new(), Pipelines::default());
         for digest in digests {
             let key = key(*digest);
             match self.node_of(&key) {
                 Some(node) => {
-                    let name = node.shown.clone();
-                    pipelines.of(node).cmd("DEL").arg(key);
-                    asked.push((name, *digest));
+                    pipelines.of(node, *digest).cmd("DEL").arg(key);
                 }
                 None => left.push(*digest),
             }
         }
-        let mut replies: HashMap<String, Vec<Option<Value>>> = HashMap::new();
-        for (name, reply) in pipelines.sent() {
-            replies.entry(name).or_default().push(reply);
-        }
-        replies.values_mut().for_each(|of_node| of_node.reverse());
-        for (name, digest) in asked {
-            let reply = replies.get_mut(&name).and_then(Vec::pop).flatten();
-            if !matches!(reply, Some(Value::Int(_))) {
-                left.push(digest);
-            }
-        }
+        let failed = pipelines.sent().filter(|(_, reply)| !matches!(reply, Some(Value::Int(_))));
+        left.extend(failed.map(|(digest, _)| digest));
         left
     }
 
-    /// Asks the nodes of a cluster, known ones first, until one says who has which slots.
+    /// The first node that knows the slots wins, known ones first.
     fn learn(&self) {
         let Place::Cluster(seeds) = &self.address.place else { return };
         let known = self.nodes();
@@ -194,15 +164,16 @@ impl Servers {
             }
         }
         if known.is_empty() {
-            // So that something can be said of it; each is asked again with the next probe.
+            // So that its state can be shown; the next probe asks again.
             let slots = Slots { owners: Vec::new(), nodes: others };
             *self.cluster.write().unwrap_or_else(PoisonError::into_inner) = slots;
         }
     }
 
     fn member(&self, host: &str) -> Option<Arc<Node>> {
-        let info = self.address.server(host, "0").ok()?;
-        Some(Arc::new(Node::new(&clean(host, 120), Source::Fixed(info), self.tls.clone())))
+        let place = Place::Server(Box::new(self.address.server(host, "0").ok()?));
+        let address = Address { shown: clean(host, 120), place, ..self.address.clone() };
+        Some(Arc::new(Node::new(address, self.tls.clone())))
     }
 
     fn slots(&self, asked: &str, ranges: Vec<Value>, known: &[Arc<Node>]) -> Option<Slots> {
@@ -226,8 +197,8 @@ impl Servers {
     }
 }
 
-/// First and last slot, and HOST:PORT of the master, from `[first, last, [host, port, …], …]`. A node that does not
-/// know its own name leaves it out: then it is the node that was asked.
+/// First and last slot, and HOST:PORT of the master, from `[first, last, [host, port, …], …]`.
+/// A node that does not know its own name leaves it out: use the queried one.
 fn range_of(asked: &str, range: Value) -> Option<(u16, u16, String)> {
     let Value::Array(parts) = range else { return None };
     let mut parts = parts.into_iter();
@@ -243,33 +214,31 @@ fn range_of(asked: &str, range: Value) -> Option<(u16, u16, String)> {
     (first <= last && last < SLOTS).then(|| (first, last, clean(&format!("{host}:{port}"), 120)))
 }
 
-/// Commands for several nodes, by node.
 #[derive(Default)]
-struct Pipelines(BTreeMap<String, (Arc<Node>, Pipeline)>);
+struct Pipelines(BTreeMap<String, (Arc<Node>, Pipeline, Vec<Digest>)>);
 
 impl Pipelines {
-    fn of(&mut self, node: Arc<Node>) -> &mut Pipeline {
-        &mut self.0.entry(node.shown.clone()).or_insert_with(|| (node, pipe())).1
+    /// For one more command about this record.
+    fn of(&mut self, node: Arc<Node>, digest: Digest) -> &mut Pipeline {
+        let (_, pipeline, digests) = self.0.entry(node.shown.clone()).or_insert_with(|| (node, pipe(), Vec::new()));
+        digests.push(digest);
+        pipeline
     }
 
-    /// The reply to each command, with its node's name; `None` where none came.
-    fn sent(self) -> impl Iterator<Item = (String, Option<Value>)> {
-        self.0.into_values().flat_map(|(node, pipeline)| {
+    /// Each command's record and reply.
+    fn sent(self) -> impl Iterator<Item = (Digest, Option<Value>)> {
+        self.0.into_values().flat_map(|(node, pipeline, digests)| {
             let asked = node.with(|connection| {
                 let replies = connection.ask(&pipeline)?;
                 replies.iter().try_for_each(demoted)?;
                 Ok(replies)
             });
-            let replies = asked.unwrap_or_default();
-            let missing = pipeline.len().saturating_sub(replies.len());
-            let name = node.shown.clone();
-            let all = replies.into_iter().map(Some).chain(std::iter::repeat_n(None, missing));
-            all.map(move |reply| (name.clone(), reply)).collect::<Vec<_>>()
+            digests.into_iter().zip(asked.unwrap_or_default().into_iter().map(Some).chain(std::iter::repeat(None)))
         })
     }
 }
 
-/// A master that became a replica refuses to write: its sentinels are asked for the new one.
+/// A master that became a replica refuses writes: its sentinels know the new one.
 fn demoted(reply: &Value) -> RedisResult<()> {
     match reply {
         Value::ServerError(error) if error.code() == "READONLY" => Err(error.clone().into()),
@@ -277,20 +246,13 @@ fn demoted(reply: &Value) -> RedisResult<()> {
     }
 }
 
-/// How a node is found.
-enum Source {
-    Fixed(ConnectionInfo),
-    Sentinels { address: Box<Address>, hosts: Vec<ConnectionInfo>, master: String, database: String },
-}
-
-/// Why a node did not do as asked.
 enum Failure {
     Nonsense,
     Other,
 }
 
 struct Node {
-    source: Source,
+    address: Address,
     tls: Option<Arc<ClientConfig>>,
     /// Without secrets; HOST:PORT of a cluster's node.
     shown: String,
@@ -299,8 +261,8 @@ struct Node {
 }
 
 impl Node {
-    fn new(shown: &str, source: Source, tls: Option<Arc<ClientConfig>>) -> Self {
-        Self { source, tls, shown: shown.to_owned(), idle: Mutex::default(), away: Mutex::default() }
+    fn new(address: Address, tls: Option<Arc<ClientConfig>>) -> Self {
+        Self { shown: address.shown.clone(), address, tls, idle: Mutex::default(), away: Mutex::default() }
     }
 
     fn away(&self) -> MutexGuard<'_, Option<Away>> {
@@ -311,7 +273,7 @@ impl Node {
         self.idle.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Does `work`, unless the server is away; if an old connection turns out to be closed, once more on a new one.
+    /// Retries on a new connection if an idle one turns out to be closed.
     fn with<T>(&self, work: impl Fn(&mut Connection) -> RedisResult<T>) -> Result<T, Failure> {
         if self.away().is_some() {
             return Err(Failure::Other);
@@ -345,7 +307,7 @@ impl Node {
                 self.keep(connection);
                 Ok(done)
             }
-            // Another node has the record, now or soon: nothing is wrong with this one.
+            // Another node has the record, now or soon: this one is well.
             Err(error) if matches!(error.code(), Some("MOVED" | "ASK" | "TRYAGAIN")) => {
                 self.keep(connection);
                 Err(Failure::Other)
@@ -354,7 +316,6 @@ impl Node {
         }
     }
 
-    /// From now on it is left alone.
     fn failed(&self, error: &RedisError) -> Failure {
         self.idle().clear();
         let fault = self.tls.as_ref().and_then(|_| authros_tls::tls_fault(io_error(error)?, "cache.roots"));
@@ -370,7 +331,6 @@ impl Node {
         if is_nonsense { Failure::Nonsense } else { Failure::Other }
     }
 
-    /// Asks it whether it is there, also if it was away.
     fn probe(&self) {
         let ping = |connection: &mut Connection| cmd("PING").query::<String>(connection);
         if self.away().is_none() {
@@ -388,12 +348,13 @@ impl Node {
     }
 
     fn connect(&self) -> RedisResult<Connection> {
-        let (address, hosts, master, database) = match &self.source {
-            Source::Fixed(server) => return Connection::open(server, self.tls.as_ref()),
-            Source::Sentinels { address, hosts, master, database } => (address, hosts, master, database),
+        let (hosts, master, database) = match &self.address.place {
+            Place::Server(server) => return Connection::open(server, self.tls.as_ref()),
+            Place::Sentinels(hosts, master, database) => (hosts, master, database),
+            Place::Cluster(_) => return Err(io::Error::other("a cluster is no single server").into()),
         };
         let host = self.master(hosts, master)?;
-        let server = address.server(&host, database).map_err(io::Error::other)?;
+        let server = self.address.server(&host, database).map_err(io::Error::other)?;
         let mut connection = Connection::open(&server, self.tls.as_ref())?;
         let role: Vec<Value> = cmd("ROLE").query(&mut connection)?;
         let role = role.into_iter().next().map(from_redis_value::<String>);
@@ -403,7 +364,7 @@ impl Node {
         }
     }
 
-    /// HOST:PORT of the master, from the first sentinel that answers.
+    /// HOST:PORT, from the first sentinel that answers.
     fn master(&self, sentinels: &[ConnectionInfo], name: &str) -> RedisResult<String> {
         let mut failure = RedisError::from(io::Error::other("there are no sentinels"));
         for sentinel in sentinels {
@@ -426,14 +387,12 @@ impl Node {
     }
 }
 
-/// Whether a connection that was idle is no longer usable, while the server may well be there. A master that became a
-/// replica takes no more writes: sentinels know the new one.
+/// An idle connection is unusable, or its server became a replica.
 fn is_closed(error: &RedisError) -> bool {
     let demoted = error.kind() == ErrorKind::Server(ServerErrorKind::ReadOnly);
     demoted || error.is_connection_dropped()
 }
 
-/// Whether no Redis gives such a reply to us.
 fn is_nonsense(error: &RedisError) -> bool {
     matches!(error.kind(), ErrorKind::Parse | ErrorKind::UnexpectedReturnType)
         || io_error(error).is_some_and(|error| error.kind() == io::ErrorKind::InvalidData)
@@ -448,7 +407,7 @@ fn key(digest: Digest) -> String {
     format!("authros:{digest}")
 }
 
-/// The slot of a key without a hash tag: CRC-16/XMODEM of it (Redis cluster specification, appendix A).
+/// CRC-16/XMODEM of a key without a hash tag (Redis cluster specification, appendix A).
 fn slot(key: &str) -> u16 {
     let crc = key.bytes().fold(0u16, |crc, byte| {
         (0..8).fold(

@@ -5,7 +5,7 @@ use std::collections::{HashMap, HashSet};
 
 use rusqlite::{Connection, params};
 
-use super::rows::{By, may};
+use super::rows::{By, check, optional};
 use super::{Foreign, NewRecord, Records, Session, own_prefix};
 use crate::StoreError;
 use crate::database::{Statements as _, whole};
@@ -15,7 +15,7 @@ use crate::model::{Address, Digest, FilterId, RecordKind, RecordState, SignerId,
 type StreamKey = (i64, u8, String);
 type TopicKey = (Address, SignerId, TopicId, Option<Foreign>);
 
-/// Keys of the names seen so far; only a cache of the tables.
+/// A cache of the tables.
 #[derive(Default)]
 pub(crate) struct KnownNames {
     topics: HashMap<TopicKey, (i64, String)>,
@@ -24,39 +24,20 @@ pub(crate) struct KnownNames {
     filter_streams: HashSet<(i64, i64)>,
 }
 
-impl KnownNames {
-    /// Clears it: a rollback may have removed some of them.
-    pub(super) fn clear(&mut self) {
-        self.topics.clear();
-        self.streams.clear();
-        self.filters.clear();
-        self.filter_streams.clear();
-    }
-}
-
 impl Records {
-    /// The highest acknowledged sequence number of a topic that `signer` gave in this ledger, plus 1. Records from
-    /// elsewhere never count.
+    /// The signer's highest number for a topic in this ledger, plus 1; records from elsewhere do not count.
     pub fn next_seq(&self, owner: Address, signer: SignerId, topic: TopicId) -> Result<u64, StoreError> {
         let recorder = self.0.shared.recorder.of_signer(&signer);
         self.0.read(|connection| {
             let sql = "SELECT max(seq) FROM records WHERE topic =
                 (SELECT key FROM topics WHERE owner = ?1 AND topic_id = ?2 AND keeper IS NULL
                  AND recorder = (SELECT key FROM recorders WHERE id = ?3 AND signer = ?4))";
-            let highest: Option<i64> =
-                connection.one(sql, params![owner.0, topic.0, recorder.0, signer.0], |row| row.get(0))?;
-            Ok(highest.map_or(1, |seq| seq.cast_unsigned() + 1))
+            let values = params![owner.0, topic.0, recorder.0, signer.0];
+            Ok(connection.one(sql, values, |row| optional(row, 0))?.map_or(1, |seq| seq + 1))
         })
     }
 
-    /// Acknowledges records: all of them are durable when this returns, or none is. A record that the ledger already
-    /// holds is unchanged.
-    ///
-    /// # Errors
-    /// [`StoreError::Conflict`] if the sequence number is another record's or out of bounds, the topic id has another
-    /// name, or a record from elsewhere carries a recorder of this ledger,
-    /// [`StoreError::IllegalEdge`] if a record cannot begin in its state, [`StoreError::DiskFull`] and the like; then
-    /// nothing is acknowledged.
+    /// All records are durable on return, or none. Known records do not change.
     pub fn append(&self, records: Vec<NewRecord>) -> Result<(), StoreError> {
         self.0.takes_records()?;
         self.0.write_many(records.len(), move |session| {
@@ -65,18 +46,15 @@ impl Records {
         })
     }
 
-    /// Moves those of the records that are in state `from` to state `to`; returns how many.
+    /// Moves only records in state `from`; returns how many.
     pub fn advance(&self, digests: &[Digest], from: RecordState, to: RecordState) -> Result<u64, StoreError> {
-        if !may(By::Worker, from, to) {
-            return Err(StoreError::IllegalEdge { from, to });
-        }
+        check(By::Worker, from, to)?;
         let sql = "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2";
         self.0.run_each(sql, digests.iter().map(|digest| (digest.0, from.code(), to.code())).collect())
     }
 }
 
-/// Whether a record may have its number: within bounds, and of this ledger's own recorders only if it was recorded here.
-/// `false` if it was, and came back.
+/// `false` for a record of this ledger's own that came back; else own recorders are only for records made here.
 fn check_number(connection: &Connection, record: &NewRecord) -> Result<bool, StoreError> {
     let refused = |detail: String| Err(StoreError::Conflict { digest: record.digest, detail });
     if !(1..=LARGEST_SEQ).contains(&record.seq) {
@@ -92,7 +70,6 @@ fn check_number(connection: &Connection, record: &NewRecord) -> Result<bool, Sto
     refused("it came from elsewhere and carries a recorder id of this ledger".to_owned())
 }
 
-/// Adds a record, unless it is known.
 pub(super) fn add(session: &mut Session<'_>, record: &NewRecord, now: i64) -> Result<(), StoreError> {
     if !matches!(record.state, RecordState::Stored | RecordState::Quarantined) {
         return Err(StoreError::IllegalEdge { from: RecordState::Captured, to: record.state });
@@ -108,28 +85,20 @@ pub(super) fn add(session: &mut Session<'_>, record: &NewRecord, now: i64) -> Re
     let stream = stream_key(session, record, topic)?;
     let sql = "INSERT INTO records (digest, topic, stream, seq, epoch, signature, bytes, captured_at,
         acknowledged_at, simulated, state) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)";
-    session.connection.run(
-        sql,
-        params![
-            record.digest.0,
-            topic,
-            stream,
-            seq,
-            whole("epoch", record.epoch)?,
-            record.signature.0,
-            whole("length", record.bytes)?,
-            whole("capture time", record.captured_at.0)?,
-            now,
-            record.simulated,
-            record.state.code(),
-        ],
-    )?;
+    let (epoch, bytes) = (whole("epoch", record.epoch)?, whole("length", record.bytes)?);
+    let (digest, captured_at) = (record.digest.0, whole("capture time", record.captured_at.0)?);
+    let (signature, simulated, state) = (record.signature.0, record.simulated, record.state.code());
+    let values = params![digest, topic, stream, seq, epoch, signature, bytes, captured_at, now, simulated, state];
+    session.connection.run(sql, values)?;
     let row = session.connection.last_insert_rowid();
     if record.kind == RecordKind::Key {
         super::feed::note(session.connection, row, topic)?;
     }
     keep_filters(session, record, row, stream)?;
-    store(session.connection, record, row)
+    match &record.blob {
+        Some(blob) => session.connection.run("INSERT INTO ciphertext VALUES (?1, ?2)", params![row, blob]),
+        None => Ok(()),
+    }
 }
 
 fn keep_filters(session: &mut Session<'_>, record: &NewRecord, row: i64, stream: i64) -> Result<(), StoreError> {
@@ -152,22 +121,13 @@ fn filter_key(connection: &Connection, filter: FilterId) -> Result<i64, StoreErr
     Ok(connection.one("SELECT key FROM filter_ids WHERE id = ?1", [filter.0], |row| row.get(0))?)
 }
 
-fn store(connection: &Connection, record: &NewRecord, row: i64) -> Result<(), StoreError> {
-    if let Some(blob) = &record.blob {
-        connection.run("INSERT INTO ciphertext VALUES (?1, ?2)", params![row, blob.as_slice()])?;
-    }
-    Ok(())
-}
-
-/// A known record came again: bytes that were altered or lost here meanwhile are right again. What was deleted here, or is
-/// named to be, does not come back.
+/// Repairs altered or lost bytes of a known record, but not of a deleted one or one named for deletion.
 fn store_again(connection: &Connection, record: &NewRecord) -> Result<(), StoreError> {
     let Some(blob) = &record.blob else { return Ok(()) };
     let sql = "INSERT INTO ciphertext SELECT n, ?2 FROM records WHERE digest = ?1 AND deleted_at IS NULL
         AND NOT EXISTS (SELECT 1 FROM retained WHERE record = n)
         ON CONFLICT DO UPDATE SET bytes = excluded.bytes WHERE bytes <> excluded.bytes";
-    connection.run(sql, params![record.digest.0, blob.as_slice()])?;
-    Ok(())
+    connection.run(sql, params![record.digest.0, blob.as_slice()])
 }
 
 fn is_known(connection: &Connection, record: &NewRecord, topic: i64, seq: i64) -> Result<bool, StoreError> {
@@ -190,17 +150,12 @@ fn topic_key(session: &mut Session<'_>, record: &NewRecord) -> Result<i64, Store
         Entry::Occupied(found) => found.into_mut(),
         Entry::Vacant(place) => place.insert(find_topic(session.connection, record)?),
     };
-    // Its name became known only now.
+    // The name has become known.
     if found.1.is_empty() && !record.topic.is_empty() {
         *found = find_topic(session.connection, record)?;
     }
-    check_name(record, &found.1)?;
-    Ok(found.0)
-}
-
-fn check_name(record: &NewRecord, name: &str) -> Result<(), StoreError> {
-    if record.topic.is_empty() || record.topic == name {
-        return Ok(());
+    if record.topic.is_empty() || record.topic == found.1 {
+        return Ok(found.0);
     }
     let detail = format!("topic id {} is already used for another topic", record.topic_id);
     Err(StoreError::Conflict { digest: record.digest, detail })
@@ -213,8 +168,8 @@ fn find_topic(connection: &Connection, record: &NewRecord) -> Result<(i64, Strin
         ON CONFLICT DO UPDATE SET name = CASE name WHEN '' THEN excluded.name ELSE name END";
     connection.run(sql, params![record.owner.0, recorder, record.topic_id.0, record.topic, keeper])?;
     let sql = "SELECT key, name FROM topics WHERE owner = ?1 AND topic_id = ?2 AND recorder = ?3";
-    Ok(connection
-        .one(sql, params![record.owner.0, record.topic_id.0, recorder], |row| Ok((row.get(0)?, row.get(1)?)))?)
+    let values = params![record.owner.0, record.topic_id.0, recorder];
+    Ok(connection.one(sql, values, |row| Ok((row.get(0)?, row.get(1)?)))?)
 }
 
 fn recorder_key(connection: &Connection, record: &NewRecord) -> Result<i64, StoreError> {
@@ -233,9 +188,8 @@ fn stream_key(session: &mut Session<'_>, record: &NewRecord, topic: i64) -> Resu
         return Ok(*key);
     }
     let values = params![topic, known.1, known.2];
-    session
-        .connection
-        .run("INSERT INTO streams (topic, kind, type_name) VALUES (?1, ?2, ?3) ON CONFLICT DO NOTHING", values)?;
+    let sql = "INSERT INTO streams (topic, kind, type_name) VALUES (?1, ?2, ?3) ON CONFLICT DO NOTHING";
+    session.connection.run(sql, values)?;
     let sql = "SELECT key FROM streams WHERE topic = ?1 AND kind = ?2 AND type_name = ?3";
     let key = session.connection.one(sql, values, |row| row.get(0))?;
     session.names.streams.insert(known, key);

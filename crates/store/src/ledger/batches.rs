@@ -1,44 +1,37 @@
-//! Merkle batches: closing them, finding those still to be anchored, their state on the chain, a record's proof.
+//! Merkle batches, their way to the chain and back, and a record's proof.
 
 use std::collections::BTreeMap;
 
 use rusqlite::{Connection, OptionalExtension as _, Row, params};
 use serde::{Deserialize, Serialize};
 
-use super::rows::{self, By, LEARNED_NAME, TOPIC_NAME, may, unsigned};
+use super::rows::{self, By, LEARNED_NAME, TOPIC_NAME, may, optional, time, unsigned};
 use super::{Batches, Counts, RecordRow, Records, branches, directory, sightings};
 use crate::StoreError;
 use crate::crypto::merkle::{Inclusion, Leaf};
-use crate::database::{Statements as _, capped, count, whole};
+use crate::database::{Statements as _, capped, whole};
 use crate::model::{Address, Digest, Hash, RecordKind, RecordState, RecorderId, SignerId, Timestamp, TopicId};
 
-/// A batch to be closed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NewBatch {
-    /// The account that anchors them.
     pub owner: Address,
-    /// Merkle root over the leaves.
     pub root: Hash,
-    /// The records in leaf order, each with its path to the root.
+    /// In leaf order, each with its path to the root.
     pub leaves: Vec<(Digest, Vec<Hash>)>,
 }
 
-/// A closed batch that no transaction anchors yet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct WaitingBatch {
     pub root: Hash,
     pub count: u64,
 }
 
-/// A root found in a block.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct RootSighting {
-    /// The account that anchored it.
     pub account: Address,
     pub root: Hash,
-    /// The number of its leaves, as the chain says.
+    /// As the chain says.
     pub count: u64,
-    /// The transaction that anchored it.
     pub transaction: Hash,
     pub block: u64,
     pub block_hash: Hash,
@@ -47,49 +40,42 @@ pub struct RootSighting {
 /// A record's place in its batch, and the batch's state.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct BatchPlace {
-    /// Index, count, path and root.
     pub inclusion: Inclusion,
-    /// When the batch was closed.
     pub closed_at: Timestamp,
-    /// The account that anchored the root, or is to.
+    /// That anchored the root, or will.
     pub account: Option<Address>,
-    /// The block of the root's first anchoring.
+    /// Of the root's first anchoring.
     pub block: Option<u64>,
     pub block_hash: Option<Hash>,
-    /// The transaction that anchored it, or is to.
+    /// That anchored the root, or will.
     pub transaction: Option<Hash>,
-    /// Whether a verified record rests on this block, and what else the ledger knows of it is of another one.
+    /// A verified record depends on this block, but the ledger knows another one from elsewhere.
     pub is_contradicted: bool,
 }
 
-/// A record with its place, read in one transaction. Code that compares the two takes them from here: read one after the
-/// other, an honest ledger contradicts itself whenever the watcher writes in between.
+/// Read in one transaction: the watcher's writes between two reads would contradict each other.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PlacedRecord {
     pub row: RecordRow,
-    /// Its place, if it is in a batch.
     pub place: Option<BatchPlace>,
 }
 
-/// What a transaction anchors.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Anchors {
-    /// No records: it is a grant, a registration, ….
+    /// A grant, a registration, ….
     Nothing,
     Digests(Vec<Digest>),
-    /// All records of the batch with this root.
     Batch(Hash),
 }
 
 impl Batches {
-    /// Closes a batch: stores its root and every record's path, and moves its records from stored to batched, in one
-    /// commit. Closing the same batch again changes nothing, unless its records have left it: then it waits to be
-    /// anchored again.
+    /// Stores root and paths and moves the records to batched in one commit. A batch closed again waits again only if
+    /// its records have left it.
     pub fn close(&self, batch: NewBatch) -> Result<(), StoreError> {
         self.0.write_many(batch.leaves.len(), move |session| close(session.connection, &batch))
     }
 
-    /// Closed batches of an owner that no transaction anchors, oldest first.
+    /// Closed batches without a transaction, oldest first.
     pub fn waiting(&self, owner: Address, limit: usize) -> Result<Vec<WaitingBatch>, StoreError> {
         let sql = "SELECT root, count FROM batches INDEXED BY batches_waiting
             WHERE owner = ?1 AND tx IS NULL AND EXISTS (SELECT 1 FROM leaves WHERE batch = key)
@@ -99,18 +85,17 @@ impl Batches {
         })
     }
 
-    /// Roots anchored by an account's open transactions, by nonce.
+    /// Of an account's open transactions, by nonce.
     pub fn open_roots(&self, account: Address) -> Result<Vec<Hash>, StoreError> {
         let sql =
             "SELECT batch FROM transactions WHERE state = 0 AND account = ?1 AND batch IS NOT NULL ORDER BY nonce";
         self.0.list(sql, [account.0], |row| row.get(0).map(Hash))
     }
 
-    /// How many stored records that an account anchors (its own, and those it keeps for others) wait for a batch, and
-    /// when the first captured of them was acknowledged.
+    /// Stored records that an account anchors, for itself or others, and when the first captured one was acknowledged.
     pub fn unbatched(&self, keeper: Address) -> Result<(u64, Option<Timestamp>), StoreError> {
         self.0.read(|connection| {
-            // Usually none waits. Then no stream is looked at: a gateway may have ten thousand, and this is asked at each block.
+            // Usually none waits, and a gateway with ten thousand streams asks at each block.
             let stored = RecordState::Stored.code();
             let sql = "SELECT 1 FROM records INDEXED BY records_by_state WHERE state = ?1 LIMIT 1";
             if !connection.has(sql, [stored])? {
@@ -120,14 +105,12 @@ impl Batches {
                 min((SELECT acknowledged_at FROM records INDEXED BY records_by_state
                      WHERE state = ?2 AND stream = streams.key ORDER BY captured_at LIMIT 1))
                 FROM streams JOIN topics ON topics.key = topic WHERE coalesce(keeper, owner) = ?1";
-            Ok(connection.one(sql, params![keeper.0, stored], |row| {
-                Ok((unsigned(row, 0)?, row.get::<_, Option<i64>>(1)?.map(|at| Timestamp(at.cast_unsigned()))))
-            })?)
+            let values = params![keeper.0, stored];
+            Ok(connection.one(sql, values, |row| Ok((unsigned(row, 0)?, optional(row, 1)?.map(Timestamp))))?)
         })
     }
 
-    /// Up to `limit` stored records that an account anchors, its own and those it keeps for others, as leaves, topic by
-    /// topic in the order of capture.
+    /// Stored records that an account anchors, for itself or others, by topic and capture time.
     pub fn stored_leaves(&self, keeper: Address, limit: usize) -> Result<Vec<Leaf>, StoreError> {
         let sql = "SELECT recorders.id, topics.topic_id, seq, digest, topics.owner, recorders.signer FROM streams
             JOIN topics ON topics.key = streams.topic JOIN recorders ON recorders.key = topics.recorder
@@ -136,10 +119,9 @@ impl Batches {
         self.0.list(sql, params![keeper.0, RecordState::Stored.code(), capped(limit)], leaf)
     }
 
-    /// Takes in roots found on the chain: pending records of the batch are now mined, with this transaction and block;
-    /// those in a block individually stay there. A root already in a block keeps that block: the earliest counts. Roots
-    /// of other ledgers, or over another number of leaves, are skipped. Returns how many records changed; seeing the
-    /// same again changes none.
+    /// Roots found on the chain: pending records of each batch are now mined, except those in a block of their own. A
+    /// root's earliest block counts; roots of other ledgers or leaf counts are skipped. Returns how many records
+    /// changed.
     pub fn anchored(&self, sightings: &[RootSighting]) -> Result<u64, StoreError> {
         let sightings = sightings.to_vec();
         self.0.write(move |session| {
@@ -147,7 +129,7 @@ impl Batches {
         })
     }
 
-    /// Which of these roots, of batches of this ledger, it has not taken in: they still wait for a block.
+    /// Roots of this ledger's batches that still wait for a block.
     pub fn waiting_roots(&self, sightings: &[RootSighting]) -> Result<Vec<Hash>, StoreError> {
         self.0.read(|connection| {
             // An anchor that did not count is no reason to read its block again.
@@ -163,33 +145,31 @@ impl Batches {
 }
 
 impl Records {
-    /// A record and its place in its batch, of one moment; `None` if the record is not here.
+    /// `None` for an unknown record.
     pub fn placed(&self, digest: Digest) -> Result<Option<PlacedRecord>, StoreError> {
         Ok(self.placed_all(&[digest])?.pop().flatten())
     }
 
-    /// The same for several records, in their order, all of one moment.
+    /// In order, all of one moment.
     pub fn placed_all(&self, digests: &[Digest]) -> Result<Vec<Option<PlacedRecord>>, StoreError> {
         self.0.read(|connection| placed_in(connection, digests))
     }
 }
 
-/// A leaf from recorder, topic, number, digest, owner and signer.
+/// From recorder, topic, number, digest, owner, signer.
 pub(super) fn leaf(row: &Row<'_>) -> rusqlite::Result<Leaf> {
     let (recorder, topic_id) = (RecorderId(row.get(0)?), TopicId(row.get(1)?));
     let (owner, signer) = (Address(row.get(4)?), SignerId(row.get(5)?));
     Ok(Leaf { owner, signer, recorder, topic_id, seq: unsigned(row, 2)?, digest: Digest(row.get(3)?) })
 }
 
-/// Whether a verified record rests on the block of its batch, and what else this ledger knows of that is of another one: the
-/// chain's proof, or the transaction. Before a record is verified, what is known is not of one moment; and the blocks that
-/// the watcher has read do not say: it forgets some when it reads again.
+/// A verified record's batch block differs from the chain's proof or the transaction. Earlier states are read at
+/// different moments, and the trail does not say: the watcher forgets blocks when it reads again.
 pub(super) const CONTRADICTED: &str = "records.state = 6 AND records.tx IS NULL AND (
     proof = 1 AND batches.block_hash IS NOT (SELECT hash FROM chain_proofs WHERE chain_proofs.block = batches.block)
     OR (batches.block, batches.block_hash) <> (SELECT block, block_hash FROM transactions
         WHERE transactions.hash = batches.tx AND transactions.state = 1)) IS TRUE";
 
-/// See [`Records::placed_all`].
 pub(super) fn placed_in(connection: &Connection, digests: &[Digest]) -> Result<Vec<Option<PlacedRecord>>, StoreError> {
     let rows = rows::rows_of(connection, digests)?;
     let mut find = connection.prepare_cached(&format!(
@@ -199,25 +179,19 @@ pub(super) fn placed_in(connection: &Connection, digests: &[Digest]) -> Result<V
             WHERE digest = ?1",
         branches::JOINED
     ))?;
-    let mut with_place = |row: RecordRow| -> Result<PlacedRecord, StoreError> {
-        let place = find.query_row([row.digest.0], place).optional()?;
-        Ok(PlacedRecord { row, place })
-    };
+    let mut with_place =
+        |row: RecordRow| Ok(PlacedRecord { place: find.query_row([row.digest.0], place).optional()?, row });
     rows.into_iter().map(|row| row.map(&mut with_place).transpose()).collect()
 }
 
 fn place(row: &Row<'_>) -> rusqlite::Result<BatchPlace> {
     let (index, count) = (unsigned(row, 0)?, unsigned(row, 1)?);
     let path = branches::path_of(row, 2, (index, count))?;
-    Ok(BatchPlace {
-        inclusion: Inclusion { index, count, path, root: Hash(row.get(3)?) },
-        closed_at: Timestamp(unsigned(row, 4)?),
-        account: row.get::<_, Option<_>>(5)?.map(Address),
-        block: row.get::<_, Option<i64>>(6)?.map(i64::cast_unsigned),
-        block_hash: row.get::<_, Option<_>>(7)?.map(Hash),
-        transaction: row.get::<_, Option<_>>(8)?.map(Hash),
-        is_contradicted: row.get(9)?,
-    })
+    let (closed_at, account) = (time(row, 4)?, row.get::<_, Option<_>>(5)?.map(Address));
+    let (block, block_hash) = (optional(row, 6)?, row.get::<_, Option<_>>(7)?.map(Hash));
+    let (transaction, is_contradicted) = (row.get::<_, Option<_>>(8)?.map(Hash), row.get(9)?);
+    let inclusion = Inclusion { index, count, path, root: Hash(row.get(3)?) };
+    Ok(BatchPlace { inclusion, closed_at, account, block, block_hash, transaction, is_contradicted })
 }
 
 fn close(connection: &Connection, batch: &NewBatch) -> Result<(), StoreError> {
@@ -251,7 +225,7 @@ fn key_of(connection: &Connection, root: Hash) -> Result<Option<i64>, StoreError
     Ok(connection.find("SELECT key FROM batches WHERE root = ?1", [root.0], |row| row.get(0))?)
 }
 
-/// A root was found in a block; returns how many records are mined by that.
+/// Returns how many records are mined by it.
 pub(super) fn see(connection: &Connection, sighting: &RootSighting) -> Result<u64, StoreError> {
     let (block, leaves) = (whole("block", sighting.block)?, whole("count", sighting.count)?);
     let sql = "SELECT key FROM batches WHERE root = ?1 AND count = ?2 AND block IS NULL";
@@ -263,18 +237,15 @@ pub(super) fn see(connection: &Connection, sighting: &RootSighting) -> Result<u6
     let sql = "UPDATE records SET tx = NULL, state = CASE WHEN state IN (?2, ?3) THEN ?4 ELSE state END
         WHERE block IS NULL AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
     let [batched, submitted, mined] = [RecordState::Batched, RecordState::Submitted, RecordState::Mined];
-    let changed = connection.run(sql, params![key, batched.code(), submitted.code(), mined.code()])?;
-    Ok(count(changed))
+    Ok(connection.changed(sql, params![key, batched.code(), submitted.code(), mined.code()])?)
 }
 
-/// A mined transaction is in the block that its batch is in: its sender may have seen it in one that was replaced since, while
-/// the watcher reads block by block.
+/// Moves a mined transaction to its batch's block: its sender may have seen a replaced one.
 pub(super) fn place_transaction(connection: &Connection, hash: Hash) -> Result<(), StoreError> {
     let sql = "UPDATE transactions SET (block, block_hash) = (SELECT block, block_hash FROM batches WHERE root = batch)
         WHERE hash = ?1 AND state = 1
         AND EXISTS (SELECT 1 FROM batches WHERE root = batch AND tx = ?1 AND batches.block IS NOT NULL)";
-    connection.run(sql, [hash.0])?;
-    Ok(())
+    connection.run(sql, [hash.0])
 }
 
 /// A record joined a batch that is already in a block, or is now through this anchor.
@@ -284,16 +255,14 @@ pub(super) fn see_record(
     batch: i64,
     anchor: &RootSighting,
 ) -> Result<(), StoreError> {
-    let seen = see(connection, anchor)?;
-    if seen > 0 {
+    if see(connection, anchor)? > 0 {
         return Ok(());
     }
     let sql = "UPDATE records SET state = ?3 WHERE n = ?1 AND (SELECT block FROM batches WHERE key = ?2) IS NOT NULL";
-    connection.run(sql, params![record, batch, RecordState::Mined.code()])?;
-    Ok(())
+    connection.run(sql, params![record, batch, RecordState::Mined.code()])
 }
 
-/// A transaction that anchors the batch was signed: its records are now submitted.
+/// A signed transaction anchors the batch.
 pub(super) fn submit(
     connection: &Connection,
     root: Hash,
@@ -303,32 +272,27 @@ pub(super) fn submit(
     let detail = |detail: &str| StoreError::Transaction { hash: transaction.to_hex(), detail: detail.to_owned() };
     let key = key_of(connection, root)?.ok_or_else(|| detail("anchors a batch that is not in the ledger"))?;
     let sql = "UPDATE batches SET tx = ?2, account = ?3 WHERE key = ?1 AND tx IS NULL";
-    let taken = connection.run(sql, params![key, transaction.0, account.0])?;
-    if taken == 0 {
+    if connection.changed(sql, params![key, transaction.0, account.0])? == 0 {
         return Err(detail("anchors a batch that another transaction anchors"));
     }
     let sql = "UPDATE records SET tx = NULL, state = CASE state WHEN ?2 THEN ?3 ELSE state END
         WHERE block IS NULL AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
-    connection.run(sql, params![key, RecordState::Batched.code(), RecordState::Submitted.code()])?;
-    Ok(())
+    connection.run(sql, params![key, RecordState::Batched.code(), RecordState::Submitted.code()])
 }
 
 /// The transaction will never be mined: unless something else anchored the batch, it waits again.
 pub(super) fn release(connection: &Connection, root: Hash, transaction: Hash) -> Result<(), StoreError> {
     let Some(key) = key_of(connection, root)? else { return Ok(()) };
     let sql = "UPDATE batches SET tx = NULL, account = NULL WHERE key = ?1 AND tx = ?2 AND block IS NULL";
-    let freed = connection.run(sql, params![key, transaction.0])?;
-    if freed == 0 {
+    if connection.changed(sql, params![key, transaction.0])? == 0 {
         return Ok(());
     }
     let sql = "UPDATE records SET state = ?3 WHERE +state = ?2 AND tx IS NULL
         AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
-    connection.run(sql, params![key, RecordState::Submitted.code(), RecordState::Batched.code()])?;
-    Ok(())
+    connection.run(sql, params![key, RecordState::Submitted.code(), RecordState::Batched.code()])
 }
 
-/// Blocks from this one on are gone, and batches lose their block; returns their keys. Whichever account anchored them, one of
-/// our open transactions that does so continues.
+/// Batches from this block on lose it; returns their keys. Any of our open transactions that anchors one continues.
 pub(super) fn take_back(connection: &Connection, block: i64) -> Result<Vec<i64>, StoreError> {
     let sql = "UPDATE batches SET block = NULL, block_hash = NULL, (tx, account) =
         (SELECT hash, transactions.account FROM transactions
@@ -337,15 +301,9 @@ pub(super) fn take_back(connection: &Connection, block: i64) -> Result<Vec<i64>,
     Ok(connection.list(sql, [block], |row| row.get(0))?)
 }
 
-// Anchors made elsewhere: a record that is here gets the one that another ledger made.
-
 impl Batches {
-    /// Notes where a stored record was anchored by another ledger: its place in the batch, and the block of the root
-    /// on the chain. From then on it counts as if anchored from here. Returns whether anything changed.
-    ///
-    /// # Errors
-    /// [`StoreError::NotReady`] if the record is unknown here, [`StoreError::Replaced`] if the watcher did not read that
-    /// block, [`StoreError::DiskFull`] and the like.
+    /// Notes where another ledger anchored a stored record; returns whether anything changed. [`StoreError::NotReady`]
+    /// for an unknown record, [`StoreError::Replaced`] if the watcher did not read the block.
     pub fn take_in(&self, digest: Digest, inclusion: Inclusion, anchor: RootSighting) -> Result<bool, StoreError> {
         self.0.write(move |session| take_in(session.connection, digest, &inclusion, &anchor))
     }
@@ -357,9 +315,8 @@ pub(super) fn take_in(
     inclusion: &Inclusion,
     anchor: &RootSighting,
 ) -> Result<bool, StoreError> {
-    let found = connection.find("SELECT n, state FROM records WHERE digest = ?1", [digest.0], |row| {
-        Ok((row.get::<_, i64>(0)?, rows::state(row, 1)?))
-    })?;
+    let sql = "SELECT n, state FROM records WHERE digest = ?1";
+    let found = connection.find(sql, [digest.0], |row| Ok((row.get::<_, i64>(0)?, rows::state(row, 1)?)))?;
     let (record, state) = found.ok_or(StoreError::NotReady { digest, found: "unknown" })?;
     if !may(By::Batch, state, RecordState::Batched) && !leave_for(connection, (record, state), inclusion.root)? {
         return Ok(false);
@@ -374,7 +331,7 @@ pub(super) fn take_in(
     Ok(true)
 }
 
-/// A record leaves the batch of another ledger whose block the chain took back, where that ledger has it in another one by now.
+/// Leaves another ledger's batch whose block was taken back, for that ledger's new one.
 fn leave_for(connection: &Connection, (record, state): (i64, RecordState), root: Hash) -> Result<bool, StoreError> {
     let sql = "SELECT 1 FROM leaves JOIN batches ON key = batch
              WHERE record = ?1 AND closed_here = 0 AND block IS NULL AND root <> ?2";
@@ -392,7 +349,7 @@ fn leave_for(connection: &Connection, (record, state): (i64, RecordState), root:
     Ok(true)
 }
 
-/// The key of an anchor's batch, which is noted if it is not known yet.
+/// Notes an unknown batch.
 fn batch_of(
     connection: &Connection,
     digest: Digest,
@@ -404,43 +361,29 @@ fn batch_of(
     }
     let sql = "INSERT INTO batches (root, owner, count, closed_at, account, tx, closed_here)
         VALUES (?1, ?2, ?3, ?4, ?2, ?5, 0) ON CONFLICT DO NOTHING";
-    connection.run(
-        sql,
-        params![
-            inclusion.root.0,
-            anchor.account.0,
-            whole("count", inclusion.count)?,
-            whole("time", Timestamp::now().0)?,
-            anchor.transaction.0
-        ],
-    )?;
-    Ok(connection.one("SELECT key FROM batches WHERE root = ?1", [inclusion.root.0], |row| row.get(0))?)
+    let (root, count, now) = (inclusion.root.0, whole("count", inclusion.count)?, whole("time", Timestamp::now().0)?);
+    connection.run(sql, params![root, anchor.account.0, count, now, anchor.transaction.0])?;
+    Ok(connection.one("SELECT key FROM batches WHERE root = ?1", [root], |row| row.get(0))?)
 }
 
-/// Whether the watcher read this very block. Of old ones not each is kept: no reorg goes as deep.
+/// Old blocks are not all kept, but no reorg reaches them.
 fn is_read(connection: &Connection, anchor: &RootSighting) -> Result<bool, StoreError> {
     let sql = "SELECT EXISTS (SELECT 1 FROM trail WHERE block = ?1 AND hash = ?2)
         OR ?1 + ?3 < coalesce((SELECT max(block) FROM trail), 0)";
-    Ok(connection.one(
-        sql,
-        params![whole("block", anchor.block)?, anchor.block_hash.0, whole("block", sightings::DENSE)?],
-        |row| row.get(0),
-    )?)
+    let (block, dense) = (whole("block", anchor.block)?, whole("block", sightings::DENSE)?);
+    Ok(connection.one(sql, params![block, anchor.block_hash.0, dense], |row| row.get(0))?)
 }
 
-// What each signer of an owner has recorded, by topic: from the counters, whatever the number of records.
-
-/// The messages of one topic that one key signed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SignerTopic {
     pub signer: SignerId,
-    /// The topic's name, as far as it is known here.
+    /// Its name, as far as it is known here.
     pub topic: String,
     pub records: BTreeMap<RecordState, u64>,
 }
 
 impl Counts {
-    /// What keys other than `own` recorded for an owner.
+    /// Counted for keys other than `own`.
     pub fn signer_topics(&self, owner: Address, own: SignerId) -> Result<Vec<SignerTopic>, StoreError> {
         self.0.read(|connection| {
             let sql = format!(
@@ -456,8 +399,7 @@ impl Counts {
                 found.entry(place).or_default().insert(rows::state(row, 2)?, unsigned(row, 3)?);
                 Ok(())
             })?;
-            let topics = found.into_iter().map(|((signer, topic), records)| SignerTopic { signer, topic, records });
-            Ok(topics.collect())
+            Ok(found.into_iter().map(|((signer, topic), records)| SignerTopic { signer, topic, records }).collect())
         })
     }
 }

@@ -1,5 +1,5 @@
-//! Paths of leaves to the root of their batch. Sixteen leaves beside each other are a branch: it has those nodes of its own
-//! small tree that do not follow from others, and the steps from there to the root, which are the same for all of them.
+//! Paths to a batch's root. Sixteen adjacent leaves are a branch: it keeps the nodes of its subtree that others do not
+//! imply, and the steps above it, which its leaves share.
 
 use rusqlite::{Connection, Row, params};
 
@@ -8,15 +8,13 @@ use crate::crypto::merkle::node;
 use crate::database::{Statements as _, whole};
 use crate::model::Hash;
 
-/// Levels of a branch's own tree.
 const LEVELS: u32 = 4;
 
-/// A branch of a batch of this many leaves, as far as its nodes are known.
 #[derive(Clone)]
 pub(super) struct Branch {
     number: u64,
     count: u64,
-    /// The nodes that have siblings, level by level.
+    /// Those with siblings, level by level.
     nodes: Vec<Option<Hash>>,
     above: Vec<Hash>,
 }
@@ -28,24 +26,24 @@ impl Branch {
         branch
     }
 
-    /// How many nodes of a level are below it.
+    /// Its nodes on a level.
     fn width(&self, level: u32) -> usize {
         let (all, most) = (self.count.div_ceil(1 << level), 1 << (LEVELS - level));
         usize::try_from(all.saturating_sub(self.number << (LEVELS - level)).min(most)).unwrap_or_default()
     }
 
-    /// Where a level begins among the nodes: one alone has no sibling, and is nobody's.
+    /// Where a level begins among the nodes; a node alone has no sibling and is not kept.
     fn first(&self, level: u32) -> usize {
         (0..level).map(|level| self.width(level)).filter(|width| *width > 1).sum()
     }
 
-    /// Where the sibling of a leaf's ancestor is among the nodes; `None` if there is none.
+    /// Of a leaf's ancestor.
     fn sibling(&self, index: u64, level: u32) -> Option<usize> {
         let place = usize::try_from((index >> level) & ((1 << (LEVELS - level)) - 1)).ok()? ^ 1;
         (place < self.width(level)).then(|| self.first(level) + place)
     }
 
-    /// What follows from the nodes below a node; `None` if one of them is not known.
+    /// The hash of both nodes below, if known.
     fn derived(&self, level: u32, place: usize) -> Option<Hash> {
         let below = level.checked_sub(1)?;
         let at = |place: usize| self.nodes.get(self.first(below) + place).copied().flatten();
@@ -53,13 +51,13 @@ impl Branch {
         if 2 * place + 1 < self.width(below) { Some(node(&left, &at(2 * place + 1)?)) } else { Some(left) }
     }
 
-    /// Every node with its level and its place there, from the leaves up.
+    /// Level and place of every node, from the leaves up.
     fn places(&self) -> Vec<(u32, usize)> {
         let levels = (0..LEVELS).filter(|level| self.width(*level) > 1);
         levels.flat_map(|level| (0..self.width(level)).map(move |place| (level, place))).collect()
     }
 
-    /// The nodes known and not derived, a bit for each of all in the order of the nodes; those nodes, and the steps above.
+    /// A bit for each node that is known and not derived, these nodes, and the steps above.
     fn to_bytes(&self) -> Vec<u8> {
         let mut bits = 0_u32;
         let mut hashes = Vec::new();
@@ -86,7 +84,6 @@ impl Branch {
         branch
     }
 
-    /// Adds what a leaf's path says.
     fn add(&mut self, index: u64, path: &[Hash]) {
         let mut steps = path.iter();
         for level in 0..LEVELS {
@@ -98,7 +95,7 @@ impl Branch {
         self.above = steps.copied().collect();
     }
 
-    /// A leaf's path; zeros where a node is not known.
+    /// Zeros for unknown nodes.
     fn path(&self, index: u64) -> Vec<Hash> {
         let own = (0..LEVELS).filter_map(|level| self.nodes.get(self.sibling(index, level)?));
         let own = own.map(|node| node.unwrap_or(Hash([0; Hash::LENGTH])));
@@ -110,12 +107,10 @@ impl Branch {
             return Ok(());
         }
         let sql = "REPLACE INTO branches VALUES (?1, ?2, ?3)";
-        connection.run(sql, params![batch, whole("branch", self.number)?, self.to_bytes()])?;
-        Ok(())
+        connection.run(sql, params![batch, whole("branch", self.number)?, self.to_bytes()])
     }
 }
 
-/// Keeps the paths of all leaves of a batch, in their order.
 pub(super) fn keep_all<'a>(
     connection: &Connection,
     batch: i64,
@@ -133,7 +128,6 @@ pub(super) fn keep_all<'a>(
     branch.write(connection, batch)
 }
 
-/// Keeps the path of one leaf beside those of others.
 pub(super) fn keep_one(
     connection: &Connection,
     batch: i64,
@@ -149,11 +143,10 @@ pub(super) fn keep_one(
     branch.write(connection, batch)
 }
 
-/// What a query joins for [`path_of`]: the branch of a row of `leaves`.
+/// Joins the branch of a row of `leaves`, for [`path_of`].
 pub(super) const JOINED: &str =
     "LEFT JOIN branches ON branches.batch = leaves.batch AND branches.branch = leaves.leaf >> 4";
 
-/// The path of a leaf, from the column of its branch, see [`JOINED`].
 pub(super) fn path_of(row: &Row<'_>, column: usize, (index, count): (u64, u64)) -> rusqlite::Result<Vec<Hash>> {
     let bytes: Option<Vec<u8>> = row.get(column)?;
     Ok(Branch::from_bytes(index >> LEVELS, count, &bytes.unwrap_or_default()).path(index))

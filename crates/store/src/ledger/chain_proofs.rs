@@ -1,56 +1,49 @@
-//! What the chain proves of anchored batches, kept beside them: which batches still lack it, and the nodes per block.
+//! Proofs of the chain for anchored batches, and time stamps over their roots.
 
 use std::path::PathBuf;
 
 use rusqlite::{Connection, params};
 
-use super::Proofs;
-use super::rows::unsigned;
+use super::rows::{optional, unsigned};
+use super::{Proofs, Session};
 use crate::StoreError;
 use crate::database::{Statements as _, capped, count, whole};
 use crate::model::{Address, Hash, SignerId, Timestamp};
 
-/// The values of `batches.proof`.
+/// Of `batches.proof`.
 const KEPT: i64 = 1;
 const MISSED: i64 = 2;
 
-/// An anchored batch whose proof is not kept yet.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct UnprovenBatch {
-    /// Its number in this ledger.
     pub key: u64,
-    /// The account that anchored it.
     pub account: Address,
     pub root: Hash,
-    /// The block of its anchor.
     pub block: u64,
     pub block_hash: Hash,
     /// Owners of its records, each with a signer.
     pub signers: Vec<(Address, SignerId)>,
 }
 
-/// A node of a trie with its Keccak-256.
+/// With its Keccak-256.
 pub type HashedNode = (Hash, Vec<u8>);
 
-/// What is kept of the state after a block.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct KeptProof {
     pub hash: Hash,
-    /// Nodes of the tries of state and storage.
+    /// Of the tries of state and storage.
     pub nodes: Vec<Vec<u8>>,
 }
 
-/// The state of a ledger's chain proofs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct ProofCounts {
-    /// The newest block of which proofs are kept.
     pub newest: Option<u64>,
-    /// Batches whose proofs could not be had while the node had the state.
+    /// Batches whose proof could not be had while the node had the state.
     pub missed: u64,
 }
 
 impl Proofs {
-    /// Anchored batches in blocks up to this one that lack their proof, newest block first.
+    /// In blocks up to this one, newest first.
     pub fn unproven_batches(&self, up_to_block: u64, limit: usize) -> Result<Vec<UnprovenBatch>, StoreError> {
         let (up_to, limit) = (whole("block", up_to_block)?, capped(limit));
         self.0.read(|connection| {
@@ -69,8 +62,7 @@ impl Proofs {
         })
     }
 
-    /// Stores the nodes that prove these batches, all in this block, and the block's header; nodes of the same block
-    /// stay. A batch that is not in that block any more is left as it is.
+    /// Stores the nodes that prove these batches, all in this block. Skips batches that have left the block.
     pub fn keep_chain_proof(
         &self,
         (block, hash): (u64, Hash),
@@ -79,8 +71,7 @@ impl Proofs {
         nodes: Vec<HashedNode>,
     ) -> Result<(), StoreError> {
         let block = whole("block", block)?;
-        self.0.write(move |session| {
-            let connection = session.connection;
+        self.0.write(move |Session { connection, .. }| {
             let sql = "SELECT nodes FROM chain_proofs WHERE block = ?1 AND hash = ?2";
             let before: Option<Vec<u8>> = connection.find(sql, params![block, hash.0], |row| row.get(0))?;
             let mut keys = before.unwrap_or_default();
@@ -99,32 +90,29 @@ impl Proofs {
         })
     }
 
-    /// Stores the header of a block, RLP.
+    /// `header`: RLP.
     pub fn keep_chain_header(&self, block: u64, header: Vec<u8>) -> Result<(), StoreError> {
         let block = whole("block", block)?;
         self.0.write(move |session| keep_header(session.connection, block, &header))
     }
 
-    /// The header of a block, RLP, if it is kept.
+    /// RLP.
     pub fn chain_header(&self, block: u64) -> Result<Option<Vec<u8>>, StoreError> {
         let block = whole("block", block)?;
         self.0.find("SELECT header FROM chain_headers WHERE block = ?1", [block], |row| row.get(0))
     }
 
-    /// The proofs of these batches could not be had: they are counted, and not requested again.
+    /// Counts batches whose proof could not be had; they are not requested again.
     pub fn miss_chain_proof(&self, batches: Vec<u64>) -> Result<(), StoreError> {
         let sql = "UPDATE batches SET proof = ?2 WHERE key = ?1 AND block IS NOT NULL AND proof IS NULL";
         self.0.run_each(sql, batches.into_iter().map(|batch| (capped(batch), MISSED)).collect()).map(drop)
     }
 
-    /// What is kept of the state after a block.
     pub fn chain_proof(&self, block: u64) -> Result<Option<KeptProof>, StoreError> {
         let block = whole("block", block)?;
         self.0.read(|connection| {
-            let found: Option<([u8; 32], Vec<u8>)> =
-                connection.find("SELECT hash, nodes FROM chain_proofs WHERE block = ?1", [block], |row| {
-                    Ok((row.get(0)?, row.get(1)?))
-                })?;
+            let sql = "SELECT hash, nodes FROM chain_proofs WHERE block = ?1";
+            let found = connection.find(sql, [block], |row| Ok((Hash(row.get(0)?), row.get::<_, Vec<u8>>(1)?)))?;
             let Some((hash, keys)) = found else { return Ok(None) };
             let mut find = connection.prepare_cached("SELECT node FROM chain_nodes WHERE key = ?1")?;
             let (keys, rest) = keys.as_chunks::<8>();
@@ -134,18 +122,14 @@ impl Proofs {
             }
             let keys = keys.iter().map(|key| i64::from_be_bytes(*key));
             let nodes = keys.map(|key| find.query_row([key], |row| row.get(0))).collect::<Result<_, _>>()?;
-            Ok(Some(KeptProof { hash: Hash(hash), nodes }))
+            Ok(Some(KeptProof { hash, nodes }))
         })
     }
 
-    /// The state of the proofs.
     pub fn chain_proof_counts(&self) -> Result<ProofCounts, StoreError> {
         let sql = "SELECT (SELECT max(block) FROM chain_proofs),
             (SELECT count(*) FROM batches INDEXED BY batches_without_proof WHERE proof = 2)";
-        self.0.one(sql, [], |row| {
-            let newest = row.get::<_, Option<i64>>(0)?.map(i64::cast_unsigned);
-            Ok(ProofCounts { newest, missed: unsigned(row, 1)? })
-        })
+        self.0.one(sql, [], |row| Ok(ProofCounts { newest: optional(row, 0)?, missed: unsigned(row, 1)? }))
     }
 }
 
@@ -158,8 +142,7 @@ fn signers(connection: &Connection, batch: i64) -> Result<Vec<(Address, SignerId
 
 fn keep_header(connection: &Connection, block: i64, header: &[u8]) -> Result<(), StoreError> {
     let sql = "REPLACE INTO chain_headers (block, header) VALUES (?1, ?2)";
-    connection.run(sql, params![block, header])?;
-    Ok(())
+    connection.run(sql, params![block, header])
 }
 
 fn node_key(connection: &Connection, hash: Hash, node: &[u8]) -> Result<i64, StoreError> {
@@ -171,48 +154,40 @@ fn node_key(connection: &Connection, hash: Hash, node: &[u8]) -> Result<i64, Sto
     Ok(connection.last_insert_rowid())
 }
 
-// Stamps of time stamp authorities over roots of batches: what is to be stamped, what waits, what there is.
-
-/// Stamps for which an authority added later is still asked.
+/// Stamps requested from an authority that was added later.
 const NEWEST: i64 = 48;
 
-/// Roots under one stamp.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct KeptStamp {
-    /// Its number in this ledger.
     pub key: u64,
-    /// The roots in their order.
     pub roots: Vec<Hash>,
-    /// Tokens over them, DER, by their authorities' certificates.
+    /// DER, by the authorities' certificates.
     pub tokens: Vec<Vec<u8>>,
 }
 
-/// The state of a ledger's stamps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct StampCounts {
-    /// Stamps that at least one authority gave a token for.
+    /// By at least one authority.
     pub stamped: u64,
     pub waiting: u64,
-    /// When the newest was begun.
+    /// When the newest began.
     pub newest: Option<Timestamp>,
-    /// The end of the newest time in a token.
+    /// The end of the newest token's time.
     pub before: Option<Timestamp>,
 }
 
 impl Proofs {
-    /// Puts the batches closed since the last time under a new stamp made `at`, the oldest `most` of them; returns how
-    /// many.
+    /// Stamps the oldest `most` of the batches closed since the last stamp; returns how many.
     pub fn begin_stamp(&self, most: usize, at: Timestamp) -> Result<u64, StoreError> {
         let (most, at) = (capped(most), whole("time", at.0)?);
-        self.0.write(move |session| {
-            let connection = session.connection;
+        self.0.write(move |Session { connection, .. }| {
             let sql = "SELECT key, root FROM batches WHERE key > coalesce((SELECT max(upto) FROM stamps), 0)
                 ORDER BY key LIMIT ?1";
             let found: Vec<(i64, [u8; 32])> = connection.list(sql, [most], |row| Ok((row.get(0)?, row.get(1)?)))?;
             let Some((upto, _)) = found.last() else { return Ok(0) };
             let roots: Vec<u8> = found.iter().flat_map(|(_, root)| *root).collect();
-            connection
-                .run("INSERT INTO stamps (made_at, upto, roots) VALUES (?1, ?2, ?3)", params![at, upto, roots])?;
+            let sql = "INSERT INTO stamps (made_at, upto, roots) VALUES (?1, ?2, ?3)";
+            connection.run(sql, params![at, upto, roots])?;
             let key = connection.last_insert_rowid();
             let sql = "INSERT OR IGNORE INTO stamped_roots VALUES (?1, ?2)";
             connection.run_each(sql, found.iter().map(|(_, root)| (root, key)))?;
@@ -220,8 +195,7 @@ impl Proofs {
         })
     }
 
-    /// The oldest stamps to request from this authority: those that nobody stamped, and of the newest ones those that
-    /// others did.
+    /// The oldest that lack this authority's token and either all tokens or are among the newest.
     pub fn waiting_stamps(&self, authority: Hash, limit: usize) -> Result<Vec<KeptStamp>, StoreError> {
         let sql = "SELECT key, roots FROM stamps
             WHERE NOT EXISTS (SELECT 1 FROM stamp_tokens WHERE stamp = key AND authority = ?1)
@@ -233,19 +207,17 @@ impl Proofs {
         })
     }
 
-    /// Stores an authority's token over a stamp's roots; an existing one stays.
+    /// An existing token stays.
     pub fn keep_token(&self, stamp: u64, authority: Hash, before: Timestamp, token: Vec<u8>) -> Result<(), StoreError> {
         let (stamp, before) = (whole("stamp", stamp)?, whole("time", before.0)?);
         let sql = "INSERT OR IGNORE INTO stamp_tokens VALUES (?1, ?2, ?3, ?4)";
         self.0.run(sql, (stamp, authority.0, before, token))
     }
 
-    /// The number of the stamp that a root is under.
     pub fn stamp_of(&self, root: Hash) -> Result<Option<u64>, StoreError> {
         self.0.find("SELECT stamp FROM stamped_roots WHERE root = ?1", [root.0], |row| unsigned(row, 0))
     }
 
-    /// A stamp with its tokens.
     pub fn stamp(&self, key: u64) -> Result<Option<KeptStamp>, StoreError> {
         let number = whole("stamp", key)?;
         self.0.read(|connection| {
@@ -257,15 +229,13 @@ impl Proofs {
         })
     }
 
-    /// The state of the stamps.
     pub fn stamp_counts(&self) -> Result<StampCounts, StoreError> {
         let sql = "SELECT (SELECT count(*) FROM stamps), (SELECT count(DISTINCT stamp) FROM stamp_tokens),
             (SELECT max(made_at) FROM stamps), (SELECT max(before) FROM stamp_tokens)";
         self.0.one(sql, [], |row| {
-            let time =
-                |at| Ok::<_, rusqlite::Error>(row.get::<_, Option<i64>>(at)?.map(|at| Timestamp(at.cast_unsigned())));
             let (all, stamped) = (unsigned(row, 0)?, unsigned(row, 1)?);
-            Ok(StampCounts { stamped, waiting: all.saturating_sub(stamped), newest: time(2)?, before: time(3)? })
+            let (newest, before) = (optional(row, 2)?.map(Timestamp), optional(row, 3)?.map(Timestamp));
+            Ok(StampCounts { stamped, waiting: all.saturating_sub(stamped), newest, before })
         })
     }
 }

@@ -1,68 +1,63 @@
-//! How many records are in each state, read from counters that change in the same transaction as the records.
+//! Records in each state, from counters that change in the transaction of the records.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
-use rusqlite::{Connection, OptionalExtension as _, params};
+use rusqlite::{Connection, Row, params};
 use serde::{Deserialize, Serialize};
 
 use super::Counts;
-use super::rows::{self, Stream, Which, unsigned};
+use super::rows::{self, Stream, Which, optional, time, unsigned};
 use crate::StoreError;
 use crate::database::{Statements as _, whole};
 use crate::model::{Address, LossReason, RecordKind, RecordState, RecorderId, SignerId, Timestamp, TopicId};
 
-/// The counts of one topic's records by state. `captured = verified + pending + right_ended + quarantined + dropped +
-/// tampered`.
+/// `captured = verified + pending + right_ended + quarantined + dropped + tampered`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TopicCounts {
     pub owner: Address,
     pub topic: String,
-    /// Its pseudonym; none if all messages were dropped.
+    /// `None` if all messages were dropped.
     pub topic_id: Option<TopicId>,
-    /// The message type last seen; empty if all messages were dropped.
+    /// The last one; empty if all messages were dropped.
     #[serde(rename = "type")]
     pub type_name: String,
-    /// Messages captured, including dropped ones; counted independently, not summed.
+    /// Includes dropped ones; counted independently, not summed.
     pub captured: u64,
     pub verified: u64,
-    /// Records on their way to verified.
     pub pending: u64,
-    /// Records waiting for their signer's right.
+    /// Waiting for their signer's right.
     pub right_ended: u64,
     pub quarantined: u64,
-    /// Records whose stored bytes are wrong.
     pub tampered: u64,
-    /// Messages captured but never acknowledged, or discarded from quarantine.
+    /// Never acknowledged, or discarded from quarantine.
     pub dropped: u64,
-    /// Of these, never acknowledged.
+    /// Dropped without acknowledgement.
     pub lost: u64,
-    /// Messages that never arrived ([`LossReason::Transport`]); not part of `captured`.
+    /// Lost on the way ([`LossReason::Transport`]); not in `captured`.
     pub missed: u64,
-    /// Plaintext bytes of all acknowledged data records.
+    /// Of plaintext, over all acknowledged data records.
     pub bytes: u64,
 }
 
-/// The counts of an owner's records, or of all, by state.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct StateCounts {
-    /// Data records per state; `dropped` includes the messages counted by [`super::Losses::count`].
+    /// `dropped` includes [`super::Losses::count`].
     pub data: BTreeMap<RecordState, u64>,
-    /// All data records ever acknowledged; counted independently, not summed.
+    /// Data records; counted independently, not summed.
     pub acknowledged: u64,
-    /// Messages captured but never acknowledged.
+    /// Captured but never acknowledged.
     pub lost_in_recorder: u64,
-    /// Messages that never arrived; not part of what was captured.
+    /// Not part of what was captured.
     pub lost_in_transport: u64,
-    /// Records of all other kinds, per state.
+    /// Of all other kinds.
     pub others: BTreeMap<RecordState, u64>,
-    /// Data records per topic, ordered by (topic, owner).
+    /// Ordered by (topic, owner).
     pub topics: Vec<TopicCounts>,
-    /// Pseudonyms under which attachments to recordings are filed.
+    /// Pseudonyms of attachments to recordings.
     pub attachments: Vec<TopicId>,
 }
 
 impl TopicCounts {
-    /// Whether captured = verified + pending + right ended + quarantined + dropped + tampered.
     pub fn is_conserved(&self) -> bool {
         let settled = self.verified + self.quarantined + self.dropped + self.tampered;
         self.captured == settled + self.pending + self.right_ended
@@ -70,35 +65,30 @@ impl TopicCounts {
 }
 
 impl StateCounts {
-    /// Data records in a state.
     pub fn data_in(&self, state: RecordState) -> u64 {
         self.data.get(&state).copied().unwrap_or(0)
     }
 
-    /// Messages captured, including dropped ones.
     pub fn captured(&self) -> u64 {
         self.acknowledged + self.lost_in_recorder
     }
 
-    /// Whether captured = verified + pending + right ended + quarantined + dropped + tampered, in total and for each
-    /// topic.
+    /// In total and for each topic.
     pub fn is_conserved(&self) -> bool {
         self.captured() == self.data.values().sum::<u64>() && self.topics.iter().all(TopicCounts::is_conserved)
     }
 
-    /// Data records on their way to verified.
     pub fn pending(&self) -> u64 {
         self.data.iter().filter(|(state, _)| state.is_pending()).map(|(_, count)| count).sum()
     }
 
-    /// Records of any kind on their way to verified.
     pub fn pending_of_any_kind(&self) -> u64 {
         self.pending() + self.others.iter().filter(|(state, _)| state.is_pending()).map(|(_, n)| n).sum::<u64>()
     }
 }
 
 impl Counts {
-    /// Counts per state and topic; costs the same whatever the number of records.
+    /// Costs the same whatever the number of records.
     pub fn by_state(&self, owner: Option<Address>) -> Result<StateCounts, StoreError> {
         self.0.read(|connection| {
             let streams = rows::all_streams(connection)?;
@@ -110,8 +100,7 @@ impl Counts {
         })
     }
 
-    /// Messages of an owner that are sealed in an epoch, of these topics or of all: how many, and when the first of them
-    /// was captured.
+    /// Messages sealed in an epoch, and the first capture.
     pub fn sealed_in_epoch(
         &self,
         owner: Address,
@@ -122,17 +111,15 @@ impl Counts {
             JOIN streams ON streams.key = epoch_records.stream JOIN topics ON topics.key = streams.topic
             WHERE topics.owner = ?1 AND epoch = ?2 AND kind = ?3";
         let values = params![owner.0, whole("epoch", epoch)?, RecordKind::Data.code()];
-        let mut found: Vec<(TopicId, u64, Timestamp)> = self
-            .0
-            .list(sql, values, |row| Ok((TopicId(row.get(0)?), unsigned(row, 1)?, Timestamp(unsigned(row, 2)?))))?;
+        let row = |row: &Row<'_>| Ok((TopicId(row.get(0)?), unsigned(row, 1)?, time(row, 2)?));
+        let mut found: Vec<(TopicId, u64, Timestamp)> = self.0.list(sql, values, row)?;
         found.retain(|(topic, ..)| topics.is_none_or(|topics| topics.contains(topic)));
         Ok((found.iter().map(|(_, records, _)| records).sum(), found.iter().map(|(.., first)| *first).min()))
     }
 
-    /// Records of all owners and kinds in each state.
     pub fn in_each_state(&self) -> Result<BTreeMap<RecordState, u64>, StoreError> {
         let sql = "SELECT state, sum(records) FROM counters GROUP BY state HAVING sum(records) > 0";
-        self.0.list(sql, [], |row| Ok((rows::state(row, 0)?, rows::unsigned(row, 1)?)))
+        self.0.list(sql, [], |row| Ok((rows::state(row, 0)?, unsigned(row, 1)?)))
     }
 }
 
@@ -201,11 +188,9 @@ impl Tally {
     }
 
     fn add_drops(&mut self, connection: &Connection, owner: Option<Address>) -> Result<(), StoreError> {
-        let mut statement = connection
-            .prepare_cached("SELECT owner, topic, reason, count FROM drops WHERE ?1 IS NULL OR owner = ?1")?;
-        let mut rows = statement.query([owner.map(|owner| owner.0)])?;
-        while let Some(row) = rows.next()? {
-            let (topic, reason, count) = (row.get::<_, String>(1)?, row.get::<_, String>(2)?, rows::unsigned(row, 3)?);
+        let sql = "SELECT owner, topic, reason, count FROM drops WHERE ?1 IS NULL OR owner = ?1";
+        connection.each(sql, [owner.map(|owner| owner.0)], |row| {
+            let (topic, reason, count) = (row.get::<_, String>(1)?, row.get::<_, String>(2)?, unsigned(row, 3)?);
             let topic = self.topic(Address(row.get(0)?), &topic);
             if reason == LossReason::Transport.word() {
                 topic.missed += count;
@@ -217,8 +202,8 @@ impl Tally {
                 self.counts.lost_in_recorder += count;
                 *self.counts.data.entry(RecordState::Dropped).or_default() += count;
             }
-        }
-        Ok(())
+            Ok(())
+        })
     }
 
     fn topic(&mut self, owner: Address, topic: &str) -> &mut TopicCounts {
@@ -246,45 +231,39 @@ impl Tally {
     }
 }
 
-// When there are records of a topic: parts of a span of time, each looked up in the index of states, so that the cost
-// depends on the parts and not on the records.
+// Coverage looks each part up in the index of states: the cost depends on the parts, not on the records.
 
-/// The most parts of a span.
 pub const MOST_PARTS: usize = 1_000;
-/// The most losses examined, the newest.
+/// Only the newest losses count.
 const MOST_LOSSES: i64 = 10_000;
 
-/// A span of time of one topic, in parts.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CoverageQuery {
     pub owner: Address,
     pub topic: String,
-    /// Only what these keys signed, as those of one robot, without losses: what is counted here was lost by this
-    /// site's own capture. `None` = of any recorder.
+    /// Only these keys' records and no losses, which this site's own capture counts; `None` = all recorders.
     pub signers: Option<BTreeSet<SignerId>>,
-    /// From this time; `None` = from its first record.
+    /// `None` = from the first record.
     pub since: Option<Timestamp>,
     pub until: Timestamp,
-    /// Divided into this many parts, 1 to [`MOST_PARTS`].
+    /// 1 to [`MOST_PARTS`].
     pub parts: usize,
 }
 
-/// The records in a part of the span.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct CoveragePart {
     pub at: Timestamp,
-    /// Records that are neither quarantined nor altered.
+    /// Neither quarantined nor altered.
     pub data: bool,
-    /// Records that are quarantined, or were and then discarded.
+    /// Also discarded from quarantine.
     pub quarantined: bool,
-    /// Records whose stored bytes are wrong.
     pub tampered: bool,
-    /// Messages that were lost, as far as noticed in this part; what is spread over several counts in each.
+    /// A count that covers several parts is in each.
     pub lost: u64,
 }
 
 impl CoveragePart {
-    /// The sign of a part: the worst of its findings.
+    /// The worst finding.
     pub fn sign(&self) -> char {
         match self {
             Self { tampered: true, .. } => 'T',
@@ -296,24 +275,20 @@ impl CoveragePart {
     }
 }
 
-/// When there are records of a topic.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Coverage {
-    /// Beginning of the span.
     pub since: Timestamp,
     pub until: Timestamp,
-    /// Capture of the first record ever.
     pub first: Option<Timestamp>,
-    /// Capture of the last.
     pub last: Option<Timestamp>,
-    /// Whose keys signed records of the topic, also others than those asked for.
+    /// All signers of the topic.
     pub signers: BTreeSet<SignerId>,
-    /// The parts, oldest first, all of the same length.
+    /// Oldest first, all of the same length.
     pub parts: Vec<CoveragePart>,
 }
 
 impl Counts {
-    /// When there are data records of a topic: one lookup for each part and each of its streams and states.
+    /// One lookup for each part, stream and state.
     pub fn coverage(&self, query: &CoverageQuery) -> Result<Coverage, StoreError> {
         self.0.read(|connection| {
             let mut lanes = lanes(connection, query)?;
@@ -335,7 +310,6 @@ impl Counts {
     }
 }
 
-/// Records of one stream in one state.
 struct Lane {
     stream: i64,
     signer: SignerId,
@@ -354,51 +328,39 @@ fn lanes(connection: &Connection, query: &CoverageQuery) -> Result<Vec<Lane>, St
     Ok(lanes)
 }
 
-/// Capture of the first and of the last record.
 fn ends(connection: &Connection, lanes: &[Lane]) -> Result<(Option<Timestamp>, Option<Timestamp>), StoreError> {
     let end = |which: &str| -> Result<Vec<Timestamp>, StoreError> {
         let sql = format!(
             "SELECT {which}(captured_at) FROM records INDEXED BY records_by_state WHERE state = ?1 AND stream = ?2"
         );
-        let mut statement = connection.prepare_cached(&sql)?;
         let mut found = Vec::new();
         for lane in lanes {
-            let values = params![i64::from(lane.state.code()), lane.stream];
-            let at: Option<i64> = statement.query_row(values, |row| row.get(0))?;
-            found.extend(at.map(|at| Timestamp(at.cast_unsigned())));
+            let values = [i64::from(lane.state.code()), lane.stream];
+            found.extend(connection.one(&sql, values, |row| optional(row, 0))?.map(Timestamp));
         }
         Ok(found)
     };
     Ok((end("min")?.into_iter().min(), end("max")?.into_iter().max()))
 }
 
-/// The parts with nothing in them.
 fn empty(since: Timestamp, query: &CoverageQuery) -> Vec<CoveragePart> {
     let count = query.parts.clamp(1, MOST_PARTS) as u64;
     let length = (query.until.0 - since.0).div_ceil(count).max(1);
-    let part = |place: u64| CoveragePart {
-        at: Timestamp(since.0.saturating_add(place * length)),
-        data: false,
-        quarantined: false,
-        tampered: false,
-        lost: 0,
-    };
+    let at = |place: u64| Timestamp(since.0.saturating_add(place * length));
+    let part = |place| CoveragePart { at: at(place), ..CoveragePart::default() };
     (0..count).map(part).take_while(|part| part.at < query.until || part.at == since).collect()
 }
 
 impl Lane {
-    /// Notes the parts in which it has records, from one to the next that has any.
+    /// Jumps to the next part with records.
     fn walk(&self, connection: &Connection, until: Timestamp, parts: &mut [CoveragePart]) -> Result<(), StoreError> {
-        let mut statement = connection.prepare_cached(
-            "SELECT captured_at FROM records INDEXED BY records_by_state
-                WHERE state = ?1 AND stream = ?2 AND captured_at >= ?3 AND captured_at < ?4 ORDER BY captured_at LIMIT 1",
-        )?;
+        let sql = "SELECT captured_at FROM records INDEXED BY records_by_state
+                WHERE state = ?1 AND stream = ?2 AND captured_at >= ?3 AND captured_at < ?4 ORDER BY captured_at LIMIT 1";
+        let (state, until) = (i64::from(self.state.code()), whole("time", until.0)?);
         let mut from = parts.first().map(|part| part.at);
         while let Some(at) = from {
-            let values =
-                params![i64::from(self.state.code()), self.stream, whole("time", at.0)?, whole("time", until.0)?];
-            let found: Option<i64> = statement.query_row(values, |row| row.get(0)).optional()?;
-            let Some(found) = found.map(i64::cast_unsigned) else { return Ok(()) };
+            let values = [state, self.stream, whole("time", at.0)?, until];
+            let Some(found) = connection.find(sql, values, |row| unsigned(row, 0))? else { return Ok(()) };
             let behind = parts.partition_point(|part| part.at.0 <= found);
             if let Some(part) = behind.checked_sub(1).and_then(|place| parts.get_mut(place)) {
                 self.note(part);
@@ -412,49 +374,38 @@ impl Lane {
         match self.state {
             RecordState::Quarantined | RecordState::Dropped => part.quarantined = true,
             RecordState::Tampered => part.tampered = true,
-            RecordState::Captured
-            | RecordState::Stored
-            | RecordState::Batched
-            | RecordState::Submitted
-            | RecordState::Mined
-            | RecordState::Confirmed
-            | RecordState::Verified
-            | RecordState::RightEnded => part.data = true,
+            _ => part.data = true,
         }
     }
 }
 
 fn add_losses(connection: &Connection, query: &CoverageQuery, parts: &mut [CoveragePart]) -> Result<(), StoreError> {
     let Some(since) = parts.first().map(|part| part.at) else { return Ok(()) };
-    let mut statement = connection.prepare_cached(
+    let sql =
         "SELECT count, first_at, last_at FROM gaps WHERE owner = ?1 AND topic = ?2 AND last_at >= ?3 AND first_at < ?4
-            ORDER BY key DESC LIMIT ?5",
-    )?;
+            ORDER BY key DESC LIMIT ?5";
     let (since, until) = (whole("time", since.0)?, whole("time", query.until.0)?);
-    let mut found = statement.query(params![query.owner.0, query.topic, since, until, MOST_LOSSES])?;
-    while let Some(row) = found.next()? {
+    connection.each(sql, params![query.owner.0, query.topic, since, until, MOST_LOSSES], |row| {
         let (count, first, last) = (unsigned(row, 0)?, unsigned(row, 1)?, unsigned(row, 2)?);
         let from = parts.partition_point(|part| part.at.0 <= first).saturating_sub(1);
         let to = parts.partition_point(|part| part.at.0 <= last);
         for part in parts.iter_mut().take(to).skip(from) {
             part.lost = part.lost.saturating_add(count);
         }
-    }
-    Ok(())
+        Ok(())
+    })
 }
-
-// What an owner uses in this ledger: streams and bytes, from the counters; a gateway compares it with its quotas.
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct OwnerUsage {
-    /// Bytes of plaintext of all its records, including those whose ciphertext was deleted.
+    /// Of plaintext, also where the ciphertext was deleted.
     pub bytes: u64,
-    /// Streams: combinations of recorder, topic, kind, type and signer.
+    /// Combinations of recorder, topic, kind, type and signer.
     pub streams: u64,
 }
 
 impl Counts {
-    /// An owner's usage here. The cost is proportional to its streams.
+    /// Costs as much as there are streams.
     pub fn usage(&self, owner: Address) -> Result<OwnerUsage, StoreError> {
         let sql = "SELECT count(DISTINCT s.key), coalesce(sum(c.bytes), 0)
             FROM topics t JOIN streams s ON s.topic = t.key LEFT JOIN counters c ON c.stream = s.key
@@ -462,7 +413,6 @@ impl Counts {
         self.0.one(sql, [owner.0], |row| Ok(OwnerUsage { streams: unsigned(row, 0)?, bytes: unsigned(row, 1)? }))
     }
 
-    /// Whether an owner already has such a stream.
     pub fn has_stream(
         &self,
         owner: Address,

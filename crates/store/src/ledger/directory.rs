@@ -1,51 +1,46 @@
-//! Who is registered and who may read what, as the contract's events say. Each event is a row, and events that no longer
-//! count are marked: the current ones are found without the others, the others are history, and a replaced block can be
-//! undone.
+//! Who is registered and who may read, by the contract's events. Superseded events stay, marked, as history and to undo
+//! a replaced block.
 
 use std::path::Path;
 
 use rusqlite::{Connection, Row, params};
 
 use super::query::Glance;
-use super::rows::{By, anchored, may, of_its_batch, unsigned};
+use super::rows::{By, anchored, check, of_its_batch, optional, unsigned};
 use super::writer::Session;
 use super::{Batches, Rights, batches};
 use crate::StoreError;
 use crate::crypto::merkle::Leaf;
-use crate::database::{Statements as _, capped, count, whole};
+use crate::database::{Statements as _, capped, whole};
 use crate::model::{Address, Digest, Domain, RecordState, SignerId, Token};
 
-/// The subject of an event, as far as it matters here.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RightKind {
     Grant = 1,
-    /// An envelope of another epoch.
+    /// Of another epoch.
     Envelope = 2,
-    /// An extension of a grant.
+    /// Of a grant.
     Extension = 3,
-    /// An epoch began; if a grantee is named, by the revocation of its grant.
+    /// With a grantee: its grant was revoked.
     Epoch = 4,
     Other = 5,
-    /// The key of an epoch, wrapped for its own owner. It is history from the start: only its owner ever reads it.
+    /// An epoch's key, wrapped for its owner, who alone reads it; history from the start.
     Own = 6,
 }
 
-/// An event to be stored.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RightEvent {
     pub block: u64,
-    /// Its index among the block's events.
+    /// Among the block's events.
     pub place: u64,
     pub kind: RightKind,
-    /// The owner of the right.
     pub owner: Option<Address>,
-    /// The grantee, current or former.
+    /// Current or former.
     pub grantee: Option<Address>,
-    /// The epoch it names.
     pub epoch: Option<u64>,
-    /// The token of that epoch.
+    /// Of that epoch.
     pub token: Option<Token>,
-    /// Everything but the envelope, encoded by its reader.
+    /// All but the envelope, in its reader's encoding.
     pub event: String,
     pub envelope: Option<Vec<u8>>,
 }
@@ -53,34 +48,31 @@ pub struct RightEvent {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct KeptRight {
     pub block: u64,
-    /// Its index among the block's events.
+    /// Among the block's events.
     pub place: u64,
     pub event: String,
-    /// The epoch that began when its grant was revoked.
+    /// The epoch that began with its grant's revocation.
     pub revoked: Option<u64>,
 }
 
-/// The current events of the contract.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct StandingRights {
-    /// Block and index of the last event stored; `None` before the first.
+    /// Block and place; `None` before the first event.
     pub last: Option<(u64, u64)>,
-    /// Those that still count, in the chain's order.
+    /// In the chain's order.
     pub events: Vec<KeptRight>,
 }
 
-/// An envelope from an event.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct KeptEnvelope {
-    /// The epoch whose keys it contains.
+    /// Whose keys it contains.
     pub epoch: u64,
-    /// The block of the event.
+    /// Of the event.
     pub block: u64,
     pub bytes: Vec<u8>,
 }
 
-/// What an event supersedes: an extension supersedes the one before it, an epoch the one before it, a revocation its
-/// grant.
+/// An extension or epoch supersedes the one before it, a revocation its grant.
 pub(super) const ENDING: [&str; 3] = [
     "UPDATE rights INDEXED BY rights_standing SET replaced = ?3
         WHERE owner = ?1 AND kind = 3 AND grantee = ?2 AND replaced IS NULL AND revoked IS NULL",
@@ -90,24 +82,20 @@ pub(super) const ENDING: [&str; 3] = [
         WHERE owner = ?1 AND kind IN (1, 2, 3) AND grantee = ?2
         AND replaced IS NULL AND revoked IS NULL",
 ];
-/// After every event of a block.
 const WHOLE_BLOCK: i64 = i64::MAX;
-/// How the contract is found again.
+/// Identifies the contract.
 pub(super) const PIN: &str = "SELECT pin FROM contract";
-/// Notes the last event.
 const UP_TO: &str = "UPDATE contract SET block = ?1, place = ?2";
 
 impl Rights {
-    /// The file in which they are.
     pub fn path(&self) -> &Path {
         self.0.path()
     }
 
-    /// Binds the ledger to one contract for good; `pin` says how it is found again.
+    /// A ledger is bound to one contract; `pin` identifies it.
     pub fn bind_contract(&self, domain: Domain, pin: &str) -> Result<(), StoreError> {
         let pin = pin.to_owned();
-        self.0.write(move |session| {
-            let connection = session.connection;
+        self.0.write(move |Session { connection, .. }| {
             let sql = "INSERT INTO contract VALUES (1, ?1, ?2, 0, -1) ON CONFLICT DO UPDATE SET pin = excluded.pin \
                        WHERE domain = excluded.domain AND pin <> excluded.pin";
             connection.run(sql, params![domain.0, pin])?;
@@ -116,12 +104,12 @@ impl Rights {
         })
     }
 
-    /// The pin of the contract that the ledger is bound to; `None` if it is bound to none yet.
+    /// `None` if unbound.
     pub fn contract_pin(&self) -> Result<Option<String>, StoreError> {
         self.0.find(PIN, [], |row| row.get(0))
     }
 
-    /// The same of a ledger that is not opened, because it may be in use or damaged; nothing is written.
+    /// Reads a ledger that may be in use or damaged; writes nothing.
     pub fn contract_pin_in(path: &Path) -> Result<Option<String>, StoreError> {
         if !path.exists() {
             return Ok(None);
@@ -129,7 +117,7 @@ impl Rights {
         Glance::at(path)?.contract_pin()
     }
 
-    /// Stores events in the chain's order, all in one commit; those already there are skipped.
+    /// Stores events in the chain's order in one commit; skips known ones.
     pub fn keep_rights(&self, events: Vec<RightEvent>) -> Result<(), StoreError> {
         self.0.write_many(events.len(), move |session| keep_all(session, &events))
     }
@@ -145,18 +133,17 @@ impl Rights {
         })
     }
 
-    /// The events about an account that are neither grants nor epochs, in the chain's order.
+    /// Neither grants nor epochs, in the chain's order.
     pub fn other_rights(&self, account: Address) -> Result<Vec<KeptRight>, StoreError> {
         let sql = "SELECT block, place, event, revoked FROM rights INDEXED BY rights_standing
             WHERE owner = ?1 AND kind = 5 AND replaced IS NULL AND revoked IS NULL ORDER BY block, place";
         self.0.list(sql, [account.0], kept)
     }
 
-    /// Undoes the events of all blocks from `from` on, and what they superseded, in one commit.
+    /// Undoes the events of blocks from `from` on, and what they superseded, in one commit.
     pub fn take_back_rights(&self, from: u64) -> Result<(), StoreError> {
         let from = whole("block", from)?;
-        self.0.write_many(super::writer::MANY + 1, move |session| {
-            let connection = session.connection;
+        self.0.write_many(super::writer::MANY + 1, move |Session { connection, .. }| {
             if last_event(connection)?.0 < from {
                 return Ok(());
             }
@@ -168,19 +155,18 @@ impl Rights {
             ] {
                 connection.run(sql, [from])?;
             }
-            connection.run(UP_TO, [from - 1, WHOLE_BLOCK])?;
-            Ok(())
+            connection.run(UP_TO, [from - 1, WHOLE_BLOCK])
         })
     }
 
-    /// Every event of blocks `from` to `to`, in the chain's order.
+    /// In the chain's order.
     pub fn rights_in(&self, from: u64, to: u64) -> Result<Vec<KeptRight>, StoreError> {
         let (from, to) = (whole("block", from)?, whole("block", to)?);
         let sql = "SELECT block, place, event, revoked FROM rights WHERE block BETWEEN ?1 AND ?2 ORDER BY block, place";
         self.0.list(sql, [from, to], kept)
     }
 
-    /// Which of these events, by block and index, are not stored.
+    /// Block and place of events that are not stored.
     pub fn unknown_rights(&self, places: &[(u64, u64)]) -> Result<Vec<(u64, u64)>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT 1 FROM rights WHERE block = ?1 AND place = ?2";
@@ -188,16 +174,15 @@ impl Rights {
         })
     }
 
-    /// Deletes all events, so that they are read again.
+    /// Makes the watcher read them again.
     pub fn forget_rights(&self) -> Result<(), StoreError> {
         self.0.write_many(super::writer::MANY + 1, move |session| {
             session.connection.execute_batch("DELETE FROM envelopes; DELETE FROM rights;")?;
-            session.connection.run(UP_TO, [0, -1])?;
-            Ok(())
+            session.connection.run(UP_TO, [0, -1])
         })
     }
 
-    /// Grants that an account gave or received and that were revoked, with their extensions, in the chain's order.
+    /// Revoked grants that an account gave or received, with extensions, in the chain's order.
     pub fn revoked_grants(&self, account: Address) -> Result<Vec<KeptRight>, StoreError> {
         self.0.read(|connection| {
             let mut found: Vec<KeptRight> = Vec::new();
@@ -215,8 +200,7 @@ impl Rights {
         })
     }
 
-    /// The envelopes of a current grant, or of the one whose revocation began the epoch `revoked`; in the chain's
-    /// order.
+    /// Of the current grant, or of the one whose revocation began `revoked`; in the chain's order.
     pub fn envelopes_between(
         &self,
         owner: Address,
@@ -234,30 +218,23 @@ impl Rights {
                 WHERE owner = ?1 AND kind IN (1, 2) AND grantee = ?2 AND {which}
                 ORDER BY r.block, r.place"
         );
-        self.0.list(&sql, params![owner.0, grantee.0, asked], |row| {
-            Ok(KeptEnvelope { epoch: unsigned(row, 0)?, block: unsigned(row, 1)?, bytes: row.get(2)? })
-        })
+        self.0.list(&sql, params![owner.0, grantee.0, asked], envelope)
     }
 
-    /// The envelopes that an owner made for itself, from one epoch to another; in the chain's order.
+    /// Made by an owner for itself; in the chain's order.
     pub fn own_envelopes(&self, owner: Address, from: u64, to: u64) -> Result<Vec<KeptEnvelope>, StoreError> {
         let (from, to) = (whole("epoch", from)?, whole("epoch", to)?);
         let sql = "SELECT r.epoch, r.block, e.envelope FROM rights r INDEXED BY rights_own
             JOIN envelopes e ON e.block = r.block AND e.place = r.place
             WHERE owner = ?1 AND epoch BETWEEN ?2 AND ?3 AND kind = 6 ORDER BY r.block, r.place";
-        self.0.list(sql, params![owner.0, from, to], |row| {
-            Ok(KeptEnvelope { epoch: unsigned(row, 0)?, block: unsigned(row, 1)?, bytes: row.get(2)? })
-        })
+        self.0.list(sql, params![owner.0, from, to], envelope)
     }
 
-    /// The envelope of one event.
     pub fn envelope_at(&self, block: u64, place: u64) -> Result<Option<Vec<u8>>, StoreError> {
-        let at = (whole("block", block)?, whole("place", place)?);
         let sql = "SELECT envelope FROM envelopes WHERE block = ?1 AND place = ?2";
-        self.0.find(sql, [at.0, at.1], |row| row.get(0))
+        self.0.find(sql, [whole("block", block)?, whole("place", place)?], |row| row.get(0))
     }
 
-    /// The token that an owner registered for an epoch.
     pub fn epoch_token(&self, owner: Address, epoch: u64) -> Result<Option<Token>, StoreError> {
         let epoch = whole("epoch", epoch)?;
         let sql = "SELECT token FROM rights INDEXED BY rights_tokens
@@ -266,7 +243,6 @@ impl Rights {
         self.0.find(sql, params![owner.0, epoch], |row| row.get(0).map(Token))
     }
 
-    /// Whether an owner ever registered this token.
     pub fn ever_had_token(&self, owner: Address, token: Token) -> Result<bool, StoreError> {
         let sql = "SELECT 1 FROM rights INDEXED BY rights_tokens WHERE owner = ?1 AND token IS NOT NULL AND token = ?2";
         self.0.has(sql, params![owner.0, token.0])
@@ -274,11 +250,15 @@ impl Rights {
 }
 
 fn kept(row: &Row<'_>) -> rusqlite::Result<KeptRight> {
-    let revoked = row.get::<_, Option<i64>>(3)?.map(i64::cast_unsigned);
-    Ok(KeptRight { block: unsigned(row, 0)?, place: unsigned(row, 1)?, event: row.get(2)?, revoked })
+    let (block, place, revoked) = (unsigned(row, 0)?, unsigned(row, 1)?, optional(row, 3)?);
+    Ok(KeptRight { block, place, event: row.get(2)?, revoked })
 }
 
-/// Block and index of the last event stored; (0, -1) before the first.
+fn envelope(row: &Row<'_>) -> rusqlite::Result<KeptEnvelope> {
+    Ok(KeptEnvelope { epoch: unsigned(row, 0)?, block: unsigned(row, 1)?, bytes: row.get(2)? })
+}
+
+/// Block and place; (0, -1) before the first event.
 fn last_event(connection: &Connection) -> Result<(i64, i64), StoreError> {
     let found = connection.find("SELECT block, place FROM contract", [], |row| Ok((row.get(0)?, row.get(1)?)))?;
     Ok(found.unwrap_or((0, -1)))
@@ -296,11 +276,9 @@ fn keep_all(session: &Session<'_>, events: &[RightEvent]) -> Result<(), StoreErr
         keep_one(connection, event)?;
         (block, place) = at;
     }
-    connection.run(UP_TO, [block, place])?;
-    Ok(())
+    connection.run(UP_TO, [block, place])
 }
 
-/// Marks what an event supersedes.
 fn end_others(connection: &Connection, event: &RightEvent) -> Result<(), StoreError> {
     let (Some(owner), block) = (event.owner, whole("block", event.block)?) else { return Ok(()) };
     let [extended, begun, revoked] = ENDING;
@@ -325,51 +303,43 @@ fn keep_one(connection: &Connection, event: &RightEvent) -> Result<(), StoreErro
     let epoch = event.epoch.map(|epoch| whole("epoch", epoch)).transpose()?;
     let sql = "INSERT INTO rights (block, place, kind, owner, grantee, epoch, token, event, replaced)
         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)";
-    connection.run(
-        sql,
-        params![
-            block,
-            place,
-            event.kind as i64,
-            event.owner.map(|owner| owner.0),
-            event.grantee.map(|grantee| grantee.0),
-            epoch,
-            event.token.map(|token| token.0),
-            event.event,
-            (event.kind == RightKind::Own).then_some(block),
-        ],
-    )?;
+    let [owner, grantee] = [event.owner, event.grantee].map(|account| account.map(|account| account.0));
+    let (kind, token) = (event.kind as i64, event.token.map(|token| token.0));
+    let replaced = (event.kind == RightKind::Own).then_some(block);
+    connection.run(sql, params![block, place, kind, owner, grantee, epoch, token, event.event, replaced])?;
     if let Some(envelope) = &event.envelope {
         connection.run("INSERT INTO envelopes VALUES (?1, ?2, ?3)", params![block, place, envelope])?;
     }
     Ok(())
 }
 
-// Records whose signer may not sign for its owner wait here, and anchors that do not count are ignored. The ledger
-// does not know who has which right; its callers do.
+// Callers decide rights; the ledger holds records of signers without a right, and ignores their anchors.
 
-/// The most records moved in one commit.
+/// The account that anchors, the owner and the signer of records.
+type Whose = (Address, Address, SignerId);
+
+/// Per commit.
 const MOST: usize = 8192;
 
-/// A signer with records still to be anchored by an account.
+/// Has records that an account is to anchor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct WaitingSigner {
-    /// The owner it signed for.
+    /// For whom it signed.
     pub owner: Address,
     pub signer: SignerId,
-    /// Some of them are waiting for the right.
+    /// Records wait for its right.
     pub held: bool,
-    /// Some of them are ready to be anchored.
+    /// Records wait for an anchor.
     pub ready: bool,
 }
 
-/// The streams of one signer and owner that an account anchors.
+/// Of one signer and owner, anchored by one account.
 const STREAMS: &str =
     "SELECT s.key FROM streams s JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder
         WHERE coalesce(t.keeper, t.owner) = ?1 AND t.owner = ?2 AND r.signer = ?3";
 
 impl Batches {
-    /// The signers of the records that `keeper` anchors and that are stored, in a closed batch, or waiting for a right.
+    /// Signers of stored, batched or held records that `keeper` anchors.
     pub fn waiting_signers(&self, keeper: Address) -> Result<Vec<WaitingSigner>, StoreError> {
         let [held, stored, batched] =
             [RecordState::RightEnded, RecordState::Stored, RecordState::Batched].map(RecordState::code);
@@ -384,28 +354,27 @@ impl Batches {
         })
     }
 
-    /// A signer's right has ended: those of its records that no transaction anchors now wait. Unsent batches that
-    /// contain one of them are dissolved, and their other records are stored again. Returns how many records began to
-    /// wait; 0 once all do.
+    /// A right ended: records without a transaction wait, and unsent batches with them dissolve. Returns how many began
+    /// to wait; call until 0.
     pub fn hold_signer(&self, keeper: Address, owner: Address, signer: SignerId) -> Result<u64, StoreError> {
         self.0.write_many(MOST, move |session| {
-            for batch in unsent_batches(session.connection, keeper, owner, signer)? {
+            let whose = (keeper, owner, signer);
+            for batch in unsent_batches(session.connection, whose)? {
                 dissolve(session.connection, batch)?;
             }
-            shift(session.connection, (keeper, owner, signer), RecordState::Stored, RecordState::RightEnded)
+            shift(session.connection, whose, (RecordState::Stored, RecordState::RightEnded))
         })
     }
 
-    /// A signer's right is back: its records are stored, and anchored like all others. Returns how many; 0 once none
-    /// waits any more.
+    /// A right is back: its records are stored. Returns how many; call until 0.
     pub fn free_signer(&self, keeper: Address, owner: Address, signer: SignerId) -> Result<u64, StoreError> {
         self.0.write_many(MOST, move |session| {
-            shift(session.connection, (keeper, owner, signer), RecordState::RightEnded, RecordState::Stored)
+            shift(session.connection, (keeper, owner, signer), (RecordState::RightEnded, RecordState::Stored))
         })
     }
 
-    /// The blocks of these confirmed records do not count, because their signers had no right at that time: they leave
-    /// their batches and are stored, to be anchored again. Returns how many were confirmed.
+    /// Confirmed records whose signers had no right at their blocks leave their batches, to be anchored again. Returns
+    /// how many there were.
     pub fn pass_over(&self, digests: &[Digest]) -> Result<u64, StoreError> {
         let digests = digests.to_vec();
         self.0.write_many(digests.len(), move |session| {
@@ -413,7 +382,7 @@ impl Batches {
         })
     }
 
-    /// Stored records that an account anchors and whose blocks were ignored, as leaves.
+    /// Stored records whose blocks were ignored.
     pub fn passed_over_leaves(&self, keeper: Address, limit: usize) -> Result<Vec<Leaf>, StoreError> {
         let sql = "SELECT recorders.id, topics.topic_id, seq, digest, topics.owner, recorders.signer FROM passed_over
             JOIN records ON n = passed_over.record JOIN topics ON topics.key = records.topic
@@ -423,31 +392,22 @@ impl Batches {
     }
 }
 
-/// Moves up to [`MOST`] records of a signer.
+/// At most [`MOST`] records.
 fn shift(
     connection: &Connection,
-    (keeper, owner, signer): (Address, Address, SignerId),
-    from: RecordState,
-    to: RecordState,
+    (keeper, owner, signer): Whose,
+    (from, to): (RecordState, RecordState),
 ) -> Result<u64, StoreError> {
-    if !may(By::Right, from, to) {
-        return Err(StoreError::IllegalEdge { from, to });
-    }
+    check(By::Right, from, to)?;
     let sql = format!(
         "UPDATE records SET state = ?5 WHERE n IN (SELECT n FROM records INDEXED BY records_by_state
             WHERE state = ?4 AND stream IN ({STREAMS}) LIMIT {MOST})"
     );
     let values = params![keeper.0, owner.0, signer.0, from.code(), to.code()];
-    Ok(count(connection.run(&sql, values)?))
+    Ok(connection.changed(&sql, values)?)
 }
 
-/// Closed, unsent batches that contain records of a signer.
-fn unsent_batches(
-    connection: &Connection,
-    keeper: Address,
-    owner: Address,
-    signer: SignerId,
-) -> Result<Vec<i64>, StoreError> {
+fn unsent_batches(connection: &Connection, (keeper, owner, signer): Whose) -> Result<Vec<i64>, StoreError> {
     let sql = format!(
         "SELECT DISTINCT batch FROM records INDEXED BY records_by_state JOIN leaves ON record = n
             JOIN batches ON key = batch WHERE state = ?4 AND stream IN ({STREAMS})
@@ -457,24 +417,19 @@ fn unsent_batches(
     Ok(connection.list(&sql, values, |row| row.get(0))?)
 }
 
-/// An unsent batch is dissolved; its root stays known as this ledger's.
+/// The root stays known as this ledger's.
 fn dissolve(connection: &Connection, batch: i64) -> Result<(), StoreError> {
     let [batched, stored] = [RecordState::Batched, RecordState::Stored];
-    if !may(By::Right, batched, stored) {
-        return Err(StoreError::IllegalEdge { from: batched, to: stored });
-    }
+    check(By::Right, batched, stored)?;
     let sql = "UPDATE records SET state = ?3 WHERE +state = ?2 AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
     connection.run(sql, params![batch, batched.code(), stored.code()])?;
     connection.run("REPLACE INTO left_places SELECT batch, leaf, record FROM leaves WHERE batch = ?1", [batch])?;
-    connection.run("DELETE FROM leaves WHERE batch = ?1", [batch])?;
-    Ok(())
+    connection.run("DELETE FROM leaves WHERE batch = ?1", [batch])
 }
 
 fn pass_over_one(connection: &Connection, digest: Digest) -> Result<u64, StoreError> {
     let [confirmed, stored] = [RecordState::Confirmed, RecordState::Stored];
-    if !may(By::Right, confirmed, stored) {
-        return Err(StoreError::IllegalEdge { from: confirmed, to: stored });
-    }
+    check(By::Right, confirmed, stored)?;
     let sql =
         concat!("SELECT n FROM records WHERE digest = ?1 AND state = ?2 AND ", anchored!("block"), " IS NOT NULL");
     let found: Option<i64> = connection.find(sql, params![digest.0, confirmed.code()], |row| row.get(0))?;
@@ -491,10 +446,9 @@ fn pass_over_one(connection: &Connection, digest: Digest) -> Result<u64, StoreEr
     Ok(1)
 }
 
-/// A batch that all its records left is closed over the same ones again: it waits, as if it had never been sent.
+/// A batch that all its records left waits again when it is closed over the same ones.
 pub(super) fn begin_again(connection: &Connection, batch: i64) -> Result<bool, StoreError> {
-    let in_use = connection.has("SELECT 1 FROM leaves WHERE batch = ?1", [batch])?;
-    if in_use {
+    if connection.has("SELECT 1 FROM leaves WHERE batch = ?1", [batch])? {
         return Ok(false);
     }
     connection.run("DELETE FROM left_places WHERE batch = ?1", [batch])?;

@@ -1,10 +1,10 @@
-//! Records passed on to a gateway: accepted by its signed receipt, verified or lost by its statement.
+//! Records passed on to a gateway, accepted by its receipt and decided by its statement.
 
 use std::collections::BTreeSet;
 
 use rusqlite::{Connection, OptionalExtension as _, params};
 
-use super::rows::{self, By, RecordRow, may};
+use super::rows::{self, By, RecordRow, check, time};
 use super::{Bindings, Forwarding, Names, Session};
 use crate::StoreError;
 use crate::database::{Statements as _, capped, whole};
@@ -13,35 +13,29 @@ use crate::model::{
     Address, Digest, ProfileName, PublicKey, RecordState, RecorderId, Signature, SignerId, Timestamp, TopicId,
 };
 
-/// A gateway's signed receipt for records.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct KeptReceipt {
     pub time: Timestamp,
-    /// All digests it covers, in order.
+    /// In order.
     pub digests: Vec<Digest>,
-    /// Signature by the gateway's identity key.
+    /// By the gateway's identity key.
     pub signature: Signature,
 }
 
-/// A page of the records that a gateway signed for and that are not decided yet.
+/// Records with a receipt and no decision.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct ForwardedPage {
-    /// The records, in the order of this ledger.
     pub rows: Vec<RecordRow>,
-    /// Where the next page begins; none if this is the last.
+    /// `None` on the last page.
     pub next: Option<i64>,
 }
 
-/// Records of no transaction and no block of this ledger.
+/// Moves records without a transaction or block of this ledger.
 const MOVE: &str = "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2 AND tx IS NULL
     AND NOT EXISTS (SELECT 1 FROM leaves WHERE record = n)";
 
 impl Forwarding {
-    /// The gateway took records over: its receipt is stored, and those in state stored become submitted. Returns how many
-    /// changed.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then nothing changes, and they are passed on again.
+    /// Stores the gateway's receipt; stored records become submitted. Returns how many.
     pub fn accept(&self, receipt: KeptReceipt) -> Result<u64, StoreError> {
         self.0.write(move |session| {
             let digests: Vec<u8> = receipt.digests.iter().flat_map(|digest| digest.0).collect();
@@ -58,7 +52,7 @@ impl Forwarding {
         })
     }
 
-    /// The submitted records that the gateway signed for, after a page whose `next` was this.
+    /// Submitted records with a receipt, after a page's `next`.
     pub fn undecided(&self, after: Option<i64>, limit: usize) -> Result<ForwardedPage, StoreError> {
         let limit = limit.max(1);
         self.0.read(|connection| {
@@ -77,25 +71,22 @@ impl Forwarding {
         })
     }
 
-    /// Who numbered the records that wait here, to be passed on or for the gateway's word.
+    /// Recorders of records that wait for forwarding or the gateway's decision.
     pub fn recorders(&self) -> Result<BTreeSet<RecorderId>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT DISTINCT r.id FROM counters c JOIN streams s ON s.key = c.stream
                      JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder
                      WHERE c.state IN (?1, ?2) AND c.records > 0";
             let values = params![RecordState::Stored.code(), RecordState::Submitted.code()];
-            let found: Vec<RecorderId> = connection.list(sql, values, |row| row.get(0).map(RecorderId))?;
-            Ok(found.into_iter().collect())
+            Ok(connection.list(sql, values, |row| row.get(0).map(RecorderId))?)
         })
     }
 
-    /// A gateway's standings of records it took over: verified, tampered, or, if it no longer knows them, stored again.
-    /// Receipts whose records are all verified are deleted. Returns how many records changed.
+    /// Applies the gateway's word: verified, tampered, or stored again if unknown there. Deletes receipts whose records
+    /// are all verified. Returns how many changed.
     pub fn settle(&self, digests: &[Digest], to: RecordState) -> Result<u64, StoreError> {
         let from = RecordState::Submitted;
-        if !may(By::Gateway, from, to) {
-            return Err(StoreError::IllegalEdge { from, to });
-        }
+        check(By::Gateway, from, to)?;
         let digests = digests.to_vec();
         self.0.write_many(digests.len(), move |session| {
             let moved = shift(session, &digests, from, to)?;
@@ -109,18 +100,14 @@ impl Forwarding {
         })
     }
 
-    /// The newest receipt that covers a record not yet verified.
+    /// The newest that covers an unverified record.
     pub fn receipt_of(&self, digest: Digest) -> Result<Option<KeptReceipt>, StoreError> {
-        self.0.read(|connection| {
-            let sql = "SELECT at, digests, signature FROM receipts WHERE key = (SELECT receipt FROM receipted
+        let sql = "SELECT at, digests, signature FROM receipts WHERE key = (SELECT receipt FROM receipted
                 WHERE record = (SELECT n FROM records WHERE digest = ?1))";
-            let row: Option<(i64, Vec<u8>, [u8; 64])> =
-                connection.find(sql, params![digest.0], |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?)))?;
-            Ok(row.map(|(at, digests, signature)| KeptReceipt {
-                time: Timestamp(at.cast_unsigned()),
-                digests: digests.chunks(Digest::LENGTH).filter_map(Digest::from_slice).collect(),
-                signature: Signature(signature),
-            }))
+        self.0.find(sql, [digest.0], |row| {
+            let digests: Vec<u8> = row.get(1)?;
+            let digests = digests.chunks(Digest::LENGTH).filter_map(Digest::from_slice).collect();
+            Ok(KeptReceipt { time: time(row, 0)?, digests, signature: Signature(row.get(2)?) })
         })
     }
 }
@@ -129,81 +116,62 @@ fn shift(session: &Session<'_>, digests: &[Digest], from: RecordState, to: Recor
     Ok(session.connection.run_each(MOVE, digests.iter().map(|digest| (digest.0, from.code(), to.code())))?)
 }
 
-/// The receipts that cover these records.
 fn held(session: &Session<'_>, digests: &[Digest]) -> Result<BTreeSet<i64>, StoreError> {
-    let mut find = session
-        .connection
-        .prepare_cached("SELECT receipt FROM receipted WHERE record = (SELECT n FROM records WHERE digest = ?1)")?;
-    let found = digests.iter().map(|digest| find.query_row(params![digest.0], |row| row.get(0)).optional());
+    let sql = "SELECT receipt FROM receipted WHERE record = (SELECT n FROM records WHERE digest = ?1)";
+    let mut find = session.connection.prepare_cached(sql)?;
+    let found = digests.iter().map(|digest| find.query_row([digest.0], |row| row.get(0)).optional());
     Ok(found.filter_map(Result::transpose).collect::<Result<_, _>>()?)
 }
 
-/// Deletes receipts that no longer cover any record.
+/// Deletes receipts that cover no record.
 fn sweep(session: &Session<'_>, receipts: BTreeSet<i64>) -> Result<(), StoreError> {
     let sql = "DELETE FROM receipts WHERE key = ?1 AND NOT EXISTS (SELECT 1 FROM receipted WHERE receipt = ?1)";
     session.connection.run_each(sql, receipts.into_iter().map(|receipt| [receipt]))?;
     Ok(())
 }
 
-// What a gateway keeps for others: public keys of their devices, and bindings of names.
-
-/// The binding of a name at a gateway.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct KeptBinding {
     pub account: Address,
-    /// P_C when the transport key was allocated.
+    /// P_C at the transport key's allocation.
     pub signing: PublicKey,
     /// P_E at that time.
     pub envelope: PublicKey,
-    /// The transport key, sealed by its keeper.
+    /// Sealed by its keeper.
     pub sealed_key: Vec<u8>,
-    /// The device that owns the name, with the topic id of its owner's notices to it; `None` if the name is its account's
-    /// own.
+    /// The device with the name, and the topic of notices to it; `None` = the account's own name.
     pub device: Option<(SignerId, TopicId)>,
 }
 
 impl Bindings {
-    /// Stores a device's public key under its id.
     pub fn keep_signer(&self, id: SignerId, key: PublicKey) -> Result<(), StoreError> {
-        // It comes with every record of the device, and a commit for each would be what takes the time.
+        // It comes with every record of the device: spares a commit each.
         if self.signer(id)?.is_some() {
             return Ok(());
         }
         self.0.write(move |session| add_signer(session.connection, id, key))
     }
 
-    /// The public key of a device, if it is known.
     pub fn signer(&self, id: SignerId) -> Result<Option<PublicKey>, StoreError> {
         self.0.find("SELECT key FROM signers WHERE id = ?1", [id.0], |row| row.get(0).map(PublicKey))
     }
 
-    /// Binds a name, replacing its previous binding.
+    /// Replaces the name's previous binding.
     pub fn bind(&self, name: &ProfileName, binding: KeptBinding) -> Result<(), StoreError> {
-        let name = name.to_string();
+        let KeptBinding { account, signing, envelope, sealed_key, device } = binding;
+        let (device, notices) = device.map(|(device, notices)| (device.0, notices.0)).unzip();
         let sql = "REPLACE INTO bindings VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)";
-        self.0.run(
-            sql,
-            (
-                name,
-                binding.account.0,
-                binding.signing.0,
-                binding.envelope.0,
-                binding.sealed_key,
-                binding.device.map(|(device, _)| device.0),
-                binding.device.map(|(_, notices)| notices.0),
-            ),
-        )
+        self.0.run(sql, (name.to_string(), account.0, signing.0, envelope.0, sealed_key, device, notices))
     }
 
-    /// Replaces the sealed form of a name's transport key; does nothing if another key has been bound meanwhile.
+    /// Does nothing if another key is bound meanwhile.
     pub fn reseal_binding(&self, name: &str, before: Vec<u8>, after: Vec<u8>) -> Result<(), StoreError> {
         let name = name.to_owned();
         let sql = "UPDATE bindings SET sealed_key = ?3 WHERE name = ?1 AND sealed_key = ?2";
         self.0.run(sql, (name, before, after))
     }
 
-    /// From now on a name of `account` belongs to a device, whose notices are filed under `notices`; its transport key
-    /// is unchanged. Returns whether there was such a name.
+    /// Gives a name of `account` to a device, with the same transport key; `false` if there is no such name.
     pub fn bind_device(
         &self,
         name: &str,
@@ -216,58 +184,47 @@ impl Bindings {
         Ok(self.0.changed(sql, (name, account.0, device.0, notices.0))? > 0)
     }
 
-    /// The binding of a name.
     pub fn binding(&self, name: &ProfileName) -> Result<Option<KeptBinding>, StoreError> {
-        self.0.read(|connection| {
-            let sql = "SELECT account, signing, envelope, sealed_key, device, notices FROM bindings WHERE name = ?1";
-            let binding = connection.find(sql, [name.as_str()], |row| {
-                Ok(KeptBinding {
-                    account: Address(row.get(0)?),
-                    signing: PublicKey(row.get(1)?),
-                    envelope: PublicKey(row.get(2)?),
-                    sealed_key: row.get(3)?,
-                    device: match row.get::<_, Option<_>>(4)? {
-                        Some(device) => Some((SignerId(device), TopicId(row.get(5)?))),
-                        None => None,
-                    },
-                })
-            })?;
-            Ok(binding)
+        let sql = "SELECT account, signing, envelope, sealed_key, device, notices FROM bindings WHERE name = ?1";
+        self.0.find(sql, [name.as_str()], |row| {
+            let device = match row.get::<_, Option<_>>(4)? {
+                Some(device) => Some((SignerId(device), TopicId(row.get(5)?))),
+                None => None,
+            };
+            let (account, signing, envelope) = (Address(row.get(0)?), PublicKey(row.get(1)?), PublicKey(row.get(2)?));
+            Ok(KeptBinding { account, signing, envelope, sealed_key: row.get(3)?, device })
         })
     }
 
-    /// Every bound name with its account, by name.
+    /// Ordered by name.
     pub fn bound_names(&self) -> Result<Vec<(String, Address)>, StoreError> {
-        self.0
-            .list("SELECT name, account FROM bindings ORDER BY name", [], |row| Ok((row.get(0)?, Address(row.get(1)?))))
+        let sql = "SELECT name, account FROM bindings ORDER BY name";
+        self.0.list(sql, [], |row| Ok((row.get(0)?, Address(row.get(1)?))))
     }
 }
 
 impl Names {
-    /// Stores the meaning of a pseudonym (lower-case hex of a topic id, or of a type's filter id); the caller must have
-    /// derived one from the other.
+    /// `id`: lower-case hex of a topic id or of a type's filter id, derived by the caller.
     pub fn keep(&self, owner: Address, id: String, name: String) -> Result<(), StoreError> {
         self.0.run("INSERT INTO names VALUES (?1, ?2, ?3) ON CONFLICT DO NOTHING", (owner.0, id, name))
     }
 
-    /// The name of a topic of an owner, derived by who asks; nothing happens if the topic is not here, or has a name.
+    /// Names a topic that is here without a name.
     pub fn keep_topic(&self, owner: Address, topic: TopicId, name: String) -> Result<(), StoreError> {
-        let is_here = self.0.read(|connection| {
-            let sql = "SELECT EXISTS (SELECT 1 FROM topics WHERE owner = ?1 AND topic_id = ?2 AND name = '')
+        let sql = "SELECT EXISTS (SELECT 1 FROM topics WHERE owner = ?1 AND topic_id = ?2 AND name = '')
                 AND NOT EXISTS (SELECT 1 FROM names WHERE owner = ?1 AND id = lower(hex(?2)))";
-            Ok(connection.one(sql, params![owner.0, topic.0], |row| row.get::<_, bool>(0))?)
-        })?;
+        let is_here: bool = self.0.one(sql, params![owner.0, topic.0], |row| row.get(0))?;
         if is_here { self.keep(owner, hex(&topic.0), name) } else { Ok(()) }
     }
 
-    /// Every name that a topic of an owner ever had here: captured, learnt or given; none of them is proven.
+    /// Captured, learnt or given; none is proven.
     pub fn of_topic(&self, owner: Address, topic: TopicId) -> Result<Vec<String>, StoreError> {
         let sql = "SELECT name FROM topics WHERE owner = ?1 AND topic_id = ?2 AND name <> ''
             UNION SELECT name FROM names WHERE owner = ?1 AND id = lower(hex(?2))";
         self.0.list(sql, params![owner.0, topic.0], |row| row.get(0))
     }
 
-    /// Up to `most` records of each of an owner's streams whose topic or type is known only by its pseudonym.
+    /// Up to `most` records of each stream whose topic or type is known only by its pseudonym.
     pub fn unnamed(&self, owner: Address, most: usize) -> Result<Vec<Vec<Digest>>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT s.key FROM streams s JOIN topics t ON t.key = s.topic
@@ -278,16 +235,15 @@ impl Names {
             let streams: Vec<i64> = connection.list(sql, [owner.0], |row| row.get(0))?;
             let sql = "SELECT digest FROM counters c JOIN records r ON r.state = c.state AND r.stream = c.stream
                 WHERE c.stream = ?1 AND c.records > 0 LIMIT ?2";
-            let of =
-                |stream: i64| Ok(connection.list(sql, params![stream, capped(most)], |row| row.get(0).map(Digest))?);
+            let most = capped(most);
+            let of = |stream: i64| Ok(connection.list(sql, [stream, most], |row| row.get(0).map(Digest))?);
             streams.into_iter().map(of).collect()
         })
     }
 }
 
 pub(super) fn add_signer(connection: &Connection, id: SignerId, key: PublicKey) -> Result<(), StoreError> {
-    connection.run("INSERT INTO signers VALUES (?1, ?2) ON CONFLICT DO NOTHING", params![id.0, key.0])?;
-    Ok(())
+    connection.run("INSERT INTO signers VALUES (?1, ?2) ON CONFLICT DO NOTHING", params![id.0, key.0])
 }
 
 #[cfg(test)]

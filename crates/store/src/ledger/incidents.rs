@@ -1,70 +1,60 @@
-//! Incidents: spans of time and topics with notes. Retention does not delete records in one as long as it exists.
+//! Incidents: spans of time and topics with notes. Retention keeps records in them.
 
 use std::collections::BTreeMap;
 
 use rusqlite::{Connection, Row, params};
 use serde::{Deserialize, Serialize};
 
-use super::Incidents;
-use super::rows::{LEARNED_NAME, TOPIC_NAME, unsigned};
+use super::rows::{LEARNED_NAME, TOPIC_NAME, optional, time, unsigned};
+use super::{Incidents, Session};
 use crate::StoreError;
-use crate::database::{Statements as _, capped, count, whole};
+use crate::database::{Statements as _, capped, whole};
 use crate::model::{Address, IncidentName, IncidentNameError, RecordKind, RecordState, Timestamp};
 
-/// The scope of an incident.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct IncidentSpan {
-    /// Records captured at this time or later.
+    /// First capture.
     pub since: Timestamp,
-    /// Records captured before this time; `None` = it is still open.
+    /// Captured before; `None` = still open.
     pub until: Option<Timestamp>,
-    /// Of topics with these names; empty = of all.
+    /// By name; empty = all.
     pub topics: Vec<String>,
 }
 
-/// A note about an incident.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct IncidentNote {
-    /// When it was written.
     pub at: Timestamp,
-    /// Its text, as given: clean it.
+    /// As written: clean it.
     pub text: String,
 }
 
-/// An incident as the ledger stores it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct IncidentRow {
-    /// Its name, unique for an owner.
     pub name: IncidentName,
     pub span: IncidentSpan,
-    /// When it was opened.
     pub opened_at: Timestamp,
-    /// When it was closed.
     pub closed_at: Option<Timestamp>,
     pub notes: Vec<IncidentNote>,
 }
 
-/// One topic's records in a span.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct SpanCoverage {
     pub topic: String,
-    /// Captured messages that are records, without quarantined ones.
+    /// Captured messages except quarantined ones.
     pub records: u64,
-    /// Bytes of these messages.
     pub bytes: u64,
-    /// When the first of them was captured.
+    /// First capture.
     pub first: Option<Timestamp>,
-    /// When the last was.
+    /// Last capture.
     pub last: Option<Timestamp>,
-    /// How many of them have lost their ciphertext to retention already.
+    /// Those without ciphertext.
     pub deleted: u64,
     pub quarantined: u64,
-    /// Messages that were lost in stretches of time that overlap the span.
+    /// Lost in stretches that overlap the span.
     pub lost: u64,
 }
 
 impl SpanCoverage {
-    /// Adds the figures of another part of the same topic.
     fn add(&mut self, part: &Self) {
         self.records += part.records;
         self.bytes += part.bytes;
@@ -77,7 +67,7 @@ impl SpanCoverage {
 }
 
 impl Incidents {
-    /// Stores a new incident; `false` if the owner has one of this name already.
+    /// `false` if the owner has one of this name.
     pub fn open(
         &self,
         owner: Address,
@@ -86,51 +76,46 @@ impl Incidents {
         note: Option<&str>,
     ) -> Result<bool, StoreError> {
         let (name, span, note) = (name.clone(), span.clone(), note.map(str::to_owned));
-        self.0.write(move |session| {
-            let connection = session.connection;
+        self.0.write(move |Session { connection, .. }| {
             let now = whole("time", Timestamp::now().0)?;
             let until = span.until.map(|until| whole("time", until.0)).transpose()?;
-            let added = connection.execute(
-                "INSERT OR IGNORE INTO incidents (owner, name, since, until, opened_at) VALUES (?1, ?2, ?3, ?4, ?5)",
-                params![owner.0, name.as_str(), whole("time", span.since.0)?, until, now],
-            )?;
-            if added == 0 {
+            let since = whole("time", span.since.0)?;
+            let sql =
+                "INSERT OR IGNORE INTO incidents (owner, name, since, until, opened_at) VALUES (?1, ?2, ?3, ?4, ?5)";
+            if connection.changed(sql, params![owner.0, name.as_str(), since, until, now])? == 0 {
                 return Ok(false);
             }
             let key = connection.last_insert_rowid();
             for topic in &span.topics {
-                connection.execute("INSERT OR IGNORE INTO incident_topics VALUES (?1, ?2)", params![key, topic])?;
+                connection.run("INSERT OR IGNORE INTO incident_topics VALUES (?1, ?2)", params![key, topic])?;
             }
             if let Some(text) = note {
-                connection.execute("INSERT INTO incident_notes VALUES (?1, 1, ?2, ?3)", params![key, now, text])?;
+                connection.run("INSERT INTO incident_notes VALUES (?1, 1, ?2, ?3)", params![key, now, text])?;
             }
             Ok(true)
         })
     }
 
-    /// The incidents of an owner, the newest span last.
+    /// The newest span last.
     pub fn list(&self, owner: Address) -> Result<Vec<IncidentRow>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT key, name, since, until, opened_at, closed_at FROM incidents WHERE owner = ?1
                 ORDER BY since, key";
-            let rows: Vec<(i64, IncidentRow)> =
-                connection.list(sql, [owner.0], |row| Ok((row.get(0)?, incident(row)?)))?;
-            rows.into_iter().map(|(key, row)| whole_of(connection, key, row)).collect()
+            let rows: Vec<_> = connection.list(sql, [owner.0], incident)?;
+            rows.into_iter().map(|row| whole_of(connection, row)).collect()
         })
     }
 
-    /// One incident of an owner.
     pub fn find(&self, owner: Address, name: &IncidentName) -> Result<Option<IncidentRow>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT key, name, since, until, opened_at, closed_at FROM incidents
                 WHERE owner = ?1 AND name = ?2";
-            let found =
-                connection.find(sql, params![owner.0, name.as_str()], |row| Ok((row.get(0)?, incident(row)?)))?;
-            found.map(|(key, row)| whole_of(connection, key, row)).transpose()
+            let found = connection.find(sql, params![owner.0, name.as_str()], incident)?;
+            found.map(|row| whole_of(connection, row)).transpose()
         })
     }
 
-    /// Adds a note; `false` if there is no such incident.
+    /// `false` if there is none of this name.
     pub fn note(&self, owner: Address, name: &IncidentName, text: &str) -> Result<bool, StoreError> {
         let (name, now) = (name.as_str().to_owned(), whole("time", Timestamp::now().0)?);
         let sql = "INSERT INTO incident_notes SELECT key,
@@ -139,7 +124,7 @@ impl Incidents {
         Ok(self.0.changed(sql, (owner.0, name, now, text.to_owned()))? > 0)
     }
 
-    /// Closes an open incident: its span ends now, if it did not end before. `false` if none of this name is open.
+    /// Ends its span now, unless it ended before. `false` if none of this name is open.
     pub fn close(&self, owner: Address, name: &IncidentName) -> Result<bool, StoreError> {
         let (name, now) = (name.as_str().to_owned(), whole("time", Timestamp::now().0)?);
         let sql = "UPDATE incidents SET closed_at = ?3, until = min(coalesce(until, ?3), ?3)
@@ -147,23 +132,22 @@ impl Incidents {
         Ok(self.0.changed(sql, (owner.0, name, now))? > 0)
     }
 
-    /// Removes an incident; its records are subject to retention again. `false` if there is none of this name.
+    /// Retention may delete its records again. `false` if there is none of this name.
     pub fn remove(&self, owner: Address, name: &IncidentName) -> Result<bool, StoreError> {
         let name = name.clone();
-        self.0.write(move |session| {
-            let connection = session.connection;
+        self.0.write(move |Session { connection, .. }| {
             let whose = params![owner.0, name.as_str()];
             for table in ["incident_topics", "incident_notes"] {
                 let sql = format!(
                     "DELETE FROM {table} WHERE incident IN (SELECT key FROM incidents WHERE owner = ?1 AND name = ?2)"
                 );
-                connection.execute(&sql, whose)?;
+                connection.run(&sql, whose)?;
             }
-            Ok(count(connection.execute("DELETE FROM incidents WHERE owner = ?1 AND name = ?2", whose)?) > 0)
+            Ok(connection.changed("DELETE FROM incidents WHERE owner = ?1 AND name = ?2", whose)? > 0)
         })
     }
 
-    /// Each topic's records in a span of an owner's records: of the named topics, or of all that have any.
+    /// Of the named topics, or of all with records.
     pub fn span_coverage(&self, owner: Address, span: &IncidentSpan) -> Result<Vec<SpanCoverage>, StoreError> {
         self.0.read(|connection| {
             let mut found: BTreeMap<String, SpanCoverage> =
@@ -176,7 +160,7 @@ impl Incidents {
         })
     }
 
-    /// Bytes of a topic's captured messages in a stretch of time whose ciphertext retention has not deleted.
+    /// Captured bytes with ciphertext.
     pub fn bytes_between(&self, topic: i64, (since, until): (Timestamp, Timestamp)) -> Result<u64, StoreError> {
         let sql = "SELECT coalesce(sum(r.bytes), 0) FROM streams s JOIN counters c ON c.stream = s.key
             JOIN records r INDEXED BY records_by_state ON r.state = c.state AND r.stream = s.key
@@ -184,38 +168,30 @@ impl Incidents {
             AND r.captured_at >= ?4 AND r.captured_at < ?5
             AND NOT EXISTS (SELECT 1 FROM retained WHERE record = r.n)";
         let (kind, dropped) = (RecordKind::Data.code(), RecordState::Dropped.code());
-        let values = params![topic, kind, dropped, bound(since), bound(until)];
+        let values = params![topic, kind, dropped, capped(since.0), capped(until.0)];
         self.0.one(sql, values, |row| unsigned(row, 0))
     }
 }
 
-fn incident(row: &Row<'_>) -> rusqlite::Result<IncidentRow> {
+fn incident(row: &Row<'_>) -> rusqlite::Result<(i64, IncidentRow)> {
     let name: String = row.get(1)?;
     let name = name.parse().map_err(|error: IncidentNameError| {
         rusqlite::Error::FromSqlConversionFailure(1, rusqlite::types::Type::Text, Box::new(error))
     })?;
-    let time =
-        |column| Ok::<_, rusqlite::Error>(row.get::<_, Option<i64>>(column)?.map(|at| Timestamp(at.cast_unsigned())));
-    Ok(IncidentRow {
-        name,
-        span: IncidentSpan { since: Timestamp(unsigned(row, 2)?), until: time(3)?, topics: Vec::new() },
-        opened_at: Timestamp(unsigned(row, 4)?),
-        closed_at: time(5)?,
-        notes: Vec::new(),
-    })
+    let (since, until) = (time(row, 2)?, optional(row, 3)?.map(Timestamp));
+    let (opened_at, closed_at) = (time(row, 4)?, optional(row, 5)?.map(Timestamp));
+    let span = IncidentSpan { since, until, topics: Vec::new() };
+    Ok((row.get(0)?, IncidentRow { name, span, opened_at, closed_at, notes: Vec::new() }))
 }
 
-/// With its topics and notes.
-fn whole_of(connection: &Connection, key: i64, mut row: IncidentRow) -> Result<IncidentRow, StoreError> {
+fn whole_of(connection: &Connection, (key, mut row): (i64, IncidentRow)) -> Result<IncidentRow, StoreError> {
     let sql = "SELECT topic FROM incident_topics WHERE incident = ?1 ORDER BY topic";
     row.span.topics = connection.list(sql, [key], |row| row.get(0))?;
     let sql = "SELECT at, text FROM incident_notes WHERE incident = ?1 ORDER BY number";
-    row.notes =
-        connection.list(sql, [key], |row| Ok(IncidentNote { at: Timestamp(unsigned(row, 0)?), text: row.get(1)? }))?;
+    row.notes = connection.list(sql, [key], |row| Ok(IncidentNote { at: time(row, 0)?, text: row.get(1)? }))?;
     Ok(row)
 }
 
-/// The contribution of the records of each topic and state.
 fn counted(connection: &Connection, owner: Address, span: &IncidentSpan) -> Result<Vec<SpanCoverage>, StoreError> {
     let sql = format!(
         "SELECT {TOPIC_NAME}, r.state, count(*), sum(r.bytes), min(r.captured_at), max(r.captured_at),
@@ -226,35 +202,24 @@ fn counted(connection: &Connection, owner: Address, span: &IncidentSpan) -> Resu
             AND r.captured_at >= ?4 AND r.captured_at < ?5 GROUP BY 1, r.state"
     );
     let (kind, dropped) = (RecordKind::Data.code(), RecordState::Dropped.code());
-    Ok(connection.list(&sql, params![owner.0, kind, dropped, bound(span.since), end(span)], |row| {
+    Ok(connection.list(&sql, params![owner.0, kind, dropped, capped(span.since.0), end(span)], |row| {
         let (topic, records) = (row.get(0)?, unsigned(row, 2)?);
         if row.get::<_, u8>(1)? == RecordState::Quarantined.code() {
             return Ok(SpanCoverage { topic, quarantined: records, ..SpanCoverage::default() });
         }
-        Ok(SpanCoverage {
-            topic,
-            records,
-            bytes: unsigned(row, 3)?,
-            first: Some(Timestamp(unsigned(row, 4)?)),
-            last: Some(Timestamp(unsigned(row, 5)?)),
-            deleted: unsigned(row, 6)?,
-            ..SpanCoverage::default()
-        })
+        let (bytes, deleted) = (unsigned(row, 3)?, unsigned(row, 6)?);
+        let (first, last) = (Some(time(row, 4)?), Some(time(row, 5)?));
+        Ok(SpanCoverage { topic, records, bytes, first, last, deleted, ..SpanCoverage::default() })
     })?)
 }
 
-/// Messages of each topic that were lost in stretches of time that overlap the span.
 fn losses(connection: &Connection, owner: Address, span: &IncidentSpan) -> Result<Vec<SpanCoverage>, StoreError> {
     let sql = "SELECT topic, sum(count) FROM gaps WHERE owner = ?1 AND last_at >= ?2 AND first_at < ?3 GROUP BY topic";
-    Ok(connection.list(sql, params![owner.0, bound(span.since), end(span)], |row| {
+    Ok(connection.list(sql, params![owner.0, capped(span.since.0), end(span)], |row| {
         Ok(SpanCoverage { topic: row.get(0)?, lost: unsigned(row, 1)?, ..SpanCoverage::default() })
     })?)
 }
 
-fn bound(at: Timestamp) -> i64 {
-    capped(at.0)
-}
-
 fn end(span: &IncidentSpan) -> i64 {
-    span.until.map_or(i64::MAX, bound)
+    span.until.map_or(i64::MAX, |until| capped(until.0))
 }

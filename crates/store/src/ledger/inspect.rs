@@ -1,90 +1,79 @@
-//! What an audit reads: records with their places in batches, batches, sequences; page by page, each page one snapshot,
-//! so that memory stays constant. An unreadable row is reported and does not end the walk.
+//! An audit's pages, one snapshot each, so that memory stays constant. An unreadable row is reported, and the walk goes
+//! on.
 
 use std::collections::HashMap;
 
-use rusqlite::{Connection, Row, params};
+use rusqlite::{Row, params};
 
 use super::Inspection;
-use super::rows::{self, RecordRow, Stream, unsigned};
+use super::rows::{self, RecordRow, Stream, optional, unsigned};
 use super::{batches, branches};
 use crate::StoreError;
 use crate::crypto::merkle::Inclusion;
 use crate::database::{Statements as _, capped, count, whole};
 use crate::model::{Address, Digest, FilterId, Hash, RecordState, RecorderId, SignerId, Timestamp, TopicId, clean};
 
-/// Columns of a record, in the order of [`rows::record`].
+/// Of [`rows::record`].
 const RECORD_COLUMNS: usize = 14;
 
-/// A record's place in a batch, as an audit compares it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AuditedPlace {
-    /// Index, count, path and root; `None` if the batch is gone.
+    /// `None` if the batch is gone.
     pub inclusion: Option<Inclusion>,
-    /// The transaction of the batch.
     pub transaction: Option<Hash>,
     pub block: Option<u64>,
     pub block_hash: Option<Hash>,
-    /// Whether a verified record rests on this block, and what else the ledger knows of it is of another one.
+    /// A verified record depends on this block, but the ledger knows another one from elsewhere.
     pub is_contradicted: bool,
 }
 
-/// A record with everything an audit compares with it.
 #[allow(clippy::struct_excessive_bools, reason = "each says another thing of the row")]
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AuditedRecord {
     pub number: u64,
     pub row: RecordRow,
-    /// Its place in a batch.
     pub place: Option<AuditedPlace>,
-    /// Whether its bytes are there.
     pub is_stored: bool,
-    /// Whether its row and its stream name the same topic.
+    /// Row and stream name the same topic.
     pub in_its_topic: bool,
-    /// Whether row and retention agree on when its ciphertext was deleted.
+    /// Row and retention agree on the deletion's time.
     pub as_retained: bool,
 }
 
-/// A page of records, in the order of acknowledgement.
 #[derive(Debug, Default)]
 pub struct AuditPage {
-    /// The records; for an unreadable row, its number and the reason.
+    /// An unreadable row as its number and the reason.
     pub records: Vec<Result<AuditedRecord, (u64, String)>>,
-    /// Cursor of the next page; `None` at the end.
+    /// `None` at the end.
     pub next: Option<u64>,
 }
 
-/// A batch as an audit compares it with the chain.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AuditedBatch {
     pub key: u64,
     pub root: Hash,
-    /// Leaves it was closed with.
+    /// At closing.
     pub count: u64,
-    /// Leaves whose records the ledger has.
+    /// With records in the ledger.
     pub held: u64,
-    /// Whether this ledger closed it; otherwise only some of its records may ever have come here.
+    /// Else perhaps not all its records ever came here.
     pub closed_here: bool,
-    /// The account that anchored it, or is to.
+    /// That anchored it, or will.
     pub account: Option<Address>,
     pub transaction: Option<Hash>,
     pub block: Option<u64>,
     pub block_hash: Option<Hash>,
 }
 
-/// The range of one topic's sequence numbers.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Sequence {
-    /// The ledger's own key of the topic.
     pub key: i64,
     pub owner: Address,
-    /// Its name, or its pseudonym if the name is unknown.
+    /// Or its pseudonym.
     pub name: String,
-    /// The account that anchors it instead of its owner.
+    /// Anchors it instead of the owner.
     pub keeper: Option<Address>,
-    /// Whose key signs them.
     pub signer: SignerId,
-    /// Who gave the numbers.
     pub recorder: RecorderId,
     pub count: u64,
     pub first: u64,
@@ -92,7 +81,7 @@ pub struct Sequence {
 }
 
 impl Inspection {
-    /// The records after row `after`, captured at `since` or later, at most `limit`.
+    /// After row `after`, captured at `since` or later.
     pub fn audit_page(&self, after: u64, since: Timestamp, limit: usize) -> Result<AuditPage, StoreError> {
         let (after, since) = (whole("row", after)?, whole("time", since.0)?);
         let limit = capped(limit);
@@ -122,7 +111,7 @@ impl Inspection {
         })
     }
 
-    /// How many of these ids find a record, by its row number, in the index of tags and of their streams.
+    /// How many of these ids find a record in the indexes of tags and of their streams.
     pub fn indexed(&self, number: u64, filters: &[FilterId]) -> Result<u64, StoreError> {
         let number = whole("row", number)?;
         self.0.read(|connection| {
@@ -134,16 +123,11 @@ impl Inspection {
         })
     }
 
-    /// Entries of the index of tags for rows up to a number.
     pub fn size_of_index(&self, last: u64) -> Result<u64, StoreError> {
         let last = whole("row", last)?;
-        self.0.read(|connection| {
-            let sql = "SELECT count(*) FROM filters WHERE record <= ?1";
-            Ok(connection.query_row(sql, [last], |row| unsigned(row, 0))?)
-        })
+        self.0.one("SELECT count(*) FROM filters WHERE record <= ?1", [last], |row| unsigned(row, 0))
     }
 
-    /// The batches after number `after`, at most `limit`.
     pub fn audit_batches(&self, after: u64, limit: usize) -> Result<Vec<AuditedBatch>, StoreError> {
         let after = whole("batch", after)?;
         let sql = "SELECT key, root, count, (SELECT count(*) FROM leaves JOIN records ON n = record WHERE batch = key)
@@ -152,45 +136,37 @@ impl Inspection {
         self.0.list(sql, params![after, capped(limit)], batch)
     }
 
-    /// When the newest record was acknowledged, by this machine's clock.
+    /// By this machine's clock.
     pub fn newest_acknowledgement(&self) -> Result<Option<Timestamp>, StoreError> {
         let sql = "SELECT acknowledged_at FROM records ORDER BY n DESC LIMIT 1";
-        self.0.read(|connection| {
-            let newest: Option<i64> = connection.find(sql, [], |row| row.get(0))?;
-            Ok(newest.and_then(|newest| u64::try_from(newest).ok()).map(Timestamp))
-        })
+        let newest: Option<i64> = self.0.find(sql, [], |row| row.get(0))?;
+        Ok(newest.and_then(|newest| u64::try_from(newest).ok()).map(Timestamp))
     }
 
-    /// Which of these roots belong to no batch of this ledger.
     pub fn unknown_roots(&self, roots: &[Hash]) -> Result<Vec<Hash>, StoreError> {
         let sql = "SELECT 1 FROM batches WHERE root = ?1";
         self.0.read(|connection| connection.among(sql, roots, |root| Ok([root.0]), false))
     }
 
-    /// Which of these digests belong to no record of this ledger.
     pub fn unknown_digests(&self, digests: &[Digest]) -> Result<Vec<Digest>, StoreError> {
         let sql = "SELECT 1 FROM records WHERE digest = ?1";
         self.0.read(|connection| connection.among(sql, digests, |digest| Ok([digest.0]), false))
     }
 
-    /// All records, of any kind and state.
     pub fn size(&self) -> Result<u64, StoreError> {
-        let sql = "SELECT coalesce(sum(records), 0) FROM counters";
-        self.0.one(sql, [], |row| unsigned(row, 0))
+        self.0.one("SELECT coalesce(sum(records), 0) FROM counters", [], |row| unsigned(row, 0))
     }
 
-    /// The accounts that this ledger has ever signed for.
     pub fn signing_accounts(&self) -> Result<Vec<Address>, StoreError> {
         self.0.list("SELECT DISTINCT account FROM transactions", [], |row| row.get(0).map(Address))
     }
 
-    /// Whether this ledger has ever signed for an account.
     pub fn signs_for(&self, account: Address) -> Result<bool, StoreError> {
         let sql = "SELECT EXISTS (SELECT 1 FROM transactions WHERE account = ?1)";
         self.0.one(sql, [account.0], |row| row.get(0))
     }
 
-    /// Topics with records stamped more than five seconds earlier than the record before them, and how many.
+    /// Topics with records stamped more than five seconds before their predecessor, and how many.
     pub fn backwards(&self) -> Result<Vec<(String, u64)>, StoreError> {
         let sql = "SELECT coalesce(nullif(name, ''), lower(hex(topic_id))), held FROM
             (SELECT topic, count(*) AS held FROM
@@ -200,7 +176,6 @@ impl Inspection {
         self.0.list(sql, [], |row| Ok((row.get(0)?, unsigned(row, 1)?)))
     }
 
-    /// The record with a sequence number of a topic, signed by `signer` in `recorder`.
     pub fn holder(
         &self,
         owner: Address,
@@ -217,28 +192,21 @@ impl Inspection {
         self.0.find(sql, values, |row| row.get(0).map(Digest))
     }
 
-    /// Every topic with its range of sequence numbers.
     pub fn sequences(&self) -> Result<Vec<Sequence>, StoreError> {
         let sql = "SELECT topics.key, owner, coalesce(nullif(name, ''), lower(hex(topic_id))), keeper, held, low, high, id, signer
             FROM (SELECT topic, count(*) AS held, min(seq) AS low, max(seq) AS high FROM records GROUP BY topic)
             JOIN topics ON topics.key = topic JOIN recorders ON recorders.key = topics.recorder
             ORDER BY topics.key";
         self.0.list(sql, [], |row| {
-            Ok(Sequence {
-                key: row.get(0)?,
-                owner: Address(row.get(1)?),
-                name: row.get(2)?,
-                keeper: row.get::<_, Option<_>>(3)?.map(Address),
-                count: unsigned(row, 4)?,
-                first: unsigned(row, 5)?,
-                last: unsigned(row, 6)?,
-                recorder: RecorderId(row.get(7)?),
-                signer: SignerId(row.get(8)?),
-            })
+            let (owner, keeper) = (Address(row.get(1)?), row.get::<_, Option<_>>(3)?.map(Address));
+            let (count, first, last) = (unsigned(row, 4)?, unsigned(row, 5)?, unsigned(row, 6)?);
+            let (recorder, signer) = (RecorderId(row.get(7)?), SignerId(row.get(8)?));
+            let (key, name) = (row.get(0)?, row.get(2)?);
+            Ok(Sequence { key, owner, name, keeper, signer, recorder, count, first, last })
         })
     }
 
-    /// The first `limit` gaps in a topic's sequence numbers: first and last missing number.
+    /// First and last missing numbers.
     pub fn holes(&self, sequence: &Sequence, limit: usize) -> Result<Vec<(u64, u64)>, StoreError> {
         let before = (sequence.first > 1).then(|| (1, sequence.first - 1));
         let sql = "SELECT seq + 1, next - 1 FROM
@@ -266,40 +234,28 @@ fn place(row: &Row<'_>) -> rusqlite::Result<Option<AuditedPlace>> {
     if row.get::<_, Option<i64>>(column(1))?.is_none() {
         return Ok(None);
     }
-    let inclusion = match row.get::<_, Option<_>>(column(4))?.map(Hash) {
-        Some(root) => {
-            let (index, count) = (unsigned(row, column(2))?, unsigned(row, column(5))?);
-            let path = branches::path_of(row, column(3), (index, count))?;
-            Some(Inclusion { index, count, path, root })
-        }
-        None => None,
+    let within = |root| {
+        let (index, count) = (unsigned(row, column(2))?, unsigned(row, column(5))?);
+        let path = branches::path_of(row, column(3), (index, count))?;
+        Ok::<_, rusqlite::Error>(Inclusion { index, count, path, root })
     };
-    Ok(Some(AuditedPlace {
-        inclusion,
-        transaction: row.get::<_, Option<_>>(column(6))?.map(Hash),
-        block: row.get::<_, Option<i64>>(column(7))?.map(i64::cast_unsigned),
-        block_hash: row.get::<_, Option<_>>(column(8))?.map(Hash),
-        is_contradicted: row.get(column(12))?,
-    }))
+    let inclusion = row.get::<_, Option<_>>(column(4))?.map(Hash).map(within).transpose()?;
+    let (transaction, block) = (row.get::<_, Option<_>>(column(6))?.map(Hash), optional(row, column(7))?);
+    let (block_hash, is_contradicted) = (row.get::<_, Option<_>>(column(8))?.map(Hash), row.get(column(12))?);
+    Ok(Some(AuditedPlace { inclusion, transaction, block, block_hash, is_contradicted }))
 }
 
 fn batch(row: &Row<'_>) -> rusqlite::Result<AuditedBatch> {
-    Ok(AuditedBatch {
-        key: unsigned(row, 0)?,
-        root: Hash(row.get(1)?),
-        count: unsigned(row, 2)?,
-        held: unsigned(row, 3)?,
-        account: row.get::<_, Option<_>>(4)?.map(Address),
-        transaction: row.get::<_, Option<_>>(5)?.map(Hash),
-        block: row.get::<_, Option<i64>>(6)?.map(i64::cast_unsigned),
-        block_hash: row.get::<_, Option<_>>(7)?.map(Hash),
-        closed_here: row.get(8)?,
-    })
+    let (key, count, held) = (unsigned(row, 0)?, unsigned(row, 2)?, unsigned(row, 3)?);
+    let (account, transaction) = (row.get::<_, Option<_>>(4)?.map(Address), row.get::<_, Option<_>>(5)?.map(Hash));
+    let (block, block_hash) = (optional(row, 6)?, row.get::<_, Option<_>>(7)?.map(Hash));
+    let (root, closed_here) = (Hash(row.get(1)?), row.get(8)?);
+    Ok(AuditedBatch { key, root, count, held, closed_here, account, transaction, block, block_hash })
 }
 
-// Whether the ledger's tables agree with each other: checked after an unclean shutdown, and when a home is examined.
+// Whether the tables agree: checked after an unclean shutdown, and when a home is examined.
 
-/// A query that must find nothing, and the meaning if it does.
+/// Queries that must count zero, with the meaning of any other count.
 const RULES: [(&str, &str); 4] = [
     (
         "SELECT count(*) FROM (SELECT stream, state, count(*) AS rows FROM records GROUP BY state, stream) found
@@ -325,12 +281,12 @@ const RULES: [(&str, &str); 4] = [
 ];
 
 impl Inspection {
-    /// Whether the previous process closed it. If not, the file's structure was checked on opening.
+    /// If not, opening checked the file's structure.
     pub fn ended_cleanly(&self) -> bool {
         self.0.shared.clean
     }
 
-    /// Contradictions in its tables, in words; takes about a second per million records.
+    /// Takes about a second per million records.
     pub fn contradictions(&self) -> Result<Vec<String>, StoreError> {
         self.0.read(|connection| {
             let found = RULES.iter().map(|(sql, text)| {
@@ -341,18 +297,14 @@ impl Inspection {
         })
     }
 
-    /// The records acknowledged last, at most `limit`, whose ciphertext should be there: retention did not delete it.
+    /// Those acknowledged last whose ciphertext should be there.
     pub fn newest_stored(&self, limit: usize) -> Result<Vec<Digest>, StoreError> {
-        self.0.read(|connection| newest(connection, limit))
-    }
-}
-
-fn newest(connection: &Connection, limit: usize) -> Result<Vec<Digest>, StoreError> {
-    let states = (RecordState::Stored.code(), RecordState::Verified.code());
-    let values = (states.0, states.1, capped(limit), RecordState::RightEnded.code());
-    let sql = "SELECT digest FROM records NOT INDEXED WHERE (state BETWEEN ?1 AND ?2 OR state = ?4)
+        let states = (RecordState::Stored.code(), RecordState::Verified.code());
+        let values = (states.0, states.1, capped(limit), RecordState::RightEnded.code());
+        let sql = "SELECT digest FROM records NOT INDEXED WHERE (state BETWEEN ?1 AND ?2 OR state = ?4)
         AND NOT EXISTS (SELECT 1 FROM retained WHERE record = n) ORDER BY n DESC LIMIT ?3";
-    Ok(connection.list(sql, values, |row| row.get(0).map(Digest))?)
+        self.0.list(sql, values, |row| row.get(0).map(Digest))
+    }
 }
 
 #[cfg(test)]

@@ -1,37 +1,34 @@
-//! What was not kept as it came: records held back, publishers that are pinned or raised an alarm, and gaps.
+//! Records held back, pinned publishers and their alarms, and gaps.
 
 use rusqlite::{Connection, Row, params};
 use serde::{Deserialize, Serialize};
 
 use super::append::add;
-use super::rows::{self, By, RecordRow, may, unsigned};
-use super::{Losses, NewRecord, Pins, Quarantine};
+use super::rows::{self, By, RecordRow, check, time, unsigned};
+use super::{Losses, NewRecord, Pins, Quarantine, Session};
 use crate::StoreError;
-use crate::database::{Statements as _, capped, count, whole};
+use crate::database::{Statements as _, capped, whole};
 use crate::model::{Address, Digest, LossReason, Publisher, RecordKind, RecordState, Timestamp, TopicId};
 use crate::notes::{self, LossesCounted};
 
-/// Nanoseconds in a minute.
 const MINUTE: i64 = 60_000_000_000;
 
-/// Why a record is quarantined.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Hold {
-    /// The record, acknowledged in the same commit.
+    /// Acknowledged in the same commit.
     pub digest: Digest,
-    /// The name of the doubt.
+    /// The doubt's name.
     pub reason: &'static str,
-    /// Its sender, written as in pins.
+    /// As written in pins.
     pub publisher: String,
 }
 
-/// A record that is or was quarantined.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct HeldRow {
     pub record: RecordRow,
-    /// The name of the doubt.
+    /// The doubt's name.
     pub reason: String,
-    /// Its sender, written as in pins; untrusted text: clean it.
+    /// As written in pins; untrusted text: clean it.
     pub publisher: String,
     /// The quarantine record that counts it.
     pub report: Option<Digest>,
@@ -39,37 +36,30 @@ pub struct HeldRow {
     pub decision: Option<String>,
 }
 
-/// Records of one topic and minute that no quarantine record counts yet.
+/// Not counted by a quarantine record.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct HeldMinute {
-    /// Pseudonym of the topic.
     pub topic_id: TopicId,
     pub topic: String,
     /// Minutes since 1970 UTC.
     pub minute: u64,
-    /// Sequence numbers and digests in the order of acknowledgement.
+    /// In order of acknowledgement.
     pub records: Vec<(u64, Digest)>,
 }
 
-/// Which quarantined records to list.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct HeldQuery {
-    /// Only of this topic.
     pub topic: Option<String>,
-    /// Including those already decided.
+    /// Includes decided ones.
     pub decided: bool,
-    /// Only captured messages, no definitions.
+    /// Excludes definitions.
     pub messages: bool,
-    /// At most this many.
     pub limit: usize,
 }
 
 impl Quarantine {
-    /// Like [`Records::append`], with the reasons why some of the records are quarantined; all of it is durable when
-    /// this returns, or nothing is.
-    ///
-    /// # Errors
-    /// See [`Records::append`]; [`StoreError::NotReady`] if a record given a reason is not in state quarantined.
+    /// Like [`Records::append`], durable with the reasons or not at all. [`StoreError::NotReady`] if a record with a
+    /// reason is not quarantined.
     pub fn append_held(&self, records: Vec<NewRecord>, holds: Vec<Hold>) -> Result<(), StoreError> {
         self.0.write_many(records.len(), move |session| {
             let now = whole("time", Timestamp::now().0)?;
@@ -78,7 +68,7 @@ impl Quarantine {
         })
     }
 
-    /// Quarantined records of an owner, oldest first.
+    /// Oldest first.
     pub fn held(&self, owner: Address, query: &HeldQuery) -> Result<Vec<HeldRow>, StoreError> {
         self.0.read(|connection| {
             let streams = rows::all_streams(connection)?;
@@ -92,19 +82,15 @@ impl Quarantine {
             let data = RecordKind::Data.code();
             let values = params![query.decided, owner.0, query.topic, capped(query.limit), query.messages, data];
             Ok(connection.list(&sql, values, |row| {
-                Ok(HeldRow {
-                    record: rows::record(row, &streams)?,
-                    reason: row.get(14)?,
-                    publisher: row.get(15)?,
-                    report: row.get::<_, Option<_>>(16)?.map(Digest),
-                    decision: row.get(17)?,
-                })
+                let (record, report) = (rows::record(row, &streams)?, row.get::<_, Option<_>>(16)?.map(Digest));
+                let (reason, publisher, decision) = (row.get(14)?, row.get(15)?, row.get(17)?);
+                Ok(HeldRow { record, reason, publisher, report, decision })
             })?)
         })
     }
 
-    /// What the next quarantine record has to count: the oldest (topic, minute) of an owner before minute `before` with
-    /// uncounted records, and all of those.
+    /// For the next quarantine record: the oldest topic and minute before `before` with uncounted records, and all of
+    /// those.
     pub fn unreported(&self, owner: Address, before: u64) -> Result<Option<HeldMinute>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT topics.key, topic_id, name, minute FROM held INDEXED BY held_unreported
@@ -114,55 +100,49 @@ impl Quarantine {
                 Ok((row.get::<_, i64>(0)?, TopicId(row.get(1)?), row.get::<_, String>(2)?, unsigned(row, 3)?))
             })?;
             let Some((key, topic_id, topic, minute)) = first else { return Ok(None) };
-            let mut statement = connection.prepare_cached(
-                "SELECT seq, digest FROM held INDEXED BY held_unreported CROSS JOIN records ON n = record
-                    WHERE report IS NULL AND minute = ?1 AND topic = ?2 ORDER BY record",
-            )?;
-            let records = statement
-                .query_map(params![minute.cast_signed(), key], |row| Ok((unsigned(row, 0)?, Digest(row.get(1)?))))?;
-            Ok(Some(HeldMinute { topic_id, topic, minute, records: records.collect::<Result<_, _>>()? }))
+            let sql = "SELECT seq, digest FROM held INDEXED BY held_unreported CROSS JOIN records ON n = record
+                    WHERE report IS NULL AND minute = ?1 AND topic = ?2 ORDER BY record";
+            let values = params![minute.cast_signed(), key];
+            let records = connection.list(sql, values, |row| Ok((unsigned(row, 0)?, Digest(row.get(1)?))))?;
+            Ok(Some(HeldMinute { topic_id, topic, minute, records }))
         })
     }
 
-    /// Acknowledges a quarantine record and notes the records it counts, in one commit.
+    /// Notes the counted records in the same commit.
     pub fn report(&self, report: NewRecord, counted: Vec<Digest>) -> Result<(), StoreError> {
         self.0.write_many(counted.len(), move |session| {
             let now = whole("time", Timestamp::now().0)?;
             add(session, &report, now)?;
-            let mut statement = session.connection.prepare_cached(
-                "UPDATE held SET report = ?2
-                    WHERE report IS NULL AND record = (SELECT n FROM records WHERE digest = ?1)",
-            )?;
-            counted.iter().try_for_each(|digest| match statement.execute(params![digest.0, report.digest.0])? {
+            let sql = "UPDATE held SET report = ?2
+                    WHERE report IS NULL AND record = (SELECT n FROM records WHERE digest = ?1)";
+            let mark = |digest: &Digest| session.connection.changed(sql, params![digest.0, report.digest.0]);
+            counted.iter().try_for_each(|digest| match mark(digest)? {
                 1 => Ok(()),
                 _ => Err(StoreError::NotReady { digest: *digest, found: "not quarantined, or already counted" }),
             })
         })
     }
 
-    /// Releases quarantined records to stored; returns how many.
+    /// Moves records to stored; returns how many.
     pub fn release(&self, digests: &[Digest]) -> Result<u64, StoreError> {
         self.decide(digests, "released", RecordState::Stored)
     }
 
-    /// Drops quarantined records; digests, signatures and reasons stay. The caller discards their ciphertext first.
-    /// Returns how many were dropped.
+    /// Keeps digests, signatures and reasons; the caller discards ciphertext first. Returns how many.
     pub fn discard(&self, digests: &[Digest]) -> Result<u64, StoreError> {
         self.decide(digests, "discarded", RecordState::Dropped)
     }
 
     fn decide(&self, digests: &[Digest], decision: &'static str, to: RecordState) -> Result<u64, StoreError> {
         let from = RecordState::Quarantined;
-        if !may(By::Operator, from, to) {
-            return Err(StoreError::IllegalEdge { from, to });
-        }
+        check(By::Operator, from, to)?;
         let digests = digests.to_vec();
         self.0.write_many(digests.len(), move |session| {
             let (connection, now) = (session.connection, whole("time", Timestamp::now().0)?);
             let mut decided = 0;
             for digest in &digests {
                 let sql = "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2";
-                let moved = count(connection.run(sql, params![digest.0, from.code(), to.code()])?);
+                let moved = connection.changed(sql, params![digest.0, from.code(), to.code()])?;
                 if moved > 0 {
                     note(connection, *digest, decision, now)?;
                 }
@@ -176,13 +156,10 @@ impl Quarantine {
 fn hold(connection: &Connection, hold: &Hold) -> Result<(), StoreError> {
     let sql = "INSERT INTO held (record, minute, reason, publisher)
         SELECT n, captured_at / ?5, ?3, ?4 FROM records WHERE digest = ?1 AND state = ?2 ON CONFLICT DO NOTHING";
-    let held = connection
-        .run(sql, params![hold.digest.0, RecordState::Quarantined.code(), hold.reason, hold.publisher, MINUTE])?;
-    let known = || {
-        let sql = "SELECT 1 FROM held JOIN records ON n = record WHERE digest = ?1";
-        connection.has(sql, [hold.digest.0])
-    };
-    if held == 0 && !known()? {
+    let values = params![hold.digest.0, RecordState::Quarantined.code(), hold.reason, hold.publisher, MINUTE];
+    let held = connection.changed(sql, values)?;
+    let known = "SELECT 1 FROM held JOIN records ON n = record WHERE digest = ?1";
+    if held == 0 && !connection.has(known, [hold.digest.0])? {
         return Err(StoreError::NotReady { digest: hold.digest, found: "not quarantined" });
     }
     Ok(())
@@ -190,18 +167,15 @@ fn hold(connection: &Connection, hold: &Hold) -> Result<(), StoreError> {
 
 fn note(connection: &Connection, digest: Digest, decision: &str, now: i64) -> Result<(), StoreError> {
     let sql = "UPDATE held SET decision = ?2, decided_at = ?3 WHERE record = (SELECT n FROM records WHERE digest = ?1)";
-    connection.run(sql, params![digest.0, decision, now])?;
-    Ok(())
+    connection.run(sql, params![digest.0, decision, now])
 }
 
 impl HeldRow {
-    /// Whether it is a captured message rather than a definition.
+    /// Not a definition.
     pub fn is_message(&self) -> bool {
         self.record.kind == RecordKind::Data
     }
 }
-
-// Pinned publishers of topics, and the alarms raised about others.
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PinRow {
@@ -209,26 +183,23 @@ pub struct PinRow {
     pub publisher: Publisher,
     /// `first` (first seen), or `operator`.
     pub source: String,
-    /// When it was pinned.
     pub at: Timestamp,
 }
 
-/// An alarm about a publisher.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AlarmRow {
     pub topic: String,
-    /// Its publisher, written as in pins, or a URI. Untrusted text: clean it.
+    /// As written in pins, or a URI. Untrusted text: clean it.
     pub publisher: String,
-    /// The name of the doubt.
+    /// The doubt's name.
     pub reason: String,
-    /// When it was raised.
     pub at: Timestamp,
-    /// Whether the operator has yet to decide.
+    /// Without a decision.
     pub open: bool,
 }
 
 impl Pins {
-    /// Pins publishers of a topic; those already pinned are unchanged. Alarms about them are deleted.
+    /// Deletes alarms about them; existing pins stay.
     pub fn pin(
         &self,
         owner: Address,
@@ -237,34 +208,32 @@ impl Pins {
         source: &'static str,
     ) -> Result<(), StoreError> {
         let (topic, publishers) = (topic.to_owned(), publishers.to_vec());
-        self.0.write(move |session| {
-            let connection = session.connection;
-            connection.execute("INSERT OR IGNORE INTO pinned_topics VALUES (?1, ?2)", params![owner.0, topic])?;
+        self.0.write(move |Session { connection, .. }| {
+            connection.run("INSERT OR IGNORE INTO pinned_topics VALUES (?1, ?2)", params![owner.0, topic])?;
             let now = whole("time", Timestamp::now().0)?;
             publishers.iter().try_for_each(|publisher| pin(connection, owner, &topic, publisher, (source, now)))
         })
     }
 
-    /// Removes every pin of a caller id on a topic; returns how many there were.
+    /// Returns how many there were.
     pub fn unpin(&self, owner: Address, topic: &str, caller_id: &str) -> Result<u64, StoreError> {
         let (topic, caller_id) = (topic.to_owned(), caller_id.to_owned());
         let sql = "DELETE FROM pins WHERE owner = ?1 AND topic = ?2 AND caller_id = ?3";
         self.0.changed(sql, (owner.0, topic, caller_id))
     }
 
-    /// The pins of an owner, of one topic or of all.
+    /// Of one topic or all.
     pub fn list(&self, owner: Address, topic: Option<&str>) -> Result<Vec<PinRow>, StoreError> {
         let sql = "SELECT topic, caller_id, host, type_name, md5sum, source, at FROM pins
             WHERE owner = ?1 AND (?2 IS NULL OR topic = ?2) ORDER BY topic, at, caller_id";
         self.0.list(sql, params![owner.0, topic], pin_row)
     }
 
-    /// Whether a topic ever had pins.
     pub fn was_pinned(&self, owner: Address, topic: &str) -> Result<bool, StoreError> {
         self.0.has("SELECT 1 FROM pinned_topics WHERE owner = ?1 AND topic = ?2", params![owner.0, topic])
     }
 
-    /// Raises an alarm; `false` if the same publisher already has an open alarm on this topic.
+    /// `false` if the publisher has an open alarm on this topic.
     pub fn raise_alarm(
         &self,
         owner: Address,
@@ -280,25 +249,20 @@ impl Pins {
         Ok(self.0.changed(sql, (owner.0, topic, publisher, reason, now))? > 0)
     }
 
-    /// The operator has decided about a topic: its alarms are closed but kept. Returns how many were open.
+    /// Keeps the alarms, closed; returns how many were open.
     pub fn close_alarms(&self, owner: Address, topic: &str) -> Result<u64, StoreError> {
         let topic = topic.to_owned();
         let sql = "UPDATE alarms SET open = 0 WHERE owner = ?1 AND topic = ?2 AND open = 1";
         self.0.changed(sql, (owner.0, topic))
     }
 
-    /// The alarms of an owner, including closed ones, of one topic or of all.
+    /// Includes closed ones; of one topic or all.
     pub fn alarms(&self, owner: Address, topic: Option<&str>) -> Result<Vec<AlarmRow>, StoreError> {
         let sql = "SELECT topic, publisher, reason, at, open FROM alarms
             WHERE owner = ?1 AND (?2 IS NULL OR topic = ?2) ORDER BY topic, at";
         self.0.list(sql, params![owner.0, topic], |row| {
-            Ok(AlarmRow {
-                topic: row.get(0)?,
-                publisher: row.get(1)?,
-                reason: row.get(2)?,
-                at: Timestamp(unsigned(row, 3)?),
-                open: row.get(4)?,
-            })
+            let (at, open) = (time(row, 3)?, row.get(4)?);
+            Ok(AlarmRow { topic: row.get(0)?, publisher: row.get(1)?, reason: row.get(2)?, at, open })
         })
     }
 }
@@ -311,63 +275,48 @@ fn pin(
     (source, now): (&str, i64),
 ) -> Result<(), StoreError> {
     let Publisher { caller_id, host, type_name, md5sum } = publisher;
-    connection.execute(
-        "INSERT OR IGNORE INTO pins VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)",
-        params![owner.0, topic, caller_id, host, type_name, md5sum, source, now],
-    )?;
-    connection.execute(
-        "DELETE FROM alarms WHERE owner = ?1 AND topic = ?2 AND publisher = ?3",
-        params![owner.0, topic, publisher.to_string()],
-    )?;
-    Ok(())
+    let sql = "INSERT OR IGNORE INTO pins VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)";
+    connection.run(sql, params![owner.0, topic, caller_id, host, type_name, md5sum, source, now])?;
+    let sql = "DELETE FROM alarms WHERE owner = ?1 AND topic = ?2 AND publisher = ?3";
+    connection.run(sql, params![owner.0, topic, publisher.to_string()])
 }
 
 fn pin_row(row: &Row<'_>) -> rusqlite::Result<PinRow> {
-    Ok(PinRow {
-        topic: row.get(0)?,
-        publisher: Publisher { caller_id: row.get(1)?, host: row.get(2)?, type_name: row.get(3)?, md5sum: row.get(4)? },
-        source: row.get(5)?,
-        at: Timestamp(unsigned(row, 6)?),
-    })
+    let (caller_id, host, type_name, md5sum) = (row.get(1)?, row.get(2)?, row.get(3)?, row.get(4)?);
+    let publisher = Publisher { caller_id, host, type_name, md5sum };
+    Ok(PinRow { topic: row.get(0)?, publisher, source: row.get(5)?, at: time(row, 6)? })
 }
 
-// Messages that did not become records: counted durably per topic and reason, then reported in a signed gap record.
+// Messages that did not become records: counted durably, then reported in a signed gap record.
 
-/// Messages of one topic and publisher that were lost for one reason.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Loss {
     pub owner: Address,
     pub topic: String,
-    /// The sending node; untrusted text.
+    /// Untrusted text.
     pub publisher: String,
     pub reason: LossReason,
     pub count: u64,
-    /// `header.seq` of the first and the last, if they have one.
+    /// First and last `header.seq`, if any.
     pub numbers: Option<(u32, u32)>,
-    /// When the first loss was noticed.
     pub first_at: Timestamp,
-    /// When the last loss was noticed.
     pub last_at: Timestamp,
 }
 
-/// Losses as stored in the ledger.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct GapRow {
-    /// The id of the row.
     pub key: i64,
     pub topic: String,
-    /// The sending node; untrusted text: clean it.
+    /// Untrusted text: clean it.
     pub publisher: String,
-    /// The name of the [`LossReason`].
+    /// A [`LossReason`]'s name.
     pub reason: String,
     pub count: u64,
-    /// `header.seq` of the first and the last.
+    /// First and last `header.seq`.
     pub numbers: Option<(u32, u32)>,
-    /// When the first loss was noticed.
     pub first_at: Timestamp,
-    /// When the last loss was noticed.
     pub last_at: Timestamp,
-    /// The gap record that reports them; none until it is sealed.
+    /// The gap record that reports them.
     pub report: Option<Digest>,
 }
 
@@ -375,12 +324,12 @@ const COLUMNS: &str =
     "key, topic, publisher, reason, count, first_number, last_number, first_at, last_at, report FROM gaps";
 
 impl Losses {
-    /// Counts losses durably, all or none; they stay open until a gap record reports them.
+    /// Counts all or none; gap records report them later.
     pub fn count(&self, losses: Vec<Loss>) -> Result<(), StoreError> {
         self.0.write(move |session| losses.iter().try_for_each(|loss| count_one(session.connection, loss)))
     }
 
-    /// The same, and notes in the same commit up to which text of [`crate::WaitingFile`] its losses are counted.
+    /// Notes the last text of [`crate::WaitingFile`] with counted losses in the same commit.
     pub fn count_up_to(&self, losses: Vec<Loss>, number: u64) -> Result<(), StoreError> {
         self.0.write(move |session| {
             losses.iter().try_for_each(|loss| count_one(session.connection, loss))?;
@@ -388,7 +337,7 @@ impl Losses {
         })
     }
 
-    /// Losses of an owner that no gap record reports and that began before a given time, oldest first, at most `limit`.
+    /// Unreported losses that began by `by`, oldest first.
     pub fn open_gaps(&self, owner: Address, by: Timestamp, limit: usize) -> Result<Vec<GapRow>, StoreError> {
         let sql = format!(
             "SELECT {COLUMNS} INDEXED BY gaps_open WHERE report IS NULL AND owner = ?1 AND first_at <= ?2
@@ -398,18 +347,16 @@ impl Losses {
         self.0.list(&sql, params![owner.0, by, limit], gap_row)
     }
 
-    /// Acknowledges a gap record and notes the losses it reports, in one commit. Losses since the row was read stay
-    /// open.
+    /// Notes the reported losses with the gap record in one commit. Later losses stay open.
     pub fn close_gap(&self, gap: &GapRow, report: NewRecord) -> Result<(), StoreError> {
         let gap = gap.clone();
         self.0.write(move |session| {
-            let now = whole("time", Timestamp::now().0)?;
-            add(session, &report, now)?;
+            add(session, &report, whole("time", Timestamp::now().0)?)?;
             settle(session.connection, &gap, report.digest)
         })
     }
 
-    /// The losses of an owner, newest first, at most `limit`.
+    /// Newest first.
     pub fn gaps(&self, owner: Address, limit: usize) -> Result<Vec<GapRow>, StoreError> {
         let sql = format!("SELECT {COLUMNS} WHERE owner = ?1 ORDER BY key DESC LIMIT ?2");
         self.0.list(&sql, params![owner.0, capped(limit)], gap_row)
@@ -425,35 +372,22 @@ fn count_one(connection: &Connection, loss: &Loss) -> Result<(), StoreError> {
         ON CONFLICT (owner, topic, publisher, reason) WHERE report IS NULL DO UPDATE SET
         count = count + excluded.count, last_number = excluded.last_number, last_at = excluded.last_at,
         first_number = coalesce(first_number, excluded.first_number)";
-    connection.run(
-        sql,
-        params![
-            loss.owner.0,
-            loss.topic,
-            loss.publisher,
-            word,
-            count,
-            loss.numbers.map(|(first, _)| first),
-            loss.numbers.map(|(_, last)| last),
-            whole("time", loss.first_at.0)?,
-            whole("time", loss.last_at.0)?,
-        ],
-    )?;
-    Ok(())
+    let Loss { owner, topic, publisher, numbers, .. } = loss;
+    let (first, last) = (numbers.map(|(first, _)| first), numbers.map(|(_, last)| last));
+    let (first_at, last_at) = (whole("time", loss.first_at.0)?, whole("time", loss.last_at.0)?);
+    connection.run(sql, params![owner.0, topic, publisher, word, count, first, last, first_at, last_at])
 }
 
 fn settle(connection: &Connection, gap: &GapRow, report: Digest) -> Result<(), StoreError> {
     let not_open = || StoreError::NotReady { digest: report, found: "already reported" };
     let told = whole("count", gap.count)?;
-    let (count, last_number, last_at): (i64, Option<u32>, i64) = connection
-        .find("SELECT count, last_number, last_at FROM gaps WHERE key = ?1 AND report IS NULL", [gap.key], |row| {
-            Ok((row.get(0)?, row.get(1)?, row.get(2)?))
-        })?
-        .filter(|(count, _, _)| *count >= told)
-        .ok_or_else(not_open)?;
+    let sql = "SELECT count, last_number, last_at FROM gaps WHERE key = ?1 AND report IS NULL";
+    let found = connection.find(sql, [gap.key], |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?)))?;
+    let (count, last_number, last_at): (i64, Option<u32>, i64) =
+        found.filter(|(count, ..)| *count >= told).ok_or_else(not_open)?;
     let sql = "UPDATE gaps SET report = ?2, count = ?3, last_number = ?4, last_at = ?5 WHERE key = ?1";
-    connection
-        .run(sql, params![gap.key, report.0, told, gap.numbers.map(|(_, last)| last), whole("time", gap.last_at.0)?])?;
+    let (number, at) = (gap.numbers.map(|(_, last)| last), whole("time", gap.last_at.0)?);
+    connection.run(sql, params![gap.key, report.0, told, number, at])?;
     if count > told {
         let sql =
             "INSERT INTO gaps (owner, topic, publisher, reason, count, first_number, last_number, first_at, last_at)
@@ -464,18 +398,11 @@ fn settle(connection: &Connection, gap: &GapRow, report: Digest) -> Result<(), S
 }
 
 fn gap_row(row: &Row<'_>) -> rusqlite::Result<GapRow> {
+    let (key, topic, publisher, reason) = (row.get(0)?, row.get(1)?, row.get(2)?, row.get(3)?);
     let numbers = row.get::<_, Option<u32>>(5)?.zip(row.get::<_, Option<u32>>(6)?);
-    Ok(GapRow {
-        key: row.get(0)?,
-        topic: row.get(1)?,
-        publisher: row.get(2)?,
-        reason: row.get(3)?,
-        count: unsigned(row, 4)?,
-        numbers,
-        first_at: Timestamp(unsigned(row, 7)?),
-        last_at: Timestamp(unsigned(row, 8)?),
-        report: row.get::<_, Option<_>>(9)?.map(Digest),
-    })
+    let (count, first_at, last_at) = (unsigned(row, 4)?, time(row, 7)?, time(row, 8)?);
+    let report = row.get::<_, Option<_>>(9)?.map(Digest);
+    Ok(GapRow { key, topic, publisher, reason, count, numbers, first_at, last_at, report })
 }
 
 #[cfg(test)]

@@ -1,7 +1,5 @@
-//! Finding records page by page, in the order of capture.
-//!
-//! A page costs the same whatever the size of the ledger: the query picks streams (owner, topic, type, kind), each
-//! stream's records of each state are read in order from an index, and these lanes are merged.
+//! Records page by page in the order of capture. Each stream's records of each state are read in order from an index,
+//! and these lanes are merged: a page costs the same whatever the ledger's size.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap, HashMap, HashSet, VecDeque};
@@ -13,7 +11,7 @@ use rusqlite::{CachedStatement, Connection, OpenFlags, Row, params};
 use serde::{Deserialize, Serialize};
 
 use super::directory;
-use super::rows::{self, RecordRow, Stream, Which, unsigned};
+use super::rows::{self, RecordRow, Stream, Which, time, unsigned};
 use super::{Counts, Losses, Records};
 use crate::StoreError;
 use crate::database::{Statements as _, capped, whole};
@@ -23,22 +21,19 @@ use crate::notes::{self, Note};
 const LARGEST_PAGE: usize = 10_000;
 const USUAL_PAGE: usize = 100;
 
-/// A filter id that finds records: the same for every topic, or another one for some topics.
+/// One filter id for all topics, or another for some.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FilterChoice {
-    /// For records of any topic.
     pub id: FilterId,
-    /// For records of these topics.
     pub by_topic: BTreeMap<TopicId, FilterId>,
 }
 
 impl FilterChoice {
-    /// Both ids that records of a topic may have; the same twice if there is only one.
+    /// Both ids that records of a topic may have.
     fn of(&self, topic: TopicId) -> [FilterId; 2] {
         [self.id, self.by_topic.get(&topic).copied().unwrap_or(self.id)]
     }
 
-    /// Whether it finds a record of a topic with these ids.
     pub fn is_in(&self, topic: TopicId, ids: &[FilterId]) -> bool {
         self.of(topic).iter().any(|id| ids.contains(id))
     }
@@ -50,41 +45,36 @@ impl From<FilterId> for FilterChoice {
     }
 }
 
-/// Which records to list. All conditions must hold.
+/// All conditions must hold.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct RecordQuery {
     pub owner: Option<Address>,
-    /// Of any of these owners.
     pub owners: Option<Vec<Address>>,
-    /// Of the topic with this name.
     pub topic: Option<String>,
-    /// Of any topic with one of these names; empty = of any.
+    /// By name; empty = any.
     pub topics: Vec<String>,
-    /// Of any of these topics.
     pub topic_ids: Option<Vec<TopicId>>,
-    /// Numbered by this recorder.
     pub recorder: Option<RecorderId>,
-    /// With one id of each of these choices.
+    /// One id of each choice.
     pub filters: Vec<FilterChoice>,
-    /// Of this message type.
     pub type_name: Option<String>,
-    /// Each of these occurs in the topic's name or in the type's, ignoring case.
+    /// Each is part of the topic's or the type's name, ignoring case.
     pub words: Vec<String>,
     pub kind: Option<RecordKind>,
     pub state: Option<RecordState>,
-    /// Captured at or after.
     pub since: Option<Timestamp>,
     pub until: Option<Timestamp>,
-    /// After the page whose `next` was this cursor.
+    /// A page's `next`.
     pub after: Option<String>,
-    /// The most records on a page, 1 to 10,000; 0 = 100.
+    /// 1 to 10,000; 0 = 100.
     pub limit: usize,
-    /// Newest first; oldest first unless set.
     pub newest_first: bool,
 }
 
 impl RecordQuery {
     fn wants(&self, stream: &Stream) -> bool {
+        let names = [&stream.topic, &stream.type_name];
+        let says = |word: &str| names.iter().any(|name| name.to_lowercase().contains(word));
         self.owner.is_none_or(|owner| owner == stream.owner)
             && self.owners.as_ref().is_none_or(|owners| owners.contains(&stream.owner))
             && self.topic.as_ref().is_none_or(|topic| *topic == stream.topic)
@@ -93,26 +83,19 @@ impl RecordQuery {
             && self.recorder.is_none_or(|recorder| recorder == stream.recorder)
             && self.type_name.as_ref().is_none_or(|name| *name == stream.type_name)
             && self.kind.is_none_or(|kind| kind == stream.kind)
-            && self.words.iter().all(|word| says(stream, &word.to_lowercase()))
+            && self.words.iter().all(|word| says(&word.to_lowercase()))
     }
 }
 
-fn says(stream: &Stream, word: &str) -> bool {
-    [&stream.topic, &stream.type_name].into_iter().any(|name| name.to_lowercase().contains(word))
-}
-
-/// One page of records, in the order of capture.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct RecordPage {
     pub rows: Vec<RecordRow>,
-    /// Cursor of the next page; none if this is the last.
+    /// `None` on the last page.
     pub next: Option<String>,
 }
 
 impl Records {
-    /// A page of records, ordered by capture time (and by acknowledgement within the same time). If no state is
-    /// requested, the counters say which states a topic has records in; [`Inspection::contradictions`] compares them with
-    /// the records.
+    /// By capture time, then acknowledgement. Without a state the counters say which states a topic's records are in.
     pub fn list(&self, query: &RecordQuery) -> Result<RecordPage, StoreError> {
         let limit = if query.limit == 0 { USUAL_PAGE } else { query.limit.min(LARGEST_PAGE) };
         let range = Range::of(query)?;
@@ -136,10 +119,7 @@ impl Records {
         })
     }
 
-    /// All records that a query finds, read page by page.
-    ///
-    /// # Errors
-    /// See [`Self::list`]; nothing follows a failure.
+    /// Every page's records; nothing follows a failure.
     pub fn all(&self, query: RecordQuery) -> impl Iterator<Item = Result<RecordRow, StoreError>> {
         let mut query = Some(query);
         let pages = std::iter::from_fn(move || {
@@ -156,7 +136,7 @@ impl Records {
         pages.flatten()
     }
 
-    /// The oldest records (by capture) in a state, of one owner or of all.
+    /// By capture.
     pub fn in_state(
         &self,
         owner: Option<Address>,
@@ -168,21 +148,20 @@ impl Records {
     }
 }
 
-/// The streams that may match a query: never more than its owner has, or than have records in its state.
+/// No more than the owner has, or than have records in the state.
 fn candidates(connection: &Connection, query: &RecordQuery) -> Result<Vec<Stream>, StoreError> {
     match (query.owner, &query.owners, query.state) {
         (Some(owner), ..) => rows::streams(connection, &Which::Of(owner)),
         (None, Some(owners), _) => {
-            let distinct: BTreeSet<&Address> = owners.iter().collect();
             let mut found = Vec::new();
-            for owner in distinct {
+            for owner in owners.iter().collect::<BTreeSet<_>>() {
                 found.extend(rows::streams(connection, &Which::Of(*owner))?);
             }
             found.sort_by_key(|stream| stream.key);
             Ok(found)
         }
         (None, None, Some(state)) => {
-            // From stream to stream along the index of states; for a DISTINCT, SQLite would read every entry.
+            // Steps from stream to stream along the index; a DISTINCT would read every entry.
             let sql = "WITH RECURSIVE found (stream) AS (
                     SELECT min(stream) FROM records INDEXED BY records_by_state WHERE state = ?1
                     UNION ALL
@@ -206,7 +185,6 @@ fn fetch(connection: &Connection, keys: &[Key], streams: Vec<Stream>) -> Result<
     keys.iter().map(|key| Ok(statement.query_row([key.n], |row| rows::record(row, &by_key))?)).collect()
 }
 
-/// A record's position in the order of capture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Key {
     pub captured_at: i64,
@@ -225,7 +203,7 @@ impl Key {
     }
 }
 
-/// Keys strictly between two others, read in one direction.
+/// Keys strictly between two others.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Range {
     pub low: Key,
@@ -246,10 +224,9 @@ impl Range {
     }
 
     fn behind(self, key: Key) -> Self {
-        if self.newest_first {
-            Self { high: self.high.min(key), ..self }
-        } else {
-            Self { low: self.low.max(key), ..self }
+        match self.newest_first {
+            true => Self { high: self.high.min(key), ..self },
+            false => Self { low: self.low.max(key), ..self },
         }
     }
 
@@ -272,7 +249,7 @@ impl Range {
     }
 }
 
-/// The keys of one stream's records in one state, some of them prefetched.
+/// Keys of one stream and state, some prefetched.
 struct Lane {
     stream: i64,
     state: u8,
@@ -283,21 +260,18 @@ struct Lane {
     exhausted: bool,
 }
 
-/// Keeps only the streams that ever had records with an id of each of these choices.
+/// Keeps streams that ever had an id of each choice.
 fn narrow(connection: &Connection, streams: &mut Vec<&Stream>, choices: &[FilterChoice]) -> Result<(), StoreError> {
-    let mut on_any =
-        connection.prepare_cached("SELECT stream FROM filter_streams JOIN filter_ids ON key = filter WHERE id = ?1")?;
-    let mut on_one = connection.prepare_cached(
-        "SELECT EXISTS (SELECT 1 FROM filter_streams JOIN filter_ids ON key = filter WHERE id = ?1 AND stream = ?2)",
-    )?;
+    let on_any = "SELECT stream FROM filter_streams JOIN filter_ids ON key = filter WHERE id = ?1";
+    let on_one =
+        "SELECT EXISTS (SELECT 1 FROM filter_streams JOIN filter_ids ON key = filter WHERE id = ?1 AND stream = ?2)";
     for choice in choices {
-        let having: HashSet<i64> =
-            on_any.query_map([choice.id.0], |row| row.get(0))?.collect::<rusqlite::Result<_>>()?;
+        let having: HashSet<i64> = connection.list(on_any, [choice.id.0], |row| row.get(0))?;
         let mut left = Vec::with_capacity(streams.len());
         for stream in streams.iter() {
             let has = match choice.by_topic.get(&stream.topic_id) {
                 _ if having.contains(&stream.key) => true,
-                Some(id) => on_one.query_row(params![id.0, stream.key], |row| row.get(0))?,
+                Some(id) => connection.one(on_one, params![id.0, stream.key], |row| row.get(0))?,
                 None => false,
             };
             if has {
@@ -309,7 +283,7 @@ fn narrow(connection: &Connection, streams: &mut Vec<&Stream>, choices: &[Filter
     Ok(())
 }
 
-/// The lanes (stream, state) that have records, limited to the requested state if there is one.
+/// Streams and states with records.
 fn lanes(connection: &Connection, streams: &[i64], wanted: Option<RecordState>) -> Result<Vec<(i64, u8)>, StoreError> {
     if let Some(state) = wanted {
         return Ok(streams.iter().map(|stream| (*stream, state.code())).collect());
@@ -317,24 +291,19 @@ fn lanes(connection: &Connection, streams: &[i64], wanted: Option<RecordState>) 
     let lane = |row: &Row<'_>| Ok((row.get(0)?, row.get(1)?));
     if streams.len() >= MANY {
         let wanted: HashSet<i64> = streams.iter().copied().collect();
-        let mut statement = connection.prepare_cached("SELECT stream, state FROM counters WHERE records > 0")?;
-        let lanes = statement.query_map([], lane)?;
-        return Ok(lanes
-            .filter(|lane| lane.as_ref().map_or(true, |lane| wanted.contains(&lane.0)))
-            .collect::<Result<_, _>>()?);
+        let mut lanes: Vec<(i64, u8)> =
+            connection.list("SELECT stream, state FROM counters WHERE records > 0", [], lane)?;
+        lanes.retain(|(stream, _)| wanted.contains(stream));
+        return Ok(lanes);
     }
-    let mut statement =
-        connection.prepare_cached("SELECT stream, state FROM counters WHERE stream = ?1 AND records > 0")?;
     let mut lanes = Vec::with_capacity(streams.len());
     for stream in streams {
-        for found in statement.query_map([stream], lane)? {
-            lanes.push(found?);
-        }
+        let sql = "SELECT stream, state FROM counters WHERE stream = ?1 AND records > 0";
+        lanes.extend(connection.list::<_, Vec<_>, _>(sql, [stream], lane)?);
     }
     Ok(lanes)
 }
 
-/// Merges the lanes of a query into one order.
 struct Merge<'a> {
     statement: CachedStatement<'a>,
     lanes: Vec<Lane>,
@@ -373,17 +342,14 @@ impl<'a> Merge<'a> {
         let mut keys = Vec::with_capacity(wanted);
         while keys.len() < wanted {
             let Some((Reverse(rank), index)) = self.heap.pop() else { break };
-            keys.push(if self.is_reversed() { flip(rank) } else { rank });
+            let is_reversed = self.lanes.first().is_some_and(|lane| lane.range.newest_first);
+            keys.push(if is_reversed { flip(rank) } else { rank });
             self.offer(index)?;
         }
         Ok(keys)
     }
 
-    fn is_reversed(&self) -> bool {
-        self.lanes.first().is_some_and(|lane| lane.range.newest_first)
-    }
-
-    /// Puts a lane's next key into the heap, reading on if nothing is prefetched.
+    /// Pushes a lane's next key, reading on if none is prefetched.
     fn offer(&mut self, index: usize) -> Result<(), StoreError> {
         let Some(lane) = self.lanes.get_mut(index) else { return Ok(()) };
         if lane.ahead.is_empty() && !lane.exhausted {
@@ -422,41 +388,34 @@ fn flip(key: Key) -> Key {
     Key { captured_at: !key.captured_at, n: !key.n }
 }
 
-// How old waiting records are, and when each signer was last heard of: a few look-ups in the index of states for each
-// stream, whatever the number of records.
+// Ages and last captures: a few look-ups per stream in the index of states, whatever the number of records.
 
-/// A signer with the time of its last capture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LastSeen {
-    /// The key that signed them.
     pub signer: SignerId,
-    /// When the newest was captured, by its recorder's clock.
+    /// By its recorder's clock.
     pub at: Timestamp,
 }
 
-/// The states of a record that is here but in no block.
+/// Here, but in no block.
 const UNANCHORED: [RecordState; 3] = [RecordState::Stored, RecordState::Batched, RecordState::Submitted];
 
-/// The newest record of a signer, as far as it is here.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct NewestRecord {
-    /// The epoch that seals it.
     pub epoch: u64,
-    /// When it was captured, by its recorder's clock.
+    /// By its recorder's clock.
     pub captured_at: Timestamp,
-    /// When it was written to disk here.
     pub acknowledged_at: Timestamp,
 }
 
-/// Accounts with records here; once each.
 pub(super) const OWNERS: &str = "SELECT DISTINCT owner FROM topics LIMIT ?1";
-/// When an owner's oldest record of a kind and state was captured.
+/// Of one kind and state.
 pub(super) const OLDEST: &str = "SELECT min((SELECT min(captured_at) FROM records WHERE state = ?3 AND stream = s.key))
     FROM streams s JOIN topics t ON t.key = s.topic WHERE t.owner = ?1 AND s.kind = ?2";
-/// Losses without a gap record.
+/// Without a gap record.
 pub(super) const UNTOLD: &str = "SELECT count(*) FROM gaps WHERE report IS NULL";
 
-/// Signers, and when the newest record of each was captured, whatever its state.
+/// Signers with the newest capture, in any state.
 pub(super) fn last_seen() -> String {
     let newest = RecordState::ALL.iter().map(|state| {
         format!("coalesce((SELECT max(captured_at) FROM records WHERE state = {} AND stream = s.key), 0)", state.code())
@@ -469,12 +428,11 @@ pub(super) fn last_seen() -> String {
 }
 
 impl Counts {
-    /// The accounts whose records are here, at most `limit`.
     pub fn owners(&self, limit: usize) -> Result<Vec<Address>, StoreError> {
         self.0.list(OWNERS, [capped(limit)], |row| Ok(Address(row.get(0)?)))
     }
 
-    /// When an owner's oldest data record that is in no block yet was captured.
+    /// In no block yet.
     pub fn oldest_unanchored(&self, owner: Address) -> Result<Option<Timestamp>, StoreError> {
         self.0.read(|connection| {
             let mut oldest: Option<i64> = None;
@@ -487,48 +445,42 @@ impl Counts {
         })
     }
 
-    /// When each signer's newest data record was captured, for the `limit` most recent signers.
+    /// For the `limit` most recent signers.
     pub fn last_seen(&self, limit: usize) -> Result<Vec<LastSeen>, StoreError> {
         self.0.list(&last_seen(), params![RecordKind::Data.code(), capped(limit)], |row| {
-            let at: i64 = row.get(1)?;
-            Ok(LastSeen { signer: SignerId(row.get(0)?), at: Timestamp(at.cast_unsigned()) })
+            Ok(LastSeen { signer: SignerId(row.get(0)?), at: time(row, 1)? })
         })
     }
 
-    /// The record that a signer captured last for an owner, of those with the highest number of their topic.
+    /// Among the highest numbers of its topics.
     pub fn newest_of(&self, owner: Address, signer: SignerId) -> Result<Option<NewestRecord>, StoreError> {
         let sql = "SELECT x.epoch, x.captured_at, x.acknowledged_at FROM topics t
             JOIN recorders r ON r.key = t.recorder
             JOIN records x ON x.topic = t.key AND x.seq = (SELECT max(seq) FROM records WHERE topic = t.key)
             WHERE t.owner = ?1 AND r.signer = ?2 ORDER BY x.captured_at DESC LIMIT 1";
         self.0.find(sql, params![owner.0, signer.0], |row| {
-            let time = |column| unsigned(row, column).map(Timestamp);
-            Ok(NewestRecord { epoch: unsigned(row, 0)?, captured_at: time(1)?, acknowledged_at: time(2)? })
+            Ok(NewestRecord { epoch: unsigned(row, 0)?, captured_at: time(row, 1)?, acknowledged_at: time(row, 2)? })
         })
     }
 }
 
 impl Losses {
-    /// Losses not yet reported in a gap record: entries by place and reason, not messages.
+    /// Entries without a gap record, by place and reason, not messages.
     pub fn untold(&self) -> Result<u64, StoreError> {
         self.0.one(UNTOLD, [], |row| unsigned(row, 0))
     }
 }
 
-// A glance at a ledger that may be in use or not: read only, nothing written beside it, and no patience. For shell
-// completion; any problem is for the next command to report.
+// Shell completion reads ledgers that may be in use: it writes nothing beside them and does not wait.
 
-/// How long a lock is waited for.
 const BUSY: Duration = Duration::from_millis(100);
-/// Characters of a record's id.
 const ID_LENGTH: usize = 16;
 
-/// A ledger to read a few names from.
 #[derive(Debug)]
 pub struct Glance(Connection);
 
 impl Glance {
-    /// Opens the existing file; none is created.
+    /// Opens an existing file.
     pub fn at(path: &Path) -> Result<Self, StoreError> {
         let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX | OpenFlags::SQLITE_OPEN_URI;
         // Without a log nobody has it open, and SQLite would create one to read it.
@@ -544,7 +496,7 @@ impl Glance {
             .map_err(|error| StoreError::from(error).in_file(path))
     }
 
-    /// Names of topics with this prefix, in order, at most `limit`; they are foreign text, so clean them.
+    /// In order; untrusted text: clean it.
     pub fn topics(&self, begun: &str, limit: usize) -> Result<Vec<String>, StoreError> {
         let mut names: Vec<String> = rows::streams(&self.0, &Which::All)?
             .into_iter()
@@ -557,7 +509,7 @@ impl Glance {
         Ok(names)
     }
 
-    /// Ids of records with this prefix, at most `limit`: the newest if the prefix is empty.
+    /// The newest if the prefix is empty.
     pub fn ids(&self, begun: &str, limit: usize) -> Result<Vec<String>, StoreError> {
         let whole = 2 * crate::model::Digest::LENGTH;
         if begun.len() > whole || !begun.bytes().all(|byte| byte.is_ascii_hexdigit()) {
@@ -568,15 +520,14 @@ impl Glance {
         let sql = format!(
             "SELECT lower(hex(digest)) FROM records WHERE digest BETWEEN unhex(?1) AND unhex(?2) ORDER BY {order} LIMIT ?3"
         );
-        let mut statement = self.0.prepare(&sql)?;
-        let found = statement.query_map(params![fill("0"), fill("f"), capped(limit)], |row| row.get::<_, String>(0))?;
-        let ids: Result<Vec<String>, _> = found.collect();
+        let values = params![fill("0"), fill("f"), capped(limit)];
+        let ids: Vec<String> = self.0.list(&sql, values, |row| row.get(0))?;
         // Text beyond an id's length stays as typed.
         let length = ID_LENGTH.max(begun.len());
-        Ok(ids?.into_iter().map(|digest| digest.chars().take(length).collect()).collect())
+        Ok(ids.into_iter().map(|digest| digest.chars().take(length).collect()).collect())
     }
 
-    /// Reads every note of the home, and says how many there are.
+    /// Returns how many it read.
     pub fn check_notes(&self) -> Result<u64, StoreError> {
         notes::check(&self.0).map_err(|error| self.named(error))
     }
@@ -585,7 +536,6 @@ impl Glance {
         notes::read_in(&self.0, note).map_err(|error| self.named(error))
     }
 
-    /// See [`super::Rights::contract_pin`].
     pub fn contract_pin(&self) -> Result<Option<String>, StoreError> {
         self.0.find(directory::PIN, [], |row| row.get(0)).map_err(|error| self.named(error.into()))
     }
@@ -595,7 +545,6 @@ impl Glance {
     }
 }
 
-/// A path in the form of a URI.
 fn escaped(path: &Path) -> String {
     use std::fmt::Write as _;
     use std::os::unix::ffi::OsStrExt as _;
@@ -611,16 +560,15 @@ fn escaped(path: &Path) -> String {
     text
 }
 
-// Pages over many streams at once, read from the index of capture times: when most records match, a few rows tell as
-// much as a look into each of thousands of streams. When few match, `query` merges the streams instead.
+// Pages over many streams read the index of capture times: if most records match, a few rows tell as much as thousands
+// of streams.
 
-/// With fewer streams than this, a merge is as fast.
+/// A merge is as fast over fewer streams.
 pub(super) const MANY: usize = 24;
-/// The most rows examined for each row wanted.
+/// Rows read for each row wanted.
 const PATIENCE: usize = 8;
 
-/// The first `wanted` keys of these streams within a range; nothing if the streams are few, or their records so rare
-/// that the rows examined did not contain enough of them.
+/// `None` if the streams are few, or too few of their records are among the rows read.
 pub(super) fn keys(
     connection: &Connection,
     streams: &[i64],

@@ -1,68 +1,60 @@
-//! Records whose ciphertext is deleted: named in a retention record first, deleted once that is anchored. Digest,
-//! signature, place in the batch and public header stay.
+//! Deletion of ciphertext: a retention record names it first, and must be anchored. Digest, signature, place and header
+//! stay.
 
 use std::path::PathBuf;
 
 use rusqlite::{Connection, params};
 
 use super::append::add;
-use super::rows::{LEARNED_NAME, TOPIC_NAME, unsigned};
+use super::rows::{LEARNED_NAME, TOPIC_NAME, optional, time, unsigned};
 use super::{Erasure, NewRecord, Retention};
 use crate::StoreError;
 use crate::database::{Statements as _, capped, whole};
 use crate::model::{Address, Digest, RecordKind, RecordState, Timestamp, TopicId};
 use crate::notes::{self, Erased};
 
-/// A topic considered for retention.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct KeptTopic {
-    /// Its key in this ledger.
     pub key: i64,
     pub topic_id: TopicId,
     pub name: String,
-    /// Bytes of the messages whose ciphertext is still there.
+    /// Of messages with ciphertext.
     pub bytes: u64,
 }
 
 impl KeptTopic {
-    /// Whether its name is known here.
     pub fn is_named(&self) -> bool {
         self.name != super::RecordRow::unnamed(self.topic_id)
     }
 }
 
-/// A record whose ciphertext could be deleted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct OldRecord {
     /// SM3 of its stored bytes.
     pub digest: Digest,
     pub seq: u64,
-    /// Length of its message.
     pub bytes: u64,
-    /// When it was captured.
     pub captured_at: Timestamp,
 }
 
-/// What is known of a record deleted by retention.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Retained {
     /// The retention record that names it.
     pub report: Digest,
-    /// Whether that is confirmed on the chain: without it a missing ciphertext is an alarm.
+    /// Confirmed on the chain; if not, missing ciphertext is an alarm.
     pub anchored: bool,
-    /// The public header of its stored bytes.
+    /// Of its stored bytes.
     pub header: Vec<u8>,
-    /// When its ciphertext was deleted.
+    /// When the ciphertext was deleted.
     pub deleted_at: Option<Timestamp>,
-    /// Who had it erased, unless a rule did.
+    /// Set unless a rule deleted it.
     pub erased: Option<Erasure>,
-    /// If it was erased before it came here: what its owner stated, to be checked before anything relies on it.
+    /// An unchecked statement of its owner, if it was erased before it came here.
     pub stated: Option<Vec<u8>>,
 }
 
 impl Retention {
-    /// An owner's topics here: what the owner records, and what its robots bring to a gateway of this home. One whose name
-    /// is not known yet has its pseudonym in place of it, which no rule is about.
+    /// Of the owner and of robots that bring records here. No rule matches the pseudonym of an unnamed topic.
     pub fn topics(&self, owner: Address) -> Result<Vec<KeptTopic>, StoreError> {
         let values = params![owner.0, RecordKind::Data.code(), RecordState::Dropped.code()];
         let sql = format!(
@@ -72,51 +64,32 @@ impl Retention {
                 WHERE t.owner = ?1 AND s.kind = ?2 AND c.state <> ?3 GROUP BY t.key"
         );
         self.0.list(&sql, values, |row| {
-            Ok(KeptTopic {
-                key: row.get(0)?,
-                topic_id: TopicId(row.get(1)?),
-                name: row.get(2)?,
-                bytes: unsigned(row, 3)?,
-            })
+            let (topic_id, bytes) = (TopicId(row.get(1)?), unsigned(row, 3)?);
+            Ok(KeptTopic { key: row.get(0)?, topic_id, name: row.get(2)?, bytes })
         })
     }
 
-    /// The oldest verified messages of a topic not yet deleted by retention, captured from `since` on and before
-    /// `until`.
+    /// The oldest verified messages of a topic that retention has not deleted, from `since` to before `until`.
     pub fn oldest(
         &self,
         topic: &KeptTopic,
         (since, until): (Timestamp, Timestamp),
         limit: usize,
     ) -> Result<Vec<OldRecord>, StoreError> {
-        let key = topic.key;
-        let time = |at: Timestamp| capped(at.0);
-        let values = params![
-            RecordState::Verified.code(),
-            key,
-            RecordKind::Data.code(),
-            time(since),
-            time(until),
-            capped(limit)
-        ];
+        let (verified, data) = (RecordState::Verified.code(), RecordKind::Data.code());
+        let values = params![verified, topic.key, data, capped(since.0), capped(until.0), capped(limit)];
         let sql = "SELECT digest, seq, bytes, captured_at FROM records
             WHERE state = ?1 AND stream IN (SELECT key FROM streams WHERE topic = ?2 AND kind = ?3)
             AND captured_at >= ?4 AND captured_at < ?5
             AND NOT EXISTS (SELECT 1 FROM retained WHERE record = n) ORDER BY captured_at, n LIMIT ?6";
         self.0.list(sql, values, |row| {
-            Ok(OldRecord {
-                digest: Digest(row.get(0)?),
-                seq: unsigned(row, 1)?,
-                bytes: unsigned(row, 2)?,
-                captured_at: Timestamp(unsigned(row, 3)?),
-            })
+            let (digest, captured_at) = (Digest(row.get(0)?), time(row, 3)?);
+            Ok(OldRecord { digest, seq: unsigned(row, 1)?, bytes: unsigned(row, 2)?, captured_at })
         })
     }
 
-    /// Acknowledges a retention record and notes the records it names, with their public headers, in one commit.
-    ///
-    /// # Errors
-    /// See [`Records::append`]; [`StoreError::NotReady`] if one of them is no longer verified, or already named.
+    /// Acknowledges the retention record and notes what it names in one commit. [`StoreError::NotReady`] for a record
+    /// not verified, or already named.
     pub fn give_up(
         &self,
         topic: &KeptTopic,
@@ -134,13 +107,11 @@ impl Retention {
             }
             let sql = "INSERT INTO retained_topics VALUES (?1, ?2, ?3)
                 ON CONFLICT DO UPDATE SET records = records + excluded.records, bytes = bytes + excluded.bytes";
-            connection.run(sql, params![key, whole("count", records.len() as u64)?, whole("bytes", bytes)?])?;
-            Ok(())
+            connection.run(sql, params![key, whole("count", records.len() as u64)?, whole("bytes", bytes)?])
         })
     }
 
-    /// Records of an owner whose retention record stands confirmed, whose ciphertext is still to be deleted, and that no
-    /// incident holds.
+    /// Records with a confirmed retention record, ciphertext and no incident.
     pub fn to_delete(&self, owner: Address, limit: usize) -> Result<Vec<Digest>, StoreError> {
         let (confirmed, verified) = (RecordState::Confirmed.code(), RecordState::Verified.code());
         let values = params![owner.0, confirmed, verified, capped(limit)];
@@ -154,7 +125,7 @@ impl Retention {
         self.0.list(&sql, values, |row| row.get(0).map(Digest))
     }
 
-    /// Notes that the ciphertext of these is deleted.
+    /// Notes the deletion of ciphertext.
     pub fn deleted(&self, digests: &[Digest]) -> Result<(), StoreError> {
         let digests = digests.to_vec();
         self.0.write_many(digests.len(), move |session| {
@@ -164,7 +135,7 @@ impl Retention {
                     "UPDATE retained SET deleted_at = coalesce(deleted_at, ?2)
                         WHERE record = (SELECT n FROM records WHERE digest = ?1)",
                     "UPDATE records SET deleted_at = coalesce(deleted_at, ?2) WHERE digest = ?1",
-                    // Listed from now on: who tells the gateway of erasures may be past the earlier number.
+                    // Renumbers erasures: the gateway may have been told past the earlier number.
                     "REPLACE INTO erasures (record, statement, account, taken)
                         SELECT record, statement, account, taken FROM erasures
                         WHERE record = (SELECT n FROM records WHERE digest = ?1) AND ?2 > 0",
@@ -176,31 +147,23 @@ impl Retention {
         })
     }
 
-    /// Whether retention has deleted a record, and what is left of it.
+    /// `None` unless retention names the record.
     pub fn find(&self, digest: Digest) -> Result<Option<Retained>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT report, coalesce(told.state IN (?2, ?3), 0), header, retained.deleted_at,
                 told.n IS NOT NULL,
                 (SELECT statement FROM erasures WHERE erasures.record = one.n AND taken = 1) FROM records one
                 JOIN retained ON record = one.n LEFT JOIN records told ON told.digest = report WHERE one.digest = ?1";
-            let found = connection.find(
-                sql,
-                params![digest.0, RecordState::Confirmed.code(), RecordState::Verified.code()],
-                |row| {
-                    let retained = Retained {
-                        report: Digest(row.get(0)?),
-                        anchored: row.get(1)?,
-                        header: row.get(2)?,
-                        deleted_at: row.get::<_, Option<i64>>(3)?.map(|at| Timestamp(at.cast_unsigned())),
-                        erased: None,
-                        stated: row.get(5)?,
-                    };
-                    Ok((retained, row.get::<_, bool>(4)?))
-                },
-            )?;
+            let values = params![digest.0, RecordState::Confirmed.code(), RecordState::Verified.code()];
+            let found = connection.find(sql, values, |row| {
+                let (report, deleted_at) = (Digest(row.get(0)?), optional(row, 3)?.map(Timestamp));
+                let (anchored, header, stated) = (row.get(1)?, row.get(2)?, row.get(5)?);
+                let retained = Retained { report, anchored, header, deleted_at, erased: None, stated };
+                Ok((retained, row.get::<_, bool>(4)?))
+            })?;
             let Some((mut retained, told)) = found else { return Ok(None) };
             retained.erased = notes::read_in(connection, &Erased { report: retained.report })?;
-            // Its own erasures a ledger knows without a statement.
+            // A ledger needs no statement for its own erasures.
             retained.stated = retained.stated.filter(|_| retained.erased.is_none());
             let Some(stated) = &retained.stated else { return Ok(told.then_some(retained)) };
             let erased = Erasure::stated(stated).ok_or_else(|| {
@@ -212,14 +175,14 @@ impl Retention {
         })
     }
 
-    /// How many messages of an owner retention has deleted.
+    /// Counts messages deleted by retention.
     pub fn given_up(&self, owner: Address) -> Result<u64, StoreError> {
         let sql = "SELECT coalesce(sum(records), 0) FROM retained_topics JOIN topics ON key = topic WHERE owner = ?1";
         self.0.one(sql, [owner.0], |row| unsigned(row, 0))
     }
 }
 
-/// Whether an incident of its owner holds the record `one`, of the topic `t`, with [`LEARNED_NAME`] joined.
+/// Whether an incident holds record `one` of topic `t`; needs [`LEARNED_NAME`].
 pub(super) fn is_held() -> String {
     format!(
         "EXISTS (SELECT 1 FROM incidents i WHERE i.owner = t.owner
@@ -232,8 +195,7 @@ pub(super) fn is_held() -> String {
 pub(super) fn name(connection: &Connection, digest: Digest, report: Digest, header: &[u8]) -> Result<(), StoreError> {
     let sql = "INSERT INTO retained (record, report, header) SELECT n, ?2, ?3 FROM records
         WHERE digest = ?1 AND state = ?4 ON CONFLICT DO NOTHING";
-    let named = connection.run(sql, params![digest.0, report.0, header, RecordState::Verified.code()])?;
-    match named {
+    match connection.changed(sql, params![digest.0, report.0, header, RecordState::Verified.code()])? {
         1 => Ok(()),
         _ => Err(StoreError::NotReady { digest, found: "not verified, or already discarded" }),
     }

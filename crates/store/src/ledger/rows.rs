@@ -1,4 +1,4 @@
-//! What a record is in the ledger: its row, its states and the ways between them, the names and places it is found by.
+//! A record's row, its states, and the names and places it is found by.
 
 use std::collections::HashMap;
 use std::os::unix::fs::MetadataExt as _;
@@ -23,57 +23,52 @@ use crate::model::{
 use crate::notes::LastPlace;
 use crate::{StoreError, snapshot};
 
-/// Characters of a record id: the first 16 hex characters of its digest.
+/// The first hex characters of the digest.
 const ID_LENGTH: usize = 16;
 
-/// The origin of a record that was not captured here.
+/// Of a record captured elsewhere.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Foreign {
-    /// The recorder that its number belongs to.
+    /// Its number belongs to this recorder.
     pub recorder: RecorderId,
     /// The account that anchors it instead of its owner.
     pub keeper: Address,
 }
 
-/// A sealed record to be acknowledged.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NewRecord {
     /// SM3 of the stored bytes.
     pub digest: Digest,
     pub owner: Address,
-    /// Pseudonym of its topic.
     pub topic_id: TopicId,
-    /// Number within (owner, signer, recorder, topic), from 1.
+    /// Within (owner, signer, recorder, topic), from 1.
     pub seq: u64,
-    /// `None` if this ledger recorded it and its owner anchors it.
+    /// `None` if recorded here and anchored by its owner.
     pub foreign: Option<Foreign>,
-    /// The epoch it is sealed under.
     pub epoch: u64,
-    /// The kind of record.
     pub kind: RecordKind,
     pub signer: SignerId,
-    /// The raw signature, r || s.
+    /// r || s.
     pub signature: Signature,
-    /// Ids of type and tags, as in its header.
+    /// Of type and tags, as in its header.
     pub filters: Vec<FilterId>,
-    /// Topic name, in clear: the ledger never leaves the machine. Empty if only the owner knows it.
+    /// In clear: the ledger never leaves the machine. Empty if only the owner knows it.
     pub topic: String,
-    /// Message type, `package/Type`; the hex of its filter id if only the owner knows it.
+    /// `package/Type`, or the hex of its filter id if only the owner knows it.
     pub type_name: String,
-    /// Length of the plaintext, bytes; of the packed message if only the owner knows more.
+    /// Of the plaintext, or of the packed message if only the owner knows more.
     pub bytes: u64,
-    /// When it was captured.
     pub captured_at: Timestamp,
-    /// Whether a simulated robot sent it, as far as known here.
+    /// As far as known here.
     pub simulated: bool,
     /// [`RecordState::Stored`] or [`RecordState::Quarantined`].
     pub state: RecordState,
-    /// The stored bytes, written in the commit of the row; `None` if they were erased before the record came here.
+    /// Written in the commit of the row; `None` if erased before it came here.
     pub blob: Option<Vec<u8>>,
 }
 
 impl NewRecord {
-    /// A record of this ledger as sealed, with its bytes; the content of its head is not known yet.
+    /// A record of this ledger, without the content of its head.
     pub fn sealed(sealed: SealedRecord) -> Self {
         let SealedRecord { header, blob, digest, signature } = sealed;
         Self {
@@ -98,63 +93,55 @@ impl NewRecord {
         }
     }
 
-    /// Like [`Self::sealed`], for a record that another ledger numbered; `keeper` anchors it.
+    /// A record that another ledger numbered.
     pub fn foreign(sealed: SealedRecord, keeper: Address) -> Self {
         let foreign = Some(Foreign { recorder: sealed.header.recorder, keeper });
         Self { foreign, ..Self::sealed(sealed) }
     }
 
-    /// Adds the content of its head, for callers that sealed or opened it.
+    /// Adds the content of the opened head.
     pub fn named(self, head: &Head) -> Self {
         let (topic, type_name) = (head.topic.clone(), head.type_name.clone());
         Self { topic, type_name, bytes: head.plain_length, simulated: head.is_simulated(), ..self }
     }
 }
 
-/// A record as the ledger knows it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RecordRow {
-    /// Short name: the first 16 hex characters of the digest.
+    /// The first 16 hex characters of the digest.
     pub id: String,
     /// SM3 of the stored bytes.
     pub digest: Digest,
     pub owner: Address,
-    /// The recorder that `seq` belongs to.
+    /// `seq` belongs to it.
     pub recorder: RecorderId,
-    /// Pseudonym of its topic.
     pub topic_id: TopicId,
-    /// Number within (owner, signer, recorder, topic), from 1.
+    /// Within (owner, signer, recorder, topic), from 1.
     pub seq: u64,
-    /// The epoch it is sealed under.
     pub epoch: u64,
-    /// The kind of record.
     pub kind: RecordKind,
     pub signer: SignerId,
-    /// The raw signature, r || s.
+    /// r || s.
     pub signature: Signature,
     pub topic: String,
-    /// Message type, `package/Type`.
+    /// `package/Type`.
     #[serde(rename = "type")]
     pub type_name: String,
-    /// Length of the plaintext, bytes; of the packed message if this site cannot open it.
+    /// Of the plaintext, or of the packed message if this site cannot open it.
     pub bytes: u64,
-    /// When it was captured.
     pub captured_at: Timestamp,
-    /// When it was written to disk here.
     pub acknowledged_at: Timestamp,
-    /// Whether a simulated robot sent it.
     pub simulated: bool,
     pub state: RecordState,
-    /// The transaction that anchors it: sent, or seen in a block.
+    /// Sent, or seen in a block.
     pub transaction: Option<Hash>,
-    /// The block it was seen in.
     pub block: Option<u64>,
     pub block_hash: Option<Hash>,
-    /// When retention deleted its ciphertext.
+    /// Deletion of the ciphertext.
     pub deleted_at: Option<Timestamp>,
 }
 
-/// What all records of one stream share: owner, topic, kind, type, signer.
+/// Shared by its records.
 #[derive(Debug, Clone)]
 pub(super) struct Stream {
     pub key: i64,
@@ -167,21 +154,19 @@ pub(super) struct Stream {
     pub signer: SignerId,
 }
 
-/// Prefix of the pseudonym of a topic whose name is not known here; no ROS name begins like this.
+/// No ROS name begins like this.
 const UNNAMED: &str = "id:";
 
-/// A topic `t` by its name, by the one that was learned (with [`LEARNED_NAME`] joined), or by its pseudonym.
+/// Name, learned name (needs [`LEARNED_NAME`]) or pseudonym of topic `t`.
 pub(super) const TOPIC_NAME: &str = "coalesce(nullif(t.name, ''), topic_name.name, 'id:' || lower(hex(t.topic_id)))";
-/// What was learned of a topic `t` that arrived without its name, as those that only robots recorded.
+/// Joins the learned name of a topic `t` that arrived without one.
 pub(super) const LEARNED_NAME: &str =
     "LEFT JOIN names topic_name ON topic_name.owner = t.owner AND topic_name.id = lower(hex(t.topic_id))";
 
-/// A selection of streams.
 pub(super) enum Which {
-    /// All; as many as there are combinations of topic, type and signer, not records.
+    /// As many as combinations of topic, type and signer.
     All,
     Of(Address),
-    /// The one with this key.
     Key(i64),
 }
 
@@ -210,7 +195,6 @@ pub(super) fn streams(connection: &Connection, which: &Which) -> Result<Vec<Stre
     })?)
 }
 
-/// All streams, by key.
 pub(super) fn all_streams(connection: &Connection) -> Result<HashMap<i64, Stream>, StoreError> {
     Ok(by_key(streams(connection, &Which::All)?))
 }
@@ -219,7 +203,7 @@ pub(super) fn by_key(streams: Vec<Stream>) -> HashMap<i64, Stream> {
     streams.into_iter().map(|stream| (stream.key, stream)).collect()
 }
 
-/// The streams with these keys, by key: looking up a few records costs the same however many streams there are.
+/// Costs the same however many streams there are.
 pub(super) fn keyed_streams(
     connection: &Connection,
     keys: impl IntoIterator<Item = i64>,
@@ -233,38 +217,22 @@ pub(super) fn keyed_streams(
     Ok(found)
 }
 
-/// Makes the stream of a row with [`COLUMNS`] known, unless it is.
-pub(super) fn learn_stream(
-    connection: &Connection,
-    row: &Row<'_>,
-    streams: &mut HashMap<i64, Stream>,
-) -> Result<(), StoreError> {
-    let key: i64 = row.get(0)?;
-    if !streams.contains_key(&key) {
-        streams.extend(keyed_streams(connection, [key])?);
-    }
-    Ok(())
-}
-
 impl RecordRow {
-    /// Whether its topic's name is known here; otherwise the pseudonym takes its place.
     pub fn is_named(&self) -> bool {
         !self.topic.starts_with(UNNAMED)
     }
 
-    /// The placeholder for a topic's name that is not known.
     pub fn unnamed(topic: TopicId) -> String {
         format!("{UNNAMED}{topic}")
     }
 
-    /// The fields that its batch binds.
     pub fn leaf(&self) -> Leaf {
         let Self { owner, signer, recorder, topic_id, seq, digest, .. } = *self;
         Leaf { owner, signer, recorder, topic_id, seq, digest }
     }
 }
 
-/// What the batch of a record has in a column; NULL where it is in none.
+/// A column of the record's batch; NULL without one.
 macro_rules! of_its_batch {
     ($column:literal) => {
         concat!(
@@ -275,7 +243,7 @@ macro_rules! of_its_batch {
     };
 }
 
-/// What a record's own transaction has in a column, or else its batch's.
+/// A column of the record's own transaction, or else of its batch's.
 macro_rules! anchored {
     ($column:literal) => {
         concat!("iif(records.tx IS NULL, ", of_its_batch!($column), ", records.", $column, ")")
@@ -283,7 +251,7 @@ macro_rules! anchored {
 }
 pub(super) use {anchored, of_its_batch};
 
-/// Columns of [`record`], in order.
+/// Of [`record`].
 pub(super) const COLUMNS: &str = concat!(
     "records.stream, records.digest, records.seq, records.epoch, records.signature, records.bytes,
      records.captured_at, records.acknowledged_at, records.simulated, records.state, ",
@@ -295,7 +263,6 @@ pub(super) const COLUMNS: &str = concat!(
     ", records.deleted_at"
 );
 
-/// The record of a row with [`COLUMNS`].
 pub(super) fn record(row: &Row<'_>, streams: &HashMap<i64, Stream>) -> rusqlite::Result<RecordRow> {
     let stream = streams.get(&row.get(0)?).ok_or_else(|| out_of_range(0))?;
     let digest = Digest(row.get(1)?);
@@ -313,56 +280,56 @@ pub(super) fn record(row: &Row<'_>, streams: &HashMap<i64, Stream>) -> rusqlite:
         topic: stream.topic.clone(),
         type_name: stream.type_name.clone(),
         bytes: unsigned(row, 5)?,
-        captured_at: Timestamp(unsigned(row, 6)?),
-        acknowledged_at: Timestamp(unsigned(row, 7)?),
+        captured_at: time(row, 6)?,
+        acknowledged_at: time(row, 7)?,
         simulated: row.get(8)?,
         state: state(row, 9)?,
         transaction: row.get::<_, Option<_>>(10)?.map(Hash),
-        block: row.get::<_, Option<i64>>(11)?.map(i64::cast_unsigned),
+        block: optional(row, 11)?,
         block_hash: row.get::<_, Option<_>>(12)?.map(Hash),
-        deleted_at: row.get::<_, Option<i64>>(13)?.map(|at| Timestamp(at.cast_unsigned())),
+        deleted_at: optional(row, 13)?.map(Timestamp),
     })
 }
 
-/// A column that holds a number from 0 to 2^63 - 1.
-pub(super) fn unsigned(row: &Row<'_>, column: usize) -> rusqlite::Result<u64> {
+/// From 0 to 2^63 - 1.
+pub(crate) fn unsigned(row: &Row<'_>, column: usize) -> rusqlite::Result<u64> {
     row.get(column).map(i64::cast_unsigned)
 }
 
-/// A column that holds a state's code.
+pub(crate) fn time(row: &Row<'_>, column: usize) -> rusqlite::Result<Timestamp> {
+    unsigned(row, column).map(Timestamp)
+}
+
+/// `None` for NULL.
+pub(super) fn optional(row: &Row<'_>, column: usize) -> rusqlite::Result<Option<u64>> {
+    row.get::<_, Option<i64>>(column).map(|value| value.map(i64::cast_unsigned))
+}
+
 pub(super) fn state(row: &Row<'_>, column: usize) -> rusqlite::Result<RecordState> {
     RecordState::from_code(row.get(column)?).ok_or_else(|| out_of_range(column))
 }
 
-/// The error for a code that no version of this program wrote.
+/// For a code that no version of this program wrote.
 pub(super) fn out_of_range(column: usize) -> rusqlite::Error {
     rusqlite::Error::IntegralValueOutOfRange(column, -1)
 }
 
-// The legal state transitions of a record, and which part of the program may make each.
-
-/// The cause of a transition.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum By {
-    /// A worker, with `advance`.
     Worker,
-    /// The anchorer closes a batch.
     Batch,
-    /// The sender signs a transaction.
     Submit,
-    /// The sender's transaction failed or was replaced.
+    /// The transaction failed or was replaced.
     Close,
-    /// The watcher found the anchor in a block.
+    /// The watcher found the anchor.
     Sight,
-    /// The block is deep enough.
     Confirm,
-    /// The block was replaced.
     Reorg,
-    /// A gateway took the record over, or reported its standing.
+    /// A gateway accepted the record or decided about it.
     Gateway,
-    /// The operator decides about a quarantined record.
+    /// Decides about quarantine.
     Operator,
-    /// The signer's right ended or returned, or its anchor does not count for lack of it.
+    /// A right ended, returned, or was missing at the anchor.
     Right,
 }
 
@@ -385,30 +352,31 @@ const EDGES: [(&[RecordState], &[RecordState], By); 15] = [
     (&[Batched, Confirmed, RightEnded], &[Stored], By::Right),
 ];
 
-/// Whether a record may ever go from one state to another in one step.
+/// By anyone, in one step.
 pub fn is_legal(from: RecordState, to: RecordState) -> bool {
     EDGES.iter().any(|(before, after, _)| before.contains(&from) && after.contains(&to))
 }
 
-/// Whether `by` may make this transition.
+/// Refuses a transition that `by` may not make.
+pub(super) fn check(by: By, from: RecordState, to: RecordState) -> Result<(), StoreError> {
+    if may(by, from, to) { Ok(()) } else { Err(StoreError::IllegalEdge { from, to }) }
+}
+
 pub(super) fn may(by: By, from: RecordState, to: RecordState) -> bool {
     EDGES.iter().any(|(before, after, who)| *who == by && before.contains(&from) && after.contains(&to))
 }
 
-// Finding one record by its digest or a prefix of it.
-
 impl Records {
-    /// The record with this digest.
     pub fn find(&self, digest: Digest) -> Result<Option<RecordRow>, StoreError> {
         Ok(self.find_all(&[digest])?.pop().flatten())
     }
 
-    /// The records with these digests, in this order, as of one moment.
+    /// In order, as of one moment.
     pub fn find_all(&self, digests: &[Digest]) -> Result<Vec<Option<RecordRow>>, StoreError> {
         self.0.read(|connection| rows_of(connection, digests))
     }
 
-    /// The record whose digest begins with `id` (4 to 64 hex characters).
+    /// `id`: 4 to 64 hex characters.
     pub fn by_id(&self, id: &str) -> Result<Option<RecordRow>, StoreError> {
         let (low, high) = bounds(id).ok_or_else(|| StoreError::Id(clean(id, 70)))?;
         self.0.read(|connection| {
@@ -421,23 +389,24 @@ impl Records {
     }
 }
 
-/// The records with these digests, in this order.
+/// In order.
 pub(super) fn rows_of(connection: &Connection, digests: &[Digest]) -> Result<Vec<Option<RecordRow>>, StoreError> {
     let mut find = connection.prepare_cached(&format!("SELECT {COLUMNS} FROM records WHERE digest = ?1"))?;
     let mut by_key = HashMap::new();
     let one = |digest: &Digest| {
         let mut found = find.query([digest.0])?;
         let Some(row) = found.next()? else { return Ok(None) };
-        learn_stream(connection, row, &mut by_key)?;
+        let key = row.get(0)?;
+        if !by_key.contains_key(&key) {
+            by_key.extend(keyed_streams(connection, [key])?);
+        }
         Ok(Some(record(row, &by_key)?))
     };
     digests.iter().map(one).collect()
 }
 
-/// The fewest characters that may name a record.
 const SHORTEST_ID: usize = 4;
 
-/// The lowest and highest digest that begin with `id`.
 fn bounds(id: &str) -> Option<(Digest, Digest)> {
     let whole = Digest::LENGTH * 2;
     let valid = (SHORTEST_ID..=whole).contains(&id.len()) && id.bytes().all(|b| b.is_ascii_hexdigit());
@@ -445,15 +414,14 @@ fn bounds(id: &str) -> Option<(Digest, Digest)> {
     if valid { fill("0").zip(fill("f")) } else { None }
 }
 
-// Where a ledger is stored: a copy opened elsewhere becomes a ledger of its own, like a restored one, so that no
-// number is ever used twice.
+// A copy opened elsewhere becomes a ledger of its own, like a restored one, so that no number is used twice.
 
-/// Identifies the machine (machine-id(5)).
+/// See machine-id(5).
 const MACHINE: &str = "/etc/machine-id";
 
 impl Ledger {
-    /// Opens the ledger of a home, and says whether it is a copy: its file is another one than when it was last opened,
-    /// or it is on another machine. It then has a new recorder, and a note of how far the chain was known.
+    /// Says whether the file is a copy: another inode or machine than when last opened. A copy gets a new recorder and
+    /// notes how far the chain was known.
     pub fn open_in_place(path: &Path) -> Result<(Self, bool), StoreError> {
         let ledger = Self::open(path)?;
         let here = place(path)?;
@@ -473,7 +441,7 @@ impl Ledger {
     }
 }
 
-/// The machine and the file's inode: a copy has another one.
+/// Machine and inode, which differ for a copy.
 fn place(path: &Path) -> Result<String, StoreError> {
     let about = std::fs::metadata(path).map_err(|error| StoreError::home(path, &error))?;
     let machine = std::fs::read_to_string(MACHINE).unwrap_or_default();

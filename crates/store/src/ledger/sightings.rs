@@ -1,20 +1,18 @@
-//! What the watcher read on the chain: blocks, anchors seen in them, and what is proven of them.
+//! What the watcher read on the chain: blocks, and anchors in them.
 
-use rusqlite::{Connection, params};
+use rusqlite::{Connection, Row, params};
 
-use super::rows::{self, By, anchored, may, of_its_batch, unsigned};
-use super::{Batches, Counts, Forwarding, Trail, batches};
+use super::rows::{self, By, anchored, check, may, of_its_batch, time, unsigned};
+use super::{Batches, Counts, Forwarding, Session, Trail, batches};
 use crate::StoreError;
-use crate::database::{Statements as _, capped, count, whole};
+use crate::database::{Statements as _, capped, whole};
 use crate::model::{Address, Digest, Hash, RecordState, RecorderId, Signature, SignerId, Timestamp, TopicId};
 
-/// An anchor found in a block.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Sighting {
-    /// The record's owner, as the chain says.
+    /// As the chain says.
     pub owner: Address,
     pub digest: Digest,
-    /// The transaction that anchored it.
     pub transaction: Hash,
     pub block: u64,
     pub block_hash: Hash,
@@ -28,9 +26,8 @@ struct Standing {
 }
 
 impl Batches {
-    /// Takes in anchors found on the chain: whatever a pending record's state was, it is now mined, with this
-    /// transaction and block. A mined record moves to the block seen last; a tampered one only notes its block. Digests
-    /// of other ledgers are skipped. Returns how many records changed; seeing the same again changes none.
+    /// Anchors found on the chain: pending records are now mined, mined ones move to the last block seen, tampered ones
+    /// note it. Skips digests of other ledgers. Returns how many records changed.
     pub fn mined(&self, sightings: &[Sighting]) -> Result<u64, StoreError> {
         let sightings = sightings.to_vec();
         self.0.write_many(sightings.len(), move |session| {
@@ -38,18 +35,17 @@ impl Batches {
         })
     }
 
-    /// Which of these anchors, of records of this ledger, it has not taken in: their records still wait for a block.
+    /// Records of this ledger that still wait for a block.
     pub fn waiting_digests(&self, sightings: &[Sighting]) -> Result<Vec<Digest>, StoreError> {
         self.0.read(|connection| {
             // An anchor that did not count is no reason to read its block again.
             let sql =
                 "SELECT 1 FROM passed_over JOIN records ON n = record WHERE digest = ?1 AND passed_over.block = ?2";
-            let mut passed_over = connection.prepare_cached(sql)?;
             let mut waiting = Vec::new();
             for sighting in sightings {
                 let found = standing(connection, sighting)?.filter(|found| found.block.is_none());
                 let is_open = found.is_some_and(|found| may(By::Sight, found.state, RecordState::Mined));
-                if is_open && !passed_over.exists(params![sighting.digest.0, whole("block", sighting.block)?])? {
+                if is_open && !connection.has(sql, params![sighting.digest.0, whole("block", sighting.block)?])? {
                     waiting.push(sighting.digest);
                 }
             }
@@ -57,7 +53,7 @@ impl Batches {
         })
     }
 
-    /// Mined records in blocks up to this one are now confirmed; returns when each was captured, unordered.
+    /// Mined records up to a block are confirmed; returns their captures, unordered.
     pub fn confirm(&self, up_to_block: u64) -> Result<Vec<Timestamp>, StoreError> {
         let block = whole("block", up_to_block)?;
         self.0.write(move |session| {
@@ -71,20 +67,17 @@ impl Batches {
         })
     }
 
-    /// Blocks from this one on are gone: their records lose their block. If the record's own transaction was signed here, it
-    /// counts as open again and the record as submitted, so that the sender sends the same bytes again; otherwise the record
-    /// is stored, or batched, and will be anchored again. The blocks leave the trail; its walker stays where it is. Returns
-    /// how many records moved, and how many of them were verified: a block deeper than the required confirmations disappears
-    /// only if the chain is broken.
+    /// Blocks from this one on are gone. Records with a transaction signed here are submitted again, with the same
+    /// bytes; others are stored or batched. Returns how many moved, and how many of those were verified, as only a
+    /// broken chain causes.
     pub fn take_back(&self, from_block: u64) -> Result<(u64, u64), StoreError> {
         let block = whole("block", from_block)?;
-        self.0.write(move |session| {
-            let connection = session.connection;
+        self.0.write(move |Session { connection, .. }| {
             let sql = "UPDATE transactions SET state = 0, block = NULL, block_hash = NULL, gas_used = NULL
                 WHERE state = 1 AND block >= ?1";
             connection.run(sql, [block])?;
             let batches = batches::take_back(connection, block)?;
-            // In the same commit, so that no anchor in one of them is taken in from elsewhere until the chain is read again.
+            // In the same commit: no anchor from elsewhere may be in them until the chain is read again.
             connection.run("DELETE FROM trail WHERE block >= ?1", [block])?;
             connection.run("DELETE FROM passed_over WHERE block >= ?1", [block])?;
             let sql = "UPDATE records SET tx = NULL, block = NULL, block_hash = NULL WHERE state = ?1 AND block >= ?2";
@@ -122,20 +115,19 @@ fn standing(connection: &Connection, sighting: &Sighting) -> Result<Option<Stand
         anchored!("block_hash"),
         " FROM records JOIN topics ON key = topic WHERE digest = ?1 AND topics.owner = ?2"
     );
-    let found = connection.find(sql, params![sighting.digest.0, sighting.owner.0], |row| {
+    Ok(connection.find(sql, params![sighting.digest.0, sighting.owner.0], |row| {
         Ok(Standing { n: row.get(0)?, state: rows::state(row, 1)?, block: row.get(2)?, block_hash: row.get(3)? })
-    })?;
-    Ok(found)
+    })?)
 }
 
-/// Records of a state (?1) with a block of their own from ?2 on.
+/// State ?1, with a block of their own from ?2 on.
 const OWN: &str = "records INDEXED BY records_by_state SET {} WHERE state = ?1 AND block >= ?2";
-/// Records of a state (?1) in the batch ?2, without a transaction of their own.
+/// State ?1, in batch ?2, without a transaction of their own.
 const OF_BATCH: &str =
     "records SET {} WHERE +state = ?1 AND tx IS NULL AND n IN (SELECT record FROM leaves WHERE batch = ?2)";
 
-/// Records of one state lose a block that is gone: their own, or that of their batch. Each goes to the best that is left for
-/// it: its batch's place on the chain, its own open transaction, its batch's open transaction, another open upload of it.
+/// Records lose their own or their batch's block. The first that applies: the batch's block, the own open transaction,
+/// the batch's, another open upload.
 fn unplace(connection: &Connection, from: RecordState, lost: (&str, i64)) -> Result<u64, StoreError> {
     const OPEN: &str = "EXISTS (SELECT 1 FROM transactions WHERE hash = records.tx AND transactions.state = 0)";
     const LEAF: &str = "EXISTS (SELECT 1 FROM leaves WHERE record = n)";
@@ -153,47 +145,47 @@ fn unplace(connection: &Connection, from: RecordState, lost: (&str, i64)) -> Res
     ];
     let mut moved = 0;
     for (to, transaction, condition) in steps {
-        if from != to && !may(By::Reorg, from, to) {
-            return Err(StoreError::IllegalEdge { from, to });
+        if from != to {
+            check(By::Reorg, from, to)?;
         }
         let values = format!("state = ?3, tx = {transaction}, block = NULL, block_hash = NULL");
         let sql = format!("UPDATE {} AND {condition}", lost.0.replace("{}", &values));
-        moved += count(connection.run(&sql, params![from.code(), lost.1, to.code()])?);
+        moved += connection.changed(&sql, params![from.code(), lost.1, to.code()])?;
     }
     Ok(moved)
 }
 
-// The blocks that the watcher has seen, so that after a reorg it finds where the old and the new chain diverge.
+// Blocks seen by the watcher, to find where chains diverge after a reorg.
 
-/// Below the newest block, how many blocks have every entry kept.
+/// The newest blocks, all kept.
 pub(super) const DENSE: u64 = 1024;
-/// Below those, one entry is kept for this many blocks.
+/// Older blocks for each one kept.
 const SPARSE: u64 = 256;
 
 const SET_CURSOR: &str = "REPLACE INTO cursor VALUES (1, ?1, ?2)";
 
-/// The last block (number and hash) that the watcher has finished.
 pub(super) fn cursor_in(connection: &Connection) -> Result<Option<(u64, Hash)>, StoreError> {
-    Ok(connection.find("SELECT block, hash FROM cursor", [], |row| Ok((unsigned(row, 0)?, Hash(row.get(1)?))))?)
+    Ok(connection.find("SELECT block, hash FROM cursor", [], block)?)
+}
+
+fn block(row: &Row<'_>) -> rusqlite::Result<(u64, Hash)> {
+    Ok((unsigned(row, 0)?, Hash(row.get(1)?)))
 }
 
 impl Trail {
-    /// The last block (number and hash) that the watcher has finished.
     pub fn cursor(&self) -> Result<Option<(u64, Hash)>, StoreError> {
         self.0.read(cursor_in)
     }
 
-    /// Stores the last block that the watcher has finished.
     pub fn set_cursor(&self, block: u64, hash: Hash) -> Result<(), StoreError> {
         let block = whole("block", block)?;
         self.0.run(SET_CURSOR, (block, hash.0))
     }
 
-    /// Moves the cursor to a block, and stores this and other blocks met on the way, in one commit.
+    /// Moves the cursor and stores the blocks met in one commit.
     pub fn walk_to(&self, to: (u64, Hash), met: Vec<(u64, Hash)>) -> Result<(), StoreError> {
         let block = whole("block", to.0)?;
-        self.0.write(move |session| {
-            let connection = session.connection;
+        self.0.write(move |Session { connection, .. }| {
             let mut keep = connection.prepare_cached("REPLACE INTO trail VALUES (?1, ?2)")?;
             for (number, hash) in met.iter().chain([&to]) {
                 keep.execute(params![whole("block", *number)?, hash.0])?;
@@ -209,38 +201,29 @@ impl Trail {
         })
     }
 
-    /// The blocks kept, oldest first.
+    /// Oldest first.
     pub fn blocks(&self) -> Result<Vec<(u64, Hash)>, StoreError> {
-        self.0
-            .list("SELECT block, hash FROM trail ORDER BY block", [], |row| Ok((unsigned(row, 0)?, Hash(row.get(1)?))))
+        self.0.list("SELECT block, hash FROM trail ORDER BY block", [], block)
     }
 
-    /// The newest block kept.
     pub fn end(&self) -> Result<Option<(u64, Hash)>, StoreError> {
-        let sql = "SELECT block, hash FROM trail ORDER BY block DESC LIMIT 1";
-        self.0.find(sql, [], |row| Ok((unsigned(row, 0)?, Hash(row.get(1)?))))
+        self.0.find("SELECT block, hash FROM trail ORDER BY block DESC LIMIT 1", [], block)
     }
 
-    /// Moves the cursor back to `to` if it is further, and deletes the blocks after `to`, in one commit.
+    /// Moves a later cursor back to `to` and deletes the blocks after it, in one commit.
     pub fn walk_back(&self, to: (u64, Hash)) -> Result<(), StoreError> {
         let block = whole("block", to.0)?;
-        self.0.write(move |session| {
-            let connection = session.connection;
+        self.0.write(move |Session { connection, .. }| {
             connection.run("DELETE FROM trail WHERE block > ?1", [block])?;
-            connection.run("UPDATE cursor SET block = ?1, hash = ?2 WHERE block > ?1", params![block, to.1.0])?;
-            Ok(())
+            connection.run("UPDATE cursor SET block = ?1, hash = ?2 WHERE block > ?1", params![block, to.1.0])
         })
     }
 }
 
-// How far this ledger's recorder has counted, and which recorder it succeeds.
-
 impl Counts {
-    /// The highest acknowledged number that `signer` gave in this ledger in each topic of an owner, by topic id; topics
-    /// filed under one of these names are left out.
+    /// The signer's highest number in each topic of an owner, by topic id, except topics with these names.
     pub fn heights(&self, owner: Address, signer: SignerId, but: [&str; 2]) -> Result<Vec<(TopicId, u64)>, StoreError> {
-        let recorder = self.0.shared.recorder.of_signer(&signer);
-        let [one, other] = but;
+        let (recorder, [one, other]) = (self.0.shared.recorder.of_signer(&signer), but);
         let sql = "SELECT topic_id, highest FROM
             (SELECT topic_id, (SELECT max(seq) FROM records WHERE topic = topics.key) AS highest FROM topics
              WHERE owner = ?1 AND keeper IS NULL AND name NOT IN (?2, ?3)
@@ -251,8 +234,7 @@ impl Counts {
         })
     }
 
-    /// The recorder that the one of `signer` follows for an owner: that of the key before, or of the ledger that this one is
-    /// a copy of, restored or opened elsewhere.
+    /// The recorder before the signer's: of the previous key, or of the ledger that this one copies.
     pub fn predecessor(&self, owner: Address, signer: SignerId) -> Result<Option<RecorderId>, StoreError> {
         let recorder = self.0.shared.recorder.of_signer(&signer);
         let sql = "SELECT id FROM recorders WHERE key < coalesce(
@@ -263,23 +245,21 @@ impl Counts {
     }
 }
 
-// A robot's evidence for records that its gateway reports as verified: the signed statement, and proofs that were
-// checked.
+// A robot's evidence for records that its gateway reports as verified.
 
-/// A gateway's signed statement of standings.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct KeptStanding {
     pub time: Timestamp,
-    /// The signed bytes, without label and domain.
+    /// Without label and domain.
     pub statement: Vec<u8>,
-    /// Signature by the gateway's identity key.
+    /// By the gateway's identity key.
     pub signature: Signature,
-    /// Records it reports as verified, each with the proof of its anchor.
+    /// Verified records with the proofs of their anchors.
     pub proofs: Vec<(Digest, Vec<u8>)>,
 }
 
 impl Forwarding {
-    /// Stores a statement with the proofs of its records; records that already have one keep it.
+    /// Records with a statement keep it.
     pub fn keep_proven(&self, kept: KeptStanding) -> Result<(), StoreError> {
         self.0.write(move |session| {
             let (connection, time) = (session.connection, whole("time", kept.time.0)?);
@@ -293,27 +273,27 @@ impl Forwarding {
         })
     }
 
-    /// Verified records that were proven before a given time and whose ciphertext is still here, oldest first.
+    /// Verified before a time, with ciphertext, oldest first.
     pub fn proven_before(&self, moment: Timestamp, limit: usize) -> Result<Vec<Digest>, StoreError> {
         let (moment, limit) = (whole("time", moment.0)?, capped(limit));
-        let verified = crate::model::RecordState::Verified.code();
+        let verified = RecordState::Verified.code();
         let sql = "SELECT digest FROM proven JOIN records ON n = record
             WHERE gone = 0 AND at < ?1 AND state = ?3 ORDER BY at LIMIT ?2";
         self.0.list(sql, params![moment, limit, verified], |row| row.get(0).map(Digest))
     }
 
-    /// Notes that the ciphertext of these was deleted; statement and proof stay.
+    /// Notes deleted ciphertext; statement and proof stay.
     pub fn proven_gone(&self, digests: &[Digest]) -> Result<(), StoreError> {
         let sql = "UPDATE proven SET gone = 1 WHERE record = (SELECT n FROM records WHERE digest = ?1)";
         self.0.run_each(sql, digests.iter().map(|digest| [digest.0]).collect()).map(drop)
     }
 
-    /// The statement that reports a record as verified, with only the proof of its anchor.
+    /// With only this record's proof.
     pub fn proven(&self, digest: Digest) -> Result<Option<KeptStanding>, StoreError> {
         let sql = "SELECT s.at, statement, signature, proof FROM proven p JOIN standings s ON s.key = p.standing
             WHERE record = (SELECT n FROM records WHERE digest = ?1)";
         self.0.find(sql, [digest.0], |row| {
-            let (time, signature) = (Timestamp(unsigned(row, 0)?), Signature(row.get(2)?));
+            let (time, signature) = (time(row, 0)?, Signature(row.get(2)?));
             Ok(KeptStanding { time, statement: row.get(1)?, signature, proofs: vec![(digest, row.get(3)?)] })
         })
     }

@@ -1,63 +1,51 @@
-//! The sender's transactions: signed bytes are stored before they are sent, with the records they anchor.
+//! The sender's transactions, stored with the records they anchor before they are sent.
 
 use rusqlite::{Connection, Row, params};
 use serde::{Deserialize, Serialize};
 
-use super::rows::{self, By, may, of_its_batch, out_of_range, unsigned};
-use super::{Anchors, Lanes, batches};
+use super::rows::{self, By, may, of_its_batch, optional, out_of_range, time, unsigned};
+use super::{Anchors, Lanes, Session, batches};
 use crate::StoreError;
 use crate::database::{Statements as _, whole};
 use crate::model::{Address, Digest, Hash, RecordState, Timestamp, clean};
 
-/// A signed transaction, before it is sent.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NewTransaction {
     pub hash: Hash,
     pub account: Address,
     pub nonce: u64,
-    /// The signed bytes, as sent.
+    /// As sent.
     pub raw: Vec<u8>,
-    /// Its purpose, in a word: `anchor`, `grant`, ….
+    /// `anchor`, `grant`, ….
     pub purpose: String,
-    /// The records that it anchors.
     pub anchors: Anchors,
 }
 
-/// The state of a transaction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TransactionState {
-    /// Signed, perhaps sent; not seen in a block.
+    /// Perhaps sent; in no block.
     Open,
-    /// In a block, successful.
     Mined,
-    /// In a block, failed.
     Reverted,
-    /// Another one took its nonce.
     Replaced,
 }
 
 impl TransactionState {
     const ALL: [Self; 4] = [Self::Open, Self::Mined, Self::Reverted, Self::Replaced];
-
-    fn code(self) -> u8 {
-        self as u8
-    }
 }
 
-/// How a transaction ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[allow(missing_docs, reason = "each variant's line names its fields")]
 pub enum TransactionOutcome {
-    /// In a block, successful. Its records wait for the watcher, which will find their anchors there.
+    /// Its records wait for the watcher.
     Mined { block: u64, block_hash: Hash, gas_used: Option<u64> },
-    /// In a block, failed; its records are stored again.
+    /// Its records are stored again.
     Reverted { reason: String },
-    /// Another one took its nonce; its records are stored again.
+    /// Another took its nonce; its records are stored again.
     Replaced,
 }
 
-/// A transaction as the ledger knows it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TransactionRow {
     pub hash: Hash,
@@ -65,16 +53,13 @@ pub struct TransactionRow {
     pub nonce: u64,
     pub raw: Vec<u8>,
     pub purpose: String,
-    /// The records that it anchors.
     pub anchors: Anchors,
-    /// When it was stored here.
     pub signed_at: Timestamp,
     pub state: TransactionState,
-    /// The block it was mined in.
     pub block: Option<u64>,
     pub gas_used: Option<u64>,
     pub reason: Option<String>,
-    /// The transaction that took its nonce, if it was signed here.
+    /// If signed here.
     pub replaced_by: Option<Hash>,
 }
 
@@ -82,45 +67,36 @@ const COLUMNS: &str =
     "hash, account, nonce, raw, purpose, digests, signed_at, state, block, gas_used, reason, replaced_by, batch";
 
 impl Lanes {
-    /// Stores a signed transaction and moves its records (stored ones, or those of its batch) to submitted, in one
-    /// commit. Storing the same open transaction again changes nothing.
-    ///
-    /// # Errors
-    /// [`StoreError::NotReady`] if a record is not stored or batched, [`StoreError::Transaction`] if another open
-    /// transaction has this nonce or this one is closed; then nothing is written.
+    /// Stores it and moves its records to submitted in one commit. [`StoreError::NotReady`] if a record is not stored
+    /// or batched, [`StoreError::Transaction`] if the nonce is in use or the transaction is closed.
     pub fn submit(&self, transaction: NewTransaction) -> Result<(), StoreError> {
         self.submit_many(vec![transaction])
     }
 
-    /// [`Lanes::submit`] for several, all or none.
+    /// All or none.
     pub fn submit_many(&self, transactions: Vec<NewTransaction>) -> Result<(), StoreError> {
         self.0.write_many(transactions.len(), move |session| {
             transactions.iter().try_for_each(|new| keep(session.connection, new))
         })
     }
 
-    /// The transactions of an account in no block yet, by nonce.
+    /// In no block, by nonce.
     pub fn open_transactions(&self, account: Address) -> Result<Vec<TransactionRow>, StoreError> {
         let sql = format!("SELECT {COLUMNS} FROM transactions WHERE state = 0 AND account = ?1 ORDER BY nonce");
         self.0.list(&sql, [account.0], transaction_row)
     }
 
-    /// The transaction with this hash.
     pub fn transaction(&self, hash: Hash) -> Result<Option<TransactionRow>, StoreError> {
         let sql = format!("SELECT {COLUMNS} FROM transactions WHERE hash = ?1");
         self.0.find(&sql, [hash.0], transaction_row)
     }
 
-    /// Replaces an open transaction with another of the same account and nonce, in one commit: records that the new one
-    /// also anchors stay submitted (under it), the others are stored again.
-    ///
-    /// # Errors
-    /// [`StoreError::Transaction`] if the old one is not open or the nonce differs, [`StoreError::NotReady`] as in
-    /// [`Lanes::submit`].
+    /// Replaces an open transaction with one of the same account and nonce in one commit: records that both anchor stay
+    /// submitted, others are stored again.
     pub fn replace_transaction(&self, old: Hash, new: NewTransaction) -> Result<(), StoreError> {
-        self.0.write(move |session| {
-            let connection = session.connection;
-            let lane = lane(connection, old)?;
+        self.0.write(move |Session { connection, .. }| {
+            let sql = "SELECT account, nonce FROM transactions WHERE hash = ?1 AND state = 0";
+            let lane = connection.find(sql, [old.0], |row| Ok((Address(row.get(0)?), unsigned(row, 1)?)))?;
             if lane != Some((new.account, new.nonce)) {
                 return Err(transaction_error(old, "is not open with the account and nonce of its replacement"));
             }
@@ -135,25 +111,16 @@ pub(super) fn transaction_error(hash: Hash, detail: &str) -> StoreError {
     StoreError::Transaction { hash: hash.to_hex(), detail: detail.to_owned() }
 }
 
-/// Account and nonce of an open transaction.
-fn lane(connection: &Connection, hash: Hash) -> Result<Option<(Address, u64)>, StoreError> {
-    Ok(connection.find("SELECT account, nonce FROM transactions WHERE hash = ?1 AND state = 0", [hash.0], |row| {
-        Ok((Address(row.get(0)?), unsigned(row, 1)?))
-    })?)
-}
-
 fn keep(connection: &Connection, new: &NewTransaction) -> Result<(), StoreError> {
-    let known: Option<u8> =
-        connection.find("SELECT state FROM transactions WHERE hash = ?1", [new.hash.0], |row| row.get(0))?;
-    match known {
+    let sql = "SELECT state FROM transactions WHERE hash = ?1";
+    match connection.find(sql, [new.hash.0], |row| row.get::<_, u8>(0))? {
         Some(0) => return Ok(()),
         Some(_) => return Err(transaction_error(new.hash, "is already closed")),
         None => {}
     }
     let nonce = whole("nonce", new.nonce)?;
     let sql = "SELECT 1 FROM transactions WHERE state = 0 AND account = ?1 AND nonce = ?2";
-    let taken = connection.has(sql, params![new.account.0, nonce])?;
-    if taken {
+    if connection.has(sql, params![new.account.0, nonce])? {
         return Err(transaction_error(new.hash, "uses the nonce of another open transaction"));
     }
     let (digests, batch): (&[Digest], _) = match &new.anchors {
@@ -164,19 +131,9 @@ fn keep(connection: &Connection, new: &NewTransaction) -> Result<(), StoreError>
     let bytes: Vec<u8> = digests.iter().flat_map(|digest| digest.0).collect();
     let sql = "INSERT INTO transactions (hash, account, nonce, raw, purpose, digests, signed_at, state, batch)
         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, 0, ?8)";
-    connection.run(
-        sql,
-        params![
-            new.hash.0,
-            new.account.0,
-            nonce,
-            new.raw,
-            new.purpose,
-            bytes,
-            whole("time", Timestamp::now().0)?,
-            batch,
-        ],
-    )?;
+    let now = whole("time", Timestamp::now().0)?;
+    let NewTransaction { hash, account, raw, purpose, .. } = new;
+    connection.run(sql, params![hash.0, account.0, nonce, raw, purpose, bytes, now, batch])?;
     match new.anchors {
         Anchors::Batch(root) => batches::submit(connection, root, new.hash, new.account),
         _ => digests.iter().try_for_each(|digest| mark(connection, *digest, new.hash)),
@@ -184,16 +141,15 @@ fn keep(connection: &Connection, new: &NewTransaction) -> Result<(), StoreError>
 }
 
 fn mark(connection: &Connection, digest: Digest, hash: Hash) -> Result<(), StoreError> {
-    let found =
-        connection.find("SELECT state FROM records WHERE digest = ?1", [digest.0], |row| rows::state(row, 0))?;
+    let sql = "SELECT state FROM records WHERE digest = ?1";
+    let found = connection.find(sql, [digest.0], |row| rows::state(row, 0))?;
     // A batched record is anchored with its batch, never individually.
     let ready = |state| state != RecordState::Batched && may(By::Submit, state, RecordState::Submitted);
     if !found.is_some_and(ready) {
         return Err(StoreError::NotReady { digest, found: found.map_or("unknown", RecordState::word) });
     }
     let sql = "UPDATE records SET state = ?2, tx = ?3 WHERE digest = ?1";
-    connection.run(sql, params![digest.0, RecordState::Submitted.code(), hash.0])?;
-    Ok(())
+    connection.run(sql, params![digest.0, RecordState::Submitted.code(), hash.0])
 }
 
 pub(super) fn close(connection: &Connection, hash: Hash, outcome: TransactionOutcome) -> Result<(), StoreError> {
@@ -207,9 +163,8 @@ pub(super) fn close(connection: &Connection, hash: Hash, outcome: TransactionOut
     };
     let sql = "UPDATE transactions SET state = ?2, block = ?3, block_hash = ?4, gas_used = ?5, reason = ?6
         WHERE hash = ?1";
-    let changed =
-        connection.run(sql, params![hash.0, state.code(), place.map(|p| p.0), place.map(|p| p.1), gas, reason])?;
-    if changed == 0 {
+    let (block, block_hash) = place.unzip();
+    if connection.changed(sql, params![hash.0, state as u8, block, block_hash, gas, reason])? == 0 {
         return Err(transaction_error(hash, "is not in the ledger"));
     }
     match state {
@@ -218,12 +173,9 @@ pub(super) fn close(connection: &Connection, hash: Hash, outcome: TransactionOut
     }
 }
 
-/// Records of a transaction that will never be mined are stored (or batched) again.
+/// Its records are stored or batched again.
 fn release(connection: &Connection, hash: Hash) -> Result<(), StoreError> {
-    let (digests, batch): (Vec<u8>, Option<[u8; 32]>) =
-        connection.one("SELECT digests, batch FROM transactions WHERE hash = ?1", [hash.0], |row| {
-            Ok((row.get(0)?, row.get(1)?))
-        })?;
+    let (digests, batch) = carried(connection, hash)?;
     if let Some(root) = batch {
         return batches::release(connection, Hash(root), hash);
     }
@@ -241,6 +193,12 @@ fn release(connection: &Connection, hash: Hash) -> Result<(), StoreError> {
     Ok(())
 }
 
+/// Its records' digests, and its batch's root.
+fn carried(connection: &Connection, hash: Hash) -> Result<(Vec<u8>, Option<[u8; 32]>), StoreError> {
+    let sql = "SELECT digests, batch FROM transactions WHERE hash = ?1";
+    Ok(connection.one(sql, [hash.0], |row| Ok((row.get(0)?, row.get(1)?)))?)
+}
+
 fn transaction_row(row: &Row<'_>) -> rusqlite::Result<TransactionRow> {
     let state: usize = row.get::<_, u8>(7)?.into();
     let digests: Vec<u8> = row.get(5)?;
@@ -255,143 +213,111 @@ fn transaction_row(row: &Row<'_>) -> rusqlite::Result<TransactionRow> {
             None if digests.is_empty() => Anchors::Nothing,
             None => Anchors::Digests(digests.chunks_exact(Digest::LENGTH).filter_map(Digest::from_slice).collect()),
         },
-        signed_at: Timestamp(unsigned(row, 6)?),
+        signed_at: time(row, 6)?,
         state: TransactionState::ALL.get(state).copied().ok_or_else(|| out_of_range(7))?,
-        block: row.get::<_, Option<i64>>(8)?.map(i64::cast_unsigned),
-        gas_used: row.get::<_, Option<i64>>(9)?.map(i64::cast_unsigned),
+        block: optional(row, 8)?,
+        gas_used: optional(row, 9)?,
         reason: row.get(10)?,
         replaced_by: row.get::<_, Option<_>>(11)?.map(Hash),
     })
 }
 
-// Nonce lanes as the ledger knows them: open transactions, those that share a nonce, and replacing one signed
-// transaction with another along with everything it carries.
+// Nonce lanes: open transactions, and replacing one with another along with everything it carries.
 
-/// The open part of a lane.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct LaneCount {
-    /// Transactions in no block yet.
     pub open: u64,
-    /// The highest nonce among them.
     pub highest: Option<u64>,
-    /// When the oldest of them was first signed.
+    /// The oldest's first signature.
     pub oldest: Option<Timestamp>,
 }
 
-/// An open transaction without its bytes.
+/// Without its bytes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct OpenTransaction {
     pub hash: Hash,
     pub nonce: u64,
     pub purpose: String,
-    /// Whether its records go back if it fails; otherwise it is a call of its own, to be signed again.
+    /// Its records go back if it fails; else the call must be signed again.
     pub anchors: bool,
 }
 
-/// An open transaction's call, signed again.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Reissue {
     pub hash: Hash,
-    /// The new nonce, or the same at another price.
+    /// New, or the same at another price.
     pub nonce: u64,
     pub raw: Vec<u8>,
 }
 
 impl Lanes {
-    /// How many transactions of an account are open, read from an index.
+    /// From an index.
     pub fn lane_count(&self, account: Address) -> Result<LaneCount, StoreError> {
-        self.0.read(|connection| {
-            let sql = "SELECT count(*), max(nonce), min(signed_at) FROM transactions WHERE state = 0 AND account = ?1";
-            let count = connection.one(sql, [account.0], |row| {
-                let optional = |column| row.get::<_, Option<i64>>(column).map(|value| value.map(i64::cast_unsigned));
-                Ok(LaneCount { open: unsigned(row, 0)?, highest: optional(1)?, oldest: optional(2)?.map(Timestamp) })
-            })?;
-            Ok(count)
+        let sql = "SELECT count(*), max(nonce), min(signed_at) FROM transactions WHERE state = 0 AND account = ?1";
+        self.0.one(sql, [account.0], |row| {
+            let (open, highest, oldest) = (unsigned(row, 0)?, optional(row, 1)?, optional(row, 2)?.map(Timestamp));
+            Ok(LaneCount { open, highest, oldest })
         })
     }
 
-    /// The highest nonce of an account's transactions signed here, whatever became of them.
+    /// Of those signed here, whatever became of them.
     pub fn highest_nonce(&self, account: Address) -> Result<Option<u64>, StoreError> {
-        self.0.read(|connection| {
-            let highest: Option<i64> =
-                connection
-                    .one("SELECT max(nonce) FROM transactions WHERE account = ?1", [account.0], |row| row.get(0))?;
-            Ok(highest.map(i64::cast_unsigned))
-        })
+        self.0.one("SELECT max(nonce) FROM transactions WHERE account = ?1", [account.0], |row| optional(row, 0))
     }
 
-    /// The cost of an account's newest `most` anchoring transactions in blocks: their number, their gas, and the
-    /// records they anchored. Read from an index, whatever the number of transactions.
+    /// Number, gas and records of the newest `most` anchoring transactions in blocks, from an index.
     pub fn anchoring_gas(&self, account: Address, most: u64) -> Result<(u64, u64, u64), StoreError> {
         let most = whole("transactions", most)?;
-        self.0.read(|connection| {
-            let sql = "SELECT count(*), coalesce(sum(gas_used), 0), coalesce(sum(records), 0) FROM (
+        let sql = "SELECT count(*), coalesce(sum(gas_used), 0), coalesce(sum(records), 0) FROM (
                 SELECT gas_used, CASE WHEN batch IS NULL THEN length(digests) / 32
                     ELSE (SELECT count FROM batches WHERE root = batch) END AS records
                 FROM transactions WHERE account = ?1 AND state = 1 AND gas_used IS NOT NULL
                     AND (batch IS NOT NULL OR length(digests) > 0)
                 ORDER BY nonce DESC LIMIT ?2)";
-            let figures = connection.one(sql, params![account.0, most], |row| {
-                Ok((unsigned(row, 0)?, unsigned(row, 1)?, unsigned(row, 2)?))
-            })?;
-            Ok(figures)
-        })
+        let values = params![account.0, most];
+        self.0.one(sql, values, |row| Ok((unsigned(row, 0)?, unsigned(row, 1)?, unsigned(row, 2)?)))
     }
 
-    /// The open transactions of an account by nonce, without their bytes.
+    /// By nonce.
     pub fn open_lane(&self, account: Address) -> Result<Vec<OpenTransaction>, StoreError> {
         let sql = "SELECT hash, nonce, purpose, length(digests) > 0 OR batch IS NOT NULL FROM transactions
             WHERE state = 0 AND account = ?1 ORDER BY nonce";
         self.0.list(sql, [account.0], |row| {
-            Ok(OpenTransaction {
-                hash: Hash(row.get(0)?),
-                nonce: unsigned(row, 1)?,
-                purpose: row.get(2)?,
-                anchors: row.get(3)?,
-            })
+            let (hash, nonce) = (Hash(row.get(0)?), unsigned(row, 1)?);
+            Ok(OpenTransaction { hash, nonce, purpose: row.get(2)?, anchors: row.get(3)? })
         })
     }
 
-    /// The signed bytes of a transaction; `None` if the ledger does not hold it.
     pub fn raw_transaction(&self, hash: Hash) -> Result<Option<Vec<u8>>, StoreError> {
         self.0.find("SELECT raw FROM transactions WHERE hash = ?1", [hash.0], |row| row.get(0))
     }
 
-    /// Hash and bytes of every transaction ever signed here with this nonce, whatever its outcome, newest first.
+    /// Every transaction signed here with a nonce, newest first.
     pub fn of_nonce(&self, account: Address, nonce: u64) -> Result<Vec<(Hash, Vec<u8>)>, StoreError> {
         let nonce = whole("nonce", nonce)?;
         let sql = "SELECT hash, raw FROM transactions WHERE account = ?1 AND nonce = ?2 ORDER BY key DESC";
         self.0.list(sql, params![account.0, nonce], |row| Ok((Hash(row.get(0)?), row.get(1)?)))
     }
 
-    /// Records how transactions ended, in one commit. If one failed or was replaced, its submitted records are stored (or
-    /// batched) again; if it was mined they wait for the watcher ([`Batches::mined`]).
-    ///
-    /// # Errors
-    /// [`StoreError::Transaction`] if the ledger does not hold one of them; then none is closed.
+    /// Records outcomes in one commit, all or none. Failed or replaced: records are stored or batched again; mined:
+    /// they wait for the watcher ([`Batches::mined`]).
     pub fn close_transactions(&self, closings: Vec<(Hash, TransactionOutcome)>) -> Result<(), StoreError> {
         self.0.write_many(closings.len(), move |session| {
             closings.into_iter().try_for_each(|(hash, outcome)| close(session.connection, hash, outcome))
         })
     }
 
-    /// Replaces an open transaction with the same call, signed again, in one commit: purpose, age and everything it
-    /// anchors pass to the new one. The new one may be one that was replaced before.
-    ///
-    /// # Errors
-    /// [`StoreError::Transaction`] if the old one is not open, or the new one is the old one or was closed by the
-    /// chain.
+    /// Replaces an open transaction with the same call, signed again, in one commit: purpose, age and anchors pass on.
+    /// The new one may be one replaced before, but not one closed by the chain.
     pub fn reissue(&self, old: Hash, new: Reissue) -> Result<(), StoreError> {
         let nonce = whole("nonce", new.nonce)?;
-        self.0.write(move |session| {
-            let connection = session.connection;
+        self.0.write(move |Session { connection, .. }| {
             let sql = "INSERT INTO transactions (hash, account, nonce, raw, purpose, digests, signed_at, state, batch)
                 SELECT ?2, account, ?3, ?4, purpose, digests, signed_at, 0, batch FROM transactions
                 WHERE hash = ?1 AND state = 0
                 ON CONFLICT (hash) DO UPDATE SET state = 0, replaced_by = NULL
                 WHERE transactions.state = 3 AND transactions.hash <> ?1";
-            let kept = connection.run(sql, params![old.0, new.hash.0, nonce, new.raw])?;
-            if kept == 0 {
+            if connection.changed(sql, params![old.0, new.hash.0, nonce, new.raw])? == 0 {
                 return Err(transaction_error(old, "is not open, or nothing about it would change"));
             }
             hand_over(connection, old, new.hash)?;
@@ -399,11 +325,9 @@ impl Lanes {
         })
     }
 
-    /// The chain chose `winner`, which makes the same call with the same nonce as the open `loser`: what the loser
-    /// carries passes to the winner, which then ends with `outcome`.
+    /// The chain chose `winner`, the same call and nonce as the open `loser`: it takes what the loser carries.
     pub fn decide_nonce(&self, loser: Hash, winner: Hash, outcome: TransactionOutcome) -> Result<(), StoreError> {
-        self.0.write(move |session| {
-            let connection = session.connection;
+        self.0.write(move |Session { connection, .. }| {
             hand_over(connection, loser, winner)?;
             supersede(connection, loser, winner)?;
             connection.run("UPDATE transactions SET replaced_by = NULL WHERE hash = ?1", [winner.0])?;
@@ -412,23 +336,18 @@ impl Lanes {
     }
 }
 
-/// Moves records and a batch from one transaction to another.
 fn hand_over(connection: &Connection, from: Hash, to: Hash) -> Result<(), StoreError> {
-    let (digests, batch): (Vec<u8>, Option<[u8; 32]>) =
-        connection.one("SELECT digests, batch FROM transactions WHERE hash = ?1", [from.0], |row| {
-            Ok((row.get(0)?, row.get(1)?))
-        })?;
+    let (digests, batch) = carried(connection, from)?;
     if let Some(root) = batch {
-        connection
-            .run("UPDATE batches SET tx = ?3 WHERE root = ?1 AND tx = ?2 AND block IS NULL", [root, from.0, to.0])?;
+        let sql = "UPDATE batches SET tx = ?3 WHERE root = ?1 AND tx = ?2 AND block IS NULL";
+        connection.run(sql, [root, from.0, to.0])?;
     }
     let sql = "UPDATE records SET tx = ?3 WHERE digest = ?1 AND tx = ?2 AND block IS NULL";
     connection.run_each(sql, digests.chunks_exact(Digest::LENGTH).map(|digest| (digest, from.0, to.0)))?;
     Ok(())
 }
 
-/// Marks a transaction as replaced by another one, without returning its records.
+/// Keeps its records.
 fn supersede(connection: &Connection, old: Hash, new: Hash) -> Result<(), StoreError> {
-    connection.run("UPDATE transactions SET state = 3, replaced_by = ?2 WHERE hash = ?1", [old.0, new.0])?;
-    Ok(())
+    connection.run("UPDATE transactions SET state = 3, replaced_by = ?2 WHERE hash = ?1", [old.0, new.0])
 }

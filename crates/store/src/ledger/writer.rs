@@ -1,10 +1,9 @@
-//! The only writer thread: takes all waiting work (up to a limit), does it in one transaction, fsyncs once, then
-//! answers everyone. A failing piece of work does not affect the others: the first in a transaction is alone in it so
-//! far, the others have savepoints. Work on a great many records starts a transaction: inside a savepoint SQLite copies
-//! every page that changes, and walks all copies so far after every statement.
+//! The only writer thread: does waiting work in one transaction, fsyncs once, then answers. Work after the first has a
+//! savepoint, so that failures stay apart. Large work starts a transaction: inside a savepoint SQLite copies every
+//! changed page and walks all copies after every statement.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::mpsc::{self, Receiver, Sender, SyncSender};
 use std::sync::{Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
@@ -17,25 +16,21 @@ use crate::crypto::fault;
 use crate::database::Statements as _;
 use crate::database::{self, Checkpoints};
 
-/// The most pieces of work in one transaction.
+/// Pieces of work in a transaction.
 const GROUP: usize = 256;
-/// Work on more records than this starts a new transaction; another fsync is negligible then.
+/// More records start a new transaction: another fsync is negligible then.
 pub(super) const MANY: usize = 1_000;
 
-/// The context of a piece of work: the connection inside the open transaction, and the keys of known names.
 pub(crate) struct Session<'a> {
-    /// Inside a transaction; never commit or roll back here.
+    /// Inside a transaction: never commit or roll back here.
     pub connection: &'a Connection,
-    /// Keys of topics and streams seen before.
     pub names: &'a mut KnownNames,
 }
 
 trait Job: Send {
-    /// Whether it starts a new transaction.
     fn is_large(&self) -> bool;
-    /// Does the work; returns whether it may stay.
+    /// Returns whether the work may stay.
     fn run(&mut self, session: &mut Session<'_>) -> bool;
-    /// Answers the waiting caller.
     fn answer(self: Box<Self>, committed: Result<(), StoreError>);
 }
 
@@ -53,8 +48,8 @@ impl<T: Send, F: FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send> Job f
 
     fn run(&mut self, session: &mut Session<'_>) -> bool {
         if let Some(work) = self.work.take() {
-            // The result if the work panics.
-            self.outcome = Err(failed_job());
+            // If the work panics.
+            self.outcome = Err(failed("a write failed because of a bug and was rolled back; please report it"));
             self.outcome = work(session);
         }
         self.outcome.is_ok()
@@ -65,7 +60,6 @@ impl<T: Send, F: FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send> Job f
             (Some(_never_tried), Err(error)) => Err(error),
             (_, committed) => self.outcome.and_then(|value| committed.map(|()| value)),
         };
-        // A caller that went away needs no answer.
         let _ = self.caller.send(answer);
     }
 }
@@ -76,15 +70,15 @@ enum Message {
     Leave,
 }
 
-/// The handle of the writer thread. Dropping it ends the thread without marking the file as closed.
+/// Dropping it ends the thread without marking the file as closed.
+#[derive(Debug)]
 pub(super) struct Writer {
     messages: Sender<Message>,
     thread: Mutex<Option<JoinHandle<()>>>,
 }
 
 impl Writer {
-    /// Starts the thread that owns `connection` from now on; `closed` says whether the file is marked as cleanly
-    /// closed.
+    /// `closed`: the file is marked as cleanly closed.
     pub(super) fn start(connection: Connection, path: &Path, closed: bool) -> Result<Self, StoreError> {
         let (messages, inbox) = mpsc::channel();
         let thread = thread::Builder::new()
@@ -98,7 +92,7 @@ impl Writer {
         Ok(Self { messages, thread: Mutex::new(Some(thread)) })
     }
 
-    /// Waits until `work`, which changes this many records, is done and durable.
+    /// Returns when the work is durable.
     pub(super) fn write<T: Send + 'static>(
         &self,
         records: usize,
@@ -107,7 +101,7 @@ impl Writer {
         self.ask(records, work)?.recv().map_err(|_| StoreError::Closed)?
     }
 
-    /// Queues work; the answer comes when it is durable.
+    /// The answer comes when the work is durable.
     pub(super) fn ask<T: Send + 'static>(
         &self,
         records: usize,
@@ -119,7 +113,6 @@ impl Writer {
         Ok(answer)
     }
 
-    /// Lets waiting work finish, marks the file as cleanly closed and ends the thread.
     pub(super) fn close(&self) -> Result<(), StoreError> {
         let (caller, answer) = mpsc::sync_channel(1);
         self.messages.send(Message::Close(caller)).map_err(|_| StoreError::Closed)?;
@@ -139,22 +132,20 @@ impl Writer {
 
 impl Drop for Writer {
     fn drop(&mut self) {
-        // The thread may have ended before.
         let _ = self.messages.send(Message::Leave);
         self.join();
     }
 }
 
-/// What the file says of the process that has it open: from its first change that it is open, and from the first number that it
-/// gives in the feed another id of that.
+/// Marks the file as open at the first change, and renews the feed's id at its first number.
 struct Mark {
-    /// Whether it says that it was cleanly closed.
+    /// As the file says.
     closed: bool,
     is_told: bool,
     has_feed: bool,
-    /// Changes that the connection had made before.
+    /// `total_changes` at the start.
     untouched: u64,
-    /// The last number in the feed before.
+    /// The feed's last number at the start.
     head: i64,
 }
 
@@ -164,12 +155,12 @@ impl Mark {
         Ok(Self { closed, is_told: false, has_feed: false, untouched, head: head(connection)? })
     }
 
-    /// In the transaction of a change: whether the file is marked as open from its commit on, and whether its feed has an id of this
-    /// process's.
+    /// Inside a change's transaction: whether, from its commit on, the file is marked open and the feed has this
+    /// process's id.
     fn open(&self, connection: &Connection) -> Result<(bool, bool), StoreError> {
         let is_told = self.is_told || connection.total_changes() != self.untouched;
         if is_told && !self.is_told {
-            run(connection, "UPDATE about SET clean = 0")?;
+            connection.run("UPDATE about SET clean = 0", [])?;
         }
         let has_feed = self.has_feed || head(connection)? != self.head;
         if has_feed && !self.has_feed {
@@ -205,7 +196,7 @@ fn serve(connection: Connection, mut checkpoints: Checkpoints, mut mark: Mark, i
     }
 }
 
-/// Collects waiting work; returns the message that ends the thread, if one came.
+/// Returns the message that ends the thread, if one came.
 fn gather(first: Message, inbox: &Receiver<Message>, group: &mut Vec<Box<dyn Job>>) -> Option<Message> {
     let mut next = Some(first);
     while let Some(message) = next {
@@ -233,83 +224,70 @@ fn commit(connection: &Connection, names: &mut KnownNames, mark: &mut Mark, grou
             Err(error) => {
                 job.answer(Err(error));
                 // A half-done piece may still be in there.
-                if !connection.is_autocommit() && run(connection, "ROLLBACK").is_err() {
+                if !connection.is_autocommit() && connection.run("ROLLBACK", []).is_err() {
                     answer_all(&mut done, &lost_group());
                     return;
                 }
             }
         }
         if connection.is_autocommit() {
-            // The transaction is gone (disk full, I/O error): nobody in it was acknowledged yet.
-            names.clear();
+            // The transaction is gone (disk full, I/O error), and nobody in it was answered.
+            *names = KnownNames::default();
             answer_all(&mut done, &lost_group());
         }
     }
     settle(connection, names, mark, &mut done);
 }
 
-/// Ends the transaction, if there is one, and answers those whose work is in it.
 fn settle(connection: &Connection, names: &mut KnownNames, mark: &mut Mark, done: &mut Vec<Box<dyn Job>>) {
     let result = if connection.is_autocommit() { Ok(()) } else { end(connection, mark) };
     if result.is_err() {
-        names.clear();
+        *names = KnownNames::default();
     }
     answer_all(done, &result);
 }
 
-/// Whether the job did its work; an error means that it could not be tried, kept or rolled back.
+/// Whether the job did its work; an error if it could not be tried, kept or rolled back.
 fn attempt(connection: &Connection, names: &mut KnownNames, job: &mut dyn Job) -> Result<bool, StoreError> {
     let is_first = connection.is_autocommit();
-    run(connection, if is_first { "BEGIN IMMEDIATE" } else { "SAVEPOINT job" })?;
-    // A fault in one piece of work must end neither this thread nor the others' work.
+    connection.run(if is_first { "BEGIN IMMEDIATE" } else { "SAVEPOINT job" }, [])?;
+    // A fault must end neither this thread nor other work.
     let done = catch_unwind(AssertUnwindSafe(|| job.run(&mut Session { connection, names })));
     if matches!(done, Ok(true)) {
         if !is_first {
-            run(connection, "RELEASE job")?;
+            connection.run("RELEASE job", [])?;
         }
         return Ok(true);
     }
-    names.clear();
+    *names = KnownNames::default();
     if !connection.is_autocommit() {
-        take_back(connection, is_first)?;
+        connection.run(if is_first { "ROLLBACK" } else { "ROLLBACK TO job" }, [])?;
+        if !is_first {
+            connection.run("RELEASE job", [])?;
+        }
     }
     Ok(false)
 }
 
-fn take_back(connection: &Connection, is_first: bool) -> Result<(), StoreError> {
-    if is_first {
-        return run(connection, "ROLLBACK");
-    }
-    run(connection, "ROLLBACK TO job")?;
-    run(connection, "RELEASE job")
-}
-
-fn failed_job() -> StoreError {
-    let detail = "a write failed because of a bug and was rolled back; please report it".to_owned();
-    StoreError::Database { file: std::path::PathBuf::new(), detail }
+fn failed(detail: &str) -> StoreError {
+    StoreError::Database { file: PathBuf::new(), detail: detail.to_owned() }
 }
 
 fn end(connection: &Connection, mark: &mut Mark) -> Result<(), StoreError> {
     let opened = mark.open(connection);
     fault::point("commit-begun");
-    let result = opened.and_then(|opened| run(connection, "COMMIT").map(|()| opened));
+    let result = opened.and_then(|opened| connection.run("COMMIT", []).map(|()| opened));
     fault::point("committed");
     if result.is_err() && !connection.is_autocommit() {
-        run(connection, "ROLLBACK")?;
+        connection.run("ROLLBACK", [])?;
     }
     (mark.is_told, mark.has_feed) = result?;
     mark.closed &= !mark.is_told;
     Ok(())
 }
 
-fn run(connection: &Connection, sql: &str) -> Result<(), StoreError> {
-    connection.run(sql, [])?;
-    Ok(())
-}
-
 fn lost_group() -> Result<(), StoreError> {
-    let detail = "the disk refused a write, so the whole group of writes was rolled back".to_owned();
-    Err(StoreError::Database { file: std::path::PathBuf::new(), detail })
+    Err(failed("the disk refused a write, so the whole group of writes was rolled back"))
 }
 
 fn answer_all(done: &mut Vec<Box<dyn Job>>, result: &Result<(), StoreError>) {

@@ -62,7 +62,7 @@ pub(super) async fn measure(sender: &Sender, asked: usize) -> Result<Idle, Failu
         progress.at(done, count);
     }
     let resident = resident()?.saturating_sub(before);
-    let connections = stage.server.connections();
+    let connections = stage.server.watch().connections();
     drop(progress);
     if let Some(client) = clients.last_mut() {
         // The last of many is served like the first.
