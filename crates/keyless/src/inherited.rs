@@ -1,16 +1,15 @@
-//! Files that whoever started the site left open: they are passed on to every program, and are none of this one's.
+//! Closes the files that the site's own starter left open: every child inherits them.
 
 use std::os::fd::RawFd;
 
-/// Input, output and errors come before it.
 const FIRST: RawFd = 3;
-/// How far is looked where the system does not say what is open.
+/// Numbers closed where the system does not list the open ones.
 const USUAL_LIMIT: RawFd = 1024;
 
-/// Closes all but input, output and errors. Only for the very beginning, while nothing of this process is open.
+/// Only for the very beginning, while nothing of this process is open.
 pub fn close() {
     for number in open() {
-        // The folder that was read is among them and no longer open.
+        // The folder just read is among them and no longer open.
         let _ = nix::unistd::close(number);
     }
 }

@@ -1,5 +1,5 @@
-//! How a program without keys begins, which a site starts to speak with the outside: nothing of what was inherited stays
-//! open but the pipe, memory is bounded, files and local sockets are out of its reach, and signals end it in order.
+//! The start of a program without keys: only the pipe stays open, memory is bounded, files and local sockets are out of
+//! reach, and signals end it in order.
 
 mod inherited;
 mod walls;
@@ -15,40 +15,33 @@ use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
 pub use walls::Network;
 
-/// The first argument with which such a program only tries to open what the others name; see [`attempt_all`].
+/// First argument for a trial: see [`attempt_all`].
 pub const ATTEMPT: &str = "--attempt";
 
-/// What peers can make a program take is bounded by this, bytes; the site starts anew what ended at its bound.
+/// Bound of the memory that peers can make a program take, bytes; the site restarts a program that ends there.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Memory {
-    /// Its whole address space.
     AddressSpace(u64),
-    /// What it can write to: for programs with many threads, whose allocator reserves space that it does not use.
+    /// Writable memory, for many threads: their allocator reserves address space that it does not use.
     Data(u64),
 }
 
-/// A program that has begun.
 #[derive(Debug)]
 pub struct Begun {
-    /// What comes from the site.
     pub from: File,
-    /// What goes to it.
     pub to: File,
     /// Set when a signal asks it to end.
     pub stop: Arc<AtomicBool>,
-    /// Whether it can open no file and no local socket, however it may be misled.
+    /// Whether it can open no file and no local socket, whatever misleads it.
     pub confined: bool,
 }
 
-/// Closes what was inherited. Only for the very beginning, while nothing of this process is open.
+/// Only for the very beginning, while nothing of this process is open.
 pub fn close_inherited() {
     inherited::close();
 }
 
-/// Bounds the memory, takes over pipe and signals, and raises the walls. Only while this is the only thread.
-///
-/// # Errors
-/// The reason, in words, if there is no pipe, or signals cannot be listened for.
+/// Bounds the memory, takes pipe and signals, and raises the walls. Only while this is the only thread.
 pub fn begin(memory: Memory, network: Network) -> Result<Begun, &'static str> {
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT, signal_hook::consts::SIGHUP] {
@@ -62,8 +55,7 @@ pub fn begin(memory: Memory, network: Network) -> Result<Begun, &'static str> {
     Ok(Begun { from: File::from(from), to: File::from(to), stop, confined })
 }
 
-/// Tries to open each path and says what came of it, one line for each: so a test can see what a program that began like
-/// the others reaches.
+/// Reports for each path whether it opens, for a test of the walls.
 pub fn attempt_all(paths: &[String], begun: Begun) -> Result<(), &'static str> {
     let Begun { mut to, confined, .. } = begun;
     let line = |path: &String| {
@@ -75,7 +67,7 @@ pub fn attempt_all(paths: &[String], begun: Begun) -> Result<(), &'static str> {
     write!(to, "confined {confined}\n{lines}").map_err(|_| "its output is closed; authros has to start it")
 }
 
-/// A limit that cannot be set is no reason not to work.
+/// A limit that cannot be set does not stop the program.
 fn bound(memory: Memory) {
     let (resource, wanted) = match memory {
         Memory::AddressSpace(most) => (Resource::As, most),

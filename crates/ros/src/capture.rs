@@ -1,8 +1,5 @@
-//! The monitoring node: captures every message of the watched topics, of any type.
-//!
-//! A registrar thread keeps the subscriptions alive at the master and finds publishers; each publisher is read by its
-//! own thread, so that none can starve another. Captured messages go to a [`MessageSink`]; sealing, storing and
-//! bounding the ring happen elsewhere.
+//! The monitoring node: captures every message of the watched topics, of any type. One thread reads one publisher, so
+//! that none can starve another; a registrar keeps the subscriptions alive at the master.
 
 mod reader;
 mod topic;
@@ -23,143 +20,116 @@ use topic::Topic;
 pub(crate) use topic::next_number;
 pub use topic::{Origin, Rival};
 
-/// The longest wait for an answer of the master, and for names to be resolved at the start.
+/// Limit of the master's answers, and of resolving names at the start.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// A message as received from its publisher.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Message {
     pub topic: Arc<str>,
-    /// Type, `package/Type`.
+    /// `package/Type`
     pub type_name: Arc<str>,
-    /// The type's md5sum, 32 hex characters, as stated by the publisher.
+    /// 32 hex characters, as the publisher stated it.
     pub md5sum: Arc<str>,
-    /// The full text of the type's definition, as stated by the publisher.
+    /// As the publisher stated it.
     pub definition: Arc<str>,
-    /// The publisher's node name, as it stated it: clean it before it is shown.
+    /// As the publisher stated it: clean it before it is shown.
     pub caller_id: Arc<str>,
-    /// Its origin, as far as can be seen.
     pub origin: Arc<Origin>,
-    /// Whether the publisher keeps its last message for later subscribers.
     pub latching: bool,
     /// When the complete message had arrived.
     pub captured_at: Timestamp,
-    /// `header.seq`, if the type begins with a header.
+    /// If the type begins with a header.
     pub header_seq: Option<u32>,
-    /// Further facts about it, sealed beside it as tags; [`crate::recording::tags`] has the names.
     pub tags: Vec<(String, String)>,
-    /// The serialised message, without its length; of ROS 2 with its encapsulation header.
+    /// Without its length; of ROS 2 with its encapsulation header.
     pub body: Vec<u8>,
 }
 
-/// The recipient of captured messages. Called from several threads at once, in order per publisher.
+/// Called from several threads at once, in order per publisher.
 pub trait MessageSink: Send + Sync {
-    /// Takes a message. It may block; meanwhile that publisher's socket is not read.
+    /// May block; meanwhile that publisher's socket is not read.
     fn accept(&self, message: Message);
-    /// Takes the definition of a publisher's messages that arrived after some of them; the message has no body of its own.
+    /// The definition arrived after some of the publisher's messages; this message has no body.
     fn define(&self, message: Message) {
         drop(message);
     }
-    /// Takes a notice about the capture itself. It must not block.
+    /// Must not block.
     fn notice(&self, notice: CaptureNotice);
 }
 
-/// A notice about the capture. Texts from peers in it are cleaned.
+/// Texts from peers in it are cleaned.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum CaptureNotice {
-    /// A publisher is being read.
     PublisherConnected {
         topic: Arc<str>,
-        /// The publisher's node name.
         caller_id: String,
         type_name: Arc<str>,
-        /// Its origin, as far as can be seen.
         origin: Arc<Origin>,
     },
-    /// A publisher that was being read is gone.
     PublisherLost { topic: Arc<str>, caller_id: String, number: u64, reason: String },
-    /// Somebody told this node of a publisher that the master does not list; it is not contacted.
+    /// Claimed by somebody, not listed by the master, and not contacted.
     UnconfirmedPublisher { topic: Arc<str>, publisher: String },
-    /// The master lists a publisher that cannot be read; reported once until it can.
+    /// Listed by the master and unreadable; reported once until it can be read.
     PublisherUnreachable { topic: Arc<str>, publisher: String, reason: String },
-    /// A publisher sends another type than requested; it is not captured.
+    /// It sends another type than requested, and is not captured.
     TypeMismatch { topic: Arc<str>, caller_id: String, wanted: String, found: String },
-    /// A publisher's description of its messages is inconsistent; they are captured as sent.
+    /// Its description of its messages is inconsistent; they are captured as sent.
     Contradiction { topic: Arc<str>, caller_id: String, contradiction: String },
     /// Sequence numbers are missing: this many messages never arrived.
     LostInTransport {
         topic: Arc<str>,
-        /// The publisher's node name.
         caller_id: String,
         count: u64,
-        /// The first and the last of the missing numbers.
         numbers: (u32, u32),
     },
-    /// A publisher or an answer was refused, for example a message beyond the length cap.
+    /// For example a message beyond the length cap.
     Refused { topic: Arc<str>, publisher: String, reason: String },
-    /// The program that reads ROS 2 ended and is restarted; what was missed meanwhile is reported by
-    /// [`Self::LostInTransport`] when its publishers are heard again.
+    /// The ROS 2 reader is restarted; missed messages are reported when their publishers are heard again.
     ReadingBroken { reason: String },
-    /// A publisher vanished while nothing could be read of it.
     EndUnknown {
         topic: Arc<str>,
-        /// The publisher's node name.
         caller_id: String,
-        /// At least this many of its messages are missing.
         at_least: u64,
     },
-    /// The master stopped answering; publishers that are connected are still read.
+    /// Connected publishers are still read.
     MasterLost { reason: String },
-    /// The master answers (again).
     MasterBack,
-    /// Somebody asked this node to shut down; it does not.
+    /// A request to shut down, which this node ignores.
     ShutdownAsked { by: String, reason: String },
 }
 
-/// The parameters of a capture.
 #[derive(Debug, Clone)]
 pub struct CaptureOptions {
-    /// The master, `http://HOST:PORT`.
+    /// `http://HOST:PORT`
     pub master_uri: String,
-    /// The host at which other nodes reach this one (`ROS_HOSTNAME` or `ROS_IP`); chosen automatically if not set.
+    /// The host at which others reach this node (`ROS_HOSTNAME` or `ROS_IP`); chosen automatically if not set.
     pub own_host: Option<String>,
-    /// This node's name, which must be unique: a master shuts down the older of two nodes with the same name.
+    /// Must be unique: a master shuts down the older of two nodes with the same name.
     pub node_name: String,
 }
 
-/// The status of one topic's capture.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TopicCapture {
     pub topic: TopicName,
     /// The type requested, otherwise the one last seen.
     pub type_name: Option<String>,
-    /// Publishers being read now.
     pub publishers: usize,
-    /// Those that the master lists and that cannot be read.
+    /// Listed by the master and unreadable.
     pub unreached: Vec<Unreached>,
     pub messages: u64,
-    /// Bytes of their bodies.
     pub bytes: u64,
-    /// Messages missing according to their sequence numbers.
     pub lost_in_transport: u64,
-    /// When the last message had arrived.
     pub last_message: Option<Timestamp>,
 }
 
-/// A running capture. It unregisters and ends its threads on drop.
 pub struct Capture {
     shared: Arc<Shared>,
-    /// Keeps the subscriptions alive.
     registrar: Threads,
     slave: SlaveServer,
 }
 
 impl Capture {
-    /// Starts the monitoring node; it watches nothing yet. The master need not be running.
-    ///
-    /// # Errors
-    /// [`RosError::Address`] for a bad URI, [`RosError::Unreachable`] if the master's name does not resolve,
-    /// [`RosError::OwnHost`] if this machine's address cannot be listened on.
+    /// Watches nothing yet. The master need not be running.
     pub fn start(options: CaptureOptions, sink: Arc<dyn MessageSink>) -> Result<Self, RosError> {
         let master = Endpoint::parse(&options.master_uri).ok_or_else(|| RosError::address(&options.master_uri))?;
         let host = own_host(options.own_host.as_deref(), &master, Instant::now() + PATIENCE)?;
@@ -180,28 +150,23 @@ impl Capture {
         Ok(Self { shared, registrar, slave })
     }
 
-    /// Watches a topic; with `type_name` only publishers of that type are read. Watching it again changes nothing. A
-    /// topic without publishers is waited for.
+    /// With `type_name` only publishers of that type are read. Watching a topic again changes nothing.
     pub fn watch(&self, topic: TopicName, type_name: Option<TypeName>) {
         self.shared.watch(topic, type_name);
     }
 
-    /// Stops watching a topic. A message being handed to the sink is still handed over.
     pub fn unwatch(&self, topic: &TopicName) {
         self.shared.unwatch(topic);
     }
 
-    /// The URI of this node's own slave API.
     pub fn uri(&self) -> &str {
         &self.slave.uri
     }
 
-    /// The watched topics, by name, with the types requested.
     pub fn watched(&self) -> Vec<(TopicName, Option<TypeName>)> {
         self.shared.topics().iter().map(|topic| (topic.name.clone(), topic.wanted.clone())).collect()
     }
 
-    /// The status of each watched topic, by name.
     pub fn status(&self) -> Vec<TopicCapture> {
         self.shared.topics().iter().map(|topic| topic.status()).collect()
     }
@@ -216,24 +181,20 @@ impl Drop for Capture {
     }
 }
 
-/// How long a thread pauses after a panic.
+/// Pause of a thread after a panic.
 const AFTER_A_PANIC: Duration = Duration::from_millis(500);
 
-/// A lock that survives a panicking thread: the data are plain counters and lists.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// What the registrar is to do next.
 #[derive(Default)]
 struct Errands {
-    /// Topics to query the master about at once.
     pub urgent: BTreeSet<TopicName>,
     pub leaving: BTreeSet<TopicName>,
     pub stopping: bool,
 }
 
-/// Shared by all threads of a capture.
 struct Shared {
     pub master: Endpoint,
     pub node_name: String,
@@ -272,7 +233,6 @@ impl Shared {
         lock(&self.topics).get(&name.parse().ok()?).cloned()
     }
 
-    /// Ends all topics; their names stay for unregistering.
     pub fn stop(&self) {
         for topic in self.topics() {
             topic.end();
@@ -280,7 +240,6 @@ impl Shared {
         self.send(|errands| errands.stopping = true);
     }
 
-    /// Has the master queried about this topic at once.
     pub fn ask_about(&self, name: &TopicName) {
         self.send(|errands| {
             errands.urgent.insert(name.clone());
@@ -324,7 +283,7 @@ impl Node for Shared {
         self.topics().iter().flat_map(|topic| topic.links()).collect()
     }
 
-    /// Anyone can send this, so it is only a hint to query the master at once, and a claim to compare with the answer.
+    /// Anyone can send this: it is only a hint to query the master, and a claim to compare with the answer.
     fn publishers_changed(&self, topic: &str, publishers: &[&str]) {
         if let Some(topic) = self.topic(topic) {
             topic.claim(publishers);
@@ -345,8 +304,7 @@ struct Threads {
 }
 
 impl Threads {
-    /// Runs `work` in a counted thread until it ends by itself; after a panic, which the panic hook reports, it is
-    /// started again.
+    /// Runs `work` in a counted thread until it returns; after a panic, which the panic hook reports, it starts again.
     pub fn spawn(&self, name: &str, mut work: impl FnMut() + Send + 'static) -> std::io::Result<()> {
         let place = Counted::new(&self.running);
         std::thread::Builder::new().name(name.into()).spawn(move || {
@@ -358,7 +316,6 @@ impl Threads {
         Ok(())
     }
 
-    /// Waits until no thread runs; returns whether that happened before `deadline`.
     pub fn wait_until_none(&self, deadline: Instant) -> bool {
         let (count, changed) = &*self.running;
         let patience = deadline.saturating_duration_since(Instant::now());
@@ -383,19 +340,18 @@ impl Drop for Counted {
     }
 }
 
-/// How often every topic is registered again.
+/// Interval between registrations of every topic.
 const PERIOD: Duration = Duration::from_millis(500);
 
-/// The pause between two rounds, as a multiple of a round's duration, however many topics there are.
+/// Pause between two rounds, in durations of a round, however many topics there are.
 const REST: u32 = 10;
 
-/// The most publishers of one topic.
+/// Publishers of one topic.
 const MOST_PUBLISHERS: usize = 256;
 
 struct Work {
     shared: Arc<Shared>,
     slave_uri: String,
-    /// Whether the master answered last time.
     master_up: Option<bool>,
 }
 
@@ -422,8 +378,7 @@ impl Work {
         }
     }
 
-    /// Registers each topic. One that becomes urgent meanwhile goes first, but only once: a flood of hints for one
-    /// topic must not starve the others.
+    /// An urgent topic goes first, but only once: a flood of hints for one topic must not starve the others.
     fn register(&mut self, topics: Vec<Arc<Topic>>) {
         let mut queue: VecDeque<_> = topics.into();
         let mut hurried = BTreeSet::new();
@@ -445,7 +400,7 @@ impl Work {
         }
     }
 
-    /// Registers a topic and handles its publishers; returns whether the master answered.
+    /// Whether the master answered.
     fn register_one(&mut self, topic: &Arc<Topic>) -> bool {
         // Taken first: only an answer requested later can contradict a claim.
         let claims = topic.take_claims();
@@ -508,7 +463,6 @@ impl Work {
     }
 }
 
-/// Takes note of a topic's publishers and starts a reader for each new one.
 fn meet(shared: &Arc<Shared>, topic: &Arc<Topic>, uris: &[String], asked_at: Instant) {
     let refuse = |publisher: &str, reason: &str| {
         if topic.first_complaint(publisher) {
@@ -535,7 +489,7 @@ fn meet(shared: &Arc<Shared>, topic: &Arc<Topic>, uris: &[String], asked_at: Ins
     }
 }
 
-/// Reports claimed publishers that the master's answer did not list. Nobody connects to them.
+/// Claims that the master did not list are reported; nobody connects to them.
 fn refute(shared: &Shared, topic: &Topic, claims: BTreeSet<String>) {
     for publisher in topic.unconfirmed(claims) {
         shared.notice(CaptureNotice::UnconfirmedPublisher { topic: Arc::clone(&topic.label), publisher });

@@ -1,5 +1,4 @@
-//! Queries to a ROS master: whether it is there, which topics exist. Every call ends within [`PATIENCE`], whatever the
-//! master does; its answers are untrusted and only names are kept.
+//! Queries to a ROS master. Every call ends within [`PATIENCE`]; answers are untrusted, and only names are kept.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::TcpListener;
@@ -12,26 +11,23 @@ use crate::ros::RosError;
 use crate::ros::address::{Endpoint, connect, own_host, resolve};
 use crate::ros::xmlrpc::{CallError, Value, call};
 
-/// The longest a query may take.
 pub const PATIENCE: Duration = Duration::from_millis(2500);
 
-/// How long the types of an unchanged graph are not queried again: a node may have come back with another type.
+/// Types of an unchanged graph are queried again after this time: a node may return with another type.
 const TYPES_HOLD: Duration = Duration::from_secs(5);
 
 /// A topic as the master knows it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TopicInfo {
-    /// Its name, as the master gave it: clean it before it is shown.
+    /// As the master gave it: clean it before it is shown.
     pub name: String,
-    /// Its type, if the master knows one.
+    /// If the master knows one.
     pub type_name: Option<String>,
-    /// Names of the nodes that publish it.
     pub publishers: Vec<String>,
-    /// How many nodes subscribe to it.
+    /// Number of subscribed nodes.
     pub subscribers: usize,
 }
 
-/// The master's last answer, for [`Graph::topics_again`].
 #[derive(Debug, Default)]
 pub struct LastLook {
     types: Option<Types>,
@@ -46,13 +42,13 @@ struct Types {
 }
 
 impl Types {
-    /// Whether they need not be queried again.
+    /// Whether they need no new query.
     fn hold(&self, state: &Value) -> bool {
         self.state == *state && self.asked.elapsed() < TYPES_HOLD
     }
 }
 
-/// A ROS master, queried without keeping a connection open.
+/// Queried without keeping a connection open.
 #[derive(Debug, Clone)]
 pub struct Graph {
     master: Endpoint,
@@ -60,7 +56,7 @@ pub struct Graph {
 }
 
 impl Graph {
-    /// The master at `master_uri`, queried in the name of the node `node_name`. Nothing is sent yet.
+    /// Sends nothing yet.
     pub fn new(master_uri: &str, node_name: &str) -> Result<Self, RosError> {
         let master = Endpoint::parse(master_uri).ok_or_else(|| RosError::address(master_uri))?;
         Ok(Self { master, node_name: node_name.to_owned() })
@@ -70,18 +66,15 @@ impl Graph {
         Self { master, node_name: node_name.to_owned() }
     }
 
-    /// Whether a master answers.
     pub fn ping(&self) -> Result<(), RosError> {
         self.ask("getPid", Instant::now() + PATIENCE).map(drop)
     }
 
-    /// All topics with a publisher or subscriber, by name.
     pub fn topics(&self) -> Result<Vec<TopicInfo>, RosError> {
         self.topics_again(&mut LastLook::default())
     }
 
-    /// [`Graph::topics`] for repeated polling: while the graph is as it was in the `last` answer and all types were
-    /// known, types are queried only now and then.
+    /// For repeated polling: while the graph is unchanged and all types are known, types are queried only now and then.
     pub fn topics_again(&self, last: &mut LastLook) -> Result<Vec<TopicInfo>, RosError> {
         let deadline = Instant::now() + PATIENCE;
         let state = self.ask("getSystemState", deadline)?;
@@ -116,7 +109,6 @@ pub(super) fn master_error(master: &Endpoint, call: &'static str, error: CallErr
     }
 }
 
-/// Pairs of (topic, nodes).
 fn rows(value: &Value) -> impl Iterator<Item = (&str, &Value)> {
     value.as_array().unwrap_or_default().iter().filter_map(|row| match row.as_array() {
         Some([name, rest]) => Some((name.as_text()?, rest)),
@@ -149,14 +141,11 @@ fn merge(publishers: &Value, subscribers: &Value, types: &Value) -> Vec<TopicInf
 /// The nodes of one topic, as the master named them: clean the names before they are shown.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Presence {
-    /// Nodes that publish it.
     pub publishers: Vec<String>,
-    /// Nodes that subscribe to it.
     pub subscribers: Vec<String>,
 }
 
 impl Graph {
-    /// The nodes on a topic now.
     pub fn presence(&self, topic: &str) -> Result<Presence, RosError> {
         let state = self.ask("getSystemState", Instant::now() + PATIENCE)?;
         let nodes = |index: usize| {
@@ -187,19 +176,16 @@ fn both_loopback(one: &std::net::SocketAddr, other: &std::net::SocketAddr) -> bo
     one.ip().is_loopback() && other.ip().is_loopback()
 }
 
-/// The most nodes tried.
 const MOST_NODES: usize = 20;
-/// How long each attempt may take.
 const EACH: Duration = Duration::from_millis(800);
 
-/// A publisher that is listed and cannot be reached at its stated address.
+/// A listed publisher that cannot be reached; its texts are cleaned.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Unreached {
-    /// The node's name, cleaned.
     pub node: String,
-    /// The host and port it stated, cleaned.
+    /// The host and port it stated.
     pub place: String,
-    /// The reason, and what to do if that is known; cleaned.
+    /// The reason, with a remedy if one is known.
     pub reason: String,
 }
 
@@ -210,7 +196,7 @@ impl std::fmt::Display for Unreached {
 }
 
 impl Graph {
-    /// Tries the addresses that publishers gave the master; returns how many were tried, and those that do not answer.
+    /// The number of publishers' addresses tried, and those that do not answer.
     pub fn unreached(&self) -> Result<(usize, Vec<Unreached>), RosError> {
         let nodes: BTreeSet<String> = self.topics()?.into_iter().flat_map(|topic| topic.publishers).collect();
         let mut found = Vec::new();
@@ -225,14 +211,14 @@ impl Graph {
         Ok((count, found))
     }
 
-    /// The name of the node that publishes a topic from this address, if the master has one.
+    /// The node that publishes the topic from this address.
     pub(crate) fn node_at(&self, topic: &str, place: &Endpoint) -> Option<String> {
         let state = self.ask("getSystemState", Instant::now() + PATIENCE).ok()?;
         let nodes = rows(state.as_array()?.first()?).find(|(name, _)| *name == topic)?.1.texts();
         nodes.into_iter().take(MOST_NODES).find(|node| self.place_of(node).is_ok_and(|found| found == *place))
     }
 
-    /// Where a node is, according to the master; otherwise what is wrong, and with whom.
+    /// Where a node is, according to the master; otherwise whose fault it is, and the fault.
     fn place_of(&self, node: &str) -> Result<Endpoint, (String, String)> {
         let parameters = [self.node_name.as_str().into(), node.into()];
         let uri = call(&self.master, "lookupNode", &parameters, Instant::now() + PATIENCE)
@@ -247,8 +233,7 @@ impl Graph {
         connected.map(drop).map_err(|error| (place.authority(), error.to_string()))
     }
 
-    /// The host that this machine would give other nodes, and what is wrong with it: `given` is `ros.host` or
-    /// ROS_HOSTNAME.
+    /// The host this machine would give other nodes, or what is wrong with it; `given` is `ros.host` or ROS_HOSTNAME.
     pub fn own_name(&self, given: Option<&str>) -> Result<String, (String, String)> {
         let deadline = Instant::now() + PATIENCE;
         let host = own_host(given, &self.master, deadline)

@@ -1,7 +1,5 @@
 //! ROS: the embedded master, the graph, simulated robots, capture of topics, decoding of messages, recordings.
-//!
-//! All network code talks XML-RPC and TCPROS with timeouts and caps; what peers send is untrusted.
-//! No crypto, no storage and no screens here: captured messages leave through [`MessageSink`].
+//! All network code uses timeouts and caps; peers are untrusted.
 #![doc = include_str!("../README.md")]
 
 use crate as ros;

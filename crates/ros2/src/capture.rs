@@ -1,5 +1,4 @@
-//! The loop: graph, wishes and samples, in one thread. The two threads of the network code are separate, and so is the one
-//! that reads the site's wishes from the pipe; the pipe's end is the last wish.
+//! The loop over graph, wishes and samples. The end of the pipe is the last wish.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{BufWriter, ErrorKind, Read, Write};
@@ -24,28 +23,22 @@ const WAKE: Token = Token(0);
 const FIRST: usize = 2;
 
 const BEAT: Duration = Duration::from_millis(100);
-/// Interval between looks at the graph if no change was reported.
 const LOOK: Duration = Duration::from_secs(1);
-/// Interval between signs of life, and between looks at the threads.
 const ALIVE: Duration = Duration::from_millis(500);
-/// After meeting so many writers and readers of others the participant is replaced: rustdds keeps about 700 bytes of each, 3 MiB
-/// by then, and frees them with the participant alone. To find a domain anew costs seconds, and a large one more: there it is
-/// after four times as many as there are writers, about twice as many as there are endpoints.
+/// Endpoints of others after which the participant is replaced: rustdds keeps about 700 bytes of each, 3 MiB by then,
+/// and frees them only with the participant. Finding a domain again costs seconds, in a large one more: there it takes
+/// four times as many as there are writers, about twice as many as there are endpoints.
 const RENEW_AFTER: usize = 4096;
 const OF_A_LARGE_DOMAIN: usize = 4;
-/// How long two participants read beside each other at most. Fast DDS gives up a node that was killed after 20 s: until then
-/// the successor waits for it.
+/// The longest overlap of two participants. The successor waits for nodes that were killed: Fast DDS drops them after
+/// 20 s.
 const LONGEST_OVERLAP: Duration = Duration::from_secs(30);
-/// How long leaving the domain may take before the process ends anyway.
+/// Time to leave the domain before the process ends anyway.
 const LEAVING: Duration = Duration::from_secs(2);
-/// The most topics read at once.
 const MOST_TOPICS: usize = 4096;
 
-/// Reads `domain` until the wishes end or `stop` is set; tells whether it is confined. Leaves the domain on every way out.
-/// Its participant is replaced after meeting `renew_after` endpoints of others; if `None`, before they cost too much memory.
-///
-/// # Errors
-/// [`Ros2Error`] if the domain cannot be joined, the pipe breaks or the network threads are gone.
+/// Reads `domain` until the wishes end or `stop` is set. Leaves the domain on every way out. Its participant is
+/// replaced after meeting `renew_after` endpoints of others; by default, before they cost too much memory.
 pub fn run(
     (domain, confined): (u16, bool),
     renew_after: Option<usize>,
@@ -70,7 +63,6 @@ pub fn run(
     result
 }
 
-/// Leaving waits for threads that may be gone: in the end the process ends without it.
 pub(crate) fn leave_soon() {
     let end = || {
         std::thread::sleep(LEAVING);
@@ -124,7 +116,7 @@ impl<'a, W: Write> Child<'a, W> {
         })
     }
 
-    /// The site must know for whom to say farewell if this process is killed.
+    /// The site says farewell for a killed child.
     fn joined(&mut self) -> Result<(), Ros2Error> {
         let participants = self.members.iter().map(|member| graph::hex(&member.prefix())).collect();
         send(self.out, &Told::Joined { participants }, &[])?;
@@ -184,7 +176,7 @@ impl<'a, W: Write> Child<'a, W> {
         Ok(())
     }
 
-    /// New wishes; whether there were any, `None` if there will be no more.
+    /// Whether there were new wishes; `None` if no more will come.
     fn take_wishes(&mut self) -> Option<bool> {
         let mut changed = false;
         while let Ok(wish) = self.wishes.try_recv() {
@@ -208,7 +200,7 @@ impl<'a, W: Write> Child<'a, W> {
         Some(changed)
     }
 
-    /// What the participants of ours that stay know of the writers of others.
+    /// Writers of others, as our staying participants know them.
     fn writers(&mut self) -> Vec<DiscoveredWriterData> {
         let (mut all, mut newest) = (BTreeMap::new(), 0);
         for member in self.members.iter_mut().filter(|member| !member.leaves) {
@@ -229,7 +221,7 @@ impl<'a, W: Write> Child<'a, W> {
         seen.filter(|participant| !self.graph.is_own(participant)).collect()
     }
 
-    /// Looks at the graph, reports changes, and adapts the readers to it.
+    /// Reports changes of the graph, and adapts the readers to it.
     fn look(&mut self) -> Result<(), Ros2Error> {
         let writers = self.writers();
         for told in self.graph.look(&writers, &self.nodes) {
@@ -248,14 +240,14 @@ impl<'a, W: Write> Child<'a, W> {
         refused.into_iter().try_for_each(|(dds_topic, error)| self.refuse(&dds_topic, &error))
     }
 
-    /// Replaces a participant that has met too many: its successor reads the same beside it, and takes over each writer's
-    /// messages, before it leaves.
+    /// Replaces a participant that met too many endpoints: its successor reads beside it, and takes over each writer's
+    /// messages before it leaves.
     fn renew(&mut self) -> Result<(), Ros2Error> {
         let after = self.renew_after.unwrap_or(RENEW_AFTER.max(OF_A_LARGE_DOMAIN * self.graph.size()));
         match self.members.as_mut_slice() {
             [only] if only.met >= after => {
                 only.met = 0;
-                // Where a second one cannot join, the first goes on as it is.
+                // Where a second one cannot join, the first goes on.
                 if let Ok(mut successor) = Member::join(self.domain, self.poll.registry()) {
                     successor.describing = only.describing.hand_on();
                     self.graph.joined(successor.prefix());
@@ -279,7 +271,7 @@ impl<'a, W: Write> Child<'a, W> {
                 successor.met = 0;
                 let former = self.members.remove(0);
                 former.farewell.say();
-                // That takes a moment, in which messages come. Without a thread for it they wait.
+                // In a thread: it takes a moment, in which messages would wait.
                 drop(std::thread::Builder::new().name("former".into()).spawn(move || drop(former)));
                 self.joined()?;
             }
@@ -297,7 +289,7 @@ impl<'a, W: Write> Child<'a, W> {
         Ok(())
     }
 
-    /// Gives one turn to every topic that has something.
+    /// Gives one turn to every topic with samples.
     fn take(&mut self) -> Result<(), Ros2Error> {
         let (mut taken, mut passing, mut nodes_changed) = (Vec::new(), Vec::new(), false);
         let members = self.members.iter().enumerate();
@@ -329,7 +321,7 @@ impl<'a, W: Write> Child<'a, W> {
         if nodes_changed { self.look() } else { Ok(()) }
     }
 
-    /// Sees to it that the site knows the writer of a sample; whether the sample can be passed on.
+    /// Announces the sample's writer to the site; whether the sample can be passed on.
     fn is_announced(&mut self, sample: &Taken, subject: &Subject) -> Result<bool, Ros2Error> {
         if !self.graph.knows(&sample.writer) {
             let writers = self.writers();
@@ -357,7 +349,7 @@ impl<'a, W: Write> Child<'a, W> {
     }
 }
 
-/// Starts reading. `None` arrives when the pipe has ended; every arrival wakes.
+/// `None` arrives when the pipe has ended; every arrival wakes.
 pub fn listen(mut from: impl Read + Send + 'static, waker: Arc<Waker>) -> Result<Receiver<Option<Wish>>, Ros2Error> {
     let (sender, receiver) = channel();
     let read = move || {

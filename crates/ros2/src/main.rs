@@ -1,17 +1,15 @@
-//! `authros-ros2 --domain N [--publish | --bury PARTICIPANT | --renew-after N]`: started by a site of AuthROS, with a pipe as
-//! its input and output. It reads the domain, publishes in it, or says there that one of its kind was killed. Tests have it
-//! replace its participant sooner. It has no keys, and is of no use alone.
+//! `authros-ros2 --domain N [--publish | --bury PARTICIPANT | --renew-after N]`: started by a site of AuthROS, with a
+//! pipe as input and output, to read the domain, publish there, or announce that a killed program is gone.
+//! `--renew-after` is for tests.
 
 use std::process::ExitCode;
 
 use authros_keyless::{ATTEMPT, Begun, Memory, Network, attempt_all, begin, close_inherited};
 
-/// The largest address space: memory that the network makes this process take is bounded here; the site restarts it.
+/// Bounds the memory that the network makes this process take; the site restarts it.
 const MOST_MEMORY: u64 = 2 << 30;
 
-/// More are not looked at.
 const MOST_ARGUMENTS: usize = 16;
-/// The highest domain with valid ports.
 const HIGHEST_DOMAIN: u16 = 232;
 
 fn main() -> ExitCode {
@@ -51,14 +49,11 @@ fn publish(domain: u16, begun: Begun) -> Result<(), String> {
     authros_ros2::publish((domain, confined), from, to, &stop).map_err(|error| error.to_string())
 }
 
-/// What it was started for.
 enum Purpose<'a> {
-    /// To read a domain, and to replace its participant after meeting so many endpoints.
+    /// The number replaces its participant after meeting this many endpoints.
     Read(u16, Option<usize>),
     Publish(u16),
-    /// To say in a domain that a participant, by the prefix of its ids, is gone.
     Bury(u16, [u8; 12]),
-    /// To try to open what it should not.
     Attempt(&'a [String]),
 }
 
@@ -78,7 +73,6 @@ fn purpose(arguments: &[String]) -> Option<Purpose<'_>> {
     }
 }
 
-/// 12 bytes from hex.
 fn prefix(hex: &str) -> Option<[u8; 12]> {
     let mut prefix = [0; 12];
     if hex.len() != 2 * prefix.len() {

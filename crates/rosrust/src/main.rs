@@ -1,13 +1,12 @@
-//! `authros-rosrust --node NAME`: started by a site of AuthROS, with a pipe as its input and output and with
-//! ROS_MASTER_URI and ROS_HOSTNAME as its environment. It publishes in that graph. It has no keys, and is of no use alone.
+//! `authros-rosrust --node NAME`: started by a site of AuthROS with a pipe as input and output, and ROS_MASTER_URI and
+//! ROS_HOSTNAME as environment.
 
 use std::process::ExitCode;
 
 use authros_keyless::{ATTEMPT, Begun, Memory, Network, attempt_all, begin, close_inherited};
 
-/// The most memory that can be written to. Each topic has three threads, and each thread a stack.
+/// Writable memory. Each topic has three threads, each with a stack.
 const MEMORY: Memory = Memory::Data(4 << 30);
-/// More arguments are not looked at.
 const MOST_ARGUMENTS: usize = 16;
 const LONGEST: usize = 200;
 
@@ -37,7 +36,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// The node's name. rosrust reads the arguments too, and would take one with `:=` for a remapping.
+/// rosrust reads the arguments too, and would take one with `:=` for a remapping.
 fn node(arguments: &[String]) -> Option<&str> {
     let [flag, name] = arguments else { return None };
     let is_name = name.len() <= LONGEST

@@ -1,5 +1,3 @@
-//! Orders of the site, in their order, to the topics of the node. A topic that is taken back is gone at once, with what
-//! was queued for it.
 
 use std::collections::BTreeMap;
 use std::io::{BufWriter, Read, Write};
@@ -16,21 +14,16 @@ use crate::pipe::write::{Described, MOST_UNCONFIRMED, Order, Report};
 use crate::pipe::{PipeError, VERSION, receive, send};
 use crate::queue::Queue;
 
-/// The longest wait for an order, and the longest while something is on its way.
+/// The longest wait for an order, and the longest while messages are on their way.
 const BEAT: Duration = Duration::from_millis(50);
 const SHORT_BEAT: Duration = Duration::from_millis(1);
-/// Interval between signs of life.
 const ALIVE: Duration = Duration::from_millis(500);
-/// The longest that a topic waits for its subscribers, and how often it looks.
+/// The longest wait of a topic for its subscribers, and the interval between looks.
 const PATIENCE: Duration = Duration::from_secs(2);
 const LOOK: Duration = Duration::from_millis(10);
-/// The most topics announced at once.
 const MOST_TOPICS: usize = 1024;
 
-/// Publishes as a node what the site orders, until the orders end or `stop` is set; tells whether it is confined. The graph is told on every way out.
-///
-/// # Errors
-/// [`RosrustError`] if the graph cannot be joined, the pipe breaks, or somebody ends the node.
+/// Publishes as a node until the orders end or `stop` is set. Leaves the graph on every way out.
 pub fn run(
     (node, confined): (&str, bool),
     from: impl Read + Send + 'static,
@@ -51,7 +44,6 @@ pub fn run(
     result
 }
 
-/// An order with its payload; `None` when there will be no more.
 type Arrival = Option<(Order<Described>, Vec<u8>)>;
 
 struct Child<'a, W: Write> {
@@ -94,7 +86,6 @@ impl<'a, W: Write> Child<'a, W> {
         }
     }
 
-    /// Whether the node is still what it was.
     fn look(&self) -> Result<(), RosrustError> {
         if !self.ros.is_ok() {
             return Err(RosrustError::ShutDown);
@@ -105,7 +96,6 @@ impl<'a, W: Write> Child<'a, W> {
         }
     }
 
-    /// Takes all orders that are there; false if there will be no more.
     fn take_orders(&mut self) -> Result<bool, RosrustError> {
         let waits = !self.queue.is_empty() || self.is_leaving && !self.has_left;
         let mut next = match self.orders.recv_timeout(if waits { SHORT_BEAT } else { BEAT }) {
@@ -139,7 +129,7 @@ impl<'a, W: Write> Child<'a, W> {
                 send(self.out, &report, &[])?;
             }
             Order::Publish { writer } => self.queue.push(writer, payload),
-            // Its subscribers are cut off first; then the master is told.
+            // Cuts off its subscribers first; then the master is told.
             Order::Withdraw { writer } => drop(self.outlets.remove(&writer)),
             Order::Outrun => self.queue.outrun(&mut self.outlets),
             Order::Leave => self.is_leaving = true,
@@ -158,7 +148,6 @@ impl<'a, W: Write> Child<'a, W> {
         Outlet::begin(&self.ros, topic, definition)
     }
 
-    /// Waits for the subscribers that the master knows.
     fn welcome(&self, outlet: &Outlet) {
         let Ok(state) = self.ros.state() else { return };
         let known = state.subscribers.into_iter().find(|topic| topic.name == outlet.topic());
@@ -192,7 +181,6 @@ impl<'a, W: Write> Child<'a, W> {
     }
 }
 
-/// Reads orders in a thread of its own.
 fn listen(mut from: impl Read + Send + 'static) -> Result<Receiver<Arrival>, RosrustError> {
     let (sender, receiver) = sync_channel(4 * MOST_UNCONFIRMED);
     let read = move || {

@@ -1,7 +1,4 @@
-//! rosbag 2.0: read as far as a bag is readable, written so that the real `rosbag` accepts it.
-//!
-//! The index is optional: chunks are read in file order, and a damaged one is skipped and reported. Where there is an index, it
-//! must agree with the messages. Format:
+//! rosbag 2.0: damaged chunks are skipped and reported; an index, if any, must agree with the messages. Format:
 //! <http://wiki.ros.org/Bags/Format/2.0>. The content of a bag is untrusted.
 
 mod reader;
@@ -20,16 +17,14 @@ use crate::ros::tcpros::LONGEST_MESSAGE;
 
 pub use reader::BagReader;
 
-/// The start of every bag.
 pub(super) const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
 
-/// The longest header of a record, bytes: the fields of a bag's own records are short.
+/// A bag's own records have short fields, bytes.
 const LONGEST_HEADER: usize = 64 * 1024;
 
-/// The longest data of a connection record, bytes: it holds a definition.
+/// It holds a definition, bytes.
 const LONGEST_CONNECTION: usize = 2 << 20;
 
-/// The kind of a record (its field `op`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, strum::FromRepr)]
 #[repr(u8)]
 enum Op {
@@ -41,14 +36,13 @@ enum Op {
     Connection = 7,
 }
 
-/// The fields of a header, as slices of its bytes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Fields<'a> {
     fields: Vec<(&'a [u8], &'a [u8])>,
 }
 
 impl<'a> Fields<'a> {
-    /// Parses a whole header; `None` if the bytes are not exactly fields.
+    /// `None` if the bytes are not exactly fields.
     pub fn parse(mut bytes: &'a [u8]) -> Option<Self> {
         let mut fields = Vec::new();
         while !bytes.is_empty() {
@@ -84,7 +78,6 @@ impl<'a> Fields<'a> {
         Some(Timestamp(u64::from(seconds) * 1_000_000_000 + u64::from(nanoseconds)))
     }
 
-    /// The fields of a connection's header that a channel has no field for.
     fn others(&self) -> impl Iterator<Item = (Arc<str>, Arc<str>)> {
         let text = |bytes: &[u8]| -> Arc<str> { String::from_utf8_lossy(bytes).into() };
         let others = self.fields.iter().map(move |(name, value)| (text(name), text(value)));
@@ -99,16 +92,14 @@ impl<'a> Fields<'a> {
     }
 }
 
-/// A length and that many bytes; then the rest.
 fn sized(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     let (length, rest) = bytes.split_first_chunk::<4>()?;
     rest.split_at_checked(usize::try_from(u32::from_le_bytes(*length)).ok()?)
 }
 
-/// Fields of a connection's header that a channel has fields for.
+/// Fields that a channel has fields for.
 const OWN: [&str; 6] = ["topic", "type", "md5sum", "message_definition", "callerid", "latching"];
 
-/// A connection record: its number, its description of the publisher, and whether all of it is kept.
 fn connection(fields: &Fields<'_>, data: &[u8]) -> Option<(u32, Channel, bool)> {
     let about = Fields::parse(data)?;
     let topic = fields.text("topic")?;
@@ -132,7 +123,6 @@ fn connection(fields: &Fields<'_>, data: &[u8]) -> Option<(u32, Channel, bool)> 
     Some((fields.u32("conn")?, channel, is_whole))
 }
 
-/// Appends a header of fields with its length.
 fn put_fields(out: &mut Vec<u8>, fields: &[(&str, &[u8])]) {
     let length: usize = fields.iter().map(|(name, value)| 4 + name.len() + 1 + value.len()).sum();
     put_length(out, length);
@@ -144,12 +134,11 @@ fn put_fields(out: &mut Vec<u8>, fields: &[(&str, &[u8])]) {
     }
 }
 
-/// Appends a length; nothing here is longer than the format's 32 bits.
+/// Nothing written here is longer than the format's 32 bits.
 fn put_length(out: &mut Vec<u8>, length: usize) {
     out.extend_from_slice(&u32::try_from(length).unwrap_or(u32::MAX).to_le_bytes());
 }
 
-/// Appends a connection record.
 fn put_connection(out: &mut Vec<u8>, number: u32, channel: &Channel) {
     let number = number.to_le_bytes();
     put_fields(out, &[("op", &[Op::Connection as u8]), ("conn", &number), ("topic", channel.topic.as_bytes())]);
@@ -177,7 +166,6 @@ fn put_connection(out: &mut Vec<u8>, number: u32, channel: &Channel) {
     put_fields(out, &about);
 }
 
-/// A time in the format of a bag.
 fn time_bytes(time: Timestamp) -> [u8; 8] {
     let seconds = u32::try_from(time.0 / 1_000_000_000).unwrap_or(u32::MAX).to_le_bytes();
     let nanoseconds = u32::try_from(time.0 % 1_000_000_000).unwrap_or(0).to_le_bytes();
@@ -187,10 +175,9 @@ fn time_bytes(time: Timestamp) -> [u8; 8] {
     bytes
 }
 
-/// The bag's header with its padding, without lengths.
+/// With its padding, without lengths.
 const HEADER_LENGTH: usize = 4096;
 
-/// The position of a chunk and what it holds.
 #[derive(Debug)]
 struct ChunkInfo {
     position: u64,
@@ -198,7 +185,6 @@ struct ChunkInfo {
     counts: Vec<(u32, u32)>,
 }
 
-/// Writes a bag of version 2.0.
 #[derive(Debug)]
 pub struct BagWriter<W> {
     out: W,
@@ -208,16 +194,11 @@ pub struct BagWriter<W> {
     connections: Vec<Arc<Channel>>,
     chunk: Vec<u8>,
     span: Option<(Timestamp, Timestamp)>,
-    /// Time and offset of each message of the chunk, by connection.
     index: BTreeMap<u32, Vec<(Timestamp, usize)>>,
     chunks: Vec<ChunkInfo>,
 }
 
 impl<W: Write + Seek> BagWriter<W> {
-    /// Starts a bag.
-    ///
-    /// # Errors
-    /// [`RosError::Recording`] if it cannot be written, or bags do not use this compression.
     pub fn begin(out: W, compression: ChunkCompression) -> Result<Self, RosError> {
         if !RecordingFormat::Bag.takes(compression) {
             return Err(RosError::recording(&format!("a bag cannot be compressed with {compression}")));
@@ -244,10 +225,6 @@ impl<W: Write + Seek> BagWriter<W> {
         Ok(())
     }
 
-    /// Writes one message; its time is kept to the nanosecond.
-    ///
-    /// # Errors
-    /// [`RosError::Recording`] if it cannot be written, is too large, or is not a ROS 1 message.
     pub fn write(&mut self, channel: &Arc<Channel>, time: Timestamp, body: &[u8]) -> Result<(), RosError> {
         if channel.encoding != Encoding::Ros1 {
             return Err(RosError::recording("a bag can only hold ROS 1 messages; write MCAP instead"));
@@ -266,7 +243,6 @@ impl<W: Write + Seek> BagWriter<W> {
         if self.chunk.len() >= CHUNK_THRESHOLD { self.end_chunk() } else { Ok(()) }
     }
 
-    /// The number of a connection; the record of a new one goes into the chunk first.
     fn number(&mut self, channel: &Arc<Channel>) -> Result<u32, RosError> {
         if let Some(number) = self.numbers.get(channel) {
             return Ok(*number);

@@ -1,5 +1,5 @@
-//! What an MCAP file holds beside its messages: files attached to it, and names with values about it. Each is kept as
-//! MCAP's own bytes of it, without code and length, so that it comes out as it went in.
+//! Attachments and metadata of an MCAP file, kept as MCAP's own bytes without code and length, so that they come out as
+//! they went in.
 
 use std::collections::BTreeMap;
 use std::io::{BufReader, Read, Seek, SeekFrom, Write};
@@ -12,10 +12,9 @@ use crate::model::Timestamp;
 use crate::ros::RosError;
 use crate::ros::recording::{Channel, Encoding};
 
-/// The name under which all of it is filed; no topic of ROS begins like this.
+/// Files them under this name; no topic of ROS begins like this.
 pub const TOPIC: &str = "authros/attachments";
 
-/// A kind of what is beside the messages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Beside {
     /// A file, such as a calibration or a map.
@@ -24,36 +23,33 @@ pub enum Beside {
     Metadata,
 }
 
-/// A file attached to a recording.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AttachedFile<'a> {
     /// When it was added to the recording.
     pub logged_at: Timestamp,
-    /// When it was made, nanoseconds since 1970; 0 if nobody said.
+    /// Nanoseconds since 1970; 0 if unknown.
     pub created_at: u64,
-    /// Its name, as written.
+    /// As written.
     pub name: Arc<str>,
-    /// Its media type, as written.
+    /// As written.
     pub media_type: Arc<str>,
     pub data: &'a [u8],
-    /// CRC-32 of all before it; 0 if nobody computed one.
+    /// CRC-32 of everything before it; 0 if there is none.
     pub checksum: u32,
 }
 
-/// What is read of it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum BesideContent<'a> {
     File(AttachedFile<'a>),
     Metadata {
-        /// Its name, as written.
         name: Arc<str>,
-        /// Its names and values, in their order; a name may occur twice.
+        /// In their order; a name may occur twice.
         entries: Vec<(Arc<str>, Arc<str>)>,
     },
 }
 
 impl AttachedFile<'_> {
-    /// MCAP's own bytes of it, with a checksum.
+    /// MCAP's own bytes, with a checksum.
     pub fn encode(&self) -> Vec<u8> {
         let mut out = Vec::with_capacity(self.data.len() + 256);
         put_numbers(&mut out, &[self.logged_at.0, self.created_at]);
@@ -68,7 +64,6 @@ impl AttachedFile<'_> {
 }
 
 impl BesideContent<'_> {
-    /// Its name, as written.
     pub fn name(&self) -> &Arc<str> {
         match self {
             Self::File(file) => &file.name,
@@ -78,7 +73,7 @@ impl BesideContent<'_> {
 }
 
 impl Beside {
-    /// What takes the place of a message type.
+    /// Stands for a message type.
     pub fn type_name(self) -> &'static str {
         match self {
             Self::Attachment => "authros/Attachment",
@@ -91,7 +86,6 @@ impl Beside {
         [Self::Attachment, Self::Metadata].into_iter().find(|kind| kind.type_name() == name)
     }
 
-    /// What takes the place of a channel.
     pub fn channel(self) -> Channel {
         Channel {
             topic: TOPIC.into(),
@@ -105,7 +99,7 @@ impl Beside {
         }
     }
 
-    /// Parses it whole; `None` if it is not as MCAP has it.
+    /// `None` if it is not exactly as MCAP has it.
     pub fn parse(self, bytes: &[u8]) -> Option<BesideContent<'_>> {
         let mut fields = Fields(bytes);
         let content = match self {
@@ -136,7 +130,7 @@ impl Beside {
         }
     }
 
-    /// Its name, from the beginning of its bytes.
+    /// From the beginning of its bytes.
     pub(super) fn name_of(self, beginning: &[u8]) -> Arc<str> {
         let mut fields = Fields(beginning);
         let name = match self {
@@ -157,7 +151,6 @@ impl Beside {
         }
     }
 
-    /// One word in a finding.
     pub(super) fn word(self) -> &'static str {
         match self {
             Self::Attachment => "attachment",
@@ -166,7 +159,6 @@ impl Beside {
     }
 }
 
-/// Metadata in MCAP's own bytes.
 pub fn metadata_record(name: &str, entries: &[(&str, &str)]) -> Vec<u8> {
     let mut out = Vec::new();
     put_text(&mut out, name);
@@ -177,13 +169,12 @@ pub fn metadata_record(name: &str, entries: &[(&str, &str)]) -> Vec<u8> {
 /// Bytes of the record that ends the data.
 const DATA_END: u64 = LEAD + 4;
 
-/// The longest summary, bytes.
+/// Bytes.
 const LONGEST_SUMMARY: u64 = 256 << 20;
 
-/// Where the count of attachments is in the content of a statistics record.
 const ATTACHMENTS: usize = 8 + 2 + 4;
 
-/// Writes all bytes, counting them and their CRC-32.
+/// Counts the written bytes and their CRC-32.
 struct Counted<W> {
     out: W,
     position: u64,
@@ -200,9 +191,6 @@ impl<W: Write> Counted<W> {
 }
 
 /// Copies a file that its recorder closed to `out`, with `file` attached.
-///
-/// # Errors
-/// [`RosError::Recording`] if it was not closed, is damaged at its end, cannot be read, or the copy cannot be written.
 pub fn attach(source: impl Read + Seek, out: impl Write, file: &AttachedFile<'_>) -> Result<(), RosError> {
     let mut source = BufReader::new(source);
     let unreadable = |error: std::io::Error| RosError::unreadable(&error);
@@ -294,7 +282,7 @@ fn with_line(summary: &[u8], line: &[u8], start: u64) -> Option<Vec<u8>> {
     Some(out)
 }
 
-/// Appends a record to those of its kind, which are together in a summary.
+/// Records of a kind are together in a summary.
 fn put_in_group(groups: &mut Vec<(Code, Vec<u8>)>, code: Code, content: &[u8]) {
     let at = groups.iter().position(|(known, _)| *known == code).unwrap_or_else(|| {
         groups.push((code, Vec::new()));

@@ -1,5 +1,5 @@
-//! Reads MCAP chunk by chunk, in file order. A chunk is decompressed and its checksum compared before any of its
-//! messages is returned; a damaged one is skipped as a whole.
+//! Reads MCAP chunk by chunk, in file order. A chunk is unpacked and checked before any of its messages is returned; a
+//! damaged one is skipped as a whole.
 
 mod growing;
 
@@ -19,24 +19,21 @@ use crate::ros::recording::{
 };
 use crate::ros::tcpros::LONGEST_MESSAGE;
 
-/// The longest record other than a message or chunk, bytes: it may hold a definition.
+/// Of other records than messages and chunks, bytes; they may hold a definition.
 const LONGEST_RECORD: u64 = 2 << 20;
 
-/// The longest head of a chunk (times, sizes, checksum, the name of a compression), bytes.
+/// Times, sizes, checksum, and the name of a compression; bytes.
 const LONGEST_CHUNK_HEAD: u64 = 128;
 
-/// The most chunks whose position is remembered from the summary, to continue after damage.
+/// Limit of chunk positions kept from the summary, to continue after damage.
 const MOST_PLACES: usize = 1 << 20;
 
-/// Bytes of an attachment too large to read, which begin with its name.
 const BEGINNING: u64 = 1024;
 
-/// The content of a chunk's head.
 struct ChunkHead {
     size: u64,
     checksum: u32,
     compression: Option<ChunkCompression>,
-    /// Where the compressed records begin, and their length.
     data: u64,
     length: u64,
 }
@@ -44,35 +41,31 @@ struct ChunkHead {
 /// Where a schema or channel is described.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Place {
-    /// In the summary at the end, which is read first: it counts until the data says anything.
+    /// At the end, which is read first: it counts until the data describes the same.
     Summary,
-    /// Among the data: from there on.
+    /// Among the data: it counts from there on.
     Data,
 }
 
-/// A schema or channel as last described.
 #[derive(Debug)]
 struct Latest<T> {
     record: T,
     place: Place,
 }
 
-/// A channel as last described.
 #[derive(Debug)]
 struct KnownChannel {
     latest: Latest<ChannelRecord>,
-    /// The channel with its schema, or why its messages cannot be used.
     usable: Result<Arc<Channel>, String>,
 }
 
-/// A count in the summary, if there is one, and what was found.
+/// A count in the summary, if any, and the real one.
 #[derive(Debug, Default)]
 struct Tally {
     counted: Option<u64>,
     met: u64,
 }
 
-/// Reads an MCAP file. `R` should be buffered.
 #[derive(Debug)]
 pub struct McapReader<R> {
     file: R,
@@ -81,21 +74,18 @@ pub struct McapReader<R> {
     chunk: Chunk,
     schemas: HashMap<u16, Latest<Schema>>,
     channels: HashMap<u16, KnownChannel>,
-    /// Bytes of all schemas and channels that were kept.
     texts: usize,
-    /// Where chunks begin, according to the summary.
     places: BTreeSet<u64>,
     findings: Findings,
-    /// How many messages the summary counts, and how many were found.
+    /// Counts by the summary, and real ones.
     messages: Tally,
-    /// The same of attachments and metadata.
     besides: Tally,
-    /// When the last message was recorded; before the first, when the summary says that it begins.
+    /// Time of the last message; before the first, the beginning by the summary.
     latest: Timestamp,
     ended: bool,
-    /// Whether the file's last bytes are its footer, by which a summary is found.
+    /// Whether the file ends with a footer, by which a summary is found.
     has_footer: bool,
-    /// What is known of a file that somebody is writing.
+    /// State of a file that is still being written.
     growing: Growing,
 }
 
@@ -128,7 +118,6 @@ impl<R: BufRead + Seek> RecordingReader for McapReader<R> {
 }
 
 impl<R: BufRead + Seek> McapReader<R> {
-    /// Starts reading a file.
     pub fn open(file: R) -> Result<Self, RosError> {
         let mut reader = Self::begin(file)?;
         reader.read_summary().map_err(|error| RosError::unreadable(&error))?;
@@ -169,14 +158,13 @@ impl<R: BufRead + Seek> McapReader<R> {
         }
     }
 
-    /// Code and length of the record at a position.
     fn look(&mut self, at: u64) -> std::io::Result<Option<(u8, u64)>> {
         let lead = read_at(&mut self.file, at, LEAD)?;
         let mut fields = Fields(&lead);
         Ok(fields.u8().zip(fields.u64()))
     }
 
-    /// Schemas, channels and positions of chunks from the summary at the end, if there is one.
+    /// Learns schemas, channels and positions of chunks.
     fn read_summary(&mut self) -> std::io::Result<()> {
         let Some(footer) = self.length.checked_sub(TAIL).filter(|footer| *footer >= MAGIC.len() as u64) else {
             return Ok(());
@@ -226,7 +214,6 @@ impl<R: BufRead + Seek> McapReader<R> {
         begins.is_some()
     }
 
-    /// CRC-32 of the file between two positions.
     fn checksum_of(&mut self, from: u64, until: u64) -> std::io::Result<u32> {
         let mut hasher = crc32fast::Hasher::new();
         go_to(&mut self.file, from)?;
@@ -242,7 +229,7 @@ impl<R: BufRead + Seek> McapReader<R> {
         }
     }
 
-    /// After the last record of data. If messages had no checksum of their own, that of all data is compared.
+    /// If messages had no checksum of their own, compares that of all data.
     fn end_data(&mut self, start: u64, length: u64) -> std::io::Result<()> {
         self.ended = true;
         if !self.has_footer {
@@ -259,8 +246,8 @@ impl<R: BufRead + Seek> McapReader<R> {
         Ok(())
     }
 
-    /// Adds a schema or a channel; `false` if it is damaged. What is described again counts from there on, and is damage
-    /// if it differs: the same number would stand for two things.
+    /// `false` if it is damaged. A later description counts from there on, and is damage if it differs: the same number
+    /// would stand for two things.
     fn learn(&mut self, code: u8, content: &[u8], place: Place) -> bool {
         match Code::from_repr(code) {
             Some(Code::Schema) => {
@@ -326,7 +313,7 @@ impl<R: BufRead + Seek> McapReader<R> {
         self.findings.note(self.position, &format!("{text}: {rule}"));
     }
 
-    /// Reads the next record of the file: fills the chunk, or returns a message outside any chunk.
+    /// Fills the chunk, or returns a message outside any chunk.
     fn advance(&mut self) -> std::io::Result<Option<RecordedMessage>> {
         let start = self.position;
         let Some((code, length)) = self.look(start)? else {
@@ -407,7 +394,7 @@ impl<R: BufRead + Seek> McapReader<R> {
             return None;
         }
         self.findings.unguarded += u64::from(!guarded && sound.is_none());
-        // Metadata has no time: it belongs to what was recorded before it.
+        // Metadata has no time: it belongs to the record before it.
         let time = match parsed {
             BesideContent::File(file) => file.logged_at,
             BesideContent::Metadata { .. } => self.latest,
@@ -440,7 +427,6 @@ impl<R: BufRead + Seek> McapReader<R> {
         }
     }
 
-    /// The message of a record; or of which topic it is, if that is known, and why it cannot be used.
     fn read_message(&self, mut fields: Fields<'_>) -> Result<RecordedMessage, (Arc<str>, String)> {
         const SHORT: &str = "its record is too short";
         let number = fields.u16().ok_or_else(|| ("".into(), SHORT.to_owned()))?;
@@ -459,7 +445,7 @@ impl<R: BufRead + Seek> McapReader<R> {
         Ok(RecordedMessage { channel, time: Timestamp(logged), sent, body })
     }
 
-    /// Continues at the next chunk listed in the summary; what lies between is reported as skipped.
+    /// Continues at the next chunk of the summary, and reports the skipped part.
     fn skip(&mut self, damaged: u64, why: &str) {
         let next = self.places.range(damaged + 1..).next().copied().filter(|next| *next < self.length);
         let end = next.unwrap_or(self.length);
@@ -544,7 +530,7 @@ impl<R: BufRead + Seek> McapReader<R> {
                 (Some((code, content)), _) if code == Code::Message as u8 => {
                     Some(self.message(Fields(content), chunk.guarded))
                 }
-                // MCAP has them outside of chunks; wherever they are, they are there.
+                // MCAP has them outside of chunks, but they count anywhere.
                 (Some((_, content)), Some(kind)) => Some(self.beside(kind, chunk.position, content, chunk.guarded)),
                 (Some((code, content)), None) if self.learn(code, content, Place::Data) => Some(None),
                 _ => None,
@@ -563,7 +549,7 @@ impl<R: BufRead + Seek> McapReader<R> {
     }
 }
 
-/// A name of the file in a finding.
+/// A name from the file, in a finding.
 fn shown(name: &str) -> String {
     format!("'{}'", crate::model::clean(name, 80))
 }

@@ -1,5 +1,5 @@
-//! The whole message as JSON, written while it is parsed: nothing is left out and nothing is kept in memory. Texts are
-//! complete; characters unsafe for a terminal are escaped.
+//! The whole message as JSON, written while it is parsed, without a copy in memory. Texts are complete; characters
+//! unsafe for a terminal are escaped.
 
 use std::io::{self, Write};
 
@@ -11,14 +11,9 @@ use crate::model::spelt_out;
 use crate::ros::RosError;
 
 impl Definition {
-    /// Writes the whole message as JSON, fields in order, numbers unchanged, numbers that JSON lacks as text (`NaN`,
-    /// `inf`), texts that are not UTF-8 as `{not_utf8: hex}`, times as `{secs, nsecs}`, arrays of bytes as arrays of
-    /// numbers. A body of n bytes becomes at most `64 n` + 16 MiB of text, because field names are repeated for every
-    /// element; it uses no further memory.
-    ///
-    /// # Errors
-    /// [`RosError::Body`] if the body does not match the definition, would become more text than that, or `out` cannot
-    /// be written.
+    /// Fields keep their order and numbers their value; numbers that JSON lacks become text (`NaN`, `inf`), texts that
+    /// are not UTF-8 `{not_utf8: hex}`, times `{secs, nsecs}`, arrays of bytes arrays of numbers. A body of n bytes
+    /// becomes at most `64 n` + 16 MiB of text, because field names are repeated for every element; a longer one fails.
     pub fn write_json(&self, body: &[u8], out: &mut dyn Write) -> Result<(), RosError> {
         let failed = |failure: Failure| RosError::body(self.type_name(), failure.to_string());
         let root = self.root().ok_or_else(|| RosError::body("", "the definition is empty"))?;
@@ -31,15 +26,13 @@ impl Definition {
     }
 }
 
-/// Replaces a text whose bytes are not UTF-8: an object with these bytes in hex.
+/// Stands for a text that is not UTF-8: an object with its bytes in hex.
 const NOT_UTF8: &str = "not_utf8";
 
-/// The most bytes of text per byte of the body.
+/// The most bytes of text per byte of the body, and for any body.
 const GROWTH: usize = 64;
-/// Bytes of text allowed for any body.
 const LEAST: usize = 16 << 20;
 
-/// Accepts this many bytes and no more.
 struct Bounded<'a> {
     out: &'a mut dyn Write,
     left: usize,
@@ -132,14 +125,14 @@ impl<'a> Export<'a, '_> {
     }
 }
 
-/// Arrays of numbers shorter than this are not treated as a matrix, bytes.
+/// Shorter arrays of numbers are no matrix, bytes.
 const SHORTEST: usize = 512;
 
-/// Expands nothing and visits little: this runs for every message that is sealed.
+/// Expands nothing and visits little: this runs for every sealed message.
 const LIMITS: Limits = Limits { elements: 0, steps: 20_000 };
 
 impl Definition {
-    /// The matrix in `body`, if any: that of an Image or a PointCloud2, otherwise its longest array of floats.
+    /// That of an Image or a PointCloud2, otherwise the longest array of floats.
     pub fn matrix(&self, body: &[u8]) -> Option<Matrix> {
         if body.len() < SHORTEST {
             return None;

@@ -1,8 +1,6 @@
-//! Our own publisher: a ROS node that serves topics over TCPROS, in this process or, by rosrust, in a program without keys
-//! that is started here, and anew when it ends. The simulated robots are such nodes, and so is the one that plays shared
-//! records into a reader's graph.
-//!
-//! The program is handed a bounded number of messages before it confirms some; what it held when it ended counts as missed.
+//! Nodes that serve topics over TCPROS: our own in this process, or rosrust in a program without keys, restarted when
+//! it ends. The program gets a bounded number of messages before it confirms some; what it held when it ended counts as
+//! missed.
 
 mod outlet;
 
@@ -26,104 +24,89 @@ use crate::ros::tcpros::{BusLink, ConnectionHeader, FrameReader, Node, Poll, Sla
 use crate::ros::xmlrpc::{CallError, Server, Value, call};
 use outlet::{Outlet, lock};
 
-/// How long to wait for the master and for names.
+/// Limit of the master's answers, and of resolving names.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// How long subscribers get for the rest of their queues at an orderly shutdown.
+/// Time for subscribers' queues at an orderly shutdown.
 const FAREWELL: Duration = Duration::from_secs(5);
 
-/// A topic as published.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Advertised {
     pub topic: String,
-    /// Type, `package/Type`.
+    /// `package/Type`
     pub type_name: String,
-    /// The type's md5sum, 32 hex characters.
+    /// 32 hex characters.
     pub md5sum: String,
-    /// The full text of the type's definition.
     pub definition: String,
-    /// Whether the last message of each source is sent to later subscribers.
+    /// Whether later subscribers get the last message of each source.
     pub latching: bool,
 }
 
-/// A node that publishes into a graph of ROS 1: our own, in this process, or rosrust, in a process without keys. It leaves the
-/// graph when dropped.
+/// Leaves the graph when dropped.
 pub trait GraphPublisher: Send + Sync {
-    /// Announces a topic, and waits for the subscribers that the master knows, at most for `patience`.
-    ///
-    /// # Errors
-    /// If the master does not answer or refuses, or the program does not run.
     fn advertise(&mut self, topic: &Advertised, patience: Duration) -> Result<(), RosError>;
 
-    /// Sends a message to all subscribers of an announced topic, as one of `source`; false if it is not announced, or
-    /// nobody publishes now. May block where [`Self::may_block`].
+    /// A message of `source`; false if the topic is not announced, or nobody publishes now. May block where
+    /// [`Self::may_block`].
     fn publish(&mut self, topic: &str, source: u64, body: &[u8]) -> bool;
 
-    /// Whether publishing may wait, for a pipe that is full.
+    /// Whether publishing may wait for a full pipe.
     fn may_block(&self) -> bool {
         false
     }
 
-    /// Why nothing is published now, if that is so.
+    /// Why nothing is published now, if so.
     fn broken(&self) -> Option<String> {
         None
     }
 
-    /// Whether a subscriber is so far behind that more messages would soon be dropped.
+    /// Whether a subscriber is so far behind that it soon loses messages.
     fn is_crowded(&self) -> bool;
 
-    /// Stops waiting for the subscribers that are behind now, until they have caught up.
     fn outrun(&self);
 
-    /// Comes back: our own registers all topics again, rosrust is started anew if it has ended.
-    ///
-    /// # Errors
-    /// If the master does not answer or refuses, or the program does not start.
     fn come_back(&mut self) -> Result<(), RosError>;
 
-    /// Withdraws topics at once: what is queued for their subscribers is no longer sent.
+    /// Drops the topics with their queues.
     fn cut(&mut self, topics: &[String]);
 
-    /// Drops at once what came from a source, including the topic's queues; other sources go on publishing it.
+    /// Drops what came from a source, with the topic's queues; other sources go on publishing.
     fn silence(&mut self, topic: &str, source: u64);
 
     /// No more messages come; queued ones are still sent.
     fn leave(&self);
 
-    /// Whether everything queued has been sent, after [`Self::leave`].
+    /// Whether all queues are empty, after [`Self::leave`].
     fn is_sent(&self) -> bool;
 
-    /// Total messages that a subscriber missed because it read too slowly.
+    /// Messages that a subscriber missed because it read too slowly.
     fn missed(&self) -> u64;
 
-    /// Ends without further waiting. Returns the total messages that a subscriber missed.
+    /// Ends without waiting. Returns all messages that a subscriber missed.
     fn end(self: Box<Self>) -> u64;
 }
 
-/// The longest connection header of a subscriber, bytes.
+/// Bytes.
 const LONGEST_REQUEST: usize = 64 << 10;
 
-/// The most subscribers of one topic.
 const MOST_SUBSCRIBERS: usize = 64;
 
-/// The most connections of one node.
 const MOST_CONNECTIONS: usize = 1024;
 
-/// The node's state as seen by the slave API and the TCPROS port.
 struct Identity {
     name: String,
     host: String,
-    /// Where it serves its topics, once it does.
+    /// Port that serves its topics, once it is open.
     port: OnceLock<u16>,
     master: Endpoint,
     outlets: Mutex<Vec<Arc<Outlet>>>,
     overflowed: AtomicU64,
-    /// Threads that tell a master, perhaps a slow one, what is no longer published.
+    /// Threads that unregister topics at a master, perhaps a slow one.
     telling: Mutex<Vec<JoinHandle<()>>>,
     left: AtomicBool,
 }
 
-/// Our own node. It unregisters and ends on drop; what is still queued then is not sent.
+/// Unregisters and ends on drop, without sending its queues.
 pub struct Publisher {
     identity: Arc<Identity>,
     slave: SlaveServer,
@@ -131,11 +114,6 @@ pub struct Publisher {
 }
 
 impl Publisher {
-    /// Starts a node at the master; it publishes nothing yet.
-    ///
-    /// # Errors
-    /// [`RosError::Address`] for a bad URI, [`RosError::Unreachable`] if the master's name does not resolve,
-    /// [`RosError::OwnHost`] if this machine's address cannot be listened on.
     pub fn start(master_uri: &str, given_host: Option<&str>, node_name: &str) -> Result<Self, RosError> {
         let master = Endpoint::parse(master_uri).ok_or_else(|| RosError::address(master_uri))?;
         let host = own_host(given_host, &master, Instant::now() + PATIENCE)?;
@@ -158,7 +136,7 @@ impl Publisher {
         Ok(Self { identity, slave, _port: port })
     }
 
-    /// Announces a topic; returns how many subscribers the master knows for it. A topic already announced is unchanged.
+    /// Returns how many subscribers the master knows. A topic already announced is unchanged.
     pub fn advertise(&self, topic: &Advertised) -> Result<usize, RosError> {
         let outlet = self.identity.outlet_of(&topic.topic).unwrap_or_else(|| {
             let outlet = Arc::new(Outlet::new(topic.clone()));
@@ -176,24 +154,20 @@ impl Publisher {
         Ok(answer.as_array().map_or(0, <[Value]>::len))
     }
 
-    /// Sends a message to all subscribers of an announced topic, as one of `source`; false if it is not announced.
+    /// A message of `source`; false if the topic is not announced.
     pub fn publish(&self, topic: &str, source: u64, body: &[u8]) -> bool {
         let outlet = self.identity.outlet_of(topic);
         outlet.as_ref().inspect(|outlet| outlet.publish(source, body)).is_some()
     }
 
-    /// The number of connected subscribers of a topic.
     pub fn subscribers(&self, topic: &str) -> usize {
         self.identity.outlet_of(topic).map_or(0, |outlet| outlet.subscribers())
     }
 
-    /// Unregisters and ends, after sending what is queued, for at most five seconds. Returns the total messages that a
-    /// subscriber missed.
     pub fn finish(self) -> u64 {
         self.close(FAREWELL)
     }
 
-    /// Unregisters, and sends what is queued, with one deadline for all. Returns what [`Self::finish`] does.
     fn close(&self, patience: Duration) -> u64 {
         self.leave();
         let deadline = Instant::now() + patience;
@@ -341,7 +315,6 @@ impl Node for Identity {
     }
 }
 
-/// Shakes hands with a subscriber and hands it to its outlet.
 fn welcome(identity: &Identity, stream: TcpStream) -> io::Result<()> {
     if identity.links().len() >= MOST_CONNECTIONS {
         return Ok(());
@@ -368,7 +341,6 @@ fn welcome(identity: &Identity, stream: TcpStream) -> io::Result<()> {
     outlet.add(clean(request.get("callerid").unwrap_or("unnamed"), 120), stream)
 }
 
-/// The program in which rosrust runs.
 const PROGRAM: &str = "authros-rosrust";
 
 struct Announced {
@@ -378,24 +350,17 @@ struct Announced {
     latched: Option<(u64, Arc<[u8]>)>,
 }
 
-/// A node that publishes. It leaves the graph when dropped, without waiting for subscribers.
 pub struct RosrustPublisher {
     uri: String,
     errand: Errand,
     run: Run,
     announced: BTreeMap<String, Announced>,
     next: u32,
-    /// What earlier runs of the program did not deliver.
+    /// Missed in earlier runs of the program.
     missed: u64,
 }
 
 impl RosrustPublisher {
-    /// Starts a node at the master; it publishes nothing yet. `program` names the program if it is not beside this one.
-    /// Blocks for a moment.
-    ///
-    /// # Errors
-    /// [`RosError::NoRosrust`] if that program is missing, [`RosError::NotPublishedByRosrust`] if it cannot join the graph,
-    /// [`RosError::Address`] for a bad URI, [`RosError::System`] if it does not start.
     pub fn start(
         master_uri: &str,
         given_host: Option<&str>,
@@ -424,7 +389,6 @@ impl RosrustPublisher {
         RosError::NotPublishedByRosrust { uri: clean(&self.uri, 120), reason: reason.to_owned() }
     }
 
-    /// Has a topic announced under a new number.
     fn announce(&mut self, topic: &Advertised, patient: bool) -> Result<u32, RosError> {
         let writer = self.next;
         self.next = self.next.wrapping_add(1);
@@ -442,7 +406,7 @@ impl RosrustPublisher {
     }
 
     fn tell_withdrawn(&self, writer: u32) {
-        // A program that cannot be told has ended, or is killed, and nothing of this is announced anew.
+        // A program that cannot be told has ended, or is killed, and announces none of this again.
         drop(self.run.order(&Order::<Described>::Withdraw { writer }, &[]));
     }
 
@@ -503,7 +467,7 @@ impl GraphPublisher for RosrustPublisher {
         drop(self.run.order(&Order::<Described>::Outrun, &[]));
     }
 
-    /// Starts the program anew if it has ended, with all topics and what was latched.
+    /// Restarts the program if it has ended, with all topics and latched messages.
     fn come_back(&mut self) -> Result<(), RosError> {
         if self.run.broken().is_none() {
             return Ok(());
@@ -539,7 +503,7 @@ impl GraphPublisher for RosrustPublisher {
                 writer
             }
             Err(_) => {
-                // Started anew, it announces the topic again.
+                // The restarted program announces the topic again.
                 self.run.kill();
                 announced.writer
             }
@@ -559,7 +523,7 @@ impl GraphPublisher for RosrustPublisher {
         self.missed + self.run.state().missed()
     }
 
-    /// What is still queued was missed, too.
+    /// Queued messages were missed too.
     fn end(self: Box<Self>) -> u64 {
         let queued = if self.run.broken().is_some() { 0 } else { self.run.state().unconfirmed().0 };
         self.missed() + queued as u64

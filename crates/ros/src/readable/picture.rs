@@ -1,5 +1,5 @@
-//! What is seen: pictures (PNG and JPEG within limits of pixels and memory), their thumbnails for screens, and the points of
-//! scans, clouds and paths from above.
+//! Pictures (PNG and JPEG within limits of pixels and memory), their thumbnails, and scans, clouds and paths from
+//! above.
 
 use std::io::Cursor;
 
@@ -14,30 +14,23 @@ use zune_jpeg::zune_core::bytestream::ZCursor;
 use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
-/// Quality of exported JPEGs.
 const QUALITY: u8 = 92;
 
-/// Why a picture cannot be shown or written.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum PictureError {
-    /// The message is not a picture.
     #[error("{0} is not a picture; write it as .json or .bin")]
     NoPicture(String),
-    /// Its encoding is unknown.
     #[error("the encoding '{0}' is not supported; write the message as .bin or .json")]
     Encoding(String),
-    /// It is larger than the decoder allows.
     #[error("the picture has {0} x {1} pixels, more than the limit of {most}; write it as .bin", most = MOST_PIXELS)]
     Large(u32, u32),
     #[error("the picture is damaged: {0}; write the message as .bin")]
     Broken(String),
-    /// The message does not match its definition.
     #[error("{0}; write it as .bin")]
     Message(String),
 }
 
 impl PictureError {
-    /// Determines the exit code.
     pub fn kind(&self) -> ErrorKind {
         match self {
             Self::NoPicture(_) | Self::Encoding(_) => ErrorKind::Usage,
@@ -46,23 +39,21 @@ impl PictureError {
     }
 }
 
-/// A file format that a message can be written in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Exported {
-    /// PNG; 8-bit colours and greys and 16-bit depths are exact.
+    /// 8-bit colours and greys and 16-bit depths are exact.
     Png,
-    /// JPEG; a JPEG message's own bytes.
+    /// Of a JPEG message, its own bytes.
     Jpeg,
     /// NumPy's array file: the matrix itself.
     Npy,
     /// The whole message as JSON.
     Json,
-    /// The message's bytes as they were captured.
+    /// The captured bytes.
     Bin,
 }
 
-/// The format requested by a file name's extension.
 pub fn file_of(name: &str) -> Option<Exported> {
     let end = name.rsplit_once('.')?.1.to_ascii_lowercase();
     Some(match end.as_str() {
@@ -75,7 +66,6 @@ pub fn file_of(name: &str) -> Option<Exported> {
     })
 }
 
-/// The message as a file of that format.
 pub fn export(kind: Exported, definition: &Definition, body: &[u8]) -> Result<Vec<u8>, PictureError> {
     match kind {
         Exported::Bin => return Ok(body.to_vec()),
@@ -222,16 +212,15 @@ fn corner(matrix: &Matrix) -> Option<Table> {
     Some(Table { title: String::from("Matrix, upper left corner in hex"), head: Vec::new(), rows })
 }
 
-/// The most pixels of a compressed picture that is decoded: 4000 x 3000.
+/// Of a compressed picture: 4000 x 3000.
 pub const MOST_PIXELS: u64 = 12_000_000;
 
-/// The most memory that decoding one may take, bytes.
+/// For decoding one picture, bytes.
 pub const DECODER_MEMORY: usize = 128 << 20;
 
 /// The start of every PNG.
 const PNG_MAGIC: &[u8] = b"\x89PNG";
 
-/// A picture, three bytes a pixel.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Rgb {
     pub width: usize,
@@ -243,7 +232,6 @@ fn broken(error: impl std::fmt::Display) -> PictureError {
     PictureError::Broken(crate::model::clean(&error.to_string(), 200))
 }
 
-/// Decodes a JPEG or PNG file within [`MOST_PIXELS`] and [`DECODER_MEMORY`].
 pub fn decode(data: &[u8]) -> Result<Rgb, PictureError> {
     if data.starts_with(PNG_MAGIC) { decode_png(data) } else { decode_jpeg(data) }
 }
@@ -258,7 +246,7 @@ fn decode_png(data: &[u8]) -> Result<Rgb, PictureError> {
     let mut decoder = png::Decoder::new_with_limits(Cursor::new(data), limits);
     decoder.set_ignore_text_chunk(true);
     decoder.set_ignore_iccp_chunk(true);
-    // Palettes and samples below a byte are expanded to bytes.
+    // Expands palettes and samples below a byte to bytes.
     decoder.set_transformations(Transformations::EXPAND);
     let (width, height) = decoder.read_header_info().map_err(broken)?.size();
     within_bounds(width, height)?;
@@ -310,7 +298,6 @@ fn rgb((width, height): (u32, u32), channels: usize, samples: Vec<u8>) -> Result
     Ok(Rgb { width, height, pixels })
 }
 
-/// Writes a PNG of 8-bit RGB, or of 16-bit greys, high byte first.
 pub(super) fn png_file(
     data: &[u8],
     size: (usize, usize),
@@ -330,7 +317,6 @@ pub(super) fn png_file(
     Ok(out)
 }
 
-/// Writes a JPEG of RGB without chroma subsampling.
 fn jpeg_file(data: &[u8], size: (usize, usize), quality: u8) -> Result<Vec<u8>, PictureError> {
     let side = |length: usize| u16::try_from(length).map_err(|_| broken("it is too large"));
     let mut out = Vec::new();
@@ -340,10 +326,10 @@ fn jpeg_file(data: &[u8], size: (usize, usize), quality: u8) -> Result<Vec<u8>, 
     Ok(out)
 }
 
-/// The largest raster, pixels: enough for half-blocks on a screen of 240 columns and 80 rows.
+/// Pixels: enough for half-blocks on a screen of 240 columns and 80 rows.
 pub const LARGEST: (usize, usize) = (240, 160);
 
-/// The most source pixels averaged into one, in each direction.
+/// Source pixels averaged into one, in each direction.
 const AVERAGED: usize = 4;
 
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -356,7 +342,7 @@ pub struct Raster {
 }
 
 impl Raster {
-    /// A picture of `width` x `height`, averaged down to at most `largest`; never enlarged.
+    /// Averaged down to at most `largest`; never enlarged.
     pub fn of(size: (usize, usize), largest: (usize, usize), pixel: &dyn Fn(usize, usize) -> [u8; 3]) -> Self {
         let (columns, rows) = fitted(size, largest);
         let mut rgb = Vec::with_capacity(columns * rows * 3);
@@ -370,12 +356,12 @@ impl Raster {
         Self { width: columns, height: rows, rgb }
     }
 
-    /// This raster averaged down again.
+    /// Averages this raster down again.
     pub fn fit(&self, largest: (usize, usize)) -> Self {
         Self::of((self.width, self.height), largest, &|x, y| self.pixel(x, y))
     }
 
-    /// Its size when fitted into `largest` with its aspect ratio kept; never enlarged.
+    /// Its size when fitted into `largest`, with its aspect ratio; never enlarged.
     pub fn size_within(&self, largest: (usize, usize)) -> (usize, usize) {
         fitted((self.width, self.height), largest)
     }
@@ -384,14 +370,13 @@ impl Raster {
         png_file(&self.rgb, (self.width, self.height), ColorType::Rgb, BitDepth::Eight)
     }
 
-    /// A pixel; black outside the picture.
     pub fn pixel(&self, x: usize, y: usize) -> [u8; 3] {
         let at = (y * self.width + x) * 3;
         self.rgb.get(at..at + 3).and_then(|rgb| rgb.try_into().ok()).unwrap_or_default()
     }
 }
 
-/// The size of a picture fitted into `largest` with its aspect ratio kept.
+/// Fits a picture into `largest` with its aspect ratio; never enlarges.
 pub fn fitted(size: (usize, usize), largest: (usize, usize)) -> (usize, usize) {
     let (width, height) = size;
     if width == 0 || height == 0 || largest.0 == 0 || largest.1 == 0 {
@@ -458,7 +443,6 @@ pub(super) fn plot(title: &str, points: Vec<(f64, f64)>, here: Option<(f64, f64)
     (!points.is_empty()).then(|| Plot { title: title.to_owned(), axes, points, path, here })
 }
 
-/// One field of a cloud's points.
 struct Part {
     name: String,
     offset: usize,
@@ -533,7 +517,6 @@ pub(super) fn coordinate(bytes: &[u8], wide: bool, big: bool) -> Option<f64> {
     Some(f64::from(if big { f32::from_be_bytes(bytes) } else { f32::from_le_bytes(bytes) }))
 }
 
-/// The bytes of an array of bytes.
 pub(super) fn bytes<'a>(value: &Value, body: &'a Body) -> Option<std::borrow::Cow<'a, [u8]>> {
     match value {
         Value::Large { bytes, .. } => body.0.get(bytes.clone()).map(std::borrow::Cow::Borrowed),

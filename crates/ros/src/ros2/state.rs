@@ -1,4 +1,3 @@
-//! The state of a domain, and the effect of each frame of the program that reads it.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
@@ -12,42 +11,37 @@ use crate::pipe::read::{Counts, Told, Wish, Writer};
 use crate::ros::child::Participant;
 use crate::ros::{CaptureNotice, Message};
 
-/// The most publishers known at once.
 const MOST_PUBLISHERS: usize = 40_000;
-/// After this time the program must have found again everybody who is still present.
+/// The program must have found all present publishers again by then.
 const FOUND_AGAIN: Duration = Duration::from_secs(10);
-/// How long a publisher that is gone is remembered, for messages that were in flight.
+/// Time a gone publisher is remembered, for its last messages.
 const REMEMBERED: Duration = Duration::from_secs(60);
-/// The time for discovery after the start, and the time if somebody was found.
+/// Time for discovery after the start, and the time if somebody was found.
 const LOOKED: Duration = Duration::from_secs(3);
 const LOOKED_WITH_SOMEBODY: Duration = Duration::from_secs(1);
-/// Bytes of messages that may wait for the identity of their publishers.
+/// Bytes of messages that wait for their publishers' identity.
 const MOST_HELD: usize = if cfg!(test) { 4 << 20 } else { 256 << 20 };
-/// What a message takes beside its bytes.
+/// Overhead of one such message, bytes.
 const HELD_OVERHEAD: usize = 256;
-/// The most participants that a program has at once: one, and the one that replaces it.
+/// One, and its successor.
 const MOST_PARTICIPANTS: usize = 2;
-/// The longest reason taken.
 const LONGEST_REASON: usize = 400;
 
-/// Items for the sink, in this order and without the state locked.
+/// For the sink, in this order and without the state locked.
 #[derive(Debug, Default)]
 pub struct Outcome {
     pub notices: Vec<CaptureNotice>,
-    /// Questions for the program that reads.
     pub wishes: Vec<Wish>,
     pub messages: Vec<Message>,
-    /// Definitions that came after messages to which they belong.
+    /// Definitions that came after messages of theirs.
     pub definitions: Vec<Message>,
 }
 
 #[derive(Default)]
 pub struct State {
-    /// Topics to be captured.
     pub watched: BTreeSet<TopicName>,
     pub reading: Reading,
     pub counts: Counts,
-    /// How often the program was restarted.
     pub restarts: u64,
     /// Whether the program can open no file and no local socket; `None` before it says so.
     pub confined: Option<bool>,
@@ -57,16 +51,15 @@ pub struct State {
     /// How often the program said hello.
     started: u64,
     hello: Option<Instant>,
-    /// From here on it is known in what order publishers come.
+    /// From here on the order in which publishers come is known.
     ordered: Option<Instant>,
-    /// Bytes of messages that wait.
+    /// Bytes of waiting messages.
     held: usize,
-    /// Itself in the domain, to be buried if it is killed.
+    /// Of the program, for a farewell if it is killed.
     pub participants: Vec<Participant>,
 }
 
 impl State {
-    /// Nothing is known yet.
     pub fn new(domain: u16) -> Self {
         Self { domain, ..Self::default() }
     }
@@ -97,7 +90,7 @@ impl State {
                 let structure = payload.get(..structured as usize).unwrap_or_default().to_vec();
                 self.described(&node, (type_name, type_hash), [own, structure], &mut outcome);
             }
-            // Opening a message tells why it has no fields.
+            // Opening a message explains why it has no fields.
             Told::Described { .. } => {}
             Told::Alive(counts) => self.alive(counts, now, &mut outcome),
             Told::Failed { reason } => return Err(clean(&reason, LONGEST_REASON)),
@@ -134,7 +127,7 @@ impl State {
         }
         let (id, watched) = (writer.id.clone(), self.is_watched(&writer.topic));
         let mut known = self.publishers.remove(&id).unwrap_or_else(|| Publisher::new(writer.clone(), self.domain, now));
-        // A node takes the name from its publishers before it removes them: it stays the node's.
+        // A node takes its name from its publishers before it removes them: they keep it.
         if known.writer.node.is_some() {
             (writer.node, writer.naming) = (known.writer.node.clone(), known.writer.naming);
         }
@@ -169,8 +162,7 @@ impl State {
         }
     }
 
-    /// Settles who the publishers are whose identity was open, and captures their messages; of topics that are `due`, by what
-    /// is known now.
+    /// Settles open identities, and captures their messages; of topics that are `due`, by the present knowledge.
     pub fn settle(&mut self, now: Instant, due: impl Fn(&str) -> bool, outcome: &mut Outcome) {
         let open = self.publishers.iter().filter(|(_, known)| !known.settled || !known.elders.is_empty());
         let open: Vec<(String, bool)> = open.map(|(id, known)| (id.clone(), due(&known.writer.topic))).collect();
@@ -212,7 +204,6 @@ impl State {
         }
     }
 
-    /// From now on messages of the type come with the text.
     fn described(&mut self, node: &str, kind: (String, String), texts: [Vec<u8>; 2], outcome: &mut Outcome) {
         let of_kind = |writer: &Writer| writer.type_name == kind.0 && writer.type_hash.as_ref() == Some(&kind.1);
         let of_node = |writer: &Writer| of_kind(writer) && writer.node.as_deref() == Some(node);
@@ -296,7 +287,6 @@ impl State {
             .retain(|_, known| known.gone.is_none_or(|gone| now.saturating_duration_since(gone) < REMEMBERED));
     }
 
-    /// A topic is captured from now on.
     pub fn watch(&mut self, topic: &TopicName, outcome: &mut Outcome) -> bool {
         let new = self.watched.insert(topic.clone());
         self.relate(topic.as_str());
@@ -307,7 +297,7 @@ impl State {
         new
     }
 
-    /// A topic is no longer captured: what is missing of it until now will not come.
+    /// What is missing of the topic until now will not come.
     pub fn unwatch(&mut self, topic: &TopicName, now: Instant, outcome: &mut Outcome) -> bool {
         if !self.watched.contains(topic) {
             return false;
@@ -322,7 +312,6 @@ impl State {
         true
     }
 
-    /// Topics with a present publisher.
     pub fn topics(&self) -> Vec<Ros2Topic> {
         let mut topics: BTreeMap<&str, Ros2Topic> = BTreeMap::new();
         for Publisher { writer, settled, .. } in self.publishers.values().filter(|known| known.gone.is_none()) {
@@ -336,7 +325,7 @@ impl State {
             topic.quality.reliable &= writer.quality.reliable;
             topic.quality.latched &= writer.quality.latched;
             topic.type_hash = topic.type_hash.take().or_else(|| writer.type_hash.clone());
-            // Who is about to be named is not shown under no name: nobody pinned is called that.
+            // A publisher about to be named is not shown unnamed: nobody pinned has that name.
             if writer.node.is_some() || *settled {
                 topic.publishers.push(name(writer));
             }
@@ -345,26 +334,24 @@ impl State {
     }
 }
 
-/// How long a missing number may still arrive.
+/// Time in which a missing number may still arrive.
 const SETTLE: Duration = Duration::from_millis(250);
-/// The most gaps that are waited for.
 const MOST_GAPS: usize = 256;
-/// A step that no loss explains: the publisher is not trusted, and counting starts again.
+/// No loss explains a longer step: counting starts again.
 const LONGEST_STEP: i64 = 1 << 31;
 
-/// The kind of an arriving message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Arrival {
-    /// One not seen before.
+    /// Not seen before.
     New,
-    /// One that was seen before.
+    /// Seen before.
     Twice,
 }
 
-/// Messages that never arrived: the first and the last of their numbers.
+/// The first and the last number of messages that never arrived.
 pub type Gap = (i64, i64);
 
-/// Follows one publisher, across restarts of the program that reads it.
+/// Follows one publisher, across restarts of the reader.
 #[derive(Debug, Default)]
 pub struct Numbers {
     last: Option<i64>,
@@ -400,7 +387,7 @@ impl Numbers {
         Arrival::New
     }
 
-    /// Gaps that nothing will fill any more; `all` = everything missing.
+    /// Gaps that will not be filled; `all` = everything missing.
     pub fn settled(&mut self, now: Instant, all: bool) -> Vec<Gap> {
         let beyond = self.missing.len().saturating_sub(MOST_GAPS);
         let late = |since: Instant| all || now.saturating_duration_since(since) >= SETTLE;

@@ -1,5 +1,5 @@
-//! `metadata.yaml`: what it says of a folder, writing it for one, and the part of YAML that it uses: blocks, flow
-//! collections, plain, quoted and literal texts. No tags, no anchors: a text cannot grow, and every part is read once.
+//! `metadata.yaml`: read, written, and the part of YAML that it uses: blocks, flow collections, plain, quoted and
+//! literal texts. No tags, no anchors: a text cannot grow, and every part is read once.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -7,18 +7,16 @@ use std::sync::Arc;
 use crate::model::Timestamp;
 use crate::ros::recording::{Channel, Encoding, TYPE_HASH};
 
-/// The name of the file in a folder of rosbag2.
 pub const METADATA: &str = "metadata.yaml";
 
-/// The versions that are read.
 const VERSIONS: std::ops::RangeInclusive<u64> = 1..=9;
 
-/// The versions that are written: QoS as a text with numbers, which every reader since Iron takes; or in words, as recorders
-/// since Jazzy have it.
+/// The written versions: QoS as a text with numbers, for every reader since Iron; or in words, as recorders since Jazzy
+/// have it.
 const WITH_NUMBERS: u64 = 8;
 const WITH_WORDS: u64 = 9;
 
-/// The words of the numbers that stand for a QoS policy, as rmw counts them.
+/// Words for rmw's numbers of a QoS policy.
 const POLICIES: [(&str, &[&str]); 4] = [
     ("history", &["system_default", "keep_last", "keep_all", "unknown"]),
     ("reliability", &["system_default", "reliable", "best_effort", "unknown", "best_available"]),
@@ -26,26 +24,22 @@ const POLICIES: [(&str, &[&str]); 4] = [
     ("liveliness", &["system_default", "automatic", "manual_by_node", "manual_by_topic", "unknown", "best_available"]),
 ];
 
-/// The most files of a recording.
 const MOST_FILES: usize = 65_536;
 
-/// What `metadata.yaml` says of a recording.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Metadata {
-    /// The names of its files, without folders, in their order.
+    /// Without folders, in their order.
     pub files: Vec<String>,
-    /// How many messages each of them has, where that is said.
+    /// Messages of each file, where known.
     pub of_file: BTreeMap<String, u64>,
     /// When the first message was recorded.
     pub begins: Timestamp,
-    /// How many messages each topic has.
+    /// Messages of each topic.
     pub topics: BTreeMap<String, u64>,
-    /// How many all have.
     pub messages: Option<u64>,
 }
 
 impl Metadata {
-    /// Reads the text of the file.
     pub fn parse(text: &str) -> Result<Self, String> {
         let document = parse(text)?;
         let root = document.get("rosbag2_bagfile_information").ok_or("it does not describe a recording of rosbag2")?;
@@ -95,7 +89,6 @@ fn file_name(path: &str) -> Option<String> {
     (!name.contains('\0')).then(|| name.to_owned())
 }
 
-/// Counts what is written, for the `metadata.yaml` beside it.
 #[derive(Debug, Clone, Default)]
 pub struct Tally {
     topics: BTreeMap<(Arc<str>, Arc<str>), Row>,
@@ -129,7 +122,7 @@ impl Tally {
         self.messages += 1;
     }
 
-    /// The text of `metadata.yaml` for one MCAP file of this name.
+    /// For one MCAP file of this name.
     pub fn describe(&self, file: &str) -> String {
         let (first, last) = self.span.unwrap_or_default();
         let (file, begins, lasts, messages) = (quote(file), first.0, last.0 - first.0, self.messages);
@@ -157,7 +150,7 @@ impl Tally {
     }
 }
 
-/// The profiles of a QoS text; none if it cannot be read.
+/// Empty if the text cannot be read.
 fn profiles(text: &str) -> Vec<Value> {
     parse(text).map(|value| value.list().to_vec()).unwrap_or_default()
 }
@@ -170,7 +163,7 @@ fn is_in_words(text: &str) -> bool {
     profiles(text).iter().any(named)
 }
 
-/// A QoS text as version 9 has it: a sequence, with words for numbers.
+/// As version 9 has QoS: a sequence, with words for numbers.
 fn in_words(text: &str) -> String {
     let profiles: Vec<String> = profiles(text).iter().map(|profile| flow("", profile)).collect();
     format!("[{}]", profiles.join(", "))
@@ -201,10 +194,10 @@ const MOST: usize = 400_000;
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Value {
-    /// Any scalar as text; nothing is empty.
+    /// Any scalar; null is empty.
     Text(String),
     List(Vec<Value>),
-    /// A mapping, in its order.
+    /// In its order.
     Map(Vec<(String, Value)>),
 }
 
@@ -223,7 +216,6 @@ impl Value {
         self.text()?.parse().ok()
     }
 
-    /// The members of a sequence; none of anything else.
     pub fn list(&self) -> &[Self] {
         if let Self::List(members) = self { members } else { &[] }
     }
@@ -272,7 +264,7 @@ impl Reader {
         }
     }
 
-    /// Indentation and content of the next line that says anything.
+    /// Indentation and content of the next line that is neither blank nor a comment.
     fn next(&mut self) -> Option<(usize, String)> {
         self.skip_blank();
         self.line().map(|line| (indent(line), line.trim_start_matches(' ').to_owned()))
@@ -304,7 +296,7 @@ impl Reader {
     fn items(&mut self, here: usize, depth: usize) -> Result<Value, String> {
         let mut items = Vec::new();
         while self.next().is_some_and(|(indent, content)| indent == here && is_item(&content)) {
-            // What follows the dash is a block of its own, that far in.
+            // A block follows the dash, at its indentation.
             if let Some(line) = self.lines.get_mut(self.at) {
                 line.replace_range(here..=here, " ");
             }
@@ -333,7 +325,7 @@ impl Reader {
         Ok(Value::Map(entries))
     }
 
-    /// A value that begins with `first`; its further lines are in more than `here`. The line of `first` was taken.
+    /// The line of `first` was taken; further lines are indented more than `here`.
     fn scalar(&mut self, first: &str, here: usize, depth: usize) -> Result<Value, String> {
         match first.chars().next() {
             Some('"' | '\'') => self.quoted(first),
@@ -456,7 +448,7 @@ impl Scan {
         self.is_escaped = false;
     }
 
-    /// Where the line has its end, if it has.
+    /// Where the quote or bracket ends in the line.
     fn end_in(&mut self, line: &str) -> Option<usize> {
         for (at, byte) in line.bytes().enumerate() {
             match (self.quote, byte) {
@@ -485,7 +477,7 @@ impl Scan {
     }
 }
 
-/// A quoted text at the beginning of what is left.
+/// A quoted text at the beginning of `rest`.
 fn quoted_part(rest: &mut &str) -> Result<String, String> {
     let end = Scan::default().end_in(rest).ok_or("a quote is not closed")?;
     let (text, behind) = rest.split_at(end);
@@ -493,7 +485,7 @@ fn quoted_part(rest: &mut &str) -> Result<String, String> {
     unquoted(text)
 }
 
-/// A name with its colon, and what follows; `None` if it is none.
+/// A name with its colon, and the rest; `None` if there is none.
 fn key(content: &str) -> Result<Option<(String, &str)>, String> {
     if content.starts_with(['"', '\'']) {
         let mut rest = content;
@@ -516,12 +508,12 @@ fn plain(text: &str) -> &str {
     text.split_once(" #").map_or(text, |(text, _)| text).trim_end()
 }
 
-/// The text between quotes, with its escapes and breaks read.
+/// Without quotes, with its escapes and breaks read.
 fn unquoted(text: &str) -> Result<String, String> {
     let double = text.starts_with('"');
     let inner = text.get(1..text.len().saturating_sub(1)).unwrap_or_default();
     let (mut out, mut chars) = (String::new(), inner.chars().peekable());
-    // So much of the text was escaped: blanks before that are not taken away at a break.
+    // Length of the text up to the last escape: a break trims no blanks before it.
     let mut kept = 0;
     while let Some(char) = chars.next() {
         match char {
@@ -551,7 +543,7 @@ fn unquoted(text: &str) -> Result<String, String> {
 
 fn escaped(chars: &mut std::iter::Peekable<std::str::Chars<'_>>) -> Result<Option<char>, String> {
     let digits = match chars.next() {
-        // A break that is no part of the text.
+        // An escaped break is no part of the text.
         Some('\n') => {
             while chars.next_if_eq(&' ').is_some() {}
             return Ok(None);
@@ -574,7 +566,6 @@ fn escaped(chars: &mut std::iter::Peekable<std::str::Chars<'_>>) -> Result<Optio
     code.map(Some).ok_or_else(|| String::from("an escape in quotes cannot be read"))
 }
 
-/// A text in quotes, on one line.
 pub(super) fn quote(text: &str) -> String {
     let mut out = String::from("\"");
     for char in text.chars() {

@@ -1,7 +1,5 @@
-//! A small XML-RPC over HTTP, client and server, with a deadline on every call and a cap on every size. It knows
-//! values, requests and responses; what the calls mean is up to graph, capture and robots.
-//!
-//! Of HTTP/1.x it has what XML-RPC needs: one request, one response, then the connection closes.
+//! A small XML-RPC over HTTP, client and server, with a deadline on every call and a cap on every size. Of HTTP/1.x it
+//! has one request and one response, then the connection closes.
 
 mod value;
 
@@ -18,13 +16,10 @@ use value::{Response, parse_call, parse_response, write_call, write_fault, write
 
 pub(super) use value::Value;
 
-/// The longest response, bytes.
 const LONGEST_RESPONSE: usize = 8 << 20;
 
-/// The longest wait for a connection.
 const CONNECT: Duration = Duration::from_millis(1500);
 
-/// Why a call failed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum CallError {
     /// No connection could be made.
@@ -40,7 +35,6 @@ pub(crate) enum CallError {
     Refused(String),
 }
 
-/// Calls `method` and unwraps ROS's response, `[code, status, value]`.
 pub(crate) fn call(peer: &Endpoint, method: &str, params: &[Value], deadline: Instant) -> Result<Value, CallError> {
     let response = forward(peer, &write_call(method, params), deadline)?;
     match parse_response(&response).map_err(|error| CallError::Protocol(error.to_string()))? {
@@ -49,7 +43,7 @@ pub(crate) fn call(peer: &Endpoint, method: &str, params: &[Value], deadline: In
     }
 }
 
-/// Passes the text of a call on; returns the text of the response, unread.
+/// Passes the text of a call on; returns the response's text, unread.
 pub(crate) fn forward(peer: &Endpoint, body: &str, deadline: Instant) -> Result<String, CallError> {
     let by = deadline.min(Instant::now() + CONNECT);
     let stream = connect(&peer.host, peer.port, by).map_err(|error| CallError::Connect(error.to_string()))?;
@@ -94,20 +88,18 @@ fn unwrap_answer(value: Value) -> Result<Value, CallError> {
     }
 }
 
-/// The longest request body, bytes.
 const LONGEST_REQUEST: usize = 1 << 20;
 
-/// The most connections that a node serves at once; further ones are closed immediately.
+/// Connections that a node serves at a time; further ones are closed.
 pub(crate) const OF_A_NODE: usize = 32;
 
-/// The longest a connection may take.
 const LONGEST_CONNECTION: Duration = Duration::from_secs(5);
 
 pub(crate) trait Answer: Send + Sync + 'static {
-    /// The answer to a call; `None` if there is no such method. Must not block.
+    /// `None` if there is no such method. Must not block.
     fn answer(&self, method: &str, params: &[Value]) -> Option<Value>;
 
-    /// Somebody else's whole response to a whole call, both as text; `None` if [`Self::answer`] is to answer.
+    /// The whole response of another server, as text; `None` if [`Self::answer`] is to answer.
     fn handed_on(&self, _method: &str, _call: &str) -> Option<String> {
         None
     }
@@ -120,12 +112,12 @@ pub(crate) struct Server {
 }
 
 impl Server {
-    /// Answers the calls that come to `listener`, this many connections at once.
+    /// Serves at most `most` connections at a time.
     pub fn start(listener: TcpListener, answer: Arc<dyn Answer>, most: usize) -> io::Result<Self> {
         Self::of("ros-slave", listener, most, move |stream| serve(&stream, &*answer))
     }
 
-    /// Has each connection handled in a thread of its own, this many at once; further ones are closed.
+    /// Handles each connection in its own thread, at most `most` at a time; further ones are closed.
     pub fn of(
         name: &'static str,
         listener: TcpListener,
@@ -140,7 +132,6 @@ impl Server {
         Ok(Self { address, stopping, thread: Some(thread) })
     }
 
-    /// The port that it listens on.
     pub fn port(&self) -> u16 {
         self.address.port()
     }
@@ -175,16 +166,15 @@ fn accept_all<H: Fn(TcpStream) -> io::Result<()> + Send + Sync + 'static>(
             continue;
         }
         let (place, handle) = (Place::take(&open), Arc::clone(handle));
-        // Without a thread the peer's connection is closed, and it asks again.
+        // Without a thread the peer's connection closes, and it asks again.
         let _ = std::thread::Builder::new().name(format!("{name}-call")).spawn(move || {
             let _place = place;
-            // A peer that disconnects has only itself to blame.
+            // A failed connection is the peer's concern.
             let _ = handle(stream);
         });
     }
 }
 
-/// One of the places for connections; returned on drop.
 struct Place(Arc<AtomicUsize>);
 
 impl Place {
@@ -232,10 +222,10 @@ fn respond(text: &str, answer: &dyn Answer) -> String {
     }
 }
 
-/// The longest head (request or status line with headers), bytes.
+/// Request or status line with headers, bytes.
 const LONGEST_HEAD: u64 = 16 * 1024;
 
-/// A connection whose reads and writes all end at one deadline.
+/// All reads and writes end at one deadline.
 struct Timed<'a> {
     pub stream: &'a TcpStream,
     pub deadline: Instant,
@@ -269,7 +259,7 @@ fn bad(reason: &'static str) -> io::Error {
     io::Error::new(ErrorKind::InvalidData, reason)
 }
 
-/// First line and body of a message. Without a length, a response ends with the connection and a request has no body.
+/// First line and body. Without a length, a response ends with the connection and a request has no body.
 fn read_message(from: impl Read, most: usize, to_end: bool) -> io::Result<(String, Vec<u8>)> {
     let mut reader = BufReader::new(from);
     let mut head = reader.by_ref().take(LONGEST_HEAD);

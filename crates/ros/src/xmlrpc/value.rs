@@ -1,5 +1,5 @@
-//! XML-RPC values, written and parsed as XML: the subset of XML it uses, nothing else (no document types, no custom
-//! entities), values nested at most 16 deep. The caller caps the input's size.
+//! XML-RPC values as XML: only the subset of XML it needs (no document types, no custom entities), nested at most 16
+//! deep. The caller caps the input's size.
 
 use std::borrow::Cow;
 
@@ -7,7 +7,7 @@ use quick_xml::Reader;
 use quick_xml::escape::partial_escape;
 use quick_xml::events::{BytesStart, Event};
 
-/// An XML-RPC value. Dates and base64 remain text, unchanged.
+/// Dates and base64 remain text, unchanged.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Value {
     Int(i64),
@@ -24,7 +24,6 @@ impl Value {
         Self::Text(text.into())
     }
 
-    /// The elements of an array.
     pub fn as_array(&self) -> Option<&[Value]> {
         if let Self::Array(items) = self { Some(items) } else { None }
     }
@@ -37,7 +36,7 @@ impl Value {
         if let Self::Int(number) = self { Some(*number) } else { None }
     }
 
-    /// The texts of an array of texts; others are left out.
+    /// Elements that are not texts are left out.
     pub fn texts(&self) -> Vec<String> {
         self.as_array().unwrap_or_default().iter().filter_map(Self::as_text).map(str::to_owned).collect()
     }
@@ -109,7 +108,6 @@ fn escape(text: &str, out: &mut String) {
     out.push_str(&partial_escape(text).replace('\r', "&#13;"));
 }
 
-/// The XML of a call.
 pub(super) fn write_call(method: &str, params: &[Value]) -> String {
     let mut out = String::from("<?xml version=\"1.0\"?>\n<methodCall><methodName>");
     escape(method, &mut out);
@@ -123,7 +121,6 @@ pub(super) fn write_call(method: &str, params: &[Value]) -> String {
     out
 }
 
-/// The XML of a result.
 pub(super) fn write_response(value: &Value) -> String {
     let mut out = String::from("<?xml version=\"1.0\"?>\n<methodResponse><params><param>");
     value.write(&mut out);
@@ -131,7 +128,6 @@ pub(super) fn write_response(value: &Value) -> String {
     out
 }
 
-/// The XML of a fault.
 pub(super) fn write_fault(code: i64, reason: &str) -> String {
     let members = vec![("faultCode".to_owned(), Value::Int(code)), ("faultString".to_owned(), Value::text(reason))];
     let mut out = String::from("<?xml version=\"1.0\"?>\n<methodResponse><fault>");
@@ -140,24 +136,21 @@ pub(super) fn write_fault(code: i64, reason: &str) -> String {
     out
 }
 
-/// The deepest nesting of values accepted.
 const DEEPEST: usize = 16;
 
-/// Why a text is not XML-RPC.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("not XML-RPC: {0}")]
 pub(super) struct ParseError(&'static str);
 
 type Result<T> = std::result::Result<T, ParseError>;
 
-/// The content of a response.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Response {
     Value(Value),
     Fault(String),
 }
 
-/// Reads tags one after the other; each that is opened is closed in its place.
+/// Reads tag by tag; each opened tag must be closed in order.
 struct Tags<'a>(Reader<&'a [u8]>);
 
 impl<'a> Tags<'a> {
@@ -179,7 +172,7 @@ impl<'a> Tags<'a> {
         }
     }
 
-    /// The next tag that is opened; `None` if the last one is closed.
+    /// `None` if the surrounding tag is closed.
     fn tag(&mut self) -> Result<Option<BytesStart<'a>>> {
         loop {
             match self.next()? {
@@ -200,7 +193,7 @@ impl<'a> Tags<'a> {
         if self.tag()?.is_none() { Ok(()) } else { Err(ParseError("a tag holds more than it should")) }
     }
 
-    /// Takes each tag of this name until the one around them is closed.
+    /// Takes each tag of this name until the surrounding tag is closed.
     fn each(&mut self, name: &str, mut take: impl FnMut(&mut Self) -> Result<()>) -> Result<()> {
         while let Some(tag) = self.tag()? {
             if tag.name().as_ref() != name.as_bytes() {
@@ -211,7 +204,7 @@ impl<'a> Tags<'a> {
         Ok(())
     }
 
-    /// Text up to the closing tag, which is consumed too.
+    /// Consumes the closing tag too.
     fn text(&mut self) -> Result<String> {
         let mut out = String::new();
         loop {
@@ -231,7 +224,7 @@ fn text_of<'a>(event: &'a Event<'_>) -> Result<Cow<'a, str>> {
     }
 }
 
-/// Nodes name any character by its number, also those that XML does not have, for which the library refuses the text.
+/// Nodes write any character by its number, also those that XML lacks, for which the library refuses the text.
 fn unescaped(mut text: &str) -> Result<String> {
     let mut out = String::new();
     while let Some((plain, after)) = text.split_once('&') {
@@ -260,7 +253,7 @@ fn numeric(entity: &str) -> Option<char> {
     char::from_u32(code)
 }
 
-/// The value after an opened `<value>`, including the closing tag.
+/// After an opened `<value>`; consumes the closing tag.
 fn value(tags: &mut Tags<'_>, depth: usize) -> Result<Value> {
     if depth > DEEPEST {
         return Err(ParseError("its values are nested too deeply"));
@@ -322,7 +315,7 @@ fn number(kind: &str, text: &str) -> Option<Value> {
     }
 }
 
-/// Parses a call: method name and parameters.
+/// Method name and parameters.
 pub(super) fn parse_call(text: &str) -> Result<(String, Vec<Value>)> {
     let mut tags = Tags::of(text);
     tags.open("methodCall")?;
@@ -340,7 +333,7 @@ pub(super) fn parse_call(text: &str) -> Result<(String, Vec<Value>)> {
     Ok((method, params))
 }
 
-/// Parses a response: its one value, or the text of its fault.
+/// The one value, or the text of the fault.
 pub(super) fn parse_response(text: &str) -> Result<Response> {
     let mut tags = Tags::of(text);
     tags.open("methodResponse")?;
