@@ -1,13 +1,13 @@
 //! The start of a program without keys: only the pipe stays open, memory is bounded, files and local sockets are out of
 //! reach, and signals end it in order.
 
-mod inherited;
 mod walls;
 
 use std::fs::File;
 use std::io::Write;
-use std::os::fd::AsFd;
+use std::os::fd::{AsFd, RawFd};
 use std::path::Path;
+use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -36,9 +36,31 @@ pub struct Begun {
     pub confined: bool,
 }
 
-/// Only for the very beginning, while nothing of this process is open.
-pub fn close_inherited() {
-    inherited::close();
+/// Input, output and errors come before it.
+const FIRST: RawFd = 3;
+/// Numbers closed where the system does not list the open ones.
+const USUAL_LIMIT: RawFd = 1024;
+const MOST_ARGUMENTS: usize = 16;
+
+/// The program's arguments. Closes the files that the site's own starter left open: every child inherits them. Only for
+/// the very beginning, while nothing of this process is open.
+pub fn arguments() -> Vec<String> {
+    let open: Vec<RawFd> = match std::fs::read_dir("/proc/self/fd") {
+        Ok(entries) => entries.flatten().filter_map(|entry| entry.file_name().to_str()?.parse().ok()).collect(),
+        Err(_) => (FIRST..USUAL_LIMIT).collect(),
+    };
+    for number in open.into_iter().filter(|number| *number >= FIRST) {
+        // The folder just read is among them and no longer open.
+        let _ = nix::unistd::close(number);
+    }
+    std::env::args().skip(1).take(MOST_ARGUMENTS).collect()
+}
+
+/// Reports why the program `name` failed, if it did.
+pub fn finish(name: &str, done: Result<(), String>) -> ExitCode {
+    let Err(reason) = done else { return ExitCode::SUCCESS };
+    drop(writeln!(std::io::stderr(), "{name}: {reason}"));
+    ExitCode::FAILURE
 }
 
 /// Bounds the memory, takes pipe and signals, and raises the walls. Only while this is the only thread.
@@ -56,8 +78,7 @@ pub fn begin(memory: Memory, network: Network) -> Result<Begun, &'static str> {
 }
 
 /// Reports for each path whether it opens, for a test of the walls.
-pub fn attempt_all(paths: &[String], begun: Begun) -> Result<(), &'static str> {
-    let Begun { mut to, confined, .. } = begun;
+pub fn attempt_all(paths: &[String], confined: bool, mut to: File) -> Result<(), &'static str> {
     let line = |path: &String| {
         let outcome = walls::attempt(Path::new(path));
         let word = outcome.map_or_else(|error| format!("{:?}", error.kind()), |()| "reached".to_owned());

@@ -57,42 +57,25 @@ pub struct Counts {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "told", rename_all = "snake_case")]
 pub enum Told {
-    Hello {
-        version: u32,
-        domain: u16,
-        confined: bool,
-    },
-    /// Its participants in the domain, at each change; the supervisor says farewell for a killed child.
-    Joined {
-        /// Prefixes of their ids, 12 bytes as hex: one, and for a while its successor.
-        participants: Vec<String>,
-    },
+    /// Names its [`crate::VERSION`], and whether it can open no file and no local socket.
+    Hello { version: u32, domain: u16, confined: bool },
+    /// Its participants at each change, for a farewell: prefixes of ids, 12 bytes as hex.
+    Joined { participants: Vec<String> },
+    /// A publisher appeared or changed.
     WriterHere(Writer),
+    /// The id of a publisher.
     WriterGone { id: String },
-    /// The payload is the message with its encapsulation header.
-    Sample {
-        /// Announced before.
-        writer: String,
-        /// One more than the publisher's previous number.
-        number: i64,
-        /// Nanoseconds since 1970, if announced.
-        sent: Option<u64>,
-        /// Nanoseconds since 1970.
-        arrived: u64,
-    },
+    /// The payload is the message with its encapsulation header. The publisher was announced before and counts its
+    /// messages by `number`; times are nanoseconds since 1970.
+    Sample { writer: String, number: i64, sent: Option<u64>, arrived: u64 },
+    /// A topic cannot be read.
     Refused { topic: String, reason: String },
-    /// The payload is the definition with all its types, as in MCAP's `ros2msg`, twice: from the node's structured
-    /// description, and the node's own text; either may be empty.
-    Described {
-        node: String,
-        type_name: String,
-        /// From the request; not compared with the text.
-        type_hash: String,
-        /// Bytes of the payload from the structured description.
-        structured: u32,
-        reason: Option<String>,
-    },
+    /// The payload is the definition with all its types, as in MCAP's `ros2msg`, twice: `structured` bytes from the node's
+    /// structured description, and the node's own text; either may be empty. The hash is that of the request.
+    Described { node: String, type_name: String, type_hash: String, structured: u32, reason: Option<String> },
+    /// Every half second, and at each change.
     Alive(Counts),
+    /// The child is ending on its own.
     Failed { reason: String },
 }
 
@@ -101,14 +84,7 @@ pub enum Told {
 #[serde(tag = "wish", rename_all = "snake_case")]
 pub enum Wish {
     Watch { topic: String },
-    /// Ask a node for the definition of a type it publishes.
-    Describe {
-        /// `/namespace/name`
-        node: String,
-        type_name: String,
-        /// `RIHS01_` and 64 hex characters.
-        type_hash: String,
-    },
+    Describe { node: String, type_name: String, type_hash: String },
     Unwatch { topic: String },
 }
 

@@ -1,6 +1,12 @@
 //! Messages between a child that publishes topics of ROS 1 or ROS 2 and its site.
 
+use std::io::Read;
+use std::sync::mpsc::{Receiver, sync_channel};
+
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
+
+use crate::receive;
 
 /// The most messages, and about how many of their bytes, that a site sends before the child confirms some.
 pub const MOST_UNCONFIRMED: usize = 256;
@@ -37,17 +43,9 @@ pub struct Described {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "order", rename_all = "snake_case")]
 pub enum Order<T = Topic> {
-    Advertise {
-        /// Not used before.
-        writer: u32,
-        topic: T,
-        /// Bytes of its first message: a hint for its room.
-        size: u32,
-        /// Refuse if another node publishes it.
-        alone: bool,
-        /// Wait a while for the known subscribers.
-        patient: bool,
-    },
+    /// Answered by [`Report::Ready`] or [`Report::Refused`]. The number is new; `size` is that of the first message;
+    /// `alone` refuses if another node publishes it; `patient` waits a while for the known subscribers.
+    Advertise { writer: u32, topic: T, size: u32, alone: bool, patient: bool },
     /// The payload is the message; in ROS 2 with its encapsulation header.
     Publish { writer: u32 },
     /// Drops the topic with its queue.
@@ -58,48 +56,36 @@ pub enum Order<T = Topic> {
     Leave,
 }
 
+/// Orders with their payloads, read in a thread; the channel closes when no more will come.
+pub fn orders<T: DeserializeOwned + Send + 'static>(
+    mut from: impl Read + Send + 'static,
+) -> std::io::Result<Receiver<(Order<T>, Vec<u8>)>> {
+    let (sender, receiver) = sync_channel(4 * MOST_UNCONFIRMED);
+    let read = move || while let Ok(Some(order)) = receive(&mut from) && sender.send(order).is_ok() {};
+    std::thread::Builder::new().name("orders".into()).spawn(read)?;
+    Ok(receiver)
+}
+
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "report", rename_all = "snake_case")]
 pub enum Report {
-    /// The first frame: the domain or graph is joined.
-    Hello {
-        version: u32,
-        /// 0 in a graph of ROS 1.
-        domain: u16,
-        confined: bool,
-    },
-    /// The supervisor announces the end of a killed child's participant.
-    Joined {
-        /// Prefix of its ids, 12 bytes as hex.
-        participant: String,
-    },
-    Ready {
-        writer: u32,
-    },
-    Refused {
-        writer: u32,
-        reason: String,
-        /// Whether another node publishes it.
-        occupied: bool,
-    },
-    /// How many of the oldest unconfirmed messages left the queue; 0 if only the other figures changed.
-    Taken {
-        messages: u32,
-        /// Of these, missed by a subscriber that read too slowly.
-        dropped: u32,
-        /// In all: sent, and not yet acknowledged by a subscriber.
-        unacknowledged: u32,
-        /// In all: sent to subscribers that do not acknowledge.
-        unconfirmed: u64,
-    },
+    /// The first frame: the domain (0 in a graph of ROS 1) is joined.
+    Hello { version: u32, domain: u16, confined: bool },
+    /// For a farewell if the child is killed: the prefix of its ids, 12 bytes as hex.
+    Joined { participant: String },
+    /// A topic is announced.
+    Ready { writer: u32 },
+    /// A topic is not announced; `occupied` if another node publishes it.
+    Refused { writer: u32, reason: String, occupied: bool },
+    /// How many of the oldest unconfirmed messages left the queue, and how many of these a slow subscriber missed. In all:
+    /// sent and not yet acknowledged, and sent to subscribers that do not acknowledge.
+    Taken { messages: u32, dropped: u32, unacknowledged: u32, unconfirmed: u64 },
+    /// Subscribers have everything.
     Left,
-    Alive {
-        /// Other participants; in a graph of ROS 1, connected subscribers.
-        participants: u32,
-    },
-    Failed {
-        reason: String,
-    },
+    /// Every half second: other participants; in a graph of ROS 1, connected subscribers.
+    Alive { participants: u32 },
+    /// The child is ending on its own.
+    Failed { reason: String },
 }
 
 #[cfg(test)]

@@ -6,15 +6,15 @@ mod topic;
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use crate::model::{Timestamp, TopicName, TypeName, clean};
-use crate::ros::RosError;
 use crate::ros::address::{Endpoint, own_host};
 use crate::ros::graph::Unreached;
 use crate::ros::tcpros::{BusLink, Node, SlaveServer};
 use crate::ros::xmlrpc::{CallError, Value, call};
+use crate::ros::{RosError, lock};
 use topic::Topic;
 
 pub(crate) use topic::next_number;
@@ -60,12 +60,9 @@ pub trait MessageSink: Send + Sync {
 /// Texts from peers in it are cleaned.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum CaptureNotice {
-    PublisherConnected {
-        topic: Arc<str>,
-        caller_id: String,
-        type_name: Arc<str>,
-        origin: Arc<Origin>,
-    },
+    /// A publisher is being read.
+    PublisherConnected { topic: Arc<str>, caller_id: String, type_name: Arc<str>, origin: Arc<Origin> },
+    /// A publisher that was being read is gone.
     PublisherLost { topic: Arc<str>, caller_id: String, number: u64, reason: String },
     /// Claimed by somebody, not listed by the master, and not contacted.
     UnconfirmedPublisher { topic: Arc<str>, publisher: String },
@@ -75,24 +72,17 @@ pub enum CaptureNotice {
     TypeMismatch { topic: Arc<str>, caller_id: String, wanted: String, found: String },
     /// Its description of its messages is inconsistent; they are captured as sent.
     Contradiction { topic: Arc<str>, caller_id: String, contradiction: String },
-    /// Sequence numbers are missing: this many messages never arrived.
-    LostInTransport {
-        topic: Arc<str>,
-        caller_id: String,
-        count: u64,
-        numbers: (u32, u32),
-    },
+    /// Messages never arrived: how many, and the first and last of the missing numbers.
+    LostInTransport { topic: Arc<str>, caller_id: String, count: u64, numbers: (u32, u32) },
     /// For example a message beyond the length cap.
     Refused { topic: Arc<str>, publisher: String, reason: String },
     /// The ROS 2 reader is restarted; missed messages are reported when their publishers are heard again.
     ReadingBroken { reason: String },
-    EndUnknown {
-        topic: Arc<str>,
-        caller_id: String,
-        at_least: u64,
-    },
+    /// A publisher vanished while nothing could be read of it.
+    EndUnknown { topic: Arc<str>, caller_id: String, at_least: u64 },
     /// Connected publishers are still read.
     MasterLost { reason: String },
+    /// The master answers again.
     MasterBack,
     /// A request to shut down, which this node ignores.
     ShutdownAsked { by: String, reason: String },
@@ -131,7 +121,7 @@ pub struct Capture {
 impl Capture {
     /// Watches nothing yet. The master need not be running.
     pub fn start(options: CaptureOptions, sink: Arc<dyn MessageSink>) -> Result<Self, RosError> {
-        let master = Endpoint::parse(&options.master_uri).ok_or_else(|| RosError::address(&options.master_uri))?;
+        let master = Endpoint::of_master(&options.master_uri)?;
         let host = own_host(options.own_host.as_deref(), &master, Instant::now() + PATIENCE)?;
         let shared = Arc::new(Shared {
             master,
@@ -152,11 +142,22 @@ impl Capture {
 
     /// With `type_name` only publishers of that type are read. Watching a topic again changes nothing.
     pub fn watch(&self, topic: TopicName, type_name: Option<TypeName>) {
-        self.shared.watch(topic, type_name);
+        let make = || Arc::new(Topic::new(topic.clone(), type_name));
+        lock(&self.shared.topics).entry(topic.clone()).or_insert_with(make);
+        self.shared.send(|errands| {
+            errands.leaving.remove(&topic);
+            errands.urgent.insert(topic);
+        });
     }
 
     pub fn unwatch(&self, topic: &TopicName) {
-        self.shared.unwatch(topic);
+        if let Some(watched) = lock(&self.shared.topics).remove(topic) {
+            watched.end();
+            self.shared.send(|errands| {
+                errands.urgent.remove(topic);
+                errands.leaving.insert(topic.clone());
+            });
+        }
     }
 
     pub fn uri(&self) -> &str {
@@ -175,7 +176,9 @@ impl Capture {
 impl Drop for Capture {
     fn drop(&mut self) {
         let deadline = Instant::now() + PATIENCE;
-        self.shared.stop();
+        self.shared.topics().iter().for_each(|topic| topic.end());
+        // The topics' names stay for unregistering.
+        self.shared.send(|errands| errands.stopping = true);
         self.registrar.wait_until_none(deadline);
         self.shared.threads.wait_until_none(deadline);
     }
@@ -183,10 +186,6 @@ impl Drop for Capture {
 
 /// Pause of a thread after a panic.
 const AFTER_A_PANIC: Duration = Duration::from_millis(500);
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
 
 #[derive(Default)]
 struct Errands {
@@ -206,38 +205,12 @@ struct Shared {
 }
 
 impl Shared {
-    pub fn watch(&self, name: TopicName, wanted: Option<TypeName>) {
-        let make = || Arc::new(Topic::new(name.clone(), wanted));
-        lock(&self.topics).entry(name.clone()).or_insert_with(make);
-        self.send(|errands| {
-            errands.leaving.remove(&name);
-            errands.urgent.insert(name);
-        });
-    }
-
-    pub fn unwatch(&self, name: &TopicName) {
-        if let Some(topic) = lock(&self.topics).remove(name) {
-            topic.end();
-            self.send(|errands| {
-                errands.urgent.remove(name);
-                errands.leaving.insert(name.clone());
-            });
-        }
-    }
-
     pub fn topics(&self) -> Vec<Arc<Topic>> {
         lock(&self.topics).values().cloned().collect()
     }
 
     pub fn topic(&self, name: &str) -> Option<Arc<Topic>> {
         lock(&self.topics).get(&name.parse().ok()?).cloned()
-    }
-
-    pub fn stop(&self) {
-        for topic in self.topics() {
-            topic.end();
-        }
-        self.send(|errands| errands.stopping = true);
     }
 
     pub fn ask_about(&self, name: &TopicName) {
@@ -431,10 +404,8 @@ impl Work {
     }
 
     fn params(&self, middle: &[&str]) -> Vec<Value> {
-        let mut params = vec![Value::text(&*self.shared.node_name)];
-        params.extend(middle.iter().copied().map(Value::text));
-        params.push(Value::text(&*self.slave_uri));
-        params
+        let (name, uri) = (self.shared.node_name.as_str(), self.slave_uri.as_str());
+        std::iter::once(name).chain(middle.iter().copied()).chain([uri]).map(Value::from).collect()
     }
 
     fn master_is(&mut self, state: Result<(), String>) {

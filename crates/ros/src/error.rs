@@ -85,18 +85,6 @@ impl RosError {
         }
     }
 
-    pub(super) fn address(text: &str) -> Self {
-        Self::Address(clean(text, 120))
-    }
-
-    pub(super) fn no_reader(path: &std::path::Path) -> Self {
-        Self::NoReader(clean(&path.display().to_string(), 200))
-    }
-
-    pub(super) fn no_rosrust(path: &std::path::Path) -> Self {
-        Self::NoRosrust(clean(&path.display().to_string(), 200))
-    }
-
     pub(super) fn not_as_nobody(path: &std::path::Path, reason: &std::io::Error) -> Self {
         Self::NotAsNobody { program: clean(&path.display().to_string(), 200), reason: reason.to_string() }
     }
@@ -117,11 +105,11 @@ impl RosError {
         Self::Recording(clean(reason, 300))
     }
 
-    pub(super) fn unreadable(error: &std::io::Error) -> Self {
+    pub(super) fn unreadable(error: std::io::Error) -> Self {
         Self::recording(&format!("it cannot be read ({error})"))
     }
 
-    pub(super) fn unwritable(error: &std::io::Error) -> Self {
+    pub(super) fn unwritable(error: std::io::Error) -> Self {
         Self::recording(&format!("it cannot be written ({error})"))
     }
 
@@ -136,7 +124,7 @@ mod tests {
 
     #[test]
     fn messages_say_what_and_what_next_and_defuse_foreign_text() {
-        let error = RosError::address("http://\u{1b}[2Jx");
+        let error = crate::ros::address::Endpoint::of_master("http://\u{1b}[2Jx").expect_err("no address");
         assert_eq!(error.kind(), ErrorKind::Usage);
         assert!(!error.to_string().contains('\u{1b}'));
         let error = RosError::Unreachable { uri: "http://127.0.0.1:1/".into(), reason: "refused".into() };

@@ -29,9 +29,7 @@ pub struct TopicInfo {
 }
 
 #[derive(Debug, Default)]
-pub struct LastLook {
-    types: Option<Types>,
-}
+pub struct LastLook(Option<Types>);
 
 /// The types of all topics, and the graph they were queried for.
 #[derive(Debug)]
@@ -58,8 +56,7 @@ pub struct Graph {
 impl Graph {
     /// Sends nothing yet.
     pub fn new(master_uri: &str, node_name: &str) -> Result<Self, RosError> {
-        let master = Endpoint::parse(master_uri).ok_or_else(|| RosError::address(master_uri))?;
-        Ok(Self { master, node_name: node_name.to_owned() })
+        Ok(Self::of(Endpoint::of_master(master_uri)?, node_name))
     }
 
     pub(crate) fn of(master: Endpoint, node_name: &str) -> Self {
@@ -78,7 +75,7 @@ impl Graph {
     pub fn topics_again(&self, last: &mut LastLook) -> Result<Vec<TopicInfo>, RosError> {
         let deadline = Instant::now() + PATIENCE;
         let state = self.ask("getSystemState", deadline)?;
-        let types = match last.types.take().filter(|types| types.hold(&state)) {
+        let types = match last.0.take().filter(|types| types.hold(&state)) {
             Some(types) => types,
             None => Types { value: self.ask("getTopicTypes", deadline)?, state, asked: Instant::now() },
         };
@@ -89,7 +86,7 @@ impl Graph {
             });
         };
         let topics = merge(publishers, subscribers, &types.value);
-        last.types = Some(types).filter(|_| topics.iter().all(|topic| topic.type_name.is_some()));
+        last.0 = Some(types).filter(|_| topics.iter().all(|topic| topic.type_name.is_some()));
         Ok(topics)
     }
 
@@ -126,16 +123,11 @@ fn merge(publishers: &Value, subscribers: &Value, types: &Value) -> Vec<TopicInf
     for (topic, nodes) in rows(subscribers) {
         topics.entry(topic).or_default().1 = nodes.as_array().unwrap_or_default().len();
     }
-    let known = |name: &str| types.get(name).filter(|type_name| **type_name != "*").map(|found| (*found).to_owned());
-    topics
-        .into_iter()
-        .map(|(name, (publishers, subscribers))| TopicInfo {
-            name: name.to_owned(),
-            type_name: known(name),
-            publishers,
-            subscribers,
-        })
-        .collect()
+    let info = |(name, (publishers, subscribers)): (&str, _)| {
+        let known = types.get(name).filter(|type_name| **type_name != "*");
+        TopicInfo { name: name.to_owned(), type_name: known.map(|found| (*found).to_owned()), publishers, subscribers }
+    };
+    topics.into_iter().map(info).collect()
 }
 
 /// The nodes of one topic, as the master named them: clean the names before they are shown.

@@ -11,6 +11,7 @@ use tokio::sync::oneshot;
 
 use super::RosError;
 use super::address::Endpoint;
+use super::tcpros::{failure, success};
 use super::xmlrpc::{Answer, Server, Value, call, forward};
 
 /// Left free for a real roscore.
@@ -36,7 +37,7 @@ impl EmbeddedMaster {
     pub fn start() -> Result<Self, RosError> {
         let mut failure = String::new();
         for _ in 0..ATTEMPTS {
-            match free_port().and_then(Self::start_on) {
+            match listener().map(|(port, _)| port).and_then(Self::start_on) {
                 Ok(master) => return Ok(master),
                 Err(reason) => failure = reason,
             }
@@ -103,18 +104,11 @@ struct Front {
 
 impl Answer for Front {
     fn answer(&self, method: &str, _params: &[Value]) -> Option<Value> {
-        let own = match method {
-            "getUri" => self.uri.as_str().into(),
-            "getPid" => Value::Int(i64::from(std::process::id())),
-            _ => {
-                return Some(Value::Array(vec![
-                    Value::Int(-1),
-                    "the master did not answer in time".into(),
-                    Value::Int(0),
-                ]));
-            }
-        };
-        Some(Value::Array(vec![Value::Int(1), "".into(), own]))
+        Some(match method {
+            "getUri" => success(self.uri.as_str().into()),
+            "getPid" => success(Value::Int(i64::from(std::process::id()))),
+            _ => failure(-1, "the master did not answer in time"),
+        })
     }
 
     fn handed_on(&self, method: &str, call: &str) -> Option<String> {
@@ -139,10 +133,6 @@ impl Drop for EmbeddedMaster {
 /// This master wraps the number in an array.
 fn process_id(answer: &Value) -> Option<i64> {
     answer.as_array().and_then(<[Value]>::first).unwrap_or(answer).as_int()
-}
-
-fn free_port() -> Result<u16, String> {
-    listener().map(|(port, _)| port)
 }
 
 fn listener() -> Result<(u16, TcpListener), String> {

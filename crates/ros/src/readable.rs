@@ -8,7 +8,7 @@ use crate::ros::message::{Definition, Limits, Value, layout};
 use picture::{bytes, coordinate, plot};
 use serde::{Deserialize, Serialize};
 
-pub use picture::{DECODER_MEMORY, Exported, MOST_PIXELS, PictureError, Raster, Rgb, decode, export, file_of};
+pub use picture::{DECODER_MEMORY, Exported, MOST_PIXELS, PictureError, Raster, decode, export, file_of};
 
 pub const MOST_ROWS: usize = 200;
 
@@ -247,14 +247,13 @@ fn square(title: &str, names: &[&str], value: &Value, path: &str) -> Option<Tabl
 
 /// The title counts the left-out items.
 fn listed(title: &str, head: &[&str], value: &Value, path: &str, row: impl Fn(&Value) -> Vec<String>) -> Table {
-    let (rows, all) = match value.get(path) {
+    let (rows, all): (Vec<_>, _) = match value.get(path) {
         Some(Value::Array(items)) => (items.iter().take(MOST_ROWS).map(row).collect(), items.len()),
         Some(Value::Large { count, .. }) => (Vec::new(), *count),
         _ => (Vec::new(), 0),
     };
-    let left: Vec<Vec<String>> = rows;
-    let title = if left.len() < all { format!("{title} ({} of {all})", left.len()) } else { title.to_owned() };
-    Table { title, head: head.iter().map(|name| (*name).to_owned()).collect(), rows: left }
+    let title = if rows.len() < all { format!("{title} ({} of {all})", rows.len()) } else { title.to_owned() };
+    Table { title, head: head.iter().map(|name| (*name).to_owned()).collect(), rows }
 }
 
 /// Roll, pitch and yaw of a quaternion field, in degrees.
@@ -268,12 +267,8 @@ fn angles(value: &Value, path: &str) -> Option<(f64, f64, f64)> {
 }
 
 fn turned(value: &Value, path: &str) -> String {
-    match angles(value, path) {
-        Some((roll, pitch, yaw)) => {
-            format!("roll {}°  pitch {}°  yaw {}°", number(roll), number(pitch), number(yaw))
-        }
-        None => String::from("-"),
-    }
+    let Some((roll, pitch, yaw)) = angles(value, path) else { return String::from("-") };
+    format!("roll {}°  pitch {}°  yaw {}°", number(roll), number(pitch), number(yaw))
 }
 
 const POSE: [&str; 6] = ["x", "y", "z", "roll", "pitch", "yaw"];
@@ -547,8 +542,7 @@ impl<'a> Matrix<'a> {
                 if depth.is_finite() && depth != 0.0 { [grey((depth - low) * scale); 3] } else { [0; 3] }
             });
         }
-        let places = self.places();
-        match places {
+        match self.places() {
             Places::Pixel(places) => Box::new(move |x, y| places.map(|channel| self.part(x, y, channel))),
             Places::Bayer(first) => Box::new(move |x, y| self.bayer(x, y, first)),
             Places::Yuv(luma) => Box::new(move |x, y| self.yuv(x, y, luma)),

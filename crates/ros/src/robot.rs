@@ -7,13 +7,14 @@ mod picture;
 use std::f64::consts::TAU;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crate::model::Timestamp;
 use crate::ros::ros2::{Declined, Offer, Offered, Ros2Publisher};
-use crate::ros::{Advertised, GraphPublisher, Publisher, RosError, RosrustPublisher};
+use crate::ros::message::md5sum;
+use crate::ros::{Advertised, GraphPublisher, Publisher, RosError, RosrustPublisher, lock};
 use picture::Camera;
 
 pub use messages::{COMPRESSED_IMAGE, ODOMETRY, compressed_image_definition, odometry_definition};
@@ -114,10 +115,6 @@ pub struct Fleet {
     nodes: Vec<Arc<Mutex<Box<dyn GraphPublisher>>>>,
 }
 
-fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 impl Fleet {
     pub fn start(master_uri: &str, robots: u16, options: FleetOptions) -> Result<Self, RosError> {
         Self::of(robots, options, |node| Ok(Box::new(Publisher::start(master_uri, None, node)?)))
@@ -143,11 +140,10 @@ impl Fleet {
         for number in 1..=robots {
             let node = Arc::new(Mutex::new(start(&format!("/robot{number}_sim"))?));
             fleet.nodes.push(Arc::clone(&node));
-            let [odometry, pictures] =
-                [(ODOMETRY, odometry_definition()), (COMPRESSED_IMAGE, compressed_image_definition())];
             let topics = topics_of(number);
-            let sinks = [sink(&node, topics.0, odometry)?, sink(&node, topics.1, pictures)?];
-            fleet.work.add(number, periods, false, sinks)?;
+            let odometry = sink(&node, topics.0, (ODOMETRY, odometry_definition()))?;
+            let pictures = sink(&node, topics.1, (COMPRESSED_IMAGE, compressed_image_definition()))?;
+            fleet.work.add(number, periods, false, [odometry, pictures])?;
         }
         Ok(fleet)
     }
@@ -165,12 +161,12 @@ fn sink(
     topic: String,
     (type_name, definition): (&str, String),
 ) -> Result<Sink, RosError> {
-    let (type_name, md5sum) = (type_name.to_owned(), messages::sum_of(type_name, &definition));
+    let (type_name, md5sum) = (type_name.to_owned(), md5sum(type_name, &definition)?);
     let about = Advertised { topic, type_name, md5sum, definition, latching: false };
-    locked(node).advertise(&about, Duration::ZERO)?;
+    lock(node).advertise(&about, Duration::ZERO)?;
     let node = Arc::clone(node);
     Ok(Box::new(move |message: &[u8]| {
-        let mut node = locked(&node);
+        let mut node = lock(&node);
         // A robot whose process ended comes back, like one that was switched off.
         let is_there = node.broken().is_none() || node.come_back().is_ok();
         is_there && node.publish(&about.topic, 0, message)
@@ -180,9 +176,9 @@ fn sink(
 impl Drop for Fleet {
     fn drop(&mut self) {
         self.work.end();
-        self.nodes.iter().for_each(|node| locked(node).leave());
+        self.nodes.iter().for_each(|node| lock(node).leave());
         let begun = Instant::now();
-        while begun.elapsed() < FAREWELL && !self.nodes.iter().all(|node| locked(node).is_sent()) {
+        while begun.elapsed() < FAREWELL && !self.nodes.iter().all(|node| lock(node).is_sent()) {
             std::thread::sleep(Duration::from_millis(5));
         }
     }
@@ -204,11 +200,8 @@ impl FleetOptions {
 }
 
 fn period(hz: f64) -> Result<Duration, RosError> {
-    if hz > 0.0 && hz <= FASTEST {
-        Duration::try_from_secs_f64(1.0 / hz).map_err(|_| RosError::Rate(hz.to_string()))
-    } else {
-        Err(RosError::Rate(hz.to_string()))
-    }
+    let period = Duration::try_from_secs_f64(1.0 / hz).ok().filter(|_| hz > 0.0 && hz <= FASTEST);
+    period.ok_or_else(|| RosError::Rate(hz.to_string()))
 }
 
 fn wait_until(due: Instant, stopping: &AtomicBool) -> bool {
@@ -293,9 +286,9 @@ impl DomainFleet {
                 domain,
                 reason: format!("{}; choose a domain of their own for the robots, as --ros2 42", declined.reason),
             };
-            let writer = locked(&publisher).advertise(&topic, size, (true, false))?.map_err(refused)?;
+            let writer = lock(&publisher).advertise(&topic, size, (true, false))?.map_err(refused)?;
             let publisher = Arc::clone(&publisher);
-            Ok(Box::new(move |message: &[u8]| locked(&publisher).publish(writer, message)))
+            Ok(Box::new(move |message: &[u8]| lock(&publisher).publish(writer, message)))
         };
         let mut work = Work::default();
         for number in 1..=robots {

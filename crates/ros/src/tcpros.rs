@@ -199,7 +199,7 @@ impl Answer for Slave {
             "getMasterUri" => success(node.master_uri().into()),
             "getSubscriptions" => success(pairs(node.subscriptions())),
             "getPublications" => success(pairs(node.publications())),
-            "getBusStats" => success(Value::Array(vec![empty(), empty(), empty()])),
+            "getBusStats" => success(Value::Array(vec![Value::Array(Vec::new()); 3])),
             "getBusInfo" => success(bus_info(node.links())),
             "publisherUpdate" => publisher_update(node, params),
             "requestTopic" => request_topic(node, params),
@@ -217,15 +217,11 @@ fn text_at(params: &[Value], index: usize) -> &str {
     params.get(index).and_then(Value::as_text).unwrap_or_default()
 }
 
-fn empty() -> Value {
-    Value::Array(Vec::new())
-}
-
-fn success(value: Value) -> Value {
+pub(super) fn success(value: Value) -> Value {
     Value::Array(vec![Value::Int(1), "".into(), value])
 }
 
-fn failure(code: i64, reason: &str) -> Value {
+pub(super) fn failure(code: i64, reason: &str) -> Value {
     Value::Array(vec![Value::Int(code), reason.into(), Value::Int(0)])
 }
 
@@ -248,15 +244,12 @@ fn bus_info(links: Vec<BusLink>) -> Value {
 }
 
 fn publisher_update(node: &dyn Node, params: &[Value]) -> Value {
-    match params.get(1).and_then(Value::as_text) {
-        Some(topic) => {
-            let uris = params.get(2).and_then(Value::as_array).unwrap_or_default();
-            let uris: Vec<&str> = uris.iter().filter_map(Value::as_text).collect();
-            node.publishers_changed(topic, &uris);
-            success(Value::Int(0))
-        }
-        None => failure(-1, "publisherUpdate needs a topic"),
-    }
+    let Some(topic) = params.get(1).and_then(Value::as_text) else {
+        return failure(-1, "publisherUpdate needs a topic");
+    };
+    let uris = params.get(2).and_then(Value::as_array).unwrap_or_default();
+    node.publishers_changed(topic, &uris.iter().filter_map(Value::as_text).collect::<Vec<_>>());
+    success(Value::Int(0))
 }
 
 fn request_topic(node: &dyn Node, params: &[Value]) -> Value {

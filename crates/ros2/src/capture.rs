@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io::{BufWriter, ErrorKind, Read, Write};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, channel};
+use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::time::{Duration, Instant};
 
 use crate::describing::Question;
@@ -78,7 +78,7 @@ struct Child<'a, W: Write> {
     renew_after: Option<usize>,
     domain: u16,
     poll: Poll,
-    wishes: Receiver<Option<Wish>>,
+    wishes: Receiver<Wish>,
     wanted: BTreeSet<String>,
     refused: BTreeSet<String>,
     graph: Graph,
@@ -179,25 +179,26 @@ impl<'a, W: Write> Child<'a, W> {
     /// Whether there were new wishes; `None` if no more will come.
     fn take_wishes(&mut self) -> Option<bool> {
         let mut changed = false;
-        while let Ok(wish) = self.wishes.try_recv() {
-            changed = true;
-            match wish? {
-                Wish::Watch { topic } if self.wanted.len() < MOST_TOPICS => {
+        loop {
+            match self.wishes.try_recv() {
+                Ok(Wish::Watch { topic }) if self.wanted.len() < MOST_TOPICS => {
                     self.wanted.insert(topic);
                 }
-                Wish::Watch { .. } => {}
-                Wish::Describe { node, type_name, type_hash } => {
+                Ok(Wish::Watch { .. }) => {}
+                Ok(Wish::Describe { node, type_name, type_hash }) => {
                     if let Some(newest) = self.members.last_mut() {
                         newest.describing.ask(Question { node, type_name, type_hash });
                     }
                 }
-                Wish::Unwatch { topic } => {
+                Ok(Wish::Unwatch { topic }) => {
                     self.wanted.remove(&topic);
                     self.refused.remove(&topic);
                 }
+                Err(TryRecvError::Empty) => return Some(changed),
+                Err(TryRecvError::Disconnected) => return None,
             }
+            changed = true;
         }
-        Some(changed)
     }
 
     /// Writers of others, as our staying participants know them.
@@ -217,8 +218,8 @@ impl<'a, W: Write> Child<'a, W> {
 
     /// The participants of others.
     fn present(&self) -> BTreeSet<Prefix> {
-        let seen = self.members.iter().flat_map(Member::participants);
-        seen.filter(|participant| !self.graph.is_own(participant)).collect()
+        let seen = self.members.iter().flat_map(|member| &member.participants);
+        seen.copied().filter(|participant| !self.graph.is_own(participant)).collect()
     }
 
     /// Reports changes of the graph, and adapts the readers to it.
@@ -243,7 +244,7 @@ impl<'a, W: Write> Child<'a, W> {
     /// Replaces a participant that met too many endpoints: its successor reads beside it, and takes over each writer's
     /// messages before it leaves.
     fn renew(&mut self) -> Result<(), Ros2Error> {
-        let after = self.renew_after.unwrap_or(RENEW_AFTER.max(OF_A_LARGE_DOMAIN * self.graph.size()));
+        let after = self.renew_after.unwrap_or(RENEW_AFTER.max(OF_A_LARGE_DOMAIN * self.graph.writers.len()));
         match self.members.as_mut_slice() {
             [only] if only.met >= after => {
                 only.met = 0;
@@ -323,10 +324,10 @@ impl<'a, W: Write> Child<'a, W> {
 
     /// Announces the sample's writer to the site; whether the sample can be passed on.
     fn is_announced(&mut self, sample: &Taken, subject: &Subject) -> Result<bool, Ros2Error> {
-        if !self.graph.knows(&sample.writer) {
+        if !self.graph.known.contains(&sample.writer) {
             let writers = self.writers();
             let told = self.graph.look(&writers, &self.nodes);
-            let by_sample = !self.graph.knows(&sample.writer);
+            let by_sample = !self.graph.known.contains(&sample.writer);
             let (topic, type_name) = (&subject.dds_topic, &subject.dds_type);
             let by_sample = by_sample.then(|| self.graph.by_sample(sample.writer, topic, type_name)).flatten();
             for told in told.into_iter().chain(by_sample) {
@@ -349,17 +350,13 @@ impl<'a, W: Write> Child<'a, W> {
     }
 }
 
-/// `None` arrives when the pipe has ended; every arrival wakes.
-pub fn listen(mut from: impl Read + Send + 'static, waker: Arc<Waker>) -> Result<Receiver<Option<Wish>>, Ros2Error> {
+/// Every arrival wakes, and so does the end of the pipe.
+fn listen(mut from: impl Read + Send + 'static, waker: Arc<Waker>) -> Result<Receiver<Wish>, Ros2Error> {
     let (sender, receiver) = channel();
     let read = move || {
-        loop {
-            let wish = receive::<Wish>(&mut from).ok().flatten().map(|(wish, _)| wish);
-            let ended = wish.is_none();
-            if sender.send(wish).is_err() || waker.wake().is_err() || ended {
-                break;
-            }
-        }
+        while let Ok(Some((wish, _))) = receive(&mut from) && sender.send(wish).is_ok() && waker.wake().is_ok() {}
+        drop(sender);
+        drop(waker.wake());
     };
     let started = std::thread::Builder::new().name("wishes".into()).spawn(read);
     started.map_err(|error| Ros2Error::system("start a thread", &error))?;

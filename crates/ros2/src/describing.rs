@@ -14,7 +14,7 @@ use crate::quality::{self, Raw, RawAdapter, RawDecoder, Request as Quality};
 use rustdds::bytes::Bytes;
 use rustdds::no_key::{DataWriter, SimpleDataReader};
 use rustdds::{
-    DomainParticipant, GUID, Publisher, QosPolicies, RTPSEntity, SampleIdentity, SequenceNumber, Subscriber, TopicKind,
+    DomainParticipant, Publisher, QosPolicies, RTPSEntity, SampleIdentity, SequenceNumber, Subscriber, TopicKind,
     WriteOptionsBuilder,
 };
 
@@ -103,7 +103,7 @@ impl Describing {
             let Some(question) = self.waiting.pop_front() else { break };
             match Asked::begin(parts, &question, graph) {
                 Ok(asked) => self.asked.push(asked),
-                Err(reason) => told.push(tell(question, Answer::Refused(reason))),
+                Err(reason) => told.push(tell(question, Err(reason))),
             }
         }
         for mut asked in std::mem::take(&mut self.asked) {
@@ -124,9 +124,9 @@ impl Describing {
 
 fn tell(question: Question, answer: Answer) -> (Told, Vec<u8>) {
     let Question { node, type_name, type_hash } = question;
-    let (reason, text, structure) = match answer {
-        Answer::Texts(text, structure) => (None, text, structure),
-        Answer::Refused(reason) => (Some(reason.chars().take(300).collect()), String::new(), String::new()),
+    let (reason, (text, structure)) = match answer {
+        Ok(texts) => (None, texts),
+        Err(reason) => (Some(reason.chars().take(300).collect()), Default::default()),
     };
     let structured = u32::try_from(structure.len()).unwrap_or(0);
     (Told::Described { node, type_name, type_hash, structured, reason }, [structure, text].concat().into_bytes())
@@ -175,13 +175,11 @@ impl Asked {
         })
     }
 
-    fn client(&self) -> u64 {
-        let id = self.writer.guid().to_bytes();
-        id.last_chunk().map_or(0, |last| u64::from_le_bytes(*last))
-    }
-
+    /// The end of the writer's id is unique to this asker.
     fn header(&self, number: u64) -> Option<Header> {
-        (self.form == Form::Before).then(|| (self.client(), number))
+        let id = self.writer.guid().to_bytes();
+        let client = id.last_chunk().map_or(0, |last| u64::from_le_bytes(*last));
+        (self.form == Form::Before).then_some((client, number))
     }
 
     /// The answer, if it is there or will not come.
@@ -190,7 +188,7 @@ impl Asked {
             return Some(answer);
         }
         if self.begun.elapsed() >= PATIENCE {
-            return Some(Answer::Refused(format!("it did not answer within {} s", PATIENCE.as_secs())));
+            return Some(Err(format!("it did not answer within {} s", PATIENCE.as_secs())));
         }
         if self.sent.is_none_or(|sent| sent.elapsed() >= REPEAT) {
             self.number += 1;
@@ -216,10 +214,11 @@ impl Asked {
         self.reader.drain_read_notifications();
         while let Ok(Some(change)) = self.reader.try_take_one_with(RawDecoder) {
             let related = change.related_sample_identity().map(|related| related.writer_guid);
+            let is_own = related.is_some_and(|id| id == self.reader.guid() || id == self.writer.guid());
             let message = change.into_value().0;
             let type_name = &self.question.type_name;
             let found = match self.form {
-                Form::Beside if !related.is_some_and(|id| self.is_own(id)) => None,
+                Form::Beside if !is_own => None,
                 Form::Beside => answer(&message, None, type_name),
                 // An answer to an earlier request counts too.
                 Form::Before => (1..=self.number).find_map(|number| answer(&message, self.header(number), type_name)),
@@ -229,10 +228,6 @@ impl Asked {
             }
         }
         None
-    }
-
-    fn is_own(&self, id: GUID) -> bool {
-        id == self.reader.guid() || id == self.writer.guid()
     }
 }
 
@@ -257,17 +252,12 @@ pub fn request(header: Option<Header>, type_name: &str, type_hash: &str) -> Vec<
     body.0
 }
 
-#[derive(Debug, PartialEq, Eq)]
-pub enum Answer {
-    /// The type with all its parts, as in MCAP's `ros2msg`, twice: the sources of its package, empty if they are not
-    /// `.msg`; and written from the structure.
-    Texts(String, String),
-    /// The reason for none.
-    Refused(String),
-}
+/// The type with all its parts, as in MCAP's `ros2msg`, twice: the sources of its package, empty if they are not `.msg`;
+/// and written from the structure. Otherwise the reason.
+pub type Answer = Result<(String, String), String>;
 
 pub fn answer(message: &[u8], header: Option<Header>, type_name: &str) -> Option<Answer> {
-    let unreadable = || Answer::Refused("its answer cannot be read".to_owned());
+    let unreadable = || Err("its answer cannot be read".to_owned());
     let Some(mut reader) = Reader::of(message) else { return Some(unreadable()) };
     if let Some(own) = header {
         let theirs = reader.long().zip(reader.long());
@@ -282,7 +272,7 @@ fn read(reader: &mut Reader<'_>, type_name: &str) -> Option<Answer> {
     let is_successful = reader.byte()? == 1;
     let reason = reader.text()?;
     if !is_successful {
-        return Some(Answer::Refused(format!("it refuses: {reason}")));
+        return Some(Err(format!("it refuses: {reason}")));
     }
     let mut types = vec![structure(reader)?];
     for _ in 0..reader.count(TYPE)? {
@@ -292,9 +282,9 @@ fn read(reader: &mut Reader<'_>, type_name: &str) -> Option<Answer> {
     let sources = sources(reader).unwrap_or_default();
     let (text, structure) = (joined(&sources, type_name), whole_structure(&types, type_name));
     if text.is_empty() && structure.is_empty() {
-        return Some(Answer::Refused("what it answers cannot be said in .msg, or is too long".to_owned()));
+        return Some(Err("what it answers cannot be said in .msg, or is too long".to_owned()));
     }
-    Some(Answer::Texts(text, structure))
+    Some(Ok((text, structure)))
 }
 
 fn sources<'a>(reader: &mut Reader<'a>) -> Option<Vec<(&'a str, &'a str, &'a str)>> {
@@ -507,7 +497,7 @@ mod tests {
         let expected = format!("Jaw left # the left one\n{}\nMSG: rig_msgs/Jaw\nfloat64 force\n", "=".repeat(80));
         for header in [None, Some((7, 9))] {
             let found = answer(&reply(header, &[JAW, GRIP]), header, GRIP.0);
-            assert_eq!(found, Some(Answer::Texts(expected.clone(), written())), "{header:?}");
+            assert_eq!(found, Some(Ok((expected.clone(), written()))), "{header:?}");
         }
         assert_eq!(answer(&reply(Some((7, 9)), &[GRIP]), Some((7, 8)), GRIP.0), None, "another's");
     }
@@ -522,13 +512,13 @@ mod tests {
         let cut = (JAW.0, "msg", "float64 force # 10\u{b0}");
         for sources in [&[JAW][..], &[], &[GRIP, (JAW.0, "idl", "module x {};")], &[(GRIP.0, "msg", &long)]] {
             let found = answer(&reply(None, sources), None, GRIP.0);
-            assert_eq!(found, Some(Answer::Texts(String::new(), written())), "{sources:?}");
+            assert_eq!(found, Some(Ok((String::new(), written()))), "{sources:?}");
         }
         // A text that ends within a character.
         let mut spoilt = reply(None, &[GRIP, cut]);
         let place = spoilt.windows(2).position(|pair| pair == "\u{b0}".as_bytes()).expect("there");
         spoilt[place + 1] = b' ';
-        assert_eq!(answer(&spoilt, None, GRIP.0), Some(Answer::Texts(String::new(), written())));
+        assert_eq!(answer(&spoilt, None, GRIP.0), Some(Ok((String::new(), written()))));
     }
 
     #[test]
@@ -561,9 +551,9 @@ mod tests {
         let whole = reply(None, &[GRIP, JAW]);
         let second = whole.windows(JAW.0.len()).position(|part| part == JAW.0.as_bytes()).expect("there") + 40;
         for end in 0..second {
-            assert!(matches!(answer(&whole[..end], None, GRIP.0), Some(Answer::Refused(_))), "{end}");
+            assert!(matches!(answer(&whole[..end], None, GRIP.0), Some(Err(_))), "{end}");
         }
-        assert!(matches!(answer(&whole, None, "rig_msgs/msg/Other"), Some(Answer::Refused(_))), "of another type");
+        assert!(matches!(answer(&whole, None, "rig_msgs/msg/Other"), Some(Err(_))), "of another type");
         // No byte makes it take what is not there.
         for place in 4..whole.len() {
             for byte in [0, 1, 0x7f, 0xff] {
@@ -576,7 +566,7 @@ mod tests {
         refusal.truth(false);
         refusal.text("not mine");
         let refusal = [vec![0, 1, 0, 0], refusal.0].concat();
-        assert_eq!(answer(&refusal, None, GRIP.0), Some(Answer::Refused("it refuses: not mine".into())));
+        assert_eq!(answer(&refusal, None, GRIP.0), Some(Err("it refuses: not mine".into())));
     }
 
     #[test]

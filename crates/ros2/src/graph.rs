@@ -29,18 +29,16 @@ const MOST_OWN: usize = 4;
 #[derive(Default)]
 pub struct Graph {
     own: Vec<Prefix>,
-    writers: BTreeMap<Id, Found>,
+    pub writers: BTreeMap<Id, Found>,
     /// Ids known to the site, also of writers that are gone.
-    known: HashSet<Id>,
+    pub known: HashSet<Id>,
 }
 
 /// Length of the prefix shared by one program's participants: its own, and its heralds.
 pub const PROGRAM: usize = 8;
 
 pub fn prefix(id: &Id) -> Prefix {
-    let mut prefix = [0; 12];
-    prefix.copy_from_slice(&id[..12]);
-    prefix
+    id.first_chunk().copied().unwrap_or_default()
 }
 
 impl Graph {
@@ -64,10 +62,6 @@ impl Graph {
     pub fn writer_of(&self, dds_topic: &str, dds_type: &str) -> Option<Id> {
         let is_it = |found: &Found| found.dds_topic == dds_topic && found.dds_type == dds_type;
         self.writers.iter().find_map(|(id, found)| is_it(found).then_some(*id))
-    }
-
-    pub fn knows(&self, id: &Id) -> bool {
-        self.known.contains(id)
     }
 
     /// Takes the present writers of others; returns the reports.
@@ -112,10 +106,6 @@ impl Graph {
             self.known.retain(|id| writers.contains_key(id));
         }
         self.known.insert(id);
-    }
-
-    pub fn size(&self) -> usize {
-        self.writers.len()
     }
 
     pub fn counts(&self, participants: usize) -> Counts {

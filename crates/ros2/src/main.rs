@@ -4,51 +4,34 @@
 
 use std::process::ExitCode;
 
-use authros_keyless::{ATTEMPT, Begun, Memory, Network, attempt_all, begin, close_inherited};
+use authros_keyless::{ATTEMPT, Begun, Memory, Network, arguments, attempt_all, begin, finish};
 
 /// Bounds the memory that the network makes this process take; the site restarts it.
 const MOST_MEMORY: u64 = 2 << 30;
 
-const MOST_ARGUMENTS: usize = 16;
 const HIGHEST_DOMAIN: u16 = 232;
 
 fn main() -> ExitCode {
-    close_inherited();
-    let arguments: Vec<String> = std::env::args().skip(1).take(MOST_ARGUMENTS).collect();
-    let Some(purpose) = purpose(&arguments) else {
-        return fail(
-            "usage: authros-ros2 --domain N (0 to 232); authros --ros2 starts this program, do not run it by hand",
-        );
-    };
-    let begun = match begin(Memory::AddressSpace(MOST_MEMORY), Network::Datagrams) {
-        Ok(begun) => begun,
-        Err(reason) => return fail(reason),
-    };
+    finish("authros-ros2", run(&arguments()))
+}
+
+fn run(arguments: &[String]) -> Result<(), String> {
+    let usage = "usage: authros-ros2 --domain N (0 to 232); authros --ros2 starts this program, do not run it by hand";
+    let purpose = purpose(arguments).ok_or(usage)?;
+    let Begun { from, to, stop, confined } = begin(Memory::AddressSpace(MOST_MEMORY), Network::Datagrams)?;
     let done = match purpose {
-        Purpose::Attempt(paths) => attempt_all(paths, begun).map_err(str::to_owned),
-        Purpose::Read(domain, renew_after) => read(domain, renew_after, begun),
-        Purpose::Publish(domain) => publish(domain, begun),
+        Purpose::Attempt(paths) => return Ok(attempt_all(paths, confined, to)?),
+        Purpose::Read(domain, renew_after) => authros_ros2::run((domain, confined), renew_after, from, to, &stop),
+        Purpose::Publish(domain) => authros_ros2::publish((domain, confined), from, to, &stop),
         Purpose::Bury(domain, participant) => {
             authros_ros2::bury(domain, &participant);
             Ok(())
         }
     };
-    match done {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(reason) => fail(&reason),
-    }
+    done.map_err(|error| error.to_string())
 }
 
-fn read(domain: u16, renew_after: Option<usize>, begun: Begun) -> Result<(), String> {
-    let Begun { from, to, stop, confined } = begun;
-    authros_ros2::run((domain, confined), renew_after, from, to, &stop).map_err(|error| error.to_string())
-}
-
-fn publish(domain: u16, begun: Begun) -> Result<(), String> {
-    let Begun { from, to, stop, confined } = begun;
-    authros_ros2::publish((domain, confined), from, to, &stop).map_err(|error| error.to_string())
-}
-
+/// What it was started for.
 enum Purpose<'a> {
     /// The number replaces its participant after meeting this many endpoints.
     Read(u16, Option<usize>),
@@ -82,10 +65,4 @@ fn prefix(hex: &str) -> Option<[u8; 12]> {
         *byte = u8::from_str_radix(hex.get(2 * place..2 * place + 2)?, 16).ok()?;
     }
     Some(prefix)
-}
-
-fn fail(reason: &str) -> ExitCode {
-    use std::io::Write;
-    drop(writeln!(std::io::stderr(), "authros-ros2: {reason}"));
-    ExitCode::FAILURE
 }

@@ -35,7 +35,7 @@ pub struct Member {
     participant: DomainParticipant,
     departures: Departures,
     pub farewell: Farewell,
-    participants: BTreeSet<Prefix>,
+    pub participants: BTreeSet<Prefix>,
     pub begun: Instant,
     /// Writers and readers met since it is the only one.
     pub met: usize,
@@ -110,10 +110,6 @@ impl Member {
         let found = self.participant.discovered_writers();
         found.iter().for_each(|writer| self.see(graph::prefix(&writer.publication_topic_data.key.to_bytes())));
         found
-    }
-
-    pub fn participants(&self) -> impl Iterator<Item = Prefix> {
-        self.participants.iter().copied()
     }
 
     /// One reader for each wanted topic and type, requesting what every writer offers. Returns failures by DDS topic.

@@ -3,37 +3,30 @@
 
 use std::process::ExitCode;
 
-use authros_keyless::{ATTEMPT, Begun, Memory, Network, attempt_all, begin, close_inherited};
+use authros_keyless::{ATTEMPT, Begun, Memory, Network, arguments, attempt_all, begin, finish};
 
 /// Writable memory. Each topic has three threads, each with a stack.
 const MEMORY: Memory = Memory::Data(4 << 30);
-const MOST_ARGUMENTS: usize = 16;
 const LONGEST: usize = 200;
 
 fn main() -> ExitCode {
-    close_inherited();
-    let arguments: Vec<String> = std::env::args().skip(1).take(MOST_ARGUMENTS).collect();
-    if let [first, paths @ ..] = &arguments[..]
+    finish("authros-rosrust", run(&arguments()))
+}
+
+fn run(arguments: &[String]) -> Result<(), String> {
+    if let [first, paths @ ..] = arguments
         && first == ATTEMPT
     {
-        let done = begin(MEMORY, Network::Streams).and_then(|begun| attempt_all(paths, begun));
-        return done.map_or_else(fail, |()| ExitCode::SUCCESS);
+        let Begun { to, confined, .. } = begin(MEMORY, Network::Streams)?;
+        return Ok(attempt_all(paths, confined, to)?);
     }
-    let given = (node(&arguments), std::env::var_os("ROS_MASTER_URI"));
-    let (Some(node), Some(_)) = given else {
-        return fail(
-            "usage: ROS_MASTER_URI=URI authros-rosrust --node NAME; authros starts this program where ros.publisher or \
-             --robots-by is rosrust, do not run it by hand",
-        );
+    let (Some(node), Some(_)) = (node(arguments), std::env::var_os("ROS_MASTER_URI")) else {
+        return Err("usage: ROS_MASTER_URI=URI authros-rosrust --node NAME; authros starts this program where \
+            ros.publisher or --robots-by is rosrust, do not run it by hand"
+            .to_owned());
     };
-    let Begun { from, to, stop, confined } = match begin(MEMORY, Network::Streams) {
-        Ok(begun) => begun,
-        Err(reason) => return fail(reason),
-    };
-    match authros_rosrust::run((node, confined), from, to, &stop) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => fail(&error.to_string()),
-    }
+    let Begun { from, to, stop, confined } = begin(MEMORY, Network::Streams)?;
+    authros_rosrust::run((node, confined), from, to, &stop).map_err(|error| error.to_string())
 }
 
 /// rosrust reads the arguments too, and would take one with `:=` for a remapping.
@@ -43,10 +36,4 @@ fn node(arguments: &[String]) -> Option<&str> {
         && name.starts_with(|first: char| first.is_ascii_alphabetic())
         && name.chars().all(|letter| letter.is_ascii_alphanumeric() || letter == '_');
     (flag == "--node" && is_name).then_some(name.as_str())
-}
-
-fn fail(reason: &str) -> ExitCode {
-    use std::io::Write;
-    drop(writeln!(std::io::stderr(), "authros-rosrust: {reason}"));
-    ExitCode::FAILURE
 }

@@ -18,7 +18,7 @@ const PATIENCE: Duration = Duration::from_secs(2);
 const EAR: &str = "/ear";
 
 pub struct Outlet {
-    topic: String,
+    pub topic: String,
     publisher: Publisher<RawMessage>,
     served: Served,
     ear: Ear,
@@ -54,10 +54,6 @@ impl Outlet {
         let (topic, ahead) = (topic.name.clone(), VecDeque::new());
         let (handed, ahead_bytes, is_outrun, has_failed, last) = (0, 0, false, false, Last::default());
         Ok(Self { topic, publisher, served, ear, handed, ahead, ahead_bytes, is_outrun, has_failed, last })
-    }
-
-    pub fn topic(&self) -> &str {
-        &self.topic
     }
 
     pub fn subscribers(&self) -> Vec<String> {

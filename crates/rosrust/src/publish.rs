@@ -2,7 +2,7 @@
 use std::collections::BTreeMap;
 use std::io::{BufWriter, Read, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
 use rosrust::api::Ros;
@@ -10,9 +10,9 @@ use rosrust::api::Ros;
 use crate::RosrustError;
 use crate::error::told;
 use crate::outlet::Outlet;
-use crate::pipe::write::{Described, MOST_UNCONFIRMED, Order, Report};
-use crate::pipe::{PipeError, VERSION, receive, send};
-use crate::queue::Queue;
+use crate::pipe::write::{self, Described, Order, Report};
+use crate::pipe::{PipeError, VERSION, send};
+use crate::queue::{Queue, Taken};
 
 /// The longest wait for an order, and the longest while messages are on their way.
 const BEAT: Duration = Duration::from_millis(50);
@@ -44,13 +44,11 @@ pub fn run(
     result
 }
 
-type Arrival = Option<(Order<Described>, Vec<u8>)>;
-
 struct Child<'a, W: Write> {
     ros: Ros,
     outlets: BTreeMap<u32, Outlet>,
     queue: Queue,
-    orders: Receiver<Arrival>,
+    orders: Receiver<(Order<Described>, Vec<u8>)>,
     is_leaving: bool,
     has_left: bool,
     out: &'a mut W,
@@ -59,7 +57,9 @@ struct Child<'a, W: Write> {
 impl<'a, W: Write> Child<'a, W> {
     fn begin(node: &str, from: impl Read + Send + 'static, out: &'a mut W) -> Result<Self, RosrustError> {
         let ros = Ros::new(node).map_err(|error| RosrustError::Join(told(&error)))?;
-        let (outlets, queue, orders) = (BTreeMap::new(), Queue::default(), listen(from)?);
+        let failed = |error: std::io::Error| RosrustError::System { action: "start a thread", reason: error.to_string() };
+        let orders = write::orders(from).map_err(failed)?;
+        let (outlets, queue) = (BTreeMap::new(), Queue::default());
         Ok(Self { ros, outlets, queue, orders, is_leaving: false, has_left: false, out })
     }
 
@@ -71,9 +71,8 @@ impl<'a, W: Write> Child<'a, W> {
             if !self.take_orders()? || stop.load(Ordering::Acquire) {
                 return Ok(());
             }
-            let taken = self.queue.pump(&mut self.outlets);
-            if taken.messages > 0 {
-                let (messages, dropped) = (taken.messages, taken.dropped);
+            let Taken { messages, dropped } = self.queue.pump(&mut self.outlets);
+            if messages > 0 {
                 send(self.out, &Report::Taken { messages, dropped, unacknowledged: 0, unconfirmed: 0 }, &[])?;
             }
             self.leave()?;
@@ -90,26 +89,19 @@ impl<'a, W: Write> Child<'a, W> {
         if !self.ros.is_ok() {
             return Err(RosrustError::ShutDown);
         }
-        match self.outlets.values().find(|outlet| outlet.is_deaf()) {
-            Some(deaf) => Err(RosrustError::Deaf(deaf.topic().to_owned())),
-            None => Ok(()),
-        }
+        let deaf = self.outlets.values().find(|outlet| outlet.is_deaf());
+        deaf.map_or(Ok(()), |deaf| Err(RosrustError::Deaf(deaf.topic.clone())))
     }
 
     fn take_orders(&mut self) -> Result<bool, RosrustError> {
         let waits = !self.queue.is_empty() || self.is_leaving && !self.has_left;
-        let mut next = match self.orders.recv_timeout(if waits { SHORT_BEAT } else { BEAT }) {
-            Ok(next) => next,
-            Err(RecvTimeoutError::Timeout) => return Ok(true),
-            Err(RecvTimeoutError::Disconnected) => None,
-        };
+        let mut patience = if waits { SHORT_BEAT } else { BEAT };
         loop {
-            let Some((order, payload)) = next else { return Ok(false) };
-            self.take_order(order, payload)?;
-            next = match self.orders.try_recv() {
-                Ok(next) => next,
-                Err(_) => return Ok(true),
-            };
+            match self.orders.recv_timeout(patience) {
+                Ok((order, payload)) => self.take_order(order, payload)?,
+                Err(error) => return Ok(error == RecvTimeoutError::Timeout),
+            }
+            patience = Duration::ZERO;
         }
     }
 
@@ -141,7 +133,7 @@ impl<'a, W: Write> Child<'a, W> {
         if self.outlets.len() >= MOST_TOPICS {
             return Err(format!("{MOST_TOPICS} topics are announced already"));
         }
-        if self.outlets.values().any(|outlet| outlet.topic() == topic.name) {
+        if self.outlets.values().any(|outlet| outlet.topic == topic.name) {
             return Err("the topic is announced already".to_owned());
         }
         let definition = String::from_utf8(definition).map_err(|_| "its definition is no text".to_owned())?;
@@ -150,7 +142,7 @@ impl<'a, W: Write> Child<'a, W> {
 
     fn welcome(&self, outlet: &Outlet) {
         let Ok(state) = self.ros.state() else { return };
-        let known = state.subscribers.into_iter().find(|topic| topic.name == outlet.topic());
+        let known = state.subscribers.into_iter().find(|topic| topic.name == outlet.topic);
         let known = known.map(|topic| topic.connections).unwrap_or_default();
         let begun = Instant::now();
         while begun.elapsed() < PATIENCE {
@@ -179,21 +171,4 @@ impl<'a, W: Write> Child<'a, W> {
         self.outlets.clear();
         self.ros.shutdown_sender().shutdown();
     }
-}
-
-fn listen(mut from: impl Read + Send + 'static) -> Result<Receiver<Arrival>, RosrustError> {
-    let (sender, receiver) = sync_channel(4 * MOST_UNCONFIRMED);
-    let read = move || {
-        loop {
-            let order = receive::<Order<Described>>(&mut from).ok().flatten();
-            let ended = order.is_none();
-            if sender.send(order).is_err() || ended {
-                break;
-            }
-        }
-    };
-    let started = std::thread::Builder::new().name("orders".into()).spawn(read);
-    let failed = |error: std::io::Error| RosrustError::System { action: "start a thread", reason: error.to_string() };
-    started.map_err(failed)?;
-    Ok(receiver)
 }

@@ -37,9 +37,7 @@ enum Op {
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]
-struct Fields<'a> {
-    fields: Vec<(&'a [u8], &'a [u8])>,
-}
+struct Fields<'a>(Vec<(&'a [u8], &'a [u8])>);
 
 impl<'a> Fields<'a> {
     /// `None` if the bytes are not exactly fields.
@@ -51,11 +49,11 @@ impl<'a> Fields<'a> {
             fields.push((field.get(..equals)?, field.get(equals + 1..)?));
             bytes = rest;
         }
-        Some(Self { fields })
+        Some(Self(fields))
     }
 
     pub fn bytes(&self, name: &str) -> Option<&'a [u8]> {
-        self.fields.iter().find(|(field, _)| *field == name.as_bytes()).map(|(_, value)| *value)
+        self.0.iter().find(|(field, _)| *field == name.as_bytes()).map(|(_, value)| *value)
     }
 
     pub fn text(&self, name: &str) -> Option<Arc<str>> {
@@ -80,15 +78,13 @@ impl<'a> Fields<'a> {
 
     fn others(&self) -> impl Iterator<Item = (Arc<str>, Arc<str>)> {
         let text = |bytes: &[u8]| -> Arc<str> { String::from_utf8_lossy(bytes).into() };
-        let others = self.fields.iter().map(move |(name, value)| (text(name), text(value)));
+        let others = self.0.iter().map(move |(name, value)| (text(name), text(value)));
         others.filter(|(name, _)| !OWN.contains(&&**name) && &**name != BAG_TOPIC)
     }
 
     pub fn op(&self) -> Option<Op> {
-        match self.bytes("op")? {
-            [code] => Op::from_repr(*code),
-            _ => None,
-        }
+        let [code] = self.bytes("op")? else { return None };
+        Op::from_repr(*code)
     }
 }
 
@@ -167,12 +163,9 @@ fn put_connection(out: &mut Vec<u8>, number: u32, channel: &Channel) {
 }
 
 fn time_bytes(time: Timestamp) -> [u8; 8] {
-    let seconds = u32::try_from(time.0 / 1_000_000_000).unwrap_or(u32::MAX).to_le_bytes();
-    let nanoseconds = u32::try_from(time.0 % 1_000_000_000).unwrap_or(0).to_le_bytes();
-    let mut bytes = [0; 8];
-    bytes[..4].copy_from_slice(&seconds);
-    bytes[4..].copy_from_slice(&nanoseconds);
-    bytes
+    let seconds = u32::try_from(time.0 / 1_000_000_000).unwrap_or(u32::MAX);
+    let nanoseconds = u32::try_from(time.0 % 1_000_000_000).unwrap_or(0);
+    ((u64::from(nanoseconds) << 32) | u64::from(seconds)).to_le_bytes()
 }
 
 /// With its padding, without lengths.
@@ -220,7 +213,7 @@ impl<W: Write + Seek> BagWriter<W> {
     }
 
     fn put(&mut self, bytes: &[u8]) -> Result<(), RosError> {
-        self.out.write_all(bytes).map_err(|error| RosError::unwritable(&error))?;
+        self.out.write_all(bytes).map_err(RosError::unwritable)?;
         self.position += bytes.len() as u64;
         Ok(())
     }
@@ -260,11 +253,10 @@ impl<W: Write + Seek> BagWriter<W> {
     fn end_chunk(&mut self) -> Result<(), RosError> {
         let Some(span) = self.span.take() else { return Ok(()) };
         debug_assert!(self.chunk.len() <= LARGEST_CHUNK, "a message and less than the threshold before it");
-        let size = self.chunk.len();
         let packed = pack(self.compression, &self.chunk).map_err(|error| RosError::recording(&error))?;
         let position = self.position;
         let mut head = Vec::with_capacity(64);
-        let size = u32::try_from(size).unwrap_or(u32::MAX).to_le_bytes();
+        let size = u32::try_from(self.chunk.len()).unwrap_or(u32::MAX).to_le_bytes();
         let compression = self.compression.word().as_bytes();
         put_fields(&mut head, &[("op", &[Op::Chunk as u8]), ("compression", compression), ("size", &size)]);
         put_length(&mut head, packed.len());
@@ -308,11 +300,10 @@ impl<W: Write + Seek> BagWriter<W> {
             self.chunks.push(info);
         }
         let header = bag_header(index_position, self.numbers.len(), self.chunks.len());
-        let seek = self.out.seek(SeekFrom::Start(MAGIC.len() as u64));
-        seek.map_err(|error| RosError::unwritable(&error))?;
+        self.out.seek(SeekFrom::Start(MAGIC.len() as u64)).map_err(RosError::unwritable)?;
         self.put(&header)?;
-        self.out.seek(SeekFrom::End(0)).map_err(|error| RosError::unwritable(&error))?;
-        self.out.flush().map_err(|error| RosError::unwritable(&error))?;
+        self.out.seek(SeekFrom::End(0)).map_err(RosError::unwritable)?;
+        self.out.flush().map_err(RosError::unwritable)?;
         Ok(self.out)
     }
 }

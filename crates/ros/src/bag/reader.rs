@@ -18,11 +18,7 @@ const MOST_PLACES: usize = 1 << 20;
 
 /// The content of a position.
 enum Found {
-    Record {
-        header: Vec<u8>,
-        data: u64,
-        length: u64,
-    },
+    Record { header: Vec<u8>, data: u64, length: u64 },
     End,
     Damage(&'static str),
 }
@@ -60,7 +56,7 @@ impl<R: BufRead + Seek> RecordingReader for BagReader<R> {
                 self.findings.compare(self.length, "messages", self.counted.take(), self.met);
                 return Ok(None);
             }
-            if let Some(message) = self.advance().map_err(|error| RosError::unreadable(&error))? {
+            if let Some(message) = self.advance().map_err(RosError::unreadable)? {
                 return Ok(Some(message));
             }
         }
@@ -77,12 +73,8 @@ impl<R: BufRead + Seek> RecordingReader for BagReader<R> {
 
 impl<R: BufRead + Seek> BagReader<R> {
     pub fn open(mut file: R) -> Result<Self, RosError> {
-        let length = file.seek(SeekFrom::End(0)).map_err(|error| RosError::unreadable(&error))?;
-        file.seek(SeekFrom::Start(0)).map_err(|error| RosError::unreadable(&error))?;
-        let mut magic = Vec::new();
-        let read = file.by_ref().take(MAGIC.len() as u64).read_to_end(&mut magic);
-        read.map_err(|error| RosError::unreadable(&error))?;
-        if magic != MAGIC {
+        let length = file.seek(SeekFrom::End(0)).map_err(RosError::unreadable)?;
+        if read_at(&mut file, 0, MAGIC.len() as u64).map_err(RosError::unreadable)? != MAGIC {
             return Err(RosError::recording("it does not start like a bag of version 2.0"));
         }
         let mut reader = Self {
@@ -105,8 +97,7 @@ impl<R: BufRead + Seek> BagReader<R> {
 
     /// A damaged chunk may have held the only other copy of these connections.
     fn read_index(&mut self) -> Result<(), RosError> {
-        let unreadable = |error: std::io::Error| RosError::unreadable(&error);
-        let Found::Record { header, .. } = self.look(self.position).map_err(unreadable)? else { return Ok(()) };
+        let Found::Record { header, .. } = self.look(self.position).map_err(RosError::unreadable)? else { return Ok(()) };
         let Some(fields) = Fields::parse(&header).filter(|fields| fields.op() == Some(Op::BagHeader)) else {
             return Ok(());
         };
@@ -121,11 +112,11 @@ impl<R: BufRead + Seek> BagReader<R> {
             self.findings.note(self.length, &format!("the bag is cut off: its index should start at byte {at}"));
         }
         let mut counted = 0_u64;
-        while let Found::Record { header, data, length } = self.look(at).map_err(unreadable)? {
+        while let Found::Record { header, data, length } = self.look(at).map_err(RosError::unreadable)? {
             let Some(fields) = Fields::parse(&header) else { return Ok(()) };
             let is_sound = match fields.op() {
                 Some(Op::ChunkInfo) => {
-                    counted += self.counted_in(data, length).map_err(unreadable)?;
+                    counted += self.counted_in(data, length).map_err(RosError::unreadable)?;
                     self.counted = (data + length == self.length).then_some(counted);
                     let place = chunk_position(&fields, length);
                     self.places.extend(place.filter(|_| self.places.len() < MOST_PLACES));
@@ -133,7 +124,7 @@ impl<R: BufRead + Seek> BagReader<R> {
                 }
                 Some(Op::Connection) => {
                     let most = length.min(LONGEST_CONNECTION as u64 + 1);
-                    let bytes = read_at(&mut self.file, data, most).map_err(unreadable)?;
+                    let bytes = read_at(&mut self.file, data, most).map_err(RosError::unreadable)?;
                     self.learn(&fields, &bytes)
                 }
                 _ => break,
@@ -356,7 +347,7 @@ impl<R: BufRead + Seek> BagReader<R> {
             self.chunk_messages = Some(ChunkMessages::default());
             return Ok(());
         }
-        if missing && !self.is_followed(data)? {
+        if missing && next_chunk(&mut self.file, data)?.is_none() {
             self.findings.note(start, "the bag ends in the middle of a chunk; everything before that was read");
             self.position = self.length;
             return Ok(());
@@ -364,10 +355,6 @@ impl<R: BufRead + Seek> BagReader<R> {
         let why = unpacked.err().unwrap_or_else(|| format!("it does not unpack to {size} bytes"));
         self.chunk.bytes.clear();
         self.skip_chunk(start, data, &why)
-    }
-
-    fn is_followed(&mut self, from: u64) -> std::io::Result<bool> {
-        next_chunk(&mut self.file, from).map(|next| next.is_some())
     }
 
     /// Continues behind a damaged chunk if a record begins there, otherwise at the next chunk.

@@ -5,10 +5,11 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use super::{TopicCapture, lock};
+use super::TopicCapture;
 use crate::model::{Timestamp, TopicName, TypeName, clean, pinned_name};
 use crate::ros::address::{Endpoint, resolve};
 use crate::ros::graph::Unreached;
+use crate::ros::lock;
 use crate::ros::tcpros::BusLink;
 
 /// Further addresses are refused silently.
@@ -90,8 +91,7 @@ impl Topic {
     /// Takes the master's list, requested at `asked_at`; returns the publishers that nobody reads yet.
     pub fn list(&self, endpoints: &[Endpoint], asked_at: Instant) -> Vec<Arc<Publisher>> {
         let mut state = lock(&self.state);
-        let (now, absent_until) = (Instant::now(), state.lineage.absent_until());
-        state.lineage.asked(asked_at);
+        let (now, absent_until) = (Instant::now(), state.lineage.asked.replace(asked_at));
         state.lately.retain(|_, at| now.saturating_duration_since(*at) < LATELY);
         state.lately.extend(endpoints.iter().map(|endpoint| (endpoint.clone(), now)));
         for (endpoint, publisher) in &state.publishers {
@@ -117,7 +117,7 @@ impl Topic {
 
     /// The master was queried then and was down.
     pub fn asked(&self, at: Instant) {
-        lock(&self.state).lineage.asked(at);
+        lock(&self.state).lineage.asked = Some(at);
     }
 
     /// It is read under this caller id; returns whom it replaces, decided once for each.
@@ -172,16 +172,10 @@ impl Topic {
 
     /// New claims that the master has not listed lately.
     pub fn unconfirmed(&self, claims: BTreeSet<String>) -> Vec<String> {
-        let state = &mut *lock(&self.state);
-        let listed = |uri: &str| Endpoint::parse(uri).is_some_and(|endpoint| state.lately.contains_key(&endpoint));
-        let doubtful: Vec<String> = claims.into_iter().filter(|uri| !listed(uri)).map(|uri| clean(&uri, 120)).collect();
-        let mut fresh = Vec::new();
-        for uri in doubtful {
-            if state.refuted.len() < MOST_COMPLAINTS && state.refuted.insert(uri.clone()) {
-                fresh.push(uri);
-            }
-        }
-        fresh
+        let State { lately, refuted, .. } = &mut *lock(&self.state);
+        let listed = |uri: &str| Endpoint::parse(uri).is_some_and(|endpoint| lately.contains_key(&endpoint));
+        let doubtful = claims.into_iter().filter(|uri| !listed(uri)).map(|uri| clean(&uri, 120));
+        doubtful.filter(|uri| refuted.len() < MOST_COMPLAINTS && refuted.insert(uri.clone())).collect()
     }
 
     pub fn note_trouble(&self, publisher: &Publisher, trouble: Option<Unreached>) {
@@ -355,20 +349,12 @@ struct Ended {
 #[derive(Default)]
 pub(super) struct Lineage {
     ended: HashMap<Arc<str>, Ended>,
-    /// When the master's last answer was requested.
+    /// When the master's last answer was requested, or failed: a publisher first listed by the next answer was not
+    /// registered before.
     asked: Option<Instant>,
-}
-
-impl Lineage {
-    pub fn asked(&mut self, at: Instant) {
-        self.asked = Some(at);
     }
 
-    /// The last moment at which a publisher first listed by the next answer was not registered yet.
-    pub fn absent_until(&self) -> Option<Instant> {
-        self.asked
-    }
-
+    impl Lineage {
     /// `taken` if the master then had another process under its caller id.
     pub fn ended(&mut self, caller_id: &Arc<str>, (number, endpoint): (u64, &Endpoint), at: Instant, taken: bool) {
         if self.ended.len() >= MOST_ENDED
@@ -441,22 +427,22 @@ mod origin_tests {
         let at = |seconds| begun + Duration::from_secs(seconds);
         let mut lineage = Lineage::default();
         let name: Arc<str> = "/driver".into();
-        assert_eq!(lineage.absent_until(), None);
-        lineage.asked(at(1));
+        assert_eq!(lineage.asked, None);
+        lineage.asked = Some(at(1));
         lineage.ended(&name, (1, &endpoint(10)), at(2), false);
         // Listed in the answer to the very next query: it had registered while the former was still there.
-        let taken = lineage.rival(&name, 2, lineage.absent_until());
+        let taken = lineage.rival(&name, 2, lineage.asked);
         assert_eq!(taken, Some(Rival { number: 1, uri: "http://Robot:10/".into() }));
         // A query after the end that did not list it: it came later.
-        lineage.asked(at(3));
-        assert_eq!(lineage.rival(&name, 3, lineage.absent_until()), None);
+        lineage.asked = Some(at(3));
+        assert_eq!(lineage.rival(&name, 3, lineage.asked), None);
         // The same publisher again is not a rival, nor is another name.
         assert_eq!(lineage.rival(&name, 1, Some(at(1))), None);
         assert_eq!(lineage.rival("/other", 4, Some(at(1))), None);
         // However much later: its name was already somebody else's when it ended.
         lineage.ended(&name, (5, &endpoint(11)), at(4), true);
-        lineage.asked(at(5));
-        assert_eq!(lineage.rival("/driver", 6, lineage.absent_until()).map(|rival| rival.number), Some(5));
+        lineage.asked = Some(at(5));
+        assert_eq!(lineage.rival("/driver", 6, lineage.asked).map(|rival| rival.number), Some(5));
     }
 
     #[test]

@@ -13,8 +13,8 @@ use std::time::{Duration, Instant};
 
 use crate::model::clean;
 use crate::pipe::write::{MOST_UNCONFIRMED, MOST_UNCONFIRMED_BYTES, Order, Report};
-use crate::pipe::{receive, send};
-use crate::ros::RosError;
+use crate::pipe::{VERSION, receive, send};
+use crate::ros::{RosError, lock};
 use serde::Serialize;
 
 const NOBODY: u32 = 65534;
@@ -25,10 +25,10 @@ pub const UNCONFINED: &str = "this kernel does not confine the program that spea
 pub(crate) const LEAVING: Duration = Duration::from_millis(1500);
 
 /// From the settings, otherwise beside this program. The error is the path that was tried.
-pub fn find(name: &str, given: Option<&Path>) -> Result<PathBuf, PathBuf> {
+pub fn find(name: &str, given: Option<&Path>) -> Result<PathBuf, String> {
     let beside = || std::env::current_exe().ok().and_then(|own| Some(own.parent()?.join(name)));
     let path = given.map(Path::to_owned).or_else(beside).unwrap_or_else(|| PathBuf::from(name));
-    if path.is_file() { Ok(path) } else { Err(path) }
+    if path.is_file() { Ok(path) } else { Err(clean(&path.display().to_string(), 200)) }
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -134,6 +134,10 @@ const SILENT_TICKS: u32 = 10;
 const JOINING: Duration = Duration::from_secs(10);
 /// Time to answer about a topic: it discovers first, and waits for subscribers.
 const ANSWERING: Duration = Duration::from_secs(10);
+pub fn other_version(found: u32) -> String {
+    format!("it uses pipe version {found}, but {VERSION} is required; install both programs from the same release")
+}
+
 /// The error of a program that takes longer.
 const SILENT: &str = "the program that publishes does not answer";
 const LONGEST_REASON: usize = 400;
@@ -170,11 +174,8 @@ impl State {
         self.reports += 1;
         match report {
             Report::Hello { version, domain: joined, confined } => {
-                if (version, joined) != (crate::pipe::VERSION, domain) {
-                    let own = crate::pipe::VERSION;
-                    return Err(format!(
-                        "it uses pipe version {version}, but {own} is required; install both programs from the same release"
-                    ));
+                if (version, joined) != (VERSION, domain) {
+                    return Err(other_version(version));
                 }
                 (self.joined, self.confined) = (true, confined);
             }
@@ -234,13 +235,15 @@ struct Shared {
     child: Mutex<Option<Child>>,
 }
 
-fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+pub fn kill(child: &Mutex<Option<Child>>) {
+    if let Some(child) = lock(child).as_mut() {
+        drop(child.kill());
+    }
 }
 
 impl Shared {
     fn state(&self) -> MutexGuard<'_, State> {
-        locked(&self.state)
+        lock(&self.state)
     }
 
     fn read(&self, from: &mut impl Read, domain: u16) -> String {
@@ -274,18 +277,13 @@ impl Shared {
             if silent >= SILENT_TICKS {
                 silent = 0;
                 drop(state);
-                self.kill();
+                kill(&self.child);
                 state = self.state();
             }
         }
     }
 
-    fn kill(&self) {
-        if let Some(child) = locked(&self.child).as_mut() {
-            drop(child.kill());
-        }
     }
-}
 
 pub struct Run {
     shared: Arc<Shared>,
@@ -298,8 +296,8 @@ impl Run {
     pub fn start(errand: &Errand, domain: u16) -> Result<Self, RosError> {
         let (child, to, from) = start(errand)?;
         let shared = Arc::new(Shared::default());
-        *locked(&shared.child) = Some(child);
-        *locked(&shared.to_child) = Some(to);
+        *lock(&shared.child) = Some(child);
+        *lock(&shared.to_child) = Some(to);
         let mut run = Self { shared: Arc::clone(&shared), threads: Vec::new(), program: errand.program.clone() };
         let reading = Arc::clone(&shared);
         run.keep("ros out", move || {
@@ -307,7 +305,7 @@ impl Run {
             reading.state().broken.get_or_insert(reason);
             reading.changed.notify_all();
             // A caller that writes to it must not wait for it.
-            reading.kill();
+            kill(&reading.child);
         })?;
         run.keep("ros out watch", move || shared.watch_over())?;
         Ok(run)
@@ -320,7 +318,7 @@ impl Run {
     }
 
     pub fn order<T: Serialize>(&self, order: &Order<T>, payload: &[u8]) -> Result<(), String> {
-        let mut to = locked(&self.shared.to_child);
+        let mut to = lock(&self.shared.to_child);
         let sent = to.as_mut().map(|to| send(to, order, payload).and_then(|()| Ok(to.flush()?)));
         match sent {
             Some(Ok(())) => Ok(()),
@@ -334,10 +332,10 @@ impl Run {
     }
 
     /// False if the program does not get it.
-    pub fn publish<T: Serialize>(&self, order: &Order<T>, message: &[u8]) -> bool {
+    pub fn publish(&self, writer: u32, message: &[u8]) -> bool {
         // Counted first: it may be confirmed immediately.
         self.shared.state().hand_out(message.len());
-        let sent = self.order(order, message).is_ok();
+        let sent = self.order(&Order::<()>::Publish { writer }, message).is_ok();
         if !sent {
             self.shared.state().take_back();
         }
@@ -397,7 +395,7 @@ impl Run {
     }
 
     pub fn kill(&self) {
-        self.shared.kill();
+        kill(&self.shared.child);
     }
 
     /// Whether subscribers have everything, or the program has ended.
@@ -414,8 +412,8 @@ impl Run {
 impl Drop for Run {
     fn drop(&mut self) {
         // The end of its pipe tells it to leave.
-        locked(&self.shared.to_child).take();
-        let child = locked(&self.shared.child).take();
+        lock(&self.shared.to_child).take();
+        let child = lock(&self.shared.child).take();
         if let Some(mut child) = child {
             let has_left = end(&mut child);
             let participant = self.shared.state().participant.take();

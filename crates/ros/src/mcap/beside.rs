@@ -75,9 +75,14 @@ impl BesideContent<'_> {
 impl Beside {
     /// Stands for a message type.
     pub fn type_name(self) -> &'static str {
+        self.names().1
+    }
+
+    /// Its code, what stands for a message type, and its word in a finding.
+    fn names(self) -> (Code, &'static str, &'static str) {
         match self {
-            Self::Attachment => "authros/Attachment",
-            Self::Metadata => "authros/Metadata",
+            Self::Attachment => (Code::Attachment, "authros/Attachment", "attachment"),
+            Self::Metadata => (Code::Metadata, "authros/Metadata", "metadata record"),
         }
     }
 
@@ -87,16 +92,8 @@ impl Beside {
     }
 
     pub fn channel(self) -> Channel {
-        Channel {
-            topic: TOPIC.into(),
-            type_name: self.type_name().into(),
-            md5sum: "".into(),
-            definition: "".into(),
-            caller_id: "".into(),
-            latching: false,
-            encoding: Encoding::Beside(self),
-            about: BTreeMap::new(),
-        }
+        let about = BTreeMap::new();
+        Channel { md5sum: "".into(), ..Channel::plain((TOPIC, self.type_name(), ""), Encoding::Beside(self), about) }
     }
 
     /// `None` if it is not exactly as MCAP has it.
@@ -108,10 +105,7 @@ impl Beside {
                 created_at: fields.u64()?,
                 name: fields.text()?,
                 media_type: fields.text()?,
-                data: {
-                    let length = usize::try_from(fields.u64()?).ok()?;
-                    fields.bytes(length)?
-                },
+                data: fields.u64().and_then(|length| fields.bytes(usize::try_from(length).ok()?))?,
                 checksum: fields.u32()?,
             }),
             Self::Metadata => BesideContent::Metadata { name: fields.text()?, entries: fields.map()? },
@@ -145,17 +139,11 @@ impl Beside {
     }
 
     pub(super) fn code(self) -> Code {
-        match self {
-            Self::Attachment => Code::Attachment,
-            Self::Metadata => Code::Metadata,
-        }
+        self.names().0
     }
 
     pub(super) fn word(self) -> &'static str {
-        match self {
-            Self::Attachment => "attachment",
-            Self::Metadata => "metadata record",
-        }
+        self.names().2
     }
 }
 
@@ -183,7 +171,7 @@ struct Counted<W> {
 
 impl<W: Write> Counted<W> {
     fn put(&mut self, bytes: &[u8]) -> Result<(), RosError> {
-        self.out.write_all(bytes).map_err(|error| RosError::unwritable(&error))?;
+        self.out.write_all(bytes).map_err(RosError::unwritable)?;
         self.position += bytes.len() as u64;
         self.checksum.update(bytes);
         Ok(())
@@ -193,13 +181,12 @@ impl<W: Write> Counted<W> {
 /// Copies a file that its recorder closed to `out`, with `file` attached.
 pub fn attach(source: impl Read + Seek, out: impl Write, file: &AttachedFile<'_>) -> Result<(), RosError> {
     let mut source = BufReader::new(source);
-    let unreadable = |error: std::io::Error| RosError::unreadable(&error);
-    let length = source.seek(SeekFrom::End(0)).map_err(unreadable)?;
+    let length = source.seek(SeekFrom::End(0)).map_err(RosError::unreadable)?;
     let not_closed = || RosError::recording("nothing can be attached to it: it was not closed, or its end is damaged");
     let footer = length.checked_sub(TAIL).ok_or_else(not_closed)?;
     let tail = between(&mut source, footer, length)?;
     let (start, _) = super::footer(&tail).ok_or_else(not_closed)?;
-    let (has_summary, after_data) = if start == 0 { (false, footer) } else { (true, start) };
+    let after_data = if start == 0 { footer } else { start };
     let data_end = after_data.checked_sub(DATA_END).filter(|_| after_data <= footer).ok_or_else(not_closed)?;
     let mut end = Fields(&between(&mut source, data_end, after_data)?).0.to_vec();
     let checksum = match Fields(&end).record() {
@@ -209,7 +196,7 @@ pub fn attach(source: impl Read + Seek, out: impl Write, file: &AttachedFile<'_>
     let has_checksum = checksum.ok_or_else(not_closed)? != 0;
 
     let mut out = Counted { out, position: 0, checksum: crc32fast::Hasher::new() };
-    source.seek(SeekFrom::Start(0)).map_err(unreadable)?;
+    source.seek(SeekFrom::Start(0)).map_err(RosError::unreadable)?;
     copy(&mut source, data_end, &mut out)?;
     let mut record = Vec::new();
     put_record(&mut record, Code::Attachment, |out| out.extend_from_slice(&file.encode()));
@@ -219,7 +206,7 @@ pub fn attach(source: impl Read + Seek, out: impl Write, file: &AttachedFile<'_>
     let checksum = if has_checksum { out.checksum.clone().finalize() } else { 0 };
     put_record(&mut end, Code::DataEnd, |out| out.extend_from_slice(&checksum.to_le_bytes()));
     out.put(&end)?;
-    if has_summary {
+    if start > 0 {
         let summary = between(&mut source, start, footer)?;
         let summary = with_line(&summary, &line, out.position).ok_or_else(not_closed)?;
         out.put(&summary)?;
@@ -227,7 +214,7 @@ pub fn attach(source: impl Read + Seek, out: impl Write, file: &AttachedFile<'_>
         out.put(tail.get(..tail.len() - MAGIC.len()).unwrap_or_default())?;
     }
     out.put(MAGIC)?;
-    out.out.flush().map_err(|error| RosError::unwritable(&error))
+    out.out.flush().map_err(RosError::unwritable)
 }
 
 fn between(source: &mut (impl Read + Seek), from: u64, to: u64) -> Result<Vec<u8>, RosError> {
@@ -236,8 +223,8 @@ fn between(source: &mut (impl Read + Seek), from: u64, to: u64) -> Result<Vec<u8
         return Err(RosError::recording("nothing can be attached to it: its summary is too long"));
     }
     let mut bytes = Vec::new();
-    source.seek(SeekFrom::Start(from)).map_err(|error| RosError::unreadable(&error))?;
-    source.by_ref().take(wanted).read_to_end(&mut bytes).map_err(|error| RosError::unreadable(&error))?;
+    source.seek(SeekFrom::Start(from)).map_err(RosError::unreadable)?;
+    source.by_ref().take(wanted).read_to_end(&mut bytes).map_err(RosError::unreadable)?;
     Ok(bytes)
 }
 
@@ -246,7 +233,7 @@ fn copy(source: &mut impl Read, mut left: u64, out: &mut Counted<impl Write>) ->
     while left > 0 {
         let wanted = usize::try_from(left).unwrap_or(usize::MAX).min(buffer.len());
         let block = buffer.get_mut(..wanted).unwrap_or_default();
-        source.read_exact(block).map_err(|error| RosError::unreadable(&error))?;
+        source.read_exact(block).map_err(RosError::unreadable)?;
         out.put(block)?;
         left -= wanted as u64;
     }
@@ -296,16 +283,8 @@ fn put_in_group(groups: &mut Vec<(Code, Vec<u8>)>, code: Code, content: &[u8]) {
 /// A channel of one field.
 #[cfg(test)]
 pub(super) fn words() -> Arc<Channel> {
-    Arc::new(Channel {
-        topic: "/words".into(),
-        type_name: "std_msgs/msg/String".into(),
-        md5sum: "*".into(),
-        definition: "string data".into(),
-        caller_id: "".into(),
-        latching: false,
-        encoding: Encoding::Cdr { idl: false },
-        about: BTreeMap::new(),
-    })
+    let text = ("/words", "std_msgs/msg/String", "string data");
+    Arc::new(Channel::plain(text, Encoding::Cdr { idl: false }, BTreeMap::new()))
 }
 
 #[cfg(test)]

@@ -146,7 +146,7 @@ fn schema(mut fields: Fields<'_>) -> Option<(u16, Schema)> {
 struct ChannelRecord {
     pub number: u16,
     pub schema: u16,
-    topic: Arc<str>,
+    pub topic: Arc<str>,
     encoding: Arc<str>,
     about: BTreeMap<String, Arc<str>>,
 }
@@ -173,10 +173,6 @@ impl ChannelRecord {
         others.map(|(key, value)| (key.as_str().into(), Arc::clone(value)))
     }
 
-    pub fn topic(&self) -> &Arc<str> {
-        &self.topic
-    }
-
     /// The channel with its schema, or why its messages cannot be used. CDR is kept without a definition too: the
     /// bodies are to be proven.
     pub fn with(&self, schema: Option<&Schema>) -> Result<Channel, String> {
@@ -196,12 +192,9 @@ impl ChannelRecord {
         };
         let about = |key: &str| self.about.get(key).cloned();
         let definition = if schema.encoding.is_empty() { "".into() } else { Arc::clone(&schema.text) };
-        let computed = || match encoding {
-            Encoding::Ros1 if !definition.is_empty() => {
-                crate::ros::md5sum(&schema.name, &definition).ok().map(Arc::from)
-            }
-            Encoding::Ros1 | Encoding::Cdr { .. } | Encoding::Beside(_) => None,
-        };
+        let has_sum = encoding == Encoding::Ros1 && !definition.is_empty();
+        let sum = || crate::ros::md5sum(&schema.name, &definition).ok().map(Arc::from);
+        let computed = || has_sum.then(sum).flatten();
         Ok(Channel {
             md5sum: about("md5sum").filter(|sum| &**sum != "*").or_else(computed).unwrap_or_else(|| "*".into()),
             caller_id: about("callerid").unwrap_or_default(),
@@ -306,13 +299,6 @@ struct ChunkIndex {
 }
 
 #[derive(Debug)]
-struct BesideIndex {
-    kind: Beside,
-    /// The content of its index record.
-    line: Vec<u8>,
-}
-
-#[derive(Debug)]
 pub struct McapWriter<W> {
     out: W,
     position: u64,
@@ -327,7 +313,8 @@ pub struct McapWriter<W> {
     all: Option<(Timestamp, Timestamp)>,
     index: BTreeMap<u16, Vec<(Timestamp, u64)>>,
     chunks: Vec<ChunkIndex>,
-    besides: Vec<BesideIndex>,
+    /// Kinds and contents of index records.
+    besides: Vec<(Beside, Vec<u8>)>,
     begun: bool,
 }
 
@@ -358,7 +345,7 @@ impl<W: Write + Seek> McapWriter<W> {
     }
 
     fn put(&mut self, bytes: &[u8]) -> Result<(), RosError> {
-        self.out.write_all(bytes).map_err(|error| RosError::unwritable(&error))?;
+        self.out.write_all(bytes).map_err(RosError::unwritable)?;
         self.position += bytes.len() as u64;
         Ok(())
     }
@@ -427,8 +414,7 @@ impl<W: Write + Seek> McapWriter<W> {
         self.end_chunk()?;
         let position = self.position;
         let length = self.put_record(kind.code(), |out| out.extend_from_slice(body))?;
-        let line = beside_line(&content, position, length);
-        self.besides.push(BesideIndex { kind, line });
+        self.besides.push((kind, beside_line(&content, position, length)));
         Ok(())
     }
 
@@ -494,8 +480,8 @@ impl<W: Write + Seek> McapWriter<W> {
         let start = self.position;
         let mut summary = Vec::new();
         let mut groups = Vec::new();
-        let codes = [Code::Schema, Code::Channel, Code::Statistics, Code::ChunkIndex];
-        for code in codes.into_iter().chain([Code::AttachmentIndex, Code::MetadataIndex]) {
+        let besides = [Code::AttachmentIndex, Code::MetadataIndex];
+        for code in [Code::Schema, Code::Channel, Code::Statistics, Code::ChunkIndex].into_iter().chain(besides) {
             let at = summary.len();
             self.put_group(&mut summary, code);
             groups.push((code, start + at as u64, (summary.len() - at) as u64));
@@ -503,7 +489,7 @@ impl<W: Write + Seek> McapWriter<W> {
         end_summary(&mut summary, start, &groups);
         self.put(&summary)?;
         self.put(MAGIC)?;
-        self.out.flush().map_err(|error| RosError::unwritable(&error))?;
+        self.out.flush().map_err(RosError::unwritable)?;
         Ok(self.out)
     }
 
@@ -531,8 +517,8 @@ impl<W: Write + Seek> McapWriter<W> {
     }
 
     fn put_beside_index(&self, out: &mut Vec<u8>, code: Code, kind: Beside) {
-        for index in self.besides.iter().filter(|index| index.kind == kind) {
-            put_record(out, code, |out| out.extend_from_slice(&index.line));
+        for (_, line) in self.besides.iter().filter(|(of, _)| *of == kind) {
+            put_record(out, code, |out| out.extend_from_slice(line));
         }
     }
 
@@ -544,8 +530,7 @@ impl<W: Write + Seek> McapWriter<W> {
             out.extend_from_slice(&u16::try_from(self.schemas.len()).unwrap_or(u16::MAX).to_le_bytes());
             out.extend_from_slice(&count(self.channels.len()));
             for kind in [Beside::Attachment, Beside::Metadata] {
-                let of_kind = self.besides.iter().filter(|index| index.kind == kind);
-                out.extend_from_slice(&count(of_kind.count()));
+                out.extend_from_slice(&count(self.besides.iter().filter(|(of, _)| *of == kind).count()));
             }
             out.extend_from_slice(&count(self.chunks.len()));
             put_numbers(out, &[first.0, last.0]);

@@ -47,15 +47,10 @@ enum Place {
     Data,
 }
 
-#[derive(Debug)]
-struct Latest<T> {
-    record: T,
-    place: Place,
-}
-
+/// A channel as last described.
 #[derive(Debug)]
 struct KnownChannel {
-    latest: Latest<ChannelRecord>,
+    record: ChannelRecord,
     usable: Result<Arc<Channel>, String>,
 }
 
@@ -72,7 +67,7 @@ pub struct McapReader<R> {
     length: u64,
     position: u64,
     chunk: Chunk,
-    schemas: HashMap<u16, Latest<Schema>>,
+    schemas: HashMap<u16, Schema>,
     channels: HashMap<u16, KnownChannel>,
     texts: usize,
     places: BTreeSet<u64>,
@@ -99,11 +94,12 @@ impl<R: BufRead + Seek> RecordingReader for McapReader<R> {
                 self.compare();
                 return Ok(None);
             }
-            if !self.may_go_on().map_err(|error| RosError::unreadable(&error))? {
+            if !self.may_go_on().map_err(RosError::unreadable)? {
                 return Ok(None);
             }
-            if let Some(message) = self.advance().map_err(|error| RosError::unreadable(&error))? {
-                return Ok(Some(message));
+            let outside = self.advance().map_err(RosError::unreadable)?;
+            if outside.is_some() {
+                return Ok(outside);
             }
         }
     }
@@ -120,13 +116,12 @@ impl<R: BufRead + Seek> RecordingReader for McapReader<R> {
 impl<R: BufRead + Seek> McapReader<R> {
     pub fn open(file: R) -> Result<Self, RosError> {
         let mut reader = Self::begin(file)?;
-        reader.read_summary().map_err(|error| RosError::unreadable(&error))?;
+        reader.read_summary().map_err(RosError::unreadable)?;
         Ok(reader)
     }
 
     fn begin(mut file: R) -> Result<Self, RosError> {
-        let unreadable = |error: std::io::Error| RosError::unreadable(&error);
-        let length = file.seek(SeekFrom::End(0)).map_err(unreadable)?;
+        let length = file.seek(SeekFrom::End(0)).map_err(RosError::unreadable)?;
         let position = MAGIC.len() as u64;
         let mut reader = Self {
             file,
@@ -145,7 +140,7 @@ impl<R: BufRead + Seek> McapReader<R> {
             has_footer: false,
             growing: Growing::default(),
         };
-        if read_at(&mut reader.file, 0, position).map_err(unreadable)? != MAGIC {
+        if read_at(&mut reader.file, 0, position).map_err(RosError::unreadable)? != MAGIC {
             return Err(RosError::recording("it does not start like MCAP"));
         }
         Ok(reader)
@@ -249,46 +244,40 @@ impl<R: BufRead + Seek> McapReader<R> {
     /// `false` if it is damaged. A later description counts from there on, and is damage if it differs: the same number
     /// would stand for two things.
     fn learn(&mut self, code: u8, content: &[u8], place: Place) -> bool {
+        let fields = Fields(content);
         match Code::from_repr(code) {
-            Some(Code::Schema) => {
-                schema(Fields(content)).is_some_and(|(number, schema)| self.learn_schema(number, schema, place))
-            }
-            Some(Code::Channel) => {
-                ChannelRecord::parse(Fields(content)).is_some_and(|record| self.learn_channel(record, place))
-            }
+            Some(Code::Schema) => schema(fields).is_some_and(|(number, schema)| self.learn_schema(number, schema, place)),
+            Some(Code::Channel) => ChannelRecord::parse(fields).is_some_and(|record| self.learn_channel(record, place)),
             _ => true,
         }
     }
 
     fn learn_schema(&mut self, number: u16, schema: Schema, place: Place) -> bool {
-        if let Some(known) = self.schemas.get_mut(&number) {
-            if known.record == schema {
-                known.place = place;
+        if let Some(known) = self.schemas.get(&number) {
+            if *known == schema {
                 return true;
             }
-            let text =
-                format!("schema {number} is {} before and {} here", shown(&known.record.name), shown(&schema.name));
+            let text = format!("schema {number} is {} before and {} here", shown(&known.name), shown(&schema.name));
             self.contradiction(&text, place);
         }
         self.texts += schema.size();
         if self.texts > MOST_CHANNEL_BYTES {
             return false;
         }
-        for channel in self.channels.values_mut().filter(|channel| channel.latest.record.schema == number) {
-            channel.usable = channel.latest.record.with(Some(&schema)).map(Arc::new);
+        for channel in self.channels.values_mut().filter(|channel| channel.record.schema == number) {
+            channel.usable = channel.record.with(Some(&schema)).map(Arc::new);
         }
-        self.schemas.insert(number, Latest { record: schema, place });
+        self.schemas.insert(number, schema);
         true
     }
 
     fn learn_channel(&mut self, record: ChannelRecord, place: Place) -> bool {
         let number = record.number;
-        if let Some(known) = self.channels.get_mut(&number) {
-            if known.latest.record == record {
-                known.latest.place = place;
+        if let Some(known) = self.channels.get(&number) {
+            if known.record == record {
                 return true;
             }
-            let (before, here) = (shown(known.latest.record.topic()), shown(record.topic()));
+            let (before, here) = (shown(&known.record.topic), shown(&record.topic));
             self.contradiction(&format!("channel {number} is {before} before and {here} here"), place);
         } else if self.channels.len() >= MOST_CHANNELS {
             return false;
@@ -300,8 +289,8 @@ impl<R: BufRead + Seek> McapReader<R> {
         if !record.is_kept() {
             self.findings.note(self.position, "a channel's metadata is too long to keep");
         }
-        let usable = record.with(self.schemas.get(&record.schema).map(|schema| &schema.record)).map(Arc::new);
-        self.channels.insert(number, KnownChannel { latest: Latest { record, place }, usable });
+        let usable = record.with(self.schemas.get(&record.schema)).map(Arc::new);
+        self.channels.insert(number, KnownChannel { record, usable });
         true
     }
 
@@ -317,11 +306,8 @@ impl<R: BufRead + Seek> McapReader<R> {
     fn advance(&mut self) -> std::io::Result<Option<RecordedMessage>> {
         let start = self.position;
         let Some((code, length)) = self.look(start)? else {
-            let text = if start >= self.length {
-                "the file has no end record"
-            } else {
-                "the file ends in the middle of a record"
-            };
+            let is_end = start >= self.length;
+            let text = if is_end { "the file has no end record" } else { "the file ends in the middle of a record" };
             self.findings.note(start, &format!("{text}: the recorder did not close it, or it was cut off"));
             self.ended = true;
             return Ok(None);
@@ -350,7 +336,10 @@ impl<R: BufRead + Seek> McapReader<R> {
                 let Some(kind) = Beside::of_code(code) else { return Ok(None) };
                 if length > LONGEST_MESSAGE as u64 {
                     let beginning = read_at(&mut self.file, data, BEGINNING)?;
-                    self.leave_out_beside(kind, &kind.name_of(&beginning), length);
+                    let (word, name) = (kind.word(), shown(&kind.name_of(&beginning)));
+                    self.besides.met += 1;
+                    let most = format!("a record holds at most {LONGEST_MESSAGE}");
+                    self.findings.leave_out(TOPIC, &format!("the {word} {name} of {length} bytes is too large: {most}"));
                     return Ok(None);
                 }
                 let content = read_at(&mut self.file, data, length)?;
@@ -366,7 +355,7 @@ impl<R: BufRead + Seek> McapReader<R> {
                 self.messages.met += 1;
                 let number = Fields(&read_at(&mut self.file, data, 2)?).u16();
                 let channel = number.and_then(|number| self.channels.get(&number));
-                self.findings.leave_out(channel.map_or("", |known| &**known.latest.record.topic()), TOO_LARGE);
+                self.findings.leave_out(channel.map_or("", |known| &*known.record.topic), TOO_LARGE);
             }
             Some(Code::Schema | Code::Channel) => {
                 self.findings.note(start, &format!("a record of {length} bytes was skipped: it is too large"));
@@ -402,16 +391,6 @@ impl<R: BufRead + Seek> McapReader<R> {
         Some(RecordedMessage { channel: Arc::new(kind.channel()), time, sent: None, body: content.to_vec() })
     }
 
-    fn leave_out_beside(&mut self, kind: Beside, name: &str, length: u64) {
-        self.besides.met += 1;
-        let why = format!(
-            "the {} {} of {length} bytes is too large: a record holds at most {LONGEST_MESSAGE}",
-            kind.word(),
-            shown(name)
-        );
-        self.findings.leave_out(TOPIC, &why);
-    }
-
     fn message(&mut self, fields: Fields<'_>, guarded: bool) -> Option<RecordedMessage> {
         self.messages.met += 1;
         match self.read_message(fields) {
@@ -432,7 +411,7 @@ impl<R: BufRead + Seek> McapReader<R> {
         let number = fields.u16().ok_or_else(|| ("".into(), SHORT.to_owned()))?;
         let unknown = || ("".into(), format!("its channel {number} is not described anywhere in the file"));
         let known = self.channels.get(&number).ok_or_else(unknown)?;
-        let left_out = |why: String| (Arc::clone(known.latest.record.topic()), why);
+        let left_out = |why: String| (Arc::clone(&known.record.topic), why);
         let channel = known.usable.clone().map_err(left_out)?;
         let (Some(sequence), Some(logged), Some(sent)) = (fields.u32(), fields.u64(), fields.u64()) else {
             return Err(left_out(SHORT.to_owned()));
@@ -481,21 +460,21 @@ impl<R: BufRead + Seek> McapReader<R> {
             self.findings.note(start, "a chunk with an unknown compression was skipped");
             return Ok(());
         };
-        if head.size > LARGEST_CHUNK as u64 {
-            let text = format!("a chunk of {} bytes was skipped; the limit is {LARGEST_CHUNK}", head.size);
-            self.findings.note(start, &text);
+        let ChunkHead { size, checksum, data, length, .. } = head;
+        if size > LARGEST_CHUNK as u64 {
+            self.findings.note(start, &format!("a chunk of {size} bytes was skipped; the limit is {LARGEST_CHUNK}"));
             return Ok(());
         }
-        go_to(&mut self.file, head.data)?;
+        go_to(&mut self.file, data)?;
         let mut bytes = std::mem::take(&mut self.chunk.bytes);
         bytes.clear();
-        let limit = usize::try_from(head.size).unwrap_or(usize::MAX);
-        let unpacked = unpack(compression, self.file.by_ref().take(head.length), limit, &mut bytes);
-        let sound = head.checksum == 0 || crc32fast::hash(&bytes) == head.checksum;
-        let whole = unpacked.is_ok() && bytes.len() as u64 == head.size && sound;
+        let limit = usize::try_from(size).unwrap_or(usize::MAX);
+        let unpacked = unpack(compression, self.file.by_ref().take(length), limit, &mut bytes);
+        let sound = checksum == 0 || crc32fast::hash(&bytes) == checksum;
+        let whole = unpacked.is_ok() && bytes.len() as u64 == size && sound;
         let followed = self.places.range(start + 1..).next().is_some_and(|next| *next < self.length);
-        let guarded = head.checksum != 0 || unpacked.as_ref().is_ok_and(|guarded| *guarded);
-        self.chunk = Chunk { bytes, at: 0, position: head.data, cut: missing && !whole, guarded };
+        let guarded = checksum != 0 || unpacked.as_ref().is_ok_and(|guarded| *guarded);
+        self.chunk = Chunk { bytes, at: 0, position: data, cut: missing && !whole, guarded };
         if whole && !missing {
             return Ok(());
         }

@@ -37,8 +37,7 @@ pub struct Picture {
 
 impl Definition {
     /// Fails if the body ends early, has bytes left over, or exceeds `limits`.
-    pub fn decode(&self, body: &[u8], limits: Limits) -> Result<Value, RosError> {
-        let mut limits = limits;
+    pub fn decode(&self, body: &[u8], mut limits: Limits) -> Result<Value, RosError> {
         self.decode_from(body, &mut limits)
     }
 
@@ -57,12 +56,11 @@ impl Definition {
         if !self.cdr {
             return Ok(Walk::new(&self.layouts, Cursor::new(body, None), limits));
         }
-        let walk = |cdr| Walk::new(&self.layouts, Cursor::new(body, Some(cdr)), limits);
-        let cdr = Cdr::of(body)?;
-        if !self.has_wide_texts() {
-            return Ok(walk(cdr));
+        let mut cdr = Cdr::of(body)?;
+        if self.has_wide_texts() {
+            cdr = self.fitting(body, cdr, limits).first().copied().unwrap_or(cdr);
         }
-        Ok(walk(self.fitting(body, cdr, limits).first().copied().unwrap_or(cdr)))
+        Ok(Walk::new(&self.layouts, Cursor::new(body, Some(cdr)), limits))
     }
 
     fn has_wide_texts(&self) -> bool {
@@ -76,7 +74,7 @@ impl Definition {
             let limits = Limits { elements: 0, ..limits };
             let mut walk = Walk::new(&self.layouts, Cursor::new(body, Some(cdr)), limits);
             let fits = self.root().is_some_and(|root| walk.message(root).is_ok()) && walk.cursor.is_at_end();
-            fits.then(|| (cdr, walk.cursor.is_odd()))
+            fits.then_some((cdr, walk.cursor.odd))
         };
         let found: Vec<(Cdr, bool)> = cdr.ways().into_iter().filter_map(fit).collect();
         let any_sound = found.iter().any(|(_, odd)| !odd);
@@ -96,12 +94,9 @@ impl Definition {
             return None;
         }
         let value = self.decode(body, Limits { elements: 0, ..Limits::default() }).ok()?;
-        match (value.get("format")?, value.get("data")?) {
-            (Value::Text(format), Value::Large { bytes, .. }) => {
-                Some(Picture { format: format.clone(), data: bytes.clone() })
-            }
-            _ => None,
-        }
+        let Value::Text(format) = value.get("format")? else { return None };
+        let Value::Large { bytes, .. } = value.get("data")? else { return None };
+        Some(Picture { format: format.clone(), data: bytes.clone() })
     }
 }
 
@@ -209,7 +204,7 @@ impl<'a> Walk<'a> {
         }
         let start = self.skip_all(field.kind, count)?;
         let element = field.written.split('[').next().unwrap_or_default().to_owned();
-        let (bytes, big_endian) = (start..self.cursor.at(), self.cursor.is_big_endian());
+        let (bytes, big_endian) = (start..self.cursor.at, self.cursor.is_big_endian());
         Ok(Value::Large { element, count, bytes, big_endian })
     }
 
@@ -227,7 +222,7 @@ impl<'a> Walk<'a> {
         if fixed && count > 0 {
             self.cursor.align(size)?;
         }
-        let start = self.cursor.at();
+        let start = self.cursor.at;
         if fixed {
             self.cursor.take(size.saturating_mul(count), "array")?;
         } else {
@@ -376,10 +371,6 @@ impl<'a> Cursor<'a> {
         Self { body, at: if cdr.is_some() { ENCAPSULATION } else { 0 }, cdr, odd: false }
     }
 
-    pub fn at(&self) -> usize {
-        self.at
-    }
-
     pub fn left(&self) -> usize {
         self.body.len().saturating_sub(self.at)
     }
@@ -454,10 +445,6 @@ impl<'a> Cursor<'a> {
         Ok(text)
     }
 
-    pub fn is_odd(&self) -> bool {
-        self.odd
-    }
-
     pub fn begin_message(&mut self) -> Result<Part, Failure> {
         self.begin(self.cdr.is_some_and(|cdr| cdr.delimited))
     }
@@ -479,14 +466,12 @@ impl<'a> Cursor<'a> {
 
     /// Skips the rest of a part: a newer definition wrote it.
     pub fn end_part(&mut self, part: Part) -> Result<(), Failure> {
-        match part.0 {
-            Some(end) if end < self.at => Err(WireError::Short("part").into()),
-            Some(end) => {
-                self.at = end;
-                Ok(())
-            }
-            None => Ok(()),
+        let end = part.0.unwrap_or(self.at);
+        if end < self.at {
+            return Err(WireError::Short("part").into());
         }
+        self.at = end;
+        Ok(())
     }
 
     /// Only the padding of a CDR body may be left.
@@ -504,27 +489,19 @@ impl<'a> Cursor<'a> {
 /// Characters of a shown text.
 const WIDEST: usize = 4096;
 
+/// Texts are unchanged, with invalid UTF-8 replaced; times and durations are seconds and nanoseconds. An array too large to
+/// expand has its count of elements and their position in the body; a message has its fields in order.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Value {
     Bool(bool),
     Integer(i64),
     Unsigned(u64),
-    /// A float32 is widened.
     Float(f64),
     Text(String),
-    /// Seconds and nanoseconds since 1970.
     Time(u32, u32),
-    /// Seconds and nanoseconds.
     Duration(i32, i32),
     Array(Vec<Value>),
-    /// An array too large to expand.
-    Large {
-        element: String,
-        count: usize,
-        bytes: Range<usize>,
-        /// Whether the numbers are big endian.
-        big_endian: bool,
-    },
+    Large { element: String, count: usize, bytes: Range<usize>, big_endian: bool },
     Message(Vec<(Arc<str>, Value)>),
 }
 

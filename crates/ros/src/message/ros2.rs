@@ -78,7 +78,7 @@ fn layout(nesting: &mut Nesting<'_>, name: &str, lines: &[&str]) -> Result<(Layo
     let (mut layout, mut height) = (Layout::new(name), 1);
     for line in lines {
         let read = parse_line(line).map_err(|reason| format!("{reason} in {name}"))?;
-        let Some(Line::Field { written, base, arity, name: member, .. }) = read else { continue };
+        let Some(Line { written, base, arity, name: member, .. }) = read else { continue };
         let (kind, below) = kind(nesting, name, base)?;
         height = height.max(below + 1);
         layout.add(&nesting.layouts, Field { name: member.into(), kind, arity, written: written.to_owned() });
@@ -103,17 +103,14 @@ const LONGEST_NUMBER: usize = 20;
 
 /// Default values and values of constants are not part of a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Line<'a> {
-    Field {
-        /// As written, with its bounds.
-        written: &'a str,
-        base: &'a str,
-        /// The most characters of a text; 0 if unbounded.
-        bound: usize,
-        arity: Arity,
-        name: &'a str,
-    },
-    Constant,
+struct Line<'a> {
+    /// As written, with its bounds.
+    written: &'a str,
+    base: &'a str,
+    /// The most characters of a text; 0 if unbounded.
+    bound: usize,
+    arity: Arity,
+    name: &'a str,
 }
 
 /// A type without a definition: its layout in a body, and its number in type descriptions.
@@ -146,11 +143,8 @@ fn parse_line(line: &str) -> Result<Option<Line<'_>>, &'static str> {
     let (written, rest) = line.split_once(char::is_whitespace).ok_or("a line has no field name")?;
     let rest = rest.trim_start();
     if rest.split_once('=').is_some_and(|(name, _)| is_name(name.trim_end())) {
-        return if plain(written_base(written)).is_some() {
-            Ok(Some(Line::Constant))
-        } else {
-            Err("a constant is broken")
-        };
+        let base = written.split_once("<=").map_or(written, |(base, _)| base);
+        return plain(base).map(|_| None).ok_or("a constant is broken");
     }
     // The default value follows the name.
     let name = rest.split(char::is_whitespace).next().unwrap_or_default();
@@ -206,11 +200,7 @@ fn field_line<'a>(written: &'a str, name: &'a str) -> Result<Line<'a>, &'static 
     if !base_ok || !is_name(name) {
         return Err("a field is broken");
     }
-    Ok(Line::Field { written, base, bound, arity, name })
-}
-
-fn written_base(written: &str) -> &str {
-    written.split_once("<=").map_or(written, |(base, _)| base)
+    Ok(Line { written, base, bound, arity, name })
 }
 
 const FILLER: &str = "structure_needs_at_least_one_member";
@@ -378,7 +368,7 @@ fn nested_in(name: &str, text: &str) -> Result<Vec<String>, &'static str> {
     let package = name.split('/').next();
     let mut nested = Vec::new();
     for line in text.lines() {
-        let Some(Line::Field { base, .. }) = parse_line(line)? else { continue };
+        let Some(Line { base, .. }) = parse_line(line)? else { continue };
         if plain(base).is_none() {
             nested.push(full_name(base, package).ok_or("a type's name is broken")?);
         }
@@ -403,7 +393,7 @@ mod line_tests {
 
     fn read(line: &str) -> (String, usize, Arity, String) {
         match parse_line(line) {
-            Ok(Some(Line::Field { base, bound, arity, name, .. })) => (base.to_owned(), bound, arity, name.to_owned()),
+            Ok(Some(Line { base, bound, arity, name, .. })) => (base.to_owned(), bound, arity, name.to_owned()),
             other => panic!("{line}: {other:?}"),
         }
     }
@@ -427,7 +417,7 @@ mod line_tests {
     #[test]
     fn constants_and_empty_lines_carry_nothing() {
         for line in ["int8 B = -1 # minus", "string A=\"x # y\"", "string<=5 A='b'", "byte OK=0"] {
-            assert_eq!(parse_line(line), Ok(Some(Line::Constant)), "{line}");
+            assert_eq!(parse_line(line), Ok(None), "{line}");
         }
         for line in ["", "   ", "# only words", "\t# don't"] {
             assert_eq!(parse_line(line), Ok(None), "{line}");

@@ -7,7 +7,7 @@ mod outlet;
 use std::collections::BTreeMap;
 use std::io::{self, Write as _};
 use std::net::TcpStream;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, OnceLock};
 use std::thread::JoinHandle;
@@ -16,19 +16,16 @@ use std::time::{Duration, Instant};
 use crate::model::clean;
 use crate::pipe::LONGEST_PAYLOAD;
 use crate::pipe::write::{Described, Order};
-use crate::ros::RosError;
 use crate::ros::address::{Endpoint, own_host};
 use crate::ros::child::{self, Declined, Errand, Run};
 use crate::ros::graph::master_error;
 use crate::ros::tcpros::{BusLink, ConnectionHeader, FrameReader, Node, Poll, SlaveServer, listen};
 use crate::ros::xmlrpc::{CallError, Server, Value, call};
-use outlet::{Outlet, lock};
+use crate::ros::{RosError, lock};
+use outlet::Outlet;
 
 /// Limit of the master's answers, and of resolving names.
 const PATIENCE: Duration = Duration::from_secs(2);
-
-/// Time for subscribers' queues at an orderly shutdown.
-const FAREWELL: Duration = Duration::from_secs(5);
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Advertised {
@@ -115,7 +112,7 @@ pub struct Publisher {
 
 impl Publisher {
     pub fn start(master_uri: &str, given_host: Option<&str>, node_name: &str) -> Result<Self, RosError> {
-        let master = Endpoint::parse(master_uri).ok_or_else(|| RosError::address(master_uri))?;
+        let master = Endpoint::of_master(master_uri)?;
         let host = own_host(given_host, &master, Instant::now() + PATIENCE)?;
         let listener = listen(&host)?;
         let identity = Arc::new(Identity {
@@ -162,21 +159,6 @@ impl Publisher {
 
     pub fn subscribers(&self, topic: &str) -> usize {
         self.identity.outlet_of(topic).map_or(0, |outlet| outlet.subscribers())
-    }
-
-    pub fn finish(self) -> u64 {
-        self.close(FAREWELL)
-    }
-
-    fn close(&self, patience: Duration) -> u64 {
-        self.leave();
-        let deadline = Instant::now() + patience;
-        while Instant::now() < deadline && !self.is_sent() {
-            std::thread::sleep(Duration::from_millis(5));
-        }
-        self.identity.outlets().iter().for_each(|outlet| outlet.end(deadline));
-        self.finish_telling();
-        self.missed()
     }
 
     /// Unregisters, without waiting for a slow master.
@@ -268,7 +250,10 @@ impl GraphPublisher for Publisher {
     }
 
     fn end(self: Box<Self>) -> u64 {
-        self.close(Duration::ZERO)
+        self.leave();
+        self.identity.outlets().iter().for_each(|outlet| outlet.end(Instant::now()));
+        self.finish_telling();
+        self.missed()
     }
 }
 
@@ -292,7 +277,7 @@ impl Identity {
 
     fn tell_master(&self, method: &str, middle: &[&str], uri: &str, deadline: Instant) -> Result<Value, CallError> {
         let texts = std::iter::once(self.name.as_str()).chain(middle.iter().copied());
-        let params: Vec<Value> = texts.chain([uri]).map(Value::text).collect();
+        let params: Vec<Value> = texts.chain([uri]).map(Value::from).collect();
         call(&self.master, method, &params, deadline)
     }
 }
@@ -367,9 +352,8 @@ impl RosrustPublisher {
         node_name: &str,
         program: Option<&Path>,
     ) -> Result<Self, RosError> {
-        let found = child::find(PROGRAM, program);
-        let program: PathBuf = found.map_err(|path| RosError::no_rosrust(&path))?;
-        let master = Endpoint::parse(master_uri).ok_or_else(|| RosError::address(master_uri))?;
+        let program = child::find(PROGRAM, program).map_err(RosError::NoRosrust)?;
+        let master = Endpoint::of_master(master_uri)?;
         let host = own_host(given_host, &master, Instant::now() + PATIENCE)?;
         let uri = master.to_string();
         // rosrust itself puts the slash before a name.
@@ -422,7 +406,7 @@ impl RosrustPublisher {
             let Some(announced) = self.announced.get_mut(&topic.topic) else { continue };
             announced.writer = writer;
             if let Some((_, message)) = &announced.latched {
-                self.run.publish(&Order::<Described>::Publish { writer }, message);
+                self.run.publish(writer, message);
             }
         }
         Ok(())
@@ -448,7 +432,7 @@ impl GraphPublisher for RosrustPublisher {
         if announced.about.latching {
             announced.latched = Some((source, message.into()));
         }
-        self.run.publish(&Order::<Described>::Publish { writer: announced.writer }, message)
+        self.run.publish(announced.writer, message)
     }
 
     fn may_block(&self) -> bool {
@@ -495,19 +479,15 @@ impl GraphPublisher for RosrustPublisher {
         let Some(announced) = self.announced.remove(topic) else { return };
         self.tell_withdrawn(announced.writer);
         let latched = announced.latched.filter(|(of, _)| *of != source);
-        let writer = match self.announce(&announced.about, false) {
-            Ok(writer) => {
-                if let Some((_, message)) = &latched {
-                    self.run.publish(&Order::<Described>::Publish { writer }, message);
-                }
-                writer
-            }
-            Err(_) => {
-                // The restarted program announces the topic again.
-                self.run.kill();
-                announced.writer
-            }
-        };
+        let writer = self.announce(&announced.about, false);
+        if let (Ok(writer), Some((_, message))) = (&writer, &latched) {
+            self.run.publish(*writer, message);
+        }
+        let writer = writer.unwrap_or_else(|_| {
+            // The restarted program announces the topic again.
+            self.run.kill();
+            announced.writer
+        });
         self.announced.insert(topic.to_owned(), Announced { writer, about: announced.about, latched });
     }
 

@@ -5,10 +5,11 @@ use std::collections::VecDeque;
 use std::io::Write as _;
 use std::net::{Shutdown, TcpStream};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::Advertised;
+use crate::ros::lock;
 use crate::ros::tcpros::{BusLink, ConnectionHeader};
 
 /// Sources whose last message a latching topic keeps.
@@ -188,10 +189,6 @@ struct Queue {
     done: bool,
     /// It was too slow; nobody waits for it until it has caught up.
     slow: bool,
-}
-
-pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Subscriber {

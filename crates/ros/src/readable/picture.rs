@@ -67,14 +67,13 @@ pub fn file_of(name: &str) -> Option<Exported> {
 }
 
 pub fn export(kind: Exported, definition: &Definition, body: &[u8]) -> Result<Vec<u8>, PictureError> {
-    match kind {
-        Exported::Bin => return Ok(body.to_vec()),
-        Exported::Json => {
-            let mut out = Vec::new();
-            definition.write_json(body, &mut out).map_err(|error| PictureError::Message(error.to_string()))?;
-            return Ok(out);
-        }
-        Exported::Png | Exported::Jpeg | Exported::Npy => {}
+    if kind == Exported::Bin {
+        return Ok(body.to_vec());
+    }
+    if kind == Exported::Json {
+        let mut out = Vec::new();
+        definition.write_json(body, &mut out).map_err(|error| PictureError::Message(error.to_string()))?;
+        return Ok(out);
     }
     let broken = |error: crate::ros::RosError| PictureError::Broken(error.to_string());
     let limits = Limits { elements: 0, ..Limits::default() };
@@ -95,13 +94,12 @@ fn from_file(kind: Exported, data: &[u8]) -> Result<Vec<u8>, PictureError> {
         Exported::Png if is_png => Ok(data.to_vec()),
         Exported::Jpeg if !is_png => Ok(data.to_vec()),
         Exported::Npy => {
-            let rgb = decode(data)?;
-            let row = std::iter::once(rgb.pixels.as_slice());
-            Ok(npy("|u1", &[rgb.height, rgb.width, 3], rgb.pixels.len(), row))
+            let Raster { width, height, rgb } = decode(data)?;
+            Ok(npy("|u1", &[height, width, 3], rgb.len(), std::iter::once(rgb.as_slice())))
         }
         _ => {
-            let rgb = decode(data)?;
-            encode(kind, &rgb.pixels, (rgb.width, rgb.height))
+            let Raster { width, height, rgb } = decode(data)?;
+            encode(kind, &rgb, (width, height))
         }
     }
 }
@@ -170,9 +168,9 @@ pub(super) fn compressed(value: &Value, body: &Body) -> Readable {
     let Some(data) = value.get("data").and_then(|data| bytes(data, body)) else { return out };
     out.line("Bytes", data.len().to_string());
     match decode(&data) {
-        Ok(rgb) => {
-            out.line("Size", format!("{} x {}", rgb.width, rgb.height));
-            out.picture = Some(Raster { width: rgb.width, height: rgb.height, rgb: rgb.pixels }.fit(LARGEST));
+        Ok(picture) => {
+            out.line("Size", format!("{} x {}", picture.width, picture.height));
+            out.picture = Some(picture.fit(LARGEST));
         }
         Err(error) => out.line("Not shown", error.to_string()),
     }
@@ -221,18 +219,11 @@ pub const DECODER_MEMORY: usize = 128 << 20;
 /// The start of every PNG.
 const PNG_MAGIC: &[u8] = b"\x89PNG";
 
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Rgb {
-    pub width: usize,
-    pub height: usize,
-    pub pixels: Vec<u8>,
-}
-
 fn broken(error: impl std::fmt::Display) -> PictureError {
     PictureError::Broken(crate::model::clean(&error.to_string(), 200))
 }
 
-pub fn decode(data: &[u8]) -> Result<Rgb, PictureError> {
+pub fn decode(data: &[u8]) -> Result<Raster, PictureError> {
     if data.starts_with(PNG_MAGIC) { decode_png(data) } else { decode_jpeg(data) }
 }
 
@@ -241,7 +232,7 @@ fn within_bounds(width: u32, height: u32) -> Result<(), PictureError> {
     if is_large { Err(PictureError::Large(width, height)) } else { Ok(()) }
 }
 
-fn decode_png(data: &[u8]) -> Result<Rgb, PictureError> {
+fn decode_png(data: &[u8]) -> Result<Raster, PictureError> {
     let limits = png::Limits { bytes: DECODER_MEMORY };
     let mut decoder = png::Decoder::new_with_limits(Cursor::new(data), limits);
     decoder.set_ignore_text_chunk(true);
@@ -258,7 +249,7 @@ fn decode_png(data: &[u8]) -> Result<Rgb, PictureError> {
     if depth == BitDepth::Sixteen {
         samples = samples.as_chunks().0.iter().map(|pair| as_byte(u16::from_be_bytes(*pair))).collect();
     }
-    rgb((width, height), colour.samples(), samples)
+    raster((width, height), colour.samples(), samples)
 }
 
 /// Sixteen bits rounded to eight.
@@ -266,7 +257,7 @@ fn as_byte(sample: u16) -> u8 {
     u8::try_from((u32::from(sample) + 128) / 257).unwrap_or(u8::MAX)
 }
 
-fn decode_jpeg(data: &[u8]) -> Result<Rgb, PictureError> {
+fn decode_jpeg(data: &[u8]) -> Result<Raster, PictureError> {
     let any_size = DecoderOptions::default().set_max_width(usize::MAX).set_max_height(usize::MAX);
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(data), any_size.set_strict_mode(false));
     decoder.decode_headers().map_err(broken)?;
@@ -280,22 +271,22 @@ fn decode_jpeg(data: &[u8]) -> Result<Rgb, PictureError> {
     };
     decoder.set_options(decoder.options().jpeg_set_out_colorspace(colours));
     let samples = decoder.decode().map_err(broken)?;
-    rgb(size, colours.num_components(), samples)
+    raster(size, colours.num_components(), samples)
 }
 
 /// Pixels of one to four samples, without transparency.
-fn rgb((width, height): (u32, u32), channels: usize, samples: Vec<u8>) -> Result<Rgb, PictureError> {
+fn raster((width, height): (u32, u32), channels: usize, samples: Vec<u8>) -> Result<Raster, PictureError> {
     let (width, height) = (width as usize, height as usize);
     if samples.len() != width * height * channels {
         return Err(broken("its data does not have the length its size implies"));
     }
-    let pixels = match channels {
+    let rgb = match channels {
         1 => samples.iter().flat_map(|grey| [*grey; 3]).collect(),
         2 => samples.as_chunks().0.iter().flat_map(|[grey, _]| [*grey; 3]).collect(),
         4 => samples.as_chunks().0.iter().flat_map(|[red, green, blue, _]| [*red, *green, *blue]).collect(),
         _ => samples,
     };
-    Ok(Rgb { width, height, pixels })
+    Ok(Raster { width, height, rgb })
 }
 
 pub(super) fn png_file(
@@ -565,13 +556,13 @@ mod tests {
             (ColorType::Indexed, One, &[0x40], [9, 8, 7, 60, 50, 40]),
         ] {
             let file = png(colour, depth, data);
-            assert_eq!(decode(&file), Ok(Rgb { width: 2, height: 1, pixels: wanted.to_vec() }), "{colour:?}");
+            assert_eq!(decode(&file), Ok(Raster { width: 2, height: 1, rgb: wanted.to_vec() }), "{colour:?}");
         }
         let mut grey = Vec::new();
         JpegEncoder::new(&mut grey, 100).encode(&[100; 128], 16, 8, JpegColour::Luma).expect("encoded");
         let rgb = decode(&grey).expect("a grey JPEG");
-        assert_eq!((rgb.width, rgb.height, rgb.pixels.len()), (16, 8, 384));
-        assert!(rgb.pixels.iter().all(|sample| sample.abs_diff(100) <= 1), "{:?}", &rgb.pixels[..9]);
+        assert_eq!((rgb.width, rgb.height, rgb.rgb.len()), (16, 8, 384));
+        assert!(rgb.rgb.iter().all(|sample| sample.abs_diff(100) <= 1), "{:?}", &rgb.rgb[..9]);
     }
 
     #[test]
@@ -580,8 +571,8 @@ mod tests {
         let file = jpeg_file(&pixels, (24, 16), 92).expect("encoded");
         let back = decode(&file).expect("decoded");
         assert_eq!((back.width, back.height), (24, 16));
-        assert!(back.pixels.iter().zip(&pixels).all(|(back, sent)| back.abs_diff(*sent) <= 4));
-        assert!((1..file.len()).all(|end| decode(&file[..end]).map_or(true, |cut| cut.pixels.len() == pixels.len())));
+        assert!(back.rgb.iter().zip(&pixels).all(|(back, sent)| back.abs_diff(*sent) <= 4));
+        assert!((1..file.len()).all(|end| decode(&file[..end]).map_or(true, |cut| cut.rgb.len() == pixels.len())));
     }
 
     #[test]

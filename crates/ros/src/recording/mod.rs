@@ -113,6 +113,17 @@ pub struct Channel {
 }
 
 impl Channel {
+    /// Topic, type and definition, without a publisher's own data.
+    pub(super) fn plain(
+        (topic, type_name, definition): (&str, &str, &str),
+        encoding: Encoding,
+        about: BTreeMap<Arc<str>, Arc<str>>,
+    ) -> Self {
+        let (topic, type_name, definition) = (topic.into(), type_name.into(), definition.into());
+        let (md5sum, caller_id, latching) = ("*".into(), "".into(), false);
+        Self { topic, type_name, md5sum, definition, caller_id, latching, encoding, about }
+    }
+
     pub(super) fn size(&self) -> usize {
         let texts = [&self.topic, &self.type_name, &self.md5sum, &self.definition, &self.caller_id];
         let about = self.about.iter().map(|(key, value)| key.len() + value.len());
@@ -531,8 +542,8 @@ impl RecordingWriter {
             Self::Bag(writer) => writer.finish()?,
             Self::Mcap(writer) => writer.finish()?,
         };
-        let file = out.into_inner().map_err(|error| RosError::unwritable(error.error()))?;
-        file.sync_all().map_err(|error| RosError::unwritable(&error))
+        let file = out.into_inner().map_err(|error| RosError::unwritable(error.into_error()))?;
+        file.sync_all().map_err(RosError::unwritable)
     }
 }
 

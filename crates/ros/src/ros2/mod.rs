@@ -11,7 +11,7 @@ use std::io::{BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -20,7 +20,7 @@ use crate::pipe::read::{Told, Wish};
 use crate::pipe::write::Order;
 use crate::pipe::{LONGEST_PAYLOAD, receive, send};
 use crate::ros::child::{self, Errand, Run};
-use crate::ros::{CaptureNotice, MessageSink, RosError};
+use crate::ros::{CaptureNotice, MessageSink, RosError, lock};
 use state::{Outcome, State};
 
 pub use crate::pipe::LONGEST_PAYLOAD as LONGEST_MESSAGE;
@@ -32,7 +32,7 @@ pub use publisher::{QUALITY, WRITER};
 const PROGRAM: &str = "authros-ros2";
 
 fn find(program: Option<&Path>) -> Result<PathBuf, RosError> {
-    child::find(PROGRAM, program).map_err(|path| RosError::no_reader(&path))
+    child::find(PROGRAM, program).map_err(RosError::NoReader)
 }
 
 fn errand(program: &Path, domain: u16, publishes: bool) -> Errand {
@@ -142,7 +142,7 @@ impl Drop for Ros2Capture {
         self.settle(None);
         // The end of its pipe tells the program to leave.
         self.shared.stopping.store(true, Ordering::Release);
-        locked(&self.shared.to_child).take();
+        lock(&self.shared.to_child).take();
         for thread in self.threads.drain(..) {
             drop(thread.join());
         }
@@ -154,11 +154,10 @@ pub enum Reading {
     /// Started, without a report or time for discovery yet.
     #[default]
     Looking,
+    /// It reads.
     Up,
     /// It is being restarted.
-    Down {
-        reason: String,
-    },
+    Down { reason: String },
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -225,13 +224,9 @@ struct Shared {
     stopping: AtomicBool,
 }
 
-fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 impl Shared {
     fn state(&self) -> MutexGuard<'_, State> {
-        locked(&self.state)
+        lock(&self.state)
     }
 
     fn hand_on(&self, outcome: Outcome) {
@@ -246,7 +241,7 @@ impl Shared {
 
     /// A program that misses it is restarted, and told then.
     fn wish(&self, wish: &Wish) {
-        if let Some(to) = locked(&self.to_child).as_mut() {
+        if let Some(to) = lock(&self.to_child).as_mut() {
             drop(send(to, wish, &[]).map(|()| to.flush()));
         }
     }
@@ -268,18 +263,18 @@ impl Shared {
             Ok(started) => started,
             Err(error) => return error.to_string(),
         };
-        *locked(&self.running) = Some(child);
-        *locked(&self.to_child) = Some(to);
+        *lock(&self.running) = Some(child);
+        *lock(&self.to_child) = Some(to);
         if self.is_stopping() {
-            locked(&self.to_child).take();
+            lock(&self.to_child).take();
         }
         // A later `watch` sends its topic itself; sending it twice does no harm.
         let watched: Vec<TopicName> = self.state().watched.iter().cloned().collect();
         watched.iter().for_each(|topic| self.wish(&Wish::Watch { topic: topic.to_string() }));
         let reason = self.read(&mut BufReader::with_capacity(256 << 10, from));
-        locked(&self.to_child).take();
+        lock(&self.to_child).take();
         // Not under the lock, which is needed to kill a silent program.
-        let child = locked(&self.running).take();
+        let child = lock(&self.running).take();
         if let Some(mut child) = child {
             let has_left = if self.is_stopping() {
                 child::end(&mut child)
@@ -318,14 +313,11 @@ impl Shared {
             if self.is_stopping() {
                 return;
             }
-            let first = {
-                let mut state = self.state();
-                let first = !matches!(state.reading, Reading::Down { .. });
-                state.restarts += 1;
-                state.reading = Reading::Down { reason: reason.clone() };
-                first
-            };
-            if first {
+            let mut state = self.state();
+            state.restarts += 1;
+            let former = std::mem::replace(&mut state.reading, Reading::Down { reason: reason.clone() });
+            drop(state);
+            if !matches!(former, Reading::Down { .. }) {
                 self.hand_on(Outcome { notices: vec![CaptureNotice::ReadingBroken { reason }], ..Outcome::default() });
             }
             pause = if begun.elapsed() >= BEGAN_WELL { FIRST_PAUSE } else { pause };
@@ -348,16 +340,14 @@ impl Shared {
         }
         // The end of its pipe tells it to leave. One that stays and talks would hold up the caller that stops it.
         let begun = Instant::now();
-        while begun.elapsed() < child::LEAVING && locked(&self.running).is_some() {
+        while begun.elapsed() < child::LEAVING && lock(&self.running).is_some() {
             std::thread::sleep(Duration::from_millis(20));
         }
         self.kill();
     }
 
     fn kill(&self) {
-        if let Some(child) = locked(&self.running).as_mut() {
-            drop(child.kill());
-        }
+        child::kill(&self.running);
     }
 }
 
@@ -449,7 +439,7 @@ impl Ros2Publisher {
                 self.latched_bytes -= announced.latched.pop_front().map_or(0, |oldest| oldest.len());
             }
         }
-        self.run.publish(&Order::<Offered>::Publish { writer }, message)
+        self.run.publish(writer, message)
     }
 
     /// Drops the topic with its queue.
@@ -490,7 +480,7 @@ impl Ros2Publisher {
             // Its former run may still look like another node.
             self.order(&Order::Advertise { writer, topic, size, alone: false, patient: false }, &[])?;
             for message in &announced.latched {
-                self.run.publish(&Order::<Offered>::Publish { writer }, message);
+                self.run.publish(writer, message);
             }
         }
         Ok(())
@@ -517,15 +507,12 @@ impl Ros2Publisher {
         if self.run.broken().is_some() {
             return delivery;
         }
-        let Delivery { missed, unconfirmed } = delivery;
-        let open = {
-            let state = self.run.state();
-            state.unacknowledged + state.unconfirmed().0 as u64
-        };
-        if by_right {
-            return Delivery { missed, unconfirmed: unconfirmed + open };
+        let (Delivery { missed, unconfirmed }, state) = (delivery, self.run.state());
+        let open = state.unacknowledged + state.unconfirmed().0 as u64;
+        match by_right {
+            true => Delivery { missed, unconfirmed: unconfirmed + open },
+            false => Delivery { missed: missed + open, unconfirmed },
         }
-        Delivery { missed: missed + open, unconfirmed }
     }
 
     fn order(&self, order: &Order, payload: &[u8]) -> Result<(), RosError> {

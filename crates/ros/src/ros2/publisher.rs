@@ -190,7 +190,7 @@ impl Publisher {
             _ => 0,
         };
         let at_least = notices.iter().map(count).sum();
-        if self.connected && self.numbers.has_begun() {
+        if self.connected && self.numbers.last.is_some() {
             let (topic, caller_id) = (Arc::clone(&self.topic), self.caller_id());
             notices.push(CaptureNotice::EndUnknown { topic, caller_id, at_least });
         }

@@ -7,8 +7,9 @@ use super::publisher::{Publisher, name};
 use super::{Reading, Ros2Topic};
 use crate::model::topic::LONGEST_NAME;
 use crate::model::{Timestamp, TopicName, clean};
+use crate::pipe::VERSION;
 use crate::pipe::read::{Counts, Told, Wish, Writer};
-use crate::ros::child::Participant;
+use crate::ros::child::{Participant, other_version};
 use crate::ros::{CaptureNotice, Message};
 
 const MOST_PUBLISHERS: usize = 40_000;
@@ -99,11 +100,8 @@ impl State {
     }
 
     fn greet(&mut self, version: u32, domain: u16, now: Instant) -> Result<(), String> {
-        if version != crate::pipe::VERSION || domain != self.domain {
-            let own = crate::pipe::VERSION;
-            return Err(format!(
-                "it uses pipe version {version}, but {own} is required; install both programs from the same release"
-            ));
+        if (version, domain) != (VERSION, self.domain) {
+            return Err(other_version(version));
         }
         self.started += 1;
         self.hello = Some(now);
@@ -242,14 +240,14 @@ impl State {
         if !publisher.connected && !watched.iter().any(|topic| topic.as_str() == publisher.writer.topic) {
             return;
         }
-        let arrival = publisher.numbers.follow(number, now);
+        let is_new = publisher.numbers.follow(number, now);
         outcome.notices.extend(publisher.lost(now, false));
         // A future or missing time is not believed.
         let own = Timestamp::now();
         let at = if arrived == 0 || arrived > own.0 { own } else { Timestamp(arrived) };
         let delay = Duration::from_nanos(own.0.saturating_sub(at.0));
         publisher.pulse.beat(now.checked_sub(delay).unwrap_or(now));
-        if arrival != Arrival::New {
+        if !is_new {
             return;
         }
         if publisher.settled {
@@ -340,42 +338,35 @@ const MOST_GAPS: usize = 256;
 /// No loss explains a longer step: counting starts again.
 const LONGEST_STEP: i64 = 1 << 31;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Arrival {
-    /// Not seen before.
-    New,
-    /// Seen before.
-    Twice,
-}
-
 /// The first and the last number of messages that never arrived.
 pub type Gap = (i64, i64);
 
 /// Follows one publisher, across restarts of the reader.
 #[derive(Debug, Default)]
 pub struct Numbers {
-    last: Option<i64>,
+    pub last: Option<i64>,
     /// By their first number: the last, and when they were found missing.
     missing: BTreeMap<i64, (i64, Instant)>,
 }
 
 impl Numbers {
     /// Takes the next message's number.
-    pub fn follow(&mut self, number: i64, now: Instant) -> Arrival {
+    /// Whether the message was not seen before.
+    pub fn follow(&mut self, number: i64, now: Instant) -> bool {
         let Some(last) = self.last.filter(|last| number.saturating_sub(*last) < LONGEST_STEP) else {
             self.last = Some(number);
-            return Arrival::New;
+            return true;
         };
         if number > last {
             if number > last + 1 {
                 self.missing.insert(last + 1, (number - 1, now));
             }
             self.last = Some(number);
-            return Arrival::New;
+            return true;
         }
-        let Some((&first, &(end, since))) = self.missing.range(..=number).next_back() else { return Arrival::Twice };
+        let Some((&first, &(end, since))) = self.missing.range(..=number).next_back() else { return false };
         if number > end {
-            return Arrival::Twice;
+            return false;
         }
         self.missing.remove(&first);
         if first < number {
@@ -384,7 +375,7 @@ impl Numbers {
         if number < end {
             self.missing.insert(number + 1, (end, since));
         }
-        Arrival::New
+        true
     }
 
     /// Gaps that will not be filled; `all` = everything missing.
@@ -403,9 +394,6 @@ impl Numbers {
     }
 
     /// Whether a message was ever seen.
-    pub fn has_begun(&self) -> bool {
-        self.last.is_some()
-    }
 }
 
 #[cfg(test)]
@@ -562,18 +550,18 @@ mod numbers_tests {
     #[test]
     fn a_restart_goes_on_where_it_was_and_repeats_count_once() {
         let (now, mut numbers) = (Instant::now(), Numbers::default());
-        assert_eq!(numbers.follow(100, now), Arrival::New);
-        assert_eq!(numbers.follow(101, now), Arrival::New);
-        assert_eq!(numbers.follow(101, now), Arrival::Twice);
-        assert_eq!(numbers.follow(50, now), Arrival::Twice);
-        assert_eq!(numbers.follow(2100, now), Arrival::New);
+        assert!(numbers.follow(100, now));
+        assert!(numbers.follow(101, now));
+        assert!(!numbers.follow(101, now));
+        assert!(!numbers.follow(50, now));
+        assert!(numbers.follow(2100, now));
         assert!(numbers.settled(now, false).is_empty(), "it may still come");
         assert_eq!(numbers.settled(now + SETTLE, false), [(102, 2099)]);
         assert!(numbers.settled(now + SETTLE, true).is_empty(), "told once");
         // An implausible number is not a loss of billions.
-        assert_eq!(numbers.follow(i64::MAX, now), Arrival::New);
+        assert!(numbers.follow(i64::MAX, now));
         assert!(numbers.settled(now, true).is_empty());
-        assert_eq!(numbers.follow(i64::MIN, now), Arrival::Twice);
+        assert!(!numbers.follow(i64::MIN, now));
     }
 
     #[test]
@@ -596,7 +584,7 @@ mod numbers_tests {
             for number in &arrivals {
                 let arrival = numbers.follow(*number, now);
                 // Numbers before the first one seen were never promised.
-                prop_assert_eq!(arrival == Arrival::New, *number >= first && seen.insert(*number));
+                prop_assert_eq!(arrival, *number >= first && seen.insert(*number));
             }
             let missed: Vec<i64> = numbers.settled(now, true).into_iter().flat_map(|(from, to)| from..=to).collect();
             let last = seen.last().copied().unwrap_or(first);

@@ -394,22 +394,10 @@ fn channel(
         Some(other) => return Err(format!("its serialization format is '{}'; only cdr can be read", clean(other, 60))),
         None => return Err(not_text("serialization format")),
     }
-    let (encoding, definition) =
-        match definitions.get(&type_name).map(|(encoding, text)| (encoding.as_str(), text.as_str())) {
-            Some(("ros2msg", text)) => (Encoding::Cdr { idl: false }, text),
-            Some(("ros2idl", text)) => (Encoding::Cdr { idl: true }, text),
-            _ => (Encoding::Cdr { idl: false }, ""),
-        };
-    Ok(Channel {
-        topic: name.into(),
-        type_name: type_name.into(),
-        md5sum: "*".into(),
-        definition: definition.into(),
-        caller_id: "".into(),
-        latching: false,
-        encoding,
-        about,
-    })
+    let described = definitions.get(&type_name).filter(|(known, _)| matches!(known.as_str(), "ros2msg" | "ros2idl"));
+    let (idl, definition) = described.map_or((false, ""), |(known, text)| (known == "ros2idl", text.as_str()));
+    let encoding = Encoding::Cdr { idl };
+    Ok(Channel::plain((&name, &type_name, definition), encoding, about))
 }
 
 fn unreadable(path: &Path, error: &rusqlite::Error) -> RosError {

@@ -74,11 +74,9 @@ impl Metadata {
                 *topics.entry(name.to_owned()).or_default() += messages;
             }
         }
-        let begins =
-            root.get("starting_time").and_then(|time| time.get("nanoseconds_since_epoch")).and_then(Value::number);
+        let begins = root.get("starting_time").and_then(|time| time.get("nanoseconds_since_epoch")?.number());
         // Without a message it is the greatest number.
-        let begins =
-            Timestamp(begins.filter(|time| i64::try_from(*time).is_ok_and(|time| time < i64::MAX)).unwrap_or(0));
+        let begins = Timestamp(begins.filter(|time| *time < i64::MAX as u64).unwrap_or(0));
         Ok(Self { files, of_file, begins, topics, messages: count(root) })
     }
 }
@@ -328,8 +326,11 @@ impl Reader {
     /// The line of `first` was taken; further lines are indented more than `here`.
     fn scalar(&mut self, first: &str, here: usize, depth: usize) -> Result<Value, String> {
         match first.chars().next() {
-            Some('"' | '\'') => self.quoted(first),
-            Some('{' | '[') => self.flow(first, depth),
+            Some('"' | '\'') => unquoted(&self.until_closed(first)?).map(Value::Text),
+            Some('{' | '[') => {
+                let text = self.until_closed(first)?;
+                self.member(&mut text.as_str(), depth)
+            }
             Some('|' | '>') => Ok(Value::Text(self.literal(first, here))),
             Some(sign @ ('&' | '*' | '!' | '%' | '@' | '`')) => Err(format!("'{sign}' is not supported here")),
             _ => {
@@ -366,7 +367,8 @@ impl Reader {
             let line = self.line().ok_or("a quote or bracket is not closed")?.trim_start().to_owned();
             self.at += 1;
             self.count()?;
-            scan.line_ends();
+            // A break ends an escape.
+            scan.is_escaped = false;
             end = scan.end_in(&line).map(|end| text.len() + 1 + end);
             text.push('\n');
             text.push_str(&line);
@@ -377,17 +379,6 @@ impl Reader {
             return Err(String::from("something stands behind a closed quote or bracket"));
         }
         Ok(text.to_owned())
-    }
-
-    fn quoted(&mut self, first: &str) -> Result<Value, String> {
-        let text = self.until_closed(first)?;
-        unquoted(&text).map(Value::Text)
-    }
-
-    fn flow(&mut self, first: &str, depth: usize) -> Result<Value, String> {
-        let text = self.until_closed(first)?;
-        let mut rest = text.as_str();
-        self.member(&mut rest, depth)
     }
 
     fn member(&mut self, rest: &mut &str, depth: usize) -> Result<Value, String> {
@@ -443,11 +434,6 @@ struct Scan {
 }
 
 impl Scan {
-    /// A break ends an escape.
-    fn line_ends(&mut self) {
-        self.is_escaped = false;
-    }
-
     /// Where the quote or bracket ends in the line.
     fn end_in(&mut self, line: &str) -> Option<usize> {
         for (at, byte) in line.bytes().enumerate() {

@@ -165,7 +165,8 @@ fn accept_all<H: Fn(TcpStream) -> io::Result<()> + Send + Sync + 'static>(
         if stopping.load(Ordering::SeqCst) || open.load(Ordering::SeqCst) >= most {
             continue;
         }
-        let (place, handle) = (Place::take(&open), Arc::clone(handle));
+        open.fetch_add(1, Ordering::SeqCst);
+        let (place, handle) = (Place(Arc::clone(&open)), Arc::clone(handle));
         // Without a thread the peer's connection closes, and it asks again.
         let _ = std::thread::Builder::new().name(format!("{name}-call")).spawn(move || {
             let _place = place;
@@ -176,13 +177,6 @@ fn accept_all<H: Fn(TcpStream) -> io::Result<()> + Send + Sync + 'static>(
 }
 
 struct Place(Arc<AtomicUsize>);
-
-impl Place {
-    fn take(open: &Arc<AtomicUsize>) -> Self {
-        open.fetch_add(1, Ordering::SeqCst);
-        Self(Arc::clone(open))
-    }
-}
 
 impl Drop for Place {
     fn drop(&mut self) {
@@ -280,7 +274,14 @@ fn read_message(from: impl Read, most: usize, to_end: bool) -> io::Result<(Strin
     let body = match length {
         _ if chunked => chunks(&mut reader, most)?,
         Some(length) => exactly(&mut reader, length, most)?,
-        None if to_end => until_end(&mut reader, most)?,
+        None if to_end => {
+            let mut body = Vec::new();
+            reader.take(most as u64 + 1).read_to_end(&mut body)?;
+            if body.len() > most {
+                return Err(bad("its HTTP body is too long"));
+            }
+            body
+        }
         None => Vec::new(),
     };
     Ok((first, body))
@@ -302,12 +303,6 @@ fn exactly(from: &mut impl Read, length: usize, most: usize) -> io::Result<Vec<u
     let mut body = Vec::new();
     from.take(length as u64).read_to_end(&mut body)?;
     if body.len() == length { Ok(body) } else { Err(bad("its HTTP body ends early")) }
-}
-
-fn until_end(from: &mut impl Read, most: usize) -> io::Result<Vec<u8>> {
-    let mut body = Vec::new();
-    from.take(most as u64 + 1).read_to_end(&mut body)?;
-    if body.len() > most { Err(bad("its HTTP body is too long")) } else { Ok(body) }
 }
 
 fn chunks(from: &mut impl BufRead, most: usize) -> io::Result<Vec<u8>> {
@@ -354,7 +349,7 @@ mod tests {
     #[test]
     fn calls_are_answered_refused_and_unknown() {
         let (server, peer) = serve_echo();
-        let params = [Value::text("a<b>&c"), Value::Int(7)];
+        let params = [Value::from("a<b>&c"), Value::Int(7)];
         assert_eq!(call(&peer, "echo", &params, soon()), Ok(Value::Array(params.to_vec())));
         assert_eq!(call(&peer, "no", &[], soon()), Err(CallError::Refused("not \u{fffd}now".into())));
         assert!(matches!(call(&peer, "other", &[], soon()), Err(CallError::Refused(_))));

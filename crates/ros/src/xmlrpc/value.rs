@@ -20,10 +20,6 @@ pub(crate) enum Value {
 }
 
 impl Value {
-    pub fn text(text: impl Into<String>) -> Self {
-        Self::Text(text.into())
-    }
-
     pub fn as_array(&self) -> Option<&[Value]> {
         if let Self::Array(items) = self { Some(items) } else { None }
     }
@@ -48,11 +44,7 @@ impl Value {
             Self::Int(number) => scalar("i8", &number.to_string(), out),
             Self::Bool(flag) => scalar("boolean", if *flag { "1" } else { "0" }, out),
             Self::Double(number) => scalar("double", &number.to_string(), out),
-            Self::Text(text) => {
-                out.push_str("<string>");
-                escape(text, out);
-                out.push_str("</string>");
-            }
+            Self::Text(text) => scalar("string", &escaped(text), out),
             Self::Array(items) => {
                 out.push_str("<array><data>");
                 for item in items {
@@ -81,7 +73,7 @@ impl From<String> for Value {
 
 impl From<&str> for Value {
     fn from(text: &str) -> Self {
-        Self::text(text)
+        Self::Text(text.to_owned())
     }
 }
 
@@ -94,24 +86,23 @@ fn scalar(tag: &str, text: &str, out: &mut String) {
 fn write_struct(members: &[(String, Value)], out: &mut String) {
     out.push_str("<struct>");
     for (name, value) in members {
-        out.push_str("<member><name>");
-        escape(name, out);
-        out.push_str("</name>");
+        out.push_str("<member>");
+        scalar("name", &escaped(name), out);
         value.write(out);
         out.push_str("</member>");
     }
     out.push_str("</struct>");
 }
 
-fn escape(text: &str, out: &mut String) {
-    // A reader of XML may take a carriage return for a line feed.
-    out.push_str(&partial_escape(text).replace('\r', "&#13;"));
+/// A reader of XML may take a carriage return for a line feed.
+fn escaped(text: &str) -> String {
+    partial_escape(text).replace('\r', "&#13;")
 }
 
 pub(super) fn write_call(method: &str, params: &[Value]) -> String {
-    let mut out = String::from("<?xml version=\"1.0\"?>\n<methodCall><methodName>");
-    escape(method, &mut out);
-    out.push_str("</methodName><params>");
+    let mut out = String::from("<?xml version=\"1.0\"?>\n<methodCall>");
+    scalar("methodName", &escaped(method), &mut out);
+    out.push_str("<params>");
     for param in params {
         out.push_str("<param>");
         param.write(&mut out);
@@ -129,7 +120,7 @@ pub(super) fn write_response(value: &Value) -> String {
 }
 
 pub(super) fn write_fault(code: i64, reason: &str) -> String {
-    let members = vec![("faultCode".to_owned(), Value::Int(code)), ("faultString".to_owned(), Value::text(reason))];
+    let members = vec![("faultCode".to_owned(), Value::Int(code)), ("faultString".to_owned(), reason.into())];
     let mut out = String::from("<?xml version=\"1.0\"?>\n<methodResponse><fault>");
     Value::Struct(members).write(&mut out);
     out.push_str("</fault></methodResponse>");
@@ -400,7 +391,7 @@ mod tests {
             <value><int>1</int></value>\n<value>plain</value><value><string/></value><value/>\n\
             <value><array><data>\n</data></array></value></data></array></value>\n</param></params>\n</methodResponse>";
         let expected =
-            vec![Value::Int(1), Value::text("plain"), Value::text(""), Value::text(""), Value::Array(Vec::new())];
+            vec![Value::Int(1), Value::from("plain"), Value::from(""), Value::from(""), Value::Array(Vec::new())];
         assert_eq!(parse_response(text), Ok(Response::Value(Value::Array(expected))));
         let call = "<methodCall><methodName>getPid</methodName></methodCall>";
         assert_eq!(parse_call(call), Ok(("getPid".into(), Vec::new())));

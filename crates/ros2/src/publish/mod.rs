@@ -7,15 +7,15 @@ use std::io::{BufWriter, Read, Write};
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::rc::Rc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
 use crate::farewell::{Departures, Farewell};
 use crate::graph::{self, PROGRAM, Prefix};
-use crate::pipe::write::{MOST_UNCONFIRMED, Order, Report, Topic};
-use crate::pipe::{VERSION, receive, send};
+use crate::pipe::write::{self, Order, Report, Topic};
+use crate::pipe::{VERSION, send};
 use crate::{Ros2Error, capture, threads};
-use queue::Queue;
+use queue::{Outlet as _, Queue};
 use rustdds::bytes::Bytes;
 use rustdds::discovery::{DiscoveredReaderData, DiscoveredWriterData};
 use rustdds::no_key::DataWriter;
@@ -100,7 +100,7 @@ struct Child<'a, W: Write> {
     reported: (u32, u64),
     departures: Departures,
     farewell: Farewell,
-    orders: Receiver<Option<(Order, Vec<u8>)>>,
+    orders: Receiver<(Order, Vec<u8>)>,
     joined: Instant,
     wanted: Vec<Wanted>,
     welcomes: Vec<Welcome>,
@@ -134,7 +134,7 @@ impl<'a, W: Write> Child<'a, W> {
             reported: (0, 0),
             departures: Departures::new(domain, &own),
             farewell: Farewell::new(domain, &own),
-            orders: listen(from)?,
+            orders: write::orders(from).map_err(|error| Ros2Error::system("start a thread", &error))?,
             joined: Instant::now(),
             wanted: Vec::new(),
             welcomes: Vec::new(),
@@ -148,7 +148,7 @@ impl<'a, W: Write> Child<'a, W> {
 
     fn run(&mut self, (domain, confined): (u16, bool), stop: &AtomicBool) -> Result<(), Ros2Error> {
         send(self.out, &Report::Hello { version: VERSION, domain, confined }, &[])?;
-        let participant = graph::hex(&graph::prefix(&self.participant.guid().to_bytes()));
+        let participant = graph::hex(&prefix(self.participant.guid()));
         send(self.out, &Report::Joined { participant }, &[])?;
         let mut alive = None::<Instant>;
         loop {
@@ -214,18 +214,13 @@ impl<'a, W: Write> Child<'a, W> {
         let is_behind = self.writings.values().any(|writing| writing.unacknowledged() > 0);
         let is_busy = !self.queue.is_empty() || !self.welcomes.is_empty() || is_behind;
         let waits = is_busy || self.leaving.is_some() && !self.has_left;
-        let mut next = match self.orders.recv_timeout(if waits { SHORT_BEAT } else { BEAT }) {
-            Ok(next) => next,
-            Err(RecvTimeoutError::Timeout) => return Ok(true),
-            Err(RecvTimeoutError::Disconnected) => None,
-        };
+        let mut patience = if waits { SHORT_BEAT } else { BEAT };
         loop {
-            let Some((order, payload)) = next else { return Ok(false) };
-            self.take_order(order, payload)?;
-            next = match self.orders.try_recv() {
-                Ok(next) => next,
-                Err(_) => return Ok(true),
-            };
+            match self.orders.recv_timeout(patience) {
+                Ok((order, payload)) => self.take_order(order, payload)?,
+                Err(error) => return Ok(error == RecvTimeoutError::Timeout),
+            }
+            patience = Duration::ZERO;
         }
     }
 
@@ -270,7 +265,7 @@ impl<'a, W: Write> Child<'a, W> {
                 self.refuse(writer, format!("{name} is published by {other} there already"), true)?;
                 continue;
             }
-            let others = self.writings.values().map(Writing::kept).sum();
+            let others = self.writings.values().map(|writing| writing.kept).sum();
             match Writing::begin((&self.participant, &self.publisher, &self.socket), &topic, (size, others)) {
                 Ok(writing) => {
                     self.writings.insert(writer, writing);
@@ -306,7 +301,7 @@ impl<'a, W: Write> Child<'a, W> {
             let found = audience.has_found(&readers, writing);
             let waited = welcome.since.elapsed();
             // Reliable subscribers acknowledge when they hear of the writer; the others get time for it.
-            let hear = || writing.is_acknowledged() && (!writing.has_best_effort || waited >= MEETING);
+            let hear = || writing.has_caught_up() && (!writing.has_best_effort || waited >= MEETING);
             found.is_some_and(|known| known == 0 || welcome.latched || hear()) || waited >= PATIENCE
         };
         let (ready, waiting): (Vec<Welcome>, Vec<Welcome>) = self.welcomes.drain(..).partition(is_ready);
@@ -324,31 +319,13 @@ impl<'a, W: Write> Child<'a, W> {
     /// Reports once when everything has arrived.
     fn leave(&mut self) -> Result<(), Ros2Error> {
         let Some(since) = self.leaving.filter(|_| !self.has_left && self.queue.is_empty()) else { return Ok(()) };
-        let last = self.queue.last_written().map_or(since, |last| last.max(since));
+        let last = self.queue.last_written.map_or(since, |last| last.max(since));
         if last.elapsed() >= SENDING && self.unacknowledged() == 0 {
             self.has_left = true;
             send(self.out, &Report::Left, &[])?;
         }
         Ok(())
     }
-}
-
-type Arrival = Option<(Order, Vec<u8>)>;
-
-fn listen(mut from: impl Read + Send + 'static) -> Result<Receiver<Arrival>, Ros2Error> {
-    let (sender, receiver) = sync_channel(4 * MOST_UNCONFIRMED);
-    let read = move || {
-        loop {
-            let order = receive::<Order>(&mut from).ok().flatten();
-            let ended = order.is_none();
-            if sender.send(order).is_err() || ended {
-                break;
-            }
-        }
-    };
-    let started = std::thread::Builder::new().name("orders".into()).spawn(read);
-    started.map_err(|error| Ros2Error::system("start a thread", &error))?;
-    Ok(receiver)
 }
 
 const MOST: usize = 20_000;
@@ -363,10 +340,8 @@ pub struct Audience {
     found: Instant,
 }
 
-fn prefix(id: GUID) -> [u8; 12] {
-    let mut prefix = [0; 12];
-    prefix.copy_from_slice(&id.to_bytes()[..12]);
-    prefix
+fn prefix(id: GUID) -> Prefix {
+    graph::prefix(&id.to_bytes())
 }
 
 impl Audience {

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use rustdds::bytes::Bytes;
 
-use super::writing::{Attempt, Writing};
+use super::writing::Attempt;
 
 /// The network code keeps written messages for repair and clears them every six seconds: bytes written within that
 /// time.
@@ -19,24 +19,6 @@ pub trait Outlet {
     fn has_caught_up(&self) -> bool;
     /// Whether it no longer waits for its subscribers.
     fn outrun(&mut self) -> &mut bool;
-}
-
-impl Outlet for Writing {
-    fn attempt(&mut self, message: &Bytes) -> Attempt {
-        self.write(message)
-    }
-
-    fn is_unconfirmed(&self) -> bool {
-        self.has_best_effort
-    }
-
-    fn has_caught_up(&self) -> bool {
-        self.is_acknowledged()
-    }
-
-    fn outrun(&mut self) -> &mut bool {
-        &mut self.is_outrun
-    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -55,16 +37,12 @@ pub struct Queue {
     gone: HashSet<u32>,
     written: VecDeque<(Instant, usize)>,
     written_bytes: usize,
-    last: Option<Instant>,
+    pub last_written: Option<Instant>,
 }
 
 impl Queue {
     pub fn is_empty(&self) -> bool {
         self.waiting.is_empty()
-    }
-
-    pub fn last_written(&self) -> Option<Instant> {
-        self.last
     }
 
     pub fn push(&mut self, writer: u32, message: Vec<u8>) {
@@ -108,7 +86,7 @@ impl Queue {
                         taken.unconfirmed += u32::from(outlet.is_unconfirmed());
                         self.written.push_back((now, size));
                         self.written_bytes += size;
-                        self.last = Some(now);
+                        self.last_written = Some(now);
                     }
                     attempt
                 }

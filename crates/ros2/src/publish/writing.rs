@@ -12,6 +12,7 @@ use std::rc::Rc;
 use std::task::{Context, Waker};
 use std::time::{Duration, Instant, SystemTime};
 
+use super::queue::Outlet;
 use crate::pipe::write::{Offer, Topic};
 use crate::{graph, quality};
 use rustdds::bytes::Bytes;
@@ -126,7 +127,7 @@ pub struct Writing {
     encoding: [u8; 2],
     /// Limits of kept messages and bytes.
     room: usize,
-    kept: usize,
+    pub kept: usize,
     pub reliable: bool,
     pub is_outrun: bool,
     pub addresses: Addresses,
@@ -182,41 +183,8 @@ impl Writing {
         })
     }
 
-    pub fn kept(&self) -> usize {
-        self.kept
-    }
-
     pub fn id(&self) -> GUID {
         self.writer.id()
-    }
-
-    pub fn write(&mut self, message: &Bytes) -> Attempt {
-        if message.len() < 4 || message[..2] != self.encoding || message[2..4] != [0, 0] {
-            return Attempt::Lost;
-        }
-        let is_large = message.len() > LARGE && (self.ahead.is_some() || !self.addresses.is_empty());
-        if is_large {
-            self.settle();
-            // One at a time: a second one would be lost in the first one's burst. A subscriber left behind does not
-            // keep it from the others while there is room; once begun, it must find some.
-            let most = if self.is_outrun { self.room.saturating_sub(2) } else { 0 };
-            if self.ahead.is_none() && self.pending.len() > most {
-                return Attempt::Full;
-            }
-            let id = (self.writer.id(), self.next);
-            let ahead = self.ahead.get_or_insert_with(|| Ahead::new(message.clone(), id, &self.addresses));
-            if !ahead.advance(&self.socket, &self.rate) {
-                return Attempt::Begun;
-            }
-        }
-        match self.writer.write(message.slice(4..)) {
-            Attempt::Written => {
-                self.written(is_large.then(|| (message.clone(), self.next)));
-                Attempt::Written
-            }
-            Attempt::Full if is_large => Attempt::Begun,
-            other => other,
-        }
     }
 
     fn written(&mut self, large: Option<(Bytes, i64)>) {
@@ -254,9 +222,48 @@ impl Writing {
     pub fn unacknowledged(&self) -> usize {
         self.pending.len()
     }
+}
 
-    pub fn is_acknowledged(&self) -> bool {
+impl Outlet for Writing {
+    fn attempt(&mut self, message: &Bytes) -> Attempt {
+        if message.len() < 4 || message[..2] != self.encoding || message[2..4] != [0, 0] {
+            return Attempt::Lost;
+        }
+        let is_large = message.len() > LARGE && (self.ahead.is_some() || !self.addresses.is_empty());
+        if is_large {
+            self.settle();
+            // One at a time: a second one would be lost in the first one's burst. A subscriber left behind does not
+            // keep it from the others while there is room; once begun, it must find some.
+            let most = if self.is_outrun { self.room.saturating_sub(2) } else { 0 };
+            if self.ahead.is_none() && self.pending.len() > most {
+                return Attempt::Full;
+            }
+            let id = (self.writer.id(), self.next);
+            let ahead = self.ahead.get_or_insert_with(|| Ahead::new(message.clone(), id, &self.addresses));
+            if !ahead.advance(&self.socket, &self.rate) {
+                return Attempt::Begun;
+            }
+        }
+        match self.writer.write(message.slice(4..)) {
+            Attempt::Written => {
+                self.written(is_large.then(|| (message.clone(), self.next)));
+                Attempt::Written
+            }
+            Attempt::Full if is_large => Attempt::Begun,
+            other => other,
+        }
+    }
+
+    fn is_unconfirmed(&self) -> bool {
+        self.has_best_effort
+    }
+
+    fn has_caught_up(&self) -> bool {
         self.writer.is_acknowledged()
+    }
+
+    fn outrun(&mut self) -> &mut bool {
+        &mut self.is_outrun
     }
 }
 

@@ -40,7 +40,7 @@ impl<R: BufRead + Seek> McapReader<R> {
     /// No recorder writes the file any more: a missing end is damage.
     pub fn close(&mut self) -> Result<(), RosError> {
         self.growing.open = false;
-        self.read_summary().map_err(|error| RosError::unreadable(&error))
+        self.read_summary().map_err(RosError::unreadable)
     }
 
     pub fn is_finished(&self) -> bool {
