@@ -1,4 +1,3 @@
-
 /// The side that meets it ends the child and restarts it.
 #[derive(Debug, thiserror::Error)]
 pub enum PipeError {

@@ -61,7 +61,11 @@ pub fn orders<T: DeserializeOwned + Send + 'static>(
     mut from: impl Read + Send + 'static,
 ) -> std::io::Result<Receiver<(Order<T>, Vec<u8>)>> {
     let (sender, receiver) = sync_channel(4 * MOST_UNCONFIRMED);
-    let read = move || while let Ok(Some(order)) = receive(&mut from) && sender.send(order).is_ok() {};
+    let read = move || {
+        while let Ok(Some(order)) = receive(&mut from)
+            && sender.send(order).is_ok()
+        {}
+    };
     std::thread::Builder::new().name("orders".into()).spawn(read)?;
     Ok(receiver)
 }

@@ -31,11 +31,11 @@ impl Endpoint {
         let path_ok = path.len() <= 255 && path.bytes().all(|b| b.is_ascii_graphic());
         let port = port.parse().ok().filter(|port| *port != 0)?;
         (host_ok && path_ok).then(|| Self { host: host.to_owned(), port, path: format!("/{path}") })
-        }
+    }
 
-        pub fn of_master(uri: &str) -> Result<Self, RosError> {
-            Self::parse(uri).ok_or_else(|| RosError::Address(clean(uri, 120)))
-        }
+    pub fn of_master(uri: &str) -> Result<Self, RosError> {
+        Self::parse(uri).ok_or_else(|| RosError::Address(clean(uri, 120)))
+    }
 
     /// With brackets around an IPv6 address.
     pub fn authority(&self) -> String {

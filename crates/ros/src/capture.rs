@@ -160,10 +160,6 @@ impl Capture {
         }
     }
 
-    pub fn uri(&self) -> &str {
-        &self.slave.uri
-    }
-
     pub fn watched(&self) -> Vec<(TopicName, Option<TypeName>)> {
         self.shared.topics().iter().map(|topic| (topic.name.clone(), topic.wanted.clone())).collect()
     }
@@ -289,11 +285,10 @@ impl Threads {
         Ok(())
     }
 
-    pub fn wait_until_none(&self, deadline: Instant) -> bool {
+    pub fn wait_until_none(&self, deadline: Instant) {
         let (count, changed) = &*self.running;
         let patience = deadline.saturating_duration_since(Instant::now());
-        let waited = changed.wait_timeout_while(lock(count), patience, |running| *running > 0);
-        !waited.unwrap_or_else(PoisonError::into_inner).1.timed_out()
+        drop(changed.wait_timeout_while(lock(count), patience, |running| *running > 0));
     }
 }
 
@@ -334,7 +329,9 @@ impl Work {
         loop {
             let errands = self.shared.errands(next_round.saturating_duration_since(Instant::now()));
             if errands.stopping {
-                return self.leave_all(errands.leaving);
+                let mut names = errands.leaving;
+                names.extend(self.shared.topics().iter().map(|topic| topic.name.clone()));
+                return self.unregister(&names, Instant::now() + Duration::from_secs(1));
             }
             self.unregister(&errands.leaving, Instant::now() + PATIENCE);
             if Instant::now() < next_round {
@@ -378,11 +375,12 @@ impl Work {
         // Taken first: only an answer requested later can contradict a claim.
         let claims = topic.take_claims();
         let asked_at = Instant::now();
-        let answer = self.publishers(topic);
+        let params = self.params(&[topic.name.as_str(), "*"]);
+        let answer = call(&self.shared.master, "registerSubscriber", &params, Instant::now() + PATIENCE);
         self.master_is(answer.as_ref().map(drop).map_err(ToString::to_string));
         match answer {
             Ok(publishers) => {
-                meet(&self.shared, topic, &publishers, asked_at);
+                meet(&self.shared, topic, &publishers.texts(), asked_at);
                 refute(&self.shared, topic, claims);
                 true
             }
@@ -395,12 +393,6 @@ impl Work {
                 false
             }
         }
-    }
-
-    fn publishers(&self, topic: &Topic) -> Result<Vec<String>, CallError> {
-        let params = self.params(&[topic.name.as_str(), "*"]);
-        let answer = call(&self.shared.master, "registerSubscriber", &params, Instant::now() + PATIENCE)?;
-        Ok(answer.texts())
     }
 
     fn params(&self, middle: &[&str]) -> Vec<Value> {
@@ -426,11 +418,6 @@ impl Work {
                 return;
             }
         }
-    }
-
-    fn leave_all(&self, mut names: BTreeSet<TopicName>) {
-        names.extend(self.shared.topics().iter().map(|topic| topic.name.clone()));
-        self.unregister(&names, Instant::now() + Duration::from_secs(1));
     }
 }
 

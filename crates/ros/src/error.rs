@@ -1,4 +1,3 @@
-
 use crate::model::{ErrorKind, clean};
 
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

@@ -80,10 +80,8 @@ impl Graph {
             None => Types { value: self.ask("getTopicTypes", deadline)?, state, asked: Instant::now() },
         };
         let Some([publishers, subscribers, ..]) = types.state.as_array() else {
-            return Err(RosError::Protocol {
-                uri: self.master.to_string(),
-                reason: "its system state has no publishers and subscribers".into(),
-            });
+            let reason = "its system state has no publishers and subscribers".into();
+            return Err(RosError::Protocol { uri: self.master.to_string(), reason });
         };
         let topics = merge(publishers, subscribers, &types.value);
         last.0 = Some(types).filter(|_| topics.iter().all(|topic| topic.type_name.is_some()));

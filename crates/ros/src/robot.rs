@@ -12,8 +12,8 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crate::model::Timestamp;
-use crate::ros::ros2::{Declined, Offer, Offered, Ros2Publisher};
 use crate::ros::message::md5sum;
+use crate::ros::ros2::{Declined, Offer, Offered, Ros2Publisher};
 use crate::ros::{Advertised, GraphPublisher, Publisher, RosError, RosrustPublisher, lock};
 use picture::Camera;
 

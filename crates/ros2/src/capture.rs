@@ -354,7 +354,10 @@ impl<'a, W: Write> Child<'a, W> {
 fn listen(mut from: impl Read + Send + 'static, waker: Arc<Waker>) -> Result<Receiver<Wish>, Ros2Error> {
     let (sender, receiver) = channel();
     let read = move || {
-        while let Ok(Some((wish, _))) = receive(&mut from) && sender.send(wish).is_ok() && waker.wake().is_ok() {}
+        while let Ok(Some((wish, _))) = receive(&mut from)
+            && sender.send(wish).is_ok()
+            && waker.wake().is_ok()
+        {}
         drop(sender);
         drop(waker.wake());
     };

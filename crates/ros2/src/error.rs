@@ -1,4 +1,3 @@
-
 use crate::pipe::PipeError;
 
 /// Ends the program; the site restarts it.

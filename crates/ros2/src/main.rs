@@ -15,44 +15,36 @@ fn main() -> ExitCode {
     finish("authros-ros2", run(&arguments()))
 }
 
+const USAGE: &str =
+    "usage: authros-ros2 --domain N (0 to 232); authros --ros2 starts this program, do not run it by hand";
+
 fn run(arguments: &[String]) -> Result<(), String> {
-    let usage = "usage: authros-ros2 --domain N (0 to 232); authros --ros2 starts this program, do not run it by hand";
-    let purpose = purpose(arguments).ok_or(usage)?;
-    let Begun { from, to, stop, confined } = begin(Memory::AddressSpace(MOST_MEMORY), Network::Datagrams)?;
-    let done = match purpose {
-        Purpose::Attempt(paths) => return Ok(attempt_all(paths, confined, to)?),
-        Purpose::Read(domain, renew_after) => authros_ros2::run((domain, confined), renew_after, from, to, &stop),
-        Purpose::Publish(domain) => authros_ros2::publish((domain, confined), from, to, &stop),
-        Purpose::Bury(domain, participant) => {
+    let begin = || begin(Memory::AddressSpace(MOST_MEMORY), Network::Datagrams);
+    let domain = |value: &str| value.parse::<u16>().ok().filter(|domain| *domain <= HIGHEST_DOMAIN).ok_or(USAGE);
+    let read = |domain, renew_after| {
+        let Begun { from, to, stop, confined } = begin()?;
+        authros_ros2::run((domain, confined), renew_after, from, to, &stop).map_err(|error| error.to_string())
+    };
+    let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    match words[..] {
+        [ATTEMPT, ..] => {
+            let Begun { to, confined, .. } = begin()?;
+            Ok(attempt_all(&arguments[1..], confined, to)?)
+        }
+        ["--domain", value] => read(domain(value)?, None),
+        ["--domain", value, "--renew-after", number] => read(domain(value)?, Some(number.parse().map_err(|_| USAGE)?)),
+        ["--domain", value, "--publish"] => {
+            let domain = domain(value)?;
+            let Begun { from, to, stop, confined } = begin()?;
+            authros_ros2::publish((domain, confined), from, to, &stop).map_err(|error| error.to_string())
+        }
+        ["--domain", value, "--bury", whom] => {
+            let (domain, participant) = (domain(value)?, prefix(whom).ok_or(USAGE)?);
+            let _begun = begin()?;
             authros_ros2::bury(domain, &participant);
             Ok(())
         }
-    };
-    done.map_err(|error| error.to_string())
-}
-
-/// What it was started for.
-enum Purpose<'a> {
-    /// The number replaces its participant after meeting this many endpoints.
-    Read(u16, Option<usize>),
-    Publish(u16),
-    Bury(u16, [u8; 12]),
-    Attempt(&'a [String]),
-}
-
-fn purpose(arguments: &[String]) -> Option<Purpose<'_>> {
-    let domain = |value: &str| value.parse::<u16>().ok().filter(|domain| *domain <= HIGHEST_DOMAIN);
-    match arguments {
-        [first, paths @ ..] if first == ATTEMPT => Some(Purpose::Attempt(paths)),
-        [first, value] if first == "--domain" => Some(Purpose::Read(domain(value)?, None)),
-        [first, value, last, number] if first == "--domain" && last == "--renew-after" => {
-            Some(Purpose::Read(domain(value)?, Some(number.parse().ok()?)))
-        }
-        [first, value, last] if first == "--domain" && last == "--publish" => Some(Purpose::Publish(domain(value)?)),
-        [first, value, last, whom] if first == "--domain" && last == "--bury" => {
-            Some(Purpose::Bury(domain(value)?, prefix(whom)?))
-        }
-        _ => None,
+        _ => Err(USAGE.to_owned()),
     }
 }
 

@@ -1,4 +1,3 @@
-
 use std::collections::BTreeMap;
 use std::io::{BufWriter, Read, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -57,7 +56,8 @@ struct Child<'a, W: Write> {
 impl<'a, W: Write> Child<'a, W> {
     fn begin(node: &str, from: impl Read + Send + 'static, out: &'a mut W) -> Result<Self, RosrustError> {
         let ros = Ros::new(node).map_err(|error| RosrustError::Join(told(&error)))?;
-        let failed = |error: std::io::Error| RosrustError::System { action: "start a thread", reason: error.to_string() };
+        let failed =
+            |error: std::io::Error| RosrustError::System { action: "start a thread", reason: error.to_string() };
         let orders = write::orders(from).map_err(failed)?;
         let (outlets, queue) = (BTreeMap::new(), Queue::default());
         Ok(Self { ros, outlets, queue, orders, is_leaving: false, has_left: false, out })

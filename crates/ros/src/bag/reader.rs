@@ -56,8 +56,9 @@ impl<R: BufRead + Seek> RecordingReader for BagReader<R> {
                 self.findings.compare(self.length, "messages", self.counted.take(), self.met);
                 return Ok(None);
             }
-            if let Some(message) = self.advance().map_err(RosError::unreadable)? {
-                return Ok(Some(message));
+            let outside = self.advance().map_err(RosError::unreadable)?;
+            if outside.is_some() {
+                return Ok(outside);
             }
         }
     }
@@ -97,7 +98,9 @@ impl<R: BufRead + Seek> BagReader<R> {
 
     /// A damaged chunk may have held the only other copy of these connections.
     fn read_index(&mut self) -> Result<(), RosError> {
-        let Found::Record { header, .. } = self.look(self.position).map_err(RosError::unreadable)? else { return Ok(()) };
+        let Found::Record { header, .. } = self.look(self.position).map_err(RosError::unreadable)? else {
+            return Ok(());
+        };
         let Some(fields) = Fields::parse(&header).filter(|fields| fields.op() == Some(Op::BagHeader)) else {
             return Ok(());
         };
@@ -438,9 +441,7 @@ fn mixed(number: u64) -> u64 {
 }
 
 #[derive(Debug, Default)]
-pub(super) struct ChunkMessages {
-    of: BTreeMap<u32, Entries>,
-}
+pub(super) struct ChunkMessages(BTreeMap<u32, Entries>);
 
 impl ChunkMessages {
     pub fn add(&mut self, fields: &Fields<'_>, offset: usize) {
@@ -449,22 +450,22 @@ impl ChunkMessages {
         let mut entry = [0; ENTRY];
         entry[..8].copy_from_slice(&time);
         entry[8..].copy_from_slice(&u32::try_from(offset).unwrap_or(u32::MAX).to_le_bytes());
-        self.of.entry(connection).or_default().add(entry);
+        self.0.entry(connection).or_default().add(entry);
     }
 
     pub fn count(&self, connection: u32) -> u64 {
-        self.of.get(&connection).map_or(0, |entries| entries.count)
+        self.0.get(&connection).map_or(0, |entries| entries.count)
     }
 
     /// Whether the connection's index has exactly its messages; these are then done.
     pub fn take(&mut self, connection: u32, index: &[u8]) -> bool {
         let mut entries = Entries::default();
         index.as_chunks::<ENTRY>().0.iter().for_each(|entry| entries.add(*entry));
-        self.of.remove(&connection).unwrap_or_default() == entries
+        self.0.remove(&connection).unwrap_or_default() == entries
     }
 
     pub fn left(&self) -> Option<u32> {
-        self.of.keys().next().copied()
+        self.0.keys().next().copied()
     }
 }
 

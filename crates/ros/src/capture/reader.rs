@@ -1,8 +1,8 @@
-
 use std::collections::BTreeSet;
 use std::io;
 use std::net::TcpStream;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use super::topic::{Origin, Publisher, Sequence, Topic, header_seq, host_of};
@@ -73,9 +73,7 @@ struct Link {
 
 enum Failure {
     Passing(String),
-    /// It sends another type.
     Mismatch { caller_id: String, found: String },
-    /// It violates the protocol or a limit.
     Refused(String),
 }
 
@@ -266,7 +264,7 @@ impl Reader {
         let missing = header_seq.map_or(0, |next| self.sequence.follow(next));
         if let (1.., Some(next)) = (missing, header_seq) {
             let first = next.wrapping_sub(u32::try_from(missing).unwrap_or(u32::MAX));
-            self.topic.count_lost(missing);
+            self.topic.lost.fetch_add(missing, Ordering::Relaxed);
             self.shared.notice(CaptureNotice::LostInTransport {
                 topic: Arc::clone(&self.topic.label),
                 caller_id: clean(&from.caller_id, 120),

@@ -1,4 +1,3 @@
-
 use std::collections::{BTreeSet, HashMap, HashSet};
 use std::net::{IpAddr, SocketAddr};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -64,7 +63,7 @@ pub(super) struct Topic {
     ended: AtomicBool,
     messages: AtomicU64,
     bytes: AtomicU64,
-    lost: AtomicU64,
+    pub lost: AtomicU64,
     /// Nanoseconds; 0 = none yet.
     last: AtomicU64,
     state: Mutex<State>,
@@ -231,10 +230,6 @@ impl Topic {
         self.last.fetch_max(at.0, Ordering::Relaxed);
     }
 
-    pub fn count_lost(&self, count: u64) {
-        self.lost.fetch_add(count, Ordering::Relaxed);
-    }
-
     pub fn status(&self) -> TopicCapture {
         let state = lock(&self.state);
         let connected = |publisher: &&Arc<Publisher>| lock(&publisher.state).connected.is_some();
@@ -352,9 +347,9 @@ pub(super) struct Lineage {
     /// When the master's last answer was requested, or failed: a publisher first listed by the next answer was not
     /// registered before.
     asked: Option<Instant>,
-    }
+}
 
-    impl Lineage {
+impl Lineage {
     /// `taken` if the master then had another process under its caller id.
     pub fn ended(&mut self, caller_id: &Arc<str>, (number, endpoint): (u64, &Endpoint), at: Instant, taken: bool) {
         if self.ended.len() >= MOST_ENDED

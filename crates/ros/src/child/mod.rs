@@ -282,8 +282,7 @@ impl Shared {
             }
         }
     }
-
-    }
+}
 
 pub struct Run {
     shared: Arc<Shared>,

@@ -41,11 +41,7 @@ pub struct AttachedFile<'a> {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum BesideContent<'a> {
     File(AttachedFile<'a>),
-    Metadata {
-        name: Arc<str>,
-        /// In their order; a name may occur twice.
-        entries: Vec<(Arc<str>, Arc<str>)>,
-    },
+    Metadata { name: Arc<str>, entries: Vec<(Arc<str>, Arc<str>)> },
 }
 
 impl AttachedFile<'_> {
@@ -282,12 +278,6 @@ fn put_in_group(groups: &mut Vec<(Code, Vec<u8>)>, code: Code, content: &[u8]) {
 
 /// A channel of one field.
 #[cfg(test)]
-pub(super) fn words() -> Arc<Channel> {
-    let text = ("/words", "std_msgs/msg/String", "string data");
-    Arc::new(Channel::plain(text, Encoding::Cdr { idl: false }, BTreeMap::new()))
-}
-
-#[cfg(test)]
 mod tests {
     use std::io::Cursor;
 
@@ -297,7 +287,8 @@ mod tests {
     use crate::ros::recording::{ChunkCompression, RecordedMessage, RecordingReader as _};
 
     fn recorded(messages: u64) -> Vec<u8> {
-        let channel = words();
+        let text = ("/words", "std_msgs/msg/String", "string data");
+        let channel = Arc::new(Channel::plain(text, Encoding::Cdr { idl: false }, BTreeMap::new()));
         let mut writer = McapWriter::begin(Cursor::new(Vec::new()), ChunkCompression::Lz4).expect("begun");
         for number in 0..messages {
             writer.write(&channel, Timestamp(1_000 + number), &vec![7; 300_000]).expect("written");

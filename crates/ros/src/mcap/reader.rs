@@ -246,7 +246,9 @@ impl<R: BufRead + Seek> McapReader<R> {
     fn learn(&mut self, code: u8, content: &[u8], place: Place) -> bool {
         let fields = Fields(content);
         match Code::from_repr(code) {
-            Some(Code::Schema) => schema(fields).is_some_and(|(number, schema)| self.learn_schema(number, schema, place)),
+            Some(Code::Schema) => {
+                schema(fields).is_some_and(|(number, schema)| self.learn_schema(number, schema, place))
+            }
             Some(Code::Channel) => ChannelRecord::parse(fields).is_some_and(|record| self.learn_channel(record, place)),
             _ => true,
         }
@@ -339,7 +341,8 @@ impl<R: BufRead + Seek> McapReader<R> {
                     let (word, name) = (kind.word(), shown(&kind.name_of(&beginning)));
                     self.besides.met += 1;
                     let most = format!("a record holds at most {LONGEST_MESSAGE}");
-                    self.findings.leave_out(TOPIC, &format!("the {word} {name} of {length} bytes is too large: {most}"));
+                    self.findings
+                        .leave_out(TOPIC, &format!("the {word} {name} of {length} bytes is too large: {most}"));
                     return Ok(None);
                 }
                 let content = read_at(&mut self.file, data, length)?;

@@ -76,7 +76,8 @@ impl Definition {
             let fits = self.root().is_some_and(|root| walk.message(root).is_ok()) && walk.cursor.is_at_end();
             fits.then_some((cdr, walk.cursor.odd))
         };
-        let found: Vec<(Cdr, bool)> = cdr.ways().into_iter().filter_map(fit).collect();
+        let ways = [Wide::Bytes, Wide::Pairs, Wide::Quads].map(|wide| Cdr { wide, ..cdr });
+        let found: Vec<(Cdr, bool)> = ways.into_iter().filter_map(fit).collect();
         let any_sound = found.iter().any(|(_, odd)| !odd);
         found.into_iter().filter(|(_, odd)| !(any_sound && *odd)).map(|(cdr, _)| cdr).collect()
     }
@@ -142,7 +143,7 @@ impl<'a> Walk<'a> {
     ) -> Result<T, Failure> {
         self.spend()?;
         let of_numbers = matches!(field.kind, Kind::Primitive(primitive) if !primitive.is_text());
-        let part = self.cursor.begin_array(of_numbers)?;
+        let part = self.cursor.begin(!of_numbers && self.cursor.cdr.is_some_and(|cdr| cdr.second))?;
         let count = match field.arity {
             Arity::One => 1,
             Arity::Fixed(count) => count,
@@ -178,7 +179,7 @@ impl<'a> Walk<'a> {
 
     /// In CDR a message without fields has a placeholder byte.
     pub fn begin_message(&mut self, layout: &Layout) -> Result<Part, Failure> {
-        let part = self.cursor.begin_message()?;
+        let part = self.cursor.begin(self.cursor.cdr.is_some_and(|cdr| cdr.delimited))?;
         if self.cursor.is_cdr() && layout.fields.is_empty() {
             self.cursor.take(1, "byte of an empty message")?;
         }
@@ -344,11 +345,6 @@ impl Cdr {
         };
         Ok(Self { big_endian: kind & 1 == 0, second, delimited, wide: Wide::Bytes })
     }
-
-    /// Every possible layout of its wide texts.
-    pub fn ways(self) -> [Self; 3] {
-        [Wide::Bytes, Wide::Pairs, Wide::Quads].map(|wide| Self { wide, ..self })
-    }
 }
 
 #[derive(Debug, Clone)]
@@ -445,15 +441,7 @@ impl<'a> Cursor<'a> {
         Ok(text)
     }
 
-    pub fn begin_message(&mut self) -> Result<Part, Failure> {
-        self.begin(self.cdr.is_some_and(|cdr| cdr.delimited))
-    }
-
-    pub fn begin_array(&mut self, of_numbers: bool) -> Result<Part, Failure> {
-        self.begin(!of_numbers && self.cdr.is_some_and(|cdr| cdr.second))
-    }
-
-    fn begin(&mut self, tells_length: bool) -> Result<Part, Failure> {
+    pub fn begin(&mut self, tells_length: bool) -> Result<Part, Failure> {
         if !tells_length {
             return Ok(Part(None));
         }
@@ -528,6 +516,7 @@ impl Value {
     }
 
     fn flatten_into(&self, path: &str, most: usize, rows: &mut Vec<(String, String)>) {
+        let is_nested = |value: &Self| matches!(value, Self::Message(_) | Self::Array(_) | Self::Large { .. });
         if rows.len() >= most {
             return;
         }
@@ -538,17 +527,13 @@ impl Value {
                     value.flatten_into(&path, most, rows);
                 }
             }
-            Self::Array(items) if items.iter().any(Self::is_nested) => {
+            Self::Array(items) if items.iter().any(is_nested) => {
                 for (index, value) in items.iter().enumerate().take_while(|(index, _)| *index <= most) {
                     value.flatten_into(&format!("{path}[{index}]"), most, rows);
                 }
             }
             plain => rows.push((path.to_owned(), plain.to_text())),
         }
-    }
-
-    fn is_nested(&self) -> bool {
-        matches!(self, Self::Message(_) | Self::Array(_) | Self::Large { .. })
     }
 
     fn to_text(&self) -> String {

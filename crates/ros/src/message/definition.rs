@@ -87,14 +87,9 @@ impl Definition {
 
     /// Whether messages begin with a `std_msgs/Header`, and so with its `seq`.
     pub fn begins_with_header(&self) -> bool {
-        let first = self.root().and_then(|layout| layout.fields.first());
-        first.is_some_and(|field| match field.kind {
-            Kind::Message(index) => {
-                let named = |layout: &Layout| [HEADER, OLD_HEADER].contains(&layout.name.as_str());
-                field.arity == Arity::One && self.layouts.get(index).is_some_and(named)
-            }
-            Kind::Primitive(_) => false,
-        })
+        let first = self.root().and_then(|layout| layout.fields.first()).filter(|field| field.arity == Arity::One);
+        let Some(Field { kind: Kind::Message(index), .. }) = first else { return false };
+        self.layouts.get(*index).is_some_and(|layout| [HEADER, OLD_HEADER].contains(&layout.name.as_str()))
     }
 
     pub(super) fn root(&self) -> Option<&Layout> {
@@ -181,9 +176,10 @@ fn kind(nesting: &mut Nesting<'_>, inside: &str, base: &str) -> Result<(Kind, us
     if let Some(primitive) = Primitive::parse(base) {
         return Ok((Kind::Primitive(primitive), 0));
     }
+    let has = |name: &str| nesting.texts.contains_key(name);
     let full = match (base, inside.split_once('/')) {
         // Bags from before 2011 carry the header under its old name.
-        ("Header", _) if !nesting.has(HEADER) && nesting.has(OLD_HEADER) => OLD_HEADER.to_owned(),
+        ("Header", _) if has(OLD_HEADER) && !has(HEADER) => OLD_HEADER.to_owned(),
         ("Header", _) => HEADER.to_owned(),
         (_, Some((package, _))) if !base.contains('/') => format!("{package}/{base}"),
         _ => base.to_owned(),
@@ -330,10 +326,6 @@ impl<'a> Nesting<'a> {
         let mut nesting = Self { texts, done: HashMap::new(), path: Vec::new(), layouts: Vec::new() };
         nesting.resolve(name, make)?;
         Ok(nesting.layouts)
-    }
-
-    pub fn has(&self, name: &str) -> bool {
-        self.texts.contains_key(name)
     }
 
     pub fn resolve(&mut self, name: &str, make: Make<'a>) -> Result<(usize, usize), String> {

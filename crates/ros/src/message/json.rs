@@ -114,14 +114,10 @@ impl<'a> Export<'a, '_> {
             }
             Kind::Primitive(primitive) => {
                 let value = self.walk.primitive(primitive)?;
-                self.plain(&value)
+                serde_json::to_writer(&mut *self.out, &value).map_err(|_| self.unwritten())
             }
             Kind::Message(index) => self.message(self.walk.layout(index)?),
         }
-    }
-
-    fn plain(&mut self, value: &Value) -> Result<(), Failure> {
-        serde_json::to_writer(&mut *self.out, value).map_err(|_| self.unwritten())
     }
 }
 

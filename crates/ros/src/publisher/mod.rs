@@ -144,7 +144,7 @@ impl Publisher {
     }
 
     fn register(&self, outlet: &Outlet) -> Result<usize, RosError> {
-        let about = [outlet.topic(), outlet.type_name()];
+        let about = [outlet.about.topic.as_str(), &outlet.about.type_name];
         let deadline = Instant::now() + PATIENCE;
         let answer = self.identity.tell_master("registerPublisher", &about, &self.slave.uri, deadline);
         let answer = answer.map_err(|error| master_error(&self.identity.master, "registerPublisher", error))?;
@@ -163,7 +163,7 @@ impl Publisher {
 
     /// Unregisters, without waiting for a slow master.
     fn tell_gone(&self, outlets: &[Arc<Outlet>]) {
-        let topics: Vec<String> = outlets.iter().map(|outlet| outlet.topic().to_owned()).collect();
+        let topics: Vec<String> = outlets.iter().map(|outlet| outlet.about.topic.clone()).collect();
         let (identity, uri) = (Arc::clone(&self.identity), self.slave.uri.clone());
         let deadline = Instant::now() + PATIENCE;
         let told = std::thread::Builder::new().name("ros-leaving".into()).spawn(move || {
@@ -215,7 +215,7 @@ impl GraphPublisher for Publisher {
 
     /// No subscriber gets any more of them, however late the master learns of it.
     fn cut(&mut self, topics: &[String]) {
-        let is_meant = |outlet: &Arc<Outlet>| topics.iter().any(|topic| topic == outlet.topic());
+        let is_meant = |outlet: &Arc<Outlet>| topics.contains(&outlet.about.topic);
         let gone: Vec<Arc<Outlet>> = self.identity.outlets().into_iter().filter(is_meant).collect();
         lock(&self.identity.outlets).retain(|outlet| !is_meant(outlet));
         for outlet in &gone {
@@ -272,7 +272,7 @@ impl Identity {
     }
 
     fn outlet_of(&self, topic: &str) -> Option<Arc<Outlet>> {
-        lock(&self.outlets).iter().find(|outlet| outlet.topic() == topic).cloned()
+        lock(&self.outlets).iter().find(|outlet| outlet.about.topic == topic).cloned()
     }
 
     fn tell_master(&self, method: &str, middle: &[&str], uri: &str, deadline: Instant) -> Result<Value, CallError> {
@@ -288,7 +288,8 @@ impl Node for Identity {
     }
 
     fn publications(&self) -> Vec<(String, String)> {
-        self.outlets().iter().map(|outlet| (outlet.topic().to_owned(), outlet.type_name().to_owned())).collect()
+        let about = |outlet: &Arc<Outlet>| (outlet.about.topic.clone(), outlet.about.type_name.clone());
+        self.outlets().iter().map(about).collect()
     }
 
     fn links(&self) -> Vec<BusLink> {

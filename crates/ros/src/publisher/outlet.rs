@@ -16,7 +16,7 @@ use crate::ros::tcpros::{BusLink, ConnectionHeader};
 const MOST_LATCHED: usize = 64;
 
 pub(crate) struct Outlet {
-    about: Advertised,
+    pub about: Advertised,
     overflowed: AtomicU64,
     audience: Mutex<Audience>,
 }
@@ -33,14 +33,6 @@ struct Audience {
 impl Outlet {
     pub fn new(about: Advertised) -> Self {
         Self { about, overflowed: AtomicU64::new(0), audience: Mutex::default() }
-    }
-
-    pub fn topic(&self) -> &str {
-        &self.about.topic
-    }
-
-    pub fn type_name(&self) -> &str {
-        &self.about.type_name
     }
 
     pub fn overflowed(&self) -> u64 {

@@ -86,6 +86,7 @@ pub(super) fn kept_about(all: impl IntoIterator<Item = (Arc<str>, Arc<str>)>) ->
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Encoding {
+    /// As in ROS 1.
     Ros1,
     /// CDR, as in ROS 2; the schema is MCAP's `ros2msg` or `ros2idl`.
     Cdr { idl: bool },

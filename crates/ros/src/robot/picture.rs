@@ -54,7 +54,7 @@ impl Camera {
         let mut encoder = Encoder::new(&mut jpeg, self.quality);
         // As cameras do: colour at half the resolution is half the work.
         encoder.set_sampling_factor(SamplingFactor::F_2_2);
-        encoder.encode(self.canvas.pixels(), width, height, ColorType::Rgb).ok()?;
+        encoder.encode(&self.canvas.pixels, width, height, ColorType::Rgb).ok()?;
         Some(jpeg)
     }
 
@@ -159,10 +159,6 @@ impl Canvas {
     }
 
     /// Row by row.
-    pub fn pixels(&self) -> &[u8] {
-        &self.pixels
-    }
-
     fn rows(&mut self) -> impl Iterator<Item = (i32, &mut [u8])> {
         let stride = usize::try_from(WIDTH * 3).unwrap_or(1);
         (0..).zip(self.pixels.chunks_exact_mut(stride))

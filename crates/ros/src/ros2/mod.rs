@@ -31,10 +31,6 @@ pub use publisher::{QUALITY, WRITER};
 
 const PROGRAM: &str = "authros-ros2";
 
-fn find(program: Option<&Path>) -> Result<PathBuf, RosError> {
-    child::find(PROGRAM, program).map_err(RosError::NoReader)
-}
-
 fn errand(program: &Path, domain: u16, publishes: bool) -> Errand {
     let arguments = ["--domain".to_owned(), domain.to_string()];
     let arguments = arguments.into_iter().chain(publishes.then(|| "--publish".to_owned())).collect();
@@ -71,7 +67,7 @@ pub struct Ros2Capture {
 
 impl Ros2Capture {
     pub fn start(domain: u16, program: Option<&Path>, sink: Arc<dyn MessageSink>) -> Result<Self, RosError> {
-        let program = find(program)?;
+        let program = child::find(PROGRAM, program).map_err(RosError::NoReader)?;
         let shared = Arc::new(Shared {
             domain,
             program,
@@ -382,7 +378,7 @@ pub struct Ros2Publisher {
 
 impl Ros2Publisher {
     pub fn start(domain: u16, program: Option<&Path>) -> Result<Self, RosError> {
-        let program = find(program)?;
+        let program = child::find(PROGRAM, program).map_err(RosError::NoReader)?;
         let run = Run::start(&errand(&program, domain, true), domain)?;
         let (announced, earlier) = (BTreeMap::new(), Delivery::default());
         let publisher = Self { domain, program, run, announced, next: 1, latched_bytes: 0, earlier };

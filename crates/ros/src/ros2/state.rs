@@ -1,4 +1,3 @@
-
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
@@ -380,20 +379,14 @@ impl Numbers {
 
     /// Gaps that will not be filled; `all` = everything missing.
     pub fn settled(&mut self, now: Instant, all: bool) -> Vec<Gap> {
-        let beyond = self.missing.len().saturating_sub(MOST_GAPS);
-        let late = |since: Instant| all || now.saturating_duration_since(since) >= SETTLE;
-        let gaps: Vec<Gap> = self
-            .missing
-            .iter()
-            .enumerate()
-            .filter(|(place, (_, (_, since)))| *place < beyond || late(*since))
-            .map(|(_, (first, (last, _)))| (*first, *last))
-            .collect();
-        self.missing.retain(|first, _| !gaps.iter().any(|(gap, _)| gap == first));
-        gaps
+        let mut beyond = self.missing.len().saturating_sub(MOST_GAPS);
+        let is_settled = |_: &i64, (_, since): &mut (i64, Instant)| {
+            let is_beyond = beyond > 0;
+            beyond = beyond.saturating_sub(1);
+            is_beyond || all || now.saturating_duration_since(*since) >= SETTLE
+        };
+        self.missing.extract_if(.., is_settled).map(|(first, (last, _))| (first, last)).collect()
     }
-
-    /// Whether a message was ever seen.
 }
 
 #[cfg(test)]

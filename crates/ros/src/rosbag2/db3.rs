@@ -148,15 +148,11 @@ impl Db3Reader {
         for table in columns.keys() {
             let mut statement = self.database.prepare(&format!("PRAGMA main.quick_check('{table}')"))?;
             let mut rows = statement.query([])?;
-            loop {
-                match rows.next() {
-                    Ok(Some(row)) => faults.extend(row.get::<_, String>(0).ok().filter(|fault| fault != "ok")),
-                    Ok(None) => break,
-                    Err(error) => {
-                        faults.push(error.to_string());
-                        break;
-                    }
-                }
+            while let Some(row) = rows.next().unwrap_or_else(|error| {
+                faults.push(error.to_string());
+                None
+            }) {
+                faults.extend(row.get::<_, String>(0).ok().filter(|fault| fault != "ok"));
             }
         }
         if faults.is_empty() {

@@ -6,13 +6,13 @@ mod value;
 use std::io::{self, BufRead, BufReader, ErrorKind, Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crate::model::clean;
 use crate::ros::address::{Endpoint, connect, time_left};
-use value::{Response, parse_call, parse_response, write_call, write_fault, write_response};
+use value::{parse_call, parse_response, write_call, write_fault, write_response};
 
 pub(super) use value::Value;
 
@@ -37,10 +37,8 @@ pub(crate) enum CallError {
 
 pub(crate) fn call(peer: &Endpoint, method: &str, params: &[Value], deadline: Instant) -> Result<Value, CallError> {
     let response = forward(peer, &write_call(method, params), deadline)?;
-    match parse_response(&response).map_err(|error| CallError::Protocol(error.to_string()))? {
-        Response::Value(value) => unwrap_answer(value),
-        Response::Fault(words) => Err(CallError::Refused(clean(&words, 200))),
-    }
+    let response = parse_response(&response).map_err(|error| CallError::Protocol(error.to_string()))?;
+    unwrap_answer(response.map_err(|words| CallError::Refused(clean(&words, 200)))?)
 }
 
 /// Passes the text of a call on; returns the response's text, unread.
@@ -155,32 +153,24 @@ fn accept_all<H: Fn(TcpStream) -> io::Result<()> + Send + Sync + 'static>(
     handle: &Arc<H>,
     most: usize,
 ) {
-    let open = Arc::new(AtomicUsize::new(0));
+    // One share for each open connection.
+    let open = Arc::new(());
     while !stopping.load(Ordering::SeqCst) {
         let Ok((stream, _)) = listener.accept() else {
             // Out of descriptors, for example: not a reason to spin.
             std::thread::sleep(Duration::from_millis(20));
             continue;
         };
-        if stopping.load(Ordering::SeqCst) || open.load(Ordering::SeqCst) >= most {
+        if stopping.load(Ordering::SeqCst) || Arc::strong_count(&open) > most {
             continue;
         }
-        open.fetch_add(1, Ordering::SeqCst);
-        let (place, handle) = (Place(Arc::clone(&open)), Arc::clone(handle));
+        let (place, handle) = (Arc::clone(&open), Arc::clone(handle));
         // Without a thread the peer's connection closes, and it asks again.
         let _ = std::thread::Builder::new().name(format!("{name}-call")).spawn(move || {
             let _place = place;
             // A failed connection is the peer's concern.
             let _ = handle(stream);
         });
-    }
-}
-
-struct Place(Arc<AtomicUsize>);
-
-impl Drop for Place {
-    fn drop(&mut self) {
-        self.0.fetch_sub(1, Ordering::SeqCst);
     }
 }
 

@@ -135,12 +135,6 @@ pub(super) struct ParseError(&'static str);
 
 type Result<T> = std::result::Result<T, ParseError>;
 
-#[derive(Debug, Clone, PartialEq)]
-pub(super) enum Response {
-    Value(Value),
-    Fault(String),
-}
-
 /// Reads tag by tag; each opened tag must be closed in order.
 struct Tags<'a>(Reader<&'a [u8]>);
 
@@ -325,18 +319,18 @@ pub(super) fn parse_call(text: &str) -> Result<(String, Vec<Value>)> {
 }
 
 /// The one value, or the text of the fault.
-pub(super) fn parse_response(text: &str) -> Result<Response> {
+pub(super) fn parse_response(text: &str) -> Result<std::result::Result<Value, String>> {
     let mut tags = Tags::of(text);
     tags.open("methodResponse")?;
     match tags.tag()? {
         Some(tag) if tag.name().as_ref() == b"params" => {
             tags.open("param")?;
             tags.open("value")?;
-            value(&mut tags, 0).map(Response::Value)
+            value(&mut tags, 0).map(Ok)
         }
         Some(tag) if tag.name().as_ref() == b"fault" => {
             tags.open("value")?;
-            Ok(Response::Fault(fault_words(&value(&mut tags, 0)?)))
+            Ok(Err(fault_words(&value(&mut tags, 0)?)))
         }
         _ => Err(ParseError("a response has neither value nor fault")),
     }
@@ -378,7 +372,7 @@ mod tests {
             parse_response(&text)
         };
         for (text, expected) in [("&#0;&#27;&#x1B;&amp;", "\0\u{1b}\u{1b}&"), ("a&#9731;b&lt;", "a\u{2603}b<")] {
-            assert_eq!(answer(text), Ok(Response::Value(Value::Text(expected.to_owned()))), "{text}");
+            assert_eq!(answer(text), Ok(Ok(Value::Text(expected.to_owned()))), "{text}");
         }
         for wrong in ["&nbsp;", "&#xD800;", "&#;", "&amp", "&#1114112;"] {
             assert!(answer(wrong).is_err(), "{wrong}");
@@ -392,10 +386,10 @@ mod tests {
             <value><array><data>\n</data></array></value></data></array></value>\n</param></params>\n</methodResponse>";
         let expected =
             vec![Value::Int(1), Value::from("plain"), Value::from(""), Value::from(""), Value::Array(Vec::new())];
-        assert_eq!(parse_response(text), Ok(Response::Value(Value::Array(expected))));
+        assert_eq!(parse_response(text), Ok(Ok(Value::Array(expected))));
         let call = "<methodCall><methodName>getPid</methodName></methodCall>";
         assert_eq!(parse_call(call), Ok(("getPid".into(), Vec::new())));
-        assert_eq!(parse_response(&write_fault(-1, "no <such> thing")), Ok(Response::Fault("no <such> thing".into())));
+        assert_eq!(parse_response(&write_fault(-1, "no <such> thing")), Ok(Err("no <such> thing".into())));
     }
 
     #[test]
@@ -418,7 +412,7 @@ mod tests {
     proptest! {
         #[test]
         fn values_round_trip(value in any_value()) {
-            prop_assert_eq!(parse_response(&write_response(&value)), Ok(Response::Value(value.clone())));
+            prop_assert_eq!(parse_response(&write_response(&value)), Ok(Ok(value.clone())));
             let call = write_call("m", std::slice::from_ref(&value));
             prop_assert_eq!(parse_call(&call), Ok(("m".to_owned(), vec![value])));
         }

@@ -1,4 +1,3 @@
-
 mod queue;
 mod writing;
 

@@ -125,12 +125,14 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::ros::mcap::beside::words;
+    use std::collections::BTreeMap;
+
     use crate::ros::mcap::{Beside, McapWriter};
-    use crate::ros::recording::{ChunkCompression, RecordingReader as _, Sent};
+    use crate::ros::recording::{Channel, ChunkCompression, Encoding, RecordingReader as _, Sent};
 
     fn recorded(compression: ChunkCompression) -> Vec<u8> {
-        let channel = words();
+        let text = ("/words", "std_msgs/msg/String", "string data");
+        let channel = Arc::new(Channel::plain(text, Encoding::Cdr { idl: false }, BTreeMap::new()));
         let mut writer = McapWriter::begin(Cursor::new(Vec::new()), compression).expect("begun");
         let mut facts = 3_u32.to_le_bytes().to_vec();
         facts.extend(b"rig\0\0\0\0");
