@@ -30,11 +30,7 @@ pub fn receive<T: DeserializeOwned>(from: &mut impl Read) -> Result<Option<(T, V
     if begin.is_empty() {
         return Ok(None);
     }
-    let Some((head, payload)) =
-        begin.first_chunk::<4>().zip(begin.last_chunk::<4>()).filter(|_| begin.len() == LENGTHS as usize)
-    else {
-        return Err(PipeError::Cut);
-    };
+    let ([head, payload], []) = begin.as_chunks::<4>() else { return Err(PipeError::Cut) };
     let head = checked("head", u64::from(u32::from_le_bytes(*head)), LONGEST_HEAD)?;
     let payload = checked("payload", u64::from(u32::from_le_bytes(*payload)), LONGEST_PAYLOAD)?;
     let head = whole(from, head)?;

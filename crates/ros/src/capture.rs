@@ -275,7 +275,8 @@ struct Threads {
 impl Threads {
     /// Runs `work` in a counted thread until it returns; after a panic, which the panic hook reports, it starts again.
     pub fn spawn(&self, name: &str, mut work: impl FnMut() + Send + 'static) -> std::io::Result<()> {
-        let place = Counted::new(&self.running);
+        *lock(&self.running.0) += 1;
+        let place = Counted(Arc::clone(&self.running));
         std::thread::Builder::new().name(name.into()).spawn(move || {
             let _place = place;
             while catch_unwind(AssertUnwindSafe(&mut work)).is_err() {
@@ -293,13 +294,6 @@ impl Threads {
 }
 
 struct Counted(Arc<(Mutex<usize>, Condvar)>);
-
-impl Counted {
-    fn new(running: &Arc<(Mutex<usize>, Condvar)>) -> Self {
-        *lock(&running.0) += 1;
-        Self(Arc::clone(running))
-    }
-}
 
 impl Drop for Counted {
     fn drop(&mut self) {
@@ -381,7 +375,11 @@ impl Work {
         match answer {
             Ok(publishers) => {
                 meet(&self.shared, topic, &publishers.texts(), asked_at);
-                refute(&self.shared, topic, claims);
+                // Nobody connects to publishers that the master did not list.
+                for publisher in topic.unconfirmed(claims) {
+                    let topic = Arc::clone(&topic.label);
+                    self.shared.notice(CaptureNotice::UnconfirmedPublisher { topic, publisher });
+                }
                 true
             }
             Err(error) => {
@@ -444,13 +442,6 @@ fn meet(shared: &Arc<Shared>, topic: &Arc<Topic>, uris: &[String], asked_at: Ins
             topic.forget(&publisher);
             refuse(&publisher.endpoint.to_string(), &format!("no thread to read it: {error}"));
         }
-    }
-}
-
-/// Claims that the master did not list are reported; nobody connects to them.
-fn refute(shared: &Shared, topic: &Topic, claims: BTreeSet<String>) {
-    for publisher in topic.unconfirmed(claims) {
-        shared.notice(CaptureNotice::UnconfirmedPublisher { topic: Arc::clone(&topic.label), publisher });
     }
 }
 

@@ -53,47 +53,6 @@ pub struct Graph {
     node_name: String,
 }
 
-impl Graph {
-    /// Sends nothing yet.
-    pub fn new(master_uri: &str, node_name: &str) -> Result<Self, RosError> {
-        Ok(Self::of(Endpoint::of_master(master_uri)?, node_name))
-    }
-
-    pub(crate) fn of(master: Endpoint, node_name: &str) -> Self {
-        Self { master, node_name: node_name.to_owned() }
-    }
-
-    pub fn ping(&self) -> Result<(), RosError> {
-        self.ask("getPid", Instant::now() + PATIENCE).map(drop)
-    }
-
-    pub fn topics(&self) -> Result<Vec<TopicInfo>, RosError> {
-        self.topics_again(&mut LastLook::default())
-    }
-
-    /// For repeated polling: while the graph is unchanged and all types are known, types are queried only now and then.
-    pub fn topics_again(&self, last: &mut LastLook) -> Result<Vec<TopicInfo>, RosError> {
-        let deadline = Instant::now() + PATIENCE;
-        let state = self.ask("getSystemState", deadline)?;
-        let types = match last.0.take().filter(|types| types.hold(&state)) {
-            Some(types) => types,
-            None => Types { value: self.ask("getTopicTypes", deadline)?, state, asked: Instant::now() },
-        };
-        let Some([publishers, subscribers, ..]) = types.state.as_array() else {
-            let reason = "its system state has no publishers and subscribers".into();
-            return Err(RosError::Protocol { uri: self.master.to_string(), reason });
-        };
-        let topics = merge(publishers, subscribers, &types.value);
-        last.0 = Some(types).filter(|_| topics.iter().all(|topic| topic.type_name.is_some()));
-        Ok(topics)
-    }
-
-    fn ask(&self, method: &'static str, deadline: Instant) -> Result<Value, RosError> {
-        call(&self.master, method, &[self.node_name.as_str().into()], deadline)
-            .map_err(|error| master_error(&self.master, method, error))
-    }
-}
-
 /// The meaning of a failed call to the master.
 pub(super) fn master_error(master: &Endpoint, call: &'static str, error: CallError) -> RosError {
     let uri = master.to_string();
@@ -135,37 +94,6 @@ pub struct Presence {
     pub subscribers: Vec<String>,
 }
 
-impl Graph {
-    pub fn presence(&self, topic: &str) -> Result<Presence, RosError> {
-        let state = self.ask("getSystemState", Instant::now() + PATIENCE)?;
-        let nodes = |index: usize| {
-            let of_state = state.as_array().and_then(|parts| parts.get(index));
-            let found = of_state.and_then(|part| rows(part).find(|(name, _)| *name == topic));
-            found.map(|(_, nodes)| nodes.texts()).unwrap_or_default()
-        };
-        Ok(Presence { publishers: nodes(0), subscribers: nodes(1) })
-    }
-
-    /// Whether another URI leads to this master, as far as names and addresses show.
-    pub fn is_at(&self, uri: &str) -> bool {
-        let Some(other) = Endpoint::parse(uri) else { return false };
-        if other.port != self.master.port {
-            return false;
-        }
-        let places = |endpoint: &Endpoint| resolve(&endpoint.host, endpoint.port, Instant::now() + PATIENCE);
-        match (places(&self.master), places(&other)) {
-            (Ok(ours), Ok(theirs)) => {
-                ours.iter().any(|place| theirs.iter().any(|other| place == other || both_loopback(place, other)))
-            }
-            _ => other.host == self.master.host,
-        }
-    }
-}
-
-fn both_loopback(one: &std::net::SocketAddr, other: &std::net::SocketAddr) -> bool {
-    one.ip().is_loopback() && other.ip().is_loopback()
-}
-
 const MOST_NODES: usize = 20;
 const EACH: Duration = Duration::from_millis(800);
 
@@ -186,6 +114,71 @@ impl std::fmt::Display for Unreached {
 }
 
 impl Graph {
+    /// Sends nothing yet.
+    pub fn new(master_uri: &str, node_name: &str) -> Result<Self, RosError> {
+        Ok(Self::of(Endpoint::of_master(master_uri)?, node_name))
+    }
+
+    pub(crate) fn of(master: Endpoint, node_name: &str) -> Self {
+        Self { master, node_name: node_name.to_owned() }
+    }
+
+    pub fn ping(&self) -> Result<(), RosError> {
+        self.ask("getPid", Instant::now() + PATIENCE).map(drop)
+    }
+
+    pub fn topics(&self) -> Result<Vec<TopicInfo>, RosError> {
+        self.topics_again(&mut LastLook::default())
+    }
+
+    /// For repeated polling: while the graph is unchanged and all types are known, types are queried only now and then.
+    pub fn topics_again(&self, last: &mut LastLook) -> Result<Vec<TopicInfo>, RosError> {
+        let deadline = Instant::now() + PATIENCE;
+        let state = self.ask("getSystemState", deadline)?;
+        let types = match last.0.take().filter(|types| types.hold(&state)) {
+            Some(types) => types,
+            None => Types { value: self.ask("getTopicTypes", deadline)?, state, asked: Instant::now() },
+        };
+        let Some([publishers, subscribers, ..]) = types.state.as_array() else {
+            let reason = "its system state has no publishers and subscribers".into();
+            return Err(RosError::Protocol { uri: self.master.to_string(), reason });
+        };
+        let topics = merge(publishers, subscribers, &types.value);
+        last.0 = Some(types).filter(|_| topics.iter().all(|topic| topic.type_name.is_some()));
+        Ok(topics)
+    }
+
+    fn ask(&self, method: &'static str, deadline: Instant) -> Result<Value, RosError> {
+        call(&self.master, method, &[self.node_name.as_str().into()], deadline)
+            .map_err(|error| master_error(&self.master, method, error))
+    }
+
+    pub fn presence(&self, topic: &str) -> Result<Presence, RosError> {
+        let state = self.ask("getSystemState", Instant::now() + PATIENCE)?;
+        let nodes = |index: usize| {
+            let of_state = state.as_array().and_then(|parts| parts.get(index));
+            let found = of_state.and_then(|part| rows(part).find(|(name, _)| *name == topic));
+            found.map(|(_, nodes)| nodes.texts()).unwrap_or_default()
+        };
+        Ok(Presence { publishers: nodes(0), subscribers: nodes(1) })
+    }
+
+    /// Whether another URI leads to this master, as far as names and addresses show.
+    pub fn is_at(&self, uri: &str) -> bool {
+        let Some(other) = Endpoint::parse(uri) else { return false };
+        if other.port != self.master.port {
+            return false;
+        }
+        let places = |endpoint: &Endpoint| resolve(&endpoint.host, endpoint.port, Instant::now() + PATIENCE);
+        match (places(&self.master), places(&other)) {
+            (Ok(ours), Ok(theirs)) => ours.iter().any(|place| {
+                let is_loopback = place.ip().is_loopback();
+                theirs.iter().any(|other| place == other || is_loopback && other.ip().is_loopback())
+            }),
+            _ => other.host == self.master.host,
+        }
+    }
+
     /// The number of publishers' addresses tried, and those that do not answer.
     pub fn unreached(&self) -> Result<(usize, Vec<Unreached>), RosError> {
         let nodes: BTreeSet<String> = self.topics()?.into_iter().flat_map(|topic| topic.publishers).collect();

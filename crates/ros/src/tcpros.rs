@@ -196,7 +196,7 @@ impl Answer for Slave {
         let node = &*self.0;
         Some(match method {
             "getPid" => success(Value::Int(i64::from(std::process::id()))),
-            "getMasterUri" => success(node.master_uri().into()),
+            "getMasterUri" => success(Value::Text(node.master_uri())),
             "getSubscriptions" => success(pairs(node.subscriptions())),
             "getPublications" => success(pairs(node.publications())),
             "getBusStats" => success(Value::Array(vec![Value::Array(Vec::new()); 3])),
@@ -226,17 +226,17 @@ pub(super) fn failure(code: i64, reason: &str) -> Value {
 }
 
 fn pairs(pairs: Vec<(String, String)>) -> Value {
-    pairs.into_iter().map(|(topic, type_name)| Value::Array(vec![topic.into(), type_name.into()])).collect()
+    pairs.into_iter().map(|(topic, kind)| Value::Array(vec![Value::Text(topic), Value::Text(kind)])).collect()
 }
 
 fn bus_info(links: Vec<BusLink>) -> Value {
     let row = |(number, link): (i64, BusLink)| {
         Value::Array(vec![
             Value::Int(number),
-            link.peer.into(),
+            Value::Text(link.peer),
             if link.outbound { "o" } else { "i" }.into(),
             "TCPROS".into(),
-            link.topic.into(),
+            Value::Text(link.topic),
             Value::Bool(true),
         ])
     };
@@ -260,7 +260,7 @@ fn request_topic(node: &dyn Node, params: &[Value]) -> Value {
         return failure(0, "only TCPROS is supported");
     }
     match node.outlet(text_at(params, 1)) {
-        Some((host, port)) => success(Value::Array(vec!["TCPROS".into(), host.into(), Value::Int(i64::from(port))])),
+        Some((host, port)) => success(Value::Array(vec!["TCPROS".into(), Value::Text(host), Value::Int(port.into())])),
         None => failure(0, "this topic is not published here"),
     }
 }

@@ -141,11 +141,8 @@ fn form(server: Id) -> Option<Form> {
 }
 
 impl Asked {
-    fn begin(
-        (participant, subscriber, publisher): Parts<'_>,
-        question: &Question,
-        graph: &Graph,
-    ) -> Result<Self, String> {
+    fn begin(parts: Parts<'_>, question: &Question, graph: &Graph) -> Result<Self, String> {
+        let (participant, subscriber, publisher) = parts;
         let Some((request, answer)) = graph::description_topics(&question.node) else {
             return Err("its name is no name of a node".to_owned());
         };

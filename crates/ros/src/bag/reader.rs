@@ -9,7 +9,7 @@ use super::{Fields, LONGEST_CONNECTION, LONGEST_HEADER, MAGIC, Op, connection, s
 use crate::ros::RosError;
 use crate::ros::recording::{
     Channel, Chunk, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage,
-    RecordingReader, TOO_LARGE, go_to, read_at, unpack,
+    RecordingFormat, RecordingReader, TOO_LARGE, go_to, read_at, unpack,
 };
 use crate::ros::tcpros::LONGEST_MESSAGE;
 
@@ -357,11 +357,7 @@ impl<R: BufRead + Seek> BagReader<R> {
         }
         let why = unpacked.err().unwrap_or_else(|| format!("it does not unpack to {size} bytes"));
         self.chunk.bytes.clear();
-        self.skip_chunk(start, data, &why)
-    }
-
-    /// Continues behind a damaged chunk if a record begins there, otherwise at the next chunk.
-    fn skip_chunk(&mut self, start: u64, data: u64, why: &str) -> std::io::Result<()> {
+        // Continues behind the damaged chunk if a record begins there, otherwise at the next chunk.
         if self.position <= self.length && !matches!(self.look(self.position)?, Found::Damage(_)) {
             let skipped = self.position - start;
             self.findings.note(start, &format!("a damaged chunk of {skipped} bytes was skipped: {why}"));
@@ -488,12 +484,8 @@ const LONGEST: usize = 128;
 const WINDOW: usize = 64 * 1024;
 
 fn chunk_compression(fields: &Fields<'_>) -> Option<ChunkCompression> {
-    match fields.bytes("compression")? {
-        b"none" => Some(ChunkCompression::None),
-        b"bz2" => Some(ChunkCompression::Bz2),
-        b"lz4" => Some(ChunkCompression::Lz4),
-        _ => None,
-    }
+    let word = std::str::from_utf8(fields.bytes("compression")?).ok()?;
+    word.parse().ok().filter(|compression| RecordingFormat::Bag.takes(*compression))
 }
 
 /// The first chunk record at or after `from`.

@@ -276,7 +276,6 @@ fn put_in_group(groups: &mut Vec<(Code, Vec<u8>)>, code: Code, content: &[u8]) {
     }
 }
 
-/// A channel of one field.
 #[cfg(test)]
 mod tests {
     use std::io::Cursor;

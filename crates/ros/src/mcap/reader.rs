@@ -325,7 +325,9 @@ impl<R: BufRead + Seek> McapReader<R> {
         self.position = end.unwrap_or(self.length).min(self.length);
         match code {
             Some(Code::Chunk) => {
-                self.growing.note_chunk(start..self.position);
+                if self.growing.told {
+                    self.growing.chunks.push(start..self.position);
+                }
                 self.read_chunk(start, missing)?;
             }
             Some(Code::DataEnd) => self.end_data(start, length)?,

@@ -121,7 +121,7 @@ pub(super) enum Failure {
 
 pub(super) struct Walk<'a> {
     layouts: &'a [Layout],
-    cursor: Cursor<'a>,
+    pub cursor: Cursor<'a>,
     limits: Limits,
     steps: usize,
 }
@@ -173,7 +173,7 @@ impl<'a> Walk<'a> {
         for field in &layout.fields {
             fields.push((Arc::clone(&field.name), self.field(field)?));
         }
-        self.end_part(part)?;
+        self.cursor.end_part(part)?;
         Ok(Value::Message(fields))
     }
 
@@ -184,10 +184,6 @@ impl<'a> Walk<'a> {
             self.cursor.take(1, "byte of an empty message")?;
         }
         Ok(part)
-    }
-
-    pub fn end_part(&mut self, part: Part) -> Result<(), Failure> {
-        self.cursor.end_part(part)
     }
 
     fn field(&mut self, field: &'a Field) -> Result<Value, Failure> {
@@ -243,7 +239,7 @@ impl<'a> Walk<'a> {
                 layout => {
                     let part = self.begin_message(layout)?;
                     layout.fields.iter().try_for_each(|field| self.skip_field(field))?;
-                    self.end_part(part)
+                    self.cursor.end_part(part)
                 }
             },
         }

@@ -78,7 +78,7 @@ impl<'a> Export<'a, '_> {
             self.text("\":")?;
             self.field(field)?;
         }
-        self.walk.end_part(part)?;
+        self.walk.cursor.end_part(part)?;
         self.text("}")
     }
 

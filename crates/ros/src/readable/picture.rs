@@ -39,12 +39,14 @@ impl PictureError {
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, strum::EnumString)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum Exported {
     /// 8-bit colours and greys and 16-bit depths are exact.
     Png,
     /// Of a JPEG message, its own bytes.
+    #[strum(serialize = "jpg", serialize = "jpeg")]
     Jpeg,
     /// NumPy's array file: the matrix itself.
     Npy,
@@ -55,15 +57,7 @@ pub enum Exported {
 }
 
 pub fn file_of(name: &str) -> Option<Exported> {
-    let end = name.rsplit_once('.')?.1.to_ascii_lowercase();
-    Some(match end.as_str() {
-        "png" => Exported::Png,
-        "jpg" | "jpeg" => Exported::Jpeg,
-        "npy" => Exported::Npy,
-        "json" => Exported::Json,
-        "bin" => Exported::Bin,
-        _ => return None,
-    })
+    name.rsplit_once('.')?.1.to_ascii_lowercase().parse().ok()
 }
 
 pub fn export(kind: Exported, definition: &Definition, body: &[u8]) -> Result<Vec<u8>, PictureError> {
@@ -247,14 +241,12 @@ fn decode_png(data: &[u8]) -> Result<Raster, PictureError> {
     reader.next_frame(&mut samples).map_err(broken)?;
     let (colour, depth) = reader.output_color_type();
     if depth == BitDepth::Sixteen {
-        samples = samples.as_chunks().0.iter().map(|pair| as_byte(u16::from_be_bytes(*pair))).collect();
+        // Rounds sixteen bits to eight.
+        let as_byte =
+            |pair: &[u8; 2]| u8::try_from((u32::from(u16::from_be_bytes(*pair)) + 128) / 257).unwrap_or(u8::MAX);
+        samples = samples.as_chunks().0.iter().map(as_byte).collect();
     }
     raster((width, height), colour.samples(), samples)
-}
-
-/// Sixteen bits rounded to eight.
-fn as_byte(sample: u16) -> u8 {
-    u8::try_from((u32::from(sample) + 128) / 257).unwrap_or(u8::MAX)
 }
 
 fn decode_jpeg(data: &[u8]) -> Result<Raster, PictureError> {

@@ -36,19 +36,17 @@ impl Described {
         let text = facts.text.filter(|text| !text.trim().is_empty()).or(has_no_fields(facts).then_some(""));
         let text = text.map(|text| plain_text(facts.name, text));
         let facts = TypeFacts { text: text.as_deref(), hash: facts.hash.filter(|hash| !hash.is_empty()), ..facts };
-        match own(facts).or_else(|error| completed(facts, folders).ok_or(error)) {
-            Ok((definition, note)) => {
-                Self { definition: Some(Arc::new(definition)), note: note.or_else(|| differs(facts)) }
-            }
+        let own = own(facts).map(|definition| (definition, None));
+        let found = match own.or_else(|error| completed(facts, folders).ok_or(error)) {
+            Ok((definition, note)) => Ok((definition, note.or_else(|| differs(facts)))),
             Err(_) if facts.encoding != Encoding::Ros1 && folders.may_know(facts.name) => {
-                match elsewhere(facts, folders) {
-                    Ok((definition, source)) => Self {
-                        definition: Some(Arc::new(definition)),
-                        note: Some(format!("fields are read by {}: {}", words(source), trust(facts))),
-                    },
-                    Err(error) => Self { definition: None, note: Some(error.to_string()) },
-                }
+                let note = |source| format!("fields are read by {}: {}", words(source), trust(facts));
+                elsewhere(facts, folders).map(|(definition, source)| (definition, Some(note(source))))
             }
+            Err(error) => Err(error),
+        };
+        match found {
+            Ok((definition, note)) => Self { definition: Some(Arc::new(definition)), note },
             Err(error) => Self { definition: None, note: Some(error.to_string()) },
         }
     }
@@ -67,9 +65,9 @@ fn has_no_fields(facts: TypeFacts<'_>) -> bool {
     }
 }
 
-fn own(facts: TypeFacts<'_>) -> Result<(Definition, Option<String>), RosError> {
+fn own(facts: TypeFacts<'_>) -> Result<Definition, RosError> {
     let no_fields = |reason: &str| Err(RosError::no_fields(facts.name, reason));
-    let definition = match (facts.encoding, facts.text) {
+    match (facts.encoding, facts.text) {
         (Encoding::Cdr { .. }, None) => no_fields(
             "its definition is in no record that can be read here; give the directory where its package is installed \
              (ros.definitions, AMENT_PREFIX_PATH)",
@@ -89,8 +87,7 @@ fn own(facts: TypeFacts<'_>) -> Result<(Definition, Option<String>), RosError> {
             "the recording describes its type in IDL, which is not supported; give the directory where its package is \
              installed (ros.definitions, AMENT_PREFIX_PATH)",
         ),
-    };
-    Ok((definition?, None))
+    }
 }
 
 /// The recording's definition, completed; with a note on the source of the rest.

@@ -331,7 +331,7 @@ impl Shared {
             before = now;
             if silent >= SILENT_TICKS {
                 silent = 0;
-                self.kill();
+                child::kill(&self.running);
             }
         }
         // The end of its pipe tells it to leave. One that stays and talks would hold up the caller that stops it.
@@ -339,10 +339,6 @@ impl Shared {
         while begun.elapsed() < child::LEAVING && lock(&self.running).is_some() {
             std::thread::sleep(Duration::from_millis(20));
         }
-        self.kill();
-    }
-
-    fn kill(&self) {
         child::kill(&self.running);
     }
 }

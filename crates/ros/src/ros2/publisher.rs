@@ -7,7 +7,7 @@ use crate::ros::capture::next_number;
 use crate::ros::recording::{TYPE_HASH, tags};
 use crate::ros::ros2::identity::{Held, Pulse};
 use crate::ros::ros2::state::Numbers;
-use crate::ros::{CaptureNotice, Message, Origin, Rival};
+use crate::ros::{CaptureNotice, Message, Origin};
 
 /// MCAP's name for the QoS of a channel's publishers.
 pub const QUALITY: &str = "offered_qos_profiles";
@@ -102,11 +102,6 @@ impl Publisher {
         self.type_name = writer.type_name.as_str().into();
         self.tags = tags_of(&writer);
         self.writer = writer;
-    }
-
-    /// It came while another of its name was there.
-    pub fn is_rival_of(&mut self, rival: Rival) {
-        self.origin = Arc::new(Origin { rival: Some(rival), ..Origin::clone(&self.origin) });
     }
 
     pub fn message(&mut self, (number, sent): (i64, Option<u64>), captured_at: Timestamp, body: Vec<u8>) -> Message {

@@ -1,4 +1,5 @@
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::identity::{self, Descriptions, Held, Place};
@@ -9,7 +10,7 @@ use crate::model::{Timestamp, TopicName, clean};
 use crate::pipe::VERSION;
 use crate::pipe::read::{Counts, Told, Wish, Writer};
 use crate::ros::child::{Participant, other_version};
-use crate::ros::{CaptureNotice, Message};
+use crate::ros::{CaptureNotice, Message, Origin};
 
 const MOST_PUBLISHERS: usize = 40_000;
 /// The program must have found all present publishers again by then.
@@ -179,7 +180,7 @@ impl State {
         publisher.elders = there;
         if let Place::Beside(rival) = place {
             publisher.elders.clear();
-            publisher.is_rival_of(rival);
+            publisher.origin = Arc::new(Origin { rival: Some(rival), ..Origin::clone(&publisher.origin) });
         }
         publisher.settled = true;
         if watched {

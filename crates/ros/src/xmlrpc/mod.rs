@@ -73,9 +73,7 @@ fn exchange(stream: &TcpStream, peer: &Endpoint, body: &str, deadline: Instant) 
 }
 
 fn unwrap_answer(value: Value) -> Result<Value, CallError> {
-    let Value::Array(parts) = value else {
-        return Err(CallError::Protocol("its answer is not [code, status, value]".into()));
-    };
+    let parts = if let Value::Array(parts) = value { parts } else { Vec::new() };
     let Ok([code, status, value]) = <[Value; 3]>::try_from(parts) else {
         return Err(CallError::Protocol("its answer is not [code, status, value]".into()));
     };

@@ -52,7 +52,16 @@ impl Value {
                 }
                 out.push_str("</data></array>");
             }
-            Self::Struct(members) => write_struct(members, out),
+            Self::Struct(members) => {
+                out.push_str("<struct>");
+                for (name, value) in members {
+                    out.push_str("<member>");
+                    scalar("name", &escaped(name), out);
+                    value.write(out);
+                    out.push_str("</member>");
+                }
+                out.push_str("</struct>");
+            }
             Self::Nil => out.push_str("<nil/>"),
         }
         out.push_str("</value>");
@@ -62,12 +71,6 @@ impl Value {
 impl<T: Into<Value>> FromIterator<T> for Value {
     fn from_iter<I: IntoIterator<Item = T>>(items: I) -> Self {
         Self::Array(items.into_iter().map(Into::into).collect())
-    }
-}
-
-impl From<String> for Value {
-    fn from(text: String) -> Self {
-        Self::Text(text)
     }
 }
 
@@ -81,17 +84,6 @@ fn scalar(tag: &str, text: &str, out: &mut String) {
     for part in ["<", tag, ">", text, "</", tag, ">"] {
         out.push_str(part);
     }
-}
-
-fn write_struct(members: &[(String, Value)], out: &mut String) {
-    out.push_str("<struct>");
-    for (name, value) in members {
-        out.push_str("<member>");
-        scalar("name", &escaped(name), out);
-        value.write(out);
-        out.push_str("</member>");
-    }
-    out.push_str("</struct>");
 }
 
 /// A reader of XML may take a carriage return for a line feed.

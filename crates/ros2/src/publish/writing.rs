@@ -287,17 +287,10 @@ fn policies(offer: Offer, room: usize, encoding: u16) -> QosPolicies {
     builder.build().with_data_representation(DataRepresentation { value })
 }
 
-fn writer(
-    encoding: u16,
-    publisher: &Publisher,
-    topic: &rustdds::Topic,
-    policies: QosPolicies,
-) -> Result<Box<dyn Write>, String> {
-    fn made<const ID: u16>(
-        publisher: &Publisher,
-        topic: &rustdds::Topic,
-        policies: QosPolicies,
-    ) -> Result<Box<dyn Write>, String> {
+type Made = Result<Box<dyn Write>, String>;
+
+fn writer(encoding: u16, publisher: &Publisher, topic: &rustdds::Topic, policies: QosPolicies) -> Made {
+    fn made<const ID: u16>(publisher: &Publisher, topic: &rustdds::Topic, policies: QosPolicies) -> Made {
         let writer = publisher.create_datawriter_no_key::<Bytes, Encoded<ID>>(topic, Some(policies));
         let writer = writer.map_err(|error| format!("its publisher cannot be made ({error:?})"))?;
         Ok(Box::new(Rc::new(writer)))

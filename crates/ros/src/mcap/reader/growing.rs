@@ -12,16 +12,8 @@ use crate::ros::RosError;
 pub(super) struct Growing {
     open: bool,
     /// Whether the caller wants the positions of chunks.
-    told: bool,
-    chunks: Vec<Range<u64>>,
-}
-
-impl Growing {
-    pub fn note_chunk(&mut self, place: Range<u64>) {
-        if self.told {
-            self.chunks.push(place);
-        }
-    }
+    pub told: bool,
+    pub chunks: Vec<Range<u64>>,
 }
 
 impl<R: BufRead + Seek> McapReader<R> {
