@@ -64,9 +64,9 @@ pub(super) fn master_error(master: &Endpoint, call: &'static str, error: CallErr
 }
 
 fn rows(value: &Value) -> impl Iterator<Item = (&str, &Value)> {
-    value.as_array().unwrap_or_default().iter().filter_map(|row| match row.as_array() {
-        Some([name, rest]) => Some((name.as_text()?, rest)),
-        _ => None,
+    value.as_array().unwrap_or_default().iter().filter_map(|row| {
+        let [name, rest] = row.as_array()? else { return None };
+        Some((name.as_text()?, rest))
     })
 }
 

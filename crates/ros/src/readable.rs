@@ -393,13 +393,9 @@ fn transforms(value: &Value, _: &Body) -> Readable {
 fn battery(value: &Value, body: &Body) -> Readable {
     let mut out = Readable::default();
     let word = |path: &str, words: &[&str]| -> String {
-        match value.get(path) {
-            Some(Value::Unsigned(code)) => {
-                let known = usize::try_from(*code).ok().and_then(|code| words.get(code));
-                known.map_or_else(|| format!("code {code}"), |word| (*word).to_owned())
-            }
-            _ => String::from("-"),
-        }
+        let Some(Value::Unsigned(code)) = value.get(path) else { return String::from("-") };
+        let known = usize::try_from(*code).ok().and_then(|code| words.get(code));
+        known.map_or_else(|| format!("code {code}"), |word| (*word).to_owned())
     };
     out.line("Stamp (UTC)", stamp(value));
     let share = float(value, "percentage").filter(|share| share.is_finite());
@@ -426,14 +422,9 @@ fn diagnostics(value: &Value, _: &Body) -> Readable {
     out.line("Stamp (UTC)", stamp(value));
     let head = ["level", "name", "message", "hardware"];
     let table = listed("Status", &head, value, "status", |item| {
-        let level = match item.get("level") {
-            Some(Value::Integer(0) | Value::Unsigned(0)) => "OK",
-            Some(Value::Integer(1) | Value::Unsigned(1)) => "WARN",
-            Some(Value::Integer(2) | Value::Unsigned(2)) => "ERROR",
-            Some(Value::Integer(3) | Value::Unsigned(3)) => "STALE",
-            _ => "?",
-        };
-        vec![level.to_owned(), text(item, "name"), text(item, "message"), text(item, "hardware_id")]
+        let level = count(item, "level").and_then(|level| ["OK", "WARN", "ERROR", "STALE"].get(level).copied());
+        let level = level.unwrap_or("?").to_owned();
+        vec![level, text(item, "name"), text(item, "message"), text(item, "hardware_id")]
     });
     out.line("Parts", table.rows.len().to_string());
     let values = value.get("status").map(values).unwrap_or_default();
@@ -468,10 +459,8 @@ struct Matrix<'a> {
 impl<'a> Matrix<'a> {
     pub fn of(value: &Value, body: &'a Body) -> Result<Self, PictureError> {
         let broken = || PictureError::Broken("its size, step and data do not agree".into());
-        let encoding = match value.get("encoding") {
-            Some(Value::Text(encoding)) => crate::model::clean(encoding, 40),
-            _ => return Err(broken()),
-        };
+        let Some(Value::Text(encoding)) = value.get("encoding") else { return Err(broken()) };
+        let encoding = clean(encoding, 40);
         let (channels, sample) = layout(&encoding).ok_or_else(|| PictureError::Encoding(encoding.clone()))?;
         let number = |field: &str| count(value, field).ok_or_else(broken);
         let (width, height, step) = (number("width")?, number("height")?, number("step")?);
@@ -519,17 +508,11 @@ impl<'a> Matrix<'a> {
 
     /// Missing measurements (0, NaN, infinite) do not count.
     pub fn depths(&self) -> Option<(f32, f32)> {
-        let mut range: Option<(f32, f32)> = None;
-        for y in 0..self.height {
-            for x in 0..self.width {
-                let depth = self.depth(x, y);
-                if depth.is_finite() && depth != 0.0 {
-                    let (low, high) = range.unwrap_or((depth, depth));
-                    range = Some((low.min(depth), high.max(depth)));
-                }
-            }
-        }
-        range
+        let all = (0..self.height).flat_map(|y| (0..self.width).map(move |x| self.depth(x, y)));
+        all.filter(|depth| depth.is_finite() && *depth != 0.0).fold(None, |range, depth| {
+            let (low, high) = range.unwrap_or((depth, depth));
+            Some((low.min(depth), high.max(depth)))
+        })
     }
 
     /// The pixels for display.

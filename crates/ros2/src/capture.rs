@@ -134,10 +134,8 @@ impl<'a, W: Write> Child<'a, W> {
             }
             let mut changed = self.members.iter().any(|member| !member.is_fitted);
             self.members.iter_mut().for_each(|member| changed |= member.listen());
-            match self.take_wishes() {
-                None => return Ok(()),
-                Some(new) => changed |= new,
-            }
+            let Some(new) = self.take_wishes() else { return Ok(()) };
+            changed |= new;
             if changed || due(looked, LOOK) {
                 // A lost notification costs no more than this.
                 self.members.iter_mut().flat_map(|member| member.readings.values_mut()).for_each(|it| it.ready = true);

@@ -140,22 +140,15 @@ fn put_connection(out: &mut Vec<u8>, number: u32, channel: &Channel) {
     put_fields(out, &[("op", &[Op::Connection as u8]), ("conn", &number), ("topic", channel.topic.as_bytes())]);
     let named = channel.about.get(BAG_TOPIC).unwrap_or(&channel.topic);
     let mut about: Vec<(&str, &[u8])> = Vec::with_capacity(8);
-    if !named.is_empty() {
-        about.push(("topic", named.as_bytes()));
-    }
+    about.extend((!named.is_empty()).then_some(("topic", named.as_bytes())));
     about.extend([
         ("type", channel.type_name.as_bytes()),
         ("md5sum", channel.md5sum.as_bytes()),
         ("message_definition", channel.definition.as_bytes()),
     ]);
-    if !channel.caller_id.is_empty() {
-        about.push(("callerid", channel.caller_id.as_bytes()));
-    }
-    match channel.about.get("latching") {
-        Some(value) => about.push(("latching", value.as_bytes())),
-        None if channel.latching => about.push(("latching", b"1")),
-        None => {}
-    }
+    about.extend((!channel.caller_id.is_empty()).then_some(("callerid", channel.caller_id.as_bytes())));
+    let latching = channel.about.get("latching").map(|value| &**value).or(channel.latching.then_some("1"));
+    about.extend(latching.map(|value| ("latching", value.as_bytes())));
     let is_writable = |name: &str| !OWN.contains(&name) && name != BAG_TOPIC && !name.is_empty() && !name.contains('=');
     let others = channel.about.iter().filter(|(name, _)| is_writable(name));
     about.extend(others.map(|(name, value)| (&**name, value.as_bytes())));

@@ -369,8 +369,8 @@ impl<R: BufRead + Seek> BagReader<R> {
     fn next_in_chunk(&mut self) -> Option<RecordedMessage> {
         while self.chunk.at < self.chunk.bytes.len() {
             let chunk = std::mem::take(&mut self.chunk);
-            let record = chunk.bytes.get(chunk.at..).and_then(record_in);
-            let Some((header, data, used)) = record else {
+            let record = chunk.bytes.get(chunk.at..).and_then(sized);
+            let Some((header, (data, rest))) = record.and_then(|(header, rest)| Some((header, sized(rest)?))) else {
                 self.end_chunk(chunk);
                 return None;
             };
@@ -384,7 +384,7 @@ impl<R: BufRead + Seek> BagReader<R> {
                 Some((Some(Op::Connection), fields)) if self.learn(&fields, data) => Some(None),
                 _ => None,
             };
-            let at = chunk.at + used;
+            let at = chunk.bytes.len() - rest.len();
             let Some(message) = found else {
                 self.end_chunk(chunk);
                 return None;
@@ -401,12 +401,6 @@ impl<R: BufRead + Seek> BagReader<R> {
         self.chunk_messages = None;
         self.chunk = chunk.end(&mut self.findings, "bag");
     }
-}
-
-fn record_in(bytes: &[u8]) -> Option<(&[u8], &[u8], usize)> {
-    let (header, rest) = sized(bytes)?;
-    let (data, rest) = sized(rest)?;
-    Some((header, data, bytes.len() - rest.len()))
 }
 
 const ENTRY: usize = 12;

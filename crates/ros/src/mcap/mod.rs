@@ -164,11 +164,7 @@ impl ChannelRecord {
         self.topic.len() + self.encoding.len() + about.sum::<usize>() + 128
     }
 
-    pub fn is_kept(&self) -> bool {
-        kept_about(self.others()).1
-    }
-
-    fn others(&self) -> impl Iterator<Item = (Arc<str>, Arc<str>)> {
+    pub fn others(&self) -> impl Iterator<Item = (Arc<str>, Arc<str>)> {
         let others = self.about.iter().filter(|(key, value)| !is_own(key, value));
         others.map(|(key, value)| (key.as_str().into(), Arc::clone(value)))
     }
@@ -269,12 +265,9 @@ fn schema_encoding(encoding: Encoding) -> &'static str {
 
 fn put_channel(out: &mut Vec<u8>, number: u16, schema: u16, channel: &Channel) {
     let mut about = vec![("md5sum", &*channel.md5sum)];
-    if !channel.caller_id.is_empty() {
-        about.push(("callerid", &channel.caller_id));
-    }
-    if channel.latching && !channel.about.contains_key("latching") {
-        about.push(("latching", "1"));
-    }
+    let is_latching = channel.latching && !channel.about.contains_key("latching");
+    about.extend((!channel.caller_id.is_empty()).then_some(("callerid", &*channel.caller_id)));
+    about.extend(is_latching.then_some(("latching", "1")));
     about.retain(|(key, value)| *key != "md5sum" || *value != "*");
     about.extend(channel.about.iter().map(|(key, value)| (&**key, &**value)));
     put_record(out, Code::Channel, |out| {

@@ -15,7 +15,7 @@ use crate::model::Timestamp;
 use crate::ros::RosError;
 use crate::ros::recording::{
     Channel, Chunk, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage,
-    RecordingReader, Sent, TOO_LARGE, go_to, read_at, unpack, unpacked_body,
+    RecordingReader, Sent, TOO_LARGE, go_to, kept_about, read_at, unpack, unpacked_body,
 };
 use crate::ros::tcpros::LONGEST_MESSAGE;
 
@@ -288,7 +288,7 @@ impl<R: BufRead + Seek> McapReader<R> {
         if self.texts > MOST_CHANNEL_BYTES {
             return false;
         }
-        if !record.is_kept() {
+        if !kept_about(record.others()).1 {
             self.findings.note(self.position, "a channel's metadata is too long to keep");
         }
         let usable = record.with(self.schemas.get(&record.schema)).map(Arc::new);

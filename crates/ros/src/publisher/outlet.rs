@@ -137,7 +137,7 @@ impl Outlet {
     }
 
     pub fn is_sent(&self) -> bool {
-        lock(&self.audience).subscribers.iter().all(|subscriber| subscriber.is_done())
+        lock(&self.audience).subscribers.iter().all(|subscriber| lock(&subscriber.queue).done)
     }
 
     pub fn close(&self, patience: Duration) {
@@ -214,10 +214,6 @@ impl Subscriber {
     pub fn outrun(&self) {
         let mut queue = lock(&self.queue);
         queue.slow |= queue.bytes > LONGEST_QUEUE / 2;
-    }
-
-    pub fn is_done(&self) -> bool {
-        lock(&self.queue).done
     }
 
     /// Nothing queued is sent any more.

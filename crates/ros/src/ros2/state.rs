@@ -87,9 +87,8 @@ impl State {
                 reason: clean(&reason, LONGEST_REASON),
             }),
             Told::Described { node, type_name, type_hash, structured, reason: None } => {
-                let own = payload.get(structured as usize..).unwrap_or_default().to_vec();
-                let structure = payload.get(..structured as usize).unwrap_or_default().to_vec();
-                self.described(&node, (type_name, type_hash), [own, structure], &mut outcome);
+                let (structure, own) = payload.split_at_checked(structured as usize).unwrap_or_default();
+                self.described(&node, (type_name, type_hash), [own.to_vec(), structure.to_vec()], &mut outcome);
             }
             // Opening a message explains why it has no fields.
             Told::Described { .. } => {}

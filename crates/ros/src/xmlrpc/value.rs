@@ -280,14 +280,11 @@ fn typed(tags: &mut Tags<'_>, kind: &str, depth: usize) -> Result<Value> {
 }
 
 fn number(kind: &str, text: &str) -> Option<Value> {
-    match kind {
-        "int" | "i4" | "i8" => text.parse().ok().map(Value::Int),
-        "double" => text.parse().ok().map(Value::Double),
-        "boolean" => match text {
-            "0" | "false" => Some(Value::Bool(false)),
-            "1" | "true" => Some(Value::Bool(true)),
-            _ => None,
-        },
+    match (kind, text) {
+        ("int" | "i4" | "i8", _) => text.parse().ok().map(Value::Int),
+        ("double", _) => text.parse().ok().map(Value::Double),
+        ("boolean", "0" | "false") => Some(Value::Bool(false)),
+        ("boolean", "1" | "true") => Some(Value::Bool(true)),
         _ => None,
     }
 }
