@@ -30,7 +30,6 @@ pub enum Memory {
 pub struct Begun {
     pub from: File,
     pub to: File,
-    /// Set when a signal asks it to end.
     pub stop: Arc<AtomicBool>,
     /// Whether it can open no file and no local socket, whatever misleads it.
     pub confined: bool,

@@ -22,7 +22,6 @@ use seccompiler::{
 pub enum Network {
     /// UDP alone, by address: no TCP, no host names.
     Datagrams,
-    /// TCP, with host names.
     Streams,
 }
 

@@ -11,7 +11,6 @@ use crate::model::clean;
 pub(super) const UNRESOLVED: &str = "its name does not resolve";
 const SHORTEST: Duration = Duration::from_millis(1);
 
-/// An XML-RPC peer.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub(super) struct Endpoint {
     pub host: String,

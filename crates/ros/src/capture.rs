@@ -308,7 +308,6 @@ const PERIOD: Duration = Duration::from_millis(500);
 /// Pause between two rounds, in durations of a round, however many topics there are.
 const REST: u32 = 10;
 
-/// Publishers of one topic.
 const MOST_PUBLISHERS: usize = 256;
 
 struct Work {

@@ -16,7 +16,6 @@ pub const PATIENCE: Duration = Duration::from_millis(2500);
 /// Types of an unchanged graph are queried again after this time: a node may return with another type.
 const TYPES_HOLD: Duration = Duration::from_secs(5);
 
-/// A topic as the master knows it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TopicInfo {
     /// As the master gave it: clean it before it is shown.
@@ -39,21 +38,12 @@ struct Types {
     asked: Instant,
 }
 
-impl Types {
-    /// Whether they need no new query.
-    fn hold(&self, state: &Value) -> bool {
-        self.state == *state && self.asked.elapsed() < TYPES_HOLD
-    }
-}
-
-/// Queried without keeping a connection open.
 #[derive(Debug, Clone)]
 pub struct Graph {
     master: Endpoint,
     node_name: String,
 }
 
-/// The meaning of a failed call to the master.
 pub(super) fn master_error(master: &Endpoint, call: &'static str, error: CallError) -> RosError {
     let uri = master.to_string();
     match error {
@@ -135,7 +125,7 @@ impl Graph {
     pub fn topics_again(&self, last: &mut LastLook) -> Result<Vec<TopicInfo>, RosError> {
         let deadline = Instant::now() + PATIENCE;
         let state = self.ask("getSystemState", deadline)?;
-        let types = match last.0.take().filter(|types| types.hold(&state)) {
+        let types = match last.0.take().filter(|types| types.state == state && types.asked.elapsed() < TYPES_HOLD) {
             Some(types) => types,
             None => Types { value: self.ask("getTopicTypes", deadline)?, state, asked: Instant::now() },
         };

@@ -39,7 +39,6 @@ pub struct Plot {
     /// Names and units.
     pub axes: (String, String),
     pub points: Vec<(f64, f64)>,
-    /// Whether the points are a path.
     pub path: bool,
     /// A highlighted point: the robot, or this record on its path.
     pub here: Option<(f64, f64)>,
@@ -86,7 +85,6 @@ fn reader_of(type_name: &str) -> Option<Reader> {
     })
 }
 
-/// A robot's position.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Place {
     Metres(f64, f64),
@@ -515,7 +513,6 @@ impl<'a> Matrix<'a> {
         })
     }
 
-    /// The pixels for display.
     pub fn eye(&self) -> Box<dyn Fn(usize, usize) -> [u8; 3] + '_> {
         if self.is_depth() {
             let (low, high) = self.depths().unwrap_or((0.0, 1.0));
@@ -572,7 +569,6 @@ impl<'a> Matrix<'a> {
     }
 }
 
-/// The positions of a pixel's colours.
 enum Places {
     Pixel([usize; 3]),
     Bayer((usize, usize)),

@@ -184,13 +184,11 @@ impl Drop for Fleet {
     }
 }
 
-/// Odometry, pictures.
 fn topics_of(number: u16) -> (String, String) {
     (format!("/robot{number}/odom"), format!("/robot{number}/camera/compressed"))
 }
 
 impl FleetOptions {
-    /// Of odometry and of pictures.
     fn periods(self, robots: u16) -> Result<(Duration, Duration), RosError> {
         if robots > MOST_ROBOTS {
             return Err(RosError::Robots(robots));

@@ -16,7 +16,6 @@ use crate::ros::tcpros::LONGEST_MESSAGE;
 /// Limit of chunk positions kept from the index.
 const MOST_PLACES: usize = 1 << 20;
 
-/// The content of a position.
 enum Found {
     Record { header: Vec<u8>, data: u64, length: u64 },
     End,

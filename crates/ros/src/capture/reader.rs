@@ -29,7 +29,6 @@ const RETRY: (Duration, Duration) = (Duration::from_millis(50), Duration::from_s
 /// A connection that lasted this long was good.
 const STEADY: Duration = Duration::from_secs(5);
 
-/// The shortest time between two attempts.
 const FLOOR: Duration = Duration::from_millis(20);
 
 /// Wait after a failure that more attempts are unlikely to fix.
@@ -82,7 +81,6 @@ struct Reader {
     topic: Arc<Topic>,
     publisher: Arc<Publisher>,
     sequence: Sequence,
-    /// Failed attempts in a row.
     failures: u32,
     told: bool,
     /// Asked of the master once its publisher cannot be read.
@@ -226,7 +224,6 @@ impl Reader {
         Err(Failure::Passing("it sent no connection header in time".into()))
     }
 
-    /// Why the connection or the topic ended.
     fn read(&mut self, link: &mut Link) -> Result<String, Failure> {
         let mut heard = Instant::now();
         loop {
@@ -305,7 +302,6 @@ impl Reader {
         !matches!(answer, Err(CallError::Connect(_)))
     }
 
-    /// Keeps the reason for the topic's status.
     fn note(&mut self, failure: &Failure) {
         if self.node.is_none() && (self.failures == 0 || self.failures.is_power_of_two()) {
             let graph = Graph::of(self.shared.master.clone(), &self.shared.node_name);

@@ -32,7 +32,6 @@ pub(super) struct Publisher {
 
 #[derive(Default)]
 struct PublisherState {
-    /// Whether the master still lists it.
     listed: bool,
     /// Its node name while it is read.
     connected: Option<Arc<str>>,

@@ -130,7 +130,6 @@ impl Participant {
 const TICK: Duration = Duration::from_millis(500);
 /// It is killed after this many checks without a report; counting checks blames nobody when the machine slept.
 const SILENT_TICKS: u32 = 10;
-/// Time to join its domain or graph.
 const JOINING: Duration = Duration::from_secs(10);
 /// Time to answer about a topic: it discovers first, and waits for subscribers.
 const ANSWERING: Duration = Duration::from_secs(10);
@@ -210,7 +209,6 @@ impl State {
         self.unconfirmed_bytes += size;
     }
 
-    /// The last message did not reach it.
     pub fn take_back(&mut self) {
         self.unconfirmed_bytes -= self.unconfirmed.pop_back().unwrap_or(0);
     }
@@ -369,7 +367,6 @@ impl Run {
         }
     }
 
-    /// Waits until it is in its domain or graph.
     pub fn joined(&self) -> Result<(), String> {
         self.wait(JOINING, |state| state.joined.then_some(()))?.ok_or_else(|| SILENT.to_owned())
     }

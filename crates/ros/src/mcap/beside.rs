@@ -25,7 +25,6 @@ pub enum Beside {
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AttachedFile<'a> {
-    /// When it was added to the recording.
     pub logged_at: Timestamp,
     /// Nanoseconds since 1970; 0 if unknown.
     pub created_at: u64,
@@ -82,7 +81,6 @@ impl Beside {
         }
     }
 
-    /// The kind of this type name.
     pub fn of_type(name: &str) -> Option<Self> {
         [Self::Attachment, Self::Metadata].into_iter().find(|kind| kind.type_name() == name)
     }

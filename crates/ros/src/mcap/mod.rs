@@ -115,7 +115,6 @@ impl<'a> Fields<'a> {
         Some(entries)
     }
 
-    /// A record: its code and its content.
     pub fn record(&mut self) -> Option<(u8, &'a [u8])> {
         let code = self.u8()?;
         let length = usize::try_from(self.u64()?).ok()?;
@@ -208,7 +207,6 @@ impl ChannelRecord {
     }
 }
 
-/// `fill` writes the record's content.
 fn put_record(out: &mut Vec<u8>, code: Code, fill: impl FnOnce(&mut Vec<u8>)) {
     out.push(code as u8);
     let at = out.len();
@@ -555,7 +553,6 @@ fn end_summary(summary: &mut Vec<u8>, start: u64, groups: &[(Code, u64, u64)]) {
     summary.extend_from_slice(&checksum.to_le_bytes());
 }
 
-/// The content of an index record.
 fn beside_line(content: &BesideContent<'_>, position: u64, length: u64) -> Vec<u8> {
     let mut line = Vec::new();
     put_numbers(&mut line, &[position, length]);

@@ -38,7 +38,6 @@ struct ChunkHead {
     length: u64,
 }
 
-/// Where a schema or channel is described.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Place {
     /// At the end, which is read first: it counts until the data describes the same.
@@ -47,7 +46,6 @@ enum Place {
     Data,
 }
 
-/// A channel as last described.
 #[derive(Debug)]
 struct KnownChannel {
     record: ChannelRecord,
@@ -80,7 +78,6 @@ pub struct McapReader<R> {
     ended: bool,
     /// Whether the file ends with a footer, by which a summary is found.
     has_footer: bool,
-    /// State of a file that is still being written.
     growing: Growing,
 }
 
@@ -533,7 +530,6 @@ impl<R: BufRead + Seek> McapReader<R> {
     }
 }
 
-/// A name from the file, in a finding.
 fn shown(name: &str) -> String {
     format!("'{}'", crate::model::clean(name, 80))
 }

@@ -31,7 +31,6 @@ impl Default for Limits {
 pub struct Picture {
     /// Unchanged: `jpeg`, `png`, `rgb8; jpeg compressed bgr8`.
     pub format: String,
-    /// Position of the picture's file in the body.
     pub data: Range<usize>,
 }
 
@@ -329,7 +328,6 @@ pub(super) struct Cdr {
 }
 
 impl Cdr {
-    /// Reads the encapsulation header.
     pub fn of(body: &[u8]) -> Result<Self, Failure> {
         let Some([0, kind, _, _]) = body.first_chunk::<ENCAPSULATION>() else { return Err(Failure::NoCdr) };
         let (second, delimited) = match kind {

@@ -18,7 +18,6 @@ pub(super) const MOST_TYPES: usize = 512;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kind {
     Primitive(Primitive),
-    /// Index of a layout.
     Message(usize),
 }
 
@@ -136,7 +135,6 @@ pub(super) fn sections<'a>(
 }
 
 impl Layout {
-    /// Without fields yet.
     pub fn new(name: &str) -> Self {
         Self { name: name.to_owned(), fields: Vec::new(), constants: Vec::new(), minimum: 0, fixed: true }
     }
@@ -246,7 +244,6 @@ impl Primitive {
     }
 }
 
-/// How many elements a field holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Arity {
     One,

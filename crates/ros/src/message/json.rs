@@ -24,6 +24,20 @@ impl Definition {
         Export { walk: &mut walk, out: &mut out }.message(root).map_err(failed)?;
         walk.end().map_err(failed)
     }
+
+    /// That of an Image or a PointCloud2, otherwise the longest array of floats.
+    pub fn matrix(&self, body: &[u8]) -> Option<Matrix> {
+        if body.len() < SHORTEST {
+            return None;
+        }
+        let value = self.decode(body, LIMITS).ok()?;
+        let matrix = match self.short_name().as_str() {
+            "sensor_msgs/Image" => image(&value),
+            "sensor_msgs/PointCloud2" => cloud(&value),
+            _ => longest(&value),
+        }?;
+        matrix.length().filter(|length| *length >= SHORTEST).map(|_| matrix)
+    }
 }
 
 /// Stands for a text that is not UTF-8: an object with its bytes in hex.
@@ -126,22 +140,6 @@ const SHORTEST: usize = 512;
 
 /// Expands nothing and visits little: this runs for every sealed message.
 const LIMITS: Limits = Limits { elements: 0, steps: 20_000 };
-
-impl Definition {
-    /// That of an Image or a PointCloud2, otherwise the longest array of floats.
-    pub fn matrix(&self, body: &[u8]) -> Option<Matrix> {
-        if body.len() < SHORTEST {
-            return None;
-        }
-        let value = self.decode(body, LIMITS).ok()?;
-        let matrix = match self.short_name().as_str() {
-            "sensor_msgs/Image" => image(&value),
-            "sensor_msgs/PointCloud2" => cloud(&value),
-            _ => longest(&value),
-        }?;
-        matrix.length().filter(|length| *length >= SHORTEST).map(|_| matrix)
-    }
-}
 
 fn number(value: &Value, field: &str) -> Option<usize> {
     match value.get(field)? {

@@ -342,7 +342,6 @@ pub struct RosrustPublisher {
     run: Run,
     announced: BTreeMap<String, Announced>,
     next: u32,
-    /// Missed in earlier runs of the program.
     missed: u64,
 }
 

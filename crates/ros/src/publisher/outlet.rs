@@ -57,12 +57,10 @@ impl Outlet {
         let frame = Arc::new([length.to_le_bytes().as_slice(), body].concat());
         let mut audience = lock(&self.audience);
         let Audience { subscribers, latched, .. } = &mut *audience;
-        subscribers.retain(|subscriber| match subscriber.push(&frame) {
-            Some(dropped) => {
-                self.overflowed.fetch_add(dropped, Ordering::SeqCst);
-                true
-            }
-            None => false,
+        subscribers.retain(|subscriber| {
+            let dropped = subscriber.push(&frame);
+            self.overflowed.fetch_add(dropped.unwrap_or(0), Ordering::SeqCst);
+            dropped.is_some()
         });
         if self.about.latching {
             latched.retain(|(other, _)| *other != source);
@@ -175,7 +173,6 @@ pub(super) struct Subscriber {
 struct Queue {
     frames: VecDeque<Frame>,
     bytes: usize,
-    /// No more frames come.
     closing: bool,
     /// Everything is sent or never will be.
     done: bool,
@@ -216,7 +213,6 @@ impl Subscriber {
         queue.slow |= queue.bytes > LONGEST_QUEUE / 2;
     }
 
-    /// Nothing queued is sent any more.
     pub fn forget(&self) {
         let mut queue = lock(&self.queue);
         queue.frames.clear();

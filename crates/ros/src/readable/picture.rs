@@ -50,9 +50,7 @@ pub enum Exported {
     Jpeg,
     /// NumPy's array file: the matrix itself.
     Npy,
-    /// The whole message as JSON.
     Json,
-    /// The captured bytes.
     Bin,
 }
 
@@ -210,7 +208,6 @@ pub const MOST_PIXELS: u64 = 12_000_000;
 /// For decoding one picture, bytes.
 pub const DECODER_MEMORY: usize = 128 << 20;
 
-/// The start of every PNG.
 const PNG_MAGIC: &[u8] = b"\x89PNG";
 
 fn broken(error: impl std::fmt::Display) -> PictureError {

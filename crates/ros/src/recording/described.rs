@@ -12,7 +12,6 @@ pub const TYPE_HASH: &str = "topic_type_hash";
 #[derive(Debug, Clone, Copy)]
 pub struct TypeFacts<'a> {
     pub name: &'a str,
-    /// How bodies are serialised.
     pub encoding: Encoding,
     /// An empty definition counts as none, unless its messages are empty too.
     pub text: Option<&'a str>,

@@ -51,7 +51,6 @@ impl Chunk {
     }
 }
 
-/// Channels of a recording.
 pub(super) const MOST_CHANNELS: usize = 16_384;
 
 /// Of all channels' texts together.
@@ -64,7 +63,7 @@ pub const BAG_TOPIC: &str = "bag.topic";
 pub const TOO_LARGE: &str = "it is larger than a record may be (64 MiB)";
 
 /// Limits of a channel's further data, since it goes into the head of each record: bytes of one entry, entries, bytes
-/// of all. each record.
+/// of all.
 const LONGEST_ABOUT: usize = 8 * 1024;
 const MOST_ABOUT: usize = 12;
 const MOST_ABOUT_BYTES: usize = 32 * 1024;
@@ -94,7 +93,6 @@ pub enum Encoding {
     Beside(Beside),
 }
 
-/// The messages of one publisher on one topic.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Channel {
     /// As written.
@@ -106,7 +104,6 @@ pub struct Channel {
     /// Empty if the recording has none.
     pub caller_id: Arc<str>,
     pub latching: bool,
-    /// How bodies are serialised.
     pub encoding: Encoding,
     /// Further data, bounded: MCAP's metadata such as the QoS offered, other fields of a bag's connection header.
     /// `latching` is here if it is not `1`, [`BAG_TOPIC`] if a bag's header names another topic or none.
@@ -513,7 +510,6 @@ pub enum RecordingWriter {
 }
 
 impl RecordingWriter {
-    /// The file is empty.
     pub fn begin(format: RecordingFormat, compression: ChunkCompression, file: File) -> Result<Self, RosError> {
         let out = BufWriter::with_capacity(BUFFER, file);
         Ok(match format {

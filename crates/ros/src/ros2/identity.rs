@@ -40,7 +40,6 @@ pub struct Pulse {
 }
 
 impl Pulse {
-    /// A message arrived at that time.
     pub fn beat(&mut self, at: Instant) {
         if let Some(last) = self.last {
             let former = self.interval.map_or(Duration::ZERO, |interval| interval * 7 / 8);
@@ -133,7 +132,6 @@ enum Description {
     Asked(BTreeMap<String, String>),
     /// The text, with all its types.
     Known(Arc<str>),
-    /// It is built into this program.
     BuiltIn,
 }
 

@@ -39,7 +39,6 @@ fn errand(program: &Path, domain: u16, publishes: bool) -> Errand {
     Errand { program: program.to_owned(), arguments, environment }
 }
 
-/// A topic of the domain.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Ros2Topic {
     pub name: String,
