@@ -1,3 +1,5 @@
+//! Errors of a pipe.
+
 /// The side that meets it ends the child and restarts it.
 #[derive(Debug, thiserror::Error)]
 pub enum PipeError {

@@ -1,3 +1,5 @@
+//! Errors of ROS; texts from peers are cleaned before they enter one.
+
 use crate::model::{ErrorKind, clean};
 
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

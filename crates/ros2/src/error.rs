@@ -1,3 +1,5 @@
+//! Why the program ends on its own.
+
 use crate::pipe::PipeError;
 
 /// Ends the program; the site restarts it.

@@ -1,3 +1,5 @@
+//! One published topic, and the ear that counts what left rosrust's queue.
+
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 

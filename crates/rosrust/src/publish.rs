@@ -1,3 +1,5 @@
+//! Orders of the site, in their order, for the topics of the node.
+
 use std::collections::BTreeMap;
 use std::io::{BufWriter, Read, Write};
 use std::sync::atomic::{AtomicBool, Ordering};

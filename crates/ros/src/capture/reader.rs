@@ -1,3 +1,5 @@
+//! One thread for each publisher: after a loss it tries again while the master lists the publisher.
+
 use std::collections::BTreeSet;
 use std::io;
 use std::net::TcpStream;

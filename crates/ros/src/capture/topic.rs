@@ -1,3 +1,5 @@
+//! One watched topic: its publishers, the origin of their messages, and their sequence numbers.
+
 use std::collections::{BTreeSet, HashMap, HashSet};
 use std::net::{IpAddr, SocketAddr};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};

@@ -144,7 +144,7 @@ impl Publisher {
     }
 
     fn register(&self, outlet: &Outlet) -> Result<usize, RosError> {
-        let about = [outlet.about.topic.as_str(), &outlet.about.type_name];
+        let about = [outlet.about.topic.as_str(), outlet.about.type_name.as_str()];
         let deadline = Instant::now() + PATIENCE;
         let answer = self.identity.tell_master("registerPublisher", &about, &self.slave.uri, deadline);
         let answer = answer.map_err(|error| master_error(&self.identity.master, "registerPublisher", error))?;

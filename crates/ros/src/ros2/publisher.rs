@@ -1,3 +1,5 @@
+//! One publisher of a ROS 2 topic, and its messages.
+
 use std::sync::Arc;
 use std::time::Instant;
 

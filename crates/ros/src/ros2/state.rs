@@ -1,3 +1,5 @@
+//! The state of a domain, and the effect of each frame of the program that reads it.
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::{Duration, Instant};

@@ -1,3 +1,5 @@
+//! Orders of the site, in their order, for the writers of the domain.
+
 mod queue;
 mod writing;
 
