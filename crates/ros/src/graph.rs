@@ -38,6 +38,12 @@ struct Types {
     asked: Instant,
 }
 
+impl Types {
+    fn hold(&self, state: &Value) -> bool {
+        self.state == *state && self.asked.elapsed() < TYPES_HOLD
+    }
+}
+
 #[derive(Debug, Clone)]
 pub struct Graph {
     master: Endpoint,
@@ -125,7 +131,7 @@ impl Graph {
     pub fn topics_again(&self, last: &mut LastLook) -> Result<Vec<TopicInfo>, RosError> {
         let deadline = Instant::now() + PATIENCE;
         let state = self.ask("getSystemState", deadline)?;
-        let types = match last.0.take().filter(|types| types.state == state && types.asked.elapsed() < TYPES_HOLD) {
+        let types = match last.0.take().filter(|types| types.hold(&state)) {
             Some(types) => types,
             None => Types { value: self.ask("getTopicTypes", deadline)?, state, asked: Instant::now() },
         };

@@ -88,7 +88,10 @@ impl<R: BufRead + Seek> RecordingReader for McapReader<R> {
                 return Ok(Some(message));
             }
             if self.ended {
-                self.compare();
+                let besides = ("attachments and metadata records", &mut self.besides);
+                for (what, tally) in [("messages", &mut self.messages), besides] {
+                    self.findings.compare(self.length, what, tally.counted.take(), tally.met);
+                }
                 return Ok(None);
             }
             if !self.may_go_on().map_err(RosError::unreadable)? {
@@ -141,13 +144,6 @@ impl<R: BufRead + Seek> McapReader<R> {
             return Err(RosError::recording("it does not start like MCAP"));
         }
         Ok(reader)
-    }
-
-    fn compare(&mut self) {
-        for (what, tally) in [("messages", &mut self.messages), ("attachments and metadata records", &mut self.besides)]
-        {
-            self.findings.compare(self.length, what, tally.counted.take(), tally.met);
-        }
     }
 
     fn look(&mut self, at: u64) -> std::io::Result<Option<(u8, u64)>> {

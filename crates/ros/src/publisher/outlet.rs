@@ -95,7 +95,7 @@ impl Outlet {
 
     /// After the handshake; latched messages come first.
     pub fn add(&self, name: String, stream: TcpStream) -> std::io::Result<()> {
-        let subscriber = Arc::new(Subscriber::new(name, stream));
+        let subscriber = Arc::new(Subscriber { name, stream, queue: Mutex::default(), changed: Condvar::new() });
         let writer = Arc::clone(&subscriber);
         std::thread::Builder::new().name("ros-writer".into()).spawn(move || writer.write_all())?;
         let mut audience = lock(&self.audience);
@@ -181,10 +181,6 @@ struct Queue {
 }
 
 impl Subscriber {
-    pub fn new(name: String, stream: TcpStream) -> Self {
-        Self { name, stream, queue: Mutex::default(), changed: Condvar::new() }
-    }
-
     /// How many older frames were dropped for this one; `None` if the subscriber is gone.
     pub fn push(&self, frame: &Frame) -> Option<u64> {
         let mut queue = lock(&self.queue);
