@@ -160,6 +160,10 @@ impl Capture {
         }
     }
 
+    pub fn uri(&self) -> &str {
+        &self.slave.uri
+    }
+
     pub fn watched(&self) -> Vec<(TopicName, Option<TypeName>)> {
         self.shared.topics().iter().map(|topic| (topic.name.clone(), topic.wanted.clone())).collect()
     }

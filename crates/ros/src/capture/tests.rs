@@ -196,7 +196,7 @@ fn a_broken_connection_header_is_refused() {
 
 /// Tells a capture which publishers it has, like the master, without being the master.
 fn tell(capture: &Capture, uris: &[&str]) {
-    let slave = Endpoint::parse(&capture.slave.uri).expect("uri");
+    let slave = Endpoint::parse(capture.uri()).expect("uri");
     let uris = crate::ros::xmlrpc::Value::Array(uris.iter().map(|uri| (*uri).into()).collect());
     let params = ["/master".into(), TOPIC.into(), uris];
     call(&slave, "publisherUpdate", &params, Instant::now() + Duration::from_secs(5)).expect("told");

@@ -165,9 +165,9 @@ fn accept_all<H: Fn(TcpStream) -> io::Result<()> + Send + Sync + 'static>(
         let (place, handle) = (Arc::clone(&open), Arc::clone(handle));
         // Without a thread the peer's connection closes, and it asks again.
         let _ = std::thread::Builder::new().name(format!("{name}-call")).spawn(move || {
-            let _place = place;
             // A failed connection is the peer's concern.
             let _ = handle(stream);
+            drop(place);
         });
     }
 }
