@@ -1,13 +1,13 @@
-//! How a program without keys begins, which a site starts to speak with the outside: nothing of what was inherited stays
-//! open but the pipe, memory is bounded, files and local sockets are out of its reach, and signals end it in order.
+//! The start of a program without keys: only the pipe stays open, memory is bounded, files and local sockets are out of
+//! reach, and signals end it in order.
 
-mod inherited;
 mod walls;
 
 use std::fs::File;
 use std::io::Write;
-use std::os::fd::AsFd;
+use std::os::fd::{AsFd, RawFd};
 use std::path::Path;
+use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -15,40 +15,54 @@ use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
 pub use walls::Network;
 
-/// The first argument with which such a program only tries to open what the others name; see [`attempt_all`].
+/// First argument for a trial: see [`attempt_all`].
 pub const ATTEMPT: &str = "--attempt";
 
-/// What peers can make a program take is bounded by this, bytes; the site starts anew what ended at its bound.
+/// Bound of the memory that peers can make a program take, bytes; the site restarts a program that ends there.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Memory {
-    /// Its whole address space.
     AddressSpace(u64),
-    /// What it can write to: for programs with many threads, whose allocator reserves space that it does not use.
+    /// Writable memory, for many threads: their allocator reserves address space that it does not use.
     Data(u64),
 }
 
-/// A program that has begun.
 #[derive(Debug)]
 pub struct Begun {
-    /// What comes from the site.
     pub from: File,
-    /// What goes to it.
     pub to: File,
-    /// Set when a signal asks it to end.
     pub stop: Arc<AtomicBool>,
-    /// Whether it can open no file and no local socket, however it may be misled.
+    /// Whether it can open no file and no local socket, whatever misleads it.
     pub confined: bool,
 }
 
-/// Closes what was inherited. Only for the very beginning, while nothing of this process is open.
-pub fn close_inherited() {
-    inherited::close();
+/// Input, output and errors come before it.
+const FIRST: RawFd = 3;
+/// Numbers closed where the system does not list the open ones.
+const USUAL_LIMIT: RawFd = 1024;
+const MOST_ARGUMENTS: usize = 16;
+
+/// The program's arguments. Closes the files that the site's own starter left open: every child inherits them. Only for
+/// the very beginning, while nothing of this process is open.
+pub fn arguments() -> Vec<String> {
+    let open: Vec<RawFd> = match std::fs::read_dir("/proc/self/fd") {
+        Ok(entries) => entries.flatten().filter_map(|entry| entry.file_name().to_str()?.parse().ok()).collect(),
+        Err(_) => (FIRST..USUAL_LIMIT).collect(),
+    };
+    for number in open.into_iter().filter(|number| *number >= FIRST) {
+        // The folder just read is among them and no longer open.
+        let _ = nix::unistd::close(number);
+    }
+    std::env::args().skip(1).take(MOST_ARGUMENTS).collect()
 }
 
-/// Bounds the memory, takes over pipe and signals, and raises the walls. Only while this is the only thread.
-///
-/// # Errors
-/// The reason, in words, if there is no pipe, or signals cannot be listened for.
+/// Reports why the program `name` failed, if it did.
+pub fn finish(name: &str, done: Result<(), String>) -> ExitCode {
+    let Err(reason) = done else { return ExitCode::SUCCESS };
+    drop(writeln!(std::io::stderr(), "{name}: {reason}"));
+    ExitCode::FAILURE
+}
+
+/// Bounds the memory, takes pipe and signals, and raises the walls. Only while this is the only thread.
 pub fn begin(memory: Memory, network: Network) -> Result<Begun, &'static str> {
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT, signal_hook::consts::SIGHUP] {
@@ -62,10 +76,8 @@ pub fn begin(memory: Memory, network: Network) -> Result<Begun, &'static str> {
     Ok(Begun { from: File::from(from), to: File::from(to), stop, confined })
 }
 
-/// Tries to open each path and says what came of it, one line for each: so a test can see what a program that began like
-/// the others reaches.
-pub fn attempt_all(paths: &[String], begun: Begun) -> Result<(), &'static str> {
-    let Begun { mut to, confined, .. } = begun;
+/// Reports for each path whether it opens, for a test of the walls.
+pub fn attempt_all(paths: &[String], confined: bool, mut to: File) -> Result<(), &'static str> {
     let line = |path: &String| {
         let outcome = walls::attempt(Path::new(path));
         let word = outcome.map_or_else(|error| format!("{:?}", error.kind()), |()| "reached".to_owned());
@@ -75,7 +87,7 @@ pub fn attempt_all(paths: &[String], begun: Begun) -> Result<(), &'static str> {
     write!(to, "confined {confined}\n{lines}").map_err(|_| "its output is closed; authros has to start it")
 }
 
-/// A limit that cannot be set is no reason not to work.
+/// A limit that cannot be set does not stop the program.
 fn bound(memory: Memory) {
     let (resource, wanted) = match memory {
         Memory::AddressSpace(most) => (Resource::As, most),

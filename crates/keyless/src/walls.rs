@@ -1,6 +1,5 @@
-//! Walls around a program without keys: whoever owns a file, the program opens none but those named here, starts no other
-//! program and speaks with no socket of this machine. By Landlock and seccomp: no privilege is needed for them, and nothing
-//! inside can take them down.
+//! Walls by Landlock and seccomp: the program opens only the files named here, starts no program and reaches no local
+//! socket, whoever owns it. They need no privilege, and nothing inside can remove them.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -19,19 +18,16 @@ use seccompiler::{
     SeccompRule, TargetArch, apply_filter,
 };
 
-/// How a program speaks with the network.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Network {
-    /// By UDP alone, with addresses: it needs no TCP and no names of hosts.
+    /// UDP alone, by address: no TCP, no host names.
     Datagrams,
-    /// By TCP, with names of hosts.
     Streams,
 }
 
-/// Which of its own threads run, which processors there are. Secrets of other processes in it need a right to trace them,
-/// which Landlock takes.
+/// For its threads and processors. Secrets of other processes in it need the right to trace them, which Landlock takes.
 const PROCESSES: &[&str] = &["/proc"];
-/// What the C library reads to find the address of a name.
+/// Read by the C library to resolve a name.
 const HOST_NAMES: &[&str] = &[
     "/etc/hosts",
     "/etc/host.conf",
@@ -45,15 +41,14 @@ const HOST_NAMES: &[&str] = &[
     "/usr/lib",
     "/usr/lib64",
 ];
-/// The interface of Landlock that this was written for; of an older kernel's as much is used as there is.
+/// An older kernel applies the part of it that it knows.
 const INTERFACE: ABI = ABI::V6;
-/// The second set of numbers that x86-64 has for its system calls.
+/// The second set of x86-64's system call numbers.
 const OTHER_NUMBERS: i64 = 0x4000_0000;
 
-/// The bits of a socket's type beside its flags.
+/// Bits of a socket's type beside its flags.
 const KIND_OF_SOCKET: u64 = 0xf;
 
-/// Raises the walls, for this thread and all that it starts; whether all of them stand.
 pub fn raise(network: Network) -> bool {
     let files = raise_around_files(network).unwrap_or(false);
     let sockets = filter().is_ok_and(|filter| apply_filter(&filter).is_ok());
@@ -76,13 +71,13 @@ fn raise_around_files(network: Network) -> Result<bool, RulesetError> {
     Ok(status.ruleset != RulesetStatus::NotEnforced)
 }
 
-/// Sockets of the network alone: Landlock of most kernels does not keep a program from those with a path.
+/// Only network sockets: Landlock of most kernels does not block local ones with a path.
 fn filter() -> Result<BpfProgram, BackendError> {
     let mut rules = BTreeMap::new();
     for numbers in [0, OTHER_NUMBERS] {
         rules.insert(libc::SYS_socket | numbers, vec![of_no_network()?]);
         rules.insert(libc::SYS_socketpair | numbers, of_other_pairs()?);
-        // Always: by it sockets are made that no filter sees.
+        // Always refused: it makes sockets that no filter sees.
         rules.insert(libc::SYS_io_uring_setup | numbers, Vec::new());
     }
     let refused = SeccompAction::Errno(libc::EACCES.unsigned_abs());
@@ -90,7 +85,7 @@ fn filter() -> Result<BpfProgram, BackendError> {
     SeccompFilter::new(rules, SeccompAction::Allow, refused, machine)?.try_into()
 }
 
-/// rustdds wakes itself by a pair of streams, which stay connected to each other; the others can be pointed elsewhere.
+/// rustdds wakes itself by a pair of streams, which stay connected; other pairs can be pointed elsewhere.
 fn of_other_pairs() -> Result<Vec<SeccompRule>, BackendError> {
     let is_of = |kind: i32| {
         let masked = SeccompCmpOp::MaskedEq(KIND_OF_SOCKET);
@@ -109,7 +104,7 @@ fn of_no_network() -> Result<SeccompRule, BackendError> {
     SeccompRule::new(conditions)
 }
 
-/// Opens a file, or connects to a socket, as whoever took the program over would.
+/// Opens a file or connects to a socket, as an intruder in the program would.
 pub fn attempt(path: &Path) -> io::Result<()> {
     if fs::symlink_metadata(path)?.file_type().is_socket() {
         return UnixStream::connect(path).map(drop);

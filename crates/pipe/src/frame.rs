@@ -7,15 +7,12 @@ use serde::de::DeserializeOwned;
 
 use crate::PipeError;
 
-/// The most bytes of a head.
 pub const LONGEST_HEAD: u32 = 64 << 10;
-/// The most bytes of a payload.
 pub const LONGEST_PAYLOAD: u32 = 64 << 20;
 
-/// Bytes before the head.
 const LENGTHS: u32 = 8;
 
-/// Writes one frame; the caller flushes.
+/// The caller flushes.
 pub fn send<T: Serialize>(to: &mut impl Write, head: &T, payload: &[u8]) -> Result<(), PipeError> {
     let head = serde_json::to_vec(head).map_err(|error| PipeError::Head(error.to_string()))?;
     let mut lengths = [0; LENGTHS as usize];
@@ -27,21 +24,13 @@ pub fn send<T: Serialize>(to: &mut impl Write, head: &T, payload: &[u8]) -> Resu
     Ok(())
 }
 
-/// Reads one frame; `None` if the pipe ended between two.
-///
-/// # Errors
-/// [`PipeError::TooLong`] before memory is taken, [`PipeError::Cut`] within a frame, [`PipeError::Head`] for a head that
-/// is not a `T`, [`PipeError::Broken`] of the pipe itself.
+/// `None` if the pipe ended between two frames. Lengths are checked before memory is taken.
 pub fn receive<T: DeserializeOwned>(from: &mut impl Read) -> Result<Option<(T, Vec<u8>)>, PipeError> {
     let begin = exactly(from, LENGTHS)?;
     if begin.is_empty() {
         return Ok(None);
     }
-    let Some((head, payload)) =
-        begin.first_chunk::<4>().zip(begin.last_chunk::<4>()).filter(|_| begin.len() == LENGTHS as usize)
-    else {
-        return Err(PipeError::Cut);
-    };
+    let ([head, payload], []) = begin.as_chunks::<4>() else { return Err(PipeError::Cut) };
     let head = checked("head", u64::from(u32::from_le_bytes(*head)), LONGEST_HEAD)?;
     let payload = checked("payload", u64::from(u32::from_le_bytes(*payload)), LONGEST_PAYLOAD)?;
     let head = whole(from, head)?;
@@ -58,7 +47,7 @@ fn whole(from: &mut impl Read, length: u32) -> Result<Vec<u8>, PipeError> {
     if found.len() as u64 == u64::from(length) { Ok(found) } else { Err(PipeError::Cut) }
 }
 
-/// This many bytes, or fewer if the pipe ends. Memory grows with what arrives, not with what was claimed.
+/// Fewer bytes if the pipe ends. Memory grows with the bytes that arrive, not with the claimed length.
 fn exactly(from: &mut impl Read, length: u32) -> Result<Vec<u8>, PipeError> {
     let mut found = Vec::with_capacity(length.min(64 << 10) as usize);
     from.take(u64::from(length)).read_to_end(&mut found)?;

@@ -1,8 +1,4 @@
-//! The pipe between a site and a child process that talks to the outside in its place.
-//!
-//! A frame is a head as JSON and a payload as raw bytes. Both lengths are checked before memory is taken, and memory
-//! grows only with what has arrived: neither side trusts the other. [`read`] contains what a child that reads ROS 2 says,
-//! [`write`] what one that publishes says.
+//! The pipe between a site and a child process that talks to the network. Neither side trusts the other.
 
 mod error;
 mod frame;
@@ -12,5 +8,5 @@ pub mod write;
 pub use error::PipeError;
 pub use frame::{LONGEST_HEAD, LONGEST_PAYLOAD, receive, send};
 
-/// The version of the protocol; a child and a site of different versions part at once.
+/// A child and a site of different versions part.
 pub const VERSION: u32 = 1;

@@ -1,124 +1,95 @@
-//! Messages between a child that publishes topics, of ROS 2 or of ROS 1, and its site. Names and types are as the site
-//! uses them.
+//! Messages between a child that publishes topics of ROS 1 or ROS 2 and its site.
 
+use std::io::Read;
+use std::sync::mpsc::{Receiver, sync_channel};
+
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-/// The most messages, and about how many bytes of them, that a site hands out before the child has confirmed some.
+use crate::receive;
+
+/// The most messages, and about how many of their bytes, that a site sends before the child confirms some.
 pub const MOST_UNCONFIRMED: usize = 256;
-/// See [`MOST_UNCONFIRMED`].
 pub const MOST_UNCONFIRMED_BYTES: usize = 16 << 20;
 
-/// What a publisher offers its subscribers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Offer {
-    /// Lost messages are repeated.
     pub reliable: bool,
-    /// Messages are kept for those who subscribe later.
+    /// Messages are kept for late subscribers.
     pub latched: bool,
-    /// How many messages are kept.
     pub depth: u32,
 }
 
-/// A topic as published.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Topic {
-    /// Its name, `/robot1/odom`.
     pub name: String,
-    /// Its type, `package/msg/Type`.
     pub type_name: String,
-    /// The first two bytes of every message's encapsulation header, the first one high.
+    /// First two bytes of every message's encapsulation header, the first one high.
     pub encoding: u16,
     pub offer: Offer,
 }
 
-/// A topic of ROS 1 as published. The text of its type's definition is the payload of the order that announces it.
+/// The definition's text is the payload of the order that announces it.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Described {
-    /// Its name, `/robot1/odom`.
     pub name: String,
-    /// Its type, `package/Type`.
     pub type_name: String,
-    /// The type's md5sum, 32 hex characters.
     pub md5sum: String,
-    /// Whether the last message is kept for those who subscribe later.
+    /// Whether the last message is kept for late subscribers.
     pub latched: bool,
 }
 
-/// From the site to the child; `T` is how a topic is described in its ROS. The end of the pipe tells the child to end.
+/// `T` describes a topic in its ROS. The end of the pipe tells the child to end.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "order", rename_all = "snake_case")]
 pub enum Order<T = Topic> {
-    /// Announce a topic; answered by [`Report::Ready`] or [`Report::Refused`].
-    Advertise {
-        /// A number for it, not used before.
-        writer: u32,
-        topic: T,
-        /// Bytes of its first message, a hint for how much room it needs.
-        size: u32,
-        /// Refuse if somebody else publishes it.
-        alone: bool,
-        /// Wait for the subscribers that are known, for a while.
-        patient: bool,
-    },
-    /// Publish a message; its bytes, in ROS 2 with their encapsulation header, are the payload.
+    /// Answered by [`Report::Ready`] or [`Report::Refused`]. The number is new; `size` is that of the first message;
+    /// `alone` refuses if another node publishes it; `patient` waits a while for the known subscribers.
+    Advertise { writer: u32, topic: T, size: u32, alone: bool, patient: bool },
+    /// The payload is the message; in ROS 2 with its encapsulation header.
     Publish { writer: u32 },
-    /// Take a topic back at once; what is queued for it is not published.
+    /// Drops the topic with its queue.
     Withdraw { writer: u32 },
-    /// Wait no longer for subscribers that are behind now.
+    /// Stop waiting for subscribers that are behind now.
     Outrun,
-    /// Nothing more will be published; answered by [`Report::Left`] when subscribers have everything.
+    /// No more messages come; answered by [`Report::Left`] when subscribers have everything.
     Leave,
 }
 
-/// From the child to the site.
+/// Orders with their payloads, read in a thread; the channel closes when no more will come.
+pub fn orders<T: DeserializeOwned + Send + 'static>(
+    mut from: impl Read + Send + 'static,
+) -> std::io::Result<Receiver<(Order<T>, Vec<u8>)>> {
+    let (sender, receiver) = sync_channel(4 * MOST_UNCONFIRMED);
+    let read = move || {
+        while let Ok(Some(order)) = receive(&mut from)
+            && sender.send(order).is_ok()
+        {}
+    };
+    std::thread::Builder::new().name("orders".into()).spawn(read)?;
+    Ok(receiver)
+}
+
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "report", rename_all = "snake_case")]
 pub enum Report {
-    /// The first frame: the domain is joined, or the graph.
-    Hello {
-        /// [`crate::VERSION`].
-        version: u32,
-        /// The domain; 0 in a graph of ROS 1.
-        domain: u16,
-        /// Whether it can open no file and no local socket.
-        confined: bool,
-    },
-    /// The domain of ROS 2 is joined; if the child is killed, its supervisor announces that this participant is gone.
-    Joined {
-        /// The prefix of its ids, 12 bytes as hex.
-        participant: String,
-    },
+    /// The first frame: the domain (0 in a graph of ROS 1) is joined.
+    Hello { version: u32, domain: u16, confined: bool },
+    /// For a farewell if the child is killed: the prefix of its ids, 12 bytes as hex.
+    Joined { participant: String },
     /// A topic is announced.
-    Ready {
-        writer: u32,
-    },
-    /// A topic is not announced.
-    Refused {
-        writer: u32,
-        reason: String,
-        /// Whether it is that somebody else publishes it.
-        occupied: bool,
-    },
-    /// The oldest messages that were not confirmed yet have left the queue; none, if only the other figures changed.
-    Taken {
-        messages: u32,
-        /// Of these the ones that a subscriber did not get because it read too slowly.
-        dropped: u32,
-        /// Messages of all reports so far that were sent and that a subscriber has yet to acknowledge.
-        unacknowledged: u32,
-        /// Messages of all reports so far that were sent to subscribers that do not acknowledge.
-        unconfirmed: u64,
-    },
+    Ready { writer: u32 },
+    /// A topic is not announced; `occupied` if another node publishes it.
+    Refused { writer: u32, reason: String, occupied: bool },
+    /// How many of the oldest unconfirmed messages left the queue, and how many of these a slow subscriber missed. In all:
+    /// sent and not yet acknowledged, and sent to subscribers that do not acknowledge.
+    Taken { messages: u32, dropped: u32, unacknowledged: u32, unconfirmed: u64 },
+    /// Subscribers have everything.
     Left,
-    /// Every half second.
-    Alive {
-        /// Other participants in the domain; in a graph of ROS 1, connected subscribers.
-        participants: u32,
-    },
+    /// Every half second: other participants; in a graph of ROS 1, connected subscribers.
+    Alive { participants: u32 },
     /// The child is ending on its own.
-    Failed {
-        reason: String,
-    },
+    Failed { reason: String },
 }
 
 #[cfg(test)]

@@ -1,5 +1,4 @@
-//! Addresses of peers: `http://host:port/` URIs, name resolution and connecting with a deadline, and choosing this
-//! machine's own address. No protocol is spoken here.
+//! Addresses of peers: URIs, name resolution and connecting with a deadline, and this machine's own address.
 
 use std::fmt;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpStream, ToSocketAddrs, UdpSocket};
@@ -9,12 +8,9 @@ use std::time::{Duration, Instant};
 use super::RosError;
 use crate::model::clean;
 
-/// What is said of a name that nobody knows.
 pub(super) const UNRESOLVED: &str = "its name does not resolve";
-/// The shortest attempt to connect.
 const SHORTEST: Duration = Duration::from_millis(1);
 
-/// Host and port of an XML-RPC peer, with its path.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub(super) struct Endpoint {
     pub host: String,
@@ -23,7 +19,6 @@ pub(super) struct Endpoint {
 }
 
 impl Endpoint {
-    /// From `http://host:port[/path]`.
     pub fn parse(uri: &str) -> Option<Self> {
         let rest = uri.strip_prefix("http://")?;
         let (authority, path) = rest.split_once('/').unwrap_or((rest, ""));
@@ -37,7 +32,11 @@ impl Endpoint {
         (host_ok && path_ok).then(|| Self { host: host.to_owned(), port, path: format!("/{path}") })
     }
 
-    /// `host:port`, brackets around an IPv6 address.
+    pub fn of_master(uri: &str) -> Result<Self, RosError> {
+        Self::parse(uri).ok_or_else(|| RosError::Address(clean(uri, 120)))
+    }
+
+    /// With brackets around an IPv6 address.
     pub fn authority(&self) -> String {
         authority(&self.host, self.port)
     }
@@ -49,18 +48,17 @@ impl fmt::Display for Endpoint {
     }
 }
 
-/// `host:port`, brackets around an IPv6 address.
 pub(super) fn authority(host: &str, port: u16) -> String {
     if host.contains(':') { format!("[{host}]:{port}") } else { format!("{host}:{port}") }
 }
 
-/// Time left until `deadline`; an error once it has passed.
+/// An error once `deadline` has passed.
 pub(super) fn time_left(deadline: Instant) -> std::io::Result<Duration> {
     let left = deadline.saturating_duration_since(Instant::now());
     if left.is_zero() { Err(std::io::Error::new(std::io::ErrorKind::TimedOut, "no answer in time")) } else { Ok(left) }
 }
 
-/// The addresses of a host; a name is resolved in its own thread, because resolvers have no timeout.
+/// Resolves a name in its own thread, because resolvers have no timeout.
 pub(super) fn resolve(host: &str, port: u16, deadline: Instant) -> std::io::Result<Vec<SocketAddr>> {
     if let Ok(address) = host.parse::<IpAddr>() {
         return Ok(vec![SocketAddr::new(address, port)]);
@@ -81,12 +79,11 @@ pub(super) fn resolve(host: &str, port: u16, deadline: Instant) -> std::io::Resu
     Ok(found)
 }
 
-/// A TCP connection to `host:port`, opened before `deadline`, with TCP_NODELAY.
 pub(super) fn connect(host: &str, port: u16, deadline: Instant) -> std::io::Result<TcpStream> {
     connect_to_any(&resolve(host, port, deadline)?, deadline)
 }
 
-/// Each address gets its share of the time that is left: one that is silent must not use up that of the others.
+/// Each address gets its share of the time left: a silent one must not use up that of the others.
 fn connect_to_any(addresses: &[SocketAddr], deadline: Instant) -> std::io::Result<TcpStream> {
     let mut failure = std::io::Error::new(std::io::ErrorKind::NotFound, "its name has no address");
     for (address, further) in addresses.iter().zip((1..=addresses.len()).rev()) {
@@ -102,8 +99,8 @@ fn connect_to_any(addresses: &[SocketAddr], deadline: Instant) -> std::io::Resul
     Err(failure)
 }
 
-/// The host by which other nodes are to reach us: the given one, otherwise loopback if the master is on loopback,
-/// otherwise the local address of a route to the master.
+/// The host by which other nodes reach us: the given one; loopback if the master is there; otherwise the local address
+/// of a route to the master.
 pub(super) fn own_host(given: Option<&str>, master: &Endpoint, deadline: Instant) -> Result<String, RosError> {
     if let Some(host) = given.filter(|host| !host.is_empty()) {
         return Ok(host.to_owned());
@@ -123,7 +120,6 @@ pub(super) fn own_host(given: Option<&str>, master: &Endpoint, deadline: Instant
     route.map(|local| local.ip().to_string()).map_err(unreachable)
 }
 
-/// The address to listen on for `host`, port 0.
 pub(super) fn listen_address(host: &str, deadline: Instant) -> Result<SocketAddr, RosError> {
     let failed = |reason: String| RosError::OwnHost { host: clean(host, 80), reason };
     let found = resolve(host, 0, deadline).map_err(|error| failed(error.to_string()))?;

@@ -1,167 +1,127 @@
-//! The monitoring node: captures every message of the watched topics, of any type.
-//!
-//! A registrar thread keeps the subscriptions alive at the master and finds publishers; each publisher is read by its
-//! own thread, so that none can starve another. Captured messages go to a [`MessageSink`]; sealing, storing and
-//! bounding the ring happen elsewhere.
+//! The monitoring node: captures every message of the watched topics, of any type. One thread reads one publisher, so
+//! that none can starve another; a registrar keeps the subscriptions alive at the master.
 
 mod reader;
 mod topic;
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use crate::model::{Timestamp, TopicName, TypeName, clean};
-use crate::ros::RosError;
 use crate::ros::address::{Endpoint, own_host};
 use crate::ros::graph::Unreached;
 use crate::ros::tcpros::{BusLink, Node, SlaveServer};
 use crate::ros::xmlrpc::{CallError, Value, call};
+use crate::ros::{RosError, lock};
 use topic::Topic;
 
 pub(crate) use topic::next_number;
 pub use topic::{Origin, Rival};
 
-/// The longest wait for an answer of the master, and for names to be resolved at the start.
+/// Limit of the master's answers, and of resolving names at the start.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// A message as received from its publisher.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Message {
     pub topic: Arc<str>,
-    /// Type, `package/Type`.
+    /// `package/Type`
     pub type_name: Arc<str>,
-    /// The type's md5sum, 32 hex characters, as stated by the publisher.
+    /// 32 hex characters, as the publisher stated it.
     pub md5sum: Arc<str>,
-    /// The full text of the type's definition, as stated by the publisher.
+    /// As the publisher stated it.
     pub definition: Arc<str>,
-    /// The publisher's node name, as it stated it: clean it before it is shown.
+    /// As the publisher stated it: clean it before it is shown.
     pub caller_id: Arc<str>,
-    /// Its origin, as far as can be seen.
     pub origin: Arc<Origin>,
-    /// Whether the publisher keeps its last message for later subscribers.
     pub latching: bool,
     /// When the complete message had arrived.
     pub captured_at: Timestamp,
-    /// `header.seq`, if the type begins with a header.
+    /// If the type begins with a header.
     pub header_seq: Option<u32>,
-    /// Further facts about it, sealed beside it as tags; [`crate::recording::tags`] has the names.
     pub tags: Vec<(String, String)>,
-    /// The serialised message, without its length; of ROS 2 with its encapsulation header.
+    /// Without its length; of ROS 2 with its encapsulation header.
     pub body: Vec<u8>,
 }
 
-/// The recipient of captured messages. Called from several threads at once, in order per publisher.
+/// Called from several threads at once, in order per publisher.
 pub trait MessageSink: Send + Sync {
-    /// Takes a message. It may block; meanwhile that publisher's socket is not read.
+    /// May block; meanwhile that publisher's socket is not read.
     fn accept(&self, message: Message);
-    /// Takes the definition of a publisher's messages that arrived after some of them; the message has no body of its own.
+    /// The definition arrived after some of the publisher's messages; this message has no body.
     fn define(&self, message: Message) {
         drop(message);
     }
-    /// Takes a notice about the capture itself. It must not block.
+    /// Must not block.
     fn notice(&self, notice: CaptureNotice);
 }
 
-/// A notice about the capture. Texts from peers in it are cleaned.
+/// Texts from peers in it are cleaned.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum CaptureNotice {
     /// A publisher is being read.
-    PublisherConnected {
-        topic: Arc<str>,
-        /// The publisher's node name.
-        caller_id: String,
-        type_name: Arc<str>,
-        /// Its origin, as far as can be seen.
-        origin: Arc<Origin>,
-    },
+    PublisherConnected { topic: Arc<str>, caller_id: String, type_name: Arc<str>, origin: Arc<Origin> },
     /// A publisher that was being read is gone.
     PublisherLost { topic: Arc<str>, caller_id: String, number: u64, reason: String },
-    /// Somebody told this node of a publisher that the master does not list; it is not contacted.
+    /// Claimed by somebody, not listed by the master, and not contacted.
     UnconfirmedPublisher { topic: Arc<str>, publisher: String },
-    /// The master lists a publisher that cannot be read; reported once until it can.
+    /// Listed by the master and unreadable; reported once until it can be read.
     PublisherUnreachable { topic: Arc<str>, publisher: String, reason: String },
-    /// A publisher sends another type than requested; it is not captured.
+    /// It sends another type than requested, and is not captured.
     TypeMismatch { topic: Arc<str>, caller_id: String, wanted: String, found: String },
-    /// A publisher's description of its messages is inconsistent; they are captured as sent.
+    /// Its description of its messages is inconsistent; they are captured as sent.
     Contradiction { topic: Arc<str>, caller_id: String, contradiction: String },
-    /// Sequence numbers are missing: this many messages never arrived.
-    LostInTransport {
-        topic: Arc<str>,
-        /// The publisher's node name.
-        caller_id: String,
-        count: u64,
-        /// The first and the last of the missing numbers.
-        numbers: (u32, u32),
-    },
-    /// A publisher or an answer was refused, for example a message beyond the length cap.
+    /// Messages never arrived: how many, and the first and last of the missing numbers.
+    LostInTransport { topic: Arc<str>, caller_id: String, count: u64, numbers: (u32, u32) },
+    /// For example a message beyond the length cap.
     Refused { topic: Arc<str>, publisher: String, reason: String },
-    /// The program that reads ROS 2 ended and is restarted; what was missed meanwhile is reported by
-    /// [`Self::LostInTransport`] when its publishers are heard again.
+    /// The ROS 2 reader is restarted; missed messages are reported when their publishers are heard again.
     ReadingBroken { reason: String },
     /// A publisher vanished while nothing could be read of it.
-    EndUnknown {
-        topic: Arc<str>,
-        /// The publisher's node name.
-        caller_id: String,
-        /// At least this many of its messages are missing.
-        at_least: u64,
-    },
-    /// The master stopped answering; publishers that are connected are still read.
+    EndUnknown { topic: Arc<str>, caller_id: String, at_least: u64 },
+    /// Connected publishers are still read.
     MasterLost { reason: String },
-    /// The master answers (again).
+    /// The master answers again.
     MasterBack,
-    /// Somebody asked this node to shut down; it does not.
+    /// A request to shut down, which this node ignores.
     ShutdownAsked { by: String, reason: String },
 }
 
-/// The parameters of a capture.
 #[derive(Debug, Clone)]
 pub struct CaptureOptions {
-    /// The master, `http://HOST:PORT`.
+    /// `http://HOST:PORT`
     pub master_uri: String,
-    /// The host at which other nodes reach this one (`ROS_HOSTNAME` or `ROS_IP`); chosen automatically if not set.
+    /// The host at which others reach this node (`ROS_HOSTNAME` or `ROS_IP`); chosen automatically if not set.
     pub own_host: Option<String>,
-    /// This node's name, which must be unique: a master shuts down the older of two nodes with the same name.
+    /// Must be unique: a master shuts down the older of two nodes with the same name.
     pub node_name: String,
 }
 
-/// The status of one topic's capture.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TopicCapture {
     pub topic: TopicName,
     /// The type requested, otherwise the one last seen.
     pub type_name: Option<String>,
-    /// Publishers being read now.
     pub publishers: usize,
-    /// Those that the master lists and that cannot be read.
+    /// Listed by the master and unreadable.
     pub unreached: Vec<Unreached>,
     pub messages: u64,
-    /// Bytes of their bodies.
     pub bytes: u64,
-    /// Messages missing according to their sequence numbers.
     pub lost_in_transport: u64,
-    /// When the last message had arrived.
     pub last_message: Option<Timestamp>,
 }
 
-/// A running capture. It unregisters and ends its threads on drop.
 pub struct Capture {
     shared: Arc<Shared>,
-    /// Keeps the subscriptions alive.
     registrar: Threads,
     slave: SlaveServer,
 }
 
 impl Capture {
-    /// Starts the monitoring node; it watches nothing yet. The master need not be running.
-    ///
-    /// # Errors
-    /// [`RosError::Address`] for a bad URI, [`RosError::Unreachable`] if the master's name does not resolve,
-    /// [`RosError::OwnHost`] if this machine's address cannot be listened on.
+    /// Watches nothing yet. The master need not be running.
     pub fn start(options: CaptureOptions, sink: Arc<dyn MessageSink>) -> Result<Self, RosError> {
-        let master = Endpoint::parse(&options.master_uri).ok_or_else(|| RosError::address(&options.master_uri))?;
+        let master = Endpoint::of_master(&options.master_uri)?;
         let host = own_host(options.own_host.as_deref(), &master, Instant::now() + PATIENCE)?;
         let shared = Arc::new(Shared {
             master,
@@ -180,28 +140,34 @@ impl Capture {
         Ok(Self { shared, registrar, slave })
     }
 
-    /// Watches a topic; with `type_name` only publishers of that type are read. Watching it again changes nothing. A
-    /// topic without publishers is waited for.
+    /// With `type_name` only publishers of that type are read. Watching a topic again changes nothing.
     pub fn watch(&self, topic: TopicName, type_name: Option<TypeName>) {
-        self.shared.watch(topic, type_name);
+        let make = || Arc::new(Topic::new(topic.clone(), type_name));
+        lock(&self.shared.topics).entry(topic.clone()).or_insert_with(make);
+        self.shared.send(|errands| {
+            errands.leaving.remove(&topic);
+            errands.urgent.insert(topic);
+        });
     }
 
-    /// Stops watching a topic. A message being handed to the sink is still handed over.
     pub fn unwatch(&self, topic: &TopicName) {
-        self.shared.unwatch(topic);
+        if let Some(watched) = lock(&self.shared.topics).remove(topic) {
+            watched.end();
+            self.shared.send(|errands| {
+                errands.urgent.remove(topic);
+                errands.leaving.insert(topic.clone());
+            });
+        }
     }
 
-    /// The URI of this node's own slave API.
     pub fn uri(&self) -> &str {
         &self.slave.uri
     }
 
-    /// The watched topics, by name, with the types requested.
     pub fn watched(&self) -> Vec<(TopicName, Option<TypeName>)> {
         self.shared.topics().iter().map(|topic| (topic.name.clone(), topic.wanted.clone())).collect()
     }
 
-    /// The status of each watched topic, by name.
     pub fn status(&self) -> Vec<TopicCapture> {
         self.shared.topics().iter().map(|topic| topic.status()).collect()
     }
@@ -210,30 +176,24 @@ impl Capture {
 impl Drop for Capture {
     fn drop(&mut self) {
         let deadline = Instant::now() + PATIENCE;
-        self.shared.stop();
+        self.shared.topics().iter().for_each(|topic| topic.end());
+        // The topics' names stay for unregistering.
+        self.shared.send(|errands| errands.stopping = true);
         self.registrar.wait_until_none(deadline);
         self.shared.threads.wait_until_none(deadline);
     }
 }
 
-/// How long a thread pauses after a panic.
+/// Pause of a thread after a panic.
 const AFTER_A_PANIC: Duration = Duration::from_millis(500);
 
-/// A lock that survives a panicking thread: the data are plain counters and lists.
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// What the registrar is to do next.
 #[derive(Default)]
 struct Errands {
-    /// Topics to query the master about at once.
     pub urgent: BTreeSet<TopicName>,
     pub leaving: BTreeSet<TopicName>,
     pub stopping: bool,
 }
 
-/// Shared by all threads of a capture.
 struct Shared {
     pub master: Endpoint,
     pub node_name: String,
@@ -245,25 +205,6 @@ struct Shared {
 }
 
 impl Shared {
-    pub fn watch(&self, name: TopicName, wanted: Option<TypeName>) {
-        let make = || Arc::new(Topic::new(name.clone(), wanted));
-        lock(&self.topics).entry(name.clone()).or_insert_with(make);
-        self.send(|errands| {
-            errands.leaving.remove(&name);
-            errands.urgent.insert(name);
-        });
-    }
-
-    pub fn unwatch(&self, name: &TopicName) {
-        if let Some(topic) = lock(&self.topics).remove(name) {
-            topic.end();
-            self.send(|errands| {
-                errands.urgent.remove(name);
-                errands.leaving.insert(name.clone());
-            });
-        }
-    }
-
     pub fn topics(&self) -> Vec<Arc<Topic>> {
         lock(&self.topics).values().cloned().collect()
     }
@@ -272,15 +213,6 @@ impl Shared {
         lock(&self.topics).get(&name.parse().ok()?).cloned()
     }
 
-    /// Ends all topics; their names stay for unregistering.
-    pub fn stop(&self) {
-        for topic in self.topics() {
-            topic.end();
-        }
-        self.send(|errands| errands.stopping = true);
-    }
-
-    /// Has the master queried about this topic at once.
     pub fn ask_about(&self, name: &TopicName) {
         self.send(|errands| {
             errands.urgent.insert(name.clone());
@@ -324,7 +256,7 @@ impl Node for Shared {
         self.topics().iter().flat_map(|topic| topic.links()).collect()
     }
 
-    /// Anyone can send this, so it is only a hint to query the master at once, and a claim to compare with the answer.
+    /// Anyone can send this: it is only a hint to query the master, and a claim to compare with the answer.
     fn publishers_changed(&self, topic: &str, publishers: &[&str]) {
         if let Some(topic) = self.topic(topic) {
             topic.claim(publishers);
@@ -345,10 +277,10 @@ struct Threads {
 }
 
 impl Threads {
-    /// Runs `work` in a counted thread until it ends by itself; after a panic, which the panic hook reports, it is
-    /// started again.
+    /// Runs `work` in a counted thread until it returns; after a panic, which the panic hook reports, it starts again.
     pub fn spawn(&self, name: &str, mut work: impl FnMut() + Send + 'static) -> std::io::Result<()> {
-        let place = Counted::new(&self.running);
+        *lock(&self.running.0) += 1;
+        let place = Counted(Arc::clone(&self.running));
         std::thread::Builder::new().name(name.into()).spawn(move || {
             let _place = place;
             while catch_unwind(AssertUnwindSafe(&mut work)).is_err() {
@@ -358,23 +290,14 @@ impl Threads {
         Ok(())
     }
 
-    /// Waits until no thread runs; returns whether that happened before `deadline`.
-    pub fn wait_until_none(&self, deadline: Instant) -> bool {
+    pub fn wait_until_none(&self, deadline: Instant) {
         let (count, changed) = &*self.running;
         let patience = deadline.saturating_duration_since(Instant::now());
-        let waited = changed.wait_timeout_while(lock(count), patience, |running| *running > 0);
-        !waited.unwrap_or_else(PoisonError::into_inner).1.timed_out()
+        drop(changed.wait_timeout_while(lock(count), patience, |running| *running > 0));
     }
 }
 
 struct Counted(Arc<(Mutex<usize>, Condvar)>);
-
-impl Counted {
-    fn new(running: &Arc<(Mutex<usize>, Condvar)>) -> Self {
-        *lock(&running.0) += 1;
-        Self(Arc::clone(running))
-    }
-}
 
 impl Drop for Counted {
     fn drop(&mut self) {
@@ -383,19 +306,17 @@ impl Drop for Counted {
     }
 }
 
-/// How often every topic is registered again.
+/// Interval between registrations of every topic.
 const PERIOD: Duration = Duration::from_millis(500);
 
-/// The pause between two rounds, as a multiple of a round's duration, however many topics there are.
+/// Pause between two rounds, in durations of a round, however many topics there are.
 const REST: u32 = 10;
 
-/// The most publishers of one topic.
 const MOST_PUBLISHERS: usize = 256;
 
 struct Work {
     shared: Arc<Shared>,
     slave_uri: String,
-    /// Whether the master answered last time.
     master_up: Option<bool>,
 }
 
@@ -405,7 +326,9 @@ impl Work {
         loop {
             let errands = self.shared.errands(next_round.saturating_duration_since(Instant::now()));
             if errands.stopping {
-                return self.leave_all(errands.leaving);
+                let mut names = errands.leaving;
+                names.extend(self.shared.topics().iter().map(|topic| topic.name.clone()));
+                return self.unregister(&names, Instant::now() + Duration::from_secs(1));
             }
             self.unregister(&errands.leaving, Instant::now() + PATIENCE);
             if Instant::now() < next_round {
@@ -422,8 +345,7 @@ impl Work {
         }
     }
 
-    /// Registers each topic. One that becomes urgent meanwhile goes first, but only once: a flood of hints for one
-    /// topic must not starve the others.
+    /// An urgent topic goes first, but only once: a flood of hints for one topic must not starve the others.
     fn register(&mut self, topics: Vec<Arc<Topic>>) {
         let mut queue: VecDeque<_> = topics.into();
         let mut hurried = BTreeSet::new();
@@ -445,17 +367,22 @@ impl Work {
         }
     }
 
-    /// Registers a topic and handles its publishers; returns whether the master answered.
+    /// Whether the master answered.
     fn register_one(&mut self, topic: &Arc<Topic>) -> bool {
         // Taken first: only an answer requested later can contradict a claim.
         let claims = topic.take_claims();
         let asked_at = Instant::now();
-        let answer = self.publishers(topic);
+        let params = self.params(&[topic.name.as_str(), "*"]);
+        let answer = call(&self.shared.master, "registerSubscriber", &params, Instant::now() + PATIENCE);
         self.master_is(answer.as_ref().map(drop).map_err(ToString::to_string));
         match answer {
             Ok(publishers) => {
-                meet(&self.shared, topic, &publishers, asked_at);
-                refute(&self.shared, topic, claims);
+                meet(&self.shared, topic, &publishers.texts(), asked_at);
+                // Nobody connects to publishers that the master did not list.
+                for publisher in topic.unconfirmed(claims) {
+                    let topic = Arc::clone(&topic.label);
+                    self.shared.notice(CaptureNotice::UnconfirmedPublisher { topic, publisher });
+                }
                 true
             }
             Err(error) => {
@@ -469,17 +396,9 @@ impl Work {
         }
     }
 
-    fn publishers(&self, topic: &Topic) -> Result<Vec<String>, CallError> {
-        let params = self.params(&[topic.name.as_str(), "*"]);
-        let answer = call(&self.shared.master, "registerSubscriber", &params, Instant::now() + PATIENCE)?;
-        Ok(answer.texts())
-    }
-
     fn params(&self, middle: &[&str]) -> Vec<Value> {
-        let mut params = vec![Value::text(&*self.shared.node_name)];
-        params.extend(middle.iter().copied().map(Value::text));
-        params.push(Value::text(&*self.slave_uri));
-        params
+        let (name, uri) = (self.shared.node_name.as_str(), self.slave_uri.as_str());
+        std::iter::once(name).chain(middle.iter().copied()).chain([uri]).map(Value::from).collect()
     }
 
     fn master_is(&mut self, state: Result<(), String>) {
@@ -501,14 +420,8 @@ impl Work {
             }
         }
     }
-
-    fn leave_all(&self, mut names: BTreeSet<TopicName>) {
-        names.extend(self.shared.topics().iter().map(|topic| topic.name.clone()));
-        self.unregister(&names, Instant::now() + Duration::from_secs(1));
-    }
 }
 
-/// Takes note of a topic's publishers and starts a reader for each new one.
 fn meet(shared: &Arc<Shared>, topic: &Arc<Topic>, uris: &[String], asked_at: Instant) {
     let refuse = |publisher: &str, reason: &str| {
         if topic.first_complaint(publisher) {
@@ -532,13 +445,6 @@ fn meet(shared: &Arc<Shared>, topic: &Arc<Topic>, uris: &[String], asked_at: Ins
             topic.forget(&publisher);
             refuse(&publisher.endpoint.to_string(), &format!("no thread to read it: {error}"));
         }
-    }
-}
-
-/// Reports claimed publishers that the master's answer did not list. Nobody connects to them.
-fn refute(shared: &Shared, topic: &Topic, claims: BTreeSet<String>) {
-    for publisher in topic.unconfirmed(claims) {
-        shared.notice(CaptureNotice::UnconfirmedPublisher { topic: Arc::clone(&topic.label), publisher });
     }
 }
 

@@ -1,5 +1,4 @@
-//! Queries to a ROS master: whether it is there, which topics exist. Every call ends within [`PATIENCE`], whatever the
-//! master does; its answers are untrusted and only names are kept.
+//! Queries to a ROS master. Every call ends within [`PATIENCE`]; answers are untrusted, and only names are kept.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::TcpListener;
@@ -12,30 +11,24 @@ use crate::ros::RosError;
 use crate::ros::address::{Endpoint, connect, own_host, resolve};
 use crate::ros::xmlrpc::{CallError, Value, call};
 
-/// The longest a query may take.
 pub const PATIENCE: Duration = Duration::from_millis(2500);
 
-/// How long the types of an unchanged graph are not queried again: a node may have come back with another type.
+/// Types of an unchanged graph are queried again after this time: a node may return with another type.
 const TYPES_HOLD: Duration = Duration::from_secs(5);
 
-/// A topic as the master knows it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TopicInfo {
-    /// Its name, as the master gave it: clean it before it is shown.
+    /// As the master gave it: clean it before it is shown.
     pub name: String,
-    /// Its type, if the master knows one.
+    /// If the master knows one.
     pub type_name: Option<String>,
-    /// Names of the nodes that publish it.
     pub publishers: Vec<String>,
-    /// How many nodes subscribe to it.
+    /// Number of subscribed nodes.
     pub subscribers: usize,
 }
 
-/// The master's last answer, for [`Graph::topics_again`].
 #[derive(Debug, Default)]
-pub struct LastLook {
-    types: Option<Types>,
-}
+pub struct LastLook(Option<Types>);
 
 /// The types of all topics, and the graph they were queried for.
 #[derive(Debug)]
@@ -46,67 +39,17 @@ struct Types {
 }
 
 impl Types {
-    /// Whether they need not be queried again.
     fn hold(&self, state: &Value) -> bool {
         self.state == *state && self.asked.elapsed() < TYPES_HOLD
     }
 }
 
-/// A ROS master, queried without keeping a connection open.
 #[derive(Debug, Clone)]
 pub struct Graph {
     master: Endpoint,
     node_name: String,
 }
 
-impl Graph {
-    /// The master at `master_uri`, queried in the name of the node `node_name`. Nothing is sent yet.
-    pub fn new(master_uri: &str, node_name: &str) -> Result<Self, RosError> {
-        let master = Endpoint::parse(master_uri).ok_or_else(|| RosError::address(master_uri))?;
-        Ok(Self { master, node_name: node_name.to_owned() })
-    }
-
-    pub(crate) fn of(master: Endpoint, node_name: &str) -> Self {
-        Self { master, node_name: node_name.to_owned() }
-    }
-
-    /// Whether a master answers.
-    pub fn ping(&self) -> Result<(), RosError> {
-        self.ask("getPid", Instant::now() + PATIENCE).map(drop)
-    }
-
-    /// All topics with a publisher or subscriber, by name.
-    pub fn topics(&self) -> Result<Vec<TopicInfo>, RosError> {
-        self.topics_again(&mut LastLook::default())
-    }
-
-    /// [`Graph::topics`] for repeated polling: while the graph is as it was in the `last` answer and all types were
-    /// known, types are queried only now and then.
-    pub fn topics_again(&self, last: &mut LastLook) -> Result<Vec<TopicInfo>, RosError> {
-        let deadline = Instant::now() + PATIENCE;
-        let state = self.ask("getSystemState", deadline)?;
-        let types = match last.types.take().filter(|types| types.hold(&state)) {
-            Some(types) => types,
-            None => Types { value: self.ask("getTopicTypes", deadline)?, state, asked: Instant::now() },
-        };
-        let Some([publishers, subscribers, ..]) = types.state.as_array() else {
-            return Err(RosError::Protocol {
-                uri: self.master.to_string(),
-                reason: "its system state has no publishers and subscribers".into(),
-            });
-        };
-        let topics = merge(publishers, subscribers, &types.value);
-        last.types = Some(types).filter(|_| topics.iter().all(|topic| topic.type_name.is_some()));
-        Ok(topics)
-    }
-
-    fn ask(&self, method: &'static str, deadline: Instant) -> Result<Value, RosError> {
-        call(&self.master, method, &[self.node_name.as_str().into()], deadline)
-            .map_err(|error| master_error(&self.master, method, error))
-    }
-}
-
-/// The meaning of a failed call to the master.
 pub(super) fn master_error(master: &Endpoint, call: &'static str, error: CallError) -> RosError {
     let uri = master.to_string();
     match error {
@@ -116,11 +59,10 @@ pub(super) fn master_error(master: &Endpoint, call: &'static str, error: CallErr
     }
 }
 
-/// Pairs of (topic, nodes).
 fn rows(value: &Value) -> impl Iterator<Item = (&str, &Value)> {
-    value.as_array().unwrap_or_default().iter().filter_map(|row| match row.as_array() {
-        Some([name, rest]) => Some((name.as_text()?, rest)),
-        _ => None,
+    value.as_array().unwrap_or_default().iter().filter_map(|row| {
+        let [name, rest] = row.as_array()? else { return None };
+        Some((name.as_text()?, rest))
     })
 }
 
@@ -134,29 +76,79 @@ fn merge(publishers: &Value, subscribers: &Value, types: &Value) -> Vec<TopicInf
     for (topic, nodes) in rows(subscribers) {
         topics.entry(topic).or_default().1 = nodes.as_array().unwrap_or_default().len();
     }
-    let known = |name: &str| types.get(name).filter(|type_name| **type_name != "*").map(|found| (*found).to_owned());
-    topics
-        .into_iter()
-        .map(|(name, (publishers, subscribers))| TopicInfo {
-            name: name.to_owned(),
-            type_name: known(name),
-            publishers,
-            subscribers,
-        })
-        .collect()
+    let info = |(name, (publishers, subscribers)): (&str, _)| {
+        let known = types.get(name).filter(|type_name| **type_name != "*");
+        TopicInfo { name: name.to_owned(), type_name: known.map(|found| (*found).to_owned()), publishers, subscribers }
+    };
+    topics.into_iter().map(info).collect()
 }
 
 /// The nodes of one topic, as the master named them: clean the names before they are shown.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Presence {
-    /// Nodes that publish it.
     pub publishers: Vec<String>,
-    /// Nodes that subscribe to it.
     pub subscribers: Vec<String>,
 }
 
+const MOST_NODES: usize = 20;
+const EACH: Duration = Duration::from_millis(800);
+
+/// A listed publisher that cannot be reached; its texts are cleaned.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Unreached {
+    pub node: String,
+    /// The host and port it stated.
+    pub place: String,
+    /// The reason, with a remedy if one is known.
+    pub reason: String,
+}
+
+impl std::fmt::Display for Unreached {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} at {}: {}", self.node, self.place, self.reason)
+    }
+}
+
 impl Graph {
-    /// The nodes on a topic now.
+    /// Sends nothing yet.
+    pub fn new(master_uri: &str, node_name: &str) -> Result<Self, RosError> {
+        Ok(Self::of(Endpoint::of_master(master_uri)?, node_name))
+    }
+
+    pub(crate) fn of(master: Endpoint, node_name: &str) -> Self {
+        Self { master, node_name: node_name.to_owned() }
+    }
+
+    pub fn ping(&self) -> Result<(), RosError> {
+        self.ask("getPid", Instant::now() + PATIENCE).map(drop)
+    }
+
+    pub fn topics(&self) -> Result<Vec<TopicInfo>, RosError> {
+        self.topics_again(&mut LastLook::default())
+    }
+
+    /// For repeated polling: while the graph is unchanged and all types are known, types are queried only now and then.
+    pub fn topics_again(&self, last: &mut LastLook) -> Result<Vec<TopicInfo>, RosError> {
+        let deadline = Instant::now() + PATIENCE;
+        let state = self.ask("getSystemState", deadline)?;
+        let types = match last.0.take().filter(|types| types.hold(&state)) {
+            Some(types) => types,
+            None => Types { value: self.ask("getTopicTypes", deadline)?, state, asked: Instant::now() },
+        };
+        let Some([publishers, subscribers, ..]) = types.state.as_array() else {
+            let reason = "its system state has no publishers and subscribers".into();
+            return Err(RosError::Protocol { uri: self.master.to_string(), reason });
+        };
+        let topics = merge(publishers, subscribers, &types.value);
+        last.0 = Some(types).filter(|_| topics.iter().all(|topic| topic.type_name.is_some()));
+        Ok(topics)
+    }
+
+    fn ask(&self, method: &'static str, deadline: Instant) -> Result<Value, RosError> {
+        call(&self.master, method, &[self.node_name.as_str().into()], deadline)
+            .map_err(|error| master_error(&self.master, method, error))
+    }
+
     pub fn presence(&self, topic: &str) -> Result<Presence, RosError> {
         let state = self.ask("getSystemState", Instant::now() + PATIENCE)?;
         let nodes = |index: usize| {
@@ -175,42 +167,15 @@ impl Graph {
         }
         let places = |endpoint: &Endpoint| resolve(&endpoint.host, endpoint.port, Instant::now() + PATIENCE);
         match (places(&self.master), places(&other)) {
-            (Ok(ours), Ok(theirs)) => {
-                ours.iter().any(|place| theirs.iter().any(|other| place == other || both_loopback(place, other)))
-            }
+            (Ok(ours), Ok(theirs)) => ours.iter().any(|place| {
+                let is_loopback = place.ip().is_loopback();
+                theirs.iter().any(|other| place == other || is_loopback && other.ip().is_loopback())
+            }),
             _ => other.host == self.master.host,
         }
     }
-}
 
-fn both_loopback(one: &std::net::SocketAddr, other: &std::net::SocketAddr) -> bool {
-    one.ip().is_loopback() && other.ip().is_loopback()
-}
-
-/// The most nodes tried.
-const MOST_NODES: usize = 20;
-/// How long each attempt may take.
-const EACH: Duration = Duration::from_millis(800);
-
-/// A publisher that is listed and cannot be reached at its stated address.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Unreached {
-    /// The node's name, cleaned.
-    pub node: String,
-    /// The host and port it stated, cleaned.
-    pub place: String,
-    /// The reason, and what to do if that is known; cleaned.
-    pub reason: String,
-}
-
-impl std::fmt::Display for Unreached {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{} at {}: {}", self.node, self.place, self.reason)
-    }
-}
-
-impl Graph {
-    /// Tries the addresses that publishers gave the master; returns how many were tried, and those that do not answer.
+    /// The number of publishers' addresses tried, and those that do not answer.
     pub fn unreached(&self) -> Result<(usize, Vec<Unreached>), RosError> {
         let nodes: BTreeSet<String> = self.topics()?.into_iter().flat_map(|topic| topic.publishers).collect();
         let mut found = Vec::new();
@@ -225,14 +190,14 @@ impl Graph {
         Ok((count, found))
     }
 
-    /// The name of the node that publishes a topic from this address, if the master has one.
+    /// The node that publishes the topic from this address.
     pub(crate) fn node_at(&self, topic: &str, place: &Endpoint) -> Option<String> {
         let state = self.ask("getSystemState", Instant::now() + PATIENCE).ok()?;
         let nodes = rows(state.as_array()?.first()?).find(|(name, _)| *name == topic)?.1.texts();
         nodes.into_iter().take(MOST_NODES).find(|node| self.place_of(node).is_ok_and(|found| found == *place))
     }
 
-    /// Where a node is, according to the master; otherwise what is wrong, and with whom.
+    /// Where a node is, according to the master; otherwise whose fault it is, and the fault.
     fn place_of(&self, node: &str) -> Result<Endpoint, (String, String)> {
         let parameters = [self.node_name.as_str().into(), node.into()];
         let uri = call(&self.master, "lookupNode", &parameters, Instant::now() + PATIENCE)
@@ -247,8 +212,7 @@ impl Graph {
         connected.map(drop).map_err(|error| (place.authority(), error.to_string()))
     }
 
-    /// The host that this machine would give other nodes, and what is wrong with it: `given` is `ros.host` or
-    /// ROS_HOSTNAME.
+    /// The host this machine would give other nodes, or what is wrong with it; `given` is `ros.host` or ROS_HOSTNAME.
     pub fn own_name(&self, given: Option<&str>) -> Result<String, (String, String)> {
         let deadline = Instant::now() + PATIENCE;
         let host = own_host(given, &self.master, deadline)

@@ -1,13 +1,13 @@
 //! ROS: the embedded master, the graph, simulated robots, capture of topics, decoding of messages, recordings.
-//!
-//! All network code talks XML-RPC and TCPROS with timeouts and caps; what peers send is untrusted.
-//! No crypto, no storage and no screens here: captured messages leave through [`MessageSink`].
+//! All network code uses timeouts and caps; peers are untrusted.
 #![doc = include_str!("../README.md")]
 
 use crate as ros;
 use authros_crypto as crypto;
 use authros_model as model;
 use authros_pipe as pipe;
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 mod address;
 pub mod bag;
@@ -35,6 +35,11 @@ pub use master::EmbeddedMaster;
 pub use message::{Definition, Limits, Value, md5sum};
 pub use publisher::{Advertised, GraphPublisher, Publisher, RosrustPublisher};
 pub use robot::{DomainFleet, Fleet, FleetOptions, MOST_ROBOTS};
+
+/// A lock that survives a panicking thread: the data are plain counters and lists.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 #[cfg(test)]
 mod readme_tests;

@@ -1,8 +1,6 @@
-//! The embedded ROS master, for when no other is given: on a free port of loopback, in its own thread, ended on drop.
-//! Queries to a master are in `graph` and `capture`.
-//!
-//! The library's master gives its own address and process id in a form that no other does. So nodes speak with a front,
-//! which answers these two itself and hands on the text of every other call.
+//! The embedded ROS master, for when no other is given: on a free loopback port, in its own thread, ended on drop.
+//! The library's master gives its address and process id in a form that no other does. So a front answers these two and
+//! passes every other call on as text.
 
 use std::net::{Ipv4Addr, SocketAddr, TcpListener};
 use std::sync::Arc;
@@ -13,18 +11,18 @@ use tokio::sync::oneshot;
 
 use super::RosError;
 use super::address::Endpoint;
+use super::tcpros::{failure, success};
 use super::xmlrpc::{Answer, Server, Value, call, forward};
 
-/// The usual port of a master: reserved for a real roscore.
+/// Left free for a real roscore.
 const USUAL_PORT: u16 = 11311;
 
-/// How often another port is tried.
 const ATTEMPTS: usize = 8;
 
-/// How long one attempt may take, and one call that is handed on.
+/// Limit of one attempt, and of one passed-on call.
 const PATIENCE: Duration = Duration::from_secs(3);
 
-/// The most calls answered at once: all nodes of a graph ask it.
+/// All nodes of a graph call it.
 const MOST_CALLS: usize = 512;
 
 pub struct EmbeddedMaster {
@@ -35,11 +33,11 @@ pub struct EmbeddedMaster {
 }
 
 impl EmbeddedMaster {
-    /// Starts a master on a free port of 127.0.0.1 and waits until it answers.
+    /// On a free port of 127.0.0.1; waits until it answers.
     pub fn start() -> Result<Self, RosError> {
         let mut failure = String::new();
         for _ in 0..ATTEMPTS {
-            match free_port().and_then(Self::start_on) {
+            match listener().map(|(port, _)| port).and_then(Self::start_on) {
                 Ok(master) => return Ok(master),
                 Err(reason) => failure = reason,
             }
@@ -47,12 +45,11 @@ impl EmbeddedMaster {
         Err(RosError::EmbeddedMaster(failure))
     }
 
-    /// Its URI, `http://127.0.0.1:PORT/`.
     pub fn uri(&self) -> &str {
         &self.uri
     }
 
-    /// Whether it still answers; an internal fault may have ended it.
+    /// An internal fault may have ended it.
     pub fn is_running(&self) -> bool {
         self.thread.as_ref().is_some_and(|thread| !thread.is_finished())
     }
@@ -100,7 +97,6 @@ impl EmbeddedMaster {
     }
 }
 
-/// What nodes speak with.
 struct Front {
     uri: String,
     inside: Endpoint,
@@ -108,18 +104,11 @@ struct Front {
 
 impl Answer for Front {
     fn answer(&self, method: &str, _params: &[Value]) -> Option<Value> {
-        let own = match method {
-            "getUri" => self.uri.as_str().into(),
-            "getPid" => Value::Int(i64::from(std::process::id())),
-            _ => {
-                return Some(Value::Array(vec![
-                    Value::Int(-1),
-                    "the master did not answer in time".into(),
-                    Value::Int(0),
-                ]));
-            }
-        };
-        Some(Value::Array(vec![Value::Int(1), "".into(), own]))
+        Some(match method {
+            "getUri" => success(self.uri.as_str().into()),
+            "getPid" => success(Value::Int(i64::from(std::process::id()))),
+            _ => failure(-1, "the master did not answer in time"),
+        })
     }
 
     fn handed_on(&self, method: &str, call: &str) -> Option<String> {
@@ -132,7 +121,7 @@ impl Drop for EmbeddedMaster {
     fn drop(&mut self) {
         self.front.take();
         if let Some(stop) = self.stop.take() {
-            // It may have ended by itself.
+            // The thread may have ended already.
             let _ = stop.send(());
         }
         if let Some(thread) = self.thread.take() {
@@ -141,16 +130,11 @@ impl Drop for EmbeddedMaster {
     }
 }
 
-/// The number, which this master wraps in an array.
+/// This master wraps the number in an array.
 fn process_id(answer: &Value) -> Option<i64> {
     answer.as_array().and_then(<[Value]>::first).unwrap_or(answer).as_int()
 }
 
-fn free_port() -> Result<u16, String> {
-    listener().map(|(port, _)| port)
-}
-
-/// A listener on a free port, and the port.
 fn listener() -> Result<(u16, TcpListener), String> {
     let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).map_err(|error| error.to_string())?;
     let port = listener.local_addr().map_err(|error| error.to_string())?.port();

@@ -1,8 +1,6 @@
-//! Messages of any type, of ROS 1 and ROS 2: definitions, their md5sum or type hash, and decoding for display within
-//! strict limits.
-//!
-//! This never changes captured bodies: decoding is only for display, and both definition and body are treated as
-//! hostile (cycles, depth, counts without bytes, types without size).
+//! Messages of any type, of ROS 1 and ROS 2: definitions, their md5sum or type hash, and decoding for display.
+//! Definition and body are hostile (cycles, depth, counts without bytes, types without size); captured bodies never
+//! change.
 
 mod decode;
 mod definition;
@@ -17,7 +15,7 @@ pub use ros2::{Folders, Source, is_built_in, type_hash};
 
 use super::RosError;
 
-/// The md5sum of a message type as ROS computes it from the full definition text, 32 hex characters.
+/// From the full text of a definition: 32 hex characters.
 pub fn md5sum(type_name: &str, definition: &str) -> Result<String, RosError> {
     Definition::parse(type_name, definition).map(|definition| definition.md5sum())
 }

@@ -1,5 +1,5 @@
-//! Messages of well-known types in readable form: lines of numbers, tables, a plot, a picture. Every other type is
-//! shown as its tree of fields. All texts here are clean; everything is bounded, whatever the message claims.
+//! Messages of well-known types in readable form: lines of numbers, tables, a plot, a picture. All texts are clean, and
+//! everything is bounded, whatever the message claims.
 
 mod picture;
 
@@ -8,15 +8,12 @@ use crate::ros::message::{Definition, Limits, Value, layout};
 use picture::{bytes, coordinate, plot};
 use serde::{Deserialize, Serialize};
 
-pub use picture::{DECODER_MEMORY, Exported, MOST_PIXELS, PictureError, Raster, Rgb, decode, export, file_of};
+pub use picture::{DECODER_MEMORY, Exported, MOST_PIXELS, PictureError, Raster, decode, export, file_of};
 
-/// The most rows of a table.
 pub const MOST_ROWS: usize = 200;
 
-/// The most points of a plot.
 pub const MOST_POINTS: usize = 4_000;
 
-/// A message in readable form.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Readable {
     pub lines: Vec<(String, String)>,
@@ -24,35 +21,31 @@ pub struct Readable {
     pub tables: Vec<Table>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub plot: Option<Plot>,
-    /// A thumbnail of the picture.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub picture: Option<Raster>,
 }
 
-/// A matrix or list.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Table {
     pub title: String,
-    /// Columns; may be empty.
+    /// May be empty.
     pub head: Vec<String>,
     pub rows: Vec<Vec<String>>,
 }
 
-/// Points in a plane.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Plot {
     pub title: String,
-    /// Names and units of both axes.
+    /// Names and units.
     pub axes: (String, String),
     pub points: Vec<(f64, f64)>,
-    /// Whether the points are a path.
     pub path: bool,
     /// A highlighted point: the robot, or this record on its path.
     pub here: Option<(f64, f64)>,
 }
 
 impl Readable {
-    /// With the stamp and the frame of the header.
+    /// With the header's stamp and frame.
     fn headed(value: &Value) -> Self {
         let mut out = Self::default();
         out.line("Stamp (UTC)", stamp(value));
@@ -65,7 +58,7 @@ impl Readable {
     }
 }
 
-/// Reads `body`; `None` if its type is not a well-known one, or it does not match its definition.
+/// `None` if its type is not a well-known one, or it does not match its definition.
 pub fn read(definition: &Definition, body: &[u8]) -> Option<Readable> {
     let reader = reader_of(&definition.short_name())?;
     let value = definition.decode(body, Limits { elements: 512, ..Limits::default() }).ok()?;
@@ -92,16 +85,14 @@ fn reader_of(type_name: &str) -> Option<Reader> {
     })
 }
 
-/// A robot's position: metres in the plane for poses; longitude and latitude in degrees for fixes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Place {
-    /// x and y, metres.
     Metres(f64, f64),
-    /// Longitude and latitude, degrees.
+    /// Longitude and latitude.
     Degrees(f64, f64),
 }
 
-/// The position in a message whose type has one; `None` for other types.
+/// `None` for types without a position.
 pub fn place(definition: &Definition, body: &[u8]) -> Option<Place> {
     let (path, names) = match definition.short_name().as_str() {
         "nav_msgs/Odometry" | "geometry_msgs/PoseWithCovarianceStamped" => ("pose.pose.position.", ["x", "y"]),
@@ -116,7 +107,7 @@ pub fn place(definition: &Definition, body: &[u8]) -> Option<Place> {
     Some(if path.is_empty() { Place::Degrees(one?, other?) } else { Place::Metres(one?, other?) })
 }
 
-/// The path over several records, in order; `here` is one of them. Degrees become metres around the first.
+/// `here` is one of the places. Degrees become metres around the first.
 pub fn track(title: &str, places: &[Place], here: Option<Place>) -> Option<Plot> {
     let origin = places.iter().find_map(|place| match place {
         Place::Degrees(longitude, latitude) => Some((*longitude, *latitude)),
@@ -141,12 +132,10 @@ pub fn track(title: &str, places: &[Place], here: Option<Place>) -> Option<Plot>
 /// The message's bytes, for arrays that were not expanded.
 struct Body<'a>(pub &'a [u8]);
 
-/// A field as a float.
 fn float(value: &Value, path: &str) -> Option<f64> {
     as_float(value.get(path)?)
 }
 
-/// A plain value as a float.
 #[allow(clippy::cast_precision_loss, reason = "for the eye")]
 fn as_float(value: &Value) -> Option<f64> {
     match value {
@@ -158,7 +147,6 @@ fn as_float(value: &Value) -> Option<f64> {
     }
 }
 
-/// A field as a count.
 fn count(value: &Value, path: &str) -> Option<usize> {
     match value.get(path)? {
         Value::Unsigned(number) => usize::try_from(*number).ok(),
@@ -168,7 +156,6 @@ fn count(value: &Value, path: &str) -> Option<usize> {
     }
 }
 
-/// A field as a clean text.
 fn text(value: &Value, path: &str) -> String {
     match value.get(path) {
         Some(Value::Text(text)) => clean(text, 120),
@@ -188,7 +175,7 @@ fn stamp(value: &Value) -> String {
     dated.unwrap_or(sent)
 }
 
-/// A time or duration of ROS 2, written like those of ROS 1.
+/// A time or duration of ROS 2, in the form of ROS 1.
 fn seconds(value: &Value) -> Option<String> {
     let (Value::Integer(seconds), Value::Unsigned(nanoseconds)) = (value.get("sec")?, value.get("nanosec")?) else {
         return None;
@@ -196,18 +183,16 @@ fn seconds(value: &Value) -> Option<String> {
     Some(format!("{seconds}.{nanoseconds:09}"))
 }
 
-/// A field as a readable number.
 fn shown(value: &Value, path: &str) -> String {
     float(value, path).map_or_else(|| String::from("-"), number)
 }
 
-/// x, y, z of a field.
 fn triple(value: &Value, path: &str) -> String {
     let part = |name: &str| shown(value, &format!("{path}.{name}"));
     format!("x {}  y {}  z {}", part("x"), part("y"), part("z"))
 }
 
-/// A readable number: four decimals, very small and very large ones with an exponent.
+/// Four decimals; very small and very large numbers with an exponent.
 fn number(number: f64) -> String {
     let size = number.abs();
     if size != 0.0 && !(1e-4..1e7).contains(&size) {
@@ -218,7 +203,7 @@ fn number(number: f64) -> String {
     if short == "-0" { String::from("0") } else { short.to_owned() }
 }
 
-/// The floats of a field, expanded or not; at most `most`, evenly spread.
+/// At most `most` floats of a field, evenly spread, with their places.
 fn floats(value: &Value, path: &str, body: &Body, most: usize) -> Vec<(usize, f64)> {
     match value.get(path) {
         Some(Value::Array(items)) => {
@@ -243,7 +228,6 @@ fn large((element, big_endian): (&str, bool), count: usize, bytes: Option<&[u8]>
     numbered.filter_map(|(at, chunk)| Some((at, coordinate(chunk, wide, big_endian)?))).collect()
 }
 
-/// A covariance as a square table, if it is one.
 fn square(title: &str, names: &[&str], value: &Value, path: &str) -> Option<Table> {
     let Some(Value::Array(items)) = value.get(path) else { return None };
     let side = names.len();
@@ -259,16 +243,15 @@ fn square(title: &str, names: &[&str], value: &Value, path: &str) -> Option<Tabl
     Some(Table { title: title.to_owned(), head: head.collect(), rows: rows.collect() })
 }
 
-/// A table of an array's items; its title counts those left out.
+/// The title counts the left-out items.
 fn listed(title: &str, head: &[&str], value: &Value, path: &str, row: impl Fn(&Value) -> Vec<String>) -> Table {
-    let (rows, all) = match value.get(path) {
+    let (rows, all): (Vec<_>, _) = match value.get(path) {
         Some(Value::Array(items)) => (items.iter().take(MOST_ROWS).map(row).collect(), items.len()),
         Some(Value::Large { count, .. }) => (Vec::new(), *count),
         _ => (Vec::new(), 0),
     };
-    let left: Vec<Vec<String>> = rows;
-    let title = if left.len() < all { format!("{title} ({} of {all})", left.len()) } else { title.to_owned() };
-    Table { title, head: head.iter().map(|name| (*name).to_owned()).collect(), rows: left }
+    let title = if rows.len() < all { format!("{title} ({} of {all})", rows.len()) } else { title.to_owned() };
+    Table { title, head: head.iter().map(|name| (*name).to_owned()).collect(), rows }
 }
 
 /// Roll, pitch and yaw of a quaternion field, in degrees.
@@ -281,20 +264,15 @@ fn angles(value: &Value, path: &str) -> Option<(f64, f64, f64)> {
     Some((roll.to_degrees(), pitch.to_degrees(), yaw.to_degrees()))
 }
 
-/// The angles of a quaternion field in readable form.
 fn turned(value: &Value, path: &str) -> String {
-    match angles(value, path) {
-        Some((roll, pitch, yaw)) => {
-            format!("roll {}°  pitch {}°  yaw {}°", number(roll), number(pitch), number(yaw))
-        }
-        None => String::from("-"),
-    }
+    let Some((roll, pitch, yaw)) = angles(value, path) else { return String::from("-") };
+    format!("roll {}°  pitch {}°  yaw {}°", number(roll), number(pitch), number(yaw))
 }
 
 const POSE: [&str; 6] = ["x", "y", "z", "roll", "pitch", "yaw"];
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// The earth's mean radius, metres.
+/// Mean radius, metres.
 const EARTH: f64 = 6_371_008.8;
 
 fn odometry(value: &Value, _: &Body) -> Readable {
@@ -370,7 +348,6 @@ fn around(from: (f64, f64), to: (f64, f64)) -> (f64, f64) {
     (east, (to.1 - from.1).to_radians() * EARTH)
 }
 
-/// A length in readable form.
 fn metres(length: f64) -> String {
     format!("{} m", number(length))
 }
@@ -414,13 +391,9 @@ fn transforms(value: &Value, _: &Body) -> Readable {
 fn battery(value: &Value, body: &Body) -> Readable {
     let mut out = Readable::default();
     let word = |path: &str, words: &[&str]| -> String {
-        match value.get(path) {
-            Some(Value::Unsigned(code)) => {
-                let known = usize::try_from(*code).ok().and_then(|code| words.get(code));
-                known.map_or_else(|| format!("code {code}"), |word| (*word).to_owned())
-            }
-            _ => String::from("-"),
-        }
+        let Some(Value::Unsigned(code)) = value.get(path) else { return String::from("-") };
+        let known = usize::try_from(*code).ok().and_then(|code| words.get(code));
+        known.map_or_else(|| format!("code {code}"), |word| (*word).to_owned())
     };
     out.line("Stamp (UTC)", stamp(value));
     let share = float(value, "percentage").filter(|share| share.is_finite());
@@ -447,14 +420,9 @@ fn diagnostics(value: &Value, _: &Body) -> Readable {
     out.line("Stamp (UTC)", stamp(value));
     let head = ["level", "name", "message", "hardware"];
     let table = listed("Status", &head, value, "status", |item| {
-        let level = match item.get("level") {
-            Some(Value::Integer(0) | Value::Unsigned(0)) => "OK",
-            Some(Value::Integer(1) | Value::Unsigned(1)) => "WARN",
-            Some(Value::Integer(2) | Value::Unsigned(2)) => "ERROR",
-            Some(Value::Integer(3) | Value::Unsigned(3)) => "STALE",
-            _ => "?",
-        };
-        vec![level.to_owned(), text(item, "name"), text(item, "message"), text(item, "hardware_id")]
+        let level = count(item, "level").and_then(|level| ["OK", "WARN", "ERROR", "STALE"].get(level).copied());
+        let level = level.unwrap_or("?").to_owned();
+        vec![level, text(item, "name"), text(item, "message"), text(item, "hardware_id")]
     });
     out.line("Parts", table.rows.len().to_string());
     let values = value.get("status").map(values).unwrap_or_default();
@@ -475,7 +443,6 @@ fn values(status: &Value) -> Vec<Vec<String>> {
     pairs.take(MOST_ROWS).map(|(item, pair)| vec![text(item, "name"), text(pair, "key"), text(pair, "value")]).collect()
 }
 
-/// A raw picture, borrowed from its message.
 struct Matrix<'a> {
     pub width: usize,
     pub height: usize,
@@ -488,13 +455,10 @@ struct Matrix<'a> {
 }
 
 impl<'a> Matrix<'a> {
-    /// Reads the matrix of a message.
     pub fn of(value: &Value, body: &'a Body) -> Result<Self, PictureError> {
         let broken = || PictureError::Broken("its size, step and data do not agree".into());
-        let encoding = match value.get("encoding") {
-            Some(Value::Text(encoding)) => crate::model::clean(encoding, 40),
-            _ => return Err(broken()),
-        };
+        let Some(Value::Text(encoding)) = value.get("encoding") else { return Err(broken()) };
+        let encoding = clean(encoding, 40);
         let (channels, sample) = layout(&encoding).ok_or_else(|| PictureError::Encoding(encoding.clone()))?;
         let number = |field: &str| count(value, field).ok_or_else(broken);
         let (width, height, step) = (number("width")?, number("height")?, number("step")?);
@@ -508,7 +472,7 @@ impl<'a> Matrix<'a> {
         Ok(Self { width, height, encoding, channels, sample, big_endian, step, data })
     }
 
-    /// The bytes of a row, without padding.
+    /// Without padding.
     pub fn row(&self, y: usize) -> &[u8] {
         let start = y * self.step;
         self.data.get(start..start + self.width * self.channels * self.sample).unwrap_or_default()
@@ -540,22 +504,15 @@ impl<'a> Matrix<'a> {
         self.channels == 1 && (self.sample == 4 || self.encoding.starts_with("16"))
     }
 
-    /// The smallest and the largest measurement; missing ones (0, NaN, infinite) do not count.
+    /// Missing measurements (0, NaN, infinite) do not count.
     pub fn depths(&self) -> Option<(f32, f32)> {
-        let mut range: Option<(f32, f32)> = None;
-        for y in 0..self.height {
-            for x in 0..self.width {
-                let depth = self.depth(x, y);
-                if depth.is_finite() && depth != 0.0 {
-                    let (low, high) = range.unwrap_or((depth, depth));
-                    range = Some((low.min(depth), high.max(depth)));
-                }
-            }
-        }
-        range
+        let all = (0..self.height).flat_map(|y| (0..self.width).map(move |x| self.depth(x, y)));
+        all.filter(|depth| depth.is_finite() && *depth != 0.0).fold(None, |range, depth| {
+            let (low, high) = range.unwrap_or((depth, depth));
+            Some((low.min(depth), high.max(depth)))
+        })
     }
 
-    /// The pixels for display.
     pub fn eye(&self) -> Box<dyn Fn(usize, usize) -> [u8; 3] + '_> {
         if self.is_depth() {
             let (low, high) = self.depths().unwrap_or((0.0, 1.0));
@@ -565,8 +522,7 @@ impl<'a> Matrix<'a> {
                 if depth.is_finite() && depth != 0.0 { [grey((depth - low) * scale); 3] } else { [0; 3] }
             });
         }
-        let places = self.places();
-        match places {
+        match self.places() {
             Places::Pixel(places) => Box::new(move |x, y| places.map(|channel| self.part(x, y, channel))),
             Places::Bayer(first) => Box::new(move |x, y| self.bayer(x, y, first)),
             Places::Yuv(luma) => Box::new(move |x, y| self.yuv(x, y, luma)),
@@ -613,7 +569,6 @@ impl<'a> Matrix<'a> {
     }
 }
 
-/// The positions of a pixel's colours.
 enum Places {
     Pixel([usize; 3]),
     Bayer((usize, usize)),

@@ -1,8 +1,5 @@
-//! Simulated robots: `/robotN/odom` (`nav_msgs/Odometry`) and `/robotN/camera/compressed`
-//! (`sensor_msgs/CompressedImage`), each robot a ROS node of its own, or all of them one participant of a ROS 2 domain.
-//!
-//! They speak TCPROS like any node, or DDS, so that capture cannot tell them from real ones. Their messages are invented; they
-//! are marked as simulated where they are shown and sealed.
+//! Simulated robots with odometry and camera, each a ROS node of its own, or all of them one participant of a ROS 2
+//! domain. Capture cannot distinguish them from real ones, but their records are marked as simulated.
 
 mod messages;
 mod picture;
@@ -10,30 +7,27 @@ mod picture;
 use std::f64::consts::TAU;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crate::model::Timestamp;
+use crate::ros::message::md5sum;
 use crate::ros::ros2::{Declined, Offer, Offered, Ros2Publisher};
-use crate::ros::{Advertised, GraphPublisher, Publisher, RosError, RosrustPublisher};
+use crate::ros::{Advertised, GraphPublisher, Publisher, RosError, RosrustPublisher, lock};
 use picture::Camera;
 
 pub use messages::{COMPRESSED_IMAGE, ODOMETRY, compressed_image_definition, odometry_definition};
 
-/// The most robots in a fleet.
 pub const MOST_ROBOTS: u16 = 64;
 
-/// The fastest publishing rate, Hz.
 const FASTEST: f64 = 1000.0;
 
-/// How long subscribers get for the rest of their queues at the end.
 const FAREWELL: Duration = Duration::from_secs(1);
 
-/// How often the robots publish.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FleetOptions {
-    /// Odometry messages per second and robot.
+    /// Messages per second and robot.
     pub odometry_hz: f64,
     /// Pictures per second and robot.
     pub picture_hz: f64,
@@ -45,10 +39,10 @@ impl Default for FleetOptions {
     }
 }
 
-/// Takes a message of one topic; whether it was published.
+/// Whether the message was published.
 type Sink = Box<dyn FnMut(&[u8]) -> bool + Send>;
 
-/// The threads in which robots drive and look. They end on drop.
+/// The threads of the robots. They end on drop.
 #[derive(Default)]
 struct Work {
     stopping: Arc<AtomicBool>,
@@ -57,7 +51,7 @@ struct Work {
 }
 
 impl Work {
-    /// A robot that publishes where and how it moves, and what it sees, in CDR or as ROS 1 has it.
+    /// In CDR or as ROS 1 has it.
     fn add(
         &mut self,
         number: u16,
@@ -76,7 +70,7 @@ impl Work {
         })
     }
 
-    /// Does `work` with number and age (seconds) once per period, in a thread; what it does counts if it returns true.
+    /// Calls `work` with number and age (seconds) once per period, in a thread; counts the calls that return true.
     fn repeat(
         &mut self,
         name: &str,
@@ -92,7 +86,7 @@ impl Work {
                 if work(seq, begun.elapsed().as_secs_f64()) {
                     seq = seq.wrapping_add(1);
                 }
-                // After the machine was suspended continue from now: no burst of missed messages.
+                // After a suspend continue from now: no burst of missed messages.
                 due = (due + period).max(Instant::now().checked_sub(period).unwrap_or(due));
             }
             seq
@@ -102,7 +96,6 @@ impl Work {
         Ok(())
     }
 
-    /// Ends all of it; returns how many messages each published, in the order in which they were added.
     fn end(&mut self) -> Vec<u32> {
         self.stopping.store(true, Ordering::SeqCst);
         self.threads.iter().for_each(|thread| thread.thread().unpark());
@@ -116,32 +109,18 @@ impl Drop for Work {
     }
 }
 
-/// Running robots of ROS 1. They leave the graph on drop; what is queued for subscribers is sent first.
+/// Leaves the graph on drop; queued messages are sent first.
 pub struct Fleet {
     work: Work,
     nodes: Vec<Arc<Mutex<Box<dyn GraphPublisher>>>>,
 }
 
-fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 impl Fleet {
-    /// Starts `robots` robots, numbered from 1, at the master, each a node of this process.
-    ///
-    /// # Errors
-    /// [`RosError::Robots`] beyond [`MOST_ROBOTS`], [`RosError::Rate`] for an invalid rate, and failures of master,
-    /// sockets and threads.
     pub fn start(master_uri: &str, robots: u16, options: FleetOptions) -> Result<Self, RosError> {
         Self::of(robots, options, |node| Ok(Box::new(Publisher::start(master_uri, None, node)?)))
     }
 
-    /// The same, each in a process of its own; `program` names the program in which rosrust runs if it is not beside
-    /// this one.
-    ///
-    /// # Errors
-    /// As [`Self::start`], and [`RosError::NoRosrust`] if that program is missing, [`RosError::NotPublishedByRosrust`]
-    /// if it cannot publish there.
+    /// The same, each in a process of its own.
     pub fn by_rosrust(
         master_uri: &str,
         program: Option<&Path>,
@@ -161,36 +140,34 @@ impl Fleet {
         for number in 1..=robots {
             let node = Arc::new(Mutex::new(start(&format!("/robot{number}_sim"))?));
             fleet.nodes.push(Arc::clone(&node));
-            let [odometry, pictures] =
-                [(ODOMETRY, odometry_definition()), (COMPRESSED_IMAGE, compressed_image_definition())];
             let topics = topics_of(number);
-            let sinks = [sink(&node, topics.0, odometry)?, sink(&node, topics.1, pictures)?];
-            fleet.work.add(number, periods, false, sinks)?;
+            let odometry = sink(&node, topics.0, (ODOMETRY, odometry_definition()))?;
+            let pictures = sink(&node, topics.1, (COMPRESSED_IMAGE, compressed_image_definition()))?;
+            fleet.work.add(number, periods, false, [odometry, pictures])?;
         }
         Ok(fleet)
     }
 
-    /// Ends publishing and returns the robots' topics and how many messages were published on each, with or without
-    /// subscribers: the first has `header.seq` 0, the last this count minus 1. Then like dropping.
+    /// The robots' topics and their numbers of published messages, with or without subscribers: the first has
+    /// `header.seq` 0.
     pub fn stop(mut self) -> Vec<(String, u64)> {
         let topics = (1..).map(topics_of).flat_map(|(odometry, pictures)| [odometry, pictures]);
         topics.zip(self.work.end().into_iter().map(u64::from)).collect()
     }
 }
 
-/// Announces a topic of a node.
 fn sink(
     node: &Arc<Mutex<Box<dyn GraphPublisher>>>,
     topic: String,
     (type_name, definition): (&str, String),
 ) -> Result<Sink, RosError> {
-    let (type_name, md5sum) = (type_name.to_owned(), messages::sum_of(type_name, &definition));
+    let (type_name, md5sum) = (type_name.to_owned(), md5sum(type_name, &definition)?);
     let about = Advertised { topic, type_name, md5sum, definition, latching: false };
-    locked(node).advertise(&about, Duration::ZERO)?;
+    lock(node).advertise(&about, Duration::ZERO)?;
     let node = Arc::clone(node);
     Ok(Box::new(move |message: &[u8]| {
-        let mut node = locked(&node);
-        // A robot whose process ended comes back as one does that was switched off.
+        let mut node = lock(&node);
+        // A robot whose process ended comes back, like one that was switched off.
         let is_there = node.broken().is_none() || node.come_back().is_ok();
         is_there && node.publish(&about.topic, 0, message)
     }))
@@ -199,21 +176,19 @@ fn sink(
 impl Drop for Fleet {
     fn drop(&mut self) {
         self.work.end();
-        self.nodes.iter().for_each(|node| locked(node).leave());
+        self.nodes.iter().for_each(|node| lock(node).leave());
         let begun = Instant::now();
-        while begun.elapsed() < FAREWELL && !self.nodes.iter().all(|node| locked(node).is_sent()) {
+        while begun.elapsed() < FAREWELL && !self.nodes.iter().all(|node| lock(node).is_sent()) {
             std::thread::sleep(Duration::from_millis(5));
         }
     }
 }
 
-/// The names of a robot's topics: odometry, pictures.
 fn topics_of(number: u16) -> (String, String) {
     (format!("/robot{number}/odom"), format!("/robot{number}/camera/compressed"))
 }
 
 impl FleetOptions {
-    /// Between two messages of odometry, and between two pictures.
     fn periods(self, robots: u16) -> Result<(Duration, Duration), RosError> {
         if robots > MOST_ROBOTS {
             return Err(RosError::Robots(robots));
@@ -223,14 +198,10 @@ impl FleetOptions {
 }
 
 fn period(hz: f64) -> Result<Duration, RosError> {
-    if hz > 0.0 && hz <= FASTEST {
-        Duration::try_from_secs_f64(1.0 / hz).map_err(|_| RosError::Rate(hz.to_string()))
-    } else {
-        Err(RosError::Rate(hz.to_string()))
-    }
+    let period = Duration::try_from_secs_f64(1.0 / hz).ok().filter(|_| hz > 0.0 && hz <= FASTEST);
+    period.ok_or_else(|| RosError::Rate(hz.to_string()))
 }
 
-/// Sleeps until `due`; `false` once stopping.
 fn wait_until(due: Instant, stopping: &AtomicBool) -> bool {
     while !stopping.load(Ordering::SeqCst) {
         let left = due.saturating_duration_since(Instant::now());
@@ -242,7 +213,6 @@ fn wait_until(due: Instant, stopping: &AtomicBool) -> bool {
     false
 }
 
-/// A robot's path and pace.
 #[derive(Debug, Clone, Copy)]
 struct Track {
     centre: (f64, f64),
@@ -253,7 +223,6 @@ struct Track {
     pace: f64,
 }
 
-/// Where a robot is on the ground and how it moves.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Motion {
     pub x: f64,
@@ -278,7 +247,6 @@ impl Track {
         }
     }
 
-    /// The motion `age` seconds after the start.
     pub fn at(&self, age: f64) -> Motion {
         let angle = self.phase + self.pace * age;
         let (sin, cos) = angle.sin_cos();
@@ -296,25 +264,17 @@ impl Track {
     }
 }
 
-/// What a node of ROS 2 offers if it is not told otherwise.
 const USUAL: Offer = Offer { reliable: true, latched: false, depth: 10 };
 const LITTLE: u16 = 1;
-/// About how long a message is, bytes.
+/// Approximate bytes.
 const ODOMETRY_SIZE: usize = 720;
 const PICTURE_SIZE: usize = 60_000;
 
-/// Running robots of ROS 2. They leave the domain on drop.
 pub struct DomainFleet {
     _work: Work,
 }
 
 impl DomainFleet {
-    /// Starts `robots` robots, numbered from 1, in `domain`; `program` names the program that publishes if it is not beside
-    /// this one. A domain in which somebody else publishes their topics is left alone.
-    ///
-    /// # Errors
-    /// [`RosError::Robots`] beyond [`MOST_ROBOTS`], [`RosError::Rate`] for an invalid rate, [`RosError::NoReader`] if that
-    /// program is missing, [`RosError::NotPublished`] if it cannot publish there.
     pub fn start(domain: u16, program: Option<&Path>, robots: u16, options: FleetOptions) -> Result<Self, RosError> {
         let periods = options.periods(robots)?;
         let publisher = Arc::new(Mutex::new(Ros2Publisher::start(domain, program)?));
@@ -324,9 +284,9 @@ impl DomainFleet {
                 domain,
                 reason: format!("{}; choose a domain of their own for the robots, as --ros2 42", declined.reason),
             };
-            let writer = locked(&publisher).advertise(&topic, size, (true, false))?.map_err(refused)?;
+            let writer = lock(&publisher).advertise(&topic, size, (true, false))?.map_err(refused)?;
             let publisher = Arc::clone(&publisher);
-            Ok(Box::new(move |message: &[u8]| locked(&publisher).publish(writer, message)))
+            Ok(Box::new(move |message: &[u8]| lock(&publisher).publish(writer, message)))
         };
         let mut work = Work::default();
         for number in 1..=robots {

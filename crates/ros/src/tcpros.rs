@@ -1,5 +1,5 @@
-//! What every ROS 1 node has: connection headers and length-prefixed frames of TCPROS, and the slave API that the master
-//! and tools such as rosnode call. Who connects to whom, and what happens to the frames, is up to capture and robots.
+//! Of every ROS 1 node: TCPROS's connection headers and length-prefixed frames, and the slave API for the master and
+//! tools such as rosnode.
 
 use std::io::{BufRead, BufReader, ErrorKind, Read};
 use std::net::TcpListener;
@@ -11,16 +11,13 @@ use crate::ros::RosError;
 use crate::ros::address::{authority, listen_address};
 use crate::ros::xmlrpc::{Answer, OF_A_NODE, Server, Value};
 
-/// The longest message accepted, bytes.
+/// Bytes.
 pub const LONGEST_MESSAGE: usize = 64 << 20;
 
-/// The longest header accepted, bytes.
 pub(crate) const LONGEST_HEADER: usize = 1 << 20;
 
-/// The most fields in a header.
 const MOST_FIELDS: usize = 64;
 
-/// A connection header: its fields in order.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub(crate) struct ConnectionHeader(Vec<(String, String)>);
 
@@ -29,7 +26,6 @@ impl ConnectionHeader {
         Self(fields.into_iter().map(|(key, value)| (key.to_owned(), value.to_owned())).collect())
     }
 
-    /// The value of a field.
     pub fn get(&self, key: &str) -> Option<&str> {
         self.0.iter().find(|(name, _)| name == key).map(|(_, value)| value.as_str())
     }
@@ -52,7 +48,7 @@ impl ConnectionHeader {
         Ok(Self(fields))
     }
 
-    /// The bytes as sent, total length first. Fields beyond what 32 bits can count are left out.
+    /// Total length first. Fields beyond 32 bits are left out.
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut body = Vec::new();
         for (key, value) in &self.0 {
@@ -68,10 +64,8 @@ impl ConnectionHeader {
     }
 }
 
-/// How much is read from the socket at a time, bytes.
 const BUFFER: usize = 256 << 10;
 
-/// The result of reading.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Poll {
     Frame(Vec<u8>),
@@ -83,7 +77,7 @@ pub(crate) enum Poll {
     TooLong(u32),
 }
 
-/// Reads frames; keeps an incomplete frame between calls.
+/// Keeps an incomplete frame between calls.
 pub(crate) struct FrameReader<R> {
     reader: BufReader<R>,
     prefix: Vec<u8>,
@@ -91,12 +85,12 @@ pub(crate) struct FrameReader<R> {
 }
 
 impl<R: Read> FrameReader<R> {
-    /// Over a stream, which needs a read timeout if waiting is to end.
+    /// A stream needs a read timeout if waiting is to end.
     pub fn new(stream: R) -> Self {
         Self { reader: BufReader::with_capacity(BUFFER, stream), prefix: Vec::with_capacity(4), body: Vec::new() }
     }
 
-    /// The next frame of at most `most` bytes.
+    /// Of at most `most` bytes.
     pub fn poll(&mut self, most: usize) -> std::io::Result<Poll> {
         loop {
             let Ok(prefix) = <[u8; 4]>::try_from(self.prefix.as_slice()) else {
@@ -131,7 +125,6 @@ enum Filled {
     Closed,
 }
 
-/// Reads until `into` holds `length` bytes.
 fn fill(reader: &mut impl BufRead, into: &mut Vec<u8>, length: usize) -> std::io::Result<Filled> {
     while into.len() < length {
         let available = match reader.fill_buf() {
@@ -150,43 +143,39 @@ fn fill(reader: &mut impl BufRead, into: &mut Vec<u8>, length: usize) -> std::io
     Ok(Filled::Whole)
 }
 
-/// One connection of a node, as `getBusInfo` reports it.
 pub(super) struct BusLink {
     pub peer: String,
     pub outbound: bool,
     pub topic: String,
 }
 
-/// What a node reports about itself. Nothing here may block.
+/// A node's report about itself. Nothing here may block.
 pub(super) trait Node: Send + Sync + 'static {
     fn master_uri(&self) -> String;
-    /// Topics and types it subscribes to.
     fn subscriptions(&self) -> Vec<(String, String)> {
         Vec::new()
     }
-    /// Topics and types it publishes.
     fn publications(&self) -> Vec<(String, String)> {
         Vec::new()
     }
     fn links(&self) -> Vec<BusLink>;
-    /// Somebody reports that the publishers of a topic have changed, and their URIs.
+    /// A claim, with the publishers' URIs.
     fn publishers_changed(&self, _topic: &str, _publishers: &[&str]) {}
     /// Host and port where it serves a topic.
     fn outlet(&self, _topic: &str) -> Option<(String, u16)> {
         None
     }
-    /// Somebody asks it to shut down.
+    /// Anyone may ask it to shut down.
     fn shutdown_asked(&self, _by: &str, _reason: &str) {}
 }
 
-/// A node's running slave API.
 pub(super) struct SlaveServer {
     pub uri: String,
     _server: Server,
 }
 
 impl SlaveServer {
-    /// Serves `node` on a free port of `host`.
+    /// On a free port of `host`.
     pub fn start(host: &str, node: Arc<dyn Node>) -> Result<Self, RosError> {
         let server = Server::start(listen(host)?, Arc::new(Slave(node)), OF_A_NODE)
             .map_err(|error| RosError::system("start a thread", &error))?;
@@ -194,7 +183,7 @@ impl SlaveServer {
     }
 }
 
-/// A listener on a free port of `host` only.
+/// On a free port of `host` only.
 pub(super) fn listen(host: &str) -> Result<TcpListener, RosError> {
     let address = listen_address(host, Instant::now() + Duration::from_secs(2))?;
     TcpListener::bind(address).map_err(|error| RosError::OwnHost { host: clean(host, 80), reason: error.to_string() })
@@ -207,10 +196,10 @@ impl Answer for Slave {
         let node = &*self.0;
         Some(match method {
             "getPid" => success(Value::Int(i64::from(std::process::id()))),
-            "getMasterUri" => success(node.master_uri().into()),
+            "getMasterUri" => success(Value::Text(node.master_uri())),
             "getSubscriptions" => success(pairs(node.subscriptions())),
             "getPublications" => success(pairs(node.publications())),
-            "getBusStats" => success(Value::Array(vec![empty(), empty(), empty()])),
+            "getBusStats" => success(Value::Array(vec![Value::Array(Vec::new()); 3])),
             "getBusInfo" => success(bus_info(node.links())),
             "publisherUpdate" => publisher_update(node, params),
             "requestTopic" => request_topic(node, params),
@@ -228,30 +217,26 @@ fn text_at(params: &[Value], index: usize) -> &str {
     params.get(index).and_then(Value::as_text).unwrap_or_default()
 }
 
-fn empty() -> Value {
-    Value::Array(Vec::new())
-}
-
-fn success(value: Value) -> Value {
+pub(super) fn success(value: Value) -> Value {
     Value::Array(vec![Value::Int(1), "".into(), value])
 }
 
-fn failure(code: i64, reason: &str) -> Value {
+pub(super) fn failure(code: i64, reason: &str) -> Value {
     Value::Array(vec![Value::Int(code), reason.into(), Value::Int(0)])
 }
 
 fn pairs(pairs: Vec<(String, String)>) -> Value {
-    pairs.into_iter().map(|(topic, type_name)| Value::Array(vec![topic.into(), type_name.into()])).collect()
+    pairs.into_iter().map(|(topic, kind)| Value::Array(vec![Value::Text(topic), Value::Text(kind)])).collect()
 }
 
 fn bus_info(links: Vec<BusLink>) -> Value {
     let row = |(number, link): (i64, BusLink)| {
         Value::Array(vec![
             Value::Int(number),
-            link.peer.into(),
+            Value::Text(link.peer),
             if link.outbound { "o" } else { "i" }.into(),
             "TCPROS".into(),
-            link.topic.into(),
+            Value::Text(link.topic),
             Value::Bool(true),
         ])
     };
@@ -259,15 +244,12 @@ fn bus_info(links: Vec<BusLink>) -> Value {
 }
 
 fn publisher_update(node: &dyn Node, params: &[Value]) -> Value {
-    match params.get(1).and_then(Value::as_text) {
-        Some(topic) => {
-            let uris = params.get(2).and_then(Value::as_array).unwrap_or_default();
-            let uris: Vec<&str> = uris.iter().filter_map(Value::as_text).collect();
-            node.publishers_changed(topic, &uris);
-            success(Value::Int(0))
-        }
-        None => failure(-1, "publisherUpdate needs a topic"),
-    }
+    let Some(topic) = params.get(1).and_then(Value::as_text) else {
+        return failure(-1, "publisherUpdate needs a topic");
+    };
+    let uris = params.get(2).and_then(Value::as_array).unwrap_or_default();
+    node.publishers_changed(topic, &uris.iter().filter_map(Value::as_text).collect::<Vec<_>>());
+    success(Value::Int(0))
 }
 
 fn request_topic(node: &dyn Node, params: &[Value]) -> Value {
@@ -278,7 +260,7 @@ fn request_topic(node: &dyn Node, params: &[Value]) -> Value {
         return failure(0, "only TCPROS is supported");
     }
     match node.outlet(text_at(params, 1)) {
-        Some((host, port)) => success(Value::Array(vec!["TCPROS".into(), host.into(), Value::Int(i64::from(port))])),
+        Some((host, port)) => success(Value::Array(vec!["TCPROS".into(), Value::Text(host), Value::Int(port.into())])),
         None => failure(0, "this topic is not published here"),
     }
 }

@@ -1,11 +1,10 @@
-//! The loop: graph, wishes and samples, in one thread. The two threads of the network code are separate, and so is the one
-//! that reads the site's wishes from the pipe; the pipe's end is the last wish.
+//! The loop over graph, wishes and samples. The end of the pipe is the last wish.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{BufWriter, ErrorKind, Read, Write};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, channel};
+use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::time::{Duration, Instant};
 
 use crate::describing::Question;
@@ -24,28 +23,22 @@ const WAKE: Token = Token(0);
 const FIRST: usize = 2;
 
 const BEAT: Duration = Duration::from_millis(100);
-/// Interval between looks at the graph if no change was reported.
 const LOOK: Duration = Duration::from_secs(1);
-/// Interval between signs of life, and between looks at the threads.
 const ALIVE: Duration = Duration::from_millis(500);
-/// After meeting so many writers and readers of others the participant is replaced: rustdds keeps about 700 bytes of each, 3 MiB
-/// by then, and frees them with the participant alone. To find a domain anew costs seconds, and a large one more: there it is
-/// after four times as many as there are writers, about twice as many as there are endpoints.
+/// Endpoints of others after which the participant is replaced: rustdds keeps about 700 bytes of each, 3 MiB by then,
+/// and frees them only with the participant. Finding a domain again costs seconds, in a large one more: there it takes
+/// four times as many as there are writers, about twice as many as there are endpoints.
 const RENEW_AFTER: usize = 4096;
 const OF_A_LARGE_DOMAIN: usize = 4;
-/// How long two participants read beside each other at most. Fast DDS gives up a node that was killed after 20 s: until then
-/// the successor waits for it.
+/// The longest overlap of two participants. The successor waits for nodes that were killed: Fast DDS drops them after
+/// 20 s.
 const LONGEST_OVERLAP: Duration = Duration::from_secs(30);
-/// How long leaving the domain may take before the process ends anyway.
+/// Time to leave the domain before the process ends anyway.
 const LEAVING: Duration = Duration::from_secs(2);
-/// The most topics read at once.
 const MOST_TOPICS: usize = 4096;
 
-/// Reads `domain` until the wishes end or `stop` is set; tells whether it is confined. Leaves the domain on every way out.
-/// Its participant is replaced after meeting `renew_after` endpoints of others; if `None`, before they cost too much memory.
-///
-/// # Errors
-/// [`Ros2Error`] if the domain cannot be joined, the pipe breaks or the network threads are gone.
+/// Reads `domain` until the wishes end or `stop` is set. Leaves the domain on every way out. Its participant is
+/// replaced after meeting `renew_after` endpoints of others; by default, before they cost too much memory.
 pub fn run(
     (domain, confined): (u16, bool),
     renew_after: Option<usize>,
@@ -70,7 +63,6 @@ pub fn run(
     result
 }
 
-/// Leaving waits for threads that may be gone: in the end the process ends without it.
 pub(crate) fn leave_soon() {
     let end = || {
         std::thread::sleep(LEAVING);
@@ -86,7 +78,7 @@ struct Child<'a, W: Write> {
     renew_after: Option<usize>,
     domain: u16,
     poll: Poll,
-    wishes: Receiver<Option<Wish>>,
+    wishes: Receiver<Wish>,
     wanted: BTreeSet<String>,
     refused: BTreeSet<String>,
     graph: Graph,
@@ -124,7 +116,7 @@ impl<'a, W: Write> Child<'a, W> {
         })
     }
 
-    /// The site must know for whom to say farewell if this process is killed.
+    /// The site says farewell for a killed child.
     fn joined(&mut self) -> Result<(), Ros2Error> {
         let participants = self.members.iter().map(|member| graph::hex(&member.prefix())).collect();
         send(self.out, &Told::Joined { participants }, &[])?;
@@ -142,10 +134,8 @@ impl<'a, W: Write> Child<'a, W> {
             }
             let mut changed = self.members.iter().any(|member| !member.is_fitted);
             self.members.iter_mut().for_each(|member| changed |= member.listen());
-            match self.take_wishes() {
-                None => return Ok(()),
-                Some(new) => changed |= new,
-            }
+            let Some(new) = self.take_wishes() else { return Ok(()) };
+            changed |= new;
             if changed || due(looked, LOOK) {
                 // A lost notification costs no more than this.
                 self.members.iter_mut().flat_map(|member| member.readings.values_mut()).for_each(|it| it.ready = true);
@@ -184,31 +174,32 @@ impl<'a, W: Write> Child<'a, W> {
         Ok(())
     }
 
-    /// New wishes; whether there were any, `None` if there will be no more.
+    /// Whether there were new wishes; `None` if no more will come.
     fn take_wishes(&mut self) -> Option<bool> {
         let mut changed = false;
-        while let Ok(wish) = self.wishes.try_recv() {
-            changed = true;
-            match wish? {
-                Wish::Watch { topic } if self.wanted.len() < MOST_TOPICS => {
+        loop {
+            match self.wishes.try_recv() {
+                Ok(Wish::Watch { topic }) if self.wanted.len() < MOST_TOPICS => {
                     self.wanted.insert(topic);
                 }
-                Wish::Watch { .. } => {}
-                Wish::Describe { node, type_name, type_hash } => {
+                Ok(Wish::Watch { .. }) => {}
+                Ok(Wish::Describe { node, type_name, type_hash }) => {
                     if let Some(newest) = self.members.last_mut() {
                         newest.describing.ask(Question { node, type_name, type_hash });
                     }
                 }
-                Wish::Unwatch { topic } => {
+                Ok(Wish::Unwatch { topic }) => {
                     self.wanted.remove(&topic);
                     self.refused.remove(&topic);
                 }
+                Err(TryRecvError::Empty) => return Some(changed),
+                Err(TryRecvError::Disconnected) => return None,
             }
+            changed = true;
         }
-        Some(changed)
     }
 
-    /// What the participants of ours that stay know of the writers of others.
+    /// Writers of others, as our staying participants know them.
     fn writers(&mut self) -> Vec<DiscoveredWriterData> {
         let (mut all, mut newest) = (BTreeMap::new(), 0);
         for member in self.members.iter_mut().filter(|member| !member.leaves) {
@@ -225,11 +216,11 @@ impl<'a, W: Write> Child<'a, W> {
 
     /// The participants of others.
     fn present(&self) -> BTreeSet<Prefix> {
-        let seen = self.members.iter().flat_map(Member::participants);
-        seen.filter(|participant| !self.graph.is_own(participant)).collect()
+        let seen = self.members.iter().flat_map(|member| &member.participants);
+        seen.copied().filter(|participant| !self.graph.is_own(participant)).collect()
     }
 
-    /// Looks at the graph, reports changes, and adapts the readers to it.
+    /// Reports changes of the graph, and adapts the readers to it.
     fn look(&mut self) -> Result<(), Ros2Error> {
         let writers = self.writers();
         for told in self.graph.look(&writers, &self.nodes) {
@@ -248,14 +239,14 @@ impl<'a, W: Write> Child<'a, W> {
         refused.into_iter().try_for_each(|(dds_topic, error)| self.refuse(&dds_topic, &error))
     }
 
-    /// Replaces a participant that has met too many: its successor reads the same beside it, and takes over each writer's
-    /// messages, before it leaves.
+    /// Replaces a participant that met too many endpoints: its successor reads beside it, and takes over each writer's
+    /// messages before it leaves.
     fn renew(&mut self) -> Result<(), Ros2Error> {
-        let after = self.renew_after.unwrap_or(RENEW_AFTER.max(OF_A_LARGE_DOMAIN * self.graph.size()));
+        let after = self.renew_after.unwrap_or(RENEW_AFTER.max(OF_A_LARGE_DOMAIN * self.graph.writers.len()));
         match self.members.as_mut_slice() {
             [only] if only.met >= after => {
                 only.met = 0;
-                // Where a second one cannot join, the first goes on as it is.
+                // Where a second one cannot join, the first goes on.
                 if let Ok(mut successor) = Member::join(self.domain, self.poll.registry()) {
                     successor.describing = only.describing.hand_on();
                     self.graph.joined(successor.prefix());
@@ -279,7 +270,7 @@ impl<'a, W: Write> Child<'a, W> {
                 successor.met = 0;
                 let former = self.members.remove(0);
                 former.farewell.say();
-                // That takes a moment, in which messages come. Without a thread for it they wait.
+                // In a thread: it takes a moment, in which messages would wait.
                 drop(std::thread::Builder::new().name("former".into()).spawn(move || drop(former)));
                 self.joined()?;
             }
@@ -297,7 +288,7 @@ impl<'a, W: Write> Child<'a, W> {
         Ok(())
     }
 
-    /// Gives one turn to every topic that has something.
+    /// Gives one turn to every topic with samples.
     fn take(&mut self) -> Result<(), Ros2Error> {
         let (mut taken, mut passing, mut nodes_changed) = (Vec::new(), Vec::new(), false);
         let members = self.members.iter().enumerate();
@@ -329,12 +320,12 @@ impl<'a, W: Write> Child<'a, W> {
         if nodes_changed { self.look() } else { Ok(()) }
     }
 
-    /// Sees to it that the site knows the writer of a sample; whether the sample can be passed on.
+    /// Announces the sample's writer to the site; whether the sample can be passed on.
     fn is_announced(&mut self, sample: &Taken, subject: &Subject) -> Result<bool, Ros2Error> {
-        if !self.graph.knows(&sample.writer) {
+        if !self.graph.known.contains(&sample.writer) {
             let writers = self.writers();
             let told = self.graph.look(&writers, &self.nodes);
-            let by_sample = !self.graph.knows(&sample.writer);
+            let by_sample = !self.graph.known.contains(&sample.writer);
             let (topic, type_name) = (&subject.dds_topic, &subject.dds_type);
             let by_sample = by_sample.then(|| self.graph.by_sample(sample.writer, topic, type_name)).flatten();
             for told in told.into_iter().chain(by_sample) {
@@ -357,17 +348,16 @@ impl<'a, W: Write> Child<'a, W> {
     }
 }
 
-/// Starts reading. `None` arrives when the pipe has ended; every arrival wakes.
-pub fn listen(mut from: impl Read + Send + 'static, waker: Arc<Waker>) -> Result<Receiver<Option<Wish>>, Ros2Error> {
+/// Every arrival wakes, and so does the end of the pipe.
+fn listen(mut from: impl Read + Send + 'static, waker: Arc<Waker>) -> Result<Receiver<Wish>, Ros2Error> {
     let (sender, receiver) = channel();
     let read = move || {
-        loop {
-            let wish = receive::<Wish>(&mut from).ok().flatten().map(|(wish, _)| wish);
-            let ended = wish.is_none();
-            if sender.send(wish).is_err() || waker.wake().is_err() || ended {
-                break;
-            }
-        }
+        while let Ok(Some((wish, _))) = receive(&mut from)
+            && sender.send(wish).is_ok()
+            && waker.wake().is_ok()
+        {}
+        drop(sender);
+        drop(waker.wake());
     };
     let started = std::thread::Builder::new().name("wishes".into()).spawn(read);
     started.map_err(|error| Ros2Error::system("start a thread", &error))?;

@@ -2,21 +2,18 @@
 
 use crate::pipe::PipeError;
 
-/// An error that ends the program; the site restarts it.
+/// Ends the program; the site restarts it.
 #[derive(Debug, thiserror::Error)]
 pub enum Ros2Error {
-    /// The pipe to the site.
     #[error(transparent)]
     Pipe(#[from] PipeError),
-    /// The network could not be joined.
     #[error("cannot join ROS 2 domain {domain} ({reason}); check that the UDP ports from {port} up are free")]
     Join { domain: u16, reason: String, port: u32 },
-    /// The network threads are gone, as happens after the process was stopped.
+    /// The network threads end when the process was suspended.
     #[error(
         "the threads that read the network ended, as they do after the process was suspended; they are being restarted"
     )]
     Threads,
-    /// The operating system refused a resource.
     #[error("cannot {action} ({reason}); free some memory and sockets")]
     System { action: &'static str, reason: String },
 }

@@ -1,6 +1,6 @@
-//! Leaving so that every DDS sees it: rustdds says that an endpoint or a participant is gone in a form that Fast DDS drops,
-//! and a reliable writer there waits for a reader that is gone until its node dies (decision 085). So the few RTPS messages
-//! that it takes are written here, with the key in the inline QoS, and the answers to them read.
+//! Leaves so that every DDS sees it: Fast DDS drops the form in which rustdds says that an endpoint is gone, and its
+//! reliable writers wait for the reader until its node dies (decision 085). So the RTPS messages for it are written
+//! here, with the key in the inline QoS, and the answers read.
 
 use std::collections::HashMap;
 use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
@@ -8,19 +8,16 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use crate::graph::{self, Id, Prefix};
 
-/// The group and the first port on which participants announce themselves.
+/// Group and first port of announcements.
 const GROUP: Ipv4Addr = Ipv4Addr::new(239, 255, 0, 1);
 const FIRST_PORT: u16 = 7400;
 const PORTS_PER_DOMAIN: u16 = 250;
-/// Participants of this machine that hear no group are spoken to by their port: the first, the distance, the number.
+/// Ports of local participants that hear no group: the first, the distance, the count.
 const FIRST_UNICAST: u16 = 10;
 const UNICAST_STEP: u16 = 2;
 const MOST_LOCAL: u16 = 32;
-/// The most addresses of this machine that are used.
 const MOST_INTERFACES: usize = 16;
-/// The longest datagram that is read.
 const LONGEST: usize = 4096;
-/// The most datagrams read at a time.
 const MOST_HEARD: usize = 256;
 
 /// Pauses before each repetition, for networks that lose datagrams.
@@ -33,26 +30,24 @@ const OF_BURYING: &[Duration] = &[
     Duration::from_secs(2),
 ];
 
-/// Interval between repetitions, while the first few seconds last and after that.
+/// Intervals between repetitions, in the first seconds and later.
 const SOON: Duration = Duration::from_millis(150);
 const YOUNG: Duration = Duration::from_secs(3);
 const LATER: Duration = Duration::from_secs(1);
-/// How long an acknowledgement is waited for.
+/// Limit of an acknowledgement.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// How long a herald stays that has nothing to tell: endpoints leave one after the other.
+/// Time an idle herald stays: endpoints leave one after the other.
 const IDLE: Duration = Duration::from_secs(3);
-/// Seconds that a herald is remembered if it vanishes.
+/// Seconds until others forget a herald that vanishes.
 const LEASE: i32 = 10;
-/// The most endpoints of one herald, and of one datagram.
+/// Limits of endpoints for one herald, and for one datagram.
 const MOST_GONE: usize = 4096;
 const AT_ONCE: usize = 16;
-/// The most participants whose addresses are remembered.
 const MOST_PEERS: usize = 4096;
 
-/// Sockets that reach everybody in a domain.
 struct Voices {
     domain: u16,
-    /// One for each address of this machine: bound to it, a datagram to the group leaves there.
+    /// One for each address of this machine: datagrams to the group leave from it.
     each: Vec<(Ipv4Addr, UdpSocket)>,
 }
 
@@ -73,7 +68,6 @@ impl Voices {
         Self { domain, each: own_addresses().into_iter().filter_map(bound).collect() }
     }
 
-    /// Sends to everybody. What cannot be sent is sent the next time.
     fn shout(&self, message: &Message) {
         let first = FIRST_PORT.saturating_add(self.domain.saturating_mul(PORTS_PER_DOMAIN));
         for (ip, socket) in &self.each {
@@ -87,10 +81,9 @@ impl Voices {
         }
     }
 
-    /// Says that a participant is gone.
     fn bury(&self, participant: &Prefix) {
         let mut message = Message::new(participant);
-        // More than any number that it can have used, and more than the last time, over a restart too.
+        // Exceeds every number that it used, and the one of the last time, over a restart too.
         let number = SystemTime::now().duration_since(UNIX_EPOCH).map_or(1 << 40, |time| time.as_millis());
         message.participant_gone(i64::try_from(number).unwrap_or(1 << 40), participant);
         self.shout(&message);
@@ -105,24 +98,23 @@ fn repeat(domain: u16, participant: &Prefix, pauses: &[Duration]) {
     }
 }
 
-/// Says for a participant that was killed that it is gone. Takes four seconds.
+/// Announces that a killed participant is gone. Takes four seconds.
 pub fn bury(domain: u16, participant: &Prefix) {
     repeat(domain, participant, OF_BURYING);
 }
 
-/// Says at its end that a participant is gone.
+/// Announces at its end that a participant is gone.
 pub struct Farewell {
     domain: u16,
     participant: Prefix,
 }
 
 impl Farewell {
-    /// For a participant that has just joined.
     pub fn new(domain: u16, own: &Id) -> Self {
         Self { domain, participant: graph::prefix(own) }
     }
 
-    /// Says it now: what follows may take its time or hang.
+    /// Says it now: what follows may take time or hang.
     pub fn say(&self) {
         Voices::open(self.domain).bury(&self.participant);
     }
@@ -134,10 +126,8 @@ impl Drop for Farewell {
     }
 }
 
-/// How ids of Fast DDS begin.
 const FAST_DDS: [u8; 2] = [1, 15];
 
-/// Another participant, as a herald knows it.
 #[derive(Default)]
 struct Peer {
     at: Vec<SocketAddrV4>,
@@ -145,12 +135,12 @@ struct Peer {
     lacks: [i64; 2],
 }
 
-/// A participant that exists to say which endpoints of another are gone: rustdds numbers its own announcements.
+/// A participant that announces which endpoints of another are gone: rustdds numbers its own announcements.
 struct Herald {
     voices: Voices,
     socket: UdpSocket,
     prefix: Prefix,
-    /// Readers and writers that are gone; the first has number 1.
+    /// Gone readers and writers; the first has number 1.
     gone: [Vec<Id>; 2],
     peers: HashMap<Prefix, Peer>,
     added: Instant,
@@ -184,7 +174,6 @@ impl Herald {
         })
     }
 
-    /// Whether a participant has to be told more.
     fn is_owed(&self, to: &Prefix) -> bool {
         let lacks = self.peers.get(to).map_or([1, 1], |peer| peer.lacks);
         self.gone.iter().zip(lacks).any(|(gone, lacks)| lacks.max(1) <= number(gone.len()).saturating_sub(1))
@@ -241,7 +230,6 @@ impl Herald {
         }
     }
 
-    /// What a participant has to be told next.
     fn owed(&self, peer: &Peer) -> Message {
         let mut message = Message::new(&self.prefix);
         for ((gone, lacks), channel) in self.gone.iter().zip(peer.lacks).zip(CHANNELS) {
@@ -267,13 +255,13 @@ impl Drop for Herald {
     }
 }
 
-/// The endpoints of this program's participant that are to leave, until the others have acknowledged it.
+/// Leaving endpoints of this program's participant, until the others have acknowledged it.
 pub struct Departures {
     domain: u16,
     own: Prefix,
     heralds: u32,
     herald: Option<Herald>,
-    /// Those who have to be told.
+    /// The participants to tell.
     others: Vec<Prefix>,
 }
 
@@ -282,7 +270,7 @@ impl Departures {
         Self { domain, own: graph::prefix(own), heralds: 0, herald: None, others: Vec::new() }
     }
 
-    /// An endpoint leaves. A reader must go on until [`Self::is_telling`] is false, or a writer waits for it.
+    /// A reader must go on until [`Self::is_telling`] is false, or a writer waits for it.
     pub fn tell(&mut self, id: Id) {
         if self.herald.is_none() {
             self.heralds = self.heralds.wrapping_add(1);
@@ -299,12 +287,12 @@ impl Departures {
         }
     }
 
-    /// Whether somebody may not know yet that an endpoint left.
+    /// Whether a participant may not know yet that the endpoint left.
     pub fn is_telling(&self, id: &Id) -> bool {
         self.herald.as_ref().is_some_and(|herald| herald.is_telling(id, &self.others))
     }
 
-    /// Goes on telling the present participants; only Fast DDS needs it.
+    /// Only Fast DDS needs it.
     pub fn go_on(&mut self, present: impl Iterator<Item = Prefix>) {
         self.others = present.filter(|prefix| prefix.starts_with(&FAST_DDS)).collect();
         let Some(herald) = &mut self.herald else { return };
@@ -317,10 +305,9 @@ impl Departures {
     }
 }
 
-/// An entity's part of an id.
 pub type Entity = [u8; 4];
 
-/// A built-in writer and the reader that it speaks to.
+/// A built-in writer and the reader it speaks to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Channel {
     writer: Entity,
@@ -332,7 +319,7 @@ pub const WRITERS: Channel = Channel { writer: [0, 0, 3, 0xc2], reader: [0, 0, 3
 pub const READERS: Channel = Channel { writer: [0, 0, 4, 0xc2], reader: [0, 0, 4, 0xc7] };
 const PARTICIPANT: Entity = [0, 0, 1, 0xc1];
 
-/// Protocol 2.4, and rustdds's vendor id, whose participants these messages speak for.
+/// Protocol 2.4, and rustdds's vendor id: these messages speak for its participants.
 const HEADER: &[u8] = b"RTPS\x02\x04\x01\x12";
 const VERSION: [u8; 4] = [2, 4, 0, 0];
 const VENDOR: [u8; 4] = [1, 0x12, 0, 0];
@@ -355,16 +342,15 @@ const ENDPOINTS: u16 = 0x58;
 const KEY_HASH: u16 = 0x70;
 const STATUS: u16 = 0x71;
 const GONE: [u8; 4] = [0, 0, 0, 3];
-/// Announces participants, writers and readers, and reads nothing but participants.
+/// Announces participants, writers and readers; reads only participants.
 const ANNOUNCERS: u32 = 1 | 2 | 4 | 16;
 const UDP_V4: i32 = 1;
 
-/// The most addresses taken from one announcement.
+/// Addresses taken from one announcement.
 const MOST_ADDRESSES: usize = 8;
-/// More parameters or submessages are not looked at.
+/// Limit of parameters and of submessages.
 const MOST_PARTS: usize = 256;
 
-/// A message under construction.
 pub struct Message(Vec<u8>);
 
 fn parameter(into: &mut Vec<u8>, id: u16, value: &[u8]) {
@@ -379,12 +365,10 @@ fn number_bytes(number: i64) -> [u8; 8] {
 }
 
 impl Message {
-    /// An empty message of a participant.
     pub fn new(from: &Prefix) -> Self {
         Self([HEADER, from].concat())
     }
 
-    /// The bytes to send.
     pub fn bytes(&self) -> &[u8] {
         &self.0
     }
@@ -404,7 +388,6 @@ impl Message {
         self.submessage(DATA, flags, &body);
     }
 
-    /// Says that an endpoint is gone.
     pub fn gone(&mut self, channel: Channel, number: i64, id: &Id) {
         let mut content = Vec::new();
         parameter(&mut content, KEY_HASH, id);
@@ -413,14 +396,14 @@ impl Message {
         self.data(channel, number, INLINE_QOS, &content);
     }
 
-    /// Says that a participant is gone, with all that it has. `number` must exceed those of its announcements.
+    /// `number` must exceed those of its announcements.
     pub fn participant_gone(&mut self, number: i64, prefix: &Prefix) {
         let mut id = [0; 16];
         prefix.iter().chain(&PARTICIPANT).zip(&mut id).for_each(|(from, to)| *to = *from);
         self.gone(PARTICIPANTS, number, &id);
     }
 
-    /// Announces a participant without endpoints of its own, reached at these addresses, for this many seconds.
+    /// A participant without endpoints of its own; the lease is in seconds.
     pub fn participant_here(&mut self, number: i64, prefix: &Prefix, at: &[SocketAddrV4], lease: i32) {
         let mut content = vec![0, 3, 0, 0];
         parameter(&mut content, PROTOCOL, &VERSION);
@@ -445,16 +428,14 @@ impl Message {
     }
 }
 
-/// What another participant says to ours.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Said {
-    /// Where its announcements are to be sent.
+    /// Address of its announcements.
     Reached(Vec<SocketAddrV4>),
     /// It has all numbers of this channel below this one.
     Has(Channel, i64),
 }
 
-/// Bytes that are read from the front.
 struct Front<'a> {
     bytes: &'a [u8],
     little: bool,
@@ -484,7 +465,7 @@ impl<'a> Front<'a> {
     }
 }
 
-/// Reads a message; who sent it, and what it says to `own`. Anything else is left out.
+/// The sender, and what it says to `own`.
 pub fn read(bytes: &[u8], own: &Prefix) -> Option<(Prefix, Vec<Said>)> {
     let mut front = Front { bytes: bytes.strip_prefix(b"RTPS")?, little: true };
     let _version_and_vendor: [u8; 4] = front.array()?;

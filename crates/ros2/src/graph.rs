@@ -1,6 +1,5 @@
-//! The participants and writers of the domain, and the node of each writer, as published by ROS 2 on a topic of its own
-//! (`rmw_dds_common`'s `ParticipantEntitiesInfo`; up to Humble an id takes 24 bytes, later 16); changes are reported to the
-//! site. And names as ROS 2 writes them into DDS, and as people know them.
+//! Participants and writers of the domain, and each writer's node as ROS 2 publishes it (`rmw_dds_common`'s
+//! `ParticipantEntitiesInfo`; an id takes 24 bytes up to Humble, then 16). And names of ROS 2 in DDS.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
@@ -9,15 +8,11 @@ use crate::pipe::read::{Counts, Quality, Told, Writer};
 use crate::quality;
 use rustdds::discovery::DiscoveredWriterData;
 
-/// The most writers reported.
 const MOST_WRITERS: usize = 20_000;
 
-/// An id of DDS.
 pub type Id = [u8; 16];
-/// The common prefix of one participant's ids.
 pub type Prefix = [u8; 12];
 
-/// A writer as DDS names it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Found {
     pub dds_topic: String,
@@ -25,64 +20,51 @@ pub struct Found {
     /// Whether its type has a key.
     pub keyed: bool,
     pub quality: Quality,
-    /// In the site's form; `None` if it is not of ROS 2.
     pub told: Option<Writer>,
 }
 
-/// The most participants of this program that are told apart from others: the last ones.
+/// Participants of this program that are recognised: the last ones.
 const MOST_OWN: usize = 4;
 
 #[derive(Default)]
 pub struct Graph {
     own: Vec<Prefix>,
-    writers: BTreeMap<Id, Found>,
-    /// Ids known to the site, including those of writers that are gone.
-    known: HashSet<Id>,
+    pub writers: BTreeMap<Id, Found>,
+    /// Ids known to the site, also of writers that are gone.
+    pub known: HashSet<Id>,
 }
 
-/// How much of a prefix the participants of one program have in common: its own, and those that say what of it is gone.
+/// Length of the prefix shared by one program's participants: its own, and its heralds.
 pub const PROGRAM: usize = 8;
 
 pub fn prefix(id: &Id) -> Prefix {
-    let mut prefix = [0; 12];
-    prefix.copy_from_slice(&id[..12]);
-    prefix
+    id.first_chunk().copied().unwrap_or_default()
 }
 
 impl Graph {
-    /// This program joined with a participant.
     pub fn joined(&mut self, own: Prefix) {
         self.own.insert(0, own);
         self.own.truncate(MOST_OWN);
     }
 
-    /// Whether a participant is one of this program's.
     pub fn is_own(&self, participant: &Prefix) -> bool {
         self.own.iter().any(|own| own.get(..PROGRAM) == participant.get(..PROGRAM))
     }
 
-    /// Whether a writer is present and of one of these topics, by their DDS names.
     pub fn is_of_any(&self, writer: &Id, topics: &BTreeSet<String>) -> bool {
         self.writers.get(writer).is_some_and(|found| topics.contains(&found.dds_topic))
     }
 
-    /// Writers of a topic, by its DDS name.
     pub fn of_topic<'a>(&'a self, dds_topic: &'a str) -> impl Iterator<Item = &'a Found> {
         self.writers.values().filter(move |found| found.dds_topic == dds_topic)
     }
 
-    /// The id of a writer of a topic and type, by their DDS names.
     pub fn writer_of(&self, dds_topic: &str, dds_type: &str) -> Option<Id> {
         let is_it = |found: &Found| found.dds_topic == dds_topic && found.dds_type == dds_type;
         self.writers.iter().find_map(|(id, found)| is_it(found).then_some(*id))
     }
 
-    /// Whether this writer was reported to the site.
-    pub fn knows(&self, id: &Id) -> bool {
-        self.known.contains(id)
-    }
-
-    /// Takes the present writers of others; returns what to report.
+    /// Takes the present writers of others; returns the reports.
     pub fn look(&mut self, now: &[DiscoveredWriterData], nodes: &Nodes) -> Vec<Told> {
         let mut told = Vec::new();
         let mut there = BTreeMap::new();
@@ -110,7 +92,7 @@ impl Graph {
         told
     }
 
-    /// Reports a writer that is known only from its samples: the rest of what it is will be announced.
+    /// A writer known only from its samples; the rest will be announced.
     pub fn by_sample(&mut self, id: Id, dds_topic: &str, dds_type: &str) -> Option<Told> {
         let quality = Quality::default();
         let writer = writer(id, dds_topic, dds_type, (None, quality), None)?;
@@ -126,12 +108,6 @@ impl Graph {
         self.known.insert(id);
     }
 
-    /// How many writers are present, also of what is not of ROS 2.
-    pub fn size(&self) -> usize {
-        self.writers.len()
-    }
-
-    /// Their counts, where so many participants are present.
     pub fn counts(&self, participants: usize) -> Counts {
         let count = |number: usize| u32::try_from(number).unwrap_or(u32::MAX);
         let own = self.writers.values().filter(|found| found.told.is_some()).count();
@@ -141,7 +117,7 @@ impl Graph {
     }
 }
 
-/// Services, and ROS 2's own topics, belong to ROS 2 although they are not topics that a user names.
+/// Services and ROS 2's own topics are not foreign, although users do not name them.
 fn is_foreign(dds_topic: &str) -> bool {
     !["rt/", "rq/", "rr/", "rs/", "ra/"].iter().any(|own| dds_topic.starts_with(own)) && dds_topic != NODES
 }
@@ -152,7 +128,7 @@ fn found(id: Id, writer_data: &DiscoveredWriterData, nodes: &Nodes) -> Found {
     let hash = type_hash(&writer_data.user_data);
     let told = writer(id, &data.topic_name, &data.type_name, (hash, quality), nodes.of(&id));
     let (dds_topic, dds_type) = (data.topic_name.clone(), data.type_name.clone());
-    // The last byte says what kind of endpoint it is: of the writers, 2 has a key, and 3 none.
+    // The last byte gives the kind of endpoint: of writers, 2 has a key, 3 none.
     let keyed = id[15] & 0x3f == 2;
     Found { dds_topic, dds_type, keyed, quality, told }
 }
@@ -176,10 +152,8 @@ fn writer(
     })
 }
 
-/// The most writers whose node is remembered.
 const MOST: usize = 20_000;
 
-/// Nodes by the ids of their writers.
 #[derive(Default)]
 pub struct Nodes {
     by_participant: HashMap<Id, Vec<(Id, String)>>,
@@ -187,7 +161,7 @@ pub struct Nodes {
 }
 
 impl Nodes {
-    /// Takes a message of `sender`, with its header. Ignores what cannot be read, and what it says of another participant.
+    /// Ignores unreadable messages, and claims about another participant.
     pub fn take(&mut self, sender: &Id, message: &[u8]) {
         let Some((participant, writers)) = [16, 24].into_iter().find_map(|length| parse(message, length)) else {
             return;
@@ -206,25 +180,24 @@ impl Nodes {
         self.kept -= self.by_participant.remove(participant).map_or(0, |writers| writers.len());
     }
 
-    /// Keeps only participants that are still present; an id's first twelve bytes are its participant's.
+    /// An id's first twelve bytes are its participant's.
     pub fn keep(&mut self, is_there: impl Fn(&[u8]) -> bool) {
         let gone: Vec<Id> = self.by_participant.keys().filter(|id| !is_there(&id[..12])).copied().collect();
         gone.iter().for_each(|id| self.forget(id));
     }
 
-    /// The node of a writer, `/namespace/name`.
     pub fn of(&self, writer: &Id) -> Option<&str> {
         let lists = self.by_participant.iter().filter(|(id, _)| id[..12] == writer[..12]);
         lists.flat_map(|(_, writers)| writers).find(|(id, _)| id == writer).map(|(_, node)| node.as_str())
     }
 }
 
-/// The participant and its writers, if the message can be read to its end with ids of this length.
+/// `None` if the message does not end with ids of this length.
 fn parse(message: &[u8], id: usize) -> Option<(Id, Vec<(Id, String)>)> {
     let mut reader = Reader::of(message)?;
     let participant = reader.id(id)?;
     let mut writers = Vec::new();
-    // Each list is bounded by the bytes that are left.
+    // Each list is bounded by the bytes left.
     for _ in 0..reader.count(8)? {
         let (namespace, name) = (reader.text()?, reader.text()?);
         let node = match namespace {
@@ -244,13 +217,13 @@ fn parse(message: &[u8], id: usize) -> Option<(Id, Vec<(Id, String)>)> {
     (reader.left() < 4).then_some((participant, writers))
 }
 
-/// The longest accepted name, of a node with its namespace.
+/// Longest accepted name, of a node with its namespace.
 const LONGEST: usize = 255;
 
-/// The ROS 2 topic that says which node has which writers.
+/// The ROS 2 topic that maps writers to nodes.
 pub const NODES: &str = "ros_discovery_info";
 
-/// `/robot1/odom` for `rt/robot1/odom`; `None` for what is not a ROS 2 topic (services have other prefixes).
+/// `/robot1/odom` for `rt/robot1/odom`; `None` for other names (services have other prefixes).
 pub fn topic(dds: &str) -> Option<String> {
     let name = dds.strip_prefix("rt").filter(|name| name.len() <= LONGEST)?;
     let is_part = |part: &str| {
@@ -260,13 +233,11 @@ pub fn topic(dds: &str) -> Option<String> {
     name.strip_prefix('/')?.split('/').all(is_part).then(|| name.to_owned())
 }
 
-/// The DDS name of a topic.
 pub fn dds_topic(topic: &str) -> String {
     format!("rt{topic}")
 }
 
-/// The DDS names of the topics by which a node is asked for the description of a type, and answers; `None` for what is not
-/// the name of a node.
+/// Topics that carry a node's requests for type descriptions, and its answers; `None` if this is no node's name.
 pub fn description_topics(node: &str) -> Option<(String, String)> {
     topic(&dds_topic(node))?;
     Some((format!("rq{node}/get_type_descriptionRequest"), format!("rr{node}/get_type_descriptionReply")))
@@ -283,7 +254,7 @@ pub fn type_name(dds: &str) -> Option<String> {
     known.then(|| format!("{package}/{kind}/{name}"))
 }
 
-/// The DDS name of a type, `nav_msgs::msg::dds_::Odometry_`; `None` for what is not the name of one.
+/// `nav_msgs::msg::dds_::Odometry_` for `nav_msgs/msg/Odometry`.
 pub fn dds_type(type_name: &str) -> Option<String> {
     let parts: Vec<&str> = type_name.split('/').collect();
     let [package, kind, name] = parts[..] else { return None };
@@ -291,7 +262,7 @@ pub fn dds_type(type_name: &str) -> Option<String> {
     self::type_name(&dds).is_some_and(|back| back == type_name).then_some(dds)
 }
 
-/// The type's hash from a writer's user data, which is `key=value;` after a length, padded.
+/// From a writer's user data: `key=value;` after a length, padded.
 pub fn type_hash(user_data: &[u8]) -> Option<String> {
     const KEY: &[u8] = b"typehash=";
     let begin = user_data.windows(KEY.len()).position(|window| window == KEY)? + KEY.len();
@@ -301,7 +272,7 @@ pub fn type_hash(user_data: &[u8]) -> Option<String> {
     (digits.len() == 64 && digits.bytes().all(|byte| byte.is_ascii_hexdigit())).then(|| text.to_owned())
 }
 
-/// The maker of a participant's middleware, from the first bytes of its id.
+/// From the first bytes of the id.
 pub fn vendor(id: [u8; 16]) -> String {
     match id[..2] {
         [1, 1] => "connext".to_owned(),

@@ -1,19 +1,18 @@
-//! The handing over of every writer's messages from one participant of ours to its successor: between the two none is missing
-//! or out of order, and none is passed on twice. Once for each writer the successor shows that it has what comes next; until
-//! then the former one brings its messages, and afterwards the successor alone.
+//! Moves each writer's messages from one participant of ours to its successor, none lost, doubled or out of order. The
+//! former one brings a writer's messages until the successor shows that it has the next; from then on the successor
+//! alone.
 
 use std::collections::{HashMap, VecDeque};
 
 use crate::graph::Id;
 use crate::reading::Taken;
 
-/// The most bytes that wait for those before them, which the former one is to bring.
+/// Bytes of messages that wait for those before them from the former one.
 const MOST_HELD: usize = 32 << 20;
 
-/// Whose reader took a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Bringer {
-    /// There is no other participant of ours that reads.
+    /// No other participant of ours reads.
     Only,
     Former,
     Successor,
@@ -21,15 +20,13 @@ pub enum Bringer {
 
 #[derive(Default)]
 struct Line {
-    /// Up to this number they were passed on before their present bringer's turn; the first message of a writer is 1.
+    /// Numbers up to here were passed on before the present bringer's turn; the first message of a writer is 1.
     floor: i64,
     /// The highest number passed on.
     last: i64,
-    /// Whether the former one has brought any since there is a successor.
     is_heard: bool,
-    /// Whether the successor brings them.
     is_handed: bool,
-    /// What the successor has beyond a gap.
+    /// The successor's messages beyond a gap.
     held: VecDeque<Taken>,
 }
 
@@ -39,7 +36,7 @@ impl Line {
         into.push(sample);
     }
 
-    /// The successor has a message that is already passed on, or the next one: then it will have all that follow.
+    /// The successor has a message already passed on, or the next one: then it will have all that follow.
     fn is_reached(&self, number: i64) -> bool {
         number <= self.last.saturating_add(1)
     }
@@ -62,7 +59,7 @@ pub struct Lines {
 }
 
 impl Lines {
-    /// Takes a message; what is to be passed on now goes `into` the list, in its order.
+    /// Appends to `into`, in order, the messages to pass on now.
     pub fn follow(&mut self, sample: Taken, bringer: Bringer, into: &mut Vec<Taken>) {
         let line = self.by_writer.entry(sample.writer).or_default();
         match bringer {
@@ -88,12 +85,11 @@ impl Lines {
         }
     }
 
-    /// Whether the successor brings the messages of every writer of which the former one has brought any since.
+    /// Whether the successor brings the messages of every writer that the former one has heard since.
     pub fn are_handed_over(&self) -> bool {
         self.by_writer.values().all(|line| line.is_handed || !line.is_heard)
     }
 
-    /// The former one leaves: the successor is the only one that reads.
     pub fn end(&mut self, into: &mut Vec<Taken>) {
         for line in self.by_writer.values_mut() {
             if !line.is_handed {
@@ -103,7 +99,7 @@ impl Lines {
         }
     }
 
-    /// Forgets writers that are gone, or are not read any more.
+    /// Forgets writers that are gone, or no longer read.
     pub fn keep(&mut self, is_read: impl Fn(&Id) -> bool) {
         self.by_writer.retain(|id, line| !line.held.is_empty() || is_read(id));
     }
@@ -129,7 +125,8 @@ mod tests {
 
     #[test]
     fn however_two_participants_take_turns_each_message_is_passed_on_once_and_in_order() {
-        // The former one brings 1 to 5; the successor comes to know the writer before any of the messages 1 to 6, and brings 8.
+        // The former one brings 1 to 5; the successor comes to know the writer before any of the messages 1 to 6, and
+        // brings 8.
         for first in 1..=6 {
             let (former, successor): (Vec<i64>, Vec<i64>) = ((1..=5).collect(), (first..=8).collect());
             let steps = former.len() + successor.len();

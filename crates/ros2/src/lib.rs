@@ -1,7 +1,4 @@
-//! Reads and publishes ROS 2 topics for a site of AuthROS, in a process without keys.
-//!
-//! The network code is `rustdds`; its output leaves through a pipe ([`authros_pipe`]). The site starts the program,
-//! supervises it and counts losses.
+//! Reads and publishes ROS 2 topics by rustdds for a site of AuthROS, in a process without keys.
 
 use authros_pipe as pipe;
 

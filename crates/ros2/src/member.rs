@@ -1,4 +1,4 @@
-//! One participant of ours in the domain, and what hangs on it: its readers, its questions to nodes, and the leaving of each.
+//! One participant of ours in the domain: its readers, its questions to nodes, and the leaving of each.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
@@ -17,19 +17,16 @@ use rustdds::{
     Publisher, QosPolicies, RTPSEntity, StatusEvented, Subscriber,
 };
 
-/// Events of this kind only wake: the news are looked for at every beat.
+/// Only wakes: news are checked at every beat.
 const STATUS: Token = Token(1);
-/// How long a replaced reader continues beside the new one, until writers have found the new one.
+/// Time a replaced reader goes on, until writers have found the new one.
 pub const OVERLAP: Duration = Duration::from_secs(2);
-/// The most readers made at once: what makes them takes a hundred, and refuses or forgets the rest.
+/// Readers made in one go: rustdds's channel takes a hundred, and refuses or forgets the rest.
 const AT_ONCE: usize = 64;
-/// The most participants seen.
 const MOST_PARTICIPANTS: usize = 20_000;
 
-/// A participant of ours.
 pub struct Member {
     // In drop order.
-    /// Its readers, by their tokens.
     pub readings: BTreeMap<usize, Reading>,
     pub describing: Describing,
     subscriber: Subscriber,
@@ -37,13 +34,12 @@ pub struct Member {
     listener: DomainParticipantStatusListener,
     participant: DomainParticipant,
     departures: Departures,
-    /// What it says when it leaves.
     pub farewell: Farewell,
-    participants: BTreeSet<Prefix>,
+    pub participants: BTreeSet<Prefix>,
     pub begun: Instant,
-    /// Writers and readers that it has met since it has been the only one.
+    /// Writers and readers met since it is the only one.
     pub met: usize,
-    /// Whether it has every reader that it needs.
+    /// Whether it has every reader it needs.
     pub is_fitted: bool,
     /// Since when it has them, and knows every writer that its predecessor knows.
     pub complete: Option<Instant>,
@@ -79,7 +75,6 @@ impl Member {
         })
     }
 
-    /// The prefix of its ids.
     pub fn prefix(&self) -> Prefix {
         graph::prefix(&self.participant.guid().to_bytes())
     }
@@ -117,13 +112,7 @@ impl Member {
         found
     }
 
-    /// The present participants, itself among them.
-    pub fn participants(&self) -> impl Iterator<Item = Prefix> {
-        self.participants.iter().copied()
-    }
-
-    /// One reader for each wanted topic and type, requesting what every writer offers. What cannot be read, by its topic's
-    /// DDS name, with the reason.
+    /// One reader for each wanted topic and type, requesting what every writer offers. Returns failures by DDS topic.
     pub fn fit(
         &mut self,
         wanted: &BTreeSet<String>,
@@ -152,7 +141,7 @@ impl Member {
         refused
     }
 
-    /// Has readers leave that are not wanted any more, and ends those that everybody knows to have left.
+    /// Makes unwanted readers leave, and ends those that everybody knows to have left.
     fn dismiss(&mut self, wanted: &BTreeSet<String>, registry: &Registry) {
         let now = Instant::now();
         let ended = |reading: &Reading| {
@@ -170,7 +159,7 @@ impl Member {
             if let Some(reading) = self.readings.remove(&key) {
                 let id = reading.id();
                 reading.end(registry);
-                // Once more: somebody may have heard of it only after that it leaves.
+                // Once more: somebody may have heard of it only after it left.
                 self.departures.tell(id);
             }
         }
@@ -197,8 +186,7 @@ impl Member {
         Ok(())
     }
 
-    /// Gives one turn to a reader; `kept` is what all readers of this program keep, bytes. Returns what it reads, if what it takes
-    /// counts.
+    /// Gives one turn to a reader; `kept` is what all readers keep, bytes. `None` if its samples do not count.
     pub fn take(&mut self, key: usize, kept: usize, into: &mut Vec<Taken>) -> Option<Subject> {
         let reading = self.readings.get_mut(&key)?;
         let others = kept.saturating_sub(reading.kept());
@@ -213,7 +201,7 @@ impl Member {
         Some(reading.subject.clone())
     }
 
-    /// Goes on with its questions, and with saying what has left; returns what is to be told to the site, with its payload.
+    /// Returns reports to the site, with their payloads.
     pub fn go_on(&mut self, graph: &Graph) -> Vec<(Told, Vec<u8>)> {
         let parts = (&self.participant, &self.subscriber, &self.publisher);
         let told = self.describing.go_on(parts, graph, &mut self.departures);
@@ -221,7 +209,6 @@ impl Member {
         told
     }
 
-    /// Whether nothing of one that leaves is left but itself.
     pub fn has_left(&self) -> bool {
         self.readings.is_empty() && self.describing.is_idle()
     }

@@ -1,5 +1,4 @@
-//! What is offered, what is requested, and how much is kept; and samples of any type, as bytes with their encapsulation
-//! header.
+//! Offered and requested quality, sizes of caches, and samples of any type as bytes with their encapsulation header.
 
 use std::convert::Infallible;
 
@@ -10,12 +9,11 @@ use rustdds::policy::{self, DataRepresentation, Durability, History, Reliability
 use rustdds::qos::policy::{XCDR_DATA_REPRESENTATION, XCDR2_DATA_REPRESENTATION};
 use rustdds::{Duration, Keyed, QosPolicies, QosPolicyBuilder, RepresentationIdentifier, with_key};
 
-/// Samples of a topic kept before the size of one is known.
+/// Samples of a topic kept before their size is known.
 pub const FIRST_DEPTH: usize = 16;
-/// The most samples kept of a topic.
 const MOST_DEPTH: usize = 1000;
 const LEAST_DEPTH: usize = 4;
-/// Bytes of samples kept of one topic, and of all topics.
+/// Bytes of kept samples, of one topic and of all.
 const TOPIC_BYTES: usize = 32 << 20;
 const ALL_BYTES: usize = 256 << 20;
 
@@ -35,7 +33,7 @@ pub fn offered(told: &PublicationBuiltinTopicData) -> Quality {
     }
 }
 
-/// The nanoseconds that were rounded down to a fraction of a second in 2^32 parts; `None` for an endless time.
+/// The wire rounds nanoseconds down to 2^-32 s; this gives the original. `None` for an endless time.
 fn nanoseconds(duration: Duration) -> Option<u64> {
     if duration >= Duration::INFINITE {
         return None;
@@ -45,21 +43,17 @@ fn nanoseconds(duration: Duration) -> Option<u64> {
     u64::try_from(least.saturating_add(i64::from(is_next))).ok()
 }
 
-/// What all writers of a topic can provide.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Request {
-    /// Lost samples are requested again.
     pub reliable: bool,
-    /// Samples published before are requested.
     pub latched: bool,
 }
 
-/// As much as every one of the offers provides: more would exclude a writer.
+/// What every offer provides: more would exclude a writer.
 pub fn request(offers: impl Iterator<Item = Quality> + Clone) -> Request {
     Request { reliable: offers.clone().all(|offer| offer.reliable), latched: offers.clone().all(|offer| offer.latched) }
 }
 
-/// The request in terms of DDS, keeping this many samples.
 pub fn policies(request: Request, depth: usize) -> QosPolicies {
     let depth = i32::try_from(depth).unwrap_or(i32::MAX);
     let builder = QosPolicyBuilder::new()
@@ -71,28 +65,25 @@ pub fn policies(request: Request, depth: usize) -> QosPolicies {
     builder.build().with_data_representation(DataRepresentation { value: both })
 }
 
-/// The same for a reader of a type with a key: what is kept before it is taken is limited by the topic's own cache alone.
+/// Only the topic's own cache limits untaken samples of a type with a key.
 pub fn of_keyed(policies: &QosPolicies) -> QosPolicies {
     policies.modify_by(&QosPolicyBuilder::new().history(History::KeepAll).build())
 }
 
-/// The same with the first version of CDR alone, as a writer has to say.
+/// A writer offers only the first version of CDR.
 pub fn plain(policies: &QosPolicies) -> QosPolicies {
     policies.clone().with_data_representation(DataRepresentation { value: vec![XCDR_DATA_REPRESENTATION] })
 }
 
-/// How many samples of this size are kept, when all other topics keep `others` bytes.
 pub fn depth(sample: usize, others: usize) -> usize {
     let bytes = TOPIC_BYTES.min(ALL_BYTES.saturating_sub(others) / 2);
     (bytes / sample.max(1)).clamp(LEAST_DEPTH, MOST_DEPTH)
 }
 
-/// A serialised sample: four bytes of header, then the body. The network code does not provide the options in the
-/// header's last two bytes, which are 0 here.
+/// Four bytes of header, then the body. rustdds does not provide the header's options, which are 0 here.
 #[derive(Debug, Clone)]
 pub struct Raw(pub Vec<u8>);
 
-/// Accepts samples as they are.
 pub struct RawAdapter;
 
 impl DeserializerAdapter<Raw> for RawAdapter {
@@ -143,8 +134,8 @@ impl Decode<'_, Raw> for RawDecoder {
     }
 }
 
-// Writers of a type with a key take only readers that have one, too. Here every sample counts, whatever its key, so that all of
-// them are of one instance.
+// Writers of a type with a key accept only readers with one. Every sample counts here whatever its key, so all are of
+// one instance.
 impl Keyed for Raw {
     type K = ();
 

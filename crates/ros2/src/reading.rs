@@ -1,4 +1,4 @@
-//! One reader of a topic, and the samples that it takes as they are.
+//! One reader of a topic, and the samples it takes.
 
 use std::time::Instant;
 
@@ -10,29 +10,26 @@ use rustdds::no_key::SimpleDataReader;
 use rustdds::with_key::{DataReader, Sample};
 use rustdds::{DomainParticipant, QosPolicies, RTPSEntity, ReadCondition, Subscriber, Timestamp, Topic, TopicKind};
 
-/// The most samples taken before another topic has its turn, and about how many bytes.
+/// Samples, and about how many bytes, before another topic has its turn.
 const TURN: usize = 256;
 const TURN_BYTES: usize = 4 << 20;
 
-/// A sample on its way to the site.
 pub struct Taken {
     pub writer: Id,
     pub number: i64,
-    /// When it was published, nanoseconds.
+    /// Nanoseconds since 1970.
     pub sent: Option<u64>,
-    /// When it arrived, nanoseconds.
+    /// Nanoseconds since 1970.
     pub arrived: u64,
     pub bytes: Vec<u8>,
 }
 
-/// What is read: a topic, and a type that its writers use.
+/// A topic, and a type that its writers use.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Subject {
-    /// The topic's DDS name.
     pub dds_topic: String,
-    /// The type's DDS name.
     pub dds_type: String,
-    /// Whether the writers say that it has a key: they take only readers that say so, too.
+    /// Writers whose type has a key accept only readers that say so too.
     pub keyed: bool,
 }
 
@@ -42,7 +39,6 @@ impl Subject {
     }
 }
 
-/// How the network code reads.
 enum Port {
     Plain(Box<SimpleDataReader<Raw, RawAdapter>>),
     Keyed(Box<DataReader<Raw, RawAdapter>>),
@@ -62,7 +58,7 @@ impl Port {
         let reader = subscriber.create_datareader::<Raw, RawAdapter>(topic, Some(quality::of_keyed(&policies)));
         let mut reader = reader.map_err(refused)?;
         if !latched {
-            // What is in the topic's cache already belongs to another reader; nobody is matched yet.
+            // The topic's cache already holds samples of another reader; nobody is matched yet.
             drop(reader.take(usize::MAX, ReadCondition::any()));
         }
         Ok(Self::Keyed(Box::new(reader)))
@@ -72,13 +68,12 @@ impl Port {
 pub struct Reading {
     pub subject: Subject,
     pub request: Request,
-    /// Whether there may be something to take.
     pub ready: bool,
-    /// When it is to leave, if another has replaced it.
+    /// When it leaves, if another has replaced it.
     pub retires: Option<Instant>,
-    /// Whether it is leaving: it goes on only so that no writer waits for it, and what it takes is thrown away.
+    /// It goes on only so that no writer waits for it; its samples are dropped.
     pub leaves: bool,
-    /// When it began: older samples in the topic's cache belong to another reader, unless it is latched.
+    /// Older samples in the topic's cache belong to another reader, unless it is latched.
     begun: Timestamp,
     /// Bytes of the largest sample.
     largest: usize,
@@ -110,7 +105,6 @@ impl Reading {
         Ok(Self { subject, request, ready: true, retires: None, leaves: false, begun, largest: 0, depth, port })
     }
 
-    /// Its id in the domain.
     pub fn id(&self) -> Id {
         match &self.port {
             Port::Plain(reader) => reader.guid().to_bytes(),
@@ -118,12 +112,11 @@ impl Reading {
         }
     }
 
-    /// Bytes that may be kept of this topic.
     pub fn kept(&self) -> usize {
         self.depth * self.largest
     }
 
-    /// From now on as many samples are kept as the bytes allow. The number kept of a topic only ever grows.
+    /// Keeps as many samples as the bytes allow. A topic's number only grows.
     pub fn deepen(&mut self, participant: &DomainParticipant, others: usize) {
         let depth = quality::depth(self.largest, others);
         if self.largest == 0 || depth < self.depth.saturating_mul(2) {
@@ -131,13 +124,13 @@ impl Reading {
         }
         let policies = quality::policies(self.request, depth);
         let (topic, type_name) = (self.subject.dds_topic.clone(), self.subject.dds_type.clone());
-        // The topic's cache takes over the greater depth when the topic is created again.
+        // Creating the topic again gives its cache the greater depth.
         if participant.create_topic(topic, type_name, &policies, self.subject.kind()).is_ok() {
             self.depth = depth;
         }
     }
 
-    /// Takes what is available, but no more than one turn's worth.
+    /// At most one turn's worth.
     pub fn take(&mut self, into: &mut Vec<Taken>) {
         let before = into.len();
         self.ready = match &mut self.port {
@@ -151,7 +144,6 @@ impl Reading {
         self.largest = taken.max().unwrap_or(0).max(self.largest);
     }
 
-    /// No longer waited for.
     pub fn end(mut self, registry: &Registry) {
         drop(match &mut self.port {
             Port::Plain(reader) => registry.deregister(&mut **reader),
@@ -160,7 +152,7 @@ impl Reading {
     }
 }
 
-/// Takes samples that are not too old for this reader; whether there may be more.
+/// Skips samples too old for this reader; whether there may be more.
 fn take_plain(
     reader: &SimpleDataReader<Raw, RawAdapter>,
     is_old: impl Fn(Timestamp) -> bool,
@@ -181,17 +173,17 @@ fn take_plain(
                 into.push(Taken { writer, number, sent, arrived, bytes: sample });
             }
             Ok(None) => return false,
-            // A sample that cannot be taken is skipped; its number is then missing, and counted.
+            // A sample that cannot be taken is skipped; its missing number is counted.
             Err(_) => bytes += TURN_BYTES / TURN,
         }
     }
     true
 }
 
-/// Takes all that the topic's cache has: the network code takes it out of there at once. What only says that a key is gone is no
-/// message. When a sample arrived is not told: it counts as arrived now.
+/// Takes everything: rustdds empties the topic's cache in any case. A sample that only ends a key is no message.
+/// rustdds does not tell the arrival: it is now.
 fn take_keyed(reader: &mut DataReader<Raw, RawAdapter>, into: &mut Vec<Taken>) -> bool {
-    // An error is a sample that cannot be taken; those behind it are there the next time.
+    // An error is a sample that cannot be taken; the next take returns those behind it.
     let Ok(samples) = reader.take(usize::MAX, ReadCondition::any()) else { return true };
     let arrived = nanoseconds(Timestamp::now()).unwrap_or(0);
     for sample in samples {

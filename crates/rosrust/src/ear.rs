@@ -1,4 +1,5 @@
-//! A subscriber of our own for each topic. rosrust does not tell what has left its queue; what comes back here has.
+//! A subscriber of our own for each topic: rosrust does not tell which messages left its queue, so they are counted
+//! here.
 
 use std::io::{self, BufReader, Read, Write};
 use std::net::TcpStream;
@@ -8,17 +9,15 @@ use std::time::Duration;
 
 use xml_rpc::Value;
 
-/// How long one step of a handshake may take: a silent subscriber keeps rosrust's port busy.
+/// Limit of one handshake step: a silent subscriber keeps rosrust's port busy.
 const PATIENCE: Duration = Duration::from_secs(2);
-/// The longest connection header, bytes.
 const LONGEST_HEADER: u32 = 64 << 20;
-/// The stack of a thread that only counts, bytes.
+/// Bytes; the thread only counts.
 const STACK: usize = 64 << 10;
 
-/// The name of the subscriber that comes after the last message.
+/// Name of the subscriber that comes after the last message.
 pub const LAST: &str = "/last_ear";
 
-/// Where a topic is served.
 #[derive(Debug, Clone)]
 pub struct Served {
     host: String,
@@ -26,14 +25,12 @@ pub struct Served {
     topic: String,
 }
 
-/// A subscriber that counts.
 pub struct Ear {
     heard: Arc<AtomicU64>,
     is_deaf: Arc<AtomicBool>,
 }
 
 impl Ear {
-    /// Listens to a topic under this name.
     pub fn open(served: &Served, name: &str) -> io::Result<Self> {
         let stream = shake_hands(served, name)?;
         stream.set_read_timeout(None)?;
@@ -60,13 +57,12 @@ impl Ear {
     }
 }
 
-/// The subscriber that comes after the last message. What rosrust sends it before it lists it, a latched message, is read: it
-/// would wait for that.
+/// The subscriber that comes after the last message. It reads the latched message that rosrust sends before listing it:
+/// rosrust would wait for that.
 #[derive(Default)]
 pub struct Last(Option<Ear>);
 
 impl Last {
-    /// Comes in, if it has not yet; false if that fails, and it can be tried again.
     pub fn comes_in(&mut self, served: &Served) -> bool {
         if self.0.is_none() {
             self.0 = Ear::open(served, LAST).ok();
@@ -87,7 +83,6 @@ pub fn find(node_uri: &str, topic: &str) -> io::Result<Served> {
     served.ok_or_else(|| wrong("no TCPROS"))
 }
 
-/// The place in `[code, message, [protocol, host, port]]`.
 fn place(answer: Value, topic: &str) -> Option<Served> {
     let Value::Array(answer) = answer else { return None };
     let Some(Value::Array(place)) = answer.into_iter().nth(2) else { return None };
@@ -95,7 +90,6 @@ fn place(answer: Value, topic: &str) -> Option<Served> {
     Some(Served { host: host.clone(), port: u16::try_from(*port).ok()?, topic: topic.to_owned() })
 }
 
-/// Subscribes under a name; messages follow.
 fn shake_hands(served: &Served, name: &str) -> io::Result<TcpStream> {
     let mut stream = TcpStream::connect((served.host.as_str(), served.port))?;
     stream.set_read_timeout(Some(PATIENCE))?;
@@ -121,7 +115,7 @@ fn header(fields: &[(&str, &str)]) -> Vec<u8> {
     [u32::try_from(body.len()).unwrap_or(0).to_le_bytes().as_slice(), &body].concat()
 }
 
-/// Reads over one frame, a length and as many bytes, without keeping it.
+/// Skips one frame: a length and its bytes.
 fn skip_frame(from: &mut impl Read, longest: u32) -> io::Result<()> {
     let mut length = [0; 4];
     from.read_exact(&mut length)?;

@@ -1,7 +1,4 @@
-//! Publishes topics of ROS 1 for a site of AuthROS, in a process without keys.
-//!
-//! The node is `rosrust`, whose HTTP has known advisories; what to publish comes through a pipe ([`authros_pipe`]). The
-//! site starts the program and supervises it.
+//! Publishes topics of ROS 1 for a site of AuthROS, in a process without keys: rosrust's HTTP has known advisories.
 
 use authros_pipe as pipe;
 

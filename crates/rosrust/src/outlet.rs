@@ -1,4 +1,4 @@
-//! One published topic: rosrust's publisher, and the ear that tells how far it is.
+//! One published topic, and the ear that counts what left rosrust's queue.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -11,16 +11,15 @@ use crate::error::told;
 use crate::pipe::write::Described;
 use crate::queue;
 
-/// The most messages that rosrust holds of one topic, and of more than one message the most bytes.
+/// Limits of the messages that rosrust holds of one topic; a single one may have more bytes.
 const MOST_AHEAD: usize = 64;
 const MOST_AHEAD_BYTES: usize = 4 << 20;
-/// How long the ear may take to be let in.
+/// Limit of the ear's handshake.
 const PATIENCE: Duration = Duration::from_secs(2);
-/// The name under which it counts.
 const EAR: &str = "/ear";
 
 pub struct Outlet {
-    topic: String,
+    pub topic: String,
     publisher: Publisher<RawMessage>,
     served: Served,
     ear: Ear,
@@ -40,7 +39,7 @@ impl Outlet {
             md5sum: topic.md5sum.clone(),
             msg_type: topic.type_name.clone(),
         };
-        // Without a limit of its own: it would drop the oldest.
+        // Without rosrust's own limit, which would drop the oldest.
         let publisher = ros.publish_with_description::<RawMessage>(&topic.name, 0, description);
         let mut publisher = publisher.map_err(|error| told(&error))?;
         publisher.set_latching(topic.latched);
@@ -58,28 +57,22 @@ impl Outlet {
         Ok(Self { topic, publisher, served, ear, handed, ahead, ahead_bytes, is_outrun, has_failed, last })
     }
 
-    pub fn topic(&self) -> &str {
-        &self.topic
-    }
-
-    /// Connected subscribers, without our own.
     pub fn subscribers(&self) -> Vec<String> {
         let mut names = self.publisher.subscriber_names();
         names.retain(|name| name != EAR && name != LAST);
         names
     }
 
-    /// Whether nothing is known of its messages any more.
     pub fn is_deaf(&self) -> bool {
         self.has_failed || self.ear.is_deaf()
     }
 
-    /// Whether every subscriber has the last message: one that came after it was let in. What cannot be found out is not so.
+    /// Whether every subscriber has the last message: rosrust has let in one that came after it. False in doubt.
     pub fn is_sent(&mut self) -> bool {
         self.last.comes_in(&self.served) && is_known(&self.publisher, LAST)
     }
 
-    /// What came back leaves room.
+    /// Messages that came back leave room.
     fn make_room(&mut self) {
         let waiting = usize::try_from(self.handed.saturating_sub(self.ear.heard())).unwrap_or(usize::MAX);
         while self.ahead.len() > waiting {
@@ -101,7 +94,7 @@ impl queue::Outlet for Outlet {
             return Err(message);
         }
         let message = RawMessage(message);
-        // Of one that cannot be sent nothing comes back.
+        // A message that cannot be sent never comes back.
         self.has_failed |= self.publisher.send(message).is_err();
         self.handed += 1;
         self.ahead.push_back(size);

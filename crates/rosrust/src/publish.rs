@@ -1,10 +1,9 @@
-//! Orders of the site, in their order, to the topics of the node. A topic that is taken back is gone at once, with what
-//! was queued for it.
+//! Orders of the site, in their order, for the topics of the node.
 
 use std::collections::BTreeMap;
 use std::io::{BufWriter, Read, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
 use rosrust::api::Ros;
@@ -12,25 +11,20 @@ use rosrust::api::Ros;
 use crate::RosrustError;
 use crate::error::told;
 use crate::outlet::Outlet;
-use crate::pipe::write::{Described, MOST_UNCONFIRMED, Order, Report};
-use crate::pipe::{PipeError, VERSION, receive, send};
-use crate::queue::Queue;
+use crate::pipe::write::{self, Described, Order, Report};
+use crate::pipe::{PipeError, VERSION, send};
+use crate::queue::{Queue, Taken};
 
-/// The longest wait for an order, and the longest while something is on its way.
+/// The longest wait for an order, and the longest while messages are on their way.
 const BEAT: Duration = Duration::from_millis(50);
 const SHORT_BEAT: Duration = Duration::from_millis(1);
-/// Interval between signs of life.
 const ALIVE: Duration = Duration::from_millis(500);
-/// The longest that a topic waits for its subscribers, and how often it looks.
+/// The longest wait of a topic for its subscribers, and the interval between looks.
 const PATIENCE: Duration = Duration::from_secs(2);
 const LOOK: Duration = Duration::from_millis(10);
-/// The most topics announced at once.
 const MOST_TOPICS: usize = 1024;
 
-/// Publishes as a node what the site orders, until the orders end or `stop` is set; tells whether it is confined. The graph is told on every way out.
-///
-/// # Errors
-/// [`RosrustError`] if the graph cannot be joined, the pipe breaks, or somebody ends the node.
+/// Publishes as a node until the orders end or `stop` is set. Leaves the graph on every way out.
 pub fn run(
     (node, confined): (&str, bool),
     from: impl Read + Send + 'static,
@@ -51,14 +45,11 @@ pub fn run(
     result
 }
 
-/// An order with its payload; `None` when there will be no more.
-type Arrival = Option<(Order<Described>, Vec<u8>)>;
-
 struct Child<'a, W: Write> {
     ros: Ros,
     outlets: BTreeMap<u32, Outlet>,
     queue: Queue,
-    orders: Receiver<Arrival>,
+    orders: Receiver<(Order<Described>, Vec<u8>)>,
     is_leaving: bool,
     has_left: bool,
     out: &'a mut W,
@@ -67,7 +58,10 @@ struct Child<'a, W: Write> {
 impl<'a, W: Write> Child<'a, W> {
     fn begin(node: &str, from: impl Read + Send + 'static, out: &'a mut W) -> Result<Self, RosrustError> {
         let ros = Ros::new(node).map_err(|error| RosrustError::Join(told(&error)))?;
-        let (outlets, queue, orders) = (BTreeMap::new(), Queue::default(), listen(from)?);
+        let failed =
+            |error: std::io::Error| RosrustError::System { action: "start a thread", reason: error.to_string() };
+        let orders = write::orders(from).map_err(failed)?;
+        let (outlets, queue) = (BTreeMap::new(), Queue::default());
         Ok(Self { ros, outlets, queue, orders, is_leaving: false, has_left: false, out })
     }
 
@@ -79,9 +73,8 @@ impl<'a, W: Write> Child<'a, W> {
             if !self.take_orders()? || stop.load(Ordering::Acquire) {
                 return Ok(());
             }
-            let taken = self.queue.pump(&mut self.outlets);
-            if taken.messages > 0 {
-                let (messages, dropped) = (taken.messages, taken.dropped);
+            let Taken { messages, dropped } = self.queue.pump(&mut self.outlets);
+            if messages > 0 {
                 send(self.out, &Report::Taken { messages, dropped, unacknowledged: 0, unconfirmed: 0 }, &[])?;
             }
             self.leave()?;
@@ -94,32 +87,23 @@ impl<'a, W: Write> Child<'a, W> {
         }
     }
 
-    /// Whether the node is still what it was.
     fn look(&self) -> Result<(), RosrustError> {
         if !self.ros.is_ok() {
             return Err(RosrustError::ShutDown);
         }
-        match self.outlets.values().find(|outlet| outlet.is_deaf()) {
-            Some(deaf) => Err(RosrustError::Deaf(deaf.topic().to_owned())),
-            None => Ok(()),
-        }
+        let deaf = self.outlets.values().find(|outlet| outlet.is_deaf());
+        deaf.map_or(Ok(()), |deaf| Err(RosrustError::Deaf(deaf.topic.clone())))
     }
 
-    /// Takes all orders that are there; false if there will be no more.
     fn take_orders(&mut self) -> Result<bool, RosrustError> {
         let waits = !self.queue.is_empty() || self.is_leaving && !self.has_left;
-        let mut next = match self.orders.recv_timeout(if waits { SHORT_BEAT } else { BEAT }) {
-            Ok(next) => next,
-            Err(RecvTimeoutError::Timeout) => return Ok(true),
-            Err(RecvTimeoutError::Disconnected) => None,
-        };
+        let mut patience = if waits { SHORT_BEAT } else { BEAT };
         loop {
-            let Some((order, payload)) = next else { return Ok(false) };
-            self.take_order(order, payload)?;
-            next = match self.orders.try_recv() {
-                Ok(next) => next,
-                Err(_) => return Ok(true),
-            };
+            match self.orders.recv_timeout(patience) {
+                Ok((order, payload)) => self.take_order(order, payload)?,
+                Err(error) => return Ok(error == RecvTimeoutError::Timeout),
+            }
+            patience = Duration::ZERO;
         }
     }
 
@@ -139,7 +123,7 @@ impl<'a, W: Write> Child<'a, W> {
                 send(self.out, &report, &[])?;
             }
             Order::Publish { writer } => self.queue.push(writer, payload),
-            // Its subscribers are cut off first; then the master is told.
+            // Cuts off its subscribers first; then the master is told.
             Order::Withdraw { writer } => drop(self.outlets.remove(&writer)),
             Order::Outrun => self.queue.outrun(&mut self.outlets),
             Order::Leave => self.is_leaving = true,
@@ -151,17 +135,16 @@ impl<'a, W: Write> Child<'a, W> {
         if self.outlets.len() >= MOST_TOPICS {
             return Err(format!("{MOST_TOPICS} topics are announced already"));
         }
-        if self.outlets.values().any(|outlet| outlet.topic() == topic.name) {
+        if self.outlets.values().any(|outlet| outlet.topic == topic.name) {
             return Err("the topic is announced already".to_owned());
         }
         let definition = String::from_utf8(definition).map_err(|_| "its definition is no text".to_owned())?;
         Outlet::begin(&self.ros, topic, definition)
     }
 
-    /// Waits for the subscribers that the master knows.
     fn welcome(&self, outlet: &Outlet) {
         let Ok(state) = self.ros.state() else { return };
-        let known = state.subscribers.into_iter().find(|topic| topic.name == outlet.topic());
+        let known = state.subscribers.into_iter().find(|topic| topic.name == outlet.topic);
         let known = known.map(|topic| topic.connections).unwrap_or_default();
         let begun = Instant::now();
         while begun.elapsed() < PATIENCE {
@@ -190,22 +173,4 @@ impl<'a, W: Write> Child<'a, W> {
         self.outlets.clear();
         self.ros.shutdown_sender().shutdown();
     }
-}
-
-/// Reads orders in a thread of its own.
-fn listen(mut from: impl Read + Send + 'static) -> Result<Receiver<Arrival>, RosrustError> {
-    let (sender, receiver) = sync_channel(4 * MOST_UNCONFIRMED);
-    let read = move || {
-        loop {
-            let order = receive::<Order<Described>>(&mut from).ok().flatten();
-            let ended = order.is_none();
-            if sender.send(order).is_err() || ended {
-                break;
-            }
-        }
-    };
-    let started = std::thread::Builder::new().name("orders".into()).spawn(read);
-    let failed = |error: std::io::Error| RosrustError::System { action: "start a thread", reason: error.to_string() };
-    started.map_err(failed)?;
-    Ok(receiver)
 }

@@ -1,36 +1,32 @@
-//! Messages on their way, oldest first. Nothing overtakes, so the order of all topics is that of the site. rosrust's own
-//! queue drops the oldest without a word: it is never given more than a little at a time.
+//! Messages on their way, oldest first; nothing overtakes, over all topics. rosrust's own queue silently drops the
+//! oldest, so it gets little at a time.
 
 use std::collections::{BTreeMap, VecDeque};
 
-/// What can be written to.
 pub trait Outlet {
-    /// Hands a message on; returns its number, from 1.
+    /// Passes a message on; returns its number, from 1.
     fn attempt(&mut self, message: Vec<u8>) -> Result<u64, Vec<u8>>;
-    /// The number of the last message that left.
+    /// Number of the last message that left.
     fn left(&self) -> u64;
-    /// Whether all messages have left.
     fn has_caught_up(&self) -> bool;
-    /// Whether its subscribers are no longer waited for.
     fn is_outrun(&self) -> bool;
     fn outrun(&mut self, is_outrun: bool);
 }
 
-/// What has left the queue.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Taken {
     pub messages: u32,
-    /// Of these the ones that a subscriber did not get, or perhaps not, because it read too slowly.
+    /// Of these, not or perhaps not received by a subscriber that read too slowly.
     pub dropped: u32,
 }
 
-/// A message that was taken from the queue.
+/// A message taken from the queue.
 enum Fate {
-    /// Handed on under this number.
+    /// Passed on under this number.
     Handed(u32, u64),
-    /// Not handed on: its topic is no more.
+    /// Not passed on: its topic is gone.
     Gone,
-    /// Not handed on: a subscriber is behind.
+    /// Not passed on: a subscriber is behind.
     Dropped,
 }
 
@@ -41,24 +37,22 @@ pub struct Queue {
 }
 
 impl Queue {
-    /// Whether everything has left.
     pub fn is_empty(&self) -> bool {
         self.waiting.is_empty() && self.underway.is_empty()
     }
 
-    /// Adds a message for an outlet.
     pub fn push(&mut self, writer: u32, message: Vec<u8>) {
         self.waiting.push_back((writer, message));
     }
 
-    /// Subscribers that are behind are no longer waited for.
+    /// Stops waiting for subscribers that are behind.
     pub fn outrun<O: Outlet>(&self, outlets: &mut BTreeMap<u32, O>) {
         for outlet in outlets.values_mut() {
             outlet.outrun(!outlet.has_caught_up());
         }
     }
 
-    /// Passes on what it can, and reports what has left.
+    /// Passes on what it can, and counts what left.
     pub fn pump<O: Outlet>(&mut self, outlets: &mut BTreeMap<u32, O>) -> Taken {
         for outlet in outlets.values_mut() {
             if outlet.is_outrun() && outlet.has_caught_up() {
@@ -91,7 +85,7 @@ impl Queue {
                 Fate::Handed(writer, number) => match outlets.get(writer) {
                     None => false,
                     Some(outlet) if outlet.left() >= *number => false,
-                    // It is with rosrust, which may send it yet.
+                    // rosrust has it and may still send it.
                     Some(outlet) if outlet.is_outrun() => true,
                     Some(_) => break,
                 },

@@ -1,7 +1,4 @@
-//! rosbag 2.0: read as far as a bag is readable, written so that the real `rosbag` accepts it.
-//!
-//! The index is optional: chunks are read in file order, and a damaged one is skipped and reported. Where there is an index, it
-//! must agree with the messages. Format:
+//! rosbag 2.0: damaged chunks are skipped and reported; an index, if any, must agree with the messages. Format:
 //! <http://wiki.ros.org/Bags/Format/2.0>. The content of a bag is untrusted.
 
 mod reader;
@@ -20,16 +17,14 @@ use crate::ros::tcpros::LONGEST_MESSAGE;
 
 pub use reader::BagReader;
 
-/// The start of every bag.
 pub(super) const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
 
-/// The longest header of a record, bytes: the fields of a bag's own records are short.
+/// A bag's own records have short fields, bytes.
 const LONGEST_HEADER: usize = 64 * 1024;
 
-/// The longest data of a connection record, bytes: it holds a definition.
+/// It holds a definition, bytes.
 const LONGEST_CONNECTION: usize = 2 << 20;
 
-/// The kind of a record (its field `op`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, strum::FromRepr)]
 #[repr(u8)]
 enum Op {
@@ -41,14 +36,11 @@ enum Op {
     Connection = 7,
 }
 
-/// The fields of a header, as slices of its bytes.
 #[derive(Debug, Clone, PartialEq, Eq)]
-struct Fields<'a> {
-    fields: Vec<(&'a [u8], &'a [u8])>,
-}
+struct Fields<'a>(Vec<(&'a [u8], &'a [u8])>);
 
 impl<'a> Fields<'a> {
-    /// Parses a whole header; `None` if the bytes are not exactly fields.
+    /// `None` if the bytes are not exactly fields.
     pub fn parse(mut bytes: &'a [u8]) -> Option<Self> {
         let mut fields = Vec::new();
         while !bytes.is_empty() {
@@ -57,11 +49,11 @@ impl<'a> Fields<'a> {
             fields.push((field.get(..equals)?, field.get(equals + 1..)?));
             bytes = rest;
         }
-        Some(Self { fields })
+        Some(Self(fields))
     }
 
     pub fn bytes(&self, name: &str) -> Option<&'a [u8]> {
-        self.fields.iter().find(|(field, _)| *field == name.as_bytes()).map(|(_, value)| *value)
+        self.0.iter().find(|(field, _)| *field == name.as_bytes()).map(|(_, value)| *value)
     }
 
     pub fn text(&self, name: &str) -> Option<Arc<str>> {
@@ -84,31 +76,26 @@ impl<'a> Fields<'a> {
         Some(Timestamp(u64::from(seconds) * 1_000_000_000 + u64::from(nanoseconds)))
     }
 
-    /// The fields of a connection's header that a channel has no field for.
     fn others(&self) -> impl Iterator<Item = (Arc<str>, Arc<str>)> {
         let text = |bytes: &[u8]| -> Arc<str> { String::from_utf8_lossy(bytes).into() };
-        let others = self.fields.iter().map(move |(name, value)| (text(name), text(value)));
+        let others = self.0.iter().map(move |(name, value)| (text(name), text(value)));
         others.filter(|(name, _)| !OWN.contains(&&**name) && &**name != BAG_TOPIC)
     }
 
     pub fn op(&self) -> Option<Op> {
-        match self.bytes("op")? {
-            [code] => Op::from_repr(*code),
-            _ => None,
-        }
+        let [code] = self.bytes("op")? else { return None };
+        Op::from_repr(*code)
     }
 }
 
-/// A length and that many bytes; then the rest.
 fn sized(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     let (length, rest) = bytes.split_first_chunk::<4>()?;
     rest.split_at_checked(usize::try_from(u32::from_le_bytes(*length)).ok()?)
 }
 
-/// Fields of a connection's header that a channel has fields for.
+/// Fields that a channel has fields for.
 const OWN: [&str; 6] = ["topic", "type", "md5sum", "message_definition", "callerid", "latching"];
 
-/// A connection record: its number, its description of the publisher, and whether all of it is kept.
 fn connection(fields: &Fields<'_>, data: &[u8]) -> Option<(u32, Channel, bool)> {
     let about = Fields::parse(data)?;
     let topic = fields.text("topic")?;
@@ -132,7 +119,6 @@ fn connection(fields: &Fields<'_>, data: &[u8]) -> Option<(u32, Channel, bool)> 
     Some((fields.u32("conn")?, channel, is_whole))
 }
 
-/// Appends a header of fields with its length.
 fn put_fields(out: &mut Vec<u8>, fields: &[(&str, &[u8])]) {
     let length: usize = fields.iter().map(|(name, value)| 4 + name.len() + 1 + value.len()).sum();
     put_length(out, length);
@@ -144,53 +130,40 @@ fn put_fields(out: &mut Vec<u8>, fields: &[(&str, &[u8])]) {
     }
 }
 
-/// Appends a length; nothing here is longer than the format's 32 bits.
+/// Nothing written here is longer than the format's 32 bits.
 fn put_length(out: &mut Vec<u8>, length: usize) {
     out.extend_from_slice(&u32::try_from(length).unwrap_or(u32::MAX).to_le_bytes());
 }
 
-/// Appends a connection record.
 fn put_connection(out: &mut Vec<u8>, number: u32, channel: &Channel) {
     let number = number.to_le_bytes();
     put_fields(out, &[("op", &[Op::Connection as u8]), ("conn", &number), ("topic", channel.topic.as_bytes())]);
     let named = channel.about.get(BAG_TOPIC).unwrap_or(&channel.topic);
     let mut about: Vec<(&str, &[u8])> = Vec::with_capacity(8);
-    if !named.is_empty() {
-        about.push(("topic", named.as_bytes()));
-    }
+    about.extend((!named.is_empty()).then_some(("topic", named.as_bytes())));
     about.extend([
         ("type", channel.type_name.as_bytes()),
         ("md5sum", channel.md5sum.as_bytes()),
         ("message_definition", channel.definition.as_bytes()),
     ]);
-    if !channel.caller_id.is_empty() {
-        about.push(("callerid", channel.caller_id.as_bytes()));
-    }
-    match channel.about.get("latching") {
-        Some(value) => about.push(("latching", value.as_bytes())),
-        None if channel.latching => about.push(("latching", b"1")),
-        None => {}
-    }
+    about.extend((!channel.caller_id.is_empty()).then_some(("callerid", channel.caller_id.as_bytes())));
+    let latching = channel.about.get("latching").map(|value| &**value).or(channel.latching.then_some("1"));
+    about.extend(latching.map(|value| ("latching", value.as_bytes())));
     let is_writable = |name: &str| !OWN.contains(&name) && name != BAG_TOPIC && !name.is_empty() && !name.contains('=');
     let others = channel.about.iter().filter(|(name, _)| is_writable(name));
     about.extend(others.map(|(name, value)| (&**name, value.as_bytes())));
     put_fields(out, &about);
 }
 
-/// A time in the format of a bag.
 fn time_bytes(time: Timestamp) -> [u8; 8] {
-    let seconds = u32::try_from(time.0 / 1_000_000_000).unwrap_or(u32::MAX).to_le_bytes();
-    let nanoseconds = u32::try_from(time.0 % 1_000_000_000).unwrap_or(0).to_le_bytes();
-    let mut bytes = [0; 8];
-    bytes[..4].copy_from_slice(&seconds);
-    bytes[4..].copy_from_slice(&nanoseconds);
-    bytes
+    let seconds = u32::try_from(time.0 / 1_000_000_000).unwrap_or(u32::MAX);
+    let nanoseconds = u32::try_from(time.0 % 1_000_000_000).unwrap_or(0);
+    ((u64::from(nanoseconds) << 32) | u64::from(seconds)).to_le_bytes()
 }
 
-/// The bag's header with its padding, without lengths.
+/// With its padding, without lengths.
 const HEADER_LENGTH: usize = 4096;
 
-/// The position of a chunk and what it holds.
 #[derive(Debug)]
 struct ChunkInfo {
     position: u64,
@@ -198,7 +171,6 @@ struct ChunkInfo {
     counts: Vec<(u32, u32)>,
 }
 
-/// Writes a bag of version 2.0.
 #[derive(Debug)]
 pub struct BagWriter<W> {
     out: W,
@@ -208,16 +180,11 @@ pub struct BagWriter<W> {
     connections: Vec<Arc<Channel>>,
     chunk: Vec<u8>,
     span: Option<(Timestamp, Timestamp)>,
-    /// Time and offset of each message of the chunk, by connection.
     index: BTreeMap<u32, Vec<(Timestamp, usize)>>,
     chunks: Vec<ChunkInfo>,
 }
 
 impl<W: Write + Seek> BagWriter<W> {
-    /// Starts a bag.
-    ///
-    /// # Errors
-    /// [`RosError::Recording`] if it cannot be written, or bags do not use this compression.
     pub fn begin(out: W, compression: ChunkCompression) -> Result<Self, RosError> {
         if !RecordingFormat::Bag.takes(compression) {
             return Err(RosError::recording(&format!("a bag cannot be compressed with {compression}")));
@@ -239,15 +206,11 @@ impl<W: Write + Seek> BagWriter<W> {
     }
 
     fn put(&mut self, bytes: &[u8]) -> Result<(), RosError> {
-        self.out.write_all(bytes).map_err(|error| RosError::unwritable(&error))?;
+        self.out.write_all(bytes).map_err(RosError::unwritable)?;
         self.position += bytes.len() as u64;
         Ok(())
     }
 
-    /// Writes one message; its time is kept to the nanosecond.
-    ///
-    /// # Errors
-    /// [`RosError::Recording`] if it cannot be written, is too large, or is not a ROS 1 message.
     pub fn write(&mut self, channel: &Arc<Channel>, time: Timestamp, body: &[u8]) -> Result<(), RosError> {
         if channel.encoding != Encoding::Ros1 {
             return Err(RosError::recording("a bag can only hold ROS 1 messages; write MCAP instead"));
@@ -266,7 +229,6 @@ impl<W: Write + Seek> BagWriter<W> {
         if self.chunk.len() >= CHUNK_THRESHOLD { self.end_chunk() } else { Ok(()) }
     }
 
-    /// The number of a connection; the record of a new one goes into the chunk first.
     fn number(&mut self, channel: &Arc<Channel>) -> Result<u32, RosError> {
         if let Some(number) = self.numbers.get(channel) {
             return Ok(*number);
@@ -284,11 +246,10 @@ impl<W: Write + Seek> BagWriter<W> {
     fn end_chunk(&mut self) -> Result<(), RosError> {
         let Some(span) = self.span.take() else { return Ok(()) };
         debug_assert!(self.chunk.len() <= LARGEST_CHUNK, "a message and less than the threshold before it");
-        let size = self.chunk.len();
         let packed = pack(self.compression, &self.chunk).map_err(|error| RosError::recording(&error))?;
         let position = self.position;
         let mut head = Vec::with_capacity(64);
-        let size = u32::try_from(size).unwrap_or(u32::MAX).to_le_bytes();
+        let size = u32::try_from(self.chunk.len()).unwrap_or(u32::MAX).to_le_bytes();
         let compression = self.compression.word().as_bytes();
         put_fields(&mut head, &[("op", &[Op::Chunk as u8]), ("compression", compression), ("size", &size)]);
         put_length(&mut head, packed.len());
@@ -332,11 +293,10 @@ impl<W: Write + Seek> BagWriter<W> {
             self.chunks.push(info);
         }
         let header = bag_header(index_position, self.numbers.len(), self.chunks.len());
-        let seek = self.out.seek(SeekFrom::Start(MAGIC.len() as u64));
-        seek.map_err(|error| RosError::unwritable(&error))?;
+        self.out.seek(SeekFrom::Start(MAGIC.len() as u64)).map_err(RosError::unwritable)?;
         self.put(&header)?;
-        self.out.seek(SeekFrom::End(0)).map_err(|error| RosError::unwritable(&error))?;
-        self.out.flush().map_err(|error| RosError::unwritable(&error))?;
+        self.out.seek(SeekFrom::End(0)).map_err(RosError::unwritable)?;
+        self.out.flush().map_err(RosError::unwritable)?;
         Ok(self.out)
     }
 }

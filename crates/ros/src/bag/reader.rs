@@ -1,5 +1,5 @@
-//! Reads a bag chunk by chunk, in file order. A chunk is decompressed and its checksum compared before any of its
-//! messages is returned; a damaged one is skipped as a whole.
+//! Reads a bag chunk by chunk, in file order. A chunk is unpacked and checked before any of its messages is returned; a
+//! damaged one is skipped as a whole.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::io::{self, BufRead, Read, Seek, SeekFrom};
@@ -9,43 +9,34 @@ use super::{Fields, LONGEST_CONNECTION, LONGEST_HEADER, MAGIC, Op, connection, s
 use crate::ros::RosError;
 use crate::ros::recording::{
     Channel, Chunk, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage,
-    RecordingReader, TOO_LARGE, go_to, read_at, unpack,
+    RecordingFormat, RecordingReader, TOO_LARGE, go_to, read_at, unpack,
 };
 use crate::ros::tcpros::LONGEST_MESSAGE;
 
-/// The most positions of chunks that are remembered from the index.
+/// Limit of chunk positions kept from the index.
 const MOST_PLACES: usize = 1 << 20;
 
-/// What is at a position of the file.
 enum Found {
-    /// A record: the end of its header, and the length of its data.
-    Record {
-        header: Vec<u8>,
-        data: u64,
-        length: u64,
-    },
+    Record { header: Vec<u8>, data: u64, length: u64 },
     End,
     Damage(&'static str),
 }
 
-/// Reads a bag of version 2.0. `R` should be buffered.
 #[derive(Debug)]
 pub struct BagReader<R> {
     file: R,
     length: u64,
-    /// Where the next record begins.
     position: u64,
     chunk: Chunk,
-    /// The messages of the chunk read last, if it was whole, until its index is met.
+    /// Messages of the last whole chunk, until its index is met.
     chunk_messages: Option<ChunkMessages>,
-    /// Where chunks begin that were not met yet, according to the index at the end.
+    /// Chunks not met yet, by the index at the end.
     places: BTreeSet<u64>,
     connections: HashMap<u32, Arc<Channel>>,
     connection_bytes: usize,
     findings: Findings,
-    /// How many messages the index counts, if it is complete.
+    /// How many messages a complete index counts.
     counted: Option<u64>,
-    /// How many were found.
     met: u64,
     ended: bool,
 }
@@ -64,8 +55,9 @@ impl<R: BufRead + Seek> RecordingReader for BagReader<R> {
                 self.findings.compare(self.length, "messages", self.counted.take(), self.met);
                 return Ok(None);
             }
-            if let Some(message) = self.advance().map_err(|error| RosError::unreadable(&error))? {
-                return Ok(Some(message));
+            let outside = self.advance().map_err(RosError::unreadable)?;
+            if outside.is_some() {
+                return Ok(outside);
             }
         }
     }
@@ -80,17 +72,9 @@ impl<R: BufRead + Seek> RecordingReader for BagReader<R> {
 }
 
 impl<R: BufRead + Seek> BagReader<R> {
-    /// Starts reading a bag.
-    ///
-    /// # Errors
-    /// [`RosError::Recording`] if it cannot be read, is not a bag of version 2.0, or is encrypted.
     pub fn open(mut file: R) -> Result<Self, RosError> {
-        let length = file.seek(SeekFrom::End(0)).map_err(|error| RosError::unreadable(&error))?;
-        file.seek(SeekFrom::Start(0)).map_err(|error| RosError::unreadable(&error))?;
-        let mut magic = Vec::new();
-        let read = file.by_ref().take(MAGIC.len() as u64).read_to_end(&mut magic);
-        read.map_err(|error| RosError::unreadable(&error))?;
-        if magic != MAGIC {
+        let length = file.seek(SeekFrom::End(0)).map_err(RosError::unreadable)?;
+        if read_at(&mut file, 0, MAGIC.len() as u64).map_err(RosError::unreadable)? != MAGIC {
             return Err(RosError::recording("it does not start like a bag of version 2.0"));
         }
         let mut reader = Self {
@@ -111,10 +95,11 @@ impl<R: BufRead + Seek> BagReader<R> {
         Ok(reader)
     }
 
-    /// The connections listed in the index at the end: a damaged chunk may have held the only other copy.
+    /// A damaged chunk may have held the only other copy of these connections.
     fn read_index(&mut self) -> Result<(), RosError> {
-        let unreadable = |error: std::io::Error| RosError::unreadable(&error);
-        let Found::Record { header, .. } = self.look(self.position).map_err(unreadable)? else { return Ok(()) };
+        let Found::Record { header, .. } = self.look(self.position).map_err(RosError::unreadable)? else {
+            return Ok(());
+        };
         let Some(fields) = Fields::parse(&header).filter(|fields| fields.op() == Some(Op::BagHeader)) else {
             return Ok(());
         };
@@ -129,11 +114,11 @@ impl<R: BufRead + Seek> BagReader<R> {
             self.findings.note(self.length, &format!("the bag is cut off: its index should start at byte {at}"));
         }
         let mut counted = 0_u64;
-        while let Found::Record { header, data, length } = self.look(at).map_err(unreadable)? {
+        while let Found::Record { header, data, length } = self.look(at).map_err(RosError::unreadable)? {
             let Some(fields) = Fields::parse(&header) else { return Ok(()) };
             let is_sound = match fields.op() {
                 Some(Op::ChunkInfo) => {
-                    counted += self.counted_in(data, length).map_err(unreadable)?;
+                    counted += self.counted_in(data, length).map_err(RosError::unreadable)?;
                     self.counted = (data + length == self.length).then_some(counted);
                     let place = chunk_position(&fields, length);
                     self.places.extend(place.filter(|_| self.places.len() < MOST_PLACES));
@@ -141,7 +126,7 @@ impl<R: BufRead + Seek> BagReader<R> {
                 }
                 Some(Op::Connection) => {
                     let most = length.min(LONGEST_CONNECTION as u64 + 1);
-                    let bytes = read_at(&mut self.file, data, most).map_err(unreadable)?;
+                    let bytes = read_at(&mut self.file, data, most).map_err(RosError::unreadable)?;
                     self.learn(&fields, &bytes)
                 }
                 _ => break,
@@ -159,15 +144,14 @@ impl<R: BufRead + Seek> BagReader<R> {
         Ok(())
     }
 
-    /// How many messages a chunk holds, by its index: pairs of connection and count.
     fn counted_in(&mut self, data: u64, length: u64) -> std::io::Result<u64> {
         let bytes = read_at(&mut self.file, data, length.min(8 * MOST_CHANNELS as u64))?;
         let counts = bytes.chunks_exact(8).filter_map(|pair| pair.last_chunk::<4>());
         Ok(counts.map(|count| u64::from(u32::from_le_bytes(*count))).sum())
     }
 
-    /// Adds a connection; `false` if it is damaged. If a number is described twice, the later description counts from there
-    /// on, and is damage if it differs: rosbag goes by the index alone, so the number would stand for two things.
+    /// `false` if it is damaged. A number described twice means the later description from there on; a different one is
+    /// damage: rosbag reads the index alone, so the number would stand for two things.
     fn learn(&mut self, fields: &Fields<'_>, data: &[u8]) -> bool {
         let Some((number, channel, is_whole)) = connection(fields, data).filter(|_| data.len() <= LONGEST_CONNECTION)
         else {
@@ -195,7 +179,6 @@ impl<R: BufRead + Seek> BagReader<R> {
         true
     }
 
-    /// The record at a position, without its data.
     fn look(&mut self, at: u64) -> std::io::Result<Found> {
         let left = self.length.saturating_sub(at);
         if left == 0 {
@@ -221,7 +204,7 @@ impl<R: BufRead + Seek> BagReader<R> {
         Ok(bytes.first_chunk().map(|bytes| u64::from(u32::from_le_bytes(*bytes))))
     }
 
-    /// Reads the next record of the file: fills the chunk, or returns a message outside any chunk.
+    /// Fills the chunk, or returns a message outside any chunk.
     fn advance(&mut self) -> std::io::Result<Option<RecordedMessage>> {
         let start = self.position;
         let (header, data, length) = match self.look(start)? {
@@ -266,7 +249,7 @@ impl<R: BufRead + Seek> BagReader<R> {
         Ok(None)
     }
 
-    /// The index of one connection behind a chunk must be of the chunk's messages.
+    /// The index behind a chunk must be of its messages.
     fn read_index_record(&mut self, fields: &Fields<'_>, start: u64, data: u64) -> std::io::Result<()> {
         let version = fields.u32("ver").filter(|version| *version == 1);
         let Some((connection, count)) = version.and(fields.u32("conn")).zip(fields.u32("count")) else {
@@ -296,7 +279,7 @@ impl<R: BufRead + Seek> BagReader<R> {
         Ok(())
     }
 
-    /// No index of the last chunk follows. A recorder that was killed may not have come to write it.
+    /// The last chunk has no further index: a killed recorder may not have written it.
     fn end_chunk_messages(&mut self, at: u64) {
         let left = self.chunk_messages.take().and_then(|messages| messages.left());
         if let Some(connection) = left.filter(|_| !self.findings.unfinished) {
@@ -322,7 +305,7 @@ impl<R: BufRead + Seek> BagReader<R> {
         Some(RecordedMessage { channel: Arc::clone(channel), time, sent: None, body })
     }
 
-    /// Continues at the next chunk after `from`; what lies between is reported as skipped.
+    /// Continues at the next chunk after `from`, and reports the skipped part.
     fn search(&mut self, damaged: u64, from: u64, why: &str) -> std::io::Result<()> {
         self.chunk_messages = None;
         let next = next_chunk(&mut self.file, from)?;
@@ -366,23 +349,14 @@ impl<R: BufRead + Seek> BagReader<R> {
             self.chunk_messages = Some(ChunkMessages::default());
             return Ok(());
         }
-        if missing && !self.is_followed(data)? {
+        if missing && next_chunk(&mut self.file, data)?.is_none() {
             self.findings.note(start, "the bag ends in the middle of a chunk; everything before that was read");
             self.position = self.length;
             return Ok(());
         }
         let why = unpacked.err().unwrap_or_else(|| format!("it does not unpack to {size} bytes"));
         self.chunk.bytes.clear();
-        self.skip_chunk(start, data, &why)
-    }
-
-    /// Whether another chunk begins after `from`, so that the length read there is wrong.
-    fn is_followed(&mut self, from: u64) -> std::io::Result<bool> {
-        next_chunk(&mut self.file, from).map(|next| next.is_some())
-    }
-
-    /// A damaged chunk: continues after it if a record begins there, otherwise at the next chunk found.
-    fn skip_chunk(&mut self, start: u64, data: u64, why: &str) -> std::io::Result<()> {
+        // Continues behind the damaged chunk if a record begins there, otherwise at the next chunk.
         if self.position <= self.length && !matches!(self.look(self.position)?, Found::Damage(_)) {
             let skipped = self.position - start;
             self.findings.note(start, &format!("a damaged chunk of {skipped} bytes was skipped: {why}"));
@@ -394,8 +368,8 @@ impl<R: BufRead + Seek> BagReader<R> {
     fn next_in_chunk(&mut self) -> Option<RecordedMessage> {
         while self.chunk.at < self.chunk.bytes.len() {
             let chunk = std::mem::take(&mut self.chunk);
-            let record = chunk.bytes.get(chunk.at..).and_then(record_in);
-            let Some((header, data, used)) = record else {
+            let record = chunk.bytes.get(chunk.at..).and_then(sized);
+            let Some((header, (data, rest))) = record.and_then(|(header, rest)| Some((header, sized(rest)?))) else {
                 self.end_chunk(chunk);
                 return None;
             };
@@ -409,7 +383,7 @@ impl<R: BufRead + Seek> BagReader<R> {
                 Some((Some(Op::Connection), fields)) if self.learn(&fields, data) => Some(None),
                 _ => None,
             };
-            let at = chunk.at + used;
+            let at = chunk.bytes.len() - rest.len();
             let Some(message) = found else {
                 self.end_chunk(chunk);
                 return None;
@@ -422,28 +396,19 @@ impl<R: BufRead + Seek> BagReader<R> {
         None
     }
 
-    /// The rest of a chunk cannot be read.
     fn end_chunk(&mut self, chunk: Chunk) {
         self.chunk_messages = None;
         self.chunk = chunk.end(&mut self.findings, "bag");
     }
 }
 
-/// Header, data and length of the record at the start of the bytes.
-fn record_in(bytes: &[u8]) -> Option<(&[u8], &[u8], usize)> {
-    let (header, rest) = sized(bytes)?;
-    let (data, rest) = sized(rest)?;
-    Some((header, data, bytes.len() - rest.len()))
-}
-
-/// Bytes of an entry: a time, and the message's offset in its chunk.
 const ENTRY: usize = 12;
 
-/// The messages of a chunk, or an index's entries, of one connection; in any order.
+/// Messages of one connection in a chunk, or its index entries; in any order.
 #[derive(Debug, Default, Clone, Copy, PartialEq, Eq)]
 struct Entries {
     count: u64,
-    /// Of their digests, which are no secret: who forges a bag can forge its index as well.
+    /// Sum of their digests, which are no secret: a forger of a bag can forge its index as well.
     sum: u64,
 }
 
@@ -456,7 +421,7 @@ impl Entries {
     }
 }
 
-/// Spreads a number over all bits (SplitMix64), so that sums of different entries differ.
+/// SplitMix64, so that sums of different entries differ.
 fn mixed(number: u64) -> u64 {
     let number = number.wrapping_add(0x9e37_79b9_7f4a_7c15);
     let number = (number ^ (number >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -464,42 +429,36 @@ fn mixed(number: u64) -> u64 {
     number ^ (number >> 31)
 }
 
-/// The messages of the chunk that was read last, by connection, without those whose index was met.
 #[derive(Debug, Default)]
-pub(super) struct ChunkMessages {
-    of: BTreeMap<u32, Entries>,
-}
+pub(super) struct ChunkMessages(BTreeMap<u32, Entries>);
 
 impl ChunkMessages {
-    /// Adds a message that begins at this offset of its chunk.
     pub fn add(&mut self, fields: &Fields<'_>, offset: usize) {
         let time: Option<[u8; 8]> = fields.bytes("time").and_then(|bytes| bytes.try_into().ok());
         let (Some(connection), Some(time)) = (fields.u32("conn"), time) else { return };
         let mut entry = [0; ENTRY];
         entry[..8].copy_from_slice(&time);
         entry[8..].copy_from_slice(&u32::try_from(offset).unwrap_or(u32::MAX).to_le_bytes());
-        self.of.entry(connection).or_default().add(entry);
+        self.0.entry(connection).or_default().add(entry);
     }
 
-    /// How many messages of a connection there are.
     pub fn count(&self, connection: u32) -> u64 {
-        self.of.get(&connection).map_or(0, |entries| entries.count)
+        self.0.get(&connection).map_or(0, |entries| entries.count)
     }
 
-    /// Whether the entries of a connection's index are its messages; these are then done with.
+    /// Whether the connection's index has exactly its messages; these are then done.
     pub fn take(&mut self, connection: u32, index: &[u8]) -> bool {
         let mut entries = Entries::default();
         index.as_chunks::<ENTRY>().0.iter().for_each(|entry| entries.add(*entry));
-        self.of.remove(&connection).unwrap_or_default() == entries
+        self.0.remove(&connection).unwrap_or_default() == entries
     }
 
-    /// A connection whose index was not met.
     pub fn left(&self) -> Option<u32> {
-        self.of.keys().next().copied()
+        self.0.keys().next().copied()
     }
 }
 
-/// The position that the index at the end gives for a chunk; `None` if it is not as rosbag writes it.
+/// A chunk's position by the index at the end; `None` if it is not as rosbag writes it.
 fn chunk_position(fields: &Fields<'_>, length: u64) -> Option<u64> {
     let is_whole = fields.u32("ver") == Some(1)
         && fields.u32("count").is_some_and(|count| u64::from(count) * 8 == length)
@@ -513,22 +472,16 @@ const MARK: &[u8] = b"\x04\0\0\0op=\x05";
 /// The greatest distance from the start of a chunk record to the mark, bytes.
 const LONGEST_LEAD: u64 = 64;
 
-/// The longest chunk header searched for, bytes.
 const LONGEST: usize = 128;
 
 const WINDOW: usize = 64 * 1024;
 
-/// The compression of a chunk, from its header; `None` if it is unknown.
 fn chunk_compression(fields: &Fields<'_>) -> Option<ChunkCompression> {
-    match fields.bytes("compression")? {
-        b"none" => Some(ChunkCompression::None),
-        b"bz2" => Some(ChunkCompression::Bz2),
-        b"lz4" => Some(ChunkCompression::Lz4),
-        _ => None,
-    }
+    let word = std::str::from_utf8(fields.bytes("compression")?).ok()?;
+    word.parse().ok().filter(|compression| RecordingFormat::Bag.takes(*compression))
 }
 
-/// The first position at or after `from` where a chunk record begins.
+/// The first chunk record at or after `from`.
 fn next_chunk(file: &mut (impl Read + Seek), from: u64) -> io::Result<Option<u64>> {
     let mut at = from;
     let mut window = Vec::with_capacity(WINDOW);
@@ -549,7 +502,6 @@ fn next_chunk(file: &mut (impl Read + Seek), from: u64) -> io::Result<Option<u64
     }
 }
 
-/// The start of the chunk record whose mark is at `mark`.
 fn start_of_chunk(file: &mut (impl Read + Seek), from: u64, mark: u64) -> io::Result<Option<u64>> {
     let first = from.max(mark.saturating_sub(LONGEST_LEAD));
     let mut bytes = Vec::with_capacity(LONGEST * 2);

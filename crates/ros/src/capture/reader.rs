@@ -1,10 +1,10 @@
-//! The thread that reads one publisher: requests the topic, connects, shakes hands, and passes every message on; after
-//! a loss it tries again for as long as the master lists the publisher.
+//! One thread for each publisher: after a loss it tries again while the master lists the publisher.
 
 use std::collections::BTreeSet;
 use std::io;
 use std::net::TcpStream;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use super::topic::{Origin, Publisher, Sequence, Topic, header_seq, host_of};
@@ -16,31 +16,30 @@ use crate::ros::message::Definition;
 use crate::ros::tcpros::{ConnectionHeader, FrameReader, LONGEST_HEADER, LONGEST_MESSAGE, Poll};
 use crate::ros::xmlrpc::{CallError, Value, call};
 
-/// The longest that each of requesting, connecting and shaking hands may take.
+/// Limit of each of requesting, connecting and shaking hands.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// How long a read waits before checking whether the topic has ended.
+/// Interval between checks whether the topic has ended.
 const TICK: Duration = Duration::from_millis(250);
 
-/// After this long without a message the publisher's host is checked for life.
+/// Silence after which the publisher's host is checked for life.
 const SILENCE: Duration = Duration::from_secs(30);
 
 /// First and longest wait between attempts.
 const RETRY: (Duration, Duration) = (Duration::from_millis(50), Duration::from_secs(2));
 
-/// A connection that lasted this long was a good one.
+/// A connection that lasted this long was good.
 const STEADY: Duration = Duration::from_secs(5);
 
-/// The shortest time between two attempts.
 const FLOOR: Duration = Duration::from_millis(20);
 
 /// Wait after a failure that more attempts are unlikely to fix.
 const RETRY_REFUSED: Duration = Duration::from_secs(10);
 
-/// What is said of a publisher without the one protocol that is read, for example of UDPROS alone.
+/// For example a publisher of UDPROS alone.
 const NO_TCPROS: &str = "it offers no TCPROS";
 
-/// A publisher whose name the master does not tell.
+/// Stands for a node whose name the master does not tell.
 const UNNAMED: &str = "a publisher";
 
 pub(super) fn spawn(shared: &Arc<Shared>, topic: &Arc<Topic>, publisher: Arc<Publisher>) -> io::Result<()> {
@@ -57,14 +56,12 @@ pub(super) fn spawn(shared: &Arc<Shared>, topic: &Arc<Topic>, publisher: Arc<Pub
     shared.threads.spawn("ros-reader", move || reader.run())
 }
 
-/// What a publisher's connection header says about its messages.
 struct Description {
     type_name: Arc<str>,
     md5sum: Arc<str>,
     definition: Arc<str>,
     caller_id: Arc<str>,
     latching: bool,
-    /// The inconsistencies in it.
     contradiction: Option<String>,
     has_header: bool,
 }
@@ -75,13 +72,9 @@ struct Link {
     origin: Arc<Origin>,
 }
 
-/// Why a publisher is not (or no longer) read.
 enum Failure {
-    /// Worth trying again soon.
     Passing(String),
-    /// It sends another type.
     Mismatch { caller_id: String, found: String },
-    /// It violates the protocol or a limit.
     Refused(String),
 }
 
@@ -90,11 +83,9 @@ struct Reader {
     topic: Arc<Topic>,
     publisher: Arc<Publisher>,
     sequence: Sequence,
-    /// Failed attempts in a row.
     failures: u32,
-    /// Whether that was reported.
     told: bool,
-    /// Its node's name, once the master was asked because it cannot be read.
+    /// Asked of the master once its publisher cannot be read.
     node: Option<String>,
     contradicted: BTreeSet<String>,
 }
@@ -127,7 +118,7 @@ impl Reader {
         }
     }
 
-    /// Connects and reads until the connection is gone; `Ok` if it was open.
+    /// `Ok` if the connection was open.
     fn attempt(&mut self) -> Result<(), Failure> {
         let mut link = self.open()?;
         self.topic.note_trouble(&self.publisher, None);
@@ -154,7 +145,7 @@ impl Reader {
         if self.topic.has_ended() {
             return Ok(());
         }
-        // A publisher that is already listed had registered while this one was still there.
+        // A publisher already listed had registered while this one was still there.
         self.shared.ask_about(&self.topic.name);
         let (reason, result) = match ended {
             Ok(reason) => (reason, Ok(())),
@@ -173,7 +164,7 @@ impl Reader {
         let stream = connect(&host, port, Instant::now() + PATIENCE).map_err(passing)?;
         stream.set_read_timeout(Some(TICK)).map_err(passing)?;
         stream.set_write_timeout(Some(PATIENCE)).map_err(passing)?;
-        // Any type, even if one is requested, so that the answer says which one it is.
+        // Any type, so that the answer says which one it is.
         let request = ConnectionHeader::new([
             ("callerid", self.shared.node_name.as_str()),
             ("topic", self.topic.name.as_str()),
@@ -202,7 +193,6 @@ impl Reader {
         Ok(Link { frames, from, origin: Arc::new(origin) })
     }
 
-    /// Asks the publisher's slave API where it serves the topic.
     fn ask(&self) -> Result<(String, u16), Failure> {
         let protocols = Value::Array(vec![Value::Array(vec!["TCPROS".into()])]);
         let params = [self.shared.node_name.as_str().into(), self.topic.name.as_str().into(), protocols];
@@ -236,7 +226,6 @@ impl Reader {
         Err(Failure::Passing("it sent no connection header in time".into()))
     }
 
-    /// Passes messages on until the connection or the topic ends; returns why.
     fn read(&mut self, link: &mut Link) -> Result<String, Failure> {
         let mut heard = Instant::now();
         loop {
@@ -274,7 +263,7 @@ impl Reader {
         let missing = header_seq.map_or(0, |next| self.sequence.follow(next));
         if let (1.., Some(next)) = (missing, header_seq) {
             let first = next.wrapping_sub(u32::try_from(missing).unwrap_or(u32::MAX));
-            self.topic.count_lost(missing);
+            self.topic.lost.fetch_add(missing, Ordering::Relaxed);
             self.shared.notice(CaptureNotice::LostInTransport {
                 topic: Arc::clone(&self.topic.label),
                 caller_id: clean(&from.caller_id, 120),
@@ -299,8 +288,8 @@ impl Reader {
         self.topic.count_message(bytes, captured_at);
     }
 
-    /// Whether the master has another process under this caller id. A process that takes over a name registers first,
-    /// and only then does the master shut down the older one; a restarted one registers after the older one's end.
+    /// Whether the master has another process under this caller id. A process that takes over a name registers before
+    /// the master shuts down the older one; a restarted one registers after the older one's end.
     fn is_taken(&self, caller_id: &str) -> bool {
         let params = [self.shared.node_name.as_str().into(), caller_id.into()];
         let found = call(&self.shared.master, "lookupNode", &params, Instant::now() + PATIENCE).ok();
@@ -308,14 +297,13 @@ impl Reader {
         found.is_some_and(|found| found != self.publisher.endpoint)
     }
 
-    /// A peer without power is as silent as one without news. A hung one is still alive.
+    /// A peer without power is as silent as one without news; a hung one is still alive.
     fn host_lives(&self) -> bool {
         let params = [self.shared.node_name.as_str().into()];
         let answer = call(&self.publisher.endpoint, "getPid", &params, Instant::now() + PATIENCE);
         !matches!(answer, Err(CallError::Connect(_)))
     }
 
-    /// Keeps the reason for who asks about the topic.
     fn note(&mut self, failure: &Failure) {
         if self.node.is_none() && (self.failures == 0 || self.failures.is_power_of_two()) {
             let graph = Graph::of(self.shared.master.clone(), &self.shared.node_name);
@@ -334,7 +322,7 @@ impl Reader {
 
     fn complain(&mut self, failure: Failure) {
         self.failures = self.failures.saturating_add(1);
-        // A publisher that is shutting down may be queried in vain once or twice before the master stops listing it.
+        // A publisher shutting down may be queried in vain once or twice before the master stops listing it.
         let lasting = self.failures > 3 || !matches!(failure, Failure::Passing(_));
         if self.told || !lasting || self.topic.has_ended() {
             return;
@@ -360,7 +348,7 @@ impl Reader {
     }
 }
 
-/// A reason with what to do about it, if that is known.
+/// Adds a remedy, if one is known.
 fn advised(reason: &str) -> String {
     let advice = if reason.contains(UNRESOLVED) {
         "set ROS_IP there"
@@ -374,7 +362,7 @@ fn advised(reason: &str) -> String {
     format!("{reason}; {advice}")
 }
 
-/// A publisher without the protocol says so in its own words.
+/// A publisher without TCPROS says so in its own words.
 fn not_offered(error: CallError) -> Failure {
     match error {
         CallError::Refused(words) if words.to_lowercase().contains("protocol") => {
@@ -384,12 +372,10 @@ fn not_offered(error: CallError) -> Failure {
     }
 }
 
-/// How long to wait after a connection that lasted this long: one that keeps disconnecting is not retried endlessly.
 fn rest(before: Duration, lasted: Duration) -> Duration {
     if lasted < STEADY { (before * 2).min(RETRY.1) } else { RETRY.0 }
 }
 
-/// Checks a publisher's connection header.
 fn describe(header: &ConnectionHeader, wanted: Option<&TypeName>) -> Result<Description, Failure> {
     let caller_id = header.get("callerid").unwrap_or("unnamed");
     let found = header.get("type").unwrap_or_default();

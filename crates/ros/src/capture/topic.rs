@@ -6,27 +6,26 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use super::{TopicCapture, lock};
+use super::TopicCapture;
 use crate::model::{Timestamp, TopicName, TypeName, clean, pinned_name};
 use crate::ros::address::{Endpoint, resolve};
 use crate::ros::graph::Unreached;
+use crate::ros::lock;
 use crate::ros::tcpros::BusLink;
 
-/// The most addresses reported; further ones are refused silently.
+/// Further addresses are refused silently.
 const MOST_COMPLAINTS: usize = 64;
 
-/// The most claims of publishers kept until the master has answered.
+/// Claims kept until the master has answered.
 const MOST_CLAIMS: usize = 64;
 
-/// A publisher that the master listed this recently may still be named in a late notice from the master.
+/// A late notice may still name a publisher that the master listed this recently.
 const LATELY: Duration = Duration::from_secs(10);
 
-/// A publisher of the topic, read by one thread.
 pub(super) struct Publisher {
     pub endpoint: Endpoint,
     /// Unique in this process.
     pub number: u64,
-    /// When an answer of the master first listed it.
     pub listed_at: Instant,
     /// It registered no earlier than this.
     absent_until: Option<Instant>,
@@ -35,11 +34,10 @@ pub(super) struct Publisher {
 
 #[derive(Default)]
 struct PublisherState {
-    /// Whether the master still lists it.
     listed: bool,
     /// Its node name while it is read.
     connected: Option<Arc<str>>,
-    /// The caller id that it first came with, and whom it replaced then.
+    /// Its first caller id, and whom it replaced then.
     judged: Option<(Arc<str>, Option<Rival>)>,
     /// Why it cannot be read, since the last attempt.
     trouble: Option<Unreached>,
@@ -50,25 +48,23 @@ struct State {
     publishers: HashMap<Endpoint, Arc<Publisher>>,
     complaints: HashSet<String>,
     lineage: Lineage,
-    /// URIs that somebody announced as publishers, until the master has answered.
+    /// URIs announced as publishers, until the master has answered.
     claims: BTreeSet<String>,
     refuted: HashSet<String>,
-    /// When the master last listed each.
     lately: HashMap<Endpoint, Instant>,
     type_name: Option<Arc<str>>,
-    /// Counts kicks, so that a waiting thread notices one that came just before it waited.
+    /// A waiting thread thereby notices a kick just before its wait.
     kicks: u64,
 }
 
 pub(super) struct Topic {
     pub name: TopicName,
-    /// The name, shared with every message.
     pub label: Arc<str>,
     pub wanted: Option<TypeName>,
     ended: AtomicBool,
     messages: AtomicU64,
     bytes: AtomicU64,
-    lost: AtomicU64,
+    pub lost: AtomicU64,
     /// Nanoseconds; 0 = none yet.
     last: AtomicU64,
     state: Mutex<State>,
@@ -92,12 +88,10 @@ impl Topic {
         }
     }
 
-    /// Takes the master's list: returns the publishers that nobody reads yet. `asked_at` is when that list was
-    /// requested.
+    /// Takes the master's list, requested at `asked_at`; returns the publishers that nobody reads yet.
     pub fn list(&self, endpoints: &[Endpoint], asked_at: Instant) -> Vec<Arc<Publisher>> {
         let mut state = lock(&self.state);
-        let (now, absent_until) = (Instant::now(), state.lineage.absent_until());
-        state.lineage.asked(asked_at);
+        let (now, absent_until) = (Instant::now(), state.lineage.asked.replace(asked_at));
         state.lately.retain(|_, at| now.saturating_duration_since(*at) < LATELY);
         state.lately.extend(endpoints.iter().map(|endpoint| (endpoint.clone(), now)));
         for (endpoint, publisher) in &state.publishers {
@@ -123,15 +117,15 @@ impl Topic {
 
     /// The master was queried then and was down.
     pub fn asked(&self, at: Instant) {
-        lock(&self.state).lineage.asked(at);
+        lock(&self.state).lineage.asked = Some(at);
     }
 
-    /// A publisher is being read under this caller id; returns whom it replaces, decided once for each.
+    /// It is read under this caller id; returns whom it replaces, decided once for each.
     pub fn connected(&self, publisher: &Publisher, caller_id: &Arc<str>) -> Option<Rival> {
         let state = lock(&self.state);
         let beside = state.publishers.values().filter(|other| other.number != publisher.number).find_map(|other| {
             let same = lock(&other.state).connected.as_deref().is_some_and(|name| {
-                // Two runs of an anonymous node have different names, so the master lets both be there.
+                // Two runs of an anonymous node have different names, so the master admits both.
                 name == &**caller_id
                     || other.listed_at < publisher.listed_at && pinned_name(name) == pinned_name(caller_id)
             });
@@ -150,14 +144,13 @@ impl Topic {
         }
     }
 
-    /// A publisher's connection has ended; `taken` if the master has somebody else under its caller id.
+    /// `taken` if the master has another process under its caller id.
     pub fn disconnected(&self, publisher: &Publisher, caller_id: &Arc<str>, taken: bool) {
         let mut state = lock(&self.state);
         state.lineage.ended(caller_id, (publisher.number, &publisher.endpoint), Instant::now(), taken);
         lock(&publisher.state).connected = None;
     }
 
-    /// Somebody claims that these are the publishers.
     pub fn claim(&self, uris: &[&str]) {
         let claims = &mut lock(&self.state).claims;
         for uri in uris.iter().filter(|uri| uri.len() <= 1024) {
@@ -167,32 +160,24 @@ impl Topic {
         }
     }
 
-    /// The claims so far, to be compared with an answer requested now.
     pub fn take_claims(&self) -> BTreeSet<String> {
         std::mem::take(&mut lock(&self.state).claims)
     }
 
-    /// The master did not answer: the claims wait for the next time.
+    /// The master did not answer: the claims wait for the next answer.
     pub fn give_back(&self, claims: BTreeSet<String>) {
         let kept = &mut lock(&self.state).claims;
         kept.extend(claims.into_iter().take(MOST_CLAIMS));
     }
 
-    /// The claims that the master does not list and has not listed lately, without duplicates.
+    /// New claims that the master has not listed lately.
     pub fn unconfirmed(&self, claims: BTreeSet<String>) -> Vec<String> {
-        let state = &mut *lock(&self.state);
-        let listed = |uri: &str| Endpoint::parse(uri).is_some_and(|endpoint| state.lately.contains_key(&endpoint));
-        let doubtful: Vec<String> = claims.into_iter().filter(|uri| !listed(uri)).map(|uri| clean(&uri, 120)).collect();
-        let mut fresh = Vec::new();
-        for uri in doubtful {
-            if state.refuted.len() < MOST_COMPLAINTS && state.refuted.insert(uri.clone()) {
-                fresh.push(uri);
-            }
-        }
-        fresh
+        let State { lately, refuted, .. } = &mut *lock(&self.state);
+        let listed = |uri: &str| Endpoint::parse(uri).is_some_and(|endpoint| lately.contains_key(&endpoint));
+        let doubtful = claims.into_iter().filter(|uri| !listed(uri)).map(|uri| clean(&uri, 120));
+        doubtful.filter(|uri| refuted.len() < MOST_COMPLAINTS && refuted.insert(uri.clone())).collect()
     }
 
-    /// Why a publisher cannot be read; `None` = it can.
     pub fn note_trouble(&self, publisher: &Publisher, trouble: Option<Unreached>) {
         lock(&publisher.state).trouble = trouble;
     }
@@ -201,8 +186,8 @@ impl Topic {
         lock(&self.state).publishers.remove(&publisher.endpoint);
     }
 
-    /// Waits before a publisher is tried again, until `patience` is over or it is kicked. `false`: the topic has ended
-    /// or the master no longer lists the publisher; it is forgotten.
+    /// Waits until `patience` is over or a kick. `false`: the topic has ended or the master no longer lists the
+    /// publisher, which is forgotten.
     pub fn wait_to_retry(&self, publisher: &Publisher, patience: Duration) -> bool {
         let state = lock(&self.state);
         let kicks = state.kicks;
@@ -217,7 +202,6 @@ impl Topic {
         goes_on
     }
 
-    /// Makes waiting threads try again at once.
     pub fn kick(&self) {
         lock(&self.state).kicks += 1;
         self.wake.notify_all();
@@ -236,7 +220,6 @@ impl Topic {
         lock(&self.state).type_name = Some(Arc::clone(type_name));
     }
 
-    /// Whether this address is reported for the first time.
     pub fn first_complaint(&self, address: &str) -> bool {
         let complaints = &mut lock(&self.state).complaints;
         complaints.len() < MOST_COMPLAINTS && complaints.insert(address.to_owned())
@@ -246,10 +229,6 @@ impl Topic {
         self.messages.fetch_add(1, Ordering::Relaxed);
         self.bytes.fetch_add(bytes as u64, Ordering::Relaxed);
         self.last.fetch_max(at.0, Ordering::Relaxed);
-    }
-
-    pub fn count_lost(&self, count: u64) {
-        self.lost.fetch_add(count, Ordering::Relaxed);
     }
 
     pub fn status(&self) -> TopicCapture {
@@ -285,15 +264,14 @@ impl Topic {
     }
 }
 
-/// Follows the sequence numbers of one publisher.
 #[derive(Debug, Default)]
 pub(super) struct Sequence {
     last: Option<u32>,
 }
 
 impl Sequence {
-    /// Takes the next number; returns how many are missing before it. The first, a repeated, and a lower one (a
-    /// publisher that restarted) miss none; the step from the highest to 0 is not a gap.
+    /// How many numbers are missing before the next. The first, a repeated, and a lower one (a restart) miss none; the
+    /// step from the highest to 0 is not a gap.
     pub fn follow(&mut self, next: u32) -> u64 {
         let step = self.last.map_or(1, |last| next.wrapping_sub(last));
         self.last = Some(next);
@@ -302,47 +280,38 @@ impl Sequence {
     }
 }
 
-/// The sequence number at the start of a body that begins with a header.
 pub(super) fn header_seq(body: &[u8]) -> Option<u32> {
     body.first_chunk().copied().map(u32::from_le_bytes)
 }
 
-/// The most caller ids of a topic whose end is remembered.
 const MOST_ENDED: usize = 256;
 
-/// Counts the publishers seen by this process.
 static MET: AtomicU64 = AtomicU64::new(1);
 
-/// The number of the next publisher.
 pub(crate) fn next_number() -> u64 {
     MET.fetch_add(1, Ordering::Relaxed)
 }
 
-/// A publisher with the same caller id that was still being read when another one registered.
+/// A publisher with the same caller id, still read when another one registered.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Rival {
     pub number: u64,
-    /// Its URI, as the master listed it.
     pub uri: String,
 }
 
-/// Who sends the messages of a connection, as far as ROS 1 reveals it.
+/// The sender of a connection's messages, as far as ROS 1 reveals it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Origin {
-    /// Unique in this process, kept across reconnections for as long as the master keeps listing its URI.
+    /// Unique in this process, and kept while the master lists its URI.
     pub number: u64,
-    /// The node name it stated: clean it before it is shown.
+    /// As it stated it: clean it before it is shown.
     pub caller_id: Arc<str>,
-    /// The host part of its URI, in lower case; if the bytes come from an address that does not belong to this name,
-    /// that address.
+    /// Host of its URI, in lower case; the peer's address if that is none of this name's.
     pub host: String,
-    /// Its URI, as listed by the master.
     pub uri: String,
-    /// Its type, `package/Type`.
     pub type_name: Arc<str>,
-    /// The type's md5sum, as it stated it.
     pub md5sum: Arc<str>,
-    /// When an answer of the master first listed it.
+    /// When the master first listed it.
     pub listed_at: Instant,
     /// The publisher with the same caller id that it replaces or coexists with.
     pub rival: Option<Rival>,
@@ -350,7 +319,7 @@ pub struct Origin {
     pub unnamed: bool,
 }
 
-/// The host of an origin: the name in its URI, if the peer's address is one of that name's.
+/// The name in its URI, if the peer's address is one of that name's.
 pub(super) fn host_of(endpoint: &Endpoint, peer: Option<SocketAddr>, deadline: Instant) -> String {
     let name = endpoint.host.to_ascii_lowercase();
     let Some(peer) = peer.map(|peer| plain(peer.ip())) else { return name };
@@ -365,35 +334,24 @@ fn plain(address: IpAddr) -> IpAddr {
     }
 }
 
-/// A connection that ended.
 struct Ended {
     number: u64,
     endpoint: Endpoint,
     at: Instant,
-    /// By then its caller id was registered to somebody else.
+    /// By then its caller id was registered to another process.
     taken: bool,
 }
 
-/// When connections ended, by caller id, and since when the master's answers are known not to list somebody.
 #[derive(Default)]
 pub(super) struct Lineage {
     ended: HashMap<Arc<str>, Ended>,
-    /// When the last answer of the master was requested.
+    /// When the master's last answer was requested, or failed: a publisher first listed by the next answer was not
+    /// registered before.
     asked: Option<Instant>,
 }
 
 impl Lineage {
-    /// The master was queried then, and answered or was down.
-    pub fn asked(&mut self, at: Instant) {
-        self.asked = Some(at);
-    }
-
-    /// The last moment at which a publisher that the next answer lists for the first time was not registered yet.
-    pub fn absent_until(&self) -> Option<Instant> {
-        self.asked
-    }
-
-    /// A connection ended; `taken` if the master then had somebody else under its caller id.
+    /// `taken` if the master then had another process under its caller id.
     pub fn ended(&mut self, caller_id: &Arc<str>, (number, endpoint): (u64, &Endpoint), at: Instant, taken: bool) {
         if self.ended.len() >= MOST_ENDED
             && let Some(oldest) = self.ended.iter().min_by_key(|(_, ended)| ended.at).map(|(name, _)| Arc::clone(name))
@@ -465,22 +423,22 @@ mod origin_tests {
         let at = |seconds| begun + Duration::from_secs(seconds);
         let mut lineage = Lineage::default();
         let name: Arc<str> = "/driver".into();
-        assert_eq!(lineage.absent_until(), None);
-        lineage.asked(at(1));
+        assert_eq!(lineage.asked, None);
+        lineage.asked = Some(at(1));
         lineage.ended(&name, (1, &endpoint(10)), at(2), false);
         // Listed in the answer to the very next query: it had registered while the former was still there.
-        let taken = lineage.rival(&name, 2, lineage.absent_until());
+        let taken = lineage.rival(&name, 2, lineage.asked);
         assert_eq!(taken, Some(Rival { number: 1, uri: "http://Robot:10/".into() }));
         // A query after the end that did not list it: it came later.
-        lineage.asked(at(3));
-        assert_eq!(lineage.rival(&name, 3, lineage.absent_until()), None);
+        lineage.asked = Some(at(3));
+        assert_eq!(lineage.rival(&name, 3, lineage.asked), None);
         // The same publisher again is not a rival, nor is another name.
         assert_eq!(lineage.rival(&name, 1, Some(at(1))), None);
         assert_eq!(lineage.rival("/other", 4, Some(at(1))), None);
         // However much later: its name was already somebody else's when it ended.
         lineage.ended(&name, (5, &endpoint(11)), at(4), true);
-        lineage.asked(at(5));
-        assert_eq!(lineage.rival("/driver", 6, lineage.absent_until()).map(|rival| rival.number), Some(5));
+        lineage.asked = Some(at(5));
+        assert_eq!(lineage.rival("/driver", 6, lineage.asked).map(|rival| rival.number), Some(5));
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! A program without keys that speaks with the network in the site's place: found, started, supervised, ended.
+//! A program without keys that speaks with the network for the site: found, started, supervised, ended.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::fs::File;
@@ -13,23 +13,22 @@ use std::time::{Duration, Instant};
 
 use crate::model::clean;
 use crate::pipe::write::{MOST_UNCONFIRMED, MOST_UNCONFIRMED_BYTES, Order, Report};
-use crate::pipe::{receive, send};
-use crate::ros::RosError;
+use crate::pipe::{VERSION, receive, send};
+use crate::ros::{RosError, lock};
 use serde::Serialize;
 
-/// The user and the group `nobody` of Linux.
 const NOBODY: u32 = 65534;
-/// Said where the kernel raises no walls around such a program.
+/// Shown where the kernel raises no walls around such a program.
 pub const UNCONFINED: &str = "this kernel does not confine the program that speaks with the network (Landlock and seccomp \
                               are needed): taken over, it could open what its user can open";
-/// How long it may take to leave its domain before it is killed.
+/// Time to leave its domain before it is killed.
 pub(crate) const LEAVING: Duration = Duration::from_millis(1500);
 
-/// The path of the program called `name`: from the settings, or else beside this one.
-pub fn find(name: &str, given: Option<&Path>) -> Result<PathBuf, PathBuf> {
+/// From the settings, otherwise beside this program. The error is the path that was tried.
+pub fn find(name: &str, given: Option<&Path>) -> Result<PathBuf, String> {
     let beside = || std::env::current_exe().ok().and_then(|own| Some(own.parent()?.join(name)));
     let path = given.map(Path::to_owned).or_else(beside).unwrap_or_else(|| PathBuf::from(name));
-    if path.is_file() { Ok(path) } else { Err(path) }
+    if path.is_file() { Ok(path) } else { Err(clean(&path.display().to_string(), 200)) }
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -39,11 +38,8 @@ pub struct Errand {
     pub environment: Vec<(&'static str, String)>,
 }
 
-/// Starts it: no environment but the errand's, no terminal, a process group of its own, nothing open but the two pipes.
-/// Under root it runs as the user who owns nothing, or not at all.
-///
-/// # Errors
-/// [`RosError::System`] if it does not start, [`RosError::NotAsNobody`] if that user cannot run it.
+/// Starts it with no environment but the errand's, no terminal, its own process group, and only the two pipes open.
+/// Under root it runs as `nobody`, or not at all.
 pub fn start(errand: &Errand) -> Result<(Child, ChildStdin, ChildStdout), RosError> {
     let system = |error: &std::io::Error| RosError::system("start the program that speaks with the network", error);
     // In a user namespace without that user, root is an ordinary user of the machine.
@@ -59,8 +55,7 @@ pub fn start(errand: &Errand) -> Result<(Child, ChildStdin, ChildStdout), RosErr
     }
 }
 
-/// Whether a user namespace has the user who owns nothing, by its map: first user, the same outside, how many. An unknown map
-/// has.
+/// Whether a user namespace's map (first user, the same outside, count) has `nobody`. An unknown map has.
 fn has_nobody(map: &str) -> bool {
     let span = |line: &str| {
         let mut numbers = line.split_whitespace().map(str::parse::<u32>);
@@ -73,7 +68,7 @@ fn has_nobody(map: &str) -> bool {
 fn start_as_nobody(errand: &Errand) -> std::io::Result<Child> {
     let spawn = |path: &Path| command(errand, path).gid(NOBODY).uid(NOBODY).spawn();
     spawn(&errand.program).or_else(|_| {
-        // It may lie where only root gets to, as below /root; what counts is that everybody may execute the file itself.
+        // It may be where only root gets to, as below /root; everybody may execute the file itself.
         let opened = File::open(&errand.program)?;
         spawn(Path::new(&format!("/proc/self/fd/{}", opened.as_raw_fd())))
     })
@@ -94,7 +89,7 @@ fn command(errand: &Errand, path: &Path) -> Command {
     command
 }
 
-/// Waits until it has ended on its own, and kills it if that takes too long. Whether it has left its domain in order.
+/// Waits until it ends, and kills it if that takes too long. Whether it left its domain in order.
 pub fn end(child: &mut Child) -> bool {
     let begun = Instant::now();
     while begun.elapsed() < LEAVING {
@@ -108,71 +103,64 @@ pub fn end(child: &mut Child) -> bool {
     false
 }
 
-/// The participant of a program in its domain of ROS 2.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Participant {
     domain: u16,
-    /// The prefix of its ids, 12 bytes as hex.
+    /// Prefix of its ids, 12 bytes as hex.
     prefix: String,
 }
 
 impl Participant {
-    /// As a program names it; `None` for what is no name.
     pub fn new(domain: u16, prefix: String) -> Option<Self> {
         let is_name = prefix.len() == 24 && prefix.bytes().all(|byte| byte.is_ascii_hexdigit());
         is_name.then_some(Self { domain, prefix })
     }
 
-    /// Has a run of `program` say in the domain that this participant is gone, because it was killed and could not: nodes
-    /// would wait for it. Does not wait for that run, which lasts four seconds.
+    /// Has a run of `program` announce in the domain that this participant was killed: nodes would wait for it. Does
+    /// not wait for that run, which lasts four seconds.
     pub fn bury(self, program: &Path) {
         let arguments = ["--domain".to_owned(), self.domain.to_string(), "--bury".to_owned(), self.prefix];
         let errand = Errand { program: program.to_owned(), arguments: arguments.into(), environment: Vec::new() };
-        // Where this fails the participant is forgotten after its lease.
+        // Where this fails, the participant is forgotten after its lease.
         let Ok((mut child, ..)) = start(&errand) else { return };
         drop(std::thread::Builder::new().name("ros2 last".to_owned()).spawn(move || drop(child.wait())));
     }
 }
 
-/// Interval between checks that the program still reports.
 const TICK: Duration = Duration::from_millis(500);
-/// After this many checks without a report it is killed; checks are counted, not time, so that a machine that slept blames
-/// nobody.
+/// It is killed after this many checks without a report; counting checks blames nobody when the machine slept.
 const SILENT_TICKS: u32 = 10;
-/// How long it may take to join its domain or graph.
 const JOINING: Duration = Duration::from_secs(10);
-/// How long it may take to answer about a topic: it looks around first, and waits for subscribers.
+/// Time to answer about a topic: it discovers first, and waits for subscribers.
 const ANSWERING: Duration = Duration::from_secs(10);
-/// Said of a program that takes longer.
+pub fn other_version(found: u32) -> String {
+    format!("it uses pipe version {found}, but {VERSION} is required; install both programs from the same release")
+}
+
+/// The error of a program that takes longer.
 const SILENT: &str = "the program that publishes does not answer";
-/// The longest reason taken, and the most answers kept.
 const LONGEST_REASON: usize = 400;
 const MOST_ANSWERS: usize = 4096;
 
-/// Why a topic is not published.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Declined {
     pub reason: String,
-    /// Whether it is that somebody else publishes it.
     pub occupied: bool,
 }
 
-/// What the program has reported.
 #[derive(Debug, Default)]
 pub struct State {
-    /// It is in the domain.
     pub joined: bool,
-    /// It can open no file and no local socket.
+    /// Whether it can open no file and no local socket.
     pub confined: bool,
     /// Its answers about topics, by their number.
     pub answers: BTreeMap<u32, Result<(), Declined>>,
-    /// Sizes of the messages that it has not confirmed, oldest first.
     unconfirmed: VecDeque<usize>,
     unconfirmed_bytes: usize,
     dropped: u64,
-    /// Messages that were sent and that a subscriber has yet to acknowledge.
+    /// Sent, and not yet acknowledged by a subscriber.
     pub unacknowledged: u64,
-    /// Messages that were sent to subscribers that do not acknowledge.
+    /// Sent to subscribers that do not acknowledge.
     pub best_effort: u64,
     left: bool,
     reports: u64,
@@ -185,11 +173,8 @@ impl State {
         self.reports += 1;
         match report {
             Report::Hello { version, domain: joined, confined } => {
-                if (version, joined) != (crate::pipe::VERSION, domain) {
-                    let own = crate::pipe::VERSION;
-                    return Err(format!(
-                        "it uses pipe version {version}, but {own} is required; install both programs from the same release"
-                    ));
+                if (version, joined) != (VERSION, domain) {
+                    return Err(other_version(version));
                 }
                 (self.joined, self.confined) = (true, confined);
             }
@@ -219,23 +204,21 @@ impl State {
         }
     }
 
-    /// A message was handed to it.
     pub fn hand_out(&mut self, size: usize) {
         self.unconfirmed.push_back(size);
         self.unconfirmed_bytes += size;
     }
 
-    /// The message handed out last did not reach it.
     pub fn take_back(&mut self) {
         self.unconfirmed_bytes -= self.unconfirmed.pop_back().unwrap_or(0);
     }
 
-    /// Messages that it was handed and has not confirmed, and their bytes.
+    /// Messages that it has not confirmed, and their bytes.
     pub fn unconfirmed(&self) -> (usize, usize) {
         (self.unconfirmed.len(), self.unconfirmed_bytes)
     }
 
-    /// Messages that subscribers missed; if it has ended, also those that it held and those that were not acknowledged.
+    /// Messages that subscribers missed; of an ended program, also those that it held or that were not acknowledged.
     pub fn missed(&self) -> u64 {
         let held = if self.broken.is_some() { self.unconfirmed.len() as u64 + self.unacknowledged } else { 0 };
         self.dropped + held
@@ -250,13 +233,15 @@ struct Shared {
     child: Mutex<Option<Child>>,
 }
 
-fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+pub fn kill(child: &Mutex<Option<Child>>) {
+    if let Some(child) = lock(child).as_mut() {
+        drop(child.kill());
+    }
 }
 
 impl Shared {
     fn state(&self) -> MutexGuard<'_, State> {
-        locked(&self.state)
+        lock(&self.state)
     }
 
     fn read(&self, from: &mut impl Read, domain: u16) -> String {
@@ -290,20 +275,13 @@ impl Shared {
             if silent >= SILENT_TICKS {
                 silent = 0;
                 drop(state);
-                self.kill();
+                kill(&self.child);
                 state = self.state();
             }
         }
     }
-
-    fn kill(&self) {
-        if let Some(child) = locked(&self.child).as_mut() {
-            drop(child.kill());
-        }
-    }
 }
 
-/// A run; the program is ended with it.
 pub struct Run {
     shared: Arc<Shared>,
     threads: Vec<JoinHandle<()>>,
@@ -311,12 +289,12 @@ pub struct Run {
 }
 
 impl Run {
-    /// Starts the program, which is to say that it has joined `domain`.
+    /// `domain` is the one that its hello must name.
     pub fn start(errand: &Errand, domain: u16) -> Result<Self, RosError> {
         let (child, to, from) = start(errand)?;
         let shared = Arc::new(Shared::default());
-        *locked(&shared.child) = Some(child);
-        *locked(&shared.to_child) = Some(to);
+        *lock(&shared.child) = Some(child);
+        *lock(&shared.to_child) = Some(to);
         let mut run = Self { shared: Arc::clone(&shared), threads: Vec::new(), program: errand.program.clone() };
         let reading = Arc::clone(&shared);
         run.keep("ros out", move || {
@@ -324,7 +302,7 @@ impl Run {
             reading.state().broken.get_or_insert(reason);
             reading.changed.notify_all();
             // A caller that writes to it must not wait for it.
-            reading.kill();
+            kill(&reading.child);
         })?;
         run.keep("ros out watch", move || shared.watch_over())?;
         Ok(run)
@@ -336,9 +314,8 @@ impl Run {
         Ok(())
     }
 
-    /// Sends an order with its payload.
     pub fn order<T: Serialize>(&self, order: &Order<T>, payload: &[u8]) -> Result<(), String> {
-        let mut to = locked(&self.shared.to_child);
+        let mut to = lock(&self.shared.to_child);
         let sent = to.as_mut().map(|to| send(to, order, payload).and_then(|()| Ok(to.flush()?)));
         match sent {
             Some(Ok(())) => Ok(()),
@@ -351,24 +328,23 @@ impl Run {
         }
     }
 
-    /// Hands out a message; false if the program does not get it.
-    pub fn publish<T: Serialize>(&self, order: &Order<T>, message: &[u8]) -> bool {
-        // Counted first: it may be confirmed at once.
+    /// False if the program does not get it.
+    pub fn publish(&self, writer: u32, message: &[u8]) -> bool {
+        // Counted first: it may be confirmed immediately.
         self.shared.state().hand_out(message.len());
-        let sent = self.order(order, message).is_ok();
+        let sent = self.order(&Order::<()>::Publish { writer }, message).is_ok();
         if !sent {
             self.shared.state().take_back();
         }
         sent
     }
 
-    /// Whether more messages should wait for subscribers that are behind, or for the program.
     pub fn is_crowded(&self) -> bool {
         let (messages, bytes) = self.state().unconfirmed();
         messages >= MOST_UNCONFIRMED / 2 || bytes >= MOST_UNCONFIRMED_BYTES / 2
     }
 
-    /// Waits until the state has something, at most for `patience`.
+    /// Waits until `find` returns something, at most for `patience`.
     pub fn wait<T>(
         &self,
         patience: Duration,
@@ -391,12 +367,11 @@ impl Run {
         }
     }
 
-    /// Waits until it is in its domain or graph.
     pub fn joined(&self) -> Result<(), String> {
         self.wait(JOINING, |state| state.joined.then_some(()))?.ok_or_else(|| SILENT.to_owned())
     }
 
-    /// Orders that a topic is announced, and waits for the answer; a program that gives none is ended.
+    /// Announces a topic and waits for the answer; a program that gives none is killed.
     pub fn announce<T: Serialize>(
         &self,
         writer: u32,
@@ -411,23 +386,20 @@ impl Run {
         })
     }
 
-    /// What it has reported.
     pub fn state(&self) -> MutexGuard<'_, State> {
         self.shared.state()
     }
 
-    /// Ends it at once.
     pub fn kill(&self) {
-        self.shared.kill();
+        kill(&self.shared.child);
     }
 
-    /// Whether subscribers have everything, or nobody sends it any more.
+    /// Whether subscribers have everything, or the program has ended.
     pub fn is_sent(&self) -> bool {
         let state = self.state();
         state.left || state.broken.is_some()
     }
 
-    /// Why it has ended, if it has.
     pub fn broken(&self) -> Option<String> {
         self.shared.state().broken.clone()
     }
@@ -436,8 +408,8 @@ impl Run {
 impl Drop for Run {
     fn drop(&mut self) {
         // The end of its pipe tells it to leave.
-        locked(&self.shared.to_child).take();
-        let child = locked(&self.shared.child).take();
+        lock(&self.shared.to_child).take();
+        let child = lock(&self.shared.child).take();
         if let Some(mut child) = child {
             let has_left = end(&mut child);
             let participant = self.shared.state().participant.take();

@@ -1,5 +1,5 @@
-//! What an MCAP file holds beside its messages: files attached to it, and names with values about it. Each is kept as
-//! MCAP's own bytes of it, without code and length, so that it comes out as it went in.
+//! Attachments and metadata of an MCAP file, kept as MCAP's own bytes without code and length, so that they come out as
+//! they went in.
 
 use std::collections::BTreeMap;
 use std::io::{BufReader, Read, Seek, SeekFrom, Write};
@@ -12,10 +12,9 @@ use crate::model::Timestamp;
 use crate::ros::RosError;
 use crate::ros::recording::{Channel, Encoding};
 
-/// The name under which all of it is filed; no topic of ROS begins like this.
+/// Files them under this name; no topic of ROS begins like this.
 pub const TOPIC: &str = "authros/attachments";
 
-/// A kind of what is beside the messages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Beside {
     /// A file, such as a calibration or a map.
@@ -24,36 +23,28 @@ pub enum Beside {
     Metadata,
 }
 
-/// A file attached to a recording.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AttachedFile<'a> {
-    /// When it was added to the recording.
     pub logged_at: Timestamp,
-    /// When it was made, nanoseconds since 1970; 0 if nobody said.
+    /// Nanoseconds since 1970; 0 if unknown.
     pub created_at: u64,
-    /// Its name, as written.
+    /// As written.
     pub name: Arc<str>,
-    /// Its media type, as written.
+    /// As written.
     pub media_type: Arc<str>,
     pub data: &'a [u8],
-    /// CRC-32 of all before it; 0 if nobody computed one.
+    /// CRC-32 of everything before it; 0 if there is none.
     pub checksum: u32,
 }
 
-/// What is read of it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum BesideContent<'a> {
     File(AttachedFile<'a>),
-    Metadata {
-        /// Its name, as written.
-        name: Arc<str>,
-        /// Its names and values, in their order; a name may occur twice.
-        entries: Vec<(Arc<str>, Arc<str>)>,
-    },
+    Metadata { name: Arc<str>, entries: Vec<(Arc<str>, Arc<str>)> },
 }
 
 impl AttachedFile<'_> {
-    /// MCAP's own bytes of it, with a checksum.
+    /// MCAP's own bytes, with a checksum.
     pub fn encode(&self) -> Vec<u8> {
         let mut out = Vec::with_capacity(self.data.len() + 256);
         put_numbers(&mut out, &[self.logged_at.0, self.created_at]);
@@ -68,7 +59,6 @@ impl AttachedFile<'_> {
 }
 
 impl BesideContent<'_> {
-    /// Its name, as written.
     pub fn name(&self) -> &Arc<str> {
         match self {
             Self::File(file) => &file.name,
@@ -78,34 +68,29 @@ impl BesideContent<'_> {
 }
 
 impl Beside {
-    /// What takes the place of a message type.
+    /// Stands for a message type.
     pub fn type_name(self) -> &'static str {
+        self.names().1
+    }
+
+    /// Its code, what stands for a message type, and its word in a finding.
+    fn names(self) -> (Code, &'static str, &'static str) {
         match self {
-            Self::Attachment => "authros/Attachment",
-            Self::Metadata => "authros/Metadata",
+            Self::Attachment => (Code::Attachment, "authros/Attachment", "attachment"),
+            Self::Metadata => (Code::Metadata, "authros/Metadata", "metadata record"),
         }
     }
 
-    /// The kind of this type name.
     pub fn of_type(name: &str) -> Option<Self> {
         [Self::Attachment, Self::Metadata].into_iter().find(|kind| kind.type_name() == name)
     }
 
-    /// What takes the place of a channel.
     pub fn channel(self) -> Channel {
-        Channel {
-            topic: TOPIC.into(),
-            type_name: self.type_name().into(),
-            md5sum: "".into(),
-            definition: "".into(),
-            caller_id: "".into(),
-            latching: false,
-            encoding: Encoding::Beside(self),
-            about: BTreeMap::new(),
-        }
+        let about = BTreeMap::new();
+        Channel { md5sum: "".into(), ..Channel::plain((TOPIC, self.type_name(), ""), Encoding::Beside(self), about) }
     }
 
-    /// Parses it whole; `None` if it is not as MCAP has it.
+    /// `None` if it is not exactly as MCAP has it.
     pub fn parse(self, bytes: &[u8]) -> Option<BesideContent<'_>> {
         let mut fields = Fields(bytes);
         let content = match self {
@@ -114,10 +99,7 @@ impl Beside {
                 created_at: fields.u64()?,
                 name: fields.text()?,
                 media_type: fields.text()?,
-                data: {
-                    let length = usize::try_from(fields.u64()?).ok()?;
-                    fields.bytes(length)?
-                },
+                data: fields.u64().and_then(|length| fields.bytes(usize::try_from(length).ok()?))?,
                 checksum: fields.u32()?,
             }),
             Self::Metadata => BesideContent::Metadata { name: fields.text()?, entries: fields.map()? },
@@ -136,7 +118,7 @@ impl Beside {
         }
     }
 
-    /// Its name, from the beginning of its bytes.
+    /// From the beginning of its bytes.
     pub(super) fn name_of(self, beginning: &[u8]) -> Arc<str> {
         let mut fields = Fields(beginning);
         let name = match self {
@@ -151,22 +133,14 @@ impl Beside {
     }
 
     pub(super) fn code(self) -> Code {
-        match self {
-            Self::Attachment => Code::Attachment,
-            Self::Metadata => Code::Metadata,
-        }
+        self.names().0
     }
 
-    /// One word in a finding.
     pub(super) fn word(self) -> &'static str {
-        match self {
-            Self::Attachment => "attachment",
-            Self::Metadata => "metadata record",
-        }
+        self.names().2
     }
 }
 
-/// Metadata in MCAP's own bytes.
 pub fn metadata_record(name: &str, entries: &[(&str, &str)]) -> Vec<u8> {
     let mut out = Vec::new();
     put_text(&mut out, name);
@@ -177,13 +151,12 @@ pub fn metadata_record(name: &str, entries: &[(&str, &str)]) -> Vec<u8> {
 /// Bytes of the record that ends the data.
 const DATA_END: u64 = LEAD + 4;
 
-/// The longest summary, bytes.
+/// Bytes.
 const LONGEST_SUMMARY: u64 = 256 << 20;
 
-/// Where the count of attachments is in the content of a statistics record.
 const ATTACHMENTS: usize = 8 + 2 + 4;
 
-/// Writes all bytes, counting them and their CRC-32.
+/// Counts the written bytes and their CRC-32.
 struct Counted<W> {
     out: W,
     position: u64,
@@ -192,7 +165,7 @@ struct Counted<W> {
 
 impl<W: Write> Counted<W> {
     fn put(&mut self, bytes: &[u8]) -> Result<(), RosError> {
-        self.out.write_all(bytes).map_err(|error| RosError::unwritable(&error))?;
+        self.out.write_all(bytes).map_err(RosError::unwritable)?;
         self.position += bytes.len() as u64;
         self.checksum.update(bytes);
         Ok(())
@@ -200,18 +173,14 @@ impl<W: Write> Counted<W> {
 }
 
 /// Copies a file that its recorder closed to `out`, with `file` attached.
-///
-/// # Errors
-/// [`RosError::Recording`] if it was not closed, is damaged at its end, cannot be read, or the copy cannot be written.
 pub fn attach(source: impl Read + Seek, out: impl Write, file: &AttachedFile<'_>) -> Result<(), RosError> {
     let mut source = BufReader::new(source);
-    let unreadable = |error: std::io::Error| RosError::unreadable(&error);
-    let length = source.seek(SeekFrom::End(0)).map_err(unreadable)?;
+    let length = source.seek(SeekFrom::End(0)).map_err(RosError::unreadable)?;
     let not_closed = || RosError::recording("nothing can be attached to it: it was not closed, or its end is damaged");
     let footer = length.checked_sub(TAIL).ok_or_else(not_closed)?;
     let tail = between(&mut source, footer, length)?;
     let (start, _) = super::footer(&tail).ok_or_else(not_closed)?;
-    let (has_summary, after_data) = if start == 0 { (false, footer) } else { (true, start) };
+    let after_data = if start == 0 { footer } else { start };
     let data_end = after_data.checked_sub(DATA_END).filter(|_| after_data <= footer).ok_or_else(not_closed)?;
     let mut end = Fields(&between(&mut source, data_end, after_data)?).0.to_vec();
     let checksum = match Fields(&end).record() {
@@ -221,7 +190,7 @@ pub fn attach(source: impl Read + Seek, out: impl Write, file: &AttachedFile<'_>
     let has_checksum = checksum.ok_or_else(not_closed)? != 0;
 
     let mut out = Counted { out, position: 0, checksum: crc32fast::Hasher::new() };
-    source.seek(SeekFrom::Start(0)).map_err(unreadable)?;
+    source.seek(SeekFrom::Start(0)).map_err(RosError::unreadable)?;
     copy(&mut source, data_end, &mut out)?;
     let mut record = Vec::new();
     put_record(&mut record, Code::Attachment, |out| out.extend_from_slice(&file.encode()));
@@ -231,7 +200,7 @@ pub fn attach(source: impl Read + Seek, out: impl Write, file: &AttachedFile<'_>
     let checksum = if has_checksum { out.checksum.clone().finalize() } else { 0 };
     put_record(&mut end, Code::DataEnd, |out| out.extend_from_slice(&checksum.to_le_bytes()));
     out.put(&end)?;
-    if has_summary {
+    if start > 0 {
         let summary = between(&mut source, start, footer)?;
         let summary = with_line(&summary, &line, out.position).ok_or_else(not_closed)?;
         out.put(&summary)?;
@@ -239,7 +208,7 @@ pub fn attach(source: impl Read + Seek, out: impl Write, file: &AttachedFile<'_>
         out.put(tail.get(..tail.len() - MAGIC.len()).unwrap_or_default())?;
     }
     out.put(MAGIC)?;
-    out.out.flush().map_err(|error| RosError::unwritable(&error))
+    out.out.flush().map_err(RosError::unwritable)
 }
 
 fn between(source: &mut (impl Read + Seek), from: u64, to: u64) -> Result<Vec<u8>, RosError> {
@@ -248,8 +217,8 @@ fn between(source: &mut (impl Read + Seek), from: u64, to: u64) -> Result<Vec<u8
         return Err(RosError::recording("nothing can be attached to it: its summary is too long"));
     }
     let mut bytes = Vec::new();
-    source.seek(SeekFrom::Start(from)).map_err(|error| RosError::unreadable(&error))?;
-    source.by_ref().take(wanted).read_to_end(&mut bytes).map_err(|error| RosError::unreadable(&error))?;
+    source.seek(SeekFrom::Start(from)).map_err(RosError::unreadable)?;
+    source.by_ref().take(wanted).read_to_end(&mut bytes).map_err(RosError::unreadable)?;
     Ok(bytes)
 }
 
@@ -258,7 +227,7 @@ fn copy(source: &mut impl Read, mut left: u64, out: &mut Counted<impl Write>) ->
     while left > 0 {
         let wanted = usize::try_from(left).unwrap_or(usize::MAX).min(buffer.len());
         let block = buffer.get_mut(..wanted).unwrap_or_default();
-        source.read_exact(block).map_err(|error| RosError::unreadable(&error))?;
+        source.read_exact(block).map_err(RosError::unreadable)?;
         out.put(block)?;
         left -= wanted as u64;
     }
@@ -294,7 +263,7 @@ fn with_line(summary: &[u8], line: &[u8], start: u64) -> Option<Vec<u8>> {
     Some(out)
 }
 
-/// Appends a record to those of its kind, which are together in a summary.
+/// Records of a kind are together in a summary.
 fn put_in_group(groups: &mut Vec<(Code, Vec<u8>)>, code: Code, content: &[u8]) {
     let at = groups.iter().position(|(known, _)| *known == code).unwrap_or_else(|| {
         groups.push((code, Vec::new()));
@@ -303,21 +272,6 @@ fn put_in_group(groups: &mut Vec<(Code, Vec<u8>)>, code: Code, content: &[u8]) {
     if let Some((_, records)) = groups.get_mut(at) {
         put_record(records, code, |out| out.extend_from_slice(content));
     }
-}
-
-/// A channel of one field.
-#[cfg(test)]
-pub(super) fn words() -> Arc<Channel> {
-    Arc::new(Channel {
-        topic: "/words".into(),
-        type_name: "std_msgs/msg/String".into(),
-        md5sum: "*".into(),
-        definition: "string data".into(),
-        caller_id: "".into(),
-        latching: false,
-        encoding: Encoding::Cdr { idl: false },
-        about: BTreeMap::new(),
-    })
 }
 
 #[cfg(test)]
@@ -330,7 +284,8 @@ mod tests {
     use crate::ros::recording::{ChunkCompression, RecordedMessage, RecordingReader as _};
 
     fn recorded(messages: u64) -> Vec<u8> {
-        let channel = words();
+        let text = ("/words", "std_msgs/msg/String", "string data");
+        let channel = Arc::new(Channel::plain(text, Encoding::Cdr { idl: false }, BTreeMap::new()));
         let mut writer = McapWriter::begin(Cursor::new(Vec::new()), ChunkCompression::Lz4).expect("begun");
         for number in 0..messages {
             writer.write(&channel, Timestamp(1_000 + number), &vec![7; 300_000]).expect("written");

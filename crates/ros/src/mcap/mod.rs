@@ -1,7 +1,5 @@
-//! MCAP: read as far as a file is readable, written with chunks, indexes and checksums (<https://mcap.dev/spec>).
-//!
-//! The profile `ros1` is fully read and written; ROS 2 messages are taken as raw CDR with their schema. The content of
-//! a file is untrusted.
+//! MCAP (<https://mcap.dev/spec>). The profile `ros1` is fully supported; ROS 2 messages are raw CDR with their schema.
+//! The content of a file is untrusted.
 
 mod beside;
 mod reader;
@@ -21,10 +19,8 @@ pub(super) use beside::metadata_record;
 pub use beside::{AttachedFile, Beside, BesideContent, TOPIC as BESIDE, attach};
 pub use reader::McapReader;
 
-/// The start and end of every file.
 pub const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 
-/// The kind of a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, strum::FromRepr)]
 #[repr(u8)]
 enum Code {
@@ -45,16 +41,15 @@ enum Code {
     DataEnd = 15,
 }
 
-/// Bytes of a record's code and length.
 const LEAD: u64 = 9;
 
 /// Bytes of the footer and of the magic behind it.
 const TAIL: u64 = LEAD + 20 + 8;
 
-/// The latest time of a record, nanoseconds.
+/// Nanoseconds.
 const LATEST: u64 = i64::MAX as u64;
 
-/// Where a file's last bytes say that its summary begins, and the checksum of that; `None` if they are no footer.
+/// Start and checksum of the summary, from a file's last bytes; `None` if they are no footer.
 fn footer(tail: &[u8]) -> Option<(u64, u32)> {
     let mut fields = Fields(tail);
     let (code, content) = fields.record()?;
@@ -63,7 +58,7 @@ fn footer(tail: &[u8]) -> Option<(u64, u32)> {
     Some((start, content.u64().and(content.u32())?))
 }
 
-/// Whether an entry of a channel's metadata is said by a field here.
+/// Whether a channel has a field for this entry of its metadata.
 fn is_own(key: &str, value: &str) -> bool {
     matches!((key, value), ("md5sum" | "callerid", _) | ("latching", "1"))
 }
@@ -110,7 +105,7 @@ impl<'a> Fields<'a> {
         self.sized().map(|bytes| String::from_utf8_lossy(bytes).into())
     }
 
-    /// Names with values, in their order, behind the length of them all.
+    /// Names with values, in their order, behind their common length.
     pub fn map(&mut self) -> Option<Vec<(Arc<str>, Arc<str>)>> {
         let mut map = Fields(self.sized()?);
         let mut entries = Vec::new();
@@ -120,7 +115,6 @@ impl<'a> Fields<'a> {
         Some(entries)
     }
 
-    /// A record: its code and its content.
     pub fn record(&mut self) -> Option<(u8, &'a [u8])> {
         let code = self.u8()?;
         let length = usize::try_from(self.u64()?).ok()?;
@@ -128,7 +122,6 @@ impl<'a> Fields<'a> {
     }
 }
 
-/// A schema: the name of a type, and its definition.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Schema {
     pub name: Arc<str>,
@@ -137,24 +130,22 @@ struct Schema {
 }
 
 impl Schema {
-    /// Bytes of its texts.
     pub fn size(&self) -> usize {
         self.name.len() + self.encoding.len() + self.text.len() + 64
     }
 }
 
-/// A schema record: its number (never 0) and its content.
+/// The number is never 0.
 fn schema(mut fields: Fields<'_>) -> Option<(u16, Schema)> {
     let number = fields.u16().filter(|number| *number > 0)?;
     Some((number, Schema { name: fields.text()?, encoding: fields.text()?, text: fields.text()? }))
 }
 
-/// The content of a channel record, without its schema's text.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct ChannelRecord {
     pub number: u16,
     pub schema: u16,
-    topic: Arc<str>,
+    pub topic: Arc<str>,
     encoding: Arc<str>,
     about: BTreeMap<String, Arc<str>>,
 }
@@ -167,28 +158,18 @@ impl ChannelRecord {
         Some(Self { number, schema, topic, encoding, about })
     }
 
-    /// Bytes of its texts.
     pub fn size(&self) -> usize {
         let about = self.about.iter().map(|(key, value)| key.len() + value.len());
         self.topic.len() + self.encoding.len() + about.sum::<usize>() + 128
     }
 
-    /// Whether all its metadata is kept.
-    pub fn is_kept(&self) -> bool {
-        kept_about(self.others()).1
-    }
-
-    fn others(&self) -> impl Iterator<Item = (Arc<str>, Arc<str>)> {
+    pub fn others(&self) -> impl Iterator<Item = (Arc<str>, Arc<str>)> {
         let others = self.about.iter().filter(|(key, value)| !is_own(key, value));
         others.map(|(key, value)| (key.as_str().into(), Arc::clone(value)))
     }
 
-    pub fn topic(&self) -> &Arc<str> {
-        &self.topic
-    }
-
-    /// The channel with its schema; or why its messages cannot be used. Bodies in CDR are kept also without a
-    /// definition: they are what is to be proven.
+    /// The channel with its schema, or why its messages cannot be used. CDR is kept without a definition too: the
+    /// bodies are to be proven.
     pub fn with(&self, schema: Option<&Schema>) -> Result<Channel, String> {
         let Some(schema) = schema else {
             return Err(match (&*self.encoding, self.schema) {
@@ -206,12 +187,9 @@ impl ChannelRecord {
         };
         let about = |key: &str| self.about.get(key).cloned();
         let definition = if schema.encoding.is_empty() { "".into() } else { Arc::clone(&schema.text) };
-        let computed = || match encoding {
-            Encoding::Ros1 if !definition.is_empty() => {
-                crate::ros::md5sum(&schema.name, &definition).ok().map(Arc::from)
-            }
-            Encoding::Ros1 | Encoding::Cdr { .. } | Encoding::Beside(_) => None,
-        };
+        let has_sum = encoding == Encoding::Ros1 && !definition.is_empty();
+        let sum = || crate::ros::md5sum(&schema.name, &definition).ok().map(Arc::from);
+        let computed = || has_sum.then(sum).flatten();
         Ok(Channel {
             md5sum: about("md5sum").filter(|sum| &**sum != "*").or_else(computed).unwrap_or_else(|| "*".into()),
             caller_id: about("callerid").unwrap_or_default(),
@@ -229,7 +207,6 @@ impl ChannelRecord {
     }
 }
 
-/// Appends a record whose content is written by `fill`.
 fn put_record(out: &mut Vec<u8>, code: Code, fill: impl FnOnce(&mut Vec<u8>)) {
     out.push(code as u8);
     let at = out.len();
@@ -241,12 +218,11 @@ fn put_record(out: &mut Vec<u8>, code: Code, fill: impl FnOnce(&mut Vec<u8>)) {
     }
 }
 
-/// Appends numbers of 64 bits.
 fn put_numbers(out: &mut Vec<u8>, numbers: &[u64]) {
     numbers.iter().for_each(|number| out.extend_from_slice(&number.to_le_bytes()));
 }
 
-/// Appends names with their values, behind the length of them all.
+/// Names with values, behind their common length.
 fn put_map(out: &mut Vec<u8>, entries: &[(&str, &str)]) {
     put_length(out, entries.iter().map(|(key, value)| 8 + key.len() + value.len()).sum());
     for (key, value) in entries {
@@ -255,30 +231,27 @@ fn put_map(out: &mut Vec<u8>, entries: &[(&str, &str)]) {
     }
 }
 
-/// Appends a text with its length.
 fn put_text(out: &mut Vec<u8>, text: &str) {
     put_length(out, text.len());
     out.extend_from_slice(text.as_bytes());
 }
 
-/// Appends a 32-bit length; nothing written here is longer.
+/// Nothing written here is longer.
 fn put_length(out: &mut Vec<u8>, length: usize) {
     out.extend_from_slice(&u32::try_from(length).unwrap_or(u32::MAX).to_le_bytes());
 }
 
-/// Appends the schema of a channel.
 fn put_schema(out: &mut Vec<u8>, number: u16, channel: &Channel) {
     put_record(out, Code::Schema, |out| {
         out.extend_from_slice(&number.to_le_bytes());
         put_text(out, &channel.type_name);
-        // Without a definition it is no text in any language, as rosbag2 writes it.
+        // Without a definition it has no encoding either, as rosbag2 writes it.
         let is_described = !channel.definition.is_empty() || channel.encoding == Encoding::Ros1;
         put_text(out, if is_described { schema_encoding(channel.encoding) } else { "" });
         put_text(out, &channel.definition);
     });
 }
 
-/// The name of the schema encoding.
 fn schema_encoding(encoding: Encoding) -> &'static str {
     match encoding {
         Encoding::Ros1 => "ros1msg",
@@ -288,15 +261,11 @@ fn schema_encoding(encoding: Encoding) -> &'static str {
     }
 }
 
-/// Appends a channel of a schema.
 fn put_channel(out: &mut Vec<u8>, number: u16, schema: u16, channel: &Channel) {
     let mut about = vec![("md5sum", &*channel.md5sum)];
-    if !channel.caller_id.is_empty() {
-        about.push(("callerid", &channel.caller_id));
-    }
-    if channel.latching && !channel.about.contains_key("latching") {
-        about.push(("latching", "1"));
-    }
+    let is_latching = channel.latching && !channel.about.contains_key("latching");
+    about.extend((!channel.caller_id.is_empty()).then_some(("callerid", &*channel.caller_id)));
+    about.extend(is_latching.then_some(("latching", "1")));
     about.retain(|(key, value)| *key != "md5sum" || *value != "*");
     about.extend(channel.about.iter().map(|(key, value)| (&**key, &**value)));
     put_record(out, Code::Channel, |out| {
@@ -308,28 +277,18 @@ fn put_channel(out: &mut Vec<u8>, number: u16, schema: u16, channel: &Channel) {
     });
 }
 
-/// A chunk's line in the summary.
 #[derive(Debug)]
 struct ChunkIndex {
     span: (Timestamp, Timestamp),
     position: u64,
     length: u64,
-    /// The position of each channel's message index.
+    /// Positions of the channels' message indexes.
     indexes: Vec<(u16, u64)>,
     index_length: u64,
     packed: u64,
     size: u64,
 }
 
-/// An attachment's or metadata record's line in the summary.
-#[derive(Debug)]
-struct BesideIndex {
-    kind: Beside,
-    /// The content of its index record.
-    line: Vec<u8>,
-}
-
-/// Writes an MCAP file.
 #[derive(Debug)]
 pub struct McapWriter<W> {
     out: W,
@@ -345,15 +304,12 @@ pub struct McapWriter<W> {
     all: Option<(Timestamp, Timestamp)>,
     index: BTreeMap<u16, Vec<(Timestamp, u64)>>,
     chunks: Vec<ChunkIndex>,
-    besides: Vec<BesideIndex>,
+    /// Kinds and contents of index records.
+    besides: Vec<(Beside, Vec<u8>)>,
     begun: bool,
 }
 
 impl<W: Write + Seek> McapWriter<W> {
-    /// Starts a file.
-    ///
-    /// # Errors
-    /// [`RosError::Recording`] if it cannot be written, or MCAP does not use this compression.
     pub fn begin(out: W, compression: ChunkCompression) -> Result<Self, RosError> {
         if !RecordingFormat::Mcap.takes(compression) {
             return Err(RosError::recording(&format!("MCAP cannot be compressed with {compression}")));
@@ -380,12 +336,11 @@ impl<W: Write + Seek> McapWriter<W> {
     }
 
     fn put(&mut self, bytes: &[u8]) -> Result<(), RosError> {
-        self.out.write_all(bytes).map_err(|error| RosError::unwritable(&error))?;
+        self.out.write_all(bytes).map_err(RosError::unwritable)?;
         self.position += bytes.len() as u64;
         Ok(())
     }
 
-    /// Writes a record outside of chunks; returns its length.
     fn put_record(&mut self, code: Code, fill: impl FnOnce(&mut Vec<u8>)) -> Result<u64, RosError> {
         let mut record = Vec::new();
         put_record(&mut record, code, fill);
@@ -393,7 +348,7 @@ impl<W: Write + Seek> McapWriter<W> {
         Ok(record.len() as u64)
     }
 
-    /// The header names the profile, which depends on the first message.
+    /// The header's profile depends on the first message.
     fn put_header(&mut self, profile: &str) -> Result<(), RosError> {
         if std::mem::replace(&mut self.begun, true) {
             return Ok(());
@@ -405,16 +360,12 @@ impl<W: Write + Seek> McapWriter<W> {
         self.put_record(Code::Header, header).map(drop)
     }
 
-    /// Writes one message, with its recording time as its publishing time.
+    /// Takes the recording time as the publishing time.
     pub fn write(&mut self, channel: &Arc<Channel>, time: Timestamp, body: &[u8]) -> Result<(), RosError> {
         let sequence = self.sequence.wrapping_add(1);
         self.write_sent(channel, time, Sent { time, sequence }, body)
     }
 
-    /// Writes one message as it was sent; an attachment or metadata record as it is.
-    ///
-    /// # Errors
-    /// [`RosError::Recording`] if it cannot be written, is too large, or is not such a record.
     pub fn write_sent(
         &mut self,
         channel: &Arc<Channel>,
@@ -450,16 +401,14 @@ impl<W: Write + Seek> McapWriter<W> {
             return Err(RosError::recording(&format!("what is to be written is no {} of MCAP", kind.word())));
         };
         self.put_header("")?;
-        // What came before it stays before it.
+        // Earlier messages stay before it.
         self.end_chunk()?;
         let position = self.position;
         let length = self.put_record(kind.code(), |out| out.extend_from_slice(body))?;
-        let line = beside_line(&content, position, length);
-        self.besides.push(BesideIndex { kind, line });
+        self.besides.push((kind, beside_line(&content, position, length)));
         Ok(())
     }
 
-    /// The number of a channel; a new one and its schema go into the chunk first.
     fn number(&mut self, channel: &Arc<Channel>) -> Result<u16, RosError> {
         if let Some(number) = self.numbers.get(channel) {
             return Ok(*number);
@@ -522,8 +471,8 @@ impl<W: Write + Seek> McapWriter<W> {
         let start = self.position;
         let mut summary = Vec::new();
         let mut groups = Vec::new();
-        let codes = [Code::Schema, Code::Channel, Code::Statistics, Code::ChunkIndex];
-        for code in codes.into_iter().chain([Code::AttachmentIndex, Code::MetadataIndex]) {
+        let besides = [Code::AttachmentIndex, Code::MetadataIndex];
+        for code in [Code::Schema, Code::Channel, Code::Statistics, Code::ChunkIndex].into_iter().chain(besides) {
             let at = summary.len();
             self.put_group(&mut summary, code);
             groups.push((code, start + at as u64, (summary.len() - at) as u64));
@@ -531,7 +480,7 @@ impl<W: Write + Seek> McapWriter<W> {
         end_summary(&mut summary, start, &groups);
         self.put(&summary)?;
         self.put(MAGIC)?;
-        self.out.flush().map_err(|error| RosError::unwritable(&error))?;
+        self.out.flush().map_err(RosError::unwritable)?;
         Ok(self.out)
     }
 
@@ -559,8 +508,8 @@ impl<W: Write + Seek> McapWriter<W> {
     }
 
     fn put_beside_index(&self, out: &mut Vec<u8>, code: Code, kind: Beside) {
-        for index in self.besides.iter().filter(|index| index.kind == kind) {
-            put_record(out, code, |out| out.extend_from_slice(&index.line));
+        for (_, line) in self.besides.iter().filter(|(of, _)| *of == kind) {
+            put_record(out, code, |out| out.extend_from_slice(line));
         }
     }
 
@@ -572,8 +521,7 @@ impl<W: Write + Seek> McapWriter<W> {
             out.extend_from_slice(&u16::try_from(self.schemas.len()).unwrap_or(u16::MAX).to_le_bytes());
             out.extend_from_slice(&count(self.channels.len()));
             for kind in [Beside::Attachment, Beside::Metadata] {
-                let of_kind = self.besides.iter().filter(|index| index.kind == kind);
-                out.extend_from_slice(&count(of_kind.count()));
+                out.extend_from_slice(&count(self.besides.iter().filter(|(of, _)| *of == kind).count()));
             }
             out.extend_from_slice(&count(self.chunks.len()));
             put_numbers(out, &[first.0, last.0]);
@@ -586,7 +534,7 @@ impl<W: Write + Seek> McapWriter<W> {
     }
 }
 
-/// Writes where the groups of a summary are, which begins at `start` of the file, and the footer.
+/// Writes the footer and where the groups of a summary are, which begins at `start` of the file.
 fn end_summary(summary: &mut Vec<u8>, start: u64, groups: &[(Code, u64, u64)]) {
     let offsets = start + summary.len() as u64;
     for (code, at, length) in groups.iter().filter(|(_, _, length)| *length > 0) {
@@ -605,7 +553,6 @@ fn end_summary(summary: &mut Vec<u8>, start: u64, groups: &[(Code, u64, u64)]) {
     summary.extend_from_slice(&checksum.to_le_bytes());
 }
 
-/// The content of an index record: of what is beside the messages, at a position, with the record's length.
 fn beside_line(content: &BesideContent<'_>, position: u64, length: u64) -> Vec<u8> {
     let mut line = Vec::new();
     put_numbers(&mut line, &[position, length]);

@@ -1,5 +1,5 @@
-//! Reads MCAP chunk by chunk, in file order. A chunk is decompressed and its checksum compared before any of its
-//! messages is returned; a damaged one is skipped as a whole.
+//! Reads MCAP chunk by chunk, in file order. A chunk is unpacked and checked before any of its messages is returned; a
+//! damaged one is skipped as a whole.
 
 mod growing;
 
@@ -15,87 +15,69 @@ use crate::model::Timestamp;
 use crate::ros::RosError;
 use crate::ros::recording::{
     Channel, Chunk, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage,
-    RecordingReader, Sent, TOO_LARGE, go_to, read_at, unpack, unpacked_body,
+    RecordingReader, Sent, TOO_LARGE, go_to, kept_about, read_at, unpack, unpacked_body,
 };
 use crate::ros::tcpros::LONGEST_MESSAGE;
 
-/// The longest record other than a message or chunk, bytes: it may hold a definition.
+/// Of other records than messages and chunks, bytes; they may hold a definition.
 const LONGEST_RECORD: u64 = 2 << 20;
 
-/// The longest head of a chunk (times, sizes, checksum, the name of a compression), bytes.
+/// Times, sizes, checksum, and the name of a compression; bytes.
 const LONGEST_CHUNK_HEAD: u64 = 128;
 
-/// The most chunks whose position is remembered from the summary, to continue after damage.
+/// Limit of chunk positions kept from the summary, to continue after damage.
 const MOST_PLACES: usize = 1 << 20;
 
-/// Bytes of an attachment too large to read, which begin with its name.
 const BEGINNING: u64 = 1024;
 
-/// The content of a chunk's head.
 struct ChunkHead {
     size: u64,
     checksum: u32,
     compression: Option<ChunkCompression>,
-    /// Where the compressed records begin, and their length.
     data: u64,
     length: u64,
 }
 
-/// Where a schema or channel is described.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Place {
-    /// In the summary at the end, which is read first: it counts until the data says anything.
+    /// At the end, which is read first: it counts until the data describes the same.
     Summary,
-    /// Among the data: from there on.
+    /// Among the data: it counts from there on.
     Data,
 }
 
-/// A schema or channel as last described.
-#[derive(Debug)]
-struct Latest<T> {
-    record: T,
-    place: Place,
-}
-
-/// A channel as last described.
 #[derive(Debug)]
 struct KnownChannel {
-    latest: Latest<ChannelRecord>,
-    /// The channel with its schema, or why its messages cannot be used.
+    record: ChannelRecord,
     usable: Result<Arc<Channel>, String>,
 }
 
-/// A count in the summary, if there is one, and what was found.
+/// A count in the summary, if any, and the real one.
 #[derive(Debug, Default)]
 struct Tally {
     counted: Option<u64>,
     met: u64,
 }
 
-/// Reads an MCAP file. `R` should be buffered.
 #[derive(Debug)]
 pub struct McapReader<R> {
     file: R,
     length: u64,
     position: u64,
     chunk: Chunk,
-    schemas: HashMap<u16, Latest<Schema>>,
+    schemas: HashMap<u16, Schema>,
     channels: HashMap<u16, KnownChannel>,
-    /// Bytes of all schemas and channels that were kept.
     texts: usize,
-    /// Where chunks begin, according to the summary.
     places: BTreeSet<u64>,
     findings: Findings,
-    /// How many messages the summary counts, and how many were found.
+    /// Counts by the summary, and real ones.
     messages: Tally,
-    /// The same of attachments and metadata.
     besides: Tally,
-    /// When the last message was recorded; before the first, when the summary says that it begins.
+    /// Time of the last message; before the first, the beginning by the summary.
     latest: Timestamp,
     ended: bool,
-    /// Whether the file's last bytes are its footer, by which a summary is found.
+    /// Whether the file ends with a footer, by which a summary is found.
     has_footer: bool,
-    /// What is known of a file that somebody is writing.
     growing: Growing,
 }
 
@@ -106,14 +88,18 @@ impl<R: BufRead + Seek> RecordingReader for McapReader<R> {
                 return Ok(Some(message));
             }
             if self.ended {
-                self.compare();
+                let besides = ("attachments and metadata records", &mut self.besides);
+                for (what, tally) in [("messages", &mut self.messages), besides] {
+                    self.findings.compare(self.length, what, tally.counted.take(), tally.met);
+                }
                 return Ok(None);
             }
-            if !self.may_go_on().map_err(|error| RosError::unreadable(&error))? {
+            if !self.may_go_on().map_err(RosError::unreadable)? {
                 return Ok(None);
             }
-            if let Some(message) = self.advance().map_err(|error| RosError::unreadable(&error))? {
-                return Ok(Some(message));
+            let outside = self.advance().map_err(RosError::unreadable)?;
+            if outside.is_some() {
+                return Ok(outside);
             }
         }
     }
@@ -128,16 +114,14 @@ impl<R: BufRead + Seek> RecordingReader for McapReader<R> {
 }
 
 impl<R: BufRead + Seek> McapReader<R> {
-    /// Starts reading a file.
     pub fn open(file: R) -> Result<Self, RosError> {
         let mut reader = Self::begin(file)?;
-        reader.read_summary().map_err(|error| RosError::unreadable(&error))?;
+        reader.read_summary().map_err(RosError::unreadable)?;
         Ok(reader)
     }
 
     fn begin(mut file: R) -> Result<Self, RosError> {
-        let unreadable = |error: std::io::Error| RosError::unreadable(&error);
-        let length = file.seek(SeekFrom::End(0)).map_err(unreadable)?;
+        let length = file.seek(SeekFrom::End(0)).map_err(RosError::unreadable)?;
         let position = MAGIC.len() as u64;
         let mut reader = Self {
             file,
@@ -156,27 +140,19 @@ impl<R: BufRead + Seek> McapReader<R> {
             has_footer: false,
             growing: Growing::default(),
         };
-        if read_at(&mut reader.file, 0, position).map_err(unreadable)? != MAGIC {
+        if read_at(&mut reader.file, 0, position).map_err(RosError::unreadable)? != MAGIC {
             return Err(RosError::recording("it does not start like MCAP"));
         }
         Ok(reader)
     }
 
-    fn compare(&mut self) {
-        for (what, tally) in [("messages", &mut self.messages), ("attachments and metadata records", &mut self.besides)]
-        {
-            self.findings.compare(self.length, what, tally.counted.take(), tally.met);
-        }
-    }
-
-    /// Code and length of the record at a position.
     fn look(&mut self, at: u64) -> std::io::Result<Option<(u8, u64)>> {
         let lead = read_at(&mut self.file, at, LEAD)?;
         let mut fields = Fields(&lead);
         Ok(fields.u8().zip(fields.u64()))
     }
 
-    /// Schemas, channels and positions of chunks from the summary at the end, if there is one.
+    /// Learns schemas, channels and positions of chunks.
     fn read_summary(&mut self) -> std::io::Result<()> {
         let Some(footer) = self.length.checked_sub(TAIL).filter(|footer| *footer >= MAGIC.len() as u64) else {
             return Ok(());
@@ -226,7 +202,6 @@ impl<R: BufRead + Seek> McapReader<R> {
         begins.is_some()
     }
 
-    /// CRC-32 of the file between two positions.
     fn checksum_of(&mut self, from: u64, until: u64) -> std::io::Result<u32> {
         let mut hasher = crc32fast::Hasher::new();
         go_to(&mut self.file, from)?;
@@ -242,7 +217,7 @@ impl<R: BufRead + Seek> McapReader<R> {
         }
     }
 
-    /// After the last record of data. If messages had no checksum of their own, that of all data is compared.
+    /// If messages had no checksum of their own, compares that of all data.
     fn end_data(&mut self, start: u64, length: u64) -> std::io::Result<()> {
         self.ended = true;
         if !self.has_footer {
@@ -259,49 +234,45 @@ impl<R: BufRead + Seek> McapReader<R> {
         Ok(())
     }
 
-    /// Adds a schema or a channel; `false` if it is damaged. What is described again counts from there on, and is damage
-    /// if it differs: the same number would stand for two things.
+    /// `false` if it is damaged. A later description counts from there on, and is damage if it differs: the same number
+    /// would stand for two things.
     fn learn(&mut self, code: u8, content: &[u8], place: Place) -> bool {
+        let fields = Fields(content);
         match Code::from_repr(code) {
             Some(Code::Schema) => {
-                schema(Fields(content)).is_some_and(|(number, schema)| self.learn_schema(number, schema, place))
+                schema(fields).is_some_and(|(number, schema)| self.learn_schema(number, schema, place))
             }
-            Some(Code::Channel) => {
-                ChannelRecord::parse(Fields(content)).is_some_and(|record| self.learn_channel(record, place))
-            }
+            Some(Code::Channel) => ChannelRecord::parse(fields).is_some_and(|record| self.learn_channel(record, place)),
             _ => true,
         }
     }
 
     fn learn_schema(&mut self, number: u16, schema: Schema, place: Place) -> bool {
-        if let Some(known) = self.schemas.get_mut(&number) {
-            if known.record == schema {
-                known.place = place;
+        if let Some(known) = self.schemas.get(&number) {
+            if *known == schema {
                 return true;
             }
-            let text =
-                format!("schema {number} is {} before and {} here", shown(&known.record.name), shown(&schema.name));
+            let text = format!("schema {number} is {} before and {} here", shown(&known.name), shown(&schema.name));
             self.contradiction(&text, place);
         }
         self.texts += schema.size();
         if self.texts > MOST_CHANNEL_BYTES {
             return false;
         }
-        for channel in self.channels.values_mut().filter(|channel| channel.latest.record.schema == number) {
-            channel.usable = channel.latest.record.with(Some(&schema)).map(Arc::new);
+        for channel in self.channels.values_mut().filter(|channel| channel.record.schema == number) {
+            channel.usable = channel.record.with(Some(&schema)).map(Arc::new);
         }
-        self.schemas.insert(number, Latest { record: schema, place });
+        self.schemas.insert(number, schema);
         true
     }
 
     fn learn_channel(&mut self, record: ChannelRecord, place: Place) -> bool {
         let number = record.number;
-        if let Some(known) = self.channels.get_mut(&number) {
-            if known.latest.record == record {
-                known.latest.place = place;
+        if let Some(known) = self.channels.get(&number) {
+            if known.record == record {
                 return true;
             }
-            let (before, here) = (shown(known.latest.record.topic()), shown(record.topic()));
+            let (before, here) = (shown(&known.record.topic), shown(&record.topic));
             self.contradiction(&format!("channel {number} is {before} before and {here} here"), place);
         } else if self.channels.len() >= MOST_CHANNELS {
             return false;
@@ -310,11 +281,11 @@ impl<R: BufRead + Seek> McapReader<R> {
         if self.texts > MOST_CHANNEL_BYTES {
             return false;
         }
-        if !record.is_kept() {
+        if !kept_about(record.others()).1 {
             self.findings.note(self.position, "a channel's metadata is too long to keep");
         }
-        let usable = record.with(self.schemas.get(&record.schema).map(|schema| &schema.record)).map(Arc::new);
-        self.channels.insert(number, KnownChannel { latest: Latest { record, place }, usable });
+        let usable = record.with(self.schemas.get(&record.schema)).map(Arc::new);
+        self.channels.insert(number, KnownChannel { record, usable });
         true
     }
 
@@ -326,15 +297,12 @@ impl<R: BufRead + Seek> McapReader<R> {
         self.findings.note(self.position, &format!("{text}: {rule}"));
     }
 
-    /// Reads the next record of the file: fills the chunk, or returns a message outside any chunk.
+    /// Fills the chunk, or returns a message outside any chunk.
     fn advance(&mut self) -> std::io::Result<Option<RecordedMessage>> {
         let start = self.position;
         let Some((code, length)) = self.look(start)? else {
-            let text = if start >= self.length {
-                "the file has no end record"
-            } else {
-                "the file ends in the middle of a record"
-            };
+            let is_end = start >= self.length;
+            let text = if is_end { "the file has no end record" } else { "the file ends in the middle of a record" };
             self.findings.note(start, &format!("{text}: the recorder did not close it, or it was cut off"));
             self.ended = true;
             return Ok(None);
@@ -350,7 +318,9 @@ impl<R: BufRead + Seek> McapReader<R> {
         self.position = end.unwrap_or(self.length).min(self.length);
         match code {
             Some(Code::Chunk) => {
-                self.growing.note_chunk(start..self.position);
+                if self.growing.told {
+                    self.growing.chunks.push(start..self.position);
+                }
                 self.read_chunk(start, missing)?;
             }
             Some(Code::DataEnd) => self.end_data(start, length)?,
@@ -363,7 +333,11 @@ impl<R: BufRead + Seek> McapReader<R> {
                 let Some(kind) = Beside::of_code(code) else { return Ok(None) };
                 if length > LONGEST_MESSAGE as u64 {
                     let beginning = read_at(&mut self.file, data, BEGINNING)?;
-                    self.leave_out_beside(kind, &kind.name_of(&beginning), length);
+                    let (word, name) = (kind.word(), shown(&kind.name_of(&beginning)));
+                    self.besides.met += 1;
+                    let most = format!("a record holds at most {LONGEST_MESSAGE}");
+                    self.findings
+                        .leave_out(TOPIC, &format!("the {word} {name} of {length} bytes is too large: {most}"));
                     return Ok(None);
                 }
                 let content = read_at(&mut self.file, data, length)?;
@@ -379,7 +353,7 @@ impl<R: BufRead + Seek> McapReader<R> {
                 self.messages.met += 1;
                 let number = Fields(&read_at(&mut self.file, data, 2)?).u16();
                 let channel = number.and_then(|number| self.channels.get(&number));
-                self.findings.leave_out(channel.map_or("", |known| &**known.latest.record.topic()), TOO_LARGE);
+                self.findings.leave_out(channel.map_or("", |known| &*known.record.topic), TOO_LARGE);
             }
             Some(Code::Schema | Code::Channel) => {
                 self.findings.note(start, &format!("a record of {length} bytes was skipped: it is too large"));
@@ -407,22 +381,12 @@ impl<R: BufRead + Seek> McapReader<R> {
             return None;
         }
         self.findings.unguarded += u64::from(!guarded && sound.is_none());
-        // Metadata has no time: it belongs to what was recorded before it.
+        // Metadata has no time: it belongs to the record before it.
         let time = match parsed {
             BesideContent::File(file) => file.logged_at,
             BesideContent::Metadata { .. } => self.latest,
         };
         Some(RecordedMessage { channel: Arc::new(kind.channel()), time, sent: None, body: content.to_vec() })
-    }
-
-    fn leave_out_beside(&mut self, kind: Beside, name: &str, length: u64) {
-        self.besides.met += 1;
-        let why = format!(
-            "the {} {} of {length} bytes is too large: a record holds at most {LONGEST_MESSAGE}",
-            kind.word(),
-            shown(name)
-        );
-        self.findings.leave_out(TOPIC, &why);
     }
 
     fn message(&mut self, fields: Fields<'_>, guarded: bool) -> Option<RecordedMessage> {
@@ -440,13 +404,12 @@ impl<R: BufRead + Seek> McapReader<R> {
         }
     }
 
-    /// The message of a record; or of which topic it is, if that is known, and why it cannot be used.
     fn read_message(&self, mut fields: Fields<'_>) -> Result<RecordedMessage, (Arc<str>, String)> {
         const SHORT: &str = "its record is too short";
         let number = fields.u16().ok_or_else(|| ("".into(), SHORT.to_owned()))?;
         let unknown = || ("".into(), format!("its channel {number} is not described anywhere in the file"));
         let known = self.channels.get(&number).ok_or_else(unknown)?;
-        let left_out = |why: String| (Arc::clone(known.latest.record.topic()), why);
+        let left_out = |why: String| (Arc::clone(&known.record.topic), why);
         let channel = known.usable.clone().map_err(left_out)?;
         let (Some(sequence), Some(logged), Some(sent)) = (fields.u32(), fields.u64(), fields.u64()) else {
             return Err(left_out(SHORT.to_owned()));
@@ -459,7 +422,7 @@ impl<R: BufRead + Seek> McapReader<R> {
         Ok(RecordedMessage { channel, time: Timestamp(logged), sent, body })
     }
 
-    /// Continues at the next chunk listed in the summary; what lies between is reported as skipped.
+    /// Continues at the next chunk of the summary, and reports the skipped part.
     fn skip(&mut self, damaged: u64, why: &str) {
         let next = self.places.range(damaged + 1..).next().copied().filter(|next| *next < self.length);
         let end = next.unwrap_or(self.length);
@@ -495,21 +458,21 @@ impl<R: BufRead + Seek> McapReader<R> {
             self.findings.note(start, "a chunk with an unknown compression was skipped");
             return Ok(());
         };
-        if head.size > LARGEST_CHUNK as u64 {
-            let text = format!("a chunk of {} bytes was skipped; the limit is {LARGEST_CHUNK}", head.size);
-            self.findings.note(start, &text);
+        let ChunkHead { size, checksum, data, length, .. } = head;
+        if size > LARGEST_CHUNK as u64 {
+            self.findings.note(start, &format!("a chunk of {size} bytes was skipped; the limit is {LARGEST_CHUNK}"));
             return Ok(());
         }
-        go_to(&mut self.file, head.data)?;
+        go_to(&mut self.file, data)?;
         let mut bytes = std::mem::take(&mut self.chunk.bytes);
         bytes.clear();
-        let limit = usize::try_from(head.size).unwrap_or(usize::MAX);
-        let unpacked = unpack(compression, self.file.by_ref().take(head.length), limit, &mut bytes);
-        let sound = head.checksum == 0 || crc32fast::hash(&bytes) == head.checksum;
-        let whole = unpacked.is_ok() && bytes.len() as u64 == head.size && sound;
+        let limit = usize::try_from(size).unwrap_or(usize::MAX);
+        let unpacked = unpack(compression, self.file.by_ref().take(length), limit, &mut bytes);
+        let sound = checksum == 0 || crc32fast::hash(&bytes) == checksum;
+        let whole = unpacked.is_ok() && bytes.len() as u64 == size && sound;
         let followed = self.places.range(start + 1..).next().is_some_and(|next| *next < self.length);
-        let guarded = head.checksum != 0 || unpacked.as_ref().is_ok_and(|guarded| *guarded);
-        self.chunk = Chunk { bytes, at: 0, position: head.data, cut: missing && !whole, guarded };
+        let guarded = checksum != 0 || unpacked.as_ref().is_ok_and(|guarded| *guarded);
+        self.chunk = Chunk { bytes, at: 0, position: data, cut: missing && !whole, guarded };
         if whole && !missing {
             return Ok(());
         }
@@ -544,7 +507,7 @@ impl<R: BufRead + Seek> McapReader<R> {
                 (Some((code, content)), _) if code == Code::Message as u8 => {
                     Some(self.message(Fields(content), chunk.guarded))
                 }
-                // MCAP has them outside of chunks; wherever they are, they are there.
+                // MCAP has them outside of chunks, but they count anywhere.
                 (Some((_, content)), Some(kind)) => Some(self.beside(kind, chunk.position, content, chunk.guarded)),
                 (Some((code, content)), None) if self.learn(code, content, Place::Data) => Some(None),
                 _ => None,
@@ -563,7 +526,6 @@ impl<R: BufRead + Seek> McapReader<R> {
     }
 }
 
-/// A name of the file in a finding.
 fn shown(name: &str) -> String {
     format!("'{}'", crate::model::clean(name, 80))
 }

@@ -1,5 +1,5 @@
-//! Decoding of a body by its definition, within limits, into a tree that keeps the order of its fields. Its texts are
-//! untrusted and cleaned on output.
+//! Decodes a body by its definition, within limits, into a tree that keeps the order of fields. Texts are untrusted and
+//! cleaned on output.
 
 use std::borrow::Cow;
 use std::fmt::Write as _;
@@ -12,10 +12,9 @@ use crate::model::wire::WireError;
 use crate::ros::RosError;
 use serde::ser::{Serialize, SerializeMap as _, Serializer};
 
-/// The limits of decoding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
-    /// Arrays with more elements than this are not expanded.
+    /// Longer arrays are not expanded.
     pub elements: usize,
     /// Total fields visited, expanded or not.
     pub steps: usize,
@@ -30,23 +29,18 @@ impl Default for Limits {
 /// The picture in a `sensor_msgs/CompressedImage`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Picture {
-    /// The publisher's name for its format, unchanged: `jpeg`, `png`, `rgb8; jpeg compressed bgr8`.
+    /// Unchanged: `jpeg`, `png`, `rgb8; jpeg compressed bgr8`.
     pub format: String,
-    /// Where the picture's file is in the body.
     pub data: Range<usize>,
 }
 
 impl Definition {
-    /// Decodes a message body for display.
-    ///
-    /// # Errors
-    /// [`RosError::Body`] if the body ends early, has bytes left over, or exceeds `limits`.
-    pub fn decode(&self, body: &[u8], limits: Limits) -> Result<Value, RosError> {
-        let mut limits = limits;
+    /// Fails if the body ends early, has bytes left over, or exceeds `limits`.
+    pub fn decode(&self, body: &[u8], mut limits: Limits) -> Result<Value, RosError> {
         self.decode_from(body, &mut limits)
     }
 
-    /// Like [`Definition::decode`]; its steps are subtracted from `limits`, so that several bodies share them.
+    /// Subtracts the steps from `limits`, so that several bodies share them.
     pub fn decode_from(&self, body: &[u8], limits: &mut Limits) -> Result<Value, RosError> {
         let failed = |failure: Failure| RosError::body(self.type_name(), failure.to_string());
         let mut walk = self.walk(body, *limits).map_err(failed)?;
@@ -61,12 +55,11 @@ impl Definition {
         if !self.cdr {
             return Ok(Walk::new(&self.layouts, Cursor::new(body, None), limits));
         }
-        let walk = |cdr| Walk::new(&self.layouts, Cursor::new(body, Some(cdr)), limits);
-        let cdr = Cdr::of(body)?;
-        if !self.has_wide_texts() {
-            return Ok(walk(cdr));
+        let mut cdr = Cdr::of(body)?;
+        if self.has_wide_texts() {
+            cdr = self.fitting(body, cdr, limits).first().copied().unwrap_or(cdr);
         }
-        Ok(walk(self.fitting(body, cdr, limits).first().copied().unwrap_or(cdr)))
+        Ok(Walk::new(&self.layouts, Cursor::new(body, Some(cdr)), limits))
     }
 
     fn has_wide_texts(&self) -> bool {
@@ -74,21 +67,21 @@ impl Definition {
         self.layouts.iter().any(|layout| layout.fields.iter().any(wide))
     }
 
-    /// The layouts of wide texts that fit the body to its end. If in some of them everything is as a writer writes it,
-    /// only those.
+    /// The layouts of wide texts that fit the whole body; if a writer could have written some of them, only those.
     fn fitting(&self, body: &[u8], cdr: Cdr, limits: Limits) -> Vec<Cdr> {
         let fit = |cdr: Cdr| {
             let limits = Limits { elements: 0, ..limits };
             let mut walk = Walk::new(&self.layouts, Cursor::new(body, Some(cdr)), limits);
             let fits = self.root().is_some_and(|root| walk.message(root).is_ok()) && walk.cursor.is_at_end();
-            fits.then(|| (cdr, walk.cursor.is_odd()))
+            fits.then_some((cdr, walk.cursor.odd))
         };
-        let found: Vec<(Cdr, bool)> = cdr.ways().into_iter().filter_map(fit).collect();
+        let ways = [Wide::Bytes, Wide::Pairs, Wide::Quads].map(|wide| Cdr { wide, ..cdr });
+        let found: Vec<(Cdr, bool)> = ways.into_iter().filter_map(fit).collect();
         let any_sound = found.iter().any(|(_, odd)| !odd);
         found.into_iter().filter(|(_, odd)| !(any_sound && *odd)).map(|(cdr, _)| cdr).collect()
     }
 
-    /// Whether a body can be read in more than one way that fits, because middlewares write wide texts differently.
+    /// Whether a body fits in more than one way: middlewares write wide texts differently.
     pub fn is_ambiguous(&self, body: &[u8]) -> bool {
         if !self.cdr || !self.has_wide_texts() {
             return false;
@@ -96,18 +89,14 @@ impl Definition {
         Cdr::of(body).is_ok_and(|cdr| self.fitting(body, cdr, Limits::default()).len() > 1)
     }
 
-    /// The picture in `body`, if this is `sensor_msgs/CompressedImage`.
     pub fn compressed_image(&self, body: &[u8]) -> Option<Picture> {
         if self.short_name() != "sensor_msgs/CompressedImage" {
             return None;
         }
         let value = self.decode(body, Limits { elements: 0, ..Limits::default() }).ok()?;
-        match (value.get("format")?, value.get("data")?) {
-            (Value::Text(format), Value::Large { bytes, .. }) => {
-                Some(Picture { format: format.clone(), data: bytes.clone() })
-            }
-            _ => None,
-        }
+        let Value::Text(format) = value.get("format")? else { return None };
+        let Value::Large { bytes, .. } = value.get("data")? else { return None };
+        Some(Picture { format: format.clone(), data: bytes.clone() })
     }
 }
 
@@ -129,10 +118,9 @@ pub(super) enum Failure {
     ByNumber,
 }
 
-/// A walk over a body.
 pub(super) struct Walk<'a> {
     layouts: &'a [Layout],
-    cursor: Cursor<'a>,
+    pub cursor: Cursor<'a>,
     limits: Limits,
     steps: usize,
 }
@@ -142,12 +130,11 @@ impl<'a> Walk<'a> {
         Self { layouts, cursor, limits, steps: limits.steps }
     }
 
-    /// A nested type; there always is one with such an index.
     pub fn layout(&self, index: usize) -> Result<&'a Layout, Failure> {
         self.layouts.get(index).ok_or(Failure::Costly)
     }
 
-    /// Takes a field that holds several elements; empty arrays (`uint8[0]`) have no bytes to bound them, so it is a step.
+    /// Empty arrays (`uint8[0]`) have no bytes to bound them, so each array is a step.
     pub fn array<T>(
         &mut self,
         field: &Field,
@@ -155,7 +142,7 @@ impl<'a> Walk<'a> {
     ) -> Result<T, Failure> {
         self.spend()?;
         let of_numbers = matches!(field.kind, Kind::Primitive(primitive) if !primitive.is_text());
-        let part = self.cursor.begin_array(of_numbers)?;
+        let part = self.cursor.begin(!of_numbers && self.cursor.cdr.is_some_and(|cdr| cdr.second))?;
         let count = match field.arity {
             Arity::One => 1,
             Arity::Fixed(count) => count,
@@ -167,12 +154,11 @@ impl<'a> Walk<'a> {
         Ok(taken)
     }
 
-    /// Nothing may be left.
     pub fn end(&self) -> Result<(), Failure> {
         Ok(self.cursor.end()?)
     }
 
-    /// Refuses a count of elements, each of at least `size` bytes, that does not fit into the rest of the body.
+    /// Refuses a count of elements, each of at least `size` bytes, that exceeds the rest of the body.
     pub fn claim(&self, size: usize, count: usize, element: &str) -> Result<(), Failure> {
         if size.saturating_mul(count) > self.cursor.left() {
             return Err(Failure::Claim(count, element.split('[').next().unwrap_or_default().to_owned()));
@@ -186,21 +172,17 @@ impl<'a> Walk<'a> {
         for field in &layout.fields {
             fields.push((Arc::clone(&field.name), self.field(field)?));
         }
-        self.end_part(part)?;
+        self.cursor.end_part(part)?;
         Ok(Value::Message(fields))
     }
 
-    /// Begins a message. In CDR one without fields has a placeholder byte.
+    /// In CDR a message without fields has a placeholder byte.
     pub fn begin_message(&mut self, layout: &Layout) -> Result<Part, Failure> {
-        let part = self.cursor.begin_message()?;
+        let part = self.cursor.begin(self.cursor.cdr.is_some_and(|cdr| cdr.delimited))?;
         if self.cursor.is_cdr() && layout.fields.is_empty() {
             self.cursor.take(1, "byte of an empty message")?;
         }
         Ok(part)
-    }
-
-    pub fn end_part(&mut self, part: Part) -> Result<(), Failure> {
-        self.cursor.end_part(part)
     }
 
     fn field(&mut self, field: &'a Field) -> Result<Value, Failure> {
@@ -218,7 +200,7 @@ impl<'a> Walk<'a> {
         }
         let start = self.skip_all(field.kind, count)?;
         let element = field.written.split('[').next().unwrap_or_default().to_owned();
-        let (bytes, big_endian) = (start..self.cursor.at(), self.cursor.is_big_endian());
+        let (bytes, big_endian) = (start..self.cursor.at, self.cursor.is_big_endian());
         Ok(Value::Large { element, count, bytes, big_endian })
     }
 
@@ -230,13 +212,13 @@ impl<'a> Walk<'a> {
         }
     }
 
-    /// Walks over elements; returns where they begin.
+    /// Returns where the skipped elements begin.
     fn skip_all(&mut self, kind: Kind, count: usize) -> Result<usize, Failure> {
         let (size, fixed) = element_size(self.layouts, kind);
         if fixed && count > 0 {
             self.cursor.align(size)?;
         }
-        let start = self.cursor.at();
+        let start = self.cursor.at;
         if fixed {
             self.cursor.take(size.saturating_mul(count), "array")?;
         } else {
@@ -245,7 +227,7 @@ impl<'a> Walk<'a> {
         Ok(start)
     }
 
-    /// Walks over one element of a type without fixed size.
+    /// Of a type without fixed size.
     fn skip(&mut self, kind: Kind) -> Result<(), Failure> {
         self.spend()?;
         match kind {
@@ -256,7 +238,7 @@ impl<'a> Walk<'a> {
                 layout => {
                     let part = self.begin_message(layout)?;
                     layout.fields.iter().try_for_each(|field| self.skip_field(field))?;
-                    self.end_part(part)
+                    self.cursor.end_part(part)
                 }
             },
         }
@@ -294,7 +276,7 @@ impl<'a> Walk<'a> {
         })
     }
 
-    /// A text; invalid UTF-8 is replaced.
+    /// Replaces invalid UTF-8.
     pub fn text(&mut self, primitive: Primitive) -> Result<Cow<'a, str>, Failure> {
         if primitive == Primitive::Wide {
             return Ok(self.cursor.wide_text().map(Cow::Owned)?);
@@ -302,7 +284,7 @@ impl<'a> Walk<'a> {
         Ok(String::from_utf8_lossy(self.cursor.text()?))
     }
 
-    /// A text, or its bytes if these are not UTF-8.
+    /// Its bytes if they are not UTF-8.
     pub fn text_or_bytes(&mut self, primitive: Primitive) -> Result<Result<Cow<'a, str>, &'a [u8]>, Failure> {
         if primitive == Primitive::Wide {
             return self.text(primitive).map(Ok);
@@ -320,7 +302,6 @@ impl<'a> Walk<'a> {
 /// Bytes of the encapsulation header, which gives the layout of the rest.
 const ENCAPSULATION: usize = 4;
 
-/// The most bytes of padding after a CDR body.
 const MOST_PADDING: usize = 3;
 
 /// How a wide text states its length; middlewares do not agree.
@@ -334,12 +315,12 @@ pub(super) enum Wide {
     Quads,
 }
 
-/// The layout of a CDR body, from its first bytes.
+/// From the body's first bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Cdr {
     big_endian: bool,
-    /// The second version: eight-byte values are aligned to four, sequences of non-primitive elements state their
-    /// length in bytes.
+    /// The second version: eight-byte values are aligned to four, and sequences of other elements state their length in
+    /// bytes.
     second: bool,
     /// Whether every message states its length in bytes too.
     delimited: bool,
@@ -347,7 +328,6 @@ pub(super) struct Cdr {
 }
 
 impl Cdr {
-    /// Reads the encapsulation header.
     pub fn of(body: &[u8]) -> Result<Self, Failure> {
         let Some([0, kind, _, _]) = body.first_chunk::<ENCAPSULATION>() else { return Err(Failure::NoCdr) };
         let (second, delimited) = match kind {
@@ -359,25 +339,19 @@ impl Cdr {
         };
         Ok(Self { big_endian: kind & 1 == 0, second, delimited, wide: Wide::Bytes })
     }
-
-    /// Every possible layout of its wide texts.
-    pub fn ways(self) -> [Self; 3] {
-        [Wide::Bytes, Wide::Pairs, Wide::Quads].map(|wide| Self { wide, ..self })
-    }
 }
 
-/// A place in a body.
 #[derive(Debug, Clone)]
 pub(super) struct Cursor<'a> {
     body: &'a [u8],
     at: usize,
     /// `None` if numbers are packed.
     cdr: Option<Cdr>,
-    /// Whether something was read that no writer writes: padding that is not zero, a wide text that is not UTF-16.
+    /// Whether a part was read that no writer writes: non-zero padding, a wide text that is not UTF-16.
     odd: bool,
 }
 
-/// A part of a body that stated its length in bytes: its end.
+/// The end of a part that stated its length in bytes.
 #[derive(Debug, Clone, Copy)]
 #[must_use]
 pub(super) struct Part(Option<usize>);
@@ -387,12 +361,6 @@ impl<'a> Cursor<'a> {
         Self { body, at: if cdr.is_some() { ENCAPSULATION } else { 0 }, cdr, odd: false }
     }
 
-    /// Bytes read so far.
-    pub fn at(&self) -> usize {
-        self.at
-    }
-
-    /// Bytes not read yet.
     pub fn left(&self) -> usize {
         self.body.len().saturating_sub(self.at)
     }
@@ -412,7 +380,7 @@ impl<'a> Cursor<'a> {
         Ok(bytes)
     }
 
-    /// Skips the padding before a number of that many bytes.
+    /// Skips the padding before a number of `size` bytes.
     pub fn align(&mut self, size: usize) -> Result<(), WireError> {
         let Some(cdr) = self.cdr else { return Ok(()) };
         let size = size.min(if cdr.second { 4 } else { 8 });
@@ -424,7 +392,7 @@ impl<'a> Cursor<'a> {
         Ok(())
     }
 
-    /// The bytes of a number, least significant first.
+    /// Least significant byte first.
     pub fn number<const N: usize>(&mut self, what: &'static str) -> Result<[u8; N], WireError> {
         self.align(N)?;
         let mut bytes = *self.take(N, what)?.first_chunk().ok_or(WireError::Short(what))?;
@@ -434,13 +402,12 @@ impl<'a> Cursor<'a> {
         Ok(bytes)
     }
 
-    /// A length of four bytes.
     pub fn length(&mut self) -> Result<usize, WireError> {
         let length = u32::from_le_bytes(self.number("length")?);
         Ok(usize::try_from(length).unwrap_or(usize::MAX))
     }
 
-    /// The bytes of a text; in CDR its length includes the trailing zero.
+    /// In CDR the length includes the trailing zero.
     pub fn text(&mut self) -> Result<&'a [u8], WireError> {
         let length = self.length()?;
         let bytes = self.take(length, "text")?;
@@ -468,21 +435,7 @@ impl<'a> Cursor<'a> {
         Ok(text)
     }
 
-    /// Whether something was read that no writer writes.
-    pub fn is_odd(&self) -> bool {
-        self.odd
-    }
-
-    pub fn begin_message(&mut self) -> Result<Part, Failure> {
-        self.begin(self.cdr.is_some_and(|cdr| cdr.delimited))
-    }
-
-    /// Begins an array, before its count.
-    pub fn begin_array(&mut self, of_numbers: bool) -> Result<Part, Failure> {
-        self.begin(!of_numbers && self.cdr.is_some_and(|cdr| cdr.second))
-    }
-
-    fn begin(&mut self, tells_length: bool) -> Result<Part, Failure> {
+    pub fn begin(&mut self, tells_length: bool) -> Result<Part, Failure> {
         if !tells_length {
             return Ok(Part(None));
         }
@@ -493,63 +446,49 @@ impl<'a> Cursor<'a> {
         Ok(Part(Some(self.at + length)))
     }
 
-    /// Ends a part; any rest of it was written by a newer definition and is skipped.
+    /// Skips the rest of a part: a newer definition wrote it.
     pub fn end_part(&mut self, part: Part) -> Result<(), Failure> {
-        match part.0 {
-            Some(end) if end < self.at => Err(WireError::Short("part").into()),
-            Some(end) => {
-                self.at = end;
-                Ok(())
-            }
-            None => Ok(()),
+        let end = part.0.unwrap_or(self.at);
+        if end < self.at {
+            return Err(WireError::Short("part").into());
         }
+        self.at = end;
+        Ok(())
     }
 
-    /// Nothing may be left but the padding of a CDR body.
+    /// Only the padding of a CDR body may be left.
     pub fn end(&self) -> Result<(), WireError> {
         let most = if self.is_cdr() { MOST_PADDING } else { 0 };
         if self.left() > most { Err(WireError::Long(self.left())) } else { Ok(()) }
     }
 
-    /// Whether only zeros are left, and few of them.
+    /// Whether only a few zeros are left.
     pub fn is_at_end(&self) -> bool {
         self.end().is_ok() && self.body.get(self.at..).is_some_and(|rest| rest.iter().all(|byte| *byte == 0))
     }
 }
 
-/// The longest text shown, characters.
+/// Characters of a shown text.
 const WIDEST: usize = 4096;
 
+/// Texts are unchanged, with invalid UTF-8 replaced; times and durations are seconds and nanoseconds. An array too large to
+/// expand has its count of elements and their position in the body; a message has its fields in order.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Value {
     Bool(bool),
     Integer(i64),
     Unsigned(u64),
-    /// A floating-point number (a float32 widened).
     Float(f64),
-    /// A text, unchanged; invalid UTF-8 is replaced.
     Text(String),
-    /// A point in time: seconds and nanoseconds since 1970.
     Time(u32, u32),
-    /// A span of time: seconds and nanoseconds.
     Duration(i32, i32),
     Array(Vec<Value>),
-    /// An array too large to expand.
-    Large {
-        element: String,
-        /// The number of elements.
-        count: usize,
-        /// The position of their bytes in the body.
-        bytes: Range<usize>,
-        /// Whether the numbers are big endian.
-        big_endian: bool,
-    },
-    /// A message: its fields by name, in order.
+    Large { element: String, count: usize, bytes: Range<usize>, big_endian: bool },
     Message(Vec<(Arc<str>, Value)>),
 }
 
 impl Value {
-    /// A field of a message; `path` may go deeper with dots, as in `header.seq`.
+    /// `path` may go deeper with dots, as in `header.seq`.
     pub fn get(&self, path: &str) -> Option<&Value> {
         path.split('.').try_fold(self, |value, name| match value {
             Self::Message(fields) => fields.iter().find(|(field, _)| **field == *name).map(|(_, value)| value),
@@ -557,15 +496,13 @@ impl Value {
         })
     }
 
-    /// As JSON: texts cleaned, large arrays as `uint8[58000]`, numbers that JSON lacks as text (`NaN`, `inf`), times as
-    /// `{secs, nsecs}`. The order of fields is kept if the JSON map keeps it; serialising the value itself always keeps
-    /// it.
+    /// Cleans texts, writes large arrays as `uint8[58000]`, numbers that JSON lacks as text (`NaN`, `inf`), times as
+    /// `{secs, nsecs}`. Only serialising the value itself is sure to keep the order of fields.
     pub fn to_json(&self) -> serde_json::Value {
         serde_json::to_value(self).unwrap_or(serde_json::Value::Null)
     }
 
-    /// One row per field, `(path, text)`, in order, the first `most` of them; texts cleaned, arrays of plain values on
-    /// one row.
+    /// The first `most` rows of `(path, text)`, one per field or array of plain values; texts are cleaned.
     pub fn flatten(&self, most: usize) -> Vec<(String, String)> {
         let mut rows = Vec::new();
         self.flatten_into("", most, &mut rows);
@@ -573,6 +510,7 @@ impl Value {
     }
 
     fn flatten_into(&self, path: &str, most: usize, rows: &mut Vec<(String, String)>) {
+        let is_nested = |value: &Self| matches!(value, Self::Message(_) | Self::Array(_) | Self::Large { .. });
         if rows.len() >= most {
             return;
         }
@@ -583,17 +521,13 @@ impl Value {
                     value.flatten_into(&path, most, rows);
                 }
             }
-            Self::Array(items) if items.iter().any(Self::is_nested) => {
+            Self::Array(items) if items.iter().any(is_nested) => {
                 for (index, value) in items.iter().enumerate().take_while(|(index, _)| *index <= most) {
                     value.flatten_into(&format!("{path}[{index}]"), most, rows);
                 }
             }
             plain => rows.push((path.to_owned(), plain.to_text())),
         }
-    }
-
-    fn is_nested(&self) -> bool {
-        matches!(self, Self::Message(_) | Self::Array(_) | Self::Large { .. })
     }
 
     fn to_text(&self) -> String {

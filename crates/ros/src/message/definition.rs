@@ -1,5 +1,4 @@
-//! ROS 1 message definitions: their lines, their layout with every nested type resolved, their md5sum, and the types that
-//! are built in.
+//! Definitions of ROS 1 messages: their layout with every nested type resolved, their md5sum, and built-in types.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -10,59 +9,50 @@ use crate::model::topic::{LONGEST_NAME, TypeName};
 use crate::ros::RosError;
 use md5::{Digest as _, Md5};
 
-/// The longest definition text, bytes.
+/// Bytes.
 pub const LONGEST_DEFINITION: usize = 1 << 20;
 
-/// The most types in one definition.
+/// Types in one definition.
 pub(super) const MOST_TYPES: usize = 512;
 
-/// The type of a field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kind {
     Primitive(Primitive),
-    /// Index of a layout.
     Message(usize),
 }
 
-/// One field of a layout.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Field {
     /// Shared with every value read by it.
     pub name: Arc<str>,
     pub kind: Kind,
     pub arity: Arity,
-    /// The type as written, with its brackets.
+    /// As written, with its brackets.
     pub written: String,
 }
 
-/// The layout of one message type.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Layout {
     pub name: String,
     pub fields: Vec<Field>,
-    /// `type name=value` lines, as the md5sum needs them.
+    /// `type name=value` lines, for the md5sum.
     pub constants: Vec<String>,
     /// Fewest bytes of a message of this type.
     pub minimum: usize,
-    /// Whether every message of this type has exactly `minimum` bytes.
+    /// Whether every message has exactly `minimum` bytes.
     pub fixed: bool,
 }
 
-/// A message type with all the types it consists of.
+/// The type itself is the last layout; each layout comes after those it consists of.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Definition {
-    /// The type itself is last; every layout comes after those it consists of.
     pub(super) layouts: Vec<Layout>,
-    /// Whether bodies are CDR, as in ROS 2.
     pub(super) cdr: bool,
 }
 
 impl Definition {
-    /// Parses the full text of a definition, as found in a publisher's header or a bag: the type's own lines, then
-    /// `MSG: package/Type` sections.
-    ///
-    /// # Errors
-    /// [`RosError::Definition`] if the text is too long, broken, incomplete, recursive or too deep.
+    /// `text` is the type's own lines, then `MSG: package/Type` sections, as in a publisher's header or a bag. Fails if
+    /// it is too long, broken, incomplete, recursive or too deep.
     pub fn parse(type_name: &str, text: &str) -> Result<Self, RosError> {
         let failed = |reason: String| RosError::definition(type_name, reason);
         type_name.parse::<TypeName>().map_err(|_| failed("its type is not package/Type".into()))?;
@@ -71,18 +61,16 @@ impl Definition {
         Ok(Self { layouts, cdr: false })
     }
 
-    /// The type's name, `package/Type`; for ROS 2 `package/msg/Type`.
+    /// `package/Type`; for ROS 2 `package/msg/Type`.
     pub fn type_name(&self) -> &str {
         self.root().map_or("", |layout| layout.name.as_str())
     }
 
-    /// The type's name as written in ROS 1.
     pub fn short_name(&self) -> String {
         self.type_name().replacen("/msg/", "/", 1)
     }
 
-    /// The md5sum as ROS 1 computes it: over the constants and fields without comments, each nested
-    /// type replaced by its own md5sum.
+    /// As ROS 1 computes it: over the constants and fields without comments, nested types replaced by their own md5sum.
     pub fn md5sum(&self) -> String {
         let mut sums: Vec<String> = Vec::with_capacity(self.layouts.len());
         for layout in &self.layouts {
@@ -98,14 +86,9 @@ impl Definition {
 
     /// Whether messages begin with a `std_msgs/Header`, and so with its `seq`.
     pub fn begins_with_header(&self) -> bool {
-        let first = self.root().and_then(|layout| layout.fields.first());
-        first.is_some_and(|field| match field.kind {
-            Kind::Message(index) => {
-                let named = |layout: &Layout| [HEADER, OLD_HEADER].contains(&layout.name.as_str());
-                field.arity == Arity::One && self.layouts.get(index).is_some_and(named)
-            }
-            Kind::Primitive(_) => false,
-        })
+        let first = self.root().and_then(|layout| layout.fields.first()).filter(|field| field.arity == Arity::One);
+        let Some(Field { kind: Kind::Message(index), .. }) = first else { return false };
+        self.layouts.get(*index).is_some_and(|layout| [HEADER, OLD_HEADER].contains(&layout.name.as_str()))
     }
 
     pub(super) fn root(&self) -> Option<&Layout> {
@@ -115,10 +98,10 @@ impl Definition {
 
 const HEADER: &str = "std_msgs/Header";
 
-/// Its name before 2011.
+/// The header's name before 2011.
 const OLD_HEADER: &str = "roslib/Header";
 
-/// Splits the text at its `MSG:` lines, at names that `named` accepts; a type given twice keeps its first text.
+/// Splits the text at `MSG:` lines with names that `named` accepts; a type given twice keeps its first text.
 pub(super) fn sections<'a>(
     root: &str,
     text: &'a str,
@@ -152,12 +135,10 @@ pub(super) fn sections<'a>(
 }
 
 impl Layout {
-    /// Of a type without fields yet.
     pub fn new(name: &str) -> Self {
         Self { name: name.to_owned(), fields: Vec::new(), constants: Vec::new(), minimum: 0, fixed: true }
     }
 
-    /// Adds a field; the layouts are those that it may consist of.
     pub fn add(&mut self, layouts: &[Self], field: Field) {
         let (size, fixed) = element_size(layouts, field.kind);
         let (least, fixed) = match field.arity {
@@ -193,9 +174,10 @@ fn kind(nesting: &mut Nesting<'_>, inside: &str, base: &str) -> Result<(Kind, us
     if let Some(primitive) = Primitive::parse(base) {
         return Ok((Kind::Primitive(primitive), 0));
     }
+    let has = |name: &str| nesting.texts.contains_key(name);
     let full = match (base, inside.split_once('/')) {
         // Bags from before 2011 carry the header under its old name.
-        ("Header", _) if !nesting.has(HEADER) && nesting.has(OLD_HEADER) => OLD_HEADER.to_owned(),
+        ("Header", _) if has(OLD_HEADER) && !has(HEADER) => OLD_HEADER.to_owned(),
         ("Header", _) => HEADER.to_owned(),
         (_, Some((package, _))) if !base.contains('/') => format!("{package}/{base}"),
         _ => base.to_owned(),
@@ -215,7 +197,6 @@ pub(super) fn element_size(layouts: &[Layout], kind: Kind) -> (usize, bool) {
     }
 }
 
-/// A type that needs no definition.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Primitive {
     Bool,
@@ -230,14 +211,14 @@ pub(super) enum Primitive {
     Float32,
     Float64,
     Text,
-    /// A UTF-16 text, of ROS 2.
+    /// UTF-16, of ROS 2.
     Wide,
     Time,
     Duration,
 }
 
 impl Primitive {
-    /// By its name in ROS 1, which has times but no wide text, and whose bytes have a sign.
+    /// ROS 1 has times but no wide text, and its bytes have a sign.
     pub fn parse(name: &str) -> Option<Self> {
         match name {
             "byte" => Some(Self::Int8),
@@ -252,7 +233,7 @@ impl Primitive {
         matches!(self, Self::Text | Self::Wide)
     }
 
-    /// Size in bytes; for a text, the size of its length field.
+    /// In bytes; of a text, its length field.
     pub fn size(self) -> usize {
         match self {
             Self::Bool | Self::Int8 | Self::Uint8 => 1,
@@ -263,7 +244,6 @@ impl Primitive {
     }
 }
 
-/// How many of its type a field holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Arity {
     One,
@@ -279,7 +259,7 @@ pub(super) enum Line<'a> {
     Constant { base: &'a str, name: &'a str, text: &'a str },
 }
 
-/// Parses one line; `None` if it is blank or a comment.
+/// `None` for a blank line or a comment.
 pub(super) fn parse_line(line: &str) -> Result<Option<Line<'_>>, &'static str> {
     let plain = line.split('#').next().unwrap_or_default().trim();
     if plain.is_empty() {
@@ -313,7 +293,6 @@ fn field<'a>(written: &'a str, name: &'a str) -> Result<Line<'a>, &'static str> 
     if base_ok && is_name(name) { Ok(Line::Field { written, base, arity, name }) } else { Err("a field is broken") }
 }
 
-/// Whether it is valid as the name of a field, a package or a type.
 pub(super) fn is_name(name: &str) -> bool {
     let mut bytes = name.bytes();
     name.len() <= 255
@@ -321,16 +300,13 @@ pub(super) fn is_name(name: &str) -> bool {
         && bytes.all(|b| b.is_ascii_alphanumeric() || b == b'_')
 }
 
-/// The deepest nesting of messages.
 pub const DEEPEST: usize = 16;
 
-/// The lines of each type, by its full name.
 pub(super) type Texts<'a> = HashMap<String, Vec<&'a str>>;
 
 /// Builds the layout and height of a type from its lines; for nested types it calls [`Nesting::resolve`] with itself.
 pub(super) type Make<'a> = fn(&mut Nesting<'a>, &str, &[&str]) -> Result<(Layout, usize), String>;
 
-/// The types of one definition resolved so far.
 pub(super) struct Nesting<'a> {
     texts: Texts<'a>,
     /// Index and height (nested levels, itself included) of each resolved type.
@@ -341,22 +317,14 @@ pub(super) struct Nesting<'a> {
 }
 
 impl<'a> Nesting<'a> {
-    /// The layouts of `name` and of all types it consists of, itself last.
-    ///
-    /// # Errors
-    /// In words: a type that is missing, contains itself or is nested too deep, and errors from `make`.
+    /// The layouts of `name` and of all types it consists of, itself last. Fails for a type that is missing, contains
+    /// itself or is nested too deep.
     pub fn layouts_of(name: &str, texts: Texts<'a>, make: Make<'a>) -> Result<Vec<Layout>, String> {
         let mut nesting = Self { texts, done: HashMap::new(), path: Vec::new(), layouts: Vec::new() };
         nesting.resolve(name, make)?;
         Ok(nesting.layouts)
     }
 
-    /// Whether a type has a text here.
-    pub fn has(&self, name: &str) -> bool {
-        self.texts.contains_key(name)
-    }
-
-    /// Index and height of a type's layout.
     pub fn resolve(&mut self, name: &str, make: Make<'a>) -> Result<(usize, usize), String> {
         if self.path.iter().any(|above| above == name) {
             return Err(format!("{name} contains itself"));
@@ -379,12 +347,11 @@ impl<'a> Nesting<'a> {
     }
 }
 
-/// The lines of the header in ROS 2, and in ROS 1, where it has a number, too.
+/// The header's lines in ROS 2, and in ROS 1, where it has a number too.
 const HEADERS: [&str; 2] =
     ["builtin_interfaces/Time stamp\nstring frame_id", "uint32 seq\ntime stamp\nstring frame_id"];
 
-/// The full definition of a common message type, if there is one with this md5sum (32 hex characters): that of ROS 2 in the
-/// words of ROS 1.
+/// The definition of a common message type with this md5sum (32 hex characters): that of ROS 2 in the words of ROS 1.
 pub fn built_in_definition(type_name: &str, sum: &str) -> Option<String> {
     let (text, _) = ros2::Folders::default().text_of(type_name).ok()?;
     let rule = format!("{}\n", "=".repeat(80));

@@ -1,5 +1,5 @@
-//! The whole message as JSON, written while it is parsed: nothing is left out and nothing is kept in memory. Texts are
-//! complete; characters unsafe for a terminal are escaped.
+//! The whole message as JSON, written while it is parsed, without a copy in memory. Texts are complete; characters
+//! unsafe for a terminal are escaped.
 
 use std::io::{self, Write};
 
@@ -11,14 +11,9 @@ use crate::model::spelt_out;
 use crate::ros::RosError;
 
 impl Definition {
-    /// Writes the whole message as JSON, fields in order, numbers unchanged, numbers that JSON lacks as text (`NaN`,
-    /// `inf`), texts that are not UTF-8 as `{not_utf8: hex}`, times as `{secs, nsecs}`, arrays of bytes as arrays of
-    /// numbers. A body of n bytes becomes at most `64 n` + 16 MiB of text, because field names are repeated for every
-    /// element; it uses no further memory.
-    ///
-    /// # Errors
-    /// [`RosError::Body`] if the body does not match the definition, would become more text than that, or `out` cannot
-    /// be written.
+    /// Fields keep their order and numbers their value; numbers that JSON lacks become text (`NaN`, `inf`), texts that
+    /// are not UTF-8 `{not_utf8: hex}`, times `{secs, nsecs}`, arrays of bytes arrays of numbers. A body of n bytes
+    /// becomes at most `64 n` + 16 MiB of text, because field names are repeated for every element; a longer one fails.
     pub fn write_json(&self, body: &[u8], out: &mut dyn Write) -> Result<(), RosError> {
         let failed = |failure: Failure| RosError::body(self.type_name(), failure.to_string());
         let root = self.root().ok_or_else(|| RosError::body("", "the definition is empty"))?;
@@ -29,17 +24,29 @@ impl Definition {
         Export { walk: &mut walk, out: &mut out }.message(root).map_err(failed)?;
         walk.end().map_err(failed)
     }
+
+    /// That of an Image or a PointCloud2, otherwise the longest array of floats.
+    pub fn matrix(&self, body: &[u8]) -> Option<Matrix> {
+        if body.len() < SHORTEST {
+            return None;
+        }
+        let value = self.decode(body, LIMITS).ok()?;
+        let matrix = match self.short_name().as_str() {
+            "sensor_msgs/Image" => image(&value),
+            "sensor_msgs/PointCloud2" => cloud(&value),
+            _ => longest(&value),
+        }?;
+        matrix.length().filter(|length| *length >= SHORTEST).map(|_| matrix)
+    }
 }
 
-/// Replaces a text whose bytes are not UTF-8: an object with these bytes in hex.
+/// Stands for a text that is not UTF-8: an object with its bytes in hex.
 const NOT_UTF8: &str = "not_utf8";
 
-/// The most bytes of text per byte of the body.
+/// The most bytes of text per byte of the body, and for any body.
 const GROWTH: usize = 64;
-/// Bytes of text allowed for any body.
 const LEAST: usize = 16 << 20;
 
-/// Accepts this many bytes and no more.
 struct Bounded<'a> {
     out: &'a mut dyn Write,
     left: usize,
@@ -85,7 +92,7 @@ impl<'a> Export<'a, '_> {
             self.text("\":")?;
             self.field(field)?;
         }
-        self.walk.end_part(part)?;
+        self.walk.cursor.end_part(part)?;
         self.text("}")
     }
 
@@ -121,38 +128,18 @@ impl<'a> Export<'a, '_> {
             }
             Kind::Primitive(primitive) => {
                 let value = self.walk.primitive(primitive)?;
-                self.plain(&value)
+                serde_json::to_writer(&mut *self.out, &value).map_err(|_| self.unwritten())
             }
             Kind::Message(index) => self.message(self.walk.layout(index)?),
         }
     }
-
-    fn plain(&mut self, value: &Value) -> Result<(), Failure> {
-        serde_json::to_writer(&mut *self.out, value).map_err(|_| self.unwritten())
-    }
 }
 
-/// Arrays of numbers shorter than this are not treated as a matrix, bytes.
+/// Shorter arrays of numbers are no matrix, bytes.
 const SHORTEST: usize = 512;
 
-/// Expands nothing and visits little: this runs for every message that is sealed.
+/// Expands nothing and visits little: this runs for every sealed message.
 const LIMITS: Limits = Limits { elements: 0, steps: 20_000 };
-
-impl Definition {
-    /// The matrix in `body`, if any: that of an Image or a PointCloud2, otherwise its longest array of floats.
-    pub fn matrix(&self, body: &[u8]) -> Option<Matrix> {
-        if body.len() < SHORTEST {
-            return None;
-        }
-        let value = self.decode(body, LIMITS).ok()?;
-        let matrix = match self.short_name().as_str() {
-            "sensor_msgs/Image" => image(&value),
-            "sensor_msgs/PointCloud2" => cloud(&value),
-            _ => longest(&value),
-        }?;
-        matrix.length().filter(|length| *length >= SHORTEST).map(|_| matrix)
-    }
-}
 
 fn number(value: &Value, field: &str) -> Option<usize> {
     match value.get(field)? {

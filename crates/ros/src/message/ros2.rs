@@ -1,6 +1,5 @@
-//! ROS 2 definitions: `.msg` texts with all the types they consist of, and the hash that identifies them.
-//!
-//! They become the same layouts as ROS 1 messages; only bodies are laid out differently.
+//! ROS 2 definitions: `.msg` texts with all their types, and the hash that identifies them. They become the same
+//! layouts as ROS 1 messages; only bodies differ.
 
 use std::borrow::Cow;
 use std::collections::{BTreeSet, HashMap};
@@ -20,11 +19,8 @@ use crate::ros::RosError;
 use sha2::{Digest as _, Sha256};
 
 impl Definition {
-    /// Parses the text of a ROS 2 definition, as in MCAP's `ros2msg`: the type's own lines, then `MSG: package/Type`
-    /// sections.
-    ///
-    /// # Errors
-    /// [`RosError::Definition`] if the text is too long, broken, incomplete, recursive or too deep.
+    /// `text` is as in MCAP's `ros2msg`: the type's own lines, then `MSG: package/Type` sections. Fails if it is too
+    /// long, broken, incomplete, recursive or too deep.
     pub fn parse_ros2(type_name: &str, text: &str) -> Result<Self, RosError> {
         let failed = |reason: String| RosError::definition(type_name, reason);
         let name = full_name(type_name, None).ok_or_else(|| failed("its type is not package/msg/Type".into()))?;
@@ -34,19 +30,19 @@ impl Definition {
     }
 }
 
-/// The hash of a type as ROS 2 computes it, `RIHS01_` and 64 hex characters.
+/// As ROS 2 computes it: `RIHS01_` and 64 hex characters.
 pub fn type_hash(type_name: &str, text: &str) -> Result<String, RosError> {
     Definition::parse_ros2(type_name, text).map(|definition| of(&definition.layouts))
 }
 
-/// Whether the definition built into this program has this hash.
+/// Whether the built-in definition has this hash.
 pub fn is_built_in(type_name: &str, hash: &str) -> bool {
     let text = Folders::default().text_of(type_name);
     text.is_ok_and(|(text, _)| type_hash(type_name, &text).is_ok_and(|found| found == hash))
 }
 
-/// The text of a type in MCAP's form. rosbag2 describes the event of a service (`package/srv/Type_Event`) by the service's own
-/// text, in which a line of dashes divides request and response.
+/// The text in MCAP's form. rosbag2 describes a service's event (`package/srv/Type_Event`) by the service's own text,
+/// in which dashes divide request and response.
 pub(crate) fn plain_text<'a>(type_name: &str, text: &'a str) -> Cow<'a, str> {
     const RULE: &str = "================================================================================";
     let service = type_name.strip_suffix("_Event").filter(|name| name.contains("/srv/"));
@@ -64,7 +60,7 @@ pub(crate) fn plain_text<'a>(type_name: &str, text: &'a str) -> Cow<'a, str> {
     format!("service_msgs/ServiceEventInfo info\n{members}{request}{response}{}", others.trim_start()).into()
 }
 
-/// `package/msg/Type` from any way of writing the name; a bare name belongs to the package it occurs in.
+/// `package/msg/Type` from any form of the name; a bare name belongs to `package`.
 fn full_name(name: &str, package: Option<&str>) -> Option<String> {
     let parts: Vec<&str> = name.split('/').collect();
     let full = match (parts.as_slice(), package) {
@@ -78,17 +74,16 @@ fn full_name(name: &str, package: Option<&str>) -> Option<String> {
     (full.len() <= LONGEST_NAME && parts.iter().all(|part| is_name(part))).then_some(full)
 }
 
-/// The layout of a type and its number of levels.
 fn layout(nesting: &mut Nesting<'_>, name: &str, lines: &[&str]) -> Result<(Layout, usize), String> {
     let (mut layout, mut height) = (Layout::new(name), 1);
     for line in lines {
         let read = parse_line(line).map_err(|reason| format!("{reason} in {name}"))?;
-        let Some(Line::Field { written, base, arity, name: member, .. }) = read else { continue };
+        let Some(Line { written, base, arity, name: member, .. }) = read else { continue };
         let (kind, below) = kind(nesting, name, base)?;
         height = height.max(below + 1);
         layout.add(&nesting.layouts, Field { name: member.into(), kind, arity, written: written.to_owned() });
     }
-    // The padding between numbers depends on where a message begins, so none has a fixed size; one without fields has a byte.
+    // Padding depends on where a message begins, so no type has a fixed size; one without fields has a byte.
     (layout.minimum, layout.fixed) = (layout.minimum.max(1), false);
     Ok((layout, height))
 }
@@ -103,25 +98,22 @@ fn kind(nesting: &mut Nesting<'_>, inside: &str, base: &str) -> Result<(Kind, us
     Ok((Kind::Message(index), height))
 }
 
-/// The most digits of a number, including leading zeros: the text is kept, and shown with every array.
+/// Digits of a number, with leading zeros: the text is kept, and shown with every array.
 const LONGEST_NUMBER: usize = 20;
 
-/// A meaningful line. Default values and the values of constants are not part of a message.
+/// Default values and values of constants are not part of a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Line<'a> {
-    Field {
-        /// The type as written, with its bounds.
-        written: &'a str,
-        base: &'a str,
-        /// The most characters of a text; 0 if unbounded.
-        bound: usize,
-        arity: Arity,
-        name: &'a str,
-    },
-    Constant,
+struct Line<'a> {
+    /// As written, with its bounds.
+    written: &'a str,
+    base: &'a str,
+    /// The most characters of a text; 0 if unbounded.
+    bound: usize,
+    arity: Arity,
+    name: &'a str,
 }
 
-/// A type that needs no definition: its layout in a body, and its number in type descriptions.
+/// A type without a definition: its layout in a body, and its number in type descriptions.
 pub(super) fn plain(base: &str) -> Option<(Primitive, u8)> {
     Some(match base {
         "int8" => (Primitive::Int8, 2),
@@ -143,7 +135,6 @@ pub(super) fn plain(base: &str) -> Option<(Primitive, u8)> {
     })
 }
 
-/// Parses one line; `None` if it is blank or a comment.
 fn parse_line(line: &str) -> Result<Option<Line<'_>>, &'static str> {
     let line = without_comment(line).trim();
     if line.is_empty() {
@@ -152,18 +143,15 @@ fn parse_line(line: &str) -> Result<Option<Line<'_>>, &'static str> {
     let (written, rest) = line.split_once(char::is_whitespace).ok_or("a line has no field name")?;
     let rest = rest.trim_start();
     if rest.split_once('=').is_some_and(|(name, _)| is_name(name.trim_end())) {
-        return if plain(written_base(written)).is_some() {
-            Ok(Some(Line::Constant))
-        } else {
-            Err("a constant is broken")
-        };
+        let base = written.split_once("<=").map_or(written, |(base, _)| base);
+        return plain(base).map(|_| None).ok_or("a constant is broken");
     }
     // The default value follows the name.
     let name = rest.split(char::is_whitespace).next().unwrap_or_default();
     field_line(written, name).map(Some)
 }
 
-/// The line up to its comment; a `#` between quotes does not begin one.
+/// A `#` between quotes begins no comment.
 fn without_comment(line: &str) -> &str {
     let mut quote = None;
     let mut escaped = false;
@@ -181,7 +169,7 @@ fn without_comment(line: &str) -> &str {
     if quote.is_some() { line.split('#').next().unwrap_or_default() } else { line }
 }
 
-/// The type of a field as written: its base, the most characters of a text, and how many of them.
+/// Base, the most characters of a text, and arity.
 fn written_type(written: &str) -> Result<(&str, usize, Arity), &'static str> {
     let bounded = |text: &str| text.len() <= LONGEST_NUMBER;
     let number = |text: &str| text.parse().ok().filter(|count: &usize| *count > 0 && bounded(text));
@@ -212,29 +200,23 @@ fn field_line<'a>(written: &'a str, name: &'a str) -> Result<Line<'a>, &'static 
     if !base_ok || !is_name(name) {
         return Err("a field is broken");
     }
-    Ok(Line::Field { written, base, bound, arity, name })
+    Ok(Line { written, base, bound, arity, name })
 }
 
-fn written_base(written: &str) -> &str {
-    written.split_once("<=").map_or(written, |(base, _)| base)
-}
-
-/// The member of an interface that has none.
 const FILLER: &str = "structure_needs_at_least_one_member";
 
-/// The type number of an interface, and of [`FILLER`].
+/// Type numbers of an interface, and of [`FILLER`].
 const INTERFACE: u8 = 1;
 const UINT8: u8 = 3;
 
 /// Bounded texts have other numbers.
 const BOUNDED_TEXTS: u8 = 4;
 
-/// The hash of the last of these types.
 fn of(layouts: &[Layout]) -> String {
     let Some((root, others)) = layouts.split_last() else { return String::new() };
     let mut others: Vec<&Layout> = others.iter().collect();
     others.sort_by(|one, other| one.name.cmp(&other.name));
-    // Hashed as it is written: a definition of a megabyte has a description of hundreds of megabytes.
+    // Hashed while it is written: a definition of a megabyte has a description of hundreds of megabytes.
     let mut hash = Sha256::new();
     hash.update("{\"type_description\": ");
     describe(layouts, root, &mut hash);
@@ -260,7 +242,7 @@ fn describe(layouts: &[Layout], layout: &Layout, hash: &mut Sha256) {
 }
 
 fn described(layouts: &[Layout], field: &Field) -> String {
-    // It was read as such before.
+    // This parsed before.
     let (base, bound, _) = written_type(&field.written).unwrap_or(("", 0, Arity::One));
     let (number, nested) = match field.kind {
         Kind::Primitive(_) => {
@@ -286,37 +268,34 @@ fn put_field(name: &str, number: u8, capacity: usize, bound: usize, nested: &str
     out
 }
 
-/// Where a type's own lines were found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Source {
     /// In a folder of this machine.
     Folders,
-    /// Among the common interfaces that are built into this program.
+    /// Built into this program.
     BuiltIn,
 }
 
-/// Folders searched for definitions, in this order.
+/// Searched for definitions in this order.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Folders(Vec<PathBuf>);
 
 impl Folders {
-    /// The prefixes from a list like `AMENT_PREFIX_PATH`.
     pub fn of_prefixes(list: &OsStr) -> Self {
         Self(std::env::split_paths(list).filter(|prefix| prefix.is_absolute()).collect())
     }
 
-    /// Whether there are none.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
-    /// Whether there is any hope that [`Folders::text_of`] finds this type.
+    /// Whether [`Folders::text_of`] may find this type.
     pub fn may_know(&self, type_name: &str) -> bool {
         !self.is_empty() || full_name(type_name, None).is_some_and(|name| text_of(&name).is_some())
     }
 
-    /// The text of a type with all the types it consists of, as in MCAP, and where the type itself was found. What no
-    /// folder has is taken from the common interfaces.
+    /// The text of a type with all its parts, as in MCAP, and where the type itself was found. Types in no folder come
+    /// from the built-in interfaces.
     pub fn text_of(&self, type_name: &str) -> Result<(String, Source), RosError> {
         let root = full_name(type_name, None)
             .ok_or_else(|| RosError::no_fields(type_name, "its type is not package/msg/Type"))?;
@@ -325,7 +304,7 @@ impl Folders {
         Ok((whole, source))
     }
 
-    /// A type's text, completed with the sections of nested types that it lacks; and the names of these types.
+    /// Completes a text with the nested types it lacks; returns their names too.
     pub fn complete(&self, type_name: &str, text: &str) -> Result<(String, Vec<String>), RosError> {
         let failed = |reason: String| RosError::no_fields(type_name, &reason);
         let root = full_name(type_name, None).ok_or_else(|| failed("its type is not package/msg/Type".into()))?;
@@ -357,14 +336,14 @@ impl Folders {
         Ok((whole, added))
     }
 
-    /// The lines of one type, with an end of line at their end.
+    /// With an end of line at their end.
     fn own_lines(&self, name: &str) -> Option<(String, Source)> {
         let here = self.file_of(name).map(|text| (text, Source::Folders));
         let (text, source) = here.or_else(|| Some((text_of(name)?.to_owned(), Source::BuiltIn)))?;
         Some((format!("{}\n", text.trim_end()), source))
     }
 
-    /// The text of a `.msg` file; `None` if no folder has a readable one of bounded length.
+    /// `None` if no folder has a readable file of bounded length.
     fn file_of(&self, name: &str) -> Option<String> {
         let mut parts = name.split('/');
         let (package, kind, name) = (parts.next()?, parts.next()?, parts.next()?);
@@ -385,12 +364,11 @@ fn read(path: &Path) -> Option<String> {
     Some(text)
 }
 
-/// The types that a text names.
 fn nested_in(name: &str, text: &str) -> Result<Vec<String>, &'static str> {
     let package = name.split('/').next();
     let mut nested = Vec::new();
     for line in text.lines() {
-        let Some(Line::Field { base, .. }) = parse_line(line)? else { continue };
+        let Some(Line { base, .. }) = parse_line(line)? else { continue };
         if plain(base).is_none() {
             nested.push(full_name(base, package).ok_or("a type's name is broken")?);
         }
@@ -401,12 +379,10 @@ fn nested_in(name: &str, text: &str) -> Result<Vec<String>, &'static str> {
 static TEXTS: LazyLock<HashMap<&'static str, &'static str>> =
     LazyLock::new(|| built_in_sections(include_str!("ros2/interfaces.txt")).collect());
 
-/// Each type's name and its own lines.
 fn built_in_sections(text: &'static str) -> impl Iterator<Item = (&'static str, &'static str)> {
     text.split("\nMSG: ").skip(1).map(|section| section.split_once('\n').unwrap_or((section, "")))
 }
 
-/// The own lines of a type that is named as `package/msg/Type`.
 fn text_of(name: &str) -> Option<&'static str> {
     TEXTS.get(name).copied()
 }
@@ -417,7 +393,7 @@ mod line_tests {
 
     fn read(line: &str) -> (String, usize, Arity, String) {
         match parse_line(line) {
-            Ok(Some(Line::Field { base, bound, arity, name, .. })) => (base.to_owned(), bound, arity, name.to_owned()),
+            Ok(Some(Line { base, bound, arity, name, .. })) => (base.to_owned(), bound, arity, name.to_owned()),
             other => panic!("{line}: {other:?}"),
         }
     }
@@ -441,7 +417,7 @@ mod line_tests {
     #[test]
     fn constants_and_empty_lines_carry_nothing() {
         for line in ["int8 B = -1 # minus", "string A=\"x # y\"", "string<=5 A='b'", "byte OK=0"] {
-            assert_eq!(parse_line(line), Ok(Some(Line::Constant)), "{line}");
+            assert_eq!(parse_line(line), Ok(None), "{line}");
         }
         for line in ["", "   ", "# only words", "\t# don't"] {
             assert_eq!(parse_line(line), Ok(None), "{line}");

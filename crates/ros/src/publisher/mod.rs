@@ -1,15 +1,13 @@
-//! Our own publisher: a ROS node that serves topics over TCPROS, in this process or, by rosrust, in a program without keys
-//! that is started here, and anew when it ends. The simulated robots are such nodes, and so is the one that plays shared
-//! records into a reader's graph.
-//!
-//! The program is handed a bounded number of messages before it confirms some; what it held when it ended counts as missed.
+//! Nodes that serve topics over TCPROS: our own in this process, or rosrust in a program without keys, restarted when
+//! it ends. The program gets a bounded number of messages before it confirms some; what it held when it ended counts as
+//! missed.
 
 mod outlet;
 
 use std::collections::BTreeMap;
 use std::io::{self, Write as _};
 use std::net::TcpStream;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, OnceLock};
 use std::thread::JoinHandle;
@@ -18,112 +16,94 @@ use std::time::{Duration, Instant};
 use crate::model::clean;
 use crate::pipe::LONGEST_PAYLOAD;
 use crate::pipe::write::{Described, Order};
-use crate::ros::RosError;
 use crate::ros::address::{Endpoint, own_host};
 use crate::ros::child::{self, Declined, Errand, Run};
 use crate::ros::graph::master_error;
 use crate::ros::tcpros::{BusLink, ConnectionHeader, FrameReader, Node, Poll, SlaveServer, listen};
 use crate::ros::xmlrpc::{CallError, Server, Value, call};
-use outlet::{Outlet, lock};
+use crate::ros::{RosError, lock};
+use outlet::Outlet;
 
-/// How long to wait for the master and for names.
+/// Limit of the master's answers, and of resolving names.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// How long subscribers get for the rest of their queues at an orderly shutdown.
-const FAREWELL: Duration = Duration::from_secs(5);
-
-/// A topic as published.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Advertised {
     pub topic: String,
-    /// Type, `package/Type`.
+    /// `package/Type`
     pub type_name: String,
-    /// The type's md5sum, 32 hex characters.
+    /// 32 hex characters.
     pub md5sum: String,
-    /// The full text of the type's definition.
     pub definition: String,
-    /// Whether the last message of each source is sent to later subscribers.
+    /// Whether later subscribers get the last message of each source.
     pub latching: bool,
 }
 
-/// A node that publishes into a graph of ROS 1: our own, in this process, or rosrust, in a process without keys. It leaves the
-/// graph when dropped.
+/// Leaves the graph when dropped.
 pub trait GraphPublisher: Send + Sync {
-    /// Announces a topic, and waits for the subscribers that the master knows, at most for `patience`.
-    ///
-    /// # Errors
-    /// If the master does not answer or refuses, or the program does not run.
     fn advertise(&mut self, topic: &Advertised, patience: Duration) -> Result<(), RosError>;
 
-    /// Sends a message to all subscribers of an announced topic, as one of `source`; false if it is not announced, or
-    /// nobody publishes now. May block where [`Self::may_block`].
+    /// A message of `source`; false if the topic is not announced, or nobody publishes now. May block where
+    /// [`Self::may_block`].
     fn publish(&mut self, topic: &str, source: u64, body: &[u8]) -> bool;
 
-    /// Whether publishing may wait, for a pipe that is full.
+    /// Whether publishing may wait for a full pipe.
     fn may_block(&self) -> bool {
         false
     }
 
-    /// Why nothing is published now, if that is so.
+    /// Why nothing is published now, if so.
     fn broken(&self) -> Option<String> {
         None
     }
 
-    /// Whether a subscriber is so far behind that more messages would soon be dropped.
+    /// Whether a subscriber is so far behind that it soon loses messages.
     fn is_crowded(&self) -> bool;
 
-    /// Stops waiting for the subscribers that are behind now, until they have caught up.
     fn outrun(&self);
 
-    /// Comes back: our own registers all topics again, rosrust is started anew if it has ended.
-    ///
-    /// # Errors
-    /// If the master does not answer or refuses, or the program does not start.
     fn come_back(&mut self) -> Result<(), RosError>;
 
-    /// Withdraws topics at once: what is queued for their subscribers is no longer sent.
+    /// Drops the topics with their queues.
     fn cut(&mut self, topics: &[String]);
 
-    /// Drops at once what came from a source, including the topic's queues; other sources go on publishing it.
+    /// Drops what came from a source, with the topic's queues; other sources go on publishing.
     fn silence(&mut self, topic: &str, source: u64);
 
     /// No more messages come; queued ones are still sent.
     fn leave(&self);
 
-    /// Whether everything queued has been sent, after [`Self::leave`].
+    /// Whether all queues are empty, after [`Self::leave`].
     fn is_sent(&self) -> bool;
 
-    /// Total messages that a subscriber missed because it read too slowly.
+    /// Messages that a subscriber missed because it read too slowly.
     fn missed(&self) -> u64;
 
-    /// Ends without further waiting. Returns the total messages that a subscriber missed.
+    /// Ends without waiting. Returns all messages that a subscriber missed.
     fn end(self: Box<Self>) -> u64;
 }
 
-/// The longest connection header of a subscriber, bytes.
+/// Bytes.
 const LONGEST_REQUEST: usize = 64 << 10;
 
-/// The most subscribers of one topic.
 const MOST_SUBSCRIBERS: usize = 64;
 
-/// The most connections of one node.
 const MOST_CONNECTIONS: usize = 1024;
 
-/// The node's state as seen by the slave API and the TCPROS port.
 struct Identity {
     name: String,
     host: String,
-    /// Where it serves its topics, once it does.
+    /// Port that serves its topics, once it is open.
     port: OnceLock<u16>,
     master: Endpoint,
     outlets: Mutex<Vec<Arc<Outlet>>>,
     overflowed: AtomicU64,
-    /// Threads that tell a master, perhaps a slow one, what is no longer published.
+    /// Threads that unregister topics at a master, perhaps a slow one.
     telling: Mutex<Vec<JoinHandle<()>>>,
     left: AtomicBool,
 }
 
-/// Our own node. It unregisters and ends on drop; what is still queued then is not sent.
+/// Unregisters and ends on drop, without sending its queues.
 pub struct Publisher {
     identity: Arc<Identity>,
     slave: SlaveServer,
@@ -131,13 +111,8 @@ pub struct Publisher {
 }
 
 impl Publisher {
-    /// Starts a node at the master; it publishes nothing yet.
-    ///
-    /// # Errors
-    /// [`RosError::Address`] for a bad URI, [`RosError::Unreachable`] if the master's name does not resolve,
-    /// [`RosError::OwnHost`] if this machine's address cannot be listened on.
     pub fn start(master_uri: &str, given_host: Option<&str>, node_name: &str) -> Result<Self, RosError> {
-        let master = Endpoint::parse(master_uri).ok_or_else(|| RosError::address(master_uri))?;
+        let master = Endpoint::of_master(master_uri)?;
         let host = own_host(given_host, &master, Instant::now() + PATIENCE)?;
         let listener = listen(&host)?;
         let identity = Arc::new(Identity {
@@ -158,7 +133,7 @@ impl Publisher {
         Ok(Self { identity, slave, _port: port })
     }
 
-    /// Announces a topic; returns how many subscribers the master knows for it. A topic already announced is unchanged.
+    /// Returns how many subscribers the master knows. A topic already announced is unchanged.
     pub fn advertise(&self, topic: &Advertised) -> Result<usize, RosError> {
         let outlet = self.identity.outlet_of(&topic.topic).unwrap_or_else(|| {
             let outlet = Arc::new(Outlet::new(topic.clone()));
@@ -169,45 +144,26 @@ impl Publisher {
     }
 
     fn register(&self, outlet: &Outlet) -> Result<usize, RosError> {
-        let about = [outlet.topic(), outlet.type_name()];
+        let about = [outlet.about.topic.as_str(), outlet.about.type_name.as_str()];
         let deadline = Instant::now() + PATIENCE;
         let answer = self.identity.tell_master("registerPublisher", &about, &self.slave.uri, deadline);
         let answer = answer.map_err(|error| master_error(&self.identity.master, "registerPublisher", error))?;
         Ok(answer.as_array().map_or(0, <[Value]>::len))
     }
 
-    /// Sends a message to all subscribers of an announced topic, as one of `source`; false if it is not announced.
+    /// A message of `source`; false if the topic is not announced.
     pub fn publish(&self, topic: &str, source: u64, body: &[u8]) -> bool {
         let outlet = self.identity.outlet_of(topic);
         outlet.as_ref().inspect(|outlet| outlet.publish(source, body)).is_some()
     }
 
-    /// The number of connected subscribers of a topic.
     pub fn subscribers(&self, topic: &str) -> usize {
         self.identity.outlet_of(topic).map_or(0, |outlet| outlet.subscribers())
     }
 
-    /// Unregisters and ends, after sending what is queued, for at most five seconds. Returns the total messages that a
-    /// subscriber missed.
-    pub fn finish(self) -> u64 {
-        self.close(FAREWELL)
-    }
-
-    /// Unregisters, and sends what is queued, with one deadline for all. Returns what [`Self::finish`] does.
-    fn close(&self, patience: Duration) -> u64 {
-        self.leave();
-        let deadline = Instant::now() + patience;
-        while Instant::now() < deadline && !self.is_sent() {
-            std::thread::sleep(Duration::from_millis(5));
-        }
-        self.identity.outlets().iter().for_each(|outlet| outlet.end(deadline));
-        self.finish_telling();
-        self.missed()
-    }
-
     /// Unregisters, without waiting for a slow master.
     fn tell_gone(&self, outlets: &[Arc<Outlet>]) {
-        let topics: Vec<String> = outlets.iter().map(|outlet| outlet.topic().to_owned()).collect();
+        let topics: Vec<String> = outlets.iter().map(|outlet| outlet.about.topic.clone()).collect();
         let (identity, uri) = (Arc::clone(&self.identity), self.slave.uri.clone());
         let deadline = Instant::now() + PATIENCE;
         let told = std::thread::Builder::new().name("ros-leaving".into()).spawn(move || {
@@ -259,7 +215,7 @@ impl GraphPublisher for Publisher {
 
     /// No subscriber gets any more of them, however late the master learns of it.
     fn cut(&mut self, topics: &[String]) {
-        let is_meant = |outlet: &Arc<Outlet>| topics.iter().any(|topic| topic == outlet.topic());
+        let is_meant = |outlet: &Arc<Outlet>| topics.contains(&outlet.about.topic);
         let gone: Vec<Arc<Outlet>> = self.identity.outlets().into_iter().filter(is_meant).collect();
         lock(&self.identity.outlets).retain(|outlet| !is_meant(outlet));
         for outlet in &gone {
@@ -294,7 +250,10 @@ impl GraphPublisher for Publisher {
     }
 
     fn end(self: Box<Self>) -> u64 {
-        self.close(Duration::ZERO)
+        self.leave();
+        self.identity.outlets().iter().for_each(|outlet| outlet.end(Instant::now()));
+        self.finish_telling();
+        self.missed()
     }
 }
 
@@ -313,12 +272,12 @@ impl Identity {
     }
 
     fn outlet_of(&self, topic: &str) -> Option<Arc<Outlet>> {
-        lock(&self.outlets).iter().find(|outlet| outlet.topic() == topic).cloned()
+        lock(&self.outlets).iter().find(|outlet| outlet.about.topic == topic).cloned()
     }
 
     fn tell_master(&self, method: &str, middle: &[&str], uri: &str, deadline: Instant) -> Result<Value, CallError> {
         let texts = std::iter::once(self.name.as_str()).chain(middle.iter().copied());
-        let params: Vec<Value> = texts.chain([uri]).map(Value::text).collect();
+        let params: Vec<Value> = texts.chain([uri]).map(Value::from).collect();
         call(&self.master, method, &params, deadline)
     }
 }
@@ -329,7 +288,8 @@ impl Node for Identity {
     }
 
     fn publications(&self) -> Vec<(String, String)> {
-        self.outlets().iter().map(|outlet| (outlet.topic().to_owned(), outlet.type_name().to_owned())).collect()
+        let about = |outlet: &Arc<Outlet>| (outlet.about.topic.clone(), outlet.about.type_name.clone());
+        self.outlets().iter().map(about).collect()
     }
 
     fn links(&self) -> Vec<BusLink> {
@@ -341,7 +301,6 @@ impl Node for Identity {
     }
 }
 
-/// Shakes hands with a subscriber and hands it to its outlet.
 fn welcome(identity: &Identity, stream: TcpStream) -> io::Result<()> {
     if identity.links().len() >= MOST_CONNECTIONS {
         return Ok(());
@@ -368,7 +327,6 @@ fn welcome(identity: &Identity, stream: TcpStream) -> io::Result<()> {
     outlet.add(clean(request.get("callerid").unwrap_or("unnamed"), 120), stream)
 }
 
-/// The program in which rosrust runs.
 const PROGRAM: &str = "authros-rosrust";
 
 struct Announced {
@@ -378,33 +336,24 @@ struct Announced {
     latched: Option<(u64, Arc<[u8]>)>,
 }
 
-/// A node that publishes. It leaves the graph when dropped, without waiting for subscribers.
 pub struct RosrustPublisher {
     uri: String,
     errand: Errand,
     run: Run,
     announced: BTreeMap<String, Announced>,
     next: u32,
-    /// What earlier runs of the program did not deliver.
     missed: u64,
 }
 
 impl RosrustPublisher {
-    /// Starts a node at the master; it publishes nothing yet. `program` names the program if it is not beside this one.
-    /// Blocks for a moment.
-    ///
-    /// # Errors
-    /// [`RosError::NoRosrust`] if that program is missing, [`RosError::NotPublishedByRosrust`] if it cannot join the graph,
-    /// [`RosError::Address`] for a bad URI, [`RosError::System`] if it does not start.
     pub fn start(
         master_uri: &str,
         given_host: Option<&str>,
         node_name: &str,
         program: Option<&Path>,
     ) -> Result<Self, RosError> {
-        let found = child::find(PROGRAM, program);
-        let program: PathBuf = found.map_err(|path| RosError::no_rosrust(&path))?;
-        let master = Endpoint::parse(master_uri).ok_or_else(|| RosError::address(master_uri))?;
+        let program = child::find(PROGRAM, program).map_err(RosError::NoRosrust)?;
+        let master = Endpoint::of_master(master_uri)?;
         let host = own_host(given_host, &master, Instant::now() + PATIENCE)?;
         let uri = master.to_string();
         // rosrust itself puts the slash before a name.
@@ -424,7 +373,6 @@ impl RosrustPublisher {
         RosError::NotPublishedByRosrust { uri: clean(&self.uri, 120), reason: reason.to_owned() }
     }
 
-    /// Has a topic announced under a new number.
     fn announce(&mut self, topic: &Advertised, patient: bool) -> Result<u32, RosError> {
         let writer = self.next;
         self.next = self.next.wrapping_add(1);
@@ -442,7 +390,7 @@ impl RosrustPublisher {
     }
 
     fn tell_withdrawn(&self, writer: u32) {
-        // A program that cannot be told has ended, or is killed, and nothing of this is announced anew.
+        // A program that cannot be told has ended, or is killed, and announces none of this again.
         drop(self.run.order(&Order::<Described>::Withdraw { writer }, &[]));
     }
 
@@ -458,7 +406,7 @@ impl RosrustPublisher {
             let Some(announced) = self.announced.get_mut(&topic.topic) else { continue };
             announced.writer = writer;
             if let Some((_, message)) = &announced.latched {
-                self.run.publish(&Order::<Described>::Publish { writer }, message);
+                self.run.publish(writer, message);
             }
         }
         Ok(())
@@ -484,7 +432,7 @@ impl GraphPublisher for RosrustPublisher {
         if announced.about.latching {
             announced.latched = Some((source, message.into()));
         }
-        self.run.publish(&Order::<Described>::Publish { writer: announced.writer }, message)
+        self.run.publish(announced.writer, message)
     }
 
     fn may_block(&self) -> bool {
@@ -503,7 +451,7 @@ impl GraphPublisher for RosrustPublisher {
         drop(self.run.order(&Order::<Described>::Outrun, &[]));
     }
 
-    /// Starts the program anew if it has ended, with all topics and what was latched.
+    /// Restarts the program if it has ended, with all topics and latched messages.
     fn come_back(&mut self) -> Result<(), RosError> {
         if self.run.broken().is_none() {
             return Ok(());
@@ -531,19 +479,15 @@ impl GraphPublisher for RosrustPublisher {
         let Some(announced) = self.announced.remove(topic) else { return };
         self.tell_withdrawn(announced.writer);
         let latched = announced.latched.filter(|(of, _)| *of != source);
-        let writer = match self.announce(&announced.about, false) {
-            Ok(writer) => {
-                if let Some((_, message)) = &latched {
-                    self.run.publish(&Order::<Described>::Publish { writer }, message);
-                }
-                writer
-            }
-            Err(_) => {
-                // Started anew, it announces the topic again.
-                self.run.kill();
-                announced.writer
-            }
-        };
+        let writer = self.announce(&announced.about, false);
+        if let (Ok(writer), Some((_, message))) = (&writer, &latched) {
+            self.run.publish(*writer, message);
+        }
+        let writer = writer.unwrap_or_else(|_| {
+            // The restarted program announces the topic again.
+            self.run.kill();
+            announced.writer
+        });
         self.announced.insert(topic.to_owned(), Announced { writer, about: announced.about, latched });
     }
 
@@ -559,7 +503,7 @@ impl GraphPublisher for RosrustPublisher {
         self.missed + self.run.state().missed()
     }
 
-    /// What is still queued was missed, too.
+    /// Queued messages were missed too.
     fn end(self: Box<Self>) -> u64 {
         let queued = if self.run.broken().is_some() { 0 } else { self.run.state().unconfirmed().0 };
         self.missed() + queued as u64

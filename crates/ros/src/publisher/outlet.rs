@@ -1,21 +1,22 @@
-//! One published topic and its subscribers, each with a bounded queue and its own writer thread, so that a slow one delays
-//! nobody; messages that a subscriber cannot take are dropped from its queue and counted.
+//! One published topic and its subscribers, each with a bounded queue and its own writer thread, so that a slow one
+//! delays nobody; messages beyond its queue are dropped and counted.
 
 use std::collections::VecDeque;
 use std::io::Write as _;
 use std::net::{Shutdown, TcpStream};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::Advertised;
+use crate::ros::lock;
 use crate::ros::tcpros::{BusLink, ConnectionHeader};
 
-/// The most sources whose last message a latching topic keeps.
+/// Sources whose last message a latching topic keeps.
 const MOST_LATCHED: usize = 64;
 
 pub(crate) struct Outlet {
-    about: Advertised,
+    pub about: Advertised,
     overflowed: AtomicU64,
     audience: Mutex<Audience>,
 }
@@ -34,14 +35,6 @@ impl Outlet {
         Self { about, overflowed: AtomicU64::new(0), audience: Mutex::default() }
     }
 
-    pub fn topic(&self) -> &str {
-        &self.about.topic
-    }
-
-    pub fn type_name(&self) -> &str {
-        &self.about.type_name
-    }
-
     pub fn overflowed(&self) -> u64 {
         self.overflowed.load(Ordering::SeqCst)
     }
@@ -50,28 +43,24 @@ impl Outlet {
         lock(&self.audience).subscribers.len()
     }
 
-    /// Whether a subscriber's queue is half full.
     pub fn is_crowded(&self) -> bool {
         lock(&self.audience).subscribers.iter().any(|subscriber| subscriber.is_crowded())
     }
 
-    /// Stops waiting for subscribers that are behind now.
     pub fn outrun(&self) {
         lock(&self.audience).subscribers.iter().for_each(|subscriber| subscriber.outrun());
     }
 
-    /// Sends `body` of one of several sources to all current subscribers; a latching topic keeps the last message of each.
+    /// A latching topic keeps the last message of each source.
     pub fn publish(&self, source: u64, body: &[u8]) {
         let Ok(length) = u32::try_from(body.len()) else { return };
         let frame = Arc::new([length.to_le_bytes().as_slice(), body].concat());
         let mut audience = lock(&self.audience);
         let Audience { subscribers, latched, .. } = &mut *audience;
-        subscribers.retain(|subscriber| match subscriber.push(&frame) {
-            Some(dropped) => {
-                self.overflowed.fetch_add(dropped, Ordering::SeqCst);
-                true
-            }
-            None => false,
+        subscribers.retain(|subscriber| {
+            let dropped = subscriber.push(&frame);
+            self.overflowed.fetch_add(dropped.unwrap_or(0), Ordering::SeqCst);
+            dropped.is_some()
         });
         if self.about.latching {
             latched.retain(|(other, _)| *other != source);
@@ -104,9 +93,9 @@ impl Outlet {
         ])
     }
 
-    /// Adds a subscriber after its handshake; it gets the latched messages first.
+    /// After the handshake; latched messages come first.
     pub fn add(&self, name: String, stream: TcpStream) -> std::io::Result<()> {
-        let subscriber = Arc::new(Subscriber::new(name, stream));
+        let subscriber = Arc::new(Subscriber { name, stream, queue: Mutex::default(), changed: Condvar::new() });
         let writer = Arc::clone(&subscriber);
         std::thread::Builder::new().name("ros-writer".into()).spawn(move || writer.write_all())?;
         let mut audience = lock(&self.audience);
@@ -121,7 +110,7 @@ impl Outlet {
         Ok(())
     }
 
-    /// Drops what one source published, and everything queued.
+    /// Drops one source's latched message, and all queues.
     pub fn silence(&self, source: u64) {
         let mut audience = lock(&self.audience);
         audience.latched.retain(|(other, _)| *other != source);
@@ -137,7 +126,7 @@ impl Outlet {
         lock(&self.audience).subscribers.iter().map(link).collect()
     }
 
-    /// No more messages come, and no more subscribers; the queues run empty.
+    /// No more messages and no more subscribers come; the queues run empty.
     pub fn leave(&self) {
         let mut audience = lock(&self.audience);
         audience.closed = true;
@@ -145,12 +134,10 @@ impl Outlet {
         audience.subscribers.iter().for_each(|subscriber| subscriber.close());
     }
 
-    /// Whether all queues are empty, after [`Self::leave`].
     pub fn is_sent(&self) -> bool {
-        lock(&self.audience).subscribers.iter().all(|subscriber| subscriber.is_done())
+        lock(&self.audience).subscribers.iter().all(|subscriber| lock(&subscriber.queue).done)
     }
 
-    /// Lets the queues drain, but not forever, and ends the connections; without patience what is queued is dropped.
     pub fn close(&self, patience: Duration) {
         let deadline = Instant::now() + patience;
         if patience.is_zero() {
@@ -160,7 +147,7 @@ impl Outlet {
         self.end(deadline);
     }
 
-    /// Ends the connections at the deadline, or when everything is sent; the rest is counted.
+    /// At the deadline, or when everything is sent; counts the rest.
     pub fn end(&self, deadline: Instant) {
         let subscribers = std::mem::take(&mut lock(&self.audience).subscribers);
         for subscriber in &subscribers {
@@ -169,10 +156,10 @@ impl Outlet {
     }
 }
 
-/// The most a queue holds, bytes; a single longer message is accepted nevertheless.
+/// Bytes; a single longer message is accepted nevertheless.
 const LONGEST_QUEUE: usize = 32 << 20;
 
-/// A message with its length before it, shared by all that send it.
+/// A message behind its length, shared by all subscribers.
 pub(super) type Frame = Arc<Vec<u8>>;
 
 pub(super) struct Subscriber {
@@ -186,24 +173,15 @@ pub(super) struct Subscriber {
 struct Queue {
     frames: VecDeque<Frame>,
     bytes: usize,
-    /// No more frames come.
     closing: bool,
     /// Everything is sent or never will be.
     done: bool,
-    /// Waiting for it was in vain; nobody waits for it until it has caught up.
+    /// It was too slow; nobody waits for it until it has caught up.
     slow: bool,
 }
 
-pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 impl Subscriber {
-    pub fn new(name: String, stream: TcpStream) -> Self {
-        Self { name, stream, queue: Mutex::default(), changed: Condvar::new() }
-    }
-
-    /// Queues a frame; returns how many older ones were dropped for it, `None` if the subscriber is gone.
+    /// How many older frames were dropped for this one; `None` if the subscriber is gone.
     pub fn push(&self, frame: &Frame) -> Option<u64> {
         let mut queue = lock(&self.queue);
         if queue.done || queue.closing {
@@ -221,23 +199,16 @@ impl Subscriber {
         Some(dropped)
     }
 
-    /// Whether half of the queue's room is taken.
     pub fn is_crowded(&self) -> bool {
         let queue = lock(&self.queue);
         !queue.done && !queue.slow && queue.bytes > LONGEST_QUEUE / 2
     }
 
-    /// Stops waiting for it if it is behind.
     pub fn outrun(&self) {
         let mut queue = lock(&self.queue);
         queue.slow |= queue.bytes > LONGEST_QUEUE / 2;
     }
 
-    pub fn is_done(&self) -> bool {
-        lock(&self.queue).done
-    }
-
-    /// Nothing queued is sent any more.
     pub fn forget(&self) {
         let mut queue = lock(&self.queue);
         queue.frames.clear();
@@ -270,7 +241,7 @@ impl Subscriber {
         self.changed.notify_all();
     }
 
-    /// Waits until everything is sent; returns how many messages were not when `deadline` came.
+    /// How many messages were not sent by `deadline`.
     pub fn wait(&self, deadline: Instant) -> u64 {
         let patience = deadline.saturating_duration_since(Instant::now());
         let waited = self.changed.wait_timeout_while(lock(&self.queue), patience, |queue| !queue.done);

@@ -69,7 +69,9 @@ fn what_is_published_arrives_whole_in_order_and_as_it_was_described() {
         assert!(publisher.publish("/words", 1, body) && publisher.publish("/more", 1, body));
     }
     assert!(!publisher.publish("/unknown", 1, &[]));
-    assert_eq!(publisher.finish(), 0);
+    publisher.leave();
+    until("the end of the queues", || publisher.is_sent());
+    assert_eq!(Box::new(publisher).end(), 0);
     until("all messages", || kept.bodies("/more").len() == 500 && kept.bodies("/words").len() == 500);
     assert_eq!((kept.bodies("/words"), kept.bodies("/more")), (bodies.clone(), bodies));
     let heard = kept.0.lock().expect("lock").first().cloned().expect("one");

@@ -1,5 +1,5 @@
-//! What is seen: pictures (PNG and JPEG within limits of pixels and memory), their thumbnails for screens, and the points of
-//! scans, clouds and paths from above.
+//! Pictures (PNG and JPEG within limits of pixels and memory), their thumbnails, and scans, clouds and paths from
+//! above.
 
 use std::io::Cursor;
 
@@ -14,30 +14,23 @@ use zune_jpeg::zune_core::bytestream::ZCursor;
 use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
-/// Quality of exported JPEGs.
 const QUALITY: u8 = 92;
 
-/// Why a picture cannot be shown or written.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum PictureError {
-    /// The message is not a picture.
     #[error("{0} is not a picture; write it as .json or .bin")]
     NoPicture(String),
-    /// Its encoding is unknown.
     #[error("the encoding '{0}' is not supported; write the message as .bin or .json")]
     Encoding(String),
-    /// It is larger than the decoder allows.
     #[error("the picture has {0} x {1} pixels, more than the limit of {most}; write it as .bin", most = MOST_PIXELS)]
     Large(u32, u32),
     #[error("the picture is damaged: {0}; write the message as .bin")]
     Broken(String),
-    /// The message does not match its definition.
     #[error("{0}; write it as .bin")]
     Message(String),
 }
 
 impl PictureError {
-    /// Determines the exit code.
     pub fn kind(&self) -> ErrorKind {
         match self {
             Self::NoPicture(_) | Self::Encoding(_) => ErrorKind::Usage,
@@ -46,45 +39,33 @@ impl PictureError {
     }
 }
 
-/// A file format that a message can be written in.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, strum::EnumString)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum Exported {
-    /// PNG; 8-bit colours and greys and 16-bit depths are exact.
+    /// 8-bit colours and greys and 16-bit depths are exact.
     Png,
-    /// JPEG; a JPEG message's own bytes.
+    /// Of a JPEG message, its own bytes.
+    #[strum(serialize = "jpg", serialize = "jpeg")]
     Jpeg,
     /// NumPy's array file: the matrix itself.
     Npy,
-    /// The whole message as JSON.
     Json,
-    /// The message's bytes as they were captured.
     Bin,
 }
 
-/// The format requested by a file name's extension.
 pub fn file_of(name: &str) -> Option<Exported> {
-    let end = name.rsplit_once('.')?.1.to_ascii_lowercase();
-    Some(match end.as_str() {
-        "png" => Exported::Png,
-        "jpg" | "jpeg" => Exported::Jpeg,
-        "npy" => Exported::Npy,
-        "json" => Exported::Json,
-        "bin" => Exported::Bin,
-        _ => return None,
-    })
+    name.rsplit_once('.')?.1.to_ascii_lowercase().parse().ok()
 }
 
-/// The message as a file of that format.
 pub fn export(kind: Exported, definition: &Definition, body: &[u8]) -> Result<Vec<u8>, PictureError> {
-    match kind {
-        Exported::Bin => return Ok(body.to_vec()),
-        Exported::Json => {
-            let mut out = Vec::new();
-            definition.write_json(body, &mut out).map_err(|error| PictureError::Message(error.to_string()))?;
-            return Ok(out);
-        }
-        Exported::Png | Exported::Jpeg | Exported::Npy => {}
+    if kind == Exported::Bin {
+        return Ok(body.to_vec());
+    }
+    if kind == Exported::Json {
+        let mut out = Vec::new();
+        definition.write_json(body, &mut out).map_err(|error| PictureError::Message(error.to_string()))?;
+        return Ok(out);
     }
     let broken = |error: crate::ros::RosError| PictureError::Broken(error.to_string());
     let limits = Limits { elements: 0, ..Limits::default() };
@@ -105,13 +86,12 @@ fn from_file(kind: Exported, data: &[u8]) -> Result<Vec<u8>, PictureError> {
         Exported::Png if is_png => Ok(data.to_vec()),
         Exported::Jpeg if !is_png => Ok(data.to_vec()),
         Exported::Npy => {
-            let rgb = decode(data)?;
-            let row = std::iter::once(rgb.pixels.as_slice());
-            Ok(npy("|u1", &[rgb.height, rgb.width, 3], rgb.pixels.len(), row))
+            let Raster { width, height, rgb } = decode(data)?;
+            Ok(npy("|u1", &[height, width, 3], rgb.len(), std::iter::once(rgb.as_slice())))
         }
         _ => {
-            let rgb = decode(data)?;
-            encode(kind, &rgb.pixels, (rgb.width, rgb.height))
+            let Raster { width, height, rgb } = decode(data)?;
+            encode(kind, &rgb, (width, height))
         }
     }
 }
@@ -180,9 +160,9 @@ pub(super) fn compressed(value: &Value, body: &Body) -> Readable {
     let Some(data) = value.get("data").and_then(|data| bytes(data, body)) else { return out };
     out.line("Bytes", data.len().to_string());
     match decode(&data) {
-        Ok(rgb) => {
-            out.line("Size", format!("{} x {}", rgb.width, rgb.height));
-            out.picture = Some(Raster { width: rgb.width, height: rgb.height, rgb: rgb.pixels }.fit(LARGEST));
+        Ok(picture) => {
+            out.line("Size", format!("{} x {}", picture.width, picture.height));
+            out.picture = Some(picture.fit(LARGEST));
         }
         Err(error) => out.line("Not shown", error.to_string()),
     }
@@ -222,29 +202,19 @@ fn corner(matrix: &Matrix) -> Option<Table> {
     Some(Table { title: String::from("Matrix, upper left corner in hex"), head: Vec::new(), rows })
 }
 
-/// The most pixels of a compressed picture that is decoded: 4000 x 3000.
+/// Of a compressed picture: 4000 x 3000.
 pub const MOST_PIXELS: u64 = 12_000_000;
 
-/// The most memory that decoding one may take, bytes.
+/// For decoding one picture, bytes.
 pub const DECODER_MEMORY: usize = 128 << 20;
 
-/// The start of every PNG.
 const PNG_MAGIC: &[u8] = b"\x89PNG";
-
-/// A picture, three bytes a pixel.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Rgb {
-    pub width: usize,
-    pub height: usize,
-    pub pixels: Vec<u8>,
-}
 
 fn broken(error: impl std::fmt::Display) -> PictureError {
     PictureError::Broken(crate::model::clean(&error.to_string(), 200))
 }
 
-/// Decodes a JPEG or PNG file within [`MOST_PIXELS`] and [`DECODER_MEMORY`].
-pub fn decode(data: &[u8]) -> Result<Rgb, PictureError> {
+pub fn decode(data: &[u8]) -> Result<Raster, PictureError> {
     if data.starts_with(PNG_MAGIC) { decode_png(data) } else { decode_jpeg(data) }
 }
 
@@ -253,12 +223,12 @@ fn within_bounds(width: u32, height: u32) -> Result<(), PictureError> {
     if is_large { Err(PictureError::Large(width, height)) } else { Ok(()) }
 }
 
-fn decode_png(data: &[u8]) -> Result<Rgb, PictureError> {
+fn decode_png(data: &[u8]) -> Result<Raster, PictureError> {
     let limits = png::Limits { bytes: DECODER_MEMORY };
     let mut decoder = png::Decoder::new_with_limits(Cursor::new(data), limits);
     decoder.set_ignore_text_chunk(true);
     decoder.set_ignore_iccp_chunk(true);
-    // Palettes and samples below a byte are expanded to bytes.
+    // Expands palettes and samples below a byte to bytes.
     decoder.set_transformations(Transformations::EXPAND);
     let (width, height) = decoder.read_header_info().map_err(broken)?.size();
     within_bounds(width, height)?;
@@ -268,17 +238,15 @@ fn decode_png(data: &[u8]) -> Result<Rgb, PictureError> {
     reader.next_frame(&mut samples).map_err(broken)?;
     let (colour, depth) = reader.output_color_type();
     if depth == BitDepth::Sixteen {
-        samples = samples.as_chunks().0.iter().map(|pair| as_byte(u16::from_be_bytes(*pair))).collect();
+        // Rounds sixteen bits to eight.
+        let as_byte =
+            |pair: &[u8; 2]| u8::try_from((u32::from(u16::from_be_bytes(*pair)) + 128) / 257).unwrap_or(u8::MAX);
+        samples = samples.as_chunks().0.iter().map(as_byte).collect();
     }
-    rgb((width, height), colour.samples(), samples)
+    raster((width, height), colour.samples(), samples)
 }
 
-/// Sixteen bits rounded to eight.
-fn as_byte(sample: u16) -> u8 {
-    u8::try_from((u32::from(sample) + 128) / 257).unwrap_or(u8::MAX)
-}
-
-fn decode_jpeg(data: &[u8]) -> Result<Rgb, PictureError> {
+fn decode_jpeg(data: &[u8]) -> Result<Raster, PictureError> {
     let any_size = DecoderOptions::default().set_max_width(usize::MAX).set_max_height(usize::MAX);
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(data), any_size.set_strict_mode(false));
     decoder.decode_headers().map_err(broken)?;
@@ -292,25 +260,24 @@ fn decode_jpeg(data: &[u8]) -> Result<Rgb, PictureError> {
     };
     decoder.set_options(decoder.options().jpeg_set_out_colorspace(colours));
     let samples = decoder.decode().map_err(broken)?;
-    rgb(size, colours.num_components(), samples)
+    raster(size, colours.num_components(), samples)
 }
 
 /// Pixels of one to four samples, without transparency.
-fn rgb((width, height): (u32, u32), channels: usize, samples: Vec<u8>) -> Result<Rgb, PictureError> {
+fn raster((width, height): (u32, u32), channels: usize, samples: Vec<u8>) -> Result<Raster, PictureError> {
     let (width, height) = (width as usize, height as usize);
     if samples.len() != width * height * channels {
         return Err(broken("its data does not have the length its size implies"));
     }
-    let pixels = match channels {
+    let rgb = match channels {
         1 => samples.iter().flat_map(|grey| [*grey; 3]).collect(),
         2 => samples.as_chunks().0.iter().flat_map(|[grey, _]| [*grey; 3]).collect(),
         4 => samples.as_chunks().0.iter().flat_map(|[red, green, blue, _]| [*red, *green, *blue]).collect(),
         _ => samples,
     };
-    Ok(Rgb { width, height, pixels })
+    Ok(Raster { width, height, rgb })
 }
 
-/// Writes a PNG of 8-bit RGB, or of 16-bit greys, high byte first.
 pub(super) fn png_file(
     data: &[u8],
     size: (usize, usize),
@@ -330,7 +297,6 @@ pub(super) fn png_file(
     Ok(out)
 }
 
-/// Writes a JPEG of RGB without chroma subsampling.
 fn jpeg_file(data: &[u8], size: (usize, usize), quality: u8) -> Result<Vec<u8>, PictureError> {
     let side = |length: usize| u16::try_from(length).map_err(|_| broken("it is too large"));
     let mut out = Vec::new();
@@ -340,10 +306,10 @@ fn jpeg_file(data: &[u8], size: (usize, usize), quality: u8) -> Result<Vec<u8>, 
     Ok(out)
 }
 
-/// The largest raster, pixels: enough for half-blocks on a screen of 240 columns and 80 rows.
+/// Pixels: enough for half-blocks on a screen of 240 columns and 80 rows.
 pub const LARGEST: (usize, usize) = (240, 160);
 
-/// The most source pixels averaged into one, in each direction.
+/// Source pixels averaged into one, in each direction.
 const AVERAGED: usize = 4;
 
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -356,7 +322,7 @@ pub struct Raster {
 }
 
 impl Raster {
-    /// A picture of `width` x `height`, averaged down to at most `largest`; never enlarged.
+    /// Averaged down to at most `largest`; never enlarged.
     pub fn of(size: (usize, usize), largest: (usize, usize), pixel: &dyn Fn(usize, usize) -> [u8; 3]) -> Self {
         let (columns, rows) = fitted(size, largest);
         let mut rgb = Vec::with_capacity(columns * rows * 3);
@@ -370,12 +336,12 @@ impl Raster {
         Self { width: columns, height: rows, rgb }
     }
 
-    /// This raster averaged down again.
+    /// Averages this raster down again.
     pub fn fit(&self, largest: (usize, usize)) -> Self {
         Self::of((self.width, self.height), largest, &|x, y| self.pixel(x, y))
     }
 
-    /// Its size when fitted into `largest` with its aspect ratio kept; never enlarged.
+    /// Its size when fitted into `largest`, with its aspect ratio; never enlarged.
     pub fn size_within(&self, largest: (usize, usize)) -> (usize, usize) {
         fitted((self.width, self.height), largest)
     }
@@ -384,14 +350,13 @@ impl Raster {
         png_file(&self.rgb, (self.width, self.height), ColorType::Rgb, BitDepth::Eight)
     }
 
-    /// A pixel; black outside the picture.
     pub fn pixel(&self, x: usize, y: usize) -> [u8; 3] {
         let at = (y * self.width + x) * 3;
         self.rgb.get(at..at + 3).and_then(|rgb| rgb.try_into().ok()).unwrap_or_default()
     }
 }
 
-/// The size of a picture fitted into `largest` with its aspect ratio kept.
+/// Fits a picture into `largest` with its aspect ratio; never enlarges.
 pub fn fitted(size: (usize, usize), largest: (usize, usize)) -> (usize, usize) {
     let (width, height) = size;
     if width == 0 || height == 0 || largest.0 == 0 || largest.1 == 0 {
@@ -458,7 +423,6 @@ pub(super) fn plot(title: &str, points: Vec<(f64, f64)>, here: Option<(f64, f64)
     (!points.is_empty()).then(|| Plot { title: title.to_owned(), axes, points, path, here })
 }
 
-/// One field of a cloud's points.
 struct Part {
     name: String,
     offset: usize,
@@ -533,7 +497,6 @@ pub(super) fn coordinate(bytes: &[u8], wide: bool, big: bool) -> Option<f64> {
     Some(f64::from(if big { f32::from_be_bytes(bytes) } else { f32::from_le_bytes(bytes) }))
 }
 
-/// The bytes of an array of bytes.
 pub(super) fn bytes<'a>(value: &Value, body: &'a Body) -> Option<std::borrow::Cow<'a, [u8]>> {
     match value {
         Value::Large { bytes, .. } => body.0.get(bytes.clone()).map(std::borrow::Cow::Borrowed),
@@ -582,13 +545,13 @@ mod tests {
             (ColorType::Indexed, One, &[0x40], [9, 8, 7, 60, 50, 40]),
         ] {
             let file = png(colour, depth, data);
-            assert_eq!(decode(&file), Ok(Rgb { width: 2, height: 1, pixels: wanted.to_vec() }), "{colour:?}");
+            assert_eq!(decode(&file), Ok(Raster { width: 2, height: 1, rgb: wanted.to_vec() }), "{colour:?}");
         }
         let mut grey = Vec::new();
         JpegEncoder::new(&mut grey, 100).encode(&[100; 128], 16, 8, JpegColour::Luma).expect("encoded");
         let rgb = decode(&grey).expect("a grey JPEG");
-        assert_eq!((rgb.width, rgb.height, rgb.pixels.len()), (16, 8, 384));
-        assert!(rgb.pixels.iter().all(|sample| sample.abs_diff(100) <= 1), "{:?}", &rgb.pixels[..9]);
+        assert_eq!((rgb.width, rgb.height, rgb.rgb.len()), (16, 8, 384));
+        assert!(rgb.rgb.iter().all(|sample| sample.abs_diff(100) <= 1), "{:?}", &rgb.rgb[..9]);
     }
 
     #[test]
@@ -597,8 +560,8 @@ mod tests {
         let file = jpeg_file(&pixels, (24, 16), 92).expect("encoded");
         let back = decode(&file).expect("decoded");
         assert_eq!((back.width, back.height), (24, 16));
-        assert!(back.pixels.iter().zip(&pixels).all(|(back, sent)| back.abs_diff(*sent) <= 4));
-        assert!((1..file.len()).all(|end| decode(&file[..end]).map_or(true, |cut| cut.pixels.len() == pixels.len())));
+        assert!(back.rgb.iter().zip(&pixels).all(|(back, sent)| back.abs_diff(*sent) <= 4));
+        assert!((1..file.len()).all(|end| decode(&file[..end]).map_or(true, |cut| cut.rgb.len() == pixels.len())));
     }
 
     #[test]

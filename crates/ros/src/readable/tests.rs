@@ -236,7 +236,7 @@ fn files_hold_the_matrix() {
     assert!(
         decode(&png)
             .expect("PNG")
-            .pixels
+            .rgb
             .chunks(3)
             .zip(0..480u16)
             .all(|(pixel, at)| { pixel.iter().all(|sample| (u16::from(*sample) * 257).abs_diff(at * 100) <= 128) })
@@ -245,7 +245,7 @@ fn files_hold_the_matrix() {
     let body = image_body((24, 20), "bgr8", 3, &rgb);
     let png = decode(&export(Exported::Png, &image(), &body).expect("a picture")).expect("PNG");
     let swapped: Vec<u8> = rgb.as_chunks::<3>().0.iter().flat_map(|[b, g, r]| [*r, *g, *b]).collect();
-    assert_eq!(png.pixels, swapped);
+    assert_eq!(png.rgb, swapped);
     let jpeg = export(Exported::Jpeg, &image(), &body).expect("a picture");
     assert!(jpeg.starts_with(&[0xff, 0xd8]));
     let message = Bytes::header().text("jpeg").bytes(&jpeg).0;

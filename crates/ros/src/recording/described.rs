@@ -1,4 +1,4 @@
-//! The definition by which a recorded message is read, and any remark about it.
+//! The definition that a recorded message is read by.
 
 use std::sync::Arc;
 
@@ -9,57 +9,51 @@ use crate::ros::message::{Definition, Folders, Source, built_in_definition, plai
 /// MCAP's name for the hash of a channel's type.
 pub const TYPE_HASH: &str = "topic_type_hash";
 
-/// What is known about a message's type.
 #[derive(Debug, Clone, Copy)]
 pub struct TypeFacts<'a> {
     pub name: &'a str,
-    /// How bodies are serialised.
     pub encoding: Encoding,
-    /// The text of its definition, if one was found. An empty one is none, unless its messages are empty too.
+    /// An empty definition counts as none, unless its messages are empty too.
     pub text: Option<&'a str>,
-    /// Its md5sum (ROS 1); `*` or empty if nobody said.
+    /// Of ROS 1; `*` or empty if unknown.
     pub md5sum: &'a str,
-    /// Its hash, as given in the recording; an empty one is none.
+    /// As given in the recording; empty = none.
     pub hash: Option<&'a str>,
 }
 
-/// A definition to read by, and any remark about it.
 #[derive(Debug, Clone, Default)]
 pub struct Described {
-    /// The definition; `None` if nothing but the bytes can be shown.
+    /// `None` if only the bytes can be shown.
     pub definition: Option<Arc<Definition>>,
-    /// Why there is none, or what casts doubt on it.
+    /// Why there is none, or a doubt about it.
     pub note: Option<String>,
 }
 
 impl Described {
-    /// The definition that came with the recording; for ROS 2 otherwise one found in `folders`, or built in.
+    /// From the recording; for ROS 2 otherwise from `folders`, or built in.
     pub fn of(facts: TypeFacts<'_>, folders: &Folders) -> Self {
         let text = facts.text.filter(|text| !text.trim().is_empty()).or(has_no_fields(facts).then_some(""));
         let text = text.map(|text| plain_text(facts.name, text));
         let facts = TypeFacts { text: text.as_deref(), hash: facts.hash.filter(|hash| !hash.is_empty()), ..facts };
-        match own(facts).or_else(|error| completed(facts, folders).ok_or(error)) {
-            Ok((definition, note)) => {
-                Self { definition: Some(Arc::new(definition)), note: note.or_else(|| differs(facts)) }
-            }
+        let own = own(facts).map(|definition| (definition, None));
+        let found = match own.or_else(|error| completed(facts, folders).ok_or(error)) {
+            Ok((definition, note)) => Ok((definition, note.or_else(|| differs(facts)))),
             Err(_) if facts.encoding != Encoding::Ros1 && folders.may_know(facts.name) => {
-                match elsewhere(facts, folders) {
-                    Ok((definition, source)) => Self {
-                        definition: Some(Arc::new(definition)),
-                        note: Some(format!("fields are read by {}: {}", words(source), trust(facts))),
-                    },
-                    Err(error) => Self { definition: None, note: Some(error.to_string()) },
-                }
+                let note = |source| format!("fields are read by {}: {}", words(source), trust(facts));
+                elsewhere(facts, folders).map(|(definition, source)| (definition, Some(note(source))))
             }
+            Err(error) => Err(error),
+        };
+        match found {
+            Ok((definition, note)) => Self { definition: Some(Arc::new(definition)), note },
             Err(error) => Self { definition: None, note: Some(error.to_string()) },
         }
     }
 }
 
-/// The md5sum of an empty definition.
 const NOTHING: &str = "d41d8cd98f00b204e9800998ecf8427e";
 
-/// Whether the type has no fields, so that an empty text is its whole definition: its md5sum or hash says so.
+/// Whether an empty text is the whole definition: by its md5sum or hash the type has no fields.
 fn has_no_fields(facts: TypeFacts<'_>) -> bool {
     match facts.encoding {
         Encoding::Ros1 => facts.md5sum == NOTHING,
@@ -70,10 +64,9 @@ fn has_no_fields(facts: TypeFacts<'_>) -> bool {
     }
 }
 
-/// The definition that came with the message.
-fn own(facts: TypeFacts<'_>) -> Result<(Definition, Option<String>), RosError> {
+fn own(facts: TypeFacts<'_>) -> Result<Definition, RosError> {
     let no_fields = |reason: &str| Err(RosError::no_fields(facts.name, reason));
-    let definition = match (facts.encoding, facts.text) {
+    match (facts.encoding, facts.text) {
         (Encoding::Cdr { .. }, None) => no_fields(
             "its definition is in no record that can be read here; give the directory where its package is installed \
              (ros.definitions, AMENT_PREFIX_PATH)",
@@ -82,7 +75,7 @@ fn own(facts: TypeFacts<'_>) -> Result<(Definition, Option<String>), RosError> {
             no_fields("its publisher sent no definition, or it is in no record that can be read here; write it as .bin")
         }
         (Encoding::Ros1, Some(text)) => Definition::parse(facts.name, text),
-        // So rosbag2 describes what `ros2 bag record --service` records: by the service.
+        // rosbag2 describes records of `ros2 bag record --service` by the service.
         (Encoding::Cdr { idl: false }, Some(text)) if text.lines().any(|line| line.trim() == "---") => no_fields(
             "the recording describes a service, not a message; events of services are kept as bytes, write it as .bin",
         ),
@@ -93,11 +86,10 @@ fn own(facts: TypeFacts<'_>) -> Result<(Definition, Option<String>), RosError> {
             "the recording describes its type in IDL, which is not supported; give the directory where its package is \
              installed (ros.definitions, AMENT_PREFIX_PATH)",
         ),
-    };
-    Ok((definition?, None))
+    }
 }
 
-/// The definition that came with the message, completed with what it lacks; and a note about where that is from.
+/// The recording's definition, completed; with a note on the source of the rest.
 fn completed(facts: TypeFacts<'_>, folders: &Folders) -> Option<(Definition, Option<String>)> {
     match (facts.encoding, facts.text) {
         (Encoding::Ros1, None) => {
@@ -116,7 +108,7 @@ fn completed(facts: TypeFacts<'_>, folders: &Folders) -> Option<(Definition, Opt
     }
 }
 
-/// By the definition in the folders; where that is none or another one, by the one that is built in.
+/// From the folders; if they have none or another one, built in.
 fn elsewhere(facts: TypeFacts<'_>, folders: &Folders) -> Result<(Definition, Source), RosError> {
     let found = found_by(facts, folders);
     if found.is_ok() || folders.is_empty() {
@@ -158,7 +150,7 @@ fn trust(facts: TypeFacts<'_>) -> &'static str {
     }
 }
 
-/// Whether a recording's definition matches the hash in it.
+/// Whether a recording's definition differs from the hash in it.
 fn differs(facts: TypeFacts<'_>) -> Option<String> {
     let (hash, Encoding::Cdr { .. }) = (facts.hash?, facts.encoding) else { return None };
     let found = type_hash(facts.name, facts.text?).ok().filter(|found| found != hash)?;

@@ -1,7 +1,5 @@
-//! Recordings: files that hold messages with their times, as written by `rosbag record` and MCAP writers.
-//!
-//! What both formats share: channels, messages, chunk compression, and a reader's report of damage. Files are treated
-//! as hostile: every length is checked, memory is bounded by [`LARGEST_CHUNK`].
+//! Recordings: files of messages with their times, by `rosbag record` and MCAP writers. Files are hostile: every length
+//! is checked, and memory is bounded by [`LARGEST_CHUNK`].
 
 mod described;
 pub mod tags;
@@ -23,18 +21,16 @@ use serde::{Deserialize, Serialize};
 pub use super::mcap::{AttachedFile, BESIDE, Beside, BesideContent};
 pub use described::{Described, TYPE_HASH, TypeFacts};
 
-/// The most bytes of a decompressed chunk: a message of the largest size and what was in its chunk before it.
+/// Room for the longest message and those before it in its chunk, bytes.
 pub const LARGEST_CHUNK: usize = LONGEST_MESSAGE + (64 << 20);
 
-/// A chunk is closed when it holds this many bytes, as in `rosbag record`.
+/// A chunk is closed at this size, as in `rosbag record`, bytes.
 pub(super) const CHUNK_THRESHOLD: usize = 768 * 1024;
 
-/// The chunk being read.
 #[derive(Debug, Default)]
 pub(super) struct Chunk {
     pub bytes: Vec<u8>,
     pub at: usize,
-    /// Its offset in the file.
     pub position: u64,
     /// Whether its end is missing, which was already reported.
     pub cut: bool,
@@ -43,7 +39,7 @@ pub(super) struct Chunk {
 }
 
 impl Chunk {
-    /// Its rest cannot be read. The memory is reused for the next one.
+    /// Its rest is unreadable. The next chunk reuses the memory.
     pub fn end(mut self, findings: &mut Findings, format: &str) -> Self {
         if !self.cut {
             let left = self.bytes.len() - self.at;
@@ -55,25 +51,24 @@ impl Chunk {
     }
 }
 
-/// The most channels of a recording.
 pub(super) const MOST_CHANNELS: usize = 16_384;
 
-/// The most bytes of all channels' texts together.
+/// Of all channels' texts together.
 pub(super) const MOST_CHANNEL_BYTES: usize = 64 << 20;
 
-/// Name of the topic that a bag's connection header gives, where that is not the connection's own; empty if it gives none.
+/// The topic in a bag's connection header, where that is not the connection's own; empty if it gives none.
 pub const BAG_TOPIC: &str = "bag.topic";
 
-/// Why a message is left out that no record can hold.
+/// The reason for leaving out a message that no record can hold.
 pub const TOO_LARGE: &str = "it is larger than a record may be (64 MiB)";
 
-/// The longest of a channel's further data, bytes; the most entries; the most bytes of all of them, which go into the head of
-/// each record.
+/// Limits of a channel's further data, since it goes into the head of each record: bytes of one entry, entries, bytes
+/// of all.
 const LONGEST_ABOUT: usize = 8 * 1024;
 const MOST_ABOUT: usize = 12;
 const MOST_ABOUT_BYTES: usize = 32 * 1024;
 
-/// A channel's further data as far as it is kept, and whether that is all.
+/// A channel's further data within the limits, and whether that is all.
 pub(super) fn kept_about(all: impl IntoIterator<Item = (Arc<str>, Arc<str>)>) -> (BTreeMap<Arc<str>, Arc<str>>, bool) {
     let (mut kept, mut whole, mut bytes) = (BTreeMap::new(), true, 0);
     for (key, value) in all {
@@ -88,42 +83,45 @@ pub(super) fn kept_about(all: impl IntoIterator<Item = (Arc<str>, Arc<str>)>) ->
     (kept, whole)
 }
 
-/// How the message bodies of a channel are serialised.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Encoding {
     /// As in ROS 1.
     Ros1,
-    /// CDR, as in ROS 2; with the schema's encoding as named by MCAP (`ros2msg`, `ros2idl`).
+    /// CDR, as in ROS 2; the schema is MCAP's `ros2msg` or `ros2idl`.
     Cdr { idl: bool },
-    /// No message: MCAP's own bytes of what the recording holds beside its messages.
+    /// No message: MCAP's own bytes of an attachment or metadata.
     Beside(Beside),
 }
 
-/// A recording's description of the messages of one publisher on one topic.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Channel {
-    /// Topic name, as written.
+    /// As written.
     pub topic: Arc<str>,
-    /// Type, `package/Type`; for ROS 2 `package/msg/Type`.
     pub type_name: Arc<str>,
-    /// The type's md5sum, 32 hex characters; `*` if the recording has none.
+    /// 32 hex characters; `*` if the recording has none.
     pub md5sum: Arc<str>,
-    /// The full text of the type's definition.
     pub definition: Arc<str>,
-    /// The publisher's node name; empty if the recording has none.
+    /// Empty if the recording has none.
     pub caller_id: Arc<str>,
-    /// Whether the last message is kept for later subscribers.
     pub latching: bool,
-    /// How bodies are serialised.
     pub encoding: Encoding,
-    /// What the recording says of it beyond these fields: MCAP's metadata such as the QoS offered, the other fields of a
-    /// bag's connection header; bounded. `latching` is here if it is not `1`, [`BAG_TOPIC`] if a bag's header names
-    /// another topic or none.
+    /// Further data, bounded: MCAP's metadata such as the QoS offered, other fields of a bag's connection header.
+    /// `latching` is here if it is not `1`, [`BAG_TOPIC`] if a bag's header names another topic or none.
     pub about: BTreeMap<Arc<str>, Arc<str>>,
 }
 
 impl Channel {
-    /// Bytes of its texts.
+    /// Topic, type and definition, without a publisher's own data.
+    pub(super) fn plain(
+        (topic, type_name, definition): (&str, &str, &str),
+        encoding: Encoding,
+        about: BTreeMap<Arc<str>, Arc<str>>,
+    ) -> Self {
+        let (topic, type_name, definition) = (topic.into(), type_name.into(), definition.into());
+        let (md5sum, caller_id, latching) = ("*".into(), "".into(), false);
+        Self { topic, type_name, md5sum, definition, caller_id, latching, encoding, about }
+    }
+
     pub(super) fn size(&self) -> usize {
         let texts = [&self.topic, &self.type_name, &self.md5sum, &self.definition, &self.caller_id];
         let about = self.about.iter().map(|(key, value)| key.len() + value.len());
@@ -131,10 +129,8 @@ impl Channel {
     }
 }
 
-/// MCAP's data about a message's publishing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Sent {
-    /// When it was published.
     pub time: Timestamp,
     pub sequence: u32,
 }
@@ -142,54 +138,49 @@ pub struct Sent {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RecordedMessage {
     pub channel: Arc<Channel>,
-    /// When it was recorded.
     pub time: Timestamp,
-    /// When and with which number it was published, if the recording says so.
+    /// If the recording says so.
     pub sent: Option<Sent>,
     pub body: Vec<u8>,
 }
 
-/// The most damaged places listed; further ones are counted.
 const MOST_DAMAGES: usize = 64;
 
-/// The most rows of unusable messages; those of further topics share one row without a name.
+/// Further topics share one row without a name.
 const MOST_UNUSABLE: usize = 256;
 
-/// A place that could not be read.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Damage {
-    /// Its offset in the file, bytes.
+    /// Offset in the file, bytes.
     pub position: u64,
-    /// What was skipped and why, cleaned.
+    /// The skipped part and the reason, cleaned.
     pub text: String,
 }
 
-/// Messages of one topic that are present but cannot be used, for one reason.
+/// Messages of one topic that cannot be used, for one reason.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Unusable {
-    /// Their topic, cleaned; empty if the file does not name it.
+    /// Cleaned; empty if the file does not name it.
     pub topic: String,
     pub why: String,
     pub messages: u64,
 }
 
-/// The skipped parts of a recording.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Findings {
-    /// Damaged places, in order; only the first are listed.
+    /// In order; only the first are listed.
     pub damages: Vec<Damage>,
     /// The number of further ones.
     pub more_damages: u64,
-    /// Messages that are present but unusable, by topic and reason.
+    /// By topic and reason.
     pub unusable: Vec<Unusable>,
-    /// Messages, attachments and metadata records that no checksum covers: the file does not show whether they were altered.
+    /// Messages, attachments and metadata that no checksum covers: an alteration would not show.
     pub unguarded: u64,
-    /// Whether the recorder was killed before it wrote the index: nothing shows whether the end is missing.
+    /// The recorder was killed before it wrote the index: a missing end would not show.
     pub unfinished: bool,
 }
 
 impl Findings {
-    /// Notes a damaged place.
     pub(crate) fn note(&mut self, position: u64, text: &str) {
         if self.damages.len() < MOST_DAMAGES {
             self.damages.push(Damage { position, text: clean(text, 300) });
@@ -198,7 +189,6 @@ impl Findings {
         }
     }
 
-    /// Counts a message that is present but unusable.
     pub(crate) fn leave_out(&mut self, topic: &str, why: &str) {
         self.leave_out_many(topic, why, 1);
     }
@@ -215,7 +205,7 @@ impl Findings {
         }
     }
 
-    /// Adds what was skipped of one file of several.
+    /// Adds the findings of one file of several.
     pub(crate) fn add(&mut self, name: &str, of_file: &Self) {
         for damage in &of_file.damages {
             self.note(damage.position, &format!("{name}: {}", damage.text));
@@ -228,24 +218,21 @@ impl Findings {
         self.unfinished |= of_file.unfinished;
     }
 
-    /// How many messages are present but unusable.
     pub fn messages_skipped(&self) -> u64 {
         self.unusable.iter().map(|row| row.messages).sum()
     }
 
-    /// Compares how many messages, or `what` else, the file's own index counts with how many were found, if nothing else reports a loss.
+    /// Compares the counts of the file's index with the real ones, if nothing else reports a loss.
     pub(crate) fn compare(&mut self, end: u64, what: &str, counted: Option<u64>, met: u64) {
         let Some(counted) = counted.filter(|counted| self.damages.is_empty() && *counted != met) else { return };
         self.note(end, &format!("the file's index counts {counted} {what}, but {met} could be read"));
     }
 
-    /// Whether the whole recording was read.
     pub fn is_whole(&self) -> bool {
         self.damages.is_empty() && self.unusable.is_empty()
     }
 }
 
-/// How the chunks of a recording are compressed.
 #[derive(
     Debug,
     Clone,
@@ -265,7 +252,6 @@ pub enum ChunkCompression {
     #[default]
     None,
     Bz2,
-    /// LZ4 frames (bags, MCAP).
     Lz4,
     Zstd,
 }
@@ -275,17 +261,13 @@ fn not_a_compression(text: &str) -> String {
 }
 
 impl ChunkCompression {
-    /// Its name on the command line and in a bag.
     pub fn word(self) -> &'static str {
         self.into()
     }
 }
 
-/// Decompresses at most `limit` bytes from `source` into `out`; returns whether a checksum of the compression itself
-/// covered all of them. Memory grows only with the actual output.
-///
-/// # Errors
-/// If the data is damaged, its checksum does not match, or it is longer than `limit`; the output so far is in `out`.
+/// Returns whether a checksum of the compression covered all bytes. At most `limit` bytes come out, memory grows only
+/// with them, and `out` keeps them on an error.
 pub(crate) fn unpack(
     compression: ChunkCompression,
     source: impl BufRead,
@@ -301,10 +283,10 @@ pub(crate) fn unpack(
     }
 }
 
-/// A decoder's own words, in those of a notice.
+/// Replaces a decoder's own words.
 pub(crate) const SPOILT: &str = "its compressed data is damaged";
 
-/// Why a read failed: the disk's own words, but none of a decoder's.
+/// Passes on the disk's own words, but no decoder's.
 pub(crate) fn why(error: &std::io::Error) -> String {
     if error.raw_os_error().is_some() { error.to_string() } else { SPOILT.to_owned() }
 }
@@ -319,7 +301,7 @@ fn unpack_lz4(mut source: impl BufRead, limit: usize, out: &mut Vec<u8>) -> Resu
     drain(lz4_flex::frame::FrameDecoder::new(lead.as_slice().chain(source)), limit, out).map(|()| covered)
 }
 
-/// The decoder computes the checksum of the content; comparing it is up to the caller.
+/// The decoder computes the content's checksum; the caller compares it.
 fn unpack_zstd(source: impl BufRead, limit: usize, out: &mut Vec<u8>) -> Result<bool, String> {
     let window = u64::try_from(LARGEST_CHUNK).unwrap_or(u64::MAX);
     let decoder = ruzstd::decoding::StreamingDecoder::new_with_max_window_size(source, window);
@@ -333,10 +315,10 @@ fn unpack_zstd(source: impl BufRead, limit: usize, out: &mut Vec<u8>) -> Result<
     }
 }
 
-/// What every zstd frame begins with; no message in CDR does.
+/// The start of every zstd frame; no CDR message begins so.
 const ZSTD: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 
-/// The body of a message: rosbag2 with `compression_mode: MESSAGE` makes a zstd frame of each. What is sealed is the message.
+/// rosbag2 with `compression_mode: MESSAGE` makes a zstd frame of each message. The record seals the message itself.
 pub(crate) fn unpacked_body(encoding: Encoding, body: Vec<u8>) -> Result<Vec<u8>, String> {
     if !matches!(encoding, Encoding::Cdr { .. }) || !body.starts_with(&ZSTD) {
         return Ok(body);
@@ -357,7 +339,6 @@ fn drain(source: impl Read, limit: usize, out: &mut Vec<u8>) -> Result<(), Strin
     Ok(())
 }
 
-/// Compresses the bytes of a chunk.
 pub(crate) fn pack(compression: ChunkCompression, bytes: &[u8]) -> Result<Vec<u8>, String> {
     match compression {
         ChunkCompression::None => Ok(bytes.to_vec()),
@@ -382,7 +363,7 @@ pub(crate) fn pack(compression: ChunkCompression, bytes: &[u8]) -> Result<Vec<u8
     }
 }
 
-/// Up to `length` bytes from a position on; fewer at the end of the file.
+/// Fewer bytes at the end of the file.
 pub(crate) fn read_at(file: &mut (impl BufRead + Seek), at: u64, length: u64) -> std::io::Result<Vec<u8>> {
     go_to(file, at)?;
     let mut bytes = Vec::new();
@@ -390,7 +371,7 @@ pub(crate) fn read_at(file: &mut (impl BufRead + Seek), at: u64, length: u64) ->
     Ok(bytes)
 }
 
-/// Moves to a position, keeping the read-ahead.
+/// Keeps the read-ahead.
 pub(crate) fn go_to(file: &mut (impl BufRead + Seek), at: u64) -> std::io::Result<()> {
     let here = file.stream_position()?;
     let step = i64::try_from(at).and_then(|at| i64::try_from(here).map(|here| at - here));
@@ -414,7 +395,6 @@ impl RecordingFormat {
         self.into()
     }
 
-    /// Whether chunks of this format may use this compression.
     pub fn takes(self, compression: ChunkCompression) -> bool {
         match self {
             Self::Bag => compression != ChunkCompression::Zstd,
@@ -422,7 +402,6 @@ impl RecordingFormat {
         }
     }
 
-    /// Whether messages of this encoding can be written in this format.
     pub fn holds(self, encoding: Encoding) -> bool {
         match self {
             Self::Mcap => true,
@@ -432,7 +411,7 @@ impl RecordingFormat {
     }
 }
 
-/// What a file that begins like this is, if it is not a recording in either format.
+/// Names a file that is no recording, by its beginning.
 fn other_than_a_recording(magic: &[u8]) -> String {
     let version = [&b"#ROSBAG V"[..], b"#ROSRECORD V"].iter().find_map(|lead| magic.strip_prefix(*lead));
     match version {
@@ -455,7 +434,7 @@ fn packed(format: &str, command: &str) -> String {
     format!("compressed with {format}; unpack it with `{command}` and import what comes out")
 }
 
-/// A file at its beginning, and what it begins with.
+/// A file at its beginning, and its first bytes.
 fn begin(path: &Path) -> Result<(BufReader<File>, Vec<u8>), RosError> {
     let unreadable = |error: std::io::Error| RosError::recording(&format!("{}: {error}", path.display()));
     let mut file = BufReader::with_capacity(BUFFER, File::open(path).map_err(unreadable)?);
@@ -465,44 +444,40 @@ fn begin(path: &Path) -> Result<(BufReader<File>, Vec<u8>), RosError> {
     Ok((file, magic))
 }
 
-/// The content of a file, by which it is known: of one that is compressed as a whole, what comes out of it, if it can be
-/// unpacked. A recorder compresses what it has closed, which may have been sealed before.
+/// The content that identifies a file; unpacked, if it is compressed as a whole: a recorder compresses closed files,
+/// which may have been sealed before.
 pub fn content_of(path: &Path) -> Result<File, RosError> {
     let (file, magic) = begin(path)?;
     let whole = if magic.starts_with(&ZSTD) { unpacked(path).ok() } else { None };
-    // What cannot be unpacked is told when it is read as a recording.
+    // The reader of the recording reports a failure to unpack.
     Ok(whole.and_then(|whole| whole.reopen().ok()).unwrap_or_else(|| file.into_inner()))
 }
 
-/// Reads a recording message by message, in file order.
 pub trait RecordingReader {
-    /// The next readable message, or what is beside the messages; `None` at the end. Damage is not an error: see
-    /// [`Self::findings`].
+    /// `None` at the end. Damage is not an error: see [`Self::findings`].
     fn next_message(&mut self) -> Result<Option<RecordedMessage>, RosError>;
 
-    /// What has been skipped so far; of the files of a folder that are still read, later.
+    /// So far; of a folder's open files, later.
     fn findings(&self) -> &Findings;
 
-    /// Bytes read so far, as far as messages have any, and of all.
+    /// Bytes read so far, as far as messages have any, and all bytes.
     fn progress(&self) -> (u64, u64);
 
-    /// The file of a folder that the last message is from, as `rosbag2::files_of` names it; `None` where the recording is one
-    /// file.
+    /// A folder's file that the last message is from, as `rosbag2::files_of` names it; `None` for a single file.
     fn file(&self) -> Option<&Path> {
         None
     }
 }
 
-/// A recording of any format.
 pub type Recording = dyn RecordingReader + Send;
 
 impl Recording {
-    /// Opens a file of any format, or a folder of rosbag2.
+    /// A file of any format, or a folder of rosbag2.
     pub fn open(path: &Path) -> Result<Box<Self>, RosError> {
         if path.is_dir() { Ok(Box::new(FolderReader::open(path)?)) } else { Self::open_file(path) }
     }
 
-    /// Opens a single file. One that is compressed as a whole is unpacked into a temporary file, which is gone at the end.
+    /// Unpacks a file compressed as a whole into a temporary file, which is deleted at the end.
     pub(crate) fn open_file(path: &Path) -> Result<Box<Self>, RosError> {
         let (file, magic) = begin(path)?;
         if !magic.starts_with(&ZSTD) {
@@ -529,14 +504,12 @@ impl Recording {
     }
 }
 
-/// A recording being written.
 pub enum RecordingWriter {
     Bag(Box<BagWriter<BufWriter<File>>>),
     Mcap(Box<McapWriter<BufWriter<File>>>),
 }
 
 impl RecordingWriter {
-    /// Starts a recording in an empty file.
     pub fn begin(format: RecordingFormat, compression: ChunkCompression, file: File) -> Result<Self, RosError> {
         let out = BufWriter::with_capacity(BUFFER, file);
         Ok(match format {
@@ -547,7 +520,6 @@ impl RecordingWriter {
         })
     }
 
-    /// Writes one message. A bag has no room for data about its publishing.
     pub fn write(
         &mut self,
         channel: &Arc<Channel>,
@@ -562,14 +534,13 @@ impl RecordingWriter {
         }
     }
 
-    /// Writes the index; the file is then on disk.
     pub fn finish(self) -> Result<(), RosError> {
         let out = match self {
             Self::Bag(writer) => writer.finish()?,
             Self::Mcap(writer) => writer.finish()?,
         };
-        let file = out.into_inner().map_err(|error| RosError::unwritable(error.error()))?;
-        file.sync_all().map_err(|error| RosError::unwritable(&error))
+        let file = out.into_inner().map_err(|error| RosError::unwritable(error.into_error()))?;
+        file.sync_all().map_err(RosError::unwritable)
     }
 }
 

@@ -1,18 +1,18 @@
-//! The data in a record's tags beside its message: its serialisation, and what MCAP would say about it.
+//! Names of a record's tags beside its message.
 
-/// Tag of messages other than ROS 1's: their serialisation.
+/// Serialisation of messages other than ROS 1's.
 pub const ENCODING: &str = "encoding";
-/// MCAP's data beside the message: tags with this prefix, never searched for.
+/// Prefix of MCAP's data beside the message; never searched for.
 pub const MCAP: &str = "mcap.";
-/// Tag of the time a message was published, nanoseconds, if that is not when it was recorded.
+/// Publishing time, nanoseconds, if it differs from the recording time.
 pub const PUBLISHED: &str = "mcap.publish_time";
-/// Tag of a message's number: in its recording, or that of its ROS 2 publisher.
+/// A message's number in its recording, or by its ROS 2 publisher.
 pub const SEQUENCE: &str = "mcap.sequence";
-/// What a message was before it was sealed anew: tags with this prefix, never searched for.
+/// Prefix for a message's state before it was sealed again; never searched for.
 pub const FORMER: &str = "former.";
-/// Tag of the digest that its record had in the home it was brought from.
+/// Digest of the record in the home it was brought from.
 pub const FORMER_RECORD: &str = "former.record";
-/// Tag of the device that signed that record, if its owner did not.
+/// The device that signed that record, if its owner did not.
 pub const FORMER_SIGNER: &str = "former.signer";
-/// Tags of the channel's data.
+/// Prefix of the channel's data.
 pub const CHANNEL: &str = "mcap.channel.";

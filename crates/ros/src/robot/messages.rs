@@ -1,14 +1,14 @@
-//! The robots' messages and their definitions, serialised as ROS 1 does (little endian, lengths of 32 bits) and as
-//! ROS 2 does (CDR, each value at a multiple of its size).
+//! The robots' messages, serialised as ROS 1 does (little endian, lengths of 32 bits) and as ROS 2 does (CDR, each
+//! value at a multiple of its size).
 
 use super::Motion;
 use crate::model::Timestamp;
-use crate::ros::message::{built_in_definition, md5sum};
+use crate::ros::message::built_in_definition;
 
 /// Standard deviations squared: x, y (m²) and the rotation about Z (rad²); the rest is not measured.
 const VARIANCES: [f64; 6] = [0.0004, 0.0004, 1e-6, 1e-6, 1e-6, 0.0003];
 
-/// A `nav_msgs/Odometry`; the number is of ROS 1, whose headers have one.
+/// Only ROS 1 has a number in its headers.
 pub(super) fn odometry(is_cdr: bool, seq: u32, stamp: Timestamp, motion: &Motion) -> Vec<u8> {
     let mut message = Message::new(is_cdr, 760);
     message.put_header(seq, stamp, "odom");
@@ -21,7 +21,7 @@ pub(super) fn odometry(is_cdr: bool, seq: u32, stamp: Timestamp, motion: &Motion
     message.bytes
 }
 
-/// A `sensor_msgs/CompressedImage` with format `jpeg`.
+/// With format `jpeg`.
 pub(super) fn compressed_image(is_cdr: bool, seq: u32, stamp: Timestamp, robot: u16, jpeg: &[u8]) -> Vec<u8> {
     let mut message = Message::new(is_cdr, jpeg.len() + 72);
     message.put_header(seq, stamp, &format!("robot{robot}_camera"));
@@ -31,7 +31,6 @@ pub(super) fn compressed_image(is_cdr: bool, seq: u32, stamp: Timestamp, robot: 
     message.bytes
 }
 
-/// The matrix of both messages' uncertainty.
 fn covariance() -> [f64; 36] {
     let mut matrix = [0.0; 36];
     for (place, variance) in matrix.iter_mut().step_by(7).zip(VARIANCES) {
@@ -40,28 +39,19 @@ fn covariance() -> [f64; 36] {
     matrix
 }
 
-/// Type of the odometry.
 pub const ODOMETRY: &str = "nav_msgs/Odometry";
 
-/// Type of the pictures.
 pub const COMPRESSED_IMAGE: &str = "sensor_msgs/CompressedImage";
 
-/// The full definition of `nav_msgs/Odometry`.
 pub fn odometry_definition() -> String {
     built_in_definition(ODOMETRY, "cd5e73d190d741a2f92e81eda573aca7").unwrap_or_default()
 }
 
-/// The full definition of `sensor_msgs/CompressedImage`.
 pub fn compressed_image_definition() -> String {
     built_in_definition(COMPRESSED_IMAGE, "8f7a12909da2c9d3332d540a0977563f").unwrap_or_default()
 }
 
-/// The md5sum of a definition of ours.
-pub(super) fn sum_of(type_name: &str, definition: &str) -> String {
-    md5sum(type_name, definition).unwrap_or_default()
-}
-
-/// The encapsulation header of CDR in this order of bytes, without options.
+/// CDR, little endian, without options.
 const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
 
 struct Message {
@@ -76,7 +66,7 @@ impl Message {
         Self { is_cdr, bytes }
     }
 
-    /// In CDR places are multiples of a value's size, counted from behind the encapsulation header.
+    /// Counted from behind the encapsulation header.
     fn align(&mut self, size: usize) {
         if self.is_cdr {
             let place = self.bytes.len() - ENCAPSULATION.len();
@@ -152,11 +142,13 @@ mod tests {
 #[cfg(test)]
 mod definitions_tests {
     use super::*;
+    use crate::ros::message::md5sum;
 
     #[test]
     fn the_md5sums_are_those_of_ros() {
-        assert_eq!(sum_of(ODOMETRY, &odometry_definition()), "cd5e73d190d741a2f92e81eda573aca7");
-        assert_eq!(sum_of(COMPRESSED_IMAGE, &compressed_image_definition()), "8f7a12909da2c9d3332d540a0977563f");
+        assert_eq!(md5sum(ODOMETRY, &odometry_definition()).as_deref(), Ok("cd5e73d190d741a2f92e81eda573aca7"));
+        let sum = md5sum(COMPRESSED_IMAGE, &compressed_image_definition());
+        assert_eq!(sum.as_deref(), Ok("8f7a12909da2c9d3332d540a0977563f"));
     }
 }
 

@@ -1,19 +1,17 @@
-//! The robots' camera: draws a scene (sky, ground, numbered evidence markers, another robot, the gripper, a caption) on a
-//! small RGB raster, where anything outside is clipped, and encodes it as a JPEG of about 58 KB.
+//! The robots' camera: draws a scene on a small RGB raster, clipped at its edges, and encodes it as a JPEG of about 58
+//! KB.
 
 use super::Track;
 use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
 
-/// The target size, bytes: the quality of the next picture is adjusted towards it.
+/// Bytes; the next picture's quality is adjusted towards it.
 const WANTED: std::ops::Range<usize> = 56_000..60_000;
 
-/// The sizes allowed, bytes.
+/// Bytes.
 const ALLOWED: std::ops::RangeInclusive<usize> = 50_000..=66_000;
 
-/// How often a picture is re-encoded to get within the allowed sizes.
 const ATTEMPTS: usize = 8;
 
-/// The row of the horizon.
 const HORIZON: i32 = 170;
 
 /// Rows below the horizon of a point 1 m away, at the camera's feet.
@@ -56,7 +54,7 @@ impl Camera {
         let mut encoder = Encoder::new(&mut jpeg, self.quality);
         // As cameras do: colour at half the resolution is half the work.
         encoder.set_sampling_factor(SamplingFactor::F_2_2);
-        encoder.encode(self.canvas.pixels(), width, height, ColorType::Rgb).ok()?;
+        encoder.encode(&self.canvas.pixels, width, height, ColorType::Rgb).ok()?;
         Some(jpeg)
     }
 
@@ -135,18 +133,15 @@ const HEIGHT: i32 = 480;
 
 type Colour = [u8; 3];
 
-/// A picture being drawn.
 struct Canvas {
     pixels: Vec<u8>,
 }
 
-/// The integer part, saturating.
 #[expect(clippy::cast_possible_truncation, reason = "`as` saturates, and off-screen is off-screen")]
 fn whole(number: f64) -> i32 {
     number as i32
 }
 
-/// A brightness, clamped to its range.
 fn shade(level: i32) -> u8 {
     u8::try_from(level.clamp(0, 255)).unwrap_or(255)
 }
@@ -163,12 +158,7 @@ impl Canvas {
         Self { pixels: vec![0; size] }
     }
 
-    /// RGB bytes, row by row.
-    pub fn pixels(&self) -> &[u8] {
-        &self.pixels
-    }
-
-    /// Rows with their numbers.
+    /// Row by row.
     fn rows(&mut self) -> impl Iterator<Item = (i32, &mut [u8])> {
         let stride = usize::try_from(WIDTH * 3).unwrap_or(1);
         (0..).zip(self.pixels.chunks_exact_mut(stride))
@@ -238,7 +228,6 @@ impl Canvas {
         }
     }
 
-    /// A yellow tent with a number, its foot at (`centre`, `foot`).
     pub fn tent(&mut self, centre: i32, foot: i32, size: i32, number: i32) {
         for up in 0..size {
             let half = (size - up) * 2 / 3;
@@ -254,7 +243,6 @@ impl Canvas {
         }
     }
 
-    /// A line of letters, `scale` pixels per dot.
     pub fn text(&mut self, left: i32, top: i32, scale: i32, text: &str, colour: Colour) {
         for (place, letter) in (0..).zip(text.chars()) {
             for (down, bits) in (0..).zip(rows(letter)) {
@@ -267,10 +255,10 @@ impl Canvas {
     }
 }
 
-/// Columns of a letter, including the gap.
+/// Columns of a letter, with its gap.
 const ADVANCE: i32 = 6;
 
-/// Rows of a letter, top first; bit 4 is the left column. Unknown characters are blank.
+/// Top first; bit 4 is the left column. Unknown characters are blank.
 pub(super) fn rows(letter: char) -> [u8; 7] {
     match letter {
         '0' => [0x0e, 0x11, 0x13, 0x15, 0x19, 0x11, 0x0e],

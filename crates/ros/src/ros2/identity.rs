@@ -1,7 +1,6 @@
-//! Which publisher a message is from, and the definitions of types that are not built in, requested from the nodes that
-//! publish them (`~/get_type_description`). Messages wait here until their publisher has a name and, where another
-//! participant has a publisher of the same name, until it shows whether that one still runs: then the newcomer is a rival,
-//! else a restart. A text is accepted only if its hash is the one that the publisher announced.
+//! Names of publishers, and definitions that nodes give on request. Messages wait here until their publisher has a name
+//! and, beside a namesake of another participant, until it shows whether that one still runs: then the newcomer is a
+//! rival, else a restart. A definition counts only with the hash that the publisher announced.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
@@ -13,39 +12,34 @@ use crate::pipe::read::{Wish, Writer};
 use crate::ros::Rival;
 use crate::ros::message::{is_built_in, type_hash};
 
-/// How long a message waits for the name of a publisher whose participant announces names.
+/// Wait for the name of a publisher whose participant announces names.
 pub const NAMING: Duration = Duration::from_secs(30);
-/// The same where no names are announced; the announcement of names itself may be a moment late.
+/// Where no names are announced; the announcement may itself be a moment late.
 const UNNAMED: Duration = Duration::from_secs(1);
-/// The messages of a dead publisher may still arrive this long after its successor was discovered.
+/// A dead publisher's messages may still arrive this long after its successor's discovery.
 const GRACE: Duration = Duration::from_secs(1);
-/// A publisher in full flow that says nothing for this long, and for four of its own intervals, has ended.
+/// A publisher in full flow that is silent for this long, and for four of its own intervals, has ended.
 const SILENCE: Duration = Duration::from_secs(3);
-/// A participant that is still listed after this time is alive: Fast DDS and Cyclone DDS give up a silent one after 20 s
-/// and 10 s.
+/// A participant still listed after this time is alive: Fast DDS and Cyclone DDS drop a silent one after 20 s and 10 s.
 const LEASE: Duration = Duration::from_secs(30);
 /// Characters of a writer's id that its participant's writers share.
 const PARTICIPANT: usize = 24;
 
-/// A message that waits.
 pub struct Held {
-    /// The publisher's number for it, and when it was published.
+    /// The publisher's number for it, and its publishing time.
     pub sent: (i64, Option<u64>),
     pub at: Timestamp,
-    /// Its bytes.
     pub body: Vec<u8>,
 }
 
-/// When a publisher was heard.
 #[derive(Default)]
 pub struct Pulse {
     last: Option<Instant>,
-    /// The longest of its recent intervals.
+    /// The longest recent interval.
     interval: Option<Duration>,
 }
 
 impl Pulse {
-    /// A message of it arrived then.
     pub fn beat(&mut self, at: Instant) {
         if let Some(last) = self.last {
             let former = self.interval.map_or(Duration::ZERO, |interval| interval * 7 / 8);
@@ -54,24 +48,23 @@ impl Pulse {
         self.last = Some(self.last.map_or(at, |last| last.max(at)));
     }
 
-    /// The silence that shows it has ended, if it was in full flow at that time.
+    /// The silence that shows its end, if it was in full flow then.
     fn telling(&self, at: Instant) -> Option<Duration> {
         let enough = SILENCE.max(self.interval? * 4);
         (at.saturating_duration_since(self.last?) < enough).then_some(enough)
     }
 }
 
-/// The place of a publisher among those of its name.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Place {
     Open,
-    /// It is the only one, or the successor of one that ended.
+    /// The only one, or the successor of one that ended.
     Alone,
-    /// It came while this one was there, and that one goes on.
+    /// It came while this one was there, which goes on.
     Beside(Rival),
 }
 
-/// Whether `elder` ran on after a newcomer was discovered; `None` if that does not show yet.
+/// Whether `elder` ran on after a newcomer's discovery; `None` if that is not clear yet.
 fn lives_beside(elder: &Publisher, came: Instant, now: Instant) -> Option<bool> {
     if elder.pulse.last.is_some_and(|last| last > came + GRACE) {
         return Some(true);
@@ -116,8 +109,6 @@ fn are_namesakes(one: &Publisher, other: &Publisher) -> bool {
         && participant(one) != participant(other)
 }
 
-/// Enters who came before whom among the publishers of a topic. In what order those came that were there at first, before
-/// `ordered`, is not known.
 pub fn relate(topic: &str, ordered: Instant, all: &mut BTreeMap<String, Publisher>) {
     let of_topic: Vec<&Publisher> = all.values().filter(|known| known.writer.topic == topic).collect();
     let mut elders = Vec::new();
@@ -133,22 +124,17 @@ pub fn relate(topic: &str, ordered: Instant, all: &mut BTreeMap<String, Publishe
     }
 }
 
-/// The most types that are asked for.
 const MOST_TYPES: usize = 4096;
-/// The most publishers whose nodes are asked for one type.
 const MOST_ASKED: usize = 16;
 
-/// What is known of a type.
 enum Description {
-    /// The nodes that were asked, by the publisher for which that was: a node that was started anew is asked again.
+    /// Nodes asked, by the publisher that caused it: a restarted node is asked again.
     Asked(BTreeMap<String, String>),
-    /// The text, with all the types it consists of.
+    /// The text, with all its types.
     Known(Arc<str>),
-    /// It is built into this program.
     BuiltIn,
 }
 
-/// The types, by name and hash.
 #[derive(Default)]
 pub struct Descriptions(HashMap<(String, String), Description>);
 
@@ -157,7 +143,6 @@ fn key(writer: &Writer) -> Option<(String, String)> {
 }
 
 impl Descriptions {
-    /// The question to be asked because of a publisher whose messages are captured.
     pub fn wanted(&mut self, writer: &Writer) -> Option<Wish> {
         let (node, (type_name, hash)) = (writer.node.clone()?, key(writer)?);
         if self.0.len() >= MOST_TYPES && !self.0.contains_key(&(type_name.clone(), hash.clone())) {
@@ -173,7 +158,7 @@ impl Descriptions {
         is_new.then_some(Wish::Describe { node, type_name, type_hash: hash })
     }
 
-    /// The text for a publisher's messages; empty if there is none.
+    /// Empty if there is none.
     pub fn text_of(&self, writer: &Writer) -> Arc<str> {
         match key(writer).and_then(|key| self.0.get(&key)) {
             Some(Description::Known(text)) => Arc::clone(text),
@@ -181,7 +166,7 @@ impl Descriptions {
         }
     }
 
-    /// Takes a node's answer, of which the first text that has the hash counts; whether one is known now that was not before.
+    /// Accepts the first text with the hash; whether the text is new.
     pub fn take(
         &mut self,
         node: &str,
@@ -205,13 +190,12 @@ impl Descriptions {
         Err(wrong.unwrap_or_else(|| "the definition it gave is empty".to_owned()))
     }
 
-    /// The program that asks was started anew: who has not answered is asked again.
+    /// The reader was restarted: nodes without an answer are asked again.
     pub fn ask_again(&mut self) {
         self.0.retain(|_, known| !matches!(known, Description::Asked(_)));
     }
 }
 
-/// A text, if it has the hash.
 fn fitting(type_name: &str, hash: &str, text: Vec<u8>) -> Result<String, String> {
     let text = String::from_utf8(text).map_err(|_| "the definition it gave is no text".to_owned())?;
     match type_hash(type_name, &text) {

@@ -1,7 +1,6 @@
-//! ROS 2: topics read by a separate program without keys, which is started, supervised and restarted here.
-//!
-//! Its reports are trusted no more than a peer's. Messages that a publisher sent and that never arrived are counted
-//! here, by the publisher's own numbers, so that the count continues when the program has to be restarted.
+//! ROS 2: a program without keys reads the topics; it is started, supervised and restarted here, and trusted no more
+//! than a peer. Lost messages are counted here by the publisher's own numbers, so that a restart does not end the
+//! count.
 
 mod identity;
 mod publisher;
@@ -12,7 +11,7 @@ use std::io::{BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -21,7 +20,7 @@ use crate::pipe::read::{Told, Wish};
 use crate::pipe::write::Order;
 use crate::pipe::{LONGEST_PAYLOAD, receive, send};
 use crate::ros::child::{self, Errand, Run};
-use crate::ros::{CaptureNotice, MessageSink, RosError};
+use crate::ros::{CaptureNotice, MessageSink, RosError, lock};
 use state::{Outcome, State};
 
 pub use crate::pipe::LONGEST_PAYLOAD as LONGEST_MESSAGE;
@@ -30,38 +29,29 @@ pub use crate::pipe::write::{Offer, Topic as Offered};
 pub use crate::ros::child::Declined;
 pub use publisher::{QUALITY, WRITER};
 
-/// The program that speaks ROS 2.
 const PROGRAM: &str = "authros-ros2";
 
-fn find(program: Option<&Path>) -> Result<PathBuf, RosError> {
-    child::find(PROGRAM, program).map_err(|path| RosError::no_reader(&path))
-}
-
-/// Reading a domain, or publishing in it.
 fn errand(program: &Path, domain: u16, publishes: bool) -> Errand {
     let arguments = ["--domain".to_owned(), domain.to_string()];
     let arguments = arguments.into_iter().chain(publishes.then(|| "--publish".to_owned())).collect();
-    // What rustdds receives into goes back to the system when it is freed (decision 072).
+    // Returns rustdds's freed receive buffers to the system (decision 072).
     let environment = vec![("MALLOC_MMAP_THRESHOLD_", (128 << 10).to_string())];
     Errand { program: program.to_owned(), arguments, environment }
 }
 
-/// A topic of the domain.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Ros2Topic {
     pub name: String,
-    /// Its type, `package/msg/Type`.
     pub type_name: String,
-    /// `RIHS01_` and 64 hex characters, if a publisher gave it.
     pub type_hash: Option<String>,
     /// What every publisher of it offers.
     pub quality: Quality,
-    /// Names of its publishers: clean them before they are shown.
+    /// Clean the names before they are shown.
     pub publishers: Vec<String>,
 }
 
 impl Ros2Topic {
-    /// The offer, in two words.
+    /// In two words.
     pub fn quality_text(&self) -> String {
         let reliability = if self.quality.reliable { "reliable" } else { "best_effort" };
         let durability = if self.quality.latched { "transient_local" } else { "volatile" };
@@ -69,20 +59,14 @@ impl Ros2Topic {
     }
 }
 
-/// A running capture of a domain; leaves it when dropped.
 pub struct Ros2Capture {
     shared: Arc<Shared>,
     threads: Vec<JoinHandle<()>>,
 }
 
 impl Ros2Capture {
-    /// Starts reading `domain`; nothing is watched yet. `program` names the program that reads if it is not beside this
-    /// one.
-    ///
-    /// # Errors
-    /// [`RosError::NoReader`] if that program is missing, [`RosError::System`] if no thread can be started.
     pub fn start(domain: u16, program: Option<&Path>, sink: Arc<dyn MessageSink>) -> Result<Self, RosError> {
-        let program = find(program)?;
+        let program = child::find(PROGRAM, program).map_err(RosError::NoReader)?;
         let shared = Arc::new(Shared {
             domain,
             program,
@@ -106,7 +90,6 @@ impl Ros2Capture {
         Ok(())
     }
 
-    /// Captures a topic from now on, whenever somebody publishes it.
     pub fn watch(&self, topic: &TopicName) {
         let mut outcome = Outcome::default();
         if self.shared.state().watch(topic, &mut outcome) {
@@ -123,7 +106,6 @@ impl Ros2Capture {
         }
     }
 
-    /// Captures the messages of a topic, or of all, that still wait for the identity of their publisher. Blocks like the sink.
     pub fn settle(&self, topic: Option<&str>) {
         let mut outcome = Outcome::default();
         self.shared.state().settle(Instant::now(), |name| topic.is_none_or(|topic| topic == name), &mut outcome);
@@ -134,7 +116,6 @@ impl Ros2Capture {
         self.shared.state().watched.iter().cloned().collect()
     }
 
-    /// The topics with a publisher now, by name.
     pub fn topics(&self) -> Vec<Ros2Topic> {
         self.shared.state().topics()
     }
@@ -156,39 +137,35 @@ impl Drop for Ros2Capture {
         self.settle(None);
         // The end of its pipe tells the program to leave.
         self.shared.stopping.store(true, Ordering::Release);
-        locked(&self.shared.to_child).take();
+        lock(&self.shared.to_child).take();
         for thread in self.threads.drain(..) {
             drop(thread.join());
         }
     }
 }
 
-/// The state of the program that reads.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub enum Reading {
-    /// It was started and has not reported yet, or has not had time for discovery.
+    /// Started, without a report or time for discovery yet.
     #[default]
     Looking,
+    /// It reads.
     Up,
-    /// It does not; it is restarted.
-    Down {
-        reason: String,
-    },
+    /// It is being restarted.
+    Down { reason: String },
 }
 
-/// The state of reading.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Standing {
     pub domain: u16,
     pub reading: Reading,
     pub counts: Counts,
-    /// How often the program was restarted.
     pub restarts: u64,
-    /// Whether the program can open no file and no local socket of this machine; `None` before it says so.
+    /// Whether the program can open no file and no local socket; `None` before it says so.
     pub confined: Option<bool>,
 }
 
-/// What cannot be seen from here, and how to be seen.
+/// Robots that cannot be seen from here, and the remedy.
 pub const INVISIBLE: &str = "not visible from here: robots with another ROS_DOMAIN_ID, on another network, or using \
                              Fast DDS over shared memory only or with LARGE_DATA (FASTDDS_BUILTIN_TRANSPORTS), a \
                              Discovery Server, SROS2 or rmw_zenoh (`authros bag follow DIR` seals what they record)";
@@ -216,24 +193,21 @@ impl Standing {
         }
     }
 
-    /// Whether there is still no participant or topic though there was time to look.
+    /// Whether there is still no topic after discovery.
     pub fn is_empty(&self) -> bool {
         self.reading == Reading::Up && self.counts.writers == 0
     }
 }
 
-/// Interval between checks that the program still reports.
+/// Interval between checks that the program still reports, as it does once a tick.
 const TICK: Duration = Duration::from_millis(500);
-/// After this many checks without a report it is killed. It reports once a tick; checks are counted, not time, so that
-/// a machine that slept blames nobody.
+/// It is killed after this many checks without a report; counting checks blames nobody when the machine slept.
 const SILENT_TICKS: u32 = 10;
 /// The shortest and the longest pause before a start.
 const FIRST_PAUSE: Duration = Duration::from_millis(50);
 const LONGEST_PAUSE: Duration = Duration::from_secs(5);
-/// A program that ran this long started well.
 const BEGAN_WELL: Duration = Duration::from_secs(10);
 
-/// Shared by the threads of a capture.
 struct Shared {
     domain: u16,
     program: PathBuf,
@@ -245,13 +219,9 @@ struct Shared {
     stopping: AtomicBool,
 }
 
-fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 impl Shared {
     fn state(&self) -> MutexGuard<'_, State> {
-        locked(&self.state)
+        lock(&self.state)
     }
 
     fn hand_on(&self, outcome: Outcome) {
@@ -264,9 +234,9 @@ impl Shared {
         outcome.definitions.into_iter().for_each(|message| self.sink.define(message));
     }
 
-    /// A program that does not receive it is restarted, and told then.
+    /// A program that misses it is restarted, and told then.
     fn wish(&self, wish: &Wish) {
-        if let Some(to) = locked(&self.to_child).as_mut() {
+        if let Some(to) = lock(&self.to_child).as_mut() {
             drop(send(to, wish, &[]).map(|()| to.flush()));
         }
     }
@@ -282,24 +252,24 @@ impl Shared {
         }
     }
 
-    /// One run of the program, to its end; returns why it ended.
+    /// One run of the program; returns why it ended.
     fn run_once(&self) -> String {
         let (child, to, from) = match child::start(&errand(&self.program, self.domain, false)) {
             Ok(started) => started,
             Err(error) => return error.to_string(),
         };
-        *locked(&self.running) = Some(child);
-        *locked(&self.to_child) = Some(to);
+        *lock(&self.running) = Some(child);
+        *lock(&self.to_child) = Some(to);
         if self.is_stopping() {
-            locked(&self.to_child).take();
+            lock(&self.to_child).take();
         }
-        // What is watched from here on is sent by the call that watches it; twice does no harm.
+        // A later `watch` sends its topic itself; sending it twice does no harm.
         let watched: Vec<TopicName> = self.state().watched.iter().cloned().collect();
         watched.iter().for_each(|topic| self.wish(&Wish::Watch { topic: topic.to_string() }));
         let reason = self.read(&mut BufReader::with_capacity(256 << 10, from));
-        locked(&self.to_child).take();
+        lock(&self.to_child).take();
         // Not under the lock, which is needed to kill a silent program.
-        let child = locked(&self.running).take();
+        let child = lock(&self.running).take();
         if let Some(mut child) = child {
             let has_left = if self.is_stopping() {
                 child::end(&mut child)
@@ -338,14 +308,11 @@ impl Shared {
             if self.is_stopping() {
                 return;
             }
-            let first = {
-                let mut state = self.state();
-                let first = !matches!(state.reading, Reading::Down { .. });
-                state.restarts += 1;
-                state.reading = Reading::Down { reason: reason.clone() };
-                first
-            };
-            if first {
+            let mut state = self.state();
+            state.restarts += 1;
+            let former = std::mem::replace(&mut state.reading, Reading::Down { reason: reason.clone() });
+            drop(state);
+            if !matches!(former, Reading::Down { .. }) {
                 self.hand_on(Outcome { notices: vec![CaptureNotice::ReadingBroken { reason }], ..Outcome::default() });
             }
             pause = if begun.elapsed() >= BEGAN_WELL { FIRST_PAUSE } else { pause };
@@ -363,44 +330,36 @@ impl Shared {
             before = now;
             if silent >= SILENT_TICKS {
                 silent = 0;
-                self.kill();
+                child::kill(&self.running);
             }
         }
-        // The end of its pipe tells it to leave. One that stays and goes on talking would hold up the caller that stops it.
+        // The end of its pipe tells it to leave. One that stays and talks would hold up the caller that stops it.
         let begun = Instant::now();
-        while begun.elapsed() < child::LEAVING && locked(&self.running).is_some() {
+        while begun.elapsed() < child::LEAVING && lock(&self.running).is_some() {
             std::thread::sleep(Duration::from_millis(20));
         }
-        self.kill();
-    }
-
-    fn kill(&self) {
-        if let Some(child) = locked(&self.running).as_mut() {
-            drop(child.kill());
-        }
+        child::kill(&self.running);
     }
 }
 
-/// The most bytes of latched messages kept for a program that has to be started anew.
+/// Bytes of latched messages kept for a restart.
 const MOST_LATCHED: usize = 128 << 20;
 
-/// What became of the messages handed out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Delivery {
     /// Messages that a subscriber missed, or did not acknowledge.
     pub missed: u64,
-    /// Messages that nobody is known to have: some subscribers do not acknowledge, or could not any more.
+    /// Messages that nobody is known to have: some subscribers do not acknowledge, or no longer could.
     pub unconfirmed: u64,
 }
 
 struct Announced {
     topic: Offered,
     size: u32,
-    /// Its last messages, if it is latched.
+    /// The last messages, if it is latched.
     latched: VecDeque<Arc<[u8]>>,
 }
 
-/// A participant that publishes. It leaves the domain when dropped, without waiting for subscribers.
 pub struct Ros2Publisher {
     domain: u16,
     program: PathBuf,
@@ -408,18 +367,13 @@ pub struct Ros2Publisher {
     announced: BTreeMap<u32, Announced>,
     next: u32,
     latched_bytes: usize,
-    /// What earlier runs of the program did not deliver.
+    /// Deliveries of earlier runs of the program.
     earlier: Delivery,
 }
 
 impl Ros2Publisher {
-    /// Joins `domain`; `program` names the program that does it if it is not beside this one. Blocks for a moment.
-    ///
-    /// # Errors
-    /// [`RosError::NoReader`] if that program is missing, [`RosError::NotPublished`] if it cannot join the domain,
-    /// [`RosError::System`] if it does not start.
     pub fn start(domain: u16, program: Option<&Path>) -> Result<Self, RosError> {
-        let program = find(program)?;
+        let program = child::find(PROGRAM, program).map_err(RosError::NoReader)?;
         let run = Run::start(&errand(&program, domain, true), domain)?;
         let (announced, earlier) = (BTreeMap::new(), Delivery::default());
         let publisher = Self { domain, program, run, announced, next: 1, latched_bytes: 0, earlier };
@@ -434,7 +388,6 @@ impl Ros2Publisher {
         RosError::NotPublished { domain: self.domain, reason: reason.to_owned() }
     }
 
-    /// Whether its program can open no file and no local socket.
     pub fn is_confined(&self) -> bool {
         self.run.state().confined
     }
@@ -443,8 +396,8 @@ impl Ros2Publisher {
         self.domain
     }
 
-    /// Announces a topic whose first message has `size` bytes, and waits for the subscribers that are known if `patient`.
-    /// Refused, with the reason, if it is no ROS 2 topic, or somebody else publishes it and it is to be `alone`.
+    /// Waits for known subscribers if `patient`. Refused if it is no ROS 2 topic, or if another node publishes it and
+    /// it must be `alone`. `size` is that of its first message.
     pub fn advertise(
         &mut self,
         topic: &Offered,
@@ -462,7 +415,7 @@ impl Ros2Publisher {
         Ok(answer.map(|()| writer))
     }
 
-    /// Hands out a message, with its encapsulation header; false if the topic is not announced or nobody publishes now.
+    /// `message` has its encapsulation header; false if the topic is not announced or nobody publishes now.
     pub fn publish(&mut self, writer: u32, message: &[u8]) -> bool {
         let Some(announced) = self.announced.get_mut(&writer) else { return false };
         if message.len() > LONGEST_PAYLOAD as usize {
@@ -477,34 +430,34 @@ impl Ros2Publisher {
                 self.latched_bytes -= announced.latched.pop_front().map_or(0, |oldest| oldest.len());
             }
         }
-        self.run.publish(&Order::<Offered>::Publish { writer }, message)
+        self.run.publish(writer, message)
     }
 
-    /// Takes a topic back at once; what is queued for its subscribers is no longer sent.
+    /// Drops the topic with its queue.
     pub fn withdraw(&mut self, writer: u32) {
         if let Some(announced) = self.announced.remove(&writer) {
             self.latched_bytes -= announced.latched.iter().map(|message| message.len()).sum::<usize>();
-            // A program that cannot be told has ended, or is killed, and nothing of this is announced anew.
+            // A program that cannot be told has ended, or is killed, and announces none of this again.
             drop(self.order(&Order::Withdraw { writer }, &[]));
         }
     }
 
-    /// Whether more messages should wait for subscribers that are behind, or for the program.
+    /// Whether more messages should wait for subscribers or for the program.
     pub fn is_crowded(&self) -> bool {
         self.run.is_crowded()
     }
 
-    /// Waits no longer for subscribers that are behind now.
+    /// Stops waiting for subscribers that are behind.
     pub fn outrun(&self) {
         drop(self.order(&Order::Outrun, &[]));
     }
 
-    /// Why nothing is published now, if that is so.
+    /// Why nothing is published now, if so.
     pub fn broken(&self) -> Option<String> {
         self.run.broken()
     }
 
-    /// Starts the program anew if it has ended, with all topics and what was latched.
+    /// Restarts the program if it has ended, with all topics and latched messages.
     pub fn revive(&mut self) -> Result<(), RosError> {
         if self.run.broken().is_none() {
             return Ok(());
@@ -515,10 +468,10 @@ impl Ros2Publisher {
         self.joined()?;
         for (writer, announced) in &self.announced {
             let (writer, topic, size) = (*writer, announced.topic.clone(), announced.size);
-            // Its former self may still be seen as somebody else.
+            // Its former run may still look like another node.
             self.order(&Order::Advertise { writer, topic, size, alone: false, patient: false }, &[])?;
             for message in &announced.latched {
-                self.run.publish(&Order::<Offered>::Publish { writer }, message);
+                self.run.publish(writer, message);
             }
         }
         Ok(())
@@ -529,7 +482,7 @@ impl Ros2Publisher {
         drop(self.order(&Order::Leave, &[]));
     }
 
-    /// Whether subscribers have everything, after [`Self::leave`], or nobody sends it any more.
+    /// Whether subscribers have everything, after [`Self::leave`], or the program has ended.
     pub fn is_sent(&self) -> bool {
         self.run.is_sent()
     }
@@ -539,21 +492,18 @@ impl Ros2Publisher {
         Delivery { missed: missed + state.missed(), unconfirmed: unconfirmed + state.best_effort }
     }
 
-    /// Leaves the domain. What is queued or not acknowledged was missed; if a right to it has ended, nobody knows.
+    /// Queued and unacknowledged messages were missed; if a right to them has ended, nobody knows.
     pub fn end(self, by_right: bool) -> Delivery {
         let delivery = self.delivery();
         if self.run.broken().is_some() {
             return delivery;
         }
-        let Delivery { missed, unconfirmed } = delivery;
-        let open = {
-            let state = self.run.state();
-            state.unacknowledged + state.unconfirmed().0 as u64
-        };
-        if by_right {
-            return Delivery { missed, unconfirmed: unconfirmed + open };
+        let (Delivery { missed, unconfirmed }, state) = (delivery, self.run.state());
+        let open = state.unacknowledged + state.unconfirmed().0 as u64;
+        match by_right {
+            true => Delivery { missed, unconfirmed: unconfirmed + open },
+            false => Delivery { missed: missed + open, unconfirmed },
         }
-        Delivery { missed: missed + open, unconfirmed }
     }
 
     fn order(&self, order: &Order, payload: &[u8]) -> Result<(), RosError> {

@@ -1,4 +1,4 @@
-//! One publisher of a ROS 2 topic as the site knows it, and the messages it sends.
+//! One publisher of a ROS 2 topic, and its messages.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -9,44 +9,38 @@ use crate::ros::capture::next_number;
 use crate::ros::recording::{TYPE_HASH, tags};
 use crate::ros::ros2::identity::{Held, Pulse};
 use crate::ros::ros2::state::Numbers;
-use crate::ros::{CaptureNotice, Message, Origin, Rival};
+use crate::ros::{CaptureNotice, Message, Origin};
 
-/// MCAP's name for the QoS that a channel's publishers offer.
+/// MCAP's name for the QoS of a channel's publishers.
 pub const QUALITY: &str = "offered_qos_profiles";
-/// The publisher's own id, 16 bytes as hex, among the channel's data.
+/// The publisher's id, 16 bytes as hex, in the channel's data.
 pub const WRITER: &str = "writer_id";
 
 pub struct Publisher {
     pub writer: Writer,
-    /// Its identity, as far as visible.
     pub origin: Arc<Origin>,
     pub numbers: Numbers,
-    /// Whether it is present; messages that were in flight may still come when it is not.
+    /// When it left; its last messages may still come.
     pub gone: Option<Instant>,
-    /// Which run of the program reported it last.
+    /// The run of the program that reported it last.
     pub told_by: u64,
-    /// Whether it was reported to the sink.
     pub connected: bool,
-    /// The definition of its type, if one had to be asked for; else empty.
+    /// The requested definition of its type; otherwise empty.
     pub definition: Arc<str>,
-    /// Whether messages of it went without a definition.
+    /// Whether some of its messages went without a definition.
     undefined: bool,
     /// When it was first reported.
     pub came: Instant,
-    /// When it was heard.
     pub pulse: Pulse,
-    /// Publishers of its name that came before it, by their ids; empty once their ends or their lives are known.
+    /// Earlier publishers of its name, by id; empty once their ends or their lives are known.
     pub elders: Vec<String>,
-    /// Whether its identity is known as far as it will be, so that its messages are captured at once.
     pub settled: bool,
-    /// Its messages until then.
     pub held: Vec<Held>,
     topic: Arc<str>,
     type_name: Arc<str>,
     tags: Vec<(String, String)>,
 }
 
-/// The name for a publisher: its node's, if known.
 pub fn name(writer: &Writer) -> String {
     let node = writer.node.as_deref().map(|node| clean(node, 255));
     node.unwrap_or_else(|| format!("/unnamed_{}", clean(&writer.vendor, 40)))
@@ -57,7 +51,7 @@ fn origin(writer: &Writer, domain: u16, listed_at: Instant) -> Origin {
     Origin {
         number: next_number(),
         caller_id: name(writer).into(),
-        // The library that reads the network does not say where a participant runs.
+        // rustdds does not tell where a participant runs.
         host: format!("domain{domain}"),
         uri: format!("dds://{domain}/{}", writer.id),
         type_name: writer.type_name.as_str().into(),
@@ -80,7 +74,6 @@ fn tags_of(writer: &Writer) -> Vec<(String, String)> {
 }
 
 impl Publisher {
-    /// A publisher in a domain, just reported.
     pub fn new(writer: Writer, domain: u16, now: Instant) -> Self {
         let origin = origin(&writer, domain, now);
         Self {
@@ -103,7 +96,6 @@ impl Publisher {
         }
     }
 
-    /// The same publisher announced something else.
     pub fn announce(&mut self, writer: Writer, domain: u16) {
         let Origin { number, listed_at, rival, .. } = &*self.origin;
         let origin = Origin { number: *number, rival: rival.clone(), ..origin(&writer, domain, *listed_at) };
@@ -112,11 +104,6 @@ impl Publisher {
         self.type_name = writer.type_name.as_str().into();
         self.tags = tags_of(&writer);
         self.writer = writer;
-    }
-
-    /// It came while another of its name was there.
-    pub fn is_rival_of(&mut self, rival: Rival) {
-        self.origin = Arc::new(Origin { rival: Some(rival), ..Origin::clone(&self.origin) });
     }
 
     pub fn message(&mut self, (number, sent): (i64, Option<u64>), captured_at: Timestamp, body: Vec<u8>) -> Message {
@@ -128,7 +115,7 @@ impl Publisher {
         self.carrying(said, captured_at, body)
     }
 
-    /// The definition of its messages is known from now on; a message without a body that carries it, if some went without it.
+    /// A message without a body that carries the definition, if some went without it.
     pub fn define(&mut self, definition: Arc<str>) -> Option<Message> {
         self.definition = definition;
         let is_due = std::mem::take(&mut self.undefined);
@@ -155,7 +142,6 @@ impl Publisher {
         clean(&self.origin.caller_id, 120)
     }
 
-    /// It is being read; reported once.
     pub fn connect(&mut self) -> Option<CaptureNotice> {
         let told = std::mem::replace(&mut self.connected, true);
         (!told && self.gone.is_none()).then(|| CaptureNotice::PublisherConnected {
@@ -166,7 +152,6 @@ impl Publisher {
         })
     }
 
-    /// It is no longer read; reported if the beginning was.
     pub fn disconnect(&mut self, reason: &str) -> Option<CaptureNotice> {
         std::mem::take(&mut self.connected).then(|| CaptureNotice::PublisherLost {
             topic: Arc::clone(&self.topic),
@@ -176,12 +161,12 @@ impl Publisher {
         })
     }
 
-    /// What it says of its messages contradicts itself.
+    /// It contradicts itself about its messages.
     pub fn contradicts(&self, contradiction: String) -> CaptureNotice {
         CaptureNotice::Contradiction { topic: Arc::clone(&self.topic), caller_id: self.caller_id(), contradiction }
     }
 
-    /// Its messages that never arrived; for a reliable one nothing arrives late, and `all` waits for nobody.
+    /// Messages that never arrived; of a reliable one nothing arrives late, and `all` waits for nobody.
     pub fn lost(&mut self, now: Instant, all: bool) -> Vec<CaptureNotice> {
         let gaps = self.numbers.settled(now, all || self.writer.quality.reliable);
         let notice = |(first, last): (i64, i64)| CaptureNotice::LostInTransport {
@@ -193,7 +178,7 @@ impl Publisher {
         gaps.into_iter().map(notice).collect()
     }
 
-    /// It did not return after the program that read it was restarted.
+    /// It did not return after the reader was restarted.
     pub fn vanished(&mut self, now: Instant) -> Vec<CaptureNotice> {
         let mut notices = self.lost(now, true);
         let count = |notice: &CaptureNotice| match notice {
@@ -201,7 +186,7 @@ impl Publisher {
             _ => 0,
         };
         let at_least = notices.iter().map(count).sum();
-        if self.connected && self.numbers.has_begun() {
+        if self.connected && self.numbers.last.is_some() {
             let (topic, caller_id) = (Arc::clone(&self.topic), self.caller_id());
             notices.push(CaptureNotice::EndUnknown { topic, caller_id, at_least });
         }
@@ -213,7 +198,7 @@ fn low(number: i64) -> u32 {
     u32::try_from(number & i64::from(u32::MAX)).unwrap_or(0)
 }
 
-/// A QoS profile in the words of `ros2 bag`, which cannot read one that lacks an entry: what it has no word for is `unknown`.
+/// A QoS profile in the words of `ros2 bag`, which cannot read one that lacks an entry: `unknown` where it has no word.
 /// Publishers do not announce history and depth.
 fn profile(quality: Quality) -> String {
     const ENDLESS: u64 = i64::MAX as u64;

@@ -1,6 +1,7 @@
 //! The state of a domain, and the effect of each frame of the program that reads it.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::identity::{self, Descriptions, Held, Place};
@@ -8,46 +9,42 @@ use super::publisher::{Publisher, name};
 use super::{Reading, Ros2Topic};
 use crate::model::topic::LONGEST_NAME;
 use crate::model::{Timestamp, TopicName, clean};
+use crate::pipe::VERSION;
 use crate::pipe::read::{Counts, Told, Wish, Writer};
-use crate::ros::child::Participant;
-use crate::ros::{CaptureNotice, Message};
+use crate::ros::child::{Participant, other_version};
+use crate::ros::{CaptureNotice, Message, Origin};
 
-/// The most publishers known at once.
 const MOST_PUBLISHERS: usize = 40_000;
-/// After this time the program must have found again everybody who is still present.
+/// The program must have found all present publishers again by then.
 const FOUND_AGAIN: Duration = Duration::from_secs(10);
-/// How long a publisher that is gone is remembered, for messages that were in flight.
+/// Time a gone publisher is remembered, for its last messages.
 const REMEMBERED: Duration = Duration::from_secs(60);
-/// The time for discovery after the start, and the time if somebody was found.
+/// Time for discovery after the start, and the time if somebody was found.
 const LOOKED: Duration = Duration::from_secs(3);
 const LOOKED_WITH_SOMEBODY: Duration = Duration::from_secs(1);
-/// Bytes of messages that may wait for the identity of their publishers.
+/// Bytes of messages that wait for their publishers' identity.
 const MOST_HELD: usize = if cfg!(test) { 4 << 20 } else { 256 << 20 };
-/// What a message takes beside its bytes.
+/// Overhead of one such message, bytes.
 const HELD_OVERHEAD: usize = 256;
-/// The most participants that a program has at once: one, and the one that replaces it.
+/// One, and its successor.
 const MOST_PARTICIPANTS: usize = 2;
-/// The longest reason taken.
 const LONGEST_REASON: usize = 400;
 
-/// Items for the sink, in this order and without the state locked.
+/// For the sink, in this order and without the state locked.
 #[derive(Debug, Default)]
 pub struct Outcome {
     pub notices: Vec<CaptureNotice>,
-    /// Questions for the program that reads.
     pub wishes: Vec<Wish>,
     pub messages: Vec<Message>,
-    /// Definitions that came after messages to which they belong.
+    /// Definitions that came after messages of theirs.
     pub definitions: Vec<Message>,
 }
 
 #[derive(Default)]
 pub struct State {
-    /// Topics to be captured.
     pub watched: BTreeSet<TopicName>,
     pub reading: Reading,
     pub counts: Counts,
-    /// How often the program was restarted.
     pub restarts: u64,
     /// Whether the program can open no file and no local socket; `None` before it says so.
     pub confined: Option<bool>,
@@ -57,16 +54,15 @@ pub struct State {
     /// How often the program said hello.
     started: u64,
     hello: Option<Instant>,
-    /// From here on it is known in what order publishers come.
+    /// From here on the order in which publishers come is known.
     ordered: Option<Instant>,
-    /// Bytes of messages that wait.
+    /// Bytes of waiting messages.
     held: usize,
-    /// Itself in the domain, to be buried if it is killed.
+    /// Of the program, for a farewell if it is killed.
     pub participants: Vec<Participant>,
 }
 
 impl State {
-    /// Nothing is known yet.
     pub fn new(domain: u16) -> Self {
         Self { domain, ..Self::default() }
     }
@@ -93,11 +89,10 @@ impl State {
                 reason: clean(&reason, LONGEST_REASON),
             }),
             Told::Described { node, type_name, type_hash, structured, reason: None } => {
-                let own = payload.get(structured as usize..).unwrap_or_default().to_vec();
-                let structure = payload.get(..structured as usize).unwrap_or_default().to_vec();
-                self.described(&node, (type_name, type_hash), [own, structure], &mut outcome);
+                let (structure, own) = payload.split_at_checked(structured as usize).unwrap_or_default();
+                self.described(&node, (type_name, type_hash), [own.to_vec(), structure.to_vec()], &mut outcome);
             }
-            // Opening a message tells why it has no fields.
+            // Opening a message explains why it has no fields.
             Told::Described { .. } => {}
             Told::Alive(counts) => self.alive(counts, now, &mut outcome),
             Told::Failed { reason } => return Err(clean(&reason, LONGEST_REASON)),
@@ -106,11 +101,8 @@ impl State {
     }
 
     fn greet(&mut self, version: u32, domain: u16, now: Instant) -> Result<(), String> {
-        if version != crate::pipe::VERSION || domain != self.domain {
-            let own = crate::pipe::VERSION;
-            return Err(format!(
-                "it uses pipe version {version}, but {own} is required; install both programs from the same release"
-            ));
+        if (version, domain) != (VERSION, self.domain) {
+            return Err(other_version(version));
         }
         self.started += 1;
         self.hello = Some(now);
@@ -134,7 +126,7 @@ impl State {
         }
         let (id, watched) = (writer.id.clone(), self.is_watched(&writer.topic));
         let mut known = self.publishers.remove(&id).unwrap_or_else(|| Publisher::new(writer.clone(), self.domain, now));
-        // A node takes the name from its publishers before it removes them: it stays the node's.
+        // A node takes its name from its publishers before it removes them: they keep it.
         if known.writer.node.is_some() {
             (writer.node, writer.naming) = (known.writer.node.clone(), known.writer.naming);
         }
@@ -169,8 +161,7 @@ impl State {
         }
     }
 
-    /// Settles who the publishers are whose identity was open, and captures their messages; of topics that are `due`, by what
-    /// is known now.
+    /// Settles open identities, and captures their messages; of topics that are `due`, by the present knowledge.
     pub fn settle(&mut self, now: Instant, due: impl Fn(&str) -> bool, outcome: &mut Outcome) {
         let open = self.publishers.iter().filter(|(_, known)| !known.settled || !known.elders.is_empty());
         let open: Vec<(String, bool)> = open.map(|(id, known)| (id.clone(), due(&known.writer.topic))).collect();
@@ -190,7 +181,7 @@ impl State {
         publisher.elders = there;
         if let Place::Beside(rival) = place {
             publisher.elders.clear();
-            publisher.is_rival_of(rival);
+            publisher.origin = Arc::new(Origin { rival: Some(rival), ..Origin::clone(&publisher.origin) });
         }
         publisher.settled = true;
         if watched {
@@ -212,7 +203,6 @@ impl State {
         }
     }
 
-    /// From now on messages of the type come with the text.
     fn described(&mut self, node: &str, kind: (String, String), texts: [Vec<u8>; 2], outcome: &mut Outcome) {
         let of_kind = |writer: &Writer| writer.type_name == kind.0 && writer.type_hash.as_ref() == Some(&kind.1);
         let of_node = |writer: &Writer| of_kind(writer) && writer.node.as_deref() == Some(node);
@@ -251,14 +241,14 @@ impl State {
         if !publisher.connected && !watched.iter().any(|topic| topic.as_str() == publisher.writer.topic) {
             return;
         }
-        let arrival = publisher.numbers.follow(number, now);
+        let is_new = publisher.numbers.follow(number, now);
         outcome.notices.extend(publisher.lost(now, false));
         // A future or missing time is not believed.
         let own = Timestamp::now();
         let at = if arrived == 0 || arrived > own.0 { own } else { Timestamp(arrived) };
         let delay = Duration::from_nanos(own.0.saturating_sub(at.0));
         publisher.pulse.beat(now.checked_sub(delay).unwrap_or(now));
-        if arrival != Arrival::New {
+        if !is_new {
             return;
         }
         if publisher.settled {
@@ -296,7 +286,6 @@ impl State {
             .retain(|_, known| known.gone.is_none_or(|gone| now.saturating_duration_since(gone) < REMEMBERED));
     }
 
-    /// A topic is captured from now on.
     pub fn watch(&mut self, topic: &TopicName, outcome: &mut Outcome) -> bool {
         let new = self.watched.insert(topic.clone());
         self.relate(topic.as_str());
@@ -307,7 +296,7 @@ impl State {
         new
     }
 
-    /// A topic is no longer captured: what is missing of it until now will not come.
+    /// What is missing of the topic until now will not come.
     pub fn unwatch(&mut self, topic: &TopicName, now: Instant, outcome: &mut Outcome) -> bool {
         if !self.watched.contains(topic) {
             return false;
@@ -322,7 +311,6 @@ impl State {
         true
     }
 
-    /// Topics with a present publisher.
     pub fn topics(&self) -> Vec<Ros2Topic> {
         let mut topics: BTreeMap<&str, Ros2Topic> = BTreeMap::new();
         for Publisher { writer, settled, .. } in self.publishers.values().filter(|known| known.gone.is_none()) {
@@ -336,7 +324,7 @@ impl State {
             topic.quality.reliable &= writer.quality.reliable;
             topic.quality.latched &= writer.quality.latched;
             topic.type_hash = topic.type_hash.take().or_else(|| writer.type_hash.clone());
-            // Who is about to be named is not shown under no name: nobody pinned is called that.
+            // A publisher about to be named is not shown unnamed: nobody pinned has that name.
             if writer.node.is_some() || *settled {
                 topic.publishers.push(name(writer));
             }
@@ -345,50 +333,41 @@ impl State {
     }
 }
 
-/// How long a missing number may still arrive.
+/// Time in which a missing number may still arrive.
 const SETTLE: Duration = Duration::from_millis(250);
-/// The most gaps that are waited for.
 const MOST_GAPS: usize = 256;
-/// A step that no loss explains: the publisher is not trusted, and counting starts again.
+/// No loss explains a longer step: counting starts again.
 const LONGEST_STEP: i64 = 1 << 31;
 
-/// The kind of an arriving message.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Arrival {
-    /// One not seen before.
-    New,
-    /// One that was seen before.
-    Twice,
-}
-
-/// Messages that never arrived: the first and the last of their numbers.
+/// The first and the last number of messages that never arrived.
 pub type Gap = (i64, i64);
 
-/// Follows one publisher, across restarts of the program that reads it.
+/// Follows one publisher, across restarts of the reader.
 #[derive(Debug, Default)]
 pub struct Numbers {
-    last: Option<i64>,
+    pub last: Option<i64>,
     /// By their first number: the last, and when they were found missing.
     missing: BTreeMap<i64, (i64, Instant)>,
 }
 
 impl Numbers {
     /// Takes the next message's number.
-    pub fn follow(&mut self, number: i64, now: Instant) -> Arrival {
+    /// Whether the message was not seen before.
+    pub fn follow(&mut self, number: i64, now: Instant) -> bool {
         let Some(last) = self.last.filter(|last| number.saturating_sub(*last) < LONGEST_STEP) else {
             self.last = Some(number);
-            return Arrival::New;
+            return true;
         };
         if number > last {
             if number > last + 1 {
                 self.missing.insert(last + 1, (number - 1, now));
             }
             self.last = Some(number);
-            return Arrival::New;
+            return true;
         }
-        let Some((&first, &(end, since))) = self.missing.range(..=number).next_back() else { return Arrival::Twice };
+        let Some((&first, &(end, since))) = self.missing.range(..=number).next_back() else { return false };
         if number > end {
-            return Arrival::Twice;
+            return false;
         }
         self.missing.remove(&first);
         if first < number {
@@ -397,27 +376,18 @@ impl Numbers {
         if number < end {
             self.missing.insert(number + 1, (end, since));
         }
-        Arrival::New
+        true
     }
 
-    /// Gaps that nothing will fill any more; `all` = everything missing.
+    /// Gaps that will not be filled; `all` = everything missing.
     pub fn settled(&mut self, now: Instant, all: bool) -> Vec<Gap> {
-        let beyond = self.missing.len().saturating_sub(MOST_GAPS);
-        let late = |since: Instant| all || now.saturating_duration_since(since) >= SETTLE;
-        let gaps: Vec<Gap> = self
-            .missing
-            .iter()
-            .enumerate()
-            .filter(|(place, (_, (_, since)))| *place < beyond || late(*since))
-            .map(|(_, (first, (last, _)))| (*first, *last))
-            .collect();
-        self.missing.retain(|first, _| !gaps.iter().any(|(gap, _)| gap == first));
-        gaps
-    }
-
-    /// Whether a message was ever seen.
-    pub fn has_begun(&self) -> bool {
-        self.last.is_some()
+        let mut beyond = self.missing.len().saturating_sub(MOST_GAPS);
+        let is_settled = |_: &i64, (_, since): &mut (i64, Instant)| {
+            let is_beyond = beyond > 0;
+            beyond = beyond.saturating_sub(1);
+            is_beyond || all || now.saturating_duration_since(*since) >= SETTLE
+        };
+        self.missing.extract_if(.., is_settled).map(|(first, (last, _))| (first, last)).collect()
     }
 }
 
@@ -575,18 +545,18 @@ mod numbers_tests {
     #[test]
     fn a_restart_goes_on_where_it_was_and_repeats_count_once() {
         let (now, mut numbers) = (Instant::now(), Numbers::default());
-        assert_eq!(numbers.follow(100, now), Arrival::New);
-        assert_eq!(numbers.follow(101, now), Arrival::New);
-        assert_eq!(numbers.follow(101, now), Arrival::Twice);
-        assert_eq!(numbers.follow(50, now), Arrival::Twice);
-        assert_eq!(numbers.follow(2100, now), Arrival::New);
+        assert!(numbers.follow(100, now));
+        assert!(numbers.follow(101, now));
+        assert!(!numbers.follow(101, now));
+        assert!(!numbers.follow(50, now));
+        assert!(numbers.follow(2100, now));
         assert!(numbers.settled(now, false).is_empty(), "it may still come");
         assert_eq!(numbers.settled(now + SETTLE, false), [(102, 2099)]);
         assert!(numbers.settled(now + SETTLE, true).is_empty(), "told once");
         // An implausible number is not a loss of billions.
-        assert_eq!(numbers.follow(i64::MAX, now), Arrival::New);
+        assert!(numbers.follow(i64::MAX, now));
         assert!(numbers.settled(now, true).is_empty());
-        assert_eq!(numbers.follow(i64::MIN, now), Arrival::Twice);
+        assert!(!numbers.follow(i64::MIN, now));
     }
 
     #[test]
@@ -609,7 +579,7 @@ mod numbers_tests {
             for number in &arrivals {
                 let arrival = numbers.follow(*number, now);
                 // Numbers before the first one seen were never promised.
-                prop_assert_eq!(arrival == Arrival::New, *number >= first && seen.insert(*number));
+                prop_assert_eq!(arrival, *number >= first && seen.insert(*number));
             }
             let missed: Vec<i64> = numbers.settled(now, true).into_iter().flat_map(|(from, to)| from..=to).collect();
             let last = seen.last().copied().unwrap_or(first);

@@ -1,8 +1,6 @@
-//! Reads one closed `.db3` file. SQLite opens it as a file that nobody writes: no lock, no file beside it, so that no recorder
-//! is ever disturbed.
-//!
-//! Only the trees of the tables are read, never an index, which might say something else. The order is made in a temporary
-//! table of SQLite's, which is on disk where it grows: memory holds one message.
+//! Reads a closed `.db3` file. SQLite opens it as a file that nobody writes: no lock, no file beside it, no disturbed
+//! recorder. Only the trees of tables are read, never an index, which might differ. A temporary table of SQLite's gives
+//! the order, on disk where it grows: memory holds one message.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::os::unix::ffi::OsStrExt as _;
@@ -23,32 +21,30 @@ use crate::ros::recording::{
 };
 use crate::ros::tcpros::LONGEST_MESSAGE;
 
-/// Messages whose places are read ahead.
 const PAGE: i64 = 512;
 
-/// The most faults that SQLite tells of a table; with so many, nothing is read.
+/// SQLite lists this many faults of a table; with so many, nothing is read.
 const MOST_FAULTS: usize = 100;
 
-/// Fewer bytes no row of messages has.
+/// No row of messages has fewer bytes.
 const SMALLEST_ROW: u64 = 6;
 
-/// The longest text of a topic or definition, bytes.
+/// Of a topic or definition, bytes.
 const LONGEST_TEXT: i64 = 2 << 20;
 
-/// The tables, and the columns that each must have.
+/// Tables, and the columns that each must have.
 const TABLES: [(&str, &[&str]); 2] = [
     ("topics", &["id", "name", "type", "serialization_format"]),
     ("messages", &["id", "topic_id", "timestamp", "data"]),
 ];
 
-/// A topic: its channel, or why its messages cannot be used.
+/// A topic's channel, or why its messages cannot be used.
 #[derive(Debug)]
 struct Topic {
     name: String,
     usable: Result<Arc<Channel>, String>,
 }
 
-/// Where a message is.
 #[derive(Debug, Clone, Copy)]
 struct Place {
     time: i64,
@@ -57,14 +53,13 @@ struct Place {
     size: i64,
 }
 
-/// Size and time of change, by which a file that is still written is known.
+/// Size and time of change, which show a file still being written.
 type Stamp = (u64, Option<SystemTime>);
 
-/// Reads a closed `.db3` file, ordered by time.
 #[derive(Debug)]
 pub struct Db3Reader {
     database: Connection,
-    /// A temporary database of its own: an error in the recording would undo what was written beside it.
+    /// A database of its own: an error in the recording would undo what was written beside it.
     places: Connection,
     path: PathBuf,
     stamp: Stamp,
@@ -106,10 +101,6 @@ impl RecordingReader for Db3Reader {
 }
 
 impl Db3Reader {
-    /// Opens a file that no recorder writes any more.
-    ///
-    /// # Errors
-    /// [`RosError::Recording`] if it cannot be read, is no recording of rosbag2, or has a journal beside it.
     pub fn open(path: &Path) -> Result<Self, RosError> {
         refuse_journals(path)?;
         let stamp = stamp(path)?;
@@ -151,27 +142,23 @@ impl Db3Reader {
         Ok(reader)
     }
 
-    /// Lets SQLite look whether its trees are sound; `false` if nothing can be read safely.
+    /// SQLite checks its trees; `false` if nothing can be read safely.
     fn check(&mut self, columns: &BTreeMap<String, Vec<String>>) -> rusqlite::Result<bool> {
         let mut faults = Vec::new();
         for table in columns.keys() {
             let mut statement = self.database.prepare(&format!("PRAGMA main.quick_check('{table}')"))?;
             let mut rows = statement.query([])?;
-            loop {
-                match rows.next() {
-                    Ok(Some(row)) => faults.extend(row.get::<_, String>(0).ok().filter(|fault| fault != "ok")),
-                    Ok(None) => break,
-                    Err(error) => {
-                        faults.push(error.to_string());
-                        break;
-                    }
-                }
+            while let Some(row) = rows.next().unwrap_or_else(|error| {
+                faults.push(error.to_string());
+                None
+            }) {
+                faults.extend(row.get::<_, String>(0).ok().filter(|fault| fault != "ok"));
             }
         }
         if faults.is_empty() {
             return Ok(true);
         }
-        // A page that is in two places might be in any number of them: the trees have no end then.
+        // A page with two references might have any number of them: the trees have no end then.
         let endless = faults.len() >= MOST_FAULTS || faults.iter().any(|fault| fault.contains("2nd reference"));
         let rest = if endless { "nothing of it was read" } else { "what can be read of it was read" };
         self.findings.note(0, &format!("the database is damaged: {rest}"));
@@ -218,7 +205,7 @@ impl Db3Reader {
         Ok(())
     }
 
-    /// The places of all messages into a table of their own, by time.
+    /// Sorts the places of all messages by time, in a table of their own.
     fn read_places(&mut self) -> rusqlite::Result<()> {
         self.places.execute_batch(
             "CREATE TABLE places(time INTEGER, row INTEGER, topic INTEGER, size INTEGER, PRIMARY KEY(time, row)) \
@@ -253,7 +240,7 @@ impl Db3Reader {
         self.places.execute_batch("COMMIT")
     }
 
-    /// What rosbag2 noted about the recording, as its MCAP files have it.
+    /// rosbag2's notes about the recording, in the form of its MCAP files.
     fn read_beside(&mut self, columns: &BTreeMap<String, Vec<String>>) {
         if !columns.get("metadata").is_some_and(|known| known.iter().any(|name| name == "metadata")) {
             return;
@@ -334,7 +321,7 @@ impl Db3Reader {
     }
 }
 
-/// The next row of a table; where it cannot be read any further is damage.
+/// A row that cannot be read is damage.
 fn next_row<'a, 'b>(rows: &'a mut Rows<'b>, table: &str, findings: &mut Findings) -> Option<&'a Row<'b>> {
     rows.next().unwrap_or_else(|error| {
         findings.note(0, &format!("the table of {table} cannot be read to its end: {}", told(&error)));
@@ -342,7 +329,6 @@ fn next_row<'a, 'b>(rows: &'a mut Rows<'b>, table: &str, findings: &mut Findings
     })
 }
 
-/// A text column, unless it is too long.
 fn bounded(column: &str) -> String {
     format!("CASE WHEN octet_length({column}) <= {LONGEST_TEXT} THEN {column} END")
 }
@@ -354,7 +340,7 @@ fn text_at(row: &Row<'_>, column: usize) -> Option<String> {
     }
 }
 
-/// Encoding and text of each type, by its name; those of another hash beside.
+/// Encoding and text of each type, by name.
 type Definitions = HashMap<String, (String, String)>;
 
 fn definitions(database: &Connection, columns: &BTreeMap<String, Vec<String>>, findings: &mut Findings) -> Definitions {
@@ -404,29 +390,17 @@ fn channel(
         Some(other) => return Err(format!("its serialization format is '{}'; only cdr can be read", clean(other, 60))),
         None => return Err(not_text("serialization format")),
     }
-    let (encoding, definition) =
-        match definitions.get(&type_name).map(|(encoding, text)| (encoding.as_str(), text.as_str())) {
-            Some(("ros2msg", text)) => (Encoding::Cdr { idl: false }, text),
-            Some(("ros2idl", text)) => (Encoding::Cdr { idl: true }, text),
-            _ => (Encoding::Cdr { idl: false }, ""),
-        };
-    Ok(Channel {
-        topic: name.into(),
-        type_name: type_name.into(),
-        md5sum: "*".into(),
-        definition: definition.into(),
-        caller_id: "".into(),
-        latching: false,
-        encoding,
-        about,
-    })
+    let described = definitions.get(&type_name).filter(|(known, _)| matches!(known.as_str(), "ros2msg" | "ros2idl"));
+    let (idl, definition) = described.map_or((false, ""), |(known, text)| (known == "ros2idl", text.as_str()));
+    let encoding = Encoding::Cdr { idl };
+    Ok(Channel::plain((&name, &type_name, definition), encoding, about))
 }
 
 fn unreadable(path: &Path, error: &rusqlite::Error) -> RosError {
     RosError::recording(&format!("{} cannot be read as SQLite: {}", path.display(), told(error)))
 }
 
-/// What went wrong, without SQLite's own words.
+/// Hides SQLite's own words.
 fn told(error: &rusqlite::Error) -> &'static str {
     match error.sqlite_error_code() {
         Some(ErrorCode::NotADatabase) => "it is no database, or its first page is damaged",
@@ -444,7 +418,7 @@ fn stamp(path: &Path) -> Result<Stamp, RosError> {
     Ok((found.len(), found.modified().ok()))
 }
 
-/// The journal beside a file that is not empty.
+/// A journal beside the file that is not empty.
 fn journal(path: &Path) -> Option<PathBuf> {
     ["-wal", "-journal"].into_iter().find_map(|end| {
         let mut beside = path.as_os_str().to_owned();
@@ -454,7 +428,7 @@ fn journal(path: &Path) -> Option<PathBuf> {
     })
 }
 
-/// Whether a journal is beside a `.db3` file: a recorder writes it, or was killed while it did.
+/// A recorder writes the file, or was killed while it did.
 pub fn has_journal(path: &Path) -> bool {
     journal(path).is_some()
 }
@@ -469,7 +443,7 @@ fn refuse_journals(path: &Path) -> Result<(), RosError> {
     )))
 }
 
-/// Opens it as a file that nobody writes; nothing in its schema is run.
+/// Runs nothing in the file's schema.
 fn connect(path: &Path) -> rusqlite::Result<Connection> {
     let mut uri = String::from("file:");
     for byte in path.as_os_str().as_bytes() {
@@ -490,7 +464,7 @@ fn connect(path: &Path) -> rusqlite::Result<Connection> {
     Ok(database)
 }
 
-/// The columns of each plain table that rosbag2 makes; views and virtual tables are none.
+/// Of the plain tables that rosbag2 makes, not of views and virtual tables.
 fn columns(database: &Connection) -> rusqlite::Result<BTreeMap<String, Vec<String>>> {
     let mut tables = BTreeMap::new();
     for table in ["topics", "messages", "message_definitions", "metadata"] {
@@ -502,7 +476,7 @@ fn columns(database: &Connection) -> rusqlite::Result<BTreeMap<String, Vec<Strin
         let mut statement = database.prepare("SELECT name, hidden FROM pragma_table_xinfo(?1, 'main') LIMIT 64")?;
         let rows = statement.query_map([table], |row| Ok((row.get(0)?, row.get::<_, i64>(1)?)))?;
         let rows = rows.collect::<rusqlite::Result<Vec<(String, i64)>>>()?;
-        // A column that is computed would run what the file says.
+        // A computed column would run what the file says.
         if rows.iter().all(|(_, hidden)| *hidden == 0) {
             tables.insert(table.to_owned(), rows.into_iter().map(|(name, _)| name).collect());
         }

@@ -1,5 +1,5 @@
-//! `metadata.yaml`: what it says of a folder, writing it for one, and the part of YAML that it uses: blocks, flow
-//! collections, plain, quoted and literal texts. No tags, no anchors: a text cannot grow, and every part is read once.
+//! `metadata.yaml`: read, written, and the part of YAML that it uses: blocks, flow collections, plain, quoted and
+//! literal texts. No tags, no anchors: a text cannot grow, and every part is read once.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -7,18 +7,16 @@ use std::sync::Arc;
 use crate::model::Timestamp;
 use crate::ros::recording::{Channel, Encoding, TYPE_HASH};
 
-/// The name of the file in a folder of rosbag2.
 pub const METADATA: &str = "metadata.yaml";
 
-/// The versions that are read.
 const VERSIONS: std::ops::RangeInclusive<u64> = 1..=9;
 
-/// The versions that are written: QoS as a text with numbers, which every reader since Iron takes; or in words, as recorders
-/// since Jazzy have it.
+/// The written versions: QoS as a text with numbers, for every reader since Iron; or in words, as recorders since Jazzy
+/// have it.
 const WITH_NUMBERS: u64 = 8;
 const WITH_WORDS: u64 = 9;
 
-/// The words of the numbers that stand for a QoS policy, as rmw counts them.
+/// Words for rmw's numbers of a QoS policy.
 const POLICIES: [(&str, &[&str]); 4] = [
     ("history", &["system_default", "keep_last", "keep_all", "unknown"]),
     ("reliability", &["system_default", "reliable", "best_effort", "unknown", "best_available"]),
@@ -26,26 +24,22 @@ const POLICIES: [(&str, &[&str]); 4] = [
     ("liveliness", &["system_default", "automatic", "manual_by_node", "manual_by_topic", "unknown", "best_available"]),
 ];
 
-/// The most files of a recording.
 const MOST_FILES: usize = 65_536;
 
-/// What `metadata.yaml` says of a recording.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Metadata {
-    /// The names of its files, without folders, in their order.
+    /// Without folders, in their order.
     pub files: Vec<String>,
-    /// How many messages each of them has, where that is said.
+    /// Messages of each file, where known.
     pub of_file: BTreeMap<String, u64>,
     /// When the first message was recorded.
     pub begins: Timestamp,
-    /// How many messages each topic has.
+    /// Messages of each topic.
     pub topics: BTreeMap<String, u64>,
-    /// How many all have.
     pub messages: Option<u64>,
 }
 
 impl Metadata {
-    /// Reads the text of the file.
     pub fn parse(text: &str) -> Result<Self, String> {
         let document = parse(text)?;
         let root = document.get("rosbag2_bagfile_information").ok_or("it does not describe a recording of rosbag2")?;
@@ -80,11 +74,9 @@ impl Metadata {
                 *topics.entry(name.to_owned()).or_default() += messages;
             }
         }
-        let begins =
-            root.get("starting_time").and_then(|time| time.get("nanoseconds_since_epoch")).and_then(Value::number);
+        let begins = root.get("starting_time").and_then(|time| time.get("nanoseconds_since_epoch")?.number());
         // Without a message it is the greatest number.
-        let begins =
-            Timestamp(begins.filter(|time| i64::try_from(*time).is_ok_and(|time| time < i64::MAX)).unwrap_or(0));
+        let begins = Timestamp(begins.filter(|time| *time < i64::MAX as u64).unwrap_or(0));
         Ok(Self { files, of_file, begins, topics, messages: count(root) })
     }
 }
@@ -95,7 +87,6 @@ fn file_name(path: &str) -> Option<String> {
     (!name.contains('\0')).then(|| name.to_owned())
 }
 
-/// Counts what is written, for the `metadata.yaml` beside it.
 #[derive(Debug, Clone, Default)]
 pub struct Tally {
     topics: BTreeMap<(Arc<str>, Arc<str>), Row>,
@@ -129,7 +120,7 @@ impl Tally {
         self.messages += 1;
     }
 
-    /// The text of `metadata.yaml` for one MCAP file of this name.
+    /// For one MCAP file of this name.
     pub fn describe(&self, file: &str) -> String {
         let (first, last) = self.span.unwrap_or_default();
         let (file, begins, lasts, messages) = (quote(file), first.0, last.0 - first.0, self.messages);
@@ -157,7 +148,7 @@ impl Tally {
     }
 }
 
-/// The profiles of a QoS text; none if it cannot be read.
+/// Empty if the text cannot be read.
 fn profiles(text: &str) -> Vec<Value> {
     parse(text).map(|value| value.list().to_vec()).unwrap_or_default()
 }
@@ -170,7 +161,7 @@ fn is_in_words(text: &str) -> bool {
     profiles(text).iter().any(named)
 }
 
-/// A QoS text as version 9 has it: a sequence, with words for numbers.
+/// As version 9 has QoS: a sequence, with words for numbers.
 fn in_words(text: &str) -> String {
     let profiles: Vec<String> = profiles(text).iter().map(|profile| flow("", profile)).collect();
     format!("[{}]", profiles.join(", "))
@@ -201,10 +192,10 @@ const MOST: usize = 400_000;
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Value {
-    /// Any scalar as text; nothing is empty.
+    /// Any scalar; null is empty.
     Text(String),
     List(Vec<Value>),
-    /// A mapping, in its order.
+    /// In its order.
     Map(Vec<(String, Value)>),
 }
 
@@ -223,7 +214,6 @@ impl Value {
         self.text()?.parse().ok()
     }
 
-    /// The members of a sequence; none of anything else.
     pub fn list(&self) -> &[Self] {
         if let Self::List(members) = self { members } else { &[] }
     }
@@ -272,7 +262,7 @@ impl Reader {
         }
     }
 
-    /// Indentation and content of the next line that says anything.
+    /// Indentation and content of the next line that is neither blank nor a comment.
     fn next(&mut self) -> Option<(usize, String)> {
         self.skip_blank();
         self.line().map(|line| (indent(line), line.trim_start_matches(' ').to_owned()))
@@ -304,7 +294,7 @@ impl Reader {
     fn items(&mut self, here: usize, depth: usize) -> Result<Value, String> {
         let mut items = Vec::new();
         while self.next().is_some_and(|(indent, content)| indent == here && is_item(&content)) {
-            // What follows the dash is a block of its own, that far in.
+            // A block follows the dash, at its indentation.
             if let Some(line) = self.lines.get_mut(self.at) {
                 line.replace_range(here..=here, " ");
             }
@@ -333,11 +323,14 @@ impl Reader {
         Ok(Value::Map(entries))
     }
 
-    /// A value that begins with `first`; its further lines are in more than `here`. The line of `first` was taken.
+    /// The line of `first` was taken; further lines are indented more than `here`.
     fn scalar(&mut self, first: &str, here: usize, depth: usize) -> Result<Value, String> {
         match first.chars().next() {
-            Some('"' | '\'') => self.quoted(first),
-            Some('{' | '[') => self.flow(first, depth),
+            Some('"' | '\'') => unquoted(&self.until_closed(first)?).map(Value::Text),
+            Some('{' | '[') => {
+                let text = self.until_closed(first)?;
+                self.member(&mut text.as_str(), depth)
+            }
             Some('|' | '>') => Ok(Value::Text(self.literal(first, here))),
             Some(sign @ ('&' | '*' | '!' | '%' | '@' | '`')) => Err(format!("'{sign}' is not supported here")),
             _ => {
@@ -374,7 +367,8 @@ impl Reader {
             let line = self.line().ok_or("a quote or bracket is not closed")?.trim_start().to_owned();
             self.at += 1;
             self.count()?;
-            scan.line_ends();
+            // A break ends an escape.
+            scan.is_escaped = false;
             end = scan.end_in(&line).map(|end| text.len() + 1 + end);
             text.push('\n');
             text.push_str(&line);
@@ -385,17 +379,6 @@ impl Reader {
             return Err(String::from("something stands behind a closed quote or bracket"));
         }
         Ok(text.to_owned())
-    }
-
-    fn quoted(&mut self, first: &str) -> Result<Value, String> {
-        let text = self.until_closed(first)?;
-        unquoted(&text).map(Value::Text)
-    }
-
-    fn flow(&mut self, first: &str, depth: usize) -> Result<Value, String> {
-        let text = self.until_closed(first)?;
-        let mut rest = text.as_str();
-        self.member(&mut rest, depth)
     }
 
     fn member(&mut self, rest: &mut &str, depth: usize) -> Result<Value, String> {
@@ -451,12 +434,7 @@ struct Scan {
 }
 
 impl Scan {
-    /// A break ends an escape.
-    fn line_ends(&mut self) {
-        self.is_escaped = false;
-    }
-
-    /// Where the line has its end, if it has.
+    /// Where the quote or bracket ends in the line.
     fn end_in(&mut self, line: &str) -> Option<usize> {
         for (at, byte) in line.bytes().enumerate() {
             match (self.quote, byte) {
@@ -485,7 +463,7 @@ impl Scan {
     }
 }
 
-/// A quoted text at the beginning of what is left.
+/// A quoted text at the beginning of `rest`.
 fn quoted_part(rest: &mut &str) -> Result<String, String> {
     let end = Scan::default().end_in(rest).ok_or("a quote is not closed")?;
     let (text, behind) = rest.split_at(end);
@@ -493,7 +471,7 @@ fn quoted_part(rest: &mut &str) -> Result<String, String> {
     unquoted(text)
 }
 
-/// A name with its colon, and what follows; `None` if it is none.
+/// A name with its colon, and the rest; `None` if there is none.
 fn key(content: &str) -> Result<Option<(String, &str)>, String> {
     if content.starts_with(['"', '\'']) {
         let mut rest = content;
@@ -516,12 +494,12 @@ fn plain(text: &str) -> &str {
     text.split_once(" #").map_or(text, |(text, _)| text).trim_end()
 }
 
-/// The text between quotes, with its escapes and breaks read.
+/// Without quotes, with its escapes and breaks read.
 fn unquoted(text: &str) -> Result<String, String> {
     let double = text.starts_with('"');
     let inner = text.get(1..text.len().saturating_sub(1)).unwrap_or_default();
     let (mut out, mut chars) = (String::new(), inner.chars().peekable());
-    // So much of the text was escaped: blanks before that are not taken away at a break.
+    // Length of the text up to the last escape: a break trims no blanks before it.
     let mut kept = 0;
     while let Some(char) = chars.next() {
         match char {
@@ -551,7 +529,7 @@ fn unquoted(text: &str) -> Result<String, String> {
 
 fn escaped(chars: &mut std::iter::Peekable<std::str::Chars<'_>>) -> Result<Option<char>, String> {
     let digits = match chars.next() {
-        // A break that is no part of the text.
+        // An escaped break is no part of the text.
         Some('\n') => {
             while chars.next_if_eq(&' ').is_some() {}
             return Ok(None);
@@ -574,7 +552,6 @@ fn escaped(chars: &mut std::iter::Peekable<std::str::Chars<'_>>) -> Result<Optio
     code.map(Some).ok_or_else(|| String::from("an escape in quotes cannot be read"))
 }
 
-/// A text in quotes, on one line.
 pub(super) fn quote(text: &str) -> String {
     let mut out = String::from("\"");
     for char in text.chars() {

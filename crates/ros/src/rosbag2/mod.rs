@@ -1,4 +1,4 @@
-//! Recordings of rosbag2: a folder with `metadata.yaml` and one or more `.mcap` or `.db3` files. Everything in it is untrusted.
+//! Recordings of rosbag2: a folder with `metadata.yaml` and `.mcap` or `.db3` files, all untrusted.
 
 mod db3;
 mod metadata;
@@ -21,22 +21,18 @@ use tempfile::NamedTempFile;
 pub use db3::{Db3Reader, has_journal};
 pub use metadata::{METADATA, Tally};
 
-/// The start of every SQLite file.
 pub(super) const SQLITE: &[u8] = b"SQLite format 3\0";
 
-/// Files that are read at a time: their ends may overlap.
+/// Files read at a time: their ends may overlap.
 const AT_ONCE: usize = 2;
 
-/// The longest `metadata.yaml`, bytes.
 const LONGEST: u64 = 4 << 20;
 
-/// The end of the name of a copy that has the proof of its original attached: it is no recording of its own.
+/// End of the name of a copy with the proof of its original attached: it is no recording of its own.
 pub const ATTACHED: &str = ".authros.mcap";
 
-/// The most entries of a folder that are looked at.
 const MOST_ENTRIES: usize = 65_536;
 
-/// A file being read, and its next message.
 struct Part {
     name: String,
     path: Arc<Path>,
@@ -44,7 +40,6 @@ struct Part {
     next: RecordedMessage,
 }
 
-/// Reads a folder of rosbag2.
 pub struct FolderReader {
     folder: PathBuf,
     metadata: Metadata,
@@ -59,7 +54,6 @@ pub struct FolderReader {
     ended: bool,
 }
 
-/// The text of `metadata.yaml`, or what is wrong with the folder.
 fn described(folder: &Path) -> Result<(String, Metadata), RosError> {
     let path = folder.join(METADATA);
     let wrong = |why: &str| RosError::recording(&format!("{} cannot be read: {why}", path.display()));
@@ -83,8 +77,8 @@ fn described(folder: &Path) -> Result<(String, Metadata), RosError> {
     Ok((text, metadata))
 }
 
-/// The files of a recording, by whose content it is known: a file itself; of a folder its `metadata.yaml`, and the files
-/// that it names, as far as they are there.
+/// The files whose content identifies a recording: a file itself; of a folder its `metadata.yaml`, and the present
+/// files that it names.
 pub fn files_of(path: &Path) -> Result<Vec<PathBuf>, RosError> {
     if !path.is_dir() {
         return Ok(vec![path.to_owned()]);
@@ -139,7 +133,7 @@ impl RecordingReader for FolderReader {
 }
 
 impl FolderReader {
-    /// Opens a folder whose recorder has ended.
+    /// Its recorder has ended.
     pub fn open(folder: &Path) -> Result<Self, RosError> {
         let (text, metadata) = described(folder)?;
         let (name, media_type, data) = (METADATA.into(), "application/yaml".into(), text.as_bytes());
@@ -165,7 +159,7 @@ impl FolderReader {
         Ok(reader)
     }
 
-    /// Recordings in the folder that `metadata.yaml` does not name are not read, which is said.
+    /// Reports recordings in the folder that `metadata.yaml` does not name; they are not read.
     fn note_others(&mut self) {
         let Ok(entries) = std::fs::read_dir(&self.folder) else { return };
         let names = entries.flatten().take(MOST_ENTRIES).map(|entry| entry.file_name().to_string_lossy().into_owned());
@@ -183,7 +177,7 @@ impl FolderReader {
         }
     }
 
-    /// Opens a file of the recording; one that cannot be read is damage.
+    /// A file that cannot be read is damage.
     fn begin(&mut self, name: String) -> Result<(), RosError> {
         let path = self.folder.join(&name);
         let opened =
@@ -206,7 +200,7 @@ impl FolderReader {
         Ok(())
     }
 
-    /// What `metadata.yaml` counts must be there.
+    /// The counts of `metadata.yaml` must be met.
     fn compare(&mut self) {
         if std::mem::replace(&mut self.ended, true) || !self.findings.damages.is_empty() {
             return;
@@ -227,13 +221,13 @@ impl FolderReader {
     }
 }
 
-/// Bytes written before the room left is looked at again.
+/// Bytes between checks of the room left.
 const STEP: usize = 16 << 20;
 
 /// Bytes that stay free on the disk.
 const RESERVE: u64 = 512 << 20;
 
-/// What comes out of a compressed file.
+/// Unpacks a compressed file into a temporary one.
 pub(crate) fn unpacked(path: &Path) -> Result<NamedTempFile, RosError> {
     let failed = |why: &str| RosError::recording(&format!("{} cannot be unpacked with zstd: {why}", path.display()));
     let told = |error: std::io::Error| failed(&why(&error));

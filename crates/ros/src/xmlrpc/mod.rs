@@ -1,30 +1,25 @@
-//! A small XML-RPC over HTTP, client and server, with a deadline on every call and a cap on every size. It knows
-//! values, requests and responses; what the calls mean is up to graph, capture and robots.
-//!
-//! Of HTTP/1.x it has what XML-RPC needs: one request, one response, then the connection closes.
+//! A small XML-RPC over HTTP, client and server, with a deadline on every call and a cap on every size. Of HTTP/1.x it
+//! has one request and one response, then the connection closes.
 
 mod value;
 
 use std::io::{self, BufRead, BufReader, ErrorKind, Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crate::model::clean;
 use crate::ros::address::{Endpoint, connect, time_left};
-use value::{Response, parse_call, parse_response, write_call, write_fault, write_response};
+use value::{parse_call, parse_response, write_call, write_fault, write_response};
 
 pub(super) use value::Value;
 
-/// The longest response, bytes.
 const LONGEST_RESPONSE: usize = 8 << 20;
 
-/// The longest wait for a connection.
 const CONNECT: Duration = Duration::from_millis(1500);
 
-/// Why a call failed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum CallError {
     /// No connection could be made.
@@ -40,16 +35,13 @@ pub(crate) enum CallError {
     Refused(String),
 }
 
-/// Calls `method` and unwraps ROS's response, `[code, status, value]`.
 pub(crate) fn call(peer: &Endpoint, method: &str, params: &[Value], deadline: Instant) -> Result<Value, CallError> {
     let response = forward(peer, &write_call(method, params), deadline)?;
-    match parse_response(&response).map_err(|error| CallError::Protocol(error.to_string()))? {
-        Response::Value(value) => unwrap_answer(value),
-        Response::Fault(words) => Err(CallError::Refused(clean(&words, 200))),
-    }
+    let response = parse_response(&response).map_err(|error| CallError::Protocol(error.to_string()))?;
+    unwrap_answer(response.map_err(|words| CallError::Refused(clean(&words, 200)))?)
 }
 
-/// Passes the text of a call on; returns the text of the response, unread.
+/// Passes the text of a call on; returns the response's text, unread.
 pub(crate) fn forward(peer: &Endpoint, body: &str, deadline: Instant) -> Result<String, CallError> {
     let by = deadline.min(Instant::now() + CONNECT);
     let stream = connect(&peer.host, peer.port, by).map_err(|error| CallError::Connect(error.to_string()))?;
@@ -81,9 +73,7 @@ fn exchange(stream: &TcpStream, peer: &Endpoint, body: &str, deadline: Instant) 
 }
 
 fn unwrap_answer(value: Value) -> Result<Value, CallError> {
-    let Value::Array(parts) = value else {
-        return Err(CallError::Protocol("its answer is not [code, status, value]".into()));
-    };
+    let parts = if let Value::Array(parts) = value { parts } else { Vec::new() };
     let Ok([code, status, value]) = <[Value; 3]>::try_from(parts) else {
         return Err(CallError::Protocol("its answer is not [code, status, value]".into()));
     };
@@ -94,20 +84,18 @@ fn unwrap_answer(value: Value) -> Result<Value, CallError> {
     }
 }
 
-/// The longest request body, bytes.
 const LONGEST_REQUEST: usize = 1 << 20;
 
-/// The most connections that a node serves at once; further ones are closed immediately.
+/// Connections that a node serves at a time; further ones are closed.
 pub(crate) const OF_A_NODE: usize = 32;
 
-/// The longest a connection may take.
 const LONGEST_CONNECTION: Duration = Duration::from_secs(5);
 
 pub(crate) trait Answer: Send + Sync + 'static {
-    /// The answer to a call; `None` if there is no such method. Must not block.
+    /// `None` if there is no such method. Must not block.
     fn answer(&self, method: &str, params: &[Value]) -> Option<Value>;
 
-    /// Somebody else's whole response to a whole call, both as text; `None` if [`Self::answer`] is to answer.
+    /// The whole response of another server, as text; `None` if [`Self::answer`] is to answer.
     fn handed_on(&self, _method: &str, _call: &str) -> Option<String> {
         None
     }
@@ -120,12 +108,12 @@ pub(crate) struct Server {
 }
 
 impl Server {
-    /// Answers the calls that come to `listener`, this many connections at once.
+    /// Serves at most `most` connections at a time.
     pub fn start(listener: TcpListener, answer: Arc<dyn Answer>, most: usize) -> io::Result<Self> {
         Self::of("ros-slave", listener, most, move |stream| serve(&stream, &*answer))
     }
 
-    /// Has each connection handled in a thread of its own, this many at once; further ones are closed.
+    /// Handles each connection in its own thread, at most `most` at a time; further ones are closed.
     pub fn of(
         name: &'static str,
         listener: TcpListener,
@@ -140,7 +128,6 @@ impl Server {
         Ok(Self { address, stopping, thread: Some(thread) })
     }
 
-    /// The port that it listens on.
     pub fn port(&self) -> u16 {
         self.address.port()
     }
@@ -164,39 +151,24 @@ fn accept_all<H: Fn(TcpStream) -> io::Result<()> + Send + Sync + 'static>(
     handle: &Arc<H>,
     most: usize,
 ) {
-    let open = Arc::new(AtomicUsize::new(0));
+    // One share for each open connection.
+    let open = Arc::new(());
     while !stopping.load(Ordering::SeqCst) {
         let Ok((stream, _)) = listener.accept() else {
             // Out of descriptors, for example: not a reason to spin.
             std::thread::sleep(Duration::from_millis(20));
             continue;
         };
-        if stopping.load(Ordering::SeqCst) || open.load(Ordering::SeqCst) >= most {
+        if stopping.load(Ordering::SeqCst) || Arc::strong_count(&open) > most {
             continue;
         }
-        let (place, handle) = (Place::take(&open), Arc::clone(handle));
-        // Without a thread the peer's connection is closed, and it asks again.
+        let (place, handle) = (Arc::clone(&open), Arc::clone(handle));
+        // Without a thread the peer's connection closes, and it asks again.
         let _ = std::thread::Builder::new().name(format!("{name}-call")).spawn(move || {
-            let _place = place;
-            // A peer that disconnects has only itself to blame.
+            // A failed connection is the peer's concern.
             let _ = handle(stream);
+            drop(place);
         });
-    }
-}
-
-/// One of the places for connections; returned on drop.
-struct Place(Arc<AtomicUsize>);
-
-impl Place {
-    fn take(open: &Arc<AtomicUsize>) -> Self {
-        open.fetch_add(1, Ordering::SeqCst);
-        Self(Arc::clone(open))
-    }
-}
-
-impl Drop for Place {
-    fn drop(&mut self) {
-        self.0.fetch_sub(1, Ordering::SeqCst);
     }
 }
 
@@ -232,10 +204,10 @@ fn respond(text: &str, answer: &dyn Answer) -> String {
     }
 }
 
-/// The longest head (request or status line with headers), bytes.
+/// Request or status line with headers, bytes.
 const LONGEST_HEAD: u64 = 16 * 1024;
 
-/// A connection whose reads and writes all end at one deadline.
+/// All reads and writes end at one deadline.
 struct Timed<'a> {
     pub stream: &'a TcpStream,
     pub deadline: Instant,
@@ -269,7 +241,7 @@ fn bad(reason: &'static str) -> io::Error {
     io::Error::new(ErrorKind::InvalidData, reason)
 }
 
-/// First line and body of a message. Without a length, a response ends with the connection and a request has no body.
+/// First line and body. Without a length, a response ends with the connection and a request has no body.
 fn read_message(from: impl Read, most: usize, to_end: bool) -> io::Result<(String, Vec<u8>)> {
     let mut reader = BufReader::new(from);
     let mut head = reader.by_ref().take(LONGEST_HEAD);
@@ -290,7 +262,14 @@ fn read_message(from: impl Read, most: usize, to_end: bool) -> io::Result<(Strin
     let body = match length {
         _ if chunked => chunks(&mut reader, most)?,
         Some(length) => exactly(&mut reader, length, most)?,
-        None if to_end => until_end(&mut reader, most)?,
+        None if to_end => {
+            let mut body = Vec::new();
+            reader.take(most as u64 + 1).read_to_end(&mut body)?;
+            if body.len() > most {
+                return Err(bad("its HTTP body is too long"));
+            }
+            body
+        }
         None => Vec::new(),
     };
     Ok((first, body))
@@ -312,12 +291,6 @@ fn exactly(from: &mut impl Read, length: usize, most: usize) -> io::Result<Vec<u
     let mut body = Vec::new();
     from.take(length as u64).read_to_end(&mut body)?;
     if body.len() == length { Ok(body) } else { Err(bad("its HTTP body ends early")) }
-}
-
-fn until_end(from: &mut impl Read, most: usize) -> io::Result<Vec<u8>> {
-    let mut body = Vec::new();
-    from.take(most as u64 + 1).read_to_end(&mut body)?;
-    if body.len() > most { Err(bad("its HTTP body is too long")) } else { Ok(body) }
 }
 
 fn chunks(from: &mut impl BufRead, most: usize) -> io::Result<Vec<u8>> {
@@ -364,7 +337,7 @@ mod tests {
     #[test]
     fn calls_are_answered_refused_and_unknown() {
         let (server, peer) = serve_echo();
-        let params = [Value::text("a<b>&c"), Value::Int(7)];
+        let params = [Value::from("a<b>&c"), Value::Int(7)];
         assert_eq!(call(&peer, "echo", &params, soon()), Ok(Value::Array(params.to_vec())));
         assert_eq!(call(&peer, "no", &[], soon()), Err(CallError::Refused("not \u{fffd}now".into())));
         assert!(matches!(call(&peer, "other", &[], soon()), Err(CallError::Refused(_))));

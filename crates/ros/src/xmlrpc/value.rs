@@ -1,5 +1,5 @@
-//! XML-RPC values, written and parsed as XML: the subset of XML it uses, nothing else (no document types, no custom
-//! entities), values nested at most 16 deep. The caller caps the input's size.
+//! XML-RPC values as XML: only the subset of XML it needs (no document types, no custom entities), nested at most 16
+//! deep. The caller caps the input's size.
 
 use std::borrow::Cow;
 
@@ -7,7 +7,7 @@ use quick_xml::Reader;
 use quick_xml::escape::partial_escape;
 use quick_xml::events::{BytesStart, Event};
 
-/// An XML-RPC value. Dates and base64 remain text, unchanged.
+/// Dates and base64 remain text, unchanged.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Value {
     Int(i64),
@@ -20,11 +20,6 @@ pub(crate) enum Value {
 }
 
 impl Value {
-    pub fn text(text: impl Into<String>) -> Self {
-        Self::Text(text.into())
-    }
-
-    /// The elements of an array.
     pub fn as_array(&self) -> Option<&[Value]> {
         if let Self::Array(items) = self { Some(items) } else { None }
     }
@@ -37,7 +32,7 @@ impl Value {
         if let Self::Int(number) = self { Some(*number) } else { None }
     }
 
-    /// The texts of an array of texts; others are left out.
+    /// Elements that are not texts are left out.
     pub fn texts(&self) -> Vec<String> {
         self.as_array().unwrap_or_default().iter().filter_map(Self::as_text).map(str::to_owned).collect()
     }
@@ -49,11 +44,7 @@ impl Value {
             Self::Int(number) => scalar("i8", &number.to_string(), out),
             Self::Bool(flag) => scalar("boolean", if *flag { "1" } else { "0" }, out),
             Self::Double(number) => scalar("double", &number.to_string(), out),
-            Self::Text(text) => {
-                out.push_str("<string>");
-                escape(text, out);
-                out.push_str("</string>");
-            }
+            Self::Text(text) => scalar("string", &escaped(text), out),
             Self::Array(items) => {
                 out.push_str("<array><data>");
                 for item in items {
@@ -61,7 +52,16 @@ impl Value {
                 }
                 out.push_str("</data></array>");
             }
-            Self::Struct(members) => write_struct(members, out),
+            Self::Struct(members) => {
+                out.push_str("<struct>");
+                for (name, value) in members {
+                    out.push_str("<member>");
+                    scalar("name", &escaped(name), out);
+                    value.write(out);
+                    out.push_str("</member>");
+                }
+                out.push_str("</struct>");
+            }
             Self::Nil => out.push_str("<nil/>"),
         }
         out.push_str("</value>");
@@ -74,15 +74,9 @@ impl<T: Into<Value>> FromIterator<T> for Value {
     }
 }
 
-impl From<String> for Value {
-    fn from(text: String) -> Self {
-        Self::Text(text)
-    }
-}
-
 impl From<&str> for Value {
     fn from(text: &str) -> Self {
-        Self::text(text)
+        Self::Text(text.to_owned())
     }
 }
 
@@ -92,28 +86,15 @@ fn scalar(tag: &str, text: &str, out: &mut String) {
     }
 }
 
-fn write_struct(members: &[(String, Value)], out: &mut String) {
-    out.push_str("<struct>");
-    for (name, value) in members {
-        out.push_str("<member><name>");
-        escape(name, out);
-        out.push_str("</name>");
-        value.write(out);
-        out.push_str("</member>");
-    }
-    out.push_str("</struct>");
+/// A reader of XML may take a carriage return for a line feed.
+fn escaped(text: &str) -> String {
+    partial_escape(text).replace('\r', "&#13;")
 }
 
-fn escape(text: &str, out: &mut String) {
-    // A reader of XML may take a carriage return for a line feed.
-    out.push_str(&partial_escape(text).replace('\r', "&#13;"));
-}
-
-/// The XML of a call.
 pub(super) fn write_call(method: &str, params: &[Value]) -> String {
-    let mut out = String::from("<?xml version=\"1.0\"?>\n<methodCall><methodName>");
-    escape(method, &mut out);
-    out.push_str("</methodName><params>");
+    let mut out = String::from("<?xml version=\"1.0\"?>\n<methodCall>");
+    scalar("methodName", &escaped(method), &mut out);
+    out.push_str("<params>");
     for param in params {
         out.push_str("<param>");
         param.write(&mut out);
@@ -123,7 +104,6 @@ pub(super) fn write_call(method: &str, params: &[Value]) -> String {
     out
 }
 
-/// The XML of a result.
 pub(super) fn write_response(value: &Value) -> String {
     let mut out = String::from("<?xml version=\"1.0\"?>\n<methodResponse><params><param>");
     value.write(&mut out);
@@ -131,33 +111,23 @@ pub(super) fn write_response(value: &Value) -> String {
     out
 }
 
-/// The XML of a fault.
 pub(super) fn write_fault(code: i64, reason: &str) -> String {
-    let members = vec![("faultCode".to_owned(), Value::Int(code)), ("faultString".to_owned(), Value::text(reason))];
+    let members = vec![("faultCode".to_owned(), Value::Int(code)), ("faultString".to_owned(), reason.into())];
     let mut out = String::from("<?xml version=\"1.0\"?>\n<methodResponse><fault>");
     Value::Struct(members).write(&mut out);
     out.push_str("</fault></methodResponse>");
     out
 }
 
-/// The deepest nesting of values accepted.
 const DEEPEST: usize = 16;
 
-/// Why a text is not XML-RPC.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("not XML-RPC: {0}")]
 pub(super) struct ParseError(&'static str);
 
 type Result<T> = std::result::Result<T, ParseError>;
 
-/// The content of a response.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) enum Response {
-    Value(Value),
-    Fault(String),
-}
-
-/// Reads tags one after the other; each that is opened is closed in its place.
+/// Reads tag by tag; each opened tag must be closed in order.
 struct Tags<'a>(Reader<&'a [u8]>);
 
 impl<'a> Tags<'a> {
@@ -179,7 +149,7 @@ impl<'a> Tags<'a> {
         }
     }
 
-    /// The next tag that is opened; `None` if the last one is closed.
+    /// `None` if the surrounding tag is closed.
     fn tag(&mut self) -> Result<Option<BytesStart<'a>>> {
         loop {
             match self.next()? {
@@ -200,7 +170,7 @@ impl<'a> Tags<'a> {
         if self.tag()?.is_none() { Ok(()) } else { Err(ParseError("a tag holds more than it should")) }
     }
 
-    /// Takes each tag of this name until the one around them is closed.
+    /// Takes each tag of this name until the surrounding tag is closed.
     fn each(&mut self, name: &str, mut take: impl FnMut(&mut Self) -> Result<()>) -> Result<()> {
         while let Some(tag) = self.tag()? {
             if tag.name().as_ref() != name.as_bytes() {
@@ -211,7 +181,7 @@ impl<'a> Tags<'a> {
         Ok(())
     }
 
-    /// Text up to the closing tag, which is consumed too.
+    /// Consumes the closing tag too.
     fn text(&mut self) -> Result<String> {
         let mut out = String::new();
         loop {
@@ -231,7 +201,7 @@ fn text_of<'a>(event: &'a Event<'_>) -> Result<Cow<'a, str>> {
     }
 }
 
-/// Nodes name any character by its number, also those that XML does not have, for which the library refuses the text.
+/// Nodes write any character by its number, also those that XML lacks, for which the library refuses the text.
 fn unescaped(mut text: &str) -> Result<String> {
     let mut out = String::new();
     while let Some((plain, after)) = text.split_once('&') {
@@ -260,7 +230,7 @@ fn numeric(entity: &str) -> Option<char> {
     char::from_u32(code)
 }
 
-/// The value after an opened `<value>`, including the closing tag.
+/// After an opened `<value>`; consumes the closing tag.
 fn value(tags: &mut Tags<'_>, depth: usize) -> Result<Value> {
     if depth > DEEPEST {
         return Err(ParseError("its values are nested too deeply"));
@@ -310,19 +280,16 @@ fn typed(tags: &mut Tags<'_>, kind: &str, depth: usize) -> Result<Value> {
 }
 
 fn number(kind: &str, text: &str) -> Option<Value> {
-    match kind {
-        "int" | "i4" | "i8" => text.parse().ok().map(Value::Int),
-        "double" => text.parse().ok().map(Value::Double),
-        "boolean" => match text {
-            "0" | "false" => Some(Value::Bool(false)),
-            "1" | "true" => Some(Value::Bool(true)),
-            _ => None,
-        },
+    match (kind, text) {
+        ("int" | "i4" | "i8", _) => text.parse().ok().map(Value::Int),
+        ("double", _) => text.parse().ok().map(Value::Double),
+        ("boolean", "0" | "false") => Some(Value::Bool(false)),
+        ("boolean", "1" | "true") => Some(Value::Bool(true)),
         _ => None,
     }
 }
 
-/// Parses a call: method name and parameters.
+/// Method name and parameters.
 pub(super) fn parse_call(text: &str) -> Result<(String, Vec<Value>)> {
     let mut tags = Tags::of(text);
     tags.open("methodCall")?;
@@ -340,19 +307,19 @@ pub(super) fn parse_call(text: &str) -> Result<(String, Vec<Value>)> {
     Ok((method, params))
 }
 
-/// Parses a response: its one value, or the text of its fault.
-pub(super) fn parse_response(text: &str) -> Result<Response> {
+/// The one value, or the text of the fault.
+pub(super) fn parse_response(text: &str) -> Result<std::result::Result<Value, String>> {
     let mut tags = Tags::of(text);
     tags.open("methodResponse")?;
     match tags.tag()? {
         Some(tag) if tag.name().as_ref() == b"params" => {
             tags.open("param")?;
             tags.open("value")?;
-            value(&mut tags, 0).map(Response::Value)
+            value(&mut tags, 0).map(Ok)
         }
         Some(tag) if tag.name().as_ref() == b"fault" => {
             tags.open("value")?;
-            Ok(Response::Fault(fault_words(&value(&mut tags, 0)?)))
+            Ok(Err(fault_words(&value(&mut tags, 0)?)))
         }
         _ => Err(ParseError("a response has neither value nor fault")),
     }
@@ -394,7 +361,7 @@ mod tests {
             parse_response(&text)
         };
         for (text, expected) in [("&#0;&#27;&#x1B;&amp;", "\0\u{1b}\u{1b}&"), ("a&#9731;b&lt;", "a\u{2603}b<")] {
-            assert_eq!(answer(text), Ok(Response::Value(Value::Text(expected.to_owned()))), "{text}");
+            assert_eq!(answer(text), Ok(Ok(Value::Text(expected.to_owned()))), "{text}");
         }
         for wrong in ["&nbsp;", "&#xD800;", "&#;", "&amp", "&#1114112;"] {
             assert!(answer(wrong).is_err(), "{wrong}");
@@ -407,11 +374,11 @@ mod tests {
             <value><int>1</int></value>\n<value>plain</value><value><string/></value><value/>\n\
             <value><array><data>\n</data></array></value></data></array></value>\n</param></params>\n</methodResponse>";
         let expected =
-            vec![Value::Int(1), Value::text("plain"), Value::text(""), Value::text(""), Value::Array(Vec::new())];
-        assert_eq!(parse_response(text), Ok(Response::Value(Value::Array(expected))));
+            vec![Value::Int(1), Value::from("plain"), Value::from(""), Value::from(""), Value::Array(Vec::new())];
+        assert_eq!(parse_response(text), Ok(Ok(Value::Array(expected))));
         let call = "<methodCall><methodName>getPid</methodName></methodCall>";
         assert_eq!(parse_call(call), Ok(("getPid".into(), Vec::new())));
-        assert_eq!(parse_response(&write_fault(-1, "no <such> thing")), Ok(Response::Fault("no <such> thing".into())));
+        assert_eq!(parse_response(&write_fault(-1, "no <such> thing")), Ok(Err("no <such> thing".into())));
     }
 
     #[test]
@@ -434,7 +401,7 @@ mod tests {
     proptest! {
         #[test]
         fn values_round_trip(value in any_value()) {
-            prop_assert_eq!(parse_response(&write_response(&value)), Ok(Response::Value(value.clone())));
+            prop_assert_eq!(parse_response(&write_response(&value)), Ok(Ok(value.clone())));
             let call = write_call("m", std::slice::from_ref(&value));
             prop_assert_eq!(parse_call(&call), Ok(("m".to_owned(), vec![value])));
         }

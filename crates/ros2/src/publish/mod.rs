@@ -1,5 +1,4 @@
-//! Publishing: orders of the site, in their order, to the writers of the domain. A topic that is taken back is gone at
-//! once, with what was queued for it.
+//! Orders of the site, in their order, for the writers of the domain.
 
 mod queue;
 mod writing;
@@ -9,15 +8,15 @@ use std::io::{BufWriter, Read, Write};
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::rc::Rc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
 use crate::farewell::{Departures, Farewell};
 use crate::graph::{self, PROGRAM, Prefix};
-use crate::pipe::write::{MOST_UNCONFIRMED, Order, Report, Topic};
-use crate::pipe::{VERSION, receive, send};
+use crate::pipe::write::{self, Order, Report, Topic};
+use crate::pipe::{VERSION, send};
 use crate::{Ros2Error, capture, threads};
-use queue::Queue;
+use queue::{Outlet as _, Queue};
 use rustdds::bytes::Bytes;
 use rustdds::discovery::{DiscoveredReaderData, DiscoveredWriterData};
 use rustdds::no_key::DataWriter;
@@ -31,32 +30,26 @@ use writing::{Addresses, Writing};
 
 pub use writing::Encoded;
 
-/// The longest wait for an order, and the longest while something waits for subscribers.
+/// The longest wait for an order, and the longest while a message waits for subscribers.
 const BEAT: Duration = Duration::from_millis(50);
 const SHORT_BEAT: Duration = Duration::from_millis(1);
-/// Interval between signs of life, and between looks at the threads.
 const ALIVE: Duration = Duration::from_millis(500);
-/// How long is looked around before anything is announced: Fast DDS is found after up to 1.3 s.
+/// Discovery before anything is announced: Fast DDS is found after up to 1.3 s.
 const LOOK_AROUND: Duration = Duration::from_millis(1500);
-/// It goes on while somebody was found so lately or has told nothing of what it reads, for this long at most: on a busy machine
-/// that comes late, and a reader that is found after the first message does not get it.
+/// Discovery goes on while a participant was found this recently or has not told what it reads, up to this limit: a
+/// busy machine is late, and a reader found after the first message does not get it.
 const STILL_FINDING: Duration = Duration::from_millis(500);
 const LONGEST_LOOK: Duration = Duration::from_secs(4);
-/// How often each writer is shown its subscribers.
+/// Interval at which writers learn their subscribers.
 const SHOWING: Duration = Duration::from_millis(100);
-/// The longest that a topic waits for its subscribers.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// How long what was written last is given to leave this machine.
+/// Time for the last messages to leave this machine.
 const SENDING: Duration = Duration::from_millis(200);
-/// How long a subscriber that acknowledges nothing is given to find a writer that has found it.
+/// Time for a best-effort subscriber to find a writer that has found it.
 const MEETING: Duration = Duration::from_millis(500);
-/// The most topics announced at once.
 const MOST_WRITERS: usize = 4096;
 
-/// Publishes in `domain` what the site orders, until the orders end or `stop` is set; tells whether it is confined. Leaves the domain on every way out.
-///
-/// # Errors
-/// [`Ros2Error`] if the domain cannot be joined, the pipe breaks or the network threads are gone.
+/// Publishes in `domain` until the orders end or `stop` is set. Leaves the domain on every way out.
 pub fn run(
     (domain, confined): (u16, bool),
     from: impl Read + Send + 'static,
@@ -78,7 +71,6 @@ pub fn run(
     result
 }
 
-/// A topic that is to be announced.
 struct Wanted {
     writer: u32,
     topic: Topic,
@@ -87,7 +79,6 @@ struct Wanted {
     patient: bool,
 }
 
-/// A topic that waits for its subscribers.
 struct Welcome {
     writer: u32,
     since: Instant,
@@ -103,14 +94,14 @@ struct Child<'a, W: Write> {
     node: Node,
     participant: DomainParticipant,
     socket: Rc<UdpSocket>,
-    /// When writers were shown their subscribers last.
+    /// When writers learned their subscribers last.
     shown: Option<Instant>,
-    /// Messages that nobody was asked to acknowledge, or no longer; and what was reported last.
+    /// Messages that nobody was asked, or can be asked any more, to acknowledge; and the last report.
     unconfirmed: u64,
     reported: (u32, u64),
     departures: Departures,
     farewell: Farewell,
-    orders: Receiver<Option<(Order, Vec<u8>)>>,
+    orders: Receiver<(Order, Vec<u8>)>,
     joined: Instant,
     wanted: Vec<Wanted>,
     welcomes: Vec<Welcome>,
@@ -144,7 +135,7 @@ impl<'a, W: Write> Child<'a, W> {
             reported: (0, 0),
             departures: Departures::new(domain, &own),
             farewell: Farewell::new(domain, &own),
-            orders: listen(from)?,
+            orders: write::orders(from).map_err(|error| Ros2Error::system("start a thread", &error))?,
             joined: Instant::now(),
             wanted: Vec::new(),
             welcomes: Vec::new(),
@@ -158,7 +149,7 @@ impl<'a, W: Write> Child<'a, W> {
 
     fn run(&mut self, (domain, confined): (u16, bool), stop: &AtomicBool) -> Result<(), Ros2Error> {
         send(self.out, &Report::Hello { version: VERSION, domain, confined }, &[])?;
-        let participant = graph::hex(&graph::prefix(&self.participant.guid().to_bytes()));
+        let participant = graph::hex(&prefix(self.participant.guid()));
         send(self.out, &Report::Joined { participant }, &[])?;
         let mut alive = None::<Instant>;
         loop {
@@ -186,7 +177,6 @@ impl<'a, W: Write> Child<'a, W> {
         }
     }
 
-    /// Writes what can be written, and reports what has become of it.
     fn pump(&mut self) -> Result<(), Ros2Error> {
         let taken = self.queue.pump(&mut self.writings, Instant::now());
         self.unconfirmed += u64::from(taken.unconfirmed);
@@ -205,7 +195,6 @@ impl<'a, W: Write> Child<'a, W> {
         u32::try_from(total).unwrap_or(u32::MAX)
     }
 
-    /// Shows each writer its subscribers.
     fn show(&mut self) {
         if self.writings.is_empty() || self.shown.is_some_and(|last| last.elapsed() < SHOWING) {
             return;
@@ -215,7 +204,6 @@ impl<'a, W: Write> Child<'a, W> {
         self.writings.values_mut().for_each(|writing| self.audience.show(&readers, writing));
     }
 
-    /// Tells the graph of this node.
     fn tell(&mut self) {
         if !self.writings.is_empty() {
             let own = self.writings.values().map(Writing::id).collect();
@@ -223,23 +211,17 @@ impl<'a, W: Write> Child<'a, W> {
         }
     }
 
-    /// Takes all orders that are there; false if there will be no more.
     fn take_orders(&mut self) -> Result<bool, Ros2Error> {
         let is_behind = self.writings.values().any(|writing| writing.unacknowledged() > 0);
         let is_busy = !self.queue.is_empty() || !self.welcomes.is_empty() || is_behind;
         let waits = is_busy || self.leaving.is_some() && !self.has_left;
-        let mut next = match self.orders.recv_timeout(if waits { SHORT_BEAT } else { BEAT }) {
-            Ok(next) => next,
-            Err(RecvTimeoutError::Timeout) => return Ok(true),
-            Err(RecvTimeoutError::Disconnected) => None,
-        };
+        let mut patience = if waits { SHORT_BEAT } else { BEAT };
         loop {
-            let Some((order, payload)) = next else { return Ok(false) };
-            self.take_order(order, payload)?;
-            next = match self.orders.try_recv() {
-                Ok(next) => next,
-                Err(_) => return Ok(true),
-            };
+            match self.orders.recv_timeout(patience) {
+                Ok((order, payload)) => self.take_order(order, payload)?,
+                Err(error) => return Ok(error == RecvTimeoutError::Timeout),
+            }
+            patience = Duration::ZERO;
         }
     }
 
@@ -257,7 +239,7 @@ impl<'a, W: Write> Child<'a, W> {
                 self.queue.forget(writer);
                 self.wanted.retain(|wanted| wanted.writer != writer);
                 self.welcomes.retain(|welcome| welcome.writer != writer);
-                // Whether subscribers got the last of it is not known any more.
+                // Whether subscribers got the last of it is unknown from here on.
                 if let Some(gone) = self.writings.remove(&writer) {
                     self.unconfirmed += gone.unacknowledged() as u64;
                     self.departures.tell(gone.id().to_bytes());
@@ -269,7 +251,7 @@ impl<'a, W: Write> Child<'a, W> {
         Ok(())
     }
 
-    /// Announces what is wanted, once there was time to look around.
+    /// Announces wanted topics after discovery.
     fn announce(&mut self) -> Result<(), Ros2Error> {
         let looked = self.joined.elapsed();
         let is_done = looked >= LOOK_AROUND && self.audience.is_settled(STILL_FINDING) || looked >= LONGEST_LOOK;
@@ -284,7 +266,7 @@ impl<'a, W: Write> Child<'a, W> {
                 self.refuse(writer, format!("{name} is published by {other} there already"), true)?;
                 continue;
             }
-            let others = self.writings.values().map(Writing::kept).sum();
+            let others = self.writings.values().map(|writing| writing.kept).sum();
             match Writing::begin((&self.participant, &self.publisher, &self.socket), &topic, (size, others)) {
                 Ok(writing) => {
                     self.writings.insert(writer, writing);
@@ -319,8 +301,8 @@ impl<'a, W: Write> Child<'a, W> {
             let Some(writing) = writings.get(&welcome.writer) else { return true };
             let found = audience.has_found(&readers, writing);
             let waited = welcome.since.elapsed();
-            // They acknowledge when they hear of the writer; who does not is given time for it.
-            let hear = || writing.is_acknowledged() && (!writing.has_best_effort || waited >= MEETING);
+            // Reliable subscribers acknowledge when they hear of the writer; the others get time for it.
+            let hear = || writing.has_caught_up() && (!writing.has_best_effort || waited >= MEETING);
             found.is_some_and(|known| known == 0 || welcome.latched || hear()) || waited >= PATIENCE
         };
         let (ready, waiting): (Vec<Welcome>, Vec<Welcome>) = self.welcomes.drain(..).partition(is_ready);
@@ -338,7 +320,7 @@ impl<'a, W: Write> Child<'a, W> {
     /// Reports once when everything has arrived.
     fn leave(&mut self) -> Result<(), Ros2Error> {
         let Some(since) = self.leaving.filter(|_| !self.has_left && self.queue.is_empty()) else { return Ok(()) };
-        let last = self.queue.last_written().map_or(since, |last| last.max(since));
+        let last = self.queue.last_written.map_or(since, |last| last.max(since));
         if last.elapsed() >= SENDING && self.unacknowledged() == 0 {
             self.has_left = true;
             send(self.out, &Report::Left, &[])?;
@@ -347,52 +329,27 @@ impl<'a, W: Write> Child<'a, W> {
     }
 }
 
-/// An order with its payload; `None` when there will be no more.
-type Arrival = Option<(Order, Vec<u8>)>;
-
-/// Reads orders in a thread of its own.
-fn listen(mut from: impl Read + Send + 'static) -> Result<Receiver<Arrival>, Ros2Error> {
-    let (sender, receiver) = sync_channel(4 * MOST_UNCONFIRMED);
-    let read = move || {
-        loop {
-            let order = receive::<Order>(&mut from).ok().flatten();
-            let ended = order.is_none();
-            if sender.send(order).is_err() || ended {
-                break;
-            }
-        }
-    };
-    let started = std::thread::Builder::new().name("orders".into()).spawn(read);
-    started.map_err(|error| Ros2Error::system("start a thread", &error))?;
-    Ok(receiver)
-}
-
-/// The most subscribers and participants remembered.
 const MOST: usize = 20_000;
 
 pub struct Audience {
     own: [u8; 12],
-    /// The others, and whether each has told anything that it reads or writes: a node of ROS 2 has something from its start.
+    /// The others, and whether each has announced a reader or writer: a node of ROS 2 has one from its start.
     participants: HashMap<[u8; 12], bool>,
-    /// By our writer: the subscribers that it has met, and whether it serves them.
+    /// By our writer: the subscribers it has met, and whether it serves them.
     met: HashMap<GUID, HashMap<GUID, bool>>,
-    /// When somebody was found last.
+    /// When a participant or endpoint was found last.
     found: Instant,
 }
 
-fn prefix(id: GUID) -> [u8; 12] {
-    let mut prefix = [0; 12];
-    prefix.copy_from_slice(&id.to_bytes()[..12]);
-    prefix
+fn prefix(id: GUID) -> Prefix {
+    graph::prefix(&id.to_bytes())
 }
 
 impl Audience {
-    /// Nobody is known yet.
     pub fn new(own: GUID) -> Self {
         Self { own: prefix(own), participants: HashMap::new(), met: HashMap::new(), found: Instant::now() }
     }
 
-    /// Takes news of the domain.
     pub fn hear(&mut self, news: DomainParticipantStatusEvent) {
         use DomainParticipantStatusEvent as News;
         match news {
@@ -432,12 +389,11 @@ impl Audience {
         self.participants.keys().copied()
     }
 
-    /// The number of other participants.
     pub fn participants(&self) -> u32 {
         u32::try_from(self.participants.len()).unwrap_or(u32::MAX)
     }
 
-    /// Whether everybody who is there has told something, and nobody was found for a while.
+    /// Whether everybody present has announced something, and nobody was found for a while.
     pub fn is_settled(&self, after: Duration) -> bool {
         self.participants.values().all(|has_told| *has_told) && self.found.elapsed() >= after
     }
@@ -454,7 +410,7 @@ impl Audience {
         })
     }
 
-    /// The number of a topic's known subscribers, if all of them have been met.
+    /// Number of a topic's known subscribers, if all of them have been met.
     pub fn has_found(&self, readers: &[DiscoveredReaderData], writing: &Writing) -> Option<usize> {
         let met = self.met.get(&writing.id());
         let mut known = 0;
@@ -467,7 +423,7 @@ impl Audience {
         Some(known)
     }
 
-    /// Tells a writer where the subscribers are that it serves, and whether some of them do not acknowledge.
+    /// Tells a writer its served subscribers' addresses, and whether some do not acknowledge.
     pub fn show(&self, readers: &[DiscoveredReaderData], writing: &mut Writing) {
         let met = self.met.get(&writing.id());
         (writing.addresses, writing.has_best_effort) = (Addresses::default(), false);
@@ -481,7 +437,7 @@ impl Audience {
         }
     }
 
-    /// Somebody else who publishes a topic, as a description.
+    /// Describes another publisher of the topic.
     pub fn rival(&self, participant: &DomainParticipant, topic: &str) -> Option<String> {
         let dds_topic = graph::dds_topic(topic);
         let writers = participant.discovered_writers();
@@ -493,11 +449,9 @@ impl Audience {
     }
 }
 
-/// The node's name, in the root namespace.
 const NAME: &str = "authros_bridge";
 const TYPE: &str = "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_";
 
-/// What the graph was told of this node.
 #[derive(Default)]
 pub struct Node {
     writer: Option<DataWriter<Bytes, Encoded<1>>>,
@@ -505,7 +459,7 @@ pub struct Node {
 }
 
 impl Node {
-    /// Tells the graph of these writers, if that is news and harms nobody among the writers of the domain.
+    /// Tells the graph these writers if they are news, and the form suits every other node.
     pub fn tell(
         &mut self,
         (participant, publisher): (&DomainParticipant, &Publisher),
@@ -513,7 +467,7 @@ impl Node {
         writers: Vec<GUID>,
     ) {
         if !is_welcome(there.iter().filter(|writer| of_others(writer, participant)).map(|writer| &*writer.user_data)) {
-            // What was published is no longer kept for late subscribers.
+            // Ends the list kept for late subscribers.
             *self = Self::default();
             return;
         }
@@ -535,7 +489,7 @@ fn of_others(writer: &DiscoveredWriterData, participant: &DomainParticipant) -> 
     data.topic_name == graph::NODES && data.key.to_bytes()[..12] != participant.guid().to_bytes()[..12]
 }
 
-/// Whether what others say beside their lists of nodes shows that they use this form, all of them.
+/// Whether all others show this form beside their lists of nodes.
 fn is_welcome<'a>(mut told: impl Iterator<Item = &'a [u8]>) -> bool {
     let is_new = |told: &[u8]| graph::type_hash(told).is_some();
     told.next().is_some_and(is_new) && told.all(is_new)

@@ -1,65 +1,43 @@
-//! Messages that wait to be written, oldest first. Nothing overtakes, so the order of all topics is that of the site.
+//! Messages waiting to be written, oldest first; nothing overtakes, over all topics.
 
 use std::collections::{BTreeMap, HashSet, VecDeque};
 use std::time::{Duration, Instant};
 
 use rustdds::bytes::Bytes;
 
-use super::writing::{Attempt, Writing};
+use super::writing::Attempt;
 
-/// What was written is kept for repair by the network code, which clears away every six seconds: the most bytes written
-/// within that time.
+/// The network code keeps written messages for repair and clears them every six seconds: bytes written within that
+/// time.
 const MOST_KEPT: usize = 512 << 20;
 const KEPT_FOR: Duration = Duration::from_secs(7);
 
-/// What can be written to.
 pub trait Outlet {
-    /// Tries to write a message.
     fn attempt(&mut self, message: &Bytes) -> Attempt;
-    /// Whether some subscribers acknowledge nothing.
+    /// Whether some subscribers do not acknowledge.
     fn is_unconfirmed(&self) -> bool;
-    /// Whether subscribers have everything.
     fn has_caught_up(&self) -> bool;
-    /// Whether its subscribers are no longer waited for.
+    /// Whether it no longer waits for its subscribers.
     fn outrun(&mut self) -> &mut bool;
 }
 
-impl Outlet for Writing {
-    fn attempt(&mut self, message: &Bytes) -> Attempt {
-        self.write(message)
-    }
-
-    fn is_unconfirmed(&self) -> bool {
-        self.has_best_effort
-    }
-
-    fn has_caught_up(&self) -> bool {
-        self.is_acknowledged()
-    }
-
-    fn outrun(&mut self) -> &mut bool {
-        &mut self.is_outrun
-    }
-}
-
-/// What has left the queue.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Taken {
     pub messages: u32,
-    /// Of these the ones that were not written for a subscriber that is behind.
+    /// Of these, not written because a subscriber is behind.
     pub dropped: u32,
-    /// Of these the ones that best-effort subscribers may have missed without a word, or that were taken back.
+    /// Of these, possibly missed by best-effort subscribers, or taken back.
     pub unconfirmed: u32,
 }
 
 #[derive(Default)]
 pub struct Queue {
     waiting: VecDeque<(u32, Bytes)>,
-    /// Writers that are no more, or never were; messages for others that are not there yet wait.
+    /// Writers that are gone, or never were; messages for writers still to come wait.
     gone: HashSet<u32>,
     written: VecDeque<(Instant, usize)>,
     written_bytes: usize,
-    last: Option<Instant>,
+    pub last_written: Option<Instant>,
 }
 
 impl Queue {
@@ -67,28 +45,22 @@ impl Queue {
         self.waiting.is_empty()
     }
 
-    /// When something was written last.
-    pub fn last_written(&self) -> Option<Instant> {
-        self.last
-    }
-
     pub fn push(&mut self, writer: u32, message: Vec<u8>) {
         self.waiting.push_back((writer, Bytes::from(message)));
     }
 
-    /// A writer is gone: its messages leave the queue unwritten.
+    /// Its messages leave the queue unwritten.
     pub fn forget(&mut self, writer: u32) {
         self.gone.insert(writer);
     }
 
-    /// Subscribers that are behind are no longer waited for.
+    /// Stops waiting for subscribers that are behind.
     pub fn outrun<O: Outlet>(&self, outlets: &mut BTreeMap<u32, O>) {
         for outlet in outlets.values_mut() {
             *outlet.outrun() = !outlet.has_caught_up();
         }
     }
 
-    /// Writes what can be written now.
     pub fn pump<O: Outlet>(&mut self, outlets: &mut BTreeMap<u32, O>, now: Instant) -> Taken {
         self.clear_away(now);
         let mut taken = Taken::default();
@@ -114,7 +86,7 @@ impl Queue {
                         taken.unconfirmed += u32::from(outlet.is_unconfirmed());
                         self.written.push_back((now, size));
                         self.written_bytes += size;
-                        self.last = Some(now);
+                        self.last_written = Some(now);
                     }
                     attempt
                 }

@@ -1,8 +1,7 @@
-//! One writer of one topic, and large messages that are sent ahead of it. The network code fixes the encoding of a writer's
-//! messages by a type; it writes the two bytes after that, the header's options, as zeros. It sends all fragments of a
-//! message at once, of which the usual receive buffer of 208 kB keeps few; it repairs them slowly. What comes ahead, at a
-//! rate that subscribers can take, is the same to a subscriber (same writer, number, size of fragments), so what follows at
-//! once is known already, and acknowledged. Decision 088.
+//! One writer of one topic. rustdds fixes a writer's encoding by a type, and writes the header's options as zeros. It
+//! sends all fragments of a message in one burst, of which the usual receive buffer of 208 kB keeps few, and repairs
+//! slowly. So large messages go ahead at a rate that subscribers can take; to them it is the same message (same writer,
+//! number, size of fragments), so the burst that follows is already known and acknowledged (decision 088).
 
 use std::collections::VecDeque;
 use std::convert::Infallible;
@@ -13,6 +12,7 @@ use std::rc::Rc;
 use std::task::{Context, Waker};
 use std::time::{Duration, Instant, SystemTime};
 
+use super::queue::Outlet;
 use crate::pipe::write::{Offer, Topic};
 use crate::{graph, quality};
 use rustdds::bytes::Bytes;
@@ -24,19 +24,19 @@ use rustdds::{
     TopicKind, WriteOptionsBuilder,
 };
 
-/// How long one attempt to write to a reliable topic may wait for room.
+/// Wait for room in one attempt to write to a reliable topic.
 const ATTEMPT: rustdds::Duration = rustdds::Duration::from_millis(5);
-/// The most messages of a latched topic that are kept before old ones are cleared away.
+/// Messages kept of a latched topic before old ones are cleared.
 const LATCHED: usize = 8;
 /// The most messages that a subscriber may ask a topic to keep.
 const DEEPEST: u32 = 1000;
-/// After this time without an acknowledgement a large message is sent ahead once more: subscribers are asked every 100 ms.
-/// Twice as long each time.
+/// A large message not acknowledged after this time goes ahead again, then after twice as long each time: subscribers
+/// are asked every 100 ms.
 const AGAIN: std::time::Duration = std::time::Duration::from_millis(250);
-/// The most times; then it is left to the network code.
+/// Then rustdds repairs it.
 const MOST_TIMES: u32 = 6;
 
-/// Bodies of one encoding, passed on as they are.
+/// Bodies of one encoding, unchanged.
 pub struct Encoded<const ID: u16>;
 
 impl<const ID: u16> SerializerAdapter<Bytes> for Encoded<ID> {
@@ -51,25 +51,23 @@ impl<const ID: u16> SerializerAdapter<Bytes> for Encoded<ID> {
     }
 }
 
-/// The result of an attempt to write.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Attempt {
-    /// It is on its way.
     Written,
     /// A subscriber is too far behind.
     Full,
-    /// It is being sent ahead, and must be written after that: its number is used.
+    /// It is going ahead, and must be written afterwards: its number is used.
     Begun,
     /// It cannot be written at all.
     Lost,
 }
 
-/// Comes when all subscribers that acknowledge have what was written before it was made.
+/// Ready when all reliable subscribers have every message written before it was made.
 type Acknowledgement = Pin<Box<dyn Future<Output = ()>>>;
 
 trait Write {
     fn write(&self, body: Bytes) -> Attempt;
-    /// Writes something that is for nobody: subscribers acknowledge it when they hear this writer, and get nothing.
+    /// Addressed to nobody: subscribers acknowledge it when they hear this writer, and get nothing.
     fn write_for_nobody(&self) -> bool;
     fn acknowledgement(&self) -> Acknowledgement;
     fn is_acknowledged(&self) -> bool;
@@ -78,7 +76,7 @@ trait Write {
 
 impl<const ID: u16> Write for Rc<DataWriter<Bytes, Encoded<ID>>> {
     fn write(&self, body: Bytes) -> Attempt {
-        // A congested socket is waited for, also without acknowledgements.
+        // Waits for a congested socket, also in best effort.
         let options = WriteOptionsBuilder::new().source_timestamp(Timestamp::now()).best_effort_may_block(true);
         match self.write_with_options(body, options.build()) {
             Ok(_) => Attempt::Written,
@@ -95,7 +93,7 @@ impl<const ID: u16> Write for Rc<DataWriter<Bytes, Encoded<ID>>> {
     fn acknowledgement(&self) -> Acknowledgement {
         let writer = Self::clone(self);
         let mut coming: Acknowledgement = Box::pin(async move { drop(writer.async_wait_for_acknowledgments().await) });
-        // What was written last is remembered at the first look.
+        // The first poll notes the last written message.
         if has_come(&mut coming) { Box::pin(std::future::ready(())) } else { coming }
     }
 
@@ -112,47 +110,40 @@ fn has_come(coming: &mut Acknowledgement) -> bool {
     coming.as_mut().poll(&mut Context::from_waker(Waker::noop())).is_ready()
 }
 
-/// A message that was written and is not acknowledged yet.
 struct Pending {
     acknowledgement: Acknowledgement,
-    /// The message and its number, if it was sent ahead.
+    /// The message and its number, if it went ahead.
     large: Option<(Bytes, i64)>,
     /// When it was sent last, and how often.
     sent: Instant,
     times: u32,
-    /// While it is sent once more.
+    /// While it is sent again.
     again: Option<Ahead>,
 }
 
 pub struct Writing {
-    /// The topic's DDS name.
     pub dds_topic: String,
-    /// The type's DDS name.
     pub dds_type: String,
     encoding: [u8; 2],
-    /// Messages, and bytes, that may be kept of it.
+    /// Limits of kept messages and bytes.
     room: usize,
-    kept: usize,
-    /// Whether lost messages are repeated.
+    pub kept: usize,
     pub reliable: bool,
-    /// Its subscribers are behind and no longer waited for.
     pub is_outrun: bool,
-    /// Where its subscribers are.
     pub addresses: Addresses,
-    /// Whether some of them do not acknowledge.
+    /// Whether some subscribers do not acknowledge.
     pub has_best_effort: bool,
     socket: Rc<UdpSocket>,
     rate: Rate,
-    /// The number of the next message.
     next: i64,
     ahead: Option<Ahead>,
-    // Before the writer, which these hold, too.
+    // Before the writer, which these hold too.
     pending: VecDeque<Pending>,
     writer: Box<dyn Write>,
 }
 
 impl Writing {
-    /// Announces a topic, whose messages have about this size; all others keep `others` bytes.
+    /// `size` is about the size of its messages; all other topics keep `others` bytes.
     pub fn begin(
         (participant, publisher, socket): (&DomainParticipant, &Publisher, &Rc<UdpSocket>),
         topic: &Topic,
@@ -171,7 +162,7 @@ impl Writing {
             .create_topic(dds_topic.clone(), dds_type.clone(), &policies, TopicKind::NoKey)
             .map_err(|error| format!("the topic cannot be made ({error:?})"))?;
         let writer = writer(topic.encoding, publisher, &made, policies)?;
-        // Of a latched topic late subscribers would get it.
+        // Late subscribers of a latched topic would get it.
         let is_asked = topic.offer.reliable && !topic.offer.latched && writer.write_for_nobody();
         Ok(Self {
             dds_topic,
@@ -192,45 +183,8 @@ impl Writing {
         })
     }
 
-    /// Bytes that may be kept of it.
-    pub fn kept(&self) -> usize {
-        self.kept
-    }
-
-    /// Its id in the domain.
     pub fn id(&self) -> GUID {
         self.writer.id()
-    }
-
-    /// Tries to write a message, header included.
-    pub fn write(&mut self, message: &Bytes) -> Attempt {
-        if message.len() < 4 || message[..2] != self.encoding || message[2..4] != [0, 0] {
-            return Attempt::Lost;
-        }
-        let is_large = message.len() > LARGE && (self.ahead.is_some() || !self.addresses.is_empty());
-        if is_large {
-            self.settle();
-            // One at a time: a second one would be lost in what the network code sends at once of the first. A
-            // subscriber that is no longer waited for does not keep it from the others while there is room; once begun, it
-            // must find some.
-            let most = if self.is_outrun { self.room.saturating_sub(2) } else { 0 };
-            if self.ahead.is_none() && self.pending.len() > most {
-                return Attempt::Full;
-            }
-            let id = (self.writer.id(), self.next);
-            let ahead = self.ahead.get_or_insert_with(|| Ahead::new(message.clone(), id, &self.addresses));
-            if !ahead.advance(&self.socket, &self.rate) {
-                return Attempt::Begun;
-            }
-        }
-        match self.writer.write(message.slice(4..)) {
-            Attempt::Written => {
-                self.written(is_large.then(|| (message.clone(), self.next)));
-                Attempt::Written
-            }
-            Attempt::Full if is_large => Attempt::Begun,
-            other => other,
-        }
     }
 
     fn written(&mut self, large: Option<(Bytes, i64)>) {
@@ -241,7 +195,7 @@ impl Writing {
         }
     }
 
-    /// Looks at what was acknowledged, and sends a large message ahead once more that was not in time.
+    /// Drops acknowledged messages, and sends a large one ahead again that is late.
     pub fn settle(&mut self) {
         while let Some(first) = self.pending.front_mut() {
             if has_come(&mut first.acknowledgement) {
@@ -265,22 +219,58 @@ impl Writing {
         }
     }
 
-    /// Messages that were written and not acknowledged by all subscribers that do that.
     pub fn unacknowledged(&self) -> usize {
         self.pending.len()
     }
+}
 
-    /// Whether all subscribers that acknowledge have everything.
-    pub fn is_acknowledged(&self) -> bool {
+impl Outlet for Writing {
+    fn attempt(&mut self, message: &Bytes) -> Attempt {
+        if message.len() < 4 || message[..2] != self.encoding || message[2..4] != [0, 0] {
+            return Attempt::Lost;
+        }
+        let is_large = message.len() > LARGE && (self.ahead.is_some() || !self.addresses.is_empty());
+        if is_large {
+            self.settle();
+            // One at a time: a second one would be lost in the first one's burst. A subscriber left behind does not
+            // keep it from the others while there is room; once begun, it must find some.
+            let most = if self.is_outrun { self.room.saturating_sub(2) } else { 0 };
+            if self.ahead.is_none() && self.pending.len() > most {
+                return Attempt::Full;
+            }
+            let id = (self.writer.id(), self.next);
+            let ahead = self.ahead.get_or_insert_with(|| Ahead::new(message.clone(), id, &self.addresses));
+            if !ahead.advance(&self.socket, &self.rate) {
+                return Attempt::Begun;
+            }
+        }
+        match self.writer.write(message.slice(4..)) {
+            Attempt::Written => {
+                self.written(is_large.then(|| (message.clone(), self.next)));
+                Attempt::Written
+            }
+            Attempt::Full if is_large => Attempt::Begun,
+            other => other,
+        }
+    }
+
+    fn is_unconfirmed(&self) -> bool {
+        self.has_best_effort
+    }
+
+    fn has_caught_up(&self) -> bool {
         self.writer.is_acknowledged()
+    }
+
+    fn outrun(&mut self) -> &mut bool {
+        &mut self.is_outrun
     }
 }
 
-/// How many messages may be under way to subscribers.
 fn room(offer: Offer, size: usize, others: usize) -> usize {
     let depth = offer.depth.clamp(1, DEEPEST) as usize;
     let room = quality::depth(size, others);
-    // A late subscriber is sent all that are kept, so there are few.
+    // A late subscriber is sent all kept messages, so there are few.
     if offer.latched { room.min(depth.max(LATCHED)) } else { room }
 }
 
@@ -297,17 +287,10 @@ fn policies(offer: Offer, room: usize, encoding: u16) -> QosPolicies {
     builder.build().with_data_representation(DataRepresentation { value })
 }
 
-fn writer(
-    encoding: u16,
-    publisher: &Publisher,
-    topic: &rustdds::Topic,
-    policies: QosPolicies,
-) -> Result<Box<dyn Write>, String> {
-    fn made<const ID: u16>(
-        publisher: &Publisher,
-        topic: &rustdds::Topic,
-        policies: QosPolicies,
-    ) -> Result<Box<dyn Write>, String> {
+type Made = Result<Box<dyn Write>, String>;
+
+fn writer(encoding: u16, publisher: &Publisher, topic: &rustdds::Topic, policies: QosPolicies) -> Made {
+    fn made<const ID: u16>(publisher: &Publisher, topic: &rustdds::Topic, policies: QosPolicies) -> Made {
         let writer = publisher.create_datawriter_no_key::<Bytes, Encoded<ID>>(topic, Some(policies));
         let writer = writer.map_err(|error| format!("its publisher cannot be made ({error:?})"))?;
         Ok(Box::new(Rc::new(writer)))
@@ -328,27 +311,26 @@ fn writer(
     make(publisher, topic, policies)
 }
 
-/// Longer messages are sent ahead, bytes; shorter ones fit the receive buffers of all kinds of DDS at once.
+/// Longer messages go ahead, bytes; every DDS's receive buffer holds shorter ones at once.
 pub const LARGE: usize = 64 << 10;
-/// Bytes of a fragment: as the network code makes them, since a subscriber may put both together.
+/// Bytes of a fragment, as rustdds makes them: a subscriber may combine both.
 const FRAGMENT: usize = 256;
-/// Fragments in a datagram: to this machine, and to another one, where it must not be larger than a packet.
+/// Fragments in a datagram: to this machine; to another one, where it must fit a packet.
 const NEAR: usize = 128;
 const FAR: usize = 5;
-/// Bytes a second at first, at least and at most.
+/// Bytes a second: at first, at least and at most.
 const FIRST_RATE: f64 = 80e6;
 const RATES: (f64, f64) = (8e6, 120e6);
 /// The longest that one message may take, seconds.
 const LONGEST: f64 = 2.0;
 /// How long one call sends before others have their turn.
 const SLICE: Duration = Duration::from_millis(20);
-/// Time that was not used for sending is made up for by this much.
+/// The most unused sending time that is made up for.
 const SLACK: Duration = Duration::from_millis(1);
-/// Shorter pauses are not made.
+/// Shorter pauses are skipped.
 const SHORTEST_PAUSE: Duration = Duration::from_micros(200);
-/// The most addresses that one message is sent to.
 const MOST_ADDRESSES: usize = 16;
-/// The network code's vendor id.
+/// rustdds's vendor id.
 const VENDOR: [u8; 2] = [1, 18];
 
 /// The addresses of each subscriber of a topic.
@@ -356,12 +338,10 @@ const VENDOR: [u8; 2] = [1, 18];
 pub struct Addresses(Vec<Vec<SocketAddr>>);
 
 impl Addresses {
-    /// Whether there are none.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
-    /// Adds those of one subscriber.
     pub fn add(&mut self, of_one: impl Iterator<Item = SocketAddr>) {
         let own: Vec<SocketAddr> = of_one.filter(SocketAddr::is_ipv4).take(MOST_ADDRESSES).collect();
         if !own.is_empty() && self.0.len() < MOST_ADDRESSES {
@@ -369,8 +349,8 @@ impl Addresses {
         }
     }
 
-    /// Where a message is sent to, and how many fragments a datagram may have: of each subscriber one address on this machine,
-    /// since all lead to the same socket; or else all.
+    /// Destinations, and fragments in a datagram to each: of each subscriber one address on this machine, since all
+    /// lead to the same socket; otherwise all.
     fn ways(&self) -> Vec<(SocketAddr, usize)> {
         let mut ways = Vec::new();
         for own in &self.0 {
@@ -385,7 +365,7 @@ impl Addresses {
     }
 }
 
-/// Whether an address is one of this machine: the one from which it would be sent to.
+/// Whether this machine would send to it from the same address.
 fn is_here(to: SocketAddr) -> bool {
     let from = || {
         let socket = UdpSocket::bind((IpAddr::V4(Ipv4Addr::UNSPECIFIED), 0))?;
@@ -395,7 +375,6 @@ fn is_here(to: SocketAddr) -> bool {
     from().is_ok_and(|from: SocketAddr| from.ip() == to.ip())
 }
 
-/// How fast it goes.
 pub struct Rate(f64);
 
 impl Default for Rate {
@@ -405,7 +384,6 @@ impl Default for Rate {
 }
 
 impl Rate {
-    /// It was too fast.
     pub fn slower(&mut self) {
         self.0 = (self.0 / 2.0).max(RATES.0);
     }
@@ -414,28 +392,27 @@ impl Rate {
         self.0 = (self.0 * 1.1).min(RATES.1);
     }
 
-    /// The time that this many bytes of a message of this length may take.
+    /// Time for this many bytes of a message of this length.
     #[expect(clippy::cast_precision_loss, reason = "lengths of messages are below 2^53")]
     fn time(&self, bytes: usize, length: usize) -> Duration {
         Duration::from_secs_f64(bytes as f64 / self.0.max(length as f64 / LONGEST))
     }
 }
 
-/// One message on its way.
 pub struct Ahead {
     message: Bytes,
     head: Vec<u8>,
     writer: [u8; 4],
     number: i64,
     ways: Vec<(SocketAddr, usize)>,
-    /// The place among the ways, and the fragment that is next, from 0.
+    /// The place among the ways, and the next fragment, from 0.
     place: usize,
     fragment: usize,
     due: Instant,
 }
 
 impl Ahead {
-    /// A message, with its header of four bytes, that gets this number from its writer.
+    /// `message` has its four bytes of header, and gets this number from its writer.
     pub fn new(message: Bytes, (writer, number): (GUID, i64), to: &Addresses) -> Self {
         let id = writer.to_bytes();
         let mut head = [b"RTPS".as_slice(), &[2, 4], &VENDOR, &id[..12]].concat();
@@ -444,7 +421,7 @@ impl Ahead {
         Self { message, head, writer, number, ways: to.ways(), place: 0, fragment: 0, due: Instant::now() }
     }
 
-    /// Sends for a moment; true when all is sent.
+    /// Sends for a moment; true when everything is sent.
     pub fn advance(&mut self, socket: &UdpSocket, rate: &Rate) -> bool {
         let begun = Instant::now();
         while let Some((to, most)) = self.ways.get(self.place).copied() {
@@ -452,7 +429,7 @@ impl Ahead {
                 return false;
             }
             let datagram = self.datagram(most);
-            // Whatever is lost, here or later, comes once more from the network code.
+            // rustdds repeats whatever is lost.
             drop(socket.send_to(&datagram, to));
             let now = Instant::now();
             let earliest = now.checked_sub(SLACK).unwrap_or(now);
@@ -465,7 +442,6 @@ impl Ahead {
         true
     }
 
-    /// The next fragments, as a datagram.
     fn datagram(&mut self, most: usize) -> Vec<u8> {
         let length = self.message.len();
         let from = self.fragment * FRAGMENT;
@@ -487,7 +463,7 @@ impl Ahead {
         let (low, high) = number.split_at(4);
         let parts: [&[u8]; 13] = [
             &self.head,
-            // DATA_FRAG, little endian; from the end of the length on, 32 bytes stand before the fragments.
+            // DATA_FRAG, little endian; after the length, 32 bytes precede the fragments.
             &[0x16, 1],
             &short(32 + piece.len()),
             &[0, 0, 28, 0],
@@ -506,7 +482,7 @@ impl Ahead {
     }
 }
 
-/// The submessage that tells when a message was written.
+/// The submessage with the time of writing.
 fn time_of_writing() -> Vec<u8> {
     let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
     let seconds = u32::try_from(now.as_secs()).unwrap_or(u32::MAX);

@@ -1,5 +1,5 @@
-//! Reading an MCAP file while somebody writes it: only whole records are read, and what is missing is waited for until
-//! the file has its footer, or the caller says that nobody writes it any more.
+//! Reading an MCAP file while it is written: only whole records are read, until the file has its footer, or the caller
+//! closes it.
 
 use std::io::{BufRead, Seek};
 use std::ops::Range;
@@ -8,61 +8,47 @@ use super::{Code, Fields, LEAD, McapReader};
 use crate::model::Timestamp;
 use crate::ros::RosError;
 
-/// What is known of a file that somebody is writing.
 #[derive(Debug, Default)]
 pub(super) struct Growing {
-    /// Whether more may come.
     open: bool,
-    /// Whether the caller wants to know where chunks are.
-    told: bool,
-    chunks: Vec<Range<u64>>,
-}
-
-impl Growing {
-    /// A chunk was read.
-    pub fn note_chunk(&mut self, place: Range<u64>) {
-        if self.told {
-            self.chunks.push(place);
-        }
-    }
+    /// Whether the caller wants the positions of chunks.
+    pub told: bool,
+    pub chunks: Vec<Range<u64>>,
 }
 
 impl<R: BufRead + Seek> McapReader<R> {
-    /// Starts reading a file that may still grow. [`McapReader::next_message`] then returns `None` also where the next
-    /// record is not whole yet.
+    /// [`McapReader::next_message`] then also returns `None` where the next record is not whole yet.
     pub fn follow(file: R) -> Result<Self, RosError> {
         let mut reader = Self::begin(file)?;
         reader.growing = Growing { open: true, told: true, chunks: Vec::new() };
         Ok(reader)
     }
 
-    /// The file is now so long, bytes.
+    /// The file's length now, bytes.
     pub fn grown(&mut self, length: u64) {
         self.length = self.length.max(length);
     }
 
-    /// Nobody writes the file any more: what is missing at its end is damage.
+    /// No recorder writes the file any more: a missing end is damage.
     pub fn close(&mut self) -> Result<(), RosError> {
         self.growing.open = false;
-        self.read_summary().map_err(|error| RosError::unreadable(&error))
+        self.read_summary().map_err(RosError::unreadable)
     }
 
-    /// Whether all of the file was read, and nothing more is expected.
     pub fn is_finished(&self) -> bool {
         self.ended && self.chunk.at >= self.chunk.bytes.len()
     }
 
-    /// Whether the file has the footer that its recorder writes last.
     pub fn has_footer(&self) -> bool {
         self.has_footer
     }
 
-    /// Where the chunks are that were read since this was last asked, in file order.
+    /// Chunks read since the last call, in file order.
     pub fn take_chunks(&mut self) -> Vec<Range<u64>> {
         std::mem::take(&mut self.growing.chunks)
     }
 
-    /// Whether the next record can be read: it is whole, or nothing more will come.
+    /// Whether the next record is whole, or no more will come.
     pub(super) fn may_go_on(&mut self) -> std::io::Result<bool> {
         if !self.growing.open || self.is_next_whole()? {
             return Ok(true);
@@ -80,9 +66,9 @@ impl<R: BufRead + Seek> McapReader<R> {
         let Some((code, length)) = self.look(self.position)? else { return Ok(false) };
         let end = self.position.saturating_add(LEAD).saturating_add(length);
         match Code::from_repr(code) {
-            // No record has this code: bytes that are not written yet.
+            // No record has this code: bytes not written yet.
             None if code == 0 => Ok(false),
-            // What follows it is read at once.
+            // What follows is read immediately.
             Some(Code::DataEnd | Code::Footer) => Ok(false),
             // Metadata has no time of its own. Before the first message it gets that one's.
             Some(Code::Metadata) if self.latest == Timestamp(0) && end <= self.length => {
@@ -94,7 +80,7 @@ impl<R: BufRead + Seek> McapReader<R> {
         }
     }
 
-    /// When the first message from here on was recorded, if it is there already.
+    /// Time of the first message from here on, if it is there already.
     fn first_time(&mut self) -> std::io::Result<Option<Timestamp>> {
         let mut at = self.position;
         while let Some((code, length)) = self.look(at)? {
@@ -131,12 +117,14 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::ros::mcap::beside::words;
+    use std::collections::BTreeMap;
+
     use crate::ros::mcap::{Beside, McapWriter};
-    use crate::ros::recording::{ChunkCompression, RecordingReader as _, Sent};
+    use crate::ros::recording::{Channel, ChunkCompression, Encoding, RecordingReader as _, Sent};
 
     fn recorded(compression: ChunkCompression) -> Vec<u8> {
-        let channel = words();
+        let text = ("/words", "std_msgs/msg/String", "string data");
+        let channel = Arc::new(Channel::plain(text, Encoding::Cdr { idl: false }, BTreeMap::new()));
         let mut writer = McapWriter::begin(Cursor::new(Vec::new()), compression).expect("begun");
         let mut facts = 3_u32.to_le_bytes().to_vec();
         facts.extend(b"rig\0\0\0\0");
