@@ -151,7 +151,8 @@ fn another_implementation_agrees_on_hashes_and_senders_of_transactions() {
     let mut site = open(home.path());
     let mut draws = Draws(9);
     let contract = site.deployed(FILLER);
-    let chain_id = u64::from_str_radix(&site.ask("eth_chainId", json!([])).expect("told").as_str().expect("text")[2..], 16);
+    let chain_id =
+        u64::from_str_radix(&site.ask("eth_chainId", json!([])).expect("told").as_str().expect("text")[2..], 16);
     let chain_id = chain_id.expect("a number");
     let unsigned: Vec<Value> = (0..30)
         .map(|count| {

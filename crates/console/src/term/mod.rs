@@ -303,10 +303,11 @@ impl Session {
 
     fn show_theme(&self, name: &str) {
         // The state's names come from here.
-        let Ok(theme) = self.themes.named(name) else { return };
+        let Ok(mut theme) = self.themes.named(name) else { return };
         self.stage.change(Wish::Now, |scene| {
-            let Theme { ascii, depth, pixels, .. } = scene.theme;
-            scene.theme = Theme { ascii, depth, pixels, ..theme };
+            let old = &scene.theme;
+            (theme.ascii, theme.depth, theme.pixels) = (old.ascii, old.depth, old.pixels);
+            scene.theme = theme;
             drop(update(&mut scene.state, Action::ThemeIs(name.to_owned())));
         });
     }

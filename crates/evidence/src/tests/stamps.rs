@@ -143,7 +143,8 @@ fn each_lie_about_a_stamp_is_refused_for_its_own_reason() {
 #[test]
 fn openssl_judges_stamps_as_we_do() {
     let authority = authority!();
-    let of_root = [("good", "stamps"), ("middle", "ca"), ("leaf", "plain"), ("both", "both"), ("odd", "odd"), ("names", "names")];
+    let of_root =
+        [("good", "stamps"), ("middle", "ca"), ("leaf", "plain"), ("both", "both"), ("odd", "odd"), ("names", "names")];
     of_root.iter().for_each(|(name, extensions)| authority.issue((name, P256), "root", extensions, ""));
     [("below", "middle"), ("child", "leaf"), ("named", "names")]
         .iter()

@@ -227,7 +227,12 @@ impl Site {
         // Rebuilt each time: a secret may have been replaced.
         Carrier::of(self.alerts.place()?)?.carry(&delivery, dropped).await?;
         let number = delivery.number;
-        Ok(blocking(self, move |site| Ok(site.alerts.with(|known| known.queue.done(number, dropped)))).await?)
+        blocking(self, move |site| {
+            site.alerts.with(|known| known.queue.done(number, dropped));
+            Ok(())
+        })
+        .await?;
+        Ok(())
     }
 
     pub(super) async fn alerts_view(self: &Arc<Self>) -> Result<AlertsView, Failure> {

@@ -206,6 +206,7 @@ impl Site {
     }
 
     /// Builds the features over the shared parts.
+    #[expect(clippy::too_many_lines, reason = "a list of features and their friends, without a branch")]
     fn assemble(parts: Parts, reserve: Arc<Reserve>, lock: SiteLock, needs: Needs) -> Result<Self, Failure> {
         let (of, config, plant) = (&parts, Arc::clone(&parts.config), parts.plant.clone());
         let memory = usize::try_from(config.capture_memory).unwrap_or(usize::MAX);

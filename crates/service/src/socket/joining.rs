@@ -161,7 +161,9 @@ async fn speak(
             message = messages.recv() => match message {
                 // Nobody may be waiting for the answer any more.
                 Some(Some(FromSite::Answer { number, with })) => {
-                    drop(waiting.remove(&number).map(|answer| answer.send(*with)));
+                    if let Some(answer) = waiting.remove(&number) {
+                        drop(answer.send(*with));
+                    }
                 }
                 Some(Some(FromSite::Event(event))) => drop(events.send(event)),
                 Some(Some(FromSite::Ended(refusal))) => drop(events.send(sends_no_more(&refusal))),

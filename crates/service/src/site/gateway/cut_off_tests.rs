@@ -117,6 +117,7 @@ impl super::Gateway {
         let (under, address) =
             (Arc::new(std::sync::RwLock::new(keeper.envelopes())), SocketAddr::from(([127, 0, 0, 1], 0)));
         let (home_accounts, guests, keeper) = (Arc::default(), Arc::default(), Arc::clone(keeper));
-        self.desk(&super::Place { keeper, under, domain, address, open: false, home_accounts, guests })
+        let place = super::Place { keeper, under, domain, address, open: false, home_accounts, guests };
+        super::GatewayDesk { gateway: Arc::clone(self), place }
     }
 }
