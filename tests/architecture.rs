@@ -18,17 +18,23 @@ const LONGEST: usize = 800;
 const LONGEST_OPENING: usize = 6;
 const OPENS_WITH_A_MAP: &str = "crates/console/src/ui/mod.rs";
 /// Where requests, answers, verbs and tags are dispatched: forgetting a new one there must not compile.
-const DISPATCH: [&str; 10] = [
+const DISPATCH: [&str; 16] = [
     "crates/service/src/site/handle.rs",
     "crates/console/src/app/administration.rs",
     "crates/console/src/app/answer.rs",
     "crates/console/src/app/available.rs",
     "crates/console/src/app/identity_path.rs",
     "crates/console/src/app/perform.rs",
+    "src/cli/audit.rs",
     "src/cli/chain.rs",
     "src/cli/gateway.rs",
+    "src/cli/grants.rs",
+    "src/cli/identity.rs",
+    "src/cli/keys.rs",
     "src/cli/mod.rs",
-    "src/cli/verbs.rs",
+    "src/cli/records.rs",
+    "src/cli/settings.rs",
+    "src/cli/topics.rs",
 ];
 /// The most public functions of one store of the ledger.
 const MOST_OF_A_STORE: usize = 30;

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::args::{AgentVerb, EnrolArguments, Global, RunArguments};
 use super::connect::{Context, ProfileNeed};
-use super::{parse, passphrase, serve, verbs::CHAIN};
+use super::{parse, passphrase, plan::CHAIN, serve};
 use crate::crypto::{Fingerprint, Passphrase, SealedEnrolment, private_file};
 use crate::model::{ByteSize, ErrorKind};
 use crate::service::{

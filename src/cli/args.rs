@@ -1,12 +1,13 @@
 //! The command line: every verb and flag, in the same terms as the console.
 
-mod chain;
-mod keys;
-mod records;
-
-pub use self::chain::{ChainVerb, GenesisArguments, SuccessionVerb};
-pub use self::keys::{ExportKind, IdentityVerb, KeysVerb};
-pub use self::records::{CaptureArguments, ListArguments, SharedVerb, TopicsVerb, UploadsVerb};
+pub use super::capture::CaptureArguments;
+pub use super::chain::ChainVerb;
+pub use super::grants::{GrantArguments, GrantsVerb};
+pub use super::identity::IdentityVerb;
+pub use super::keys::KeysVerb;
+pub use super::records::{ListArguments, SharedVerb, UploadsVerb};
+pub use super::settings::ConfigVerb;
+pub use super::topics::TopicsVerb;
 
 use std::{ffi::OsString, net::SocketAddr, path::PathBuf};
 
@@ -214,62 +215,6 @@ pub struct BackupArguments {
     /// How many of the newest files in --to to keep; older backups there are removed
     #[arg(long, value_name = "N", requires = "to", value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..=10_000))]
     pub keep: Option<usize>,
-}
-
-/// Which epochs a grant opens.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum EpochsChoice {
-    /// Records of the current epoch: those sealed in it already and all later ones; the answer says since when
-    Current,
-    /// All epochs, including earlier records
-    All,
-}
-
-/// `grant …`
-#[derive(Debug, Args)]
-pub struct GrantArguments {
-    /// Account to share with: 0x and 40 hex digits, or a name from the address book
-    #[arg(required_unless_present = "to")]
-    pub address: Option<String>,
-    /// The same, as an option
-    #[arg(long, value_name = "ADDRESS_OR_NAME", conflicts_with = "address")]
-    pub to: Option<String>,
-    /// Only this topic; repeatable [default: all topics]
-    #[arg(long = "topic", value_name = "TOPIC")]
-    pub topics: Vec<String>,
-    /// Epochs to share
-    #[arg(long, value_enum, default_value = "current")]
-    pub epochs: EpochsChoice,
-    /// End of the grant: 30d, 12h, 2w, or a time such as 2027-01-31T12:00:00Z
-    #[arg(long, value_name = "TIME")]
-    pub expires: Option<String>,
-}
-
-/// `grants …`
-#[derive(Debug, Subcommand)]
-pub enum GrantsVerb {
-    /// List grants given and received
-    List,
-    /// Extend an active grant; keys and epoch stay the same
-    Extend {
-        /// The reader's account, or its name
-        grantee: String,
-        /// New end: 30d, 12h, or a time such as 2027-01-31T12:00:00Z
-        #[arg(long, value_name = "TIME", required_unless_present = "endless")]
-        expires: Option<String>,
-        /// Never expires
-        #[arg(long, conflicts_with = "expires")]
-        endless: bool,
-    },
-}
-
-/// `config …`
-#[derive(Debug, Subcommand)]
-pub enum ConfigVerb {
-    /// Show every setting, its value and its source
-    Show,
-    /// Check the settings
-    Check,
 }
 
 /// `demo …`

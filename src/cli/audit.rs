@@ -1,11 +1,15 @@
 //! `audit`: what its arguments mean, and its results for people.
 
+#![deny(clippy::wildcard_enum_match_arm)]
+
 use clap::{Args, Subcommand};
 
-use super::parse;
+use super::connect::{Context, ProfileNeed};
+use super::plan::{NEITHER, Plan};
+use super::{parse, parse::usage};
 use crate::model::ErrorKind;
 use crate::service::reply::{AuditCheck, AuditView};
-use crate::service::{Failure, command::AuditQuery};
+use crate::service::{Failure, Needs, command, command::AuditQuery, is_bound};
 use authros_output::table;
 
 /// `audit`
@@ -92,6 +96,33 @@ pub fn check(check: &AuditCheck) -> String {
 
 pub fn code(check: &AuditCheck) -> u8 {
     if check.ok { 0 } else { ErrorKind::Tampered.exit_code() }
+}
+
+pub fn plan(context: &Context, arguments: &AuditArguments) -> Result<Plan, Failure> {
+    let Some(verb) = &arguments.verb else {
+        let since = arguments.since.as_deref().map(parse::past).transpose()?;
+        let ask = command::AuditRecords { deep: arguments.deep, since };
+        // Asks the chain only of a home that is bound to one.
+        let needs = Needs { ros: false, chain: is_bound(&context.home) };
+        return Ok(Plan::new(needs, ProfileNeed::None, ask));
+    };
+    if arguments.deep || arguments.since.is_some() {
+        return Err(usage("--deep and --since apply to the audit of records; omit them here"));
+    }
+    Ok(match verb {
+        AuditVerb::List { since, action, by, by_operator, before, limit } => {
+            let query = query(since.as_deref(), *limit)?;
+            let (action, profile, operator, before) = (action.clone(), by.clone(), by_operator.clone(), *before);
+            let query = AuditQuery { action, profile, operator, before, ..query };
+            Plan::kept(command::ListAudit(query))
+        }
+        AuditVerb::Verify { without_heads: true } => Plan::kept(command::VerifyAudit { heads: false }),
+        AuditVerb::Verify { .. } => Plan::unlocked(command::VerifyAudit { heads: true }),
+        AuditVerb::Export { dir, addresses } => {
+            let ask = command::ExportAudit { addresses: *addresses };
+            Plan { out: Some(dir.clone()), ..Plan::new(NEITHER, ProfileNeed::Unlocked, ask) }
+        }
+    })
 }
 
 #[cfg(test)]

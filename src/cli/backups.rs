@@ -8,10 +8,11 @@ use authros_output::Output;
 use clap::ValueEnum as _;
 
 use super::args::{BackupArguments, Global};
+use super::audit::{self, AuditArguments};
 use super::check::{backed_up, backup_passphrase};
 use super::connect::{Context, ProfileNeed};
-use super::verbs::{self, NEITHER};
-use super::{audit::AuditArguments, parse::absolute, passphrase, printed, serve::OWN_PROGRAM};
+use super::plan::{self, NEITHER};
+use super::{parse::absolute, passphrase, printed, serve::OWN_PROGRAM};
 use crate::crypto::unfinished::{self, UnfinishedFolder};
 use crate::crypto::{Passphrase, UnlockedKeyring};
 use crate::model::{ErrorKind, ProfileName, Timestamp};
@@ -93,8 +94,8 @@ pub async fn check(context: Context, file: &Path, output: &Output) -> Result<u8,
     let view = restoring::restore(file, &Home::new(home.clone()), &passphrase)?;
     output.note(&backed_up(&view));
     let drill = Context { home: Home::new(home), ..context };
-    let plan = verbs::audit(&drill, &AuditArguments { verb: None, deep: true, since: None })?;
-    let code = verbs::run(drill, plan, output).await;
+    let plan = audit::plan(&drill, &AuditArguments { verb: None, deep: true, since: None })?;
+    let code = plan::run(drill, plan, output).await;
     folder.close().map_err(unmade)?;
     code
 }

@@ -4,7 +4,9 @@ use std::convert::Infallible;
 use std::time::{Duration, Instant};
 
 use super::connect::{Context, ProfileNeed};
-use super::{args::CaptureArguments, parse, printed::TAMPERED, serve::until_done};
+use clap::Args;
+
+use super::{parse, printed::TAMPERED, serve::until_done};
 use crate::model::ErrorKind;
 use crate::service::command::{Capture, ChainStatus, SiteStatus, StopCapture};
 use crate::service::reply::{CaptureSummary, ChainView, HealthLevel, SiteView, TopicSummary};
@@ -14,6 +16,26 @@ use authros_output::{Output, table};
 /// Time without a verified record after which the wait is explained.
 const QUIET: Duration = Duration::from_secs(20);
 const LOOK: Duration = Duration::from_secs(3);
+
+/// `capture …`
+#[derive(Debug, Args)]
+pub struct CaptureArguments {
+    /// Topic to capture; repeatable
+    #[arg(long = "topic", value_name = "TOPIC", required = true)]
+    pub topics: Vec<String>,
+    /// Reject messages of other types
+    #[arg(long = "type", value_name = "TYPE")]
+    pub type_name: Option<String>,
+    /// Stop after this many messages per topic
+    #[arg(long, value_name = "N", conflicts_with = "duration")]
+    pub count: Option<u64>,
+    /// Stop after this time: 10s, 5m, 1h
+    #[arg(long = "for", value_name = "TIME", id = "duration")]
+    pub duration: Option<String>,
+    /// Tag, sealed with each record, such as mission=harbour; repeatable
+    #[arg(long = "tag", value_name = "KEY=VALUE")]
+    pub tags: Vec<String>,
+}
 
 pub async fn run(context: Context, arguments: CaptureArguments, output: &Output) -> Result<u8, Failure> {
     let length = arguments.duration.as_deref().map(parse::duration).transpose()?;

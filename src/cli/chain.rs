@@ -4,17 +4,153 @@
 
 use std::fs::{DirBuilder, OpenOptions};
 use std::io::{ErrorKind as IoKind, Write as _};
-use std::{net::SocketAddr, path::Path};
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
 
-use super::args::{ChainVerb, GenesisArguments, Global, SuccessionVerb};
+use clap::{Args, Subcommand};
+
+use super::args::Global;
 use super::connect::{Context, ProfileNeed};
-use super::verbs::{CHAIN, Plan};
-use super::{parse, show::not_written};
+use super::plan::{self, CHAIN, Plan};
+use super::show::{not_written, or_dash};
+use super::{parse, parties};
 use crate::chain::{GUIDE, Genesis, GenesisKind};
-use crate::model::ErrorKind;
+use crate::model::{Address, ErrorKind};
+use crate::pipeline::sender::LaneState;
 use crate::service::command::{self, Administration};
-use crate::service::{Client, Failure, Needs, failure::input, reply::ServedView};
-use authros_output::Output;
+use crate::service::{
+    Client, Failure, Needs,
+    failure::input,
+    reply::{self, ServedView},
+};
+use authros_output::{Output, pairs};
+
+/// `chain …`
+#[derive(Debug, Subcommand)]
+pub enum ChainVerb {
+    /// Show node, consensus, contract, block, balance and pending transactions
+    Status,
+    /// Deploy the contract with this profile's account, and pin it
+    Deploy {
+        /// Delay of a succession if the lost account named a recovery account; otherwise twice this [default: 7d]
+        #[arg(long, value_name = "1d TO 365d")]
+        delay: Option<String>,
+    },
+    /// Cancel a transaction that is in no block: an empty one at a higher price takes its nonce
+    ///
+    /// Records that it anchors wait to be anchored again. `chain status` lists the transactions that wait.
+    Cancel {
+        /// Its nonce
+        nonce: u64,
+        /// Account that signed it, if it is an extra anchoring account
+        #[arg(long)]
+        account: Option<String>,
+        /// Confirm that it is cancelled
+        #[arg(long)]
+        yes: bool,
+    },
+    /// Successor of a lost account: the administrator proposes one, and it can be stopped during a delay
+    #[command(subcommand)]
+    Succession(SuccessionVerb),
+    /// Administrator: let an account register while registration is closed
+    Admit {
+        /// Account, or its name
+        account: String,
+    },
+    /// Administrator: withdraw an admission
+    Dismiss {
+        /// Account, or its name
+        account: String,
+    },
+    /// Administrator: suspend an account; it can then only withdraw rights
+    Suspend {
+        /// Account, or its name
+        account: String,
+    },
+    /// Administrator: lift an account's suspension
+    Restore {
+        /// Account, or its name
+        account: String,
+    },
+    /// Administrator: let anyone register
+    Open,
+    /// Administrator: let only admitted accounts register
+    Close,
+    /// Administrator: pause all changes except those that withdraw rights
+    Pause {
+        /// How long, at most 3d; the next pause is possible after a week [default: 1d]
+        #[arg(long = "for", value_name = "TIME")]
+        length: Option<String>,
+    },
+    /// Administrator: end the pause early
+    Resume,
+    /// Administrator: nominate the next administrator, who takes over with `chain accept`
+    HandOver {
+        /// Account, or its name
+        account: String,
+    },
+    /// Take over as administrator, if nominated
+    Accept,
+    /// Serve the embedded chain's JSON-RPC to other tools (cast, web3, curl) on this machine only
+    Serve {
+        /// Loopback address and port; port 0 = any free port
+        #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:8545")]
+        listen: SocketAddr,
+    },
+    /// Write a genesis file for a private geth or Besu network
+    Genesis(GenesisArguments),
+}
+
+/// `chain succession …`
+#[derive(Debug, Subcommand)]
+pub enum SuccessionVerb {
+    /// Administrator: propose the successor of a lost account; takes effect after the contract's delay
+    Propose {
+        /// Account whose key is lost or stolen, or its name
+        lost: String,
+        /// Succeeding account, or its name; must be registered
+        successor: String,
+    },
+    /// Recovery account or administrator: cancel a pending succession
+    Cancel {
+        /// The lost account, or its name
+        lost: String,
+    },
+    /// Complete a succession whose delay has passed; the lost account is suspended permanently
+    Complete {
+        /// The lost account, or its name
+        lost: String,
+    },
+    /// List pending and completed successions, and this profile's recovery account
+    List,
+}
+
+/// `chain genesis …`
+#[derive(Debug, Args)]
+pub struct GenesisArguments {
+    /// Consensus: clique (geth before 1.14), ethash (geth before 1.12) or qbft (Besu)
+    // This hides the global flag of the same name, and must have the same type.
+    #[arg(long, value_name = "NAME", value_parser = ["clique", "ethash", "qbft"], required_unless_present = "guide")]
+    pub consensus: Option<String>,
+    /// Account that seals blocks, as 0x and 40 hex digits; repeatable
+    #[arg(long = "signer", value_name = "ADDRESS")]
+    pub signers: Vec<String>,
+    /// Chain id [default: random]
+    #[arg(long, value_name = "N")]
+    pub chain_id: Option<u64>,
+    /// Seconds between blocks [default: 2]
+    #[arg(long, value_name = "N")]
+    pub period: Option<u64>,
+    /// Initial balance in wei; repeatable
+    #[arg(long = "alloc", value_name = "ADDRESS=WEI")]
+    pub allocations: Vec<String>,
+    /// Directory to write genesis.json and README.md to [default: genesis.json to stdout]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Print a guide to running three nodes instead
+    #[arg(long, conflicts_with_all = ["consensus", "signers", "chain_id", "period", "allocations", "out"])]
+    pub guide: bool,
+}
 
 pub async fn run(global: Global, verb: ChainVerb, output: &Output) -> Result<u8, Failure> {
     let unlocked = |act: Administration| Plan::unlocked(command::Administer(act));
@@ -58,7 +194,7 @@ pub async fn run(global: Global, verb: ChainVerb, output: &Output) -> Result<u8,
         ChainVerb::HandOver { account } => unlocked(Administration::HandOver { account: parse::value(&account)? }),
         ChainVerb::Accept => unlocked(Administration::Accept),
     };
-    super::verbs::run(Context::new(global, output)?, plan, output).await
+    plan::run(Context::new(global, output)?, plan, output).await
 }
 
 fn seconds(text: &str) -> Result<u64, Failure> {
@@ -121,4 +257,73 @@ fn write_new(path: &Path, text: &str) -> Result<(), Failure> {
         Err(error) => return Err(not_written(path, &error)),
     };
     writeln!(file, "{}", text.trim_end()).map_err(|error| not_written(path, &error))
+}
+
+pub fn status(view: &reply::ChainView) -> String {
+    let paused = |lane: &LaneState| lane.paused.as_ref().map(|reason| ("paused", reason.text(lane.account)));
+    let mut rows = vec![
+        ("kind", view.kind.clone()),
+        ("client", view.client.clone()),
+        ("consensus", view.consensus.clone()),
+        ("chain id", view.chain_id.to_string()),
+        ("genesis", view.genesis.to_string()),
+        ("block", view.block.to_string()),
+        ("contract", or_dash(view.contract)),
+        ("balance", format!("{} wei", view.balance)),
+        ("nonce", view.nonce.to_string()),
+        ("pending", view.pending.to_string()),
+        ("chain.min_price", format!("{} per gas", view.prices.min_price)),
+        ("chain.max_fee", view.prices.max_fee.map_or_else(|| "no cap".to_owned(), |cap| format!("{cap} per gas"))),
+        ("period", or_dash(view.sealing.period.map(|period| format!("at least {period} ms between blocks")))),
+        ("difficulty", or_dash(view.sealing.difficulty.as_ref().map(|hashes| format!("{hashes} hashes per block")))),
+        ("sealers", listed(&view.sealing.sealers)),
+    ];
+    rows.extend(view.through.clone().map(|text| ("seen", text)));
+    rows.extend(parties::administration(&view.administration));
+    let waits = |one: &reply::WaitingView| {
+        let is_first = view.lanes.first().is_none_or(|lane| lane.account == one.account);
+        let of = if is_first { String::new() } else { format!(" of {}", one.account) };
+        ("waits", format!("nonce {}{of}: {}, at {} per gas", one.nonce, one.purpose, one.price))
+    };
+    rows.extend(view.waiting.iter().map(waits));
+    rows.extend(view.lacks.map(|shortfall| ("lacks", shortfall.to_string())));
+    rows.extend(view.lanes.iter().filter_map(paused));
+    pairs(&rows)
+}
+
+fn listed(accounts: &[Address]) -> String {
+    let listed: Vec<String> = accounts.iter().map(Address::to_string).collect();
+    or_dash((!listed.is_empty()).then(|| listed.join(" ")))
+}
+
+pub fn deployed(view: &reply::DeployedView) -> String {
+    pairs(&[
+        ("contract", view.pin.contract.to_string()),
+        ("administrator", view.administrator.to_string()),
+        ("chain id", view.pin.chain_id.to_string()),
+        ("genesis", view.pin.genesis.to_string()),
+        ("block", view.pin.deployed_at.to_string()),
+        ("code hash", view.pin.code_hash.to_string()),
+    ])
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::super::args::{Arguments, Verb};
+    use super::*;
+
+    #[test]
+    fn a_genesis_has_a_consensus_of_its_own() {
+        let parse = |words: &[&str]| Arguments::try_parse_from([&["authros", "chain"], words].concat());
+        let parsed = parse(&["genesis", "--consensus", "qbft", "--signer", "0x1", "--signer", "0x2"]).expect("parses");
+        let Some(Verb::Chain(ChainVerb::Genesis(genesis))) = parsed.verb else { panic!("no genesis") };
+        assert_eq!((genesis.consensus.as_deref(), genesis.signers.len()), (Some("qbft"), 2));
+        assert!(parse(&["genesis", "--consensus", "pow"]).is_err());
+        assert!(parse(&["genesis"]).is_err() && parse(&["genesis", "--guide"]).is_ok());
+        let status = parse(&["status", "--consensus", "pow"]).expect("parses");
+        assert_eq!(status.global.consensus.as_deref(), Some("pow"));
+        assert!(parse(&["serve", "--listen", "8545"]).is_err() && parse(&["serve"]).is_ok());
+    }
 }

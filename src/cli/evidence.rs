@@ -6,7 +6,7 @@ use std::{collections::BTreeMap, fs::File, io::Read as _};
 use clap::Subcommand;
 
 use super::connect::{Context, ProfileNeed};
-use super::{parse, verbs::CHAIN};
+use super::{parse, plan::CHAIN};
 use crate::crypto::{ProviderName, provider};
 use crate::model::{Digest, ErrorKind, clean, clean_lines};
 use crate::ros::Limits;

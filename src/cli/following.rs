@@ -7,7 +7,7 @@ use tokio::sync::broadcast::Receiver;
 
 use super::connect::{Context, ProfileNeed};
 use super::parse::{self, absolute};
-use super::{printed, serve, serve::until_done, verbs::CHAIN};
+use super::{plan::CHAIN, printed, serve, serve::until_done};
 use crate::model::ErrorKind;
 use crate::service::command::{FollowFolder, FollowWishes, StopCapture};
 use crate::service::reply::{FollowView, FollowedFile};

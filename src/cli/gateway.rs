@@ -5,7 +5,7 @@
 use std::net::SocketAddr;
 
 use super::connect::{Context, ProfileNeed};
-use super::verbs::Plan;
+use super::plan::Plan;
 use super::{args::GatewayVerb, parse, show::Question};
 use crate::model::clean;
 use crate::service::command::{Admit, Dismiss, GatewayStatus, ListAdmitted, Register, ServeGateway};
@@ -21,7 +21,7 @@ pub async fn run(context: Context, verb: GatewayVerb, output: &Output) -> Result
         GatewayVerb::Admitted => ListAdmitted.into(),
         GatewayVerb::Status => GatewayStatus.into(),
     };
-    super::verbs::run(context, Plan::kept(question), output).await
+    super::plan::run(context, Plan::kept(question), output).await
 }
 
 async fn serve(context: Context, listen: SocketAddr, open: bool, output: &Output) -> Result<u8, Failure> {

@@ -3,7 +3,7 @@
 use clap::Subcommand;
 
 use super::parse::{self, usage};
-use super::{lists::or_dash, verbs::Plan};
+use super::{plan::Plan, show::or_dash};
 use crate::model::Timestamp;
 use crate::service::Failure;
 use crate::service::command::{CloseIncident, ListIncidents, NoteIncident, OpenIncident, RemoveIncident, ShowIncident};

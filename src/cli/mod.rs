@@ -18,34 +18,40 @@ mod evidence;
 mod follow;
 mod following;
 mod gateway;
+mod grants;
+mod identity;
 mod incidents;
-mod lists;
+mod keys;
 mod memory;
 mod parse;
 mod parties;
 mod passphrase;
+mod plan;
 mod playing;
 mod printed;
 mod quarantine;
 mod reading;
 mod recordings;
+mod records;
 mod retention;
 mod robots;
 mod serve;
+mod settings;
 mod show;
 mod status;
+mod topics;
 mod twins;
-mod verbs;
 
 use std::process::ExitCode;
 
 use clap::Parser as _;
 use tokio::runtime::Runtime;
 
-use self::args::{Arguments, IdentityVerb, Verb};
+use self::args::{Arguments, Verb};
 use self::connect::{Context, ProfileNeed};
+use self::identity::IdentityVerb;
+use self::plan::{CHAIN, Plan};
 use self::recordings::BagVerb;
-use self::verbs::{CHAIN, Plan};
 use crate::model::{ErrorKind, Timestamp};
 use crate::service::{Failure, NoticeLevel, command};
 use authros_output::{Log, Output, log_line};
@@ -116,15 +122,15 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
     }
     let global = arguments.global;
     let context = || Context::new(global.clone(), output);
-    let ask = |context: Context, plan: Plan| runtime.block_on(verbs::run(context, plan, output));
+    let ask = |context: Context, plan: Plan| runtime.block_on(plan::run(context, plan, output));
     match arguments.verb.unwrap_or_else(|| Verb::Console(args::ConsoleArguments::default())) {
         Verb::Console(console) => console::run(runtime, context()?, console, None),
         Verb::Tour(arguments) => console::run_tour(runtime, context()?, arguments),
         Verb::Completions { shell } => Ok(print(output, &printed::completions(shell))),
         Verb::Complete { what, begun } => Ok(print(output, &complete::candidates(&global, what, &begun))),
         Verb::Man => Ok(print(output, &printed::manual()?)),
-        Verb::Profiles => Ok(lists::profiles(&context()?, output)),
-        Verb::Config(verb) => verbs::config(&context()?, &verb, output),
+        Verb::Profiles => Ok(identity::profiles(&context()?, output)),
+        Verb::Config(verb) => settings::run(&context()?, &verb, output),
         Verb::Restore { file, check: true } => runtime.block_on(backups::check(context()?, &file, output)),
         Verb::Restore { file, check: false } => check::run_restore(&context()?, &file, output),
         Verb::Evidence(verb) => runtime.block_on(evidence::run(context()?, verb, output)),
@@ -148,30 +154,30 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
         Verb::Capture(capture) => runtime.block_on(capture::run(context()?, capture, output)),
         Verb::Bag(BagVerb::Import(import)) => runtime.block_on(recordings::import(context()?, import, output)),
         Verb::Bag(BagVerb::Follow(follow)) => runtime.block_on(following::run(context()?, follow, output)),
-        Verb::Uploads(verb) => runtime.block_on(verbs::uploads(context()?, verb, output)),
-        Verb::Shared(verb) => runtime.block_on(verbs::shared(context()?, verb, output)),
+        Verb::Uploads(verb) => runtime.block_on(records::uploads(context()?, verb, output)),
+        Verb::Shared(verb) => runtime.block_on(records::shared(context()?, verb, output)),
         Verb::Retention(verb) => runtime.block_on(retention::run(context()?, verb, output)),
-        Verb::Identity(IdentityVerb::List) => lists::identities(&context()?, output),
-        Verb::Identity(IdentityVerb::Create) => runtime.block_on(verbs::create_identity(context()?, output)),
-        Verb::Identity(verb) => ask(context()?, verbs::identity(verb)?),
+        Verb::Identity(IdentityVerb::List) => identity::list(&context()?, output),
+        Verb::Identity(IdentityVerb::Create) => runtime.block_on(identity::create(context()?, output)),
+        Verb::Identity(verb) => ask(context()?, identity::plan(verb)?),
         Verb::Keys(verb) => {
             let context = context()?;
-            let plan = verbs::keys(&context, verb)?;
+            let plan = keys::plan(&context, verb)?;
             ask(context, plan)
         }
         Verb::Audit(arguments) => {
             let context = context()?;
-            let plan = verbs::audit(&context, &arguments)?;
+            let plan = audit::plan(&context, &arguments)?;
             ask(context, plan)
         }
         Verb::Register => ask(context()?, Plan::new(CHAIN, ProfileNeed::Made, command::Register)),
-        Verb::Topics(verb) => ask(context()?, verbs::topics(verb)?),
+        Verb::Topics(verb) => ask(context()?, topics::plan(verb)?),
         Verb::Quarantine(verb) => ask(context()?, quarantine::plan(verb)?),
-        Verb::Grant(grant) => ask(context()?, Plan::unlocked(verbs::grant(&grant)?)),
+        Verb::Grant(grant) => ask(context()?, Plan::unlocked(grants::grant(&grant)?)),
         Verb::Revoke { address } => {
             ask(context()?, Plan::unlocked(command::Revoke { grantee: parse::value(&address)? }))
         }
-        Verb::Grants(verb) => ask(context()?, verbs::grants(verb)?),
+        Verb::Grants(verb) => ask(context()?, grants::plan(verb)?),
         Verb::Contacts(verb) => ask(context()?, Plan::public(parties::contacts(verb)?)),
         Verb::Devices(verb) => ask(context()?, Plan::unlocked(robots::question(&verb)?)),
         Verb::Alerts(verb) => ask(context()?, status::plan(&verb)),

@@ -2,7 +2,8 @@
 
 use clap::Subcommand;
 
-use super::{lists::or_dash, parse, show::Question};
+use super::parse;
+use super::show::{Question, or_dash};
 use crate::model::{Address, ErrorKind};
 use crate::service::Failure;
 use crate::service::command::{AddContact, ConfirmContact, ListContacts, RemoveContact};

@@ -3,7 +3,7 @@
 
 use std::{io::Read as _, path::Path};
 
-use super::{args::Global, connect::Context, parse::usage, verbs::Plan};
+use super::{args::Global, connect::Context, parse::usage, plan::Plan};
 use crate::crypto::{Passphrase, private_file};
 use crate::model::{ErrorKind, ProfileName};
 use crate::service::{Failure, SecretText, command::ChangePassphrase, failure::input};

@@ -2,7 +2,7 @@
 
 use clap::{Args, Subcommand};
 
-use super::{lists, parse, verbs::Plan};
+use super::{parse, plan::Plan, show::or_dash};
 use crate::model::{ErrorKind, Publisher};
 use crate::service::Failure;
 use crate::service::command::{DiscardHeld, Held, ListQuarantine, PinTopic, ReleaseHeld};
@@ -83,10 +83,8 @@ pub fn plan(verb: QuarantineVerb) -> Result<Plan, Failure> {
 }
 
 pub fn pins(view: &PinsView) -> String {
-    let pins = view
-        .pins
-        .iter()
-        .map(|pin| [pin.topic.clone(), pin.publisher.to_string(), pin.source.clone(), lists::or_dash(pin.at)]);
+    let pins =
+        view.pins.iter().map(|pin| [pin.topic.clone(), pin.publisher.to_string(), pin.source.clone(), or_dash(pin.at)]);
     let mut text = table(&["topic", "pinned publisher", "by", "since"], pins);
     if !view.alarms.is_empty() {
         let alarms = view.alarms.iter().map(|alarm| {

@@ -7,7 +7,7 @@ use authros_output::table;
 
 use super::args::{AgentVerb, ChainVerb, GatewayVerb, Global, IdentityVerb, KeysVerb, TopicsVerb, UploadsVerb, Verb};
 use super::parties::ContactsVerb;
-use super::verbs::Plan;
+use super::plan::Plan;
 use crate::model::{ErrorKind, RecordState};
 use crate::ros::readable::{Plot, Readable, Table, file_of};
 use crate::service::command::{OpenShared, ViewFile};

@@ -7,7 +7,7 @@ use clap::{Args, Subcommand};
 use super::connect::{Context, ProfileNeed};
 use super::parse::{self, absolute, usage};
 use super::printed::{self, LOOK};
-use super::{serve::until_done, verbs::CHAIN};
+use super::{plan::CHAIN, serve::until_done};
 use crate::ros::recording::{ChunkCompression, RecordingFormat};
 use crate::service::command::{self, Ask};
 use crate::service::reply::{ExportView, ExportedTopic, ImportView};

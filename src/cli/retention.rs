@@ -6,7 +6,7 @@ use std::path::Path;
 use clap::Subcommand;
 
 use super::connect::{Context, ProfileNeed};
-use super::{incidents::moment, parse, verbs::CHAIN};
+use super::{incidents::moment, parse, plan::CHAIN};
 use crate::model::{ByteSize, Digest, ErrorKind, clean};
 use crate::service::command::{EraseRecords, ErasureWishes};
 use crate::service::{Client, Failure, failure::input, reply::ErasureView};

@@ -6,8 +6,10 @@ use std::{collections::BTreeMap, io::Read as _};
 use authros_output::{Output, table};
 use clap::{Args, Subcommand};
 
-use super::verbs::Plan;
-use super::{incidents::moment, lists::or_dash, parse, show::Question};
+use super::incidents::moment;
+use super::parse;
+use super::plan::Plan;
+use super::show::{Question, or_dash};
 use crate::crypto::keyfile::{load_sm2, sm2_public_from_pem};
 use crate::crypto::{LONGEST_POLICY, ProviderName, SmKeyPair, provider, signer_id};
 use crate::model::{PublicKey, SignerId, TopicRule, bytes::unhex, clean};

@@ -2,11 +2,22 @@
 
 use std::{fs::OpenOptions, io::Write as _, os::unix::fs::OpenOptionsExt as _, path::Path};
 
-use super::{audit, check, coverage, gateway, incidents, lists, parties, quarantine, reading, robots, status};
+use super::{
+    audit, chain, check, coverage, gateway, grants, identity, incidents, keys, parties, quarantine, reading, records,
+    robots, status, topics,
+};
 use crate::service::command::{Ask, Command, SecretBytes};
 use crate::service::{Client, Failure, failure::input, reply};
 use crate::{crypto::private_file, model::ErrorKind};
 use authros_output::Output;
+
+pub fn yes(value: bool) -> String {
+    if value { "yes" } else { "no" }.to_owned()
+}
+
+pub fn or_dash<T: ToString>(value: Option<T>) -> String {
+    value.map_or_else(|| "-".to_owned(), |value| value.to_string())
+}
 
 pub trait Printed: reply::Answer {
     /// `out` is the place for files; returns the exit code.
@@ -73,15 +84,15 @@ macro_rules! rows {
 }
 
 documents! {
-    reply::IdentityView => lists::identity;
+    reply::IdentityView => identity::one;
     reply::KeyChangeView => |view| view.lines.join("\n");
-    reply::KeysView => lists::keys;
-    reply::RecordPage => lists::records;
-    reply::Provenance => lists::provenance;
+    reply::KeysView => keys::list;
+    reply::RecordPage => records::page;
+    reply::Provenance => records::provenance;
     reply::TransactionView => |view| view.text.clone();
-    Box<reply::ChainView> => |view| lists::chain(view);
+    Box<reply::ChainView> => |view| chain::status(view);
     Box<reply::AdministrationView> => |view| parties::successions(view);
-    reply::DeployedView => lists::deployed;
+    reply::DeployedView => chain::deployed;
     reply::BackupView => check::backed_up;
     reply::GatewayStatusView => gateway::status;
     reply::AlertsView => status::standing;
@@ -102,8 +113,8 @@ documents! {
 }
 
 rows! {
-    reply::TopicRow, "topics" => lists::topics;
-    reply::GrantRow, "grants" => lists::grants;
+    reply::TopicRow, "topics" => topics::list;
+    reply::GrantRow, "grants" => grants::list;
     reply::DeviceRow, "devices" => robots::devices;
     reply::ContactRow, "contacts" => parties::contact_table;
     reply::AuditView, "audit" => audit::lines;
@@ -123,9 +134,9 @@ impl Printed for reply::CheckView {
     fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
         output.result(&self, || {
             let contract = self.contract.map_or_else(String::new, |answer| format!("\n{}", answer.text()));
-            format!("{}{contract}", lists::verdict(&self))
+            format!("{}{contract}", records::verdict(&self))
         });
-        Ok(lists::verdict_code(self.verdict))
+        Ok(records::verdict_code(self.verdict))
     }
 }
 
@@ -138,7 +149,7 @@ impl Printed for Box<reply::OpenedView> {
         }
         reading::without_bytes(&mut self);
         output.result(&self, || reading::opened(&self));
-        Ok(lists::verdict_code(self.verdict))
+        Ok(records::verdict_code(self.verdict))
     }
 }
 

@@ -9,7 +9,7 @@ use authros_output::{Output, table};
 use clap::Subcommand;
 
 use super::connect::Context;
-use super::verbs::{NEITHER, Plan};
+use super::plan::{NEITHER, Plan};
 use crate::model::{ErrorKind, Timestamp};
 use crate::service::command::{ListAlerts, SiteStatus, TestAlert};
 use crate::service::{Failure, doctor, failure::input, reply};

@@ -166,7 +166,7 @@ fn openssl_judges_stamps_as_we_do() {
         ("the signer itself pinned", good.clone(), IMPRINT, "good", true, true),
         ("somebody else pinned", good.clone(), IMPRINT, "middle", false, false),
         ("an unknown critical extension", by_hand("odd", "-md sha256"), IMPRINT, "root", false, false),
-        ("constraints of names", through("named", "names"), IMPRINT, "root", false, false),
+        ("constraints of names", through("named", "names"), IMPRINT, "root", false, true),
         ("a leaf as issuer", through("child", "leaf"), IMPRINT, "root", false, false),
         ("another imprint", good.clone(), [1; 32], "root", false, false),
         ("signed over SHA-1", by_hand("good", "-md sha1"), IMPRINT, "root", false, false),

@@ -1,0 +1,66 @@
+//! A verb with one request, whose answer is printed.
+
+use std::path::PathBuf;
+
+use super::connect::{Context, ProfileNeed};
+use super::{passphrase, printed, show::Question};
+use crate::service::{Command, Failure, Needs, command};
+use authros_output::Output;
+
+pub const CHAIN: Needs = Needs { ros: false, chain: true };
+pub const ROS: Needs = Needs { ros: true, chain: false };
+pub const NEITHER: Needs = Needs { ros: false, chain: false };
+
+pub struct Plan {
+    pub needs: Needs,
+    pub profile: ProfileNeed,
+    /// Asked first; its answer goes to stderr.
+    pub first: Option<command::ForeseeKeyChange>,
+    pub question: Question,
+    pub out: Option<PathBuf>,
+}
+
+impl Plan {
+    pub fn new(needs: Needs, profile: ProfileNeed, question: impl Into<Question>) -> Self {
+        Self { needs, profile, first: None, question: question.into(), out: None }
+    }
+
+    /// With the chain and an open keyring.
+    pub fn unlocked(question: impl Into<Question>) -> Self {
+        Self::new(CHAIN, ProfileNeed::Unlocked, question)
+    }
+
+    /// With the chain, without a keyring.
+    pub fn public(question: impl Into<Question>) -> Self {
+        Self::new(CHAIN, ProfileNeed::None, question)
+    }
+
+    /// With the store alone.
+    pub fn kept(question: impl Into<Question>) -> Self {
+        Self::new(NEITHER, ProfileNeed::None, question)
+    }
+}
+
+pub async fn run(context: Context, plan: Plan, output: &Output) -> Result<u8, Failure> {
+    let connection = context.connect(plan.needs).await?;
+    connection.tell_read_only(output);
+    let forgets = matches!(plan.question.command, Command::ChangePassphrase { .. });
+    let told = async {
+        let is_own = connection.site.is_some();
+        let need = if is_own && plan.profile == ProfileNeed::OpenAtSite { ProfileNeed::None } else { plan.profile };
+        context.prepare(&connection.client, need, output).await?;
+        if let Some(first) = plan.first {
+            connection.client.ask(first).await?.lines.iter().for_each(|line| output.note(line));
+        }
+        let long = matches!(plan.question.command, Command::AuditRecords { .. });
+        let answer = plan.question.ask(&connection.client);
+        Ok(if long { printed::told(&connection.client, answer, output).await } else { answer.await })
+    };
+    let told: Result<_, Failure> = told.await;
+    connection.close().await;
+    let told = told?;
+    if forgets && told.reply.is_ok() {
+        passphrase::forget(&context.home, &context.profile, output)?;
+    }
+    told.print(plan.out.as_deref(), output)
+}

@@ -1,0 +1,99 @@
+//! `authros topics`: arguments, requests and the list.
+
+#![deny(clippy::wildcard_enum_match_arm)]
+
+use clap::Subcommand;
+
+use super::connect::ProfileNeed;
+use super::coverage::{self, CoverageArguments};
+use super::plan::{NEITHER, Plan, ROS};
+use super::quarantine::{self, PinArguments};
+use super::robots::{self, PolicyArguments};
+use super::{parse, show::or_dash};
+use crate::service::{Failure, command, reply};
+use authros_output::table;
+
+/// `topics …`
+#[derive(Debug, Subcommand)]
+pub enum TopicsVerb {
+    /// List every topic of the ROS graph
+    List,
+    /// Capture a topic whenever a site runs
+    Watch {
+        /// Topic, such as /robot1/odom
+        topic: String,
+        /// Reject messages of other types
+        #[arg(long = "type", value_name = "TYPE")]
+        type_name: Option<String>,
+    },
+    /// Stop capturing a topic
+    Unwatch {
+        /// Topic
+        topic: String,
+    },
+    /// Pin publishers of a topic; messages from others are quarantined
+    Pin(PinArguments),
+    /// List pinned publishers, and alarms about others
+    Pins {
+        /// Only this topic
+        #[arg(long, value_name = "TOPIC")]
+        topic: Option<String>,
+    },
+    /// Show over time where a topic has records, losses or quarantined messages
+    Coverage(CoverageArguments),
+    /// Show the rule for each topic; --learn drafts rules from the live graph
+    Policy(PolicyArguments),
+    /// Unpin a publisher of a topic
+    Unpin {
+        /// Topic
+        topic: String,
+        /// Node name, such as /driver
+        caller_id: String,
+    },
+}
+
+pub fn plan(verb: TopicsVerb) -> Result<Plan, Failure> {
+    Ok(match verb {
+        TopicsVerb::List => Plan::new(ROS, ProfileNeed::None, command::ListTopics),
+        TopicsVerb::Watch { topic, type_name } => {
+            let type_name = parse::optional(type_name.as_deref())?;
+            Plan::new(NEITHER, ProfileNeed::OpenAtSite, command::WatchTopic { topic: parse::value(&topic)?, type_name })
+        }
+        TopicsVerb::Unwatch { topic } => Plan::kept(command::UnwatchTopic { topic: parse::value(&topic)? }),
+        TopicsVerb::Pin(pin) => Plan::kept(quarantine::pin(&pin)?),
+        TopicsVerb::Pins { topic } => Plan::kept(command::ListPins { topic: parse::optional(topic.as_deref())? }),
+        TopicsVerb::Coverage(coverage) => Plan::kept(coverage::question(&coverage)?),
+        TopicsVerb::Policy(policy) => Plan::new(ROS, ProfileNeed::None, robots::policy(&policy)?),
+        TopicsVerb::Unpin { topic, caller_id } => {
+            Plan::kept(command::UnpinTopic { topic: parse::value(&topic)?, caller_id })
+        }
+    })
+}
+
+/// Shows a topic's ROS only where there are topics of ROS 2.
+pub fn list(rows: &[reply::TopicRow]) -> String {
+    let second = rows.iter().any(|row| row.ros == 2);
+    let row = |row: &reply::TopicRow| {
+        let mut cells = vec![row.topic.clone()];
+        cells.extend(second.then(|| row.ros.to_string()));
+        cells.extend([
+            or_dash(row.type_name.as_ref()),
+            row.publishers.join(" "),
+            or_dash(row.hz.map(|hz| format!("{hz:.1}"))),
+            if row.left_out > 0 { format!("{} left out", row.left_out) } else { String::new() },
+            if row.watched { "watched" } else { "" }.to_owned(),
+            if row.alarm { "ALARM" } else { "" }.to_owned(),
+            if row.simulated { "SIMULATED" } else { "" }.to_owned(),
+        ]);
+        cells
+    };
+    let mut head = vec!["topic", "type", "publishers", "Hz", "", "", "", ""];
+    if second {
+        head.insert(1, "ROS");
+    }
+    let unreached = |row: &reply::TopicRow| {
+        let topic = row.topic.clone();
+        row.unreached.clone().into_iter().map(move |one| format!("\n{topic} is not read from {one}"))
+    };
+    table(&head, rows.iter().map(row)) + &rows.iter().flat_map(unreached).collect::<String>()
+}
