@@ -1,3 +1,5 @@
+//! The requests to a site.
+
 #[macro_use]
 mod ask;
 

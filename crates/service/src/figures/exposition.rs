@@ -1,3 +1,5 @@
+//! Figures in Prometheus's text format, with labels from a bounded set.
+
 use super::{BOUNDS, Figures, LaneFigures, Latency, LifeLine, OwnerFigures, TopicFigures};
 use crate::model::Timestamp;
 use crate::reply::{HealthLevel, TaskState};

@@ -1,3 +1,5 @@
+//! Answers about the chain, checks of records, and publishers.
+
 pub use crate::pipeline::record_audit::{FindingKind, RecordAudit, RecordFinding};
 
 use serde::{Deserialize, Serialize};

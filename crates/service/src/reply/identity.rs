@@ -1,3 +1,5 @@
+//! Answers about profiles, their keys and transactions, and their readers.
+
 pub use crate::pipeline::directory::GrantState;
 
 use serde::{Deserialize, Serialize};

@@ -1,3 +1,5 @@
+//! Answers about records: lists, provenance, checks, openings.
+
 use serde::{Deserialize, Serialize};
 
 use crate::model::{Address, Digest, Hash, RecordKind, Timestamp, Verdict, base64_text};

@@ -1,3 +1,5 @@
+//! The audit log as the site writes and shows it.
+
 use std::sync::Arc;
 
 use super::{Refusals, doer};

@@ -1,3 +1,5 @@
+//! The audit log, and the audit of the records themselves.
+
 pub(crate) mod log;
 
 pub(crate) use log::Log;

@@ -1,3 +1,5 @@
+//! The site's ROS side: master (embedded or real), simulated robots, monitoring node.
+
 use crate::pipeline::Recorder;
 use crate::site::parts::Parts;
 use std::collections::{BTreeSet, HashMap};

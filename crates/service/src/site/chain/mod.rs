@@ -1,3 +1,5 @@
+//! The link to the chain, the anchoring accounts, the administration.
+
 pub(super) mod administration;
 pub(super) mod connection;
 pub(super) mod lanes;

@@ -1,3 +1,5 @@
+//! An owner's enrolled robots, and the keys each seals under.
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, PoisonError};
 

@@ -1,3 +1,5 @@
+//! The policies that an owner sets for robots, and what the robots report about them.
+
 use std::collections::BTreeMap;
 use std::sync::Arc;
 

@@ -1,3 +1,5 @@
+//! An owner's requests to a robot's ring.
+
 use std::sync::Arc;
 
 use tokio::task::block_in_place;

@@ -1,3 +1,5 @@
+//! Bundles of evidence: own records with all their proofs.
+
 mod page;
 mod time;
 

@@ -1,3 +1,5 @@
+//! How the site's gateway handles each command.
+
 use std::net::SocketAddr;
 use std::sync::PoisonError;
 
