@@ -74,9 +74,11 @@ pub fn profiles(context: &Context, output: &Output) -> u8 {
     let json: Vec<serde_json::Value> =
         all.iter().map(|profile| serde_json::json!({ "profile": profile, "used": is_used(profile) })).collect();
     let line = |profile: &ProfileName| format!("{} {profile}", if is_used(profile) { "*" } else { " " });
-    output.result(&json, || match all.as_slice() {
-        [] => "no profile yet; create one with authros identity create".to_owned(),
-        all => all.iter().map(line).collect::<Vec<_>>().join("\n"),
+    output.result(&json, || {
+        if all.is_empty() {
+            return "no profile yet; create one with authros identity create".to_owned();
+        }
+        all.iter().map(line).collect::<Vec<_>>().join("\n")
     });
     0
 }
