@@ -73,7 +73,7 @@ pub struct Agent {
     name: ProfileName,
     device: SignerId,
     author: Arc<Author>,
-    /// The first covers the topics at the start; each topic added later has another.
+    /// The first covers the topics at the start; those added later together share another.
     sessions: Vec<Arc<CaptureSession>>,
     topics: Vec<String>,
     ring: Option<AgentRing>,

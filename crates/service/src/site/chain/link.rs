@@ -83,7 +83,7 @@ impl Link {
         self.lost(NetworkState::Swapped(failure));
     }
 
-    /// Does nothing while the site ends.
+    /// Leaves the state of a site that ends as it is.
     pub fn lost(&self, to: NetworkState) {
         self.state.send_if_modified(|state| {
             let ending = matches!(state, NetworkState::Off);
