@@ -98,7 +98,18 @@ impl ChainError {
             Self::Tampered { .. } => ErrorKind::Tampered,
             Self::File { .. } => ErrorKind::Home,
             Self::Internal(_) => ErrorKind::Internal,
-            _ => ErrorKind::Refused,
+            Self::Swapped { .. }
+            | Self::Gone { .. }
+            | Self::NotTheContract(_)
+            | Self::Reverted { .. }
+            | Self::AlreadyKnown
+            | Self::NonceTooLow
+            | Self::Underpriced
+            | Self::InsufficientFunds
+            | Self::NoEther(_)
+            | Self::TooDear { .. }
+            | Self::BlockTooSmall { .. }
+            | Self::Rejected { .. } => ErrorKind::Refused,
         }
     }
 

@@ -115,8 +115,19 @@ impl PipelineError {
             Self::NoRecord(_) => ErrorKind::Input,
             Self::Missing(_) | Self::RowDiffers { .. } | Self::NoRight { .. } => ErrorKind::Tampered,
             Self::NotMined { .. } | Self::Unsteady | Self::NodeBehind { .. } => ErrorKind::Incomplete,
-            // What the state of things forbids.
-            _ => ErrorKind::Refused,
+            Self::Unregistered(_)
+            | Self::BadIdentity(_)
+            | Self::NotGranted { .. }
+            | Self::Deleted(..)
+            | Self::Erased { .. }
+            | Self::UnknownEpoch(_)
+            | Self::NoHandover(_)
+            | Self::Uncovered(_)
+            | Self::Reverted { .. }
+            | Self::NoEther(_)
+            | Self::Cancelled(_)
+            | Self::Contradicted { .. }
+            | Self::Refused(_) => ErrorKind::Refused,
         }
     }
 }
