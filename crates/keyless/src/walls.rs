@@ -1,5 +1,5 @@
 //! Walls by Landlock and seccomp: the program opens only the files named here, starts no program and reaches no local
-//! socket, whoever owns it. They need no privilege, and nothing inside can remove them.
+//! socket, not even one of its own user. They need no privilege, and nothing inside can remove them.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};

@@ -1,5 +1,5 @@
 //! The one way in for records sealed elsewhere: a reader's, an owner's uploads, and what owners had erased. Every claim
-//! of a proof is compared with the chain, in the same steps whoever brings it.
+//! of a proof is compared with the chain, by the same steps for each source.
 
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};

@@ -157,8 +157,8 @@ fn timed(folder: &ExportFolder, claimed: AnchoredAt) -> VerifyStep {
     VerifyStep::new("time", ok, &text)
 }
 
-/// Blocks that anchor the record, in order: by its own digest, or by its batch's root over the path's number of leaves,
-/// whoever anchored it.
+/// Blocks that anchor the record, in order: by its own digest, or by its batch's root over the path's number of leaves
+/// under any account.
 async fn anchors(folder: &ExportFolder, chain: &Chain, pin: &Pin) -> Result<Vec<u64>, ChainError> {
     if folder.proof.anchor.mode == AnchorWord::Each {
         let uploaded = chain.uploaded_at(folder.header.owner, folder.proof.digest).await?;
