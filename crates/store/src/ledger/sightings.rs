@@ -129,7 +129,9 @@ const OF_BATCH: &str =
 /// Records lose their own or their batch's block. The first that applies: the batch's block, the own open transaction,
 /// the batch's, another open upload.
 fn unplace(connection: &Connection, from: RecordState, lost: (&str, i64)) -> Result<u64, StoreError> {
-    const OPEN: &str = "EXISTS (SELECT 1 FROM transactions WHERE hash = records.tx AND transactions.state = 0)";
+    // One that anchors a batch is released with the batch: a record that kept it for its own would stay submitted.
+    const OPEN: &str = "EXISTS (SELECT 1 FROM transactions
+         WHERE hash = records.tx AND transactions.state = 0 AND transactions.batch IS NULL)";
     const LEAF: &str = "EXISTS (SELECT 1 FROM leaves WHERE record = n)";
     const UPLOAD: &str = "(SELECT hash FROM transactions WHERE transactions.state = 0
          AND transactions.digests = records.digest ORDER BY nonce, key LIMIT 1)";

@@ -4,6 +4,8 @@ use std::collections::{BTreeMap, HashMap};
 
 use proptest::prelude::*;
 use proptest::sample::Index;
+use proptest::strategy::ValueTree as _;
+use proptest::test_runner::TestRunner;
 
 mod batch;
 mod chain;
@@ -160,12 +162,22 @@ impl Model {
         {
             return self.release_batch(root, hash);
         }
+        self.place(self.sent[index].new.hash);
         for known in self.records.iter_mut().filter(|k| k.transaction == hash && k.block.is_none()) {
             if state != TransactionState::Mined && matches!(known.state, Submitted | Tampered) {
                 known.transaction = None;
                 let waiting = if known.batch.is_some() { Batched } else { Stored };
                 known.state = if known.state == Submitted { waiting } else { Tampered };
             }
+        }
+    }
+
+    /// A mined transaction is in the block in which its batch was seen.
+    fn place(&mut self, transaction: Hash) {
+        for sent in self.sent.iter_mut().filter(|s| s.new.hash == transaction && s.state == TransactionState::Mined) {
+            let Anchors::Batch(root) = sent.new.anchors else { continue };
+            let batch = self.batches.iter().find(|batch| batch.root == root && batch.transaction == Some(transaction));
+            sent.block = batch.and_then(|batch| batch.block).or(sent.block);
         }
     }
 
@@ -197,14 +209,17 @@ impl Model {
         let mut moved = 0;
         for known in self.records.iter_mut().filter(|known| gone(known.block)) {
             if known.state == Tampered {
-                (known.transaction, known.block) = (None, None);
+                let batch = known.batch.map(|number| &self.batches[number]);
+                known.transaction = batch.and_then(|batch| batch.transaction);
+                known.block = batch.and_then(|batch| batch.block);
             } else if states.contains(&known.state) {
                 let batch = known.batch.map(|number| &self.batches[number]);
                 let upload = || opened(&Anchors::Digests(vec![known.new.digest]));
-                let ours = known.transaction.filter(|hash| open.iter().any(|new| new.hash == *hash));
+                let own = |new: &NewTransaction| !matches!(new.anchors, Anchors::Batch(_));
+                let ours = known.transaction.filter(|hash| open.iter().any(|new| new.hash == *hash && own(new)));
                 (known.state, known.transaction, known.block) = match (ours, batch) {
+                    (_, Some(batch)) if batch.block.is_some() => (Mined, batch.transaction, batch.block),
                     (Some(hash), _) => (Submitted, Some(hash), None),
-                    (None, Some(batch)) if batch.block.is_some() => (Mined, batch.transaction, batch.block),
                     (None, Some(batch)) if batch.transaction.is_some() => (Submitted, batch.transaction, None),
                     (None, Some(_)) => (Batched, None, None),
                     (None, None) => upload().map_or((Stored, None, None), |hash| (Submitted, Some(hash), None)),
@@ -347,7 +362,7 @@ fn all_rows(ledger: &Ledger, limit: usize) -> Vec<RecordRow> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 48, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 200, ..ProptestConfig::default() })]
 
     #[test]
     fn the_ledger_does_what_the_model_does(steps in prop::collection::vec(step(), 1..60)) {
@@ -361,4 +376,50 @@ proptest! {
         }
         pair.compare();
     }
+}
+
+/// One record of one batch.
+fn take_each(steps: Vec<Step>) -> RecordRow {
+    let (home, ledger) = open();
+    let mut pair = Pair { model: Model::default(), ledger: Some(ledger), home };
+    let begin = [Step::Append { owner: 1, topics: vec![1], data: true, whole: true }, Step::CloseBatch(vec![only()])];
+    for step in begin.into_iter().chain(steps) {
+        pair.take(step);
+        pair.compare();
+    }
+    all_rows(pair.ledger(), 1).remove(0)
+}
+
+/// Of a list of one.
+fn only() -> Index {
+    any::<Index>().new_tree(&mut TestRunner::deterministic()).expect("an index").current()
+}
+
+#[test]
+fn a_record_whose_own_block_is_undone_rests_on_its_batchs() {
+    let seen = |tampered: bool| {
+        let mined = STATES.iter().position(|state| *state == Mined).expect("a state");
+        let to = if tampered { STATES.len() - 1 } else { mined };
+        take_each(vec![
+            Step::SubmitBatch(only()),
+            Step::SeeBatch { picked: only(), own: true, block: 2 },
+            Step::See { picked: vec![only()], own: true, block: 5 },
+            Step::Advance { picked: vec![only()], from: mined, to },
+            Step::TakeBack(4),
+        ])
+    };
+    for (row, state) in [(seen(false), Mined), (seen(true), Tampered)] {
+        assert_eq!((row.state, row.block), (state, Some(2)));
+    }
+}
+
+#[test]
+fn a_record_seen_with_its_batchs_transaction_waits_again_when_that_fails() {
+    let row = take_each(vec![
+        Step::SubmitBatch(only()),
+        Step::See { picked: vec![only()], own: true, block: 9 },
+        Step::TakeBack(5),
+        Step::Close { picked: only(), how: 1, block: 8 },
+    ]);
+    assert_eq!((row.state, row.transaction), (Batched, None));
 }

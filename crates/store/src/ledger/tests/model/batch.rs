@@ -96,6 +96,7 @@ impl Pair {
                     changed += 1;
                 }
             }
+            self.model.place(transaction);
         }
         let of_another_size = RootSighting { count: seen.count + 1, ..seen };
         let ledger = self.ledger();
