@@ -48,6 +48,8 @@ pub enum Bench {
     Gateway(GatewayArguments),
     /// Messages from publisher to verified at a held rate: losses, latency, memory, cost of each stage
     Pipeline(PipelineArguments),
+    /// Pages of a list on many records beside the same on few
+    Pages(PagesArguments),
     /// All of them: the paper's figures 11, 12, 16 and 17, and our own tables; some minutes
     All(AllArguments),
 }
@@ -183,6 +185,20 @@ pub struct PipelineArguments {
     /// Publishers, each a ROS node with a topic of its own
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u16).range(1..=64))]
     pub publishers: u16,
+}
+
+/// `pages`
+#[derive(Debug, Args)]
+pub struct PagesArguments {
+    /// Records of the smaller ledger
+    #[arg(long, value_name = "N", default_value_t = 100_000, value_parser = clap::value_parser!(u64).range(25_000..=10_000_000))]
+    pub few: u64,
+    /// Records of the larger one; 250 bytes on disk each
+    #[arg(long, value_name = "N", default_value_t = 10_000_000, value_parser = clap::value_parser!(u64).range(25_000..=100_000_000))]
+    pub many: u64,
+    /// How often each page is timed
+    #[arg(long, value_name = "N", default_value_t = 51, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub rounds: u32,
 }
 
 /// `all`

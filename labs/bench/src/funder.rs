@@ -62,7 +62,8 @@ impl Funder {
             | Bench::Record(_)
             | Bench::Gas
             | Bench::Gateway(_)
-            | Bench::Pipeline(_) => return Ok(None),
+            | Bench::Pipeline(_)
+            | Bench::Pages(_) => return Ok(None),
         };
         let Some(file) = &node.funder else { return Ok(None) };
         let purse = keyfile::load_eoa(file, None)?;

@@ -17,6 +17,7 @@ mod machine;
 mod mined;
 mod network;
 mod outlet;
+mod pages;
 mod pipeline;
 mod plot;
 mod progress;
@@ -110,6 +111,7 @@ async fn measure(lab: &Lab, bench: &Bench) -> Result<Judgement, Failure> {
         Bench::Size(size) => size::run(lab, size).await,
         Bench::Gateway(gateway) => gateway::run(lab, gateway).await,
         Bench::Pipeline(pipeline) => pipeline::run(lab, pipeline).await,
+        Bench::Pages(pages) => pages::run(lab, pages).await,
         Bench::All(_) => Err(internal("all benches within one")),
     }
 }

@@ -1,7 +1,7 @@
 //! `pipeline`: the whole line of a throw-away site at a constant rate, publishers included, through real TCPROS. ROS
 //! master, and chain are embedded.
 
-mod before;
+pub(crate) mod before;
 mod host;
 mod publishers;
 mod run;

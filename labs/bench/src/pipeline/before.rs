@@ -18,11 +18,11 @@ use authros_service::Failure;
 use authros_store::{Anchors, Ledger, NewBatch, NewRecord, NewTransaction, RootSighting, TransactionOutcome};
 
 /// Whose records they are; the account that anchors them, too.
-const OWNER: Address = Address([1; 20]);
+pub(crate) const OWNER: Address = Address([1; 20]);
 /// Topics that they are of, in turn: each record of a commit touches its own pages in two indices, the worst case.
-const TOPICS: u64 = 500;
+pub(crate) const TOPICS: u64 = 500;
 /// When the first was captured; each is a millisecond after the one before it.
-const BEGIN: u64 = 1_700_000_000_000_000_000;
+pub(crate) const BEGIN: u64 = 1_700_000_000_000_000_000;
 /// Records put in at a time, and in a batch.
 const BULK: u64 = 5_000;
 /// Bytes of a signed transaction that anchors a root.
@@ -45,7 +45,7 @@ pub(super) fn fill(home: &Home, wanted: u64) -> Result<(), Failure> {
         let blobs: Vec<Vec<u8>> = (there..end).map(blob).collect();
         let digests = sm3_many(&blobs.iter().map(Vec::as_slice).collect::<Vec<_>>());
         let records = (there..end).zip(digests).zip(blobs);
-        let records = records.map(|((number, digest), blob)| record(number, Digest(digest), blob));
+        let records = records.map(|((number, digest), blob)| record(number, Digest(digest), Some(blob)));
         ledger.records.append(records.collect())?;
         block += 1;
         verify(&ledger, block)?;
@@ -63,7 +63,7 @@ fn blob(number: u64) -> Vec<u8> {
 }
 
 /// The record of that number.
-fn record(number: u64, digest: Digest, blob: Vec<u8>) -> NewRecord {
+pub(crate) fn record(number: u64, digest: Digest, blob: Option<Vec<u8>>) -> NewRecord {
     let topic = number % TOPICS;
     let mut topic_id = [0; 16];
     topic_id[..8].copy_from_slice(&topic.to_be_bytes());
@@ -84,7 +84,7 @@ fn record(number: u64, digest: Digest, blob: Vec<u8>) -> NewRecord {
         captured_at: Timestamp(BEGIN + number * 1_000_000),
         simulated: true,
         state: RecordState::Stored,
-        blob: Some(blob),
+        blob,
     }
 }
 
