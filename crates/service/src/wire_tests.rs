@@ -80,6 +80,7 @@ pub(crate) const REQUESTS: &[&str] = &[
     r#"{"command":"lock"}"#,
     r#"{"command":"hold_capture","hold":true}"#,
     r#"{"command":"back_up_keys"}"#,
+    r#"{"command":"restore_keys","path":"/k.keyring","passphrase":"p"}"#,
     r#"{"command":"list_alerts"}"#,
     r#"{"command":"test_alert"}"#,
     r#"{"command":"gateway_status"}"#,
