@@ -145,7 +145,7 @@ class Site:
 
     def __init__(self, program, folder, name):
         self.words = [program, "--home", os.path.join(folder, name), "--robots", "4"]
-        self.home, self.served = folder, None
+        self.environment, self.served = {"HOME": folder, "AUTHROS_STORE_PASSPHRASE": "yes"}, None
         other = json.loads(self.run("--profile", "other", "--json", "register"))["address"]
         self.run("register")
         for topic in TOPICS:
@@ -153,14 +153,14 @@ class Site:
         self.run("grant", other)
 
     def run(self, *words):
-        done = subprocess.run(self.words + list(words), capture_output=True, text=True, env={"HOME": self.home})
+        done = subprocess.run(self.words + list(words), capture_output=True, text=True, env=self.environment)
         if done.returncode:
             sys.exit(f"{' '.join(words)}: {done.stderr}")
         return done.stdout
 
     def serve(self):
         self.served = subprocess.Popen(
-            self.words + ["serve"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env={"HOME": self.home}
+            self.words + ["serve"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=self.environment
         )
         end = time.monotonic() + 60
         while self.rate() < 1 and time.monotonic() < end:

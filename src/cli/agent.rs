@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::args::{AgentVerb, EnrolArguments, Global, RunArguments};
 use super::connect::{Context, ProfileNeed};
 use super::{parse, passphrase, plan::CHAIN, serve};
-use crate::crypto::{Fingerprint, Passphrase, SealedEnrolment, private_file};
+use crate::crypto::{Fingerprint, Passphrase, SealedEnrolment, error::shown, private_file};
 use crate::model::{ByteSize, ErrorKind};
 use crate::service::{
     Agent, AgentEnd, AgentFigures, AgentWishes, Client, EnrolWishes, Failure, Needs, NoticeLevel, SecretText, Site,
@@ -78,11 +78,17 @@ fn beside(enrolment: &Path) -> PathBuf {
 }
 
 fn open(global: &Global, path: &Path) -> Result<SealedEnrolment, Failure> {
-    let secret = passphrase::of_file(global, &beside(path))?.ok_or_else(|| {
-        let advice = "pass --passphrase-file or --passphrase-fd";
-        Failure::new(ErrorKind::Refused, format!("{} is protected by a passphrase; {advice}", path.display()))
-    })?;
-    Ok(SealedEnrolment::open(path, &Passphrase::new(secret.expose().to_owned())?)?)
+    if let Some(secret) = passphrase::of_source(global, &beside(path))? {
+        return Ok(SealedEnrolment::open(path, &Passphrase::new(secret.expose().to_owned())?)?);
+    }
+    let file = shown(path);
+    let Some(mut hidden) = passphrase::terminal::begin()? else {
+        let text = format!("{file} is protected by a passphrase; pass {}", passphrase::SOURCES);
+        return Err(Failure::new(ErrorKind::Refused, text));
+    };
+    let question = format!("Passphrase of {file}");
+    let open = |passphrase: &Passphrase| SealedEnrolment::open(path, passphrase);
+    passphrase::terminal::that_opens(&mut hidden, &question, open).map(|(_, sealed)| sealed)
 }
 
 #[derive(Serialize)]

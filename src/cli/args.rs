@@ -11,8 +11,9 @@ pub use super::topics::TopicsVerb;
 
 use std::{ffi::OsString, net::SocketAddr, path::PathBuf};
 
-use clap::{Args, CommandFactory as _, Parser, Subcommand, ValueEnum};
+use clap::{Args, CommandFactory as _, Parser, Subcommand, ValueEnum, builder::FalseyValueParser};
 
+use super::passphrase::program::Program;
 use authros_output::Log;
 
 /// Share robot data under proof: messages sealed with SM4, signed with SM2, anchored by SM3
@@ -155,7 +156,7 @@ pub enum Verb {
     Backup(BackupArguments),
     /// Restore a home from a backup, into an empty place
     Restore {
-        /// The file; give its passphrase with --passphrase-file or --passphrase-fd
+        /// The file; its own passphrase is asked for, or given as a keyring's is
         file: PathBuf,
         /// Only test it: restore it into a temporary folder, audit all of it, and remove that folder
         #[arg(long)]
@@ -206,7 +207,7 @@ pub enum Verb {
 /// `backup …`
 #[derive(Debug, Args)]
 pub struct BackupArguments {
-    /// The file; give its passphrase with --passphrase-file or --passphrase-fd
+    /// The file; its own passphrase is asked for, or given as a keyring's is
     #[arg(required_unless_present = "to")]
     pub file: Option<PathBuf>,
     /// Instead: a folder in which to write one more file, named by the time
@@ -302,18 +303,24 @@ pub struct Global {
     #[arg(long, global = true, value_enum, value_name = "FORM", default_value = "text")]
     pub log: LogForm,
     /// File with the keyring's passphrase (first line)
-    #[arg(long, global = true, value_name = "FILE", conflicts_with = "passphrase_fd")]
+    #[arg(long, global = true, value_name = "FILE", conflicts_with_all = ["passphrase_fd", "passphrase_command"])]
     pub passphrase_file: Option<PathBuf>,
     /// File descriptor to read the keyring's passphrase from
-    #[arg(long, global = true, value_name = "N")]
+    #[arg(long, global = true, value_name = "N", conflicts_with = "passphrase_command")]
     pub passphrase_fd: Option<u32>,
+    /// Program that prints the keyring's passphrase, such as `["/usr/bin/pass", "show", "authros"]`; no shell reads it
+    #[arg(long, global = true, value_name = "LIST")]
+    pub passphrase_command: Option<Program>,
+    /// Where a new keyring gets no passphrase: write a random one beside it, for use without a terminal
+    #[arg(long, global = true, env = "AUTHROS_STORE_PASSPHRASE", value_parser = FalseyValueParser::new())]
+    pub store_passphrase: bool,
     /// Join somebody else's running site as an operator, at the socket that its owner named in operators.socket
     #[arg(
         long,
         global = true,
         value_name = "PATH",
         env = "AUTHROS_SITE_SOCKET",
-        conflicts_with_all = ["passphrase_file", "passphrase_fd"]
+        conflicts_with_all = ["passphrase_file", "passphrase_fd", "passphrase_command"]
     )]
     pub site_socket: Option<PathBuf>,
     /// Real ROS master, such as http://host:11311
@@ -372,6 +379,8 @@ impl Global {
             log: _,
             passphrase_file: _,
             passphrase_fd: _,
+            passphrase_command: _,
+            store_passphrase: _,
             site_socket: _,
             ros_master,
             ros2,

@@ -2,28 +2,28 @@
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::{convert::Infallible, ffi::OsString, io::Write as _, os::unix::process::CommandExt as _};
+use std::{convert::Infallible, ffi::OsString, os::unix::process::CommandExt as _};
 
 use authros_output::Output;
 use clap::ValueEnum as _;
 
 use super::args::{BackupArguments, Global};
 use super::audit::{self, AuditArguments};
-use super::check::{backed_up, backup_passphrase};
+use super::check::backed_up;
 use super::connect::{Context, ProfileNeed};
 use super::plan::{self, NEITHER};
 use super::{parse::absolute, passphrase, printed, serve::OWN_PROGRAM};
 use crate::crypto::unfinished::{self, UnfinishedFolder};
 use crate::crypto::{Passphrase, UnlockedKeyring};
 use crate::model::{ErrorKind, ProfileName, Timestamp};
-use crate::service::{Client, Failure, SecretText, command::BackUp, failure::input, restoring};
-use crate::{paths::Home, term};
+use crate::paths::Home;
+use crate::service::failure::{input, refused};
+use crate::service::{Client, Failure, SecretText, command::BackUp, restoring};
 
 /// Prefix and suffix of backup files; the time is in between.
 const NAME: (&str, &str) = ("authros-", ".backup");
 
 pub async fn run(context: Context, backup: BackupArguments, output: &Output) -> Result<u8, Failure> {
-    let passphrase = backup_passphrase(&context.global)?;
     let folder = backup.to.as_deref().map(absolute).transpose()?;
     let file = match (&backup.file, &folder) {
         (Some(file), _) => absolute(file)?,
@@ -34,6 +34,7 @@ pub async fn run(context: Context, backup: BackupArguments, output: &Output) -> 
         }
         (None, None) => return Err(Failure::new(ErrorKind::Usage, "give a file, or a folder with --to")),
     };
+    let passphrase = passphrase::of_backup(&context.global, true)?;
     let back_up = async |client: &Client| printed::told(client, client.ask(BackUp { file, passphrase }), output).await;
     let mut view = context.with(NEITHER, ProfileNeed::None, output, back_up).await?;
     if let (Some(folder), Some(keep)) = (folder, backup.keep) {
@@ -82,7 +83,7 @@ fn remove_old(folder: &Path, keep: usize) -> std::io::Result<Vec<String>> {
 
 /// `restore --check FILE`: restores into a temporary folder, audits every record, removes the folder.
 pub async fn check(context: Context, file: &Path, output: &Output) -> Result<u8, Failure> {
-    let passphrase = backup_passphrase(&context.global)?;
+    let passphrase = passphrase::of_backup(&context.global, false)?;
     let beside = absolute(context.home.root())?.parent().map_or_else(std::env::temp_dir, Path::to_path_buf);
     let unmade = |error: std::io::Error| {
         Failure::new(ErrorKind::Home, format!("a folder in {} cannot be created: {error}", beside.display()))
@@ -100,8 +101,6 @@ pub async fn check(context: Context, file: &Path, output: &Output) -> Result<u8,
     code
 }
 
-const ATTEMPTS: usize = 3;
-
 pub struct Successor {
     global: Global,
     home: Home,
@@ -113,37 +112,27 @@ impl Successor {
         Self { global: context.global.clone(), home: context.home.clone(), profile: context.profile.clone() }
     }
 
+    /// The one that opens the keyring: given, or typed at the terminal, which the console has just left.
     pub fn passphrase(&self) -> Result<SecretText, Failure> {
+        // First of all: what is typed meanwhile must not be shown.
+        let mut hidden = passphrase::terminal::begin()?.ok_or_else(|| refused("there is no terminal"))?;
         let keyring = self.home.keyring(&self.profile);
+        let open = |passphrase: &Passphrase| UnlockedKeyring::open(&keyring, passphrase).map(drop);
         // The descriptor was read at the start.
         let global = Global { passphrase_fd: None, ..self.global.clone() };
         if let Ok(Some(given)) = passphrase::given(&global, &self.home, &self.profile)
-            && opens(&keyring, &given).is_ok()
+            && Passphrase::new(given.expose().to_owned()).is_ok_and(|given| open(&given).is_ok())
         {
             return Ok(given);
         }
-        let mut refusal = None;
-        for _ in 0..ATTEMPTS {
-            let again = refusal.as_ref().map_or("", |_| "That one does not open it. ");
-            let question = format!("{again}Passphrase of profile '{}'", self.profile);
-            let typed = term::secret(&question).ok().flatten().ok_or_else(none_given)?;
-            let typed = SecretText::new(typed.to_string());
-            match opens(&keyring, &typed) {
-                Ok(()) => return Ok(typed),
-                Err(failure) => refusal = Some(failure),
-            }
-        }
-        Err(refusal.unwrap_or_else(none_given))
+        let question = format!("Passphrase of profile '{}' (enter alone: back to the console)", self.profile);
+        passphrase::terminal::that_opens(&mut hidden, &question, open).map(|(typed, ())| typed)
     }
 
     /// Replaces this process; returns only on failure. The site must have been stopped.
     pub fn become_it(&self, secret: &SecretText) -> Failure {
         let start = || -> std::io::Result<Infallible> {
-            let (reader, mut writer) = std::io::pipe()?;
-            // A pipe holds these at most 4 KiB, so the write does not block and the next program can read them.
-            writer.write_all(secret.expose().as_bytes())?;
-            writer.write_all(b"\n")?;
-            drop(writer);
+            let reader = passphrase::pipe(secret)?;
             let mut command = Command::new(OWN_PROGRAM);
             command.arg0("authros").arg("serve").args(words(&self.global, &self.home, &self.profile));
             Err(command.args(["--detach", "--passphrase-fd", "0"]).stdin(Stdio::from(reader)).exec())
@@ -152,18 +141,6 @@ impl Successor {
         let text = format!("nothing was left running: {error}; capture has stopped, start it with `authros serve`");
         Failure::new(ErrorKind::Internal, text)
     }
-}
-
-fn none_given() -> Failure {
-    let text =
-        "no passphrase was given, so nothing is left running; capture has stopped, start it with `authros serve`";
-    Failure::new(ErrorKind::Refused, text)
-}
-
-fn opens(keyring: &Path, secret: &SecretText) -> Result<(), Failure> {
-    let passphrase = Passphrase::new(secret.expose().to_owned())?;
-    UnlockedKeyring::open(keyring, &passphrase)?;
-    Ok(())
 }
 
 /// The console's flags for its successor, without those of a passphrase and of an operator.

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::{args::Global, connect::Context, parse, passphrase, show::Question};
-use crate::service::command::{ListAllUploads, ListUploads, SecretText, SiteStatus, UploadQuery};
+use crate::service::command::{ListAllUploads, ListUploads, SiteStatus, UploadQuery};
 use crate::service::reply::{BackupView, CheckStatus, DoctorView, RecordAudit, SiteView};
 use crate::service::verification::{self, FolderCheck, Known, verdict};
 use crate::service::{Failure, doctor, restoring, socket};
@@ -133,15 +133,8 @@ fn verify_text(check: &FolderCheck) -> String {
     format!("{steps}\n{}", verdict(check))
 }
 
-/// Never the home's own passphrase.
-pub fn backup_passphrase(global: &Global) -> Result<SecretText, Failure> {
-    passphrase::of_file(global, Path::new(""))?.ok_or_else(|| {
-        Failure::new(ErrorKind::Usage, "a backup needs its own passphrase: pass --passphrase-file or --passphrase-fd")
-    })
-}
-
 pub fn run_restore(context: &Context, file: &Path, output: &Output) -> Result<u8, Failure> {
-    let passphrase = backup_passphrase(&context.global)?;
+    let passphrase = passphrase::of_backup(&context.global, false)?;
     let view = restoring::restore(file, &context.home, &passphrase)?;
     output.result(&view, || backed_up(&view));
     Ok(0)

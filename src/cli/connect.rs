@@ -284,15 +284,17 @@ impl Context {
             let given = passphrase::given(&self.global, &self.home, &self.profile)?;
             if given.is_none() && need == ProfileNeed::OpenAtSite {
                 output.note(&format!(
-                    "to begin, pass --passphrase-file or --passphrase-fd: the keyring of profile '{}' is locked, and until \
-                     it is open nothing is captured",
+                    "to begin, unlock it in a console, or pass {}: the keyring of profile '{}' is locked, and until it is \
+                     open nothing is captured",
+                    passphrase::SOURCES,
                     self.profile
                 ));
                 return Ok(());
             }
-            let Some(passphrase) = given else {
-                let advice = "pass --passphrase-file or --passphrase-fd";
-                return Err(refused(format!("the keyring of profile '{}' is locked; {advice}", self.profile)));
+            let typed = || passphrase::typed(&self.home, &self.profile);
+            let Some(passphrase) = given.map_or_else(typed, |given| Ok(Some(given)))? else {
+                let (profile, advice) = (&self.profile, passphrase::SOURCES);
+                return Err(refused(format!("the keyring of profile '{profile}' is locked; pass {advice}")));
             };
             client.ask(Unlock { passphrase }).await?;
         }

@@ -30,14 +30,23 @@ pub fn run(runtime: &Runtime, context: Context, console: ConsoleArguments, tour:
     let site = Arc::new(OnceLock::new());
     // The first frame does not wait for the site: calls queue until it is there.
     runtime.spawn(serve(context, reader, Arc::clone(&site), waiting, events));
-    let ended = term::run(client, runtime.handle(), &options);
-    // The site captures until the passphrase proves right.
-    let secret = matches!(ended, Ok(ExitReason::LeaveSite)).then(|| successor.passphrase());
+    let (ended, secret) = loop {
+        let ended = term::run(client.clone(), runtime.handle(), &options);
+        if !matches!(ended, Ok(ExitReason::LeaveSite)) {
+            break (ended, None);
+        }
+        // The site captures until the passphrase proves right; without one the console goes on.
+        match successor.passphrase() {
+            Ok(secret) => break (ended, Some(secret)),
+            Err(failure) => options.warning = Some(format!("the site goes on in this console: {}", failure.message)),
+        }
+    };
+    drop(client);
     if let Some(site) = site.get() {
         runtime.block_on(Arc::clone(site).stop());
     }
     if let Some(secret) = secret {
-        return Err(successor.become_it(&secret?));
+        return Err(successor.become_it(&secret));
     }
     match ended.map_err(|error| Failure::new(error.kind(), error.to_string()))? {
         ExitReason::Refused(failure) => Err(failure),
@@ -114,7 +123,9 @@ async fn unlock(context: Context, client: Client) {
     if context.operator.is_some() || !context.home.keyring(&context.profile).exists() {
         return;
     }
-    if let Ok(Some(passphrase)) = passphrase::given(&context.global, &context.home, &context.profile) {
+    // A program that prints it may take its time.
+    let given = tokio::task::block_in_place(|| passphrase::given(&context.global, &context.home, &context.profile));
+    if let Ok(Some(passphrase)) = given {
         // A failure shows as a locked keyring, and the console asks.
         drop(client.ask(Unlock { passphrase }).await);
     }

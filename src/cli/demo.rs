@@ -58,6 +58,8 @@ pub async fn run(mut context: Context, arguments: DemoArguments, output: &Output
         Some(_) => None,
         None => Some(temporary_home(&mut context, "authros-demo-")?),
     };
+    // Nobody is to type the passphrases of the people in it.
+    context.global.store_passphrase = true;
     let robots = robots_of(&mut context);
     let mission = Mission::start(&context, robots, arguments.seconds, *output).await?;
     let told = mission.run().await;

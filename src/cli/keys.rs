@@ -9,6 +9,7 @@ use clap::{Subcommand, ValueEnum};
 use super::connect::{Context, ProfileNeed};
 use super::plan::{CHAIN, NEITHER, Plan};
 use super::{parse, parse::usage, passphrase, show::Question};
+use crate::crypto::keyfile::is_keystore_file;
 use crate::service::{Failure, KeyKind, SecretText, command, reply};
 use authros_output::{pairs, table};
 
@@ -40,7 +41,7 @@ pub enum KeysVerb {
         /// EOA: 64 hex digits, or a V3 keystore
         #[arg(long, value_name = "FILE", group = "key")]
         eoa: Option<PathBuf>,
-        /// File with the V3 keystore's passphrase
+        /// File with the V3 keystore's passphrase [default: asked at the terminal]
         #[arg(long, value_name = "FILE")]
         keystore_passphrase_file: Option<PathBuf>,
         /// Only report who is affected by a new SM2 key; change nothing
@@ -56,7 +57,7 @@ pub enum KeysVerb {
         #[arg(long, requires = "envelope")]
         dry_run: bool,
     },
-    /// Change the keyring's passphrase; the current one comes from --passphrase-file, --passphrase-fd or the terminal
+    /// Change the keyring's passphrase; the current one is given as for every command, or asked at the terminal
     Passphrase {
         /// File with the new passphrase (first line) [default: asked at the terminal]
         #[arg(long, value_name = "FILE", conflicts_with = "new_passphrase_fd")]
@@ -71,6 +72,11 @@ pub enum KeysVerb {
         #[arg(long, value_name = "FILE")]
         out: PathBuf,
     },
+    /// Bring a saved keyring into a profile that has none
+    Restore {
+        /// What `keys backup` wrote; it opens with the passphrase that the keyring had then
+        file: PathBuf,
+    },
     /// Write one key to a new 0600 file
     Export {
         /// Which key
@@ -79,7 +85,7 @@ pub enum KeysVerb {
         /// File to write; must not exist
         #[arg(long, value_name = "FILE")]
         out: PathBuf,
-        /// File with the passphrase for the V3 keystore (EOA)
+        /// File with the passphrase for the V3 keystore (EOA) [default: asked at the terminal]
         #[arg(long, value_name = "FILE")]
         keystore_passphrase_file: Option<PathBuf>,
     },
@@ -97,6 +103,15 @@ pub fn plan(context: &Context, verb: KeysVerb) -> Result<Plan, Failure> {
             return passphrase::change(context, new_passphrase_file.as_deref(), new_passphrase_fd);
         }
         KeysVerb::Backup { out } => Plan { out: Some(out), ..Plan::kept(command::BackUpKeys) },
+        KeysVerb::Restore { file } => {
+            let given = passphrase::given(&context.global, &context.home, &context.profile)?;
+            let typed = || passphrase::terminal::once("Passphrase of the saved keyring");
+            let secret = given.map_or_else(typed, |given| Ok(Some(given)))?;
+            let secret = secret.ok_or_else(|| {
+                usage(format!("the saved keyring opens with its passphrase alone; pass {}", passphrase::SOURCES))
+            })?;
+            Plan::kept(command::RestoreKeys { path: parse::absolute(&file)?, passphrase: secret })
+        }
         KeysVerb::Load { sm4, sm2, eoa, keystore_passphrase_file, dry_run } => {
             let choices = [(KeyKind::Sm4, sm4), (KeyKind::Sm2, sm2), (KeyKind::Eoa, eoa)];
             let chosen = choices.into_iter().find_map(|(kind, path)| path.map(|path| (kind, path)));
@@ -105,8 +120,11 @@ pub fn plan(context: &Context, verb: KeysVerb) -> Result<Plan, Failure> {
                 // The report is about this key, so it must be one.
                 crate::crypto::keyfile::load_sm2(&path)?;
             }
-            let ask =
-                command::LoadKey { kind, path: parse::absolute(&path)?, passphrase: secret(keystore_passphrase_file)? };
+            let mut passphrase = secret(keystore_passphrase_file)?;
+            if kind == KeyKind::Eoa && passphrase.is_none() && is_keystore_file(&path)? {
+                passphrase = passphrase::terminal::once("Passphrase of the keystore")?;
+            }
+            let ask = command::LoadKey { kind, path: parse::absolute(&path)?, passphrase };
             match kind {
                 KeyKind::Sm2 => changes(ProfileNeed::Made, command::PairKind::Signing, dry_run, ask),
                 KeyKind::Sm4 | KeyKind::Eoa => Plan::new(CHAIN, ProfileNeed::Made, ask),
@@ -118,7 +136,10 @@ pub fn plan(context: &Context, verb: KeysVerb) -> Result<Plan, Failure> {
                 ExportKind::Sm2 => KeyKind::Sm2,
                 ExportKind::Eoa => KeyKind::Eoa,
             };
-            let passphrase: Option<SecretText> = secret(keystore_passphrase_file)?;
+            let mut passphrase: Option<SecretText> = secret(keystore_passphrase_file)?;
+            if kind == KeyKind::Eoa && passphrase.is_none() {
+                passphrase = passphrase::terminal::new_one("New passphrase of the keystore")?;
+            }
             Plan {
                 out: Some(out),
                 ..Plan::new(NEITHER, ProfileNeed::Unlocked, command::ExportKey { kind, passphrase })

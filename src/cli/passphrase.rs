@@ -1,18 +1,25 @@
-//! Passphrases for headless use: from a file, a descriptor, or the file stored beside the keyring. Never from argv or
-//! the environment.
+//! Passphrases: given by a file, a descriptor or a program, stored beside the keyring, or typed at the terminal. Never
+//! from argv or the environment.
 
-use std::{io::Read as _, path::Path};
+pub mod program;
+pub mod terminal;
+
+use std::io::{PipeReader, Read as _, Write as _};
+use std::path::Path;
 
 use super::{args::Global, connect::Context, parse::usage, plan::Plan};
-use crate::crypto::{Passphrase, private_file};
+use crate::crypto::{Passphrase, UnlockedKeyring, private_file};
 use crate::model::{ErrorKind, ProfileName};
-use crate::service::{Failure, SecretText, command::ChangePassphrase, failure::input};
+use crate::paths::Home;
+use crate::service::failure::{input, refused};
+use crate::service::{Failure, SecretText, command::ChangePassphrase};
 use crate::store::{atomic_write, files};
-use crate::{paths::Home, term};
 use authros_output::Output;
 
 /// The longest passphrase read, bytes.
 const LONGEST: usize = 4096;
+/// The options that give one.
+pub const SOURCES: &str = "--passphrase-file, --passphrase-fd or --passphrase-command";
 
 fn first_line(text: &str) -> SecretText {
     SecretText::new(text.lines().next().unwrap_or_default().to_owned())
@@ -33,18 +40,30 @@ fn from_descriptor(number: u32) -> Result<SecretText, Failure> {
     Ok(first_line(&text))
 }
 
-/// The one given, or stored by headless use.
+/// The one given, or stored beside the keyring.
 pub fn given(global: &Global, home: &Home, profile: &ProfileName) -> Result<Option<SecretText>, Failure> {
     if global.site_socket.is_some() {
         let text = "an operator gives no passphrase: the owner of the site at --site-socket does this";
         return Err(Failure::new(ErrorKind::Refused, text));
     }
-    of_file(global, &home.passphrase(profile))
+    of_source(global, &home.passphrase(profile))
 }
 
 /// Does not read it.
 pub fn is_given(global: &Global, home: &Home, profile: &ProfileName) -> bool {
-    global.passphrase_file.is_some() || global.passphrase_fd.is_some() || home.passphrase(profile).exists()
+    global.passphrase_file.is_some()
+        || global.passphrase_fd.is_some()
+        || global.passphrase_command.is_some()
+        || home.passphrase(profile).exists()
+}
+
+/// The one that opens the profile's keyring, typed at the terminal; `None` if there is no terminal.
+pub fn typed(home: &Home, profile: &ProfileName) -> Result<Option<SecretText>, Failure> {
+    let Some(mut hidden) = terminal::begin()? else { return Ok(None) };
+    let keyring = home.keyring(profile);
+    let question = format!("Passphrase of profile '{profile}'");
+    let open = |passphrase: &Passphrase| UnlockedKeyring::open(&keyring, passphrase).map(drop);
+    terminal::that_opens(&mut hidden, &question, open).map(|(typed, ())| Some(typed))
 }
 
 pub fn change(context: &Context, file: Option<&Path>, descriptor: Option<u32>) -> Result<Plan, Failure> {
@@ -52,16 +71,24 @@ pub fn change(context: &Context, file: Option<&Path>, descriptor: Option<u32>) -
     if descriptor.is_some() && descriptor == global.passphrase_fd {
         return Err(usage("--passphrase-fd and --new-passphrase-fd name the same descriptor; use two"));
     }
+    if !home.keyring(profile).exists() {
+        return Err(refused(format!("profile '{profile}' has no identity yet, so there is no passphrase to change")));
+    }
+    let missing = |options: &str| usage(format!("no passphrase was given; use a terminal, or pass {options}"));
     let old = match given(global, home, profile)? {
         Some(old) => old,
-        None => asked(&format!("Current passphrase of profile '{profile}'"), "--passphrase-file")?,
+        None => typed(home, profile)?.ok_or_else(|| missing(SOURCES))?,
     };
     let new = match (file, descriptor) {
         (Some(path), _) => from_file(path)?,
         (None, Some(number)) => from_descriptor(number)?,
-        (None, None) => asked_twice("--new-passphrase-file")?,
+        (None, None) => terminal::new_one(&new_question(profile))?.ok_or_else(|| missing("--new-passphrase-file"))?,
     };
     Ok(Plan::kept(ChangePassphrase { old, new }))
+}
+
+fn new_question(profile: &ProfileName) -> String {
+    format!("New passphrase of profile '{profile}' (nobody can recover it)")
 }
 
 /// Removes the stored passphrase after a change: it opens nothing, and may be the reason for the change.
@@ -82,30 +109,47 @@ pub fn forget(home: &Home, profile: &ProfileName, output: &Output) -> Result<(),
     Ok(())
 }
 
-fn asked(question: &str, option: &str) -> Result<SecretText, Failure> {
-    let answer = term::secret(question).map_err(|error| input(format!("the terminal does not answer: {error}")))?;
-    let answer =
-        answer.ok_or_else(|| usage(format!("no passphrase was given; type it at a terminal, or pass {option}")))?;
-    Ok(SecretText::new(answer.to_string()))
-}
-
-fn asked_twice(option: &str) -> Result<SecretText, Failure> {
-    let new = asked("New passphrase, at least 8 characters", option)?;
-    let again = asked("Repeat", option)?;
-    if new.expose() == again.expose() {
-        return Ok(new);
-    }
-    Err(input("the passphrases do not match; nothing was changed, try again"))
-}
-
 /// The one given, or in a file beside what it protects.
-pub fn of_file(global: &Global, beside: &Path) -> Result<Option<SecretText>, Failure> {
-    match (&global.passphrase_file, global.passphrase_fd) {
-        (Some(path), _) => from_file(path).map(Some),
-        (None, Some(number)) => from_descriptor(number).map(Some),
-        (None, None) if beside.exists() => from_file(beside).map(Some),
-        (None, None) => Ok(None),
+pub fn of_source(global: &Global, beside: &Path) -> Result<Option<SecretText>, Failure> {
+    match (&global.passphrase_file, global.passphrase_fd, &global.passphrase_command) {
+        (Some(path), ..) => from_file(path).map(Some),
+        (None, Some(number), _) => from_descriptor(number).map(Some),
+        (None, None, Some(program)) => program.passphrase().map(Some),
+        (None, None, None) if beside.exists() => from_file(beside).map(Some),
+        (None, None, None) => Ok(None),
     }
+}
+
+/// Of a backup: never the home's own. A new one is typed twice.
+pub fn of_backup(global: &Global, is_new: bool) -> Result<SecretText, Failure> {
+    let given = of_source(global, Path::new(""))?;
+    let typed = || {
+        if is_new {
+            return terminal::new_one("New passphrase of this backup (nobody can recover it)");
+        }
+        terminal::once("Passphrase of the backup")
+    };
+    let secret = given.map_or_else(typed, |given| Ok(Some(given)))?;
+    secret.ok_or_else(|| usage(format!("a backup has a passphrase of its own: pass {SOURCES}")))
+}
+
+/// For a process of this program without a terminal: what it would ask for.
+pub fn for_child(context: &Context) -> Result<Option<SecretText>, Failure> {
+    let (global, home, profile) = (&context.global, &context.home, &context.profile);
+    let is_new = !home.keyring(profile).exists();
+    if is_given(global, home, profile) || is_new && global.store_passphrase {
+        return Ok(None);
+    }
+    if is_new { terminal::new_one(&new_question(profile)) } else { typed(home, profile) }
+}
+
+/// A pipe that holds the passphrase: another program reads it there.
+pub fn pipe(secret: &SecretText) -> std::io::Result<PipeReader> {
+    let (reader, mut writer) = std::io::pipe()?;
+    // A pipe holds at least 4 KiB, so the write does not block.
+    writer.write_all(secret.expose().as_bytes())?;
+    writer.write_all(b"\n")?;
+    Ok(reader)
 }
 
 /// Deletes a new passphrase whose keys were not made; an older one may open a restored keyring.
@@ -117,12 +161,26 @@ pub fn forget_unused(is_new: bool, context: &Context) {
     }
 }
 
-/// Stores a new random one beside the keyring if none is given; `true` if it is new.
+/// For a new keyring: given, typed twice, or where this was asked for a random one; `true` if it was stored.
 pub fn given_or_new(context: &Context, output: &Output) -> Result<(SecretText, bool), Failure> {
     let (home, profile) = (&context.home, &context.profile);
     if let Some(secret) = given(&context.global, home, profile)? {
         return Ok((secret, false));
     }
+    if context.global.store_passphrase {
+        return store(home, profile, output).map(|secret| (secret, true));
+    }
+    let typed = terminal::new_one(&new_question(profile))?.ok_or_else(|| {
+        refused(format!(
+            "profile '{profile}' has no keyring yet, and a new one needs a passphrase: pass {SOURCES}, or \
+             --store-passphrase to have a random one stored beside the keyring"
+        ))
+    })?;
+    Ok((typed, false))
+}
+
+/// Writes a random one beside the keyring.
+fn store(home: &Home, profile: &ProfileName, output: &Output) -> Result<SecretText, Failure> {
     let passphrase = Passphrase::random()?;
     let path = home.passphrase(profile);
     files::private_directory(home.root())?;
@@ -134,5 +192,5 @@ pub fn given_or_new(context: &Context, output: &Output) -> Result<(SecretText, b
          keyring has the keys",
         path.display()
     ));
-    Ok((SecretText::new(passphrase.expose().to_owned()), true))
+    Ok(SecretText::new(passphrase.expose().to_owned()))
 }

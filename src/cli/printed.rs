@@ -132,6 +132,7 @@ pub fn options(context: &Context, arguments: ConsoleArguments) -> Result<Console
         bytes_per_second: settings.bytes_per_second,
         kept: context.home.console(&context.profile),
         pictures: settings.pictures,
+        warning: None,
     };
     if let Some(name) = &options.theme {
         options.themes.named(name).map_err(|error| input(error.to_string()))?;

@@ -70,7 +70,7 @@ fn makes_a_home(verb: &Verb) -> bool {
         | Verb::Backup(_) => false,
         Verb::Uploads(verb) => matches!(verb, UploadsVerb::Import { .. }),
         Verb::Identity(verb) => matches!(verb, IdentityVerb::Create),
-        Verb::Keys(verb) => matches!(verb, KeysVerb::Load { dry_run: false, .. }),
+        Verb::Keys(verb) => matches!(verb, KeysVerb::Load { dry_run: false, .. } | KeysVerb::Restore { .. }),
         Verb::Topics(verb) => matches!(verb, TopicsVerb::Watch { .. } | TopicsVerb::Pin(_)),
         Verb::Contacts(verb) => matches!(verb, ContactsVerb::Add { .. }),
         Verb::Agent(verb) => matches!(verb, AgentVerb::Run(_)),

@@ -36,7 +36,7 @@ pub enum RobotsVerb {
         #[arg(long, value_name = "NAME")]
         incident: Option<String>,
     },
-    /// List the enrolled robots: last seen, what waits, which policy they work by
+    /// List the enrolled robots: last seen, what waits, what was lost, which policy they work by
     List,
     /// Show one robot: policy, gateway, topics, losses
     Show {
@@ -111,13 +111,14 @@ pub fn all(robots: &[RobotRow]) -> String {
             or_dash(robot.last_seen),
             or_dash(robot.address.as_ref()),
             robot.waiting.to_string(),
+            robot.lost.to_string(),
             or_dash(Some(robot.wanted).filter(|version| *version > 0)),
             or_dash(robot.running),
             robot.standing.clone(),
             robot.drift_since.map_or_else(String::new, |since| format!("drift since {since}")),
         ]
     };
-    let head = ["robot", "last seen", "gateway", "waiting", "wanted", "runs", "policy", ""];
+    let head = ["robot", "last seen", "gateway", "waiting", "lost", "wanted", "runs", "policy", ""];
     table(&head, robots.iter().map(row))
 }
 

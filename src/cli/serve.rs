@@ -19,9 +19,10 @@ use tokio::signal::unix::{SignalKind, signal};
 use tokio::{sync::broadcast, task::JoinHandle};
 
 use super::connect::{Connection, Context, ProfileNeed};
+use super::passphrase;
 use crate::service::command::{Ask, ChainStatus, Register, SiteStatus};
 use crate::service::{Client, Event, Failure, Needs, event::NoticeLevel, failure::internal, is_bound};
-use crate::{model::ErrorKind, store::files};
+use crate::{model::ErrorKind, store::files, term::signals::Handled};
 
 /// `serve …`
 #[derive(Debug, Args)]
@@ -58,6 +59,7 @@ pub enum Ending {
 }
 
 pub async fn asked_to_end() -> Ending {
+    let _handled = Handled::begin();
     let wait = |kind| async move {
         match signal(kind) {
             Ok(mut stream) => drop(stream.recv().await),
@@ -324,13 +326,23 @@ fn private_file(path: &std::path::Path) -> std::io::Result<File> {
 fn start(context: &Context, log: File) -> Result<Child, Failure> {
     let words = std::env::args_os().skip(1).filter(|word| word != "--detach");
     let json = (!context.global.json).then_some("--json");
-    // Only the process that needs the passphrase reads the descriptor.
-    let input = if context.global.passphrase_fd.is_some() { Stdio::inherit() } else { Stdio::null() };
-    let mut command = Command::new(OWN_PROGRAM);
-    command.args(words).args(json).arg("--own-session").stdin(input).stdout(Stdio::piped()).stderr(log);
-    command.spawn().map_err(|error| {
+    let unstarted = |error: std::io::Error| {
         Failure::new(ErrorKind::Internal, format!("the site's process cannot be started: {error}; try `authros serve`"))
-    })
+    };
+    let mut command = Command::new(OWN_PROGRAM);
+    command.args(words).args(json).arg("--own-session").stdout(Stdio::piped()).stderr(log);
+    // Only the process that needs the passphrase reads the descriptor.
+    match passphrase::for_child(context)? {
+        Some(secret) => {
+            let input = passphrase::pipe(&secret).map_err(unstarted)?;
+            command.args(["--passphrase-fd", "0"]).stdin(input);
+        }
+        None => {
+            let inherits = context.global.passphrase_fd.is_some();
+            command.stdin(if inherits { Stdio::inherit() } else { Stdio::null() });
+        }
+    }
+    command.spawn().map_err(unstarted)
 }
 
 /// Waits for the line that it serves, or why it ended.

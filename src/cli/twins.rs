@@ -59,7 +59,7 @@ pub const TWINS: &[(&str, &str)] = &[
     ("go-grants", "grants list"),
     ("go-keys", "keys list"),
     ("go-chain", "chain status"),
-    ("go-gateway", "gateway status"),
+    ("go-robots", "robots list"),
     ("go-log", "audit list"),
 ];
 

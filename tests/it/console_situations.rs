@@ -37,6 +37,15 @@ impl Operator {
         self
     }
 
+    /// Leaves the site running, up to the question for the passphrase. One asked before is still on the screen.
+    fn is_asked_before_leaving(&mut self) -> &mut Self {
+        let questions = |operator: &Self| String::from_utf8_lossy(&operator.0.raw()).matches("enter alone").count();
+        let before = questions(self);
+        self.presses("q").sees("leave it running").presses("s");
+        wait_until(PATIENCE, "the question", || Some(()).filter(|()| questions(self) > before));
+        self
+    }
+
     /// Quits, even while records are pending.
     fn leaves(&mut self) {
         self.presses("\u{3}");
@@ -132,13 +141,22 @@ fn a_site_is_left_running_in_the_consoles_place() {
     operator.sees("Unlock the keyring").presses(PASSPHRASE).presses("\r").sees("HOST").no_longer_sees("LOCKED");
     operator.presses("2").sees(CAMERA).presses("/odom\r").no_longer_sees(CAMERA).presses("w").sees("watched");
     wait_until(PATIENCE, "a first record", || Some(()).filter(|()| !authros.records(&["uploads", "list"]).is_empty()));
-    // A wrong passphrase costs nothing: the site captures while it is asked for.
-    operator.presses("q").sees("leave it running").presses("s").sees("Passphrase of profile");
-    operator.presses("another passphrase\r").sees("does not open it").presses(PASSPHRASE).presses("\r");
+    // Neither wrong passphrases nor none end anything: the console comes back, and the site captures all the time.
+    let count = || authros.records(&["uploads", "list"]).len();
+    for keys in ["a wrong guess\ra wrong guess\ra wrong guess\r", "\r", "half a secret\u{3}"] {
+        let before = count();
+        operator.is_asked_before_leaving().presses(keys).sees("the site goes on in this console").sees("HOST");
+        operator.sees("watched");
+        wait_until(PATIENCE, "more records", || Some(()).filter(|()| count() > before));
+    }
+    // A wrong one, and the right one typed while that is tried.
+    operator.is_asked_before_leaving().presses(&format!("another passphrase\r{PASSPHRASE}\r"));
     operator.sees("serving").sees("stop it with: kill -INT");
     operator.is_gone();
     let shown = operator.0.shown();
-    assert!(!shown.contains(PASSPHRASE), "{shown}");
+    for typed in [PASSPHRASE, "another passphrase", "a wrong guess", "half a secret"] {
+        assert!(!support::holds(&operator.0.raw(), typed.as_bytes()), "'{typed}' was shown:\n{shown}");
+    }
     let process = shown.split("kill -INT ").nth(1).and_then(|rest| rest.split_whitespace().next()).expect("a process");
     let _ended = Ended(process.to_owned());
     // The terminal is closed; the site is in no session of it, and captures.

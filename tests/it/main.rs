@@ -50,6 +50,7 @@ mod node_forging;
 mod older_copy;
 mod operators;
 mod packages;
+mod passphrases;
 mod places;
 mod playing;
 mod read_only;

@@ -86,6 +86,12 @@ fn a_robot_works_by_the_policy_of_its_owner_and_its_drift_is_seen() {
     assert!(text(&shown, "policy").contains("every = 2"), "{shown}");
     let topics = list(&shown, "topics");
     assert!(topics.iter().any(|topic| text(topic, "topic") == UNWATCHED && count(topic, "records") >= 3), "{shown}");
+    // A report may come between the two questions.
+    wait_until(60, "the list to count the losses of all topics", || {
+        let shown = alice.json(&["robots", "show", "scout"]);
+        let lost: u64 = list(&shown, "topics").iter().map(|topic| count(topic, "lost")).sum();
+        (count(&row(&alice, "scout"), "lost") == lost && count(&shown, "lost") == lost).then_some(())
+    });
 
     // Without a chance to write anything, and with its own settings as before.
     agent.stop("KILL", 10);

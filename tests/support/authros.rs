@@ -138,6 +138,11 @@ impl Authros {
         more
     }
 
+    /// The same for a user who has not asked for stored passphrases.
+    pub fn storing_no_passphrase(&self) -> Self {
+        self.with_variable("AUTHROS_STORE_PASSPHRASE", "")
+    }
+
     /// The program's file.
     pub fn program(&self) -> &Path {
         &self.program
@@ -156,9 +161,11 @@ impl Authros {
     pub fn variables(&self) -> Vec<(String, String)> {
         let path = std::env::var("PATH").unwrap_or_default();
         let root = self.root.to_str().expect("UTF-8").to_owned();
-        let fixed =
-            [("PATH", path), ("HOME", root), ("LANG", "C.UTF-8".to_owned()), ("RUST_BACKTRACE", "1".to_owned())];
-        let fixed = fixed.into_iter().map(|(name, value)| (name.to_owned(), value));
+        // Where a test gives no passphrase, nobody types one.
+        let constant = [("LANG", "C.UTF-8"), ("RUST_BACKTRACE", "1"), ("AUTHROS_STORE_PASSPHRASE", "yes")];
+        let constant = constant.map(|(name, value)| (name, value.to_owned()));
+        let fixed = [("PATH", path), ("HOME", root)].into_iter().chain(constant);
+        let fixed = fixed.map(|(name, value)| (name.to_owned(), value));
         fixed.chain(self.environment.iter().cloned()).collect()
     }
 

@@ -121,15 +121,20 @@ fn secret(values: &Values) -> Result<Option<PathBuf>, ConfigError> {
 
 fn command(values: &Values) -> Result<Option<Vec<String>>, ConfigError> {
     let Some(text) = value(values, "alerts.command") else { return Ok(None) };
-    let wrong = |what| wrong(values, "alerts.command", what);
-    let list = || wrong("give the program and its arguments as [\"/usr/local/bin/page\", \"--site\", \"yard\"]");
-    let table: toml::Table = format!("words = {text}").parse().map_err(|_| list())?;
-    let words = table.get("words").and_then(|words| words.as_array()).ok_or_else(list)?;
-    let words: Option<Vec<String>> = words.iter().map(|word| word.as_str().map(str::to_owned)).collect();
-    let words = words.filter(|words| words.len() <= MOST_WORDS).ok_or_else(list)?;
+    let example = r#"["/usr/local/bin/page", "--site", "yard"]"#;
+    command_words(text, example).map(Some).map_err(|what| wrong(values, "alerts.command", &what))
+}
+
+/// A program and its arguments, written as a list of texts; no shell reads them.
+pub fn command_words(text: &str, example: &str) -> Result<Vec<String>, String> {
+    let table: Option<toml::Table> = format!("words = {text}").parse().ok();
+    let words = table.as_ref().and_then(|table| table.get("words")?.as_array());
+    let words = words.and_then(|words| words.iter().map(|word| word.as_str().map(str::to_owned)).collect());
+    let words = words.filter(|words: &Vec<String>| words.len() <= MOST_WORDS);
+    let words = words.ok_or_else(|| format!("give the program and its arguments as {example}"))?;
     match words.first() {
-        Some(program) if Path::new(program).is_absolute() => Ok(Some(words)),
-        _ => Err(wrong("give the program's absolute path; no shell looks it up")),
+        Some(program) if Path::new(program).is_absolute() => Ok(words),
+        _ => Err("give the program's absolute path; no shell looks it up".to_owned()),
     }
 }
 

@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-pub use self::alerts::{AlertForm, AlertLimits, AlertPlace, AlertSettings};
+pub use self::alerts::{AlertForm, AlertLimits, AlertPlace, AlertSettings, command_words};
 pub use self::definitions::{DEFINITIONS, Definition};
 use self::read::{
     Values, bytes, certificates, choice, find, number, parsed, read_file, span, switch, url, value, wrong,

@@ -53,7 +53,7 @@ pub enum CryptoError {
     Locked(String),
     #[error("the passphrase has {0} characters; use 8 or more")]
     ShortPassphrase(usize),
-    #[error("{0} is protected by a passphrase; pass it with --passphrase-file or --passphrase-fd")]
+    #[error("{0} is protected by a passphrase; pass it with --keystore-passphrase-file")]
     PassphraseNeeded(String),
     #[error("{path} is accessible to others (mode {mode:04o}); run: chmod {wanted:o} {path}")]
     OpenToOthers { path: String, mode: u32, wanted: u32 },

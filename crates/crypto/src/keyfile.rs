@@ -60,6 +60,13 @@ pub fn load_eoa(path: &Path, passphrase: Option<&str>) -> Result<EoaSecret, Cryp
     })
 }
 
+/// Whether a file is a V3 keystore, which needs its passphrase.
+/// # Errors
+/// What [`read_private`] returns.
+pub fn is_keystore_file(path: &Path) -> Result<bool, CryptoError> {
+    Ok(is_keystore(&read_private(path, LONGEST)?))
+}
+
 fn is_keystore(bytes: &[u8]) -> bool {
     bytes.trim_ascii_start().first() == Some(&b'{')
 }

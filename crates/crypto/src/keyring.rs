@@ -247,6 +247,11 @@ pub fn read_public(path: &Path) -> Result<PublicIdentity, CryptoError> {
     split(path, &bytes).map(|(header, _, _)| header.public)
 }
 
+/// Whether a file says that it is a keyring.
+pub fn is_keyring_file(path: &Path) -> bool {
+    read_private(path, LARGEST).is_ok_and(|bytes| bytes.starts_with(&MAGIC))
+}
+
 impl Keyring {
     /// Reads and opens a keyring; derives the passphrase's key (about 0.3 s).
     /// # Errors
@@ -308,11 +313,33 @@ impl UnlockedKeyring {
     /// # Errors
     /// `Read`, `OpenToOthers`, [`CryptoError::WrongPassphrase`], `DamagedKeyring` or [`CryptoError::Version`].
     pub fn open(path: &Path, passphrase: &Passphrase) -> Result<Self, CryptoError> {
-        let bytes = read(path)?;
-        let (header, _, _) = split(path, &bytes)?;
+        Self::of_file(path, &read(path)?, passphrase)
+    }
+
+    fn of_file(path: &Path, bytes: &[u8], passphrase: &Passphrase) -> Result<Self, CryptoError> {
+        let (header, _, _) = split(path, bytes)?;
         let key = FileKey::with(passphrase, header.work, header.salt)?;
-        let keyring = open(path, &bytes, &key)?;
+        let keyring = open(path, bytes, &key)?;
         Ok(Self { keyring, path: path.to_owned(), key, stamp: header.stamp, stripped: false })
+    }
+
+    /// Copies a saved keyring file to where there is none, once `accept` has seen whose it is and its passphrase has
+    /// opened it.
+    /// # Errors
+    /// Those of `accept`, [`Self::open`] and [`Self::create`].
+    pub fn restore<E: From<CryptoError>>(
+        saved: &Path,
+        path: &Path,
+        passphrase: &Passphrase,
+        accept: impl FnOnce(&PublicIdentity) -> Result<(), E>,
+    ) -> Result<Self, E> {
+        // It may lie in any folder: what is read is what its passphrase opens.
+        let bytes = read_private(saved, LARGEST)?;
+        accept(&split(saved, &bytes)?.0.public)?;
+        let opened = Self::of_file(saved, &bytes, passphrase)?;
+        make_private_directory(&directory_of(path))?;
+        create_private(path, &bytes)?;
+        Ok(Self { path: path.to_owned(), ..opened })
     }
 
     /// Changes the keys, in the file first and then here; if `change` or the write fails, neither is changed.

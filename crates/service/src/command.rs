@@ -230,6 +230,8 @@ requests! {
     HoldCapture { hold: bool } => (), CAPTURE;
     /// The profile's keyring as stored on disk, under its passphrase.
     BackUpKeys => SecretBytes, OWNER;
+    /// Bring a saved keyring (absolute) into a profile that has none, and open it.
+    RestoreKeys { path: PathBuf, passphrase: SecretText } => IdentityView, PASSPHRASE;
     /// Active alerts.
     ListAlerts => AlertsView, LOOK;
     /// Send a test alert, marked as such, and return the reply.

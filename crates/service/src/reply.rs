@@ -371,6 +371,8 @@ pub struct RobotRow {
     pub address: Option<String>,
     /// Records here that are not verified yet.
     pub waiting: u64,
+    /// Messages it lost, by its newest reports here.
+    pub lost: u64,
     /// Version of the policy set for it; 0 = none.
     pub wanted: u64,
     /// Version it reports; `None` = never reported, 0 = its own settings alone.

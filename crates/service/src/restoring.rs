@@ -10,7 +10,7 @@ use super::failure::{input, refused};
 use super::reply::{BackupView, Failure};
 use crate::crypto::sealed_stream::SealedReader;
 use crate::crypto::unfinished::{self, UnfinishedFolder};
-use crate::crypto::{Passphrase, fault};
+use crate::crypto::{Passphrase, fault, keyring::is_keyring_file};
 use crate::model::{ErrorKind, clean};
 use crate::paths::Home;
 use crate::store::{archive, files, note_restored, snapshot};
@@ -123,12 +123,15 @@ fn unmade(path: &Path, error: &io::Error) -> Failure {
     Failure::new(ErrorKind::Home, format!("{} cannot be created: {error}; nothing was restored", shown(path)))
 }
 
-fn unread(file: &Path, error: &io::Error) -> Failure {
-    let file = shown(file);
+fn unread(path: &Path, error: &io::Error) -> Failure {
+    let file = shown(path);
     match error.kind() {
         io::ErrorKind::PermissionDenied if error.get_ref().is_some() => {
             refused(format!("wrong passphrase for {file}; use the one given when it was backed up"))
         }
+        io::ErrorKind::InvalidData | io::ErrorKind::UnexpectedEof if is_keyring_file(path) => input(format!(
+            "{file} is a saved keyring, not a backup of a home; bring it back with `authros keys restore {file}`"
+        )),
         io::ErrorKind::InvalidData | io::ErrorKind::UnexpectedEof => Failure::new(
             ErrorKind::Tampered,
             format!("{file} is damaged or not a backup ({error}); nothing was restored, use another copy"),

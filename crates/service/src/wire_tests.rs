@@ -80,6 +80,7 @@ pub(crate) const REQUESTS: &[&str] = &[
     r#"{"command":"lock"}"#,
     r#"{"command":"hold_capture","hold":true}"#,
     r#"{"command":"back_up_keys"}"#,
+    r#"{"command":"restore_keys","path":"/k.keyring","passphrase":"p"}"#,
     r#"{"command":"list_alerts"}"#,
     r#"{"command":"test_alert"}"#,
     r#"{"command":"gateway_status"}"#,
@@ -130,7 +131,7 @@ const REPLIES: &[&str] = &[
     r#"{"reply":"backed_up","with":{"file":"/b","files":1,"bytes":2,"profiles":[],"notes":[]}}"#,
     r#"{"reply":"incident","with":{"name":"crash","open":true,"since":"2026-01-01T00:00:00Z","until":null,"opened_at":"2026-01-01T00:00:00Z","closed_at":null,"topics":["/odom"],"notes":[{"at":"2026-01-01T00:00:00Z","text":"n"}],"records":1,"bytes":2,"coverage":[{"topic":"/odom","records":1,"bytes":2,"first":null,"last":null,"deleted":0,"quarantined":0,"lost":0}]}}"#,
     r#"{"reply":"incidents","with":[]}"#,
-    r#"{"reply":"robot","with":{"name":"scout","device":"0707070707070707070707070707070707070707070707070707070707070707","last_seen":null,"address":"h:1","waiting":0,"wanted":1,"running":null,"standing":"waiting","drift":true,"drift_since":"2026-01-01T00:00:00Z","gateway":{"addresses":["h:1"],"key":"0707070707070707070707070707070707070707070707070707070707070707"},"enrolled":[],"topics":[],"refused":null,"overruled":[],"policy":"every = 2","set_at":"2026-01-01T00:00:00Z"}}"#,
+    r#"{"reply":"robot","with":{"name":"scout","device":"0707070707070707070707070707070707070707070707070707070707070707","last_seen":null,"address":"h:1","waiting":0,"lost":0,"wanted":1,"running":null,"standing":"waiting","drift":true,"drift_since":"2026-01-01T00:00:00Z","gateway":{"addresses":["h:1"],"key":"0707070707070707070707070707070707070707070707070707070707070707"},"enrolled":[],"topics":[],"refused":null,"overruled":[],"policy":"every = 2","set_at":"2026-01-01T00:00:00Z"}}"#,
     r#"{"reply":"ring_pull","with":{"robot":"scout","device":"0707070707070707070707070707070707070707070707070707070707070707","since":"2026-01-01T00:00:00Z","until":"2026-01-01T00:05:00Z","topics":["/camera/**"]}}"#,
     r#"{"reply":"audit","with":[{"line":1,"at":"2026-01-01T00:00:00Z","profile":"default","operator":"bob","action":"watch","subject":"/odom","outcome":"done"}]}"#,
 ];

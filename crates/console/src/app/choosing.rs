@@ -164,7 +164,7 @@ pub fn offered(screen: Screen) -> Vec<Offered> {
         Screen::Topics => TOPICS.to_vec(),
         Screen::Uploads => of_list(0),
         Screen::Shared => of_list(1),
-        Screen::Overview | Screen::Grants | Screen::Keys | Screen::Chain | Screen::Gateway | Screen::Log => Vec::new(),
+        Screen::Overview | Screen::Grants | Screen::Keys | Screen::Chain | Screen::Robots | Screen::Log => Vec::new(),
     }
 }
 

@@ -299,7 +299,7 @@ pub enum Screen {
     Grants,
     Keys,
     Chain,
-    Gateway,
+    Robots,
     Log,
 }
 
@@ -332,7 +332,7 @@ impl Screen {
             Self::Grants => &[Feed::Grants],
             Self::Keys => &[Feed::Keys],
             Self::Chain => &[Feed::Chain],
-            Self::Gateway => &[Feed::Gateway],
+            Self::Robots => &[Feed::Gateway],
             Self::Log => &[Feed::Audit],
         }
     }
@@ -343,7 +343,7 @@ impl Screen {
             Self::Topics => &["name", "Hz", "bytes/s", "watched"],
             Self::Uploads | Self::Shared => &["newest first", "oldest first"],
             Self::Grants => &["newest", "account", "state"],
-            Self::Gateway => &["connected", "name", "frames", "policy"],
+            Self::Robots => &["connected", "name", "frames", "policy"],
             Self::Log => &["newest first"],
             Self::Overview | Self::Keys | Self::Chain => &[],
         }

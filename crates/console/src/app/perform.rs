@@ -229,7 +229,7 @@ fn readers(state: &mut State) {
             rows.filter(|row| Some(&row.id) == key.as_ref()).map(|row| row.topic.clone()).collect()
         }
         Screen::Grants => state.grants.selected().map(|row| row.topics.clone()).unwrap_or_default(),
-        Screen::Overview | Screen::Shared | Screen::Keys | Screen::Chain | Screen::Gateway | Screen::Log => Vec::new(),
+        Screen::Overview | Screen::Shared | Screen::Keys | Screen::Chain | Screen::Robots | Screen::Log => Vec::new(),
     };
     state.popups.push(Popup::Readers(topics));
 }
@@ -256,7 +256,7 @@ pub fn copied(state: &State) -> Option<String> {
         Screen::Topics => state.row_key(),
         Screen::Uploads => digest(state.uploads.visible(&state.topics.rows)),
         Screen::Shared => digest(state.shared.visible(&state.topics.rows)),
-        Screen::Gateway => state.gateway.view.as_ref()?.served.as_ref().map(|served| served.gateway.to_string()),
+        Screen::Robots => state.gateway.view.as_ref()?.served.as_ref().map(|served| served.gateway.to_string()),
         Screen::Grants => state.grants.selected().map(|row| other_side(row).to_string()),
         Screen::Keys => state.address().map(|address| address.to_string()),
         Screen::Chain => state.chain.as_ref()?.contract.map(|contract| contract.to_string()),

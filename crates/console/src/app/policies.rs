@@ -17,7 +17,7 @@ use crate::service::Failure;
 use crate::service::command::{SetRobotPolicy, ShowRobot};
 use crate::service::reply::{RobotRow, RobotView};
 
-/// Nanoseconds between requests on the Gateway screen, and elsewhere; only when records came meanwhile.
+/// Nanoseconds between requests on the screen of robots, and elsewhere; only when records came meanwhile.
 const ASKED_EVERY: u64 = 5_000_000_000;
 const DRIFT_EVERY: u64 = 30_000_000_000;
 const ROBOT: usize = 0;
@@ -77,7 +77,7 @@ pub fn is_open(state: &State) -> bool {
 
 pub fn wanted(state: &State) -> Option<Feed> {
     let asks = |popup: &Popup| matches!(popup, Popup::Robot(_) | Popup::Form(Purpose::SetPolicy, _));
-    let seen = matches!(state.screen, Screen::Overview | Screen::Gateway) || state.popups.iter().any(asks);
+    let seen = matches!(state.screen, Screen::Overview | Screen::Robots) || state.popups.iter().any(asks);
     (is_open(state) && seen).then_some(Feed::Robots)
 }
 
@@ -86,7 +86,7 @@ pub fn asked_at(state: &State) -> Option<Timestamp> {
     let slot = state.feeds.slot(Feed::Robots);
     let waits = slot.loaded && !slot.outstanding && !slot.stale && slot.failure.is_none();
     let moved = state.gateway.robots_told && !state.gateway.robots.is_empty() && !state.is_frozen();
-    let every = if state.screen == Screen::Gateway { ASKED_EVERY } else { DRIFT_EVERY };
+    let every = if state.screen == Screen::Robots { ASKED_EVERY } else { DRIFT_EVERY };
     let due = Timestamp(state.gateway.robots_at.0.saturating_add(every));
     wanted(state).filter(|_| waits && moved).map(|_| due)
 }
@@ -132,7 +132,7 @@ pub fn drift(state: &State) -> Option<(Timestamp, String)> {
 }
 
 pub fn under_cursor(state: &State) -> Option<&RobotRow> {
-    state.gateway.selected().filter(|_| state.screen == Screen::Gateway)?.robot
+    state.gateway.selected().filter(|_| state.screen == Screen::Robots)?.robot
 }
 
 /// The name, or the device id if another robot has the name too.
@@ -162,7 +162,7 @@ pub fn hints(state: &State) -> Vec<(&'static str, &'static str)> {
 
 pub fn key(state: &mut State, mut lookup: Lookup<RobotView>, key: Key) {
     let length = |view: &RobotView| {
-        12 + view.gateway.iter().map(|gateway| gateway.addresses.len()).sum::<usize>()
+        13 + view.gateway.iter().map(|gateway| gateway.addresses.len()).sum::<usize>()
             + view.topics.len()
             + view.overruled.len() * 3
             + view.policy.lines().count()

@@ -159,7 +159,7 @@ impl State {
             Screen::Shared => Some(&self.shared.table),
             Screen::Grants => Some(&self.grants.table),
             Screen::Log => Some(&self.log.table),
-            Screen::Gateway => Some(&self.gateway.table),
+            Screen::Robots => Some(&self.gateway.table),
             Screen::Overview | Screen::Keys | Screen::Chain => None,
         }
     }
@@ -171,7 +171,7 @@ impl State {
             Screen::Shared => Some(&mut self.shared.table),
             Screen::Grants => Some(&mut self.grants.table),
             Screen::Log => Some(&mut self.log.table),
-            Screen::Gateway => Some(&mut self.gateway.table),
+            Screen::Robots => Some(&mut self.gateway.table),
             Screen::Overview | Screen::Keys | Screen::Chain => None,
         }
     }
@@ -184,7 +184,7 @@ impl State {
             Screen::Shared => ids(self.shared.visible(&self.topics.rows)),
             Screen::Grants => self.grants.keys(),
             Screen::Log => self.log.keys(),
-            Screen::Gateway => self.gateway.keys(),
+            Screen::Robots => self.gateway.keys(),
             Screen::Overview | Screen::Keys | Screen::Chain => Vec::new(),
         }
     }

@@ -279,7 +279,7 @@ pub fn click(state: &mut State, column: u16, row: u16) {
         return;
     }
     // This screen's rows begin lower, in two parts.
-    if state.screen == Screen::Gateway {
+    if state.screen == Screen::Robots {
         return;
     }
     let Some(line) = row.checked_sub(ABOVE).map(usize::from).filter(|line| *line < state.page_rows()) else { return };

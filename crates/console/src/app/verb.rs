@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::Screen::{self, Chain, Gateway, Grants, Keys, Log, Overview, Shared, Topics, Uploads};
+use super::Screen::{self, Chain, Grants, Keys, Log, Overview, Robots, Shared, Topics, Uploads};
 use super::administration::Act;
 use super::incidents::Deed;
 use super::keymap::Key;
@@ -141,10 +141,10 @@ pub fn entry_of(verb: Verb, screen: Screen) -> Option<&'static Entry> {
     same.clone().find(|entry| entry.works_on(screen)).or_else(|| same.next())
 }
 
-const TABLES: &[Screen] = &[Topics, Uploads, Shared, Grants, Gateway, Log];
-const SORTED: &[Screen] = &[Topics, Uploads, Shared, Grants, Gateway];
+const TABLES: &[Screen] = &[Topics, Uploads, Shared, Grants, Robots, Log];
+const SORTED: &[Screen] = &[Topics, Uploads, Shared, Grants, Robots];
 const MARKED: &[Screen] = &[Topics, Uploads, Shared];
-const COPIED: &[Screen] = &[Topics, Uploads, Shared, Grants, Keys, Chain, Gateway, Log];
+const COPIED: &[Screen] = &[Topics, Uploads, Shared, Grants, Keys, Chain, Robots, Log];
 
 /// In the palette, on no key.
 const fn administers(deed: Act, name: &'static str, help: &'static str) -> Entry {
@@ -207,9 +207,9 @@ pub static VERBS: &[Entry] = &[
     administers(Act::Propose, "replace-lost-account", "Administrator: propose a lost account's successor"),
     administers(Act::HandOver, "hand-over", "Administrator: nominate the next administrator"),
     administers(Act::Accept, "accept-administration", "Take over as administrator, if nominated"),
-    entry(Verb::Inspect, "inspect", "details", &["enter"], "A robot: state, policy, drift").on(&[Gateway]),
+    entry(Verb::Inspect, "inspect", "details", &["enter"], "A robot: its topics, losses, policy, drift").on(&[Robots]),
     act(Verb::SetPolicy, "robot-policy", "policy", &["p"], "Set a robot's policy from a file, or clear it")
-        .on(&[Gateway]),
+        .on(&[Robots]),
     entry(Verb::Level, "log-level", "level", &["l"], "All lines, warnings and errors, or errors only").on(&[Log]),
     entry(Verb::Read, "read-line", "whole line", &["enter"], "The whole line, wrapped").on(&[Log]),
     entry(Verb::Source, "log-source", "source", &["o"], "Lines of this console, the site, the audit log, or all")
@@ -249,7 +249,7 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::Go(Screen::Grants), "go-grants", "", &["5"], "Grants given and received"),
     entry(Verb::Go(Screen::Keys), "go-keys", "", &["6"], "Your identity and keys"),
     entry(Verb::Go(Screen::Chain), "go-chain", "", &["7"], "The chain"),
-    entry(Verb::Go(Screen::Gateway), "go-gateway", "", &["8"], "The gateway"),
+    entry(Verb::Go(Screen::Robots), "go-robots", "", &["8"], "Robots and the gateway"),
     entry(Verb::Go(Screen::Log), "go-log", "", &["9"], "Notices and audit lines"),
     entry(Verb::Dismiss, "dismiss", "", &["esc"], "Dismiss the message; clear filter and marks"),
     entry(Verb::ChooseTheme, "theme", "", &["T", "z t"], "Choose a theme (live preview)"),

@@ -6,11 +6,12 @@ use std::time::Duration;
 use std::{io, thread};
 
 use crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers, MouseButton, MouseEventKind};
-use signal_hook::consts::signal::{SIGCONT, SIGHUP, SIGINT, SIGQUIT, SIGTERM, SIGTSTP};
+use signal_hook::consts::signal::{SIGCONT, SIGTSTP};
 use signal_hook::iterator::{Handle, Signals};
-use signal_hook::{flag, low_level};
+use signal_hook::low_level;
 use zeroize::Zeroizing;
 
+use super::signals::{self, ENDING, Handled};
 use super::{THREAD_PREFIX, encode};
 use crate::app::{Action, Key};
 
@@ -84,10 +85,11 @@ fn keys(event: KeyEvent) -> Vec<Key> {
     if alt { vec![Key::Escape, key] } else { vec![key] }
 }
 
-const ENDING: [i32; 4] = [SIGTERM, SIGHUP, SIGINT, SIGQUIT];
-
 #[derive(Debug)]
-pub struct Listener(Handle);
+pub struct Listener {
+    handle: Handle,
+    _handled: Handled,
+}
 
 impl Listener {
     pub fn start(heard: impl Fn(i32) + Send + 'static) -> io::Result<Self> {
@@ -95,17 +97,15 @@ impl Listener {
         let handle = signals.handle();
         let wait = move || signals.forever().for_each(heard);
         thread::Builder::new().name(format!("{THREAD_PREFIX}signals")).spawn(wait)?;
-        Ok(Self(handle))
+        Ok(Self { handle, _handled: Handled::begin() })
     }
 }
 
 impl Drop for Listener {
     fn drop(&mut self) {
-        self.0.close();
-        for signal in ENDING {
-            // Otherwise the closed handler would swallow the signal.
-            drop(flag::register_conditional_default(signal, Arc::new(AtomicBool::new(true))));
-        }
+        self.handle.close();
+        // Otherwise the closed handler would swallow the signal.
+        drop(signals::keep_default());
     }
 }
 

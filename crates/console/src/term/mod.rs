@@ -6,9 +6,10 @@ pub mod files;
 pub mod input;
 pub mod pixels;
 pub mod renderer;
+pub mod secret;
+pub mod signals;
 
-use std::fs::OpenOptions;
-use std::io::{self, BufRead as _, BufReader, IsTerminal, Write};
+use std::io::{self, IsTerminal, Write};
 use std::panic::{self, PanicHookInfo};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -29,11 +30,9 @@ use encode::Depth;
 use input::Listener;
 use pixels::Pixels;
 use renderer::{Budget, OVER_SSH, Painter, Stage, Wish};
-use rustix::termios::{LocalModes, OptionalActions, Termios, tcgetattr, tcsetattr};
 use signal_hook::consts::signal::{SIGCONT, SIGHUP, SIGTSTP};
 use tokio::runtime::Handle;
 use tokio::sync::broadcast::error::RecvError;
-use zeroize::Zeroizing;
 
 #[derive(Debug, Clone)]
 pub struct ConsoleOptions {
@@ -50,12 +49,14 @@ pub struct ConsoleOptions {
     pub pictures: Pictures,
     /// File of screen, filters and orders for the next start.
     pub kept: PathBuf,
+    /// A warning to begin with.
+    pub warning: Option<String>,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum ExitReason {
     Quit,
-    /// A site continues after the console.
+    /// A site is to continue after the console.
     LeaveSite,
     /// The site's message, still to be shown.
     Refused(Failure),
@@ -142,6 +143,9 @@ impl Session {
         if !reported {
             state.warn(encode::ADVICE);
         }
+        if let Some(warning) = &options.warning {
+            state.warn(warning.clone());
+        }
         let (sending, messages) = channel();
         let signals = Listener::start(sender(&sending, Message::Signal))?;
         let guard = Guard::enter(
@@ -181,10 +185,10 @@ impl Session {
 
     pub fn run(mut self) -> Result<ExitReason, TermError> {
         let ended = self.work();
-        self.close();
         if matches!(ended, Ok(ExitReason::LeaveSite)) {
             self.leave_the_keys();
         }
+        self.close();
         ended
     }
 
@@ -347,8 +351,9 @@ impl Session {
         self.act(Action::Resize { columns, rows })
     }
 
-    /// The next question at the terminal would share keys with the reading thread.
+    /// The question for the passphrase would share keys with the reading thread. The terminal is still without echo.
     fn leave_the_keys(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
         // A new size wakes it without a key; otherwise it ends within its patience.
         rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::WINCH).ok();
         if let Some(reading) = self.reading.take() {
@@ -568,41 +573,6 @@ fn describe(info: &PanicHookInfo<'_>) -> String {
     let text = payload.downcast_ref::<&str>().copied();
     let text = text.or_else(|| payload.downcast_ref::<String>().map(String::as_str)).unwrap_or("no reason given");
     format!("{} failed at {place}: {text}", thread.name().unwrap_or("a background task"))
-}
-
-/// Keeps a secret's buffer from moving.
-const CAPACITY: usize = 4096;
-/// Ctrl-C, when it sends no signal.
-const CANCEL: char = '\u{3}';
-
-struct Kept<'a>(&'a std::fs::File, Termios);
-
-impl Drop for Kept<'_> {
-    fn drop(&mut self) {
-        tcsetattr(self.0, OptionalActions::Now, &self.1).ok();
-    }
-}
-
-/// `None` if standard input is no terminal, or the answer is Ctrl-C, Ctrl-D or nothing.
-pub fn secret(question: &str) -> io::Result<Option<Zeroizing<String>>> {
-    if !io::stdin().is_terminal() {
-        return Ok(None);
-    }
-    let Ok(mut terminal) = OpenOptions::new().read(true).write(true).open("/dev/tty") else { return Ok(None) };
-    let before = tcgetattr(&terminal)?;
-    let mut modes = before.clone();
-    // Ctrl-C is read, not a signal: that would leave the terminal without its echo.
-    modes.local_modes.remove(LocalModes::ECHO | LocalModes::ISIG);
-    modes.local_modes.insert(LocalModes::ECHONL);
-    tcsetattr(&terminal, OptionalActions::Flush, &modes)?;
-    write!(terminal, "{question}: ")?;
-    let kept = Kept(&terminal, before);
-    let mut line = Zeroizing::new(String::with_capacity(CAPACITY));
-    BufReader::new(&terminal).read_line(&mut line)?;
-    drop(kept);
-    let typed = line.trim_end_matches(['\r', '\n']).len();
-    line.truncate(typed);
-    Ok(Some(line).filter(|line| !line.is_empty() && !line.contains(CANCEL)))
 }
 
 #[cfg(test)]

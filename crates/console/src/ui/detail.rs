@@ -36,7 +36,7 @@ fn draw_row(canvas: &mut Canvas, area: Rect, state: &State) {
         Screen::Uploads => draw_steps(canvas, area, state),
         Screen::Shared => draw_opened(canvas, area, state),
         Screen::Grants => drop(facts(canvas, area, "Grant", &grant(state))),
-        Screen::Gateway => draw_gateway(canvas, area, state),
+        Screen::Robots => draw_gateway(canvas, area, state),
         Screen::Log => draw_line(canvas, area, state),
         Screen::Overview | Screen::Keys | Screen::Chain => {}
     }

@@ -1,4 +1,4 @@
-//! The Gateway screen: what is served, system keys and their dates, refusals, robots, their policies, and senders.
+//! The screen of robots and the gateway: a row a robot or sender, then what is served, system keys, and refusals.
 
 use ratatui::layout::Rect;
 
@@ -17,6 +17,8 @@ const MOST_REASONS: usize = 4;
 
 /// Nanoseconds.
 const DAY: u64 = 86_400_000_000_000;
+/// A robot whose newest record is younger is active.
+const RECENT: u64 = 60_000_000_000;
 
 const COLUMNS: &[Column] = &[
     Column::text("State", 9),
@@ -30,41 +32,41 @@ const COLUMNS: &[Column] = &[
 ];
 
 /// If the profile has robots.
-const WITH_POLICY: &[Column] = &[
+const OF_ROBOTS: &[Column] = &[
     Column::text("State", 9),
-    Column::name("Robot or operator"),
-    Column::text("Policy", 26),
-    Column::text("Account", 13).from(100),
-    Column::text("From", 21).from(125),
-    Column::number("Frames", 8).from(110),
-    Column::number("Bytes", 9).from(75),
+    Column::name("Robot"),
     Column::text("Last UTC", 8),
+    Column::number("Lag", 6).from(70),
+    Column::number("Lost", 6).from(70),
+    Column::text("Policy", 26),
+    Column::number("Waiting", 8).from(100),
+    Column::text("Delivers to", 24).from(110),
+    Column::number("Bytes", 9).from(150),
 ];
 
-/// Where no gateway runs: what the owner's site knows.
-const OF_OWNER: &[Column] = &[
-    Column::name("Robot"),
-    Column::text("Policy", 26),
-    Column::text("Gateway", 24).from(90),
-    Column::number("Waiting", 8),
-    Column::text("Last UTC", 8),
-];
+/// Title and heads of the table; rows of the gateway that stay however many robots there are.
+const HEADS: usize = 2;
+const LEAST: u16 = 4;
 
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     let Some(view) = &state.gateway.view else {
-        canvas.put(area, "Gateway", Role::Title);
+        canvas.put(area, "Robots and gateway", Role::Title);
         canvas.put(below(area, 1), empty(state, Feed::Gateway, "Asking…"), Role::Dim);
         return;
     };
     let gateway = &state.gateway;
-    let taken = draw_about(canvas, area, view);
-    if view.served.is_some() || !gateway.all_members().is_empty() {
-        draw_members(canvas, below(area, taken), state, &gateway.shown());
+    let all = gateway.all_members().len();
+    if view.served.is_none() && all == 0 {
+        draw_about(canvas, area, view);
+        return;
     }
+    let wanted = super::rows(all.max(1) + HEADS);
+    let height = wanted.min(area.height.saturating_sub(LEAST + 1));
+    draw_members(canvas, Rect { height, ..area }, state, &gateway.shown());
+    draw_about(canvas, below(area, height + 1), view);
 }
 
-/// Returns the rows taken.
-fn draw_about(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView) -> u16 {
+fn draw_about(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView) {
     canvas.put(area, "Gateway", Role::Title);
     let Some(served) = &view.served else {
         let (first, second) = match &view.through {
@@ -76,7 +78,7 @@ fn draw_about(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView) -> u16 
         };
         canvas.put(row(area, 1), &clean(&first, 300), Role::Body);
         canvas.put(row(area, 2), second, Role::Dim);
-        return 4;
+        return;
     };
     let mut facts = vec![
         ("Listens", format!("{}, {}", served.address, counted(view.connections, "connection")), Role::Good),
@@ -92,7 +94,7 @@ fn draw_about(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView) -> u16 
         ("Key list", text, Role::Dim)
     }));
     facts.extend(refused(view));
-    draw_facts(canvas, below(area, 1), &facts) + 2
+    draw_facts(canvas, below(area, 1), &facts);
 }
 
 fn system_key(key: &SystemKeyView) -> String {
@@ -124,11 +126,11 @@ fn draw_members(canvas: &mut Canvas, area: Rect, state: &State, rows: &[Member])
     let senders = gateway.view.as_ref().is_some_and(|view| !view.senders.is_empty());
     let robots = !gateway.robots.is_empty();
     let (title, columns) = match (senders, robots) {
-        (true, true) => ("Robots and senders", WITH_POLICY),
-        (false, true) => ("Robots", OF_OWNER),
+        (true, true) => ("Robots and senders", OF_ROBOTS),
+        (false, true) => ("Robots", OF_ROBOTS),
         (_, false) => ("Senders", COLUMNS),
     };
-    let order = order(Screen::Gateway, &gateway.table);
+    let order = order(Screen::Robots, &gateway.table);
     let mut note = format!("{} of {}", rows.len(), gateway.all_members().len());
     if senders || !robots {
         let connected = rows.iter().filter(|row| row.is_connected()).count();
@@ -141,8 +143,8 @@ fn draw_members(canvas: &mut Canvas, area: Rect, state: &State, rows: &[Member])
     }
     let cells = |index: usize| match rows.get(index) {
         None => Vec::new(),
-        Some(row) if robots && !senders => cells_of_owner(state, row),
-        Some(row) => cells(state, row, robots),
+        Some(row) if robots => cells_of_robots(state, row),
+        Some(row) => cells(state, row),
     };
     let empty = match gateway.table.filter.text() {
         "" => "Nobody is enrolled yet; `authros agent enrol` adds a robot or operator.",
@@ -152,38 +154,53 @@ fn draw_members(canvas: &mut Canvas, area: Rect, state: &State, rows: &[Member])
     draw_table(canvas, area, &sheet);
 }
 
-fn cells(state: &State, row: &Member, policy: bool) -> Vec<(String, Role)> {
-    let (word, role) = match row.sender {
-        None => ("-", Role::Dim),
-        Some(sender) if sender.sessions > 0 => ("connected", Role::Good),
-        Some(_) => ("away", Role::Dim),
-    };
+fn cells(state: &State, row: &Member) -> Vec<(String, Role)> {
     let of = |text: fn(&SenderView) -> String| row.sender.map(text).unwrap_or_default();
-    let mut cells = vec![(word.to_owned(), role), (row.name(), Role::Body)];
-    if policy {
-        cells.push(row.robot.map(standing).unwrap_or_default());
-    }
-    cells.extend([
+    vec![
+        standing_now(state, row),
+        (row.name(), Role::Body),
         (of(|sender| sender.account.short()), Role::Accent),
         (of(|sender| sender.peer.clone().unwrap_or_default()), Role::Dim),
         (of(|sender| super::count(sender.frames)), Role::Body),
         (of(|sender| super::size(sender.bytes)), Role::Body),
-    ]);
-    if !policy {
-        cells.push((of(|sender| sender.since.map(Timestamp::clock).unwrap_or_default()), Role::Dim));
-    }
-    cells.push(last(state, row));
-    cells
+        (of(|sender| sender.since.map(Timestamp::clock).unwrap_or_default()), Role::Dim),
+        last(state, row),
+    ]
 }
 
-fn cells_of_owner(state: &State, row: &Member) -> Vec<(String, Role)> {
-    let waiting = row.robot.map_or(0, |robot| robot.waiting);
+/// By its sessions here, or else by the records that came.
+fn standing_now(state: &State, row: &Member) -> (String, Role) {
+    let is_recent = |at: Timestamp| state.shown_at().0.saturating_sub(at.0) < RECENT;
+    let (word, role) = match (row.sender, row.last()) {
+        (Some(sender), _) if sender.sessions > 0 => ("connected", Role::Good),
+        (Some(_), _) => ("away", Role::Dim),
+        (None, Some(at)) if is_recent(at) => ("active", Role::Good),
+        (None, Some(_)) => ("silent", Role::Dim),
+        (None, None) => ("no record", Role::Dim),
+    };
+    (word.to_owned(), role)
+}
+
+fn cells_of_robots(state: &State, row: &Member) -> Vec<(String, Role)> {
+    let count = |of: fn(&RobotRow) -> u64, role: Role| {
+        let count = row.robot.map(of);
+        let role = if count.unwrap_or_default() > 0 { role } else { Role::Dim };
+        (count.map(super::count).unwrap_or_default(), role)
+    };
+    let lag = row.last().map(|at| super::age(at, state.shown_at())).unwrap_or_default();
+    let address = row.robot.and_then(|robot| robot.address.clone());
+    let peer = || row.sender.and_then(|sender| sender.peer.clone()).map(|peer| format!("from {peer}"));
+    let bytes = row.sender.map(|sender| super::size(sender.bytes)).unwrap_or_default();
     vec![
+        standing_now(state, row),
         (row.name(), Role::Body),
-        row.robot.map(standing).unwrap_or_default(),
-        (row.robot.and_then(|robot| robot.address.clone()).unwrap_or_else(|| "-".to_owned()), Role::Dim),
-        (super::count(waiting), if waiting > 0 { Role::Body } else { Role::Dim }),
         last(state, row),
+        (lag, Role::Body),
+        count(|robot| robot.lost, Role::Warning),
+        row.robot.map(standing).unwrap_or_default(),
+        count(|robot| robot.waiting, Role::Body),
+        (address.or_else(peer).unwrap_or_default(), Role::Dim),
+        (bytes, Role::Body),
     ]
 }
 
@@ -218,6 +235,8 @@ pub fn row_facts(row: &RobotRow, now: Timestamp) -> Vec<Fact> {
     let mut facts = vec![("policy", wanted, role), runs(row)];
     facts.extend(drift(row, now));
     facts.push(("waiting", format!("{} of it here", counted(row.waiting, "record")), Role::Body));
+    facts.push(("lost", counted(row.lost, "message"), if row.lost > 0 { Role::Warning } else { Role::Body }));
+    facts.extend(row.address.iter().map(|address| ("delivers", format!("to {}", clean(address, 255)), Role::Body)));
     facts
 }
 
@@ -255,6 +274,7 @@ pub fn facts(view: &RobotView, now: Timestamp) -> Vec<Fact> {
     let overruled = view.overruled.iter();
     facts.extend(overruled.map(|what| ("overruled", format!("on the robot: {}", clean(what, 300)), Role::Body)));
     facts.push(("last seen", seen, Role::Body));
+    facts.push(("lost", counted(row.lost, "message"), if row.lost > 0 { Role::Warning } else { Role::Body }));
     facts.push(("device", row.device.to_hex(), Role::Dim));
     for address in view.gateway.iter().flat_map(|gateway| &gateway.addresses) {
         facts.push(("gateway", clean(address, 255), Role::Body));

@@ -76,7 +76,7 @@ fn draw_whole(canvas: &mut Canvas, area: Rect, state: &State) {
         Screen::Grants => lists::draw_grants(canvas, list, state),
         Screen::Keys => lists::draw_keys(canvas, list, state),
         Screen::Chain => lists::draw_chain(canvas, list, state),
-        Screen::Gateway => gateway::draw(canvas, list, state),
+        Screen::Robots => gateway::draw(canvas, list, state),
         Screen::Log => lists::draw_log(canvas, list, state),
     }
     if let Some(popup) = state.popups.last() {

@@ -102,7 +102,7 @@ fn the_bars_at_120_columns_say_what_is_used_most_and_are_not_cut() {
         format!("{}\n{bar}", screen.title())
     };
     let screens = [Screen::Overview, Screen::Topics, Screen::Uploads, Screen::Shared, Screen::Grants];
-    let others = [Screen::Keys, Screen::Chain, Screen::Gateway, Screen::Log];
+    let others = [Screen::Keys, Screen::Chain, Screen::Robots, Screen::Log];
     let all: Vec<String> = screens.into_iter().chain(others).map(bars).collect();
     for (screen, words) in [(1, ["w watch", "g grant"]), (2, ["o open", "e export"]), (4, ["x revoke", "e extend"])] {
         assert!(words.iter().all(|word| all[screen].contains(word)), "{}", all[screen]);

@@ -40,8 +40,16 @@ pub struct Kind {
 
 impl Kind {
     pub fn carries_passphrase(&self) -> bool {
-        let with =
-            ["create_identity", "unlock", "load_key", "change_passphrase", "export_key", "enrol_device", "back_up"];
+        let with = [
+            "create_identity",
+            "unlock",
+            "load_key",
+            "change_passphrase",
+            "export_key",
+            "enrol_device",
+            "back_up",
+            "restore_keys",
+        ];
         with.contains(&self.command.as_str())
     }
 }

@@ -66,8 +66,16 @@ const CAPTURE: &[&str] = &[
     "hold_capture",
 ];
 const GRANT: &[&str] = &["grant", "extend_grant", "revoke"];
-const PASSPHRASE: &[&str] =
-    &["create_identity", "unlock", "load_key", "change_passphrase", "export_key", "enrol_device", "back_up"];
+const PASSPHRASE: &[&str] = &[
+    "create_identity",
+    "unlock",
+    "load_key",
+    "change_passphrase",
+    "export_key",
+    "enrol_device",
+    "back_up",
+    "restore_keys",
+];
 
 /// What may stand at a place of a line, as its reader lists it when it finds something else.
 fn listed(line: &str) -> Vec<String> {

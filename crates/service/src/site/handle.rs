@@ -235,6 +235,9 @@ impl Site {
             Command::Lock => self.profiles.lock(&profile).await.map(ask::Lock::told),
             Command::HoldCapture { hold } => self.capture.hold(&profile, hold).map(ask::HoldCapture::told),
             Command::BackUpKeys => self.profiles.back_up_keys(&profile).await.map(ask::BackUpKeys::told),
+            Command::RestoreKeys { path, passphrase } => {
+                self.profiles.restore(profile, path, passphrase).await.map(ask::RestoreKeys::told)
+            }
             Command::ListAlerts => self.alerts_view().await.map(ask::ListAlerts::told),
             Command::TestAlert => self.test_alert().await.map(ask::TestAlert::told),
             Command::GatewayStatus => self.gateway.status().map(ask::GatewayStatus::told),

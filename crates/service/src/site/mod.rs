@@ -265,7 +265,7 @@ impl Site {
                 evidence: Arc::clone(&evidence),
                 claims: Arc::default(),
             }),
-            devices: Arc::new(Devices { parts: parts.clone(), sharing: Arc::clone(&sharing), enrolments }),
+            devices: Arc::new(Devices::new(parts.clone(), Arc::clone(&sharing), enrolments)),
             administering: Arc::new(Administering { parts: parts.clone(), contacts: Arc::clone(&contacts) }),
             audit: Arc::new(Audit::new(of, &reserve)),
             backup: Arc::new(Backup { parts: parts.clone(), quarantine: Arc::clone(&quarantine) }),

@@ -50,9 +50,9 @@ impl Member<'_> {
         self.sender.is_some_and(|sender| sender.sessions > 0)
     }
 
-    /// Its last frame, or else its newest record.
+    /// Its newest record, or else its last frame.
     pub fn last(&self) -> Option<Timestamp> {
-        self.sender.and_then(|sender| sender.last).or(self.robot.and_then(|robot| robot.last_seen))
+        self.robot.and_then(|robot| robot.last_seen).or(self.sender.and_then(|sender| sender.last))
     }
 
     pub fn key(&self) -> String {

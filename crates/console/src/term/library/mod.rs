@@ -200,7 +200,7 @@ const SCREENS: &[Situation] = &[
     ("grants", |size| at(Screen::Grants, size)),
     ("keys", |size| at(Screen::Keys, size)),
     ("chain", |size| at(Screen::Chain, size)),
-    ("gateway", |size| at(Screen::Gateway, size)),
+    ("gateway", |size| at(Screen::Robots, size)),
     ("gateway-with-robots", with_robots),
     ("gateway-of-an-owner", of_an_owner),
     ("overview-with-drift", |size| {

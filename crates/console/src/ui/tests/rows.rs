@@ -4,7 +4,7 @@ use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 use ratatui::buffer::Buffer;
 
-use super::{at, draw, night};
+use super::{Action, Robot, at, draw, fixtures, night};
 use crate::app::{Screen, State};
 use crate::ui::theme::Role;
 
@@ -59,6 +59,30 @@ fn amber_is_for_what_is_wrong_and_not_for_what_is_simulated() {
             for (row, column) in simulated(&buffer) {
                 assert_ne!(buffer[(column, row)].style().fg, warning, "{screen:?}, {size:?}, row {row}");
             }
+        }
+    }
+}
+
+#[test]
+fn robots_come_before_their_gateway_which_keeps_three_rows() {
+    for (size, count) in [((80, 24), 0_u8), ((80, 24), 40), ((120, 40), 0), ((200, 50), 40)] {
+        let mut robot = Robot::at_work(true);
+        robot.act(Action::Resize { columns: size.0, rows: size.1 });
+        let many = (10..10 + count).map(|device| fixtures::robots::robot(&format!("robot-{device}"), device));
+        fixtures::robots::shows(&mut robot, fixtures::robots::robots().into_iter().chain(many).collect());
+        let buffer = drawn(&robot.state);
+        let text = |row: u16| row_of(&buffer, row).into_iter().map(|(_, symbol)| symbol).collect::<String>();
+        let find = |words: &str| (2..buffer.area().height).find(|row| text(*row).contains(words));
+        let heads = text(find("Last UTC").expect("heads"));
+        for head in ["State", "Robot", "Lag", "Lost", "Policy"] {
+            assert!(heads.contains(head), "{size:?}: {heads}");
+        }
+        assert!(size.0 != 120 || heads.contains("Delivers to"), "{heads}");
+        let (first, listens) = (find("robot1"), find("Listens"));
+        assert!(first.is_some() && first < listens && find("Fingerprint").is_some(), "{size:?}: {first:?} {listens:?}");
+        let row = text(find("rover").expect("a row"));
+        for part in ["active", "4 s", " 7 ", "policy 3 waiting, runs 2"] {
+            assert!(row.contains(part), "{size:?}: {row}");
         }
     }
 }

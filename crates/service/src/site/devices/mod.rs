@@ -31,9 +31,14 @@ pub struct Devices {
     pub parts: Parts,
     pub sharing: Arc<Sharing>,
     pub enrolments: Arc<Enrolments>,
+    losses: policies::Losses,
 }
 
 impl Devices {
+    pub fn new(parts: Parts, sharing: Arc<Sharing>, enrolments: Arc<Enrolments>) -> Self {
+        Self { parts, sharing, enrolments, losses: policies::Losses::default() }
+    }
+
     pub async fn lend(
         &self,
         owner: &Arc<Owner>,

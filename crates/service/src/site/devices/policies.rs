@@ -1,7 +1,7 @@
 //! The policies that an owner sets for robots, and what the robots report about them.
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use tokio::task::block_in_place;
 
@@ -9,7 +9,7 @@ use super::Devices;
 use crate::config::RobotPolicy;
 use crate::crypto::{Anchor, Expected, LONGEST_POLICY, Names, Notice, OpenedRecord, SignedPolicy, open, topic_key};
 use crate::model::{
-    GapReport, PolicyReport, RecordKind, RecordState, SignerId, Timestamp, TopicId, clean, clean_lines,
+    Digest, GapReport, PolicyReport, RecordKind, RecordState, SignerId, Timestamp, TopicId, clean, clean_lines,
 };
 use crate::pipeline::epoch::type_choice;
 use crate::pipeline::{Network, Owner, recorder_heads};
@@ -22,6 +22,10 @@ const MOST: usize = 10_000;
 const MOST_LOSSES: usize = 256;
 const MOST_ROBOTS: usize = 100_000;
 
+/// Messages lost, by the digest of the report that says so: a report is opened once.
+#[derive(Default)]
+pub struct Losses(Mutex<BTreeMap<Digest, u64>>);
+
 struct Known {
     reports: BTreeMap<SignerId, (PolicyReport, Timestamp)>,
     seen: BTreeMap<SignerId, Timestamp>,
@@ -31,9 +35,14 @@ struct Known {
 impl Devices {
     pub async fn robot_rows(&self, owner: &Arc<Owner>) -> Result<Vec<RobotRow>, Failure> {
         let network = self.parts.link.network().await?;
-        let known = block_in_place(|| self.known(owner, &network))?;
         let robots = self.enrolments.of(owner)?.into_iter().filter(|robot| !robot.ended);
-        let row = |robot: Enrolled| Ok(row(&robot, &self.wanted(owner, robot.device)?, &known));
+        let robots: Vec<Enrolled> = robots.collect();
+        let (known, lost) = block_in_place(|| {
+            Ok::<_, Failure>((self.known(owner, &network)?, self.lost_by_all(owner, &network, &robots)?))
+        })?;
+        let lost_by = |device: SignerId| lost.get(&device).copied().unwrap_or_default();
+        let robots = robots.into_iter();
+        let row = |robot: Enrolled| Ok(row(&robot, &self.wanted(owner, robot.device)?, &known, lost_by(robot.device)));
         let mut rows = robots.map(row).collect::<Result<Vec<_>, Failure>>()?;
         rows.sort_by(|one, other| one.name.cmp(&other.name));
         Ok(rows)
@@ -49,7 +58,7 @@ impl Devices {
         })?;
         let report = known.reports.get(&robot.device).map(|(report, _)| report.clone()).unwrap_or_default();
         Ok(RobotView {
-            row: row(&robot, &wanted, &known),
+            row: row(&robot, &wanted, &known, lost.values().copied().fold(0, u64::saturating_add)),
             gateway: robot.gateway.clone().map(Into::into),
             enrolled: robot.topics.iter().map(|topic| clean(topic, 255)).collect(),
             topics: topic_rows(robot.device, &known.topics, lost),
@@ -134,7 +143,8 @@ impl Devices {
         Ok(reports)
     }
 
-    fn lost(&self, owner: &Owner, network: &Network, robot: &Enrolled) -> Result<BTreeMap<String, u64>, Failure> {
+    /// Reports of robots about losses, newest first.
+    fn gaps(&self, owner: &Owner) -> Result<Vec<RecordRow>, Failure> {
         let query = RecordQuery {
             owner: Some(owner.address),
             kind: Some(RecordKind::Gap),
@@ -142,16 +152,48 @@ impl Devices {
             newest_first: true,
             ..RecordQuery::default()
         };
-        let rows =
-            self.parts.plant.ledger.records.list(&query)?.rows.into_iter().filter(|row| row.signer == robot.device);
+        Ok(self.parts.plant.ledger.records.list(&query)?.rows)
+    }
+
+    fn gap(&self, owner: &Owner, network: &Network, robot: &Enrolled, row: &RecordRow) -> Option<GapReport> {
+        let opened = self.opened(owner, network, robot, row)?;
+        GapReport::parse(&opened.body).ok()
+    }
+
+    fn lost(&self, owner: &Owner, network: &Network, robot: &Enrolled) -> Result<BTreeMap<String, u64>, Failure> {
+        let rows = self.gaps(owner)?.into_iter().filter(|row| row.signer == robot.device);
         let mut lost: BTreeMap<String, u64> = BTreeMap::new();
-        for row in rows.take(MOST_LOSSES) {
-            let opened = self.opened(owner, network, robot, &row);
-            let Some(gap) = opened.and_then(|opened| GapReport::parse(&opened.body).ok()) else { continue };
+        for gap in rows.take(MOST_LOSSES).filter_map(|row| self.gap(owner, network, robot, &row)) {
             let count = lost.entry(gap.topic).or_default();
             *count = count.saturating_add(gap.count);
         }
         Ok(lost)
+    }
+
+    fn lost_by_all(
+        &self,
+        owner: &Owner,
+        network: &Network,
+        robots: &[Enrolled],
+    ) -> Result<BTreeMap<SignerId, u64>, Failure> {
+        let mut taken: BTreeMap<SignerId, (usize, u64)> = BTreeMap::new();
+        let before = std::mem::take(&mut *self.losses.0.lock().unwrap_or_else(PoisonError::into_inner));
+        let mut now = BTreeMap::new();
+        for row in self.gaps(owner)? {
+            let Some(robot) = robots.iter().find(|robot| robot.device == row.signer) else { continue };
+            let (reports, lost) = taken.entry(row.signer).or_default();
+            if *reports == MOST_LOSSES {
+                continue;
+            }
+            *reports += 1;
+            let opened = || self.gap(owner, network, robot, &row).map(|gap| gap.count);
+            if let Some(count) = before.get(&row.digest).copied().or_else(opened) {
+                now.insert(row.digest, count);
+                *lost = lost.saturating_add(count);
+            }
+        }
+        *self.losses.0.lock().unwrap_or_else(PoisonError::into_inner) = now;
+        Ok(taken.into_iter().map(|(device, (_, lost))| (device, lost)).collect())
     }
 
     fn opened(&self, owner: &Owner, network: &Network, robot: &Enrolled, row: &RecordRow) -> Option<OpenedRecord> {
@@ -164,7 +206,7 @@ impl Devices {
     }
 }
 
-fn row(robot: &Enrolled, wanted: &PolicyWanted, known: &Known) -> RobotRow {
+fn row(robot: &Enrolled, wanted: &PolicyWanted, known: &Known, lost: u64) -> RobotRow {
     let report = known.reports.get(&robot.device);
     let running = report.map(|(report, _)| report.running);
     let drift = !robot.ended && running.unwrap_or_default() != wanted.version;
@@ -178,6 +220,7 @@ fn row(robot: &Enrolled, wanted: &PolicyWanted, known: &Known) -> RobotRow {
         last_seen: known.seen.get(&robot.device).copied().max(report.map(|(_, at)| *at)),
         address: address.map(|address| clean(address, 255)),
         waiting: waiting.map(|(_, count)| count).sum(),
+        lost,
         wanted: wanted.version,
         running,
         standing: standing.to_owned(),

@@ -4,6 +4,7 @@ mod foreseeing;
 mod keys;
 
 use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::Duration;
 
@@ -71,6 +72,46 @@ impl Profiles {
         .await?;
         self.open(profile.clone(), unlocked);
         self.parts.log.write(&profile, "create identity", "keys", "done").await?;
+        self.view(&profile).await
+    }
+
+    /// Brings a saved keyring into a profile that has none, and opens it.
+    pub async fn restore(
+        self: &Arc<Self>,
+        profile: ProfileName,
+        saved: PathBuf,
+        secret: SecretText,
+    ) -> Result<IdentityView, Failure> {
+        let path = self.parts.home.keyring(&profile);
+        let _one_at_a_time = self.parts.owners.opening(&profile).await;
+        // A site that has it open would go on with the keys of the file that was there.
+        if path.exists() || self.parts.owners.get(&profile).is_some() {
+            return Err(refused(format!(
+                "profile '{profile}' has a keyring, and none is overwritten; stop the site and move {} away first, or \
+                 restore into another --profile",
+                path.display()
+            )));
+        }
+        let known = self.known_accounts()?.remove(&profile);
+        let passphrase = Passphrase::new(secret.expose().to_owned())?;
+        let opened = blocking(self, {
+            let profile = profile.clone();
+            move |_| {
+                UnlockedKeyring::restore(&saved, &path, &passphrase, |public| match known {
+                    Some(accounts) if !accounts.contains(&public.address) => {
+                        Err(refused(foreign_keyring(&saved, public.address, &profile, &accounts)))
+                    }
+                    _ => Ok(()),
+                })
+            }
+        });
+        let opened = opened.await;
+        let outcome = if opened.is_ok() { "done" } else { "refused" };
+        self.parts.log.write(&profile, "restore keyring", "keyring", outcome).await?;
+        let owner = self.open(profile.clone(), opened?);
+        if self.parts.link.network_now().is_some() {
+            self.resume(&owner).await?;
+        }
         self.view(&profile).await
     }
 
@@ -362,25 +403,33 @@ pub(crate) fn keyring_faults(home: &Home, known: &Accounts) -> Vec<(ProfileName,
     known.iter().filter_map(fault).collect()
 }
 
-fn keyring_fault(home: &Home, profile: &ProfileName, accounts: &[Address]) -> Option<String> {
+fn either(accounts: &[Address]) -> String {
     let named: Vec<String> = accounts.iter().map(ToString::to_string).collect();
-    let account = named.join(" or ");
+    named.join(" or ")
+}
+
+fn foreign_keyring(path: &Path, found: Address, profile: &ProfileName, accounts: &[Address]) -> String {
+    format!(
+        "{} is the keyring of account {found}, and profile '{profile}' of this home has account {}: put its own keyring \
+         back, or use another --profile for the other account",
+        path.display(),
+        either(accounts)
+    )
+}
+
+fn keyring_fault(home: &Home, profile: &ProfileName, accounts: &[Address]) -> Option<String> {
+    let account = either(accounts);
     let path = home.keyring(profile);
     if !path.exists() {
         return Some(format!(
-            "the keyring of profile '{profile}', account {account}, is gone, and its records open with nothing else: put a \
-             copy of {} back or restore a backup (`authros restore FILE`); for another account use another --profile",
-            path.display()
+            "the keyring of profile '{profile}', account {account}, is gone, and its records open with nothing else: bring \
+             a copy back (`authros --profile {profile} keys restore FILE`) or restore a backup (`authros restore FILE`); \
+             for another account use another --profile"
         ));
     }
     match read_public(&path) {
         Ok(public) if accounts.contains(&public.address) => None,
-        Ok(public) => Some(format!(
-            "{} is the keyring of account {}, and profile '{profile}' of this home has account {account}: put its own \
-             keyring back, or use another --profile for the other account",
-            path.display(),
-            public.address
-        )),
+        Ok(public) => Some(foreign_keyring(&path, public.address, profile, accounts)),
         Err(error) => Some(format!("the keyring of profile '{profile}', account {account}: {error}")),
     }
 }
@@ -436,7 +485,8 @@ impl Owners {
         let owner = self.get(profile).filter(|owner| !owner.is_locked());
         owner.ok_or_else(|| match self.home.keyring(profile).exists() {
             true => refused(format!(
-                "the keyring of profile '{profile}' is locked; unlock it with --passphrase-file or --passphrase-fd"
+                "the keyring of profile '{profile}' is locked; unlock it at a terminal, or with --passphrase-file, \
+                 --passphrase-fd or --passphrase-command"
             )),
             false => without_identity(profile),
         })
