@@ -4,7 +4,7 @@ use super::bars::notice_level;
 use super::gateway::Fact;
 use super::table::{Column, Layout, Sheet, draw as draw_table, order, with_local_time};
 use super::theme::Role;
-use super::{Canvas, below, plot, right_of, row};
+use super::{Canvas, below, graph, right_of, row};
 use crate::app::leaving::{self, Capture};
 use crate::app::screens::topics::SAMPLES;
 use crate::app::screens::{LogLine, Records, Source, Wanted, day, is_active, is_given, key, other_side, scope, soon};
@@ -291,13 +291,16 @@ const TOPIC_COLUMNS: &[Column] = &[
     Column::text("Watched", 13).named("watched"),
     Column::number("Hz", 7).named("hz"),
     Column::number("kB/s", 8).named("rate"),
-    Column::text("Last 8 s", 8).named("bars"),
+    Column::text("Last 16 s", 9).named("line"),
     Column::number("Captured", 9).named("captured"),
     Column::number("Lost t/r", 8).named("lost"),
     Column::number("Age", 6).named("age"),
     Column::text("", 3).below(100),
     Column::text("", 9).from(100),
 ];
+
+/// Cells of a topic's line, two seconds each.
+const CELLS: u16 = 8;
 
 /// Terminal width that fits all topic columns.
 const ALL_FROM: u16 = 170;
@@ -311,12 +314,8 @@ pub fn draw_topics(canvas: &mut Canvas, area: Rect, state: &State) {
     if !topics.table.marks.is_empty() {
         note.push_str(&format!(", {} marked", topics.table.marks.len()));
     }
-    let scale = if layout.has("bars") { topics.scale(state.shown_at()) } else { 0.0 };
-    if scale > 0.0 {
-        note.push_str(&format!(", bars to {} kB/s", super::kilobytes(Some(scale))));
-    }
     note.push_str(&layout.note());
-    let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| layout.pick(topic_cells(state, row, scale)));
+    let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| layout.pick(topic_cells(state, row)));
     let empty = empty(state, Feed::Topics, "No topics published yet; they appear here automatically.");
     let (title, columns) = ("Topics", &layout.columns);
     let sheet = Sheet { title, note, columns, keys: &keys, cells: &cells, table: &topics.table, empty, old: false };
@@ -358,7 +357,7 @@ pub fn empty<'a>(state: &'a State, feed: Feed, nothing: &'a str) -> &'a str {
     }
 }
 
-fn topic_cells(state: &State, row: &TopicRow, scale: f64) -> Vec<(String, Role)> {
+fn topic_cells(state: &State, row: &TopicRow) -> Vec<(String, Role)> {
     let lost = format!("{}/{}", row.lost_in_transport, row.lost_in_recorder);
     let any_lost = row.lost_in_transport + row.lost_in_recorder > 0;
     vec![
@@ -369,7 +368,7 @@ fn topic_cells(state: &State, row: &TopicRow, scale: f64) -> Vec<(String, Role)>
         watched_of(state, row),
         (super::rate(row.hz), Role::Accent),
         (super::kilobytes(row.bytes_per_second), Role::Body),
-        (plot::sparkline(&state.topics.samples(&row.topic, SAMPLES, state.shown_at()), scale), Role::Accent),
+        (graph::line(&state.topics.samples(&row.topic, SAMPLES, state.shown_at()), CELLS), Role::Accent),
         (super::count(row.messages), Role::Body),
         (lost, if any_lost { Role::Warning } else { Role::Dim }),
         (row.last_message.map(|last| super::age(last, state.shown_at())).unwrap_or_default(), Role::Dim),

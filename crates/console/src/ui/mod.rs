@@ -16,6 +16,7 @@
 pub mod bars;
 pub mod detail;
 pub mod gateway;
+pub mod graph;
 mod lists;
 pub mod overview;
 pub mod plot;
@@ -222,9 +223,7 @@ fn plain(character: char) -> char {
         '↓' => 'v',
         '✖' => 'X',
         '▌' | '›' => '>',
-        '▁' | '▂' => '_',
-        '▃' | '▄' | '▅' => '=',
-        '▆' | '▇' | '█' => '#',
+        '█' => '#',
         '▀' => '"',
         '\u{2800}' => ' ',
         '\u{2801}'..='\u{28ff}' => dots(character),
@@ -232,12 +231,15 @@ fn plain(character: char) -> char {
     }
 }
 
-/// By how many of its eight dots are set.
+/// By where its dots are, and how many of the eight.
 fn dots(pattern: char) -> char {
-    match (u32::from(pattern) & 0xff).count_ones() {
-        1 | 2 => '.',
-        3..=5 => ':',
-        _ => '#',
+    const UPPER: u32 = 0x1b;
+    let set = u32::from(pattern) & 0xff;
+    match (set & UPPER, set & !UPPER) {
+        _ if set.count_ones() > 5 => '#',
+        (_, 0) => '\'',
+        (0, _) => '.',
+        _ => ':',
     }
 }
 

@@ -2,13 +2,14 @@
 
 use ratatui::layout::Rect;
 
+use super::graph::{Graph, SIDE, Scale};
 use super::table::{Column, draw_plain};
 use super::theme::Role;
-use super::{Canvas, bars, below, lists, plot, right_of, row};
+use super::{Canvas, bars, below, graph, lists, right_of, row};
 use crate::app::alerts::Alert;
-use crate::app::history::{Flow, highest};
+use crate::app::history::{Flow, Sample, cells, highest};
 use crate::app::update::Feed;
-use crate::app::{FirstStep, GRAPH_PARTS, State, first_steps};
+use crate::app::{FirstStep, State, first_steps};
 use crate::model::clean;
 use crate::service::reply::{LifeLine, SiteView};
 
@@ -184,21 +185,25 @@ fn draw_busiest(canvas: &mut Canvas, area: Rect, state: &State) {
     draw_plain(canvas, area, COLUMNS, rows.collect());
 }
 
-const NAMES: u16 = 10;
+/// Columns of names and figures at the left of a low graph.
+const NAMES: u16 = 11;
 /// Columns and rows from which two high graphs stand side by side.
 const HIGH_FROM: (u16, u16) = (110, 26);
 const HIGH: u16 = 5;
+/// Of a low graph. A single row has too few levels to show a fall of a tenth.
+const LOW: u16 = 2;
 /// Kept for the busiest topics.
 const KEPT: u16 = 5;
-/// Graphs and their heading.
-const ROWS: u16 = 5;
+/// Two low graphs and their heading.
+const ROWS: u16 = 1 + 2 * LOW;
 
 struct Panel {
     name: &'static str,
+    now: String,
     text: String,
-    values: Vec<Option<f64>>,
-    scale: f64,
+    values: Vec<Option<Sample>>,
     role: Role,
+    marks: bool,
 }
 
 /// Returns what is left of `area`.
@@ -206,66 +211,77 @@ pub fn draw_flow(canvas: &mut Canvas, area: Rect, state: &State) -> Rect {
     if state.site.is_none() || area.height < ROWS + KEPT {
         return area;
     }
-    let flow = state.history.flow(state.period, GRAPH_PARTS, state.shown_at());
+    let high = area.width >= HIGH_FROM.0 && area.height >= HIGH_FROM.1;
+    let width = if high { (area.width / 2).saturating_sub(2) } else { area.width.saturating_sub(NAMES) };
+    let parts = 2 * usize::from(cells(width.saturating_sub(SIDE)));
+    let flow = state.history.flow(state.period, parts, state.shown_at());
     if !flow.any() {
         return area;
     }
     let minutes = |period: crate::app::history::Period| format!("{} min", period.minutes());
     let heading = format!("Last {}", minutes(state.period));
     let hint = format!("  m: {}", minutes(state.period.next()));
-    canvas.puts(row(area, 0), &[(&heading, Role::Title), (&hint, Role::Dim)]);
+    let mut rest = canvas.puts(row(area, 0), &[(&heading, Role::Title), (&hint, Role::Dim)]);
     let panels = panels(state, flow);
-    let rest = below(area, 1);
-    if area.width >= HIGH_FROM.0 && area.height >= HIGH_FROM.1 {
-        high(canvas, rest, &panels)
-    } else {
-        low(canvas, rest, &panels)
+    let area = below(area, 1);
+    if high {
+        return draw_high(canvas, area, &panels);
     }
+    let shown = if area.height >= 4 * LOW + KEPT { panels.len() } else { 2 };
+    for (place, panel) in panels.iter().enumerate().skip(shown) {
+        let gap = if place == shown { "  " } else { "; " };
+        rest = canvas
+            .puts(rest, &[(gap, Role::Dim), (panel.name, Role::Dim), (" ", Role::Dim), (&panel.text, Role::Body)]);
+    }
+    draw_low(canvas, area, panels.get(..shown).unwrap_or_default())
 }
 
 fn panels(state: &State, flow: Flow) -> [Panel; 4] {
-    let scale = highest(&flow.captured).max(highest(&flow.verified));
-    let rate = |now: f64, values: &[Option<f64>]| format!("{now:.1}/s, peak {:.1}", highest(values).max(now));
+    let rate = |now: f64, values: &[Option<Sample>]| format!("{now:.1}/s, peak {:.1}", highest(values).max(now));
     let after = flow.after.map_or_else(
         || "none verified".to_owned(),
         |(half, most)| format!("p50 {}, p99 {}", super::seconds(half), super::seconds(most)),
     );
+    let last = flow.after.map_or_else(String::new, |(_, most)| format!("p99 {}", super::seconds(most)));
     let pending = state.pending_records();
     let most = highest(&flow.pending).max(f64::from(u32::try_from(pending).unwrap_or(u32::MAX)));
-    let panel = |name, text, values, scale, role| Panel { name, text, values, scale, role };
+    let waiting = format!("{}, peak {most:.0}", super::count(pending));
     let (captured, verified) = (state.rates.captured(), state.rates.verified());
-    let (captured, verified) = (rate(captured, &flow.captured), rate(verified, &flow.verified));
-    let (waiting, slowest) = (highest(&flow.pending), highest(&flow.slowest));
+    // The others come in batches, so all their parts would be marked.
+    let panel = |name, now, text, values, role| Panel { name, now, text, values, role, marks: name == "captured" };
+    let captured_text = rate(captured, &flow.captured);
+    let verified_text = rate(verified, &flow.verified);
     [
-        panel("captured", captured, flow.captured, scale, Role::Accent),
-        panel("verified", verified, flow.verified, scale, Role::Good),
-        panel("pending", format!("{}, peak {most:.0}", super::count(pending)), flow.pending, waiting, Role::Warning),
-        panel("latency", after, flow.slowest, slowest, Role::Body),
+        panel("captured", format!("{captured:.1}/s"), captured_text, flow.captured, Role::Accent),
+        panel("verified", format!("{verified:.1}/s"), verified_text, flow.verified, Role::Good),
+        panel("latency", last, after, flow.slowest, Role::Body),
+        panel("pending", super::count(pending), waiting, flow.pending, Role::Warning),
     ]
 }
 
-/// A row each: name, bars, figures.
-fn low(canvas: &mut Canvas, area: Rect, panels: &[Panel]) -> Rect {
-    let bars = u16::try_from(GRAPH_PARTS).unwrap_or(u16::MAX).min(area.width.saturating_sub(NAMES + 24));
-    for (line, panel) in (0u16..).zip(panels) {
-        let place = row(area, line);
-        canvas.put(place, panel.name, Role::Dim);
-        let place = right_of(place, NAMES);
-        plot::draw_graph(canvas, Rect { width: bars, ..place }, &panel.values, panel.scale, panel.role);
-        canvas.put(right_of(place, bars + 1), &panel.text, Role::Body);
-    }
-    below(area, ROWS - 1)
+fn draw_line(canvas: &mut Canvas, area: Rect, panel: &Panel) {
+    let Panel { values, role, marks, .. } = panel;
+    graph::draw(canvas, area, &Graph { values, scale: Scale::around(values), role: *role, marks: *marks });
+}
+
+/// One below the other: name and figure, line, scale.
+fn draw_low(canvas: &mut Canvas, area: Rect, panels: &[Panel]) -> Rect {
+    panels.iter().fold(area, |area, panel| {
+        canvas.put(row(area, 0), panel.name, Role::Dim);
+        canvas.put(row(area, 1), &panel.now, Role::Body);
+        draw_line(canvas, Rect { height: LOW, ..right_of(area, NAMES) }, panel);
+        below(area, LOW)
+    })
 }
 
 /// Side by side, figures above.
-fn high(canvas: &mut Canvas, area: Rect, panels: &[Panel]) -> Rect {
+fn draw_high(canvas: &mut Canvas, area: Rect, panels: &[Panel]) -> Rect {
     let width = area.width / 2;
     for (place, panel) in (0u16..).zip(panels) {
         let here = below(right_of(area, place % 2 * width), place / 2 * (HIGH + 2));
-        let here = Rect { width: width - 2, ..here };
+        let here = Rect { width: width.saturating_sub(2), ..here };
         canvas.puts(row(here, 0), &[(panel.name, Role::Title), ("  ", Role::Body), (&panel.text, Role::Body)]);
-        let bars = Rect { height: HIGH.min(here.height.saturating_sub(1)), ..below(here, 1) };
-        plot::draw_graph(canvas, bars, &panel.values, panel.scale, panel.role);
+        draw_line(canvas, Rect { height: HIGH.min(here.height.saturating_sub(1)), ..below(here, 1) }, panel);
     }
     below(area, 2 * (HIGH + 2))
 }

@@ -117,10 +117,6 @@ impl Layout {
         self.places.iter().map(|place| cells.get_mut(*place).map(std::mem::take).unwrap_or_default()).collect()
     }
 
-    pub fn has(&self, name: &str) -> bool {
-        self.columns.iter().any(|column| column.name == name)
-    }
-
     /// Names chosen columns without room.
     pub fn note(&self) -> String {
         match self.left_out.as_slice() {
