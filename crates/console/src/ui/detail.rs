@@ -2,11 +2,13 @@
 
 use ratatui::layout::Rect;
 
+use super::canvas::{Canvas, below, right_of, row};
 use super::graph::{Graph, Scale};
-use super::lists::watched;
+use super::lists::{self, watched};
 use super::popups::{Piece, coverage_lines, inside, provenance_lines, put_lines, record_facts};
 use super::theme::Role;
-use super::{Canvas, bars, below, count, gateway, graph, kilobytes, rate, right_of, row, size, wrap};
+use super::words::{count, kilobytes, rate, size, wrap};
+use super::{bars, gateway, graph};
 use crate::app::history::Sample;
 use crate::app::popup::Lookup;
 use crate::app::screens::topics::KEPT_SAMPLES;
@@ -163,7 +165,7 @@ fn ends(row: &GrantRow, now: Timestamp) -> String {
 }
 
 fn draw_gateway(canvas: &mut Canvas, area: Rect, state: &State) {
-    let plain = |facts: Vec<gateway::Fact>| facts.into_iter().map(|(name, text, _)| (name, text)).collect::<Vec<_>>();
+    let plain = |facts: Vec<lists::Fact>| facts.into_iter().map(|(name, text, _)| (name, text)).collect::<Vec<_>>();
     let (title, told) = match state.gateway.selected() {
         None => ("Sender", Vec::new()),
         Some(member) => {

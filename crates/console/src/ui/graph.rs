@@ -2,9 +2,9 @@
 
 use ratatui::layout::Rect;
 
+use super::canvas::{Canvas, right_of, row, rows};
 use super::plot::DOTS;
 use super::theme::Role;
-use super::{Canvas, right_of, row, rows};
 use crate::app::history::Sample;
 
 /// Columns of the scale at the right of a line, with its gap.
@@ -205,7 +205,8 @@ fn draw_marks(canvas: &mut Canvas, area: Rect, patterns: &[Vec<u8>], changes: &[
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ui::{Theme, flatten};
+    use crate::ui::canvas::flatten;
+    use crate::ui::theme::Theme;
     use proptest::prelude::*;
     use ratatui::buffer::Buffer;
 

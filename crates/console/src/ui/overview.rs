@@ -2,10 +2,12 @@
 
 use ratatui::layout::Rect;
 
+use super::canvas::{Canvas, below, right_of, row};
 use super::graph::{Graph, SIDE, Scale};
 use super::table::{Column, draw_plain};
 use super::theme::Role;
-use super::{Canvas, bars, below, graph, lists, right_of, row};
+use super::words;
+use super::{bars, graph, lists};
 use crate::app::alerts::Alert;
 use crate::app::history::{Flow, Sample, cells, highest};
 use crate::app::update::Feed;
@@ -42,7 +44,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
         let failure = state.feeds.slot(Feed::Site).failure.as_ref();
         let (text, role) =
             failure.map_or(("The site is starting…", Role::Dim), |failure| (&failure.message, Role::Bad));
-        let lines = super::wrap(&clean(text, 500), rest.width);
+        let lines = words::wrap(&clean(text, 500), rest.width);
         for (line, text) in (0u16..).zip(&lines) {
             canvas.put(row(rest, line), text, role);
         }
@@ -85,7 +87,7 @@ fn draw_life(canvas: &mut Canvas, area: Rect, state: &State, life: &LifeLine) ->
     let width = (area.width / 5).min(16);
     for (place, (name, count)) in (0u16..).zip(stations) {
         let column = Rect { width, ..right_of(area, place * width) };
-        let count = super::count(count);
+        let count = words::count(count);
         // `confirmed ›` and a gap must fit.
         let arrow = if place == 4 || width < 12 { "" } else { " ›" };
         canvas.puts(row(column, 0), &[(name, Role::Title), (arrow, Role::Dim)]);
@@ -96,7 +98,7 @@ fn draw_life(canvas: &mut Canvas, area: Rect, state: &State, life: &LifeLine) ->
     draw_law(canvas, row(area, 3), life);
     let lost = life.lost_in_transport > 0;
     if lost {
-        let text = format!("{} lost in transport before capture", super::count(life.lost_in_transport));
+        let text = format!("{} lost in transport before capture", words::count(life.lost_in_transport));
         canvas.put(row(area, 4), &text, Role::Warning);
     }
     below(area, 4 + u16::from(lost))
@@ -119,12 +121,12 @@ fn draw_law(canvas: &mut Canvas, area: Rect, life: &LifeLine) {
         ("✖ NOT balanced: ", Role::Bad)
     };
     let mut rest =
-        canvas.puts(area, &[(verdict, role), (&super::count(life.captured), Role::Accent), (" = ", Role::Dim)]);
+        canvas.puts(area, &[(verdict, role), (&words::count(life.captured), Role::Accent), (" = ", Role::Dim)]);
     // Unusual states show only if there are any: the line is short.
     let named = parts.into_iter().enumerate().filter(|(place, (count, ..))| *place < 2 || *count > 0);
     for (place, (count, name, role)) in named {
         let plus = if place == 0 { "" } else { " + " };
-        rest = canvas.puts(rest, &[(plus, Role::Dim), (&super::count(count), role), (" ", role), (name, Role::Dim)]);
+        rest = canvas.puts(rest, &[(plus, Role::Dim), (&words::count(count), role), (" ", role), (name, Role::Dim)]);
     }
     if life.right_ended + life.quarantined + life.dropped + life.tampered == 0 {
         canvas.put(rest, "; none held, dropped or tampered", Role::Dim);
@@ -175,8 +177,8 @@ fn draw_busiest(canvas: &mut Canvas, area: Rect, state: &State) {
         vec![
             (row.topic.clone(), Role::Body),
             (row.type_name.clone().unwrap_or_default(), Role::Dim),
-            (super::rate(row.hz), Role::Accent),
-            (super::kilobytes(row.bytes_per_second), Role::Body),
+            (words::rate(row.hz), Role::Accent),
+            (words::kilobytes(row.bytes_per_second), Role::Body),
             lists::watched(row),
             (if row.simulated { "SIM".to_owned() } else { String::new() }, Role::Dim),
             lists::simulated(row.simulated),
@@ -240,12 +242,12 @@ fn panels(state: &State, flow: Flow) -> [Panel; 4] {
     let rate = |now: f64, values: &[Option<Sample>]| format!("{now:.1}/s, peak {:.1}", highest(values).max(now));
     let after = flow.after.map_or_else(
         || "none verified".to_owned(),
-        |(half, most)| format!("p50 {}, p99 {}", super::seconds(half), super::seconds(most)),
+        |(half, most)| format!("p50 {}, p99 {}", words::seconds(half), words::seconds(most)),
     );
-    let last = flow.after.map_or_else(String::new, |(_, most)| format!("p99 {}", super::seconds(most)));
+    let last = flow.after.map_or_else(String::new, |(_, most)| format!("p99 {}", words::seconds(most)));
     let pending = state.pending_records();
     let most = highest(&flow.pending).max(f64::from(u32::try_from(pending).unwrap_or(u32::MAX)));
-    let waiting = format!("{}, peak {most:.0}", super::count(pending));
+    let waiting = format!("{}, peak {most:.0}", words::count(pending));
     let (captured, verified) = (state.rates.captured(), state.rates.verified());
     // The others come in batches, so all their parts would be marked.
     let panel = |name, now, text, values, role| Panel { name, now, text, values, role, marks: name == "captured" };
@@ -255,7 +257,7 @@ fn panels(state: &State, flow: Flow) -> [Panel; 4] {
         panel("captured", format!("{captured:.1}/s"), captured_text, flow.captured, Role::Accent),
         panel("verified", format!("{verified:.1}/s"), verified_text, flow.verified, Role::Good),
         panel("latency", last, after, flow.slowest, Role::Body),
-        panel("pending", super::count(pending), waiting, flow.pending, Role::Warning),
+        panel("pending", words::count(pending), waiting, flow.pending, Role::Warning),
     ]
 }
 

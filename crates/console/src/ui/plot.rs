@@ -3,8 +3,9 @@
 use ratatui::layout::Rect;
 use ratatui::style::{Color, Style};
 
+use super::bars;
+use super::canvas::{Canvas, Placement, below, row};
 use super::theme::{Depth, Rgb, Role, SIXTEEN, distance};
-use super::{Canvas, bars, below, row};
 use crate::ros::readable::{Plot, Raster};
 
 /// Smallest width plotted, in units of the axes.
@@ -126,13 +127,6 @@ const RAMP: &[u8] = b" .:-=+*#%@";
 /// Thresholds of ordered dithering, 0 to 15.
 pub const BAYER: [[u8; 4]; 4] = [[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]];
 
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Placement {
-    /// All of them empty.
-    pub area: Rect,
-    pub raster: Raster,
-}
-
 /// Upper left of `area`, as large as fits, keeping the shape.
 pub fn draw_raster(canvas: &mut Canvas, area: Rect, raster: &Raster) {
     let cells = (usize::from(area.width), usize::from(area.height));
@@ -200,7 +194,7 @@ fn dithered(pixel: [u8; 3], place: (usize, usize)) -> Rgb {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ui::Theme;
+    use crate::ui::theme::Theme;
     use ratatui::buffer::Buffer;
 
     fn drawn(points: Vec<(f64, f64)>, path: bool, here: Option<(f64, f64)>) -> Vec<String> {
@@ -235,7 +229,7 @@ mod tests {
 #[cfg(test)]
 mod raster_tests {
     use super::*;
-    use crate::ui::Theme;
+    use crate::ui::theme::Theme;
     use ratatui::buffer::Buffer;
 
     fn drawn(raster: &Raster, depth: Depth, ascii: bool) -> Buffer {
@@ -274,7 +268,7 @@ mod raster_tests {
         let mut buffer = Buffer::empty(Rect::new(0, 0, 40, 12));
         let mut canvas = Canvas::new(&mut buffer, theme);
         draw_raster(&mut canvas, Rect::new(3, 2, 30, 10), raster);
-        canvas.put(Rect::new(12, 7, 5, 1), over, crate::ui::Role::Body);
+        canvas.put(Rect::new(12, 7, 5, 1), over, crate::ui::theme::Role::Body);
         canvas.placement()
     }
 

@@ -2,8 +2,8 @@
 
 use ratatui::layout::{Position, Rect};
 
+use super::canvas::{Canvas, below, columns, right_of, row};
 use super::theme::Role;
-use super::{Canvas, below, columns, right_of, row};
 use crate::app::choosing::wanted;
 use crate::app::table::Table;
 use crate::app::{Screen, State};
