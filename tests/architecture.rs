@@ -163,6 +163,93 @@ fn word(text: &str) -> String {
     text.chars().take_while(|&character| character.is_alphanumeric() || character == '_').collect()
 }
 
+/// The paths of a `use`: `a::{b, c::d}` names `a::b` and `a::c::d`.
+fn paths(tree: &str) -> Vec<String> {
+    let Some((head, rest)) = tree.split_once('{') else {
+        return vec![tree.split(" as ").next().unwrap_or_default().trim().to_owned()];
+    };
+    let group = rest.rsplit_once('}').map_or(rest, |(group, _)| group);
+    let (mut depth, mut parts) = (0, vec![String::new()]);
+    for character in group.chars() {
+        depth += i32::from(character == '{') - i32::from(character == '}');
+        match parts.last_mut() {
+            Some(part) if character != ',' || depth > 0 => part.push(character),
+            _ => parts.push(String::new()),
+        }
+    }
+    let parts = parts.iter().map(|part| part.trim()).filter(|part| !part.is_empty());
+    parts.flat_map(paths).map(|path| format!("{}{path}", head.trim())).collect()
+}
+
+/// All paths in the code of a file without its tests.
+fn paths_in(source: &str) -> Vec<String> {
+    // A visibility uses nothing.
+    let code = code_only(source).replace("(in crate::", "(");
+    let code = code.split("\n#[cfg(test)]").next().unwrap_or_default();
+    let mut found = Vec::new();
+    for statement in code.split_inclusive(';') {
+        let is_import = |at: &usize| {
+            let before = statement[..*at].rsplit('\n').next().unwrap_or_default().trim();
+            before.is_empty() || before.starts_with("pub")
+        };
+        let import = statement.match_indices("use ").map(|(at, _)| at).find(is_import);
+        let (body, import) = statement.split_at(import.unwrap_or(statement.len()));
+        found.extend(import.strip_prefix("use ").into_iter().flat_map(|tree| paths(tree.trim_end_matches(';'))));
+        let tokens = body.split(|character: char| !(character.is_alphanumeric() || "_:".contains(character)));
+        found.extend(tokens.filter(|token| token.contains("::")).map(str::to_owned));
+    }
+    found
+}
+
+/// The module that a path in the module `own` leads to, if it is another of these.
+fn module_of(path: &str, own: &str, modules: &BTreeSet<String>) -> Option<String> {
+    let (mut at, mut parts) = (own.to_owned(), path.split("::").peekable());
+    while let Some(part) = parts.next_if(|part| ["crate", "self", "super"].contains(part)) {
+        at = match part {
+            "super" => at.rsplit_once("::").map_or(String::new(), |(above, _)| above.to_owned()),
+            "crate" => String::new(),
+            _ => at,
+        };
+    }
+    for part in parts {
+        let below = if at.is_empty() { part.to_owned() } else { format!("{at}::{part}") };
+        if !modules.contains(&below) {
+            break;
+        }
+        at = below;
+    }
+    (at != own && modules.contains(&at)).then_some(at)
+}
+
+/// Of each module of a room of the console, the others of the room that it uses.
+fn uses_in(room: &str) -> BTreeMap<String, BTreeSet<String>> {
+    let is_test = |path: &Path| path.iter().any(|part| part == "tests" || part == "tests.rs");
+    let module = |path: &Path| {
+        let name =
+            path.with_extension("").iter().skip(3).map(|part| part.to_string_lossy()).collect::<Vec<_>>().join("::");
+        name.strip_suffix("::mod").unwrap_or(&name).to_owned()
+    };
+    let files = rust_files(&format!("crates/console/src/{room}")).into_iter().filter(|path| !is_test(path));
+    let files: BTreeMap<String, PathBuf> = files.map(|path| (module(&path), path)).collect();
+    let modules: BTreeSet<String> = files.keys().cloned().collect();
+    let used = |own: &str, path: &Path| {
+        paths_in(&read(path)).iter().filter_map(|path| module_of(path, own, &modules)).collect::<BTreeSet<_>>()
+    };
+    files.iter().map(|(own, path)| (own.clone(), used(own, path))).collect()
+}
+
+/// Modules that use themselves through others, each with those that it uses.
+fn circles(uses: &BTreeMap<String, BTreeSet<String>>) -> Vec<String> {
+    let reaches = |own: &String| {
+        let (mut reached, mut waiting) = (BTreeSet::new(), vec![own]);
+        while let Some(used) = waiting.pop() {
+            waiting.extend(uses.get(used).into_iter().flatten().filter(|next| reached.insert((*next).clone())));
+        }
+        reached.contains(own)
+    };
+    uses.iter().filter(|(own, _)| reaches(own)).map(|(own, used)| format!("{own} uses {used:?}")).collect()
+}
+
 /// The words of the code, for searching whole words.
 fn words(code: &str) -> impl Iterator<Item = &str> {
     code.split(|character: char| !(character.is_alphanumeric() || character == '_'))
@@ -303,6 +390,19 @@ fn every_room_of_the_console_uses_only_rooms_before_it() {
         }
     }
     assert_none("against the order of rooms", &wrong);
+}
+
+/// A screen or a popup can be read, and changed, with what it uses and without what uses it.
+#[test]
+fn no_files_that_draw_the_screens_and_popups_use_each_other_in_a_circle() {
+    let uses = uses_in("ui");
+    assert_none("in a circle", &circles(&uses));
+    let has = |own: &str, used: &str| uses[own].contains(used);
+    assert!(has("ui", "ui::overview") && has("ui::overview", "ui::graph") && has("ui::popups", "ui::popups::windows"));
+    let set = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect::<BTreeSet<_>>();
+    let knot = [("a", set(&["b"])), ("b", set(&["c"])), ("c", set(&["a"])), ("d", set(&["a"]))];
+    let knot = knot.map(|(own, used)| (own.to_owned(), used)).into();
+    assert_eq!(circles(&knot).len(), 3, "d is outside");
 }
 
 #[test]
@@ -479,4 +579,8 @@ fn these_checks_see_through_comments_quotes_and_groups() {
     assert_eq!(crate_names(&code), ["model", "ros", "chain"]);
     assert_eq!(code.lines().count(), source.lines().count());
     assert!(!words(&code).any(|word| word == "unsafe"));
+    let source = "use super::{lists::{self, empty}, words as text};\npub(in crate::ui) use windows::Piece;\n\
+                  fn f() { super::bars::draw(); }\n#[cfg(test)]\nmod tests { use super::detail; }";
+    let named = ["super::lists::self", "super::lists::empty", "super::words", "windows::Piece", "super::bars::draw"];
+    assert_eq!(paths_in(source), named);
 }

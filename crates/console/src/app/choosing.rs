@@ -133,7 +133,7 @@ const TOPICS: &[Offered] = &[
     column("watched", 0, "Whether it is captured, or why not"),
     column("hz", 0, "Messages a second"),
     column("rate", 0, "Kilobytes a second"),
-    column("bars", 110, "The last 8 seconds as bars"),
+    column("line", 110, "The last 16 seconds as a line"),
     column("captured", 130, "Messages captured so far"),
     column("lost", 70, "Messages lost: in transport, in the recorder"),
     column("age", 80, "Time since the last message"),

@@ -1,17 +1,19 @@
 //! Records over the last hour as this console has seen them, for the graphs; rates of topics; progress of long work.
 
 use std::collections::VecDeque;
+use std::ops::Range;
 
 use crate::model::Timestamp;
 use crate::service::reply::{LifeLine, ProgressView, SiteView};
 
 const SECOND: u64 = 1_000_000_000;
-/// Minimum distance between points of the newest minute, nanoseconds.
+/// Minimum distance between points of the newest quarter of an hour, nanoseconds.
 const FINE: u64 = SECOND;
 /// Minimum distance between older points.
 const COARSE: u64 = 10 * SECOND;
-/// How long the newest points stay fine, nanoseconds; slightly more than the minute that is shown.
-const FINE_FOR: u64 = 65 * SECOND;
+/// How long the newest points stay fine, nanoseconds: over the quarter and what its window lags behind, because a line
+/// drawn from fewer points is another line.
+const FINE_FOR: u64 = 960 * SECOND;
 /// How long points are kept, nanoseconds; slightly more than the hour that is shown.
 const KEPT: u64 = 3_640 * SECOND;
 /// A longer silence counts as no change until just before the next news, nanoseconds.
@@ -43,13 +45,68 @@ impl Period {
     }
 }
 
+/// Cells of two parts each, as many as fit of those that divide every period evenly.
+pub fn cells(columns: u16) -> u16 {
+    [90, 60, 45].into_iter().find(|cells| *cells <= columns).unwrap_or(30)
+}
+
+/// The parts a graph shows when that many are over, counted from the beginning of time.
+///
+/// The window moves by a fifteenth of its width. A line that moved with each part would change all its cells each time;
+/// this way a new part changes the newest cell alone, and the terminal gets the whole line four times a minute at most.
+pub fn window(over: u64, parts: usize) -> Range<u64> {
+    // Whole cells, so that a move leaves the dots of a cell together.
+    let step = (parts as u64 / 15).next_multiple_of(2).max(2);
+    let end = over.next_multiple_of(step);
+    end.saturating_sub(parts as u64)..end
+}
+
+/// One part of a line.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Sample {
+    pub low: f64,
+    pub mean: f64,
+    pub high: f64,
+}
+
+impl Sample {
+    pub fn level(value: f64) -> Self {
+        Self { low: value, mean: value, high: value }
+    }
+}
+
+/// Captured records a second from which a second with less than half of them is a stop, not chance.
+const COUNTED: f64 = 5.0;
+
+/// Of a point and those thinned out before it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Extremes {
+    /// Captured records a second, over a second at least.
+    slowest: f64,
+    fastest: f64,
+    most_pending: u64,
+}
+
+impl Extremes {
+    const NOTHING: Self = Self { slowest: f64::INFINITY, fastest: 0.0, most_pending: 0 };
+
+    fn with(self, other: Self) -> Self {
+        Self {
+            slowest: self.slowest.min(other.slowest),
+            fastest: self.fastest.max(other.fastest),
+            most_pending: self.most_pending.max(other.most_pending),
+        }
+    }
+}
+
 /// Counts of the site at a moment; they only grow.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 struct Point {
     at: Timestamp,
     captured: u64,
     verified: u64,
     pending: u64,
+    extremes: Extremes,
     /// Longest time, microseconds, and how many were verified within it, as in [`SiteView::verified_after`].
     spread: Vec<(u64, u64)>,
 }
@@ -60,16 +117,17 @@ pub struct History {
     points: VecDeque<Point>,
 }
 
-/// A value for each part of a period; `None` = unknown.
+/// A sample for each part of a [`window`]; `None` = unknown, or still to come.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Flow {
     /// Per second.
-    pub captured: Vec<Option<f64>>,
-    pub verified: Vec<Option<f64>>,
-    /// At the end of the part.
-    pub pending: Vec<Option<f64>>,
+    pub captured: Vec<Option<Sample>>,
+    /// Means alone: between two batches nothing is verified.
+    pub verified: Vec<Option<Sample>>,
+    /// The most at any moment of the part.
+    pub pending: Vec<Option<Sample>>,
     /// Seconds within which 99 of 100 records of the part were verified.
-    pub slowest: Vec<Option<f64>>,
+    pub slowest: Vec<Option<Sample>>,
     /// Seconds within which half, and 99 of 100, were verified over the whole period.
     pub after: Option<(f64, f64)>,
 }
@@ -78,27 +136,21 @@ impl Flow {
     pub fn any(&self) -> bool {
         [&self.captured, &self.verified, &self.pending].into_iter().any(|values| highest(values) > 0.0)
     }
-
-    /// Whether it changes without news.
-    fn moves(&self) -> bool {
-        let flows = highest(&self.captured) > 0.0 || highest(&self.verified) > 0.0;
-        let pending = || self.pending.iter().map(|count| count.unwrap_or(0.0));
-        flows || pending().zip(pending().skip(1)).any(|(one, next)| (one - next).abs() > 0.5)
-    }
 }
 
-pub fn highest(values: &[Option<f64>]) -> f64 {
-    values.iter().flatten().copied().fold(0.0, f64::max)
+pub fn highest(values: &[Option<Sample>]) -> f64 {
+    values.iter().flatten().map(|sample| sample.high).fold(0.0, f64::max)
 }
 
 impl History {
     pub fn observe(&mut self, site: &SiteView, now: Timestamp) {
         let life = &site.life;
-        let point = Point {
+        let mut point = Point {
             at: now,
             captured: life.captured,
             verified: life.verified,
             pending: life.pending,
+            extremes: Extremes { most_pending: life.pending, ..Extremes::NOTHING },
             spread: site.verified_after.clone(),
         };
         if let Some(last) = self.points.back() {
@@ -106,7 +158,8 @@ impl History {
             if last.captured > point.captured || last.verified > point.verified || last.at > now {
                 self.points.clear();
             } else if now.0 - last.at.0 > QUIET {
-                let until_now = Point { at: Timestamp(now.0 - FINE), ..last.clone() };
+                let mut until_now = Point { at: Timestamp(now.0 - FINE), ..last.clone() };
+                (until_now.extremes.slowest, until_now.extremes.fastest) = (0.0, 0.0);
                 self.points.push_back(until_now);
             }
         }
@@ -114,42 +167,79 @@ impl History {
         if before.is_some_and(|before| now.0 - before.at.0 < FINE) {
             self.points.pop_back();
         }
+        if let Some(rate) = self.rate_until(&point) {
+            (point.extremes.slowest, point.extremes.fastest) = (rate, rate);
+        }
         self.points.push_back(point);
         self.thin(now);
     }
 
+    /// Captured a second since the newest point that is at least a second older.
+    fn rate_until(&self, point: &Point) -> Option<f64> {
+        let before = self.before(Timestamp(point.at.0.checked_sub(SECOND)?))?;
+        let seconds = float(point.at.0 - before.at.0) / float(SECOND);
+        Some(float(point.captured - before.captured) / seconds)
+    }
+
     fn thin(&mut self, now: Timestamp) {
         let mut kept = Timestamp(0);
-        self.points.retain(|point| {
+        let mut thinned = Extremes::NOTHING;
+        self.points.retain_mut(|point| {
             let age = now.0.saturating_sub(point.at.0);
             let keep = age <= FINE_FOR || age <= KEPT && point.at.0.saturating_sub(kept.0) >= COARSE;
-            kept = if keep { point.at } else { kept };
+            if keep {
+                point.extremes = point.extremes.with(thinned);
+                (thinned, kept) = (Extremes::NOTHING, point.at);
+            } else if age <= KEPT {
+                thinned = thinned.with(point.extremes);
+            }
             keep
         });
     }
 
-    /// Parts align to a grid of time, so that the graph moves in whole parts.
     pub fn flow(&self, period: Period, parts: usize, now: Timestamp) -> Flow {
-        let part = part(period, parts);
-        let end = now.0 / part * part;
-        let edges: Vec<Timestamp> =
-            (0..=parts as u64).rev().map(|back| Timestamp(end.saturating_sub(back * part))).collect();
-        let pairs = || edges.windows(2).filter_map(|pair| Some((*pair.first()?, *pair.last()?)));
-        let rate = |of: fn(&Point) -> u64| pairs().map(|(from, to)| self.rate(from, to, of)).collect();
+        let (part, over) = (part(period, parts), now.0 / part(period, parts));
+        let shown = window(over, parts);
+        let line = |of: &dyn Fn(Timestamp, Timestamp) -> Option<Sample>| -> Vec<Option<Sample>> {
+            let sample = |number| of(Timestamp(number * part), Timestamp((number + 1) * part));
+            shown.clone().map(|number| if number < over { sample(number) } else { None }).collect()
+        };
         Flow {
-            captured: rate(|point| point.captured),
-            verified: rate(|point| point.verified),
-            pending: pairs().map(|(_, to)| self.before(to).map(|point| float(point.pending))).collect(),
-            slowest: pairs().map(|(from, to)| self.within(from, to, 99)).collect(),
-            after: self.after(edges.first().copied().unwrap_or(now), now),
+            captured: line(&|from, to| self.captured(from, to)),
+            verified: line(&|from, to| self.rate(from, to, |point| point.verified).map(Sample::level)),
+            pending: line(&|from, to| self.pending(from, to).map(Sample::level)),
+            slowest: line(&|from, to| self.within(from, to, 99).map(Sample::level)),
+            after: self.after(Timestamp(shown.start * part), now),
         }
     }
 
     /// `None` = nothing shown can move.
     pub fn moves_at(&self, period: Period, parts: usize, now: Timestamp) -> Option<Timestamp> {
         let part = part(period, parts);
-        let moves = self.flow(period, parts, now).moves();
+        let from = Timestamp(window(now.0 / part, parts).start * part);
+        let (first, last) = (self.before(from).or(self.points.front())?, self.points.back()?);
+        let flowed = first.captured != last.captured || first.verified != last.verified;
+        let moves = flowed || self.between(from, now).any(|point| point.pending != first.pending);
         moves.then_some(Timestamp((now.0 / part + 1).saturating_mul(part)))
+    }
+
+    /// A low or a high is shown only if it is far from the mean: the counts come about once a second, and not evenly.
+    fn captured(&self, from: Timestamp, to: Timestamp) -> Option<Sample> {
+        let mean = self.rate(from, to, |point| point.captured)?;
+        let found = self.between(from, to).fold(Extremes::NOTHING, |found, point| found.with(point.extremes));
+        let low = if mean >= COUNTED && found.slowest < mean / 2.0 { found.slowest } else { mean };
+        let high = if found.fastest >= COUNTED && found.fastest > mean * 2.0 { found.fastest } else { mean };
+        Some(Sample { low, mean, high })
+    }
+
+    fn pending(&self, from: Timestamp, to: Timestamp) -> Option<f64> {
+        let most = self.between(from, to).map(|point| point.extremes.most_pending).max();
+        most.or_else(|| self.before(to).map(|point| point.pending)).map(float)
+    }
+
+    fn between(&self, from: Timestamp, to: Timestamp) -> impl Iterator<Item = &Point> {
+        let start = self.points.partition_point(|point| point.at <= from);
+        self.points.iter().skip(start).take_while(move |point| point.at <= to)
     }
 
     fn after(&self, from: Timestamp, to: Timestamp) -> Option<(f64, f64)> {
@@ -338,10 +428,10 @@ mod tests {
         Timestamp::from_seconds(1_200_000_000 + seconds)
     }
 
-    fn close(values: &[Option<f64>], wanted: &[Option<f64>]) {
-        let near = |(one, other): (&Option<f64>, &Option<f64>)| match (one, other) {
-            (Some(one), Some(other)) => (one - other).abs() < 1e-6,
-            (one, other) => one == other,
+    fn close(values: &[Option<Sample>], wanted: &[Option<f64>]) {
+        let near = |(one, other): (&Option<Sample>, &Option<f64>)| match (one, other) {
+            (Some(one), Some(other)) => [one.low, one.mean, one.high].iter().all(|one| (one - other).abs() < 1e-6),
+            (one, other) => one.is_none() && other.is_none(),
         };
         assert!(values.len() == wanted.len() && values.iter().zip(wanted).all(near), "{values:?}");
     }
@@ -357,7 +447,7 @@ mod tests {
         close(&flow.captured, &[some(40.0), some(40.0), some(40.0), some(0.0), some(0.0), some(0.0)]);
         assert!(flow.any());
         let earlier = history.flow(Period::Minute, 6, at(30));
-        close(&earlier.captured, &[None, None, None, some(40.0), some(40.0), some(40.0)]);
+        close(&earlier.captured, &[None, None, some(40.0), some(40.0), some(40.0), None]);
         assert!(!history.flow(Period::Minute, 6, at(200)).any(), "the minute is over");
         assert_eq!(history.moves_at(Period::Minute, 6, at(200)), None);
         assert_eq!(history.moves_at(Period::Minute, 6, at(61)), Some(at(70)));
@@ -369,9 +459,57 @@ mod tests {
         history.observe(&site(0, 0, &[]), at(0));
         history.observe(&site(100, 0, &[]), at(600));
         let flow = history.flow(Period::Quarter, 15, at(900));
-        let moved = flow.captured.iter().flatten().filter(|rate| **rate > 0.0).count();
+        let moved = flow.captured.iter().flatten().filter(|rate| rate.high > 0.0).count();
         assert_eq!(moved, 1, "{:?}", flow.captured);
-        assert_eq!(flow.pending.last(), Some(&Some(100.0)));
+        close(&flow.pending[flow.pending.len() - 2..], &[Some(100.0), None]);
+    }
+
+    #[test]
+    fn a_stop_of_two_seconds_is_in_every_period_and_stays_when_points_are_thinned() {
+        let periods =
+            [(Period::Minute, 60, 300u64, 30), (Period::Quarter, 60, 900, 300), (Period::Hour, 45, 3_000, 2_000)];
+        for (period, cells, until, ago) in periods {
+            let mut history = History::default();
+            let stopped = until - ago;
+            for quarter in 1..=4 * until {
+                let flowed = quarter - quarter.saturating_sub(4 * stopped).min(8);
+                history.observe(&site(11 * flowed, 11 * flowed, &[]), Timestamp(at(0).0 + quarter * SECOND / 4));
+            }
+            let flow = history.flow(period, 2 * cells, at(until));
+            let lowest = flow.captured.iter().flatten().map(|sample| sample.low).fold(f64::INFINITY, f64::min);
+            let stopped = flow.captured.iter().flatten().filter(|sample| sample.low < 22.0).count();
+            assert!(lowest < 4.5 && (1..=8).contains(&stopped), "{period:?}: {lowest}, {:?}", flow.captured);
+            let verified = flow.verified.iter().flatten().all(|sample| sample.low.to_bits() == sample.high.to_bits());
+            assert!(verified, "means");
+        }
+    }
+
+    #[test]
+    fn until_the_window_moves_a_new_part_changes_nothing_but_itself() {
+        let mut history = History::default();
+        for second in 0..600 {
+            history.observe(&site(second * second, 0, &[]), at(second));
+        }
+        let (mut moves, mut before) = (0, history.flow(Period::Quarter, 120, at(600)));
+        for second in 601..=660 {
+            let flow = history.flow(Period::Quarter, 120, at(second));
+            let changed = flow.captured.iter().zip(&before.captured).filter(|(one, other)| one != other).count();
+            moves += usize::from(changed > 1);
+            before = flow;
+        }
+        assert_eq!(moves, 1, "in a minute");
+    }
+
+    #[test]
+    fn the_window_moves_in_whole_cells_and_holds_what_is_over() {
+        for (parts, step) in [(16, 2), (60, 4), (90, 6), (120, 8), (180, 12)] {
+            for over in 1_000..1_100 {
+                let shown = window(over, parts);
+                assert_eq!((shown.end - shown.start, shown.end % step), (parts as u64, 0));
+                assert!((over..over + step).contains(&shown.end), "{over} {shown:?}");
+            }
+        }
+        assert_eq!([300, 120, 111, 102, 60, 59].map(cells), [90, 90, 90, 90, 60, 45]);
     }
 
     #[test]
@@ -391,9 +529,9 @@ mod tests {
             let now = Timestamp(at(0).0 + quarter * SECOND / 4);
             history.observe(&site(10 * quarter, 10 * quarter, &[]), now);
         }
-        assert!(history.points.len() < 440, "{}", history.points.len());
+        assert!(history.points.len() < 1_600, "{}", history.points.len());
         let flow = history.flow(Period::Hour, 60, at(3_600));
-        let known: Vec<f64> = flow.captured.iter().flatten().copied().collect();
+        let known: Vec<f64> = flow.captured.iter().flatten().map(|rate| rate.mean).collect();
         assert!(known.len() >= 58 && known.iter().take(58).all(|rate| (rate - 40.0).abs() < 0.5), "{known:?}");
     }
 }

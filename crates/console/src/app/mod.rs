@@ -56,8 +56,6 @@ pub const FRAME_ROWS: u16 = 6;
 
 /// Nanoseconds between requests for the progress of imports and exports.
 const PROGRESS_EVERY: u64 = 1_000_000_000;
-/// Columns of a graph, each a part of the period.
-pub const GRAPH_PARTS: usize = 45;
 
 #[derive(Debug, Clone, Default)]
 pub struct Settings {
@@ -202,7 +200,9 @@ impl State {
 
     fn graphs_move_at(&self) -> Option<Timestamp> {
         let seen = self.screen == Screen::Overview && !self.is_frozen() && self.popups.is_empty();
-        if seen { self.history.moves_at(self.period, GRAPH_PARTS, self.now) } else { None }
+        // No graph has finer parts.
+        let parts = 2 * usize::from(history::cells(self.size.0));
+        if seen { self.history.moves_at(self.period, parts, self.now) } else { None }
     }
 
     pub fn pending_records(&self) -> u64 {

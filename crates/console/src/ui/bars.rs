@@ -2,8 +2,9 @@
 
 use ratatui::layout::Rect;
 
+use super::canvas::{Canvas, columns, right_of, row};
 use super::theme::Role;
-use super::{Canvas, columns, right_of, row, wrap};
+use super::words::wrap;
 use crate::app::available::available;
 use crate::app::leaving::Standing;
 use crate::app::popup::hints;

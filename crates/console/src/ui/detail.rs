@@ -2,10 +2,14 @@
 
 use ratatui::layout::Rect;
 
-use super::lists::watched;
+use super::canvas::{Canvas, below, right_of, row};
+use super::graph::{Graph, Scale};
+use super::lists::{self, watched};
 use super::popups::{Piece, coverage_lines, inside, provenance_lines, put_lines, record_facts};
 use super::theme::Role;
-use super::{Canvas, bars, below, count, gateway, kilobytes, plot, rate, right_of, row, size, wrap};
+use super::words::{count, kilobytes, rate, size, wrap};
+use super::{bars, gateway, graph};
+use crate::app::history::Sample;
 use crate::app::popup::Lookup;
 use crate::app::screens::topics::KEPT_SAMPLES;
 use crate::app::screens::{Records, end, is_active, is_given, scope, soon};
@@ -14,7 +18,7 @@ use crate::model::{Timestamp, clean};
 use crate::service::reply::{GrantRow, SenderView, TopicRow};
 
 const LABEL: u16 = 12;
-const GRAPH: u16 = 8;
+const HEIGHT: u16 = 8;
 
 /// Returns the space left for the list.
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) -> Rect {
@@ -63,17 +67,16 @@ fn draw_topic(canvas: &mut Canvas, area: Rect, state: &State) {
     let Some(topic) = state.topics.selected() else { return };
     let taken = facts(canvas, area, &topic.topic, &about(topic)) + 1;
     let samples = state.topics.samples(&topic.topic, KEPT_SAMPLES, state.shown_at());
-    let most = samples.iter().copied().fold(0.0, f64::max);
-    let values: Vec<Option<f64>> = samples.into_iter().map(Some).collect();
+    let thousands = |sample: Sample| Sample::level(sample.mean / 1_000.0);
+    let values: Vec<Option<Sample>> = samples.into_iter().map(|sample| sample.map(thousands)).collect();
     let here = below(area, taken);
-    let text = format!("kB/s over the last minute, peak {}", kilobytes(Some(most)));
-    canvas.put(here, &text, Role::Title);
-    let width = area.width.min(u16::try_from(KEPT_SAMPLES).unwrap_or(u16::MAX));
-    let bars = Rect { height: GRAPH.min(here.height.saturating_sub(1)), width, ..below(here, 1) };
-    plot::draw_graph(canvas, bars, &values, most, Role::Accent);
+    canvas.put(here, "kB/s over the last minute", Role::Title);
+    let place = Rect { height: HEIGHT.min(here.height.saturating_sub(1)), ..below(here, 1) };
+    let scale = Scale::around(&values);
+    graph::draw(canvas, place, &Graph { values: &values, scale, role: Role::Accent, marks: true });
     let lines: Vec<Vec<Piece>> =
         coverage_lines(state, &topic.topic).into_iter().map(|(text, role)| vec![(text, role)]).collect();
-    put_lines(canvas, below(here, bars.height + 2), &lines, 0);
+    put_lines(canvas, below(here, place.height + 2), &lines, 0);
 }
 
 fn about(topic: &TopicRow) -> Vec<(&'static str, String)> {
@@ -162,7 +165,7 @@ fn ends(row: &GrantRow, now: Timestamp) -> String {
 }
 
 fn draw_gateway(canvas: &mut Canvas, area: Rect, state: &State) {
-    let plain = |facts: Vec<gateway::Fact>| facts.into_iter().map(|(name, text, _)| (name, text)).collect::<Vec<_>>();
+    let plain = |facts: Vec<lists::Fact>| facts.into_iter().map(|(name, text, _)| (name, text)).collect::<Vec<_>>();
     let (title, told) = match state.gateway.selected() {
         None => ("Sender", Vec::new()),
         Some(member) => {

@@ -2,10 +2,11 @@
 
 use ratatui::layout::Rect;
 
-use super::lists::{draw_facts, empty};
+use super::canvas::{Canvas, below, row};
+use super::lists::{Fact, draw_facts, empty};
 use super::table::{Column, Sheet, draw as draw_table, order};
 use super::theme::Role;
-use super::{Canvas, below, row};
+use super::words;
 use crate::app::policies::{Standing, words as stands};
 use crate::app::screens::{Member, day};
 use crate::app::update::Feed;
@@ -111,11 +112,11 @@ fn refused(view: &GatewayStatusView) -> Vec<Fact> {
     for refused in view.refused.iter().take(MOST_REASONS) {
         let reason = refused.text.split(';').next().unwrap_or_default();
         let label = if facts.is_empty() { "Refused" } else { "" };
-        facts.push((label, format!("{:>7}  {reason}", super::count(refused.count)), Role::Warning));
+        facts.push((label, format!("{:>7}  {reason}", words::count(refused.count)), Role::Warning));
     }
     let more: u64 = view.refused.iter().skip(MOST_REASONS).map(|refused| refused.count).sum();
     if more > 0 {
-        facts.push(("", format!("{:>7}  for other reasons (9: audit)", super::count(more)), Role::Dim));
+        facts.push(("", format!("{:>7}  for other reasons (9: audit)", words::count(more)), Role::Dim));
     }
     facts
 }
@@ -161,8 +162,8 @@ fn cells(state: &State, row: &Member) -> Vec<(String, Role)> {
         (row.name(), Role::Body),
         (of(|sender| sender.account.short()), Role::Accent),
         (of(|sender| sender.peer.clone().unwrap_or_default()), Role::Dim),
-        (of(|sender| super::count(sender.frames)), Role::Body),
-        (of(|sender| super::size(sender.bytes)), Role::Body),
+        (of(|sender| words::count(sender.frames)), Role::Body),
+        (of(|sender| words::size(sender.bytes)), Role::Body),
         (of(|sender| sender.since.map(Timestamp::clock).unwrap_or_default()), Role::Dim),
         last(state, row),
     ]
@@ -190,7 +191,7 @@ fn cells_of_robots(state: &State, row: &Member) -> Vec<(String, Role)> {
     let lag = row.last().map(|at| super::age(at, state.shown_at())).unwrap_or_default();
     let address = row.robot.and_then(|robot| robot.address.clone());
     let peer = || row.sender.and_then(|sender| sender.peer.clone()).map(|peer| format!("from {peer}"));
-    let bytes = row.sender.map(|sender| super::size(sender.bytes)).unwrap_or_default();
+    let bytes = row.sender.map(|sender| words::size(sender.bytes)).unwrap_or_default();
     vec![
         standing_now(state, row),
         (row.name(), Role::Body),
@@ -210,11 +211,8 @@ fn last(state: &State, row: &Member) -> (String, Role) {
 
 /// The clock if within a day, else the age.
 fn when(last: Timestamp, now: Timestamp) -> String {
-    if now.0.saturating_sub(last.0) < DAY { last.clock() } else { format!("{} ago", super::age(last, now)) }
+    if now.0.saturating_sub(last.0) < DAY { last.clock() } else { format!("{} ago", words::age(last, now)) }
 }
-
-/// Label, words, role.
-pub type Fact = (&'static str, String, Role);
 
 pub fn standing(row: &RobotRow) -> (String, Role) {
     let (mark, role) = match Standing::of(row) {
@@ -251,7 +249,7 @@ fn runs(row: &RobotRow) -> Fact {
 
 fn drift(row: &RobotRow, now: Timestamp) -> Option<Fact> {
     let since = row.drift_since?;
-    Some(("drift", format!("since {}, for {}", super::second(since), super::age(since, now)), Role::Warning))
+    Some(("drift", format!("since {}, for {}", words::second(since), words::age(since, now)), Role::Warning))
 }
 
 /// All but its topics and the policy's text.
@@ -260,12 +258,12 @@ pub fn facts(view: &RobotView, now: Timestamp) -> Vec<Fact> {
     let waiting = counted(row.waiting, "record");
     let seen = row.last_seen.map_or_else(
         || "never".to_owned(),
-        |at| format!("{}, {} ago; {waiting} wait here", super::second(at), super::age(at, now)),
+        |at| format!("{}, {} ago; {waiting} wait here", words::second(at), words::age(at, now)),
     );
     let (stands, role) = standing(row);
     let policy = match (row.wanted, view.set_at) {
         (0, _) => ("policy", "no policy was set".to_owned(), Role::Dim),
-        (_, Some(at)) => ("policy", format!("{stands}; set {}", super::second(at)), role),
+        (_, Some(at)) => ("policy", format!("{stands}; set {}", words::second(at)), role),
         (_, None) => ("policy", stands, role),
     };
     let mut facts = vec![policy, runs(row)];

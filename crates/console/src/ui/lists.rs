@@ -1,10 +1,11 @@
 //! The list screens: Topics, Uploads, Shared, Grants, Keys, Chain and Log.
 
 use super::bars::notice_level;
-use super::gateway::Fact;
+use super::canvas::{Canvas, below, right_of, row};
+use super::graph;
 use super::table::{Column, Layout, Sheet, draw as draw_table, order, with_local_time};
 use super::theme::Role;
-use super::{Canvas, below, plot, right_of, row};
+use super::words;
 use crate::app::leaving::{self, Capture};
 use crate::app::screens::topics::SAMPLES;
 use crate::app::screens::{LogLine, Records, Source, Wanted, day, is_active, is_given, key, other_side, scope, soon};
@@ -38,7 +39,7 @@ fn draw_known(canvas: &mut Canvas, area: Rect, state: &State, chain: &ChainView)
         ("Consensus", format!("{}{}", chain.consensus, sealing(chain))),
         ("Chain id", chain.chain_id.to_string()),
         ("Genesis", chain.genesis.to_string()),
-        ("Block", super::count(chain.block)),
+        ("Block", words::count(chain.block)),
         ("Contract", contract),
         ("Address", state.address().map_or_else(|| "no identity yet".to_owned(), |address| address.to_string())),
         ("Balance", ether(&chain.balance)),
@@ -93,8 +94,8 @@ fn gas(view: &GasView) -> String {
         return "nothing anchored yet".to_owned();
     }
     let each = view.gas / view.records;
-    let (transactions, records) = (super::count(view.transactions), super::count(view.records));
-    format!("{} per record ({records} records in the last {transactions} transactions)", super::count(each))
+    let (transactions, records) = (words::count(view.transactions), words::count(view.records));
+    format!("{} per record ({records} records in the last {transactions} transactions)", words::count(each))
 }
 
 fn administrator(state: &State, decided: &AdministrationView) -> String {
@@ -185,12 +186,15 @@ fn draw_fact(canvas: &mut Canvas, area: Rect, label: &str, value: &str, role: Ro
     canvas.put(right_of(area, LABEL), value, role);
 }
 
+/// Label, words, role.
+pub type Fact = (&'static str, String, Role);
+
 /// Returns the rows taken.
 pub fn draw_facts(canvas: &mut Canvas, area: Rect, facts: &[Fact]) -> u16 {
     for (place, (label, value, role)) in (0u16..).zip(facts) {
         draw_fact(canvas, row(area, place), label, value, *role);
     }
-    super::rows(facts.len())
+    super::canvas::rows(facts.len())
 }
 
 pub fn draw_keys(canvas: &mut Canvas, area: Rect, state: &State) {
@@ -291,13 +295,16 @@ const TOPIC_COLUMNS: &[Column] = &[
     Column::text("Watched", 13).named("watched"),
     Column::number("Hz", 7).named("hz"),
     Column::number("kB/s", 8).named("rate"),
-    Column::text("Last 8 s", 8).named("bars"),
+    Column::text("Last 16 s", 9).named("line"),
     Column::number("Captured", 9).named("captured"),
     Column::number("Lost t/r", 8).named("lost"),
     Column::number("Age", 6).named("age"),
     Column::text("", 3).below(100),
     Column::text("", 9).from(100),
 ];
+
+/// Cells of a topic's line, two seconds each.
+const CELLS: u16 = 8;
 
 /// Terminal width that fits all topic columns.
 const ALL_FROM: u16 = 170;
@@ -311,12 +318,8 @@ pub fn draw_topics(canvas: &mut Canvas, area: Rect, state: &State) {
     if !topics.table.marks.is_empty() {
         note.push_str(&format!(", {} marked", topics.table.marks.len()));
     }
-    let scale = if layout.has("bars") { topics.scale(state.shown_at()) } else { 0.0 };
-    if scale > 0.0 {
-        note.push_str(&format!(", bars to {} kB/s", super::kilobytes(Some(scale))));
-    }
     note.push_str(&layout.note());
-    let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| layout.pick(topic_cells(state, row, scale)));
+    let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| layout.pick(topic_cells(state, row)));
     let empty = empty(state, Feed::Topics, "No topics published yet; they appear here automatically.");
     let (title, columns) = ("Topics", &layout.columns);
     let sheet = Sheet { title, note, columns, keys: &keys, cells: &cells, table: &topics.table, empty, old: false };
@@ -338,13 +341,13 @@ fn draw_detail(canvas: &mut Canvas, area: Rect, topic: &TopicRow) {
     let last = topic.last_message.map(|last| format!(", last {}", last.clock())).unwrap_or_default();
     let type_name = topic.type_name.as_deref().unwrap_or("type not known yet");
     let lost = topic.lost_in_transport + topic.lost_in_recorder;
-    let lost = if lost > 0 { format!(", {} lost", super::count(lost)) } else { String::new() };
+    let lost = if lost > 0 { format!(", {} lost", words::count(lost)) } else { String::new() };
     let held = match topic.quarantined {
         0 if topic.alarm => String::from(", ALARM: suspect publisher (enter)"),
         0 => String::new(),
-        held => format!(", {} QUARANTINED", super::count(held)),
+        held => format!(", {} QUARANTINED", words::count(held)),
     };
-    let captured = super::count(topic.messages);
+    let captured = words::count(topic.messages);
     let detail = format!("{type_name} from {publishers}: {captured} captured{held}{lost}{last}");
     canvas.put(area, &detail, Role::Body);
 }
@@ -358,7 +361,7 @@ pub fn empty<'a>(state: &'a State, feed: Feed, nothing: &'a str) -> &'a str {
     }
 }
 
-fn topic_cells(state: &State, row: &TopicRow, scale: f64) -> Vec<(String, Role)> {
+fn topic_cells(state: &State, row: &TopicRow) -> Vec<(String, Role)> {
     let lost = format!("{}/{}", row.lost_in_transport, row.lost_in_recorder);
     let any_lost = row.lost_in_transport + row.lost_in_recorder > 0;
     vec![
@@ -367,12 +370,12 @@ fn topic_cells(state: &State, row: &TopicRow, scale: f64) -> Vec<(String, Role)>
         (row.publishers.join(" "), Role::Dim),
         pinned(row),
         watched_of(state, row),
-        (super::rate(row.hz), Role::Accent),
-        (super::kilobytes(row.bytes_per_second), Role::Body),
-        (plot::sparkline(&state.topics.samples(&row.topic, SAMPLES, state.shown_at()), scale), Role::Accent),
-        (super::count(row.messages), Role::Body),
+        (words::rate(row.hz), Role::Accent),
+        (words::kilobytes(row.bytes_per_second), Role::Body),
+        (graph::line(&state.topics.samples(&row.topic, SAMPLES, state.shown_at()), CELLS), Role::Accent),
+        (words::count(row.messages), Role::Body),
         (lost, if any_lost { Role::Warning } else { Role::Dim }),
-        (row.last_message.map(|last| super::age(last, state.shown_at())).unwrap_or_default(), Role::Dim),
+        (row.last_message.map(|last| words::age(last, state.shown_at())).unwrap_or_default(), Role::Dim),
         (if row.simulated { "SIM".to_owned() } else { String::new() }, Role::Dim),
         simulated(row.simulated),
     ]
@@ -524,7 +527,7 @@ fn record_cells(state: &State, row: &RecordView, with_owner: bool) -> Vec<(Strin
         (topic, Role::Body),
         (row.type_name.clone(), Role::Dim),
         (row.seq.to_string(), Role::Body),
-        (super::size(row.bytes), Role::Body),
+        (words::size(row.bytes), Role::Body),
         (state.clock(row.captured_at), Role::Dim),
         (row.epoch.to_string(), Role::Dim),
         (row.block.map(|block| block.to_string()).unwrap_or_default(), Role::Dim),

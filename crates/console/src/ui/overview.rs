@@ -2,13 +2,16 @@
 
 use ratatui::layout::Rect;
 
+use super::canvas::{Canvas, below, right_of, row};
+use super::graph::{Graph, SIDE, Scale};
 use super::table::{Column, draw_plain};
 use super::theme::Role;
-use super::{Canvas, bars, below, lists, plot, right_of, row};
+use super::words;
+use super::{bars, graph, lists};
 use crate::app::alerts::Alert;
-use crate::app::history::{Flow, highest};
+use crate::app::history::{Flow, Sample, cells, highest};
 use crate::app::update::Feed;
-use crate::app::{FirstStep, GRAPH_PARTS, State, first_steps};
+use crate::app::{FirstStep, State, first_steps};
 use crate::model::clean;
 use crate::service::reply::{LifeLine, SiteView};
 
@@ -41,7 +44,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
         let failure = state.feeds.slot(Feed::Site).failure.as_ref();
         let (text, role) =
             failure.map_or(("The site is starting…", Role::Dim), |failure| (&failure.message, Role::Bad));
-        let lines = super::wrap(&clean(text, 500), rest.width);
+        let lines = words::wrap(&clean(text, 500), rest.width);
         for (line, text) in (0u16..).zip(&lines) {
             canvas.put(row(rest, line), text, role);
         }
@@ -84,7 +87,7 @@ fn draw_life(canvas: &mut Canvas, area: Rect, state: &State, life: &LifeLine) ->
     let width = (area.width / 5).min(16);
     for (place, (name, count)) in (0u16..).zip(stations) {
         let column = Rect { width, ..right_of(area, place * width) };
-        let count = super::count(count);
+        let count = words::count(count);
         // `confirmed ›` and a gap must fit.
         let arrow = if place == 4 || width < 12 { "" } else { " ›" };
         canvas.puts(row(column, 0), &[(name, Role::Title), (arrow, Role::Dim)]);
@@ -95,7 +98,7 @@ fn draw_life(canvas: &mut Canvas, area: Rect, state: &State, life: &LifeLine) ->
     draw_law(canvas, row(area, 3), life);
     let lost = life.lost_in_transport > 0;
     if lost {
-        let text = format!("{} lost in transport before capture", super::count(life.lost_in_transport));
+        let text = format!("{} lost in transport before capture", words::count(life.lost_in_transport));
         canvas.put(row(area, 4), &text, Role::Warning);
     }
     below(area, 4 + u16::from(lost))
@@ -118,12 +121,12 @@ fn draw_law(canvas: &mut Canvas, area: Rect, life: &LifeLine) {
         ("✖ NOT balanced: ", Role::Bad)
     };
     let mut rest =
-        canvas.puts(area, &[(verdict, role), (&super::count(life.captured), Role::Accent), (" = ", Role::Dim)]);
+        canvas.puts(area, &[(verdict, role), (&words::count(life.captured), Role::Accent), (" = ", Role::Dim)]);
     // Unusual states show only if there are any: the line is short.
     let named = parts.into_iter().enumerate().filter(|(place, (count, ..))| *place < 2 || *count > 0);
     for (place, (count, name, role)) in named {
         let plus = if place == 0 { "" } else { " + " };
-        rest = canvas.puts(rest, &[(plus, Role::Dim), (&super::count(count), role), (" ", role), (name, Role::Dim)]);
+        rest = canvas.puts(rest, &[(plus, Role::Dim), (&words::count(count), role), (" ", role), (name, Role::Dim)]);
     }
     if life.right_ended + life.quarantined + life.dropped + life.tampered == 0 {
         canvas.put(rest, "; none held, dropped or tampered", Role::Dim);
@@ -174,8 +177,8 @@ fn draw_busiest(canvas: &mut Canvas, area: Rect, state: &State) {
         vec![
             (row.topic.clone(), Role::Body),
             (row.type_name.clone().unwrap_or_default(), Role::Dim),
-            (super::rate(row.hz), Role::Accent),
-            (super::kilobytes(row.bytes_per_second), Role::Body),
+            (words::rate(row.hz), Role::Accent),
+            (words::kilobytes(row.bytes_per_second), Role::Body),
             lists::watched(row),
             (if row.simulated { "SIM".to_owned() } else { String::new() }, Role::Dim),
             lists::simulated(row.simulated),
@@ -184,21 +187,25 @@ fn draw_busiest(canvas: &mut Canvas, area: Rect, state: &State) {
     draw_plain(canvas, area, COLUMNS, rows.collect());
 }
 
-const NAMES: u16 = 10;
+/// Columns of names and figures at the left of a low graph.
+const NAMES: u16 = 11;
 /// Columns and rows from which two high graphs stand side by side.
 const HIGH_FROM: (u16, u16) = (110, 26);
 const HIGH: u16 = 5;
+/// Of a low graph. A single row has too few levels to show a fall of a tenth.
+const LOW: u16 = 2;
 /// Kept for the busiest topics.
 const KEPT: u16 = 5;
-/// Graphs and their heading.
-const ROWS: u16 = 5;
+/// Two low graphs and their heading.
+const ROWS: u16 = 1 + 2 * LOW;
 
 struct Panel {
     name: &'static str,
+    now: String,
     text: String,
-    values: Vec<Option<f64>>,
-    scale: f64,
+    values: Vec<Option<Sample>>,
     role: Role,
+    marks: bool,
 }
 
 /// Returns what is left of `area`.
@@ -206,66 +213,77 @@ pub fn draw_flow(canvas: &mut Canvas, area: Rect, state: &State) -> Rect {
     if state.site.is_none() || area.height < ROWS + KEPT {
         return area;
     }
-    let flow = state.history.flow(state.period, GRAPH_PARTS, state.shown_at());
+    let high = area.width >= HIGH_FROM.0 && area.height >= HIGH_FROM.1;
+    let width = if high { (area.width / 2).saturating_sub(2) } else { area.width.saturating_sub(NAMES) };
+    let parts = 2 * usize::from(cells(width.saturating_sub(SIDE)));
+    let flow = state.history.flow(state.period, parts, state.shown_at());
     if !flow.any() {
         return area;
     }
     let minutes = |period: crate::app::history::Period| format!("{} min", period.minutes());
     let heading = format!("Last {}", minutes(state.period));
     let hint = format!("  m: {}", minutes(state.period.next()));
-    canvas.puts(row(area, 0), &[(&heading, Role::Title), (&hint, Role::Dim)]);
+    let mut rest = canvas.puts(row(area, 0), &[(&heading, Role::Title), (&hint, Role::Dim)]);
     let panels = panels(state, flow);
-    let rest = below(area, 1);
-    if area.width >= HIGH_FROM.0 && area.height >= HIGH_FROM.1 {
-        high(canvas, rest, &panels)
-    } else {
-        low(canvas, rest, &panels)
+    let area = below(area, 1);
+    if high {
+        return draw_high(canvas, area, &panels);
     }
+    let shown = if area.height >= 4 * LOW + KEPT { panels.len() } else { 2 };
+    for (place, panel) in panels.iter().enumerate().skip(shown) {
+        let gap = if place == shown { "  " } else { "; " };
+        rest = canvas
+            .puts(rest, &[(gap, Role::Dim), (panel.name, Role::Dim), (" ", Role::Dim), (&panel.text, Role::Body)]);
+    }
+    draw_low(canvas, area, panels.get(..shown).unwrap_or_default())
 }
 
 fn panels(state: &State, flow: Flow) -> [Panel; 4] {
-    let scale = highest(&flow.captured).max(highest(&flow.verified));
-    let rate = |now: f64, values: &[Option<f64>]| format!("{now:.1}/s, peak {:.1}", highest(values).max(now));
+    let rate = |now: f64, values: &[Option<Sample>]| format!("{now:.1}/s, peak {:.1}", highest(values).max(now));
     let after = flow.after.map_or_else(
         || "none verified".to_owned(),
-        |(half, most)| format!("p50 {}, p99 {}", super::seconds(half), super::seconds(most)),
+        |(half, most)| format!("p50 {}, p99 {}", words::seconds(half), words::seconds(most)),
     );
+    let last = flow.after.map_or_else(String::new, |(_, most)| format!("p99 {}", words::seconds(most)));
     let pending = state.pending_records();
     let most = highest(&flow.pending).max(f64::from(u32::try_from(pending).unwrap_or(u32::MAX)));
-    let panel = |name, text, values, scale, role| Panel { name, text, values, scale, role };
+    let waiting = format!("{}, peak {most:.0}", words::count(pending));
     let (captured, verified) = (state.rates.captured(), state.rates.verified());
-    let (captured, verified) = (rate(captured, &flow.captured), rate(verified, &flow.verified));
-    let (waiting, slowest) = (highest(&flow.pending), highest(&flow.slowest));
+    // The others come in batches, so all their parts would be marked.
+    let panel = |name, now, text, values, role| Panel { name, now, text, values, role, marks: name == "captured" };
+    let captured_text = rate(captured, &flow.captured);
+    let verified_text = rate(verified, &flow.verified);
     [
-        panel("captured", captured, flow.captured, scale, Role::Accent),
-        panel("verified", verified, flow.verified, scale, Role::Good),
-        panel("pending", format!("{}, peak {most:.0}", super::count(pending)), flow.pending, waiting, Role::Warning),
-        panel("latency", after, flow.slowest, slowest, Role::Body),
+        panel("captured", format!("{captured:.1}/s"), captured_text, flow.captured, Role::Accent),
+        panel("verified", format!("{verified:.1}/s"), verified_text, flow.verified, Role::Good),
+        panel("latency", last, after, flow.slowest, Role::Body),
+        panel("pending", words::count(pending), waiting, flow.pending, Role::Warning),
     ]
 }
 
-/// A row each: name, bars, figures.
-fn low(canvas: &mut Canvas, area: Rect, panels: &[Panel]) -> Rect {
-    let bars = u16::try_from(GRAPH_PARTS).unwrap_or(u16::MAX).min(area.width.saturating_sub(NAMES + 24));
-    for (line, panel) in (0u16..).zip(panels) {
-        let place = row(area, line);
-        canvas.put(place, panel.name, Role::Dim);
-        let place = right_of(place, NAMES);
-        plot::draw_graph(canvas, Rect { width: bars, ..place }, &panel.values, panel.scale, panel.role);
-        canvas.put(right_of(place, bars + 1), &panel.text, Role::Body);
-    }
-    below(area, ROWS - 1)
+fn draw_line(canvas: &mut Canvas, area: Rect, panel: &Panel) {
+    let Panel { values, role, marks, .. } = panel;
+    graph::draw(canvas, area, &Graph { values, scale: Scale::around(values), role: *role, marks: *marks });
+}
+
+/// One below the other: name and figure, line, scale.
+fn draw_low(canvas: &mut Canvas, area: Rect, panels: &[Panel]) -> Rect {
+    panels.iter().fold(area, |area, panel| {
+        canvas.put(row(area, 0), panel.name, Role::Dim);
+        canvas.put(row(area, 1), &panel.now, Role::Body);
+        draw_line(canvas, Rect { height: LOW, ..right_of(area, NAMES) }, panel);
+        below(area, LOW)
+    })
 }
 
 /// Side by side, figures above.
-fn high(canvas: &mut Canvas, area: Rect, panels: &[Panel]) -> Rect {
+fn draw_high(canvas: &mut Canvas, area: Rect, panels: &[Panel]) -> Rect {
     let width = area.width / 2;
     for (place, panel) in (0u16..).zip(panels) {
         let here = below(right_of(area, place % 2 * width), place / 2 * (HIGH + 2));
-        let here = Rect { width: width - 2, ..here };
+        let here = Rect { width: width.saturating_sub(2), ..here };
         canvas.puts(row(here, 0), &[(panel.name, Role::Title), ("  ", Role::Body), (&panel.text, Role::Body)]);
-        let bars = Rect { height: HIGH.min(here.height.saturating_sub(1)), ..below(here, 1) };
-        plot::draw_graph(canvas, bars, &panel.values, panel.scale, panel.role);
+        draw_line(canvas, Rect { height: HIGH.min(here.height.saturating_sub(1)), ..below(here, 1) }, panel);
     }
     below(area, 2 * (HIGH + 2))
 }

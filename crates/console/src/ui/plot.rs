@@ -1,17 +1,18 @@
-//! Points of a plane in Braille dots, two by four to a cell, both axes to one scale; graphs; pixels as half blocks.
+//! Points of a plane in Braille dots, two by four to a cell, both axes to one scale; pixels as half blocks.
 
 use ratatui::layout::Rect;
 use ratatui::style::{Color, Style};
 
+use super::bars;
+use super::canvas::{Canvas, Placement, below, row};
 use super::theme::{Depth, Rgb, Role, SIXTEEN, distance};
-use super::{Canvas, bars, below, row};
 use crate::ros::readable::{Plot, Raster};
 
 /// Smallest width plotted, in units of the axes.
 const LEAST: f64 = 0.1;
 
 /// Braille bit of a column and row in the cell.
-const DOTS: [[u8; 4]; 2] = [[0x01, 0x02, 0x04, 0x40], [0x08, 0x10, 0x20, 0x80]];
+pub const DOTS: [[u8; 4]; 2] = [[0x01, 0x02, 0x04, 0x40], [0x08, 0x10, 0x20, 0x80]];
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Window {
@@ -120,47 +121,11 @@ fn between(from: (u16, u16), to: (u16, u16)) -> impl Iterator<Item = (u16, u16)>
     (0..=steps).map(move |step| (along(from.0, to.0, step), along(from.1, to.1, step)))
 }
 
-const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
-
-/// A given scale makes adjacent rows comparable.
-pub fn sparkline(samples: &[f64], scale: f64) -> String {
-    samples.iter().map(|sample| bar(Some(*sample), scale, 0, 1)).collect()
-}
-
-/// The newest value is at the right edge.
-pub fn draw_graph(canvas: &mut Canvas, area: Rect, values: &[Option<f64>], scale: f64, role: Role) {
-    let shown = values.get(values.len().saturating_sub(usize::from(area.width))..).unwrap_or(values);
-    for level in 0..area.height {
-        let line: String = shown.iter().map(|value| bar(*value, scale, level, area.height)).collect();
-        canvas.put(row(area, area.height - 1 - level), &line, role);
-    }
-}
-
-/// `level` counts rows above the ground.
-fn bar(value: Option<f64>, scale: f64, level: u16, rows: u16) -> char {
-    let Some(value) = value.filter(|value| value.is_finite()) else { return ' ' };
-    if value <= 0.0 || scale <= 0.0 {
-        return if level == 0 { '.' } else { ' ' };
-    }
-    let eighths = (value / scale).min(1.0) * f64::from(rows) * 8.0;
-    // Any value above zero has at least an eighth.
-    let eighths = eighths.max(1.0) - f64::from(level) * 8.0;
-    let filled = (1u8..=8).take_while(|eighth| eighths + 0.5 > f64::from(*eighth)).count();
-    filled.checked_sub(1).and_then(|place| BARS.get(place)).copied().unwrap_or(' ')
-}
-
 /// Dark to bright.
 const RAMP: &[u8] = b" .:-=+*#%@";
 
 /// Thresholds of ordered dithering, 0 to 15.
 pub const BAYER: [[u8; 4]; 4] = [[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]];
-
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Placement {
-    /// All of them empty.
-    pub area: Rect,
-    pub raster: Raster,
-}
 
 /// Upper left of `area`, as large as fits, keeping the shape.
 pub fn draw_raster(canvas: &mut Canvas, area: Rect, raster: &Raster) {
@@ -229,7 +194,7 @@ fn dithered(pixel: [u8; 3], place: (usize, usize)) -> Rgb {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ui::Theme;
+    use crate::ui::theme::Theme;
     use ratatui::buffer::Buffer;
 
     fn drawn(points: Vec<(f64, f64)>, path: bool, here: Option<(f64, f64)>) -> Vec<String> {
@@ -262,36 +227,9 @@ mod tests {
 }
 
 #[cfg(test)]
-mod graph_tests {
-    use super::*;
-    use crate::ui::Theme;
-    use ratatui::buffer::Buffer;
-
-    #[test]
-    fn bars_are_compared_on_one_scale_and_a_stop_is_a_dot() {
-        assert_eq!(sparkline(&[0.0, 14.0, 58.0, 116.0], 116.0), ".▁▄█");
-        assert_eq!(sparkline(&[14.0, 14.0, 0.0], 116.0), "▁▁.");
-        assert_eq!(sparkline(&[0.0, 0.0], 0.0), "..");
-        assert_eq!(sparkline(&[0.001], 1e9), "▁", "little is not nothing");
-        assert_eq!(sparkline(&[f64::NAN, f64::INFINITY], 1.0), "  ");
-    }
-
-    #[test]
-    fn a_graph_stands_on_its_ground_and_leaves_out_what_is_not_known() {
-        let theme = Theme::named("night").expect("embedded");
-        let area = Rect::new(0, 0, 4, 2);
-        let mut buffer = Buffer::empty(area);
-        let values = [Some(9.0), None, Some(0.0), Some(8.0), Some(16.0)];
-        draw_graph(&mut Canvas::new(&mut buffer, &theme), area, &values, 16.0, Role::Accent);
-        let rows: Vec<String> = (0..2).map(|y| (0..4).map(|x| buffer[(x, y)].symbol()).collect()).collect();
-        assert_eq!(rows, ["   █", " .██"]);
-    }
-}
-
-#[cfg(test)]
 mod raster_tests {
     use super::*;
-    use crate::ui::Theme;
+    use crate::ui::theme::Theme;
     use ratatui::buffer::Buffer;
 
     fn drawn(raster: &Raster, depth: Depth, ascii: bool) -> Buffer {
@@ -330,7 +268,7 @@ mod raster_tests {
         let mut buffer = Buffer::empty(Rect::new(0, 0, 40, 12));
         let mut canvas = Canvas::new(&mut buffer, theme);
         draw_raster(&mut canvas, Rect::new(3, 2, 30, 10), raster);
-        canvas.put(Rect::new(12, 7, 5, 1), over, crate::ui::Role::Body);
+        canvas.put(Rect::new(12, 7, 5, 1), over, crate::ui::theme::Role::Body);
         canvas.placement()
     }
 

@@ -2,8 +2,8 @@
 
 use ratatui::layout::{Position, Rect};
 
+use super::canvas::{Canvas, below, columns, right_of, row};
 use super::theme::Role;
-use super::{Canvas, below, columns, right_of, row};
 use crate::app::choosing::wanted;
 use crate::app::table::Table;
 use crate::app::{Screen, State};
@@ -115,10 +115,6 @@ impl Layout {
     /// Picks from the cells of all columns.
     pub fn pick(&self, mut cells: Vec<(String, Role)>) -> Vec<(String, Role)> {
         self.places.iter().map(|place| cells.get_mut(*place).map(std::mem::take).unwrap_or_default()).collect()
-    }
-
-    pub fn has(&self, name: &str) -> bool {
-        self.columns.iter().any(|column| column.name == name)
     }
 
     /// Names chosen columns without room.

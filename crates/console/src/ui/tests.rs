@@ -1,5 +1,6 @@
 //! Every screen and popup as text at operators' usual sizes, and hostile text on all of them.
 
+mod graphs;
 mod hostile;
 mod rows;
 

@@ -3,14 +3,15 @@
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 
+use crate::app::history::{Sample, window};
 use crate::app::palette;
 use crate::app::table::Table;
 use crate::model::Timestamp;
 use crate::service::reply::TopicRow;
 
 const MOST_TOPICS: usize = 5_000;
-/// Samples in a sparkline.
-pub const SAMPLES: usize = 8;
+/// Samples in the line of a row.
+pub const SAMPLES: usize = 16;
 /// Samples kept, for the pane.
 pub const KEPT_SAMPLES: usize = 60;
 /// Nanoseconds between samples.
@@ -22,7 +23,8 @@ pub struct Topics {
     pub rows: Vec<TopicRow>,
     pub table: Table,
     history: HashMap<String, VecDeque<f64>>,
-    sampled_at: Timestamp,
+    /// The second of the newest samples.
+    sampled: u64,
     /// Robots shown as one row.
     folded: BTreeSet<String>,
     /// Their rows.
@@ -56,9 +58,9 @@ impl Topics {
         self.refresh(true);
         let keys = self.keys();
         self.table.settle(&keys);
-        let missed = usize::try_from(now.0.saturating_sub(self.sampled_at.0) / SAMPLE_EVERY).unwrap_or(KEPT_SAMPLES);
+        let missed = self.unsampled(now);
         if missed > 0 {
-            self.sampled_at = now;
+            self.sampled = now.0 / SAMPLE_EVERY;
             self.sample(missed - 1);
         }
     }
@@ -81,17 +83,25 @@ impl Topics {
         }
     }
 
-    /// Bytes per second over at most the last `most` seconds, oldest first; the last value holds until the next.
-    pub fn samples(&self, topic: &str, most: usize, now: Timestamp) -> Vec<f64> {
+    fn unsampled(&self, now: Timestamp) -> usize {
+        usize::try_from((now.0 / SAMPLE_EVERY).saturating_sub(self.sampled)).unwrap_or(KEPT_SAMPLES)
+    }
+
+    /// Bytes a second in each second of a [`window`]; the last value holds until the next.
+    pub fn samples(&self, topic: &str, seconds: usize, now: Timestamp) -> Vec<Option<Sample>> {
         let mut samples: Vec<f64> = match self.robot(topic) {
             None => self.history.get(topic).map(|samples| samples.iter().copied().collect()).unwrap_or_default(),
             Some(robot) => self.samples_of(robot),
         };
-        let since = usize::try_from(now.0.saturating_sub(self.sampled_at.0) / SAMPLE_EVERY).unwrap_or(most);
         if let Some(last) = samples.last().copied() {
-            samples.extend(std::iter::repeat_n(last, since.min(most)));
+            samples.extend(std::iter::repeat_n(last, self.unsampled(now).min(seconds)));
         }
-        samples.split_off(samples.len().saturating_sub(most))
+        let over = now.0 / SAMPLE_EVERY + 1;
+        let value = |second: u64| {
+            let back = usize::try_from(over.checked_sub(second)?).ok()?;
+            samples.get(samples.len().checked_sub(back)?).copied()
+        };
+        window(over, seconds).map(|second| value(second).map(Sample::level)).collect()
     }
 
     fn samples_of(&self, robot: &str) -> Vec<f64> {
@@ -103,12 +113,6 @@ impl Topics {
             }
         }
         sums
-    }
-
-    /// Common scale of all sparklines.
-    pub fn scale(&self, now: Timestamp) -> f64 {
-        let highest = |row: &TopicRow| self.samples(&row.topic, SAMPLES, now).into_iter().fold(0.0, f64::max);
-        self.visible().into_iter().map(highest).fold(0.0, f64::max)
     }
 
     /// Filtered and in order, folded robots in one row each.

@@ -57,11 +57,12 @@ impl Robot {
         robot
     }
 
-    /// So many seconds at 44 records a second.
+    /// Seconds at 44 records a second, with a minute of fewer and a stop of three seconds.
     pub fn sees_records_flow(&mut self, seconds: u64) {
         for second in 1..=seconds {
             self.waits(1);
-            let (captured, late) = (12_345 + 44 * second, 30 + 20 * (second / 60 % 2));
+            let (fewer, stopped) = (second.saturating_sub(200).min(60), second.saturating_sub(430).min(3));
+            let (captured, late) = (12_345 + 44 * (second - stopped) - 6 * fewer, 30 + 20 * (second / 60 % 2));
             let verified = captured - late;
             let life = LifeLine {
                 captured,

@@ -351,9 +351,10 @@ fn submitted(mut robot: Robot) -> Robot {
     robot
 }
 
-/// Ten minutes at 44 records a second, then a number of seconds in which nothing came.
+/// Ten minutes at 44 records a second, then a number of seconds in which nothing came; the README's picture.
 fn flowing(size: Size, after: u64) -> Robot {
     let mut robot = at(Screen::Overview, size);
+    robot.state.topics.rows.retain(|row| row.simulated);
     robot.sees_records_flow(590);
     robot.waits(after);
     robot

@@ -1,5 +1,6 @@
 //! Popups in the middle of the screen; the large ones are in `windows`.
 
+mod frame;
 mod windows;
 
 pub(in crate::ui) use windows::{
@@ -9,10 +10,12 @@ pub(in crate::ui) use windows::{
 use ratatui::layout::{Position, Rect};
 use strum::IntoEnumIterator as _;
 
+use self::frame::{draw_list, framed, name_role};
+use super::canvas::{Canvas, below, columns, right_of, row, rows};
 use super::lists::{self, empty};
 use super::table::Layout;
 use super::theme::Role;
-use super::{Canvas, below, columns, right_of, row, rows, wrap};
+use super::words::wrap;
 use crate::app::available::available;
 use crate::app::choosing::{ALWAYS, ColumnChoice, ThemeChoice, choices, offered, wanted};
 use crate::app::form::{Form, Input, Line};
@@ -51,15 +54,6 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
         Popup::Incidents(list) => windows::draw_incidents(canvas, area, state, list),
         Popup::Quit(leaving) => draw_quit(canvas, area, state, *leaving),
     }
-}
-
-/// At most that size, centred; returns the space inside.
-fn framed(canvas: &mut Canvas, area: Rect, title: &str, width: u16, height: u16) -> Rect {
-    let width = (width + 4).min(area.width.saturating_sub(2));
-    let height = (height + 2).min(area.height);
-    let x = area.x + (area.width - width) / 2;
-    let y = area.y + (area.height - height) / 2;
-    canvas.frame(Rect { x, y, width, height }, title)
 }
 
 /// The last line is the answer's.
@@ -106,28 +100,6 @@ fn draw_quit(canvas: &mut Canvas, area: Rect, state: &State, leaving: Leaving) {
         .flat_map(|(key, word)| [(*key, Role::Key), (" ", Role::Body), (*word, Role::Body), (gap, Role::Body)])
         .collect();
     draw_text(canvas, area, "Quit?", &leaving.lines(state), &answer);
-}
-
-/// Draws the cursor's page; `line` draws a row beside the mark.
-fn draw_list<T>(
-    canvas: &mut Canvas,
-    area: Rect,
-    all: &[T],
-    selected: usize,
-    line: impl Fn(&mut Canvas, Rect, &T, bool),
-) {
-    let selected = selected.min(all.len().saturating_sub(1));
-    let height = usize::from(area.height.max(1));
-    let first = selected - selected % height;
-    for (place, (index, one)) in (0u16..).zip(all.iter().enumerate().skip(first).take(height)) {
-        let (area, here) = (row(area, place), index == selected);
-        canvas.put(area, if here { "▌" } else { " " }, Role::Accent);
-        line(canvas, right_of(area, 1), one, here);
-    }
-}
-
-fn name_role(here: bool) -> Role {
-    if here { Role::Selection } else { Role::Body }
 }
 
 const TEXT: u16 = 34;

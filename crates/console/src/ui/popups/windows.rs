@@ -1,6 +1,6 @@
 //! The large popups: records, readers, publishers, tasks, robots, incidents.
 
-use super::{draw_list, framed, name_role};
+use super::frame::{draw_list, framed, name_role};
 use crate::app::incidents::IncidentList;
 use crate::app::opening::{BYTES_A_LINE, Face, Opening};
 use crate::app::popup::{Lookup, readers};
@@ -14,10 +14,11 @@ use crate::service::reply::{
     AlarmView, GrantRow, IncidentNoteView, IncidentView, OpenedView, PinView, PinsView, Provenance, RecordView,
     RobotView, ShownState, SpanCoverageView, TaskState, TaskView,
 };
-use crate::ui::gateway::{self, Fact};
-use crate::ui::lists::{empty, state_role};
+use crate::ui::canvas::{Canvas, below, columns, right_of, row, rows};
+use crate::ui::lists::{Fact, empty, state_role};
 use crate::ui::theme::Role;
-use crate::ui::{self, Canvas, bars, below, columns, count, plot, right_of, row, rows, size, wrap};
+use crate::ui::words::{self, count, size, wrap};
+use crate::ui::{bars, gateway, plot};
 use ratatui::layout::Rect;
 use strum::IntoEnumIterator as _;
 
@@ -269,9 +270,9 @@ fn draw_lines(canvas: &mut Canvas, area: Rect, title: &str, lines: &[Piece], scr
     let width = area.width.saturating_sub(6).min(100);
     let wrapped: Vec<Piece> = lines
         .iter()
-        .flat_map(|(text, role)| ui::wrap(&clean(text, 1_000), width).into_iter().map(|line| (line, *role)))
+        .flat_map(|(text, role)| words::wrap(&clean(text, 1_000), width).into_iter().map(|line| (line, *role)))
         .collect();
-    let widest = wrapped.iter().map(|(line, _)| crate::ui::columns(line)).max().unwrap_or(0);
+    let widest = wrapped.iter().map(|(line, _)| columns(line)).max().unwrap_or(0);
     let inner = framed(canvas, area, title, widest.max(40), rows(wrapped.len()));
     let first = scroll.min(wrapped.len().saturating_sub(usize::from(inner.height)));
     for (place, (line, role)) in (0..inner.height).zip(wrapped.iter().skip(first)) {
@@ -420,7 +421,7 @@ fn workers(state: &State) -> Vec<Piece> {
     for task in tasks.iter().filter(|task| task.state != TaskState::Running || task.restarts > 0) {
         let next = task.next_try.map_or_else(String::new, |seconds| format!(", retry in {seconds} s"));
         let why = task.reason.as_deref().map_or_else(String::new, |reason| format!(": {reason}"));
-        let text = format!("{:<15} restarted {}{next}{why}", task.name, ui::times(task.restarts));
+        let text = format!("{:<15} restarted {}{next}{why}", task.name, words::times(task.restarts));
         lines.push((text, if task.state == TaskState::Running { Role::Warning } else { Role::Bad }));
     }
     lines
@@ -431,7 +432,7 @@ fn records_on_their_way(state: &State) -> Vec<Piece> {
     let life = &site.life;
     let queue = &site.queue;
     let full = queue.bytes.saturating_mul(100).checked_div(queue.capacity).unwrap_or(0);
-    let (messages, bytes) = (many(queue.messages, "message"), ui::size(queue.bytes));
+    let (messages, bytes) = (many(queue.messages, "message"), words::size(queue.bytes));
     let stored = format!("{:<15} {messages}, {bytes} (buffer {full} % full)", "to be stored");
     let mut lines = vec![(stored, if full >= 80 { Role::Bad } else { Role::Body })];
     let stations = [
@@ -439,7 +440,7 @@ fn records_on_their_way(state: &State) -> Vec<Piece> {
         ("to be confirmed", life.anchored.saturating_sub(life.confirmed)),
         ("to be verified", life.confirmed.saturating_sub(life.verified + life.tampered)),
     ];
-    lines.extend(stations.into_iter().map(|(what, count)| (format!("{what:<15} {}", ui::count(count)), Role::Body)));
+    lines.extend(stations.into_iter().map(|(what, count)| (format!("{what:<15} {}", words::count(count)), Role::Body)));
     lines.push((left(life.pending, state.rates.captured(), state.rates.verified()), Role::Accent));
     lines
 }
@@ -449,7 +450,7 @@ fn left(pending: u64, captured: f64, verified: f64) -> String {
     if pending == 0 {
         return "all captured records are verified, quarantined or accounted for".to_owned();
     }
-    let count = ui::count(pending);
+    let count = words::count(pending);
     if verified < 0.1 {
         return format!("{count} pending; nothing is being verified right now");
     }
@@ -536,7 +537,7 @@ pub fn draw_incidents(canvas: &mut Canvas, area: Rect, state: &State, list: &Inc
     let incidents = &state.incidents.rows;
     let told: Vec<Piece> = holdings(state, chosen)
         .into_iter()
-        .flat_map(|(text, role)| ui::wrap(&text, width).into_iter().map(move |line| (line, role)))
+        .flat_map(|(text, role)| words::wrap(&text, width).into_iter().map(move |line| (line, role)))
         .collect();
     // The list takes a third, however many there are.
     let listed = rows(incidents.len()).min((area.height.saturating_sub(4) / 3).max(1));
@@ -553,7 +554,10 @@ fn draw_incident(canvas: &mut Canvas, line: Rect, incident: &IncidentView, here:
     canvas.put(rest, word, role);
     let topics = incident.coverage.iter().filter(|one| one.records > 0).count() as u64;
     let held = format!("{} in {}", many(incident.records, "record"), counted(topics, "topic"));
-    canvas.puts(right_of(rest, STATE), &[(&held, Role::Body), (&format!(", {}", ui::size(incident.bytes)), Role::Dim)]);
+    canvas.puts(
+        right_of(rest, STATE),
+        &[(&held, Role::Body), (&format!(", {}", words::size(incident.bytes)), Role::Dim)],
+    );
 }
 
 /// Says how many lines are above and below.
@@ -571,7 +575,7 @@ fn draw_told(canvas: &mut Canvas, area: Rect, told: &[Piece], scroll: usize) {
 }
 
 fn many(count: u64, one: &str) -> String {
-    format!("{} {one}{}", ui::count(count), if count == 1 { "" } else { "s" })
+    format!("{} {one}{}", words::count(count), if count == 1 { "" } else { "s" })
 }
 
 /// Span, notes, and coverage of each topic.
@@ -615,7 +619,7 @@ fn topic(state: &State, one: &SpanCoverageView) -> Vec<Piece> {
     let missing: Vec<String> = missing
         .into_iter()
         .filter(|(count, _)| *count > 0)
-        .map(|(count, word)| format!("{} {word}", ui::count(count)))
+        .map(|(count, word)| format!("{} {word}", words::count(count)))
         .collect();
     if !missing.is_empty() {
         lines.push((format!("  {}", missing.join(", ")), Role::Warning));
