@@ -80,7 +80,7 @@ impl Webhook {
                 "the webhook at {host} answered {code} and points at {place}, which is not followed; set alerts.webhook \
                  to that address"
             ),
-            (None, 401) => at("webhook", "wants a user name and password", "check alerts.webhook"),
+            (None, 401) => at("webhook", "requires a user name and password", "check alerts.webhook"),
             (None, 404) => at("webhook", "has nothing at this path", "check alerts.webhook"),
             (None, 413) => at("webhook", "finds the delivery too large", "raise its limit"),
             (None, 429) => at("webhook", "limits how often it accepts alerts", "this one is sent again later"),
