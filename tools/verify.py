@@ -5,7 +5,7 @@
 
 It says of each record whether level (a), (b), (c) and (e) are proven, own_chain, unproven, absent or refused, and of each topic
 what (f) comes to, as JSON, and ends with 0 where (a) to (c) are proven for all by what was pinned and the exporter's key is that
-of their owner or pinned, 8 where something is not proven or holds by the exporter's own chain alone, 6 where something is refused, 3 where the trust file cannot be used. It is
+of their owner or pinned, 8 where something is not proven or holds by the exporter's self-sealed chain alone, 6 where something is refused, 3 where the trust file cannot be used. It is
 slow, on purpose: it can be read in one sitting. A recorded file is compared with what an opened record states of it. Bodies packed by the matrix code are opened and not unpacked, and it says so.
 """
 import base64
@@ -893,11 +893,11 @@ class Record:
             loan = storage.word(mapped(self.header["signer"], mapped(owner, 9)))
             recalled, lent, until = struct.unpack(">3Q", loan[7:31])
             if lent > self.block and self.shown_at > self.block:
-                raise Unproven("lent again later; what applied at the block is not shown")
+                raise Unproven("authorised again later; what applied at the block is not shown")
             if not lent or lent > self.block or 0 < recalled <= self.block or (until and self.time >= until):
-                raise Refused("the key was neither the owner's nor lent")
+                raise Refused("the key was neither the owner's nor an authorised device's")
             if until and not self.time:
-                raise Unproven("the loan had an end, but the block's time is not shown")
+                raise Unproven("the device's authorisation had an end, but the block's time is not shown")
         suspended = storage.word(mapped(owner, 10))[7] != 0
         if self.account == owner and self.block != self.shown_at and not suspended:
             return "proven"  # for the moment of anchoring: the contract lets no suspended account anchor

@@ -405,8 +405,8 @@ mod tests {
             messages: BTreeMap::new(),
         };
         let [verdict, levels] = summary(&report);
-        assert_eq!(verdict, "3 records, 0 topics: NOT EVERYTHING IS PROVEN: the levels show what is not");
-        assert_eq!(levels, "(a) proven; (b) 1 own chain, 2 not proven; (c) own chain; (d) absent; (e) absent");
+        assert_eq!(verdict, "3 records, 0 topics: NOT FULLY PROVEN: the levels show what is missing");
+        assert_eq!(levels, "(a) proven; (b) 1 self-sealed chain, 2 not proven; (c) self-sealed chain; (d) absent; (e) absent");
     }
 
     #[test]
@@ -415,7 +415,7 @@ mod tests {
         assert!(is_whole(&whole));
         let told = about(&whole, true);
         assert_eq!(told.len(), 1, "{told:?}");
-        assert!(told[0].ends_with("owner unreadable: (a) proven, (b) (c) own chain"), "{told:?}");
+        assert!(told[0].ends_with("owner unreadable: (a) proven, (b) (c) self-sealed chain"), "{told:?}");
         assert!(about(&whole, false).concat().contains("why"));
         let level = |standing| Level::new(standing, "why");
         assert!(is_whole(&RecordReport { time: level(Standing::Unproven), ..whole.clone() }), "nobody was pinned");
