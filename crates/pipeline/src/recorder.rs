@@ -359,7 +359,7 @@ fn words(notice: &CaptureNotice) -> Option<(bool, String)> {
             (true, format!("{count} messages of {caller_id} on {topic} never arrived: counted as lost in transport"))
         }
         CaptureNotice::ReadingBroken { reason } => {
-            (true, format!("reading ROS 2 broke off and is being restarted; what is missing will be counted: {reason}"))
+            (true, format!("reading ROS 2 broke off and is being restarted; missing messages will be counted: {reason}"))
         }
         CaptureNotice::EndUnknown { topic, caller_id, at_least } => {
             let text = "vanished while ROS 2 was not read: at least";
