@@ -105,7 +105,7 @@ fn a_robots_record_is_evidence_for_whoever_has_neither_home_nor_keys() {
     let stranger = Authros::bare(nobody.root());
     let arguments = ["verify", &folder, "--chain", &format!("http://{url}")];
     let told = stranger.run(&arguments).expect_code(0).stdout;
-    assert!(told.contains("VERIFIED") && told.contains("a device that") && told.contains("had lent"), "{told}");
+    assert!(told.contains("VERIFIED") && told.contains("a device that") && told.contains("had authorised"), "{told}");
     let found = stranger.run(&[&arguments[..], &["--json"]].concat()).expect_code(0).document();
     assert!(list(&found, "steps").iter().all(|step| step["ok"] == true), "{found}");
     assert!(!nobody.path().exists(), "no home was made");

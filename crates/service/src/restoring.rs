@@ -127,7 +127,7 @@ fn unread(file: &Path, error: &io::Error) -> Failure {
     let file = shown(file);
     match error.kind() {
         io::ErrorKind::PermissionDenied if error.get_ref().is_some() => {
-            refused(format!("wrong passphrase for {file}; use the one given when it was backed up"))
+            refused(format!("wrong passphrase for {file}; use the passphrase it was backed up with"))
         }
         io::ErrorKind::InvalidData | io::ErrorKind::UnexpectedEof => Failure::new(
             ErrorKind::Tampered,

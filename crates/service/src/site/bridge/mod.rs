@@ -170,7 +170,7 @@ impl Names {
         let mut remaps = HashMap::new();
         for remap in &wishes.remaps {
             if remaps.insert(remap.from.to_string(), remap.to.to_string()).is_some() {
-                return Err(input(format!("{} is remapped twice; give it one name", remap.from)));
+                return Err(input(format!("{} is remapped twice; give it a single name", remap.from)));
             }
         }
         let prefix = wishes.prefix.as_ref().map(TopicName::to_string);
