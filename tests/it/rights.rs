@@ -7,7 +7,7 @@ use crate::support;
 
 use support::{Authros, Home, Running, count, free_port, heavy, list, text, wait_until};
 
-const WAITS: &str = "waits: right ended";
+const WAITS: &str = "waits: unauthorised";
 const TOPICS: [&str; 2] = ["/robot1/odom", "/robot2/odom"];
 
 fn life(authros: &Authros) -> Value {
@@ -54,7 +54,7 @@ fn suspensions_under_load_lose_nothing_and_what_waited_goes_on_by_itself() {
     let held = alice.run(&["uploads", "list", "--state", WAITS]).expect_code(0).stdout;
     assert!(held.contains(WAITS), "{held}");
     let status = alice.run(&["status"]).stdout;
-    assert!(status.contains("+ right ended ") && status.contains("chain restore"), "{status}");
+    assert!(status.contains("+ unauthorised ") && status.contains("chain restore"), "{status}");
     assert!(site.stderr().contains("records are kept but not anchored"), "{}", site.stderr());
     let before = count(&life(&alice), "verified");
     boss.json(&["chain", "restore", &address]);
