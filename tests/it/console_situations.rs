@@ -134,7 +134,7 @@ fn a_site_is_left_running_in_the_consoles_place() {
     wait_until(PATIENCE, "a first record", || Some(()).filter(|()| !authros.records(&["uploads", "list"]).is_empty()));
     // A wrong passphrase costs nothing: the site captures while it is asked for.
     operator.presses("q").sees("leave it running").presses("s").sees("Passphrase of profile");
-    operator.presses("another passphrase\r").sees("does not open it").presses(PASSPHRASE).presses("\r");
+    operator.presses("another passphrase\r").sees("Wrong passphrase").presses(PASSPHRASE).presses("\r");
     operator.sees("serving").sees("stop it with: kill -INT");
     operator.is_gone();
     let shown = operator.0.shown();

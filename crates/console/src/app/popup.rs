@@ -224,7 +224,7 @@ pub fn grant(state: &State, wish: GrantWish) -> Confirm {
         String::new(),
     ];
     lines.extend(readers(state, "Current readers:", None));
-    lines.push("A later revoke stops new records; what was read cannot be recalled.".to_owned());
+    lines.push("A later revoke stops new records; what was read cannot be taken back.".to_owned());
     let GrantWish { grantee, topics, epochs, expires } = wish;
     let tag = Tag::Grant(grantee.clone());
     let errand = Errand { command: Command::Grant { grantee, topics, epochs, expires }, tag };
@@ -237,7 +237,7 @@ pub fn revoke(state: &State, row: &GrantRow) -> Confirm {
         format!("Shared  {}, {}{}", scope(&row.topics), end(row.expires), earlier(row)),
         String::new(),
         "The next record is sealed under a new key that this account does not get.".to_owned(),
-        "What was already read cannot be recalled, and records sealed before".to_owned(),
+        "What was already read cannot be taken back, and records sealed before".to_owned(),
         "stay readable to anyone who has their key.".to_owned(),
         "This is a transaction; to share again, make a new grant.".to_owned(),
         String::new(),

@@ -100,7 +100,7 @@ fn gas(view: &GasView) -> String {
 fn administrator(state: &State, decided: &AdministrationView) -> String {
     let Some(administrator) = decided.administrator else { return "not known yet".to_owned() };
     let whose = if Some(administrator) == state.address() { "you; press : for your commands" } else { "not you" };
-    let registration = if decided.open { "anyone can register" } else { "only admitted accounts can register" };
+    let registration = if decided.open { "anyone can register" } else { "only allowed accounts can register" };
     format!("{} ({whose}), {registration}", administrator.short())
 }
 
@@ -293,7 +293,7 @@ const TOPIC_COLUMNS: &[Column] = &[
     Column::number("kB/s", 8).named("rate"),
     Column::text("Last 8 s", 8).named("bars"),
     Column::number("Captured", 9).named("captured"),
-    Column::number("Lost t/r", 8).named("lost"),
+    Column::number("Lost net/rec", 12).named("lost"),
     Column::number("Age", 6).named("age"),
     Column::text("", 3).below(100),
     Column::text("", 9).from(100),
