@@ -15,8 +15,8 @@ use clap::{Args, CommandFactory as _, Parser, Subcommand, ValueEnum};
 
 use authros_output::Log;
 
-/// Share robot data under proof: messages sealed with SM4, signed with SM2, anchored by SM3
-/// digest on a private Ethereum network. Without a command it opens the operator console.
+/// Share robot data you can prove: messages sealed with SM4, signed with SM2, anchored by SM3 digest on a private
+/// Ethereum network. Without a command it opens the operator console.
 #[derive(Debug, Parser)]
 #[command(
     name = "authros",
@@ -102,13 +102,13 @@ pub enum Verb {
     /// Records shared with this profile: list, check, open, export, play
     #[command(subcommand)]
     Shared(SharedVerb),
-    /// Devices that may sign for this profile: lend, recall, topics, addresses, list
+    /// Devices that may sign for this profile: authorise and revoke them, set topics and addresses, list
     #[command(subcommand)]
     Devices(super::robots::DevicesVerb),
     /// Robots without a chain: enrol one, or run the agent on it
     #[command(subcommand)]
     Agent(AgentVerb),
-    /// Enrolled robots: list them, set what they capture, bring in what their rings keep
+    /// Enrolled robots: list them, set what they capture, fetch what their rings keep
     #[command(subcommand)]
     Robots(super::robots::RobotsVerb),
     /// The chain
@@ -122,7 +122,7 @@ pub enum Verb {
     /// Incidents: records that retention must keep: open, list, show, note, close, remove
     #[command(subcommand)]
     Incident(super::incidents::IncidentVerb),
-    /// Erase chosen records for good, with their proofs kept
+    /// Erase chosen records permanently; their proofs stay
     #[command(subcommand)]
     Retention(super::retention::RetentionVerb),
     /// Alerts: list active ones, send a test
@@ -452,7 +452,7 @@ pub struct EnrolArguments {
     /// Let it record every topic: it then holds the epoch's key and the index key, which a thief would get too
     #[arg(long)]
     pub all_topics: bool,
-    /// End of the loan: 30d, 12h, or a time such as 2027-01-31T12:00:00Z
+    /// End of the authorisation: 30d, 12h, or a time such as 2027-01-31T12:00:00Z
     #[arg(long, value_name = "TIME")]
     pub until: Option<String>,
     /// Enrolment file to write; must not exist
@@ -493,16 +493,16 @@ pub enum GatewayVerb {
         /// Address and port; port 0 = any free port
         #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:7420")]
         listen: SocketAddr,
-        /// Also accept owners who are not admitted, each within the quotas in the settings
+        /// Also accept owners who are not on the allow list, each within the quotas in the settings
         #[arg(long)]
         open: bool,
     },
-    /// Admit an owner to this home's gateway: it can register names, send records and read what is granted to it
+    /// Allow an owner to use this home's gateway: to register names, send records and read what is granted to it
     Admit {
         /// Account (0x and 40 hex digits), or a contact
         owner: String,
     },
-    /// Revoke an owner's admission; what it sent is kept
+    /// Deny an owner the use of this home's gateway; what it sent is kept
     Dismiss {
         /// Account (0x and 40 hex digits), or a contact
         owner: String,

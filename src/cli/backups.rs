@@ -124,7 +124,7 @@ impl Successor {
         }
         let mut refusal = None;
         for _ in 0..ATTEMPTS {
-            let again = refusal.as_ref().map_or("", |_| "That one does not open it. ");
+            let again = refusal.as_ref().map_or("", |_| "Wrong passphrase. ");
             let question = format!("{again}Passphrase of profile '{}'", self.profile);
             let typed = term::secret(&question).ok().flatten().ok_or_else(none_given)?;
             let typed = SecretText::new(typed.to_string());

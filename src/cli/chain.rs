@@ -57,7 +57,7 @@ pub enum ChainVerb {
         /// Account, or its name
         account: String,
     },
-    /// Administrator: withdraw an admission
+    /// Administrator: no longer let an account register
     Dismiss {
         /// Account, or its name
         account: String,
@@ -74,7 +74,7 @@ pub enum ChainVerb {
     },
     /// Administrator: let anyone register
     Open,
-    /// Administrator: let only admitted accounts register
+    /// Administrator: let only allowed accounts register
     Close,
     /// Administrator: pause all changes except those that withdraw rights
     Pause {

@@ -184,7 +184,7 @@ fn whose(record: &RecordReport) -> String {
     match (&record.person, record.owner) {
         (Some(person), Some(owner)) if record.is_believed() => format!("of {person} ({owner})"),
         (None, Some(owner)) if record.is_believed() => format!("of {owner}"),
-        (_, Some(owner)) => format!("claims to be of {owner}"),
+        (_, Some(owner)) => format!("claimed owner {owner}"),
         (_, None) => "owner unreadable".to_owned(),
     }
 }
@@ -243,7 +243,7 @@ fn about(record: &RecordReport, briefly: bool) -> Vec<String> {
     let who = format!("record {} {}", record.digest, whose(record));
     let when = record.seq.zip(record.captured_at).map(|(seq, captured)| {
         let gap = record.seconds_to_anchor.map_or(String::new(), |seconds| format!(", {seconds} s before its anchor"));
-        format!("number {seq}, captured {captured} according to its owner{gap}")
+        format!("record no. {seq}, captured {captured} according to its owner{gap}")
     });
     if briefly {
         let when = when.map_or(String::new(), |when| format!(", {when}"));
@@ -318,7 +318,7 @@ impl Recording {
             worst = worst.or(Some(one));
         }
         let bytes = std::fs::metadata(path).map_err(failed)?.len();
-        let text = "the bundle states nothing of a recorded file that could be compared".to_owned();
+        let text = "the bundle states nothing about a recorded file to compare with".to_owned();
         let (standing, differing) = (Standing::Absent, Vec::new());
         let none = Self { standing, record: None, name: None, bytes, chunks: 0, differing, text };
         Ok(worst.unwrap_or(none))

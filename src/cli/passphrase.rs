@@ -33,7 +33,7 @@ fn from_descriptor(number: u32) -> Result<SecretText, Failure> {
     Ok(first_line(&text))
 }
 
-/// The one given, or stored by headless use.
+/// The given passphrase, or the one stored by headless use.
 pub fn given(global: &Global, home: &Home, profile: &ProfileName) -> Result<Option<SecretText>, Failure> {
     if global.site_socket.is_some() {
         let text = "an operator gives no passphrase: the owner of the site at --site-socket does this";
@@ -98,7 +98,7 @@ fn asked_twice(option: &str) -> Result<SecretText, Failure> {
     Err(input("the passphrases do not match; nothing was changed, try again"))
 }
 
-/// The one given, or in a file beside what it protects.
+/// The given passphrase, or the one in a file beside what it protects.
 pub fn of_file(global: &Global, beside: &Path) -> Result<Option<SecretText>, Failure> {
     match (&global.passphrase_file, global.passphrase_fd) {
         (Some(path), _) => from_file(path).map(Some),

@@ -97,7 +97,7 @@ pub async fn run(context: Context, arguments: ServeArguments, output: &Output) -
         match register(&context, client, known, output).await {
             // Capture goes on, whatever is wrong with the chain.
             Err(failure) if known && client.ask(ChainStatus).await.is_err() => {
-                output.note(&format!("authros: {}; capture goes on without the chain", failure.message));
+                output.note(&format!("authros: {}; capture continues without the chain", failure.message));
             }
             registered => registered.map_err(not_started)?,
         }
