@@ -111,8 +111,11 @@ fn the_exporters_own_chain_proves_nothing_against_him() {
     assert!(!report.warnings.iter().any(|warning| warning.contains("others seal this chain")));
     assert_eq!((report.outcome, report.exporter.standing), (Outcome::Incomplete, OwnChain));
     assert_eq!(report.complete[0].standing, OwnChain);
-    assert_eq!(report.last_line(), "supported only by the exporter's self-sealed chain, which proves nothing against \
-        the exporter");
+    assert_eq!(
+        report.last_line(),
+        "supported only by the exporter's self-sealed chain, which proves nothing against \
+        the exporter"
+    );
 }
 
 fn anchored_by_the_gateway() -> World {
