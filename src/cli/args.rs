@@ -179,7 +179,7 @@ pub enum Verb {
     Gateway(GatewayVerb),
     /// The paper's crime-scene mission, from capture to refusal, on embedded parts
     Demo(DemoArguments),
-    /// The same mission done by you in the console, with instructions at the bottom; five minutes
+    /// Walks you through the same mission in the console, with instructions at the bottom; five minutes
     Tour(TourArguments),
     /// The operator console (also without any command)
     Console(ConsoleArguments),

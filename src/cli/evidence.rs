@@ -142,7 +142,7 @@ fn read_trust(path: &Path) -> Result<Trust, Failure> {
     Trust::parse(&bytes).map_err(|error| failed(error.to_string()))
 }
 
-/// Builds the JSON only where JSON is asked for.
+/// Builds the JSON only if JSON is requested.
 struct Shown<'a> {
     bundle: &'a Bundle,
     report: &'a Report,
@@ -406,7 +406,10 @@ mod tests {
         };
         let [verdict, levels] = summary(&report);
         assert_eq!(verdict, "3 records, 0 topics: NOT FULLY PROVEN: the levels show what is missing");
-        assert_eq!(levels, "(a) proven; (b) 1 self-sealed chain, 2 not proven; (c) self-sealed chain; (d) absent; (e) absent");
+        assert_eq!(
+            levels,
+            "(a) proven; (b) 1 self-sealed chain, 2 not proven; (c) self-sealed chain; (d) absent; (e) absent"
+        );
     }
 
     #[test]

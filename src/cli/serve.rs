@@ -206,7 +206,7 @@ async fn lost(client: &Client) -> Failure {
     }
 }
 
-/// The first Ctrl-C sends `stop` and goes on waiting; a second one, or SIGTERM, leaves without the answer.
+/// The first Ctrl-C sends `stop` and continues to wait; a second one, or SIGTERM, leaves without the answer.
 pub async fn until_done<A: Ask>(
     client: &Client,
     ask: A,
@@ -237,8 +237,8 @@ pub struct Ready {
     beating: Option<JoinHandle<()>>,
 }
 
-/// Reports readiness, then a keep-alive twice per period of the watchdog while threads make progress: a silent peer is
-/// no reason to be killed.
+/// Reports readiness, then a keep-alive twice per period of the watchdog while threads make progress: a silent peer
+/// does not get it killed.
 pub fn ready() -> Ready {
     say("READY=1");
     let beating = period(&variable("WATCHDOG_USEC"), &variable("WATCHDOG_PID"), std::process::id()).map(|period| {

@@ -73,7 +73,8 @@ fn known(context: &Context) -> Result<(), Failure> {
     if context.global.profile.is_none() && others.is_empty() {
         return Ok(());
     }
-    let there = if others.is_empty() { "it has no profiles yet".to_owned() } else { format!("it has {}", others.join(", ")) };
+    let there =
+        if others.is_empty() { "it has no profiles yet".to_owned() } else { format!("it has {}", others.join(", ")) };
     let root = context.home.root().display();
     Err(input(format!("the home {root} has no profile '{}'; {there}: choose one with --profile", context.profile)))
 }
