@@ -89,7 +89,10 @@ fn what_keeps_us_from_the_node_is_named_with_what_to_do() {
                 ["a certificate of an authority as its own", "chain.roots"],
             ),
             (format!("{secured}://{USER}:{ESCAPED}@{expired}/{KEY}/"), ["expired at 2020-01-0", "renewed"]),
-            (format!("{secured}://{USER}:{ESCAPED}@{other}/{KEY}/"), ["for another name", "get a certificate for this name"]),
+            (
+                format!("{secured}://{USER}:{ESCAPED}@{other}/{KEY}/"),
+                ["for another name", "get a certificate for this name"],
+            ),
         ] {
             let message = at(&home, &nginx, &url).fails(4, &["register"]);
             assert!(said.iter().all(|part| message.contains(part)), "{url}: {message}");

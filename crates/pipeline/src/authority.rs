@@ -201,7 +201,9 @@ pub enum NoRight {
     LentLater { owner: Address, from: u64 },
     #[error("the signer is a device that {owner} had revoked in block {recalled}")]
     Recalled { owner: Address, recalled: u64 },
-    #[error("the signer is a device that {owner} had authorised until {until}, but the anchoring block is dated {time}")]
+    #[error(
+        "the signer is a device that {owner} had authorised until {until}, but the anchoring block is dated {time}"
+    )]
     Ended { owner: Address, until: Timestamp, time: Timestamp },
     #[error("{owner} had neither registered nor authorised the signer's key {}", when(.block))]
     Unknown { owner: Address, block: Option<u64> },

@@ -28,9 +28,7 @@ pub enum RosError {
          authros-ros2), or set ros.ros2_program"
     )]
     NoReader(String),
-    #[error(
-        "cannot publish in ROS 2 domain {domain}: {reason}; check this machine's ports and memory, then try again"
-    )]
+    #[error("cannot publish in ROS 2 domain {domain}: {reason}; check this machine's ports and memory, then try again")]
     NotPublished { domain: u16, reason: String },
     #[error(
         "the program in which rosrust runs is not at {0}; install the package authros-rosrust (from source: cargo build -p \

@@ -385,7 +385,9 @@ fn second(config: &Config, sheet: &mut Sheet) {
     let advice = "start a robot there; on the robot, unset FASTDDS_BUILTIN_TRANSPORTS and ROS_DISCOVERY_SERVER and use \
                   UDP; see docs/ros2.md";
     match &standing.reading {
-        Reading::Down { reason } => sheet.fail("ros 2", &standing.text(), &format!("fix the reported problem: {reason}")),
+        Reading::Down { reason } => {
+            sheet.fail("ros 2", &standing.text(), &format!("fix the reported problem: {reason}"))
+        }
         Reading::Looking => {
             sheet.fail("ros 2", &standing.text(), "the program that reads it does not respond; try again")
         }

@@ -249,8 +249,10 @@ async fn judge_signer(
         let at = Moment::of_block(*number, Timestamp::from_seconds(block.timestamp));
         let text = match may_sign(&directory, owner, signer, at) {
             Ok(SigningRight::Owner(_)) => format!("the signer's key belonged to {owner} at block {number}"),
-            Ok(SigningRight::Device(_)) => format!("the signer is a device that {owner} had authorised at block \
-                                                    {number}"),
+            Ok(SigningRight::Device(_)) => format!(
+                "the signer is a device that {owner} had authorised at block \
+                                                    {number}"
+            ),
             Err(why) => {
                 refused = refused.or(Some(why));
                 continue;

@@ -89,10 +89,7 @@ impl Service {
 }
 
 fn too_heavy(seconds: u64) -> TransportError {
-    refused(
-        -32005,
-        format!("transactions of more than a million gas are rate-limited; send it again in {seconds} s"),
-    )
+    refused(-32005, format!("transactions of more than a million gas are rate-limited; send it again in {seconds} s"))
 }
 
 fn too_long() -> TransportError {

@@ -60,10 +60,9 @@ impl Act {
                     "can stop it. Then `authros chain succession complete` carries it out, which cannot be undone.",
                 ],
             ),
-            Self::Dismiss => (
-                "Deny an account",
-                &["The account may no longer register; if it already has, it stays registered."],
-            ),
+            Self::Dismiss => {
+                ("Deny an account", &["The account may no longer register; if it already has, it stays registered."])
+            }
             Self::HandOver => (
                 "Nominate the next administrator",
                 &["Once that account accepts, you are no longer the administrator."],

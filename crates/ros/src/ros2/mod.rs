@@ -184,10 +184,9 @@ impl Standing {
             Reading::Down { reason } => format!("{place} cannot be read: {reason}"),
             Reading::Looking if participants == 0 => format!("{place}: discovering"),
             _ if participants == 0 => format!("{place}: no participants; {INVISIBLE}"),
-            _ if writers == 0 && foreign > 0 => format!(
-                "{place}: {there} and {} with non-ROS names, but no ROS 2 topics",
-                some(foreign, "publisher")
-            ),
+            _ if writers == 0 && foreign > 0 => {
+                format!("{place}: {there} and {} with non-ROS names, but no ROS 2 topics", some(foreign, "publisher"))
+            }
             _ if writers == 0 => format!("{place}: {there}, but no topics; {HIDDEN}"),
             _ => format!("{place}: {there}, {} of ROS 2 topics", some(writers, "publisher")),
         }

@@ -450,5 +450,9 @@ fn words(brought: &Brought) -> String {
         return "the ring has nothing new of what the owner requested".to_owned();
     }
     let topics: Vec<&str> = brought.topics.iter().map(String::as_str).collect();
-    format!("{} messages of {} were moved from the ring to the outbox", brought.messages, clean(&topics.join(", "), 200))
+    format!(
+        "{} messages of {} were moved from the ring to the outbox",
+        brought.messages,
+        clean(&topics.join(", "), 200)
+    )
 }

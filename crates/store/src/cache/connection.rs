@@ -245,7 +245,10 @@ impl Left {
     fn take(&mut self, bytes: u64) -> IoResult<()> {
         let rest = usize::try_from(bytes).ok().and_then(|bytes| self.bytes.checked_sub(bytes));
         self.bytes = rest.ok_or_else(|| {
-            nonsense(&format!("it sends more than {} MiB, longer than any reply of Redis to this program", MOST_BYTES >> 20))
+            nonsense(&format!(
+                "it sends more than {} MiB, longer than any reply of Redis to this program",
+                MOST_BYTES >> 20
+            ))
         })?;
         Ok(())
     }

@@ -338,7 +338,9 @@ pub fn coverage_lines(state: &State, topic: &str) -> Vec<Piece> {
     match answer {
         _ if of != topic => Vec::new(),
         Err(failure) => vec![(clean(&failure.message, 500), Role::Bad)],
-        Ok(view) if view.first.is_none() => vec![("No records of this topic yet.".to_owned(), Role::Dim), Piece::default()],
+        Ok(view) if view.first.is_none() => {
+            vec![("No records of this topic yet.".to_owned(), Role::Dim), Piece::default()]
+        }
         Ok(view) => vec![
             (format!("Records from {} to {} UTC", day(view.since), day(view.until)), Role::Title),
             (view.strip(), Role::Accent),

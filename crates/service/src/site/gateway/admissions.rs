@@ -70,8 +70,10 @@ impl Admissions {
             let mut list = self.list()?;
             if !list.iter().any(|admitted| admitted.owner == owner) {
                 if list.len() >= MOST {
-                    return Err(refused(format!("a gateway can allow at most {MOST} owners; remove one with `authros \
-                                                gateway dismiss` first")));
+                    return Err(refused(format!(
+                        "a gateway can allow at most {MOST} owners; remove one with `authros \
+                                                gateway dismiss` first"
+                    )));
                 }
                 list.push(AdmittedOwner { owner, since: Timestamp::now(), by: profile.to_string() });
                 let admitted = async { self.write(&list) };
@@ -93,8 +95,10 @@ impl Admissions {
             let before = list.len();
             list.retain(|admitted| admitted.owner != owner);
             if list.len() == before {
-                return Err(input(format!("{owner} is not on this gateway's allow list; `authros gateway admitted` \
-                                          shows it")));
+                return Err(input(format!(
+                    "{owner} is not on this gateway's allow list; `authros gateway admitted` \
+                                          shows it"
+                )));
             }
             self.parts.log.deed(profile, "gateway dismiss", &owner.to_string(), async { self.write(&list) }).await?;
         }

@@ -330,8 +330,10 @@ impl Joined {
 
     fn warn_untold(&self, error: Option<GatewayError>) {
         if let Some(error) = error {
-            self.parts.hub.warn(&format!("the gateway could not be notified; it will learn of it from the chain: \
-                                          {error}"));
+            self.parts.hub.warn(&format!(
+                "the gateway could not be notified; it will learn of it from the chain: \
+                                          {error}"
+            ));
         }
     }
 }

@@ -369,7 +369,9 @@ fn go_round(follower: &Follower<'_>, files: &[PathBuf], entries: &mut BTreeMap<P
                 let level = if file.is_altered || !file.is_closed { NoticeLevel::Warning } else { NoticeLevel::Info };
                 let how = match &file {
                     FollowedFile { is_altered: true, notes, .. } => notes.join("; "),
-                    FollowedFile { is_closed: false, .. } => "nothing writes to it any more, and it was not closed".into(),
+                    FollowedFile { is_closed: false, .. } => {
+                        "nothing writes to it any more, and it was not closed".into()
+                    }
                     _ => format!("has ended, {} messages sealed", file.sealed + file.already),
                 };
                 follower.tell(level, &format!("{}: {how}", file.file));
