@@ -10,7 +10,8 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from count_lines import tests_of, without_inline_tests
+sys.dont_write_bytecode = True
+from count_lines import tests_of, without_inline_tests  # noqa: E402
 
 LITERAL = re.compile(
     r"""(?P<help>(?:^[ ]*///[^\n]*\n)+) | //[^\n]* | /\*.*?\*/
