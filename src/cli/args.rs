@@ -141,19 +141,19 @@ pub enum Verb {
         /// For a bundle: what you know about chain, signers and people from an independent source (docs/evidence.md)
         #[arg(long, value_name = "FILE", conflicts_with = "genesis")]
         trust: Option<PathBuf>,
-        /// For the proof of a followed recording: the recorded file, to compare with the digests that are stated of it
+        /// For the proof of a followed recording: the recorded file, to compare with the digests that the proof states
         #[arg(long, value_name = "FILE", conflicts_with = "genesis")]
         recording: Option<PathBuf>,
         /// Hash of the chain's block 0, from a source other than the folder
         #[arg(long, value_name = "HASH")]
         genesis: Option<String>,
-        /// For a bundle: give the reason of each level for every record, also where nothing is in doubt
+        /// For a bundle: show the reason of each level for every record, even where nothing is in doubt
         #[arg(long, conflicts_with = "genesis")]
         verbose: bool,
     },
     /// Write profiles, store and chain, settings and pins into one encrypted file
     Backup(BackupArguments),
-    /// Restore a home from a backup, into an empty place
+    /// Restore a home from a backup, into an empty folder
     Restore {
         /// The file; give its passphrase with --passphrase-file or --passphrase-fd
         file: PathBuf,
@@ -209,7 +209,7 @@ pub struct BackupArguments {
     /// The file; give its passphrase with --passphrase-file or --passphrase-fd
     #[arg(required_unless_present = "to")]
     pub file: Option<PathBuf>,
-    /// Instead: a folder in which to write one more file, named by the time
+    /// Instead of a file: a folder to write one more backup to, named by the time
     #[arg(long, value_name = "DIR", conflicts_with = "file")]
     pub to: Option<PathBuf>,
     /// How many of the newest files in --to to keep; older backups there are removed
@@ -337,7 +337,7 @@ pub struct Global {
     /// Simulated robots on the embedded master, 0 to 32
     #[arg(long, global = true, value_name = "N")]
     pub robots: Option<String>,
-    /// What they are: own (nodes of this process) or rosrust (each a process of the program authros-rosrust)
+    /// Kind of simulated robots: own (nodes of this process) or rosrust (each a process of the program authros-rosrust)
     #[arg(long, global = true, value_name = "NAME")]
     pub robots_by: Option<String>,
     /// Number of blocks until an anchor counts as confirmed

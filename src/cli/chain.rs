@@ -167,7 +167,8 @@ pub async fn run(global: Global, verb: ChainVerb, output: &Output) -> Result<u8,
             Plan::unlocked(command::CancelTransaction { nonce, account })
         }
         ChainVerb::Cancel { .. } => {
-            let text = "what the transaction was for does not happen unless it anchors records; add --yes to confirm";
+            let text = "a cancelled transaction has no effect, and records it anchors are anchored again; add --yes to \
+                        confirm";
             return Err(Failure::new(ErrorKind::Usage, text));
         }
         ChainVerb::Succession(SuccessionVerb::List) => Plan::public(command::ListSuccessions),

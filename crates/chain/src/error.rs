@@ -52,8 +52,8 @@ pub enum ChainError {
     #[error("the network requires {needed} per gas, more than chain.max_fee = {cap} allows; wait or raise it")]
     TooDear { needed: Wei, cap: Wei },
     #[error(
-        "the transaction needs up to {needed} gas, and the node says that a block of this network holds {limit}; raise \
-         the network's block gas limit, or correct `chain.url`"
+        "the transaction needs up to {needed} gas, but the node reports that a block holds at most {limit}; raise the \
+         network's block gas limit, or correct `chain.url`"
     )]
     BlockTooSmall { needed: u64, limit: u64 },
     #[error("the node refused {method}: {reason}")]

@@ -38,7 +38,7 @@ pub const DEFINITIONS: &[Definition] = definitions! {
     "ros.ros2_program", "AUTHROS_ROS2_PROGRAM", "":
         "path of authros-ros2, the program that reads ROS 2; empty = next to this program";
     "ros.publisher", "AUTHROS_PUBLISHER", "own":
-        "what publishes shared records in a ROS 1 graph: own, or rosrust, in a process without keys";
+        "publisher of shared records in a ROS 1 graph: own (built in), or rosrust, in a process without keys";
     "ros.robots_by", "AUTHROS_ROBOTS_BY", "own":
         "what the simulated robots are: own nodes of this process, or rosrust, each a process without keys";
     "ros.rosrust_program", "AUTHROS_ROSRUST_PROGRAM", "":

@@ -114,7 +114,7 @@ fn the_exporters_own_chain_proves_nothing_against_him() {
     assert_eq!(
         report.last_line(),
         "supported only by the exporter's self-sealed chain, which proves nothing against \
-        the exporter"
+         the exporter"
     );
 }
 

@@ -28,7 +28,7 @@ pub fn ask(notes: &Notes, number: u64, span: &RingSpan) -> Result<()> {
         if asked.len() >= MOST {
             return Err(PipelineError::Refused(format!(
                 "{MOST} spans of the ring are requested already; wait until the \
-                robot has sent them"
+                 robot has sent them"
             )));
         }
         asked.push_back(AskedSpan { number, span: span.clone() });

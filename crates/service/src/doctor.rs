@@ -305,7 +305,7 @@ const DAMAGED: &str = "keep a copy of the home, then restore the last backup: au
 fn store(home: &Home, sheet: &mut Sheet) {
     let path = home.ledger();
     if misses_store(home) {
-        let text = format!("{} is gone, and keys or the embedded chain of this home are there", path.display());
+        let text = format!("{} is gone, although this home has keys or an embedded chain", path.display());
         return sheet.fail("store", &text, STORE_LOST);
     }
     if !path.exists() {
@@ -322,7 +322,7 @@ fn store(home: &Home, sheet: &mut Sheet) {
         None => sheet.ok("store", &format!("{} is well-formed, {bytes} bytes", path.display())),
     }
     match glance.and_then(|ledger| ledger.check_notes()) {
-        Ok(count) => sheet.ok("notes", &format!("{count} notes in the store can be read")),
+        Ok(count) => sheet.ok("notes", &format!("all {count} notes in the store are readable")),
         Err(error) => sheet.fail("notes", &error.to_string(), DAMAGED),
     }
 }

@@ -199,12 +199,12 @@ pub fn decide(row: &TopicRow, topic: TopicName, discard: bool) -> Confirm {
     let name = topic.to_string();
     if discard {
         lines.push("Their ciphertext is deleted. Quarantine records on the chain count them, so that".to_owned());
-        lines.push("nobody can pick evidence; the messages themselves cannot be restored.".to_owned());
+        lines.push("nobody can cherry-pick evidence; the messages themselves cannot be restored.".to_owned());
         let errand = Errand { command: Command::DiscardHeld { held }, tag: Tag::Discard(name.clone()) };
         let typed = Some(Typed::new(&name));
         return Confirm { title: "Discard quarantined messages?".to_owned(), lines, yes: "discard", typed, errand };
     }
-    lines.push("They are anchored like others and keep the tag that they were quarantined.".to_owned());
+    lines.push("They are anchored like others and keep a tag saying that they were quarantined.".to_owned());
     let errand = Errand { command: Command::ReleaseHeld { held }, tag: Tag::Release(name) };
     Confirm { title: "Release quarantined messages?".to_owned(), lines, yes: "release", typed: None, errand }
 }

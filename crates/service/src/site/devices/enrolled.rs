@@ -157,8 +157,8 @@ impl Devices {
     pub async fn enrol(&self, owner: &Arc<Owner>, wishes: EnrolWishes) -> Result<EnrolledView, Failure> {
         if self.parts.is_joined() && wishes.fingerprint.is_none() {
             return Err(refused(
-                "a site that has joined another one can only enrol robots at a gateway whose key you confirmed: ask \
-                 its operator for it and pass it as --gateway-key",
+                "a site that has joined another site can enrol robots only at a gateway whose key you confirmed: get \
+                 the key from its operator and pass it as --gateway-key",
             ));
         }
         let network = self.parts.link.network().await?;
