@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Looks for the phrases of `tests/words.txt` in what people read: messages, help, screens and pages. `tests/words.py [CHECKOUT]`.
 
-Messages are the literals of two words or more in product code, help is the doc comments of `src/cli`. Names are not judged: what
+Messages are the literals of two words or a heading in product code, help is the doc comments of `src/cli`. Names are not judged: what
 stands between backticks or in a code block, placeholders, NAMES. Ends with 1 if there is a hit.
 """
 
@@ -26,6 +26,8 @@ NAMES = (
 NOT_JUDGED = re.compile(r"`[^`]*`|\{[^}]*\}|" + NAMES)
 # Of a lint's exception: for the next engineer.
 REASON = re.compile(r"\breason\s*=\s*$")
+# Two words, or the heading of a column.
+MESSAGE = re.compile(r"[A-Za-z']{2,}.*?[^A-Za-z'].*?[A-Za-z']{2,}|^[A-Z][a-z]+$", re.DOTALL)
 ONLY_SQL = re.compile(r"(?-i:\b(SELECT|REPLACE INTO|INSERT|UPDATE|DELETE FROM|IS NOT NULL|PRAGMA|JOIN)\b)")
 PAGES = [
     "*.md", "docs/*.md", "docs/monitoring/*", "crates/*/README.md", "packaging/*.1", "packaging/debian/*",
@@ -59,7 +61,7 @@ def messages(file: Path, shows_help: bool) -> Iterator[tuple[int, str]]:
         if found["help"] and shows_help:
             text = re.sub(r"\n?[ ]*///", "", found["help"])
         text = re.sub(r"\\\n\s*", "", text)
-        if len(re.findall(r"[A-Za-z']{2,}", text)) > 1 and not ONLY_SQL.search(text):
+        if MESSAGE.search(text) and not ONLY_SQL.search(text):
             yield source.count("\n", 0, found.start()) + 1, text
 
 
