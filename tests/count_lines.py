@@ -76,4 +76,5 @@ def main() -> None:
     show("tools", Counter(tools))
 
 
-main()
+if __name__ == "__main__":
+    main()

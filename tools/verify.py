@@ -5,7 +5,7 @@
 
 It says of each record whether level (a), (b), (c) and (e) are proven, own_chain, unproven, absent or refused, and of each topic
 what (f) comes to, as JSON, and ends with 0 where (a) to (c) are proven for all by what was pinned and the exporter's key is that
-of their owner or pinned, 8 where something is not proven or holds by the exporter's own chain alone, 6 where something is refused, 3 where the trust file cannot be used. It is
+of their owner or pinned, 8 where something is not proven or holds by the exporter's self-sealed chain alone, 6 where something is refused, 3 where the trust file cannot be used. It is
 slow, on purpose: it can be read in one sitting. A recorded file is compared with what an opened record states of it. Bodies packed by the matrix code are opened and not unpacked, and it says so.
 """
 import base64
@@ -287,7 +287,7 @@ def rlp(data):  # one item: bytes or a list, each length in its one form; its so
 
 def number(item):  # as RLP has it, of at most 64 bits
     if not isinstance(item, bytes) or len(item) > 8 or item[:1] == b"\0":
-        raise Refused("a number in RLP is none")
+        raise Refused("a number in RLP is malformed")
     return int.from_bytes(item, "big")
 
 
@@ -309,7 +309,7 @@ def look_up(nodes, root, key):  # Yellow Paper, appendices C and D
     if root == EMPTY:
         return None
     if not isinstance(root, bytes) or len(root) != 32:
-        raise Refused("the root of a trie is none")
+        raise Refused("the root of a trie is malformed")
     path = [nibble for byte in keccak(key) for nibble in (byte >> 4, byte & 15)]
     at = root
     while True:
@@ -671,11 +671,11 @@ class Bundle:
     def pem(data):  # SubjectPublicKeyInfo of SM2's curve; its last 64 bytes are the point
         info = base64.b64decode(b"".join(line for line in data.split(b"\n") if b"-" not in line))
         if info[:-64] != bytes.fromhex("3059301306072a8648ce3d020106082a811ccf5501822d03420004"):
-            raise Refused("a key is no SM2 public key")
+            raise Refused("a key is not an SM2 public key")
         text = base64.b64encode(info)
         lines = [b"-----BEGIN PUBLIC KEY-----", text[:64], text[64:], b"-----END PUBLIC KEY-----"]
         if data != b"\n".join(lines) + b"\n" or not is_point(info[-64:]):
-            raise Refused("a key is no SM2 public key")
+            raise Refused("a key is not an SM2 public key")
         return info[-64:]
 
     @staticmethod
@@ -683,11 +683,11 @@ class Bundle:
         """The header of a block, which is filed under its number."""
         found = rlp(data)
         if len(data) > 8192 or not isinstance(found, list) or not 15 <= len(found) <= 32:
-            raise Refused("a header is longer than any header, or none")
+            raise Refused("a header is malformed, or longer than any header")
         texts = all(isinstance(found[at], bytes) for at in (0, 3, 12, 13)) and len(found[0]) == len(found[3]) == 32
         number(found[11])
         if not texts or f"chain/{number(found[8])}.rlp" != name:
-            raise Refused("a header is none, or filed under another block's number")
+            raise Refused("a header is malformed, or filed under another block's number")
         return data
 
     @staticmethod
@@ -887,17 +887,17 @@ class Record:
             raise Unproven("that version was not in force")
         signing = self.bundle.identity(keys[0], owner, self.domain)
         if signing is None or (self.pinned and unhex(self.pinned[0]) != sm3(b"\4" + signing)):
-            raise Unproven("the identity is not in the bundle, or not the pinned one")
+            raise Unproven("the identity is not in the bundle, or not the pinned identity")
         self.owner_key = signing
         if sm3(b"\4" + signing) != self.header["signer"]:
             loan = storage.word(mapped(self.header["signer"], mapped(owner, 9)))
             recalled, lent, until = struct.unpack(">3Q", loan[7:31])
             if lent > self.block and self.shown_at > self.block:
-                raise Unproven("lent again later; what applied at the block is not shown")
+                raise Unproven("authorised again later; what applied at the block is not shown")
             if not lent or lent > self.block or 0 < recalled <= self.block or (until and self.time >= until):
-                raise Refused("the key was neither the owner's nor lent")
+                raise Refused("the key was neither the owner's nor an authorised device's")
             if until and not self.time:
-                raise Unproven("the loan had an end, but the block's time is not shown")
+                raise Unproven("the device's authorisation had an end, but the block's time is not shown")
         suspended = storage.word(mapped(owner, 10))[7] != 0
         if self.account == owner and self.block != self.shown_at and not suspended:
             return "proven"  # for the moment of anchoring: the contract lets no suspended account anchor
@@ -1026,9 +1026,9 @@ def certificate(text):
         good &= len(dates) == 2 and all(one[0] in time and re.fullmatch(time[one[0]], one[1]) for one in dates)
         good &= [one[0] for one in info] == [0x30, 3] and info[1][1][:1] == b"\0"
     except (ValueError, IndexError) as why:
-        raise ValueError(f"an authority's certificate is none: {why}") from None
+        raise ValueError(f"an authority's certificate is malformed: {why}") from None
     if not good:
-        raise ValueError("an authority's certificate is none")
+        raise ValueError("an authority's certificate is malformed")
 
 
 def read_trust(path):

@@ -144,7 +144,7 @@ async fn capture(global: Global, arguments: RunArguments, output: &Output) -> Re
 
 fn text(figures: &AgentFigures) -> String {
     let ring = figures.ring.map_or_else(String::new, |ring| {
-        format!("; ring: {} messages, {}, {} fell out", ring.messages, ByteSize(ring.bytes), ring.fallen)
+        format!("; ring: {} messages, {}, {} expired", ring.messages, ByteSize(ring.bytes), ring.fallen)
     });
     let AgentFigures { name, captured, accepted, verified, pending, lost, gateway, .. } = figures;
     let sum = format!("captured {captured}, accepted {accepted}, verified {verified}, pending {pending}, lost {lost}");

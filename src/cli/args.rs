@@ -16,8 +16,8 @@ use clap::{Args, CommandFactory as _, Parser, Subcommand, ValueEnum, builder::Fa
 use super::passphrase::program::Program;
 use authros_output::Log;
 
-/// Share robot data under proof: messages sealed with SM4, signed with SM2, anchored by SM3
-/// digest on a private Ethereum network. Without a command it opens the operator console.
+/// Share robot data you can prove: messages sealed with SM4, signed with SM2, anchored by SM3 digest on a private
+/// Ethereum network. Without a command it opens the operator console.
 #[derive(Debug, Parser)]
 #[command(
     name = "authros",
@@ -103,13 +103,13 @@ pub enum Verb {
     /// Records shared with this profile: list, check, open, export, play
     #[command(subcommand)]
     Shared(SharedVerb),
-    /// Devices that may sign for this profile: lend, recall, topics, addresses, list
+    /// Devices that may sign for this profile: authorise and revoke them, set topics and addresses, list
     #[command(subcommand)]
     Devices(super::robots::DevicesVerb),
     /// Robots without a chain: enrol one, or run the agent on it
     #[command(subcommand)]
     Agent(AgentVerb),
-    /// Enrolled robots: list them, set what they capture, bring in what their rings keep
+    /// Enrolled robots: list them, set what they capture, fetch what their rings keep
     #[command(subcommand)]
     Robots(super::robots::RobotsVerb),
     /// The chain
@@ -123,7 +123,7 @@ pub enum Verb {
     /// Incidents: records that retention must keep: open, list, show, note, close, remove
     #[command(subcommand)]
     Incident(super::incidents::IncidentVerb),
-    /// Erase chosen records for good, with their proofs kept
+    /// Erase chosen records permanently; their proofs stay
     #[command(subcommand)]
     Retention(super::retention::RetentionVerb),
     /// Alerts: list active ones, send a test
@@ -142,19 +142,19 @@ pub enum Verb {
         /// For a bundle: what you know about chain, signers and people from an independent source (docs/evidence.md)
         #[arg(long, value_name = "FILE", conflicts_with = "genesis")]
         trust: Option<PathBuf>,
-        /// For the proof of a followed recording: the recorded file, to compare with the digests that are stated of it
+        /// For the proof of a followed recording: the recorded file, to compare with the digests that the proof states
         #[arg(long, value_name = "FILE", conflicts_with = "genesis")]
         recording: Option<PathBuf>,
         /// Hash of the chain's block 0, from a source other than the folder
         #[arg(long, value_name = "HASH")]
         genesis: Option<String>,
-        /// For a bundle: give the reason of each level for every record, also where nothing is in doubt
+        /// For a bundle: show the reason of each level for every record, even where nothing is in doubt
         #[arg(long, conflicts_with = "genesis")]
         verbose: bool,
     },
     /// Write profiles, store and chain, settings and pins into one encrypted file
     Backup(BackupArguments),
-    /// Restore a home from a backup, into an empty place
+    /// Restore a home from a backup, into an empty folder
     Restore {
         /// The file; its own passphrase is asked for, or given as a keyring's is
         file: PathBuf,
@@ -180,7 +180,7 @@ pub enum Verb {
     Gateway(GatewayVerb),
     /// The paper's crime-scene mission, from capture to refusal, on embedded parts
     Demo(DemoArguments),
-    /// The same mission done by you in the console, with instructions at the bottom; five minutes
+    /// Walks you through the same mission in the console, with instructions at the bottom; five minutes
     Tour(TourArguments),
     /// The operator console (also without any command)
     Console(ConsoleArguments),
@@ -210,7 +210,7 @@ pub struct BackupArguments {
     /// The file; its own passphrase is asked for, or given as a keyring's is
     #[arg(required_unless_present = "to")]
     pub file: Option<PathBuf>,
-    /// Instead: a folder in which to write one more file, named by the time
+    /// Instead of a file: a folder to write one more backup to, named by the time
     #[arg(long, value_name = "DIR", conflicts_with = "file")]
     pub to: Option<PathBuf>,
     /// How many of the newest files in --to to keep; older backups there are removed
@@ -344,7 +344,7 @@ pub struct Global {
     /// Simulated robots on the embedded master, 0 to 32
     #[arg(long, global = true, value_name = "N")]
     pub robots: Option<String>,
-    /// What they are: own (nodes of this process) or rosrust (each a process of the program authros-rosrust)
+    /// Kind of simulated robots: own (nodes of this process) or rosrust (each a process of the program authros-rosrust)
     #[arg(long, global = true, value_name = "NAME")]
     pub robots_by: Option<String>,
     /// Number of blocks until an anchor counts as confirmed
@@ -461,7 +461,7 @@ pub struct EnrolArguments {
     /// Let it record every topic: it then holds the epoch's key and the index key, which a thief would get too
     #[arg(long)]
     pub all_topics: bool,
-    /// End of the loan: 30d, 12h, or a time such as 2027-01-31T12:00:00Z
+    /// End of the authorisation: 30d, 12h, or a time such as 2027-01-31T12:00:00Z
     #[arg(long, value_name = "TIME")]
     pub until: Option<String>,
     /// Enrolment file to write; must not exist
@@ -502,16 +502,16 @@ pub enum GatewayVerb {
         /// Address and port; port 0 = any free port
         #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:7420")]
         listen: SocketAddr,
-        /// Also accept owners who are not admitted, each within the quotas in the settings
+        /// Also accept owners who are not on the allow list, each within the quotas in the settings
         #[arg(long)]
         open: bool,
     },
-    /// Admit an owner to this home's gateway: it can register names, send records and read what is granted to it
+    /// Allow an owner to use this home's gateway: to register names, send records and read what is granted to it
     Admit {
         /// Account (0x and 40 hex digits), or a contact
         owner: String,
     },
-    /// Revoke an owner's admission; what it sent is kept
+    /// Deny an owner the use of this home's gateway; what it sent is kept
     Dismiss {
         /// Account (0x and 40 hex digits), or a contact
         owner: String,

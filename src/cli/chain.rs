@@ -57,7 +57,7 @@ pub enum ChainVerb {
         /// Account, or its name
         account: String,
     },
-    /// Administrator: withdraw an admission
+    /// Administrator: no longer let an account register
     Dismiss {
         /// Account, or its name
         account: String,
@@ -74,7 +74,7 @@ pub enum ChainVerb {
     },
     /// Administrator: let anyone register
     Open,
-    /// Administrator: let only admitted accounts register
+    /// Administrator: let only allowed accounts register
     Close,
     /// Administrator: pause all changes except those that withdraw rights
     Pause {
@@ -167,7 +167,8 @@ pub async fn run(global: Global, verb: ChainVerb, output: &Output) -> Result<u8,
             Plan::unlocked(command::CancelTransaction { nonce, account })
         }
         ChainVerb::Cancel { .. } => {
-            let text = "what the transaction was for does not happen unless it anchors records; add --yes to confirm";
+            let text = "a cancelled transaction has no effect, and records it anchors are anchored again; add --yes to \
+                        confirm";
             return Err(Failure::new(ErrorKind::Usage, text));
         }
         ChainVerb::Succession(SuccessionVerb::List) => Plan::public(command::ListSuccessions),

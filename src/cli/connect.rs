@@ -307,7 +307,7 @@ impl Connection {
         let home = self.site.as_ref().map(|site| site.place());
         if let Some(original) = home.as_ref().and_then(Home::original) {
             output.note(&format!(
-                "authros: {} cannot be written: it is only looked at, in a copy that is deleted at the end",
+                "authros: {} is read-only: it is read in a copy that is deleted at the end",
                 original.display()
             ));
         }

@@ -142,7 +142,7 @@ fn read_trust(path: &Path) -> Result<Trust, Failure> {
     Trust::parse(&bytes).map_err(|error| failed(error.to_string()))
 }
 
-/// Builds the JSON only where JSON is asked for.
+/// Builds the JSON only if JSON is requested.
 struct Shown<'a> {
     bundle: &'a Bundle,
     report: &'a Report,
@@ -184,7 +184,7 @@ fn whose(record: &RecordReport) -> String {
     match (&record.person, record.owner) {
         (Some(person), Some(owner)) if record.is_believed() => format!("of {person} ({owner})"),
         (None, Some(owner)) if record.is_believed() => format!("of {owner}"),
-        (_, Some(owner)) => format!("claims to be of {owner}"),
+        (_, Some(owner)) => format!("claimed owner {owner}"),
         (_, None) => "owner unreadable".to_owned(),
     }
 }
@@ -243,7 +243,7 @@ fn about(record: &RecordReport, briefly: bool) -> Vec<String> {
     let who = format!("record {} {}", record.digest, whose(record));
     let when = record.seq.zip(record.captured_at).map(|(seq, captured)| {
         let gap = record.seconds_to_anchor.map_or(String::new(), |seconds| format!(", {seconds} s before its anchor"));
-        format!("number {seq}, captured {captured} according to its owner{gap}")
+        format!("record no. {seq}, captured {captured} according to its owner{gap}")
     });
     if briefly {
         let when = when.map_or(String::new(), |when| format!(", {when}"));
@@ -318,7 +318,7 @@ impl Recording {
             worst = worst.or(Some(one));
         }
         let bytes = std::fs::metadata(path).map_err(failed)?.len();
-        let text = "the bundle states nothing of a recorded file that could be compared".to_owned();
+        let text = "the bundle states nothing about a recorded file to compare with".to_owned();
         let (standing, differing) = (Standing::Absent, Vec::new());
         let none = Self { standing, record: None, name: None, bytes, chunks: 0, differing, text };
         Ok(worst.unwrap_or(none))
@@ -405,8 +405,11 @@ mod tests {
             messages: BTreeMap::new(),
         };
         let [verdict, levels] = summary(&report);
-        assert_eq!(verdict, "3 records, 0 topics: NOT EVERYTHING IS PROVEN: the levels show what is not");
-        assert_eq!(levels, "(a) proven; (b) 1 own chain, 2 not proven; (c) own chain; (d) absent; (e) absent");
+        assert_eq!(verdict, "3 records, 0 topics: NOT FULLY PROVEN: the levels show what is missing");
+        assert_eq!(
+            levels,
+            "(a) proven; (b) 1 self-sealed chain, 2 not proven; (c) self-sealed chain; (d) absent; (e) absent"
+        );
     }
 
     #[test]
@@ -415,7 +418,7 @@ mod tests {
         assert!(is_whole(&whole));
         let told = about(&whole, true);
         assert_eq!(told.len(), 1, "{told:?}");
-        assert!(told[0].ends_with("owner unreadable: (a) proven, (b) (c) own chain"), "{told:?}");
+        assert!(told[0].ends_with("owner unreadable: (a) proven, (b) (c) self-sealed chain"), "{told:?}");
         assert!(about(&whole, false).concat().contains("why"));
         let level = |standing| Level::new(standing, "why");
         assert!(is_whole(&RecordReport { time: level(Standing::Unproven), ..whole.clone() }), "nobody was pinned");

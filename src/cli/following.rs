@@ -45,7 +45,7 @@ pub async fn run(context: Context, arguments: FollowArguments, output: &Output) 
     let wishes = FollowWishes { folder, topics, tags, until_closed, attach };
     let words = (
         "stopping; what is sealed stays sealed",
-        "stopped early; sealed records are stored, repeat the command to go on",
+        "stopped early; sealed records are stored, repeat the command to continue",
     );
     let follow = async |client: &Client| {
         let mut events = client.events();
@@ -94,11 +94,11 @@ fn followed(view: &FollowView) -> String {
 
 fn code(view: &FollowView, until_closed: bool, output: &Output) -> u8 {
     if view.files.iter().any(|file| file.is_altered) {
-        output.note("authros: a file is no longer what was sealed of it; the records tell what it was");
+        output.note("authros: a file has changed since it was sealed; its records prove what it was");
         return ErrorKind::Tampered.exit_code();
     }
     if view.is_gone {
-        output.note(&format!("authros: {} is gone; what was read of it is sealed", view.folder));
+        output.note(&format!("authros: {} is gone; everything read of it is sealed", view.folder));
         return ErrorKind::Incomplete.exit_code();
     }
     let is_whole = |file: &FollowedFile| {

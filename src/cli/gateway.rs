@@ -49,12 +49,12 @@ async fn serve(context: Context, listen: SocketAddr, open: bool, output: &Output
 
 pub fn admitted(rows: &[AdmittedView]) -> String {
     if rows.is_empty() {
-        return "only this home's own profiles; `authros gateway admit OWNER` admits others".to_owned();
+        return "only this home's own profiles; `authros gateway admit OWNER` allows others".to_owned();
     }
     let row = |row: &AdmittedView| {
         [row.owner.to_string(), row.name.clone().unwrap_or_default(), row.since.to_string(), clean(&row.by, 60)]
     };
-    table(&["owner", "contact", "since", "admitted by"], rows.iter().map(row))
+    table(&["owner", "contact", "since", "allowed by"], rows.iter().map(row))
 }
 
 pub fn status(view: &GatewayStatusView) -> String {

@@ -29,7 +29,7 @@ pub enum IncidentVerb {
         /// Description
         #[arg(long, value_name = "TEXT")]
         note: Option<String>,
-        /// Robots whose rings are asked for it: names of enrolled devices
+        /// Robots to request the span from, out of their rings: names of enrolled devices
         #[arg(long = "robot", value_name = "NAME", num_args = 1.., value_delimiter = ',')]
         rings_of: Vec<String>,
     },

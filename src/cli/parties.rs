@@ -78,9 +78,9 @@ pub fn named(account: Address, name: Option<&String>) -> String {
 
 pub fn administration(view: &AdministrationView) -> Vec<(&'static str, String)> {
     let Some(administrator) = view.administrator else { return Vec::new() };
-    let registration = if view.open { "open to all" } else { "only admitted accounts" };
+    let registration = if view.open { "open to all" } else { "only allowed accounts" };
     let mut rows = vec![("administrator", administrator.to_string()), ("registration", registration.to_owned())];
-    rows.extend(view.nominee.map(|nominee| ("hands over to", nominee.to_string())));
+    rows.extend(view.nominee.map(|nominee| ("nominated", nominee.to_string())));
     rows.extend(view.paused.then(|| ("paused", paused(view))));
     rows.push(("succession", waiting(view.delay)));
     rows.extend(view.proposals.iter().map(|one| ("proposed", proposal(one))));

@@ -58,7 +58,7 @@ pub enum QuarantineVerb {
         #[command(flatten)]
         held: HeldArguments,
     },
-    /// Discard messages for good; their digests and the count on the chain remain
+    /// Discard messages permanently; their digests and the count on the chain remain
     Discard {
         /// Which
         #[command(flatten)]

@@ -20,7 +20,7 @@ const TAG: usize = 16;
 /// `retention …`
 #[derive(Debug, Subcommand)]
 pub enum RetentionVerb {
-    /// Erase chosen messages for good: their bytes go, digests, signatures, anchors and proofs stay
+    /// Erase chosen messages permanently: their bytes go; digests, signatures, anchors and proofs stay
     Erase {
         /// Messages of this topic
         #[arg(long, required_unless_present_any = ["records", "recording"])]
@@ -28,10 +28,10 @@ pub enum RetentionVerb {
         /// Messages that were imported from this bag or MCAP file; without the file, its tag 'recording'
         #[arg(long, value_name = "FILE")]
         recording: Option<String>,
-        /// Captured at this time or later: 2026-11-21T08:30:00Z, a day, or so long ago, as 10m
+        /// Captured at or after: a time such as 2026-11-21T08:30:00Z, a date, or a duration ago such as 10m
         #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
         since: Option<String>,
-        /// Captured before this time, written in the same way
+        /// Captured before; same format
         #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
         until: Option<String>,
         /// These records, by their ids
@@ -62,12 +62,12 @@ async fn erase(client: &Client, wishes: ErasureWishes, asks: bool, output: &Outp
     let sure = wishes.sure;
     let view = client.ask(EraseRecords(wishes.clone())).await?;
     if view.records + view.named + view.waiting + view.gone + view.other + view.missing == 0 {
-        let what = "none of your messages is of that topic and time; `authros uploads list` shows them";
+        let what = "no message of yours has that topic and time; `authros uploads list` shows yours";
         return Err(input(format!("nothing matches: {what}")));
     }
     let is_sure = asks && view.records > 0 && view.held.is_empty() && {
         output.note(&text(&view));
-        output.note(&format!("write '{WORD}' to erase them for good:"));
+        output.note(&format!("type '{WORD}' to erase them permanently:"));
         confirmed()
     };
     let view = if is_sure { client.ask(EraseRecords(ErasureWishes { sure: true, ..wishes })).await? } else { view };
@@ -109,7 +109,7 @@ fn text(view: &ErasureView) -> String {
         (0, _) => format!("{} messages{topics}, {}, would be erased", view.records, ByteSize(view.bytes)),
         (named, true) => format!("{named} messages{topics} are erased"),
         (named, false) => {
-            format!("{named} messages{topics} are named; their bytes go when that is confirmed on the chain")
+            format!("{named} messages{topics} will be erased once that is confirmed on the chain")
         }
     }];
     let mut count = |count: u64, what: &str| {

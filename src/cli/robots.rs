@@ -19,38 +19,38 @@ use crate::service::{Failure, command, failure::input};
 /// `robots …`
 #[derive(Debug, Subcommand)]
 pub enum RobotsVerb {
-    /// Ask a robot for a span of its ring: what nobody watched, brought in like other records
+    /// Fetch unwatched data from a robot's ring, for a time span; it arrives like other records
     Pull {
         /// Its name, or the beginning of its device's id
         robot: String,
-        /// Where the span begins: a time as 2026-11-21T08:30:00Z, a day, or so long ago, as 10m or -10m
+        /// Start: a time such as 2026-11-21T08:30:00Z, a date, or a duration ago such as 10m or -10m
         #[arg(long, value_name = "TIME", allow_hyphen_values = true, required_unless_present = "incident")]
         since: Option<String>,
-        /// Where it ends, written in the same way [default: now]
+        /// End; same format [default: now]
         #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
         until: Option<String>,
-        /// Only these topics; * is any but /, ** any [default: all of the ring]
+        /// Only these topics; * matches anything but /, ** anything [default: all of the ring]
         #[arg(long = "topic", visible_alias = "topics", value_name = "PATTERN", num_args = 1.., value_delimiter = ',')]
         topics: Vec<String>,
-        /// The span and topics of this incident, where they are not given
+        /// Take the span and topics of this incident unless given
         #[arg(long, value_name = "NAME")]
         incident: Option<String>,
     },
-    /// List the enrolled robots: last seen, what waits, what was lost, which policy they work by
+    /// List the enrolled robots: last seen, waiting and lost records, policy
     List,
     /// Show one robot: policy, gateway, topics, losses
     Show {
         /// Its name, or the beginning of its device's id
         robot: String,
     },
-    /// Show, set or clear what a robot is to capture; it hears of it with its next contact
+    /// Show, set or clear a robot's policy, which says what it captures; applied at its next connection
     Policy {
         /// Its name, or the beginning of its device's id
         robot: String,
         /// Set it: a TOML file with [[watch]], [[topic]], ring.keep and ring.topics; - for standard input
         #[arg(long, value_name = "FILE", conflicts_with_all = ["clear", "show"])]
         set: Option<PathBuf>,
-        /// Clear it: the robot's own settings count again
+        /// Clear it: the robot's own settings apply again
         #[arg(long, conflicts_with = "show")]
         clear: bool,
         /// Show it [default]
@@ -115,7 +115,7 @@ pub fn all(robots: &[RobotRow]) -> String {
             or_dash(Some(robot.wanted).filter(|version| *version > 0)),
             or_dash(robot.running),
             robot.standing.clone(),
-            robot.drift_since.map_or_else(String::new, |since| format!("drift since {since}")),
+            robot.drift_since.map_or_else(String::new, |since| format!("out of date since {since}")),
         ]
     };
     let head = ["robot", "last seen", "gateway", "waiting", "lost", "wanted", "runs", "policy", ""];
@@ -133,10 +133,10 @@ pub fn one(view: &RobotView) -> String {
         format!("last seen {}; {} of its records wait here", or_dash(row.last_seen), row.waiting),
         wanted,
     ];
-    lines.extend(row.running.map(|running| format!("it works by version {running}")));
-    lines.extend(row.drift_since.map(|since| format!("drift since {since}")));
+    lines.extend(row.running.map(|running| format!("it runs version {running}")));
+    lines.extend(row.drift_since.map(|since| format!("out of date since {since}")));
     lines.extend(view.refused.iter().map(|why| format!("it refused: {why}")));
-    lines.extend(view.overruled.iter().map(|what| format!("overruled on the robot: {what}")));
+    lines.extend(view.overruled.iter().map(|what| format!("overridden on the robot: {what}")));
     lines.extend(view.gateway.iter().flat_map(|one| &one.addresses).map(|address| format!("gateway {address}")));
     let counts = |topic: &RobotTopicRow| {
         let counts = [topic.records, topic.verified, topic.waiting, topic.lost].map(|count| count.to_string());
@@ -155,8 +155,8 @@ pub fn one(view: &RobotView) -> String {
 pub fn pulled(view: &RingPullView) -> String {
     let topics = if view.topics.is_empty() { "all its topics".to_owned() } else { view.topics.join(", ") };
     format!(
-        "robot '{}' is asked for what its ring has of {topics} from {} to {}; it hears of it with its next contact, and sends \
-         what is still there",
+        "requested from robot '{}': what its ring has of {topics} from {} to {}; at its next connection it sends what \
+         is still there",
         view.robot, view.since, view.until
     )
 }
@@ -167,16 +167,16 @@ const LONGEST: u64 = 16 * 1024;
 /// `devices …`
 #[derive(Debug, Subcommand)]
 pub enum DevicesVerb {
-    /// Let a device sign for this profile (a loan)
+    /// Authorise a device to sign for this profile
     Lend {
         /// Id of the device (64 hex), or the file of its SM2 key (public PEM, or private 0600)
         #[arg(value_name = "ID_OR_KEYFILE")]
         device: String,
-        /// End of the loan: 30d, 12h, or a time such as 2027-01-31T12:00:00Z
+        /// End of the authorisation: 30d, 12h, or a time such as 2027-01-31T12:00:00Z
         #[arg(long, value_name = "TIME")]
         until: Option<String>,
     },
-    /// Recall a device: it can no longer sign or read, its sessions end, and a new epoch begins
+    /// Revoke a device: it can no longer sign or read, its sessions end, and a new epoch begins
     Recall {
         /// Id of the device or its first characters, its fingerprint, or the name it was enrolled under
         #[arg(value_name = "ID")]
@@ -188,7 +188,7 @@ pub enum DevicesVerb {
     /// Where an enrolled robot finds its gateway
     #[command(subcommand)]
     Addresses(AddressesVerb),
-    /// List devices on loan and recalled ones
+    /// List authorised and revoked devices
     List,
 }
 
@@ -209,7 +209,7 @@ pub enum TopicsVerb {
 /// `devices addresses …`
 #[derive(Debug, Subcommand)]
 pub enum AddressesVerb {
-    /// Give a robot a further address of its gateway; it learns it with its next contact
+    /// Give a robot a further address of its gateway; applied at its next connection
     Add {
         /// Name of the robot, or the device's id, its first characters, or its fingerprint
         #[arg(value_name = "DEVICE")]
@@ -243,7 +243,7 @@ fn device_of(text: &str) -> Result<SignerId, Failure> {
         return Ok(signer_id(&public_key(path)?));
     }
     unhex(text).and_then(|bytes| SignerId::from_slice(&bytes)).ok_or_else(|| {
-        let advice = "a fingerprint alone is not enough to lend to; give the key file";
+        let advice = "a fingerprint alone is not enough to authorise a device; give the key file";
         input(format!("give a device as 64 hex characters or as the file of its SM2 key; {advice}"))
     })
 }
@@ -272,7 +272,7 @@ pub fn devices(rows: &[DeviceRow]) -> String {
             or_dash(row.recalled),
         ]
     };
-    let head = ["device", "fingerprint", "state", "from block", "until", "recalled at"];
+    let head = ["device", "fingerprint", "state", "from block", "until", "revoked at"];
     table(&head, rows.iter().map(row))
 }
 

@@ -99,7 +99,7 @@ pub async fn run(context: Context, arguments: ServeArguments, output: &Output) -
         match register(&context, client, known, output).await {
             // Capture goes on, whatever is wrong with the chain.
             Err(failure) if known && client.ask(ChainStatus).await.is_err() => {
-                output.note(&format!("authros: {}; capture goes on without the chain", failure.message));
+                output.note(&format!("authros: {}; capture continues without the chain", failure.message));
             }
             registered => registered.map_err(not_started)?,
         }
@@ -208,7 +208,7 @@ async fn lost(client: &Client) -> Failure {
     }
 }
 
-/// The first Ctrl-C sends `stop` and goes on waiting; a second one, or SIGTERM, leaves without the answer.
+/// The first Ctrl-C sends `stop` and continues to wait; a second one, or SIGTERM, leaves without the answer.
 pub async fn until_done<A: Ask>(
     client: &Client,
     ask: A,
@@ -239,8 +239,8 @@ pub struct Ready {
     beating: Option<JoinHandle<()>>,
 }
 
-/// Reports readiness, then a keep-alive twice per period of the watchdog while threads make progress: a silent peer is
-/// no reason to be killed.
+/// Reports readiness, then a keep-alive twice per period of the watchdog while threads make progress: a silent peer
+/// does not get it killed.
 pub fn ready() -> Ready {
     say("READY=1");
     let beating = period(&variable("WATCHDOG_USEC"), &variable("WATCHDOG_PID"), std::process::id()).map(|period| {

@@ -73,7 +73,8 @@ fn known(context: &Context) -> Result<(), Failure> {
     if context.global.profile.is_none() && others.is_empty() {
         return Ok(());
     }
-    let there = if others.is_empty() { "it has none yet".to_owned() } else { format!("it has {}", others.join(", ")) };
+    let there =
+        if others.is_empty() { "it has no profiles yet".to_owned() } else { format!("it has {}", others.join(", ")) };
     let root = context.home.root().display();
     Err(input(format!("the home {root} has no profile '{}'; {there}: choose one with --profile", context.profile)))
 }
@@ -113,7 +114,7 @@ fn text(view: &reply::SiteView) -> String {
 fn life(life: &reply::LifeLine) -> Vec<String> {
     let reply::LifeLine { captured, verified, pending, right_ended, quarantined, dropped, tampered, .. } = *life;
     let sum = format!(
-        "captured {captured} = verified {verified} + pending {pending} + right ended {right_ended} + quarantined \
+        "captured {captured} = verified {verified} + pending {pending} + unauthorised {right_ended} + quarantined \
          {quarantined} + dropped {dropped} + tampered {tampered}"
     );
     let verdict = if life.conserved { "balanced" } else { "NOT BALANCED: run `authros audit verify`" };
@@ -124,8 +125,9 @@ fn life(life: &reply::LifeLine) -> Vec<String> {
     let mut lines = vec![format!("{sum}: {verdict}"), lost];
     if right_ended > 0 {
         lines.push(format!(
-            "{right_ended} records wait: their signer may not sign for their owner at the moment; they resume when the \
-             administrator restores the account (authros chain restore) or the loan is renewed (authros devices lend)"
+            "{right_ended} records wait: their signer is not authorised to sign for their owner; they resume when the \
+             administrator restores the account (`authros chain restore`) or the device is authorised again (`authros \
+             devices lend`)"
         ));
     }
     if tampered > 0 {

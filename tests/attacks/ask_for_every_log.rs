@@ -31,7 +31,7 @@ fn ask_for_every_log() {
         }
     }
     let outcome = match chain.ask("eth_getLogs", json!([{ "fromBlock": "0x0", "toBlock": "latest" }])) {
-        Err(words) if words.contains("-32005") && words.contains("ask for fewer blocks at once") => {
+        Err(words) if words.contains("-32005") && words.contains("request fewer blocks per call") => {
             Outcome::Refused(words)
         }
         Err(words) => Outcome::Otherwise(words),

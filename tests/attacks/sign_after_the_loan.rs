@@ -18,5 +18,5 @@ async fn sign_after_the_loan() {
     let Outcome::Succeeded(_) = scene.judge(&honest, "no such words") else { panic!("within the loan it may sign") };
     scene.until_expired(&id);
     let folder = scene.forge(&device, within).await;
-    judge("sign_after_the_loan", scene.judge(&folder, "had lent until"));
+    judge("sign_after_the_loan", scene.judge(&folder, "had authorised until"));
 }

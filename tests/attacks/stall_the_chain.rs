@@ -14,7 +14,7 @@ const ALL_GAS: u64 = 0xffff_ffff;
 const CAPPED_GAS: u64 = 10_000_000;
 
 /// Refusals of transactions within that: of work that the gas does not pay for, and of more than may wait.
-const NAMED: [&str; 3] = ["too much work for its gas", "txpool is full", "are taken only now and then"];
+const NAMED: [&str; 3] = ["too much work for its gas", "txpool is full", "are rate-limited"];
 
 /// MSTORE(0, rounds << 224), then STATICCALL(gas, 9, 0, 213, 0, 64).
 fn blake2f(rounds: u32) -> Vec<u8> {

@@ -137,8 +137,8 @@ fn a_grant_reaches_a_second_console_that_opens_a_record_and_a_revoke_ends_it() {
         .sees("filter: tag:mission");
     bob.presses_until("\r", "digest matches the chain").sees("nav_msgs/Odometry").presses("q");
 
-    alice.presses("x").sees("cannot be recalled").presses("x").no_longer_sees("cannot be recalled");
-    alice.presses("x").sees("cannot be recalled").presses("y").sees("0 can read new records now");
+    alice.presses("x").sees("cannot be taken back").presses("x").no_longer_sees("cannot be taken back");
+    alice.presses("x").sees("cannot be taken back").presses("y").sees("0 can read new records now");
     bob.no_longer_sees(ODOMETRY);
     bob.leaves();
     alice.leaves();

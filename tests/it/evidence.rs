@@ -181,7 +181,7 @@ fn a_bundle_is_verified_on_another_machine_and_every_lie_is_refused() {
         "/robot1/odom",
         revealed.as_str(),
         "Pose covariance",
-        "own chain",
+        "self-sealed chain",
         "openssl pkeyutl",
     ] {
         assert!(page.contains(part), "no {part} in {page}");
@@ -206,11 +206,11 @@ fn told(home: &Home, bundle: &Path, trust: &Path) {
     let last = own.trim_end().lines().last();
     assert_eq!(
         last,
-        Some("holds only by the exporter's own chain, which proves nothing against the exporter"),
+        Some("supported only by the exporter's self-sealed chain, which proves nothing against the exporter"),
         "{own}"
     );
     assert!(own.contains("note: report.html was not checked") && !own.contains("VERIFY.txt"), "{own}");
-    assert!(own.contains("'/robot1/odom' nav_msgs/Odometry") && own.contains("(f) own chain: topic"), "{own}");
+    assert!(own.contains("'/robot1/odom' nav_msgs/Odometry") && own.contains("(f) self-sealed chain: topic"), "{own}");
     let denied = home.root().join("denied.toml");
     let pins = fs::read_to_string(trust).expect("text");
     let denying = pins.replace("sealed_by_exporter = true", "sealed_by_exporter = false");

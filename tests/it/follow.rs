@@ -249,7 +249,7 @@ fn a_sealed_file_that_changes_later_is_told_by_every_run_until_somebody_decides(
     wait_until(120, "both proofs", || {
         (proof.exists() && following.stderr().contains("run_0.mcap: its proof")).then_some(())
     });
-    assert_eq!(following.stderr().matches("notmcap.mcap: it is no MCAP file").count(), 1, "{}", following.stderr());
+    assert_eq!(following.stderr().matches("notmcap.mcap: it is not an MCAP file").count(), 1, "{}", following.stderr());
     // While it is followed, and then while it is not: a byte in its middle, and one more at its end.
     let mut bytes = fs::read(&first).expect("read");
     let middle = bytes.len() / 2;
@@ -521,7 +521,7 @@ fn a_full_disk_of_the_home_is_waited_for_and_nothing_is_lost() {
     // The end of the recording is on the disk, and not in the home.
     std::thread::sleep(Duration::from_secs(3));
     following.expect_running();
-    assert!(following.stderr().contains("is full") && following.stderr().contains("goes on by itself"));
+    assert!(following.stderr().contains("is full") && following.stderr().contains("continues automatically"));
     fs::remove_file(&full).expect("space again");
     let view = following.wait(240).expect_code(0).document();
     let messages = count(&recorded, "messages");

@@ -200,7 +200,7 @@ fn is_home(figures: &Value) -> bool {
 }
 
 fn is_in_place(figures: &Value) -> bool {
-    figures["gateway"].as_str().is_some_and(|words| words.contains("in place of"))
+    figures["gateway"].as_str().is_some_and(|words| words.contains(" instead of "))
 }
 
 fn accepted(agent: &Running, more_than: u64) -> u64 {

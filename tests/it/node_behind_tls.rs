@@ -80,7 +80,7 @@ fn what_keeps_us_from_the_node_is_named_with_what_to_do() {
     for secured in ["https", "wss"] {
         let plain = if secured == "https" { "http" } else { "ws" };
         for (url, said) in [
-            (format!("{secured}://{good}/{KEY}/"), ["wants a user name and password (HTTP 401)", "USER:PASSWORD@"]),
+            (format!("{secured}://{good}/{KEY}/"), ["requires a user name and password (HTTP 401)", "USER:PASSWORD@"]),
             (format!("{secured}://{USER}:wrong@{good}/{KEY}/"), ["does not accept the user name", "HTTP 401"]),
             (format!("{secured}://{USER}:{ESCAPED}@{good}/elsewhere/"), ["serves nothing at this path", "HTTP 404"]),
             (format!("{plain}://{USER}:{ESCAPED}@{good}/{KEY}/"), ["speaks TLS at this port", "https:// or wss://"]),
@@ -89,7 +89,10 @@ fn what_keeps_us_from_the_node_is_named_with_what_to_do() {
                 ["a certificate of an authority as its own", "chain.roots"],
             ),
             (format!("{secured}://{USER}:{ESCAPED}@{expired}/{KEY}/"), ["expired at 2020-01-0", "renewed"]),
-            (format!("{secured}://{USER}:{ESCAPED}@{other}/{KEY}/"), ["for another name", "get one for this name"]),
+            (
+                format!("{secured}://{USER}:{ESCAPED}@{other}/{KEY}/"),
+                ["for another name", "get a certificate for this name"],
+            ),
         ] {
             let message = at(&home, &nginx, &url).fails(4, &["register"]);
             assert!(said.iter().all(|part| message.contains(part)), "{url}: {message}");

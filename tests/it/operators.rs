@@ -258,7 +258,7 @@ fn a_user_without_a_name_and_one_of_another_namespace_are_refused() {
     let contained = site.with_program(&unshare).with_prefix(&[&inside[..], &[program.as_str()]].concat());
     let running = contained.serve(&home);
     let said = heard(&accounts.name("bob"));
-    assert!(refusal(&said).contains("user 65534 is of another user namespace"), "{said}");
+    assert!(refusal(&said).contains("user 65534 belongs to another user namespace"), "{said}");
     running.stop("INT", 30).expect_code(0);
 }
 

@@ -52,7 +52,7 @@ fn a_home_that_cannot_be_written_is_listed_and_audited_and_stays_as_it_is() {
     for audit in [&["audit"][..], &["audit", "--deep"]] {
         let found = image.with(&["--json"]).run(audit).expect_code(0);
         assert_eq!(found.document()["ok"], true, "{found}");
-        assert!(found.stderr.contains("cannot be written: it is only looked at"), "{found}");
+        assert!(found.stderr.contains("is read-only: it is read"), "{found}");
     }
     let records = image.records(&["uploads", "list"]);
     assert!(records.len() == 5 && records.iter().all(is_verified), "{records:?}");
@@ -62,8 +62,8 @@ fn a_home_that_cannot_be_written_is_listed_and_audited_and_stays_as_it_is() {
     image.run(&["evidence", "export", bundle.to_str().expect("UTF-8")]).expect_code(0);
     assert!(bundle.exists());
     let refused = image.fails(HOME, &["keys", "rotate"]);
-    assert!(refused.contains("can only be looked at") && refused.contains("make it writable"), "{refused}");
-    assert!(image.fails(HOME, &["capture", "--topic", TOPIC, "--count", "1"]).contains("can only be looked at"));
+    assert!(refused.contains("is read-only") && refused.contains("make it writable"), "{refused}");
+    assert!(image.fails(HOME, &["capture", "--topic", TOPIC, "--count", "1"]).contains("is read-only"));
     assert_eq!(bytes(&home).keys().collect::<Vec<_>>(), before.keys().collect::<Vec<_>>(), "no file came or went");
     assert!(bytes(&home) == before, "not a byte was written");
     assert_eq!(fs::read_dir(home.root().join("tmp")).expect("read").count(), 0, "no copy is left behind");

@@ -7,7 +7,7 @@ use crate::support;
 
 use support::{Authros, Home, Running, count, free_port, heavy, list, text, wait_until};
 
-const WAITS: &str = "waits: right ended";
+const WAITS: &str = "waits: unauthorised";
 const TOPICS: [&str; 2] = ["/robot1/odom", "/robot2/odom"];
 
 fn life(authros: &Authros) -> Value {
@@ -54,7 +54,7 @@ fn suspensions_under_load_lose_nothing_and_what_waited_goes_on_by_itself() {
     let held = alice.run(&["uploads", "list", "--state", WAITS]).expect_code(0).stdout;
     assert!(held.contains(WAITS), "{held}");
     let status = alice.run(&["status"]).stdout;
-    assert!(status.contains("+ right ended ") && status.contains("chain restore"), "{status}");
+    assert!(status.contains("+ unauthorised ") && status.contains("chain restore"), "{status}");
     assert!(site.stderr().contains("records are kept but not anchored"), "{}", site.stderr());
     let before = count(&life(&alice), "verified");
     boss.json(&["chain", "restore", &address]);
@@ -105,7 +105,7 @@ fn a_robots_record_is_evidence_for_whoever_has_neither_home_nor_keys() {
     let stranger = Authros::bare(nobody.root());
     let arguments = ["verify", &folder, "--chain", &format!("http://{url}")];
     let told = stranger.run(&arguments).expect_code(0).stdout;
-    assert!(told.contains("VERIFIED") && told.contains("a device that") && told.contains("had lent"), "{told}");
+    assert!(told.contains("VERIFIED") && told.contains("a device that") && told.contains("had authorised"), "{told}");
     let found = stranger.run(&[&arguments[..], &["--json"]].concat()).expect_code(0).document();
     assert!(list(&found, "steps").iter().all(|step| step["ok"] == true), "{found}");
     assert!(!nobody.path().exists(), "no home was made");

@@ -274,11 +274,11 @@ fn nobody_there_and_no_topics_are_told_apart_in_words() {
     home.authros().with(&["--robots", "0"]).enrol();
     let check = doctor(&network, &home);
     assert_eq!(check["status"], "warn", "{check}");
-    for word in ["nobody there", "LARGE_DATA", "shared memory", "Discovery Server", "SROS2"] {
+    for word in ["no participants", "LARGE_DATA", "shared memory", "Discovery Server", "SROS2"] {
         assert!(text(&check, "detail").contains(word), "{word} in {check}");
     }
     let mut site = network.inside(&home.authros().with(&["--ros2"])).serve(&home);
-    let said = site.wait_for_text("ROS 2 domain 0: nobody there", 60);
+    let said = site.wait_for_text("ROS 2 domain 0: no participants", 60);
     assert!(said.contains("LARGE_DATA"), "{said}");
     site.stop("TERM", 20).expect_code(0);
     let _other = Talker::start(&network, &["Square", "string", "1", "1", "20", "latched", "foreign"]);

@@ -61,7 +61,7 @@ fn where_the_kernel_raises_no_walls_the_log_and_the_doctor_say_so() {
     let authros = home.authros().with(&["--ros2", "0"]).with_variable("AUTHROS_ROS2_PROGRAM", &bare);
     let mut site = authros.serve(&home);
     let said = site.wait_for_text("this kernel does not confine", 30);
-    assert!(said.contains("Landlock") && said.contains("what its user can open"), "{said}");
+    assert!(said.contains("Landlock") && said.contains("anything its user can open"), "{said}");
     site.stop("TERM", 20).expect_code(0);
 
     let view = authros.with(&["--json"]).run(&["doctor"]).document();

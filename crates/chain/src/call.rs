@@ -157,7 +157,7 @@ fn topics(scope: &Scope) -> Result<AbiToken, ChainError> {
 fn bounded(envelope: &[u8]) -> Result<Vec<u8>, ChainError> {
     if envelope.is_empty() || envelope.len() > LONGEST_ENVELOPE {
         let found = envelope.len();
-        let advice = "grant fewer topics or epochs at once";
+        let advice = "grant fewer topics or epochs";
         return Err(ChainError::Input(format!("an envelope has 1 to {LONGEST_ENVELOPE} bytes, not {found}; {advice}")));
     }
     Ok(envelope.to_vec())

@@ -22,16 +22,16 @@ pub enum ChainError {
     #[error("{0}; check `chain.roots`")]
     Roots(String),
     #[error(
-        "the chain at {url} is not the pinned one: its {what} is {found}, not {pinned}; {SEAL_ANEW}, or start the pinned \
-         chain again; anchoring has stopped, nothing is lost"
+        "the chain at {url} is not the one this home uses: its {what} is {found}, not {pinned}; \
+         {SEAL_ANEW}, or start the right chain again; anchoring is paused, records are safe"
     )]
     Swapped { url: String, what: &'static str, pinned: String, found: String },
     #[error(
-        "the embedded chain {} is gone; {SEAL_ANEW}, or put the file back from a backup; anchoring has stopped, nothing \
-         is lost", path.display()
+        "the embedded chain {} is gone; {SEAL_ANEW}, or restore the file from a backup; anchoring is paused, records \
+         are safe", path.display()
     )]
     Gone { path: PathBuf },
-    #[error("the chain cannot be asked: {why}")]
+    #[error("the chain cannot be queried: {why}")]
     Absent { why: String },
     #[error("no contract is set for this chain; deploy one with `authros chain deploy`, or set `chain.contract`")]
     NoContract,
@@ -52,8 +52,8 @@ pub enum ChainError {
     #[error("the network requires {needed} per gas, more than chain.max_fee = {cap} allows; wait or raise it")]
     TooDear { needed: Wei, cap: Wei },
     #[error(
-        "the transaction needs up to {needed} gas, and the node says that a block of this network holds {limit}; raise \
-         the network's block gas limit, or correct `chain.url`"
+        "the transaction needs up to {needed} gas, but the node reports that a block holds at most {limit}; raise the \
+         network's block gas limit, or correct `chain.url`"
     )]
     BlockTooSmall { needed: u64, limit: u64 },
     #[error("the node refused {method}: {reason}")]
@@ -145,10 +145,10 @@ impl ChainError {
 pub fn passed_by(blocks: u64, price: Wei) -> String {
     match blocks {
         0 => "the network produces no blocks; check its signers or miners".to_owned(),
-        1 => format!("not taken into 1 block at {price} per gas; wait for the next ones"),
+        1 => format!("not included in 1 block at {price} per gas; wait for the next blocks"),
         _ => format!(
-            "not taken into {blocks} blocks at {price} per gas; ask those who seal them for the lowest price that they \
-             accept, and set chain.min_price, or raise chain.max_fee"
+            "not included in {blocks} blocks at {price} per gas; ask the network's operators for the lowest price they \
+             accept, then set chain.min_price or raise chain.max_fee"
         ),
     }
 }
@@ -194,7 +194,7 @@ pub fn explain(code: &str) -> String {
         "registered" => "the account is already registered; use `authros keys rotate` to change its keys",
         "suspended" => "the administrator suspended the account; ask the administrator",
         "paused" => "the administrator paused the contract; try again later",
-        "closed" => "registration is closed; ask the administrator to admit the account",
+        "closed" => "registration is closed; ask the administrator to allow the account",
         "successor" => "the successor is itself suspended or lost; name another account",
         "succeeded" => "the account has a successor and stays suspended; use the successor's account",
         "token unknown" => "the account never registered this token; check that the keyring belongs to this account",
@@ -214,12 +214,12 @@ pub fn explain(code: &str) -> String {
         "pause" => "a pause must end in the future and last at most three days; give another end",
         "gap" => "changes were paused within the last week; the next pause must wait",
         "delay" => "the succession delay must be between a day and a year; deploy with another one",
-        "no loan" => "the device is not on loan; nothing to do",
+        "no loan" => "the device is not authorised; nothing to do",
         "wrapped" => "the grantee already has the envelope of that epoch; rotate the epoch to change the grant",
         "epoch" => "that epoch has not started; grant the current one or an earlier one",
         "expired" => "the end is in the past; give a later one",
         "scope" => "the grant names too many topics; name at most 32, or all",
-        "envelope" => "the envelope is empty or longer than 4096 bytes; grant fewer topics or epochs at once",
+        "envelope" => "the envelope is empty or longer than 4096 bytes; grant fewer topics or epochs",
         "self" => "an account cannot do this to itself; name another account",
         "length" => "a value has the wrong length; this program and the contract do not match",
         "empty" => "a value is zero where that is not allowed; this program and the contract do not match",

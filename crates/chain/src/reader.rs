@@ -277,7 +277,8 @@ impl Chain {
         while next <= to {
             let last = to.min(next + AT_ONCE - 1);
             for (number, block) in (next..=last).zip(self.each_block(next, last).await?) {
-                let gone = || self.misunderstood("eth_getLogs", &format!("it does not give block {number} of {head}"));
+                let gone =
+                    || self.misunderstood("eth_getLogs", &format!("it does not return block {number} of {head}"));
                 found.extend(block.ok_or_else(gone)?.events);
             }
             next = last + 1;

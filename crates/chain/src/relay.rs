@@ -123,7 +123,7 @@ pub fn examine(ground: Ground<'_>, asker: Asker, method: &str, parameters: &Valu
         ("eth_getProof" | "eth_feeHistory", Asker::Visitor) => Err(RelayError::NotAllowed),
         ("eth_getProof", _) => {
             let slots = parameters.get(1).and_then(Value::as_array).map_or(0, Vec::len);
-            if slots > MOST_SLOTS { refused(-32602, "too many slots at once") } else { read(parameters) }
+            if slots > MOST_SLOTS { refused(-32602, "too many slots in one request") } else { read(parameters) }
         }
         ("eth_sendRawTransaction", _) => transaction(ground.pin, first),
         ("eth_call", _) => message(ground.pin, parameters).and_then(|_| read(parameters)),
@@ -229,7 +229,7 @@ fn logs(ground: Ground<'_>, asker: Asker, filter: &Value) -> Result<Passed, Rela
     }
     let most = if asker == Asker::Visitor { VISITORS_BLOCKS } else { MOST_BLOCKS };
     if to - first >= most {
-        return refused(-32005, format!("logs of more than {most} blocks; ask for fewer at once"));
+        return refused(-32005, format!("logs of more than {most} blocks; request fewer"));
     }
     let mut bounded = fields.clone();
     if first > from {

@@ -308,34 +308,34 @@ impl Refused<'_> {
                 "correct them in `chain.url`; write characters other than letters and digits as %40 and the like",
             ),
             401 => {
-                ("wants a user name and password", "write them into `chain.url`, as https://USER:PASSWORD@HOST:PORT")
+                ("requires a user name and password", "put them into `chain.url`, as https://USER:PASSWORD@HOST:PORT")
             }
-            403 => ("forbids the request", "ask who runs it to allow this machine and this host name"),
+            403 => ("forbids the request", "ask its operator to allow this machine and this host name"),
             404 => ("serves nothing at this path", "correct the path in `chain.url`"),
             405 | 426 => (
-                "does not take requests of this kind at this path",
+                "does not accept requests of this kind at this path",
                 "check the path in `chain.url`, and whether it is ws:// (wss://) or http:// (https://)",
             ),
             413 => (
-                "finds the request too large",
-                "raise the limit of what stands before the node (nginx: client_max_body_size)",
+                "rejects the request as too large",
+                "raise the limit of the proxy in front of the node (nginx: client_max_body_size)",
             ),
-            429 => ("limits how often it may be asked", "wait, or ask who runs it for a higher limit"),
+            429 => ("limits how often it may be queried", "wait, or ask its operator for a higher limit"),
             502..=504 => {
-                ("cannot be reached by the server that stands before it", "start the node, or give it more time there")
+                ("cannot be reached by the proxy in front of it", "start the node, or raise the proxy's timeout")
             }
-            500..=599 => ("has a fault", "look into its log, or into that of what stands before it"),
+            500..=599 => ("has an internal error", "check its log, or that of the proxy in front of it"),
             301..=303 | 307 | 308 => return self.redirect(server),
-            400 if self.is_plain_to_tls() => ("speaks TLS at this port", "write https:// or wss:// in `chain.url`"),
-            _ => ("answers with a page instead of JSON-RPC", "check that `chain.url` is an Ethereum node"),
+            400 if self.is_plain_to_tls() => ("speaks TLS at this port", "use https:// or wss:// in `chain.url`"),
+            _ => ("answers with a web page instead of JSON-RPC", "check that `chain.url` is an Ethereum node"),
         };
         TransportError::Unusable { reason: format!("{what} (HTTP {})", self.status), advice: advice.to_owned() }
     }
 
     fn redirect(&self, server: &Server) -> TransportError {
         let place = authros_tls::redirected(&server.url, self.location);
-        let reason = format!("points at {place} (HTTP {}), which is not followed", self.status);
-        TransportError::Unusable { reason, advice: "write that address into `chain.url`".to_owned() }
+        let reason = format!("redirects to {place} (HTTP {}), which is not followed", self.status);
+        TransportError::Unusable { reason, advice: "set `chain.url` to that address".to_owned() }
     }
 
     /// nginx and Go's servers say so in words only.

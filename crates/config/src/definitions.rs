@@ -38,7 +38,7 @@ pub const DEFINITIONS: &[Definition] = definitions! {
     "ros.ros2_program", "AUTHROS_ROS2_PROGRAM", "":
         "path of authros-ros2, the program that reads ROS 2; empty = next to this program";
     "ros.publisher", "AUTHROS_PUBLISHER", "own":
-        "what publishes shared records in a ROS 1 graph: own, or rosrust, in a process without keys";
+        "publisher of shared records in a ROS 1 graph: own (built in), or rosrust, in a process without keys";
     "ros.robots_by", "AUTHROS_ROBOTS_BY", "own":
         "what the simulated robots are: own nodes of this process, or rosrust, each a process without keys";
     "ros.rosrust_program", "AUTHROS_ROSRUST_PROGRAM", "":
@@ -71,8 +71,8 @@ pub const DEFINITIONS: &[Definition] = definitions! {
          time such as 0s, 12h, 30d; deleted earlier, oldest first, if less than one and a half times disk.reserve is \
          free";
     "ring.keep", "AUTHROS_RING_KEEP", "":
-        "how much a robot keeps of topics that nobody watches, sealed on its own disk, until its owner asks for it: \
-         TIME, SIZE, as \"5m, 500MiB\"; empty = no ring";
+        "how much unwatched data a robot keeps, sealed on its own disk, until its owner requests it: TIME, SIZE, such \
+         as \"5m, 500MiB\"; empty = no ring";
     "ring.topics", "AUTHROS_RING_TOPICS", "":
         "topics of a robot's ring: [\"/camera/**\", \"/imu\"], or with commas between; those its enrolment covers and \
          --topic does not name";
@@ -134,8 +134,8 @@ pub const DEFINITIONS: &[Definition] = definitions! {
     "alerts.disk", "AUTHROS_ALERTS_DISK", "1GiB":
         "alert if the home's disk has less free space than this; 0 = no such alert";
     "alerts.clock", "AUTHROS_ALERTS_CLOCK", "5s":
-        "alert if this machine's clock differs by more than this from the time used for grants and loans; never = no \
-         such alert";
+        "alert if this machine's clock differs by more than this from the time used for grants and device \
+         authorisations; never = no such alert";
     "alerts.grant_ends", "AUTHROS_ALERTS_GRANT_ENDS", "3d":
         "alert if a grant, given or received from a contact, ends within this time; never = no such alert";
     "alerts.audit", "AUTHROS_ALERTS_AUDIT", "15m":
@@ -144,9 +144,9 @@ pub const DEFINITIONS: &[Definition] = definitions! {
     "confirmations", "AUTHROS_CONFIRMATIONS", "1":
         "blocks until an anchor counts as confirmed, including its own, 1 to 1000";
     "gateway.admission", "AUTHROS_GATEWAY_ADMISSION", "closed":
-        "who may use this home's gateway: closed = its own profiles and admitted owners; open = anyone, within quotas";
+        "who may use this home's gateway: closed = its own profiles and allowed owners; open = anyone, within quotas";
     "gateway.quota_bytes", "AUTHROS_GATEWAY_QUOTA_BYTES", "10GiB":
-        "bytes of records that an owner who is not admitted may send to an open gateway";
+        "bytes of records that an owner who is not on the allow list may send to an open gateway";
     "gateway.quota_names", "AUTHROS_GATEWAY_QUOTA_NAMES", "16":
         "names that such an owner may register there";
     "gateway.quota_streams", "AUTHROS_GATEWAY_QUOTA_STREAMS", "1024":

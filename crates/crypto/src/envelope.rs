@@ -212,7 +212,7 @@ fn parse(plain: &[u8]) -> Result<(Domain, WrappedKeys), WireError> {
     Ok((domain, WrappedKeys { terms, keys }))
 }
 
-const HAND_OVER: &str = "hand-over of SM2 keys";
+const HAND_OVER: &str = "transfer of SM2 keys";
 const SECRETS: usize = 2 * 32;
 
 fn sealing_key(eoa: &EoaSecret, salt: &[u8; 32], domain: &Domain) -> (Zeroizing<[u8; 16]>, [u8; 12]) {

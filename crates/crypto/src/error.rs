@@ -34,12 +34,12 @@ pub enum CryptoError {
     DamagedRecord(WireError),
     #[error("the record was tampered with: its {0} does not match; keep it as evidence and fetch it again")]
     Tampered(&'static str),
-    #[error("the record is not the one asked for: its {0} differs; the store may have swapped it")]
+    #[error("the record is not the one requested: its {0} differs; the store may have swapped it")]
     NotAsked(&'static str),
     /// A record that is as it was sealed, but whose signer wrote a name into it that belongs to another pseudonym.
     #[error(
         "the record is not shown: its signer wrote a false {0} into it, which does not belong to the pseudonym it is \
-         filed under; `authros uploads show` names the signer: if it is a device of yours, recall it"
+         filed under; `authros uploads show` names the signer: if it is a device of yours, revoke it"
     )]
     FalseName(&'static str),
     #[error("this key does not open the record; ask its owner for a grant of its epoch and topic")]

@@ -518,7 +518,7 @@ fn sealed(check: &Check<'_>, anchored: &Anchored<'_>, shown_at: &BlockHeader) ->
     if trust.chain.sealed_by_exporter || shown_at.is_ours() {
         return Level::new(
             Standing::OwnChain,
-            format!("{text}: the exporter's own chain, which proves nothing against the exporter"),
+            format!("{text}: the exporter's self-sealed chain, which proves nothing against the exporter"),
         );
     }
     Level::proven(text)

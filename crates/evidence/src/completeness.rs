@@ -158,8 +158,8 @@ fn told_of_ring(stretch: &Stretch) -> String {
     let more = if parts.len() > 10 { " and more" } else { "" };
     parts.truncate(10);
     let mut text = format!(
-        "of a robot's ring every number of {}{more}; other numbers of a ring fell out, or were not asked for: nothing is \
-         claimed of them",
+        "of a robot's ring every number of {}{more}; other numbers of a ring expired or were not requested: nothing is \
+         claimed about them",
         parts.join(", ")
     );
     if stretch.uncounted > 0 {

@@ -171,7 +171,7 @@ pub(crate) fn from_toml<T: Serialize + DeserializeOwned>(text: &str) -> Result<T
 /// Serde takes a structure from a list of its values, too; written again, it is no list.
 fn expect_shape<T: Serialize>(told: &Value, read: &T) -> Result<(), String> {
     let written = serde_json::to_value(read).map_err(|error| error.to_string())?;
-    if is_of_shape(told, &written) { Ok(()) } else { Err("a list stands in place of lines with names".to_owned()) }
+    if is_of_shape(told, &written) { Ok(()) } else { Err("a list stands where named lines belong".to_owned()) }
 }
 
 fn is_of_shape(told: &Value, written: &Value) -> bool {

@@ -29,7 +29,7 @@ impl Standing {
     pub fn word(self) -> &'static str {
         match self {
             Self::Proven => "proven",
-            Self::OwnChain => "own chain",
+            Self::OwnChain => "self-sealed chain",
             Self::Unproven => "not proven",
             Self::Absent => "absent",
             Self::Refused => "REFUSED",
@@ -254,9 +254,9 @@ impl Report {
                  left records out; pin the exporter's key, or ask the owner for the bundle"
             }
             Outcome::Incomplete if !self.records.is_empty() && by_own_chain() => {
-                "holds only by the exporter's own chain, which proves nothing against the exporter"
+                "supported only by the exporter's self-sealed chain, which proves nothing against the exporter"
             }
-            Outcome::Incomplete => "NOT EVERYTHING IS PROVEN: the levels show what is not",
+            Outcome::Incomplete => "NOT FULLY PROVEN: the levels show what is missing",
             Outcome::Refused => "REFUSED: there is a contradiction; the levels show where",
         }
     }

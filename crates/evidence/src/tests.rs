@@ -111,7 +111,11 @@ fn the_exporters_own_chain_proves_nothing_against_him() {
     assert!(!report.warnings.iter().any(|warning| warning.contains("others seal this chain")));
     assert_eq!((report.outcome, report.exporter.standing), (Outcome::Incomplete, OwnChain));
     assert_eq!(report.complete[0].standing, OwnChain);
-    assert_eq!(report.last_line(), "holds only by the exporter's own chain, which proves nothing against the exporter");
+    assert_eq!(
+        report.last_line(),
+        "supported only by the exporter's self-sealed chain, which proves nothing against \
+         the exporter"
+    );
 }
 
 fn anchored_by_the_gateway() -> World {
@@ -183,15 +187,15 @@ fn a_device_signs_while_it_is_lent() {
     };
     with([0, 12, 0]).expect('b', Proven, "to a device that");
     with([TIME + 1, 12, 0]).expect('b', Proven, "to a device that");
-    with([TIME, 12, 0]).expect('b', Refused, "the loan of the device had ended");
-    with([0, 12, BLOCK]).expect('b', Refused, "recalled the device in block 40");
-    with([0, 41, 0]).expect('b', Refused, "lent the device only in block 41");
+    with([TIME, 12, 0]).expect('b', Refused, "the device's authorisation had ended");
+    with([0, 12, BLOCK]).expect('b', Refused, "revoked the device in block 40");
+    with([0, 41, 0]).expect('b', Refused, "authorised the device only in block 41");
     let later = World { shown_at: BLOCK + 9, ..with([0, 41, 0]) };
-    later.expect('b', Unproven, "lent again later; what applied at block 40 is not shown");
+    later.expect('b', Unproven, "authorised again later; what applied at block 40 is not shown");
     let mut timeless = World { shown_at: BLOCK + 9, ..with([TIME + 1, 12, 0]) };
     timeless.put(Slot::anchor(owner, root(&timeless.claim)), word(&[BLOCK, 5, 0, 1]));
     timeless.expect('b', Unproven, "the block's time is not shown");
-    with([0, 0, 0]).expect('b', Refused, "neither registered nor lent");
+    with([0, 0, 0]).expect('b', Refused, "neither registered nor authorised");
 }
 
 #[test]

@@ -506,7 +506,7 @@ fn judged(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>, registere
         format!("the key was {owner}'s at block {block}")
     } else {
         lent(header, anchored)?;
-        format!("the key {} belongs to a device that {owner} had on loan at block {block}", header.signer)
+        format!("the key {} belongs to a device that {owner} had authorised at block {block}", header.signer)
     };
     // The contract lets no suspended account anchor, but the state is that after the block, in which the owner may have
     // been suspended later. A later state with a suspension does not show that it came after the block.
@@ -557,22 +557,22 @@ fn lent(header: &Header, anchored: &Anchored<'_>) -> Result<(), Level> {
     let (unproven, refused) = (|text: String| Err(Level::unproven(text)), |text: String| Err(Level::refused(text)));
     let loan = anchored.storage.loan(owner, &header.signer.0).map_err(|why| unshown(why, anchored))?;
     let Some(loan) = loan else {
-        return refused(format!("{owner} had neither registered nor lent the key at block {block}"));
+        return refused(format!("{owner} had neither registered nor authorised the key at block {block}"));
     };
     if loan.lent > block && anchored.shown_at > block {
-        return unproven(format!("the device was lent again later; what applied at block {block} is not shown"));
+        return unproven(format!("the device was authorised again later; what applied at block {block} is not shown"));
     }
     if loan.lent > block {
-        return refused(format!("{owner} lent the device only in block {}, after block {block}", loan.lent));
+        return refused(format!("{owner} authorised the device only in block {}, after block {block}", loan.lent));
     }
     if loan.recalled != 0 && loan.recalled <= block {
-        return refused(format!("{owner} had recalled the device in block {}", loan.recalled));
+        return refused(format!("{owner} had revoked the device in block {}", loan.recalled));
     }
     match anchored.time {
         _ if loan.until == 0 => Ok(()),
         Some(time) if time < loan.until => Ok(()),
-        Some(_) => refused(format!("the loan of the device had ended by {}", Timestamp::from_seconds(loan.until))),
-        None => unproven("the loan of the device had an end, but the block's time is not shown".to_owned()),
+        Some(_) => refused(format!("the device's authorisation had ended by {}", Timestamp::from_seconds(loan.until))),
+        None => unproven("the device's authorisation had an end, but the block's time is not shown".to_owned()),
     }
 }
 

@@ -139,9 +139,10 @@ codes! {
     Length = 1 Refused "a frame has an invalid length; connect again";
     Session = 2 Refused "the session has ended; connect again";
     Counter = 3 Refused "a frame came out of order; connect again";
-    Tag = 4 Refused "a frame was altered or sealed under another key; allocate a transport key again";
+    Tag = 4 Refused "a frame was altered or sealed under another key; connect again, and if it persists, enrol the \
+        robot again";
     Token = 5 Refused "the token does not belong to this account; register or rotate first";
-    Signature = 6 Refused "the SM2 signature was rejected; sign with the registered key or a lent one";
+    Signature = 6 Refused "the SM2 signature was rejected; sign with the registered key or that of an authorised device";
     Account = 7 Refused "the account's signature was rejected; sign with the key of the registered account";
     Malformed = 8 Refused "the gateway cannot read the message; use the same version on both sides";
     Version = 9 Refused "the gateway uses another version of the protocol; use the same version on both sides";
@@ -150,11 +151,11 @@ codes! {
     NameBound = 12 Refused "this name belongs to another account; choose another name";
     NotRegistered = 13 Refused "the chain knows no such identity; register it, or wait for its confirmation";
     Suspended = 14 Refused "the account is suspended; ask the administrator";
-    NotAuthorised = 15 Refused "no grant covers this; ask the owner for one, and the gateway's operator to admit this \
+    NotAuthorised = 15 Refused "no grant covers this; ask the owner for one, and the gateway's operator to allow this \
                                 account";
     NotFound = 16 Refused "the gateway has no such record; check the digest";
     Tampered = 17 Tampered "the stored record is not the one anchored; fetch it from elsewhere";
-    Quota = 18 Refused "too many requests at once; send less and try again";
+    Quota = 18 Refused "too many simultaneous requests; send fewer and try again";
     Busy = 19 Unreachable "the gateway has no room at the moment; try again later";
     NotHere = 20 Refused "this command is not accepted in this session; connect with a transport key";
     /// The chain's current state is unknown, so authority cannot be determined.

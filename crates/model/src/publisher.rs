@@ -14,8 +14,8 @@ use crate::text::is_name;
 pub enum PublisherError {
     #[error(
         "'{0}' is not a publisher; use CALLER_ID@HOST:TYPE:MD5, such as \
-         /driver@127.0.0.1:std_msgs/String:992ce8a1687cec8c8bd883ec73ca41d1; for ROS 2 the host is domain0 (the domain's \
-         number), and the type's hash, RIHS01_ and 64 digits, is in the md5sum's place; * is for one that tells none"
+         /driver@127.0.0.1:std_msgs/String:992ce8a1687cec8c8bd883ec73ca41d1; for ROS 2 the host is domain0 (the \
+         domain's number) and the md5sum is the type's hash, RIHS01_ and 64 digits; * stands for an unknown hash"
     )]
     Publisher(String),
     #[error("'{0}' is not TOPIC=CALLER_ID@HOST:TYPE:MD5; separate several with commas")]
@@ -179,7 +179,7 @@ impl Doubt {
             Self::New => "it is not a pinned publisher",
             Self::Host => "the pinned publisher of this name is on another host",
             Self::Type => "the pinned publisher of this name sends another type",
-            Self::Replaced => "it registered under the pinned publisher's name while that one was still running",
+            Self::Replaced => "it registered under the pinned publisher's name while that publisher was still running",
             Self::Undecided => "a publisher of this name was replaced, and nobody has decided yet which one is genuine",
             Self::Unconfirmed => "the master does not list it, so no connection was made",
         }

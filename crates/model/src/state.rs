@@ -28,8 +28,8 @@ pub enum RecordState {
     /// The stored bytes differ from the anchored digest.
     Tampered,
     /// Stored, but its signer may not sign for its owner now. Nobody here anchors it until that right is back.
-    #[serde(rename = "waits: right ended")]
-    #[strum(to_string = "waits: right ended")]
+    #[serde(rename = "waits: unauthorised")]
+    #[strum(to_string = "waits: unauthorised")]
     RightEnded,
 }
 

@@ -197,13 +197,15 @@ pub enum NoRight {
     Succeeded { owner: Address, successor: Address, since: u64, block: Option<u64> },
     #[error("{owner} had replaced the signer's key {}, in block {since}", when(.block))]
     Replaced { owner: Address, since: u64, block: Option<u64> },
-    #[error("the signer is a device that {owner} lent only in block {from}, after the record was anchored")]
+    #[error("the signer is a device that {owner} authorised only in block {from}, after the record was anchored")]
     LentLater { owner: Address, from: u64 },
-    #[error("the signer is a device that {owner} had recalled in block {recalled}")]
+    #[error("the signer is a device that {owner} had revoked in block {recalled}")]
     Recalled { owner: Address, recalled: u64 },
-    #[error("the signer is a device that {owner} had lent until {until}, but the anchoring block is dated {time}")]
+    #[error(
+        "the signer is a device that {owner} had authorised until {until}, but the anchoring block is dated {time}"
+    )]
     Ended { owner: Address, until: Timestamp, time: Timestamp },
-    #[error("{owner} had not registered the signer's key {}, nor lent it", when(.block))]
+    #[error("{owner} had neither registered nor authorised the signer's key {}", when(.block))]
     Unknown { owner: Address, block: Option<u64> },
     #[error("the signer is a device of {owner} whose key is unknown here; ask its owner for an export")]
     KeyUnknown { owner: Address },

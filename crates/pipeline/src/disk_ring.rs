@@ -26,7 +26,10 @@ pub fn ask(notes: &Notes, number: u64, span: &RingSpan) -> Result<()> {
             return Ok(());
         }
         if asked.len() >= MOST {
-            return Err(PipelineError::Refused(format!("{MOST} spans of the ring are asked for already")));
+            return Err(PipelineError::Refused(format!(
+                "{MOST} spans of the ring are requested already; wait until the \
+                 robot has sent them"
+            )));
         }
         asked.push_back(AskedSpan { number, span: span.clone() });
         Ok(())

@@ -29,7 +29,7 @@ pub enum PipelineError {
     BadIdentity(Address),
     #[error("{owner} does not share {what} with {reader}; ask for `authros grant {reader}`")]
     NotGranted { owner: Address, reader: Address, what: String },
-    #[error("there is no record '{0}' here; `authros uploads list` and `authros shared list` show those there are")]
+    #[error("there is no record '{0}' here; `authros uploads list` and `authros shared list` show all")]
     NoRecord(String),
     #[error(
         "the ledger was altered: record {id} differs from its row in its {field}, so it is not shown; `authros audit` \
@@ -82,8 +82,8 @@ pub enum PipelineError {
     #[error("the chain changed while it was being read; it is read again; check that all nodes behind the URL agree")]
     Unsteady,
     #[error(
-        "the node names block {head} and does not give block {block}: it is behind, or several nodes answer at its URL and \
-         not all are up to date; nothing is decided by it until it has caught up; check that node"
+        "the node reports block {head} but does not return block {block}: it is behind, or several nodes answer at its \
+         URL and not all are up to date; its answers are ignored until it has caught up; check that node"
     )]
     NodeBehind { block: u64, head: u64 },
     #[error("record {id} is not verified: {why}; ask its owner whether it has been anchored again since")]

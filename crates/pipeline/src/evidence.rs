@@ -106,7 +106,7 @@ pub async fn gather(
     let live = match &reader.network.absent {
         None => Some(Sealers::of(&reader.network.chain).await?),
         Some(why) => {
-            gathered.notes.push(format!("the chain was not asked, the bundle has what was kept of it: {why}"));
+            gathered.notes.push(format!("the chain was not queried, so the bundle has the proofs kept here: {why}"));
             None
         }
     };

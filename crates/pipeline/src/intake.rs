@@ -48,9 +48,9 @@ pub enum Reason {
     Number,
     #[error("what is left of it is not the header of a message or an attachment")]
     NotErasable,
-    #[error("that it was erased is not stated with its owner's key")]
+    #[error("its erasure is not signed with its owner's key")]
     NotStated,
-    #[error("it claims to be numbered here, and is not from here")]
+    #[error("it claims to be numbered by this home, but is not")]
     NumberedHere,
     #[error("{0}")]
     Unopened(Box<PipelineError>),

@@ -194,7 +194,7 @@ impl Notices {
         let (header, notice) = open_notice(self.provider, &self.sealed.enrolment, &record.blob, &record.signature)?;
         // The entry is the gateway's word; only the signed header's number tells an old notice from a new one.
         if !self.is_newer((header.recorder, header.seq, header.epoch), header.captured_at) {
-            return Err(PipelineError::Refused("it is an old one that the gateway gives out as new".to_owned()));
+            return Err(PipelineError::Refused("it is an old notice that the gateway presents as new".to_owned()));
         }
         Ok((header, notice))
     }
@@ -287,12 +287,12 @@ fn asked(ring: Option<&Notes>, number: u64, span: &RingSpan) -> Result<String> {
     let RingSpan { since, until, .. } = span;
     let Some(notes) = ring else {
         return Ok(format!(
-            "the owner asks for what was captured from {since} to {until} and nobody watched, but this robot keeps no ring; \
-             ring.keep and ring.topics give it one"
+            "the owner requests unwatched data from {since} to {until}, but this robot keeps no ring; set ring.keep \
+             and ring.topics to keep one"
         ));
     };
     block_in_place(|| disk_ring::ask(notes, number, span))?;
-    Ok(format!("the owner asks for what the ring has from {since} to {until}; it goes into the outbox"))
+    Ok(format!("the owner requests what the ring has from {since} to {until}; it is moved to the outbox"))
 }
 
 fn told(before: &IssuedKeys, after: &IssuedKeys) -> String {

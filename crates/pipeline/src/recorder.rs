@@ -358,9 +358,10 @@ fn words(notice: &CaptureNotice) -> Option<(bool, String)> {
         CaptureNotice::LostInTransport { topic, caller_id, count, .. } => {
             (true, format!("{count} messages of {caller_id} on {topic} never arrived: counted as lost in transport"))
         }
-        CaptureNotice::ReadingBroken { reason } => {
-            (true, format!("reading ROS 2 broke off and is being restarted; what is missing will be counted: {reason}"))
-        }
+        CaptureNotice::ReadingBroken { reason } => (
+            true,
+            format!("reading ROS 2 broke off and is being restarted; missing messages will be counted: {reason}"),
+        ),
         CaptureNotice::EndUnknown { topic, caller_id, at_least } => {
             let text = "vanished while ROS 2 was not read: at least";
             (true, format!("{caller_id} on {topic} {text} {at_least} messages are missing, the end is unknown"))

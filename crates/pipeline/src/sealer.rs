@@ -155,7 +155,7 @@ impl Sealer {
         }
         if let Err(error) = self.losses.note_waiting(waiting) {
             let text =
-                format!("what waits in memory cannot be noted, so it would not be counted after a crash: {error}");
+                format!("messages waiting in memory cannot be noted, so a crash would leave them uncounted: {error}");
             self.plant.observer.alert(true, text);
         }
     }

@@ -28,9 +28,7 @@ pub enum RosError {
          authros-ros2), or set ros.ros2_program"
     )]
     NoReader(String),
-    #[error(
-        "ROS 2 domain {domain} cannot be published in: {reason}; look at the ports and the memory of this machine, and try again"
-    )]
+    #[error("cannot publish in ROS 2 domain {domain}: {reason}; check this machine's ports and memory, then try again")]
     NotPublished { domain: u16, reason: String },
     #[error(
         "the program in which rosrust runs is not at {0}; install the package authros-rosrust (from source: cargo build -p \
@@ -44,8 +42,8 @@ pub enum RosError {
     NotPublishedByRosrust { uri: String, reason: String },
     /// Under root, a program that speaks with the network runs as `nobody`.
     #[error(
-        "{program} does not start as the user nobody, as whom it runs under root ({reason}); install it so that every user may \
-         execute it, as in /usr/bin with mode 755, or run authros as another user"
+        "{program} does not start as the user nobody, which is how root runs it ({reason}); install it where every \
+         user may execute it, such as /usr/bin with mode 755, or run authros as another user"
     )]
     NotAsNobody { program: String, reason: String },
     #[error("cannot {action} ({reason}); free some threads, sockets or memory and try again")]

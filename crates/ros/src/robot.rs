@@ -282,7 +282,7 @@ impl DomainFleet {
             let topic = Offered { name, type_name: type_name.to_owned(), encoding: LITTLE, offer: USUAL };
             let refused = |declined: Declined| RosError::NotPublished {
                 domain,
-                reason: format!("{}; choose a domain of their own for the robots, as --ros2 42", declined.reason),
+                reason: format!("{}; give the robots a domain of their own, such as --ros2 42", declined.reason),
             };
             let writer = lock(&publisher).advertise(&topic, size, (true, false))?.map_err(refused)?;
             let publisher = Arc::clone(&publisher);

@@ -144,15 +144,15 @@ impl Asked {
     fn begin(parts: Parts<'_>, question: &Question, graph: &Graph) -> Result<Self, String> {
         let (participant, subscriber, publisher) = parts;
         let Some((request, answer)) = graph::description_topics(&question.node) else {
-            return Err("its name is no name of a node".to_owned());
+            return Err("its name is not a valid node name".to_owned());
         };
         let Some(server) = graph.writer_of(&answer, ANSWER_TYPE) else {
             return Err("it does not offer get_type_description".to_owned());
         };
         let Some(form) = form(server) else {
-            return Err(format!("services of {} are not spoken here", graph::vendor(server)));
+            return Err(format!("services of {} are not supported", graph::vendor(server)));
         };
-        let failed = |error: &dyn std::fmt::Debug| format!("it cannot be asked ({error:?})");
+        let failed = |error: &dyn std::fmt::Debug| format!("it cannot be queried ({error:?})");
         let policies: QosPolicies = quality::policies(Quality { reliable: true, latched: false }, DEPTH);
         let topic = |name: String, type_name: &str| {
             let made = participant.create_topic(name, type_name.to_owned(), &policies, TopicKind::NoKey);
@@ -279,7 +279,7 @@ fn read(reader: &mut Reader<'_>, type_name: &str) -> Option<Answer> {
     let sources = sources(reader).unwrap_or_default();
     let (text, structure) = (joined(&sources, type_name), whole_structure(&types, type_name));
     if text.is_empty() && structure.is_empty() {
-        return Some(Err("what it answers cannot be said in .msg, or is too long".to_owned()));
+        return Some(Err("its answer cannot be expressed as .msg, or is too long".to_owned()));
     }
     Some(Ok((text, structure)))
 }

@@ -73,8 +73,8 @@ impl Last {
 
 /// Asks a node where it serves a topic.
 pub fn find(node_uri: &str, topic: &str) -> io::Result<Served> {
-    let wrong = |what: &str| io::Error::other(format!("rosrust does not say where it serves the topic: {what}"));
-    let uri: xml_rpc::Url = node_uri.parse().map_err(|_| wrong("its own address is none"))?;
+    let wrong = |what: &str| io::Error::other(format!("rosrust does not report where it serves the topic: {what}"));
+    let uri: xml_rpc::Url = node_uri.parse().map_err(|_| wrong("its own address is not a URL"))?;
     let protocols = Value::Array(vec![Value::Array(vec![Value::String("TCPROS".into())])]);
     let about = vec![Value::String("/ear".into()), Value::String(topic.into()), protocols];
     let answer = xml_rpc::call_value(&uri, "requestTopic", about);

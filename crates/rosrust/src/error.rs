@@ -7,11 +7,11 @@ use crate::pipe::PipeError;
 pub enum RosrustError {
     #[error(transparent)]
     Pipe(#[from] PipeError),
-    #[error("the ROS master does not let rosrust in ({0}); check that roscore answers there")]
+    #[error("the ROS master refuses rosrust ({0}); check that roscore answers there")]
     Join(String),
-    #[error("the node was shut down from outside, as by rosnode kill, or by another node of its name")]
+    #[error("another process shut the node down, such as rosnode kill or a node of the same name")]
     ShutDown,
-    #[error("rosrust closed the connection by which its messages of {0} are counted")]
+    #[error("rosrust closed the connection that counts its messages of {0}")]
     Deaf(String),
     #[error("cannot {action} ({reason}); free some memory and threads")]
     System { action: &'static str, reason: String },

@@ -48,7 +48,7 @@ impl Outlet {
         let begun = Instant::now();
         while !is_known(&publisher, EAR) {
             if begun.elapsed() >= PATIENCE {
-                return Err("rosrust does not let in the subscriber that counts its messages".to_owned());
+                return Err("rosrust refuses the subscriber that counts its messages".to_owned());
             }
             std::thread::sleep(Duration::from_millis(1));
         }

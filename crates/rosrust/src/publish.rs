@@ -133,12 +133,12 @@ impl<'a, W: Write> Child<'a, W> {
 
     fn announce(&self, topic: &Described, definition: Vec<u8>) -> Result<Outlet, String> {
         if self.outlets.len() >= MOST_TOPICS {
-            return Err(format!("{MOST_TOPICS} topics are announced already"));
+            return Err(format!("there are already {MOST_TOPICS} topics, the limit"));
         }
         if self.outlets.values().any(|outlet| outlet.topic == topic.name) {
-            return Err("the topic is announced already".to_owned());
+            return Err("the topic is already announced".to_owned());
         }
-        let definition = String::from_utf8(definition).map_err(|_| "its definition is no text".to_owned())?;
+        let definition = String::from_utf8(definition).map_err(|_| "its definition is not text".to_owned())?;
         Outlet::begin(&self.ros, topic, definition)
     }
 

@@ -25,7 +25,7 @@ fn a_master_that_does_not_answer_is_the_reason_that_the_site_is_told() {
     command.args(["--node", "a"]).env("ROS_MASTER_URI", "http://127.0.0.1:1/").env("ROS_HOSTNAME", "127.0.0.1");
     let output = command.stdin(std::process::Stdio::null()).output().expect("it starts");
     let told = String::from_utf8_lossy(&output.stdout);
-    assert!(told.contains(r#""report":"failed""#) && told.contains("the ROS master does not let rosrust in"), "{told}");
+    assert!(told.contains(r#""report":"failed""#) && told.contains("the ROS master refuses rosrust"), "{told}");
 }
 
 /// Everything that it begins with for a site has happened when it tries: the walls stand, or it says that they do not.

@@ -17,7 +17,7 @@ const USUAL_OVERFLOW: u32 = 65_534;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum AccountError {
     #[error(
-        "user {0} is of another user namespace, so nobody can say who that is; site and operators have to run in one \
+        "user {0} belongs to another user namespace and cannot be identified; site and operators must run in one \
          namespace (PrivateUsers=no in the site's unit)"
     )]
     OtherNamespace(u32),

@@ -70,11 +70,11 @@ fn part(name: &str, level: HealthLevel, text: &str) -> PartHealth {
 fn of_site(site: &SiteView, sheet: &mut Sheet) {
     let failed: Vec<_> = site.health.iter().filter(|part| part.level == HealthLevel::Failed).collect();
     for part in &failed {
-        let advice = "fix what it names; the site then continues automatically";
+        let advice = "fix the problem above; the site then continues automatically";
         sheet.fail(&format!("site {}", part.part), &part.text, advice);
     }
     for part in site.health.iter().filter(|part| part.level == HealthLevel::Waiting) {
-        sheet.warn(&format!("site {}", part.part), &part.text, "check again in a moment");
+        sheet.warn(&format!("site {}", part.part), &part.text, "retrying; run doctor again in a minute");
     }
     if failed.is_empty() {
         let LifeLine { verified, pending, .. } = site.life;
@@ -177,7 +177,7 @@ async fn answered(chain: &Chain, name: &str, has_pin: bool, sheet: &mut Sheet) {
             let advice = "the store was lost: restore the last backup, or name the contract with --contract";
             sheet.fail("contract", &text, advice);
         }
-        None => sheet.ok("contract", "none yet; deploy it with `authros register` or `authros chain deploy`"),
+        None => sheet.ok("contract", "not deployed yet; deploy it with `authros register` or `authros chain deploy`"),
     }
     if has_pin && let Ok(sealed_by) = chain.sealed_by().await {
         who_seals(&sealed_by, sheet);
@@ -305,7 +305,7 @@ const DAMAGED: &str = "keep a copy of the home, then restore the last backup: au
 fn store(home: &Home, sheet: &mut Sheet) {
     let path = home.ledger();
     if misses_store(home) {
-        let text = format!("{} is gone, and keys or the embedded chain of this home are there", path.display());
+        let text = format!("{} is gone, although this home has keys or an embedded chain", path.display());
         return sheet.fail("store", &text, STORE_LOST);
     }
     if !path.exists() {
@@ -322,7 +322,7 @@ fn store(home: &Home, sheet: &mut Sheet) {
         None => sheet.ok("store", &format!("{} is well-formed, {bytes} bytes", path.display())),
     }
     match glance.and_then(|ledger| ledger.check_notes()) {
-        Ok(count) => sheet.ok("notes", &format!("{count} notes in the store can be read")),
+        Ok(count) => sheet.ok("notes", &format!("all {count} notes in the store are readable")),
         Err(error) => sheet.fail("notes", &error.to_string(), DAMAGED),
     }
 }
@@ -385,7 +385,9 @@ fn second(config: &Config, sheet: &mut Sheet) {
     let advice = "start a robot there; on the robot, unset FASTDDS_BUILTIN_TRANSPORTS and ROS_DISCOVERY_SERVER and use \
                   UDP; see docs/ros2.md";
     match &standing.reading {
-        Reading::Down { reason } => sheet.fail("ros 2", &standing.text(), &format!("fix what it reports: {reason}")),
+        Reading::Down { reason } => {
+            sheet.fail("ros 2", &standing.text(), &format!("fix the reported problem: {reason}"))
+        }
         Reading::Looking => {
             sheet.fail("ros 2", &standing.text(), "the program that reads it does not respond; try again")
         }

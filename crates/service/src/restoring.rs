@@ -51,7 +51,7 @@ pub fn restore(file: &Path, home: &Home, secret: &SecretText) -> Result<BackupVi
     ];
     if has_ring {
         notes.push(
-            "the robot's ring ages from the next start of its agent on; ask for what is in it with `authros robots pull`"
+            "the robot's ring ages from the next start of its agent; request what is in it with `authros robots pull`"
                 .to_owned(),
         );
     }
@@ -86,7 +86,7 @@ fn occupied(place: &Path, how: &str) -> Failure {
 /// Moves a file or folder to a free place; returns what to say if that fails.
 fn put_back(from: &Path, place: &Path) -> Option<String> {
     let error = move_to(from, place).err()?;
-    Some(format!("{} could not be moved to {}: {error}; it is used in its current place", shown(from), shown(place)))
+    Some(format!("{} could not be moved to {}: {error}; it is used where it is", shown(from), shown(place)))
 }
 
 fn move_to(from: &Path, place: &Path) -> io::Result<()> {
@@ -127,7 +127,7 @@ fn unread(path: &Path, error: &io::Error) -> Failure {
     let file = shown(path);
     match error.kind() {
         io::ErrorKind::PermissionDenied if error.get_ref().is_some() => {
-            refused(format!("wrong passphrase for {file}; use the one given when it was backed up"))
+            refused(format!("wrong passphrase for {file}; use the passphrase it was backed up with"))
         }
         io::ErrorKind::InvalidData | io::ErrorKind::UnexpectedEof if is_keyring_file(path) => input(format!(
             "{file} is a saved keyring, not a backup of a home; bring it back with `authros keys restore {file}`"

@@ -249,7 +249,10 @@ async fn judge_signer(
         let at = Moment::of_block(*number, Timestamp::from_seconds(block.timestamp));
         let text = match may_sign(&directory, owner, signer, at) {
             Ok(SigningRight::Owner(_)) => format!("the signer's key belonged to {owner} at block {number}"),
-            Ok(SigningRight::Device(_)) => format!("the signer is a device that {owner} had lent at block {number}"),
+            Ok(SigningRight::Device(_)) => format!(
+                "the signer is a device that {owner} had authorised at block \
+                                                    {number}"
+            ),
             Err(why) => {
                 refused = refused.or(Some(why));
                 continue;
@@ -277,7 +280,7 @@ fn warnings(
     let mut warnings = Vec::new();
     if let Some(sealed_by) = sealed_by.filter(|sealed_by| sealed_by.alone) {
         warnings.push(format!(
-            "against the person who runs this chain its anchor proves nothing: {}; they could have created it at any \
+            "its anchor proves nothing against the person who runs this chain: {}; they could have created it at any \
              time and dated its blocks as they like",
             sealed_by.text
         ));
@@ -310,8 +313,8 @@ fn warnings(
 pub fn verdict(check: &FolderCheck) -> String {
     let first = match (check.worst, check.anchored) {
         (None, Some(anchored)) => format!(
-            "VERIFIED: unaltered, and signed with a key that was its owner's or lent by them; it existed no later than {} \
-             (block {}), by the clock of this chain's sealers; captured {} is the owner's claim",
+            "VERIFIED: unaltered, and signed with a key that was its owner's or authorised by them; it existed no \
+             later than {} (block {}), by the clock of this chain's sealers; captured {} is the owner's claim",
             anchored.time, anchored.block, check.captured_at
         ),
         (None, None) => "NOT VERIFIED: the chain did not give the time of its anchor".to_owned(),

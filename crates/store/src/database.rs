@@ -99,9 +99,7 @@ pub(super) fn overwriting<T>(
 pub(super) fn empty_log(path: &Path) -> Result<(), StoreError> {
     let busy = || StoreError::Database {
         file: path.to_owned(),
-        detail: "its log is being read, so what was erased is \
-                                                                       still in there; it is tried again"
-            .to_owned(),
+        detail: "its log is being read, so erased data is still in it; retrying".to_owned(),
     };
     let left: i64 = connect(path)?
         .query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |row| row.get(0))

@@ -52,8 +52,8 @@ pub enum StoreError {
     #[error("a record cannot go from {} to {} this way; this is a bug, please report it", from.word(), to.word())]
     IllegalEdge { from: RecordState, to: RecordState },
     #[error(
-        "record {digest} is anchored in block {block} of a chain that the one here does not continue (any more); it is asked \
-         for again; if that stays so, compare the nodes"
+        "record {digest} is anchored in block {block}, which is not (or no longer) on the chain here; it is requested \
+         again; if this persists, compare the nodes"
     )]
     Replaced { digest: Digest, block: u64 },
     /// `found`: its state's name, or `unknown`.

@@ -83,7 +83,7 @@ notes! {
     /// Two accounts while another one is loaded.
     ProfileAccounts {} = "profile accounts": BTreeMap<ProfileName, Vec<Address>>, "which account each profile has";
 
-    MissedFrom {} = "missed": u64, "from which block on the chain is to be read again";
+    MissedFrom {} = "missed": u64, "from which block the chain is to be read again";
     UnsureBlocks {} = "unsure blocks": Vec<UnsureBlock>, "the blocks that are to be read again";
     NodeBehind {} = "node behind": AwaitedBlock, "since when the node is behind";
     DoubtedBlock {} = "doubted block": AwaitedBlock, "since when a block is doubted";
@@ -92,7 +92,7 @@ notes! {
     /// Per topic and epoch of an owner. A quarantined one does not count for readers who may never see it.
     StoredDefinition { domain: Domain, owner: Address, epoch: u64, topic: TopicId, digest: Digest, held: bool }
         = "definition": (), "which definitions are stored";
-    AskedSpans {} = "asked spans": VecDeque<AskedSpan>, "the spans of the ring that are asked for";
+    AskedSpans {} = "asked spans": VecDeque<AskedSpan>, "the requested spans of the ring";
     /// By the file's SM3.
     Imported { owner: Address, file: Digest } = "imported": Standings, "what is sealed of an imported file";
     /// By the file's inode and first bytes.
@@ -117,32 +117,33 @@ notes! {
     GrantedTopic { owner: Address, topic: TopicId } = "granted topic": String, "the name of a granted topic";
     GrantedEarlier { transaction: Hash } = "granted earlier": bool, "whether a grant opens earlier epochs";
 
-    AdmittedOwners {} = "admitted": Vec<AdmittedOwner>, "the owners admitted to the gateway";
+    AdmittedOwners {} = "admitted": Vec<AdmittedOwner>, "the owners allowed at the gateway";
     /// The epoch that the revocation will begin.
     AnnouncedRevoke { owner: Address, reader: Address } = "announced revoke": u64, "an announced revocation";
 
     /// Told up to this number of the ledger.
     ErasuresTold { domain: Domain, ledger: String, keeper: Address, owner: Address } = "erasures told": u64,
-        "which erasures the gateway was told of";
+        "which erasures the gateway was notified of";
     TakenOfFeed { domain: Domain, keeper: Address, reader: Address } = "taken of feed": FeedTaken,
         "how far a gateway's feed was taken in";
 
     /// On a robot: id and number up to which its gateway's feed is dealt with.
-    ProofsTaken { owner: Address } = "proofs taken": ([u8; 16], u64), "how far a robot's gateway was heard out";
+    ProofsTaken { owner: Address } = "proofs taken": ([u8; 16], u64), "up to where a robot's gateway was read";
     EnrolledRobots { owner: Address } = "robots": Vec<Enrolled>, "the enrolled robots";
     WantedPolicy { owner: Address, device: SignerId } = "policy wanted": PolicyWanted, "the policy set for a robot";
     /// A summary without secrets.
-    KeysTold { owner: Address, device: SignerId } = "keys told": String, "which keys a robot was told of";
+    KeysTold { owner: Address, device: SignerId } = "keys told": String, "which keys were sent to a robot";
     /// Old and new.
     OwnerKeysTold { owner: Address, device: SignerId } = "owner keys told": (PublicKey, PublicKey),
-        "which key of its owner a robot was told of";
+        "which key of its owner was sent to a robot";
     /// The newest, by number.
     NoticesCarried { owner: Address, device: SignerId, gateway: SignerId, recorder: RecorderId } = "notices carried": u64,
         "which notices a robot's gateway has";
     /// On a robot: per enrolment.
     PolicyHere { owner: Address, device: SignerId } = "policy here": PolicyKept, "the policy of this robot";
     /// On a robot, hex.
-    PolicyTold { owner: Address, device: SignerId } = "policy told": String, "what the owner was told of the policy";
+    PolicyTold { owner: Address, device: SignerId } = "policy told": String, "what was reported to the owner about the \
+        policy";
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

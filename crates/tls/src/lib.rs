@@ -73,7 +73,7 @@ pub fn tls_fault(error: &(dyn Error + 'static), roots: &str) -> Option<TlsFault>
         }
         CertificateError::NotValidForName | CertificateError::NotValidForNameContext { .. } => fault(
             "shows a certificate for another name than the one in its URL",
-            "write the name that the certificate is for, or get one for this name".to_owned(),
+            "use the name in the certificate, or get a certificate for this name".to_owned(),
         ),
         // Self-signed ones are, unless their maker took care.
         other if other.to_string().contains("CaUsedAsEndEntity") => fault(

@@ -35,7 +35,7 @@ const NOTES: [&str; 6] = [
      end; minute by minute, those not backed by a file.",
     "pre-existing records belong to another owner: 500 topics, 1,360 bytes each in the store, verified; they were not \
      really sealed, so the scrubber skips them.",
-    "law: captured = verified + pending + right ended + quarantined + dropped + tampered, checked every second.",
+    "law: captured = verified + pending + unauthorised + quarantined + dropped + tampered, checked every second.",
     "stages: busy time of each, including waits for disk or node, divided by the duration of the load. With a \
      backlog, seal and verify use several cores; for the cost of one record on one core, step by step, see `record`.",
 ];

@@ -82,11 +82,11 @@ fn until_it_is_mined_health_says_how_many_blocks_passed_it_by() {
     node.set_interval(1);
     proxy.swallow_below(1_000_000 * GWEI);
     field.grow(1);
-    field.expect_told(&["not taken into"], 60);
+    field.expect_told(&["not included in"], 60);
     field.expect_paused("passed_by", 30);
     let health = field.authros.json(&["status"])["health"].clone();
     let told = health.to_string();
-    assert!(["not taken into", "gwei per gas", "chain.min_price"].iter().all(|words| told.contains(words)), "{told}");
+    assert!(["not included in", "gwei per gas", "chain.min_price"].iter().all(|words| told.contains(words)), "{told}");
     proxy.calm();
     field.expect_settled(&node, 90);
 }

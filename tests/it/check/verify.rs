@@ -137,7 +137,7 @@ fn hostile_folders_are_refused_in_words() {
     let refused = |change: &dyn Fn(&Path)| {
         let copy = case.changed(change);
         let found = case.verify(&copy, INPUT);
-        assert!(text(&found["error"], "message").contains("ask whoever gave you the folder"), "{found}");
+        assert!(text(&found["error"], "message").contains("ask the person who gave you the folder"), "{found}");
     };
     for name in ["record.bin", "message.bin", "signature.bin", "signer.pem", "proof.json"] {
         refused(&|copy| fs::remove_file(copy.join(name)).expect("removed"));

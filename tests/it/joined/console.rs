@@ -51,12 +51,19 @@ fn an_owner_sets_a_policy_by_form_and_sees_its_robot_drift_until_it_works_by_it(
     owner.presses("8").sees("joined another one").sees("Robots").sees("scout");
     owner.presses("p").sees("Set a robot's policy").presses("~/wro\t").sees("~/wrong.toml").presses("\r");
     owner.sees("cache.url").presses("\u{15}~/sco\t").sees("~/scout.toml").presses("\r").sees("Set this policy?");
-    owner.sees("1 rule").presses("y").sees("policy 1 waiting").sees("1 in drift");
-    owner.presses("1").sees("robot scout drifts: policy 1 waiting");
-    owner.presses("8").sees("waiting").presses("\r").sees("Robot scout").sees("drift").sees("every = 2").presses("q");
+    owner.sees("1 rule").presses("y").sees("policy 1 waiting").sees("1 out of date");
+    owner.presses("1").sees("robot scout is out of date: policy 1 waiting");
+    owner
+        .presses("8")
+        .sees("waiting")
+        .presses("\r")
+        .sees("Robot scout")
+        .sees("outdated")
+        .sees("every = 2")
+        .presses("q");
 
     let agent = robot.run(&[]);
-    owner.sees("policy 1 in force").presses("\r").sees("it works by version 1").sees("every = 2").presses("q");
+    owner.sees("policy 1 in force").presses("\r").sees("it runs version 1").sees("every = 2").presses("q");
     owner.presses("1").sees("resolved");
     agent.stop("TERM", 30);
     // Cleared by an empty line; the robot is away and drifts again.

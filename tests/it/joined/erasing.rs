@@ -85,7 +85,7 @@ fn what_an_owner_erases_whose_home_joins_a_gateway_is_gone_there() {
     let written = list(&gateway.keeper().json(&["audit", "list", "--action", "gateway erase"]), "audit");
     assert!(!written.is_empty(), "it writes down by whom");
     for line in &written {
-        assert!(text(line, "outcome").contains("told by their owner"), "{line}");
+        assert!(text(line, "outcome").contains("as their owner requested"), "{line}");
         assert!(text(line, "subject").contains(&alice.address), "{line}");
     }
     let own = || list(&alice.authros.json(&["audit", "list", "--action", "erase elsewhere"]), "audit");

@@ -18,7 +18,8 @@ fn a_reader_whose_site_runs_gets_what_was_granted_once_the_gateway_takes_the_gra
     let shared = ["shared", "list", "--owner", &alice.address];
     bob.verified(&shared, before);
     let said = bob.site.as_ref().expect("running").stderr();
-    let waits: Vec<&str> = said.lines().filter(|line| line.contains("yet: its keeper may want")).collect();
+    let waits: Vec<&str> =
+        said.lines().filter(|line| line.contains("yet: it may require more confirmations")).collect();
     assert!(waits.len() == 1 && waits[0].contains(&alice.address), "he is told once what he waits for: {said}");
     let all = robot.bring("3");
     let own = alice.verified(&["uploads", "list"], all);

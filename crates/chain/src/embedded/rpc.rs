@@ -308,7 +308,7 @@ impl Filter {
 }
 
 fn too_many(what: &str) -> TransportError {
-    refused(-32005, format!("{what}; ask for fewer blocks at once"))
+    refused(-32005, format!("{what}; request fewer blocks per call"))
 }
 
 fn logs(node: &Node, filter: &Value) -> Reply {

@@ -235,7 +235,7 @@ impl Nodes for ChainFile {
     }
 
     fn malformed(&self, hash: Hash) -> ChainError {
-        self.wrong(hash, "is no node")
+        self.wrong(hash, "is not a trie node")
     }
 
     fn block_hash(&self, number: u64) -> Result<Hash, ChainError> {

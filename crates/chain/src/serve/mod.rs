@@ -50,7 +50,7 @@ struct Refusal(StatusCode, &'static str);
 
 const BUSY: Refusal = Refusal(StatusCode::SERVICE_UNAVAILABLE, "too many connections; try again");
 const SLOW: Refusal = Refusal(StatusCode::REQUEST_TIMEOUT, "the request did not arrive in time");
-const LONG: Refusal = Refusal(StatusCode::SERVICE_UNAVAILABLE, "the chain took too long; ask for less at once");
+const LONG: Refusal = Refusal(StatusCode::SERVICE_UNAVAILABLE, "the chain took too long; request less");
 const CUT: Refusal = Refusal(StatusCode::BAD_REQUEST, "the body is cut");
 
 pub async fn listen(address: SocketAddr) -> Result<TcpListener, ChainError> {

@@ -89,14 +89,11 @@ impl Service {
 }
 
 fn too_heavy(seconds: u64) -> TransportError {
-    refused(
-        -32005,
-        format!("transactions of more than a million gas are taken only now and then; send it again in {seconds} s"),
-    )
+    refused(-32005, format!("transactions of more than a million gas are rate-limited; send it again in {seconds} s"))
 }
 
 fn too_long() -> TransportError {
-    refused(-32005, format!("the answer is longer than {LONGEST_ANSWER} bytes; ask for less at once"))
+    refused(-32005, format!("the answer is longer than {LONGEST_ANSWER} bytes; request less"))
 }
 
 fn failure(id: &Value, fault: &TransportError) -> Value {

@@ -323,7 +323,8 @@ impl Http {
         }
         // The text of a web page says nothing, and a fault of JSON is not what is wrong.
         let is_page = bytes.trim_ascii_start().starts_with(b"<");
-        let page = || TransportError::Malformed("a web page: what stands before the node refused the request".into());
+        let page =
+            || TransportError::Malformed("a web page: the proxy in front of the node refused the request".into());
         read(&bytes).map_err(|error| if is_page { page() } else { error })
     }
 }

@@ -56,12 +56,12 @@ async fn words(url: &str, method: &str) -> String {
 #[tokio::test(flavor = "multi_thread")]
 async fn the_status_of_http_is_told_and_what_to_do() {
     for (lines, said) in [
-        ("401 Unauthorized", ["wants a user name and password", "HTTP 401", "https://USER:PASSWORD@"]),
+        ("401 Unauthorized", ["requires a user name and password", "HTTP 401", "https://USER:PASSWORD@"]),
         ("403 Forbidden", ["forbids", "HTTP 403", "host name"]),
         ("404 Not Found", ["nothing at this path", "HTTP 404", "chain.url"]),
         ("413 Payload Too Large", ["too large", "HTTP 413", "client_max_body_size"]),
         ("429 Too Many Requests", ["how often", "HTTP 429", "limit"]),
-        ("502 Bad Gateway", ["cannot be reached by the server", "HTTP 502", "start the node"]),
+        ("502 Bad Gateway", ["cannot be reached by the proxy", "HTTP 502", "start the node"]),
         ("301 Moved\r\nLocation: https://new.example/KEY", ["https://new.example/…", "HTTP 301", "chain.url"]),
     ] {
         let port = saying(lines, "<html>a page</html>");

@@ -14,6 +14,7 @@ use strum::IntoStaticStr;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, IntoStaticStr)]
 #[strum(serialize_all = "lowercase")]
 pub enum Act {
+    #[strum(serialize = "allow")]
     Admit,
     Suspend,
     Restore,
@@ -22,8 +23,9 @@ pub enum Act {
     Pause,
     Continue,
     Propose,
+    #[strum(serialize = "deny")]
     Dismiss,
-    #[strum(serialize = "hand over")]
+    #[strum(serialize = "nominate")]
     HandOver,
     Accept,
     Deploy,
@@ -34,7 +36,7 @@ impl Act {
     fn told(self) -> (&'static str, &'static [&'static str]) {
         match self {
             Self::Admit => {
-                ("Admit an account", &["While registration is closed, only admitted accounts can register."])
+                ("Allow an account to register", &["While registration is closed, only allowed accounts can register."])
             }
             Self::Suspend => (
                 "Suspend an account",
@@ -45,7 +47,7 @@ impl Act {
             ),
             Self::Restore => ("Restore a suspended account", &["The contract accepts its changes again."]),
             Self::Open => ("Open registration?", &["Anyone with an account on this chain can then register."]),
-            Self::Close => ("Close registration?", &["Only accounts that you admit can then register."]),
+            Self::Close => ("Close registration?", &["Only accounts that you allow can then register."]),
             Self::Pause => (
                 "Pause all changes?",
                 &["Nobody can register, grant or anchor; revokes and reads still work.", "It ends after a day."],
@@ -58,10 +60,9 @@ impl Act {
                     "can stop it. Then `authros chain succession complete` carries it out, which cannot be undone.",
                 ],
             ),
-            Self::Dismiss => (
-                "Withdraw an admission",
-                &["The admission is withdrawn; an account that has already registered stays registered."],
-            ),
+            Self::Dismiss => {
+                ("Deny an account", &["The account may no longer register; if it already has, it stays registered."])
+            }
             Self::HandOver => (
                 "Nominate the next administrator",
                 &["Once that account accepts, you are no longer the administrator."],

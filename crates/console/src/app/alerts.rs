@@ -115,7 +115,7 @@ fn standing(state: &State) -> Vec<Alert> {
         found.extend(judged(state, site));
     }
     if let Some((since, text)) = policies::drift(state) {
-        found.push(Alert { since, lasts: true, ..alert("robots in drift", NoticeLevel::Warning, text) });
+        found.push(Alert { since, lasts: true, ..alert("robots out of date", NoticeLevel::Warning, text) });
     }
     if let Some((about, text)) = identity(state) {
         found.push(alert(about, NoticeLevel::Warning, text));
@@ -212,7 +212,12 @@ fn life(life: &LifeLine) -> Vec<(u64, NoticeLevel, &'static str)> {
     let dropped = life.dropped.saturating_sub(life.discarded);
     let counted = [
         (life.tampered, NoticeLevel::Error, "tampered: not the bytes that were anchored (3, then / tampered)"),
-        (life.right_ended, NoticeLevel::Warning, "right ended: restore the account or renew the loan and they resume"),
+        (
+            life.right_ended,
+            NoticeLevel::Warning,
+            "unauthorised: restore the account or authorise the device again, \
+                                                  then they resume",
+        ),
         (life.quarantined, NoticeLevel::Warning, "quarantined: sent by a node that is not the pinned publisher"),
         (dropped, NoticeLevel::Warning, "dropped by the recorder before sealing; gap records count them"),
         (life.lost_in_transport, NoticeLevel::Warning, "lost in transport before capture"),

@@ -56,7 +56,7 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
         Verb::CopyCommand => given(state.last_act.is_some(), "nothing was done yet"),
         Verb::Undo => given(state.undo.is_some(), "nothing to undo"),
         Verb::Administer(act) => administer(state, act),
-        Verb::Copy | Verb::WriteFile => given(copyable(state), "nothing here to copy"),
+        Verb::Copy | Verb::WriteFile => given(copyable(state), "nothing to copy"),
         Verb::Go(_) | Verb::NextScreen | Verb::PreviousScreen | Verb::Grant | Verb::Tasks | Verb::LocalTime => Ok(()),
         Verb::Freeze | Verb::Palette | Verb::Help | Verb::Dismiss | Verb::ChooseTheme | Verb::Ascii => Ok(()),
         Verb::Mouse | Verb::Redraw | Verb::Suspend | Verb::Quit | Verb::Contacts | Verb::Profile => Ok(()),

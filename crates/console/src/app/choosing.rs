@@ -141,7 +141,7 @@ const TOPICS: &[Offered] = &[
 
 /// Of records: name, widths from which Uploads and Shared show it usually, words.
 const RECORDS: [(&str, [Option<u16>; 2], &str); 12] = [
-    ("state", [Some(0), Some(0)], "How far the record has come"),
+    ("state", [Some(0), Some(0)], "Record state"),
     ("owner", [None, Some(0)], "Who shares it"),
     ("topic", [Some(0), Some(0)], "Name of the topic (always shown)"),
     ("type", [Some(120), Some(120)], "Message type"),

@@ -155,7 +155,7 @@ impl Form {
                 Key::Left => *chosen = chosen.checked_sub(1).unwrap_or(options.len().saturating_sub(1)),
                 Key::Right | Key::Char(' ') => *chosen = (*chosen + 1) % options.len().max(1),
                 // Typed text would vanish without a word.
-                Key::Char(_) => self.error = Some("space changes this line; enter goes on to the next".to_owned()),
+                Key::Char(_) => self.error = Some("space changes this line; enter moves to the next".to_owned()),
                 _ => {}
             },
             None => {}

@@ -39,7 +39,7 @@ fn capture_lines(state: &State) -> Vec<String> {
             if state.settings.tour.is_some() {
                 "The tour ends, and its temporary home is removed with all that is in it.".to_owned()
             } else if can_leave_site(state) {
-                "s: `authros serve` goes on with it, after a few seconds' gap; asks for the passphrase.".to_owned()
+                "s: `authros serve` continues it after a gap of a few seconds; asks for the passphrase.".to_owned()
             } else {
                 "To keep it running without a console, use: authros serve".to_owned()
             },

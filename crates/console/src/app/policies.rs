@@ -61,7 +61,7 @@ pub fn words(row: &RobotRow) -> String {
 }
 
 pub fn searched(row: &RobotRow) -> String {
-    let drift = if row.drift { "drift" } else { "" };
+    let drift = if row.drift { "outdated" } else { "" };
     format!("{} {} {drift} {}", words(row), row.standing, row.device.to_hex())
 }
 
@@ -120,13 +120,13 @@ pub fn drift(state: &State) -> Option<(Timestamp, String)> {
     let since = drifting.iter().filter_map(|row| row.drift_since).min().unwrap_or(state.now);
     match drifting.as_slice() {
         [] => None,
-        [one] => Some((since, format!("robot {} drifts: {} (8, then enter)", one.name, words(one)))),
+        [one] => Some((since, format!("robot {} is out of date: {} (8, then enter)", one.name, words(one)))),
         several => {
             let names: Vec<String> = several.iter().take(MOST_NAMES).map(|row| row.name.to_string()).collect();
             let more = several.len().saturating_sub(MOST_NAMES);
             let more = if more > 0 { format!(" and {more} more") } else { String::new() };
             let robots = several.len();
-            Some((since, format!("{robots} robots do not work by their policies: {}{more} (8)", names.join(", "))))
+            Some((since, format!("{robots} robots do not run their policies: {}{more} (8)", names.join(", "))))
         }
     }
 }
@@ -194,7 +194,7 @@ fn ask(state: &mut State, name: &str) {
     ];
     let notes = vec![
         "Watched topics, rules and ring, over the robot's own settings.".to_owned(),
-        "Signed by your account; the robot takes it up at its next contact.".to_owned(),
+        "Signed by your account; applied at the robot's next connection.".to_owned(),
     ];
     let mut form = Form::new("Set a robot's policy", notes, lines);
     form.focus = usize::from(!name.is_empty());
@@ -298,11 +298,11 @@ fn question(state: &State, robot: &str, file: Option<PathBuf>, text: String) -> 
     let (title, yes) = match &file {
         Some(file) => {
             lines.push(format!("File     {}", clean(&file.display().to_string(), 300)));
-            lines.push("It overrides the robot's own settings from its next contact on.".to_owned());
+            lines.push("It overrides the robot's own settings from its next connection on.".to_owned());
             ("Set this policy?", "set it")
         }
         None => {
-            lines.push("The robot goes back to its own settings at its next contact.".to_owned());
+            lines.push("The robot goes back to its own settings at its next connection.".to_owned());
             ("Clear the policy?", "clear it")
         }
     };

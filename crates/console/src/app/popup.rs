@@ -199,12 +199,12 @@ pub fn decide(row: &TopicRow, topic: TopicName, discard: bool) -> Confirm {
     let name = topic.to_string();
     if discard {
         lines.push("Their ciphertext is deleted. Quarantine records on the chain count them, so that".to_owned());
-        lines.push("nobody can pick evidence; the messages themselves cannot be restored.".to_owned());
+        lines.push("nobody can cherry-pick evidence; the messages themselves cannot be restored.".to_owned());
         let errand = Errand { command: Command::DiscardHeld { held }, tag: Tag::Discard(name.clone()) };
         let typed = Some(Typed::new(&name));
         return Confirm { title: "Discard quarantined messages?".to_owned(), lines, yes: "discard", typed, errand };
     }
-    lines.push("They are anchored like others and keep the tag that they were quarantined.".to_owned());
+    lines.push("They are anchored like others and keep a tag saying that they were quarantined.".to_owned());
     let errand = Errand { command: Command::ReleaseHeld { held }, tag: Tag::Release(name) };
     Confirm { title: "Release quarantined messages?".to_owned(), lines, yes: "release", typed: None, errand }
 }
@@ -224,7 +224,7 @@ pub fn grant(state: &State, wish: GrantWish) -> Confirm {
         String::new(),
     ];
     lines.extend(readers(state, "Current readers:", None));
-    lines.push("A later revoke stops new records; what was read cannot be recalled.".to_owned());
+    lines.push("A later revoke stops new records; what was read cannot be taken back.".to_owned());
     let GrantWish { grantee, topics, epochs, expires } = wish;
     let tag = Tag::Grant(grantee.clone());
     let errand = Errand { command: Command::Grant { grantee, topics, epochs, expires }, tag };
@@ -237,7 +237,7 @@ pub fn revoke(state: &State, row: &GrantRow) -> Confirm {
         format!("Shared  {}, {}{}", scope(&row.topics), end(row.expires), earlier(row)),
         String::new(),
         "The next record is sealed under a new key that this account does not get.".to_owned(),
-        "What was already read cannot be recalled, and records sealed before".to_owned(),
+        "What was already read cannot be taken back, and records sealed before".to_owned(),
         "stay readable to anyone who has their key.".to_owned(),
         "This is a transaction; to share again, make a new grant.".to_owned(),
         String::new(),

@@ -73,7 +73,7 @@ pub fn read_text(path: &Path) -> Result<String, String> {
     let most = LONGEST_POLICY as u64 + 1;
     std::fs::File::open(path).map_err(cannot)?.take(most).read_to_end(&mut bytes).map_err(cannot)?;
     if bytes.len() > LONGEST_POLICY {
-        return Err(format!("{shown} has more than {LONGEST_POLICY} bytes; a policy has at most so many"));
+        return Err(format!("{shown} has more than {LONGEST_POLICY} bytes, the limit of a policy"));
     }
     String::from_utf8(bytes).map_err(|_| format!("{shown} is not text in UTF-8; a policy is a TOML file"))
 }

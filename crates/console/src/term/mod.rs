@@ -229,7 +229,7 @@ impl Session {
             // Stopped from outside, and running again.
             Message::Signal(SIGCONT) => self.retake(),
             Message::TerminalFailed if io::stdin().is_terminal() => {
-                Err(TermError::Fault("the terminal accepts no more output".to_owned()))
+                Err(TermError::Fault("the terminal no longer accepts output".to_owned()))
             }
             Message::Signal(SIGHUP) | Message::TerminalFailed => Ok(Some(ExitReason::TerminalGone)),
             Message::Signal(_) if !io::stdin().is_terminal() => Ok(Some(ExitReason::TerminalGone)),

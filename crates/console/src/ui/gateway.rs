@@ -140,7 +140,7 @@ fn draw_members(canvas: &mut Canvas, area: Rect, state: &State, rows: &[Member])
     note.push_str(&format!(", by {order}"));
     let drift = gateway.robots.iter().filter(|robot| robot.drift).count();
     if drift > 0 {
-        note.push_str(&format!(", {drift} in drift"));
+        note.push_str(&format!(", {drift} out of date"));
     }
     let cells = |index: usize| match rows.get(index) {
         None => Vec::new(),
@@ -240,16 +240,16 @@ pub fn row_facts(row: &RobotRow, now: Timestamp) -> Vec<Fact> {
 
 fn runs(row: &RobotRow) -> Fact {
     let text = match row.running {
-        None => "it has not told yet what it works by".to_owned(),
-        Some(0) => "it works by its own settings alone".to_owned(),
-        Some(version) => format!("it works by version {version}"),
+        None => "it has not reported its policy yet".to_owned(),
+        Some(0) => "it runs its own settings only".to_owned(),
+        Some(version) => format!("it runs version {version}"),
     };
     ("runs", text, Role::Body)
 }
 
 fn drift(row: &RobotRow, now: Timestamp) -> Option<Fact> {
     let since = row.drift_since?;
-    Some(("drift", format!("since {}, for {}", words::second(since), words::age(since, now)), Role::Warning))
+    Some(("outdated", format!("since {}, for {}", words::second(since), words::age(since, now)), Role::Warning))
 }
 
 /// All but its topics and the policy's text.

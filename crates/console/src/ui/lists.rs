@@ -101,7 +101,7 @@ fn gas(view: &GasView) -> String {
 fn administrator(state: &State, decided: &AdministrationView) -> String {
     let Some(administrator) = decided.administrator else { return "not known yet".to_owned() };
     let whose = if Some(administrator) == state.address() { "you; press : for your commands" } else { "not you" };
-    let registration = if decided.open { "anyone can register" } else { "only admitted accounts can register" };
+    let registration = if decided.open { "anyone can register" } else { "only allowed accounts can register" };
     format!("{} ({whose}), {registration}", administrator.short())
 }
 
@@ -297,7 +297,7 @@ const TOPIC_COLUMNS: &[Column] = &[
     Column::number("kB/s", 8).named("rate"),
     Column::text("Last 16 s", 9).named("line"),
     Column::number("Captured", 9).named("captured"),
-    Column::number("Lost t/r", 8).named("lost"),
+    Column::number("Lost", 8).named("lost"),
     Column::number("Age", 6).named("age"),
     Column::text("", 3).below(100),
     Column::text("", 9).from(100),
@@ -309,11 +309,20 @@ const CELLS: u16 = 8;
 /// Terminal width that fits all topic columns.
 const ALL_FROM: u16 = 170;
 
+/// Says which losses the two numbers are where there is room for it.
+fn topic_columns(width: u16) -> Vec<Column> {
+    let full = |column: &Column| match column.name {
+        "lost" if width >= 100 => Column { title: "Lost net/rec", width: 12, most: 12, ..*column },
+        _ => *column,
+    };
+    TOPIC_COLUMNS.iter().map(full).collect()
+}
+
 pub fn draw_topics(canvas: &mut Canvas, area: Rect, state: &State) {
     let topics = &state.topics;
     let rows = topics.visible();
     let keys: Vec<String> = rows.iter().map(|row| row.topic.clone()).collect();
-    let layout = Layout::new(TOPIC_COLUMNS, Screen::Topics, &topics.table, area.width);
+    let layout = Layout::new(&topic_columns(area.width), Screen::Topics, &topics.table, area.width);
     let mut note = format!("{} of {}, by {}", rows.len(), topics.rows.len(), order(Screen::Topics, &topics.table));
     if !topics.table.marks.is_empty() {
         note.push_str(&format!(", {} marked", topics.table.marks.len()));

@@ -104,12 +104,12 @@ fn draw_life(canvas: &mut Canvas, area: Rect, state: &State, life: &LifeLine) ->
     below(area, 4 + u16::from(lost))
 }
 
-/// Captured = verified + pending + right ended + quarantined + dropped + tampered, and whether this balances.
+/// Captured = verified + pending + unauthorised + quarantined + dropped + tampered, and whether this balances.
 fn draw_law(canvas: &mut Canvas, area: Rect, life: &LifeLine) {
     let parts = [
         (life.verified, "verified", Role::Good),
         (life.pending, "pending", Role::Accent),
-        (life.right_ended, "right ended", Role::Warning),
+        (life.right_ended, "unauthorised", Role::Warning),
         (life.quarantined, "quarantined", Role::Warning),
         (life.dropped, "dropped", Role::Warning),
         (life.tampered, "tampered", Role::Bad),

@@ -152,7 +152,7 @@ fn begin(rows: &mut Rows<LANES>, group: &[[u8; BLOCK]; LANES]) {
 #[inline]
 #[target_feature(enable = "avx512f")]
 fn row(Rows(rows): &mut Rows<LANES>, at: usize) {
-    assert!(at < 64, "a block has so many rounds");
+    assert!(at < 64, "a block has 64 rounds");
     let next = next(|after| load(&rows[at + after]));
     let mixed = _mm512_xor_si512(load(&rows[at]), load(&rows[at + 4]));
     store(&mut rows[at + 16], next);

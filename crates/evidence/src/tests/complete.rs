@@ -247,7 +247,7 @@ fn the_numbers_of_a_ring_have_no_holes_and_nothing_is_claimed_of_others() {
     let report = verify(&Bundle::of_members(&members, ours()).expect("reads"), Some(&World::trust()), ours());
     let stretch = report.complete.iter().find(|stretch| ring.has(&stretch.recorder)).expect("the ring's");
     assert_eq!((stretch.missing, stretch.gaps.len(), stretch.standing), (0, 0, Standing::Proven));
-    let begun = "of a robot's ring every number of 20, 37-39; other numbers of a ring fell out";
+    let begun = "of a robot's ring every number of 20, 37-39; other numbers of a ring expired";
     assert!(stretch.text.starts_with(begun), "{}", stretch.text);
 }
 

@@ -271,10 +271,10 @@ fn every_lie_about_keys_and_disclosures_is_refused_by_both_in_its_own_words() {
         packing.key(&keys.public).expect("a point");
         packing.sign(genesis(), owner, &keys, ours()).expect("packs")
     };
-    row("an expired device", &lent([TIME, 12, 0]), &trust, Refused, "the loan of the device had ended");
-    row("a recalled device", &lent([0, 12, BLOCK]), &trust, Refused, "recalled the device in block 40");
-    row("a device lent later", &lent([0, 41, 0]), &trust, Refused, "lent the device only in block 41");
-    row("a device never lent", &lent([0, 0, 0]), &trust, Refused, "neither registered nor lent");
+    row("an expired device", &lent([TIME, 12, 0]), &trust, Refused, "the device's authorisation had ended");
+    row("a revoked device", &lent([0, 12, BLOCK]), &trust, Refused, "revoked the device in block 40");
+    row("a device authorised later", &lent([0, 41, 0]), &trust, Refused, "authorised the device only in block 41");
+    row("a device never authorised", &lent([0, 0, 0]), &trust, Refused, "neither registered nor authorised");
 
     let mut world = World::new();
     world.put(Slot::keys(world.owner, 2), [3; 32]);

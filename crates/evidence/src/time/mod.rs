@@ -52,7 +52,7 @@ pub enum TimeError {
     NotForStamps,
     #[error("the certificate of {name} was not valid at {at}; it is valid from {from} to {until}")]
     NotValid { name: String, at: Timestamp, from: Timestamp, until: Timestamp },
-    #[error("no certificate in it links {0} to a pinned one")]
+    #[error("no certificate in it links {0} to a pinned certificate")]
     NotPinned(String),
     #[error("the certificate of {0}, in the chain, may not issue others")]
     NotAnIssuer(String),

@@ -67,7 +67,7 @@ impl Relayed {
             Ok(result) => {
                 let text = result.to_string();
                 if text.len() > most {
-                    let words = format!("the answer is longer than {most} bytes; ask for less at once");
+                    let words = format!("the answer is longer than {most} bytes; request less");
                     return Ok(Self::Fault { code: -32005, words, data: String::new() });
                 }
                 Ok(Self::Result(text))

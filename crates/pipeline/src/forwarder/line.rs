@@ -82,8 +82,8 @@ impl<'a> Line<'a> {
             Link::Refused(text) => (
                 true,
                 format!(
-                    "records wait in the outbox: {text}; if the owner recalled this robot or its loan has ended, the owner must \
-                     enrol it again"
+                    "records wait in the outbox: {text}; if the owner revoked this robot or its authorisation has \
+                     ended, the owner must enrol it again"
                 ),
             ),
             Link::Connecting | Link::Up | Link::InPlace(_) | Link::Away(_) => {
@@ -127,7 +127,7 @@ impl<'a> Line<'a> {
             let text = format!("the gateway cannot be used at {other}, records go to {address}: {error}");
             self.outbox.plant.observer.alert(false, text);
         }
-        Link::InPlace(format!("connected to {address}, in place of {first}"))
+        Link::InPlace(format!("connected to {address} instead of {first}"))
     }
 
     /// A task that ends as soon as the gateway answers at an address before this one; none at the first.

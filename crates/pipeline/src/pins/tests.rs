@@ -73,7 +73,7 @@ fn the_first_set_is_pinned_and_told_and_others_are_doubted_once() {
     let (left, right) = (desk.origin("/left", "h"), desk.origin("/right", "h"));
     assert_eq!(desk.judge("/t", &left), None);
     assert_eq!(desk.judge("/t", &right), None, "it was listed before the first one was pinned");
-    assert_eq!((desk.notes.with("is accepted from now on (first seen)"), desk.alarms()), (2, 0));
+    assert_eq!((desk.notes.with("(first seen): messages from others are quarantined"), desk.alarms()), (2, 0));
     std::thread::sleep(Duration::from_millis(2));
     let late = desk.origin("/late", "h");
     assert_eq!(desk.judge("/t", &late), Some(Doubt::New));

@@ -356,8 +356,8 @@ pub(super) fn compare_sequences(plant: &Plant, scope: &Scope, tally: &mut Tally)
         let more = if more > 0 { format!(" and of {more} more topics") } else { String::new() };
         elsewhere.truncate(MOST_HOLES);
         tally.note(&format!(
-            "numbers that robots gave are not here: {}{more}; they are on their way, at another gateway, or held back at \
-             the robot, whose recorder states what it gave",
+            "numbers that robots assigned are missing here: {}{more}; their records are on their way, at another \
+             gateway, or held back at the robot, whose recorder states which numbers it assigned",
             elsewhere.join(", ")
         ));
     }

@@ -198,7 +198,7 @@ fn compare_names(bench: Bench<'_>, row: &RecordRow, header: &Header, front: &[u8
     if let Some(what) = columns::false_name(bench.plant, &opening, row.digest, front) {
         let text = format!(
             "signer {} wrote a false {what} into it, which does not belong to the pseudonym it is filed under; it is \
-             not shown, and no other record is affected; if that is a device of yours, recall it",
+             not shown, and no other record is affected; if that is a device of yours, revoke it",
             row.signer
         );
         tally.find(FindingKind::FalseName, &subject(), &text);

@@ -134,7 +134,7 @@ impl Sealer {
             let reason = match kept {
                 Ok(Ok(())) => continue,
                 Ok(Err(error)) => {
-                    let text = format!("messages of topics that nobody watches did not get into the ring: {error}");
+                    let text = format!("messages of unwatched topics could not be stored in the ring: {error}");
                     self.plant.observer.alert(false, text);
                     cause(&error)
                 }

@@ -248,7 +248,7 @@ impl PauseReason {
     }
 
     pub fn text(&self, account: Address) -> String {
-        format!("anchoring for {account} is paused, nothing is lost: {}", self.cause(account))
+        format!("anchoring for {account} is paused, records are safe: {}", self.cause(account))
     }
 
     /// The obstacle, and what to do about it.
@@ -297,7 +297,7 @@ mod state_tests {
         let poor = PauseReason::NoEther(Shortfall { account, held: Wei(1), needed: Wei(2_000_000) });
         assert!(poor.cause(account).contains("it has 1 wei and needs 0.002 gwei"), "{}", poor.cause(account));
         let passed = PauseReason::PassedBy { blocks: 7, price: Wei(1_900_000_000) };
-        assert!(passed.cause(account).starts_with("not taken into 7 blocks at 1.9 gwei per gas"), "{passed:?}");
+        assert!(passed.cause(account).starts_with("not included in 7 blocks at 1.9 gwei per gas"), "{passed:?}");
         let behind = PauseReason::CatchingUp { block: 3, highest: 9 };
         for reason in [poor, passed, behind, PauseReason::Stalled, PauseReason::Refused { why: "full".into() }] {
             assert!(reason.text(account).contains(&account.to_string()), "{reason:?}");

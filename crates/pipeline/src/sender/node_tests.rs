@@ -385,6 +385,6 @@ async fn what_blocks_pass_by_is_raised_until_it_is_taken_and_the_rest_follows() 
         assert!((u128::from(least)..=20 * GWEI).contains(&price), "{price}");
     }
     process.rounds_until("it goes on", |process| paused(process).is_none()).await;
-    assert_eq!((process.notes.with("not taken into"), process.notes.with("resumes")), (1, 1));
+    assert_eq!((process.notes.with("not included in"), process.notes.with("resumes")), (1, 1));
     assert!(process.sender.policy().floor >= u128::from(least), "the next ones offer it from the start");
 }

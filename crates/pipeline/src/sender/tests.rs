@@ -149,7 +149,7 @@ async fn an_account_that_cannot_pay_pauses_its_lane_and_tells_once() {
     process.round().await;
     process.round().await;
     assert_eq!((process.notes.with("too little ether"), process.notes.with("resumes")), (1, 0));
-    assert!(process.notes.all().iter().any(|(urgent, text)| *urgent && text.contains("nothing is lost")));
+    assert!(process.notes.all().iter().any(|(urgent, text)| *urgent && text.contains("records are safe")));
     process.plant.ledger.lanes.close_transactions(vec![(hash, TransactionOutcome::Replaced)]).expect("given up");
     process.round().await;
     assert_eq!((process.notes.with("resumes"), process.sender.room(account).expect("room")), (1, 1024));
@@ -184,6 +184,6 @@ async fn a_lane_is_bounded_and_a_refused_call_keeps_nothing() {
     assert_eq!(lane.next_nonce().await.expect("nonce"), far + 1);
     let recall = Outgoing::plain(Call::Recall { device: SignerId([1; 32]) }, "recall");
     let error = lane.submit(vec![Outgoing::plain(lend(4), "lend"), recall]).await.expect_err("no loan");
-    assert!(error.to_string().contains("not on loan"), "{error}");
+    assert!(error.to_string().contains("not authorised"), "{error}");
     assert_eq!(process.sender.state_of(account).expect("state").open, 1);
 }

@@ -49,7 +49,7 @@ async fn what_is_kept_of_a_block_proves_its_anchor_when_the_chain_has_forgotten_
     let known = |network: &Network| network.directory.account(line.owner.address).expect("registered").identities;
     assert_eq!(known(&absent), known(&line.network));
     let error = absent.chain.head().await.expect_err("nobody is asked").to_string();
-    assert!(error.contains("the chain cannot be asked: it was wiped"), "{error}");
+    assert!(error.contains("the chain cannot be queried: it was wiped"), "{error}");
     // Nothing is said for another block's batch, or for what was not asked then.
     let other = slots([Shown {
         owner: crate::model::Address([9; 20]),

@@ -303,8 +303,8 @@ fn is_to_be_taken(plant: &Plant, found: &BlockEvents) -> Result<bool> {
         return Ok(false);
     }
     let text = format!(
-        "the header of block {number} names events that the node does not give; it is read again later. If this comes \
-         often, check the node, and run `authros audit`"
+        "the header of block {number} names events that the node does not return; it is read again later. If this \
+         happens often, check the node, and run `authros audit`"
     );
     plant.observer.alert(false, text);
     Ok(true)

@@ -200,8 +200,8 @@ fn go_back_before(plant: &Plant, network: &Network, block: u64) -> Result<()> {
     plant.ledger.trail.walk_back(before)?;
     plant.ledger.rights.take_back_rights(before.0 + 1)?;
     let text = format!(
-        "the events of block {block} as they were read differ from those on the chain: a node that is behind gives none; \
-         the chain is read again from there, nothing is lost. Check that all nodes behind the URL are up to date"
+        "the events read from block {block} differ from those on the chain: a node that is behind returns none; the \
+         chain is read again from there, records are safe. Check that all nodes behind the URL are up to date"
     );
     plant.observer.alert(false, text);
     Ok(())

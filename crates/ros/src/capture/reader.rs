@@ -216,7 +216,7 @@ impl Reader {
                         .map_err(|reason| Failure::Refused(format!("its connection header is malformed: {reason}")));
                 }
                 Ok(Poll::Pending) => {}
-                Ok(Poll::Closed(_)) => return Err(Failure::Passing("it closed the connection at once".into())),
+                Ok(Poll::Closed(_)) => return Err(Failure::Passing("it closed the connection immediately".into())),
                 Ok(Poll::TooLong(length)) => {
                     return Err(Failure::Refused(format!("its connection header claims {length} bytes")));
                 }

@@ -19,8 +19,8 @@ use serde::Serialize;
 
 const NOBODY: u32 = 65534;
 /// Shown where the kernel raises no walls around such a program.
-pub const UNCONFINED: &str = "this kernel does not confine the program that speaks with the network (Landlock and seccomp \
-                              are needed): taken over, it could open what its user can open";
+pub const UNCONFINED: &str = "this kernel does not confine the program that speaks with the network (Landlock and \
+                              seccomp are needed): if compromised, it could open anything its user can open";
 /// Time to leave its domain before it is killed.
 pub(crate) const LEAVING: Duration = Duration::from_millis(1500);
 

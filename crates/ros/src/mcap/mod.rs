@@ -398,7 +398,7 @@ impl<W: Write + Seek> McapWriter<W> {
 
     fn write_beside(&mut self, kind: Beside, body: &[u8]) -> Result<(), RosError> {
         let Some(content) = kind.parse(body) else {
-            return Err(RosError::recording(&format!("what is to be written is no {} of MCAP", kind.word())));
+            return Err(RosError::recording(&format!("the data to write is not a valid MCAP {}", kind.word())));
         };
         self.put_header("")?;
         // Earlier messages stay before it.

@@ -426,7 +426,7 @@ fn other_than_a_recording(magic: &[u8]) -> String {
         None if magic.starts_with(b"rosbag2_bagfile_") => {
             "the description of a folder of rosbag2; import the folder".to_owned()
         }
-        None => "no recording: neither a bag, MCAP nor .db3".to_owned(),
+        None => "not a recording: neither a bag, MCAP nor .db3".to_owned(),
     }
 }
 
@@ -554,7 +554,7 @@ mod open_tests {
         assert!(said.contains("version 1.2") && said.contains("rosbag fix"), "{said}");
         assert!(other_than_a_recording(b"#ROSBAG V1.1\n").contains("version 1.1"));
         assert_eq!(other_than_a_recording(b""), "an empty file");
-        assert_eq!(other_than_a_recording(b"PK\x03\x04"), "no recording: neither a bag, MCAP nor .db3");
+        assert_eq!(other_than_a_recording(b"PK\x03\x04"), "not a recording: neither a bag, MCAP nor .db3");
         assert!(other_than_a_recording(&[0x1f, 0x8b, 8]).contains("gunzip"));
         assert!(other_than_a_recording(b"BZh91AY&SY").contains("bunzip2"));
         assert!(other_than_a_recording(b"rosbag2_bagfile_information:").contains("import the folder"));

@@ -187,7 +187,7 @@ impl Descriptions {
                 Err(reason) => drop(wrong.get_or_insert(reason)),
             }
         }
-        Err(wrong.unwrap_or_else(|| "the definition it gave is empty".to_owned()))
+        Err(wrong.unwrap_or_else(|| "the definition it sent is empty".to_owned()))
     }
 
     /// The reader was restarted: nodes without an answer are asked again.
@@ -197,15 +197,15 @@ impl Descriptions {
 }
 
 fn fitting(type_name: &str, hash: &str, text: Vec<u8>) -> Result<String, String> {
-    let text = String::from_utf8(text).map_err(|_| "the definition it gave is no text".to_owned())?;
+    let text = String::from_utf8(text).map_err(|_| "the definition it sent is not text".to_owned())?;
     match type_hash(type_name, &text) {
         Ok(found) if found == hash => Ok(text),
         Ok(found) => Err(format!(
-            "the definition it gave of {} has the hash {found}, its messages have {}; it is not used",
+            "the definition it sent of {} has the hash {found}, its messages have {}; it is not used",
             clean(type_name, 255),
             clean(hash, 80)
         )),
-        Err(error) => Err(format!("the definition it gave is not used: {}", clean(&error.to_string(), 300))),
+        Err(error) => Err(format!("the definition it sent is not used: {}", clean(&error.to_string(), 300))),
     }
 }
 

@@ -171,8 +171,8 @@ pub const INVISIBLE: &str = "not visible from here: robots with another ROS_DOMA
                              Discovery Server, SROS2 or rmw_zenoh (`authros bag follow DIR` seals what they record)";
 
 /// Why a participant may show no topics.
-const HIDDEN: &str = "they are hidden by Fast DDS with FASTDDS_BUILTIN_TRANSPORTS=LARGE_DATA (unset it, or write UDPv4) and by \
-                      SROS2; `authros bag follow DIR` seals what such a robot records";
+const HIDDEN: &str = "they are hidden by Fast DDS with FASTDDS_BUILTIN_TRANSPORTS=LARGE_DATA (unset it, or set UDPv4) \
+                      and by SROS2; `authros bag follow DIR` seals what such a robot records";
 
 impl Standing {
     pub fn text(&self) -> String {
@@ -183,11 +183,10 @@ impl Standing {
         match &self.reading {
             Reading::Down { reason } => format!("{place} cannot be read: {reason}"),
             Reading::Looking if participants == 0 => format!("{place}: discovering"),
-            _ if participants == 0 => format!("{place}: nobody there; {INVISIBLE}"),
-            _ if writers == 0 && foreign > 0 => format!(
-                "{place}: {there} and {} of non-ROS names, but none of ROS 2 topics",
-                some(foreign, "publisher")
-            ),
+            _ if participants == 0 => format!("{place}: no participants; {INVISIBLE}"),
+            _ if writers == 0 && foreign > 0 => {
+                format!("{place}: {there} and {} with non-ROS names, but no ROS 2 topics", some(foreign, "publisher"))
+            }
             _ if writers == 0 => format!("{place}: {there}, but no topics; {HIDDEN}"),
             _ => format!("{place}: {there}, {} of ROS 2 topics", some(writers, "publisher")),
         }
@@ -524,7 +523,7 @@ mod tests {
         for hidden in ["LARGE_DATA", "shared memory", "Discovery Server", "SROS2", "ROS_DOMAIN_ID"] {
             assert!(text(0, 0, 0).contains(hidden), "{hidden}");
         }
-        assert!(text(0, 0, 0).starts_with("ROS 2 domain 3: nobody there"));
+        assert!(text(0, 0, 0).starts_with("ROS 2 domain 3: no participants"));
         assert!(text(2, 0, 0).contains("2 participants, but no topics"));
         let hidden = text(1, 0, 0);
         assert!(hidden.contains("1 participant, but no topics") && hidden.contains("LARGE_DATA"), "{hidden}");

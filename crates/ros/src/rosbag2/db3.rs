@@ -233,7 +233,7 @@ impl Db3Reader {
                 if time < 0 {
                     self.findings.leave_out(name(), "its time lies before 1970");
                 } else if put.execute(params![time, row_number, topic, size])? == 0 {
-                    self.findings.leave_out(name(), "its row is there twice");
+                    self.findings.leave_out(name(), "its row is duplicated");
                 }
             }
         }
@@ -403,7 +403,7 @@ fn unreadable(path: &Path, error: &rusqlite::Error) -> RosError {
 /// Hides SQLite's own words.
 fn told(error: &rusqlite::Error) -> &'static str {
     match error.sqlite_error_code() {
-        Some(ErrorCode::NotADatabase) => "it is no database, or its first page is damaged",
+        Some(ErrorCode::NotADatabase) => "it is not a database, or its first page is damaged",
         Some(ErrorCode::DatabaseCorrupt) => "it is damaged there",
         Some(ErrorCode::CannotOpen | ErrorCode::PermissionDenied) => "it cannot be opened",
         Some(ErrorCode::SystemIoFailure) => "the disk does not give its bytes",
@@ -436,8 +436,8 @@ pub fn has_journal(path: &Path) -> bool {
 fn refuse_journals(path: &Path) -> Result<(), RosError> {
     let Some(beside) = journal(path) else { return Ok(()) };
     Err(RosError::recording(&format!(
-        "{} has a journal beside it ({}): a recorder still writes it, or was killed; wait for its end, or open a copy of both with \
-         `sqlite3 COPY.db3 .schema`, which takes the journal in, and import the copy",
+        "{} has a journal beside it ({}): a recorder still writes it, or was killed; wait until it has finished, or \
+         open a copy of both with `sqlite3 COPY.db3 .schema`, which applies the journal, and import the copy",
         path.display(),
         beside.display()
     )))

@@ -410,7 +410,7 @@ impl Reader {
             *rest = rest.trim_start();
             if is_map {
                 *rest = rest.strip_prefix(':').ok_or("a name without a value in braces")?;
-                let name = first.text().ok_or("a name in braces is no text")?.to_owned();
+                let name = first.text().ok_or("a name in braces is not text")?.to_owned();
                 map.push((name, self.member(rest, depth + 1)?));
                 *rest = rest.trim_start();
             } else {

@@ -59,7 +59,7 @@ fn described(folder: &Path) -> Result<(String, Metadata), RosError> {
     let wrong = |why: &str| RosError::recording(&format!("{} cannot be read: {why}", path.display()));
     let size = match std::fs::metadata(&path) {
         Ok(found) if found.is_file() => found.len(),
-        Ok(_) => return Err(wrong("it is no file")),
+        Ok(_) => return Err(wrong("it is not a file")),
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
             return Err(RosError::recording(&format!(
                 "{} is a folder without {METADATA}: rosbag2 writes that when it ends; wait for it, run `ros2 bag reindex` if it was \

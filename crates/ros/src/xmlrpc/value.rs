@@ -144,7 +144,7 @@ impl<'a> Tags<'a> {
                 Ok(Event::DocType(_)) => return Err(ParseError("it declares a document type")),
                 Ok(Event::Eof) => return Err(ParseError("it ends too early")),
                 Ok(event) => return Ok(event),
-                Err(_) => return Err(ParseError("a tag is broken, or not closed in its place")),
+                Err(_) => return Err(ParseError("a tag is broken, or closed in the wrong place")),
             }
         }
     }

@@ -228,7 +228,7 @@ impl<'a, W: Write> Child<'a, W> {
     fn take_order(&mut self, order: Order, payload: Vec<u8>) -> Result<(), Ros2Error> {
         match order {
             Order::Advertise { writer, .. } if self.wanted.len() + self.writings.len() >= MOST_WRITERS => {
-                self.refuse(writer, format!("{MOST_WRITERS} publishers are announced already"), false)?;
+                self.refuse(writer, format!("there are already {MOST_WRITERS} publishers, the limit"), false)?;
             }
             Order::Advertise { writer, topic, size, alone, patient } => {
                 let size = usize::try_from(size).unwrap_or(usize::MAX);
@@ -263,7 +263,7 @@ impl<'a, W: Write> Child<'a, W> {
             let Wanted { writer, topic, size, alone, patient } = wanted;
             if alone && let Some(other) = self.audience.rival(&self.participant, &topic.name) {
                 let name = &topic.name;
-                self.refuse(writer, format!("{name} is published by {other} there already"), true)?;
+                self.refuse(writer, format!("{other} already publishes {name} there"), true)?;
                 continue;
             }
             let others = self.writings.values().map(|writing| writing.kept).sum();

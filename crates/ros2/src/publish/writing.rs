@@ -151,16 +151,16 @@ impl Writing {
     ) -> Result<Self, String> {
         let dds_topic = graph::dds_topic(&topic.name);
         if graph::topic(&dds_topic).is_none() {
-            return Err(format!("{} is no name of a ROS 2 topic; give it another one with --remap", topic.name));
+            return Err(format!("{} is not a valid ROS 2 topic name; rename it with --remap", topic.name));
         }
         let Some(dds_type) = graph::dds_type(&topic.type_name) else {
-            return Err(format!("{} is no name of a ROS 2 type", topic.type_name));
+            return Err(format!("{} is not a valid ROS 2 type name", topic.type_name));
         };
         let room = room(topic.offer, size, others);
         let policies = policies(topic.offer, room, topic.encoding);
         let made = participant
             .create_topic(dds_topic.clone(), dds_type.clone(), &policies, TopicKind::NoKey)
-            .map_err(|error| format!("the topic cannot be made ({error:?})"))?;
+            .map_err(|error| format!("the topic cannot be created ({error:?})"))?;
         let writer = writer(topic.encoding, publisher, &made, policies)?;
         // Late subscribers of a latched topic would get it.
         let is_asked = topic.offer.reliable && !topic.offer.latched && writer.write_for_nobody();
@@ -292,7 +292,7 @@ type Made = Result<Box<dyn Write>, String>;
 fn writer(encoding: u16, publisher: &Publisher, topic: &rustdds::Topic, policies: QosPolicies) -> Made {
     fn made<const ID: u16>(publisher: &Publisher, topic: &rustdds::Topic, policies: QosPolicies) -> Made {
         let writer = publisher.create_datawriter_no_key::<Bytes, Encoded<ID>>(topic, Some(policies));
-        let writer = writer.map_err(|error| format!("its publisher cannot be made ({error:?})"))?;
+        let writer = writer.map_err(|error| format!("its publisher cannot be created ({error:?})"))?;
         Ok(Box::new(Rc::new(writer)))
     }
     let make = match encoding {

@@ -90,8 +90,8 @@ impl Judge {
         judged.extend(self.clock(figures));
         judged.extend(self.ending_grants(figures));
         judged.extend(self.audit(figures, settled));
-        let text = "The chain is unreachable or a transaction lane is stuck: nothing is being anchored, nothing is \
-                    lost. See `authros status`.";
+        let text = "The chain is unreachable or a transaction lane is stuck: anchoring is paused, records are safe. \
+                    See `authros status`.";
         judged.extend(part(figures, "chain", text));
         let text = "The store does not accept records; captured messages wait in memory. See `authros status`.";
         judged.extend(part(figures, "store", text));
@@ -119,7 +119,7 @@ impl Judge {
         let waited = owner.oldest_unanchored.map_or(Duration::ZERO, |oldest| passed(figures.now, oldest));
         let (account, waiting) = (&owner.owner, words(waited));
         let text = format!(
-            "The oldest record of account {account} has been waiting {waiting} for a block; nothing is lost. See \
+            "The oldest record of account {account} has been waiting {waiting} for a block; records are safe. See \
              `authros chain status`."
         );
         let level = aged(waited, limit, settled);
@@ -167,7 +167,8 @@ impl Judge {
         let seconds = figures.clock_ahead.unsigned_abs();
         let way = if figures.clock_ahead < 0 { "behind" } else { "ahead of" };
         let text = format!(
-            "This machine's clock is {seconds} s {way} the time used for grants and loans; check its time service."
+            "This machine's clock is {seconds} s {way} the time used for grants and device authorisations; check its \
+             time service."
         );
         Some(Judged::new("clock", Severity::Warning, over(seconds.into(), limit.into()), text))
     }
@@ -239,8 +240,8 @@ fn part(figures: &Figures, name: &str, text: &str) -> Option<Judged> {
 /// The part exists only while a stage stands still.
 fn stages(figures: &Figures) -> Judged {
     let stands = figures.parts.iter().any(|part| part.part == "stages" && part.level == HealthLevel::Failed);
-    let text = "A stage of this site has work and makes no progress; it is restarted, nothing acknowledged is lost. See \
-                `authros status`; if it stays, stop the site and start it again.";
+    let text = "A stage of this site is stuck with work to do; it is restarted, nothing acknowledged is lost. See \
+                `authros status`; if it stays stuck, stop the site and start it again.";
     Judged::new("stages", Severity::Critical, firing(stands), text)
 }
 

@@ -77,13 +77,13 @@ impl Webhook {
         let at = |who: &str, what: &str, advice: &str| format!("the {who} at {host} {what} ({told}); {advice}");
         let failure = refused(match (place, status.as_u16()) {
             (Some(place), code) => format!(
-                "the webhook at {host} answered {code} and points at {place}, which is not followed; set alerts.webhook \
-                 to that address"
+                "the webhook at {host} answered {code} and redirects to {place}, which is not followed; set \
+                 alerts.webhook to that address"
             ),
-            (None, 401) => at("webhook", "wants a user name and password", "check alerts.webhook"),
-            (None, 404) => at("webhook", "has nothing at this path", "check alerts.webhook"),
-            (None, 413) => at("webhook", "finds the delivery too large", "raise its limit"),
-            (None, 429) => at("webhook", "limits how often it accepts alerts", "this one is sent again later"),
+            (None, 401) => at("webhook", "requires a user name and password", "check alerts.webhook"),
+            (None, 404) => at("webhook", "serves nothing at this path", "check alerts.webhook"),
+            (None, 413) => at("webhook", "rejects the delivery as too large", "raise its limit"),
+            (None, 429) => at("webhook", "limits the rate of alerts", "this one is sent again later"),
             (None, 502..=504) => at("server", "does not reach its webhook", "check that it is running"),
             (None, _) => format!("the webhook at {host} answered {told}; check its log and alerts.secret"),
         });
@@ -214,7 +214,7 @@ pub fn run(words: &[String], body: &[u8], patience: Duration, wanted: &Wanted) -
 fn begun(command: &mut Command, wanted: &Wanted, shown: &str) -> Result<Child, Failure> {
     let mut state = wanted.state();
     if *state == State::Over {
-        return Err(refused(format!("{shown} was not started: nobody is waiting for it any more")));
+        return Err(refused(format!("{shown} was not started: nothing is waiting for it any more")));
     }
     let child = command.spawn().map_err(|error| {
         let text = format!("{shown} cannot be started: {error}; check alerts.command");

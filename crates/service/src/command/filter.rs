@@ -9,7 +9,7 @@ use crate::service::failure::input;
 use crate::service::reply::Failure;
 
 /// The state's word without quotes for a shell.
-const RIGHT_ENDED: &str = "right-ended";
+const RIGHT_ENDED: &str = "unauthorised";
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, strum::EnumString, strum::IntoStaticStr, strum::VariantArray)]
 #[strum(serialize_all = "snake_case")]
@@ -140,8 +140,8 @@ mod tests {
         }
         assert_eq!(query, UploadQuery::default());
         let refused = query.take(Term::State, "verifed", Timestamp(0)).expect_err("no such state");
-        assert!(refused.message.contains(", right-ended"), "{refused}");
-        for word in ["right-ended", "waits: right ended"] {
+        assert!(refused.message.contains(", unauthorised"), "{refused}");
+        for word in ["unauthorised", "waits: unauthorised"] {
             let mut query = UploadQuery::default();
             query.take(Term::State, word, Timestamp(0)).expect("both are understood");
             assert_eq!(query.state, Some(RecordState::RightEnded));

@@ -203,8 +203,8 @@ fn health(text: &mut Text, figures: &Figures) {
     text.family("authros_part_up", "gauge", help, &figures.parts, |row| {
         ([("part", &row.part)], u8::from(row.level == HealthLevel::Ok))
     });
-    let help = "Seconds by which the machine's clock is ahead of the time used for grants and loans; negative if it is \
-                behind.";
+    let help = "Seconds by which the machine's clock is ahead of the time used for grants and device authorisations; \
+                negative if it is behind.";
     text.single("authros_clock_ahead_seconds", "gauge", help, figures.clock_ahead);
     text.begin("authros_tasks", "gauge", "Background tasks by state.");
     let resting = figures.tasks.iter().filter(|task| task.state == TaskState::Resting).count();

@@ -32,7 +32,7 @@ pub struct PartHealth {
     pub retry: Option<u64>,
 }
 
-/// Data records of one profile by stage. Always captured = verified + pending + right ended + quarantined + dropped +
+/// Data records of one profile by stage. Always captured = verified + pending + unauthorised + quarantined + dropped +
 /// tampered, where captured has its own counter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct LifeLine {

@@ -390,7 +390,7 @@ impl AgentRing {
         let tended = block_in_place(|| ring.tend(now));
         drop(ring);
         if let Err(error) = tended {
-            self.tell(&format!("what is too old for the ring is still in it: {error}"));
+            self.tell(&format!("the ring still holds expired records: {error}"));
         }
         let new: Vec<String> = possible(&self.site, &self.author)
             .into_iter()
@@ -416,7 +416,7 @@ impl AgentRing {
                     self.site.parts.hub.inform(&words(&brought));
                 }
                 Err(error) => {
-                    self.tell(&format!("what the owner asks of the ring is not in the outbox yet: {error}"));
+                    self.tell(&format!("the ring data that the owner requested is not in the outbox yet: {error}"));
                     break;
                 }
             }
@@ -447,8 +447,12 @@ fn possible(site: &Site, author: &Author) -> Vec<String> {
 
 fn words(brought: &Brought) -> String {
     if brought.messages == 0 {
-        return "the ring has nothing of what the owner asked for that was not in the outbox before".to_owned();
+        return "the ring has nothing new of what the owner requested".to_owned();
     }
     let topics: Vec<&str> = brought.topics.iter().map(String::as_str).collect();
-    format!("{} messages of {} went from the ring into the outbox", brought.messages, clean(&topics.join(", "), 200))
+    format!(
+        "{} messages of {} were moved from the ring to the outbox",
+        brought.messages,
+        clean(&topics.join(", "), 200)
+    )
 }

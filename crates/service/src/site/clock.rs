@@ -63,8 +63,8 @@ impl Clock {
             let order = if jump < 0 { "new records are dated earlier than those before them; " } else { "" };
             let settling = SETTLING.as_secs();
             let text = format!(
-                "{text}: {order}grants, loans and the embedded chain follow it once it has been stable for {settling} \
-                 s; correct it if it is wrong (timedatectl set-ntp true)"
+                "{text}: {order}grants, device authorisations and the embedded chain use it once it has been stable \
+                 for {settling} s; correct it if it is wrong (timedatectl set-ntp true)"
             );
             self.parts.hub.notice_about(ABOUT, NoticeLevel::Error, &text);
         }
@@ -74,8 +74,8 @@ impl Clock {
 
     async fn tell_belief(&self) {
         let text = format!(
-            "this machine's new clock time has been stable for {} s: grants, loans and the embedded chain use it from \
-             now on",
+            "this machine's new clock time has been stable for {} s: grants, device authorisations and the embedded \
+             chain now use it",
             SETTLING.as_secs()
         );
         self.parts.hub.notice_about(ABOUT, NoticeLevel::Info, &text);
@@ -119,8 +119,8 @@ impl Clock {
             format!("jumped {}, not used until it has been stable for {} s", span(reading.ahead()), SETTLING.as_secs())
         } else if chain > CHAIN_AHEAD {
             format!(
-                "{chain} s behind the chain, whose time decides when grants and loans begin and end; a grant must end \
-                 after that"
+                "{chain} s behind the chain, whose time decides when grants and device authorisations begin and end; \
+                 new grants need an end later than the chain's time"
             )
         } else {
             return None;

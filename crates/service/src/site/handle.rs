@@ -54,7 +54,7 @@ impl Site {
             Command::ForeseeKeyChange { kind } => {
                 self.profiles.foresee_key_change(&owner()?, kind).await.map(ask::ForeseeKeyChange::told)
             }
-            Command::RotateKeys => self.sharing.rotate(&owner()?, "asked for").await.map(ask::RotateKeys::told),
+            Command::RotateKeys => self.sharing.rotate(&owner()?, "requested").await.map(ask::RotateKeys::told),
             Command::ExportKey { kind, passphrase } => {
                 self.profiles.export_key(&owner()?, kind, passphrase).await.map(ask::ExportKey::told)
             }
@@ -319,7 +319,7 @@ impl Site {
 fn read_only(original: &Path) -> Failure {
     let root = original.display();
     let text = format!(
-        "{root} cannot be written, so it can only be looked at (status, audit, uploads, shared, evidence export); make it \
+        "{root} is read-only, so only status, audit, uploads, shared and evidence export work; make it \
          writable for everything else"
     );
     Failure::new(ErrorKind::Home, text)

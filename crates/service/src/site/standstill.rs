@@ -184,7 +184,7 @@ impl Standstill {
         match found {
             Found::Restart => {
                 self.parts.hub.alarm(&self.text().unwrap_or_default());
-                self.parts.supervisor.restart(stage.task(), "it had work and made no progress");
+                self.parts.supervisor.restart(stage.task(), "it had work but made no progress");
             }
             Found::Going if before => {
                 self.parts.hub.inform(&format!("the {} makes progress again", stage.task()));

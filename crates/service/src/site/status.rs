@@ -46,7 +46,7 @@ impl Site {
     /// The one source of health for status, figures and alerts.
     pub(super) fn parts_health(&self) -> Result<Vec<PartHealth>, Failure> {
         if let Some(original) = self.home().original() {
-            let text = format!("{} cannot be written: this is what is in it, and nothing goes on", original.display());
+            let text = format!("{} is read-only: this is its last state, and nothing is running", original.display());
             return Ok(vec![part("home", HealthLevel::Absent, &text), self.chain_health(), self.store_health()?]);
         }
         let mut health = vec![self.ros_health(), self.chain_health(), self.store_health()?];

@@ -118,7 +118,7 @@ async fn watch(site: Arc<Site>) {
                 continue;
             }
             Err(error @ PipelineError::NodeBehind { .. }) => {
-                Some(format!("the chain's node is behind; anchoring is waiting, nothing is lost: {error}"))
+                Some(format!("the chain's node is behind; anchoring is paused, records are safe: {error}"))
             }
             Err(error) => Some(away(&error)),
         };
@@ -131,7 +131,7 @@ async fn watch(site: Arc<Site>) {
 }
 
 fn away(error: &dyn std::fmt::Display) -> String {
-    format!("the chain does not answer; anchoring is waiting, nothing is lost: {error}")
+    format!("the chain does not answer; anchoring is paused, records are safe: {error}")
 }
 
 async fn verify(site: Arc<Site>) {

@@ -116,7 +116,7 @@ async fn greeted(
 
 /// The last event, where the site sends no more.
 fn sends_no_more(refusal: &Failure) -> Event {
-    let text = format!("this site tells nothing more of what happens: {}", clean(&refusal.message, 500));
+    let text = format!("this site reports no further events: {}", clean(&refusal.message, 500));
     Event::Notice { at: Timestamp::now(), level: NoticeLevel::Error, text, about: None }
 }
 

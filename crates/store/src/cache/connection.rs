@@ -245,7 +245,10 @@ impl Left {
     fn take(&mut self, bytes: u64) -> IoResult<()> {
         let rest = usize::try_from(bytes).ok().and_then(|bytes| self.bytes.checked_sub(bytes));
         self.bytes = rest.ok_or_else(|| {
-            nonsense(&format!("it sends more than {} MiB, which no reply of Redis to us has", MOST_BYTES >> 20))
+            nonsense(&format!(
+                "it sends more than {} MiB, longer than any reply of Redis to this program",
+                MOST_BYTES >> 20
+            ))
         })?;
         Ok(())
     }
@@ -253,7 +256,7 @@ impl Left {
     fn take_values(&mut self, values: u64) -> IoResult<()> {
         let rest = self.values.checked_sub(values);
         self.values =
-            rest.ok_or_else(|| nonsense(&format!("it sends a list of {values} values, which no reply has")))?;
+            rest.ok_or_else(|| nonsense(&format!("it sends a list of {values} values, longer than any reply")))?;
         Ok(())
     }
 }
@@ -282,7 +285,7 @@ fn reply(stream: &mut impl BufRead, left: &mut Left) -> IoResult<Vec<u8>> {
                 left.take_values(length)?;
                 if length > 0 {
                     if arrays.len() == DEEPEST {
-                        return Err(nonsense("it sends lists in lists, deeper than any reply has"));
+                        return Err(nonsense("it sends lists nested deeper than any reply"));
                     }
                     arrays.push(length);
                     continue;
@@ -339,7 +342,7 @@ fn body(stream: &mut impl BufRead, mut length: u64, left: &mut Left, reply: &mut
 fn number(line: &[u8]) -> IoResult<Option<u64>> {
     match std::str::from_utf8(line.trim_ascii_end()).unwrap_or_default() {
         "-1" => Ok(None),
-        text => text.parse().map(Some).map_err(|_| nonsense("a length is no number")),
+        text => text.parse().map(Some).map_err(|_| nonsense("a length is not a number")),
     }
 }
 

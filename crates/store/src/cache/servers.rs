@@ -351,7 +351,7 @@ impl Node {
         let (hosts, master, database) = match &self.address.place {
             Place::Server(server) => return Connection::open(server, self.tls.as_ref()),
             Place::Sentinels(hosts, master, database) => (hosts, master, database),
-            Place::Cluster(_) => return Err(io::Error::other("a cluster is no single server").into()),
+            Place::Cluster(_) => return Err(io::Error::other("a cluster is not a single server").into()),
         };
         let host = self.master(hosts, master)?;
         let server = self.address.server(&host, database).map_err(io::Error::other)?;

@@ -119,7 +119,7 @@ fn x_says_plainly_what_a_revoke_cannot_do() {
     let mut robot = at_grants();
     robot.types("x");
     let text = question(&robot).lines.join("\n");
-    assert!(text.contains("already read cannot be recalled"), "{text}");
+    assert!(text.contains("already read cannot be taken back"), "{text}");
     assert!(text.contains("nobody but you"), "{text}");
     robot.types("x");
     assert!(robot.work().is_empty() && robot.state.popups.is_empty(), "the key that opened it is no yes");

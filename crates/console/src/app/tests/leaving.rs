@@ -85,7 +85,7 @@ fn s_leaves_a_site_running_where_the_caller_can_and_something_is_captured() {
     let leaves = |mut robot: Robot| {
         robot.types("q");
         let asked = robot.state.popups.last().is_some_and(|popup| matches!(popup, Popup::Quit(_)));
-        let said = asked && question(&robot).contains("goes on with it");
+        let said = asked && question(&robot).contains("continues it after");
         robot.types("s");
         (said, matches!(robot.effects[..], [Effect::LeaveSite]))
     };

@@ -108,7 +108,7 @@ fn a_watch_is_undone_truly_and_a_grant_only_by_another_transaction() {
     robot.state.undo = Some(crate::app::perform::Undo::Granted(fixtures::OTHER.to_string()));
     robot.types("U");
     let Some(Popup::Confirm(question)) = robot.state.popups.last() else { panic!("it asks") };
-    assert!(question.lines.iter().any(|line| line.contains("cannot be recalled")));
+    assert!(question.lines.iter().any(|line| line.contains("cannot be taken back")));
 }
 
 #[test]

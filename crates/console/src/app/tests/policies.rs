@@ -75,7 +75,7 @@ fn each_robot_says_how_it_stands_in_the_words_of_the_command_line() {
 #[test]
 fn the_list_is_filtered_and_sorted_by_policy() {
     let mut robot = at_the_robots();
-    robot.types("/drift");
+    robot.types("/outdated");
     robot.presses(Key::Enter);
     let names: Vec<String> = robot.state.gateway.shown().iter().map(|row| row.name()).collect();
     assert_eq!(names, ["rover", "scout", "tug"]);
@@ -262,14 +262,14 @@ fn drift_is_told_on_the_overview_since_it_began() {
         let shown = robot.state.alerts.shown();
         shown.into_iter().filter(|alert| alert.resolved.is_none()).map(|alert| alert.text.clone()).collect()
     };
-    let drift = "3 robots do not work by their policies: rover, scout, tug (8)";
+    let drift = "3 robots do not run their policies: rover, scout, tug (8)";
     assert!(told(&robot).contains(&drift.to_owned()), "{:?}", told(&robot));
     let alert = robot.state.alerts.shown().into_iter().find(|alert| alert.text == drift).expect("told");
     assert_eq!(Some(alert.since), row("scout").drift_since);
     robot.hears_of(Part::Uploads);
     robot.waits(31);
     robots::answers(&mut robot, Feed::Robots, Reply::Robots(vec![row("robot1"), row("scout")]));
-    let one = "robot scout drifts: policy 3 refused, runs 2 (8, then enter)";
+    let one = "robot scout is out of date: policy 3 refused, runs 2 (8, then enter)";
     assert!(told(&robot).contains(&one.to_owned()), "{:?}", told(&robot));
     robot.hears_of(Part::Uploads);
     robot.waits(31);

@@ -133,7 +133,7 @@ pub const TEXT: [(Step, [&str; 3]); 7] = [
         [
             "See a record verified",
             "Press 3 for your records, select one, then enter. esc closes it.",
-            "Its digest is on the chain: nobody can change it now, not even you.",
+            "Its digest is on the chain: a changed record no longer matches it.",
         ],
     ),
     (

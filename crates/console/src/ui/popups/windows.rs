@@ -339,7 +339,9 @@ pub fn coverage_lines(state: &State, topic: &str) -> Vec<Piece> {
     match answer {
         _ if of != topic => Vec::new(),
         Err(failure) => vec![(clean(&failure.message, 500), Role::Bad)],
-        Ok(view) if view.first.is_none() => vec![("No records of it yet.".to_owned(), Role::Dim), Piece::default()],
+        Ok(view) if view.first.is_none() => {
+            vec![("No records of this topic yet.".to_owned(), Role::Dim), Piece::default()]
+        }
         Ok(view) => vec![
             (format!("Records from {} to {} UTC", day(view.since), day(view.until)), Role::Title),
             (view.strip(), Role::Accent),
@@ -452,7 +454,7 @@ fn left(pending: u64, captured: f64, verified: f64) -> String {
     }
     let count = words::count(pending);
     if verified < 0.1 {
-        return format!("{count} pending; nothing is being verified right now");
+        return format!("{count} pending; nothing is being verified now");
     }
     let records = f64::from(u32::try_from(pending).unwrap_or(u32::MAX));
     let net = verified - captured;
@@ -494,7 +496,7 @@ fn told(facts: &[Fact], width: u16) -> Vec<Piece> {
 
 fn topics(view: &RobotView, width: u16) -> Vec<Piece> {
     if view.topics.is_empty() {
-        return vec![Piece::default(), ("Nothing of it was recorded yet.".to_owned(), Role::Dim)];
+        return vec![Piece::default(), ("Nothing was recorded by this robot yet.".to_owned(), Role::Dim)];
     }
     let numbers = |cells: [String; 4]| cells.iter().map(|cell| format!(" {cell:>NUMBER$}")).collect::<String>();
     let name = usize::from(width).saturating_sub(4 * (NUMBER + 1)).min(48);
@@ -513,7 +515,7 @@ fn robot_text(view: &RobotView, width: u16) -> Vec<Piece> {
     let mut lines = vec![Piece::default()];
     if view.policy.is_empty() {
         let why = if view.row.wanted == 0 { "No policy was set" } else { "The policy was cleared" };
-        lines.push((format!("{why}: the robot's own settings count alone."), Role::Dim));
+        lines.push((format!("{why}: only the robot's own settings apply."), Role::Dim));
         return lines;
     }
     lines.push((format!("Policy {}, as it was set:", view.row.wanted), Role::Title));
@@ -530,7 +532,7 @@ pub fn draw_incidents(canvas: &mut Canvas, area: Rect, state: &State, list: &Inc
     let width = LOOKUP_WIDEST.min(area.width.saturating_sub(6));
     let Some(chosen) = list.chosen(state) else {
         let inner = framed(canvas, area, "Incidents", width.min(72), 2);
-        let nothing = "None yet: n opens one, to keep the records of a time span.";
+        let nothing = "No incidents yet: n opens one, to keep the records of a time span.";
         canvas.put(inner, empty(state, Feed::Incidents, nothing), Role::Dim);
         return;
     };

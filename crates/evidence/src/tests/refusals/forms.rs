@@ -101,7 +101,7 @@ fn members_that_are_not_of_their_form_are_refused_by_both_though_they_are_signed
     say("an anchor with a line more", &with(&world, "anchor.json", field), "unknown field");
     say("a record without its bytes", &without(&world, "record.bin"), "record.bin: is missing");
     say("a record without its signature", &without(&world, "signature.der"), "signature.der: is missing");
-    say("a signature that is none", &with(&world, "signature.der", |bytes| bytes.push(0)), "signature.der");
+    say("a malformed signature", &with(&world, "signature.der", |bytes| bytes.push(0)), "signature.der");
     say("a secret without its signature", &without(&world, "reveal.der"), "reveal.der: is missing");
     say("a signature without its secret", &without(&world, "reveal.bin"), "reveal.bin: is missing");
     say("a secret that is too short", &with(&world, "reveal.bin", |bytes| bytes.truncate(31)), "not exactly 32 bytes");
@@ -110,7 +110,7 @@ fn members_that_are_not_of_their_form_are_refused_by_both_though_they_are_signed
         &renamed(&world, "chain/41.rlp", |_| "chain/43.rlp".into()),
         "the number of another block",
     );
-    say("a header more that is none", &more(&world, "chain/99.rlp", &[0xc0]), "is not a block header");
+    say("one more header, malformed", &more(&world, "chain/99.rlp", &[0xc0]), "is not a block header");
     let backwards = |bytes: &mut Vec<u8>| {
         let nodes: Vec<Vec<u8>> = rlp::decode_list(bytes);
         let mut list = rlp::RlpStream::new_list(nodes.len());
@@ -124,7 +124,7 @@ fn members_that_are_not_of_their_form_are_refused_by_both_though_they_are_signed
         &with(&world, "chain/nodes.rlp", backwards),
         "distinct nodes in order of their hashes",
     );
-    say("an identity more that is none", &more(&world, &format!("{}.bin", hex("identities/")), b"x"), "identities/");
+    say("one more identity, malformed", &more(&world, &format!("{}.bin", hex("identities/")), b"x"), "identities/");
     let whole: Vec<u8> = world.members()[&name_of(&world.members(), "identities/")].clone();
     say(
         "an identity under another name",
@@ -136,21 +136,21 @@ fn members_that_are_not_of_their_form_are_refused_by_both_though_they_are_signed
         &more(&world, &format!("{}.txt", hex("definitions/")), b"x"),
         "another text's name",
     );
-    say("a suggestion that is no text", &more(&world, "trust.toml", &[0xff, 0xfe]), "is not text");
+    say("a suggestion that is not text", &more(&world, "trust.toml", &[0xff, 0xfe]), "is not text");
     let pem = authros_crypto::keyfile::sm2_public_pem(&pair().public).expect("a point");
     say(
         "a key under another's name",
         &more(&world, &format!("{}.pem", hex("keys/")), pem.as_bytes()),
         "another key's name",
     );
-    say("a key that is none", &more(&world, &format!("{}.pem", hex("keys/")), b"x"), "contains no SM2 public key");
+    say("a malformed key", &more(&world, &format!("{}.pem", hex("keys/")), b"x"), "contains no SM2 public key");
     let (before, compressed) = (format!("a key\n{pem}"), compressed(&pem));
     let words = "not written in a bundle's one form";
     say("text before a key", &more(&world, &name_of_key(&pem), before.as_bytes()), words);
     say("a key whose point is compressed", &more(&world, &name_of_key(&pem), compressed.as_bytes()), words);
     let each = r#"{"format": "authros-anchor/1", "block": 40, "shown_at": 40, "keys": 1, "anchor": {"mode": "each", "index": 0}}"#;
     say(
-        "an anchor by itself with a line more",
+        "a single anchor with one more line",
         &with(&world, "anchor.json", |bytes| *bytes = each.into()),
         "unknown field `index`",
     );

@@ -25,7 +25,7 @@ async fn nowhere() -> std::net::SocketAddr {
 }
 
 fn in_place(work: &Work) -> bool {
-    matches!(&*work.link.borrow(), Link::InPlace(text) if text.contains("in place of"))
+    matches!(&*work.link.borrow(), Link::InPlace(text) if text.contains(" instead of "))
 }
 
 #[tokio::test(flavor = "multi_thread")]

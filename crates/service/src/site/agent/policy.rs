@@ -106,7 +106,7 @@ impl AgentPolicy {
         self.overruled = overruled(&self.policy, config, wishes);
         for text in &self.overruled {
             let version = self.kept.version;
-            site.parts.hub.warn(&format!("policy {version} counts, not this robot's own setting: {text}"));
+            site.parts.hub.warn(&format!("policy {version} overrides this robot's own setting: {text}"));
         }
     }
 
@@ -143,12 +143,12 @@ fn overruled(policy: &RobotPolicy, config: &Config, wishes: &AgentWishes) -> Vec
     let rules = rules.map(|rules| format!("{own} [[topic]] rules, the policy has {}", rules.0.len()));
     let ring = match (&policy.ring, &config.ring) {
         (RingWish::Own, _) | (_, None) => None,
-        (RingWish::Off, Some(own)) => Some((own, "there is to be none".to_owned())),
+        (RingWish::Off, Some(own)) => Some((own, "no ring".to_owned())),
         (RingWish::Keep(ring), Some(own)) => {
             (ring != own).then(|| (own, format!("{} of {}", ring.limits, ring.topics)))
         }
     };
-    let ring = ring.map(|(own, policy)| format!("ring {} of {}, by the policy {policy}", own.limits, own.topics));
+    let ring = ring.map(|(own, policy)| format!("ring {} of {}, the policy sets {policy}", own.limits, own.topics));
     [watched, rules, ring].into_iter().flatten().map(|text| clean(&text, WIDEST)).collect()
 }
 
@@ -165,7 +165,7 @@ impl Agent {
             self.apply_policy();
         }
         if let Err(failure) = self.tell_policy() {
-            let text = format!("the owner cannot be told of this robot's policy yet: {}", failure.message);
+            let text = format!("this robot's policy cannot be reported to the owner yet: {}", failure.message);
             self.site.parts.hub.alarm(&text);
         }
     }
@@ -173,7 +173,7 @@ impl Agent {
     fn apply_policy(&mut self) {
         let wanted = self.policy.ring(&self.site.parts.config);
         let failure = self.change_ring(wanted).err();
-        let failure = failure.map(|why| format!("the ring is not yet as the owner's policy says: {}", why.message));
+        let failure = failure.map(|why| format!("the ring does not match the owner's policy yet: {}", why.message));
         if self.policy.ring_applied(failure.clone()) {
             self.site.parts.hub.alarm(&failure.unwrap_or_default());
         }
@@ -303,7 +303,7 @@ impl PolicyKeeper {
         policy.check(&self.domain, &self.owner, &self.device).map_err(unsigned)?;
         let (version, runs) = (policy.version, kept.version);
         if version < runs || version == 0 {
-            return Err(format!("its version {version} is lower than {runs}, which this robot works by"));
+            return Err(format!("its version {version} is lower than {runs}, which this robot uses"));
         }
         if policy.text.len() > LONGEST_POLICY {
             return Err(format!("it has {} bytes, and {LONGEST_POLICY} are allowed", policy.text.len()));
@@ -322,11 +322,11 @@ impl PolicyTaker for PolicyKeeper {
         let (next, told) = match self.judged(policy, &kept) {
             Ok(text) => {
                 let version = policy.version;
-                let told = format!("the owner's policy {version} is in force from now on");
+                let told = format!("the owner's policy {version} is now in force");
                 (PolicyKept { version, text, heard: version, refused: None }, told)
             }
             Err(why) => {
-                let told = format!("the owner's policy {} is not taken up: {why}", policy.version);
+                let told = format!("the owner's policy {} is not applied: {why}", policy.version);
                 (PolicyKept { heard: policy.version, refused: Some(why), ..kept.clone() }, told)
             }
         };
@@ -381,7 +381,7 @@ mod tests {
         let of = |text: &str| overruled(&RobotPolicy::read(text).expect(text), &config, &wishes);
         assert!(of("").is_empty() && of(file).is_empty() && of("[[watch]]\ntopic = \"/b\"\n").is_empty());
         let all = of("ring.keep = \"\"\nring.topics = \"\"\n[[watch]]\ntopic = \"/c\"\n[[topic]]\nmatch = \"/b\"\n");
-        let told: Vec<bool> = ["--topic /b", "1 [[topic]] rules", "there is to be none"]
+        let told: Vec<bool> = ["--topic /b", "1 [[topic]] rules", "off"]
             .iter()
             .map(|words| all.iter().any(|text| text.contains(words)))
             .collect();

@@ -72,7 +72,7 @@ impl Bridge {
             return Ok(givers);
         }
         let Some(other) = wanted else {
-            return Err(refused("nobody shares records with this profile at the moment; see `authros grants list`"));
+            return Err(refused("nobody shares records with this profile now; see `authros grants list`"));
         };
         let what = "its records".to_owned();
         Err(PipelineError::NotGranted { owner: other, reader: owner.address, what }.into())
@@ -170,7 +170,7 @@ impl Names {
         let mut remaps = HashMap::new();
         for remap in &wishes.remaps {
             if remaps.insert(remap.from.to_string(), remap.to.to_string()).is_some() {
-                return Err(input(format!("{} is remapped twice; give it one name", remap.from)));
+                return Err(input(format!("{} is remapped twice; give it a single name", remap.from)));
             }
         }
         let prefix = wishes.prefix.as_ref().map(TopicName::to_string);

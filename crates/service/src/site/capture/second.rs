@@ -195,7 +195,7 @@ impl Second {
         let (taken, other) = if taken == GraphOf::Two { (2, 1) } else { (1, 2) };
         let reason = format!(
             "the name exists in ROS 1 and in ROS 2, but records are filed by name: it is captured from ROS {taken}; to \
-             capture both, start the other one with a prefix, as {topic}:=/ros{other}{topic}"
+             capture both, start the other publisher with a prefix, such as {topic}:=/ros{other}{topic}"
         );
         let publisher = format!("its publisher in ROS {other}");
         let topic = topic.as_str().into();

@@ -124,7 +124,7 @@ impl Administering {
                 acted(account, |account| Call::Restore { account }, "is no longer suspended")
             }
             Administration::Open { open } => {
-                let text = if *open { "anyone can register" } else { "only admitted accounts can register" };
+                let text = if *open { "anyone can register" } else { "only allowed accounts can register" };
                 Ok((Call::SetOpen { open: *open }, text.to_owned()))
             }
             Administration::Pause { paused, seconds } => Ok(pause(*paused, *seconds)),

@@ -56,7 +56,7 @@ impl Enrolments {
     pub fn issue(&self, owner: &Owner, network: &Network, to: &Enrolled) -> Result<IssuedKeys, Failure> {
         let sealing = owner.sealing().filter(|keys| keys.domain == network.domain);
         let sealing = sealing
-            .ok_or_else(|| refused("no epoch has started that this keyring has the key of; run `authros register`"))?;
+            .ok_or_else(|| refused("this keyring has the key of no epoch that has started; run `authros register`"))?;
         let now = self.issue_of(owner, network, to, sealing.epoch)?;
         let next = owner.author.next().filter(|(_, keys)| keys.epoch > sealing.epoch);
         let next = next.map(|(from, keys)| Ok::<_, Failure>((from, self.issue_of(owner, network, to, keys.epoch)?)));
@@ -105,7 +105,7 @@ impl Enrolments {
         let untold = self.untold.lock().unwrap_or_else(PoisonError::into_inner);
         let lacking = untold.iter().filter(|((of, ..), _)| owner.is_none_or(|owner| owner == *of));
         let lacking: Vec<&str> = lacking.map(|(_, robot)| robot.as_str()).collect();
-        (!lacking.is_empty()).then(|| format!("FAILED to tell {}", lacking.join(", ")))
+        (!lacking.is_empty()).then(|| format!("FAILED to notify {}", lacking.join(", ")))
     }
 
     pub fn note_recalled(&self, owner: &Owner, device: SignerId) -> Result<(), Failure> {
@@ -157,8 +157,8 @@ impl Devices {
     pub async fn enrol(&self, owner: &Arc<Owner>, wishes: EnrolWishes) -> Result<EnrolledView, Failure> {
         if self.parts.is_joined() && wishes.fingerprint.is_none() {
             return Err(refused(
-                "a site that has joined another one can only enrol robots at a gateway whose key you confirmed: ask \
-                 its operator for it and pass it as --gateway-key",
+                "a site that has joined another site can enrol robots only at a gateway whose key you confirmed: get \
+                 the key from its operator and pass it as --gateway-key",
             ));
         }
         let network = self.parts.link.network().await?;
@@ -218,12 +218,12 @@ impl Devices {
     /// A recall by name must not leave another robot able to read.
     fn check_name(&self, network: &Network, owner: &Owner, name: &ProfileName) -> Result<(), Failure> {
         if is_reserved(name) {
-            return Err(input(format!("'{name}' is a name that sites give themselves; give the robot another one")));
+            return Err(input(format!("'{name}' is reserved for sites; give the robot another name")));
         }
         match self.called(network, owner, name.as_str())?.into_iter().find(|(_, lent)| *lent) {
             Some((device, _)) => Err(refused(format!(
-                "a robot called '{name}' is enrolled already, as device {device}; `authros devices recall {name}` ends \
-                 it, or give this one another name"
+                "a robot called '{name}' is enrolled already, as device {device}; revoke it with `authros devices \
+                 recall {name}`, or give this robot another name"
             ))),
             None => Ok(()),
         }

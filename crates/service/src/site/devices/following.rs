@@ -64,15 +64,15 @@ impl Devices {
             if from.elapsed() >= BOUND || self.parts.life.is_stopping() {
                 let names = behind.join(", ");
                 return Err(incomplete(format!(
-                    "FAILED: {names} still seals under an older epoch {} s later; look at `authros status` here and at \
-                     the robot's own messages, or recall it too",
+                    "FAILED: {names} still seals under an older epoch {} s later; check `authros status` here and the \
+                     robot's own log, or revoke it too",
                     from.elapsed().as_secs()
                 )));
             }
             tokio::time::sleep(LOOK).await;
         }
         let Some(untold) = self.enrolments.untold(Some(owner.address)) else { return Ok(deed) };
-        let text = format!("{}; {untold}; they are told as soon as their gateway can be reached", deed.text);
+        let text = format!("{}; {untold}; they are notified as soon as their gateway can be reached", deed.text);
         Ok(TransactionView { text, ..deed })
     }
 

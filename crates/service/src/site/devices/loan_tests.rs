@@ -24,8 +24,8 @@ async fn a_loan_is_given_once_and_its_recall_begins_an_epoch() {
     let recalled = devices.recall(&alice, &ROBOT.to_string()).await.expect("recalled");
     assert_eq!((recalled.epoch, alice.sealing().map(|keys| keys.epoch)), (2, Some(2)));
     assert!(devices.rows(&alice).await.expect("rows").iter().all(|row| row.recalled.is_some()));
-    let twice = devices.recall(&alice, &ROBOT.to_string()).await.expect_err("no longer on loan");
-    assert!(twice.message.contains("no such device is on loan"), "{}", twice.message);
+    let twice = devices.recall(&alice, &ROBOT.to_string()).await.expect_err("no longer authorised");
+    assert!(twice.message.contains("no such device is authorised"), "{}", twice.message);
     site.stop().await;
 }
 

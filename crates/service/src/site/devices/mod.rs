@@ -49,17 +49,17 @@ impl Devices {
         let _one_at_a_time = owner.changes.lock().await;
         network.directory.identity(owner.address)?;
         if until.is_some_and(|until| until <= network.directory.now()) {
-            return Err(input("the loan would end before it starts; give a later --until"));
+            return Err(input("the authorisation would end before it starts; give a later --until"));
         }
         let until = until.map(|until| Timestamp::from_seconds(until.seconds()));
         let is_same = |lending: &Lending| (lending.device, lending.until) == (device, until);
         let is_lent = |lending: &Lending| is_same(lending) && authority::is_lent(&network.directory, lending);
         if self.lendings(&network, owner).iter().any(is_lent) {
             return Err(refused(format!(
-                "device {device} is already on loan; `authros devices list` shows until when"
+                "device {device} is already authorised; `authros devices list` shows until when"
             )));
         }
-        let end = until.map_or_else(|| "it is recalled".to_owned(), |until| until.to_string());
+        let end = until.map_or_else(|| "it is revoked".to_owned(), |until| until.to_string());
         let text = format!("device {device} may sign for {} until {end}", owner.address);
         let lent = self.change_devices(owner, &network, Call::Lend { device, until }, "lend", text);
         self.parts.log.deed(&owner.profile, "lend device", &device.to_string(), lent).await
@@ -77,13 +77,13 @@ impl Devices {
             let recalled = self.change_devices(owner, &network, call, "recall", String::new()).await?;
             self.enrolments.note_recalled(owner, device)?;
             let rotated = self.sharing.next_epoch(owner, &network, "recall").await.map_err(|failure| {
-                let what = "is recalled, but the new epoch is not on the chain yet and its keys still open new \
-                            records; `authros keys rotate` starts it";
+                let what = "is revoked, but the new epoch is not on the chain yet and its keys still open new records; \
+                            `authros keys rotate` starts it";
                 Failure { message: format!("device {device} {what}: {}", failure.message), ..failure }
             })?;
             let text = format!(
                 "device {device} can no longer sign or read for {}: gateways end its session, and new records are \
-                 sealed under epoch {}; what it signed before stays valid, what it has read cannot be recalled",
+                 sealed under epoch {}; what it signed before stays valid, what it has read cannot be taken back",
                 owner.address, rotated.epoch
             );
             Ok(TransactionView { epoch: rotated.epoch, text, ..recalled })
@@ -179,8 +179,8 @@ fn find(lendings: &[Lending], text: &str) -> Result<SignerId, Failure> {
     let found: BTreeSet<SignerId> = found.collect();
     match (found.first(), found.len()) {
         (Some(device), 1) => Ok(*device),
-        (None, _) => Err(refused("no such device is on loan; `authros devices list` shows those that are")),
-        _ => Err(input("several devices on loan start like this; give more of the id")),
+        (None, _) => Err(refused("no such device is authorised; `authros devices list` shows those that are")),
+        _ => Err(input("several authorised devices start like this; give more of the id")),
     }
 }
 

@@ -26,7 +26,7 @@ impl Devices {
                 let incident = incident.transpose()?;
                 let of_incident = incident.as_ref();
                 let since = since.or(of_incident.map(|incident| incident.since));
-                let since = since.ok_or_else(|| input("say from when: --since 10m, or --incident NAME"))?;
+                let since = since.ok_or_else(|| input("give a start: --since 10m, or --incident NAME"))?;
                 let until = until.or(of_incident.and_then(|incident| incident.until));
                 // A name that is no pattern matches no robot's topic.
                 let of_all = of_incident.into_iter().flat_map(|incident| &incident.topics);
@@ -76,10 +76,12 @@ impl Devices {
 pub fn span(since: Timestamp, until: Option<Timestamp>, topics: Vec<TopicPattern>) -> Result<RingSpan, Failure> {
     let until = until.unwrap_or_else(Timestamp::now).min(Timestamp::now());
     if since >= until {
-        return Err(input(format!("the span would end at {until}, before it begins; a ring holds only the past")));
+        return Err(input(format!(
+            "the span would end at {until}, before it begins; a ring holds only the past, so give an earlier --since"
+        )));
     }
     if topics.len() > TopicPatterns::MOST {
-        return Err(input(format!("ask a robot for at most {} topics at once", TopicPatterns::MOST)));
+        return Err(input(format!("request at most {} topics per call", TopicPatterns::MOST)));
     }
     Ok(RingSpan { since, until, topics: TopicPatterns(topics) })
 }

@@ -235,7 +235,7 @@ impl ChainProofs {
             return Ok(None);
         }
         let kept =
-            counts.newest.map_or_else(|| "none kept yet".to_owned(), |block| format!("kept up to block {block}"));
+            counts.newest.map_or_else(|| "no proofs kept yet".to_owned(), |block| format!("kept up to block {block}"));
         let missed = match counts.missed {
             0 => String::new(),
             missed => format!("; {missed} batches have none, bundles of them ask the node"),

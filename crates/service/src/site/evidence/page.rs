@@ -40,9 +40,9 @@ const HEAD: &str = "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\
     </style>\n</head>\n<body>\n";
 
 const MARK: &str = "<p class=\"mark\"><b>This page is not authoritative.</b> It was written by the program of the \
-    person who made the file, using that program's own pins, and proves nothing. To see what the file proves, check \
-    it: <code>authros verify FILE.authros --trust trust.toml</code>, offline, with a trust file of your own, or by \
-    <code>tools/verify.py</code> of the same source.</p>\n";
+    person who made the file, using that program's own trust settings, and proves nothing. To see what the file \
+    proves, check it: <code>authros verify FILE.authros --trust trust.toml</code>, offline, with a trust file of your \
+    own, or by <code>tools/verify.py</code> of the same source.</p>\n";
 
 pub(super) fn escape(text: &str) -> String {
     let text = clean(text, WIDEST).replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;");
@@ -116,15 +116,15 @@ fn summary(out: &mut String, bundle: &Bundle, report: &Report) {
     out.push_str("<h2>What, who, when</h2>\n");
     let mut rows = vec![
         fact("Records", format!("{}, {opened} of them disclosed", report.records.len())),
-        fact("Captured, according to their owner", span(|record| record.captured_at)),
-        fact("Anchored, by the clock of the block sealers", span(|record| record.anchored_at)),
-        fact("Existed before, by authorities' time stamps", span(|record| record.existed_before)),
+        fact("Capture time (claimed by the owner)", span(|record| record.captured_at)),
+        fact("Anchored (block timestamp)", span(|record| record.anchored_at)),
+        fact("Existed before (trusted timestamp)", span(|record| record.existed_before)),
         fact("Assembled by", format!("{} with the key {}", exporter.account, exporter.key)),
         fact("Chain", format!("id {}, genesis {}, contract {}", chain.id, chain.genesis, chain.contract)),
     ];
     rows.extend(owners.iter().map(|(owner, records)| fact("Owner", format!("{owner}: {records} records"))));
     facts(out, &rows);
-    put(out, format_args!("<p><b>By the exporter's own pins: {}.</b></p>\n", escape(report.last_line())));
+    put(out, format_args!("<p><b>Using the exporter's own trust settings: {}.</b></p>\n", escape(report.last_line())));
 }
 
 /// Topics appear as their pseudonyms.
@@ -262,7 +262,7 @@ fn notes(out: &mut String, report: &Report) {
     put(out, format_args!("<li>{}</li>\n", escape(&report.exporter.text)));
     report.warnings.iter().for_each(|text| put(out, format_args!("<li>{}</li>\n", escape(text))));
     let by_hand: String = authros_evidence::READ_ME_TEXT.lines().map(|line| escape(line) + "\n").collect();
-    put(out, format_args!("</ul>\n<h2>By hand</h2>\n<pre>{by_hand}</pre>\n"));
+    put(out, format_args!("</ul>\n<h2>Check it manually</h2>\n<pre>{by_hand}</pre>\n"));
 }
 
 const WIDTH: f64 = 560.0;

@@ -184,7 +184,8 @@ impl TimeStamps {
             return Ok(None);
         }
         let counts = self.parts.plant.ledger.proofs.stamp_counts()?;
-        let newest = counts.before.map_or_else(|| "none yet".to_owned(), |before| format!("newest before {before}"));
+        let newest =
+            counts.before.map_or_else(|| "no stamps yet".to_owned(), |before| format!("newest before {before}"));
         let told = format!("{} stamps, {newest}; {} wait", counts.stamped, counts.waiting);
         let failures = self.failures.load(Ordering::Acquire);
         let trouble = self.with(|last| last.trouble.clone());

@@ -70,7 +70,10 @@ impl Admissions {
             let mut list = self.list()?;
             if !list.iter().any(|admitted| admitted.owner == owner) {
                 if list.len() >= MOST {
-                    return Err(refused(format!("a gateway can admit at most {MOST} owners; dismiss one first")));
+                    return Err(refused(format!(
+                        "a gateway can allow at most {MOST} owners; remove one with `authros \
+                                                gateway dismiss` first"
+                    )));
                 }
                 list.push(AdmittedOwner { owner, since: Timestamp::now(), by: profile.to_string() });
                 let admitted = async { self.write(&list) };
@@ -92,7 +95,10 @@ impl Admissions {
             let before = list.len();
             list.retain(|admitted| admitted.owner != owner);
             if list.len() == before {
-                return Err(input(format!("{owner} is not admitted; `authros gateway admitted` lists those who are")));
+                return Err(input(format!(
+                    "{owner} is not on this gateway's allow list; `authros gateway admitted` \
+                                          shows it"
+                )));
             }
             self.parts.log.deed(profile, "gateway dismiss", &owner.to_string(), async { self.write(&list) }).await?;
         }
@@ -146,7 +152,7 @@ impl GatewayDesk {
         if self.place.open {
             return Ok(Standing::Guest);
         }
-        let detail = format!("{account} is not admitted; `authros gateway admit {account}` admits it to this gateway");
+        let detail = format!("{account} is not allowed at this gateway; `authros gateway admit {account}` allows it");
         Err(Refusal::new(Code::NotAuthorised, detail))
     }
 
@@ -166,7 +172,7 @@ impl GatewayDesk {
         let guests: BTreeSet<&Address> =
             bound.iter().map(|(_, owner)| owner).filter(|owner| !self.gateway.admissions.is_on_list(owner)).collect();
         if own == 0 && guests.len() >= MOST_GUESTS {
-            return Err(self.over(account, format_args!("{MOST_GUESTS} owners who are not admitted")));
+            return Err(self.over(account, format_args!("{MOST_GUESTS} owners who are not on the allow list")));
         }
         Ok(())
     }

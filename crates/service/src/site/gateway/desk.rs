@@ -171,7 +171,7 @@ impl GatewayDesk {
             return Ok(());
         }
         Err(rejected(
-            "a visitor may only send its registration; ask the gateway's operator to admit this account first",
+            "a visitor may only send its registration; ask the gateway's operator to allow this account first",
         ))
     }
 
@@ -193,7 +193,7 @@ impl Desk for GatewayDesk {
         if let Some(device) = device
             && self.may_sign_now(account, device)?.is_err()
         {
-            let text = format_args!("device {device} of {account} is no longer on loan");
+            let text = format_args!("device {device} of {account} is no longer authorised");
             return Err(Refusal::new(Code::NotAuthorised, text));
         }
         Ok(Account { signing: identity.signing, envelope: identity.envelope })

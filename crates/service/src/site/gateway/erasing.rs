@@ -59,7 +59,7 @@ impl GatewayDesk {
         if count > 0 {
             let subject = format!("{count} records of {}", caller.account);
             let (log, profile) = (&self.gateway.parts.log, &self.place.keeper.profile);
-            if let Err(failure) = log.write(profile, "gateway erase", &subject, "told by their owner").await {
+            if let Err(failure) = log.write(profile, "gateway erase", &subject, "as their owner requested").await {
                 self.gateway.parts.hub.warn(&failure.message);
             }
         }
@@ -73,7 +73,7 @@ impl GatewayDesk {
             return Ok(None);
         };
         if let Some(field) = header_difference(&row, header) {
-            let text = format_args!("what is told of record {} differs from it in its {field}", row.id);
+            let text = format_args!("the statement about record {} differs from it in its {field}", row.id);
             return Err(Refusal::new(Code::Tampered, text));
         }
         let stands = |kept: &KeptErasure| {

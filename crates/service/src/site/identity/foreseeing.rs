@@ -59,7 +59,7 @@ fn signing_lines(view: &KeyChangeView) -> Vec<String> {
     )];
     let names: Vec<&str> = view.robots.iter().map(ProfileName::as_str).collect();
     lines.push(match names.as_slice() {
-        [] => "no robot is on loan".to_owned(),
+        [] => "no robot is authorised".to_owned(),
         names => format!(
             "{} ({}): informed by a notice signed with the old key and your account; they continue automatically if \
              their gateway runs in this home; enrol the others again",
@@ -119,7 +119,7 @@ mod tests {
         }
         let text = signing_lines(&KeyChangeView::default()).join("\n");
         assert!(
-            text.contains("0 readers") && text.contains("no robot is on loan") && !text.contains("gateway"),
+            text.contains("0 readers") && text.contains("no robot is authorised") && !text.contains("gateway"),
             "{text}"
         );
         let text =

@@ -389,7 +389,7 @@ impl Profiles {
         self.sharing.take_up_epoch(owner, network)?;
         if newer {
             self.finish_pairs(owner, network).await?;
-            let text = format!("the chain handed newer SM2 keys over to the keyring of '{}'", owner.profile);
+            let text = format!("the keyring of '{}' received newer SM2 keys from the chain", owner.profile);
             self.parts.hub.inform(&text);
         }
         Ok(())

@@ -162,7 +162,7 @@ fn taken(name: &IncidentName) -> Failure {
 }
 
 fn unknown(name: &IncidentName) -> Failure {
-    input(format!("there is no incident {name}; `authros incident list` shows those there are"))
+    input(format!("there is no incident {name}; `authros incident list` shows all"))
 }
 
 fn found(name: &IncidentName, done: bool) -> Result<(), Failure> {

@@ -180,8 +180,8 @@ impl Joined {
 
     fn tell_waiting(&self, remote: &Remote, owner: &Owner, owners: &str) {
         let text = format!(
-            "the gateway {} does not give '{}' the records of {owners} yet: its keeper may want their grant some blocks deeper \
-             in the chain; retrying at least every ten seconds",
+            "the gateway {} does not give '{}' the records of {owners} yet: it may require more confirmations of their \
+             grant; retrying at least every ten seconds",
             remote.address(),
             owner.profile,
         );

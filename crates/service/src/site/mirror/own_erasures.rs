@@ -199,8 +199,8 @@ impl Joined {
         }
         if left + refused > 0 {
             self.parts.hub.warn(&format!(
-                "the gateway {address} keeps its copies of {} records that '{}' had erased: {left} it may erase later and is told \
-                 of again, {refused} it does not",
+                "the gateway {address} keeps its copies of {} records that '{}' had erased: it may erase {left} later \
+                 and is asked again, and refuses to erase {refused}",
                 left + refused,
                 owner.profile
             ));
@@ -209,7 +209,7 @@ impl Joined {
 
     fn warn_of_copies(&self, remote: &Remote, code: Code, count: usize) {
         let (address, why) = (remote.address(), clean(&GatewayError::Refused(code).to_string(), 300));
-        let text = format!("the gateway {address} was told what was erased and keeps its copies ({count}): {why}");
+        let text = format!("the gateway {address} was notified of the erasure but keeps its copies ({count}): {why}");
         self.parts.hub.warn(&text);
     }
 

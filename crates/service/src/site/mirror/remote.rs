@@ -279,7 +279,7 @@ impl Joined {
     pub async fn caught_up(&self, profile: &ProfileName) -> Result<(), Failure> {
         match self.settled(profile, FIRST_ROUND).await? {
             Ok(_) => Ok(()),
-            Err(text) => Err(Failure::new(ErrorKind::Incomplete, format!("{text}; try again in a moment"))),
+            Err(text) => Err(Failure::new(ErrorKind::Incomplete, format!("{text}; try again in a few seconds"))),
         }
     }
 
@@ -296,8 +296,8 @@ impl Joined {
     pub async fn arriving(&self, profile: &ProfileName, most: Duration) -> Result<Option<String>, Failure> {
         Ok(match self.settled(profile, most).await? {
             Ok(lacks) => lacks.then(|| {
-                "the gateway tells of records that it does not give now, or whose keys are not here yet; they come by \
-                 themselves once it does"
+                "the gateway lists records that it does not return yet, or whose keys are not here yet; they are \
+                 fetched automatically once available"
                     .to_owned()
             }),
             Err(text) => Some(text),
@@ -330,7 +330,10 @@ impl Joined {
 
     fn warn_untold(&self, error: Option<GatewayError>) {
         if let Some(error) = error {
-            self.parts.hub.warn(&format!("the gateway could not be told and will learn of it from the chain: {error}"));
+            self.parts.hub.warn(&format!(
+                "the gateway could not be notified; it will learn of it from the chain: \
+                                          {error}"
+            ));
         }
     }
 }

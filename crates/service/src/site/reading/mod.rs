@@ -49,7 +49,7 @@ impl Reading {
     pub async fn network_or_kept(&self) -> Result<Network, Failure> {
         let failure = match self.parts.link.network().await {
             Ok(_) if self.parts.link.is_silent() => {
-                Failure::new(ErrorKind::Unreachable, "it did not answer when last asked")
+                Failure::new(ErrorKind::Unreachable, "it did not answer the last request")
             }
             Ok(network) => return Ok(network),
             Err(failure) => failure,

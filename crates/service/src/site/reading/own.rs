@@ -266,8 +266,9 @@ fn altered(field: &str) -> String {
 /// The signer wrote a false name into the record.
 fn misnamed(what: &str) -> String {
     format!(
-        "its bytes are as they were sealed and signed, but its signer wrote a false {what} into it, which does not belong \
-         to the pseudonym it is filed under: what it says is not shown; if the signer is a device of yours, recall it"
+        "its bytes are as they were sealed and signed, but its signer wrote a false {what} into it, which does not \
+         belong to the pseudonym it is filed under: what it says is not shown; if the signer is a device of yours, \
+         revoke it"
     )
 }
 
@@ -294,7 +295,7 @@ fn standing(state: RecordState) -> &'static str {
         RecordState::Dropped => "discarded and counted",
         RecordState::RightEnded => {
             "in the store; its signer may not sign for its owner now, so it is not anchored; it resumes when the owner \
-             is restored or the loan is renewed"
+             is restored or the device's authorisation is renewed"
         }
         RecordState::Tampered => "the stored bytes are not the ones anchored and signed",
     }

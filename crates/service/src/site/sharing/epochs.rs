@@ -71,7 +71,7 @@ impl Sharing {
             ));
         }
         self.parts.hub.changed(Part::Grants);
-        let text = format!("{purpose}: epoch {next} has started; new records are sealed under its key");
+        let text = format!("{purpose}: epoch {next} has begun; new records are sealed under its key");
         Ok(TransactionView { transaction: Some(transaction), block: Some(receipt.block), epoch: next, text })
     }
 

@@ -247,7 +247,7 @@ pub(in crate::site) fn earliest_expiry(owner: &Owner, network: &Network, epoch: 
 fn told(grantee: Address, view: TransactionView) -> TransactionView {
     let epoch = view.epoch;
     let text = format!(
-        "{grantee} can no longer read new records (epoch {epoch} begins); what was already read cannot be recalled"
+        "{grantee} can no longer read new records (epoch {epoch} begins); what was already read cannot be taken back"
     );
     TransactionView { text, ..view }
 }

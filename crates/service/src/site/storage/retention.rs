@@ -49,7 +49,7 @@ impl Storage {
             }
             if let Err(failure) = self.sweep_told().await {
                 self.parts.hub.alarm(&format!(
-                    "what owners had erased elsewhere is still here, it is tried again: {}",
+                    "records that owners erased elsewhere are still here; retrying: {}",
                     failure.message
                 ));
             }
@@ -84,8 +84,8 @@ impl Storage {
         let held = self.parts.plant.ledger.erasures.held_although_erased()?;
         if self.seen.1.swap(held, Ordering::AcqRel) < held {
             let text = format!(
-                "{held} records that their owner had erased elsewhere stay here, because an incident holds them; `authros \
-                 incident remove NAME --yes` lets them go"
+                "{held} records that their owner erased elsewhere stay here because an incident holds them; `authros \
+                 incident remove NAME --yes` releases them"
             );
             self.parts.hub.warn(&text);
         }
@@ -185,7 +185,7 @@ impl Storage {
 const STAYS: [&str; 4] = [
     "copies that readers have fetched",
     "backups, exports and evidence bundles made before",
-    "a robot's own disk, until its copies leave by outbox.keep or fall out of its ring",
+    "a robot's own disk, until its copies leave by outbox.keep or expire in its ring",
     "the files of a Redis cache, until its server rewrites them, and what a disk keeps of overwritten blocks",
 ];
 
@@ -217,7 +217,7 @@ fn chosen(reader: &Reader<'_>, wishes: &ErasureWishes) -> Result<Vec<RecordRow>,
 }
 
 fn too_many() -> Failure {
-    input(format!("these are more than {MOST} records; choose a shorter span and repeat it"))
+    input(format!("these are more than {MOST} records; choose a shorter span and repeat the command for the rest"))
 }
 
 fn chosen_of(reader: &Reader<'_>, wishes: &ErasureWishes, kind: RecordKind) -> Result<Vec<RecordRow>, Failure> {

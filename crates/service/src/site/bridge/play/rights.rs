@@ -81,8 +81,8 @@ impl Play<'_> {
         if waited >= UNTOLD && self.keys.told.insert((row.owner, epoch)) {
             let (target, owner) = (self.target.name(), self.name_of(row.owner));
             self.bridge.parts.hub.warn(&format!(
-                "playback into {target} waits: the key of epoch {epoch} of {owner} has not come yet; her site gives it \
-                 once it reaches the chain"
+                "playback into {target} waits: the key of epoch {epoch} of {owner} has not arrived yet; the owner's \
+                 site sends it once it reaches the chain"
             ));
         }
         true

@@ -222,7 +222,7 @@ fn resolved(path: &Path) -> Result<PathBuf, Failure> {
     }
     let mut there = path;
     while !there.exists() {
-        there = there.parent().ok_or_else(|| input(format!("{} is no folder", path.display())))?;
+        there = there.parent().ok_or_else(|| input(format!("{} is not a folder", path.display())))?;
     }
     let rest = path.strip_prefix(there).unwrap_or(Path::new(""));
     let resolved = there.canonicalize().map_err(failed)?;
@@ -369,7 +369,9 @@ fn go_round(follower: &Follower<'_>, files: &[PathBuf], entries: &mut BTreeMap<P
                 let level = if file.is_altered || !file.is_closed { NoticeLevel::Warning } else { NoticeLevel::Info };
                 let how = match &file {
                     FollowedFile { is_altered: true, notes, .. } => notes.join("; "),
-                    FollowedFile { is_closed: false, .. } => "nobody writes it any more, and it was not closed".into(),
+                    FollowedFile { is_closed: false, .. } => {
+                        "nothing writes to it any more, and it was not closed".into()
+                    }
                     _ => format!("has ended, {} messages sealed", file.sealed + file.already),
                 };
                 follower.tell(level, &format!("{}: {how}", file.file));
@@ -378,7 +380,7 @@ fn go_round(follower: &Follower<'_>, files: &[PathBuf], entries: &mut BTreeMap<P
             }
             Err(failure) => {
                 let (name, why) = (follower.name_of(&path), failure.message.trim_end_matches(AGAIN));
-                follower.warn(&name, &format!("{why}; it goes on by itself when it can"));
+                follower.warn(&name, &format!("{why}; it continues automatically when it can"));
             }
         }
     }

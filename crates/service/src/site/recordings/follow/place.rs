@@ -29,9 +29,9 @@ pub(super) fn changed(place: &FilePlace, name: &str) -> String {
     let (name, messages) = (clean(name, 80), place.stored.saturating_sub(1));
     let when = place.ended_at.map(|time| format!(" at {time}")).unwrap_or_default();
     format!(
-        "it has changed since it was sealed{when}: {messages} messages are sealed, and {name}.authros proves the file as \
-             it was then. If nobody was to change it, put a copy of that in its place; to seal it as it is now, move \
-             {name}.authros away and follow the folder again"
+        "it has changed since it was sealed{when}: {messages} messages are sealed, and {name}.authros proves the file \
+             as it was then. If it should not have changed, restore that version from a copy; to seal it as it is now, \
+             move {name}.authros away and follow the folder again"
     )
 }
 
@@ -92,7 +92,7 @@ pub(super) fn known(notes: &Notes, owner: Address, file: &File, is_whole: bool) 
         }
         former = Some(Box::new((key, place)));
     }
-    Err(internal("too many files that begin alike were in its place"))
+    Err(internal("too many files with the same beginning were at its place"))
 }
 
 fn name_of(owner: Address, path: &Path) -> SealedUnderName {

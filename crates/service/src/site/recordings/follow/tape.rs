@@ -80,7 +80,7 @@ impl<'a> Tape<'a> {
         let mut view = FollowedFile { file: name.clone(), ..FollowedFile::default() };
         let (is_database, is_followed) = (folder::is_database(path), folder::is_followed_by(path, files));
         if !is_database && !begins_as_mcap(&file).map_err(unreadable)? {
-            view.notes.push("it is no MCAP file, whatever its name says: it does not begin as one".to_owned());
+            view.notes.push("it is not an MCAP file, despite its name: it does not begin as one".to_owned());
             return done(view);
         }
         let owner = follower.owner.address;
