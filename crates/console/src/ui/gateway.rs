@@ -61,7 +61,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
         draw_about(canvas, area, view);
         return;
     }
-    let wanted = super::rows(all.max(1) + HEADS);
+    let wanted = super::canvas::rows(all.max(1) + HEADS);
     let height = wanted.min(area.height.saturating_sub(LEAST + 1));
     draw_members(canvas, Rect { height, ..area }, state, &gateway.shown());
     draw_about(canvas, below(area, height + 1), view);
@@ -186,9 +186,9 @@ fn cells_of_robots(state: &State, row: &Member) -> Vec<(String, Role)> {
     let count = |of: fn(&RobotRow) -> u64, role: Role| {
         let count = row.robot.map(of);
         let role = if count.unwrap_or_default() > 0 { role } else { Role::Dim };
-        (count.map(super::count).unwrap_or_default(), role)
+        (count.map(words::count).unwrap_or_default(), role)
     };
-    let lag = row.last().map(|at| super::age(at, state.shown_at())).unwrap_or_default();
+    let lag = row.last().map(|at| words::age(at, state.shown_at())).unwrap_or_default();
     let address = row.robot.and_then(|robot| robot.address.clone());
     let peer = || row.sender.and_then(|sender| sender.peer.clone()).map(|peer| format!("from {peer}"));
     let bytes = row.sender.map(|sender| words::size(sender.bytes)).unwrap_or_default();
