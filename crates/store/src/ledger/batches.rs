@@ -60,6 +60,15 @@ pub struct PlacedRecord {
     pub place: Option<BatchPlace>,
 }
 
+impl PlacedRecord {
+    /// The row, with its place if transaction and block are the batch's; `None` if they are the record's own.
+    pub fn anchor(self) -> (RecordRow, Option<BatchPlace>) {
+        let Self { row, place } = self;
+        let place = place.filter(|place| (place.transaction, place.block) == (row.transaction, row.block));
+        (row, place)
+    }
+}
+
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Anchors {
     /// A grant, a registration, ….
