@@ -303,6 +303,8 @@ pub(super) trait Statements {
 
 impl Statements for Connection {
     fn prepared(&self, sql: &str) -> rusqlite::Result<CachedStatement<'_>> {
+        #[cfg(test)]
+        crate::ledger::tests::statements::note(self, sql);
         self.prepare_cached(sql)
     }
 }

@@ -181,7 +181,7 @@ pub(super) const CONTRADICTED: &str = "records.state = 6 AND records.tx IS NULL 
 
 pub(super) fn placed_in(connection: &Connection, digests: &[Digest]) -> Result<Vec<Option<PlacedRecord>>, StoreError> {
     let rows = rows::rows_of(connection, digests)?;
-    let mut find = connection.prepare_cached(&format!(
+    let mut find = connection.prepared(&format!(
         "SELECT leaf, count, branches.path, root, closed_at, account, batches.block, batches.block_hash,
             batches.tx, {CONTRADICTED}
             FROM records JOIN leaves ON record = n JOIN batches ON key = leaves.batch {}
@@ -214,9 +214,9 @@ fn close(connection: &Connection, batch: &NewBatch) -> Result<(), StoreError> {
             connection.last_insert_rowid()
         }
     };
-    let mut find = connection.prepare_cached("SELECT n, state FROM records WHERE digest = ?1")?;
-    let mut add = connection.prepare_cached("INSERT INTO leaves VALUES (?1, ?2, ?3)")?;
-    let mut move_on = connection.prepare_cached("UPDATE records SET state = ?2 WHERE n = ?1")?;
+    let mut find = connection.prepared("SELECT n, state FROM records WHERE digest = ?1")?;
+    let mut add = connection.prepared("INSERT INTO leaves VALUES (?1, ?2, ?3)")?;
+    let mut move_on = connection.prepared("UPDATE records SET state = ?2 WHERE n = ?1")?;
     for (index, (digest, _)) in (0_i64..).zip(&batch.leaves) {
         let found = find.query_row([digest.0], |row| Ok((row.get::<_, i64>(0)?, rows::state(row, 1)?))).optional()?;
         let (record, state) = found.ok_or(StoreError::NotReady { digest: *digest, found: "unknown" })?;

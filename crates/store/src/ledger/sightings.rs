@@ -188,7 +188,7 @@ impl Trail {
     pub fn walk_to(&self, to: (u64, Hash), met: Vec<(u64, Hash)>) -> Result<(), StoreError> {
         let block = whole("block", to.0)?;
         self.0.write(move |Session { connection, .. }| {
-            let mut keep = connection.prepare_cached("REPLACE INTO trail VALUES (?1, ?2)")?;
+            let mut keep = connection.prepared("REPLACE INTO trail VALUES (?1, ?2)")?;
             for (number, hash) in met.iter().chain([&to]) {
                 keep.execute(params![whole("block", *number)?, hash.0])?;
             }

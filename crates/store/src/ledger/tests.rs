@@ -17,7 +17,7 @@ mod pages;
 mod quarantine;
 mod rights;
 mod speed;
-mod statements;
+pub(crate) mod statements;
 
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
