@@ -173,7 +173,7 @@ pub(super) fn leaf(row: &Row<'_>) -> rusqlite::Result<Leaf> {
 }
 
 /// A verified record's batch block differs from the chain's proof or the transaction. Earlier states are read at
-/// different moments, and the trail does not say: the watcher forgets blocks when it reads again.
+/// different moments, and the trail does not say: old blocks are not all kept.
 pub(super) const CONTRADICTED: &str = "records.state = 6 AND records.tx IS NULL AND (
     proof = 1 AND batches.block_hash IS NOT (SELECT hash FROM chain_proofs WHERE chain_proofs.block = batches.block)
     OR (batches.block, batches.block_hash) <> (SELECT block, block_hash FROM transactions

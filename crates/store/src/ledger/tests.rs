@@ -1,6 +1,7 @@
 //! The ledger's tests: individual behaviours here, random operations in `model`, random queries in `pages`.
 
 mod ages;
+mod anchors;
 mod coverage;
 mod directory;
 mod erased;
