@@ -56,7 +56,10 @@ fn stands(ledger: &Ledger) -> (u8, Option<(i64, u8)>) {
     (state, block.zip(hash.map(|hash| hash[0])))
 }
 
-fn place(ledger: &Ledger, one: &NewRecord) -> (RecordState, Option<Hash>, Option<u64>) {
+/// State, transaction and block of a record.
+type Place = (RecordState, Option<Hash>, Option<u64>);
+
+fn place(ledger: &Ledger, one: &NewRecord) -> Place {
     let row = ledger.records.find(one.digest).expect("read").expect("there");
     (row.state, row.transaction, row.block)
 }
@@ -140,7 +143,7 @@ fn with_two_open(ledger: &Ledger, one: &NewRecord) -> Hash {
 #[test]
 fn a_record_that_loses_its_own_block_goes_to_the_best_that_is_left() {
     type Prepare = fn(&Ledger, &NewRecord);
-    let cases: [(&str, Prepare, (RecordState, Option<Hash>, Option<u64>)); 6] = [
+    let cases: [(&str, Prepare, Place); 6] = [
         (
             "its batch's block",
             |ledger, one| {
