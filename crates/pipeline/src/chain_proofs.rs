@@ -229,15 +229,13 @@ pub(crate) async fn kept(plant: &Plant, network: &Network, block: u64, slots: &[
 
 /// The record's place on the chain; `None` before it is in a block.
 pub fn anchor_proof(placed: PlacedRecord) -> Option<AnchorProof> {
-    let PlacedRecord { row, place } = placed;
+    let (row, place) = placed.anchor();
     let (transaction, block, block_hash) = (row.transaction?, row.block?, row.block_hash?);
-    match place {
-        Some(place) => {
-            let account = place.account?;
-            Some(AnchorProof { account, transaction, block, block_hash, inclusion: Some(place.inclusion) })
-        }
-        None => Some(AnchorProof { account: row.owner, transaction, block, block_hash, inclusion: None }),
-    }
+    let (account, inclusion) = match place {
+        Some(place) => (place.account?, Some(place.inclusion)),
+        None => (row.owner, None),
+    };
+    Some(AnchorProof { account, transaction, block, block_hash, inclusion })
 }
 
 pub fn is_included(place: &BatchPlace, row: &RecordRow) -> bool {

@@ -13,8 +13,9 @@ use authros_evidence::{
 };
 use tokio::task::block_in_place;
 
-use crate::chain::{Chain, ChainError, SealerKind};
-use crate::chain_proofs::{self, Anchor, Shown as Wanted};
+use crate::chain::merkle::Inclusion;
+use crate::chain::{AnchorProof, Chain, ChainError, SealerKind};
+use crate::chain_proofs::{self, Anchor, Shown as Wanted, anchor_proof};
 use crate::columns::{self, Keys};
 use crate::crypto::record::{RecordSecret, open_revealed};
 use crate::crypto::{CryptoError, signer_id};
@@ -157,13 +158,12 @@ fn stored(
 
 fn anchoring(reader: &Reader<'_>, row: &RecordRow) -> Result<Option<(u64, Anchoring)>> {
     let placed = reader.plant.ledger.records.placed(row.digest)?;
-    let (block, place) = placed.map_or((row.block, None), |placed| (placed.row.block, placed.place));
-    let Some(place) = place else {
-        return Ok(block.map(|block| (block, Anchoring::Each {})));
+    let Some(AnchorProof { account, block, inclusion, .. }) = placed.and_then(anchor_proof) else { return Ok(None) };
+    let anchoring = match inclusion {
+        Some(Inclusion { index, count, path, root }) => Anchoring::Batch { account, root, index, count, path },
+        None => Anchoring::Each {},
     };
-    let (Some(account), Some(block)) = (place.account, place.block) else { return Ok(None) };
-    let crate::chain::merkle::Inclusion { index, count, path, root } = place.inclusion;
-    Ok(Some((block, Anchoring::Batch { account, root, index, count, path })))
+    Ok(Some((block, anchoring)))
 }
 
 /// The owner's signed disclosure of a record; the text of its definition is included.

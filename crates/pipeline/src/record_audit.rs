@@ -70,6 +70,7 @@ pub fn audit(
         run_chain_again(network, runtime, &mut tally);
     }
     log_of(plant, log, scope, &mut tally)?;
+    file_of(plant, scope, &mut tally)?;
     let seconds = begun.elapsed().as_secs_f64();
     let hashed = records::sm3_rate(plant.provider, reading.threads);
     Ok(tally.report(scope.deep, seconds, reading, hashed))
@@ -95,6 +96,20 @@ fn log_of(plant: &Plant, log: &AuditLog, scope: &Scope, tally: &mut Tally) -> Re
         if let Err(fault) = log.compare(&[head]) {
             tally.find(FindingKind::Tampered, "audit log", &fault.to_string());
         }
+    }
+    Ok(())
+}
+
+/// The counts beside the rows, from which lists know where to look; deep also the file's pages and indices.
+fn file_of(plant: &Plant, scope: &Scope, tally: &mut Tally) -> Result<(), StoreError> {
+    let inspection = &plant.ledger.inspection;
+    for text in inspection.contradictions()? {
+        let text = format!("{text}, so lists and totals may leave records out; restore the last backup");
+        tally.find(FindingKind::Tampered, "ledger", &text);
+    }
+    match if scope.deep { inspection.check_file() } else { Ok(()) } {
+        Err(fault @ StoreError::Corrupt { .. }) => tally.find(FindingKind::Tampered, "ledger", &fault.to_string()),
+        checked => checked?,
     }
     Ok(())
 }

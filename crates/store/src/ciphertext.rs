@@ -50,7 +50,7 @@ impl Ciphertext {
 
     pub fn get_many(&self, digests: &[Digest]) -> Result<Vec<Option<Vec<u8>>>, StoreError> {
         self.database.read(|connection| {
-            let mut statement = connection.prepare_cached(GET)?;
+            let mut statement = connection.prepared(GET)?;
             digests.iter().map(|digest| Ok(statement.query_row([digest.0], |row| row.get(0)).optional()?)).collect()
         })
     }

@@ -197,10 +197,10 @@ pub(super) fn quick_check(connection: &Connection, path: &Path) -> Result<(), St
 }
 
 /// Skips one table.
-pub(super) fn quick_check_but(connection: &Connection, table: &str, path: &Path) -> Result<(), StoreError> {
+pub(super) fn check_all_but(pragma: &str, connection: &Connection, table: &str, path: &Path) -> Result<(), StoreError> {
     let others = "SELECT name FROM sqlite_schema WHERE type = 'table' AND name <> ?1 AND name NOT LIKE 'sqlite_%'";
     let others: Vec<String> = connection.list(others, [table], |row| row.get(0))?;
-    others.iter().try_for_each(|name| check(connection, &format!("PRAGMA quick_check('{name}')"), path))
+    others.iter().try_for_each(|name| check(connection, &format!("PRAGMA {pragma}('{name}')"), path))
 }
 
 fn check(connection: &Connection, sql: &str, path: &Path) -> Result<(), StoreError> {
@@ -301,6 +301,8 @@ pub(super) trait Statements {
 
 impl Statements for Connection {
     fn prepared(&self, sql: &str) -> rusqlite::Result<CachedStatement<'_>> {
+        #[cfg(test)]
+        crate::ledger::tests::statements::note(self, sql);
         self.prepare_cached(sql)
     }
 }

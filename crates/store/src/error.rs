@@ -132,10 +132,21 @@ impl StoreError {
 
 impl From<rusqlite::Error> for StoreError {
     fn from(error: rusqlite::Error) -> Self {
-        use rusqlite::ErrorCode;
+        use rusqlite::{Error, ErrorCode};
         let detail = clean(&error.to_string(), 200);
         let file = PathBuf::new();
+        // Values, rows, tables and indices that this program wrote otherwise.
+        let is_altered =
+            matches!(
+                error,
+                Error::IntegralValueOutOfRange(..)
+                    | Error::InvalidColumnType(..)
+                    | Error::FromSqlConversionFailure(..)
+                    | Error::Utf8Error(..)
+                    | Error::QueryReturnedNoRows
+            ) || ["no such table", "no such index", "no such column"].iter().any(|start| detail.starts_with(start));
         match error.sqlite_error_code() {
+            _ if is_altered => Self::Corrupt { file, detail },
             Some(ErrorCode::DiskFull) => Self::DiskFull { file },
             Some(ErrorCode::DatabaseCorrupt | ErrorCode::NotADatabase) => Self::Corrupt { file, detail },
             Some(ErrorCode::CannotOpen | ErrorCode::ReadOnly | ErrorCode::PermissionDenied) => {

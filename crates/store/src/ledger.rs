@@ -299,7 +299,7 @@ fn begin(connection: &Connection, path: &Path) -> Result<(RecorderPrefix, bool, 
             let recorder = own_prefix(connection)?;
             if !clean {
                 // Readers check ciphertext, perhaps most of the file, by digest.
-                database::quick_check_but(connection, "ciphertext", path)?;
+                database::check_all_but("quick_check", connection, "ciphertext", path)?;
             }
             Ok((recorder, clean, false))
         }

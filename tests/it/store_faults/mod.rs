@@ -6,6 +6,7 @@
 mod altered;
 mod cache;
 mod cache_servers;
+mod damaged;
 mod disk;
 mod field;
 mod retention;

@@ -1,10 +1,14 @@
-//! Row and place of a record are compared as of one moment, however old the row is that is asked for.
+//! Row and place of a record are compared as of one moment, however old the row is that is asked for, and its proof is of
+//! the anchor that it rests on.
 
-use super::keeping::elsewhere;
+use super::keeping::{elsewhere, taken, taken_with};
 use super::*;
+use crate::chain::AnchorProof;
 use crate::chain::merkle::Inclusion;
 use crate::model::{Address, Hash};
+use crate::pipeline::chain_proofs::anchor_proof;
 use crate::pipeline::columns::{Comparison, Heads};
+use crate::pipeline::intake::Accepted;
 use crate::pipeline::reader::Reader;
 use crate::store::{NewRecord, RootSighting};
 
@@ -40,4 +44,32 @@ async fn a_record_that_another_line_proved_meanwhile_is_not_called_altered() {
         let shown = comparison.of(vec![asked]).expect("compared").remove(0);
         assert_eq!((shown.differs, shown.row.block), (None, Some(head.number)), "as it is now");
     }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_record_in_a_batch_and_uploaded_alone_is_proven_by_the_anchor_it_rests_on() {
+    let line = Line::new().await;
+    line.owner.prepare_epoch(line.network.domain, 1).expect("prepared");
+    line.owner.seal_under(line.network.domain, 1).expect("seals");
+    line.watch().await;
+    let sealed = elsewhere(&line.owner, 1, b"where it is", None);
+    let (digest, owner) = (sealed.digest, line.owner.address);
+    let proof = || anchor_proof(line.plant.ledger.records.placed(digest).expect("read").expect("here"));
+    let held = taken(&line, sealed.clone()).await.expect("taken in");
+    assert!(matches!(held, Accepted::Held(true)), "{held:?}");
+    let of_batch = proof().expect("in a block");
+    assert!(of_batch.inclusion.is_some(), "{of_batch:?}");
+
+    let call = Call::DataUpload { digest, token: Token([1; 32]), timestamp: Timestamp(1) };
+    let sent = line.sender.send(&line.network.chain, &line.owner.eoa(), call, "dataUpload").await;
+    let (transaction, receipt) = sent.expect("uploaded");
+    line.watch().await;
+    let alone = proof().expect("in a block");
+    let (block, block_hash) = (receipt.block, receipt.block_hash);
+    assert_eq!(alone, AnchorProof { account: owner, transaction, block, block_hash, inclusion: None });
+    let held = taken_with(&line, sealed.clone(), alone.encode()).await.expect("judged");
+    assert!(matches!(held, Accepted::Held(false)), "a reader finds it on the chain: {held:?}");
+
+    line.plant.ledger.batches.take_back(block).expect("replaced");
+    assert_eq!(proof(), Some(of_batch), "its batch is in an older block");
 }

@@ -216,6 +216,30 @@ async fn a_node_that_names_an_older_head_is_waited_for_and_nothing_is_undone() {
     watch_round(&process.plant, &process.network).await.expect("it has caught up");
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn blocks_that_are_replaced_while_they_are_read_again_take_their_records_back() {
+    let home = tempfile::tempdir().expect("folder");
+    let mut process = Process::on_embedded(home.path()).await;
+    let (_lag, chain) = behind(&mut process).await;
+    let below = process.plant.ledger.trail.end().expect("read").expect("a block");
+    process.store(0..1);
+    process.anchor(1).await;
+    process.rounds_until("it is confirmed", |process| process.count(RecordState::Confirmed) == 1).await;
+    let (head, trail) = (chain.head().await.expect("head"), &process.plant.ledger.trail);
+    assert!(below.0 < head.number, "{below:?}");
+    // What was read there is not what is there now, and the round found out nothing when it began.
+    let replaced = (head.number, Hash([9; 32]));
+    trail.walk_to(replaced, Vec::new()).expect("walked");
+    trail.walk_back(below).expect("goes back");
+    let reached = read_on(&process.plant, &process.network, head).await.expect("reads");
+    assert!(matches!(reached, Reached::Changed));
+    assert_eq!(trail.end(), Ok(Some(replaced)), "the next round still sees it");
+    watch_round(&process.plant, &process.network).await.expect("reads");
+    assert_eq!(process.notes.with("replaced its last"), 1);
+    process.rounds_until("it is confirmed", |process| process.count(RecordState::Confirmed) == 1).await;
+    assert_eq!(process.anchored(0..1).await, [1]);
+}
+
 /// No keyring is open.
 struct Locked;
 

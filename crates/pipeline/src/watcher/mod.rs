@@ -5,7 +5,7 @@
 pub mod foreign;
 mod reorg;
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -213,12 +213,17 @@ impl Walk<'_> {
     /// Reads blocks on top of `below`, as far as they are there, and writes them.
     async fn read(&self, from: u64, below: Option<(u64, Hash)>) -> Result<Reached> {
         let (mut read, mut top, mut next) = (Vec::new(), below, from);
+        let known: HashMap<u64, Hash> = block_in_place(|| self.plant.ledger.trail.blocks(from))?.into_iter().collect();
         let reached = 'all: {
             while next <= self.head {
                 let last = self.head.min(next + AT_ONCE - 1);
                 for (number, found) in (next..=last).zip(self.network.chain.each_block(next, last).await?) {
                     let Some(found) = found else { break 'all Reached::Before(number) };
                     if top.is_some_and(|(below, hash)| below + 1 == number && hash != found.parent) {
+                        break 'all Reached::Changed;
+                    }
+                    // Replaced since it was read: to overwrite it would leave what rests on it.
+                    if known.get(&number).is_some_and(|hash| *hash != found.block.hash) {
                         break 'all Reached::Changed;
                     }
                     if !block_in_place(|| is_to_be_taken(self.plant, &found))? {

@@ -30,7 +30,7 @@ pub(super) async fn follow(plant: &Plant, network: &Network, head: BlockRef) -> 
         return Ok(None);
     }
     let identified = network.chain.identify().await;
-    let trail = plant.ledger.trail.blocks()?;
+    let trail = plant.ledger.trail.blocks(0)?;
     let is_replaced = is_replaced(plant, network, head, &trail).await?;
     // A node that is behind may not have the contract yet.
     let may_lack_it = head.number < first_block(network) + NEAR;
@@ -193,10 +193,11 @@ async fn look_at(plant: &Plant, network: &Network, head: u64, mut unsure: Unsure
 
 /// An event of this block was missed, or is not on the chain. Their order counts, so all is read again from there.
 fn go_back_before(plant: &Plant, network: &Network, block: u64) -> Result<()> {
-    let trail = plant.ledger.trail.blocks()?;
+    let trail = plant.ledger.trail.blocks(0)?;
     let before = trail.iter().rev().find(|(number, _)| *number < block).copied();
     let before = before.unwrap_or_else(|| beginning(network));
-    // The cursor first: what is stored of blocks after it is taken back at any start.
+    // The cursor first: what is stored of blocks after it is taken back at any start. The trail stays, because batches rest
+    // on its blocks: [`follow`] finds out whether they are replaced before they are read again.
     plant.ledger.trail.walk_back(before)?;
     plant.ledger.rights.take_back_rights(before.0 + 1)?;
     let text = format!(

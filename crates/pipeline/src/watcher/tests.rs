@@ -120,6 +120,30 @@ async fn a_reorg_while_the_directory_is_lost_is_noticed_all_the_same() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_reorg_before_blocks_are_read_again_is_noticed_all_the_same() {
+    let home = tempfile::tempdir().expect("folder");
+    let process = Process::on_embedded(&home.path().join("a")).await;
+    let mut process = fork(process, home.path()).await;
+    let common = process.network.chain.head().await.expect("head").number;
+    process.store(0..3);
+    process.anchor(3).await;
+    process.rounds_until("they are confirmed", |process| process.count(RecordState::Confirmed) == 3).await;
+    // An event was missed: the cursor goes back, and the process ends before it reads on.
+    note(&process.plant.ledger.notes, common + 1).expect("noted");
+    let head = process.network.chain.head().await.expect("head").number;
+    reorg::look(&process.plant, &process.network, head).await.expect("goes back");
+    let cursor = process.plant.ledger.trail.cursor().expect("read");
+    assert!(cursor.is_some_and(|(number, _)| number <= common), "{cursor:?}");
+
+    process.network.chain = other_way(&process, home.path(), 6).await;
+    watch_round(&process.plant, &process.network).await.expect("goes back");
+    let counts = [RecordState::Submitted, RecordState::Confirmed].map(|state| process.count(state));
+    assert_eq!(counts, [3, 0], "nothing rests on a block that is gone");
+    process.rounds_until("all are anchored again", |process| process.count(RecordState::Confirmed) == 3).await;
+    assert_eq!(process.anchored(0..3).await, [1, 1, 1]);
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn another_chain_stops_everything_and_changes_nothing() {
     let home = tempfile::tempdir().expect("folder");
     let mut process = Process::on_embedded(&home.path().join("a")).await;

@@ -60,6 +60,15 @@ pub struct PlacedRecord {
     pub place: Option<BatchPlace>,
 }
 
+impl PlacedRecord {
+    /// The row, with its place if transaction and block are the batch's; `None` if they are the record's own.
+    pub fn anchor(self) -> (RecordRow, Option<BatchPlace>) {
+        let Self { row, place } = self;
+        let place = place.filter(|place| (place.transaction, place.block) == (row.transaction, row.block));
+        (row, place)
+    }
+}
+
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Anchors {
     /// A grant, a registration, ….
@@ -164,7 +173,7 @@ pub(super) fn leaf(row: &Row<'_>) -> rusqlite::Result<Leaf> {
 }
 
 /// A verified record's batch block differs from the chain's proof or the transaction. Earlier states are read at
-/// different moments, and the trail does not say: the watcher forgets blocks when it reads again.
+/// different moments, and the trail does not say: old blocks are not all kept.
 pub(super) const CONTRADICTED: &str = "records.state = 6 AND records.tx IS NULL AND (
     proof = 1 AND batches.block_hash IS NOT (SELECT hash FROM chain_proofs WHERE chain_proofs.block = batches.block)
     OR (batches.block, batches.block_hash) <> (SELECT block, block_hash FROM transactions
@@ -172,7 +181,7 @@ pub(super) const CONTRADICTED: &str = "records.state = 6 AND records.tx IS NULL 
 
 pub(super) fn placed_in(connection: &Connection, digests: &[Digest]) -> Result<Vec<Option<PlacedRecord>>, StoreError> {
     let rows = rows::rows_of(connection, digests)?;
-    let mut find = connection.prepare_cached(&format!(
+    let mut find = connection.prepared(&format!(
         "SELECT leaf, count, branches.path, root, closed_at, account, batches.block, batches.block_hash,
             batches.tx, {CONTRADICTED}
             FROM records JOIN leaves ON record = n JOIN batches ON key = leaves.batch {}
@@ -205,9 +214,9 @@ fn close(connection: &Connection, batch: &NewBatch) -> Result<(), StoreError> {
             connection.last_insert_rowid()
         }
     };
-    let mut find = connection.prepare_cached("SELECT n, state FROM records WHERE digest = ?1")?;
-    let mut add = connection.prepare_cached("INSERT INTO leaves VALUES (?1, ?2, ?3)")?;
-    let mut move_on = connection.prepare_cached("UPDATE records SET state = ?2 WHERE n = ?1")?;
+    let mut find = connection.prepared("SELECT n, state FROM records WHERE digest = ?1")?;
+    let mut add = connection.prepared("INSERT INTO leaves VALUES (?1, ?2, ?3)")?;
+    let mut move_on = connection.prepared("UPDATE records SET state = ?2 WHERE n = ?1")?;
     for (index, (digest, _)) in (0_i64..).zip(&batch.leaves) {
         let found = find.query_row([digest.0], |row| Ok((row.get::<_, i64>(0)?, rows::state(row, 1)?))).optional()?;
         let (record, state) = found.ok_or(StoreError::NotReady { digest: *digest, found: "unknown" })?;

@@ -114,7 +114,7 @@ impl Proofs {
             let sql = "SELECT hash, nodes FROM chain_proofs WHERE block = ?1";
             let found = connection.find(sql, [block], |row| Ok((Hash(row.get(0)?), row.get::<_, Vec<u8>>(1)?)))?;
             let Some((hash, keys)) = found else { return Ok(None) };
-            let mut find = connection.prepare_cached("SELECT node FROM chain_nodes WHERE key = ?1")?;
+            let mut find = connection.prepared("SELECT node FROM chain_nodes WHERE key = ?1")?;
             let (keys, rest) = keys.as_chunks::<8>();
             if !rest.is_empty() {
                 let detail = format!("the proof kept for block {block} is cut short");

@@ -88,7 +88,7 @@ fn page(connection: &Connection, id: &[u8; 16], filter: &FeedFilter, limit: usiz
     let first = filter.places.iter().map(|wanted| place(wanted.after)).min().unwrap_or(head);
     let (mut upto, mut found, mut looked_at) = (first, Vec::new(), 0);
     let sql = "SELECT number, record, topic, fact FROM feed WHERE number > ?1 ORDER BY number LIMIT ?2";
-    let mut statement = connection.prepare_cached(sql)?;
+    let mut statement = connection.prepared(sql)?;
     let mut rows = statement.query(params![first.cast_signed(), MOST_LOOKED_AT])?;
     while found.len() < limit
         && let Some(row) = rows.next()?
@@ -132,7 +132,7 @@ fn filled(
     found: Vec<(u64, Fact, i64)>,
     kind: Option<RecordKind>,
 ) -> Result<Vec<FeedRow>, StoreError> {
-    let mut digest = connection.prepare_cached("SELECT digest FROM records WHERE n = ?1")?;
+    let mut digest = connection.prepared("SELECT digest FROM records WHERE n = ?1")?;
     let digests = found.iter().map(|(_, _, record)| digest.query_row([record], |row| row.get(0).map(Digest)));
     let placed = placed_in(connection, &digests.collect::<Result<Vec<_>, _>>()?)?;
     let rows = found.into_iter().zip(placed).filter_map(|((number, fact, _), placed)| {

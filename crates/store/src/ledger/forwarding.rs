@@ -57,7 +57,7 @@ impl Forwarding {
         let limit = limit.max(1);
         self.0.read(|connection| {
             let sql = format!(
-                "SELECT {}, n FROM receipted JOIN records ON n = record WHERE record > ?1 AND state = ?2
+                "SELECT {}, n FROM receipted CROSS JOIN records ON n = record WHERE record > ?1 AND state = ?2
                     ORDER BY record LIMIT ?3",
                 rows::COLUMNS
             );
@@ -118,7 +118,7 @@ fn shift(session: &Session<'_>, digests: &[Digest], from: RecordState, to: Recor
 
 fn held(session: &Session<'_>, digests: &[Digest]) -> Result<BTreeSet<i64>, StoreError> {
     let sql = "SELECT receipt FROM receipted WHERE record = (SELECT n FROM records WHERE digest = ?1)";
-    let mut find = session.connection.prepare_cached(sql)?;
+    let mut find = session.connection.prepared(sql)?;
     let found = digests.iter().map(|digest| find.query_row([digest.0], |row| row.get(0)).optional());
     Ok(found.filter_map(Result::transpose).collect::<Result<_, _>>()?)
 }

@@ -10,7 +10,7 @@ use super::rows::{self, RecordRow, Stream, optional, unsigned};
 use super::{batches, branches};
 use crate::StoreError;
 use crate::crypto::merkle::Inclusion;
-use crate::database::{Statements as _, capped, count, whole};
+use crate::database::{self, Statements as _, capped, count, whole};
 use crate::model::{Address, Digest, FilterId, Hash, RecordState, RecorderId, SignerId, Timestamp, TopicId, clean};
 
 /// Of [`rows::record`].
@@ -94,7 +94,7 @@ impl Inspection {
                     records.deleted_at IS (SELECT retained.deleted_at FROM retained WHERE record = n), {}
                     FROM records LEFT JOIN leaves ON record = n LEFT JOIN batches ON key = leaves.batch
                     {}
-                    WHERE n > ?1 AND captured_at >= ?2 ORDER BY n LIMIT ?3",
+                    WHERE n > ?1 AND (captured_at >= ?2 OR captured_at < 0) ORDER BY n LIMIT ?3",
                 rows::COLUMNS,
                 batches::CONTRADICTED,
                 branches::JOINED
@@ -265,7 +265,7 @@ const RULES: [(&str, &str); 4] = [
     ),
     (
         "SELECT count(*) FROM (SELECT stream, sum(records) AS rows FROM counters GROUP BY stream) held
-            JOIN intake i ON i.stream = held.stream WHERE i.records <> held.rows",
+            LEFT JOIN intake i ON i.stream = held.stream WHERE i.records IS NOT held.rows",
         "streams have fewer or more records than were stored",
     ),
     (
@@ -295,6 +295,11 @@ impl Inspection {
             });
             found.filter_map(Result::transpose).collect()
         })
+    }
+
+    /// Reads everything but ciphertext, and compares indices with their tables.
+    pub fn check_file(&self) -> Result<(), StoreError> {
+        self.0.read(|connection| database::check_all_but("integrity_check", connection, "ciphertext", self.0.path()))
     }
 
     /// Those acknowledged last whose ciphertext should be there.

@@ -72,15 +72,15 @@ impl Quarantine {
     pub fn held(&self, owner: Address, query: &HeldQuery) -> Result<Vec<HeldRow>, StoreError> {
         self.0.read(|connection| {
             let streams = rows::all_streams(connection)?;
+            let (index, which) =
+                if query.decided { ("", "") } else { ("INDEXED BY held_undecided", "decision IS NULL AND") };
             let sql = format!(
-                "SELECT {}, reason, publisher, report, decision FROM held CROSS JOIN records ON n = record
-                    JOIN topics ON key = topic
-                    WHERE (?1 OR decision IS NULL) AND owner = ?2 AND (?3 IS NULL OR name = ?3)
-                    AND (NOT ?5 OR stream IN (SELECT key FROM streams WHERE kind = ?6)) ORDER BY record LIMIT ?4",
+                "SELECT {}, reason, publisher, report, decision FROM held {index} CROSS JOIN records ON n = record
+                    JOIN topics ON key = topic WHERE {which} owner = ?1 AND (?2 IS NULL OR name = ?2)
+                    AND (NOT ?4 OR stream IN (SELECT key FROM streams WHERE kind = ?5)) ORDER BY record LIMIT ?3",
                 rows::COLUMNS
             );
-            let data = RecordKind::Data.code();
-            let values = params![query.decided, owner.0, query.topic, capped(query.limit), query.messages, data];
+            let values = params![owner.0, query.topic, capped(query.limit), query.messages, RecordKind::Data.code()];
             Ok(connection.list(&sql, values, |row| {
                 let (record, report) = (rows::record(row, &streams)?, row.get::<_, Option<_>>(16)?.map(Digest));
                 let (reason, publisher, decision) = (row.get(14)?, row.get(15)?, row.get(17)?);

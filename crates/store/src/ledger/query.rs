@@ -181,7 +181,7 @@ fn candidates(connection: &Connection, query: &RecordQuery) -> Result<Vec<Stream
 fn fetch(connection: &Connection, keys: &[Key], streams: Vec<Stream>) -> Result<Vec<RecordRow>, StoreError> {
     let by_key = rows::by_key(streams);
     let sql = format!("SELECT {} FROM records WHERE n = ?1", rows::COLUMNS);
-    let mut statement = connection.prepare_cached(&sql)?;
+    let mut statement = connection.prepared(&sql)?;
     keys.iter().map(|key| Ok(statement.query_row([key.n], |row| rows::record(row, &by_key))?)).collect()
 }
 
@@ -319,7 +319,7 @@ impl<'a> Merge<'a> {
         range: Range,
         wanted: usize,
     ) -> Result<Self, StoreError> {
-        let statement = connection.prepare_cached(&range.sql(query.filters.len()))?;
+        let statement = connection.prepared(&range.sql(query.filters.len()))?;
         let filters = |stream: i64| {
             let topic = topics.get(&stream).copied().unwrap_or(TopicId([0; 16]));
             query.filters.iter().flat_map(|choice| choice.of(topic)).collect()
@@ -581,7 +581,7 @@ pub(super) fn keys(
     let streams: HashSet<i64> = streams.iter().copied().collect();
     let most = wanted.saturating_mul(PATIENCE);
     let order = if range.newest_first { "DESC" } else { "ASC" };
-    let mut statement = connection.prepare_cached(&format!(
+    let mut statement = connection.prepared(&format!(
         "SELECT captured_at, n, stream FROM records
             WHERE (captured_at, n) > (?1, ?2) AND (captured_at, n) < (?3, ?4)
             ORDER BY captured_at {order}, n {order} LIMIT ?5"

@@ -391,7 +391,7 @@ impl Records {
 
 /// In order.
 pub(super) fn rows_of(connection: &Connection, digests: &[Digest]) -> Result<Vec<Option<RecordRow>>, StoreError> {
-    let mut find = connection.prepare_cached(&format!("SELECT {COLUMNS} FROM records WHERE digest = ?1"))?;
+    let mut find = connection.prepared(&format!("SELECT {COLUMNS} FROM records WHERE digest = ?1"))?;
     let mut by_key = HashMap::new();
     let one = |digest: &Digest| {
         let mut found = find.query([digest.0])?;

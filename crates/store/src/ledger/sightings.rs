@@ -188,7 +188,7 @@ impl Trail {
     pub fn walk_to(&self, to: (u64, Hash), met: Vec<(u64, Hash)>) -> Result<(), StoreError> {
         let block = whole("block", to.0)?;
         self.0.write(move |Session { connection, .. }| {
-            let mut keep = connection.prepare_cached("REPLACE INTO trail VALUES (?1, ?2)")?;
+            let mut keep = connection.prepared("REPLACE INTO trail VALUES (?1, ?2)")?;
             for (number, hash) in met.iter().chain([&to]) {
                 keep.execute(params![whole("block", *number)?, hash.0])?;
             }
@@ -203,22 +203,19 @@ impl Trail {
         })
     }
 
-    /// Oldest first.
-    pub fn blocks(&self) -> Result<Vec<(u64, Hash)>, StoreError> {
-        self.0.list("SELECT block, hash FROM trail ORDER BY block", [], block)
+    /// From this one on, oldest first.
+    pub fn blocks(&self, from: u64) -> Result<Vec<(u64, Hash)>, StoreError> {
+        self.0.list("SELECT block, hash FROM trail WHERE block >= ?1 ORDER BY block", [capped(from)], block)
     }
 
     pub fn end(&self) -> Result<Option<(u64, Hash)>, StoreError> {
         self.0.find("SELECT block, hash FROM trail ORDER BY block DESC LIMIT 1", [], block)
     }
 
-    /// Moves a later cursor back to `to` and deletes the blocks after it, in one commit.
+    /// Moves a later cursor back to `to`. The blocks after it stay: records rest on them.
     pub fn walk_back(&self, to: (u64, Hash)) -> Result<(), StoreError> {
-        let block = whole("block", to.0)?;
-        self.0.write(move |Session { connection, .. }| {
-            connection.run("DELETE FROM trail WHERE block > ?1", [block])?;
-            connection.run("UPDATE cursor SET block = ?1, hash = ?2 WHERE block > ?1", params![block, to.1.0])
-        })
+        let sql = "UPDATE cursor SET block = ?1, hash = ?2 WHERE block > ?1";
+        self.0.run(sql, (whole("block", to.0)?, to.1.0))
     }
 }
 
@@ -320,18 +317,19 @@ mod trail_tests {
             let met = if number % 3 == 0 { vec![(number - 1, hash(number - 1))] } else { Vec::new() };
             ledger.trail.walk_to((number, hash(number)), met).expect("walks");
         }
-        let trail = ledger.trail.blocks().expect("read");
+        let trail = ledger.trail.blocks(0).expect("read");
         assert!(trail.len() < 1300 && trail.is_sorted(), "{}", trail.len());
         assert!((3072..=4096).all(|number| trail.contains(&(number, hash(number)))), "the newest are all there");
         for bucket in 0..12 {
             assert!(trail.iter().any(|(number, _)| number / SPARSE == bucket), "{bucket}");
         }
-        assert_eq!(ledger.trail.end(), Ok(Some((4096, hash(4096)))));
         ledger.trail.walk_back((4000, hash(4000))).expect("walks back");
         assert_eq!(
             (ledger.trail.cursor(), ledger.trail.end()),
-            (Ok(Some((4000, hash(4000)))), Ok(Some((4000, hash(4000)))))
+            (Ok(Some((4000, hash(4000)))), Ok(Some((4096, hash(4096))))),
+            "what was read shows whether it is replaced before it is read again"
         );
+        assert_eq!(ledger.trail.blocks(4095), Ok(vec![(4095, hash(4095)), (4096, hash(4096))]));
         ledger.trail.set_cursor(7, hash(7)).expect("set");
         ledger.trail.walk_back((3999, hash(3999))).expect("walks back");
         assert_eq!(ledger.trail.cursor(), Ok(Some((7, hash(7)))), "a cursor that is behind stays there");

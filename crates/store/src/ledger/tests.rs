@@ -1,6 +1,7 @@
 //! The ledger's tests: individual behaviours here, random operations in `model`, random queries in `pages`.
 
 mod ages;
+mod anchors;
 mod coverage;
 mod directory;
 mod erased;
@@ -17,7 +18,7 @@ mod pages;
 mod quarantine;
 mod rights;
 mod speed;
-mod statements;
+pub(crate) mod statements;
 
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -173,23 +173,23 @@ pub(super) fn close(connection: &Connection, hash: Hash, outcome: TransactionOut
     }
 }
 
-/// Its records are stored or batched again.
+/// Its records are stored or batched again, or wait for their batch's transaction.
 fn release(connection: &Connection, hash: Hash) -> Result<(), StoreError> {
     let (digests, batch) = carried(connection, hash)?;
     if let Some(root) = batch {
         return batches::release(connection, Hash(root), hash);
     }
     let sql = concat!(
-        "UPDATE records SET tx = NULL, state = CASE WHEN state <> ?3 THEN state WHEN ",
-        of_its_batch!("block"),
-        " IS NOT NULL THEN ?7 WHEN EXISTS (SELECT 1 FROM leaves WHERE record = n) THEN ?6 ELSE ?4 END
+        "UPDATE records SET tx = NULL, state = CASE WHEN state <> ?3 OR ",
+        of_its_batch!("tx"),
+        " IS NOT NULL THEN state WHEN EXISTS (SELECT 1 FROM leaves WHERE record = n) THEN ?6 ELSE ?4 END
         WHERE digest = ?1 AND tx = ?2 AND block IS NULL AND state IN (?3, ?5)"
     );
-    let [submitted, stored, tampered, batched, mined] =
-        [RecordState::Submitted, RecordState::Stored, RecordState::Tampered, RecordState::Batched, RecordState::Mined]
+    let [submitted, stored, tampered, batched] =
+        [RecordState::Submitted, RecordState::Stored, RecordState::Tampered, RecordState::Batched]
             .map(RecordState::code);
     let digests = digests.chunks_exact(Digest::LENGTH);
-    connection.run_each(sql, digests.map(|digest| (digest, hash.0, submitted, stored, tampered, batched, mined)))?;
+    connection.run_each(sql, digests.map(|digest| (digest, hash.0, submitted, stored, tampered, batched)))?;
     Ok(())
 }
 

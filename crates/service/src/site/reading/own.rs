@@ -17,7 +17,7 @@ use crate::service::command::UploadQuery;
 use crate::service::failure::{input, internal};
 use crate::service::reply::{ExportedFile, Failure, Provenance, RecordPage, RecordView};
 use crate::site::incidents::narrowed;
-use crate::store::{self, BatchPlace, FilterChoice, RecordQuery, RecordRow};
+use crate::store::{self, BatchPlace, FilterChoice, PlacedRecord, RecordQuery, RecordRow};
 
 impl Reading {
     /// Needs no passphrase.
@@ -196,7 +196,7 @@ impl Reading {
         let blob = block_in_place(|| plant.stored_bytes(row))?;
         let placed = plant.ledger.records.placed(digest)?;
         // Block, transaction and path of one moment, whatever `row` was.
-        let (row, place) = placed.map_or_else(|| (row.clone(), None), |placed| (placed.row, placed.place));
+        let (row, place) = placed.map_or_else(|| (row.clone(), None), PlacedRecord::anchor);
         let row = &row;
         let gone = plant.ledger.retention.find(digest)?;
         let gone = gone.filter(|gone| gone.anchored || is_stated(plant, Some(network), digest, gone));

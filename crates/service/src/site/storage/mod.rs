@@ -167,9 +167,10 @@ pub(in crate::site) fn open_ledger(home: &Home) -> Result<(Ledger, bool), StoreE
     Ok(opened)
 }
 
-/// Whether a home without a store must have had one: it has keys or an embedded chain.
+/// Whether a home without a store, or with an empty file for one, must have had one: it has keys or an embedded chain.
 pub(crate) fn misses_store(home: &Home) -> bool {
-    !home.ledger().exists() && (home.chain().join("chain.db").exists() || !home.profiles().is_empty())
+    let is_empty = std::fs::metadata(home.ledger()).is_ok_and(|file| file.len() == 0);
+    (is_empty || !home.ledger().exists()) && (home.chain().join("chain.db").exists() || !home.profiles().is_empty())
 }
 
 /// What is wrong with a store that replaced a lost one, until it is bound to a contract.

@@ -315,6 +315,10 @@ impl Pair {
         assert_eq!(open, model);
         self.compare_batches();
         self.recount();
+        // What `release` relies on: a batch in a block has no record that still waits for its own transaction.
+        let sql = "SELECT count(*) FROM records JOIN leaves ON record = n JOIN batches ON key = batch
+            WHERE batches.block IS NOT NULL AND records.tx IS NOT NULL AND records.block IS NULL";
+        assert_eq!(self.ledger().database.one(sql, [], |row| row.get(0)), Ok(0_i64));
     }
 
     /// The counters equal a full recount, and the conservation law holds.

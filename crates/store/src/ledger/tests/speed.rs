@@ -1,4 +1,4 @@
-//! How fast the ledger is on this machine: printed, never asserted; what is asserted is that queries use indices.
+//! How fast the ledger is on this machine: printed, never asserted. What is asserted of the plans is in `statements`.
 
 use std::time::Instant;
 
@@ -71,27 +71,4 @@ fn pages_and_counts_of_a_large_ledger() {
     let started = Instant::now();
     drop(Ledger::open(&home.path().join("ledger.db")).expect("opens"));
     println!("ledger: opened with quick_check of 100,000 records: {:.0} ms", started.elapsed().as_secs_f64() * 1e3);
-}
-
-#[test]
-fn every_query_uses_an_index() {
-    let (_home, ledger) = open();
-    let range = "(captured_at, n) > (1, 2) AND (captured_at, n) < (3, 4) ORDER BY captured_at DESC, n DESC LIMIT 5";
-    let plans = [
-        format!("SELECT captured_at, n FROM records WHERE state = 1 AND stream = 1 AND {range}"),
-        format!("SELECT captured_at, n, stream FROM records WHERE {range}"),
-        "SELECT max(seq) FROM records WHERE topic = 1".to_owned(),
-        "SELECT n FROM records WHERE digest BETWEEN x'00' AND x'01'".to_owned(),
-        "SELECT * FROM transactions WHERE state = 0 AND account = x'00' ORDER BY nonce".to_owned(),
-    ];
-    for sql in plans {
-        let plan = ledger.database.read(|connection| {
-            let mut statement = connection.prepare(&format!("EXPLAIN QUERY PLAN {sql}"))?;
-            let lines = statement.query_map([], |row| row.get::<_, String>(3))?;
-            Ok(lines.collect::<Result<Vec<_>, _>>()?.join("; "))
-        });
-        let plan = plan.expect("plan");
-        assert!(plan.starts_with("SEARCH") && !plan.contains("TEMP B-TREE"), "{sql}: {plan}");
-        println!("{plan}");
-    }
 }
