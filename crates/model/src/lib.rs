@@ -8,6 +8,7 @@ pub mod gap;
 pub mod grant;
 pub mod head;
 pub mod header;
+pub mod moment;
 pub mod party;
 pub mod publisher;
 pub mod recorder_words;
@@ -31,6 +32,7 @@ pub use crate::gap::{GapReport, LossReason, QuarantineReport};
 pub use crate::grant::{GrantTerms, Scope};
 pub use crate::head::Head;
 pub use crate::header::{Header, RecordKind};
+pub use crate::moment::{Clock, Direction, MomentError, Zone};
 pub use crate::party::{
     Address, ContactName, Identity, OperatorName, OperatorNameError, OperatorRight, OperatorRights, Party, ProfileName,
     redact_addresses,
