@@ -21,6 +21,7 @@ pub mod steady_clock;
 mod text;
 pub mod topic;
 pub mod topic_rule;
+pub mod watch_rules;
 pub mod wire;
 
 pub use crate::bytes::{
@@ -48,3 +49,4 @@ pub use crate::span::{ByteSize, SpanError, Timestamp, Wei, positive_span, time_s
 pub use crate::state::{ErrorKind, Fact, RecordState, Verdict};
 pub use crate::topic::{TopicName, TypeName, is_record_topic};
 pub use crate::topic_rule::{TopicPattern, TopicRule, TopicRules};
+pub use crate::watch_rules::{WatchRule, WatchRules};

@@ -96,6 +96,11 @@ impl Clock {
         }
     }
 
+    /// Whether a text says all of it, so that nothing is to be explained.
+    pub fn is_absolute(text: &str) -> bool {
+        OffsetDateTime::parse(text.trim(), &Rfc3339).is_ok()
+    }
+
     pub fn read(&self, text: &str, direction: Direction) -> Result<Timestamp, MomentError> {
         let text = text.trim();
         let wrong = || MomentError::Form(clean(text, 40), direction);
