@@ -7,7 +7,7 @@ use clap::{Args, Subcommand, ValueEnum};
 use super::plan::Plan;
 use super::{parse, parties, show::or_dash};
 use crate::service::{Epochs, Failure, command, reply};
-use authros_output::table;
+use authros_output::{Output, table};
 
 /// Which epochs a grant opens.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -27,13 +27,16 @@ pub struct GrantArguments {
     /// The same, as an option
     #[arg(long, value_name = "ADDRESS_OR_NAME", conflicts_with = "address")]
     pub to: Option<String>,
-    /// Only this topic; repeatable [default: all topics]
+    /// Only this topic, or the topics that match this pattern now; repeatable [default: all topics]
     #[arg(long = "topic", value_name = "TOPIC")]
     pub topics: Vec<String>,
+    /// Only the topics that this robot has now, as robot1 for /robot1/**; repeatable
+    #[arg(long = "robot", value_name = "NAME")]
+    pub of_robots: Vec<String>,
     /// Epochs to share
     #[arg(long, value_enum, default_value = "current")]
     pub epochs: EpochsChoice,
-    /// End of the grant: 30d, 12h, 2w, or a time such as 2027-01-31T12:00:00Z
+    /// End of the grant: 30d, 18:00, "tomorrow 18:00", "2026-11-27 18:00" or RFC 3339
     #[arg(long, value_name = "TIME")]
     pub expires: Option<String>,
 }
@@ -47,7 +50,7 @@ pub enum GrantsVerb {
     Extend {
         /// The reader's account, or its name
         grantee: String,
-        /// New end: 30d, 12h, or a time such as 2027-01-31T12:00:00Z
+        /// New end: 30d, 18:00, "tomorrow 18:00", "2026-11-27 18:00" or RFC 3339
         #[arg(long, value_name = "TIME", required_unless_present = "endless")]
         expires: Option<String>,
         /// Never expires
@@ -56,11 +59,11 @@ pub enum GrantsVerb {
     },
 }
 
-pub fn grant(arguments: &GrantArguments) -> Result<command::Grant, Failure> {
-    let expires = arguments.expires.as_deref().map(parse::end).transpose()?;
+pub fn grant(arguments: &GrantArguments, output: &Output) -> Result<command::Grant, Failure> {
+    let expires = parse::Times::now(output).end(arguments.expires.as_deref())?;
     Ok(command::Grant {
         grantee: parse::value(arguments.address.as_deref().or(arguments.to.as_deref()).unwrap_or_default())?,
-        topics: parse::values(&arguments.topics)?,
+        topics: parse::topics(&arguments.topics, &arguments.of_robots)?,
         epochs: match arguments.epochs {
             EpochsChoice::Current => Epochs::Current,
             EpochsChoice::All => Epochs::All,
@@ -69,11 +72,11 @@ pub fn grant(arguments: &GrantArguments) -> Result<command::Grant, Failure> {
     })
 }
 
-pub fn plan(verb: GrantsVerb) -> Result<Plan, Failure> {
+pub fn plan(verb: GrantsVerb, output: &Output) -> Result<Plan, Failure> {
     Ok(match verb {
         GrantsVerb::List => Plan::unlocked(command::ListGrants),
         GrantsVerb::Extend { grantee, expires, .. } => {
-            let (grantee, expires) = (parse::value(&grantee)?, expires.as_deref().map(parse::end).transpose()?);
+            let (grantee, expires) = (parse::value(&grantee)?, parse::Times::now(output).end(expires.as_deref())?);
             Plan::unlocked(command::ExtendGrant { grantee, expires })
         }
     })

@@ -84,6 +84,7 @@ mod status;
 mod store_faults;
 mod succession;
 mod time_stamps;
+mod times;
 mod units;
 mod unreached;
 mod uploads_export;

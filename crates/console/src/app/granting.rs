@@ -10,7 +10,7 @@ use super::screens::{day, end, is_active, is_given, other_side, scope};
 use super::update::Feed;
 use super::verb::{Errand, Tag};
 use super::{Screen, State, when};
-use crate::model::{Address, ContactName, Party, Timestamp, TopicName};
+use crate::model::{Address, ContactName, Party, Timestamp, TopicName, TopicPattern};
 use crate::service::reply::{ContactRow, GrantRow};
 use crate::service::{Command, Epochs};
 
@@ -125,8 +125,8 @@ pub fn caution(state: &State, command: &Command) -> Option<String> {
     if topics.is_empty() {
         return Some("ALL topics: whatever you publish now and later.".to_owned());
     }
-    let known = |topic: &TopicName| state.topics.rows.iter().any(|row| row.topic == topic.as_str());
-    let unknown: Vec<&str> = topics.iter().filter(|topic| !known(topic)).map(TopicName::as_str).collect();
+    let known = |topic: &TopicPattern| state.topics.rows.iter().any(|row| topic.matches(&row.topic));
+    let unknown: Vec<&str> = topics.iter().filter(|topic| !known(topic)).map(TopicPattern::as_str).collect();
     let loaded = state.feeds.slot(Feed::Topics).loaded;
     (loaded && !unknown.is_empty()).then(|| format!("No topic of this name is known here: {}", unknown.join(" ")))
 }
@@ -162,7 +162,7 @@ pub fn begin_extension(state: &mut State) {
 pub fn extend(state: &mut State, form: &Form) -> Result<(), Wrong> {
     let row = state.grants.selected().filter(|row| is_given(row) && is_active(row));
     let row = row.ok_or((0, "this grant is no longer active".to_owned()))?;
-    let expires = when::expiry(form.text(0), state.now).map_err(|error| (0, error))?;
+    let expires = when::expiry(form.text(0), &state.times()).map_err(|error| (0, error))?;
     if expires.is_none() && row.expires.is_none() {
         return Err((0, "it already has no end; enter a time to end it then".to_owned()));
     }

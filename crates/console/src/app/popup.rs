@@ -226,6 +226,7 @@ pub fn grant(state: &State, wish: GrantWish) -> Confirm {
     lines.extend(readers(state, "Current readers:", None));
     lines.push("A later revoke stops new records; what was read cannot be taken back.".to_owned());
     let GrantWish { grantee, topics, epochs, expires } = wish;
+    let topics = topics.into_iter().map(Into::into).collect();
     let tag = Tag::Grant(grantee.clone());
     let errand = Errand { command: Command::Grant { grantee, topics, epochs, expires }, tag };
     Confirm { title: "Grant this?".to_owned(), lines, yes: "grant", typed: None, errand }
@@ -568,7 +569,7 @@ fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<(), Wrong>
             identity_path::run(state, Need::Unlocked, vec![errand]);
         }
         Purpose::Grant => {
-            let wish = form::read_grant(form, state.address(), state.now)?;
+            let wish = form::read_grant(form, state)?;
             granting::check(state, &wish)?;
             granting::ask(state, wish);
         }

@@ -32,7 +32,10 @@ pub enum Epochs {
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct UploadQuery {
     pub owner: Option<Party>,
-    pub topic: Option<TopicName>,
+    pub topic: Option<TopicPattern>,
+    /// An enrolled robot, or the first part of its topics.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub robot: Option<String>,
     /// `None` = captured messages.
     pub kind: Option<RecordKind>,
     pub type_name: Option<TypeName>,

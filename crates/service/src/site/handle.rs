@@ -86,6 +86,7 @@ impl Site {
                 self.capture.learn_policy(&profile, milliseconds).await.map(ask::LearnPolicy::told)
             }
             Command::Capture { topics, type_name, count, milliseconds, tags } => {
+                let topics = self.capture.named(&profile, &topics, false).await?;
                 let captured = self.capture.capture(&owner()?, &topics, type_name, count, milliseconds, tags).await;
                 captured.map(ask::Capture::told)
             }
@@ -143,6 +144,11 @@ impl Site {
                 Ok(ask::StopPlay::told(()))
             }
             Command::Grant { grantee, topics, epochs, expires } => {
+                if topics.iter().any(|topic| !topic.is_plain()) {
+                    // Robots' records arrive without topic names.
+                    self.reading.learn_own_names(&profile).await?;
+                }
+                let topics = self.capture.named(&profile, &topics, true).await?;
                 self.sharing.grant(&owner()?, &grantee, &topics, epochs, expires).await.map(ask::Grant::told)
             }
             Command::ExtendGrant { grantee, expires } => {
