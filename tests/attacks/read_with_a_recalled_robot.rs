@@ -59,7 +59,7 @@ async fn read_with_a_recalled_robot() {
         GatewayError::TimedOut => parts.reached("a request that waits still".to_owned()),
         ended => parts.answered("the request that waited", Err(ended), &[Code::NotAuthorised]),
     }
-    // Whoever has its key hears that it was recalled, and nothing else.
+    // Anyone who has its key learns that it was recalled, and nothing else.
     match session(&stolen).await {
         Ok(mut client) => ask(&mut parts, &mut client, &stolen, known).await,
         Err(error @ GatewayError::Recalled(_)) => parts.refused("a new session", &error.to_string(), "recalled it at"),

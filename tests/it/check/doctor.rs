@@ -77,7 +77,7 @@ fn the_doctor_looks_at_a_home_without_a_passphrase_and_names_what_is_wrong() {
     site.stop("INT", 30).expect_code(0);
 }
 
-/// The site has another chain than the settings of whoever asks, and then none.
+/// The site has another chain than the settings of the caller, and then none.
 #[test]
 fn the_doctor_tells_of_the_chain_that_the_running_site_has_and_ends_as_status_does() {
     let Some(node) = Anvil::start(&[]) else { skipped!("no anvil") };
