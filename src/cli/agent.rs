@@ -134,7 +134,7 @@ async fn capture(global: Global, arguments: RunArguments, output: &Output) -> Re
     let ended = match end {
         AgentEnd::Done => "done",
         AgentEnd::Refused => "refused",
-        AgentEnd::Told => "told",
+        AgentEnd::Told => "stopped on request",
     };
     let code = code(end, unlimited, &figures);
     let summary = Summary { figures, ended, topics };

@@ -77,7 +77,7 @@ pub fn query(since: Option<&str>, limit: usize, output: &Output) -> Result<Audit
 pub fn lines(lines: &[AuditView]) -> String {
     let row = |line: &AuditView| {
         let (action, subject, outcome) = (line.action.clone(), line.subject.clone(), line.outcome.clone());
-        [line.line.to_string(), line.at.to_string(), line.by(), action, subject, outcome]
+        [line.line.to_string(), line.at.in_milliseconds(), line.by(), action, subject, outcome]
     };
     table(&["line", "at", "by", "action", "subject", "outcome"], lines.iter().map(row))
 }

@@ -1,10 +1,11 @@
 //! `doctor`, `verify`, `backup`, `restore` and the audit of records: what their arguments mean, results for people.
 
 use std::path::Path;
+use std::time::Duration;
 
 use super::{args::Global, connect::Context, parse, passphrase, show::Question};
-use crate::service::command::{ListAllUploads, ListUploads, SiteStatus, UploadQuery};
-use crate::service::reply::{BackupView, CheckStatus, DoctorView, RecordAudit, SiteView};
+use crate::service::command::{ChainStatus, ListAllUploads, ListUploads, SecretText, SiteStatus, UploadQuery};
+use crate::service::reply::{BackupView, CheckStatus, DoctorView, RecordAudit};
 use crate::service::verification::{self, FolderCheck, Known, verdict};
 use crate::service::{Failure, doctor, restoring, socket};
 use crate::{model::ErrorKind, store::SiteLock};
@@ -73,20 +74,30 @@ pub fn backed_up(view: &BackupView) -> String {
     lines.join("\n")
 }
 
+/// Longest wait of the doctor for what a site says of its chain.
+const PATIENCE: Duration = Duration::from_secs(5);
+
 pub async fn run_doctor(context: Context, output: &Output) -> Result<u8, Failure> {
     let site = running_site(&context).await;
     let view = doctor::examine(&context.home, &context.config, site).await;
     output.result(&view, || doctor_text(&view));
-    Ok(if view.ok { 0 } else { ErrorKind::Incomplete.exit_code() })
+    Ok(view.kind.map_or(0, ErrorKind::exit_code))
 }
 
 /// `None` if no site runs.
-async fn running_site(context: &Context) -> Option<Result<SiteView, String>> {
+async fn running_site(context: &Context) -> Option<Result<doctor::Running, String>> {
     if !context.home.site_lock().exists() || matches!(SiteLock::acquire(&context.home.site_lock()), Ok(Some(_))) {
         return None;
     }
     let joined = match socket::join(&context.home, context.profile.clone()).await {
-        Ok(Some((client, _))) => client.ask(SiteStatus).await,
+        Ok(Some((client, _))) => match client.ask(SiteStatus).await {
+            Ok(site) => {
+                // The site itself reports a chain that is away.
+                let chain = tokio::time::timeout(PATIENCE, client.ask(ChainStatus)).await;
+                Ok(doctor::Running { site, chain: chain.ok().and_then(Result::ok) })
+            }
+            Err(failure) => Err(failure),
+        },
         Ok(None) => return Some(Err("its socket is missing".to_owned())),
         Err(failure) => Err(failure),
     };

@@ -52,7 +52,7 @@ pub fn admitted(rows: &[AdmittedView]) -> String {
         return "only this home's own profiles; `authros gateway admit OWNER` allows others".to_owned();
     }
     let row = |row: &AdmittedView| {
-        [row.owner.to_string(), row.name.clone().unwrap_or_default(), row.since.to_string(), clean(&row.by, 60)]
+        [row.owner.to_string(), row.name.clone().unwrap_or_default(), row.since.in_milliseconds(), clean(&row.by, 60)]
     };
     table(&["owner", "contact", "since", "allowed by"], rows.iter().map(row))
 }
@@ -69,7 +69,12 @@ pub fn status(view: &GatewayStatusView) -> String {
     }
     lines.extend(view.keys.iter().map(|key| {
         let use_of = if key.current { "in use" } else { "next" };
-        format!("system key {} {use_of}, from {} to {}", key.id, key.not_before, key.not_after)
+        format!(
+            "system key {} {use_of}, from {} to {}",
+            key.id,
+            key.not_before.in_milliseconds(),
+            key.not_after.in_milliseconds()
+        )
     }));
     lines.extend(view.senders.iter().map(|sender| {
         let place = sender.peer.as_deref().map_or_else(|| "not connected".to_owned(), |peer| clean(peer, 60));

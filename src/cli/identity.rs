@@ -111,7 +111,6 @@ pub fn list(context: &Context, output: &Output) -> Result<u8, Failure> {
 pub fn one(view: &reply::IdentityView) -> String {
     pairs(&[
         ("profile", view.profile.to_string()),
-        ("exists", yes(view.exists)),
         ("registered", yes(view.registered)),
         ("address", or_dash(view.address)),
         ("epoch", or_dash(view.epoch)),

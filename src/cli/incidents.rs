@@ -94,8 +94,8 @@ pub fn all(incidents: &[IncidentView]) -> String {
         [
             incident.name.to_string(),
             state(incident).to_owned(),
-            incident.since.to_string(),
-            or_dash(incident.until),
+            incident.since.in_milliseconds(),
+            or_dash(incident.until.map(Timestamp::in_milliseconds)),
             incident.coverage.iter().filter(|topic| topic.records > 0).count().to_string(),
             incident.records.to_string(),
             incident.bytes.to_string(),
@@ -105,13 +105,15 @@ pub fn all(incidents: &[IncidentView]) -> String {
 }
 
 pub fn incident(view: &IncidentView) -> String {
-    let to = view.until.map_or_else(|| "now, until it is closed".to_owned(), |until| until.to_string());
+    let to = view.until.map_or_else(|| "now, until it is closed".to_owned(), Timestamp::in_milliseconds);
     let mut lines = vec![
-        format!("{} ({}): {} to {to}", view.name, state(view), view.since),
+        format!("{} ({}): {} to {to}", view.name, state(view), view.since.in_milliseconds()),
         format!("{} records, {} bytes, held from retention", view.records, view.bytes),
     ];
     // Indented, so that no further line of a note looks like a note of its own.
-    lines.extend(view.notes.iter().map(|note| format!("{}  {}", note.at, note.text.replace('\n', "\n    "))));
+    lines.extend(
+        view.notes.iter().map(|note| format!("{}  {}", note.at.in_milliseconds(), note.text.replace('\n', "\n    "))),
+    );
     let row = |one: &SpanCoverageView| {
         let [records, lost, quarantined, deleted] =
             [one.records, one.lost, one.quarantined, one.deleted].map(|count| count.to_string());

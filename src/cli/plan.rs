@@ -41,12 +41,23 @@ impl Plan {
     }
 }
 
+const NOT_FETCHED: &str = "start `authros serve` to fetch what is new: this home has its records from a gateway, which is \
+                           only asked while a site of it runs; this is what was fetched before";
+
+/// Whether a site that joins a gateway answers it with what it fetched there.
+fn is_of_gateway(command: &Command) -> bool {
+    matches!(command, Command::OfRobot(_) | Command::ListUploads { .. } | Command::ListAllUploads { .. })
+}
+
 pub async fn run(context: Context, plan: Plan, output: &Output) -> Result<u8, Failure> {
     let connection = context.connect(plan.needs).await?;
     connection.tell_read_only(output);
+    let is_own = connection.site.is_some();
+    if is_own && context.config.site.is_some() && !plan.needs.chain && is_of_gateway(&plan.question.command) {
+        output.note(NOT_FETCHED);
+    }
     let forgets = matches!(plan.question.command, Command::ChangePassphrase { .. });
     let told = async {
-        let is_own = connection.site.is_some();
         let need = if is_own && plan.profile == ProfileNeed::OpenAtSite { ProfileNeed::None } else { plan.profile };
         context.prepare(&connection.client, need, output).await?;
         if let Some(first) = plan.first {

@@ -80,14 +80,7 @@ fn known(context: &Context) -> Result<(), Failure> {
 }
 
 fn code(view: &reply::SiteView) -> u8 {
-    let is_well = |part: &reply::PartHealth| matches!(part.level, reply::HealthLevel::Ok | reply::HealthLevel::Absent);
-    if view.life.tampered > 0 || !view.life.conserved {
-        ErrorKind::Tampered.exit_code()
-    } else if view.health.iter().all(is_well) {
-        0
-    } else {
-        ErrorKind::Unreachable.exit_code()
-    }
+    view.worst().map_or(0, ErrorKind::exit_code)
 }
 
 fn row(part: &reply::PartHealth) -> String {
@@ -104,7 +97,13 @@ fn text(view: &reply::SiteView) -> String {
     let mut lines: Vec<String> = view.health.iter().map(row).collect();
     lines.extend(life(&view.life));
     let stands = |alert: &reply::AlertView| {
-        format!("alert since {}, {}: {}: {}", alert.begun, alert.severity.word(), alert.key, alert.text)
+        format!(
+            "alert since {}, {}: {}: {}",
+            alert.begun.in_milliseconds(),
+            alert.severity.word(),
+            alert.key,
+            alert.text
+        )
     };
     lines.extend(view.alerts.iter().map(stands));
     lines.extend(view.alerts_over.iter().map(over));
@@ -154,7 +153,7 @@ pub fn plan(verb: &AlertsVerb) -> Plan {
 
 pub fn standing(view: &reply::AlertsView) -> String {
     let row = |alert: &reply::AlertView| {
-        [alert.begun.to_string(), alert.severity.word().to_owned(), alert.key.clone(), alert.text.clone()]
+        [alert.begun.in_milliseconds(), alert.severity.word().to_owned(), alert.key.clone(), alert.text.clone()]
     };
     let mut lines = match view.alerts.as_slice() {
         [] => vec!["no active alerts".to_owned()],
@@ -166,7 +165,12 @@ pub fn standing(view: &reply::AlertsView) -> String {
 }
 
 pub fn over(ended: &reply::EndedAlert) -> String {
-    format!("resolved {}: {}, which began {}", ended.ended, ended.alert.key, ended.alert.begun)
+    format!(
+        "resolved {}: {}, which began {}",
+        ended.ended.in_milliseconds(),
+        ended.alert.key,
+        ended.alert.begun.in_milliseconds()
+    )
 }
 
 #[cfg(test)]

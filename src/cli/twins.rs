@@ -38,6 +38,7 @@ pub const TWINS: &[(&str, &str)] = &[
     ("replace-lost-account", "chain succession propose ADDRESS ADDRESS"),
     ("hand-over", "chain hand-over ADDRESS"),
     ("accept-administration", "chain accept"),
+    ("alerts", "alerts list"),
     ("undo", "topics unwatch TOPIC"),
     ("tasks", "status"),
     ("log-level", "audit list"),

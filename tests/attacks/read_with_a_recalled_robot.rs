@@ -59,11 +59,10 @@ async fn read_with_a_recalled_robot() {
         GatewayError::TimedOut => parts.reached("a request that waits still".to_owned()),
         ended => parts.answered("the request that waited", Err(ended), &[Code::NotAuthorised]),
     }
-    // The name belongs to nobody any more: its key cannot be told from a wrong one, and the refusal is in clear,
-    // because there is no session.
+    // Anyone who has its key learns that it was recalled, and nothing else.
     match session(&stolen).await {
         Ok(mut client) => ask(&mut parts, &mut client, &stolen, known).await,
-        Err(GatewayError::RefusedInClear(Code::Tag)) => parts.refused("a new session", Code::Tag.text(), "another key"),
+        Err(error @ GatewayError::Recalled(_)) => parts.refused("a new session", &error.to_string(), "recalled it at"),
         Err(error) => parts.otherwise(format!("a new session: {error}")),
     }
     judge("read_with_a_recalled_robot", parts.outcome());

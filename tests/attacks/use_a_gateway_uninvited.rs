@@ -24,7 +24,7 @@ async fn a_registered_stranger_takes_a_name_and_uploads() {
     };
     let outcome = match sent.await {
         Ok(_) => Outcome::Succeeded("a name was bound and a record stored and signed for".to_owned()),
-        Err(GatewayError::Refused(code @ Code::NotAuthorised)) => Outcome::Refused(code.to_string()),
+        Err(GatewayError::Refused(code @ Code::NotAdmitted)) => Outcome::Refused(code.to_string()),
         Err(error) => Outcome::Otherwise(error.to_string()),
     };
     judge("use_a_gateway_uninvited", outcome);

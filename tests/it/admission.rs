@@ -4,7 +4,7 @@ use authros::gateway::{Code, GatewayError};
 
 use super::support::gate::Gate;
 use super::support::member::{Member, connect};
-use super::support::{self, Home, text};
+use super::support::{self, Home, text, wait_until};
 
 const TOPIC: &str = "/robot7/log";
 
@@ -27,17 +27,22 @@ async fn who_may_use_a_gateway_is_its_keepers_choice() {
     let carol = stranger(&gate, &away, "carol");
     let keeper = gate.home.authros();
     let owner = carol.address().to_string();
-    assert_eq!(refused(carol.allocate(&gate.gateway, "scout").await), Code::NotAuthorised);
+    assert_eq!(refused(carol.allocate(&gate.gateway, "scout").await), Code::NotAdmitted);
+    let remedy = format!("`authros gateway admit {owner}`");
+    wait_until(20, "the gateway's terminal says what to type", || gate.stderr().contains(&remedy).then_some(()));
     keeper.json(&["gateway", "admit", &owner]);
     let credentials = carol.allocate(&gate.gateway, "scout").await.expect("admitted");
+    // Without a site of hers nothing is fetched, which an empty list must not hide.
+    let listed = away.profile("carol").with(&gate.options()).run(&["uploads", "list"]).expect_code(0);
+    assert!(listed.stderr.contains("start `authros serve` to fetch what is new"), "{listed}");
     let mut robot = connect(&gate.gateway, &credentials).await;
     let record = |seq| carol.record(&carol.keyring.signing, TOPIC, seq, b"a line");
     robot.upload(vec![record(1)]).await.expect("accepted");
     let left = keeper.json(&["gateway", "dismiss", &owner]);
     assert!(support::list(&left, "admitted").is_empty(), "{left}");
-    assert_eq!(refused(robot.upload(vec![record(2)]).await), Code::NotAuthorised, "in the very same session");
-    assert_eq!(refused(robot.missing(&[authros::model::Digest([1; 32])]).await), Code::NotAuthorised);
-    assert_eq!(refused(robot.relay("eth_chainId", &serde_json::json!([])).await), Code::NotAuthorised);
+    assert_eq!(refused(robot.upload(vec![record(2)]).await), Code::NotAdmitted, "in the very same session");
+    assert_eq!(refused(robot.missing(&[authros::model::Digest([1; 32])]).await), Code::NotAdmitted);
+    assert_eq!(refused(robot.relay("eth_chainId", &serde_json::json!([])).await), Code::NotAdmitted);
     keeper.json(&["gateway", "admit", &owner]);
     robot.upload(vec![record(2)]).await.expect("accepted again");
     let lines = support::list(&keeper.json(&["audit", "list", "--limit", "1000"]), "audit");

@@ -280,16 +280,13 @@ fn a_recalled_device_and_a_topic_without_a_key_are_refused() {
     robot.run(&["--robots", "1", "--count", "3"]).wait(120).expect_code(0);
     let recalled = alice.json(&["devices", "recall", &robot.device]);
     assert_eq!(count(&recalled, "epoch"), 2, "what it holds opens nothing new: {recalled}");
-    // What the gateway says in clear proves nothing: the robot keeps its records and says that it is waiting.
-    let mut waits = robot.run(&["--robots", "1", "--count", "3"]);
-    waits.wait_for_text("records wait in the outbox", 120);
-    let summary = wait_until(120, "all three are captured", || {
-        let told = waits.stdout();
-        let summary: Value = serde_json::from_str(told.lines().last()?).ok()?;
-        (count(&summary, "captured") == 6).then_some(summary)
-    });
+    let ended = robot.run(&["--robots", "1", "--count", "3"]).wait(120).expect_code(5);
+    let summary: Value = serde_json::from_str(ended.stdout.lines().last().expect("a summary")).expect("JSON");
     assert_eq!((count(&summary, "verified"), count(&summary, "pending")), (3, 3), "in the outbox: {summary}");
-    drop(waits);
+    let owner = text(&alice.json(&["identity", "show"]), "address");
+    let by_whom = format!("{owner} recalled this robot at 20");
+    assert!(text(&summary, "gateway").starts_with(&by_whom), "by whom, when: {summary}");
+    assert!(!ended.stderr.contains("altered"), "nobody forged anything: {ended}");
     assert_eq!(verified(&alice, 3).len(), 3, "none of a recalled device came through");
 }
 

@@ -37,6 +37,11 @@ impl Gate {
         super::process::own_memory(self.process.id()) / 1024
     }
 
+    /// What it wrote for its keeper so far.
+    pub fn stderr(&self) -> String {
+        self.process.stderr()
+    }
+
     /// Options with which another home joins it.
     pub fn options(&self) -> [&str; 4] {
         ["--site", &self.gateway.address, "--gateway-key", &self.key]

@@ -8,7 +8,7 @@ use super::{Shortfall, transport::JsonRpcError};
 use crate::model::{Address, Consensus, ErrorKind, Wei, bytes::unhex, clean};
 
 /// Advice where the pinned chain does not come back.
-pub const SEAL_ANEW: &str = "seal all messages in a new home with `authros --home NEW uploads import OLD`";
+pub const SEAL_ANEW: &str = "`authros --home NEW uploads import OLD` (seals all messages in a new home)";
 
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ChainError {
@@ -22,13 +22,15 @@ pub enum ChainError {
     #[error("{0}; check `chain.roots`")]
     Roots(String),
     #[error(
-        "the chain at {url} is not the one this home uses: its {what} is {found}, not {pinned}; \
-         {SEAL_ANEW}, or start the right chain again; anchoring is paused, records are safe"
+        "start the pinned chain, or {SEAL_ANEW}: the chain at {url} is another one, its {what} is {}, not {}; anchoring is \
+         stopped, nothing is lost",
+        clean(found, 24),
+        clean(pinned, 24)
     )]
     Swapped { url: String, what: &'static str, pinned: String, found: String },
     #[error(
-        "the embedded chain {} is gone; {SEAL_ANEW}, or restore the file from a backup; anchoring is paused, records \
-         are safe", path.display()
+        "restore the chain's file, or {SEAL_ANEW}: the embedded chain {} is gone; anchoring is paused, records are safe",
+        path.display()
     )]
     Gone { path: PathBuf },
     #[error("the chain cannot be queried: {why}")]
@@ -64,8 +66,8 @@ pub enum ChainError {
     #[error("{0}")]
     Input(String),
     #[error(
-        "the embedded chain {} was changed or damaged at block {block}: {what}; restore it from a backup, or move it \
-         away: {SEAL_ANEW}", path.display()
+        "restore the chain's file from a backup, or move it away and run {SEAL_ANEW}: the embedded chain {} was changed or \
+         damaged at block {block}: {what}", path.display()
     )]
     Tampered { path: PathBuf, block: u64, what: String },
     #[error("the embedded chain {} cannot be used: {reason}; check the directory's permissions and free \

@@ -141,13 +141,13 @@ pub struct SealedBy {
 }
 
 impl SealedBy {
-    pub fn embedded() -> Self {
+    fn embedded() -> Self {
         let text = "an embedded AuthROS chain: a single program seals it, its keys are in the home of the person who \
                     runs it, and block times are that machine's clock";
         Self { kind: SealerKind::Embedded, alone: true, text: text.to_owned() }
     }
 
-    fn of(client: &str, consensus: &str, sealers: usize, difficulty: Option<&str>) -> Self {
+    pub fn of(client: &str, consensus: &str, sealers: usize, difficulty: Option<&str>) -> Self {
         if client.starts_with("AuthROS/") {
             return Self::embedded();
         }

@@ -39,11 +39,15 @@ impl RobotPolicy {
         let mut document = document(FILE, text)?;
         let watched = document.remove(WATCH).map(|tables| watched(&tables, &lines)).transpose()?;
         let has_rules = document.contains_key(TABLE);
-        let (found, rules) = read_document(document, &lines)?;
+        let no_such = |name: &str| {
+            format!("a robot's policy has no '{name}'; it has [[topic]], [[watch]], ring.keep and ring.topics")
+        };
+        let (found, rules) = read_document(document, &lines).map_err(|error| match error {
+            ConfigError::Unknown { file, line, name } => ConfigError::Entry { file, line, what: no_such(&name) },
+            error => error,
+        })?;
         if let Some(name) = found.keys().find(|name| !SETTINGS.contains(&name.as_str())) {
-            let what =
-                format!("a robot's policy has no '{name}'; it has [[topic]], [[watch]], ring.keep and ring.topics");
-            return Err(lines.fault(name, &what));
+            return Err(lines.fault(name, &no_such(name)));
         }
         let mut values = Values::new();
         for name in SETTINGS {
@@ -207,7 +211,8 @@ mod tests {
             ("[[topic]]\nmatch = \"/a\"\nrate = -1\n", "line 3"),
             ("ring.keep = \"soon\"\nring.topics = [\"/a\"]\n", "the policy"),
             ("ring.topics = [\"/a\"]\n", "ring.keep"),
-            ("ring.depth = 3\n", "unknown setting"),
+            ("ring.depth = 3\n", "line 1: a robot's policy has no 'ring.depth'; it has [[topic]]"),
+            ("wach = 3\n", "line 1: a robot's policy has no 'wach'; it has [[topic]]"),
             ("[[", "not valid TOML"),
         ] {
             let error = RobotPolicy::read(text).expect_err(text).to_string();

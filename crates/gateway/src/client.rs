@@ -58,7 +58,7 @@ pub struct Client {
 
 impl Client {
     /// `trust` records what the gateway showed: save it. `RefusedInClear(Tag)` also if the gateway does not know the
-    /// name or has another K_T.
+    /// name or has another K_T; `Recalled` if the name was a device's, which has this K_T.
     pub async fn connect(
         endpoint: &Endpoint,
         trust: &mut Trust,
@@ -424,6 +424,7 @@ impl Client {
         match self.receive(patience).await? {
             (number, _) if number != request => Err(GatewayError::Unexpected("an answer out of order")),
             (_, Answer::Refused(code)) => Err(GatewayError::Refused(code)),
+            (_, Answer::Recalled(at)) => Err(GatewayError::Recalled(at)),
             (_, answer) => Ok(answer),
         }
     }

@@ -260,6 +260,9 @@ impl Connection {
         let (agreed, name) = (identified.agreed(), identified.name.clone());
         let Some(binding) = binding else { return self.refuse_unknown(identified, hello_deadline).await };
         let session = identified.session(Some(&binding.key));
+        if let Some(at) = binding.recalled() {
+            return self.refuse_recalled(session, at, hello_deadline).await;
+        }
         self.transfer_frames(session, agreed, name, binding, hello_deadline).await
     }
 
@@ -315,6 +318,16 @@ impl Connection {
             Some((request, outcome)) => self.reply(session, request, outcome).await,
             None => Ok(()),
         }
+    }
+
+    /// Who does not have the device's key fails like with a wrong one.
+    async fn refuse_recalled(&mut self, mut session: Session, at: Timestamp, deadline: Instant) -> Result<(), End> {
+        let payload = self.expect(FrameKind::Transfer, deadline).await?;
+        let (_, text) = session.open(&payload)?;
+        let request = Inner::from_client(&text)?.request;
+        self.shared.refused(self.peer, &Refusal::new(Code::Recalled, format_args!("recalled at {at}")));
+        self.send(&mut session, request, &Answer::Recalled(at)).await?;
+        Err(End::Closed)
     }
 
     /// Fails like a wrong key.

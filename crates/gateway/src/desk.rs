@@ -31,6 +31,8 @@ pub struct BoundDevice {
     pub id: SignerId,
     /// Topic of its owner's notices.
     pub notices: TopicId,
+    /// Its name is free for others from then on.
+    pub recalled: Option<Timestamp>,
 }
 
 impl BoundDevice {
@@ -55,6 +57,12 @@ pub struct Binding {
     pub envelope: PublicKey,
     /// `None` for the account's own name.
     pub device: Option<BoundDevice>,
+}
+
+impl Binding {
+    pub fn recalled(&self) -> Option<Timestamp> {
+        self.device.and_then(|device| device.recalled)
+    }
 }
 
 /// Authenticated by K_T.
@@ -94,13 +102,13 @@ pub trait Desk: Send + Sync + 'static {
     /// this device.
     async fn account(&self, account: &Address, device: Option<&SignerId>) -> Result<Account, Refusal>;
 
-    /// `Token` for one that the account never registered, `NotAuthorised` unless the keeper admitted the account.
+    /// `Token` for one that the account never registered, `NotAdmitted` unless the keeper admitted the account.
     async fn admits(&self, account: &Address, token: Option<&Token>) -> Result<(), Refusal>;
 
     /// `None` unless it is the owner's key, or lent by the owner now.
     async fn signer(&self, owner: &Address, signer: &SignerId) -> Result<Option<PublicKey>, Refusal>;
 
-    /// `None` also for a recalled device's name.
+    /// Also of a recalled device.
     async fn binding(&self, name: &ProfileName) -> Result<Option<Binding>, Refusal>;
 
     /// Declared on the chain by the administrator.

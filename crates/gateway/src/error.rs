@@ -5,7 +5,7 @@ use std::fmt;
 use crate::command::ErasedRecord;
 use crate::crypto::CryptoError;
 use crate::model::wire::WireError;
-use crate::model::{ErrorKind, SignerId};
+use crate::model::{ErrorKind, SignerId, Timestamp};
 
 #[derive(Debug, thiserror::Error)]
 pub enum GatewayError {
@@ -19,6 +19,9 @@ pub enum GatewayError {
     TimedOut,
     #[error("the gateway refused: {0}")]
     Refused(Code),
+    /// In the session of a device that proved its transport key: when the chain recalled it.
+    #[error("this robot's owner recalled it at {0}; ask the owner to enrol it again (authros agent enrol)")]
+    Recalled(Timestamp),
     /// Anyone on the network can forge it: it means no more than a closed connection.
     #[error("the gateway closed the connection with an unauthenticated message: {0}")]
     RefusedInClear(Code),
@@ -72,6 +75,7 @@ impl GatewayError {
             },
             Self::Refused(code) => code.kind(),
             Self::Erased(_) => Code::NotFound.kind(),
+            Self::Recalled(_) => Code::Recalled.kind(),
             Self::NotPinned(_)
             | Self::NotTheGateway { .. }
             | Self::RolledBack { .. }
@@ -139,8 +143,7 @@ codes! {
     Length = 1 Refused "a frame has an invalid length; connect again";
     Session = 2 Refused "the session has ended; connect again";
     Counter = 3 Refused "a frame came out of order; connect again";
-    Tag = 4 Refused "a frame was altered or sealed under another key; connect again, and if it persists, enrol the \
-        robot again";
+    Tag = 4 Refused "a frame was altered or sealed under another key; connect again, and enrol a robot again if it persists";
     Token = 5 Refused "the token does not belong to this account; register or rotate first";
     Signature = 6 Refused "the SM2 signature was rejected; sign with the registered key or that of an authorised device";
     Account = 7 Refused "the account's signature was rejected; sign with the key of the registered account";
@@ -151,22 +154,28 @@ codes! {
     NameBound = 12 Refused "this name belongs to another account; choose another name";
     NotRegistered = 13 Refused "the chain knows no such identity; register it, or wait for its confirmation";
     Suspended = 14 Refused "the account is suspended; ask the administrator";
-    NotAuthorised = 15 Refused "no grant covers this; ask the owner for one, and the gateway's operator to allow this \
-                                account";
+    NotAuthorised = 15 Refused "no grant covers this; ask the owner for one, or to renew the authorisation of a robot";
     NotFound = 16 Refused "the gateway has no such record; check the digest";
     Tampered = 17 Tampered "the stored record is not the one anchored; fetch it from elsewhere";
     Quota = 18 Refused "too many simultaneous requests; send fewer and try again";
-    Busy = 19 Unreachable "the gateway has no room at the moment; try again later";
+    Busy = 19 Unreachable "all places of the gateway are taken; try again in a minute, or unlock a profile that has used it \
+                           before (those have places of their own); its operator sees who is connected in `authros \
+                           gateway status`";
     NotHere = 20 Refused "this command is not accepted in this session; connect with a transport key";
     /// The chain's current state is unknown, so authority cannot be determined.
     Stale = 21 Unreachable "the gateway does not know the chain's newest block now, so it cannot tell who may do this; \
                             it answers again as soon as it does, so try again in a few seconds";
     Closing = 22 Unreachable "the gateway is stopping; try again later";
-    Internal = 23 Unreachable "the gateway failed; try again later, and see its log";
+    Internal = 23 Unreachable "the gateway cannot use its own store or keys; its operator finds the reason in the gateway's \
+                               log, so tell them, and try again later";
     TooSlow = 24 Unreachable "the connection was too slow or idle; connect again";
     /// Of a network or owner other than the session's.
     NotYours = 25 Refused "the record belongs to another account or network; send your own";
     Method = 26 Refused "the gateway does not forward this request to the chain; use a node for it";
+    NotAdmitted = 27 Refused "this gateway has not admitted the account; ask the gateway's operator to run `authros gateway \
+                              admit ACCOUNT`";
+    /// Answered only to a device that proved its transport key, with the time.
+    Recalled = 28 Refused "the owner recalled this robot; ask the owner to enrol it again";
 }
 
 crate::model::layout!(Code by number, from_number);
@@ -240,6 +249,6 @@ mod code_tests {
             assert!(code.to_string().contains("; "), "{code:?} says what to do next");
         }
         assert_eq!(Code::from_number(0), None);
-        assert_eq!(Code::from_number(27), None);
+        assert_eq!(Code::from_number(29), None);
     }
 }

@@ -143,7 +143,7 @@ pub async fn allocate(
     let account = desk.account(&allocation.account, None).await?;
     same_keys(&account, &allocation.signing, &allocation.envelope)?;
     desk.admits(&allocation.account, None).await?;
-    if let Some(bound) = desk.binding(name).await?
+    if let Some(bound) = desk.binding(name).await?.filter(|bound| bound.recalled().is_none())
         && bound.account != allocation.account
         && desk.successor(&bound.account).await? != Some(allocation.account)
     {

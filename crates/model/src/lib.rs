@@ -45,7 +45,7 @@ pub use crate::retention::{
     TopicPatterns,
 };
 pub use crate::robot_policy::PolicyReport;
-pub use crate::span::{ByteSize, SpanError, Timestamp, Wei, positive_span, time_span};
+pub use crate::span::{ByteSize, SpanError, Timestamp, Wei, coarse, positive_span, time_span};
 pub use crate::state::{ErrorKind, Fact, RecordState, Verdict};
 pub use crate::topic::{TopicName, TypeName, is_record_topic};
 pub use crate::topic_rule::{TopicPattern, TopicRule, TopicRules};

@@ -182,6 +182,18 @@ impl Timestamp {
     }
 }
 
+/// A length in its largest fitting unit, rounded: `45 s`, `12 min`, `20 h`, `3 d`.
+pub fn coarse(length: Duration) -> String {
+    let seconds = length.as_secs();
+    let (unit, word) = match seconds {
+        0..120 => (1, "s"),
+        120..7_200 => (60, "min"),
+        7_200..172_800 => (3_600, "h"),
+        _ => (86_400, "d"),
+    };
+    format!("{} {word}", seconds.saturating_add(unit / 2) / unit)
+}
+
 impl fmt::Display for Timestamp {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let text = OffsetDateTime::from_unix_timestamp_nanos(i128::from(self.0))
@@ -209,6 +221,15 @@ impl<'de> Deserialize<'de> for Timestamp {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_length_is_told_in_its_largest_fitting_unit() {
+        let cases = [(0, "0 s"), (119, "119 s"), (120, "2 min"), (7_199, "120 min"), (7_200, "2 h"), (172_799, "48 h")];
+        for (seconds, text) in cases.into_iter().chain([(172_800, "2 d"), (259_168, "3 d")]) {
+            assert_eq!(coarse(Duration::from_secs(seconds)), text);
+        }
+        assert!(coarse(Duration::MAX).ends_with(" d"));
+    }
 
     #[test]
     fn moments_in_a_column_have_one_width() {

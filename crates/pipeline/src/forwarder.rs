@@ -104,9 +104,13 @@ impl From<crate::store::StoreError> for ForwardError {
 }
 
 impl ForwardError {
-    fn link(&self) -> Link {
+    fn link(&self, owner: Address) -> Link {
         let text = self.to_string();
         match self {
+            Self::Gateway(GatewayError::Recalled(at)) => Link::Refused(format!(
+                "{owner} recalled this robot at {at}: what it records now is not accepted; ask that owner to enrol it again \
+                 (authros agent enrol)"
+            )),
             Self::Gateway(error) if error.kind() == ErrorKind::Refused => Link::Refused(text),
             _ => Link::Away(text),
         }

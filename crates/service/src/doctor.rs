@@ -1,5 +1,5 @@
 //! Checks everything a home depends on: files, chain, peers. Needs no passphrase and changes nothing; an embedded part
-//! that is not running is fine.
+//! that is not running is fine. A running site is asked about its own peers: its settings may be others than these.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -8,18 +8,24 @@ use std::time::{Duration, Instant};
 use crate::chain::{Chain, ChainOptions, Endpoint, SealedBy};
 use crate::config::Config;
 use crate::crypto::read_public;
-use crate::model::{Timestamp, clean, without_secrets};
+use crate::model::{ErrorKind, Timestamp, clean, coarse, without_secrets};
 use crate::paths::Home;
 use crate::pipeline::network_pin_in;
-use crate::reply::{CheckStatus, DoctorCheck, DoctorView, HealthLevel, LifeLine, PartHealth, SiteView};
+use crate::reply::{ChainView, CheckStatus, DoctorCheck, DoctorView, HealthLevel, LifeLine, PartHealth, SiteView};
 use crate::ros::ros2::{Reading, Ros2Capture};
 use crate::ros::{CaptureNotice, Graph, Message, MessageSink, UNCONFINED};
 use crate::site::{STORE_LOST, is_bound, keyring_faults, misses_store, store_loss};
 use crate::store::notes::{ProfileAccounts, StoreWasGone};
 use crate::store::{CacheSettings, Glance, SiteLock, StoreError, cache, files, snapshot};
 
-/// `site` is a running site's own status, or why it does not answer; `None` if none runs.
-pub async fn examine(home: &Home, config: &Config, site: Option<Result<SiteView, String>>) -> DoctorView {
+/// What a running site says of itself, and of its chain if that answers.
+pub struct Running {
+    pub site: SiteView,
+    pub chain: Option<Box<ChainView>>,
+}
+
+/// `site`: a running site, or why it does not answer; `None` if none runs.
+pub async fn examine(home: &Home, config: &Config, site: Option<Result<Running, String>>) -> DoctorView {
     let mut sheet = Sheet::default();
     let runs = site.is_some();
     // No site can start while its files are checked.
@@ -29,31 +35,40 @@ pub async fn examine(home: &Home, config: &Config, site: Option<Result<SiteView,
         keys(home, &mut sheet);
         store(home, &mut sheet);
         disk(home, &mut sheet);
-        cache(config, &mut sheet);
-        ros_master(config, &mut sheet);
-        // A running site has joined the domain already and reports it below.
-        if !runs {
-            second(config, &mut sheet);
-        }
     });
-    look(home, config, runs, &mut sheet).await;
-    drop(lock);
+    let (mut peers, mut code) = (Sheet::default(), None);
     match site {
-        Some(Ok(view)) => of_site(&view, &mut sheet),
+        Some(Ok(running)) => {
+            code = running.site.worst();
+            of_site(&running, &mut peers);
+        }
         Some(Err(reason)) => {
             let advice = "stop the process that holds site.lock, then start the site again";
-            sheet.fail("site", &format!("it does not answer: {reason}"), advice);
+            peers.fail("site", &format!("it does not answer: {reason}"), advice);
         }
-        None => sheet.ok("site", "no site is running; start one with `authros serve` or the console"),
+        None => {
+            tokio::task::block_in_place(|| {
+                cache(config, &mut peers);
+                ros_master(config, &mut peers);
+                second(config, &mut peers);
+            });
+            look(home, config, &mut peers).await;
+            peers.ok("site", "no site is running; start one with `authros serve` or the console");
+        }
     }
-    sheet.view()
+    drop(lock);
+    let local = sheet.has_failed().then_some(ErrorKind::Incomplete);
+    // As `status` ends for the same state.
+    let code = code.or_else(|| peers.has_failed().then_some(ErrorKind::Unreachable)).or(local);
+    sheet.checks.append(&mut peers.checks);
+    DoctorView { ok: code.is_none(), kind: code, checks: sheet.checks }
 }
 
 /// Health of a home's peers if no site of it runs.
 pub async fn peers(home: &Home, config: &Config) -> Vec<PartHealth> {
     let (mut ros, mut chain) = (Sheet::default(), Sheet::default());
     tokio::task::block_in_place(|| ros_master(config, &mut ros));
-    look(home, config, false, &mut chain).await;
+    look(home, config, &mut chain).await;
     let embedded = config.ros_master.is_none();
     let site = "no site is running; start one with `authros serve` or the console";
     vec![
@@ -64,21 +79,45 @@ pub async fn peers(home: &Home, config: &Config) -> Vec<PartHealth> {
 }
 
 fn part(name: &str, level: HealthLevel, text: &str) -> PartHealth {
-    PartHealth { part: name.to_owned(), level, text: clean(text, 300), since: None, retry: None }
+    PartHealth { part: name.to_owned(), level, text: clean(text, 600), since: None, retry: None }
 }
 
-fn of_site(site: &SiteView, sheet: &mut Sheet) {
-    let failed: Vec<_> = site.health.iter().filter(|part| part.level == HealthLevel::Failed).collect();
-    for part in &failed {
-        let advice = "fix the problem above; the site then continues automatically";
-        sheet.fail(&format!("site {}", part.part), &part.text, advice);
+fn of_site(running: &Running, sheet: &mut Sheet) {
+    let Running { site, chain } = running;
+    for part in &site.health {
+        let name = format!("site {}", part.part);
+        let (detail, advice) = advised(&part.text).unwrap_or((part.text.as_str(), usual_advice(&part.part)));
+        match part.level {
+            HealthLevel::Ok | HealthLevel::Absent => sheet.ok(&name, &part.text),
+            HealthLevel::Waiting => sheet.warn(&name, detail, advice),
+            HealthLevel::Failed => sheet.fail(&name, detail, advice),
+        }
     }
-    for part in site.health.iter().filter(|part| part.level == HealthLevel::Waiting) {
-        sheet.warn(&format!("site {}", part.part), &part.text, "retrying; run doctor again in a minute");
+    if let Some(chain) = chain.as_ref().filter(|chain| chain.contract.is_some()) {
+        let (sealers, difficulty) = (chain.sealing.sealers.len(), chain.sealing.difficulty.as_deref());
+        who_seals(&SealedBy::of(&chain.client, &chain.consensus, sealers, difficulty), sheet);
     }
-    if failed.is_empty() {
-        let LifeLine { verified, pending, .. } = site.life;
-        sheet.ok("site", &format!("running; {verified} records of this profile verified, {pending} pending"));
+    let LifeLine { verified, pending, tampered, conserved, .. } = site.life;
+    if tampered > 0 || !conserved {
+        let text = format!("{tampered} records are altered or missing, or the counts do not balance");
+        return sheet.fail("site", &text, "authros audit lists them; keep a copy of the home");
+    }
+    sheet.ok("site", &format!("running; {verified} records of this profile verified, {pending} pending"));
+}
+
+/// What is wrong, and what to do: a text has the second after a semicolon, or before a colon if it names a command.
+fn advised(text: &str) -> Option<(&str, &str)> {
+    let first = text.split_once(": ").filter(|(advice, _)| advice.contains('`'));
+    first.map(|(advice, what)| (what, advice)).or_else(|| text.split_once("; "))
+}
+
+/// Where a part does not say what to do.
+fn usual_advice(part: &str) -> &'static str {
+    match part {
+        "chain" => "start the node again, or correct chain.url; the site then continues automatically",
+        "ros" => "start roscore, or correct ros.master; the site then continues automatically",
+        "gateway" => "check the gateway's address and this machine's network; the site connects again automatically",
+        _ => "the site's log has the reason; if it stays, stop the site and start it again",
     }
 }
 
@@ -89,7 +128,7 @@ struct Sheet {
 
 impl Sheet {
     fn add(&mut self, name: &str, status: CheckStatus, detail: &str, advice: &str) {
-        let (name, detail, advice) = (clean(name, 60), clean(detail, 400), clean(advice, 300));
+        let (name, detail, advice) = (clean(name, 60), clean(detail, 600), clean(advice, 600));
         self.checks.push(DoctorCheck { name, status, detail, advice });
     }
 
@@ -114,8 +153,8 @@ impl Sheet {
         }
     }
 
-    fn view(self) -> DoctorView {
-        DoctorView { ok: self.checks.iter().all(|check| check.status != CheckStatus::Fail), checks: self.checks }
+    fn has_failed(&self) -> bool {
+        self.checks.iter().any(|check| check.status == CheckStatus::Fail)
     }
 }
 
@@ -126,7 +165,7 @@ const FAR_AHEAD: u64 = 120;
 
 const EMBEDDED: &str = "embedded";
 
-async fn look(home: &Home, config: &Config, site_runs: bool, sheet: &mut Sheet) {
+async fn look(home: &Home, config: &Config, sheet: &mut Sheet) {
     let pinned = match tokio::task::block_in_place(|| network_pin_in(&home.ledger())) {
         Ok(pinned) => pinned,
         Err(error) => return sheet.fail("chain", &error.to_string(), DAMAGED),
@@ -136,12 +175,6 @@ async fn look(home: &Home, config: &Config, site_runs: bool, sheet: &mut Sheet) 
     }
     let (endpoint, name) = match &config.chain_url {
         Some(url) => (Endpoint::Node { url: url.clone(), roots: config.chain_roots.clone() }, without_secrets(url)),
-        None if site_runs && (pinned.is_none() || home.chain().join("chain.db").exists()) => {
-            sheet.ok("chain", "embedded; in use by the running site");
-            return if pinned.is_some() {
-                who_seals(&SealedBy::embedded(), sheet)
-            };
-        }
         None if pinned.is_none() && !home.chain().join("chain.db").exists() => {
             return sheet.ok("chain", "embedded; created with the first registration");
         }
@@ -153,8 +186,8 @@ async fn look(home: &Home, config: &Config, site_runs: bool, sheet: &mut Sheet) 
         Ok(chain) => answered(&chain, &name, has_pin, sheet).await,
         Err(error) => {
             let text = error.to_string();
-            let (text, advice) = text.split_once(';').unwrap_or((&text, "start the node or correct chain.url"));
-            sheet.fail("chain", text.trim(), advice.trim());
+            let (text, advice) = advised(&text).unwrap_or((text.as_str(), usual_advice("chain")));
+            sheet.fail("chain", text, advice);
         }
     }
 }
@@ -184,15 +217,15 @@ async fn answered(chain: &Chain, name: &str, has_pin: bool, sheet: &mut Sheet) {
     }
     let now = Timestamp::now().seconds();
     let ahead = head.timestamp.saturating_sub(now);
-    let advice = "correct this machine's clock (timedatectl set-ntp true) or that of the chain's sealers";
-    let text = format!("the newest block is {ahead} s ahead of this machine's clock");
+    let advice = "run `timedatectl set-ntp true` here; if this clock is right, the chain's sealers must correct theirs";
+    let text = format!("the newest block is {} ahead of this machine's clock", coarse(Duration::from_secs(ahead)));
     if ahead >= FAR_AHEAD {
         sheet.fail("clock", &text, advice);
     } else if ahead >= AHEAD {
         sheet.warn("clock", &text, advice);
     } else {
-        let age = now.saturating_sub(head.timestamp);
-        sheet.ok("clock", &format!("the newest block is {age} s old by this machine's clock; none is in the future"));
+        let age = coarse(Duration::from_secs(now.saturating_sub(head.timestamp)));
+        sheet.ok("clock", &format!("the newest block is {age} old by this machine's clock; none is in the future"));
     }
 }
 
@@ -443,5 +476,24 @@ fn ros_master(config: &Config, sheet: &mut Sheet) {
             sheet.warn("ros nodes", &format!("{} of {tried}: {}", unreached.len(), texts.join("; ")), advice);
         }
         Err(error) => sheet.warn("ros nodes", &error.to_string(), "check with `rosnode list`"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_text_has_its_advice_behind_a_semicolon_or_first_if_that_is_a_command() {
+        let node = "retry in 4 s: the node at http://h does not answer; start it, or correct chain.url";
+        let (what, advice) = advised(node).expect("advice");
+        assert_eq!(
+            (what, advice),
+            ("retry in 4 s: the node at http://h does not answer", "start it, or correct chain.url")
+        );
+        let clock =
+            advised("run `timedatectl set-ntp true`: this clock is 3 d behind the chain; wait").expect("advice");
+        assert_eq!(clock, ("this clock is 3 d behind the chain; wait", "run `timedatectl set-ntp true`"));
+        assert_eq!(advised("connecting to http://h"), None);
     }
 }

@@ -19,6 +19,8 @@ const PACE: Duration = Duration::from_millis(250);
 /// Pause before the same alert is repeated.
 const REPEAT: Duration = Duration::from_secs(30);
 const MOST_ALERTS: usize = 200;
+/// Of a notice, in characters.
+const LONGEST: usize = 600;
 
 const ACCOUNT: &str = "account";
 
@@ -28,7 +30,8 @@ pub struct Hub {
     events: broadcast::Sender<Event>,
     dirty: [AtomicBool; PARTS.len()],
     wake: Notify,
-    told: Mutex<HashMap<String, Instant>>,
+    /// When each text was sent last, and its subject.
+    told: Mutex<HashMap<String, (Instant, Option<String>)>>,
     /// Captures that wait for records.
     pub sessions: Arc<Sessions>,
     /// Rings when stored records wait to be anchored.
@@ -84,25 +87,30 @@ impl Hub {
 
     /// Sends a notice, unless the same text was sent within [`REPEAT`].
     pub fn notice(&self, level: NoticeLevel, text: &str) {
-        let text = clean(text, 400);
+        self.tell_once(level, text, None);
+    }
+
+    /// Sends a lasting notice: it replaces the previous one about the same; an informational one clears it.
+    pub fn notice_about(&self, about: &str, level: NoticeLevel, text: &str) {
+        if level == NoticeLevel::Info {
+            // What begins again is news.
+            let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
+            told.retain(|_, (_, other)| other.as_deref() != Some(about));
+        }
+        self.tell_once(level, text, Some(about.to_owned()));
+    }
+
+    fn tell_once(&self, level: NoticeLevel, text: &str, about: Option<String>) {
+        let text = clean(text, LONGEST);
         let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
-        if told.get(&text).is_some_and(|at| at.elapsed() < REPEAT) {
+        if told.get(&text).is_some_and(|(at, _)| at.elapsed() < REPEAT) {
             return;
         }
         if told.len() >= MOST_ALERTS {
             told.clear();
         }
-        told.insert(text.clone(), Instant::now());
+        told.insert(text.clone(), (Instant::now(), about.clone()));
         drop(told);
-        self.tell(level, text, None);
-    }
-
-    /// Sends a lasting notice: it replaces the previous one about the same; an informational one clears it.
-    pub fn notice_about(&self, about: &str, level: NoticeLevel, text: &str) {
-        self.tell(level, clean(text, 400), Some(about.to_owned()));
-    }
-
-    fn tell(&self, level: NoticeLevel, text: String, about: Option<String>) {
         // Having no listeners is not an error.
         drop(self.events.send(Event::Notice { at: Timestamp::now(), level, text, about }));
     }

@@ -6,8 +6,8 @@ use std::os::unix::fs::PermissionsExt;
 use authros::ros::EmbeddedMaster;
 use serde_json::Value;
 
-use super::{INCOMPLETE, damaged};
-use crate::support::{Authros, Home, Redis, free_port, list, skipped, text};
+use super::{INCOMPLETE, UNREACHABLE, damaged};
+use crate::support::{Anvil, Authros, Home, Redis, free_port, list, skipped, text, wait_until};
 
 fn examined(authros: &Authros, code: i32) -> Value {
     let found = authros.with(&["--json"]).run(&["doctor"]).expect_code(code).document();
@@ -48,9 +48,9 @@ fn the_doctor_looks_at_a_home_without_a_passphrase_and_names_what_is_wrong() {
     fs::set_permissions(&keyring, fs::Permissions::from_mode(0o600)).expect("closed");
 
     let nowhere = format!("http://127.0.0.1:{}", free_port());
-    let found = examined(&authros.with(&["--ros-master", &nowhere]), INCOMPLETE);
+    let found = examined(&authros.with(&["--ros-master", &nowhere]), UNREACHABLE);
     assert_eq!((status(&found, "ros"), status(&found, "chain")), ("fail".into(), "ok".into()), "{found}");
-    let found = examined(&authros.with(&["--chain", &nowhere]), INCOMPLETE);
+    let found = examined(&authros.with(&["--chain", &nowhere]), UNREACHABLE);
     assert_eq!(status(&found, "chain"), "fail", "{found}");
 
     let tear = |ledger: &rusqlite::Connection| {
@@ -69,8 +69,42 @@ fn the_doctor_looks_at_a_home_without_a_passphrase_and_names_what_is_wrong() {
 
     fs::rename(home.root().join("kept"), home.path().join("profiles/default/passphrase")).expect("moved back");
     let site = authros.serve(&home);
-    let found = examined(&authros, 0);
+    let found = wait_until(60, "all parts are up", || {
+        let found = authros.with(&["--json"]).run(&["doctor"]);
+        (found.code == Some(0)).then(|| found.document())
+    });
     assert_eq!(status(&found, "site"), "ok", "{found}");
+    site.stop("INT", 30).expect_code(0);
+}
+
+/// The site has another chain than the settings of the caller, and then none.
+#[test]
+fn the_doctor_tells_of_the_chain_that_the_running_site_has_and_ends_as_status_does() {
+    let Some(node) = Anvil::start(&[]) else { skipped!("no anvil") };
+    let home = Home::new();
+    let with_node = home.authros().with(&["--robots", "1", "--chain", &node.http()]);
+    with_node.enrol();
+    let site = with_node.serve(&home);
+    // The settings of this command line name no chain.
+    let bare = home.authros();
+    let found = wait_until(60, "all parts are up", || {
+        let found = bare.with(&["--json"]).run(&["doctor"]);
+        (found.code == Some(0)).then(|| found.document())
+    });
+    let of = |found: &Value, name: &str| list(found, "checks").into_iter().find(|check| check["name"] == name);
+    let sealers = of(&found, "sealers").expect("who seals");
+    assert!(text(&sealers, "detail").contains("a development node (anvil"), "{sealers}");
+    assert!(text(&of(&found, "site chain").expect("its chain"), "detail").contains(&node.http()), "{found}");
+    assert!(!found.to_string().contains("embedded AuthROS chain"), "{found}");
+    drop(node);
+    let (found, code) = wait_until(60, "the chain's absence is noticed", || {
+        let status = bare.run(&["status"]).code.filter(|code| *code != 0)?;
+        let found = bare.with(&["--json"]).run(&["doctor"]);
+        (found.code == Some(status)).then(|| (found.document(), status))
+    });
+    assert_eq!((code, &found["ok"]), (UNREACHABLE, &Value::from(false)), "{found}");
+    let chain = of(&found, "site chain").expect("its chain");
+    assert!(chain["status"] != "ok" && !text(&chain, "advice").is_empty(), "what to do: {chain}");
     site.stop("INT", 30).expect_code(0);
 }
 
@@ -82,7 +116,7 @@ fn host_names_that_lead_nowhere_are_told() {
     let good = examined(&authros, 0);
     assert_eq!((status(&good, "ros"), status(&good, "ros host")), ("ok".into(), "ok".into()), "{good}");
     for name in ["nowhere.invalid", "192.0.2.7"] {
-        let found = examined(&authros.with_variable("ROS_HOSTNAME", name), INCOMPLETE);
+        let found = examined(&authros.with_variable("ROS_HOSTNAME", name), UNREACHABLE);
         assert_eq!((status(&found, "ros"), status(&found, "ros host")), ("ok".into(), "fail".into()), "{found}");
         assert!(found.to_string().contains("ROS_HOSTNAME"), "{found}");
     }

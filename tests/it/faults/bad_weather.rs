@@ -261,7 +261,7 @@ impl Shifted {
     /// Ends the site; all is verified, and both jumps are in the audit log.
     fn end(self, observer: Conservation, told: &str) {
         let audit = self.authros.run(&["audit", "list"]).stdout;
-        assert!(audit.contains("s ahead") && audit.contains("s back"), "both jumps are in the audit log: {audit}");
+        assert!(audit.contains(" ahead") && audit.contains(" back"), "both jumps are in the audit log: {audit}");
         let captured = settle(&self.authros, 1, observer, 120);
         println!("{told}: all {captured} verified");
         self.site.stop("TERM", 30).expect_code(0);

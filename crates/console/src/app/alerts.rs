@@ -1,11 +1,12 @@
 //! What an operator should look at: since when, how often, what ended recently; and short messages.
 
 use std::collections::VecDeque;
+use std::time::Duration;
 
 use super::leaving::not_captured;
 use super::screens::{is_active, is_given};
 use super::{State, policies};
-use crate::model::{Address, Timestamp};
+use crate::model::{Address, Timestamp, coarse};
 use crate::service::NoticeLevel;
 use crate::service::reply::{AlertView, GrantRow, HealthLevel, LifeLine, PartHealth, Severity, SiteView};
 
@@ -113,6 +114,10 @@ fn standing(state: &State) -> Vec<Alert> {
             life(&site.life).into_iter().map(|(count, level, what)| alert(what, level, format!("{count} {what}"))),
         );
         found.extend(judged(state, site));
+        found.extend(state.grants.rows.iter().filter_map(|row| {
+            let text = expiring(row, site, state.now)?;
+            Some(alert(&format!("grant {} {}", row.grantee, row.epoch), NoticeLevel::Info, text))
+        }));
     }
     if let Some((since, text)) = policies::drift(state) {
         found.push(Alert { since, lasts: true, ..alert("robots out of date", NoticeLevel::Warning, text) });
@@ -120,10 +125,6 @@ fn standing(state: &State) -> Vec<Alert> {
     if let Some((about, text)) = identity(state) {
         found.push(alert(about, NoticeLevel::Warning, text));
     }
-    found.extend(state.grants.rows.iter().filter_map(|row| {
-        let text = expiring(row, state.now)?;
-        Some(alert(&format!("grant {} {}", row.grantee, row.epoch), NoticeLevel::Info, text))
-    }));
     for line in state.log.urgent(MOST_NOTICES) {
         // The same text repeated is one alert, active since the first time.
         match found.iter_mut().find(|alert| alert.about == line.text) {
@@ -156,13 +157,13 @@ fn is_told_otherwise(key: &str, state: &State, site: &SiteView) -> bool {
     let (rule, subject) = key.split_once('/').unwrap_or((key, ""));
     match rule {
         "chain" | "store" => true,
+        // Nothing is anchored without a chain: one cause, one alert.
+        "unanchored" | "audit" => site.health.iter().any(|part| part.part == "chain" && health(part).is_some()),
         "tampered" | "quarantine" => own.is_some_and(|own| begins(own).eq_ignore_ascii_case(subject)),
         "gap" => site.life.lost_in_transport > 0 || site.life.dropped > site.life.discarded,
-        "grant_ends" => own.is_some_and(|own| {
-            let ending = state.grants.rows.iter().filter(|row| expiring(row, state.now).is_some());
-            let mut subjects = ending.map(|row| format!("{}-{}", begins(own), begins(row.grantee)));
-            subjects.any(|other| other.eq_ignore_ascii_case(subject))
-        }),
+        GRANT_ENDS => {
+            state.grants.rows.iter().any(|row| ends(row, subject) && expiring(row, site, state.now).is_some())
+        }
         // Including rules of a later version.
         _ => false,
     }
@@ -185,18 +186,23 @@ fn identity(state: &State) -> Option<(&'static str, String)> {
     (!identity.registered).then(|| ("not registered", "not registered on this chain: 6, then R registers".to_owned()))
 }
 
-/// A grant given that ends within three days.
-fn expiring(row: &GrantRow, now: Timestamp) -> Option<String> {
-    const SOON: u64 = 3 * 86_400 * 1_000_000_000;
-    let ends = row.expires.filter(|_| is_given(row) && is_active(row))?;
-    let left = ends.0.checked_sub(now.0).filter(|left| *left < SOON)? / 1_000_000_000;
-    let who = row.name.clone().unwrap_or_else(|| row.grantee.short());
-    let when = match left {
-        0..3_600 => format!("{} min", left / 60),
-        3_600..86_400 => format!("{} h", left / 3_600),
-        _ => format!("{} d", left / 86_400),
+/// The site's rule, whose text names accounts by eight digits only.
+const GRANT_ENDS: &str = "grant_ends";
+
+/// Whether a subject of that rule is this grant.
+fn ends(row: &GrantRow, subject: &str) -> bool {
+    format!("{}-{}", begins(row.owner), begins(row.grantee)).eq_ignore_ascii_case(subject)
+}
+
+/// A grant given whose end is near, by the site's rule.
+fn expiring(row: &GrantRow, site: &SiteView, now: Timestamp) -> Option<String> {
+    let until = row.expires.filter(|_| is_given(row) && is_active(row))?;
+    let is_near = |alert: &AlertView| {
+        alert.key.strip_prefix(GRANT_ENDS).is_some_and(|rest| ends(row, rest.trim_start_matches('/')))
     };
-    Some(format!("the grant to {who} ends in {when}: a new epoch begins then (5)"))
+    let left = Duration::from_nanos(until.0.checked_sub(now.0).filter(|_| site.alerts.iter().any(is_near))?);
+    let who = row.name.clone().unwrap_or_else(|| row.grantee.short());
+    Some(format!("5, then e extends: the grant to {who} ends in {}, and a new epoch begins then", coarse(left)))
 }
 
 fn health(part: &PartHealth) -> Option<(NoticeLevel, String)> {
@@ -255,6 +261,12 @@ impl Toasts {
 
     pub fn supersede(&mut self, about: &str) {
         self.0.retain(|toast| toast.about.as_deref() != Some(about));
+    }
+
+    /// A part that is well again needs no message that it is not.
+    pub fn end(&mut self, health: &[PartHealth]) {
+        let is_well = |about: &str| health.iter().any(|part| part.part == about && self::health(part).is_none());
+        self.0.retain(|toast| toast.until.is_some() || !toast.about.as_deref().is_some_and(is_well));
     }
 
     /// The newest result of a command, or else the newest unseen one of the worst level.

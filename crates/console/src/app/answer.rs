@@ -148,6 +148,7 @@ fn take(state: &mut State, feed: Feed, result: Answer) -> Result<(), Failure> {
             let site = ask::SiteStatus::heard(result)?;
             state.rates.observe(&site.life, state.now);
             state.history.observe(&site, state.now);
+            state.toasts.end(&site.health);
             (state.site, state.site_at) = (Some(site), state.now);
         }
         Feed::Identity => {

@@ -54,6 +54,7 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
         Verb::BackUp | Verb::Incident | Verb::Incidents => identity(state).map(drop),
         Verb::Lock => once(state, &Tag::Lock, !identity(state)?.unlocked, "already locked"),
         Verb::CopyCommand => given(state.last_act.is_some(), "nothing was done yet"),
+        Verb::Alerts => given(!state.alerts.shown().is_empty(), "no alerts"),
         Verb::Undo => given(state.undo.is_some(), "nothing to undo"),
         Verb::Administer(act) => administer(state, act),
         Verb::Copy | Verb::WriteFile => given(copyable(state), "nothing to copy"),
@@ -72,7 +73,7 @@ fn is_bound(verb: Verb) -> bool {
     use Verb::{Open, Period, Pin, Play, Publishers, Read, Readers, Release, Revoke, Source, Unpin, Watch};
     let of_rows = matches!(verb, Mark | MarkAll | Watch | Details | Open | Check | Export | Readers | Browse | Play);
     let of_topics = matches!(verb, Publishers | Pin | Unpin | Release | Discard | Fold | FoldAll | Columns);
-    of_rows || of_topics || matches!(verb, Inspect | Period | Level | Source | Read | Revoke | Extend)
+    of_rows || of_topics || matches!(verb, Verb::Alerts | Inspect | Period | Level | Source | Read | Revoke | Extend)
 }
 
 fn given(condition: bool, reason: &'static str) -> Result<(), &'static str> {

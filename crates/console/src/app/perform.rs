@@ -62,11 +62,9 @@ pub fn perform(state: &mut State, verb: Verb) {
         Verb::Level => state.log.next_level(),
         Verb::Source => state.log.next_source(),
         Verb::Read => state.popups.extend(state.log.selected().cloned().map(Popup::Line)),
-        Verb::Tasks => {
-            state.feeds.slot_mut(Feed::Progress).stale = true;
-            state.popups.push(Popup::Tasks);
-        }
+        Verb::Tasks => tasks(state),
         Verb::Readers => readers(state),
+        Verb::Alerts => state.popups.push(Popup::Alerts(0)),
         Verb::Contacts => granting::open_contacts(state),
         Verb::SetPolicy => policies::begin(state),
         Verb::Incident => incidents::begin(state),
@@ -113,6 +111,11 @@ pub(super) fn go(state: &mut State, screen: Screen) {
         screen.feeds().iter().for_each(|feed| state.feeds.look(*feed));
     }
     state.screen = screen;
+}
+
+fn tasks(state: &mut State) {
+    state.feeds.slot_mut(Feed::Progress).stale = true;
+    state.popups.push(Popup::Tasks);
 }
 
 fn freeze(state: &mut State) {

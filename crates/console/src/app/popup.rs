@@ -38,6 +38,8 @@ pub enum Popup {
     /// Who can read these topics now; empty = all.
     Readers(Vec<String>),
     Tasks,
+    /// In full; the first line shown.
+    Alerts(usize),
     /// The keyring to unlock is open already.
     Unlocked,
     Line(LogLine),
@@ -286,6 +288,7 @@ pub fn hints(state: &State, popup: &Popup) -> Vec<(&'static str, &'static str)> 
         Popup::Robot(_) => policies::hints(state),
         Popup::Publishers(_) => vec![("up down", "scroll"), ("p", "pin"), ("P", "unpin"), ("q", "close")],
         Popup::Tasks | Popup::Readers(_) => vec![("q", "close")],
+        Popup::Alerts(_) => vec![("up down", "scroll"), ("q", "close")],
         Popup::Unlocked => vec![("enter", "close"), ("esc", "close")],
         Popup::Line(_) => vec![("y", "copy"), ("q", "close")],
         Popup::Provenance(_) => vec![("n p", "next/prev"), ("up down", "scroll"), ("q", "close")],
@@ -344,6 +347,12 @@ pub fn popup_key(state: &mut State, key: Key) {
         Popup::Robot(lookup) => policies::key(state, lookup, key),
         Popup::Tasks | Popup::Readers(_) if matches!(key, Key::Char('q' | 't' | 'i')) => {}
         Popup::Line(_) if key == Key::Char('q') => {}
+        Popup::Alerts(_) if key == Key::Enter => {}
+        Popup::Alerts(scroll) => {
+            let most = state.alerts.shown().len() * 8;
+            let scroll = scrolled(scroll, key, state.page_rows()).map(|scroll| scroll.min(most));
+            state.popups.extend(scroll.map(Popup::Alerts));
+        }
         Popup::Tasks | Popup::Readers(_) | Popup::Line(_) | Popup::Unlocked
             if matches!(key, Key::Escape | Key::Enter) => {}
         Popup::Tasks | Popup::Readers(_) | Popup::Unlocked => state.popups.push(popup),

@@ -63,6 +63,7 @@ pub enum Verb {
     BackUp,
     Lock,
     Tasks,
+    Alerts,
     Undo,
     LocalTime,
     Administer(Act),
@@ -182,6 +183,8 @@ pub static VERBS: &[Entry] = &[
     act(Verb::Revoke, "revoke", "revoke", &["x"], "Stop sharing: the next record is encrypted under a new key")
         .on(&[Grants]),
     entry(Verb::Contacts, "contacts", "contacts", &["c"], "Address book: names for accounts").on(&[Grants]),
+    entry(Verb::Alerts, "alerts", "alerts", &["enter"], "Every alert in full, with what to do about it")
+        .on(&[Overview]),
     entry(Verb::Period, "minutes", "minutes", &["m"], "Graphs over 1, 15 or 60 minutes").on(&[Overview]),
     entry(Verb::Fold, "fold", "fold", &["h"], "Fold the robot's topics into one row, or unfold them").on(&[Topics]),
     entry(Verb::FoldAll, "fold-all", "", &["H"], "Fold all robots, or unfold all").on(&[Topics]),

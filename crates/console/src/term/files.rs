@@ -21,6 +21,9 @@ const TRIES: u32 = 1_000;
 
 /// Writes into a new `directory` if one is named; returns the place, or a sentence for the operator.
 pub fn write_all(base: &Path, directory: Option<&str>, files: &[Contents]) -> Result<String, String> {
+    // What the operator named is made, for the operator alone.
+    let made = DirBuilder::new().recursive(true).mode(0o700).create(base);
+    made.map_err(|error| cannot(base, &error))?;
     let place = match directory {
         Some(name) => fresh(&base.join(file_name(name)), |path| DirBuilder::new().mode(0o700).create(path))?.0,
         None => base.to_owned(),
@@ -163,6 +166,18 @@ mod tests {
         assert_eq!(std::fs::read(&first).expect("read"), b"1");
         let mode = std::fs::metadata(&second).expect("metadata").permissions().mode();
         assert_eq!(mode & 0o777, 0o600);
+    }
+
+    #[test]
+    fn a_folder_that_does_not_exist_is_made_for_the_operator_alone() {
+        let base = tempfile::tempdir().expect("a directory");
+        let folder = base.path().join("new/inner");
+        let written = write_all(&folder, None, &[file("a.jpg", b"1")]).expect("written");
+        assert!(Path::new(&written).starts_with(&folder), "{written}");
+        let mode = std::fs::metadata(&folder).expect("metadata").permissions().mode();
+        assert_eq!(mode & 0o777, 0o700);
+        let error = write_all(Path::new(&written), None, &[file("b.jpg", b"1")]).expect_err("a file is no folder");
+        assert!(error.contains("choose a directory you can write to"), "{error}");
     }
 
     #[test]

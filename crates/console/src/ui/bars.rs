@@ -245,7 +245,8 @@ fn entries(state: &State) -> impl Iterator<Item = &'static Entry> + use<'_> {
         !entry.label.is_empty() && keys && !hidden && !TAIL_NAMES.contains(&entry.name)
     };
     // Verbs that work everywhere or are done once show only when available.
-    let rare = |verb| matches!(verb, Verb::CreateIdentity | Verb::Register | Verb::Inspect | Verb::SetPolicy);
+    let rare =
+        |verb| matches!(verb, Verb::CreateIdentity | Verb::Register | Verb::Alerts | Verb::Inspect | Verb::SetPolicy);
     let once = move |entry: &Entry| entry.on.is_empty() || rare(entry.verb);
     let named = move |entry: &&Entry| !once(entry) || available(state, entry.verb).is_ok();
     VERBS.iter().filter(shown).filter(named)

@@ -11,7 +11,7 @@ use crate::app::screens::topics::SAMPLES;
 use crate::app::screens::{LogLine, Records, Source, Wanted, day, is_active, is_given, key, other_side, scope, soon};
 use crate::app::update::Feed;
 use crate::app::{Screen, State};
-use crate::model::{Address, RecordKind, RecordState, Timestamp};
+use crate::model::{Address, RecordKind, RecordState, Timestamp, clean};
 use crate::pipeline::sender::LaneState;
 use crate::service::NoticeLevel;
 use crate::service::reply::{
@@ -25,7 +25,14 @@ pub fn draw_chain(canvas: &mut Canvas, area: Rect, state: &State) {
     let area = below(area, 1);
     match &state.chain {
         Some(chain) => draw_known(canvas, area, state, chain),
-        None => drop(canvas.put(area, empty(state, Feed::Chain, "Asking…"), Role::Dim)),
+        None => put_whole(canvas, area, empty(state, Feed::Chain, "Asking…"), Role::Dim),
+    }
+}
+
+/// In as many lines as there are: what to do must not be cut.
+fn put_whole(canvas: &mut Canvas, area: Rect, text: &str, role: Role) {
+    for (place, line) in (0..area.height).zip(super::wrap(&clean(text, 1_000), area.width)) {
+        canvas.put(row(area, place), &line, role);
     }
 }
 
@@ -52,7 +59,7 @@ fn draw_known(canvas: &mut Canvas, area: Rect, state: &State, chain: &ChainView)
     let told = draw_facts(canvas, below(area, taken), &decisions(&chain.administration));
     let lanes = told + draw_lanes(canvas, below(area, taken + told), &chain.lanes);
     if let Some(failure) = &state.feeds.slot(Feed::Chain).failure {
-        canvas.put(row(area, taken + 1 + lanes), &failure.message, Role::Bad);
+        put_whole(canvas, below(area, taken + 1 + lanes), &failure.message, Role::Bad);
     }
 }
 

@@ -2,7 +2,7 @@
 
 use ratatui::layout::Rect;
 
-use super::canvas::{Canvas, below, right_of, row};
+use super::canvas::{Canvas, below, columns, right_of, row, rows};
 use super::graph::{Graph, SIDE, Scale};
 use super::table::{Column, draw_plain};
 use super::theme::Role;
@@ -128,22 +128,29 @@ fn draw_law(canvas: &mut Canvas, area: Rect, life: &LifeLine) {
         let plus = if place == 0 { "" } else { " + " };
         rest = canvas.puts(rest, &[(plus, Role::Dim), (&words::count(count), role), (" ", role), (name, Role::Dim)]);
     }
-    if life.right_ended + life.quarantined + life.dropped + life.tampered == 0 {
-        canvas.put(rest, "; none held, dropped or tampered", Role::Dim);
+    let nothing_else = "; none held, dropped or tampered";
+    let is_all = life.right_ended + life.quarantined + life.dropped + life.tampered == 0;
+    // Whole or not at all.
+    if is_all && columns(nothing_else) <= rest.width {
+        canvas.put(rest, nothing_else, Role::Dim);
     }
 }
 
 fn draw_alerts(canvas: &mut Canvas, area: Rect, state: &State, most: usize) -> Rect {
     let found = state.alerts.shown();
     let shown = found.len().min(most);
-    for (line, alert) in (0u16..).zip(found.iter().take(shown)) {
-        draw_alert(canvas, row(area, line), state, alert);
+    // The worst one has the rows that the others leave: its remedy must be readable.
+    let of_worst = u16::try_from(most - shown.saturating_sub(1)).unwrap_or(1);
+    let mut taken = 0;
+    for (place, alert) in found.iter().take(shown).enumerate() {
+        taken += draw_alert(canvas, below(area, taken), state, alert, if place == 0 { of_worst } else { 1 });
     }
     let gap = u16::from(most > 1 && shown > 0);
-    below(area, u16::try_from(shown).unwrap_or(0) + gap)
+    below(area, taken + gap)
 }
 
-fn draw_alert(canvas: &mut Canvas, area: Rect, state: &State, alert: &Alert) {
+/// Returns the rows taken, at most `most`; `enter` shows what is cut.
+fn draw_alert(canvas: &mut Canvas, area: Rect, state: &State, alert: &Alert, most: u16) -> u16 {
     let often = if alert.count > 1 { format!(", {} times", alert.count) } else { String::new() };
     let since = if area.width < SAID_FROM { "" } else { "since " };
     let (when, mark, role) = match alert.resolved {
@@ -156,7 +163,22 @@ fn draw_alert(canvas: &mut Canvas, area: Rect, state: &State, alert: &Alert) {
     let taken = canvas.put_right(area, &format!(" {when}"), Role::Dim);
     let area = Rect { width: area.width.saturating_sub(taken), ..area };
     let text = if alert.resolved.is_some() { Role::Dim } else { role };
-    canvas.puts(area, &[(mark, role), (&alert.text, text)]);
+    let lines = wrapped(&alert.text, area.width.saturating_sub(columns(mark)), most);
+    for (place, line) in (0u16..).zip(&lines) {
+        canvas.puts(row(area, place), &[(if place == 0 { mark } else { "  " }, role), (line, text)]);
+    }
+    rows(lines.len())
+}
+
+/// The last of at most `most` lines has the rest, which is cut where it is drawn.
+fn wrapped(text: &str, width: u16, most: u16) -> Vec<String> {
+    let mut lines = super::wrap(&clean(text, 1_000), width);
+    let last = usize::from(most).saturating_sub(1);
+    if lines.len() > last {
+        let rest = lines.split_off(last).join(" ");
+        lines.push(rest);
+    }
+    lines
 }
 
 fn draw_busiest(canvas: &mut Canvas, area: Rect, state: &State) {

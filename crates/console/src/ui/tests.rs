@@ -9,6 +9,7 @@ use ratatui::backend::TestBackend;
 
 use super::{Theme, draw};
 use crate::app::tests::{Robot, fixtures};
+use crate::app::update::Feed;
 use crate::app::{Action, Key, Screen, Settings, State, Tag};
 use crate::model::ErrorKind;
 use crate::service::reply::{HealthLevel, LifeLine, PartHealth, SiteView};
@@ -79,6 +80,32 @@ fn situations(add: &mut Situations<'_>) {
         robot.types("0x5aAeb6053F3E94C9b9A09f33669435E7Ef1BeAed");
         robot.presses(Key::Enter);
     });
+}
+
+/// The remedy is readable where the trouble is shown, and enter shows all of it.
+#[test]
+fn what_to_do_about_a_lost_chain_is_not_cut_at_80_columns() {
+    let remedy = "authros --home NEW uploads import OLD";
+    let text = format!(
+        "start the pinned chain, or `{remedy}` (seals all messages in a new home): the chain at http://127.0.0.1:27545 is \
+         another one, its genesis block is 0x2a8339d8473486956bee9f…, not 0x3b8339d8473486956bee9f…; anchoring has stopped, \
+         nothing is lost"
+    );
+    let mut robot = at(Screen::Overview, (80, 24));
+    let mut site = fixtures::site();
+    let chain = site.health.iter_mut().find(|part| part.part == "chain").expect("a chain");
+    (chain.level, chain.text) = (HealthLevel::Failed, text);
+    robot.hears_of(Part::Health);
+    robot.is_answered(&Tag::Feed(Feed::Site, 0), Ok(Reply::Site(site)));
+    let overview = shown(&robot.state, &night());
+    let health = overview.lines().find(|line| line.starts_with("chain")).expect("a row");
+    assert!(health.contains(remedy), "{overview}");
+    robot.presses(Key::Enter);
+    let popup = shown(&robot.state, &night());
+    let inside = |line: &str| Some(line.split_once('│')?.1.rsplit_once('│')?.0.to_owned());
+    let lines: Vec<String> = popup.lines().filter_map(inside).collect();
+    let words = lines.join(" ").split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(words.contains(remedy) && words.contains("nothing is lost"), "{popup}");
 }
 
 #[test]
@@ -262,7 +289,7 @@ fn in_trouble() -> Robot {
     site.health[1].text = "retry in 4 s".to_owned();
     site.health[2].level = HealthLevel::Failed;
     site.health[2].text = "the disk of /srv/authros is full; free some space".to_owned();
-    robot.is_answered(&Tag::Feed(crate::app::update::Feed::Site, 0), Ok(Reply::Site(site)));
+    robot.is_answered(&Tag::Feed(Feed::Site, 0), Ok(Reply::Site(site)));
     let text = "chain: http://127.0.0.1:8545 does not answer, so nothing is anchored there; start the node again \
                 and the chain goes on by itself, nothing sealed is lost meanwhile";
     let notice = Event::Notice { at: fixtures::NOW, level: NoticeLevel::Error, text: text.to_owned(), about: None };
@@ -278,7 +305,7 @@ fn kept_proofs_are_in_the_first_line_when_they_are_not_well() {
             PartHealth { part: "proofs".to_owned(), level, text: "none kept yet".to_owned(), ..site.health[0].clone() };
         site.health.push(proofs);
         robot.hears_of(Part::Health);
-        robot.is_answered(&Tag::Feed(crate::app::update::Feed::Site, 0), Ok(Reply::Site(site)));
+        robot.is_answered(&Tag::Feed(Feed::Site, 0), Ok(Reply::Site(site)));
         let text = shown(&robot.state, &night());
         assert_eq!(text.lines().next().is_some_and(|line| line.contains("proofs")), is_told, "{text}");
     }
@@ -288,7 +315,7 @@ fn kept_proofs_are_in_the_first_line_when_they_are_not_well() {
 fn a_failed_list_says_why_in_its_place() {
     let mut robot = Robot::at_work(true);
     robot.types("7");
-    let tag = Tag::Feed(crate::app::update::Feed::Chain, 0);
+    let tag = Tag::Feed(Feed::Chain, 0);
     robot.is_answered(&tag, Err(fixtures::failure(ErrorKind::Unreachable, "http://127.0.0.1:8545 does not answer")));
     assert!(shown(&robot.state, &night()).contains("127.0.0.1:8545 does not answer"));
 }

@@ -90,6 +90,8 @@ pub enum Answer {
     Records(Vec<Found>),
     /// Code (2).
     Refused(Code),
+    /// Code 28 (2), and when (8).
+    Recalled(Timestamp),
 }
 
 impl Answer {
@@ -102,7 +104,7 @@ impl Answer {
             Self::Erasures(_) => Command::Erase,
             Self::Feed(_) => Command::Feed,
             Self::Records(_) => Command::Records,
-            Self::Refused(_) => Command::Refuse,
+            Self::Refused(_) | Self::Recalled(_) => Command::Refuse,
         }
     }
 
@@ -121,6 +123,7 @@ impl Answer {
             Self::Feed(page) => page.encode(),
             Self::Records(found) => list(found, MOST_DIGESTS),
             Self::Refused(code) => code.encoded(),
+            Self::Recalled(at) => (Code::Recalled, *at).encoded(),
         }
     }
 
@@ -146,7 +149,10 @@ impl Answer {
             }
             Command::Ping => Self::Time(Timestamp::read(&mut reader, "time")?),
             Command::Relay => Self::Relayed(Relayed::read(&mut reader)?),
-            Command::Refuse => Self::Refused(Code::read(&mut reader, "code")?),
+            Command::Refuse => match Code::read(&mut reader, "code")? {
+                Code::Recalled => Self::Recalled(Timestamp::read(&mut reader, "time")?),
+                code => Self::Refused(code),
+            },
         };
         reader.end()?;
         Ok(answer)

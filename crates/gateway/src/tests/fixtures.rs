@@ -223,5 +223,6 @@ pub(crate) fn sample_answers() -> Vec<Answer> {
         ]),
         Answer::Erasures(vec![ErasureOutcome::Taken, ErasureOutcome::Left, ErasureOutcome::Refused]),
         Answer::Refused(Code::Token),
+        Answer::Recalled(Timestamp(7)),
     ]
 }

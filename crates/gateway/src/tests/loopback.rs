@@ -113,6 +113,28 @@ async fn wrong_keys_unknown_names_and_tokens_are_refused_alike() {
 }
 
 #[tokio::test]
+async fn a_recalled_device_hears_when_it_was_recalled_and_who_lacks_its_key_hears_nothing() {
+    let stage = Stage::new().await;
+    let (alice, device) = (alice(), pair(0x66));
+    let credentials = stage.enrol(&alice).await;
+    let mut client = stage.connect(&credentials).await.expect("connects");
+    stage.desk.lend(&alice, &device);
+    client.device(&alice.signing, notice_of(&device)).await.expect("noted");
+    stage.desk.recall(&alice, &device);
+    let recalled = stage.connect(&credentials).await.err().expect("recalled");
+    assert!(recalled.to_string().contains("recalled it at 2023-11-14T22:13:20Z"), "{recalled}");
+    assert_eq!(recalled.kind(), crate::model::ErrorKind::Refused);
+    let wrong = Credentials { key: crate::crypto::TransportKey::new([1; 32]), ..credentials.clone() };
+    assert_eq!(stage.code(&wrong).await, Some(Code::Tag), "names cannot be probed");
+    assert_eq!(stage.desk.state().refusals, [Code::Recalled, Code::Tag]);
+    // The name is free again, also for another account.
+    let other = Member { name: credentials.name.clone(), ..bob() };
+    let fresh = stage.enrol(&other).await;
+    stage.connect(&fresh).await.expect("it has the name now");
+    assert_eq!(stage.code(&credentials).await, Some(Code::Tag));
+}
+
+#[tokio::test]
 async fn records_of_others_and_of_recalled_devices_are_refused() {
     let stage = Stage::new().await;
     let (alice, bob) = (alice(), bob());

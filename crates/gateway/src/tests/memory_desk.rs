@@ -21,6 +21,9 @@ use authros_model::{
     Address, Digest, Fact, Hash, Header, ProfileName, PublicKey, RecordKind, SignerId, Timestamp, Token,
 };
 
+/// When a device was recalled.
+const RECALLED: Timestamp = Timestamp(1_700_000_000_000_000_000);
+
 #[derive(Default)]
 #[allow(clippy::struct_excessive_bools, reason = "each is one thing that a test may set")]
 pub(crate) struct State {
@@ -88,13 +91,17 @@ impl MemoryDesk {
     }
 
     pub fn lend(&self, member: &Member, device: &SmKeyPair) {
-        self.state().lent.insert((member.account(), signer_id(&device.public)));
+        let mut state = self.state();
+        state.lent.insert((member.account(), signer_id(&device.public)));
+        state.bound(member, device).for_each(|bound| bound.recalled = None);
     }
 
     pub fn recall(&self, member: &Member, device: &SmKeyPair) {
+        let mut state = self.state();
+        state.bound(member, device).for_each(|bound| bound.recalled = Some(RECALLED));
         let device = (member.account(), signer_id(&device.public));
-        self.state().lent.remove(&device);
-        self.state().signers.remove(&device);
+        state.lent.remove(&device);
+        state.signers.remove(&device);
     }
 
     pub fn record_count(&self) -> usize {
@@ -103,6 +110,13 @@ impl MemoryDesk {
 }
 
 impl State {
+    /// Names of this device.
+    fn bound(&mut self, member: &Member, device: &SmKeyPair) -> impl Iterator<Item = &mut BoundDevice> {
+        let (account, id) = (member.account(), signer_id(&device.public));
+        let of_account = self.bindings.values_mut().filter(move |binding| binding.account == account);
+        of_account.filter_map(|binding| binding.device.as_mut()).filter(move |bound| bound.id == id)
+    }
+
     fn may_read(&self, reader: &Address, owner: &Address) -> Result<(), Refusal> {
         if reader == owner || self.readers.contains(&(*owner, *reader)) {
             return Ok(());
@@ -176,7 +190,7 @@ impl Desk for MemoryDesk {
             return Err(Refusal::new(Code::Token, "an unknown token"));
         }
         let dismissed = self.state().dismissed.contains(account);
-        if dismissed { Err(Refusal::new(Code::NotAuthorised, "not admitted")) } else { Ok(()) }
+        if dismissed { Err(Refusal::new(Code::NotAdmitted, "not admitted")) } else { Ok(()) }
     }
 
     async fn signer(&self, owner: &Address, signer: &SignerId) -> Result<Option<PublicKey>, Refusal> {
@@ -287,7 +301,7 @@ impl Desk for MemoryDesk {
                 }
                 state.signers.insert(device, notice.key);
                 if let Some(binding) = state.bindings.get_mut(&caller.name) {
-                    binding.device = Some(BoundDevice { id: device.1, notices: notice.notices });
+                    binding.device = Some(BoundDevice { id: device.1, notices: notice.notices, recalled: None });
                 }
             }
         }

@@ -77,8 +77,11 @@ impl<'a> Line<'a> {
     }
 
     fn tell(&self, error: &ForwardError) {
-        let link = error.link();
+        let link = error.link(self.proofs.owner);
         let (urgent, text) = match &link {
+            Link::Refused(text) if matches!(error, ForwardError::Gateway(GatewayError::Recalled(_))) => {
+                (true, text.clone())
+            }
             Link::Refused(text) => (
                 true,
                 format!(

@@ -290,7 +290,14 @@ async fn a_recalled_device_is_refused_and_its_records_wait() {
     scene.capture(4, 100);
     scene.until("refused", |_| matches!(*work.link.borrow_and_update(), Link::Refused(_))).await;
     assert_eq!((scene.at_gateway(), scene.counts().data_in(RecordState::Stored)), (3, 4));
-    assert!(scene.notes.with("the owner must enrol it again") > 0);
+    let told = format!("{} recalled this robot at 2023-11-14T22:13:20Z", scene.alice.account());
+    scene
+        .until(
+            "told by whom and when",
+            |_| matches!(&*work.link.borrow(), Link::Refused(text) if text.starts_with(&told)),
+        )
+        .await;
+    scene.until("noted", |scene| scene.notes.with(&told) > 0).await;
     scene.stage.desk.lend(&scene.alice, &scene.device);
     let mut owner = scene.stage.connect(&scene.credentials).await.expect("connects");
     owner.device(&scene.alice.signing, notice_of(&scene.device)).await.expect("told again");
@@ -323,7 +330,7 @@ fn what_was_said_in_clear_is_about_no_record() {
     for code in Code::ALL {
         let said = GatewayError::RefusedInClear(*code);
         assert!(!is_about_a_record(&said), "{code:?}");
-        assert!(matches!(ForwardError::from(said).link(), Link::Away(_)), "{code:?}");
+        assert!(matches!(ForwardError::from(said).link(Address([8; 20])), Link::Away(_)), "{code:?}");
     }
     assert!(is_about_a_record(&GatewayError::Refused(Code::Malformed)));
 }

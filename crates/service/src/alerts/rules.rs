@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use crate::config::AlertLimits;
-use crate::model::Timestamp;
+use crate::model::{Timestamp, coarse};
 use crate::service::figures::{Figures, GrantFigures, OwnerFigures, RobotFigures};
 use crate::service::reply::{AlertView, HealthLevel, Severity};
 
@@ -15,6 +15,8 @@ const AWAY: Duration = Duration::from_secs(86_400);
 const LOSING: Duration = Duration::from_secs(300);
 
 const GRANT: &str = "grant_ends";
+/// A grant of which less than this part is left ends soon: no alarm the moment a short one is made.
+const PART: u32 = 10;
 
 pub const RULES: [&str; 12] = [
     "audit",
@@ -82,16 +84,16 @@ impl Judge {
         let settled = passed(figures.now, since) >= SETTLING;
         let mut judged = self.robots(figures, settled);
         for owner in &figures.owners {
-            judged.extend(self.unanchored(figures, owner, settled));
+            judged.extend(self.unanchored(figures, owner, settled).map(|judged| caused(figures, judged)));
             judged.extend(records(owner));
         }
         judged.extend(self.disk(figures));
         judged.push(self.gap(figures));
         judged.extend(self.clock(figures));
         judged.extend(self.ending_grants(figures));
-        judged.extend(self.audit(figures, settled));
-        let text = "The chain is unreachable or a transaction lane is stuck: anchoring is paused, records are safe. \
-                    See `authros status`.";
+        judged.extend(self.audit(figures, settled).map(|judged| caused(figures, judged)));
+        let text = "The chain is unreachable or a transaction lane is stuck: nothing is being anchored, nothing is \
+                    lost. See `authros status`.";
         judged.extend(part(figures, "chain", text));
         let text = "The store does not accept records; captured messages wait in memory. See `authros status`.";
         judged.extend(part(figures, "store", text));
@@ -104,7 +106,7 @@ impl Judge {
         let silent = figures.robots.iter().map(|robot| (robot, passed(figures.now, robot.last_seen)));
         let present = silent.filter(|(_, silent)| *silent < AWAY);
         let judge = |(RobotFigures { robot, .. }, silent): (&RobotFigures, Duration)| {
-            let silence = words(silent);
+            let silence = coarse(silent);
             let text = format!(
                 "Nothing received from robot {robot} for {silence}; check its agent, its network and its clock."
             );
@@ -117,7 +119,7 @@ impl Judge {
     fn unanchored(&self, figures: &Figures, owner: &OwnerFigures, settled: bool) -> Option<Judged> {
         let limit = self.limits.unanchored?;
         let waited = owner.oldest_unanchored.map_or(Duration::ZERO, |oldest| passed(figures.now, oldest));
-        let (account, waiting) = (&owner.owner, words(waited));
+        let (account, waiting) = (&owner.owner, coarse(waited));
         let text = format!(
             "The oldest record of account {account} has been waiting {waiting} for a block; records are safe. See \
              `authros chain status`."
@@ -166,9 +168,9 @@ impl Judge {
         let limit = self.limits.clock?.as_secs();
         let seconds = figures.clock_ahead.unsigned_abs();
         let way = if figures.clock_ahead < 0 { "behind" } else { "ahead of" };
+        let away = coarse(Duration::from_secs(seconds));
         let text = format!(
-            "This machine's clock is {seconds} s {way} the time used for grants and device authorisations; check its \
-             time service."
+            "Run `timedatectl set-ntp true`: this machine's clock is {away} {way} the time used for grants and device authorisations."
         );
         Some(Judged::new("clock", Severity::Warning, over(seconds.into(), limit.into()), text))
     }
@@ -181,10 +183,11 @@ impl Judge {
         let left = |grant: &GrantFigures| passed(grant.ends, figures.now);
         let going = self.grants.iter().flatten().filter(|grant| grant.ends > figures.now);
         let judge = |grant: &GrantFigures| {
-            let GrantFigures { owner, reader, given, ends } = grant;
+            let GrantFigures { owner, reader, given, begun, ends } = grant;
+            let soon = begun.map_or(limit, |begun| limit.min(passed(*ends, begun) / PART));
             let how = if *given { "`authros grants extend` extends it" } else { "only its owner can extend it" };
             let text = format!("The grant of account {owner} to {reader} ends at {ends}; {how}.");
-            let level = firing(left(grant) <= limit);
+            let level = firing(left(grant) <= soon);
             Judged::new(format!("{GRANT}/{owner}-{reader}"), Severity::Warning, level, text)
         };
         going.map(judge).collect()
@@ -203,7 +206,7 @@ impl Judge {
         // Without a chain, heads are not anchored.
         figures.parts.iter().find(|part| part.part == "chain")?;
         let waited = figures.audit_unanchored.map_or(Duration::ZERO, |oldest| passed(figures.now, oldest));
-        let age = words(waited);
+        let age = coarse(waited);
         let text = format!(
             "The oldest audit log line not covered by an anchored head is {age} old. See `authros chain status`."
         );
@@ -225,6 +228,15 @@ fn records(owner: &OwnerFigures) -> [Judged; 2] {
          from a backup."
     );
     [held, Judged::new(format!("tampered/{account}"), Severity::Critical, firing(tampered > 0), text)]
+}
+
+/// Without a chain nothing is anchored, which the chain's own alert says: one cause, one alert.
+fn caused(figures: &Figures, judged: Judged) -> Judged {
+    let is_failed = figures.parts.iter().any(|part| part.part == "chain" && part.level == HealthLevel::Failed);
+    match judged.level {
+        Level::Firing if is_failed => Judged { level: Level::Between, ..judged },
+        _ => judged,
+    }
 }
 
 fn part(figures: &Figures, name: &str, text: &str) -> Option<Judged> {
@@ -265,14 +277,6 @@ fn aged(age: Duration, limit: Duration, settled: bool) -> Level {
 
 fn passed(now: Timestamp, then: Timestamp) -> Duration {
     Duration::from_nanos(now.0.saturating_sub(then.0))
-}
-
-fn words(age: Duration) -> String {
-    match age.as_secs() {
-        seconds if seconds < 120 => format!("{seconds} s"),
-        seconds if seconds < 7200 => format!("{} min", seconds / 60),
-        seconds => format!("{} h", seconds / 3600),
-    }
 }
 
 #[cfg(test)]

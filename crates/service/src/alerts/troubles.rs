@@ -30,7 +30,7 @@ fn part_of(name: &str) -> PartHealth {
 /// A grant that ends this long after the beginning.
 pub fn grant(second: u64) -> GrantFigures {
     let ends = Timestamp::from_seconds(BEGUN + second);
-    GrantFigures { owner: "0a0b0c0d".to_owned(), reader: "0e0f0a0b".to_owned(), given: true, ends }
+    GrantFigures { owner: "0a0b0c0d".to_owned(), reader: "0e0f0a0b".to_owned(), given: true, begun: None, ends }
 }
 
 /// All is well at `second` after the beginning.

@@ -73,6 +73,8 @@ pub struct GrantFigures {
     pub reader: String,
     /// Whether this home shares by it, or receives.
     pub given: bool,
+    /// When its present end was set; `None` = unknown.
+    pub begun: Option<Timestamp>,
     pub ends: Timestamp,
 }
 

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{AdministrationView, AlarmView, RecordView};
 use crate::chain::{Pin, Sealing, Shortfall};
-use crate::model::{Address, Digest, Domain, Hash, PinMode, Publisher, SignerId, Timestamp, Wei};
+use crate::model::{Address, Digest, Domain, ErrorKind, Hash, PinMode, Publisher, SignerId, Timestamp, Wei};
 use crate::pipeline::sender::LaneState;
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -130,6 +130,9 @@ pub struct DoctorCheck {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DoctorView {
     pub ok: bool,
+    /// The worst that is wrong; decides the exit code.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub kind: Option<ErrorKind>,
     pub checks: Vec<DoctorCheck>,
 }
 

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::model::{ProfileName, Timestamp};
+use crate::model::{ErrorKind, ProfileName, Timestamp};
 use crate::store::CacheState;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -81,6 +81,17 @@ pub struct SiteView {
     /// Of all accounts; none if no site judges them.
     pub alerts: Vec<super::AlertView>,
     pub alerts_over: Vec<super::EndedAlert>,
+}
+
+impl SiteView {
+    /// What `status` and `doctor` end with; `None` if all is well.
+    pub fn worst(&self) -> Option<ErrorKind> {
+        let is_well = |part: &PartHealth| matches!(part.level, HealthLevel::Ok | HealthLevel::Absent);
+        if self.life.tampered > 0 || !self.life.conserved {
+            return Some(ErrorKind::Tampered);
+        }
+        (!self.health.iter().all(is_well)).then_some(ErrorKind::Unreachable)
+    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]

@@ -6,8 +6,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::blocking;
-use crate::model::ProfileName;
 use crate::model::steady_clock::{Reading, SETTLING, look};
+use crate::model::{ProfileName, coarse};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::reply::{Failure, HealthLevel, PartHealth};
 
@@ -26,10 +26,20 @@ fn gained(reading: &Reading, begun: Instant) -> i64 {
     machine.saturating_sub(i64::try_from(begun.elapsed().as_secs()).unwrap_or(0))
 }
 
-/// `86400 s ahead`, `3600 s back`.
+/// `24 h ahead`, `60 min back`.
 fn span(seconds: i64) -> String {
     let way = if seconds < 0 { "back" } else { "ahead" };
-    format!("{} s {way}", seconds.unsigned_abs())
+    format!("{} {way}", coarse(Duration::from_secs(seconds.unsigned_abs())))
+}
+
+/// The chain's own time cannot be corrected here, only waited for.
+fn behind_chain(seconds: u64) -> String {
+    let behind = coarse(Duration::from_secs(seconds));
+    format!(
+        "run `timedatectl set-ntp true`: this clock is {behind} behind the chain, whose time decides when grants and device authorisations \
+         begin and end; if this clock is right, the chain's was ahead: until it is reached, give new grants an end more \
+         than {behind} from now"
+    )
 }
 
 pub struct Clock {
@@ -63,8 +73,8 @@ impl Clock {
             let order = if jump < 0 { "new records are dated earlier than those before them; " } else { "" };
             let settling = SETTLING.as_secs();
             let text = format!(
-                "{text}: {order}grants, device authorisations and the embedded chain use it once it has been stable \
-                 for {settling} s; correct it if it is wrong (timedatectl set-ntp true)"
+                "{text}; run `timedatectl set-ntp true` if it is wrong: {order}grants, device authorisations and the embedded chain follow \
+                 it once it has been stable for {settling} s"
             );
             self.parts.hub.notice_about(ABOUT, NoticeLevel::Error, &text);
         }
@@ -93,12 +103,13 @@ impl Clock {
         };
         let behind = newest.seconds().saturating_sub(look().machine.seconds());
         if i64::try_from(behind).is_ok_and(|behind| behind >= SHORTEST) {
+            let away = coarse(Duration::from_secs(behind));
             let text = format!(
-                "this machine's clock is {behind} s behind the newest record: new records are dated earlier than those \
-                 before them; correct it (timedatectl set-ntp true)"
+                "run `timedatectl set-ntp true`: this machine's clock is {away} behind the newest record, so new records \
+                 are dated earlier than those before them"
             );
             self.parts.hub.notice_about(ABOUT, NoticeLevel::Error, &text);
-            self.note_clock(&format!("{behind} s behind the newest record")).await;
+            self.note_clock(&format!("{away} behind the newest record")).await;
         }
     }
 
@@ -116,12 +127,14 @@ impl Clock {
         let head = self.parts.link.newest_head();
         let chain = head.map_or(0, |head| head.timestamp.saturating_sub(reading.steady.seconds()));
         let text = if reading.ahead().abs() >= SHORTEST {
-            format!("jumped {}, not used until it has been stable for {} s", span(reading.ahead()), SETTLING.as_secs())
-        } else if chain > CHAIN_AHEAD {
+            let settling = SETTLING.as_secs();
             format!(
-                "{chain} s behind the chain, whose time decides when grants and device authorisations begin and end; \
-                 new grants need an end later than the chain's time"
+                "run `timedatectl set-ntp true` if it is wrong: it jumped {}, and is not used until it has been stable for \
+                 {settling} s",
+                span(reading.ahead())
             )
+        } else if chain > CHAIN_AHEAD {
+            behind_chain(chain)
         } else {
             return None;
         };
@@ -143,6 +156,11 @@ mod tests {
         };
         assert!((at(1_000_000) - at(1_000_000)).abs() <= 1);
         assert!((at(1_086_400) - at(1_000_000) - 86_400).abs() <= 1);
-        assert_eq!((span(86_400), span(-3_600)), ("86400 s ahead".to_owned(), "3600 s back".to_owned()));
+        let text = behind_chain(259_168);
+        assert!(
+            text.starts_with("run `timedatectl set-ntp true`") && text.contains("is 3 d behind the chain"),
+            "{text}"
+        );
+        assert_eq!((span(86_400), span(-3_600)), ("24 h ahead".to_owned(), "60 min back".to_owned()));
     }
 }

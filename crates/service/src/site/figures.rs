@@ -1,6 +1,6 @@
 //! Fills in and serves the site's figures. At most one look a second reads the ledger, however often anybody asks.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -180,21 +180,27 @@ impl Site {
     }
 
     fn grant_figures(&self) -> Option<Vec<GrantFigures>> {
-        let network = self.parts.link.network_now()?;
+        // A silent chain would be asked for the times of blocks in vain.
+        let network = self.parts.link.network_now().filter(|_| !self.parts.link.is_silent())?;
         // Also profiles that are not open: a grant ends regardless.
         let owners = &self.parts.owners;
         let open = owners.all().into_iter().map(|owner| owner.address);
         let own: BTreeSet<Address> = open.chain(owners.accounts()).collect();
         let mut ending = BTreeSet::new();
+        let mut begun = BTreeMap::new();
         for account in &own {
             let grants = network.directory.grants_of(*account).into_iter();
             for grant in grants.chain(network.directory.grants_to(*account)) {
                 let ends = grant.expiry().filter(|_| grant.state(network.directory.now()) == GrantState::Active);
-                ending.extend(ends.map(|ends| (ends, grant.terms.owner, grant.terms.grantee)));
+                let Some(ends) = ends else { continue };
+                let end = (ends, grant.terms.owner, grant.terms.grantee);
+                begun.insert(end, grant.extended.map_or(grant.block, |extension| extension.block));
+                ending.insert(end);
             }
         }
         let contacts = self.contacts.names().ok()?;
-        Some(told_of(ending, &own, |owner| contacts.contains_key(&owner)))
+        let begun = |end: &Ending| begun.get(end).and_then(|block| network.time_of(*block).ok());
+        Some(told_of(ending, &own, |owner| contacts.contains_key(&owner), begun))
     }
 
     /// Lines of the audit log, and the time of the oldest that no open owner's head covers.
@@ -214,22 +220,27 @@ impl Site {
     }
 }
 
+/// The end of a grant, its owner and its reader.
+type Ending = (Timestamp, Address, Address);
+
 /// Grants to report, by their ends. Received ones only from contacts: a stranger's unasked grants must not displace
 /// what counts.
 fn told_of(
-    ending: BTreeSet<(Timestamp, Address, Address)>,
+    ending: BTreeSet<Ending>,
     own: &BTreeSet<Address>,
     is_contact: impl Fn(Address) -> bool,
+    begun: impl Fn(&Ending) -> Option<Timestamp>,
 ) -> Vec<GrantFigures> {
     let (given, mut received): (Vec<_>, Vec<_>) = ending.into_iter().partition(|(_, owner, _)| own.contains(owner));
     received.retain(|(_, owner, _)| is_contact(*owner));
     let mut told: Vec<_> =
         [given, received].into_iter().flat_map(|grants| grants.into_iter().take(MOST_GRANTS)).collect();
     told.sort_unstable();
-    let figures = told.into_iter().map(|(ends, owner, reader)| GrantFigures {
+    let figures = told.into_iter().map(|end @ (ends, owner, reader)| GrantFigures {
         owner: short(&owner.to_string()),
         reader: short(&reader.to_string()),
         given: own.contains(&owner),
+        begun: begun(&end),
         ends,
     });
     figures.collect()
@@ -259,10 +270,10 @@ mod tests {
         let stranger = |second: u64| (Timestamp(second), Address([second.to_le_bytes()[0]; 20]), account(1));
         let mut ending: BTreeSet<_> = (100..200).map(stranger).collect();
         ending.extend([(Timestamp(900), account(1), account(7)), (Timestamp(800), account(9), account(1))]);
-        let told = told_of(ending.clone(), &own, |owner| owner == account(9));
+        let told = told_of(ending.clone(), &own, |owner| owner == account(9), |_| None);
         let told: Vec<_> = told.iter().map(|grant| (grant.owner.as_str(), grant.given, grant.ends)).collect();
         assert_eq!(told, [("09090909", false, Timestamp(800)), ("01010101", true, Timestamp(900))]);
-        let all = told_of(ending, &own, |_| true);
+        let all = told_of(ending, &own, |_| true, |_| None);
         assert_eq!(all.iter().filter(|grant| !grant.given).count(), MOST_GRANTS, "contacts have their own places");
         assert!(all.iter().any(|grant| grant.given && grant.ends == Timestamp(900)));
         assert!(all.is_sorted_by_key(|grant| grant.ends));

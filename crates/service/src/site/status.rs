@@ -20,6 +20,8 @@ use crate::store::StateCounts;
 
 const GAS_OVER: u64 = 100;
 const WAITING_SHOWN: usize = 20;
+/// Of a part's text: what to do must not be cut.
+const LONGEST: usize = 600;
 
 impl Site {
     pub(super) async fn site_view(&self, profile: &ProfileName) -> Result<SiteView, Failure> {
@@ -272,5 +274,5 @@ impl Site {
 }
 
 fn part(name: &str, level: HealthLevel, text: &str) -> PartHealth {
-    PartHealth { part: name.to_owned(), level, text: clean(text, 300), since: None, retry: None }
+    PartHealth { part: name.to_owned(), level, text: clean(text, LONGEST), since: None, retry: None }
 }

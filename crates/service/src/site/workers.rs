@@ -10,6 +10,7 @@ use super::capture::ros::RosSide;
 use super::chain::administration::Administering;
 use super::chain::connection::Connection;
 use super::chain::lanes::Lanes;
+use super::chain::link;
 use super::clock::Clock;
 use super::devices::Devices;
 use super::evidence::{ChainProofs, TimeStamps};
@@ -23,7 +24,7 @@ use crate::chain::ChainError;
 use crate::pipeline::anchorer::Anchorer;
 use crate::pipeline::stages::Stage;
 use crate::pipeline::{Owner, PipelineError, verifier, watcher};
-use crate::service::event::Part;
+use crate::service::event::{NoticeLevel, Part};
 use crate::service::hub::Hub;
 use crate::service::reply::Failure;
 
@@ -124,7 +125,7 @@ async fn watch(site: Arc<Site>) {
         };
         if let Some(problem) = pause {
             site.parts.link.answers(false);
-            site.parts.hub.alarm(&problem);
+            site.parts.hub.notice_about(link::ABOUT, NoticeLevel::Error, &problem);
             tokio::time::sleep(Duration::from_secs(2)).await;
         }
     }
@@ -249,7 +250,7 @@ async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
             }
             Err(error) => {
                 let why = format!("records of {} are waiting to be anchored: {}", owner.profile, error.message);
-                site.parts.hub.alarm(&why);
+                site.parts.hub.notice_about(link::ABOUT, NoticeLevel::Error, &why);
                 tokio::time::sleep(pause).await;
                 pause = (pause * 2).min(Duration::from_secs(5));
             }

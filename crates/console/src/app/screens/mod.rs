@@ -411,7 +411,7 @@ impl Log {
 }
 
 fn audit_line(view: AuditView) -> LogLine {
-    let good = ["ok", "done", "begun"].contains(&view.outcome.as_str());
+    let good = ["ok", "done", "begun", "serving"].contains(&view.outcome.as_str());
     let level = if good { NoticeLevel::Info } else { NoticeLevel::Warning };
     let text = format!("{} {} {}: {}", view.by(), view.action, view.subject, view.outcome);
     let (key, text) = (format!("audit {}", view.line), clean(&text, WIDEST));

@@ -7,10 +7,10 @@ use crate::app::leaving::Capture;
 use crate::app::popup::{Popup, Purpose};
 use crate::app::update::Feed;
 use crate::app::verb::Verb;
-use crate::app::{Key, Settings, Tag};
-use crate::model::Timestamp;
-use crate::service::reply::{AlertView, EndedAlert, HealthLevel, HeldUp, LifeLine, SiteView, TopicRow};
-use crate::service::{Command, Part, Reply};
+use crate::app::{Action, Key, Settings, Tag};
+use crate::model::{Address, Timestamp};
+use crate::service::reply::{AlertView, EndedAlert, GrantRow, HealthLevel, HeldUp, LifeLine, SiteView, TopicRow};
+use crate::service::{Command, Event, NoticeLevel, Part, Reply};
 
 /// A console that has just been opened on a profile, locked or not.
 fn opened(unlocked: bool, asks_passphrase: bool) -> Robot {
@@ -164,6 +164,61 @@ fn what_the_site_judges_is_shown_since_its_own_moment_and_then_as_over() {
     later.waits(60);
     says(&mut later, SiteView { alerts_over: vec![ended], ..fixtures::site() });
     assert_eq!(alerts(&later), [(text, begun, Some(fixtures::NOW.seconds() + 5))], "over before it was opened");
+}
+
+fn failing(part: &str, text: &str) -> SiteView {
+    let mut site = fixtures::site();
+    let found = site.health.iter_mut().find(|other| other.part == part).expect("a part");
+    (found.level, found.text) = (HealthLevel::Failed, text.to_owned());
+    site
+}
+
+#[test]
+fn a_message_goes_when_its_part_is_well_again() {
+    let mut robot = Robot::at_work(true);
+    let notice = |about: &str, text: &str| {
+        let (text, about) = (text.to_owned(), Some(about.to_owned()));
+        Action::Told(Event::Notice { at: fixtures::NOW, level: NoticeLevel::Error, text, about })
+    };
+    robot.act(notice("ros", "the master is away"));
+    robot.act(notice("alert disk", "the disk is full"));
+    says(&mut robot, failing("ros", "the master is away"));
+    assert_eq!(robot.state.toasts.unseen(), 2);
+    says(&mut robot, fixtures::site());
+    assert_eq!((robot.state.toasts.unseen(), robot.message()), (1, "the disk is full"));
+}
+
+#[test]
+fn a_chain_that_is_away_is_one_alert_and_enter_shows_all_of_it() {
+    let mut robot = Robot::at_work(true);
+    robot.types("1");
+    assert!(available(&robot.state, Verb::Alerts).is_err(), "nothing to show yet");
+    let text = "start the pinned chain, or `authros --home NEW uploads import OLD`: the chain is another one";
+    let caused = |key: &str| AlertView { key: key.to_owned(), text: key.to_owned(), ..fixtures::site_alert() };
+    let alerts_of = ["chain", "unanchored/0a0b0c0d", "audit"].map(caused).into();
+    says(&mut robot, SiteView { alerts: alerts_of, ..failing("chain", text) });
+    let texts: Vec<String> = alerts(&robot).into_iter().map(|(text, ..)| text).collect();
+    assert_eq!(texts, [format!("chain: {text}")]);
+    robot.presses(Key::Enter);
+    assert!(matches!(robot.state.popups.last(), Some(Popup::Alerts(0))));
+    robot.presses(Key::Enter);
+    assert!(robot.state.popups.is_empty());
+}
+
+#[test]
+fn the_site_decides_when_the_end_of_a_grant_is_near_and_the_console_names_the_reader() {
+    let mut robot = Robot::at_work(true);
+    let ends = Timestamp(fixtures::NOW.0 + 2 * 3_600 * 1_000_000_000);
+    let grant = fixtures::grant("given", fixtures::OTHER, "active", 1);
+    robot.state.grants.rows = vec![GrantRow { expires: Some(ends), name: Some("bob".to_owned()), ..grant.clone() }];
+    says(&mut robot, fixtures::site());
+    assert!(alerts(&robot).is_empty(), "{:?}", alerts(&robot));
+    let short = |account: Address| account.to_string().trim_start_matches("0x")[..8].to_lowercase();
+    let key = format!("grant_ends/{}-{}", short(grant.owner), short(grant.grantee));
+    says(&mut robot, SiteView { alerts: vec![AlertView { key, ..fixtures::site_alert() }], ..fixtures::site() });
+    let texts: Vec<String> = alerts(&robot).into_iter().map(|(text, ..)| text).collect();
+    let [text] = texts.as_slice() else { panic!("one alert: {texts:?}") };
+    assert!(text.contains("the grant to bob ends in 2 h"), "{text}");
 }
 
 #[test]

@@ -49,6 +49,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
             draw_text(canvas, area, "Keyring", &lines, &[("enter", Role::Key), (" close", Role::Body)]);
         }
         Popup::Tasks => windows::draw_tasks(canvas, area, state),
+        Popup::Alerts(scroll) => windows::draw_alerts(canvas, area, state, *scroll),
         Popup::Browse(selected) => draw_browse(canvas, area, state, *selected),
         Popup::Contacts(selected) => draw_contacts(canvas, area, state, *selected),
         Popup::Incidents(list) => windows::draw_incidents(canvas, area, state, list),

@@ -355,7 +355,7 @@ fn pinned(pin: &PinView, now: &str) -> [Piece; 2] {
     let publisher = &pin.publisher;
     let there =
         if now.split(' ').any(|name| name == publisher.caller_id) { "publishing now" } else { "not publishing" };
-    let since = pin.at.map_or_else(String::new, |at| format!(" since {at}"));
+    let since = pin.at.map_or_else(String::new, |at| format!(" since {}", at.in_milliseconds()));
     [
         (format!("pinned  {} at {}, {there}", publisher.caller_id, publisher.host), Role::Good),
         (format!("        {} {}, by {}{since}", publisher.type_name, publisher.md5sum, pin.source), Role::Dim),
@@ -386,6 +386,24 @@ pub fn draw_line(canvas: &mut Canvas, area: Rect, line: &LogLine) {
     let about = format!("{}  {}  {}", line.at.in_milliseconds(), line.level.word(), line.key);
     let role = if line.level == NoticeLevel::Info { Role::Body } else { bars::notice_level(line.level).1 };
     draw_lines(canvas, area, "Log line", &[(about, Role::Dim), (line.text.clone(), role)], 0);
+}
+
+pub fn draw_alerts(canvas: &mut Canvas, area: Rect, state: &State, scroll: usize) {
+    let mut lines: Vec<Piece> = Vec::new();
+    for alert in state.alerts.shown() {
+        let (mark, role) = bars::notice_level(alert.level);
+        let often = if alert.count > 1 { format!(", {} times", alert.count) } else { String::new() };
+        let when = match alert.resolved {
+            Some(at) => format!("resolved {}, began {}{often}", at.in_milliseconds(), alert.since.in_milliseconds()),
+            None => format!("since {}{often}", alert.since.in_milliseconds()),
+        };
+        lines.push((format!("{mark}{}", alert.text), if alert.resolved.is_some() { Role::Dim } else { role }));
+        lines.extend([(when, Role::Dim), Piece::default()]);
+    }
+    if lines.pop().is_none() {
+        lines.push(("no alerts".to_owned(), Role::Dim));
+    }
+    draw_lines(canvas, area, "Alerts", &lines, scroll);
 }
 
 pub fn draw_tasks(canvas: &mut Canvas, area: Rect, state: &State) {

@@ -105,6 +105,53 @@ fn a_grant_that_ends_is_told_until_it_is_extended_or_over_and_not_forgotten_with
 }
 
 #[test]
+fn a_short_grant_is_no_alarm_until_a_tenth_of_it_is_left() {
+    // It began at 0 and ends after 20,000 s; the limit is an hour.
+    let short = GrantFigures { begun: Some(well(0).now), ..grant(20_000) };
+    let level = |second: u64| {
+        let figures = Figures { grants: Some(vec![short.clone()]), ..well(second) };
+        let judged = Judge::new(limits()).judge(&figures);
+        judged.into_iter().find(|judged| judged.key.starts_with(GRANT)).map(|judged| judged.level)
+    };
+    assert_eq!(
+        [0, 17_999, 18_000, 19_999].map(level),
+        [Level::Clear, Level::Clear, Level::Firing, Level::Firing].map(Some)
+    );
+    let long =
+        Figures { grants: Some(vec![GrantFigures { begun: Some(well(0).now), ..grant(90_000) }]), ..well(86_000) };
+    let judged = Judge::new(limits()).judge(&long);
+    let of_grant = judged.into_iter().find(|judged| judged.key.starts_with(GRANT)).expect("judged");
+    assert_eq!(of_grant.level, Level::Clear, "a tenth is 9,000 s, but the setting says an hour");
+}
+
+#[test]
+fn what_a_dead_chain_causes_is_no_alert_of_its_own() {
+    let mut judge = Judge::new(limits());
+    judge.judge(&well(0));
+    let mut figures = well(5_000);
+    figures.owners[0].oldest_unanchored = Some(before(&figures, 4_000));
+    figures.audit_unanchored = Some(before(&figures, 4_000));
+    let firing = |judged: Vec<Judged>| -> Vec<String> {
+        judged.into_iter().filter(|judged| judged.level == Level::Firing).map(|judged| judged.key).collect()
+    };
+    assert_eq!(firing(judge.judge(&figures)), ["unanchored/0a0b0c0d", "audit"], "the chain says that it is well");
+    figures.parts.iter_mut().filter(|part| part.part == "chain").for_each(|part| part.level = HealthLevel::Failed);
+    assert_eq!(firing(judge.judge(&figures)), ["chain"]);
+}
+
+#[test]
+fn a_clock_days_away_is_told_in_days_and_the_remedy_comes_first() {
+    let figures = Figures { clock_ahead: -259_168, ..well(0) };
+    let judged = Judge::new(limits()).judge(&figures);
+    let clock = judged.into_iter().find(|judged| judged.key == "clock").expect("judged");
+    assert!(
+        clock.text.starts_with("Run `timedatectl set-ntp true`") && clock.text.contains("3 d behind"),
+        "{}",
+        clock.text
+    );
+}
+
+#[test]
 fn who_reads_by_a_grant_that_ends_is_sent_to_its_owner() {
     let text = |given| {
         let figures = Figures { grants: Some(vec![GrantFigures { given, ..grant(3600) }]), ..well(0) };

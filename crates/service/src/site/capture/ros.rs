@@ -12,19 +12,31 @@ use tokio::task::block_in_place;
 
 use crate::config::{MeterMode, PublishedBy};
 use crate::crypto::random_bytes;
-use crate::model::TopicName;
 use crate::model::bytes::hex;
+use crate::model::{ErrorKind, TopicName};
 use crate::ros::graph::Unreached;
 use crate::ros::{Capture, CaptureOptions, EmbeddedMaster, Fleet, FleetOptions, Graph, LastLook, TopicInfo};
-use crate::service::event::Part;
+use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::internal;
 use crate::service::reply::Failure;
 use crate::site::blocking;
 use crate::site::capture::second::{GraphOf, Second};
 
 const LOOK: Duration = Duration::from_secs(1);
+/// Subject of its notices: the health's part.
+const ABOUT: &str = "ros";
 /// Looks without a change after which they become half as frequent.
 const CALM: u32 = 10;
+
+/// The embedded master has no address to correct.
+fn of_embedded(failure: Failure) -> Failure {
+    if failure.kind != ErrorKind::Unreachable {
+        return failure;
+    }
+    let text = "this machine is probably overloaded (see `top`): the embedded ROS master of this site does not answer in \
+                time; it is asked again every few seconds";
+    Failure::new(failure.kind, text)
+}
 
 /// The capture of a link that is down recovers without help.
 #[derive(Clone)]
@@ -123,11 +135,7 @@ impl RosSide {
             }
             match blocking(&self, Self::start).await {
                 Ok(link) => break Arc::new(link),
-                Err(failure) => {
-                    self.parts.hub.alarm(&failure.message);
-                    self.state.send_replace(RosState::Down { failure, link: None });
-                    self.parts.hub.changed(Part::Health);
-                }
+                Err(failure) => self.lost(failure, None),
             }
             self.second.look();
             self.share_wishes(&[]);
@@ -211,6 +219,13 @@ impl RosSide {
         Ok(link)
     }
 
+    fn lost(&self, failure: Failure, link: Option<Arc<RosLink>>) {
+        let failure = if self.parts.config.ros_master.is_none() { of_embedded(failure) } else { failure };
+        self.parts.hub.notice_about(ABOUT, NoticeLevel::Error, &failure.message);
+        self.state.send_replace(RosState::Down { failure, link });
+        self.parts.hub.changed(Part::Health);
+    }
+
     async fn look_at_graph(self: &Arc<Self>, link: &Arc<RosLink>) -> bool {
         let in_two = self.second.look();
         in_two
@@ -221,7 +236,7 @@ impl RosSide {
                     if was_down {
                         self.state.send_replace(RosState::Up(Arc::clone(link)));
                         self.parts.hub.changed(Part::Health);
-                        self.parts.hub.inform("the ROS master answers again");
+                        self.parts.hub.notice_about(ABOUT, NoticeLevel::Info, "the ROS master answers again");
                     }
                     let moved = changed || self.recorder.meter_moved();
                     if moved {
@@ -230,9 +245,7 @@ impl RosSide {
                     moved || was_down
                 }
                 Err(failure) if matches!(&*self.state.borrow(), RosState::Up(_)) => {
-                    self.parts.hub.alarm(&failure.message);
-                    self.state.send_replace(RosState::Down { failure, link: Some(Arc::clone(link)) });
-                    self.parts.hub.changed(Part::Health);
+                    self.lost(failure, Some(Arc::clone(link)));
                     true
                 }
                 // Keeps the pace, to notice its return soon.

@@ -10,12 +10,14 @@ use tokio::task::block_in_place;
 use crate::chain::{
     Chain, ChainError, ChainOptions, DEFAULT_DELAY, Endpoint, LONGEST_DELAY, Pin, SHORTEST_DELAY, serve,
 };
+use crate::event::NoticeLevel;
 use crate::failure::{input, refused};
 use crate::model::ProfileName;
 use crate::paths::Home;
 use crate::pipeline::{Network, Owner, PipelineError, network_pin, network_pin_in, watcher};
 use crate::reply::{DeployedView, Failure, ServedView};
 use crate::site::NetworkState;
+use crate::site::chain::link::ABOUT;
 use crate::site::mirror::remote::Remote;
 use crate::site::parts::Parts;
 
@@ -50,10 +52,15 @@ impl Connection {
                 continue;
             }
             match self.connect().await {
-                Ok(()) => continue,
+                Ok(()) => {
+                    if pause > 1 {
+                        self.parts.hub.notice_about(ABOUT, NoticeLevel::Info, "the chain answers again");
+                    }
+                    continue;
+                }
                 Err(Lost::Swapped(failure)) => self.parts.link.lose_chain(failure),
                 Err(Lost::Other(failure)) => {
-                    self.parts.hub.alarm(&failure.message);
+                    self.parts.hub.notice_about(ABOUT, NoticeLevel::Error, &failure.message);
                     self.parts.link.lost(Down { failure, next: Instant::now() + Duration::from_secs(pause) });
                 }
             }

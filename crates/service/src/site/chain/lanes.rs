@@ -1,5 +1,6 @@
 //! The accounts that anchor for each owner: the owner's own and extra ones.
 
+use crate::site::chain::link::ABOUT;
 use crate::site::parts::Parts;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -9,6 +10,7 @@ use crate::model::{Address, Domain};
 use crate::pipeline::anchorer::{self, MOST_LANES};
 use crate::pipeline::sender::LaneState;
 use crate::pipeline::{Network, Owner};
+use crate::service::event::NoticeLevel;
 use crate::service::failure::refused;
 use crate::service::reply::Failure;
 
@@ -83,7 +85,8 @@ impl Lanes {
     pub async fn tend(&self, network: &Network) {
         for owner in self.parts.owners.all() {
             if let Err(failure) = self.tend_lanes_of(&owner, network).await {
-                self.parts.hub.alarm(&format!("transactions of {} are waiting: {}", owner.profile, failure.message));
+                let text = format!("transactions of {} are waiting: {}", owner.profile, failure.message);
+                self.parts.hub.notice_about(ABOUT, NoticeLevel::Error, &text);
             }
         }
     }

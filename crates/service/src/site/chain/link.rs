@@ -8,12 +8,15 @@ use std::time::{Duration, Instant};
 use tokio::sync::watch;
 
 use crate::chain::{BlockRef, Chain, MEASURED};
-use crate::event::Part;
+use crate::event::{NoticeLevel, Part};
 use crate::failure::{input, internal};
 use crate::hub::Hub;
 use crate::model::steady_clock::look;
 use crate::pipeline::Network;
 use crate::reply::Failure;
+
+/// Subject of notices about the chain: the health's part.
+pub const ABOUT: &str = "chain";
 
 /// `Swapped` = another chain answers, or the pinned one wiped: anchoring pauses until the pinned one returns.
 #[derive(Clone)]
@@ -79,7 +82,7 @@ impl Link {
     }
 
     pub fn lose_chain(&self, failure: Failure) {
-        self.hub.alarm(&failure.message);
+        self.hub.notice_about(ABOUT, NoticeLevel::Error, &failure.message);
         self.lost(NetworkState::Swapped(failure));
     }
 
@@ -182,6 +185,9 @@ impl Link {
         let before = self.silent.swap(!answers, Ordering::AcqRel);
         if before == answers {
             self.hub.changed(Part::Health);
+            if answers {
+                self.hub.notice_about(ABOUT, NoticeLevel::Info, "the chain answers again");
+            }
         }
     }
 

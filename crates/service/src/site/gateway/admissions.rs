@@ -7,7 +7,7 @@ use std::sync::{Arc, PoisonError, RwLock};
 use tokio::task::block_in_place;
 
 use super::{GatewayDesk, desk};
-use crate::event::Part;
+use crate::event::{NoticeLevel, Part};
 use crate::failure::{input, refused};
 use crate::gateway::{Code, Received, Refusal};
 use crate::model::bytes::hex;
@@ -19,6 +19,8 @@ use crate::site::parts::Parts;
 use crate::store::notes::{AdmittedOwner, AdmittedOwners};
 
 const MOST: usize = 10_000;
+/// Subject of notices about an account that is not admitted.
+pub const ADMISSION: &str = "admission";
 
 pub struct Admissions {
     parts: Parts,
@@ -78,6 +80,7 @@ impl Admissions {
                 list.push(AdmittedOwner { owner, since: Timestamp::now(), by: profile.to_string() });
                 let admitted = async { self.write(&list) };
                 self.parts.log.deed(profile, "gateway admit", &owner.to_string(), admitted).await?;
+                self.parts.hub.notice_about(ADMISSION, NoticeLevel::Info, &format!("the gateway admits {owner} now"));
             }
         }
         self.rows()
@@ -153,7 +156,7 @@ impl GatewayDesk {
             return Ok(Standing::Guest);
         }
         let detail = format!("{account} is not allowed at this gateway; `authros gateway admit {account}` allows it");
-        Err(Refusal::new(Code::NotAuthorised, detail))
+        Err(Refusal::new(Code::NotAdmitted, detail))
     }
 
     /// Whether an account may have one more name here.

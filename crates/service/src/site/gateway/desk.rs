@@ -8,12 +8,13 @@ use serde_json::{Value, json};
 use tokio::sync::watch;
 
 use super::GatewayDesk;
-use super::admissions::Standing as Access;
+use super::admissions::{ADMISSION, Standing as Access};
 use super::erasing::not_taken;
 use super::reading::LONGEST_SILENCE;
 use crate::chain::RelayError;
 use crate::chain::relay::{Asker, Ground, Passed, examine};
 use crate::crypto::{SmKeyPair, check_identity, open_transport_key, seal_transport_key, signer_id};
+use crate::event::NoticeLevel;
 use crate::failure::internal;
 use crate::gateway::desk::Account;
 use crate::gateway::{
@@ -110,11 +111,13 @@ impl GatewayDesk {
         Ok(Timestamp::now())
     }
 
-    /// Whether the newest loan of a device was recalled; a later loan is valid again.
-    pub fn is_recalled(&self, owner: &Address, device: &SignerId) -> Result<bool, Refusal> {
-        let account = self.known_network()?.directory.account(*owner);
-        let loans = account.map(|account| account.devices).unwrap_or_default();
-        Ok(loans.iter().rfind(|loan| loan.device == *device).is_some_and(|loan| loan.recalled.is_some()))
+    /// When the newest loan of a device was recalled; a later loan is valid again.
+    async fn recalled(&self, owner: &Address, device: &SignerId) -> Result<Option<Timestamp>, Refusal> {
+        let network = self.known_network()?;
+        let loans = network.directory.account(*owner).map(|account| account.devices).unwrap_or_default();
+        let block = loans.iter().rfind(|loan| loan.device == *device).and_then(|loan| loan.recalled);
+        let Some(block) = block else { return Ok(None) };
+        network.ask_time(block).await.map(Some).map_err(Refusal::because(Code::Stale))
     }
 
     /// A device's session is valid as long as its loan.
@@ -230,7 +233,7 @@ impl Desk for GatewayDesk {
 
     async fn binding(&self, name: &ProfileName) -> Result<Option<Binding>, Refusal> {
         let name = name.clone();
-        self.blocking(move |desk| {
+        let bound = self.blocking(move |desk| {
             let kept = desk.ledger().bindings.binding(&name).map_err(Refusal::internal)?;
             let Some(kept) = kept else { return Ok(None) };
             let provider = desk.gateway.parts.plant.provider;
@@ -241,15 +244,14 @@ impl Desk for GatewayDesk {
             let key = key.ok_or_else(|| Refusal::new(Code::Internal, "the transport key at rest does not open"))?;
             drop(under);
             let KeptBinding { account, signing, envelope, device, .. } = kept;
-            let device = device.map(|(id, notices)| BoundDevice { id, notices });
-            if let Some(device) = &device
-                && desk.is_recalled(&account, &device.id)?
-            {
-                return Ok(None);
-            }
+            let device = device.map(|(id, notices)| BoundDevice { id, notices, recalled: None });
             Ok(Some(Binding { account, key, signing, envelope, device }))
-        })
-        .await
+        });
+        let mut bound = bound.await?;
+        if let Some(Binding { account, device: Some(device), .. }) = &mut bound {
+            device.recalled = self.recalled(account, &device.id).await?;
+        }
+        Ok(bound)
     }
 
     async fn successor(&self, lost: &Address) -> Result<Option<Address>, Refusal> {
@@ -340,7 +342,13 @@ impl Desk for GatewayDesk {
     fn refused(&self, peer: SocketAddr, refusal: &Refusal) {
         // One line per peer, code and minute: a persistent peer cannot fill either log.
         if self.gateway.parts.log.refused(&peer.ip().to_string(), &format!("{:?}", refusal.code)) {
-            self.gateway.parts.hub.inform(&format!("the gateway refused {}: {refusal}", peer.ip()));
+            let (hub, text) =
+                (&self.gateway.parts.hub, format!("the gateway refused {}: {}", peer.ip(), refusal.detail));
+            match refusal.code {
+                // The keeper can change this.
+                Code::NotAdmitted => hub.notice_about(ADMISSION, NoticeLevel::Warning, &text),
+                _ => hub.inform(&format!("the gateway refused {}: {refusal}", peer.ip())),
+            }
         }
     }
 }

@@ -52,11 +52,14 @@ fn counted(count: usize, one: &str, many: &str) -> String {
 }
 
 fn signing_lines(view: &KeyChangeView) -> Vec<String> {
-    let readers = counted(view.readers.len(), "reader", "readers");
-    let mut lines = vec![format!(
-        "{readers} with a grant: they can still open old and new records; anyone who compared your fingerprint must \
-         compare the new one (`authros contacts confirm`)"
-    )];
+    let compare = "anyone who compared your fingerprint must compare the new one (`authros contacts confirm`)";
+    let mut lines = vec![match view.readers.len() {
+        0 => format!("no reader has a grant; {compare}"),
+        count => {
+            let readers = counted(count, "reader", "readers");
+            format!("{readers} with a grant: they can still open old and new records; {compare}")
+        }
+    }];
     let names: Vec<&str> = view.robots.iter().map(ProfileName::as_str).collect();
     lines.push(match names.as_slice() {
         [] => "no robot is authorised".to_owned(),
@@ -119,7 +122,7 @@ mod tests {
         }
         let text = signing_lines(&KeyChangeView::default()).join("\n");
         assert!(
-            text.contains("0 readers") && text.contains("no robot is authorised") && !text.contains("gateway"),
+            text.contains("no reader has a grant") && text.contains("no robot is authorised") && !text.contains("gateway"),
             "{text}"
         );
         let text =

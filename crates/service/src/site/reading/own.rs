@@ -137,7 +137,8 @@ impl Reading {
             let inclusion = &place.inclusion;
             steps.push(step("batch", format!("root {}, closed {}", inclusion.root, place.closed_at.in_milliseconds())));
             let (index, count, hashes) = (inclusion.index + 1, inclusion.count, inclusion.path.len());
-            steps.push(step("proof", format!("leaf {index} of {count}, {hashes} hashes to the root")));
+            let hashes = if hashes == 1 { "1 hash".to_owned() } else { format!("{hashes} hashes") };
+            steps.push(step("proof", format!("leaf {index} of {count}, {hashes} to the root")));
         }
         if let Some(account) = place.and_then(|place| place.account) {
             steps.push(step("anchored by", account.to_string()));
@@ -150,7 +151,7 @@ impl Reading {
             // A run without a chain has seen no block.
             let head = *self.parts.link.scans().borrow();
             let (deep, wanted) = (head + 1 - block.min(head + 1), self.parts.config.confirmations);
-            steps.extend((head >= block).then(|| step("confirmations", format!("{deep} of {wanted} required"))));
+            steps.extend((head >= block).then(|| step("confirmations", format!("{deep}, of which {wanted} required"))));
         }
         if let Some(retained) = ledger.retention.find(row.digest)? {
             let done = retained.deleted_at.map_or("to be deleted".to_owned(), |at| format!("ciphertext deleted {at}"));

@@ -38,7 +38,7 @@ impl Recordings {
         let old = blocking(self, move |recordings| recordings.open_home(&home)).await?;
         if owner.epochs(old.network.domain).is_empty() {
             return Err(refused(format!(
-                "profile '{}' of this home does not have the keys of {}; {SEAL_ANEW}, where NEW is empty: the import brings \
+                "profile '{}' of this home does not have the keys of {}; run {SEAL_ANEW}, where NEW is empty: the import brings \
                  the keyring",
                 owner.profile,
                 clean(&path.display().to_string(), 200)
