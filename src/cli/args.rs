@@ -156,7 +156,7 @@ pub enum Verb {
     Backup(BackupArguments),
     /// Restore a home from a backup, into an empty folder
     Restore {
-        /// The file; its own passphrase is asked for, or given as a keyring's is
+        /// The file; type its own passphrase, or pass it as for a keyring
         file: PathBuf,
         /// Only test it: restore it into a temporary folder, audit all of it, and remove that folder
         #[arg(long)]
@@ -207,7 +207,7 @@ pub enum Verb {
 /// `backup …`
 #[derive(Debug, Args)]
 pub struct BackupArguments {
-    /// The file; its own passphrase is asked for, or given as a keyring's is
+    /// The file; type its own passphrase, or pass it as for a keyring
     #[arg(required_unless_present = "to")]
     pub file: Option<PathBuf>,
     /// Instead of a file: a folder to write one more backup to, named by the time

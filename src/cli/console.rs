@@ -38,7 +38,7 @@ pub fn run(runtime: &Runtime, context: Context, console: ConsoleArguments, tour:
         // The site captures until the passphrase proves right; without one the console goes on.
         match successor.passphrase() {
             Ok(secret) => break (ended, Some(secret)),
-            Err(failure) => options.warning = Some(format!("the site goes on in this console: {}", failure.message)),
+            Err(failure) => options.warning = Some(format!("the site continues in this console: {}", failure.message)),
         }
     };
     drop(client);

@@ -40,7 +40,7 @@ fn from_descriptor(number: u32) -> Result<SecretText, Failure> {
     Ok(first_line(&text))
 }
 
-/// The one given, or stored beside the keyring.
+/// The passphrase passed in, or stored beside the keyring.
 pub fn given(global: &Global, home: &Home, profile: &ProfileName) -> Result<Option<SecretText>, Failure> {
     if global.site_socket.is_some() {
         let text = "an operator gives no passphrase: the owner of the site at --site-socket does this";
@@ -109,7 +109,7 @@ pub fn forget(home: &Home, profile: &ProfileName, output: &Output) -> Result<(),
     Ok(())
 }
 
-/// The one given, or in a file beside what it protects.
+/// The passphrase passed in, or in a file beside what it protects.
 pub fn of_source(global: &Global, beside: &Path) -> Result<Option<SecretText>, Failure> {
     match (&global.passphrase_file, global.passphrase_fd, &global.passphrase_command) {
         (Some(path), ..) => from_file(path).map(Some),
@@ -161,7 +161,7 @@ pub fn forget_unused(is_new: bool, context: &Context) {
     }
 }
 
-/// For a new keyring: given, typed twice, or where this was asked for a random one; `true` if it was stored.
+/// For a new keyring: passed in, typed twice, or a random one if requested; `true` if it was stored.
 pub fn given_or_new(context: &Context, output: &Output) -> Result<(SecretText, bool), Failure> {
     let (home, profile) = (&context.home, &context.profile);
     if let Some(secret) = given(&context.global, home, profile)? {

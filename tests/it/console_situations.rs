@@ -145,7 +145,7 @@ fn a_site_is_left_running_in_the_consoles_place() {
     let count = || authros.records(&["uploads", "list"]).len();
     for keys in ["a wrong guess\ra wrong guess\ra wrong guess\r", "\r", "half a secret\u{3}"] {
         let before = count();
-        operator.is_asked_before_leaving().presses(keys).sees("the site goes on in this console").sees("HOST");
+        operator.is_asked_before_leaving().presses(keys).sees("the site continues in this console").sees("HOST");
         operator.sees("watched");
         wait_until(PATIENCE, "more records", || Some(()).filter(|()| count() > before));
     }

@@ -23,7 +23,7 @@ pub enum ChainError {
     Roots(String),
     #[error(
         "start the pinned chain, or {SEAL_ANEW}: the chain at {url} is another one, its {what} is {}, not {}; anchoring is \
-         stopped, nothing is lost",
+         paused, records are safe",
         clean(found, 24),
         clean(pinned, 24)
     )]

@@ -325,7 +325,7 @@ impl Connection {
         let payload = self.expect(FrameKind::Transfer, deadline).await?;
         let (_, text) = session.open(&payload)?;
         let request = Inner::from_client(&text)?.request;
-        self.shared.refused(self.peer, &Refusal::new(Code::Recalled, format_args!("recalled at {at}")));
+        self.shared.refused(self.peer, &Refusal::new(Code::Recalled, format_args!("revoked at {at}")));
         self.send(&mut session, request, &Answer::Recalled(at)).await?;
         Err(End::Closed)
     }

@@ -108,7 +108,7 @@ impl ForwardError {
         let text = self.to_string();
         match self {
             Self::Gateway(GatewayError::Recalled(at)) => Link::Refused(format!(
-                "{owner} recalled this robot at {at}: what it records now is not accepted; ask that owner to enrol it again \
+                "{owner} revoked this robot at {at}: what it records now is not accepted; ask that owner to enrol it again \
                  (authros agent enrol)"
             )),
             Self::Gateway(error) if error.kind() == ErrorKind::Refused => Link::Refused(text),

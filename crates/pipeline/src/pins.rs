@@ -297,7 +297,7 @@ impl Pins {
         let (caller, host) = (clean(&publisher.caller_id, 100), clean(&publisher.host, 100));
         let number = if caller.ends_with('#') { " (# is any number: it draws one at each start)" } else { "" };
         let text = format!(
-            "{topic}: {caller} on {host}{number} is accepted from now on (first seen); messages from others are quarantined"
+            "{topic}: pinned {caller} on {host}{number} (first seen): messages from others are quarantined"
         );
         self.observer.alert(false, text);
         Ok(())

@@ -80,7 +80,7 @@ impl Admissions {
                 list.push(AdmittedOwner { owner, since: Timestamp::now(), by: profile.to_string() });
                 let admitted = async { self.write(&list) };
                 self.parts.log.deed(profile, "gateway admit", &owner.to_string(), admitted).await?;
-                self.parts.hub.notice_about(ADMISSION, NoticeLevel::Info, &format!("the gateway admits {owner} now"));
+                self.parts.hub.notice_about(ADMISSION, NoticeLevel::Info, &format!("the gateway allows {owner} now"));
             }
         }
         self.rows()
