@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use super::{args::Global, connect::Context, parse, passphrase, show::Question};
-use crate::service::command::{ChainStatus, ListAllUploads, ListUploads, SecretText, SiteStatus, UploadQuery};
+use crate::service::command::{ChainStatus, ListAllUploads, ListUploads, SiteStatus, UploadQuery};
 use crate::service::reply::{BackupView, CheckStatus, DoctorView, RecordAudit};
 use crate::service::verification::{self, FolderCheck, Known, verdict};
 use crate::service::{Failure, doctor, restoring, socket};

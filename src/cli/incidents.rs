@@ -4,6 +4,7 @@ use clap::Subcommand;
 
 use super::parse::{self, usage};
 use super::{plan::Plan, show::or_dash};
+use crate::model::Timestamp;
 use crate::service::Failure;
 use crate::service::command::{CloseIncident, ListIncidents, NoteIncident, OpenIncident, RemoveIncident, ShowIncident};
 use crate::service::reply::{IncidentView, SpanCoverageView};

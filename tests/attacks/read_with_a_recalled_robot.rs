@@ -62,7 +62,7 @@ async fn read_with_a_recalled_robot() {
     // Anyone who has its key learns that it was recalled, and nothing else.
     match session(&stolen).await {
         Ok(mut client) => ask(&mut parts, &mut client, &stolen, known).await,
-        Err(error @ GatewayError::Recalled(_)) => parts.refused("a new session", &error.to_string(), "recalled it at"),
+        Err(error @ GatewayError::Recalled(_)) => parts.refused("a new session", &error.to_string(), "revoked it at"),
         Err(error) => parts.otherwise(format!("a new session: {error}")),
     }
     judge("read_with_a_recalled_robot", parts.outcome());

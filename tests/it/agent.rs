@@ -284,7 +284,7 @@ fn a_recalled_device_and_a_topic_without_a_key_are_refused() {
     let summary: Value = serde_json::from_str(ended.stdout.lines().last().expect("a summary")).expect("JSON");
     assert_eq!((count(&summary, "verified"), count(&summary, "pending")), (3, 3), "in the outbox: {summary}");
     let owner = text(&alice.json(&["identity", "show"]), "address");
-    let by_whom = format!("{owner} recalled this robot at 20");
+    let by_whom = format!("{owner} revoked this robot at 20");
     assert!(text(&summary, "gateway").starts_with(&by_whom), "by whom, when: {summary}");
     assert!(!ended.stderr.contains("altered"), "nobody forged anything: {ended}");
     assert_eq!(verified(&alice, 3).len(), 3, "none of a recalled device came through");

@@ -296,9 +296,8 @@ impl Pins {
         self.note(owner, "pin on first use", &format!("{topic} {name}"), "done")?;
         let (caller, host) = (clean(&publisher.caller_id, 100), clean(&publisher.host, 100));
         let number = if caller.ends_with('#') { " (# is any number: it draws one at each start)" } else { "" };
-        let text = format!(
-            "{topic}: pinned {caller} on {host}{number} (first seen): messages from others are quarantined"
-        );
+        let text =
+            format!("{topic}: pinned {caller} on {host}{number} (first seen): messages from others are quarantined");
         self.observer.alert(false, text);
         Ok(())
     }

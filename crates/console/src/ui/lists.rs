@@ -31,7 +31,7 @@ pub fn draw_chain(canvas: &mut Canvas, area: Rect, state: &State) {
 
 /// In as many lines as there are: what to do must not be cut.
 fn put_whole(canvas: &mut Canvas, area: Rect, text: &str, role: Role) {
-    for (place, line) in (0..area.height).zip(super::wrap(&clean(text, 1_000), area.width)) {
+    for (place, line) in (0..area.height).zip(super::words::wrap(&clean(text, 1_000), area.width)) {
         canvas.put(row(area, place), &line, role);
     }
 }

@@ -172,7 +172,7 @@ fn draw_alert(canvas: &mut Canvas, area: Rect, state: &State, alert: &Alert, mos
 
 /// The last of at most `most` lines has the rest, which is cut where it is drawn.
 fn wrapped(text: &str, width: u16, most: u16) -> Vec<String> {
-    let mut lines = super::wrap(&clean(text, 1_000), width);
+    let mut lines = words::wrap(&clean(text, 1_000), width);
     let last = usize::from(most).saturating_sub(1);
     if lines.len() > last {
         let rest = lines.split_off(last).join(" ");

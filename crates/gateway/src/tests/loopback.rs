@@ -122,7 +122,7 @@ async fn a_recalled_device_hears_when_it_was_recalled_and_who_lacks_its_key_hear
     client.device(&alice.signing, notice_of(&device)).await.expect("noted");
     stage.desk.recall(&alice, &device);
     let recalled = stage.connect(&credentials).await.err().expect("recalled");
-    assert!(recalled.to_string().contains("recalled it at 2023-11-14T22:13:20Z"), "{recalled}");
+    assert!(recalled.to_string().contains("revoked it at 2023-11-14T22:13:20Z"), "{recalled}");
     assert_eq!(recalled.kind(), crate::model::ErrorKind::Refused);
     let wrong = Credentials { key: crate::crypto::TransportKey::new([1; 32]), ..credentials.clone() };
     assert_eq!(stage.code(&wrong).await, Some(Code::Tag), "names cannot be probed");

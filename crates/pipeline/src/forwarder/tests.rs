@@ -290,7 +290,7 @@ async fn a_recalled_device_is_refused_and_its_records_wait() {
     scene.capture(4, 100);
     scene.until("refused", |_| matches!(*work.link.borrow_and_update(), Link::Refused(_))).await;
     assert_eq!((scene.at_gateway(), scene.counts().data_in(RecordState::Stored)), (3, 4));
-    let told = format!("{} recalled this robot at 2023-11-14T22:13:20Z", scene.alice.account());
+    let told = format!("{} revoked this robot at 2023-11-14T22:13:20Z", scene.alice.account());
     scene
         .until(
             "told by whom and when",

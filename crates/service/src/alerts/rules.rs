@@ -92,8 +92,8 @@ impl Judge {
         judged.extend(self.clock(figures));
         judged.extend(self.ending_grants(figures));
         judged.extend(self.audit(figures, settled).map(|judged| caused(figures, judged)));
-        let text = "The chain is unreachable or a transaction lane is stuck: nothing is being anchored, nothing is \
-                    lost. See `authros status`.";
+        let text = "The chain is unreachable or a transaction lane is stuck: anchoring is paused, records are \
+                     safe. See `authros status`.";
         judged.extend(part(figures, "chain", text));
         let text = "The store does not accept records; captured messages wait in memory. See `authros status`.";
         judged.extend(part(figures, "store", text));

@@ -34,7 +34,7 @@ fn of_embedded(failure: Failure) -> Failure {
         return failure;
     }
     let text = "this machine is probably overloaded (see `top`): the embedded ROS master of this site does not answer in \
-                time; it is asked again every few seconds";
+                time; the site asks again every few seconds";
     Failure::new(failure.kind, text)
 }
 

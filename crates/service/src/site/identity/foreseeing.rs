@@ -122,7 +122,9 @@ mod tests {
         }
         let text = signing_lines(&KeyChangeView::default()).join("\n");
         assert!(
-            text.contains("no reader has a grant") && text.contains("no robot is authorised") && !text.contains("gateway"),
+            text.contains("no reader has a grant")
+                && text.contains("no robot is authorised")
+                && !text.contains("gateway"),
             "{text}"
         );
         let text =
