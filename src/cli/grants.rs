@@ -2,21 +2,13 @@
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
-use clap::{Args, Subcommand, ValueEnum};
+use clap::{Args, Subcommand};
 
 use super::plan::Plan;
 use super::{parse, parties, show::or_dash};
-use crate::service::{Epochs, Failure, command, reply};
-use authros_output::table;
-
-/// Which epochs a grant opens.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum EpochsChoice {
-    /// Records of the current epoch: those sealed in it already and all later ones; the answer says since when
-    Current,
-    /// All epochs, including earlier records
-    All,
-}
+use crate::model::Timestamp;
+use crate::service::{Failure, GrantFrom, command, reply};
+use authros_output::{pairs, table};
 
 /// `grant …`
 #[derive(Debug, Args)]
@@ -30,9 +22,13 @@ pub struct GrantArguments {
     /// Only this topic; repeatable [default: all topics]
     #[arg(long = "topic", value_name = "TOPIC")]
     pub topics: Vec<String>,
-    /// Epochs to share
-    #[arg(long, value_enum, default_value = "current")]
-    pub epochs: EpochsChoice,
+    /// From when on: now (a new epoch: nothing older), epoch (since the current one began), start (all records), or a
+    /// time: 1h, 2026-11-21T08:30:00Z (the whole epochs with what was captured since)
+    #[arg(long, value_name = "FROM", default_value = "epoch")]
+    pub from: String,
+    /// Only say what it would open now, and what it costs
+    #[arg(long)]
+    pub dry_run: bool,
     /// End of the grant: 30d, 12h, 2w, or a time such as 2027-01-31T12:00:00Z
     #[arg(long, value_name = "TIME")]
     pub expires: Option<String>,
@@ -43,7 +39,7 @@ pub struct GrantArguments {
 pub enum GrantsVerb {
     /// List grants given and received
     List,
-    /// Extend an active grant; keys and epoch stay the same
+    /// Extend an active grant; what it opens stays the same
     Extend {
         /// The reader's account, or its name
         grantee: String,
@@ -56,17 +52,30 @@ pub enum GrantsVerb {
     },
 }
 
-pub fn grant(arguments: &GrantArguments) -> Result<command::Grant, Failure> {
+pub fn grant(arguments: &GrantArguments) -> Result<Plan, Failure> {
+    let grantee = parse::value(arguments.address.as_deref().or(arguments.to.as_deref()).unwrap_or_default())?;
+    let (topics, from) = (parse::values(&arguments.topics)?, GrantFrom::read(&arguments.from, parse::past)?);
     let expires = arguments.expires.as_deref().map(parse::end).transpose()?;
-    Ok(command::Grant {
-        grantee: parse::value(arguments.address.as_deref().or(arguments.to.as_deref()).unwrap_or_default())?,
-        topics: parse::values(&arguments.topics)?,
-        epochs: match arguments.epochs {
-            EpochsChoice::Current => Epochs::Current,
-            EpochsChoice::All => Epochs::All,
-        },
-        expires,
+    Ok(match arguments.dry_run {
+        true => Plan::unlocked(command::ForeseeGrant { grantee, topics, from }),
+        false => Plan::unlocked(command::Grant { grantee, topics, from, expires }),
     })
+}
+
+/// What a grant would do.
+pub fn foreseen(view: &reply::GrantForesight) -> String {
+    pairs(&[("opens", view.moment(local)), ("cost", view.cost())])
+}
+
+/// A moment here, then in UTC: `2026-11-27 18:00:41 (17:00:41 UTC)`.
+fn local(moment: Timestamp) -> String {
+    let utc = reply::utc(moment);
+    let here =
+        jiff::Timestamp::from_nanosecond(i128::from(moment.0)).map(|at| at.to_zoned(jiff::tz::TimeZone::system()));
+    match here {
+        Ok(here) if here.offset() != jiff::tz::Offset::UTC => format!("{} ({utc})", here.strftime("%Y-%m-%d %H:%M:%S")),
+        _ => utc,
+    }
 }
 
 pub fn plan(verb: GrantsVerb) -> Result<Plan, Failure> {
@@ -89,11 +98,12 @@ pub fn list(rows: &[reply::GrantRow]) -> String {
             ),
             or_dash(row.fingerprint.as_ref()),
             row.state.word().to_owned(),
-            if row.earlier == Some(true) { format!("{} and earlier", row.epoch) } else { row.epoch.to_string() },
+            row.opens.map_or_else(|| "-".to_owned(), |opens| opens.words(local)),
+            row.from.map_or_else(|| "-".to_owned(), |from| from.to_string()),
             or_dash(row.expires),
             if row.topics.is_empty() { "all topics".to_owned() } else { row.topics.join(" ") },
         ]
     };
-    let head = ["", "account", "SM2 fingerprint", "state", "epoch", "expires", "topics"];
+    let head = ["", "account", "SM2 fingerprint", "state", "opens", "from epoch", "expires", "topics"];
     table(&head, rows.iter().map(row))
 }

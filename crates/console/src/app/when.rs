@@ -41,6 +41,25 @@ impl Zone {
     }
 }
 
+/// A moment as its reader has it, then in UTC: `18:00:41 (17:00:41 UTC)`, with the day unless that is today.
+pub fn both(state: &State, moment: Timestamp) -> String {
+    let zone = state.settings.zone.0.clone().unwrap_or(TimeZone::UTC);
+    let there = |zone: TimeZone, at: Timestamp| {
+        let at = jiff::Timestamp::from_nanosecond(i128::from(at.0)).ok()?;
+        Some(at.to_zoned(zone))
+    };
+    let written = |zone: &TimeZone| {
+        let (at, now) = (there(zone.clone(), moment)?, there(zone.clone(), state.now)?);
+        let form = if at.date() == now.date() { "%H:%M:%S" } else { "%Y-%m-%d %H:%M:%S" };
+        Some(at.strftime(form).to_string())
+    };
+    let utc = written(&TimeZone::UTC).unwrap_or_else(|| moment.to_string());
+    match written(&zone).filter(|local| *local != utc) {
+        Some(local) => format!("{local} ({utc} UTC)"),
+        None => format!("{utc} UTC"),
+    }
+}
+
 const SECOND: u64 = 1_000_000_000;
 const BEGINS: &str = "retry in ";
 
@@ -96,6 +115,22 @@ mod tests {
 #[cfg(test)]
 mod zone_tests {
     use super::*;
+
+    #[test]
+    fn a_moment_is_told_in_both_times_with_its_day_unless_that_is_today() {
+        let mut state = State::new(crate::app::Settings::default());
+        // 2023-11-14 22:13:20 UTC.
+        state.now = Timestamp::from_seconds(1_700_000_000);
+        let at = |seconds: u64| Timestamp::from_seconds(1_700_000_000 - seconds);
+        assert_eq!(both(&state, at(20)), "22:13:00 UTC");
+        assert_eq!(both(&state, at(86_400)), "2023-11-13 22:13:20 UTC");
+        state.settings.zone = Zone::new(TimeZone::fixed(jiff::tz::offset(1)));
+        assert_eq!(both(&state, at(20)), "23:13:00 (22:13:00 UTC)");
+        assert_eq!(both(&state, at(86_400)), "2023-11-13 23:13:20 (2023-11-13 22:13:20 UTC)");
+        // Today there, yesterday in UTC.
+        state.settings.zone = Zone::new(TimeZone::fixed(jiff::tz::offset(8)));
+        assert_eq!(both(&state, at(0)), "06:13:20 (22:13:20 UTC)");
+    }
 
     #[test]
     fn a_zone_has_its_own_clock() {

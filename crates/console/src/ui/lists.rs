@@ -4,7 +4,7 @@ use super::bars::notice_level;
 use super::gateway::Fact;
 use super::table::{Column, Layout, Sheet, draw as draw_table, order, with_local_time};
 use super::theme::Role;
-use super::{Canvas, below, plot, right_of, row};
+use super::{Canvas, below, count, plot, right_of, row};
 use crate::app::leaving::{self, Capture};
 use crate::app::screens::topics::SAMPLES;
 use crate::app::screens::{LogLine, Records, Source, Wanted, day, is_active, is_given, key, other_side, scope, soon};
@@ -134,7 +134,8 @@ const GRANT_COLUMNS: &[Column] = &[
     Column::text("Full address", 42).from(130),
     Column::text("SM2 fingerprint", 39).from(180),
     Column::name("Topics"),
-    Column::number("Epoch", 6),
+    Column::text("Opens since UTC", 16).from(100),
+    Column::number("Records", 9),
     Column::text("Ends UTC", 18).from(75),
     Column::number("Block", 8).from(100),
 ];
@@ -172,7 +173,8 @@ fn grant_cells(state: &State, row: &GrantRow) -> Vec<(String, Role)> {
         (other_side(row).to_string(), Role::Dim),
         (row.fingerprint.clone().unwrap_or_else(|| "not registered".to_owned()), Role::Dim),
         (scope(&row.topics), Role::Body),
-        (if row.earlier == Some(true) { "all".to_owned() } else { row.epoch.to_string() }, Role::Body),
+        (row.opens.and_then(|opens| opens.since).map_or_else(|| "-".to_owned(), day), Role::Dim),
+        (row.opens.map_or_else(|| "-".to_owned(), |opens| count(opens.records)), Role::Body),
         ends(state, row),
         (row.block.to_string(), Role::Dim),
     ]

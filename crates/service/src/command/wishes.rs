@@ -1,11 +1,13 @@
 //! What requests choose from: keys, epochs, records, recordings, playback, acts of the administrator.
 
+use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
 use crate::model::{IncidentName, Party, RecordKind, RecordState, Timestamp, TopicName, TopicPattern, TypeName, clean};
+use crate::reply::Failure;
 use crate::ros::recording::{ChunkCompression, RecordingFormat};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -21,12 +23,46 @@ pub enum KeyKind {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Epochs {
-    /// From the current epoch on.
+pub enum GrantFrom {
+    /// A new epoch: nothing that was captured before.
+    Now,
+    /// The current epoch, with what is sealed in it already.
     #[default]
     Current,
-    /// Also every earlier one.
-    All,
+    /// This epoch; the first is 1.
+    Epoch(u64),
+    /// The first epoch with a record captured at this time or later.
+    Time(Timestamp),
+}
+
+impl GrantFrom {
+    /// `now`, `epoch` for the current one, `start`, an epoch's number, or a time as `past` reads it.
+    pub fn read(text: &str, past: impl FnOnce(&str) -> Result<Timestamp, Failure>) -> Result<Self, Failure> {
+        match text.trim() {
+            "now" => Ok(Self::Now),
+            "epoch" => Ok(Self::Current),
+            "start" => Ok(Self::Epoch(1)),
+            text => match text.parse() {
+                Ok(epoch) => Ok(Self::Epoch(epoch)),
+                Err(_) => past(text).map(Self::Time).map_err(|failure| Failure {
+                    message: format!("enter now, epoch, start or a time: {}", failure.message),
+                    ..failure
+                }),
+            },
+        }
+    }
+}
+
+impl fmt::Display for GrantFrom {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Now => formatter.write_str("now"),
+            Self::Current => formatter.write_str("epoch"),
+            Self::Epoch(1) => formatter.write_str("start"),
+            Self::Epoch(epoch) => write!(formatter, "{epoch}"),
+            Self::Time(moment) => write!(formatter, "{moment}"),
+        }
+    }
 }
 
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]

@@ -142,8 +142,11 @@ impl Site {
                 self.bridge.stop(&profile);
                 Ok(ask::StopPlay::told(()))
             }
-            Command::Grant { grantee, topics, epochs, expires } => {
-                self.sharing.grant(&owner()?, &grantee, &topics, epochs, expires).await.map(ask::Grant::told)
+            Command::Grant { grantee, topics, from, expires } => {
+                self.sharing.grant(&owner()?, &grantee, &topics, from, expires).await.map(ask::Grant::told)
+            }
+            Command::ForeseeGrant { grantee, topics, from } => {
+                self.sharing.foresee(&owner()?, &grantee, &topics, from).await.map(ask::ForeseeGrant::told)
             }
             Command::ExtendGrant { grantee, expires } => {
                 self.sharing.extend(&owner()?, &grantee, expires).await.map(ask::ExtendGrant::told)

@@ -14,14 +14,14 @@ async fn a_grant_is_given_once_to_a_known_key_and_its_end_begins_an_epoch() {
     let (alice, bob) = (registered(&site, "alice").await, registered(&site, "bob").await);
     let sharing = &site.sharing;
     let to_bob = Party::Address(bob.address);
-    let itself = sharing.grant(&alice, &Party::Address(alice.address), &[], Epochs::Current, None).await;
+    let itself = sharing.grant(&alice, &Party::Address(alice.address), &[], GrantFrom::Current, None).await;
     assert!(itself.expect_err("to itself").message.contains("without a grant"));
     let stranger = Party::Address(Address([9; 20]));
-    assert!(sharing.grant(&alice, &stranger, &[], Epochs::Current, None).await.is_err(), "not registered");
+    assert!(sharing.grant(&alice, &stranger, &[], GrantFrom::Current, None).await.is_err(), "not registered");
 
-    let given = sharing.grant(&alice, &to_bob, &[], Epochs::Current, None).await.expect("given");
+    let given = sharing.grant(&alice, &to_bob, &[], GrantFrom::Current, None).await.expect("given");
     assert_eq!(given.epoch, 1);
-    let again = sharing.grant(&alice, &to_bob, &[], Epochs::Current, None).await.expect_err("active already");
+    let again = sharing.grant(&alice, &to_bob, &[], GrantFrom::Current, None).await.expect_err("active already");
     assert_eq!(again.kind, ErrorKind::Refused);
     let rows = sharing.rows(&bob).await.expect("rows");
     assert!(
@@ -47,7 +47,7 @@ async fn an_epoch_whose_keys_did_not_reach_a_reader_before_the_next_began_is_giv
     // No grant covers this one.
     sharing.rotate(&alice, "before the grant").await.expect("rotates");
     let to_bob = Party::Address(bob.address);
-    let given = sharing.grant(&alice, &to_bob, &[], Epochs::Current, None).await.expect("given");
+    let given = sharing.grant(&alice, &to_bob, &[], GrantFrom::Current, None).await.expect("given");
     assert_eq!(given.epoch, 2);
 
     // As if the site had ended between the epoch and its envelopes.
@@ -91,7 +91,7 @@ async fn nothing_is_granted_to_a_contact_with_another_key_until_it_is_confirmed(
     let rows = site.contacts.rows().await.expect("rows");
     assert_eq!(rows.iter().map(|row| row.state.clone()).collect::<Vec<_>>(), ["differs"]);
     let to_bob = Party::Contact(name.clone());
-    let refused = site.sharing.grant(&alice, &to_bob, &[], Epochs::Current, None).await.expect_err("another key");
+    let refused = site.sharing.grant(&alice, &to_bob, &[], GrantFrom::Current, None).await.expect_err("another key");
     assert_eq!(refused.kind, ErrorKind::Refused);
     assert!(
         refused.message.contains(&other) && refused.message.contains("contacts confirm bobby"),
@@ -103,7 +103,7 @@ async fn nothing_is_granted_to_a_contact_with_another_key_until_it_is_confirmed(
     let wrong = site.contacts.confirm(&profile("alice"), &name, Some(other)).await.expect_err("still another one");
     assert_eq!(wrong.kind, ErrorKind::Refused);
     site.contacts.confirm(&profile("alice"), &name, None).await.expect("confirmed");
-    site.sharing.grant(&alice, &to_bob, &[], Epochs::Current, None).await.expect("given");
+    site.sharing.grant(&alice, &to_bob, &[], GrantFrom::Current, None).await.expect("given");
     site.stop().await;
 }
 
