@@ -43,7 +43,7 @@ async fn enrol(context: Context, arguments: EnrolArguments, output: &Output) -> 
         name: parse::value(&arguments.name)?,
         topics: parse::values(&arguments.topics)?,
         all_topics: arguments.all_topics,
-        until: arguments.until.as_deref().map(super::parse::end).transpose()?,
+        until: parse::Times::now(output).end(arguments.until.as_deref())?,
         passphrase: passphrase.clone(),
     };
     let enrol = async |client: &Client| client.ask(EnrolDevice(wishes)).await;

@@ -452,7 +452,7 @@ pub struct EnrolArguments {
     /// Let it record every topic: it then holds the epoch's key and the index key, which a thief would get too
     #[arg(long)]
     pub all_topics: bool,
-    /// End of the loan: 30d, 12h, or a time such as 2027-01-31T12:00:00Z
+    /// End of the loan: 30d, 18:00, "tomorrow 18:00", "2026-11-27 18:00" or RFC 3339
     #[arg(long, value_name = "TIME")]
     pub until: Option<String>,
     /// Enrolment file to write; must not exist

@@ -10,7 +10,7 @@ use super::{parse, parse::usage};
 use crate::model::ErrorKind;
 use crate::service::reply::{AuditCheck, AuditView};
 use crate::service::{Failure, Needs, command, command::AuditQuery, is_bound};
-use authros_output::table;
+use authros_output::{Output, table};
 
 /// `audit`
 #[derive(Debug, Args)]
@@ -21,8 +21,8 @@ pub struct AuditArguments {
     /// Also re-hash all stored ciphertext and check every signature
     #[arg(long)]
     pub deep: bool,
-    /// Only records captured at or after: a time such as 2026-11-21T08:30:00Z, or a duration ago such as 10m
-    #[arg(long, value_name = "TIME")]
+    /// Only records captured at or after: 10m (ago), 18:00, "yesterday 18:00", "2026-11-27 18:00" or RFC 3339
+    #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
     pub since: Option<String>,
 }
 
@@ -31,8 +31,8 @@ pub struct AuditArguments {
 pub enum AuditVerb {
     /// List the newest lines, newest first
     List {
-        /// Written at or after: a time such as 2026-11-21T08:30:00Z, or a duration ago such as 10m
-        #[arg(long, value_name = "TIME")]
+        /// Written at or after: 10m (ago), 18:00, "yesterday 18:00", "2026-11-27 18:00" or RFC 3339
+        #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
         since: Option<String>,
         /// Only this action: grant, decrypt, refused, …
         #[arg(long, value_name = "WORD")]
@@ -67,11 +67,11 @@ pub enum AuditVerb {
     },
 }
 
-pub fn query(since: Option<&str>, limit: usize) -> Result<AuditQuery, Failure> {
+pub fn query(since: Option<&str>, limit: usize, output: &Output) -> Result<AuditQuery, Failure> {
     if !(1..=1000).contains(&limit) {
         return Err(Failure::new(ErrorKind::Input, format!("--limit {limit} is not between 1 and 1000")));
     }
-    Ok(AuditQuery { since: since.map(parse::past).transpose()?, limit, ..AuditQuery::default() })
+    Ok(AuditQuery { since: parse::Times::now(output).since(since)?, limit, ..AuditQuery::default() })
 }
 
 pub fn lines(lines: &[AuditView]) -> String {
@@ -98,9 +98,9 @@ pub fn code(check: &AuditCheck) -> u8 {
     if check.ok { 0 } else { ErrorKind::Tampered.exit_code() }
 }
 
-pub fn plan(context: &Context, arguments: &AuditArguments) -> Result<Plan, Failure> {
+pub fn plan(context: &Context, arguments: &AuditArguments, output: &Output) -> Result<Plan, Failure> {
     let Some(verb) = &arguments.verb else {
-        let since = arguments.since.as_deref().map(parse::past).transpose()?;
+        let since = parse::Times::now(output).since(arguments.since.as_deref())?;
         let ask = command::AuditRecords { deep: arguments.deep, since };
         // Asks the chain only of a home that is bound to one.
         let needs = Needs { ros: false, chain: is_bound(&context.home) };
@@ -111,7 +111,7 @@ pub fn plan(context: &Context, arguments: &AuditArguments) -> Result<Plan, Failu
     }
     Ok(match verb {
         AuditVerb::List { since, action, by, by_operator, before, limit } => {
-            let query = query(since.as_deref(), *limit)?;
+            let query = query(since.as_deref(), *limit, output)?;
             let (action, profile, operator, before) = (action.clone(), by.clone(), by_operator.clone(), *before);
             let query = AuditQuery { action, profile, operator, before, ..query };
             Plan::kept(command::ListAudit(query))
@@ -131,7 +131,7 @@ mod tests {
 
     #[test]
     fn a_list_begins_at_a_time_or_so_long_ago() {
-        let list = |since: &str| query(Some(since), 10);
+        let list = |since: &str| query(Some(since), 10, &Output::new(true));
         assert!(matches!(list("2026-11-21T08:30:00Z"), Ok(AuditQuery { since: Some(_), .. })));
         assert!(list("10m").is_ok() && list("soon").is_err());
     }

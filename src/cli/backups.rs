@@ -94,7 +94,8 @@ pub async fn check(context: Context, file: &Path, output: &Output) -> Result<u8,
     let view = restoring::restore(file, &Home::new(home.clone()), &passphrase)?;
     output.note(&backed_up(&view));
     let drill = Context { home: Home::new(home), ..context };
-    let plan = audit::plan(&drill, &AuditArguments { verb: None, deep: true, since: None })?;
+    let arguments = AuditArguments { verb: None, deep: true, since: None };
+    let plan = audit::plan(&drill, &arguments, output)?;
     let code = plan::run(drill, plan, output).await;
     folder.close().map_err(unmade)?;
     code

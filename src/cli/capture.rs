@@ -20,9 +20,12 @@ const LOOK: Duration = Duration::from_secs(3);
 /// `capture …`
 #[derive(Debug, Args)]
 pub struct CaptureArguments {
-    /// Topic to capture; repeatable
-    #[arg(long = "topic", value_name = "TOPIC", required = true)]
+    /// Topic to capture, or a pattern for those that the graph has now; repeatable
+    #[arg(long = "topic", value_name = "TOPIC", required_unless_present = "of_robots")]
     pub topics: Vec<String>,
+    /// Capture the topics that this robot has now, as robot1 for /robot1/**; repeatable
+    #[arg(long = "robot", value_name = "NAME")]
+    pub of_robots: Vec<String>,
     /// Reject messages of other types
     #[arg(long = "type", value_name = "TYPE")]
     pub type_name: Option<String>,
@@ -39,7 +42,8 @@ pub struct CaptureArguments {
 
 pub async fn run(context: Context, arguments: CaptureArguments, output: &Output) -> Result<u8, Failure> {
     let length = arguments.duration.as_deref().map(parse::duration).transpose()?;
-    let (topics, type_name) = (parse::values(&arguments.topics)?, parse::optional(arguments.type_name.as_deref())?);
+    let topics = parse::topics(&arguments.topics, &arguments.of_robots)?;
+    let type_name = parse::optional(arguments.type_name.as_deref())?;
     let milliseconds = length.map(|length| u64::try_from(length.as_millis()).unwrap_or(u64::MAX));
     let tags = parse::tags(&arguments.tags)?;
     let ask = Capture { topics, type_name, count: arguments.count, milliseconds, tags };

@@ -6,6 +6,7 @@ use super::parse;
 use crate::model::Timestamp;
 use crate::service::reply::{CoveragePart, CoverageView};
 use crate::service::{Failure, command::TopicCoverage};
+use authros_output::Output;
 
 const MOST_LISTED: usize = 20;
 
@@ -17,23 +18,24 @@ pub struct CoverageArguments {
     /// Only what this robot recorded: its name, or the beginning of its device's id [default: all that there is]
     #[arg(long, value_name = "NAME")]
     pub robot: Option<String>,
-    /// Start: a time, a date, or a duration ago such as 24h [default: its first record]
-    #[arg(long, value_name = "TIME")]
+    /// Start: 24h (ago), 18:00, "yesterday 18:00", "2026-11-27 18:00" or RFC 3339 [default: its first record]
+    #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
     pub since: Option<String>,
     /// End; same format [default: now]
-    #[arg(long, value_name = "TIME")]
+    #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
     pub until: Option<String>,
     /// Number of parts to divide the span into, 1 to 1000
     #[arg(long, value_name = "N", default_value_t = 60)]
     pub parts: usize,
 }
 
-pub fn question(arguments: &CoverageArguments) -> Result<TopicCoverage, Failure> {
+pub fn question(arguments: &CoverageArguments, output: &Output) -> Result<TopicCoverage, Failure> {
+    let times = parse::Times::now(output);
     Ok(TopicCoverage {
         topic: parse::value(&arguments.topic)?,
         robot: arguments.robot.clone(),
-        since: arguments.since.as_deref().map(parse::past).transpose()?,
-        until: arguments.until.as_deref().map(parse::past).transpose()?,
+        since: times.since(arguments.since.as_deref())?,
+        until: times.until(arguments.until.as_deref())?,
         parts: arguments.parts,
     })
 }

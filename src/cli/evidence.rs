@@ -36,11 +36,11 @@ pub enum EvidenceVerb {
         /// Only this incident; its name, span and notes are included in the bundle's page
         #[arg(long, value_name = "NAME")]
         incident: Option<String>,
-        /// Captured at or after: a time such as 2026-11-21T08:30:00Z, a date, or a duration ago such as 10m
-        #[arg(long, value_name = "TIME")]
+        /// Captured at or after: 10m (ago), 18:00, "yesterday 18:00", "2026-11-27 18:00" or RFC 3339
+        #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
         since: Option<String>,
         /// Captured before; same format
-        #[arg(long, value_name = "TIME")]
+        #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
         until: Option<String>,
         /// Disclose this record, by id: anyone with the file can read its topic, type and message, permanently, but
         /// nothing else of the topic; repeatable
@@ -56,10 +56,11 @@ pub async fn run(context: Context, verb: EvidenceVerb, output: &Output) -> Resul
         return stamp(context, output).await;
     };
     let file = parse::absolute(&file)?;
-    let moment = |text: Option<String>| text.as_deref().map(parse::past).transpose();
+    let times = parse::Times::now(output);
+    let (since, until) = (times.since(since.as_deref())?, times.until(until.as_deref())?);
     let topic = parse::optional(topic.as_deref())?;
     let incident = parse::optional(incident.as_deref())?;
-    let wish = EvidenceWishes { file, records, topic, incident, since: moment(since)?, until: moment(until)?, reveal };
+    let wish = EvidenceWishes { file, records, topic, incident, since, until, reveal };
     let export = async |client: &Client| client.ask(ExportEvidence(wish)).await;
     let view = context.with(CHAIN, ProfileNeed::Unlocked, output, export).await?;
     output.result(&view, || exported(&view));

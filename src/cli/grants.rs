@@ -6,9 +6,9 @@ use clap::{Args, Subcommand};
 
 use super::plan::Plan;
 use super::{parse, parties, show::or_dash};
-use crate::model::Timestamp;
+use crate::model::Clock;
 use crate::service::{Failure, GrantFrom, command, reply};
-use authros_output::{pairs, table};
+use authros_output::{Output, pairs, table};
 
 /// `grant …`
 #[derive(Debug, Args)]
@@ -19,17 +19,20 @@ pub struct GrantArguments {
     /// The same, as an option
     #[arg(long, value_name = "ADDRESS_OR_NAME", conflicts_with = "address")]
     pub to: Option<String>,
-    /// Only this topic; repeatable [default: all topics]
+    /// Only this topic, or the topics that match this pattern now; repeatable [default: all topics]
     #[arg(long = "topic", value_name = "TOPIC")]
     pub topics: Vec<String>,
+    /// Only the topics that this robot has now, as robot1 for /robot1/**; repeatable
+    #[arg(long = "robot", value_name = "NAME")]
+    pub of_robots: Vec<String>,
     /// From when on: now (a new epoch: nothing older), epoch (since the current one began), start (all records), or a
-    /// time: 1h, 2026-11-21T08:30:00Z (the whole epochs with what was captured since)
+    /// time: 1h, "yesterday 18:00" (the whole epochs with what was captured since)
     #[arg(long, value_name = "FROM", default_value = "epoch")]
     pub from: String,
     /// Only say what it would open now, and what it costs
     #[arg(long)]
     pub dry_run: bool,
-    /// End of the grant: 30d, 12h, 2w, or a time such as 2027-01-31T12:00:00Z
+    /// End of the grant: 30d, 18:00, "tomorrow 18:00", "2026-11-27 18:00" or RFC 3339
     #[arg(long, value_name = "TIME")]
     pub expires: Option<String>,
 }
@@ -43,7 +46,7 @@ pub enum GrantsVerb {
     Extend {
         /// The reader's account, or its name
         grantee: String,
-        /// New end: 30d, 12h, or a time such as 2027-01-31T12:00:00Z
+        /// New end: 30d, 18:00, "tomorrow 18:00", "2026-11-27 18:00" or RFC 3339
         #[arg(long, value_name = "TIME", required_unless_present = "endless")]
         expires: Option<String>,
         /// Never expires
@@ -52,10 +55,12 @@ pub enum GrantsVerb {
     },
 }
 
-pub fn grant(arguments: &GrantArguments) -> Result<Plan, Failure> {
+pub fn grant(arguments: &GrantArguments, output: &Output) -> Result<Plan, Failure> {
+    let times = parse::Times::now(output);
     let grantee = parse::value(arguments.address.as_deref().or(arguments.to.as_deref()).unwrap_or_default())?;
-    let (topics, from) = (parse::values(&arguments.topics)?, GrantFrom::read(&arguments.from, parse::past)?);
-    let expires = arguments.expires.as_deref().map(parse::end).transpose()?;
+    let topics = parse::topics(&arguments.topics, &arguments.of_robots)?;
+    let from = GrantFrom::read(&arguments.from, |text| times.begin(text))?;
+    let expires = times.end(arguments.expires.as_deref())?;
     Ok(match arguments.dry_run {
         true => Plan::unlocked(command::ForeseeGrant { grantee, topics, from }),
         false => Plan::unlocked(command::Grant { grantee, topics, from, expires }),
@@ -64,31 +69,22 @@ pub fn grant(arguments: &GrantArguments) -> Result<Plan, Failure> {
 
 /// What a grant would do.
 pub fn foreseen(view: &reply::GrantForesight) -> String {
-    pairs(&[("opens", view.moment(local)), ("cost", view.cost())])
+    let clock = Clock::system();
+    pairs(&[("opens", view.moment(|moment| clock.meaning(moment))), ("cost", view.cost())])
 }
 
-/// A moment here, then in UTC: `2026-11-27 18:00:41 (17:00:41 UTC)`.
-fn local(moment: Timestamp) -> String {
-    let utc = reply::utc(moment);
-    let here =
-        jiff::Timestamp::from_nanosecond(i128::from(moment.0)).map(|at| at.to_zoned(jiff::tz::TimeZone::system()));
-    match here {
-        Ok(here) if here.offset() != jiff::tz::Offset::UTC => format!("{} ({utc})", here.strftime("%Y-%m-%d %H:%M:%S")),
-        _ => utc,
-    }
-}
-
-pub fn plan(verb: GrantsVerb) -> Result<Plan, Failure> {
+pub fn plan(verb: GrantsVerb, output: &Output) -> Result<Plan, Failure> {
     Ok(match verb {
         GrantsVerb::List => Plan::unlocked(command::ListGrants),
         GrantsVerb::Extend { grantee, expires, .. } => {
-            let (grantee, expires) = (parse::value(&grantee)?, expires.as_deref().map(parse::end).transpose()?);
+            let (grantee, expires) = (parse::value(&grantee)?, parse::Times::now(output).end(expires.as_deref())?);
             Plan::unlocked(command::ExtendGrant { grantee, expires })
         }
     })
 }
 
 pub fn list(rows: &[reply::GrantRow]) -> String {
+    let clock = Clock::system();
     let row = |row: &reply::GrantRow| {
         [
             row.direction.word().to_owned(),
@@ -98,7 +94,7 @@ pub fn list(rows: &[reply::GrantRow]) -> String {
             ),
             or_dash(row.fingerprint.as_ref()),
             row.state.word().to_owned(),
-            row.opens.map_or_else(|| "-".to_owned(), |opens| opens.words(local)),
+            row.opens.map_or_else(|| "-".to_owned(), |opens| opens.words(|moment| clock.meaning(moment))),
             row.from.map_or_else(|| "-".to_owned(), |from| from.to_string()),
             or_dash(row.expires),
             if row.topics.is_empty() { "all topics".to_owned() } else { row.topics.join(" ") },

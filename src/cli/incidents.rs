@@ -4,11 +4,10 @@ use clap::Subcommand;
 
 use super::parse::{self, usage};
 use super::{plan::Plan, show::or_dash};
-use crate::model::Timestamp;
 use crate::service::Failure;
 use crate::service::command::{CloseIncident, ListIncidents, NoteIncident, OpenIncident, RemoveIncident, ShowIncident};
 use crate::service::reply::{IncidentView, SpanCoverageView};
-use authros_output::table;
+use authros_output::{Output, table};
 
 /// `incident …`
 #[derive(Debug, Subcommand)]
@@ -17,7 +16,7 @@ pub enum IncidentVerb {
     Open {
         /// Name: letters, digits, '.', '-' and '_'
         name: String,
-        /// Start: a time such as 2026-11-21T08:30:00Z, a date, or a duration ago such as 10m or -10m
+        /// Start: 10m (ago), 18:00, "yesterday 18:00", "2026-11-27 18:00" or RFC 3339
         #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
         since: String,
         /// End; same format [default: when it is closed]
@@ -62,11 +61,12 @@ pub enum IncidentVerb {
     },
 }
 
-pub fn plan(verb: IncidentVerb) -> Result<Plan, Failure> {
+pub fn plan(verb: IncidentVerb, output: &Output) -> Result<Plan, Failure> {
     Ok(match verb {
         IncidentVerb::Open { name, since, until, topics, note, rings_of } => {
-            let (name, since) = (parse::value(&name)?, moment(&since)?);
-            let (until, topics) = (until.as_deref().map(moment).transpose()?, parse::values(&topics)?);
+            let (name, topics) = (parse::value(&name)?, parse::values(&topics)?);
+            let times = parse::Times::now(output);
+            let (since, until) = (times.begin(&since)?, times.until(until.as_deref())?);
             let question = OpenIncident { name, since, until, topics, note, robots: rings_of };
             // The owner signs the notices that ask robots.
             if question.robots.is_empty() { Plan::kept(question) } else { Plan::unlocked(question) }
@@ -80,11 +80,6 @@ pub fn plan(verb: IncidentVerb) -> Result<Plan, Failure> {
             return Err(usage("what retention then deletes cannot be restored; add --yes to confirm"));
         }
     })
-}
-
-/// Accepts `-10m` for `10m` ago.
-pub(super) fn moment(text: &str) -> Result<Timestamp, Failure> {
-    parse::past(text.strip_prefix('-').unwrap_or(text))
 }
 
 fn state(incident: &IncidentView) -> &'static str {

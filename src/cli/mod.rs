@@ -167,22 +167,22 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
         }
         Verb::Audit(arguments) => {
             let context = context()?;
-            let plan = audit::plan(&context, &arguments)?;
+            let plan = audit::plan(&context, &arguments, output)?;
             ask(context, plan)
         }
         Verb::Register => ask(context()?, Plan::new(CHAIN, ProfileNeed::Made, command::Register)),
-        Verb::Topics(verb) => ask(context()?, topics::plan(verb)?),
+        Verb::Topics(verb) => ask(context()?, topics::plan(verb, output)?),
         Verb::Quarantine(verb) => ask(context()?, quarantine::plan(verb)?),
-        Verb::Grant(grant) => ask(context()?, grants::grant(&grant)?),
+        Verb::Grant(grant) => ask(context()?, grants::grant(&grant, output)?),
         Verb::Revoke { address } => {
             ask(context()?, Plan::unlocked(command::Revoke { grantee: parse::value(&address)? }))
         }
-        Verb::Grants(verb) => ask(context()?, grants::plan(verb)?),
+        Verb::Grants(verb) => ask(context()?, grants::plan(verb, output)?),
         Verb::Contacts(verb) => ask(context()?, Plan::public(parties::contacts(verb)?)),
-        Verb::Devices(verb) => ask(context()?, Plan::unlocked(robots::question(&verb)?)),
+        Verb::Devices(verb) => ask(context()?, Plan::unlocked(robots::question(&verb, output)?)),
         Verb::Alerts(verb) => ask(context()?, status::plan(&verb)),
-        Verb::Robots(verb) => ask(context()?, robots::plan(verb)?),
-        Verb::Incident(verb) => ask(context()?, incidents::plan(verb)?),
+        Verb::Robots(verb) => ask(context()?, robots::plan(verb, output)?),
+        Verb::Incident(verb) => ask(context()?, incidents::plan(verb, output)?),
     }
 }
 

@@ -4,10 +4,11 @@ use std::path::{Path, PathBuf};
 use std::{fmt::Display, str::FromStr, time::Duration};
 
 use super::args::ListArguments;
-use crate::model::{ErrorKind, SignerId, Timestamp, bytes::unhex, clean, positive_span};
-pub use crate::service::command::filter::{moment, tag};
-use crate::service::command::{Term, filter};
+use crate::model::{Clock, ErrorKind, SignerId, Timestamp, TopicPattern, bytes::unhex, clean, positive_span};
+use crate::service::command::Term;
+pub use crate::service::command::filter::tag;
 use crate::service::{Failure, UploadQuery, failure::input};
+use authros_output::Output;
 
 pub fn value<T: FromStr<Err: Display>>(text: &str) -> Result<T, Failure> {
     text.parse().map_err(|error: T::Err| input(error.to_string()))
@@ -33,12 +34,54 @@ pub fn tags(texts: &[String]) -> Result<Vec<(String, String)>, Failure> {
     texts.iter().map(|text| tag(text)).collect()
 }
 
-/// A moment, or a length of time from now.
-pub fn end(text: &str) -> Result<Timestamp, Failure> {
-    if let Ok(time) = moment(text) {
-        return Ok(Timestamp::from_seconds(time.seconds()));
+/// The times of one command, read against one moment. What each means is told, unless its text says all of it.
+pub struct Times<'a> {
+    pub clock: Clock,
+    output: &'a Output,
+}
+
+impl<'a> Times<'a> {
+    pub fn now(output: &'a Output) -> Self {
+        Self { clock: Clock::system(), output }
     }
-    Ok(Timestamp::now().end_after(duration(text)?))
+
+    /// The beginning of a span of records.
+    pub fn since(&self, text: Option<&str>) -> Result<Option<Timestamp>, Failure> {
+        text.map(|text| self.begin(text)).transpose()
+    }
+
+    pub fn begin(&self, text: &str) -> Result<Timestamp, Failure> {
+        self.read("since", text, Clock::back)
+    }
+
+    /// The end of a span of records, which is not part of it.
+    pub fn until(&self, text: Option<&str>) -> Result<Option<Timestamp>, Failure> {
+        text.map(|text| self.read("until", text, Clock::back)).transpose()
+    }
+
+    /// The end of a right.
+    pub fn end(&self, text: Option<&str>) -> Result<Option<Timestamp>, Failure> {
+        text.map(|text| self.read("ends", text, Clock::end)).transpose()
+    }
+
+    fn read<E: Display>(
+        &self,
+        word: &str,
+        text: &str,
+        read: impl Fn(&Clock, &str) -> Result<Timestamp, E>,
+    ) -> Result<Timestamp, Failure> {
+        let moment = read(&self.clock, text).map_err(|error| input(error.to_string()))?;
+        if !Clock::is_absolute(text) {
+            self.output.note(&format!("{word} {}", self.clock.meaning(moment)));
+        }
+        Ok(moment)
+    }
+}
+
+/// Topics by name or pattern, and all of these robots.
+pub fn topics(texts: &[String], robots: &[String]) -> Result<Vec<TopicPattern>, Failure> {
+    let of_robots = robots.iter().map(|robot| TopicPattern::of_robot(robot).map_err(|error| input(error.to_string())));
+    texts.iter().map(|text| value(text)).chain(of_robots).collect()
 }
 
 pub fn duration(text: &str) -> Result<Duration, Failure> {
@@ -56,19 +99,14 @@ pub fn fingerprint(text: &str) -> Result<SignerId, Failure> {
     })
 }
 
-/// A time, a day, or a span ago.
-pub fn past(text: &str) -> Result<Timestamp, Failure> {
-    filter::past(text, Timestamp::now())
-}
-
-pub fn query(arguments: &ListArguments) -> Result<UploadQuery, Failure> {
+pub fn query(arguments: &ListArguments, output: &Output) -> Result<UploadQuery, Failure> {
     if !(1..=1000).contains(&arguments.limit) {
         return Err(input(format!("--limit {} is not between 1 and 1000", arguments.limit)));
     }
-    let ListArguments { topic, type_name, tags, state, kind, owner, since, until, incident, .. } = arguments;
+    let ListArguments { topic, robot, type_name, tags, state, kind, owner, since, until, incident, .. } = arguments;
     let (after, limit, newest_first) = (arguments.after.clone(), arguments.limit, arguments.newest);
     let mut query = UploadQuery { after, limit, newest_first, ..UploadQuery::default() };
-    let now = Timestamp::now();
+    let times = Times::now(output);
     for (term, texts) in [
         (Term::Owner, owner.as_slice()),
         (Term::Topic, topic.as_slice()),
@@ -76,12 +114,13 @@ pub fn query(arguments: &ListArguments) -> Result<UploadQuery, Failure> {
         (Term::Tag, tags.as_slice()),
         (Term::State, state.as_slice()),
         (Term::Kind, kind.as_slice()),
-        (Term::Since, since.as_slice()),
-        (Term::Until, until.as_slice()),
         (Term::Incident, incident.as_slice()),
+        (Term::Robot, robot.as_slice()),
     ] {
-        texts.iter().try_for_each(|text| query.take(term, text, now))?;
+        texts.iter().try_for_each(|text| query.take(term, text, &times.clock))?;
     }
+    query.since = times.since(since.as_deref())?;
+    query.until = times.until(until.as_deref())?;
     Ok(query)
 }
 
@@ -106,7 +145,7 @@ mod tests {
         let alice = "0x5aAeb6053F3E94C9b9A09f33669435E7Ef1BeAed";
         let text = format!(
             "owner:{alice} topic:/robot1/odom type:nav_msgs/Odometry tag:mission=harbour tag:shift=a=b state:verified \
-             kind:gap since:2026-11-21 until:2026-11-22T08:30:00Z incident:crash"
+             kind:gap since:2026-11-21 until:2026-11-22T08:30:00Z incident:crash robot:scout-1"
         );
         let flags = text.split(' ').flat_map(|word| {
             let (name, value) = word.split_once(':').expect("a term");
@@ -117,23 +156,30 @@ mod tests {
         let Some(super::super::args::Verb::Uploads(super::super::args::UploadsVerb::List(list))) = parsed.verb else {
             panic!("a list");
         };
-        let by_flags = query(&list).expect("a query");
-        let wanted = Wanted::read(&text, &[], Timestamp::now());
+        let by_flags = query(&list, &Output::new(true)).expect("a query");
+        let wanted = Wanted::read(&text, &[], &Clock::system()).expect("a filter");
         assert_eq!(UploadQuery { limit: 0, ..by_flags }, wanted.asked);
         assert_eq!((wanted.asked.tags.len(), wanted.rest.as_str()), (2, ""));
     }
 
     #[test]
     fn ends_are_times_or_lengths() {
-        assert_eq!(end("2030-01-31T12:00:00.5Z").ok(), Some(Timestamp::from_seconds(1_896_091_200)));
-        assert!(end("2h").is_ok_and(|until| until > Timestamp::now()));
-        assert!(end("tomorrow").is_err());
+        let output = Output::new(true);
+        let times = Times::now(&output);
+        let end = |text: &str| times.end(Some(text)).map(|end| end.expect("an end")).map_err(|failure| failure.kind);
+        assert_eq!(end("2100-01-31T12:00:00.5Z"), Ok(Timestamp::from_seconds(4_105_080_001)));
+        assert_eq!(end("2h"), Ok(times.clock.now.end_after(Duration::from_secs(7_200))));
+        assert!(end("tomorrow 18:00").is_ok());
+        assert_eq!((end("yesterday"), end("soon")), (Err(ErrorKind::Input), Err(ErrorKind::Input)));
+        assert_eq!(times.since(None).map_err(|failure| failure.kind), Ok(None));
     }
 
     #[test]
-    fn tags_and_times() {
+    fn tags_and_topics() {
         assert_eq!(tag("mission=a=b").expect("tag"), ("mission".to_owned(), "a=b".to_owned()));
         assert!(tag("mission").is_err() && tag("=x").is_err() && tag("a b=x").is_err());
-        assert!(moment("2026-11-21T08:30:00Z").is_ok() && moment("yesterday").is_err());
+        let named = topics(&["/odom".to_owned()], &["robot1".to_owned()]).expect("topics");
+        assert_eq!(named.iter().map(TopicPattern::as_str).collect::<Vec<_>>(), ["/odom", "/robot1/**"]);
+        assert!(topics(&["odom".to_owned()], &[]).is_err() && topics(&[], &["scout-1".to_owned()]).is_err());
     }
 }

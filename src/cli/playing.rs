@@ -21,11 +21,14 @@ pub struct PlayArguments {
     /// Only topics matching this pattern; repeatable
     #[arg(long = "topic", value_name = "PATTERN")]
     pub topics: Vec<String>,
-    /// Captured at or after, RFC 3339
-    #[arg(long, value_name = "TIME")]
+    /// Only topics of this robot, as robot1 for /robot1/**; repeatable
+    #[arg(long = "robot", value_name = "NAME")]
+    pub of_robots: Vec<String>,
+    /// Captured at or after: 10m (ago), 18:00, "yesterday 18:00", "2026-11-27 18:00" or RFC 3339
+    #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
     pub since: Option<String>,
-    /// Captured before, RFC 3339
-    #[arg(long, value_name = "TIME")]
+    /// Captured before; same format
+    #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
     pub until: Option<String>,
     /// Play records as they are verified, until Ctrl-C; earlier latched messages come first
     #[arg(long, conflicts_with_all = ["since", "until", "rate", "as_captured"])]
@@ -55,10 +58,10 @@ pub struct PlayArguments {
 }
 
 impl PlayArguments {
-    fn wishes(&self, domain: Option<u16>) -> Result<PlayWishes, Failure> {
-        let (owner, topics) = (parse::optional(self.owner.as_deref())?, parse::values(&self.topics)?);
-        let since = self.since.as_deref().map(parse::moment).transpose()?;
-        let until = self.until.as_deref().map(parse::moment).transpose()?;
+    fn wishes(&self, domain: Option<u16>, output: &Output) -> Result<PlayWishes, Failure> {
+        let (owner, topics) = (parse::optional(self.owner.as_deref())?, parse::topics(&self.topics, &self.of_robots)?);
+        let times = parse::Times::now(output);
+        let (since, until) = (times.since(self.since.as_deref())?, times.until(self.until.as_deref())?);
         let (pace, clock, master) = (self.pace()?, self.clock, self.to.clone());
         let (prefix, remaps) = (parse::optional(self.prefix.as_deref())?, parse::values(&self.remaps)?);
         let domain = domain.filter(|_| self.ros2.is_some() && self.to.is_none());
@@ -76,7 +79,7 @@ impl PlayArguments {
 }
 
 pub async fn run(context: Context, arguments: PlayArguments, output: &Output) -> Result<u8, Failure> {
-    let wishes = arguments.wishes(context.config.ros_domain)?;
+    let wishes = arguments.wishes(context.config.ros_domain, output)?;
     // A named graph needs no capturing node of ours.
     let is_named = wishes.master.is_some() || wishes.domain.is_some() || context.config.ros_master.is_some();
     let live = Needs { ros: !is_named, chain: true };

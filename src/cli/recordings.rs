@@ -36,6 +36,9 @@ pub struct ImportArguments {
     /// Only topics matching this pattern, such as /robot*/odom; repeatable [default: all topics]
     #[arg(long = "topic", value_name = "PATTERN")]
     pub topics: Vec<String>,
+    /// Only topics of this robot, as robot1 for /robot1/**; repeatable
+    #[arg(long = "robot", value_name = "NAME")]
+    pub of_robots: Vec<String>,
     /// Tag, sealed with each record, such as mission=harbour; repeatable
     #[arg(long = "tag", value_name = "KEY=VALUE")]
     pub tags: Vec<String>,
@@ -63,11 +66,14 @@ pub struct ExportArguments {
     /// Only topics matching this pattern; repeatable
     #[arg(long = "topic", value_name = "PATTERN")]
     pub topics: Vec<String>,
-    /// Captured at or after: a time such as 2026-11-21T08:30:00Z, a date, or a duration ago such as 10m
-    #[arg(long, value_name = "TIME")]
+    /// Only topics of this robot, as robot1 for /robot1/**; repeatable
+    #[arg(long = "robot", value_name = "NAME")]
+    pub of_robots: Vec<String>,
+    /// Captured at or after: 10m (ago), 18:00, "yesterday 18:00", "2026-11-27 18:00" or RFC 3339
+    #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
     pub since: Option<String>,
     /// Captured before; same format
-    #[arg(long, value_name = "TIME")]
+    #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
     pub until: Option<String>,
     /// none, bz2 (bag), lz4, zstd (MCAP, rosbag2)
     #[arg(long, value_name = "HOW", default_value = "none")]
@@ -78,7 +84,7 @@ pub struct ExportArguments {
 }
 
 impl ExportArguments {
-    fn wishes(&self) -> Result<command::ExportWishes, Failure> {
+    fn wishes(&self, output: &Output) -> Result<command::ExportWishes, Failure> {
         let (path, format) = match (&self.bag, &self.mcap, &self.rosbag2) {
             (Some(path), ..) => (path, RecordingFormat::Bag),
             (_, Some(path), _) => (path, RecordingFormat::Mcap),
@@ -88,16 +94,16 @@ impl ExportArguments {
             }
         };
         let (path, compression) = (absolute(path)?, parse::value::<ChunkCompression>(&self.compression)?);
-        let (owner, topics) = (parse::optional(self.owner.as_deref())?, parse::values(&self.topics)?);
-        let since = self.since.as_deref().map(parse::past).transpose()?;
-        let until = self.until.as_deref().map(parse::past).transpose()?;
+        let (owner, topics) = (parse::optional(self.owner.as_deref())?, parse::topics(&self.topics, &self.of_robots)?);
+        let times = parse::Times::now(output);
+        let (since, until) = (times.since(self.since.as_deref())?, times.until(self.until.as_deref())?);
         let unanchored = self.unanchored;
         Ok(command::ExportWishes { path, format, compression, owner, topics, since, until, unanchored })
     }
 }
 
 pub async fn import(context: Context, arguments: ImportArguments, output: &Output) -> Result<u8, Failure> {
-    let (topics, tags) = (parse::values(&arguments.topics)?, parse::tags(&arguments.tags)?);
+    let (topics, tags) = (parse::topics(&arguments.topics, &arguments.of_robots)?, parse::tags(&arguments.tags)?);
     let wishes = command::ImportWishes { path: absolute(&arguments.file)?, topics, tags, again: arguments.again };
     let view = run(context, command::ImportRecording(wishes), ProfileNeed::Made, output).await?;
     output.result(&view, || imported(&view));
@@ -138,7 +144,7 @@ fn bring_keyring(context: &Context, from: &Path, output: &Output) -> Result<(), 
 }
 
 pub async fn export(context: Context, arguments: ExportArguments, output: &Output) -> Result<u8, Failure> {
-    let view = run(context, command::ExportRecording(arguments.wishes()?), ProfileNeed::Unlocked, output).await?;
+    let view = run(context, command::ExportRecording(arguments.wishes(output)?), ProfileNeed::Unlocked, output).await?;
     output.result(&view, || exported(&view));
     Ok(export_code(&view, output))
 }

@@ -19,9 +19,12 @@ use authros_output::{Output, pairs, table};
 /// Filters of record lists.
 #[derive(Debug, Args)]
 pub struct ListArguments {
-    /// Only this topic
+    /// Only this topic, or topics matching this pattern, such as /robot*/camera/**
     #[arg(long, value_name = "TOPIC")]
     pub topic: Option<String>,
+    /// Only this robot's: as enrolled, or the first part of its topics, as robot1 for /robot1/odom
+    #[arg(long, value_name = "NAME")]
+    pub robot: Option<String>,
     /// Only this message type, such as nav_msgs/Odometry
     #[arg(long = "type", value_name = "TYPE")]
     pub type_name: Option<String>,
@@ -37,11 +40,11 @@ pub struct ListArguments {
     /// Only this owner's, by account or name (shared)
     #[arg(long, value_name = "ADDRESS_OR_NAME")]
     pub owner: Option<String>,
-    /// Captured at or after: a time such as 2026-11-21T08:30:00Z, a date, or a duration ago such as 10m
-    #[arg(long, value_name = "TIME")]
+    /// Captured at or after: 10m (ago), 18:00, "yesterday 18:00", "2026-11-27 18:00" or RFC 3339
+    #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
     pub since: Option<String>,
     /// Captured before; same format
-    #[arg(long, value_name = "TIME")]
+    #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
     pub until: Option<String>,
     /// Only records of this incident (uploads)
     #[arg(long, value_name = "NAME")]
@@ -126,12 +129,12 @@ pub enum SharedVerb {
 pub async fn uploads(context: Context, verb: UploadsVerb, output: &Output) -> Result<u8, Failure> {
     let plan = match verb {
         UploadsVerb::List(list) if list.follow => {
-            return follow::run(context, command::ListUploads, parse::query(&list)?, output).await;
+            return follow::run(context, command::ListUploads, parse::query(&list, output)?, output).await;
         }
         UploadsVerb::List(list) => {
             // Ids of tags derive from the profile's own key.
             let need = if list.tags.is_empty() { ProfileNeed::None } else { ProfileNeed::Unlocked };
-            Plan::new(NEITHER, need, check::list_uploads(&context, parse::query(&list)?))
+            Plan::new(NEITHER, need, check::list_uploads(&context, parse::query(&list, output)?))
         }
         UploadsVerb::Import { other } => return recordings::import_home(context, &other, output).await,
         UploadsVerb::Show { id } => Plan::public(command::ShowUpload { id }),
@@ -147,9 +150,9 @@ pub async fn shared(context: Context, verb: SharedVerb, output: &Output) -> Resu
         SharedVerb::Export(export) => return recordings::export(context, export, output).await,
         SharedVerb::Play(play) => return playing::run(context, play, output).await,
         SharedVerb::List(list) if list.follow => {
-            return follow::run(context, command::ListShared, parse::query(&list)?, output).await;
+            return follow::run(context, command::ListShared, parse::query(&list, output)?, output).await;
         }
-        SharedVerb::List(list) => Plan::unlocked(command::ListShared(parse::query(&list)?)),
+        SharedVerb::List(list) => Plan::unlocked(command::ListShared(parse::query(&list, output)?)),
         SharedVerb::Check { id } => Plan::unlocked(command::CheckShared { id }),
         SharedVerb::Open { id, out } => reading::open(id, out),
         SharedVerb::Path { id, records } => Plan::unlocked(command::ViewPath { id, records }),

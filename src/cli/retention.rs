@@ -6,7 +6,7 @@ use std::path::Path;
 use clap::Subcommand;
 
 use super::connect::{Context, ProfileNeed};
-use super::{incidents::moment, parse, plan::CHAIN};
+use super::{parse, plan::CHAIN};
 use crate::model::{ByteSize, Digest, ErrorKind, clean};
 use crate::service::command::{EraseRecords, ErasureWishes};
 use crate::service::{Client, Failure, failure::input, reply::ErasureView};
@@ -28,10 +28,10 @@ pub enum RetentionVerb {
         /// Messages that were imported from this bag or MCAP file; without the file, its tag 'recording'
         #[arg(long, value_name = "FILE")]
         recording: Option<String>,
-        /// Captured at this time or later: 2026-11-21T08:30:00Z, a day, or so long ago, as 10m
+        /// Captured at or after: 10m (ago), 18:00, "yesterday 18:00", "2026-11-27 18:00" or RFC 3339
         #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
         since: Option<String>,
-        /// Captured before this time, written in the same way
+        /// Captured before; same format
         #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
         until: Option<String>,
         /// These records, by their ids
@@ -50,7 +50,8 @@ pub enum RetentionVerb {
 pub async fn run(context: Context, verb: RetentionVerb, output: &Output) -> Result<u8, Failure> {
     let RetentionVerb::Erase { topic, recording, since, until, records, reason, yes } = verb;
     let topic = parse::optional(topic.as_deref())?;
-    let (since, until) = (since.as_deref().map(moment).transpose()?, until.as_deref().map(moment).transpose()?);
+    let times = parse::Times::now(output);
+    let (since, until) = (times.since(since.as_deref())?, times.until(until.as_deref())?);
     let recording = recording.as_deref().map(tag_of).transpose()?;
     let wishes = ErasureWishes { topic, since, until, records, recording, reason, sure: yes };
     let asks = !yes && !context.global.json && std::io::stdin().is_terminal();

@@ -6,7 +6,6 @@ use std::{collections::BTreeMap, io::Read as _};
 use authros_output::{Output, table};
 use clap::{Args, Subcommand};
 
-use super::incidents::moment;
 use super::parse;
 use super::plan::Plan;
 use super::show::{Question, or_dash};
@@ -23,7 +22,7 @@ pub enum RobotsVerb {
     Pull {
         /// Its name, or the beginning of its device's id
         robot: String,
-        /// Where the span begins: a time as 2026-11-21T08:30:00Z, a day, or so long ago, as 10m or -10m
+        /// Where the span begins: 10m (ago), 18:00, "yesterday 18:00", "2026-11-27 18:00" or RFC 3339
         #[arg(long, value_name = "TIME", allow_hyphen_values = true, required_unless_present = "incident")]
         since: Option<String>,
         /// Where it ends, written in the same way [default: now]
@@ -59,12 +58,13 @@ pub enum RobotsVerb {
     },
 }
 
-pub fn plan(verb: RobotsVerb) -> Result<Plan, Failure> {
+pub fn plan(verb: RobotsVerb, output: &Output) -> Result<Plan, Failure> {
+    let times = parse::Times::now(output);
     let question: Question = match verb {
         RobotsVerb::Pull { robot, since, until, topics, incident } => command::PullRing {
             name: robot,
-            since: since.as_deref().map(moment).transpose()?,
-            until: until.as_deref().map(moment).transpose()?,
+            since: times.since(since.as_deref())?,
+            until: times.until(until.as_deref())?,
             topics: parse::values(&topics)?,
             incident: parse::optional(incident.as_deref())?,
         }
@@ -171,7 +171,7 @@ pub enum DevicesVerb {
         /// Id of the device (64 hex), or the file of its SM2 key (public PEM, or private 0600)
         #[arg(value_name = "ID_OR_KEYFILE")]
         device: String,
-        /// End of the loan: 30d, 12h, or a time such as 2027-01-31T12:00:00Z
+        /// End of the loan: 30d, 18:00, "tomorrow 18:00", "2026-11-27 18:00" or RFC 3339
         #[arg(long, value_name = "TIME")]
         until: Option<String>,
     },
@@ -219,11 +219,11 @@ pub enum AddressesVerb {
     },
 }
 
-pub fn question(verb: &DevicesVerb) -> Result<Question, Failure> {
+pub fn question(verb: &DevicesVerb, output: &Output) -> Result<Question, Failure> {
     Ok(match verb {
         DevicesVerb::Lend { device, until } => {
-            command::LendDevice { device: device_of(device)?, until: until.as_deref().map(parse::end).transpose()? }
-                .into()
+            let until = parse::Times::now(output).end(until.as_deref())?;
+            command::LendDevice { device: device_of(device)?, until }.into()
         }
         DevicesVerb::Recall { device } => command::RecallDevice { device: device.clone() }.into(),
         DevicesVerb::Topics(TopicsVerb::Add { device, topics }) => {

@@ -2,7 +2,7 @@
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
-use clap::Subcommand;
+use clap::{Args, Subcommand};
 
 use super::connect::ProfileNeed;
 use super::coverage::{self, CoverageArguments};
@@ -10,8 +10,9 @@ use super::plan::{NEITHER, Plan, ROS};
 use super::quarantine::{self, PinArguments};
 use super::robots::{self, PolicyArguments};
 use super::{parse, show::or_dash};
-use crate::service::{Failure, command, reply};
-use authros_output::table;
+use crate::model::TopicPattern;
+use crate::service::{Failure, command, failure::input, reply};
+use authros_output::{Output, table};
 
 /// `topics …`
 #[derive(Debug, Subcommand)]
@@ -20,16 +21,16 @@ pub enum TopicsVerb {
     List,
     /// Capture a topic whenever a site runs
     Watch {
-        /// Topic, such as /robot1/odom
-        topic: String,
+        #[command(flatten)]
+        topics: TopicChoice,
         /// Reject messages of other types
         #[arg(long = "type", value_name = "TYPE")]
         type_name: Option<String>,
     },
     /// Stop capturing a topic
     Unwatch {
-        /// Topic
-        topic: String,
+        #[command(flatten)]
+        topics: TopicChoice,
     },
     /// Pin publishers of a topic; messages from others are quarantined
     Pin(PinArguments),
@@ -52,17 +53,37 @@ pub enum TopicsVerb {
     },
 }
 
-pub fn plan(verb: TopicsVerb) -> Result<Plan, Failure> {
+/// Topics of one name, pattern or robot.
+#[derive(Debug, Args)]
+pub struct TopicChoice {
+    /// Topic, such as /robot1/odom, or a pattern, such as /robot*/camera/**, which also covers topics that appear later
+    #[arg(required_unless_present = "robot")]
+    pub topic: Option<String>,
+    /// All topics of this robot, as robot1 for /robot1/**
+    #[arg(long, value_name = "NAME", conflicts_with = "topic")]
+    pub robot: Option<String>,
+}
+
+impl TopicChoice {
+    fn read(&self) -> Result<TopicPattern, Failure> {
+        match (&self.topic, &self.robot) {
+            (_, Some(robot)) => TopicPattern::of_robot(robot).map_err(|error| input(error.to_string())),
+            (topic, None) => parse::value(topic.as_deref().unwrap_or_default()),
+        }
+    }
+}
+
+pub fn plan(verb: TopicsVerb, output: &Output) -> Result<Plan, Failure> {
     Ok(match verb {
         TopicsVerb::List => Plan::new(ROS, ProfileNeed::None, command::ListTopics),
-        TopicsVerb::Watch { topic, type_name } => {
-            let type_name = parse::optional(type_name.as_deref())?;
-            Plan::new(NEITHER, ProfileNeed::OpenAtSite, command::WatchTopic { topic: parse::value(&topic)?, type_name })
+        TopicsVerb::Watch { topics, type_name } => {
+            let (topic, type_name) = (topics.read()?, parse::optional(type_name.as_deref())?);
+            Plan::new(NEITHER, ProfileNeed::OpenAtSite, command::WatchTopic { topic, type_name })
         }
-        TopicsVerb::Unwatch { topic } => Plan::kept(command::UnwatchTopic { topic: parse::value(&topic)? }),
+        TopicsVerb::Unwatch { topics } => Plan::kept(command::UnwatchTopic { topic: topics.read()? }),
         TopicsVerb::Pin(pin) => Plan::kept(quarantine::pin(&pin)?),
         TopicsVerb::Pins { topic } => Plan::kept(command::ListPins { topic: parse::optional(topic.as_deref())? }),
-        TopicsVerb::Coverage(coverage) => Plan::kept(coverage::question(&coverage)?),
+        TopicsVerb::Coverage(coverage) => Plan::kept(coverage::question(&coverage, output)?),
         TopicsVerb::Policy(policy) => Plan::new(ROS, ProfileNeed::None, robots::policy(&policy)?),
         TopicsVerb::Unpin { topic, caller_id } => {
             Plan::kept(command::UnpinTopic { topic: parse::value(&topic)?, caller_id })
@@ -81,7 +102,11 @@ pub fn list(rows: &[reply::TopicRow]) -> String {
             row.publishers.join(" "),
             or_dash(row.hz.map(|hz| format!("{hz:.1}"))),
             if row.left_out > 0 { format!("{} left out", row.left_out) } else { String::new() },
-            if row.watched { "watched" } else { "" }.to_owned(),
+            match (&row.watched_by, row.watched) {
+                (Some(pattern), _) => format!("watched by {pattern}"),
+                (None, true) => "watched".to_owned(),
+                (None, false) => String::new(),
+            },
             if row.alarm { "ALARM" } else { "" }.to_owned(),
             if row.simulated { "SIMULATED" } else { "" }.to_owned(),
         ]);

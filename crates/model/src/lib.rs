@@ -8,6 +8,7 @@ pub mod gap;
 pub mod grant;
 pub mod head;
 pub mod header;
+pub mod moment;
 pub mod party;
 pub mod publisher;
 pub mod recorder_words;
@@ -20,6 +21,7 @@ pub mod steady_clock;
 mod text;
 pub mod topic;
 pub mod topic_rule;
+pub mod watch_rules;
 pub mod wire;
 
 pub use crate::bytes::{
@@ -31,6 +33,7 @@ pub use crate::gap::{GapReport, LossReason, QuarantineReport};
 pub use crate::grant::{GrantTerms, Scope};
 pub use crate::head::Head;
 pub use crate::header::{Header, RecordKind};
+pub use crate::moment::{Clock, Direction, MomentError, Zone};
 pub use crate::party::{
     Address, ContactName, Identity, OperatorName, OperatorNameError, OperatorRight, OperatorRights, Party, ProfileName,
     redact_addresses,
@@ -46,3 +49,4 @@ pub use crate::span::{ByteSize, SpanError, Timestamp, Wei, positive_span, time_s
 pub use crate::state::{ErrorKind, Fact, RecordState, Verdict};
 pub use crate::topic::{TopicName, TypeName, is_record_topic};
 pub use crate::topic_rule::{TopicPattern, TopicRule, TopicRules};
+pub use crate::watch_rules::{WatchRule, WatchRules};

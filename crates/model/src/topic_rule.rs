@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::topic::{LONGEST_NAME, TypeName};
+use super::topic::{LONGEST_NAME, TopicName, TypeName};
 use crate::text::{as_text, is_name, names};
 
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -15,18 +15,31 @@ use crate::text::{as_text, is_name, names};
 )]
 pub struct PatternError(String);
 
-/// A pattern for topic names: `*` within a part, `**` across parts, `?` for one letter.
+/// A topic's name, or a pattern for names: `*` within a part, `**` across parts, `?` for one letter.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct TopicPattern(String);
 names! {
     TopicPattern: |text| {
         let fits = |b: u8| b.is_ascii_alphanumeric() || b"_/*?".contains(&b);
-        (text.starts_with('/') || text.starts_with("**")) && is_name(text, LONGEST_NAME, fits, fits)
+        let is_plain = !text.contains(['*', '?']);
+        (text.starts_with('/') || text.starts_with("**"))
+            && is_name(text, LONGEST_NAME, fits, fits)
+            && (!is_plain || text.parse::<TopicName>().is_ok())
     }, else PatternError by |text| PatternError(super::clean(text, 80));
 }
 as_text!(TopicPattern);
 
 impl TopicPattern {
+    /// All topics of a robot: its name is their first part.
+    pub fn of_robot(name: &str) -> Result<Self, PatternError> {
+        format!("/{}/**", name.trim_matches('/')).parse()
+    }
+
+    /// The name, unless it is a pattern for many.
+    pub fn name(&self) -> Option<TopicName> {
+        if self.is_plain() { self.0.parse().ok() } else { None }
+    }
+
     /// Whether it is a plain name, not a pattern for many.
     pub fn is_plain(&self) -> bool {
         !self.0.contains(['*', '?'])
@@ -34,6 +47,12 @@ impl TopicPattern {
 
     pub fn matches(&self, topic: &str) -> bool {
         fits(self.0.as_bytes(), topic.as_bytes())
+    }
+}
+
+impl From<TopicName> for TopicPattern {
+    fn from(name: TopicName) -> Self {
+        Self(name.as_str().to_owned())
     }
 }
 
@@ -120,6 +139,21 @@ mod tests {
         pattern.parse::<TopicPattern>().expect(pattern).matches(topic)
     }
 
+    fn by_definition(pattern: &[u8], topic: &[u8]) -> bool {
+        match (pattern, topic) {
+            ([], _) => topic.is_empty(),
+            ([b'*', b'*', rest @ ..], _) => (0..=topic.len()).any(|taken| by_definition(rest, &topic[taken..])),
+            ([b'*', rest @ ..], _) => {
+                let part = topic.iter().position(|letter| *letter == b'/').unwrap_or(topic.len());
+                (0..=part).any(|taken| by_definition(rest, &topic[taken..]))
+            }
+            ([letter, rest @ ..], [first, after @ ..]) => {
+                (letter == first || *letter == b'?' && *first != b'/') && by_definition(rest, after)
+            }
+            ([_, ..], []) => false,
+        }
+    }
+
     #[test]
     fn stars_stay_in_a_part_and_double_ones_do_not() {
         assert!(matches("/robot*/odom", "/robot12/odom") && matches("/robot*/odom", "/robot/odom"));
@@ -127,7 +161,7 @@ mod tests {
         assert!(matches("/robot1/**", "/robot1/camera/image") && !matches("/robot1/**", "/robot10/odom"));
         assert!(matches("**/odom", "/a/b/odom") && matches("**", "/x") && matches("/**/odom", "/a/odom"));
         assert!(matches("/a?c", "/abc") && !matches("/a?c", "/a/c") && matches("/a", "/a") && !matches("/a", "/ab"));
-        for bad in ["", "odom", "*", "/a b", "/a[1]", "/\u{202e}"] {
+        for bad in ["", "odom", "*", "/a b", "/a[1]", "/\u{202e}", "/", "/1x", "/a//b"] {
             assert!(bad.parse::<TopicPattern>().is_err(), "{bad}");
         }
     }
@@ -138,6 +172,23 @@ mod tests {
             let pattern = format!("/{}b", "*a".repeat(stars));
             let matched = matches(&pattern, &format!("/{}", "a".repeat(length)));
             prop_assert!(!matched);
+        }
+
+        /// Against a matcher by recursion, which takes exponential time and is easy to believe.
+        #[test]
+        fn patterns_match_as_their_definition_says(pattern in "/[ab/*?]{0,7}", topic in "/[ab/]{0,7}") {
+            if let Ok(read) = pattern.parse::<TopicPattern>() {
+                prop_assert_eq!(read.matches(&topic), by_definition(pattern.as_bytes(), topic.as_bytes()), "{} {}", pattern, topic);
+            }
+        }
+
+        #[test]
+        fn a_robot_has_the_topics_under_its_name_and_no_others(robot in "[a-z][a-z0-9_]{0,8}", rest in "[a-z]{1,5}(/[a-z]{1,5}){0,2}") {
+            let own = TopicPattern::of_robot(&robot).expect("a name");
+            let (under, beside) = (format!("/{robot}/{rest}"), format!("/{robot}0/{rest}"));
+            let within = format!("/x{rest}/{robot}/odom");
+            prop_assert!(own.matches(&under) && !own.matches(&beside) && !own.matches(&within));
+            prop_assert!(under.parse::<TopicPattern>().expect("a name").name().is_some() && own.name().is_none());
         }
 
         #[test]

@@ -4,7 +4,10 @@ use std::collections::{HashMap, HashSet};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
-use crate::model::{Address, Doubt, LossReason, RecordKind, Timestamp, TopicRule, TopicRules, TypeName, clean};
+use crate::model::{
+    Address, Doubt, LossReason, RecordKind, Timestamp, TopicName, TopicRule, TopicRules, TypeName, WatchRule,
+    WatchRules, clean,
+};
 use crate::ros::{CaptureNotice, Message, MessageSink, Origin};
 
 use super::losses::{Losses, Lost};
@@ -71,6 +74,8 @@ pub struct Recorder {
     rings: Arc<Rings<CapturedMessage>>,
     losses: Arc<Losses>,
     interests: RwLock<HashMap<String, Vec<Interest>>>,
+    /// Accounts that watch by patterns: topics are watched as they appear.
+    watches: RwLock<HashMap<Address, (Arc<Author>, WatchRules)>>,
     meter: Meter,
     moved: AtomicBool,
     simulated: RwLock<Vec<String>>,
@@ -89,6 +94,7 @@ impl Recorder {
             rings,
             losses,
             interests: RwLock::default(),
+            watches: RwLock::default(),
             meter: Meter::default(),
             moved: AtomicBool::new(false),
             simulated: RwLock::default(),
@@ -158,16 +164,50 @@ impl Recorder {
         }
     }
 
-    pub fn watch(&self, topic: &str, author: &Arc<Author>, type_name: Option<TypeName>) {
+    /// Replaces what an account watches. Running sessions continue.
+    pub fn set_watches(&self, author: &Arc<Author>, rules: WatchRules) {
+        for topic in self.watched_by(author.address) {
+            match rules.of(&topic) {
+                Some(rule) => self.watch(&topic, author, rule),
+                None => self.change(&topic, author, |interest| interest.watched = false),
+            }
+        }
+        rules.named().for_each(|rule| self.watch(rule.pattern.as_str(), author, rule));
+        let mut watches = self.watches.write().unwrap_or_else(PoisonError::into_inner);
+        if rules.has_patterns() {
+            watches.insert(author.address, (Arc::clone(author), rules));
+        } else {
+            watches.remove(&author.address);
+        }
+    }
+
+    fn watch(&self, topic: &str, author: &Arc<Author>, rule: &WatchRule) {
         self.change(topic, author, |interest| {
             interest.watched = true;
-            interest.type_name = type_name;
+            interest.type_name.clone_from(&rule.type_name);
         });
     }
 
-    /// Running sessions continue.
-    pub fn unwatch(&self, topic: &str, author: &Arc<Author>) {
-        self.change(topic, author, |interest| interest.watched = false);
+    /// Whether somebody watches by a pattern.
+    pub fn has_patterns(&self) -> bool {
+        !self.watches.read().unwrap_or_else(PoisonError::into_inner).is_empty()
+    }
+
+    /// Watches those of the graph's topics that a pattern covers.
+    pub fn follow(&self, topics: &[TopicName]) {
+        let watches = self.watches.read().unwrap_or_else(PoisonError::into_inner);
+        for (author, rules) in watches.values() {
+            let covered = topics.iter().filter_map(|topic| Some((topic.as_str(), rules.of(topic.as_str())?)));
+            for (topic, rule) in covered.filter(|(topic, _)| !self.is_watched(topic, author.address)) {
+                self.watch(topic, author, rule);
+            }
+        }
+    }
+
+    fn watched_by(&self, address: Address) -> Vec<String> {
+        let interests = self.interests.read().unwrap_or_else(PoisonError::into_inner);
+        let own = |interest: &Interest| interest.watched && interest.author.address == address;
+        interests.iter().filter(|(_, list)| list.iter().any(own)).map(|(topic, _)| topic.clone()).collect()
     }
 
     /// Whether messages that nobody wants go into the ring on the disk.

@@ -83,10 +83,11 @@ requests! {
         /// 1 to 1,000.
         parts: usize,
     } => CoverageView, LOOK;
-    /// Capture a topic, in this type if one is given, until it is unwatched; lasts across restarts.
-    WatchTopic { topic: TopicName, type_name: Option<TypeName> } => (), CAPTURE;
-    /// Stop capturing a topic.
-    UnwatchTopic { topic: TopicName } => (), CAPTURE;
+    /// Capture a topic, in this type if one is given, until it is unwatched; lasts across restarts. A pattern also
+    /// covers topics that appear later.
+    WatchTopic { topic: TopicPattern, type_name: Option<TypeName> } => (), CAPTURE;
+    /// Stop capturing what matches.
+    UnwatchTopic { topic: TopicPattern } => (), CAPTURE;
     /// Pinned publishers, and alarms about others.
     ListPins { topic: Option<TopicName> } => PinsView, LOOK;
     /// Accept publishers of a topic; empty = those being read now.
@@ -101,7 +102,8 @@ requests! {
     DiscardHeld { held: Held } => DecidedView, OWNER;
     /// Capture topics until a count or time is reached; answered when everything captured is verified.
     Capture {
-        topics: Vec<TopicName>,
+        /// Patterns stand for what the graph has when it begins.
+        topics: Vec<TopicPattern>,
         /// Refuse other types.
         type_name: Option<TypeName>,
         count: Option<u64>,
@@ -139,13 +141,13 @@ requests! {
     /// Share with another account.
     Grant {
         grantee: Party,
-        /// Only these topics; empty = all.
-        topics: Vec<TopicName>,
+        /// Only these topics; empty = all. Patterns stand for what is known when it is made.
+        topics: Vec<TopicPattern>,
         from: GrantFrom,
         expires: Option<Timestamp>,
     } => TransactionView, GRANT;
     /// What such a grant would open now, and what it costs; changes nothing.
-    ForeseeGrant { grantee: Party, topics: Vec<TopicName>, from: GrantFrom } => GrantForesight, LOOK;
+    ForeseeGrant { grantee: Party, topics: Vec<TopicPattern>, from: GrantFrom } => GrantForesight, LOOK;
     /// Extend an active grant.
     ExtendGrant { grantee: Party, expires: Option<Timestamp> } => TransactionView, GRANT;
     /// Stop sharing with an account; begins a new epoch.

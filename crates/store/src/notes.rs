@@ -13,7 +13,7 @@ use crate::database::Statements as _;
 use crate::ledger::{Erasure, Notes};
 use crate::model::{
     Address, ContactName, Digest, Domain, Hash, ProfileName, PublicKey, RecorderId, RingSpan, SignerId, Timestamp,
-    TopicId, TopicName, TypeName, clean,
+    TopicId, WatchRules, clean,
 };
 
 pub trait Note {
@@ -88,7 +88,7 @@ notes! {
     NodeBehind {} = "node behind": AwaitedBlock, "since when the node is behind";
     DoubtedBlock {} = "doubted block": AwaitedBlock, "since when a block is doubted";
 
-    Watched { profile: ProfileName } = "watched": Vec<(TopicName, Option<TypeName>)>, "the watched topics";
+    Watched { profile: ProfileName } = "watched": WatchRules, "the watched topics";
     /// Per topic and epoch of an owner. A quarantined one does not count for readers who may never see it.
     StoredDefinition { domain: Domain, owner: Address, epoch: u64, topic: TopicId, digest: Digest, held: bool }
         = "definition": (), "which definitions are stored";

@@ -162,7 +162,8 @@ impl Mission {
     }
 
     async fn capture_once(&self, milliseconds: u64) -> Result<CaptureSummary, Failure> {
-        let (topics, tags, milliseconds) = (self.topics.clone(), self.tags.clone(), Some(milliseconds));
+        let topics = self.topics.iter().cloned().map(Into::into).collect();
+        let (tags, milliseconds) = (self.tags.clone(), Some(milliseconds));
         self.cura_a.client.ask(Capture { topics, type_name: None, count: None, milliseconds, tags }).await
     }
 

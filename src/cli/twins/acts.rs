@@ -100,11 +100,11 @@ fn acts_of_topics() -> Vec<Act> {
     let held = || Held { topic: Some(topic()), ids: Vec::new() };
     let pin = Command::PinTopic { topic: topic(), publishers: Vec::new() };
     let unpin = Command::UnpinTopic { topic: topic(), caller_id: "/driver".to_owned() };
-    let watch = Command::WatchTopic { topic: topic(), type_name: None };
+    let watch = Command::WatchTopic { topic: topic().into(), type_name: None };
     let line = |words: &str| format!("{words} /robot1/odom");
     vec![
         (Tag::Watch(name()), watch, line("topics watch")),
-        (Tag::Unwatch(name()), Command::UnwatchTopic { topic: topic() }, line("topics unwatch")),
+        (Tag::Unwatch(name()), Command::UnwatchTopic { topic: topic().into() }, line("topics unwatch")),
         (Tag::Pin(name()), pin, line("topics pin")),
         (Tag::Unpin(name()), unpin, line("topics unpin") + " /driver"),
         (Tag::Release(name()), Command::ReleaseHeld { held: held() }, line("quarantine release --topic")),
@@ -114,8 +114,8 @@ fn acts_of_topics() -> Vec<Act> {
 }
 
 fn acts_of_rights() -> Vec<Act> {
-    let from = GrantFrom::Epoch(1);
-    let grant = Command::Grant { grantee: owner(), topics: vec![topic()], from, expires: Some(END) };
+    let (topics, from) = (vec![topic().into()], GrantFrom::Epoch(1));
+    let grant = Command::Grant { grantee: owner(), topics, from, expires: Some(END) };
     let of_administrator = |word: &'static str, act: Administration, line: String| {
         (Tag::Administer(word), Command::Administer(act), format!("chain {line}"))
     };

@@ -96,11 +96,7 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) {
         Tag::Unpin(_) => said(state, tag, ask::UnpinTopic::heard(result), |_| is_done(tag)),
         Tag::Release(_) => said(state, tag, ask::ReleaseHeld::heard(result), |decided| decided.text),
         Tag::Discard(_) => said(state, tag, ask::DiscardHeld::heard(result), |decided| decided.text),
-        Tag::LoadKey(kind) => done(state, tag, ask::LoadKey::heard(result), |state, keys| {
-            state.keys = Some(keys);
-            state.feeds.renew(Feed::Identity);
-            state.inform(loaded(kind));
-        }),
+        Tag::LoadKey(kind) => key_loaded(state, tag, *kind, result),
     }
     follow_up(state, tag);
 }
@@ -257,7 +253,15 @@ fn failed(state: &mut State, tag: &Tag, failure: &Failure) {
     }
 }
 
-fn loaded(kind: &KeyKind) -> &'static str {
+fn key_loaded(state: &mut State, tag: &Tag, kind: KeyKind, result: Answer) {
+    done(state, tag, ask::LoadKey::heard(result), |state, keys| {
+        state.keys = Some(keys);
+        state.feeds.renew(Feed::Identity);
+        state.inform(loaded(kind));
+    });
+}
+
+fn loaded(kind: KeyKind) -> &'static str {
     match kind {
         KeyKind::Sm4 => "SM4 key loaded; new records are sealed under keys made from it",
         KeyKind::Sm2 => "SM2 key loaded; new records are signed with it",

@@ -9,11 +9,11 @@ use super::keymap::Key;
 use super::palette::{self, PathKind};
 use super::popup::Confirm;
 use super::verb::{Errand, Tag, kind_word};
-use super::{Settings, when};
+use super::{Settings, State, when};
 use crate::model::grant::MOST_TOPICS;
-use crate::model::topic::NameError;
-use crate::model::{Address, Party, Timestamp, TopicName};
-use crate::service::command::filter::past;
+use crate::model::topic_rule::PatternError;
+use crate::model::{Direction, Party, Timestamp, TopicName, TopicPattern};
+use crate::service::reply::TopicRow;
 use crate::service::{Command, GrantFrom, KeyKind, SecretText};
 
 #[derive(Debug)]
@@ -33,20 +33,27 @@ pub struct Line {
     pub input: Input,
     /// Tab completes a path of this kind.
     pub path: Option<PathKind>,
+    /// A time, whose meaning is shown below it.
+    pub time: Option<Direction>,
 }
 
 impl Line {
     pub fn text(label: &'static str, hint: &'static str, field: Field) -> Self {
-        Self { label, hint, input: Input::Text(field), path: None }
+        Self { label, hint, input: Input::Text(field), path: None, time: None }
     }
 
     pub fn choice(label: &'static str, options: &[&str]) -> Self {
         let options = options.iter().map(|option| (*option).to_owned()).collect();
-        Self { label, hint: "", input: Input::Choice { options, chosen: 0 }, path: None }
+        Self { label, hint: "", input: Input::Choice { options, chosen: 0 }, path: None, time: None }
     }
 
     pub fn path(mut self, kind: PathKind) -> Self {
         self.path = Some(kind);
+        self
+    }
+
+    pub fn time(mut self, direction: Direction) -> Self {
+        self.time = Some(direction);
         self
     }
 }
@@ -91,11 +98,22 @@ impl Form {
         self.text(line).trim().parse().map_err(|error: T::Err| (line, error.to_string()))
     }
 
-    /// The topics named, and whether the line says all of them.
-    pub fn topics(&self, line: usize) -> Result<(Vec<TopicName>, bool), Wrong> {
+    /// The topics named, those known that match a pattern, and whether the line says all of them.
+    pub fn topics(&self, line: usize, known: &[TopicRow]) -> Result<(Vec<TopicName>, bool), Wrong> {
         let written = || self.text(line).split([' ', ',']).filter(|name| !name.is_empty());
-        let names = written().filter(|name| *name != ALL_TOPICS).map(str::parse);
-        let topics = names.collect::<Result<_, _>>().map_err(|error: NameError| (line, error.to_string()))?;
+        let mut topics: Vec<TopicName> = Vec::new();
+        for word in written().filter(|name| *name != ALL_TOPICS) {
+            let pattern: TopicPattern = word.parse().map_err(|error: PatternError| (line, error.to_string()))?;
+            let matching = known.iter().filter(|row| pattern.matches(&row.topic));
+            let found = match pattern.name() {
+                Some(name) => vec![name],
+                None => matching.filter_map(|row| row.topic.parse().ok()).collect(),
+            };
+            if found.is_empty() {
+                return Err((line, format!("no topic matches {pattern} now")));
+            }
+            topics.extend(found.into_iter().filter(|name| !topics.contains(name)).collect::<Vec<_>>());
+        }
         Ok((topics, written().any(|name| name == ALL_TOPICS)))
     }
 
@@ -313,14 +331,15 @@ pub fn read_unlock(form: &Form) -> Result<Errand, Wrong> {
 }
 
 pub const ALL_TOPICS: &str = "all";
+const ENDS: &str = "empty = never; 30d, 18:00, tomorrow 18:00";
 
 /// Focuses the first empty line; `moments` says what the words of the line `From` mean now.
 pub fn grant(grantee: &str, topics: &[String], ends: &str, moments: Vec<String>) -> Form {
     let lines = vec![
         Line::text("Address", "0x and 40 hex, or a contact's name", Field::offering(grantee)),
         Line::text("Topics", "topic names; all", Field::offering(&topics.join(" "))),
-        Line::text("Ends", "empty = never; 45m, 12h, 30d, 2036-12-31", Field::offering(ends)),
-        Line::text("From", "now, epoch, start; 1h, 2026-11-21T08:30:00Z", Field::offering("now")),
+        Line::text("Ends", ENDS, Field::offering(ends)).time(Direction::Ahead),
+        Line::text("From", "now, epoch, start; 1h, yesterday 18:00", Field::offering("now")).time(Direction::Back),
     ];
     let mut notes = vec!["Lets another account read your records. Tab completes names.".to_owned()];
     notes.extend(moments);
@@ -330,7 +349,7 @@ pub fn grant(grantee: &str, topics: &[String], ends: &str, moments: Vec<String>)
 }
 
 pub fn extend(grantee: &str, ends: &str) -> Form {
-    let lines = vec![Line::text("Ends", "empty = never; 45m, 12h, 30d, 2036-12-31", Field::default())];
+    let lines = vec![Line::text("Ends", ENDS, Field::default()).time(Direction::Ahead)];
     let notes = vec![
         format!("{grantee} can read until: {ends}"),
         "Later: one transaction. Sooner: a revoke and a new grant of the same records.".to_owned(),
@@ -347,12 +366,12 @@ pub struct GrantWish {
     pub expires: Option<Timestamp>,
 }
 
-pub fn read_grant(form: &Form, own: Option<Address>, now: Timestamp) -> Result<GrantWish, Wrong> {
+pub fn read_grant(form: &Form, state: &State) -> Result<GrantWish, Wrong> {
     let grantee: Party = form.parsed(0)?;
-    if grantee.address().is_some_and(|address| Some(address) == own) {
+    if grantee.address().is_some_and(|address| Some(address) == state.address()) {
         return Err((0, "that is your own address; enter the reader's".to_owned()));
     }
-    let (topics, all) = form.topics(1)?;
+    let (topics, all) = form.topics(1, &state.topics.rows)?;
     if topics.is_empty() && !all {
         return Err((1, format!("enter topics, or '{ALL_TOPICS}' for every topic")));
     }
@@ -362,8 +381,9 @@ pub fn read_grant(form: &Form, own: Option<Address>, now: Timestamp) -> Result<G
     if !topics.is_empty() && all {
         return Err((1, format!("use either '{ALL_TOPICS}' or topic names, not both")));
     }
-    let expires = when::expiry(form.text(2), now).map_err(|error| (2, error))?;
-    let from = GrantFrom::read(form.text(3), |text| past(text, now)).map_err(|failure| (3, failure.message))?;
+    let expires = when::expiry(form.text(2), &state.times()).map_err(|error| (2, error))?;
+    let from =
+        GrantFrom::read(form.text(3), |text| state.times().back(text)).map_err(|failure| (3, failure.message))?;
     Ok(GrantWish { grantee, topics, from, expires })
 }
 

@@ -10,7 +10,7 @@ use super::screens::{day, end, is_active, is_given, other_side, scope};
 use super::update::Feed;
 use super::verb::{Errand, Tag};
 use super::{Screen, State, when};
-use crate::model::{Address, ContactName, Party, Timestamp, TopicName};
+use crate::model::{Address, ContactName, Party, Timestamp, TopicName, TopicPattern};
 use crate::service::reply::{ContactRow, GrantForesight, GrantRow, Opens};
 use crate::service::{Command, Failure, GrantFrom};
 
@@ -48,7 +48,7 @@ fn open(state: &mut State, grantee: &str, topics: &[String], ends: &str) {
 pub fn moments(state: &State) -> Vec<String> {
     let known = |opens: Option<Opens>, else_: &str| match opens {
         Some(Opens { since: None, .. }) => "no record yet".to_owned(),
-        Some(opens) => format!("{} of all topics", opens.words(|moment| when::both(state, moment))),
+        Some(opens) => format!("{} of all topics", opens.words(|moment| state.times().meaning(moment))),
         None => else_.to_owned(),
     };
     let identity = state.identity.as_ref();
@@ -122,6 +122,7 @@ pub fn ask(state: &mut State, mut wish: GrantWish) {
     state.follow_up = follow_up;
     state.popups.push(Popup::Confirm(question));
     if state.identity.as_ref().is_some_and(|identity| identity.unlocked && identity.registered) {
+        let topics = topics.into_iter().map(Into::into).collect();
         state.send_new(Errand { command: Command::ForeseeGrant { grantee, topics, from }, tag });
     }
 }
@@ -181,7 +182,8 @@ pub fn foreseen(state: &mut State, tag: &Tag, answer: Result<GrantForesight, Fai
 
 fn wish_of(command: &Command) -> Option<GrantWish> {
     let Command::Grant { grantee, topics, from, expires } = command else { return None };
-    Some(GrantWish { grantee: grantee.clone(), topics: topics.clone(), from: *from, expires: *expires })
+    let topics = topics.iter().filter_map(TopicPattern::name).collect();
+    Some(GrantWish { grantee: grantee.clone(), topics, from: *from, expires: *expires })
 }
 
 fn active<'a>(state: &'a State, address: Option<Address>, name: &str) -> Option<&'a GrantRow> {
@@ -198,8 +200,8 @@ pub fn caution(state: &State, command: &Command) -> Option<String> {
     if topics.is_empty() {
         return Some("ALL topics: whatever you publish now and later.".to_owned());
     }
-    let known = |topic: &TopicName| state.topics.rows.iter().any(|row| row.topic == topic.as_str());
-    let unknown: Vec<&str> = topics.iter().filter(|topic| !known(topic)).map(TopicName::as_str).collect();
+    let known = |topic: &TopicPattern| state.topics.rows.iter().any(|row| topic.matches(&row.topic));
+    let unknown: Vec<&str> = topics.iter().filter(|topic| !known(topic)).map(TopicPattern::as_str).collect();
     let loaded = state.feeds.slot(Feed::Topics).loaded;
     (loaded && !unknown.is_empty()).then(|| format!("No topic of this name is known here: {}", unknown.join(" ")))
 }
@@ -235,7 +237,7 @@ pub fn begin_extension(state: &mut State) {
 pub fn extend(state: &mut State, form: &Form) -> Result<(), Wrong> {
     let row = state.grants.selected().filter(|row| is_given(row) && is_active(row));
     let row = row.ok_or((0, "this grant is no longer active".to_owned()))?;
-    let expires = when::expiry(form.text(0), state.now).map_err(|error| (0, error))?;
+    let expires = when::expiry(form.text(0), &state.times()).map_err(|error| (0, error))?;
     if expires.is_none() && row.expires.is_none() {
         return Err((0, "it already has no end; enter a time to end it then".to_owned()));
     }

@@ -8,8 +8,7 @@ use super::screens::day;
 use super::update::Feed;
 use super::verb::{Errand, Tag};
 use super::{Screen, State, granting, palette, table};
-use crate::model::{IncidentName, Timestamp};
-use crate::service::command::filter::past;
+use crate::model::{Direction, IncidentName, Timestamp};
 use crate::service::command::{CloseIncident, NoteIncident, OpenIncident, RemoveIncident};
 use crate::service::reply::IncidentView;
 
@@ -221,8 +220,10 @@ fn form(around: &Around) -> Form {
     let (topics, left) = fitting(&around.topics);
     let lines = vec![
         Line::text("Name", "such as crash-1114", Field::offering(&suggested(&around.topics, around.at))),
-        Line::text("From", "10m, 2h, 2023-05-31, 2023-05-31T08:30:00Z", Field::offering(&around.since)),
-        Line::text("To", "empty = when it is closed; 5m, 2036-12-31", Field::offering(&around.until)),
+        Line::text("From", "10m, yesterday 18:00, 2023-05-31 08:30", Field::offering(&around.since))
+            .time(Direction::Back),
+        Line::text("To", "empty = when it is closed; 5m, 2036-12-31", Field::offering(&around.until))
+            .time(Direction::Back),
         Line::text("Topics", "topic names; empty = all", Field::offering(&topics)),
         Line::text("Note", "what happened", Field::default()),
     ];
@@ -269,23 +270,18 @@ pub fn read(state: &State, form: &Form) -> Result<Errand, Wrong> {
     if state.incidents.rows.iter().any(|row| row.name == name) {
         return Err((0, format!("an incident {name} already exists; choose another name")));
     }
-    let since = moment(form.text(1), state.now).map_err(|error| (1, error))?;
+    let times = state.times();
+    let since = times.back(form.text(1)).map_err(|error| (1, error.to_string()))?;
     if since > state.now {
         return Err((1, "that is in the future; enter a past time".to_owned()));
     }
-    let until = form.typed(2).map(|text| moment(text, state.now)).transpose().map_err(|error| (2, error))?;
+    let until = form.typed(2).map(|text| times.back(text)).transpose().map_err(|error| (2, error.to_string()))?;
     if until.is_some_and(|until| until <= since) {
         return Err((2, "it would end before it begins; enter a later time".to_owned()));
     }
-    let ((topics, _), note) = (form.topics(TOPICS)?, form.typed(4).map(str::to_owned));
+    let ((topics, _), note) = (form.topics(TOPICS, &state.topics.rows)?, form.typed(4).map(str::to_owned));
     let tag = Tag::Incident(Deed::Open, name.clone());
     Ok(Errand { command: OpenIncident { name, since, until, topics, note, robots: Vec::new() }.into(), tag })
-}
-
-/// A moment, or a span back from `now`, with or without the sign.
-fn moment(text: &str, now: Timestamp) -> Result<Timestamp, String> {
-    let text = text.trim();
-    past(text.strip_prefix('-').unwrap_or(text), now).map_err(|failure| failure.message)
 }
 
 fn note_form(name: &IncidentName) -> Form {

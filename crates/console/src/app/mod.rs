@@ -26,7 +26,7 @@ pub mod when;
 
 use std::path::PathBuf;
 
-use crate::model::{Address, ProfileName, Timestamp};
+use crate::model::{Address, Clock, ProfileName, Timestamp, Zone};
 use crate::service::reply::{ChainView, ContactRow, IdentityView, KeysView, SiteView};
 use crate::service::{Failure, NoticeLevel};
 use alerts::{AlertBook, Toasts};
@@ -45,7 +45,6 @@ use strum::{EnumCount, EnumIter, IntoEnumIterator as _, IntoStaticStr};
 use table::Table;
 use tour::{Cast, Tour};
 use update::{Ahead, Feed, Feeds};
-use when::Zone;
 
 pub use keymap::{Key, Keymap};
 pub use update::update;
@@ -245,6 +244,11 @@ impl State {
         let text = text.into();
         self.log.notice(self.now, NoticeLevel::Warning, &text);
         self.toasts.push(NoticeLevel::Warning, text, self.now, None);
+    }
+
+    /// What typed times are read against.
+    pub fn times(&self) -> Clock {
+        Clock { now: self.now, zone: self.settings.zone.clone() }
     }
 
     /// `22:13:20`, followed by the local time if shown.

@@ -24,8 +24,12 @@ pub(super) fn key(state: &mut State, mut palette: Palette, key: Key) {
             remember(state, palette.field.text());
             let words: Vec<&str> = palette.field.text().split_whitespace().collect();
             let (grants, chooses) = (available(state, Verb::Grant).is_ok(), available(state, Verb::Columns).is_ok());
+            let (changes, is_pattern) = (!state.settings.read_only, |word: &&str| word.starts_with(['/', '*']));
             match with_terms(&words) {
                 Some(("grant", terms)) if grants => return granting::spoken(state, terms),
+                Some((word @ ("watch" | "unwatch"), topics)) if changes && topics.iter().all(is_pattern) => {
+                    return perform::spoken_watch(state, topics, word == "watch");
+                }
                 Some(("columns", names)) if chooses => return choosing::spoken(state, names),
                 Some(("profile", [name])) => {
                     if let Ok(profile) = name.parse() {
@@ -185,7 +189,7 @@ fn of_command(command: &Command) -> Option<String> {
     };
     Some(match command {
         Command::Grant { grantee, topics, from, expires } => {
-            let topics = topics.iter().map(|topic| format!(" --topic {topic}")).collect::<String>();
+            let topics = topics.iter().map(|topic| format!(" --topic {}", quoted(topic.as_str()))).collect::<String>();
             format!("grant {grantee}{topics} --from {from}{}", expires.map_or_else(String::new, until))
         }
         Command::ExtendGrant { grantee, expires } => {

@@ -11,7 +11,7 @@ use super::screens::{LogLine, other_side};
 use super::update::{self, Feed};
 use super::verb::{Contents, Effect, Errand, Tag, Verb};
 use super::{Screen, State, administration, granting, incidents, opening, palette, policies, table};
-use crate::model::{Address, Party, ProfileName, TopicName};
+use crate::model::{Address, Party, ProfileName, TopicName, TopicPattern};
 use crate::service::Command;
 use crate::service::command::{Pace, PlayWishes};
 use crate::service::reply::{PlayedView, TopicRow};
@@ -152,17 +152,33 @@ fn watch(state: &mut State) {
     let mut errands = Vec::new();
     for (topic, _) in targets.into_iter().filter(|(_, watched)| *watched != watches) {
         match topic.parse::<TopicName>() {
-            Ok(topic) => errands.push(watch_errand(topic, watches)),
+            Ok(topic) => errands.push(watch_errand(topic.into(), watches)),
             Err(error) => state.complain(error.to_string()),
         }
     }
+    send_watches(state, watches, errands);
+}
+
+fn send_watches(state: &mut State, watches: bool, errands: Vec<Errand>) {
     if watches {
         return identity_path::run(state, Need::Registered, errands);
     }
     errands.into_iter().for_each(|errand| state.send(errand));
 }
 
-fn watch_errand(topic: TopicName, watch: bool) -> Errand {
+/// `watch /robot*/camera/**` of the palette: also what appears later.
+pub(super) fn spoken_watch(state: &mut State, topics: &[&str], watches: bool) {
+    let read: Result<Vec<TopicPattern>, _> = topics.iter().map(|topic| topic.parse()).collect();
+    match read {
+        Ok(topics) => {
+            let errands = topics.into_iter().map(|topic| watch_errand(topic, watches)).collect();
+            send_watches(state, watches, errands);
+        }
+        Err(error) => state.complain(error.to_string()),
+    }
+}
+
+fn watch_errand(topic: TopicPattern, watch: bool) -> Errand {
     let name = topic.to_string();
     if watch {
         Errand { command: Command::WatchTopic { topic, type_name: None }, tag: Tag::Watch(name) }

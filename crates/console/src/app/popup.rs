@@ -11,10 +11,10 @@ use super::keymap::{Key, Meaning, chord_label};
 use super::leaving::{self, Leaving};
 use super::opening::{self, Opening};
 use super::perform::{self, copy, perform};
-use super::screens::{LogLine, day, earlier, end, is_active, is_given, scope};
+use super::screens::{LogLine, earlier, end, is_active, is_given, scope};
 use super::update::Feed;
 use super::verb::{Entry, Errand, Tag, VERBS, Verb};
-use super::{State, palette, policies, when};
+use super::{State, palette, policies};
 use crate::model::TopicName;
 use crate::service::command::Held;
 use crate::service::reply::{GrantForesight, GrantRow, NOTHING_OLDER, PinsView, Provenance, RobotView, TopicRow};
@@ -185,7 +185,7 @@ pub fn pin(row: &TopicRow, topic: TopicName) -> Confirm {
     let lines = vec![
         format!("Topic       {topic}"),
         format!("Publishers  {publishers}"),
-        "Their messages are captured from now on; those of others are quarantined.".to_owned(),
+        "Accepted are those who publish when you confirm; messages of others are quarantined.".to_owned(),
         "Check host and type first: enter shows them (a name alone can be forged).".to_owned(),
     ];
     let tag = Tag::Pin(topic.to_string());
@@ -195,7 +195,8 @@ pub fn pin(row: &TopicRow, topic: TopicName) -> Confirm {
 
 pub fn decide(row: &TopicRow, topic: TopicName, discard: bool) -> Confirm {
     let held = Held { topic: Some(topic.clone()), ids: Vec::new() };
-    let mut lines = vec![format!("Topic  {topic}"), format!("Held   {} messages", row.quarantined)];
+    let held_now = format!("Held   {} messages, and what comes until you confirm", row.quarantined);
+    let mut lines = vec![format!("Topic  {topic}"), held_now];
     let name = topic.to_string();
     if discard {
         lines.push("Their ciphertext is deleted. Quarantine records on the chain count them, so that".to_owned());
@@ -213,11 +214,11 @@ pub fn decide(row: &TopicRow, topic: TopicName, discard: bool) -> Confirm {
 pub fn grant(state: &State, wish: GrantWish, foreseen: Option<Result<GrantForesight, Failure>>) -> Confirm {
     let topics: Vec<String> = wish.topics.iter().map(ToString::to_string).collect();
     let (records, cost) = match &foreseen {
-        Some(Ok(foreseen)) => (foreseen.moment(|moment| when::both(state, moment)), Some(foreseen.cost())),
+        Some(Ok(foreseen)) => (foreseen.moment(|moment| state.times().meaning(moment)), Some(foreseen.cost())),
         Some(Err(failure)) => (before(wish.from).to_owned(), Some(format!("not known: {}", failure.message))),
         None => (before(wish.from).to_owned(), None),
     };
-    let ends = wish.expires.map_or_else(|| "no end".to_owned(), |moment| when::both(state, moment));
+    let ends = wish.expires.map_or_else(|| "no end".to_owned(), |moment| state.times().meaning(moment));
     let mut lines = vec![
         format!("To       {}", wish.grantee),
         format!("Topics   {}", if topics.is_empty() { scope(&topics) } else { topics.join(" ") }),
@@ -229,6 +230,7 @@ pub fn grant(state: &State, wish: GrantWish, foreseen: Option<Result<GrantForesi
     lines.extend(readers(state, "Current readers:", None));
     lines.push("A later revoke stops new records; what was read cannot be recalled.".to_owned());
     let GrantWish { grantee, topics, from, expires } = wish;
+    let topics = topics.into_iter().map(Into::into).collect();
     let tag = Tag::Grant(grantee.clone());
     let errand = Errand { command: Command::Grant { grantee, topics, from, expires }, tag };
     Confirm { title: "Grant this?".to_owned(), lines, yes: "grant", typed: None, errand }
@@ -584,7 +586,7 @@ fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<(), Wrong>
             identity_path::run(state, Need::Unlocked, vec![errand]);
         }
         Purpose::Grant => {
-            let wish = form::read_grant(form, state.address(), state.now)?;
+            let wish = form::read_grant(form, state)?;
             granting::check(state, &wish)?;
             granting::ask(state, wish);
         }

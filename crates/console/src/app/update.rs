@@ -7,7 +7,7 @@ use super::popup::{Popup, Purpose, popup_key, popup_paste};
 use super::screens::{MOST_AUDIT, Records, Source};
 use super::verb::{Action, Effect, Errand, Tag, Verb};
 use super::{Screen, State, alerts, incidents, leaving, opening, palette, policies, table, tour, when};
-use crate::model::{RecordState, Timestamp};
+use crate::model::{Clock, RecordState, Timestamp};
 use crate::service::command::{AuditQuery, ListIncidents, ListRobots, RecordingProgress};
 use crate::service::reply::{Caveat, ShownState};
 use crate::service::{Command, Event, Failure, NoticeLevel, Part};
@@ -194,9 +194,9 @@ fn tick(state: &mut State, now: Timestamp) {
 
 /// One request per feed at a time.
 fn pull(state: &mut State) {
-    let now = state.frozen.unwrap_or(state.now);
-    state.uploads.note_filter(now);
-    state.shared.note_filter(now);
+    let clock = Clock { now: state.frozen.unwrap_or(state.now), ..state.times() };
+    state.uploads.note_filter(&clock);
+    state.shared.note_filter(&clock);
     let mut wanted = vec![Feed::Site, Feed::Identity];
     wanted.extend(state.screen.feeds());
     wanted.extend(state.popups.iter().flat_map(Popup::feeds));
@@ -232,8 +232,8 @@ fn question(state: &State, feed: Feed) -> Option<Command> {
         Feed::Audit => Some(Command::ListAudit(AuditQuery { limit: MOST_AUDIT, ..AuditQuery::default() })),
         Feed::Keys => exists.then_some(Command::ListKeys),
         Feed::Grants => exists.then_some(Command::ListGrants),
-        Feed::Uploads => exists.then(|| Command::ListUploads(query(&state.uploads))),
-        Feed::Shared => exists.then(|| Command::ListShared(query(&state.shared))),
+        Feed::Uploads => query(&state.uploads).filter(|_| exists).map(Command::ListUploads),
+        Feed::Shared => query(&state.shared).filter(|_| exists).map(Command::ListShared),
         Feed::Contacts => exists.then_some(Command::ListContacts),
         Feed::Incidents => exists.then(|| ListIncidents.into()),
         Feed::Progress => Some(RecordingProgress.into()),

@@ -1,63 +1,33 @@
-//! Times: a grant's end as typed (`30d`, `2036-12-31`), the operator's clock, countdowns of parts.
-
-use jiff::tz::TimeZone;
+//! Times: those of forms as typed, and what they mean; countdowns of parts.
 
 use super::State;
-use crate::model::{Timestamp, positive_span};
+use super::form::{Form, Input};
+use crate::model::{Clock, Direction, Timestamp};
 use crate::service::reply::PartHealth;
 
-/// Counts from `now`, rounded up to the whole second; empty text = no end.
-pub fn expiry(text: &str, now: Timestamp) -> Result<Option<Timestamp>, String> {
+/// Empty text = no end.
+pub fn expiry(text: &str, clock: &Clock) -> Result<Option<Timestamp>, String> {
     let text = text.trim();
     if text.is_empty() || text == "never" {
         return Ok(None);
     }
-    let moment = positive_span(text).ok().map(|span| now.end_after(span));
-    let moment = moment
-        .or_else(|| date(text))
-        .ok_or("enter a duration (45m, 12h, 30d) or a date (2036-12-31), or leave it empty")?;
-    if moment <= now { Err("that time has passed; enter a later one".to_owned()) } else { Ok(Some(moment)) }
+    clock.end(text).map(Some).map_err(|error| error.to_string())
 }
 
-/// Midnight UTC.
-fn date(text: &str) -> Option<Timestamp> {
-    serde_json::from_value(serde_json::Value::String(format!("{text}T00:00:00Z"))).ok()
-}
-
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Zone(Option<TimeZone>);
-
-impl Zone {
-    pub fn new(zone: TimeZone) -> Self {
-        Self(Some(zone))
+/// What the line under the cursor means now, if it is a time.
+pub fn meaning(form: &Form, clock: &Clock) -> Option<String> {
+    let line = form.lines.get(form.focus)?;
+    let (direction, Input::Text(field)) = (line.time?, &line.input) else { return None };
+    let text = field.text().trim();
+    if text.is_empty() || text == "never" {
+        return None;
     }
-
-    /// `15:04:05`.
-    pub fn clock(&self, moment: Timestamp) -> Option<String> {
-        let zone = self.0.as_ref()?;
-        let nanoseconds = i128::from(moment.0);
-        let there = jiff::Timestamp::from_nanosecond(nanoseconds).ok()?.to_zoned(zone.clone());
-        Some(format!("{:02}:{:02}:{:02}", there.hour(), there.minute(), there.second()))
-    }
-}
-
-/// A moment as its reader has it, then in UTC: `18:00:41 (17:00:41 UTC)`, with the day unless that is today.
-pub fn both(state: &State, moment: Timestamp) -> String {
-    let zone = state.settings.zone.0.clone().unwrap_or(TimeZone::UTC);
-    let there = |zone: TimeZone, at: Timestamp| {
-        let at = jiff::Timestamp::from_nanosecond(i128::from(at.0)).ok()?;
-        Some(at.to_zoned(zone))
+    let moment = match direction {
+        Direction::Back => clock.back(text),
+        Direction::Ahead => clock.end(text),
     };
-    let written = |zone: &TimeZone| {
-        let (at, now) = (there(zone.clone(), moment)?, there(zone.clone(), state.now)?);
-        let form = if at.date() == now.date() { "%H:%M:%S" } else { "%Y-%m-%d %H:%M:%S" };
-        Some(at.strftime(form).to_string())
-    };
-    let utc = written(&TimeZone::UTC).unwrap_or_else(|| moment.to_string());
-    match written(&zone).filter(|local| *local != utc) {
-        Some(local) => format!("{local} ({utc} UTC)"),
-        None => format!("{utc} UTC"),
-    }
+    // While it is typed, it is not yet one.
+    moment.ok().map(|moment| format!("= {}", clock.meaning(moment)))
 }
 
 const SECOND: u64 = 1_000_000_000;
@@ -96,46 +66,34 @@ fn gone(state: &State) -> u64 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::form::{Field, Line};
     use super::*;
 
     #[test]
-    fn spans_and_dates() {
-        let now = Timestamp::from_seconds(1_700_000_000);
-        assert_eq!(expiry("", now), Ok(None));
-        assert_eq!(expiry(" 30d ", now), Ok(Some(Timestamp::from_seconds(1_700_000_000 + 30 * 86_400))));
-        let later = Timestamp(now.0 + 39_050_923);
-        assert_eq!(expiry("30d", later), Ok(Some(Timestamp::from_seconds(1_700_000_001 + 30 * 86_400))));
-        assert_eq!(expiry("2023-11-16", now), Ok(Some(Timestamp::from_seconds(1_700_092_800))));
+    fn an_end_may_be_absent_and_is_never_past() {
+        let clock = Clock { now: Timestamp(1_700_000_000_039_050_923), ..Clock::default() };
+        assert_eq!((expiry("", &clock), expiry(" never ", &clock)), (Ok(None), Ok(None)));
+        assert_eq!(expiry(" 30d ", &clock), Ok(Some(Timestamp::from_seconds(1_700_000_001 + 30 * 86_400))));
+        assert_eq!(expiry("2023-11-16", &clock), Ok(Some(Timestamp::from_seconds(1_700_092_800))));
+        // date -u -d '2023-11-15T18:00Z' +%s
+        assert_eq!(expiry("tomorrow 18:00", &clock), Ok(Some(Timestamp::from_seconds(1_700_071_200))));
         for bad in ["2020-01-01", "d", "0d", "-1d", "12", "99999999999999999999d", "é", "soon"] {
-            assert!(expiry(bad, now).is_err(), "{bad}");
+            assert!(expiry(bad, &clock).is_err(), "{bad}");
         }
     }
-}
-
-#[cfg(test)]
-mod zone_tests {
-    use super::*;
 
     #[test]
-    fn a_moment_is_told_in_both_times_with_its_day_unless_that_is_today() {
-        let mut state = State::new(crate::app::Settings::default());
-        // 2023-11-14 22:13:20 UTC.
-        state.now = Timestamp::from_seconds(1_700_000_000);
-        let at = |seconds: u64| Timestamp::from_seconds(1_700_000_000 - seconds);
-        assert_eq!(both(&state, at(20)), "22:13:00 UTC");
-        assert_eq!(both(&state, at(86_400)), "2023-11-13 22:13:20 UTC");
-        state.settings.zone = Zone::new(TimeZone::fixed(jiff::tz::offset(1)));
-        assert_eq!(both(&state, at(20)), "23:13:00 (22:13:00 UTC)");
-        assert_eq!(both(&state, at(86_400)), "2023-11-13 23:13:20 (2023-11-13 22:13:20 UTC)");
-        // Today there, yesterday in UTC.
-        state.settings.zone = Zone::new(TimeZone::fixed(jiff::tz::offset(8)));
-        assert_eq!(both(&state, at(0)), "06:13:20 (22:13:20 UTC)");
-    }
-
-    #[test]
-    fn a_zone_has_its_own_clock() {
-        let zone = Zone::new(TimeZone::fixed(jiff::tz::offset(8)));
-        assert_eq!(zone.clock(Timestamp::from_seconds(1_700_000_000)).as_deref(), Some("06:13:20"));
-        assert_eq!(Zone::default().clock(Timestamp::from_seconds(1)), None);
+    fn what_a_time_means_stands_under_its_line_alone() {
+        let clock = Clock { now: Timestamp::from_seconds(1_700_000_000), ..Clock::default() };
+        let form = |text: &str| {
+            let line = Line::text("Ends", "", Field::with(text)).time(Direction::Ahead);
+            Form::new("", Vec::new(), vec![line, Line::text("Note", "", Field::with("18:00"))])
+        };
+        let meant = |text: &str| meaning(&form(text), &clock);
+        assert_eq!(meant("tomorrow 18:00").as_deref(), Some("= 2023-11-15 18:00:00 UTC"));
+        assert_eq!([meant(""), meant("tomor"), meant("yesterday")], [None, None, None]);
+        let mut other = form("18:00");
+        other.focus = 1;
+        assert_eq!(meaning(&other, &clock), None);
     }
 }

@@ -17,10 +17,9 @@ use std::sync::{Arc, MutexGuard, OnceLock, PoisonError, TryLockError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use crate::app::when::Zone;
 use crate::app::{Action, Effect, Settings, State, Tag, update};
 use crate::config::Pictures;
-use crate::model::{ErrorKind, ProfileName, Timestamp};
+use crate::model::{ErrorKind, ProfileName, Timestamp, Zone};
 use crate::service::client::site_gone;
 use crate::service::{Client, Command, Failure};
 use crate::ui::{Theme, ThemeError, Themes};
@@ -377,7 +376,7 @@ fn first_state(options: &ConsoleOptions, directory: &Path) -> State {
         home: std::env::var_os("HOME").map(PathBuf::from),
         themes: options.themes.names(),
         process: std::process::id(),
-        zone: Zone::new(jiff::tz::TimeZone::system()),
+        zone: Zone::system(),
         ..options.settings.clone()
     });
     (state.now, state.mouse) = (Timestamp::now(), options.mouse);

@@ -9,7 +9,7 @@ use super::{Canvas, bars, below, count, gateway, kilobytes, plot, rate, right_of
 use crate::app::popup::Lookup;
 use crate::app::screens::topics::KEPT_SAMPLES;
 use crate::app::screens::{Records, earlier, end, is_active, is_given, scope, soon};
-use crate::app::{Screen, State, opening, when};
+use crate::app::{Screen, State, opening};
 use crate::model::{Timestamp, clean};
 use crate::service::reply::{GrantRow, SenderView, TopicRow};
 
@@ -159,7 +159,7 @@ fn grant(state: &State) -> Vec<(&'static str, String)> {
 
 fn opened(state: &State, row: &GrantRow) -> String {
     match row.opens {
-        Some(opens) => format!("{}{}", opens.words(|moment| when::both(state, moment)), earlier(row)),
+        Some(opens) => format!("{}{}", opens.words(|moment| state.times().meaning(moment)), earlier(row)),
         None if is_active(row) => "not known here".to_owned(),
         None => "nothing any more".to_owned(),
     }

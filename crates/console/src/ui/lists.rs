@@ -458,11 +458,15 @@ pub fn draw_records(canvas: &mut Canvas, area: Rect, state: &State) {
     let cells = |index: usize| {
         rows.get(index).map_or_else(Vec::new, |row| layout.pick(record_cells(state, row, screen == Screen::Shared)))
     };
-    let unfiltered = records.table.filter.text().is_empty();
-    let empty = if unfiltered { empty(state, feed, nothing) } else { "No records match the filter." };
-    let mut note = note(records, &records.wanted(&state.topics.rows));
+    let wanted = records.wanted(&state.topics.rows);
+    let empty = match &wanted {
+        Err(wrong) => wrong.message.as_str(),
+        Ok(_) if records.table.filter.text().is_empty() => empty(state, feed, nothing),
+        Ok(_) => "No records match the filter.",
+    };
+    let mut note = wanted.as_ref().map_or_else(|_| "not searched".to_owned(), |wanted| note(records, wanted));
     note.push_str(&layout.note());
-    if slot.left || slot.told != slot.generation {
+    if wanted.is_ok() && (slot.left || slot.told != slot.generation) {
         note.push_str(", reading…");
     }
     let columns = &layout.columns;
@@ -471,17 +475,16 @@ pub fn draw_records(canvas: &mut Canvas, area: Rect, state: &State) {
     draw_table(canvas, area, &sheet);
 }
 
-/// `2026-11-26 21:54:22`.
-fn second(at: Timestamp) -> String {
-    let text = at.to_string();
-    text.get(..19).unwrap_or(&text).replace('T', " ")
-}
-
 fn note(records: &Records, wanted: &Wanted) -> String {
     let order = if records.table.sort == 0 { "newest first" } else { "oldest first" };
     let marked = records.table.marks.len();
     let marked = if marked > 0 { format!("{marked} marked, ") } else { String::new() };
-    let mut note = format!("{marked}{order}, page {}", records.path.len() + 1);
+    // The meaning of times comes first: it is never cut.
+    let meant = |word: &str, at: Option<Timestamp>| {
+        at.map_or_else(String::new, |at| format!("{word} {}, ", records.typed.1.meaning(at)))
+    };
+    let span = meant("since", wanted.asked.since) + &meant("until", wanted.asked.until);
+    let mut note = format!("{span}{marked}{order}, page {}", records.path.len() + 1);
     if let Some(at) = records.anchor {
         note.push_str(&format!(" as of {} (home: newest)", at.clock()));
     }
@@ -497,8 +500,7 @@ fn note(records: &Records, wanted: &Wanted) -> String {
         asked.type_name.as_ref().map(|name| format!("only {name}")),
         asked.owner.as_ref().map(|owner| format!("of {}", owner.short())),
         asked.kind.map(|kind| format!("only of kind {}", kind.word())),
-        asked.since.map(|since| format!("since {} UTC", second(since))),
-        asked.until.map(|until| format!("until {} UTC", second(until))),
+        asked.robot.as_ref().map(|robot| format!("of robot {robot}")),
     ];
     let searched = asked.words.iter().map(|word| format!("with '{word}'"));
     let tags = asked.tags.iter().map(|(name, value)| format!("tag {name}={value}"));

@@ -3,8 +3,10 @@
 use std::fmt::Display;
 use std::str::FromStr;
 
+use strum::VariantArray as _;
+
 use super::UploadQuery;
-use crate::model::{RecordKind, RecordState, Timestamp, clean, positive_span};
+use crate::model::{Clock, RecordKind, RecordState, clean};
 use crate::service::failure::input;
 use crate::service::reply::Failure;
 
@@ -24,6 +26,7 @@ pub enum Term {
     Since,
     Until,
     Incident,
+    Robot,
 }
 
 impl Term {
@@ -35,11 +38,60 @@ impl Term {
     pub fn named(word: &str) -> Option<Self> {
         word.parse().ok()
     }
+
+    /// `since:10m` in two; `None` if the word is no term. A word with `:` that is no term is refused: nothing else has one.
+    pub fn split(word: &str) -> Result<Option<(Self, &str)>, Failure> {
+        let Some((name, text)) = word.split_once(':') else { return Ok(None) };
+        match Self::named(name) {
+            Some(term) => Ok(Some((term, text))),
+            None => {
+                let all: Vec<String> = Self::VARIANTS.iter().map(|term| format!("{}:", term.word())).collect();
+                let near = meant(&format!("{name}:"), all.iter().map(String::as_str));
+                Err(input(format!("{near}'{}:' is not a filter; use one of {}", clean(name, 40), all.join(" "))))
+            }
+        }
+    }
+}
+
+/// The words of a filter; those of one time are one: `since:yesterday 18:00 UTC`.
+pub fn words(text: &str) -> Vec<String> {
+    let mut words: Vec<String> = Vec::new();
+    for word in text.split_whitespace() {
+        let is_clock = word.starts_with(|first: char| first.is_ascii_digit()) && word.contains(':');
+        let goes_on = is_clock || word.eq_ignore_ascii_case("utc");
+        match words.last_mut().filter(|last| last.starts_with("since:") || last.starts_with("until:")) {
+            Some(last) if goes_on => *last = format!("{last} {word}"),
+            _ => words.push(word.to_owned()),
+        }
+    }
+    words
+}
+
+/// `did you mean 'since:'? ` if one of the words is close to this one.
+fn meant<'a>(word: &str, all: impl Iterator<Item = &'a str>) -> String {
+    let nearest = all.map(|known| (distance(word, known), known)).min();
+    let close = nearest.filter(|(distance, known)| *distance * 3 <= known.len());
+    close.map_or_else(String::new, |(_, known)| format!("did you mean '{known}'? "))
+}
+
+/// Letters to add, drop or replace (Levenshtein).
+fn distance(one: &str, other: &str) -> usize {
+    let other: Vec<char> = other.chars().collect();
+    let mut row: Vec<usize> = (0..=other.len()).collect();
+    for (place, letter) in one.chars().take(40).enumerate() {
+        let mut diagonal = std::mem::replace(row.first_mut().unwrap_or(&mut 0), place + 1);
+        let mut left = place + 1;
+        for (cell, against) in row.iter_mut().skip(1).zip(&other) {
+            left = (diagonal + usize::from(letter != *against)).min(*cell + 1).min(left + 1);
+            diagonal = std::mem::replace(cell, left);
+        }
+    }
+    row.last().copied().unwrap_or(0)
 }
 
 impl UploadQuery {
-    /// Adds a term. Durations are counted back from `now`.
-    pub fn take(&mut self, term: Term, text: &str, now: Timestamp) -> Result<(), Failure> {
+    /// Adds a term. Durations are counted back from the clock's moment.
+    pub fn take(&mut self, term: Term, text: &str, clock: &Clock) -> Result<(), Failure> {
         match term {
             Term::Owner => self.owner = Some(parsed(text)?),
             Term::Topic => self.topic = Some(parsed(text)?),
@@ -52,9 +104,10 @@ impl UploadQuery {
                 let kinds = (1..=u8::MAX).filter_map(RecordKind::from_code);
                 self.kind = Some(one_of(text, "kind of record", kinds, RecordKind::word)?);
             }
-            Term::Since => self.since = Some(past(text, now)?),
-            Term::Until => self.until = Some(past(text, now)?),
+            Term::Since => self.since = Some(clock.back(text).map_err(|error| input(error.to_string()))?),
+            Term::Until => self.until = Some(clock.back(text).map_err(|error| input(error.to_string()))?),
             Term::Incident => self.incident = Some(parsed(text)?),
+            Term::Robot => self.robot = Some(robot(text)?),
         }
         Ok(())
     }
@@ -77,8 +130,22 @@ fn one_of<T: Copy>(
     let all: Vec<T> = all.into_iter().collect();
     all.iter().find(|one| word(**one) == text).copied().ok_or_else(|| {
         let words: Vec<&str> = all.iter().map(|one| word(*one)).collect();
-        input(format!("'{}' is not a {what}; choose one of {}", clean(text, 40), words.join(", ")))
+        let near = meant(text, words.iter().copied());
+        input(format!("{near}'{}' is not a {what}; choose one of {}", clean(text, 40), words.join(", ")))
     })
+}
+
+/// A robot's name: as enrolled, or the first part of its topics.
+pub fn robot(text: &str) -> Result<String, Failure> {
+    let fits = |byte: u8| byte.is_ascii_alphanumeric() || b"_-.".contains(&byte);
+    match (1..=64).contains(&text.len()) && text.bytes().all(fits) {
+        true => Ok(text.to_owned()),
+        false => Err(input(format!(
+            "'{}' is not a robot's name; give the name that it was enrolled under, or the first part of its topics, as \
+             robot1 for /robot1/odom",
+            clean(text, 40)
+        ))),
+    }
 }
 
 /// A tag, `key=value`.
@@ -95,39 +162,46 @@ pub fn tag(text: &str) -> Result<(String, String), Failure> {
     }
 }
 
-pub fn moment(text: &str) -> Result<Timestamp, Failure> {
-    serde_json::from_value(serde_json::Value::String(text.to_owned()))
-        .map_err(|_| input(format!("'{}' is not a time; use the form 2026-11-21T08:30:00Z", clean(text, 40))))
-}
-
-/// A time, the beginning of a day (UTC), or a duration before `now`.
-pub fn past(text: &str, now: Timestamp) -> Result<Timestamp, Failure> {
-    if let Ok(moment) = moment(text).or_else(|_| moment(&format!("{text}T00:00:00Z"))) {
-        return Ok(moment);
-    }
-    let length = positive_span(text).map_err(|_| {
-        let forms = "2026-11-21T08:30:00Z, 2026-11-21, or a duration ago such as 10m, 12h or 2d";
-        input(format!("'{}' is not a time; use {forms}", clean(text, 40)))
-    })?;
-    Ok(Timestamp(now.0.saturating_sub(u64::try_from(length.as_nanos()).unwrap_or(u64::MAX))))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::model::ErrorKind;
-    use strum::VariantArray as _;
 
     #[test]
-    fn moments_are_times_days_and_lengths_of_time_ago() {
-        let now = Timestamp::from_seconds(1_700_000_000);
-        let read = |text| past(text, now).map(|moment| moment.seconds()).map_err(|failure| failure.kind);
-        // date -u -d 2023-11-14T22:13:20Z +%s, and for the day
-        assert_eq!((read("2023-11-14T22:13:20Z"), read("2023-11-14")), (Ok(1_700_000_000), Ok(1_699_920_000)));
-        assert_eq!((read("30s"), read("2w")), (Ok(1_699_999_970), Ok(1_698_790_400)));
-        for bad in ["yesterday", "", "0s", "-1d", "2023-13-01"] {
-            assert_eq!(read(bad), Err(ErrorKind::Input), "{bad}");
+    fn a_word_with_a_colon_is_a_term_or_an_error() {
+        assert_eq!(Term::split("since:21:50:00").expect("a term"), Some((Term::Since, "21:50:00")));
+        assert_eq!(Term::split("odom").expect("a word"), None);
+        for (word, near) in [
+            ("unti:40s", "did you mean 'until:'? 'unti:'"),
+            ("sinc:1m", "did you mean 'since:'?"),
+            ("topics:/odom", "did you mean 'topic:'?"),
+            ("stat:verified", "did you mean 'state:'?"),
+            ("colour:red", "'colour:' is not a filter; use one of owner: topic: type: tag: state:"),
+            (":", "'"),
+        ] {
+            let failure = Term::split(word).expect_err(word);
+            assert_eq!(failure.kind, ErrorKind::Input);
+            assert!(failure.message.starts_with(near), "{word}: {failure}");
+            assert!(failure.message.contains("since: until:"), "{word}: {failure}");
         }
+    }
+
+    #[test]
+    fn letters_between_words_are_counted() {
+        // By hand.
+        for (one, other, letters) in
+            [("", "", 0), ("", "abc", 3), ("kitten", "sitting", 3), ("until", "unti", 1), ("since", "sinec", 2)]
+        {
+            assert_eq!((distance(one, other), distance(other, one)), (letters, letters), "{one} {other}");
+        }
+    }
+
+    #[test]
+    fn the_words_of_a_time_are_one() {
+        let text = "odom since:yesterday 18:00 until:2026-11-27 18:05:00.5 UTC state:verified camera 18:00";
+        let expected =
+            ["odom", "since:yesterday 18:00", "until:2026-11-27 18:05:00.5 UTC", "state:verified", "camera", "18:00"];
+        assert_eq!(words(text), expected);
     }
 
     #[test]
@@ -135,17 +209,18 @@ mod tests {
         let mut query = UploadQuery::default();
         for &term in Term::VARIANTS {
             assert_eq!(Term::named(term.word()), Some(term));
-            let failure = query.take(term, "%", Timestamp(0)).expect_err(term.word());
+            let failure = query.take(term, "%", &Clock::default()).expect_err(term.word());
             assert_eq!(failure.kind, ErrorKind::Input, "{failure}");
         }
         assert_eq!(query, UploadQuery::default());
-        let refused = query.take(Term::State, "verifed", Timestamp(0)).expect_err("no such state");
+        let refused = query.take(Term::State, "verifed", &Clock::default()).expect_err("no such state");
+        assert!(refused.message.starts_with("did you mean 'verified'?"), "{refused}");
         assert!(refused.message.contains(", right-ended"), "{refused}");
         for word in ["right-ended", "waits: right ended"] {
             let mut query = UploadQuery::default();
-            query.take(Term::State, word, Timestamp(0)).expect("both are understood");
+            query.take(Term::State, word, &Clock::default()).expect("both are understood");
             assert_eq!(query.state, Some(RecordState::RightEnded));
         }
-        assert!(query.take(Term::Kind, "gap", Timestamp(0)).is_ok() && query.kind == Some(RecordKind::Gap));
+        assert!(query.take(Term::Kind, "gap", &Clock::default()).is_ok() && query.kind == Some(RecordKind::Gap));
     }
 }

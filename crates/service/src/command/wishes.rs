@@ -6,6 +6,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
+use crate::failure::input;
 use crate::model::{IncidentName, Party, RecordKind, RecordState, Timestamp, TopicName, TopicPattern, TypeName, clean};
 use crate::reply::Failure;
 use crate::ros::recording::{ChunkCompression, RecordingFormat};
@@ -36,18 +37,18 @@ pub enum GrantFrom {
 }
 
 impl GrantFrom {
-    /// `now`, `epoch` for the current one, `start`, an epoch's number, or a time as `past` reads it.
-    pub fn read(text: &str, past: impl FnOnce(&str) -> Result<Timestamp, Failure>) -> Result<Self, Failure> {
+    /// `now`, `epoch` for the current one, `start`, an epoch's number, or a time as `back` reads it.
+    pub fn read<E: fmt::Display>(text: &str, back: impl FnOnce(&str) -> Result<Timestamp, E>) -> Result<Self, Failure> {
         match text.trim() {
             "now" => Ok(Self::Now),
             "epoch" => Ok(Self::Current),
             "start" => Ok(Self::Epoch(1)),
             text => match text.parse() {
                 Ok(epoch) => Ok(Self::Epoch(epoch)),
-                Err(_) => past(text).map(Self::Time).map_err(|failure| Failure {
-                    message: format!("enter now, epoch, start or a time: {}", failure.message),
-                    ..failure
-                }),
+                Err(_) => {
+                    let wrong = |error| input(format!("enter now, epoch, start or a time: {error}"));
+                    back(text).map(Self::Time).map_err(wrong)
+                }
             },
         }
     }
@@ -68,7 +69,10 @@ impl fmt::Display for GrantFrom {
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct UploadQuery {
     pub owner: Option<Party>,
-    pub topic: Option<TopicName>,
+    pub topic: Option<TopicPattern>,
+    /// An enrolled robot, or the first part of its topics.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub robot: Option<String>,
     /// `None` = captured messages.
     pub kind: Option<RecordKind>,
     pub type_name: Option<TypeName>,
@@ -261,6 +265,35 @@ mod tests {
         assert_eq!((remap.from.as_str(), remap.to.as_str()), ("/odom", "/theirs/odom"));
         for wrong in ["/odom", "odom:=/x", "/odom:=", "/odom:=/a b", ":=/x"] {
             assert!(wrong.parse::<Remap>().is_err(), "{wrong}");
+        }
+    }
+}
+
+#[cfg(test)]
+mod grant_tests {
+    use super::*;
+    use crate::model::{Clock, ErrorKind};
+
+    #[test]
+    fn from_when_on_is_written_as_it_is_read() {
+        let clock = Clock { now: Timestamp::from_seconds(1_700_000_000), ..Clock::default() };
+        let read = |text: &str| GrantFrom::read(text, |text| clock.back(text));
+        let hour_ago = Timestamp::from_seconds(1_700_000_000 - 3_600);
+        for (text, from) in [
+            ("now", GrantFrom::Now),
+            (" epoch ", GrantFrom::Current),
+            ("start", GrantFrom::Epoch(1)),
+            ("7", GrantFrom::Epoch(7)),
+            ("1h", GrantFrom::Time(hour_ago)),
+            ("2023-11-14T21:13:20Z", GrantFrom::Time(hour_ago)),
+        ] {
+            assert_eq!(read(text).expect(text), from);
+            assert_eq!(read(&from.to_string()).expect("written"), from);
+        }
+        for wrong in ["", "soon", "-1", "epoch 2"] {
+            let failure = read(wrong).expect_err(wrong);
+            assert_eq!(failure.kind, ErrorKind::Input);
+            assert!(failure.message.starts_with("enter now, epoch, start or a time: "), "{failure}");
         }
     }
 }

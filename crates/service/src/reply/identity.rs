@@ -306,3 +306,31 @@ pub struct DeviceRow {
     pub until: Option<Timestamp>,
     pub recalled: Option<u64>,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_grant_opens_and_costs_in_words() {
+        let since = Some(Timestamp::from_seconds(1_700_000_000));
+        let opens = |records, since| Opens { records, since }.words(utc);
+        assert_eq!(opens(8_505, since), "since 2023-11-14 22:13:20 UTC, 8,505 records");
+        assert_eq!(opens(1, since), "since 2023-11-14 22:13:20 UTC, 1 record");
+        assert_eq!(opens(1_234_567, since), "since 2023-11-14 22:13:20 UTC, 1,234,567 records");
+        assert_eq!(opens(0, None), "no record yet");
+        let now =
+            GrantForesight { epoch: 2, epochs: 1, nothing_older: true, transactions: 2, ..GrantForesight::default() };
+        assert_eq!(now.moment(utc), "from now on, nothing older");
+        assert_eq!(now.cost(), "a new epoch: 0 other readers get the key, no robot is told; 2 transactions");
+        let robots = ["scout-1", "scout-2"].map(|name| name.parse().expect("a name")).to_vec();
+        let more = GrantForesight { epochs: 2, readers: 1, robots, transactions: 5, ..now };
+        let told = "2 robots are told (scout-1, scout-2); until one hears, this reader opens nothing that it seals";
+        assert_eq!(more.cost(), format!("2 new epochs: 1 other reader gets the key, {told}; 5 transactions"));
+        let past = GrantForesight { opens: Opens { records: 2, since }, transactions: 1, ..GrantForesight::default() };
+        assert_eq!(
+            (past.moment(utc).as_str(), past.cost().as_str()),
+            ("since 2023-11-14 22:13:20 UTC, 2 records", "1 transaction")
+        );
+    }
+}

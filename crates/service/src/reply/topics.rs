@@ -32,6 +32,9 @@ pub struct TopicRow {
     /// Publishers of a captured topic that cannot be read.
     pub unreached: Vec<UnreachedView>,
     pub watched: bool,
+    /// The pattern that watches it, if its own name does not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub watched_by: Option<String>,
     /// `None` = it is captured, or not watched.
     pub held_up: Option<HeldUp>,
     pub simulated: bool,

@@ -15,7 +15,9 @@ use super::rows::{self, RecordRow, Stream, Which, time, unsigned};
 use super::{Counts, Losses, Records};
 use crate::StoreError;
 use crate::database::{Statements as _, capped, whole};
-use crate::model::{Address, FilterId, RecordKind, RecordState, RecorderId, SignerId, Timestamp, TopicId, clean};
+use crate::model::{
+    Address, FilterId, RecordKind, RecordState, RecorderId, SignerId, Timestamp, TopicId, TopicPattern, clean,
+};
 use crate::notes::{self, Note};
 
 const LARGEST_PAGE: usize = 10_000;
@@ -53,8 +55,12 @@ pub struct RecordQuery {
     pub topic: Option<String>,
     /// By name; empty = any.
     pub topics: Vec<String>,
+    /// The topic's name matches each.
+    pub patterns: Vec<TopicPattern>,
     pub topic_ids: Option<Vec<TopicId>>,
     pub recorder: Option<RecorderId>,
+    /// `None` = any.
+    pub signers: Option<BTreeSet<SignerId>>,
     /// One id of each choice.
     pub filters: Vec<FilterChoice>,
     pub type_name: Option<String>,
@@ -79,6 +85,8 @@ impl RecordQuery {
             && self.owners.as_ref().is_none_or(|owners| owners.contains(&stream.owner))
             && self.topic.as_ref().is_none_or(|topic| *topic == stream.topic)
             && (self.topics.is_empty() || self.topics.contains(&stream.topic))
+            && self.patterns.iter().all(|pattern| pattern.matches(&stream.topic))
+            && self.signers.as_ref().is_none_or(|signers| signers.contains(&stream.signer))
             && self.topic_ids.as_ref().is_none_or(|ids| ids.contains(&stream.topic_id))
             && self.recorder.is_none_or(|recorder| recorder == stream.recorder)
             && self.type_name.as_ref().is_none_or(|name| *name == stream.type_name)

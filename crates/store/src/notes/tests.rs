@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::Ledger;
-use crate::model::ErrorKind;
+use crate::model::{ErrorKind, WatchRule};
 
 /// What each note may say. A note that is missing here fails the test of the whole list.
 fn samples() -> Vec<(Kind, String)> {
@@ -12,7 +12,7 @@ fn samples() -> Vec<(Kind, String)> {
     let (address, digest, hash) = (Address([1; 20]), Digest([2; 32]), Hash([3; 32]));
     let (device, key, at) = (SignerId([4; 32]), PublicKey([5; 64]), Timestamp(6_000_000_007));
     let name: ProfileName = "lab".parse().expect("a name");
-    let topic: TopicName = "/odom".parse().expect("a name");
+    let topic = "/odom".parse().expect("a name");
     let awaited = AwaitedBlock { block: (7, hash), since: at };
     let gateway = EnrolledGateway { addresses: vec!["lab:1".to_owned()], key: device };
     let topics = vec!["/odom".to_owned()];
@@ -42,7 +42,7 @@ fn samples() -> Vec<(Kind, String)> {
         of::<UnsureBlocks>(vec![UnsureBlock { block: 12, hash, events: 3, times: 1 }]),
         of::<NodeBehind>(awaited.clone()),
         of::<DoubtedBlock>(awaited),
-        of::<Watched>(vec![(topic, None)]),
+        of::<Watched>(WatchRules(vec![WatchRule { pattern: topic, type_name: None, except: false }])),
         of::<StoredDefinition>(()),
         of::<AskedSpans>([AskedSpan { number: 12, span }].into()),
         of::<Imported>(standings),

@@ -6,13 +6,14 @@ use std::collections::VecDeque;
 
 use super::table::Table;
 use super::{palette, policies};
-use crate::model::{Address, RecordState, Timestamp, TopicName, clean};
+use crate::model::{Address, Clock, Timestamp, TopicPattern, clean};
 use crate::service::command::Term;
+use crate::service::command::filter::words;
 use crate::service::reply::{
     AuditView, Direction, GatewayStatusView, GrantRow, GrantState, HeldUp, RecordPage, RecordView, RobotRow,
     SenderView, TopicRow,
 };
-use crate::service::{NoticeLevel, UploadQuery};
+use crate::service::{Failure, NoticeLevel, UploadQuery};
 use strum::IntoStaticStr;
 
 /// Characters of a device id that distinguish robots of one name.
@@ -161,6 +162,7 @@ pub fn together(robot: &str, rows: &[&TopicRow]) -> TopicRow {
         publishers,
         unreached: rows.iter().flat_map(|row| row.unreached.clone()).collect(),
         watched: rows.iter().any(|row| row.watched),
+        watched_by: None,
         held_up: held_up(HeldUp::WaitsForKey).or(held_up(HeldUp::Paused)),
         simulated: rows.iter().all(|row| row.simulated),
         hz: rate(|row| row.hz),
@@ -428,7 +430,7 @@ pub struct Records {
     /// Hides younger records, so that the row of the cursor stays in place.
     pub anchor: Option<Timestamp>,
     /// The filter and when it was typed: `since:1m` counts from there, so that it stays the same request.
-    pub(super) typed: (String, Timestamp),
+    pub typed: (String, Clock),
     /// Whether more records are on their way from the gateway.
     pub arriving: bool,
 }
@@ -442,18 +444,22 @@ pub struct Wanted {
 }
 
 impl Wanted {
-    /// State words, topic names, addresses, and terms such as `owner:bob`; spans count back from `now`.
-    pub fn read(filter: &str, topics: &[TopicRow], now: Timestamp) -> Self {
+    /// State words, topic names and patterns, addresses, and terms such as `owner:bob`.
+    pub fn read(filter: &str, topics: &[TopicRow], clock: &Clock) -> Result<Self, Failure> {
         let mut wanted = Self::default();
-        for word in filter.split_whitespace() {
-            if word.split_once(':').is_some_and(|(name, value)| wanted.takes(name, value, now)) {
+        for word in words(filter) {
+            let word = word.as_str();
+            if let Some((term, text)) = Term::split(word)? {
+                wanted.asked.take(term, text, clock)?;
                 continue;
             }
-            if wanted.asked.take(Term::State, word, now).is_ok() {
+            if wanted.asked.take(Term::State, word, clock).is_ok() {
                 continue;
             }
             if let Ok(owner) = word.parse::<Address>() {
                 wanted.asked.owner = Some(owner.into());
+            } else if word.starts_with('/') && word.contains(['*', '?']) {
+                wanted.asked.take(Term::Topic, word, clock)?;
             } else if let Some(topic) = topic_named(word, topics) {
                 wanted.asked.topic = Some(topic);
             } else if !is_of_an_id(word) {
@@ -463,17 +469,7 @@ impl Wanted {
                 wanted.rest.push_str(word);
             }
         }
-        wanted
-    }
-
-    /// False if the site cannot search for it.
-    fn takes(&mut self, name: &str, value: &str, now: Timestamp) -> bool {
-        // A prefix of the state's word.
-        if name == "waits" {
-            self.asked.state = Some(RecordState::RightEnded);
-            return true;
-        }
-        Term::named(name).is_some_and(|term| self.asked.take(term, value, now).is_ok())
+        Ok(wanted)
     }
 }
 
@@ -482,7 +478,7 @@ fn is_of_an_id(word: &str) -> bool {
     hex && word.bytes().any(|byte| byte.is_ascii_digit())
 }
 
-fn topic_named(word: &str, topics: &[TopicRow]) -> Option<TopicName> {
+fn topic_named(word: &str, topics: &[TopicRow]) -> Option<TopicPattern> {
     if let Some(whole) = topics.iter().find(|row| row.topic == word) {
         return whole.topic.parse().ok();
     }
@@ -493,29 +489,31 @@ fn topic_named(word: &str, topics: &[TopicRow]) -> Option<TopicName> {
 
 impl Records {
     /// Notes when the filter was typed, if it changed.
-    pub fn note_filter(&mut self, now: Timestamp) {
+    pub fn note_filter(&mut self, clock: &Clock) {
         let text = self.table.filter.text();
         if text != self.typed.0 {
-            self.typed = (text.to_owned(), now);
+            self.typed = (text.to_owned(), clock.clone());
         }
     }
 
-    pub fn wanted(&self, topics: &[TopicRow]) -> Wanted {
-        Wanted::read(self.table.filter.text(), topics, self.typed.1)
+    /// What the filter says, or why it says nothing.
+    pub fn wanted(&self, topics: &[TopicRow]) -> Result<Wanted, Failure> {
+        Wanted::read(self.table.filter.text(), topics, &self.typed.1)
     }
 
     /// As of the moment of the freeze, if frozen.
-    pub fn query(&self, topics: &[TopicRow], limit: usize, frozen: Option<Timestamp>) -> UploadQuery {
-        let asked = self.wanted(topics).asked;
+    /// `None` while the filter says nothing.
+    pub fn query(&self, topics: &[TopicRow], limit: usize, frozen: Option<Timestamp>) -> Option<UploadQuery> {
+        let asked = self.wanted(topics).ok()?.asked;
         // The query's end is exclusive; the record of that very moment still shows.
         let stands = [self.anchor, frozen].into_iter().flatten().map(|at| Timestamp(at.0.saturating_add(1)));
-        UploadQuery {
+        Some(UploadQuery {
             until: asked.until.into_iter().chain(stands).min(),
             after: self.path.last().cloned(),
             limit: limit.clamp(1, 1_000),
             newest_first: self.table.sort == 0,
             ..asked
-        }
+        })
     }
 
     pub fn set(&mut self, page: RecordPage, limit: usize) {
@@ -529,8 +527,9 @@ impl Records {
         if self.table.filter.text().is_empty() {
             return self.rows.iter().collect();
         }
-        let rest = self.wanted(topics).rest;
-        palette::narrow(&rest, self.rows.iter().collect(), |row| haystack(row))
+        // Nothing is shown by a filter that cannot be read.
+        let Ok(wanted) = self.wanted(topics) else { return Vec::new() };
+        palette::narrow(&wanted.rest, self.rows.iter().collect(), |row| haystack(row))
     }
 
     pub fn restart(&mut self) {

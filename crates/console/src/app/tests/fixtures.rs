@@ -144,6 +144,7 @@ pub fn topic(name: &str, hz: f64) -> TopicRow {
         publishers: vec!["/driver".to_owned()],
         unreached: Vec::new(),
         watched: false,
+        watched_by: None,
         held_up: None,
         simulated: true,
         hz: Some(hz),

@@ -3,7 +3,7 @@
 use super::{Robot, fixtures};
 use crate::app::popup::{Confirm, Popup};
 use crate::app::{Key, Tag};
-use crate::model::Timestamp;
+use crate::model::{Timestamp, TopicPattern};
 use crate::service::{Command, GrantFrom};
 
 const READER: &str = "0x5aAeb6053F3E94C9b9A09f33669435E7Ef1BeAed";
@@ -67,18 +67,35 @@ fn anything_but_y_is_no_and_leads_back_to_the_form() {
 }
 
 #[test]
+fn a_grant_of_a_pattern_names_the_topics_and_an_end_is_a_clock() {
+    let mut robot = at_grants();
+    robot.types("g");
+    fills_in(&mut robot, [READER, "/robot*/odom", "tomorrow 18:00"]);
+    robot.types("y");
+    let (command, _) = robot.sent.last().expect("sent");
+    let Command::Grant { topics, expires, .. } = command else { panic!("{command:?}") };
+    let mut names: Vec<&str> = topics.iter().map(TopicPattern::as_str).collect();
+    names.sort_unstable();
+    assert_eq!(names, ["/robot1/odom", "/robot2/odom"]);
+    // date -u -d '2023-11-15T18:00Z' +%s
+    assert_eq!(*expires, Some(Timestamp::from_seconds(1_700_071_200)));
+}
+
+#[test]
 fn a_wrong_field_is_named_and_gets_the_focus() {
     let (own, other) = (fixtures::OWN.to_string(), fixtures::OTHER.to_string());
     let cases = [
         (["0x12", "", ""], "40 hex"),
         (["0x5aAeb6053F3E94C9b9A09f33669435E7Ef1Beaed", "", ""], "checksum"),
         ([own.as_str(), "", ""], "your own address"),
-        ([READER, "robot1", ""], "not a topic name"),
+        ([READER, "robot1", ""], "must start with /"),
         ([READER, "", ""], "'all' for every topic"),
         ([READER, "all /robot1/odom", ""], "not both"),
         (["nobody", "all", ""], "no contact is named"),
         ([other.as_str(), "/robot1/odom", ""], "active grant on these terms"),
         ([READER, "all", "soon"], "30d"),
+        ([READER, "all", "yesterday 18:00"], "enter a later time"),
+        ([READER, "/robot9/**", ""], "no topic matches /robot9/** now"),
     ];
     for (fields, wanted) in cases {
         let mut robot = at_grants();
@@ -281,7 +298,7 @@ fn where_the_revoke_fails_nothing_is_granted_and_the_form_comes_back() {
 #[test]
 fn the_question_says_from_when_and_at_what_cost_and_the_request_carries_just_that() {
     let hour_ago = Timestamp(fixtures::NOW.0 - 3_600 * 1_000_000_000);
-    let counted = "Records  since 22:06:33 UTC, 8,505 records";
+    let counted = "Records  since 2023-11-14 22:06:33 UTC, 8,505 records";
     let cases = [
         ("now", GrantFrom::Now, "Records  from now on, nothing older", "a new epoch: 1 other reader gets the key"),
         ("epoch", GrantFrom::Current, counted, "Cost     1 transaction"),

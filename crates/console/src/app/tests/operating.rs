@@ -169,7 +169,7 @@ fn the_grant_form_says_from_which_moment_it_opens_records() {
     let told = form.notes.join("\n");
     for line in [
         "now    from now on: a new key, nothing older",
-        "epoch  since 22:06:33 UTC, 8,505 records of all topics",
+        "epoch  since 2023-11-14 22:06:33 UTC, 8,505 records of all topics",
         "start  since 2023-11-10 22:13:20 UTC, 581,165 records of all topics",
     ] {
         assert!(told.contains(line), "{told}");

@@ -3,7 +3,7 @@
 use super::{Robot, fixtures, record_shown};
 use crate::app::popup::Popup;
 use crate::app::{Effect, Key, Tag};
-use crate::model::{Address, ErrorKind, RecordState, Verdict};
+use crate::model::{Address, ErrorKind, RecordState, Timestamp, Verdict};
 use crate::ros::readable::{Raster, Readable};
 use crate::service::reply::{CheckView, ContractAnswer};
 use crate::service::{Command, Part, Reply, UploadQuery};
@@ -62,6 +62,60 @@ fn a_filter_asks_the_site_for_states_and_topics_and_narrows_the_page_by_the_rest
     assert!(shown > 0 && shown < robot.state.uploads.rows.len());
     robot.presses(Key::Escape);
     assert_eq!(asked(&robot).state, None, "esc takes the filter away");
+}
+
+#[test]
+fn spans_of_a_filter_are_exact_and_stay_the_same_request() {
+    let mut robot = at('3');
+    robot.types("/since:1m until:40s");
+    robot.presses(Key::Enter);
+    let (now, query) = (robot.state.now.0, asked(&robot).clone());
+    assert!(!now.is_multiple_of(60_000_000_000), "else the test shows nothing");
+    assert_eq!(query.since, Some(Timestamp(now - 60_000_000_000)));
+    assert_eq!(query.until, Some(Timestamp(now - 40_000_000_000)));
+    robot.site_answers(true);
+    robot.waits(30);
+    robot.hears_of(Part::Uploads);
+    assert_eq!(asked(&robot), &query, "counted from when it was typed");
+}
+
+#[test]
+fn a_filter_that_cannot_be_read_says_so_and_asks_for_nothing() {
+    let mut robot = at('3');
+    for (filter, said) in [
+        ("unti:40s", "did you mean 'until:'?"),
+        ("state:foo", "'foo' is not a state"),
+        ("since:soon", "'soon' is not a time"),
+        ("topic:odom", "must start with /"),
+        ("colour:red", "use one of owner: topic:"),
+    ] {
+        robot.types("/");
+        robot.presses(Key::Control('u'));
+        let before = robot.sent.len();
+        robot.pastes(filter);
+        robot.presses(Key::Enter);
+        let wrong = robot.state.uploads.wanted(&robot.state.topics.rows).expect_err(filter);
+        assert!(wrong.message.contains(said), "{wrong}");
+        let lists = robot.sent[before..].iter().filter(|(command, _)| matches!(command, Command::ListUploads(_)));
+        assert_eq!(lists.count(), 0, "{filter}");
+        assert!(robot.state.uploads.visible(&robot.state.topics.rows).is_empty());
+    }
+    robot.presses(Key::Escape);
+    assert!(robot.state.uploads.wanted(&[]).is_ok());
+}
+
+#[test]
+fn a_filter_takes_patterns_and_times_of_two_words() {
+    let mut robot = at('3');
+    robot.types("/robot:robot2 topic:/robot*/camera/** since:2023-11-14 08:30 until:2023-11-14 09:00:00.250 UTC");
+    robot.presses(Key::Enter);
+    let query = asked(&robot);
+    assert_eq!(query.topic.as_ref().map(ToString::to_string).as_deref(), Some("/robot*/camera/**"));
+    assert_eq!(query.robot.as_deref(), Some("robot2"));
+    // date -u -d '2023-11-14T08:30Z' +%s
+    assert_eq!(query.since, Some(Timestamp::from_seconds(1_699_950_600)));
+    assert_eq!(query.until, Some(Timestamp(1_699_952_400_250_000_000)));
+    assert!(query.words.is_empty());
 }
 
 #[test]

@@ -110,6 +110,29 @@ fn a_topic_with_a_name_that_is_none_is_refused_in_words() {
 }
 
 #[test]
+fn the_palette_watches_by_patterns() {
+    let mut robot = at_topics(true);
+    for (line, watches) in [(":watch /robot*/camera/**", true), (":unwatch /robot2/*", false)] {
+        robot.types(line);
+        robot.presses(Key::Enter);
+        let (sent, topic) = match robot.sent.last() {
+            Some((Command::WatchTopic { topic, .. }, _)) => (true, topic.to_string()),
+            Some((Command::UnwatchTopic { topic }, _)) => (false, topic.to_string()),
+            other => panic!("{other:?}"),
+        };
+        assert_eq!((sent, line.ends_with(&topic)), (watches, true), "{topic}");
+    }
+    robot.types(":watch /robot[1]/odom");
+    robot.presses(Key::Enter);
+    assert!(robot.message().contains("is not a topic pattern"), "{}", robot.message());
+    robot.state.settings.read_only = true;
+    let before = robot.work();
+    robot.types(":watch /robot*/odom");
+    robot.presses(Key::Enter);
+    assert_eq!(robot.work(), before, "read-only");
+}
+
+#[test]
 fn read_only_watches_nothing() {
     let mut robot = on(at_topics(true), "robot2");
     robot.state.settings.read_only = true;

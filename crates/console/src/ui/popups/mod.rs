@@ -22,7 +22,7 @@ use crate::app::palette::whole_words;
 use crate::app::popup::{Confirm, Help, Palette, Popup};
 use crate::app::update::Feed;
 use crate::app::verb::{Entry, VERBS};
-use crate::app::{State, granting, opening};
+use crate::app::{State, granting, opening, when};
 use crate::model::clean;
 use crate::service::reply::ContactRow;
 
@@ -31,7 +31,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
         Popup::Palette(palette) => draw_palette(canvas, area, state, palette),
         Popup::Help(help) => draw_help(canvas, area, state, help),
         Popup::Confirm(confirm) => draw_confirm(canvas, area, state, confirm),
-        Popup::Form(_, form) => draw_form(canvas, area, form),
+        Popup::Form(_, form) => draw_form(canvas, area, form, when::meaning(form, &state.times()).as_deref()),
         Popup::Provenance(lookup) => windows::draw_provenance(canvas, area, lookup),
         Popup::Record(opening) => windows::draw_opened(canvas, area, opening),
         Popup::Chord(pressed) => draw_chord(canvas, area, state, pressed),
@@ -292,23 +292,29 @@ const MOST_TOLD: usize = 20_000;
 const ROWS: u16 = 12;
 const FORM_WIDTH: u16 = 68;
 
-pub fn draw_form(canvas: &mut Canvas, area: Rect, form: &Form) {
+/// `meaning` of the line under the cursor stands below it.
+pub fn draw_form(canvas: &mut Canvas, area: Rect, form: &Form, meaning: Option<&str>) {
     let width = FORM_WIDTH.min(area.width.saturating_sub(6));
     let notes: Vec<String> = form.notes.iter().flat_map(|note| wrap(&clean(note, 500), width)).collect();
     let error: Vec<String> = form.error.iter().flat_map(|error| wrap(&clean(error, 500), width)).collect();
     let told: Vec<String> = form.told.iter().flat_map(|line| wrap(&clean(line, MOST_TOLD), width)).collect();
     let told = shortened(told, area.height.saturating_sub(ROWS));
-    let needed = notes.len() + form.lines.len() + 2 + error.len() + told.len();
+    let needed = notes.len() + form.lines.len() + usize::from(meaning.is_some()) + 2 + error.len() + told.len();
     let inner = framed(canvas, area, &form.title, FORM_WIDTH, rows(needed));
     for (place, note) in (0..).zip(&notes) {
         canvas.put(row(inner, place), note, Role::Dim);
     }
-    let fields = rows(notes.len()) + 1;
-    for (place, (index, line)) in (fields..).zip(form.lines.iter().enumerate()) {
+    let mut place = rows(notes.len()) + 1;
+    for (index, line) in form.lines.iter().enumerate() {
         draw_line(canvas, row(inner, place), line, index == form.focus);
+        place += 1;
+        if let Some(meaning) = meaning.filter(|_| index == form.focus) {
+            canvas.put(right_of(row(inner, place), LABEL), meaning, Role::Accent);
+            place += 1;
+        }
     }
     let answers = error.iter().map(|line| (line, Role::Bad)).chain(told.iter().map(|line| (line, Role::Dim)));
-    for (place, (line, role)) in (fields + rows(form.lines.len()) + 1..).zip(answers) {
+    for (place, (line, role)) in (place + 1..).zip(answers) {
         canvas.put(row(inner, place), line, role);
     }
 }

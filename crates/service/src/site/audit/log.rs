@@ -220,6 +220,7 @@ fn query_text(query: &UploadQuery) -> String {
     let mut words = vec!["records".to_owned()];
     words.extend(query.owner.as_ref().map(|owner| format!("of {owner}")));
     words.extend(query.topic.as_ref().map(|topic| format!("topic {topic}")));
+    words.extend(query.robot.as_ref().map(|robot| format!("robot {}", clean(robot, 64))));
     words.extend(query.type_name.as_ref().map(|name| format!("type {name}")));
     words.extend(query.words.iter().map(|word| format!("with {}", clean(word, 40))));
     words.extend(query.tags.iter().map(|(name, value)| format!("tag {}={}", clean(name, 40), clean(value, 40))));

@@ -256,6 +256,11 @@ impl RosSide {
     }
 
     fn share_wishes(&self, graph: &[TopicInfo]) -> BTreeSet<TopicName> {
+        if self.recorder.has_patterns() {
+            let of_two = self.second.topics();
+            let names = graph.iter().map(|info| &info.name).chain(of_two.iter().map(|topic| &topic.name));
+            self.recorder.follow(&names.filter_map(|name| name.parse().ok()).collect::<Vec<TopicName>>());
+        }
         let wanted = self.recorder.wanted().iter().filter_map(|topic| topic.parse().ok()).collect();
         self.second.share(wanted, self.is_measured(), graph)
     }

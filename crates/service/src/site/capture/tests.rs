@@ -23,8 +23,8 @@ async fn watch_lists_survive_a_restart_and_none_of_many_changes_at_once_is_lost(
         .map(|number| {
             let lists = Arc::clone(&lists);
             tokio::spawn(async move {
-                let topic: TopicName = format!("/t{number}").parse().expect("a topic");
-                lists.change(&profile("alice"), |list| list.push((topic, None)))
+                let topic = format!("/t{number}").parse().expect("a topic");
+                lists.change(&profile("alice"), |rules| rules.watch(topic, None))
             })
         })
         .collect();
@@ -35,12 +35,12 @@ async fn watch_lists_survive_a_restart_and_none_of_many_changes_at_once_is_lost(
     let ground = ground.again();
     let lists = watches(&ground);
     let mut kept: Vec<_> =
-        lists.of(&profile("alice")).expect("a list").into_iter().map(|(topic, _)| topic.to_string()).collect();
+        lists.of(&profile("alice")).expect("a list").0.into_iter().map(|rule| rule.pattern.to_string()).collect();
     kept.sort();
     let mut expected: Vec<_> = (0..16).map(|number| format!("/t{number}")).collect();
     expected.sort();
     assert_eq!(kept, expected);
-    assert!(lists.of(&profile("bob")).expect("a list").is_empty());
+    assert!(lists.of(&profile("bob")).expect("a list").0.is_empty());
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

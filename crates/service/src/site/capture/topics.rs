@@ -1,6 +1,6 @@
 //! Topics of the graph, their rates, and the rules for them.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeSet, HashMap, HashSet};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -8,7 +8,9 @@ use tokio::task::block_in_place;
 
 use super::Capture;
 use super::second::GraphOf;
-use crate::model::{ProfileName, Timestamp, TopicName, TopicRule, TypeName, clean, pinned_name};
+use crate::model::{
+    ProfileName, Timestamp, TopicName, TopicPattern, TopicRule, TypeName, WatchRule, clean, pinned_name,
+};
 use crate::service::failure::input;
 use crate::service::reply::{Failure, HeldUp, PolicyRow, PolicyView, TopicRow};
 use crate::store::TopicCounts;
@@ -40,10 +42,10 @@ impl Capture {
             }
         }
         let published: HashSet<String> = rows.iter().map(|row| row.topic.clone()).collect();
-        for (topic, type_name) in &watches {
-            if !published.contains(topic.as_str()) {
+        for WatchRule { pattern, type_name, .. } in watches.named() {
+            if !published.contains(pattern.as_str()) {
                 let type_name = type_name.as_ref().map(TypeName::as_str);
-                rows.push(self.topic_row(topic.as_str(), type_name, &[], false, now));
+                rows.push(self.topic_row(pattern.as_str(), type_name, &[], false, now));
             }
         }
         let captured = self.captured_by_topic(profile)?;
@@ -51,7 +53,6 @@ impl Capture {
         let pins = self.pins.pinned_names(profile)?;
         let sealing = self.parts.owners.get(profile).filter(|owner| owner.sealing().is_some());
         let full = self.parts.plant.ledger.records.takes_records().is_err();
-        let watched: HashSet<&str> = watches.iter().map(|(topic, _)| topic.as_str()).collect();
         let mut unreached = self.ros.unreached();
         for row in &mut rows {
             row.unreached = unreached.remove(&row.topic).filter(|_| row.ros == 1).unwrap_or_default();
@@ -65,7 +66,9 @@ impl Capture {
                 (row.lost_in_transport, row.lost_in_recorder) = (counts.missed, counts.lost);
             }
             row.alarm = alarms.contains(&row.topic);
-            row.watched = watched.contains(row.topic.as_str());
+            let rule = watches.of(&row.topic);
+            row.watched = rule.is_some();
+            row.watched_by = rule.filter(|rule| !rule.pattern.is_plain()).map(|rule| rule.pattern.to_string());
             row.held_up = match &sealing {
                 _ if !row.watched => None,
                 Some(owner) => (full || !self.recorder.is_watched(&row.topic, owner.address)).then_some(HeldUp::Paused),
@@ -108,35 +111,70 @@ impl Capture {
     pub async fn watch(
         &self,
         profile: &ProfileName,
-        topic: TopicName,
+        topic: TopicPattern,
         type_name: Option<TypeName>,
     ) -> Result<(), Failure> {
-        let listed = async {
-            self.watches.change(profile, |watches| {
-                watches.retain(|(watched, _)| *watched != topic);
-                watches.push((topic.clone(), type_name.clone()));
-            })
-        };
+        let listed = async { self.watches.change(profile, |rules| rules.watch(topic.clone(), type_name)) };
         self.parts.log.deed(profile, "watch", topic.as_str(), listed).await?;
         if let Some(owner) = self.parts.owners.get(profile) {
             if self.ros.is_wanted() && owner.sealing().is_none() {
                 self.profiles.register(&owner).await?;
             }
-            self.recorder.watch(topic.as_str(), &owner.author, type_name);
-            self.ros.wishes_changed();
+            self.watches.apply(&owner)?;
         }
         Ok(())
     }
 
-    pub async fn unwatch(&self, profile: &ProfileName, topic: &TopicName) -> Result<(), Failure> {
-        let removed = async { self.watches.change(profile, |watches| watches.retain(|(watched, _)| watched != topic)) };
+    pub async fn unwatch(&self, profile: &ProfileName, topic: &TopicPattern) -> Result<(), Failure> {
+        let removed = async {
+            let mut found = false;
+            self.watches.change(profile, |rules| found = rules.unwatch(topic))?;
+            if found || topic.is_plain() {
+                return Ok(());
+            }
+            Err(input(format!("nothing that is watched matches {topic}; `authros topics list` shows what is")))
+        };
         self.parts.log.deed(profile, "unwatch", topic.as_str(), removed).await?;
         if let Some(owner) = self.parts.owners.get(profile) {
-            self.ros.second.settle(Some(topic.as_str()));
-            self.recorder.unwatch(topic.as_str(), &owner.author);
-            self.ros.wishes_changed();
+            let wanted = self.recorder.wanted();
+            let ended = wanted.iter().filter(|name| topic.matches(name));
+            ended.for_each(|name| self.ros.second.settle(Some(name)));
+            self.watches.apply(&owner)?;
         }
         Ok(())
+    }
+
+    /// Names as they are, and what matches the patterns: topics of the graph, and those with own records if `recorded`.
+    pub async fn named(
+        &self,
+        profile: &ProfileName,
+        topics: &[TopicPattern],
+        recorded: bool,
+    ) -> Result<Vec<TopicName>, Failure> {
+        let mut known: BTreeSet<TopicName> = BTreeSet::new();
+        if topics.iter().any(|topic| !topic.is_plain()) {
+            if self.ros.is_wanted() {
+                known.extend(self.topics(profile).await?.iter().filter_map(|row| row.topic.parse().ok()));
+            }
+            let kept = if recorded { self.captured_by_topic(profile)? } else { HashMap::new() };
+            known.extend(kept.keys().filter_map(|name| name.parse().ok()));
+        }
+        let mut names = Vec::new();
+        for topic in topics {
+            let before = names.len();
+            match topic.name() {
+                Some(name) => names.push(name),
+                None => names.extend(known.iter().filter(|name| topic.matches(name.as_str())).cloned()),
+            }
+            if names.len() == before {
+                return Err(input(format!(
+                    "no topic matches {topic} now; `authros topics list` shows those of the graph"
+                )));
+            }
+        }
+        let mut once = HashSet::new();
+        names.retain(|name| once.insert(name.clone()));
+        Ok(names)
     }
 
     pub fn hold(&self, profile: &ProfileName, hold: bool) -> Result<(), Failure> {
@@ -144,7 +182,11 @@ impl Capture {
         if hold {
             self.ros.second.settle(None);
         }
-        if hold { self.watches.hold(&owner) } else { self.watches.restore(&owner) }
+        if hold {
+            self.watches.hold(&owner);
+            return Ok(());
+        }
+        self.watches.restore(&owner)
     }
 
     pub async fn learn_policy(&self, profile: &ProfileName, milliseconds: u64) -> Result<PolicyView, Failure> {

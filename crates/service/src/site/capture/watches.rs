@@ -1,52 +1,58 @@
-//! Watch lists: what each profile captures across restarts.
+//! Watch lists: what each profile captures across restarts, by name and by pattern.
 
-use std::sync::Arc;
+use std::collections::HashSet;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use tokio::task::block_in_place;
 
 use super::ros::RosSide;
-use crate::model::{ProfileName, TopicName, TypeName};
+use crate::model::{ProfileName, WatchRules};
 use crate::pipeline::{Owner, Recorder};
 use crate::service::reply::Failure;
 use crate::site::parts::Parts;
 use crate::store::notes::Watched;
 
-type List = Vec<(TopicName, Option<TypeName>)>;
-
 pub(in crate::site) struct Watches {
     parts: Parts,
     recorder: Arc<Recorder>,
     ros: Arc<RosSide>,
+    /// Profiles whose capture is paused.
+    held: Mutex<HashSet<ProfileName>>,
 }
 
 impl Watches {
     pub fn new(parts: &Parts, recorder: &Arc<Recorder>, ros: &Arc<RosSide>) -> Self {
-        Self { parts: parts.clone(), recorder: Arc::clone(recorder), ros: Arc::clone(ros) }
+        let (recorder, ros) = (Arc::clone(recorder), Arc::clone(ros));
+        Self { parts: parts.clone(), recorder, ros, held: Mutex::default() }
     }
 
-    pub fn of(&self, profile: &ProfileName) -> Result<List, Failure> {
+    pub fn of(&self, profile: &ProfileName) -> Result<WatchRules, Failure> {
         Ok(self.parts.plant.ledger.notes.read(&Watched { profile: profile.clone() })?.unwrap_or_default())
     }
 
-    pub fn change(&self, profile: &ProfileName, change: impl FnOnce(&mut List)) -> Result<(), Failure> {
-        self.parts.plant.ledger.notes.change(&Watched { profile: profile.clone() }, |watches: &mut List| {
-            change(watches);
+    pub fn change(&self, profile: &ProfileName, change: impl FnOnce(&mut WatchRules)) -> Result<(), Failure> {
+        self.parts.plant.ledger.notes.change(&Watched { profile: profile.clone() }, |rules: &mut WatchRules| {
+            change(rules);
             Ok(())
         })
     }
 
-    pub fn hold(&self, owner: &Arc<Owner>) -> Result<(), Failure> {
-        for (topic, _) in block_in_place(|| self.of(&owner.profile))? {
-            self.recorder.unwatch(topic.as_str(), &owner.author);
-        }
+    pub fn hold(&self, owner: &Arc<Owner>) {
+        self.held.lock().unwrap_or_else(PoisonError::into_inner).insert(owner.profile.clone());
+        self.recorder.set_watches(&owner.author, WatchRules::default());
         self.ros.wishes_changed();
-        Ok(())
     }
 
     pub fn restore(&self, owner: &Arc<Owner>) -> Result<(), Failure> {
-        let watches = block_in_place(|| self.of(&owner.profile))?;
-        for (topic, type_name) in watches {
-            self.recorder.watch(topic.as_str(), &owner.author, type_name);
+        self.held.lock().unwrap_or_else(PoisonError::into_inner).remove(&owner.profile);
+        self.apply(owner)
+    }
+
+    /// Captures what the profile's list says now, unless its capture is paused.
+    pub fn apply(&self, owner: &Arc<Owner>) -> Result<(), Failure> {
+        if !self.held.lock().unwrap_or_else(PoisonError::into_inner).contains(&owner.profile) {
+            let rules = block_in_place(|| self.of(&owner.profile))?;
+            self.recorder.set_watches(&owner.author, rules);
         }
         self.ros.wishes_changed();
         Ok(())

@@ -14,17 +14,18 @@ use tokio::task::block_in_place;
 use super::contacts::Contacts;
 use super::devices::enrolled;
 use super::parts::Parts;
+use crate::command::UploadQuery;
 use crate::failure::input;
 use crate::model::{
     Address, Digest, ErrorKind, GapReport, ProfileName, RecordKind, RetentionReport, SignerId, Timestamp, TopicName,
-    clean,
+    TopicPattern, clean,
 };
 use crate::pipeline::columns::Heads;
 use crate::pipeline::{Network, network_pin};
 use crate::reply::{CoverageView, Failure};
 use crate::ros::recording::{Beside, BesideContent};
 use crate::store::notes::Enrolled;
-use crate::store::{Coverage, CoverageQuery};
+use crate::store::{Coverage, CoverageQuery, RecordQuery};
 
 const MOST_PARTS: usize = 1_000;
 /// Fewest characters of an id.
@@ -93,6 +94,36 @@ impl Reading {
         let Coverage { since, first, last, parts, .. } = found;
         Ok(CoverageView { topic, robot, robots, since, until, first, last, parts })
     }
+}
+
+impl Reading {
+    /// Own records. A robot is one enrolled under its name, or else the first part of topics.
+    fn of_robot(&self, owners: &[Address], query: UploadQuery) -> Result<RecordQuery, Failure> {
+        let Some(robot) = query.robot.clone() else { return Ok(view::record_query(query)) };
+        let ledger = &self.parts.plant.ledger;
+        let (mut enrolled, mut topics) = (Vec::new(), Vec::new());
+        for owner in owners {
+            enrolled.extend(block_in_place(|| enrolled::of_account(&ledger.notes, *owner))?);
+            topics.extend(block_in_place(|| ledger.counts.by_state(Some(*owner)))?.topics);
+        }
+        let unknown = match devices_of(&enrolled, &robot) {
+            Ok(signers) => return Ok(RecordQuery { signers: Some(signers), ..view::record_query(query) }),
+            Err(unknown) => unknown,
+        };
+        match TopicPattern::of_robot(&robot) {
+            Ok(under) if topics.iter().any(|topic| under.matches(&topic.topic)) => of_namespace(query),
+            _ => Err(unknown),
+        }
+    }
+}
+
+/// Records with the robot's name as the first part of their topics.
+fn of_namespace(query: UploadQuery) -> Result<RecordQuery, Failure> {
+    let under = query.robot.as_deref().map(TopicPattern::of_robot).transpose();
+    let under = under.map_err(|error| input(error.to_string()))?;
+    let mut query = view::record_query(query);
+    query.patterns.extend(under);
+    Ok(query)
 }
 
 /// Devices ever enrolled under a name (a re-enrolled robot has another key), or the one whose id begins so.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use tokio::task::block_in_place;
 
-use super::view::{record_page, record_query, record_view};
+use super::view::{record_page, record_view};
 use crate::crypto::{keyfile, record};
 use crate::model::bytes::hex;
 use crate::model::{Address, ProfileName, RecordState, Timestamp, TopicId, clean};
@@ -28,7 +28,8 @@ impl Reading {
         self.learn_own_names(profile).await?;
         let filters = self.own_tag_filters(profile, &query.tags)?;
         let incident = query.incident.clone();
-        let query = RecordQuery { owner: Some(owner), filters: filters.clone(), ..record_query(query) };
+        let query = self.of_robot(&[owner], query)?;
+        let query = RecordQuery { owner: Some(owner), filters: filters.clone(), ..query };
         let ledger = &self.parts.plant.ledger;
         let page = block_in_place(|| {
             let query = match incident {
@@ -45,7 +46,8 @@ impl Reading {
         if query.incident.is_some() {
             return Err(input("an incident belongs to one profile: omit --all, or the incident".to_owned()));
         }
-        let query = RecordQuery { owners: Some(self.parts.owners.accounts()), ..record_query(query) };
+        let owners = self.parts.owners.accounts();
+        let query = RecordQuery { owners: Some(owners.clone()), ..self.of_robot(&owners, query)? };
         let page = self.parts.plant.ledger.records.list(&query)?;
         self.page_of(page, &self.own_keys(), &[], true)
     }

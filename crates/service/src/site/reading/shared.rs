@@ -4,7 +4,8 @@ use super::Reading;
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use super::view::{reason_of, record_query};
+use super::of_namespace;
+use super::view::reason_of;
 use crate::crypto::GrantedKeys;
 use crate::model::{Address, Scope, TopicId};
 use crate::pipeline::directory::Granted;
@@ -44,7 +45,7 @@ impl Reading {
             owner: None,
             topic_ids: Some(readable),
             filters: filters.clone(),
-            ..record_query(query)
+            ..of_namespace(query)?
         };
         self.readable_page(&reader, query, &filters)
     }

@@ -9,7 +9,7 @@ use super::Reading;
 use crate::command::UploadQuery;
 use crate::crypto::{CryptoError, IndexKey, Names, TopicKey, topic_id, topic_key};
 use crate::model::bytes::hex;
-use crate::model::{Address, Digest, Header, ProfileName, RecordKind, TopicName, Verdict, clean};
+use crate::model::{Address, Digest, Header, ProfileName, RecordKind, TopicPattern, Verdict, clean};
 use crate::pipeline::columns::{Comparison, Keys, Shown};
 use crate::pipeline::reader::Reader;
 use crate::pipeline::{Network, Owner, PipelineError};
@@ -100,9 +100,10 @@ impl Reading {
         &self,
         owner: Address,
         index: Option<IndexKey>,
-        topic: Option<&TopicName>,
+        topic: Option<&TopicPattern>,
     ) -> Result<(), Failure> {
-        let (Some(index), Some(name)) = (index, topic.map(ToString::to_string)) else { return Ok(()) };
+        let name = topic.filter(|topic| topic.is_plain()).map(ToString::to_string);
+        let (Some(index), Some(name)) = (index, name) else { return Ok(()) };
         let id = topic_id(&index, &name);
         Ok(self.parts.plant.ledger.names.keep_topic(owner, id, name)?)
     }
@@ -184,7 +185,7 @@ pub fn record_page(rows: &[Shown], next: Option<String>, with_owner: bool) -> Re
 /// Captured messages unless another kind is requested.
 pub(in crate::site) fn record_query(query: UploadQuery) -> RecordQuery {
     RecordQuery {
-        topic: query.topic.map(|topic| topic.to_string()),
+        patterns: query.topic.into_iter().collect(),
         type_name: query.type_name.map(|name| name.to_string()),
         words: query.words,
         kind: Some(query.kind.unwrap_or(RecordKind::Data)),

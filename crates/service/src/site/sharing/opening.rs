@@ -128,7 +128,7 @@ impl Sharing {
     }
 
     /// What a grant would open now, and what it costs.
-    pub async fn foresee(
+    pub async fn foresee_grant(
         &self,
         owner: &Arc<Owner>,
         grantee: &Party,
