@@ -95,7 +95,7 @@ pub fn list(rows: &[reply::GrantRow]) -> String {
             or_dash(row.fingerprint.as_ref()),
             row.state.word().to_owned(),
             row.opens.map_or_else(|| "-".to_owned(), |opens| opens.words(|moment| clock.meaning(moment))),
-            row.from.map_or_else(|| "-".to_owned(), |from| from.to_string()),
+            or_dash(row.from),
             or_dash(row.expires),
             if row.topics.is_empty() { "all topics".to_owned() } else { row.topics.join(" ") },
         ]

@@ -298,7 +298,7 @@ mod tests {
         let moment = rings.came();
         assert_eq!((rings.push(&b, 4), moment), (Ok(()), 3));
         let hand = rings.take(3, 100, Duration::ZERO).expect("open");
-        assert_eq!(&*hand, [1, 3, 2], "in turns");
+        assert_eq!(&*hand, &[1, 3, 2][..], "in turns");
         assert!(!rings.is_past(moment), "taken and not acknowledged");
         drop(hand);
         assert!(rings.is_past(moment), "the fourth came later");

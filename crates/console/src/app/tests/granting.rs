@@ -369,7 +369,8 @@ fn an_answer_about_other_terms_changes_no_question() {
 fn the_current_epoch_of_a_grant_that_is_replaced_is_the_one_shown_not_the_one_after_the_revoke() {
     let mut robot = at_grants();
     robot.types("g");
-    fills_in(&mut robot, [&fixtures::OTHER.to_string(), "all", ""]);
+    let other = fixtures::OTHER.to_string();
+    fills_in(&mut robot, [other.as_str(), "all", ""]);
     robot.presses(Key::Escape);
     robot.presses(Key::Control('u'));
     robot.pastes("epoch");

@@ -1,8 +1,6 @@
 //! What a grant of some epochs opens.
 
 use super::*;
-use crate::Hold;
-use crate::ledger::SealedInEpoch;
 use RecordState::Quarantined;
 
 const OWNER: Address = Address([1; 20]);
@@ -17,7 +15,7 @@ fn epochs_have_what_was_sealed_under_their_keys_by_topic() {
     let definition = NewRecord { kind: RecordKind::Definition, ..sealed(1, 1, 1) };
     let records = vec![definition, sealed(1, 1, 2), sealed(1, 1, 3), sealed(2, 2, 1), sealed(1, 3, 4), record(2, 3, 9)];
     ledger.records.append(records).expect("acknowledged");
-    let one = |topic: u8, epoch, records, first, last| SealedInEpoch {
+    let one = |topic: u8, epoch, records, first: u64, last: u64| SealedInEpoch {
         topic: TopicId([topic; 16]),
         epoch,
         records,
