@@ -2,21 +2,13 @@
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
-use clap::{Args, Subcommand, ValueEnum};
+use clap::{Args, Subcommand};
 
 use super::plan::Plan;
 use super::{parse, parties, show::or_dash};
-use crate::service::{Epochs, Failure, command, reply};
-use authros_output::{Output, table};
-
-/// Which epochs a grant opens.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum EpochsChoice {
-    /// Records of the current epoch: those sealed in it already and all later ones; the answer says since when
-    Current,
-    /// All epochs, including earlier records
-    All,
-}
+use crate::model::Clock;
+use crate::service::{Failure, GrantFrom, command, reply};
+use authros_output::{Output, pairs, table};
 
 /// `grant …`
 #[derive(Debug, Args)]
@@ -33,9 +25,13 @@ pub struct GrantArguments {
     /// Only the topics that this robot has now, as robot1 for /robot1/**; repeatable
     #[arg(long = "robot", value_name = "NAME")]
     pub of_robots: Vec<String>,
-    /// Epochs to share
-    #[arg(long, value_enum, default_value = "current")]
-    pub epochs: EpochsChoice,
+    /// From when on: now (a new epoch: nothing older), epoch (since the current one began), start (all records), or a
+    /// time: 1h, "yesterday 18:00" (the whole epochs with what was captured since)
+    #[arg(long, value_name = "FROM", default_value = "epoch")]
+    pub from: String,
+    /// Only say what it would open now, and what it costs
+    #[arg(long)]
+    pub dry_run: bool,
     /// End of the grant: 30d, 18:00, "tomorrow 18:00", "2026-11-27 18:00" or RFC 3339
     #[arg(long, value_name = "TIME")]
     pub expires: Option<String>,
@@ -46,7 +42,7 @@ pub struct GrantArguments {
 pub enum GrantsVerb {
     /// List grants given and received
     List,
-    /// Extend an active grant; keys and epoch stay the same
+    /// Extend an active grant; what it opens stays the same
     Extend {
         /// The reader's account, or its name
         grantee: String,
@@ -59,17 +55,22 @@ pub enum GrantsVerb {
     },
 }
 
-pub fn grant(arguments: &GrantArguments, output: &Output) -> Result<command::Grant, Failure> {
-    let expires = parse::Times::now(output).end(arguments.expires.as_deref())?;
-    Ok(command::Grant {
-        grantee: parse::value(arguments.address.as_deref().or(arguments.to.as_deref()).unwrap_or_default())?,
-        topics: parse::topics(&arguments.topics, &arguments.of_robots)?,
-        epochs: match arguments.epochs {
-            EpochsChoice::Current => Epochs::Current,
-            EpochsChoice::All => Epochs::All,
-        },
-        expires,
+pub fn grant(arguments: &GrantArguments, output: &Output) -> Result<Plan, Failure> {
+    let times = parse::Times::now(output);
+    let grantee = parse::value(arguments.address.as_deref().or(arguments.to.as_deref()).unwrap_or_default())?;
+    let topics = parse::topics(&arguments.topics, &arguments.of_robots)?;
+    let from = GrantFrom::read(&arguments.from, |text| times.begin(text))?;
+    let expires = times.end(arguments.expires.as_deref())?;
+    Ok(match arguments.dry_run {
+        true => Plan::unlocked(command::ForeseeGrant { grantee, topics, from }),
+        false => Plan::unlocked(command::Grant { grantee, topics, from, expires }),
     })
+}
+
+/// What a grant would do.
+pub fn foreseen(view: &reply::GrantForesight) -> String {
+    let clock = Clock::system();
+    pairs(&[("opens", view.moment(|moment| clock.meaning(moment))), ("cost", view.cost())])
 }
 
 pub fn plan(verb: GrantsVerb, output: &Output) -> Result<Plan, Failure> {
@@ -83,6 +84,7 @@ pub fn plan(verb: GrantsVerb, output: &Output) -> Result<Plan, Failure> {
 }
 
 pub fn list(rows: &[reply::GrantRow]) -> String {
+    let clock = Clock::system();
     let row = |row: &reply::GrantRow| {
         [
             row.direction.word().to_owned(),
@@ -92,11 +94,12 @@ pub fn list(rows: &[reply::GrantRow]) -> String {
             ),
             or_dash(row.fingerprint.as_ref()),
             row.state.word().to_owned(),
-            if row.earlier == Some(true) { format!("{} and earlier", row.epoch) } else { row.epoch.to_string() },
+            row.opens.map_or_else(|| "-".to_owned(), |opens| opens.words(|moment| clock.meaning(moment))),
+            or_dash(row.from),
             or_dash(row.expires),
             if row.topics.is_empty() { "all topics".to_owned() } else { row.topics.join(" ") },
         ]
     };
-    let head = ["", "account", "SM2 fingerprint", "state", "epoch", "expires", "topics"];
+    let head = ["", "account", "SM2 fingerprint", "state", "opens", "from epoch", "expires", "topics"];
     table(&head, rows.iter().map(row))
 }

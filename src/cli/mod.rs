@@ -173,7 +173,7 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
         Verb::Register => ask(context()?, Plan::new(CHAIN, ProfileNeed::Made, command::Register)),
         Verb::Topics(verb) => ask(context()?, topics::plan(verb, output)?),
         Verb::Quarantine(verb) => ask(context()?, quarantine::plan(verb)?),
-        Verb::Grant(grant) => ask(context()?, Plan::unlocked(grants::grant(&grant, output)?)),
+        Verb::Grant(grant) => ask(context()?, grants::grant(&grant, output)?),
         Verb::Revoke { address } => {
             ask(context()?, Plan::unlocked(command::Revoke { grantee: parse::value(&address)? }))
         }

@@ -70,7 +70,7 @@ fn work_beyond_an_operators_rights() {
     let mut flood = accounts.line(&bob, &socket);
     let elsewhere = flood.ask("mallory", &json!({ "command": "watch_topic", "topic": TOPIC, "type_name": null }));
     parts.refused("a profile that is not there", &text(&elsewhere["Err"], "message"), "no profile 'mallory'");
-    let grant = json!({ "command": "grant", "grantee": reader, "topics": [], "epochs": "all", "expires": null });
+    let grant = json!({ "command": "grant", "grantee": reader, "topics": [], "from": "now", "expires": null });
     for _ in 0..TRIES {
         let answer = flood.ask("alice", &grant);
         if answer["Err"]["kind"] != "refused" {

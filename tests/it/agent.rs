@@ -9,7 +9,7 @@ use std::path::Path;
 
 use authros::crypto::{Passphrase, SealedEnrolment, SealingKey};
 use serde_json::Value;
-use support::{Authros, Home, Running, Wire, count, free_port, heavy, holds, is_verified, text, wait_until};
+use support::{Authros, Cable, Home, Running, Wire, count, free_port, heavy, holds, is_verified, text, wait_until};
 
 /// A gateway's home with its own profile, and owners who use the same site.
 struct Gateway {
@@ -366,5 +366,53 @@ fn a_new_topic_and_a_new_tag_of_a_scoped_robot_are_found_by_owner_and_reader() {
         let odometry = found(who, &[list, &["--type", "nav_msgs/Odometry"]].concat(), 4);
         assert_eq!(odometry.len(), of_type("nav_msgs/Odometry").len());
         assert!(who.records(&[list, owner, &["--tag", "mission=other"]].concat()).is_empty());
+    }
+}
+
+#[test]
+fn what_a_robot_sealed_out_of_reach_before_a_grant_from_now_on_is_for_those_who_read_before() {
+    let gateway = Gateway::new();
+    let (alice, bob, carol) = (gateway.owner("alice"), gateway.owner("bob"), gateway.owner("carol"));
+    let address = |of: &Authros| text(&of.json(&["identity", "show"]), "address");
+    alice.json(&["grant", &address(&bob)]);
+    let line = Cable::to(gateway.port);
+    let robot = Robot::enrol(&gateway, &alice, &line.address(), "scout", &["/robot1/odom"]);
+    let agent = robot.run(&["--robots", "1"]);
+    wait_until(90, "the gateway takes records", || figures(&agent).filter(|figures| count(figures, "accepted") > 0));
+    line.cut();
+    wait_until(90, "its outbox fills", || figures(&agent).filter(|figures| count(figures, "pending") >= 10));
+
+    let dry = alice.json(&["grant", &address(&carol), "--from", "now", "--dry-run"]);
+    assert_eq!((&dry["robots"], &dry["epochs"]), (&serde_json::json!(["scout"]), &1.into()), "{dry}");
+    let granted = alice.json(&["grant", &address(&carol), "--from", "now"]);
+    assert_eq!(count(&granted, "epoch"), 2, "{granted}");
+    line.mend();
+    // It empties its outbox, hears of the new key, and goes on under it.
+    let all = wait_until(180, "records of both epochs", || {
+        let records = alice.records(&["uploads", "list"]);
+        let of =
+            |epoch: u64| records.iter().filter(|record| count(record, "epoch") == epoch && is_verified(record)).count();
+        (of(1) >= 10 && of(2) >= 2).then_some(records)
+    });
+    agent.stop("TERM", 30).expect_code(0);
+    let (older, newer): (Vec<Value>, Vec<Value>) =
+        all.into_iter().filter(is_verified).partition(|record| count(record, "epoch") == 1);
+    let shared = |who: &Authros, least: usize| {
+        wait_until(120, "shared records", || {
+            let ids: Vec<String> = who.records(&["shared", "list"]).iter().map(|record| text(record, "id")).collect();
+            (ids.len() >= least).then_some(ids)
+        })
+    };
+    let (of_bob, of_carol) = (shared(&bob, older.len() + newer.len()), shared(&carol, newer.len()));
+    for record in older.iter().chain(&newer) {
+        assert!(of_bob.contains(&text(record, "id")), "who read before misses nothing: {record}");
+    }
+    for record in &older {
+        assert!(!of_carol.contains(&text(record, "id")), "{record}");
+    }
+    let id = |records: &[Value]| text(records.last().expect("some"), "id");
+    carol.is_refused(&["shared", "open", &id(&older)]);
+    for (who, id) in [(&bob, id(&older)), (&bob, id(&newer)), (&carol, id(&newer))] {
+        assert_eq!(who.json(&["shared", "open", &id])["verdict"], "verified");
     }
 }

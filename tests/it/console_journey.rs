@@ -117,7 +117,7 @@ fn a_grant_reaches_a_second_console_that_opens_a_record_and_a_revoke_ends_it() {
     let (alice, bob, address) = alice_and_bob(&home);
     let mut alice = Operator::opens(&alice);
     alice.sees(ODOMETRY).presses("5").sees("No grants given");
-    alice.presses("g").sees("Lets another account").presses(&address).presses("\rall\r\r\r");
+    alice.presses("g").sees("Lets another account").presses(&address).presses("\rall\r\repoch\r");
     alice.sees("Current readers:").presses("g").no_longer_sees("Current readers:");
     alice.presses("\r").sees("Current readers:").presses("y").sees("1 can read new records now");
     alice.presses("i").sees("Revoking does not undo reads").presses("q");

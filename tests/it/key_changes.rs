@@ -22,7 +22,7 @@ fn readers_open_old_and_new_records_after_a_new_signing_key() {
     let two = two_profiles(1);
     two.alice.capture(&["/robot1/odom"], 2);
     two.alice.json(&["keys", "rotate"]);
-    two.alice.json(&["grant", &two.bob_address, "--epochs", "all"]);
+    two.alice.json(&["grant", &two.bob_address, "--from", "start"]);
     two.alice.capture(&["/robot1/odom"], 2);
     let before = two.alice.json(&["keys", "list"]);
     let file = signing_key(&two.home, '1');
@@ -60,7 +60,7 @@ fn a_new_envelope_key_is_wrapped_for_and_the_old_one_opens_what_was() {
     let two = two_profiles(1);
     two.alice.capture(&["/robot1/odom"], 2);
     two.alice.json(&["keys", "rotate"]);
-    two.alice.json(&["grant", &two.bob_address, "--epochs", "all"]);
+    two.alice.json(&["grant", &two.bob_address, "--from", "start"]);
     two.alice.capture(&["/robot1/odom"], 2);
     let before = two.bob.json(&["keys", "list"]);
 

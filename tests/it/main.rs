@@ -35,6 +35,7 @@ mod follow;
 mod foreign_proofs;
 mod gateway;
 mod gateway_metrics;
+mod granting;
 mod identity;
 mod incidents;
 mod joined;

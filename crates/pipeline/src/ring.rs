@@ -13,7 +13,8 @@ pub trait Weighted {
 
 #[derive(Debug)]
 struct Ring<T> {
-    items: VecDeque<T>,
+    /// Each with its number in all rings.
+    items: VecDeque<(u64, T)>,
     /// Bytes of its items, including those taken but not acknowledged.
     held: usize,
 }
@@ -27,6 +28,10 @@ struct Inner<T> {
     held: usize,
     /// Items taken and not yet acknowledged.
     in_hand: usize,
+    /// The least number among them.
+    oldest_in_hand: u64,
+    /// Items that ever came.
+    came: u64,
     /// Takers that wait; with none, waking would waste a system call.
     takers: usize,
     closed: bool,
@@ -39,7 +44,8 @@ impl<T> Inner<T> {
         if ring.items.is_empty() {
             self.turns.push_back(Arc::clone(topic));
         }
-        ring.items.push_back(item);
+        ring.items.push_back((self.came, item));
+        self.came += 1;
         ring.held += weight;
         self.held += weight;
         self.waiting += 1;
@@ -74,6 +80,9 @@ impl<T> Drop for Taken<'_, T> {
     fn drop(&mut self) {
         let mut inner = self.rings.inner.lock().unwrap_or_else(PoisonError::into_inner);
         inner.in_hand = inner.in_hand.saturating_sub(self.items.len());
+        if inner.in_hand == 0 {
+            inner.oldest_in_hand = u64::MAX;
+        }
         for (topic, weight) in &self.weights {
             inner.held = inner.held.saturating_sub(*weight);
             let Some(ring) = inner.rings.get_mut(topic) else { continue };
@@ -90,7 +99,17 @@ impl<T> Drop for Taken<'_, T> {
 impl<T: Weighted> Rings<T> {
     pub fn new(capacity: usize) -> Self {
         let (rings, turns) = (HashMap::new(), VecDeque::new());
-        let inner = Inner { rings, turns, waiting: 0, held: 0, in_hand: 0, takers: 0, closed: false };
+        let inner = Inner {
+            rings,
+            turns,
+            waiting: 0,
+            held: 0,
+            in_hand: 0,
+            oldest_in_hand: u64::MAX,
+            came: 0,
+            takers: 0,
+            closed: false,
+        };
         Self { inner: Mutex::new(inner), filled: Condvar::new(), emptied: Condvar::new(), capacity }
     }
 
@@ -154,8 +173,9 @@ impl<T: Weighted> Rings<T> {
         while taken.items.len() < most && total < weight {
             let Some(topic) = inner.turns.pop_front() else { break };
             let Some(ring) = inner.rings.get_mut(&topic) else { continue };
-            let Some(item) = ring.items.pop_front() else { continue };
+            let Some((number, item)) = ring.items.pop_front() else { continue };
             let more = !ring.items.is_empty();
+            inner.oldest_in_hand = inner.oldest_in_hand.min(number);
             total += item.weight();
             taken.weights.push((Arc::clone(&topic), item.weight()));
             taken.items.push(item);
@@ -186,8 +206,20 @@ impl<T: Weighted> Rings<T> {
         (inner.waiting + inner.in_hand, inner.held)
     }
 
+    /// How many items ever came.
+    pub fn came(&self) -> u64 {
+        self.lock().came
+    }
+
+    /// Whether the first `came` items are all acknowledged.
+    pub fn is_past(&self, came: u64) -> bool {
+        let inner = self.lock();
+        let waiting = inner.rings.values().filter_map(|ring| ring.items.front().map(|(number, _)| *number)).min();
+        inner.oldest_in_hand >= came && waiting.is_none_or(|number| number >= came)
+    }
+
     pub fn each_waiting(&self, mut show: impl FnMut(&T)) {
-        self.lock().rings.values().flat_map(|ring| &ring.items).for_each(&mut show);
+        self.lock().rings.values().flat_map(|ring| &ring.items).for_each(|(_, item)| show(item));
     }
 
     pub fn capacity(&self) -> usize {
@@ -256,6 +288,23 @@ mod tests {
         });
         rings.close();
         assert_eq!(rings.push_within(&a, 1, 20, Duration::ZERO), Err(1));
+    }
+
+    #[test]
+    fn what_came_before_a_moment_is_past_once_it_is_acknowledged() {
+        let (rings, a, b) = (Rings::new(100), topic("a"), topic("b"));
+        assert!(rings.is_past(rings.came()), "nothing came");
+        assert_eq!((rings.push(&a, 1), rings.push(&a, 2), rings.push(&b, 3)), (Ok(()), Ok(()), Ok(())));
+        let moment = rings.came();
+        assert_eq!((rings.push(&b, 4), moment), (Ok(()), 3));
+        let hand = rings.take(3, 100, Duration::ZERO).expect("open");
+        assert_eq!(&*hand, &[1, 3, 2][..], "in turns");
+        assert!(!rings.is_past(moment), "taken and not acknowledged");
+        drop(hand);
+        assert!(rings.is_past(moment), "the fourth came later");
+        assert!(!rings.is_past(rings.came()));
+        assert_eq!(taken(&rings, 9), [4]);
+        assert!(rings.is_past(rings.came()));
     }
 
     #[test]

@@ -29,9 +29,10 @@ use crate::reply::{
     AdministrationView, AdmittedView, AlertTestView, AlertsView, AuditCheck, AuditView, BackupView, CaptureSummary,
     ChainView, CheckView, CompareView, ContactRow, CoverageView, DecidedView, DeployedView, DeviceAddressesView,
     DeviceRow, DeviceTopicsView, EnrolledView, ErasureView, EvidenceView, ExportView, ExportedFile, FollowView,
-    GatewayStatusView, GatewayView, GrantRow, IdentityView, ImportView, IncidentView, KeyChangeView, KeysView,
-    OpenedView, PathView, PinsView, PlayedView, PolicyView, ProgressView, Provenance, QuarantineView, RecordAudit,
-    RecordPage, RingPullView, RobotRow, RobotView, ServedView, SiteView, StampView, TopicRow, TransactionView,
+    GatewayStatusView, GatewayView, GrantForesight, GrantRow, IdentityView, ImportView, IncidentView, KeyChangeView,
+    KeysView, OpenedView, PathView, PinsView, PlayedView, PolicyView, ProgressView, Provenance, QuarantineView,
+    RecordAudit, RecordPage, RingPullView, RobotRow, RobotView, ServedView, SiteView, StampView, TopicRow,
+    TransactionView,
 };
 use crate::ros::readable::Exported;
 
@@ -142,9 +143,11 @@ requests! {
         grantee: Party,
         /// Only these topics; empty = all. Patterns stand for what is known when it is made.
         topics: Vec<TopicPattern>,
-        epochs: Epochs,
+        from: GrantFrom,
         expires: Option<Timestamp>,
     } => TransactionView, GRANT;
+    /// What such a grant would open now, and what it costs; changes nothing.
+    ForeseeGrant { grantee: Party, topics: Vec<TopicPattern>, from: GrantFrom } => GrantForesight, LOOK;
     /// Extend an active grant.
     ExtendGrant { grantee: Party, expires: Option<Timestamp> } => TransactionView, GRANT;
     /// Stop sharing with an account; begins a new epoch.

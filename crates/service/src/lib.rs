@@ -31,7 +31,7 @@ pub mod verification;
 mod wire_tests;
 
 pub use client::{Call, Client};
-pub use command::{Ask, Command, Epochs, KeyKind, Request, SecretBytes, SecretText, UploadQuery};
+pub use command::{Ask, Command, GrantFrom, KeyKind, Request, SecretBytes, SecretText, UploadQuery};
 pub use event::{Event, NoticeLevel, Part};
 pub use reply::{Failure, Reply};
 pub use site::{

@@ -106,6 +106,7 @@ replies! {
     Played(PlayedView);
     Transaction(TransactionView);
     Grants(Vec<GrantRow>);
+    GrantForeseen(GrantForesight);
     Devices(Vec<DeviceRow>);
     DeviceTopics(DeviceTopicsView);
     DeviceAddresses(DeviceAddressesView);

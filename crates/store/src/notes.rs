@@ -115,7 +115,7 @@ notes! {
         "for which key a reader's keys were wrapped";
     Revoking { owner: Address } = "revoking": Vec<Address>, "the revocations that the chain is owed";
     GrantedTopic { owner: Address, topic: TopicId } = "granted topic": String, "the name of a granted topic";
-    GrantedEarlier { transaction: Hash } = "granted earlier": bool, "whether a grant opens earlier epochs";
+    GrantedFrom { transaction: Hash } = "granted from": u64, "from which epoch on a grant opens records";
 
     AdmittedOwners {} = "admitted": Vec<AdmittedOwner>, "the owners allowed at the gateway";
     /// The epoch that the revocation will begin.

@@ -12,7 +12,7 @@ use crate::pipeline::{Network, Owner, authority, chain_proofs, reader::Reader};
 use crate::ros::{DomainFleet, FleetOptions};
 use crate::service::command::{Capture, CheckShared, Grant, ListShared, OpenShared, Register, Revoke};
 use crate::service::reply::{CaptureSummary, OpenedView, RecordView};
-use crate::service::{Client, Epochs, Failure, Needs, Site, UploadQuery, failure::internal};
+use crate::service::{Client, Failure, GrantFrom, Needs, Site, UploadQuery, failure::internal};
 use crate::{cli::demo, store::RecordQuery};
 use authros_output::Output;
 
@@ -169,7 +169,7 @@ impl Mission {
 
     async fn grant(&self) -> Result<(), Failure> {
         let grantee = self.cura_b.address;
-        let ask = Grant { grantee: grantee.into(), topics: Vec::new(), epochs: Epochs::Current, expires: None };
+        let ask = Grant { grantee: grantee.into(), topics: Vec::new(), from: GrantFrom::Current, expires: None };
         self.cura_a.client.ask(ask).await.map(drop)
     }
 

@@ -13,7 +13,7 @@ use crate::service::command::{
     Administration, CloseIncident, Held, NoteIncident, OpenIncident, Pace, PlayWishes, RemoveIncident, SetRobotPolicy,
     ShowRobot,
 };
-use crate::service::{Command, Epochs, KeyKind, SecretText};
+use crate::service::{Command, GrantFrom, KeyKind, SecretText};
 
 const OWNER: Address = Address([0xab; 20]);
 /// 2027-01-31T12:00:00Z
@@ -26,6 +26,8 @@ fn place(tag: &Tag) -> Option<usize> {
         Tag::Feed(..) | Tag::OpenConsole | Tag::Beside(..) | Tag::Path(_) => return None,
         // These two are ends: of the console, and of a playback, which on the command line is Ctrl-C.
         Tag::HoldCapture | Tag::StopPlay => return None,
+        // Asked for a question that is open.
+        Tag::Foresee(_) => return None,
         Tag::CreateIdentity => 0,
         Tag::Unlock => 1,
         Tag::Register => 2,
@@ -112,8 +114,8 @@ fn acts_of_topics() -> Vec<Act> {
 }
 
 fn acts_of_rights() -> Vec<Act> {
-    let grant =
-        Command::Grant { grantee: owner(), topics: vec![topic().into()], epochs: Epochs::All, expires: Some(END) };
+    let (topics, from) = (vec![topic().into()], GrantFrom::Epoch(1));
+    let grant = Command::Grant { grantee: owner(), topics, from, expires: Some(END) };
     let of_administrator = |word: &'static str, act: Administration, line: String| {
         (Tag::Administer(word), Command::Administer(act), format!("chain {line}"))
     };
@@ -123,7 +125,7 @@ fn acts_of_rights() -> Vec<Act> {
     let remove = Command::RemoveContact { name: contact() };
     let extend = Command::ExtendGrant { grantee: owner(), expires: None };
     vec![
-        (Tag::Grant(owner()), grant, format!("grant {OWNER} --topic /robot1/odom --epochs all --expires {END}")),
+        (Tag::Grant(owner()), grant, format!("grant {OWNER} --topic /robot1/odom --from start --expires {END}")),
         (Tag::Extend(OWNER), extend, format!("grants extend {OWNER} --endless")),
         (Tag::Revoke(OWNER), Command::Revoke { grantee: owner() }, format!("revoke {OWNER}")),
         of_administrator("pause", Administration::Pause { paused: true, seconds: None }, "pause".to_owned()),

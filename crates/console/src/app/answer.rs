@@ -10,7 +10,7 @@ use super::incidents::{self, Deed};
 use super::popup::{Popup, Purpose, tell};
 use super::update::Feed;
 use super::verb::{Contents, Effect, Tag};
-use super::{Screen, State, identity_path, opening, palette, perform, policies};
+use super::{Screen, State, granting, identity_path, opening, palette, perform, policies};
 use crate::model::{ErrorKind, Verdict};
 use crate::service::command::{self as ask, Ask, SecretBytes};
 use crate::service::reply::{CheckView, ExportedFile, IdentityView};
@@ -83,6 +83,7 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) {
         Tag::Unwatch(topic) => {
             said(state, tag, ask::UnwatchTopic::heard(result), |()| format!("no longer watching {topic} (U: undo)"))
         }
+        Tag::Foresee(_) => granting::foreseen(state, tag, ask::ForeseeGrant::heard(result)),
         Tag::Grant(_) => said(state, tag, ask::Grant::heard(result), |view| view.text),
         Tag::Extend(_) => said(state, tag, ask::ExtendGrant::heard(result), |view| view.text),
         Tag::Revoke(_) => said(state, tag, ask::Revoke::heard(result), |view| view.text),
@@ -95,11 +96,7 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) {
         Tag::Unpin(_) => said(state, tag, ask::UnpinTopic::heard(result), |_| is_done(tag)),
         Tag::Release(_) => said(state, tag, ask::ReleaseHeld::heard(result), |decided| decided.text),
         Tag::Discard(_) => said(state, tag, ask::DiscardHeld::heard(result), |decided| decided.text),
-        Tag::LoadKey(kind) => done(state, tag, ask::LoadKey::heard(result), |state, keys| {
-            state.keys = Some(keys);
-            state.feeds.renew(Feed::Identity);
-            state.inform(loaded(kind));
-        }),
+        Tag::LoadKey(kind) => key_loaded(state, tag, *kind, result),
     }
     follow_up(state, tag);
 }
@@ -257,9 +254,17 @@ fn failed(state: &mut State, tag: &Tag, failure: &Failure) {
     }
 }
 
-fn loaded(kind: &KeyKind) -> &'static str {
+fn key_loaded(state: &mut State, tag: &Tag, kind: KeyKind, result: Answer) {
+    done(state, tag, ask::LoadKey::heard(result), |state, keys| {
+        state.keys = Some(keys);
+        state.feeds.renew(Feed::Identity);
+        state.inform(loaded(kind));
+    });
+}
+
+fn loaded(kind: KeyKind) -> &'static str {
     match kind {
-        KeyKind::Sm4 => "SM4 key loaded; a new epoch begins",
+        KeyKind::Sm4 => "SM4 key loaded; new records are sealed under keys made from it",
         KeyKind::Sm2 => "SM2 key loaded; new records are signed with it",
         KeyKind::Eoa => "EOA key loaded; your address on the chain is the new one",
     }
@@ -306,7 +311,7 @@ fn touched_by(tag: &Tag) -> &'static [Feed] {
         Tag::Feed(..) | Tag::OpenConsole | Tag::CreateIdentity | Tag::Unlock | Tag::Register | Tag::Lock => &[],
         Tag::ExportKey(_) | Tag::BackUp | Tag::Export(_) | Tag::Play(_) | Tag::StopPlay => &[],
         Tag::Publishers(_) | Tag::Show(_) | Tag::Beside(..) | Tag::Open(_) | Tag::Path(_) | Tag::Check(_) => &[],
-        Tag::Robot(_) => &[],
+        Tag::Robot(_) | Tag::Foresee(_) => &[],
     }
 }
 

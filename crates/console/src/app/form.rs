@@ -14,7 +14,7 @@ use crate::model::grant::MOST_TOPICS;
 use crate::model::topic_rule::PatternError;
 use crate::model::{Direction, Party, Timestamp, TopicName, TopicPattern};
 use crate::service::reply::TopicRow;
-use crate::service::{Command, Epochs, KeyKind, SecretText};
+use crate::service::{Command, GrantFrom, KeyKind, SecretText};
 
 #[derive(Debug)]
 pub enum Input {
@@ -299,7 +299,6 @@ pub const SHORTEST_PASSPHRASE: usize = 8;
 /// In the order of the choice.
 const KINDS: [KeyKind; 3] = [KeyKind::Sm4, KeyKind::Sm2, KeyKind::Eoa];
 const KIND_WORDS: &[&str] = &["SM4 (32 hex or 16 raw bytes)", "SM2 (d_C, PEM)", "EOA (V3 keystore or hex)"];
-const ALL_RECORDS: &str = "all, including earlier records";
 
 pub fn create_identity(profile: &str, notes: Vec<String>) -> Form {
     let lines = vec![
@@ -334,15 +333,16 @@ pub fn read_unlock(form: &Form) -> Result<Errand, Wrong> {
 pub const ALL_TOPICS: &str = "all";
 const ENDS: &str = "empty = never; 30d, 18:00, tomorrow 18:00";
 
-/// Focuses the first empty line; `opens` says from when on the grant opens records.
-pub fn grant(grantee: &str, topics: &[String], ends: &str, opens: &str) -> Form {
+/// Focuses the first empty line; `moments` says what the words of the line `From` mean now.
+pub fn grant(grantee: &str, topics: &[String], ends: &str, moments: Vec<String>) -> Form {
     let lines = vec![
         Line::text("Address", "0x and 40 hex, or a contact's name", Field::offering(grantee)),
         Line::text("Topics", "topic names; all", Field::offering(&topics.join(" "))),
         Line::text("Ends", ENDS, Field::offering(ends)).time(Direction::Ahead),
-        Line::choice("Records", &[opens, ALL_RECORDS]),
+        Line::text("From", "now, epoch, start; 1h, yesterday 18:00", Field::offering("now")).time(Direction::Back),
     ];
-    let notes = vec!["Lets another account read your records. Tab completes names.".to_owned()];
+    let mut notes = vec!["Lets another account read your records. Tab completes names.".to_owned()];
+    notes.extend(moments);
     let mut form = Form::new("Grant", notes, lines);
     form.focus = usize::from(!grantee.is_empty() && topics.is_empty());
     form
@@ -352,7 +352,7 @@ pub fn extend(grantee: &str, ends: &str) -> Form {
     let lines = vec![Line::text("Ends", ENDS, Field::default()).time(Direction::Ahead)];
     let notes = vec![
         format!("{grantee} can read until: {ends}"),
-        "Later: keys and epoch stay the same. Sooner: a revoke and a new grant.".to_owned(),
+        "Later: one transaction. Sooner: a revoke and a new grant of the same records.".to_owned(),
     ];
     Form::new("Change the end of the grant", notes, lines)
 }
@@ -362,7 +362,7 @@ pub struct GrantWish {
     pub grantee: Party,
     /// Empty = all.
     pub topics: Vec<TopicName>,
-    pub epochs: Epochs,
+    pub from: GrantFrom,
     pub expires: Option<Timestamp>,
 }
 
@@ -382,8 +382,9 @@ pub fn read_grant(form: &Form, state: &State) -> Result<GrantWish, Wrong> {
         return Err((1, format!("use either '{ALL_TOPICS}' or topic names, not both")));
     }
     let expires = when::expiry(form.text(2), &state.times()).map_err(|error| (2, error))?;
-    let epochs = if form.chosen(3) == 0 { Epochs::Current } else { Epochs::All };
-    Ok(GrantWish { grantee, topics, epochs, expires })
+    let from =
+        GrantFrom::read(form.text(3), |text| state.times().back(text)).map_err(|failure| (3, failure.message))?;
+    Ok(GrantWish { grantee, topics, from, expires })
 }
 
 pub fn unpin(topic: &str, publisher: &str) -> Form {
@@ -416,8 +417,8 @@ pub fn read_load(form: &Form, settings: &Settings) -> Result<Confirm, Wrong> {
     let passphrase = (!form.text(2).is_empty()).then(|| secret(form, 2));
     let kind = kind(form);
     let what = match kind {
-        KeyKind::Sm4 => "A new epoch begins with it; old records stay readable with their own keys.",
-        KeyKind::Sm2 => "The new key is registered on the chain; new records are signed with it.",
+        KeyKind::Sm4 => "New records are sealed under keys made from it, in a new epoch; old ones keep theirs.",
+        KeyKind::Sm2 => "New records are signed with it; if you are registered, the chain gets it first.",
         KeyKind::Eoa => "Your address on the chain changes: grants and records of the old one stay with it.",
     };
     let file = format!("File  {}", path.display());

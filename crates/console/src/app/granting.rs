@@ -11,8 +11,8 @@ use super::update::Feed;
 use super::verb::{Errand, Tag};
 use super::{Screen, State, when};
 use crate::model::{Address, ContactName, Party, Timestamp, TopicName, TopicPattern};
-use crate::service::reply::{ContactRow, GrantRow};
-use crate::service::{Command, Epochs};
+use crate::service::reply::{ContactRow, GrantForesight, GrantRow, Opens};
+use crate::service::{Command, Failure, GrantFrom};
 
 const GRANTEE: usize = 0;
 const TOPICS: usize = 1;
@@ -39,15 +39,27 @@ fn terms(row: &GrantRow) -> (String, Vec<String>) {
 
 fn open(state: &mut State, grantee: &str, topics: &[String], ends: &str) {
     state.feeds.slot_mut(Feed::Contacts).stale = true;
-    // The form shows how many records the grant opens now.
+    // The form shows how many records a grant opens now.
     state.feeds.slot_mut(Feed::Identity).stale = true;
-    state.popups.push(Popup::Form(Purpose::Grant, form::grant(grantee, topics, ends, &opens(state))));
+    state.popups.push(Popup::Form(Purpose::Grant, form::grant(grantee, topics, ends, moments(state))));
 }
 
-/// From when on a grant of the current epoch opens records of all topics.
-pub fn opens(state: &State) -> String {
-    let records = state.identity.as_ref().and_then(|identity| identity.epoch_records);
-    records.map_or_else(|| "since this epoch began".to_owned(), |records| records.words(" of all topics"))
+/// What the words of the line `From` mean now.
+pub fn moments(state: &State) -> Vec<String> {
+    let known = |opens: Option<Opens>, else_: &str| match opens {
+        Some(Opens { since: None, .. }) => "no record yet".to_owned(),
+        Some(opens) => format!("{} of all topics", opens.words(|moment| state.times().meaning(moment))),
+        None => else_.to_owned(),
+    };
+    let identity = state.identity.as_ref();
+    let current = known(identity.and_then(|identity| identity.epoch_records), "since the current epoch began");
+    let all = known(identity.and_then(|identity| identity.all_records), "all records, of every epoch");
+    vec![
+        "now    from now on: a new key, nothing older".to_owned(),
+        format!("epoch  {current}"),
+        format!("start  {all}"),
+        "1h     what was captured since, by whole epochs".to_owned(),
+    ]
 }
 
 /// `grant bob /robot1/odom 30d` of the palette: the form with these terms.
@@ -58,7 +70,7 @@ pub fn spoken(state: &mut State, words: &[&str]) {
     let topics: Vec<String> = topics.into_iter().map(str::to_owned).collect();
     open(state, grantee, &topics, &ends.join(" "));
     if let Some(Popup::Form(Purpose::Grant, form)) = state.popups.last_mut().filter(|_| !topics.is_empty()) {
-        // Only the choice of records is left, preset to the usual answer: Enter goes on to the question.
+        // Only the moment is left, preset to the safest one: Enter goes on to the question.
         form.focus = form.lines.len().saturating_sub(1);
     }
 }
@@ -72,43 +84,106 @@ pub fn check(state: &State, wish: &GrantWish) -> Result<(), Wrong> {
         return Err((GRANTEE, format!("no contact is named '{name}'; tab completes names")));
     }
     let address = wish.grantee.address().or(contact.map(|row| row.address));
-    if active(state, address, &name).is_some_and(|row| same_terms(row, wish)) {
+    if active(state, address, &name).is_some_and(|row| same_terms(state, row, wish)) {
         return Err((GRANTEE, "already has an active grant on these terms".to_owned()));
     }
     Ok(())
 }
 
-fn same_terms(row: &GrantRow, wish: &GrantWish) -> bool {
+fn same_terms(state: &State, row: &GrantRow, wish: &GrantWish) -> bool {
     let mut wanted: Vec<String> = wish.topics.iter().map(ToString::to_string).collect();
     let mut given = row.topics.clone();
     wanted.sort();
     given.sort();
-    wanted == given && wish.expires == row.expires
+    wanted == given && wish.expires == row.expires && opens_the_same(state, row, wish.from)
 }
 
-/// Revokes an active grant to the account first; one question covers both acts.
-pub fn ask(state: &mut State, wish: GrantWish) {
+/// Nothing more than the grant opens already.
+fn opens_the_same(state: &State, row: &GrantRow, from: GrantFrom) -> bool {
+    let current = state.identity.as_ref().and_then(|identity| identity.epoch);
+    match from {
+        GrantFrom::Now => true,
+        GrantFrom::Current => row.from == current,
+        GrantFrom::Epoch(epoch) => row.from == Some(epoch),
+        GrantFrom::Time(_) => false,
+    }
+}
+
+/// Asks, and requests what the grant would open and cost; the question is completed by the answer.
+pub fn ask(state: &mut State, mut wish: GrantWish) {
+    if let (GrantFrom::Current, Some(_)) = (wish.from, standing(state, &wish)) {
+        // The revoke begins another one.
+        let current = state.identity.as_ref().and_then(|identity| identity.epoch);
+        wish.from = current.map_or(wish.from, GrantFrom::Epoch);
+    }
+    let GrantWish { grantee, topics, from, .. } = wish.clone();
+    let tag = foresight(&wish);
+    let (question, follow_up) = question(state, wish, None);
+    state.follow_up = follow_up;
+    state.popups.push(Popup::Confirm(question));
+    if state.identity.as_ref().is_some_and(|identity| identity.unlocked && identity.registered) {
+        let topics = topics.into_iter().map(Into::into).collect();
+        state.send_new(Errand { command: Command::ForeseeGrant { grantee, topics, from }, tag });
+    }
+}
+
+fn standing<'a>(state: &'a State, wish: &GrantWish) -> Option<&'a GrantRow> {
     let name = wish.grantee.to_string();
     let contact = state.contacts.iter().find(|row| row.name.to_string() == name).map(|row| row.address);
-    let standing = active(state, wish.grantee.address().or(contact), &name).cloned();
-    let mut question = popup::grant(state, wish);
-    let Some(row) = standing else { return state.popups.push(Popup::Confirm(question)) };
+    active(state, wish.grantee.address().or(contact), &name)
+}
+
+fn foresight(wish: &GrantWish) -> Tag {
+    let topics: Vec<&str> = wish.topics.iter().map(TopicName::as_str).collect();
+    Tag::Foresee(format!("{} from {} on {}", wish.grantee, wish.from, topics.join(" ")))
+}
+
+/// Revokes an active grant to the account first, and grants after that; one question covers both acts.
+fn question(
+    state: &State,
+    wish: GrantWish,
+    foreseen: Option<Result<GrantForesight, Failure>>,
+) -> (Confirm, Option<(Tag, Errand)>) {
+    let standing = standing(state, &wish);
+    let mut question = popup::grant(state, wish, foreseen);
+    let Some(row) = standing else { return (question, None) };
     let tag = Tag::Revoke(row.grantee);
     let revoke = Errand { command: Command::Revoke { grantee: row.grantee.into() }, tag: tag.clone() };
     let before = [
         format!("Now      {}, {}", scope(&row.topics), end(row.expires)),
-        "That grant is revoked first (a new epoch begins), then a new one is made:".to_owned(),
-        "two transactions. Earlier epochs stay readable to those who could read them.".to_owned(),
+        "That grant is revoked first, then a new one is made; in between, and if".to_owned(),
+        "the second transaction fails, this account reads nothing.".to_owned(),
         String::new(),
     ];
-    if let Some(records) = question.lines.iter_mut().find(|line| line.starts_with("Records  since")) {
-        "Records  from now on (the new epoch)".clone_into(records);
-    }
     question.lines.splice(0..0, before);
     "Revoke and grant again?".clone_into(&mut question.title);
     question.yes = "revoke and grant";
-    state.follow_up = Some((tag, std::mem::replace(&mut question.errand, revoke)));
-    state.popups.push(Popup::Confirm(question));
+    let grant = std::mem::replace(&mut question.errand, revoke);
+    (question, Some((tag, grant)))
+}
+
+/// Completes the question that this was asked for, if it is still open.
+pub fn foreseen(state: &mut State, tag: &Tag, answer: Result<GrantForesight, Failure>) {
+    let place = state.popups.iter().rposition(|popup| matches!(popup, Popup::Confirm(_)));
+    let Some(Popup::Confirm(confirm)) = place.and_then(|place| state.popups.get(place)) else { return };
+    let asked = match (&confirm.errand.command, &state.follow_up) {
+        (Command::Revoke { .. }, Some((_, after))) => &after.command,
+        (command, _) => command,
+    };
+    let Some(wish) = wish_of(asked).filter(|wish| foresight(wish) == *tag) else { return };
+    let (question, _) = question(state, wish, Some(answer));
+    // The list of grants may have changed: the acts are still those that were asked about.
+    if let Some(Popup::Confirm(confirm)) = place.and_then(|place| state.popups.get_mut(place))
+        && confirm.errand.tag == question.errand.tag
+    {
+        confirm.lines = question.lines;
+    }
+}
+
+fn wish_of(command: &Command) -> Option<GrantWish> {
+    let Command::Grant { grantee, topics, from, expires } = command else { return None };
+    let topics = topics.iter().filter_map(TopicPattern::name).collect();
+    Some(GrantWish { grantee: grantee.clone(), topics, from: *from, expires: *expires })
 }
 
 fn active<'a>(state: &'a State, address: Option<Address>, name: &str) -> Option<&'a GrantRow> {
@@ -181,7 +256,9 @@ fn sooner(row: &GrantRow, expires: Option<Timestamp>) -> Result<GrantWish, Wrong
     let topics: Result<Vec<TopicName>, _> = row.topics.iter().map(|topic| topic.parse()).collect();
     let topics =
         topics.map_err(|_| (0, "one of its topics is unknown here by name; revoke it and grant again".to_owned()))?;
-    Ok(GrantWish { grantee: row.grantee.into(), topics, epochs: Epochs::Current, expires })
+    // What it opens stays the same.
+    let from = GrantFrom::Epoch(row.from.unwrap_or(row.epoch));
+    Ok(GrantWish { grantee: row.grantee.into(), topics, from, expires })
 }
 
 pub fn chosen(state: &State, selected: usize) -> Option<&ContactRow> {

@@ -12,7 +12,7 @@ use super::verb::{Effect, Errand, Tag, Verb, kind_word};
 use super::{Settings, State, choosing, granting};
 use crate::model::{Timestamp, clean, is_shown};
 use crate::service::command::{Administration, IncidentCommand, PlayWishes};
-use crate::service::{Command, Epochs, KeyKind};
+use crate::service::{Command, KeyKind};
 
 #[allow(clippy::wildcard_enum_match_arm, reason = "any other key is typed")]
 pub(super) fn key(state: &mut State, mut palette: Palette, key: Key) {
@@ -144,7 +144,13 @@ fn act(errand: &Errand) -> Option<String> {
     let Errand { tag, command } = errand;
     Some(match tag {
         // Screens' own requests, and what only leaving or ending a playback sends.
-        Tag::Feed(..) | Tag::OpenConsole | Tag::Beside(..) | Tag::Path(_) | Tag::HoldCapture | Tag::StopPlay => {
+        Tag::Feed(..)
+        | Tag::OpenConsole
+        | Tag::Beside(..)
+        | Tag::Path(_)
+        | Tag::HoldCapture
+        | Tag::StopPlay
+        | Tag::Foresee(_) => {
             return None;
         }
         Tag::CreateIdentity => "identity create".to_owned(),
@@ -182,10 +188,9 @@ fn of_command(command: &Command) -> Option<String> {
         fingerprint.as_ref().map_or_else(String::new, |value| format!(" --fingerprint {}", quoted(value)))
     };
     Some(match command {
-        Command::Grant { grantee, topics, epochs, expires } => {
+        Command::Grant { grantee, topics, from, expires } => {
             let topics = topics.iter().map(|topic| format!(" --topic {}", quoted(topic.as_str()))).collect::<String>();
-            let epochs = if *epochs == Epochs::All { " --epochs all" } else { "" };
-            format!("grant {grantee}{topics}{epochs}{}", expires.map_or_else(String::new, until))
+            format!("grant {grantee}{topics} --from {from}{}", expires.map_or_else(String::new, until))
         }
         Command::ExtendGrant { grantee, expires } => {
             format!("grants extend {grantee}{}", expires.map_or_else(|| " --endless".to_owned(), until))

@@ -317,6 +317,7 @@ pub fn note(state: &mut State, tag: &Tag) {
         Tag::SetPolicy(..) => Some(Undo::Never("a policy's version only rises; set the earlier one again (8, then p)")),
         Tag::Play(_) | Tag::StopPlay | Tag::Contact(_) | Tag::Robot(_) => None,
         Tag::Publishers(_) | Tag::Show(_) | Tag::Beside(..) | Tag::Open(_) | Tag::Path(_) | Tag::Check(_) => None,
+        Tag::Foresee(_) => None,
     };
     if undo.is_some() {
         state.undo = undo;

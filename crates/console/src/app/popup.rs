@@ -11,14 +11,14 @@ use super::keymap::{Key, Meaning, chord_label};
 use super::leaving::{self, Leaving};
 use super::opening::{self, Opening};
 use super::perform::{self, copy, perform};
-use super::screens::{LogLine, day, earlier, end, is_active, is_given, scope};
+use super::screens::{LogLine, earlier, end, is_active, is_given, scope};
 use super::update::Feed;
 use super::verb::{Entry, Errand, Tag, VERBS, Verb};
 use super::{State, palette, policies};
 use crate::model::TopicName;
 use crate::service::command::Held;
-use crate::service::reply::{GrantRow, PinsView, Provenance, RobotView, TopicRow};
-use crate::service::{Command, Epochs, Failure};
+use crate::service::reply::{GrantForesight, GrantRow, NOTHING_OLDER, PinsView, Provenance, RobotView, TopicRow};
+use crate::service::{Command, Failure, GrantFrom};
 
 #[derive(Debug)]
 #[allow(clippy::large_enum_variant, reason = "a handful at a time, and rarely moved")]
@@ -187,7 +187,7 @@ pub fn pin(row: &TopicRow, topic: TopicName) -> Confirm {
     let lines = vec![
         format!("Topic       {topic}"),
         format!("Publishers  {publishers}"),
-        "Their messages are captured from now on; those of others are quarantined.".to_owned(),
+        "Accepted are those who publish when you confirm; messages of others are quarantined.".to_owned(),
         "Check host and type first: enter shows them (a name alone can be forged).".to_owned(),
     ];
     let tag = Tag::Pin(topic.to_string());
@@ -197,7 +197,8 @@ pub fn pin(row: &TopicRow, topic: TopicName) -> Confirm {
 
 pub fn decide(row: &TopicRow, topic: TopicName, discard: bool) -> Confirm {
     let held = Held { topic: Some(topic.clone()), ids: Vec::new() };
-    let mut lines = vec![format!("Topic  {topic}"), format!("Held   {} messages", row.quarantined)];
+    let held_now = format!("Held   {} messages, and what comes until you confirm", row.quarantined);
+    let mut lines = vec![format!("Topic  {topic}"), held_now];
     let name = topic.to_string();
     if discard {
         lines.push("Their ciphertext is deleted. Quarantine records on the chain count them, so that".to_owned());
@@ -211,27 +212,41 @@ pub fn decide(row: &TopicRow, topic: TopicName, discard: bool) -> Confirm {
     Confirm { title: "Release quarantined messages?".to_owned(), lines, yes: "release", typed: None, errand }
 }
 
-pub fn grant(state: &State, wish: GrantWish) -> Confirm {
+/// `None` = what it opens and costs is not told yet.
+pub fn grant(state: &State, wish: GrantWish, foreseen: Option<Result<GrantForesight, Failure>>) -> Confirm {
     let topics: Vec<String> = wish.topics.iter().map(ToString::to_string).collect();
-    let epochs = match wish.epochs {
-        Epochs::Current => granting::opens(state),
-        Epochs::All => "all epochs, including earlier records".to_owned(),
+    let (records, cost) = match &foreseen {
+        Some(Ok(foreseen)) => (foreseen.moment(|moment| state.times().meaning(moment)), Some(foreseen.cost())),
+        Some(Err(failure)) => (before(wish.from).to_owned(), Some(format!("not known: {}", failure.message))),
+        None => (before(wish.from).to_owned(), None),
     };
-    let ends = wish.expires.map_or_else(|| "no end".to_owned(), |moment| format!("{} UTC", day(moment)));
+    let ends = wish.expires.map_or_else(|| "no end".to_owned(), |moment| state.times().meaning(moment));
     let mut lines = vec![
         format!("To       {}", wish.grantee),
         format!("Topics   {}", if topics.is_empty() { scope(&topics) } else { topics.join(" ") }),
-        format!("Records  {epochs}"),
+        format!("Records  {records}"),
         format!("Ends     {ends}"),
-        String::new(),
     ];
+    lines.extend(cost.map(|cost| format!("Cost     {cost}")));
+    lines.push(String::new());
     lines.extend(readers(state, "Current readers:", None));
     lines.push("A later revoke stops new records; what was read cannot be taken back.".to_owned());
-    let GrantWish { grantee, topics, epochs, expires } = wish;
+    let GrantWish { grantee, topics, from, expires } = wish;
     let topics = topics.into_iter().map(Into::into).collect();
     let tag = Tag::Grant(grantee.clone());
-    let errand = Errand { command: Command::Grant { grantee, topics, epochs, expires }, tag };
+    let errand = Errand { command: Command::Grant { grantee, topics, from, expires }, tag };
     Confirm { title: "Grant this?".to_owned(), lines, yes: "grant", typed: None, errand }
+}
+
+/// What is certain before the site has counted.
+fn before(from: GrantFrom) -> &'static str {
+    match from {
+        GrantFrom::Now => NOTHING_OLDER,
+        GrantFrom::Current => "since the current epoch began",
+        GrantFrom::Epoch(1) => "all, from the first epoch on",
+        GrantFrom::Epoch(_) => "since an earlier epoch began",
+        GrantFrom::Time(_) => "since the epoch of that time began",
+    }
 }
 
 pub fn revoke(state: &State, row: &GrantRow) -> Confirm {
@@ -241,8 +256,8 @@ pub fn revoke(state: &State, row: &GrantRow) -> Confirm {
         String::new(),
         "The next record is sealed under a new key that this account does not get.".to_owned(),
         "What was already read cannot be taken back, and records sealed before".to_owned(),
-        "stay readable to anyone who has their key.".to_owned(),
-        "This is a transaction; to share again, make a new grant.".to_owned(),
+        "stay readable to anyone who has their key. A robot out of reach continues".to_owned(),
+        "under the old key until it is told. To share again, make a new grant.".to_owned(),
         String::new(),
     ];
     lines.extend(readers(state, "Who can read afterwards:", Some(row)));
@@ -253,7 +268,8 @@ pub fn revoke(state: &State, row: &GrantRow) -> Confirm {
 pub fn rotate() -> Confirm {
     let lines = vec![
         "The next record is encrypted under a new key.".to_owned(),
-        "Current readers keep access (their keys are re-wrapped). Sends a transaction.".to_owned(),
+        "Current readers keep access and robots are told. Sends one transaction,".to_owned(),
+        "and one more for every eight readers.".to_owned(),
     ];
     let errand = Errand { command: Command::RotateKeys, tag: Tag::Rotate };
     Confirm { title: "Begin a new epoch?".to_owned(), lines, yes: "rotate", typed: None, errand }
@@ -509,6 +525,7 @@ fn need_of(confirm: &Confirm) -> Option<Need> {
         Tag::Feed(..) | Tag::OpenConsole | Tag::CreateIdentity | Tag::Unlock | Tag::Lock | Tag::BackUp => None,
         Tag::HoldCapture | Tag::StopPlay | Tag::Contact(_) | Tag::Incident(..) => None,
         Tag::Robot(_) | Tag::Publishers(_) | Tag::Show(_) | Tag::Beside(..) | Tag::Pin(_) | Tag::Unpin(_) => None,
+        Tag::Foresee(_) => None,
         Tag::LoadKey(_) | Tag::Release(_) | Tag::Discard(_) | Tag::Deploy => Some(Need::Unlocked),
         Tag::Open(_) | Tag::Path(_) | Tag::Check(_) | Tag::Export(_) | Tag::ExportKey(_) => Some(Need::Unlocked),
         Tag::Play(_) | Tag::SetPolicy(..) => Some(Need::Unlocked),

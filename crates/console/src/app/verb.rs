@@ -359,6 +359,8 @@ pub enum Tag {
     Watch(String),
     Unwatch(String),
     Grant(Party),
+    /// What a grant would do, by its terms.
+    Foresee(String),
     Extend(Address),
     Revoke(Address),
     LoadKey(KeyKind),
@@ -396,7 +398,8 @@ impl Tag {
     /// Whether the command changes something, so that quitting should wait or ask.
     pub fn is_work(&self) -> bool {
         let looks = matches!(self, Self::Show(_) | Self::Beside(..) | Self::Open(_) | Self::Path(_) | Self::Check(_));
-        !looks && !matches!(self, Self::Feed(..) | Self::OpenConsole | Self::Robot(_) | Self::Publishers(_))
+        let asks = matches!(self, Self::Feed(..) | Self::OpenConsole | Self::Robot(_) | Self::Publishers(_));
+        !looks && !asks && !matches!(self, Self::Foresee(_))
     }
 
     pub fn words(&self) -> String {
@@ -408,6 +411,7 @@ impl Tag {
             Self::Register => "registering on the chain".to_owned(),
             Self::Watch(topic) => format!("watching {topic}"),
             Self::Unwatch(topic) => format!("unwatching {topic}"),
+            Self::Foresee(terms) => format!("counting for a grant to {terms}"),
             Self::Grant(grantee) => format!("granting to {}", grantee.short()),
             Self::Extend(grantee) => format!("extending the grant to {}", grantee.short()),
             Self::Revoke(grantee) => format!("revoking {}", grantee.short()),

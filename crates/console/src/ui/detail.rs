@@ -12,7 +12,7 @@ use super::{bars, gateway, graph};
 use crate::app::history::Sample;
 use crate::app::popup::Lookup;
 use crate::app::screens::topics::KEPT_SAMPLES;
-use crate::app::screens::{Records, end, is_active, is_given, scope, soon};
+use crate::app::screens::{Records, earlier, end, is_active, is_given, scope, soon};
 use crate::app::{Screen, State, opening};
 use crate::model::{Timestamp, clean};
 use crate::service::reply::{GrantRow, SenderView, TopicRow};
@@ -152,11 +152,20 @@ fn grant(state: &State) -> Vec<(&'static str, String)> {
         ("owner", row.owner.to_string()),
         ("fingerprint", row.fingerprint.clone().unwrap_or_else(|| "not registered".to_owned())),
         ("topics", topics),
+        ("opens", opened(state, row)),
         ("epoch", row.epoch.to_string()),
         ("ends", ends(row, state.shown_at())),
         ("block", row.block.to_string()),
         ("transaction", row.transaction.to_string()),
     ]
+}
+
+fn opened(state: &State, row: &GrantRow) -> String {
+    match row.opens {
+        Some(opens) => format!("{}{}", opens.words(|moment| state.times().meaning(moment)), earlier(row)),
+        None if is_active(row) => "not known here".to_owned(),
+        None => "nothing any more".to_owned(),
+    }
 }
 
 fn ends(row: &GrantRow, now: Timestamp) -> String {

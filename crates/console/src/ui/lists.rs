@@ -142,7 +142,8 @@ const GRANT_COLUMNS: &[Column] = &[
     Column::text("Full address", 42).from(130),
     Column::text("SM2 fingerprint", 39).from(180),
     Column::name("Topics"),
-    Column::number("Epoch", 6),
+    Column::text("Opens since UTC", 16).from(100),
+    Column::number("Records", 9),
     Column::text("Ends UTC", 18).from(75),
     Column::number("Block", 8).from(100),
 ];
@@ -180,7 +181,8 @@ fn grant_cells(state: &State, row: &GrantRow) -> Vec<(String, Role)> {
         (other_side(row).to_string(), Role::Dim),
         (row.fingerprint.clone().unwrap_or_else(|| "not registered".to_owned()), Role::Dim),
         (scope(&row.topics), Role::Body),
-        (if row.earlier == Some(true) { "all".to_owned() } else { row.epoch.to_string() }, Role::Body),
+        (row.opens.and_then(|opens| opens.since).map_or_else(|| "-".to_owned(), day), Role::Dim),
+        (row.opens.map_or_else(|| "-".to_owned(), |opens| count(opens.records)), Role::Body),
         ends(state, row),
         (row.block.to_string(), Role::Dim),
     ]

@@ -26,6 +26,7 @@ const LOOK: &[&str] = &[
     "show_identity",
     "list_keys",
     "foresee_key_change",
+    "foresee_grant",
     "list_topics",
     "topic_coverage",
     "list_pins",

@@ -1,11 +1,14 @@
 //! What requests choose from: keys, epochs, records, recordings, playback, acts of the administrator.
 
+use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
+use crate::failure::input;
 use crate::model::{IncidentName, Party, RecordKind, RecordState, Timestamp, TopicName, TopicPattern, TypeName, clean};
+use crate::reply::Failure;
 use crate::ros::recording::{ChunkCompression, RecordingFormat};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -21,12 +24,46 @@ pub enum KeyKind {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Epochs {
-    /// From the current epoch on.
+pub enum GrantFrom {
+    /// A new epoch: nothing that was captured before.
+    Now,
+    /// The current epoch, with what is sealed in it already.
     #[default]
     Current,
-    /// Also every earlier one.
-    All,
+    /// This epoch; the first is 1.
+    Epoch(u64),
+    /// The first epoch with a record captured at this time or later.
+    Time(Timestamp),
+}
+
+impl GrantFrom {
+    /// `now`, `epoch` for the current one, `start`, an epoch's number, or a time as `back` reads it.
+    pub fn read<E: fmt::Display>(text: &str, back: impl FnOnce(&str) -> Result<Timestamp, E>) -> Result<Self, Failure> {
+        match text.trim() {
+            "now" => Ok(Self::Now),
+            "epoch" => Ok(Self::Current),
+            "start" => Ok(Self::Epoch(1)),
+            text => match text.parse() {
+                Ok(epoch) => Ok(Self::Epoch(epoch)),
+                Err(_) => {
+                    let wrong = |error| input(format!("enter now, epoch, start or a time: {error}"));
+                    back(text).map(Self::Time).map_err(wrong)
+                }
+            },
+        }
+    }
+}
+
+impl fmt::Display for GrantFrom {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Now => formatter.write_str("now"),
+            Self::Current => formatter.write_str("epoch"),
+            Self::Epoch(1) => formatter.write_str("start"),
+            Self::Epoch(epoch) => write!(formatter, "{epoch}"),
+            Self::Time(moment) => write!(formatter, "{moment}"),
+        }
+    }
 }
 
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -228,6 +265,35 @@ mod tests {
         assert_eq!((remap.from.as_str(), remap.to.as_str()), ("/odom", "/theirs/odom"));
         for wrong in ["/odom", "odom:=/x", "/odom:=", "/odom:=/a b", ":=/x"] {
             assert!(wrong.parse::<Remap>().is_err(), "{wrong}");
+        }
+    }
+}
+
+#[cfg(test)]
+mod grant_tests {
+    use super::*;
+    use crate::model::{Clock, ErrorKind};
+
+    #[test]
+    fn from_when_on_is_written_as_it_is_read() {
+        let clock = Clock { now: Timestamp::from_seconds(1_700_000_000), ..Clock::default() };
+        let read = |text: &str| GrantFrom::read(text, |text| clock.back(text));
+        let hour_ago = Timestamp::from_seconds(1_700_000_000 - 3_600);
+        for (text, from) in [
+            ("now", GrantFrom::Now),
+            (" epoch ", GrantFrom::Current),
+            ("start", GrantFrom::Epoch(1)),
+            ("7", GrantFrom::Epoch(7)),
+            ("1h", GrantFrom::Time(hour_ago)),
+            ("2023-11-14T21:13:20Z", GrantFrom::Time(hour_ago)),
+        ] {
+            assert_eq!(read(text).expect(text), from);
+            assert_eq!(read(&from.to_string()).expect("written"), from);
+        }
+        for wrong in ["", "soon", "-1", "epoch 2"] {
+            let failure = read(wrong).expect_err(wrong);
+            assert_eq!(failure.kind, ErrorKind::Input);
+            assert!(failure.message.starts_with("enter now, epoch, start or a time: "), "{failure}");
         }
     }
 }

@@ -5,7 +5,7 @@ pub use crate::pipeline::directory::GrantState;
 use serde::{Deserialize, Serialize};
 
 use crate::command::SecretBytes;
-use crate::model::{Address, ContactName, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token};
+use crate::model::{Address, ContactName, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token, clean};
 
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct IdentityView {
@@ -17,31 +17,101 @@ pub struct IdentityView {
     pub registered: bool,
     pub address: Option<Address>,
     pub epoch: Option<u64>,
-    /// What is sealed in that epoch already, as far as this home knows.
+    /// What a grant of that epoch opens already.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub epoch_records: Option<EpochRecords>,
+    pub epoch_records: Option<Opens>,
+    /// The same of all epochs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub all_records: Option<Opens>,
     pub signing_key: Option<PublicKey>,
     pub fingerprint: Option<String>,
     pub envelope_key: Option<PublicKey>,
 }
 
-/// Messages sealed in an epoch so far: a grant of the epoch opens them too.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub struct EpochRecords {
+/// The messages that a grant opens, as far as this home knows them.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Opens {
     pub records: u64,
-    /// Capture of the first.
+    /// Capture of the first; `None` = there is none yet.
     pub since: Option<Timestamp>,
 }
 
-impl EpochRecords {
-    /// From when a grant of the epoch opens records; `of` qualifies the count: ` of all topics` or nothing.
-    pub fn words(self, of: &str) -> String {
-        let Some(since) = self.since else { return "from now on (this epoch has no record yet)".to_owned() };
-        let moment = since.to_string();
-        let moment = moment.get(..19).unwrap_or(&moment).replace('T', " ");
-        let plural = if self.records == 1 { "" } else { "s" };
-        format!("since {moment} UTC (this epoch; {} record{plural}{of})", self.records)
+impl Opens {
+    /// `since 21:50:41 UTC, 8,505 records`, with the moment as the reader writes it.
+    pub fn words(self, moment: impl Fn(Timestamp) -> String) -> String {
+        match self.since {
+            Some(since) => format!("since {}, {}", moment(since), counted(self.records, "record")),
+            None => "no record yet".to_owned(),
+        }
     }
+}
+
+pub const NOTHING_OLDER: &str = "from now on, nothing older";
+
+/// What a grant would do.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct GrantForesight {
+    /// The first epoch that it opens.
+    pub epoch: u64,
+    /// How many begin with it: one for "from now on", and one if a standing grant is revoked before.
+    pub epochs: usize,
+    /// Nobody can have sealed anything under the keys that it gives.
+    pub nothing_older: bool,
+    pub opens: Opens,
+    /// Readers who get the key of the new epoch.
+    pub readers: usize,
+    /// Robots that are told of it; until then this reader opens nothing that they seal.
+    pub robots: Vec<ProfileName>,
+    pub transactions: usize,
+}
+
+impl GrantForesight {
+    /// `from now on, nothing older` or `since …, 8,505 records`.
+    pub fn moment(&self, moment: impl Fn(Timestamp) -> String) -> String {
+        if self.nothing_older { NOTHING_OLDER.to_owned() } else { self.opens.words(moment) }
+    }
+
+    /// `a new epoch: 2 other readers get the key, no robot is told; 3 transactions`.
+    pub fn cost(&self) -> String {
+        let transactions = counted(self.transactions as u64, "transaction");
+        let epochs = match self.epochs {
+            0 => return transactions,
+            1 => "a new epoch".to_owned(),
+            several => format!("{several} new epochs"),
+        };
+        let readers = counted(self.readers as u64, "other reader");
+        let get = if self.readers == 1 { "gets" } else { "get" };
+        let names: Vec<&str> = self.robots.iter().map(ProfileName::as_str).collect();
+        let robots = match names.as_slice() {
+            [] => "no robot is told".to_owned(),
+            [one] => format!("the robot {one} is told; until it hears, this reader opens nothing that it seals"),
+            many => format!(
+                "{} robots are told ({}); until one hears, this reader opens nothing that it seals",
+                many.len(),
+                clean(&many.join(", "), 60)
+            ),
+        };
+        format!("{epochs}: {readers} {get} the key, {robots}; {transactions}")
+    }
+}
+
+/// `8,505 records`.
+fn counted(count: u64, one: &str) -> String {
+    let digits = count.to_string();
+    let mut grouped = String::with_capacity(digits.len() + digits.len() / 3);
+    for (place, digit) in digits.chars().enumerate() {
+        if place > 0 && (digits.len() - place).is_multiple_of(3) {
+            grouped.push(',');
+        }
+        grouped.push(digit);
+    }
+    format!("{grouped} {one}{}", if count == 1 { "" } else { "s" })
+}
+
+/// `2026-11-27 18:00:00 UTC`.
+pub fn utc(moment: Timestamp) -> String {
+    let text = moment.to_string();
+    format!("{} UTC", text.get(..19).unwrap_or(&text).replace('T', " "))
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -208,10 +278,12 @@ pub struct GrantRow {
     pub direction: Direction,
     pub owner: Address,
     pub grantee: Address,
-    /// First epoch it opens, or the only ones once revoked.
+    /// In which it was given.
     pub epoch: u64,
-    /// Whether it also opens earlier epochs; `None` = not known here.
-    pub earlier: Option<bool>,
+    /// The first epoch that it opens; `None` = not known here.
+    pub from: Option<u64>,
+    /// What it opens now; `None` = not known here, or it has ended.
+    pub opens: Option<Opens>,
     pub expires: Option<Timestamp>,
     /// Names if known, otherwise ids; empty = all topics.
     pub topics: Vec<String>,
@@ -233,4 +305,32 @@ pub struct DeviceRow {
     pub from: u64,
     pub until: Option<Timestamp>,
     pub recalled: Option<u64>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_grant_opens_and_costs_in_words() {
+        let since = Some(Timestamp::from_seconds(1_700_000_000));
+        let opens = |records, since| Opens { records, since }.words(utc);
+        assert_eq!(opens(8_505, since), "since 2023-11-14 22:13:20 UTC, 8,505 records");
+        assert_eq!(opens(1, since), "since 2023-11-14 22:13:20 UTC, 1 record");
+        assert_eq!(opens(1_234_567, since), "since 2023-11-14 22:13:20 UTC, 1,234,567 records");
+        assert_eq!(opens(0, None), "no record yet");
+        let now =
+            GrantForesight { epoch: 2, epochs: 1, nothing_older: true, transactions: 2, ..GrantForesight::default() };
+        assert_eq!(now.moment(utc), "from now on, nothing older");
+        assert_eq!(now.cost(), "a new epoch: 0 other readers get the key, no robot is told; 2 transactions");
+        let robots = ["scout-1", "scout-2"].map(|name| name.parse().expect("a name")).to_vec();
+        let more = GrantForesight { epochs: 2, readers: 1, robots, transactions: 5, ..now };
+        let told = "2 robots are told (scout-1, scout-2); until one hears, this reader opens nothing that it seals";
+        assert_eq!(more.cost(), format!("2 new epochs: 1 other reader gets the key, {told}; 5 transactions"));
+        let past = GrantForesight { opens: Opens { records: 2, since }, transactions: 1, ..GrantForesight::default() };
+        assert_eq!(
+            (past.moment(utc).as_str(), past.cost().as_str()),
+            ("since 2023-11-14 22:13:20 UTC, 2 records", "1 transaction")
+        );
+    }
 }

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use super::Site;
 use super::audit::is_operator;
 use super::consoles::{Claims, opened_by, until_released};
-use crate::model::{ErrorKind, ProfileName};
+use crate::model::{ErrorKind, ProfileName, TopicName, TopicPattern};
 use crate::pipeline::Owner;
 use crate::service::command::{self as ask, Ask, Command, IncidentCommand, Request, UploadQuery};
 use crate::service::reply::{Failure, RecordPage, Reply};
@@ -143,13 +143,13 @@ impl Site {
                 self.bridge.stop(&profile);
                 Ok(ask::StopPlay::told(()))
             }
-            Command::Grant { grantee, topics, epochs, expires } => {
-                if topics.iter().any(|topic| !topic.is_plain()) {
-                    // Robots' records arrive without topic names.
-                    self.reading.learn_own_names(&profile).await?;
-                }
-                let topics = self.capture.named(&profile, &topics, true).await?;
-                self.sharing.grant(&owner()?, &grantee, &topics, epochs, expires).await.map(ask::Grant::told)
+            Command::Grant { grantee, topics, from, expires } => {
+                let topics = self.granted(&profile, &topics).await?;
+                self.sharing.grant(&owner()?, &grantee, &topics, from, expires).await.map(ask::Grant::told)
+            }
+            Command::ForeseeGrant { grantee, topics, from } => {
+                let topics = self.granted(&profile, &topics).await?;
+                self.sharing.foresee_grant(&owner()?, &grantee, &topics, from).await.map(ask::ForeseeGrant::told)
             }
             Command::ExtendGrant { grantee, expires } => {
                 self.sharing.extend(&owner()?, &grantee, expires).await.map(ask::ExtendGrant::told)
@@ -257,6 +257,15 @@ impl Site {
                 self.devices.answer(&owner()?, command).await
             }
         }
+    }
+
+    /// The topics of a grant: those named, and those known that match a pattern.
+    async fn granted(&self, profile: &ProfileName, topics: &[TopicPattern]) -> Result<Vec<TopicName>, Failure> {
+        if topics.iter().any(|topic| !topic.is_plain()) {
+            // Robots' records arrive without topic names.
+            self.reading.learn_own_names(profile).await?;
+        }
+        self.capture.named(profile, topics, true).await
     }
 
     /// Answers a request about incidents; robots' rings are requested once the incident exists.

@@ -228,6 +228,7 @@ impl Site {
             enrolments: Arc::clone(&enrolments),
             joined: Arc::clone(&joined),
             reserve: Arc::clone(&reserve),
+            rings: Arc::clone(&rings),
             missing: Mutex::default(),
         });
         let gateway = Arc::new(Gateway {

@@ -1,8 +1,9 @@
 //! Records in each state, from counters that change in the transaction of the records.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::ops::RangeInclusive;
 
-use rusqlite::{Connection, Row, params};
+use rusqlite::{Connection, params};
 use serde::{Deserialize, Serialize};
 
 use super::Counts;
@@ -57,6 +58,17 @@ pub struct StateCounts {
     pub attachments: Vec<TopicId>,
 }
 
+/// What a grant of one epoch opens of one topic.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SealedInEpoch {
+    pub topic: TopicId,
+    pub epoch: u64,
+    pub records: u64,
+    /// Captures.
+    pub first: Timestamp,
+    pub last: Timestamp,
+}
+
 impl TopicCounts {
     pub fn is_conserved(&self) -> bool {
         let settled = self.verified + self.quarantined + self.dropped + self.tampered;
@@ -100,21 +112,41 @@ impl Counts {
         })
     }
 
-    /// Messages sealed in an epoch, and the first capture.
-    pub fn sealed_in_epoch(
+    /// The messages that a grant of these epochs opens, and the first capture.
+    pub fn opened_by(
         &self,
         owner: Address,
-        epoch: u64,
-        topics: Option<&[TopicId]>,
+        epochs: RangeInclusive<u64>,
     ) -> Result<(u64, Option<Timestamp>), StoreError> {
-        let sql = "SELECT topics.topic_id, epoch_records.records, first_at FROM epoch_records
+        let sealed = self.by_epoch(owner, epochs)?;
+        Ok((sealed.iter().map(|one| one.records).sum(), sealed.iter().map(|one| one.first).min()))
+    }
+
+    /// The same for each topic and epoch.
+    pub fn by_epoch(&self, owner: Address, epochs: RangeInclusive<u64>) -> Result<Vec<SealedInEpoch>, StoreError> {
+        let sql = "SELECT topics.topic_id, epoch, records, first_at, last_at FROM epoch_records
             JOIN streams ON streams.key = epoch_records.stream JOIN topics ON topics.key = streams.topic
-            WHERE topics.owner = ?1 AND epoch = ?2 AND kind = ?3";
-        let values = params![owner.0, whole("epoch", epoch)?, RecordKind::Data.code()];
-        let row = |row: &Row<'_>| Ok((TopicId(row.get(0)?), unsigned(row, 1)?, time(row, 2)?));
-        let mut found: Vec<(TopicId, u64, Timestamp)> = self.0.list(sql, values, row)?;
-        found.retain(|(topic, ..)| topics.is_none_or(|topics| topics.contains(topic)));
-        Ok((found.iter().map(|(_, records, _)| records).sum(), found.iter().map(|(.., first)| *first).min()))
+            WHERE topics.owner = ?1 AND epoch BETWEEN ?2 AND ?3 AND kind = ?4 AND records > 0";
+        let (first, last) = (whole("epoch", *epochs.start())?, whole("epoch", *epochs.end())?);
+        self.0.list(sql, params![owner.0, first, last, RecordKind::Data.code()], |row| {
+            Ok(SealedInEpoch {
+                topic: TopicId(row.get(0)?),
+                epoch: unsigned(row, 1)?,
+                records: unsigned(row, 2)?,
+                first: time(row, 3)?,
+                last: time(row, 4)?,
+            })
+        })
+    }
+
+    /// Whether anything was sealed under the keys of an epoch; notices to robots have keys of their own.
+    pub fn is_epoch_used(&self, owner: Address, epoch: u64) -> Result<bool, StoreError> {
+        let sql = "SELECT 1 FROM epoch_records
+            JOIN streams ON streams.key = epoch_records.stream JOIN topics ON topics.key = streams.topic
+            WHERE topics.owner = ?1 AND epoch = ?2 AND kind <> ?3 LIMIT 1";
+        let values = params![owner.0, whole("epoch", epoch)?, RecordKind::Key.code()];
+        let found: Vec<i64> = self.0.list(sql, values, |row| row.get(0))?;
+        Ok(!found.is_empty())
     }
 
     pub fn in_each_state(&self) -> Result<BTreeMap<RecordState, u64>, StoreError> {

@@ -102,14 +102,22 @@ CREATE TRIGGER record_taken_in AFTER INSERT ON records BEGIN
     INSERT INTO intake VALUES (NEW.stream, 1) ON CONFLICT DO UPDATE SET records = records + 1;
 END;
 
--- Records of a stream sealed in each epoch, and when the first of them was captured: what a grant of that epoch opens.
+-- What a grant of an epoch opens: the records of a stream that a reader may have, and when the first and the last were
+-- captured. Those in quarantine (7), discarded (8) and erased are not counted, but their epoch has a row all the same.
 CREATE TABLE epoch_records (
     stream INTEGER NOT NULL, epoch INTEGER NOT NULL, records INTEGER NOT NULL, first_at INTEGER NOT NULL,
-    PRIMARY KEY (stream, epoch)
+    last_at INTEGER NOT NULL, PRIMARY KEY (stream, epoch)
 ) WITHOUT ROWID;
 CREATE TRIGGER record_sealed AFTER INSERT ON records BEGIN
-    INSERT INTO epoch_records VALUES (NEW.stream, NEW.epoch, 1, NEW.captured_at)
-        ON CONFLICT DO UPDATE SET records = records + 1, first_at = min(first_at, NEW.captured_at);
+    INSERT INTO epoch_records VALUES (
+        NEW.stream, NEW.epoch, NEW.state NOT IN (7, 8) AND NEW.deleted_at IS NULL, NEW.captured_at, NEW.captured_at
+    ) ON CONFLICT DO UPDATE SET records = records + excluded.records, first_at = min(first_at, excluded.first_at),
+        last_at = max(last_at, excluded.last_at);
+END;
+CREATE TRIGGER record_opens AFTER UPDATE OF state, deleted_at ON records
+WHEN (NEW.state NOT IN (7, 8) AND NEW.deleted_at IS NULL) <> (OLD.state NOT IN (7, 8) AND OLD.deleted_at IS NULL) BEGIN
+    UPDATE epoch_records SET records = records + iif(NEW.state NOT IN (7, 8) AND NEW.deleted_at IS NULL, 1, -1)
+        WHERE stream = NEW.stream AND epoch = NEW.epoch;
 END;
 
 -- What the sender signed; `digests` are the records it anchors, 32 bytes each, `batch` the root it anchors.

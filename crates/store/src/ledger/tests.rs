@@ -13,6 +13,7 @@ mod groups;
 mod incidents;
 mod model;
 mod numbered;
+mod opened;
 mod own_numbers;
 mod pages;
 mod quarantine;

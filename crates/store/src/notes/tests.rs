@@ -56,7 +56,7 @@ fn samples() -> Vec<(Kind, String)> {
         of::<WrappedFor>(text()),
         of::<Revoking>(vec![address]),
         of::<GrantedTopic>(text()),
-        of::<GrantedEarlier>(true),
+        of::<GrantedFrom>(1),
         of::<AdmittedOwners>(vec![AdmittedOwner { owner: address, since: at, by: text() }]),
         of::<AnnouncedRevoke>(12),
         of::<ErasuresTold>(12),

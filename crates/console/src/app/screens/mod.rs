@@ -259,7 +259,7 @@ pub fn scope(topics: &[String]) -> String {
 
 /// To follow other words; empty = no, or unknown.
 pub fn earlier(row: &GrantRow) -> &'static str {
-    if row.earlier == Some(true) { ", earlier records too" } else { "" }
+    if row.from.is_some_and(|from| from < row.epoch) { ", earlier records too" } else { "" }
 }
 
 pub fn end(expires: Option<Timestamp>) -> String {

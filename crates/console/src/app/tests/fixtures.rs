@@ -7,19 +7,23 @@ use crate::model::{
 use crate::pipeline::sender::{LaneState, PauseReason};
 use crate::service::command::IncidentCommand;
 use crate::service::reply::{
-    AdministrationView, AlarmView, AlertView, AuditView, ChainView, ContactRow, Direction, EpochRecords, EpochView,
-    GasView, GatewayStatusView, GatewayView, GrantRow, GrantState, HealthLevel, IdentityView, IncidentNoteView,
-    IncidentView, KeysView, LifeLine, OpenedView, PartHealth, PinView, PinsView, PricesView, Provenance, QueueView,
-    RecordPage, RecordView, RefusedView, SenderView, Severity, ShownState, SiteView, SpanCoverageView, SystemKeyView,
-    TopicRow, TransactionView,
+    AdministrationView, AlarmView, AlertView, AuditView, ChainView, ContactRow, Direction, EpochView, GasView,
+    GatewayStatusView, GatewayView, GrantForesight, GrantRow, GrantState, HealthLevel, IdentityView, IncidentNoteView,
+    IncidentView, KeysView, LifeLine, OpenedView, Opens, PartHealth, PinView, PinsView, PricesView, Provenance,
+    QueueView, RecordPage, RecordView, RefusedView, SenderView, Severity, ShownState, SiteView, SpanCoverageView,
+    SystemKeyView, TopicRow, TransactionView,
 };
-use crate::service::{Command, Failure, Reply, UploadQuery};
+use crate::service::{Command, Failure, GrantFrom, Reply, UploadQuery};
 use authros_chain::Sealing;
 use authros_gateway::Code;
 
 pub mod robots;
 
 pub const NOW: Timestamp = Timestamp(1_700_000_000_000_000_000);
+/// What a grant of the current epoch opens.
+pub const OPENS: Opens = Opens { records: 8_505, since: Some(Timestamp(NOW.0 - 407_000_000_000)) };
+/// What a grant of all epochs opens.
+const ALL_RECORDS: Opens = Opens { records: 581_165, since: Some(Timestamp(NOW.0 - 4 * 86_400_000_000_000)) };
 /// The address of the profile.
 pub const OWN: Address = Address([0x11; 20]);
 /// The address of someone else.
@@ -35,6 +39,7 @@ pub fn reply(command: &Command, exists: bool) -> Reply {
         Command::ListUploads(query) => Reply::Records(page(query, None)),
         Command::ListShared(query) => Reply::Records(page(query, Some(OTHER))),
         Command::ListGrants => Reply::Grants(grants()),
+        Command::ForeseeGrant { from, .. } => Reply::GrantForeseen(foresight(*from)),
         Command::ChainStatus => Reply::Chain(Box::new(chain())),
         Command::ListContacts => Reply::Contacts(vec![contact("harbour-office"), contact("harbour-master")]),
         Command::ListAudit(_) => Reply::Audit(audit()),
@@ -61,8 +66,8 @@ pub fn identity(exists: bool, unlocked: bool, registered: bool) -> IdentityView 
         registered,
         address: exists.then_some(OWN),
         epoch: registered.then_some(2),
-        epoch_records: registered
-            .then(|| EpochRecords { records: 8_505, since: Some(Timestamp::from_seconds(NOW.seconds() - 407)) }),
+        epoch_records: registered.then_some(OPENS),
+        all_records: registered.then_some(ALL_RECORDS),
         signing_key: None,
         fingerprint: None,
         envelope_key: None,
@@ -264,7 +269,8 @@ pub fn grant(direction: &str, account: Address, state: &str, block: u64) -> Gran
         owner: if given { OWN } else { account },
         grantee: if given { account } else { OWN },
         epoch: 1,
-        earlier: None,
+        from: given.then_some(1),
+        opens: (state == "active").then_some(OPENS),
         expires: None,
         topics: if given { vec!["/robot1/odom".to_owned()] } else { Vec::new() },
         state: if state == "active" { GrantState::Active } else { GrantState::Revoked },
@@ -279,6 +285,22 @@ pub fn grant(direction: &str, account: Address, state: &str, block: u64) -> Gran
 pub fn transaction(text: &str) -> Reply {
     let view = TransactionView { transaction: Some(Hash([4; 32])), block: Some(120), epoch: 3, text: text.to_owned() };
     Reply::Transaction(view)
+}
+
+/// With one other reader and one robot.
+fn foresight(from: GrantFrom) -> GrantForesight {
+    match from {
+        GrantFrom::Now => GrantForesight {
+            epoch: 3,
+            epochs: 1,
+            nothing_older: true,
+            opens: Opens::default(),
+            readers: 1,
+            robots: vec!["scout-1".parse().expect("a name")],
+            transactions: 3,
+        },
+        _ => GrantForesight { epoch: 2, opens: OPENS, transactions: 1, ..GrantForesight::default() },
+    }
 }
 
 fn grants() -> Vec<GrantRow> {

@@ -4,7 +4,7 @@ use super::{Robot, fixtures};
 use crate::app::popup::{Confirm, Popup};
 use crate::app::{Key, Tag};
 use crate::model::{Timestamp, TopicPattern};
-use crate::service::{Command, Epochs};
+use crate::service::{Command, GrantFrom};
 
 const READER: &str = "0x5aAeb6053F3E94C9b9A09f33669435E7Ef1BeAed";
 
@@ -42,12 +42,12 @@ fn g_asks_the_terms_then_shows_who_reads_already_then_sends_on_y() {
     robot.types("g");
     fills_in(&mut robot, [READER, "/robot1/odom /robot2/odom", "30d"]);
     let text = question(&robot).lines.join("\n");
-    assert!(text.contains(READER) && text.contains("2023-12-14 22:13 UTC"), "{text}");
+    assert!(text.contains(READER) && text.contains("2023-12-14 22:13:20 UTC"), "{text}");
     assert!(text.contains(&fixtures::OTHER.to_string()), "who can read this now:\n{text}");
     robot.types("y");
     let (command, _) = robot.sent.last().expect("sent");
-    let Command::Grant { grantee, topics, epochs, expires } = command else { panic!("{command:?}") };
-    assert_eq!((grantee.to_string().as_str(), topics.len(), *epochs), (READER, 2, Epochs::Current));
+    let Command::Grant { grantee, topics, from, expires } = command else { panic!("{command:?}") };
+    assert_eq!((grantee.to_string().as_str(), topics.len(), *from), (READER, 2, GrantFrom::Now));
     assert_eq!(*expires, Some(Timestamp(fixtures::NOW.0 + 30 * 86_400 * 1_000_000_000)));
     assert!(robot.state.popups.is_empty());
 }
@@ -232,7 +232,7 @@ fn the_palette_takes_the_terms_and_a_capital_y_copies_the_command_line() {
     assert_eq!((form.text(0), form.text(1), form.text(2)), ("harbour-office", "/robot1/odom", "30d"));
     robot.presses(Key::Enter);
     robot.types("Y");
-    let wanted = "authros grant harbour-office --topic /robot1/odom --expires 2023-12-14T22:13:20Z";
+    let wanted = "authros grant harbour-office --topic /robot1/odom --from now --expires 2023-12-14T22:13:20Z";
     assert!(
         matches!(robot.effects.last(), Some(crate::app::Effect::CopyText(text)) if text == wanted),
         "{:?}",
@@ -276,10 +276,10 @@ fn a_sooner_end_is_a_revoke_and_a_new_grant_asked_about_once() {
     robot.is_answered(&Tag::Revoke(fixtures::OTHER), Ok(fixtures::transaction("revoked")));
     let sooner = Timestamp(fixtures::NOW.0 + 43_200 * 1_000_000_000);
     let granted = robot.sent.iter().find_map(|(command, _)| match command {
-        Command::Grant { topics, expires, .. } => Some((topics.len(), *expires)),
+        Command::Grant { topics, from, expires, .. } => Some((topics.len(), *from, *expires)),
         _ => None,
     });
-    assert_eq!(granted, Some((1, Some(sooner))), "the topics stay");
+    assert_eq!(granted, Some((1, GrantFrom::Epoch(1), Some(sooner))), "the topics and the records stay");
 }
 
 #[test]
@@ -292,4 +292,90 @@ fn where_the_revoke_fails_nothing_is_granted_and_the_form_comes_back() {
     robot.is_answered(&Tag::Revoke(fixtures::OTHER), Err(failure));
     assert!(robot.work().is_empty(), "{:?}", robot.work());
     assert_eq!(robot.form_error(), Some("the node does not answer"));
+}
+
+/// The words of the line `From`, what the question then says, and what is sent.
+#[test]
+fn the_question_says_from_when_and_at_what_cost_and_the_request_carries_just_that() {
+    let hour_ago = Timestamp(fixtures::NOW.0 - 3_600 * 1_000_000_000);
+    let counted = "Records  since 2023-11-14 22:06:33 UTC, 8,505 records";
+    let cases = [
+        ("now", GrantFrom::Now, "Records  from now on, nothing older", "a new epoch: 1 other reader gets the key"),
+        ("epoch", GrantFrom::Current, counted, "Cost     1 transaction"),
+        ("start", GrantFrom::Epoch(1), counted, "Cost     1 transaction"),
+        ("2", GrantFrom::Epoch(2), counted, "Cost     1 transaction"),
+        ("1h", GrantFrom::Time(hour_ago), counted, "Cost     1 transaction"),
+    ];
+    for (typed, wanted, records, cost) in cases {
+        let mut robot = at_grants();
+        robot.types("g");
+        fills_in(&mut robot, [READER, "/robot1/odom", ""]);
+        robot.presses(Key::Escape);
+        robot.presses(Key::Control('u'));
+        robot.pastes(typed);
+        robot.presses(Key::Enter);
+        robot.site_answers(true);
+        let text = question(&robot).lines.join("\n");
+        assert!(text.contains(records) && text.contains(cost), "{typed}:\n{text}");
+        assert!(
+            typed != "now" || text.contains("the robot scout-1 is told") && text.contains("3 transactions"),
+            "{text}"
+        );
+        robot.types("y");
+        let Some((Command::Grant { from, .. }, _)) = robot.sent.last() else { panic!("{typed}: {:?}", robot.sent) };
+        assert_eq!(*from, wanted, "{typed}");
+    }
+}
+
+#[test]
+fn a_moment_that_cannot_be_read_or_a_count_that_fails_is_told() {
+    let mut robot = at_grants();
+    robot.types("g");
+    fills_in(&mut robot, [READER, "all", ""]);
+    let (_, tag) =
+        robot.sent.iter().find(|(command, _)| matches!(command, Command::ForeseeGrant { .. })).expect("asked");
+    let (tag, text) = (tag.clone(), question(&robot).lines.join("\n"));
+    assert!(text.contains("from now on, nothing older") && !text.contains("Cost"), "not told yet:\n{text}");
+    robot.is_answered(&tag, Err(fixtures::failure(crate::model::ErrorKind::Unreachable, "the node does not answer")));
+    let text = question(&robot).lines.join("\n");
+    assert!(text.contains("Cost     not known: the node does not answer"), "{text}");
+    robot.presses(Key::Escape);
+    robot.presses(Key::Control('u'));
+    robot.pastes("whenever");
+    robot.presses(Key::Enter);
+    assert!(robot.form_error().is_some_and(|error| error.starts_with("enter now, epoch, start or a time")));
+}
+
+#[test]
+fn an_answer_about_other_terms_changes_no_question() {
+    let mut robot = at_grants();
+    robot.types("g");
+    fills_in(&mut robot, [READER, "all", ""]);
+    let first = robot.sent.iter().find(|(_, tag)| matches!(tag, Tag::Foresee(_))).expect("asked").1.clone();
+    robot.presses(Key::Escape);
+    robot.presses(Key::Control('u'));
+    robot.pastes("epoch");
+    robot.presses(Key::Enter);
+    let reply = fixtures::reply(
+        &Command::ForeseeGrant { grantee: READER.parse().expect("a party"), topics: Vec::new(), from: GrantFrom::Now },
+        true,
+    );
+    robot.is_answered(&first, Ok(reply));
+    let text = question(&robot).lines.join("\n");
+    assert!(text.contains("Records  since the current epoch began") && !text.contains("Cost"), "{text}");
+}
+
+#[test]
+fn the_current_epoch_of_a_grant_that_is_replaced_is_the_one_shown_not_the_one_after_the_revoke() {
+    let mut robot = at_grants();
+    robot.types("g");
+    let other = fixtures::OTHER.to_string();
+    fills_in(&mut robot, [other.as_str(), "all", ""]);
+    robot.presses(Key::Escape);
+    robot.presses(Key::Control('u'));
+    robot.pastes("epoch");
+    robot.presses(Key::Enter);
+    assert_eq!(question(&robot).title, "Revoke and grant again?");
+    let Some((_, after)) = &robot.state.follow_up else { panic!("nothing follows") };
+    assert!(matches!(after.command, Command::Grant { from: GrantFrom::Epoch(2), .. }), "{:?}", after.command);
 }

@@ -89,7 +89,8 @@ impl Robot {
 
     /// Everything the console requests for its screens is answered from the fixtures, until it requests no more.
     pub fn site_answers(&mut self, exists: bool) {
-        while let Some(place) = self.sent.iter().position(|(_, tag)| matches!(tag, Tag::Feed(..) | Tag::OpenConsole)) {
+        let is_pull = |tag: &Tag| matches!(tag, Tag::Feed(..) | Tag::OpenConsole | Tag::Foresee(_));
+        while let Some(place) = self.sent.iter().position(|(_, tag)| is_pull(tag)) {
             let (command, tag) = self.sent.remove(place);
             self.act(Action::Answered { tag, result: Box::new(Ok(fixtures::reply(&command, exists))) });
         }
@@ -141,7 +142,7 @@ impl Robot {
     /// The commands in flight that are not pulls, by tag.
     pub fn work(&self) -> Vec<Tag> {
         let tags = self.sent.iter().map(|(_, tag)| tag.clone());
-        tags.filter(|tag| !matches!(tag, Tag::Feed(..) | Tag::OpenConsole)).collect()
+        tags.filter(|tag| !matches!(tag, Tag::Feed(..) | Tag::OpenConsole | Tag::Foresee(_))).collect()
     }
 
     pub fn message(&self) -> &str {

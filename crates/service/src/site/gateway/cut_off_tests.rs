@@ -11,7 +11,7 @@ use crate::chain::{Chain, serve};
 use crate::gateway::{Caller, Code, Desk as _, Feed, Place};
 use crate::model::Party;
 use crate::pipeline::Owner;
-use crate::service::command::{Administration, Epochs};
+use crate::service::command::{Administration, GrantFrom};
 use crate::site::Needs;
 use crate::site::testing::{registered, site_of, site_with_chain};
 
@@ -65,7 +65,7 @@ async fn a_gateway_that_was_cut_off_refuses_until_its_chain_is_fresh() {
     let (alice, bob) = (registered(&site, "alice").await, registered(&site, "bob").await);
     let (carol, to) = (registered(&site, "carol").await, |owner: &Arc<Owner>| Party::Address(owner.address));
     for reader in [&bob, &carol] {
-        site.sharing.grant(&alice, &to(reader), &[], Epochs::Current, None).await.expect("given");
+        site.sharing.grant(&alice, &to(reader), &[], GrantFrom::Current, None).await.expect("given");
     }
     let (_running, ended) = oneshot::channel();
     let serving = site.gateway.serve(&keeper, "127.0.0.1:0".parse().expect("an address"), false, ended).await;

@@ -28,7 +28,7 @@ use crate::failure::{input, internal, refused};
 use crate::model::{Address, ProfileName};
 use crate::paths::Home;
 use crate::pipeline::{Network, Owner, Recorder, recovery};
-use crate::reply::{EpochRecords, Failure, IdentityView};
+use crate::reply::{Failure, IdentityView, Opens};
 use crate::store::StoreError;
 use crate::store::notes::ProfileAccounts;
 
@@ -264,10 +264,12 @@ impl Profiles {
         }
         if let Some(epoch) = view.epoch {
             let sealed = move |profiles: &Self| {
-                Ok(profiles.parts.plant.ledger.counts.sealed_in_epoch(public.address, epoch, None)?)
+                let counts = &profiles.parts.plant.ledger.counts;
+                Ok((counts.opened_by(public.address, epoch..=epoch)?, counts.opened_by(public.address, 1..=epoch)?))
             };
-            let (records, since) = blocking(self, sealed).await?;
-            view.epoch_records = Some(EpochRecords { records, since });
+            let opens = |(records, since)| Some(Opens { records, since });
+            let (current, all) = blocking(self, sealed).await?;
+            (view.epoch_records, view.all_records) = (opens(current), opens(all));
         }
         Ok(view)
     }

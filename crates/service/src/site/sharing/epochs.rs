@@ -18,7 +18,7 @@ use crate::service::failure::refused;
 use crate::service::reply::{Failure, TransactionView};
 
 /// Keeps a `wrap` transaction below 32 KB.
-const ENVELOPES_A_CALL: usize = 8;
+pub(super) const ENVELOPES_A_CALL: usize = 8;
 
 const MOST_NAMED: usize = 8;
 

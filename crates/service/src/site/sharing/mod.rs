@@ -1,6 +1,7 @@
 //! Granting and revoking, and the list of who may read what.
 
 mod epochs;
+mod opening;
 pub(super) mod overdue;
 #[cfg(test)]
 mod tests;
@@ -10,24 +11,29 @@ use crate::site::devices::enrolled::Enrolments;
 use crate::site::mirror::Joined;
 use crate::site::parts::Parts;
 use crate::store::Reserve;
-use crate::store::notes::{GrantedEarlier, GrantedTopic};
+use crate::store::notes::{GrantedFrom, GrantedTopic};
 use std::collections::HashSet;
+use std::collections::btree_map::{BTreeMap, Entry};
 use std::sync::{Arc, Mutex};
 
 use tokio::task::block_in_place;
+
+use self::opening::Sealed;
 
 use crate::chain::Call;
 use crate::crypto::{GrantedKeys, WrappedKeys};
 use crate::gateway::GrantNotice;
 use crate::model::grant::MOST_TOPICS;
 use crate::model::{Address, GrantTerms, Party, Scope, Timestamp, TopicId, TopicName, clean};
-use crate::pipeline::directory::{Granted, kept};
+use crate::pipeline::directory::{GrantState, Granted, kept};
 use crate::pipeline::reader::Reader;
+use crate::pipeline::recorder::CapturedMessage;
+use crate::pipeline::ring::Rings;
 use crate::pipeline::{Network, Owner, authority};
-use crate::service::command::Epochs;
+use crate::service::command::GrantFrom;
 use crate::service::event::Part;
 use crate::service::failure::{input, refused};
-use crate::service::reply::{Direction, EpochRecords, Failure, GrantRow, TransactionView};
+use crate::service::reply::{Direction, Failure, GrantRow, NOTHING_OLDER, TransactionView, utc};
 use crate::store::RecordRow;
 
 pub(in crate::site) struct Sharing {
@@ -36,6 +42,8 @@ pub(in crate::site) struct Sharing {
     pub enrolments: Arc<Enrolments>,
     pub joined: Arc<Joined>,
     pub reserve: Arc<Reserve>,
+    /// Captured and not sealed yet.
+    pub rings: Arc<Rings<CapturedMessage>>,
     pub missing: Mutex<epochs::Missing>,
 }
 
@@ -46,7 +54,7 @@ impl Sharing {
         owner: &Arc<Owner>,
         grantee: &Party,
         topics: &[TopicName],
-        epochs: Epochs,
+        from: GrantFrom,
         expires: Option<Timestamp>,
     ) -> Result<TransactionView, Failure> {
         let network = self.parts.link.network().await?;
@@ -72,16 +80,14 @@ impl Sharing {
         if self.active_grant(&network, owner.address, grantee).is_some() {
             return Err(refused(format!("{grantee} already has an active grant; revoke it first to change its terms")));
         }
-        let epoch = network.directory.epoch(owner.address);
-        let terms = GrantTerms { owner: owner.address, grantee, epoch, expiry: expires, scope: scope(owner, topics) };
         let names: Vec<String> = topics.iter().map(ToString::to_string).collect();
         self.remember_topics(owner, &names)?;
-        let opens = self.opens_already(&terms)?;
-        let covered = match epochs {
-            Epochs::Current => vec![epoch],
-            Epochs::All => owner.epochs(network.domain).into_iter().filter(|known| *known <= epoch).collect(),
-        };
-        let earlier = covered.iter().any(|known| *known < epoch);
+        let (first, begun) = self.first_for(owner, &network, from).await?;
+        let epoch = network.directory.epoch(owner.address);
+        let terms = GrantTerms { owner: owner.address, grantee, epoch, expiry: expires, scope: scope(owner, topics) };
+        let opens = self.sealed_by(&network, owner, owner.address)?.opened_by(&terms.scope, first);
+        let covered =
+            owner.epochs(network.domain).into_iter().filter(|known| (first..=epoch).contains(known)).collect();
         let envelope = self.wrap_keys(owner, &network, terms.clone(), &names, covered)?;
         self.parts.log.begin(owner, "grant", &grantee.to_string()).await?;
         self.settle_revocation(owner, grantee)?;
@@ -91,29 +97,17 @@ impl Sharing {
         let sent = self.parts.log.end(owner, "grant", &grantee.to_string(), sent.map_err(Failure::from)).await;
         let (transaction, receipt) = sent?;
         // Only the grantee can open the envelope: without this note the list cannot tell about earlier epochs.
-        let note = GrantedEarlier { transaction };
-        drop(self.parts.plant.ledger.notes.write(&note, &earlier));
+        let note = GrantedFrom { transaction };
+        drop(self.parts.plant.ledger.notes.write(&note, &first));
         let notice = GrantNotice { grantee, epoch, expiry: expires.map_or(0, Timestamp::seconds), transaction };
         self.joined.tell_of_grant(owner, &network, notice).await;
         self.parts.link.scanned(receipt.block).await;
         self.parts.hub.changed(Part::Grants);
         let what = if names.is_empty() { "all topics".to_owned() } else { names.join(", ") };
-        let text = match epochs {
-            Epochs::Current => format!("{grantee} can read {what}, {}", opens.words("")),
-            Epochs::All => format!("{grantee} can read {what}, earlier epochs included"),
-        };
+        let moment = if begun || from == GrantFrom::Now { NOTHING_OLDER.to_owned() } else { opens.words(utc) };
+        let begun = if begun { format!("; epoch {epoch} has begun for it") } else { String::new() };
+        let text = format!("{grantee} can read {what}, {moment}{begun}");
         Ok(TransactionView { transaction: Some(transaction), block: Some(receipt.block), epoch, text })
-    }
-
-    /// What a grant of the current epoch opens already.
-    fn opens_already(&self, terms: &GrantTerms) -> Result<EpochRecords, Failure> {
-        let topics = match &terms.scope {
-            Scope::All => None,
-            Scope::Topics(topics) => Some(topics.as_slice()),
-        };
-        let sealed = || self.parts.plant.ledger.counts.sealed_in_epoch(terms.owner, terms.epoch, topics);
-        let (records, since) = block_in_place(sealed)?;
-        Ok(EpochRecords { records, since })
     }
 
     /// Extends an active grant; its keys and epoch stay.
@@ -188,10 +182,24 @@ impl Sharing {
             row.fingerprint = Contacts::registered_fingerprint(&network, other);
             row
         };
-        grants.iter().map(|grant| self.grant_row(owner, &network, grant).map(with_name)).collect()
+        let mut sealed: BTreeMap<Address, Sealed> = BTreeMap::new();
+        let row = |grant: &Granted| {
+            let of = match sealed.entry(grant.terms.owner) {
+                Entry::Occupied(known) => known.into_mut(),
+                Entry::Vacant(new) => new.insert(self.sealed_by(&network, owner, grant.terms.owner)?),
+            };
+            self.grant_row(owner, &network, grant, of).map(with_name)
+        };
+        grants.iter().map(row).collect()
     }
 
-    fn grant_row(&self, owner: &Owner, network: &Network, grant: &Granted) -> Result<GrantRow, Failure> {
+    fn grant_row(
+        &self,
+        owner: &Owner,
+        network: &Network,
+        grant: &Granted,
+        sealed: &Sealed,
+    ) -> Result<GrantRow, Failure> {
         let given = grant.terms.owner == owner.address;
         let topics = match &grant.terms.scope {
             Scope::All => Vec::new(),
@@ -204,19 +212,22 @@ impl Sharing {
             }
             Scope::Topics(ids) => self.received_topics(owner, network, grant, ids),
         };
+        let from = match given {
+            // `None` = given elsewhere.
+            true => self.parts.plant.ledger.notes.read(&GrantedFrom { transaction: grant.transaction })?,
+            false => self.received_from(owner, network, grant),
+        };
+        let state = grant.state(network.directory.now());
         Ok(GrantRow {
             direction: if given { Direction::Given } else { Direction::Received },
             owner: grant.terms.owner,
             grantee: grant.terms.grantee,
             epoch: grant.terms.epoch,
-            earlier: match given {
-                // `None` = given elsewhere.
-                true => self.parts.plant.ledger.notes.read(&GrantedEarlier { transaction: grant.transaction })?,
-                false => self.received_earlier(owner, network, grant),
-            },
+            from,
+            opens: from.filter(|_| state == GrantState::Active).map(|from| sealed.opened_by(&grant.terms.scope, from)),
             expires: grant.expiry(),
             topics,
-            state: grant.state(network.directory.now()),
+            state,
             block: grant.block,
             transaction: grant.transaction,
             name: None,
@@ -224,15 +235,14 @@ impl Sharing {
         })
     }
 
-    /// Whether a received grant opens earlier epochs, by its envelope; `None` = that does not open.
-    fn received_earlier(&self, owner: &Owner, network: &Network, grant: &Granted) -> Option<bool> {
+    /// The first epoch that a received grant opens, by its envelope; `None` = that does not open.
+    fn received_from(&self, owner: &Owner, network: &Network, grant: &Granted) -> Option<u64> {
         let reader = Reader { plant: &self.parts.plant, network, reader: owner };
         let envelope = reader.open_envelope(grant, grant.terms.epoch).ok()?;
-        let first = match &envelope.keys {
+        match &envelope.keys {
             GrantedKeys::All { epochs, .. } => epochs.iter().map(|(epoch, _)| *epoch).min(),
             GrantedKeys::Topics { keys } => keys.iter().map(|(epoch, ..)| *epoch).min(),
-        };
-        first.map(|first| first < grant.terms.epoch)
+        }
     }
 
     fn received_topics(&self, owner: &Owner, network: &Network, grant: &Granted, ids: &[TopicId]) -> Vec<String> {

@@ -87,7 +87,7 @@ impl Sharing {
         Ok(self.is_behind(owner, network)? || !self.lacking(owner, network)?.is_empty())
     }
 
-    fn is_behind(&self, owner: &Owner, network: &Network) -> Result<bool, Failure> {
+    pub(super) fn is_behind(&self, owner: &Owner, network: &Network) -> Result<bool, Failure> {
         let (epoch, now) = (network.directory.epoch(owner.address), network.directory.now());
         if epoch == 0 {
             return Ok(false);

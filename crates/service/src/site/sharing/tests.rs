@@ -3,10 +3,12 @@
 
 use super::*;
 use crate::crypto::Fingerprint;
-use crate::model::{ErrorKind, SignerId};
+use crate::model::{Digest, ErrorKind, RecordKind, RecordState, Signature, SignerId};
 use crate::pipeline::directory::GrantState;
 use crate::pipeline::recovery;
+use crate::reply::Opens;
 use crate::site::testing::{made, profile, registered, site_with_chain};
+use crate::store::NewRecord;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_grant_is_given_once_to_a_known_key_and_its_end_begins_an_epoch() {
@@ -14,14 +16,14 @@ async fn a_grant_is_given_once_to_a_known_key_and_its_end_begins_an_epoch() {
     let (alice, bob) = (registered(&site, "alice").await, registered(&site, "bob").await);
     let sharing = &site.sharing;
     let to_bob = Party::Address(bob.address);
-    let itself = sharing.grant(&alice, &Party::Address(alice.address), &[], Epochs::Current, None).await;
+    let itself = sharing.grant(&alice, &Party::Address(alice.address), &[], GrantFrom::Current, None).await;
     assert!(itself.expect_err("to itself").message.contains("without a grant"));
     let stranger = Party::Address(Address([9; 20]));
-    assert!(sharing.grant(&alice, &stranger, &[], Epochs::Current, None).await.is_err(), "not registered");
+    assert!(sharing.grant(&alice, &stranger, &[], GrantFrom::Current, None).await.is_err(), "not registered");
 
-    let given = sharing.grant(&alice, &to_bob, &[], Epochs::Current, None).await.expect("given");
+    let given = sharing.grant(&alice, &to_bob, &[], GrantFrom::Current, None).await.expect("given");
     assert_eq!(given.epoch, 1);
-    let again = sharing.grant(&alice, &to_bob, &[], Epochs::Current, None).await.expect_err("active already");
+    let again = sharing.grant(&alice, &to_bob, &[], GrantFrom::Current, None).await.expect_err("active already");
     assert_eq!(again.kind, ErrorKind::Refused);
     let rows = sharing.rows(&bob).await.expect("rows");
     assert!(
@@ -47,7 +49,7 @@ async fn an_epoch_whose_keys_did_not_reach_a_reader_before_the_next_began_is_giv
     // No grant covers this one.
     sharing.rotate(&alice, "before the grant").await.expect("rotates");
     let to_bob = Party::Address(bob.address);
-    let given = sharing.grant(&alice, &to_bob, &[], Epochs::Current, None).await.expect("given");
+    let given = sharing.grant(&alice, &to_bob, &[], GrantFrom::Current, None).await.expect("given");
     assert_eq!(given.epoch, 2);
 
     // As if the site had ended between the epoch and its envelopes.
@@ -91,7 +93,7 @@ async fn nothing_is_granted_to_a_contact_with_another_key_until_it_is_confirmed(
     let rows = site.contacts.rows().await.expect("rows");
     assert_eq!(rows.iter().map(|row| row.state.clone()).collect::<Vec<_>>(), ["differs"]);
     let to_bob = Party::Contact(name.clone());
-    let refused = site.sharing.grant(&alice, &to_bob, &[], Epochs::Current, None).await.expect_err("another key");
+    let refused = site.sharing.grant(&alice, &to_bob, &[], GrantFrom::Current, None).await.expect_err("another key");
     assert_eq!(refused.kind, ErrorKind::Refused);
     assert!(
         refused.message.contains(&other) && refused.message.contains("contacts confirm bobby"),
@@ -103,7 +105,7 @@ async fn nothing_is_granted_to_a_contact_with_another_key_until_it_is_confirmed(
     let wrong = site.contacts.confirm(&profile("alice"), &name, Some(other)).await.expect_err("still another one");
     assert_eq!(wrong.kind, ErrorKind::Refused);
     site.contacts.confirm(&profile("alice"), &name, None).await.expect("confirmed");
-    site.sharing.grant(&alice, &to_bob, &[], Epochs::Current, None).await.expect("given");
+    site.sharing.grant(&alice, &to_bob, &[], GrantFrom::Current, None).await.expect("given");
     site.stop().await;
 }
 
@@ -191,5 +193,137 @@ async fn pairs_that_nobody_handed_over_are_told_and_those_handed_over_are_taken(
     site.profiles.resume(&alice).await.expect("it takes them");
     assert_eq!((alice.envelope(), sharing.missing_text()), (second, None));
     assert!(alice.envelopes().contains(&former) && alice.envelopes().contains(&first), "what was opens still");
+    site.stop().await;
+}
+
+/// A message of `/odom` in the owner's ledger, as if it had been sealed then.
+fn sealed(sharing: &Sharing, owner: &Owner, epoch: u64, seq: u64, captured_at: Timestamp) {
+    let record = NewRecord {
+        digest: Digest([u8::try_from(seq).expect("few"); 32]),
+        owner: owner.address,
+        topic_id: owner.topic_id("/odom"),
+        seq,
+        foreign: None,
+        epoch,
+        kind: RecordKind::Data,
+        signer: SignerId([9; 32]),
+        signature: Signature([9; 64]),
+        filters: Vec::new(),
+        topic: "/odom".to_owned(),
+        type_name: "nav_msgs/Odometry".to_owned(),
+        bytes: 1,
+        captured_at,
+        simulated: false,
+        state: RecordState::Stored,
+        blob: None,
+    };
+    sharing.parts.plant.ledger.records.append(vec![record]).expect("in the ledger");
+}
+
+/// The epochs that this reader has keys of.
+fn opened(sharing: &Sharing, network: &Network, owner: &Owner, reader: &Owner) -> Vec<u64> {
+    let reader = Reader { plant: &sharing.parts.plant, network, reader };
+    reader.epochs_of(owner.address).expect("read").into_iter().collect()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn from_now_on_begins_an_epoch_that_the_reader_has_alone_with_those_who_read_before() {
+    let (site, _folder) = site_with_chain();
+    let (alice, bob) = (registered(&site, "alice").await, registered(&site, "bob").await);
+    let carol = registered(&site, "carol").await;
+    let (sharing, network) = (&site.sharing, site.network().await.expect("a network"));
+    let (to_bob, to_carol) = (Party::Address(bob.address), Party::Address(carol.address));
+    sealed(sharing, &alice, 1, 1, Timestamp::now());
+    sharing.grant(&alice, &to_bob, &[], GrantFrom::Current, None).await.expect("given");
+
+    let foreseen = sharing.foresee_grant(&alice, &to_carol, &[], GrantFrom::Now).await.expect("foreseen");
+    assert_eq!((foreseen.epoch, foreseen.epochs, foreseen.nothing_older), (2, 1, true));
+    // The epoch, Bob's envelope, the grant.
+    assert_eq!((foreseen.readers, foreseen.transactions, foreseen.opens), (1, 3, Opens::default()));
+    let given = sharing.grant(&alice, &to_carol, &[], GrantFrom::Now, None).await.expect("given");
+    assert!(given.text.contains("from now on, nothing older; epoch 2 has begun"), "{}", given.text);
+    assert_eq!((given.epoch, alice.sealing().map(|keys| keys.epoch)), (2, Some(2)));
+    assert_eq!(opened(sharing, &network, &alice, &carol), [2], "nothing older");
+    assert_eq!(opened(sharing, &network, &alice, &bob), [1, 2], "nothing is lost to the other reader");
+    let rows = sharing.rows(&alice).await.expect("rows");
+    assert_eq!(rows.iter().map(|row| row.from).collect::<Vec<_>>(), [Some(1), Some(2)]);
+    assert_eq!(rows.iter().map(|row| row.opens.expect("active").records).collect::<Vec<_>>(), [1, 0]);
+    site.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn grants_from_now_on_share_an_epoch_that_nothing_was_sealed_in() {
+    let (site, _folder) = site_with_chain();
+    let (alice, bob) = (registered(&site, "alice").await, registered(&site, "bob").await);
+    let carol = registered(&site, "carol").await;
+    let (sharing, counts) = (&site.sharing, &site.sharing.parts.plant.ledger.counts);
+    sealed(sharing, &alice, 1, 1, Timestamp::now());
+    let mut epochs = Vec::new();
+    for reader in [&bob, &carol] {
+        let given = sharing.grant(&alice, &Party::Address(reader.address), &[], GrantFrom::Now, None).await;
+        epochs.push(given.expect("given").epoch);
+    }
+    // The site's own statements, such as the head of its audit log, are sealed as well.
+    let stated = counts.is_epoch_used(alice.address, 2).expect("looked");
+    assert_eq!(epochs[0], 2);
+    assert!(epochs[1] == 2 || stated, "{epochs:?}");
+    site.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_grant_from_a_moment_opens_whole_epochs_and_says_what_they_hold() {
+    let (site, _folder) = site_with_chain();
+    let (alice, bob) = (registered(&site, "alice").await, registered(&site, "bob").await);
+    let (sharing, network) = (&site.sharing, site.network().await.expect("a network"));
+    let at = |minutes: u64| Timestamp(Timestamp::now().0 - minutes * 60_000_000_000);
+    sealed(sharing, &alice, 1, 1, at(50));
+    sharing.rotate(&alice, "a test").await.expect("rotates");
+    let first = at(40);
+    sealed(sharing, &alice, 2, 2, first);
+    sealed(sharing, &alice, 2, 3, at(30));
+    sharing.rotate(&alice, "a test").await.expect("rotates");
+    sealed(sharing, &alice, 3, 4, at(20));
+    let to_bob = Party::Address(bob.address);
+    let foresee = async |from| {
+        let foreseen = sharing.foresee_grant(&alice, &to_bob, &[], from).await.expect("foreseen");
+        (foreseen.epoch, foreseen.epochs, foreseen.opens.records)
+    };
+    assert_eq!(foresee(GrantFrom::Current).await, (3, 0, 1));
+    assert_eq!(foresee(GrantFrom::Time(at(25))).await, (3, 0, 1));
+    assert_eq!(foresee(GrantFrom::Time(at(35))).await, (2, 0, 3));
+    assert_eq!(foresee(GrantFrom::Epoch(1)).await, (1, 0, 4));
+    assert_eq!(foresee(GrantFrom::Time(at(1))).await, (4, 1, 0), "nothing since: that is from now on");
+    for wrong in [GrantFrom::Epoch(0), GrantFrom::Epoch(4), GrantFrom::Time(Timestamp(u64::MAX / 2))] {
+        let refused = sharing.grant(&alice, &to_bob, &[], wrong, None).await.expect_err("no such moment");
+        assert_eq!(refused.kind, ErrorKind::Input, "{wrong:?}: {}", refused.message);
+    }
+    assert_eq!(network.directory.epoch(alice.address), 3, "a refused grant begins nothing");
+
+    let odom: [TopicName; 1] = ["/odom".parse().expect("a topic")];
+    let given = sharing.grant(&alice, &to_bob, &odom, GrantFrom::Time(at(35)), None).await.expect("given");
+    assert!(given.text.contains(&format!("since {}, 3 records", utc(first))), "{}", given.text);
+    assert_eq!(opened(sharing, &network, &alice, &bob), [2, 3]);
+    let rows = sharing.rows(&bob).await.expect("rows");
+    let told: Vec<_> = rows.iter().map(|row| (row.from, row.opens)).collect();
+    assert_eq!(told, [(Some(2), Some(Opens { records: 3, since: Some(first) }))]);
+    site.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_epoch_that_began_for_a_grant_which_never_came_gives_nobody_anything() {
+    let (site, _folder) = site_with_chain();
+    let (alice, bob) = (registered(&site, "alice").await, registered(&site, "bob").await);
+    let (sharing, network) = (&site.sharing, site.network().await.expect("a network"));
+    sealed(sharing, &alice, 1, 1, Timestamp::now());
+    // As if the site had ended between the two transactions.
+    {
+        let _one_at_a_time = alice.changes.lock().await;
+        assert_eq!(sharing.first_for(&alice, &network, GrantFrom::Now).await.expect("begun"), (2, true));
+    }
+    assert!(opened(sharing, &network, &alice, &bob).is_empty());
+    sealed(sharing, &alice, 2, 2, Timestamp::now());
+    let to_bob = Party::Address(bob.address);
+    let given = sharing.grant(&alice, &to_bob, &[], GrantFrom::Now, None).await.expect("the command repeated");
+    assert_eq!((given.epoch, opened(sharing, &network, &alice, &bob)), (3, vec![3]), "not what was sealed meanwhile");
     site.stop().await;
 }
