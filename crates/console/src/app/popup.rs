@@ -257,7 +257,7 @@ pub fn revoke(state: &State, row: &GrantRow) -> Confirm {
         "The next record is sealed under a new key that this account does not get.".to_owned(),
         "What was already read cannot be taken back, and records sealed before".to_owned(),
         "stay readable to anyone who has their key. A robot out of reach continues".to_owned(),
-        "under the old key until it is told. To share again, make a new grant.".to_owned(),
+        "under the old key until it connects. To share again, make a new grant.".to_owned(),
         String::new(),
     ];
     lines.extend(readers(state, "Who can read afterwards:", Some(row)));

@@ -182,7 +182,7 @@ fn grant_cells(state: &State, row: &GrantRow) -> Vec<(String, Role)> {
         (row.fingerprint.clone().unwrap_or_else(|| "not registered".to_owned()), Role::Dim),
         (scope(&row.topics), Role::Body),
         (row.opens.and_then(|opens| opens.since).map_or_else(|| "-".to_owned(), day), Role::Dim),
-        (row.opens.map_or_else(|| "-".to_owned(), |opens| count(opens.records)), Role::Body),
+        (row.opens.map_or_else(|| "-".to_owned(), |opens| words::count(opens.records)), Role::Body),
         ends(state, row),
         (row.block.to_string(), Role::Dim),
     ]
