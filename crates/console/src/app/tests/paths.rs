@@ -127,7 +127,11 @@ fn letters_typed_on_a_choice_do_not_vanish_without_a_word() {
     robot.types("6");
     robot.site_answers(true);
     robot.types("L/keys");
-    assert!(robot.form_error().is_some_and(|error| error.contains("enter goes on")), "{:?}", robot.form_error());
+    assert!(
+        robot.form_error().is_some_and(|error| error.contains("enter moves to the next")),
+        "{:?}",
+        robot.form_error()
+    );
 }
 
 #[test]
