@@ -136,7 +136,7 @@ impl Old {
         if system_program("python3").is_some() {
             let few = self.home.root().join("few.authros");
             let view = self.authros.json(&["evidence", "export", utf8(&few), "--topic", FEW, "--reveal", &id]);
-            assert!(view["notes"].to_string().contains("the chain was not asked"), "{view}");
+            assert!(view["notes"].to_string().contains("the chain was not queried"), "{view}");
             expect_agreement(&few, Some(&self.trust));
         }
         let all = self.home.root().join("all.authros");

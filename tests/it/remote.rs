@@ -63,7 +63,7 @@ fn an_operator_without_a_chain_client_reads_what_is_shared_until_the_revoke() {
     let address = bob.enrol();
     // Who may use a gateway is its keeper's choice; anyone may read the chain and register.
     let refused = bob.fails(REFUSED, &["shared", "list"]);
-    assert!(refused.contains("allow this account"), "{refused}");
+    assert!(refused.contains("does not allow the account"), "{refused}");
     assert!(list(&gate.alice.json(&["gateway", "admitted"]), "admitted").is_empty());
     let admitted = gate.alice.json(&["gateway", "admit", &address]);
     assert_eq!(

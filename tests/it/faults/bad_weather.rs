@@ -282,7 +282,7 @@ fn a_clock_that_jumps_by_a_day_and_back_breaks_nothing() {
     assert_eq!(reader.json(&["shared", "open", &text(&shared, "id")])["verdict"], "verified");
 
     shifted.set("+1d");
-    shifted.told("s ahead");
+    shifted.told("h ahead");
     let day = |record: &Value| text(record, "captured_at")[..10].to_owned();
     // Some may be sealed before the site has looked at the clock.
     let of_tomorrow = |record: &Value| day(record) > day(&first) && record["epoch"] != first["epoch"];

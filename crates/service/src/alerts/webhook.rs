@@ -299,7 +299,7 @@ mod tests {
             ("308 Permanent Redirect\r\nLocation: /hook/", ["a slash at its end", "alerts.webhook"]),
             ("401 Unauthorized", ["user name and password", "401"]),
             ("404 Not Found", ["nothing at this path", "404"]),
-            ("429 Too Many Requests", ["how often", "429"]),
+            ("429 Too Many Requests", ["limits the rate", "429"]),
             ("502 Bad Gateway", ["does not reach its webhook", "502"]),
             ("500 Internal Server Error", ["answered 500", "alerts.secret"]),
         ] {

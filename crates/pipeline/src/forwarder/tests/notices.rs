@@ -312,7 +312,7 @@ async fn an_old_notice_is_not_new_because_a_gateway_says_so() {
     // Keys that are no longer used, and a span from before them: both are the owner's, and old.
     hear(notice(&scene, &scene.alice.signing, own, 3, 2), 10, 6);
     hear(pull(), 11, 6);
-    assert_eq!((epoch(), waiting(), scene.notes.with("an old one")), (5, Vec::new(), 2));
+    assert_eq!((epoch(), waiting(), scene.notes.with("an old notice")), (5, Vec::new(), 2));
     hear(notice(&scene, &scene.alice.signing, own, 10, 6), 10, 6);
     assert_eq!(epoch(), 6, "a new one is taken");
 }

@@ -381,7 +381,7 @@ mod tests {
         let of = |text: &str| overruled(&RobotPolicy::read(text).expect(text), &config, &wishes);
         assert!(of("").is_empty() && of(file).is_empty() && of("[[watch]]\ntopic = \"/b\"\n").is_empty());
         let all = of("ring.keep = \"\"\nring.topics = \"\"\n[[watch]]\ntopic = \"/c\"\n[[topic]]\nmatch = \"/b\"\n");
-        let told: Vec<bool> = ["--topic /b", "1 [[topic]] rules", "off"]
+        let told: Vec<bool> = ["--topic /b", "1 [[topic]] rules", "sets no ring"]
             .iter()
             .map(|words| all.iter().any(|text| text.contains(words)))
             .collect();
