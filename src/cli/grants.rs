@@ -61,10 +61,10 @@ pub fn grant(arguments: &GrantArguments, output: &Output) -> Result<Plan, Failur
     let topics = parse::topics(&arguments.topics, &arguments.of_robots)?;
     let from = GrantFrom::read(&arguments.from, |text| times.begin(text))?;
     let expires = times.end(arguments.expires.as_deref())?;
-    Ok(match arguments.dry_run {
-        true => Plan::unlocked(command::ForeseeGrant { grantee, topics, from }),
-        false => Plan::unlocked(command::Grant { grantee, topics, from, expires }),
-    })
+    if arguments.dry_run {
+        return Ok(Plan::unlocked(command::ForeseeGrant { grantee, topics, from }));
+    }
+    Ok(Plan::unlocked(command::Grant { grantee, topics, from, expires }))
 }
 
 /// What a grant would do.

@@ -40,12 +40,17 @@ fn from_descriptor(number: u32) -> Result<SecretText, Failure> {
     Ok(first_line(&text))
 }
 
+fn owners_alone(global: &Global) -> Result<(), Failure> {
+    if global.site_socket.is_none() {
+        return Ok(());
+    }
+    let text = "an operator gives no passphrase: the owner of the site at --site-socket does this";
+    Err(Failure::new(ErrorKind::Refused, text))
+}
+
 /// The passphrase passed in, or stored beside the keyring.
 pub fn given(global: &Global, home: &Home, profile: &ProfileName) -> Result<Option<SecretText>, Failure> {
-    if global.site_socket.is_some() {
-        let text = "an operator gives no passphrase: the owner of the site at --site-socket does this";
-        return Err(Failure::new(ErrorKind::Refused, text));
-    }
+    owners_alone(global)?;
     of_source(global, &home.passphrase(profile))
 }
 
@@ -68,6 +73,7 @@ pub fn typed(home: &Home, profile: &ProfileName) -> Result<Option<SecretText>, F
 
 pub fn change(context: &Context, file: Option<&Path>, descriptor: Option<u32>) -> Result<Plan, Failure> {
     let (global, home, profile) = (&context.global, &context.home, &context.profile);
+    owners_alone(global)?;
     if descriptor.is_some() && descriptor == global.passphrase_fd {
         return Err(usage("--passphrase-fd and --new-passphrase-fd name the same descriptor; use two"));
     }

@@ -206,7 +206,7 @@ fn the_outbox_outlives_gateway_and_agent() {
     with(&agent, "nothing that was acknowledged is missing", &|figures| count(figures, "captured") > kept);
     let outcome = agent.stop("TERM", 30).expect_code(0);
     let summary = last(&outcome.stdout);
-    assert_eq!((text(&summary, "ended").as_str(), count(&summary, "lost")), ("told", 0), "{summary}");
+    assert_eq!((text(&summary, "ended").as_str(), count(&summary, "lost")), ("stopped on request", 0), "{summary}");
 
     gateway.start();
     let outcome = robot.run(&["--robots", "1", "--count", "5"]).wait(180).expect_code(0);

@@ -107,7 +107,9 @@ fn expect_the_example_agrees(bundle: &Path, trust: &Path, report: &Value) {
     for record in list(report, "records") {
         assert!(said.contains(&text(&record, "digest")), "{record} in {said}");
         for (letter, level) in [('a', "bytes"), ('b', "key"), ('c', "anchor"), ('d', "time"), ('e', "opened")] {
-            let standing = text(&record[level], "standing").replace("unproven", "not proven").replace('_', " ");
+            let standing = text(&record[level], "standing")
+                .replace("unproven", "not proven")
+                .replace("own_chain", "self-sealed chain");
             let line = format!("({letter}) {standing}: {}", text(&record[level], "text"));
             assert!(said.contains(&line), "{line} in {said}");
         }

@@ -67,7 +67,8 @@ fn from_now_on_opens_nothing_that_was_captured_before_while_messages_go_on() {
         assert!(captured(&record) >= asked && record["epoch"] == 2, "{record}");
     }
     let newest = text(&two.bob.records(&["shared", "list", "--newest"])[0], "id");
-    assert_eq!(two.bob.json(&["shared", "open", &newest])["verdict"], "verified");
+    let verified = || two.bob.json(&["shared", "open", &newest])["verdict"] == "verified";
+    wait_until(60, "the newest is in a block", || verified().then_some(()));
 }
 
 #[test]

@@ -47,7 +47,7 @@ fn a_home_that_cannot_be_written_is_listed_and_audited_and_stays_as_it_is() {
     let authros = home.authros();
     let status = image.json(&["status"]);
     let said = list(&status, "health").into_iter().find(|part| part["part"] == "home").expect("it is said");
-    assert!(text(&said, "text").contains("cannot be written"), "{said}");
+    assert!(text(&said, "text").contains("is read-only"), "{said}");
     assert_eq!(count(&status["life"], "verified"), 5, "{status}");
     for audit in [&["audit"][..], &["audit", "--deep"]] {
         let found = image.with(&["--json"]).run(audit).expect_code(0);

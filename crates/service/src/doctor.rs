@@ -59,7 +59,7 @@ pub async fn examine(home: &Home, config: &Config, site: Option<Result<Running, 
     drop(lock);
     let local = sheet.has_failed().then_some(ErrorKind::Incomplete);
     // As `status` ends for the same state.
-    let code = code.or_else(|| peers.has_failed().then_some(ErrorKind::Unreachable)).or(local);
+    let code = code.or(local).or_else(|| peers.has_failed().then_some(ErrorKind::Unreachable));
     sheet.checks.append(&mut peers.checks);
     DoctorView { ok: code.is_none(), kind: code, checks: sheet.checks }
 }

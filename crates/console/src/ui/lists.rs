@@ -498,12 +498,12 @@ fn note(records: &Records, wanted: &Wanted) -> String {
     let order = if records.table.sort == 0 { "newest first" } else { "oldest first" };
     let marked = records.table.marks.len();
     let marked = if marked > 0 { format!("{marked} marked, ") } else { String::new() };
-    // The meaning of times comes first: it is never cut.
+    // The meaning of times comes early: the end of a title is cut.
     let meant = |word: &str, at: Option<Timestamp>| {
         at.map_or_else(String::new, |at| format!("{word} {}, ", records.typed.1.meaning(at)))
     };
     let span = meant("since", wanted.asked.since) + &meant("until", wanted.asked.until);
-    let mut note = format!("{span}{marked}{order}, page {}", records.path.len() + 1);
+    let mut note = format!("{marked}{span}{order}, page {}", records.path.len() + 1);
     if let Some(at) = records.anchor {
         note.push_str(&format!(" as of {} (home: newest)", at.clock()));
     }

@@ -44,8 +44,8 @@ impl GrantFrom {
             "epoch" => Ok(Self::Current),
             "start" => Ok(Self::Epoch(1)),
             text => match text.parse() {
-                Ok(epoch) => Ok(Self::Epoch(epoch)),
-                Err(_) => {
+                Ok(epoch) if !text.starts_with('+') => Ok(Self::Epoch(epoch)),
+                Ok(_) | Err(_) => {
                     let wrong = |error| input(format!("enter now, epoch, start or a time: {error}"));
                     back(text).map(Self::Time).map_err(wrong)
                 }

@@ -229,6 +229,8 @@ impl Site {
             joined: Arc::clone(&joined),
             reserve: Arc::clone(&reserve),
             rings: Arc::clone(&rings),
+            ros: Arc::clone(&ros),
+            begun: Mutex::default(),
             missing: Mutex::default(),
         });
         let gateway = Arc::new(Gateway {

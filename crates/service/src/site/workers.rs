@@ -21,6 +21,7 @@ use super::standstill::Standstill;
 use super::storage::Storage;
 use super::{Needs, NetworkState, Site};
 use crate::chain::ChainError;
+use crate::model::ErrorKind;
 use crate::pipeline::anchorer::Anchorer;
 use crate::pipeline::stages::Stage;
 use crate::pipeline::{Owner, PipelineError, verifier, watcher};
@@ -250,7 +251,11 @@ async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
             }
             Err(error) => {
                 let why = format!("records of {} are waiting to be anchored: {}", owner.profile, error.message);
-                site.parts.hub.notice_about(link::ABOUT, NoticeLevel::Error, &why);
+                // What is not the chain's fault does not end with an answer of the chain.
+                match error.kind {
+                    ErrorKind::Unreachable => site.parts.hub.notice_about(link::ABOUT, NoticeLevel::Error, &why),
+                    _ => site.parts.hub.alarm(&why),
+                }
                 tokio::time::sleep(pause).await;
                 pause = (pause * 2).min(Duration::from_secs(5));
             }

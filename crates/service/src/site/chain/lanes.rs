@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use crate::crypto::EoaSecret;
-use crate::model::{Address, Domain};
+use crate::model::{Address, Domain, ErrorKind};
 use crate::pipeline::anchorer::{self, MOST_LANES};
 use crate::pipeline::sender::LaneState;
 use crate::pipeline::{Network, Owner};
@@ -86,7 +86,10 @@ impl Lanes {
         for owner in self.parts.owners.all() {
             if let Err(failure) = self.tend_lanes_of(&owner, network).await {
                 let text = format!("transactions of {} are waiting: {}", owner.profile, failure.message);
-                self.parts.hub.notice_about(ABOUT, NoticeLevel::Error, &text);
+                match failure.kind {
+                    ErrorKind::Unreachable => self.parts.hub.notice_about(ABOUT, NoticeLevel::Error, &text),
+                    _ => self.parts.hub.alarm(&text),
+                }
             }
         }
     }

@@ -6,14 +6,15 @@ pub(super) mod overdue;
 #[cfg(test)]
 mod tests;
 
+use crate::site::capture::ros::RosSide;
 use crate::site::contacts::Contacts;
 use crate::site::devices::enrolled::Enrolments;
 use crate::site::mirror::Joined;
 use crate::site::parts::Parts;
 use crate::store::Reserve;
 use crate::store::notes::{GrantedFrom, GrantedTopic};
-use std::collections::HashSet;
 use std::collections::btree_map::{BTreeMap, Entry};
+use std::collections::{HashMap, HashSet};
 use std::sync::{Arc, Mutex};
 
 use tokio::task::block_in_place;
@@ -44,6 +45,9 @@ pub(in crate::site) struct Sharing {
     pub reserve: Arc<Reserve>,
     /// Captured and not sealed yet.
     pub rings: Arc<Rings<CapturedMessage>>,
+    pub ros: Arc<RosSide>,
+    /// The epoch that each owner began here last. Under one begun elsewhere anything may have been sealed.
+    pub begun: Mutex<HashMap<Address, u64>>,
     pub missing: Mutex<epochs::Missing>,
 }
 

@@ -1,7 +1,7 @@
 //! From when on a grant opens records: which epochs it covers, what they hold, what it costs, and the new epoch that "from
 //! now on" needs. That epoch comes first: after a crash in between nobody has its keys, and the command is repeated.
 
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 
 use tokio::task::block_in_place;
@@ -81,8 +81,9 @@ impl Sharing {
     /// Whether nobody can have sealed anything under this epoch's keys. Robots seal out of sight.
     fn is_unused(&self, owner: &Owner, network: &Network, epoch: u64) -> Result<bool, Failure> {
         let seals = owner.sealing().is_some_and(|keys| keys.domain == network.domain && keys.epoch == epoch);
+        let begun_here = self.begun.lock().unwrap_or_else(PoisonError::into_inner).get(&owner.address) == Some(&epoch);
         let used = || self.parts.plant.ledger.counts.is_epoch_used(owner.address, epoch);
-        Ok(seals && self.enrolments.lent(owner, network)?.is_empty() && !block_in_place(used)?)
+        Ok(seals && begun_here && self.enrolments.lent(owner, network)?.is_empty() && !block_in_place(used)?)
     }
 
     /// The first epoch that a grant opens, begun if it has to be, and whether it was. The caller holds the owner's changes.
@@ -105,6 +106,7 @@ impl Sharing {
         }
         let call = |new_token, envelope| Call::Rotate { new_token, envelope };
         let begun = self.begin_epoch(owner, network, "rotate (for a grant from now on)", call).await?;
+        self.begun.lock().unwrap_or_else(PoisonError::into_inner).insert(owner.address, begun.epoch);
         // They are told again as long as one does not know.
         if let Err(failure) = block_in_place(|| self.enrolments.tell_devices(owner, network)) {
             self.parts.hub.alarm(&failure.message);
@@ -114,6 +116,8 @@ impl Sharing {
 
     /// Waits until what was captured so far is sealed: under the keys of a later epoch it would be opened as well.
     async fn all_sealed(&self) -> Result<(), Failure> {
+        // What waits for its publisher's name was captured, too.
+        block_in_place(|| self.ros.second.settle(None));
         let (came, end) = (self.rings.came(), Instant::now() + PATIENCE);
         while !self.rings.is_past(came) {
             if Instant::now() >= end || self.parts.life.is_stopping() {
