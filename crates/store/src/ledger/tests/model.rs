@@ -131,6 +131,10 @@ impl Model {
 
     /// Whether the ledger may accept it; if so, records it.
     fn submit(&mut self, new: &NewTransaction) -> bool {
+        // A replaced transaction that was mined all the same is open again after a reorg, beside its replacement.
+        if self.sent.iter().any(|sent| sent.state == TransactionState::Open && sent.new.nonce == new.nonce) {
+            return false;
+        }
         match &new.anchors {
             Anchors::Nothing => {}
             Anchors::Batch(root) => {
