@@ -74,7 +74,7 @@ fn draw_about(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView) {
             Some(through) => (format!("This site has joined another one: {through}"), "Its gateway is managed there."),
             None => (
                 "This site has no gateway.".to_owned(),
-                "Records go straight to its store and chain. Start one with: authros gateway serve",
+                "Start one with `authros gateway serve`; records go straight to store and chain.",
             ),
         };
         canvas.put(row(area, 1), &clean(&first, 300), Role::Body);
