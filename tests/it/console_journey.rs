@@ -96,7 +96,7 @@ fn from_nothing_to_verified_records_of_two_topics() {
     operator.presses("3").sees("verified").sees("/robot1/");
     operator.presses("f").sees("FROZEN").presses("/verified\r").presses("\u{1b}[H");
     operator.presses("f").no_longer_sees("FROZEN").presses_until("\r", "SM3 ");
-    operator.presses("\u{1b}[6~").sees("hashes to the root").presses("q");
+    operator.presses("\u{1b}[6~").sees(" to the root").presses("q");
     operator.presses("1").sees(" = ").sees("balanced");
     operator.leaves();
 }
