@@ -41,7 +41,7 @@ class Site:
     def __init__(self, program, folder):
         self.home, self.folder, self.running = os.path.join(folder, "home"), folder, None
         self.words = [os.path.abspath(program), "--home", self.home, "--robots", "0"]
-        self.environment = {"HOME": folder, "PATH": os.environ["PATH"]}
+        self.environment = {"HOME": folder, "PATH": os.environ["PATH"], "AUTHROS_STORE_PASSPHRASE": "yes"}
 
     def serve(self, *options):
         self.running = subprocess.Popen(
