@@ -40,7 +40,7 @@ def read_exactly(stream, count):
 
 
 class Load:
-    """The node. Subscribers are counted; `run` publishes until it is told to stop."""
+    """The node. Subscribers are counted; `run` publishes until `end` is called."""
 
     def __init__(self, master, topics, size):
         self.topics, self.size, self.name = topics, size, "/load"

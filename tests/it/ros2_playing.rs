@@ -37,7 +37,7 @@ fn figures(played: &Value) -> [u64; 4] {
     ["published", "refused", "missing", "dropped"].map(|figure| count(played, figure))
 }
 
-/// Waits until so many records of a topic are verified.
+/// Waits until this number of records of a topic is verified.
 fn expect_verified(alice: &Authros, topic: &str, number: usize) {
     wait_until(120, "all is verified", || {
         let records = alice.records(&["uploads", "list", "--topic", topic]);

@@ -263,7 +263,7 @@ fn a_hundred_thousand_records_are_audited_beside_the_bound_of_sm3() {
         let records: i64 = ledger.query_row("SELECT sum(records) FROM counters", [], |row| row.get(0)).ok()?;
         (records >= 100_000).then_some(())
     };
-    poll(1800, total).expect("so many records within half an hour");
+    poll(1800, total).expect("all records within half an hour");
     for topic in &topics {
         authros.run(&["topics", "unwatch", topic]).expect_code(0);
     }

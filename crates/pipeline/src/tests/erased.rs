@@ -1,4 +1,4 @@
-//! A reader who never had a record that its owner erased: it is told so by the owner's word alone, and by no gateway's.
+//! A reader who never had a record that its owner erased: only the owner's word says so, and no gateway's.
 
 use std::time::Duration;
 

@@ -16,7 +16,7 @@ fn line(seconds: u64, theme: &Theme, captured: impl Fn(u64) -> u64) -> [Vec<char
     })
 }
 
-/// A second later, with so many records captured since the beginning.
+/// A second later; `captured` counts from the beginning.
 fn counts(robot: &mut Robot, captured: u64) {
     robot.waits(1);
     let all = fixtures::site().life.captured + captured;
