@@ -59,16 +59,18 @@ pub enum RobotsVerb {
 }
 
 pub fn plan(verb: RobotsVerb, output: &Output) -> Result<Plan, Failure> {
-    let times = parse::Times::now(output);
     let question: Question = match verb {
-        RobotsVerb::Pull { robot, since, until, topics, incident } => command::PullRing {
-            name: robot,
-            since: times.since(since.as_deref())?,
-            until: times.until(until.as_deref())?,
-            topics: parse::values(&topics)?,
-            incident: parse::optional(incident.as_deref())?,
+        RobotsVerb::Pull { robot, since, until, topics, incident } => {
+            let times = parse::Times::now(output);
+            command::PullRing {
+                name: robot,
+                since: times.since(since.as_deref())?,
+                until: times.until(until.as_deref())?,
+                topics: parse::values(&topics)?,
+                incident: parse::optional(incident.as_deref())?,
+            }
+            .into()
         }
-        .into(),
         RobotsVerb::List => command::ListRobots.into(),
         RobotsVerb::Policy { robot, clear: true, .. } => {
             command::SetRobotPolicy { name: robot, text: String::new() }.into()

@@ -7,17 +7,13 @@ use std::collections::BTreeSet;
 
 use authros::model::Timestamp;
 use serde_json::Value;
-use support::{Authros, Console, Terminal, count, heavy, list, long, text, two_profiles, wait_until};
+use support::{Authros, Console, Terminal, count, heavy, ids, list, long, text, two_profiles, wait_until};
 
 const TOPIC: &str = "/robot1/odom";
 const INPUT: i32 = 3;
 
 fn captured(record: &Value) -> Timestamp {
     serde_json::from_value(record["captured_at"].clone()).expect("a time")
-}
-
-fn ids(records: &[Value]) -> BTreeSet<String> {
-    records.iter().map(|record| text(record, "id")).collect()
 }
 
 /// Opens each, and returns them.

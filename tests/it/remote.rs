@@ -14,7 +14,7 @@ use authros::gateway::{
 use authros::model::{Digest, ProfileName, SignerId};
 use serde_json::{Value, json};
 use support::member::Live;
-use support::{Authros, Home, Running, count, list, poll, text, wait_until};
+use support::{Authros, Home, Running, count, ids, list, poll, text, wait_until};
 
 const REFUSED: i32 = 5;
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -44,10 +44,6 @@ impl Gate {
     fn joined(&self, home: &Home, profile: &str) -> Authros {
         home.profile(profile).with(&["--site", &self.address, "--gateway-key", &self.fingerprint])
     }
-}
-
-fn ids(records: &[Value]) -> BTreeSet<String> {
-    records.iter().map(|record| text(record, "id")).collect()
 }
 
 fn shared(authros: &Authros) -> BTreeSet<String> {

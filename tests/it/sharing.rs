@@ -7,13 +7,9 @@ use std::collections::BTreeSet;
 use std::fs;
 
 use serde_json::{Value, json};
-use support::{Authros, at, is_verified, list, text, two_profiles};
+use support::{Authros, at, ids, is_verified, list, text, two_profiles};
 
 const REFUSED: i32 = 5;
-
-fn ids(records: &[Value]) -> BTreeSet<String> {
-    records.iter().map(|record| text(record, "id")).collect()
-}
 
 fn open(authros: &Authros, id: &str) -> Value {
     let opened = authros.json(&["shared", "open", id]);

@@ -32,6 +32,7 @@ pub mod stub_desk;
 pub mod two;
 pub mod wire;
 
+use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::Write;
 use std::net::TcpListener;
@@ -173,6 +174,11 @@ pub fn count(value: &Value, field: &str) -> u64 {
 /// A text in a JSON document.
 pub fn text(value: &Value, field: &str) -> String {
     value[field].as_str().unwrap_or_else(|| panic!("no text '{field}' in {value}")).to_owned()
+}
+
+/// The ids of records.
+pub fn ids(records: &[Value]) -> BTreeSet<String> {
+    records.iter().map(|record| text(record, "id")).collect()
 }
 
 /// A list in a JSON document.

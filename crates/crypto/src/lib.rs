@@ -72,6 +72,6 @@ pub use kdf::{
     signer_id, token, topic_filter_id, topic_id, topic_key,
 };
 pub use secret::{
-    EoaSecret, EpochKey, EpochSalt, FilterKey, Fingerprint, FingerprintError, IndexKey, Passphrase, Sm4Key, SmKeyPair,
-    SmSecret, TopicKey, TransportKey, random_bytes,
+    EoaSecret, EpochKey, EpochSalt, FilterKey, Fingerprint, FingerprintError, IndexKey, Passphrase,
+    SHORTEST_PASSPHRASE, Sm4Key, SmKeyPair, SmSecret, TopicKey, TransportKey, random_bytes,
 };

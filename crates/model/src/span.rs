@@ -163,12 +163,6 @@ impl Timestamp {
         Self::from_seconds(self.0.div_ceil(1_000_000_000))
     }
 
-    /// The end of a right that lasts `length` from this moment, rounded up to the whole second.
-    pub fn end_after(self, length: Duration) -> Self {
-        let length = u64::try_from(length.as_nanos()).unwrap_or(u64::MAX);
-        Self(self.0.saturating_add(length)).to_whole_second()
-    }
-
     /// With exactly three digits of its second, so that columns stand still: `2026-11-22T03:43:21.549Z`.
     pub fn in_milliseconds(self) -> String {
         let second = Self::from_seconds(self.seconds()).to_string();
@@ -348,8 +342,5 @@ mod instant_tests {
         for fraction in [1, 39_050_923, 999_999_999] {
             assert_eq!(Timestamp(whole.0 + fraction).to_whole_second(), Timestamp::from_seconds(1_700_000_001));
         }
-        assert_eq!(Timestamp(whole.0 + 1).end_after(Duration::from_millis(1)), Timestamp::from_seconds(1_700_000_001));
-        assert_eq!(whole.end_after(Duration::from_secs(30)), Timestamp::from_seconds(1_700_000_030));
-        assert_eq!(Timestamp(u64::MAX).end_after(Duration::MAX).0, u64::MAX);
     }
 }

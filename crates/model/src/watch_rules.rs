@@ -55,11 +55,10 @@ impl WatchRules {
         if covered {
             self.0.push(WatchRule { pattern: pattern.clone(), type_name: None, except: true });
         }
-        let first = self.0.iter().position(|rule| !rule.except && !rule.pattern.is_plain()).unwrap_or(self.0.len());
-        let mut place = 0;
+        let mut covers = false;
         self.0.retain(|rule| {
-            place += 1;
-            !rule.except || place > first
+            covers |= !rule.except && !rule.pattern.is_plain();
+            covers || !rule.except
         });
         removed || covered
     }

@@ -74,12 +74,8 @@ pub async fn peers(home: &Home, config: &Config) -> Vec<PartHealth> {
     vec![
         ros.health("ros", if embedded { HealthLevel::Absent } else { HealthLevel::Ok }),
         chain.health("chain", HealthLevel::Ok),
-        part("site", HealthLevel::Absent, site),
+        PartHealth::new("site", HealthLevel::Absent, site),
     ]
-}
-
-fn part(name: &str, level: HealthLevel, text: &str) -> PartHealth {
-    PartHealth { part: name.to_owned(), level, text: clean(text, 600), since: None, retry: None }
 }
 
 fn of_site(running: &Running, sheet: &mut Sheet) {
@@ -148,8 +144,8 @@ impl Sheet {
     fn health(&self, name: &str, well: HealthLevel) -> PartHealth {
         let failed = self.checks.iter().find(|check| check.status == CheckStatus::Fail);
         match failed {
-            Some(check) => part(name, HealthLevel::Failed, &format!("{}; {}", check.detail, check.advice)),
-            None => part(name, well, self.checks.first().map_or("", |check| check.detail.as_str())),
+            Some(check) => PartHealth::new(name, HealthLevel::Failed, &format!("{}; {}", check.detail, check.advice)),
+            None => PartHealth::new(name, well, self.checks.first().map_or("", |check| check.detail.as_str())),
         }
     }
 

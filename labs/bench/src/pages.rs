@@ -9,7 +9,6 @@ use std::time::Instant;
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use self::written::captured_at;
 use super::Lab;
 use super::args::PagesArguments;
 use super::judgement::{Judgement, Target};
@@ -19,6 +18,7 @@ use super::plot::{Axis, Bar, COLOURS, Mark, Plot, Series};
 use super::progress::Progress;
 use super::report::{Measured, Report};
 use super::spread::{Spread, decimal};
+use crate::pipeline::before::captured_at;
 use authros_model::{RecordKind, RecordState};
 use authros_output::table;
 use authros_service::Failure;

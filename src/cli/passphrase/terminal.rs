@@ -1,12 +1,11 @@
 //! Passphrases that a person types. Where standard input is no terminal, nobody is asked.
 
 use super::{Failure, SecretText, input, usage};
-use crate::crypto::{CryptoError, Passphrase};
+use crate::crypto::{CryptoError, Passphrase, SHORTEST_PASSPHRASE};
 use crate::service::failure::refused;
 use crate::term::secret::Hidden;
 
 const ATTEMPTS: usize = 3;
-const SHORTEST: usize = 8;
 
 /// The terminal without its echo; `None` if there is none.
 pub fn begin() -> Result<Option<Hidden>, Failure> {
@@ -49,8 +48,8 @@ pub fn new_one(question: &str) -> Result<Option<SecretText>, Failure> {
     let mut wrong = String::new();
     for _ in 0..ATTEMPTS {
         let typed = answer(&mut hidden, &format!("{wrong}{question}"))?;
-        if typed.expose().chars().count() < SHORTEST {
-            wrong = format!("Use at least {SHORTEST} characters. ");
+        if typed.expose().chars().count() < SHORTEST_PASSPHRASE {
+            wrong = format!("Use at least {SHORTEST_PASSPHRASE} characters. ");
         } else if answer(&mut hidden, "Repeat it")?.expose() == typed.expose() {
             return Ok(Some(typed));
         } else {

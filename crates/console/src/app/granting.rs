@@ -83,8 +83,7 @@ pub fn check(state: &State, wish: &GrantWish) -> Result<(), Wrong> {
     if known && wish.grantee.address().is_none() && contact.is_none() {
         return Err((GRANTEE, format!("no contact is named '{name}'; tab completes names")));
     }
-    let address = wish.grantee.address().or(contact.map(|row| row.address));
-    if active(state, address, &name).is_some_and(|row| same_terms(state, row, wish)) {
+    if standing(state, wish).is_some_and(|row| same_terms(state, row, wish)) {
         return Err((GRANTEE, "already has an active grant on these terms".to_owned()));
     }
     Ok(())

@@ -19,15 +19,12 @@ pub fn meaning(form: &Form, clock: &Clock) -> Option<String> {
     let line = form.lines.get(form.focus)?;
     let (direction, Input::Text(field)) = (line.time?, &line.input) else { return None };
     let text = field.text().trim();
-    if text.is_empty() || text == "never" {
-        return None;
-    }
-    let moment = match direction {
-        Direction::Back => clock.back(text),
-        Direction::Ahead => clock.end(text),
-    };
     // While it is typed, it is not yet one.
-    moment.ok().map(|moment| format!("= {}", clock.meaning(moment)))
+    let moment = match direction {
+        Direction::Back => clock.back(text).ok()?,
+        Direction::Ahead => expiry(text, clock).ok()??,
+    };
+    Some(format!("= {}", clock.meaning(moment)))
 }
 
 const SECOND: u64 = 1_000_000_000;

@@ -233,9 +233,13 @@ pub fn row_facts(row: &RobotRow, now: Timestamp) -> Vec<Fact> {
     let mut facts = vec![("policy", wanted, role), runs(row)];
     facts.extend(drift(row, now));
     facts.push(("waiting", format!("{} of it here", counted(row.waiting, "record")), Role::Body));
-    facts.push(("lost", counted(row.lost, "message"), if row.lost > 0 { Role::Warning } else { Role::Body }));
+    facts.push(lost(row));
     facts.extend(row.address.iter().map(|address| ("delivers", format!("to {}", clean(address, 255)), Role::Body)));
     facts
+}
+
+fn lost(row: &RobotRow) -> Fact {
+    ("lost", counted(row.lost, "message"), if row.lost > 0 { Role::Warning } else { Role::Body })
 }
 
 fn runs(row: &RobotRow) -> Fact {
@@ -272,7 +276,7 @@ pub fn facts(view: &RobotView, now: Timestamp) -> Vec<Fact> {
     let overruled = view.overruled.iter();
     facts.extend(overruled.map(|what| ("overruled", format!("on the robot: {}", clean(what, 300)), Role::Body)));
     facts.push(("last seen", seen, Role::Body));
-    facts.push(("lost", counted(row.lost, "message"), if row.lost > 0 { Role::Warning } else { Role::Body }));
+    facts.push(lost(row));
     facts.push(("device", row.device.to_hex(), Role::Dim));
     for address in view.gateway.iter().flat_map(|gateway| &gateway.addresses) {
         facts.push(("gateway", clean(address, 255), Role::Body));

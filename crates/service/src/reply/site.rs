@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::model::{ErrorKind, ProfileName, Timestamp};
+use crate::model::{ErrorKind, ProfileName, Timestamp, clean};
 use crate::store::CacheState;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -30,6 +30,15 @@ pub struct PartHealth {
     /// Seconds until the next attempt.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub retry: Option<u64>,
+}
+
+impl PartHealth {
+    /// What to do must not be cut.
+    const LONGEST: usize = 600;
+
+    pub fn new(part: &str, level: HealthLevel, text: &str) -> Self {
+        Self { part: part.to_owned(), level, text: clean(text, Self::LONGEST), since: None, retry: None }
+    }
 }
 
 /// Data records of one profile by stage. Always captured = verified + pending + unauthorised + quarantined + dropped +

@@ -20,8 +20,6 @@ use crate::store::StateCounts;
 
 const GAS_OVER: u64 = 100;
 const WAITING_SHOWN: usize = 20;
-/// Of a part's text: what to do must not be cut.
-const LONGEST: usize = 600;
 
 impl Site {
     pub(super) async fn site_view(&self, profile: &ProfileName) -> Result<SiteView, Failure> {
@@ -49,25 +47,29 @@ impl Site {
     pub(super) fn parts_health(&self) -> Result<Vec<PartHealth>, Failure> {
         if let Some(original) = self.home().original() {
             let text = format!("{} is read-only: this is its last state, and nothing is running", original.display());
-            return Ok(vec![part("home", HealthLevel::Absent, &text), self.chain_health(), self.store_health()?]);
+            return Ok(vec![
+                PartHealth::new("home", HealthLevel::Absent, &text),
+                self.chain_health(),
+                self.store_health()?,
+            ]);
         }
         let mut health = vec![self.ros_health(), self.chain_health(), self.store_health()?];
         health.extend(self.cache_health());
         health.push(self.gateway_health());
-        health.extend(self.ros.second.health().map(|(level, text)| part("ros 2", level, &text)));
+        health.extend(self.ros.second.health().map(|(level, text)| PartHealth::new("ros 2", level, &text)));
         health.extend(self.clock.health());
         health.extend(self.stamps.health()?);
         health.extend(self.chain_proofs.health()?);
         let found = foreign::recent(&self.plant)?;
         health.extend(found.map(|found| PartHealth {
             since: Some(found.noted),
-            ..part("account", HealthLevel::Failed, &foreign::text(&found))
+            ..PartHealth::new("account", HealthLevel::Failed, &foreign::text(&found))
         }));
-        health.extend(self.sharing.missing_text().map(|text| part("keys", HealthLevel::Failed, &text)));
+        health.extend(self.sharing.missing_text().map(|text| PartHealth::new("keys", HealthLevel::Failed, &text)));
         let faults = self.profiles.keyring_faults()?;
-        health.extend(faults.iter().map(|(_, text)| part("keyring", HealthLevel::Failed, text)));
+        health.extend(faults.iter().map(|(_, text)| PartHealth::new("keyring", HealthLevel::Failed, text)));
         health.extend(self.standstill.health());
-        health.extend(self.devices.untold_text().map(|text| part("robots", HealthLevel::Failed, &text)));
+        health.extend(self.devices.untold_text().map(|text| PartHealth::new("robots", HealthLevel::Failed, &text)));
         Ok(health)
     }
 
@@ -87,7 +89,7 @@ impl Site {
             RosState::Up(link) => (HealthLevel::Ok, link.uri.clone()),
             RosState::Down { failure, .. } => (HealthLevel::Failed, failure.message.clone()),
         };
-        part("ros", level, &text)
+        PartHealth::new("ros", level, &text)
     }
 
     fn chain_health(&self) -> PartHealth {
@@ -112,16 +114,16 @@ impl Site {
                 // A started second counts as one.
                 let retry = left.as_millis().div_ceil(1_000).try_into().unwrap_or(u64::MAX).max(1);
                 let text = format!("retry in {retry} s: {}", failure.message);
-                return PartHealth { retry: Some(retry), ..part("chain", HealthLevel::Failed, &text) };
+                return PartHealth { retry: Some(retry), ..PartHealth::new("chain", HealthLevel::Failed, &text) };
             }
         };
-        part("chain", level, &text)
+        PartHealth::new("chain", level, &text)
     }
 
     fn store_health(&self) -> Result<PartHealth, Failure> {
         Ok(match self.storage.fault()? {
-            Some(text) => part("store", HealthLevel::Failed, &text),
-            None => part("store", HealthLevel::Ok, "rows and ciphertext in one file"),
+            Some(text) => PartHealth::new("store", HealthLevel::Failed, &text),
+            None => PartHealth::new("store", HealthLevel::Ok, "rows and ciphertext in one file"),
         })
     }
 
@@ -132,25 +134,27 @@ impl Site {
             Some(away) => (HealthLevel::Absent, Some(away.since)),
             None => (HealthLevel::Ok, None),
         };
-        Some(PartHealth { since, ..part("cache", level, &state.line()) })
+        Some(PartHealth { since, ..PartHealth::new("cache", level, &state.line()) })
     }
 
     fn gateway_health(&self) -> PartHealth {
         match self.gateway.line() {
-            Some(Line::Connecting) => return part("gateway", HealthLevel::Waiting, "connecting"),
-            Some(Line::Up) => return part("gateway", HealthLevel::Ok, "connected"),
-            Some(Line::InPlace(text)) => return part("gateway", HealthLevel::Ok, &text),
-            Some(Line::Away(text)) => return part("gateway", HealthLevel::Waiting, &text),
-            Some(Line::Refused(text)) => return part("gateway", HealthLevel::Failed, &text),
+            Some(Line::Connecting) => return PartHealth::new("gateway", HealthLevel::Waiting, "connecting"),
+            Some(Line::Up) => return PartHealth::new("gateway", HealthLevel::Ok, "connected"),
+            Some(Line::InPlace(text)) => return PartHealth::new("gateway", HealthLevel::Ok, &text),
+            Some(Line::Away(text)) => return PartHealth::new("gateway", HealthLevel::Waiting, &text),
+            Some(Line::Refused(text)) => return PartHealth::new("gateway", HealthLevel::Failed, &text),
             None => {}
         }
         match self.gateway.served() {
-            Some(view) => part(
+            Some(view) => PartHealth::new(
                 "gateway",
                 HealthLevel::Ok,
                 &format!("{}, fingerprint {}, anchors as {}", view.address, view.fingerprint, view.account),
             ),
-            None => part("gateway", HealthLevel::Absent, "not running; start one with authros gateway serve"),
+            None => {
+                PartHealth::new("gateway", HealthLevel::Absent, "not running; start one with authros gateway serve")
+            }
         }
     }
 
@@ -271,8 +275,4 @@ impl Site {
         }
         Ok(view)
     }
-}
-
-fn part(name: &str, level: HealthLevel, text: &str) -> PartHealth {
-    PartHealth { part: name.to_owned(), level, text: clean(text, LONGEST), since: None, retry: None }
 }

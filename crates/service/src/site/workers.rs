@@ -21,7 +21,6 @@ use super::standstill::Standstill;
 use super::storage::Storage;
 use super::{Needs, NetworkState, Site};
 use crate::chain::ChainError;
-use crate::model::ErrorKind;
 use crate::pipeline::anchorer::Anchorer;
 use crate::pipeline::stages::Stage;
 use crate::pipeline::{Owner, PipelineError, verifier, watcher};
@@ -251,11 +250,7 @@ async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
             }
             Err(error) => {
                 let why = format!("records of {} are waiting to be anchored: {}", owner.profile, error.message);
-                // What is not the chain's fault does not end with an answer of the chain.
-                match error.kind {
-                    ErrorKind::Unreachable => site.parts.hub.notice_about(link::ABOUT, NoticeLevel::Error, &why),
-                    _ => site.parts.hub.alarm(&why),
-                }
+                link::tell_trouble(&site.parts.hub, error.kind, &why);
                 tokio::time::sleep(pause).await;
                 pause = (pause * 2).min(Duration::from_secs(5));
             }

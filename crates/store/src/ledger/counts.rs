@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::ops::RangeInclusive;
 
-use rusqlite::{Connection, params};
+use rusqlite::{Connection, Params, params};
 use serde::{Deserialize, Serialize};
 
 use super::Counts;
@@ -69,6 +69,16 @@ pub struct SealedInEpoch {
     pub last: Timestamp,
 }
 
+/// Messages that an owner sealed in epochs, by [`sealed_in`].
+const SEALED_IN_EPOCHS: &str = "FROM epoch_records
+    JOIN streams ON streams.key = epoch_records.stream JOIN topics ON topics.key = streams.topic
+    WHERE topics.owner = ?1 AND epoch BETWEEN ?2 AND ?3 AND kind = ?4 AND records > 0";
+
+fn sealed_in(owner: Address, epochs: &RangeInclusive<u64>) -> Result<impl Params, StoreError> {
+    let (first, last) = (whole("epoch", *epochs.start())?, whole("epoch", *epochs.end())?);
+    Ok((owner.0, first, last, RecordKind::Data.code()))
+}
+
 impl TopicCounts {
     pub fn is_conserved(&self) -> bool {
         let settled = self.verified + self.quarantined + self.dropped + self.tampered;
@@ -118,17 +128,14 @@ impl Counts {
         owner: Address,
         epochs: RangeInclusive<u64>,
     ) -> Result<(u64, Option<Timestamp>), StoreError> {
-        let sealed = self.by_epoch(owner, epochs)?;
-        Ok((sealed.iter().map(|one| one.records).sum(), sealed.iter().map(|one| one.first).min()))
+        let sql = format!("SELECT coalesce(sum(records), 0), min(first_at) {SEALED_IN_EPOCHS}");
+        self.0.one(&sql, sealed_in(owner, &epochs)?, |row| Ok((unsigned(row, 0)?, optional(row, 1)?.map(Timestamp))))
     }
 
     /// The same for each topic and epoch.
     pub fn by_epoch(&self, owner: Address, epochs: RangeInclusive<u64>) -> Result<Vec<SealedInEpoch>, StoreError> {
-        let sql = "SELECT topics.topic_id, epoch, records, first_at, last_at FROM epoch_records
-            JOIN streams ON streams.key = epoch_records.stream JOIN topics ON topics.key = streams.topic
-            WHERE topics.owner = ?1 AND epoch BETWEEN ?2 AND ?3 AND kind = ?4 AND records > 0";
-        let (first, last) = (whole("epoch", *epochs.start())?, whole("epoch", *epochs.end())?);
-        self.0.list(sql, params![owner.0, first, last, RecordKind::Data.code()], |row| {
+        let sql = format!("SELECT topics.topic_id, epoch, records, first_at, last_at {SEALED_IN_EPOCHS}");
+        self.0.list(&sql, sealed_in(owner, &epochs)?, |row| {
             Ok(SealedInEpoch {
                 topic: TopicId(row.get(0)?),
                 epoch: unsigned(row, 1)?,

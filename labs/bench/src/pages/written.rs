@@ -5,14 +5,12 @@ use std::path::Path;
 
 use rusqlite::{Connection, params};
 
-use crate::pipeline::before::{BEGIN, OWNER, TOPICS, record};
+use crate::pipeline::before::{APART, OWNER, TOPICS, record};
 use authros_model::{Digest, RecordState};
 use authros_service::Failure;
 use authros_service::failure::internal;
 use authros_store::Ledger;
 
-/// Nanoseconds between two captures.
-pub const APART: u64 = 1_000_000;
 /// One record in this many is in quarantine: a prime, so that every topic has some.
 pub const HELD: u64 = 997;
 /// Rows in one statement.
@@ -84,14 +82,10 @@ fn write(path: &Path, records: u64, done: &mut impl FnMut(u64)) -> rusqlite::Res
     Ok(())
 }
 
-/// When the record of that number was captured.
-pub fn captured_at(number: u64) -> authros_model::Timestamp {
-    authros_model::Timestamp(BEGIN + number * APART)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pipeline::before::captured_at;
     use authros_store::RecordQuery;
 
     #[test]

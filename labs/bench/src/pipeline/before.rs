@@ -22,7 +22,9 @@ pub(crate) const OWNER: Address = Address([1; 20]);
 /// Topics that they are of, in turn: each record of a commit touches its own pages in two indices, the worst case.
 pub(crate) const TOPICS: u64 = 500;
 /// When the first was captured; each is a millisecond after the one before it.
-pub(crate) const BEGIN: u64 = 1_700_000_000_000_000_000;
+const BEGIN: u64 = 1_700_000_000_000_000_000;
+/// Nanoseconds between two captures.
+pub(crate) const APART: u64 = 1_000_000;
 /// Records put in at a time, and in a batch.
 const BULK: u64 = 5_000;
 /// Bytes of a signed transaction that anchors a root.
@@ -62,6 +64,11 @@ fn blob(number: u64) -> Vec<u8> {
     bytes
 }
 
+/// When the record of that number was captured.
+pub(crate) fn captured_at(number: u64) -> Timestamp {
+    Timestamp(BEGIN + number * APART)
+}
+
 /// The record of that number.
 pub(crate) fn record(number: u64, digest: Digest, blob: Option<Vec<u8>>) -> NewRecord {
     let topic = number % TOPICS;
@@ -81,7 +88,7 @@ pub(crate) fn record(number: u64, digest: Digest, blob: Option<Vec<u8>>) -> NewR
         topic: format!("/robot{}/sensor{}/data", topic / 20, topic % 20),
         type_name: "sensor_msgs/LaserScan".to_owned(),
         bytes: 1024,
-        captured_at: Timestamp(BEGIN + number * 1_000_000),
+        captured_at: captured_at(number),
         simulated: true,
         state: RecordState::Stored,
         blob,

@@ -179,14 +179,12 @@ impl Capture {
 
     pub fn hold(&self, profile: &ProfileName, hold: bool) -> Result<(), Failure> {
         let Some(owner) = self.parts.owners.get(profile) else { return Ok(()) };
-        if hold {
-            self.ros.second.settle(None);
+        if !hold {
+            return self.watches.restore(&owner);
         }
-        if hold {
-            self.watches.hold(&owner);
-            return Ok(());
-        }
-        self.watches.restore(&owner)
+        self.ros.second.settle(None);
+        self.watches.hold(&owner);
+        Ok(())
     }
 
     pub async fn learn_policy(&self, profile: &ProfileName, milliseconds: u64) -> Result<PolicyView, Failure> {

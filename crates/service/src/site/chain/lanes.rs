@@ -1,16 +1,15 @@
 //! The accounts that anchor for each owner: the owner's own and extra ones.
 
-use crate::site::chain::link::ABOUT;
+use crate::site::chain::link;
 use crate::site::parts::Parts;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use crate::crypto::EoaSecret;
-use crate::model::{Address, Domain, ErrorKind};
+use crate::model::{Address, Domain};
 use crate::pipeline::anchorer::{self, MOST_LANES};
 use crate::pipeline::sender::LaneState;
 use crate::pipeline::{Network, Owner};
-use crate::service::event::NoticeLevel;
 use crate::service::failure::refused;
 use crate::service::reply::Failure;
 
@@ -86,10 +85,7 @@ impl Lanes {
         for owner in self.parts.owners.all() {
             if let Err(failure) = self.tend_lanes_of(&owner, network).await {
                 let text = format!("transactions of {} are waiting: {}", owner.profile, failure.message);
-                match failure.kind {
-                    ErrorKind::Unreachable => self.parts.hub.notice_about(ABOUT, NoticeLevel::Error, &text),
-                    _ => self.parts.hub.alarm(&text),
-                }
+                link::tell_trouble(&self.parts.hub, failure.kind, &text);
             }
         }
     }

@@ -11,12 +11,21 @@ use crate::chain::{BlockRef, Chain, MEASURED};
 use crate::event::{NoticeLevel, Part};
 use crate::failure::{input, internal};
 use crate::hub::Hub;
+use crate::model::ErrorKind;
 use crate::model::steady_clock::look;
 use crate::pipeline::Network;
 use crate::reply::Failure;
 
 /// Subject of notices about the chain: the health's part.
 pub const ABOUT: &str = "chain";
+
+/// A trouble on the way to the chain. One that is not the chain's does not end with an answer of the chain.
+pub fn tell_trouble(hub: &Hub, kind: ErrorKind, text: &str) {
+    match kind {
+        ErrorKind::Unreachable => hub.notice_about(ABOUT, NoticeLevel::Error, text),
+        _ => hub.alarm(text),
+    }
+}
 
 /// `Swapped` = another chain answers, or the pinned one wiped: anchoring pauses until the pinned one returns.
 #[derive(Clone)]

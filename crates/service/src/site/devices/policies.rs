@@ -22,9 +22,9 @@ const MOST: usize = 10_000;
 const MOST_LOSSES: usize = 256;
 const MOST_ROBOTS: usize = 100_000;
 
-/// Messages lost, by the digest of the report that says so: a report is opened once.
+/// Topic and messages lost, by the digest of the report that says so: a report is opened once.
 #[derive(Default)]
-pub struct Losses(Mutex<BTreeMap<Digest, u64>>);
+pub struct Losses(Mutex<BTreeMap<Digest, (String, u64)>>);
 
 struct Known {
     reports: BTreeMap<SignerId, (PolicyReport, Timestamp)>,
@@ -37,10 +37,9 @@ impl Devices {
         let network = self.parts.link.network().await?;
         let robots = self.enrolments.of(owner)?.into_iter().filter(|robot| !robot.ended);
         let robots: Vec<Enrolled> = robots.collect();
-        let (known, lost) = block_in_place(|| {
-            Ok::<_, Failure>((self.known(owner, &network)?, self.lost_by_all(owner, &network, &robots)?))
-        })?;
-        let lost_by = |device: SignerId| lost.get(&device).copied().unwrap_or_default();
+        let (known, lost) =
+            block_in_place(|| Ok::<_, Failure>((self.known(owner, &network)?, self.lost(owner, &network, &robots)?)))?;
+        let lost_by = |device: SignerId| lost.get(&device).map(sum).unwrap_or_default();
         let robots = robots.into_iter();
         let row = |robot: Enrolled| Ok(row(&robot, &self.wanted(owner, robot.device)?, &known, lost_by(robot.device)));
         let mut rows = robots.map(row).collect::<Result<Vec<_>, Failure>>()?;
@@ -54,11 +53,12 @@ impl Devices {
         let wanted = self.wanted(owner, robot.device)?;
         let (known, lost) = block_in_place(|| {
             let known = self.known(owner, &network)?;
-            Ok::<_, Failure>((known, self.lost(owner, &network, &robot)?))
+            Ok::<_, Failure>((known, self.lost(owner, &network, std::slice::from_ref(&robot))?))
         })?;
+        let lost = lost.into_values().next().unwrap_or_default();
         let report = known.reports.get(&robot.device).map(|(report, _)| report.clone()).unwrap_or_default();
         Ok(RobotView {
-            row: row(&robot, &wanted, &known, lost.values().copied().fold(0, u64::saturating_add)),
+            row: row(&robot, &wanted, &known, sum(&lost)),
             gateway: robot.gateway.clone().map(Into::into),
             enrolled: robot.topics.iter().map(|topic| clean(topic, 255)).collect(),
             topics: topic_rows(robot.device, &known.topics, lost),
@@ -155,45 +155,35 @@ impl Devices {
         Ok(self.parts.plant.ledger.records.list(&query)?.rows)
     }
 
-    fn gap(&self, owner: &Owner, network: &Network, robot: &Enrolled, row: &RecordRow) -> Option<GapReport> {
-        let opened = self.opened(owner, network, robot, row)?;
-        GapReport::parse(&opened.body).ok()
-    }
-
-    fn lost(&self, owner: &Owner, network: &Network, robot: &Enrolled) -> Result<BTreeMap<String, u64>, Failure> {
-        let rows = self.gaps(owner)?.into_iter().filter(|row| row.signer == robot.device);
-        let mut lost: BTreeMap<String, u64> = BTreeMap::new();
-        for gap in rows.take(MOST_LOSSES).filter_map(|row| self.gap(owner, network, robot, &row)) {
-            let count = lost.entry(gap.topic).or_default();
-            *count = count.saturating_add(gap.count);
-        }
-        Ok(lost)
-    }
-
-    fn lost_by_all(
+    /// What each of these robots lost of each topic, by its newest reports.
+    fn lost(
         &self,
         owner: &Owner,
         network: &Network,
         robots: &[Enrolled],
-    ) -> Result<BTreeMap<SignerId, u64>, Failure> {
-        let mut taken: BTreeMap<SignerId, (usize, u64)> = BTreeMap::new();
-        let before = std::mem::take(&mut *self.losses.0.lock().unwrap_or_else(PoisonError::into_inner));
+    ) -> Result<BTreeMap<SignerId, BTreeMap<String, u64>>, Failure> {
+        let mut lost: BTreeMap<SignerId, (usize, BTreeMap<String, u64>)> = BTreeMap::new();
+        let mut before = std::mem::take(&mut *self.losses.0.lock().unwrap_or_else(PoisonError::into_inner));
         let mut now = BTreeMap::new();
         for row in self.gaps(owner)? {
-            let Some(robot) = robots.iter().find(|robot| robot.device == row.signer) else { continue };
-            let (reports, lost) = taken.entry(row.signer).or_default();
-            if *reports == MOST_LOSSES {
-                continue;
+            let mut known = before.remove(&row.digest);
+            if let Some(robot) = robots.iter().find(|robot| robot.device == row.signer) {
+                let (reports, topics) = lost.entry(row.signer).or_default();
+                if *reports == MOST_LOSSES {
+                    continue;
+                }
+                *reports += 1;
+                let opened = || GapReport::parse(&self.opened(owner, network, robot, &row)?.body).ok();
+                known = known.or_else(|| opened().map(|gap| (gap.topic, gap.count)));
+                if let Some((topic, count)) = &known {
+                    let sum = topics.entry(topic.clone()).or_default();
+                    *sum = sum.saturating_add(*count);
+                }
             }
-            *reports += 1;
-            let opened = || self.gap(owner, network, robot, &row).map(|gap| gap.count);
-            if let Some(count) = before.get(&row.digest).copied().or_else(opened) {
-                now.insert(row.digest, count);
-                *lost = lost.saturating_add(count);
-            }
+            now.extend(known.map(|known| (row.digest, known)));
         }
         *self.losses.0.lock().unwrap_or_else(PoisonError::into_inner) = now;
-        Ok(taken.into_iter().map(|(device, (_, lost))| (device, lost)).collect())
+        Ok(lost.into_iter().map(|(device, (_, topics))| (device, topics)).collect())
     }
 
     fn opened(&self, owner: &Owner, network: &Network, robot: &Enrolled, row: &RecordRow) -> Option<OpenedRecord> {
@@ -204,6 +194,10 @@ impl Devices {
         let expected = Expected { topic_id, ..Expected::any_of(network.domain, owner.address, names) };
         open(self.parts.plant.provider, &blob, &row.signature, &signer, Anchor::Unanchored, &key, &expected).ok()
     }
+}
+
+fn sum(topics: &BTreeMap<String, u64>) -> u64 {
+    topics.values().copied().fold(0, u64::saturating_add)
 }
 
 fn row(robot: &Enrolled, wanted: &PolicyWanted, known: &Known, lost: u64) -> RobotRow {

@@ -101,19 +101,22 @@ impl Reading {
     fn of_robot(&self, owners: &[Address], query: UploadQuery) -> Result<RecordQuery, Failure> {
         let Some(robot) = query.robot.clone() else { return Ok(view::record_query(query)) };
         let ledger = &self.parts.plant.ledger;
-        let (mut enrolled, mut topics) = (Vec::new(), Vec::new());
+        let mut enrolled = Vec::new();
         for owner in owners {
             enrolled.extend(block_in_place(|| enrolled::of_account(&ledger.notes, *owner))?);
-            topics.extend(block_in_place(|| ledger.counts.by_state(Some(*owner)))?.topics);
         }
         let unknown = match devices_of(&enrolled, &robot) {
             Ok(signers) => return Ok(RecordQuery { signers: Some(signers), ..view::record_query(query) }),
             Err(unknown) => unknown,
         };
-        match TopicPattern::of_robot(&robot) {
-            Ok(under) if topics.iter().any(|topic| under.matches(&topic.topic)) => of_namespace(query),
-            _ => Err(unknown),
+        let Ok(under) = TopicPattern::of_robot(&robot) else { return Err(unknown) };
+        for owner in owners {
+            let counts = block_in_place(|| ledger.counts.by_state(Some(*owner)))?;
+            if counts.topics.iter().any(|topic| under.matches(&topic.topic)) {
+                return of_namespace(query);
+            }
         }
+        Err(unknown)
     }
 }
 

@@ -27,8 +27,18 @@ impl Sharing {
         let network = self.parts.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         network.directory.identity(owner.address)?;
+        self.begin_rotated(owner, &network, why).await
+    }
+
+    /// Begins an epoch that every reader gets the keys of. The caller holds the owner's changes.
+    pub(super) async fn begin_rotated(
+        &self,
+        owner: &Arc<Owner>,
+        network: &Network,
+        why: &str,
+    ) -> Result<TransactionView, Failure> {
         let call = |new_token, envelope| Call::Rotate { new_token, envelope };
-        self.begin_epoch(owner, &network, &format!("rotate ({why})"), call).await
+        self.begin_epoch(owner, network, &format!("rotate ({why})"), call).await
     }
 
     /// Switches the recorder to the next epoch, sends it to the chain with its key wrapped for the owner, and re-wraps

@@ -8,7 +8,6 @@ use tokio::task::block_in_place;
 
 use super::Sharing;
 use super::epochs::ENVELOPES_A_CALL;
-use crate::chain::Call;
 use crate::failure::{input, refused};
 use crate::model::{Address, Party, Scope, Timestamp, TopicId, TopicName};
 use crate::pipeline::{Network, Owner, authority};
@@ -104,8 +103,7 @@ impl Sharing {
         if self.is_behind(owner, network)? {
             self.next_epoch(owner, network, "a grant expired").await?;
         }
-        let call = |new_token, envelope| Call::Rotate { new_token, envelope };
-        let begun = self.begin_epoch(owner, network, "rotate (for a grant from now on)", call).await?;
+        let begun = self.begin_rotated(owner, network, "for a grant from now on").await?;
         self.begun.lock().unwrap_or_else(PoisonError::into_inner).insert(owner.address, begun.epoch);
         // They are told again as long as one does not know.
         if let Err(failure) = block_in_place(|| self.enrolments.tell_devices(owner, network)) {

@@ -108,8 +108,7 @@ impl Sharing {
         why: &str,
     ) -> Result<TransactionView, Failure> {
         let Some(grantee) = self.owed_revocations(owner, network)?.first().copied() else {
-            let call = |new_token, envelope| Call::Rotate { new_token, envelope };
-            return self.begin_epoch(owner, network, &format!("rotate ({why})"), call).await;
+            return self.begin_rotated(owner, network, why).await;
         };
         let call = |new_token, envelope| Call::AuthorityRevoke { grantee, new_token, envelope };
         let view = self.begin_epoch(owner, network, &format!("revoke {grantee} (resumed)"), call).await?;
