@@ -1,7 +1,7 @@
 //! The check of a bundle against its reader's pins, level by level. Results are computed once for many records, by all
 //! threads, so that a stranger's file costs no more than its length.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
 use std::sync::{PoisonError, RwLock};
 
 use crate::bundle::{
@@ -13,7 +13,7 @@ use crate::report::{Disclosed, Level, Outcome, RecordReport, Report, Standing};
 use crate::state::{AnchorWord, KeysWord, Storage, Unproven};
 use crate::time::{BundledStamp, Certificate, StampedRoot, TimeError, check_token};
 use crate::trust::{PinnedAuthority, Trust};
-use authros_crypto::merkle::{Climber, LONGEST_PATH, Leaf};
+use authros_crypto::merkle::{KnownPaths, Leaf};
 use authros_crypto::record::{Revealed, signed_bytes};
 use authros_crypto::{Provider, domain, pool, signer_id};
 use authros_model::{Address, Digest, Domain, Hash, Header, Identity, PublicKey, SignerId, Timestamp, clean};
@@ -315,7 +315,7 @@ pub(crate) struct Known<'a> {
     rights: Memo<(Address, SignerId, Place), Signed>,
     /// Level (c) of the records that were anchored alike.
     pub sealings: Memo<(u64, u64, Option<u64>), Level>,
-    paths: RwLock<HashMap<(Hash, Climber), &'a [Hash]>>,
+    paths: KnownPaths<'a>,
 }
 
 type Place = (u64, u64, Option<u64>, Address, Option<u64>, u64);
@@ -335,32 +335,10 @@ impl<'a> Known<'a> {
         self.keys.get((shown_at, account, version), || storage.keys(account, version))
     }
 
-    /// A claim without a path has nothing to show. Paths of one batch meet: a rest already known is not hashed.
+    /// A claim without a path has nothing to show.
     pub fn leads(&self, leaf: &Leaf, claim: &'a AnchorClaim) -> bool {
         let Anchoring::Batch { root, index, count, path, .. } = &claim.anchor else { return true };
-        let Some(mut climber) = Climber::at(leaf.hash(), *index, *count).filter(|_| path.len() <= LONGEST_PATH) else {
-            return false;
-        };
-        let (mut rest, mut passed) = (path.as_slice(), Vec::with_capacity(path.len()));
-        while let Some((sibling, above)) = rest.split_first() {
-            if !climber.pass(sibling) {
-                return false;
-            }
-            rest = above;
-            let known = self.paths.read().unwrap_or_else(PoisonError::into_inner);
-            if known.get(&(*root, climber)).is_some_and(|known| *known == rest) {
-                break;
-            }
-            drop(known);
-            passed.push((climber, rest));
-        }
-        // Left early: the rest is known to lead there.
-        let leads = passed.len() < path.len() || climber.root() == Some(*root);
-        if leads {
-            let mut known = self.paths.write().unwrap_or_else(PoisonError::into_inner);
-            known.extend(passed.into_iter().map(|(climber, rest)| ((*root, climber), rest)));
-        }
-        leads
+        self.paths.lead(leaf.hash(), (*index, *count), path, *root)
     }
 }
 

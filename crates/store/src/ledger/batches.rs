@@ -2,9 +2,10 @@
 
 use std::collections::BTreeMap;
 
-use rusqlite::{Connection, OptionalExtension as _, Row, params};
+use rusqlite::{CachedStatement, Connection, OptionalExtension as _, Row, params};
 use serde::{Deserialize, Serialize};
 
+use super::branches::Branches;
 use super::rows::{self, By, LEARNED_NAME, TOPIC_NAME, may, optional, time, unsigned};
 use super::{Batches, Counts, RecordRow, Records, branches, directory, sightings};
 use crate::StoreError;
@@ -163,6 +164,14 @@ impl Records {
     pub fn placed_all(&self, digests: &[Digest]) -> Result<Vec<Option<PlacedRecord>>, StoreError> {
         self.0.read(|connection| placed_in(connection, digests))
     }
+
+    /// In order, all of one moment; without their rows.
+    pub fn places(&self, digests: &[Digest]) -> Result<Vec<Option<BatchPlace>>, StoreError> {
+        self.0.read(|connection| {
+            let mut places = Places::new(connection)?;
+            digests.iter().map(|digest| places.of(*digest)).collect()
+        })
+    }
 }
 
 /// From recorder, topic, number, digest, owner, signer.
@@ -181,25 +190,41 @@ pub(super) const CONTRADICTED: &str = "records.state = 6 AND records.tx IS NULL 
 
 pub(super) fn placed_in(connection: &Connection, digests: &[Digest]) -> Result<Vec<Option<PlacedRecord>>, StoreError> {
     let rows = rows::rows_of(connection, digests)?;
-    let mut find = connection.prepared(&format!(
-        "SELECT leaf, count, branches.path, root, closed_at, account, batches.block, batches.block_hash,
-            batches.tx, {CONTRADICTED}
-            FROM records JOIN leaves ON record = n JOIN batches ON key = leaves.batch {}
-            WHERE digest = ?1",
-        branches::JOINED
-    ))?;
-    let mut with_place =
-        |row: RecordRow| Ok(PlacedRecord { place: find.query_row([row.digest.0], place).optional()?, row });
+    let mut places = Places::new(connection)?;
+    let mut with_place = |row: RecordRow| Ok(PlacedRecord { place: places.of(row.digest)?, row });
     rows.into_iter().map(|row| row.map(&mut with_place).transpose()).collect()
 }
 
-fn place(row: &Row<'_>) -> rusqlite::Result<BatchPlace> {
-    let (index, count) = (unsigned(row, 0)?, unsigned(row, 1)?);
-    let path = branches::path_of(row, 2, (index, count))?;
+struct Places<'a> {
+    find: CachedStatement<'a>,
+    branches: Branches,
+}
+
+impl<'a> Places<'a> {
+    fn new(connection: &'a Connection) -> Result<Self, StoreError> {
+        let find = connection.prepared(&format!(
+            "SELECT leaf, count, branches.path, root, closed_at, account, batches.block, batches.block_hash,
+                batches.tx, {CONTRADICTED}
+                FROM records JOIN leaves ON record = n JOIN batches ON key = leaves.batch {}
+                WHERE digest = ?1",
+            branches::JOINED
+        ))?;
+        Ok(Self { find, branches: Branches::default() })
+    }
+
+    fn of(&mut self, digest: Digest) -> Result<Option<BatchPlace>, StoreError> {
+        let branches = &mut self.branches;
+        Ok(self.find.query_row([digest.0], |row| place(row, branches)).optional()?)
+    }
+}
+
+fn place(row: &Row<'_>, branches: &mut Branches) -> rusqlite::Result<BatchPlace> {
+    let (index, count, root) = (unsigned(row, 0)?, unsigned(row, 1)?, Hash(row.get(3)?));
+    let path = branches.path_of(row, 2, root, (index, count))?;
     let (closed_at, account) = (time(row, 4)?, row.get::<_, Option<_>>(5)?.map(Address));
     let (block, block_hash) = (optional(row, 6)?, row.get::<_, Option<_>>(7)?.map(Hash));
     let (transaction, is_contradicted) = (row.get::<_, Option<_>>(8)?.map(Hash), row.get(9)?);
-    let inclusion = Inclusion { index, count, path, root: Hash(row.get(3)?) };
+    let inclusion = Inclusion { index, count, path, root };
     Ok(BatchPlace { inclusion, closed_at, account, block, block_hash, transaction, is_contradicted })
 }
 

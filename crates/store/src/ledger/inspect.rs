@@ -6,6 +6,7 @@ use std::collections::HashMap;
 use rusqlite::{Row, params};
 
 use super::Inspection;
+use super::branches::Branches;
 use super::rows::{self, RecordRow, Stream, optional, unsigned};
 use super::{batches, branches};
 use crate::StoreError;
@@ -99,10 +100,10 @@ impl Inspection {
                 batches::CONTRADICTED,
                 branches::JOINED
             );
-            let (mut page, mut last) = (AuditPage::default(), 0);
+            let (mut page, mut last, mut branches) = (AuditPage::default(), 0, Branches::default());
             connection.each(&sql, params![after, since, limit], |row| {
                 last = unsigned(row, RECORD_COLUMNS)?;
-                let record = audited(row, &streams);
+                let record = audited(row, &streams, &mut branches);
                 page.records.push(record.map_err(|error| (last, clean(&error.to_string(), 160))));
                 Ok(())
             })?;
@@ -218,25 +219,25 @@ impl Inspection {
     }
 }
 
-fn audited(row: &Row<'_>, streams: &HashMap<i64, Stream>) -> rusqlite::Result<AuditedRecord> {
+fn audited(row: &Row<'_>, streams: &HashMap<i64, Stream>, branches: &mut Branches) -> rusqlite::Result<AuditedRecord> {
     Ok(AuditedRecord {
         number: unsigned(row, RECORD_COLUMNS)?,
         row: rows::record(row, streams)?,
-        place: place(row)?,
+        place: place(row, branches)?,
         is_stored: row.get(RECORD_COLUMNS + 9)?,
         in_its_topic: row.get::<_, Option<bool>>(RECORD_COLUMNS + 10)?.unwrap_or(false),
         as_retained: row.get(RECORD_COLUMNS + 11)?,
     })
 }
 
-fn place(row: &Row<'_>) -> rusqlite::Result<Option<AuditedPlace>> {
+fn place(row: &Row<'_>, branches: &mut Branches) -> rusqlite::Result<Option<AuditedPlace>> {
     let column = |number: usize| RECORD_COLUMNS + number;
     if row.get::<_, Option<i64>>(column(1))?.is_none() {
         return Ok(None);
     }
     let within = |root| {
         let (index, count) = (unsigned(row, column(2))?, unsigned(row, column(5))?);
-        let path = branches::path_of(row, column(3), (index, count))?;
+        let path = branches.path_of(row, column(3), root, (index, count))?;
         Ok::<_, rusqlite::Error>(Inclusion { index, count, path, root })
     };
     let inclusion = row.get::<_, Option<_>>(column(4))?.map(Hash).map(within).transpose()?;
