@@ -223,7 +223,7 @@ def measure(program, folder, seconds):
         at = f"{size[0]}x{size[1]}"
         terminals = started(joined, size, 12)
         console = terminals[0]
-        for key, screen in (("1", "Overview"), ("2", "Topics"), ("3", "Uploads")):
+        for key, screen in (("1", "Overview"), ("2", "Topics"), ("3", "Records")):
             console.press(key)
             time.sleep(2)
             found = watched(terminals, seconds)

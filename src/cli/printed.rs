@@ -15,7 +15,7 @@ use crate::service::{Client, Failure, command::RecordingProgress, failure::input
 use crate::ui::{Themes, theme};
 use crate::{app::history::Progress, config::DEFINITIONS, paths::Home, term::ConsoleOptions};
 
-pub fn defaults(arguments: &PrintArguments) -> Result<Option<String>, Failure> {
+pub fn asked_for(arguments: &PrintArguments) -> Result<Option<String>, Failure> {
     match arguments {
         PrintArguments { default_config: true, .. } => Ok(Some(config())),
         PrintArguments { default_keymap: true, .. } => Ok(Some(keymap::preset_text())),
@@ -25,6 +25,8 @@ pub fn defaults(arguments: &PrintArguments) -> Result<Option<String>, Failure> {
                 || format!("there is no embedded theme '{}'; choose night, day, contrast or mono", clean(name, 40));
             text.ok_or_else(|| Failure::new(ErrorKind::Usage, unknown())).map(Some)
         }
+        PrintArguments { completions: Some(shell), .. } => Ok(Some(completions(*shell))),
+        PrintArguments { manual: true, .. } => manual().map(Some),
         _ => Ok(None),
     }
 }
@@ -68,7 +70,7 @@ pub fn completions(shell: clap_complete::Shell) -> String {
     complete::with_words(shell, String::from_utf8_lossy(&bytes).into_owned())
 }
 
-pub fn manual() -> Result<String, Failure> {
+fn manual() -> Result<String, Failure> {
     let failed = |error: std::io::Error| Failure::new(ErrorKind::Internal, format!("the manual page: {error}"));
     let mut bytes = Vec::new();
     let command = Arguments::command();
@@ -178,7 +180,7 @@ fn locale_has_unicode(variable: impl Fn(&str) -> Option<String>) -> bool {
 }
 
 pub const TAMPERED: &str =
-    "authros: some records differ from what was anchored; `authros uploads list --state tampered` lists them";
+    "authros: some records differ from what was anchored; `authros records list --state tampered` lists them";
 
 pub const LOOK: Duration = Duration::from_secs(3);
 

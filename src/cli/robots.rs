@@ -1,4 +1,6 @@
-//! `robots` and `devices`: what is asked of enrolled robots, their policies, and the devices on loan.
+//! `robot`: enrolled robots, their policies, and the devices authorised to sign; `topics rules`.
+
+#![deny(clippy::wildcard_enum_match_arm)]
 
 use std::path::{Path, PathBuf};
 use std::{collections::BTreeMap, io::Read as _};
@@ -6,8 +8,11 @@ use std::{collections::BTreeMap, io::Read as _};
 use authros_output::{Output, table};
 use clap::{Args, Subcommand};
 
+use super::agent::{self, EnrolArguments, RunArguments};
+use super::args::Global;
+use super::connect::Context;
 use super::parse;
-use super::plan::Plan;
+use super::plan::{self, Plan};
 use super::show::{Question, or_dash};
 use crate::crypto::keyfile::{load_sm2, sm2_public_from_pem};
 use crate::crypto::{LONGEST_POLICY, ProviderName, SmKeyPair, provider, signer_id};
@@ -15,26 +20,13 @@ use crate::model::{PublicKey, SignerId, TopicRule, bytes::unhex, clean};
 use crate::service::reply::{DeviceRow, PolicyRow, PolicyView, RingPullView, RobotRow, RobotTopicRow, RobotView};
 use crate::service::{Failure, command, failure::input};
 
-/// `robots …`
+/// `robot …`
 #[derive(Debug, Subcommand)]
-pub enum RobotsVerb {
-    /// Fetch unwatched data from a robot's ring, for a time span; it arrives like other records
-    Pull {
-        /// Its name, or the beginning of its device's id
-        robot: String,
-        /// Start: 10m (ago), 18:00, "yesterday 18:00", "2026-11-27 18:00" or RFC 3339
-        #[arg(long, value_name = "TIME", allow_hyphen_values = true, required_unless_present = "incident")]
-        since: Option<String>,
-        /// End; same format [default: now]
-        #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
-        until: Option<String>,
-        /// Only these topics; * matches anything but /, ** anything [default: all of the ring]
-        #[arg(long = "topic", visible_alias = "topics", value_name = "PATTERN", num_args = 1.., value_delimiter = ',')]
-        topics: Vec<String>,
-        /// Take the span and topics of this incident unless given
-        #[arg(long, value_name = "NAME")]
-        incident: Option<String>,
-    },
+pub enum RobotVerb {
+    /// Enrol a robot as a device of this profile at a gateway; writes the robot's enrolment file
+    Enrol(EnrolArguments),
+    /// On a robot: capture and forward everything to its gateway, without a chain
+    Run(RunArguments),
     /// List the enrolled robots: last seen, waiting and lost records, policy
     List,
     /// Show one robot: policy, gateway, topics, losses
@@ -56,11 +48,91 @@ pub enum RobotsVerb {
         #[arg(long)]
         show: bool,
     },
+    /// Fetch unwatched data from a robot's ring, for a time span; it arrives like other records
+    Pull {
+        /// Its name, or the beginning of its device's id
+        robot: String,
+        /// Start: 10m (ago), 18:00, "yesterday 18:00", "2026-11-27 18:00" or RFC 3339
+        #[arg(long, value_name = "TIME", allow_hyphen_values = true, required_unless_present = "incident")]
+        since: Option<String>,
+        /// End; same format [default: now]
+        #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
+        until: Option<String>,
+        /// Only these topics; * matches anything but /, ** anything [default: all of the ring]
+        #[arg(long = "topic", visible_alias = "topics", value_name = "PATTERN", num_args = 1.., value_delimiter = ',')]
+        topics: Vec<String>,
+        /// Take the span and topics of this incident unless given
+        #[arg(long, value_name = "NAME")]
+        incident: Option<String>,
+    },
+    /// The topics an enrolled robot may record
+    #[command(subcommand)]
+    Topics(TopicsVerb),
+    /// Where an enrolled robot finds its gateway
+    #[command(subcommand)]
+    Addresses(AddressesVerb),
+    /// Authorise a device that is not enrolled to sign for this profile
+    Authorise {
+        /// Id of the device (64 hex), or the file of its SM2 key (public PEM, or private 0600)
+        #[arg(value_name = "ID_OR_KEYFILE")]
+        device: String,
+        /// End of the authorisation: 30d, 18:00, "tomorrow 18:00", "2026-11-27 18:00" or RFC 3339
+        #[arg(long, value_name = "TIME")]
+        until: Option<String>,
+    },
+    /// Recall a robot or device: it can no longer sign or read, its sessions end, and a new epoch begins
+    Recall {
+        /// Name it was enrolled under, its id or the id's first characters, or its fingerprint
+        #[arg(value_name = "ROBOT")]
+        device: String,
+    },
+    /// List every device that may sign for this profile, and those recalled
+    Devices,
 }
 
-pub fn plan(verb: RobotsVerb, output: &Output) -> Result<Plan, Failure> {
+/// `robot topics …`
+#[derive(Debug, Subcommand)]
+pub enum TopicsVerb {
+    /// Give a robot the keys of more topics; it picks them up automatically
+    Add {
+        /// Name of the robot, or the device's id, its first characters, or its fingerprint
+        #[arg(value_name = "ROBOT")]
+        device: String,
+        /// The topics
+        #[arg(value_name = "TOPIC", required = true)]
+        topics: Vec<String>,
+    },
+}
+
+/// `robot addresses …`
+#[derive(Debug, Subcommand)]
+pub enum AddressesVerb {
+    /// Give a robot a further address of its gateway; applied at its next connection
+    Add {
+        /// Name of the robot, or the device's id, its first characters, or its fingerprint
+        #[arg(value_name = "ROBOT")]
+        device: String,
+        /// The address
+        #[arg(value_name = "HOST:PORT")]
+        address: String,
+    },
+}
+
+pub async fn run(global: Global, verb: RobotVerb, output: &Output) -> Result<u8, Failure> {
     let question: Question = match verb {
-        RobotsVerb::Pull { robot, since, until, topics, incident } => {
+        RobotVerb::Enrol(arguments) => return agent::enrol(global, arguments, output).await,
+        RobotVerb::Run(arguments) => return agent::run(global, arguments, output).await,
+        RobotVerb::List => command::ListRobots.into(),
+        RobotVerb::Show { robot } => command::ShowRobot { name: robot }.into(),
+        RobotVerb::Policy { robot, clear: true, .. } => {
+            command::SetRobotPolicy { name: robot, text: String::new() }.into()
+        }
+        RobotVerb::Policy { robot, set: Some(file), .. } => {
+            command::SetRobotPolicy { name: robot, text: policy_of(&file)? }.into()
+        }
+        // The default.
+        RobotVerb::Policy { robot, show: _show, .. } => command::ShowRobot { name: robot }.into(),
+        RobotVerb::Pull { robot, since, until, topics, incident } => {
             let times = parse::Times::now(output);
             command::PullRing {
                 name: robot,
@@ -71,18 +143,20 @@ pub fn plan(verb: RobotsVerb, output: &Output) -> Result<Plan, Failure> {
             }
             .into()
         }
-        RobotsVerb::List => command::ListRobots.into(),
-        RobotsVerb::Policy { robot, clear: true, .. } => {
-            command::SetRobotPolicy { name: robot, text: String::new() }.into()
+        RobotVerb::Topics(TopicsVerb::Add { device, topics }) => {
+            command::AddDeviceTopics { device, topics: parse::values(&topics)? }.into()
         }
-        RobotsVerb::Policy { robot, set: Some(file), .. } => {
-            command::SetRobotPolicy { name: robot, text: policy_of(&file)? }.into()
+        RobotVerb::Addresses(AddressesVerb::Add { device, address }) => {
+            command::AddDeviceAddress { device, address }.into()
         }
-        RobotsVerb::Show { robot } => command::ShowRobot { name: robot }.into(),
-        // The default.
-        RobotsVerb::Policy { robot, show: _show, .. } => command::ShowRobot { name: robot }.into(),
+        RobotVerb::Authorise { device, until } => {
+            let until = parse::Times::now(output).end(until.as_deref())?;
+            command::LendDevice { device: device_of(&device)?, until }.into()
+        }
+        RobotVerb::Recall { device } => command::RecallDevice { device }.into(),
+        RobotVerb::Devices => command::ListDevices.into(),
     };
-    Ok(Plan::unlocked(question))
+    plan::run(Context::new(global, output)?, Plan::unlocked(question), output).await
 }
 
 /// Reads at most one byte more than a policy may have.
@@ -97,7 +171,7 @@ fn policy_of(file: &Path) -> Result<String, Failure> {
     };
     read.map_err(unread)?;
     if text.trim().is_empty() {
-        let advice = "`robots policy ROBOT --clear` gives a robot back its own settings";
+        let advice = "`robot policy ROBOT --clear` gives a robot back its own settings";
         return Err(input(format!("{shown} is empty; {advice}")));
     }
     Ok(text)
@@ -105,7 +179,7 @@ fn policy_of(file: &Path) -> Result<String, Failure> {
 
 pub fn all(robots: &[RobotRow]) -> String {
     if robots.is_empty() {
-        return "no robots; enrol one with `authros agent enrol`".to_owned();
+        return "no robots; enrol one with `authros robot enrol`".to_owned();
     }
     let row = |robot: &RobotRow| {
         [
@@ -166,79 +240,6 @@ pub fn pulled(view: &RingPullView) -> String {
 /// Longest key file read, bytes.
 const LONGEST: u64 = 16 * 1024;
 
-/// `devices …`
-#[derive(Debug, Subcommand)]
-pub enum DevicesVerb {
-    /// Authorise a device to sign for this profile
-    Lend {
-        /// Id of the device (64 hex), or the file of its SM2 key (public PEM, or private 0600)
-        #[arg(value_name = "ID_OR_KEYFILE")]
-        device: String,
-        /// End of the authorisation: 30d, 18:00, "tomorrow 18:00", "2026-11-27 18:00" or RFC 3339
-        #[arg(long, value_name = "TIME")]
-        until: Option<String>,
-    },
-    /// Revoke a device: it can no longer sign or read, its sessions end, and a new epoch begins
-    Recall {
-        /// Id of the device or its first characters, its fingerprint, or the name it was enrolled under
-        #[arg(value_name = "ID")]
-        device: String,
-    },
-    /// The topics an enrolled robot may record
-    #[command(subcommand)]
-    Topics(TopicsVerb),
-    /// Where an enrolled robot finds its gateway
-    #[command(subcommand)]
-    Addresses(AddressesVerb),
-    /// List authorised and revoked devices
-    List,
-}
-
-/// `devices topics …`
-#[derive(Debug, Subcommand)]
-pub enum TopicsVerb {
-    /// Give a robot the keys of more topics; it picks them up automatically
-    Add {
-        /// Name of the robot, or the device's id, its first characters, or its fingerprint
-        #[arg(value_name = "DEVICE")]
-        device: String,
-        /// The topics
-        #[arg(value_name = "TOPIC", required = true)]
-        topics: Vec<String>,
-    },
-}
-
-/// `devices addresses …`
-#[derive(Debug, Subcommand)]
-pub enum AddressesVerb {
-    /// Give a robot a further address of its gateway; applied at its next connection
-    Add {
-        /// Name of the robot, or the device's id, its first characters, or its fingerprint
-        #[arg(value_name = "DEVICE")]
-        device: String,
-        /// The address
-        #[arg(value_name = "HOST:PORT")]
-        address: String,
-    },
-}
-
-pub fn question(verb: &DevicesVerb, output: &Output) -> Result<Question, Failure> {
-    Ok(match verb {
-        DevicesVerb::Lend { device, until } => {
-            let until = parse::Times::now(output).end(until.as_deref())?;
-            command::LendDevice { device: device_of(device)?, until }.into()
-        }
-        DevicesVerb::Recall { device } => command::RecallDevice { device: device.clone() }.into(),
-        DevicesVerb::Topics(TopicsVerb::Add { device, topics }) => {
-            command::AddDeviceTopics { device: device.clone(), topics: parse::values(topics)? }.into()
-        }
-        DevicesVerb::Addresses(AddressesVerb::Add { device, address }) => {
-            command::AddDeviceAddress { device: device.clone(), address: address.clone() }.into()
-        }
-        DevicesVerb::List => command::ListDevices.into(),
-    })
-}
-
 fn device_of(text: &str) -> Result<SignerId, Failure> {
     let path = Path::new(text);
     if path.is_file() {
@@ -285,9 +286,9 @@ const FAST: f64 = 50.0;
 /// The rate suggested for heavy topics, messages a second.
 const CALM: f64 = 5.0;
 
-/// `topics policy …`
+/// `topics rules …`
 #[derive(Debug, Args)]
-pub struct PolicyArguments {
+pub struct RulesArguments {
     /// Observe the live topics and print draft rules for config.toml
     #[arg(long)]
     pub learn: bool,
@@ -296,7 +297,7 @@ pub struct PolicyArguments {
     pub duration: String,
 }
 
-pub fn policy(arguments: &PolicyArguments) -> Result<Question, Failure> {
+pub fn rules(arguments: &RulesArguments) -> Result<Question, Failure> {
     let milliseconds = u64::try_from(parse::duration(&arguments.duration)?.as_millis()).unwrap_or(u64::MAX);
     Ok(if arguments.learn { command::LearnPolicy { milliseconds }.into() } else { command::ShowPolicy.into() })
 }

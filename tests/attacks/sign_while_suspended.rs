@@ -10,13 +10,13 @@ use crate::{Outcome, judge};
 async fn sign_while_suspended() {
     let scene = Scene::new().await;
     let stolen = scene.stolen();
-    scene.boss.json(&["chain", "suspend", &scene.address]);
+    scene.boss.json(&["chain", "admin", "suspend", &scene.address]);
     let folder = scene.forge(&stolen.keyring.signing, Timestamp::now()).await;
     let outcome = match scene.judge(&folder, "was suspended at block") {
         first @ (Outcome::Succeeded(_) | Outcome::Otherwise(_)) => first,
         // Nor does it count when she may sign again.
         Outcome::Refused(first) => {
-            scene.boss.json(&["chain", "restore", &scene.address]);
+            scene.boss.json(&["chain", "admin", "restore", &scene.address]);
             match scene.judge(&folder, "was suspended at block") {
                 Outcome::Refused(_) => Outcome::Refused(first),
                 Outcome::Succeeded(reached) => Outcome::Succeeded(format!("after the account is restored: {reached}")),

@@ -129,7 +129,7 @@ impl Link {
         match self.settled().await? {
             NetworkState::Up(network) => Ok(*network),
             NetworkState::Bare(_) => {
-                Err(input("no contract is deployed yet; `authros register` deploys one, or set chain.contract"))
+                Err(input("no contract is deployed yet; `authros identity register` deploys one, or set chain.contract"))
             }
             _ => Err(off()),
         }

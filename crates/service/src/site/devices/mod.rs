@@ -56,7 +56,7 @@ impl Devices {
         let is_lent = |lending: &Lending| is_same(lending) && authority::is_lent(&network.directory, lending);
         if self.lendings(&network, owner).iter().any(is_lent) {
             return Err(refused(format!(
-                "device {device} is already authorised; `authros devices list` shows until when"
+                "device {device} is already authorised; `authros robot devices` shows until when"
             )));
         }
         let end = until.map_or_else(|| "it is revoked".to_owned(), |until| until.to_string());
@@ -171,7 +171,7 @@ fn find(lendings: &[Lending], text: &str) -> Result<SignerId, Failure> {
     if wanted.len() < SHORTEST || !wanted.bytes().all(|byte| byte.is_ascii_hexdigit()) {
         return Err(input(format!(
             "no robot of this profile has that name; give the name that it was enrolled under, or at least {SHORTEST} hex \
-             characters of the id that `authros devices list` shows"
+             characters of the id that `authros robot devices` shows"
         )));
     }
     let open = lendings.iter().filter(|lending| lending.recalled.is_none());
@@ -179,7 +179,7 @@ fn find(lendings: &[Lending], text: &str) -> Result<SignerId, Failure> {
     let found: BTreeSet<SignerId> = found.collect();
     match (found.first(), found.len()) {
         (Some(device), 1) => Ok(*device),
-        (None, _) => Err(refused("no such device is authorised; `authros devices list` shows those that are")),
+        (None, _) => Err(refused("no such device is authorised; `authros robot devices` shows those that are")),
         _ => Err(input("several authorised devices start like this; give more of the id")),
     }
 }
