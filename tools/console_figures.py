@@ -150,7 +150,7 @@ class Site:
         self.run("register")
         for topic in TOPICS:
             self.run("topics", "watch", topic)
-        self.run("grant", other)
+        self.run("grant", "add", other)
 
     def run(self, *words):
         done = subprocess.run(self.words + list(words), capture_output=True, text=True, env=self.environment)

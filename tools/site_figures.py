@@ -324,7 +324,7 @@ def cache(arguments, site):
 def cache_with(arguments, site, redis):
     site.run("register")
     reader = json.loads(site.run("--profile", "reader", "register"))["address"]
-    site.run("grant", reader)
+    site.run("grant", "add", reader)
     site.serve("--cache", redis.url)
     topics = [f"/load{number}/data" for number in range(1, arguments.topics + 1)]
     load = site.load(topics, arguments.bytes)

@@ -77,7 +77,7 @@ async fn serve(context: Context, listen: SocketAddr, open: bool, output: &Output
     .await
 }
 
-pub fn admitted(rows: &[AdmittedView]) -> String {
+pub fn allowed(rows: &[AdmittedView]) -> String {
     if rows.is_empty() {
         return "only this home's own profiles; `authros gateway allow OWNER` allows others".to_owned();
     }

@@ -26,7 +26,7 @@ struct Topic {
     text: &'static str,
 }
 
-const TOPICS: [Topic; 6] = [
+static TOPICS: [Topic; 6] = [
     Topic {
         name: "grant",
         about: "How another account gets to read your records",
@@ -142,9 +142,13 @@ With --json an error is one document on stderr, with its kind and message.
 pub fn command() -> Command {
     let hidden = Arguments::command()
         .mut_args(|option| if option.is_global_set() { option.hide(true) } else { option })
-        .mut_subcommands(|verb| verb.after_help("`authros help options` lists the options of every command."));
+        .mut_subcommands(pointing);
     let help = overview(&hidden);
     hidden.override_help(help)
+}
+
+fn pointing(verb: Command) -> Command {
+    verb.after_help("`authros help options` lists the options of every command.").mut_subcommands(pointing)
 }
 
 fn overview(command: &Command) -> String {
@@ -170,8 +174,9 @@ pub fn page(words: &[String]) -> Result<String, Failure> {
     match words {
         [] => Ok(topics()),
         [name] if name == "options" => Ok(options()),
-        [name] if TOPICS.iter().any(|topic| topic.name == name) => {
-            Ok(TOPICS.iter().find(|topic| topic.name == name).map_or_else(String::new, explained))
+        [name] => {
+            let topic = TOPICS.iter().find(|topic| topic.name == name);
+            topic.map_or_else(|| of_command(words), |topic| Ok(explained(topic)))
         }
         words => of_command(words),
     }
@@ -179,7 +184,7 @@ pub fn page(words: &[String]) -> Result<String, Failure> {
 
 fn topics() -> String {
     let mut text = String::from("authros help TOPIC explains:\n\n");
-    for Topic { name, about, .. } in TOPICS {
+    for Topic { name, about, .. } in &TOPICS {
         let _ = writeln!(text, "  {name:<9} {about}");
     }
     text + "  options   The options of every command\n\nauthros help COMMAND shows its options, as authros COMMAND -h does.\n"
@@ -187,15 +192,16 @@ fn topics() -> String {
 
 /// A topic named like a command ends with that command's verbs.
 fn explained(topic: &Topic) -> String {
+    let noun = format!("authros {}", topic.name);
     let of_command = command().find_subcommand(topic.name).is_some();
-    let further = if of_command { format!("\n`authros {} -h` lists all its commands.\n", topic.name) } else { String::new() };
+    let further = if of_command { format!("\n`{noun} -h` lists all its commands.\n") } else { String::new() };
     format!("{}\n\n{}{further}", topic.about, topic.text)
 }
 
 fn options() -> String {
     let bare = Command::new("authros").disable_help_flag(true).max_term_width(100).help_template("{all-args}");
     let mut every = Global::augment_args(PrintArguments::augment_args(bare));
-    format!("{}\n", every.render_help())
+    every.render_help().to_string()
 }
 
 fn of_command(words: &[String]) -> Result<String, Failure> {
@@ -208,7 +214,7 @@ fn of_command(words: &[String]) -> Result<String, Failure> {
             usage(format!("there is no command or topic '{what}'; `authros help` lists topics, `authros --help` commands"))
         })?;
     }
-    Ok(format!("{}\n", found.render_help()))
+    Ok(found.render_help().to_string())
 }
 
 #[cfg(test)]
@@ -218,10 +224,16 @@ mod tests {
     /// Of a terminal that is common.
     const SCREEN: (usize, usize) = (80, 40);
 
+    /// With a row left for the prompt; a terminal wraps what is wider.
     fn fits(what: &str, text: &str) {
+        let rows: usize = text.lines().map(|line| line.chars().count().div_ceil(SCREEN.0).max(1)).sum();
+        assert!(rows < SCREEN.1, "{what} has {rows} rows:\n{text}");
+    }
+
+    fn fits_unwrapped(what: &str, text: &str) {
         let wide: Vec<&str> = text.lines().filter(|line| line.chars().count() > SCREEN.0).collect();
         assert!(wide.is_empty(), "{what} is wider than {} columns: {wide:?}", SCREEN.0);
-        assert!(text.lines().count() < SCREEN.1, "{what} has {} lines:\n{text}", text.lines().count());
+        fits(what, text);
     }
 
     fn verbs(command: &Command) -> impl Iterator<Item = &Command> {
@@ -251,7 +263,7 @@ mod tests {
     fn the_commands_are_one_screen() {
         let help = command().render_long_help().to_string();
         assert_eq!(help, command().render_help().to_string(), "the same with -h");
-        fits("--help", &help);
+        fits_unwrapped("--help", &help);
         for (group, names) in GROUPS {
             assert!(names.iter().all(|name| help.contains(&format!(" {name} "))) && help.contains(group), "{help}");
         }
@@ -276,9 +288,9 @@ mod tests {
     #[test]
     fn topics_fit_a_screen_and_a_command_can_be_asked_for() {
         let word = |word: &str| page(&[word.to_owned()]).expect(word);
-        fits("help", &page(&[]).expect("topics"));
-        for Topic { name, text, .. } in TOPICS {
-            fits(name, &word(name));
+        fits_unwrapped("help", &page(&[]).expect("topics"));
+        for Topic { name, text, .. } in &TOPICS {
+            fits_unwrapped(name, &word(name));
             assert!(topics().contains(name) && word(name).contains(text));
         }
         assert!(word("grant").contains("authros grant end bob") && word("grant").contains("`authros grant -h`"));
@@ -292,7 +304,7 @@ mod tests {
     #[test]
     fn every_command_of_a_topic_parses() {
         let mut read = 0;
-        for Topic { name, text, .. } in TOPICS {
+        for Topic { name, text, .. } in &TOPICS {
             for line in text.replace("\\\n", " ").lines().filter_map(|line| line.strip_prefix("  authros ")) {
                 let line = line.replace("          --topic", "--topic");
                 let line = line.split("  ").next().unwrap_or_default();

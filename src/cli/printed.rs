@@ -224,7 +224,7 @@ mod tests {
 
     fn printed(arguments: &[&str]) -> String {
         let arguments = Arguments::try_parse_from(["authros"].iter().chain(arguments)).expect("parses");
-        defaults(&arguments.print).expect("printed").expect("a text")
+        asked_for(&arguments.print).expect("printed").expect("a text")
     }
 
     #[test]
@@ -240,6 +240,8 @@ mod tests {
         assert!(printed(&["--print-default-theme"]).contains("name = \"night\""));
         assert!(printed(&["--print-default-theme=day"]).contains("name = \"day\""));
         assert!(crate::app::Keymap::with_file("k", &printed(&["--print-default-keymap"])).is_ok());
+        assert!(printed(&["--print-completions", "bash"]).contains("_authros_words"));
+        assert!(printed(&["--print-manual"]).contains("AUTHROS RECORDS"));
     }
 
     #[test]

@@ -119,7 +119,7 @@ rows! {
     reply::DeviceRow, "devices" => robots::devices;
     reply::ContactRow, "contacts" => parties::contact_table;
     reply::AuditView, "audit" => audit::lines;
-    reply::AdmittedView, "admitted" => gateway::admitted;
+    reply::AdmittedView, "allowed" => gateway::allowed;
     reply::IncidentView, "incidents" => incidents::all;
     reply::RobotRow, "robots" => robots::all;
 }

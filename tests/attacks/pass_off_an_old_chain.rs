@@ -1,5 +1,5 @@
 //! An operator founds a chain of his own under a clock of 2019, and wants anyone who checks a record of it to believe
-//! that it existed in 2019: `verify` against his own `chain serve` should say VERIFIED without saying whose clock it
+//! that it existed in 2019: `evidence verify` against his own `chain serve` should say VERIFIED without saying whose clock it
 //! was.
 
 use crate::Outcome;
@@ -43,7 +43,7 @@ fn pass_off_an_old_chain() {
     let outcome = match (honest, verdict.is_empty()) {
         (true, false) => Outcome::Refused(verdict),
         (false, false) => {
-            Outcome::Succeeded(format!("`verify` says of a chain founded by its operator's clock: {verdict}"))
+            Outcome::Succeeded(format!("`evidence verify` says of a chain founded by its operator's clock: {verdict}"))
         }
         (_, true) => Outcome::Otherwise(checked.to_string()),
     };

@@ -1,5 +1,5 @@
 //! Someone with a device whose loan has ended writes a record, claims that it was captured during the loan, and anchors
-//! it from an account of his own: `verify` should say VERIFIED.
+//! it from an account of his own: `evidence verify` should say VERIFIED.
 
 use authros::crypto::{ProviderName, SmKeyPair, provider, signer_id};
 use authros::model::Timestamp;

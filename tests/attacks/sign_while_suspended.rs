@@ -1,5 +1,5 @@
 //! A thief has alice's machine, her account and her signing key; the administrator has suspended her. He signs new
-//! records in her name and anchors them from an account of his own: `verify` should say VERIFIED.
+//! records in her name and anchors them from an account of his own: `evidence verify` should say VERIFIED.
 
 use authros::model::Timestamp;
 

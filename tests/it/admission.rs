@@ -39,7 +39,7 @@ async fn who_may_use_a_gateway_is_its_keepers_choice() {
     let record = |seq| carol.record(&carol.keyring.signing, TOPIC, seq, b"a line");
     robot.upload(vec![record(1)]).await.expect("accepted");
     let left = keeper.json(&["gateway", "deny", &owner]);
-    assert!(support::list(&left, "admitted").is_empty(), "{left}");
+    assert!(support::list(&left, "allowed").is_empty(), "{left}");
     assert_eq!(refused(robot.upload(vec![record(2)]).await), Code::NotAdmitted, "in the very same session");
     assert_eq!(refused(robot.missing(&[authros::model::Digest([1; 32])]).await), Code::NotAdmitted);
     assert_eq!(refused(robot.relay("eth_chainId", &serde_json::json!([])).await), Code::NotAdmitted);

@@ -71,7 +71,7 @@ pub(crate) fn unzipped(bundle: &Path, name: &str) -> Vec<u8> {
     output.stdout
 }
 
-/// `verify` with an empty HOME, and without a network where this machine can do that.
+/// `evidence verify` with an empty HOME, and without a network where this machine can do that.
 pub(crate) fn verified(bundle: &Path, trust: Option<&Path>) -> Outcome {
     let empty = tempfile::tempdir().expect("directory");
     let cut = Command::new("unshare").args(["-rn", "true"]).status().is_ok_and(|status| status.success());

@@ -60,10 +60,10 @@ fn an_operator_without_a_chain_client_reads_what_is_shared_until_the_revoke() {
     // Who may use a gateway is its keeper's choice; anyone may read the chain and register.
     let refused = bob.fails(REFUSED, &["received", "list", "--oldest"]);
     assert!(refused.contains("does not allow the account"), "{refused}");
-    assert!(list(&gate.alice.json(&["gateway", "allowed"]), "admitted").is_empty());
+    assert!(list(&gate.alice.json(&["gateway", "allowed"]), "allowed").is_empty());
     let admitted = gate.alice.json(&["gateway", "allow", &address]);
     assert_eq!(
-        (&list(&admitted, "admitted")[0]["owner"], list(&admitted, "admitted").len()),
+        (&list(&admitted, "allowed")[0]["owner"], list(&admitted, "allowed").len()),
         (&address.clone().into(), 1)
     );
     assert!(!away.path().join("chain").exists(), "no chain of its own");
