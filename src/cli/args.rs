@@ -117,7 +117,7 @@ pub enum Verb {
     /// Address book: names for accounts, and their keys
     #[command(subcommand)]
     Contacts(super::parties::ContactsVerb),
-    /// Robots: enrol, run one, set policies, pull data, recall
+    /// Robots: enrol, run one, set policies, pull data, revoke
     #[command(subcommand)]
     Robot(super::robots::RobotVerb),
     /// Gateway for robots and operators that have no chain

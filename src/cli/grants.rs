@@ -111,5 +111,7 @@ pub fn list(rows: &[reply::GrantRow]) -> String {
         ]
     };
     let head = ["", "account", "SM2 fingerprint", "state", "opens", "from epoch", "expires", "topics"];
-    table(&head, rows.iter().map(row))
+    let mut newest_first: Vec<&reply::GrantRow> = rows.iter().collect();
+    newest_first.sort_by_key(|row| std::cmp::Reverse(row.block));
+    table(&head, newest_first.into_iter().map(row))
 }

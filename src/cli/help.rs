@@ -68,7 +68,7 @@ anchors them.
   authros robot policy scout-1 --set scout.toml   what it captures
   authros robot topics add scout-1 /imu           keys of a further topic
   authros robot pull scout-1 --since 10m          unwatched data from its ring
-  authros robot recall scout-1                    it can no longer sign or read
+  authros robot revoke scout-1                    it can no longer sign or read
 ",
     },
     Topic {

@@ -1,4 +1,4 @@
-//! `authros identity` and `authros identity list`.
+//! `authros identity`.
 
 #![deny(clippy::wildcard_enum_match_arm)]
 

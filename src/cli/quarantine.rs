@@ -43,7 +43,7 @@ fn held_by(arguments: HeldArguments) -> Result<Held, Failure> {
 /// `topics quarantine …`
 #[derive(Debug, Subcommand)]
 pub enum QuarantineVerb {
-    /// List quarantined messages
+    /// List quarantined messages, newest first
     List {
         /// Only this topic
         #[arg(long, value_name = "TOPIC")]

@@ -80,13 +80,13 @@ pub enum RobotVerb {
         #[arg(long, value_name = "TIME")]
         until: Option<String>,
     },
-    /// Recall a robot or device: it can no longer sign or read, its sessions end, and a new epoch begins
-    Recall {
+    /// Revoke a robot or device: it can no longer sign or read, its sessions end, and a new epoch begins
+    Revoke {
         /// Name it was enrolled under, its id or the id's first characters, or its fingerprint
         #[arg(value_name = "ROBOT")]
         device: String,
     },
-    /// List every device that may sign for this profile, and those recalled
+    /// List every device that may sign for this profile, and those revoked
     Devices,
 }
 
@@ -153,7 +153,7 @@ pub async fn run(global: Global, verb: RobotVerb, output: &Output) -> Result<u8,
             let until = parse::Times::now(output).end(until.as_deref())?;
             command::LendDevice { device: device_of(&device)?, until }.into()
         }
-        RobotVerb::Recall { device } => command::RecallDevice { device }.into(),
+        RobotVerb::Revoke { device } => command::RecallDevice { device }.into(),
         RobotVerb::Devices => command::ListDevices.into(),
     };
     plan::run(Context::new(global, output)?, Plan::unlocked(question), output).await

@@ -115,7 +115,7 @@ async fn attempt(alice: &Authros, home: &Home, robots: [&Robot; 3], captures: bo
         poison(&mut parts, robot, recorder, &topics).await;
     }
     capture();
-    let recalled: Value = alice.json(&["robot", "recall", &whole.device]);
+    let recalled: Value = alice.json(&["robot", "revoke", &whole.device]);
     let epoch = count(&recalled, "epoch");
     let begun = std::time::Instant::now();
     wait_until(BOUND, "the other robot seals under the epoch of the recall", || {

@@ -38,7 +38,7 @@ async fn read_with_a_recalled_robot() {
         Ok(follower) => follower,
         Err(_) => Live::begin(&mut listening, notices(&stolen)).await.expect("its own notices"),
     };
-    let recalled = scene.alice.json(&["robot", "recall", &lost.device]);
+    let recalled = scene.alice.json(&["robot", "revoke", &lost.device]);
     let begun = std::time::Instant::now();
     let mut parts = Parts::default();
     ask(&mut parts, &mut client, &stolen, known).await;

@@ -277,7 +277,7 @@ fn a_recalled_device_and_a_topic_without_a_key_are_refused() {
     assert!(unsaid.contains("--topic") && unsaid.contains("--all-topics"), "both ways are told: {unsaid}");
 
     robot.run(&["--robots", "1", "--count", "3"]).wait(120).expect_code(0);
-    let recalled = alice.json(&["robot", "recall", &robot.device]);
+    let recalled = alice.json(&["robot", "revoke", &robot.device]);
     assert_eq!(count(&recalled, "epoch"), 2, "what it holds opens nothing new: {recalled}");
     let ended = robot.run(&["--robots", "1", "--count", "3"]).wait(120).expect_code(5);
     let summary: Value = serde_json::from_str(ended.stdout.lines().last().expect("a summary")).expect("JSON");

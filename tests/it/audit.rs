@@ -49,7 +49,7 @@ fn every_deed_is_a_line_and_refusals_are_counted() {
     alice.run(&["keys", "export", "sm2", "--out", secret.to_str().expect("UTF-8")]).expect_code(0);
     let device = "ab".repeat(32);
     alice.run(&["robot", "authorise", &device]).expect_code(0);
-    alice.run(&["robot", "recall", &device]).expect_code(0);
+    alice.run(&["robot", "revoke", &device]).expect_code(0);
     let wrong = home.file("wrong", "not the passphrase\n", 0o600);
     site.stop("INT", 30).expect_code(0);
     home.profile("bob").with(&["--passphrase-file", &wrong]).run(&["grant", "list"]);
@@ -78,10 +78,10 @@ fn every_deed_is_a_line_and_refusals_are_counted() {
         ("revoke", &format!("{reader} epoch 2"), "done"),
         ("export key", "sm2", "begun"),
         ("export key", "sm2", "done"),
-        ("lend device", &device, "begun"),
-        ("lend device", &device, "done"),
-        ("recall device", &device, "begun"),
-        ("recall device", &device, "done"),
+        ("authorise device", &device, "begun"),
+        ("authorise device", &device, "done"),
+        ("revoke device", &device, "begun"),
+        ("revoke device", &device, "done"),
         ("unlock", "keyring", "refused"),
     ] {
         assert!(has(&all, action, subject, outcome), "{action} {subject}: {outcome} in {all:#?}");

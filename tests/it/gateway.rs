@@ -203,7 +203,7 @@ async fn devices_sign_while_they_are_lent_and_names_belong_to_one_account() {
     until_verified(&mut robot, signed_by_it, &[digest(&owner, &upload)]).await;
     let opened = alice.json(&["records", "open", &digest(&owner, &upload).to_string()]);
     assert_eq!(opened["verdict"], "verified", "the owner reads what her device signed: {opened}");
-    alice.json(&["robot", "recall", &id.to_string()]);
+    alice.json(&["robot", "revoke", &id.to_string()]);
     let late = owner.record(&device, TOPIC, 2, b"signed by a stolen device");
     assert_eq!(refused(robot.upload(vec![late]).await), Code::Signature, "recalled");
     let stranger = other.record(&other.keyring.signing, TOPIC, 1, b"of another owner");

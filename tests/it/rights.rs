@@ -110,7 +110,7 @@ fn a_robots_record_is_evidence_for_whoever_has_neither_home_nor_keys() {
     assert!(list(&found, "steps").iter().all(|step| step["ok"] == true), "{found}");
     assert!(!nobody.path().exists(), "no home was made");
     // What was anchored during the loan stays evidence after it has ended.
-    alice.json(&["robot", "recall", &device]);
+    alice.json(&["robot", "revoke", &device]);
     stranger.run(&arguments).expect_code(0);
     chain.stop("INT", 30);
     site.stop("TERM", 30);
@@ -125,9 +125,9 @@ fn devices_are_lent_and_recalled() {
     authros.json(&["robot", "authorise", &id, "--until", "2h"]);
     authros.fails(3, &["robot", "authorise", "abab"]);
     let row = authros.json(&["robot", "devices"])["devices"][0].clone();
-    assert!(row["device"] == id.as_str() && row["state"] == "lent" && row["until"].is_string(), "{row}");
-    authros.json(&["robot", "recall", &id[..16]]);
-    assert_eq!(authros.json(&["robot", "devices"])["devices"][0]["state"], "recalled");
-    let again = authros.fails(5, &["robot", "recall", &id]);
+    assert!(row["device"] == id.as_str() && row["state"] == "authorised" && row["until"].is_string(), "{row}");
+    authros.json(&["robot", "revoke", &id[..16]]);
+    assert_eq!(authros.json(&["robot", "devices"])["devices"][0]["state"], "revoked");
+    let again = authros.fails(5, &["robot", "revoke", &id]);
     assert!(again.contains("no such device"), "{again}");
 }

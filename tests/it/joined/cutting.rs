@@ -114,7 +114,7 @@ fn a_revocation_a_recall_and_a_suspension_hold_at_a_gateway_and_at_one_that_is_c
     line.cut();
     let [bob, dave] = [&readers[0].1.address, &readers[1].1.address];
     let revoked = act(&ground, || drop(alice.authros.json(&["grant", "end", bob])));
-    let recalled = act(&ground, || drop(alice.authros.json(&["robot", "recall", &id])));
+    let recalled = act(&ground, || drop(alice.authros.json(&["robot", "revoke", &id])));
     let suspended = act(&ground, || drop(ground.founder.json(&["chain", "admin", "suspend", dave])));
     let wanted = |subject: &str| match subject {
         "bob" => Some((revoked, Code::NotAuthorised)),

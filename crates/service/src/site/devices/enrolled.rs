@@ -223,7 +223,7 @@ impl Devices {
         match self.called(network, owner, name.as_str())?.into_iter().find(|(_, lent)| *lent) {
             Some((device, _)) => Err(refused(format!(
                 "a robot called '{name}' is enrolled already, as device {device}; revoke it with `authros robot \
-                 recall {name}`, or give this robot another name"
+                 revoke {name}`, or give this robot another name"
             ))),
             None => Ok(()),
         }

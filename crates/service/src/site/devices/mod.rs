@@ -62,7 +62,7 @@ impl Devices {
         let end = until.map_or_else(|| "it is revoked".to_owned(), |until| until.to_string());
         let text = format!("device {device} may sign for {} until {end}", owner.address);
         let lent = self.change_devices(owner, &network, Call::Lend { device, until }, "lend", text);
-        self.parts.log.deed(&owner.profile, "lend device", &device.to_string(), lent).await
+        self.parts.log.deed(&owner.profile, "authorise device", &device.to_string(), lent).await
     }
 
     /// A new epoch locks the device out of records sealed from now on; gateways end its session.
@@ -88,14 +88,14 @@ impl Devices {
             );
             Ok(TransactionView { epoch: rotated.epoch, text, ..recalled })
         };
-        self.parts.log.deed(&owner.profile, "recall device", &device.to_string(), recalled).await
+        self.parts.log.deed(&owner.profile, "revoke device", &device.to_string(), recalled).await
     }
 
     pub async fn unlend_device(&self, owner: &Arc<Owner>, device: SignerId) -> Result<(), Failure> {
         let network = self.parts.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         let recalled = self.change_devices(owner, &network, Call::Recall { device }, "recall", String::new());
-        self.parts.log.deed(&owner.profile, "recall device", &device.to_string(), recalled).await.map(drop)
+        self.parts.log.deed(&owner.profile, "revoke device", &device.to_string(), recalled).await.map(drop)
     }
 
     async fn change_devices(
@@ -116,8 +116,8 @@ impl Devices {
     pub async fn rows(&self, owner: &Arc<Owner>) -> Result<Vec<DeviceRow>, Failure> {
         let network = self.parts.link.network().await?;
         let state = |lending: &Lending| match lending.recalled {
-            Some(_) => "recalled",
-            None if authority::is_lent(&network.directory, lending) => "lent",
+            Some(_) => "revoked",
+            None if authority::is_lent(&network.directory, lending) => "authorised",
             None => "expired",
         };
         let row = |lending: &Lending| DeviceRow {
