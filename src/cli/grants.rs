@@ -17,7 +17,7 @@ pub struct AddArguments {
     #[arg(required_unless_present = "to")]
     pub address: Option<String>,
     /// The same, as an option
-    #[arg(long, value_name = "ADDRESS_OR_NAME", conflicts_with = "address")]
+    #[arg(long, value_name = "ACCOUNT", conflicts_with = "address")]
     pub to: Option<String>,
     /// Only this topic, or the topics that match this pattern now; repeatable [default: all topics]
     #[arg(long = "topic", value_name = "TOPIC")]

@@ -95,7 +95,7 @@ of the others the bundle proves that they exist, not what they say.
         text: "\
   10m  12h  30d  2w  40s  500ms       ago (--since), or from now (--expires)
   18:00  18:00:05.250                 the last one, or for an end the next one
-  friday 18:00   tomorrow 18:00       a day and a clock; the day alone is midnight
+  friday 18:00   tomorrow 18:00       a day and a clock; without one its first
   2026-11-27 18:00  2026-11-27        a date
   2026-11-27T18:00:00Z                RFC 3339, exact to the nanosecond
   now                                 this moment
@@ -305,8 +305,7 @@ mod tests {
     fn every_command_of_a_topic_parses() {
         let mut read = 0;
         for Topic { name, text, .. } in &TOPICS {
-            for line in text.replace("\\\n", " ").lines().filter_map(|line| line.strip_prefix("  authros ")) {
-                let line = line.replace("          --topic", "--topic");
+            for line in text.replace("\\\n          ", "").lines().filter_map(|line| line.strip_prefix("  authros ")) {
                 let line = line.split("  ").next().unwrap_or_default();
                 let words = super::super::quoted::words(&format!("authros {line}"));
                 let parsed = super::super::args::read(words.into_iter().map(Into::into));

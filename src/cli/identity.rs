@@ -29,13 +29,13 @@ pub enum IdentityVerb {
         /// Fingerprint: eight groups of four hex digits, quoted or without spaces
         fingerprint: String,
         /// Account, or its name [default: this profile]
-        #[arg(long, value_name = "ADDRESS_OR_NAME")]
+        #[arg(long, value_name = "ACCOUNT")]
         account: Option<String>,
     },
     /// Set the recovery account, which can stop a wrongly proposed succession of this account
     Recovery {
         /// Account, its name, or `none`; takes effect after the contract's delay
-        #[arg(value_name = "ADDRESS_OR_NAME")]
+        #[arg(value_name = "ACCOUNT")]
         account: String,
     },
 }

@@ -38,6 +38,7 @@ mod recordings;
 mod records;
 mod retention;
 mod robots;
+mod rules;
 mod serve;
 mod settings;
 mod show;

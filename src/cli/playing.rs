@@ -16,7 +16,7 @@ use authros_output::{Output, table};
 #[derive(Debug, Default, Args)]
 pub struct PlayArguments {
     /// Only this owner's, by account or name [default: everyone who shares with this profile]
-    #[arg(long, value_name = "ADDRESS_OR_NAME")]
+    #[arg(long, value_name = "ACCOUNT")]
     pub owner: Option<String>,
     /// Only topics matching this pattern; repeatable
     #[arg(long = "topic", value_name = "PATTERN")]

@@ -87,7 +87,7 @@ fn manual() -> Result<String, Failure> {
 }
 
 fn commands(text: &mut String, command: &clap::Command, path: &str) {
-    for verb in command.get_subcommands().filter(|verb| verb.get_name() != "help" && !verb.is_hide_set()) {
+    for verb in command.get_subcommands().filter(|verb| !verb.is_hide_set()) {
         let path = format!("{path} {}", verb.get_name());
         let about = verb.get_about().map(ToString::to_string).unwrap_or_default();
         let _ = write!(text, ".SH {}\n{}\n", roff(&path.to_uppercase()), roff(&about));

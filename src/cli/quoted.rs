@@ -73,18 +73,22 @@ fn everything() -> Vec<(PathBuf, String)> {
 /// backtick spoils no other line.
 fn in_backticks(text: &str) -> Vec<String> {
     let named = text.lines().flat_map(|line| line.split('`').skip(1).step_by(2));
-    named.filter(|quoted| quoted.starts_with("authros ")).map(str::to_owned).collect()
+    named.filter(|quoted| quoted.starts_with("authros ")).map(alone).collect()
 }
 
-/// Lines of scripts, units and of the manual's examples that begin with the program, each as far as its first comment or pipe.
+/// A command without what a shell does with it, and without its comment.
+fn alone(line: &str) -> String {
+    [" #", " | ", " > ", " & "].iter().fold(line, |line, end| line.split(end).next().unwrap_or_default()).to_owned()
+}
+
+/// Lines of scripts, units and of the manual's examples that begin with the program.
 fn typed(text: &str) -> Vec<String> {
     let lines = text.lines().flat_map(|line| line.split(" && "));
     let begun = lines.filter_map(|line| {
         let line = line.strip_prefix("$ ").or_else(|| line.strip_prefix("ExecStart=/usr/bin/")).unwrap_or(line);
         (line.starts_with("authros ") && !line.starts_with("authros =")).then_some(line)
     });
-    let end = |line: &str| [" #", " | ", " > ", " & "].iter().filter_map(|end| line.find(end)).min().unwrap_or(line.len());
-    begun.map(|line| line[..end(line)].to_owned()).collect()
+    begun.map(alone).collect()
 }
 
 /// Why a command does not exist; values may be placeholders, and a noun may stand for all of its verbs.

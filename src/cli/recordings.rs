@@ -63,7 +63,7 @@ pub struct ExportArguments {
     #[arg(long, value_name = "FOLDER", group = "format")]
     pub rosbag2: Option<PathBuf>,
     /// Only this owner's, by account or name [default: own and shared records]
-    #[arg(long, value_name = "ADDRESS_OR_NAME")]
+    #[arg(long, value_name = "ACCOUNT")]
     pub owner: Option<String>,
     /// Only topics matching this pattern; repeatable
     #[arg(long = "topic", value_name = "PATTERN")]

@@ -39,7 +39,7 @@ pub struct ListArguments {
     #[arg(long, value_name = "KIND")]
     pub kind: Option<String>,
     /// Only this owner's, by account or name (received records)
-    #[arg(long, value_name = "ADDRESS_OR_NAME")]
+    #[arg(long, value_name = "ACCOUNT")]
     pub owner: Option<String>,
     /// Captured at or after: 10m (ago), 18:00, "yesterday 18:00", "2026-11-27 18:00" or RFC 3339
     #[arg(long, value_name = "TIME", allow_hyphen_values = true)]

@@ -8,7 +8,7 @@ use super::connect::ProfileNeed;
 use super::coverage::{self, CoverageArguments};
 use super::plan::{NEITHER, Plan, ROS};
 use super::quarantine::{self, PinArguments};
-use super::robots::{self, RulesArguments};
+use super::rules::{self, RulesArguments};
 use super::{parse, show::or_dash};
 use crate::model::TopicPattern;
 use crate::service::{Failure, command, failure::input, reply};
@@ -87,7 +87,7 @@ pub fn plan(verb: TopicsVerb, output: &Output) -> Result<Plan, Failure> {
         TopicsVerb::Pin(pin) => Plan::kept(quarantine::pin(&pin)?),
         TopicsVerb::Pins { topic } => Plan::kept(command::ListPins { topic: parse::optional(topic.as_deref())? }),
         TopicsVerb::Coverage(coverage) => Plan::kept(coverage::question(&coverage, output)?),
-        TopicsVerb::Rules(rules) => Plan::new(ROS, ProfileNeed::None, robots::rules(&rules)?),
+        TopicsVerb::Rules(arguments) => Plan::new(ROS, ProfileNeed::None, rules::question(&arguments)?),
         TopicsVerb::Unpin { topic, caller_id } => {
             Plan::kept(command::UnpinTopic { topic: parse::value(&topic)?, caller_id })
         }
