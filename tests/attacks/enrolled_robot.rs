@@ -46,7 +46,7 @@ impl Scene {
 /// If the gateway admits owners only through its keeper, alice is admitted.
 fn admit(home: &Home, alice: &Authros) {
     let keeper = home.profile("keeper");
-    if keeper.run(&["gateway", "--help"]).stdout.contains("admit") {
+    if keeper.run(&["gateway", "--help"]).stdout.contains("allow") {
         let address = text(&alice.json(&["identity", "show"]), "address");
         keeper.run(&["gateway", "allow", &address]);
     }
