@@ -104,7 +104,7 @@ fn possible(state: &State, list: &IncidentList) -> Vec<[&'static str; 3]> {
     let (one, open) = (chosen.is_some(), chosen.is_some_and(|row| row.open));
     let all = [
         (["n", "new", "Open an incident, filled in from the row behind this window"], changes),
-        (["enter", "records", "Show its records in Records"], one),
+        (["enter", "records", "Show its records on the Records screen"], one),
         (["a", "note", "Add a note; exported bundles include notes"], changes && one),
         (["c", "close", "End its span now; its records stay held"], changes && open),
         (["x", "remove", "Remove it: retention may then delete what only it held"], changes && one),

@@ -296,7 +296,7 @@ pub fn click(state: &mut State, column: u16, row: u16) {
 
 /// `None` everywhere if the names do not fit.
 fn named_at(columns: u16, column: u16) -> Option<Screen> {
-    let gap = Screen::all().map(|screen| screen.title().len() + 3).sum::<usize>() < usize::from(columns);
+    let gap = Screen::all().map(|screen| screen.title().len() + 3).sum::<usize>() <= usize::from(columns);
     let mut left = 0;
     let wide_enough = columns >= 80;
     Screen::all().filter(|_| wide_enough).find(|screen| {

@@ -119,6 +119,20 @@ fn every_screen_at_every_size() {
     }
 }
 
+#[test]
+fn a_click_on_a_screens_name_goes_there() {
+    for size in SIZES.into_iter().filter(|size| size.0 >= 80) {
+        for screen in Screen::all() {
+            let mut robot = at(Screen::Overview, size);
+            let shown = shown(&robot.state, &night());
+            let bar = shown.lines().nth(1).expect("the names of the screens");
+            let column = u16::try_from(bar.find(screen.title()).expect(bar)).expect("narrow");
+            robot.act(Action::Click { column, row: 1 });
+            assert_eq!(robot.state.screen, screen, "{size:?}: {bar}");
+        }
+    }
+}
+
 /// Lists with their pane, and the Overview with graphs of what flowed.
 #[test]
 fn the_bars_at_120_columns_say_what_is_used_most_and_are_not_cut() {
