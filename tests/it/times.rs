@@ -36,6 +36,9 @@ fn a_list_by_local_times_has_what_was_captured_then() {
     authros.capture(&[ODOM, OTHER], 5);
     let all = authros.records(&["records", "list", "--oldest"]);
     assert_eq!(all.len(), 10);
+    let ids = |records: &[Value]| records.iter().map(|record| text(record, "id")).collect::<Vec<_>>();
+    let newest_first = authros.records(&["records", "list"]);
+    assert_eq!(ids(&newest_first), ids(&all).into_iter().rev().collect::<Vec<_>>());
     let (since, until) = (captured_at(&all[3]), captured_at(&all[7]));
     let within = |record: &&Value| (cut(since)..cut(until)).contains(&cut(captured_at(record)));
     let expected: Vec<String> = all.iter().filter(within).map(|record| text(record, "id")).collect();
