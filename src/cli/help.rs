@@ -211,7 +211,9 @@ fn of_command(words: &[String]) -> Result<String, Failure> {
     for word in words {
         found = found.find_subcommand_mut(word).ok_or_else(|| {
             let what = clean(&words.join(" "), 60);
-            usage(format!("there is no command or topic '{what}'; `authros help` lists topics, `authros --help` commands"))
+            usage(format!(
+                "there is no command or topic '{what}'; `authros help` lists topics, `authros --help` commands"
+            ))
         })?;
     }
     Ok(found.render_help().to_string())

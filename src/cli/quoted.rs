@@ -86,7 +86,8 @@ fn typed(text: &str) -> Vec<String> {
     let lines = text.lines().flat_map(|line| line.split(" && "));
     let begun = lines.map(str::trim_start).filter_map(|line| {
         let line = line.strip_prefix("$ ").or_else(|| line.strip_prefix("ExecStart=/usr/bin/")).unwrap_or(line);
-        (line.starts_with("authros ") && !line.starts_with("authros  ") && !line.starts_with("authros =")).then_some(line)
+        (line.starts_with("authros ") && !line.starts_with("authros  ") && !line.starts_with("authros ="))
+            .then_some(line)
     });
     begun.map(alone).collect()
 }

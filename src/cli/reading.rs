@@ -9,8 +9,8 @@ use super::args::{ChainVerb, GatewayVerb, Global, IdentityVerb, KeysVerb, Record
 use super::backups::BackupVerb;
 use super::evidence::EvidenceVerb;
 use super::parties::ContactsVerb;
-use super::recordings::BagVerb;
 use super::plan::Plan;
+use super::recordings::BagVerb;
 use crate::model::{ErrorKind, RecordState};
 use crate::ros::readable::{Plot, Readable, Table, file_of};
 use crate::service::command::{OpenShared, ViewFile};

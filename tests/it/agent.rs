@@ -252,7 +252,8 @@ fn a_recalled_device_and_a_topic_without_a_key_are_refused() {
     let twice = alice.fails(
         3,
         &[
-            "robot", "enrol",
+            "robot",
+            "enrol",
             "--gateway",
             &address,
             "--trust-first",
@@ -398,7 +399,8 @@ fn what_a_robot_sealed_out_of_reach_before_a_grant_from_now_on_is_for_those_who_
         all.into_iter().filter(is_verified).partition(|record| count(record, "epoch") == 1);
     let shared = |who: &Authros, least: usize| {
         wait_until(120, "shared records", || {
-            let ids: Vec<String> = who.records(&["received", "list", "--oldest"]).iter().map(|record| text(record, "id")).collect();
+            let ids: Vec<String> =
+                who.records(&["received", "list", "--oldest"]).iter().map(|record| text(record, "id")).collect();
             (ids.len() >= least).then_some(ids)
         })
     };

@@ -183,7 +183,8 @@ fn expect_readable(scene: &Scene, booted: Timestamp) {
         captured > booted
     };
     let (before, after) = wait_until(120, "the owner has the records", || {
-        let records = scene.owner.records_so_far(&["records", "list", "--oldest", "--topic", TOPIC, "--kind", "data"])?;
+        let records =
+            scene.owner.records_so_far(&["records", "list", "--oldest", "--topic", TOPIC, "--kind", "data"])?;
         let (after, before): (Vec<Value>, Vec<Value>) = records.into_iter().filter(is_verified).partition(is_after);
         let enough = [before.len(), after.len()].into_iter().all(|count| count as u64 >= ENOUGH);
         enough.then_some((before, after))

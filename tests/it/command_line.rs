@@ -29,9 +29,14 @@ fn setting(authros: &Authros, name: &str) -> Value {
 #[test]
 fn a_wrong_call_is_a_usage_error_and_prints_no_result() {
     let home = Home::new();
-    for arguments in
-        [&["fly"][..], &["capture"], &["capture", "--fast"], &["keys", "load"], &["grant", "add"], &["tour", "--seconds", "4"]]
-    {
+    for arguments in [
+        &["fly"][..],
+        &["capture"],
+        &["capture", "--fast"],
+        &["keys", "load"],
+        &["grant", "add"],
+        &["tour", "--seconds", "4"],
+    ] {
         let outcome = home.authros().run(arguments).expect_code(USAGE);
         assert!(outcome.stdout.is_empty() && !outcome.stderr.is_empty(), "{outcome}");
         let outcome = home.authros().with(&["--json"]).run(arguments).expect_code(USAGE);

@@ -140,7 +140,9 @@ fn a_site_is_left_running_in_the_consoles_place() {
     let mut operator = Operator::opens(&authros, (80, 24));
     operator.sees("Unlock the keyring").presses(PASSPHRASE).presses("\r").sees("HOST").no_longer_sees("LOCKED");
     operator.presses("2").sees(CAMERA).presses("/odom\r").no_longer_sees(CAMERA).presses("w").sees("watched");
-    wait_until(PATIENCE, "a first record", || Some(()).filter(|()| !authros.records(&["records", "list", "--oldest"]).is_empty()));
+    wait_until(PATIENCE, "a first record", || {
+        Some(()).filter(|()| !authros.records(&["records", "list", "--oldest"]).is_empty())
+    });
     // Neither wrong passphrases nor none end anything: the console comes back, and the site captures all the time.
     let count = || authros.records(&["records", "list", "--oldest"]).len();
     for keys in ["a wrong guess\ra wrong guess\ra wrong guess\r", "\r", "half a secret\u{3}"] {
@@ -164,7 +166,9 @@ fn a_site_is_left_running_in_the_consoles_place() {
     let line = fs::read(format!("/proc/{process}/cmdline")).expect("it runs");
     assert!(!support::holds(&line, PASSPHRASE.as_bytes()), "no passphrase among the arguments");
     let before = authros.records(&["records", "list", "--oldest"]).len();
-    wait_until(PATIENCE, "more records", || Some(()).filter(|()| authros.records(&["records", "list", "--oldest"]).len() > before));
+    wait_until(PATIENCE, "more records", || {
+        Some(()).filter(|()| authros.records(&["records", "list", "--oldest"]).len() > before)
+    });
     // A second one is refused, in words.
     let refused = authros.run(&["serve", "--detach"]).expect_code(7);
     assert!(refused.stderr.contains("already running"), "{}", refused.stderr);

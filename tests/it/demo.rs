@@ -80,7 +80,8 @@ fn a_home_with_foreign_files_is_kept_and_they_stay() {
 fn without_json_it_is_a_story_with_figures_and_no_escape_codes() {
     let _alone = heavy();
     let home = Home::new();
-    let outcome = home.authros().spawn(&["tour", "--plain", "--seconds", "2", "--robots", "2"]).wait(180).expect_code(0);
+    let outcome =
+        home.authros().spawn(&["tour", "--plain", "--seconds", "2", "--robots", "2"]).wait(180).expect_code(0);
     assert!(outcome.stdout.lines().count() >= 8, "{outcome}");
     assert!(outcome.stdout.chars().any(|character| character.is_ascii_digit()), "{outcome}");
     for word in ["verified", "grant", "refused", "revoke"] {
@@ -114,6 +115,7 @@ fn each_check_switched_off_makes_the_demo_say_that_it_is_not_ok() {
     // The product itself heeds none of it.
     let home = Home::new();
     let product = home.authros().with_variable("AUTHROS_FAULT", CHECKS[0]).with(&["--json"]);
-    let told = product.spawn(&["tour", "--plain", "--seconds", "2", "--robots", "1"]).wait(180).expect_code(0).document();
+    let told =
+        product.spawn(&["tour", "--plain", "--seconds", "2", "--robots", "1"]).wait(180).expect_code(0).document();
     assert_eq!(told["ok"], true, "{told}");
 }

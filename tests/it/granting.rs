@@ -52,7 +52,9 @@ fn from_now_on_opens_nothing_that_was_captured_before_while_messages_go_on() {
     let granted = two.alice.json(&["grant", "add", &two.bob_address, "--topic", TOPIC, "--from", "now"]);
     assert_eq!(granted["epoch"], 2, "{granted}");
     assert!(text(&granted, "text").contains("from now on, nothing older"), "{granted}");
-    wait_until(60, "what comes afterwards is read", || (two.bob.records(&["received", "list", "--oldest"]).len() >= 5).then_some(()));
+    wait_until(60, "what comes afterwards is read", || {
+        (two.bob.records(&["received", "list", "--oldest"]).len() >= 5).then_some(())
+    });
     two.alice.run(&["topics", "unwatch", TOPIC]).expect_code(0);
     let all = two.alice.records(&["records", "list", "--oldest"]);
     let (before, after): (Vec<Value>, Vec<Value>) = all.into_iter().partition(|record| captured(record) < asked);
@@ -121,7 +123,9 @@ fn many_grants_from_now_on_in_a_row_take_nothing_from_anybody() {
     two.alice.capture(&[TOPIC], 1);
     let all = two.alice.records(&["records", "list", "--oldest"]);
     let whole = ids(&all);
-    wait_until(120, "the first reader has all", || (ids(&two.bob.records(&["received", "list", "--oldest"])) == whole).then_some(()));
+    wait_until(120, "the first reader has all", || {
+        (ids(&two.bob.records(&["received", "list", "--oldest"])) == whole).then_some(())
+    });
     assert_eq!(opened(&two.bob), whole, "through every epoch");
     for (reader, before) in readers.iter().zip(&seen[1..]) {
         let later = ids(&all[*before..]);
@@ -165,7 +169,8 @@ fn the_form_at_80_by_24_says_from_when_and_the_reader_opens_nothing_older() {
     console.wait_for("1 can read new records now", 60);
     is_closed(&two.bob, &before);
     two.alice.capture(&[TOPIC], 2);
-    let after: Vec<Value> = two.alice.records(&["records", "list", "--oldest"]).into_iter().skip(before.len()).collect();
+    let after: Vec<Value> =
+        two.alice.records(&["records", "list", "--oldest"]).into_iter().skip(before.len()).collect();
     assert_eq!((opened(&two.bob), after.len()), (ids(&after), 2));
     console.signal("TERM");
     console.wait(60);

@@ -34,7 +34,11 @@ fn an_identity_is_made_shown_and_registered() {
     for field in ["address", "signing_key", "envelope_key", "registered", "epoch"] {
         assert_eq!(shown[field], registered[field], "{field}");
     }
-    assert_eq!(alice.json(&["identity", "register"])["address"].as_str(), Some(&*address), "registering again changes nothing");
+    assert_eq!(
+        alice.json(&["identity", "register"])["address"].as_str(),
+        Some(&*address),
+        "registering again changes nothing"
+    );
 }
 
 #[test]

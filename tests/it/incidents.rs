@@ -109,7 +109,11 @@ fn an_incident_is_held_found_exported_carried_by_a_backup_and_let_go() {
     keeps.fails(INPUT, &["incident", "close", "crash"]);
     keeps.fails(USAGE, &["incident", "remove", "crash"]);
     keeps.json(&["incident", "remove", "crash", "--yes"]);
-    assert_eq!(digests(&keeps.records(&["records", "list", "--oldest", "--incident", "second"])), all, "the other one still holds");
+    assert_eq!(
+        digests(&keeps.records(&["records", "list", "--oldest", "--incident", "second"])),
+        all,
+        "the other one still holds"
+    );
     assert!(!is_deleted(&keeps, ODOM));
     assert!(named(&keeps).iter().all(|topic| topic == OTHER));
     keeps.json(&["incident", "remove", "second", "--yes"]);

@@ -298,5 +298,9 @@ fn what_died_with_a_gateways_disk_is_brought_again_by_its_robot() {
     assert!(all > receipted, "{all}");
     println!("{receipted} records had a receipt when the gateway's disk died; {all} are verified");
     let own = alice.verified(&["records", "list", "--oldest"], all);
-    assert_eq!(bob.verified(&["received", "list", "--oldest", "--owner", &alice.address], all), own, "the reader has the same");
+    assert_eq!(
+        bob.verified(&["received", "list", "--oldest", "--owner", &alice.address], all),
+        own,
+        "the reader has the same"
+    );
 }

@@ -91,7 +91,9 @@ fn a_picture_taken_at_the_robot_is_restored_and_seen_by_the_grantee() {
     alice.json(&["grant", "add", &address]);
     alice.capture(&[CAMERA], 1);
     alice.capture(&["/robot1/odom"], 30);
-    let id = |topic: &str| text(bob.records(&["received", "list", "--oldest", "--topic", topic]).last().expect("a record"), "id");
+    let id = |topic: &str| {
+        text(bob.records(&["received", "list", "--oldest", "--topic", topic]).last().expect("a record"), "id")
+    };
     let (picture, odometry) = (id(CAMERA), id("/robot1/odom"));
 
     let (body, jpeg) = (written(&alice, &home, &picture, "a.bin"), written(&bob, &home, &picture, "b.jpg"));

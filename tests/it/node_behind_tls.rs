@@ -118,6 +118,7 @@ fn a_refused_address_of_a_node_is_not_repeated() {
         assert!(message.contains("http://"), "{message}");
         expect_no_secret(&message);
     }
-    let missing = home.authros().with_variable("AUTHROS_CHAIN_ROOTS", "/nowhere/ca.pem").fails(3, &["identity", "register"]);
+    let missing =
+        home.authros().with_variable("AUTHROS_CHAIN_ROOTS", "/nowhere/ca.pem").fails(3, &["identity", "register"]);
     assert!(missing.contains("chain.roots") && missing.contains("/nowhere/ca.pem"), "{missing}");
 }

@@ -111,7 +111,10 @@ fn each_account_does_what_the_settings_say_and_the_log_names_it() {
     let other = yard.operator_of(&accounts, "bob", "default");
     assert!(other.fails(REFUSED, &["records", "list", "--oldest"]).contains("no profile 'default'"));
     let mallory = yard.operator(&accounts, "mallory");
-    assert!(mallory.fails(REFUSED, &["records", "list", "--oldest"]).contains("you may not use"), "the socket is its group's");
+    assert!(
+        mallory.fails(REFUSED, &["records", "list", "--oldest"]).contains("you may not use"),
+        "the socket is its group's"
+    );
     let mut line = accounts.line(&accounts.name("mallory"), &yard.socket);
     let refusal = line.next().expect("a refusal");
     assert!(text(&refusal["refused"], "message").contains("has no right at this site"), "{refusal}");
@@ -132,7 +135,10 @@ fn each_account_does_what_the_settings_say_and_the_log_names_it() {
     assert_eq!(yard.audited(&["--by", &by, "--action", "watch"]).len(), 2);
 
     yard.stop();
-    assert!(bob.fails(UNREACHABLE, &["records", "list", "--oldest"]).contains("authros serve"), "an operator opens no home");
+    assert!(
+        bob.fails(UNREACHABLE, &["records", "list", "--oldest"]).contains("authros serve"),
+        "an operator opens no home"
+    );
     let refused = yard.audited(&["--action", "refused"]);
     let counted = |by: &str, code: &str| {
         refused.iter().any(|line| {
@@ -175,7 +181,9 @@ fn the_homes_socket_is_its_owners_and_an_operator_gives_no_passphrase() {
     // A passphrase is refused at every step: by the arguments, before one is asked for, and by the site.
     let bob = yard.operator(&accounts, "bob");
     let words = accounts.home("bob").join("words");
-    bob.with(&["--passphrase-file", words.to_str().expect("UTF-8")]).run(&["records", "list", "--oldest"]).expect_code(USAGE);
+    bob.with(&["--passphrase-file", words.to_str().expect("UTF-8")])
+        .run(&["records", "list", "--oldest"])
+        .expect_code(USAGE);
     for arguments in [&["keys", "passphrase"][..], &["identity", "create"]] {
         assert!(bob.fails(REFUSED, arguments).contains("gives no passphrase"), "{arguments:?}");
     }

@@ -141,7 +141,8 @@ fn two_profiles_share_over_a_real_node() {
         let answer = bob.json(&["records", "check", &text(&record, "id")])["contract"].clone();
         assert_eq!((&answer["authorised"], text(&answer, "reader")), (&true.into(), bob_address.clone()), "{answer}");
     }
-    let told = bob.run(&["records", "check", &text(&bob.records(&["received", "list", "--oldest"])[0], "id")]).expect_code(0);
+    let told =
+        bob.run(&["records", "check", &text(&bob.records(&["received", "list", "--oldest"])[0], "id")]).expect_code(0);
     assert!(
         told.stdout.contains(&format!("the contract lets {bob_address} read epoch 1 of {alice_address}")),
         "{told}"

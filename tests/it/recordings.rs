@@ -131,10 +131,9 @@ fn what_an_mcap_file_holds_beside_its_messages_comes_out_as_it_went_in() {
     // Erasing the recording erases them.
     let tags = list(&two.alice.json(&["records", "open", &text(&own[0], "id")]), "tags");
     let tag = tags.iter().find(|tag| tag[0] == "recording").and_then(|tag| tag[1].as_str()).expect("a tag").to_owned();
-    let erased = two.alice.json_within(
-        240,
-        &["records", "erase", "--recording", &tag, "--reason", "the customer asked for it", "--yes"],
-    );
+    let erased = two
+        .alice
+        .json_within(240, &["records", "erase", "--recording", &tag, "--reason", "the customer asked for it", "--yes"]);
     assert_eq!((count(&erased, "named"), &erased["deleted"]), (14, &json!(true)), "{erased}");
     for record in &own {
         assert_ne!(two.alice.run(&["records", "open", &text(record, "id")]).code, Some(0), "{record}");

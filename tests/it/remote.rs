@@ -100,7 +100,8 @@ fn an_operator_without_a_chain_client_reads_what_is_shared_until_the_revoke() {
 
     gate.alice.json(&["grant", "end", &address]);
     gate.alice.capture(&["/robot1/odom"], 3);
-    let later: BTreeSet<String> = ids(&gate.alice.records(&["records", "list", "--oldest"])).difference(&all).cloned().collect();
+    let later: BTreeSet<String> =
+        ids(&gate.alice.records(&["records", "list", "--oldest"])).difference(&all).cloned().collect();
     assert_eq!(later.len(), 3);
     wait_until(60, "the revoke is seen", || shared(&bob).is_empty().then_some(()));
     for id in &later {

@@ -122,8 +122,13 @@ fn identities_grants_and_records_are_there_after_a_restart() {
     let bob_address = bob.enrol();
     alice.json(&["grant", "add", &bob_address]);
     alice.capture(&["/robot1/odom"], 3);
-    let questions =
-        [&["identity", "show"][..], &["keys", "list"], &["grant", "list"], &["records", "list", "--oldest"], &["received", "list", "--oldest"]];
+    let questions = [
+        &["identity", "show"][..],
+        &["keys", "list"],
+        &["grant", "list"],
+        &["records", "list", "--oldest"],
+        &["received", "list", "--oldest"],
+    ];
     let ask = |authros: &Authros| {
         questions.map(|question| {
             let mut answer = authros.json(question);
@@ -167,5 +172,7 @@ fn a_watch_at_a_restarted_site_begins_or_says_why_it_does_not() {
     assert!(said.stderr.contains("locked") && said.stderr.contains("--passphrase-file"), "{}", said.stderr);
     std::fs::rename(&kept, &passphrase).expect("given back");
     alice.json(&["topics", "watch", TOPICS[0]]);
-    wait_until(60, "it is captured again", || (alice.records(&["records", "list", "--oldest"]).len() > before + 20).then_some(()));
+    wait_until(60, "it is captured again", || {
+        (alice.records(&["records", "list", "--oldest"]).len() > before + 20).then_some(())
+    });
 }

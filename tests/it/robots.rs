@@ -99,7 +99,11 @@ fn what_a_ring_kept_before_the_button_is_in_the_incident_though_nobody_watched_i
     let before = when(&agent, "the ring fills", |figures| in_ring(figures) >= 15);
     // Without a chance to write anything.
     agent.stop("KILL", 10);
-    assert_eq!(alice.records(&["records", "list", "--oldest", "--topic", UNWATCHED]).len(), 0, "nobody reads a ring unasked");
+    assert_eq!(
+        alice.records(&["records", "list", "--oldest", "--topic", UNWATCHED]).len(),
+        0,
+        "nobody reads a ring unasked"
+    );
 
     let agent = robot.run("5m, 64MiB", "[\"/robot1/camera/**\"]");
     let kept = in_ring(&before);

@@ -140,7 +140,8 @@ fn pictures_of_eight_megabytes_reach_a_real_node_and_cyclone_dds() {
     let number: usize = pictures.parse().expect("a number");
     let node = Node::start(&network, "kilted", &["/camera:image:reliable"]);
     let cyclone = Listener::start(&network, OUT, &["/camera", "image"]);
-    let played = plant.bob.run(&["--json", "received", "play", "--as-captured", "--ros2", OUT]).expect_code(0).document();
+    let played =
+        plant.bob.run(&["--json", "received", "play", "--as-captured", "--ros2", OUT]).expect_code(0).document();
     assert_eq!(figures(&played), [number as u64, 0, 0, 0], "{played}");
     let expected = plant.originals[0].hears(number, 20);
     assert!(node.hears("/camera", number, 20) == expected && cyclone.hears(number, 20) == expected);

@@ -150,7 +150,8 @@ fn what_is_played_live_into_a_domain_ends_with_the_grant_and_late_subscribers_ge
     // The others have met writers of the killed program, too, and wait until their leases run out.
     anew.meets(0, 20);
     // What comes after the revoke is never heard, and nothing is latched any more.
-    let (before, seen) = (reader.heard().len(), plant.alice.records(&["records", "list", "--oldest", "--topic", "/words"]).len());
+    let (before, seen) =
+        (reader.heard().len(), plant.alice.records(&["records", "list", "--oldest", "--topic", "/words"]).len());
     wait_until(60, "more is verified", || {
         let records = plant.alice.records(&["records", "list", "--oldest", "--topic", "/words"]);
         (records.iter().filter(|record| is_verified(record)).count() > seen + 50).then_some(())

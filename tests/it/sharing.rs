@@ -61,7 +61,10 @@ fn a_grantee_checks_and_opens_until_the_revoke_and_nothing_after_it() {
         two.bob.is_refused(&["records", "open", &text(record, "id")]);
         open(&two.alice, &text(record, "id"));
     }
-    assert!(ids(&two.bob.records(&["received", "list", "--oldest"])).is_subset(&ids(&own)), "later records are not even listed");
+    assert!(
+        ids(&two.bob.records(&["received", "list", "--oldest"])).is_subset(&ids(&own)),
+        "later records are not even listed"
+    );
 }
 
 #[test]
@@ -147,7 +150,9 @@ fn who_is_left_reads_on_when_another_is_revoked() {
     two.alice.json(&["grant", "end", &two.bob_address]);
     two.alice.capture(&["/robot1/odom"], 2);
     let later = ids(&two.alice.records(&["records", "list", "--oldest"]));
-    let seen = support::poll(30, || Some(ids(&carol.records(&["received", "list", "--oldest"]))).filter(|seen| *seen == later));
+    let seen = support::poll(30, || {
+        Some(ids(&carol.records(&["received", "list", "--oldest"]))).filter(|seen| *seen == later)
+    });
     assert!(seen.is_some(), "the survivor was re-wrapped for the new epoch");
     for id in &later {
         open(&carol, id);

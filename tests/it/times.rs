@@ -59,7 +59,8 @@ fn a_list_by_local_times_has_what_was_captured_then() {
     assert_eq!(authros.records(&["records", "list", "--oldest", "--since", "tomorrow 18:00"]).len(), 0);
     let wrong = authros.fails(INPUT, &["records", "list", "--oldest", "--since", "soon"]);
     assert!(wrong.contains("yesterday 18:00"), "{wrong}");
-    let past = authros.fails(INPUT, &["grant", "add", "0x00000000000000000000000000000000000000b0", "--expires", "yesterday"]);
+    let past =
+        authros.fails(INPUT, &["grant", "add", "0x00000000000000000000000000000000000000b0", "--expires", "yesterday"]);
     assert!(past.contains("enter a later time"), "{past}");
 }
 

@@ -206,7 +206,8 @@ async fn answered(chain: &Chain, name: &str, has_pin: bool, sheet: &mut Sheet) {
             let advice = "the store was lost: restore the last backup, or name the contract with --contract";
             sheet.fail("contract", &text, advice);
         }
-        None => sheet.ok("contract", "not deployed yet; deploy it with `authros identity register` or `authros chain deploy`"),
+        None => sheet
+            .ok("contract", "not deployed yet; deploy it with `authros identity register` or `authros chain deploy`"),
     }
     if has_pin && let Ok(sealed_by) = chain.sealed_by().await {
         who_seals(&sealed_by, sheet);

@@ -108,7 +108,11 @@ fn acts_of_topics() -> Vec<Act> {
         (Tag::Pin(name()), pin, line("topics pin")),
         (Tag::Unpin(name()), unpin, line("topics unpin") + " /driver"),
         (Tag::Release(name()), Command::ReleaseHeld { held: held() }, line("topics quarantine release --topic")),
-        (Tag::Discard(name()), Command::DiscardHeld { held: held() }, line("topics quarantine discard --topic") + " --yes"),
+        (
+            Tag::Discard(name()),
+            Command::DiscardHeld { held: held() },
+            line("topics quarantine discard --topic") + " --yes",
+        ),
         (Tag::Publishers(name()), Command::ListPins { topic: Some(topic()) }, line("topics pins --topic")),
     ]
 }

@@ -39,7 +39,9 @@ fn a_back_up_under_load_becomes_a_home_that_goes_on() {
         authros.run(&["topics", "watch", topic]).expect_code(0);
     }
     let enough = |least: usize| {
-        wait_until(60, "records arrive", || (authros.records(&["records", "list", "--oldest"]).len() >= least).then_some(()))
+        wait_until(60, "records arrive", || {
+            (authros.records(&["records", "list", "--oldest"]).len() >= least).then_some(())
+        })
     };
     enough(60);
     let (file, secret) = (path(&home, "home.backup"), home.file("secret", "a passphrase of its own\n", 0o600));
@@ -48,7 +50,10 @@ fn a_back_up_under_load_becomes_a_home_that_goes_on() {
     assert!(count(&told, "files") >= 5 && told["profiles"][0] == "default", "{told}");
     assert_eq!(fs::metadata(&file).expect("there").permissions().mode() & 0o777, 0o600);
     authros.fails(INPUT, &backup);
-    authros.fails(INPUT, &["backup", "create", home.path().join("x").to_str().expect("UTF-8"), "--passphrase-file", &secret]);
+    authros.fails(
+        INPUT,
+        &["backup", "create", home.path().join("x").to_str().expect("UTF-8"), "--passphrase-file", &secret],
+    );
     enough(120);
     site.stop("INT", 30).expect_code(0);
     assert!(

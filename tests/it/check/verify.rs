@@ -80,8 +80,10 @@ fn a_stranger_checks_an_exported_record_step_by_step() {
         assert_eq!(holds(&found, step), true, "{step}: {found}");
     }
     assert!(!case.home.root().join("export/.local").exists(), "no home was made");
-    let words =
-        case.stranger.run(&["evidence", "verify", case.folder.to_str().expect("UTF-8"), "--chain", &case.url]).expect_code(0);
+    let words = case
+        .stranger
+        .run(&["evidence", "verify", case.folder.to_str().expect("UTF-8"), "--chain", &case.url])
+        .expect_code(0);
     assert!(words.stdout.contains("VERIFIED") && words.stdout.contains("existed no later than 20"), "{words}");
     assert!(words.stdout.contains("the owner's claim") && words.stdout.contains("a single program seals"), "{words}");
     assert_eq!((&found["sealed_by"]["kind"], &found["sealed_by"]["alone"]), (&"embedded".into(), &true.into()));
@@ -96,7 +98,8 @@ fn a_stranger_checks_an_exported_record_step_by_step() {
     );
     let arguments = ["evidence", "verify", folder, "--chain", &case.url, "--json", "--genesis", &genesis];
     assert!(!trusting(&case.stranger.run(&arguments).expect_code(0).document()), "its genesis was given");
-    let arguments = ["evidence", "verify", folder, "--chain", &case.url, "--json", "--genesis", &format!("0x{}", "00".repeat(32))];
+    let arguments =
+        ["evidence", "verify", folder, "--chain", &case.url, "--json", "--genesis", &format!("0x{}", "00".repeat(32))];
     assert_eq!(holds(&case.stranger.run(&arguments).expect_code(TAMPERED).document(), "chain"), false);
 
     let bytes = case.changed(|copy| flip(&copy.join("record.bin"), |length| length - 1));

@@ -167,7 +167,9 @@ fn a_site_ends_in_order_while_a_chain_that_stands_still_keeps_others_waiting() {
     let site = authros.serve(&home);
     anvil.call("evm_setAutomine", &json!([false]));
     let capture = authros.with(&["--json"]).spawn(&["capture", "--topic", TOPICS[0], "--count", "5"]);
-    wait_until(60, "its records are acknowledged", || (authros.records(&["records", "list", "--oldest"]).len() >= 5).then_some(()));
+    wait_until(60, "its records are acknowledged", || {
+        (authros.records(&["records", "list", "--oldest"]).len() >= 5).then_some(())
+    });
     let begun = Instant::now();
     site.stop("TERM", 30).expect_code(0);
     println!("ended in order within {:?} although a capture waits", begun.elapsed());

@@ -38,7 +38,8 @@ fn told(alice: &Member, gateway: &Gateway, (name, messages): (&str, &[Value]), g
     let settled = |record: &Value| is_verified(record) || record["state"] == "deleted";
     let ids: BTreeSet<String> = messages.iter().map(|record| text(record, "id")).collect();
     let records = wait_until(180, "all are listed", || {
-        let mut records = reader.authros.records_so_far(&["received", "list", "--oldest", "--owner", &alice.address])?;
+        let mut records =
+            reader.authros.records_so_far(&["received", "list", "--oldest", "--owner", &alice.address])?;
         records.retain(|record| ids.contains(&text(record, "id")));
         (records.len() >= ids.len() && records.iter().all(settled)).then_some(records)
     });

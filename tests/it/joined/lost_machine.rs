@@ -68,7 +68,11 @@ fn everything_opens_after_the_machine_is_lost(ground: &Ground) {
     robot.bring("3");
     let all = begin_epoch(&alice, &robot);
     let own = alice.verified(&["records", "list", "--oldest"], all);
-    assert_eq!(bob.verified(&["received", "list", "--oldest", "--owner", &alice.address], all), own, "the reader has the same");
+    assert_eq!(
+        bob.verified(&["received", "list", "--oldest", "--owner", &alice.address], all),
+        own,
+        "the reader has the same"
+    );
     for id in &own {
         assert_eq!(bob.authros.json(&["records", "open", id])["verdict"], "verified", "{id}");
     }

@@ -151,7 +151,9 @@ fn on_a_full_disk_who_only_looks_is_answered_or_told_so_in_true_words() {
     authros.enrol();
     authros.capture(&[ODOM], 2);
     disk.fill();
-    for looking in [&["status"][..], &["records", "list", "--oldest"], &["topics", "list"], &["grant", "list"], &["audit"]] {
+    for looking in
+        [&["status"][..], &["records", "list", "--oldest"], &["topics", "list"], &["grant", "list"], &["audit"]]
+    {
         let outcome = authros.run(looking);
         let words = format!("{}{}", outcome.stdout, outcome.stderr);
         let told = words.contains("full") && words.contains("free some space") && !words.contains("automatically");

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::Screen::{self, Chain, Grants, Keys, Log, Overview, Robots, Received, Topics, Records};
+use super::Screen::{self, Chain, Grants, Keys, Log, Overview, Received, Records, Robots, Topics};
 use super::administration::Act;
 use super::incidents::Deed;
 use super::keymap::Key;

@@ -109,7 +109,9 @@ impl Administering {
             Administration::Dismiss { account } => {
                 let account = resolved(account)?;
                 if network.directory.epoch(account) > 0 {
-                    return Err(refused(format!("{account} has already registered; `authros chain admin suspend` stops it")));
+                    return Err(refused(format!(
+                        "{account} has already registered; `authros chain admin suspend` stops it"
+                    )));
                 }
                 Ok((
                     Call::Dismiss { account },

@@ -55,8 +55,9 @@ impl Enrolments {
 
     pub fn issue(&self, owner: &Owner, network: &Network, to: &Enrolled) -> Result<IssuedKeys, Failure> {
         let sealing = owner.sealing().filter(|keys| keys.domain == network.domain);
-        let sealing = sealing
-            .ok_or_else(|| refused("this keyring has the key of no epoch that has started; run `authros identity register`"))?;
+        let sealing = sealing.ok_or_else(|| {
+            refused("this keyring has the key of no epoch that has started; run `authros identity register`")
+        })?;
         let now = self.issue_of(owner, network, to, sealing.epoch)?;
         let next = owner.author.next().filter(|(_, keys)| keys.epoch > sealing.epoch);
         let next = next.map(|(from, keys)| Ok::<_, Failure>((from, self.issue_of(owner, network, to, keys.epoch)?)));
