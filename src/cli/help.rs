@@ -133,7 +133,7 @@ covers topics that appear later:
   3  wrong input               8  incomplete: part of it was done
   4  a peer does not answer
 
-With --json an error is one document on stderr, with its kind and message.
+With --json an error is a document on stdout too, with its kind and message.
 ",
     },
 ];

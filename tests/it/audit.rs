@@ -409,7 +409,7 @@ fn no_edited_column_is_shown_as_verified() {
     drop((connection, fs::copy(&ledger, &kept).expect("copied")));
     let whole = exported(&bob, &home);
     let find = |rows: Vec<Value>| rows.into_iter().find(|row| row["id"] == id.as_str());
-    println!("column | uploads list | shared list | shared open | export | audit | audit --deep");
+    println!("column | records list | received list | records open | export | audit | audit --deep");
     for edit in &EDITS {
         let column = edit.column;
         let connection = rusqlite::Connection::open(&ledger).expect("opens");
