@@ -82,7 +82,7 @@ pub fn list(context: &Context, output: &Output) -> Result<u8, Failure> {
         .collect();
     output.result(&serde_json::json!({ "identities": json }), || {
         if rows.is_empty() {
-            return "no identity yet; create one with authros identity create".to_owned();
+            return "no identity yet; create one with `authros identity create`".to_owned();
         }
         let line = |(used, profile, address, fingerprint): &(bool, ProfileName, Address, String)| {
             let mark = if *used { "*" } else { " " };

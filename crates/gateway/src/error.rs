@@ -20,7 +20,7 @@ pub enum GatewayError {
     #[error("the gateway refused: {0}")]
     Refused(Code),
     /// In the session of a device that proved its transport key: when the chain recalled it.
-    #[error("this robot's owner revoked it at {0}; ask the owner to enrol it again (authros robot enrol)")]
+    #[error("this robot's owner revoked it at {0}; ask the owner to enrol it again (`authros robot enrol`)")]
     Recalled(Timestamp),
     /// Anyone on the network can forge it: it means no more than a closed connection.
     #[error("the gateway closed the connection with an unauthenticated message: {0}")]

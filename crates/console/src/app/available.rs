@@ -49,7 +49,7 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
         }
         Verb::Inspect => inspect(state),
         Verb::SetPolicy => policy(state),
-        Verb::EndTour => given(state.tour.is_some(), "no tour: authros tour begins one"),
+        Verb::EndTour => given(state.tour.is_some(), "no tour: `authros tour` begins one"),
         Verb::Release | Verb::Discard => held(state),
         Verb::BackUp | Verb::Incident | Verb::Incidents => identity(state).map(drop),
         Verb::Lock => once(state, &Tag::Lock, !identity(state)?.unlocked, "already locked"),

@@ -229,7 +229,7 @@ fn form(around: &Around) -> Form {
     ];
     let mut notes = vec!["Protects what was recorded in this time from retention.".to_owned()];
     if left > 0 {
-        notes.push(format!("{left} more topics do not fit here; use authros incident open."));
+        notes.push(format!("{left} more topics do not fit here; use `authros incident open`."));
     }
     Form::new("New incident", notes, lines)
 }

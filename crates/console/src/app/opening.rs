@@ -126,7 +126,7 @@ pub fn key(state: &mut State, mut opening: Opening, key: Key) {
                 state.effects.push(Effect::WriteFiles { base: None, directory: None, files: vec![file] });
             }
             Some(None) => state
-                .inform(format!("too large to save here; use: authros records open {} --out FILE", opening.lookup.id)),
+                .inform(format!("too large to save here; use `authros records open {} --out FILE`", opening.lookup.id)),
             None => {}
         },
         Key::Char('y') => {
