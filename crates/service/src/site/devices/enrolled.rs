@@ -213,7 +213,7 @@ impl Devices {
                 file: SecretBytes::new(file),
             })
         };
-        self.parts.log.deed(&owner.profile, "enrol device", &subject, enrolled).await
+        self.parts.log.deed(&owner.profile, "enrol robot", &subject, enrolled).await
     }
 
     /// A recall by name must not leave another robot able to read.
@@ -267,7 +267,7 @@ impl Devices {
             block_in_place(|| self.enrolments.tell_devices(owner, &network))
         };
         let subject = format!("{device}: {}", added.join(" "));
-        self.parts.log.deed(&owner.profile, "device topics", &subject, told).await?;
+        self.parts.log.deed(&owner.profile, "robot topics", &subject, told).await?;
         Ok(DeviceTopicsView { name: enrolled.name, device, added, topics: enrolled.topics })
     }
 }

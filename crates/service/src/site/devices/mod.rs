@@ -61,7 +61,7 @@ impl Devices {
         }
         let end = until.map_or_else(|| "it is revoked".to_owned(), |until| until.to_string());
         let text = format!("device {device} may sign for {} until {end}", owner.address);
-        let lent = self.change_devices(owner, &network, Call::Lend { device, until }, "lend", text);
+        let lent = self.change_devices(owner, &network, Call::Lend { device, until }, "authorise device", text);
         self.parts.log.deed(&owner.profile, "authorise device", &device.to_string(), lent).await
     }
 
@@ -74,9 +74,9 @@ impl Devices {
             // Saved in the keyring before anything is sent: the next start resumes an interruption.
             owner.prepare_epoch(network.domain, network.directory.epoch(owner.address) + 1)?;
             let call = Call::Recall { device };
-            let recalled = self.change_devices(owner, &network, call, "recall", String::new()).await?;
+            let recalled = self.change_devices(owner, &network, call, "revoke device", String::new()).await?;
             self.enrolments.note_recalled(owner, device)?;
-            let rotated = self.sharing.next_epoch(owner, &network, "recall").await.map_err(|failure| {
+            let rotated = self.sharing.next_epoch(owner, &network, "revoke device").await.map_err(|failure| {
                 let what = "is revoked, but the new epoch is not on the chain yet and its keys still open new records; \
                             `authros keys rotate` starts it";
                 Failure { message: format!("device {device} {what}: {}", failure.message), ..failure }
@@ -94,7 +94,7 @@ impl Devices {
     pub async fn unlend_device(&self, owner: &Arc<Owner>, device: SignerId) -> Result<(), Failure> {
         let network = self.parts.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
-        let recalled = self.change_devices(owner, &network, Call::Recall { device }, "recall", String::new());
+        let recalled = self.change_devices(owner, &network, Call::Recall { device }, "revoke device", String::new());
         self.parts.log.deed(&owner.profile, "revoke device", &device.to_string(), recalled).await.map(drop)
     }
 
