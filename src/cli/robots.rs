@@ -86,7 +86,7 @@ pub enum RobotVerb {
         #[arg(value_name = "ROBOT")]
         device: String,
     },
-    /// List every device that may sign for this profile, and those revoked
+    /// List every device that may sign for this profile, and those revoked, newest first
     Devices,
 }
 
@@ -277,7 +277,9 @@ pub fn devices(rows: &[DeviceRow]) -> String {
         ]
     };
     let head = ["device", "fingerprint", "state", "from block", "until", "revoked at"];
-    table(&head, rows.iter().map(row))
+    let mut newest_first: Vec<&DeviceRow> = rows.iter().collect();
+    newest_first.sort_by_key(|row| std::cmp::Reverse(row.from));
+    table(&head, newest_first.into_iter().map(row))
 }
 
 #[cfg(test)]
