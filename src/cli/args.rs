@@ -96,7 +96,7 @@ pub enum Verb {
     Topics(TopicsVerb),
     /// Capture topics; ends when everything captured is verified
     Capture(CaptureArguments),
-    /// Records: list your own, open, check, export or erase any
+    /// Records: list, show, open, check, export, import, erase
     #[command(subcommand)]
     Records(RecordsVerb),
     /// Recordings (bag, MCAP): import, follow, export
