@@ -291,9 +291,9 @@ mod tests {
     fn topics_fit_a_screen_and_a_command_can_be_asked_for() {
         let word = |word: &str| page(&[word.to_owned()]).expect(word);
         fits_unwrapped("help", &page(&[]).expect("topics"));
-        for Topic { name, text, .. } in &TOPICS {
-            fits_unwrapped(name, &word(name));
-            assert!(topics().contains(name) && word(name).contains(text));
+        for topic in &TOPICS {
+            fits_unwrapped(topic.name, &word(topic.name));
+            assert!(topics().contains(topic.name) && word(topic.name).contains(topic.text));
         }
         assert!(word("grant").contains("authros grant end bob") && word("grant").contains("`authros grant -h`"));
         let extend = page(&["grant".to_owned(), "extend".to_owned()]).expect("a command");
