@@ -146,8 +146,8 @@ class Site:
     def __init__(self, program, folder, name):
         self.words = [program, "--home", os.path.join(folder, name), "--robots", "4"]
         self.environment, self.served = {"HOME": folder, "AUTHROS_STORE_PASSPHRASE": "yes"}, None
-        other = json.loads(self.run("--profile", "other", "--json", "register"))["address"]
-        self.run("register")
+        other = json.loads(self.run("--profile", "other", "--json", "identity", "register"))["address"]
+        self.run("identity", "register")
         for topic in TOPICS:
             self.run("topics", "watch", topic)
         self.run("grant", "add", other)

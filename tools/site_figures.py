@@ -128,7 +128,7 @@ def slope(points):
 
 
 def memory(arguments, site):
-    site.run("register")
+    site.run("identity", "register")
     site.serve()
     load = site.load([f"/load{number}/data" for number in range(1, arguments.topics + 1)], arguments.bytes)
     sender = threading.Thread(target=load.run, args=(arguments.rate,), daemon=True)
@@ -184,7 +184,7 @@ def stored(home):
 
 
 def disk(arguments, site):
-    site.run("register")
+    site.run("identity", "register")
     site.serve()
     # Watched before: names and tables are there already.
     topics = [f"/load{number}/data" for number in range(1, arguments.topics + 1)]
@@ -322,8 +322,8 @@ def cache(arguments, site):
 
 
 def cache_with(arguments, site, redis):
-    site.run("register")
-    reader = json.loads(site.run("--profile", "reader", "register"))["address"]
+    site.run("identity", "register")
+    reader = json.loads(site.run("--profile", "reader", "identity", "register"))["address"]
     site.run("grant", "add", reader)
     site.serve("--cache", redis.url)
     topics = [f"/load{number}/data" for number in range(1, arguments.topics + 1)]

@@ -79,7 +79,7 @@ pub(crate) fn verified(bundle: &Path, trust: Option<&Path>) -> Outcome {
     if cut {
         command.args(["-rn", env!("CARGO_BIN_EXE_authros")]);
     }
-    command.env_clear().env("HOME", empty.path()).arg("verify").arg(bundle).arg("--json");
+    command.env_clear().env("HOME", empty.path()).args(["evidence", "verify"]).arg(bundle).arg("--json");
     if let Some(trust) = trust {
         command.arg("--trust").arg(trust);
     }
@@ -201,7 +201,7 @@ fn a_bundle_is_verified_on_another_machine_and_every_lie_is_refused() {
 fn told(home: &Home, bundle: &Path, trust: &Path) {
     let shown = |trust: &Path| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_authros"));
-        command.env_clear().env("HOME", home.root()).arg("verify").arg(bundle).arg("--trust").arg(trust);
+        command.env_clear().env("HOME", home.root()).args(["evidence", "verify"]).arg(bundle).arg("--trust").arg(trust);
         Running::start(command).wait(60).expect_code(8).stdout
     };
     let own = shown(trust);

@@ -78,7 +78,7 @@ fn sum(view: &Value, field: &str) -> u64 {
 /// A proof with the file that it is about: both verifiers say the same of it.
 fn with_recording(proof: &Path, recording: &Path) -> (Outcome, Outcome) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_authros"));
-    command.env_clear().arg("verify").arg(proof).arg("--json").arg("--recording").arg(recording);
+    command.env_clear().args(["evidence", "verify"]).arg(proof).arg("--json").arg("--recording").arg(recording);
     let ours = Running::start(command).wait(60);
     let theirs = by_the_second(proof, None, &["--recording", utf8(recording)]);
     assert_eq!(ours.code, theirs.code, "{ours}\n{theirs}");
