@@ -323,7 +323,11 @@ fn keys(home: &Home, sheet: &mut Sheet) {
         match read_public(&home.keyring(&profile)) {
             Ok(public) => sheet.ok(&name, &format!("account {}", public.address)),
             Err(error) => {
-                sheet.fail(&name, &error.to_string(), "restore the keyring from a backup: `authros backup restore FILE`");
+                sheet.fail(
+                    &name,
+                    &error.to_string(),
+                    "restore the keyring from a backup: `authros backup restore FILE`",
+                );
             }
         }
     }
