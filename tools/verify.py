@@ -1234,7 +1234,7 @@ def recording(path, records):
 
 
 # SHA-256 of the text that bundles have as VERIFY.txt.
-READ_ME = "ed828cfed0894d4fb07c442c2d43030b168aa981b68dd39c920d052e103d539e"
+READ_ME = "ddb7b80f609209568c156fc9047fdae96d146dbaec9e28deb4076b21d76d9eaa"
 
 
 def notes(bundle, tied):

@@ -1,12 +1,12 @@
-//! `evidence export`, and `verify` of a bundle: the meaning of the levels, for people.
+//! `evidence`: `export`, and `verify` of a bundle: the meaning of the levels, for people.
 
 use std::path::{Path, PathBuf};
 use std::{collections::BTreeMap, fs::File, io::Read as _};
 
-use clap::Subcommand;
+use clap::{Args, Subcommand};
 
 use super::connect::{Context, ProfileNeed};
-use super::{parse, plan::CHAIN};
+use super::{args::Global, check, parse, plan::CHAIN};
 use crate::crypto::{ProviderName, provider};
 use crate::model::{Digest, ErrorKind, clean, clean_lines};
 use crate::ros::Limits;
@@ -23,7 +23,7 @@ const MOST_SHOWN: usize = 4000;
 /// `evidence …`
 #[derive(Debug, Subcommand)]
 pub enum EvidenceVerb {
-    /// Write your records and everything that proves them into one file for `verify`; all records unless narrowed
+    /// Write your records and everything that proves them into one file for `evidence verify`; all records unless narrowed
     Export {
         /// File to write, NAME.authros; must not exist
         file: PathBuf,
@@ -47,20 +47,57 @@ pub enum EvidenceVerb {
         #[arg(long = "reveal", value_name = "ID")]
         reveal: Vec<String>,
     },
+    /// Check a bundle offline against --trust, or a folder of `records export` against --chain; needs no home, no keys
+    Verify(VerifyArguments),
     /// Have `time.authorities` stamp everything not stamped yet, now; a running site does this every hour
-    Stamp,
+    Timestamp,
 }
 
-pub async fn run(context: Context, verb: EvidenceVerb, output: &Output) -> Result<u8, Failure> {
-    let EvidenceVerb::Export { file, records, topic, incident, since, until, reveal } = verb else {
-        return stamp(context, output).await;
-    };
-    let file = parse::absolute(&file)?;
-    let times = parse::Times::now(output);
-    let (since, until) = (times.since(since.as_deref())?, times.until(until.as_deref())?);
-    let topic = parse::optional(topic.as_deref())?;
-    let incident = parse::optional(incident.as_deref())?;
-    let wish = EvidenceWishes { file, records, topic, incident, since, until, reveal };
+/// `evidence verify …`
+#[derive(Debug, Args)]
+pub struct VerifyArguments {
+    /// The bundle, unpacked or not, or the folder
+    pub path: PathBuf,
+    /// For a bundle: what you know about chain, signers and people from an independent source (docs/evidence.md)
+    #[arg(long, value_name = "FILE", conflicts_with = "genesis")]
+    pub trust: Option<PathBuf>,
+    /// For the proof of a followed recording: the recorded file, to compare with the digests that the proof states
+    #[arg(long, value_name = "FILE", conflicts_with = "genesis")]
+    pub recording: Option<PathBuf>,
+    /// Hash of the chain's block 0, from a source other than the folder
+    #[arg(long, value_name = "HASH")]
+    pub genesis: Option<String>,
+    /// For a bundle: show the reason of each level for every record, even where nothing is in doubt
+    #[arg(long, conflicts_with = "genesis")]
+    pub verbose: bool,
+}
+
+/// A check needs neither home nor settings.
+pub async fn run(global: Global, verb: EvidenceVerb, output: &Output) -> Result<u8, Failure> {
+    match verb {
+        EvidenceVerb::Verify(arguments) => verify(&global, arguments, output).await,
+        EvidenceVerb::Timestamp => stamp(Context::new(global, output)?, output).await,
+        EvidenceVerb::Export { file, records, topic, incident, since, until, reveal } => {
+            let file = parse::absolute(&file)?;
+            let times = parse::Times::now(output);
+            let (since, until) = (times.since(since.as_deref())?, times.until(until.as_deref())?);
+            let (topic, incident) = (parse::optional(topic.as_deref())?, parse::optional(incident.as_deref())?);
+            let wish = EvidenceWishes { file, records, topic, incident, since, until, reveal };
+            export(Context::new(global, output)?, wish, output).await
+        }
+    }
+}
+
+async fn verify(global: &Global, arguments: VerifyArguments, output: &Output) -> Result<u8, Failure> {
+    let VerifyArguments { path, trust, recording, genesis, verbose } = arguments;
+    let of_bundle = genesis.is_none() && (trust.is_some() || recording.is_some() || is_bundle(&path));
+    match of_bundle {
+        true => verify_bundle((&path, recording.as_deref()), trust.as_deref(), verbose, output),
+        false => check::verify_folder(global, &path, genesis.as_deref(), output).await,
+    }
+}
+
+async fn export(context: Context, wish: EvidenceWishes, output: &Output) -> Result<u8, Failure> {
     let export = async |client: &Client| client.ask(ExportEvidence(wish)).await;
     let view = context.with(CHAIN, ProfileNeed::Unlocked, output, export).await?;
     output.result(&view, || exported(&view));
@@ -91,18 +128,18 @@ pub fn exported(view: &EvidenceView) -> String {
     lines.join("\n")
 }
 
-pub fn is_bundle(path: &Path) -> bool {
+fn is_bundle(path: &Path) -> bool {
     !path.is_dir() || path.join("manifest.json").exists()
 }
 
-pub fn run_verify(
+fn verify_bundle(
     (path, recording): (&Path, Option<&Path>),
     trust: Option<&Path>,
     verbose: bool,
     output: &Output,
 ) -> Result<u8, Failure> {
     if !path.exists() {
-        let advice = "give a bundle (NAME.authros) or a folder from `uploads export`";
+        let advice = "give a bundle (NAME.authros) or a folder from `records export`";
         return Err(input(format!("{} does not exist; {advice}", path.display())));
     }
     let provider = provider(ProviderName::default());

@@ -104,7 +104,7 @@ pub fn query(arguments: &ListArguments, output: &Output) -> Result<UploadQuery, 
         return Err(input(format!("--limit {} is not between 1 and 1000", arguments.limit)));
     }
     let ListArguments { topic, robot, type_name, tags, state, kind, owner, since, until, incident, .. } = arguments;
-    let (after, limit, newest_first) = (arguments.after.clone(), arguments.limit, arguments.newest);
+    let (after, limit, newest_first) = (arguments.after.clone(), arguments.limit, !arguments.oldest);
     let mut query = UploadQuery { after, limit, newest_first, ..UploadQuery::default() };
     let times = Times::now(output);
     for (term, texts) in [
@@ -151,14 +151,15 @@ mod tests {
             let (name, value) = word.split_once(':').expect("a term");
             [format!("--{name}"), value.to_owned()]
         });
-        let words = ["authros", "uploads", "list"].map(str::to_owned).into_iter().chain(flags);
+        let words = ["authros", "records", "list"].map(str::to_owned).into_iter().chain(flags);
         let parsed = super::super::args::Arguments::try_parse_from(words).expect("flags");
-        let Some(super::super::args::Verb::Uploads(super::super::args::UploadsVerb::List(list))) = parsed.verb else {
+        let Some(super::super::args::Verb::Records(super::super::args::RecordsVerb::List(list))) = parsed.verb else {
             panic!("a list");
         };
         let by_flags = query(&list, &Output::new(true)).expect("a query");
         let wanted = Wanted::read(&text, &[], &Clock::system()).expect("a filter");
-        assert_eq!(UploadQuery { limit: 0, ..by_flags }, wanted.asked);
+        assert!(by_flags.newest_first);
+        assert_eq!(UploadQuery { limit: 0, newest_first: wanted.asked.newest_first, ..by_flags }, wanted.asked);
         assert_eq!((wanted.asked.tags.len(), wanted.rest.as_str()), (2, ""));
     }
 

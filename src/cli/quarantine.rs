@@ -1,4 +1,4 @@
-//! `topics pin`, and `quarantine`: what their arguments mean, and their results for people.
+//! `topics pin` and `topics quarantine`: what their arguments mean, and their results for people.
 
 use clap::{Args, Subcommand};
 
@@ -28,7 +28,7 @@ pub fn pin(arguments: &PinArguments) -> Result<PinTopic, Failure> {
 #[derive(Debug, Args)]
 #[command(group(clap::ArgGroup::new("held").required(true).multiple(false)))]
 pub struct HeldArguments {
-    /// Record ids, as `quarantine list` shows them
+    /// Record ids, as `topics quarantine list` shows them
     #[arg(group = "held", value_name = "ID")]
     pub ids: Vec<String>,
     /// All messages of this topic; also marks its alarms as seen
@@ -40,10 +40,10 @@ fn held_by(arguments: HeldArguments) -> Result<Held, Failure> {
     Ok(Held { topic: parse::optional(arguments.topic.as_deref())?, ids: arguments.ids })
 }
 
-/// `quarantine …`
+/// `topics quarantine …`
 #[derive(Debug, Subcommand)]
 pub enum QuarantineVerb {
-    /// List quarantined messages
+    /// List quarantined messages, newest first
     List {
         /// Only this topic
         #[arg(long, value_name = "TOPIC")]

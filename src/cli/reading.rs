@@ -5,9 +5,12 @@ use std::path::PathBuf;
 
 use authros_output::table;
 
-use super::args::{AgentVerb, ChainVerb, GatewayVerb, Global, IdentityVerb, KeysVerb, TopicsVerb, UploadsVerb, Verb};
+use super::args::{ChainVerb, GatewayVerb, Global, IdentityVerb, KeysVerb, RecordsVerb, RobotVerb, TopicsVerb, Verb};
+use super::backups::BackupVerb;
+use super::evidence::EvidenceVerb;
 use super::parties::ContactsVerb;
 use super::plan::Plan;
+use super::recordings::BagVerb;
 use crate::model::{ErrorKind, RecordState};
 use crate::ros::readable::{Plot, Readable, Table, file_of};
 use crate::service::command::{OpenShared, ViewFile};
@@ -39,43 +42,31 @@ fn makes_a_home(verb: &Verb) -> bool {
     match verb {
         // Checks the machine, also before there is a home.
         Verb::Doctor
-        | Verb::Register
         | Verb::Capture(_)
-        | Verb::Bag(_)
-        | Verb::Verify { .. }
-        | Verb::Restore { .. }
         | Verb::Serve(_)
-        | Verb::Demo(_)
         | Verb::Tour(_)
         | Verb::Console(_)
         // Reads settings without touching a home.
         | Verb::Config(_)
-        | Verb::Completions { .. }
-        | Verb::Complete { .. }
-        | Verb::Man => true,
+        | Verb::Help { .. }
+        | Verb::Complete { .. } => true,
         Verb::Status { .. }
         | Verb::Audit(_)
-        | Verb::Shared(_)
+        | Verb::Received(_)
         | Verb::Grant(_)
-        | Verb::Revoke { .. }
-        | Verb::Grants(_)
-        | Verb::Quarantine(_)
-        | Verb::Robots(_)
         | Verb::Incident(_)
-        | Verb::Retention(_)
-        | Verb::Devices(_)
-        | Verb::Alerts(_)
-        | Verb::Evidence(_)
-        | Verb::Profiles
-        | Verb::Backup(_) => false,
-        Verb::Uploads(verb) => matches!(verb, UploadsVerb::Import { .. }),
-        Verb::Identity(verb) => matches!(verb, IdentityVerb::Create),
+        | Verb::Alerts(_) => false,
+        Verb::Bag(verb) => !matches!(verb, BagVerb::Export(_)),
+        Verb::Records(verb) => matches!(verb, RecordsVerb::Import { .. }),
+        Verb::Identity(verb) => matches!(verb, IdentityVerb::Create | IdentityVerb::Register),
         Verb::Keys(verb) => matches!(verb, KeysVerb::Load { dry_run: false, .. } | KeysVerb::Restore { .. }),
         Verb::Topics(verb) => matches!(verb, TopicsVerb::Watch { .. } | TopicsVerb::Pin(_)),
         Verb::Contacts(verb) => matches!(verb, ContactsVerb::Add { .. }),
-        Verb::Agent(verb) => matches!(verb, AgentVerb::Run(_)),
-        Verb::Gateway(verb) => matches!(verb, GatewayVerb::Serve { .. } | GatewayVerb::Admit { .. }),
+        Verb::Robot(verb) => matches!(verb, RobotVerb::Run(_)),
+        Verb::Gateway(verb) => matches!(verb, GatewayVerb::Serve { .. } | GatewayVerb::Allow { .. }),
         Verb::Chain(verb) => matches!(verb, ChainVerb::Deploy { .. } | ChainVerb::Serve { .. } | ChainVerb::Genesis(_)),
+        Verb::Evidence(verb) => matches!(verb, EvidenceVerb::Verify(_)),
+        Verb::Backup(verb) => matches!(verb, BackupVerb::Check { .. } | BackupVerb::Restore { .. }),
     }
 }
 
@@ -170,22 +161,21 @@ mod tests {
         };
         for words in [
             "status",
-            "profiles",
-            "uploads list",
-            "shared list",
-            "grants list",
-            "revoke bob",
-            "devices list",
+            "records list",
+            "received list",
+            "grant list",
+            "grant end bob",
+            "robot devices",
             "identity show",
             "identity list",
-            "identity lock",
+            "keys lock",
             "keys list",
             "keys backup --out FILE",
             "keys load --sm2 FILE --dry-run",
             "keys rotate",
             "topics list",
             "topics pins",
-            "topics policy",
+            "topics rules",
             "topics coverage /odom",
             "topics unwatch /odom",
             "contacts list",
@@ -193,10 +183,12 @@ mod tests {
             "alerts list",
             "alerts test",
             "gateway status",
-            "gateway admitted",
+            "gateway allowed",
             "chain status",
+            "backup create FILE",
+            "bag export --mcap FILE",
             "chain succession list",
-            "chain suspend bob",
+            "chain admin suspend bob",
         ] {
             let failure = refusal(words).unwrap_or_else(|| panic!("{words} is not refused"));
             assert!(failure.kind == ErrorKind::Input && failure.message.contains(&missing), "{words}: {failure:?}");
@@ -205,12 +197,16 @@ mod tests {
         for words in [
             "serve",
             "identity create",
+            "identity register",
+            "backup restore FILE",
+            "evidence verify FILE",
+            "help grant",
             "keys load --sm2 FILE",
             "topics watch /odom",
             "contacts add bob 0xBOB",
             "gateway serve",
             "chain genesis --guide",
-            "uploads import OLD",
+            "records import OLD",
             "config show",
             "doctor",
         ] {

@@ -4,7 +4,7 @@ use std::{fs::OpenOptions, io::Write as _, os::unix::fs::OpenOptionsExt as _, pa
 
 use super::{
     audit, chain, check, coverage, gateway, grants, identity, incidents, keys, parties, quarantine, reading, records,
-    robots, status, topics,
+    robots, rules, status, topics,
 };
 use crate::service::command::{Ask, Command, SecretBytes};
 use crate::service::{Client, Failure, failure::input, reply};
@@ -119,7 +119,7 @@ rows! {
     reply::DeviceRow, "devices" => robots::devices;
     reply::ContactRow, "contacts" => parties::contact_table;
     reply::AuditView, "audit" => audit::lines;
-    reply::AdmittedView, "admitted" => gateway::admitted;
+    reply::AdmittedView, "allowed" => gateway::allowed;
     reply::IncidentView, "incidents" => incidents::all;
     reply::RobotRow, "robots" => robots::all;
 }
@@ -190,7 +190,7 @@ impl Printed for SecretBytes {
 
 impl Printed for reply::PolicyView {
     fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
-        robots::show(&self, output);
+        rules::show(&self, output);
         Ok(0)
     }
 }

@@ -125,8 +125,8 @@ fn life(life: &reply::LifeLine) -> Vec<String> {
     if right_ended > 0 {
         lines.push(format!(
             "{right_ended} records wait: their signer is not authorised to sign for their owner; they resume when the \
-             administrator restores the account (`authros chain restore`) or the device is authorised again (`authros \
-             devices lend`)"
+             administrator restores the account (`authros chain admin restore`) or the device is authorised again (`authros \
+             robot authorise`)"
         ));
     }
     if tampered > 0 {

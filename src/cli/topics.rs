@@ -8,7 +8,7 @@ use super::connect::ProfileNeed;
 use super::coverage::{self, CoverageArguments};
 use super::plan::{NEITHER, Plan, ROS};
 use super::quarantine::{self, PinArguments};
-use super::robots::{self, PolicyArguments};
+use super::rules::{self, RulesArguments};
 use super::{parse, show::or_dash};
 use crate::model::TopicPattern;
 use crate::service::{Failure, command, failure::input, reply};
@@ -43,7 +43,7 @@ pub enum TopicsVerb {
     /// Show over time where a topic has records, losses or quarantined messages
     Coverage(CoverageArguments),
     /// Show the rule for each topic; --learn drafts rules from the live graph
-    Policy(PolicyArguments),
+    Rules(RulesArguments),
     /// Unpin a publisher of a topic
     Unpin {
         /// Topic
@@ -51,6 +51,9 @@ pub enum TopicsVerb {
         /// Node name, such as /driver
         caller_id: String,
     },
+    /// Messages held back because their publisher is not pinned: list, release, discard
+    #[command(subcommand)]
+    Quarantine(quarantine::QuarantineVerb),
 }
 
 /// Topics of one name, pattern or robot.
@@ -84,10 +87,11 @@ pub fn plan(verb: TopicsVerb, output: &Output) -> Result<Plan, Failure> {
         TopicsVerb::Pin(pin) => Plan::kept(quarantine::pin(&pin)?),
         TopicsVerb::Pins { topic } => Plan::kept(command::ListPins { topic: parse::optional(topic.as_deref())? }),
         TopicsVerb::Coverage(coverage) => Plan::kept(coverage::question(&coverage, output)?),
-        TopicsVerb::Policy(policy) => Plan::new(ROS, ProfileNeed::None, robots::policy(&policy)?),
+        TopicsVerb::Rules(arguments) => Plan::new(ROS, ProfileNeed::None, rules::question(&arguments)?),
         TopicsVerb::Unpin { topic, caller_id } => {
             Plan::kept(command::UnpinTopic { topic: parse::value(&topic)?, caller_id })
         }
+        TopicsVerb::Quarantine(verb) => quarantine::plan(verb)?,
     })
 }
 

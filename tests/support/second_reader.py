@@ -3,7 +3,7 @@ SM3, SM4 and LZ4 are those of tools/verify.py.
 
     second_reader.py FOLDER EK_HEX IK_HEX
 
-Opens the record of an `uploads export` folder by its epoch's key, checks digest, signature, commit, tags and the Merkle path, and
+Opens the record of a `records export` folder by its epoch's key, checks digest, signature, commit, tags and the Merkle path, and
 prints what it found as JSON. It ends with an error where anything does not hold.
 """
 import hmac

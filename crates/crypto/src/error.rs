@@ -39,7 +39,7 @@ pub enum CryptoError {
     /// A record that is as it was sealed, but whose signer wrote a name into it that belongs to another pseudonym.
     #[error(
         "the record is not shown: its signer wrote a false {0} into it, which does not belong to the pseudonym it is \
-         filed under; `authros uploads show` names the signer: if it is a device of yours, revoke it"
+         filed under; `authros records show` names the signer: if it is a device of yours, revoke it"
     )]
     FalseName(&'static str),
     #[error("this key does not open the record; ask its owner for a grant of its epoch and topic")]

@@ -339,7 +339,8 @@ fn openssl_checks_a_record_and_the_manifest_by_the_lines_of_the_read_me() {
         std::fs::write(path, bytes).expect("written");
     }
     // There is no stamp in it; the flow with an authority runs those lines.
-    let is_elsewhere = |line: &str| ["authros verify", "openssl ts", "S=FOLDER"].iter().any(|of| line.contains(of));
+    let is_elsewhere =
+        |line: &str| ["authros evidence verify", "openssl ts", "S=FOLDER"].iter().any(|of| line.contains(of));
     let is_shell = |line: &&str| line.starts_with("    ") && !is_elsewhere(line);
     let lines: Vec<&str> = crate::READ_ME_TEXT.lines().filter(is_shell).collect();
     let script = lines.join("\n").replace("DIGEST", &world.record.digest.to_hex());

@@ -206,7 +206,8 @@ async fn answered(chain: &Chain, name: &str, has_pin: bool, sheet: &mut Sheet) {
             let advice = "the store was lost: restore the last backup, or name the contract with --contract";
             sheet.fail("contract", &text, advice);
         }
-        None => sheet.ok("contract", "not deployed yet; deploy it with `authros register` or `authros chain deploy`"),
+        None => sheet
+            .ok("contract", "not deployed yet; deploy it with `authros identity register` or `authros chain deploy`"),
     }
     if has_pin && let Ok(sealed_by) = chain.sealed_by().await {
         who_seals(&sealed_by, sheet);
@@ -307,7 +308,7 @@ fn keys(home: &Home, sheet: &mut Sheet) {
     let known = Glance::at(&home.ledger()).and_then(|ledger| ledger.note(&ProfileAccounts {})).ok().flatten();
     let faults = keyring_faults(home, &known.unwrap_or_default());
     for (profile, fault) in &faults {
-        sheet.fail(&format!("keys {profile}"), fault, "restore it from a backup: authros restore FILE");
+        sheet.fail(&format!("keys {profile}"), fault, "restore it from a backup: `authros backup restore FILE`");
     }
     let profiles: Vec<_> =
         profiles.into_iter().filter(|one| !faults.iter().any(|(profile, _)| profile == one)).collect();
@@ -322,13 +323,17 @@ fn keys(home: &Home, sheet: &mut Sheet) {
         match read_public(&home.keyring(&profile)) {
             Ok(public) => sheet.ok(&name, &format!("account {}", public.address)),
             Err(error) => {
-                sheet.fail(&name, &error.to_string(), "restore the keyring from a backup: authros restore FILE");
+                sheet.fail(
+                    &name,
+                    &error.to_string(),
+                    "restore the keyring from a backup: `authros backup restore FILE`",
+                );
             }
         }
     }
 }
 
-const DAMAGED: &str = "keep a copy of the home, then restore the last backup: authros restore FILE";
+const DAMAGED: &str = "keep a copy of the home, then restore the last backup: `authros backup restore FILE`";
 
 /// Whether the store is well-formed and its notes can be read.
 fn store(home: &Home, sheet: &mut Sheet) {

@@ -51,7 +51,7 @@ pub fn restore(file: &Path, home: &Home, secret: &SecretText) -> Result<BackupVi
     ];
     if has_ring {
         notes.push(
-            "the robot's ring ages from the next start of its agent; request what is in it with `authros robots pull`"
+            "the robot's ring ages from the next start of its agent; request what is in it with `authros robot pull`"
                 .to_owned(),
         );
     }

@@ -115,10 +115,10 @@ impl Ground {
         let early = fs::read(&file).expect("a store");
         let site = authros.serve(&home);
         in_state(&authros, HELD, "quarantined", 3);
-        let erased = text(&authros.records(&["uploads", "list", "--topic", ODOM])[1], "id");
-        authros.json(&["retention", "erase", "--record", &erased, "--reason", "a test", "--yes"]);
+        let erased = text(&authros.records(&["records", "list", "--oldest", "--topic", ODOM])[1], "id");
+        authros.json(&["records", "erase", "--record", &erased, "--reason", "a test", "--yes"]);
         wait_until(60, "one is erased", || {
-            let records = authros.records(&["uploads", "list", "--topic", ODOM]);
+            let records = authros.records(&["records", "list", "--oldest", "--topic", ODOM]);
             records.iter().any(|record| record["state"] == "deleted").then_some(())
         });
         let early = (early, fs::read(log_of(&file)).expect("a log"));
@@ -180,7 +180,7 @@ impl Ground {
 fn in_state(authros: &Authros, topic: &str, state: &str, least: usize) {
     authros.json(&["topics", "watch", topic]);
     wait_until(60, state, || {
-        let records = authros.records(&["uploads", "list", "--topic", topic]);
+        let records = authros.records(&["records", "list", "--oldest", "--topic", topic]);
         (records.iter().filter(|record| record["state"] == state).count() >= least).then_some(())
     });
     authros.json(&["topics", "unwatch", topic]);
@@ -369,7 +369,7 @@ fn no_damage_of_the_file_shows_a_record_as_better_than_it_is_or_hides_one_withou
     let whole = facts(&ground.file());
     assert!(whole.is_some(), "what is compared can be read");
     ground.put_back();
-    let list_all = ["uploads", "list", "--limit", "1000"];
+    let list_all = ["records", "list", "--oldest", "--limit", "1000"];
     let truth = by_digest(&ground.ask("whole", &list_all).document());
     let states: Vec<String> = truth.values().map(|record| text(record, "state")).collect();
     for state in ["verified, names unchecked", "mined", "quarantined", "deleted"] {
@@ -385,7 +385,7 @@ fn no_damage_of_the_file_shows_a_record_as_better_than_it_is_or_hides_one_withou
         }
         let audited = ground.ask(name, &["audit", "--deep"]);
         if number % 4 == 0 {
-            let shown = ground.ask(name, &["uploads", "show", &id]);
+            let shown = ground.ask(name, &["records", "show", &id]);
             if shown.code == Some(0) {
                 let document = shown.document();
                 expect_no_better(name, &truth, &BTreeMap::from([(text(&document, "digest"), document)]));

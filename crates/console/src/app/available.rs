@@ -49,7 +49,7 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
         }
         Verb::Inspect => inspect(state),
         Verb::SetPolicy => policy(state),
-        Verb::EndTour => given(state.tour.is_some(), "no tour: authros tour begins one"),
+        Verb::EndTour => given(state.tour.is_some(), "no tour: `authros tour` begins one"),
         Verb::Release | Verb::Discard => held(state),
         Verb::BackUp | Verb::Incident | Verb::Incidents => identity(state).map(drop),
         Verb::Lock => once(state, &Tag::Lock, !identity(state)?.unlocked, "already locked"),
@@ -85,7 +85,7 @@ fn copyable(state: &State) -> bool {
         Screen::Keys => state.address().is_some(),
         Screen::Chain => state.chain.as_ref().is_some_and(|chain| chain.contract.is_some()),
         Screen::Robots => state.gateway.view.as_ref().is_some_and(|view| view.served.is_some()),
-        Screen::Overview | Screen::Topics | Screen::Uploads | Screen::Shared | Screen::Grants => state.has_rows(),
+        Screen::Overview | Screen::Topics | Screen::Records | Screen::Received | Screen::Grants => state.has_rows(),
         Screen::Log => state.has_rows(),
     }
 }

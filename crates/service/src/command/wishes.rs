@@ -90,7 +90,7 @@ pub struct UploadQuery {
     pub after: Option<String>,
     /// 1 to 1,000.
     pub limit: usize,
-    /// Console: newest first; otherwise oldest first.
+    /// Otherwise oldest first.
     pub newest_first: bool,
 }
 

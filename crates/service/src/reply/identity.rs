@@ -300,7 +300,7 @@ pub struct DeviceRow {
     pub device: SignerId,
     /// As the device shows it.
     pub fingerprint: String,
-    /// `lent`, `expired` or `recalled`.
+    /// `authorised`, `expired` or `revoked`.
     pub state: String,
     pub from: u64,
     pub until: Option<Timestamp>,

@@ -334,8 +334,8 @@ impl Site {
 fn read_only(original: &Path) -> Failure {
     let root = original.display();
     let text = format!(
-        "{root} is read-only, so only status, audit, uploads, shared and evidence export work; make it \
-         writable for everything else"
+        "{root} is read-only, so only status, audit, evidence export, and listing, opening and exporting records work; \
+         make it writable for everything else"
     );
     Failure::new(ErrorKind::Home, text)
 }

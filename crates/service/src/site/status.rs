@@ -153,7 +153,7 @@ impl Site {
                 &format!("{}, fingerprint {}, anchors as {}", view.address, view.fingerprint, view.account),
             ),
             None => {
-                PartHealth::new("gateway", HealthLevel::Absent, "not running; start one with authros gateway serve")
+                PartHealth::new("gateway", HealthLevel::Absent, "not running; start one with `authros gateway serve`")
             }
         }
     }

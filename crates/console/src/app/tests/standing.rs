@@ -193,7 +193,7 @@ fn a_chain_that_is_away_is_one_alert_and_enter_shows_all_of_it() {
     let mut robot = Robot::at_work(true);
     robot.types("1");
     assert!(available(&robot.state, Verb::Alerts).is_err(), "nothing to show yet");
-    let text = "start the pinned chain, or `authros --home NEW uploads import OLD`: the chain is another one";
+    let text = "start the pinned chain, or `authros --home NEW records import OLD`: the chain is another one";
     let caused = |key: &str| AlertView { key: key.to_owned(), text: key.to_owned(), ..fixtures::site_alert() };
     let alerts_of = ["chain", "unanchored/0a0b0c0d", "audit"].map(caused).into();
     says(&mut robot, SiteView { alerts: alerts_of, ..failing("chain", text) });

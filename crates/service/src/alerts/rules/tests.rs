@@ -158,8 +158,8 @@ fn who_reads_by_a_grant_that_ends_is_sent_to_its_owner() {
         let judged = Judge::new(limits()).judge(&figures);
         judged.into_iter().find(|judged| judged.key.starts_with(GRANT)).map(|judged| judged.text).expect("an alert")
     };
-    assert!(text(true).contains("`authros grants extend`"), "{}", text(true));
-    assert!(text(false).contains("its owner") && !text(false).contains("grants extend"), "{}", text(false));
+    assert!(text(true).contains("`authros grant extend`"), "{}", text(true));
+    assert!(text(false).contains("its owner") && !text(false).contains("grant extend"), "{}", text(false));
 }
 
 #[test]

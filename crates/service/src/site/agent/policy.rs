@@ -240,7 +240,7 @@ impl Agent {
                 let name = &self.name;
                 self.site.parts.hub.warn(&format!(
                     "there is no key for topic {topic}: its messages are dropped and counted until the owner adds it \
-                     with `authros devices topics add {name} {topic}`"
+                     with `authros robot topics add {name} {topic}`"
                 ));
             }
         }

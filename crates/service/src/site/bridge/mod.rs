@@ -72,7 +72,7 @@ impl Bridge {
             return Ok(givers);
         }
         let Some(other) = wanted else {
-            return Err(refused("nobody shares records with this profile now; see `authros grants list`"));
+            return Err(refused("nobody shares records with this profile now; see `authros grant list`"));
         };
         let what = "its records".to_owned();
         Err(PipelineError::NotGranted { owner: other, reader: owner.address, what }.into())

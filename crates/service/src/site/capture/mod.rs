@@ -65,7 +65,7 @@ impl Capture {
         if self.parts.config.site.is_some() {
             return Err(refused(
                 "this home joined a gateway with --site and captures nothing; capture at the gateway's home, or enrol a robot \
-                 there and run its agent here (`authros agent enrol`)",
+                 there and run its agent here (`authros robot enrol`)",
             ));
         }
         self.ros.any_now().await?;

@@ -109,7 +109,9 @@ impl Administering {
             Administration::Dismiss { account } => {
                 let account = resolved(account)?;
                 if network.directory.epoch(account) > 0 {
-                    return Err(refused(format!("{account} has already registered; `authros chain suspend` stops it")));
+                    return Err(refused(format!(
+                        "{account} has already registered; `authros chain admin suspend` stops it"
+                    )));
                 }
                 Ok((
                     Call::Dismiss { account },
@@ -129,7 +131,7 @@ impl Administering {
             }
             Administration::Pause { paused, seconds } => Ok(pause(*paused, *seconds)),
             Administration::HandOver { account } => {
-                let what = "is nominated as administrator; it takes over with `chain accept`";
+                let what = "is nominated as administrator; it takes over with `chain admin accept`";
                 acted(account, |account| Call::Nominate { account }, what)
             }
             Administration::Accept => {

@@ -128,9 +128,9 @@ impl Link {
     pub async fn network(&self) -> Result<Network, Failure> {
         match self.settled().await? {
             NetworkState::Up(network) => Ok(*network),
-            NetworkState::Bare(_) => {
-                Err(input("no contract is deployed yet; `authros register` deploys one, or set chain.contract"))
-            }
+            NetworkState::Bare(_) => Err(input(
+                "no contract is deployed yet; `authros identity register` deploys one, or set chain.contract",
+            )),
             _ => Err(off()),
         }
     }

@@ -59,7 +59,7 @@ impl Devices {
             // After the notice: an interruption in between repeats it.
             self.enrolments.change(owner, device, |known| known.gateway = Some(gateway.clone()))
         };
-        self.parts.log.deed(&owner.profile, "device addresses", &subject, told).await?;
+        self.parts.log.deed(&owner.profile, "robot addresses", &subject, told).await?;
         Ok(DeviceAddressesView { name: enrolled.name, device, gateway: gateway.into() })
     }
 

@@ -56,13 +56,13 @@ impl Devices {
         let is_lent = |lending: &Lending| is_same(lending) && authority::is_lent(&network.directory, lending);
         if self.lendings(&network, owner).iter().any(is_lent) {
             return Err(refused(format!(
-                "device {device} is already authorised; `authros devices list` shows until when"
+                "device {device} is already authorised; `authros robot devices` shows until when"
             )));
         }
         let end = until.map_or_else(|| "it is revoked".to_owned(), |until| until.to_string());
         let text = format!("device {device} may sign for {} until {end}", owner.address);
-        let lent = self.change_devices(owner, &network, Call::Lend { device, until }, "lend", text);
-        self.parts.log.deed(&owner.profile, "lend device", &device.to_string(), lent).await
+        let lent = self.change_devices(owner, &network, Call::Lend { device, until }, "authorise device", text);
+        self.parts.log.deed(&owner.profile, "authorise device", &device.to_string(), lent).await
     }
 
     /// A new epoch locks the device out of records sealed from now on; gateways end its session.
@@ -74,9 +74,9 @@ impl Devices {
             // Saved in the keyring before anything is sent: the next start resumes an interruption.
             owner.prepare_epoch(network.domain, network.directory.epoch(owner.address) + 1)?;
             let call = Call::Recall { device };
-            let recalled = self.change_devices(owner, &network, call, "recall", String::new()).await?;
+            let recalled = self.change_devices(owner, &network, call, "revoke device", String::new()).await?;
             self.enrolments.note_recalled(owner, device)?;
-            let rotated = self.sharing.next_epoch(owner, &network, "recall").await.map_err(|failure| {
+            let rotated = self.sharing.next_epoch(owner, &network, "revoke device").await.map_err(|failure| {
                 let what = "is revoked, but the new epoch is not on the chain yet and its keys still open new records; \
                             `authros keys rotate` starts it";
                 Failure { message: format!("device {device} {what}: {}", failure.message), ..failure }
@@ -88,14 +88,14 @@ impl Devices {
             );
             Ok(TransactionView { epoch: rotated.epoch, text, ..recalled })
         };
-        self.parts.log.deed(&owner.profile, "recall device", &device.to_string(), recalled).await
+        self.parts.log.deed(&owner.profile, "revoke device", &device.to_string(), recalled).await
     }
 
     pub async fn unlend_device(&self, owner: &Arc<Owner>, device: SignerId) -> Result<(), Failure> {
         let network = self.parts.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
-        let recalled = self.change_devices(owner, &network, Call::Recall { device }, "recall", String::new());
-        self.parts.log.deed(&owner.profile, "recall device", &device.to_string(), recalled).await.map(drop)
+        let recalled = self.change_devices(owner, &network, Call::Recall { device }, "revoke device", String::new());
+        self.parts.log.deed(&owner.profile, "revoke device", &device.to_string(), recalled).await.map(drop)
     }
 
     async fn change_devices(
@@ -116,8 +116,8 @@ impl Devices {
     pub async fn rows(&self, owner: &Arc<Owner>) -> Result<Vec<DeviceRow>, Failure> {
         let network = self.parts.link.network().await?;
         let state = |lending: &Lending| match lending.recalled {
-            Some(_) => "recalled",
-            None if authority::is_lent(&network.directory, lending) => "lent",
+            Some(_) => "revoked",
+            None if authority::is_lent(&network.directory, lending) => "authorised",
             None => "expired",
         };
         let row = |lending: &Lending| DeviceRow {
@@ -171,7 +171,7 @@ fn find(lendings: &[Lending], text: &str) -> Result<SignerId, Failure> {
     if wanted.len() < SHORTEST || !wanted.bytes().all(|byte| byte.is_ascii_hexdigit()) {
         return Err(input(format!(
             "no robot of this profile has that name; give the name that it was enrolled under, or at least {SHORTEST} hex \
-             characters of the id that `authros devices list` shows"
+             characters of the id that `authros robot devices` shows"
         )));
     }
     let open = lendings.iter().filter(|lending| lending.recalled.is_none());
@@ -179,7 +179,7 @@ fn find(lendings: &[Lending], text: &str) -> Result<SignerId, Failure> {
     let found: BTreeSet<SignerId> = found.collect();
     match (found.first(), found.len()) {
         (Some(device), 1) => Ok(*device),
-        (None, _) => Err(refused("no such device is authorised; `authros devices list` shows those that are")),
+        (None, _) => Err(refused("no such device is authorised; `authros robot devices` shows those that are")),
         _ => Err(input("several authorised devices start like this; give more of the id")),
     }
 }

@@ -204,7 +204,7 @@ fn row(robot: &Enrolled, wanted: &PolicyWanted, known: &Known, lost: u64) -> Rob
     let report = known.reports.get(&robot.device);
     let running = report.map(|(report, _)| report.running);
     let drift = !robot.ended && running.unwrap_or_default() != wanted.version;
-    let standing = if robot.ended { "recalled" } else { standing(wanted, report.map(|(report, _)| report)) };
+    let standing = if robot.ended { "revoked" } else { standing(wanted, report.map(|(report, _)| report)) };
     let of_robot = known.topics.iter().filter(|topic| topic.signer == robot.device);
     let waiting = of_robot.flat_map(|topic| &topic.records).filter(|(state, _)| state.is_pending());
     let address = robot.gateway.as_ref().and_then(|gateway| gateway.addresses.first());

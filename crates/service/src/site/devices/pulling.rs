@@ -66,7 +66,7 @@ impl Devices {
         let known = self.enrolments.of(owner)?.into_iter().rfind(|robot| robot.device == device);
         known.ok_or_else(|| {
             refused(format!(
-                "device {device} was not enrolled from this home; `authros devices list` shows those that were"
+                "device {device} was not enrolled from this home; `authros robot devices` shows those that were"
             ))
         })
     }

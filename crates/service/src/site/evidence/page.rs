@@ -41,7 +41,7 @@ const HEAD: &str = "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\
 
 const MARK: &str = "<p class=\"mark\"><b>This page is not authoritative.</b> It was written by the program of the \
     person who made the file, using that program's own trust settings, and proves nothing. To see what the file \
-    proves, check it: <code>authros verify FILE.authros --trust trust.toml</code>, offline, with a trust file of your \
+    proves, check it: <code>authros evidence verify FILE.authros --trust trust.toml</code>, offline, with a trust file of your \
     own, or by <code>tools/verify.py</code> of the same source.</p>\n";
 
 pub(super) fn escape(text: &str) -> String {

@@ -22,7 +22,7 @@ async fn an_admission_survives_a_restart_and_ends_with_the_dismissal() {
     list.admit(&keeper, &Party::Address(GUEST)).await.expect("admitted");
     list.admit(&keeper, &Party::Address(GUEST)).await.expect("once is enough");
     assert_eq!(
-        ground.audited("gateway admit"),
+        ground.audited("gateway allow"),
         ["begun", "done"].map(|outcome| (GUEST.to_string(), outcome.to_owned()))
     );
     drop(list);
@@ -37,7 +37,7 @@ async fn an_admission_survives_a_restart_and_ends_with_the_dismissal() {
     assert!(list.dismiss(&keeper, &Party::Address(GUEST)).await.expect("dismissed").is_empty());
     assert!(!list.is_on_list(&GUEST));
     let twice = list.dismiss(&keeper, &Party::Address(GUEST)).await.expect_err("not admitted");
-    assert!(twice.message.contains("gateway admitted"), "{}", twice.message);
+    assert!(twice.message.contains("gateway allowed"), "{}", twice.message);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -74,12 +74,12 @@ impl Admissions {
                 if list.len() >= MOST {
                     return Err(refused(format!(
                         "a gateway can allow at most {MOST} owners; remove one with `authros \
-                                                gateway dismiss` first"
+                                                gateway deny` first"
                     )));
                 }
                 list.push(AdmittedOwner { owner, since: Timestamp::now(), by: profile.to_string() });
                 let admitted = async { self.write(&list) };
-                self.parts.log.deed(profile, "gateway admit", &owner.to_string(), admitted).await?;
+                self.parts.log.deed(profile, "gateway allow", &owner.to_string(), admitted).await?;
                 self.parts.hub.notice_about(ADMISSION, NoticeLevel::Info, &format!("the gateway allows {owner} now"));
             }
         }
@@ -99,11 +99,11 @@ impl Admissions {
             list.retain(|admitted| admitted.owner != owner);
             if list.len() == before {
                 return Err(input(format!(
-                    "{owner} is not on this gateway's allow list; `authros gateway admitted` \
+                    "{owner} is not on this gateway's allow list; `authros gateway allowed` \
                                           shows it"
                 )));
             }
-            self.parts.log.deed(profile, "gateway dismiss", &owner.to_string(), async { self.write(&list) }).await?;
+            self.parts.log.deed(profile, "gateway deny", &owner.to_string(), async { self.write(&list) }).await?;
         }
         self.rows()
     }
@@ -155,7 +155,7 @@ impl GatewayDesk {
         if self.place.open {
             return Ok(Standing::Guest);
         }
-        let detail = format!("{account} is not allowed at this gateway; `authros gateway admit {account}` allows it");
+        let detail = format!("{account} is not allowed at this gateway; `authros gateway allow {account}` allows it");
         Err(Refusal::new(Code::NotAdmitted, detail))
     }
 
@@ -208,7 +208,7 @@ impl GatewayDesk {
         let how = "lifts its guest quota";
         Refusal::new(
             Code::Quota,
-            format_args!("{account} has reached its quota of {what}; `authros gateway admit {account}` {how}"),
+            format_args!("{account} has reached its quota of {what}; `authros gateway allow {account}` {how}"),
         )
     }
 }

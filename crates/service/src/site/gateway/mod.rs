@@ -140,7 +140,7 @@ impl Gateway {
         let registered = network.directory.identity(keeper.address)?;
         if registered.signing != keeper.signing().public {
             return Err(refused(format!(
-                "the signing key of profile '{}' is not the registered one; run `authros register` first",
+                "the signing key of profile '{}' is not the registered one; run `authros identity register` first",
                 keeper.profile
             )));
         }

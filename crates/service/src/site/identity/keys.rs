@@ -246,7 +246,7 @@ impl Profiles {
             let sent = self.send_pairs(owner, network, &signing, &envelope).await.map_err(|failure| {
                 let text = format!(
                     "the chain has earlier SM2 keys of '{}' than the keyring, and the keyring's could not be registered \
-                     again: {}; run `authros register`",
+                     again: {}; run `authros identity register`",
                     owner.profile, failure.message
                 );
                 self.sharing.note_pairs(owner, Some(text.clone()));

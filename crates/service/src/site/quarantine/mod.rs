@@ -76,7 +76,7 @@ impl Quarantine {
         let owner = self.parts.owners.address_of(profile)?;
         let name = topic.as_ref().map(ToString::to_string);
         let (topic, limit) = (name.clone(), limit.clamp(1, 1000));
-        let query = HeldQuery { topic, messages: true, limit, ..HeldQuery::default() };
+        let query = HeldQuery { topic, messages: true, newest_first: true, limit, ..HeldQuery::default() };
         let ledger = &self.parts.plant.ledger;
         let rows = ledger.quarantine.held(owner, &query)?;
         let counts = ledger.counts.by_state(Some(owner))?;
@@ -111,7 +111,7 @@ impl Quarantine {
             let row = self.reading.find_record(id)?;
             if row.owner != owner.address || row.state != RecordState::Quarantined {
                 return Err(input(format!(
-                    "record {} is not in quarantine (it is {}); `authros quarantine list` shows those that are",
+                    "record {} is not in quarantine (it is {}); `authros topics quarantine list` shows those that are",
                     row.id,
                     row.state.word()
                 )));

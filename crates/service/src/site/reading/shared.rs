@@ -21,7 +21,7 @@ impl Reading {
     /// Records of all owners with an active grant to this profile, within each grant's scope.
     pub async fn list_shared(&self, owner: &Arc<Owner>, query: UploadQuery) -> Result<RecordPage, Failure> {
         if query.incident.is_some() {
-            return Err(input("incidents cover your own records: use `authros uploads list --incident NAME`"));
+            return Err(input("incidents cover your own records: use `authros records list --incident NAME`"));
         }
         let network = self.parts.link.network().await?;
         let wanted = query.owner.as_ref().map(|owner| self.contacts.resolve(owner)).transpose()?;

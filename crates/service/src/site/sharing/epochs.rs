@@ -343,7 +343,7 @@ impl Sharing {
         }
         let text = format!(
             "the chain has epoch {chain} of '{}' and had epoch {seen} before: it is an older copy, in which a reader \
-             revoked since may have a grant again; look at `authros grants list`, revoke as before, then run \
+             revoked since may have a grant again; look at `authros grant list`, revoke as before, then run \
              `authros keys rotate`",
             owner.profile
         );

@@ -125,7 +125,7 @@ impl Sharing {
         let _one_at_a_time = owner.changes.lock().await;
         let grantee = self.contacts.resolve(grantee)?;
         let Some(grant) = self.active_grant(&network, owner.address, grantee) else {
-            return Err(refused(format!("{grantee} has no active grant; `authros grant` gives one")));
+            return Err(refused(format!("{grantee} has no active grant; `authros grant add` gives one")));
         };
         let Some(ends) = grant.expiry() else {
             return Err(refused(format!("the grant to {grantee} has no end, so there is nothing to extend")));

@@ -174,7 +174,7 @@ impl Sharing {
         let _one_at_a_time = owner.changes.lock().await;
         if self.active_grant(&network, owner.address, grantee).is_none() {
             return Err(refused(format!(
-                "{grantee} has no active grant from {}; `authros grants list` shows who has",
+                "{grantee} has no active grant from {}; `authros grant list` shows who has",
                 owner.address
             )));
         }

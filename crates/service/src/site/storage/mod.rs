@@ -179,7 +179,7 @@ pub(crate) fn store_loss(home: &Home, missed: Timestamp) -> String {
 }
 
 pub(crate) const STORE_LOST: &str =
-    "restore the last backup: authros restore FILE; without one, name the contract with --contract";
+    "restore the last backup: `authros backup restore FILE`; without one, name the contract with --contract";
 
 /// Sets space aside for states, never leaving less than the reserve itself.
 pub(in crate::site) fn working_reserve(home: &Home, reserve: u64) -> Reserve {
