@@ -93,7 +93,7 @@ fn moment(time: Timestamp) -> String {
     format!("{} {} UTC", date(time), time.clock())
 }
 
-fn span(first: Timestamp, last: Timestamp) -> String {
+pub(super) fn span(first: Timestamp, last: Timestamp) -> String {
     if first.seconds() == last.seconds() {
         return moment(first);
     }
