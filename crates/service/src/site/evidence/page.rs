@@ -109,7 +109,6 @@ fn first_page(out: &mut String, report: &Report, about: Option<&IncidentView>) {
     );
 }
 
-/// Topics appear as their pseudonyms.
 fn incident(out: &mut String, about: &IncidentView) {
     out.push_str("<h2>Incident, in its owner's words</h2>\n");
     let until = about.until.map_or_else(|| "still open".to_owned(), |until| until.to_string());
@@ -182,7 +181,10 @@ fn one_topic(out: &mut String, (bundle, report): (&Bundle, &Report), topic: &str
         let (digest, number) = (short(first.digest), first.seq.unwrap_or_default());
         put(out, format_args!("<h4>The first of them in full: no. {number}, <code>{digest}</code></h4>\n"));
         let tags = first.disclosed.iter().flat_map(|disclosed| &disclosed.tags);
-        facts(out, &tags.map(|(name, value)| fact(format!("Tag {name}"), &**value)).collect::<Vec<_>>());
+        let tags: Vec<_> = tags.map(|(name, value)| fact(format!("Tag {name}"), &**value)).collect();
+        if !tags.is_empty() {
+            facts(out, &tags);
+        }
         message(out, bundle, report, first, &mut Limits::default());
     }
     out.push_str("</section>\n");
@@ -213,8 +215,9 @@ impl Drawn {
     fn of((bundle, report): (&Bundle, &Report), records: &[&RecordReport]) -> Self {
         let mut drawn = Self { places: Vec::new(), samples: Vec::new(), pictures: Vec::new() };
         let mut limits = Limits::default();
-        let pictured: BTreeSet<Digest> = spread(records, MOST_PICTURES).iter().map(|record| record.digest).collect();
-        for record in spread(records, MOST_DRAWN) {
+        let chosen = spread(records, MOST_DRAWN);
+        let pictured: BTreeSet<Digest> = spread(&chosen, MOST_PICTURES).iter().map(|record| record.digest).collect();
+        for record in chosen {
             let Some(revealed) = report.messages.get(&record.digest) else { continue };
             let Some(definition) = definition_of(bundle, &revealed.head) else { continue };
             let (at, number) = (record.captured_at.unwrap_or_default(), record.seq.unwrap_or_default());
