@@ -11,7 +11,7 @@ use super::hostile::unanchored;
 use super::world::{BLOCK, GATEWAY, TIME, World, bound, genesis, ours, pair, sealed, sealed_as};
 use crate::archive::{self, Members};
 use crate::manifest::{MANIFEST, Manifest, signed_bytes};
-use crate::{Bundle, BundledRecord, Exporter, Outcome, Packing, Person, Slot, Stretch, Trust, pack, verify};
+use crate::{Bundle, Exporter, Outcome, Packing, Person, Slot, Stretch, Trust, pack, verify};
 
 fn python(arguments: &[&str]) -> Option<Output> {
     match Command::new("python3").arg("-B").args(arguments).output() {
