@@ -5,6 +5,7 @@ pub mod alerts;
 pub mod answer;
 pub mod available;
 pub mod choosing;
+pub mod evidence;
 pub mod form;
 pub mod granting;
 pub mod history;
