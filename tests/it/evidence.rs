@@ -201,7 +201,14 @@ fn a_bundle_is_verified_on_another_machine_and_every_lie_is_refused() {
 pub(crate) fn printed(bundle: &Path, trust: &Path, options: &[&str]) -> String {
     let empty = tempfile::tempdir().expect("directory");
     let mut command = Command::new(env!("CARGO_BIN_EXE_authros"));
-    command.env_clear().env("HOME", empty.path()).args(["evidence", "verify"]).arg(bundle).arg("--trust").arg(trust).args(options);
+    command
+        .env_clear()
+        .env("HOME", empty.path())
+        .args(["evidence", "verify"])
+        .arg(bundle)
+        .arg("--trust")
+        .arg(trust)
+        .args(options);
     Running::start(command).wait(60).expect_code(8).stdout
 }
 
