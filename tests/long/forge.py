@@ -13,6 +13,7 @@ from authros_verify import bundle, seals, state  # noqa: E402
 from authros_verify.archive import checksummed, packed  # noqa: E402
 from authros_verify.ciphers import ghash, sm4, sm4_keys  # noqa: E402
 from authros_verify.curves import SECP256K1, SM2, combined, der_numbers  # noqa: E402
+from authros_verify.der import OCTETS, SEQUENCE, Der  # noqa: E402
 from authros_verify.hashes import expand, keccak, sm3  # noqa: E402
 
 UNLISTED = ("mimetype", "manifest.json", "manifest.der")
@@ -23,11 +24,21 @@ def number(data):
 
 
 class SmKey:
-    def __init__(self, draw):
-        self.draw, self.secret = draw, draw.randrange(1, SM2.n - 1)
+    def __init__(self, draw, secret=None):
+        self.draw, self.secret = draw, secret or draw.randrange(1, SM2.n - 1)
         x, y = combined(SM2, self.secret, 0, SM2.g)
         self.public = x.to_bytes(32, "big") + y.to_bytes(32, "big")
         self.id = sm3(b"\4" + self.public)
+
+    @classmethod
+    def of_pem(cls, draw, text):
+        """From PKCS#8."""
+        info = Der.only(base64.b64decode("".join(line for line in text.splitlines() if "-" not in line)), SEQUENCE)
+        info.integer()
+        info.element(SEQUENCE)
+        key = Der.only(info.element(OCTETS).content, SEQUENCE)
+        key.integer()
+        return cls(draw, number(key.element(OCTETS).content))
 
     def sign(self, message):
         name = b"1234567812345678"
@@ -61,9 +72,13 @@ class Account:
 
 
 def signed(members, key, account):
-    """The members as this exporter would sign them."""
+    """The members as this exporter would sign them; a manifest that is broken already is signed as it is."""
     members = {**members, f"keys/{key.id.hex()}.pem": key.pem()}
-    manifest = json.loads(members["manifest.json"])
+    text = members.get("manifest.json", b"")
+    try:
+        manifest = json.loads(text)
+    except ValueError:
+        return with_manifest(members, text, key)
     manifest["exporter"] = {"account": account, "key": key.id.hex()}
     return listed(members, manifest, key)
 

@@ -1,14 +1,16 @@
 #!/usr/bin/env python3
 """Random mutations of a real bundle, by a seed: all verifiers come to the same outcome, level by level.
 
-usage: mutate.py BUNDLE TRUST FOLDER --verifier NAME=COMMAND ... [--seed N] [--count N | --seconds N] [--only N]
+usage: mutate.py BUNDLE TRUST OWNER FOLDER --verifier NAME=COMMAND ... [--seed N] [--count N | --seconds N] [--only N]
 
-The first verifier is tools/verify, in this process. Each COMMAND is called with a folder: for each NAME.authros there, with its pins in
-NAME.toml, it prints one line of JSON, {"name": NAME, ...} with what `--json` has of it; `program:PATH` stands for the program itself.
-What differs stays in FOLDER, and `--only N` makes case N of a seed once more.
+OWNER is the key of the records' owner, PKCS#8 PEM: its owner is who could lie best. The first verifier is tools/verify, in this
+process. Each COMMAND reads a list of {"bundle": PATH, "trust": PATH} as JSON and prints the list of what `--json` has of each, or
+{"trust": WHY} where the trust file cannot be used; `program:PATH` stands for the program itself. What differs stays in FOLDER, and
+`--only N` makes case N of a seed once more.
 """
 import argparse
 import collections
+import hashlib
 import json
 import os
 import pathlib
@@ -17,6 +19,7 @@ import struct
 import subprocess
 import sys
 import time
+import zlib
 
 from forge import (
     Account, SmKey, extended, file_of, identity_of, resealed, sealed_again, secrets_of, signed, trust_of, with_disclosures, with_manifest, with_word,
@@ -60,20 +63,23 @@ class Base:
         self.name, self.members, self.trust, self.key, self.account, self.sealers = name, members, trust, key, account, sealers
 
 
-def bases(bundle, trust, draw):
+def bases(bundle, trust, owner, draw):
     members, text = unpacked(pathlib.Path(bundle).read_bytes()), pathlib.Path(trust).read_text(encoding="utf-8")
     pins, chain = read_trust(trust), json.loads(members["manifest.json"])["chain"]
     key, sealers = SmKey(draw), [Account(draw) for _ in range(3)]
     account = "0x" + "07" * 20
+    owner, owners = SmKey.of_pem(draw, owner), json.loads(members["manifest.json"])["exporter"]["account"]
     authorities = text[text.index("[[authority]]"):] if "[[authority]]" in text else ""
     person = [(account, "the forger", key.id)]
     foreign = trust_of(chain, pins.code_hash.hex(), sealers, person, "\n" + authorities)
     unnamed = trust_of(chain, pins.code_hash.hex(), sealers[:2], (), "", "quorum = 1\n")
-    made = [Base("as it is", members, text, key, account, [])]
+    made = [Base("as it is", members, text, owner, owners, [])]
     members = extended(members, 2)
     for consensus in ("clique", "qbft", "ibft"):
         sealed = resealed(members, sealers, consensus)
         made.append(Base(consensus, sealed, foreign, key, account, sealers))
+    by_owner = trust_of(chain, pins.code_hash.hex(), sealers, (), "\n" + authorities)
+    made.append(Base("by its owner", resealed(members, sealers, "clique"), by_owner, owner, owners, sealers))
     made.append(Base("unnamed", resealed(members, sealers, "clique"), unnamed, key, account, sealers))
     return made
 
@@ -169,7 +175,6 @@ def change_anchor(case):
 
 def change_stamp(case):
     """Another token over the same imprint, tokens of another stamp, a token more."""
-    import hashlib
     tokens = [name for name in case.members if name.startswith("stamps/") and name.endswith(".der")]
     if not tokens:
         return False
@@ -330,7 +335,6 @@ def change_message(case):
 
 def matrix(draw):
     """A small matrix in its coded form, sometimes with one byte wrong: bytes, plain length, compression."""
-    import zlib
     sample, channels, columns, rows = draw.choice((1, 2, 4)), draw.choice((1, 2, 3, 4)), draw.choice((16, 20)), draw.choice((4, 8))
     green = 0x40 if sample == 1 and channels > 2 and draw.random() < 0.5 else 0
     kinds = range(5) if sample == 1 else (1, 2)
@@ -404,9 +408,9 @@ def of_program(path, folder, names):
 
 
 def of_command(command, folder, names):
-    done = subprocess.run([*command.split(), str(folder)], capture_output=True, timeout=3600, check=True)
-    found = [json.loads(line) for line in done.stdout.decode().splitlines()]
-    return [(one["name"], summary(one, None)) for one in found if one["name"] in names]
+    cases = [{"bundle": f"{folder}/{name}.authros", "trust": f"{folder}/{name}.toml"} for name in names]
+    done = subprocess.run(command.split(), input=json.dumps(cases).encode(), stdout=subprocess.PIPE, timeout=3600, check=True)
+    return [(name, summary(one, None)) for name, one in zip(names, json.loads(done.stdout))]
 
 
 def of_tools(folder, name):
@@ -419,30 +423,41 @@ def of_tools(folder, name):
 
 def summary(document, code):
     """What verifiers are compared by: outcome, exporter, each level of each record with its reason, and each topic."""
-    if code == 3 or "no trust" in document:
+    if code == 3 or "trust" in document:
         return {"outcome": "no trust"}
-    if "records" not in document:
-        return {"outcome": "refused", "records": "none are read"}
+    if not document.get("exporter"):
+        return {"outcome": "refused", "exporter": "nothing is read"}
     level = lambda one: " ".join(str(one[part]) for part in ("standing", "reason") if one.get(part))
     records = [[one["digest"], *(level(one[name]) for name in LEVELS), one.get("disclosed", None) and one["disclosed"]["message_sm3"]] for one in document["records"]]
-    fields = ("topic_id", "signer", "standing", "first", "last", "missing")
-    topics = [[*(one[name] for name in fields), (one.get("heads") or {}).get("number")] for one in document["complete"]]
+    plain = lambda number: None if number is None else int(number)  # beyond 2^53 a text in JavaScript
+    fields = ("topic_id", "signer", "standing")
+    topics = [
+        [*(one[name] for name in fields), *(plain(one[name]) for name in ("first", "last", "missing")), plain((one.get("heads") or {}).get("number"))]
+        for one in document["complete"]
+    ]
     return {"outcome": document["outcome"], "exporter": document["exporter"]["standing"], "records": records, "complete": topics,
             "verdict": document.get("verdict"), "code": code}
 
 
 def difference(one, other):
     """What two summaries say differently, or None; a field that one has not is not compared."""
+    if set(one) != set(other):
+        return f"{one['outcome']} and {other['outcome']}: one of the two reads it"
     for name in one:
-        if one[name] is not None and other.get(name) is not None and one[name] != other[name]:
-            return f"{name}: {one[name]} and {other[name]}"
-    return None if set(one) == set(other) else "one of the two does not read it"
+        mine, theirs = one[name], other[name]
+        if mine == theirs or None in (mine, theirs):
+            continue
+        if isinstance(mine, list) and isinstance(theirs, list) and len(mine) == len(theirs):
+            mine, theirs = next(pair for pair in zip(mine, theirs) if pair[0] != pair[1])
+        return f"{name}: {mine} and {theirs}"
+    return None
 
 
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("bundle")
     parser.add_argument("trust")
+    parser.add_argument("owner", type=pathlib.Path)
     parser.add_argument("folder", type=pathlib.Path)
     parser.add_argument("--verifier", action="append", default=[])
     parser.add_argument("--seed", default="1")
@@ -450,7 +465,7 @@ def main():
     parser.add_argument("--seconds", type=int)
     parser.add_argument("--only", type=int)
     given = parser.parse_args()
-    all_ = bases(given.bundle, given.trust, random.Random(given.seed))
+    all_ = bases(given.bundle, given.trust, given.owner.read_text(encoding="ascii"), random.Random(given.seed))
     verifiers = dict(one.split("=", 1) for one in given.verifier)
     begin, outcomes, done, apart, next_ = time.monotonic(), collections.Counter(), collections.Counter(), 0, given.only or 0
     while True:
@@ -463,7 +478,7 @@ def main():
         differing = {}
         for verifier, command in verifiers.items():
             path = command.partition("program:")[2]
-            found = dict(of_program(path, given.folder, list(cases)) if path else of_command(command, given.folder, set(cases)))
+            found = dict(of_program(path, given.folder, list(cases)) if path else of_command(command, given.folder, list(cases)))
             for name in cases:
                 why = difference(told[name], found[name]) if name in found else "it says nothing"
                 if why:

@@ -93,6 +93,7 @@ class Record:
         if sm3(self.record) != self.digest:
             raise Refused("not_as_filed")
         self.header = records.Header(self.record)
+        self.header.expect_length(len(self.record))
         if self.header.domain != self.check.domain:
             raise Refused("other_chain")
         key = self.bundle.keys.get(self.header.signer)

@@ -10,6 +10,8 @@ LARGEST_HEAD, LARGEST_BODY = 64 * 1024, 64 * 2 ** 20 + 16
 
 
 class Header:
+    """What anybody may see, from the first bytes of a record."""
+
     def __init__(self, record):
         at = 10
 
@@ -35,7 +37,9 @@ class Header:
         # Kind (1: a ledger, 2: a ring), seven random bytes, and a tag of the key that signs.
         if not all(bounds) or self.recorder[0] not in (1, 2) or self.recorder[8:] != self.signer[:8]:
             raise Refused("not_a_record", "a field has a value that no record has")
-        if len(record) != self.length + self.head_length + self.body_length:
+
+    def expect_length(self, length):
+        if length != self.length + self.head_length + self.body_length:
             raise Refused("not_a_record", "its length differs from what its header says")
 
     def leaf(self, digest):

@@ -44,7 +44,7 @@ class Verdict:
         found = cls.__new__(cls)
         found.bundle = found.trust = found.recording = None
         found.all, found.stretches, found.exporter, found.outcome, found.why = [], [], None, "refused", why
-        found.sentences = [sentences.WORDING["sentences"][0]["say"][1][1], "The bundle: " + sentences.clean(why, 300) + "."]
+        found.sentences = [sentences.WORDING["sentences"][0]["say"][1][1], "Nothing in it counts: " + sentences.clean(why, 300) + "."]
         return found
 
     def standings(self):
@@ -85,7 +85,7 @@ class Verdict:
         """As `authros verify --json` has it."""
         found = {"outcome": self.outcome, "verdict": self.sentences}
         if self.why is not None:
-            return {**found, "why": self.why}
+            return {**found, "why": self.why, "exporter": None, "records": [], "complete": []}
         found.update(pinned=self.trust is not None, exporter={"standing": self.exporter},
                      records=[record_document(one) for one in self.all], complete=[stretch_document(one) for one in self.stretches])
         return {**found, "recording": self.recording} if self.recording else found
