@@ -16,7 +16,7 @@ use super::world::{BLOCK, GATEWAY, TIME, World, bound, genesis, ours, pair, seal
 use crate::archive::{self, Members};
 use crate::manifest::{MANIFEST, Manifest, signed_bytes};
 use crate::trust::PinnedAuthority;
-use crate::{Bundle, BundledRecord, Exporter, Outcome, Packing, Person, Slot, Trust, pack, verify};
+use crate::{Bundle, Exporter, Outcome, Packing, Person, Slot, Trust, pack, verify};
 
 fn python(arguments: &[&str]) -> Option<Output> {
     match Command::new("python3").arg("-B").args(arguments).output() {
