@@ -488,7 +488,7 @@ def main():
             done.update(case.done)
             if name in differing:
                 apart += 1
-                print(f"{name} ({', '.join(case.done)}): {differing[name]}")
+                print(f"{name} ({', '.join(case.done)}): {differing[name]}", flush=True)
             else:
                 for kind in ("authros", "toml"):
                     (given.folder / f"{name}.{kind}").unlink()
