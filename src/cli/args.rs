@@ -134,7 +134,7 @@ pub enum Verb {
     /// Evidence bundles that can be checked without trusting anyone: export, stamp
     #[command(subcommand)]
     Evidence(super::evidence::EvidenceVerb),
-    /// Check a bundle of `evidence export` offline against --trust, or a folder of `uploads export` against the chain at
+    /// Check a bundle of `evidence export` offline against --trust, or a folder of `records export` against the chain at
     /// --chain; without home or keys
     Verify {
         /// The bundle, unpacked or not, or the folder
@@ -442,7 +442,7 @@ pub enum AgentVerb {
     Run(RunArguments),
 }
 
-/// `agent enrol …`
+/// `robot enrol …`
 #[derive(Debug, Args)]
 #[command(group(clap::ArgGroup::new("trust").required(true)))]
 pub struct EnrolArguments {
@@ -475,7 +475,7 @@ pub struct EnrolArguments {
     pub robot_passphrase_file: Option<PathBuf>,
 }
 
-/// `agent run …`
+/// `robot run …`
 #[derive(Debug, Args)]
 pub struct RunArguments {
     /// The enrolment file
@@ -644,7 +644,7 @@ mod tests {
             assert_eq!(read.global.profile.as_deref(), Some("audit"), "{line}");
             assert!(matches!(read.verb, Some(Verb::Status { watch: false })), "{line}");
         }
-        let read = parse("authros --json --home demo --profile serve --ros2 topics list");
+        let read = parse("authros --json --home tour --plain --profile serve --ros2 topics list");
         assert_eq!((read.global.home, read.global.profile), (Some("demo".into()), Some("serve".to_owned())));
         assert!(read.global.json && read.global.ros2.is_some() && matches!(read.verb, Some(Verb::Topics(_))));
         assert!(parse("authros --profile audit").verb.is_none(), "the console of that profile");

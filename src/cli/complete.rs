@@ -37,14 +37,14 @@ const COMMANDS: &[(&str, Word)] = &[
     ("topics coverage", Word::Topic),
     ("grant", Word::Contact),
     ("revoke", Word::Contact),
-    ("grants extend", Word::Contact),
+    ("grant extend", Word::Contact),
     ("contacts remove", Word::Contact),
     ("contacts confirm", Word::Contact),
-    ("uploads show", Word::Record),
-    ("uploads export", Word::Record),
-    ("shared check", Word::Record),
-    ("shared open", Word::Record),
-    ("shared path", Word::Record),
+    ("records show", Word::Record),
+    ("records export", Word::Record),
+    ("records check", Word::Record),
+    ("records open", Word::Record),
+    ("records path", Word::Record),
 ];
 
 /// Options of every command, and the kind of their value.

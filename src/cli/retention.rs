@@ -63,7 +63,7 @@ async fn erase(client: &Client, wishes: ErasureWishes, asks: bool, output: &Outp
     let sure = wishes.sure;
     let view = client.ask(EraseRecords(wishes.clone())).await?;
     if view.records + view.named + view.waiting + view.gone + view.other + view.missing == 0 {
-        let what = "no message of yours has that topic and time; `authros uploads list` shows yours";
+        let what = "no message of yours has that topic and time; `authros records list` shows yours";
         return Err(input(format!("nothing matches: {what}")));
     }
     let is_sure = asks && view.records > 0 && view.held.is_empty() && {

@@ -148,20 +148,20 @@ fn batches_are_stamped_by_an_authority_and_the_stamps_are_checked_offline() {
     let bare = home.authros().with(&["--robots", "1"]).with_variable("AUTHROS_AUDIT_ANCHOR_EVERY", "86400");
     let authros = bare.with_variable("AUTHROS_TIME_AUTHORITIES", &setting);
     authros.enrol();
-    assert!(bare.fails(3, &["evidence", "stamp"]).contains("set time.authorities"));
+    assert!(bare.fails(3, &["evidence", "timestamp"]).contains("set time.authorities"));
     authros.capture(&["/robot1/odom"], 2);
-    assert!(authros.fails(5, &["evidence", "stamp"]).contains("answered 503"));
+    assert!(authros.fails(5, &["evidence", "timestamp"]).contains("answered 503"));
     becomes(Mood::Other);
-    assert!(authros.fails(5, &["evidence", "stamp"]).contains("no certificate in it links stranger"));
+    assert!(authros.fails(5, &["evidence", "timestamp"]).contains("no certificate in it links stranger"));
     becomes(Mood::Same);
-    assert!(authros.fails(5, &["evidence", "stamp"]).contains("its nonce differs"));
+    assert!(authros.fails(5, &["evidence", "timestamp"]).contains("its nonce differs"));
     let case = |name: &str| home.root().join(name).to_str().expect("UTF-8").to_owned();
     let export = |name: &str| authros.json(&["evidence", "export", &case(name), "--topic", "/robot1/odom"]);
     let without = export("without.authros");
     assert!(list(&without, "notes").iter().any(|note| note.to_string().contains("no time stamp yet")), "{without}");
 
     becomes(Mood::Well);
-    let view = authros.json(&["evidence", "stamp"]);
+    let view = authros.json(&["evidence", "timestamp"]);
     let tokens = list(&view, "tokens");
     assert_eq!((tokens.is_empty(), &view["waiting"], &view["problem"]), (false, &0.into(), &().into()), "{view}");
     assert!(tokens.iter().all(|token| text(token, "authority") == "The notary"), "{view}");
@@ -197,10 +197,10 @@ fn batches_are_stamped_by_an_authority_and_the_stamps_are_checked_offline() {
 fn on_another_machine(authros: &Authros, home: &Home, bundle: &Path, trust: &Path) {
     let secret = home.file("secret", "a passphrase of it\n", 0o600);
     let backup = home.root().join("case.backup").to_str().expect("UTF-8").to_owned();
-    authros.json(&["backup", &backup, "--passphrase-file", &secret]);
+    authros.json(&["backup", "create", &backup, "--passphrase-file", &secret]);
     let other = Home::new();
     let restored = other.authros().with(&["--robots", "1"]);
-    restored.json(&["restore", &backup, "--passphrase-file", &secret]);
+    restored.json(&["backup", "restore", &backup, "--passphrase-file", &secret]);
     let again = other.root().join("again.authros");
     restored.json(&["evidence", "export", again.to_str().expect("UTF-8"), "--topic", "/robot1/odom"]);
     expect_same_levels(bundle, &again, trust);

@@ -39,7 +39,7 @@ fn export() -> Exported {
     let bundle = wait_until(90, "a head of the recorder covers the topic, and all batches are stamped", || {
         tries += 1;
         let file = home.root().join(format!("case{tries}.authros"));
-        authros.json(&["evidence", "stamp"]);
+        authros.json(&["evidence", "timestamp"]);
         let place = file.to_str().expect("UTF-8");
         authros.json(&["evidence", "export", place, "--topic", "/robot1/odom", "--reveal", "all", "--yes"]);
         fs::write(&trust, unzipped(&file, "trust.toml")).expect("written");

@@ -402,7 +402,7 @@ def made(all_, seed, number):
 def of_program(path, folder, names):
     """The program itself, a process for each."""
     for name in names:
-        command = [path, "verify", f"{folder}/{name}.authros", "--trust", f"{folder}/{name}.toml", "--json"]
+        command = [path, "evidence", "verify", f"{folder}/{name}.authros", "--trust", f"{folder}/{name}.toml", "--json"]
         done = subprocess.run(command, capture_output=True, env={"HOME": str(folder), "PATH": os.environ["PATH"]}, timeout=120)
         yield name, summary(json.loads(done.stdout), done.returncode)
 

@@ -341,7 +341,7 @@ fn openssl_checks_a_record_and_the_manifest_by_the_lines_of_the_read_me() {
     }
     // There is no stamp in it; the flow with an authority runs those lines.
     let (by_hand, _) = crate::READ_ME_TEXT.split_once("what an authority says").expect("stamps come last");
-    let is_elsewhere = |line: &str| ["authros verify", "authros-verify"].iter().any(|of| line.contains(of));
+    let is_elsewhere = |line: &str| ["authros evidence verify", "authros-verify"].iter().any(|of| line.contains(of));
     let is_shell = |line: &&str| line.starts_with("    ") && !is_elsewhere(line);
     let lines: Vec<&str> = by_hand.lines().filter(is_shell).collect();
     let script = lines.join("\n").replace("DIGEST", &world.record.digest.to_hex());

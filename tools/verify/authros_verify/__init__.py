@@ -3,7 +3,7 @@
     from authros_verify import verify
     verdict = verify("case.authros", "trust.toml")
     verdict.outcome     # holds, incomplete or refused
-    verdict.lines()     # what `authros verify` prints
+    verdict.lines()     # what `authros evidence verify` prints
 
 It is slow, on purpose: it can be read in one sitting.
 """

@@ -78,11 +78,11 @@ class Verdict:
         return INCOMPLETE if self.outcome == "incomplete" or compared == "absent" else HOLDS
 
     def lines(self):
-        """At most 25, as `authros verify` prints them."""
+        """At most 25, as `authros evidence verify` prints them."""
         return [line for sentence in self.sentences for line in sentences.wrapped(sentence)]
 
     def document(self):
-        """As `authros verify --json` has it."""
+        """As `authros evidence verify --json` has it."""
         found = {"outcome": self.outcome, "verdict": self.sentences}
         if self.why is not None:
             return {**found, "why": self.why, "exporter": None, "records": [], "complete": []}

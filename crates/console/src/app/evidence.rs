@@ -26,7 +26,7 @@ pub fn begin(state: &mut State, name: &IncidentName) {
         Line::text("Readable", "empty = nothing; all, topics or patterns", Field::default()),
     ];
     let notes = vec![
-        "One file with its records and everything that proves them, for `authros verify`.".to_owned(),
+        "One file with its records and everything that proves them, for `authros evidence verify`.".to_owned(),
         "Messages stay sealed unless you name their topics.".to_owned(),
     ];
     let mut form = Form::new("Export an incident as evidence", notes, lines);

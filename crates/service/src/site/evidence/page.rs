@@ -38,7 +38,7 @@ const HEAD: &str = include_str!("page/head.html");
 
 const MARK: &str = "<p class=\"mark\"><b>This page proves nothing.</b> The program of the person who made the file wrote it, \
     with that program's own trust settings. Check the file: drop it on <code>verify.html</code> in a browser, or run \
-    <code>authros verify FILE.authros --trust trust.toml</code>, with a trust file of your own.</p>\n";
+    <code>authros evidence verify FILE.authros --trust trust.toml</code>, with a trust file of your own.</p>\n";
 
 pub(super) fn escape(text: &str) -> String {
     let text = clean(text, WIDEST).replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;");
@@ -289,7 +289,7 @@ fn records(out: &mut String, report: &Report, listed: &[&RecordReport]) {
     let rows: Vec<Vec<String>> = listed.iter().map(|record| level_row(record)).collect();
     table(out, "levels", &["record", "topic", "no.", "captured", "block", "(a)", "(b)", "(c)", "(d)", "(e)"], &rows);
     if let Some(more) = report.records.len().checked_sub(MOST_ROWS).filter(|more| *more > 0) {
-        let text = "more records; <code>authros verify FILE.authros --records</code> lists all of them";
+        let text = "more records; <code>authros evidence verify FILE.authros --records</code> lists all of them";
         put(out, format_args!("<p>and {more} {text}</p>\n"));
     }
 }
