@@ -10,6 +10,7 @@ mod parallel;
 mod refusals;
 mod second;
 mod stamps;
+mod verifiers;
 pub(crate) mod world;
 
 use authros_crypto::record::RecordSecret;
