@@ -28,7 +28,9 @@ pub use crate::bytes::{
     Commit, Digest, Domain, FilterId, Hash, PublicKey, RecorderId, Salt, Signature, SignerId, Token, TopicId,
 };
 pub use crate::consensus::{AnchorMode, AuditHead, Consensus};
-pub use crate::display::{address_without_secrets, clean, clean_lines, is_shown, spelt_out, without_secrets};
+pub use crate::display::{
+    address_without_secrets, clean, clean_lines, counted, grouped, is_shown, spelt_out, without_secrets,
+};
 pub use crate::gap::{GapReport, LossReason, QuarantineReport};
 pub use crate::grant::{GrantTerms, Scope};
 pub use crate::head::Head;

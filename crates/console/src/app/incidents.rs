@@ -8,7 +8,7 @@ use super::screens::day;
 use super::update::Feed;
 use super::verb::{Errand, Tag};
 use super::{Screen, State, granting, palette, table};
-use crate::model::{Direction, IncidentName, Timestamp};
+use crate::model::{Direction, IncidentName, Timestamp, counted};
 use crate::service::command::{CloseIncident, NoteIncident, OpenIncident, RemoveIncident};
 use crate::service::reply::IncidentView;
 
@@ -331,7 +331,7 @@ pub fn taken_back(name: &IncidentName) -> Errand {
 }
 
 pub fn changed(state: &mut State, deed: Deed, view: IncidentView) {
-    let held = super::counted(view.records, "record");
+    let held = counted(view.records, "record");
     let text = match deed {
         Deed::Open => format!("incident {}: {held} kept so far (U: undo)", view.name),
         Deed::Note => format!("incident {}: note added", view.name),

@@ -21,9 +21,11 @@ pub mod robots;
 
 pub const NOW: Timestamp = Timestamp(1_700_000_000_000_000_000);
 /// What a grant of the current epoch opens.
-pub const OPENS: Opens = Opens { records: 8_505, since: Some(Timestamp(NOW.0 - 407_000_000_000)) };
+pub const OPENS: Opens =
+    Opens { records: 8_505, since: Some(Timestamp(NOW.0 - 407_000_000_000)), of_robots: false };
 /// What a grant of all epochs opens.
-const ALL_RECORDS: Opens = Opens { records: 581_165, since: Some(Timestamp(NOW.0 - 4 * 86_400_000_000_000)) };
+const ALL_RECORDS: Opens =
+    Opens { records: 581_165, since: Some(Timestamp(NOW.0 - 4 * 86_400_000_000_000)), of_robots: false };
 /// The address of the profile.
 pub const OWN: Address = Address([0x11; 20]);
 /// The address of someone else.

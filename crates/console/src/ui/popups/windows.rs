@@ -6,8 +6,8 @@ use crate::app::opening::{BYTES_A_LINE, Face, Opening};
 use crate::app::popup::{Lookup, readers};
 use crate::app::screens::{LogLine, day, end, is_active, is_given, scope};
 use crate::app::update::Feed;
-use crate::app::{State, Tag, counted};
-use crate::model::{Timestamp, Verdict, clean};
+use crate::app::{State, Tag};
+use crate::model::{Timestamp, Verdict, clean, counted};
 use crate::ros::readable::{Readable, Table};
 use crate::service::NoticeLevel;
 use crate::service::reply::{
@@ -452,7 +452,7 @@ fn records_on_their_way(state: &State) -> Vec<Piece> {
     let life = &site.life;
     let queue = &site.queue;
     let full = queue.bytes.saturating_mul(100).checked_div(queue.capacity).unwrap_or(0);
-    let (messages, bytes) = (many(queue.messages, "message"), words::size(queue.bytes));
+    let (messages, bytes) = (counted(queue.messages, "message"), words::size(queue.bytes));
     let stored = format!("{:<15} {messages}, {bytes} (buffer {full} % full)", "to be stored");
     let mut lines = vec![(stored, if full >= 80 { Role::Bad } else { Role::Body })];
     let stations = [
@@ -573,7 +573,7 @@ fn draw_incident(canvas: &mut Canvas, line: Rect, incident: &IncidentView, here:
     let (word, role) = if incident.open { ("open", Role::Good) } else { ("closed", Role::Dim) };
     canvas.put(rest, word, role);
     let topics = incident.coverage.iter().filter(|one| one.records > 0).count() as u64;
-    let held = format!("{} in {}", many(incident.records, "record"), counted(topics, "topic"));
+    let held = format!("{} in {}", counted(incident.records, "record"), counted(topics, "topic"));
     canvas.puts(
         right_of(rest, STATE),
         &[(&held, Role::Body), (&format!(", {}", words::size(incident.bytes)), Role::Dim)],
@@ -592,10 +592,6 @@ fn draw_told(canvas: &mut Canvas, area: Rect, told: &[Piece], scroll: usize) {
         let edge = Rect { y: area.bottom(), height: 1, ..area };
         canvas.put_right(edge, &format!(" {first} above, {left} below "), Role::Dim);
     }
-}
-
-fn many(count: u64, one: &str) -> String {
-    format!("{} {one}{}", words::count(count), if count == 1 { "" } else { "s" })
 }
 
 /// Span, notes, and coverage of each topic.
@@ -629,7 +625,7 @@ fn topic(state: &State, one: &SpanCoverageView) -> Vec<Piece> {
     let name = clean(&one.topic, 255);
     let mut lines = match (one.first, one.last) {
         (Some(first), Some(last)) => {
-            vec![(format!("{name}  {}, {}", many(one.records, "record"), from_to(state, first, last)), Role::Body)]
+            vec![(format!("{name}  {}, {}", counted(one.records, "record"), from_to(state, first, last)), Role::Body)]
         }
         _ if one.quarantined > 0 => vec![(format!("{name}  no record"), Role::Warning)],
         _ => vec![(format!("{name}  nothing in that time: check the name and whether it is watched"), Role::Warning)],
