@@ -30,9 +30,12 @@ pub enum EvidenceVerb {
         /// Only this record, by id; repeatable
         #[arg(long = "record", value_name = "ID")]
         records: Vec<String>,
-        /// Only this topic
-        #[arg(long, value_name = "TOPIC")]
-        topic: Option<String>,
+        /// Only this topic, or the topics that match this pattern; repeatable
+        #[arg(long = "topic", value_name = "TOPIC")]
+        topics: Vec<String>,
+        /// Only what this robot recorded, or the topics under its name
+        #[arg(long, value_name = "NAME")]
+        robot: Option<String>,
         /// Only this incident; its name, span and notes are included in the bundle's page
         #[arg(long, value_name = "NAME")]
         incident: Option<String>,
@@ -52,15 +55,15 @@ pub enum EvidenceVerb {
 }
 
 pub async fn run(context: Context, verb: EvidenceVerb, output: &Output) -> Result<u8, Failure> {
-    let EvidenceVerb::Export { file, records, topic, incident, since, until, reveal } = verb else {
+    let EvidenceVerb::Export { file, records, topics, robot, incident, since, until, reveal } = verb else {
         return stamp(context, output).await;
     };
     let file = parse::absolute(&file)?;
     let times = parse::Times::now(output);
     let (since, until) = (times.since(since.as_deref())?, times.until(until.as_deref())?);
-    let topic = parse::optional(topic.as_deref())?;
+    let topics = parse::values(&topics)?;
     let incident = parse::optional(incident.as_deref())?;
-    let wish = EvidenceWishes { file, records, topic, incident, since, until, reveal };
+    let wish = EvidenceWishes { file, records, topics, robot, incident, since, until, reveal };
     let export = async |client: &Client| client.ask(ExportEvidence(wish)).await;
     let view = context.with(CHAIN, ProfileNeed::Unlocked, output, export).await?;
     output.result(&view, || exported(&view));

@@ -11,7 +11,7 @@ use super::quarantine::{self, PinArguments};
 use super::robots::{self, PolicyArguments};
 use super::{parse, show::or_dash};
 use crate::model::TopicPattern;
-use crate::service::{Failure, command, failure::input, reply};
+use crate::service::{Failure, command, reply};
 use authros_output::{Output, table};
 
 /// `topics …`
@@ -36,9 +36,12 @@ pub enum TopicsVerb {
     Pin(PinArguments),
     /// List pinned publishers, and alarms about others
     Pins {
-        /// Only this topic
+        /// Only this topic, or the topics that match this pattern
         #[arg(long, value_name = "TOPIC")]
         topic: Option<String>,
+        /// Only the topics of this robot, as robot1 for /robot1/**
+        #[arg(long, value_name = "NAME", conflicts_with = "topic")]
+        robot: Option<String>,
     },
     /// Show over time where a topic has records, losses or quarantined messages
     Coverage(CoverageArguments),
@@ -46,7 +49,7 @@ pub enum TopicsVerb {
     Policy(PolicyArguments),
     /// Unpin a publisher of a topic
     Unpin {
-        /// Topic
+        /// Topic, or a pattern for several
         topic: String,
         /// Node name, such as /driver
         caller_id: String,
@@ -65,11 +68,9 @@ pub struct TopicChoice {
 }
 
 impl TopicChoice {
-    fn read(&self) -> Result<TopicPattern, Failure> {
-        match (&self.topic, &self.robot) {
-            (_, Some(robot)) => TopicPattern::of_robot(robot).map_err(|error| input(error.to_string())),
-            (topic, None) => parse::value(topic.as_deref().unwrap_or_default()),
-        }
+    pub fn read(&self) -> Result<TopicPattern, Failure> {
+        let topic = parse::topic(self.topic.as_deref(), self.robot.as_deref())?;
+        topic.ok_or_else(|| parse::usage("name a topic, or a robot with --robot"))
     }
 }
 
@@ -82,7 +83,9 @@ pub fn plan(verb: TopicsVerb, output: &Output) -> Result<Plan, Failure> {
         }
         TopicsVerb::Unwatch { topics } => Plan::kept(command::UnwatchTopic { topic: topics.read()? }),
         TopicsVerb::Pin(pin) => Plan::kept(quarantine::pin(&pin)?),
-        TopicsVerb::Pins { topic } => Plan::kept(command::ListPins { topic: parse::optional(topic.as_deref())? }),
+        TopicsVerb::Pins { topic, robot } => {
+            Plan::kept(command::ListPins { topic: parse::topic(topic.as_deref(), robot.as_deref())? })
+        }
         TopicsVerb::Coverage(coverage) => Plan::kept(coverage::question(&coverage, output)?),
         TopicsVerb::Policy(policy) => Plan::new(ROS, ProfileNeed::None, robots::policy(&policy)?),
         TopicsVerb::Unpin { topic, caller_id } => {

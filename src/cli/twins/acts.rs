@@ -97,9 +97,9 @@ fn acts_of_keys() -> Vec<Act> {
 }
 
 fn acts_of_topics() -> Vec<Act> {
-    let held = || Held { topic: Some(topic()), ids: Vec::new() };
-    let pin = Command::PinTopic { topic: topic(), publishers: Vec::new() };
-    let unpin = Command::UnpinTopic { topic: topic(), caller_id: "/driver".to_owned() };
+    let held = || Held { topic: Some(topic().into()), ids: Vec::new() };
+    let pin = Command::PinTopic { topic: topic().into(), publishers: Vec::new() };
+    let unpin = Command::UnpinTopic { topic: topic().into(), caller_id: "/driver".to_owned() };
     let watch = Command::WatchTopic { topic: topic().into(), type_name: None };
     let line = |words: &str| format!("{words} /robot1/odom");
     vec![
@@ -109,13 +109,14 @@ fn acts_of_topics() -> Vec<Act> {
         (Tag::Unpin(name()), unpin, line("topics unpin") + " /driver"),
         (Tag::Release(name()), Command::ReleaseHeld { held: held() }, line("quarantine release --topic")),
         (Tag::Discard(name()), Command::DiscardHeld { held: held() }, line("quarantine discard --topic") + " --yes"),
-        (Tag::Publishers(name()), Command::ListPins { topic: Some(topic()) }, line("topics pins --topic")),
+        (Tag::Publishers(name()), Command::ListPins { topic: Some(topic().into()) }, line("topics pins --topic")),
     ]
 }
 
 fn acts_of_rights() -> Vec<Act> {
     let (topics, from) = (vec![topic().into()], GrantFrom::Epoch(1));
-    let grant = Command::Grant { grantee: owner(), topics, from, expires: Some(END) };
+    let robots = vec!["scout-1".to_owned()];
+    let grant = Command::Grant { grantee: owner(), topics, robots, from, expires: Some(END) };
     let of_administrator = |word: &'static str, act: Administration, line: String| {
         (Tag::Administer(word), Command::Administer(act), format!("chain {line}"))
     };
@@ -125,7 +126,11 @@ fn acts_of_rights() -> Vec<Act> {
     let remove = Command::RemoveContact { name: contact() };
     let extend = Command::ExtendGrant { grantee: owner(), expires: None };
     vec![
-        (Tag::Grant(owner()), grant, format!("grant {OWNER} --topic /robot1/odom --from start --expires {END}")),
+        (
+            Tag::Grant(owner()),
+            grant,
+            format!("grant {OWNER} --topic /robot1/odom --robot scout-1 --from start --expires {END}"),
+        ),
         (Tag::Extend(OWNER), extend, format!("grants extend {OWNER} --endless")),
         (Tag::Revoke(OWNER), Command::Revoke { grantee: owner() }, format!("revoke {OWNER}")),
         of_administrator("pause", Administration::Pause { paused: true, seconds: None }, "pause".to_owned()),
@@ -167,7 +172,7 @@ fn acts_of_incidents() -> Vec<Act> {
         name: incident(),
         since: END,
         until: None,
-        topics: vec![topic()],
+        topics: vec![topic().into()],
         note: Some("it's down".to_owned()),
         robots: Vec::new(),
     };

@@ -224,7 +224,7 @@ fn form(around: &Around) -> Form {
             .time(Direction::Back),
         Line::text("To", "empty = when it is closed; 5m, 2036-12-31", Field::offering(&around.until))
             .time(Direction::Back),
-        Line::text("Topics", "topic names; empty = all", Field::offering(&topics)),
+        Line::text("Topics", "topic names, /robot*/camera/**; empty = all", Field::offering(&topics)),
         Line::text("Note", "what happened", Field::default()),
     ];
     let mut notes = vec!["Protects what was recorded in this time from retention.".to_owned()];
@@ -279,7 +279,7 @@ pub fn read(state: &State, form: &Form) -> Result<Errand, Wrong> {
     if until.is_some_and(|until| until <= since) {
         return Err((2, "it would end before it begins; enter a later time".to_owned()));
     }
-    let ((topics, _), note) = (form.topics(TOPICS, &state.topics.rows)?, form.typed(4).map(str::to_owned));
+    let (topics, note) = (form.patterns(TOPICS)?, form.typed(4).map(str::to_owned));
     let tag = Tag::Incident(Deed::Open, name.clone());
     Ok(Errand { command: OpenIncident { name, since, until, topics, note, robots: Vec::new() }.into(), tag })
 }

@@ -188,9 +188,10 @@ fn of_command(command: &Command) -> Option<String> {
         fingerprint.as_ref().map_or_else(String::new, |value| format!(" --fingerprint {}", quoted(value)))
     };
     Some(match command {
-        Command::Grant { grantee, topics, from, expires } => {
+        Command::Grant { grantee, topics, robots, from, expires } => {
             let topics = topics.iter().map(|topic| format!(" --topic {}", quoted(topic.as_str()))).collect::<String>();
-            format!("grant {grantee}{topics} --from {from}{}", expires.map_or_else(String::new, until))
+            let robots = robots.iter().map(|robot| format!(" --robot {}", quoted(robot))).collect::<String>();
+            format!("grant {grantee}{topics}{robots} --from {from}{}", expires.map_or_else(String::new, until))
         }
         Command::ExtendGrant { grantee, expires } => {
             format!("grants extend {grantee}{}", expires.map_or_else(|| " --endless".to_owned(), until))
@@ -247,7 +248,7 @@ fn of_incident(command: &IncidentCommand) -> String {
         IncidentCommand::OpenIncident { name, since, until, topics, note, robots } => {
             let mut words = format!("incident open {name} --since {since}");
             words.extend(until.map(|until| format!(" --until {until}")));
-            words.extend(topics.iter().map(|topic| format!(" --topic {topic}")));
+            words.extend(topics.iter().map(|topic| format!(" --topic {}", quoted(topic.as_str()))));
             words.extend(note.iter().map(|note| format!(" --note={}", quoted(note))));
             words.extend(robots.iter().map(|robot| format!(" --robot {}", quoted(robot))));
             words

@@ -224,7 +224,7 @@ fn publishers(state: &mut State) {
     let name = topic.to_string();
     state.popups.push(Popup::Publishers(Lookup::new(&name)));
     let coverage = opening::coverage_of(&topic);
-    state.send(Errand { command: Command::ListPins { topic: Some(topic) }, tag: Tag::Publishers(name) });
+    state.send(Errand { command: Command::ListPins { topic: Some(topic.into()) }, tag: Tag::Publishers(name) });
     state.send_new(coverage);
 }
 

@@ -191,12 +191,12 @@ pub fn pin(row: &TopicRow, topic: TopicName) -> Confirm {
         "Check host and type first: enter shows them (a name alone can be forged).".to_owned(),
     ];
     let tag = Tag::Pin(topic.to_string());
-    let errand = Errand { command: Command::PinTopic { topic, publishers: Vec::new() }, tag };
+    let errand = Errand { command: Command::PinTopic { topic: topic.into(), publishers: Vec::new() }, tag };
     Confirm { title: "Accept these publishers?".to_owned(), lines, yes: "pin", typed: None, errand }
 }
 
 pub fn decide(row: &TopicRow, topic: TopicName, discard: bool) -> Confirm {
-    let held = Held { topic: Some(topic.clone()), ids: Vec::new() };
+    let held = Held { topic: Some(topic.clone().into()), ids: Vec::new() };
     let held_now = format!("Held   {} messages, and what comes until you confirm", row.quarantined);
     let mut lines = vec![format!("Topic  {topic}"), held_now];
     let name = topic.to_string();
@@ -214,7 +214,11 @@ pub fn decide(row: &TopicRow, topic: TopicName, discard: bool) -> Confirm {
 
 /// `None` = what it opens and costs is not told yet.
 pub fn grant(state: &State, wish: GrantWish, foreseen: Option<Result<GrantForesight, Failure>>) -> Confirm {
-    let topics: Vec<String> = wish.topics.iter().map(ToString::to_string).collect();
+    // What robots have is known once it is foreseen.
+    let topics: Vec<String> = match &foreseen {
+        Some(Ok(foreseen)) if !wish.robots.is_empty() => foreseen.topics.iter().map(ToString::to_string).collect(),
+        _ => granting::covered(&wish),
+    };
     let (records, cost) = match &foreseen {
         Some(Ok(foreseen)) => (foreseen.moment(|moment| state.times().meaning(moment)), Some(foreseen.cost())),
         Some(Err(failure)) => (before(wish.from).to_owned(), Some(format!("not known: {}", failure.message))),
@@ -231,10 +235,10 @@ pub fn grant(state: &State, wish: GrantWish, foreseen: Option<Result<GrantForesi
     lines.push(String::new());
     lines.extend(readers(state, "Current readers:", None));
     lines.push("A later revoke stops new records; what was read cannot be taken back.".to_owned());
-    let GrantWish { grantee, topics, from, expires } = wish;
+    let GrantWish { grantee, topics, robots, from, expires } = wish;
     let topics = topics.into_iter().map(Into::into).collect();
     let tag = Tag::Grant(grantee.clone());
-    let errand = Errand { command: Command::Grant { grantee, topics, from, expires }, tag };
+    let errand = Errand { command: Command::Grant { grantee, topics, robots, from, expires }, tag };
     Confirm { title: "Grant this?".to_owned(), lines, yes: "grant", typed: None, errand }
 }
 

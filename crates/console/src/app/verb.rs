@@ -177,7 +177,9 @@ pub static VERBS: &[Entry] = &[
     act(Verb::Unpin, "unpin", "", &["P"], "Unpin one of the topic's publishers").on(&[Topics]),
     act(Verb::Release, "release", "", &["r"], "Release quarantined messages of the topic").on(&[Topics]),
     act(Verb::Discard, "discard", "", &["D"], "Discard quarantined messages; the chain counts them").on(&[Topics]),
-    act(Verb::Grant, "grant", "grant", &["g"], "Let another account read your records").on(&[Overview, Topics, Grants]),
+    act(Verb::Grant, "grant", "grant", &["g"], "Let another account read your records").on(&[
+        Overview, Topics, Grants, Robots,
+    ]),
     act(Verb::Extend, "extend", "extend", &["e"], "Change the end of the grant; sooner = revoke and new grant")
         .on(&[Grants]),
     act(Verb::Revoke, "revoke", "revoke", &["x"], "Stop sharing: the next record is encrypted under a new key")

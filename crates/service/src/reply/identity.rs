@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::command::SecretBytes;
 use crate::model::{
-    Address, ContactName, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token, clean, counted,
+    Address, ContactName, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token, TopicName, clean, counted,
 };
 
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -59,6 +59,9 @@ pub const NOTHING_OLDER: &str = "from now on, nothing older";
 pub struct GrantForesight {
     /// The first epoch that it opens.
     pub epoch: u64,
+    /// What it covers; empty = all topics.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub topics: Vec<TopicName>,
     /// How many begin with it: one for "from now on", and one if a standing grant is revoked before.
     pub epochs: usize,
     /// Nobody can have sealed anything under the keys that it gives.

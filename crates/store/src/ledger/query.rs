@@ -16,7 +16,7 @@ use super::{Counts, Losses, Records};
 use crate::StoreError;
 use crate::database::{Statements as _, capped, whole};
 use crate::model::{
-    Address, FilterId, RecordKind, RecordState, RecorderId, SignerId, Timestamp, TopicId, TopicPattern, clean,
+    Address, FilterId, RecordKind, RecordState, RecorderId, SignerId, Timestamp, TopicId, TopicPatterns, clean,
 };
 use crate::notes::{self, Note};
 
@@ -53,10 +53,8 @@ pub struct RecordQuery {
     pub owner: Option<Address>,
     pub owners: Option<Vec<Address>>,
     pub topic: Option<String>,
-    /// By name; empty = any.
-    pub topics: Vec<String>,
-    /// The topic's name matches each.
-    pub patterns: Vec<TopicPattern>,
+    /// The topic's name matches one pattern of each.
+    pub topics: Vec<TopicPatterns>,
     pub topic_ids: Option<Vec<TopicId>>,
     pub recorder: Option<RecorderId>,
     /// `None` = any.
@@ -84,8 +82,7 @@ impl RecordQuery {
         self.owner.is_none_or(|owner| owner == stream.owner)
             && self.owners.as_ref().is_none_or(|owners| owners.contains(&stream.owner))
             && self.topic.as_ref().is_none_or(|topic| *topic == stream.topic)
-            && (self.topics.is_empty() || self.topics.contains(&stream.topic))
-            && self.patterns.iter().all(|pattern| pattern.matches(&stream.topic))
+            && self.topics.iter().all(|patterns| patterns.matches(&stream.topic))
             && self.signers.as_ref().is_none_or(|signers| signers.contains(&stream.signer))
             && self.topic_ids.as_ref().is_none_or(|ids| ids.contains(&stream.topic_id))
             && self.recorder.is_none_or(|recorder| recorder == stream.recorder)

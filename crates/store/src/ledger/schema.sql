@@ -310,8 +310,8 @@ CREATE TABLE stamp_tokens (
     PRIMARY KEY (stamp, authority)
 ) WITHOUT ROWID;
 
--- Incidents: spans of time and topics whose records retention leaves alone. `until` is NULL while one goes on; one
--- without topics is about all topics of its owner.
+-- Incidents: spans of time and topics, by name or pattern, whose records retention leaves alone. `until` is NULL while
+-- one goes on; one without topics is about all topics of its owner.
 CREATE TABLE incidents (
     key INTEGER PRIMARY KEY, owner BLOB NOT NULL, name TEXT NOT NULL, since INTEGER NOT NULL, until INTEGER,
     opened_at INTEGER NOT NULL, closed_at INTEGER, UNIQUE (owner, name)

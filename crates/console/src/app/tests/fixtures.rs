@@ -294,6 +294,7 @@ fn foresight(from: GrantFrom) -> GrantForesight {
     match from {
         GrantFrom::Now => GrantForesight {
             epoch: 3,
+            topics: Vec::new(),
             epochs: 1,
             nothing_older: true,
             opens: Opens::default(),

@@ -144,21 +144,30 @@ impl Capture {
         Ok(())
     }
 
-    /// Names as they are, and what matches the patterns: topics of the graph, and those with own records if `recorded`.
+    /// Topics of the graphs and those watched by name, and those with own records if `recorded`.
+    pub async fn known(&self, profile: &ProfileName, recorded: bool) -> Result<BTreeSet<TopicName>, Failure> {
+        let watches = block_in_place(|| self.watches.of(profile))?;
+        let mut known: BTreeSet<TopicName> = watches.named().filter_map(|rule| rule.pattern.name()).collect();
+        if self.ros.is_wanted() {
+            self.ros.any().await?;
+            known.extend(self.ros.names());
+        }
+        let kept = if recorded { self.captured_by_topic(profile)? } else { HashMap::new() };
+        known.extend(kept.keys().filter_map(|name| name.parse().ok()));
+        Ok(known)
+    }
+
+    /// Names as they are, and what matches the patterns: see [`Self::known`].
     pub async fn named(
         &self,
         profile: &ProfileName,
         topics: &[TopicPattern],
         recorded: bool,
     ) -> Result<Vec<TopicName>, Failure> {
-        let mut known: BTreeSet<TopicName> = BTreeSet::new();
-        if topics.iter().any(|topic| !topic.is_plain()) {
-            if self.ros.is_wanted() {
-                known.extend(self.topics(profile).await?.iter().filter_map(|row| row.topic.parse().ok()));
-            }
-            let kept = if recorded { self.captured_by_topic(profile)? } else { HashMap::new() };
-            known.extend(kept.keys().filter_map(|name| name.parse().ok()));
-        }
+        let known = match topics.iter().all(TopicPattern::is_plain) {
+            true => BTreeSet::new(),
+            false => self.known(profile, recorded).await?,
+        };
         let mut names = Vec::new();
         for topic in topics {
             let before = names.len();

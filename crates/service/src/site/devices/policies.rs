@@ -109,7 +109,7 @@ impl Devices {
         Ok(Known {
             reports: self.reports(owner, network)?,
             seen: ledger.counts.last_seen(MOST_ROBOTS)?.into_iter().map(|seen| (seen.signer, seen.at)).collect(),
-            topics: ledger.counts.signer_topics(owner.address, own)?,
+            topics: ledger.counts.signer_topics(owner.address, Some(own))?,
         })
     }
 

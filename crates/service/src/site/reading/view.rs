@@ -185,7 +185,7 @@ pub fn record_page(rows: &[Shown], next: Option<String>, with_owner: bool) -> Re
 /// Captured messages unless another kind is requested.
 pub(in crate::site) fn record_query(query: UploadQuery) -> RecordQuery {
     RecordQuery {
-        patterns: query.topic.into_iter().collect(),
+        topics: query.topic.into_iter().map(|topic| TopicPatterns(vec![topic])).collect(),
         type_name: query.type_name.map(|name| name.to_string()),
         words: query.words,
         kind: Some(query.kind.unwrap_or(RecordKind::Data)),

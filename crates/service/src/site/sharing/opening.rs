@@ -171,7 +171,8 @@ impl Sharing {
             true => opens.records == 0,
             false => self.is_unused(owner, &network, first)?,
         };
-        Ok(GrantForesight { epoch: first, epochs, nothing_older, opens, readers, robots, transactions })
+        let topics = topics.to_vec();
+        Ok(GrantForesight { epoch: first, topics, epochs, nothing_older, opens, readers, robots, transactions })
     }
 }
 

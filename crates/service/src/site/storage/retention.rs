@@ -283,5 +283,5 @@ fn is_held(row: &RecordRow, incident: &IncidentRow) -> bool {
     let span = &incident.span;
     row.captured_at >= span.since
         && span.until.is_none_or(|until| row.captured_at < until)
-        && (span.topics.is_empty() || span.topics.contains(&row.topic))
+        && span.is_about(&row.topic)
 }
