@@ -11,8 +11,10 @@ use super::plan::Plan;
 use super::show::{Question, or_dash};
 use crate::crypto::keyfile::{load_sm2, sm2_public_from_pem};
 use crate::crypto::{LONGEST_POLICY, ProviderName, SmKeyPair, provider, signer_id};
-use crate::model::{PublicKey, SignerId, TopicRule, bytes::unhex, clean};
-use crate::service::reply::{DeviceRow, PolicyRow, PolicyView, RingPullView, RobotRow, RobotTopicRow, RobotView};
+use crate::model::{PublicKey, Sampling, SignerId, Timestamp, TopicRule, bytes::unhex, clean};
+use crate::service::reply::{
+    DeviceRow, PolicyRow, PolicyView, RingPullView, RobotRow, RobotTopicRow, RobotView, coverage_legend,
+};
 use crate::service::{Failure, command, failure::input};
 
 /// `robots …`
@@ -140,14 +142,20 @@ pub fn one(view: &RobotView) -> String {
     lines.extend(view.refused.iter().map(|why| format!("it refused: {why}")));
     lines.extend(view.overruled.iter().map(|what| format!("overridden on the robot: {what}")));
     lines.extend(view.gateway.iter().flat_map(|one| &one.addresses).map(|address| format!("gateway {address}")));
-    let counts = |topic: &RobotTopicRow| {
+    let cells = |topic: &RobotTopicRow| {
         let counts = [topic.records, topic.verified, topic.waiting, topic.lost].map(|count| count.to_string());
-        [vec![topic.topic.clone()], counts.to_vec()].concat()
+        let ends = [topic.first, topic.last].map(|at| or_dash(at.map(Timestamp::in_milliseconds)));
+        [vec![topic.topic.clone()], counts.to_vec(), ends.to_vec(), vec![topic.strip.clone()]].concat()
     };
     if !view.topics.is_empty() {
-        let head = ["topic", "messages", "verified", "waiting", "lost"];
-        lines.push(table(&head, view.topics.iter().map(counts)));
+        let head = ["topic", "messages", "verified", "waiting", "lost", "first", "last", "coverage"];
+        lines.push(table(&head, view.topics.iter().map(cells)));
     }
+    lines.extend(view.covered.map(|span| {
+        let signs: String = view.topics.iter().map(|topic| topic.strip.as_str()).collect();
+        let (since, until) = (span.since.in_milliseconds(), span.until.in_milliseconds());
+        format!("coverage from {since} to {until}, {} per sign: {}", span.part(), coverage_legend(&signs))
+    }));
     if !view.policy.is_empty() {
         lines.push(format!("\n{}", view.policy.trim_end()));
     }
@@ -316,7 +324,7 @@ fn text(view: &PolicyView) -> String {
         [
             row.topic.clone(),
             or_dash(rule.map(|rule| format!("{} (line {})", rule.pattern, rule.line))),
-            rule.map_or_else(|| "everything".to_owned(), terms),
+            terms(rule, row.sampling),
             if row.watched { "watched" } else { "" }.to_owned(),
             row.left_out.to_string(),
         ]
@@ -328,19 +336,13 @@ fn text(view: &PolicyView) -> String {
     text
 }
 
-fn terms(rule: &TopicRule) -> String {
+fn terms(rule: Option<&TopicRule>, sampling: Sampling) -> String {
     let mut terms = Vec::new();
-    terms.extend(rule.type_name.as_ref().map(|name| format!("only {name}")));
-    terms.extend(rule.every.map(|every| format!("every {every}.")));
-    terms.extend(rule.rate.map(|rate| format!("at most {}/s", thousandths(rate))));
-    terms.extend(rule.tags.iter().map(|(key, value)| format!("{key}={value}")));
-    terms.extend(rule.retention.map(|seconds| format!("kept {}", span(seconds))));
+    terms.extend(rule.and_then(|rule| rule.type_name.as_ref()).map(|name| format!("only {name}")));
+    terms.extend((!sampling.is_all()).then(|| sampling.to_string()));
+    terms.extend(rule.iter().flat_map(|rule| &rule.tags).map(|(key, value)| format!("{key}={value}")));
+    terms.extend(rule.and_then(|rule| rule.retention).map(|seconds| format!("kept {}", span(seconds))));
     if terms.is_empty() { "everything".to_owned() } else { terms.join(", ") }
-}
-
-fn thousandths(rate: u64) -> String {
-    let text = format!("{}.{:03}", rate / 1000, rate % 1000);
-    text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
 fn span(seconds: u64) -> String {
@@ -439,6 +441,7 @@ mod policy_tests {
             topic: topic.into(),
             type_name: Some("sensor_msgs/Imu".into()),
             watched: false,
+            sampling: Sampling::default(),
             rule: None,
             left_out: 0,
             hz: Some(hz),

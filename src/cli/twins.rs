@@ -15,6 +15,7 @@ pub const TWINS: &[(&str, &str)] = &[
     ("unpin", "topics unpin TOPIC CALLER_ID"),
     ("release", "quarantine release --topic TOPIC"),
     ("discard", "quarantine discard --topic TOPIC"),
+    ("limit", "topics watch TOPIC --rate 5"),
     ("grant", "grant ADDRESS"),
     ("extend", "grants extend ADDRESS --expires 30d"),
     ("revoke", "revoke ADDRESS"),

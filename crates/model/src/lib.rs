@@ -50,5 +50,5 @@ pub use crate::robot_policy::PolicyReport;
 pub use crate::span::{ByteSize, SpanError, Timestamp, Wei, coarse, positive_span, time_span};
 pub use crate::state::{ErrorKind, Fact, RecordState, Verdict};
 pub use crate::topic::{TopicName, TypeName, is_record_topic};
-pub use crate::topic_rule::{TopicPattern, TopicRule, TopicRules};
+pub use crate::topic_rule::{Sampling, TopicPattern, TopicRule, TopicRules};
 pub use crate::watch_rules::{WatchRule, WatchRules};

@@ -22,8 +22,8 @@ use zeroize::{Zeroize, ZeroizeOnDrop};
 
 use self::right::{CAPTURE, GRANT, LOOK, OWNER, PASSPHRASE};
 use crate::model::{
-    Address, ContactName, IncidentName, Party, ProfileName, Publisher, SignerId, Timestamp, TopicName, TopicPattern,
-    TypeName,
+    Address, ContactName, IncidentName, Party, ProfileName, Publisher, Sampling, SignerId, Timestamp, TopicName,
+    TopicPattern, TypeName,
 };
 use crate::reply::{
     AdministrationView, AdmittedView, AlertTestView, AlertsView, AuditCheck, AuditView, BackupView, CaptureSummary,
@@ -84,8 +84,14 @@ requests! {
         parts: usize,
     } => CoverageView, LOOK;
     /// Capture a topic, in this type if one is given, until it is unwatched; lasts across restarts. A pattern also
-    /// covers topics that appear later.
-    WatchTopic { topic: TopicPattern, type_name: Option<TypeName> } => (), CAPTURE;
+    /// covers topics that appear later. Of a topic that is watched already, it replaces what was said before.
+    WatchTopic {
+        topic: TopicPattern,
+        type_name: Option<TypeName>,
+        /// How many messages are kept; `None` = as the settings say.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        sampling: Option<Sampling>,
+    } => (), CAPTURE;
     /// Stop capturing what matches.
     UnwatchTopic { topic: TopicPattern } => (), CAPTURE;
     /// Pinned publishers, and alarms about others.

@@ -8,7 +8,7 @@ use clap::Parser as _;
 use crate::app::incidents::Deed;
 use crate::app::{Errand, Settings, State, Tag, palette};
 use crate::cli::args::Arguments;
-use crate::model::{Address, IncidentName, Party, Timestamp, TopicName};
+use crate::model::{Address, IncidentName, Party, Sampling, Timestamp, TopicName};
 use crate::service::command::{
     Administration, CloseIncident, Held, NoteIncident, OpenIncident, Pace, PlayWishes, RemoveIncident, SetRobotPolicy,
     ShowRobot,
@@ -57,10 +57,11 @@ fn place(tag: &Tag) -> Option<usize> {
         Tag::Play(_) => 26,
         Tag::Robot(_) => 27,
         Tag::SetPolicy(..) => 28,
+        Tag::Limit(_) => 29,
     })
 }
 
-const ACTS: usize = 29;
+const ACTS: usize = 30;
 
 /// An act, and the line that a person would type for it.
 type Act = (Tag, Command, String);
@@ -100,10 +101,13 @@ fn acts_of_topics() -> Vec<Act> {
     let held = || Held { topic: Some(topic().into()), ids: Vec::new() };
     let pin = Command::PinTopic { topic: topic().into(), publishers: Vec::new() };
     let unpin = Command::UnpinTopic { topic: topic().into(), caller_id: "/driver".to_owned() };
-    let watch = Command::WatchTopic { topic: topic().into(), type_name: None };
+    let watch = Command::WatchTopic { topic: topic().into(), type_name: None, sampling: None };
+    let (type_name, sampling) = ("nav_msgs/Odometry".parse().ok(), Sampling { rate: Some(2_500), every: Some(10) });
+    let limit = Command::WatchTopic { topic: topic().into(), type_name, sampling: Some(sampling) };
     let line = |words: &str| format!("{words} /robot1/odom");
     vec![
         (Tag::Watch(name()), watch, line("topics watch")),
+        (Tag::Limit(name()), limit, line("topics watch") + " --type nav_msgs/Odometry --rate 2.5 --every 10"),
         (Tag::Unwatch(name()), Command::UnwatchTopic { topic: topic().into() }, line("topics unwatch")),
         (Tag::Pin(name()), pin, line("topics pin")),
         (Tag::Unpin(name()), unpin, line("topics unpin") + " /driver"),

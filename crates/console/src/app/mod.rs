@@ -12,6 +12,7 @@ pub mod identity_path;
 pub mod incidents;
 pub mod keymap;
 pub mod leaving;
+pub mod limiting;
 pub mod opening;
 pub mod palette;
 pub mod perform;

@@ -159,6 +159,7 @@ fn act(errand: &Errand) -> Option<String> {
         Tag::Watch(topic) => format!("topics watch {}", quoted(topic)),
         Tag::Unwatch(topic) => format!("topics unwatch {}", quoted(topic)),
         Tag::Grant(_) | Tag::Extend(_) | Tag::Revoke(_) | Tag::LoadKey(_) | Tag::ExportKey(_) => of_command(command)?,
+        Tag::Limit(_) => of_command(command)?,
         Tag::Unpin(_) | Tag::Contact(_) | Tag::Incident(..) | Tag::Administer(_) | Tag::Play(_) => of_command(command)?,
         Tag::Rotate => "keys rotate".to_owned(),
         Tag::Lock => "identity lock".to_owned(),
@@ -203,6 +204,14 @@ fn of_command(command: &Command) -> Option<String> {
         }
         Command::ExportKey { kind, passphrase } => {
             format!("keys export {} --out FILE{}", flag(*kind), keystore(passphrase.is_some()))
+        }
+        Command::WatchTopic { topic, type_name, sampling } => {
+            let sampling = sampling.unwrap_or_default();
+            let mut words = format!("topics watch {}", quoted(topic.as_str()));
+            words.extend(type_name.iter().map(|name| format!(" --type {name}")));
+            words.extend(sampling.rate_text().map(|rate| format!(" --rate {rate}")));
+            words.extend(sampling.every.map(|every| format!(" --every {every}")));
+            words
         }
         Command::UnpinTopic { topic, caller_id } => {
             format!("topics unpin {} {}", quoted(topic.as_str()), quoted(caller_id))

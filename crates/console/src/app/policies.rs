@@ -162,8 +162,8 @@ pub fn hints(state: &State) -> Vec<(&'static str, &'static str)> {
 
 pub fn key(state: &mut State, mut lookup: Lookup<RobotView>, key: Key) {
     let length = |view: &RobotView| {
-        13 + view.gateway.iter().map(|gateway| gateway.addresses.len()).sum::<usize>()
-            + view.topics.len()
+        14 + view.gateway.iter().map(|gateway| gateway.addresses.len()).sum::<usize>()
+            + view.topics.len() * 2
             + view.overruled.len() * 3
             + view.policy.lines().count()
     };

@@ -14,7 +14,7 @@ use super::perform::{self, copy, perform};
 use super::screens::{LogLine, earlier, end, is_active, is_given, scope};
 use super::update::Feed;
 use super::verb::{Entry, Errand, Tag, VERBS, Verb};
-use super::{State, palette, policies};
+use super::{State, limiting, palette, policies};
 use crate::model::TopicName;
 use crate::service::command::Held;
 use crate::service::reply::{GrantForesight, GrantRow, NOTHING_OLDER, PinsView, Provenance, RobotView, TopicRow};
@@ -80,6 +80,7 @@ pub enum Purpose {
     OpenIncident,
     NoteIncident,
     SetPolicy,
+    Limit,
     Profile,
     Unpin,
 }
@@ -534,9 +535,8 @@ fn need_of(confirm: &Confirm) -> Option<Need> {
         Tag::Open(_) | Tag::Path(_) | Tag::Check(_) | Tag::Export(_) | Tag::ExportKey(_) => Some(Need::Unlocked),
         Tag::Play(_) | Tag::SetPolicy(..) => Some(Need::Unlocked),
         Tag::Extend(_) | Tag::Administer(_) => Some(Need::Registered),
-        Tag::Register | Tag::Watch(_) | Tag::Unwatch(_) | Tag::Grant(_) | Tag::Revoke(_) | Tag::Rotate => {
-            Some(Need::Registered)
-        }
+        Tag::Register | Tag::Watch(_) | Tag::Unwatch(_) | Tag::Limit(_) => Some(Need::Registered),
+        Tag::Grant(_) | Tag::Revoke(_) | Tag::Rotate => Some(Need::Registered),
     }
 }
 
@@ -592,6 +592,7 @@ fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<(), Wrong>
         Purpose::NoteIncident => state.send(incidents::read_note(form)?),
         Purpose::Export => palette::submit(state, form),
         Purpose::SetPolicy => policies::submit(state, form)?,
+        Purpose::Limit => limiting::submit(state, form)?,
         Purpose::Profile => perform::switch(state, form.parsed(0)?),
         Purpose::ExportKey => {
             let errand = form::read_export(form)?;

@@ -84,6 +84,7 @@ fn about(topic: &TopicRow) -> Vec<(&'static str, String)> {
     vec![
         ("type", topic.type_name.clone().unwrap_or_else(|| "not known yet".to_owned())),
         ("capture", watched(topic).0),
+        ("rule", lists::watch_rule(topic).unwrap_or_default()),
         ("simulated", if topic.simulated { "yes".to_owned() } else { String::new() }),
         ("publishers", topic.publishers.join(" ")),
         ("not read", topic.unreached.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")),

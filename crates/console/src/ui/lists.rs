@@ -302,6 +302,7 @@ const TOPIC_COLUMNS: &[Column] = &[
     Column::text("Publishers", 24).named("publishers"),
     Column::text("Pinned", 10).named("pinned"),
     Column::text("Watched", 13).named("watched"),
+    Column::text("Kept", 24).named("kept"),
     Column::number("Hz", 7).named("hz"),
     Column::number("kB/s", 8).named("rate"),
     Column::text("Last 16 s", 9).named("line"),
@@ -366,8 +367,18 @@ fn draw_detail(canvas: &mut Canvas, area: Rect, topic: &TopicRow) {
         held => format!(", {} QUARANTINED", words::count(held)),
     };
     let captured = words::count(topic.messages);
-    let detail = format!("{type_name} from {publishers}: {captured} captured{held}{lost}{last}");
+    let rule = watch_rule(topic).map(|rule| format!(" ({rule})")).unwrap_or_default();
+    let detail = format!("{type_name} from {publishers}: {captured} captured{rule}{held}{lost}{last}");
     canvas.put(area, &detail, Role::Body);
+}
+
+/// `by /robot*/odom, at most 5/s, 1,204 left out`; `None` if its own name is watched and every message is kept.
+pub fn watch_rule(topic: &TopicRow) -> Option<String> {
+    let by = topic.watched_by.as_ref().map(|pattern| format!("by {}", clean(pattern, 255)));
+    let kept = (!topic.sampling.is_all()).then(|| topic.sampling.to_string());
+    let left_out = (topic.left_out > 0).then(|| format!("{} left out", words::count(topic.left_out)));
+    let rule: Vec<String> = [by, kept, left_out].into_iter().flatten().filter(|_| topic.watched).collect();
+    (!rule.is_empty()).then(|| rule.join(", "))
 }
 
 pub fn empty<'a>(state: &'a State, feed: Feed, nothing: &'a str) -> &'a str {
@@ -388,6 +399,7 @@ fn topic_cells(state: &State, row: &TopicRow) -> Vec<(String, Role)> {
         (row.publishers.join(" "), Role::Dim),
         pinned(row),
         watched_of(state, row),
+        (if row.watched { row.sampling.to_string() } else { String::new() }, Role::Body),
         (words::rate(row.hz), Role::Accent),
         (words::kilobytes(row.bytes_per_second), Role::Body),
         (graph::line(&state.topics.samples(&row.topic, SAMPLES, state.shown_at()), CELLS), Role::Accent),

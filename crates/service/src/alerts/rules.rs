@@ -108,7 +108,7 @@ impl Judge {
         let judge = |(RobotFigures { robot, .. }, silent): (&RobotFigures, Duration)| {
             let silence = coarse(silent);
             let text = format!(
-                "Nothing received from robot {robot} for {silence}; check its agent, its network and its clock."
+                "Nothing received from robot {robot} for {silence}; check its agent and its network."
             );
             let level = aged(silent, limit, settled);
             Judged::new(format!("robot_silent/{robot}"), Severity::Warning, level, text)

@@ -65,8 +65,8 @@ impl Site {
                 view.map(ask::TopicCoverage::told)
             }
             Command::ListTopics => self.capture.topics(&profile).await.map(ask::ListTopics::told),
-            Command::WatchTopic { topic, type_name } => {
-                self.capture.watch(&profile, topic, type_name).await.map(ask::WatchTopic::told)
+            Command::WatchTopic { topic, type_name, sampling } => {
+                self.capture.watch(&profile, topic, type_name, sampling).await.map(ask::WatchTopic::told)
             }
             Command::UnwatchTopic { topic } => {
                 self.capture.unwatch(&profile, &topic).await.map(ask::UnwatchTopic::told)

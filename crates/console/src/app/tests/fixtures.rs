@@ -2,7 +2,7 @@
 
 use crate::model::{
     Address, Digest, Domain, ErrorKind, Hash, PinMode, ProfileName, PublicKey, Publisher, RecordKind, RecordState,
-    SignerId, Timestamp, Token, Verdict,
+    Sampling, SignerId, Timestamp, Token, Verdict,
 };
 use crate::pipeline::sender::{LaneState, PauseReason};
 use crate::service::command::IncidentCommand;
@@ -147,6 +147,8 @@ pub fn topic(name: &str, hz: f64) -> TopicRow {
         unreached: Vec::new(),
         watched: false,
         watched_by: None,
+        watched_type: None,
+        sampling: Sampling::default(),
         held_up: None,
         simulated: true,
         hz: Some(hz),
