@@ -115,7 +115,7 @@ fn draw_steps(canvas: &mut Canvas, area: Rect, state: &State) {
             canvas.put(area, &format!("Provenance of record {id}"), Role::Title);
             put_lines(canvas, below(area, 1), &provenance_lines(view, area.width), 0);
         }
-        Some(Lookup { answer: Some(Err(failure)), .. }) => failed(canvas, area, &failure.message),
+        Some(Lookup { answer: Some(Err(failure)), .. }) => drop(canvas.put_wrapped(area, &failure.message, Role::Bad)),
         _ => draw_record(canvas, area, state, &state.uploads, "Select a record to see its provenance."),
     }
 }
@@ -127,7 +127,7 @@ fn draw_opened(canvas: &mut Canvas, area: Rect, state: &State) {
                 canvas.put(area, &format!("Record {}", opening.lookup.id), Role::Title);
                 inside(canvas, below(area, 1), opening, view);
             }
-            Some(Err(failure)) => failed(canvas, area, &failure.message),
+            Some(Err(failure)) => drop(canvas.put_wrapped(area, &failure.message, Role::Bad)),
             None => draw_record(canvas, area, state, &state.shared, "Opening…"),
         },
         None if state.is_locked() => {
@@ -135,12 +135,6 @@ fn draw_opened(canvas: &mut Canvas, area: Rect, state: &State) {
         }
         None => draw_record(canvas, area, state, &state.shared, "Select a record to open it here."),
     }
-}
-
-fn failed(canvas: &mut Canvas, area: Rect, message: &str) {
-    let lines: Vec<Vec<Piece>> =
-        wrap(&clean(message, 1_000), area.width).into_iter().map(|line| vec![(line, Role::Bad)]).collect();
-    put_lines(canvas, area, &lines, 0);
 }
 
 fn grant(state: &State) -> Vec<(&'static str, String)> {

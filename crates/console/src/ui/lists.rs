@@ -25,14 +25,7 @@ pub fn draw_chain(canvas: &mut Canvas, area: Rect, state: &State) {
     let area = below(area, 1);
     match &state.chain {
         Some(chain) => draw_known(canvas, area, state, chain),
-        None => put_whole(canvas, area, empty(state, Feed::Chain, "Asking…"), Role::Dim),
-    }
-}
-
-/// In as many lines as there are: what to do must not be cut.
-fn put_whole(canvas: &mut Canvas, area: Rect, text: &str, role: Role) {
-    for (place, line) in (0..area.height).zip(super::words::wrap(&clean(text, 1_000), area.width)) {
-        canvas.put(row(area, place), &line, role);
+        None => drop(canvas.put_wrapped(area, empty(state, Feed::Chain, "Asking…"), Role::Dim)),
     }
 }
 
@@ -59,7 +52,7 @@ fn draw_known(canvas: &mut Canvas, area: Rect, state: &State, chain: &ChainView)
     let told = draw_facts(canvas, below(area, taken), &decisions(&chain.administration));
     let lanes = told + draw_lanes(canvas, below(area, taken + told), &chain.lanes);
     if let Some(failure) = &state.feeds.slot(Feed::Chain).failure {
-        put_whole(canvas, below(area, taken + 1 + lanes), &failure.message, Role::Bad);
+        canvas.put_wrapped(below(area, taken + 1 + lanes), &failure.message, Role::Bad);
     }
 }
 

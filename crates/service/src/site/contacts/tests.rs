@@ -36,6 +36,11 @@ async fn a_name_stands_for_one_account_and_an_account_has_one_name() {
         assert_eq!(contacts.add(&alice, name("bob"), one, fingerprint).await.expect("repeated").len(), 1);
     }
     assert_eq!(contacts.resolve(&Party::Contact(name("bob"))).ok(), Some(one));
+    let home = ground.owner("dave").address;
+    assert_eq!(contacts.resolve(&Party::Contact(name("dave"))).ok(), Some(home), "a profile of the same home");
+    contacts.add(&alice, name("dave"), two, Some(typed(3))).await.expect("added");
+    assert_eq!(contacts.resolve(&Party::Contact(name("dave"))).ok(), Some(two), "the address book decides");
+    contacts.remove(&alice, &name("dave")).await.expect("removed");
     let stranger = contacts.resolve(&Party::Contact(name("carol"))).expect_err("not in the book");
     assert!(stranger.message.contains("contacts add carol"), "{}", stranger.message);
     let lines = ["begun", "done"].map(|outcome| (format!("bob {one}"), outcome.to_owned()));
