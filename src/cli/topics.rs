@@ -19,7 +19,7 @@ use authros_output::{Output, table};
 pub enum TopicsVerb {
     /// List every topic of the ROS graph
     List,
-    /// Capture a topic whenever a site runs; repeated, it replaces what was said of it before, at once
+    /// Capture a topic whenever a site runs; repeated, it replaces the earlier rule immediately
     Watch {
         #[command(flatten)]
         topics: TopicChoice,
