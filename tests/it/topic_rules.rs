@@ -23,7 +23,10 @@ fn arrived(alice: &Authros, since: Timestamp, least: usize) -> Vec<(f64, Timesta
         let captured = serde_json::from_value(record["captured_at"].clone()).expect("a time");
         (at(&opened["message"], "header.seq"), captured)
     };
-    records.iter().take(least).map(numbered).collect()
+    let mut arrived: Vec<(f64, Timestamp)> = records.iter().map(numbered).collect();
+    arrived.sort_by_key(|(_, captured)| *captured);
+    arrived.truncate(least);
+    arrived
 }
 
 fn steps(arrived: &[(f64, Timestamp)]) -> Vec<f64> {

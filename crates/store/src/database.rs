@@ -172,7 +172,9 @@ fn connect(path: &Path) -> Result<Connection, StoreError> {
 fn add_functions(connection: &Connection) -> SqlResult<()> {
     let flags = FunctionFlags::SQLITE_UTF8 | FunctionFlags::SQLITE_DETERMINISTIC;
     connection.create_scalar_function("topic_matches", 2, flags, |context| {
-        let (pattern, name) = (context.get::<String>(0)?, context.get::<String>(1)?);
+        let (Some(pattern), Some(name)) = (context.get::<Option<String>>(0)?, context.get::<Option<String>>(1)?) else {
+            return Ok(false);
+        };
         Ok(pattern == name || pattern.parse::<TopicPattern>().is_ok_and(|pattern| pattern.matches(&name)))
     })
 }

@@ -221,8 +221,8 @@ impl Site {
 /// The end of a grant, its owner and its reader.
 type Ending = (Timestamp, Address, Address);
 
-/// Grants to report, by their ends, each with the block in which it began or was extended. Received ones only from contacts: a stranger's unasked grants must not displace
-/// what counts.
+/// Grants to report, by their ends, each with the block in which it began or was extended. Received ones only from
+/// contacts: a stranger's unasked grants must not displace what counts.
 fn told_of(
     ending: BTreeMap<Ending, u64>,
     own: &BTreeSet<Address>,

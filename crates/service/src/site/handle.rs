@@ -284,7 +284,10 @@ impl Site {
     async fn topics_of(&self, profile: &ProfileName, robot: &str) -> Result<BTreeSet<TopicName>, Failure> {
         let enrolled = self.reading.topics_of_robot(self.parts.owners.address_of(profile)?, robot);
         let mut names = match TopicPattern::of_robot(robot) {
-            Ok(under) => self.capture.known(profile, true).await?.into_iter().filter(|name| under.matches(name.as_str())).collect(),
+            Ok(under) => {
+                let known = self.capture.known(profile, true).await?.into_iter();
+                known.filter(|name| under.matches(name.as_str())).collect()
+            }
             // No part of a topic's name can be called so.
             Err(_) => BTreeSet::new(),
         };
