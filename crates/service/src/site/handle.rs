@@ -283,7 +283,7 @@ impl Site {
     /// What an enrolled robot of this name may record or has recorded, and the topics under its name.
     async fn topics_of(&self, profile: &ProfileName, robot: &str) -> Result<BTreeSet<TopicName>, Failure> {
         let enrolled = self.reading.topics_of_robot(self.parts.owners.address_of(profile)?, robot);
-        let mut names = match TopicPattern::of_robot(robot) {
+        let mut names: BTreeSet<TopicName> = match TopicPattern::of_robot(robot) {
             Ok(under) => {
                 let known = self.capture.known(profile, true).await?.into_iter();
                 known.filter(|name| under.matches(name.as_str())).collect()
