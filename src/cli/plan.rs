@@ -51,8 +51,10 @@ fn is_of_gateway(command: &Command) -> bool {
 
 /// Whether more of what it shows is checked while a keyring is open.
 fn is_fuller_open(command: &Command) -> bool {
-    let of_records = matches!(command, Command::ListUploads(_) | Command::ListAllUploads(_) | Command::ShowUpload { .. });
-    of_records || matches!(command, Command::TopicCoverage { .. } | Command::ListQuarantine { .. } | Command::OfIncident(_))
+    let of_records =
+        matches!(command, Command::ListUploads(_) | Command::ListAllUploads(_) | Command::ShowUpload { .. });
+    of_records
+        || matches!(command, Command::TopicCoverage { .. } | Command::ListQuarantine { .. } | Command::OfIncident(_))
 }
 
 pub async fn run(context: Context, plan: Plan, output: &Output) -> Result<u8, Failure> {

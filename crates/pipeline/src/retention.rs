@@ -15,8 +15,8 @@ use crate::model::{
 };
 use crate::statement::{self, Speaker, Statement};
 use crate::store::{
-    Erasure, IncidentRow, KeptTopic, NewRecord, OldRecord, PlacedRecord, RecordRow, Retained,
-    StatedErasure, StoreError, Unstated,
+    Erasure, IncidentRow, KeptTopic, NewRecord, OldRecord, PlacedRecord, RecordRow, Retained, StatedErasure,
+    StoreError, Unstated,
 };
 use crate::{Network, Owner, PipelineError, Plant, Result};
 

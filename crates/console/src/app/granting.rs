@@ -70,8 +70,7 @@ pub fn moments(state: &State) -> Vec<String> {
 /// `grant bob /robot1/odom 30d` of the palette: the form with these terms.
 pub fn spoken(state: &mut State, words: &[&str]) {
     let Some((grantee, rest)) = words.split_first() else { return };
-    let is_topic =
-        |word: &&str| word.starts_with('/') || word.starts_with(form::OF_ROBOT) || *word == form::ALL_TOPICS;
+    let is_topic = |word: &&str| word.starts_with('/') || word.starts_with(form::OF_ROBOT) || *word == form::ALL_TOPICS;
     let (topics, ends): (Vec<&str>, Vec<&str>) = rest.iter().copied().partition(is_topic);
     let topics: Vec<String> = topics.into_iter().map(str::to_owned).collect();
     open(state, grantee, &topics, &ends.join(" "));

@@ -180,9 +180,8 @@ pub static VERBS: &[Entry] = &[
     act(Verb::Discard, "discard", "", &["D"], "Discard quarantined messages; the chain counts them").on(&[Topics]),
     act(Verb::Limit, "limit", "", &["l"], "Rate, or one message in n, of the marked topics that are watched")
         .on(&[Topics]),
-    act(Verb::Grant, "grant", "grant", &["g"], "Let another account read your records").on(&[
-        Overview, Topics, Grants, Robots,
-    ]),
+    act(Verb::Grant, "grant", "grant", &["g"], "Let another account read your records")
+        .on(&[Overview, Topics, Grants, Robots]),
     act(Verb::Extend, "extend", "extend", &["e"], "Change the end of the grant; sooner = revoke and new grant")
         .on(&[Grants]),
     act(Verb::Revoke, "revoke", "revoke", &["x"], "Stop sharing: the next record is encrypted under a new key")

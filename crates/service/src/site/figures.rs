@@ -229,7 +229,8 @@ fn told_of(
     is_contact: impl Fn(Address) -> bool,
     time_of: impl Fn(u64) -> Option<Timestamp>,
 ) -> Vec<GrantFigures> {
-    let (given, mut received): (Vec<_>, Vec<_>) = ending.into_iter().partition(|((_, owner, _), _)| own.contains(owner));
+    let (given, mut received): (Vec<_>, Vec<_>) =
+        ending.into_iter().partition(|((_, owner, _), _)| own.contains(owner));
     received.retain(|((_, owner, _), _)| is_contact(*owner));
     let mut told: Vec<_> =
         [given, received].into_iter().flat_map(|grants| grants.into_iter().take(MOST_GRANTS)).collect();

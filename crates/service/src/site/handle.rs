@@ -298,7 +298,9 @@ impl Site {
         }
         if names.is_empty() {
             let robot = clean(robot, 64);
-            return Err(input(format!("robot '{robot}' has recorded nothing yet; name its topics, or wait for a record")));
+            return Err(input(format!(
+                "robot '{robot}' has recorded nothing yet; name its topics, or wait for a record"
+            )));
         }
         Ok(names)
     }

@@ -7,7 +7,7 @@ use rusqlite::{Connection, Params, params};
 use serde::{Deserialize, Serialize};
 
 use super::Counts;
-use super::rows::{self, Stream, Which, optional, time, unsigned};
+use super::rows::{self, Stream, Which, optional, unsigned};
 use crate::StoreError;
 use crate::database::{Statements as _, whole};
 use crate::model::{Address, LossReason, RecordKind, RecordState, RecorderId, SignerId, Timestamp, TopicId};

@@ -446,9 +446,7 @@ impl Counts {
 
     /// For the `limit` most recent signers.
     pub fn last_seen(&self, limit: usize) -> Result<Vec<LastSeen>, StoreError> {
-        self.0.list(LAST_SEEN, [capped(limit)], |row| {
-            Ok(LastSeen { signer: SignerId(row.get(0)?), at: time(row, 1)? })
-        })
+        self.0.list(LAST_SEEN, [capped(limit)], |row| Ok(LastSeen { signer: SignerId(row.get(0)?), at: time(row, 1)? }))
     }
 
     /// Among the highest numbers of its topics.

@@ -21,8 +21,7 @@ pub mod robots;
 
 pub const NOW: Timestamp = Timestamp(1_700_000_000_000_000_000);
 /// What a grant of the current epoch opens.
-pub const OPENS: Opens =
-    Opens { records: 8_505, since: Some(Timestamp(NOW.0 - 407_000_000_000)), of_robots: false };
+pub const OPENS: Opens = Opens { records: 8_505, since: Some(Timestamp(NOW.0 - 407_000_000_000)), of_robots: false };
 /// What a grant of all epochs opens.
 const ALL_RECORDS: Opens =
     Opens { records: 581_165, since: Some(Timestamp(NOW.0 - 4 * 86_400_000_000_000)), of_robots: false };

@@ -276,11 +276,8 @@ fn topic_rows(robot: SignerId, topics: &[SignerTopic], mut lost: BTreeMap<String
             ..RobotTopicRow::default()
         });
     }
-    let nothing = |(topic, lost): (String, u64)| RobotTopicRow {
-        topic: clean(&topic, 255),
-        lost,
-        ..RobotTopicRow::default()
-    };
+    let nothing =
+        |(topic, lost): (String, u64)| RobotTopicRow { topic: clean(&topic, 255), lost, ..RobotTopicRow::default() };
     rows.extend(lost.into_iter().map(nothing));
     rows
 }

@@ -5,9 +5,7 @@ mod tests;
 
 use tokio::task::block_in_place;
 
-use crate::model::{
-    Address, IncidentName, ProfileName, Timestamp, TopicPattern, TopicPatterns, clean, clean_lines,
-};
+use crate::model::{Address, IncidentName, ProfileName, Timestamp, TopicPattern, TopicPatterns, clean, clean_lines};
 use crate::service::command::{self as ask, Ask, IncidentCommand};
 use crate::service::event::Part;
 use crate::service::failure::input;
