@@ -9,7 +9,7 @@ use super::Reading;
 use crate::command::UploadQuery;
 use crate::crypto::{CryptoError, IndexKey, Names, TopicKey, topic_id, topic_key};
 use crate::model::bytes::hex;
-use crate::model::{Address, Digest, Header, ProfileName, RecordKind, TopicPattern, Verdict, clean};
+use crate::model::{Address, Digest, Header, ProfileName, RecordKind, TopicPattern, TopicPatterns, Verdict, clean};
 use crate::pipeline::columns::{Comparison, Keys, Shown};
 use crate::pipeline::reader::Reader;
 use crate::pipeline::{Network, Owner, PipelineError};
