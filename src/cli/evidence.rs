@@ -105,7 +105,7 @@ pub fn run_verify(
     output: &Output,
 ) -> Result<u8, Failure> {
     if !path.exists() {
-        let advice = "give a bundle (NAME.authros) or a folder from `uploads export`";
+        let advice = "give a bundle (NAME.authros) or a folder from `records export`";
         return Err(input(format!("{} does not exist; {advice}", path.display())));
     }
     let provider = provider(ProviderName::default());

@@ -1,4 +1,4 @@
-//! `authros grant` and `authros grants`.
+//! `authros grant` and `authros grant`.
 
 #![deny(clippy::wildcard_enum_match_arm)]
 

@@ -159,7 +159,7 @@ mod tests {
             let (name, value) = word.split_once(':').expect("a term");
             [format!("--{name}"), value.to_owned()]
         });
-        let words = ["authros", "uploads", "list"].map(str::to_owned).into_iter().chain(flags);
+        let words = ["authros", "records", "list"].map(str::to_owned).into_iter().chain(flags);
         let parsed = super::super::args::Arguments::try_parse_from(words).expect("flags");
         let Some(super::super::args::Verb::Uploads(super::super::args::UploadsVerb::List(list))) = parsed.verb else {
             panic!("a list");

@@ -29,7 +29,7 @@ pub fn pin(arguments: &PinArguments) -> Result<PinTopic, Failure> {
 #[derive(Debug, Args)]
 #[command(group(clap::ArgGroup::new("held").required(true).multiple(false)))]
 pub struct HeldArguments {
-    /// Record ids, as `quarantine list` shows them
+    /// Record ids, as `topics quarantine list` shows them
     #[arg(group = "held", value_name = "ID")]
     pub ids: Vec<String>,
     /// All messages of this topic, or of those that match this pattern; also marks their alarms as seen

@@ -99,7 +99,7 @@ fn policy_of(file: &Path) -> Result<String, Failure> {
     };
     read.map_err(unread)?;
     if text.trim().is_empty() {
-        let advice = "`robots policy ROBOT --clear` gives a robot back its own settings";
+        let advice = "`robot policy ROBOT --clear` gives a robot back its own settings";
         return Err(input(format!("{shown} is empty; {advice}")));
     }
     Ok(text)
@@ -107,7 +107,7 @@ fn policy_of(file: &Path) -> Result<String, Failure> {
 
 pub fn all(robots: &[RobotRow]) -> String {
     if robots.is_empty() {
-        return "no robots; enrol one with `authros agent enrol`".to_owned();
+        return "no robots; enrol one with `authros robot enrol`".to_owned();
     }
     let row = |robot: &RobotRow| {
         [
@@ -293,7 +293,7 @@ const FAST: f64 = 50.0;
 /// The rate suggested for heavy topics, messages a second.
 const CALM: f64 = 5.0;
 
-/// `topics policy …`
+/// `topics rules …`
 #[derive(Debug, Args)]
 pub struct PolicyArguments {
     /// Observe the live topics and print draft rules for config.toml

@@ -24,7 +24,7 @@ pub(crate) fn export() -> Exported {
     let authros = home.authros().with(&["--robots", "1"]).with_variable("AUTHROS_AUDIT_ANCHOR_EVERY", "86400");
     authros.enrol();
     authros.capture(&["/robot1/odom"], 3);
-    let records = authros.records(&["uploads", "list"]);
+    let records = authros.records(&["records", "list", "--oldest"]);
     let revealed = text(&records[0], "digest");
     let (bundle, trust) = (home.root().join("case.authros"), home.root().join("trust.toml"));
     let place = bundle.to_str().expect("UTF-8");
@@ -79,7 +79,7 @@ pub(crate) fn verified(bundle: &Path, trust: Option<&Path>) -> Outcome {
     if cut {
         command.args(["-rn", env!("CARGO_BIN_EXE_authros")]);
     }
-    command.env_clear().env("HOME", empty.path()).arg("verify").arg(bundle).arg("--json");
+    command.env_clear().env("HOME", empty.path()).args(["evidence", "verify"]).arg(bundle).arg("--json");
     if let Some(trust) = trust {
         command.arg("--trust").arg(trust);
     }
@@ -201,7 +201,7 @@ fn a_bundle_is_verified_on_another_machine_and_every_lie_is_refused() {
 fn told(home: &Home, bundle: &Path, trust: &Path) {
     let shown = |trust: &Path| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_authros"));
-        command.env_clear().env("HOME", home.root()).arg("verify").arg(bundle).arg("--trust").arg(trust);
+        command.env_clear().env("HOME", home.root()).args(["evidence", "verify"]).arg(bundle).arg("--trust").arg(trust);
         Running::start(command).wait(60).expect_code(8).stdout
     };
     let own = shown(trust);
@@ -264,7 +264,7 @@ fn the_same_export_twice_differs_in_its_signature_alone() {
     let authros = home.authros().with(&["--robots", "1"]).with_variable("AUTHROS_AUDIT_ANCHOR_EVERY", "86400");
     authros.enrol();
     authros.capture(&["/robot1/odom"], 2);
-    let id = text(&authros.records(&["uploads", "list"])[0], "id");
+    let id = text(&authros.records(&["records", "list", "--oldest"])[0], "id");
     let export = |name: &str| {
         let file = home.root().join(name);
         authros.run(&["evidence", "export", file.to_str().expect("UTF-8"), "--record", &id]).expect_code(0);
@@ -287,7 +287,7 @@ fn a_topic_is_complete_to_the_number_that_the_recorders_head_names() {
     authros.enrol();
     authros.capture(&["/robot1/odom"], 3);
     let site = authros.serve(&home);
-    let odom = authros.records(&["uploads", "list", "--topic", "/robot1/odom"]);
+    let odom = authros.records(&["records", "list", "--oldest", "--topic", "/robot1/odom"]);
     let last = odom.iter().filter_map(|record| record["seq"].as_u64()).max().expect("numbers");
     let (trust, cut) = (home.root().join("trust.toml"), home.root().join("cut.authros"));
     let mut tries = 0;
@@ -333,7 +333,7 @@ fn a_foreign_nodes_proofs_show_the_anchor_and_its_unsigned_headers_are_named() {
     let authros = home.authros().with(&["--chain", &url, "--robots", "1"]);
     let made = authros.json(&["identity", "create"]);
     node.fund(&text(&made, "address"));
-    authros.json(&["register"]);
+    authros.json(&["identity", "register"]);
     authros.capture(&["/robot1/odom"], 2);
     let (bundle, trust) = (home.root().join("case.authros"), home.root().join("trust.toml"));
     let view = authros.json(&["evidence", "export", bundle.to_str().expect("UTF-8")]);
@@ -364,7 +364,7 @@ fn what_a_node_proved_in_time_is_in_the_bundle_when_it_proves_nothing_any_more()
     let authros = home.authros().with(&["--chain", &url, "--robots", "1"]);
     let made = authros.json(&["identity", "create"]);
     node.fund(&text(&made, "address"));
-    authros.json(&["register"]);
+    authros.json(&["identity", "register"]);
     let site = authros.serve(&home);
     authros.capture(&["/robot1/odom"], 2);
     let part = || {

@@ -80,7 +80,7 @@ fn a_new_passphrase_is_typed_twice_and_written_nowhere() {
 fn without_a_terminal_a_passphrase_is_stored_only_if_this_was_asked_for() {
     let home = Home::new();
     let authros = plain(&home);
-    for command in [&["identity", "create"][..], &["register"], &["serve"], &["gateway", "serve"]] {
+    for command in [&["identity", "create"][..], &["identity", "register"], &["serve"], &["gateway", "serve"]] {
         let refused = authros.fails(REFUSED, command);
         assert!(refused.contains("--passphrase-file") && refused.contains("--store-passphrase"), "{refused}");
     }
@@ -184,14 +184,14 @@ fn a_backup_asks_for_a_passphrase_of_its_own() {
     let file = home.root().join("b.backup");
     let file = file.to_str().expect("UTF-8");
     let own = "the words of the backup";
-    let mut console = asked(&authros, &["backup", file], "New passphrase of this backup");
+    let mut console = asked(&authros, &["backup", "create", file], "New passphrase of this backup");
     console.press(&format!("{own}\r"));
     console.wait_for("Repeat it", PATIENCE);
     console.press(&format!("{own}\r"));
     expect_end(console, 0, &[own]);
 
     let elsewhere = Home::new();
-    let mut console = asked(&plain(&elsewhere), &["restore", file], "Passphrase of the backup");
+    let mut console = asked(&plain(&elsewhere), &["backup", "restore", file], "Passphrase of the backup");
     console.press(&format!("{own}\r"));
     expect_end(console, 0, &[own]);
     assert!(elsewhere.path().join("profiles/default/keyring").exists());
@@ -294,7 +294,7 @@ fn a_saved_keyring_is_brought_back_and_never_over_another() {
     // On another machine; it is no backup of a home.
     let elsewhere = Home::new();
     let whole = plain(&elsewhere).with(&["--passphrase-file", &right]);
-    let backup = whole.fails(INPUT, &["restore", saved]);
+    let backup = whole.fails(INPUT, &["backup", "restore", saved]);
     assert!(backup.contains("authros keys restore"), "{backup}");
     assert_eq!(text(&whole.json(&["keys", "restore", saved]), "address"), address);
 }
@@ -308,10 +308,10 @@ fn a_passphrase_given_to_a_list_opens_the_keyring_for_it_without_a_site() {
     with.json(&["identity", "create"]);
     with.capture(&["/robot1/odom"], 2);
     let states = |authros: &Authros| -> Vec<String> {
-        authros.records(&["uploads", "list"]).iter().map(|record| text(record, "state")).collect()
+        authros.records(&["records", "list", "--oldest"]).iter().map(|record| text(record, "state")).collect()
     };
     assert_eq!(states(&authros), ["verified, names unchecked"; 2]);
     assert_eq!(states(&with), ["verified"; 2]);
     let wrong = home.file("wrong", "not the passphrase", 0o600);
-    authros.with(&["--passphrase-file", &wrong]).fails(REFUSED, &["uploads", "list"]);
+    authros.with(&["--passphrase-file", &wrong]).fails(REFUSED, &["records", "list", "--oldest"]);
 }

@@ -15,11 +15,11 @@ const INPUT: i32 = 3;
 fn arrived(alice: &Authros, since: Timestamp, least: usize) -> Vec<(f64, Timestamp)> {
     let since = since.to_string();
     let records = wait_until(120, "records come", || {
-        let records = alice.records(&["uploads", "list", "--topic", TOPIC, "--since", &since]);
+        let records = alice.records(&["records", "list", "--oldest", "--topic", TOPIC, "--since", &since]);
         (records.len() >= least).then_some(records)
     });
     let numbered = |record: &Value| {
-        let opened = alice.json(&["shared", "open", &text(record, "id")]);
+        let opened = alice.json(&["records", "open", &text(record, "id")]);
         let captured = serde_json::from_value(record["captured_at"].clone()).expect("a time");
         (at(&opened["message"], "header.seq"), captured)
     };
@@ -74,7 +74,7 @@ fn a_rule_holds_from_the_moment_it_is_said_until_another_is() {
         ("/robot*/odom".to_owned(), 2_000),
         "{by_pattern}"
     );
-    let policy = alice.run(&["topics", "policy"]).expect_code(0).stdout;
+    let policy = alice.run(&["topics", "rules"]).expect_code(0).stdout;
     assert!(policy.contains("at most 2/s"), "{policy}");
     for wrong in [["--rate", "fast"], ["--rate", "0"], ["--every", "0"], ["--every", "2.5"]] {
         alice.fails(INPUT, &[&["topics", "watch", TOPIC], &wrong[..]].concat());

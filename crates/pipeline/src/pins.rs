@@ -338,7 +338,7 @@ impl Pins {
         known.alarms += 1;
         let advice = match doubt {
             Doubt::Unconfirmed => "check who can reach this machine",
-            _ => "its messages are quarantined: see `authros quarantine list`, or accept it with `authros topics pin`",
+            _ => "its messages are quarantined: see `authros topics quarantine list`, or accept it with `authros topics pin`",
         };
         let text = match known.alarms {
             ..=MOST_ALARMS => format!("NODE FORGING? {name} on {topic}: {}; {advice}", doubt.text()),

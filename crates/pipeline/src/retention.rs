@@ -151,7 +151,7 @@ fn header_of(plant: &Plant, digest: Digest) -> Result<Option<Vec<u8>>> {
 fn missing(plant: &Plant, digest: Digest) {
     let text = format!(
         "record {digest} is not deleted by retention: its ciphertext is missing or altered, but no retention record \
-         names it; inspect it with `authros shared check`"
+         names it; inspect it with `authros records check`"
     );
     plant.observer.alert(true, text);
 }

@@ -92,7 +92,7 @@ fn acts_of_keys() -> Vec<Act> {
         (Tag::LoadKey(KeyKind::Eoa), keystore, "keys load --eoa '/a key.json' --keystore-passphrase-file FILE".into()),
         (Tag::ExportKey(KeyKind::Sm4), export, "keys export sm4 --out FILE".into()),
         (Tag::Rotate, Command::RotateKeys, "keys rotate".into()),
-        (Tag::Lock, Command::Lock, "identity lock".into()),
+        (Tag::Lock, Command::Lock, "keys lock".into()),
         (Tag::BackUp, Command::BackUpKeys, "keys backup --out FILE".into()),
     ]
 }
@@ -111,8 +111,8 @@ fn acts_of_topics() -> Vec<Act> {
         (Tag::Unwatch(name()), Command::UnwatchTopic { topic: topic().into() }, line("topics unwatch")),
         (Tag::Pin(name()), pin, line("topics pin")),
         (Tag::Unpin(name()), unpin, line("topics unpin") + " /driver"),
-        (Tag::Release(name()), Command::ReleaseHeld { held: held() }, line("quarantine release --topic")),
-        (Tag::Discard(name()), Command::DiscardHeld { held: held() }, line("quarantine discard --topic") + " --yes"),
+        (Tag::Release(name()), Command::ReleaseHeld { held: held() }, line("topics quarantine release --topic")),
+        (Tag::Discard(name()), Command::DiscardHeld { held: held() }, line("topics quarantine discard --topic") + " --yes"),
         (Tag::Publishers(name()), Command::ListPins { topic: Some(topic().into()) }, line("topics pins --topic")),
     ]
 }
@@ -135,7 +135,7 @@ fn acts_of_rights() -> Vec<Act> {
             grant,
             format!("grant {OWNER} --topic /robot1/odom --robot scout-1 --from start --expires {END}"),
         ),
-        (Tag::Extend(OWNER), extend, format!("grants extend {OWNER} --endless")),
+        (Tag::Extend(OWNER), extend, format!("grant extend {OWNER} --endless")),
         (Tag::Revoke(OWNER), Command::Revoke { grantee: owner() }, format!("revoke {OWNER}")),
         of_administrator("pause", Administration::Pause { paused: true, seconds: None }, "pause".to_owned()),
         of_administrator("suspend", Administration::Suspend { account: owner() }, format!("suspend {OWNER}")),
@@ -157,14 +157,14 @@ fn acts_of_records() -> Vec<Act> {
     };
     let export = Command::ExportUpload { id: id(), addresses: false };
     vec![
-        (Tag::Show(id()), Command::ShowUpload { id: id() }, format!("uploads show {}", id())),
-        (Tag::Open(id()), Command::OpenShared { id: id() }, format!("shared open {}", id())),
-        (Tag::Check(id()), Command::CheckShared { id: id() }, format!("shared check {}", id())),
-        (Tag::Export(id()), export, format!("uploads export {} --dir DIR", id())),
+        (Tag::Show(id()), Command::ShowUpload { id: id() }, format!("records show {}", id())),
+        (Tag::Open(id()), Command::OpenShared { id: id() }, format!("records open {}", id())),
+        (Tag::Check(id()), Command::CheckShared { id: id() }, format!("records check {}", id())),
+        (Tag::Export(id()), export, format!("records export {} --dir DIR", id())),
         (
             Tag::Play("/shared/bob/robot1/odom".to_owned()),
             Command::Play(play),
-            format!("shared play --owner {OWNER} --topic /robot1/odom --prefix /shared/bob --follow"),
+            format!("received play --owner {OWNER} --topic /robot1/odom --prefix /shared/bob --follow"),
         ),
     ]
 }
@@ -195,13 +195,13 @@ fn acts_of_robots() -> Vec<Act> {
     let show = ShowRobot { name: "scout".to_owned() };
     let file = Some("/home/op/scout's.toml".into());
     vec![
-        (Tag::Robot("scout".to_owned()), show.into(), "robots show scout".to_owned()),
+        (Tag::Robot("scout".to_owned()), show.into(), "robot show scout".to_owned()),
         (
             Tag::SetPolicy("scout".to_owned(), file),
             set("[ring]\n"),
-            "robots policy scout --set '/home/op/scout'\\''s.toml'".to_owned(),
+            "robot policy scout --set '/home/op/scout'\\''s.toml'".to_owned(),
         ),
-        (Tag::SetPolicy("scout".to_owned(), None), set(""), "robots policy scout --clear".to_owned()),
+        (Tag::SetPolicy("scout".to_owned(), None), set(""), "robot policy scout --clear".to_owned()),
     ]
 }
 

@@ -39,7 +39,7 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) {
         Tag::Register => identity_path::registered(state, ask::Register::heard(result)),
         Tag::Open(id) => opening::opened(state, id, ask::OpenShared::heard(result)),
         Tag::Path(id) => opening::path_found(state, id, ask::ViewPath::heard(result)),
-        Tag::Beside(Screen::Uploads, id) => opening::looked_up(state, id, ask::ShowUpload::heard(result)),
+        Tag::Beside(Screen::Records, id) => opening::looked_up(state, id, ask::ShowUpload::heard(result)),
         Tag::Beside(Screen::Topics, topic) => opening::covered(state, topic, ask::TopicCoverage::heard(result)),
         Tag::Beside(_, id) => opening::opened_beside(state, id, ask::OpenShared::heard(result)),
         Tag::Show(id) => tell(state, id, ask::ShowUpload::heard(result), |popup| {
@@ -161,8 +161,8 @@ fn take(state: &mut State, feed: Feed, result: Answer) -> Result<(), Failure> {
         }
         Feed::Keys => state.keys = Some(ask::ListKeys::heard(result)?),
         Feed::Topics => state.topics.set(ask::ListTopics::heard(result)?, state.now),
-        Feed::Uploads => state.uploads.set(ask::ListUploads::heard(result)?, limit),
-        Feed::Shared => state.shared.set(ask::ListShared::heard(result)?, limit),
+        Feed::Records => state.records.set(ask::ListUploads::heard(result)?, limit),
+        Feed::Received => state.received.set(ask::ListShared::heard(result)?, limit),
         Feed::Grants => state.grants.set(ask::ListGrants::heard(result)?),
         Feed::Chain => state.chain = Some(*ask::ChainStatus::heard(result)?),
         Feed::Audit => state.log.set_audit(ask::ListAudit::heard(result)?),
@@ -196,7 +196,7 @@ fn opened_console(state: &mut State, result: Result<(), Failure>) {
 
 fn locked(state: &mut State, result: Result<IdentityView, Failure>) {
     state.feeds.renew(Feed::Identity);
-    for feed in [Feed::Keys, Feed::Grants, Feed::Shared] {
+    for feed in [Feed::Keys, Feed::Grants, Feed::Received] {
         state.feeds.slot_mut(feed).stale = true;
     }
     match result {
@@ -305,8 +305,8 @@ fn touched_by(tag: &Tag) -> &'static [Feed] {
     match tag {
         Tag::Watch(_) | Tag::Unwatch(_) | Tag::Limit(_) | Tag::HoldCapture => &[Feed::Topics],
         Tag::SetPolicy(..) => &[Feed::Robots],
-        Tag::Incident(..) => &[Feed::Incidents, Feed::Uploads],
-        Tag::Contact(_) => &[Feed::Contacts, Feed::Grants, Feed::Shared],
+        Tag::Incident(..) => &[Feed::Incidents, Feed::Records],
+        Tag::Contact(_) => &[Feed::Contacts, Feed::Grants, Feed::Received],
         Tag::Grant(_) | Tag::Extend(_) | Tag::Revoke(_) => &[Feed::Grants, Feed::Identity, Feed::Keys],
         Tag::LoadKey(_) | Tag::Rotate => &[Feed::Keys, Feed::Identity],
         Tag::Pin(_) | Tag::Unpin(_) | Tag::Release(_) | Tag::Discard(_) => &[Feed::Topics],

@@ -86,7 +86,7 @@ fn copyable(state: &State) -> bool {
         Screen::Keys => state.address().is_some(),
         Screen::Chain => state.chain.as_ref().is_some_and(|chain| chain.contract.is_some()),
         Screen::Robots => state.gateway.view.as_ref().is_some_and(|view| view.served.is_some()),
-        Screen::Overview | Screen::Topics | Screen::Uploads | Screen::Shared | Screen::Grants => state.has_rows(),
+        Screen::Overview | Screen::Topics | Screen::Records | Screen::Received | Screen::Grants => state.has_rows(),
         Screen::Log => state.has_rows(),
     }
 }

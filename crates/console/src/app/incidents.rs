@@ -104,7 +104,7 @@ fn possible(state: &State, list: &IncidentList) -> Vec<[&'static str; 3]> {
     let (one, open) = (chosen.is_some(), chosen.is_some_and(|row| row.open));
     let all = [
         (["n", "new", "Open an incident, filled in from the row behind this window"], changes),
-        (["enter", "records", "Show its records in Uploads"], one),
+        (["enter", "records", "Show its records in Records"], one),
         (["a", "note", "Add a note; exported bundles include notes"], changes && one),
         (["c", "close", "End its span now; its records stay held"], changes && open),
         (["x", "remove", "Remove it: retention may then delete what only it held"], changes && one),
@@ -166,9 +166,9 @@ pub fn key(state: &mut State, mut list: IncidentList, key: Key) {
 
 /// Uploads, filtered to the incident.
 fn show_records(state: &mut State, name: &IncidentName) {
-    go(state, Screen::Uploads);
-    state.uploads.table.filter = Field::with(&format!("incident:{name}"));
-    state.uploads.table.filtering = false;
+    go(state, Screen::Records);
+    state.records.table.filter = Field::with(&format!("incident:{name}"));
+    state.records.table.filtering = false;
     table::restart_records(state);
 }
 
@@ -186,11 +186,11 @@ fn around(state: &State) -> Around {
         Screen::Topics => {
             Around { topics: state.topics.targets().into_iter().map(|row| row.topic.clone()).collect(), ..now }
         }
-        Screen::Uploads => {
-            let marks = &state.uploads.table.marks;
+        Screen::Records => {
+            let marks = &state.records.table.marks;
             let key = state.row_key();
             let is_it = |id: &String| if marks.is_empty() { Some(id) == key.as_ref() } else { marks.contains(id) };
-            let rows: Vec<_> = state.uploads.rows.iter().filter(|row| is_it(&row.id)).collect();
+            let rows: Vec<_> = state.records.rows.iter().filter(|row| is_it(&row.id)).collect();
             let times = || rows.iter().map(|row| row.captured_at);
             let (Some(first), Some(last)) = (times().min(), times().max()) else { return now };
             let until = Timestamp::from_seconds(last.seconds().saturating_add(AROUND));

@@ -332,8 +332,8 @@ impl Screen {
         match self {
             Self::Overview => &[Feed::Topics, Feed::Grants],
             Self::Topics => &[Feed::Topics],
-            Self::Uploads => &[Feed::Topics, Feed::Uploads],
-            Self::Shared => &[Feed::Topics, Feed::Shared, Feed::Grants],
+            Self::Records => &[Feed::Topics, Feed::Records],
+            Self::Received => &[Feed::Topics, Feed::Received, Feed::Grants],
             Self::Grants => &[Feed::Grants],
             Self::Keys => &[Feed::Keys],
             Self::Chain => &[Feed::Chain],
@@ -346,7 +346,7 @@ impl Screen {
     pub fn orders(self) -> &'static [&'static str] {
         match self {
             Self::Topics => &["name", "Hz", "bytes/s", "watched"],
-            Self::Uploads | Self::Shared => &["newest first", "oldest first"],
+            Self::Records | Self::Received => &["newest first", "oldest first"],
             Self::Grants => &["newest", "account", "state"],
             Self::Robots => &["connected", "name", "frames", "policy"],
             Self::Log => &["newest first"],

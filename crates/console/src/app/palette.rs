@@ -162,22 +162,22 @@ fn act(errand: &Errand) -> Option<String> {
         Tag::Limit(_) => of_command(command)?,
         Tag::Unpin(_) | Tag::Contact(_) | Tag::Incident(..) | Tag::Administer(_) | Tag::Play(_) => of_command(command)?,
         Tag::Rotate => "keys rotate".to_owned(),
-        Tag::Lock => "identity lock".to_owned(),
+        Tag::Lock => "keys lock".to_owned(),
         Tag::BackUp => "keys backup --out FILE".to_owned(),
         Tag::Deploy => "chain deploy".to_owned(),
         Tag::Pin(topic) => format!("topics pin {}", quoted(topic)),
-        Tag::Release(topic) => format!("quarantine release --topic {}", quoted(topic)),
-        Tag::Discard(topic) => format!("quarantine discard --topic {} --yes", quoted(topic)),
+        Tag::Release(topic) => format!("topics quarantine release --topic {}", quoted(topic)),
+        Tag::Discard(topic) => format!("topics quarantine discard --topic {} --yes", quoted(topic)),
         Tag::Publishers(topic) => format!("topics pins --topic {}", quoted(topic)),
-        Tag::Show(id) => format!("uploads show {id}"),
-        Tag::Open(id) => format!("shared open {id}"),
-        Tag::Check(id) => format!("shared check {id}"),
-        Tag::Export(id) => format!("uploads export {id} --dir DIR"),
-        Tag::Robot(name) => format!("robots show {}", quoted(name)),
+        Tag::Show(id) => format!("records show {id}"),
+        Tag::Open(id) => format!("records open {id}"),
+        Tag::Check(id) => format!("records check {id}"),
+        Tag::Export(id) => format!("records export {id} --dir DIR"),
+        Tag::Robot(name) => format!("robot show {}", quoted(name)),
         Tag::SetPolicy(robot, Some(file)) => {
-            format!("robots policy {} --set {}", quoted(robot), quoted(&file.to_string_lossy()))
+            format!("robot policy {} --set {}", quoted(robot), quoted(&file.to_string_lossy()))
         }
-        Tag::SetPolicy(robot, None) => format!("robots policy {} --clear", quoted(robot)),
+        Tag::SetPolicy(robot, None) => format!("robot policy {} --clear", quoted(robot)),
     })
 }
 
@@ -195,7 +195,7 @@ fn of_command(command: &Command) -> Option<String> {
             format!("grant {grantee}{topics}{robots} --from {from}{}", expires.map_or_else(String::new, until))
         }
         Command::ExtendGrant { grantee, expires } => {
-            format!("grants extend {grantee}{}", expires.map_or_else(|| " --endless".to_owned(), until))
+            format!("grant extend {grantee}{}", expires.map_or_else(|| " --endless".to_owned(), until))
         }
         Command::Revoke { grantee } => format!("revoke {grantee}"),
         Command::LoadKey { kind, path, passphrase } => {
@@ -234,21 +234,21 @@ fn flag(kind: KeyKind) -> String {
 
 fn of_administrator(administration: &Administration) -> String {
     match administration {
-        Administration::Admit { account } => format!("chain admit {account}"),
-        Administration::Dismiss { account } => format!("chain dismiss {account}"),
-        Administration::Suspend { account } => format!("chain suspend {account}"),
-        Administration::Restore { account } => format!("chain restore {account}"),
-        Administration::Open { open: true } => "chain open".to_owned(),
-        Administration::Open { open: false } => "chain close".to_owned(),
+        Administration::Admit { account } => format!("chain admin allow {account}"),
+        Administration::Dismiss { account } => format!("chain admin deny {account}"),
+        Administration::Suspend { account } => format!("chain admin suspend {account}"),
+        Administration::Restore { account } => format!("chain admin restore {account}"),
+        Administration::Open { open: true } => "chain admin open".to_owned(),
+        Administration::Open { open: false } => "chain admin close".to_owned(),
         Administration::Pause { paused: true, seconds } => {
-            format!("chain pause{}", seconds.map_or_else(String::new, |seconds| format!(" --for {seconds}s")))
+            format!("chain admin pause{}", seconds.map_or_else(String::new, |seconds| format!(" --for {seconds}s")))
         }
-        Administration::Pause { paused: false, .. } => "chain resume".to_owned(),
+        Administration::Pause { paused: false, .. } => "chain admin resume".to_owned(),
         Administration::Propose { lost, successor } => format!("chain succession propose {lost} {successor}"),
         Administration::Cancel { lost } => format!("chain succession cancel {lost}"),
         Administration::Complete { lost } => format!("chain succession complete {lost}"),
-        Administration::HandOver { account } => format!("chain hand-over {account}"),
-        Administration::Accept => "chain accept".to_owned(),
+        Administration::HandOver { account } => format!("chain admin hand-over {account}"),
+        Administration::Accept => "chain admin accept".to_owned(),
     }
 }
 
@@ -271,7 +271,7 @@ fn of_incident(command: &IncidentCommand) -> String {
 }
 
 fn of_playback(wishes: &PlayWishes) -> String {
-    let mut words = "shared play".to_owned();
+    let mut words = "received play".to_owned();
     words.extend(wishes.owner.as_ref().map(|owner| format!(" --owner {owner}")));
     words.extend(wishes.topics.iter().map(|topic| format!(" --topic {}", quoted(&topic.to_string()))));
     words.extend(wishes.prefix.as_ref().map(|prefix| format!(" --prefix {prefix}")));

@@ -243,13 +243,13 @@ fn unpin(state: &mut State) {
 fn readers(state: &mut State) {
     let topics = match state.screen {
         Screen::Topics => state.topics.targets().into_iter().map(|row| row.topic.clone()).collect(),
-        Screen::Uploads => {
+        Screen::Records => {
             let key = state.row_key();
-            let rows = state.uploads.rows.iter();
+            let rows = state.records.rows.iter();
             rows.filter(|row| Some(&row.id) == key.as_ref()).map(|row| row.topic.clone()).collect()
         }
         Screen::Grants => state.grants.selected().map(|row| row.topics.clone()).unwrap_or_default(),
-        Screen::Overview | Screen::Shared | Screen::Keys | Screen::Chain | Screen::Robots | Screen::Log => Vec::new(),
+        Screen::Overview | Screen::Received | Screen::Keys | Screen::Chain | Screen::Robots | Screen::Log => Vec::new(),
     };
     state.popups.push(Popup::Readers(topics));
 }
@@ -274,8 +274,8 @@ pub fn copied(state: &State) -> Option<String> {
     };
     match state.screen {
         Screen::Topics => state.row_key(),
-        Screen::Uploads => digest(state.uploads.visible(&state.topics.rows)),
-        Screen::Shared => digest(state.shared.visible(&state.topics.rows)),
+        Screen::Records => digest(state.records.visible(&state.topics.rows)),
+        Screen::Received => digest(state.received.visible(&state.topics.rows)),
         Screen::Robots => state.gateway.view.as_ref()?.served.as_ref().map(|served| served.gateway.to_string()),
         Screen::Grants => state.grants.selected().map(|row| other_side(row).to_string()),
         Screen::Keys => state.address().map(|address| address.to_string()),
@@ -349,7 +349,7 @@ pub fn toggle(state: &mut State) {
         return state.send(Errand { command: Command::StopPlay, tag: Tag::StopPlay });
     }
     let key = state.row_key();
-    let row = state.shared.rows.iter().find(|row| Some(&row.id) == key.as_ref());
+    let row = state.received.rows.iter().find(|row| Some(&row.id) == key.as_ref());
     let found = row.and_then(|row| Some((row.owner?, row.owner_name.clone(), row.topic.clone())));
     let Some((owner, name, topic)) = found else { return };
     let (Ok(pattern), Some(prefix)) = (topic.parse(), prefix(owner, name.as_deref())) else {

@@ -49,7 +49,7 @@ impl Standing {
     }
 }
 
-/// The words of `robots show`.
+/// The words of `robot show`.
 pub fn words(row: &RobotRow) -> String {
     let standing = clean(&row.standing, 40);
     match (Standing::of(row), row.running.unwrap_or_default()) {
@@ -175,7 +175,7 @@ pub fn key(state: &mut State, mut lookup: Lookup<RobotView>, key: Key) {
     match key {
         Key::Char('p') if !state.settings.read_only => ask(state, &name),
         Key::Char('y') => {
-            let line = palette::of_words(state, &format!("robots show {name}"));
+            let line = palette::of_words(state, &format!("robot show {name}"));
             copy(state, line);
         }
         _ => {}

@@ -37,8 +37,8 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) -> Rect {
 fn draw_row(canvas: &mut Canvas, area: Rect, state: &State) {
     match state.screen {
         Screen::Topics => draw_topic(canvas, area, state),
-        Screen::Uploads => draw_steps(canvas, area, state),
-        Screen::Shared => draw_opened(canvas, area, state),
+        Screen::Records => draw_steps(canvas, area, state),
+        Screen::Received => draw_opened(canvas, area, state),
         Screen::Grants => drop(facts(canvas, area, "Grant", &grant(state))),
         Screen::Robots => draw_gateway(canvas, area, state),
         Screen::Log => draw_line(canvas, area, state),
@@ -116,7 +116,7 @@ fn draw_steps(canvas: &mut Canvas, area: Rect, state: &State) {
             put_lines(canvas, below(area, 1), &provenance_lines(view, area.width), 0);
         }
         Some(Lookup { answer: Some(Err(failure)), .. }) => drop(canvas.put_wrapped(area, &failure.message, Role::Bad)),
-        _ => draw_record(canvas, area, state, &state.uploads, "Select a record to see its provenance."),
+        _ => draw_record(canvas, area, state, &state.records, "Select a record to see its provenance."),
     }
 }
 
@@ -128,12 +128,12 @@ fn draw_opened(canvas: &mut Canvas, area: Rect, state: &State) {
                 inside(canvas, below(area, 1), opening, view);
             }
             Some(Err(failure)) => drop(canvas.put_wrapped(area, &failure.message, Role::Bad)),
-            None => draw_record(canvas, area, state, &state.shared, "Opening…"),
+            None => draw_record(canvas, area, state, &state.received, "Opening…"),
         },
         None if state.is_locked() => {
-            draw_record(canvas, area, state, &state.shared, "Locked: press u to unlock and read records.");
+            draw_record(canvas, area, state, &state.received, "Locked: press u to unlock and read records.");
         }
-        None => draw_record(canvas, area, state, &state.shared, "Select a record to open it here."),
+        None => draw_record(canvas, area, state, &state.received, "Select a record to open it here."),
     }
 }
 

@@ -148,7 +148,7 @@ fn draw_members(canvas: &mut Canvas, area: Rect, state: &State, rows: &[Member])
         Some(row) => cells(state, row),
     };
     let empty = match gateway.table.filter.text() {
-        "" => "Nobody is enrolled yet; `authros agent enrol` adds a robot or operator.",
+        "" => "Nobody is enrolled yet; `authros robot enrol` adds a robot or operator.",
         _ => "Nobody matches the filter.",
     };
     let sheet = Sheet { title, note, columns, keys: &keys, cells: &cells, table: &gateway.table, empty, old: false };

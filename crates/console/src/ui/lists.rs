@@ -445,7 +445,7 @@ pub(in crate::ui) fn all_columns(screen: Screen) -> Vec<Column> {
     // From this width simulated records are marked in full.
     let (owner, wide) = match screen {
         Screen::Topics => return TOPIC_COLUMNS.to_vec(),
-        Screen::Shared => (Some(Column::text("Owner", 13).named("owner")), 100),
+        Screen::Received => (Some(Column::text("Owner", 13).named("owner")), 100),
         _ => (None, 70),
     };
     let rest = [
@@ -468,11 +468,11 @@ pub(in crate::ui) fn all_columns(screen: Screen) -> Vec<Column> {
 pub fn draw_records(canvas: &mut Canvas, area: Rect, state: &State) {
     let screen = state.screen;
     let (title, records, feed) = match screen {
-        Screen::Shared => ("Shared with me", &state.shared, Feed::Shared),
-        _ => ("Uploads", &state.uploads, Feed::Uploads),
+        Screen::Received => ("Shared with me", &state.received, Feed::Received),
+        _ => ("Records", &state.records, Feed::Records),
     };
     let nothing = match feed {
-        Feed::Shared => "Nobody shares with you yet: give others your address (6, then y).",
+        Feed::Received => "Nobody shares with you yet: give others your address (6, then y).",
         _ => "No records yet: watch a topic (2, then w).",
     };
     let slot = state.feeds.slot(feed);
@@ -480,7 +480,7 @@ pub fn draw_records(canvas: &mut Canvas, area: Rect, state: &State) {
     let keys: Vec<String> = rows.iter().map(|row| row.id.clone()).collect();
     let layout = Layout::new(&with_local_time(&all_columns(screen), state), screen, &records.table, area.width);
     let cells = |index: usize| {
-        rows.get(index).map_or_else(Vec::new, |row| layout.pick(record_cells(state, row, screen == Screen::Shared)))
+        rows.get(index).map_or_else(Vec::new, |row| layout.pick(record_cells(state, row, screen == Screen::Received)))
     };
     let wanted = records.wanted(&state.topics.rows);
     let empty = match &wanted {

@@ -183,7 +183,7 @@ impl Judge {
         let judge = |grant: &GrantFigures| {
             let GrantFigures { owner, reader, given, begun, ends } = grant;
             let soon = begun.map_or(limit, |begun| limit.min(passed(*ends, begun) / PART));
-            let how = if *given { "`authros grants extend` extends it" } else { "only its owner can extend it" };
+            let how = if *given { "`authros grant extend` extends it" } else { "only its owner can extend it" };
             let text = format!("The grant of account {owner} to {reader} ends at {ends}; {how}.");
             let level = firing(left(grant) <= soon);
             Judged::new(format!("{GRANT}/{owner}-{reader}"), Severity::Warning, level, text)
@@ -218,7 +218,7 @@ fn records(owner: &OwnerFigures) -> [Judged; 2] {
     let (account, held, tampered) = (&owner.owner, owner.life.quarantined, owner.life.tampered);
     let text = format!(
         "{held} messages for account {account} are quarantined: their publisher is not pinned. Release or discard \
-         them; see `authros quarantine list`."
+         them; see `authros topics quarantine list`."
     );
     let held = Judged::new(format!("quarantine/{account}"), Severity::Warning, firing(held > 0), text);
     let text = format!(

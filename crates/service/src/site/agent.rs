@@ -306,8 +306,7 @@ fn topics(enrolment: &Enrolment, asked: &[TopicName], ring: Option<&TopicPattern
         && !asked.iter().any(|topic| covered.iter().any(|name| name == topic.as_str()))
     {
         return Err(refused(format!(
-            "this enrolment has no key for topic {strange}, only for {}; its owner adds it with `authros devices topics \
-             add {} {strange}`",
+            "this enrolment has no key for topic {strange}, only for {}; its owner adds it with `authros robot topics add {} {strange}`",
             clean(&covered.join(", "), 300),
             enrolment.name
         )));

@@ -269,7 +269,7 @@ fn the_palette_takes_the_terms_and_a_capital_y_copies_the_command_line() {
     assert_eq!((form.text(0), form.text(1), form.text(2)), ("harbour-office", "/robot1/odom", "30d"));
     robot.presses(Key::Enter);
     robot.types("Y");
-    let wanted = "authros grant harbour-office --topic /robot1/odom --from now --expires 2023-12-14T22:13:20Z";
+    let wanted = "authros grant add harbour-office --topic /robot1/odom --from now --expires 2023-12-14T22:13:20Z";
     assert!(
         matches!(robot.effects.last(), Some(crate::app::Effect::CopyText(text)) if text == wanted),
         "{:?}",

@@ -179,7 +179,7 @@ fn its_records_are_shown_and_its_commands_copied() {
     assert_eq!(copied(&robot), "authros evidence export bump.authros --incident bump");
     robot.presses(Key::Enter);
     assert!(robot.state.popups.is_empty());
-    assert_eq!(robot.state.screen, Screen::Uploads);
+    assert_eq!(robot.state.screen, Screen::Records);
     let asked = robot.sent.iter().rev().find_map(|(command, _)| match command {
         Command::ListUploads(query) => query.incident.clone(),
         _ => None,

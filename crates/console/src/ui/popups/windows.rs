@@ -208,7 +208,7 @@ pub(in crate::ui) fn provenance_lines(view: &Provenance, width: u16) -> Vec<Vec<
     lines
 }
 
-/// Shortens hashes to their ends if the evidence does not fit; `authros uploads show` has them in full.
+/// Shortens hashes to their ends if the evidence does not fit; `authros records show` has them in full.
 fn fitted(evidence: &str, width: u16) -> String {
     const WHOLE: usize = 40;
     if columns(evidence) <= width {

@@ -56,7 +56,7 @@ impl Enrolments {
     pub fn issue(&self, owner: &Owner, network: &Network, to: &Enrolled) -> Result<IssuedKeys, Failure> {
         let sealing = owner.sealing().filter(|keys| keys.domain == network.domain);
         let sealing = sealing
-            .ok_or_else(|| refused("this keyring has the key of no epoch that has started; run `authros register`"))?;
+            .ok_or_else(|| refused("this keyring has the key of no epoch that has started; run `authros identity register`"))?;
         let now = self.issue_of(owner, network, to, sealing.epoch)?;
         let next = owner.author.next().filter(|(_, keys)| keys.epoch > sealing.epoch);
         let next = next.map(|(from, keys)| Ok::<_, Failure>((from, self.issue_of(owner, network, to, keys.epoch)?)));
@@ -184,7 +184,7 @@ impl Devices {
             let notice = DeviceNotice { key: device.public, notices: notice_id };
             let token = self.known_token(owner, &network)?;
             if let Err(failure) = seat.tell(owner, (&wishes.name, token), notice).await {
-                // Nobody will use the device; if this fails too, `devices list` shows it.
+                // Nobody will use the device; if this fails too, `robot devices` shows it.
                 drop(self.unlend_device(owner, id).await);
                 return Err(failure);
             }
@@ -227,8 +227,7 @@ impl Devices {
         }
         match self.called(network, owner, name.as_str())?.into_iter().find(|(_, lent)| *lent) {
             Some((device, _)) => Err(refused(format!(
-                "a robot called '{name}' is enrolled already, as device {device}; revoke it with `authros devices \
-                 recall {name}`, or give this robot another name"
+                "a robot called '{name}' is enrolled already, as device {device}; revoke it with `authros robot revoke {name}`, or give this robot another name"
             ))),
             None => Ok(()),
         }
@@ -237,7 +236,7 @@ impl Devices {
     pub fn known_token(&self, owner: &Owner, network: &Network) -> Result<crate::model::Token, Failure> {
         let account = network.directory.account(owner.address);
         let token = account.and_then(|account| account.token);
-        token.ok_or_else(|| refused("the chain has no token of this account; run `authros register` first"))
+        token.ok_or_else(|| refused("the chain has no token of this account; run `authros identity register` first"))
     }
 
     pub async fn add_topics(

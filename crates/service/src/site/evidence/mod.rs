@@ -63,7 +63,7 @@ impl Evidence {
             }
         }
         if rows.is_empty() {
-            let none = "that selection contains none of your records; `authros uploads list` shows them".to_owned();
+            let none = "that selection contains none of your records; `authros records list` shows them".to_owned();
             return Err(input([vec![none], left_out].concat().join("; ")));
         }
         for row in rows.iter().filter(|row| reveal.contains(&row.digest)) {

@@ -427,7 +427,7 @@ fn keyring_fault(home: &Home, profile: &ProfileName, accounts: &[Address]) -> Op
     if !path.exists() {
         return Some(format!(
             "the keyring of profile '{profile}', account {account}, is gone, and its records open with nothing else: bring \
-             a copy back (`authros --profile {profile} keys restore FILE`) or restore a backup (`authros restore FILE`); \
+             a copy back (`authros --profile {profile} keys restore FILE`) or restore a backup (`authros backup restore FILE`); \
              for another account use another --profile"
         ));
     }

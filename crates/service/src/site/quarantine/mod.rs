@@ -111,7 +111,7 @@ impl Quarantine {
             let row = self.reading.find_record(id)?;
             if row.owner != owner.address || row.state != RecordState::Quarantined {
                 return Err(input(format!(
-                    "record {} is not in quarantine (it is {}); `authros quarantine list` shows those that are",
+                    "record {} is not in quarantine (it is {}); `authros topics quarantine list` shows those that are",
                     row.id,
                     row.state.word()
                 )));

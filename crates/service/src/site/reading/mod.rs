@@ -162,7 +162,7 @@ fn devices_of(enrolled: &[Enrolled], robot: &str) -> Result<BTreeSet<SignerId>, 
     }
     Err(input(format!(
         "no robot of this profile is called '{}'; give the name that it was enrolled under, or at least {SHORTEST} \
-         characters of its device's id; `authros robots list` shows them",
+         characters of its device's id; `authros robot list` shows them",
         clean(robot, 64)
     )))
 }
