@@ -42,9 +42,12 @@ pub struct ExportArguments {
     /// Only this record, by id; repeatable
     #[arg(long = "record", value_name = "ID")]
     pub records: Vec<String>,
-    /// Only this topic
-    #[arg(long, value_name = "TOPIC")]
-    pub topic: Option<String>,
+    /// Only this topic, or the topics that match this pattern; repeatable
+    #[arg(long = "topic", value_name = "TOPIC")]
+    pub topics: Vec<String>,
+    /// Only what this robot recorded, or the topics under its name
+    #[arg(long, value_name = "NAME")]
+    pub robot: Option<String>,
     /// Only this incident; its name, span and notes are included in the bundle's page
     #[arg(long, value_name = "NAME")]
     pub incident: Option<String>,
@@ -104,7 +107,7 @@ pub async fn run(global: Global, verb: EvidenceVerb, output: &Output) -> Result<
 
 impl ExportArguments {
     fn wishes(self, output: &Output) -> Result<EvidenceWishes, Failure> {
-        let Self { file, records, topic, incident, since, until, mut reveal, reveal_topics, yes } = self;
+        let Self { file, records, topics, robot, incident, since, until, mut reveal, reveal_topics, yes } = self;
         let chosen = reveal.len();
         reveal.retain(|id| id != ALL);
         let reveal_all = reveal.len() < chosen;
@@ -112,10 +115,22 @@ impl ExportArguments {
         let file = parse::absolute(&file)?;
         let times = parse::Times::now(output);
         let (since, until) = (times.since(since.as_deref())?, times.until(until.as_deref())?);
-        let (topic, incident) = (parse::optional(topic.as_deref())?, parse::optional(incident.as_deref())?);
+        let (topics, incident) = (parse::values(&topics)?, parse::optional(incident.as_deref())?);
         // An id names what it discloses; a pattern has to be counted first.
         let sure = yes || (!reveal_all && reveal_topics.is_empty());
-        Ok(EvidenceWishes { file, records, topic, incident, since, until, reveal, reveal_topics, reveal_all, sure })
+        Ok(EvidenceWishes {
+            file,
+            records,
+            topics,
+            robot,
+            incident,
+            since,
+            until,
+            reveal,
+            reveal_topics,
+            reveal_all,
+            sure,
+        })
     }
 }
 

@@ -22,7 +22,7 @@ pub struct AddArguments {
     /// Only this topic, or the topics that match this pattern now; repeatable [default: all topics]
     #[arg(long = "topic", value_name = "TOPIC")]
     pub topics: Vec<String>,
-    /// Only the topics that this robot has now, as robot1 for /robot1/**; repeatable
+    /// Only what this robot records: an enrolled robot, or robot1 for the topics that match /robot1/** now; repeatable
     #[arg(long = "robot", value_name = "NAME")]
     pub of_robots: Vec<String>,
     /// From when on: now (a new epoch: nothing older), epoch (since the current one began), start (all records), or a
@@ -66,19 +66,21 @@ pub enum GrantVerb {
 fn add(arguments: &AddArguments, output: &Output) -> Result<Plan, Failure> {
     let times = parse::Times::now(output);
     let grantee = parse::value(arguments.address.as_deref().or(arguments.to.as_deref()).unwrap_or_default())?;
-    let topics = parse::topics(&arguments.topics, &arguments.of_robots)?;
+    let (topics, robots) = (parse::values(&arguments.topics)?, arguments.of_robots.clone());
     let from = GrantFrom::read(&arguments.from, |text| times.begin(text))?;
     let expires = times.end(arguments.expires.as_deref())?;
     if arguments.dry_run {
-        return Ok(Plan::unlocked(command::ForeseeGrant { grantee, topics, from }));
+        return Ok(Plan::unlocked(command::ForeseeGrant { grantee, topics, robots, from }));
     }
-    Ok(Plan::unlocked(command::Grant { grantee, topics, from, expires }))
+    Ok(Plan::unlocked(command::Grant { grantee, topics, robots, from, expires }))
 }
 
 /// What a grant would do.
 pub fn foreseen(view: &reply::GrantForesight) -> String {
     let clock = Clock::system();
-    pairs(&[("opens", view.moment(|moment| clock.meaning(moment))), ("cost", view.cost())])
+    let topics: Vec<String> = view.topics.iter().map(ToString::to_string).collect();
+    let topics = if topics.is_empty() { "all".to_owned() } else { topics.join(" ") };
+    pairs(&[("topics", topics), ("opens", view.moment(|moment| clock.meaning(moment))), ("cost", view.cost())])
 }
 
 pub fn plan(verb: GrantVerb, output: &Output) -> Result<Plan, Failure> {

@@ -23,7 +23,7 @@ pub enum IncidentVerb {
         /// End; same format [default: when it is closed]
         #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
         until: Option<String>,
-        /// Topics, one or more [default: all]
+        /// Topics, one or more, or patterns, which also cover topics that appear later [default: all]
         #[arg(long, visible_alias = "topic", value_name = "TOPIC", num_args = 1.., value_delimiter = ',')]
         topics: Vec<String>,
         /// Description

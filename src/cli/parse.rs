@@ -84,6 +84,14 @@ impl<'a> Times<'a> {
     }
 }
 
+/// Topics by name, pattern or robot.
+pub fn topic(topic: Option<&str>, robot: Option<&str>) -> Result<Option<TopicPattern>, Failure> {
+    match robot {
+        Some(robot) => TopicPattern::of_robot(robot).map(Some).map_err(|error| input(error.to_string())),
+        None => optional(topic),
+    }
+}
+
 /// Topics by name or pattern, and all of these robots.
 pub fn topics(texts: &[String], robots: &[String]) -> Result<Vec<TopicPattern>, Failure> {
     let of_robots = robots.iter().map(|robot| TopicPattern::of_robot(robot).map_err(|error| input(error.to_string())));

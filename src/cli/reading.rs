@@ -86,7 +86,8 @@ pub fn without_bytes(view: &mut OpenedView) {
     }
 }
 
-pub fn opened(view: &OpenedView) -> String {
+/// What it is, and whether it holds.
+pub fn head(view: &OpenedView) -> Vec<String> {
     let record = &view.record;
     let held = if record.state.word() == RecordState::Quarantined.word() { "  QUARANTINED" } else { "" };
     let verdict = view.verdict.word().to_uppercase();
@@ -98,6 +99,11 @@ pub fn opened(view: &OpenedView) -> String {
     lines.extend(view.tags.iter().map(|(key, value)| format!("tag {key} = {value}")));
     lines.extend(view.reason.iter().map(|reason| format!("not checked against the chain now: {reason}")));
     lines.extend(view.note.iter().map(|note| format!("note: {note}")));
+    lines
+}
+
+pub fn opened(view: &OpenedView) -> String {
+    let mut lines = head(view);
     if let Some(readable) = &view.readable {
         lines.push(String::new());
         lines.push(readable_text(readable));
@@ -149,6 +155,21 @@ mod tests {
 
     use super::super::args::Arguments;
     use super::*;
+
+    #[test]
+    fn the_head_of_a_record_has_its_verdict_and_none_of_its_fields() {
+        let view: OpenedView = serde_json::from_value(serde_json::json!({
+            "id": "0a", "seq": 7, "topic": "/odom", "type": "nav_msgs/Odometry", "kind": "data", "state": "stored",
+            "digest": "00".repeat(32), "bytes": 7, "captured_at": "2026-01-01T00:00:00Z", "epoch": 1,
+            "simulated": false, "transaction": null, "block": null, "verdict": "verified", "caller_id": "/driver",
+            "tags": [["mission", "harbour"]], "fields": [["pose.x", "1.5"]], "message": null, "compression": "none",
+            "stored": 9, "compared": "head",
+        }))
+        .expect("an opened record");
+        let (head, whole) = (head(&view).join("\n"), opened(&view));
+        assert!(head.contains("/odom  seq 7  VERIFIED") && head.contains("tag mission = harbour"), "{head}");
+        assert!(whole.starts_with(&head) && whole.contains("pose.x: 1.5") && !head.contains("pose.x"), "{whole}");
+    }
 
     #[test]
     fn what_only_looks_is_refused_where_there_is_no_home() {

@@ -16,8 +16,8 @@ use super::plan::{self, Plan};
 use super::show::{Question, or_dash};
 use crate::crypto::keyfile::{load_sm2, sm2_public_from_pem};
 use crate::crypto::{LONGEST_POLICY, ProviderName, SmKeyPair, provider, signer_id};
-use crate::model::{PublicKey, SignerId, bytes::unhex, clean};
-use crate::service::reply::{DeviceRow, RingPullView, RobotRow, RobotTopicRow, RobotView};
+use crate::model::{PublicKey, SignerId, Timestamp, bytes::unhex, clean};
+use crate::service::reply::{DeviceRow, RingPullView, RobotRow, RobotTopicRow, RobotView, coverage_legend};
 use crate::service::{Failure, command, failure::input};
 
 /// `robot …`
@@ -215,14 +215,20 @@ pub fn one(view: &RobotView) -> String {
     lines.extend(view.refused.iter().map(|why| format!("it refused: {why}")));
     lines.extend(view.overruled.iter().map(|what| format!("overridden on the robot: {what}")));
     lines.extend(view.gateway.iter().flat_map(|one| &one.addresses).map(|address| format!("gateway {address}")));
-    let counts = |topic: &RobotTopicRow| {
+    let cells = |topic: &RobotTopicRow| {
         let counts = [topic.records, topic.verified, topic.waiting, topic.lost].map(|count| count.to_string());
-        [vec![topic.topic.clone()], counts.to_vec()].concat()
+        let ends = [topic.first, topic.last].map(|at| or_dash(at.map(Timestamp::in_milliseconds)));
+        [vec![topic.topic.clone()], counts.to_vec(), ends.to_vec(), vec![topic.strip.clone()]].concat()
     };
     if !view.topics.is_empty() {
-        let head = ["topic", "messages", "verified", "waiting", "lost"];
-        lines.push(table(&head, view.topics.iter().map(counts)));
+        let head = ["topic", "messages", "verified", "waiting", "lost", "first", "last", "coverage"];
+        lines.push(table(&head, view.topics.iter().map(cells)));
     }
+    lines.extend(view.covered.map(|span| {
+        let signs: String = view.topics.iter().map(|topic| topic.strip.as_str()).collect();
+        let (since, until) = (span.since.in_milliseconds(), span.until.in_milliseconds());
+        format!("coverage from {since} to {until}, {} per sign: {}", span.part(), coverage_legend(&signs))
+    }));
     if !view.policy.is_empty() {
         lines.push(format!("\n{}", view.policy.trim_end()));
     }

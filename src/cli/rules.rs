@@ -7,7 +7,7 @@ use clap::Args;
 
 use super::parse;
 use super::show::{Question, or_dash};
-use crate::model::TopicRule;
+use crate::model::{Sampling, TopicRule};
 use crate::service::reply::{PolicyRow, PolicyView};
 use crate::service::{Failure, command};
 
@@ -49,7 +49,7 @@ fn text(view: &PolicyView) -> String {
         [
             row.topic.clone(),
             or_dash(rule.map(|rule| format!("{} (line {})", rule.pattern, rule.line))),
-            rule.map_or_else(|| "everything".to_owned(), terms),
+            terms(rule, row.sampling),
             if row.watched { "watched" } else { "" }.to_owned(),
             row.left_out.to_string(),
         ]
@@ -61,19 +61,13 @@ fn text(view: &PolicyView) -> String {
     text
 }
 
-fn terms(rule: &TopicRule) -> String {
+fn terms(rule: Option<&TopicRule>, sampling: Sampling) -> String {
     let mut terms = Vec::new();
-    terms.extend(rule.type_name.as_ref().map(|name| format!("only {name}")));
-    terms.extend(rule.every.map(|every| format!("every {every}.")));
-    terms.extend(rule.rate.map(|rate| format!("at most {}/s", thousandths(rate))));
-    terms.extend(rule.tags.iter().map(|(key, value)| format!("{key}={value}")));
-    terms.extend(rule.retention.map(|seconds| format!("kept {}", span(seconds))));
+    terms.extend(rule.and_then(|rule| rule.type_name.as_ref()).map(|name| format!("only {name}")));
+    terms.extend((!sampling.is_all()).then(|| sampling.to_string()));
+    terms.extend(rule.iter().flat_map(|rule| &rule.tags).map(|(key, value)| format!("{key}={value}")));
+    terms.extend(rule.and_then(|rule| rule.retention).map(|seconds| format!("kept {}", span(seconds))));
     if terms.is_empty() { "everything".to_owned() } else { terms.join(", ") }
-}
-
-fn thousandths(rate: u64) -> String {
-    let text = format!("{}.{:03}", rate / 1000, rate % 1000);
-    text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
 fn span(seconds: u64) -> String {
@@ -149,6 +143,7 @@ mod tests {
             topic: topic.into(),
             type_name: Some("sensor_msgs/Imu".into()),
             watched: false,
+            sampling: Sampling::default(),
             rule: None,
             left_out: 0,
             hz: Some(hz),

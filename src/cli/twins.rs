@@ -15,6 +15,7 @@ pub const TWINS: &[(&str, &str)] = &[
     ("unpin", "topics unpin TOPIC CALLER_ID"),
     ("release", "topics quarantine release --topic TOPIC"),
     ("discard", "topics quarantine discard --topic TOPIC"),
+    ("limit", "topics watch TOPIC --rate 5"),
     ("grant", "grant add ADDRESS"),
     ("extend", "grant extend ADDRESS --expires 30d"),
     ("revoke", "grant end ADDRESS"),

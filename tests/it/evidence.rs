@@ -394,3 +394,27 @@ fn what_a_node_proved_in_time_is_in_the_bundle_when_it_proves_nothing_any_more()
     assert_eq!(unzipped(&early, "chain/nodes.rlp"), unzipped(&late, "chain/nodes.rlp"));
     drop(site);
 }
+
+#[test]
+fn patterns_and_robots_narrow_a_bundle() {
+    let home = Home::new();
+    let authros = home.authros().with(&["--robots", "2"]).with_variable("AUTHROS_AUDIT_ANCHOR_EVERY", "86400");
+    authros.enrol();
+    authros.capture(&["/robot1/odom", "/robot2/odom", "/robot2/camera/compressed"], 2);
+    let exported = |name: &str, narrowed: &[&str]| {
+        let place = home.root().join(name);
+        let place = place.to_str().expect("UTF-8").to_owned();
+        let view = authros.json(&[&["evidence", "export", &place], narrowed].concat());
+        view["records"].as_u64().expect("a count")
+    };
+    let both = exported("both.authros", &["--topic", "/robot*/odom"]);
+    assert_eq!(exported("named.authros", &["--topic", "/robot1/odom", "--topic", "/robot2/odom"]), both);
+    let robot = exported("robot.authros", &["--robot", "robot2"]);
+    assert_eq!(exported("under.authros", &["--topic", "/robot2/**"]), robot);
+    let one = exported("one.authros", &["--topic", "/robot2/odom", "--robot", "robot2"]);
+    assert!(one < both && one < robot, "{one} of {both} and {robot}");
+    let nowhere = home.root().join("none.authros");
+    let nowhere = nowhere.to_str().expect("UTF-8");
+    let told = authros.fails(3, &["evidence", "export", nowhere, "--topic", "/robot9/**"]);
+    assert!(told.contains("contains none of your records"), "{told}");
+}

@@ -105,6 +105,31 @@ fn what_was_foreseen_is_what_opens_from_every_moment() {
     assert!(told.contains(" UTC, 6 records"), "{told}");
 }
 
+#[test]
+fn everything_of_a_robot_until_friday_is_one_grant() {
+    let two = two_profiles(2);
+    let camera = "/robot1/camera/compressed";
+    two.alice.capture(&[TOPIC, camera, "/robot2/odom"], 2);
+    let grant = ["grant", "add", &two.bob_address, "--robot", "robot1", "--expires", "friday 18:00 UTC", "--from", "start"];
+    let dry = two.alice.json(&[&grant[..], &["--dry-run"]].concat());
+    assert_eq!(count(&dry, "transactions"), 1, "{dry}");
+    let topics: BTreeSet<String> = names(&list(&dry, "topics"));
+    assert!([TOPIC, camera].iter().all(|topic| topics.contains(*topic)), "{dry}");
+    assert!(topics.iter().all(|topic| topic.starts_with("/robot1/")), "{dry}");
+    two.alice.json(&grant);
+    let grants = list(&two.alice.json(&["grant", "list"]), "grants");
+    assert_eq!((grants.len(), names(&list(&grants[0], "topics"))), (1, topics));
+    let expires = text(&grants[0], "expires");
+    assert!(expires.contains("T18:00:00"), "{expires}");
+    assert_eq!(opened(&two.bob).len(), 4, "two of each of its topics, and nothing of the other robot");
+    let told = two.alice.fails(INPUT, &["grant", "add", &two.bob_address, "--robot", "nobody-here"]);
+    assert!(told.contains("no robot of this profile is called 'nobody-here'"), "{told}");
+}
+
+fn names(topics: &[Value]) -> BTreeSet<String> {
+    topics.iter().map(|topic| topic.as_str().expect("a name").to_owned()).collect()
+}
+
 /// Grants to many: each begins an epoch, and nobody who read before misses anything.
 #[test]
 fn many_grants_from_now_on_in_a_row_take_nothing_from_anybody() {

@@ -87,6 +87,7 @@ mod store_faults;
 mod succession;
 mod time_stamps;
 mod times;
+mod topic_rules;
 mod units;
 mod unreached;
 mod uploads_export;

@@ -298,3 +298,20 @@ fn a_saved_keyring_is_brought_back_and_never_over_another() {
     assert!(backup.contains("authros keys restore"), "{backup}");
     assert_eq!(text(&whole.json(&["keys", "restore", saved]), "address"), address);
 }
+
+#[test]
+fn a_passphrase_given_to_a_list_opens_the_keyring_for_it_without_a_site() {
+    let home = Home::new();
+    let authros = home.authros().with(&["--robots", "1"]).storing_no_passphrase();
+    let file = home.file("passphrase", PASSPHRASE, 0o600);
+    let with = authros.with(&["--passphrase-file", &file]);
+    with.json(&["identity", "create"]);
+    with.capture(&["/robot1/odom"], 2);
+    let states = |authros: &Authros| -> Vec<String> {
+        authros.records(&["records", "list", "--oldest"]).iter().map(|record| text(record, "state")).collect()
+    };
+    assert_eq!(states(&authros), ["verified, names unchecked"; 2]);
+    assert_eq!(states(&with), ["verified"; 2]);
+    let wrong = home.file("wrong", "not the passphrase", 0o600);
+    authros.with(&["--passphrase-file", &wrong]).fails(REFUSED, &["records", "list", "--oldest"]);
+}

@@ -288,3 +288,18 @@ fn two_robots_of_one_topic_have_a_timeline_each() {
     let told = alice.fails(INPUT, &["topics", "coverage", WATCHED, "--robot", "nobody"]);
     assert!(told.contains("no robot of this profile is called 'nobody'"), "{told}");
 }
+
+#[test]
+fn a_grant_of_an_enrolled_robot_is_of_the_topics_it_may_record() {
+    let site = Site::new();
+    let alice = site.owner("alice");
+    let _scout = Robot::enrol(&site, &alice, "scout-1", &[WATCHED, UNWATCHED]);
+    let _other = Robot::enrol(&site, &alice, "scout-2", &["/tf"]);
+    let bob = site.home.profile("bob").enrol();
+    let given = alice.json(&["grant", "add", &bob, "--robot", "scout-1", "--expires", "friday 18:00 UTC"]);
+    assert!(text(&given, "text").contains("as far as they have arrived here"), "robots may have more: {given}");
+    let grants = list(&alice.json(&["grant", "list"]), "grants");
+    let topics: BTreeSet<String> =
+        list(&grants[0], "topics").iter().map(|topic| topic.as_str().expect("a name").to_owned()).collect();
+    assert_eq!((grants.len(), topics), (1, BTreeSet::from([WATCHED, UNWATCHED].map(ToOwned::to_owned))));
+}

@@ -86,6 +86,11 @@ fn a_robot_works_by_the_policy_of_its_owner_and_its_drift_is_seen() {
     assert!(text(&shown, "policy").contains("every = 2"), "{shown}");
     let topics = list(&shown, "topics");
     assert!(topics.iter().any(|topic| text(topic, "topic") == UNWATCHED && count(topic, "records") >= 3), "{shown}");
+    let camera = topics.iter().find(|topic| text(topic, "topic") == UNWATCHED).expect("there");
+    assert!(text(camera, "strip").contains('█') && text(camera, "first") <= text(camera, "last"), "{shown}");
+    assert!(text(&shown["covered"], "since") <= text(camera, "first"), "{shown}");
+    let told = alice.run(&["robot", "show", "scout"]).expect_code(0).stdout;
+    assert!(told.contains(" per sign: █ recorded"), "{told}");
     // A report may come between the two questions.
     wait_until(60, "the list to count the losses of all topics", || {
         let shown = alice.json(&["robot", "show", "scout"]);

@@ -15,8 +15,8 @@ use crate::model::{
 };
 use crate::statement::{self, Speaker, Statement};
 use crate::store::{
-    Erasure, IncidentRow, IncidentSpan, KeptTopic, NewRecord, OldRecord, PlacedRecord, RecordRow, Retained,
-    StatedErasure, StoreError, Unstated,
+    Erasure, IncidentRow, KeptTopic, NewRecord, OldRecord, PlacedRecord, RecordRow, Retained, StatedErasure,
+    StoreError, Unstated,
 };
 use crate::{Network, Owner, PipelineError, Plant, Result};
 
@@ -339,8 +339,7 @@ struct Held {
 
 impl Held {
     pub fn of(topic: &str, incidents: &[IncidentRow]) -> Self {
-        let about = |span: &&IncidentSpan| span.topics.is_empty() || span.topics.iter().any(|name| name == topic);
-        let spans = incidents.iter().map(|incident| &incident.span).filter(about);
+        let spans = incidents.iter().map(|incident| &incident.span).filter(|span| span.is_about(topic));
         Self { spans: merged(spans.map(|span| (span.since, span.until.unwrap_or(EVER))).collect()), ..Self::default() }
     }
 
@@ -429,6 +428,8 @@ pub fn is_owners(network: &Network, owner: Address, key: &PublicKey) -> bool {
 #[cfg(test)]
 mod held_tests {
     use super::*;
+    use crate::model::TopicPatterns;
+    use crate::store::IncidentSpan;
     use proptest::prelude::*;
 
     fn at((since, until): (u64, u64)) -> Span {
@@ -464,7 +465,7 @@ mod held_tests {
             span: IncidentSpan {
                 since: Timestamp(5),
                 until,
-                topics: topics.iter().map(|&topic| topic.to_owned()).collect(),
+                topics: TopicPatterns(topics.iter().map(|topic| topic.parse().expect("a pattern")).collect()),
             },
             opened_at: Timestamp(5),
             closed_at: None,
@@ -474,5 +475,8 @@ mod held_tests {
         assert_eq!(Held::of("/odom", &rows).spans, [at((5, 9))]);
         assert_eq!(Held::of("/scan", &rows).spans, [at((5, 7))]);
         assert_eq!(Held::of("/scan", &[row("c", &["/scan"], None)]).spans, [(Timestamp(5), EVER)]);
+        let by_pattern = [row("d", &["/robot*/odom"], None)];
+        assert_eq!(Held::of("/robot7/odom", &by_pattern).spans, [(Timestamp(5), EVER)]);
+        assert!(Held::of("/robot7/scan", &by_pattern).spans.is_empty());
     }
 }

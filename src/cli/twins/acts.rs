@@ -8,7 +8,7 @@ use clap::Parser as _;
 use crate::app::incidents::Deed;
 use crate::app::{Errand, Settings, State, Tag, palette};
 use crate::cli::args::Arguments;
-use crate::model::{Address, IncidentName, Party, Timestamp, TopicName};
+use crate::model::{Address, IncidentName, Party, Sampling, Timestamp, TopicName};
 use crate::service::command::{
     Administration, CloseIncident, EvidenceWishes, ExportEvidence, Held, NoteIncident, OpenIncident, Pace, PlayWishes,
     RemoveIncident, SetRobotPolicy, ShowRobot,
@@ -58,10 +58,11 @@ fn place(tag: &Tag) -> Option<usize> {
         Tag::Robot(_) => 27,
         Tag::SetPolicy(..) => 28,
         Tag::Evidence(_) => 29,
+        Tag::Limit(_) => 30,
     })
 }
 
-const ACTS: usize = 30;
+const ACTS: usize = 31;
 
 /// An act, and the line that a person would type for it.
 type Act = (Tag, Command, String);
@@ -98,13 +99,16 @@ fn acts_of_keys() -> Vec<Act> {
 }
 
 fn acts_of_topics() -> Vec<Act> {
-    let held = || Held { topic: Some(topic()), ids: Vec::new() };
-    let pin = Command::PinTopic { topic: topic(), publishers: Vec::new() };
-    let unpin = Command::UnpinTopic { topic: topic(), caller_id: "/driver".to_owned() };
-    let watch = Command::WatchTopic { topic: topic().into(), type_name: None };
+    let held = || Held { topic: Some(topic().into()), ids: Vec::new() };
+    let pin = Command::PinTopic { topic: topic().into(), publishers: Vec::new() };
+    let unpin = Command::UnpinTopic { topic: topic().into(), caller_id: "/driver".to_owned() };
+    let watch = Command::WatchTopic { topic: topic().into(), type_name: None, sampling: None };
+    let (type_name, sampling) = ("nav_msgs/Odometry".parse().ok(), Sampling { rate: Some(2_500), every: Some(10) });
+    let limit = Command::WatchTopic { topic: topic().into(), type_name, sampling: Some(sampling) };
     let line = |words: &str| format!("{words} /robot1/odom");
     vec![
         (Tag::Watch(name()), watch, line("topics watch")),
+        (Tag::Limit(name()), limit, line("topics watch") + " --type nav_msgs/Odometry --rate 2.5 --every 10"),
         (Tag::Unwatch(name()), Command::UnwatchTopic { topic: topic().into() }, line("topics unwatch")),
         (Tag::Pin(name()), pin, line("topics pin")),
         (Tag::Unpin(name()), unpin, line("topics unpin") + " /driver"),
@@ -114,13 +118,14 @@ fn acts_of_topics() -> Vec<Act> {
             Command::DiscardHeld { held: held() },
             line("topics quarantine discard --topic") + " --yes",
         ),
-        (Tag::Publishers(name()), Command::ListPins { topic: Some(topic()) }, line("topics pins --topic")),
+        (Tag::Publishers(name()), Command::ListPins { topic: Some(topic().into()) }, line("topics pins --topic")),
     ]
 }
 
 fn acts_of_rights() -> Vec<Act> {
     let (topics, from) = (vec![topic().into()], GrantFrom::Epoch(1));
-    let grant = Command::Grant { grantee: owner(), topics, from, expires: Some(END) };
+    let robots = vec!["scout-1".to_owned()];
+    let grant = Command::Grant { grantee: owner(), topics, robots, from, expires: Some(END) };
     let of_administrator = |word: &'static str, act: Administration, line: String| {
         (Tag::Administer(word), Command::Administer(act), format!("chain {line}"))
     };
@@ -130,7 +135,11 @@ fn acts_of_rights() -> Vec<Act> {
     let remove = Command::RemoveContact { name: contact() };
     let extend = Command::ExtendGrant { grantee: owner(), expires: None };
     vec![
-        (Tag::Grant(owner()), grant, format!("grant add {OWNER} --topic /robot1/odom --from start --expires {END}")),
+        (
+            Tag::Grant(owner()),
+            grant,
+            format!("grant add {OWNER} --topic /robot1/odom --robot scout-1 --from start --expires {END}"),
+        ),
         (Tag::Extend(OWNER), extend, format!("grant extend {OWNER} --endless")),
         (Tag::Revoke(OWNER), Command::Revoke { grantee: owner() }, format!("grant end {OWNER}")),
         of_administrator("pause", Administration::Pause { paused: true, seconds: None }, "admin pause".to_owned()),
@@ -172,7 +181,7 @@ fn acts_of_incidents() -> Vec<Act> {
         name: incident(),
         since: END,
         until: None,
-        topics: vec![topic()],
+        topics: vec![topic().into()],
         note: Some("it's down".to_owned()),
         robots: Vec::new(),
     };

@@ -86,6 +86,9 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) {
         Tag::Unwatch(topic) => {
             said(state, tag, ask::UnwatchTopic::heard(result), |()| format!("no longer watching {topic} (U: undo)"))
         }
+        Tag::Limit(topic) => {
+            said(state, tag, ask::WatchTopic::heard(result), |()| format!("the rule of {topic} is set"))
+        }
         Tag::Foresee(_) => granting::foreseen(state, tag, ask::ForeseeGrant::heard(result)),
         Tag::Grant(_) => said(state, tag, ask::Grant::heard(result), |view| view.text),
         Tag::Extend(_) => said(state, tag, ask::ExtendGrant::heard(result), |view| view.text),
@@ -303,7 +306,7 @@ fn secret(base: Option<PathBuf>, name: String, secret: &SecretBytes) -> Effect {
 /// Feeds that an own command makes stale before the site's event arrives.
 fn touched_by(tag: &Tag) -> &'static [Feed] {
     match tag {
-        Tag::Watch(_) | Tag::Unwatch(_) | Tag::HoldCapture => &[Feed::Topics],
+        Tag::Watch(_) | Tag::Unwatch(_) | Tag::Limit(_) | Tag::HoldCapture => &[Feed::Topics],
         Tag::SetPolicy(..) => &[Feed::Robots],
         Tag::Incident(..) => &[Feed::Incidents, Feed::Records],
         Tag::Contact(_) => &[Feed::Contacts, Feed::Grants, Feed::Received],

@@ -6,7 +6,7 @@ use super::administration::Act;
 use super::screens::{is_active, is_given, robot_of};
 use super::update::Feed;
 use super::verb::{Tag, Verb, entry_of};
-use super::{Screen, State};
+use super::{Screen, State, limiting};
 use crate::service::reply::IdentityView;
 
 pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
@@ -43,6 +43,7 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
         Verb::Readers if state.screen == Screen::Grants => Ok(()),
         Verb::Read | Verb::Readers | Verb::Play => given(state.has_rows(), "nothing selected"),
         Verb::Publishers | Verb::Pin | Verb::Unpin => one_topic(state),
+        Verb::Limit => given(!limiting::targets(state).is_empty(), "not watched: w watches it"),
         Verb::Fold => {
             let row = state.topics.selected().ok_or("nothing selected")?;
             given(robot_of(&row.topic).is_some(), "not a robot's topic")
@@ -68,11 +69,11 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
 /// Verbs about rows of their own screens, which work nowhere else.
 fn is_bound(verb: Verb) -> bool {
     use Verb::{
-        Browse, Check, Columns, Details, Discard, Export, Extend, Fold, FoldAll, Inspect, Level, Mark, MarkAll,
+        Browse, Check, Columns, Details, Discard, Export, Extend, Fold, FoldAll, Inspect, Level, Limit, Mark, MarkAll,
     };
     use Verb::{Open, Period, Pin, Play, Publishers, Read, Readers, Release, Revoke, Source, Unpin, Watch};
     let of_rows = matches!(verb, Mark | MarkAll | Watch | Details | Open | Check | Export | Readers | Browse | Play);
-    let of_topics = matches!(verb, Publishers | Pin | Unpin | Release | Discard | Fold | FoldAll | Columns);
+    let of_topics = matches!(verb, Publishers | Pin | Unpin | Limit | Release | Discard | Fold | FoldAll | Columns);
     of_rows || of_topics || matches!(verb, Verb::Alerts | Inspect | Period | Level | Source | Read | Revoke | Extend)
 }
 

@@ -131,6 +131,7 @@ const TOPICS: &[Offered] = &[
     column("publishers", 170, "Nodes that publish it"),
     column("pinned", 90, "Whether its publishers are pinned"),
     column("watched", 0, "Whether it is captured, or why not"),
+    column("kept", NEVER, "How many of its messages are kept: every one, or by a rule"),
     column("hz", 0, "Messages a second"),
     column("rate", 0, "Kilobytes a second"),
     column("line", 110, "The last 16 seconds as a line"),

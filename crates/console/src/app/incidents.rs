@@ -8,7 +8,7 @@ use super::screens::day;
 use super::update::Feed;
 use super::verb::{Errand, Tag};
 use super::{Screen, State, evidence, granting, palette, table};
-use crate::model::{Direction, IncidentName, Timestamp};
+use crate::model::{Direction, IncidentName, Timestamp, counted};
 use crate::service::command::{CloseIncident, NoteIncident, OpenIncident, RemoveIncident};
 use crate::service::reply::IncidentView;
 
@@ -220,7 +220,7 @@ fn form(around: &Around) -> Form {
             .time(Direction::Back),
         Line::text("To", "empty = when it is closed; 5m, 2036-12-31", Field::offering(&around.until))
             .time(Direction::Back),
-        Line::text("Topics", "topic names; empty = all", Field::offering(&topics)),
+        Line::text("Topics", "topic names, /robot*/camera/**; empty = all", Field::offering(&topics)),
         Line::text("Note", "what happened", Field::default()),
     ];
     let mut notes = vec!["Protects what was recorded in this time from retention.".to_owned()];
@@ -275,7 +275,7 @@ pub fn read(state: &State, form: &Form) -> Result<Errand, Wrong> {
     if until.is_some_and(|until| until <= since) {
         return Err((2, "it would end before it begins; enter a later time".to_owned()));
     }
-    let ((topics, _), note) = (form.topics(TOPICS, &state.topics.rows)?, form.typed(4).map(str::to_owned));
+    let (topics, note) = (form.patterns(TOPICS)?, form.typed(4).map(str::to_owned));
     let tag = Tag::Incident(Deed::Open, name.clone());
     Ok(Errand { command: OpenIncident { name, since, until, topics, note, robots: Vec::new() }.into(), tag })
 }
@@ -327,7 +327,7 @@ pub fn taken_back(name: &IncidentName) -> Errand {
 }
 
 pub fn changed(state: &mut State, deed: Deed, view: IncidentView) {
-    let held = super::counted(view.records, "record");
+    let held = counted(view.records, "record");
     let text = match deed {
         Deed::Open => format!("incident {}: {held} kept so far (U: undo)", view.name),
         Deed::Note => format!("incident {}: note added", view.name),

@@ -13,6 +13,7 @@ pub mod identity_path;
 pub mod incidents;
 pub mod keymap;
 pub mod leaving;
+pub mod limiting;
 pub mod opening;
 pub mod palette;
 pub mod perform;
@@ -455,11 +456,6 @@ pub fn recall(state: &mut State, kept: &Kept) {
 pub fn sentence(text: &str) -> String {
     let mut characters = text.chars();
     characters.next().map_or_else(String::new, |first| first.to_uppercase().chain(characters).collect())
-}
-
-/// `1 record`, `2 records`.
-pub fn counted(count: u64, one: &str) -> String {
-    if count == 1 { format!("1 {one}") } else { format!("{count} {one}s") }
 }
 
 #[cfg(test)]

@@ -159,6 +159,7 @@ fn act(errand: &Errand) -> Option<String> {
         Tag::Watch(topic) => format!("topics watch {}", quoted(topic)),
         Tag::Unwatch(topic) => format!("topics unwatch {}", quoted(topic)),
         Tag::Grant(_) | Tag::Extend(_) | Tag::Revoke(_) | Tag::LoadKey(_) | Tag::ExportKey(_) => of_command(command)?,
+        Tag::Limit(_) => of_command(command)?,
         Tag::Unpin(_) | Tag::Contact(_) | Tag::Incident(..) | Tag::Administer(_) | Tag::Play(_) => of_command(command)?,
         Tag::Evidence(_) => of_command(command)?,
         Tag::Rotate => "keys rotate".to_owned(),
@@ -189,9 +190,10 @@ fn of_command(command: &Command) -> Option<String> {
         fingerprint.as_ref().map_or_else(String::new, |value| format!(" --fingerprint {}", quoted(value)))
     };
     Some(match command {
-        Command::Grant { grantee, topics, from, expires } => {
+        Command::Grant { grantee, topics, robots, from, expires } => {
             let topics = topics.iter().map(|topic| format!(" --topic {}", quoted(topic.as_str()))).collect::<String>();
-            format!("grant add {grantee}{topics} --from {from}{}", expires.map_or_else(String::new, until))
+            let robots = robots.iter().map(|robot| format!(" --robot {}", quoted(robot))).collect::<String>();
+            format!("grant add {grantee}{topics}{robots} --from {from}{}", expires.map_or_else(String::new, until))
         }
         Command::ExtendGrant { grantee, expires } => {
             format!("grant extend {grantee}{}", expires.map_or_else(|| " --endless".to_owned(), until))
@@ -204,6 +206,14 @@ fn of_command(command: &Command) -> Option<String> {
         }
         Command::ExportKey { kind, passphrase } => {
             format!("keys export {} --out FILE{}", flag(*kind), keystore(passphrase.is_some()))
+        }
+        Command::WatchTopic { topic, type_name, sampling } => {
+            let sampling = sampling.unwrap_or_default();
+            let mut words = format!("topics watch {}", quoted(topic.as_str()));
+            words.extend(type_name.iter().map(|name| format!(" --type {name}")));
+            words.extend(sampling.rate_text().map(|rate| format!(" --rate {rate}")));
+            words.extend(sampling.every.map(|every| format!(" --every {every}")));
+            words
         }
         Command::UnpinTopic { topic, caller_id } => {
             format!("topics unpin {} {}", quoted(topic.as_str()), quoted(caller_id))
@@ -249,7 +259,7 @@ fn of_incident(command: &IncidentCommand) -> String {
         IncidentCommand::OpenIncident { name, since, until, topics, note, robots } => {
             let mut words = format!("incident open {name} --since {since}");
             words.extend(until.map(|until| format!(" --until {until}")));
-            words.extend(topics.iter().map(|topic| format!(" --topic {topic}")));
+            words.extend(topics.iter().map(|topic| format!(" --topic {}", quoted(topic.as_str()))));
             words.extend(note.iter().map(|note| format!(" --note={}", quoted(note))));
             words.extend(robots.iter().map(|robot| format!(" --robot {}", quoted(robot))));
             words

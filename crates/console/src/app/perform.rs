@@ -10,7 +10,7 @@ use super::popup::{self, Confirm, Lookup, Palette, Popup, Purpose};
 use super::screens::{LogLine, other_side};
 use super::update::{self, Feed};
 use super::verb::{Contents, Effect, Errand, Tag, Verb};
-use super::{Screen, State, administration, granting, incidents, opening, palette, policies, table};
+use super::{Screen, State, administration, granting, incidents, limiting, opening, palette, policies, table};
 use crate::model::{Address, Party, ProfileName, TopicName, TopicPattern};
 use crate::service::Command;
 use crate::service::command::{Pace, PlayWishes};
@@ -77,6 +77,7 @@ pub fn perform(state: &mut State, verb: Verb) {
         Verb::Release => ask_about(state, |row, topic| popup::decide(row, topic, false)),
         Verb::Discard => ask_about(state, |row, topic| popup::decide(row, topic, true)),
         Verb::Unpin => unpin(state),
+        Verb::Limit => limiting::begin(state),
         Verb::Administer(act) => administration::begin(state, act),
         Verb::Freeze => freeze(state),
         Verb::Period => state.period = state.period.next(),
@@ -184,7 +185,7 @@ pub(super) fn spoken_watch(state: &mut State, topics: &[&str], watches: bool) {
 fn watch_errand(topic: TopicPattern, watch: bool) -> Errand {
     let name = topic.to_string();
     if watch {
-        Errand { command: Command::WatchTopic { topic, type_name: None }, tag: Tag::Watch(name) }
+        Errand { command: Command::WatchTopic { topic, type_name: None, sampling: None }, tag: Tag::Watch(name) }
     } else {
         Errand { command: Command::UnwatchTopic { topic }, tag: Tag::Unwatch(name) }
     }
@@ -224,7 +225,7 @@ fn publishers(state: &mut State) {
     let name = topic.to_string();
     state.popups.push(Popup::Publishers(Lookup::new(&name)));
     let coverage = opening::coverage_of(&topic);
-    state.send(Errand { command: Command::ListPins { topic: Some(topic) }, tag: Tag::Publishers(name) });
+    state.send(Errand { command: Command::ListPins { topic: Some(topic.into()) }, tag: Tag::Publishers(name) });
     state.send_new(coverage);
 }
 
@@ -320,7 +321,7 @@ pub fn note(state: &mut State, tag: &Tag) {
         Tag::SetPolicy(..) => Some(Undo::Never("a policy's version only rises; set the earlier one again (8, then p)")),
         Tag::Play(_) | Tag::StopPlay | Tag::Contact(_) | Tag::Robot(_) => None,
         Tag::Publishers(_) | Tag::Show(_) | Tag::Beside(..) | Tag::Open(_) | Tag::Path(_) | Tag::Check(_) => None,
-        Tag::Foresee(_) => None,
+        Tag::Foresee(_) | Tag::Limit(_) => None,
     };
     if undo.is_some() {
         state.undo = undo;

@@ -14,7 +14,7 @@ use super::perform::{self, copy, perform};
 use super::screens::{LogLine, earlier, end, is_active, is_given, scope};
 use super::update::Feed;
 use super::verb::{Entry, Errand, Tag, VERBS, Verb};
-use super::{State, evidence, palette, policies};
+use super::{State, evidence, limiting, palette, policies};
 use crate::model::TopicName;
 use crate::service::command::Held;
 use crate::service::reply::{GrantForesight, GrantRow, NOTHING_OLDER, PinsView, Provenance, RobotView, TopicRow};
@@ -83,6 +83,7 @@ pub enum Purpose {
     NoteIncident,
     ExportEvidence,
     SetPolicy,
+    Limit,
     Profile,
     Unpin,
 }
@@ -194,12 +195,12 @@ pub fn pin(row: &TopicRow, topic: TopicName) -> Confirm {
         "Check host and type first: enter shows them (a name alone can be forged).".to_owned(),
     ];
     let tag = Tag::Pin(topic.to_string());
-    let errand = Errand { command: Command::PinTopic { topic, publishers: Vec::new() }, tag };
+    let errand = Errand { command: Command::PinTopic { topic: topic.into(), publishers: Vec::new() }, tag };
     Confirm { title: "Accept these publishers?".to_owned(), lines, yes: "pin", typed: None, errand }
 }
 
 pub fn decide(row: &TopicRow, topic: TopicName, discard: bool) -> Confirm {
-    let held = Held { topic: Some(topic.clone()), ids: Vec::new() };
+    let held = Held { topic: Some(topic.clone().into()), ids: Vec::new() };
     let held_now = format!("Held   {} messages, and what comes until you confirm", row.quarantined);
     let mut lines = vec![format!("Topic  {topic}"), held_now];
     let name = topic.to_string();
@@ -217,7 +218,11 @@ pub fn decide(row: &TopicRow, topic: TopicName, discard: bool) -> Confirm {
 
 /// `None` = what it opens and costs is not told yet.
 pub fn grant(state: &State, wish: GrantWish, foreseen: Option<Result<GrantForesight, Failure>>) -> Confirm {
-    let topics: Vec<String> = wish.topics.iter().map(ToString::to_string).collect();
+    // What robots have is known once it is foreseen.
+    let topics: Vec<String> = match &foreseen {
+        Some(Ok(foreseen)) if !wish.robots.is_empty() => foreseen.topics.iter().map(ToString::to_string).collect(),
+        _ => granting::covered(&wish),
+    };
     let (records, cost) = match &foreseen {
         Some(Ok(foreseen)) => (foreseen.moment(|moment| state.times().meaning(moment)), Some(foreseen.cost())),
         Some(Err(failure)) => (before(wish.from).to_owned(), Some(format!("not known: {}", failure.message))),
@@ -234,10 +239,10 @@ pub fn grant(state: &State, wish: GrantWish, foreseen: Option<Result<GrantForesi
     lines.push(String::new());
     lines.extend(readers(state, "Current readers:", None));
     lines.push("A later revoke stops new records; what was read cannot be taken back.".to_owned());
-    let GrantWish { grantee, topics, from, expires } = wish;
+    let GrantWish { grantee, topics, robots, from, expires } = wish;
     let topics = topics.into_iter().map(Into::into).collect();
     let tag = Tag::Grant(grantee.clone());
-    let errand = Errand { command: Command::Grant { grantee, topics, from, expires }, tag };
+    let errand = Errand { command: Command::Grant { grantee, topics, robots, from, expires }, tag };
     Confirm { title: "Grant this?".to_owned(), lines, yes: "grant", typed: None, errand }
 }
 
@@ -533,9 +538,8 @@ fn need_of(confirm: &Confirm) -> Option<Need> {
         Tag::Open(_) | Tag::Path(_) | Tag::Check(_) | Tag::Export(_) | Tag::ExportKey(_) => Some(Need::Unlocked),
         Tag::Play(_) | Tag::SetPolicy(..) | Tag::Evidence(_) => Some(Need::Unlocked),
         Tag::Extend(_) | Tag::Administer(_) => Some(Need::Registered),
-        Tag::Register | Tag::Watch(_) | Tag::Unwatch(_) | Tag::Grant(_) | Tag::Revoke(_) | Tag::Rotate => {
-            Some(Need::Registered)
-        }
+        Tag::Register | Tag::Watch(_) | Tag::Unwatch(_) | Tag::Limit(_) => Some(Need::Registered),
+        Tag::Grant(_) | Tag::Revoke(_) | Tag::Rotate => Some(Need::Registered),
     }
 }
 
@@ -596,6 +600,7 @@ fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<(), Wrong>
         }
         Purpose::Export => palette::submit(state, form),
         Purpose::SetPolicy => policies::submit(state, form)?,
+        Purpose::Limit => limiting::submit(state, form)?,
         Purpose::Profile => perform::switch(state, form.parsed(0)?),
         Purpose::ExportKey => {
             let errand = form::read_export(form)?;

@@ -50,6 +50,7 @@ pub enum Verb {
     Unpin,
     Release,
     Discard,
+    Limit,
     Readers,
     Contacts,
     Inspect,
@@ -177,7 +178,10 @@ pub static VERBS: &[Entry] = &[
     act(Verb::Unpin, "unpin", "", &["P"], "Unpin one of the topic's publishers").on(&[Topics]),
     act(Verb::Release, "release", "", &["r"], "Release quarantined messages of the topic").on(&[Topics]),
     act(Verb::Discard, "discard", "", &["D"], "Discard quarantined messages; the chain counts them").on(&[Topics]),
-    act(Verb::Grant, "grant", "grant", &["g"], "Let another account read your records").on(&[Overview, Topics, Grants]),
+    act(Verb::Limit, "limit", "", &["l"], "Rate, or one message in n, of the marked topics that are watched")
+        .on(&[Topics]),
+    act(Verb::Grant, "grant", "grant", &["g"], "Let another account read your records")
+        .on(&[Overview, Topics, Grants, Robots]),
     act(Verb::Extend, "extend", "extend", &["e"], "Change the end of the grant; sooner = revoke and new grant")
         .on(&[Grants]),
     act(Verb::Revoke, "revoke", "revoke", &["x"], "Stop sharing: the next record is encrypted under a new key")
@@ -358,6 +362,7 @@ pub enum Tag {
     Register,
     Watch(String),
     Unwatch(String),
+    Limit(String),
     Grant(Party),
     /// What a grant would do, by its terms.
     Foresee(String),
@@ -413,6 +418,7 @@ impl Tag {
             Self::Register => "registering on the chain".to_owned(),
             Self::Watch(topic) => format!("watching {topic}"),
             Self::Unwatch(topic) => format!("unwatching {topic}"),
+            Self::Limit(topic) => format!("limiting {topic}"),
             Self::Foresee(terms) => format!("counting for a grant to {terms}"),
             Self::Grant(grantee) => format!("granting to {}", grantee.short()),
             Self::Extend(grantee) => format!("extending the grant to {}", grantee.short()),

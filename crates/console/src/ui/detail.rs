@@ -84,6 +84,7 @@ fn about(topic: &TopicRow) -> Vec<(&'static str, String)> {
     vec![
         ("type", topic.type_name.clone().unwrap_or_else(|| "not known yet".to_owned())),
         ("capture", watched(topic).0),
+        ("rule", lists::watch_rule(topic).unwrap_or_default()),
         ("simulated", if topic.simulated { "yes".to_owned() } else { String::new() }),
         ("publishers", topic.publishers.join(" ")),
         ("not read", topic.unreached.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")),
@@ -114,7 +115,7 @@ fn draw_steps(canvas: &mut Canvas, area: Rect, state: &State) {
             canvas.put(area, &format!("Provenance of record {id}"), Role::Title);
             put_lines(canvas, below(area, 1), &provenance_lines(view, area.width), 0);
         }
-        Some(Lookup { answer: Some(Err(failure)), .. }) => failed(canvas, area, &failure.message),
+        Some(Lookup { answer: Some(Err(failure)), .. }) => drop(canvas.put_wrapped(area, &failure.message, Role::Bad)),
         _ => draw_record(canvas, area, state, &state.records, "Select a record to see its provenance."),
     }
 }
@@ -126,7 +127,7 @@ fn draw_opened(canvas: &mut Canvas, area: Rect, state: &State) {
                 canvas.put(area, &format!("Record {}", opening.lookup.id), Role::Title);
                 inside(canvas, below(area, 1), opening, view);
             }
-            Some(Err(failure)) => failed(canvas, area, &failure.message),
+            Some(Err(failure)) => drop(canvas.put_wrapped(area, &failure.message, Role::Bad)),
             None => draw_record(canvas, area, state, &state.received, "Opening…"),
         },
         None if state.is_locked() => {
@@ -134,12 +135,6 @@ fn draw_opened(canvas: &mut Canvas, area: Rect, state: &State) {
         }
         None => draw_record(canvas, area, state, &state.received, "Select a record to open it here."),
     }
-}
-
-fn failed(canvas: &mut Canvas, area: Rect, message: &str) {
-    let lines: Vec<Vec<Piece>> =
-        wrap(&clean(message, 1_000), area.width).into_iter().map(|line| vec![(line, Role::Bad)]).collect();
-    put_lines(canvas, area, &lines, 0);
 }
 
 fn grant(state: &State) -> Vec<(&'static str, String)> {

@@ -10,8 +10,8 @@ use super::words;
 use crate::app::policies::{Standing, words as stands};
 use crate::app::screens::{Member, day};
 use crate::app::update::Feed;
-use crate::app::{Screen, State, counted};
-use crate::model::{Timestamp, clean};
+use crate::app::{Screen, State};
+use crate::model::{Timestamp, clean, counted};
 use crate::service::reply::{GatewayStatusView, RobotRow, RobotView, SenderView, SystemKeyView};
 
 const MOST_REASONS: usize = 4;

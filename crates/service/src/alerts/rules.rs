@@ -107,9 +107,7 @@ impl Judge {
         let present = silent.filter(|(_, silent)| *silent < AWAY);
         let judge = |(RobotFigures { robot, .. }, silent): (&RobotFigures, Duration)| {
             let silence = coarse(silent);
-            let text = format!(
-                "Nothing received from robot {robot} for {silence}; check its agent, its network and its clock."
-            );
+            let text = format!("Nothing received from robot {robot} for {silence}; check its agent and its network.");
             let level = aged(silent, limit, settled);
             Judged::new(format!("robot_silent/{robot}"), Severity::Warning, level, text)
         };

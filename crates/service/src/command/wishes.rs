@@ -94,10 +94,10 @@ pub struct UploadQuery {
     pub newest_first: bool,
 }
 
-/// Quarantined messages: all of a topic, or some.
+/// Quarantined messages: all of the topics that match, or some.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Held {
-    pub topic: Option<TopicName>,
+    pub topic: Option<TopicPattern>,
     /// Only without a topic.
     pub ids: Vec<String>,
 }

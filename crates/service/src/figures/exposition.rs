@@ -132,7 +132,7 @@ fn ages(text: &mut Text, figures: &Figures) {
     text.family("authros_oldest_unanchored_age_seconds", "gauge", help, &figures.owners, |row| {
         ([("owner", &row.owner)], age(row.oldest_unanchored))
     });
-    let help = "Time since a robot's newest record was captured, by the robot's clock.";
+    let help = "Time since a robot's newest record arrived here.";
     text.family("authros_robot_last_seen_age_seconds", "gauge", help, &figures.robots, |row| {
         ([("robot", &row.robot)], figures.age(row.last_seen))
     });

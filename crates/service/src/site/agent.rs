@@ -440,9 +440,7 @@ fn possible(site: &Site, author: &Author) -> Vec<String> {
     if let Some(covered) = keys.names() {
         return covered;
     }
-    let link = site.ros.state().link().cloned();
-    let of_one = link.map(|link| link.topics()).unwrap_or_default().into_iter().map(|info| info.name);
-    of_one.chain(site.ros.second.topics().into_iter().map(|topic| topic.name)).collect()
+    site.ros.names().iter().map(ToString::to_string).collect()
 }
 
 fn words(brought: &Brought) -> String {

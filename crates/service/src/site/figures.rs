@@ -186,21 +186,19 @@ impl Site {
         let owners = &self.parts.owners;
         let open = owners.all().into_iter().map(|owner| owner.address);
         let own: BTreeSet<Address> = open.chain(owners.accounts()).collect();
-        let mut ending = BTreeSet::new();
-        let mut begun = BTreeMap::new();
+        let mut ending = BTreeMap::new();
         for account in &own {
             let grants = network.directory.grants_of(*account).into_iter();
             for grant in grants.chain(network.directory.grants_to(*account)) {
                 let ends = grant.expiry().filter(|_| grant.state(network.directory.now()) == GrantState::Active);
                 let Some(ends) = ends else { continue };
-                let end = (ends, grant.terms.owner, grant.terms.grantee);
-                begun.insert(end, grant.extended.map_or(grant.block, |extension| extension.block));
-                ending.insert(end);
+                let begun = grant.extended.map_or(grant.block, |extension| extension.block);
+                ending.insert((ends, grant.terms.owner, grant.terms.grantee), begun);
             }
         }
         let contacts = self.contacts.names().ok()?;
-        let begun = |end: &Ending| begun.get(end).and_then(|block| network.time_of(*block).ok());
-        Some(told_of(ending, &own, |owner| contacts.contains_key(&owner), begun))
+        let time_of = |block| network.time_of(block).ok();
+        Some(told_of(ending, &own, |owner| contacts.contains_key(&owner), time_of))
     }
 
     /// Lines of the audit log, and the time of the oldest that no open owner's head covers.
@@ -223,24 +221,25 @@ impl Site {
 /// The end of a grant, its owner and its reader.
 type Ending = (Timestamp, Address, Address);
 
-/// Grants to report, by their ends. Received ones only from contacts: a stranger's unasked grants must not displace
-/// what counts.
+/// Grants to report, by their ends, each with the block in which it began or was extended. Received ones only from
+/// contacts: a stranger's unasked grants must not displace what counts.
 fn told_of(
-    ending: BTreeSet<Ending>,
+    ending: BTreeMap<Ending, u64>,
     own: &BTreeSet<Address>,
     is_contact: impl Fn(Address) -> bool,
-    begun: impl Fn(&Ending) -> Option<Timestamp>,
+    time_of: impl Fn(u64) -> Option<Timestamp>,
 ) -> Vec<GrantFigures> {
-    let (given, mut received): (Vec<_>, Vec<_>) = ending.into_iter().partition(|(_, owner, _)| own.contains(owner));
-    received.retain(|(_, owner, _)| is_contact(*owner));
+    let (given, mut received): (Vec<_>, Vec<_>) =
+        ending.into_iter().partition(|((_, owner, _), _)| own.contains(owner));
+    received.retain(|((_, owner, _), _)| is_contact(*owner));
     let mut told: Vec<_> =
         [given, received].into_iter().flat_map(|grants| grants.into_iter().take(MOST_GRANTS)).collect();
     told.sort_unstable();
-    let figures = told.into_iter().map(|end @ (ends, owner, reader)| GrantFigures {
+    let figures = told.into_iter().map(|((ends, owner, reader), block)| GrantFigures {
         owner: short(&owner.to_string()),
         reader: short(&reader.to_string()),
         given: own.contains(&owner),
-        begun: begun(&end),
+        begun: time_of(block),
         ends,
     });
     figures.collect()
@@ -268,8 +267,8 @@ mod tests {
     fn grants_of_strangers_are_not_told_of_and_push_out_none_that_was_given() {
         let own = BTreeSet::from([account(1)]);
         let stranger = |second: u64| (Timestamp(second), Address([second.to_le_bytes()[0]; 20]), account(1));
-        let mut ending: BTreeSet<_> = (100..200).map(stranger).collect();
-        ending.extend([(Timestamp(900), account(1), account(7)), (Timestamp(800), account(9), account(1))]);
+        let own_ones = [(Timestamp(900), account(1), account(7)), (Timestamp(800), account(9), account(1))];
+        let ending: BTreeMap<_, _> = (100..200).map(stranger).chain(own_ones).map(|end| (end, 7)).collect();
         let told = told_of(ending.clone(), &own, |owner| owner == account(9), |_| None);
         let told: Vec<_> = told.iter().map(|grant| (grant.owner.as_str(), grant.given, grant.ends)).collect();
         assert_eq!(told, [("09090909", false, Timestamp(800)), ("01010101", true, Timestamp(900))]);

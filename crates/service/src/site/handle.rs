@@ -2,15 +2,17 @@
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 
 use super::Site;
 use super::audit::is_operator;
 use super::consoles::{Claims, opened_by, until_released};
-use crate::model::{ErrorKind, ProfileName, TopicName, TopicPattern};
+use crate::model::{ErrorKind, ProfileName, TopicName, TopicPattern, clean};
 use crate::pipeline::Owner;
 use crate::service::command::{self as ask, Ask, Command, IncidentCommand, Request, UploadQuery};
+use crate::service::failure::input;
 use crate::service::reply::{Failure, RecordPage, Reply};
 use crate::site::devices::pulling::span;
 use crate::site::mirror::remote::{FIRST_ROUND, LISTING};
@@ -63,8 +65,8 @@ impl Site {
                 view.map(ask::TopicCoverage::told)
             }
             Command::ListTopics => self.capture.topics(&profile).await.map(ask::ListTopics::told),
-            Command::WatchTopic { topic, type_name } => {
-                self.capture.watch(&profile, topic, type_name).await.map(ask::WatchTopic::told)
+            Command::WatchTopic { topic, type_name, sampling } => {
+                self.capture.watch(&profile, topic, type_name, sampling).await.map(ask::WatchTopic::told)
             }
             Command::UnwatchTopic { topic } => {
                 self.capture.unwatch(&profile, &topic).await.map(ask::UnwatchTopic::told)
@@ -143,12 +145,12 @@ impl Site {
                 self.bridge.stop(&profile);
                 Ok(ask::StopPlay::told(()))
             }
-            Command::Grant { grantee, topics, from, expires } => {
-                let topics = self.granted(&profile, &topics).await?;
+            Command::Grant { grantee, topics, robots, from, expires } => {
+                let topics = self.granted(&profile, &topics, &robots).await?;
                 self.sharing.grant(&owner()?, &grantee, &topics, from, expires).await.map(ask::Grant::told)
             }
-            Command::ForeseeGrant { grantee, topics, from } => {
-                let topics = self.granted(&profile, &topics).await?;
+            Command::ForeseeGrant { grantee, topics, robots, from } => {
+                let topics = self.granted(&profile, &topics, &robots).await?;
                 self.sharing.foresee_grant(&owner()?, &grantee, &topics, from).await.map(ask::ForeseeGrant::told)
             }
             Command::ExtendGrant { grantee, expires } => {
@@ -259,13 +261,48 @@ impl Site {
         }
     }
 
-    /// The topics of a grant: those named, and those known that match a pattern.
-    async fn granted(&self, profile: &ProfileName, topics: &[TopicPattern]) -> Result<Vec<TopicName>, Failure> {
-        if topics.iter().any(|topic| !topic.is_plain()) {
+    /// The topics of a grant: those named, those known that match a pattern, and those of robots.
+    async fn granted(
+        &self,
+        profile: &ProfileName,
+        topics: &[TopicPattern],
+        robots: &[String],
+    ) -> Result<Vec<TopicName>, Failure> {
+        if !robots.is_empty() || topics.iter().any(|topic| !topic.is_plain()) {
             // Robots' records arrive without topic names.
             self.reading.learn_own_names(profile).await?;
         }
-        self.capture.named(profile, topics, true).await
+        let mut names = self.capture.named(profile, topics, true).await?;
+        for robot in robots {
+            let of_robot = self.topics_of(profile, robot).await?;
+            names.extend(of_robot.into_iter().filter(|name| !names.contains(name)).collect::<Vec<_>>());
+        }
+        Ok(names)
+    }
+
+    /// What an enrolled robot of this name may record or has recorded, and the topics under its name.
+    async fn topics_of(&self, profile: &ProfileName, robot: &str) -> Result<BTreeSet<TopicName>, Failure> {
+        let enrolled = self.reading.topics_of_robot(self.parts.owners.address_of(profile)?, robot);
+        let mut names: BTreeSet<TopicName> = match TopicPattern::of_robot(robot) {
+            Ok(under) => {
+                let known = self.capture.known(profile, true).await?.into_iter();
+                known.filter(|name| under.matches(name.as_str())).collect()
+            }
+            // No part of a topic's name can be called so.
+            Err(_) => BTreeSet::new(),
+        };
+        match enrolled {
+            Ok(topics) => names.extend(topics.iter().filter_map(|topic| topic.parse().ok())),
+            Err(unknown) if names.is_empty() => return Err(unknown),
+            Err(_) => {}
+        }
+        if names.is_empty() {
+            let robot = clean(robot, 64);
+            return Err(input(format!(
+                "robot '{robot}' has recorded nothing yet; name its topics, or wait for a record"
+            )));
+        }
+        Ok(names)
     }
 
     /// Answers a request about incidents; robots' rings are requested once the incident exists.
@@ -273,8 +310,7 @@ impl Site {
         let asked = if let IncidentCommand::OpenIncident { since, until, topics, robots, .. } = &command
             && !robots.is_empty()
         {
-            let topics = topics.iter().filter_map(|topic| topic.as_str().parse().ok()).collect();
-            Some((self.parts.owners.unlocked(profile)?, robots.clone(), span(*since, *until, topics)?))
+            Some((self.parts.owners.unlocked(profile)?, robots.clone(), span(*since, *until, topics.clone())?))
         } else {
             None
         };

@@ -417,18 +417,18 @@ pub struct SignerTopic {
 }
 
 impl Counts {
-    /// Counted for keys other than `own`.
-    pub fn signer_topics(&self, owner: Address, own: SignerId) -> Result<Vec<SignerTopic>, StoreError> {
+    /// Counted for keys other than `own`, or for all.
+    pub fn signer_topics(&self, owner: Address, own: Option<SignerId>) -> Result<Vec<SignerTopic>, StoreError> {
         self.0.read(|connection| {
             let sql = format!(
                 "SELECT r.signer, {TOPIC_NAME} AS topic, c.state, sum(c.records) FROM streams s
                     JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder
                     JOIN counters c ON c.stream = s.key {LEARNED_NAME}
-                    WHERE t.owner = ?1 AND s.kind = ?2 AND r.signer <> ?3 AND c.records > 0
+                    WHERE t.owner = ?1 AND s.kind = ?2 AND r.signer IS NOT ?3 AND c.records > 0
                     GROUP BY r.signer, {TOPIC_NAME}, c.state"
             );
             let mut found: BTreeMap<(SignerId, String), BTreeMap<RecordState, u64>> = BTreeMap::new();
-            connection.each(&sql, params![owner.0, RecordKind::Data.code(), own.0], |row| {
+            connection.each(&sql, params![owner.0, RecordKind::Data.code(), own.map(|own| own.0)], |row| {
                 let place = (SignerId(row.get(0)?), row.get(1)?);
                 found.entry(place).or_default().insert(rows::state(row, 2)?, unsigned(row, 3)?);
                 Ok(())

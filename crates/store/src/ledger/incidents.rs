@@ -1,7 +1,9 @@
 //! Incidents: spans of time and topics with notes. Retention keeps records in them.
 
 use std::collections::BTreeMap;
+use std::str::FromStr;
 
+use rusqlite::types::Type;
 use rusqlite::{Connection, Row, params};
 use serde::{Deserialize, Serialize};
 
@@ -9,7 +11,7 @@ use super::rows::{LEARNED_NAME, TOPIC_NAME, optional, time, unsigned};
 use super::{Incidents, Session};
 use crate::StoreError;
 use crate::database::{Statements as _, capped, whole};
-use crate::model::{Address, IncidentName, IncidentNameError, RecordKind, RecordState, Timestamp};
+use crate::model::{Address, IncidentName, RecordKind, RecordState, Timestamp, TopicPatterns};
 
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct IncidentSpan {
@@ -17,8 +19,14 @@ pub struct IncidentSpan {
     pub since: Timestamp,
     /// Captured before; `None` = still open.
     pub until: Option<Timestamp>,
-    /// By name; empty = all.
-    pub topics: Vec<String>,
+    /// By name or pattern; empty = all.
+    pub topics: TopicPatterns,
+}
+
+impl IncidentSpan {
+    pub fn is_about(&self, topic: &str) -> bool {
+        self.topics.0.is_empty() || self.topics.matches(topic)
+    }
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -86,8 +94,9 @@ impl Incidents {
                 return Ok(false);
             }
             let key = connection.last_insert_rowid();
-            for topic in &span.topics {
-                connection.run("INSERT OR IGNORE INTO incident_topics VALUES (?1, ?2)", params![key, topic])?;
+            for topic in &span.topics.0 {
+                let sql = "INSERT OR IGNORE INTO incident_topics VALUES (?1, ?2)";
+                connection.run(sql, params![key, topic.as_str()])?;
             }
             if let Some(text) = note {
                 connection.run("INSERT INTO incident_notes VALUES (?1, 1, ?2, ?3)", params![key, now, text])?;
@@ -147,14 +156,18 @@ impl Incidents {
         })
     }
 
-    /// Of the named topics, or of all with records.
+    /// Of the topics with records, and of each name or pattern without any.
     pub fn span_coverage(&self, owner: Address, span: &IncidentSpan) -> Result<Vec<SpanCoverage>, StoreError> {
         self.0.read(|connection| {
-            let mut found: BTreeMap<String, SpanCoverage> =
-                span.topics.iter().map(|topic| (topic.clone(), SpanCoverage::default())).collect();
+            let mut found: BTreeMap<String, SpanCoverage> = BTreeMap::new();
             let parts = counted(connection, owner, span)?.into_iter().chain(losses(connection, owner, span)?);
-            for part in parts.filter(|part| span.topics.is_empty() || span.topics.contains(&part.topic)) {
+            for part in parts.filter(|part| span.is_about(&part.topic)) {
                 found.entry(part.topic.clone()).or_default().add(&part);
+            }
+            for pattern in &span.topics.0 {
+                if !found.keys().any(|topic| pattern.matches(topic)) {
+                    found.insert(pattern.to_string(), SpanCoverage::default());
+                }
             }
             Ok(found.into_iter().map(|(topic, coverage)| SpanCoverage { topic, ..coverage }).collect())
         })
@@ -173,20 +186,25 @@ impl Incidents {
     }
 }
 
+fn parsed<T>(row: &Row<'_>, column: usize) -> rusqlite::Result<T>
+where
+    T: FromStr<Err: std::error::Error + Send + Sync + 'static>,
+{
+    let wrong = |error: T::Err| rusqlite::Error::FromSqlConversionFailure(column, Type::Text, Box::new(error));
+    row.get::<_, String>(column)?.parse().map_err(wrong)
+}
+
 fn incident(row: &Row<'_>) -> rusqlite::Result<(i64, IncidentRow)> {
-    let name: String = row.get(1)?;
-    let name = name.parse().map_err(|error: IncidentNameError| {
-        rusqlite::Error::FromSqlConversionFailure(1, rusqlite::types::Type::Text, Box::new(error))
-    })?;
+    let name = parsed(row, 1)?;
     let (since, until) = (time(row, 2)?, optional(row, 3)?.map(Timestamp));
     let (opened_at, closed_at) = (time(row, 4)?, optional(row, 5)?.map(Timestamp));
-    let span = IncidentSpan { since, until, topics: Vec::new() };
+    let span = IncidentSpan { since, until, topics: TopicPatterns::default() };
     Ok((row.get(0)?, IncidentRow { name, span, opened_at, closed_at, notes: Vec::new() }))
 }
 
 fn whole_of(connection: &Connection, (key, mut row): (i64, IncidentRow)) -> Result<IncidentRow, StoreError> {
     let sql = "SELECT topic FROM incident_topics WHERE incident = ?1 ORDER BY topic";
-    row.span.topics = connection.list(sql, [key], |row| row.get(0))?;
+    row.span.topics = TopicPatterns(connection.list(sql, [key], |row| parsed(row, 0))?);
     let sql = "SELECT at, text FROM incident_notes WHERE incident = ?1 ORDER BY number";
     row.notes = connection.list(sql, [key], |row| Ok(IncidentNote { at: time(row, 0)?, text: row.get(1)? }))?;
     Ok(row)

@@ -49,6 +49,7 @@ pub struct HeldMinute {
 
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct HeldQuery {
+    /// A name, or a pattern for several.
     pub topic: Option<String>,
     /// Includes decided ones.
     pub decided: bool,
@@ -78,7 +79,7 @@ impl Quarantine {
             let order = if query.newest_first { "DESC" } else { "ASC" };
             let sql = format!(
                 "SELECT {}, reason, publisher, report, decision FROM held {index} CROSS JOIN records ON n = record
-                    JOIN topics ON key = topic WHERE {which} owner = ?1 AND (?2 IS NULL OR name = ?2)
+                    JOIN topics ON key = topic WHERE {which} owner = ?1 AND (?2 IS NULL OR topic_matches(?2, name))
                     AND (NOT ?4 OR stream IN (SELECT key FROM streams WHERE kind = ?5)) ORDER BY record {order} LIMIT ?3",
                 rows::COLUMNS
             );

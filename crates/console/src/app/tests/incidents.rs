@@ -58,9 +58,25 @@ fn one_key_fills_the_form_from_an_old_record_and_six_more_keep_it() {
     assert_eq!(topics.iter().map(ToString::to_string).collect::<Vec<_>>(), ["/robot1/odom"]);
     assert_eq!(note.as_deref(), Some("hit the wall, bay 3?"));
     robot.is_answered(&tag(Deed::Open, "crash"), Ok(Reply::Incident(fixtures::incident("crash", true))));
-    assert_eq!(robot.message(), "incident crash: 1234 records kept so far (U: undo)");
+    assert_eq!(robot.message(), "incident crash: 1,234 records kept so far (U: undo)");
     robot.types("U");
     assert!(matches!(sent(&robot), IncidentCommand::RemoveIncident { name } if name.as_str() == "crash"));
+}
+
+#[test]
+fn a_pattern_goes_into_it_as_it_is_for_topics_that_come_later() {
+    let mut robot = Robot::at_work(true);
+    robot.types("2");
+    robot.site_answers(true);
+    robot.types("I");
+    robot.site_answers(true);
+    for text in ["fall", "10m", "", "/robot*/camera/**", ""] {
+        robot.presses(Key::Control('u'));
+        robot.pastes(text);
+        robot.presses(Key::Enter);
+    }
+    let IncidentCommand::OpenIncident { topics, .. } = sent(&robot) else { panic!() };
+    assert_eq!(topics.iter().map(ToString::to_string).collect::<Vec<_>>(), ["/robot*/camera/**"]);
 }
 
 #[test]

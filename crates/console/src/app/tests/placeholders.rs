@@ -65,7 +65,8 @@ fn purposes() -> Vec<Purpose> {
         P::OpenIncident => Some(P::NoteIncident),
         P::NoteIncident => Some(P::ExportEvidence),
         P::ExportEvidence => Some(P::SetPolicy),
-        P::SetPolicy => Some(P::Profile),
+        P::SetPolicy => Some(P::Limit),
+        P::Limit => Some(P::Profile),
         P::Profile => Some(P::Administer(Act::Admit)),
         P::Administer(Act::Admit) => Some(P::Administer(Act::Suspend)),
         P::Administer(Act::Suspend) => Some(P::Administer(Act::Restore)),
@@ -106,6 +107,7 @@ fn asked(purpose: Purpose) -> Robot {
         Purpose::ExportKey => opens(Verb::ExportKey, "6"),
         Purpose::Export => opens(Verb::Export, "3"),
         Purpose::Unpin => opens(Verb::Unpin, "2"),
+        Purpose::Limit => opens(Verb::Limit, "2"),
         Purpose::Administer(act) => opens(Verb::Administer(act), "7"),
     };
     robot.types(&screen);
@@ -115,6 +117,9 @@ fn asked(purpose: Purpose) -> Robot {
         robot.state.grants.rows.iter_mut().for_each(|row| row.expires = Some(end));
     } else {
         robot.presses(Key::Down);
+    }
+    if purpose == Purpose::Limit {
+        robot.state.topics.rows.iter_mut().for_each(|row| row.watched = true);
     }
     if let (Purpose::Administer(_), Some(chain)) = (purpose, &mut robot.state.chain) {
         chain.administration.administrator = Some(fixtures::OWN);

@@ -268,11 +268,22 @@ impl RosSide {
         }
     }
 
+    /// Topics of both graphs, as far as they are known now.
+    pub fn names(&self) -> Vec<TopicName> {
+        let link = self.state().link().cloned();
+        self.names_beside(&link.map(|link| link.topics()).unwrap_or_default())
+    }
+
+    /// Those of this graph, and those of ROS 2.
+    fn names_beside(&self, graph: &[TopicInfo]) -> Vec<TopicName> {
+        let of_two = self.second.topics();
+        let names = graph.iter().map(|info| &info.name).chain(of_two.iter().map(|topic| &topic.name));
+        names.filter_map(|name| name.parse().ok()).collect()
+    }
+
     fn share_wishes(&self, graph: &[TopicInfo]) -> BTreeSet<TopicName> {
         if self.recorder.has_patterns() {
-            let of_two = self.second.topics();
-            let names = graph.iter().map(|info| &info.name).chain(of_two.iter().map(|topic| &topic.name));
-            self.recorder.follow(&names.filter_map(|name| name.parse().ok()).collect::<Vec<TopicName>>());
+            self.recorder.follow(&self.names_beside(graph));
         }
         let wanted = self.recorder.wanted().iter().filter_map(|topic| topic.parse().ok()).collect();
         self.second.share(wanted, self.is_measured(), graph)

@@ -9,7 +9,7 @@ use tokio::task::block_in_place;
 use super::Capture;
 use super::second::GraphOf;
 use crate::model::{
-    ProfileName, Timestamp, TopicName, TopicPattern, TopicRule, TypeName, WatchRule, clean, pinned_name,
+    ProfileName, Sampling, Timestamp, TopicName, TopicPattern, TopicRule, TypeName, WatchRule, clean, pinned_name,
 };
 use crate::service::failure::input;
 use crate::service::reply::{Failure, HeldUp, PolicyRow, PolicyView, TopicRow};
@@ -68,6 +68,9 @@ impl Capture {
             row.alarm = alarms.contains(&row.topic);
             let rule = watches.of(&row.topic);
             row.watched = rule.is_some();
+            row.watched_type = rule.and_then(|rule| rule.type_name.clone());
+            let of_settings = self.parts.config.topic_rules.of(&row.topic).map(|rule| rule.sampling());
+            row.sampling = rule.and_then(|rule| rule.sampling).or(of_settings).unwrap_or_default();
             row.watched_by = rule.filter(|rule| !rule.pattern.is_plain()).map(|rule| rule.pattern.to_string());
             row.held_up = match &sealing {
                 _ if !row.watched => None,
@@ -113,9 +116,11 @@ impl Capture {
         profile: &ProfileName,
         topic: TopicPattern,
         type_name: Option<TypeName>,
+        sampling: Option<Sampling>,
     ) -> Result<(), Failure> {
-        let listed = async { self.watches.change(profile, |rules| rules.watch(topic.clone(), type_name)) };
-        self.parts.log.deed(profile, "watch", topic.as_str(), listed).await?;
+        let listed = async { self.watches.change(profile, |rules| rules.watch(topic.clone(), type_name, sampling)) };
+        let subject = sampling.map_or_else(|| topic.to_string(), |sampling| format!("{topic}: {sampling}"));
+        self.parts.log.deed(profile, "watch", &subject, listed).await?;
         if let Some(owner) = self.parts.owners.get(profile) {
             if self.ros.is_wanted() && owner.sealing().is_none() {
                 self.profiles.register(&owner).await?;
@@ -144,21 +149,30 @@ impl Capture {
         Ok(())
     }
 
-    /// Names as they are, and what matches the patterns: topics of the graph, and those with own records if `recorded`.
+    /// Topics of the graphs and those watched by name, and those with own records if `recorded`.
+    pub async fn known(&self, profile: &ProfileName, recorded: bool) -> Result<BTreeSet<TopicName>, Failure> {
+        let watches = block_in_place(|| self.watches.of(profile))?;
+        let mut known: BTreeSet<TopicName> = watches.named().filter_map(|rule| rule.pattern.name()).collect();
+        if self.ros.is_wanted() {
+            self.ros.any().await?;
+            known.extend(self.ros.names());
+        }
+        let kept = if recorded { self.captured_by_topic(profile)? } else { HashMap::new() };
+        known.extend(kept.keys().filter_map(|name| name.parse().ok()));
+        Ok(known)
+    }
+
+    /// Names as they are, and what matches the patterns: see [`Self::known`].
     pub async fn named(
         &self,
         profile: &ProfileName,
         topics: &[TopicPattern],
         recorded: bool,
     ) -> Result<Vec<TopicName>, Failure> {
-        let mut known: BTreeSet<TopicName> = BTreeSet::new();
-        if topics.iter().any(|topic| !topic.is_plain()) {
-            if self.ros.is_wanted() {
-                known.extend(self.topics(profile).await?.iter().filter_map(|row| row.topic.parse().ok()));
-            }
-            let kept = if recorded { self.captured_by_topic(profile)? } else { HashMap::new() };
-            known.extend(kept.keys().filter_map(|name| name.parse().ok()));
-        }
+        let known = match topics.iter().all(TopicPattern::is_plain) {
+            true => BTreeSet::new(),
+            false => self.known(profile, recorded).await?,
+        };
         let mut names = Vec::new();
         for topic in topics {
             let before = names.len();
@@ -207,6 +221,7 @@ impl Capture {
     pub async fn policy_view(&self, profile: &ProfileName, learned: bool) -> Result<PolicyView, Failure> {
         let rules = &self.parts.config.topic_rules;
         let row = |row: TopicRow| PolicyRow {
+            sampling: row.sampling,
             rule: rules.of(&row.topic).map(|rule| TopicRule::clone(rule)),
             left_out: row.left_out,
             largest: self.recorder.meter().largest(&row.topic),

@@ -45,8 +45,17 @@ impl Contacts {
     pub(crate) fn resolve(&self, party: &Party) -> Result<Address, Failure> {
         match party {
             Party::Address(address) => Ok(*address),
-            Party::Contact(name) => self.contact(name).map(|contact| contact.address),
+            Party::Contact(name) => match self.contact(name) {
+                Ok(contact) => Ok(contact.address),
+                Err(unknown) => self.of_profile(name).ok_or(unknown),
+            },
         }
+    }
+
+    /// A profile of this home goes by its own name, unless the address book has that.
+    fn of_profile(&self, name: &ContactName) -> Option<Address> {
+        let profile: ProfileName = name.to_string().parse().ok()?;
+        self.parts.owners.address_of(&profile).ok()
     }
 
     fn contact(&self, name: &ContactName) -> Result<Contact, Failure> {

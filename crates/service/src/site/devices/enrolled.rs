@@ -84,6 +84,11 @@ impl Enrolments {
         block_in_place(|| of_account(&self.parts.plant.ledger.notes, owner.address))
     }
 
+    /// Whether robots record for this account.
+    pub fn has_any(&self, owner: Address) -> Result<bool, Failure> {
+        Ok(of_account(&self.parts.plant.ledger.notes, owner)?.iter().any(|robot| !robot.ended))
+    }
+
     pub fn lent(&self, owner: &Owner, network: &Network) -> Result<Vec<Enrolled>, Failure> {
         Ok(self.of(owner)?.into_iter().filter(|robot| is_lent(owner, network, robot)).collect())
     }

@@ -19,11 +19,11 @@ use authros_evidence::{Bundle, ClaimedChain, Packing, PackingError, Trust, pack,
 use super::incidents;
 use super::parts::Parts;
 use super::reading::Reading;
-use crate::command::EvidenceWishes;
+use crate::command::{EvidenceWishes, UploadQuery};
 use crate::crypto::private_file;
 use crate::event::NoticeLevel;
 use crate::failure::input;
-use crate::model::{Digest, RecordKind, RecordState, Timestamp, TopicPattern, clean};
+use crate::model::{Digest, RecordKind, RecordState, Timestamp, TopicPattern, TopicPatterns, clean};
 use crate::pipeline::chain_proofs::{Collected, Rounds, collect};
 use crate::pipeline::evidence::{MOST_RECORDS, gather};
 use crate::pipeline::reader::Reader;
@@ -51,6 +51,8 @@ impl Evidence {
         let network = self.reading.network_or_kept().await?;
         let (kept, wanted) = (&self.parts.plant.ledger.incidents, wishes.incident.as_ref());
         let about = wanted.map(|name| block_in_place(|| incidents::view(kept, owner.address, name))).transpose()?;
+        // Robots' records arrive without topic names.
+        self.reading.learn_own_names(&owner.profile).await?;
         let mut rows = self.chosen(owner, &wishes)?;
         let left_out = about.as_ref().map_or_else(Vec::new, |about| leave_out(&mut rows, about, &wishes.records));
         let named = wishes.reveal.iter().map(|id| self.reading.own_record(&owner.profile, id));
@@ -108,22 +110,20 @@ impl Evidence {
     fn chosen(&self, owner: &Owner, wishes: &EvidenceWishes) -> Result<Vec<RecordRow>, Failure> {
         let named = wishes.records.iter().map(|id| self.reading.own_record(&owner.profile, id));
         let mut rows = named.collect::<Result<Vec<_>, Failure>>()?;
-        let narrowed =
-            wishes.topic.is_some() || wishes.since.is_some() || wishes.until.is_some() || wishes.incident.is_some();
+        let in_time = wishes.since.is_some() || wishes.until.is_some() || wishes.incident.is_some();
+        let narrowed = in_time || !wishes.topics.is_empty() || wishes.robot.is_some();
         let in_bulk = wishes.reveal_all || !wishes.reveal_topics.is_empty();
         let named = !wishes.records.is_empty() || (!wishes.reveal.is_empty() && !in_bulk);
         if named && !narrowed {
             return Ok(rows);
         }
         let ledger = &self.parts.plant.ledger;
-        let mut query = RecordQuery {
-            owner: Some(owner.address),
-            topic: wishes.topic.as_ref().map(ToString::to_string),
-            since: wishes.since,
-            until: wishes.until,
-            limit: PAGE,
-            ..RecordQuery::default()
-        };
+        let of_robot = UploadQuery { robot: wishes.robot.clone(), limit: PAGE, ..UploadQuery::default() };
+        let (owner_of, since, until) = (Some(owner.address), wishes.since, wishes.until);
+        let query = self.reading.of_robot(&[owner.address], of_robot)?;
+        let mut query = RecordQuery { owner: owner_of, kind: None, since, until, ..query };
+        let topics = Some(TopicPatterns(wishes.topics.clone())).filter(|topics| !topics.0.is_empty());
+        query.topics.extend(topics);
         block_in_place(|| {
             if let Some(name) = &wishes.incident {
                 query = incidents::narrowed(&ledger.incidents, owner.address, name, query)?;

@@ -25,12 +25,12 @@ use crate::command::{SecretBytes, SecretText};
 use crate::crypto::{Fingerprint, Keyring, Passphrase, UnlockedKeyring, prove, read_public};
 use crate::event::Part;
 use crate::failure::{input, internal, refused};
-use crate::model::{Address, ProfileName};
+use crate::model::{Address, ProfileName, Timestamp};
 use crate::paths::Home;
 use crate::pipeline::{Network, Owner, Recorder, recovery};
 use crate::reply::{Failure, IdentityView, Opens};
-use crate::store::StoreError;
 use crate::store::notes::ProfileAccounts;
+use crate::store::{SealedQuery, StoreError};
 
 /// Longest wait for the chain's word about a locked keyring's identity.
 const LOCKED: Duration = Duration::from_secs(3);
@@ -263,13 +263,15 @@ impl Profiles {
             view.epoch = Some(network.directory.epoch(public.address)).filter(|epoch| *epoch > 0);
         }
         if let Some(epoch) = view.epoch {
-            let sealed = move |profiles: &Self| {
-                let counts = &profiles.parts.plant.ledger.counts;
-                Ok((counts.opened_by(public.address, epoch..=epoch)?, counts.opened_by(public.address, 1..=epoch)?))
+            let opens = move |profiles: &Self| {
+                let opened = |epochs| {
+                    let query = SealedQuery { owner: public.address, topic: None, epochs, since: Timestamp::default() };
+                    let (records, since) = profiles.parts.plant.ledger.counts.opened_by(&query)?;
+                    Ok::<_, Failure>(Some(Opens { records, since, of_robots: false }))
+                };
+                Ok((opened(epoch..=epoch)?, opened(1..=epoch)?))
             };
-            let opens = |(records, since)| Some(Opens { records, since });
-            let (current, all) = blocking(self, sealed).await?;
-            (view.epoch_records, view.all_records) = (opens(current), opens(all));
+            (view.epoch_records, view.all_records) = blocking(self, opens).await?;
         }
         Ok(view)
     }

@@ -5,7 +5,7 @@ mod tests;
 
 use tokio::task::block_in_place;
 
-use crate::model::{Address, IncidentName, ProfileName, Timestamp, TopicName, clean, clean_lines};
+use crate::model::{Address, IncidentName, ProfileName, Timestamp, TopicPattern, TopicPatterns, clean, clean_lines};
 use crate::service::command::{self as ask, Ask, IncidentCommand};
 use crate::service::event::Part;
 use crate::service::failure::input;
@@ -35,7 +35,7 @@ impl Incidents {
         let owner = self.parts.owners.address_of(profile)?;
         match command {
             IncidentCommand::OpenIncident { name, since, until, topics, note, robots: _ } => {
-                let wanted = wanted(name, (since, until), &topics, note.as_deref())?;
+                let wanted = wanted(name, (since, until), topics, note.as_deref())?;
                 self.open(profile, owner, wanted).await.map(ask::OpenIncident::told)
             }
             IncidentCommand::ListIncidents => self.list(owner).map(ask::ListIncidents::told),
@@ -129,7 +129,7 @@ impl Incidents {
 fn wanted(
     name: IncidentName,
     (since, until): (Timestamp, Option<Timestamp>),
-    topics: &[TopicName],
+    topics: Vec<TopicPattern>,
     note: Option<&str>,
 ) -> Result<Wanted, Failure> {
     if since > Timestamp::now() {
@@ -144,8 +144,8 @@ fn wanted(
     if topics.len() > MOST_TOPICS {
         return Err(input(format!("an incident can name at most {MOST_TOPICS} topics; name none to cover all")));
     }
-    let topics = topics.iter().map(ToString::to_string).collect();
-    Ok(Wanted { name, span: IncidentSpan { since, until, topics }, note: note.map(note_text).transpose()? })
+    let span = IncidentSpan { since, until, topics: TopicPatterns(topics) };
+    Ok(Wanted { name, span, note: note.map(note_text).transpose()? })
 }
 
 fn note_text(text: &str) -> Result<String, Failure> {
@@ -175,7 +175,7 @@ fn known(kept: &KeptIncidents, owner: Address, name: &IncidentName) -> Result<In
 
 fn subject(name: &IncidentName, span: &IncidentSpan) -> String {
     let until = span.until.map_or_else(|| "until it is closed".to_owned(), |until| format!("until {until}"));
-    let topics = if span.topics.is_empty() { "all topics".to_owned() } else { span.topics.join(" ") };
+    let topics = if span.topics.0.is_empty() { "all topics".to_owned() } else { span.topics.to_string() };
     clean(&format!("{name}: since {} {until}, {topics}", span.since), 400)
 }
 
@@ -186,8 +186,10 @@ pub(super) fn narrowed(
     name: &IncidentName,
     query: RecordQuery,
 ) -> Result<RecordQuery, Failure> {
-    let IncidentSpan { since, until, topics } = known(kept, owner, name)?.span;
+    let IncidentSpan { since, until, topics: about } = known(kept, owner, name)?.span;
     let until = [query.until, until].into_iter().flatten().min();
+    let mut topics = query.topics;
+    topics.extend(Some(about).filter(|about| !about.0.is_empty()));
     Ok(RecordQuery { since: query.since.max(Some(since)), until, topics, ..query })
 }
 
@@ -206,7 +208,7 @@ fn covered(kept: &KeptIncidents, owner: Address, row: IncidentRow) -> Result<Inc
         until: row.span.until,
         opened_at: row.opened_at,
         closed_at: row.closed_at,
-        topics: row.span.topics.iter().map(|topic| clean(topic, WIDEST)).collect(),
+        topics: row.span.topics.0.iter().map(ToString::to_string).collect(),
         notes: row.notes.into_iter().map(note).collect(),
         records: coverage.iter().map(|one| one.records).sum(),
         bytes: coverage.iter().map(|one| one.bytes).sum(),

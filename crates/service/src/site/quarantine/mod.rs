@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use tokio::task::block_in_place;
 
 use super::reading::view::record_view;
-use crate::model::{Digest, ErrorKind, ProfileName, RecordState, Timestamp, TopicName, clean};
+use crate::model::{Digest, ErrorKind, ProfileName, RecordState, Timestamp, TopicPattern, clean};
 use crate::pipeline::columns::Shown;
 use crate::pipeline::{Author, Owner, quarantine};
 use crate::service::command::Held;
@@ -70,17 +70,17 @@ impl Quarantine {
     pub async fn view(
         &self,
         profile: &ProfileName,
-        topic: Option<TopicName>,
+        topic: Option<TopicPattern>,
         limit: usize,
     ) -> Result<QuarantineView, Failure> {
         let owner = self.parts.owners.address_of(profile)?;
-        let name = topic.as_ref().map(ToString::to_string);
-        let (topic, limit) = (name.clone(), limit.clamp(1, 1000));
-        let query = HeldQuery { topic, messages: true, newest_first: true, limit, ..HeldQuery::default() };
+        let (name, limit) = (topic.as_ref().map(ToString::to_string), limit.clamp(1, 1000));
+        let query = HeldQuery { topic: name, messages: true, newest_first: true, limit, ..HeldQuery::default() };
         let ledger = &self.parts.plant.ledger;
         let rows = ledger.quarantine.held(owner, &query)?;
         let counts = ledger.counts.by_state(Some(owner))?;
-        let wanted = counts.topics.iter().filter(|counts| name.as_ref().is_none_or(|name| *name == counts.topic));
+        let is_wanted = |name: &str| topic.as_ref().is_none_or(|topic| topic.matches(name));
+        let wanted = counts.topics.iter().filter(|counts| is_wanted(&counts.topic));
         let keys = self.reading.own_keys();
         let shown = self.reading.compared(rows.iter().map(|row| row.record.clone()).collect(), &keys, &[])?;
         let view = |(row, shown): (HeldRow, Shown)| HeldView {
@@ -228,10 +228,12 @@ impl Quarantine {
         outcome
     }
 
-    /// Deciding about a whole topic closes its alarms.
+    /// Deciding about whole topics closes their alarms.
     fn decided(&self, owner: &Owner, held: &Held) -> Result<(), Failure> {
-        if let Some(topic) = &held.topic {
-            self.parts.plant.ledger.pins.close_alarms(owner.address, topic.as_str())?;
+        let pins = &self.parts.plant.ledger.pins;
+        let raised: BTreeSet<String> = pins.alarms(owner.address, None)?.into_iter().map(|alarm| alarm.topic).collect();
+        for topic in raised.iter().filter(|name| held.topic.as_ref().is_some_and(|topic| topic.matches(name))) {
+            pins.close_alarms(owner.address, topic)?;
         }
         self.parts.hub.changed(Part::Topics);
         self.parts.hub.changed(Part::Uploads);

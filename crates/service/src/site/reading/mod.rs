@@ -18,7 +18,7 @@ use crate::command::UploadQuery;
 use crate::failure::input;
 use crate::model::{
     Address, Digest, ErrorKind, GapReport, ProfileName, RecordKind, RetentionReport, SignerId, Timestamp, TopicName,
-    TopicPattern, clean,
+    TopicPattern, TopicPatterns, clean,
 };
 use crate::pipeline::columns::Heads;
 use crate::pipeline::{Network, network_pin};
@@ -98,7 +98,7 @@ impl Reading {
 
 impl Reading {
     /// Own records. A robot is one enrolled under its name, or else the first part of topics.
-    fn of_robot(&self, owners: &[Address], query: UploadQuery) -> Result<RecordQuery, Failure> {
+    pub(in crate::site) fn of_robot(&self, owners: &[Address], query: UploadQuery) -> Result<RecordQuery, Failure> {
         let Some(robot) = query.robot.clone() else { return Ok(view::record_query(query)) };
         let ledger = &self.parts.plant.ledger;
         let mut enrolled = Vec::new();
@@ -120,12 +120,27 @@ impl Reading {
     }
 }
 
+impl Reading {
+    /// What an enrolled robot may record, and what it has recorded.
+    pub fn topics_of_robot(&self, owner: Address, robot: &str) -> Result<BTreeSet<String>, Failure> {
+        let ledger = &self.parts.plant.ledger;
+        let enrolled = block_in_place(|| enrolled::of_account(&ledger.notes, owner))?;
+        let devices = devices_of(&enrolled, robot)?;
+        let of_robot = enrolled.into_iter().filter(|one| devices.contains(&one.device) && !one.ended);
+        let mut topics: BTreeSet<String> = of_robot.flat_map(|one| one.topics).collect();
+        let recorded = block_in_place(|| ledger.counts.signer_topics(owner, None))?;
+        let of_robot = recorded.into_iter().filter(|one| devices.contains(&one.signer));
+        topics.extend(of_robot.map(|one| one.topic));
+        Ok(topics)
+    }
+}
+
 /// Records with the robot's name as the first part of their topics.
 fn of_namespace(query: UploadQuery) -> Result<RecordQuery, Failure> {
     let under = query.robot.as_deref().map(TopicPattern::of_robot).transpose();
     let under = under.map_err(|error| input(error.to_string()))?;
     let mut query = view::record_query(query);
-    query.patterns.extend(under);
+    query.topics.extend(under.map(|under| TopicPatterns(vec![under])));
     Ok(query)
 }
 

@@ -9,7 +9,7 @@ use super::Reading;
 use crate::command::UploadQuery;
 use crate::crypto::{CryptoError, IndexKey, Names, TopicKey, topic_id, topic_key};
 use crate::model::bytes::hex;
-use crate::model::{Address, Digest, Header, ProfileName, RecordKind, TopicPattern, Verdict, clean};
+use crate::model::{Address, Digest, Header, ProfileName, RecordKind, TopicPattern, TopicPatterns, Verdict, clean};
 use crate::pipeline::columns::{Comparison, Keys, Shown};
 use crate::pipeline::reader::Reader;
 use crate::pipeline::{Network, Owner, PipelineError};
@@ -185,7 +185,7 @@ pub fn record_page(rows: &[Shown], next: Option<String>, with_owner: bool) -> Re
 /// Captured messages unless another kind is requested.
 pub(in crate::site) fn record_query(query: UploadQuery) -> RecordQuery {
     RecordQuery {
-        patterns: query.topic.into_iter().collect(),
+        topics: query.topic.into_iter().map(|topic| TopicPatterns(vec![topic])).collect(),
         type_name: query.type_name.map(|name| name.to_string()),
         words: query.words,
         kind: Some(query.kind.unwrap_or(RecordKind::Data)),

@@ -13,13 +13,10 @@ use crate::site::mirror::Joined;
 use crate::site::parts::Parts;
 use crate::store::Reserve;
 use crate::store::notes::{GrantedFrom, GrantedTopic};
-use std::collections::btree_map::{BTreeMap, Entry};
 use std::collections::{HashMap, HashSet};
 use std::sync::{Arc, Mutex};
 
 use tokio::task::block_in_place;
-
-use self::opening::Sealed;
 
 use crate::chain::Call;
 use crate::crypto::{GrantedKeys, WrappedKeys};
@@ -86,12 +83,15 @@ impl Sharing {
         }
         let names: Vec<String> = topics.iter().map(ToString::to_string).collect();
         self.remember_topics(owner, &names)?;
-        let (first, begun) = self.first_for(owner, &network, from).await?;
+        let scope = scope(owner, topics);
+        let (first, begun) = self.first_for(owner, &network, &scope, from).await?;
         let epoch = network.directory.epoch(owner.address);
-        let terms = GrantTerms { owner: owner.address, grantee, epoch, expiry: expires, scope: scope(owner, topics) };
-        let opens = self.sealed_by(&network, owner, owner.address)?.opened_by(&terms.scope, first);
-        let covered =
+        let terms = GrantTerms { owner: owner.address, grantee, epoch, expiry: expires, scope };
+        let opens = self.opened_by(&network, owner, owner.address, &terms.scope, first)?;
+        let covered: Vec<u64> =
             owner.epochs(network.domain).into_iter().filter(|known| (first..=epoch).contains(known)).collect();
+        // An older keyring may lack the first.
+        let first = covered.first().copied().unwrap_or(first);
         let envelope = self.wrap_keys(owner, &network, terms.clone(), &names, covered)?;
         self.parts.log.begin(owner, "grant", &grantee.to_string()).await?;
         self.settle_revocation(owner, grantee)?;
@@ -186,24 +186,10 @@ impl Sharing {
             row.fingerprint = Contacts::registered_fingerprint(&network, other);
             row
         };
-        let mut sealed: BTreeMap<Address, Sealed> = BTreeMap::new();
-        let row = |grant: &Granted| {
-            let of = match sealed.entry(grant.terms.owner) {
-                Entry::Occupied(known) => known.into_mut(),
-                Entry::Vacant(new) => new.insert(self.sealed_by(&network, owner, grant.terms.owner)?),
-            };
-            self.grant_row(owner, &network, grant, of).map(with_name)
-        };
-        grants.iter().map(row).collect()
+        grants.iter().map(|grant| self.grant_row(owner, &network, grant).map(with_name)).collect()
     }
 
-    fn grant_row(
-        &self,
-        owner: &Owner,
-        network: &Network,
-        grant: &Granted,
-        sealed: &Sealed,
-    ) -> Result<GrantRow, Failure> {
+    fn grant_row(&self, owner: &Owner, network: &Network, grant: &Granted) -> Result<GrantRow, Failure> {
         let given = grant.terms.owner == owner.address;
         let topics = match &grant.terms.scope {
             Scope::All => Vec::new(),
@@ -222,13 +208,15 @@ impl Sharing {
             false => self.received_from(owner, network, grant),
         };
         let state = grant.state(network.directory.now());
+        let opened = |first| self.opened_by(network, owner, grant.terms.owner, &grant.terms.scope, first);
+        let opens = from.filter(|_| state == GrantState::Active).map(opened).transpose()?;
         Ok(GrantRow {
             direction: if given { Direction::Given } else { Direction::Received },
             owner: grant.terms.owner,
             grantee: grant.terms.grantee,
             epoch: grant.terms.epoch,
             from,
-            opens: from.filter(|_| state == GrantState::Active).map(|from| sealed.opened_by(&grant.terms.scope, from)),
+            opens,
             expires: grant.expiry(),
             topics,
             state,

@@ -281,7 +281,5 @@ fn is_other(row: &RecordRow) -> bool {
 
 fn is_held(row: &RecordRow, incident: &IncidentRow) -> bool {
     let span = &incident.span;
-    row.captured_at >= span.since
-        && span.until.is_none_or(|until| row.captured_at < until)
-        && (span.topics.is_empty() || span.topics.contains(&row.topic))
+    row.captured_at >= span.since && span.until.is_none_or(|until| row.captured_at < until) && span.is_about(&row.topic)
 }
