@@ -1,0 +1,153 @@
+// The page: takes the files, starts the thread that checks, and shows what it says. All text from a bundle becomes text nodes.
+
+import { WORDING } from "./wording.js";
+
+/* global WORKER */
+const ROWS = 100;
+const LEVELS = ["bytes", "key", "anchor", "time", "opened"];
+const STAGES = { members: "Comparing the file's parts with its list", records: "Checking records" };
+const place = (id) => document.getElementById(id);
+
+const chosen = { bundle: undefined, pins: undefined };
+let worker;
+let report;
+let rows = 0;
+
+// Chromium takes a script for a thread only from such a policy; other browsers have none.
+const policy = globalThis.trustedTypes?.createPolicy("authros", { createScriptURL: (url) => url });
+
+function newWorker() {
+  const url = URL.createObjectURL(new Blob([WORKER], { type: "text/javascript" }));
+  return new Worker(policy ? policy.createScriptURL(url) : url);
+}
+
+function element(name, text, className) {
+  const made = document.createElement(name);
+  made.textContent = text;
+  if (className) made.className = className;
+  return made;
+}
+
+/** A file for either place; a trust file is known by its name. */
+function take(file, kind = file.name.endsWith(".toml") ? "pins" : "bundle") {
+  chosen[kind] = file;
+  place(`${kind}-name`).textContent = `${file.name}, ${file.size.toLocaleString("en")} bytes`;
+}
+
+function start() {
+  worker?.terminate();
+  for (const id of ["verdict", "details"]) place(id).hidden = true;
+  globalThis.verdict = report = undefined;
+  if (!chosen.bundle) return;
+  place("working").hidden = false;
+  progress({ stage: "members", done: 0, all: 1 });
+  worker = newWorker();
+  worker.onmessage = ({ data }) => hear(data);
+  worker.onerror = () => fail("The check stopped: this browser could not run it. Use a current one, or authros verify.");
+  worker.postMessage(chosen);
+}
+
+function hear(told) {
+  if (told.progress) progress(told.progress);
+  else if (told.fault) fail(`The check stopped: ${told.fault}. This is a fault of the page; use authros verify.`);
+  else if (told.report.trust) fail(`Not checked: the trust file cannot be used: ${told.report.trust}.`);
+  else show(told.report);
+  if (!told.progress) globalThis.verdict = told;
+}
+
+function progress({ stage, done, all }) {
+  place("bar").max = all;
+  place("bar").value = done;
+  place("stage").textContent = `${STAGES[stage]}: ${Math.floor((100 * done) / all)} %`;
+}
+
+function fail(text) {
+  worker?.terminate();
+  place("bar").removeAttribute("value");
+  place("working").hidden = true;
+  place("of").textContent = chosen.bundle.name;
+  place("sentences").className = "refused";
+  place("sentences").replaceChildren(element("p", text));
+  place("verdict").hidden = false;
+}
+
+function show(found) {
+  worker.terminate();
+  report = found;
+  place("working").hidden = true;
+  place("of").textContent = chosen.bundle.name;
+  place("sentences").className = found.outcome;
+  place("sentences").replaceChildren(...found.verdict.map((sentence) => element("p", sentence)));
+  place("verdict").hidden = false;
+  place("records").replaceChildren();
+  rows = 0;
+  moreRows();
+  place("topics").replaceChildren(...found.complete.map(topicRow));
+  place("details").hidden = found.records.length === 0;
+}
+
+function moreRows() {
+  const next = report.records.slice(rows, rows + ROWS);
+  rows += next.length;
+  place("records").append(...next.map(recordRow));
+  place("more").hidden = rows >= report.records.length;
+}
+
+function row(cells) {
+  const made = document.createElement("tr");
+  made.append(...cells);
+  return made;
+}
+
+function levelCell({ standing, reason }) {
+  const cell = element("td", WORDING.standings[standing], standing);
+  if (reason) cell.append(element("div", WORDING.reasons[reason]));
+  return cell;
+}
+
+function recordRow(record) {
+  const topic = record.disclosed ? `${record.disclosed.topic} (${record.disclosed.type})` : (record.topic_id ?? "");
+  const cells = [record.seq, record.captured_at, topic].map((text) => element("td", text ?? ""));
+  cells.push(...LEVELS.map((name) => levelCell(record[name])), element("td", record.block ?? ""));
+  const made = row(cells);
+  made.title = record.digest;
+  return made;
+}
+
+function topicRow(stretch) {
+  const { topic_id: topic, first, last, missing, heads } = stretch;
+  return row([
+    element("td", topic),
+    levelCell(stretch),
+    ...[first, last, missing, heads?.number].map((text) => element("td", text ?? "")),
+  ]);
+}
+
+function save() {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(new Blob([JSON.stringify(report, null, 1)], { type: "application/json" }));
+  link.download = `${chosen.bundle.name}.verdict.json`;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
+}
+
+for (const kind of ["bundle", "pins"]) {
+  place(kind).addEventListener("change", ({ target }) => {
+    if (target.files[0]) take(target.files[0], kind);
+    start();
+  });
+}
+for (const name of ["dragover", "dragleave", "drop"]) {
+  document.addEventListener(name, (event) => {
+    event.preventDefault();
+    for (const one of document.querySelectorAll(".file")) one.classList.toggle("over", name === "dragover");
+  });
+}
+document.addEventListener("drop", (event) => {
+  for (const file of event.dataTransfer.files) take(file);
+  start();
+});
+place("files").addEventListener("submit", (event) => event.preventDefault());
+place("print").addEventListener("click", () => globalThis.print());
+place("save").addEventListener("click", save);
+place("more").addEventListener("click", moreRows);

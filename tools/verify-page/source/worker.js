@@ -1,0 +1,46 @@
+// The thread that checks, so that the page never freezes: a file goes in, progress and a report come out.
+
+import READ_ME from "../../../crates/evidence/src/VERIFY.txt";
+import { LARGEST } from "./archive.js";
+import { ascii } from "./bytes.js";
+import { check } from "./check.js";
+import { Malformed } from "./outcome.js";
+import { refusal, shown } from "./report.js";
+import { LONGEST_TRUST, Trust, TrustError } from "./trust.js";
+
+/** The report on a bundle, or `{ trust: WHY }` if the trust file cannot be used. Both are files. */
+export async function judge(bundle, pins, progress) {
+  let trust;
+  try {
+    trust = pins && new Trust(await bytesOf(pins, LONGEST_TRUST));
+  } catch (error) {
+    if (error instanceof TrustError) return { trust: error.message };
+    throw error;
+  }
+  try {
+    return shown(await check(await bytesOf(bundle, LARGEST), trust, { readMe: ascii(READ_ME), progress }));
+  } catch (error) {
+    if (error instanceof Malformed) return refusal(error.message);
+    throw error;
+  }
+}
+
+/** Up to one byte more than may be: what is longer is refused without being read. */
+async function bytesOf(file, most) {
+  return new Uint8Array(await file.slice(0, most + 1).arrayBuffer());
+}
+
+/** Answers the page; `tell` passes what it hears. */
+export async function answer({ bundle, pins }, tell) {
+  const progress = (stage, done, all, manifest) =>
+    tell({ progress: { stage, done, all, members: manifest?.members.length } });
+  try {
+    tell({ report: await judge(bundle, pins, progress) });
+  } catch (error) {
+    tell({ fault: String(error?.message ?? error) });
+  }
+}
+
+if (typeof WorkerGlobalScope !== "undefined") {
+  globalThis.onmessage = (event) => answer(event.data, (told) => globalThis.postMessage(told));
+}
