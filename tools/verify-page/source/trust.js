@@ -50,8 +50,11 @@ function mapped(value) {
 function readForm(bytes) {
   const source = bytes.length <= LONGEST_TRUST ? text(bytes) : undefined;
   if (source === undefined) throw new TrustError("it is not text, or too long");
+  const plain = source.replace(/^\ufeff/, "");
+  // The library would skip a second one.
+  if (plain.startsWith("\ufeff")) throw new TrustError("it begins with two byte order marks");
   try {
-    return TRUST(mapped(parse(source.replace(/^\ufeff/, ""), { integersAsBigInt: true, maxDepth: 128 })));
+    return TRUST(mapped(parse(plain, { integersAsBigInt: true, maxDepth: 128 })));
   } catch (error) {
     throw new TrustError(clean(String(error.message).split("\n")[0], 300));
   }
