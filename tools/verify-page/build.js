@@ -15,7 +15,6 @@ const options = {
   charset: "ascii",
   format: "iife",
   legalComments: "none",
-  loader: { ".txt": "text" },
   logLevel: "warning",
   minify: true,
   target: "es2022",
@@ -37,7 +36,8 @@ function licences() {
 
 /** The page's bytes. */
 export async function page() {
-  const worker = await bundled("worker.js");
+  const readMe = readFileSync(join(HERE, "../../crates/evidence/src/VERIFY.txt"), "utf8");
+  const worker = await bundled("worker.js", { READ_ME: JSON.stringify(readMe) });
   // Inside a script, nothing may look like its end.
   const script = (await bundled("page.js", { WORKER: JSON.stringify(worker) })).replaceAll("</script", "<\\/script");
   const style = source("page.css").trim();

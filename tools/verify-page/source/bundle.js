@@ -1,7 +1,7 @@
 // A bundle in its parts (docs/format.md, section 11): each is within its bounds and of its form, or the bundle is refused.
 
 import { sha256 } from "@noble/hashes/sha2.js";
-import { keccak } from "./accounts.js";
+import { address, keccak } from "./accounts.js";
 import { unpacked } from "./archive.js";
 import { ascii, concat, equal, hex, numberBytes, text } from "./bytes.js";
 import { LONGEST_DER } from "./certificate.js";
@@ -316,7 +316,8 @@ export async function readBundle(file, progress) {
   const manifest = read("manifest.json", source, MANIFEST, "authros-evidence/1");
   const isKnown = Object.entries(SUITE).every(([use, name]) => manifest.suite[use] === name);
   if (!isKnown) throw new Malformed("manifest.json", "names a suite or an algorithm that this page does not know");
-  await progress("members", 0, file.length, manifest);
+  const records = new Set(manifest.members.filter(({ name }) => name.startsWith("records/")).map(({ name }) => name.slice(8, 72)));
+  await progress("members", 0, file.length, { records: records.size, exporter: address(manifest.exporter.account) });
   const hashed = await compared(manifest, members, (bytes) => progress("members", bytes, file.length));
   return new Bundle(manifest, members, hashed);
 }

@@ -191,9 +191,13 @@ export async function check(file, trust, { readMe, progress = () => {} }) {
   const made = new Check(bundle, trust, await stampsOf(bundle, trust));
   const names = [...bundle.records.keys()].sort();
   const records = [];
+  const isRefused = (record) => LEVELS.some((one) => record[one].standing === REFUSED);
+  let refused = 0;
   for (const name of names) {
-    if (records.length % STEP === 0) progress("records", records.length, names.length);
-    records.push(await made.record(name));
+    if (records.length % STEP === 0) progress("records", records.length, names.length, { refused });
+    const record = await made.record(name);
+    refused += isRefused(record) ? 1 : 0;
+    records.push(record);
   }
   const complete = stretchesOf(bundle.heights, records);
   const exporter = made.exporter(records);

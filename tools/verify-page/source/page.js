@@ -31,7 +31,7 @@ function element(name, text, className) {
 /** A file for either place; a trust file is known by its name. */
 function take(file, kind = file.name.endsWith(".toml") ? "pins" : "bundle") {
   chosen[kind] = file;
-  place(`${kind}-name`).textContent = `${file.name}, ${file.size.toLocaleString("en")} bytes`;
+  place(`${kind}-name`).textContent = `${file.name}, ${count(file.size)} bytes`;
 }
 
 function start() {
@@ -40,6 +40,7 @@ function start() {
   globalThis.verdict = report = undefined;
   if (!chosen.bundle) return;
   place("working").hidden = false;
+  place("so-far").textContent = "";
   progress({ stage: "members", done: 0, all: 1 });
   worker = newWorker();
   worker.onmessage = ({ data }) => hear(data);
@@ -55,10 +56,17 @@ function hear(told) {
   if (!told.progress) globalThis.verdict = told;
 }
 
-function progress({ stage, done, all }) {
+const count = (number) => number.toLocaleString("en");
+
+function progress({ stage, done, all, known }) {
   place("bar").max = all;
   place("bar").value = done;
   place("stage").textContent = `${STAGES[stage]}: ${Math.floor((100 * done) / all)} %`;
+  if (known?.exporter) {
+    place("so-far").textContent = `It claims to have ${count(known.records)} records, and that ${known.exporter} put it together.`;
+  } else if (known) {
+    place("so-far").textContent = `So far ${count(done)} of ${count(all)} records are checked, of which ${count(known.refused)} are refused.`;
+  }
 }
 
 function fail(text) {

@@ -1,12 +1,13 @@
 // The thread that checks, so that the page never freezes: a file goes in, progress and a report come out.
 
-import READ_ME from "../../../crates/evidence/src/VERIFY.txt";
 import { LARGEST } from "./archive.js";
 import { ascii } from "./bytes.js";
 import { check } from "./check.js";
 import { Malformed } from "./outcome.js";
 import { refusal, shown } from "./report.js";
 import { LONGEST_TRUST, Trust, TrustError } from "./trust.js";
+
+/* global READ_ME */
 
 /** The report on a bundle, or `{ trust: WHY }` if the trust file cannot be used. Both are files. */
 export async function judge(bundle, pins, progress) {
@@ -32,8 +33,7 @@ async function bytesOf(file, most) {
 
 /** Answers the page; `tell` passes what it hears. */
 export async function answer({ bundle, pins }, tell) {
-  const progress = (stage, done, all, manifest) =>
-    tell({ progress: { stage, done, all, members: manifest?.members.length } });
+  const progress = (stage, done, all, known) => tell({ progress: { stage, done, all, known } });
   try {
     tell({ report: await judge(bundle, pins, progress) });
   } catch (error) {
