@@ -532,10 +532,11 @@ def is_account(text):
 
 
 ACCOUNT = 20
+SUITE = {"name": "SM/1", "signature": "SM2-SM3", "digest": "SM3", "cipher": "SM4-GCM", "kdf": "HKDF-SM3", "chain": "Keccak-256"}
 PLACE = {"root": 32, "index": int, "path": [32]}
 # The lines of each JSON member: a number of bytes stands for hex of so many, a tuple for one form or another.
 JSON_FORMS = {
-    "manifest.json": {"format": str, "chain": {"id": int, "genesis": 32, "contract": ACCOUNT}, "exporter": {"account": ACCOUNT, "key": 32},
+    "manifest.json": {"format": str, "suite": dict.fromkeys(SUITE, str), "chain": {"id": int, "genesis": 32, "contract": ACCOUNT}, "exporter": {"account": ACCOUNT, "key": 32},
                       "members": [{"name": str, "bytes": int, "sm3": 32, "sha256": 32}]},
     "heights.json": {"format": str, "heights": [{"heads": 32, "topic": 16, "number": int, "index": int, "path": [32]}]},
     "records": {"format": str, "block": int, "shown_at": int, "keys": int,
@@ -561,7 +562,7 @@ def has_form(found, form):
 class Bundle:
     FORMS = re.compile(r"mimetype|manifest\.(json|der)|trust\.toml|VERIFY\.txt|report\.html|chain/(nodes|[0-9]+)\.rlp|"
                        r"heights\.json|stamps/[0-9a-f]{64}/(roots\.json|[0-9a-f]{32}\.der)|keys/[0-9a-f]{64}\.pem|identities/[0-9a-f]{64}\.bin|definitions/[0-9a-f]{64}\.txt|"
-                       r"records/[0-9a-f]{64}/(record\.bin|signature\.der|anchor\.json|reveal\.(bin|der))")
+                       r"records/[0-9a-f]{64}/(record\.bin|signature\.der|anchor\.json)|disclosed\.(bin|der)")
 
     def __init__(self, path):
         with open(path, "rb") as file:
@@ -570,7 +571,7 @@ class Bundle:
             raise Refused("it is longer than any bundle can be")
         self.members, self.plain_left, self.known = unpacked(data), 256 * 2 ** 20, {}
         names = list(self.members)
-        large = lambda name: name in ("manifest.json", "heights.json", "chain/nodes.rlp") or name.endswith(("/record.bin", "/roots.json"))
+        large = lambda name: name in ("manifest.json", "heights.json", "disclosed.bin", "chain/nodes.rlp") or name.endswith(("/record.bin", "/roots.json"))
         if not all(self.FORMS.fullmatch(n) and (large(n) or len(d) <= (2 ** 24 if n == "report.html" else 65_536)) for n, d in self.members.items()):
             raise Refused("something is in the archive that a bundle does not hold")
         if len({name.split("/")[1] for name in names if name.startswith("records/")}) > 10_000:
@@ -580,10 +581,12 @@ class Bundle:
         text = self.members["manifest.json"]
         self.manifest = json.loads(text)
         of_form = lambda found, *names: set(found) == set(names)
-        if not (of_form(self.manifest, "format", "chain", "exporter", "members") and of_form(self.manifest["exporter"], "account", "key")
+        if not (of_form(self.manifest, "format", "suite", "chain", "exporter", "members") and of_form(self.manifest["exporter"], "account", "key")
                 and of_form(self.manifest["chain"], "id", "genesis", "contract")
                 and all(of_form(member, "name", "bytes", "sm3", "sha256") for member in self.manifest["members"])):
             raise Refused("the manifest has not the lines of its form")
+        if self.manifest["suite"] != SUITE:
+            raise Refused("the manifest names another suite")
         listed = {name for name in names if name not in ("mimetype", "manifest.json", "manifest.der")}
         if self.manifest["format"] != "authros-evidence/1" or [m["name"] for m in self.manifest["members"]] != sorted(listed):
             raise Refused("the manifest does not name the members")
@@ -607,6 +610,7 @@ class Bundle:
         for name, data in of("records/").items():
             if name.endswith("anchor.json"):
                 self.anchor_of_form(json.loads(data))
+        self.secrets = self.listed_secrets()
         self.heights = self.listed_heights()
         self.stamped = self.listed_stamps()
         nodes = rlp(self.members["chain/nodes.rlp"]) if "chain/nodes.rlp" in self.members else []
@@ -624,6 +628,24 @@ class Bundle:
         signed = b"DSSEv1 %d %s %d %s" % (len(kind), kind, len(text), text)
         if key is None or not sm2_verify(key, signed, self.members["manifest.der"]):
             raise Refused("the manifest is not signed by its exporter's key")
+
+    def listed_secrets(self):
+        """The secrets of the disclosed records, by digest."""
+        listed, signature = self.members.get("disclosed.bin"), self.members.get("disclosed.der")
+        if listed is None and signature is None:
+            return {}
+        if not listed or signature is None or len(listed) % 64 or len(listed) > 640_000:
+            raise Refused("the disclosure is not whole")
+        try:
+            der_numbers(signature)
+        except (IndexError, ValueError):
+            raise Refused("the disclosure's signature is malformed") from None
+        pairs = [(listed[at:at + 32], listed[at + 32:at + 64]) for at in range(0, len(listed), 64)]
+        if any(one[0] >= after[0] for one, after in zip(pairs, pairs[1:])):
+            raise Refused("the disclosure is not in the order of its digests")
+        if any(f"records/{digest.hex()}/record.bin" not in self.members for digest, _ in pairs):
+            raise Refused("the disclosure names a record that is not in the bundle")
+        return dict(pairs)
 
     def listed_stamps(self):
         """Under which imprints roots of batches are, and whether their paths lead there."""
@@ -908,13 +930,12 @@ class Record:
         return "proven"
 
     def opened(self):  # (e)
-        secret, signature = self.member("reveal.bin"), self.member("reveal.der")
-        if secret is None and signature is None:
+        secret = self.bundle.secrets.get(self.digest)
+        if secret is None:
             return "absent"
-        if secret is None or len(secret) != 32 or signature is None:
-            raise Refused("the disclosure is not whole")
-        message = b"AuthROS/reveal/1" + self.domain + self.digest + secret
-        signed = lambda key: key is not None and sm2_verify(key, message, signature)
+        message, signature = b"AuthROS/reveal/2" + self.domain + self.bundle.members["disclosed.bin"], self.bundle.members["disclosed.der"]
+        checked = lambda key: self.bundle.once(("disclosed", key), lambda: sm2_verify(key, message, signature))
+        signed = lambda key: key is not None and checked(key)
         by_owner = signed(self.owner_key) or any(signed(self.bundle.keys.get(key)) for key in self.pinned)
         # Anybody can make an identity for somebody else's account: only the state or a pin says whose a key is.
         tried, all_ = sorted(self.bundle.identities)[:16], len(self.bundle.identities) <= 16
@@ -1234,7 +1255,7 @@ def recording(path, records):
 
 
 # SHA-256 of the text that bundles have as VERIFY.txt.
-READ_ME = "ed828cfed0894d4fb07c442c2d43030b168aa981b68dd39c920d052e103d539e"
+READ_ME = "570b9409b1a4430dca178c9ae8d7d9353dfa37f524c915a4bf90dc04c6ab4ddf"
 
 
 def notes(bundle, tied):

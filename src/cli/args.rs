@@ -148,7 +148,10 @@ pub enum Verb {
         /// Hash of the chain's block 0, from a source other than the folder
         #[arg(long, value_name = "HASH")]
         genesis: Option<String>,
-        /// For a bundle: show the reason of each level for every record, even where nothing is in doubt
+        /// For a bundle: also list each record, by topic and time, with what its owner disclosed
+        #[arg(long, conflicts_with = "genesis")]
+        records: bool,
+        /// For a bundle: as --records, with the reason of each level even where nothing is in doubt
         #[arg(long, conflicts_with = "genesis")]
         verbose: bool,
     },

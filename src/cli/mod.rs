@@ -134,12 +134,13 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
         Verb::Restore { file, check: true } => runtime.block_on(backups::check(context()?, &file, output)),
         Verb::Restore { file, check: false } => check::run_restore(&context()?, &file, output),
         Verb::Evidence(verb) => runtime.block_on(evidence::run(context()?, verb, output)),
-        Verb::Verify { path, trust, recording, genesis: None, verbose }
+        Verb::Verify { path, trust, recording, genesis: None, records, verbose }
             if trust.is_some() || recording.is_some() || evidence::is_bundle(&path) =>
         {
-            evidence::run_verify((&path, recording.as_deref()), trust.as_deref(), verbose, output)
+            let detail = evidence::Detail::of(records, verbose);
+            evidence::run_verify((&path, recording.as_deref()), trust.as_deref(), detail, output)
         }
-        Verb::Verify { path, trust: _, recording: _, genesis, verbose: _ } => {
+        Verb::Verify { path, trust: _, recording: _, genesis, records: _, verbose: _ } => {
             runtime.block_on(check::run_verify(&global, &path, genesis.as_deref(), output))
         }
         Verb::Agent(verb) => runtime.block_on(agent::run(global, verb, output)),

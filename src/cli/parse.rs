@@ -1,7 +1,7 @@
 //! Parses arguments into the model's types, with errors of kind `Input`.
 
 use std::path::{Path, PathBuf};
-use std::{fmt::Display, str::FromStr, time::Duration};
+use std::{fmt::Display, io::BufRead as _, str::FromStr, time::Duration};
 
 use super::args::ListArguments;
 use crate::model::{Clock, ErrorKind, SignerId, Timestamp, TopicPattern, bytes::unhex, clean, positive_span};
@@ -24,6 +24,12 @@ pub fn optional<T: FromStr<Err: Display>>(text: Option<&str>) -> Result<Option<T
 
 pub fn values<T: FromStr<Err: Display>>(texts: &[String]) -> Result<Vec<T>, Failure> {
     texts.iter().map(|text| value(text)).collect()
+}
+
+/// Whether this word is typed, and nothing else.
+pub fn typed(word: &str) -> bool {
+    let mut line = String::new();
+    std::io::stdin().lock().read_line(&mut line).is_ok_and(|_| line.trim() == word)
 }
 
 pub fn absolute(path: &Path) -> Result<PathBuf, Failure> {

@@ -1,6 +1,6 @@
 //! `retention`: erasing chosen records; what rules delete is decided by the settings.
 
-use std::io::{BufRead as _, IsTerminal as _, Read as _};
+use std::io::{IsTerminal as _, Read as _};
 use std::path::Path;
 
 use clap::Subcommand;
@@ -69,7 +69,7 @@ async fn erase(client: &Client, wishes: ErasureWishes, asks: bool, output: &Outp
     let is_sure = asks && view.records > 0 && view.held.is_empty() && {
         output.note(&text(&view));
         output.note(&format!("type '{WORD}' to erase them permanently:"));
-        confirmed()
+        parse::typed(WORD)
     };
     let view = if is_sure { client.ask(EraseRecords(ErasureWishes { sure: true, ..wishes })).await? } else { view };
     output.result(&view, || text(&view));
@@ -97,11 +97,6 @@ fn tag_of(file: &str) -> Result<String, Failure> {
         }
         hasher.update(bytes);
     }
-}
-
-fn confirmed() -> bool {
-    let mut line = String::new();
-    std::io::stdin().lock().read_line(&mut line).is_ok_and(|_| line.trim() == WORD)
 }
 
 fn text(view: &ErasureView) -> String {

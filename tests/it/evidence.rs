@@ -179,7 +179,7 @@ fn a_bundle_is_verified_on_another_machine_and_every_lie_is_refused() {
     assert!(list(&report, "complete").iter().all(is_whole), "{report}");
     let page = String::from_utf8(unzipped(&bundle, "report.html")).expect("text");
     for part in [
-        "This page is not authoritative",
+        "This page proves nothing",
         "/robot1/odom",
         revealed.as_str(),
         "Pose covariance",
@@ -197,33 +197,32 @@ fn a_bundle_is_verified_on_another_machine_and_every_lie_is_refused() {
     refused(&home, &bundle, &trust);
 }
 
+/// `verify` as people see it.
+pub(crate) fn printed(bundle: &Path, trust: &Path, options: &[&str]) -> String {
+    let empty = tempfile::tempdir().expect("directory");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_authros"));
+    command.env_clear().env("HOME", empty.path()).arg("verify").arg(bundle).arg("--trust").arg(trust).args(options);
+    Running::start(command).wait(60).expect_code(8).stdout
+}
+
 /// The text output.
 fn told(home: &Home, bundle: &Path, trust: &Path) {
-    let shown = |trust: &Path| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_authros"));
-        command.env_clear().env("HOME", home.root()).arg("verify").arg(bundle).arg("--trust").arg(trust);
-        Running::start(command).wait(60).expect_code(8).stdout
-    };
-    let own = shown(trust);
-    let last = own.trim_end().lines().last();
-    assert_eq!(
-        last,
-        Some("supported only by the exporter's self-sealed chain, which proves nothing against the exporter"),
-        "{own}"
-    );
-    assert!(own.contains("note: report.html was not checked") && !own.contains("VERIFY.txt"), "{own}");
-    assert!(own.contains("'/robot1/odom' nav_msgs/Odometry") && own.contains("(f) self-sealed chain: topic"), "{own}");
+    let own = printed(bundle, trust, &[]);
+    assert!(own.starts_with("NOT FULLY PROVEN: only the exporter's own chain supports the file"), "{own}");
+    assert!(own.lines().count() <= 25 && own.lines().all(|line| line.chars().count() <= 80), "{own}");
+    assert!(own.contains("Not checked: report.html") && !own.contains("VERIFY.txt"), "{own}");
+    assert!(!own.contains("record no."), "no record without --records: {own}");
+    let all = printed(bundle, trust, &["--records"]);
+    assert!(all.starts_with(&own), "the verdict first: {all}");
+    assert!(all.contains("note: report.html was not checked"), "{all}");
+    assert!(all.contains("'/robot1/odom' nav_msgs/Odometry") && all.contains("(f) self-sealed chain: topic"), "{all}");
     let denied = home.root().join("denied.toml");
     let pins = fs::read_to_string(trust).expect("text");
     let denying = pins.replace("sealed_by_exporter = true", "sealed_by_exporter = false");
     assert_ne!(pins, denying);
     fs::write(&denied, denying).expect("written");
-    let told = shown(&denied);
-    assert!(
-        told.contains(
-            "your trust file says that others seal this chain, but its headers say that a single program does"
-        )
-    );
+    let told = printed(bundle, &denied, &[]);
+    assert!(told.contains("Your trust file says that others seal this chain; its blocks say that one"), "{told}");
     expect_agreement(bundle, Some(&denied));
     let unsaid = home.root().join("unsaid.toml");
     fs::write(&unsaid, pins.replace("sealed_by_exporter = true", "")).expect("written");

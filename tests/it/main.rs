@@ -54,6 +54,7 @@ mod packages;
 mod passphrases;
 mod places;
 mod playing;
+mod questions;
 mod read_only;
 mod real_chain;
 mod real_ros;

@@ -168,7 +168,7 @@ fn batches_are_stamped_by_an_authority_and_the_stamps_are_checked_offline() {
     by_hand(folder.path(), &bundle);
     on_another_machine(&authros, &home, &bundle, &trust);
     let page = String::from_utf8(unzipped(&bundle, "report.html")).expect("text");
-    let before = "Existed before (trusted timestamp)</td><td>20";
+    let before = " UTC, by the clock of The notary.</li>";
     assert!(page.contains(before) && page.contains("openssl ts -verify"), "{page}");
 
     let (pins, _) = suggested.split_once("[[authority]]").expect("an authority is suggested");

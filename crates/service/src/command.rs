@@ -134,7 +134,7 @@ requests! {
     ShowUpload { id: String } => Provenance, LOOK;
     /// One own record's files for third parties to check; accounts are redacted without `addresses`.
     ExportUpload { id: String, addresses: bool } => Vec<ExportedFile>, OWNER;
-    /// Own records with all their proofs, in one file.
+    /// Own records with all their proofs, in one file; or what that file would disclose.
     ExportEvidence(wishes: EvidenceWishes) => EvidenceView, OWNER;
     /// Request time stamps now for what the authorities have not stamped yet.
     StampEvidence => StampView, OWNER;
@@ -294,6 +294,14 @@ pub struct EvidenceWishes {
     pub until: Option<Timestamp>,
     /// Ids of records to disclose.
     pub reveal: Vec<String>,
+    /// Disclose the messages of these topics, as far as they are chosen.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub reveal_topics: Vec<TopicPattern>,
+    /// Disclose every chosen message.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub reveal_all: bool,
+    /// Write the file; otherwise only show what it would disclose.
+    pub sure: bool,
 }
 
 requests! {

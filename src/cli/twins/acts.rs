@@ -10,7 +10,7 @@ use crate::app::{Errand, Settings, State, Tag, palette};
 use crate::cli::args::Arguments;
 use crate::model::{Address, IncidentName, Party, Timestamp, TopicName};
 use crate::service::command::{
-    Administration, CloseIncident, Held, NoteIncident, OpenIncident, Pace, PlayWishes, RemoveIncident, SetRobotPolicy,
+    Administration, CloseIncident, EvidenceWishes, ExportEvidence, Held, NoteIncident, OpenIncident, Pace, PlayWishes, RemoveIncident, SetRobotPolicy,
     ShowRobot,
 };
 use crate::service::{Command, GrantFrom, KeyKind, SecretText};
@@ -57,10 +57,11 @@ fn place(tag: &Tag) -> Option<usize> {
         Tag::Play(_) => 26,
         Tag::Robot(_) => 27,
         Tag::SetPolicy(..) => 28,
+        Tag::Evidence(_) => 29,
     })
 }
 
-const ACTS: usize = 29;
+const ACTS: usize = 30;
 
 /// An act, and the line that a person would type for it.
 type Act = (Tag, Command, String);
@@ -172,12 +173,21 @@ fn acts_of_incidents() -> Vec<Act> {
         robots: Vec::new(),
     };
     let opened = format!("incident open fall --since {END} --topic /robot1/odom --note='it'\\''s down'");
+    let evidence = EvidenceWishes {
+        file: "/case/fall.authros".into(),
+        incident: Some(incident()),
+        reveal_topics: vec!["/robot1/*".parse().expect("a pattern")],
+        sure: true,
+        ..EvidenceWishes::default()
+    };
+    let exported = "evidence export /case/fall.authros --incident fall --reveal-topic '/robot1/*' --yes";
     let note = NoteIncident { name: incident(), text: "-5 degrees".to_owned() };
     vec![
         of(Deed::Open, open.into(), &opened),
         of(Deed::Note, note.into(), "incident note fall -- '-5 degrees'"),
         of(Deed::Close, CloseIncident { name: incident() }.into(), "incident close fall"),
         of(Deed::Remove, RemoveIncident { name: incident() }.into(), "incident remove fall --yes"),
+        (Tag::Evidence(incident()), ExportEvidence(evidence).into(), exported.to_owned()),
     ]
 }
 

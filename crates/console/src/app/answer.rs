@@ -10,7 +10,7 @@ use super::incidents::{self, Deed};
 use super::popup::{Popup, Purpose, tell};
 use super::update::Feed;
 use super::verb::{Contents, Effect, Tag};
-use super::{Screen, State, granting, identity_path, opening, palette, perform, policies};
+use super::{Screen, State, evidence, granting, identity_path, opening, palette, perform, policies};
 use crate::model::{ErrorKind, Verdict};
 use crate::service::command::{self as ask, Ask, SecretBytes};
 use crate::service::reply::{CheckView, ExportedFile, IdentityView};
@@ -76,6 +76,9 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) {
         Tag::Incident(Deed::Remove, _) => incident_removed(state, tag, result),
         Tag::Incident(deed, _) => done(state, tag, ask::OpenIncident::heard(result), |state, view| {
             incidents::changed(state, *deed, view);
+        }),
+        Tag::Evidence(_) => done(state, tag, ask::ExportEvidence::heard(result), |state, view| {
+            evidence::written(state, &view);
         }),
         Tag::Robot(name) => policies::shown(state, name, ask::ShowRobot::heard(result)),
         Tag::SetPolicy(robot, _) => policy_set(state, tag, robot, result),
@@ -311,7 +314,7 @@ fn touched_by(tag: &Tag) -> &'static [Feed] {
         Tag::Feed(..) | Tag::OpenConsole | Tag::CreateIdentity | Tag::Unlock | Tag::Register | Tag::Lock => &[],
         Tag::ExportKey(_) | Tag::BackUp | Tag::Export(_) | Tag::Play(_) | Tag::StopPlay => &[],
         Tag::Publishers(_) | Tag::Show(_) | Tag::Beside(..) | Tag::Open(_) | Tag::Path(_) | Tag::Check(_) => &[],
-        Tag::Robot(_) | Tag::Foresee(_) => &[],
+        Tag::Robot(_) | Tag::Foresee(_) | Tag::Evidence(_) => &[],
     }
 }
 

@@ -7,7 +7,7 @@ use super::popup::{Confirm, Popup, Purpose, moved};
 use super::screens::day;
 use super::update::Feed;
 use super::verb::{Errand, Tag};
-use super::{Screen, State, granting, palette, table};
+use super::{Screen, State, evidence, granting, palette, table};
 use crate::model::{Direction, IncidentName, Timestamp};
 use crate::service::command::{CloseIncident, NoteIncident, OpenIncident, RemoveIncident};
 use crate::service::reply::IncidentView;
@@ -109,7 +109,7 @@ fn possible(state: &State, list: &IncidentList) -> Vec<[&'static str; 3]> {
         (["c", "close", "End its span now; its records stay held"], changes && open),
         (["x", "remove", "Remove it: retention may then delete what only it held"], changes && one),
         (["y", "copy command", "Copy the equivalent command line"], one),
-        (["e", "copy export", "Copy the command line that exports it as an evidence bundle"], one),
+        (["e", "export", "Export it as an evidence bundle, and choose what becomes readable"], one),
         (["q", "back", "Close this window"], true),
         (["pgup pgdn", "scroll", "Scroll what the incident holds"], one),
     ];
@@ -155,11 +155,7 @@ pub fn key(state: &mut State, mut list: IncidentList, key: Key) {
             let line = palette::of_words(state, &format!("incident show {}", row.name));
             copy(state, line);
         }
-        (Key::Char('e'), Some(row)) => {
-            let words = format!("evidence export {0}.authros --incident {0}", row.name);
-            let line = palette::of_words(state, &words);
-            copy(state, line);
-        }
+        (Key::Char('e'), Some(row)) => evidence::begin(state, &row.name),
         _ => {}
     }
 }
@@ -318,7 +314,7 @@ fn removal(row: &IncidentView) -> Confirm {
     let lines = vec![
         format!("It holds   {} records", row.records),
         "Its notes are deleted, and retention may delete what no other incident holds.".to_owned(),
-        "What retention deletes cannot be restored: export it first (e copies the command).".to_owned(),
+        "What retention deletes cannot be restored: export it first (e).".to_owned(),
     ];
     let tag = Tag::Incident(Deed::Remove, row.name.clone());
     let errand = Errand { command: RemoveIncident { name: row.name.clone() }.into(), tag };

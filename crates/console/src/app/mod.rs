@@ -9,6 +9,7 @@ pub mod form;
 pub mod granting;
 pub mod history;
 pub mod identity_path;
+pub mod evidence;
 pub mod incidents;
 pub mod keymap;
 pub mod leaving;

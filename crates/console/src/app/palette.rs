@@ -11,7 +11,7 @@ use super::popup::{Palette, Popup, Purpose};
 use super::verb::{Effect, Errand, Tag, Verb, kind_word};
 use super::{Settings, State, choosing, granting};
 use crate::model::{Timestamp, clean, is_shown};
-use crate::service::command::{Administration, IncidentCommand, PlayWishes};
+use crate::service::command::{Administration, EvidenceWishes, IncidentCommand, PlayWishes};
 use crate::service::{Command, KeyKind};
 
 #[allow(clippy::wildcard_enum_match_arm, reason = "any other key is typed")]
@@ -160,6 +160,7 @@ fn act(errand: &Errand) -> Option<String> {
         Tag::Unwatch(topic) => format!("topics unwatch {}", quoted(topic)),
         Tag::Grant(_) | Tag::Extend(_) | Tag::Revoke(_) | Tag::LoadKey(_) | Tag::ExportKey(_) => of_command(command)?,
         Tag::Unpin(_) | Tag::Contact(_) | Tag::Incident(..) | Tag::Administer(_) | Tag::Play(_) => of_command(command)?,
+        Tag::Evidence(_) => of_command(command)?,
         Tag::Rotate => "keys rotate".to_owned(),
         Tag::Lock => "identity lock".to_owned(),
         Tag::BackUp => "keys backup --out FILE".to_owned(),
@@ -196,6 +197,7 @@ fn of_command(command: &Command) -> Option<String> {
             format!("grants extend {grantee}{}", expires.map_or_else(|| " --endless".to_owned(), until))
         }
         Command::Revoke { grantee } => format!("revoke {grantee}"),
+        Command::ExportEvidence(wishes) => of_evidence(wishes),
         Command::LoadKey { kind, path, passphrase } => {
             let path = quoted(&path.to_string_lossy());
             format!("keys load --{} {path}{}", flag(*kind), keystore(passphrase.is_some()))
@@ -258,6 +260,14 @@ fn of_incident(command: &IncidentCommand) -> String {
         IncidentCommand::ListIncidents => "incident list".to_owned(),
         IncidentCommand::ShowIncident { name } => format!("incident show {name}"),
     }
+}
+
+fn of_evidence(wishes: &EvidenceWishes) -> String {
+    let mut words = format!("evidence export {}", quoted(&wishes.file.to_string_lossy()));
+    words.extend(wishes.incident.as_ref().map(|name| format!(" --incident {name}")));
+    words.extend(wishes.reveal_all.then_some(" --reveal all"));
+    words.extend(wishes.reveal_topics.iter().map(|topic| format!(" --reveal-topic {}", quoted(topic.as_str()))));
+    format!("{words} --yes")
 }
 
 fn of_playback(wishes: &PlayWishes) -> String {

@@ -14,7 +14,7 @@ use super::perform::{self, copy, perform};
 use super::screens::{LogLine, earlier, end, is_active, is_given, scope};
 use super::update::Feed;
 use super::verb::{Entry, Errand, Tag, VERBS, Verb};
-use super::{State, palette, policies};
+use super::{State, evidence, palette, policies};
 use crate::model::TopicName;
 use crate::service::command::Held;
 use crate::service::reply::{GrantForesight, GrantRow, NOTHING_OLDER, PinsView, Provenance, RobotView, TopicRow};
@@ -57,7 +57,9 @@ impl Popup {
     pub fn feeds(&self) -> &'static [Feed] {
         match self {
             Self::Form(Purpose::Grant, _) => &[Feed::Grants, Feed::Contacts, Feed::Topics],
-            Self::Form(Purpose::OpenIncident, _) | Self::Incidents(_) => &[Feed::Incidents, Feed::Topics],
+            Self::Form(Purpose::OpenIncident | Purpose::ExportEvidence, _) | Self::Incidents(_) => {
+                &[Feed::Incidents, Feed::Topics]
+            }
             Self::Confirm(_) | Self::Readers(_) => &[Feed::Grants],
             Self::Contacts(_) => &[Feed::Contacts, Feed::Topics],
             Self::Tasks => &[Feed::Chain, Feed::Progress],
@@ -79,6 +81,7 @@ pub enum Purpose {
     AddContact,
     OpenIncident,
     NoteIncident,
+    ExportEvidence,
     SetPolicy,
     Profile,
     Unpin,
@@ -500,8 +503,8 @@ fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) {
     }
     // The form that led here is done.
     let led_here = |purpose: &Purpose| {
-        use Purpose::{Administer, Extend, Grant, LoadKey, SetPolicy};
-        matches!(purpose, Grant | Extend | LoadKey | Administer(_) | SetPolicy)
+        use Purpose::{Administer, ExportEvidence, Extend, Grant, LoadKey, SetPolicy};
+        matches!(purpose, Grant | Extend | LoadKey | Administer(_) | SetPolicy | ExportEvidence)
     };
     let form = state.popups.iter().position(|popup| matches!(popup, Popup::Form(purpose, _) if led_here(purpose)));
     if let Some(Popup::Form(purpose, form)) = form.map(|place| state.popups.remove(place)) {
@@ -528,7 +531,7 @@ fn need_of(confirm: &Confirm) -> Option<Need> {
         Tag::Foresee(_) => None,
         Tag::LoadKey(_) | Tag::Release(_) | Tag::Discard(_) | Tag::Deploy => Some(Need::Unlocked),
         Tag::Open(_) | Tag::Path(_) | Tag::Check(_) | Tag::Export(_) | Tag::ExportKey(_) => Some(Need::Unlocked),
-        Tag::Play(_) | Tag::SetPolicy(..) => Some(Need::Unlocked),
+        Tag::Play(_) | Tag::SetPolicy(..) | Tag::Evidence(_) => Some(Need::Unlocked),
         Tag::Extend(_) | Tag::Administer(_) => Some(Need::Registered),
         Tag::Register | Tag::Watch(_) | Tag::Unwatch(_) | Tag::Grant(_) | Tag::Revoke(_) | Tag::Rotate => {
             Some(Need::Registered)
@@ -540,6 +543,7 @@ fn form_key(state: &mut State, purpose: Purpose, mut form: Form, key: Key) {
     let completes: fn(&State, &mut Form) -> bool = match purpose {
         Purpose::Grant => granting::complete,
         Purpose::OpenIncident => incidents::complete,
+        Purpose::ExportEvidence => evidence::complete,
         Purpose::SetPolicy => policies::complete,
         _ => |_, _| false,
     };
@@ -586,6 +590,10 @@ fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<(), Wrong>
         Purpose::AddContact => state.send(granting::read(form)?),
         Purpose::OpenIncident => state.send(incidents::read(state, form)?),
         Purpose::NoteIncident => state.send(incidents::read_note(form)?),
+        Purpose::ExportEvidence => {
+            let question = evidence::read(state, form)?;
+            state.popups.push(Popup::Confirm(question));
+        }
         Purpose::Export => palette::submit(state, form),
         Purpose::SetPolicy => policies::submit(state, form)?,
         Purpose::Profile => perform::switch(state, form.parsed(0)?),

@@ -386,6 +386,8 @@ pub enum Tag {
     Export(String),
     Contact(String),
     Incident(Deed, IncidentName),
+    /// An incident's bundle.
+    Evidence(IncidentName),
     Robot(String),
     /// From this file; `None` = cleared.
     SetPolicy(String, Option<PathBuf>),
@@ -435,6 +437,7 @@ impl Tag {
             Self::Check(id) => format!("checking {id}"),
             Self::Export(id) => format!("exporting {id}"),
             Self::Incident(deed, name) => deed.words(name),
+            Self::Evidence(name) => format!("exporting incident {name} as evidence"),
             Self::Contact(name) => format!("changing contact {name}"),
             Self::Robot(name) => format!("looking up robot {name}"),
             Self::SetPolicy(robot, Some(_)) => format!("setting the policy of {robot}"),

@@ -132,8 +132,8 @@ fn members_of_another_bundle_are_noticed_though_they_are_signed_for() {
         ("chain/40.rlp", Incomplete, "the state after block 40 is not in the bundle"),
         ("chain/41.rlp", Incomplete, "sealed by 1 of 3 pinned signers; 2 are required"),
         ("chain/nodes.rlp", Incomplete, "the state after block 40 is not in the bundle"),
-        ("reveal.bin", Refused, "not signed by its owner"),
-        ("reveal.der", Refused, "not signed by its owner"),
+        ("disclosed.bin", Refused, "which is not in the bundle"),
+        ("disclosed.der", Refused, "not signed by its owner"),
         ("identities/", Refused, "is filed under another identity's name"),
     ] {
         row(&format!("{part} of another bundle"), &swapped(&mine, &theirs, part), &trust, outcome, words);

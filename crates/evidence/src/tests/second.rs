@@ -11,7 +11,7 @@ use super::hostile::unanchored;
 use super::world::{BLOCK, GATEWAY, TIME, World, bound, genesis, ours, pair, sealed, sealed_as};
 use crate::archive::{self, Members};
 use crate::manifest::{MANIFEST, Manifest, signed_bytes};
-use crate::{Bundle, BundledRecord, Exporter, Outcome, Packing, Person, Slot, Stretch, Trust, disclose, pack, verify};
+use crate::{Bundle, BundledRecord, Exporter, Outcome, Packing, Person, Slot, Stretch, Trust, pack, verify};
 
 fn python(arguments: &[&str]) -> Option<Output> {
     match Command::new("python3").arg("-B").args(arguments).output() {
@@ -278,10 +278,9 @@ fn both_say_the_same_of_disclosures() {
             continue;
         }
         let one = sealed_as(world.owner, &world.keys, &world.topic_key, 9, (&packed, length, Compression::Lz4));
-        let secret = RecordSecret::of(&world.topic_key, &one.header);
-        let disclosure = Some(disclose(secret, (&bound(), &one.digest), &world.keys, ours()).expect("signs"));
         let mut packing = world.packing();
-        packing.record(one.digest, BundledRecord { disclosure, ..unanchored(one) }).expect("added");
+        packing.disclosure(&world.disclosing([&one]));
+        packing.record(one.digest, unanchored(one)).expect("added");
         agree(&signed(packing, &world), &World::trust(), outcome);
     }
 }

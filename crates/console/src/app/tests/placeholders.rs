@@ -26,6 +26,8 @@ const DESCRIBED: &[(&str, &[&str])] = &[
     ("EOA: protects the V3 keystore", &["eight ch"]),
     ("at least 8 characters", &["eight ch"]),
     ("name of a robot", &["scout"]),
+    ("name of an incident", &["bump"]),
+    ("topics or patterns", &["/robot1/odom", "/robot*/odom", "/robot1/odom,/robot?/*"]),
     ("path to a TOML file", &["policies/scout.toml", "/policies/scout.toml", "~/scout.toml"]),
 ];
 
@@ -61,7 +63,8 @@ fn purposes() -> Vec<Purpose> {
         P::Unpin => Some(P::AddContact),
         P::AddContact => Some(P::OpenIncident),
         P::OpenIncident => Some(P::NoteIncident),
-        P::NoteIncident => Some(P::SetPolicy),
+        P::NoteIncident => Some(P::ExportEvidence),
+        P::ExportEvidence => Some(P::SetPolicy),
         P::SetPolicy => Some(P::Profile),
         P::Profile => Some(P::Administer(Act::Admit)),
         P::Administer(Act::Admit) => Some(P::Administer(Act::Suspend)),
@@ -93,7 +96,7 @@ fn asked(purpose: Purpose) -> Robot {
         Purpose::Extend => opens(Verb::Extend, "5"),
         Purpose::AddContact => opens(Verb::Contacts, "5"),
         Purpose::OpenIncident => opens(Verb::Incident, "2"),
-        Purpose::NoteIncident => opens(Verb::Incidents, "3"),
+        Purpose::NoteIncident | Purpose::ExportEvidence => opens(Verb::Incidents, "3"),
         Purpose::SetPolicy => {
             fixtures::robots::at_the_gateway(&mut robot);
             opens(Verb::SetPolicy, "8")
@@ -125,6 +128,10 @@ fn asked(purpose: Purpose) -> Robot {
             let rows = vec![fixtures::incident("bump", true)];
             robot.state.incidents.set(rows, fixtures::NOW);
             robot.types("a");
+        }
+        Purpose::ExportEvidence => {
+            robot.state.incidents.set(vec![fixtures::incident("bump", true)], fixtures::NOW);
+            robot.types("e");
         }
         _ => {}
     }

@@ -102,9 +102,14 @@ fn members_that_are_not_of_their_form_are_refused_by_both_though_they_are_signed
     say("a record without its bytes", &without(&world, "record.bin"), "record.bin: is missing");
     say("a record without its signature", &without(&world, "signature.der"), "signature.der: is missing");
     say("a malformed signature", &with(&world, "signature.der", |bytes| bytes.push(0)), "signature.der");
-    say("a secret without its signature", &without(&world, "reveal.der"), "reveal.der: is missing");
-    say("a signature without its secret", &without(&world, "reveal.bin"), "reveal.bin: is missing");
-    say("a secret that is too short", &with(&world, "reveal.bin", |bytes| bytes.truncate(31)), "not exactly 32 bytes");
+    say("a disclosure without its signature", &without(&world, "disclosed.der"), "disclosed.der: is missing");
+    say("a disclosure without its list", &without(&world, "disclosed.bin"), "disclosed.bin: is missing");
+    let cut = |bytes: &mut Vec<u8>| bytes.truncate(63);
+    say("a secret that is too short", &with(&world, "disclosed.bin", cut), "a list of digests and secrets");
+    let twice = |bytes: &mut Vec<u8>| bytes.extend_from_within(..);
+    say("a record disclosed twice", &with(&world, "disclosed.bin", twice), "in the order of its digests");
+    let suite = |bytes: &mut Vec<u8>| edited(bytes, "SM4-GCM", "SM4-CCM");
+    say("a manifest of another suite", &relisted(&world, suite), "or other algorithms");
     say(
         "a header under another number",
         &renamed(&world, "chain/41.rlp", |_| "chain/43.rlp".into()),
@@ -184,9 +189,14 @@ fn compressed(pem: &str) -> String {
 
 /// A manifest that says more than the form has, signed by its exporter.
 fn more_lines(world: &World) -> Members {
+    relisted(world, |text| edited(text, "\"format\":", "\"more\": 1, \"format\":"))
+}
+
+/// Another manifest, signed by its exporter.
+fn relisted(world: &World, change: impl FnOnce(&mut Vec<u8>)) -> Members {
     let mut members = world.members();
     let text = members.get_mut(MANIFEST).expect("there");
-    edited(text, "\"format\":", "\"more\": 1, \"format\":");
+    change(text);
     let signed = crate::manifest::signed_bytes(text);
     let signature = ours().sign(&world.keys.secret, &signed).expect("signs");
     members.insert("manifest.der".into(), authros_crypto::signature_der(&signature));

@@ -6,7 +6,8 @@ mod time;
 pub use self::page::definition_of;
 pub(in crate::site) use self::time::TimeStamps;
 
-use std::collections::BTreeSet;
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -22,12 +23,12 @@ use crate::command::EvidenceWishes;
 use crate::crypto::private_file;
 use crate::event::NoticeLevel;
 use crate::failure::input;
-use crate::model::{Digest, RecordState, Timestamp, clean};
+use crate::model::{Digest, RecordKind, RecordState, Timestamp, TopicPattern, clean};
 use crate::pipeline::chain_proofs::{Collected, Rounds, collect};
 use crate::pipeline::evidence::{MOST_RECORDS, gather};
 use crate::pipeline::reader::Reader;
 use crate::pipeline::{Network, Owner, PipelineError};
-use crate::reply::{EvidenceView, Failure, HealthLevel, IncidentView, PartHealth};
+use crate::reply::{DisclosedTopic, EvidenceView, Failure, HealthLevel, IncidentView, PartHealth};
 use crate::store::{RecordQuery, RecordRow};
 
 const PAGE: usize = 1000;
@@ -52,10 +53,9 @@ impl Evidence {
         let about = wanted.map(|name| block_in_place(|| incidents::view(kept, owner.address, name))).transpose()?;
         let mut rows = self.chosen(owner, &wishes)?;
         let left_out = about.as_ref().map_or_else(Vec::new, |about| leave_out(&mut rows, about, &wishes.records));
-        let mut reveal = BTreeSet::new();
-        for id in &wishes.reveal {
-            let row = self.reading.own_record(&owner.profile, id)?;
-            reveal.insert(row.digest);
+        let named = wishes.reveal.iter().map(|id| self.reading.own_record(&owner.profile, id));
+        let named = named.collect::<Result<Vec<RecordRow>, Failure>>()?;
+        for row in &named {
             if !rows.iter().any(|known| known.digest == row.digest) {
                 rows.push(row.clone());
             }
@@ -64,23 +64,45 @@ impl Evidence {
             let none = "that selection contains none of your records; `authros uploads list` shows them".to_owned();
             return Err(input([vec![none], left_out].concat().join("; ")));
         }
-        for row in rows.iter().filter(|row| reveal.contains(&row.digest)) {
-            // A disclosure cannot be undone: logged before anything leaves.
-            self.parts.log.begin(owner, "disclose record", &row.id).await?;
+        let of_topics = of_topics(&rows, &wishes)?;
+        let reveal: BTreeSet<Digest> =
+            named.iter().map(|row| row.digest).chain(of_topics.values().flatten().map(|row| row.digest)).collect();
+        if !wishes.sure {
+            let (records, revealed) = (rows.len() as u64, reveal.len() as u64);
+            let file = wishes.file.display().to_string();
+            let topics = disclosed_topics(&rows, &reveal);
+            return Ok(EvidenceView { file, bytes: 0, records, revealed, topics, written: false, notes: left_out });
         }
         let file = clean(&wishes.file.display().to_string(), 300);
+        let named = named.iter().map(|row| ("disclose record", row.id.clone()));
+        let in_bulk = of_topics.iter().map(|(topic, rows)| ("disclose topic", self.bulk(topic, rows)));
+        // A disclosure cannot be undone: logged before anything leaves.
+        let deeds: Vec<(&str, String)> = named.chain(in_bulk).collect();
+        for (deed, subject) in &deeds {
+            self.parts.log.begin(owner, deed, subject).await?;
+        }
         self.parts.log.begin(owner, "export evidence", &file).await?;
         let written = self.write_evidence(owner, &network, (&rows, &reveal), about.as_ref(), &wishes.file).await;
         let written = written.map(|mut view| {
             view.notes.extend(left_out);
             view
         });
-        for row in rows.iter().filter(|row| reveal.contains(&row.digest)) {
+        for (deed, subject) in &deeds {
             let ended = written.as_ref().map(|_| ()).map_err(Clone::clone);
             // `export evidence` reports the failure once.
-            drop(self.parts.log.end(owner, "disclose record", &row.id, ended).await);
+            drop(self.parts.log.end(owner, deed, subject, ended).await);
         }
         self.parts.log.end(owner, "export evidence", &file, written).await
+    }
+
+    /// The audit log's words for records that are disclosed together; their digests can be compared with the file's.
+    fn bulk(&self, topic: &str, rows: &[&RecordRow]) -> String {
+        let digests: BTreeSet<Digest> = rows.iter().map(|row| row.digest).collect();
+        let listed: Vec<&[u8]> = digests.iter().map(|digest| digest.0.as_slice()).collect();
+        let times = || rows.iter().map(|row| row.captured_at);
+        let (first, last) = (times().min().unwrap_or_default(), times().max().unwrap_or_default());
+        let list = Digest(self.parts.plant.provider.sm3(&listed));
+        format!("{}: {} records from {first} to {last}, SM3 of their digests {list}", clean(topic, 200), rows.len())
     }
 
     fn chosen(&self, owner: &Owner, wishes: &EvidenceWishes) -> Result<Vec<RecordRow>, Failure> {
@@ -88,7 +110,8 @@ impl Evidence {
         let mut rows = named.collect::<Result<Vec<_>, Failure>>()?;
         let narrowed =
             wishes.topic.is_some() || wishes.since.is_some() || wishes.until.is_some() || wishes.incident.is_some();
-        let named = !wishes.records.is_empty() || !wishes.reveal.is_empty();
+        let in_bulk = wishes.reveal_all || !wishes.reveal_topics.is_empty();
+        let named = !wishes.records.is_empty() || (!wishes.reveal.is_empty() && !in_bulk);
         if named && !narrowed {
             return Ok(rows);
         }
@@ -164,9 +187,39 @@ impl Evidence {
             bytes: bytes.len() as u64,
             records: gathered.records,
             revealed: gathered.revealed,
+            topics: disclosed_topics(rows, reveal),
+            written: true,
             notes: gathered.notes,
         })
     }
+}
+
+/// The chosen messages and definitions that are to be disclosed together. What a site says of itself never is: it names
+/// all topics.
+fn of_topics<'a>(rows: &'a [RecordRow], wishes: &EvidenceWishes) -> Result<BTreeMap<String, Vec<&'a RecordRow>>, Failure> {
+    let mut found: BTreeMap<String, Vec<&RecordRow>> = BTreeMap::new();
+    let is_content = |row: &&RecordRow| row.kind.is_content() || row.kind == RecordKind::Definition;
+    for row in rows.iter().filter(is_content) {
+        if wishes.reveal_all || wishes.reveal_topics.iter().any(|pattern| pattern.matches(&row.topic)) {
+            found.entry(row.topic.clone()).or_default().push(row);
+        }
+    }
+    let is_unmet = |pattern: &&TopicPattern| !found.keys().any(|topic| pattern.matches(topic));
+    match wishes.reveal_topics.iter().find(is_unmet) {
+        Some(pattern) => Err(input(format!("no chosen message has a topic that matches {pattern}; nothing is disclosed"))),
+        None => Ok(found),
+    }
+}
+
+fn disclosed_topics(rows: &[RecordRow], reveal: &BTreeSet<Digest>) -> Vec<DisclosedTopic> {
+    let mut counts: BTreeMap<String, u64> = BTreeMap::new();
+    for row in rows.iter().filter(|row| reveal.contains(&row.digest)) {
+        *counts.entry(clean(&row.topic, 255)).or_default() += 1;
+    }
+    let mut topics: Vec<_> =
+        counts.into_iter().map(|(topic, records)| DisclosedTopic { topic, records }).collect();
+    topics.sort_by_key(|one| Reverse(one.records));
+    topics
 }
 
 /// Drops what proves nothing in an incident's bundle unless named; says how many.

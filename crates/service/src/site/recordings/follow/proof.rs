@@ -116,7 +116,7 @@ impl Recordings {
         let mut one = Proven { record: Some(row.id.clone()), ..Proven::default() };
         if target.symlink_metadata().is_err() {
             let (file, records, reveal) = (target.clone(), vec![row.id.clone()], vec![row.id.clone()]);
-            let wishes = EvidenceWishes { file, records, reveal, ..EvidenceWishes::default() };
+            let wishes = EvidenceWishes { file, records, reveal, sure: true, ..EvidenceWishes::default() };
             one.notes = self.evidence.export(owner, wishes).await?.notes;
         }
         one.proof = Some(clean(&target.display().to_string(), 300));
