@@ -6,6 +6,9 @@ import { leadsTo, stampLeaf } from "./merkle.js";
 import { ABSENT, Broken, PROVEN, REFUSED, UNPROVEN, level } from "./outcome.js";
 import { checkToken } from "./stamp.js";
 
+/** The last second that nanoseconds of 64 bits can tell. */
+const LAST = 18_446_744_073;
+
 const earlier = (one, other) => (one === undefined || other?.before < one.before ? other : one);
 
 /** What the tokens of one stamp state: the earliest by a pinned authority, and whether one contradicts itself. */
@@ -16,7 +19,7 @@ async function findingOf(imprint, tokens, authorities) {
     try {
       const stamped = await checkToken(token, imprint, pinned);
       const authority = authorities[stamped.pinned]?.name;
-      if (authority !== undefined) found.proven = earlier(found.proven, { before: stamped.before, authority });
+      if (authority !== undefined) found.proven = earlier(found.proven, { before: Math.min(stamped.before, LAST), authority });
     } catch (error) {
       if (!(error instanceof Broken)) throw error;
       found.isRefused = true;

@@ -9,7 +9,7 @@ function said(sentence, facts, most) {
     return found?.[1] ? [filled(found[1], fields)] : [];
   };
   if (!sentence.each) return first([facts.all]);
-  const items = facts.lists[sentence.each];
+  const items = facts.lists[sentence.each] ?? [];
   const texts = items.slice(0, most).flatMap((item) => first([item, facts.all]));
   const left = items.slice(most);
   if (left.length) {
@@ -19,9 +19,11 @@ function said(sentence, facts, most) {
   return texts;
 }
 
-/** The sentences about a report, the outcome first: lists are shortened, and then what is spare left out, until they fit. */
-export function verdictOn(report) {
-  const facts = factsOf(report);
+/** The sentences about a report, the outcome first. */
+export const verdictOn = (report) => sentencesOf(factsOf(report));
+
+/** The sentences about facts: lists are shortened, and then what is spare is left out, until they fit. */
+export function sentencesOf(facts) {
   const told = (most) =>
     WORDING.sentences.flatMap((one) => said(one, facts, most).map((text) => ({ text, isSpare: one.spare === true })));
   const isLong = (all) => all.flatMap(({ text }) => wrapped(text)).length > WORDING.lines;
