@@ -1,6 +1,6 @@
 // verify.html in a headless Chromium without a network, driven through its debugging pipe:
 //   node verify_page.mjs PAGE < CASES
-// CASES is a list of { bundle, trust, drop, picture, pdf, dark }, the files by their paths. Answers on stdout with what the page
+// CASES is a list of { bundle, trust, drop, picture, paper, pdf, dark }, the files by their paths. Answers on stdout with what the page
 // came to in each case, how long it took, and what else happened in it.
 
 import { spawn, spawnSync } from "node:child_process";
@@ -104,7 +104,7 @@ async function drop(browser, files) {
   }
 }
 
-async function judge(browser, page, { bundle, trust, drop: isDropped, picture, pdf, dark }) {
+async function judge(browser, page, { bundle, trust, drop: isDropped, picture, paper, pdf, dark }) {
   browser.events.length = 0;
   const scheme = { name: "prefers-color-scheme", value: dark ? "dark" : "light" };
   await browser.ask("Emulation.setEmulatedMedia", { features: [scheme] });
@@ -134,6 +134,13 @@ async function judge(browser, page, { bundle, trust, drop: isDropped, picture, p
   if (picture) {
     const made = await browser.ask("Page.captureScreenshot", { captureBeyondViewport: true });
     writeFileSync(picture, Buffer.from(made.data, "base64"));
+  }
+  if (paper) {
+    await browser.ask("Emulation.setEmulatedMedia", { media: "print", features: [scheme] });
+    await browser.ask("Emulation.setDeviceMetricsOverride", { width: 794, height: 1123, deviceScaleFactor: 1, mobile: false });
+    const made = await browser.ask("Page.captureScreenshot", { captureBeyondViewport: true });
+    writeFileSync(paper, Buffer.from(made.data, "base64"));
+    await browser.ask("Emulation.setEmulatedMedia", { media: "", features: [scheme] });
   }
   if (pdf) {
     const made = await browser.ask("Page.printToPDF", { preferCSSPageSize: true });

@@ -13,7 +13,8 @@ const CRC = Uint32Array.from({ length: 256 }, (_, byte) => {
   for (let bit = 0; bit < 8; bit++) sum = sum & 1 ? (sum >>> 1) ^ 0xedb88320 : sum >>> 1;
   return sum;
 });
-const WHOLE = "the bundle";
+export const WHOLE = "the bundle";
+export const TOO_LONG = "it is longer than 256 MiB, and no bundle is";
 
 function crc32(bytes) {
   let sum = 0xffffffff;
@@ -39,7 +40,7 @@ function fields(name, content) {
 
 /** Members by name, in their order in the file. `step` hears how many bytes were read. */
 export function unpacked(bytes, step = () => {}) {
-  if (bytes.length > LARGEST) throw new Malformed(WHOLE, "it is longer than 256 MiB, and no bundle is");
+  if (bytes.length > LARGEST) throw new Malformed(WHOLE, TOO_LONG);
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.length);
   const members = new Map();
   const headers = [];

@@ -1,6 +1,6 @@
 // The page: takes the files, starts the thread that checks, and shows what it says. All text from a bundle becomes text nodes.
 
-import { WORDING } from "./wording.js";
+import { WORDING, filled } from "./wording.js";
 
 /* global WORKER */
 const ROWS = 100;
@@ -11,6 +11,7 @@ const place = (id) => document.getElementById(id);
 const chosen = { bundle: undefined, pins: undefined };
 let worker;
 let report;
+let inTime = [];
 let rows = 0;
 
 // Chromium takes a script for a thread only from such a policy; other browsers have none.
@@ -82,6 +83,7 @@ function fail(text) {
 function show(found) {
   worker.terminate();
   report = found;
+  inTime = [...found.records].sort(byTime);
   place("working").hidden = true;
   place("of").textContent = chosen.bundle.name;
   place("sentences").className = found.outcome;
@@ -94,11 +96,18 @@ function show(found) {
   place("details").hidden = found.records.length === 0;
 }
 
+function byTime(one, other) {
+  const parts = (record) => [record.captured_at ?? "", record.topic_id ?? "", record.seq ?? 0, record.digest];
+  const [mine, theirs] = [parts(one), parts(other)];
+  const at = mine.findIndex((part, place) => part !== theirs[place]);
+  return at < 0 ? 0 : mine[at] < theirs[at] ? -1 : 1;
+}
+
 function moreRows() {
-  const next = report.records.slice(rows, rows + ROWS);
+  const next = inTime.slice(rows, rows + ROWS);
   rows += next.length;
   place("records").append(...next.map(recordRow));
-  place("more").hidden = rows >= report.records.length;
+  place("more").hidden = rows >= inTime.length;
 }
 
 function row(cells) {
@@ -108,14 +117,17 @@ function row(cells) {
 }
 
 function levelCell({ standing, reason }) {
-  const cell = element("td", WORDING.standings[standing], standing);
+  const cell = element("td", WORDING.standings[standing], `level ${standing}`);
   if (reason) cell.append(element("div", WORDING.reasons[reason]));
   return cell;
 }
 
+const sealedName = (id) => (id === null ? "" : filled(WORDING.labels.sealed, [{ id: id.slice(0, 8) }]));
+
 function recordRow(record) {
-  const topic = record.disclosed ? `${record.disclosed.topic} (${record.disclosed.type})` : (record.topic_id ?? "");
-  const cells = [record.seq, record.captured_at, topic].map((text) => element("td", text ?? ""));
+  const { disclosed } = record;
+  const topic = disclosed ? `${disclosed.topic} (${disclosed.type})` : sealedName(record.topic_id);
+  const cells = [element("td", record.seq ?? ""), element("td", record.captured_at ?? "", "time"), element("td", topic)];
   cells.push(...LEVELS.map((name) => levelCell(record[name])), element("td", record.block ?? ""));
   const made = row(cells);
   made.title = record.digest;
@@ -125,7 +137,7 @@ function recordRow(record) {
 function topicRow(stretch) {
   const { topic_id: topic, first, last, missing, heads } = stretch;
   return row([
-    element("td", topic),
+    element("td", sealedName(topic)),
     levelCell(stretch),
     ...[first, last, missing, heads?.number].map((text) => element("td", text ?? "")),
   ]);

@@ -1,6 +1,6 @@
 // The thread that checks, so that the page never freezes: a file goes in, progress and a report come out.
 
-import { LARGEST } from "./archive.js";
+import { LARGEST, TOO_LONG, WHOLE } from "./archive.js";
 import { ascii } from "./bytes.js";
 import { check } from "./check.js";
 import { Malformed } from "./outcome.js";
@@ -13,22 +13,20 @@ import { LONGEST_TRUST, Trust, TrustError } from "./trust.js";
 export async function judge(bundle, pins, progress) {
   let trust;
   try {
-    trust = pins && new Trust(await bytesOf(pins, LONGEST_TRUST));
+    // One byte more than may be, so that a longer file is refused without being read.
+    trust = pins && new Trust(new Uint8Array(await pins.slice(0, LONGEST_TRUST + 1).arrayBuffer()));
   } catch (error) {
     if (error instanceof TrustError) return { trust: error.message };
     throw error;
   }
   try {
-    return shown(await check(await bytesOf(bundle, LARGEST), trust, { readMe: ascii(READ_ME), progress }));
+    if (bundle.size > LARGEST) throw new Malformed(WHOLE, TOO_LONG);
+    const bytes = new Uint8Array(await bundle.arrayBuffer());
+    return shown(await check(bytes, trust, { readMe: ascii(READ_ME), progress }));
   } catch (error) {
     if (error instanceof Malformed) return refusal(error.message);
     throw error;
   }
-}
-
-/** Up to one byte more than may be: what is longer is refused without being read. */
-async function bytesOf(file, most) {
-  return new Uint8Array(await file.slice(0, most + 1).arrayBuffer());
 }
 
 /** Answers the page; `tell` passes what it hears. */
