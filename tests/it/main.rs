@@ -90,3 +90,4 @@ mod times;
 mod units;
 mod unreached;
 mod uploads_export;
+mod verify_page;

@@ -34,7 +34,8 @@ class Browser {
       rest = parts.pop();
       parts.forEach((part) => this.hear(JSON.parse(part)));
     });
-    this.process.on("exit", (code) => {
+    this.ended = new Promise((resolve) => this.process.on("exit", resolve));
+    this.ended.then((code) => {
       for (const { reject } of this.waiting.values()) reject(new Error(`Chromium ended with ${code}`));
     });
   }
@@ -60,6 +61,15 @@ class Browser {
     for (const domain of ["Page", "Runtime", "Network", "Log", "DOM"]) await this.ask(`${domain}.enable`);
     const none = { offline: true, latency: 0, downloadThroughput: 0, uploadThroughput: 0 };
     await this.ask("Network.emulateNetworkConditions", none);
+  }
+
+  /** All its processes end. */
+  async close() {
+    this.session = undefined;
+    const late = setTimeout(() => this.process.kill("SIGKILL"), 10_000);
+    await this.ask("Browser.close").catch(() => {});
+    await this.ended;
+    clearTimeout(late);
   }
 
   async value(expression) {
@@ -164,6 +174,6 @@ try {
   for (const one of JSON.parse(readFileSync(0, "utf8"))) found.push(await judge(browser, process.argv[2], one));
   console.log(JSON.stringify(found));
 } finally {
-  browser.process.kill("SIGKILL");
-  rmSync(profile, { recursive: true, force: true, maxRetries: 20 });
+  await browser.close();
+  rmSync(profile, { recursive: true, force: true, maxRetries: 20, retryDelay: 50 });
 }

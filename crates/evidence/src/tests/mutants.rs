@@ -7,6 +7,7 @@ use authros_crypto::signature_der;
 use rlp::RlpStream;
 
 use super::authority::Authority;
+use super::page::{Case, expect_the_same};
 use super::second::script;
 use super::world::{Part, World, genesis, ours};
 use crate::archive::Members;
@@ -14,13 +15,6 @@ use crate::manifest::{MANIFEST, signed_bytes};
 use crate::time::StampTree;
 use crate::{Bundle, Outcome, Packing, Trust, pack, verify};
 use authros_model::Hash;
-
-/// A file with its pins, and what it is.
-struct Case {
-    what: String,
-    bundle: Vec<u8>,
-    trust: Vec<u8>,
-}
 
 /// How our verifier ends.
 fn our_code(case: &Case) -> i32 {
@@ -58,6 +52,7 @@ for at in range(int(number)):
         found.append(verify.main([f"{folder}/{at}.authros", "--trust", f"{folder}/{at}.toml"]))
 print(found)
 "#;
+    expect_the_same(cases);
     let own: Vec<i32> = cases.iter().map(our_code).collect();
     let place = folder.path().to_str().expect("UTF-8");
     let Some(output) = script(text, &format!("{place}\n{}", cases.len())) else { return own };

@@ -12,6 +12,7 @@ use authros_model::Hash;
 
 use super::committed::Commit;
 use super::hostile::unanchored;
+use super::page::{self, Case};
 use super::second::{exit_code, second_opinion};
 use super::world::{BLOCK, TIME, World, genesis, ours, pair, sealed, word};
 use crate::archive::Members;
@@ -52,8 +53,9 @@ thread_local! {
     static UNPUBLISHED: Cell<usize> = const { Cell::new(0) };
 }
 
-/// At the end of each test that has rows.
+/// At the end of each test that has rows; the page is told them, too.
 fn expect_published() {
+    page::expect_the_same_in_chromium();
     assert_eq!(UNPUBLISHED.get(), 0, "rows are not in docs/refusals.md as they are printed above");
 }
 
@@ -81,6 +83,7 @@ fn row(what: &str, members: &Members, trust: &Trust, outcome: Outcome, words: &s
 fn row_of_file(what: &str, file: &[u8], trust: &Trust, outcome: Outcome, words: &str) {
     let (found, told) = judged(file, trust);
     assert_eq!(found, outcome, "{what}: {told}");
+    page::tell(Case::new(what, file, trust));
     let line = told.lines().find(|line| line.contains(words));
     let line = line.unwrap_or_else(|| panic!("{what}: nothing says '{words}' in\n{told}"));
     let Some((code, reasons)) = second_opinion(file, trust) else { return };

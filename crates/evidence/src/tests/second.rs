@@ -8,6 +8,7 @@ use authros_model::Token;
 use authros_model::head::Compression;
 
 use super::hostile::unanchored;
+use super::page;
 use super::world::{BLOCK, GATEWAY, TIME, World, bound, genesis, ours, pair, sealed, sealed_as};
 use crate::archive::{self, Members};
 use crate::manifest::{MANIFEST, Manifest, signed_bytes};
@@ -47,6 +48,7 @@ pub fn agree(members: &Members, trust: &Trust, outcome: Outcome) {
     let report = verify(&Bundle::read(&file, ours()).expect("reads"), Some(trust), ours());
     let levels: Vec<String> = report.records.iter().map(|record| format!("{:?}", record.levels())).collect();
     assert_eq!(report.outcome, outcome, "{levels:?}");
+    page::expect_the_same(&[page::Case::new("a bundle", &pack(members).expect("packs"), trust)]);
     let tool = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tools/verify.py");
     let arguments = [tool, file.to_str().expect("UTF-8"), "--trust", pins.to_str().expect("UTF-8")];
     let Some(output) = python(&arguments) else { return };
