@@ -20,9 +20,19 @@ class Browser {
 
   constructor(program, profile) {
     const options = [
-      "--headless=new", "--no-sandbox", "--no-first-run", "--disable-gpu", "--disable-extensions", "--disable-sync",
-      "--disable-background-networking", "--disable-component-update", "--disable-dev-shm-usage", "--mute-audio",
-      "--remote-debugging-pipe", `--user-data-dir=${profile}`, "about:blank",
+      "--headless=new",
+      "--no-sandbox",
+      "--no-first-run",
+      "--disable-gpu",
+      "--disable-extensions",
+      "--disable-sync",
+      "--disable-background-networking",
+      "--disable-component-update",
+      "--disable-dev-shm-usage",
+      "--mute-audio",
+      "--remote-debugging-pipe",
+      `--user-data-dir=${profile}`,
+      "about:blank",
     ];
     // Without a network of any kind, where this machine can do that.
     const isCut = spawnSync("unshare", ["-rn", "true"]).status === 0;
@@ -118,7 +128,12 @@ async function judge(browser, page, { bundle, trust, drop: isDropped, picture, p
   browser.events.length = 0;
   const scheme = { name: "prefers-color-scheme", value: dark ? "dark" : "light" };
   await browser.ask("Emulation.setEmulatedMedia", { features: [scheme] });
-  await browser.ask("Emulation.setDeviceMetricsOverride", { width: 1000, height: 1000, deviceScaleFactor: 1, mobile: false });
+  await browser.ask("Emulation.setDeviceMetricsOverride", {
+    width: 1000,
+    height: 1000,
+    deviceScaleFactor: 1,
+    mobile: false,
+  });
   await browser.ask("Page.navigate", { url: `${pathToFileURL(page)}` });
   await browser.until("document.readyState === 'complete' && location.protocol === 'file:'", 30_000);
   await browser.value(WATCH);
@@ -138,7 +153,9 @@ async function judge(browser, page, { bundle, trust, drop: isDropped, picture, p
     scripts: await browser.value("document.scripts.length"),
     foreign: await browser.value("document.querySelectorAll('img, svg, iframe, object, a, link').length"),
     executed: await browser.value("globalThis.executed ?? null"),
-    loaded: browser.events.filter((one) => one.method === "Network.requestWillBeSent").map((one) => one.params.request.url),
+    loaded: browser.events
+      .filter((one) => one.method === "Network.requestWillBeSent")
+      .map((one) => one.params.request.url),
     complaints: browser.events.filter((one) => one.method === "Log.entryAdded").map((one) => one.params.entry.text),
   };
   if (picture) {
@@ -147,7 +164,12 @@ async function judge(browser, page, { bundle, trust, drop: isDropped, picture, p
   }
   if (paper) {
     await browser.ask("Emulation.setEmulatedMedia", { media: "print", features: [scheme] });
-    await browser.ask("Emulation.setDeviceMetricsOverride", { width: 794, height: 1123, deviceScaleFactor: 1, mobile: false });
+    await browser.ask("Emulation.setDeviceMetricsOverride", {
+      width: 794,
+      height: 1123,
+      deviceScaleFactor: 1,
+      mobile: false,
+    });
     const made = await browser.ask("Page.captureScreenshot", { captureBeyondViewport: true });
     writeFileSync(paper, Buffer.from(made.data, "base64"));
     await browser.ask("Emulation.setEmulatedMedia", { media: "", features: [scheme] });

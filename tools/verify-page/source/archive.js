@@ -49,15 +49,21 @@ export function unpacked(bytes, step = () => {}) {
     const begin = at + 30;
     if (begin > bytes.length) throw new Malformed(WHOLE, "it ends in the middle of a member; ask for the file again");
     const [length, named] = [view.getUint32(at + 18, true), view.getUint16(at + 26, true)];
-    if (begin + named > bytes.length) throw new Malformed(WHOLE, "it ends in the middle of a member; ask for the file again");
+    if (begin + named > bytes.length)
+      throw new Malformed(WHOLE, "it ends in the middle of a member; ask for the file again");
     const name = text(bytes.subarray(begin, begin + named));
-    if (name === undefined || !isName(name)) throw new Malformed(WHOLE, "a member has a name that does not belong in a bundle");
+    if (name === undefined || !isName(name))
+      throw new Malformed(WHOLE, "a member has a name that does not belong in a bundle");
     const end = begin + named + length;
     if (end > bytes.length) throw new Malformed(WHOLE, "it ends in the middle of a member; ask for the file again");
     if (members.has(name) || members.size >= MOST_MEMBERS) throw new Malformed(name, "is a duplicate, or one too many");
     const content = bytes.subarray(begin + named, end);
     const own = fields(name, content);
-    if (!equal(bytes.subarray(at + 4, begin), own)) throw new Malformed(WHOLE, "it is a ZIP archive, but not in the exact form of a bundle: it was repacked or damaged");
+    if (!equal(bytes.subarray(at + 4, begin), own))
+      throw new Malformed(
+        WHOLE,
+        "it is a ZIP archive, but not in the exact form of a bundle: it was repacked or damaged",
+      );
     headers.push({ name, own, at });
     members.set(name, content);
     at = end;
@@ -65,7 +71,10 @@ export function unpacked(bytes, step = () => {}) {
   }
   if (!members.size) throw new Malformed(WHOLE, "it is not an evidence bundle");
   if (!isOrdered([...members.keys()]) || !equal(bytes.subarray(at), directory(headers, at))) {
-    throw new Malformed(WHOLE, "it is a ZIP archive, but not in the exact form of a bundle: it was repacked or damaged");
+    throw new Malformed(
+      WHOLE,
+      "it is a ZIP archive, but not in the exact form of a bundle: it was repacked or damaged",
+    );
   }
   return members;
 }

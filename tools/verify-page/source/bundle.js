@@ -42,9 +42,7 @@ const MANIFEST = json.lines({
   suite: json.lines(Object.fromEntries(Object.keys(SUITE).map((name) => [name, json.string]))),
   chain: json.lines({ id: json.whole, genesis: json.hash(32), contract: json.account }),
   exporter: json.lines({ account: json.account, key: json.hash(32) }),
-  members: json.listOf(
-    json.lines({ name: json.string, bytes: json.whole, sm3: json.hash(32), sha256: json.hash(32) }),
-  ),
+  members: json.listOf(json.lines({ name: json.string, bytes: json.whole, sm3: json.hash(32), sha256: json.hash(32) })),
 });
 const HEIGHTS = json.lines({
   format: json.string,
@@ -101,18 +99,21 @@ function readAnchor(name, bytes) {
 function readHeights(name, bytes) {
   const { heights } = read(name, bytes, HEIGHTS, "authros-heights/1");
   if (heights.length > MOST_RECORDS) throw new Malformed(name, `has more than ${MOST_RECORDS} entries`);
-  if (heights.some((height) => height.path.length > LONGEST_PATH)) throw new Malformed(name, "a path is longer than in any batch");
+  if (heights.some((height) => height.path.length > LONGEST_PATH))
+    throw new Malformed(name, "a path is longer than in any batch");
   return heights;
 }
 
 function readStamp(name, bytes) {
   const listed = read(name, bytes, STAMP, "authros-stamp/1");
   const { roots, count } = listed;
-  if (count > MOST_LEAVES || roots.length > MOST_LEAVES) throw new Malformed(name, `has more than ${MOST_LEAVES} entries`);
+  if (count > MOST_LEAVES || roots.length > MOST_LEAVES)
+    throw new Malformed(name, `has more than ${MOST_LEAVES} entries`);
   if (roots.some((place, at) => at > 0 && !isBefore(roots[at - 1].root, place.root))) {
     throw new Malformed(name, "its roots are not in order, each once");
   }
-  if (roots.some((place) => place.path.length > LONGEST_PATH)) throw new Malformed(name, "a path is longer than in any batch");
+  if (roots.some((place) => place.path.length > LONGEST_PATH))
+    throw new Malformed(name, "a path is longer than in any batch");
   return listed;
 }
 
@@ -169,8 +170,15 @@ export class Bundle {
     if (bytes.length > longest(parts)) throw new Malformed(name, "is longer than such a member can be");
     if (parts.length === 1) return this.takeTop(name, bytes);
     if (parts.length === 2) return this.takeFiled(name, folder, filed, bytes);
-    if (parts.length !== 3 || (folder !== "records" && folder !== "stamps")) throw new Malformed(name, "does not belong in a bundle");
-    filedAs(name, /^[0-9a-f]{64}$/.test(filed), folder === "records" ? "is filed under a name that is not a digest" : "is filed under a name that is not an imprint");
+    if (parts.length !== 3 || (folder !== "records" && folder !== "stamps"))
+      throw new Malformed(name, "does not belong in a bundle");
+    filedAs(
+      name,
+      /^[0-9a-f]{64}$/.test(filed),
+      folder === "records"
+        ? "is filed under a name that is not a digest"
+        : "is filed under a name that is not an imprint",
+    );
     return folder === "records" ? this.takeRecord(name, filed, file, bytes) : this.takeStamp(name, filed, file, bytes);
   }
 
@@ -178,7 +186,12 @@ export class Bundle {
     if (name === "heights.json") this.heights = readHeights(name, bytes);
     else if (name === "disclosed.der") this.disclosedBy = readSignature(name, bytes);
     else if (name === "trust.toml") filedAs(name, text(bytes) !== undefined, "is not text");
-    else filedAs(name, [...UNLISTED, "disclosed.bin", "VERIFY.txt", "report.html"].includes(name), "does not belong in a bundle");
+    else
+      filedAs(
+        name,
+        [...UNLISTED, "disclosed.bin", "VERIFY.txt", "report.html"].includes(name),
+        "does not belong in a bundle",
+      );
   }
 
   takeFiled(name, folder, filed, bytes) {
@@ -290,12 +303,14 @@ async function compared(manifest, members, step) {
   let [bytes, since] = [0, 0];
   for (let at = 0; at < Math.max(named.length, there.length); at++) {
     const [member, name] = [named[at], there[at]];
-    if (member === undefined || (name !== undefined && name < member.name)) throw new Malformed(name, "is present but not named in the manifest");
+    if (member === undefined || (name !== undefined && name < member.name))
+      throw new Malformed(name, "is present but not named in the manifest");
     if (name !== member.name) throw new Malformed(member.name, "is named in the manifest but missing");
     const content = members.get(name);
     const found = sm3(content);
     const isSame = member.bytes === BigInt(content.length) && equal(member.sm3, found);
-    if (!isSame || !equal(member.sha256, sha256(content))) throw new Malformed(name, "does not match the manifest: its bytes were altered");
+    if (!isSame || !equal(member.sha256, sha256(content)))
+      throw new Malformed(name, "does not match the manifest: its bytes were altered");
     hashed.set(name, found);
     bytes += content.length;
     since += content.length;
@@ -310,15 +325,17 @@ async function compared(manifest, members, step) {
 /** From a file's bytes; throws `Malformed`. `progress` hears of each stage: its name, and how much of it is done. */
 export async function readBundle(file, progress) {
   const members = unpacked(file);
-  if (!equal(members.get("mimetype") ?? new Uint8Array(0), ascii(MEDIA_TYPE))) throw new Malformed("mimetype", "does not say that this is an evidence bundle");
+  if (!equal(members.get("mimetype") ?? new Uint8Array(0), ascii(MEDIA_TYPE)))
+    throw new Malformed("mimetype", "does not say that this is an evidence bundle");
   const source = members.get("manifest.json");
   if (!source) throw new Malformed("manifest.json", "is missing");
   const manifest = read("manifest.json", source, MANIFEST, "authros-evidence/1");
   const isKnown = Object.entries(SUITE).every(([use, name]) => manifest.suite[use] === name);
   if (!isKnown) throw new Malformed("manifest.json", "names a suite or an algorithm that this page does not know");
-  const records = new Set(manifest.members.filter(({ name }) => name.startsWith("records/")).map(({ name }) => name.slice(8, 72)));
+  const records = new Set(
+    manifest.members.filter(({ name }) => name.startsWith("records/")).map(({ name }) => name.slice(8, 72)),
+  );
   await progress("members", 0, file.length, { records: records.size, exporter: address(manifest.exporter.account) });
   const hashed = await compared(manifest, members, (bytes) => progress("members", bytes, file.length));
   return new Bundle(manifest, members, hashed);
 }
-

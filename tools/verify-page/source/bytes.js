@@ -45,7 +45,8 @@ export function equal(one, other) {
   return true;
 }
 
-export const startsWith = (bytes, prefix) => bytes.length >= prefix.length && equal(bytes.subarray(0, prefix.length), prefix);
+export const startsWith = (bytes, prefix) =>
+  bytes.length >= prefix.length && equal(bytes.subarray(0, prefix.length), prefix);
 
 export const isZero = (bytes) => bytes.every((byte) => byte === 0);
 
@@ -53,7 +54,12 @@ export const isZero = (bytes) => bytes.every((byte) => byte === 0);
 export const big = (bytes) => (bytes.length ? BigInt("0x" + hex(bytes)) : 0n);
 
 /** A number as so many bytes, big endian. */
-export const numberBytes = (number, length) => unhex(BigInt(number).toString(16).padStart(2 * length, "0"));
+export const numberBytes = (number, length) =>
+  unhex(
+    BigInt(number)
+      .toString(16)
+      .padStart(2 * length, "0"),
+  );
 
 export function padded(bytes, length = 32) {
   const out = new Uint8Array(length);

@@ -2,7 +2,19 @@
 
 import { sha256, sha384, sha512 } from "@noble/hashes/sha2.js";
 import { equal, hex, isZero } from "./bytes.js";
-import { BITS, BOOLEAN, Der, NULL, OCTETS, SEQUENCE, SET, context, primitive, UTC_TIME, GENERALIZED_TIME } from "./der.js";
+import {
+  BITS,
+  BOOLEAN,
+  Der,
+  NULL,
+  OCTETS,
+  SEQUENCE,
+  SET,
+  context,
+  primitive,
+  UTC_TIME,
+  GENERALIZED_TIME,
+} from "./der.js";
 import { clean } from "./display.js";
 import { Broken } from "./outcome.js";
 
@@ -73,7 +85,8 @@ export function seconds(element, part, up) {
   const moment = new Date(0);
   moment.setUTCFullYear(full, month - 1, day);
   moment.setUTCHours(hour, minute, second);
-  const isReal = moment.getUTCMonth() === month - 1 && moment.getUTCDate() === day && hour < 24 && minute < 60 && second < 60;
+  const isReal =
+    moment.getUTCMonth() === month - 1 && moment.getUTCDate() === day && hour < 24 && minute < 60 && second < 60;
   const at = moment.getTime() / 1000;
   if (!isReal || at < 0 || (isFractional && element.tag === UTC_TIME)) throw form(part, "a time is not valid");
   return at + (isFractional && up ? 1 : 0);
@@ -153,7 +166,10 @@ function readKey(der) {
 }
 
 const base64url = (bytes) =>
-  btoa(String.fromCharCode(...bytes)).replaceAll("+", "-").replaceAll("/", "_").replace(/=+$/, "");
+  btoa(String.fromCharCode(...bytes))
+    .replaceAll("+", "-")
+    .replaceAll("/", "_")
+    .replace(/=+$/, "");
 
 /** Modulus and exponent, from 2,048 to 8,192 bits, the exponent odd and at least 3. */
 function rsaParts(bytes) {
@@ -207,7 +223,8 @@ export async function verifyBy(key, scheme, message, signature) {
   if (scheme.kind === "ecdsa" && scheme.hash === SHA_512) throw algorithm("ECDSA with SHA-512");
   if (key.kind === "other") throw algorithm("a key that is neither RSA nor on P-256 or P-384");
   const isPkcs1 = scheme.kind === "pkcs1" && key.kind === "rsa" && !key.isPss;
-  const fits = isPkcs1 || (scheme.kind === "pss" && key.kind === "rsa") || (scheme.kind === "ecdsa" && key.kind === "ec");
+  const fits =
+    isPkcs1 || (scheme.kind === "pss" && key.kind === "rsa") || (scheme.kind === "ecdsa" && key.kind === "ec");
   if (!fits) throw form("signature", "its algorithm does not fit its key");
   // A key or signature out of its bounds verifies nothing; what WebCrypto throws over one says no more.
   const good = await isSigned(key, scheme, message, signature).catch(() => false);
@@ -349,4 +366,3 @@ function commonName(subject) {
   }
   return found;
 }
-

@@ -6,7 +6,19 @@ import { readBundle } from "./bundle.js";
 import { isStatement, isBelieved, stretchesOf } from "./complete.js";
 import { clean } from "./display.js";
 import { existedLevel, stampsOf } from "./existed.js";
-import { ABSENT, Broken, OWN_CHAIN, PROVEN, REFUSED, Refused, UNPROVEN, Unproven, judged, level, refusing } from "./outcome.js";
+import {
+  ABSENT,
+  Broken,
+  OWN_CHAIN,
+  PROVEN,
+  REFUSED,
+  Refused,
+  UNPROVEN,
+  Unproven,
+  judged,
+  level,
+  refusing,
+} from "./outcome.js";
 import { RECORDER_TOPIC, disclosed, domainOf, opened, parseHeader } from "./record.js";
 import { rightOf, vouched } from "./right.js";
 import { sm3 } from "./sm3.js";
@@ -174,7 +186,9 @@ export const isProven = (records) => records.length > 0 && countedStandings(reco
 
 /** Whether they are proven at least by the exporter's own chain, and something by that alone. */
 export const isSelfSealed = (records) =>
-  records.length > 0 && !isProven(records) && countedStandings(records).every((one) => [PROVEN, OWN_CHAIN].includes(one));
+  records.length > 0 &&
+  !isProven(records) &&
+  countedStandings(records).every((one) => [PROVEN, OWN_CHAIN].includes(one));
 
 function outcomeOf(trust, exporter, records, complete) {
   const levels = records.flatMap((record) => LEVELS.map((one) => record[one]));

@@ -11,7 +11,8 @@ const MOST_GAPS = 100;
 export const isBelieved = (record) => [PROVEN, OWN_CHAIN].includes(record.key.standing);
 
 /** Whether it opened as a recorder's statement about completeness; bundles add these to what was chosen. */
-export const isStatement = ({ disclosed }) => disclosed?.topic === RECORDER_TOPIC && [BIRTH, HEADS].includes(disclosed.type);
+export const isStatement = ({ disclosed }) =>
+  disclosed?.topic === RECORDER_TOPIC && [BIRTH, HEADS].includes(disclosed.type);
 
 const recorderOf = ({ owner, signer, recorder }) => [owner, signer, recorder].map(hex).join();
 
@@ -70,7 +71,10 @@ function stretchOf(ones, claims) {
   const numbers = inOrder.filter((seq) => bySeq.get(seq).some(isBelieved));
   const twice = inOrder.filter((seq) => bySeq.get(seq).length > 1 && bySeq.get(seq).some(isBelieved));
   const last = claims.at(-1);
-  const heads = last?.number === undefined ? undefined : { record: last.record.digest, number: last.number, at: last.record.anchoredAt };
+  const heads =
+    last?.number === undefined
+      ? undefined
+      : { record: last.record.digest, number: last.number, at: last.record.anchoredAt };
   const isOwn = [...ones, ...(last ? [last.record] : [])].some((one) => one.key.standing === OWN_CHAIN);
   const gaps = gapsIn(numbers, heads);
   const isRefused = twice.length > 0 || contradict(claims);

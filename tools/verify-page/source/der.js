@@ -91,7 +91,8 @@ export class Der {
   /** Two's complement, in the shortest form. */
   integer() {
     const bytes = this.element(INTEGER).content;
-    const isPadded = bytes.length > 1 && ((bytes[0] === 0 && bytes[1] < 0x80) || (bytes[0] === 0xff && bytes[1] >= 0x80));
+    const isPadded =
+      bytes.length > 1 && ((bytes[0] === 0 && bytes[1] < 0x80) || (bytes[0] === 0xff && bytes[1] >= 0x80));
     if (!bytes.length || isPadded) throw this.wrong("an integer is not in its shortest form");
     return bytes;
   }
@@ -114,7 +115,8 @@ export class Der {
 
   boolean() {
     const { content } = this.element(BOOLEAN);
-    if (content.length !== 1 || (content[0] !== 0 && content[0] !== 0xff)) throw this.wrong("a boolean is neither true nor false");
+    if (content.length !== 1 || (content[0] !== 0 && content[0] !== 0xff))
+      throw this.wrong("a boolean is neither true nor false");
     return content[0] === 0xff;
   }
 

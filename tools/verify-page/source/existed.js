@@ -19,7 +19,8 @@ async function findingOf(imprint, tokens, authorities) {
     try {
       const stamped = await checkToken(token, imprint, pinned);
       const authority = authorities[stamped.pinned]?.name;
-      if (authority !== undefined) found.proven = earlier(found.proven, { before: Math.min(stamped.before, LAST), authority });
+      if (authority !== undefined)
+        found.proven = earlier(found.proven, { before: Math.min(stamped.before, LAST), authority });
     } catch (error) {
       if (!(error instanceof Broken)) throw error;
       found.isRefused = true;

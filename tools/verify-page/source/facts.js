@@ -62,7 +62,8 @@ export function inOrder(one, other) {
 }
 
 /** Text in the order of its bytes in UTF-8, which is that of its characters' numbers. */
-const byText = (text) => Array.from(text, (character) => character.codePointAt(0).toString(16).padStart(6, "0")).join("");
+const byText = (text) =>
+  Array.from(text, (character) => character.codePointAt(0).toString(16).padStart(6, "0")).join("");
 
 /** Groups by what `nameOf` says, as pairs of the name's parts and what `make` begins and `add` continues. */
 function groups(records, nameOf, make, add) {
@@ -160,13 +161,15 @@ const hasHeads = ({ heads, first }) => heads !== undefined && first !== undefine
 function levelsIn({ records, complete }) {
   const found = LEVELS.map((name) => [LETTERS[name], records.map((record) => record[name].standing)]);
   found.push(["f", complete.map((stretch) => stretch.standing)]);
-  const told = found.filter(([, standings]) => standings.length).map(([letter, standings]) => {
-    const number = (standing) => standings.filter((one) => one === standing).length;
-    const counts = Object.entries(WORDING.standings).map(([standing, word]) => [number(standing), word]);
-    const some = counts.filter(([many]) => many > 0);
-    const words = some.map(([many, word]) => (some.length === 1 ? word : `${grouped(many)} ${word}`));
-    return `(${letter}) ${WORDING.levels[letter]}: ${words.join(", ")}`;
-  });
+  const told = found
+    .filter(([, standings]) => standings.length)
+    .map(([letter, standings]) => {
+      const number = (standing) => standings.filter((one) => one === standing).length;
+      const counts = Object.entries(WORDING.standings).map(([standing, word]) => [number(standing), word]);
+      const some = counts.filter(([many]) => many > 0);
+      const words = some.map(([many, word]) => (some.length === 1 ? word : `${grouped(many)} ${word}`));
+      return `(${letter}) ${WORDING.levels[letter]}: ${words.join(", ")}`;
+    });
   return told.join("; ");
 }
 
@@ -191,7 +194,12 @@ function signed(records) {
 function stamped(records) {
   const those = records.filter((one) => one.authority !== undefined);
   const add = (of, { existedBefore: at }) => Object.assign(of, { count: of.count + 1, time: Math.max(of.time, at) });
-  const list = groups(those, (one) => [clean(one.authority, WORDING.longest)], () => ({ count: 0, time: 0 }), add);
+  const list = groups(
+    those,
+    (one) => [clean(one.authority, WORDING.longest)],
+    () => ({ count: 0, time: 0 }),
+    add,
+  );
   return largestFirst(list, ({ parts }) => parts.map(byText)).map(({ parts, of }) => ({
     authority: parts[0],
     time: moment(of.time),
@@ -243,8 +251,19 @@ function doubts(names, { records, complete }) {
     found.push(...records.filter(isOf).map((record) => ({ ...one, record })));
   }
   const nameOf = (one) => [one.standing === REFUSED ? 0 : 1, one.letter, one.topic, one.reason];
-  const list = groups(found, nameOf, () => new Group(), (group, one) => group.add(one.record));
-  const parts = ({ parts: [accepted, letter, topic, reason], of }) => [accepted, letter, -of.count, byText(topic), reason];
+  const list = groups(
+    found,
+    nameOf,
+    () => new Group(),
+    (group, one) => group.add(one.record),
+  );
+  const parts = ({ parts: [accepted, letter, topic, reason], of }) => [
+    accepted,
+    letter,
+    -of.count,
+    byText(topic),
+    reason,
+  ];
   const inTurn = list.sort((one, other) => inOrder(parts(one), parts(other)));
   return inTurn.map(({ parts: [accepted, , topic, reason], of }) => ({
     topic,

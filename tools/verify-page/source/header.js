@@ -103,13 +103,15 @@ export class Committed {
       const account = recovered(signed, seal);
       const sealer = account && hex(account);
       // Nothing distinguishes a stranger from an altered header if it names no validators.
-      if (sealer === undefined || (named.length && !named.includes(sealer))) throw new Broken("a seal is of nobody it names");
+      if (sealer === undefined || (named.length && !named.includes(sealer)))
+        throw new Broken("a seal is of nobody it names");
       if (found.includes(sealer)) throw new Broken("one has sealed the header twice");
       found.push(sealer);
     }
     if (found.length < twoThirds(named.length)) throw new Broken("too few have sealed it");
     const isByStrangers = !named.length && this.seals.length && !found.some((one) => pinned.includes(one));
-    if (isByStrangers && this.isOfAnotherRound(this.seals[0], pinned)) throw new Broken("its seals are of another round");
+    if (isByStrangers && this.isOfAnotherRound(this.seals[0], pinned))
+      throw new Broken("its seals are of another round");
     return found;
   }
 

@@ -160,14 +160,16 @@ export const listOf = (form) => (value) => {
 };
 
 /** An object with exactly these lines; those in `optional` may be missing. */
-export const lines = (required, optional = {}) => (value) => {
-  if (!(value instanceof Map)) throw new SyntaxError("not an object");
-  const found = {};
-  for (const [name, form] of Object.entries({ ...required, ...optional })) {
-    if (value.has(name)) found[name] = form(value.get(name));
-    else if (Object.hasOwn(required, name)) throw new SyntaxError(`no line ${name}`);
-  }
-  const other = [...value.keys()].find((name) => !Object.hasOwn(required, name) && !Object.hasOwn(optional, name));
-  if (other !== undefined) throw new SyntaxError("an unknown line");
-  return found;
-};
+export const lines =
+  (required, optional = {}) =>
+  (value) => {
+    if (!(value instanceof Map)) throw new SyntaxError("not an object");
+    const found = {};
+    for (const [name, form] of Object.entries({ ...required, ...optional })) {
+      if (value.has(name)) found[name] = form(value.get(name));
+      else if (Object.hasOwn(required, name)) throw new SyntaxError(`no line ${name}`);
+    }
+    const other = [...value.keys()].find((name) => !Object.hasOwn(required, name) && !Object.hasOwn(optional, name));
+    if (other !== undefined) throw new SyntaxError("an unknown line");
+    return found;
+  };

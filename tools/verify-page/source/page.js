@@ -45,7 +45,8 @@ function start() {
   progress({ stage: "members", done: 0, all: 1 });
   worker = newWorker();
   worker.onmessage = ({ data }) => hear(data);
-  worker.onerror = () => fail("The check stopped: this browser could not run it. Use a current one, or authros verify.");
+  worker.onerror = () =>
+    fail("The check stopped: this browser could not run it. Use a current one, or authros verify.");
   worker.postMessage(chosen);
 }
 
@@ -64,9 +65,11 @@ function progress({ stage, done, all, known }) {
   place("bar").value = done;
   place("stage").textContent = `${STAGES[stage]}: ${Math.floor((100 * done) / all)} %`;
   if (known?.exporter) {
-    place("so-far").textContent = `It claims to have ${count(known.records)} records, and that ${known.exporter} put it together.`;
+    place("so-far").textContent =
+      `It claims to have ${count(known.records)} records, and that ${known.exporter} put it together.`;
   } else if (known) {
-    place("so-far").textContent = `So far ${count(done)} of ${count(all)} records are checked, of which ${count(known.refused)} are refused.`;
+    place("so-far").textContent =
+      `So far ${count(done)} of ${count(all)} records are checked, of which ${count(known.refused)} are refused.`;
   }
 }
 
@@ -127,7 +130,11 @@ const sealedName = (id) => (id === null ? "" : filled(WORDING.labels.sealed, [{ 
 function recordRow(record) {
   const { disclosed } = record;
   const topic = disclosed ? `${disclosed.topic} (${disclosed.type})` : sealedName(record.topic_id);
-  const cells = [element("td", record.seq ?? ""), element("td", record.captured_at ?? "", "time"), element("td", topic)];
+  const cells = [
+    element("td", record.seq ?? ""),
+    element("td", record.captured_at ?? "", "time"),
+    element("td", topic),
+  ];
   cells.push(...LEVELS.map((name) => levelCell(record[name])), element("td", record.block ?? ""));
   const made = row(cells);
   made.title = record.digest;

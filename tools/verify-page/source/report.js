@@ -33,7 +33,12 @@ function shownRecord(record) {
     authority: record.authority ?? null,
     ...Object.fromEntries(LEVELS.map((name) => [name, record[name]])),
     disclosed: disclosed
-      ? { ...disclosed, messageSm3: undefined, message_sm3: hex(disclosed.messageSm3), tags: Object.fromEntries(disclosed.tags) }
+      ? {
+          ...disclosed,
+          messageSm3: undefined,
+          message_sm3: hex(disclosed.messageSm3),
+          tags: Object.fromEntries(disclosed.tags),
+        }
       : null,
   };
 }
@@ -52,7 +57,11 @@ const shownStretch = (stretch) => ({
   missing: number(stretch.missing),
   uncounted: stretch.uncounted,
   twice: stretch.twice.map(number),
-  heads: orNull(stretch.heads, (heads) => ({ record: hex(heads.record), number: number(heads.number), at: seconds(heads.at) })),
+  heads: orNull(stretch.heads, (heads) => ({
+    record: hex(heads.record),
+    number: number(heads.number),
+    at: seconds(heads.at),
+  })),
 });
 
 export function shown(report) {

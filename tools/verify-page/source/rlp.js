@@ -48,7 +48,7 @@ function read(data, at, depth) {
   const source = data.subarray(at, end);
   if (base === 0x80) return length === 1 && content[0] < 0x80 ? undefined : new Item(content, undefined, source);
   const items = [];
-  for (let inner = begin; inner < end; ) {
+  for (let inner = begin; inner < end;) {
     const item = depth < DEEPEST ? read(data.subarray(0, end), inner, depth + 1) : undefined;
     if (item === undefined) return undefined;
     items.push(item);

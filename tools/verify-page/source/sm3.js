@@ -83,8 +83,14 @@ export function sm3(...parts) {
 export function hmacSm3(key, ...parts) {
   const padded = new Uint8Array(64);
   padded.set(key.length > 64 ? sm3(key) : key);
-  const inner = sm3(padded.map((byte) => byte ^ 0x36), ...parts);
-  return sm3(padded.map((byte) => byte ^ 0x5c), inner);
+  const inner = sm3(
+    padded.map((byte) => byte ^ 0x36),
+    ...parts,
+  );
+  return sm3(
+    padded.map((byte) => byte ^ 0x5c),
+    inner,
+  );
 }
 
 /** HKDF-Expand. */

@@ -15,7 +15,7 @@ function sbox() {
   const isOdd = (byte) => byte.toString(2).replaceAll("0", "").length & 1;
   const affine = (x) => {
     let out = 0xd3;
-    for (let at = 0; at < 8; at++) out ^= isOdd(x & ((0xd3 >> at) | (0xd3 << (8 - at)) & 0xff)) << (7 - at);
+    for (let at = 0; at < 8; at++) out ^= isOdd(x & ((0xd3 >> at) | ((0xd3 << (8 - at)) & 0xff))) << (7 - at);
     return out;
   };
   const inverse = new Uint8Array(256);

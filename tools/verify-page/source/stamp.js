@@ -4,7 +4,19 @@
 import { sha1 } from "@noble/hashes/legacy.js";
 import { concat, equal, hex } from "./bytes.js";
 import { Certificate, OID, SHA_256, hashOf, outer, readScheme, seconds, verifyBy, withHash } from "./certificate.js";
-import { BOOLEAN, Der, GENERALIZED_TIME, INTEGER, OBJECT, OCTETS, SEQUENCE, SET, context, primitive, smallNumber } from "./der.js";
+import {
+  BOOLEAN,
+  Der,
+  GENERALIZED_TIME,
+  INTEGER,
+  OBJECT,
+  OCTETS,
+  SEQUENCE,
+  SET,
+  context,
+  primitive,
+  smallNumber,
+} from "./der.js";
 import { Broken } from "./outcome.js";
 
 const PART = "token";
@@ -65,7 +77,8 @@ function parseAttributes(bytes) {
     const name = hex(one.object());
     const value = one.within(SET, (values) => values.any()).whole;
     one.end();
-    if (found.size >= MOST_ATTRIBUTES || found.has(name)) throw form(SIGNER, "an attribute is a duplicate, or one too many");
+    if (found.size >= MOST_ATTRIBUTES || found.has(name))
+      throw form(SIGNER, "an attribute is a duplicate, or one too many");
     found.set(name, value);
   }
   return found;
@@ -109,7 +122,8 @@ function parseToken(bytes) {
   const { content } = about.within(context(0), (explicit) => explicit.element(OCTETS));
   about.end();
   const certificates = parseCertificates(data);
-  if (data.nextTag() === context(1)) throw form(PART, "it includes certificate revocation lists, which are not supported");
+  if (data.nextTag() === context(1))
+    throw form(PART, "it includes certificate revocation lists, which are not supported");
   const signer = data.within(SET, parseSigner);
   data.end();
   if (signer.hash !== hash) throw form(PART, "it names a different hash than its signer does");
@@ -147,7 +161,8 @@ function expectNamed(signer, certificate) {
     const own = outside.inside(SEQUENCE).inside(SEQUENCE);
     const second = () => (own.nextTag() === SEQUENCE ? hashOf(own) : SHA_256).of(certificate.der);
     const hash = name === OID.signingCertificate2 ? second() : sha1(certificate.der);
-    if (!equal(own.element(OCTETS).content, hash)) throw new Broken("its signature does not name its certificate (ESSCertID)");
+    if (!equal(own.element(OCTETS).content, hash))
+      throw new Broken("its signature does not name its certificate (ESSCertID)");
     isNamed = true;
   }
   if (!isNamed) throw new Broken("its signature does not name its certificate (ESSCertID)");
@@ -155,7 +170,8 @@ function expectNamed(signer, certificate) {
 
 /** Broken unless `above` issued `below`, with so many certificates between that one and the first. */
 async function expectIssued(above, below, between) {
-  if (!above.uses.mayIssue() || above.uses.issuer < between) throw new Broken(`the certificate of ${above.name()}, in the chain, may not issue others`);
+  if (!above.uses.mayIssue() || above.uses.issuer < between)
+    throw new Broken(`the certificate of ${above.name()}, in the chain, may not issue others`);
   if (below.unknownScheme) throw below.unknownScheme;
   await verifyBy(above.key, below.scheme, below.signed, below.signature);
 }

@@ -58,7 +58,8 @@ function readMatrix(reader) {
   const sample = code & ~(BIG_ENDIAN | GREEN);
   const isGreen = (code & GREEN) !== 0;
   const row = columns * channels * sample;
-  const isKnown = [1, 2, 4].includes(sample) && channels >= 1 && channels <= MOST_CHANNELS && (apart === 1 || apart === 2);
+  const isKnown =
+    [1, 2, 4].includes(sample) && channels >= 1 && channels <= MOST_CHANNELS && (apart === 1 || apart === 2);
   const fits = row >= SHORTEST_ROW && Number.isSafeInteger(start + rows * row);
   if (!isKnown || !fits || (isGreen && (sample !== 1 || channels < 3))) throw damaged("matrix");
   const isBig = (code & BIG_ENDIAN) !== 0;

@@ -30,7 +30,11 @@ export function sentencesOf(facts) {
   let most = WORDING.most;
   let all = told(most);
   while (most > 0 && isLong(all)) all = told(--most);
-  while (isLong(all) && all.some(({ isSpare }) => isSpare)) all.splice(all.findLastIndex(({ isSpare }) => isSpare), 1);
+  while (isLong(all) && all.some(({ isSpare }) => isSpare))
+    all.splice(
+      all.findLastIndex(({ isSpare }) => isSpare),
+      1,
+    );
   return all.map(({ text }) => text);
 }
 

@@ -67,12 +67,20 @@ export class Authority {
 
   openssl(line, ...more) {
     const env = { ...process.env, OPENSSL_CONF: join(this.folder, "settings") };
-    return execFileSync("openssl", [...line.split(" ").filter(Boolean), ...more], { cwd: this.folder, env, stdio: "pipe" });
+    return execFileSync("openssl", [...line.split(" ").filter(Boolean), ...more], {
+      cwd: this.folder,
+      env,
+      stdio: "pipe",
+    });
   }
 
   root(name, key, subject) {
     this.openssl(`genpkey ${key} -out ${name}.key`);
-    this.openssl(`req -x509 -new -key ${name}.key -days 30 -config settings -extensions ca -out ${name}.pem`, "-subj", `/CN=${subject}`);
+    this.openssl(
+      `req -x509 -new -key ${name}.key -days 30 -config settings -extensions ca -out ${name}.pem`,
+      "-subj",
+      `/CN=${subject}`,
+    );
   }
 
   issue(name, key, by, extensions, more = "") {

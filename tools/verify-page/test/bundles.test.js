@@ -23,7 +23,14 @@ async function told(world, pins) {
   const report = await judge(world.file(), pins);
   const [record] = report.records;
   const levels = ["bytes", "key", "anchor", "time", "opened"].map((name) => record[name]);
-  return [report.outcome, levels.map((one) => one.standing).join(" "), levels.map((one) => one.reason).filter(Boolean).join(" ")];
+  return [
+    report.outcome,
+    levels.map((one) => one.standing).join(" "),
+    levels
+      .map((one) => one.reason)
+      .filter(Boolean)
+      .join(" "),
+  ];
 }
 
 const PROVEN = "proven proven proven absent absent";
@@ -39,10 +46,13 @@ test("a bundle holds, and the verdict says what, by whom and when", async () => 
   assert.match(text, /Readable: 2 records of \/robot1\/odom, 2023-11-14 22:14:53 UTC\./);
   assert.match(text, /Levels: \(a\) bytes: proven; .*\(e\) disclosure: 2 proven, 1 absent; \(f\) numbers: proven\.$/);
   const open = report.records.filter((record) => record.disclosed);
-  assert.deepEqual(open.map(({ disclosed }) => [disclosed.topic, disclosed.type, disclosed.length]), [
-    ["/robot1/odom", "std_msgs/String", 9],
-    ["/robot1/odom", "std_msgs/String", 9],
-  ]);
+  assert.deepEqual(
+    open.map(({ disclosed }) => [disclosed.topic, disclosed.type, disclosed.length]),
+    [
+      ["/robot1/odom", "std_msgs/String", 9],
+      ["/robot1/odom", "std_msgs/String", 9],
+    ],
+  );
   assert.ok(report.verdict.flatMap(wrapped).length <= WORDING.lines);
 });
 
@@ -53,16 +63,32 @@ test("without pins nothing about the chain is proven", async () => {
 test("every lie about the chain is refused, or not proven, for its reason", async () => {
   const cases = {
     "another place in its batch": [(world) => (world.claims[0].anchor.index = 3), "refused wrong_path"],
-    "another number of leaves": [(world) => world.put(slot.anchor(world.owner, world.root), word(BLOCK, 6, TIME, 1)), "refused other_anchor"],
-    "another block": [(world) => world.put(slot.anchor(world.owner, world.root), word(BLOCK - 1, 5, TIME, 1)), "refused other_anchor"],
-    "an anchor later than its block": [(world) => world.put(slot.anchor(world.owner, world.root), word(BLOCK, 5, TIME + 1, 1)), "refused other_anchor"],
-    "no anchor": [(world) => world.put(slot.anchor(world.owner, world.root), word(0, 0, 0, 0)), "refused anchor_missing"],
+    "another number of leaves": [
+      (world) => world.put(slot.anchor(world.owner, world.root), word(BLOCK, 6, TIME, 1)),
+      "refused other_anchor",
+    ],
+    "another block": [
+      (world) => world.put(slot.anchor(world.owner, world.root), word(BLOCK - 1, 5, TIME, 1)),
+      "refused other_anchor",
+    ],
+    "an anchor later than its block": [
+      (world) => world.put(slot.anchor(world.owner, world.root), word(BLOCK, 5, TIME + 1, 1)),
+      "refused other_anchor",
+    ],
+    "no anchor": [
+      (world) => world.put(slot.anchor(world.owner, world.root), word(0, 0, 0, 0)),
+      "refused anchor_missing",
+    ],
     "unpinned signers": [(world) => (world.sealers = [9, 8]), "refused other_signer"],
     "1 of 3 seals": [(world) => (world.sealers = [1]), "incomplete few_signers"],
     "one signer twice": [(world) => (world.sealers = [1, 1]), "incomplete few_signers"],
     "a stranger builds on it": [(world) => (world.sealers = [1, 9]), "incomplete few_signers"],
     "no seal": [(world) => (world.sealers = [0]), "incomplete no_seal"],
-    "a suspended account": [(world) => world.put(slot.account(world.owner), Buffer.concat([Buffer.alloc(7), Buffer.of(1), word(1, 0, 1).subarray(8)])), "refused suspended"],
+    "a suspended account": [
+      (world) =>
+        world.put(slot.account(world.owner), Buffer.concat([Buffer.alloc(7), Buffer.of(1), word(1, 0, 1).subarray(8)])),
+      "refused suspended",
+    ],
     "keys that were replaced": [replaced, "incomplete keys_replaced"],
   };
   for (const [what, [lie, expected]] of Object.entries(cases)) {
@@ -81,13 +107,19 @@ function replaced(world) {
 test("pins decide which chain, contract and code count", async () => {
   assert.equal((await told(new World(), trust({ code_hash: `"${"01".repeat(32)}"` })))[2], "other_code");
   assert.equal((await told(new World(), trust({ genesis: `"${"01".repeat(32)}"` })))[2], "other_chain");
-  assert.deepEqual((await told(new World(), trust({ signers: "[]" }))).slice(0, 3), ["incomplete", "proven unproven unproven absent absent", "no_signers"]);
+  assert.deepEqual((await told(new World(), trust({ signers: "[]" }))).slice(0, 3), [
+    "incomplete",
+    "proven unproven unproven absent absent",
+    "no_signers",
+  ]);
   const own = await judge(new World().file(), trust({ sealed_by_exporter: true }));
   assert.match(own.verdict[0], /only the exporter's own chain supports the file/);
   const vanity = new World();
   vanity.vanity = Buffer.concat([Buffer.from("AuthROS chain file version 1"), Buffer.alloc(4)]);
   const denied = await judge(vanity.file());
-  assert.ok(denied.verdict.includes("Your trust file says that others seal this chain; its blocks say that one program does."));
+  assert.ok(
+    denied.verdict.includes("Your trust file says that others seal this chain; its blocks say that one program does."),
+  );
 });
 
 test("quorums of QBFT and IBFT 2.0 are those of one header", async () => {
@@ -125,7 +157,11 @@ test("a device signs for its owner while it is authorised", async () => {
     [0, 0, 0, "refused proven refused proven absent absent no_right"],
   ]) {
     const world = new World({ signer: new Key() });
-    const loan = Buffer.concat([Buffer.alloc(7), ...[recalled, lent, until].map((one) => word(one).subarray(24)), Buffer.of(1)]);
+    const loan = Buffer.concat([
+      Buffer.alloc(7),
+      ...[recalled, lent, until].map((one) => word(one).subarray(24)),
+      Buffer.of(1),
+    ]);
     world.put(slot.loan(world.owner, world.signer.id), loan);
     assert.equal((await told(world)).join(" "), expected, `${until} ${lent} ${recalled}`);
   }
@@ -156,13 +192,22 @@ test("two records with one number are two histories", async () => {
       [`records/${other.digest.toString("hex")}/signature.der`]: other.signature,
     })),
   );
-  assert.deepEqual([report.outcome, report.complete[0].reason, report.complete[0].twice], ["refused", "two_histories", [3]]);
+  assert.deepEqual(
+    [report.outcome, report.complete[0].reason, report.complete[0].twice],
+    ["refused", "two_histories", [3]],
+  );
 });
 
 test("who put a bundle together is its owner, or pinned, or not proven", async () => {
   const world = new World();
   const stranger = new Key();
-  const packed = (owner) => pack(signed({ ...world.members(), [`keys/${stranger.id.toString("hex")}.pem`]: stranger.pem() }, { owner, keys: stranger }));
+  const packed = (owner) =>
+    pack(
+      signed(
+        { ...world.members(), [`keys/${stranger.id.toString("hex")}.pem`]: stranger.pem() },
+        { owner, keys: stranger },
+      ),
+    );
   const other = Buffer.alloc(20, 0x6a);
   assert.equal((await judge(packed(world.owner))).exporter.standing, "unproven");
   assert.equal((await judge(packed(other))).outcome, "incomplete");
@@ -179,20 +224,30 @@ test("a bundle of another form is refused, with the part that is wrong", async (
   const file = pack(members);
   const digest = world.records[0].digest.toString("hex");
   const again = (change) => pack(signed(change({ ...world.members() }), world));
-  const manifest = (change) => pack(withManifest(members, Buffer.from(change(members["manifest.json"].toString())), world.keys));
+  const manifest = (change) =>
+    pack(withManifest(members, Buffer.from(change(members["manifest.json"].toString())), world.keys));
   const without = (name) => again((all) => (delete all[name], all));
   const cases = {
     "an empty file": [Buffer.alloc(0), /not an evidence bundle/],
     "half a file": [file.subarray(0, file.length / 2), /middle of a member/],
     "bytes behind its end": [Buffer.concat([file, Buffer.of(0)]), /exact form/],
-    "a member altered, and not signed for": [pack({ ...members, "chain/40.rlp": Buffer.alloc(5) }), /chain\/40\.rlp: does not match/],
-    "a member taken out": [pack(Object.fromEntries(Object.entries(members).filter(([name]) => name !== "chain/41.rlp"))), /missing/],
+    "a member altered, and not signed for": [
+      pack({ ...members, "chain/40.rlp": Buffer.alloc(5) }),
+      /chain\/40\.rlp: does not match/,
+    ],
+    "a member taken out": [
+      pack(Object.fromEntries(Object.entries(members).filter(([name]) => name !== "chain/41.rlp"))),
+      /missing/,
+    ],
     "a member put in": [pack({ ...members, "chain/99.rlp": Buffer.alloc(5) }), /not named/],
     "another suite": [manifest((text) => text.replace("SM/1", "SM/2")), /suite/],
     "another digest": [manifest((text) => text.replace('"SM3"', '"SHA-256"')), /suite/],
     "no suite": [manifest((text) => text.replace('"suite"', '"sweet"')), /manifest\.json/],
     "another format": [manifest((text) => text.replace("evidence/1", "evidence/2")), /format/],
-    "a digest in capital letters": [again((all) => ({ ...all, [`records/${digest.toUpperCase()}/record.bin`]: Buffer.alloc(4) })), /not a digest/],
+    "a digest in capital letters": [
+      again((all) => ({ ...all, [`records/${digest.toUpperCase()}/record.bin`]: Buffer.alloc(4) })),
+      /not a digest/,
+    ],
     "a record without its bytes": [without(`records/${digest}/record.bin`), /missing/],
     "a record without its signature": [without(`records/${digest}/signature.der`), /missing/],
     "a list without its signature": [without("disclosed.der"), /missing/],
@@ -201,7 +256,10 @@ test("a bundle of another form is refused, with the part that is wrong", async (
     "a foreign folder": [again((all) => ({ ...all, "witnesses/a/b": Buffer.alloc(1) })), /does not belong/],
     "a foreign file": [again((all) => ({ ...all, "more.txt": Buffer.alloc(1) })), /does not belong/],
     "a header that is none": [again((all) => ({ ...all, "chain/99.rlp": Buffer.alloc(5) })), /not a block header/],
-    "a header under another number": [again((all) => ({ ...all, "chain/43.rlp": all["chain/40.rlp"] })), /another block/],
+    "a header under another number": [
+      again((all) => ({ ...all, "chain/43.rlp": all["chain/40.rlp"] })),
+      /another block/,
+    ],
   };
   for (const [what, [bytes, why]] of Object.entries(cases)) {
     await assert.rejects(judge(bytes), (error) => error instanceof Malformed && why.test(error.message), what);
@@ -248,7 +306,13 @@ test("a trust file that cannot be meant is refused", () => {
 });
 
 test("heads say how far a topic goes", async () => {
-  const { verdict, outcome } = await judge(new World({ count: 3, options: (at) => (at === 1 ? { topicId: Buffer.alloc(16, 9) } : {}) }).file());
+  const { verdict, outcome } = await judge(
+    new World({ count: 3, options: (at) => (at === 1 ? { topicId: Buffer.alloc(16, 9) } : {}) }).file(),
+  );
   assert.equal(outcome, "holds");
-  assert.ok(verdict.some((sentence) => /^Missing: 1 number of a topic with a sealed name \(08080808\), between 3 and 5\.$/.test(sentence)));
+  assert.ok(
+    verdict.some((sentence) =>
+      /^Missing: 1 number of a topic with a sealed name \(08080808\), between 3 and 5\.$/.test(sentence),
+    ),
+  );
 });

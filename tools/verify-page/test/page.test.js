@@ -20,7 +20,8 @@ test("two builds in different folders are identical to the byte", async () => {
     for (const part of ["build.js", "package.json", "source"]) {
       cpSync(join(ROOT, "tools/verify-page", part), join(folder, "tools/verify-page", part), { recursive: true });
     }
-    for (const part of ["VERIFY.txt", "verdict/sentences.json"]) cpSync(join(ROOT, EVIDENCE, part), join(folder, EVIDENCE, part));
+    for (const part of ["VERIFY.txt", "verdict/sentences.json"])
+      cpSync(join(ROOT, EVIDENCE, part), join(folder, EVIDENCE, part));
     mkdirSync(join(folder, "elsewhere"));
     symlinkSync(join(ROOT, "tools/verify-page/node_modules"), join(folder, "tools/verify-page/node_modules"));
     execFileSync("node", [join(folder, "tools/verify-page/build.js"), join(folder, "elsewhere/verify.html")]);
@@ -41,8 +42,21 @@ test("the page's policy allows its own script and style alone", async () => {
     `default-src 'none'; script-src ${digest(script)}; style-src ${digest(style)}; worker-src blob:; base-uri 'none'; ` +
       "form-action 'none'; require-trusted-types-for 'script'; trusted-types authros",
   );
-  assert.ok(!/ (src|href|on[a-z]+|style)=/.test(html.replace(script, "")), "nothing is loaded, and nothing runs inline");
-  for (const word of ["innerHTML", "outerHTML", "insertAdjacentHTML", "document.write", "eval(", "fetch(", "XMLHttpRequest", "WebSocket", "importScripts"]) {
+  assert.ok(
+    !/ (src|href|on[a-z]+|style)=/.test(html.replace(script, "")),
+    "nothing is loaded, and nothing runs inline",
+  );
+  for (const word of [
+    "innerHTML",
+    "outerHTML",
+    "insertAdjacentHTML",
+    "document.write",
+    "eval(",
+    "fetch(",
+    "XMLHttpRequest",
+    "WebSocket",
+    "importScripts",
+  ]) {
     assert.ok(!script.includes(word), word);
   }
 });

@@ -46,7 +46,8 @@ test("HMAC and HKDF over SM3 are those of OpenSSL", () => {
 test("SM4-GCM is that of RFC 8998, and a changed bit opens nothing", () => {
   const [key, nonce] = [unhex("0123456789abcdeffedcba9876543210"), unhex("00001234567800000000abcd")];
   const aad = unhex("feedfacedeadbeeffeedfacedeadbeefabaddad2");
-  const plain = "aaaaaaaaaaaaaaaabbbbbbbbbbbbbbbbccccccccccccccccddddddddddddddddeeeeeeeeeeeeeeeeffffffffffffffffeeeeeeeeeeeeeeeeaaaaaaaaaaaaaaaa";
+  const plain =
+    "aaaaaaaaaaaaaaaabbbbbbbbbbbbbbbbccccccccccccccccddddddddddddddddeeeeeeeeeeeeeeeeffffffffffffffffeeeeeeeeeeeeeeeeaaaaaaaaaaaaaaaa";
   const sealed = unhex(
     "17f399f08c67d5ee19d0dc9969c4bb7d5fd46fd3756489069157b282bb200735d82710ca5c22f0ccfa7cbf93d496ac15a56834cbcf98c397b4024a2691233b8d83de3541e4c2b58177e065a9bf7b62ec",
   );
@@ -71,14 +72,21 @@ test("the counter of SM4-GCM goes on past a byte", () => {
   const [key, nonce, plain] = [randomBytes(16), randomBytes(12), randomBytes(16 * 70_000)];
   const first = Buffer.concat([nonce, Buffer.of(0, 0, 0, 2)]);
   const stream = createCipheriv("sm4-ctr", key, first).update(plain);
-  const opened = gcmOpen(key, nonce, Buffer.alloc(0), gcmSeal(key, nonce, Buffer.alloc(0), plain.subarray(0, 16 * 300)));
+  const opened = gcmOpen(
+    key,
+    nonce,
+    Buffer.alloc(0),
+    gcmSeal(key, nonce, Buffer.alloc(0), plain.subarray(0, 16 * 300)),
+  );
   assert.deepEqual(Buffer.from(opened), plain.subarray(0, 16 * 300));
   assert.equal(stream.length, plain.length);
 });
 
 test("SM2 verifies the example of GB/T 32918.5, and nothing near it", () => {
   const key = PublicKey.of(
-    unhex("09f9df311e5421a150dd7d161e4bc5c672179fad1833fc076bb08ff356f35020ccea490ce26775a52dc6ea718cc1aa600aed05fbf35e084a6632f6072da9ad13"),
+    unhex(
+      "09f9df311e5421a150dd7d161e4bc5c672179fad1833fc076bb08ff356f35020ccea490ce26775a52dc6ea718cc1aa600aed05fbf35e084a6632f6072da9ad13",
+    ),
   );
   const signature = unhex(
     "f5a03b0648d2c4630eeac513e1bb81a15944da3827d5b74143ac7eaceee720b3b1b6aa29df212fd8763182bc0d421ca1bb9038fd1f7f42d4840b69c485bbc1aa",
@@ -110,7 +118,9 @@ test("openssl's keys and signatures of SM2 are read", () => {
   openssl("genpkey -algorithm SM2 -out key.pem");
   openssl("pkey -in key.pem -pubout -out public.pem");
   writeFileSync(join(folder, "message"), "what is signed");
-  openssl("pkeyutl -sign -inkey key.pem -rawin -digest sm3 -pkeyopt distid:1234567812345678 -in message -out signature");
+  openssl(
+    "pkeyutl -sign -inkey key.pem -rawin -digest sm3 -pkeyopt distid:1234567812345678 -in message -out signature",
+  );
   const key = keyOfPem(readFileSync(join(folder, "public.pem"), "utf8"));
   const signature = signatureOfDer(readFileSync(join(folder, "signature")));
   assert.ok(key.verify(bytes("what is signed"), signature));
@@ -120,7 +130,14 @@ test("openssl's keys and signatures of SM2 are read", () => {
 test("a key has one form of PEM", () => {
   const pem = new Key(9n).pem().toString();
   assert.ok(keyOfPem(pem));
-  for (const other of [pem.slice(1), ` ${pem}`, pem + "\n", pem.replaceAll("\n", "\r\n"), pem.replace("PUBLIC", "public"), ""]) {
+  for (const other of [
+    pem.slice(1),
+    ` ${pem}`,
+    pem + "\n",
+    pem.replaceAll("\n", "\r\n"),
+    pem.replace("PUBLIC", "public"),
+    "",
+  ]) {
     assert.equal(keyOfPem(other), undefined);
   }
 });
@@ -128,7 +145,15 @@ test("a key has one form of PEM", () => {
 test("signatures in DER have one form", () => {
   const read = (digits) => hex(signatureOfDer(unhex(digits)));
   assert.equal(read("3006020105020106"), "05".padStart(64, "0") + "06".padStart(64, "0"));
-  for (const bad of ["", "3006020105020106ff", "308106020105020106", "30060201050201", "300702020005020106", "3006020185020106", "3106020105020106"]) {
+  for (const bad of [
+    "",
+    "3006020105020106ff",
+    "308106020105020106",
+    "30060201050201",
+    "300702020005020106",
+    "3006020185020106",
+    "3106020105020106",
+  ]) {
     assert.throws(() => read(bad), undefined, bad);
   }
 });
@@ -142,7 +167,8 @@ test("the account of a signature is that of EIP-155's example, and of no high s"
   const order = 0xfffffffffffffffffffffffffffffffebaaedce6af48a03bbfd25e8cd0364141n;
   const high = (order - BigInt("0x" + signature.slice(64))).toString(16);
   assert.equal(recovered(hash, unhex(signature.slice(0, 64) + high + "01")), undefined);
-  for (const bad of [signature + "02", signature + "1b", "0".repeat(128) + "00"]) assert.equal(recovered(hash, unhex(bad)), undefined);
+  for (const bad of [signature + "02", signature + "1b", "0".repeat(128) + "00"])
+    assert.equal(recovered(hash, unhex(bad)), undefined);
 });
 
 test("addresses have the checksum of EIP-55 or none", () => {
@@ -162,13 +188,27 @@ test("RLP has one form", () => {
   const long = encodeBytes(new Uint8Array(300));
   assert.equal(decode(long).bytes.length, 300);
   assert.equal(item("c88363617483646f67").items.length, 2);
-  for (const bad of ["", "817f", "81", "8000", "c28105", "c1", "b90038" + "01".repeat(56), "b837" + "01".repeat(55), "bfffffffffffffffff", "f8"]) {
+  for (const bad of [
+    "",
+    "817f",
+    "81",
+    "8000",
+    "c28105",
+    "c1",
+    "b90038" + "01".repeat(56),
+    "b837" + "01".repeat(55),
+    "bfffffffffffffffff",
+    "f8",
+  ]) {
     assert.equal(item(bad), undefined, bad);
   }
   const nested = (levels) => Array.from({ length: levels }).reduce((inner) => encodeList([inner]), encodeList([]));
   assert.ok(decode(nested(32)) && !decode(nested(33)));
   assert.deepEqual([item("80").number(), item("05").number(), item("820100").number()], [0n, 5n, 256n]);
-  assert.deepEqual([item("820005"), item("00"), item("89" + "01".repeat(9))].map((one) => one.number()), [undefined, undefined, undefined]);
+  assert.deepEqual(
+    [item("820005"), item("00"), item("89" + "01".repeat(9))].map((one) => one.number()),
+    [undefined, undefined, undefined],
+  );
 });
 
 test("paths lead to roots of trees of every size, and from no other place", () => {
@@ -192,10 +232,22 @@ test("JSON has one spelling", () => {
     word: "\u{1f600}\n",
   });
   const bad = [
-    '[1, "a"]', '{"number": 1}', '{"number": 1, "word": "a", "more": 1}', '{"number": 1, "number": 1, "word": "a"}',
-    '{"number": 18446744073709551616, "word": "a"}', '{"number": -0, "word": "a"}', '{"number": 1.0, "word": "a"}',
-    '{"number": 01, "word": "a"}', '{"number": 1, "word": "\\ud800"}', '{"number": 1, "word": "a"},', "\ufeff{}", "",
-    '{"number": 1, "word": "a\u0001"}', '{"number": true, "word": "a"}', '{"number": 1, "word": null}', "[".repeat(200),
+    '[1, "a"]',
+    '{"number": 1}',
+    '{"number": 1, "word": "a", "more": 1}',
+    '{"number": 1, "number": 1, "word": "a"}',
+    '{"number": 18446744073709551616, "word": "a"}',
+    '{"number": -0, "word": "a"}',
+    '{"number": 1.0, "word": "a"}',
+    '{"number": 01, "word": "a"}',
+    '{"number": 1, "word": "\\ud800"}',
+    '{"number": 1, "word": "a"},',
+    "\ufeff{}",
+    "",
+    '{"number": 1, "word": "a\u0001"}',
+    '{"number": true, "word": "a"}',
+    '{"number": 1, "word": null}',
+    "[".repeat(200),
   ];
   for (const text of bad) assert.throws(() => read(text), SyntaxError, text);
   assert.throws(() => json.parse(Uint8Array.of(0xff)), SyntaxError);
@@ -206,21 +258,38 @@ test("LZ4 is unpacked within its bounds", () => {
   assert.equal(read([0x30, 97, 98, 99], 3), "abc");
   assert.equal(read([0x11, 97, 1, 0, 0x10, 98], 7), "aaaaaab");
   assert.equal(read([0xf0, 1, ...Buffer.from("a".repeat(16))], 16), "a".repeat(16));
-  for (const [packed, length] of [[[0x30, 97, 98, 99], 4], [[0x30, 97, 98], 3], [[0x11, 97, 2, 0, 0x10, 98], 7], [[0x11, 97, 0, 0, 0x10, 98], 7], [[0xff], 9], [[], 0]]) {
+  for (const [packed, length] of [
+    [[0x30, 97, 98, 99], 4],
+    [[0x30, 97, 98], 3],
+    [[0x11, 97, 2, 0, 0x10, 98], 7],
+    [[0x11, 97, 0, 0, 0x10, 98], 7],
+    [[0xff], 9],
+    [[], 0],
+  ]) {
     assert.throws(() => read(packed, length));
   }
   assert.throws(() => unpackLz4(Uint8Array.of(0x10, 97), 64 * 2 ** 20), "a claim that no such block can keep");
 });
 
 test("matrices are restored from each filter, within their bounds", async () => {
-  const matrix = ({ start = 0, rows, columns, channels = 1, sample = 1, apart = 1, flags = 0 }, packed, around = Buffer.alloc(0)) => {
+  const matrix = (
+    { start = 0, rows, columns, channels = 1, sample = 1, apart = 1, flags = 0 },
+    packed,
+    around = Buffer.alloc(0),
+  ) => {
     const head = Buffer.alloc(15);
     [start, rows, columns].forEach((number, at) => head.writeUInt32BE(number, 4 * at));
     head.set([channels, sample | flags, apart], 12);
     return Buffer.concat([head, around, deflateSync(packed)]);
   };
   const row = Array.from({ length: 16 }, (_, at) => at + 1);
-  const rows = [[0, ...row], [1, ...row.map(() => 1)], [2, ...row.map(() => 0)], [3, ...row.map(() => 0)], [4, ...row.map(() => 0)]];
+  const rows = [
+    [0, ...row],
+    [1, ...row.map(() => 1)],
+    [2, ...row.map(() => 0)],
+    [3, ...row.map(() => 0)],
+    [4, ...row.map(() => 0)],
+  ];
   const found = Buffer.from(await unpackMatrix(matrix({ rows: 5, columns: 16 }, Buffer.from(rows.flat())), 80));
   assert.deepEqual([...found.subarray(0, 48)], [...row, ...row, ...row]);
   // Average of 0 and 1 is 0, of 0 and 2 is 1, of 1 and 3 is 2; Paeth's first is what is above.
@@ -229,11 +298,16 @@ test("matrices are restored from each filter, within their bounds", async () => 
   // Numbers of two bytes, big endian, as planes of folded differences: 1, 2, 3 .. from the left.
   const planes = Buffer.from([1, ...Array(8).fill(2), ...Array(8).fill(0)]);
   const numbers = Buffer.from(await unpackMatrix(matrix({ rows: 1, columns: 8, sample: 2, flags: 0x80 }, planes), 16));
-  assert.deepEqual(Array.from({ length: 8 }, (_, at) => numbers.readUInt16BE(2 * at)), [1, 2, 3, 4, 5, 6, 7, 8]);
+  assert.deepEqual(
+    Array.from({ length: 8 }, (_, at) => numbers.readUInt16BE(2 * at)),
+    [1, 2, 3, 4, 5, 6, 7, 8],
+  );
   // Green is added to the other colours; bytes before and behind stay.
   const colours = Buffer.from([0, ...Array(6).fill([1, 10, 2]).flat()]);
   const around = Buffer.from("ab");
-  const picture = Buffer.from(await unpackMatrix(matrix({ start: 1, rows: 1, columns: 6, channels: 3, flags: 0x40 }, colours, around), 20));
+  const picture = Buffer.from(
+    await unpackMatrix(matrix({ start: 1, rows: 1, columns: 6, channels: 3, flags: 0x40 }, colours, around), 20),
+  );
   assert.deepEqual([...picture.subarray(0, 7), picture[19]], [97, 11, 10, 12, 11, 10, 12, 98]);
   const good = { rows: 1, columns: 16 };
   for (const [what, packed, length] of [
@@ -242,7 +316,11 @@ test("matrices are restored from each filter, within their bounds", async () => 
     ["an unknown filter", matrix(good, Buffer.from([5, ...row])), 16],
     ["a short row", matrix({ rows: 1, columns: 15 }, Buffer.from([0, ...row.slice(1)])), 15],
     ["more than the message", matrix(good, Buffer.from(rows[0])), 15],
-    ["ten gigabytes", matrix({ rows: 2 ** 32 - 1, columns: 2 ** 32 - 1, channels: 64, sample: 4 }, Buffer.alloc(9)), 64 * 2 ** 20],
+    [
+      "ten gigabytes",
+      matrix({ rows: 2 ** 32 - 1, columns: 2 ** 32 - 1, channels: 64, sample: 4 }, Buffer.alloc(9)),
+      64 * 2 ** 20,
+    ],
   ]) {
     await assert.rejects(unpackMatrix(packed, length), undefined, what);
   }

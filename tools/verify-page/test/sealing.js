@@ -47,9 +47,14 @@ export class Key {
   }
 
   pem() {
-    const info = Buffer.concat([Buffer.from("3059301306072a8648ce3d020106082a811ccf5501822d03420004", "hex"), this.public]);
+    const info = Buffer.concat([
+      Buffer.from("3059301306072a8648ce3d020106082a811ccf5501822d03420004", "hex"),
+      this.public,
+    ]);
     const text = info.toString("base64");
-    return Buffer.from(`-----BEGIN PUBLIC KEY-----\n${text.slice(0, 64)}\n${text.slice(64)}\n-----END PUBLIC KEY-----\n`);
+    return Buffer.from(
+      `-----BEGIN PUBLIC KEY-----\n${text.slice(0, 64)}\n${text.slice(64)}\n-----END PUBLIC KEY-----\n`,
+    );
   }
 }
 
@@ -93,7 +98,9 @@ export function gcmSeal(key, nonce, aad, text) {
 export function expand(key, info, length) {
   let [out, block] = [Buffer.alloc(0), Buffer.alloc(0)];
   for (let number = 1; out.length < length; number++) {
-    block = createHmac("sm3", key).update(Buffer.concat([block, info, Buffer.of(number)])).digest();
+    block = createHmac("sm3", key)
+      .update(Buffer.concat([block, info, Buffer.of(number)]))
+      .digest();
     out = Buffer.concat([out, block]);
   }
   return out.subarray(0, length);

@@ -23,20 +23,37 @@ const refused = (token, why, ...pins) =>
   assert.rejects(judge(token, ...pins), (error) => error instanceof Broken && why.test(error.message), String(why));
 
 test("stamps of each kind of key and hash are taken", async () => {
-  for (const [name, key] of [["rsa", RSA], ["p256", P256], ["p384", P384]]) {
+  for (const [name, key] of [
+    ["rsa", RSA],
+    ["p256", P256],
+    ["p384", P384],
+  ]) {
     authority.issue(name, key, "root", "stamps");
     for (const section of ["sha256", "sha384", "sha512"]) {
       const token = authority.token(IMPRINT, name, section);
       if (section === "sha512" && key !== RSA) await refused(token, /ECDSA with SHA-512/, "root");
-      else assert.deepEqual([(await judge(token, "root")).signer, (await judge(token, "root")).pinned], [name, 0], `${name} ${section}`);
+      else
+        assert.deepEqual(
+          [(await judge(token, "root")).signer, (await judge(token, "root")).pinned],
+          [name, 0],
+          `${name} ${section}`,
+        );
     }
   }
   authority.issue("pss", RSA_PSS, "root", "stamps");
   const content = authority.content(authority.token(IMPRINT, "rsa"));
   const way = "-cades -keyopt rsa_padding_mode:pss -keyopt rsa_pss_saltlen:";
   for (const name of ["rsa", "pss"]) {
-    for (const [hash, salt] of [["sha256", 32], ["sha384", 48], ["sha512", 64]]) {
-      assert.equal((await judge(authority.signed(content, name, `-md ${hash} ${way}${salt}`), "root")).pinned, 0, `${name} ${hash}`);
+    for (const [hash, salt] of [
+      ["sha256", 32],
+      ["sha384", 48],
+      ["sha512", 64],
+    ]) {
+      assert.equal(
+        (await judge(authority.signed(content, name, `-md ${hash} ${way}${salt}`), "root")).pinned,
+        0,
+        `${name} ${hash}`,
+      );
     }
     await refused(authority.signed(content, name, `-md sha256 ${way}20`), /RSA-PSS with parameters/, "root");
   }
@@ -72,7 +89,8 @@ test("each lie about a stamp is refused", async () => {
   const content = authority.content(token);
   assert.equal((await judge(authority.signed(content, "good"), "root")).pinned, 0);
   await refused(authority.token("01".repeat(32), "good"), /stamps something else/, "root");
-  for (const name of ["plain", "loose", "both"]) await refused(authority.signed(content, name), /not restricted/, "root");
+  for (const name of ["plain", "loose", "both"])
+    await refused(authority.signed(content, name), /not restricted/, "root");
   await refused(authority.signed(content, "odd"), /unknown critical extension/, "root");
   await refused(authority.signed(content, "good", "-md sha256"), /does not name its certificate/, "root");
   const bare = authority.signed(content, "good", "-md sha256 -cades -nocerts");
@@ -102,7 +120,9 @@ test("(d) is proven by a pinned authority over the batch's root, and by nobody e
   authority.issue("notary", P256, "root", "stamps");
   const world = new World();
   const leaf = sm3(Buffer.of(0), Buffer.from("AuthROS/stamp/1"), world.root);
-  const imprint = createHash("sha256").update(Buffer.concat([Buffer.from("AuthROS/stamp/1"), leaf, u64(1)])).digest("hex");
+  const imprint = createHash("sha256")
+    .update(Buffer.concat([Buffer.from("AuthROS/stamp/1"), leaf, u64(1)]))
+    .digest("hex");
   const stamped = (token, top = leaf) => {
     const root = { root: world.root.toString("hex"), index: 0, path: [] };
     const listed = { format: "authros-stamp/1", top: top.toString("hex"), count: 1, roots: [root] };
@@ -110,14 +130,25 @@ test("(d) is proven by a pinned authority over the batch's root, and by nobody e
     const name = createHash("sha256").update(token).digest("hex").slice(0, 32);
     return world.file((members) => ({ ...members, [`stamps/${imprint}/${name}.der`]: Buffer.from(token) }));
   };
-  const pins = (name) => trust({}, `\n[[authority]]\nname = "The notary"\ncertificate = '''\n${authority.pem(name)}'''\n`);
+  const pins = (name) =>
+    trust({}, `\n[[authority]]\nname = "The notary"\ncertificate = '''\n${authority.pem(name)}'''\n`);
   const token = authority.token(imprint, "notary");
   const told = async (file, from) => shown(await check(file, new Trust(from), { readMe: Buffer.alloc(0) }));
   const good = await told(stamped(token), pins("root"));
-  assert.deepEqual([good.outcome, good.records[0].time.standing, good.records[0].authority], ["holds", "proven", "The notary"]);
-  assert.ok(good.verdict.some((sentence) => /^1 record existed no later than .* UTC, by the clock of The notary\.$/.test(sentence)));
+  assert.deepEqual(
+    [good.outcome, good.records[0].time.standing, good.records[0].authority],
+    ["holds", "proven", "The notary"],
+  );
+  assert.ok(
+    good.verdict.some((sentence) =>
+      /^1 record existed no later than .* UTC, by the clock of The notary\.$/.test(sentence),
+    ),
+  );
   const strange = await told(stamped(token), trust());
-  assert.deepEqual([strange.outcome, strange.records[0].time], ["holds", { standing: "unproven", reason: "unknown_authority" }]);
+  assert.deepEqual(
+    [strange.outcome, strange.records[0].time],
+    ["holds", { standing: "unproven", reason: "unknown_authority" }],
+  );
   const other = authority.token("01".repeat(32), "notary");
   const wrong = await told(stamped(other), pins("root"));
   assert.deepEqual([wrong.outcome, wrong.records[0].time.reason], ["refused", "bad_stamp"]);

@@ -78,8 +78,21 @@ export function sealBy(secret, hash) {
 }
 const VANITY = Buffer.alloc(32);
 const fieldsOf = (number, parent, state, extra, mix) => [
-  parent, Buffer.alloc(32, 1), Buffer.alloc(20), state, Buffer.alloc(32, 2), Buffer.alloc(32, 3), Buffer.alloc(256),
-  short(2), short(number), short(1000), short(0), short(TIME + number - BLOCK), extra, mix, Buffer.alloc(8),
+  parent,
+  Buffer.alloc(32, 1),
+  Buffer.alloc(20),
+  state,
+  Buffer.alloc(32, 2),
+  Buffer.alloc(32, 3),
+  Buffer.alloc(256),
+  short(2),
+  short(number),
+  short(1000),
+  short(0),
+  short(TIME + number - BLOCK),
+  extra,
+  mix,
+  Buffer.alloc(8),
 ];
 /** Clique, sealed by nobody if `sealer` is 0. */
 export function cliqueHeader(number, parent, state, sealer, vanity = VANITY) {
@@ -96,32 +109,67 @@ export function committedHeader(number, parent, state, { named, sealers, round =
   };
   const header = (bytes) => rlp(fieldsOf(number, parent, state, bytes, MIX));
   const signed = keccak(header(extra(round)));
-  return header(extra(said, sealers.map((sealer) => sealBy(sealer, signed))));
+  return header(
+    extra(
+      said,
+      sealers.map((sealer) => sealBy(sealer, signed)),
+    ),
+  );
 }
 
 // Records.
 const text = (word) => concat([word.length >> 8, word.length & 255], word);
 export function sealRecord(owner, signer, seq, message, options = {}) {
-  const { topic = "/robot1/odom", type = "std_msgs/String", compression = 0, plainLength = message.length, kind = 1 } = options;
+  const {
+    topic = "/robot1/odom",
+    type = "std_msgs/String",
+    compression = 0,
+    plainLength = message.length,
+    kind = 1,
+  } = options;
   const topicKey = Buffer.alloc(32, 6);
   const topicId = options.topicId ?? Buffer.alloc(16, 8);
   const recorder = concat([options.recorder ?? 1], Buffer.alloc(7, 4), signer.id.subarray(0, 8));
   const salt = randomBytes(24);
   const tags = Object.entries(options.tags ?? {}).map(([name, value]) => concat(text(name), text(value)));
   const head = concat(
-    text(topic), text(type), text("0".repeat(32)), Buffer.alloc(32, 4), text("/robot1"), Buffer.alloc(16, 5),
-    [compression], u64(plainLength), [0, tags.length], ...tags,
+    text(topic),
+    text(type),
+    text("0".repeat(32)),
+    Buffer.alloc(32, 4),
+    text("/robot1"),
+    Buffer.alloc(16, 5),
+    [compression],
+    u64(plainLength),
+    [0, tags.length],
+    ...tags,
   );
   const captured = BigInt(options.captured ?? TIME - 7) * 1_000_000_000n;
   const before = concat(
-    [0x89], "AuthROS", [1, 1, kind], DOMAIN, owner, signer.id, u64(1), recorder, u64(seq), topicId, [0],
-    u64(captured), u32(head.length + 16), u64(message.length + 16), salt,
+    [0x89],
+    "AuthROS",
+    [1, 1, kind],
+    DOMAIN,
+    owner,
+    signer.id,
+    u64(1),
+    recorder,
+    u64(seq),
+    topicId,
+    [0],
+    u64(captured),
+    u32(head.length + 16),
+    u64(message.length + 16),
+    salt,
   );
   const secret = hmac(salt, topicKey);
   const info = concat("AuthROS/record/1", DOMAIN, owner, recorder, u64(1), u64(seq));
   const keys = expand(secret, info, 88);
   const aad = concat(before, keys.subarray(56));
-  const sealed = [[keys.subarray(28, 44), keys.subarray(44, 56), head], [keys.subarray(0, 16), keys.subarray(16, 28), message]];
+  const sealed = [
+    [keys.subarray(28, 44), keys.subarray(44, 56), head],
+    [keys.subarray(0, 16), keys.subarray(16, 28), message],
+  ];
   const bytes = concat(aad, ...sealed.map(([key, nonce, plain]) => gcmSeal(key, nonce, aad, Buffer.from(plain))));
   const digest = sm3(bytes);
   const signature = signer.signDer(concat("AuthROS/signature/1", DOMAIN, digest));
@@ -130,7 +178,13 @@ export function sealRecord(owner, signer, seq, message, options = {}) {
 }
 const hmac = (salt, key) => {
   const padded = Buffer.concat([salt, Buffer.alloc(64 - salt.length)]);
-  return sm3(padded.map((byte) => byte ^ 0x5c), sm3(padded.map((byte) => byte ^ 0x36), key));
+  return sm3(
+    padded.map((byte) => byte ^ 0x5c),
+    sm3(
+      padded.map((byte) => byte ^ 0x36),
+      key,
+    ),
+  );
 };
 
 // RFC 6962's tree.
@@ -139,7 +193,10 @@ export function tree(leaves) {
   let split = 1;
   while (split * 2 < leaves.length) split *= 2;
   const [left, right] = [tree(leaves.slice(0, split)), tree(leaves.slice(split))];
-  const paths = [...left.paths.map((path) => [...path, right.root]), ...right.paths.map((path) => [...path, left.root])];
+  const paths = [
+    ...left.paths.map((path) => [...path, right.root]),
+    ...right.paths.map((path) => [...path, left.root]),
+  ];
   return { root: sm3(Buffer.of(1), left.root, right.root), paths };
 }
 
@@ -189,7 +246,14 @@ export class World {
 
   claim(index) {
     const path = this.tree.paths[index].map(hex);
-    const anchor = { mode: "batch", account: "0x" + hex(this.owner), root: hex(this.root), index, count: this.count, path };
+    const anchor = {
+      mode: "batch",
+      account: "0x" + hex(this.owner),
+      root: hex(this.root),
+      index,
+      count: this.count,
+      path,
+    };
     return { format: "authros-anchor/1", block: BLOCK, shown_at: BLOCK, keys: 1, anchor };
   }
 
@@ -204,13 +268,24 @@ export class World {
   members() {
     const nodes = [];
     const filled = [...this.slots].filter(([, value]) => value.some((byte) => byte));
-    const storage = trie(filled.map(([place, value]) => [Buffer.from(place, "hex"), rlp(value.subarray(value.findIndex((byte) => byte)))]), nodes);
-    const state = trie([[CONTRACT, rlp([short(1), short(0), storage, CODE])], [Buffer.alloc(20, 7), rlp(Buffer.alloc(40, 1))]], nodes);
+    const storage = trie(
+      filled.map(([place, value]) => [Buffer.from(place, "hex"), rlp(value.subarray(value.findIndex((byte) => byte)))]),
+      nodes,
+    );
+    const state = trie(
+      [
+        [CONTRACT, rlp([short(1), short(0), storage, CODE])],
+        [Buffer.alloc(20, 7), rlp(Buffer.alloc(40, 1))],
+      ],
+      nodes,
+    );
     const members = { ...this.more };
     let parent = Buffer.alloc(32, 8);
     for (const [at, sealer] of this.sealers.entries()) {
       const number = this.shownAt + at;
-      const header = this.commit ? committedHeader(number, parent, state, this.commit) : cliqueHeader(number, parent, state, sealer, this.vanity);
+      const header = this.commit
+        ? committedHeader(number, parent, state, this.commit)
+        : cliqueHeader(number, parent, state, sealer, this.vanity);
       members[`chain/${number}.rlp`] = header;
       parent = keccak(header);
     }
@@ -239,7 +314,14 @@ export function signed(members, { owner, keys }) {
     const bytes = members[name];
     return { name, bytes: bytes.length, sm3: hex(sm3(bytes)), sha256: hex(sha256(bytes)) };
   });
-  const suite = { name: "SM/1", signature: "SM2-SM3", digest: "SM3", cipher: "SM4-GCM", kdf: "HKDF-SM3", chain: "Keccak-256" };
+  const suite = {
+    name: "SM/1",
+    signature: "SM2-SM3",
+    digest: "SM3",
+    cipher: "SM4-GCM",
+    kdf: "HKDF-SM3",
+    chain: "Keccak-256",
+  };
   const chain = { id: 7, genesis: hex(GENESIS), contract: "0x" + hex(CONTRACT) };
   const exporter = { account: "0x" + hex(owner), key: hex(keys.id) };
   const manifest = json({ format: "authros-evidence/1", suite, chain, exporter, members: listed });
@@ -252,7 +334,8 @@ export function withManifest(members, manifest, keys) {
 }
 
 const u16s = (...words) => concat(...words.map((one) => [one & 255, one >> 8]));
-const u32s = (...words) => concat(...words.map((one) => [one & 255, (one >>> 8) & 255, (one >>> 16) & 255, one >>> 24]));
+const u32s = (...words) =>
+  concat(...words.map((one) => [one & 255, (one >>> 8) & 255, (one >>> 16) & 255, one >>> 24]));
 
 function crc32(bytes) {
   let sum = -1;
@@ -265,7 +348,12 @@ function crc32(bytes) {
 
 /** ZIP, stored, `mimetype` first. */
 export function pack(members) {
-  const names = ["mimetype", ...Object.keys(members).filter((name) => name !== "mimetype").sort()];
+  const names = [
+    "mimetype",
+    ...Object.keys(members)
+      .filter((name) => name !== "mimetype")
+      .sort(),
+  ];
   const [parts, central] = [[], []];
   let at = 0;
   for (const name of names) {
