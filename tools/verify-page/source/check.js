@@ -193,7 +193,9 @@ export const isSelfSealed = (records) =>
 function outcomeOf(trust, exporter, records, complete) {
   const levels = records.flatMap((record) => LEVELS.map((one) => record[one]));
   if ([exporter, ...complete, ...levels].some(({ standing }) => standing === REFUSED)) return "refused";
-  return trust && exporter.standing === PROVEN && isProven(records) ? "holds" : "incomplete";
+  // What was not checked here is not known to be right.
+  const isChecked = levels.every(({ reason }) => reason !== "not_checked");
+  return trust && isChecked && exporter.standing === PROVEN && isProven(records) ? "holds" : "incomplete";
 }
 
 /**

@@ -117,7 +117,7 @@ export function factsOf(report) {
     refused: outcome === "refused",
     trust: report.isPinned,
     self_sealed: outcome === "incomplete" && isSelfSealed(records),
-    unknown_exporter: outcome === "incomplete" && report.isPinned && isProven(records),
+    unknown_exporter: outcome === "incomplete" && report.isPinned && isProven(records) && exporter.standing !== PROVEN,
     records: records.length,
     statements,
     intact,

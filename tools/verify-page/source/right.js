@@ -87,7 +87,7 @@ export function vouched(check, { owner }, ownerKey) {
   const isSigned = (key) => key !== undefined && once(`disclosed ${hex(key.id)}`, () => verify(key));
   const pinned = trust?.person(owner)?.key;
   if (isSigned(ownerKey) || isSigned(pinned && bundle.keys.get(hex(pinned)))) return level(PROVEN);
-  const identities = [...bundle.identities.keys()].sort();
+  const identities = once("identities", () => [...bundle.identities.keys()].sort());
   const claims = () => identities.slice(0, MOST_IDENTITIES).some((hash) => isSigned(identityOf(check, hash, owner)));
   if (identities.length > MOST_IDENTITIES || claims()) return level(UNPROVEN, "unproven_disclosure");
   return level(REFUSED, "foreign_disclosure");

@@ -149,6 +149,12 @@ test("(d) is proven by a pinned authority over the batch's root, and by nobody e
     [strange.outcome, strange.records[0].time],
     ["holds", { standing: "unproven", reason: "unknown_authority" }],
   );
+  const [{ crypto }, file, known] = [globalThis, stamped(token), pins("root")];
+  Object.defineProperty(globalThis, "crypto", { value: undefined, configurable: true, writable: true });
+  const unchecked = await told(file, known);
+  globalThis.crypto = crypto;
+  const { time } = unchecked.records[0];
+  assert.deepEqual([unchecked.outcome, time], ["incomplete", { standing: "unproven", reason: "not_checked" }]);
   const other = authority.token("01".repeat(32), "notary");
   const wrong = await told(stamped(other), pins("root"));
   assert.deepEqual([wrong.outcome, wrong.records[0].time.reason], ["refused", "bad_stamp"]);
