@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::{Arc, Mutex};
 
+use serde_json::Value;
 use support::{Authros, Home, list, skipped, system_program, text};
 
 const SETTINGS: &str = "[req]\ndistinguished_name = dn\nprompt = no\n[dn]\nCN = unused\n\
@@ -207,5 +208,49 @@ fn by_hand(folder: &Path, bundle: &Path) {
             folder,
             &format!("ts -verify -digest {imprint} -token_in -in token -CAfile notaryroot.pem -partial_chain"),
         );
+        walked(folder, bundle, imprint);
+    }
+}
+
+/// The lines that lead from a record to what was stamped, in a shell.
+fn walked(folder: &Path, bundle: &Path, imprint: &str) {
+    let place = folder.join(format!("unpacked-{imprint}"));
+    let script = "import sys, zipfile\nzipfile.ZipFile(sys.argv[1]).extractall(sys.argv[2])\n";
+    let unpacked = Command::new("python3").args(["-c", script]).arg(bundle).arg(&place).status().expect("python3");
+    assert!(unpacked.success());
+    let plain = |value: &Value| value.as_str().expect("hex").trim_start_matches("0x").to_owned();
+    let words = |value: &Value| value.as_array().expect("a path").iter().map(plain).collect::<Vec<_>>().join(" ");
+    let read = |name: PathBuf| -> Value { serde_json::from_slice(&fs::read(name).expect("read")).expect("JSON") };
+    let roots = read(place.join("stamps").join(imprint).join("roots.json"));
+    let stamped = list(&roots, "roots");
+    let (digest, anchor, root) = fs::read_dir(place.join("records"))
+        .expect("records")
+        .find_map(|entry| {
+            let entry = entry.expect("an entry");
+            let anchor = read(entry.path().join("anchor.json"))["anchor"].clone();
+            let root = stamped.iter().find(|one| plain(&one["root"]) == plain(&anchor["root"]))?;
+            Some((entry.file_name().into_string().expect("hex"), anchor, root.clone()))
+        })
+        .expect("a record of a stamped batch");
+    let instructions = fs::read_to_string(place.join("VERIFY.txt")).expect("read");
+    let (_, block) = instructions.split_once("that this is about the record D").expect("the block");
+    let lines: Vec<&str> = block.lines().filter(|line| line.starts_with("    ")).collect();
+    let script = [
+        ("TOTAL", roots["count"].to_string()),
+        ("TOP", plain(&roots["top"])),
+        ("INDEX", anchor["index"].to_string()),
+        ("COUNT", anchor["count"].to_string()),
+        ("PATH", words(&anchor["path"])),
+        ("PLACE", root["index"].to_string()),
+        ("STEPS", words(&root["path"])),
+    ]
+    .iter()
+    .fold(lines.join("\n"), |script, (name, value)| script.replace(name, value));
+    let script = format!("D={digest} S={imprint}\n{script}");
+    let output = Command::new("sh").args(["-ec", &script]).current_dir(&place).output().expect("a shell");
+    let told = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success(), "{told}{}", String::from_utf8_lossy(&output.stderr));
+    for shown in [imprint.to_owned(), format!("{} 0", plain(&root["root"])), format!("{} 0", plain(&roots["top"]))] {
+        assert!(told.lines().any(|line| line.ends_with(&shown)), "{shown} in {told}");
     }
 }
