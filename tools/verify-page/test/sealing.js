@@ -60,8 +60,9 @@ export class Key {
 
 export function der(tag, ...parts) {
   const content = Buffer.concat(parts);
-  const length = content.length < 128 ? [content.length] : [0x82, content.length >> 8, content.length & 255];
-  return Buffer.concat([Buffer.of(tag, ...length), content]);
+  const { length } = content;
+  const digits = length < 128 ? [length] : length < 256 ? [0x81, length] : [0x82, length >> 8, length & 255];
+  return Buffer.concat([Buffer.of(tag, ...digits), content]);
 }
 
 function integer(bytes) {
