@@ -50,6 +50,7 @@ const COMMANDS: &[(&str, Word)] = &[
 /// Options of every command, and the kind of their value.
 const OPTIONS: &[(&str, Word)] = &[
     ("topic", Word::Topic),
+    ("reveal-topic", Word::Topic),
     ("owner", Word::Contact),
     ("to", Word::Contact),
     ("account", Word::Contact),

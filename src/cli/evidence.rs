@@ -121,7 +121,8 @@ pub fn exported(view: &EvidenceView) -> String {
         false => vec![format!("{records} records would go into {file}")],
     };
     if *revealed > 0 {
-        let (will, of) = (if *written { "are" } else { "would be" }, if topics.len() == 1 { "topic" } else { "topics" });
+        let (will, of) =
+            (if *written { "are" } else { "would be" }, if topics.len() == 1 { "topic" } else { "topics" });
         lines.push(format!(
             "{revealed} records of {} {of} {will} readable to everybody who gets the file, and that cannot be undone:",
             topics.len()

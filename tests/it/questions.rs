@@ -81,7 +81,10 @@ fn asked(authros: &Authros, home: &Home) {
     for reveal in [&["--reveal", "all"], &["--reveal-topic", "/robot*/odom"]] {
         let told = authros.run(&[&export[..], &reveal[..]].concat());
         assert!(told.code == Some(2) && !file.exists(), "{told}");
-        assert!(told.stdout.contains(" records of 2 topics would be readable to everybody who gets the file"), "{told}");
+        assert!(
+            told.stdout.contains(" records of 2 topics would be readable to everybody who gets the file"),
+            "{told}"
+        );
         assert!(TOPICS.iter().all(|topic| told.stdout.contains(&format!(" of {topic}"))), "{told}");
     }
     let message = authros.fails(3, &[&export[..], &["--reveal-topic", "/never/*"]].concat());

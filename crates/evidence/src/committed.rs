@@ -416,8 +416,7 @@ fn find<'a>(check: &Check<'a>, digest: Digest, header: &Header, claim: &'a Ancho
     if !check.known.leads(&leaf, claim) {
         return Err(Level::refused(Reason::WrongPath, "its path does not lead to the root it names"));
     }
-    let no_header =
-        || Level::unproven(Reason::HeaderMissing, format!("the header of block {at} is not in the bundle"));
+    let no_header = || Level::unproven(Reason::HeaderMissing, format!("the header of block {at} is not in the bundle"));
     let shown_at = check.bundle.headers.get(&at).ok_or_else(no_header)?;
     let unshown = |why: Unproven, what: String| match why {
         Unproven::Missing(_) => Level::unproven(Reason::StateMissing, format!("{what} is not in the bundle")),
@@ -431,9 +430,8 @@ fn find<'a>(check: &Check<'a>, digest: Digest, header: &Header, claim: &'a Ancho
     }
     let found = in_state((check, &storage), digest, header, claim, shown_at)
         .map_err(|why| unshown(why, format!("the part of the state after block {at} that holds its anchor")))?;
-    let nothing = || {
-        Level::refused(Reason::AnchorMissing, format!("the state after block {at} does not contain its anchor"))
-    };
+    let nothing =
+        || Level::refused(Reason::AnchorMissing, format!("the state after block {at} does not contain its anchor"));
     compare(found.ok_or_else(nothing)?, claim, shown_at)
 }
 

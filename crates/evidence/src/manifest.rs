@@ -137,7 +137,8 @@ impl Manifest {
         }
         if manifest.suite != Suite::known() {
             let (found, known) = (clean(&manifest.suite.name, 40), Suite::known().name);
-            let text = format!("has the suite '{found}' or other algorithms, but this program knows those of {known} alone");
+            let text =
+                format!("has the suite '{found}' or other algorithms, but this program knows those of {known} alone");
             return Err(BundleError::of(MANIFEST, &text));
         }
         let expected = Self::of(members, manifest.chain.clone(), manifest.exporter.clone(), provider);

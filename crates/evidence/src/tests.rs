@@ -356,7 +356,10 @@ fn openssl_checks_a_record_and_the_manifest_by_the_lines_of_the_read_me() {
     let told = String::from_utf8_lossy(&output.stdout);
     assert!(output.status.success(), "{told}{}", String::from_utf8_lossy(&output.stderr));
     assert!(told.contains(&world.record.digest.to_hex()), "{told}");
-    assert!(told.contains(&signer_id(&world.keys.public).to_hex()), "its key has the name that it is filed under: {told}");
+    assert!(
+        told.contains(&signer_id(&world.keys.public).to_hex()),
+        "its key has the name that it is filed under: {told}"
+    );
     let listed = std::fs::read_to_string(folder.path().join("manifest.json")).expect("read");
     let sum = told.lines().find(|line| line.contains("256(records/")).and_then(|line| line.split_once("= "));
     assert!(sum.is_some_and(|(_, sum)| listed.contains(sum)), "{told}");

@@ -11,10 +11,10 @@ use crate::bundle::{
 use crate::committed::{Anchored, Seals, anchored};
 use crate::completeness::stretches;
 use crate::report::{Disclosed, Level, Outcome, Reason, RecordReport, Report, Standing};
-use crate::verdict::{Context, verdict};
 use crate::state::{AnchorWord, KeysWord, Storage, Unproven};
 use crate::time::{BundledStamp, Certificate, StampedRoot, TimeError, check_token};
 use crate::trust::{PinnedAuthority, Trust};
+use crate::verdict::{Context, verdict};
 use authros_crypto::merkle::{Climber, LONGEST_PATH, Leaf};
 use authros_crypto::record::{Revealed, signed_bytes};
 use authros_crypto::{Provider, domain, pool, signer_id};
@@ -166,8 +166,7 @@ impl<'a> Check<'a> {
             return Err((Reason::NotAsFiled, text));
         }
         let parsed = Header::parse(&record.record);
-        let (header, length) =
-            parsed.map_err(|error| (Reason::NotARecord, format!("it is not a record: {error}")))?;
+        let (header, length) = parsed.map_err(|error| (Reason::NotARecord, format!("it is not a record: {error}")))?;
         let sealed = u64::from(header.head_length).saturating_add(header.body_length);
         if (record.record.len() as u64).checked_sub(length as u64) != Some(sealed) {
             return Err((Reason::NotARecord, "its length differs from what its header says".to_owned()));
@@ -272,7 +271,12 @@ impl<'a> Check<'a> {
         let person = self.trust.and_then(|trust| trust.person(exporter)).map(|person| person.name.clone());
         let own_chain = report.records.iter().any(|record| record.anchor.standing == Standing::OwnChain);
         let is_denied = self.trust.is_some_and(|trust| !trust.chain.sealed_by_exporter);
-        Context { exporter, person, trust_denies: own_chain && is_denied, foreign_instructions: self.is_read_me_foreign() }
+        Context {
+            exporter,
+            person,
+            trust_denies: own_chain && is_denied,
+            foreign_instructions: self.is_read_me_foreign(),
+        }
     }
 
     fn is_read_me_foreign(&self) -> bool {
@@ -526,8 +530,9 @@ fn unshown(why: Unproven, anchored: &Anchored<'_>) -> Level {
     let at = anchored.shown_at;
     match why {
         Unproven::Missing(_) => {
-            let text =
-                format!("the part of the state after block {at} that holds the key's registration is not in the bundle");
+            let text = format!(
+                "the part of the state after block {at} that holds the key's registration is not in the bundle"
+            );
             Level::unproven(Reason::RegistrationMissing, text)
         }
         why => Level::refused(Reason::RegistrationBroken, format!("the key's registration: {why}")),
@@ -557,8 +562,9 @@ fn judged(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>, registere
             "{how}, and {owner} was not suspended when this was anchored: it anchored this itself"
         )),
         (false, false) => {
-            let text =
-                format!("{how}; {owner} is not suspended at block {at}, but nothing shows whether it was at block {block}");
+            let text = format!(
+                "{how}; {owner} is not suspended at block {at}, but nothing shows whether it was at block {block}"
+            );
             Level::unproven(Reason::SuspensionUnknown, text)
         }
     })

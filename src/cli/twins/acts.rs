@@ -10,8 +10,8 @@ use crate::app::{Errand, Settings, State, Tag, palette};
 use crate::cli::args::Arguments;
 use crate::model::{Address, IncidentName, Party, Timestamp, TopicName};
 use crate::service::command::{
-    Administration, CloseIncident, EvidenceWishes, ExportEvidence, Held, NoteIncident, OpenIncident, Pace, PlayWishes, RemoveIncident, SetRobotPolicy,
-    ShowRobot,
+    Administration, CloseIncident, EvidenceWishes, ExportEvidence, Held, NoteIncident, OpenIncident, Pace, PlayWishes,
+    RemoveIncident, SetRobotPolicy, ShowRobot,
 };
 use crate::service::{Command, GrantFrom, KeyKind, SecretText};
 

@@ -314,7 +314,9 @@ pub fn note(state: &mut State, tag: &Tag) {
         Tag::Incident(deed, name) => {
             Some(deed.stays().map_or_else(|| Undo::By(incidents::taken_back(name)), Undo::Never))
         }
-        Tag::Evidence(_) => Some(Undo::Never("what a file discloses cannot be taken back; delete the file if nobody has it")),
+        Tag::Evidence(_) => {
+            Some(Undo::Never("what a file discloses cannot be taken back; delete the file if nobody has it"))
+        }
         Tag::SetPolicy(..) => Some(Undo::Never("a policy's version only rises; set the earlier one again (8, then p)")),
         Tag::Play(_) | Tag::StopPlay | Tag::Contact(_) | Tag::Robot(_) => None,
         Tag::Publishers(_) | Tag::Show(_) | Tag::Beside(..) | Tag::Open(_) | Tag::Path(_) | Tag::Check(_) => None,

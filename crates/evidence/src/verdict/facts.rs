@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use authros_model::{Address, SignerId, Timestamp, TopicId, clean};
 
 use super::{Wording, filled, grouped};
-use crate::report::{Outcome, Reason, RecordReport, Report, Standing, Stretch};
+use crate::report::{Outcome, RecordReport, Report, Standing, Stretch};
 
 pub(super) type Fields = BTreeMap<&'static str, Fact>;
 
@@ -58,31 +58,36 @@ fn count(number: usize) -> Fact {
 const STANDINGS: [Standing; 5] =
     [Standing::Proven, Standing::OwnChain, Standing::Unproven, Standing::Absent, Standing::Refused];
 
-/// How many records, and the span of their capture times.
+/// How many records, the span of their capture times, and the latest time by which an authority's stamp has them.
 #[derive(Debug, Default)]
 struct Group {
     count: u64,
     span: Option<(Timestamp, Timestamp)>,
+    stamped: Timestamp,
 }
 
 impl Group {
     fn add(&mut self, record: &RecordReport) {
         self.count += 1;
+        self.stamped = record.existed_before.map_or(self.stamped, |before| before.to_whole_second().max(self.stamped));
         if let Some(at) = record.captured_at {
             let (first, last) = self.span.unwrap_or((at, at));
             self.span = Some((first.min(at), last.max(at)));
         }
     }
 
-    fn of<'a>(records: impl IntoIterator<Item = &'a RecordReport>) -> Self {
-        let mut group = Self::default();
-        records.into_iter().for_each(|record| group.add(record));
-        group
-    }
-
     fn span(&self) -> Fact {
         Fact::Text(self.span.map(|(first, last)| span(first, last)).unwrap_or_default())
     }
+}
+
+/// The largest first, and then by their keys.
+fn groups<'a, Key: Ord>(records: impl IntoIterator<Item = (Key, &'a RecordReport)>) -> Vec<(Key, Group)> {
+    let mut groups: BTreeMap<Key, Group> = BTreeMap::new();
+    records.into_iter().for_each(|(key, record)| groups.entry(key).or_default().add(record));
+    let mut groups: Vec<_> = groups.into_iter().collect();
+    groups.sort_by_key(|(_, group)| Reverse(group.count));
+    groups
 }
 
 fn date(time: Timestamp) -> String {
@@ -159,6 +164,8 @@ pub(super) fn facts(wording: &Wording, report: &Report, context: &Context) -> Fa
     let intact = report.records.iter().filter(is_intact).count();
     let is_undated = |record: &&RecordReport| record.existed_before.is_none() && anchored_at(record).is_none();
     let late = report.records.iter().any(|record| record.seconds_to_anchor.is_some_and(|seconds| seconds < 0));
+    let captured = groups(report.records.iter().filter(is_intact).map(|record| ((), record)));
+    let captured = captured.first().map_or(Fact::Text(String::new()), |((), group)| group.span());
     let exporter = report.exporter.standing;
     let person = context.person.as_ref().map(|name| clean(name, wording.longest)).unwrap_or_default();
     let whole = Standing::Proven;
@@ -178,7 +185,7 @@ pub(super) fn facts(wording: &Wording, report: &Report, context: &Context) -> Fa
         ("exporter_self_sealed", flag(exporter == Standing::OwnChain)),
         ("exporter_refused", flag(exporter == Standing::Refused)),
         ("undated", count(report.records.iter().filter(is_undated).count())),
-        ("captured", Group::of(report.records.iter().filter(is_intact)).span()),
+        ("captured", captured),
         ("readable_count", count(readable)),
         ("sealed", count(report.records.len() - readable - statements)),
         ("complete", count(report.complete.iter().filter(|one| is_complete(one)).count())),
@@ -242,47 +249,35 @@ fn levels(wording: &Wording, report: &Report) -> String {
 }
 
 fn signed(wording: &Wording, report: &Report) -> Vec<Fields> {
-    let mut groups: BTreeMap<(Address, u8), (u64, String)> = BTreeMap::new();
-    for record in report.records.iter().filter(is_intact) {
-        let Some(owner) = record.owner else { continue };
+    let keyed = report.records.iter().filter(is_intact).filter_map(|record| {
         let class = match record.key.standing {
             Standing::Proven => 0,
             Standing::OwnChain => 1,
             Standing::Unproven | Standing::Absent | Standing::Refused => 2,
         };
         let person = record.person.as_ref().map(|name| clean(name, wording.longest)).unwrap_or_default();
-        let (count, name) = groups.entry((owner, class)).or_default();
-        (*count, *name) = (*count + 1, person);
-    }
-    let mut groups: Vec<_> = groups.into_iter().collect();
-    groups.sort_by_key(|(_, (count, _))| Reverse(*count));
-    let item = |((owner, class), (count, person)): ((Address, u8), (u64, String))| {
+        Some(((record.owner?, class, person), record))
+    });
+    let item = |((owner, class, person), group): ((Address, u8, String), Group)| {
         Fields::from([
             ("account", Fact::Text(owner.to_string())),
             ("person", Fact::Text(person)),
             ("proven", flag(class == 0)),
             ("self_sealed", flag(class == 1)),
-            ("count", Fact::Number(count)),
+            ("count", Fact::Number(group.count)),
         ])
     };
-    groups.into_iter().map(item).collect()
+    groups(keyed).into_iter().map(item).collect()
 }
 
 fn stamped(wording: &Wording, report: &Report) -> Vec<Fields> {
-    let mut groups: BTreeMap<String, (u64, Timestamp)> = BTreeMap::new();
-    for record in &report.records {
-        if let (Some(before), Some(authority)) = (record.existed_before, &record.authority) {
-            let (count, latest) = groups.entry(clean(authority, wording.longest)).or_default();
-            (*count, *latest) = (*count + 1, before.to_whole_second().max(*latest));
-        }
-    }
-    let mut groups: Vec<_> = groups.into_iter().collect();
-    groups.sort_by_key(|(_, (count, _))| Reverse(*count));
-    let item = |(authority, (count, time)): (String, (u64, Timestamp))| {
-        let time = Fact::Text(moment(time));
-        Fields::from([("authority", Fact::Text(authority)), ("time", time), ("count", Fact::Number(count))])
+    let name = |record: &RecordReport| Some(clean(record.authority.as_ref()?, wording.longest));
+    let keyed = report.records.iter().filter_map(|record| Some((name(record)?, record)));
+    let item = |(authority, group): (String, Group)| {
+        let time = Fact::Text(moment(group.stamped));
+        Fields::from([("authority", Fact::Text(authority)), ("time", time), ("count", Fact::Number(group.count))])
     };
-    groups.into_iter().map(item).collect()
+    groups(keyed).into_iter().map(item).collect()
 }
 
 fn anchored(report: &Report) -> Vec<Fields> {
@@ -301,17 +296,12 @@ fn anchored(report: &Report) -> Vec<Fields> {
 }
 
 fn by_topic<'a>(names: &Names<'_>, records: impl Iterator<Item = &'a RecordReport>) -> Vec<Fields> {
-    let mut groups: BTreeMap<String, Group> = BTreeMap::new();
-    for record in records {
-        let topic = record.disclosed.as_ref().map(|disclosed| clean(&disclosed.topic, names.wording.longest));
-        groups.entry(topic.unwrap_or_default()).or_default().add(record);
-    }
-    let mut groups: Vec<_> = groups.into_iter().collect();
-    groups.sort_by_key(|(_, group)| Reverse(group.count));
+    let name = |record: &RecordReport| Some(clean(&record.disclosed.as_ref()?.topic, names.wording.longest));
+    let keyed = records.filter_map(|record| Some((name(record)?, record)));
     let item = |(topic, group): (String, Group)| {
         Fields::from([("topic", Fact::Text(topic)), ("span", group.span()), ("count", Fact::Number(group.count))])
     };
-    groups.into_iter().map(item).collect()
+    groups(keyed).into_iter().map(item).collect()
 }
 
 fn missing(names: &Names<'_>, report: &Report) -> Vec<Fields> {
@@ -339,31 +329,25 @@ fn missing(names: &Names<'_>, report: &Report) -> Vec<Fields> {
 type Doubt = (bool, char, String, &'static str);
 
 fn doubts(wording: &Wording, names: &Names<'_>, report: &Report) -> Vec<Fields> {
-    let mut groups: BTreeMap<Doubt, Group> = BTreeMap::new();
-    for record in &report.records {
+    let of_records = report.records.iter().flat_map(|record| {
+        // What follows from altered bytes is not said again.
         let most = if is_intact(&record) { usize::MAX } else { 1 };
-        for (letter, level) in record.levels().into_iter().take(most) {
-            let Some(reason) = level.reason.map(Reason::name) else { continue };
-            let is_accepted = level.standing != Standing::Refused;
-            groups.entry((is_accepted, letter, names.record(record), reason)).or_default().add(record);
-        }
-    }
-    for stretch in &report.complete {
-        let Some(reason) = stretch.reason.map(Reason::name) else { continue };
-        let is_of = |record: &&RecordReport| {
-            let (owner, signer) = (Some(stretch.owner), Some(stretch.signer));
-            let is_numbered = (record.recorder, record.topic_id) == (Some(stretch.recorder), Some(stretch.topic_id));
-            is_intact(record) && is_numbered && (record.owner, record.signer) == (owner, signer)
+        record.levels().into_iter().take(most).filter_map(move |(letter, level)| {
+            let accepted = level.standing != Standing::Refused;
+            Some(((accepted, letter, names.record(record), level.reason?.name()), record))
+        })
+    });
+    let of_numbers = report.complete.iter().filter_map(|stretch| Some((stretch, stretch.reason?.name())));
+    let of_numbers = of_numbers.flat_map(|(stretch, reason)| {
+        let of = (Some(stretch.owner), Some(stretch.signer), Some(stretch.recorder), Some(stretch.topic_id));
+        let is_of = move |record: &&RecordReport| {
+            is_intact(record) && (record.owner, record.signer, record.recorder, record.topic_id) == of
         };
         let topic = names.topic(stretch.signer, stretch.topic_id);
-        let group = groups.entry((false, 'f', topic, reason)).or_default();
-        report.records.iter().filter(is_of).for_each(|record| group.add(record));
-    }
-    let mut groups: Vec<_> = groups.into_iter().collect();
-    groups.sort_by(|((accepted, letter, topic, reason), group), (other, with)| {
-        let (one, next) = ((accepted, letter, Reverse(group.count)), (&other.0, &other.1, Reverse(with.count)));
-        one.cmp(&next).then_with(|| (topic, reason).cmp(&(&other.2, &other.3)))
+        report.records.iter().filter(is_of).map(move |record| ((false, 'f', topic.clone(), reason), record))
     });
+    let mut groups: Vec<(Doubt, Group)> = groups(of_records.chain(of_numbers));
+    groups.sort_by_key(|((accepted, letter, ..), _)| (*accepted, *letter));
     let item = |((accepted, _, topic, reason), group): (Doubt, Group)| {
         let why = wording.reasons.get(reason).cloned().unwrap_or_default();
         Fields::from([

@@ -94,7 +94,9 @@ fn look_up<'a>(fields: &[&'a Fields], name: &str) -> Option<&'a Fact> {
 
 fn holds(condition: &str, fields: &[&Fields]) -> bool {
     let is_there = |name: &str| look_up(fields, name).is_some_and(Fact::is_there);
-    condition.split_whitespace().all(|word| word.strip_prefix('!').map_or_else(|| is_there(word), |name| !is_there(name)))
+    condition
+        .split_whitespace()
+        .all(|word| word.strip_prefix('!').map_or_else(|| is_there(word), |name| !is_there(name)))
 }
 
 fn filled(text: &str, fields: &[&Fields]) -> String {

@@ -44,7 +44,11 @@ fn every_reason_and_standing_has_its_words_and_every_name_is_explained() {
 
 /// Names live as long as the test.
 fn fields(of: &Value) -> Fields {
-    let fact = |value: &Value| value.as_str().map_or_else(|| Fact::Number(value.as_u64().expect("a number")), |text| Fact::Text(text.to_owned()));
+    let fact = |value: &Value| {
+        value
+            .as_str()
+            .map_or_else(|| Fact::Number(value.as_u64().expect("a number")), |text| Fact::Text(text.to_owned()))
+    };
     let all = of.as_object().expect("named values");
     all.iter().map(|(name, value)| (&*Box::leak(name.clone().into_boxed_str()), fact(value))).collect()
 }
@@ -150,6 +154,10 @@ fn numbers_times_and_spans_are_short() {
     assert_eq!(facts::span(at(0), at(86_400)), "2023-11-14 22:13:20 to 2023-11-15 22:13:20 UTC");
     assert_eq!(wrapped("one two three", 8), ["one two", "  three"]);
     let fields: Fields = BTreeMap::from([("n", Fact::Number(1)), ("name", Fact::Text("{n} </b>".to_owned()))]);
-    assert_eq!(filled("{n|record|records} of {name}", &[&fields]), "1 record of {n} </b>", "a name is not filled again");
+    assert_eq!(
+        filled("{n|record|records} of {name}", &[&fields]),
+        "1 record of {n} </b>",
+        "a name is not filled again"
+    );
     assert!(holds("n !m", &[&fields]) && !holds("m", &[&fields]) && holds("", &[&fields]));
 }

@@ -196,7 +196,10 @@ impl Evidence {
 
 /// The chosen messages and definitions that are to be disclosed together. What a site says of itself never is: it names
 /// all topics.
-fn of_topics<'a>(rows: &'a [RecordRow], wishes: &EvidenceWishes) -> Result<BTreeMap<String, Vec<&'a RecordRow>>, Failure> {
+fn of_topics<'a>(
+    rows: &'a [RecordRow],
+    wishes: &EvidenceWishes,
+) -> Result<BTreeMap<String, Vec<&'a RecordRow>>, Failure> {
     let mut found: BTreeMap<String, Vec<&RecordRow>> = BTreeMap::new();
     let is_content = |row: &&RecordRow| row.kind.is_content() || row.kind == RecordKind::Definition;
     for row in rows.iter().filter(is_content) {
@@ -206,7 +209,9 @@ fn of_topics<'a>(rows: &'a [RecordRow], wishes: &EvidenceWishes) -> Result<BTree
     }
     let is_unmet = |pattern: &&TopicPattern| !found.keys().any(|topic| pattern.matches(topic));
     match wishes.reveal_topics.iter().find(is_unmet) {
-        Some(pattern) => Err(input(format!("no chosen message has a topic that matches {pattern}; nothing is disclosed"))),
+        Some(pattern) => {
+            Err(input(format!("no chosen message has a topic that matches {pattern}; nothing is disclosed")))
+        }
         None => Ok(found),
     }
 }
@@ -216,8 +221,7 @@ fn disclosed_topics(rows: &[RecordRow], reveal: &BTreeSet<Digest>) -> Vec<Disclo
     for row in rows.iter().filter(|row| reveal.contains(&row.digest)) {
         *counts.entry(clean(&row.topic, 255)).or_default() += 1;
     }
-    let mut topics: Vec<_> =
-        counts.into_iter().map(|(topic, records)| DisclosedTopic { topic, records }).collect();
+    let mut topics: Vec<_> = counts.into_iter().map(|(topic, records)| DisclosedTopic { topic, records }).collect();
     topics.sort_by_key(|one| Reverse(one.records));
     topics
 }

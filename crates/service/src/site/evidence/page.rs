@@ -99,7 +99,8 @@ fn first_page(out: &mut String, report: &Report, about: Option<&IncidentView>) {
         incident(out, about);
     }
     out.push_str("<h2>Result, by the exporter's own trust settings</h2>\n");
-    let (outcome, sentences) = report.verdict.split_first().map_or(("", &[][..]), |(first, rest)| (first.as_str(), rest));
+    let (outcome, sentences) =
+        report.verdict.split_first().map_or(("", &[][..]), |(first, rest)| (first.as_str(), rest));
     put(out, format_args!("<p class=\"outcome\">{}</p>\n<ul>\n", escape(outcome)));
     sentences.iter().for_each(|sentence| put(out, format_args!("<li>{}</li>\n", escape(sentence))));
     out.push_str(
@@ -109,7 +110,6 @@ fn first_page(out: &mut String, report: &Report, about: Option<&IncidentView>) {
     );
 }
 
-/// Topics appear as their pseudonyms.
 fn incident(out: &mut String, about: &IncidentView) {
     out.push_str("<h2>Incident, in its owner's words</h2>\n");
     let until = about.until.map_or_else(|| "still open".to_owned(), |until| until.to_string());
@@ -165,9 +165,10 @@ fn one_topic(out: &mut String, (bundle, report): (&Bundle, &Report), topic: &str
     let types = types.into_iter().collect::<Vec<_>>().join(", ");
     put(out, format_args!("<section>\n<h3>{} <code>{}</code></h3>\n", escape(topic), escape(&types)));
     let times = || records.iter().filter_map(|record| record.captured_at);
-    let span = times().min().zip(times().max()).map_or_else(String::new, |(first, last)| {
-        format!("{} to {}", first.in_milliseconds(), last.in_milliseconds())
-    });
+    let span = times()
+        .min()
+        .zip(times().max())
+        .map_or_else(String::new, |(first, last)| format!("{} to {}", first.in_milliseconds(), last.in_milliseconds()));
     facts(
         out,
         &[
@@ -182,7 +183,10 @@ fn one_topic(out: &mut String, (bundle, report): (&Bundle, &Report), topic: &str
         let (digest, number) = (short(first.digest), first.seq.unwrap_or_default());
         put(out, format_args!("<h4>The first of them in full: no. {number}, <code>{digest}</code></h4>\n"));
         let tags = first.disclosed.iter().flat_map(|disclosed| &disclosed.tags);
-        facts(out, &tags.map(|(name, value)| fact(format!("Tag {name}"), &**value)).collect::<Vec<_>>());
+        let tags: Vec<_> = tags.map(|(name, value)| fact(format!("Tag {name}"), &**value)).collect();
+        if !tags.is_empty() {
+            facts(out, &tags);
+        }
         message(out, bundle, report, first, &mut Limits::default());
     }
     out.push_str("</section>\n");
@@ -213,8 +217,9 @@ impl Drawn {
     fn of((bundle, report): (&Bundle, &Report), records: &[&RecordReport]) -> Self {
         let mut drawn = Self { places: Vec::new(), samples: Vec::new(), pictures: Vec::new() };
         let mut limits = Limits::default();
-        let pictured: BTreeSet<Digest> = spread(records, MOST_PICTURES).iter().map(|record| record.digest).collect();
-        for record in spread(records, MOST_DRAWN) {
+        let chosen = spread(records, MOST_DRAWN);
+        let pictured: BTreeSet<Digest> = spread(&chosen, MOST_PICTURES).iter().map(|record| record.digest).collect();
+        for record in chosen {
             let Some(revealed) = report.messages.get(&record.digest) else { continue };
             let Some(definition) = definition_of(bundle, &revealed.head) else { continue };
             let (at, number) = (record.captured_at.unwrap_or_default(), record.seq.unwrap_or_default());
@@ -236,7 +241,10 @@ impl Drawn {
             for (at, png) in &self.pictures {
                 let uri = data_uri(png);
                 let when = at.in_milliseconds();
-                put(out, format_args!("<figure><img alt=\"a picture, reduced\" src=\"{uri}\"><p>{when}</p></figure>\n"));
+                put(
+                    out,
+                    format_args!("<figure><img alt=\"a picture, reduced\" src=\"{uri}\"><p>{when}</p></figure>\n"),
+                );
             }
             out.push_str("</div>\n");
         }
@@ -249,7 +257,10 @@ impl Drawn {
             let step = self.samples.len().div_ceil(MOST_LISTED);
             let rows = self.samples.iter().step_by(step).map(|one| {
                 let value = |name: &&str| one.field(name).unwrap_or("-").to_owned();
-                [one.at.in_milliseconds(), one.number.to_string()].into_iter().chain(columns.iter().map(value)).collect()
+                [one.at.in_milliseconds(), one.number.to_string()]
+                    .into_iter()
+                    .chain(columns.iter().map(value))
+                    .collect()
             });
             let head: Vec<&str> = ["captured", "number"].into_iter().chain(columns.iter().copied()).collect();
             table(out, "plain", &head, &rows.collect::<Vec<Vec<String>>>());
@@ -259,9 +270,8 @@ impl Drawn {
     /// The first fields that change, short ones alone.
     fn columns(&self) -> Vec<&str> {
         let Some(first) = self.samples.first() else { return Vec::new() };
-        let changes = |name: &str, text: &str| {
-            self.samples.iter().any(|one| one.field(name).is_some_and(|now| now != text))
-        };
+        let changes =
+            |name: &str, text: &str| self.samples.iter().any(|one| one.field(name).is_some_and(|now| now != text));
         let is_clock = |name: &str| name.starts_with("header.");
         let fitting = first.fields.iter().filter(|(name, text)| {
             text.chars().count() <= 24 && name.chars().count() <= 40 && !is_clock(name) && changes(name, text)
@@ -286,7 +296,8 @@ fn records(out: &mut String, report: &Report, listed: &[&RecordReport]) {
 
 fn level_row(record: &RecordReport) -> Vec<String> {
     let text = |value: Option<String>| value.unwrap_or_else(|| "-".to_owned());
-    let sealed = || record.topic_id.map(|topic| format!("sealed {}", topic.to_hex().chars().take(8).collect::<String>()));
+    let sealed =
+        || record.topic_id.map(|topic| format!("sealed {}", topic.to_hex().chars().take(8).collect::<String>()));
     let topic = record.disclosed.as_ref().map(|disclosed| clean(&disclosed.topic, 40));
     let mut cells = vec![
         short(record.digest),

@@ -68,7 +68,9 @@ pub(super) fn timeline(out: &mut String, topics: &[(String, Vec<Timestamp>)]) {
     let Some((first, last)) = all().min().zip(all().max()) else { return };
     let length = (last.0 - first.0).max(1);
     let (width, height) = (LABEL + PIECES * PIECE, ROW * topics.len() as u64 + ROW);
-    out.push_str("<p class=\"title\">Timeline: disclosed records over the time of capture, as their owner claims it</p>\n");
+    out.push_str(
+        "<p class=\"title\">Timeline: disclosed records over the time of capture, as their owner claims it</p>\n",
+    );
     put(out, format_args!("<svg viewBox=\"0 0 {width} {height}\" width=\"{width}\">\n"));
     for (row, (name, times)) in (0..).zip(topics) {
         let mut counts = vec![0_u64; usize::try_from(PIECES).unwrap_or_default()];
@@ -83,7 +85,10 @@ pub(super) fn timeline(out: &mut String, topics: &[(String, Vec<Timestamp>)]) {
         for (piece, count) in (0_u64..).zip(counts).filter(|(_, count)| *count > 0) {
             let (x, tall) = (LABEL + piece * PIECE, (count * (ROW - 4) / most).max(2));
             let y = base - tall;
-            put(out, format_args!("<rect class=\"bar\" x=\"{x}\" y=\"{y}\" width=\"{}\" height=\"{tall}\"/>\n", PIECE - 1));
+            put(
+                out,
+                format_args!("<rect class=\"bar\" x=\"{x}\" y=\"{y}\" width=\"{}\" height=\"{tall}\"/>\n", PIECE - 1),
+            );
         }
     }
     let (base, end) = (height - 6, width);

@@ -89,8 +89,9 @@ fn what_strangers_wrote_stays_text() {
     }
     // Every opening tag is one of ours.
     let ours = [
-        "!DOCTYPE", "html", "head", "meta", "title", "style", "body", "h1", "h2", "h3", "h4", "p", "b", "code", "table",
-        "thead", "tr", "th", "td", "section", "ul", "li", "pre", "svg", "polyline", "circle", "img", "text", "rect",
+        "!DOCTYPE", "html", "head", "meta", "title", "style", "body", "h1", "h2", "h3", "h4", "p", "b", "code",
+        "table", "thead", "tr", "th", "td", "section", "ul", "li", "pre", "svg", "polyline", "circle", "img", "text",
+        "rect",
     ];
     for opened in page.split('<').skip(1) {
         let name: String =
