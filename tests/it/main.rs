@@ -90,4 +90,5 @@ mod times;
 mod units;
 mod unreached;
 mod uploads_export;
+mod verifiers;
 mod verify_page;

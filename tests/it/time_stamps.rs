@@ -112,6 +112,24 @@ fn answer(mut stream: TcpStream, folder: &Path, mood: Mood) {
     stream.write_all(&[head.as_bytes(), &body].concat()).expect("answered");
 }
 
+/// An authority that answers everyone until the folder is dropped, and the setting that names it.
+pub(crate) fn notary() -> (tempfile::TempDir, String) {
+    let folder = tempfile::tempdir().expect("a folder");
+    fs::write(folder.path().join("settings"), SETTINGS).expect("written");
+    fs::write(folder.path().join("serial"), "01\n").expect("written");
+    signer(folder.path(), "notary");
+    let served = serve(folder.path().to_owned());
+    *served.mood.lock().expect("mood") = Mood::Well;
+    let certificate = folder.path().join("notaryroot.pem");
+    let setting = setting(&served, &certificate);
+    (folder, setting)
+}
+
+fn setting(served: &Served, certificate: &Path) -> String {
+    let (address, certificate) = (&served.address, certificate.display());
+    format!("[{{ name = \"The notary\", url = \"http://{address}/tsa\", certificate = \"{certificate}\" }}]")
+}
+
 #[test]
 fn batches_are_stamped_by_an_authority_and_the_stamps_are_checked_offline() {
     if system_program("openssl").is_none() || system_program("python3").is_none() {
@@ -126,11 +144,7 @@ fn batches_are_stamped_by_an_authority_and_the_stamps_are_checked_offline() {
 
     let home = Home::new();
     let certificate = folder.path().join("notaryroot.pem");
-    let setting = format!(
-        "[{{ name = \"The notary\", url = \"http://{}/tsa\", certificate = \"{}\" }}]",
-        served.address,
-        certificate.display()
-    );
+    let setting = setting(&served, &certificate);
     let bare = home.authros().with(&["--robots", "1"]).with_variable("AUTHROS_AUDIT_ANCHOR_EVERY", "86400");
     let authros = bare.with_variable("AUTHROS_TIME_AUTHORITIES", &setting);
     authros.enrol();

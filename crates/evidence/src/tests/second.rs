@@ -3,15 +3,19 @@
 use std::process::{Command, Output};
 
 use authros_crypto::record::RecordSecret;
-use authros_crypto::{compression, prove, signature_der, signer_id};
+use authros_crypto::compression::{self, Matrix};
+use authros_crypto::{prove, signature_der, signer_id};
 use authros_model::Token;
 use authros_model::head::Compression;
 
+use super::authority::{Authority, P256};
 use super::hostile::unanchored;
+use super::stamps::stamped;
 use super::verifiers::{Case, agree_on};
 use super::world::{BLOCK, GATEWAY, TIME, World, bound, genesis, ours, pair, sealed, sealed_as};
 use crate::archive::{self, Members};
 use crate::manifest::{MANIFEST, Manifest, signed_bytes};
+use crate::trust::PinnedAuthority;
 use crate::{Bundle, BundledRecord, Exporter, Outcome, Packing, Person, Slot, Trust, pack, verify};
 
 fn python(arguments: &[&str]) -> Option<Output> {
@@ -28,7 +32,7 @@ fn python(arguments: &[&str]) -> Option<Output> {
 const TOOLS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tools/verify");
 
 /// A script that has the second verifier's package, and its input, in a file, as `given`.
-fn script(text: &str, given: &str) -> Option<Output> {
+pub fn script(text: &str, given: &str) -> Option<Output> {
     let whole = format!("import sys\nsys.path.insert(0, {TOOLS:?})\ngiven = open(sys.argv[1]).read()\n{text}");
     let mut file = tempfile::NamedTempFile::new().expect("a file");
     std::io::Write::write_all(&mut file, given.as_bytes()).expect("written");
@@ -237,6 +241,41 @@ for length in (15, 29, 30, 31, 270, 285):
     }
 }
 
+/// Matrices of each shape, as packed here.
+#[test]
+fn the_second_verifier_unpacks_matrices() {
+    let mut cases = Vec::new();
+    for (sample, channels, big_endian, apart) in
+        [(1, 1, false, 1), (1, 3, false, 1), (1, 4, false, 2), (2, 1, false, 1), (2, 3, true, 1), (4, 1, false, 1), (4, 5, true, 2)]
+    {
+        let matrix = Matrix { start: 5, rows: 24, columns: 32, channels, sample, big_endian, apart };
+        let length = 5 + matrix.length().expect("fits") + 3;
+        let body: Vec<u8> = (0..length).map(|at| u8::try_from((at / 7 + at * at / 900) % 251).expect("a byte")).collect();
+        let packed = compression::pack(&body, Some(&matrix)).expect("pays");
+        assert_eq!(packed.compression, Compression::Matrix, "{matrix:?}");
+        cases.push((packed.bytes, body));
+    }
+    let text = r"
+import json
+from authros_verify.errors import Refused
+from authros_verify.packed import matrix
+for packed, body in json.loads(given):
+    packed = bytes(packed)
+    assert matrix(packed, len(body)) == bytes(body), packed[:15].hex()
+    wrong = [(packed[:-1], len(body)), (packed + b'\0', len(body)), (packed, len(body) - 1), (packed, len(body) + 1), (packed[:14], len(body))]
+    wrong += [(packed[:at] + bytes([packed[at] ^ 0x10]) + packed[at + 1:], len(body)) for at in (3, 7, 11, 12, 13, 14)]
+    for one, length in wrong:
+        try:
+            found = matrix(one, length)
+        except Refused:
+            continue
+        assert found != bytes(body), one[:15].hex()
+";
+    if let Some(output) = script(text, &serde_json::to_string(&cases).expect("JSON")) {
+        expect_success(&output);
+    }
+}
+
 #[test]
 fn the_second_verifier_sees_every_flipped_byte_of_an_archive() {
     let members: Members = [("mimetype", &b"x"[..]), ("a/b", b"one"), ("a/c", &[0; 40]), ("zz", b"")]
@@ -261,6 +300,44 @@ for one in wrong:
     if let Some(output) = script(text, &given) {
         expect_success(&output);
     }
+}
+
+/// A Python that lacks SHA-1 or SHA-384, as some builds do, says of a stamp that it was not checked here.
+#[test]
+fn what_the_second_verifier_cannot_check_is_incomplete() {
+    let Some(authority) = Authority::new() else { return println!("SKIPPED what cannot be checked: no openssl") };
+    authority.issue(("one", P256), "root", "stamps", "");
+    let authorities = vec![PinnedAuthority { name: "The notary".to_owned(), certificate: authority.pem("root") }];
+    let trust = Trust { authorities, ..World::trust() };
+    let (world, folder) = (World::new(), tempfile::tempdir().expect("directory"));
+    let packing = stamped(&world, |imprint| authority.token(imprint, "one", "sha384"));
+    let members = signed(packing, &world);
+    let (file, pins) = (folder.path().join("case.authros"), folder.path().join("trust.toml"));
+    std::fs::write(&file, pack(&members).expect("packs")).expect("written");
+    std::fs::write(&pins, trust.to_text().expect("text")).expect("written");
+    let text = r"
+import hashlib, json
+from authros_verify import verify
+bundle, pins = json.loads(given)
+whole = verify(bundle, pins)
+known = hashlib.new
+def poorer(name, *parts, **options):
+    if name == 'sha384':
+        raise ValueError(name)
+    return known(name, *parts, **options)
+hashlib.new = poorer
+found = verify(bundle, pins)
+level = found.document()['records'][0]['time']
+print(json.dumps([whole.exit_code, found.exit_code, found.outcome, level['standing'], level['reason'], ' '.join(found.lines())]))
+";
+    let given = serde_json::json!([file, pins]).to_string();
+    let Some(output) = script(text, &given) else { return };
+    expect_success(&output);
+    let told: (i32, i32, String, String, String, String) = serde_json::from_slice(&output.stdout).expect("JSON");
+    let (whole, poorer, outcome, standing, reason, lines) = told;
+    assert_eq!((whole, poorer, outcome.as_str()), (0, 9, "incomplete"));
+    assert_eq!((standing.as_str(), reason.as_str()), ("unchecked", "not_checked"));
+    assert!(lines.contains("not checked here"), "{lines}");
 }
 
 /// What is not a bundle, or breaks the reader, is refused in words.
