@@ -42,8 +42,11 @@ fn in_chromium(cases: &[Value]) -> Vec<Value> {
 
 /// It loaded itself and its own thread, ran nothing of the file, and made no element of its text.
 fn expect_harmless(case: &Value, one: &Value) {
-    let loaded: Vec<String> =
-        list(one, "loaded").iter().filter_map(Value::as_str).map(|url| url.split(':').next().expect("a scheme").to_owned()).collect();
+    let loaded: Vec<String> = list(one, "loaded")
+        .iter()
+        .filter_map(Value::as_str)
+        .map(|url| url.split(':').next().expect("a scheme").to_owned())
+        .collect();
     assert_eq!(loaded, ["file", "blob"], "{case}");
     assert_eq!((&one["executed"], &one["scripts"], &one["foreign"]), (&Value::Null, &1.into(), &0.into()), "{case}");
     assert_eq!(one["complaints"], json!([]), "{case}");
@@ -107,7 +110,10 @@ fn a_homes_bundle_comes_to_the_same_in_a_browser_as_in_the_program() {
     assert_eq!(text(&broken["report"], "outcome"), "refused", "{broken}");
     assert!(list(broken, "shown")[0].as_str().is_some_and(|first| first.starts_with("REFUSED")), "{broken}");
     verified(&bundle, Some(&unusable)).expect_code(3);
-    assert!(list(untold, "shown")[0].as_str().is_some_and(|told| told.starts_with("Not checked: the trust file")), "{untold}");
+    assert!(
+        list(untold, "shown")[0].as_str().is_some_and(|told| told.starts_with("Not checked: the trust file")),
+        "{untold}"
+    );
 }
 
 #[test]
@@ -117,7 +123,8 @@ fn ten_thousand_records_are_checked_while_the_page_answers() {
     }
     let _turn = heavy();
     let folder = tempfile::tempdir().expect("a folder");
-    let made = Command::new("node").arg(root("tools/verify-page/test/many.js")).arg("10000").arg(folder.path()).status();
+    let made =
+        Command::new("node").arg(root("tools/verify-page/test/many.js")).arg("10000").arg(folder.path()).status();
     assert!(made.expect("node").success());
     let (bundle, trust) = (folder.path().join("many.authros"), folder.path().join("many.toml"));
     let found = in_chromium(&[json!({ "bundle": bundle, "trust": trust })]);
@@ -126,8 +133,10 @@ fn ten_thousand_records_are_checked_while_the_page_answers() {
     let ours = Running::start(command).wait(300).expect_code(0).document();
     assert_eq!(list(&ours, "records").len(), 10_000);
     expect_the_same(&found[0], &ours);
-    let [whole, first, pause] = ["milliseconds", "first_after", "frozen"].map(|name| found[0][name].as_u64().expect("a number"));
-    let told = format!("10,000 records in verify.html: {whole} ms, first words after {first} ms, longest pause {pause} ms\n");
+    let [whole, first, pause] =
+        ["milliseconds", "first_after", "frozen"].map(|name| found[0][name].as_u64().expect("a number"));
+    let told =
+        format!("10,000 records in verify.html: {whole} ms, first words after {first} ms, longest pause {pause} ms\n");
     // Past the harness's capture, so that it shows in every run.
     std::io::stderr().write_all(told.as_bytes()).expect("written");
     assert!(pause * 2 < whole, "the page answers while it checks: {told}");

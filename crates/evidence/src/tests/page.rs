@@ -56,7 +56,8 @@ pub fn expect_the_same_in_chromium(cases: &[Case]) {
             assert_eq!(one["shown"], told["verdict"], "{what}");
         }
         let loaded: Vec<&str> = one["loaded"].as_array().expect("a list").iter().filter_map(Value::as_str).collect();
-        let is_own = |url: &&str| (url.starts_with("file:") && url.ends_with("/verify.html")) || url.starts_with("blob:");
+        let is_own =
+            |url: &&str| (url.starts_with("file:") && url.ends_with("/verify.html")) || url.starts_with("blob:");
         assert!(loaded.iter().all(is_own), "{what}: {loaded:?}");
         assert_eq!(one["complaints"], json!([]), "{what}");
     }
