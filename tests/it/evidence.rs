@@ -125,7 +125,8 @@ pub(crate) fn expect_agreement(bundle: &Path, trust: Option<&Path>) {
     assert_eq!((&ours["outcome"], &ours["verdict"]), (&theirs["outcome"], &theirs["verdict"]));
     let levels = |record: &Value| {
         let parts = ["standing", "reason"];
-        let told = ["bytes", "key", "anchor", "time", "opened"].map(|level| parts.map(|part| record[level][part].clone()));
+        let told =
+            ["bytes", "key", "anchor", "time", "opened"].map(|level| parts.map(|part| record[level][part].clone()));
         (text(record, "digest"), told)
     };
     let all = |report: &Value| list(report, "records").iter().map(levels).collect::<Vec<_>>();
@@ -136,7 +137,8 @@ pub(crate) fn expect_agreement(bundle: &Path, trust: Option<&Path>) {
 
 /// What both verifiers say about a topic.
 fn stretch(told: &Value) -> Vec<String> {
-    let fields = ["recorder", "topic_id", "standing", "reason", "first", "last", "missing", "gaps", "uncounted", "twice"];
+    let fields =
+        ["recorder", "topic_id", "standing", "reason", "first", "last", "missing", "gaps", "uncounted", "twice"];
     fields.map(|name| &told[name]).into_iter().chain([&told["heads"]["number"]]).map(ToString::to_string).collect()
 }
 

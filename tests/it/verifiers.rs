@@ -16,7 +16,7 @@ const TOOLS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tools/verify");
 const PAGE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tools/verify-page");
 const MUTATE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/long/mutate.py");
 /// Cases in every run; the long one goes on for twenty minutes.
-const CASES: u32 = 300;
+const CASES: u32 = 200;
 
 struct Exported {
     home: Home,
@@ -32,7 +32,7 @@ fn export() -> Exported {
     let authros = home.authros().with(&["--robots", "1"]).with_variable("AUTHROS_AUDIT_ANCHOR_EVERY", "1");
     let authros = authros.with_variable("AUTHROS_TIME_AUTHORITIES", &setting);
     authros.enrol();
-    authros.capture(&["/robot1/odom"], 4);
+    authros.capture(&["/robot1/odom"], 2);
     let site = authros.serve(&home);
     let (trust, owner) = (home.root().join("trust.toml"), home.root().join("owner.pem"));
     let mut tries = 0;

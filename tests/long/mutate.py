@@ -473,7 +473,7 @@ def main():
         cases = {f"{given.seed}-{number}": made(all_, given.seed, number) for number in range(next_, last)}
         for name, case in cases.items():
             (given.folder / f"{name}.authros").write_bytes(case.file())
-            (given.folder / f"{name}.toml").write_text(case.trust, encoding="utf-8", newline="")
+            (given.folder / f"{name}.toml").write_bytes(case.trust.encode())
         told = {name: of_tools(given.folder, name) for name in cases}
         differing = {}
         for verifier, command in verifiers.items():
@@ -488,7 +488,7 @@ def main():
             done.update(case.done)
             if name in differing:
                 apart += 1
-                print(f"{name} ({', '.join(case.done)}): {differing[name]}")
+                print(f"{name} ({', '.join(case.done)}): {differing[name]}", flush=True)
             else:
                 for kind in ("authros", "toml"):
                     (given.folder / f"{name}.{kind}").unlink()

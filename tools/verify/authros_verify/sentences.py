@@ -40,7 +40,8 @@ def moment(seconds):
 
 
 def time_of(seconds):
-    return moment(seconds).strftime("%Y-%m-%d %H:%M:%S UTC")
+    """The last time that has 64 bits of nanoseconds stands for all later ones."""
+    return moment(min(seconds, (2 ** 64 - 1) // 10 ** 9)).strftime("%Y-%m-%d %H:%M:%S UTC")
 
 
 def span(times):

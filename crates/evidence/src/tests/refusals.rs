@@ -202,7 +202,6 @@ fn lies_about_members(table: &mut Table) {
     table.add("identity of another bundle, under its name", &members, &trust, (Incomplete, "b identity_missing"));
 }
 
-#[expect(clippy::too_many_lines, reason = "a list of lies")]
 fn lies_about_the_chain(table: &mut Table) {
     let trust = World::trust();
     let root = |world: &World| world.claim.inclusion().expect("a batch").root;

@@ -2,8 +2,8 @@
 
 use std::process::{Command, Output};
 
-use authros_crypto::record::RecordSecret;
 use authros_crypto::compression::{self, Matrix};
+use authros_crypto::record::RecordSecret;
 use authros_crypto::{prove, signature_der, signer_id};
 use authros_model::Token;
 use authros_model::head::Compression;
@@ -16,7 +16,7 @@ use super::world::{BLOCK, GATEWAY, TIME, World, bound, genesis, ours, pair, seal
 use crate::archive::{self, Members};
 use crate::manifest::{MANIFEST, Manifest, signed_bytes};
 use crate::trust::PinnedAuthority;
-use crate::{Bundle, BundledRecord, Exporter, Outcome, Packing, Person, Slot, Trust, pack, verify};
+use crate::{Bundle, Exporter, Outcome, Packing, Person, Slot, Trust, pack, verify};
 
 fn python(arguments: &[&str]) -> Option<Output> {
     match Command::new("python3").arg("-B").args(arguments).output() {
@@ -241,16 +241,41 @@ for length in (15, 29, 30, 31, 270, 285):
     }
 }
 
+/// The rules of the sentences, by the examples that every verifier is given.
+#[test]
+fn the_second_verifier_says_the_lines_of_the_examples() {
+    let text = r"
+import json
+from authros_verify.sentences import WORDING, verdict, wrapped
+examples = json.loads(given)
+assert len(examples) > 4
+for example in examples:
+    lists = {**{name: [] for name in WORDING['lists']}, **example['lists']}
+    lines = [line for sentence in verdict(example['facts'], lists) for line in wrapped(sentence)]
+    assert lines == example['lines'], (example['what'], lines)
+";
+    if let Some(output) = script(text, include_str!("../verdict/examples.json")) {
+        expect_success(&output);
+    }
+}
+
 /// Matrices of each shape, as packed here.
 #[test]
 fn the_second_verifier_unpacks_matrices() {
     let mut cases = Vec::new();
-    for (sample, channels, big_endian, apart) in
-        [(1, 1, false, 1), (1, 3, false, 1), (1, 4, false, 2), (2, 1, false, 1), (2, 3, true, 1), (4, 1, false, 1), (4, 5, true, 2)]
-    {
+    for (sample, channels, big_endian, apart) in [
+        (1, 1, false, 1),
+        (1, 3, false, 1),
+        (1, 4, false, 2),
+        (2, 1, false, 1),
+        (2, 3, true, 1),
+        (4, 1, false, 1),
+        (4, 5, true, 2),
+    ] {
         let matrix = Matrix { start: 5, rows: 24, columns: 32, channels, sample, big_endian, apart };
         let length = 5 + matrix.length().expect("fits") + 3;
-        let body: Vec<u8> = (0..length).map(|at| u8::try_from((at / 7 + at * at / 900) % 251).expect("a byte")).collect();
+        let body: Vec<u8> =
+            (0..length).map(|at| u8::try_from((at / 7 + at * at / 900) % 251).expect("a byte")).collect();
         let packed = compression::pack(&body, Some(&matrix)).expect("pays");
         assert_eq!(packed.compression, Compression::Matrix, "{matrix:?}");
         cases.push((packed.bytes, body));
@@ -345,7 +370,9 @@ print(json.dumps([whole.exit_code, found.exit_code, found.outcome, level['standi
 fn the_second_verifier_never_ends_in_a_traceback() {
     let folder = tempfile::tempdir().expect("directory");
     let (file, pins) = (folder.path().join("case.authros"), folder.path().join("trust.toml"));
-    let start = format!("import runpy, sys\nsys.path.insert(0, {TOOLS:?})\nrunpy.run_module('authros_verify', run_name='__main__')");
+    let start = format!(
+        "import runpy, sys\nsys.path.insert(0, {TOOLS:?})\nrunpy.run_module('authros_verify', run_name='__main__')"
+    );
     let run = || {
         let arguments = ["-c", &start, file.to_str().expect("UTF-8"), "--trust", pins.to_str().expect("UTF-8")];
         python(&arguments)

@@ -188,7 +188,8 @@ fn openssl_judges_stamps_as_we_do() {
     });
     let expected = cases.iter().map(|(name, .., ours, theirs)| (*name, *ours, *theirs));
     assert_eq!(told.collect::<Vec<_>>(), expected.collect::<Vec<_>>());
-    let given: Vec<_> = cases.iter().map(|(_, token, imprint, pin, ..)| (token.clone(), *imprint, authority.pem(pin))).collect();
+    let given: Vec<_> =
+        cases.iter().map(|(_, token, imprint, pin, ..)| (token.clone(), *imprint, authority.pem(pin))).collect();
     let expected: Vec<bool> = cases.iter().map(|(.., ours, _)| *ours).collect();
     assert!(by_the_second(&given).is_none_or(|found| found == expected), "{expected:?}");
 }

@@ -83,7 +83,6 @@ pub fn files_that_are_no_bundle(table: &mut Table) {
 }
 
 /// Members that are not of their form, though they are signed for.
-#[expect(clippy::too_many_lines, reason = "a list of lies")]
 pub fn members_of_another_form(table: &mut Table) {
     let (world, trust) = (disclosing(), World::trust());
     let mut say = |what: &str, members: &Members| table.add(what, members, &trust, (Refused, "form"));

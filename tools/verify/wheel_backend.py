@@ -23,7 +23,7 @@ def build_wheel(wheel_directory, config_settings=None, metadata_directory=None):
         f"Metadata-Version: 2.1\nName: {line('name')}\nVersion: {version}\nSummary: {line('description')}\n"
         f"Requires-Python: {line('requires-python')}\nDescription-Content-Type: text/markdown\n\n"
     ).encode() + (HERE / "README.md").read_bytes()
-    files[f"{about}/WHEEL"] = b"Wheel-Version: 1.0\nGenerator: wheel_of\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
+    files[f"{about}/WHEEL"] = b"Wheel-Version: 1.0\nGenerator: wheel_backend\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
     files[f"{about}/entry_points.txt"] = f"[console_scripts]\nauthros-verify = {line('authros-verify')}\n".encode()
     digest = lambda data: base64.urlsafe_b64encode(hashlib.sha256(data).digest()).rstrip(b"=").decode()
     listed = [f"{name},sha256={digest(data)},{len(data)}" for name, data in files.items()] + [f"{about}/RECORD,,"]
