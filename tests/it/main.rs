@@ -92,3 +92,4 @@ mod units;
 mod unreached;
 mod uploads_export;
 mod verifiers;
+mod verify_page;

@@ -6,6 +6,7 @@ mod complete;
 mod foreign;
 pub(crate) mod hostile;
 mod mutants;
+mod page;
 mod parallel;
 mod refusals;
 mod second;

@@ -12,6 +12,7 @@ use serde_json::Value;
 
 use super::committed::Commit;
 use super::hostile::unanchored;
+use super::page;
 use super::verifiers::{self, Case};
 use super::world::{BLOCK, TIME, World, genesis, ours, pair, sealed, word};
 use crate::archive::Members;
@@ -129,6 +130,7 @@ fn every_lie_is_refused_by_all_verifiers_where_the_published_table_says() {
         return;
     }
     let told = verifiers::agree(&table.cases);
+    page::expect_the_same_in_chromium(&table.cases);
     let mut rows = String::new();
     for ((Case { what, .. }, expected), told) in table.cases.iter().zip(table.expected).zip(&told) {
         let (outcome, at) = expected;

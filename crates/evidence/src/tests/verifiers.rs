@@ -121,7 +121,8 @@ fn summary(told: &Value) -> Vec<String> {
     found
 }
 
-fn first_difference(own: &Value, other: &Value) -> Option<String> {
+/// The first thing in which two verifiers differ.
+pub fn first_difference(own: &Value, other: &Value) -> Option<String> {
     let (own, other) = (summary(own), summary(other));
     if own.len() != other.len() {
         return Some(format!("{own:#?}\n{other:#?}"));
