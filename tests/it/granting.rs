@@ -110,7 +110,8 @@ fn everything_of_a_robot_until_friday_is_one_grant() {
     let two = two_profiles(2);
     let camera = "/robot1/camera/compressed";
     two.alice.capture(&[TOPIC, camera, "/robot2/odom"], 2);
-    let grant = ["grant", "add", &two.bob_address, "--robot", "robot1", "--expires", "friday 18:00 UTC", "--from", "start"];
+    let grant =
+        ["grant", "add", &two.bob_address, "--robot", "robot1", "--expires", "friday 18:00 UTC", "--from", "start"];
     let dry = two.alice.json(&[&grant[..], &["--dry-run"]].concat());
     assert_eq!(count(&dry, "transactions"), 1, "{dry}");
     let topics: BTreeSet<String> = names(&list(&dry, "topics"));
