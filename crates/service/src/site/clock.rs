@@ -138,7 +138,7 @@ impl Clock {
         } else {
             return None;
         };
-        Some(PartHealth { part: ABOUT.to_owned(), level: HealthLevel::Waiting, text, since: None, retry: None })
+        Some(PartHealth::new(ABOUT, HealthLevel::Waiting, &text))
     }
 }
 

@@ -112,7 +112,6 @@ impl Site {
     }
 
     pub(super) fn figures(&self) -> Result<Figures, Failure> {
-        let (audit_lines, audit_unanchored) = self.audit_figures()?;
         let (ledger, head) = (&self.plant.ledger, self.parts.link.newest_head());
         Ok(Figures {
             now: Timestamp::now(),
@@ -127,8 +126,7 @@ impl Site {
             disk: free_bytes(self.home().root()).ok().map(|free| (free, self.config().disk_reserve)),
             cache: self.plant.ciphertext.cache(),
             untold_gaps: ledger.losses.untold()?,
-            audit_lines,
-            audit_unanchored,
+            audit_lines: self.parts.log.lines().head()?.0,
             audit_locked: self.parts.owners.all().is_empty(),
             clock_ahead: look().ahead(),
             gateway: self.gateway.figures(),
@@ -154,6 +152,7 @@ impl Site {
             owner: short(&owner.to_string()),
             life: self.life_line_of(owner, &counts)?,
             oldest_unanchored: self.plant.ledger.counts.oldest_unanchored(owner)?,
+            audit_unanchored: self.audit_unanchored(owner)?,
             topics: if self.config().metrics.topics { topics(&counts) } else { Vec::new() },
         })
     }
@@ -203,15 +202,13 @@ impl Site {
         Some(told_of(ending, &own, |owner| contacts.contains_key(&owner), begun))
     }
 
-    /// Lines of the audit log, and the time of the oldest that no open owner's head covers.
-    fn audit_figures(&self) -> Result<(u64, Option<Timestamp>), Failure> {
-        let (lines, _) = self.parts.log.lines().head()?;
-        let mut oldest: Option<Timestamp> = None;
-        for owner in self.parts.owners.all() {
-            let anchored = audit_head::noted(&self.plant.ledger.notes, owner.address)?.map_or(0, |(line, _)| line);
-            oldest = oldest.into_iter().chain(self.parts.log.lines().written_after(anchored)?).min();
+    /// The time of the oldest line of the audit log that no head of this open owner covers.
+    fn audit_unanchored(&self, owner: Address) -> Result<Option<Timestamp>, Failure> {
+        if !self.parts.owners.all().iter().any(|open| open.address == owner) {
+            return Ok(None);
         }
-        Ok((lines, oldest))
+        let anchored = audit_head::noted(&self.plant.ledger.notes, owner)?.map_or(0, |(line, _)| line);
+        Ok(self.parts.log.lines().written_after(anchored)?)
     }
 
     fn latency(&self, milestone: Milestone) -> Latency {

@@ -8,7 +8,7 @@ use std::time::Duration;
 use crate::crypto::EoaSecret;
 use crate::model::{Address, Domain};
 use crate::pipeline::anchorer::{self, MOST_LANES};
-use crate::pipeline::sender::LaneState;
+use crate::pipeline::sender::{LaneState, PauseReason};
 use crate::pipeline::{Network, Owner};
 use crate::service::failure::refused;
 use crate::service::reply::Failure;
@@ -16,6 +16,13 @@ use crate::service::reply::Failure;
 const LOOK: Duration = Duration::from_secs(2);
 
 type Derived = std::collections::HashMap<(Address, Domain), Arc<Vec<(Address, EoaSecret)>>>;
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Pause {
+    pub text: String,
+    /// Somebody has to do something about it.
+    pub is_alarm: bool,
+}
 
 pub struct Lanes {
     parts: Parts,
@@ -75,10 +82,19 @@ impl Lanes {
         Ok(states)
     }
 
-    pub fn paused(&self, network: &Network) -> Option<(String, bool)> {
-        let owners = self.parts.owners.all();
-        let mut states = owners.iter().filter_map(|owner| self.lane_states(owner, network).ok()).flatten();
-        states.find_map(|state| state.paused.map(|reason| (reason.text(state.account), reason.is_alarm())))
+    /// What pauses each open owner's lanes; the worst, if several are paused.
+    pub fn pauses(&self, network: &Network) -> Vec<(Address, Option<Pause>)> {
+        let pause = |owner: &Arc<Owner>| {
+            let lanes = self.lane_states(owner, network).unwrap_or_default().into_iter();
+            let paused = lanes.filter_map(|lane| Some((lane.account, lane.paused?)));
+            let worst = paused.max_by_key(|(_, reason)| reason.is_alarm());
+            let pause = |(account, reason): (Address, PauseReason)| Pause {
+                text: reason.text(account),
+                is_alarm: reason.is_alarm(),
+            };
+            (owner.address, worst.map(pause))
+        };
+        self.parts.owners.all().iter().map(pause).collect()
     }
 
     pub async fn tend(&self, network: &Network) {

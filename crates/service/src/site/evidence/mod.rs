@@ -250,7 +250,7 @@ fn waiting_part(part: &str, told: &str, trouble: Option<(Timestamp, String)>) ->
         Some((since, why)) => (HealthLevel::Waiting, Some(since), format!("{told}; {why}")),
         None => (HealthLevel::Ok, None, told.to_owned()),
     };
-    PartHealth { part: part.to_owned(), level, text: clean(&text, 300), since, retry: None }
+    PartHealth { since, ..PartHealth::new(part, level, &clean(&text, 300)) }
 }
 
 #[cfg(test)]
