@@ -31,8 +31,6 @@ pub struct BoundDevice {
     pub id: SignerId,
     /// Topic of its owner's notices.
     pub notices: TopicId,
-    /// Its name is free for others from then on.
-    pub recalled: Option<Timestamp>,
 }
 
 impl BoundDevice {
@@ -57,12 +55,6 @@ pub struct Binding {
     pub envelope: PublicKey,
     /// `None` for the account's own name.
     pub device: Option<BoundDevice>,
-}
-
-impl Binding {
-    pub fn recalled(&self) -> Option<Timestamp> {
-        self.device.and_then(|device| device.recalled)
-    }
 }
 
 /// Authenticated by K_T.
@@ -108,8 +100,13 @@ pub trait Desk: Send + Sync + 'static {
     /// `None` unless it is the owner's key, or lent by the owner now.
     async fn signer(&self, owner: &Address, signer: &SignerId) -> Result<Option<PublicKey>, Refusal>;
 
-    /// Also of a recalled device.
+    /// Also of a recalled device. Asks nothing of the chain: a stranger, who knows only the name, must see no difference.
+    /// `Tag` if the key at rest does not open.
     async fn binding(&self, name: &ProfileName) -> Result<Option<Binding>, Refusal>;
+
+    /// When the chain recalled the device that has the name, which is free for others from then on; `Stale` if the chain
+    /// does not say. For a caller that proved its key.
+    async fn recalled(&self, binding: &Binding) -> Result<Option<Timestamp>, Refusal>;
 
     /// Declared on the chain by the administrator.
     async fn successor(&self, lost: &Address) -> Result<Option<Address>, Refusal>;

@@ -143,8 +143,9 @@ pub async fn allocate(
     let account = desk.account(&allocation.account, None).await?;
     same_keys(&account, &allocation.signing, &allocation.envelope)?;
     desk.admits(&allocation.account, None).await?;
-    if let Some(bound) = desk.binding(name).await?.filter(|bound| bound.recalled().is_none())
+    if let Some(bound) = desk.binding(name).await?
         && bound.account != allocation.account
+        && desk.recalled(&bound).await?.is_none()
         && desk.successor(&bound.account).await? != Some(allocation.account)
     {
         return Err(Refusal::new(Code::NameBound, format_args!("{name} belongs to {}", bound.account)));

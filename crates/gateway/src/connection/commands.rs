@@ -147,7 +147,7 @@ impl Commands {
                 }
                 desk.notice(&self.caller, &notice).await?;
                 if let Notice::Device(DeviceNotice { key, notices }) = notice {
-                    let device = BoundDevice { id: signer_id(&key), notices, recalled: None };
+                    let device = BoundDevice { id: signer_id(&key), notices };
                     (self.caller.device, self.binding.device) = (Some(device), Some(device));
                 }
                 let digest = Digest(shared.provider().sm3(&[&message.body]));

@@ -111,15 +111,6 @@ impl GatewayDesk {
         Ok(Timestamp::now())
     }
 
-    /// When the newest loan of a device was recalled; a later loan is valid again.
-    async fn recalled(&self, owner: &Address, device: &SignerId) -> Result<Option<Timestamp>, Refusal> {
-        let network = self.known_network()?;
-        let loans = network.directory.account(*owner).map(|account| account.devices).unwrap_or_default();
-        let block = loans.iter().rfind(|loan| loan.device == *device).and_then(|loan| loan.recalled);
-        let Some(block) = block else { return Ok(None) };
-        network.ask_time(block).await.map(Some).map_err(Refusal::because(Code::Stale))
-    }
-
     /// A device's session is valid as long as its loan.
     pub fn check_loan(&self, network: &Network, caller: &Caller) -> Result<(), Refusal> {
         let Some(device) = &caller.device else { return Ok(()) };
@@ -233,7 +224,7 @@ impl Desk for GatewayDesk {
 
     async fn binding(&self, name: &ProfileName) -> Result<Option<Binding>, Refusal> {
         let name = name.clone();
-        let bound = self.blocking(move |desk| {
+        self.blocking(move |desk| {
             let kept = desk.ledger().bindings.binding(&name).map_err(Refusal::internal)?;
             let Some(kept) = kept else { return Ok(None) };
             let provider = desk.gateway.parts.plant.provider;
@@ -241,17 +232,23 @@ impl Desk for GatewayDesk {
             let open =
                 |pair: &SmKeyPair| open_transport_key(provider, &pair.secret, name.as_str(), &kept.sealed_key).ok();
             let key = under.iter().find_map(open);
-            let key = key.ok_or_else(|| Refusal::new(Code::Internal, "the transport key at rest does not open"))?;
+            let key = key.ok_or_else(|| Refusal::new(Code::Tag, "the transport key at rest does not open"))?;
             drop(under);
             let KeptBinding { account, signing, envelope, device, .. } = kept;
-            let device = device.map(|(id, notices)| BoundDevice { id, notices, recalled: None });
+            let device = device.map(|(id, notices)| BoundDevice { id, notices });
             Ok(Some(Binding { account, key, signing, envelope, device }))
-        });
-        let mut bound = bound.await?;
-        if let Some(Binding { account, device: Some(device), .. }) = &mut bound {
-            device.recalled = self.recalled(account, &device.id).await?;
-        }
-        Ok(bound)
+        })
+        .await
+    }
+
+    /// Of the device's newest loan: a later one is valid again.
+    async fn recalled(&self, binding: &Binding) -> Result<Option<Timestamp>, Refusal> {
+        let Some(device) = &binding.device else { return Ok(None) };
+        let network = self.known_network()?;
+        let loans = network.directory.account(binding.account).map(|account| account.devices).unwrap_or_default();
+        let block = loans.iter().rfind(|loan| loan.device == device.id).and_then(|loan| loan.recalled);
+        let Some(block) = block else { return Ok(None) };
+        network.ask_time(block).await.map(Some).map_err(Refusal::because(Code::Stale))
     }
 
     async fn successor(&self, lost: &Address) -> Result<Option<Address>, Refusal> {
