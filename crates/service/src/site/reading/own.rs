@@ -115,7 +115,6 @@ impl Reading {
     pub fn provenance(&self, profile: &ProfileName, id: &str) -> Result<Provenance, Failure> {
         let shown = self.compared_one(&self.own_record(profile, id)?, &self.own_keys())?;
         let row = &shown.row;
-        let step = |word: &str, text: String| (word.to_owned(), text);
         let topic = clean(&row.topic, 255);
         let of = if row.is_named() { topic.as_str() } else { "a topic whose name is unknown here" };
         let mut steps = vec![
@@ -131,27 +130,9 @@ impl Reading {
             steps.push(step("store", "ciphertext stored with its row".to_owned()));
         }
         let ledger = &self.parts.plant.ledger;
-        let placed = ledger.records.placed(row.digest)?;
-        let place = placed.and_then(|placed| placed.place);
-        if let Some(place) = &place {
-            let inclusion = &place.inclusion;
-            steps.push(step("batch", format!("root {}, closed {}", inclusion.root, place.closed_at.in_milliseconds())));
-            let (index, count, hashes) = (inclusion.index + 1, inclusion.count, inclusion.path.len());
-            let hashes = if hashes == 1 { "1 hash".to_owned() } else { format!("{hashes} hashes") };
-            steps.push(step("proof", format!("leaf {index} of {count}, {hashes} to the root")));
-        }
-        if let Some(account) = place.and_then(|place| place.account) {
-            steps.push(step("anchored by", account.to_string()));
-        }
-        if let Some(transaction) = row.transaction {
-            steps.push(step("transaction", transaction.to_string()));
-        }
-        if let (Some(block), Some(hash)) = (row.block, row.block_hash) {
-            steps.push(step("block", format!("{block} {hash}")));
-            // A run without a chain has seen no block.
+        if let Some(placed) = ledger.records.placed(row.digest)? {
             let head = *self.parts.link.scans().borrow();
-            let (deep, wanted) = (head + 1 - block.min(head + 1), self.parts.config.confirmations);
-            steps.extend((head >= block).then(|| step("confirmations", format!("{deep}, of which {wanted} required"))));
+            steps.extend(anchor_steps(placed, head, self.parts.config.confirmations));
         }
         if let Some(retained) = ledger.retention.find(row.digest)? {
             let done = retained.deleted_at.map_or("to be deleted".to_owned(), |at| format!("ciphertext deleted {at}"));
@@ -266,6 +247,32 @@ fn altered(field: &str) -> String {
     )
 }
 
+fn step(word: &str, text: String) -> (String, String) {
+    (word.to_owned(), text)
+}
+
+/// The one anchor that the record rests on: its batch's, or that of its own upload.
+fn anchor_steps(placed: PlacedRecord, head: u64, wanted: u64) -> Vec<(String, String)> {
+    let (row, place) = placed.anchor();
+    let mut steps = Vec::new();
+    if let Some(place) = &place {
+        let inclusion = &place.inclusion;
+        steps.push(step("batch", format!("root {}, closed {}", inclusion.root, place.closed_at.in_milliseconds())));
+        let (index, count, hashes) = (inclusion.index + 1, inclusion.count, inclusion.path.len());
+        let hashes = if hashes == 1 { "1 hash".to_owned() } else { format!("{hashes} hashes") };
+        steps.push(step("proof", format!("leaf {index} of {count}, {hashes} to the root")));
+        steps.extend(place.account.map(|account| step("anchored by", account.to_string())));
+    }
+    steps.extend(row.transaction.map(|transaction| step("transaction", transaction.to_string())));
+    if let (Some(block), Some(hash)) = (row.block, row.block_hash) {
+        steps.push(step("block", format!("{block} {hash}")));
+        // A run without a chain has seen no block.
+        let deep = head + 1 - block.min(head + 1);
+        steps.extend((head >= block).then(|| step("confirmations", format!("{deep}, of which {wanted} required"))));
+    }
+    steps
+}
+
 /// The signer wrote a false name into the record.
 fn misnamed(what: &str) -> String {
     format!(
@@ -326,3 +333,6 @@ fn anchor_json(row: &RecordRow, place: Option<&BatchPlace>, shown: &dyn Fn(Addre
         "block_hash": block_hash,
     })
 }
+
+#[cfg(test)]
+mod tests;
