@@ -19,8 +19,10 @@ use crate::site::parts::Parts;
 use crate::store::notes::{AdmittedOwner, AdmittedOwners};
 
 const MOST: usize = 10_000;
-/// Subject of notices about an account that is not admitted.
-pub const ADMISSION: &str = "admission";
+/// Subject of notices about an account that asks to be allowed.
+pub fn subject(account: Address) -> String {
+    format!("admission {account}")
+}
 
 pub struct Admissions {
     parts: Parts,
@@ -80,7 +82,8 @@ impl Admissions {
                 list.push(AdmittedOwner { owner, since: Timestamp::now(), by: profile.to_string() });
                 let admitted = async { self.write(&list) };
                 self.parts.log.deed(profile, "gateway admit", &owner.to_string(), admitted).await?;
-                self.parts.hub.notice_about(ADMISSION, NoticeLevel::Info, &format!("the gateway allows {owner} now"));
+                let text = format!("the gateway allows {owner} now");
+                self.parts.hub.notice_about(&subject(owner), NoticeLevel::Info, &text);
             }
         }
         self.rows()
@@ -156,7 +159,7 @@ impl GatewayDesk {
             return Ok(Standing::Guest);
         }
         let detail = format!("{account} is not allowed at this gateway; `authros gateway admit {account}` allows it");
-        Err(Refusal::new(Code::NotAdmitted, detail))
+        Err(Refusal { account: Some(*account), ..Refusal::new(Code::NotAdmitted, detail) })
     }
 
     /// Whether an account may have one more name here.

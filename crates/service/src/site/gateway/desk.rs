@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use tokio::sync::watch;
 
 use super::GatewayDesk;
-use super::admissions::{ADMISSION, Standing as Access};
+use super::admissions::{Standing as Access, subject};
 use super::erasing::not_taken;
 use super::reading::LONGEST_SILENCE;
 use crate::chain::RelayError;
@@ -341,10 +341,10 @@ impl Desk for GatewayDesk {
         if self.gateway.parts.log.refused(&peer.ip().to_string(), &format!("{:?}", refusal.code)) {
             let (hub, text) =
                 (&self.gateway.parts.hub, format!("the gateway refused {}: {}", peer.ip(), refusal.detail));
-            match refusal.code {
+            match refusal.account {
                 // The keeper can change this.
-                Code::NotAdmitted => hub.notice_about(ADMISSION, NoticeLevel::Warning, &text),
-                _ => hub.inform(&format!("the gateway refused {}: {refusal}", peer.ip())),
+                Some(account) => hub.notice_about(&subject(account), NoticeLevel::Warning, &text),
+                None => hub.inform(&format!("the gateway refused {}: {refusal}", peer.ip())),
             }
         }
     }
