@@ -52,9 +52,9 @@ pub trait GraphPublisher: Send + Sync {
         false
     }
 
-    /// Why nothing is published now, if so.
-    fn broken(&self) -> Option<String> {
-        None
+    /// Replaces a program that publishes, if it has ended.
+    fn revive(&mut self) -> Result<(), RosError> {
+        Ok(())
     }
 
     /// Whether a subscriber is so far behind that it soon loses messages.
@@ -338,7 +338,6 @@ struct Announced {
 
 pub struct RosrustPublisher {
     uri: String,
-    errand: Errand,
     run: Run,
     announced: BTreeMap<String, Announced>,
     next: u32,
@@ -361,12 +360,9 @@ impl RosrustPublisher {
         let environment = vec![("ROS_MASTER_URI", uri.clone()), ("ROS_HOSTNAME", host)];
         let errand = Errand { program, arguments, environment };
         let run = Run::start(&errand, 0)?;
-        let publisher = Self { uri, errand, run, announced: BTreeMap::new(), next: 1, missed: 0 };
-        publisher.joined().map(|()| publisher)
-    }
-
-    fn joined(&self) -> Result<(), RosError> {
-        self.run.joined().map_err(|reason| self.failed(&reason))
+        let publisher = Self { uri, run, announced: BTreeMap::new(), next: 1, missed: 0 };
+        publisher.run.joined().map_err(|reason| publisher.failed(&reason))?;
+        Ok(publisher)
     }
 
     fn failed(&self, reason: &str) -> RosError {
@@ -425,6 +421,9 @@ impl GraphPublisher for RosrustPublisher {
     }
 
     fn publish(&mut self, topic: &str, source: u64, message: &[u8]) -> bool {
+        if self.revive().is_err() {
+            return false;
+        }
         let Some(announced) = self.announced.get_mut(topic) else { return false };
         if message.len() > LONGEST_PAYLOAD as usize {
             return false;
@@ -439,10 +438,6 @@ impl GraphPublisher for RosrustPublisher {
         true
     }
 
-    fn broken(&self) -> Option<String> {
-        self.run.broken()
-    }
-
     fn is_crowded(&self) -> bool {
         self.run.is_crowded()
     }
@@ -451,20 +446,18 @@ impl GraphPublisher for RosrustPublisher {
         drop(self.run.order(&Order::<Described>::Outrun, &[]));
     }
 
-    /// Restarts the program if it has ended, with all topics and latched messages.
     fn come_back(&mut self) -> Result<(), RosError> {
-        if self.run.broken().is_none() {
-            return Ok(());
-        }
-        let run = Run::start(&self.errand, 0)?;
+        self.revive()
+    }
+
+    /// With all topics and latched messages.
+    fn revive(&mut self) -> Result<(), RosError> {
+        let next = self.run.successor().map_err(|reason| self.failed(&reason))?;
+        let Some(next) = next else { return Ok(()) };
         self.missed = self.missed();
-        self.run = run;
-        let done = self.joined().and_then(|()| self.announce_again());
-        if done.is_err() {
-            // It is tried again only if it has ended.
-            self.run.kill();
-        }
-        done
+        self.run = next;
+        // It is replaced only if it has ended.
+        self.announce_again().inspect_err(|_| self.run.kill())
     }
 
     fn cut(&mut self, topics: &[String]) {
