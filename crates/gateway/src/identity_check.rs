@@ -32,10 +32,15 @@ pub fn check_reach(caller: &Caller, request: &Request) -> Result<(), Refusal> {
             let own = !feed.recorders.is_empty() && feed.places.iter().all(|place| place.owner == caller.account);
             own || device.asks_for_notices(&caller.account, feed)
         }
-        Request::Notice(Notice::Grant(_) | Notice::Revoke(_)) | Request::Relay(_) => false,
         // Only the owner erases.
-        Request::Erase(_) => false,
-        _ => true,
+        Request::Notice(Notice::Grant(_) | Notice::Revoke(_)) | Request::Relay(_) | Request::Erase(_) => false,
+        Request::SystemKeys
+        | Request::KeyAllocation(_)
+        | Request::Upload(_)
+        | Request::UploadMany(_)
+        | Request::Notice(Notice::Device(_))
+        | Request::Ping
+        | Request::Records(..) => true,
     };
     if may {
         return Ok(());

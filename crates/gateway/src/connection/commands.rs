@@ -44,7 +44,12 @@ impl Shared {
                 let receipt = self.receipt(Timestamp::now(), vec![digest])?;
                 Ok(Answer::Receipt(Command::KeyAllocation, receipt))
             }
-            _ => Err(Refusal::new(Code::NotHere, "a command for another session")),
+            Request::Upload(_)
+            | Request::UploadMany(_)
+            | Request::Notice(_)
+            | Request::Erase(_)
+            | Request::Feed(_)
+            | Request::Records(..) => Err(Refusal::new(Code::NotHere, "a command for another session")),
         }
     }
 }
@@ -123,16 +128,14 @@ impl Commands {
     ) -> Result<Answer, Refusal> {
         let desk = shared.desk.as_ref();
         match request {
-            Request::Ping => return Ok(Answer::Time(Timestamp::now())),
-            Request::SystemKeys => return Ok(Answer::SystemKeys(shared.list().1)),
+            Request::Ping => Ok(Answer::Time(Timestamp::now())),
+            Request::SystemKeys => Ok(Answer::SystemKeys(shared.list().1)),
             // Even for a suspended account or changed keys: the chain says so.
-            Request::Relay(call) => return relayed(desk, Some(&self.caller), &call).await,
-            Request::Upload(upload) => return self.store(shared, message.command, vec![upload]).await,
-            Request::UploadMany(uploads) => return self.store(shared, message.command, uploads).await,
-            _ => check_account(desk, &self.binding).await?,
-        }
-        match request {
+            Request::Relay(call) => relayed(desk, Some(&self.caller), &call).await,
+            Request::Upload(upload) => self.store(shared, message.command, vec![upload]).await,
+            Request::UploadMany(uploads) => self.store(shared, message.command, uploads).await,
             Request::Records(bytes, digests) => {
+                check_account(desk, &self.binding).await?;
                 let found = desk.records(&self.caller, &digests, bytes).await?;
                 for (digest, found) in digests.iter().zip(&found).filter(|_| bytes) {
                     if let Found::Missing(code) = found {
@@ -142,6 +145,7 @@ impl Commands {
                 Ok(Answer::Records(found))
             }
             Request::Notice(notice) => {
+                check_account(desk, &self.binding).await?;
                 if let Notice::Device(notice) = &notice {
                     shared.provider().check_public_key(&notice.key).map_err(Refusal::because(Code::Malformed))?;
                 }
@@ -154,8 +158,11 @@ impl Commands {
                 let receipt = shared.receipt(Timestamp::now(), vec![digest])?;
                 Ok(Answer::Receipt(message.command, receipt))
             }
-            Request::Erase(erasures) => desk.erase(&self.caller, erasures).await.map(Answer::Erasures),
-            _ => Err(Refusal::new(Code::NotHere, "a command for a session without a transport key")),
+            Request::Erase(erasures) => {
+                check_account(desk, &self.binding).await?;
+                desk.erase(&self.caller, erasures).await.map(Answer::Erasures)
+            }
+            Request::KeyAllocation(_) | Request::Feed(_) => Err(Refusal::new(Code::NotHere, "a command for a session without a transport key")),
         }
     }
 
