@@ -40,13 +40,11 @@ pub fn working_copy(home: &Home) -> Result<Option<Home>, Failure> {
         .tempdir()
         .map_err(failed)?;
     let root = std::path::absolute(home.root()).map_err(failed)?;
-    let mut plan = Plan::default();
-    plan.home(&root, folder.path()).map_err(failed)?;
-    let free = free_bytes(folder.path())?;
-    if let Some(reason) = plan.lacks_room(free) {
+    let pieces = pieces_of(&root, folder.path(), true).map_err(failed)?;
+    if let Some(reason) = lacks_room(&pieces, free_bytes(folder.path())?) {
         return Err(uncopied(home, &reason));
     }
-    plan.carry_out().map_err(failed)?;
+    pieces.iter().try_for_each(Piece::make).map_err(failed)?;
     Ok(Some(home.copied_to(folder.keep())))
 }
 
@@ -59,94 +57,64 @@ pub fn forget(home: &Home) {
 
 /// What a working copy is and costs, for the person who waits for it.
 pub fn about(copy: &Home, original: &Path) -> String {
-    let (bytes, folder) = (bytes_below(copy.root()), std::env::temp_dir());
+    let bytes = fs::metadata(copy.ledger()).map_or(0, |about| about.len());
     format!(
-        "{} is read-only: it is read in a copy that takes {} in {} (TMPDIR) and is deleted at the end",
+        "{} is read-only: it is read in a copy in {} (TMPDIR), {} for its ledger, that is deleted at the end",
         original.display(),
-        ByteSize(bytes),
-        folder.display()
+        std::env::temp_dir().display(),
+        ByteSize(bytes)
     )
 }
 
-fn bytes_below(folder: &Path) -> u64 {
-    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
-    let bytes = entries.map(|entry| match entry.metadata() {
-        Ok(about) if about.is_dir() => bytes_below(&entry.path()),
-        Ok(about) if about.is_file() => about.len(),
-        _ => 0,
-    });
-    bytes.sum()
+/// A part of a working copy: from, to, and bytes.
+enum Piece {
+    Folder(PathBuf),
+    File(PathBuf, PathBuf, u64),
+    Link(PathBuf, PathBuf),
 }
 
-/// What is made of a home, from and to.
-#[derive(Default)]
-struct Plan {
-    folders: Vec<PathBuf>,
-    files: Vec<(PathBuf, PathBuf)>,
-    links: Vec<(PathBuf, PathBuf)>,
-    bytes: u64,
+fn pieces_of(from: &Path, to: &Path, is_home: bool) -> io::Result<Vec<Piece>> {
+    let mut pieces = Vec::new();
+    for entry in fs::read_dir(from)? {
+        let (entry, name) = entry.map(|entry| (entry.path(), entry.file_name()))?;
+        let (about, target, name) = (fs::symlink_metadata(&entry)?, to.join(&name), name.to_string_lossy());
+        // A passphrase is never copied.
+        let is_left_out = if is_home { OWN.contains(&&*name) } else { name == "passphrase" };
+        if is_left_out || name.ends_with("-shm") {
+            continue;
+        }
+        let is_needed = !is_home || name.starts_with("ledger.db") || about.len() <= SMALL;
+        if about.is_dir() && (!is_home || COPIED.contains(&&*name)) {
+            let inside = pieces_of(&entry, &target, false)?;
+            pieces.push(Piece::Folder(target));
+            pieces.extend(inside);
+        } else if about.is_file() && is_needed {
+            pieces.push(Piece::File(entry, target, about.len()));
+        } else if is_home && (about.is_file() || about.is_dir() || about.is_symlink()) {
+            pieces.push(Piece::Link(entry, target));
+        }
+    }
+    Ok(pieces)
 }
 
-impl Plan {
-    fn home(&mut self, from: &Path, to: &Path) -> io::Result<()> {
-        for entry in fs::read_dir(from)? {
-            let (entry, name) = entry.map(|entry| (entry.path(), entry.file_name()))?;
-            let about = fs::symlink_metadata(&entry)?;
-            let (is, target) = (|names: &[&str]| names.iter().any(|one| name == *one), to.join(&name));
-            let of_the_ledger = name.to_string_lossy().starts_with("ledger.db");
-            if is(&OWN) || name.to_string_lossy().ends_with("-shm") {
-                continue;
-            }
-            if about.is_dir() && is(&COPIED) {
-                self.folder(&entry, target)?;
-            } else if about.is_file() && (of_the_ledger || about.len() <= SMALL) {
-                self.file(entry, target, about.len());
-            } else if about.is_file() || about.is_dir() || about.is_symlink() {
-                self.links.push((entry, target));
-            }
-        }
-        Ok(())
-    }
+fn lacks_room(pieces: &[Piece], free: u64) -> Option<String> {
+    let bytes = |piece: &Piece| if let Piece::File(_, _, bytes) = piece { *bytes } else { 0 };
+    let needed = pieces.iter().map(bytes).sum::<u64>() + LEFT;
+    (free < needed).then(|| format!("it needs {} and {} are free", ByteSize(needed), ByteSize(free)))
+}
 
-    fn folder(&mut self, from: &Path, to: PathBuf) -> io::Result<()> {
-        for entry in fs::read_dir(from)? {
-            let (entry, name) = entry.map(|entry| (entry.path(), entry.file_name()))?;
-            let (about, target) = (fs::symlink_metadata(&entry)?, to.join(&name));
-            // A passphrase is never copied.
-            if name == "passphrase" || name.to_string_lossy().ends_with("-shm") {
-                continue;
+impl Piece {
+    fn make(&self) -> io::Result<()> {
+        match self {
+            Self::Folder(to) => fs::DirBuilder::new().mode(0o700).create(to),
+            Self::File(from, to, _) => {
+                fs::copy(from, to)?;
+                // A file that others can read is refused as in the home; one that nobody can write is not.
+                let mode = fs::metadata(from)?.permissions().mode();
+                fs::set_permissions(to, fs::Permissions::from_mode(mode & 0o777 | 0o600))
             }
-            if about.is_dir() {
-                self.folder(&entry, target)?;
-            } else if about.is_file() {
-                self.file(entry, target, about.len());
-            }
+            Self::Link(from, to) => std::os::unix::fs::symlink(from, to),
         }
-        self.folders.push(to);
-        Ok(())
-    }
-
-    fn file(&mut self, from: PathBuf, to: PathBuf, bytes: u64) {
-        self.files.push((from, to));
-        self.bytes = self.bytes.saturating_add(bytes);
-    }
-
-    fn lacks_room(&self, free: u64) -> Option<String> {
-        let needed = self.bytes.saturating_add(LEFT);
-        (free < needed).then(|| format!("it needs {} and {} are free", ByteSize(needed), ByteSize(free)))
-    }
-
-    fn carry_out(self) -> io::Result<()> {
-        for folder in &self.folders {
-            fs::DirBuilder::new().recursive(true).mode(0o700).create(folder)?;
-        }
-        for (from, to) in &self.files {
-            fs::copy(from, to)?;
-            // A file that others can read is refused as in the home; one that nobody can write is not.
-            let mode = fs::metadata(from)?.permissions().mode();
-            fs::set_permissions(to, fs::Permissions::from_mode(mode & 0o777 | 0o600))?;
-        }
-        self.links.iter().try_for_each(|(from, to)| std::os::unix::fs::symlink(from, to))
     }
 }
 
@@ -193,16 +161,17 @@ mod tests {
         forget(&copy);
         assert!(home.ledger().exists() && !copy.root().exists());
     }
+
     #[test]
     fn a_copy_that_would_fill_its_folder_is_not_begun() {
         let folder = tempfile::tempdir().expect("a folder");
-        let mut plan = Plan::default();
-        crate::store::atomic_write(&folder.path().join("ledger.db"), &[7; 1000]).expect("written");
-        crate::store::atomic_write(&folder.path().join("reserve"), &[7; 1000]).expect("written");
-        plan.home(folder.path(), Path::new("/nowhere")).expect("read");
-        assert_eq!(plan.bytes, 1000, "what a site makes for itself costs nothing");
-        assert_eq!(plan.lacks_room(LEFT + 1000), None);
-        let reason = plan.lacks_room(LEFT + 999).expect("a reason");
+        for name in ["ledger.db", "reserve"] {
+            crate::store::atomic_write(&folder.path().join(name), &[7; 1000]).expect("written");
+        }
+        let pieces = pieces_of(folder.path(), Path::new("/nowhere"), true).expect("read");
+        assert_eq!(pieces.len(), 1, "what a site makes for itself costs nothing");
+        assert_eq!(lacks_room(&pieces, LEFT + 1000), None);
+        let reason = lacks_room(&pieces, LEFT + 999).expect("a reason");
         assert!(reason.starts_with("it needs 64"), "{reason}");
     }
 }
