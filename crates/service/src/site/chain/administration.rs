@@ -26,8 +26,7 @@ impl Administering {
     /// The contract refuses acts of anybody else, except those open to others.
     pub async fn administer(&self, owner: &Arc<Owner>, act: &Administration) -> Result<TransactionView, Failure> {
         use Administration::{Accept, Cancel, Complete};
-        let network = self.parts.link.network().await?;
-        let _one_at_a_time = owner.changes.lock().await;
+        let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         let (call, text) = self.act(&network, act)?;
         if let Some(administrator) = network.directory.administration().administrator
             && administrator != owner.address
@@ -46,8 +45,7 @@ impl Administering {
         owner: &Arc<Owner>,
         recovery: Option<&Party>,
     ) -> Result<TransactionView, Failure> {
-        let network = self.parts.link.network().await?;
-        let _one_at_a_time = owner.changes.lock().await;
+        let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         network.directory.identity(owner.address)?;
         let recovery = recovery.map(|party| self.contacts.resolve(party)).transpose()?;
         if recovery == Some(owner.address) {

@@ -45,8 +45,7 @@ impl Devices {
         device: SignerId,
         until: Option<Timestamp>,
     ) -> Result<TransactionView, Failure> {
-        let network = self.parts.link.network().await?;
-        let _one_at_a_time = owner.changes.lock().await;
+        let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         network.directory.identity(owner.address)?;
         if until.is_some_and(|until| until <= network.directory.now()) {
             return Err(input("the authorisation would end before it starts; give a later --until"));
@@ -67,8 +66,7 @@ impl Devices {
 
     /// A new epoch locks the device out of records sealed from now on; gateways end its session.
     pub async fn recall(&self, owner: &Arc<Owner>, device: &str) -> Result<TransactionView, Failure> {
-        let network = self.parts.link.network().await?;
-        let _one_at_a_time = owner.changes.lock().await;
+        let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         let device = self.lent_device(&network, owner, device)?;
         let recalled = async {
             // Saved in the keyring before anything is sent: the next start resumes an interruption.
@@ -92,8 +90,7 @@ impl Devices {
     }
 
     pub async fn unlend_device(&self, owner: &Arc<Owner>, device: SignerId) -> Result<(), Failure> {
-        let network = self.parts.link.network().await?;
-        let _one_at_a_time = owner.changes.lock().await;
+        let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         let recalled = self.change_devices(owner, &network, Call::Recall { device }, "recall", String::new());
         self.parts.log.deed(&owner.profile, "recall device", &device.to_string(), recalled).await.map(drop)
     }

@@ -24,8 +24,7 @@ const MOST_NAMED: usize = 8;
 
 impl Sharing {
     pub async fn rotate(&self, owner: &Arc<Owner>, why: &str) -> Result<TransactionView, Failure> {
-        let network = self.parts.link.network().await?;
-        let _one_at_a_time = owner.changes.lock().await;
+        let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         network.directory.identity(owner.address)?;
         self.begin_rotated(owner, &network, why).await
     }
@@ -104,8 +103,7 @@ impl Sharing {
 
     /// Finishes an epoch that did not reach the chain, and re-wraps what is missing.
     pub async fn finish_epoch(&self, owner: &Arc<Owner>) -> Result<(), Failure> {
-        let network = self.parts.link.network().await?;
-        let _one_at_a_time = owner.changes.lock().await;
+        let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         // Transactions of the previous run may still bring the epoch to the chain.
         self.settle_open(owner, &network).await?;
         if self.went_back(owner, &network) {

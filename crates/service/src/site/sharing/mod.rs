@@ -61,8 +61,7 @@ impl Sharing {
         from: GrantFrom,
         expires: Option<Timestamp>,
     ) -> Result<TransactionView, Failure> {
-        let network = self.parts.link.network().await?;
-        let _one_at_a_time = owner.changes.lock().await;
+        let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         network.directory.identity(owner.address)?;
         let grantee = self.contacts.resolve(grantee)?;
         if grantee == owner.address {
@@ -121,8 +120,7 @@ impl Sharing {
         grantee: &Party,
         expires: Option<Timestamp>,
     ) -> Result<TransactionView, Failure> {
-        let network = self.parts.link.network().await?;
-        let _one_at_a_time = owner.changes.lock().await;
+        let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         let grantee = self.contacts.resolve(grantee)?;
         let Some(grant) = self.active_grant(&network, owner.address, grantee) else {
             return Err(refused(format!("{grantee} has no active grant; `authros grant` gives one")));

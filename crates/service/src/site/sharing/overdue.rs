@@ -170,8 +170,7 @@ impl Sharing {
 
     /// Stops sharing with an account. What it has read cannot be recalled.
     pub async fn revoke(&self, owner: &Arc<Owner>, grantee: Address) -> Result<TransactionView, Failure> {
-        let network = self.parts.link.network().await?;
-        let _one_at_a_time = owner.changes.lock().await;
+        let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         if self.active_grant(&network, owner.address, grantee).is_none() {
             return Err(refused(format!(
                 "{grantee} has no active grant from {}; `authros grants list` shows who has",
