@@ -5,7 +5,7 @@ use std::io;
 use std::os::unix::fs::{DirBuilderExt as _, PermissionsExt as _};
 use std::path::{Path, PathBuf};
 
-use super::reply::Failure;
+use super::reply::{Failure, Result};
 use crate::model::{ByteSize, ErrorKind};
 use crate::paths::Home;
 use crate::store::files::free_bytes;
@@ -27,7 +27,7 @@ pub fn is_read_only(home: &Home) -> bool {
 
 /// A private working copy of such a home, for [`forget`] to delete; `None` while another process has the home. Nothing is
 /// copied unless all of it has room: the folder may be a machine's memory.
-pub fn working_copy(home: &Home) -> Result<Option<Home>, Failure> {
+pub fn working_copy(home: &Home) -> Result<Option<Home>> {
     // If others can write it, it may be in use.
     let lock = File::open(home.site_lock()).ok();
     if lock.as_ref().is_some_and(|lock| matches!(lock.try_lock(), Err(TryLockError::WouldBlock))) {

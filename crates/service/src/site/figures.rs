@@ -19,7 +19,7 @@ use crate::pipeline::stages::{Milestone, Stage};
 use crate::service::figures::{
     BOUNDS, Figures, GrantFigures, LaneFigures, Latency, OwnerFigures, RobotFigures, TopicFigures, exposition, short,
 };
-use crate::service::reply::{Failure, GrantState, HealthLevel};
+use crate::service::reply::{GrantState, HealthLevel, Result};
 use crate::service::socket;
 use crate::store::StateCounts;
 use crate::store::files::free_bytes;
@@ -111,7 +111,7 @@ impl Site {
         Some(text)
     }
 
-    pub(super) fn figures(&self) -> Result<Figures, Failure> {
+    pub(super) fn figures(&self) -> Result<Figures> {
         let (ledger, head) = (&self.plant.ledger, self.parts.link.newest_head());
         Ok(Figures {
             now: Timestamp::now(),
@@ -137,7 +137,7 @@ impl Site {
         })
     }
 
-    fn owner_figures(&self) -> Result<Vec<OwnerFigures>, Failure> {
+    fn owner_figures(&self) -> Result<Vec<OwnerFigures>> {
         let mut owners: Vec<Address> = self.parts.owners.all().iter().map(|owner| owner.address).collect();
         owners.extend(self.plant.ledger.counts.owners(MOST_OWNERS)?);
         let mut known = std::collections::HashSet::new();
@@ -146,7 +146,7 @@ impl Site {
         owners.into_iter().map(|owner| self.figures_of(owner)).collect()
     }
 
-    fn figures_of(&self, owner: Address) -> Result<OwnerFigures, Failure> {
+    fn figures_of(&self, owner: Address) -> Result<OwnerFigures> {
         let counts = self.losses.counts(&self.plant, owner)?;
         Ok(OwnerFigures {
             owner: short(&owner.to_string()),
@@ -157,14 +157,14 @@ impl Site {
         })
     }
 
-    fn robot_figures(&self) -> Result<Vec<RobotFigures>, Failure> {
+    fn robot_figures(&self) -> Result<Vec<RobotFigures>> {
         let own: Vec<_> = self.parts.owners.all().iter().map(|owner| signer_id(&owner.signing().public)).collect();
         let seen =
             self.plant.ledger.counts.last_seen(MOST_ROBOTS)?.into_iter().filter(|row| !own.contains(&row.signer));
         Ok(seen.map(|row| RobotFigures { robot: short(&row.signer.to_string()), last_seen: row.at }).collect())
     }
 
-    fn lane_figures(&self) -> Result<Vec<LaneFigures>, Failure> {
+    fn lane_figures(&self) -> Result<Vec<LaneFigures>> {
         let Some(network) = self.parts.link.network_now() else { return Ok(Vec::new()) };
         let mut lanes = Vec::new();
         for owner in self.parts.owners.all() {
@@ -203,7 +203,7 @@ impl Site {
     }
 
     /// The time of the oldest line of the audit log that no head of this open owner covers.
-    fn audit_unanchored(&self, owner: Address) -> Result<Option<Timestamp>, Failure> {
+    fn audit_unanchored(&self, owner: Address) -> Result<Option<Timestamp>> {
         if !self.parts.owners.all().iter().any(|open| open.address == owner) {
             return Ok(None);
         }

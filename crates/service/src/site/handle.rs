@@ -11,7 +11,7 @@ use super::consoles::{Claims, opened_by, until_released};
 use crate::model::{ErrorKind, ProfileName, TopicName, TopicPattern};
 use crate::pipeline::Owner;
 use crate::service::command::{self as ask, Ask, Command, IncidentCommand, Request, UploadQuery};
-use crate::service::reply::{Failure, RecordPage, Reply};
+use crate::service::reply::{Failure, RecordPage, Reply, Result};
 use crate::site::devices::pulling::span;
 use crate::site::mirror::remote::{FIRST_ROUND, LISTING};
 
@@ -32,7 +32,7 @@ macro_rules! answers {
 impl Site {
     /// One arm for each request, so that an unanswered one does not compile.
     #[allow(clippy::too_many_lines, reason = "an arm for each request")]
-    pub async fn handle(self: &Arc<Self>, request: Request, claims: &Claims) -> Result<Reply, Failure> {
+    pub async fn handle(self: &Arc<Self>, request: Request, claims: &Claims) -> Result<Reply> {
         let Request { profile, command } = request;
         let owner = || self.parts.owners.unlocked(&profile);
         if let Some(original) = self.home().original().filter(|_| !command.only_reads()) {
@@ -203,7 +203,7 @@ impl Site {
     }
 
     /// The topics of a grant: those named, and those known that match a pattern.
-    async fn granted(&self, profile: &ProfileName, topics: &[TopicPattern]) -> Result<Vec<TopicName>, Failure> {
+    async fn granted(&self, profile: &ProfileName, topics: &[TopicPattern]) -> Result<Vec<TopicName>> {
         if topics.iter().any(|topic| !topic.is_plain()) {
             // Robots' records arrive without topic names.
             self.reading.learn_own_names(profile).await?;
@@ -212,7 +212,7 @@ impl Site {
     }
 
     /// Answers a request about incidents; robots' rings are requested once the incident exists.
-    async fn of_incident(&self, profile: &ProfileName, command: IncidentCommand) -> Result<Reply, Failure> {
+    async fn of_incident(&self, profile: &ProfileName, command: IncidentCommand) -> Result<Reply> {
         let asked = if let IncidentCommand::OpenIncident { since, until, topics, robots, .. } = &command
             && !robots.is_empty()
         {
@@ -237,7 +237,7 @@ impl Site {
 
     /// Records shared with a profile, as far as they are here. A large gateway's first list is slow and a gateway may
     /// be away, so the page says why it may be incomplete.
-    async fn list_shared(&self, owner: &Arc<Owner>, query: UploadQuery) -> Result<RecordPage, Failure> {
+    async fn list_shared(&self, owner: &Arc<Owner>, query: UploadQuery) -> Result<RecordPage> {
         let arriving = match self.joined.arriving(&owner.profile, LISTING).await {
             Ok(None) => return self.reading.list_shared(owner, query).await,
             Ok(Some(arriving)) => arriving,
@@ -257,7 +257,7 @@ impl Site {
     }
 
     /// The profile's owner, once this record is here; does not wait for others.
-    async fn owner_with(&self, profile: &ProfileName, id: &str) -> Result<Arc<Owner>, Failure> {
+    async fn owner_with(&self, profile: &ProfileName, id: &str) -> Result<Arc<Owner>> {
         let owner = self.parts.owners.unlocked(profile)?;
         let more = self.joined.arriving(profile, LISTING).await?.is_some();
         if more && self.reading.find_record(id).is_err() {
@@ -267,7 +267,7 @@ impl Site {
     }
 
     /// The profile's owner, once the records shared with it are up to date.
-    async fn caught_up_owner(&self, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
+    async fn caught_up_owner(&self, profile: &ProfileName) -> Result<Arc<Owner>> {
         let owner = self.parts.owners.unlocked(profile)?;
         self.joined.caught_up(profile).await?;
         Ok(owner)

@@ -92,7 +92,7 @@ use storage::Storage;
 use super::client::{Call, Client};
 use super::event::Event;
 use super::failure::internal;
-use super::reply::Failure;
+use super::reply::Result;
 use crate::config::Config;
 use crate::crypto::unfinished;
 use crate::model::ProfileName;
@@ -200,7 +200,7 @@ struct Circle {
 }
 
 impl Circle {
-    fn of(parts: &Parts, intake: &Intake, reserve: &Arc<Reserve>) -> Result<Self, Failure> {
+    fn of(parts: &Parts, intake: &Intake, reserve: &Arc<Reserve>) -> Result<Self> {
         let remote = |site| Remote::new(site, &parts.home, parts.plant.provider).map(Arc::new);
         let remote = parts.config.site.as_ref().map(remote).transpose()?;
         let connection = Arc::new(Connection::new(parts, remote.clone()));
@@ -266,7 +266,7 @@ fn sweep(home: &Home) {
 
 impl Site {
     /// Opens the store and starts the needed parts; chain and master come up, or fail, later.
-    pub fn start(home: Home, config: Config, lock: SiteLock, needs: Needs) -> Result<Arc<Self>, Failure> {
+    pub fn start(home: Home, config: Config, lock: SiteLock, needs: Needs) -> Result<Arc<Self>> {
         // Robots are where the gateway is.
         let needs = Needs { ros: needs.ros && config.site.is_none(), ..needs };
         sweep(&home);
@@ -284,7 +284,7 @@ impl Site {
     }
 
     /// Builds the features over the shared parts.
-    fn assemble(parts: Parts, reserve: &Arc<Reserve>, lock: SiteLock, needs: Needs) -> Result<Self, Failure> {
+    fn assemble(parts: Parts, reserve: &Arc<Reserve>, lock: SiteLock, needs: Needs) -> Result<Self> {
         let of = &parts;
         let intake = Intake::of(of, needs);
         let circle = Circle::of(of, &intake, reserve)?;
@@ -389,19 +389,19 @@ impl Site {
         self.parts.life.stopped().await;
     }
 
-    pub async fn chain(&self) -> Result<crate::chain::Chain, Failure> {
+    pub async fn chain(&self) -> Result<crate::chain::Chain> {
         self.parts.link.chain().await
     }
 
-    pub async fn network(&self) -> Result<crate::pipeline::Network, Failure> {
+    pub async fn network(&self) -> Result<crate::pipeline::Network> {
         self.parts.link.network().await
     }
 
-    pub fn unlocked(&self, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
+    pub fn unlocked(&self, profile: &ProfileName) -> Result<Arc<Owner>> {
         self.parts.owners.unlocked(profile)
     }
 
-    pub async fn ros_uri(&self) -> Result<String, Failure> {
+    pub async fn ros_uri(&self) -> Result<String> {
         self.ros.uri().await
     }
 
@@ -463,8 +463,8 @@ impl Site {
 /// Runs work that waits for the disk off the runtime's threads.
 pub(crate) async fn blocking<Whose: Send + Sync + 'static, Done: Send + 'static>(
     part: &Arc<Whose>,
-    work: impl FnOnce(&Whose) -> Result<Done, Failure> + Send + 'static,
-) -> Result<Done, Failure> {
+    work: impl FnOnce(&Whose) -> Result<Done> + Send + 'static,
+) -> Result<Done> {
     let part = Arc::clone(part);
     let joined = tokio::task::spawn_blocking(move || work(&part)).await;
     joined.unwrap_or_else(|_| Err(internal("a background task of the site failed; please report this")))

@@ -11,7 +11,7 @@ use super::parts::Parts;
 use crate::model::{RecordState, Timestamp};
 use crate::pipeline::{Network, Owner};
 use crate::service::event::Part;
-use crate::service::reply::{Failure, HealthLevel, PartHealth};
+use crate::service::reply::{HealthLevel, PartHealth, Result};
 
 const LOOK: Duration = Duration::from_secs(10);
 /// Part of the health.
@@ -148,7 +148,7 @@ impl Standstill {
         Some(Work { waiting: head.saturating_sub(read), done: read })
     }
 
-    fn work(&self, network: Option<&Network>) -> Result<BTreeMap<Stage, Option<Work>>, Failure> {
+    fn work(&self, network: Option<&Network>) -> Result<BTreeMap<Stage, Option<Work>>> {
         let states = self.parts.plant.ledger.counts.in_each_state()?;
         let of = |state: RecordState| states.get(&state).copied().unwrap_or(0);
         let beyond = |last: RecordState| -> u64 {
@@ -169,13 +169,14 @@ impl Standstill {
     }
 
     /// Records in no batch that an open owner anchors whose lanes are not paused.
-    fn unbatched(&self, network: &Network) -> Result<u64, Failure> {
+    fn unbatched(&self, network: &Network) -> Result<u64> {
         let owners = self.parts.owners.all();
         let pauses = self.lanes.pauses(network);
-        let is_going = |owner: &Owner| pauses.iter().any(|(account, pause)| *account == owner.address && pause.is_none());
-        let open = owners.iter().filter(|owner| {
-            !owner.is_locked() && is_going(owner) && network.directory.identity(owner.address).is_ok()
-        });
+        let is_going =
+            |owner: &Owner| pauses.iter().any(|(account, pause)| *account == owner.address && pause.is_none());
+        let open = owners
+            .iter()
+            .filter(|owner| !owner.is_locked() && is_going(owner) && network.directory.identity(owner.address).is_ok());
         open.map(|owner| Ok(self.parts.plant.ledger.batches.unbatched(owner.address)?.0)).sum()
     }
 

@@ -13,7 +13,7 @@ use crate::pipeline::sender::LaneState;
 use crate::pipeline::stages::Milestone;
 use crate::pipeline::watcher::foreign;
 use crate::service::reply::{
-    ChainView, Failure, GasView, HealthLevel, LifeLine, PartHealth, PricesView, QueueView, SiteView, WaitingView,
+    ChainView, GasView, HealthLevel, LifeLine, PartHealth, PricesView, QueueView, Result, SiteView, WaitingView,
 };
 use crate::site::chain::administration::Administering;
 use crate::site::chain::lanes::Pause;
@@ -23,7 +23,7 @@ const GAS_OVER: u64 = 100;
 const WAITING_SHOWN: usize = 20;
 
 impl Site {
-    pub(super) async fn site_view(&self, profile: &ProfileName) -> Result<SiteView, Failure> {
+    pub(super) async fn site_view(&self, profile: &ProfileName) -> Result<SiteView> {
         let robots = match &*self.ros.state() {
             RosState::Up(link) => link.robots,
             _ => 0,
@@ -45,7 +45,7 @@ impl Site {
     }
 
     /// The one source of health for status, figures and alerts.
-    pub(super) fn parts_health(&self) -> Result<Vec<PartHealth>, Failure> {
+    pub(super) fn parts_health(&self) -> Result<Vec<PartHealth>> {
         if let Some(original) = self.home().original() {
             let text = format!("{} is read-only: this is its last state, and nothing is running", original.display());
             return Ok(vec![
@@ -117,7 +117,7 @@ impl Site {
         PartHealth::new("chain", level, &text)
     }
 
-    fn store_health(&self) -> Result<PartHealth, Failure> {
+    fn store_health(&self) -> Result<PartHealth> {
         Ok(match self.storage.fault()? {
             Some(text) => PartHealth::new("store", HealthLevel::Failed, &text),
             None => PartHealth::new("store", HealthLevel::Ok, "rows and ciphertext in one file"),
@@ -155,7 +155,7 @@ impl Site {
         }
     }
 
-    fn life_line(&self, profile: &ProfileName) -> Result<LifeLine, Failure> {
+    fn life_line(&self, profile: &ProfileName) -> Result<LifeLine> {
         let Ok(owner) = self.parts.owners.address_of(profile) else {
             return Ok(LifeLine { conserved: true, ..LifeLine::default() });
         };
@@ -163,7 +163,7 @@ impl Site {
     }
 
     /// An account's records by state, from its counts.
-    pub(super) fn life_line_of(&self, owner: Address, counts: &StateCounts) -> Result<LifeLine, Failure> {
+    pub(super) fn life_line_of(&self, owner: Address, counts: &StateCounts) -> Result<LifeLine> {
         let (waiting, _) = self.rings.depth();
         let at_least = |least: RecordState| -> u64 {
             let states =
@@ -193,7 +193,7 @@ impl Site {
         })
     }
 
-    pub(super) async fn chain_view(self: &Arc<Self>, profile: &ProfileName) -> Result<ChainView, Failure> {
+    pub(super) async fn chain_view(self: &Arc<Self>, profile: &ProfileName) -> Result<ChainView> {
         let chain = self.parts.link.chain().await?;
         let path = self.parts.home.keyring(profile);
         let address = match self.parts.owners.get(profile) {
@@ -247,7 +247,7 @@ impl Site {
         Some(shortfall).filter(|shortfall| shortfall.held < shortfall.needed)
     }
 
-    fn waiting_in(&self, lanes: &[LaneState]) -> Result<Vec<WaitingView>, Failure> {
+    fn waiting_in(&self, lanes: &[LaneState]) -> Result<Vec<WaitingView>> {
         let mut views = Vec::new();
         for lane in lanes {
             let left = WAITING_SHOWN.saturating_sub(views.len());
@@ -261,7 +261,7 @@ impl Site {
         Ok(views)
     }
 
-    fn gas_of(&self, lanes: &[LaneState]) -> Result<GasView, Failure> {
+    fn gas_of(&self, lanes: &[LaneState]) -> Result<GasView> {
         let mut view = GasView::default();
         for lane in lanes {
             let left = GAS_OVER.saturating_sub(view.transactions);

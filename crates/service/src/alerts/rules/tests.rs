@@ -143,7 +143,8 @@ fn an_accounts_paused_lane_hides_no_alert_of_another_account() {
     judge.judge(&well(0));
     let mut figures = well(5_000);
     let waiting = Some(before(&figures, 4_000));
-    let owner = |owner: &str| OwnerFigures { owner: owner.to_owned(), oldest_unanchored: waiting, ..OwnerFigures::default() };
+    let owner =
+        |owner: &str| OwnerFigures { owner: owner.to_owned(), oldest_unanchored: waiting, ..OwnerFigures::default() };
     figures.owners = ["0a0b0c0d", "09090909"].map(owner).into();
     let chain = figures.parts.iter_mut().find(|part| part.part == "chain").expect("a part");
     (chain.level, chain.unaffected) = (HealthLevel::Failed, vec![Address([9; 20])]);

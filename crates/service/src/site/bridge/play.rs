@@ -23,7 +23,7 @@ use crate::ros::recording::Encoding;
 use crate::ros::recording::tags::CHANNEL;
 use crate::ros::ros2::{LONGEST_MESSAGE, Offered, WRITER};
 use crate::service::command::{Pace, PlayWishes};
-use crate::service::reply::{Failure, PlayEnd, PlayedView};
+use crate::service::reply::{Failure, PlayEnd, PlayedView, Result};
 use crate::store::RecordRow;
 use rights::{Keys, key_of};
 
@@ -83,7 +83,7 @@ impl Bridge {
         owner: &Arc<Owner>,
         wishes: PlayWishes,
         gone: oneshot::Receiver<()>,
-    ) -> Result<PlayedView, Failure> {
+    ) -> Result<PlayedView> {
         let names = Names::of(&wishes)?;
         consistent(&wishes)?;
         let network = self.parts.link.network().await?;
@@ -122,7 +122,7 @@ fn granted_to(reader: &Owner, network: &Network) -> HashMap<Address, Hash> {
 }
 
 impl Play<'_> {
-    async fn run(mut self, is_captured: bool) -> Result<PlayedView, Failure> {
+    async fn run(mut self, is_captured: bool) -> Result<PlayedView> {
         let begun = Instant::now();
         let mut ended = self.rounds(is_captured).await;
         if let Ok(end) = &mut ended {
@@ -161,7 +161,7 @@ impl Play<'_> {
         end
     }
 
-    async fn rounds(&mut self, is_captured: bool) -> Result<PlayEnd, Failure> {
+    async fn rounds(&mut self, is_captured: bool) -> Result<PlayEnd> {
         self.show_clock(is_captured)?;
         let ledger = &self.bridge.parts.plant.ledger;
         let mut feed = block_in_place(|| Feed::begin(ledger, self.wishes, &self.givers))?;
@@ -331,7 +331,7 @@ impl Play<'_> {
         }
     }
 
-    fn show_clock(&mut self, is_captured: bool) -> Result<(), Failure> {
+    fn show_clock(&mut self, is_captured: bool) -> Result<()> {
         if !self.wishes.clock {
             return Ok(());
         }

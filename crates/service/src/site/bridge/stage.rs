@@ -9,7 +9,7 @@ use super::target::{Form, NO_MESSAGE, OTHER_ROS, Source, Stop, Target, Topics, c
 use crate::model::{Address, Timestamp, clean};
 use crate::ros::recording::Encoding;
 use crate::ros::{Graph, GraphPublisher};
-use crate::service::reply::Failure;
+use crate::service::reply::{Failure, Result};
 
 const CAPTURING: &str = "/authros_";
 
@@ -26,7 +26,7 @@ impl Stage {
     }
 
     /// Without a prefix, a robot's own topic would receive foreign messages.
-    fn occupied(&self, topic: &str) -> Result<Option<String>, Failure> {
+    fn occupied(&self, topic: &str) -> Result<Option<String>> {
         if self.topics.is_inside(topic) {
             return Ok(None);
         }

@@ -9,7 +9,7 @@ use crate::ros::recording::Encoding;
 use crate::ros::ros2::Offered;
 use crate::ros::{Advertised, RosError, md5sum};
 use crate::service::failure::{internal, refused};
-use crate::service::reply::{Failure, PlayEnd};
+use crate::service::reply::{Failure, PlayEnd, Result};
 
 /// How long playing waits for known subscribers, in total.
 const WELCOME: Duration = Duration::from_secs(5);
@@ -126,7 +126,7 @@ impl Topics {
         self.prefix.as_ref().is_some_and(|prefix| is_under(prefix, topic))
     }
 
-    pub fn announce<Done>(&mut self, act: impl FnOnce(Duration) -> Result<Done, RosError>) -> Result<Done, Failure> {
+    pub fn announce<Done>(&mut self, act: impl FnOnce(Duration) -> Result<Done, RosError>) -> Result<Done> {
         let begun = Instant::now();
         let done = act(self.patience)?;
         self.patience = self.patience.saturating_sub(begun.elapsed());

@@ -27,7 +27,7 @@ use crate::pipeline::chain_proofs::{Collected, Rounds, collect};
 use crate::pipeline::evidence::{MOST_RECORDS, gather};
 use crate::pipeline::reader::Reader;
 use crate::pipeline::{Network, Owner, PipelineError};
-use crate::reply::{EvidenceView, Failure, HealthLevel, IncidentView, PartHealth};
+use crate::reply::{EvidenceView, HealthLevel, IncidentView, PartHealth, Result};
 use crate::store::{RecordQuery, RecordRow};
 
 const PAGE: usize = 1000;
@@ -43,7 +43,7 @@ impl Evidence {
         Self { parts: parts.clone(), reading: Arc::clone(reading), stamps: Arc::clone(stamps) }
     }
 
-    pub async fn export(&self, owner: &Arc<Owner>, wishes: EvidenceWishes) -> Result<EvidenceView, Failure> {
+    pub async fn export(&self, owner: &Arc<Owner>, wishes: EvidenceWishes) -> Result<EvidenceView> {
         if wishes.file.symlink_metadata().is_ok() {
             return Err(input(format!("{} already exists; choose a new file", wishes.file.display())));
         }
@@ -83,9 +83,9 @@ impl Evidence {
         self.parts.log.end(owner, "export evidence", &file, written).await
     }
 
-    fn chosen(&self, owner: &Owner, wishes: &EvidenceWishes) -> Result<Vec<RecordRow>, Failure> {
+    fn chosen(&self, owner: &Owner, wishes: &EvidenceWishes) -> Result<Vec<RecordRow>> {
         let named = wishes.records.iter().map(|id| self.reading.own_record(&owner.profile, id));
-        let mut rows = named.collect::<Result<Vec<_>, Failure>>()?;
+        let mut rows = named.collect::<Result<Vec<_>>>()?;
         let narrowed =
             wishes.topic.is_some() || wishes.since.is_some() || wishes.until.is_some() || wishes.incident.is_some();
         let named = !wishes.records.is_empty() || !wishes.reveal.is_empty();
@@ -149,7 +149,7 @@ impl Evidence {
         (rows, reveal): (&[RecordRow], &BTreeSet<Digest>),
         about: Option<&IncidentView>,
         file: &Path,
-    ) -> Result<EvidenceView, Failure> {
+    ) -> Result<EvidenceView> {
         let reader = Reader { plant: &self.parts.plant, network, reader: owner };
         let authorities = block_in_place(|| self.stamps.suggested());
         let gathered = gather(&reader, rows, reveal, authorities).await?;
@@ -228,7 +228,7 @@ impl ChainProofs {
         *trouble = problem.map(|why| (since, why));
     }
 
-    pub fn health(&self) -> Result<Option<PartHealth>, Failure> {
+    pub fn health(&self) -> Result<Option<PartHealth>> {
         let counts = self.parts.plant.ledger.proofs.chain_proof_counts()?;
         let trouble = self.trouble.lock().unwrap_or_else(PoisonError::into_inner).clone();
         if counts.newest.is_none() && counts.missed == 0 && trouble.is_none() {

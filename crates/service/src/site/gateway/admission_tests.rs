@@ -73,11 +73,7 @@ async fn each_account_that_is_not_allowed_has_a_notice_of_its_own() {
         }
     }
     let [guest, other] = [GUEST, other].map(|account| format!("admission {account}"));
-    let expected = [
-        (guest.clone(), NoticeLevel::Warning),
-        (other, NoticeLevel::Warning),
-        (guest, NoticeLevel::Info),
-    ];
+    let expected = [(guest.clone(), NoticeLevel::Warning), (other, NoticeLevel::Warning), (guest, NoticeLevel::Info)];
     assert_eq!(told, expected, "what is done about one account leaves the other's notice");
     site.stop().await;
 }

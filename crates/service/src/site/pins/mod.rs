@@ -14,7 +14,7 @@ use crate::model::{ProfileName, Publisher, TopicName, clean};
 use crate::pipeline::Owner;
 use crate::service::event::Part;
 use crate::service::failure::input;
-use crate::service::reply::{AlarmView, Failure, PinView, PinsView};
+use crate::service::reply::{AlarmView, PinView, PinsView, Result};
 
 const WIDEST: usize = 400;
 
@@ -35,7 +35,7 @@ pub(in crate::site) struct Pinning {
 
 impl Pinning {
     /// Needs no passphrase.
-    pub async fn view(&self, profile: &ProfileName, topic: Option<&TopicName>) -> Result<PinsView, Failure> {
+    pub async fn view(&self, profile: &ProfileName, topic: Option<&TopicName>) -> Result<PinsView> {
         let owner = self.parts.owners.address_of(profile)?;
         let topic = topic.map(|topic| topic.as_str().to_owned());
         let wanted = |name: &str| topic.as_deref().is_none_or(|topic| topic == name);
@@ -63,12 +63,7 @@ impl Pinning {
     }
 
     /// Accepts publishers of a topic; if none is named, those being read now.
-    pub async fn pin(
-        &self,
-        profile: &ProfileName,
-        topic: &TopicName,
-        publishers: Vec<Publisher>,
-    ) -> Result<PinsView, Failure> {
+    pub async fn pin(&self, profile: &ProfileName, topic: &TopicName, publishers: Vec<Publisher>) -> Result<PinsView> {
         let owner = self.parts.owners.address_of(profile)?;
         let publishers = if publishers.is_empty() { self.pins.live(topic.as_str()) } else { publishers };
         if publishers.is_empty() {
@@ -85,7 +80,7 @@ impl Pinning {
         self.view(profile, Some(topic)).await
     }
 
-    pub async fn unpin(&self, profile: &ProfileName, topic: &TopicName, caller_id: &str) -> Result<PinsView, Failure> {
+    pub async fn unpin(&self, profile: &ProfileName, topic: &TopicName, caller_id: &str) -> Result<PinsView> {
         let owner = self.parts.owners.address_of(profile)?;
         let name = clean(caller_id, 255);
         if self.pins.listed(topic.as_str()).iter().any(|publisher| publisher.caller_id == caller_id) {
@@ -105,14 +100,14 @@ impl Pinning {
     }
 
     /// Topics with an open alarm about a publisher.
-    pub fn alarmed_topics(&self, profile: &ProfileName) -> Result<HashSet<String>, Failure> {
+    pub fn alarmed_topics(&self, profile: &ProfileName) -> Result<HashSet<String>> {
         let Ok(owner) = self.parts.owners.address_of(profile) else { return Ok(HashSet::new()) };
         let alarms = self.parts.plant.ledger.pins.alarms(owner, None)?;
         Ok(alarms.into_iter().filter(|alarm| alarm.open).map(|alarm| alarm.topic).collect())
     }
 
     /// Node names pinned to each topic, by the operator, first sight or the settings.
-    pub fn pinned_names(&self, profile: &ProfileName) -> Result<HashMap<String, HashSet<String>>, Failure> {
+    pub fn pinned_names(&self, profile: &ProfileName) -> Result<HashMap<String, HashSet<String>>> {
         let Ok(owner) = self.parts.owners.address_of(profile) else { return Ok(HashMap::new()) };
         let kept = self.parts.plant.ledger.pins.list(owner, None)?;
         let kept = kept.into_iter().map(|row| (row.topic, row.publisher.caller_id));

@@ -15,13 +15,13 @@ use crate::pipeline::retention::is_stated;
 use crate::pipeline::{Network, Owner, PipelineError, authority};
 use crate::service::command::UploadQuery;
 use crate::service::failure::{input, internal};
-use crate::service::reply::{ExportedFile, Failure, Provenance, RecordPage, RecordView};
+use crate::service::reply::{ExportedFile, Failure, Provenance, RecordPage, RecordView, Result};
 use crate::site::incidents::narrowed;
 use crate::store::{self, BatchPlace, FilterChoice, PlacedRecord, RecordQuery, RecordRow};
 
 impl Reading {
     /// Needs no passphrase.
-    pub async fn list_own(&self, profile: &ProfileName, query: UploadQuery) -> Result<RecordPage, Failure> {
+    pub async fn list_own(&self, profile: &ProfileName, query: UploadQuery) -> Result<RecordPage> {
         let owner = self.parts.owners.address_of(profile)?;
         let index = self.parts.owners.get(profile).map(|owner| owner.index());
         self.name_asked(owner, index, query.topic.as_ref())?;
@@ -42,7 +42,7 @@ impl Reading {
     }
 
     /// Records of all profiles of the home; needs no passphrase.
-    pub fn list_all(&self, query: UploadQuery) -> Result<RecordPage, Failure> {
+    pub fn list_all(&self, query: UploadQuery) -> Result<RecordPage> {
         if query.incident.is_some() {
             return Err(input("an incident belongs to one profile: omit --all, or the incident".to_owned()));
         }
@@ -59,7 +59,7 @@ impl Reading {
         keys: &dyn Keys,
         filters: &[FilterChoice],
         with_owner: bool,
-    ) -> Result<RecordPage, Failure> {
+    ) -> Result<RecordPage> {
         let mut page = record_page(&self.compared(page.rows, keys, filters)?, page.next, with_owner);
         self.note_erased(&mut page.records)?;
         if with_owner {
@@ -72,7 +72,7 @@ impl Reading {
     }
 
     /// Filter ids of a profile's own tags, derived from IK.
-    fn own_tag_filters(&self, profile: &ProfileName, tags: &[(String, String)]) -> Result<Vec<FilterChoice>, Failure> {
+    fn own_tag_filters(&self, profile: &ProfileName, tags: &[(String, String)]) -> Result<Vec<FilterChoice>> {
         if tags.is_empty() {
             return Ok(Vec::new());
         }
@@ -84,7 +84,7 @@ impl Reading {
     }
 
     /// Adds who had deleted records erased.
-    pub(super) fn note_erased(&self, records: &mut [RecordView]) -> Result<(), Failure> {
+    pub(super) fn note_erased(&self, records: &mut [RecordView]) -> Result<()> {
         let gone = ShownState::Verified(Caveat::Deleted);
         for record in records.iter_mut().filter(|record| record.state == gone) {
             let retained = self.parts.plant.ledger.retention.find(record.digest)?;
@@ -93,18 +93,18 @@ impl Reading {
         Ok(())
     }
 
-    pub fn topics_of(&self, owner: Address) -> Result<Vec<TopicId>, Failure> {
+    pub fn topics_of(&self, owner: Address) -> Result<Vec<TopicId>> {
         let counts = self.parts.plant.ledger.counts.by_state(Some(owner))?;
         Ok(counts.topics.iter().filter_map(|topic| topic.topic_id).collect())
     }
 
     /// A record of any owner.
-    pub fn find_record(&self, id: &str) -> Result<RecordRow, Failure> {
+    pub fn find_record(&self, id: &str) -> Result<RecordRow> {
         let row = self.parts.plant.ledger.records.by_id(id)?;
         Ok(row.ok_or_else(|| PipelineError::NoRecord(clean(id, 64)))?)
     }
 
-    pub fn own_record(&self, profile: &ProfileName, id: &str) -> Result<RecordRow, Failure> {
+    pub fn own_record(&self, profile: &ProfileName, id: &str) -> Result<RecordRow> {
         let row = self.find_record(id)?;
         match row.owner == self.parts.owners.address_of(profile)? {
             true => Ok(row),
@@ -112,7 +112,7 @@ impl Reading {
         }
     }
 
-    pub fn provenance(&self, profile: &ProfileName, id: &str) -> Result<Provenance, Failure> {
+    pub fn provenance(&self, profile: &ProfileName, id: &str) -> Result<Provenance> {
         let shown = self.compared_one(&self.own_record(profile, id)?, &self.own_keys())?;
         let row = &shown.row;
         let topic = clean(&row.topic, 255);
@@ -158,24 +158,14 @@ impl Reading {
     }
 
     /// Files for checking a record with openssl and a node; `proof.json` redacts accounts unless `addresses`.
-    pub async fn export_upload(
-        &self,
-        owner: &Arc<Owner>,
-        id: &str,
-        addresses: bool,
-    ) -> Result<Vec<ExportedFile>, Failure> {
+    pub async fn export_upload(&self, owner: &Arc<Owner>, id: &str, addresses: bool) -> Result<Vec<ExportedFile>> {
         let row = self.own_record(&owner.profile, id)?;
         let network = self.network_or_kept().await?;
         let files = self.files_of(&network, &row, addresses);
         self.parts.log.deed(&owner.profile, "export record", &row.id, files).await
     }
 
-    async fn files_of(
-        &self,
-        network: &Network,
-        row: &RecordRow,
-        addresses: bool,
-    ) -> Result<Vec<ExportedFile>, Failure> {
+    async fn files_of(&self, network: &Network, row: &RecordRow, addresses: bool) -> Result<Vec<ExportedFile>> {
         let (plant, digest) = (&self.parts.plant, row.digest);
         let blob = block_in_place(|| plant.stored_bytes(row))?;
         let placed = plant.ledger.records.placed(digest)?;

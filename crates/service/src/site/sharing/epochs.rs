@@ -15,7 +15,7 @@ use crate::pipeline::epoch::EpochKeys;
 use crate::pipeline::{Network, Owner, PipelineError, authority, recovery};
 use crate::service::event::Part;
 use crate::service::failure::refused;
-use crate::service::reply::{Failure, TransactionView};
+use crate::service::reply::{Failure, Result, TransactionView};
 
 /// Keeps a `wrap` transaction below 32 KB.
 pub(super) const ENVELOPES_A_CALL: usize = 8;
@@ -23,7 +23,7 @@ pub(super) const ENVELOPES_A_CALL: usize = 8;
 const MOST_NAMED: usize = 8;
 
 impl Sharing {
-    pub async fn rotate(&self, owner: &Arc<Owner>, why: &str) -> Result<TransactionView, Failure> {
+    pub async fn rotate(&self, owner: &Arc<Owner>, why: &str) -> Result<TransactionView> {
         let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         network.directory.identity(owner.address)?;
         self.begin_rotated(owner, &network, why).await
@@ -35,7 +35,7 @@ impl Sharing {
         owner: &Arc<Owner>,
         network: &Network,
         why: &str,
-    ) -> Result<TransactionView, Failure> {
+    ) -> Result<TransactionView> {
         let call = |new_token, envelope| Call::Rotate { new_token, envelope };
         self.begin_epoch(owner, network, &format!("rotate ({why})"), call).await
     }
@@ -48,7 +48,7 @@ impl Sharing {
         network: &Network,
         purpose: &str,
         call: impl FnOnce(Token, Vec<u8>) -> Call,
-    ) -> Result<TransactionView, Failure> {
+    ) -> Result<TransactionView> {
         self.repeat_epochs(owner, network).await?;
         let next = network.directory.epoch(owner.address) + 1;
         let token = owner.prepare_epoch(network.domain, next)?;
@@ -85,7 +85,7 @@ impl Sharing {
     }
 
     /// Begins again the epochs that the chain lost. None is used a second time: revoked readers know their keys.
-    async fn repeat_epochs(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
+    async fn repeat_epochs(&self, owner: &Arc<Owner>, network: &Network) -> Result<()> {
         let seen = owner.confirmed_epoch(network.domain);
         for epoch in network.directory.epoch(owner.address) + 1..=seen {
             let new_token = owner.prepare_epoch(network.domain, epoch)?;
@@ -102,7 +102,7 @@ impl Sharing {
     }
 
     /// Finishes an epoch that did not reach the chain, and re-wraps what is missing.
-    pub async fn finish_epoch(&self, owner: &Arc<Owner>) -> Result<(), Failure> {
+    pub async fn finish_epoch(&self, owner: &Arc<Owner>) -> Result<()> {
         let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         // Transactions of the previous run may still bring the epoch to the chain.
         self.settle_open(owner, &network).await?;
@@ -116,7 +116,7 @@ impl Sharing {
         self.rewrap(owner, &network).await
     }
 
-    pub async fn settle_open(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
+    pub async fn settle_open(&self, owner: &Arc<Owner>, network: &Network) -> Result<()> {
         for _ in 0..60 {
             if self.parts.plant.ledger.lanes.open_lane(owner.address)?.iter().all(|row| row.anchors) {
                 return Ok(());
@@ -130,7 +130,7 @@ impl Sharing {
 
     /// Active readers who lack an envelope, by epoch: the current one for their current key, or one since their grant
     /// that ended before they got it. Not those being revoked.
-    pub fn lacking(&self, owner: &Owner, network: &Network) -> Result<BTreeMap<u64, Vec<Granted>>, Failure> {
+    pub fn lacking(&self, owner: &Owner, network: &Network) -> Result<BTreeMap<u64, Vec<Granted>>> {
         if self.went_back(owner, network) {
             return Ok(BTreeMap::new());
         }
@@ -156,7 +156,7 @@ impl Sharing {
     }
 
     /// Sends readers their missing envelopes, oldest epoch first; one failing reader does not hold up the others.
-    pub async fn rewrap(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
+    pub async fn rewrap(&self, owner: &Arc<Owner>, network: &Network) -> Result<()> {
         let mut failed = None;
         for (epoch, grants) in self.lacking(owner, network)? {
             failed = self.rewrap_epoch(owner, network, epoch, grants).await.err().or(failed);
@@ -170,7 +170,7 @@ impl Sharing {
         network: &Network,
         epoch: u64,
         grants: Vec<Granted>,
-    ) -> Result<(), Failure> {
+    ) -> Result<()> {
         let (mut envelopes, mut failed) = (Vec::new(), None);
         for grant in grants {
             let checked = self.contacts.check_reader(network, owner.address, grant.terms.grantee).await;
@@ -199,7 +199,7 @@ impl Sharing {
         sent.and(failed.map_or(Ok(()), Err))
     }
 
-    fn envelope_for(&self, owner: &Owner, network: &Network, grant: &Granted, epoch: u64) -> Result<Vec<u8>, Failure> {
+    fn envelope_for(&self, owner: &Owner, network: &Network, grant: &Granted, epoch: u64) -> Result<Vec<u8>> {
         let topics = match &grant.terms.scope {
             Scope::All => Vec::new(),
             Scope::Topics(ids) => self.granted_topics(owner, ids)?.into_iter().flatten().collect(),
@@ -216,7 +216,7 @@ impl Sharing {
         terms: GrantTerms,
         topics: &[String],
         epochs: Vec<u64>,
-    ) -> Result<Vec<u8>, Failure> {
+    ) -> Result<Vec<u8>> {
         let reader = network.directory.identity(terms.grantee)?;
         let mut keys = Vec::with_capacity(epochs.len());
         for epoch in epochs {
@@ -247,7 +247,7 @@ impl Sharing {
     /// Brings keyring and recorder to the chain's epochs: fetches missing keys, and seals under the current epoch or
     /// one that never reached the chain. Without the current key nothing is sealed: nobody knows who reads under an
     /// earlier one. The caller holds the owner's changes.
-    pub fn take_up_epoch(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
+    pub fn take_up_epoch(&self, owner: &Owner, network: &Network) -> Result<()> {
         if owner.is_locked() {
             return Ok(());
         }
@@ -284,7 +284,7 @@ impl Sharing {
         }
     }
 
-    fn fetch_missing(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
+    fn fetch_missing(&self, owner: &Owner, network: &Network) -> Result<()> {
         let lacking = block_in_place(|| recovery::lacking(&self.parts.plant, network, owner))?;
         if !lacking.is_empty() {
             let still = block_in_place(|| recovery::recover_epochs(&self.parts.plant, network, owner, &lacking))?;
@@ -300,7 +300,7 @@ impl Sharing {
     }
 
     /// Notes what the keyring lacks now, and reports it once.
-    pub(super) fn note_missing(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
+    pub(super) fn note_missing(&self, owner: &Owner, network: &Network) -> Result<()> {
         // Read before: an event that comes meanwhile is news.
         let seen = network.directory.newest();
         let epochs = block_in_place(|| recovery::lacking(&self.parts.plant, network, owner))?;

@@ -12,7 +12,7 @@ use crate::failure::{input, refused};
 use crate::model::{Address, Party, Scope, Timestamp, TopicId, TopicName};
 use crate::pipeline::{Network, Owner, authority};
 use crate::service::command::GrantFrom;
-use crate::service::reply::{Failure, GrantForesight, Opens};
+use crate::service::reply::{GrantForesight, Opens, Result};
 use crate::store::SealedInEpoch;
 
 /// How long messages captured before may wait to be sealed.
@@ -44,7 +44,7 @@ impl Sealed {
 
 impl Sharing {
     /// Up to the current epoch; of the owner's own epochs, those that the keyring has the key of.
-    pub(super) fn sealed_by(&self, network: &Network, reader: &Owner, owner: Address) -> Result<Sealed, Failure> {
+    pub(super) fn sealed_by(&self, network: &Network, reader: &Owner, owner: Address) -> Result<Sealed> {
         let epochs = 1..=network.directory.epoch(owner);
         let mut sealed = block_in_place(|| self.parts.plant.ledger.counts.by_epoch(owner, epochs))?;
         if owner == reader.address {
@@ -55,7 +55,7 @@ impl Sharing {
     }
 
     /// The first epoch that such a grant opens; one beyond the current epoch is still to begin.
-    fn first_epoch(&self, owner: &Owner, network: &Network, from: GrantFrom) -> Result<u64, Failure> {
+    fn first_epoch(&self, owner: &Owner, network: &Network, from: GrantFrom) -> Result<u64> {
         let current = network.directory.epoch(owner.address);
         let found = match from {
             GrantFrom::Now => None,
@@ -78,7 +78,7 @@ impl Sharing {
     }
 
     /// Whether nobody can have sealed anything under this epoch's keys. Robots seal out of sight.
-    fn is_unused(&self, owner: &Owner, network: &Network, epoch: u64) -> Result<bool, Failure> {
+    fn is_unused(&self, owner: &Owner, network: &Network, epoch: u64) -> Result<bool> {
         let seals = owner.sealing().is_some_and(|keys| keys.domain == network.domain && keys.epoch == epoch);
         let begun_here = self.begun.lock().unwrap_or_else(PoisonError::into_inner).get(&owner.address) == Some(&epoch);
         let used = || self.parts.plant.ledger.counts.is_epoch_used(owner.address, epoch);
@@ -91,7 +91,7 @@ impl Sharing {
         owner: &Arc<Owner>,
         network: &Network,
         from: GrantFrom,
-    ) -> Result<(u64, bool), Failure> {
+    ) -> Result<(u64, bool)> {
         if matches!(from, GrantFrom::Now | GrantFrom::Time(_)) {
             self.all_sealed().await?;
         }
@@ -113,7 +113,7 @@ impl Sharing {
     }
 
     /// Waits until what was captured so far is sealed: under the keys of a later epoch it would be opened as well.
-    async fn all_sealed(&self) -> Result<(), Failure> {
+    async fn all_sealed(&self) -> Result<()> {
         // What waits for its publisher's name was captured, too.
         block_in_place(|| self.ros.second.settle(None));
         let (came, end) = (self.rings.came(), Instant::now() + PATIENCE);
@@ -136,7 +136,7 @@ impl Sharing {
         grantee: &Party,
         topics: &[TopicName],
         from: GrantFrom,
-    ) -> Result<GrantForesight, Failure> {
+    ) -> Result<GrantForesight> {
         let network = self.parts.link.network().await?;
         network.directory.identity(owner.address)?;
         let grantee = self.contacts.resolve(grantee)?;
