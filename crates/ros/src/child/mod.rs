@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use crate::model::clean;
 use crate::pipe::write::{MOST_UNCONFIRMED, MOST_UNCONFIRMED_BYTES, Order, Report};
 use crate::pipe::{VERSION, receive, send};
-use crate::ros::{RosError, lock};
+use crate::ros::{Result, RosError, lock};
 use serde::Serialize;
 
 const NOBODY: u32 = 65534;
@@ -40,7 +40,7 @@ pub struct Errand {
 
 /// Starts it with no environment but the errand's, no terminal, its own process group, and only the two pipes open.
 /// Under root it runs as `nobody`, or not at all.
-pub fn start(errand: &Errand) -> Result<(Child, ChildStdin, ChildStdout), RosError> {
+pub fn start(errand: &Errand) -> Result<(Child, ChildStdin, ChildStdout)> {
     let system = |error: &std::io::Error| RosError::system("start the program that speaks with the network", error);
     // In a user namespace without that user, root is an ordinary user of the machine.
     let map = std::fs::read_to_string("/proc/self/uid_map").unwrap_or_default();
@@ -334,7 +334,7 @@ pub struct Run {
 
 impl Run {
     /// `domain` is the one that its hello must name.
-    pub fn start(errand: &Errand, domain: u16) -> Result<Self, RosError> {
+    pub fn start(errand: &Errand, domain: u16) -> Result<Self> {
         let (child, to, from) = start(errand)?;
         let shared = Arc::new(Shared::default());
         *lock(&shared.child) = Some(child);
@@ -367,7 +367,7 @@ impl Run {
         Ok(Some(next))
     }
 
-    fn keep(&mut self, name: &str, work: impl FnOnce() + Send + 'static) -> Result<(), RosError> {
+    fn keep(&mut self, name: &str, work: impl FnOnce() + Send + 'static) -> Result<()> {
         let started = std::thread::Builder::new().name(name.to_owned()).spawn(work);
         self.threads.push(started.map_err(|error| RosError::system("start a thread for a program", &error))?);
         Ok(())

@@ -20,7 +20,7 @@ use crate::pipe::read::{Told, Wish};
 use crate::pipe::write::Order;
 use crate::pipe::{LONGEST_PAYLOAD, receive, send};
 use crate::ros::child::{self, Errand, Restarts, Run, Silence, TICK};
-use crate::ros::{CaptureNotice, MessageSink, RosError, lock};
+use crate::ros::{CaptureNotice, MessageSink, Result, RosError, lock};
 use state::{Outcome, State};
 
 pub use crate::pipe::LONGEST_PAYLOAD as LONGEST_MESSAGE;
@@ -65,7 +65,7 @@ pub struct Ros2Capture {
 }
 
 impl Ros2Capture {
-    pub fn start(domain: u16, program: Option<&Path>, sink: Arc<dyn MessageSink>) -> Result<Self, RosError> {
+    pub fn start(domain: u16, program: Option<&Path>, sink: Arc<dyn MessageSink>) -> Result<Self> {
         let program = child::find(PROGRAM, program).map_err(RosError::NoReader)?;
         let shared = Arc::new(Shared {
             domain,
@@ -83,7 +83,7 @@ impl Ros2Capture {
         Ok(capture)
     }
 
-    fn keep(&mut self, name: &str, work: fn(&Shared)) -> Result<(), RosError> {
+    fn keep(&mut self, name: &str, work: fn(&Shared)) -> Result<()> {
         let shared = Arc::clone(&self.shared);
         let started = std::thread::Builder::new().name(name.to_owned()).spawn(move || work(&shared));
         self.threads.push(started.map_err(|error| RosError::system("start a thread for ROS 2", &error))?);
@@ -355,7 +355,7 @@ pub struct Ros2Publisher {
 }
 
 impl Ros2Publisher {
-    pub fn start(domain: u16, program: Option<&Path>) -> Result<Self, RosError> {
+    pub fn start(domain: u16, program: Option<&Path>) -> Result<Self> {
         let program = child::find(PROGRAM, program).map_err(RosError::NoReader)?;
         let run = Run::start(&errand(&program, domain, true), domain)?;
         let (announced, earlier) = (BTreeMap::new(), Delivery::default());
@@ -383,7 +383,7 @@ impl Ros2Publisher {
         topic: &Offered,
         size: usize,
         (alone, patient): (bool, bool),
-    ) -> Result<Result<u32, Declined>, RosError> {
+    ) -> Result<Result<u32, Declined>> {
         let writer = self.next;
         self.next = self.next.wrapping_add(1);
         let size = u32::try_from(size).unwrap_or(u32::MAX);
@@ -436,7 +436,7 @@ impl Ros2Publisher {
     }
 
     /// Replaces the program if it has ended, with all topics and latched messages.
-    pub fn revive(&mut self) -> Result<(), RosError> {
+    pub fn revive(&mut self) -> Result<()> {
         let next = self.run.successor().map_err(|reason| self.failed(&reason))?;
         let Some(next) = next else { return Ok(()) };
         self.earlier = self.delivery();
@@ -445,7 +445,7 @@ impl Ros2Publisher {
         self.announce_again().inspect_err(|_| self.run.kill())
     }
 
-    fn announce_again(&self) -> Result<(), RosError> {
+    fn announce_again(&self) -> Result<()> {
         for (writer, announced) in &self.announced {
             let (writer, topic, size) = (*writer, announced.topic.clone(), announced.size);
             // Its former run may still look like another node.
@@ -486,7 +486,7 @@ impl Ros2Publisher {
         }
     }
 
-    fn order(&self, order: &Order, payload: &[u8]) -> Result<(), RosError> {
+    fn order(&self, order: &Order, payload: &[u8]) -> Result<()> {
         self.run.order(order, payload).map_err(|reason| self.failed(&reason))
     }
 }
