@@ -15,7 +15,7 @@ use tokio::time::Instant;
 use crate::command::{Answer, Command, Inner, Part, Speaker, split};
 use crate::crypto::{Provider, SmKeyPair, TransportKey};
 use crate::desk::{Binding, Caller, Desk};
-use crate::error::{Code, Refusal};
+use crate::error::{Code, Refusal, Result};
 use crate::frame::{Assembler, FrameKind, Line, LineError};
 use crate::hello::{Agreed, Context, GatewayHello, Identified, ListSummary, NetworkName, Purpose};
 use crate::limits::{Charge, Limits, Peers, Seat};
@@ -79,7 +79,7 @@ impl Shared {
         }
     }
 
-    fn receipt(&self, time: Timestamp, digests: Vec<Digest>) -> Result<Receipt, Refusal> {
+    fn receipt(&self, time: Timestamp, digests: Vec<Digest>) -> Result<Receipt> {
         Receipt::sign(self.provider(), &self.context.domain, &self.identity, time, digests).map_err(Refusal::internal)
     }
 }
@@ -187,12 +187,7 @@ impl Connection {
     }
 
     /// Returns refusals that end the session instead of sending them.
-    async fn reply(
-        &mut self,
-        session: &mut Session,
-        request: u32,
-        outcome: Result<Answer, Refusal>,
-    ) -> Result<(), End> {
+    async fn reply(&mut self, session: &mut Session, request: u32, outcome: Result<Answer>) -> Result<(), End> {
         let charged = outcome.and_then(|answer| {
             // The chain crate bounds its answers; their memory counts against the caller.
             let length = answer.relayed_length();

@@ -212,6 +212,8 @@ impl fmt::Display for Code {
     }
 }
 
+pub(crate) type Result<T, E = Refusal> = std::result::Result<T, E>;
+
 /// The code goes to the peer, the detail only to the log.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{code} ({detail})")]

@@ -7,7 +7,7 @@ use tokio::sync::watch;
 use tokio::time::{Instant, sleep_until};
 
 use crate::crypto::signer_id;
-use crate::error::{Code, Refusal};
+use crate::error::{Code, Refusal, Result};
 use crate::feed::{Feed, FeedPage};
 use crate::frame::Message;
 use crate::gateway::command::relay::{LONGEST_FOR_VISITOR, LONGEST_RESULT};
@@ -26,7 +26,7 @@ impl Shared {
         agreed: &Agreed,
         name: &ProfileName,
         message: &Message<()>,
-    ) -> Result<Answer, Refusal> {
+    ) -> Result<Answer> {
         if !message.command.is_for_allocation() {
             return Err(Refusal::new(Code::NotHere, format_args!("{:?} without a transport key", message.command)));
         }
@@ -54,7 +54,7 @@ impl Shared {
     }
 }
 
-async fn relayed(desk: &dyn Desk, caller: Option<&Caller>, call: &RelayCall) -> Result<Answer, Refusal> {
+async fn relayed(desk: &dyn Desk, caller: Option<&Caller>, call: &RelayCall) -> Result<Answer> {
     let parameters = serde_json::from_str(&call.parameters).map_err(Refusal::because(Code::Malformed))?;
     let most = if caller.is_some() { LONGEST_RESULT } else { LONGEST_FOR_VISITOR };
     Relayed::of(desk.relay(caller, &call.method, &parameters).await, most).map(Answer::Relayed)
@@ -105,7 +105,7 @@ impl Waiting {
 
 impl Commands {
     /// `None` while the request waits.
-    pub async fn answer(&mut self, shared: &Shared, message: &Message<Charge>) -> Result<Option<Answer>, Refusal> {
+    pub async fn answer(&mut self, shared: &Shared, message: &Message<Charge>) -> Result<Option<Answer>> {
         let desk = shared.desk.as_ref();
         let token = message.token.ok_or_else(|| Refusal::new(Code::Token, "no token"))?;
         desk.admits(&self.caller.account, Some(&token)).await?;
@@ -120,12 +120,7 @@ impl Commands {
         }
     }
 
-    async fn answered(
-        &mut self,
-        shared: &Shared,
-        message: &Message<Charge>,
-        request: Request,
-    ) -> Result<Answer, Refusal> {
+    async fn answered(&mut self, shared: &Shared, message: &Message<Charge>, request: Request) -> Result<Answer> {
         let desk = shared.desk.as_ref();
         match request {
             Request::Ping => Ok(Answer::Time(Timestamp::now())),
@@ -162,12 +157,14 @@ impl Commands {
                 check_account(desk, &self.binding).await?;
                 desk.erase(&self.caller, erasures).await.map(Answer::Erasures)
             }
-            Request::KeyAllocation(_) | Request::Feed(_) => Err(Refusal::new(Code::NotHere, "a command for a session without a transport key")),
+            Request::KeyAllocation(_) | Request::Feed(_) => {
+                Err(Refusal::new(Code::NotHere, "a command for a session without a transport key"))
+            }
         }
     }
 
     /// `None` leaves the request to [`Self::due`].
-    async fn follow(&mut self, shared: &Shared, request: u32, asked: Feed) -> Result<Option<Answer>, Refusal> {
+    async fn follow(&mut self, shared: &Shared, request: u32, asked: Feed) -> Result<Option<Answer>> {
         if self.waiting.is_some() {
             return Err(Refusal::new(Code::Quota, "one request for the feed is waiting already"));
         }
@@ -180,7 +177,7 @@ impl Commands {
 
     /// Answers the waiting request with news, a refusal, or at the end of its time; waits on while the chain is not
     /// fresh. Checks the account like any request: one dismissed, or with other keys, gets nothing.
-    pub async fn due(&mut self, shared: &Shared) -> Option<(u32, Result<Answer, Refusal>)> {
+    pub async fn due(&mut self, shared: &Shared) -> Option<(u32, Result<Answer>)> {
         let mut waiting = self.waiting.take()?;
         waiting.changes.mark_unchanged();
         waiting.looked = Instant::now();
@@ -208,7 +205,7 @@ impl Commands {
         Some((waiting.request, answer))
     }
 
-    async fn page(&mut self, shared: &Shared, asked: &Feed) -> Result<FeedPage, Refusal> {
+    async fn page(&mut self, shared: &Shared, asked: &Feed) -> Result<FeedPage> {
         let desk = shared.desk.as_ref();
         desk.admits(&self.caller.account, None).await?;
         check_account(desk, &self.binding).await?;
@@ -218,7 +215,7 @@ impl Commands {
         Ok(page)
     }
 
-    async fn store(&self, shared: &Shared, command: Command, uploads: Vec<Upload>) -> Result<Answer, Refusal> {
+    async fn store(&self, shared: &Shared, command: Command, uploads: Vec<Upload>) -> Result<Answer> {
         let desk = shared.desk.as_ref();
         let records = check_records(shared.context, desk, &self.caller, uploads).await?;
         check_account(desk, &self.binding).await?;
