@@ -237,7 +237,7 @@ impl Site {
 
     /// Records shared with a profile, as far as they are here. A large gateway's first list is slow and a gateway may
     /// be away, so the page says why it may be incomplete.
-    async fn list_shared(&self, owner: &Arc<Owner>, query: UploadQuery) -> Result<RecordPage> {
+    async fn list_shared(&self, owner: &Owner, query: UploadQuery) -> Result<RecordPage> {
         let arriving = match self.joined.arriving(&owner.profile, LISTING).await {
             Ok(None) => return self.reading.list_shared(owner, query).await,
             Ok(Some(arriving)) => arriving,

@@ -152,7 +152,7 @@ impl Log {
         Ok(lines.into_iter().map(view).collect())
     }
 
-    pub async fn export(self: &Arc<Self>, owner: &Arc<Owner>, addresses: bool) -> Result<Vec<ExportedFile>> {
+    pub async fn export(self: &Arc<Self>, owner: &Owner, addresses: bool) -> Result<Vec<ExportedFile>> {
         let subject = if addresses { "with addresses" } else { "redacted" };
         let bytes = self.deed(&owner.profile, "export audit", subject, self.whole(addresses)).await?;
         Ok(vec![ExportedFile { name: "audit.jsonl".to_owned(), bytes }])

@@ -78,12 +78,7 @@ struct Play<'a> {
 }
 
 impl Bridge {
-    pub async fn play(
-        &self,
-        owner: &Arc<Owner>,
-        wishes: PlayWishes,
-        gone: oneshot::Receiver<()>,
-    ) -> Result<PlayedView> {
+    pub async fn play(&self, owner: &Owner, wishes: PlayWishes, gone: oneshot::Receiver<()>) -> Result<PlayedView> {
         let names = Names::of(&wishes)?;
         consistent(&wishes)?;
         let network = self.parts.link.network().await?;

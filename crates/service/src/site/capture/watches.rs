@@ -37,19 +37,19 @@ impl Watches {
         })
     }
 
-    pub fn hold(&self, owner: &Arc<Owner>) {
+    pub fn hold(&self, owner: &Owner) {
         self.held.lock().unwrap_or_else(PoisonError::into_inner).insert(owner.profile.clone());
         self.recorder.set_watches(&owner.author, WatchRules::default());
         self.ros.wishes_changed();
     }
 
-    pub fn restore(&self, owner: &Arc<Owner>) -> Result<()> {
+    pub fn restore(&self, owner: &Owner) -> Result<()> {
         self.held.lock().unwrap_or_else(PoisonError::into_inner).remove(&owner.profile);
         self.apply(owner)
     }
 
     /// Captures what the profile's list says now, unless its capture is paused.
-    pub fn apply(&self, owner: &Arc<Owner>) -> Result<()> {
+    pub fn apply(&self, owner: &Owner) -> Result<()> {
         if !self.held.lock().unwrap_or_else(PoisonError::into_inner).contains(&owner.profile) {
             let rules = block_in_place(|| self.of(&owner.profile))?;
             self.recorder.set_watches(&owner.author, rules);

@@ -24,7 +24,7 @@ pub struct Administering {
 
 impl Administering {
     /// The contract refuses acts of anybody else, except those open to others.
-    pub async fn administer(&self, owner: &Arc<Owner>, act: &Administration) -> Result<TransactionView> {
+    pub async fn administer(&self, owner: &Owner, act: &Administration) -> Result<TransactionView> {
         use Administration::{Accept, Cancel, Complete};
         let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         let (call, text) = self.act(&network, act)?;
@@ -40,7 +40,7 @@ impl Administering {
         self.send_act(owner, &network, call, text).await
     }
 
-    pub async fn name_recovery(&self, owner: &Arc<Owner>, recovery: Option<&Party>) -> Result<TransactionView> {
+    pub async fn name_recovery(&self, owner: &Owner, recovery: Option<&Party>) -> Result<TransactionView> {
         let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         network.directory.identity(owner.address)?;
         let recovery = recovery.map(|party| self.contacts.resolve(party)).transpose()?;
@@ -56,13 +56,7 @@ impl Administering {
         self.send_act(owner, &network, call, text).await
     }
 
-    async fn send_act(
-        &self,
-        owner: &Arc<Owner>,
-        network: &Network,
-        call: Call,
-        text: String,
-    ) -> Result<TransactionView> {
+    async fn send_act(&self, owner: &Owner, network: &Network, call: Call, text: String) -> Result<TransactionView> {
         let name = call.name();
         let sent = async { Ok(self.parts.sender.send(&network.chain, &owner.eoa(), call, name).await?) };
         let (transaction, receipt) = self.parts.log.deed(&owner.profile, name, &text, sent).await?;
@@ -73,7 +67,7 @@ impl Administering {
     }
 
     /// Does not wait for the owner's changes: one of them may be the cancelled one.
-    pub async fn cancel(&self, owner: &Arc<Owner>, key: &EoaSecret, nonce: u64) -> Result<TransactionView> {
+    pub async fn cancel(&self, owner: &Owner, key: &EoaSecret, nonce: u64) -> Result<TransactionView> {
         let network = self.parts.link.network().await?;
         let subject = format!("nonce {nonce} of {}", key.address());
         let cancelled = async { Ok(self.parts.sender.cancel(&network.chain, key, nonce).await?) };

@@ -209,7 +209,7 @@ impl From<Failure> for Lost {
 }
 
 impl Connection {
-    pub async fn deploy_contract(&self, owner: &Arc<Owner>, delay: Option<u64>) -> Result<DeployedView> {
+    pub async fn deploy_contract(&self, owner: &Owner, delay: Option<u64>) -> Result<DeployedView> {
         let delay = delay.map_or(DEFAULT_DELAY, Duration::from_secs);
         if !(SHORTEST_DELAY..=LONGEST_DELAY).contains(&delay) {
             return Err(input("the succession delay must be between 1 and 365 days; give another --delay"));

@@ -26,7 +26,7 @@ const MOST_NOTICES: usize = 10_000;
 const WINDOW: usize = 64;
 
 impl Devices {
-    pub async fn add_address(&self, owner: &Arc<Owner>, device: &str, address: String) -> Result<DeviceAddressesView> {
+    pub async fn add_address(&self, owner: &Owner, device: &str, address: String) -> Result<DeviceAddressesView> {
         let network = self.parts.link.network().await?;
         super::enrolled::check_addresses(std::slice::from_ref(&address))?;
         let _one_at_a_time = owner.changes.lock().await;
@@ -79,7 +79,7 @@ impl Devices {
         }
     }
 
-    async fn attend(&self, owner: &Arc<Owner>, network: &Network) -> Result<bool> {
+    async fn attend(&self, owner: &Owner, network: &Network) -> Result<bool> {
         let here = block_in_place(|| Cabinet::founded_in(&self.parts.home.gateway()));
         let mut away = Vec::new();
         for enrolled in &self.enrolments.lent(owner, network)? {
@@ -100,7 +100,7 @@ impl Devices {
 
     async fn carry(
         &self,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         network: &Network,
         (enrolled, gateway): (&Enrolled, &EnrolledGateway),
         waiting: &[RecordRow],

@@ -154,7 +154,7 @@ pub struct EnrolWishes {
 }
 
 impl Devices {
-    pub async fn enrol(&self, owner: &Arc<Owner>, wishes: EnrolWishes) -> Result<EnrolledView> {
+    pub async fn enrol(&self, owner: &Owner, wishes: EnrolWishes) -> Result<EnrolledView> {
         if self.parts.is_joined() && wishes.fingerprint.is_none() {
             return Err(refused(
                 "a site that has joined another site can enrol robots only at a gateway whose key you confirmed: get \

@@ -1,6 +1,5 @@
 //! Whether robots follow their owner into a new epoch: one that does not still writes for a reader who lost access.
 
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::task::block_in_place;
@@ -42,7 +41,7 @@ impl Pace {
 
 impl Devices {
     /// Announces the epoch of `deed`, and fails as [`ErrorKind::Incomplete`] if a working robot stays in an older one.
-    pub async fn lead(&self, owner: &Arc<Owner>, deed: TransactionView) -> Result<TransactionView> {
+    pub async fn lead(&self, owner: &Owner, deed: TransactionView) -> Result<TransactionView> {
         let (begun, from) = (Timestamp::now(), Instant::now());
         let incomplete = |text: String| Failure::new(ErrorKind::Incomplete, format!("{}; but {text}", deed.text));
         let network = self.parts.link.network().await?;

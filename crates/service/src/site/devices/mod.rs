@@ -39,12 +39,7 @@ impl Devices {
         Self { parts, sharing, enrolments, losses: policies::Losses::default() }
     }
 
-    pub async fn lend(
-        &self,
-        owner: &Arc<Owner>,
-        device: SignerId,
-        until: Option<Timestamp>,
-    ) -> Result<TransactionView> {
+    pub async fn lend(&self, owner: &Owner, device: SignerId, until: Option<Timestamp>) -> Result<TransactionView> {
         let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         network.directory.identity(owner.address)?;
         if until.is_some_and(|until| until <= network.directory.now()) {
@@ -65,7 +60,7 @@ impl Devices {
     }
 
     /// A new epoch locks the device out of records sealed from now on; gateways end its session.
-    pub async fn recall(&self, owner: &Arc<Owner>, device: &str) -> Result<TransactionView> {
+    pub async fn recall(&self, owner: &Owner, device: &str) -> Result<TransactionView> {
         let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         let device = self.lent_device(&network, owner, device)?;
         let recalled = async {
@@ -89,7 +84,7 @@ impl Devices {
         self.parts.log.deed(&owner.profile, "recall device", &device.to_string(), recalled).await
     }
 
-    pub async fn unlend_device(&self, owner: &Arc<Owner>, device: SignerId) -> Result<()> {
+    pub async fn unlend_device(&self, owner: &Owner, device: SignerId) -> Result<()> {
         let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         let recalled = self.change_devices(owner, &network, Call::Recall { device }, "recall", String::new());
         self.parts.log.deed(&owner.profile, "recall device", &device.to_string(), recalled).await.map(drop)
@@ -97,7 +92,7 @@ impl Devices {
 
     async fn change_devices(
         &self,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         network: &Network,
         call: Call,
         purpose: &str,
@@ -110,7 +105,7 @@ impl Devices {
         Ok(TransactionView { transaction: Some(transaction), block: Some(receipt.block), epoch, text })
     }
 
-    pub async fn rows(&self, owner: &Arc<Owner>) -> Result<Vec<DeviceRow>> {
+    pub async fn rows(&self, owner: &Owner) -> Result<Vec<DeviceRow>> {
         let network = self.parts.link.network().await?;
         let state = |lending: &Lending| match lending.recalled {
             Some(_) => "recalled",

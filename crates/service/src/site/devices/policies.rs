@@ -1,7 +1,7 @@
 //! The policies that an owner sets for robots, and what the robots report about them.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Mutex, PoisonError};
 
 use tokio::task::block_in_place;
 
@@ -33,7 +33,7 @@ struct Known {
 }
 
 impl Devices {
-    pub async fn robot_rows(&self, owner: &Arc<Owner>) -> Result<Vec<RobotRow>> {
+    pub async fn robot_rows(&self, owner: &Owner) -> Result<Vec<RobotRow>> {
         let network = self.parts.link.network().await?;
         let robots = self.enrolments.of(owner)?.into_iter().filter(|robot| !robot.ended);
         let robots: Vec<Enrolled> = robots.collect();
@@ -47,7 +47,7 @@ impl Devices {
         Ok(rows)
     }
 
-    pub async fn robot_view(&self, owner: &Arc<Owner>, name: &str) -> Result<RobotView> {
+    pub async fn robot_view(&self, owner: &Owner, name: &str) -> Result<RobotView> {
         let network = self.parts.link.network().await?;
         let robot = self.robot(&network, owner, name)?;
         let wanted = self.wanted(owner, robot.device)?;
@@ -69,7 +69,7 @@ impl Devices {
         })
     }
 
-    pub async fn set_policy(&self, owner: &Arc<Owner>, name: &str, text: String) -> Result<RobotView> {
+    pub async fn set_policy(&self, owner: &Owner, name: &str, text: String) -> Result<RobotView> {
         if text.len() > LONGEST_POLICY {
             return Err(input(format!("the policy has {} bytes; {LONGEST_POLICY} are allowed", text.len())));
         }

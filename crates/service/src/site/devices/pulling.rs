@@ -1,7 +1,5 @@
 //! An owner's requests to a robot's ring.
 
-use std::sync::Arc;
-
 use tokio::task::block_in_place;
 
 use super::Devices;
@@ -17,7 +15,7 @@ use crate::store::notes::Enrolled;
 const WIDEST: usize = 255;
 
 impl Devices {
-    pub async fn answer(&self, owner: &Arc<Owner>, command: RobotCommand) -> Result<Reply> {
+    pub async fn answer(&self, owner: &Owner, command: RobotCommand) -> Result<Reply> {
         match command {
             RobotCommand::PullRing { name, since, until, topics, incident } => {
                 let incident = incident.map(|incident| {
@@ -43,7 +41,7 @@ impl Devices {
         }
     }
 
-    pub async fn pull(&self, owner: &Arc<Owner>, name: &str, span: &RingSpan) -> Result<RingPullView> {
+    pub async fn pull(&self, owner: &Owner, name: &str, span: &RingSpan) -> Result<RingPullView> {
         let network = self.parts.link.network().await?;
         let robot = self.robot(&network, owner, name)?;
         let RingSpan { since, until, topics } = span;

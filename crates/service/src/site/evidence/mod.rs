@@ -43,7 +43,7 @@ impl Evidence {
         Self { parts: parts.clone(), reading: Arc::clone(reading), stamps: Arc::clone(stamps) }
     }
 
-    pub async fn export(&self, owner: &Arc<Owner>, wishes: EvidenceWishes) -> Result<EvidenceView> {
+    pub async fn export(&self, owner: &Owner, wishes: EvidenceWishes) -> Result<EvidenceView> {
         if wishes.file.symlink_metadata().is_ok() {
             return Err(input(format!("{} already exists; choose a new file", wishes.file.display())));
         }
@@ -144,7 +144,7 @@ impl Evidence {
 
     async fn write_evidence(
         &self,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         network: &Network,
         (rows, reveal): (&[RecordRow], &BTreeSet<Digest>),
         about: Option<&IncidentView>,

@@ -28,7 +28,7 @@ const LOOK: Duration = Duration::from_millis(250);
 const PAGE: usize = 1000;
 
 impl Profiles {
-    pub async fn keys(&self, owner: &Arc<Owner>) -> Result<KeysView> {
+    pub async fn keys(&self, owner: &Owner) -> Result<KeysView> {
         let (signing, envelope) = owner.public_keys();
         let mut epochs = Vec::new();
         if let Some(Network { domain, .. }) = self.parts.link.network_now() {
@@ -67,7 +67,7 @@ impl Profiles {
         self.keys(&owner).await
     }
 
-    async fn load_sm4(self: &Arc<Self>, owner: &Arc<Owner>, path: PathBuf, registered: bool) -> Result<()> {
+    async fn load_sm4(self: &Arc<Self>, owner: &Owner, path: PathBuf, registered: bool) -> Result<()> {
         let key = blocking(self, move |_| Ok(keyfile::load_sm4(&path)?)).await?;
         {
             let _one_at_a_time = owner.changes.lock().await;
@@ -83,7 +83,7 @@ impl Profiles {
         Ok(())
     }
 
-    async fn load_sm2(self: &Arc<Self>, owner: &Arc<Owner>, path: PathBuf, network: Option<&Network>) -> Result<()> {
+    async fn load_sm2(self: &Arc<Self>, owner: &Owner, path: PathBuf, network: Option<&Network>) -> Result<()> {
         let provider = self.parts.plant.provider;
         let pair = blocking(self, move |_| Ok(SmKeyPair::from_secret(provider, keyfile::load_sm2(&path)?)?)).await?;
         let new = NewPairs { signing: Some(pair), ..NewPairs::default() };
@@ -91,7 +91,7 @@ impl Profiles {
     }
 
     /// Makes a new envelope pair; the old one still opens what was sealed to it.
-    pub async fn rotate_envelope(&self, owner: &Arc<Owner>) -> Result<KeysView> {
+    pub async fn rotate_envelope(&self, owner: &Owner) -> Result<KeysView> {
         let registered = self.registered_network(owner).await?;
         self.parts.log.begin(owner, "rotate envelope key", &owner.address.to_string()).await?;
         let pair = SmKeyPair::generate(self.parts.plant.provider)?;
@@ -151,7 +151,7 @@ impl Profiles {
 
     pub async fn export_key(
         self: &Arc<Self>,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         kind: KeyKind,
         passphrase: Option<SecretText>,
     ) -> Result<SecretBytes> {
@@ -162,7 +162,7 @@ impl Profiles {
 
     async fn key_file(
         self: &Arc<Self>,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         kind: KeyKind,
         passphrase: Option<SecretText>,
     ) -> Result<Vec<u8>> {
@@ -182,7 +182,7 @@ impl Profiles {
     }
 
     /// Replaces pairs; on the chain too if `network` is given.
-    pub async fn change_pairs(&self, owner: &Arc<Owner>, network: Option<&Network>, new: NewPairs) -> Result<()> {
+    pub async fn change_pairs(&self, owner: &Owner, network: Option<&Network>, new: NewPairs) -> Result<()> {
         // Until the new key signs: the old one may sign nothing once the chain has the new one.
         let _one_at_a_time = owner.changes.lock().await;
         if let Some(network) = network {
@@ -210,7 +210,7 @@ impl Profiles {
 
     /// If the chain went back to earlier pairs, waits until everything signed with those is anchored: they lose their
     /// right once the keyring's are registered again. Fails after a minute; the site's health then says why.
-    pub async fn drain_former(&self, owner: &Arc<Owner>, network: &Network) -> Result<()> {
+    pub async fn drain_former(&self, owner: &Owner, network: &Network) -> Result<()> {
         if !recovery::is_ahead(network, owner)? {
             return Ok(());
         }
@@ -230,7 +230,7 @@ impl Profiles {
 
     /// Brings the chain to the keyring's pairs: re-registers them where it went back, and finishes a change that was
     /// begun. The caller holds the owner's changes, has recovered what the chain returns, and drained.
-    pub async fn settle_pairs(&self, owner: &Arc<Owner>, network: &Network) -> Result<()> {
+    pub async fn settle_pairs(&self, owner: &Owner, network: &Network) -> Result<()> {
         if recovery::is_ahead(network, owner)? {
             let (signing, envelope) = (owner.signing(), owner.envelope());
             let sent = self.send_pairs(owner, network, &signing, &envelope).await.map_err(|failure| {
@@ -257,7 +257,7 @@ impl Profiles {
     }
 
     /// Finishes a change that was begun, if any. The caller holds the owner's changes.
-    pub async fn finish_pairs(&self, owner: &Arc<Owner>, network: &Network) -> Result<()> {
+    pub async fn finish_pairs(&self, owner: &Owner, network: &Network) -> Result<()> {
         let (signing, envelope, moves) = {
             let keyring = owner.keyring();
             let (ring, further) = (keyring.keys(), &keyring.keys().further);
@@ -281,7 +281,7 @@ impl Profiles {
 
     async fn register_pairs(
         &self,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         network: &Network,
         signing: &SmKeyPair,
         envelope: &SmKeyPair,
@@ -305,7 +305,7 @@ impl Profiles {
 
     async fn send_pairs(
         &self,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         network: &Network,
         signing: &SmKeyPair,
         envelope: &SmKeyPair,

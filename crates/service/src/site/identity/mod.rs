@@ -327,7 +327,7 @@ impl Profiles {
         self.view(&owner.profile).await
     }
 
-    async fn send_registration(&self, owner: &Arc<Owner>, network: &Network) -> Result<()> {
+    async fn send_registration(&self, owner: &Owner, network: &Network) -> Result<()> {
         let token = owner.prepare_epoch(network.domain, 1)?;
         let (signing, envelope) = (owner.signing(), owner.envelope());
         let identity =
@@ -384,7 +384,7 @@ impl Profiles {
     }
 
     /// Brings the keyring to the chain's pairs and epochs of this owner. The caller holds the owner's changes.
-    async fn take_up(&self, owner: &Arc<Owner>, network: &Network) -> Result<()> {
+    async fn take_up(&self, owner: &Owner, network: &Network) -> Result<()> {
         let newer = block_in_place(|| recovery::recover_pairs(&self.parts.plant, network, owner));
         self.sharing.note_pairs(owner, newer.as_ref().err().map(ToString::to_string));
         let newer = newer.unwrap_or(false);

@@ -96,7 +96,7 @@ impl Quarantine {
     }
 
     /// Quarantined records named by a person; definitions only by topic.
-    async fn named(&self, owner: &Arc<Owner>, held: &Held) -> Result<Vec<HeldRow>> {
+    async fn named(&self, owner: &Owner, held: &Held) -> Result<Vec<HeldRow>> {
         let mut rows = self.held(owner, held.topic.as_ref().map(ToString::to_string))?;
         if held.topic.is_some() {
             return Ok(rows);
@@ -118,7 +118,7 @@ impl Quarantine {
     }
 
     /// Lets quarantined messages be anchored; the tag in their sealed head stays.
-    pub async fn release(&self, owner: &Arc<Owner>, held: Held) -> Result<DecidedView> {
+    pub async fn release(&self, owner: &Owner, held: Held) -> Result<DecidedView> {
         let rows = self.named(owner, &held).await?;
         let released = self.release_rows(owner, &held, &rows);
         self.audited(owner, "release quarantined", &rows, released).await?;
@@ -128,7 +128,7 @@ impl Quarantine {
         Ok(DecidedView { decision: "released".to_owned(), messages, reports: Vec::new(), text })
     }
 
-    async fn release_rows(&self, owner: &Arc<Owner>, held: &Held, rows: &[HeldRow]) -> Result<()> {
+    async fn release_rows(&self, owner: &Owner, held: &Held, rows: &[HeldRow]) -> Result<()> {
         // The quarantine record comes first, so that it counts everything held.
         self.report(&owner.author, u64::MAX).await?;
         let digests: Vec<Digest> = self.with_definitions(owner, rows)?.into_iter().collect();
@@ -148,7 +148,7 @@ impl Quarantine {
     }
 
     /// Deletes quarantined messages, once the quarantine records that count them are on the chain.
-    pub async fn discard(&self, owner: &Arc<Owner>, held: Held) -> Result<DecidedView> {
+    pub async fn discard(&self, owner: &Owner, held: Held) -> Result<DecidedView> {
         let rows = self.named(owner, &held).await?;
         self.report(&owner.author, u64::MAX).await?;
         // Read again: the reports are known only now.
@@ -167,7 +167,7 @@ impl Quarantine {
         Ok(DecidedView { decision: "discarded".to_owned(), messages, reports, text })
     }
 
-    async fn discard_rows(&self, owner: &Arc<Owner>, held: &Held, rows: &[HeldRow]) -> Result<()> {
+    async fn discard_rows(&self, owner: &Owner, held: &Held, rows: &[HeldRow]) -> Result<()> {
         let digests: Vec<Digest> = rows.iter().map(|row| row.record.digest).collect();
         // A backup taken now must not see the bytes gone while the rows are not.
         let one_at_a_time = self.reporting.lock().await;
@@ -201,7 +201,7 @@ impl Quarantine {
     /// Runs the deed between two log lines for each topic.
     async fn audited(
         &self,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         action: &str,
         rows: &[HeldRow],
         deed: impl Future<Output = Result<()>>,

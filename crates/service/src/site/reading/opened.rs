@@ -2,7 +2,6 @@
 
 use super::Reading;
 use std::ffi::OsStr;
-use std::sync::Arc;
 
 use tokio::task::block_in_place;
 
@@ -39,7 +38,7 @@ struct Opened {
 }
 
 impl Reading {
-    pub async fn open_record(&self, owner: &Arc<Owner>, id: &str) -> Result<OpenedView> {
+    pub async fn open_record(&self, owner: &Owner, id: &str) -> Result<OpenedView> {
         let opened = self.opened(owner, id, "decrypt").await?;
         Ok(block_in_place(|| {
             let mut view = view_of(&opened, owner);
@@ -51,7 +50,7 @@ impl Reading {
         }))
     }
 
-    pub async fn file_of(&self, owner: &Arc<Owner>, id: &str, kind: Option<Exported>) -> Result<OpenedView> {
+    pub async fn file_of(&self, owner: &Owner, id: &str, kind: Option<Exported>) -> Result<OpenedView> {
         let opened = self.opened(owner, id, "export message").await?;
         block_in_place(|| {
             let mut view = view_of(&opened, owner);
@@ -70,7 +69,7 @@ impl Reading {
         })
     }
 
-    async fn opened(&self, owner: &Arc<Owner>, id: &str, deed: &str) -> Result<Opened> {
+    async fn opened(&self, owner: &Owner, id: &str, deed: &str) -> Result<Opened> {
         let (row, network) = self.authorised(owner, id).await?;
         let reader = Reader { plant: &self.parts.plant, network: &network, reader: owner };
         let opened = async {
@@ -100,7 +99,7 @@ impl Reading {
         Ok(described)
     }
 
-    pub async fn path_to(&self, owner: &Arc<Owner>, id: &str, records: usize) -> Result<PathView> {
+    pub async fn path_to(&self, owner: &Owner, id: &str, records: usize) -> Result<PathView> {
         let records = records.clamp(2, LONGEST_PATH);
         let (row, network) = self.authorised(owner, id).await?;
         let reader = Reader { plant: &self.parts.plant, network: &network, reader: owner };

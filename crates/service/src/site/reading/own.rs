@@ -1,7 +1,6 @@
 //! A profile's own records: lists, provenance, export for third parties to check.
 
 use super::Reading;
-use std::sync::Arc;
 
 use tokio::task::block_in_place;
 
@@ -158,7 +157,7 @@ impl Reading {
     }
 
     /// Files for checking a record with openssl and a node; `proof.json` redacts accounts unless `addresses`.
-    pub async fn export_upload(&self, owner: &Arc<Owner>, id: &str, addresses: bool) -> Result<Vec<ExportedFile>> {
+    pub async fn export_upload(&self, owner: &Owner, id: &str, addresses: bool) -> Result<Vec<ExportedFile>> {
         let row = self.own_record(&owner.profile, id)?;
         let network = self.network_or_kept().await?;
         let files = self.files_of(&network, &row, addresses);

@@ -37,7 +37,7 @@ struct Export<'a> {
 }
 
 impl Recordings {
-    pub async fn export_recording(&self, owner: &Arc<Owner>, wishes: ExportWishes) -> Result<ExportView> {
+    pub async fn export_recording(&self, owner: &Owner, wishes: ExportWishes) -> Result<ExportView> {
         if !wishes.format.takes(wishes.compression) {
             let (format, compression) = (wishes.format.word(), wishes.compression);
             let text = format!("{format} chunks cannot be compressed with {compression}; choose another compression");
@@ -80,7 +80,7 @@ impl Recordings {
 
     async fn write_recording(
         &self,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         network: &Network,
         scopes: &HashMap<Address, Scope>,
         wishes: &ExportWishes,

@@ -87,7 +87,7 @@ impl Recordings {
     /// Gives every message that is not sealed here yet to the sealer.
     fn read_home(
         &self,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         network: &Network,
         old: &OldHome,
         run: &Run,

@@ -76,7 +76,7 @@ impl Recordings {
     /// Reads with `read`, and waits until everything given to the sealer is verified.
     pub(super) async fn run_import(
         self: &Arc<Self>,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         path: &Path,
         action: &'static str,
         read: impl FnOnce(&Self, &Run, &CaptureSession) -> Result<ReadOut> + Send + 'static,
@@ -100,7 +100,7 @@ impl Recordings {
     }
 
     /// Waits until everything is verified; the topics are then complete.
-    async fn settle_import(self: &Arc<Self>, owner: &Arc<Owner>, read: ReadOut, run: &Run) -> Result<ImportView> {
+    async fn settle_import(self: &Arc<Self>, owner: &Owner, read: ReadOut, run: &Run) -> Result<ImportView> {
         let ReadOut { mut view, sessions, whole } = read;
         run.step("verifying");
         let mut topics: BTreeMap<String, ImportedTopic> =
@@ -137,7 +137,7 @@ impl Recordings {
     /// Gives every wanted message to the sealer.
     fn read_recording(
         &self,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         network: &Network,
         wishes: &ImportWishes,
         run: &Run,

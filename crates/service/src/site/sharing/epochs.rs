@@ -2,7 +2,7 @@
 //! before the transaction is sent. Epoch keys that an old keyring lacks come from the chain, or are reported.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, MutexGuard, PoisonError};
+use std::sync::{MutexGuard, PoisonError};
 
 use tokio::task::block_in_place;
 
@@ -23,19 +23,14 @@ pub(super) const ENVELOPES_A_CALL: usize = 8;
 const MOST_NAMED: usize = 8;
 
 impl Sharing {
-    pub async fn rotate(&self, owner: &Arc<Owner>, why: &str) -> Result<TransactionView> {
+    pub async fn rotate(&self, owner: &Owner, why: &str) -> Result<TransactionView> {
         let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         network.directory.identity(owner.address)?;
         self.begin_rotated(owner, &network, why).await
     }
 
     /// Begins an epoch that every reader gets the keys of. The caller holds the owner's changes.
-    pub(super) async fn begin_rotated(
-        &self,
-        owner: &Arc<Owner>,
-        network: &Network,
-        why: &str,
-    ) -> Result<TransactionView> {
+    pub(super) async fn begin_rotated(&self, owner: &Owner, network: &Network, why: &str) -> Result<TransactionView> {
         let call = |new_token, envelope| Call::Rotate { new_token, envelope };
         self.begin_epoch(owner, network, &format!("rotate ({why})"), call).await
     }
@@ -44,7 +39,7 @@ impl Sharing {
     /// for the remaining readers. Needs no earlier keys.
     pub async fn begin_epoch(
         &self,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         network: &Network,
         purpose: &str,
         call: impl FnOnce(Token, Vec<u8>) -> Call,
@@ -85,7 +80,7 @@ impl Sharing {
     }
 
     /// Begins again the epochs that the chain lost. None is used a second time: revoked readers know their keys.
-    async fn repeat_epochs(&self, owner: &Arc<Owner>, network: &Network) -> Result<()> {
+    async fn repeat_epochs(&self, owner: &Owner, network: &Network) -> Result<()> {
         let seen = owner.confirmed_epoch(network.domain);
         for epoch in network.directory.epoch(owner.address) + 1..=seen {
             let new_token = owner.prepare_epoch(network.domain, epoch)?;
@@ -102,7 +97,7 @@ impl Sharing {
     }
 
     /// Finishes an epoch that did not reach the chain, and re-wraps what is missing.
-    pub async fn finish_epoch(&self, owner: &Arc<Owner>) -> Result<()> {
+    pub async fn finish_epoch(&self, owner: &Owner) -> Result<()> {
         let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         // Transactions of the previous run may still bring the epoch to the chain.
         self.settle_open(owner, &network).await?;
@@ -116,7 +111,7 @@ impl Sharing {
         self.rewrap(owner, &network).await
     }
 
-    pub async fn settle_open(&self, owner: &Arc<Owner>, network: &Network) -> Result<()> {
+    pub async fn settle_open(&self, owner: &Owner, network: &Network) -> Result<()> {
         for _ in 0..60 {
             if self.parts.plant.ledger.lanes.open_lane(owner.address)?.iter().all(|row| row.anchors) {
                 return Ok(());
@@ -156,7 +151,7 @@ impl Sharing {
     }
 
     /// Sends readers their missing envelopes, oldest epoch first; one failing reader does not hold up the others.
-    pub async fn rewrap(&self, owner: &Arc<Owner>, network: &Network) -> Result<()> {
+    pub async fn rewrap(&self, owner: &Owner, network: &Network) -> Result<()> {
         let mut failed = None;
         for (epoch, grants) in self.lacking(owner, network)? {
             failed = self.rewrap_epoch(owner, network, epoch, grants).await.err().or(failed);
@@ -164,13 +159,7 @@ impl Sharing {
         failed.map_or(Ok(()), Err)
     }
 
-    async fn rewrap_epoch(
-        &self,
-        owner: &Arc<Owner>,
-        network: &Network,
-        epoch: u64,
-        grants: Vec<Granted>,
-    ) -> Result<()> {
+    async fn rewrap_epoch(&self, owner: &Owner, network: &Network, epoch: u64, grants: Vec<Granted>) -> Result<()> {
         let (mut envelopes, mut failed) = (Vec::new(), None);
         for grant in grants {
             let checked = self.contacts.check_reader(network, owner.address, grant.terms.grantee).await;

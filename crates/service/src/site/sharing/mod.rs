@@ -55,7 +55,7 @@ impl Sharing {
     /// Puts the grantee's envelope on the chain.
     pub async fn grant(
         &self,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         grantee: &Party,
         topics: &[TopicName],
         from: GrantFrom,
@@ -114,12 +114,7 @@ impl Sharing {
     }
 
     /// Extends an active grant; its keys and epoch stay.
-    pub async fn extend(
-        &self,
-        owner: &Arc<Owner>,
-        grantee: &Party,
-        expires: Option<Timestamp>,
-    ) -> Result<TransactionView> {
+    pub async fn extend(&self, owner: &Owner, grantee: &Party, expires: Option<Timestamp>) -> Result<TransactionView> {
         let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         let grantee = self.contacts.resolve(grantee)?;
         let Some(grant) = self.active_grant(&network, owner.address, grantee) else {

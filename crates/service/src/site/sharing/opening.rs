@@ -1,7 +1,7 @@
 //! From when on a grant opens records: which epochs it covers, what they hold, what it costs, and the new epoch that "from
 //! now on" needs. That epoch comes first: after a crash in between nobody has its keys, and the command is repeated.
 
-use std::sync::{Arc, PoisonError};
+use std::sync::PoisonError;
 use std::time::{Duration, Instant};
 
 use tokio::task::block_in_place;
@@ -86,12 +86,7 @@ impl Sharing {
     }
 
     /// The first epoch that a grant opens, begun if it has to be, and whether it was. The caller holds the owner's changes.
-    pub(super) async fn first_for(
-        &self,
-        owner: &Arc<Owner>,
-        network: &Network,
-        from: GrantFrom,
-    ) -> Result<(u64, bool)> {
+    pub(super) async fn first_for(&self, owner: &Owner, network: &Network, from: GrantFrom) -> Result<(u64, bool)> {
         if matches!(from, GrantFrom::Now | GrantFrom::Time(_)) {
             self.all_sealed().await?;
         }
@@ -132,7 +127,7 @@ impl Sharing {
     /// What a grant would open now, and what it costs.
     pub async fn foresee_grant(
         &self,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         grantee: &Party,
         topics: &[TopicName],
         from: GrantFrom,

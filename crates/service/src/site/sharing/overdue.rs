@@ -48,7 +48,7 @@ impl Sharing {
     }
 
     /// Sends what is overdue: the next epoch, interrupted revocations, missing envelopes.
-    pub async fn settle_overdue(&self, owner: &Arc<Owner>, network: &Network) -> Result<()> {
+    pub async fn settle_overdue(&self, owner: &Owner, network: &Network) -> Result<()> {
         if self.has_news(owner, network) {
             let _one_at_a_time = owner.changes.lock().await;
             self.take_up_epoch(owner, network)?;
@@ -64,7 +64,7 @@ impl Sharing {
         told
     }
 
-    async fn settle_chain(&self, owner: &Arc<Owner>, network: &Network) -> Result<()> {
+    async fn settle_chain(&self, owner: &Owner, network: &Network) -> Result<()> {
         if !self.owes(owner, network)? {
             return Ok(());
         }
@@ -95,7 +95,7 @@ impl Sharing {
 
     /// Begins the next epoch, through an interrupted revocation if there is one: a rotation would give the new key to
     /// the reader being revoked.
-    pub async fn next_epoch(&self, owner: &Arc<Owner>, network: &Network, why: &str) -> Result<TransactionView> {
+    pub async fn next_epoch(&self, owner: &Owner, network: &Network, why: &str) -> Result<TransactionView> {
         let Some(grantee) = self.owed_revocations(owner, network)?.first().copied() else {
             return self.begin_rotated(owner, network, why).await;
         };
@@ -158,7 +158,7 @@ impl Sharing {
     }
 
     /// Stops sharing with an account. What it has read cannot be recalled.
-    pub async fn revoke(&self, owner: &Arc<Owner>, grantee: Address) -> Result<TransactionView> {
+    pub async fn revoke(&self, owner: &Owner, grantee: Address) -> Result<TransactionView> {
         let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         if self.active_grant(&network, owner.address, grantee).is_none() {
             return Err(refused(format!(
@@ -181,7 +181,7 @@ impl Sharing {
         self.revoke_again(owner, &network, grantee).await
     }
 
-    async fn revoke_once(&self, owner: &Arc<Owner>, network: &Network, grantee: Address) -> Result<TransactionView> {
+    async fn revoke_once(&self, owner: &Owner, network: &Network, grantee: Address) -> Result<TransactionView> {
         self.owe_revocation(owner, grantee)?;
         let call = |new_token, envelope| Call::AuthorityRevoke { grantee, new_token, envelope };
         let sent = self.begin_epoch(owner, network, &format!("revoke {grantee}"), call).await;
@@ -198,7 +198,7 @@ impl Sharing {
     }
 
     /// Resumes an attempt that a full disk interrupted at any point.
-    async fn revoke_again(&self, owner: &Arc<Owner>, network: &Network, grantee: Address) -> Result<TransactionView> {
+    async fn revoke_again(&self, owner: &Owner, network: &Network, grantee: Address) -> Result<TransactionView> {
         self.settle_open(owner, network).await?;
         let head = network.chain.head().await?.number;
         drop(tokio::time::timeout(PATIENCE, self.parts.link.scanned(head)).await);

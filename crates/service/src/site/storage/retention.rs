@@ -60,7 +60,7 @@ impl Storage {
     }
 
     /// Without rules only erased records are left to delete, and mostly there are none.
-    async fn sweep(&self, owner: &Arc<Owner>) -> Result<()> {
+    async fn sweep(&self, owner: &Owner) -> Result<()> {
         if !self.has_named.load(Ordering::Acquire) {
             return Ok(());
         }
@@ -118,7 +118,7 @@ impl Storage {
     }
 
     /// Shows what would be erased, or erases it.
-    pub async fn erase(&self, owner: &Arc<Owner>, wishes: ErasureWishes) -> Result<ErasureView> {
+    pub async fn erase(&self, owner: &Owner, wishes: ErasureWishes) -> Result<ErasureView> {
         let reason = clean(wishes.reason.trim(), LONGEST_REASON);
         if reason.is_empty() || wishes.reason.chars().count() > LONGEST_REASON {
             return Err(input(format!("say why in 1 to {LONGEST_REASON} characters: --reason TEXT")));
@@ -147,12 +147,7 @@ impl Storage {
         Ok(ErasureView { named: named.named, missing: named.missing, deleted: !left, ..view })
     }
 
-    async fn name_erased(
-        &self,
-        owner: &Arc<Owner>,
-        rows: Vec<RecordRow>,
-        erasure: Erasure,
-    ) -> Result<retention::Erased> {
+    async fn name_erased(&self, owner: &Owner, rows: Vec<RecordRow>, erasure: Erasure) -> Result<retention::Erased> {
         let _one_at_a_time = self.naming.lock().await;
         let named = block_in_place(|| retention::name(&self.parts.plant, owner, &rows, &erasure));
         self.has_named.store(true, Ordering::Release);
