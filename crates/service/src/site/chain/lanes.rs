@@ -8,7 +8,7 @@ use std::time::Duration;
 use crate::crypto::EoaSecret;
 use crate::model::{Address, Domain};
 use crate::pipeline::anchorer::{self, MOST_LANES};
-use crate::pipeline::sender::{LaneState, PauseReason};
+use crate::pipeline::sender::LaneState;
 use crate::pipeline::{Network, Owner};
 use crate::service::failure::refused;
 use crate::service::reply::Result;
@@ -86,13 +86,11 @@ impl Lanes {
     pub fn pauses(&self, network: &Network) -> Vec<(Address, Option<Pause>)> {
         let pause = |owner: &Arc<Owner>| {
             let lanes = self.lane_states(owner, network).unwrap_or_default().into_iter();
-            let paused = lanes.filter_map(|lane| Some((lane.account, lane.paused?)));
-            let worst = paused.max_by_key(|(_, reason)| reason.is_alarm());
-            let pause = |(account, reason): (Address, PauseReason)| Pause {
-                text: reason.text(account),
-                is_alarm: reason.is_alarm(),
-            };
-            (owner.address, worst.map(pause))
+            let paused = lanes.filter_map(|lane| {
+                let reason = lane.paused?;
+                Some(Pause { text: reason.text(lane.account), is_alarm: reason.is_alarm() })
+            });
+            (owner.address, paused.max_by_key(|pause| pause.is_alarm))
         };
         self.parts.owners.all().iter().map(pause).collect()
     }
