@@ -67,12 +67,12 @@ async fn each_account_that_is_not_allowed_has_a_notice_of_its_own() {
     let mut told = Vec::new();
     while let Ok(event) = events.try_recv() {
         if let Event::Notice { about: Some(about), level, .. } = event
-            && about.starts_with("admission")
+            && about.starts_with("allow ")
         {
             told.push((about, level));
         }
     }
-    let [guest, other] = [GUEST, other].map(|account| format!("admission {account}"));
+    let [guest, other] = [GUEST, other].map(|account| format!("allow {account}"));
     let expected = [(guest.clone(), NoticeLevel::Warning), (other, NoticeLevel::Warning), (guest, NoticeLevel::Info)];
     assert_eq!(told, expected, "what is done about one account leaves the other's notice");
     site.stop().await;

@@ -21,7 +21,7 @@ use crate::store::notes::{AdmittedOwner, AdmittedOwners};
 const MOST: usize = 10_000;
 /// Subject of notices about an account that asks to be allowed.
 pub fn subject(account: Address) -> String {
-    format!("admission {account}")
+    format!("allow {account}")
 }
 
 pub struct Admissions {
