@@ -1,7 +1,6 @@
 //! One playback: each record passes the checks of a view, and its owner must still share it.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::sync::{oneshot, watch};
@@ -59,7 +58,7 @@ struct Tally {
 struct Play<'a> {
     bridge: &'a Bridge,
     network: Network,
-    owner: &'a Arc<Owner>,
+    owner: &'a Owner,
     givers: Givers,
     granted: HashMap<Address, Hash>,
     wishes: &'a PlayWishes,
