@@ -29,8 +29,8 @@ mod xmlrpc;
 
 pub use capture::{Capture, CaptureNotice, CaptureOptions, Message, MessageSink, Origin, Rival, TopicCapture};
 pub use child::UNCONFINED;
-pub use error::RosError;
 pub(crate) use error::Result;
+pub use error::RosError;
 pub use graph::{Graph, LastLook, TopicInfo};
 pub use master::EmbeddedMaster;
 pub use message::{Definition, Limits, Value, md5sum};

@@ -44,7 +44,7 @@ impl Site {
                 OfRobot(command) => {
                     // Robots' records arrive without topic names.
                     self.reading.learn_own_names(&profile).await?;
-                    self.devices.answer(&owner()?, command).await
+                    self.devices.answer(&*owner()?, command).await
                 };
             }
             // An operator's console takes nothing from the owner's.
@@ -65,12 +65,12 @@ impl Site {
             };
             ChangePassphrase { old, new } => self.profiles.change_passphrase(&profile, old, new).await;
             Register => self.profiles.register(&owner()?).await;
-            ListKeys => self.profiles.keys(&owner()?).await;
+            ListKeys => self.profiles.keys(&*owner()?).await;
             LoadKey { kind, path, passphrase } => self.profiles.load_key(&owner()?, kind, path, passphrase).await;
-            RotateEnvelope => self.profiles.rotate_envelope(&owner()?).await;
-            ForeseeKeyChange { kind } => self.profiles.foresee_key_change(&owner()?, kind).await;
-            RotateKeys => self.sharing.rotate(&owner()?, "requested").await;
-            ExportKey { kind, passphrase } => self.profiles.export_key(&owner()?, kind, passphrase).await;
+            RotateEnvelope => self.profiles.rotate_envelope(&*owner()?).await;
+            ForeseeKeyChange { kind } => self.profiles.foresee_key_change(&*owner()?, kind).await;
+            RotateKeys => self.sharing.rotate(&*owner()?, "requested").await;
+            ExportKey { kind, passphrase } => self.profiles.export_key(&*owner()?, kind, passphrase).await;
             TopicCoverage { topic, robot, since, until, parts } => {
                 self.reading.coverage(&profile, (topic, robot), (since, until), parts).await
             };
@@ -81,8 +81,8 @@ impl Site {
             PinTopic { topic, publishers } => self.pins.pin(&profile, &topic, publishers).await;
             UnpinTopic { topic, caller_id } => self.pins.unpin(&profile, &topic, &caller_id).await;
             ListQuarantine { topic, limit } => self.quarantine.view(&profile, topic, limit).await;
-            ReleaseHeld { held } => self.quarantine.release(&owner()?, held).await;
-            DiscardHeld { held } => self.quarantine.discard(&owner()?, held).await;
+            ReleaseHeld { held } => self.quarantine.release(&*owner()?, held).await;
+            DiscardHeld { held } => self.quarantine.discard(&*owner()?, held).await;
             ShowPolicy => self.capture.policy_view(&profile, false).await;
             LearnPolicy { milliseconds } => self.capture.learn_policy(&profile, milliseconds).await;
             Capture { topics, type_name, count, milliseconds, tags } => {
@@ -97,16 +97,16 @@ impl Site {
             FollowFolder(wishes) => self.recordings.follow(&owner()?, wishes, until_released(claims)).await;
             ImportHome { home } => self.recordings.import_home(&owner()?, home).await;
             ExportRecording(wishes) => {
-                self.recordings.export_recording(&self.caught_up_owner(&profile).await?, wishes).await
+                self.recordings.export_recording(&*self.caught_up_owner(&profile).await?, wishes).await
             };
             RecordingProgress => Ok(self.parts.runs.of(&profile));
             ListUploads(query) => self.reading.list_own(&profile, query).await;
             ShowUpload { id } => self.reading.provenance(&profile, &id);
-            ExportUpload { id, addresses } => self.reading.export_upload(&owner()?, &id, addresses).await;
-            ExportEvidence(wishes) => self.evidence.export(&owner()?, wishes).await;
+            ExportUpload { id, addresses } => self.reading.export_upload(&*owner()?, &id, addresses).await;
+            ExportEvidence(wishes) => self.evidence.export(&*owner()?, wishes).await;
             StampEvidence => self.stamps.stamp().await;
-            ListShared(query) => self.list_shared(&owner()?, query).await;
-            CheckShared { id } => self.reading.check_record(&self.owner_with(&profile, &id).await?, &id).await;
+            ListShared(query) => self.list_shared(&*owner()?, query).await;
+            CheckShared { id } => self.reading.check_record(&*self.owner_with(&profile, &id).await?, &id).await;
             OpenShared { id } => {
                 let owner = self.owner_with(&profile, &id).await?;
                 self.reading.open_record(&owner, &id).await.map(Box::new)
@@ -116,7 +116,7 @@ impl Site {
                 self.reading.file_of(&owner, &id, kind).await.map(Box::new)
             };
             ViewPath { id, records } => {
-                self.reading.path_to(&self.caught_up_owner(&profile).await?, &id, records).await
+                self.reading.path_to(&*self.caught_up_owner(&profile).await?, &id, records).await
             };
             Play(wishes) => {
                 let owner = self.caught_up_owner(&profile).await?;
@@ -128,29 +128,29 @@ impl Site {
             };
             Grant { grantee, topics, from, expires } => {
                 let topics = self.granted(&profile, &topics).await?;
-                self.sharing.grant(&owner()?, &grantee, &topics, from, expires).await
+                self.sharing.grant(&*owner()?, &grantee, &topics, from, expires).await
             };
             ForeseeGrant { grantee, topics, from } => {
                 let topics = self.granted(&profile, &topics).await?;
-                self.sharing.foresee_grant(&owner()?, &grantee, &topics, from).await
+                self.sharing.foresee_grant(&*owner()?, &grantee, &topics, from).await
             };
-            ExtendGrant { grantee, expires } => self.sharing.extend(&owner()?, &grantee, expires).await;
+            ExtendGrant { grantee, expires } => self.sharing.extend(&*owner()?, &grantee, expires).await;
             Revoke { grantee } => {
                 let owner = owner()?;
                 let revoked = self.sharing.revoke(&owner, self.contacts.resolve(&grantee)?).await?;
                 self.devices.lead(&owner, revoked).await
             };
             ListGrants => self.sharing.rows(&owner()?).await;
-            LendDevice { device, until } => self.devices.lend(&owner()?, device, until).await;
+            LendDevice { device, until } => self.devices.lend(&*owner()?, device, until).await;
             RecallDevice { device } => {
                 let owner = owner()?;
                 let recalled = self.devices.recall(&owner, &device).await?;
                 self.devices.lead(&owner, recalled).await
             };
             AddDeviceTopics { device, topics } => self.devices.add_topics(&owner()?, &device, &topics).await;
-            AddDeviceAddress { device, address } => self.devices.add_address(&owner()?, &device, address).await;
-            EnrolDevice(wishes) => self.devices.enrol(&owner()?, wishes).await;
-            ListDevices => self.devices.rows(&owner()?).await;
+            AddDeviceAddress { device, address } => self.devices.add_address(&*owner()?, &device, address).await;
+            EnrolDevice(wishes) => self.devices.enrol(&*owner()?, wishes).await;
+            ListDevices => self.devices.rows(&*owner()?).await;
             CompareFingerprint { fingerprint, account } => {
                 self.contacts.compare(&profile, &fingerprint, account).await
             };
@@ -160,11 +160,11 @@ impl Site {
             };
             RemoveContact { name } => self.contacts.remove(&profile, &name).await;
             ConfirmContact { name, fingerprint } => self.contacts.confirm(&profile, &name, fingerprint).await;
-            Administer(act) => self.administering.administer(&owner()?, &act).await;
-            NameRecovery { recovery } => self.administering.name_recovery(&owner()?, recovery.as_ref()).await;
+            Administer(act) => self.administering.administer(&*owner()?, &act).await;
+            NameRecovery { recovery } => self.administering.name_recovery(&*owner()?, recovery.as_ref()).await;
             ListSuccessions => self.chain_view(&profile).await.map(|view| Box::new(view.administration));
             ChainStatus => self.chain_view(&profile).await.map(Box::new);
-            DeployContract { delay } => self.connection.deploy_contract(&owner()?, delay).await;
+            DeployContract { delay } => self.connection.deploy_contract(&*owner()?, delay).await;
             CancelTransaction { nonce, account } => {
                 let (owner, network) = (owner()?, self.parts.link.network().await?);
                 let key = self.lanes.key(&owner, &network, account)?;
@@ -177,7 +177,7 @@ impl Site {
             SiteStatus => self.site_view(&profile).await;
             ListAudit(query) => self.parts.log.list(query).await;
             VerifyAudit { heads } => self.audit.verify(heads.then(owner).transpose()?).await;
-            ExportAudit { addresses } => self.parts.log.export(&owner()?, addresses).await;
+            ExportAudit { addresses } => self.parts.log.export(&*owner()?, addresses).await;
             AuditRecords { deep, since } => {
                 let is_pinned = self.connection.pin()?.is_some();
                 self.audit.records(&profile, is_pinned, deep, since).await.map(Box::new)
