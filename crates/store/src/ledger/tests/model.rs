@@ -18,56 +18,22 @@ const STATES: [RecordState; 7] = [Stored, Batched, Submitted, Mined, Confirmed, 
 
 #[derive(Debug, Clone)]
 enum Step {
-    Append {
-        owner: u8,
-        topics: Vec<u8>,
-        data: bool,
-        whole: bool,
-    },
+    Append { owner: u8, topics: Vec<u8>, data: bool, whole: bool },
     AppendTwin(Index),
-    Advance {
-        picked: Vec<Index>,
-        from: usize,
-        to: usize,
-    },
+    Advance { picked: Vec<Index>, from: usize, to: usize },
     Submit(Vec<Index>),
     CloseBatch(Vec<Index>),
     SubmitBatch(Index),
-    SeeBatch {
-        picked: Index,
-        own: bool,
-        block: u64,
-    },
-    /// One block has a record's own upload and its batch's anchor.
-    SeeBoth {
-        picked: Index,
-        own: bool,
-        block: u64,
-    },
-    Close {
-        picked: Index,
-        how: u8,
-        block: u64,
-    },
-    Replace {
-        picked: Index,
-        kept: usize,
-    },
-    See {
-        picked: Vec<Index>,
-        own: bool,
-        block: u64,
-    },
+    SeeBatch { picked: Index, own: bool, block: u64 },
+    SeeBoth { picked: Index, own: bool, block: u64 },
+    Close { picked: Index, how: u8, block: u64 },
+    Replace { picked: Index, kept: usize },
+    See { picked: Vec<Index>, own: bool, block: u64 },
     Confirm(u64),
     TakeBack(u64),
-    Drop {
-        topic: u8,
-        count: u64,
-    },
+    Drop { topic: u8, count: u64 },
     Discard(Vec<Index>),
-    Reopen {
-        clean: bool,
-    },
+    Reopen { clean: bool },
 }
 
 fn step() -> impl Strategy<Value = Step> {
