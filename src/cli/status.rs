@@ -179,9 +179,8 @@ mod tests {
     use crate::service::reply::{HealthLevel, LifeLine, PartHealth, SiteView};
 
     fn view(level: HealthLevel, tampered: u64) -> SiteView {
-        let part = PartHealth { part: "store".to_owned(), level, text: String::new(), since: None, retry: None };
         SiteView {
-            health: vec![part],
+            health: vec![PartHealth::new("store", level, "")],
             life: LifeLine { tampered, conserved: true, ..LifeLine::default() },
             process: 0,
             robots: 0,

@@ -167,6 +167,38 @@ fn an_odd_terminal_hides_what_is_typed_and_stays_odd() {
 }
 
 #[test]
+fn a_stopped_question_gives_the_terminal_back_and_is_asked_again() {
+    let home = Home::new();
+    let authros = with_keyring(&home);
+    let [before, stopped, after] = ["before", "stopped", "after"].map(|name| home.root().join(name));
+    let modes = |path: &Path| format!("stty -g >{}", path.display());
+    let (begin, middle, end) = (modes(&before), modes(&stopped), modes(&after));
+    let line = format!(
+        "set -m; {begin}; \"$@\"; echo stopped $?; {middle}; read -r heard; echo \"the shell heard [$heard]\"; fg; \
+         echo ended $?; {end}"
+    );
+    for (keys, code) in [(format!("{PASSPHRASE}\r"), 0), ("half a secret\u{3}".to_owned(), 5)] {
+        let mut console = in_shell(&Terminal::of(100, 30), &authros, &line);
+        console.wait_for(QUESTION, PATIENCE);
+        console.press("half a secret\u{1a}");
+        console.wait_for("stopped 14", PATIENCE);
+        console.press("a line for the shell\r");
+        console.wait_for("the shell heard [a line for the shell]", PATIENCE);
+        let is_question = |bytes: &[u8]| bytes == QUESTION.as_bytes();
+        wait_until(PATIENCE, "the question again", || {
+            let times = console.raw().windows(QUESTION.len()).filter(|bytes| is_question(bytes)).count();
+            (times >= 2).then_some(())
+        });
+        console.press(&keys);
+        console.wait_for(&format!("ended {code}"), PATIENCE);
+        console.wait(PATIENCE);
+        assert!(!holds(&console.raw(), PASSPHRASE.as_bytes()) && !holds(&console.raw(), b"half a secret"));
+        let read = |path: &Path| fs::read_to_string(path).expect("stty ran");
+        assert_eq!((read(&stopped), read(&after)), (read(&before), read(&before)), "as stty sees it");
+    }
+}
+
+#[test]
 fn nobody_is_asked_where_standard_input_is_a_pipe() {
     let home = Home::new();
     let authros = with_keyring(&home);

@@ -6,6 +6,8 @@ use std::path::{Path, PathBuf};
 use crate::model::wire::WireError;
 use crate::model::{ErrorKind, clean};
 
+pub(crate) type Result<T, E = CryptoError> = std::result::Result<T, E>;
+
 /// Why an operation on keys, records, envelopes or key files failed.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the variants and their messages name the fields")]

@@ -5,7 +5,7 @@ use std::fmt;
 use crate::command::ErasedRecord;
 use crate::crypto::CryptoError;
 use crate::model::wire::WireError;
-use crate::model::{ErrorKind, SignerId, Timestamp};
+use crate::model::{Address, ErrorKind, SignerId, Timestamp};
 
 #[derive(Debug, thiserror::Error)]
 pub enum GatewayError {
@@ -212,6 +212,8 @@ impl fmt::Display for Code {
     }
 }
 
+pub(crate) type Result<T, E = Refusal> = std::result::Result<T, E>;
+
 /// The code goes to the peer, the detail only to the log.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{code} ({detail})")]
@@ -219,11 +221,13 @@ pub struct Refusal {
     pub code: Code,
     /// No secret; text from peers only cleaned.
     pub detail: String,
+    /// That the gateway's operator may allow.
+    pub account: Option<Address>,
 }
 
 impl Refusal {
     pub fn new(code: Code, detail: impl fmt::Display) -> Self {
-        Self { code, detail: detail.to_string() }
+        Self { code, detail: detail.to_string(), account: None }
     }
 
     /// For `map_err`: keeps the cause for the log.

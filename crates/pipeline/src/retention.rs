@@ -397,7 +397,7 @@ pub fn left_of(plant: &Plant, network: &Network, row: &RecordRow, header: Vec<u8
     Ok(Some(Fetched { signer, signature: row.signature, proof, blob: header }))
 }
 
-/// `None` if nobody would accept it now: its owner has another key, it is in no batch of a block, or its signer is
+/// `None` if nobody would accept it now: its owner has another key, it rests on no batch in a block, or its signer is
 /// unknown.
 pub fn notice_of(
     plant: &Plant,
@@ -408,7 +408,7 @@ pub fn notice_of(
     let (Ok(statement), Ok(account)) = (ErasedStatement::parse(statement), account.try_into()) else {
         return Ok(None);
     };
-    let Some(PlacedRecord { row, place }) = ledger.records.placed(digest)? else { return Ok(None) };
+    let Some((row, place)) = ledger.records.placed(digest)?.map(PlacedRecord::anchor) else { return Ok(None) };
     let is_batched = place.is_some() && row.block.is_some();
     if !is_batched || !is_owners(network, row.owner, &statement.signer) {
         return Ok(None);

@@ -45,6 +45,8 @@ impl Failure {
     }
 }
 
+pub type Result<T, E = Failure> = std::result::Result<T, E>;
+
 /// An answer: one variant of [`Reply`] on the wire.
 pub trait Answer: Sized {
     fn into_reply(self) -> Reply;

@@ -155,16 +155,22 @@ fn judged(state: &State, site: &SiteView, ending: &Ending<'_>) -> Vec<Alert> {
 fn is_told_otherwise(key: &str, state: &State, site: &SiteView, ending: &Ending<'_>) -> bool {
     let own = state.identity.as_ref().and_then(|identity| identity.address);
     let (rule, subject) = key.split_once('/').unwrap_or((key, ""));
+    let chain_trouble = || site.health.iter().filter(|part| part.part == "chain" && health(part).is_some());
     match rule {
         "chain" | "store" => true,
-        // Nothing is anchored without a chain: one cause, one alert.
-        "unanchored" | "audit" => site.health.iter().any(|part| part.part == "chain" && health(part).is_some()),
-        "tampered" | "quarantine" => own.is_some_and(|own| begins(own).eq_ignore_ascii_case(subject)),
+        // Nothing is anchored without a chain, or in a paused lane: one cause, one alert.
+        "unanchored" => chain_trouble().any(|part| !part.unaffected.iter().any(|other| is_of(*other, subject))),
+        "audit" => chain_trouble().any(|part| part.unaffected.is_empty()),
+        "tampered" | "quarantine" => own.is_some_and(|own| is_of(own, subject)),
         "gap" => site.life.lost_in_transport > 0 || site.life.dropped > site.life.discarded,
         GRANT_ENDS => ending.contains_key(&subject.to_ascii_lowercase()),
         // Including rules of a later version.
         _ => false,
     }
+}
+
+fn is_of(account: Address, subject: &str) -> bool {
+    begins(account).eq_ignore_ascii_case(subject)
 }
 
 fn begins(account: Address) -> String {

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::failure::input;
 use crate::model::{IncidentName, Party, RecordKind, RecordState, Timestamp, TopicName, TopicPattern, TypeName, clean};
-use crate::reply::Failure;
+use crate::reply::Result;
 use crate::ros::recording::{ChunkCompression, RecordingFormat};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -38,7 +38,7 @@ pub enum GrantFrom {
 
 impl GrantFrom {
     /// `now`, `epoch` for the current one, `start`, an epoch's number, or a time as `back` reads it.
-    pub fn read<E: fmt::Display>(text: &str, back: impl FnOnce(&str) -> Result<Timestamp, E>) -> Result<Self, Failure> {
+    pub fn read<E: fmt::Display>(text: &str, back: impl FnOnce(&str) -> Result<Timestamp, E>) -> Result<Self> {
         match text.trim() {
             "now" => Ok(Self::Now),
             "epoch" => Ok(Self::Current),

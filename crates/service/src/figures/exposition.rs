@@ -141,8 +141,9 @@ fn ages(text: &mut Text, figures: &Figures) {
     text.family("authros_grant_ends_seconds", "gauge", help, grants, |row| {
         ([("owner", &row.owner), ("reader", &row.reader)], figures.until(row.ends))
     });
+    let uncovered = figures.owners.iter().filter_map(|owner| owner.audit_unanchored).min();
     let help = "Age of the oldest audit log line not covered by an anchored head; 0 if all are covered.";
-    text.single("authros_audit_unanchored_age_seconds", "gauge", help, age(figures.audit_unanchored));
+    text.single("authros_audit_unanchored_age_seconds", "gauge", help, age(uncovered));
     text.single("authros_audit_lines_total", "counter", "Lines of the audit log.", figures.audit_lines);
 }
 

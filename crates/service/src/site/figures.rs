@@ -19,7 +19,7 @@ use crate::pipeline::stages::{Milestone, Stage};
 use crate::service::figures::{
     BOUNDS, Figures, GrantFigures, LaneFigures, Latency, OwnerFigures, RobotFigures, TopicFigures, exposition, short,
 };
-use crate::service::reply::{Failure, GrantState, HealthLevel};
+use crate::service::reply::{GrantState, HealthLevel, Result};
 use crate::service::socket;
 use crate::store::StateCounts;
 use crate::store::files::free_bytes;
@@ -111,8 +111,7 @@ impl Site {
         Some(text)
     }
 
-    pub(super) fn figures(&self) -> Result<Figures, Failure> {
-        let (audit_lines, audit_unanchored) = self.audit_figures()?;
+    pub(super) fn figures(&self) -> Result<Figures> {
         let (ledger, head) = (&self.plant.ledger, self.parts.link.newest_head());
         Ok(Figures {
             now: Timestamp::now(),
@@ -127,8 +126,7 @@ impl Site {
             disk: free_bytes(self.home().root()).ok().map(|free| (free, self.config().disk_reserve)),
             cache: self.plant.ciphertext.cache(),
             untold_gaps: ledger.losses.untold()?,
-            audit_lines,
-            audit_unanchored,
+            audit_lines: self.parts.log.lines().head()?.0,
             audit_locked: self.parts.owners.all().is_empty(),
             clock_ahead: look().ahead(),
             gateway: self.gateway.figures(),
@@ -139,7 +137,7 @@ impl Site {
         })
     }
 
-    fn owner_figures(&self) -> Result<Vec<OwnerFigures>, Failure> {
+    fn owner_figures(&self) -> Result<Vec<OwnerFigures>> {
         let mut owners: Vec<Address> = self.parts.owners.all().iter().map(|owner| owner.address).collect();
         owners.extend(self.plant.ledger.counts.owners(MOST_OWNERS)?);
         let mut known = std::collections::HashSet::new();
@@ -148,24 +146,25 @@ impl Site {
         owners.into_iter().map(|owner| self.figures_of(owner)).collect()
     }
 
-    fn figures_of(&self, owner: Address) -> Result<OwnerFigures, Failure> {
+    fn figures_of(&self, owner: Address) -> Result<OwnerFigures> {
         let counts = self.losses.counts(&self.plant, owner)?;
         Ok(OwnerFigures {
             owner: short(&owner.to_string()),
             life: self.life_line_of(owner, &counts)?,
             oldest_unanchored: self.plant.ledger.counts.oldest_unanchored(owner)?,
+            audit_unanchored: self.audit_unanchored(owner)?,
             topics: if self.config().metrics.topics { topics(&counts) } else { Vec::new() },
         })
     }
 
-    fn robot_figures(&self) -> Result<Vec<RobotFigures>, Failure> {
+    fn robot_figures(&self) -> Result<Vec<RobotFigures>> {
         let own: Vec<_> = self.parts.owners.all().iter().map(|owner| signer_id(&owner.signing().public)).collect();
         let seen =
             self.plant.ledger.counts.last_seen(MOST_ROBOTS)?.into_iter().filter(|row| !own.contains(&row.signer));
         Ok(seen.map(|row| RobotFigures { robot: short(&row.signer.to_string()), last_seen: row.at }).collect())
     }
 
-    fn lane_figures(&self) -> Result<Vec<LaneFigures>, Failure> {
+    fn lane_figures(&self) -> Result<Vec<LaneFigures>> {
         let Some(network) = self.parts.link.network_now() else { return Ok(Vec::new()) };
         let mut lanes = Vec::new();
         for owner in self.parts.owners.all() {
@@ -201,15 +200,13 @@ impl Site {
         Some(told_of(ending, &own, |owner| contacts.contains_key(&owner), time_of))
     }
 
-    /// Lines of the audit log, and the time of the oldest that no open owner's head covers.
-    fn audit_figures(&self) -> Result<(u64, Option<Timestamp>), Failure> {
-        let (lines, _) = self.parts.log.lines().head()?;
-        let mut oldest: Option<Timestamp> = None;
-        for owner in self.parts.owners.all() {
-            let anchored = audit_head::noted(&self.plant.ledger.notes, owner.address)?.map_or(0, |(line, _)| line);
-            oldest = oldest.into_iter().chain(self.parts.log.lines().written_after(anchored)?).min();
+    /// The time of the oldest line of the audit log that no head of this open owner covers.
+    fn audit_unanchored(&self, owner: Address) -> Result<Option<Timestamp>> {
+        if !self.parts.owners.all().iter().any(|open| open.address == owner) {
+            return Ok(None);
         }
-        Ok((lines, oldest))
+        let anchored = audit_head::noted(&self.plant.ledger.notes, owner)?.map_or(0, |(line, _)| line);
+        Ok(self.parts.log.lines().written_after(anchored)?)
     }
 
     fn latency(&self, milestone: Milestone) -> Latency {

@@ -129,8 +129,8 @@ impl Batches {
         self.0.list(sql, params![keeper.0, RecordState::Stored.code(), capped(limit)], leaf)
     }
 
-    /// Roots found on the chain: pending records of each batch are now mined, except those in a block of their own. A
-    /// root's earliest block counts; roots of other ledgers or leaf counts are skipped. Returns how many records
+    /// Roots found on the chain: pending records of each batch are now mined, except those in another block of their
+    /// own. A root's earliest block counts; roots of other ledgers or leaf counts are skipped. Returns how many records
     /// changed.
     pub fn anchored(&self, sightings: &[RootSighting]) -> Result<u64, StoreError> {
         let sightings = sightings.to_vec();
@@ -268,10 +268,12 @@ pub(super) fn see(connection: &Connection, sighting: &RootSighting) -> Result<u6
     let sql = "UPDATE batches SET account = ?2, tx = ?3, block = ?4, block_hash = ?5, proof = NULL WHERE key = ?1";
     connection.run(sql, params![key, sighting.account.0, sighting.transaction.0, block, sighting.block_hash.0])?;
     place_transaction(connection, sighting.transaction)?;
-    let sql = "UPDATE records SET tx = NULL, state = CASE WHEN state IN (?2, ?3) THEN ?4 ELSE state END
-        WHERE block IS NULL AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
+    // In one block, a record's own upload says no more than its batch, and a second transaction would contradict it.
+    let sql = "UPDATE records SET tx = NULL, block = NULL, block_hash = NULL,
+        state = CASE WHEN state IN (?2, ?3) THEN ?4 ELSE state END
+        WHERE (block IS NULL OR block = ?5) AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
     let [batched, submitted, mined] = [RecordState::Batched, RecordState::Submitted, RecordState::Mined];
-    Ok(connection.changed(sql, params![key, batched.code(), submitted.code(), mined.code()])?)
+    Ok(connection.changed(sql, params![key, batched.code(), submitted.code(), mined.code(), block])?)
 }
 
 /// Moves a mined transaction to its batch's block: its sender may have seen a replaced one.

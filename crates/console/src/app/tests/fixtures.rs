@@ -88,13 +88,7 @@ fn keys() -> KeysView {
 }
 
 pub fn site() -> SiteView {
-    let part = |part: &str, level, text: &str| PartHealth {
-        part: part.to_owned(),
-        level,
-        text: text.to_owned(),
-        since: None,
-        retry: None,
-    };
+    let part = PartHealth::new;
     SiteView {
         health: vec![
             part("ros", HealthLevel::Ok, "embedded master http://127.0.0.1:40117"),

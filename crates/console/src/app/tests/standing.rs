@@ -206,6 +206,21 @@ fn a_chain_that_is_away_is_one_alert_and_enter_shows_all_of_it() {
 }
 
 #[test]
+fn an_accounts_paused_lane_hides_no_alert_of_another_account() {
+    let mut robot = Robot::at_work(true);
+    let mut site = failing("chain", "anchoring for 0x0101… is paused");
+    let chain = site.health.iter_mut().find(|part| part.part == "chain").expect("a part");
+    chain.unaffected = vec![Address([9; 20])];
+    let alert = |key: &str| AlertView { key: key.to_owned(), text: key.to_owned(), ..fixtures::site_alert() };
+    site.alerts = ["unanchored/01010101", "unanchored/09090909", "audit"].map(alert).into();
+    says(&mut robot, site);
+    let texts: Vec<String> = alerts(&robot).into_iter().map(|(text, ..)| text).collect();
+    let is_shown = |key: &str| texts.iter().any(|text| text == key);
+    assert!(!is_shown("unanchored/01010101"), "the chain's alert says it: {texts:?}");
+    assert!(is_shown("unanchored/09090909") && is_shown("audit"), "{texts:?}");
+}
+
+#[test]
 fn the_site_decides_when_the_end_of_a_grant_is_near_and_the_console_names_the_reader() {
     let mut robot = Robot::at_work(true);
     let ends = Timestamp(fixtures::NOW.0 + 2 * 3_600 * 1_000_000_000);

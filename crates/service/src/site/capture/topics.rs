@@ -12,14 +12,14 @@ use crate::model::{
     ProfileName, Sampling, Timestamp, TopicName, TopicPattern, TopicRule, TypeName, WatchRule, clean, pinned_name,
 };
 use crate::service::failure::input;
-use crate::service::reply::{Failure, HeldUp, PolicyRow, PolicyView, TopicRow};
+use crate::service::reply::{HeldUp, PolicyRow, PolicyView, Result, TopicRow};
 use crate::store::TopicCounts;
 
 /// The longest look at the graph, milliseconds.
 const LONGEST: u64 = 600_000;
 
 impl Capture {
-    pub async fn topics(&self, profile: &ProfileName) -> Result<Vec<TopicRow>, Failure> {
+    pub async fn topics(&self, profile: &ProfileName) -> Result<Vec<TopicRow>> {
         let link = self.ros.any().await?;
         let watches = block_in_place(|| self.watches.of(profile))?;
         let now = Timestamp::now();
@@ -105,7 +105,7 @@ impl Capture {
         }
     }
 
-    fn captured_by_topic(&self, profile: &ProfileName) -> Result<HashMap<String, TopicCounts>, Failure> {
+    fn captured_by_topic(&self, profile: &ProfileName) -> Result<HashMap<String, TopicCounts>> {
         let Ok(owner) = self.parts.owners.address_of(profile) else { return Ok(HashMap::new()) };
         let counts = block_in_place(|| self.losses.counts(&self.parts.plant, owner))?;
         Ok(counts.topics.into_iter().map(|topic| (topic.topic.clone(), topic)).collect())
@@ -117,7 +117,7 @@ impl Capture {
         topic: TopicPattern,
         type_name: Option<TypeName>,
         sampling: Option<Sampling>,
-    ) -> Result<(), Failure> {
+    ) -> Result<()> {
         let listed = async { self.watches.change(profile, |rules| rules.watch(topic.clone(), type_name, sampling)) };
         let subject = sampling.map_or_else(|| topic.to_string(), |sampling| format!("{topic}: {sampling}"));
         self.parts.log.deed(profile, "watch", &subject, listed).await?;
@@ -130,7 +130,7 @@ impl Capture {
         Ok(())
     }
 
-    pub async fn unwatch(&self, profile: &ProfileName, topic: &TopicPattern) -> Result<(), Failure> {
+    pub async fn unwatch(&self, profile: &ProfileName, topic: &TopicPattern) -> Result<()> {
         let removed = async {
             let mut found = false;
             self.watches.change(profile, |rules| found = rules.unwatch(topic))?;
@@ -168,7 +168,7 @@ impl Capture {
         profile: &ProfileName,
         topics: &[TopicPattern],
         recorded: bool,
-    ) -> Result<Vec<TopicName>, Failure> {
+    ) -> Result<Vec<TopicName>> {
         let known = match topics.iter().all(TopicPattern::is_plain) {
             true => BTreeSet::new(),
             false => self.known(profile, recorded).await?,
@@ -191,7 +191,7 @@ impl Capture {
         Ok(names)
     }
 
-    pub fn hold(&self, profile: &ProfileName, hold: bool) -> Result<(), Failure> {
+    pub fn hold(&self, profile: &ProfileName, hold: bool) -> Result<()> {
         let Some(owner) = self.parts.owners.get(profile) else { return Ok(()) };
         if !hold {
             return self.watches.restore(&owner);
@@ -201,7 +201,7 @@ impl Capture {
         Ok(())
     }
 
-    pub async fn learn_policy(&self, profile: &ProfileName, milliseconds: u64) -> Result<PolicyView, Failure> {
+    pub async fn learn_policy(&self, profile: &ProfileName, milliseconds: u64) -> Result<PolicyView> {
         if !(1000..=LONGEST).contains(&milliseconds) {
             return Err(input("observe the topics for 1 second to 10 minutes, as with `--for 5s`"));
         }
@@ -218,7 +218,7 @@ impl Capture {
         view
     }
 
-    pub async fn policy_view(&self, profile: &ProfileName, learned: bool) -> Result<PolicyView, Failure> {
+    pub async fn policy_view(&self, profile: &ProfileName, learned: bool) -> Result<PolicyView> {
         let rules = &self.parts.config.topic_rules;
         let row = |row: TopicRow| PolicyRow {
             sampling: row.sampling,

@@ -1,7 +1,7 @@
 //! The policies that an owner sets for robots, and what the robots report about them.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Mutex, PoisonError};
 
 use tokio::task::block_in_place;
 
@@ -14,7 +14,7 @@ use crate::model::{
 use crate::pipeline::epoch::type_choice;
 use crate::pipeline::{Network, Owner, recorder_heads};
 use crate::service::failure::{input, refused};
-use crate::service::reply::{CoveragePart, CoveredSpan, Failure, RobotRow, RobotTopicRow, RobotView};
+use crate::service::reply::{CoveragePart, CoveredSpan, Failure, Result, RobotRow, RobotTopicRow, RobotView};
 use crate::store::notes::{Enrolled, PolicyWanted, WantedPolicy};
 use crate::store::{CoverageQuery, RecordQuery, RecordRow, SignerTopic};
 
@@ -33,7 +33,7 @@ struct Known {
 }
 
 impl Devices {
-    pub async fn robot_rows(&self, owner: &Arc<Owner>) -> Result<Vec<RobotRow>, Failure> {
+    pub async fn robot_rows(&self, owner: &Owner) -> Result<Vec<RobotRow>> {
         let network = self.parts.link.network().await?;
         let robots = self.enrolments.of(owner)?.into_iter().filter(|robot| !robot.ended);
         let robots: Vec<Enrolled> = robots.collect();
@@ -42,12 +42,12 @@ impl Devices {
         let lost_by = |device: SignerId| lost.get(&device).map(sum).unwrap_or_default();
         let robots = robots.into_iter();
         let row = |robot: Enrolled| Ok(row(&robot, &self.wanted(owner, robot.device)?, &known, lost_by(robot.device)));
-        let mut rows = robots.map(row).collect::<Result<Vec<_>, Failure>>()?;
+        let mut rows = robots.map(row).collect::<Result<Vec<_>>>()?;
         rows.sort_by(|one, other| one.name.cmp(&other.name));
         Ok(rows)
     }
 
-    pub async fn robot_view(&self, owner: &Arc<Owner>, name: &str) -> Result<RobotView, Failure> {
+    pub async fn robot_view(&self, owner: &Owner, name: &str) -> Result<RobotView> {
         let network = self.parts.link.network().await?;
         let robot = self.robot(&network, owner, name)?;
         let wanted = self.wanted(owner, robot.device)?;
@@ -72,7 +72,7 @@ impl Devices {
         })
     }
 
-    pub async fn set_policy(&self, owner: &Arc<Owner>, name: &str, text: String) -> Result<RobotView, Failure> {
+    pub async fn set_policy(&self, owner: &Owner, name: &str, text: String) -> Result<RobotView> {
         if text.len() > LONGEST_POLICY {
             return Err(input(format!("the policy has {} bytes; {LONGEST_POLICY} are allowed", text.len())));
         }
@@ -101,12 +101,12 @@ impl Devices {
         self.robot_view(owner, name).await
     }
 
-    fn wanted(&self, owner: &Owner, device: SignerId) -> Result<PolicyWanted, Failure> {
+    fn wanted(&self, owner: &Owner, device: SignerId) -> Result<PolicyWanted> {
         let note = WantedPolicy { owner: owner.address, device };
         Ok(self.parts.plant.ledger.notes.read(&note)?.unwrap_or_default())
     }
 
-    fn known(&self, owner: &Owner, network: &Network) -> Result<Known, Failure> {
+    fn known(&self, owner: &Owner, network: &Network) -> Result<Known> {
         let ledger = &self.parts.plant.ledger;
         let own = crate::crypto::signer_id(&owner.public_keys().0);
         Ok(Known {
@@ -122,7 +122,7 @@ impl Devices {
         owner: Address,
         device: SignerId,
         topics: &mut [RobotTopicRow],
-    ) -> Result<Option<CoveredSpan>, Failure> {
+    ) -> Result<Option<CoveredSpan>> {
         let counts = &self.parts.plant.ledger.counts;
         let covered = |topic: &str, since: Option<Timestamp>, until: Timestamp, parts: usize| {
             let signers = Some(BTreeSet::from([device]));
@@ -144,7 +144,7 @@ impl Devices {
         Ok(Some(CoveredSpan { since, until }))
     }
 
-    fn reports(&self, owner: &Owner, network: &Network) -> Result<BTreeMap<SignerId, PolicyReport>, Failure> {
+    fn reports(&self, owner: &Owner, network: &Network) -> Result<BTreeMap<SignerId, PolicyReport>> {
         let topic = owner.topic_id(recorder_heads::TOPIC);
         let query = RecordQuery {
             owner: Some(owner.address),
@@ -171,7 +171,7 @@ impl Devices {
     }
 
     /// Reports of robots about losses, newest first.
-    fn gaps(&self, owner: &Owner) -> Result<Vec<RecordRow>, Failure> {
+    fn gaps(&self, owner: &Owner) -> Result<Vec<RecordRow>> {
         let query = RecordQuery {
             owner: Some(owner.address),
             kind: Some(RecordKind::Gap),
@@ -188,7 +188,7 @@ impl Devices {
         owner: &Owner,
         network: &Network,
         robots: &[Enrolled],
-    ) -> Result<BTreeMap<SignerId, BTreeMap<String, u64>>, Failure> {
+    ) -> Result<BTreeMap<SignerId, BTreeMap<String, u64>>> {
         let mut lost: BTreeMap<SignerId, (usize, BTreeMap<String, u64>)> = BTreeMap::new();
         let mut before = std::mem::take(&mut *self.losses.0.lock().unwrap_or_else(PoisonError::into_inner));
         let mut now = BTreeMap::new();

@@ -28,7 +28,7 @@ use crate::pipeline::chain_proofs::{Collected, Rounds, collect};
 use crate::pipeline::evidence::{MOST_RECORDS, gather};
 use crate::pipeline::reader::Reader;
 use crate::pipeline::{Network, Owner, PipelineError};
-use crate::reply::{DisclosedTopic, EvidenceView, Failure, HealthLevel, IncidentView, PartHealth};
+use crate::reply::{DisclosedTopic, EvidenceView, HealthLevel, IncidentView, PartHealth, Result};
 use crate::store::{RecordQuery, RecordRow};
 
 const PAGE: usize = 1000;
@@ -44,7 +44,7 @@ impl Evidence {
         Self { parts: parts.clone(), reading: Arc::clone(reading), stamps: Arc::clone(stamps) }
     }
 
-    pub async fn export(&self, owner: &Arc<Owner>, wishes: EvidenceWishes) -> Result<EvidenceView, Failure> {
+    pub async fn export(&self, owner: &Owner, wishes: EvidenceWishes) -> Result<EvidenceView> {
         if wishes.file.symlink_metadata().is_ok() {
             return Err(input(format!("{} already exists; choose a new file", wishes.file.display())));
         }
@@ -107,9 +107,9 @@ impl Evidence {
         format!("{}: {} records from {first} to {last}, SM3 of their digests {list}", clean(topic, 200), rows.len())
     }
 
-    fn chosen(&self, owner: &Owner, wishes: &EvidenceWishes) -> Result<Vec<RecordRow>, Failure> {
+    fn chosen(&self, owner: &Owner, wishes: &EvidenceWishes) -> Result<Vec<RecordRow>> {
         let named = wishes.records.iter().map(|id| self.reading.own_record(&owner.profile, id));
-        let mut rows = named.collect::<Result<Vec<_>, Failure>>()?;
+        let mut rows = named.collect::<Result<Vec<_>>>()?;
         let in_time = wishes.since.is_some() || wishes.until.is_some() || wishes.incident.is_some();
         let narrowed = in_time || !wishes.topics.is_empty() || wishes.robot.is_some();
         let in_bulk = wishes.reveal_all || !wishes.reveal_topics.is_empty();
@@ -167,12 +167,12 @@ impl Evidence {
 
     async fn write_evidence(
         &self,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         network: &Network,
         (rows, reveal): (&[RecordRow], &BTreeSet<Digest>),
         about: Option<&IncidentView>,
         file: &Path,
-    ) -> Result<EvidenceView, Failure> {
+    ) -> Result<EvidenceView> {
         let reader = Reader { plant: &self.parts.plant, network, reader: owner };
         let authorities = block_in_place(|| self.stamps.suggested());
         let gathered = gather(&reader, rows, reveal, authorities).await?;
@@ -285,7 +285,7 @@ impl ChainProofs {
         *trouble = problem.map(|why| (since, why));
     }
 
-    pub fn health(&self) -> Result<Option<PartHealth>, Failure> {
+    pub fn health(&self) -> Result<Option<PartHealth>> {
         let counts = self.parts.plant.ledger.proofs.chain_proof_counts()?;
         let trouble = self.trouble.lock().unwrap_or_else(PoisonError::into_inner).clone();
         if counts.newest.is_none() && counts.missed == 0 && trouble.is_none() {
@@ -307,7 +307,7 @@ fn waiting_part(part: &str, told: &str, trouble: Option<(Timestamp, String)>) ->
         Some((since, why)) => (HealthLevel::Waiting, Some(since), format!("{told}; {why}")),
         None => (HealthLevel::Ok, None, told.to_owned()),
     };
-    PartHealth { part: part.to_owned(), level, text: clean(&text, 300), since, retry: None }
+    PartHealth { since, ..PartHealth::new(part, level, &clean(&text, 300)) }
 }
 
 #[cfg(test)]

@@ -13,14 +13,16 @@ use crate::gateway::{Code, Received, Refusal};
 use crate::model::bytes::hex;
 use crate::model::{Address, Party, ProfileName, Timestamp};
 use crate::pipeline::Network;
-use crate::reply::{AdmittedView, Failure};
+use crate::reply::{AdmittedView, Result};
 use crate::site::contacts::Contacts;
 use crate::site::parts::Parts;
 use crate::store::notes::{AdmittedOwner, AdmittedOwners};
 
 const MOST: usize = 10_000;
-/// Subject of notices about an account that is not admitted.
-pub const ADMISSION: &str = "admission";
+/// Subject of notices about an account that asks to be allowed.
+pub fn subject(account: Address) -> String {
+    format!("allow {account}")
+}
 
 pub struct Admissions {
     parts: Parts,
@@ -35,11 +37,11 @@ impl Admissions {
         Self { parts: parts.clone(), contacts, admitted: RwLock::default(), changing }
     }
 
-    fn list(&self) -> Result<Vec<AdmittedOwner>, Failure> {
+    fn list(&self) -> Result<Vec<AdmittedOwner>> {
         Ok(self.parts.plant.ledger.notes.read(&AdmittedOwners {})?.unwrap_or_default())
     }
 
-    fn write(&self, list: &Vec<AdmittedOwner>) -> Result<(), Failure> {
+    fn write(&self, list: &Vec<AdmittedOwner>) -> Result<()> {
         self.parts.plant.ledger.notes.write(&AdmittedOwners {}, list)?;
         self.take_over(list);
         self.parts.hub.changed(Part::Health);
@@ -52,7 +54,7 @@ impl Admissions {
     }
 
     /// Reads the list for [`Self::is_on_list`].
-    pub fn open(&self) -> Result<(), Failure> {
+    pub fn open(&self) -> Result<()> {
         self.take_over(&self.list()?);
         Ok(())
     }
@@ -65,7 +67,7 @@ impl Admissions {
         self.admitted.read().unwrap_or_else(PoisonError::into_inner).contains(owner)
     }
 
-    pub async fn admit(&self, profile: &ProfileName, owner: &Party) -> Result<Vec<AdmittedView>, Failure> {
+    pub async fn admit(&self, profile: &ProfileName, owner: &Party) -> Result<Vec<AdmittedView>> {
         let owner = self.contacts.resolve(owner)?;
         {
             let _one_at_a_time = self.changing.lock().await;
@@ -80,14 +82,15 @@ impl Admissions {
                 list.push(AdmittedOwner { owner, since: Timestamp::now(), by: profile.to_string() });
                 let admitted = async { self.write(&list) };
                 self.parts.log.deed(profile, "gateway allow", &owner.to_string(), admitted).await?;
-                self.parts.hub.notice_about(ADMISSION, NoticeLevel::Info, &format!("the gateway allows {owner} now"));
+                let text = format!("the gateway allows {owner} now");
+                self.parts.hub.notice_about(&subject(owner), NoticeLevel::Info, &text);
             }
         }
         self.rows()
     }
 
     /// Refuses the owner from the next Command on; what it sent is kept and anchored.
-    pub async fn dismiss(&self, profile: &ProfileName, owner: &Party) -> Result<Vec<AdmittedView>, Failure> {
+    pub async fn dismiss(&self, profile: &ProfileName, owner: &Party) -> Result<Vec<AdmittedView>> {
         let owner = self.contacts.resolve(owner)?;
         if self.home_accounts().contains(&owner) {
             return Err(refused(format!("{owner} is a profile of this home and may always use its gateway")));
@@ -108,7 +111,7 @@ impl Admissions {
         self.rows()
     }
 
-    pub fn rows(&self) -> Result<Vec<AdmittedView>, Failure> {
+    pub fn rows(&self) -> Result<Vec<AdmittedView>> {
         let (names, list) = (self.contacts.names()?, self.list()?);
         let row = |admitted: AdmittedOwner| AdmittedView {
             owner: admitted.owner,
@@ -156,7 +159,7 @@ impl GatewayDesk {
             return Ok(Standing::Guest);
         }
         let detail = format!("{account} is not allowed at this gateway; `authros gateway allow {account}` allows it");
-        Err(Refusal::new(Code::NotAdmitted, detail))
+        Err(Refusal { account: Some(*account), ..Refusal::new(Code::NotAdmitted, detail) })
     }
 
     /// Whether an account may have one more name here.

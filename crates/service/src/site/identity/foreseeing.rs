@@ -1,7 +1,6 @@
 //! Who is affected by a change of an SM2 pair, reported before it is made.
 
 use super::Profiles;
-use std::sync::Arc;
 
 use tokio::task::block_in_place;
 
@@ -12,10 +11,10 @@ use crate::pipeline::Owner;
 use crate::pipeline::authority;
 use crate::pipeline::directory::Granted;
 use crate::service::command::PairKind;
-use crate::service::reply::{Failure, KeyChangeView};
+use crate::service::reply::{KeyChangeView, Result};
 
 impl Profiles {
-    pub async fn foresee_key_change(&self, owner: &Arc<Owner>, kind: PairKind) -> Result<KeyChangeView, Failure> {
+    pub async fn foresee_key_change(&self, owner: &Owner, kind: PairKind) -> Result<KeyChangeView> {
         let network = self.registered_network(owner).await?;
         let Some(network) = network else {
             let lines = vec!["nobody is affected: this profile is not registered on a chain yet".to_owned()];

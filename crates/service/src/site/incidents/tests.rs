@@ -39,7 +39,7 @@ fn capture(ground: &Ground, owner: Address, topic: &str, second: u64) {
     ground.parts.plant.ledger.records.append(vec![record]).expect("acknowledged");
 }
 
-fn of(since: u64, until: Option<u64>, topics: &[&str], note: Option<&str>) -> Result<Wanted, Failure> {
+fn of(since: u64, until: Option<u64>, topics: &[&str], note: Option<&str>) -> Result<Wanted> {
     let topics = topics.iter().map(|topic| topic.parse().expect("a topic")).collect();
     wanted(name("crash"), (Timestamp::from_seconds(since), until.map(Timestamp::from_seconds)), topics, note)
 }

@@ -14,7 +14,7 @@ use crate::model::{Address, ProfileName, Publisher, TopicPattern, clean};
 use crate::pipeline::Owner;
 use crate::service::event::Part;
 use crate::service::failure::input;
-use crate::service::reply::{AlarmView, Failure, PinView, PinsView};
+use crate::service::reply::{AlarmView, PinView, PinsView, Result};
 use crate::store::PinRow;
 
 const WIDEST: usize = 400;
@@ -36,7 +36,7 @@ pub(in crate::site) struct Pinning {
 
 impl Pinning {
     /// Needs no passphrase.
-    pub async fn view(&self, profile: &ProfileName, topic: Option<&TopicPattern>) -> Result<PinsView, Failure> {
+    pub async fn view(&self, profile: &ProfileName, topic: Option<&TopicPattern>) -> Result<PinsView> {
         let owner = self.parts.owners.address_of(profile)?;
         let wanted = |name: &str| topic.is_none_or(|topic| topic.matches(name));
         let settings = self.pins.all_listed().filter(|(name, _)| wanted(name)).map(|(topic, publisher)| PinView {
@@ -68,7 +68,7 @@ impl Pinning {
         profile: &ProfileName,
         topic: &TopicPattern,
         publishers: Vec<Publisher>,
-    ) -> Result<PinsView, Failure> {
+    ) -> Result<PinsView> {
         let owner = self.parts.owners.address_of(profile)?;
         let wanted: Vec<(String, Publisher)> = match (topic.name(), publishers.is_empty()) {
             (Some(name), false) => publishers.into_iter().map(|one| (name.to_string(), one)).collect(),
@@ -103,7 +103,7 @@ impl Pinning {
         profile: &ProfileName,
         topic: &TopicPattern,
         caller_id: &str,
-    ) -> Result<PinsView, Failure> {
+    ) -> Result<PinsView> {
         let owner = self.parts.owners.address_of(profile)?;
         let name = clean(caller_id, 255);
         let mut listed = self.pins.all_listed();
@@ -140,14 +140,14 @@ impl Pinning {
     }
 
     /// Topics with an open alarm about a publisher.
-    pub fn alarmed_topics(&self, profile: &ProfileName) -> Result<HashSet<String>, Failure> {
+    pub fn alarmed_topics(&self, profile: &ProfileName) -> Result<HashSet<String>> {
         let Ok(owner) = self.parts.owners.address_of(profile) else { return Ok(HashSet::new()) };
         let alarms = self.parts.plant.ledger.pins.alarms(owner, None)?;
         Ok(alarms.into_iter().filter(|alarm| alarm.open).map(|alarm| alarm.topic).collect())
     }
 
     /// Node names pinned to each topic, by the operator, first sight or the settings.
-    pub fn pinned_names(&self, profile: &ProfileName) -> Result<HashMap<String, HashSet<String>>, Failure> {
+    pub fn pinned_names(&self, profile: &ProfileName) -> Result<HashMap<String, HashSet<String>>> {
         let Ok(owner) = self.parts.owners.address_of(profile) else { return Ok(HashMap::new()) };
         let kept = self.parts.plant.ledger.pins.list(owner, None)?;
         let kept = kept.into_iter().map(|row| (row.topic, row.publisher.caller_id));

@@ -31,7 +31,7 @@ use crate::pipeline::{Network, Owner, authority};
 use crate::service::command::GrantFrom;
 use crate::service::event::Part;
 use crate::service::failure::{input, refused};
-use crate::service::reply::{Direction, Failure, GrantRow, NOTHING_OLDER, TransactionView, utc};
+use crate::service::reply::{Direction, Failure, GrantRow, NOTHING_OLDER, Result, TransactionView, utc};
 use crate::store::RecordRow;
 
 pub(in crate::site) struct Sharing {
@@ -52,14 +52,13 @@ impl Sharing {
     /// Puts the grantee's envelope on the chain.
     pub async fn grant(
         &self,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         grantee: &Party,
         topics: &[TopicName],
         from: GrantFrom,
         expires: Option<Timestamp>,
-    ) -> Result<TransactionView, Failure> {
-        let network = self.parts.link.network().await?;
-        let _one_at_a_time = owner.changes.lock().await;
+    ) -> Result<TransactionView> {
+        let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         network.directory.identity(owner.address)?;
         let grantee = self.contacts.resolve(grantee)?;
         if grantee == owner.address {
@@ -115,14 +114,8 @@ impl Sharing {
     }
 
     /// Extends an active grant; its keys and epoch stay.
-    pub async fn extend(
-        &self,
-        owner: &Arc<Owner>,
-        grantee: &Party,
-        expires: Option<Timestamp>,
-    ) -> Result<TransactionView, Failure> {
-        let network = self.parts.link.network().await?;
-        let _one_at_a_time = owner.changes.lock().await;
+    pub async fn extend(&self, owner: &Owner, grantee: &Party, expires: Option<Timestamp>) -> Result<TransactionView> {
+        let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         let grantee = self.contacts.resolve(grantee)?;
         let Some(grant) = self.active_grant(&network, owner.address, grantee) else {
             return Err(refused(format!("{grantee} has no active grant; `authros grant add` gives one")));
@@ -153,7 +146,7 @@ impl Sharing {
     }
 
     /// Names are stored under their pseudonyms on the chain, so that each grant finds its own.
-    fn remember_topics(&self, owner: &Owner, topics: &[String]) -> Result<(), Failure> {
+    fn remember_topics(&self, owner: &Owner, topics: &[String]) -> Result<()> {
         let keep = |topic: &String| {
             let note = GrantedTopic { owner: owner.address, topic: owner.topic_id(topic) };
             Ok(self.parts.plant.ledger.notes.write(&note, topic)?)
@@ -162,7 +155,7 @@ impl Sharing {
     }
 
     /// Topic names of this owner's scoped grant, in the event's order; `None` if no known name matches.
-    pub fn granted_topics(&self, owner: &Owner, ids: &[TopicId]) -> Result<Vec<Option<String>>, Failure> {
+    pub fn granted_topics(&self, owner: &Owner, ids: &[TopicId]) -> Result<Vec<Option<String>>> {
         block_in_place(|| {
             let ledger = &self.parts.plant.ledger;
             let name_of = |id: &TopicId| {
@@ -175,7 +168,7 @@ impl Sharing {
         })
     }
 
-    pub async fn rows(&self, owner: &Arc<Owner>) -> Result<Vec<GrantRow>, Failure> {
+    pub async fn rows(&self, owner: &Arc<Owner>) -> Result<Vec<GrantRow>> {
         let network = self.parts.link.network().await?;
         let me = owner.address;
         let grants = block_in_place(|| kept::history(&self.parts.plant.ledger.rights, &network.directory, me))?;
@@ -189,7 +182,7 @@ impl Sharing {
         grants.iter().map(|grant| self.grant_row(owner, &network, grant).map(with_name)).collect()
     }
 
-    fn grant_row(&self, owner: &Owner, network: &Network, grant: &Granted) -> Result<GrantRow, Failure> {
+    fn grant_row(&self, owner: &Owner, network: &Network, grant: &Granted) -> Result<GrantRow> {
         let given = grant.terms.owner == owner.address;
         let topics = match &grant.terms.scope {
             Scope::All => Vec::new(),

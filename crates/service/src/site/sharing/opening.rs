@@ -2,7 +2,7 @@
 //! now on" needs. That epoch comes first: after a crash in between nobody has its keys, and the command is repeated.
 
 use std::ops::RangeInclusive;
-use std::sync::{Arc, PoisonError};
+use std::sync::PoisonError;
 use std::time::{Duration, Instant};
 
 use tokio::task::block_in_place;
@@ -13,7 +13,7 @@ use crate::failure::{input, refused};
 use crate::model::{Address, Party, Scope, Timestamp, TopicName};
 use crate::pipeline::{Network, Owner, authority};
 use crate::service::command::GrantFrom;
-use crate::service::reply::{Failure, GrantForesight, Opens};
+use crate::service::reply::{GrantForesight, Opens, Result};
 use crate::store::SealedQuery;
 
 /// How long messages captured before may wait to be sealed.
@@ -30,7 +30,7 @@ impl Sharing {
         owner: Address,
         scope: &Scope,
         first: u64,
-    ) -> Result<Opens, Failure> {
+    ) -> Result<Opens> {
         let of_robots = owner == reader.address && self.enrolments.has_any(owner)?;
         let epochs = match owner == reader.address {
             true => runs(reader.epochs(network.domain).into_iter().filter(|epoch| *epoch >= first)),
@@ -63,7 +63,7 @@ impl Sharing {
     }
 
     /// The first epoch that such a grant opens; one beyond the current epoch is still to begin.
-    fn first_epoch(&self, owner: &Owner, network: &Network, scope: &Scope, from: GrantFrom) -> Result<u64, Failure> {
+    fn first_epoch(&self, owner: &Owner, network: &Network, scope: &Scope, from: GrantFrom) -> Result<u64> {
         let current = network.directory.epoch(owner.address);
         let found = match from {
             GrantFrom::Now => None,
@@ -87,7 +87,7 @@ impl Sharing {
     }
 
     /// Whether nobody can have sealed anything under this epoch's keys. Robots seal out of sight.
-    fn is_unused(&self, owner: &Owner, network: &Network, epoch: u64) -> Result<bool, Failure> {
+    fn is_unused(&self, owner: &Owner, network: &Network, epoch: u64) -> Result<bool> {
         let seals = owner.sealing().is_some_and(|keys| keys.domain == network.domain && keys.epoch == epoch);
         let begun_here = self.begun.lock().unwrap_or_else(PoisonError::into_inner).get(&owner.address) == Some(&epoch);
         let used = || self.parts.plant.ledger.counts.is_epoch_used(owner.address, epoch);
@@ -97,11 +97,11 @@ impl Sharing {
     /// The first epoch that a grant opens, begun if it has to be, and whether it was. The caller holds the owner's changes.
     pub(super) async fn first_for(
         &self,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         network: &Network,
         scope: &Scope,
         from: GrantFrom,
-    ) -> Result<(u64, bool), Failure> {
+    ) -> Result<(u64, bool)> {
         if matches!(from, GrantFrom::Now | GrantFrom::Time(_)) {
             self.all_sealed().await?;
         }
@@ -123,7 +123,7 @@ impl Sharing {
     }
 
     /// Waits until what was captured so far is sealed: under the keys of a later epoch it would be opened as well.
-    async fn all_sealed(&self) -> Result<(), Failure> {
+    async fn all_sealed(&self) -> Result<()> {
         // What waits for its publisher's name was captured, too.
         block_in_place(|| self.ros.second.settle(None));
         let (came, end) = (self.rings.came(), Instant::now() + PATIENCE);
@@ -142,11 +142,11 @@ impl Sharing {
     /// What a grant would open now, and what it costs.
     pub async fn foresee_grant(
         &self,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         grantee: &Party,
         topics: &[TopicName],
         from: GrantFrom,
-    ) -> Result<GrantForesight, Failure> {
+    ) -> Result<GrantForesight> {
         let network = self.parts.link.network().await?;
         network.directory.identity(owner.address)?;
         let grantee = self.contacts.resolve(grantee)?;
