@@ -6,7 +6,7 @@ use super::popup::{Confirm, Popup, Purpose, Typed};
 use super::verb::{Errand, Tag};
 use super::{State, granting};
 use crate::model::topic_rule::PatternError;
-use crate::model::{IncidentName, TopicPattern};
+use crate::model::{IncidentName, TopicPattern, counted};
 use crate::service::command::{EvidenceWishes, ExportEvidence};
 use crate::service::reply::{EvidenceView, IncidentView, SpanCoverageView};
 
@@ -79,11 +79,11 @@ fn question(row: &IncidentView, wishes: EvidenceWishes) -> Confirm {
     if topics.is_empty() {
         lines.push("Readable nothing: the messages stay sealed".to_owned());
     } else {
-        let of = super::counted(topics.len() as u64, "topic");
-        lines.push(format!("Readable {} of {of}, to everybody who gets the file:", super::counted(count, "message")));
+        let of = counted(topics.len() as u64, "topic");
+        lines.push(format!("Readable {} of {of}, to everybody who gets the file:", counted(count, "message")));
         lines.extend(topics.iter().take(MOST_NAMED).map(|one| format!("         {} of {}", one.records, one.topic)));
         let more = topics.len().saturating_sub(MOST_NAMED);
-        lines.extend((more > 0).then(|| format!("         and {}", super::counted(more as u64, "more topic"))));
+        lines.extend((more > 0).then(|| format!("         and {}", counted(more as u64, "more topic"))));
         lines.push("A disclosure cannot be undone.".to_owned());
     }
     let typed = (!topics.is_empty()).then(|| Typed::new(WORD));
@@ -93,7 +93,7 @@ fn question(row: &IncidentView, wishes: EvidenceWishes) -> Confirm {
 }
 
 pub fn written(state: &mut State, view: &EvidenceView) {
-    let (records, notes) = (super::counted(view.records, "record"), view.notes.len() as u64);
-    let told = if notes == 0 { String::new() } else { format!("; {}: log", super::counted(notes, "note")) };
+    let (records, notes) = (counted(view.records, "record"), view.notes.len() as u64);
+    let told = if notes == 0 { String::new() } else { format!("; {}: log", counted(notes, "note")) };
     state.inform(format!("{records}, {} of them readable, in {}{told}", view.revealed, view.file));
 }
