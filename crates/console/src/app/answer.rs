@@ -33,9 +33,7 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) {
             let made = ask::CreateIdentity::heard(result);
             identity_path::opened(state, made, Purpose::CreateIdentity, "identity created");
         }
-        Tag::Unlock => {
-            identity_path::opened(state, ask::Unlock::heard(result), Purpose::Unlock, "keyring unlocked");
-        }
+        Tag::Unlock => identity_path::opened(state, ask::Unlock::heard(result), Purpose::Unlock, "keyring unlocked"),
         Tag::Register => identity_path::registered(state, ask::Register::heard(result)),
         Tag::Open(id) => opening::opened(state, id, ask::OpenShared::heard(result)),
         Tag::Path(id) => opening::path_found(state, id, ask::ViewPath::heard(result)),
@@ -54,7 +52,7 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) {
         }
         Tag::Lock => locked(state, ask::Lock::heard(result)),
         Tag::Export(id) => {
-            written(state, tag, ask::ExportUpload::heard(result), |_, base, files| exported(id, base, files));
+            written(state, tag, ask::ExportUpload::heard(result), |_, base, files| exported(id, base, files))
         }
         Tag::ExportKey(kind) => {
             written(state, tag, ask::ExportKey::heard(result), |state, base, key| {
@@ -77,9 +75,9 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) {
         Tag::Incident(deed, _) => done(state, tag, ask::OpenIncident::heard(result), |state, view| {
             incidents::changed(state, *deed, view);
         }),
-        Tag::Evidence(_) => done(state, tag, ask::ExportEvidence::heard(result), |state, view| {
-            evidence::written(state, &view);
-        }),
+        Tag::Evidence(_) => {
+            done(state, tag, ask::ExportEvidence::heard(result), |state, view| evidence::written(state, &view))
+        }
         Tag::Robot(name) => policies::shown(state, name, ask::ShowRobot::heard(result)),
         Tag::SetPolicy(robot, _) => policy_set(state, tag, robot, result),
         Tag::Watch(topic) => said(state, tag, ask::WatchTopic::heard(result), |()| format!("now watching {topic}")),

@@ -150,7 +150,7 @@ impl Capture {
     }
 
     /// Topics of the graphs and those watched by name, and those with own records if `recorded`.
-    pub async fn known(&self, profile: &ProfileName, recorded: bool) -> Result<BTreeSet<TopicName>, Failure> {
+    pub async fn known(&self, profile: &ProfileName, recorded: bool) -> Result<BTreeSet<TopicName>> {
         let watches = block_in_place(|| self.watches.of(profile))?;
         let mut known: BTreeSet<TopicName> = watches.named().filter_map(|rule| rule.pattern.name()).collect();
         if self.ros.is_wanted() {

@@ -117,12 +117,7 @@ impl Devices {
     }
 
     /// Fills in when there are records of each topic, in equal parts of the whole time.
-    fn cover(
-        &self,
-        owner: Address,
-        device: SignerId,
-        topics: &mut [RobotTopicRow],
-    ) -> Result<Option<CoveredSpan>> {
+    fn cover(&self, owner: Address, device: SignerId, topics: &mut [RobotTopicRow]) -> Result<Option<CoveredSpan>> {
         let counts = &self.parts.plant.ledger.counts;
         let covered = |topic: &str, since: Option<Timestamp>, until: Timestamp, parts: usize| {
             let signers = Some(BTreeSet::from([device]));

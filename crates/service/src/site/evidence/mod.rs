@@ -56,7 +56,7 @@ impl Evidence {
         let mut rows = self.chosen(owner, &wishes)?;
         let left_out = about.as_ref().map_or_else(Vec::new, |about| leave_out(&mut rows, about, &wishes.records));
         let named = wishes.reveal.iter().map(|id| self.reading.own_record(&owner.profile, id));
-        let named = named.collect::<Result<Vec<RecordRow>, Failure>>()?;
+        let named = named.collect::<Result<Vec<RecordRow>>>()?;
         for row in &named {
             if !rows.iter().any(|known| known.digest == row.digest) {
                 rows.push(row.clone());
@@ -196,10 +196,7 @@ impl Evidence {
 
 /// The chosen messages and definitions that are to be disclosed together. What a site says of itself never is: it names
 /// all topics.
-fn of_topics<'a>(
-    rows: &'a [RecordRow],
-    wishes: &EvidenceWishes,
-) -> Result<BTreeMap<String, Vec<&'a RecordRow>>, Failure> {
+fn of_topics<'a>(rows: &'a [RecordRow], wishes: &EvidenceWishes) -> Result<BTreeMap<String, Vec<&'a RecordRow>>> {
     let mut found: BTreeMap<String, Vec<&RecordRow>> = BTreeMap::new();
     let is_content = |row: &&RecordRow| row.kind.is_content() || row.kind == RecordKind::Definition;
     for row in rows.iter().filter(is_content) {

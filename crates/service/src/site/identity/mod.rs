@@ -29,7 +29,6 @@ use crate::model::{Address, ProfileName, Timestamp};
 use crate::paths::Home;
 use crate::pipeline::{Network, Owner, Recorder, recovery};
 use crate::reply::{Failure, IdentityView, Opens, Result};
-use crate::store::StoreError;
 use crate::store::notes::ProfileAccounts;
 use crate::store::{SealedQuery, StoreError};
 

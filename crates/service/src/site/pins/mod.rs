@@ -98,12 +98,7 @@ impl Pinning {
     }
 
     /// No longer accepts a node name on the topics that match.
-    pub async fn unpin(
-        &self,
-        profile: &ProfileName,
-        topic: &TopicPattern,
-        caller_id: &str,
-    ) -> Result<PinsView> {
+    pub async fn unpin(&self, profile: &ProfileName, topic: &TopicPattern, caller_id: &str) -> Result<PinsView> {
         let owner = self.parts.owners.address_of(profile)?;
         let name = clean(caller_id, 255);
         let mut listed = self.pins.all_listed();
@@ -133,7 +128,7 @@ impl Pinning {
         self.view(profile, Some(topic)).await
     }
 
-    fn pinned_to(&self, owner: Address, topic: &TopicPattern, caller_id: &str) -> Result<BTreeSet<String>, Failure> {
+    fn pinned_to(&self, owner: Address, topic: &TopicPattern, caller_id: &str) -> Result<BTreeSet<String>> {
         let kept = self.parts.plant.ledger.pins.list(owner, None)?.into_iter();
         let is_meant = |row: &PinRow| topic.matches(&row.topic) && row.publisher.caller_id == caller_id;
         Ok(kept.filter(is_meant).map(|row| row.topic).collect())

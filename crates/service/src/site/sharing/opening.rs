@@ -46,13 +46,7 @@ impl Sharing {
     }
 
     /// The first of the owner's epochs in which anything of the scope was captured since.
-    fn first_since(
-        &self,
-        owner: &Owner,
-        network: &Network,
-        scope: &Scope,
-        since: Timestamp,
-    ) -> Result<Option<u64>, Failure> {
+    fn first_since(&self, owner: &Owner, network: &Network, scope: &Scope, since: Timestamp) -> Result<Option<u64>> {
         let epochs = runs(owner.epochs(network.domain).into_iter());
         let mut first: Option<u64> = None;
         for query in queries(owner.address, scope, &epochs, since) {
