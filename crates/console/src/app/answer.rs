@@ -21,8 +21,13 @@ type Answer = Result<Reply, Failure>;
 /// Each tag names its request, and with it the possible answers.
 pub fn answered(state: &mut State, tag: &Tag, result: Answer) {
     if let Tag::Feed(feed, generation) = tag {
-        return fed(state, *feed, *generation, result);
+        fed(state, *feed, *generation, result);
+    } else {
+        act_answered(state, tag, result);
     }
+}
+
+fn act_answered(state: &mut State, tag: &Tag, result: Answer) {
     // Made for the previous profile: the answer belongs to nobody any more.
     let Some(place) = state.work.iter().position(|other| other == tag) else { return };
     state.work.remove(place);
