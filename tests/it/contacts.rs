@@ -43,7 +43,7 @@ fn a_name_stands_for_its_address_and_is_shown_beside_it() {
     let (alice, bob) = (&two.alice, &two.bob);
     let print = fingerprint(bob);
     assert_eq!(print.split(' ').map(str::len).collect::<Vec<_>>(), [4; 8]);
-    alice.fails(INPUT, &["grant", "add", "--to", "bob"]);
+    alice.fails(INPUT, &["grant", "add", "--to", "robert"]);
     alice.fails(INPUT, &["contacts", "add", "0xbob", &two.reader]);
     let differs = alice.fails(REFUSED, &["contacts", "add", "bob", &two.reader, "--fingerprint", &fingerprint(alice)]);
     assert!(differs.contains(&print) && differs.contains("'bob' was not added"), "{differs}");

@@ -6,7 +6,7 @@ use super::popup::{Confirm, Popup, Purpose, Typed};
 use super::verb::{Errand, Tag};
 use super::{State, granting};
 use crate::model::topic_rule::PatternError;
-use crate::model::{IncidentName, TopicPattern, counted};
+use crate::model::{IncidentName, TopicPattern, counted, grouped};
 use crate::service::command::{EvidenceWishes, ExportEvidence};
 use crate::service::reply::{EvidenceView, IncidentView, SpanCoverageView};
 
@@ -73,7 +73,7 @@ fn question(row: &IncidentView, wishes: EvidenceWishes) -> Confirm {
     let topics = disclosed(row, &wishes);
     let mut lines = vec![
         format!("File     {}", wishes.file.display()),
-        format!("Records  {} now, with everything that proves them", row.records),
+        format!("Records  {} now, with everything that proves them", grouped(row.records)),
     ];
     let count: u64 = topics.iter().map(|one| one.records).sum();
     if topics.is_empty() {
@@ -81,7 +81,9 @@ fn question(row: &IncidentView, wishes: EvidenceWishes) -> Confirm {
     } else {
         let of = counted(topics.len() as u64, "topic");
         lines.push(format!("Readable {} of {of}, to everybody who gets the file:", counted(count, "message")));
-        lines.extend(topics.iter().take(MOST_NAMED).map(|one| format!("         {} of {}", one.records, one.topic)));
+        lines.extend(
+            topics.iter().take(MOST_NAMED).map(|one| format!("         {} of {}", grouped(one.records), one.topic)),
+        );
         let more = topics.len().saturating_sub(MOST_NAMED);
         lines.extend((more > 0).then(|| format!("         and {}", counted(more as u64, "more topic"))));
         lines.push("A disclosure cannot be undone.".to_owned());

@@ -266,7 +266,8 @@ const RULES: [(&str, &str); 5] = [
         "counts per state do not match the records",
     ),
     (
-        "WITH found AS (SELECT stream, epoch, sum(state NOT IN (7, 8) AND deleted_at IS NULL), min(captured_at), max(captured_at)
+        "WITH found AS (SELECT stream, epoch, sum(state NOT IN (7, 8) AND deleted_at IS NULL),
+            min(min(captured_at, acknowledged_at)), max(min(captured_at, acknowledged_at))
             FROM records GROUP BY stream, epoch)
             SELECT count(*) FROM (SELECT * FROM (SELECT * FROM found EXCEPT SELECT * FROM epoch_records)
             UNION ALL SELECT * FROM (SELECT * FROM epoch_records EXCEPT SELECT * FROM found))",
