@@ -275,7 +275,7 @@ fn the_second_verifier_unpacks_matrices() {
         let matrix = Matrix { start: 5, rows: 24, columns: 32, channels, sample, big_endian, apart };
         let length = 5 + matrix.length().expect("fits") + 3;
         // A slope with a little noise, which repeats nowhere.
-        let noisy = |at: usize| (at / 7 + (at * 2_654_435_761 >> 16) % 3) % 251;
+        let noisy = |at: usize| (at / 7 + ((at * 2_654_435_761) >> 16) % 3) % 251;
         let body: Vec<u8> = (0..length).map(|at| u8::try_from(noisy(at)).expect("a byte")).collect();
         let packed = compression::pack(&body, Some(&matrix)).expect("pays");
         assert_eq!(packed.compression, Compression::Matrix, "{matrix:?}");
