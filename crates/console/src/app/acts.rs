@@ -1,99 +1,102 @@
-//! What each verb does, and how the last act is undone.
+//! What each verb does, and what its answer does.
+
 #![deny(clippy::wildcard_enum_match_arm)]
 
-use super::available::available;
-use super::choosing;
-use super::form::{self, Field, Form, Line};
-use super::identity_path::{self, Need};
-use super::leaving::{self, Leaving};
-use super::popup::{self, Confirm, Lookup, Palette, Popup, Purpose};
-use super::screens::{LogLine, other_side};
-use super::update::{self, Feed};
-use super::verb::{Contents, Effect, Errand, Tag, Verb};
-use super::{Screen, State, administration, granting, incidents, opening, palette, policies, table};
-use crate::model::{Address, Party, ProfileName, TopicName, TopicPattern};
-use crate::service::Command;
-use crate::service::command::{Pace, PlayWishes};
-use crate::service::reply::{PlayedView, TopicRow};
+use crate::app::answer::{
+    Answer, checked, done, exported, fed, follow_up, incident_removed, is_done, key_file, key_loaded, locked,
+    opened_console, policy_set, said, written,
+};
+use crate::app::{
+    Contents, Effect, Errand, Feed, Need, Popup, Purpose, Screen, State, Table, Tag, Verb, answer,
+    available::available, entry_of, identity_path, lock, rows, verb::Undo,
+};
+use crate::popups::form::{export, grant, policy, profile};
+use crate::popups::{
+    columns, contacts, help::state::Help, incidents, incidents::state::Deed, palette::state::Palette, quit,
+    quit::state::Leaving, record, robot, themes,
+};
+use crate::screens::grants::state::{is_active, is_given, other_side};
+use crate::screens::{chain, grants, keys, log::state::LogLine, pane, records, topics};
+use crate::service::{Command, command as ask};
 
 pub fn perform(state: &mut State, verb: Verb) {
     if let Err(reason) = available(state, verb) {
         return refuse(state, verb, reason);
     }
     match verb {
-        Verb::Watch => watch(state),
-        Verb::Details => details(state),
-        Verb::Open => open_record(state),
-        Verb::Check => check(state),
-        Verb::Export => palette::begin(state),
+        Verb::Watch => topics::keys::watch(state),
+        Verb::Details => records::keys::details(state),
+        Verb::Open => records::keys::open_record(state),
+        Verb::Check => records::keys::check(state),
+        Verb::Export => export::begin(state),
         Verb::CreateIdentity | Verb::Register => identity_path::run(state, Need::Registered, Vec::new()),
         Verb::Unlock => identity_path::run(state, Need::Unlocked, Vec::new()),
-        Verb::Copy => copied(state).into_iter().for_each(|text| copy(state, text)),
+        Verb::Copy => copied(state).into_iter().for_each(|text| state.copy(text)),
         Verb::WriteFile => copied(state).into_iter().for_each(|text| write_file(state, &text)),
-        Verb::CopyCommand => state.last_act.clone().into_iter().for_each(|line| copy(state, line)),
-        Verb::Quit if leaving::asks(state) => state.popups.push(Popup::Quit(Leaving::Asked)),
+        Verb::CopyCommand => state.last_act.clone().into_iter().for_each(|line| state.copy(line)),
+        Verb::Quit if quit::keys::asks(state) => state.popups.push(Popup::Quit(Leaving::Asked)),
         Verb::Quit => state.effects.push(Effect::Quit),
-        Verb::Play => toggle(state),
-        Verb::Publishers => publishers(state),
-        Verb::Inspect => policies::open(state),
-        Verb::Lock => update::lock(state),
+        Verb::Play => records::keys::play(state),
+        Verb::Publishers => topics::keys::publishers(state),
+        Verb::Inspect => robot::open(state),
+        Verb::Lock => lock::lock(state),
         Verb::Undo => undo(state),
         Verb::BackUp => state.send(Errand { command: Command::BackUpKeys, tag: Tag::BackUp }),
-        Verb::ChooseTheme => choosing::choose(state),
+        Verb::ChooseTheme => themes::choose(state),
         Verb::Ascii => state.effects.push(Effect::ToggleAscii),
-        Verb::Mouse => update::toggle(state),
+        Verb::Mouse => toggle_mouse(state),
         Verb::Redraw => state.effects.push(Effect::Redraw),
         Verb::Suspend => state.effects.push(Effect::Suspend),
-        Verb::Up | Verb::PreviousMatch => table::step(state, -1),
-        Verb::Down | Verb::NextMatch => table::step(state, 1),
-        Verb::PageUp => table::step(state, -state.page_rows().cast_signed()),
-        Verb::PageDown => table::step(state, state.page_rows().cast_signed()),
-        Verb::Go(screen) => go(state, screen),
-        Verb::NextScreen => go(state, state.screen.shifted(1)),
-        Verb::PreviousScreen => go(state, state.screen.shifted(-1)),
-        Verb::First => table::jump(state, false),
-        Verb::Last => table::jump(state, true),
-        Verb::Mark => mark(state),
-        Verb::MarkAll => table::mark_all(state),
-        Verb::Filter => drop(state.table_mut().map(super::table::Table::begin_filter)),
-        Verb::Sort => table::sort(state),
-        Verb::Reverse => table::reverse(state),
-        Verb::Columns => choosing::open(state),
+        Verb::Up | Verb::PreviousMatch => rows::step(state, -1),
+        Verb::Down | Verb::NextMatch => rows::step(state, 1),
+        Verb::PageUp => rows::step(state, -state.page_rows().cast_signed()),
+        Verb::PageDown => rows::step(state, state.page_rows().cast_signed()),
+        Verb::Go(screen) => state.go(screen),
+        Verb::NextScreen => state.go(state.screen.shifted(1)),
+        Verb::PreviousScreen => state.go(state.screen.shifted(-1)),
+        Verb::First => rows::jump(state, false),
+        Verb::Last => rows::jump(state, true),
+        Verb::Mark => rows::mark(state),
+        Verb::MarkAll => rows::mark_all(state),
+        Verb::Filter => drop(state.table_mut().map(Table::begin_filter)),
+        Verb::Sort => rows::sort(state),
+        Verb::Reverse => rows::reverse(state),
+        Verb::Columns => columns::keys::open(state),
         Verb::Level => state.log.next_level(),
         Verb::Source => state.log.next_source(),
         Verb::Read => state.popups.extend(state.log.selected().cloned().map(Popup::Line)),
         Verb::Tasks => tasks(state),
-        Verb::Readers => readers(state),
+        Verb::Readers => topics::keys::readers(state),
         Verb::Alerts => state.popups.push(Popup::Alerts(0)),
-        Verb::Contacts => granting::open_contacts(state),
-        Verb::SetPolicy => policies::begin(state),
-        Verb::Incident => incidents::begin(state),
-        Verb::Incidents => incidents::open(state),
-        Verb::Profile => open(state),
+        Verb::Contacts => contacts::open(state),
+        Verb::SetPolicy => policy::begin(state),
+        Verb::Incident => incidents::form::begin(state),
+        Verb::Incidents => incidents::keys::open(state),
+        Verb::Profile => profile::open(state),
         Verb::EndTour => state.tour = None,
         Verb::Browse => state.popups.push(Popup::Browse(0)),
         Verb::LocalTime => state.local_time = !state.local_time,
-        Verb::Pin => ask_about(state, popup::pin),
-        Verb::Release => ask_about(state, |row, topic| popup::decide(row, topic, false)),
-        Verb::Discard => ask_about(state, |row, topic| popup::decide(row, topic, true)),
-        Verb::Unpin => unpin(state),
-        Verb::Administer(act) => administration::begin(state, act),
+        Verb::Pin => topics::keys::ask_about(state, topics::keys::pin),
+        Verb::Release => topics::keys::ask_about(state, |row, topic| topics::keys::decide(row, topic, false)),
+        Verb::Discard => topics::keys::ask_about(state, |row, topic| topics::keys::decide(row, topic, true)),
+        Verb::Unpin => topics::keys::unpin(state),
+        Verb::Administer(act) => chain::keys::begin(state, act),
         Verb::Freeze => freeze(state),
         Verb::Period => state.period = state.period.next(),
         Verb::Fold => drop(state.topics.fold()),
         Verb::FoldAll => state.topics.fold_all(),
         Verb::Palette => state.popups.push(Popup::Palette(Palette::default())),
-        Verb::Help => state.popups.push(Popup::Help(super::popup::Help::default())),
-        Verb::Dismiss => dismiss(state),
-        Verb::Grant => granting::begin(state),
-        Verb::Extend => granting::begin_extension(state),
+        Verb::Help => state.popups.push(Popup::Help(Help::default())),
+        Verb::Dismiss => rows::dismiss(state),
+        Verb::Grant => grant::begin(state),
+        Verb::Extend => grant::begin_extension(state),
         Verb::Revoke => {
-            let question = state.grants.selected().map(|row| Popup::Confirm(popup::revoke(state, row)));
+            let question = state.grants.selected().map(|row| Popup::Confirm(grants::keys::revoke(state, row)));
             state.popups.extend(question);
         }
-        Verb::LoadKey => state.popups.push(Popup::Form(Purpose::LoadKey, form::load_key())),
-        Verb::ExportKey => palette::begin_key(state),
-        Verb::Rotate => state.popups.push(Popup::Confirm(popup::rotate())),
+        Verb::LoadKey => state.popups.push(Popup::Form(Purpose::LoadKey, keys::acts::load_key())),
+        Verb::ExportKey => keys::acts::begin_key(state),
+        Verb::Rotate => state.popups.push(Popup::Confirm(keys::acts::rotate())),
     }
 }
 
@@ -102,15 +105,8 @@ fn refuse(state: &mut State, verb: Verb, reason: &str) {
         // Otherwise a typed passphrase would be taken for commands.
         return state.popups.push(Popup::Unlocked);
     }
-    let name = super::verb::entry_of(verb, state.screen).map_or("", |entry| entry.name);
+    let name = entry_of(verb, state.screen).map_or("", |entry| entry.name);
     state.inform(format!("{name}: {reason}"));
-}
-
-pub(super) fn go(state: &mut State, screen: Screen) {
-    if state.screen != screen {
-        screen.feeds().iter().for_each(|feed| state.feeds.look(*feed));
-    }
-    state.screen = screen;
 }
 
 fn tasks(state: &mut State) {
@@ -121,142 +117,6 @@ fn tasks(state: &mut State) {
 fn freeze(state: &mut State) {
     state.frozen = if state.is_frozen() { None } else { Some(state.now) };
     state.feeds.gather();
-}
-
-fn mark(state: &mut State) {
-    let (key, keys) = (state.row_key(), state.row_keys());
-    let Some(table) = state.table_mut() else { return };
-    if let Some(key) = key.filter(|key| !table.marks.remove(key)) {
-        table.marks.insert(key);
-    }
-    table.step(&keys, 1);
-}
-
-fn dismiss(state: &mut State) {
-    if let Some(toast) = state.toasts.dismiss() {
-        return state.log.saw(&toast.text);
-    }
-    let Some(table) = state.table_mut() else { return };
-    if table.filter.text().is_empty() {
-        return table.marks.clear();
-    }
-    table.filter.clear();
-    table::restart_records(state);
-}
-
-fn watch(state: &mut State) {
-    if state.screen == Screen::Overview {
-        go(state, Screen::Topics);
-        return state.inform("select a topic (arrows, or space to mark several), then press w");
-    }
-    let targets: Vec<(String, bool)> =
-        state.topics.targets().into_iter().map(|row| (row.topic.clone(), row.watched)).collect();
-    let watches = targets.iter().any(|(_, watched)| !watched);
-    let mut errands = Vec::new();
-    for (topic, _) in targets.into_iter().filter(|(_, watched)| *watched != watches) {
-        match topic.parse::<TopicName>() {
-            Ok(topic) => errands.push(watch_errand(topic.into(), watches)),
-            Err(error) => state.complain(error.to_string()),
-        }
-    }
-    send_watches(state, watches, errands);
-}
-
-fn send_watches(state: &mut State, watches: bool, errands: Vec<Errand>) {
-    if watches {
-        return identity_path::run(state, Need::Registered, errands);
-    }
-    errands.into_iter().for_each(|errand| state.send(errand));
-}
-
-/// `watch /robot*/camera/**` of the palette: also what appears later.
-pub(super) fn spoken_watch(state: &mut State, topics: &[&str], watches: bool) {
-    let read: Result<Vec<TopicPattern>, _> = topics.iter().map(|topic| topic.parse()).collect();
-    match read {
-        Ok(topics) => {
-            let errands = topics.into_iter().map(|topic| watch_errand(topic, watches)).collect();
-            send_watches(state, watches, errands);
-        }
-        Err(error) => state.complain(error.to_string()),
-    }
-}
-
-fn watch_errand(topic: TopicPattern, watch: bool) -> Errand {
-    let name = topic.to_string();
-    if watch {
-        Errand { command: Command::WatchTopic { topic, type_name: None }, tag: Tag::Watch(name) }
-    } else {
-        Errand { command: Command::UnwatchTopic { topic }, tag: Tag::Unwatch(name) }
-    }
-}
-
-fn details(state: &mut State) {
-    let Some(id) = state.row_key() else { return };
-    state.popups.push(Popup::Provenance(Lookup::new(&id)));
-    state.send(Errand { command: Command::ShowUpload { id: id.clone() }, tag: Tag::Show(id) });
-}
-
-fn open_record(state: &mut State) {
-    let Some(id) = state.row_key() else { return };
-    let errand = Errand { command: Command::OpenShared { id: id.clone() }, tag: Tag::Open(id) };
-    identity_path::run(state, Need::Unlocked, vec![errand]);
-}
-
-fn check(state: &mut State) {
-    for id in state.marked_keys() {
-        state.send_new(Errand { command: Command::CheckShared { id: id.clone() }, tag: Tag::Check(id) });
-    }
-}
-
-fn selected_topic(state: &mut State) -> Option<(TopicRow, TopicName)> {
-    let row = state.topics.selected()?.clone();
-    match row.topic.parse() {
-        Ok(topic) => Some((row, topic)),
-        Err(error) => {
-            state.complain(format!("{error}"));
-            None
-        }
-    }
-}
-
-fn publishers(state: &mut State) {
-    let Some((_, topic)) = selected_topic(state) else { return };
-    let name = topic.to_string();
-    state.popups.push(Popup::Publishers(Lookup::new(&name)));
-    let coverage = opening::coverage_of(&topic);
-    state.send(Errand { command: Command::ListPins { topic: Some(topic) }, tag: Tag::Publishers(name) });
-    state.send_new(coverage);
-}
-
-fn ask_about(state: &mut State, question: fn(&TopicRow, TopicName) -> Confirm) {
-    let Some((row, topic)) = selected_topic(state) else { return };
-    state.popups.push(Popup::Confirm(question(&row, topic)));
-}
-
-fn unpin(state: &mut State) {
-    let Some((row, topic)) = selected_topic(state) else { return };
-    let publisher = row.unpinned.first().or(row.publishers.first()).cloned().unwrap_or_default();
-    state.popups.push(Popup::Form(Purpose::Unpin, form::unpin(topic.as_str(), &publisher)));
-}
-
-fn readers(state: &mut State) {
-    let topics = match state.screen {
-        Screen::Topics => state.topics.targets().into_iter().map(|row| row.topic.clone()).collect(),
-        Screen::Uploads => {
-            let key = state.row_key();
-            let rows = state.uploads.rows.iter();
-            rows.filter(|row| Some(&row.id) == key.as_ref()).map(|row| row.topic.clone()).collect()
-        }
-        Screen::Grants => state.grants.selected().map(|row| row.topics.clone()).unwrap_or_default(),
-        Screen::Overview | Screen::Shared | Screen::Keys | Screen::Chain | Screen::Robots | Screen::Log => Vec::new(),
-    };
-    state.popups.push(Popup::Readers(topics));
-}
-
-/// Only the terminal knows whether it takes the text.
-pub fn copy(state: &mut State, text: String) {
-    state.inform(format!("sent to the terminal's clipboard (W writes a file): {text}"));
-    state.effects.push(Effect::CopyText(text));
 }
 
 /// For terminals that accept no clipboard text.
@@ -284,55 +144,15 @@ pub fn copied(state: &State) -> Option<String> {
     }
 }
 
-#[expect(clippy::large_enum_variant, reason = "there is one at a time")]
-#[derive(Debug, Clone)]
-pub enum Undo {
-    By(Errand),
-    /// A grant: revoking it is another transaction, and does not undo what was read meanwhile.
-    Granted(String),
-    /// Why nothing undoes it.
-    Never(&'static str),
-}
-
-pub fn note(state: &mut State, tag: &Tag) {
-    let watching = |name: &String, watch| name.parse().ok().map(|topic| Undo::By(watch_errand(topic, watch)));
-    let undo = match tag {
-        Tag::Watch(name) => watching(name, false),
-        Tag::Unwatch(name) => watching(name, true),
-        Tag::Grant(grantee) => Some(Undo::Granted(grantee.to_string())),
-        Tag::Extend(_) => Some(Undo::Never("it was a transaction; e changes the end of the grant (5)")),
-        Tag::Revoke(_) => Some(Undo::Never("a revoke is a transaction: to share again, make a new grant (5, then g)")),
-        Tag::Rotate => Some(Undo::Never("a new epoch cannot be undone")),
-        Tag::LoadKey(_) => Some(Undo::Never("the replaced key is no longer in the keyring; load its file again")),
-        Tag::Release(_) => Some(Undo::Never("released messages are already being anchored; they keep their tag")),
-        Tag::Discard(_) => Some(Undo::Never("discarded messages are deleted; their count is on the chain")),
-        Tag::Administer(_) | Tag::Deploy => {
-            Some(Undo::Never("it was a transaction; send the opposite one instead (7, then :)"))
-        }
-        Tag::Feed(..) | Tag::OpenConsole | Tag::CreateIdentity | Tag::Unlock | Tag::Register | Tag::Lock => None,
-        Tag::HoldCapture | Tag::ExportKey(_) | Tag::BackUp | Tag::Export(_) | Tag::Pin(_) | Tag::Unpin(_) => None,
-        Tag::Incident(deed, name) => {
-            Some(deed.stays().map_or_else(|| Undo::By(incidents::taken_back(name)), Undo::Never))
-        }
-        Tag::SetPolicy(..) => Some(Undo::Never("a policy's version only rises; set the earlier one again (8, then p)")),
-        Tag::Play(_) | Tag::StopPlay | Tag::Contact(_) | Tag::Robot(_) => None,
-        Tag::Publishers(_) | Tag::Show(_) | Tag::Beside(..) | Tag::Open(_) | Tag::Path(_) | Tag::Check(_) => None,
-        Tag::Foresee(_) => None,
-    };
-    if undo.is_some() {
-        state.undo = undo;
-    }
-}
-
 pub fn undo(state: &mut State) {
     match state.undo.take() {
         Some(Undo::By(errand)) => state.send(errand),
         Some(Undo::Granted(grantee)) => {
             let row = state.grants.rows.iter().find(|row| {
                 let is_it = row.grantee.to_string() == grantee || row.name.as_deref() == Some(grantee.as_str());
-                is_it && super::screens::is_given(row) && super::screens::is_active(row)
+                is_it && is_given(row) && is_active(row)
             });
-            match row.map(|row| popup::revoke(state, row)) {
+            match row.map(|row| grants::keys::revoke(state, row)) {
                 Some(question) => state.popups.push(Popup::Confirm(question)),
                 None => state.inform("that grant is no longer active"),
             }
@@ -342,86 +162,94 @@ pub fn undo(state: &mut State) {
     }
 }
 
-/// Plays the topic under `/shared/NAME`, or ends the playback.
-pub fn toggle(state: &mut State) {
-    if state.work.iter().any(|tag| matches!(tag, Tag::Play(_))) {
-        return state.send(Errand { command: Command::StopPlay, tag: Tag::StopPlay });
+/// Each tag names its request, and with it the possible answers.
+pub fn answered(state: &mut State, tag: &Tag, result: Answer) {
+    if let Tag::Feed(feed, generation) = tag {
+        return fed(state, *feed, *generation, result);
     }
-    let key = state.row_key();
-    let row = state.shared.rows.iter().find(|row| Some(&row.id) == key.as_ref());
-    let found = row.and_then(|row| Some((row.owner?, row.owner_name.clone(), row.topic.clone())));
-    let Some((owner, name, topic)) = found else { return };
-    let (Ok(pattern), Some(prefix)) = (topic.parse(), prefix(owner, name.as_deref())) else {
-        return state.complain(format!("{topic} cannot be played: its name is still a pseudonym"));
-    };
-    let played = format!("{prefix}{topic}");
-    let wishes = PlayWishes {
-        owner: Some(Party::Address(owner)),
-        topics: vec![pattern],
-        pace: Pace::Follow,
-        prefix: Some(prefix),
-        ..PlayWishes::default()
-    };
-    identity_path::run(state, Need::Unlocked, vec![Errand { command: Command::Play(wishes), tag: Tag::Play(played) }]);
+    // Made for the previous profile: the answer belongs to nobody any more.
+    let Some(place) = state.work.iter().position(|other| other == tag) else { return };
+    state.work.remove(place);
+    match tag {
+        Tag::Feed(..) => {}
+        Tag::OpenConsole => opened_console(state, ask::OpenConsole::heard(result)),
+        Tag::CreateIdentity => {
+            let made = ask::CreateIdentity::heard(result);
+            identity_path::opened(state, made, Purpose::CreateIdentity, "identity created");
+        }
+        Tag::Unlock => {
+            identity_path::opened(state, ask::Unlock::heard(result), Purpose::Unlock, "keyring unlocked");
+        }
+        Tag::Register => identity_path::registered(state, ask::Register::heard(result)),
+        Tag::Open(id) => record::keys::opened(state, id, ask::OpenShared::heard(result)),
+        Tag::Path(id) => record::keys::path_found(state, id, ask::ViewPath::heard(result)),
+        Tag::Beside(Screen::Uploads, id) => pane::follow::looked_up(state, id, ask::ShowUpload::heard(result)),
+        Tag::Beside(Screen::Topics, topic) => pane::follow::covered(state, topic, ask::TopicCoverage::heard(result)),
+        Tag::Beside(_, id) => pane::follow::opened_beside(state, id, ask::OpenShared::heard(result)),
+        Tag::Show(id) => state.tell(id, ask::ShowUpload::heard(result), |popup| {
+            if let Popup::Provenance(lookup) = popup { Some(lookup) } else { None }
+        }),
+        Tag::Publishers(topic) => state.tell(topic, ask::ListPins::heard(result), |popup| {
+            if let Popup::Publishers(lookup) = popup { Some(lookup) } else { None }
+        }),
+        // What the site knew before says nothing about what is in flight now.
+        Tag::HoldCapture => {
+            done(state, tag, ask::HoldCapture::heard(result), |state, ()| state.feeds.renew(Feed::Site))
+        }
+        Tag::Lock => locked(state, ask::Lock::heard(result)),
+        Tag::Export(id) => {
+            written(state, tag, ask::ExportUpload::heard(result), |_, base, files| exported(id, base, files));
+        }
+        Tag::ExportKey(kind) => {
+            written(state, tag, ask::ExportKey::heard(result), |state, base, key| {
+                answer::secret(base, key_file(state, *kind), &key)
+            });
+        }
+        Tag::BackUp => {
+            written(state, tag, ask::BackUpKeys::heard(result), |state, base, keys| {
+                answer::secret(base, format!("{}.keyring", state.settings.profile), &keys)
+            });
+        }
+        Tag::Play(_) => done(state, tag, ask::Play::heard(result), |state, view| records::keys::ended(state, &view)),
+        Tag::StopPlay => done(state, tag, ask::StopPlay::heard(result), |_, ()| {}),
+        Tag::Check(_) => done(state, tag, ask::CheckShared::heard(result), |state, check| checked(state, &check)),
+        Tag::Contact(_) => done(state, tag, ask::ListContacts::heard(result), |state, rows| {
+            state.contacts = rows;
+            state.inform(is_done(tag));
+        }),
+        Tag::Incident(Deed::Remove, _) => incident_removed(state, tag, result),
+        Tag::Incident(deed, _) => done(state, tag, ask::OpenIncident::heard(result), |state, view| {
+            incidents::keys::changed(state, *deed, view);
+        }),
+        Tag::Robot(name) => robot::shown(state, name, ask::ShowRobot::heard(result)),
+        Tag::SetPolicy(robot, _) => policy_set(state, tag, robot, result),
+        Tag::Watch(topic) => said(state, tag, ask::WatchTopic::heard(result), |()| format!("now watching {topic}")),
+        Tag::Unwatch(topic) => {
+            said(state, tag, ask::UnwatchTopic::heard(result), |()| format!("no longer watching {topic} (U: undo)"))
+        }
+        Tag::Foresee(_) => grant::foreseen(state, tag, ask::ForeseeGrant::heard(result)),
+        Tag::Grant(_) => said(state, tag, ask::Grant::heard(result), |view| view.text),
+        Tag::Extend(_) => said(state, tag, ask::ExtendGrant::heard(result), |view| view.text),
+        Tag::Revoke(_) => said(state, tag, ask::Revoke::heard(result), |view| view.text),
+        Tag::Rotate => said(state, tag, ask::RotateKeys::heard(result), |view| view.text),
+        Tag::Administer(_) => said(state, tag, ask::Administer::heard(result), |view| view.text),
+        Tag::Deploy => said(state, tag, ask::DeployContract::heard(result), |deployed| {
+            format!("contract {} deployed", deployed.pin.contract)
+        }),
+        Tag::Pin(_) => said(state, tag, ask::PinTopic::heard(result), |_| is_done(tag)),
+        Tag::Unpin(_) => said(state, tag, ask::UnpinTopic::heard(result), |_| is_done(tag)),
+        Tag::Release(_) => said(state, tag, ask::ReleaseHeld::heard(result), |decided| decided.text),
+        Tag::Discard(_) => said(state, tag, ask::DiscardHeld::heard(result), |decided| decided.text),
+        Tag::LoadKey(kind) => key_loaded(state, tag, *kind, result),
+    }
+    follow_up(state, tag);
 }
 
-/// `/shared/` and the owner's name as a graph allows it, or else the beginning of the address.
-fn prefix(owner: Address, name: Option<&str>) -> Option<TopicName> {
-    let plain = |name: &str| name.replace(|letter: char| !letter.is_ascii_alphanumeric(), "_");
-    let of_name = name.and_then(|name| format!("/shared/{}", plain(name)).parse().ok());
-    of_name.or_else(|| {
-        let digits: String = owner.to_string().chars().skip(2).take(8).collect();
-        format!("/shared/x{digits}").parse().ok()
-    })
-}
-
-pub fn ended(state: &mut State, view: &PlayedView) {
-    let published = view.published;
-    let not = view.refused + view.missing;
-    let rest = if not > 0 { format!(", {not} records NOT published") } else { String::new() };
-    let text = |why: &str| format!("playback ended ({why}): {published} messages published{rest}");
-    match view.ended_by.cut_short() {
-        Some(why) => state.complain(text(why)),
-        None => state.inform(text(view.ended_by.word())),
-    }
-}
-
-pub fn open(state: &mut State) {
-    let lines = vec![Line::text("Profile", "name of a profile in this home", Field::default())];
-    let known: Vec<String> = state.settings.profiles.iter().map(ToString::to_string).collect();
-    let mut notes = vec![format!("Now: {}. A keyring opened here stays open until you quit.", state.settings.profile)];
-    if !known.is_empty() {
-        notes.push(format!("Profiles: {}", known.join(" ")));
-    }
-    state.popups.push(Popup::Form(Purpose::Profile, Form::new("Switch to another profile", notes, lines)));
-}
-
-/// Everything known belongs to the previous profile and is requested anew.
-pub fn switch(state: &mut State, profile: ProfileName) {
-    if profile == state.settings.profile {
-        return state.inform(format!("this console already uses profile {profile}"));
-    }
-    if let Some(work) = state.work.iter().find(|tag| tag.is_work()) {
-        let text = format!("{} is still running; wait until it ends, then switch to {profile}", work.words());
-        return state.inform(text);
-    }
-    let mut settings = state.settings.clone();
-    settings.profile.clone_from(&profile);
-    // The successor would start with this console's flags, but for another profile.
-    settings.leaves_site = false;
-    let mut next = State::new(settings);
-    (next.now, next.touched, next.size) = (state.now, state.now, state.size);
-    (next.mouse, next.local_time, next.period) = (state.mouse, state.local_time, state.period);
-    next.theme = std::mem::take(&mut state.theme);
-    next.tour = state.tour.take();
-    next.log = std::mem::take(&mut state.log);
-    next.screen = Screen::Overview;
-    next.former = Some(state.settings.profile.clone());
-    // Answers to requests of the previous profile must not match this one's.
-    next.feeds.follow(&state.feeds);
-    next.effects = std::mem::take(&mut state.effects);
-    *state = next;
-    state.inform(format!("this console now uses profile {profile}"));
-    state.effects.push(Effect::SpeakFor(profile));
-    update::claim(state);
+fn toggle_mouse(state: &mut State) {
+    state.mouse = !state.mouse;
+    state.inform(match state.mouse {
+        true => "mouse on; hold shift to select text in most terminals",
+        false => "mouse off; the terminal handles text selection again",
+    });
+    state.effects.push(Effect::Mouse(state.mouse));
 }

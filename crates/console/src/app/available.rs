@@ -2,11 +2,8 @@
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
-use super::administration::Act;
-use super::screens::{is_active, is_given, robot_of};
-use super::update::Feed;
-use super::verb::{Tag, Verb, entry_of};
-use super::{Screen, State};
+use crate::app::{Feed, Screen, State, Tag, Verb, entry_of};
+use crate::screens::{chain::state::Act, grants::state::is_active, grants::state::is_given, topics::state::robot_of};
 use crate::service::reply::IdentityView;
 
 pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {

@@ -1,16 +1,15 @@
-//! The one list of what an operator can do, and the input and output of `update`.
+//! The one list of what an operator can do, and what is true of each request: its words, its need, what it changes.
+
+#![deny(clippy::wildcard_enum_match_arm)]
 
 use std::path::PathBuf;
 
-use super::Screen::{self, Chain, Grants, Keys, Log, Overview, Robots, Shared, Topics, Uploads};
-use super::administration::Act;
-use super::incidents::Deed;
-use super::keymap::Key;
-use super::palette::{Found, Sought};
-use super::update::Feed;
-use crate::model::{Address, IncidentName, Party, ProfileName, Timestamp};
-use crate::service::{Command, Event, Failure, KeyKind, Reply};
-use zeroize::Zeroizing;
+use crate::app::screen::Screen::{Chain, Grants, Keys, Log, Overview, Robots, Shared, Topics, Uploads};
+use crate::app::{feeds::Feed, key::Key, screen::Screen};
+use crate::model::{Address, IncidentName, Party, TopicPattern};
+use crate::popups::incidents::state::Deed;
+use crate::screens::chain::state::Act;
+use crate::service::{Command, KeyKind, command::RemoveIncident};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Verb {
@@ -262,85 +261,6 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::Suspend, "shell", "", &["^z"], "Back to the shell; `fg` returns"),
 ];
 
-#[derive(Debug)]
-pub enum Action {
-    Do(Verb),
-    Key(Key),
-    Paste(Zeroizing<String>),
-    /// In cells.
-    Resize {
-        columns: u16,
-        rows: u16,
-    },
-    Tick(Timestamp),
-    Answered {
-        tag: Tag,
-        result: Box<Result<Reply, Failure>>,
-    },
-    Told(Event),
-    /// Events were lost; everything is requested again.
-    Missed,
-    /// Where, or why not.
-    FilesWritten(Result<String, String>),
-    PathsFound(Sought, Result<Found, String>),
-    TextRead(PathBuf, Result<String, String>),
-    ThemeIs(String),
-    Wheel {
-        up: bool,
-    },
-    /// Left button on a cell, from 0.
-    Click {
-        column: u16,
-        row: u16,
-    },
-    Resumed,
-    Fault(String),
-}
-
-/// Work for the caller; nothing of it may block `update`.
-#[derive(Debug)]
-#[allow(clippy::large_enum_variant, reason = "a handful at a time, and gone at once")]
-pub enum Effect {
-    Send(Command, Tag),
-    Quit,
-    /// A site continues after the console.
-    LeaveSite,
-    /// The site refuses this console.
-    Leave(Failure),
-    /// Stops the process as Ctrl-Z does.
-    Suspend,
-    Redraw,
-    ShowTheme(String),
-    ToggleAscii,
-    Mouse(bool),
-    /// OSC 52.
-    CopyText(String),
-    SpeakFor(ProfileName),
-    FindPaths(Sought),
-    /// Reads no further than a robot's policy may be long.
-    ReadText(PathBuf),
-    /// Into a new place below `base`, 0600, never overwriting.
-    WriteFiles {
-        /// An existing folder; `None` = the working directory.
-        base: Option<PathBuf>,
-        /// Created, if named.
-        directory: Option<String>,
-        files: Vec<Contents>,
-    },
-}
-
-pub struct Contents {
-    /// No path.
-    pub name: String,
-    pub bytes: Zeroizing<Vec<u8>>,
-}
-
-impl std::fmt::Debug for Contents {
-    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(formatter, "Contents({}, {} bytes)", self.name, self.bytes.len())
-    }
-}
-
 #[derive(Debug, Clone)]
 pub struct Errand {
     pub command: Command,
@@ -451,6 +371,98 @@ pub fn kind_word(kind: KeyKind) -> &'static str {
         KeyKind::Sm2 => "SM2",
         KeyKind::Eoa => "EOA",
     }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Need {
+    Unlocked,
+    /// Unlocked, and registered on the chain.
+    Registered,
+}
+
+/// Pins do not need an open keyring.
+pub fn need_of(tag: &Tag) -> Option<Need> {
+    match tag {
+        Tag::Feed(..) | Tag::OpenConsole | Tag::CreateIdentity | Tag::Unlock | Tag::Lock | Tag::BackUp => None,
+        Tag::HoldCapture | Tag::StopPlay | Tag::Contact(_) | Tag::Incident(..) => None,
+        Tag::Robot(_) | Tag::Publishers(_) | Tag::Show(_) | Tag::Beside(..) | Tag::Pin(_) | Tag::Unpin(_) => None,
+        Tag::Foresee(_) => None,
+        Tag::LoadKey(_) | Tag::Release(_) | Tag::Discard(_) | Tag::Deploy => Some(Need::Unlocked),
+        Tag::Open(_) | Tag::Path(_) | Tag::Check(_) | Tag::Export(_) | Tag::ExportKey(_) => Some(Need::Unlocked),
+        Tag::Play(_) | Tag::SetPolicy(..) => Some(Need::Unlocked),
+        Tag::Extend(_) | Tag::Administer(_) => Some(Need::Registered),
+        Tag::Register | Tag::Watch(_) | Tag::Unwatch(_) | Tag::Grant(_) | Tag::Revoke(_) | Tag::Rotate => {
+            Some(Need::Registered)
+        }
+    }
+}
+
+/// Feeds that an own command makes stale before the site's event arrives.
+pub fn touched_by(tag: &Tag) -> &'static [Feed] {
+    match tag {
+        Tag::Watch(_) | Tag::Unwatch(_) | Tag::HoldCapture => &[Feed::Topics],
+        Tag::SetPolicy(..) => &[Feed::Robots],
+        Tag::Incident(..) => &[Feed::Incidents, Feed::Uploads],
+        Tag::Contact(_) => &[Feed::Contacts, Feed::Grants, Feed::Shared],
+        Tag::Grant(_) | Tag::Extend(_) | Tag::Revoke(_) => &[Feed::Grants, Feed::Identity, Feed::Keys],
+        Tag::LoadKey(_) | Tag::Rotate => &[Feed::Keys, Feed::Identity],
+        Tag::Pin(_) | Tag::Unpin(_) | Tag::Release(_) | Tag::Discard(_) => &[Feed::Topics],
+        Tag::Administer(_) | Tag::Deploy => &[Feed::Chain],
+        Tag::Feed(..) | Tag::OpenConsole | Tag::CreateIdentity | Tag::Unlock | Tag::Register | Tag::Lock => &[],
+        Tag::ExportKey(_) | Tag::BackUp | Tag::Export(_) | Tag::Play(_) | Tag::StopPlay => &[],
+        Tag::Publishers(_) | Tag::Show(_) | Tag::Beside(..) | Tag::Open(_) | Tag::Path(_) | Tag::Check(_) => &[],
+        Tag::Robot(_) | Tag::Foresee(_) => &[],
+    }
+}
+
+#[expect(clippy::large_enum_variant, reason = "there is one at a time")]
+#[derive(Debug, Clone)]
+pub enum Undo {
+    By(Errand),
+    /// A grant: revoking it is another transaction, and does not undo what was read meanwhile.
+    Granted(String),
+    /// Why nothing undoes it.
+    Never(&'static str),
+}
+
+/// `None` = it is nothing to be undone, and what was done before can still be.
+pub fn undone_by(tag: &Tag) -> Option<Undo> {
+    let watching = |name: &String, watch| name.parse().ok().map(|topic| Undo::By(watch_errand(topic, watch)));
+    match tag {
+        Tag::Watch(name) => watching(name, false),
+        Tag::Unwatch(name) => watching(name, true),
+        Tag::Grant(grantee) => Some(Undo::Granted(grantee.to_string())),
+        Tag::Extend(_) => Some(Undo::Never("it was a transaction; e changes the end of the grant (5)")),
+        Tag::Revoke(_) => Some(Undo::Never("a revoke is a transaction: to share again, make a new grant (5, then g)")),
+        Tag::Rotate => Some(Undo::Never("a new epoch cannot be undone")),
+        Tag::LoadKey(_) => Some(Undo::Never("the replaced key is no longer in the keyring; load its file again")),
+        Tag::Release(_) => Some(Undo::Never("released messages are already being anchored; they keep their tag")),
+        Tag::Discard(_) => Some(Undo::Never("discarded messages are deleted; their count is on the chain")),
+        Tag::Administer(_) | Tag::Deploy => {
+            Some(Undo::Never("it was a transaction; send the opposite one instead (7, then :)"))
+        }
+        Tag::Feed(..) | Tag::OpenConsole | Tag::CreateIdentity | Tag::Unlock | Tag::Register | Tag::Lock => None,
+        Tag::HoldCapture | Tag::ExportKey(_) | Tag::BackUp | Tag::Export(_) | Tag::Pin(_) | Tag::Unpin(_) => None,
+        Tag::Incident(deed, name) => Some(deed.stays().map_or_else(|| Undo::By(taken_back(name)), Undo::Never)),
+        Tag::SetPolicy(..) => Some(Undo::Never("a policy's version only rises; set the earlier one again (8, then p)")),
+        Tag::Play(_) | Tag::StopPlay | Tag::Contact(_) | Tag::Robot(_) => None,
+        Tag::Publishers(_) | Tag::Show(_) | Tag::Beside(..) | Tag::Open(_) | Tag::Path(_) | Tag::Check(_) => None,
+        Tag::Foresee(_) => None,
+    }
+}
+
+pub fn watch_errand(topic: TopicPattern, watch: bool) -> Errand {
+    let name = topic.to_string();
+    if watch {
+        Errand { command: Command::WatchTopic { topic, type_name: None }, tag: Tag::Watch(name) }
+    } else {
+        Errand { command: Command::UnwatchTopic { topic }, tag: Tag::Unwatch(name) }
+    }
+}
+
+pub fn taken_back(name: &IncidentName) -> Errand {
+    let tag = Tag::Incident(Deed::Remove, name.clone());
+    Errand { command: RemoveIncident { name: name.clone() }.into(), tag }
 }
 
 #[cfg(test)]

@@ -11,8 +11,9 @@ use signal_hook::iterator::{Handle, Signals};
 use signal_hook::low_level;
 use zeroize::Zeroizing;
 
+use super::encode;
+use super::output::THREAD_PREFIX;
 use super::signals::{self, ENDING, Handled};
-use super::{THREAD_PREFIX, encode};
 use crate::app::{Action, Key};
 
 /// Interval of checks for the end: each costs CPU on an idle console, and nobody waits for this thread.

@@ -8,7 +8,8 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use rustix::termios::{InputModes, LocalModes, OptionalActions, SpecialCodeIndex, Termios, tcgetattr, tcsetattr};
 use zeroize::Zeroizing;
 
-use super::{patiently, signals};
+use super::output::patiently;
+use super::signals;
 
 /// The longest line that a terminal delivers, bytes.
 const LONGEST: usize = 4096;

@@ -1,6 +1,4 @@
-//! Numbers, sizes, ages and lines as the screens say them.
-
-use unicode_width::UnicodeWidthStr;
+//! Numbers, sizes and times in words; wrapping.
 
 use crate::model::Timestamp;
 
@@ -98,6 +96,11 @@ fn append_word(lines: &mut Vec<String>, word: &str, width: usize) {
             line.push(character);
         }
     }
+}
+
+/// `1 record`, `2 records`.
+pub fn counted(count: u64, one: &str) -> String {
+    if count == 1 { format!("1 {one}") } else { format!("{count} {one}s") }
 }
 
 #[cfg(test)]

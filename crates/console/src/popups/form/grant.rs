@@ -1,17 +1,13 @@
-//! The address book on screen, and grants: forms filled from the selected row, terms checked before the question.
+//! Grants: forms filled from the selected row, terms checked before the question.
 
-use super::form::{self, Field, Form, GrantWish, Line, Wrong};
-use super::identity_path::{self, Need};
-use super::keymap::Key;
-use super::palette::common;
-use super::perform::copy;
-use super::popup::{self, Confirm, Popup, Purpose, moved};
-use super::screens::{day, end, is_active, is_given, other_side, scope};
-use super::update::Feed;
-use super::verb::{Errand, Tag};
-use super::{Screen, State, when};
-use crate::model::{Address, ContactName, Party, Timestamp, TopicName, TopicPattern};
-use crate::service::reply::{ContactRow, GrantForesight, GrantRow, Opens};
+use crate::app::{
+    Confirm, Errand, Feed, Field, Form, Line, Need, Popup, Purpose, Screen, State, Tag, Wrong, completion,
+    form::ALL_TOPICS, identity_path, when,
+};
+use crate::model::{Address, Direction, Party, Timestamp, TopicName, TopicPattern, grant::MOST_TOPICS};
+use crate::screens::grants;
+use crate::screens::grants::state::{day, end, is_active, is_given, other_side, scope};
+use crate::service::reply::{GrantForesight, GrantRow, NOTHING_OLDER, Opens};
 use crate::service::{Command, Failure, GrantFrom};
 
 const GRANTEE: usize = 0;
@@ -30,18 +26,18 @@ pub fn begin(state: &mut State) {
 fn terms(row: &GrantRow) -> (String, Vec<String>) {
     let grantee = row.name.clone().unwrap_or_else(|| other_side(row).to_string());
     let topics = match is_given(row) {
-        true if row.topics.is_empty() => vec![form::ALL_TOPICS.to_owned()],
+        true if row.topics.is_empty() => vec![ALL_TOPICS.to_owned()],
         true => row.topics.clone(),
         false => Vec::new(),
     };
     (grantee, topics)
 }
 
-fn open(state: &mut State, grantee: &str, topics: &[String], ends: &str) {
+pub fn open(state: &mut State, grantee: &str, topics: &[String], ends: &str) {
     state.feeds.slot_mut(Feed::Contacts).stale = true;
     // The form shows how many records a grant opens now.
     state.feeds.slot_mut(Feed::Identity).stale = true;
-    state.popups.push(Popup::Form(Purpose::Grant, form::grant(grantee, topics, ends, moments(state))));
+    state.popups.push(Popup::Form(Purpose::Grant, grant_form(grantee, topics, ends, moments(state))));
 }
 
 /// What the words of the line `From` mean now.
@@ -65,7 +61,7 @@ pub fn moments(state: &State) -> Vec<String> {
 /// `grant bob /robot1/odom 30d` of the palette: the form with these terms.
 pub fn spoken(state: &mut State, words: &[&str]) {
     let Some((grantee, rest)) = words.split_first() else { return };
-    let is_topic = |word: &&str| word.starts_with('/') || *word == form::ALL_TOPICS;
+    let is_topic = |word: &&str| word.starts_with('/') || *word == ALL_TOPICS;
     let (topics, ends): (Vec<&str>, Vec<&str>) = rest.iter().copied().partition(is_topic);
     let topics: Vec<String> = topics.into_iter().map(str::to_owned).collect();
     open(state, grantee, &topics, &ends.join(" "));
@@ -144,7 +140,7 @@ fn question(
     foreseen: Option<Result<GrantForesight, Failure>>,
 ) -> (Confirm, Option<(Tag, Errand)>) {
     let standing = standing(state, &wish);
-    let mut question = popup::grant(state, wish, foreseen);
+    let mut question = plain_question(state, wish, foreseen);
     let Some(row) = standing else { return (question, None) };
     let tag = Tag::Revoke(row.grantee);
     let revoke = Errand { command: Command::Revoke { grantee: row.grantee.into() }, tag: tag.clone() };
@@ -209,27 +205,17 @@ pub fn caution(state: &State, command: &Command) -> Option<String> {
 pub fn complete(state: &State, form: &mut Form) -> bool {
     let names: Vec<String> = match form.focus {
         GRANTEE => state.contacts.iter().map(|row| row.name.to_string()).collect(),
-        TOPICS => state.topics.rows.iter().map(|row| row.topic.clone()).chain([form::ALL_TOPICS.to_owned()]).collect(),
+        TOPICS => state.topics.rows.iter().map(|row| row.topic.clone()).chain([ALL_TOPICS.to_owned()]).collect(),
         _ => return false,
     };
-    complete_from(form, &names)
-}
-
-pub fn complete_from(form: &mut Form, names: &[String]) -> bool {
-    let text = form.text(form.focus).to_owned();
-    let (before, begun) = text.rsplit_once([' ', ',']).map_or(("", text.as_str()), |(before, begun)| (before, begun));
-    let fitting = names.iter().map(String::as_str).filter(|name| name.starts_with(begun));
-    let Some(whole) = common(fitting).filter(|whole| !begun.is_empty() && whole != begun) else { return false };
-    let line = if before.is_empty() { whole } else { format!("{before} {whole}") };
-    form.set(form.focus, Field::with(&line));
-    true
+    completion::complete_from(form, &names)
 }
 
 pub fn begin_extension(state: &mut State) {
     let Some(row) = state.grants.selected() else { return };
     let who = row.name.clone().unwrap_or_else(|| row.grantee.short());
     let ends = row.expires.map_or_else(|| "never".to_owned(), day);
-    state.popups.push(Popup::Form(Purpose::Extend, form::extend(&who, &ends)));
+    state.popups.push(Popup::Form(Purpose::Extend, extend_form(&who, &ends)));
 }
 
 /// A later end is the contract's; a sooner one is a revoke and a new grant.
@@ -260,81 +246,95 @@ fn sooner(row: &GrantRow, expires: Option<Timestamp>) -> Result<GrantWish, Wrong
     Ok(GrantWish { grantee: row.grantee.into(), topics, from, expires })
 }
 
-pub fn chosen(state: &State, selected: usize) -> Option<&ContactRow> {
-    state.contacts.get(selected.min(state.contacts.len().saturating_sub(1)))
-}
+const ENDS: &str = "empty = never; 30d, 18:00, tomorrow 18:00";
 
-pub fn open_contacts(state: &mut State) {
-    state.feeds.slot_mut(Feed::Contacts).stale = true;
-    state.popups.push(Popup::Contacts(0));
-}
-
-pub fn hints(state: &State) -> Vec<(&'static str, &'static str)> {
-    let any = !state.contacts.is_empty();
-    let changes = [("n", "new"), ("g", "grant"), ("c", "confirm key"), ("x", "remove")];
-    let changes = changes.into_iter().filter(|(key, _)| !state.settings.read_only && (*key == "n" || any));
-    let looks = any.then_some(("y", "copy address"));
-    changes.chain(looks).chain([("q", "close")]).collect()
-}
-
-pub fn key(state: &mut State, selected: usize, key: Key) {
-    if matches!(key, Key::Escape | Key::Char('q')) {
-        return;
-    }
-    let selected = moved(selected, state.contacts.len(), key);
-    let chosen = chosen(state, selected).cloned();
-    state.popups.push(Popup::Contacts(selected));
-    let changes = !state.settings.read_only;
-    match (key, chosen) {
-        (Key::Char('n'), _) if changes => state.popups.push(Popup::Form(Purpose::AddContact, form())),
-        (Key::Char('x'), Some(row)) if changes => state.popups.push(Popup::Confirm(removal(&row))),
-        (Key::Char('c'), Some(row)) if changes => state.popups.push(Popup::Confirm(confirmation(&row))),
-        (Key::Char('g'), Some(row)) if changes => open(state, &row.name.to_string(), &[], ""),
-        (Key::Char('y'), Some(row)) => copy(state, row.address.to_string()),
-        _ => {}
-    }
-}
-
-pub fn form() -> Form {
+/// Focuses the first empty line; `moments` says what the words of the line `From` mean now.
+pub fn grant_form(grantee: &str, topics: &[String], ends: &str, moments: Vec<String>) -> Form {
     let lines = vec![
-        Line::text("Name", "such as bob", Field::default()),
-        Line::text("Address", "0x and 40 hex", Field::default()),
-        Line::text("Fingerprint", "empty = the registered key", Field::default()),
+        Line::text("Address", "0x and 40 hex, or a contact's name", Field::offering(grantee)),
+        Line::text("Topics", "topic names; all", Field::offering(&topics.join(" "))),
+        Line::text("Ends", ENDS, Field::offering(ends)).time(Direction::Ahead),
+        Line::text("From", "now, epoch, start; 1h, yesterday 18:00", Field::offering("now")).time(Direction::Back),
     ];
+    let mut notes = vec!["Lets another account read your records. Tab completes names.".to_owned()];
+    notes.extend(moments);
+    let mut form = Form::new("Grant", notes, lines);
+    form.focus = usize::from(!grantee.is_empty() && topics.is_empty());
+    form
+}
+
+pub fn extend_form(grantee: &str, ends: &str) -> Form {
+    let lines = vec![Line::text("Ends", ENDS, Field::default()).time(Direction::Ahead)];
     let notes = vec![
-        "A name for an account in this home's forms, lists and commands.".to_owned(),
-        "The fingerprint is checked from then on: get it from its owner.".to_owned(),
+        format!("{grantee} can read until: {ends}"),
+        "Later: one transaction. Sooner: a revoke and a new grant of the same records.".to_owned(),
     ];
-    Form::new("New contact", notes, lines)
+    Form::new("Change the end of the grant", notes, lines)
 }
 
-pub fn read(form: &Form) -> Result<Errand, Wrong> {
-    let (name, address): (ContactName, Address) = (form.parsed(0)?, form.parsed(1)?);
-    let fingerprint = form.typed(2).map(str::to_owned);
-    let tag = Tag::Contact(name.to_string());
-    Ok(Errand { command: Command::AddContact { name, address, fingerprint }, tag })
+#[derive(Debug, Clone)]
+pub struct GrantWish {
+    pub grantee: Party,
+    /// Empty = all.
+    pub topics: Vec<TopicName>,
+    pub from: GrantFrom,
+    pub expires: Option<Timestamp>,
 }
 
-fn removal(row: &ContactRow) -> Confirm {
-    let lines = vec![
-        format!("{}  {}", row.name, row.address),
-        "Grants to this account stay active; they are then listed by address.".to_owned(),
-    ];
-    let tag = Tag::Contact(row.name.to_string());
-    let errand = Errand { command: Command::RemoveContact { name: row.name.clone() }, tag };
-    Confirm { title: format!("Remove {} from the address book?", row.name), lines, yes: "remove", typed: None, errand }
+pub fn read_grant(form: &Form, state: &State) -> Result<GrantWish, Wrong> {
+    let grantee: Party = form.parsed(0)?;
+    if grantee.address().is_some_and(|address| Some(address) == state.address()) {
+        return Err((0, "that is your own address; enter the reader's".to_owned()));
+    }
+    let (topics, all) = form.topics(1, &state.topics.rows)?;
+    if topics.is_empty() && !all {
+        return Err((1, format!("enter topics, or '{ALL_TOPICS}' for every topic")));
+    }
+    if topics.len() > MOST_TOPICS {
+        return Err((1, format!("a grant covers at most {MOST_TOPICS} topics, or all")));
+    }
+    if !topics.is_empty() && all {
+        return Err((1, format!("use either '{ALL_TOPICS}' or topic names, not both")));
+    }
+    let expires = when::expiry(form.text(2), &state.times()).map_err(|error| (2, error))?;
+    let from =
+        GrantFrom::read(form.text(3), |text| state.times().back(text)).map_err(|failure| (3, failure.message))?;
+    Ok(GrantWish { grantee, topics, from, expires })
 }
 
-fn confirmation(row: &ContactRow) -> Confirm {
-    let or_none = |text: &Option<String>| text.clone().unwrap_or_else(|| "none".to_owned());
-    let lines = vec![
-        format!("Noted       {}", or_none(&row.fingerprint)),
-        format!("Registered  {}", or_none(&row.registered)),
-        String::new(),
-        "Ask its owner over another channel first: from now on the registered key counts as genuine.".to_owned(),
+/// `None` = what it opens and costs is not told yet.
+pub fn plain_question(state: &State, wish: GrantWish, foreseen: Option<Result<GrantForesight, Failure>>) -> Confirm {
+    let topics: Vec<String> = wish.topics.iter().map(ToString::to_string).collect();
+    let (records, cost) = match &foreseen {
+        Some(Ok(foreseen)) => (foreseen.moment(|moment| state.times().meaning(moment)), Some(foreseen.cost())),
+        Some(Err(failure)) => (before(wish.from).to_owned(), Some(format!("not known: {}", failure.message))),
+        None => (before(wish.from).to_owned(), None),
+    };
+    let ends = wish.expires.map_or_else(|| "no end".to_owned(), |moment| state.times().meaning(moment));
+    let mut lines = vec![
+        format!("To       {}", wish.grantee),
+        format!("Topics   {}", if topics.is_empty() { scope(&topics) } else { topics.join(" ") }),
+        format!("Records  {records}"),
+        format!("Ends     {ends}"),
     ];
-    let tag = Tag::Contact(row.name.to_string());
-    let command = Command::ConfirmContact { name: row.name.clone(), fingerprint: row.registered.clone() };
-    let errand = Errand { command, tag };
-    Confirm { title: format!("Is this the key of {}?", row.name), lines, yes: "it is", typed: None, errand }
+    lines.extend(cost.map(|cost| format!("Cost     {cost}")));
+    lines.push(String::new());
+    lines.extend(grants::keys::readers(state, "Current readers:", None));
+    lines.push("A later revoke stops new records; what was read cannot be taken back.".to_owned());
+    let GrantWish { grantee, topics, from, expires } = wish;
+    let topics = topics.into_iter().map(Into::into).collect();
+    let tag = Tag::Grant(grantee.clone());
+    let errand = Errand { command: Command::Grant { grantee, topics, from, expires }, tag };
+    Confirm { title: "Grant this?".to_owned(), lines, yes: "grant", typed: None, errand }
+}
+
+/// What is certain before the site has counted.
+fn before(from: GrantFrom) -> &'static str {
+    match from {
+        GrantFrom::Now => NOTHING_OLDER,
+        GrantFrom::Current => "since the current epoch began",
+        GrantFrom::Epoch(1) => "all, from the first epoch on",
+        GrantFrom::Epoch(_) => "since an earlier epoch began",
+        GrantFrom::Time(_) => "since the epoch of that time began",
+    }
 }

@@ -1,21 +1,9 @@
-//! Leaving: what stops with this console and what continues; now, once all is verified, or after pausing the capture.
+//! Leaving: what stops with this console and what continues, and its keys.
 
-use super::State;
-use super::keymap::Key;
-use super::popup::Popup;
-use super::update::Feed;
-use super::verb::{Effect, Errand, Tag};
+use crate::app::{Effect, Errand, Feed, Key, Popup, State, Tag};
+use crate::popups::quit::state::Leaving;
+use crate::screens::{topics, topics::capture::not_captured};
 use crate::service::Command;
-use crate::service::reply::{HeldUp, TopicRow};
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Leaving {
-    Asked,
-    /// Quits when everything is verified.
-    WhenVerified,
-    /// Capture is paused; quits when everything is verified.
-    Held,
-}
 
 /// Whether the site ends with this console.
 fn ends(state: &State) -> bool {
@@ -24,7 +12,7 @@ fn ends(state: &State) -> bool {
 
 /// Whether verifying everything requires pausing the capture first.
 fn can_drain(state: &State) -> bool {
-    ends(state) && captured(state).is_some()
+    ends(state) && topics::capture::captured(state).is_some()
 }
 
 fn capture_lines(state: &State) -> Vec<String> {
@@ -33,7 +21,7 @@ fn capture_lines(state: &State) -> Vec<String> {
         Some(Standing::Joined(process)) => format!("in the site (process {process})"),
         Some(Standing::Host) => String::new(),
     };
-    let mut lines: Vec<String> = match captured(state) {
+    let mut lines: Vec<String> = match topics::capture::captured(state) {
         Some(what) if ends(state) => vec![
             format!("Quitting stops {what}."),
             if state.settings.tour.is_some() {
@@ -44,10 +32,10 @@ fn capture_lines(state: &State) -> Vec<String> {
                 "To keep it running without a console, use: authros serve".to_owned()
             },
         ],
-        Some(what) => vec![format!("{} continues {site}.", super::sentence(&what))],
+        Some(what) => vec![format!("{} continues {site}.", sentence(&what))],
         None => Vec::new(),
     };
-    lines.extend(not_captured(state).map(|what| format!("{} anyway.", super::sentence(&what))));
+    lines.extend(not_captured(state).map(|what| format!("{} anyway.", sentence(&what))));
     lines
 }
 
@@ -167,59 +155,8 @@ impl Standing {
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Capture {
-    Unwatched,
-    Watched,
-    /// Not until the keyring is unlocked.
-    WaitsForKey,
-    Paused,
-    NoPublisher,
-}
-
-impl Capture {
-    /// The worst reason wins.
-    pub fn of(row: &TopicRow) -> Self {
-        match row {
-            TopicRow { watched: false, .. } => Self::Unwatched,
-            TopicRow { held_up: Some(HeldUp::WaitsForKey), .. } => Self::WaitsForKey,
-            TopicRow { held_up: Some(HeldUp::Paused), .. } => Self::Paused,
-            TopicRow { publishers, .. } if publishers.is_empty() => Self::NoPublisher,
-            _ => Self::Watched,
-        }
-    }
-
-    pub fn word(self) -> &'static str {
-        match self {
-            Self::Unwatched => "-",
-            Self::Watched => "watched",
-            Self::WaitsForKey => "waits for key",
-            Self::Paused => "paused",
-            Self::NoPublisher => "no publisher",
-        }
-    }
-}
-
-pub fn count(state: &State, capture: Capture) -> usize {
-    state.topics.rows.iter().filter(|row| Capture::of(row) == capture).count()
-}
-
-/// `the capture of /robot1/odom`, `the capture of 4 topics`.
-pub fn captured(state: &State) -> Option<String> {
-    let mut rows = state.topics.rows.iter().filter(|row| Capture::of(row) == Capture::Watched);
-    let first = rows.next()?;
-    Some(match rows.count() {
-        0 => format!("the capture of {}", first.topic),
-        more => format!("the capture of {} topics", more + 1),
-    })
-}
-
-/// Watched topics that are not captured, and why.
-pub fn not_captured(state: &State) -> Option<String> {
-    let topics = |count: usize| if count == 1 { "1 topic".to_owned() } else { format!("{count} topics") };
-    match (count(state, Capture::WaitsForKey), count(state, Capture::Paused)) {
-        (0, 0) => None,
-        (0, paused) => Some(format!("capture of {} is paused", topics(paused))),
-        (waiting, _) => Some(format!("capture of {} waits for the key", topics(waiting))),
-    }
+/// Upper-cases the first letter.
+pub fn sentence(text: &str) -> String {
+    let mut characters = text.chars();
+    characters.next().map_or_else(String::new, |first| first.to_uppercase().chain(characters).collect())
 }

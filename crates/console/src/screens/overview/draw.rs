@@ -1,22 +1,22 @@
-//! The Overview: health, record counts, the flow of records, alerts, first steps, busiest topics.
+//! The Overview screen: health, life line, law of conservation, alerts, busiest topics, graphs, first steps.
 
 use ratatui::layout::Rect;
 
-use super::canvas::{Canvas, below, columns, right_of, row, rows};
-use super::graph::{Graph, SIDE, Scale};
-use super::table::{Column, draw_plain};
-use super::theme::Role;
-use super::words;
-use super::{bars, graph, lists};
-use crate::app::alerts::Alert;
-use crate::app::history::{Flow, Sample, cells, highest};
-use crate::app::update::Feed;
-use crate::app::{FirstStep, State, first_steps};
+use crate::app::history::{Flow, Period, Sample, highest};
+use crate::app::{Feed, State, alerts::Alert, history};
 use crate::model::clean;
+use crate::screens::{grants::state::is_given, topics::draw::watched};
 use crate::service::reply::{LifeLine, SiteView};
+use crate::ui::graph::{Graph, SIDE, Scale};
+use crate::ui::words::wrap;
+use crate::ui::{
+    Canvas, Column, Role, below, columns, graph, marks, marks::notice_level, marks::simulated, right_of, row, rows,
+    table::draw_plain, words,
+};
 
 /// Fewer rows drop blank lines and show only the next step.
 const ROOMY_FROM: u16 = 18;
+
 /// On a roomy screen.
 const MOST_ALERTS: usize = 4;
 
@@ -44,7 +44,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
         let failure = state.feeds.slot(Feed::Site).failure.as_ref();
         let (text, role) =
             failure.map_or(("The site is starting…", Role::Dim), |failure| (&failure.message, Role::Bad));
-        let lines = words::wrap(&clean(text, 500), rest.width);
+        let lines = wrap(&clean(text, 500), rest.width);
         for (line, text) in (0u16..).zip(&lines) {
             canvas.put(row(rest, line), text, role);
         }
@@ -58,7 +58,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
 
 fn draw_health(canvas: &mut Canvas, area: Rect, site: &SiteView) -> Rect {
     for (line, part) in (0u16..).zip(&site.health) {
-        let (dot, role, _) = bars::level(part);
+        let (dot, role, _) = marks::level(part);
         let place = row(area, line);
         canvas.put(place, &part.part, Role::Body);
         let mut rest = right_of(place, 9);
@@ -156,7 +156,7 @@ fn draw_alert(canvas: &mut Canvas, area: Rect, state: &State, alert: &Alert, mos
     let (when, mark, role) = match alert.resolved {
         Some(at) => (format!("resolved {}{often}", state.clock(at)), "● ", Role::Good),
         None => {
-            let (mark, role) = bars::notice_level(alert.level);
+            let (mark, role) = notice_level(alert.level);
             (format!("{since}{}{often}", state.clock(alert.since)), mark, role)
         }
     };
@@ -172,7 +172,7 @@ fn draw_alert(canvas: &mut Canvas, area: Rect, state: &State, alert: &Alert, mos
 
 /// The last of at most `most` lines has the rest, which is cut where it is drawn.
 fn wrapped(text: &str, width: u16, most: u16) -> Vec<String> {
-    let mut lines = words::wrap(&clean(text, 1_000), width);
+    let mut lines = wrap(&clean(text, 1_000), width);
     let last = usize::from(most).saturating_sub(1);
     if lines.len() > last {
         let rest = lines.split_off(last).join(" ");
@@ -201,9 +201,9 @@ fn draw_busiest(canvas: &mut Canvas, area: Rect, state: &State) {
             (row.type_name.clone().unwrap_or_default(), Role::Dim),
             (words::rate(row.hz), Role::Accent),
             (words::kilobytes(row.bytes_per_second), Role::Body),
-            lists::watched(row),
+            watched(row),
             (if row.simulated { "SIM".to_owned() } else { String::new() }, Role::Dim),
-            lists::simulated(row.simulated),
+            simulated(row.simulated),
         ]
     });
     draw_plain(canvas, area, COLUMNS, rows.collect());
@@ -211,13 +211,18 @@ fn draw_busiest(canvas: &mut Canvas, area: Rect, state: &State) {
 
 /// Columns of names and figures at the left of a low graph.
 const NAMES: u16 = 11;
+
 /// Columns and rows from which two high graphs stand side by side.
 const HIGH_FROM: (u16, u16) = (110, 26);
+
 const HIGH: u16 = 5;
+
 /// Of a low graph. A single row has too few levels to show a fall of a tenth.
 const LOW: u16 = 2;
+
 /// Kept for the busiest topics.
 const KEPT: u16 = 5;
+
 /// Two low graphs and their heading.
 const ROWS: u16 = 1 + 2 * LOW;
 
@@ -237,12 +242,12 @@ pub fn draw_flow(canvas: &mut Canvas, area: Rect, state: &State) -> Rect {
     }
     let high = area.width >= HIGH_FROM.0 && area.height >= HIGH_FROM.1;
     let width = if high { (area.width / 2).saturating_sub(2) } else { area.width.saturating_sub(NAMES) };
-    let parts = 2 * usize::from(cells(width.saturating_sub(SIDE)));
+    let parts = 2 * usize::from(history::cells(width.saturating_sub(SIDE)));
     let flow = state.history.flow(state.period, parts, state.shown_at());
     if !flow.any() {
         return area;
     }
-    let minutes = |period: crate::app::history::Period| format!("{} min", period.minutes());
+    let minutes = |period: Period| format!("{} min", period.minutes());
     let heading = format!("Last {}", minutes(state.period));
     let hint = format!("  m: {}", minutes(state.period.next()));
     let mut rest = canvas.puts(row(area, 0), &[(&heading, Role::Title), (&hint, Role::Dim)]);
@@ -344,4 +349,34 @@ fn draw_step(canvas: &mut Canvas, area: Rect, step: &FirstStep, place: usize, ne
     let name = format!("{} {:<9} ", place + 1, step.name);
     let text = if step.done { Role::Dim } else { Role::Body };
     canvas.puts(area, &[(mark, role), (&name, text), (step.key, Role::Key), ("  ", Role::Body), (step.text, text)]);
+}
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FirstStep {
+    pub done: bool,
+    pub name: &'static str,
+    pub key: &'static str,
+    pub text: &'static str,
+}
+
+/// Empty once the profile is set up.
+pub fn first_steps(state: &State) -> Vec<FirstStep> {
+    let Some(identity) = &state.identity else { return Vec::new() };
+    let set_up = identity.exists && identity.registered;
+    let step = |done, name, key, text| FirstStep { done, name, key, text };
+    let steps = vec![
+        match identity.exists {
+            true => step(set_up, "identity", "R", "register the identity on the chain"),
+            false => step(set_up, "identity", "n", "make keys and register them on the chain"),
+        },
+        step(identity.exists, "keys", "L", "created with the identity; press L to load your own"),
+        step(state.watches(), "topics", "w", "watch a topic: its messages are encrypted and anchored"),
+        step(
+            state.grants.rows.iter().any(is_given) || state.is_locked(),
+            "grant",
+            "g",
+            "let another account read them",
+        ),
+    ];
+    if steps.iter().all(|step| step.done) { Vec::new() } else { steps }
 }

@@ -1,31 +1,30 @@
-//! The pane beside a list on a wide terminal: what does not fit into its columns.
+//! The pane beside a list on a wide terminal: the row under the cursor.
 
 use ratatui::layout::Rect;
 
-use super::canvas::{Canvas, below, right_of, row};
-use super::graph::{Graph, Scale};
-use super::lists::{self, watched};
-use super::popups::{Piece, coverage_lines, inside, provenance_lines, put_lines, record_facts};
-use super::theme::Role;
-use super::words::{count, kilobytes, rate, size, wrap};
-use super::{bars, gateway, graph};
-use crate::app::history::Sample;
-use crate::app::popup::Lookup;
-use crate::app::screens::topics::KEPT_SAMPLES;
-use crate::app::screens::{Records, earlier, end, is_active, is_given, scope, soon};
-use crate::app::{Screen, State, opening};
+use crate::app::{Lookup, Screen, State, history::Sample};
 use crate::model::{Timestamp, clean};
+use crate::popups::{provenance, publishers, record::draw::inside, record::draw::record_lines};
+use crate::screens::grants::state::{earlier, end, is_active, is_given, scope, soon};
+use crate::screens::{
+    pane, records::state::Records, robots::draw::row_facts, topics::draw::watched, topics::state::KEPT_SAMPLES,
+};
 use crate::service::reply::{GrantRow, SenderView, TopicRow};
+use crate::ui::words::wrap;
+use crate::ui::{
+    Canvas, Fact, Piece, Role, below, graph, graph::Graph, graph::Scale, marks::notice_level, put_lines, right_of, row,
+    words,
+};
 
 const LABEL: u16 = 12;
 const HEIGHT: u16 = 8;
 
 /// Returns the space left for the list.
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) -> Rect {
-    if !opening::is_shown(state) {
+    if !pane::follow::is_shown(state) {
         return area;
     }
-    let list = Rect { width: opening::list_width(state).min(area.width), ..area };
+    let list = Rect { width: pane::follow::list_width(state).min(area.width), ..area };
     let pane = right_of(area, list.width);
     for line in 0..pane.height {
         canvas.put(row(pane, line), "│", Role::Border);
@@ -75,12 +74,12 @@ fn draw_topic(canvas: &mut Canvas, area: Rect, state: &State) {
     let scale = Scale::around(&values);
     graph::draw(canvas, place, &Graph { values: &values, scale, role: Role::Accent, marks: true });
     let lines: Vec<Vec<Piece>> =
-        coverage_lines(state, &topic.topic).into_iter().map(|(text, role)| vec![(text, role)]).collect();
+        publishers::coverage_lines(state, &topic.topic).into_iter().map(|(text, role)| vec![(text, role)]).collect();
     put_lines(canvas, below(here, place.height + 2), &lines, 0);
 }
 
 fn about(topic: &TopicRow) -> Vec<(&'static str, String)> {
-    let held = if topic.quarantined > 0 { count(topic.quarantined) } else { String::new() };
+    let held = if topic.quarantined > 0 { words::count(topic.quarantined) } else { String::new() };
     vec![
         ("type", topic.type_name.clone().unwrap_or_else(|| "not known yet".to_owned())),
         ("capture", watched(topic).0),
@@ -88,9 +87,9 @@ fn about(topic: &TopicRow) -> Vec<(&'static str, String)> {
         ("publishers", topic.publishers.join(" ")),
         ("not read", topic.unreached.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")),
         ("not pinned", if topic.pins > 0 { topic.unpinned.join(" ") } else { String::new() }),
-        ("pins", count(topic.pins)),
-        ("rate", format!("{} Hz, {} kB/s", rate(topic.hz), kilobytes(topic.bytes_per_second))),
-        ("captured", count(topic.messages)),
+        ("pins", words::count(topic.pins)),
+        ("rate", format!("{} Hz, {} kB/s", words::rate(topic.hz), words::kilobytes(topic.bytes_per_second))),
+        ("captured", words::count(topic.messages)),
         ("quarantined", held),
         ("lost", format!("{} in transport, {} in the recorder", topic.lost_in_transport, topic.lost_in_recorder)),
         ("last", topic.last_message.map(Timestamp::in_milliseconds).unwrap_or_default()),
@@ -102,7 +101,7 @@ fn draw_record(canvas: &mut Canvas, area: Rect, state: &State, records: &Records
     let key = state.row_key();
     let Some(record) = records.rows.iter().find(|row| Some(&row.id) == key.as_ref()) else { return };
     canvas.put(area, &format!("Record {}", record.id), Role::Title);
-    let mut lines = record_facts(record);
+    let mut lines = record_lines(record);
     lines.push(Vec::new());
     lines.push(vec![(hint.to_owned(), Role::Dim)]);
     put_lines(canvas, below(area, 1), &lines, 0);
@@ -112,7 +111,7 @@ fn draw_steps(canvas: &mut Canvas, area: Rect, state: &State) {
     match &state.detail.steps {
         Some(Lookup { answer: Some(Ok(view)), id, .. }) => {
             canvas.put(area, &format!("Provenance of record {id}"), Role::Title);
-            put_lines(canvas, below(area, 1), &provenance_lines(view, area.width), 0);
+            put_lines(canvas, below(area, 1), &provenance::provenance_lines(view, area.width), 0);
         }
         Some(Lookup { answer: Some(Err(failure)), .. }) => failed(canvas, area, &failure.message),
         _ => draw_record(canvas, area, state, &state.uploads, "Select a record to see its provenance."),
@@ -174,11 +173,11 @@ fn ends(row: &GrantRow, now: Timestamp) -> String {
 }
 
 fn draw_gateway(canvas: &mut Canvas, area: Rect, state: &State) {
-    let plain = |facts: Vec<lists::Fact>| facts.into_iter().map(|(name, text, _)| (name, text)).collect::<Vec<_>>();
+    let plain = |facts: Vec<Fact>| facts.into_iter().map(|(name, text, _)| (name, text)).collect::<Vec<_>>();
     let (title, told) = match state.gateway.selected() {
         None => ("Sender", Vec::new()),
         Some(member) => {
-            let robot = member.robot.map(|robot| plain(gateway::row_facts(robot, state.shown_at())));
+            let robot = member.robot.map(|robot| plain(row_facts(robot, state.shown_at())));
             let title = if robot.is_some() { "Robot" } else { "Sender" };
             let told = robot.into_iter().chain(member.sender.map(sender)).flatten();
             (title, [("name", member.name())].into_iter().chain(told).collect())
@@ -195,16 +194,15 @@ fn sender(row: &SenderView) -> Vec<(&'static str, String)> {
         ("from", row.peer.clone().unwrap_or_default()),
         ("since", moment(row.since)),
         ("last frame", moment(row.last)),
-        ("frames", count(row.frames)),
-        ("bytes", size(row.bytes)),
+        ("frames", words::count(row.frames)),
+        ("bytes", words::size(row.bytes)),
     ]
 }
 
 fn draw_line(canvas: &mut Canvas, area: Rect, state: &State) {
     let Some(line) = state.log.selected() else { return };
     canvas.put(area, &format!("{}  {}  {}", line.at, line.level.word(), line.key), Role::Dim);
-    let role =
-        if line.level == crate::service::NoticeLevel::Info { Role::Body } else { bars::notice_level(line.level).1 };
+    let role = if line.level == crate::service::NoticeLevel::Info { Role::Body } else { notice_level(line.level).1 };
     let lines: Vec<Vec<Piece>> = wrap(&line.text, area.width).into_iter().map(|text| vec![(text, role)]).collect();
     put_lines(canvas, below(area, 2), &lines, 0);
 }

@@ -1,23 +1,18 @@
-//! The screen of robots and the gateway: a row a robot or sender, then what is served, system keys, and refusals.
+//! The Robots screen.
 
 use ratatui::layout::Rect;
 
-use super::canvas::{Canvas, below, row};
-use super::lists::{Fact, draw_facts, empty};
-use super::table::{Column, Sheet, draw as draw_table, order};
-use super::theme::Role;
-use super::words;
-use crate::app::policies::{Standing, words as stands};
-use crate::app::screens::{Member, day};
-use crate::app::update::Feed;
-use crate::app::{Screen, State, counted};
+use crate::app::{Feed, Screen, State};
 use crate::model::{Timestamp, clean};
+use crate::screens::{grants::state::day, robots, robots::state::Member, robots::state::Standing};
 use crate::service::reply::{GatewayStatusView, RobotRow, RobotView, SenderView, SystemKeyView};
+use crate::ui::{Canvas, Column, Fact, Role, Sheet, below, draw_facts, empty, row, rows, table, words};
 
 const MOST_REASONS: usize = 4;
 
 /// Nanoseconds.
 const DAY: u64 = 86_400_000_000_000;
+
 /// A robot whose newest record is younger is active.
 const RECENT: u64 = 60_000_000_000;
 
@@ -47,6 +42,7 @@ const OF_ROBOTS: &[Column] = &[
 
 /// Title and heads of the table; rows of the gateway that stay however many robots there are.
 const HEADS: usize = 2;
+
 const LEAST: u16 = 4;
 
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
@@ -61,7 +57,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
         draw_about(canvas, area, view);
         return;
     }
-    let wanted = super::canvas::rows(all.max(1) + HEADS);
+    let wanted = rows(all.max(1) + HEADS);
     let height = wanted.min(area.height.saturating_sub(LEAST + 1));
     draw_members(canvas, Rect { height, ..area }, state, &gateway.shown());
     draw_about(canvas, below(area, height + 1), view);
@@ -82,7 +78,7 @@ fn draw_about(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView) {
         return;
     };
     let mut facts = vec![
-        ("Listens", format!("{}, {}", served.address, counted(view.connections, "connection")), Role::Good),
+        ("Listens", format!("{}, {}", served.address, words::counted(view.connections, "connection")), Role::Good),
         ("Fingerprint", format!("{} (to be pinned)", served.fingerprint), Role::Body),
         ("Anchors as", served.account.to_string(), Role::Body),
     ];
@@ -131,7 +127,7 @@ fn draw_members(canvas: &mut Canvas, area: Rect, state: &State, rows: &[Member])
         (false, true) => ("Robots", OF_ROBOTS),
         (_, false) => ("Senders", COLUMNS),
     };
-    let order = order(Screen::Robots, &gateway.table);
+    let order = table::order(Screen::Robots, &gateway.table);
     let mut note = format!("{} of {}", rows.len(), gateway.all_members().len());
     if senders || !robots {
         let connected = rows.iter().filter(|row| row.is_connected()).count();
@@ -152,7 +148,7 @@ fn draw_members(canvas: &mut Canvas, area: Rect, state: &State, rows: &[Member])
         _ => "Nobody matches the filter.",
     };
     let sheet = Sheet { title, note, columns, keys: &keys, cells: &cells, table: &gateway.table, empty, old: false };
-    draw_table(canvas, area, &sheet);
+    table::draw(canvas, area, &sheet);
 }
 
 fn cells(state: &State, row: &Member) -> Vec<(String, Role)> {
@@ -216,12 +212,12 @@ fn when(last: Timestamp, now: Timestamp) -> String {
 
 pub fn standing(row: &RobotRow) -> (String, Role) {
     let (mark, role) = match Standing::of(row) {
-        Standing::Unset => return (stands(row), Role::Dim),
+        Standing::Unset => return (robots::state::words(row), Role::Dim),
         Standing::Wrong => ("✖", Role::Bad),
         Standing::Drifts => ("◐", Role::Warning),
         Standing::InForce => ("●", Role::Good),
     };
-    (format!("{mark} {}", stands(row)), role)
+    (format!("{mark} {}", robots::state::words(row)), role)
 }
 
 pub fn row_facts(row: &RobotRow, now: Timestamp) -> Vec<Fact> {
@@ -232,14 +228,14 @@ pub fn row_facts(row: &RobotRow, now: Timestamp) -> Vec<Fact> {
     };
     let mut facts = vec![("policy", wanted, role), runs(row)];
     facts.extend(drift(row, now));
-    facts.push(("waiting", format!("{} of it here", counted(row.waiting, "record")), Role::Body));
+    facts.push(("waiting", format!("{} of it here", words::counted(row.waiting, "record")), Role::Body));
     facts.push(lost(row));
     facts.extend(row.address.iter().map(|address| ("delivers", format!("to {}", clean(address, 255)), Role::Body)));
     facts
 }
 
 fn lost(row: &RobotRow) -> Fact {
-    ("lost", counted(row.lost, "message"), if row.lost > 0 { Role::Warning } else { Role::Body })
+    ("lost", words::counted(row.lost, "message"), if row.lost > 0 { Role::Warning } else { Role::Body })
 }
 
 fn runs(row: &RobotRow) -> Fact {
@@ -259,7 +255,7 @@ fn drift(row: &RobotRow, now: Timestamp) -> Option<Fact> {
 /// All but its topics and the policy's text.
 pub fn facts(view: &RobotView, now: Timestamp) -> Vec<Fact> {
     let row = &view.row;
-    let waiting = counted(row.waiting, "record");
+    let waiting = words::counted(row.waiting, "record");
     let seen = row.last_seen.map_or_else(
         || "never".to_owned(),
         |at| format!("{}, {} ago; {waiting} wait here", words::second(at), words::age(at, now)),

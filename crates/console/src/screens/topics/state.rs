@@ -1,19 +1,20 @@
-//! The Topics screen: rows of the graph, their order and recent transfer rates.
+//! The rows of the graph, their order, robots folded into one row, and recent transfer rates.
 
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 
-use crate::app::history::{Sample, window};
-use crate::app::palette;
-use crate::app::table::Table;
+use crate::app::{history::Sample, history::window, matching::narrow, table::Table};
 use crate::model::Timestamp;
-use crate::service::reply::TopicRow;
+use crate::service::reply::{HeldUp, TopicRow};
 
 const MOST_TOPICS: usize = 5_000;
+
 /// Samples in the line of a row.
 pub const SAMPLES: usize = 16;
+
 /// Samples kept, for the pane.
 pub const KEPT_SAMPLES: usize = 60;
+
 /// Nanoseconds between samples.
 const SAMPLE_EVERY: u64 = 1_000_000_000;
 
@@ -51,7 +52,7 @@ impl Topics {
         let (rows, folded) = (&self.rows, &self.folded);
         // Sorted above.
         let is_there = |name: &String| {
-            let robot = super::folded(name).is_some_and(|robot| folded.contains(robot));
+            let robot = folded(name).is_some_and(|robot| folded.contains(robot));
             robot || rows.binary_search_by(|row| natural(&row.topic, name)).is_ok()
         };
         self.table.marks.retain(is_there);
@@ -106,7 +107,7 @@ impl Topics {
 
     fn samples_of(&self, robot: &str) -> Vec<f64> {
         let mut sums = vec![0.0; KEPT_SAMPLES];
-        let topics = self.rows.iter().filter(|row| super::robot_of(&row.topic) == Some(robot));
+        let topics = self.rows.iter().filter(|row| robot_of(&row.topic) == Some(robot));
         for samples in topics.filter_map(|row| self.history.get(&row.topic)) {
             for (sum, sample) in sums.iter_mut().rev().zip(samples.iter().rev()) {
                 *sum += sample;
@@ -129,19 +130,19 @@ impl Topics {
 
     /// `None` = it is a topic, whatever its name.
     pub fn robot<'a>(&self, name: &'a str) -> Option<&'a str> {
-        super::folded(name).filter(|robot| self.folded.contains(*robot))
+        folded(name).filter(|robot| self.folded.contains(*robot))
     }
 
     /// How many of a folded robot's topics are watched, and how many it has.
     pub fn watched_of(&self, robot: &str) -> (usize, usize) {
-        let rows = || self.rows.iter().filter(|row| super::robot_of(&row.topic) == Some(robot));
+        let rows = || self.rows.iter().filter(|row| robot_of(&row.topic) == Some(robot));
         (rows().filter(|row| row.watched).count(), rows().count())
     }
 
     /// False if the row has no robot.
     pub fn fold(&mut self) -> bool {
         let Some(name) = self.selected().map(|row| row.topic.clone()) else { return false };
-        let Some(robot) = super::robot_of(&name).map(str::to_owned) else { return false };
+        let Some(robot) = robot_of(&name).map(str::to_owned) else { return false };
         let unfolds = self.folded.remove(&robot);
         if !unfolds {
             self.folded.insert(robot.clone());
@@ -150,7 +151,7 @@ impl Topics {
         self.refresh(true);
         // The cursor stays with the robot.
         let keys = self.keys();
-        let is_of = |key: &String| super::robot_of(key) == Some(robot.as_str());
+        let is_of = |key: &String| robot_of(key) == Some(robot.as_str());
         if let Some(position) = keys.iter().position(is_of) {
             self.table.select(&keys, position);
         }
@@ -160,14 +161,14 @@ impl Topics {
     /// A mark on an unfolded robot would refer to nothing.
     fn unmark_robots(&mut self) {
         let folded = &self.folded;
-        let stays = |name: &String| super::folded(name).is_none_or(|robot| folded.contains(robot));
+        let stays = |name: &String| folded(name).is_none_or(|robot| folded.contains(robot));
         self.table.marks.retain(stays);
     }
 
     /// Unfolds all if every robot is folded.
     pub fn fold_all(&mut self) {
         let all: BTreeSet<String> =
-            self.rows.iter().filter_map(|row| super::robot_of(&row.topic).map(str::to_owned)).collect();
+            self.rows.iter().filter_map(|row| robot_of(&row.topic).map(str::to_owned)).collect();
         self.folded = if all.is_subset(&self.folded) { BTreeSet::new() } else { all };
         self.unmark_robots();
         self.refresh(true);
@@ -177,7 +178,7 @@ impl Topics {
 
     fn found(&self) -> Vec<(usize, &TopicRow)> {
         let all = self.rows.iter().enumerate().collect();
-        let mut rows = palette::narrow(self.table.filter.text(), all, |(_, row)| {
+        let mut rows = narrow(self.table.filter.text(), all, |(_, row)| {
             format!("{} {}", row.topic, row.type_name.as_deref().unwrap_or(""))
         });
         // Stable: equal rows stay ordered by name.
@@ -200,7 +201,7 @@ impl Topics {
     fn arranged(&self) -> (Vec<Place>, BTreeMap<String, TopicRow>) {
         let (mut places, mut taken) = (Vec::new(), BTreeMap::<String, Vec<&TopicRow>>::new());
         for (place, row) in self.found() {
-            match super::robot_of(&row.topic).filter(|robot| self.folded.contains(*robot)) {
+            match robot_of(&row.topic).filter(|robot| self.folded.contains(*robot)) {
                 None => places.push(Place::Topic(place)),
                 Some(robot) => {
                     let rows = taken.entry(robot.to_owned()).or_default();
@@ -211,7 +212,7 @@ impl Topics {
                 }
             }
         }
-        let robots = taken.into_iter().map(|(robot, rows)| (robot.clone(), super::together(&robot, &rows))).collect();
+        let robots = taken.into_iter().map(|(robot, rows)| (robot.clone(), together(&robot, &rows))).collect();
         (places, robots)
     }
 
@@ -257,7 +258,7 @@ impl Topics {
         let robots: BTreeSet<&str> = chosen.iter().filter_map(|name| self.robot(name)).collect();
         let shown: BTreeSet<&str> = self.found().into_iter().map(|(_, row)| row.topic.as_str()).collect();
         let is_meant = |row: &&TopicRow| {
-            let robot = super::robot_of(&row.topic).filter(|_| shown.contains(row.topic.as_str()));
+            let robot = robot_of(&row.topic).filter(|_| shown.contains(row.topic.as_str()));
             topics.contains(row.topic.as_str()) || robot.is_some_and(|robot| robots.contains(robot))
         };
         self.rows.iter().filter(is_meant).collect()
@@ -311,6 +312,58 @@ fn descending(one: Option<f64>, other: Option<f64>) -> Ordering {
     step(other).total_cmp(&step(one))
 }
 
+/// `/robot1` of `/robot1/odom`; `None` for `/tf`.
+pub fn robot_of(topic: &str) -> Option<&str> {
+    let end = topic.get(1..)?.find('/')? + 1;
+    topic.get(..end)
+}
+
+/// No topic name ends like this.
+pub fn name_of(robot: &str) -> String {
+    format!("{robot}/")
+}
+
+pub fn folded(name: &str) -> Option<&str> {
+    name.strip_suffix('/')
+}
+
+/// The sum of rates and counts, and the worst state of any.
+pub fn together(robot: &str, rows: &[&TopicRow]) -> TopicRow {
+    let sum = |of: fn(&TopicRow) -> u64| rows.iter().map(|row| of(row)).sum();
+    let rate = |of: fn(&TopicRow) -> Option<f64>| {
+        let known = rows.iter().filter_map(|row| of(row));
+        rows.iter().any(|row| of(row).is_some()).then(|| known.sum())
+    };
+    let held_up = |wanted| rows.iter().any(|row| row.watched && row.held_up == Some(wanted)).then_some(wanted);
+    let mut publishers: Vec<String> = rows.iter().flat_map(|row| row.publishers.clone()).collect();
+    publishers.sort();
+    publishers.dedup();
+    TopicRow {
+        topic: name_of(robot),
+        ros: rows.iter().map(|row| row.ros).min().unwrap_or(1),
+        type_hash: None,
+        qos: None,
+        type_name: Some(format!("{} topics", rows.len())),
+        publishers,
+        unreached: rows.iter().flat_map(|row| row.unreached.clone()).collect(),
+        watched: rows.iter().any(|row| row.watched),
+        watched_by: None,
+        held_up: held_up(HeldUp::WaitsForKey).or(held_up(HeldUp::Paused)),
+        simulated: rows.iter().all(|row| row.simulated),
+        hz: rate(|row| row.hz),
+        bytes_per_second: rate(|row| row.bytes_per_second),
+        messages: sum(|row| row.messages),
+        lost_in_transport: sum(|row| row.lost_in_transport),
+        lost_in_recorder: sum(|row| row.lost_in_recorder),
+        left_out: sum(|row| row.left_out),
+        last_message: rows.iter().filter_map(|row| row.last_message).max(),
+        pins: sum(|row| row.pins),
+        unpinned: rows.iter().flat_map(|row| row.unpinned.clone()).collect(),
+        quarantined: sum(|row| row.quarantined),
+        alarm: rows.iter().any(|row| row.alarm),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -336,5 +389,30 @@ mod tests {
                 assert_eq!(natural(left, right), one.cmp(&two), "{left} {right}");
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod robots_tests {
+    use super::*;
+    use crate::app::tests::fixtures;
+
+    #[test]
+    fn a_robot_is_the_first_part_of_a_name() {
+        assert_eq!(robot_of("/robot1/camera/compressed"), Some("/robot1"));
+        assert_eq!([robot_of("/tf"), robot_of(""), robot_of("odom")], [None; 3]);
+        assert_eq!(robot_of("/机/odom"), Some("/机"));
+        assert_eq!(folded(&name_of("/robot1")), Some("/robot1"));
+        assert_eq!(folded("/robot1/odom"), None);
+    }
+
+    #[test]
+    fn its_row_says_the_sum_and_the_worst() {
+        let one = TopicRow { watched: true, messages: 7, ..fixtures::topic("/r/odom", 20.0) };
+        let other = TopicRow { alarm: true, hz: None, ..fixtures::topic("/r/camera", 2.0) };
+        let row = together("/r", &[&one, &other]);
+        assert_eq!((row.topic.as_str(), row.hz, row.messages), ("/r/", Some(20.0), 7));
+        assert_eq!(row.bytes_per_second, Some(130_400.0));
+        assert!(row.alarm && row.watched);
     }
 }

@@ -1,0 +1,157 @@
+//! Requests as command lines.
+
+#![deny(clippy::wildcard_enum_match_arm)]
+
+use crate::app::verb::{Errand, Tag, kind_word};
+use crate::model::Timestamp;
+use crate::service::command::{Administration, IncidentCommand, PlayWishes};
+use crate::service::{Command, KeyKind};
+
+pub fn command_words(errand: &Errand) -> Option<String> {
+    let Errand { tag, command } = errand;
+    Some(match tag {
+        // Screens' own requests, and what only leaving or ending a playback sends.
+        Tag::Feed(..)
+        | Tag::OpenConsole
+        | Tag::Beside(..)
+        | Tag::Path(_)
+        | Tag::HoldCapture
+        | Tag::StopPlay
+        | Tag::Foresee(_) => {
+            return None;
+        }
+        Tag::CreateIdentity => "identity create".to_owned(),
+        Tag::Unlock => "keys list --passphrase-file FILE".to_owned(),
+        Tag::Register => "register".to_owned(),
+        Tag::Watch(topic) => format!("topics watch {}", quoted(topic)),
+        Tag::Unwatch(topic) => format!("topics unwatch {}", quoted(topic)),
+        Tag::Grant(_) | Tag::Extend(_) | Tag::Revoke(_) | Tag::LoadKey(_) | Tag::ExportKey(_) => of_command(command)?,
+        Tag::Unpin(_) | Tag::Contact(_) | Tag::Incident(..) | Tag::Administer(_) | Tag::Play(_) => of_command(command)?,
+        Tag::Rotate => "keys rotate".to_owned(),
+        Tag::Lock => "identity lock".to_owned(),
+        Tag::BackUp => "keys backup --out FILE".to_owned(),
+        Tag::Deploy => "chain deploy".to_owned(),
+        Tag::Pin(topic) => format!("topics pin {}", quoted(topic)),
+        Tag::Release(topic) => format!("quarantine release --topic {}", quoted(topic)),
+        Tag::Discard(topic) => format!("quarantine discard --topic {} --yes", quoted(topic)),
+        Tag::Publishers(topic) => format!("topics pins --topic {}", quoted(topic)),
+        Tag::Show(id) => format!("uploads show {id}"),
+        Tag::Open(id) => format!("shared open {id}"),
+        Tag::Check(id) => format!("shared check {id}"),
+        Tag::Export(id) => format!("uploads export {id} --dir DIR"),
+        Tag::Robot(name) => format!("robots show {}", quoted(name)),
+        Tag::SetPolicy(robot, Some(file)) => {
+            format!("robots policy {} --set {}", quoted(robot), quoted(&file.to_string_lossy()))
+        }
+        Tag::SetPolicy(robot, None) => format!("robots policy {} --clear", quoted(robot)),
+    })
+}
+
+#[allow(clippy::wildcard_enum_match_arm, reason = "the tags above name the commands that come here")]
+fn of_command(command: &Command) -> Option<String> {
+    let until = |end: Timestamp| format!(" --expires {end}");
+    let keystore = |secret: bool| if secret { " --keystore-passphrase-file FILE" } else { "" };
+    let with = |fingerprint: &Option<String>| {
+        fingerprint.as_ref().map_or_else(String::new, |value| format!(" --fingerprint {}", quoted(value)))
+    };
+    Some(match command {
+        Command::Grant { grantee, topics, from, expires } => {
+            let topics = topics.iter().map(|topic| format!(" --topic {}", quoted(topic.as_str()))).collect::<String>();
+            format!("grant {grantee}{topics} --from {from}{}", expires.map_or_else(String::new, until))
+        }
+        Command::ExtendGrant { grantee, expires } => {
+            format!("grants extend {grantee}{}", expires.map_or_else(|| " --endless".to_owned(), until))
+        }
+        Command::Revoke { grantee } => format!("revoke {grantee}"),
+        Command::LoadKey { kind, path, passphrase } => {
+            let path = quoted(&path.to_string_lossy());
+            format!("keys load --{} {path}{}", flag(*kind), keystore(passphrase.is_some()))
+        }
+        Command::ExportKey { kind, passphrase } => {
+            format!("keys export {} --out FILE{}", flag(*kind), keystore(passphrase.is_some()))
+        }
+        Command::UnpinTopic { topic, caller_id } => {
+            format!("topics unpin {} {}", quoted(topic.as_str()), quoted(caller_id))
+        }
+        Command::AddContact { name, address, fingerprint } => {
+            format!("contacts add {name} {address}{}", with(fingerprint))
+        }
+        Command::ConfirmContact { name, fingerprint } => format!("contacts confirm {name}{}", with(fingerprint)),
+        Command::RemoveContact { name } => format!("contacts remove {name}"),
+        Command::Administer(administration) => of_administrator(administration),
+        Command::OfIncident(command) => of_incident(command),
+        Command::Play(wishes) => of_playback(wishes),
+        _ => return None,
+    })
+}
+
+fn flag(kind: KeyKind) -> String {
+    kind_word(kind).to_lowercase()
+}
+
+fn of_administrator(administration: &Administration) -> String {
+    match administration {
+        Administration::Admit { account } => format!("chain admit {account}"),
+        Administration::Dismiss { account } => format!("chain dismiss {account}"),
+        Administration::Suspend { account } => format!("chain suspend {account}"),
+        Administration::Restore { account } => format!("chain restore {account}"),
+        Administration::Open { open: true } => "chain open".to_owned(),
+        Administration::Open { open: false } => "chain close".to_owned(),
+        Administration::Pause { paused: true, seconds } => {
+            format!("chain pause{}", seconds.map_or_else(String::new, |seconds| format!(" --for {seconds}s")))
+        }
+        Administration::Pause { paused: false, .. } => "chain resume".to_owned(),
+        Administration::Propose { lost, successor } => format!("chain succession propose {lost} {successor}"),
+        Administration::Cancel { lost } => format!("chain succession cancel {lost}"),
+        Administration::Complete { lost } => format!("chain succession complete {lost}"),
+        Administration::HandOver { account } => format!("chain hand-over {account}"),
+        Administration::Accept => "chain accept".to_owned(),
+    }
+}
+
+fn of_incident(command: &IncidentCommand) -> String {
+    match command {
+        IncidentCommand::OpenIncident { name, since, until, topics, note, robots } => {
+            let mut words = format!("incident open {name} --since {since}");
+            words.extend(until.map(|until| format!(" --until {until}")));
+            words.extend(topics.iter().map(|topic| format!(" --topic {topic}")));
+            words.extend(note.iter().map(|note| format!(" --note={}", quoted(note))));
+            words.extend(robots.iter().map(|robot| format!(" --robot {}", quoted(robot))));
+            words
+        }
+        IncidentCommand::NoteIncident { name, text } => format!("incident note {name} -- {}", quoted(text)),
+        IncidentCommand::CloseIncident { name } => format!("incident close {name}"),
+        IncidentCommand::RemoveIncident { name } => format!("incident remove {name} --yes"),
+        IncidentCommand::ListIncidents => "incident list".to_owned(),
+        IncidentCommand::ShowIncident { name } => format!("incident show {name}"),
+    }
+}
+
+fn of_playback(wishes: &PlayWishes) -> String {
+    let mut words = "shared play".to_owned();
+    words.extend(wishes.owner.as_ref().map(|owner| format!(" --owner {owner}")));
+    words.extend(wishes.topics.iter().map(|topic| format!(" --topic {}", quoted(&topic.to_string()))));
+    words.extend(wishes.prefix.as_ref().map(|prefix| format!(" --prefix {prefix}")));
+    format!("{words} --follow")
+}
+
+/// Quotes one word for a POSIX shell.
+fn quoted(text: &str) -> String {
+    let plain = |letter: char| letter.is_ascii_alphanumeric() || "/._-:@,+".contains(letter);
+    if !text.is_empty() && text.chars().all(plain) {
+        return text.to_owned();
+    }
+    format!("'{}'", text.replace('\'', "'\\''"))
+}
+
+#[cfg(test)]
+mod command_line_tests {
+    use super::quoted;
+
+    #[test]
+    fn a_word_of_a_shell_stays_one() {
+        assert_eq!(quoted("/home/a/key.hex"), "/home/a/key.hex");
+        assert_eq!(quoted("a key's $HOME"), "'a key'\\''s $HOME'");
+        assert_eq!(quoted(""), "''");
+    }
+}

@@ -1,0 +1,52 @@
+//! Keys of a question: yes, no, its command line.
+
+use crate::app::{Confirm, Key, Popup, Purpose, State, identity_path, verb::need_of};
+
+pub fn key(state: &mut State, mut confirm: Confirm, key: Key) {
+    // Where a word is typed, letters belong to it.
+    let copies = if confirm.typed.is_some() { Key::Control('y') } else { Key::Char('Y') };
+    if key == copies {
+        state.twin(&confirm.errand).into_iter().for_each(|line| state.copy(line));
+        return state.popups.push(Popup::Confirm(confirm));
+    }
+    let said = match &mut confirm.typed {
+        Some(_) if key == Key::Escape => return unasked(state),
+        Some(typed) if key == Key::Enter => typed.is_done(),
+        Some(typed) => {
+            typed.field.key(key);
+            false
+        }
+        None if key != Key::Char('y') => return unasked(state),
+        None => true,
+    };
+    if !said {
+        return state.popups.push(Popup::Confirm(confirm));
+    }
+    // The form that led here is done.
+    let led_here = |purpose: &Purpose| {
+        use Purpose::{Administer, Extend, Grant, LoadKey, SetPolicy};
+        matches!(purpose, Grant | Extend | LoadKey | Administer(_) | SetPolicy)
+    };
+    let form = state.popups.iter().position(|popup| matches!(popup, Popup::Form(purpose, _) if led_here(purpose)));
+    if let Some(Popup::Form(purpose, form)) = form.map(|place| state.popups.remove(place)) {
+        state.filled = Some((confirm.errand.tag.clone(), purpose, form));
+    }
+    match need_of(&confirm.errand.tag) {
+        Some(need) => identity_path::run(state, need, vec![confirm.errand]),
+        None => state.send(confirm.errand),
+    }
+}
+
+/// Neither the act nor what was to follow it happens.
+fn unasked(state: &mut State) {
+    state.follow_up = None;
+}
+
+pub fn hints(state: &State, confirm: &Confirm) -> Vec<(&'static str, &'static str)> {
+    let [yes, copy, no, cancel] = match &confirm.typed {
+        Some(_) => ["enter", "ctrl-y", "esc", "cancel"],
+        None => ["y", "Y", "any other key", "cancels"],
+    };
+    let twin = state.twin(&confirm.errand).map(|_| (copy, "copy as command"));
+    [(yes, confirm.yes)].into_iter().chain(twin).chain([(no, cancel)]).collect()
+}
