@@ -5,10 +5,10 @@ use std::process::Command as Program;
 
 use clap::Parser as _;
 
-use crate::popups::incidents::state::Deed;
 use crate::app::{Errand, Settings, State, Tag};
 use crate::cli::args::Arguments;
 use crate::model::{Address, IncidentName, Party, Timestamp, TopicName};
+use crate::popups::incidents::state::Deed;
 use crate::service::command::{
     Administration, CloseIncident, Held, NoteIncident, OpenIncident, Pace, PlayWishes, RemoveIncident, SetRobotPolicy,
     ShowRobot,

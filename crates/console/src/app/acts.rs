@@ -12,8 +12,8 @@ use crate::app::{
 };
 use crate::popups::form::{export, grant, policy, profile};
 use crate::popups::{
-    columns, contacts, help::state::Help, incidents, incidents::state::Deed, palette::state::Palette, quit,
-    quit::state::Leaving, record, robot, themes,
+    columns, contacts, incidents, incidents::state::Deed, quit, record, robot, state::Help, state::Leaving,
+    state::Palette, themes,
 };
 use crate::screens::grants::state::{is_active, is_given, other_side};
 use crate::screens::{chain, grants, keys, log::state::LogLine, pane, records, topics};
@@ -34,7 +34,7 @@ pub fn perform(state: &mut State, verb: Verb) {
         Verb::Copy => copied(state).into_iter().for_each(|text| state.copy(text)),
         Verb::WriteFile => copied(state).into_iter().for_each(|text| write_file(state, &text)),
         Verb::CopyCommand => state.last_act.clone().into_iter().for_each(|line| state.copy(line)),
-        Verb::Quit if quit::keys::asks(state) => state.popups.push(Popup::Quit(Leaving::Asked)),
+        Verb::Quit if quit::asks(state) => state.popups.push(Popup::Quit(Leaving::Asked)),
         Verb::Quit => state.effects.push(Effect::Quit),
         Verb::Play => records::keys::play(state),
         Verb::Publishers => topics::keys::publishers(state),

@@ -5,7 +5,7 @@
 use std::path::PathBuf;
 use zeroize::Zeroizing;
 
-use crate::app::{Contents, Effect, Feed, Popup, State, Tag, identity_path, verb::touched_by, verb::undone_by};
+use crate::app::{Contents, Effect, Feed, Popup, State, Tag, identity_path};
 use crate::model::{ErrorKind, Verdict};
 use crate::popups::{form::export, form::profile, robot};
 use crate::service::reply::{CheckView, ExportedFile, IdentityView};
@@ -130,8 +130,8 @@ pub fn done<T>(state: &mut State, tag: &Tag, result: Result<T, Failure>, take: i
                     None => state.filled = None,
                 }
             }
-            state.undo = undone_by(tag).or(state.undo.take());
-            for feed in touched_by(tag) {
+            state.undo = tag.undo().or(state.undo.take());
+            for feed in tag.needs_and_touches().1 {
                 state.feeds.overtake(*feed);
             }
         }

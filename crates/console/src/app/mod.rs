@@ -31,10 +31,8 @@ pub mod update;
 pub mod verb;
 pub mod when;
 
-pub use crate::popups::confirm::state::{Confirm, Typed};
-pub use crate::popups::form::state::Purpose;
 pub use crate::popups::lookup::{Lookup, moved, scrolled};
-pub use crate::popups::state::Popup;
+pub use crate::popups::state::{Confirm, Popup, Purpose, Typed};
 pub use event::{Action, Contents, Effect};
 pub use feeds::Feed;
 pub use form::{Field, Form, FormStep, Input, Line, PathKind, Wrong};

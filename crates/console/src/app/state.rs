@@ -6,12 +6,11 @@ use crate::app::history::{History, Period, Progress, Rates};
 use crate::app::verb::{Errand, Need, Tag, Undo};
 use crate::app::{
     alerts::AlertBook, alerts::Toasts, event::Effect, feeds::Feed, feeds::Feeds, form::Form, key::Key, screen::Screen,
-    settings::Settings, table::Table, tour::ROWS, tour::Tour, twin::command_words,
+    settings::Settings, table::Table, tour::ROWS, tour::Tour,
 };
 use crate::model::{Address, Clock, ProfileName, Timestamp};
 use crate::popups::{
-    form::state::Exports, form::state::Purpose, incidents::state::Incidents, lookup::Lookup, record::state::Opening,
-    state::Popup,
+    incidents::state::Incidents, lookup::Lookup, record::state::Opening, state::Exports, state::Popup, state::Purpose,
 };
 use crate::screens::{
     grants::state::Grants, log::state::Log, pane::state::Detail, records::state::Records, robots::state::Gateway,
@@ -217,7 +216,7 @@ impl State {
 
     /// `None` for acts that have no command line.
     pub fn twin(&self, errand: &Errand) -> Option<String> {
-        let line = self.command_line(&command_words(errand)?);
+        let line = self.command_line(&errand.line()?);
         // What follows a revoke is part of the same question.
         let follows = matches!(errand.tag, Tag::Revoke(_)).then_some(self.follow_up.as_ref()).flatten();
         let after = follows.and_then(|(_, errand)| self.twin(errand));

@@ -2,53 +2,20 @@
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
-use crate::app::verb::{Errand, Tag, kind_word};
 use crate::model::Timestamp;
 use crate::service::command::{Administration, IncidentCommand, PlayWishes};
 use crate::service::{Command, KeyKind};
 
-pub fn command_words(errand: &Errand) -> Option<String> {
-    let Errand { tag, command } = errand;
-    Some(match tag {
-        // Screens' own requests, and what only leaving or ending a playback sends.
-        Tag::Feed(..)
-        | Tag::OpenConsole
-        | Tag::Beside(..)
-        | Tag::Path(_)
-        | Tag::HoldCapture
-        | Tag::StopPlay
-        | Tag::Foresee(_) => {
-            return None;
-        }
-        Tag::CreateIdentity => "identity create".to_owned(),
-        Tag::Unlock => "keys list --passphrase-file FILE".to_owned(),
-        Tag::Register => "register".to_owned(),
-        Tag::Watch(topic) => format!("topics watch {}", quoted(topic)),
-        Tag::Unwatch(topic) => format!("topics unwatch {}", quoted(topic)),
-        Tag::Grant(_) | Tag::Extend(_) | Tag::Revoke(_) | Tag::LoadKey(_) | Tag::ExportKey(_) => of_command(command)?,
-        Tag::Unpin(_) | Tag::Contact(_) | Tag::Incident(..) | Tag::Administer(_) | Tag::Play(_) => of_command(command)?,
-        Tag::Rotate => "keys rotate".to_owned(),
-        Tag::Lock => "identity lock".to_owned(),
-        Tag::BackUp => "keys backup --out FILE".to_owned(),
-        Tag::Deploy => "chain deploy".to_owned(),
-        Tag::Pin(topic) => format!("topics pin {}", quoted(topic)),
-        Tag::Release(topic) => format!("quarantine release --topic {}", quoted(topic)),
-        Tag::Discard(topic) => format!("quarantine discard --topic {} --yes", quoted(topic)),
-        Tag::Publishers(topic) => format!("topics pins --topic {}", quoted(topic)),
-        Tag::Show(id) => format!("uploads show {id}"),
-        Tag::Open(id) => format!("shared open {id}"),
-        Tag::Check(id) => format!("shared check {id}"),
-        Tag::Export(id) => format!("uploads export {id} --dir DIR"),
-        Tag::Robot(name) => format!("robots show {}", quoted(name)),
-        Tag::SetPolicy(robot, Some(file)) => {
-            format!("robots policy {} --set {}", quoted(robot), quoted(&file.to_string_lossy()))
-        }
-        Tag::SetPolicy(robot, None) => format!("robots policy {} --clear", quoted(robot)),
-    })
+pub fn kind_word(kind: KeyKind) -> &'static str {
+    match kind {
+        KeyKind::Sm4 => "SM4",
+        KeyKind::Sm2 => "SM2",
+        KeyKind::Eoa => "EOA",
+    }
 }
 
-#[allow(clippy::wildcard_enum_match_arm, reason = "the tags above name the commands that come here")]
-fn of_command(command: &Command) -> Option<String> {
+#[allow(clippy::wildcard_enum_match_arm, reason = "other requests have no line of their own, or their tag has it")]
+pub fn of_command(command: &Command) -> Option<String> {
     let until = |end: Timestamp| format!(" --expires {end}");
     let keystore = |secret: bool| if secret { " --keystore-passphrase-file FILE" } else { "" };
     let with = |fingerprint: &Option<String>| {
@@ -136,7 +103,7 @@ fn of_playback(wishes: &PlayWishes) -> String {
 }
 
 /// Quotes one word for a POSIX shell.
-fn quoted(text: &str) -> String {
+pub fn quoted(text: &str) -> String {
     let plain = |letter: char| letter.is_ascii_alphanumeric() || "/._-:@,+".contains(letter);
     if !text.is_empty() && text.chars().all(plain) {
         return text.to_owned();

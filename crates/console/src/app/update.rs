@@ -77,7 +77,7 @@ pub fn update(state: &mut State, action: Action) -> Vec<Effect> {
     robots::keys::forget_if_locked(state);
     standing::refresh(state);
     tour::follow::follow(state);
-    if quit::keys::is_over(state) {
+    if quit::is_over(state) {
         state.effects.push(Effect::Quit);
     }
     pane::follow::follow(state);

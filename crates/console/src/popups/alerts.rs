@@ -1,9 +1,7 @@
 //! Every alert in full.
 
-use ratatui::layout::Rect;
-
 use crate::app::{Key, Popup, State, scrolled};
-use crate::ui::{Canvas, Piece, Role, draw_lines, marks::notice_level};
+use crate::ui::{Canvas, Piece, Rect, Role, draw_lines, marks::notice_level};
 
 pub fn key(state: &mut State, scroll: usize, key: Key) {
     let most = state.alerts.shown().len() * 8;

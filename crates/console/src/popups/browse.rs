@@ -1,12 +1,10 @@
 //! What to browse: owners, topics, types, times.
 
-use ratatui::layout::Rect;
-
 use crate::app::{Field, Key, Popup, Screen, State, moved, rows};
 use crate::model::clean;
 use crate::screens::grants::state::{end, is_active, is_given, scope};
 use crate::service::reply::RecordView;
-use crate::ui::{Canvas, Role, draw_list, framed, name_role, right_of, rows};
+use crate::ui::{Canvas, Rect, Role, draw_list, framed, name_role, right_of, rows};
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Choice {

@@ -1,9 +1,7 @@
 //! The keys of a chord that may come next.
 
-use ratatui::layout::Rect;
-
 use crate::app::{Key, Popup, State, Verb, available::available, chord_label, keymap::Meaning};
-use crate::ui::{Canvas, Role, right_of, row, rows};
+use crate::ui::{Canvas, Rect, Role, right_of, row, rows};
 
 pub fn key(state: &mut State, mut pressed: Vec<Key>, key: Key) -> Option<Verb> {
     if key == Key::Escape {

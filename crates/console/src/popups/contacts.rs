@@ -1,12 +1,10 @@
 //! The address book.
 
-use ratatui::layout::Rect;
-
 use crate::app::{Confirm, Errand, Feed, Field, Form, Key, Line, Popup, Purpose, State, Tag, Wrong, moved};
 use crate::model::{Address, ContactName, clean};
 use crate::popups::form::grant;
 use crate::service::{Command, reply::ContactRow};
-use crate::ui::{Canvas, Role, draw_list, empty, framed, name_role, right_of, row, rows};
+use crate::ui::{Canvas, Rect, Role, draw_list, empty, framed, name_role, right_of, row, rows};
 
 pub fn chosen(state: &State, selected: usize) -> Option<&ContactRow> {
     state.contacts.get(selected.min(state.contacts.len().saturating_sub(1)))

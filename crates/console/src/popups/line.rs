@@ -1,11 +1,9 @@
 //! A line of the log in full.
 
-use ratatui::layout::Rect;
-
 use crate::app::{Key, Popup, State};
 use crate::screens::log::state::LogLine;
 use crate::service::NoticeLevel;
-use crate::ui::{Canvas, Role, draw_lines, marks::notice_level};
+use crate::ui::{Canvas, Rect, Role, draw_lines, marks::notice_level};
 
 pub fn key(state: &mut State, line: LogLine, key: Key) {
     match key {

@@ -6,22 +6,21 @@
 pub mod alerts;
 pub mod browse;
 pub mod chord;
+pub mod confirm;
 pub mod contacts;
+pub mod help;
 pub mod line;
 pub mod lookup;
+pub mod palette;
 pub mod provenance;
 pub mod publishers;
+pub mod quit;
 pub mod readers;
 pub mod robot;
 pub mod state;
 pub mod tasks;
 pub mod themes;
 pub mod columns {
-    pub mod draw;
-    pub mod keys;
-    pub mod state;
-}
-pub mod confirm {
     pub mod draw;
     pub mod keys;
     pub mod state;
@@ -34,26 +33,10 @@ pub mod form {
     pub mod keys;
     pub mod policy;
     pub mod profile;
-    pub mod state;
-}
-pub mod help {
-    pub mod draw;
-    pub mod keys;
-    pub mod state;
 }
 pub mod incidents {
     pub mod draw;
     pub mod form;
-    pub mod keys;
-    pub mod state;
-}
-pub mod palette {
-    pub mod draw;
-    pub mod keys;
-    pub mod state;
-}
-pub mod quit {
-    pub mod draw;
     pub mod keys;
     pub mod state;
 }
@@ -63,11 +46,9 @@ pub mod record {
     pub mod state;
 }
 
-use ratatui::layout::Rect;
-
-use self::help::state::Help;
+use self::state::Help;
 use crate::app::{Key, Popup, State, Verb};
-use crate::ui::{Canvas, Role, draw_text};
+use crate::ui::{Canvas, Rect, Role, draw_text};
 
 type Hints = Vec<(&'static str, &'static str)>;
 
@@ -77,7 +58,7 @@ pub fn hints(state: &State, popup: &Popup) -> Hints {
         Popup::Palette(_) => vec![("enter", "run"), ("up down", "choose, earlier"), ("esc", "close")],
         Popup::Help(Help { filtering: true, .. }) => vec![("enter", "apply"), ("esc", "clear")],
         Popup::Help(_) => vec![("up down", "scroll"), ("/", "filter"), ("q", "close")],
-        Popup::Confirm(confirm) => confirm::keys::hints(state, confirm),
+        Popup::Confirm(confirm) => confirm::hints(state, confirm),
         Popup::Form(_, form) => form::keys::hints(form),
         Popup::Provenance(_) => vec![("n p", "next/prev"), ("up down", "scroll"), ("q", "close")],
         Popup::Record(opening) => opening.hints(),
@@ -108,14 +89,14 @@ pub fn key(state: &mut State, key: Key) -> Option<Verb> {
     let quitting = matches!(popup, Popup::Quit(_));
     let key = if key == Key::Control('c') && !quitting { Key::Escape } else { key };
     match popup {
-        Popup::Palette(palette) => return palette::keys::key(state, palette, key),
+        Popup::Palette(palette) => return palette::key(state, palette, key),
         Popup::Chord(begun) => return chord::key(state, begun, key),
         Popup::Record(opening) => return record::keys::key(state, opening, key),
         Popup::Provenance(lookup) => return provenance::key(state, lookup, key),
         Popup::Publishers(lookup) => return publishers::key(state, lookup, key),
         Popup::Form(purpose, form) => form::keys::key(state, purpose, form, key),
-        Popup::Confirm(confirm) => confirm::keys::key(state, confirm, key),
-        Popup::Quit(leaving) => quit::keys::key(state, leaving, key),
+        Popup::Confirm(confirm) => confirm::key(state, confirm, key),
+        Popup::Quit(leaving) => quit::key(state, leaving, key),
         Popup::Themes(choice) => themes::key(state, choice, key),
         Popup::Columns(choice) => columns::keys::key(state, choice, key),
         Popup::Browse(selected) => browse::key(state, selected, key),
@@ -124,7 +105,7 @@ pub fn key(state: &mut State, key: Key) -> Option<Verb> {
         Popup::Robot(lookup) => robot::key(state, lookup, key),
         Popup::Alerts(scroll) => alerts::key(state, scroll, key),
         Popup::Line(line) => line::key(state, line, key),
-        Popup::Help(help) => help::keys::key(state, help, key),
+        Popup::Help(help) => help::key(state, help, key),
         Popup::Tasks | Popup::Readers(_) if matches!(key, Key::Char('q' | 't' | 'i')) => {}
         Popup::Tasks | Popup::Readers(_) | Popup::Unlocked if matches!(key, Key::Escape | Key::Enter) => {}
         Popup::Tasks | Popup::Readers(_) | Popup::Unlocked => state.popups.push(popup),
@@ -139,9 +120,9 @@ fn explained(state: &State, popup: &Popup) -> Hints {
 
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
     match popup {
-        Popup::Palette(palette) => palette::draw::draw(canvas, area, state, palette),
-        Popup::Help(help) => help::draw::draw(canvas, area, state, help),
-        Popup::Confirm(confirm) => confirm::draw::draw(canvas, area, state, confirm),
+        Popup::Palette(palette) => palette::draw(canvas, area, state, palette),
+        Popup::Help(help) => help::draw(canvas, area, state, help),
+        Popup::Confirm(confirm) => confirm::draw(canvas, area, state, confirm),
         Popup::Form(_, form) => form::draw::draw(canvas, area, state, form),
         Popup::Provenance(lookup) => provenance::draw(canvas, area, lookup),
         Popup::Record(opening) => record::draw::draw(canvas, area, opening),
@@ -161,6 +142,6 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
         Popup::Browse(selected) => browse::draw(canvas, area, state, *selected),
         Popup::Contacts(selected) => contacts::draw(canvas, area, state, *selected),
         Popup::Incidents(list) => incidents::draw::draw(canvas, area, state, list),
-        Popup::Quit(leaving) => quit::draw::draw(canvas, area, state, *leaving),
+        Popup::Quit(leaving) => quit::draw(canvas, area, state, *leaving),
     }
 }

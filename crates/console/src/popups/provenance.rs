@@ -1,14 +1,12 @@
 //! Every step from message to verified.
 
-use ratatui::layout::Rect;
-
 use crate::app::{Key, Lookup, Popup, State, Verb};
 use crate::model::clean;
 use crate::popups::{record, record::draw::record_lines};
 use crate::service::reply::{Provenance, ShownState};
 use crate::ui::{
-    Canvas, Piece, Role, columns, frame, frame::LOOKUP_WIDEST, frame::put_lines_above, framed, marks::state_role, pad,
-    rows, words::wrap,
+    Canvas, Piece, Rect, Role, columns, frame, frame::LOOKUP_WIDEST, frame::put_lines_above, framed, marks::state_role,
+    pad, rows, words::wrap,
 };
 
 const STEP: u16 = 14;

@@ -1,12 +1,10 @@
 //! A topic's publishers: pinned, suspect, quarantined.
 
-use ratatui::layout::Rect;
-
 use crate::app::{Key, Lookup, Popup, State, Verb};
 use crate::model::clean;
 use crate::screens::grants::state::day;
 use crate::service::reply::{AlarmView, PinView, PinsView};
-use crate::ui::{Canvas, Piece, Role, draw_lines, frame};
+use crate::ui::{Canvas, Piece, Rect, Role, draw_lines, frame};
 
 pub fn key(state: &mut State, mut lookup: Lookup<PinsView>, key: Key) -> Option<Verb> {
     match key {

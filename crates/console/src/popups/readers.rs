@@ -1,12 +1,10 @@
 //! Who can read these topics now.
 
-use ratatui::layout::Rect;
-
 use crate::app::{Feed, State};
 use crate::screens::grants;
 use crate::screens::grants::state::{end, is_active, is_given, scope};
 use crate::service::reply::GrantRow;
-use crate::ui::{Canvas, Piece, Role, draw_lines};
+use crate::ui::{Canvas, Piece, Rect, Role, draw_lines};
 
 /// No topic = all of them.
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, topics: &[String]) {

@@ -1,14 +1,13 @@
 //! A robot's window.
 
-use ratatui::layout::Rect;
-
 use crate::app::{Errand, Key, Lookup, Popup, State, Tag};
 use crate::model::clean;
 use crate::popups::form::policy;
 use crate::screens::robots;
 use crate::service::{Failure, command::ShowRobot, reply::RobotRow, reply::RobotView};
 use crate::ui::{
-    Canvas, Fact, Piece, Role, columns, draw_told, frame, frame::LOOKUP_WIDEST, framed, pad, rows, words, words::wrap,
+    Canvas, Fact, Piece, Rect, Role, columns, draw_told, frame, frame::LOOKUP_WIDEST, framed, pad, rows, words,
+    words::wrap,
 };
 
 /// Refreshes the window of a robot that changed.

@@ -1,12 +1,12 @@
-//! The popups over a screen; the topmost has the keys.
+//! The popups over a screen, and what the smaller ones know; the topmost has the keys.
 
-use crate::app::{feeds::Feed, form::Form, key::Key};
+use std::path::PathBuf;
+
+use crate::app::{feeds::Feed, form::Field, form::Form, key::Key, verb::Errand, verb::Tag};
 use crate::popups::{
-    columns::state::ColumnChoice, confirm::state::Confirm, form::state::Purpose, help::state::Help,
-    incidents::state::IncidentList, lookup::Lookup, palette::state::Palette, quit::state::Leaving,
-    record::state::Opening,
+    columns::state::ColumnChoice, incidents::state::IncidentList, lookup::Lookup, record::state::Opening,
 };
-use crate::screens::log::state::LogLine;
+use crate::screens::{chain::state::Act, log::state::LogLine};
 use crate::service::reply::{PinsView, Provenance, RobotView};
 
 #[derive(Debug)]
@@ -82,4 +82,87 @@ pub struct ThemeChoice {
     pub selected: usize,
     /// The previous theme, which Esc restores.
     pub before: String,
+}
+
+/// Answered by `y`; anything else means no.
+#[derive(Debug)]
+pub struct Confirm {
+    pub title: String,
+    pub lines: Vec<String>,
+    /// The word beside `y`.
+    pub yes: &'static str,
+    /// Typed instead of `y` for a grave act.
+    pub typed: Option<Typed>,
+    pub errand: Errand,
+}
+
+#[derive(Debug)]
+pub struct Typed {
+    pub wanted: String,
+    pub field: Field,
+}
+
+impl Typed {
+    pub fn new(wanted: &str) -> Self {
+        Self { wanted: wanted.to_owned(), field: Field::default() }
+    }
+
+    pub fn is_done(&self) -> bool {
+        self.field.text().trim() == self.wanted
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Purpose {
+    CreateIdentity,
+    Unlock,
+    Grant,
+    Extend,
+    LoadKey,
+    ExportKey,
+    Export,
+    Administer(Act),
+    AddContact,
+    OpenIncident,
+    NoteIncident,
+    SetPolicy,
+    Profile,
+    Unpin,
+}
+
+#[derive(Debug, Default)]
+pub struct Exports {
+    /// Records of the form on screen.
+    pub ids: Vec<String>,
+    /// The last folder, as typed.
+    pub last: String,
+    /// Target folders of running exports; missing = the working directory.
+    pub folders: Vec<(Tag, PathBuf)>,
+}
+
+#[derive(Debug, Default)]
+pub struct Help {
+    pub scroll: usize,
+    /// Typed after `/`.
+    pub filter: Field,
+    pub filtering: bool,
+    /// Keys of the window below; `None` = those of the screen.
+    pub window: Option<Vec<(&'static str, &'static str)>>,
+}
+
+#[derive(Debug, Default)]
+pub struct Palette {
+    pub field: Field,
+    pub selected: usize,
+    /// Recalled command, counted from the newest.
+    pub recalled: Option<usize>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Leaving {
+    Asked,
+    /// Quits when everything is verified.
+    WhenVerified,
+    /// Capture is paused; quits when everything is verified.
+    Held,
 }

@@ -1,11 +1,10 @@
 //! What runs, and what waits.
 
-use ratatui::layout::Rect;
 use strum::IntoEnumIterator as _;
 
 use crate::app::{Feed, State, Tag};
 use crate::service::reply::{TaskState, TaskView};
-use crate::ui::{Canvas, Piece, Role, draw_lines, many, words};
+use crate::ui::{Canvas, Piece, Rect, Role, draw_lines, many, words};
 
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     let mut lines: Vec<Piece> = state.work.iter().map(Tag::words).map(|words| (words, Role::Accent)).collect();

@@ -1,12 +1,11 @@
 //! Themes, each shown while it is under the cursor.
 
-use ratatui::layout::Rect;
 use strum::IntoEnumIterator as _;
 
 use crate::app::{Effect, Key, Popup, State, moved};
 use crate::model::clean;
 use crate::popups::state::ThemeChoice;
-use crate::ui::{Canvas, Role, draw_list, framed, name_role, right_of, row, rows};
+use crate::ui::{Canvas, Rect, Role, draw_list, framed, name_role, right_of, row, rows};
 
 pub fn choose(state: &mut State) {
     let before = state.theme.clone();

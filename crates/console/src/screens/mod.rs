@@ -18,9 +18,7 @@ pub mod log {
     pub mod draw;
     pub mod state;
 }
-pub mod overview {
-    pub mod draw;
-}
+pub mod overview;
 pub mod pane {
     pub mod draw;
     pub mod follow;
@@ -43,14 +41,12 @@ pub mod topics {
     pub mod state;
 }
 
-use ratatui::layout::Rect;
-
 use crate::app::{Screen, State};
-use crate::ui::Canvas;
+use crate::ui::{Canvas, Rect};
 
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     match state.screen {
-        Screen::Overview => overview::draw::draw(canvas, area, state),
+        Screen::Overview => overview::draw(canvas, area, state),
         Screen::Topics => topics::draw::draw(canvas, area, state),
         Screen::Uploads | Screen::Shared => records::draw::draw(canvas, area, state),
         Screen::Grants => grants::draw::draw(canvas, area, state),

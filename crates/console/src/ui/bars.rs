@@ -4,7 +4,7 @@ use ratatui::layout::Rect;
 
 use crate::app::{Entry, Feed, Screen, State, VERBS, Verb, available::available};
 use crate::popups;
-use crate::popups::quit::keys::Standing;
+use crate::popups::quit::Standing;
 use crate::service::reply::{HealthLevel, PartHealth};
 use crate::ui::canvas::{Canvas, columns, right_of, row};
 use crate::ui::{frame::MOST_LINES, marks, marks::notice_level, theme::Role, words::wrap};

@@ -31,6 +31,7 @@ pub use frame::{
     Piece, draw_lines, draw_list, draw_text, draw_told, framed, labelled, many, name_role, pad, put_lines,
 };
 pub use plot::BAYER;
+pub use ratatui::layout::Rect;
 pub use table::{Column, Layout, Sheet};
 pub use theme::{Role, Theme, ThemeError, Themes};
 

@@ -3,7 +3,7 @@
 use super::{Robot, fixtures};
 use crate::app::{Effect, Feed, Key, Popup, Purpose, Settings, State, Tag};
 use crate::model::ErrorKind;
-use crate::screens::overview::draw::first_steps;
+use crate::screens::overview::first_steps;
 use crate::service::{Command, Reply};
 
 fn passphrase_twice(robot: &mut Robot, once: &str, again: &str) {

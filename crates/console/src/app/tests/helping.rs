@@ -2,7 +2,7 @@
 
 use super::Robot;
 use crate::app::{Key, Popup};
-use crate::popups::help::state::Help;
+use crate::popups::state::Help;
 
 fn help(robot: &Robot) -> &Help {
     match robot.state.popups.last() {

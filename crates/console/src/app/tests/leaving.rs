@@ -4,7 +4,7 @@ use super::{Robot, fixtures};
 use crate::app::tour::Cast;
 use crate::app::{Action, Effect, Feed, Key, Popup, Tag};
 use crate::model::ProfileName;
-use crate::popups::quit::state::Leaving;
+use crate::popups::state::Leaving;
 use crate::service::reply::{HeldUp, LifeLine, QueueView, SiteView, TopicRow};
 use crate::service::{Command, Part, Reply};
 

@@ -3,7 +3,7 @@
 use super::Robot;
 use crate::app::available::available;
 use crate::app::{Key, Popup, Screen, VERBS, Verb};
-use crate::popups::palette::state::Palette;
+use crate::popups::state::Palette;
 
 fn names(robot: &Robot) -> Vec<&'static str> {
     match robot.state.popups.last() {

@@ -1,12 +1,10 @@
 //! The choice of a list's columns on screen.
 
-use ratatui::layout::Rect;
-
 use crate::app::{Screen, State};
 use crate::popups::columns;
 use crate::popups::columns::state::{ALWAYS, ColumnChoice, offered};
 use crate::screens::{pane, records::draw::columns_of, topics::draw::COLUMNS};
-use crate::ui::{Canvas, Column, Layout, Role, draw_list, framed, name_role, right_of, rows};
+use crate::ui::{Canvas, Column, Layout, Rect, Role, draw_list, framed, name_role, right_of, rows};
 
 const WIDTH: u16 = 66;
 const BOX: u16 = 4;

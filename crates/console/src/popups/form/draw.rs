@@ -1,10 +1,10 @@
 //! A form on screen.
 
-use ratatui::layout::{Position, Rect};
+use ratatui::layout::Position;
 
 use crate::app::{Form, Input, Line, State, when};
 use crate::model::clean;
-use crate::ui::{Canvas, Role, columns, framed, right_of, row, rows, words::wrap};
+use crate::ui::{Canvas, Rect, Role, columns, framed, right_of, row, rows, words::wrap};
 
 const LABEL: u16 = 13;
 

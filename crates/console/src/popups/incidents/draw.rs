@@ -1,16 +1,13 @@
 //! Incidents on screen.
 
-use ratatui::layout::Rect;
-
 use crate::app::{Feed, State};
 use crate::model::{Timestamp, clean};
 use crate::popups::incidents::state::IncidentList;
 use crate::screens::grants::state::day;
 use crate::service::reply::{IncidentNoteView, IncidentView, SpanCoverageView};
-use crate::ui::words::wrap;
 use crate::ui::{
-    Canvas, Piece, Role, below, draw_list, draw_told, empty, frame::LOOKUP_WIDEST, framed, many, name_role, right_of,
-    rows, words,
+    Canvas, Piece, Rect, Role, below, draw_list, draw_told, empty, frame::LOOKUP_WIDEST, framed, many, name_role,
+    right_of, rows, words, words::wrap,
 };
 
 const INCIDENT_NAME: u16 = 22;

@@ -1,14 +1,12 @@
 //! An opened record on screen.
 
-use ratatui::layout::Rect;
-
 use crate::model::{Verdict, clean};
 use crate::popups::record::state::{BYTES_A_LINE, Face, Opening};
 use crate::ros::readable::{Readable, Table};
 use crate::service::reply::{OpenedView, RecordView};
 use crate::ui::{
-    Canvas, Piece, Role, below, columns, frame, framed, labelled, pad, plot, plot::draw_raster, put_lines, row, rows,
-    words::size, words::wrap,
+    Canvas, Piece, Rect, Role, below, columns, frame, framed, labelled, pad, plot, plot::draw_raster, put_lines, row,
+    rows, words::size, words::wrap,
 };
 
 const WIDEST: u16 = 120;

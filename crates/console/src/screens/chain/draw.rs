@@ -1,12 +1,10 @@
 //! The Chain screen.
 
-use ratatui::layout::Rect;
-
 use crate::app::{Feed, State};
 use crate::model::Address;
 use crate::pipeline::sender::LaneState;
 use crate::service::reply::{AdministrationView, ChainView, GasView};
-use crate::ui::{Canvas, Fact, Role, below, draw_facts, empty, facts::draw_fact, facts::put_whole, row, words};
+use crate::ui::{Canvas, Fact, Rect, Role, below, draw_facts, empty, facts::draw_fact, facts::put_whole, row, words};
 
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     canvas.put(area, "Chain", Role::Title);

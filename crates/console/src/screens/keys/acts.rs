@@ -2,7 +2,7 @@
 
 use crate::app::{
     Confirm, Errand, Field, Form, Line, PathKind, Popup, Purpose, Settings, State, Tag, Wrong, completion,
-    verb::kind_word,
+    twin::kind_word,
 };
 use crate::popups::{form::export, form::identity, form::identity::SHORTEST_PASSPHRASE};
 use crate::service::{Command, KeyKind};

@@ -1,11 +1,9 @@
 //! The Keys screen.
 
-use ratatui::layout::Rect;
-
 use crate::app::{Feed, State};
 use crate::screens::topics;
 use crate::service::reply::{EpochView, IdentityView, KeysView};
-use crate::ui::{Canvas, Role, below, draw_facts, facts::LABEL, facts::draw_fact, right_of, row};
+use crate::ui::{Canvas, Rect, Role, below, draw_facts, facts::LABEL, facts::draw_fact, right_of, row};
 
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     canvas.put(area, "Keys", Role::Title);

@@ -1,11 +1,9 @@
 //! The Log screen.
 
-use ratatui::layout::Rect;
-
 use crate::app::State;
 use crate::screens::log::state::{LogLine, Source};
 use crate::service::NoticeLevel;
-use crate::ui::{Canvas, Column, Role, Sheet, marks::notice_level, table, table::with_local_time};
+use crate::ui::{Canvas, Column, Rect, Role, Sheet, marks::notice_level, table, table::with_local_time};
 
 const LOG_COLUMNS: &[Column] =
     &[Column::text("UTC", 8), Column::text("Level", 7), Column::text("From", 11), Column::wide("What")];

@@ -1,7 +1,5 @@
 //! The pane beside a list on a wide terminal: the row under the cursor.
 
-use ratatui::layout::Rect;
-
 use crate::app::{Lookup, Screen, State, history::Sample};
 use crate::model::{Timestamp, clean};
 use crate::popups::{provenance, publishers, record::draw::inside, record::draw::record_lines};
@@ -10,10 +8,9 @@ use crate::screens::{
     pane, records::state::Records, robots::draw::row_facts, topics::draw::watched, topics::state::KEPT_SAMPLES,
 };
 use crate::service::reply::{GrantRow, SenderView, TopicRow};
-use crate::ui::words::wrap;
 use crate::ui::{
-    Canvas, Fact, Piece, Role, below, graph, graph::Graph, graph::Scale, marks::notice_level, put_lines, right_of, row,
-    words,
+    Canvas, Fact, Piece, Rect, Role, below, graph, graph::Graph, graph::Scale, marks::notice_level, put_lines,
+    right_of, row, words, words::wrap,
 };
 
 const LABEL: u16 = 12;

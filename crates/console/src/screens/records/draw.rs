@@ -1,14 +1,12 @@
 //! The Uploads and Shared screens.
 
-use ratatui::layout::Rect;
-
 use crate::app::{Feed, Screen, State};
 use crate::model::{RecordKind, Timestamp};
 use crate::screens::records::state::{Records, Wanted};
 use crate::service::reply::RecordView;
 use crate::ui::{
-    Canvas, Column, Layout, Role, Sheet, empty, marks::simulated, marks::state_role, table, table::with_local_time,
-    words,
+    Canvas, Column, Layout, Rect, Role, Sheet, empty, marks::simulated, marks::state_role, table,
+    table::with_local_time, words,
 };
 
 pub fn columns_of(screen: Screen) -> Vec<Column> {

@@ -1,12 +1,10 @@
 //! The Robots screen.
 
-use ratatui::layout::Rect;
-
 use crate::app::{Feed, Screen, State};
 use crate::model::{Timestamp, clean};
 use crate::screens::{grants::state::day, robots, robots::state::Member, robots::state::Standing};
 use crate::service::reply::{GatewayStatusView, RobotRow, RobotView, SenderView, SystemKeyView};
-use crate::ui::{Canvas, Column, Fact, Role, Sheet, below, draw_facts, empty, row, rows, table, words};
+use crate::ui::{Canvas, Column, Fact, Rect, Role, Sheet, below, draw_facts, empty, row, rows, table, words};
 
 const MOST_REASONS: usize = 4;
 

@@ -1,11 +1,9 @@
 //! The Topics screen.
 
-use ratatui::layout::Rect;
-
 use crate::app::{Feed, Screen, State};
 use crate::screens::{topics::capture::Capture, topics::state::SAMPLES};
 use crate::service::reply::TopicRow;
-use crate::ui::{Canvas, Column, Layout, Role, Sheet, empty, graph::line, marks::simulated, row, table, words};
+use crate::ui::{Canvas, Column, Layout, Rect, Role, Sheet, empty, graph::line, marks::simulated, row, table, words};
 
 pub const COLUMNS: &[Column] = &[
     Column::name("Topic").named("topic"),

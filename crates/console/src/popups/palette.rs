@@ -1,10 +1,13 @@
-//! Keys of the palette: every command by name, some with terms.
+//! The palette: every command by name, some with terms.
+
+use ratatui::layout::Position;
 
 use crate::app::{
     Entry, Field, Key, Popup, State, VERBS, Verb, available::available, matching::score, matching::whole_words, tour,
 };
-use crate::popups::{columns, form::grant, form::profile, palette::state::Palette};
+use crate::popups::{columns, form::grant, form::profile, state::Palette};
 use crate::screens::topics;
+use crate::ui::{Canvas, Rect, Role, below, columns, draw_list, framed, right_of};
 
 #[allow(clippy::wildcard_enum_match_arm, reason = "any other key is typed")]
 pub fn key(state: &mut State, mut palette: Palette, key: Key) -> Option<Verb> {
@@ -90,4 +93,26 @@ impl Palette {
         found.sort_by_key(|(score, entry)| (available(state, entry.verb).is_err(), *score));
         found.into_iter().map(|(_, entry)| entry).collect()
     }
+}
+
+const NAME: u16 = 17;
+
+pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, palette: &Palette) {
+    let inner = framed(canvas, area, "Commands", 72, 14);
+    canvas.puts(inner, &[(": ", Role::Key), (palette.field.text(), Role::Accent)]);
+    let before: String = palette.field.text().chars().take(palette.field.cursor()).collect();
+    canvas.cursor = Some(Position { x: inner.x + 2 + columns(&before), y: inner.y });
+    let matches = palette.matches(state);
+    if matches.is_empty() {
+        canvas.put(below(inner, 1), "no command matches", Role::Dim);
+    }
+    draw_list(canvas, below(inner, 1), &matches, palette.selected, |canvas, line, entry, here| {
+        let reason = available(state, entry.verb).err();
+        let role = if reason.is_some() { Role::Dim } else { Role::Body };
+        canvas.put(line, entry.name, if here { Role::Selection } else { role });
+        let key = state.settings.keymap.label(entry, state.screen);
+        canvas.put(Rect { width: 9, ..right_of(line, NAME) }, &key, Role::Key);
+        let text = reason.map_or_else(|| entry.help.to_owned(), |reason| format!("({reason}) {}", entry.help));
+        canvas.put(right_of(line, NAME + 10), &text, role);
+    });
 }

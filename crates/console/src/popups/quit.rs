@@ -1,9 +1,10 @@
-//! Leaving: what stops with this console and what continues, and its keys.
+//! Leaving: what stops with this console and what continues; now, once all is verified, or after pausing the capture.
 
 use crate::app::{Effect, Errand, Feed, Key, Popup, State, Tag};
-use crate::popups::quit::state::Leaving;
+use crate::popups::state::Leaving;
 use crate::screens::{topics, topics::capture::not_captured};
 use crate::service::Command;
+use crate::ui::{Canvas, Rect, Role, draw_text};
 
 /// Whether the site ends with this console.
 fn ends(state: &State) -> bool {
@@ -159,4 +160,15 @@ impl Standing {
 pub fn sentence(text: &str) -> String {
     let mut characters = text.chars();
     characters.next().map_or_else(String::new, |first| first.to_uppercase().chain(characters).collect())
+}
+
+pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, leaving: Leaving) {
+    let hints = leaving.hints(state);
+    // Four hints fit 80 columns only with narrow gaps.
+    let gap = if hints.len() > 3 { "  " } else { "    " };
+    let answer: Vec<(&str, Role)> = hints
+        .iter()
+        .flat_map(|(key, word)| [(*key, Role::Key), (" ", Role::Body), (*word, Role::Body), (gap, Role::Body)])
+        .collect();
+    draw_text(canvas, area, "Quit?", &leaving.lines(state), &answer);
 }

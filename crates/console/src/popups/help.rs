@@ -1,12 +1,29 @@
-//! Help on screen.
-
-use ratatui::layout::Rect;
+//! Help: the keys of a screen, or of the window below.
 
 use crate::app::{
-    Entry, State, VERBS, available::available, chord_label, keymap::Binding, matching::whole_words, tour,
+    Entry, Key, Popup, State, VERBS, available::available, chord_label, keymap::Binding, matching::whole_words,
+    scrolled, tour,
 };
-use crate::popups::help::state::Help;
-use crate::ui::{Canvas, Role, framed, right_of, row, rows, words::wrap};
+use crate::popups::state::Help;
+use crate::ui::{Canvas, Rect, Role, framed, right_of, row, rows, words::wrap};
+
+pub fn key(state: &mut State, mut help: Help, key: Key) {
+    match key {
+        Key::Escape if help.filtering || !help.filter.text().is_empty() => {
+            (help.filtering, help.filter) = Default::default()
+        }
+        Key::Enter if help.filtering => help.filtering = false,
+        Key::Up | Key::Down | Key::PageUp | Key::PageDown | Key::Home if help.filtering => {}
+        _ if help.filtering => drop(help.filter.key(key)),
+        Key::Char('/') => help.filtering = true,
+        Key::Char('?') => return,
+        _ => match scrolled(help.scroll, key, state.page_rows()) {
+            Some(scroll) => help.scroll = scroll.min(VERBS.len() * 2),
+            None => return,
+        },
+    }
+    state.popups.push(Popup::Help(help));
+}
 
 const HELP_KEYS: u16 = 14;
 const HELP_WIDTH: u16 = 72;

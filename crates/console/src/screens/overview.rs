@@ -1,17 +1,14 @@
 //! The Overview screen: health, life line, law of conservation, alerts, busiest topics, graphs, first steps.
 
-use ratatui::layout::Rect;
-
 use crate::app::history::{Flow, Period, Sample, highest};
 use crate::app::{Feed, State, alerts::Alert, history};
 use crate::model::clean;
 use crate::screens::{grants::state::is_given, topics::draw::watched};
 use crate::service::reply::{LifeLine, SiteView};
 use crate::ui::graph::{Graph, SIDE, Scale};
-use crate::ui::words::wrap;
 use crate::ui::{
-    Canvas, Column, Role, below, columns, graph, marks, marks::notice_level, marks::simulated, right_of, row, rows,
-    table::draw_plain, words,
+    Canvas, Column, Rect, Role, below, columns, graph, marks, marks::notice_level, marks::simulated, right_of, row,
+    rows, table::draw_plain, words, words::wrap,
 };
 
 /// Fewer rows drop blank lines and show only the next step.
