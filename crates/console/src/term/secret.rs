@@ -4,12 +4,16 @@
 use std::fs::{File, OpenOptions};
 use std::io::{self, IsTerminal as _, Read as _, Write as _};
 use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::thread;
 
 use rustix::termios::{InputModes, LocalModes, OptionalActions, SpecialCodeIndex, Termios, tcgetattr, tcsetattr};
+use signal_hook::consts::signal::SIGCONT;
+use signal_hook::iterator::Signals;
+use signal_hook::low_level;
 use zeroize::Zeroizing;
 
 use super::output::patiently;
-use super::signals;
+use super::signals::{ENDING, Handled};
 
 /// The longest line that a terminal delivers, bytes.
 const LONGEST: usize = 4096;
@@ -44,7 +48,7 @@ impl Hidden {
             return Ok(None);
         }
         let Ok(terminal) = OpenOptions::new().read(true).write(true).open("/dev/tty") else { return Ok(None) };
-        signals::keep_default()?;
+        keep_default()?;
         let before = tcgetattr(&terminal)?;
         let hidden = without_echo(before.clone());
         *asking() = Some(Modes { terminal: terminal.try_clone()?, before, hidden: hidden.clone() });
@@ -91,7 +95,7 @@ fn without_echo(mut modes: Termios) -> Termios {
 }
 
 /// Gives the terminal its echo back; `false` if there was no question.
-pub(super) fn end() -> bool {
+fn end() -> bool {
     let Some(Modes { terminal, before, .. }) = asking().take() else { return false };
     // A terminal that fails now cannot be helped.
     drop(set(&terminal, &before));
@@ -99,9 +103,31 @@ pub(super) fn end() -> bool {
 }
 
 /// After a stop: the shell has set modes of its own meanwhile.
-pub(super) fn hide_again() {
+fn hide_again() {
     if let Some(Modes { terminal, hidden, .. }) = &*asking() {
         // If the terminal is gone, the question ends.
         tcsetattr(terminal, OptionalActions::Now, hidden).ok();
+    }
+}
+
+/// From now on a signal that nobody handles ends the process, and the terminal has its echo back. A program that has
+/// listened to a signal once never gets the system's own action back, so a thread repeats that action.
+pub fn keep_default() -> io::Result<()> {
+    static STARTED: Mutex<bool> = Mutex::new(false);
+    let mut started = STARTED.lock().unwrap_or_else(PoisonError::into_inner);
+    if !*started {
+        let mut signals = Signals::new(ENDING.into_iter().chain([SIGCONT]))?;
+        thread::Builder::new().name("signals".to_owned()).spawn(move || signals.forever().for_each(received))?;
+        *started = true;
+    }
+    Ok(())
+}
+
+fn received(signal: i32) {
+    if signal == SIGCONT {
+        hide_again();
+    } else if end() || !Handled::by_anybody() {
+        // It fails only for signals that do not end a process.
+        drop(low_level::emulate_default_handler(signal));
     }
 }
