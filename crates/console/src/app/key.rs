@@ -1,7 +1,5 @@
 //! A key as every terminal can send it.
 
-use std::fmt::Write as _;
-
 /// Alt, function keys and terminal-specific keys do not exist here.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Key {

@@ -4,7 +4,6 @@ use strum::IntoEnumIterator as _;
 use strum::{EnumCount, EnumIter, IntoStaticStr};
 
 use crate::app::feeds::Feed;
-use crate::screens::{grants::state::Grants, log::state::Log, topics::state::Topics};
 
 /// Number keys 1 to 9 follow this order.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, EnumCount, EnumIter, IntoStaticStr)]

@@ -1,6 +1,6 @@
 //! Robots and other devices of the gateway, and how they stand to their policies.
 
-use crate::app::{form::Wrong, matching::narrow, table::Table};
+use crate::app::{matching::narrow, table::Table};
 use crate::model::{Address, Timestamp, clean};
 use crate::service::reply::{GatewayStatusView, RobotRow, SenderView};
 
