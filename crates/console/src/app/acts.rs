@@ -12,8 +12,8 @@ use crate::app::{
 };
 use crate::popups::form::{export, grant, policy, profile};
 use crate::popups::{
-    columns, contacts, incidents, incidents::state::Deed, quit, record, robot, state::Help, state::Leaving,
-    state::Palette, themes,
+    columns, contacts, incidents, incidents::state::Deed, provenance, publishers, quit, record, robot, state::Help,
+    state::Leaving, state::Palette, themes,
 };
 use crate::screens::grants::state::{is_active, is_given, other_side};
 use crate::screens::{chain, grants, keys, log::state::LogLine, pane, records, topics};
@@ -181,17 +181,13 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) {
             identity_path::opened(state, ask::Unlock::heard(result), Purpose::Unlock, "keyring unlocked");
         }
         Tag::Register => identity_path::registered(state, ask::Register::heard(result)),
-        Tag::Open(id) => record::keys::opened(state, id, ask::OpenShared::heard(result)),
+        Tag::Open(id) => record::keys::answered(state, id, ask::OpenShared::heard(result)),
         Tag::Path(id) => record::keys::path_found(state, id, ask::ViewPath::heard(result)),
         Tag::Beside(Screen::Uploads, id) => pane::follow::looked_up(state, id, ask::ShowUpload::heard(result)),
         Tag::Beside(Screen::Topics, topic) => pane::follow::covered(state, topic, ask::TopicCoverage::heard(result)),
         Tag::Beside(_, id) => pane::follow::opened_beside(state, id, ask::OpenShared::heard(result)),
-        Tag::Show(id) => state.tell(id, ask::ShowUpload::heard(result), |popup| {
-            if let Popup::Provenance(lookup) = popup { Some(lookup) } else { None }
-        }),
-        Tag::Publishers(topic) => state.tell(topic, ask::ListPins::heard(result), |popup| {
-            if let Popup::Publishers(lookup) = popup { Some(lookup) } else { None }
-        }),
+        Tag::Show(id) => provenance::answered(state, id, ask::ShowUpload::heard(result)),
+        Tag::Publishers(topic) => publishers::answered(state, topic, ask::ListPins::heard(result)),
         // What the site knew before says nothing about what is in flight now.
         Tag::HoldCapture => {
             done(state, tag, ask::HoldCapture::heard(result), |state, ()| state.feeds.renew(Feed::Site))
@@ -221,13 +217,13 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) {
         Tag::Incident(deed, _) => done(state, tag, ask::OpenIncident::heard(result), |state, view| {
             incidents::keys::changed(state, *deed, view);
         }),
-        Tag::Robot(name) => robot::shown(state, name, ask::ShowRobot::heard(result)),
+        Tag::Robot(name) => robot::answered(state, name, ask::ShowRobot::heard(result)),
         Tag::SetPolicy(robot, _) => policy_set(state, tag, robot, result),
         Tag::Watch(topic) => said(state, tag, ask::WatchTopic::heard(result), |()| format!("now watching {topic}")),
         Tag::Unwatch(topic) => {
             said(state, tag, ask::UnwatchTopic::heard(result), |()| format!("no longer watching {topic} (U: undo)"))
         }
-        Tag::Foresee(_) => grant::foreseen(state, tag, ask::ForeseeGrant::heard(result)),
+        Tag::Foresee(_) => grant::answered(state, tag, ask::ForeseeGrant::heard(result)),
         Tag::Grant(_) => said(state, tag, ask::Grant::heard(result), |view| view.text),
         Tag::Extend(_) => said(state, tag, ask::ExtendGrant::heard(result), |view| view.text),
         Tag::Revoke(_) => said(state, tag, ask::Revoke::heard(result), |view| view.text),

@@ -3,7 +3,7 @@
 use crate::app::{Key, Lookup, Popup, State, Verb};
 use crate::model::clean;
 use crate::popups::{record, record::draw::record_lines};
-use crate::service::reply::{Provenance, ShownState};
+use crate::service::{Failure, reply::Provenance, reply::ShownState};
 use crate::ui::{
     Canvas, Piece, Rect, Role, columns, frame, frame::LOOKUP_WIDEST, frame::put_lines_above, framed, marks::state_role,
     pad, rows, words::wrap,
@@ -21,6 +21,10 @@ pub fn key(state: &mut State, mut lookup: Lookup<Provenance>, key: Key) -> Optio
         state.popups.push(Popup::Provenance(lookup));
     }
     None
+}
+
+pub fn answered(state: &mut State, id: &str, answer: Result<Provenance, Failure>) {
+    state.tell(id, answer, |popup| if let Popup::Provenance(lookup) = popup { Some(lookup) } else { None });
 }
 
 pub fn draw(canvas: &mut Canvas, area: Rect, lookup: &Lookup<Provenance>) {

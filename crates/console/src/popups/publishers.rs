@@ -3,6 +3,7 @@
 use crate::app::{Key, Lookup, Popup, State, Verb};
 use crate::model::clean;
 use crate::screens::grants::state::day;
+use crate::service::Failure;
 use crate::service::reply::{AlarmView, PinView, PinsView};
 use crate::ui::{Canvas, Piece, Rect, Role, draw_lines, frame};
 
@@ -16,6 +17,10 @@ pub fn key(state: &mut State, mut lookup: Lookup<PinsView>, key: Key) -> Option<
         state.popups.push(Popup::Publishers(lookup));
     }
     None
+}
+
+pub fn answered(state: &mut State, topic: &str, answer: Result<PinsView, Failure>) {
+    state.tell(topic, answer, |popup| if let Popup::Publishers(lookup) = popup { Some(lookup) } else { None });
 }
 
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, lookup: &Lookup<PinsView>) {

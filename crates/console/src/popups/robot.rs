@@ -34,7 +34,7 @@ pub fn open(state: &mut State) {
     state.send_new(show(&name));
 }
 
-pub fn shown(state: &mut State, name: &str, answer: Result<RobotView, Failure>) {
+pub fn answered(state: &mut State, name: &str, answer: Result<RobotView, Failure>) {
     state.tell(name, answer, |popup| if let Popup::Robot(lookup) = popup { Some(lookup) } else { None });
 }
 
@@ -71,7 +71,7 @@ pub fn set(state: &mut State, name: &str, view: RobotView) {
     if let Some(row) = state.gateway.robots.iter_mut().find(|row| row.device == view.row.device) {
         row.clone_from(&view.row);
     }
-    shown(state, name, Ok(view));
+    answered(state, name, Ok(view));
 }
 
 const ROBOT_LABEL: u16 = 10;

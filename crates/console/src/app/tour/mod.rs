@@ -1,5 +1,7 @@
 //! The tour's text: the paper's mission step by step.
 
+pub mod follow;
+
 use crate::model::ProfileName;
 
 /// Rows of the strip.

@@ -158,7 +158,7 @@ fn question(
 }
 
 /// Completes the question that this was asked for, if it is still open.
-pub fn foreseen(state: &mut State, tag: &Tag, answer: Result<GrantForesight, Failure>) {
+pub fn answered(state: &mut State, tag: &Tag, answer: Result<GrantForesight, Failure>) {
     let place = state.popups.iter().rposition(|popup| matches!(popup, Popup::Confirm(_)));
     let Some(Popup::Confirm(confirm)) = place.and_then(|place| state.popups.get(place)) else { return };
     let asked = match (&confirm.errand.command, &state.follow_up) {

@@ -49,7 +49,7 @@ pub fn neighbour(state: &mut State, popup: Popup, by: isize) -> Option<Verb> {
     Some(if matches!(popup, Popup::Record(_)) { Verb::Open } else { Verb::Details })
 }
 
-pub fn opened(state: &mut State, id: &str, answer: Result<Box<OpenedView>, Failure>) {
+pub fn answered(state: &mut State, id: &str, answer: Result<Box<OpenedView>, Failure>) {
     let Some(opening) = find(state, id) else { return };
     opening.lookup.answer = Some(answer);
     opening.wants_path().into_iter().for_each(|errand| state.send(errand));
