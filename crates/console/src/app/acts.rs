@@ -243,9 +243,8 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) {
 
 fn toggle_mouse(state: &mut State) {
     state.mouse = !state.mouse;
-    state.inform(match state.mouse {
-        true => "mouse on; hold shift to select text in most terminals",
-        false => "mouse off; the terminal handles text selection again",
-    });
+    let on = "mouse on; hold shift to select text in most terminals";
+    let off = "mouse off; the terminal handles text selection again";
+    state.inform(if state.mouse { on } else { off });
     state.effects.push(Effect::Mouse(state.mouse));
 }

@@ -55,8 +55,6 @@ fn has_opened(state: &State) -> bool {
         Popup::Record(opening) => Some(opening),
         _ => None,
     });
-    let opened = |opening: &Opening| {
-        opening.lookup.found().is_some_and(|view| view.verdict == Verdict::Verified)
-    };
+    let opened = |opening: &Opening| opening.lookup.found().is_some_and(|view| view.verdict == Verdict::Verified);
     openings.chain(state.detail.opening.as_ref()).any(opened)
 }
