@@ -52,7 +52,7 @@ impl Topics {
         let (rows, folded) = (&self.rows, &self.folded);
         // Sorted above.
         let is_there = |name: &String| {
-            let robot = folded(name).is_some_and(|robot| folded.contains(robot));
+            let robot = self::folded(name).is_some_and(|robot| folded.contains(robot));
             robot || rows.binary_search_by(|row| natural(&row.topic, name)).is_ok()
         };
         self.table.marks.retain(is_there);
@@ -161,7 +161,7 @@ impl Topics {
     /// A mark on an unfolded robot would refer to nothing.
     fn unmark_robots(&mut self) {
         let folded = &self.folded;
-        let stays = |name: &String| folded(name).is_none_or(|robot| folded.contains(robot));
+        let stays = |name: &String| self::folded(name).is_none_or(|robot| folded.contains(robot));
         self.table.marks.retain(stays);
     }
 
