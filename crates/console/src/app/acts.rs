@@ -17,7 +17,8 @@ use crate::popups::{
 };
 use crate::screens::grants::state::{is_active, is_given, other_side};
 use crate::screens::{chain, grants, keys, log::state::LogLine, pane, records, topics};
-use crate::service::{Command, command as ask};
+use crate::service::Command;
+use crate::service::command::{self as ask, Ask as _};
 
 pub fn perform(state: &mut State, verb: Verb) {
     if let Err(reason) = available(state, verb) {

@@ -8,8 +8,9 @@ use zeroize::Zeroizing;
 use crate::app::{Contents, Effect, Feed, Popup, State, Tag, identity_path};
 use crate::model::{ErrorKind, Verdict};
 use crate::popups::{form::export, form::profile, robot};
+use crate::service::command::{self as ask, Ask as _, SecretBytes};
 use crate::service::reply::{CheckView, ExportedFile, IdentityView};
-use crate::service::{Failure, KeyKind, NoticeLevel, Reply, command as ask, command::SecretBytes};
+use crate::service::{Failure, KeyKind, NoticeLevel, Reply};
 
 pub type Answer = Result<Reply, Failure>;
 

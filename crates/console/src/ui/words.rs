@@ -1,5 +1,7 @@
 //! Numbers, sizes and times in words; wrapping.
 
+use unicode_width::UnicodeWidthStr;
+
 use crate::model::Timestamp;
 
 /// `12,345`.
