@@ -137,7 +137,7 @@ impl Toasts {
 
     /// A part that is well again needs no message that it is not.
     pub fn end(&mut self, health: &[PartHealth]) {
-        let is_well = |about: &str| health.iter().any(|part| part.part == about && health(part).is_none());
+        let is_well = |about: &str| health.iter().any(|part| part.part == about && self::health(part).is_none());
         self.0.retain(|toast| toast.until.is_some() || !toast.about.as_deref().is_some_and(is_well));
     }
 
