@@ -4,7 +4,7 @@ use crate::app::{Feed, State};
 use crate::model::Address;
 use crate::pipeline::sender::LaneState;
 use crate::service::reply::{AdministrationView, ChainView, GasView};
-use crate::ui::{Canvas, Fact, Rect, Role, below, draw_facts, empty, facts::draw_fact, row};
+use crate::ui::{Canvas, Fact, Rect, Role, below, draw_facts, empty, facts::draw_fact, row, words};
 
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     canvas.put(area, "Chain", Role::Title);

@@ -4,7 +4,7 @@ use crate::app::{Feed, Screen, State};
 use crate::screens::grants;
 use crate::screens::grants::state::{day, is_active, is_given, other_side, scope, soon};
 use crate::service::reply::GrantRow;
-use crate::ui::{Canvas, Column, Rect, Role, Sheet, empty, table};
+use crate::ui::{Canvas, Column, Rect, Role, Sheet, empty, table, words};
 
 const GRANT_COLUMNS: &[Column] = &[
     Column::text("State", 8),

@@ -77,7 +77,7 @@ fn draw_topic(canvas: &mut Canvas, area: Rect, state: &State) {
 }
 
 fn about(topic: &TopicRow) -> Vec<(&'static str, String)> {
-    let held = if topic.quarantined > 0 { count(topic.quarantined) } else { String::new() };
+    let held = if topic.quarantined > 0 { words::count(topic.quarantined) } else { String::new() };
     vec![
         ("type", topic.type_name.clone().unwrap_or_else(|| "not known yet".to_owned())),
         ("capture", watched(topic).0),
