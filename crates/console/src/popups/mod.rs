@@ -1,8 +1,6 @@
 //! The popups, a folder or a file each: a popup is a value with keys, hints, the answer to what it asked for, and a
 //! picture. Which is meant is told apart here, and nowhere else.
 
-#![deny(clippy::wildcard_enum_match_arm)]
-
 pub mod alerts;
 pub mod browse;
 pub mod chord;
@@ -55,6 +53,7 @@ use crate::ui::{Canvas, Rect, Role, draw_text};
 type Hints = Vec<(&'static str, &'static str)>;
 
 /// The keys of the bar.
+#[deny(clippy::wildcard_enum_match_arm)]
 pub fn hints(state: &State, popup: &Popup) -> Hints {
     match popup {
         Popup::Palette(_) => vec![("enter", "run"), ("up down", "choose, earlier"), ("esc", "close")],
@@ -81,6 +80,7 @@ pub fn hints(state: &State, popup: &Popup) -> Hints {
 }
 
 /// The topmost popup has the keys; what it returns is to be performed.
+#[deny(clippy::wildcard_enum_match_arm)]
 pub fn key(state: &mut State, key: Key) -> Option<Verb> {
     if key == Key::Char('?') && !state.popups.last().is_some_and(Popup::takes_text) {
         let window = state.popups.last().map(|popup| explained(state, popup));
@@ -120,6 +120,7 @@ fn explained(state: &State, popup: &Popup) -> Hints {
     if let Popup::Incidents(list) = popup { incidents::keys::explained(state, list) } else { hints(state, popup) }
 }
 
+#[deny(clippy::wildcard_enum_match_arm)]
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
     match popup {
         Popup::Palette(palette) => palette::draw(canvas, area, state, palette),

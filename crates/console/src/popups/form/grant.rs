@@ -25,7 +25,7 @@ pub fn begin(state: &mut State) {
 }
 
 fn of_robot(row: &RobotRow) -> String {
-    format!("{}{}", OF_ROBOT, row.name)
+    format!("{OF_ROBOT}{}", row.name)
 }
 
 fn terms(row: &GrantRow) -> (String, Vec<String>) {
@@ -135,7 +135,7 @@ fn standing<'a>(state: &'a State, wish: &GrantWish) -> Option<&'a GrantRow> {
 
 /// As typed: topics by name, robots by theirs.
 pub fn covered(wish: &GrantWish) -> Vec<String> {
-    let robots = wish.robots.iter().map(|robot| format!("{}{robot}", OF_ROBOT));
+    let robots = wish.robots.iter().map(|robot| format!("{OF_ROBOT}{robot}"));
     wish.topics.iter().map(ToString::to_string).chain(robots).collect()
 }
 
