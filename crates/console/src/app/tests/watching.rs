@@ -155,7 +155,7 @@ fn l_limits_the_watched_topics_among_the_marked_at_once_and_their_type_stays() {
     robot.pastes("5");
     (0..2).for_each(|_| robot.presses(Key::Enter));
     let tag = Tag::Limit("/robot1/odom".into());
-    assert_eq!(robot.work(), [tag.clone()]);
+    assert_eq!(robot.work(), std::slice::from_ref(&tag));
     let Some((Command::WatchTopic { topic, type_name: sent, sampling }, _)) = robot.sent.last() else { panic!() };
     assert_eq!((topic.as_str(), sent), ("/robot1/odom", &type_name));
     assert_eq!(*sampling, Some(Sampling { rate: Some(5_000), every: Some(10) }));
