@@ -270,7 +270,7 @@ fn the_second_verifier_unpacks_matrices() {
         (2, 1, false, 1),
         (2, 3, true, 1),
         (4, 1, false, 1),
-        (4, 5, true, 2),
+        (4, 1, true, 2),
     ] {
         let matrix = Matrix { start: 5, rows: 24, columns: 32, channels, sample, big_endian, apart };
         let length = 5 + matrix.length().expect("fits") + 3;

@@ -1,10 +1,9 @@
 //! Incidents: kept from the row under the cursor, looked at, noted, closed, removed and exported.
 
 use super::{Robot, fixtures};
-use crate::app::incidents::Deed;
-use crate::app::popup::{Popup, Purpose};
-use crate::app::{Effect, Key, Screen, Tag};
+use crate::app::{Effect, Key, Popup, Purpose, Screen, Tag};
 use crate::model::{ErrorKind, Timestamp};
+use crate::popups::incidents::state::Deed;
 use crate::service::command::{EvidenceWishes, IncidentCommand};
 use crate::service::{Command, Reply};
 
