@@ -367,7 +367,7 @@ fn covered(size: Size, screen: Screen) -> Robot {
     let tag = Tag::Beside(Screen::Topics, robot.state.row_key().unwrap_or_default());
     if robot.work().contains(&tag) {
         let topic = robot.state.row_key().unwrap_or_default();
-        robot.is_answered(&tag, Ok(Reply::Coverage(coverage(&topic))));
+        robot.is_answered(&tag, Ok(Reply::Coverage(vec![coverage(&topic)])));
     }
     robot
 }
@@ -541,7 +541,7 @@ fn publishers(size: Size) -> Robot {
     robot.is_answered(&Tag::Publishers(topic.clone()), Ok(Reply::Pins(fixtures::pins(&topic))));
     let beside = Tag::Beside(Screen::Topics, topic.clone());
     if robot.work().contains(&beside) {
-        robot.is_answered(&beside, Ok(Reply::Coverage(coverage(&topic))));
+        robot.is_answered(&beside, Ok(Reply::Coverage(vec![coverage(&topic)])));
     }
     robot
 }
