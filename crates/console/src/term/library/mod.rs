@@ -1,6 +1,8 @@
 //! The library of screens: what an emulated terminal holds after a frame, for named situations at three sizes, and how
 //! it looks in every theme. `tools/pictures.py` draws pictures from the looks.
 
+mod hostile;
+
 use std::num::NonZeroU16;
 
 use super::encode::Depth;
