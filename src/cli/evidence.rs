@@ -8,7 +8,7 @@ use clap::{Args, Subcommand};
 use super::connect::{Context, ProfileNeed};
 use super::{args::Global, check, parse, plan::CHAIN};
 use crate::crypto::{ProviderName, provider};
-use crate::model::{Digest, ErrorKind, TopicPattern, clean, clean_lines};
+use crate::model::{Digest, ErrorKind, TopicPattern, clean, clean_lines, counted, grouped};
 use crate::ros::Limits;
 use crate::ros::recording::{BESIDE, Beside};
 use crate::service::command::{EvidenceWishes, ExportEvidence, StampEvidence};
@@ -179,16 +179,20 @@ pub fn stamped(view: &StampView) -> String {
 
 pub fn exported(view: &EvidenceView) -> String {
     let EvidenceView { file, bytes, records, revealed, topics, written, notes } = view;
+    let of_them = counted(*records, "record");
     let mut lines = match written {
-        true => vec![format!("{records} records, {revealed} of them disclosed, in {file} (0600, {bytes} bytes)")],
-        false => vec![format!("{records} records would go into {file}")],
+        true => vec![format!("{of_them}, {} of them disclosed, in {file} (0600, {bytes} bytes)", grouped(*revealed))],
+        false => vec![format!("{of_them} would go into {file}")],
     };
     if *revealed > 0 {
-        let (will, of) =
-            (if *written { "are" } else { "would be" }, if topics.len() == 1 { "topic" } else { "topics" });
+        let (readable, of) = (counted(*revealed, "record"), counted(topics.len() as u64, "topic"));
+        let will = match (*written, *revealed) {
+            (false, _) => "would be",
+            (true, 1) => "is",
+            (true, _) => "are",
+        };
         lines.push(format!(
-            "{revealed} records of {} {of} {will} readable to everybody who gets the file, and that cannot be undone:",
-            topics.len()
+            "{readable} of {of} {will} readable to everybody who gets the file, and that cannot be undone:"
         ));
         lines.extend(topics.iter().map(|one| format!("  {} of {}", one.records, one.topic)));
     }

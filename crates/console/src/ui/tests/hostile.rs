@@ -107,7 +107,7 @@ fn open_everything(robot: &mut Robot, text: &str) {
     assert_harmless(robot);
 }
 
-/// Names drawn at once; with `AUTHROS_LONG=1` so many times that it is a million.
+/// Names drawn at once; with `AUTHROS_LONG=1` until they are a million.
 const AT_ONCE: u64 = 500;
 
 /// A name of characters that a terminal may take for commands, of bidirectional marks, and of wide and plain letters.
