@@ -74,7 +74,7 @@ pub struct ExportArguments {
 pub struct VerifyArguments {
     /// The bundle, unpacked or not, or the folder
     pub path: PathBuf,
-    /// For a bundle: what you know about chain, signers and people from an independent source (docs/evidence.md)
+    /// For a bundle: what you know about chain, signers and people from an independent source (docs/reader.md)
     #[arg(long, value_name = "FILE", conflicts_with = "genesis")]
     pub trust: Option<PathBuf>,
     /// For the proof of a followed recording: the recorded file, to compare with the digests that the proof states
@@ -256,7 +256,7 @@ fn read_trust(path: &Path) -> Result<Trust, Failure> {
     let unread = |error: std::io::Error| match error.kind() {
         std::io::ErrorKind::NotFound => failed(
             "there is no such trust file, so the bundle was not checked; write what you know of its chain and its \
-             people into one (docs/evidence.md has an example), or leave out --trust to see what the bundle claims"
+             people into one (docs/reader.md has an example), or leave out --trust to see what the bundle claims"
                 .to_owned(),
         ),
         _ => failed(format!("the trust file cannot be read, so the bundle was not checked: {error}")),

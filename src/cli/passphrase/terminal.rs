@@ -39,7 +39,7 @@ pub fn that_opens<T>(
             Err(error) => return Err(error.into()),
         }
     }
-    Err(refused("wrong passphrase, three times; nothing was done (docs/passphrases.md says what to do if it is lost)"))
+    Err(refused("wrong passphrase, three times; nothing was done (docs/operator.md says what to do if it is lost)"))
 }
 
 /// A new one, typed twice; `None` if there is no terminal.
