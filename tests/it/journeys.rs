@@ -190,6 +190,10 @@ fn a_revoked_robot_says_who_revoked_it_and_what_helps() {
         let mut operator = Operator::opens(&alice, size);
         operator.sees("Overview").presses("8").sees("the owner revoked this robot").leaves();
     }
+    // What it brought after the revoke has left its batches, whose anchors are proven all the same.
+    let health = list(&alice.json(&["status"]), "health");
+    let proofs = health.iter().find(|part| part["part"] == "proofs").expect("proofs are kept");
+    assert!(proofs["level"] == "ok" && !text(proofs, "text").contains("none"), "{proofs}");
 }
 
 /// Ends a process that outlives its parents, also if the test fails.

@@ -186,7 +186,7 @@ fn draw_busiest(canvas: &mut Canvas, area: Rect, state: &State) {
             None if state.awaits(Feed::Topics) => "Asking for the topics…",
             None => "No topics published yet; they appear here automatically.",
         };
-        canvas.put(area, text, Role::Dim);
+        canvas.put_wrapped(area, text, Role::Dim);
         return;
     }
     let rows = state.topics.busiest(usize::from(area.height - 1)).into_iter().map(|row| {

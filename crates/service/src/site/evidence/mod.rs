@@ -295,6 +295,7 @@ impl ChainProofs {
             counts.newest.map_or_else(|| "no proofs kept yet".to_owned(), |block| format!("kept up to block {block}"));
         let missed = match counts.missed {
             0 => String::new(),
+            1 => "; 1 batch has none, a bundle of it asks the node".to_owned(),
             missed => format!("; {missed} batches have none, bundles of them ask the node"),
         };
         Ok(Some(waiting_part("proofs", &format!("{kept}{missed}"), trouble)))
