@@ -39,6 +39,7 @@ mod granting;
 mod identity;
 mod incidents;
 mod joined;
+mod journeys;
 mod key_changes;
 mod keyring_races;
 mod keys;
