@@ -36,6 +36,7 @@ mod foreign_proofs;
 mod gateway;
 mod gateway_metrics;
 mod granting;
+mod hostile_answers;
 mod identity;
 mod incidents;
 mod joined;

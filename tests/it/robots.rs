@@ -272,7 +272,9 @@ fn two_robots_of_one_topic_have_a_timeline_each() {
     for robot in &robots {
         robot.brings("3");
     }
-    let coverage = |more: &[&str]| alice.json(&[&["topics", "coverage", WATCHED, "--parts", "20"], more].concat());
+    let strips =
+        |chosen: &[&str]| list(&alice.json(&[&["topics", "coverage", "--parts", "20"], chosen].concat()), "coverage");
+    let coverage = |more: &[&str]| strips(&[&[WATCHED], more].concat()).remove(0);
     let time =
         |view: &Value, field: &str| -> Timestamp { serde_json::from_value(view[field].clone()).expect("a time") };
     let all = wait_until(120, "both are known by the topic's name", || {
@@ -296,6 +298,14 @@ fn two_robots_of_one_topic_have_a_timeline_each() {
     assert!(last_of_scout < first_of_elder, "{of_scout:?} {of_elder:?}");
     let people = alice.run(&["topics", "coverage", WATCHED]).expect_code(0).stdout;
     assert!(people.contains("robots that recorded it: elder, scout"), "{people}");
+    // A robot or a pattern is a row for each topic with records.
+    let of_scout = strips(&["--robot", "scout"]);
+    assert_eq!(of_scout.iter().map(|view| text(view, "topic")).collect::<Vec<_>>(), [WATCHED]);
+    assert_eq!(of_scout[0]["first"], scout["first"]);
+    assert_eq!(strips(&["/robot*/**"]).len(), 1, "of that topic alone there are records");
+    for chosen in [&["/robot9/**"][..], &["--robot", "robot9"]] {
+        alice.fails(INPUT, &[&["topics", "coverage"], chosen].concat());
+    }
     let told = alice.fails(INPUT, &["topics", "coverage", WATCHED, "--robot", "nobody"]);
     assert!(told.contains("no robot of this profile is called 'nobody'"), "{told}");
 }

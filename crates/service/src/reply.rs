@@ -95,7 +95,7 @@ replies! {
     KeyChange(KeyChangeView);
     Key(SecretBytes);
     Topics(Vec<TopicRow>);
-    Coverage(CoverageView);
+    Coverage(Vec<CoverageView>);
     Captured(CaptureSummary);
     Imported(ImportView);
     Followed(FollowView);
