@@ -175,10 +175,11 @@ function recordRow(record) {
 
 function topicRow(stretch) {
   const { first, last, missing, heads } = stretch;
+  const later = heads && last !== null && BigInt(heads.number) > BigInt(last) ? BigInt(heads.number) - BigInt(last) : 0n;
   return row([
     topicCell(topics.get(topicOf(stretch)) ?? sealedName(stretch.topic_id)),
     levelCell(stretch),
-    ...[first, last, missing, heads?.number].map(number),
+    ...[first, last, BigInt(missing) - later, heads && later].map(number),
   ]);
 }
 
