@@ -40,6 +40,7 @@ mod hostile_answers;
 mod identity;
 mod incidents;
 mod joined;
+mod journeys;
 mod key_changes;
 mod keyring_races;
 mod keys;

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use authros::model::Timestamp;
 use serde_json::Value;
-use support::{Authros, Home, Running, count, free_port, is_verified, length, list, text, wait_until};
+use support::{Authros, Home, Operator, Running, count, free_port, is_verified, length, list, text, wait_until};
 
 const INPUT: i32 = 3;
 const USAGE: i32 = 2;
@@ -64,6 +64,18 @@ impl Robot {
 
     pub fn run(&self, keep: &str, topics: &str) -> Running {
         self.run_in(&self.home, keep, topics)
+    }
+
+    /// Runs it until this many messages are verified at the gateway.
+    pub fn brings(&self, count: &str) {
+        let agent = self.home.authros().with(&["--json", "--robots", "1"]);
+        agent.run(&["robot", "run", &self.enrolment, "--count", count]).expect_code(0);
+    }
+
+    /// Runs it in a terminal.
+    pub fn shows(&self, size: (u16, u16)) -> Operator {
+        let agent = self.home.authros().with(&["--robots", "1"]);
+        Operator::runs(&agent, size, &["robot", "run", &self.enrolment])
     }
 
     fn run_in(&self, home: &Home, keep: &str, topics: &str) -> Running {
@@ -258,8 +270,7 @@ fn two_robots_of_one_topic_have_a_timeline_each() {
     let robots = ["scout", "elder"].map(|name| Robot::enrol(&site, &alice, name, &[WATCHED]));
     // One after the other, on the same topic.
     for robot in &robots {
-        let agent = robot.home.authros().with(&["--json", "--robots", "1"]);
-        agent.run(&["robot", "run", &robot.enrolment, "--count", "3"]).expect_code(0);
+        robot.brings("3");
     }
     let strips =
         |chosen: &[&str]| list(&alice.json(&[&["topics", "coverage", "--parts", "20"], chosen].concat()), "coverage");

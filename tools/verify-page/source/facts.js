@@ -128,10 +128,11 @@ export function factsOf(report) {
     exporter_self_sealed: exporter.standing === OWN_CHAIN,
     exporter_refused: exporter.standing === REFUSED,
     undated: count((one) => one.existedBefore === undefined && anchoredAt(one) === undefined),
-    captured: Group.of(records.filter(isIntact)).span,
+    captured: Group.of(records.filter((one) => isIntact(one) && !isStatement(one))).span,
     readable_count: readable,
     sealed: records.length - readable - statements,
     complete: topics((one) => isCounted(one) && hasHeads(one) && one.missing === 0n),
+    gapless: topics((one) => isCounted(one) && hasHeads(one) && beyond(one) > 0n && between(one) === 0n),
     unstated: topics((one) => isCounted(one) && !hasHeads(one)),
     rings: topics((one) => isRing(one.recorder) && one.first !== undefined),
     trust_denies: context.trustDenies,
@@ -144,7 +145,8 @@ export function factsOf(report) {
     stamped: stamped(records),
     anchored: anchored(records),
     readable: readableIn(records),
-    missing: missing(names, complete),
+    missing: numbered(names, complete, between, (one) => one.last),
+    later: numbered(names, complete, beyond, (one) => one.heads.number),
     doubts: doubts(names, report),
   };
   return { all, lists };
@@ -156,6 +158,12 @@ function isCounted(stretch) {
 }
 
 const hasHeads = ({ heads, first }) => heads !== undefined && first !== undefined && heads.number >= first;
+
+/** How many numbers the newest head names above the last one here. */
+const beyond = ({ heads, last }) => (heads && last !== undefined && heads.number > last ? heads.number - last : 0n);
+
+/** How many are missing between the first and the last. */
+const between = (stretch) => stretch.missing - beyond(stretch);
 
 /** `(a) bytes: proven; (b) signer: 8 self-sealed chain, 3 not proven`. */
 function levelsIn({ records, complete }) {
@@ -227,12 +235,10 @@ function readableIn(records) {
   return inTurn.map(({ parts, of }) => ({ topic: parts[0], span: of.span, count: of.count }));
 }
 
-function missing(names, complete) {
-  const gaps = complete.filter((one) => one.missing > 0n && one.first !== undefined);
-  const list = gaps.map((one) => {
-    const to = one.heads && one.heads.number > one.last ? one.heads.number : one.last;
-    return { topic: names.topic(one), from: one.first, to, count: one.missing };
-  });
+/** The topics with such a number of numbers, the largest first. */
+function numbered(names, complete, number, end) {
+  const those = complete.filter((one) => number(one) > 0n);
+  const list = those.map((one) => ({ topic: names.topic(one), from: one.first, to: end(one), count: number(one) }));
   const parts = (one) => [-one.count, byText(one.topic), one.from, one.to];
   return list.sort((one, other) => inOrder(parts(one), parts(other)));
 }
@@ -244,11 +250,16 @@ function doubts(names, { records, complete }) {
     const those = levels.map((name) => ({ letter: LETTERS[name], ...record[name] })).filter(({ reason }) => reason);
     return those.map((one) => ({ ...one, record, topic: names.record(record) }));
   });
+  const laneOf = (one) => ["owner", "signer", "recorder", "topicId"].map((name) => hex(one[name])).join();
+  const lanes = new Map();
+  for (const record of records.filter(isIntact)) {
+    const lane = laneOf(record);
+    if (!lanes.has(lane)) lanes.set(lane, []);
+    lanes.get(lane).push(record);
+  }
   for (const stretch of complete.filter(({ reason }) => reason)) {
-    const same = ["owner", "signer", "recorder", "topicId"];
-    const isOf = (record) => isIntact(record) && same.every((name) => hex(record[name]) === hex(stretch[name]));
     const one = { letter: "f", standing: REFUSED, reason: stretch.reason, topic: names.topic(stretch) };
-    found.push(...records.filter(isOf).map((record) => ({ ...one, record })));
+    for (const record of lanes.get(laneOf(stretch)) ?? []) found.push({ ...one, record });
   }
   const nameOf = (one) => [one.standing === REFUSED ? 0 : 1, one.letter, one.topic, one.reason];
   const list = groups(

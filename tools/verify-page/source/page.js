@@ -1,6 +1,6 @@
 // The page: takes the files, starts the thread that checks, and shows what it says. All text from a bundle becomes text nodes.
 
-import { WORDING, filled } from "./wording.js";
+import { WORDING, filled, grouped } from "./wording.js";
 
 /* global WORKER */
 const ROWS = 100;
@@ -11,8 +11,9 @@ const place = (id) => document.getElementById(id);
 const chosen = { bundle: undefined, pins: undefined };
 let worker;
 let report;
-let inTime = [];
+let listed = [];
 let rows = 0;
+let topics = new Map();
 
 // Chromium takes a script for a thread only from such a policy; other browsers have none.
 const policy = globalThis.trustedTypes?.createPolicy("authros", { createScriptURL: (url) => url });
@@ -78,6 +79,7 @@ function fail(text) {
   place("bar").removeAttribute("value");
   place("working").hidden = true;
   place("of").textContent = chosen.bundle.name;
+  place("how").textContent = "";
   place("sentences").className = "refused";
   place("sentences").replaceChildren(element("p", text));
   place("verdict").hidden = false;
@@ -86,9 +88,12 @@ function fail(text) {
 function show(found) {
   worker.terminate();
   report = found;
-  inTime = [...found.records].sort(byTime);
+  listed = inTurn(found.records);
+  topics = new Map(found.records.filter((one) => one.disclosed).map((one) => [topicOf(one), one.disclosed.topic]));
   place("working").hidden = true;
   place("of").textContent = chosen.bundle.name;
+  place("how").textContent =
+    `Checked on ${moment(new Date().toISOString()).slice(0, 16)} UTC, ${chosen.pins ? `with the trust file ${chosen.pins.name}` : "without a trust file"}.`;
   place("sentences").className = found.outcome;
   place("sentences").replaceChildren(...found.verdict.map((sentence) => element("p", sentence)));
   place("verdict").hidden = false;
@@ -99,18 +104,28 @@ function show(found) {
   place("details").hidden = found.records.length === 0;
 }
 
-function byTime(one, other) {
-  const parts = (record) => [record.captured_at ?? "", record.topic_id ?? "", record.seq ?? 0, record.digest];
-  const [mine, theirs] = [parts(one), parts(other)];
-  const at = mine.findIndex((part, place) => part !== theirs[place]);
-  return at < 0 ? 0 : mine[at] < theirs[at] ? -1 : 1;
+const topicOf = ({ signer, topic_id: topic }) => `${signer} ${topic}`;
+
+const isInDoubt = (record) => LEVELS.some((name) => ["refused", "unproven"].includes(record[name].standing));
+
+/** Those in doubt first, then by time. */
+function inTurn(records) {
+  const parts = (one) => [isInDoubt(one) ? 0 : 1, one.captured_at ?? "", one.topic_id ?? "", one.seq ?? 0, one.digest];
+  const keyed = records.map((record) => ({ record, parts: parts(record) }));
+  keyed.sort(({ parts: mine }, { parts: theirs }) => {
+    const at = mine.findIndex((part, place) => part !== theirs[place]);
+    return at < 0 ? 0 : mine[at] < theirs[at] ? -1 : 1;
+  });
+  return keyed.map(({ record }) => record);
 }
 
 function moreRows() {
-  const next = inTime.slice(rows, rows + ROWS);
+  const next = listed.slice(rows, rows + ROWS);
   rows += next.length;
   place("records").append(...next.map(recordRow));
-  place("more").hidden = rows >= inTime.length;
+  place("more").hidden = rows >= listed.length;
+  place("shown").textContent =
+    `${count(rows)} of ${count(listed.length)} records are listed here, those in doubt first.`;
 }
 
 function row(cells) {
@@ -127,26 +142,44 @@ function levelCell({ standing, reason }) {
 
 const sealedName = (id) => (id === null ? "" : filled(WORDING.labels.sealed, [{ id: id.slice(0, 8) }]));
 
+/** RFC 3339 as people read it, to the millisecond. */
+const moment = (text) => text.slice(0, 23).replace("T", " ").replace("Z", "");
+
+const number = (value) => element("td", value === undefined || value === null ? "" : grouped(value), "number");
+
+/** A name that may be broken behind its slashes. */
+function named(tag, text, className) {
+  const made = element(tag, "", className);
+  for (const part of text.split(/(?<=\/)/)) made.append(part, document.createElement("wbr"));
+  return made;
+}
+
+function topicCell(text, type) {
+  const cell = named("td", text, "topic");
+  if (type) cell.append(named("div", type, "absent"));
+  return cell;
+}
+
 function recordRow(record) {
   const { disclosed } = record;
-  const topic = disclosed ? `${disclosed.topic} (${disclosed.type})` : sealedName(record.topic_id);
   const cells = [
-    element("td", record.seq ?? ""),
-    element("td", record.captured_at ?? "", "time"),
-    element("td", topic),
+    number(record.seq),
+    element("td", moment(record.captured_at ?? ""), "time"),
+    topicCell(disclosed?.topic ?? sealedName(record.topic_id), disclosed?.type),
   ];
-  cells.push(...LEVELS.map((name) => levelCell(record[name])), element("td", record.block ?? ""));
+  cells.push(...LEVELS.map((name) => levelCell(record[name])), number(record.block));
   const made = row(cells);
   made.title = record.digest;
   return made;
 }
 
 function topicRow(stretch) {
-  const { topic_id: topic, first, last, missing, heads } = stretch;
+  const { first, last, missing, heads } = stretch;
+  const later = heads && last !== null && BigInt(heads.number) > BigInt(last) ? BigInt(heads.number) - BigInt(last) : 0n;
   return row([
-    element("td", sealedName(topic)),
+    topicCell(topics.get(topicOf(stretch)) ?? sealedName(stretch.topic_id)),
     levelCell(stretch),
-    ...[first, last, missing, heads?.number].map((text) => element("td", text ?? "")),
+    ...[first, last, BigInt(missing) - later, heads && later].map(number),
   ]);
 }
 

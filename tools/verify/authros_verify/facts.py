@@ -58,6 +58,11 @@ def has_heads(stretch):
     return stretch.heads is not None and stretch.first is not None and stretch.heads[1] >= stretch.first
 
 
+def later(stretch):
+    """How many numbers the newest head names above the last one here."""
+    return 0 if stretch.heads is None or stretch.last is None else max(0, stretch.heads[1] - stretch.last)
+
+
 def is_counted(stretch):
     return stretch.standing in SUPPORTED and stretch.first is not None and not stretch.is_own_statements and not stretch.is_ring
 
@@ -80,9 +85,11 @@ def facts_of(result):
         "exporter_proven": result.exporter == "proven", "exporter_self_sealed": result.exporter == "own_chain",
         "exporter_refused": result.exporter == "refused",
         "undated": sum(one.existed_before is None and anchored_at(one) is None for one in records),
-        "captured": span([one.header.time for one in intact]),
+        "captured": span([one.header.time for one in intact if not one.is_statement()]),
         "readable_count": len(readable), "sealed": len(records) - len(readable) - len(statements),
-        "complete": sum(has_heads(one) and not one.missing for one in counted), "unstated": sum(not has_heads(one) for one in counted),
+        "complete": sum(has_heads(one) and not one.missing for one in counted),
+        "gapless": sum(has_heads(one) and later(one) > 0 and one.missing == later(one) for one in counted),
+        "unstated": sum(not has_heads(one) for one in counted),
         "rings": sum(one.is_ring and one.first is not None for one in result.stretches),
         "trust_denies": own_chain and trust is not None and not trust.sealed_by_exporter,
         "late_capture": any(is_late(one) for one in intact),
@@ -115,7 +122,9 @@ def lists_of(result):
             {"topic": topic, "span": span(group.times), "count": group.count}
             for topic, group in sorted(grouped(readable, lambda one: short(one.head["topic"])).items(), key=by_count)
         ],
-        "missing": missing(names, result), "doubts": doubts(names, result),
+        "missing": numbered(names, result, lambda one: one.missing - later(one), lambda one: one.last),
+        "later": numbered(names, result, later, lambda one: one.heads[1]),
+        "doubts": doubts(names, result),
     }
 
 
@@ -155,13 +164,11 @@ def anchored(result):
     return found
 
 
-def missing(names, result):
-    found = []
-    for one in result.stretches:
-        if one.missing:
-            last = max(one.last, one.heads[1] if one.heads else 0)
-            found.append((-one.missing, names.topic(one.signer, one.topic).encode(), one.first, last))
-    return [{"topic": topic.decode(), "from": first, "to": last, "count": -count} for count, topic, first, last in sorted(found)]
+def numbered(names, result, number, end):
+    """The topics with such a number of numbers, the largest first."""
+    those = [one for one in result.stretches if number(one) > 0]
+    found = sorted((-number(one), names.topic(one.signer, one.topic).encode(), one.first, end(one)) for one in those)
+    return [{"topic": topic.decode(), "from": first, "to": to, "count": -count} for count, topic, first, to in found]
 
 
 def doubts(names, result):

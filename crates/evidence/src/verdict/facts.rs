@@ -164,7 +164,8 @@ pub(super) fn facts(wording: &Wording, report: &Report, context: &Context) -> Fa
     let intact = report.records.iter().filter(is_intact).count();
     let is_undated = |record: &&RecordReport| record.existed_before.is_none() && anchored_at(record).is_none();
     let late = report.records.iter().any(|record| record.seconds_to_anchor.is_some_and(|seconds| seconds < 0));
-    let captured = groups(report.records.iter().filter(is_intact).map(|record| ((), record)));
+    let is_captured = |record: &&RecordReport| is_intact(record) && !record.is_statement();
+    let captured = groups(report.records.iter().filter(is_captured).map(|record| ((), record)));
     let captured = captured.first().map_or(Fact::Text(String::new()), |((), group)| group.span());
     let exporter = report.exporter.standing;
     let person = context.person.as_ref().map(|name| clean(name, wording.longest)).unwrap_or_default();
@@ -189,6 +190,7 @@ pub(super) fn facts(wording: &Wording, report: &Report, context: &Context) -> Fa
         ("readable_count", count(readable)),
         ("sealed", count(report.records.len() - readable - statements)),
         ("complete", count(report.complete.iter().filter(|one| is_complete(one)).count())),
+        ("gapless", count(report.complete.iter().filter(|one| is_gapless(one)).count())),
         ("unstated", count(report.complete.iter().filter(|one| is_unstated(one)).count())),
         ("rings", count(report.complete.iter().filter(|one| one.recorder.is_ring() && one.first.is_some()).count())),
         ("trust_denies", flag(context.trust_denies)),
@@ -203,6 +205,7 @@ pub(super) fn facts(wording: &Wording, report: &Report, context: &Context) -> Fa
         ("anchored", anchored(report)),
         ("readable", by_topic(&names, readable)),
         ("missing", missing(&names, report)),
+        ("later", later(&names, report)),
         ("doubts", doubts(wording, &names, report)),
     ]);
     Facts { all, lists }
@@ -219,6 +222,20 @@ fn has_heads(stretch: &Stretch) -> bool {
 
 fn is_complete(stretch: &Stretch) -> bool {
     is_counted(stretch) && has_heads(stretch) && stretch.missing == 0
+}
+
+fn is_gapless(stretch: &Stretch) -> bool {
+    is_counted(stretch) && has_heads(stretch) && beyond(stretch) > 0 && between(stretch) == 0
+}
+
+/// How many numbers the newest head names above the last one here.
+fn beyond(stretch: &Stretch) -> u64 {
+    stretch.heads.zip(stretch.last).map_or(0, |(heads, last)| heads.number.saturating_sub(last))
+}
+
+/// How many are missing between the first and the last.
+fn between(stretch: &Stretch) -> u64 {
+    stretch.missing.saturating_sub(beyond(stretch))
 }
 
 fn is_unstated(stretch: &Stretch) -> bool {
@@ -304,25 +321,40 @@ fn by_topic<'a>(names: &Names<'_>, records: impl Iterator<Item = &'a RecordRepor
     groups(keyed).into_iter().map(item).collect()
 }
 
-fn missing(names: &Names<'_>, report: &Report) -> Vec<Fields> {
-    let with_gaps = report.complete.iter().filter(|stretch| stretch.missing > 0);
-    let mut found: Vec<_> = with_gaps
+/// The topics with such a number of numbers, the largest first: topic, that number, its first number here, and the end.
+fn numbered(
+    names: &Names<'_>,
+    report: &Report,
+    number: fn(&Stretch) -> u64,
+    end: fn(&Stretch) -> Option<u64>,
+) -> Vec<Fields> {
+    let mut found: Vec<_> = report
+        .complete
+        .iter()
+        .filter(|stretch| number(stretch) > 0)
         .filter_map(|stretch| {
-            let last = stretch.last?.max(stretch.heads.map_or(0, |heads| heads.number));
             let topic = names.topic(stretch.signer, stretch.topic_id);
-            Some((Reverse(stretch.missing), topic, stretch.first?, last))
+            Some((Reverse(number(stretch)), topic, stretch.first?, end(stretch)?))
         })
         .collect();
     found.sort();
-    let item = |(Reverse(missing), topic, first, last): (Reverse<u64>, String, u64, u64)| {
+    let item = |(Reverse(count), topic, from, to): (Reverse<u64>, String, u64, u64)| {
         Fields::from([
             ("topic", Fact::Text(topic)),
-            ("from", Fact::Number(first)),
-            ("to", Fact::Number(last)),
-            ("count", Fact::Number(missing)),
+            ("from", Fact::Number(from)),
+            ("to", Fact::Number(to)),
+            ("count", Fact::Number(count)),
         ])
     };
     found.into_iter().map(item).collect()
+}
+
+fn missing(names: &Names<'_>, report: &Report) -> Vec<Fields> {
+    numbered(names, report, between, |stretch| stretch.last)
+}
+
+fn later(names: &Names<'_>, report: &Report) -> Vec<Fields> {
+    numbered(names, report, beyond, |stretch| stretch.heads.map(|heads| heads.number))
 }
 
 /// Level, whether it is refused, topic, and the name of the reason.
@@ -337,14 +369,16 @@ fn doubts(wording: &Wording, names: &Names<'_>, report: &Report) -> Vec<Fields> 
             Some(((accepted, letter, names.record(record), level.reason?.name()), record))
         })
     });
+    let mut lanes = BTreeMap::<_, Vec<&RecordReport>>::new();
+    for record in report.records.iter().filter(is_intact) {
+        lanes.entry((record.owner, record.signer, record.recorder, record.topic_id)).or_default().push(record);
+    }
     let of_numbers = report.complete.iter().filter_map(|stretch| Some((stretch, stretch.reason?.name())));
     let of_numbers = of_numbers.flat_map(|(stretch, reason)| {
-        let of = (Some(stretch.owner), Some(stretch.signer), Some(stretch.recorder), Some(stretch.topic_id));
-        let is_of = move |record: &&RecordReport| {
-            is_intact(record) && (record.owner, record.signer, record.recorder, record.topic_id) == of
-        };
+        let lane = (Some(stretch.owner), Some(stretch.signer), Some(stretch.recorder), Some(stretch.topic_id));
         let topic = names.topic(stretch.signer, stretch.topic_id);
-        report.records.iter().filter(is_of).map(move |record| ((false, 'f', topic.clone(), reason), record))
+        let records = lanes.get(&lane).into_iter().flatten();
+        records.map(move |record| ((false, 'f', topic.clone(), reason), *record))
     });
     let mut groups: Vec<(Doubt, Group)> = groups(of_records.chain(of_numbers));
     groups.sort_by_key(|((accepted, letter, ..), _)| (*accepted, *letter));

@@ -35,7 +35,7 @@ mod supervision;
 #[cfg(test)]
 mod supervision_tests;
 #[cfg(test)]
-mod testing;
+pub(crate) mod testing;
 mod workers;
 
 use std::sync::atomic::{AtomicUsize, Ordering};
