@@ -55,7 +55,7 @@ pub async fn run(context: Context, arguments: EraseArguments, output: &Output) -
     let times = parse::Times::now(output);
     let (since, until) = (times.since(since.as_deref())?, times.until(until.as_deref())?);
     let recording = recording.as_deref().map(tag_of).transpose()?;
-    let wishes = ErasureWishes { topic, robot, since, until, records, recording, reason, sure: yes };
+    let wishes = ErasureWishes { topic, robot, since, until, records, recording, reason, sure: yes, shown: None };
     let asks = !yes && !context.global.json && std::io::stdin().is_terminal();
     let erase = async |client: &Client| erase(client, wishes, asks, output).await;
     context.with(CHAIN, ProfileNeed::Unlocked, output, erase).await
@@ -73,7 +73,9 @@ async fn erase(client: &Client, wishes: ErasureWishes, asks: bool, output: &Outp
         output.note(&format!("type '{WORD}' to erase {} permanently:", chosen(view.records, &view)));
         parse::typed(WORD)
     };
-    let view = if is_sure { client.ask(EraseRecords(ErasureWishes { sure: true, ..wishes })).await? } else { view };
+    let shown = Some(view.records);
+    let view =
+        if is_sure { client.ask(EraseRecords(ErasureWishes { sure: true, shown, ..wishes })).await? } else { view };
     output.result(&view, || text(&view));
     // Without a confirmation, a script must not take it for done.
     let unconfirmed = !sure && !asks && view.records > 0;

@@ -91,7 +91,7 @@ fn a_recording_is_erased_by_somebody_for_a_reason_and_its_proofs_stay() {
     authros.run(&["audit", "--deep"]).expect_code(0);
 }
 
-/// The question names how many records of how many topics; only the word erases them.
+/// The question names how many records of how many topics; only the word erases them, and no others.
 #[test]
 fn a_pattern_is_erased_once_its_records_and_topics_were_named() {
     let home = Home::new();
@@ -101,27 +101,38 @@ fn a_pattern_is_erased_once_its_records_and_topics_were_named() {
     let camera = "/robot1/camera/compressed";
     authros.capture(&[ODOM, OTHER, camera], 3);
     let records = || authros.records(&["records", "list", "--oldest"]);
-    let before = wait_until(120, "all is verified", || Some(records()).filter(|all| all.iter().all(is_verified)));
-    let all_of = |topics: &[&str]| {
-        before.iter().filter(|record| topics.contains(&text(record, "topic").as_str())).count() as u64
-    };
+    let settled = || wait_until(120, "all is verified", || Some(records()).filter(|all| all.iter().all(is_verified)));
+    let mut before = settled();
     let shown = |chosen: &[&str]| {
         let asked = [&["records", "erase", "--reason", WHY], chosen].concat();
         let plan = authros.with(&["--json"]).run(&asked).expect_code(2).document();
         (count(&plan, "records"), list(&plan, "topics"))
     };
-    assert_eq!(shown(&["--topic", "/robot*/odom"]), (all_of(&[ODOM, OTHER]), vec![ODOM.into(), OTHER.into()]));
-    assert_eq!(shown(&["--robot", "robot1"]), (all_of(&[ODOM, camera]), vec![camera.into(), ODOM.into()]));
-    assert_eq!(shown(&["--robot", "robot1", "--topic", "**/odom"]), (all_of(&[ODOM]), vec![ODOM.into()]));
+    let odometry = [ODOM, OTHER];
+    assert_eq!(shown(&["--topic", "/robot*/odom"]), (among(&before, &odometry), vec![ODOM.into(), OTHER.into()]));
+    assert_eq!(shown(&["--robot", "robot1"]), (among(&before, &[ODOM, camera]), vec![camera.into(), ODOM.into()]));
+    assert_eq!(shown(&["--robot", "robot1", "--topic", "**/odom"]), (among(&before, &[ODOM]), vec![ODOM.into()]));
     for wrong in [&["--topic", "/robot9/**"][..], &["--robot", "nobody"], &["--topic", "robot1"]] {
         authros.fails(INPUT, &[&["records", "erase", "--reason", WHY, "--yes"], wrong].concat());
     }
 
     let asking = ["records", "erase", "--reason", WHY, "--topic", "/robot*/odom"];
-    let question = format!("type 'erase' to erase {} records of 2 topics permanently:", all_of(&[ODOM, OTHER]));
-    for (typed, gone) in [("yes", 0), ("erase", all_of(&[ODOM, OTHER]))] {
+    let question = |records: &[Value]| {
+        format!("type 'erase' to erase {} records of 2 topics permanently:", among(records, &odometry))
+    };
+    // One comes while the question stands.
+    let mut console = Console::open_in(&Terminal::of(200, 30), &authros, &asking);
+    console.wait_for(&question(&before), 60);
+    authros.capture(&[ODOM], 1);
+    console.press("erase\r");
+    assert_eq!(console.wait(120).exit_code(), 5, "{}", console.shown());
+    assert!(console.shown().contains("that were shown, so nothing was erased"), "{}", console.shown());
+    let earlier = before.len();
+    before = settled();
+    assert_eq!(before.len(), earlier + 1);
+    for (typed, gone) in [("yes", 0), ("erase", among(&before, &odometry))] {
         let mut console = Console::open_in(&Terminal::of(120, 30), &authros, &asking);
-        let screen = console.wait_for(&question, 60);
+        let screen = console.wait_for(&question(&before), 60);
         assert!(screen.contains(&format!("- {ODOM}")) && screen.contains(&format!("- {OTHER}")), "{screen}");
         console.press(&format!("{typed}\r"));
         assert!(console.wait(120).success(), "{}", console.shown());
@@ -129,7 +140,12 @@ fn a_pattern_is_erased_once_its_records_and_topics_were_named() {
         wait_until(60, "it is as the answer says", || (deleted() == gone).then_some(()));
     }
     let left: Vec<Value> = records().into_iter().filter(is_verified).collect();
-    assert!(left.iter().all(|record| record["topic"] == camera) && left.len() as u64 == all_of(&[camera]));
+    assert!(left.iter().all(|record| record["topic"] == camera) && left.len() as u64 == among(&before, &[camera]));
+}
+
+/// How many of these are of one of the topics.
+fn among(records: &[Value], topics: &[&str]) -> u64 {
+    records.iter().filter(|record| topics.contains(&text(record, "topic").as_str())).count() as u64
 }
 
 /// The reader's grant covers one topic: it opens no retention record, so nothing but the owner's statement tells it.

@@ -298,6 +298,9 @@ pub struct ErasureWishes {
     pub reason: String,
     /// Erase; otherwise only show.
     pub sure: bool,
+    /// How many would go, as shown before: no other number is erased.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shown: Option<u64>,
 }
 
 /// Own records for a bundle; all if nothing narrows it.

@@ -21,7 +21,7 @@ use crate::term::encode::Depth;
 use crate::term::renderer::{Scene, Wish};
 use crate::ui::draw::draw;
 
-const SIZES: [Size; 2] = [(80, 24), (200, 50)];
+static SIZES: [Size; 2] = [(80, 24), (200, 50)];
 /// Names of an ordinary run's lists, and of the long one's.
 const NAMES: (u64, u64) = (20_000, 1_000_000);
 /// Rows of a list.
@@ -52,8 +52,8 @@ fn assert_whole(buffer: &Buffer, place: &str) {
             let symbol = buffer[(column, row)].symbol();
             assert!(symbol.chars().all(harmless), "{place}: {symbol:?} in row {row}");
             assert!(symbol.chars().filter(|mark| is_piled(*mark)).count() <= 4, "{place}: {symbol:?} in row {row}");
-            let width = u16::try_from(symbol.width()).expect("narrow");
-            assert!(width > 0, "{place}: {symbol:?} in row {row} has no column");
+            // A half-width voiced mark alone has a cell, though Unicode gives it no width.
+            let width = u16::try_from(symbol.width().max(1)).expect("narrow");
             let hidden = column + 1..column + width;
             let is_blank = |hidden: u16| hidden < columns && buffer[(hidden, row)].symbol() == " ";
             assert!(hidden.clone().all(is_blank), "{place}: {symbol:?} at {column} in row {row} is half covered");
@@ -358,7 +358,7 @@ fn screens(robot: &mut Robot, names: &str) -> Vec<BTreeMap<&'static str, BTreeSe
         robot.act(Action::Do(Verb::Go(screen)));
         let buffer = drawn(&robot.state);
         assert_whole(&buffer, &format!("{names} on {screen:?} at {:?}", robot.state.size));
-        all.push(places(&buffer, list_width(&robot.state)));
+        all.push(if screen.has_table() { places(&buffer, list_width(&robot.state)) } else { BTreeMap::new() });
     }
     all
 }

@@ -140,6 +140,12 @@ impl Storage {
             )));
         }
         let (records, topics) = (counted(view.records, "record"), counted(view.topics.len() as u64, "topic"));
+        if let Some(shown) = wishes.shown.filter(|shown| *shown != view.records) {
+            return Err(refused(format!(
+                "repeat the command, with --until if more is being captured: {records} of {topics} would go by now, not the \
+                 {shown} that were shown, so nothing was erased"
+            )));
+        }
         let subject = clean(&format!("{records} of {topics}: {reason}; {}", view.topics.join(" ")), 900);
         self.parts.log.begin(owner, "erase", &subject).await?;
         let erasure = Erasure { at: Timestamp::now(), by: owner.profile.to_string(), reason };
