@@ -30,11 +30,11 @@ HEAVY = 2
 # How long something takes that never ran here.
 UNKNOWN = {"flow": 5, "heavy flow": 15, "unit tests": 40, "checks": 90}
 SLOWEST = 20
-# Of each flow that failed so many lines are printed once more at the end, where a log is read first.
+# Lines of each failed flow that are printed once more at the end, where a log is read first.
 LAST_LINES = 100
-# And of each failure its reason at the very end: so many lines, of each so many characters at its beginning and its end.
+# And of each failure its reason at the very end: this number of lines, of each this number of characters at its beginning and its end.
 REASON_LINES, REASON_WIDTH = 8, 120
-# Every so many seconds it says what is still running.
+# Seconds between two reports of what is still running.
 STILL = 300
 # What runs for longer than this many seconds has failed: nothing in the ordinary set takes a tenth of it.
 LONGEST = 3600 if os.environ.get("AUTHROS_LONG") else 1200

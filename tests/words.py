@@ -27,7 +27,7 @@ REASON = re.compile(r"\breason\s*=\s*$")
 MESSAGE = re.compile(r"[A-Za-z']{2,}.*?[^A-Za-z'].*?[A-Za-z']{2,}|^[A-Z][a-z]+$", re.DOTALL)
 ONLY_SQL = re.compile(r"(?-i:\b(SELECT|REPLACE INTO|INSERT|UPDATE|DELETE FROM|IS NOT NULL|PRAGMA|JOIN)\b)")
 PAGES = [
-    "*.md", "docs/*.md", "docs/monitoring/*", "crates/*/README.md", "packaging/*.1", "packaging/debian/*",
+    "*.md", "docs/*.md", "docs/decisions/*.md", "docs/monitoring/*", "crates/*/README.md", "packaging/*.1", "packaging/debian/*",
     "packaging/ros2/authros_follow/*.xml", "systemd/*",
 ]
 

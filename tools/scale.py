@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""What robots need, from measured constants: `tools/scale.py` prints the tables of docs/scale.md.
+"""What robots need, from measured constants: `tools/scale.py` prints the table of docs/gateway.md.
 
 `tools/scale.py ROBOTS RATE BYTES` prints the row of other robots: RATE in messages a second of each robot, BYTES of
 each message. Only the standard library is used.
@@ -8,12 +8,10 @@ each message. Only the standard library is used.
 import sys
 from math import ceil
 
-# Measured; docs/scale.md names the run of each.
+# Measured; docs/gateway.md names the run of each.
 SITE_RATE = 4_000  # messages of 1 KiB a second, captured to verified, held on two cores
-GATEWAY_RATE = 16_000  # records of 1 KiB a second and core that a gateway takes
 PICTURES_RATE = 120  # pictures of 58 KB a second, captured to verified, held on two cores
 BATCH_GAS = 56_825  # a batch of 1 to 16,384 records
-SINGLE_GAS = 64_786  # one record by itself
 
 # Given by the format and the code.
 BATCH_MOST = 16_384  # records in one batch
@@ -23,7 +21,6 @@ TAGS = 32  # bytes: the tags of head and body
 
 # Assumed, not measured.
 HEAD = 160  # bytes: names, type and md5sum of a topic with short names
-NODE_MEMORY = 64  # GB of memory of a Redis node
 
 DAY = 86_400
 LOADS = [
@@ -31,7 +28,6 @@ LOADS = [
     (60, 10, 1_024),
     (400, 10, 1_024),
     (1_000, 10, 1_024),
-    (10_000, 1, 1_024),
     (10_000, 10, 1_024),
     (4, 30, 58_000),
     (100, 30, 58_000),
@@ -64,11 +60,8 @@ def table(head, rows):
 
 def needs(robots, rate, size):
     messages = robots * rate
-    small = size <= 1_024
-    # Taking records and bringing them to verified share a machine of two cores; the slower of both counts.
-    held = SITE_RATE if small else PICTURES_RATE
-    sites = ceil(messages / held)
-    cores = rounded(messages / GATEWAY_RATE) if small else "not measured"
+    # Taking records is faster than bringing them to verified, and both share a machine of two cores.
+    sites = ceil(messages / (SITE_RATE if size <= 1_024 else PICTURES_RATE))
     stored = messages * DAY * (size + HEADER + TAGS + HEAD)
     batches = sites * DAY * max(BATCHES, ceil(messages / sites / BATCH_MOST))
     return [
@@ -76,13 +69,10 @@ def needs(robots, rate, size):
         thousands(rate),
         thousands(size),
         thousands(messages),
-        cores,
         thousands(sites),
         rounded(stored / 1e9),
-        rounded(NODE_MEMORY * 1e9 / (stored / DAY) / 3600),
         thousands(batches),
         rounded(batches * BATCH_GAS / 1e9),
-        rounded(batches * BATCH_GAS / (messages * DAY)),
     ]
 
 
@@ -91,21 +81,11 @@ HEADINGS = [
     "msg/s each",
     "bytes",
     "msg/s",
-    "cores to take them",
     "gateways of two cores",
     "ciphertext GB/day",
-    "hours in one Redis node",
     "transactions/day",
     "Ggas/day",
-    "gas a record",
 ]
-
-
-def single():
-    rows = []
-    for count in (1, 100, 1_000, 4_000, BATCH_MOST):
-        rows.append([thousands(count), rounded(BATCH_GAS / count), thousands(SINGLE_GAS)])
-    return table(["records in a batch", "gas a record", "one by one"], rows)
 
 
 def main(arguments):
@@ -121,8 +101,6 @@ def main(arguments):
         sys.exit(__doc__)
     else:
         print(table(HEADINGS, [needs(*one) for one in LOADS]))
-        print()
-        print(single())
 
 
 if __name__ == "__main__":

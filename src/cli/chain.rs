@@ -14,7 +14,7 @@ use super::connect::{Context, ProfileNeed};
 use super::plan::{self, CHAIN, Plan};
 use super::show::{not_written, or_dash};
 use super::{parse, parties};
-use crate::chain::{GUIDE, Genesis, GenesisKind};
+use crate::chain::{Genesis, GenesisKind, network_guide};
 use crate::model::{Address, ErrorKind};
 use crate::pipeline::sender::LaneState;
 use crate::service::command::{self, Administration};
@@ -233,7 +233,7 @@ async fn serve(context: Context, listen: SocketAddr, output: &Output) -> Result<
 
 fn genesis(arguments: &GenesisArguments, output: &Output) -> Result<u8, Failure> {
     let Some(consensus) = &arguments.consensus else {
-        output.result(&serde_json::json!({ "guide": GUIDE }), || GUIDE.to_owned());
+        output.result(&serde_json::json!({ "guide": network_guide() }), || network_guide().to_owned());
         return Ok(0);
     };
     let kind: GenesisKind = parse::value(consensus)?;
@@ -247,7 +247,7 @@ fn genesis(arguments: &GenesisArguments, output: &Output) -> Result<u8, Failure>
         return Ok(0);
     };
     DirBuilder::new().recursive(true).create(directory).map_err(|error| not_written(directory, &error))?;
-    for (name, text) in [("genesis.json", text.as_str()), ("README.md", GUIDE)] {
+    for (name, text) in [("genesis.json", text.as_str()), ("README.md", network_guide())] {
         write_new(&directory.join(name), text)?;
     }
     let id = &file["config"]["chainId"];

@@ -8,7 +8,7 @@ use clap::{Args, Subcommand};
 use super::connect::{Context, ProfileNeed};
 use super::{args::Global, check, parse, plan::CHAIN};
 use crate::crypto::{ProviderName, provider};
-use crate::model::{Digest, ErrorKind, TopicPattern, clean, clean_lines};
+use crate::model::{Digest, ErrorKind, TopicPattern, clean, clean_lines, counted, grouped};
 use crate::ros::Limits;
 use crate::ros::recording::{BESIDE, Beside};
 use crate::service::command::{EvidenceWishes, ExportEvidence, StampEvidence};
@@ -74,7 +74,7 @@ pub struct ExportArguments {
 pub struct VerifyArguments {
     /// The bundle, unpacked or not, or the folder
     pub path: PathBuf,
-    /// For a bundle: what you know about chain, signers and people from an independent source (docs/evidence.md)
+    /// For a bundle: what you know about chain, signers and people from an independent source (docs/reader.md)
     #[arg(long, value_name = "FILE", conflicts_with = "genesis")]
     pub trust: Option<PathBuf>,
     /// For the proof of a followed recording: the recorded file, to compare with the digests that the proof states
@@ -179,16 +179,20 @@ pub fn stamped(view: &StampView) -> String {
 
 pub fn exported(view: &EvidenceView) -> String {
     let EvidenceView { file, bytes, records, revealed, topics, written, notes } = view;
+    let of_them = counted(*records, "record");
     let mut lines = match written {
-        true => vec![format!("{records} records, {revealed} of them disclosed, in {file} (0600, {bytes} bytes)")],
-        false => vec![format!("{records} records would go into {file}")],
+        true => vec![format!("{of_them}, {} of them disclosed, in {file} (0600, {bytes} bytes)", grouped(*revealed))],
+        false => vec![format!("{of_them} would go into {file}")],
     };
     if *revealed > 0 {
-        let (will, of) =
-            (if *written { "are" } else { "would be" }, if topics.len() == 1 { "topic" } else { "topics" });
+        let (readable, of) = (counted(*revealed, "record"), counted(topics.len() as u64, "topic"));
+        let will = match (*written, *revealed) {
+            (false, _) => "would be",
+            (true, 1) => "is",
+            (true, _) => "are",
+        };
         lines.push(format!(
-            "{revealed} records of {} {of} {will} readable to everybody who gets the file, and that cannot be undone:",
-            topics.len()
+            "{readable} of {of} {will} readable to everybody who gets the file, and that cannot be undone:"
         ));
         lines.extend(topics.iter().map(|one| format!("  {} of {}", one.records, one.topic)));
     }
@@ -256,7 +260,7 @@ fn read_trust(path: &Path) -> Result<Trust, Failure> {
     let unread = |error: std::io::Error| match error.kind() {
         std::io::ErrorKind::NotFound => failed(
             "there is no such trust file, so the bundle was not checked; write what you know of its chain and its \
-             people into one (docs/evidence.md has an example), or leave out --trust to see what the bundle claims"
+             people into one (docs/reader.md has an example), or leave out --trust to see what the bundle claims"
                 .to_owned(),
         ),
         _ => failed(format!("the trust file cannot be read, so the bundle was not checked: {error}")),

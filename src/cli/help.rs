@@ -81,7 +81,7 @@ anchors them.
 
 The reader needs no home, no keys and no network, only a trust file with what
 they know from another source: the chain, who seals it, and your account
-(docs/evidence.md has an example). You disclose messages by topic or pattern
+(docs/reader.md has an example). You disclose messages by topic or pattern
 (--reveal-topic), one by one (--reveal ID), or all that are chosen (--reveal
 all); of the others the bundle proves that they exist, not what they say.
 

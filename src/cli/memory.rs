@@ -13,7 +13,7 @@ pub fn keep_private() {
 const ARENAS: libc::c_int = 2;
 
 /// Bounds glibc's arenas before the first thread starts: with the default, a site held three times the memory that it
-/// used (`docs/decisions/072-few-arenas.md`). `MALLOC_ARENA_MAX` stays in force.
+/// used (`docs/decisions/026-platform-and-packages.md`). `MALLOC_ARENA_MAX` stays in force.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 pub fn keep_few_arenas() {
     if std::env::var_os("MALLOC_ARENA_MAX").is_none() {

@@ -102,7 +102,6 @@ documents! {
     reply::QuarantineView => quarantine::held;
     reply::DecidedView => |view| view.text.clone();
     reply::PathView => reading::path;
-    reply::CoverageView => coverage::strip;
     reply::DeviceAddressesView => device_addresses;
     reply::DeviceTopicsView => device_topics;
     reply::IncidentView => incidents::incident;
@@ -115,6 +114,7 @@ documents! {
 
 rows! {
     reply::TopicRow, "topics" => topics::list;
+    reply::CoverageView, "coverage" => coverage::strips;
     reply::GrantRow, "grants" => grants::list;
     reply::DeviceRow, "devices" => robots::devices;
     reply::ContactRow, "contacts" => parties::contact_table;

@@ -49,7 +49,7 @@ pub enum TopicsVerb {
         #[arg(long, value_name = "NAME", conflicts_with = "topic")]
         robot: Option<String>,
     },
-    /// Show over time where a topic has records, losses or quarantined messages
+    /// Show over time where topics have records, losses or quarantined messages
     Coverage(CoverageArguments),
     /// Show the rule for each topic; --learn drafts rules from the live graph
     Rules(RulesArguments),

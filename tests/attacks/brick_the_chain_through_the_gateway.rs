@@ -51,7 +51,7 @@ fn signed(key: &LocalWallet, chain: u64, nonce: u64, gas: u64, to: Option<H160>,
     format!("0x{}", hex(&typed.rlp_signed(&signature)))
 }
 
-/// The refusal of a creation, whoever sends it.
+/// The refusal of a creation, by any sender.
 const NOT_TO_THE_CONTRACT: &str = "only transactions to the contract";
 /// The refusal of a call of the contract with more gas than any call needs.
 const TOO_MUCH_GAS: &str = "is forwarded";

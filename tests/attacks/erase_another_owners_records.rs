@@ -119,7 +119,7 @@ async fn erase_another_owners_records() {
         stored(&mut as_her, carol.address(), vec![upload(1, b"a face"), upload(2, b"another one")], carol.provider())
             .await;
 
-    // In his own session nothing of hers is heard, whoever signed it.
+    // In his own session nothing of hers is heard, by any signer.
     let mut wrong = Vec::new();
     for keys in [hers, (&carol.keyring.signing, his), (&mallory.keyring.signing, his)] {
         match as_himself.erase(vec![notice_of(&carol, &records[0], keys)]).await {

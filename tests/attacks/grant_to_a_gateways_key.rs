@@ -1,4 +1,4 @@
-//! To get the keys of an owner who joins through the attacker's gateway: whoever relays the chain can present a key of
+//! To get the keys of an owner who joins through the attacker's gateway: the relay of the chain can present a key of
 //! their own as the reader's. All it takes is an owner who grants to a key that nobody compared.
 
 use super::support::Home;

@@ -1,4 +1,4 @@
-//! A machine that captures at boot without its owner's keys, as boot.md has it: an agent and a gateway with a home of its own,
+//! A machine that captures at boot without its owner's keys, as robots.md has it: an agent and a gateway with a home of its own,
 //! both started by systemd. Its power is cut, it boots again, nobody logs in.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
@@ -42,7 +42,7 @@ struct Scene {
 }
 
 impl Scene {
-    /// Every step of boot.md.
+    /// Every step of robots.md, "A machine that captures at boot".
     fn new(mut machine: Machine, ros_master: &str) -> Self {
         let address = format!("127.0.0.1:{}", free_port());
         machine.boot();

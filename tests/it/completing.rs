@@ -38,13 +38,13 @@ fn names_and_ids_are_completed_a_topic_has_its_coverage_and_a_home_its_identitie
     assert_eq!(files(), before, "looking leaves nothing behind");
 
     let coverage = authros.json(&["topics", "coverage", TOPIC, "--parts", "4"]);
-    let parts = list(&coverage, "parts");
+    let parts = list(&coverage["coverage"][0], "parts");
     assert!((1..=4).contains(&parts.len()), "{coverage}");
     assert_eq!(parts[0]["data"], true, "the first record is where it begins: {coverage}");
     assert!(parts.iter().all(|part| part["quarantined"] == false && part["tampered"] == false), "{coverage}");
     let strip = authros.run(&["topics", "coverage", TOPIC]).expect_code(0);
     assert!(strip.stdout.contains("█ recorded"), "{strip}");
-    assert_eq!(authros.json(&["topics", "coverage", "/never/seen"])["first"], serde_json::Value::Null);
+    assert_eq!(authros.json(&["topics", "coverage", "/never/seen"])["coverage"][0]["first"], serde_json::Value::Null);
     authros.fails(3, &["topics", "coverage", TOPIC, "--since", "1h", "--until", "2h"]);
 
     let shown = authros.json(&["identity", "show"]);

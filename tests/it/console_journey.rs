@@ -4,11 +4,10 @@
 
 use crate::support;
 
-use support::{Authros, Console, Home, Terminal, heavy, poll, text, wait_until};
+use support::{Authros, Home, Operator, PASSPHRASE, SIZES, heavy, locked_profile, text, wait_until};
 
 const ODOMETRY: &str = "/robot1/odom";
 const CAMERA: &str = "/robot1/camera/compressed";
-const PASSPHRASE: &str = "an operator's passphrase";
 /// Seconds allowed for anything on a busy machine.
 const PATIENCE: u64 = 60;
 
@@ -16,70 +15,12 @@ fn one_robot(authros: Authros) -> Authros {
     authros.with(&["--robots", "1"])
 }
 
-/// An operator at a terminal of 80x24.
-struct Operator(Console);
-
-impl Operator {
-    fn opens(authros: &Authros) -> Self {
-        Self(Console::open_in(&Terminal::of(80, 24), authros, &[]))
-    }
-
-    fn presses(&mut self, keys: &str) -> &mut Self {
-        self.0.press(keys);
-        self
-    }
-
-    fn sees(&mut self, text: &str) -> &mut Self {
-        self.0.wait_for(text, PATIENCE);
-        self
-    }
-
-    fn no_longer_sees(&mut self, text: &str) -> &mut Self {
-        wait_until(PATIENCE, &format!("'{text}' to go"), || Some(()).filter(|()| !self.0.shown().contains(text)));
-        self
-    }
-
-    fn sees_so_often(&mut self, text: &str, times: usize) -> &mut Self {
-        let shown = || self.0.shown().matches(text).count() >= times;
-        wait_until(PATIENCE, &format!("'{text}' {times} times"), || Some(()).filter(|()| shown()));
-        self
-    }
-
-    /// Presses keys that are for a row until their effect is seen: they are given up after some seconds without rows.
-    fn presses_until(&mut self, keys: &str, text: &str) -> &mut Self {
-        wait_until(PATIENCE, &format!("'{text}' after {keys:?}"), || {
-            self.0.press(keys);
-            poll(5, || self.0.shown().contains(text).then_some(()))
-        });
-        self
-    }
-
-    /// Takes the filter away: a message on the screen goes first.
-    fn clears_the_filter(&mut self) -> &mut Self {
-        wait_until(PATIENCE, "the filter to go", || {
-            self.0.press("\u{1b}");
-            poll(1, || (!self.0.shown().contains("filter:")).then_some(()))
-        });
-        self
-    }
-
-    /// Quits, even while records are pending.
-    fn leaves(&mut self) {
-        self.presses("\u{3}");
-        let gone = |operator: &mut Self| {
-            operator.0.has_ended() || operator.0.shown().contains("Quit?") && operator.presses("y").0.has_ended()
-        };
-        wait_until(PATIENCE, "the console to end", || Some(()).filter(|()| gone(self)));
-        self.0.expect_restored();
-    }
-}
-
 #[test]
 fn from_nothing_to_verified_records_of_two_topics() {
     let _alone = heavy();
     let home = Home::new();
     let key = home.file("k_c", "00112233445566778899aabbccddeeff", 0o600);
-    let mut operator = Operator::opens(&one_robot(home.authros()));
+    let mut operator = Operator::opens(&one_robot(home.authros()), SIZES[0]);
     operator.sees("First steps").sees(ODOMETRY);
 
     operator.presses("n").sees("Repeat").presses(PASSPHRASE).presses("\r").presses(PASSPHRASE).presses("\r");
@@ -115,14 +56,14 @@ fn a_grant_reaches_a_second_console_that_opens_a_record_and_a_revoke_ends_it() {
     let _alone = heavy();
     let home = Home::new();
     let (alice, bob, address) = alice_and_bob(&home);
-    let mut alice = Operator::opens(&alice);
+    let mut alice = Operator::opens(&alice, SIZES[0]);
     alice.sees(ODOMETRY).presses("5").sees("No grants given");
     alice.presses("g").sees("Lets another account").presses(&address).presses("\rall\r\repoch\r");
     alice.sees("Current readers:").presses("g").no_longer_sees("Current readers:");
     alice.presses("\r").sees("Current readers:").presses("y").sees("1 can read new records now");
     alice.presses("i").sees("Revoking does not undo reads").presses("q");
 
-    let mut bob = Operator::opens(&bob);
+    let mut bob = Operator::opens(&bob, SIZES[0]);
     bob.presses("4")
         .sees(ODOMETRY)
         .presses("b")
@@ -148,11 +89,11 @@ fn a_grant_reaches_a_second_console_that_opens_a_record_and_a_revoke_ends_it() {
 fn filter_order_and_screen_are_there_again_at_the_next_start() {
     let home = Home::new();
     let authros = one_robot(home.authros());
-    let mut operator = Operator::opens(&authros);
+    let mut operator = Operator::opens(&authros, SIZES[0]);
     operator.presses("2").sees(CAMERA).presses("s").sees("by Hz").presses("/odom\r").no_longer_sees(CAMERA);
     operator.presses("t").sees("Tasks").presses("q").presses("f").sees("FROZEN").presses("f").no_longer_sees("FROZEN");
     operator.leaves();
-    let mut again = Operator::opens(&authros);
+    let mut again = Operator::opens(&authros, SIZES[0]);
     again.sees("by Hz").sees("filter: odom").sees(ODOMETRY);
     assert!(!again.0.shown().contains(CAMERA), "the filter holds");
     again.clears_the_filter().sees(CAMERA);
@@ -166,7 +107,7 @@ fn a_locked_console_captures_on_and_opens_nothing_until_it_is_unlocked() {
     let authros = one_robot(home.authros());
     let passphrase = home.file("passphrase", PASSPHRASE, 0o600);
     authros.with(&["--passphrase-file", &passphrase]).enrol();
-    let mut operator = Operator::opens(&authros);
+    let mut operator = Operator::opens(&authros, SIZES[0]);
     operator.sees("Unlock the keyring").sees("LOCKED").presses(PASSPHRASE).presses("\r").no_longer_sees("LOCKED");
     authros.run(&["topics", "watch", ODOMETRY]).expect_code(0);
     operator.presses("3").sees("verified");
@@ -199,27 +140,19 @@ fn a_locked_console_captures_on_and_opens_nothing_until_it_is_unlocked() {
     operator.leaves();
 }
 
-/// A profile with a keyring that only its operator can open.
-fn locked_profile(home: &Home) -> Authros {
-    let authros = one_robot(home.authros());
-    let passphrase = home.file("passphrase", PASSPHRASE, 0o600);
-    authros.with(&["--passphrase-file", &passphrase]).enrol();
-    authros
-}
-
 #[test]
 fn after_a_restart_nothing_is_silently_off_and_leaving_says_what_stops() {
     let _alone = heavy();
     let home = Home::new();
     let authros = locked_profile(&home);
-    let mut operator = Operator::opens(&authros);
+    let mut operator = Operator::opens(&authros, SIZES[0]);
     operator.sees("Unlock the keyring").sees("LOCKED").presses(PASSPHRASE).presses("\r").no_longer_sees("LOCKED");
     operator.presses("2").sees(CAMERA).presses("/odom\r").no_longer_sees(CAMERA).presses("w").sees("watched");
     operator.sees("HOST").presses("q").sees("Quitting stops the capture of /robot1/odom.");
     operator.presses("d");
     wait_until(PATIENCE, "all to be verified and the console to end", || Some(()).filter(|()| operator.0.has_ended()));
 
-    let mut operator = Operator::opens(&authros);
+    let mut operator = Operator::opens(&authros, SIZES[0]);
     operator.sees("Unlock the keyring").presses("\u{1b}").no_longer_sees("Unlock the keyring");
     operator.sees("LOCKED").sees("waits for key").presses("1").sees("capture of 1 topic waits for the key");
     operator.presses("u").sees("Unlock the keyring").presses(PASSPHRASE).presses("\r").no_longer_sees("LOCKED");
@@ -236,7 +169,7 @@ fn a_console_that_joined_a_site_says_that_capture_continues_there() {
     authros.run(&["topics", "watch", ODOMETRY]).expect_code(0);
     let mut site = authros.serve(&home);
     wait_until(PATIENCE, "the site to listen", || home.socket());
-    let mut operator = Operator::opens(&authros);
+    let mut operator = Operator::opens(&authros, SIZES[0]);
     operator.sees(&format!("JOINED {}", site.id())).presses("2").sees("watched");
     operator.presses("q");
     let asked = |operator: &mut Operator| operator.0.has_ended() || operator.0.shown().contains("Quit?");
@@ -256,8 +189,8 @@ fn a_moving_record_is_aimed_at_opened_searched_for_and_left_while_others_come() 
     authros.enrol();
     authros.run(&["topics", "watch", ODOMETRY]).expect_code(0);
     authros.run(&["topics", "watch", CAMERA]).expect_code(0);
-    for (columns, rows) in [(80, 24), (200, 50)] {
-        let mut operator = Operator(Console::open_in(&Terminal::of(columns, rows), &authros, &[]));
+    for size in [(80, 24), (200, 50)] {
+        let mut operator = Operator::opens(&authros, size);
         operator.presses("3").sees_so_often("verified", 3).presses("\u{1b}[B\u{1b}[B").sees("as of");
         // The screen may be seen after the first of the two keys, or while a frame is still being written.
         let third =

@@ -5,7 +5,7 @@
 use crate::support;
 
 use serde_json::Value;
-use support::{Authros, Home, count, is_verified, list, text, wait_until};
+use support::{Authros, Console, Home, Terminal, count, is_verified, list, text, wait_until};
 
 const REFUSED: i32 = 5;
 const INPUT: i32 = 3;
@@ -89,6 +89,47 @@ fn a_recording_is_erased_by_somebody_for_a_reason_and_its_proofs_stay() {
     assert_eq!((count(&again, "records"), count(&again, "gone")), (0, all), "{again}");
     site.stop("TERM", 30).expect_code(0);
     authros.run(&["audit", "--deep"]).expect_code(0);
+}
+
+/// The question names how many records of how many topics; only the word erases them.
+#[test]
+fn a_pattern_is_erased_once_its_records_and_topics_were_named() {
+    let home = Home::new();
+    let authros = home.authros().with(&["--robots", "2"]);
+    let _site = authros.serve(&home);
+    authros.enrol();
+    let camera = "/robot1/camera/compressed";
+    authros.capture(&[ODOM, OTHER, camera], 3);
+    let records = || authros.records(&["records", "list", "--oldest"]);
+    let before = wait_until(120, "all is verified", || Some(records()).filter(|all| all.iter().all(is_verified)));
+    let all_of = |topics: &[&str]| {
+        before.iter().filter(|record| topics.contains(&text(record, "topic").as_str())).count() as u64
+    };
+    let shown = |chosen: &[&str]| {
+        let asked = [&["records", "erase", "--reason", WHY], chosen].concat();
+        let plan = authros.with(&["--json"]).run(&asked).expect_code(2).document();
+        (count(&plan, "records"), list(&plan, "topics"))
+    };
+    assert_eq!(shown(&["--topic", "/robot*/odom"]), (all_of(&[ODOM, OTHER]), vec![ODOM.into(), OTHER.into()]));
+    assert_eq!(shown(&["--robot", "robot1"]), (all_of(&[ODOM, camera]), vec![camera.into(), ODOM.into()]));
+    assert_eq!(shown(&["--robot", "robot1", "--topic", "**/odom"]), (all_of(&[ODOM]), vec![ODOM.into()]));
+    for wrong in [&["--topic", "/robot9/**"][..], &["--robot", "nobody"], &["--topic", "robot1"]] {
+        authros.fails(INPUT, &[&["records", "erase", "--reason", WHY, "--yes"], wrong].concat());
+    }
+
+    let asking = ["records", "erase", "--reason", WHY, "--topic", "/robot*/odom"];
+    let question = format!("type 'erase' to erase {} records of 2 topics permanently:", all_of(&[ODOM, OTHER]));
+    for (typed, gone) in [("yes", 0), ("erase", all_of(&[ODOM, OTHER]))] {
+        let mut console = Console::open_in(&Terminal::of(120, 30), &authros, &asking);
+        let screen = console.wait_for(&question, 60);
+        assert!(screen.contains(&format!("- {ODOM}")) && screen.contains(&format!("- {OTHER}")), "{screen}");
+        console.press(&format!("{typed}\r"));
+        assert!(console.wait(120).success(), "{}", console.shown());
+        let deleted = || records().iter().filter(|record| record["state"] == "deleted").count() as u64;
+        wait_until(60, "it is as the answer says", || (deleted() == gone).then_some(()));
+    }
+    let left: Vec<Value> = records().into_iter().filter(is_verified).collect();
+    assert!(left.iter().all(|record| record["topic"] == camera) && left.len() as u64 == all_of(&[camera]));
 }
 
 /// The reader's grant covers one topic: it opens no retention record, so nothing but the owner's statement tells it.

@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 
 use authros::model::Timestamp;
 use serde_json::Value;
-use support::{Authros, Console, Terminal, count, heavy, ids, list, long, text, two_profiles, wait_until};
+use support::{Authros, count, heavy, ids, list, long, text, two_profiles, wait_until};
 
 const TOPIC: &str = "/robot1/odom";
 const INPUT: i32 = 3;
@@ -17,7 +17,7 @@ fn captured(record: &Value) -> Timestamp {
 }
 
 /// Opens each, and returns them.
-fn opened(reader: &Authros) -> BTreeSet<String> {
+pub fn opened(reader: &Authros) -> BTreeSet<String> {
     let shared = ids(&reader.records(&["received", "list", "--oldest"]));
     for id in &shared {
         assert_eq!(reader.json(&["records", "open", id])["verdict"], "verified", "{id}");
@@ -26,7 +26,7 @@ fn opened(reader: &Authros) -> BTreeSet<String> {
 }
 
 /// Nothing of this is listed or opened.
-fn is_closed(reader: &Authros, records: &[Value]) {
+pub fn is_closed(reader: &Authros, records: &[Value]) {
     let shared = ids(&reader.records(&["received", "list", "--oldest"]));
     for record in records {
         let id = text(record, "id");
@@ -162,42 +162,4 @@ fn many_grants_from_now_on_in_a_row_take_nothing_from_anybody() {
     let last = readers.last().expect("readers");
     assert_eq!(opened(last), ids(&all[seen[seen.len() - 1]..]));
     is_closed(last, &all[..1]);
-}
-
-#[test]
-fn the_form_at_80_by_24_says_from_when_and_the_reader_opens_nothing_older() {
-    let _alone = heavy();
-    let two = two_profiles(1);
-    two.alice.capture(&[TOPIC], 3);
-    let before = two.alice.records(&["records", "list", "--oldest"]);
-    let mut console = Console::open_in(&Terminal::of(80, 24), &two.alice, &[]);
-    console.wait_for(TOPIC, 60);
-    console.press("5");
-    console.wait_for("No grants given", 60);
-    console.press("g");
-    for words in ["now    from now on: a new key, nothing older", "UTC, 3 records of all topics"] {
-        console.wait_for(words, 60);
-    }
-    console.press(&two.bob_address);
-    console.press("\rall\r\r\r");
-    console.wait_for("Records  from now on, nothing older", 60);
-    console.wait_for("a new epoch: 0 other readers get the key, no robot is told", 60);
-    console.press("n");
-    console.wait_for("Lets another account", 60);
-    console.press("epoch\r");
-    console.wait_for("UTC, 3 records", 60);
-    console.wait_for("Cost     1 transaction", 60);
-    console.press("n");
-    console.wait_for("Lets another account", 60);
-    console.press("\u{15}now\r");
-    console.wait_for("a new epoch:", 60);
-    console.press("y");
-    console.wait_for("1 can read new records now", 60);
-    is_closed(&two.bob, &before);
-    two.alice.capture(&[TOPIC], 2);
-    let after: Vec<Value> =
-        two.alice.records(&["records", "list", "--oldest"]).into_iter().skip(before.len()).collect();
-    assert_eq!((opened(&two.bob), after.len()), (ids(&after), 2));
-    console.signal("TERM");
-    console.wait(60);
 }

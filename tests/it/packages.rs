@@ -79,10 +79,8 @@ fn programs_without_keys_come_by_themselves_and_only_with_their_own_version_of_t
     let folder = packed(&home.root().join("packages"));
     let version = env!("CARGO_PKG_VERSION");
     let first = said("dpkg-deb", &["--contents"], &folder.join(format!("authros_{version}-1_amd64.deb")));
-    for (name, original, manual) in
-        [("authros-ros2", "/bin/echo", "ros2.md"), ("authros-rosrust", "/bin/cat", "bridge.md")]
-    {
-        expect_beside(&folder, name, manual);
+    for (name, original) in [("authros-ros2", "/bin/echo"), ("authros-rosrust", "/bin/cat")] {
+        expect_beside(&folder, name);
         // Each holds its own program, and none another's.
         let program = format!("{name}-{version}-x86_64-linux/{name}");
         let mut command = Command::new("tar");
@@ -96,7 +94,7 @@ fn programs_without_keys_come_by_themselves_and_only_with_their_own_version_of_t
 }
 
 /// The package and the archive of a program that the site starts.
-fn expect_beside(folder: &Path, name: &str, manual: &str) {
+fn expect_beside(folder: &Path, name: &str) {
     let version = env!("CARGO_PKG_VERSION");
     let deb = folder.join(format!("{name}_{version}-1_amd64.deb"));
     let facts = said("dpkg-deb", &["--field"], &deb);
@@ -117,7 +115,7 @@ fn expect_beside(folder: &Path, name: &str, manual: &str) {
     assert!(!held.contains("systemd") && !held.contains("./etc"), "{held}");
     let archive = folder.join(format!("{name}-{version}-x86_64-linux.tar.gz"));
     let archived = said("tar", &["-tzf"], &archive);
-    for file in [name, "LICENSE", "THIRD-PARTY.txt", &format!("{name}.1"), &list, manual] {
+    for file in [name, "LICENSE", "THIRD-PARTY.txt", &format!("{name}.1"), &list, "robots.md"] {
         assert!(archived.contains(&format!("{name}-{version}-x86_64-linux/{file}\n")), "no {file} in {archived}");
     }
 }

@@ -81,7 +81,7 @@ fn gateway(home: &Home) -> (Running, String, String) {
 }
 
 #[test]
-fn a_robots_record_is_evidence_for_whoever_has_neither_home_nor_keys() {
+fn a_robots_record_is_evidence_without_home_or_keys() {
     let (home, away) = (Home::new(), Home::new());
     let (site, address, fingerprint) = gateway(&home);
     let alice = home.profile("alice");

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use authros::model::Timestamp;
 use serde_json::Value;
-use support::{Authros, Home, Running, count, free_port, is_verified, length, list, text, wait_until};
+use support::{Authros, Home, Operator, Running, count, free_port, is_verified, length, list, text, wait_until};
 
 const INPUT: i32 = 3;
 const USAGE: i32 = 2;
@@ -64,6 +64,18 @@ impl Robot {
 
     pub fn run(&self, keep: &str, topics: &str) -> Running {
         self.run_in(&self.home, keep, topics)
+    }
+
+    /// Runs it until this many messages are verified at the gateway.
+    pub fn brings(&self, count: &str) {
+        let agent = self.home.authros().with(&["--json", "--robots", "1"]);
+        agent.run(&["robot", "run", &self.enrolment, "--count", count]).expect_code(0);
+    }
+
+    /// Runs it in a terminal.
+    pub fn shows(&self, size: (u16, u16)) -> Operator {
+        let agent = self.home.authros().with(&["--robots", "1"]);
+        Operator::runs(&agent, size, &["robot", "run", &self.enrolment])
     }
 
     fn run_in(&self, home: &Home, keep: &str, topics: &str) -> Running {
@@ -258,10 +270,11 @@ fn two_robots_of_one_topic_have_a_timeline_each() {
     let robots = ["scout", "elder"].map(|name| Robot::enrol(&site, &alice, name, &[WATCHED]));
     // One after the other, on the same topic.
     for robot in &robots {
-        let agent = robot.home.authros().with(&["--json", "--robots", "1"]);
-        agent.run(&["robot", "run", &robot.enrolment, "--count", "3"]).expect_code(0);
+        robot.brings("3");
     }
-    let coverage = |more: &[&str]| alice.json(&[&["topics", "coverage", WATCHED, "--parts", "20"], more].concat());
+    let strips =
+        |chosen: &[&str]| list(&alice.json(&[&["topics", "coverage", "--parts", "20"], chosen].concat()), "coverage");
+    let coverage = |more: &[&str]| strips(&[&[WATCHED], more].concat()).remove(0);
     let time =
         |view: &Value, field: &str| -> Timestamp { serde_json::from_value(view[field].clone()).expect("a time") };
     let all = wait_until(120, "both are known by the topic's name", || {
@@ -285,6 +298,14 @@ fn two_robots_of_one_topic_have_a_timeline_each() {
     assert!(last_of_scout < first_of_elder, "{of_scout:?} {of_elder:?}");
     let people = alice.run(&["topics", "coverage", WATCHED]).expect_code(0).stdout;
     assert!(people.contains("robots that recorded it: elder, scout"), "{people}");
+    // A robot or a pattern is a row for each topic with records.
+    let of_scout = strips(&["--robot", "scout"]);
+    assert_eq!(of_scout.iter().map(|view| text(view, "topic")).collect::<Vec<_>>(), [WATCHED]);
+    assert_eq!(of_scout[0]["first"], scout["first"]);
+    assert_eq!(strips(&["/robot*/**"]).len(), 1, "of that topic alone there are records");
+    for chosen in [&["/robot9/**"][..], &["--robot", "robot9"]] {
+        alice.fails(INPUT, &[&["topics", "coverage"], chosen].concat());
+    }
     let told = alice.fails(INPUT, &["topics", "coverage", WATCHED, "--robot", "nobody"]);
     assert!(told.contains("no robot of this profile is called 'nobody'"), "{told}");
 }

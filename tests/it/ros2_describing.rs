@@ -63,7 +63,7 @@ fn expect_described(network: &Network, start: impl Fn() -> Running) {
     let asked = hand.stdout().matches("asked").count();
     assert!((1..=5).contains(&asked), "asked {asked} times");
 
-    // The definition goes with the message: whoever reads a recording of it needs nothing else.
+    // The definition goes with the message: a reader of its recording needs nothing else.
     drop(hand);
     wait_until(60, "all is verified", || {
         alice.records(&["records", "list", "--oldest", "--topic", TOPIC]).iter().all(is_verified).then_some(())

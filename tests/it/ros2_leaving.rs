@@ -56,7 +56,7 @@ impl Robots {
         self.nodes.iter().map(|(topic, _)| topic.as_str()).collect()
     }
 
-    /// Waits until every node has so many subscribers of ours; returns all their ids.
+    /// Waits until every node has this number of subscribers of ours; returns all their ids.
     fn see(&self, number: usize, seconds: u64, way: &str) -> Vec<String> {
         let fits = |ids: &[String]| ours(ids) == number;
         let see = |(topic, node): &(String, Node)| {
@@ -271,7 +271,7 @@ fn what_was_played_leaves_the_domain_when_playing_ends() {
     readers.into_iter().for_each(Node::end);
 }
 
-/// A site's home with a program that reads as it always does, but replaces its participant after meeting so many endpoints of
+/// A site's home with a program that reads as it always does, but replaces its participant after meeting a number of endpoints of
 /// others.
 fn renewing(home: &Home, after: u64) -> Authros {
     // Under root the script is run by nobody, who has to get to it and to the program.

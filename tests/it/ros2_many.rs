@@ -13,7 +13,7 @@ use support::ros2::{Network, Talker, network};
 use support::{Authros, Home, Running, count, heavy, long, skipped, text};
 
 const READER: &str = "authros-ros2";
-/// What the reading program keeps over all topics at most ("What to know" in `docs/ros2.md`), KiB.
+/// What the reading program keeps over all topics at most ("What to know of ROS 2" in `docs/robots.md`), KiB.
 const KEPT: u64 = 256 * 1024;
 /// What a hundred topics of small messages may add to it, KiB.
 const ADDED: u64 = 60 * 1024;

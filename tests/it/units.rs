@@ -35,8 +35,9 @@ fn systemd_accepts_the_units() {
 #[test]
 fn systemd_accepts_the_manuals_lines_for_operators() {
     let Some(program) = system_program("systemd-analyze") else { skipped!("no systemd-analyze") };
-    let manual = include_str!("../../docs/operations.md");
-    let lines = manual.split("```ini\n").nth(1).and_then(|rest| rest.split("```").next()).expect("lines for a unit");
+    let manual = include_str!("../../docs/gateway.md");
+    let mut blocks = manual.split("```ini\n").skip(1).filter_map(|rest| rest.split("```").next());
+    let lines = blocks.find(|lines| lines.contains("OPERATORS")).expect("lines for a unit");
     for needed in
         ["Group=", "RuntimeDirectory=", "RuntimeDirectoryMode=0750", "PrivateUsers=no", "AUTHROS_OPERATORS_SOCKET="]
     {

@@ -104,7 +104,7 @@ def file_of(members):
 def with_disclosures(members, secrets, key, domain):
     """The members with these secrets by digests, under one signature."""
     listed_ = b"".join(digest + secrets[digest] for digest in sorted(secrets))
-    return {**members, "disclosed.bin": listed_, "disclosed.der": key.sign(b"AuthROS/reveal/2" + domain + listed_)}
+    return {**members, "disclosed.bin": listed_, "disclosed.der": key.sign(b"AuthROS/reveal/3" + domain + sm3(listed_))}
 
 
 def secrets_of(members):

@@ -394,9 +394,19 @@ def made(all_, seed, number):
         mutation = draw.choice(MUTATIONS)
         if (not case.is_signed or "file" in vars(case)) and mutation is not leave_unsigned:
             break
-        if mutation(case) is not False:
+        if changed(case, mutation):
             case.done.append(mutation.__name__)
     return case
+
+
+def changed(case, mutation):
+    """Whether a mutation found something of its kind; what an earlier one broke may have nothing left to read."""
+    try:
+        return mutation(case) is not False
+    except (ValueError, LookupError, TypeError, AttributeError, struct.error, zlib.error):
+        if len(case.done) > 1:
+            return False
+        raise
 
 
 def of_program(path, folder, names):

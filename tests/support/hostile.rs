@@ -1,7 +1,8 @@
 //! Text that tries to control a terminal, and the check that none of it gets through.
 
-/// Hostile pieces: control sequences from both ends of the range, direction, invisibility, wide and broken characters.
-const PIECES: [&str; 18] = [
+/// Hostile pieces: control sequences from both ends of the range, direction, invisibility, wide, joined and broken
+/// characters, towers of marks, and what a shell would run.
+const PIECES: [&str; 28] = [
     "\u{1b}[2J",
     "\u{1b}]0;owned\u{7}",
     "\u{1b}]52;c;b3duZWQ=\u{7}",
@@ -20,22 +21,76 @@ const PIECES: [&str; 18] = [
     "/robot1/odom",
     "\u{0}",
     "\u{85}\u{2028}",
+    "\t\n",
+    "👩\u{200d}👩\u{200d}👧\u{fe0f}🏽",
+    "🇩🇪🇫",
+    "\u{e49}\u{e49}\u{e49}\u{e49}\u{e49}\u{e49}\u{e49}\u{e49}",
+    "لا\u{64b}\u{64b}\u{64b}\u{64b}\u{64b}\u{64b}",
+    "क्षि\u{115f}\u{3164}",
+    "\u{13437}\u{1bca0}\u{1d173}",
+    "ｶﾞｏﾟ",
+    "$(touch x);`id`|&>y '\" \\ * ~ #",
+    "-rf --yes",
 ];
 
+/// Pieces and the columns that a terminal needs for them once they are cleaned. Unicode's EastAsianWidth.txt says which
+/// characters have two, combining marks have none, and each character that is taken away leaves a mark of one.
+const MEASURED: [(&str, usize); 12] = [
+    ("/robot1/odom", 12),
+    ("机器", 4),
+    ("한", 2),
+    ("ｏ", 2),
+    ("🤖", 2),
+    ("e\u{301}", 1),
+    ("\u{1b}[2J", 4),
+    ("\u{9b}", 1),
+    ("\u{202e}", 1),
+    ("\r\n", 2),
+    ("👩\u{200d}👧", 5),
+    ("\u{1bca0}", 1),
+];
+
+/// Bytes of a very long name.
+const LONGEST: usize = 64 * 1024;
+
 /// A source of hostile text, the same for the same seed.
-pub struct Hostile(u64);
+#[derive(Debug)]
+pub struct Hostile {
+    state: u64,
+    /// Names so far.
+    pub names: u64,
+}
 
 impl Hostile {
     /// From a seed.
     pub fn new(seed: u64) -> Self {
-        Self(seed | 1)
+        Self { state: seed | 1, names: 0 }
     }
 
     fn next(&mut self) -> u64 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        self.0
+        self.state ^= self.state << 13;
+        self.state ^= self.state >> 7;
+        self.state ^= self.state << 17;
+        self.state
+    }
+
+    /// A number below `bound`, which is small.
+    pub fn below(&mut self, bound: usize) -> usize {
+        usize::try_from(self.next() >> 8 & 0xffff).expect("16 bits") % bound
+    }
+
+    /// A text, and once in a thousand times one of 64 KiB.
+    pub fn name(&mut self) -> String {
+        self.names += 1;
+        let text = self.text();
+        if self.below(1_000) > 0 { text } else { text.repeat(LONGEST / text.len().max(1) + 1) }
+    }
+
+    /// A short name, and the columns that a terminal needs for it once it is cleaned.
+    pub fn measured(&mut self) -> (String, usize) {
+        self.names += 1;
+        let pieces: Vec<(&str, usize)> = (0..=self.below(4)).map(|_| MEASURED[self.below(MEASURED.len())]).collect();
+        (pieces.iter().map(|(piece, _)| *piece).collect(), pieces.iter().map(|(_, columns)| columns).sum())
     }
 
     /// One text: pieces, and single characters of the whole range.
@@ -48,8 +103,7 @@ impl Hostile {
                 let code = u32::try_from(random >> 8 & 0x1f_ffff).expect("21 bits");
                 text.extend(char::from_u32(code % 0x11_0000));
             } else {
-                let piece = usize::try_from(random >> 8 & 0xffff).expect("16 bits") % PIECES.len();
-                text.push_str(PIECES[piece]);
+                text.push_str(PIECES[self.below(PIECES.len())]);
             }
         }
         text
@@ -84,10 +138,14 @@ pub fn foreign_in_lines(text: &str) -> Option<char> {
     text.chars().find(|character| *character != '\n' && !harmless(*character))
 }
 
-fn harmless(character: char) -> bool {
+/// Neither a control nor one of Unicode's Default_Ignorable_Code_Point, line separators or joiners of hieroglyphs.
+pub fn harmless(character: char) -> bool {
     !(character.is_control()
-        || matches!(character, '\u{ad}' | '\u{61c}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}'
-            | '\u{2060}'..='\u{206f}' | '\u{fe00}'..='\u{fe0f}' | '\u{feff}' | '\u{e0000}'..='\u{e0fff}'))
+        || matches!(character, '\u{ad}' | '\u{34f}' | '\u{61c}' | '\u{115f}' | '\u{1160}' | '\u{17b4}' | '\u{17b5}'
+            | '\u{180b}'..='\u{180f}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{206f}'
+            | '\u{3164}' | '\u{fe00}'..='\u{fe0f}' | '\u{feff}' | '\u{ffa0}' | '\u{fff0}'..='\u{fffb}'
+            | '\u{13430}'..='\u{1343f}' | '\u{1bca0}'..='\u{1bca3}' | '\u{1d173}'..='\u{1d17a}'
+            | '\u{e0000}'..='\u{e0fff}'))
 }
 
 #[test]

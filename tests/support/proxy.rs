@@ -46,7 +46,7 @@ struct Rule {
 struct Late {
     /// How many blocks it lacks.
     blocks: u64,
-    /// Which of the questions for logs reach it: every so many.
+    /// Which of the questions for logs reach it: one in this number.
     every: u64,
     /// Whether every question about blocks reaches it as well.
     is_alone: bool,
@@ -112,7 +112,7 @@ impl Proxy {
         *lock(&self.shared.late) = Some(Late { blocks, every: 1, is_alone: true, refuses: true, asked: 0 });
     }
 
-    /// From now on a transaction that offers less than so many wei per gas is answered with its hash and dropped, as by
+    /// From now on a transaction that offers less than this price (wei per gas) is answered with its hash and dropped, as by
     /// a network whose signers want more than this node quotes.
     pub fn swallow_below(&self, wei: u64) {
         self.shared.least.store(wei, Ordering::SeqCst);

@@ -181,7 +181,7 @@ impl Talker {
         serde_json::from_str(line).expect("JSON")
     }
 
-    /// Waits until it has so many subscribers; it must have published everything.
+    /// Waits until it has this number of subscribers; it must have published everything.
     pub fn is_heard_by(&self, subscribers: u64, seconds: u64) {
         let last = || {
             let said = self.0.stdout();
@@ -222,13 +222,13 @@ impl Listener {
         self.said("sha256")
     }
 
-    /// Waits until it has heard so many messages; returns them as [`Self::heard`] does.
+    /// Waits until it has heard this number of messages; returns them as [`Self::heard`] does.
     pub fn hears(&self, count: usize, seconds: u64) -> Vec<Value> {
         let enough = || Some(self.heard()).filter(|heard| heard.len() >= count);
         poll(seconds, enough).unwrap_or_else(|| panic!("{} of {count} heard: {}", self.heard().len(), self.0.stderr()))
     }
 
-    /// Waits until it is connected to so many publishers.
+    /// Waits until it is connected to this number of publishers.
     pub fn meets(&self, publishers: u64, seconds: u64) {
         let met = || (self.said("publishers").last() == Some(&publishers.into())).then_some(());
         poll(seconds, met).unwrap_or_else(|| panic!("{publishers} publishers: {:?}", self.said("publishers")));
@@ -252,7 +252,7 @@ pub fn odd_mcaps(act: &str, folder: &Path, seconds: u64) -> String {
     Running::start(command).wait(seconds).expect_code(0).stdout
 }
 
-/// A recorder that writes MCAP into a new folder as rosbag2 does: for so many seconds, messages a second, and seconds until
+/// A recorder that writes MCAP into a new folder as rosbag2 does: for seconds, at messages a second, with seconds until
 /// the next file; `how` is the compression of its chunks, or `unchunked`.
 pub fn recorder(folder: &Path, seconds: u64, rate: u64, split: u64, how: &str) -> Running {
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/peers/ros2_follow.py");

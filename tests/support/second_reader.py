@@ -1,4 +1,4 @@
-"""A second reader of records, written from crates/gateway/src/PROTOCOL.md, section 10, with nothing but the standard library;
+"""A second reader of records, written from docs/format.md, sections 3 and 4, with nothing but the standard library;
 SM3, SM4 and LZ4 are those of tools/verify.
 
     second_reader.py FOLDER EK_HEX IK_HEX

@@ -10,7 +10,11 @@ use super::ChainError;
 use crate::model::{Address, Timestamp, bytes::hex, clean};
 use crate::transaction::List;
 
-pub const GUIDE: &str = include_str!("../../../contracts/genesis/README.md");
+/// The last part of the manual's page on networks.
+pub fn network_guide() -> &'static str {
+    let page = include_str!("../../../docs/network.md");
+    page.find("## A private network").and_then(|at| page.get(at..)).unwrap_or(page)
+}
 
 const CLIQUE: &str = include_str!("../../../contracts/genesis/clique.json");
 const ETHASH: &str = include_str!("../../../contracts/genesis/ethash.json");

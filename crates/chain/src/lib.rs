@@ -35,7 +35,7 @@ pub use crate::event::{AT_ONCE, BlockEvents, Completeness, Event, NEAR};
 pub use crate::fees::{
     Market, Offered, Policy, Priced, STARVING, Shortfall, Wait, call_data, is_outbid, is_same_call, offered,
 };
-pub use crate::genesis::{Allocation, GUIDE, Genesis, GenesisKind};
+pub use crate::genesis::{Allocation, Genesis, GenesisKind, network_guide};
 pub use crate::model::Consensus;
 pub use crate::reader::Nonces;
 pub use crate::relay::{Relay, RelayError, RelayLine};

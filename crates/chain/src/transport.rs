@@ -50,7 +50,7 @@ impl Limits {
 pub struct Transport {
     line: Line,
     url: String,
-    /// Each request to a node needs a connection of its own, and a node has only so many.
+    /// Each request to a node needs a connection of its own, and a node limits their number.
     places: Semaphore,
     wide_places: Semaphore,
 }

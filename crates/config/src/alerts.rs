@@ -232,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_that_others_could_replace_is_not_run_whoever_names_it() {
+    fn a_program_that_others_could_replace_is_never_run() {
         let folder = tempfile::tempdir().expect("a folder");
         let program = folder.path().join("page");
         write(&program, "#!/bin/sh\n").expect("written");

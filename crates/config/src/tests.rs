@@ -118,3 +118,23 @@ fn passwords_are_hidden() {
     let shown = serde_json::to_string(&config.show()).expect("json");
     assert!(!shown.contains("hunter2") && shown.contains("127.0.0.1:1"));
 }
+
+/// With `AUTHROS_WRITE_SETTINGS` the page's list is written anew.
+#[test]
+fn the_manual_lists_the_settings_as_they_are_defined() {
+    const PAGE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/settings.md");
+    const LIST: (&str, &str) = ("<!-- settings -->\n", "<!-- /settings -->");
+    let row = |Definition { name, variable, default, text }: &Definition| {
+        let default = if default.is_empty() { String::new() } else { format!(", `{default}`") };
+        format!("- **{name}** (`{variable}`{default}): {}\n", text.replace('*', "\\*"))
+    };
+    let rows: String = DEFINITIONS.iter().map(row).collect();
+    let page = std::fs::read_to_string(PAGE).expect("docs/settings.md");
+    let (before, rest) = page.split_once(LIST.0).expect("where the list begins");
+    let (listed, after) = rest.split_once(LIST.1).expect("where it ends");
+    if std::env::var_os("AUTHROS_WRITE_SETTINGS").is_some() {
+        std::fs::write(PAGE, [before, LIST.0, &rows, LIST.1, after].concat()).expect("written");
+        return;
+    }
+    assert!(listed == rows, "run it with AUTHROS_WRITE_SETTINGS=1, and read what that changes");
+}

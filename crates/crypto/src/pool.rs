@@ -86,7 +86,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn results_stand_in_the_order_of_the_items_whoever_worked() {
+    fn results_stand_in_the_order_of_the_items() {
         let items: Vec<u64> = (0..500).collect();
         let squares: Vec<u64> = items.iter().map(|item| item * item).collect();
         for helpers in [0, 1, 3, 7] {

@@ -590,9 +590,9 @@ pub fn open_revealed_within(
     Ok(Some(Revealed { header: parts.header, head, body }))
 }
 
-/// The bytes an owner signs to disclose records: label, domain, the list of digests and secrets.
-pub fn reveal_bytes(domain: &Domain, list: &[u8]) -> Zeroizing<Vec<u8>> {
-    Zeroizing::new([&b"AuthROS/reveal/2"[..], &domain.0, list].concat())
+/// The bytes an owner signs to disclose records: label, domain, SM3 of the list of digests and secrets.
+pub fn reveal_bytes(domain: &Domain, list: &Digest) -> Vec<u8> {
+    [&b"AuthROS/reveal/3"[..], &domain.0, &list.0].concat()
 }
 
 /// The step just done. A step may be reported more than once for a record.

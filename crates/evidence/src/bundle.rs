@@ -122,9 +122,11 @@ impl AnchorClaim {
 #[derive(Debug, Clone)]
 pub struct Disclosure {
     /// The secrets from which the records' keys are derived.
-    pub secrets: BTreeMap<Digest, RecordSecret>,
+    pub(crate) secrets: BTreeMap<Digest, RecordSecret>,
+    /// SM3 of their list. A file may name a key a record: none of them costs the whole list.
+    list: Digest,
     /// SM2 by the owner.
-    pub signature: Signature,
+    signature: Signature,
 }
 
 impl Disclosure {
@@ -135,11 +137,12 @@ impl Disclosure {
         signer: &SmKeyPair,
         provider: &dyn Provider,
     ) -> Result<Self, PackingError> {
-        let signature = provider.sign(&signer.secret, &reveal_bytes(domain, &listed(&secrets)))?;
-        Ok(Self { secrets, signature })
+        let list = Digest(provider.sm3(&[&listed(&secrets)]));
+        let signature = provider.sign(&signer.secret, &reveal_bytes(domain, &list))?;
+        Ok(Self { secrets, list, signature })
     }
 
-    fn parse(bytes: &[u8], signature: Signature) -> Result<Self, BundleError> {
+    fn parse(bytes: &[u8], signature: Signature, provider: &dyn Provider) -> Result<Self, BundleError> {
         let wrong = |why: &str| BundleError::of(DISCLOSED, why);
         let (pairs, rest) = bytes.as_chunks::<ENTRY>();
         if !rest.is_empty() || pairs.is_empty() || pairs.len() > MOST_RECORDS {
@@ -155,12 +158,12 @@ impl Disclosure {
             }
             secrets.insert(digest, secret);
         }
-        Ok(Self { secrets, signature })
+        Ok(Self { secrets, list: Digest(provider.sm3(&[bytes])), signature })
     }
 
     /// Whether this key signed the list.
     pub(crate) fn is_signed(&self, domain: &Domain, key: &PublicKey, provider: &dyn Provider) -> bool {
-        provider.verify(key, &reveal_bytes(domain, &listed(&self.secrets)), &self.signature).is_ok()
+        provider.verify(key, &reveal_bytes(domain, &self.list), &self.signature).is_ok()
     }
 }
 
@@ -249,7 +252,7 @@ impl Bundle {
         }
         bundle.disclosure = match (drafts.disclosed, drafts.disclosure) {
             (None, None) => None,
-            (Some(list), Some(signature)) => Some(Disclosure::parse(&list, signature)?),
+            (Some(list), Some(signature)) => Some(Disclosure::parse(&list, signature, provider)?),
             (Some(_), None) => return Err(BundleError::of(DISCLOSURE, "is missing")),
             (None, Some(_)) => return Err(BundleError::of(DISCLOSED, "is missing")),
         };

@@ -171,7 +171,7 @@ pub struct LoanWord {
     pub recalled: u64,
 }
 
-/// The storage slot of a value in the contract (contracts/README.md, Storage).
+/// The storage slot of a value in the contract (docs/format.md, section 8).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Slot(pub [u8; 32]);
 

@@ -15,7 +15,7 @@ const MOST_AUTHORITIES: usize = 16;
 
 /// A trust file that cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("the trust file cannot be used: {0}; docs/evidence.md has an example")]
+#[error("the trust file cannot be used: {0}; docs/reader.md has an example")]
 pub struct TrustError(String);
 
 /// The pins.

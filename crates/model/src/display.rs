@@ -2,6 +2,8 @@
 
 use std::borrow::Cow;
 
+use unicode_width::UnicodeWidthChar;
+
 /// The most consecutive combining marks kept; more would only pile up over other cells.
 const MOST_MARKS: usize = 4;
 
@@ -96,8 +98,15 @@ pub fn clean_lines(text: &str, width: usize) -> String {
 }
 
 fn is_mark(character: char) -> bool {
-    matches!(character, '\u{300}'..='\u{36f}' | '\u{1ab0}'..='\u{1aff}' | '\u{1dc0}'..='\u{1dff}'
+    matches!(character, '\u{300}'..='\u{36f}' | '\u{483}'..='\u{489}' | '\u{591}'..='\u{5bd}'
+        | '\u{610}'..='\u{61a}' | '\u{64b}'..='\u{65f}' | '\u{e31}' | '\u{e34}'..='\u{e3a}'
+        | '\u{e47}'..='\u{e4e}' | '\u{1ab0}'..='\u{1aff}' | '\u{1dc0}'..='\u{1dff}'
         | '\u{20d0}'..='\u{20ff}' | '\u{fe20}'..='\u{fe2f}')
+}
+
+/// Columns that a terminal needs for a cleaned text, which it places character by character.
+pub fn columns(text: &str) -> usize {
+    text.chars().filter_map(UnicodeWidthChar::width).sum()
 }
 
 /// Whether a character may be shown: not a control, not a bidirectional control, not invisible.
@@ -107,7 +116,8 @@ pub fn is_shown(character: char) -> bool {
             '\u{ad}' | '\u{34f}' | '\u{61c}' | '\u{115f}' | '\u{1160}' | '\u{17b4}' | '\u{17b5}'
             | '\u{180b}'..='\u{180f}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}'
             | '\u{2060}'..='\u{206f}' | '\u{3164}' | '\u{fe00}'..='\u{fe0f}' | '\u{feff}' | '\u{ffa0}'
-            | '\u{fff0}'..='\u{fffb}' | '\u{1d173}'..='\u{1d17a}' | '\u{e0000}'..='\u{e0fff}'))
+            | '\u{fff0}'..='\u{fffb}' | '\u{13430}'..='\u{1343f}' | '\u{1bca0}'..='\u{1bca3}'
+            | '\u{1d173}'..='\u{1d17a}' | '\u{e0000}'..='\u{e0fff}'))
 }
 
 #[cfg(test)]
@@ -153,6 +163,20 @@ mod tests {
         assert_eq!(clean("abcdef", 4), "abc…");
         assert_eq!(clean("abcd", 4), "abcd");
         assert_eq!(clean("机器人", 10), "机器人");
+        assert_eq!(clean("\u{13430}\u{1bca0}", 80), "\u{fffd}\u{fffd}", "they join, break and hide without a column");
+        for mark in ["\u{301}", "\u{488}", "\u{5b0}", "\u{64b}", "\u{e49}"] {
+            let tower = clean(&format!("a{}b", mark.repeat(30)), 80);
+            assert_eq!(tower, format!("a{}{}b", mark.repeat(4), "\u{fffd}".repeat(26)), "{mark:?}");
+        }
+    }
+
+    #[test]
+    fn columns_are_those_of_a_terminal() {
+        // Of Unicode's EastAsianWidth.txt: F and W have two, combining marks none.
+        for (text, needed) in [("/odom", 5), ("机器人", 6), ("ｏ", 2), ("e\u{301}", 1), ("한", 2), ("🤖", 2), ("�", 1)]
+        {
+            assert_eq!(columns(text), needed, "{text}");
+        }
     }
 
     proptest! {

@@ -181,8 +181,8 @@ pub fn coarse(length: Duration) -> String {
     let seconds = length.as_secs();
     let (unit, word) = match seconds {
         0..120 => (1, "s"),
-        120..7_200 => (60, "min"),
-        7_200..172_800 => (3_600, "h"),
+        120..7_170 => (60, "min"),
+        7_170..171_000 => (3_600, "h"),
         _ => (86_400, "d"),
     };
     format!("{} {word}", seconds.saturating_add(unit / 2) / unit)
@@ -218,8 +218,8 @@ mod tests {
 
     #[test]
     fn a_length_is_told_in_its_largest_fitting_unit() {
-        let cases = [(0, "0 s"), (119, "119 s"), (120, "2 min"), (7_199, "120 min"), (7_200, "2 h"), (172_799, "48 h")];
-        for (seconds, text) in cases.into_iter().chain([(172_800, "2 d"), (259_168, "3 d")]) {
+        let cases = [(0, "0 s"), (119, "119 s"), (120, "2 min"), (7_169, "119 min"), (7_170, "2 h"), (170_999, "47 h")];
+        for (seconds, text) in cases.into_iter().chain([(171_000, "2 d"), (259_168, "3 d")]) {
             assert_eq!(coarse(Duration::from_secs(seconds)), text);
         }
         assert!(coarse(Duration::MAX).ends_with(" d"));

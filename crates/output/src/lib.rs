@@ -4,12 +4,12 @@ use std::io::Write as _;
 
 use serde::Serialize;
 
-use authros_model::{Timestamp, clean, clean_lines, spelt_out};
+use authros_model::{Timestamp, clean, clean_lines, columns, spelt_out};
 use authros_service::{Failure, NoticeLevel};
 
 /// Widest line of text, characters.
 const WIDEST: usize = 2000;
-/// The longest cell that widens its column, characters: a fingerprint with a word beside it.
+/// The widest cell that widens its column, in columns: a fingerprint with a word beside it.
 const WIDEST_CELL: usize = 80;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -51,7 +51,7 @@ impl Output {
     pub fn result<T: Serialize>(self, value: &T, text: impl FnOnce() -> String) {
         let line = match (self.json, self.log) {
             (true, _) => spelt_out(&serde_json::to_string(value).unwrap_or_default()).into_owned(),
-            (false, Log::Text) => clean_lines(&text(), WIDEST),
+            (false, Log::Text) => lines(&text()),
             (false, Log::Json) => log_line(Timestamp::now(), NoticeLevel::Info, PROGRAM, &text()),
         };
         let mut stdout = std::io::stdout().lock();
@@ -88,7 +88,7 @@ impl Output {
 
     fn beside(self, level: NoticeLevel, text: &str) {
         match self.log {
-            Log::Text => to_stderr(&clean_lines(text, WIDEST)),
+            Log::Text => to_stderr(&lines(text)),
             Log::Json => {
                 let text = text.strip_prefix("authros: ").unwrap_or(text);
                 to_stderr(&log_line(Timestamp::now(), level, PROGRAM, text));
@@ -105,14 +105,15 @@ fn to_stderr(line: &str) {
     drop(writeln!(std::io::stderr().lock(), "{line}"));
 }
 
+/// Text as it is written: every line cleaned.
+pub fn lines(text: &str) -> String {
+    clean_lines(text, WIDEST)
+}
+
 /// One JSON object on one line, without control characters.
 pub fn log_line(at: Timestamp, level: NoticeLevel, source: &str, text: &str) -> String {
-    let line = Line {
-        time: at.in_milliseconds(),
-        level: level.word(),
-        source: clean(source, 200),
-        message: &clean_lines(text, WIDEST),
-    };
+    let line =
+        Line { time: at.in_milliseconds(), level: level.word(), source: clean(source, 200), message: &lines(text) };
     spelt_out(&serde_json::to_string(&line).unwrap_or_default()).into_owned()
 }
 
@@ -121,13 +122,14 @@ pub fn table<R: AsRef<[String]>>(head: &[&str], rows: impl IntoIterator<Item = R
     let cleaned = |row: R| row.as_ref().iter().map(|cell| clean(cell, WIDEST)).collect();
     let rows: Vec<Vec<String>> = rows.into_iter().map(cleaned).collect();
     let width = |column: usize| {
-        let cells = rows.iter().filter_map(|row| row.get(column)).map(|cell| cell.chars().count());
+        let cells = rows.iter().filter_map(|row| row.get(column)).map(|cell| columns(cell));
         let cells = cells.filter(|width| *width <= WIDEST_CELL);
-        cells.chain(head.get(column).map(|cell| cell.chars().count())).max().unwrap_or(0)
+        cells.chain(head.get(column).map(|cell| columns(cell))).max().unwrap_or(0)
     };
     let widths: Vec<usize> = (0..head.len()).map(width).collect();
     let line = |cells: Vec<&str>| {
-        let padded = cells.iter().zip(&widths).map(|(cell, width)| format!("{cell:width$}"));
+        let blanks = |cell: &str, width: usize| " ".repeat(width.saturating_sub(columns(cell)));
+        let padded = cells.iter().zip(&widths).map(|(cell, width)| format!("{cell}{}", blanks(cell, *width)));
         padded.collect::<Vec<_>>().join("  ").trim_end().to_owned()
     };
     let mut lines = vec![line(head.to_vec())];
@@ -173,6 +175,15 @@ mod tests {
         assert!(lines[2].starts_with("/xxx") && lines[2].ends_with("  verified"), "nothing of it is lost");
         let told = table(&["topic", "state"], &[row("/odom"), row(&long)]);
         assert_eq!(told.lines().nth(1), Some("/odom  verified"));
+    }
+
+    #[test]
+    fn wide_and_combined_characters_push_no_neighbour() {
+        let told = table(
+            &["topic", "state"],
+            &[["/机器人", "verified"], ["/e\u{301}", "verified"]].map(|row| row.map(str::to_owned)),
+        );
+        assert_eq!(told, "topic    state\n/机器人  verified\n/e\u{301}       verified", "seven columns each");
     }
 
     #[test]

@@ -179,7 +179,10 @@ async fn proof(
             wanted.push(Shown { owner, signer, keys, anchor: Anchor::Root(batch.account, batch.root) });
         }
     }
-    let slots = slots(wanted);
+    let mut slots = slots(wanted);
+    // Records that were anchored without a right leave their batch; its anchor is proven all the same.
+    let left = batches.iter().filter(|batch| batch.signers.is_empty());
+    slots.extend(left.map(|batch| Slot::anchor(batch.account, batch.root)));
     let bytes = network.chain.header_rlp(block).await?.unwrap_or_default();
     let header = BlockHeader::parse(&bytes).filter(|header| header.hash == hash);
     let Some(header) = header else { return Ok(None) };

@@ -1,5 +1,5 @@
 //! Leaves so that every DDS sees it: Fast DDS drops the form in which rustdds says that an endpoint is gone, and its
-//! reliable writers wait for the reader until its node dies (decision 085). So the RTPS messages for it are written
+//! reliable writers wait for the reader until its node dies (decision 018). So the RTPS messages for it are written
 //! here, with the key in the inline QoS, and the answers read.
 
 use std::collections::HashMap;

@@ -102,7 +102,7 @@ impl Queue {
 mod tests {
     use super::*;
 
-    /// Has room for so many at a time; they leave when the test says so.
+    /// Has room for a number at a time; they leave when the test says so.
     #[derive(Default)]
     struct Fake {
         room: u64,
@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn whoever_is_outrun_loses_messages_until_it_has_caught_up() {
+    fn a_slow_reader_loses_messages_until_it_has_caught_up() {
         let (mut queue, mut outlets) = (queue(&[(1, 1), (1, 2), (2, 3), (1, 4)]), outlets(&[1, 9]));
         assert_eq!(queue.pump(&mut outlets), Taken::default());
         queue.outrun(&mut outlets);

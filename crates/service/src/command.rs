@@ -70,10 +70,11 @@ requests! {
     ExportKey { kind: KeyKind, passphrase: Option<SecretText> } => SecretBytes, PASSPHRASE;
     /// All topics of the ROS graph.
     ListTopics => Vec<TopicRow>, LOOK;
-    /// When there are own records of a topic, where some are missing, and what was quarantined; needs no passphrase.
+    /// When there are own records of each topic, where some are missing, and what was quarantined; needs no passphrase.
     TopicCoverage {
-        topic: TopicName,
-        /// Robot's name, or the beginning of its device's id; `None` = all robots.
+        /// A topic's name also where it has no record; `None` = all.
+        topic: Option<TopicPattern>,
+        /// An enrolled robot, or the first part of its topics; `None` = all robots.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         robot: Option<String>,
         /// `None` = from the first record.
@@ -82,7 +83,7 @@ requests! {
         until: Option<Timestamp>,
         /// 1 to 1,000.
         parts: usize,
-    } => CoverageView, LOOK;
+    } => Vec<CoverageView>, LOOK;
     /// Capture a topic, in this type if one is given, until it is unwatched; lasts across restarts. A pattern also
     /// covers topics that appear later. Of a topic that is watched already, it replaces what was said before.
     WatchTopic {
@@ -282,8 +283,11 @@ pub struct Request {
 /// What is to be erased, and why.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ErasureWishes {
-    /// Messages of this topic.
-    pub topic: Option<TopicName>,
+    /// Messages of the topics that match.
+    pub topic: Option<TopicPattern>,
+    /// Messages of an enrolled robot, or of the topics under its name.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub robot: Option<String>,
     pub since: Option<Timestamp>,
     pub until: Option<Timestamp>,
     /// Beginnings of digests; nothing else then decides.

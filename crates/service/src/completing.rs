@@ -48,8 +48,16 @@ fn contacts(glance: &Glance) -> Option<Vec<String>> {
 }
 
 #[cfg(test)]
+#[path = "../../../tests/support/hostile.rs"]
+#[allow(dead_code, reason = "the flows use the rest")]
+mod hostile;
+
+#[cfg(test)]
 mod tests {
+    use super::hostile::Hostile;
     use super::*;
+    use crate::model::SignerId;
+    use crate::site::testing::Ground;
 
     const KINDS: [Completed; 4] = [Completed::Topic, Completed::Contact, Completed::Record, Completed::Profile];
 
@@ -75,5 +83,32 @@ mod tests {
                 assert!(KINDS.iter().all(|kind| !is_plain(*kind, &word)), "{word:?}");
             }
         }
+    }
+
+    /// One word, which every shell takes as it is.
+    fn is_harmless(word: &str) -> bool {
+        let plain = |character: char| character.is_ascii_alphanumeric() || "/_.-".contains(character);
+        !word.is_empty() && !word.starts_with('-') && word.chars().all(plain)
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn of_hostile_names_no_word_is_offered_that_a_shell_would_read_otherwise() {
+        let mut hostile = Hostile::new(0x7ab);
+        let wanted = if std::env::var_os("AUTHROS_LONG").is_some() { 1_000_000 } else { 20_000 };
+        while hostile.names < wanted {
+            let name = hostile.name();
+            assert!(KINDS.iter().all(|kind| !is_plain(*kind, &name) || is_harmless(&name)), "{name:?}");
+        }
+        let (ground, signer) = (Ground::with(&[]), SignerId([1; 32]));
+        let owner = ground.owner("alice").address;
+        for second in 1..=200 {
+            ground.capture(owner, signer, &hostile.name(), second);
+        }
+        ground.capture(owner, signer, "/robot2/odom", 300);
+        let offered = words(&ground.parts.home, Completed::Topic, "");
+        assert!(
+            offered.contains(&"/robot2/odom".to_owned()) && offered.iter().all(|word| is_harmless(word)),
+            "{offered:?}"
+        );
     }
 }

@@ -412,7 +412,7 @@ fn second(config: &Config, sheet: &mut Sheet) {
     }
     let standing = capture.standing();
     let advice = "start a robot there; on the robot, unset FASTDDS_BUILTIN_TRANSPORTS and ROS_DISCOVERY_SERVER and use \
-                  UDP; see docs/ros2.md";
+                  UDP; see docs/robots.md";
     match &standing.reading {
         Reading::Down { reason } => {
             sheet.fail("ros 2", &standing.text(), &format!("fix the reported problem: {reason}"))

@@ -95,7 +95,7 @@ replies! {
     KeyChange(KeyChangeView);
     Key(SecretBytes);
     Topics(Vec<TopicRow>);
-    Coverage(CoverageView);
+    Coverage(Vec<CoverageView>);
     Captured(CaptureSummary);
     Imported(ImportView);
     Followed(FollowView);
@@ -422,8 +422,8 @@ impl CoveredSpan {
 
     /// `4 min`, of one part.
     pub fn part(self) -> String {
-        let nanoseconds = self.until.0.saturating_sub(self.since.0) / Self::PARTS as u64;
-        coarse(Duration::from_nanos(nanoseconds))
+        let length = Duration::from_nanos(self.until.0.saturating_sub(self.since.0) / Self::PARTS as u64);
+        if length.as_secs() == 0 { "less than 1 s".to_owned() } else { coarse(length) }
     }
 }
 

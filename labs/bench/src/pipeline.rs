@@ -22,7 +22,7 @@ use authros_output::table;
 use authros_pipeline::stages::{Milestone, Stages};
 use authros_service::Failure;
 
-/// Bytes of a picture, as in docs/format.md, section 10.
+/// Bytes of a picture, as in the targets of docs/benchmarks.md.
 const PICTURE: usize = 58 * 1024;
 /// Pictures a second of each publisher.
 const PICTURES: u32 = 30;

@@ -29,7 +29,7 @@ pub fn that_opens<T>(
     mut open: impl FnMut(&Passphrase) -> Result<T, CryptoError>,
 ) -> Result<(SecretText, T), Failure> {
     for attempt in 0..ATTEMPTS {
-        let again = if attempt == 0 { "" } else { "Wrong passphrase, try again. " };
+        let again = if attempt == 0 { "" } else { "Wrong passphrase, try again.\n" };
         let typed = answer(hidden, &format!("{again}{question}"))?;
         // None is that short.
         let Ok(passphrase) = Passphrase::new(typed.expose().to_owned()) else { continue };
@@ -39,7 +39,7 @@ pub fn that_opens<T>(
             Err(error) => return Err(error.into()),
         }
     }
-    Err(refused("wrong passphrase, three times; nothing was done (docs/passphrases.md says what to do if it is lost)"))
+    Err(refused("wrong passphrase, three times; nothing was done (docs/operator.md says what to do if it is lost)"))
 }
 
 /// A new one, typed twice; `None` if there is no terminal.

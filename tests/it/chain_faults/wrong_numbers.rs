@@ -17,7 +17,7 @@ const WRONG: [&str; 7] = [
 /// What is signed by the answer, and lasts.
 const SIGNED_BY: [&str; 2] = ["eth_estimateGas", "eth_getTransactionCount"];
 const FURTHER: [&str; 4] = ["eth_gasPrice", "eth_blockNumber", "eth_chainId", "eth_getBalance"];
-/// Uses of each method that are answered wrongly in the long run: one, or so many after each other.
+/// Uses of each method that are answered wrongly in the long run: one, or several in a row.
 const USES: u64 = 3;
 
 #[test]

@@ -215,18 +215,10 @@ struct Shifted {
 
 impl Shifted {
     fn start() -> Option<Self> {
-        let library = clock::faketime()?;
         let home = Home::new();
         let offset = home.file("offset", "+0\n", 0o600);
         let authros = home.authros().with(&["--robots", "1"]);
-        let shifted = authros
-            .with_variable("LD_PRELOAD", library.to_str().expect("UTF-8"))
-            .with_variable("FAKETIME_TIMESTAMP_FILE", &offset)
-            .with_variable("FAKETIME_NO_CACHE", "1")
-            // As when a real clock is set: durations are not affected.
-            .with_variable("FAKETIME_DONT_FAKE_MONOTONIC", "1")
-            .with_variable("DONT_FAKE_MONOTONIC", "1");
-        let site = shifted.serve(&home);
+        let site = clock::shifted_by_file(&authros, &offset)?.serve(&home);
         let reader = home.profile("reader");
         let address = reader.enrol();
         Some(Self { home, offset, authros, site, reader, address })

@@ -3,39 +3,7 @@
 use super::*;
 use std::fs::{self, Permissions};
 use std::os::unix::fs::PermissionsExt as _;
-use support::{Accounts, Console, Terminal, skipped};
-
-/// Seconds allowed for anything on a busy machine.
-const PATIENCE: u64 = 90;
-
-/// Somebody at a terminal.
-struct Operator(Console);
-
-impl Operator {
-    fn opens(authros: &Authros) -> Self {
-        Self(Console::open_in(&Terminal::of(80, 24), authros, &[]))
-    }
-
-    fn presses(&mut self, keys: &str) -> &mut Self {
-        self.0.press(keys);
-        self
-    }
-
-    fn sees(&mut self, text: &str) -> &mut Self {
-        self.0.wait_for(text, PATIENCE);
-        self
-    }
-
-    /// Leaves; what goes on is asked about.
-    fn leaves(&mut self) {
-        self.presses("\u{3}");
-        let gone = |operator: &mut Self| {
-            operator.0.has_ended() || operator.0.shown().contains("Quit?") && operator.presses("y").0.has_ended()
-        };
-        wait_until(PATIENCE, "the console to end", || Some(()).filter(|()| gone(self)));
-        self.0.expect_restored();
-    }
-}
+use support::{Accounts, Operator, SIZES, skipped};
 
 #[test]
 fn an_owner_sets_a_policy_by_form_and_sees_its_robot_drift_until_it_works_by_it() {
@@ -47,7 +15,7 @@ fn an_owner_sets_a_policy_by_form_and_sees_its_robot_drift_until_it_works_by_it(
     alice.home.file("scout.toml", format!("[[topic]]\nmatch = \"{TOPIC}\"\nevery = 2\n"), 0o600);
     alice.home.file("wrong.toml", "cache.url = \"redis://elsewhere\"\n", 0o600);
 
-    let mut owner = Operator::opens(&alice.authros);
+    let mut owner = Operator::opens(&alice.authros, SIZES[0]);
     owner.presses("8").sees("joined another one").sees("Robots").sees("scout");
     owner.presses("p").sees("Set a robot's policy").presses("~/wro\t").sees("~/wrong.toml").presses("\r");
     owner.sees("cache.url").presses("\u{15}~/sco\t").sees("~/scout.toml").presses("\r").sees("Set this policy?");
@@ -99,7 +67,7 @@ fn operator_is_refused(mut alice: Member) {
     wait_until(60, "the operators' socket", || socket.exists().then_some(()));
     fs::set_permissions(&socket, Permissions::from_mode(0o666)).expect("its mode is set");
     let bobs = accounts.authros("bob").with(&["--site-socket", given, "--profile", "alice"]);
-    let mut operator = Operator::opens(&bobs);
+    let mut operator = Operator::opens(&bobs, SIZES[0]);
     operator.presses("8").sees("OPERATOR").sees("policy 2 waiting, runs 1").presses("p").sees("Set a robot's policy");
     operator.presses("\r").sees("Clear the policy?").presses("y").sees("only the owner").presses("\u{1b}").leaves();
     let shown = alice.authros.json(&["robot", "show", "scout"]);

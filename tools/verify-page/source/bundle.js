@@ -246,7 +246,7 @@ export class Bundle {
     stamp.tokens.push(bytes);
   }
 
-  /** The secrets of disclosed records by digest, with the list's bytes and signature; undefined if nothing is disclosed. */
+  /** The secrets of disclosed records by digest, with the list's SM3 and signature; undefined if nothing is disclosed. */
   listedDisclosure() {
     const name = "disclosed.bin";
     const [list, signature] = [this.members.get(name), this.disclosedBy];
@@ -263,7 +263,7 @@ export class Bundle {
       secrets.set(digest, list.subarray(at + ENTRY / 2, at + ENTRY));
       before = digest;
     }
-    return { list, signature, secrets };
+    return { digest: this.hashed.get(name), signature, secrets };
   }
 
   /** Whether the exporter's key signed the manifest (DSSE's pre-authentication encoding). */

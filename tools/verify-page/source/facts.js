@@ -250,11 +250,16 @@ function doubts(names, { records, complete }) {
     const those = levels.map((name) => ({ letter: LETTERS[name], ...record[name] })).filter(({ reason }) => reason);
     return those.map((one) => ({ ...one, record, topic: names.record(record) }));
   });
+  const laneOf = (one) => ["owner", "signer", "recorder", "topicId"].map((name) => hex(one[name])).join();
+  const lanes = new Map();
+  for (const record of records.filter(isIntact)) {
+    const lane = laneOf(record);
+    if (!lanes.has(lane)) lanes.set(lane, []);
+    lanes.get(lane).push(record);
+  }
   for (const stretch of complete.filter(({ reason }) => reason)) {
-    const same = ["owner", "signer", "recorder", "topicId"];
-    const isOf = (record) => isIntact(record) && same.every((name) => hex(record[name]) === hex(stretch[name]));
     const one = { letter: "f", standing: REFUSED, reason: stretch.reason, topic: names.topic(stretch) };
-    found.push(...records.filter(isOf).map((record) => ({ ...one, record })));
+    for (const record of lanes.get(laneOf(stretch)) ?? []) found.push({ ...one, record });
   }
   const nameOf = (one) => [one.standing === REFUSED ? 0 : 1, one.letter, one.topic, one.reason];
   const list = groups(

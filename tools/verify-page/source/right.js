@@ -82,8 +82,8 @@ function expectLent({ owner, signer }, anchored) {
  */
 export function vouched(check, { owner }, ownerKey) {
   const { bundle, domain, trust, once } = check;
-  const { list, signature } = bundle.disclosure;
-  const verify = (key) => key.verify(concat(ascii("AuthROS/reveal/2"), domain, list), signature);
+  const { digest, signature } = bundle.disclosure;
+  const verify = (key) => key.verify(concat(ascii("AuthROS/reveal/3"), domain, digest), signature);
   const isSigned = (key) => key !== undefined && once(`disclosed ${hex(key.id)}`, () => verify(key));
   const pinned = trust?.person(owner)?.key;
   if (isSigned(ownerKey) || isSigned(pinned && bundle.keys.get(hex(pinned)))) return level(PROVEN);

@@ -71,7 +71,7 @@ export function lookUp(nodes, root, key) {
 const mapped = (key, below) => keccak(padded(key), padded(below));
 const ofAccount = (account, mapping) => mapped(account, Uint8Array.of(mapping));
 
-/** Slots of the contract (contracts/README.md). */
+/** Slots of the contract (docs/format.md, section 8). */
 export const slots = {
   uploaded: (owner, digest) => mapped(digest, ofAccount(owner, 5)),
   anchor: (account, root) => mapped(root, ofAccount(account, 8)),

@@ -262,7 +262,7 @@ export class World {
     const some = places.map((at) => this.records[at]).sort((one, other) => Buffer.compare(one.digest, other.digest));
     const list = concat(...some.flatMap(({ digest, secret }) => [digest, secret]));
     this.more["disclosed.bin"] = list;
-    this.more["disclosed.der"] = by.signDer(concat("AuthROS/reveal/2", DOMAIN, list));
+    this.more["disclosed.der"] = by.signDer(concat("AuthROS/reveal/3", DOMAIN, sm3(list)));
   }
 
   members() {

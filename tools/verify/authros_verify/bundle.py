@@ -259,7 +259,7 @@ class Bundle:
 
     def has_disclosed(self, key, domain, digest):
         """Whether this key signed the disclosure of this record."""
-        signed = b"AuthROS/reveal/2" + domain + self.members["disclosed.bin"]
+        signed = b"AuthROS/reveal/3" + domain + self.once("list", lambda: sm3(self.members["disclosed.bin"]))
         return self.once(("disclosed", key), lambda: sm2_verify(key, signed, self.disclosure))
 
     def once(self, what, find):

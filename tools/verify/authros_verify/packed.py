@@ -1,4 +1,4 @@
-"""Messages as they are packed: LZ4 in its block format, and matrices (crates/gateway/src/PROTOCOL.md, section 9)."""
+"""Messages as they are packed: LZ4 in its block format, and matrices (docs/format.md, section 4)."""
 import struct
 import zlib
 

@@ -1,4 +1,4 @@
-"""The bytes of a record: its header, and its head once it is opened (crates/gateway/src/PROTOCOL.md, section 9)."""
+"""The bytes of a record: its header, and its head once it is opened (docs/format.md, section 4)."""
 import struct
 
 from .ciphers import gcm_open

@@ -33,7 +33,7 @@ class Trust:
 def lists(document):
     chain, persons, authorities = document["chain"], document.get("person", []), document.get("authority", [])
     if not isinstance(chain, dict) or not all(isinstance(one, list) for one in (chain["signers"], persons, authorities)):
-        raise ValueError("its tables and lists are others than those of docs/evidence.md")
+        raise ValueError("its tables and lists are others than those of docs/reader.md")
     if not all(isinstance(one, dict) for one in (*persons, *authorities)) or len(authorities) > 16:
         raise ValueError("a person or an authority is no table, or there are more than 16 authorities")
     return chain, persons, authorities
@@ -42,7 +42,7 @@ def lists(document):
 def check_chain(chain):
     required, optional = {"id", "genesis", "contract", "code_hash", "signers", "sealed_by_exporter"}, {"quorum"}
     if not required <= set(chain) <= required | optional:
-        raise ValueError("its chain has not the lines that docs/evidence.md shows")
+        raise ValueError("its chain has not the lines that docs/reader.md shows")
     if not isinstance(chain["sealed_by_exporter"], bool) or type(chain["id"]) is not int or chain["id"] < 0:
         raise ValueError("sealed_by_exporter is true or false, and id a number")
     hashes = [chain["genesis"], chain["code_hash"]]
@@ -81,11 +81,11 @@ def read_trust(path):
         text = data.decode()
         document = toml.loads(text[1:] if text.startswith("\ufeff") else text)
         if not set(document) <= {"chain", "person", "authority"}:
-            raise ValueError("it has other tables than docs/evidence.md shows")
+            raise ValueError("it has other tables than docs/reader.md shows")
         chain, persons, authorities = lists(document)
         check_chain(chain)
         check_persons(persons)
         check_authorities(authorities)
         return Trust(chain, persons, authorities)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as why:
-        raise TrustError(f"the trust file cannot be used: {why}; docs/evidence.md has an example") from None
+        raise TrustError(f"the trust file cannot be used: {why}; docs/reader.md has an example") from None

@@ -114,7 +114,7 @@ async fn through(node: &Arc<Node>) -> Chain {
     Chain::connect(options).await.expect("connects")
 }
 
-/// A chain with so many uploads, each in a block.
+/// A chain with this number of uploads, each in a block.
 async fn uploads(directory: &Path, count: u64) -> (Chain, EoaSecret) {
     let (chain, eoa, _) = site(directory).await;
     for number in 0..count {

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use crate::model::Timestamp;
-use crate::service::{NoticeLevel, reply::HealthLevel, reply::PartHealth};
+use crate::service::{NoticeLevel, reply::HealthLevel, reply::PartHealth, reply::SiteView};
 
 /// How long ended alerts stay, nanoseconds.
 const KEPT: u64 = 15 * 60 * 1_000_000_000;
@@ -100,6 +100,11 @@ pub fn health(part: &PartHealth) -> Option<(NoticeLevel, String)> {
         HealthLevel::Waiting => Some((NoticeLevel::Warning, text)),
         HealthLevel::Failed => Some((NoticeLevel::Error, text)),
     }
+}
+
+/// With a chain in trouble nobody knows what it has of the profile.
+pub fn is_troubled(site: Option<&SiteView>, name: &str) -> bool {
+    site.into_iter().flat_map(|site| &site.health).any(|part| part.part == name && health(part).is_some())
 }
 
 /// How long information is shown, nanoseconds.

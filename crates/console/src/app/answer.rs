@@ -7,7 +7,7 @@ use zeroize::Zeroizing;
 
 use crate::app::{Contents, Effect, Feed, Popup, State, Tag, identity_path};
 use crate::model::{ErrorKind, Verdict};
-use crate::popups::{form::export, form::profile, robot};
+use crate::popups::{form::export, form::grant, form::profile, robot};
 use crate::service::command::{self as ask, Ask as _, SecretBytes};
 use crate::service::reply::{CheckView, ExportedFile, IdentityView};
 use crate::service::{Failure, KeyKind, NoticeLevel, Reply};
@@ -57,6 +57,7 @@ fn take(state: &mut State, feed: Feed, result: Answer) -> Result<(), Failure> {
                 state.feeds.touch_failed();
             }
             state.identity = Some(identity);
+            grant::recount(state);
         }
         Feed::Keys => state.keys = Some(ask::ListKeys::heard(result)?),
         Feed::Topics => state.topics.set(ask::ListTopics::heard(result)?, state.now),

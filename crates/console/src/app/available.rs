@@ -98,7 +98,8 @@ fn own_robot(state: &State) -> Result<(), &'static str> {
         return Ok(());
     }
     given(!state.is_locked(), "locked: u unlocks")?;
-    Err("not a robot of this profile")
+    let own = member.sender.is_some_and(|sender| Some(sender.account) == state.address());
+    Err(if own { "revoked, or not a robot" } else { "not a robot of this profile" })
 }
 
 /// Refuses a folded robot's row.
@@ -108,7 +109,9 @@ fn one_topic(state: &State) -> Result<&TopicRow, &'static str> {
 }
 
 fn administer(state: &State, act: Act) -> Result<(), &'static str> {
-    let chain = state.chain.as_ref().ok_or("open the Chain screen first (7)")?;
+    let here = state.screen == Screen::Chain;
+    let unknown = if here { "the chain has not answered" } else { "open the Chain screen first (7)" };
+    let chain = state.chain.as_ref().ok_or(unknown)?;
     let own = state.address();
     if act == Act::Deploy {
         return given(chain.contract.is_none(), "already deployed");

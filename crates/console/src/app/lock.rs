@@ -26,10 +26,13 @@ pub fn due(state: &State) -> Option<Timestamp> {
 }
 
 pub fn when_due(state: &mut State) {
+    // A clock that was set back does not put it off.
+    state.touched = state.touched.min(state.now);
     if due(state).is_some_and(|at| at <= state.now) {
         let minutes = state.settings.lock_after.unwrap_or(0) / 60_000_000_000;
         state.warn(format!(
-            "locked after {minutes} minutes without a key press; a running capture continues, u unlocks"
+            "locked: by this machine's clock, {minutes} minutes passed without a key press; a running capture \
+             continues, u unlocks"
         ));
         lock(state);
     }

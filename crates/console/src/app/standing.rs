@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use crate::app::{State, alerts::Alert, alerts::health};
+use crate::app::{State, alerts::Alert, alerts::health, alerts::is_troubled};
 use crate::model::{Address, Timestamp, coarse};
 use crate::screens::{grants::state::is_active, grants::state::is_given, robots, topics::capture::not_captured};
 use crate::service::NoticeLevel;
@@ -72,6 +72,7 @@ fn is_told_otherwise(key: &str, state: &State, site: &SiteView, ending: &Ending<
     let chain_trouble = || site.health.iter().filter(|part| part.part == "chain" && health(part).is_some());
     match rule {
         "chain" | "store" => true,
+        "clock" => is_troubled(Some(site), "clock"),
         // Nothing is anchored without a chain, or in a paused lane: one cause, one alert.
         "unanchored" => chain_trouble().any(|part| !part.unaffected.iter().any(|other| is_of(*other, subject))),
         "audit" => chain_trouble().any(|part| part.unaffected.is_empty()),
@@ -101,7 +102,8 @@ fn identity(state: &State) -> Option<(&'static str, String)> {
     if let Some(what) = not_captured(state) {
         return Some(("not captured", what));
     }
-    (!identity.registered).then(|| ("not registered", "not registered on this chain: 6, then R registers".to_owned()))
+    (!identity.registered && !is_troubled(state.site.as_ref(), "chain"))
+        .then(|| ("not registered", "not registered on this chain: 6, then R registers".to_owned()))
 }
 
 /// The site's rule, whose text names accounts by eight digits only.

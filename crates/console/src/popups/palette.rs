@@ -5,6 +5,7 @@ use ratatui::layout::Position;
 use crate::app::{
     Entry, Field, Key, Popup, State, VERBS, Verb, available::available, matching::score, matching::whole_words, tour,
 };
+use crate::model::ProfileName;
 use crate::popups::{columns, form::grant, form::profile, state::Palette};
 use crate::screens::topics;
 use crate::ui::{Canvas, Rect, Role, below, columns, draw_list, framed, right_of};
@@ -19,19 +20,12 @@ pub fn key(state: &mut State, mut palette: Palette, key: Key) -> Option<Verb> {
             remember(state, palette.field.text());
             let words: Vec<&str> = palette.field.text().split_whitespace().collect();
             let chosen = matches.get(palette.selected.min(last)).map(|entry| entry.verb);
-            let (grants, chooses) = (available(state, Verb::Grant).is_ok(), available(state, Verb::Columns).is_ok());
-            let (changes, is_pattern) = (!state.settings.read_only, |word: &&str| word.starts_with(['/', '*']));
-            match with_terms(&words) {
-                Some(("grant", terms)) if grants => grant::spoken(state, terms),
-                Some((word @ ("watch" | "unwatch"), topics)) if changes && topics.iter().all(is_pattern) => {
-                    topics::keys::spoken_watch(state, topics, word == "watch");
-                }
-                Some(("columns", names)) if chooses => columns::keys::spoken(state, names),
-                Some(("profile", [name])) => match name.parse() {
-                    Ok(profile) => profile::switch(state, profile),
-                    Err(_) => return chosen,
-                },
-                _ => return chosen,
+            match Spoken::of(state, &words) {
+                Some(Spoken::Grant(terms)) => grant::spoken(state, terms),
+                Some(Spoken::Watch(watches, topics)) => topics::keys::spoken_watch(state, topics, watches),
+                Some(Spoken::Columns(names)) => columns::keys::spoken(state, names),
+                Some(Spoken::Profile(profile)) => profile::switch(state, profile),
+                None => return chosen,
             }
             return None;
         }
@@ -75,8 +69,39 @@ fn recalls(state: &State, palette: &mut Palette, earlier: bool) -> bool {
     true
 }
 
-fn with_terms<'a>(words: &'a [&'a str]) -> Option<(&'a str, &'a [&'a str])> {
-    words.split_first().filter(|(_, terms)| !terms.is_empty()).map(|(name, terms)| (*name, terms))
+/// A command with its terms, which Enter runs instead of one of the list.
+enum Spoken<'a> {
+    Grant(&'a [&'a str]),
+    /// Whether to watch or no longer to.
+    Watch(bool, &'a [&'a str]),
+    Columns(&'a [&'a str]),
+    Profile(ProfileName),
+}
+
+impl<'a> Spoken<'a> {
+    fn of(state: &State, words: &'a [&'a str]) -> Option<Self> {
+        let (name, terms) = words.split_first().filter(|(_, terms)| !terms.is_empty())?;
+        let is_pattern = |word: &&str| word.starts_with(['/', '*']);
+        match (*name, terms) {
+            ("grant", _) if available(state, Verb::Grant).is_ok() => Some(Self::Grant(terms)),
+            (word @ ("watch" | "unwatch"), _) if !state.settings.read_only && terms.iter().all(is_pattern) => {
+                Some(Self::Watch(word == "watch", terms))
+            }
+            ("columns", _) if available(state, Verb::Columns).is_ok() => Some(Self::Columns(terms)),
+            ("profile", [name]) => name.parse().ok().map(Self::Profile),
+            _ => None,
+        }
+    }
+
+    fn meaning(&self) -> &'static str {
+        match self {
+            Self::Grant(_) => "Fill in the form for a grant with these terms",
+            Self::Watch(true, _) => "Watch what matches, also topics that come later",
+            Self::Watch(false, _) => "Stop watching what matches",
+            Self::Columns(_) => "Show these columns",
+            Self::Profile(_) => "Open this profile",
+        }
+    }
 }
 
 impl Palette {
@@ -102,9 +127,12 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, palette: &Palette) {
     canvas.puts(inner, &[(": ", Role::Key), (palette.field.text(), Role::Accent)]);
     let before: String = palette.field.text().chars().take(palette.field.cursor()).collect();
     canvas.cursor = Some(Position { x: inner.x + 2 + columns(&before), y: inner.y });
-    let matches = palette.matches(state);
+    let words: Vec<&str> = palette.field.text().split_whitespace().collect();
+    let spoken = Spoken::of(state, &words);
+    let matches = if spoken.is_some() { Vec::new() } else { palette.matches(state) };
     if matches.is_empty() {
-        canvas.put(below(inner, 1), "no command matches", Role::Dim);
+        let told = spoken.map_or("no command matches", |spoken| spoken.meaning());
+        canvas.put(below(inner, 1), told, Role::Dim);
     }
     draw_list(canvas, below(inner, 1), &matches, palette.selected, |canvas, line, entry, here| {
         let reason = available(state, entry.verb).err();

@@ -51,19 +51,20 @@ fn publishers(state: &State, topic: &str, view: &PinsView) -> Vec<Piece> {
 /// From when to when, a strip of signs, and their meaning.
 pub fn coverage_lines(state: &State, topic: &str) -> Vec<Piece> {
     let Some((of, answer)) = &state.detail.coverage else { return Vec::new() };
-    match answer {
-        _ if of != topic => Vec::new(),
-        Err(failure) => vec![(clean(&failure.message, 500), Role::Bad)],
-        Ok(view) if view.first.is_none() => {
-            vec![("No records of this topic yet.".to_owned(), Role::Dim), Piece::default()]
-        }
-        Ok(view) => vec![
-            (format!("Records from {} to {} UTC", day(view.since), day(view.until)), Role::Title),
-            (view.strip(), Role::Accent),
-            (view.legend(), Role::Dim),
-            Piece::default(),
-        ],
-    }
+    let views = match answer {
+        _ if of != topic => return Vec::new(),
+        Err(failure) => return vec![(clean(&failure.message, 500), Role::Bad)],
+        Ok(views) => views,
+    };
+    let Some(view) = views.first().filter(|view| view.first.is_some()) else {
+        return vec![("No records of this topic yet.".to_owned(), Role::Dim), Piece::default()];
+    };
+    vec![
+        (format!("Records from {} to {} UTC", day(view.since), day(view.until)), Role::Title),
+        (view.strip(), Role::Accent),
+        (view.legend(), Role::Dim),
+        Piece::default(),
+    ]
 }
 
 fn pinned(pin: &PinView, now: &str) -> [Piece; 2] {

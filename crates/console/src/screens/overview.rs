@@ -1,7 +1,7 @@
 //! The Overview screen: health, life line, law of conservation, alerts, busiest topics, graphs, first steps.
 
 use crate::app::history::{Flow, Period, Sample, highest};
-use crate::app::{Feed, State, alerts::Alert, history};
+use crate::app::{Feed, State, alerts::Alert, alerts::is_troubled, history};
 use crate::model::clean;
 use crate::screens::{grants::state::is_given, topics::draw::watched};
 use crate::service::reply::{LifeLine, SiteView};
@@ -186,7 +186,7 @@ fn draw_busiest(canvas: &mut Canvas, area: Rect, state: &State) {
             None if state.awaits(Feed::Topics) => "Asking for the topics…",
             None => "No topics published yet; they appear here automatically.",
         };
-        canvas.put(area, text, Role::Dim);
+        canvas.put_wrapped(area, text, Role::Dim);
         return;
     }
     let rows = state.topics.busiest(usize::from(area.height - 1)).into_iter().map(|row| {
@@ -353,9 +353,12 @@ pub struct FirstStep {
     pub text: &'static str,
 }
 
-/// Empty once the profile is set up.
+/// Empty once the profile is set up, and while nobody can say whether it is registered.
 pub fn first_steps(state: &State) -> Vec<FirstStep> {
     let Some(identity) = &state.identity else { return Vec::new() };
+    if identity.exists && !identity.registered && is_troubled(state.site.as_ref(), "chain") {
+        return Vec::new();
+    }
     let set_up = identity.exists && identity.registered;
     let step = |done, name, key, text| FirstStep { done, name, key, text };
     let steps = vec![

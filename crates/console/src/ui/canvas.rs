@@ -1,6 +1,6 @@
 //! The cells that screens write to, the only way to them; places on the screen; what ASCII shows instead.
 
-use ratatui::buffer::Buffer;
+use ratatui::buffer::{Buffer, Cell};
 use ratatui::layout::{Position, Rect};
 use ratatui::style::Style;
 use ratatui::widgets::{Block, Clear, Widget};
@@ -25,9 +25,12 @@ pub struct Canvas<'a> {
     pub(super) placement: Option<Placement>,
 }
 
+/// Characters of the longest text that is measured: more than any terminal shows, and few enough to add up.
+const MOST_MEASURED: usize = 1_000;
+
 /// Columns of the cleaned text.
 pub fn columns(text: &str) -> u16 {
-    u16::try_from(clean(text, usize::from(u16::MAX)).width()).unwrap_or(u16::MAX)
+    u16::try_from(clean(text, MOST_MEASURED).width()).unwrap_or(u16::MAX)
 }
 
 /// Saturates: more rows than any screen has.
@@ -139,6 +142,20 @@ impl<'a> Canvas<'a> {
     }
 }
 
+/// Takes away each wide character of which a window covers a part: a terminal would not show the window there.
+pub fn drop_covered(buffer: &mut Buffer) {
+    let columns = usize::from(buffer.area.width).max(1);
+    for row in buffer.content.chunks_mut(columns) {
+        for place in 0..row.len() {
+            let Some((cell, behind)) = row.get_mut(place..).and_then(<[Cell]>::split_first_mut) else { continue };
+            let taken = if cell.symbol().is_ascii() { 0 } else { cell.symbol().width().saturating_sub(1) };
+            if behind.iter().take(taken).any(|covering| covering.symbol() != " ") {
+                cell.set_char(' ');
+            }
+        }
+    }
+}
+
 pub fn flatten(buffer: &mut Buffer) {
     for cell in &mut buffer.content {
         if !cell.symbol().is_ascii() {
@@ -193,13 +210,24 @@ mod tests {
     }
 
     fn shown(buffer: &Buffer) -> String {
-        buffer.content().iter().map(ratatui::buffer::Cell::symbol).collect()
+        buffer.content().iter().map(Cell::symbol).collect()
     }
 
     #[test]
     fn a_cut_is_marked() {
         assert!(shown(&written("/robot1/camera/compressed", 10)).contains("/robot1/c…"));
         assert!(shown(&written("机器人机器人", 6)).contains('…'));
+    }
+
+    #[test]
+    fn a_window_over_half_of_a_wide_character_is_whole() {
+        let mut buffer = written("机器人", 30);
+        let theme = Theme::named("night").expect("embedded");
+        // Its frame begins over the second half of the character at column 5.
+        Canvas::new(&mut buffer, &theme).frame(Rect::new(6, 0, 10, 2), "");
+        drop_covered(&mut buffer);
+        let row: Vec<&str> = (3..7).map(|x| buffer[(x, 0)].symbol()).collect();
+        assert_eq!(row, ["机", " ", " ", "┌"]);
     }
 
     proptest! {

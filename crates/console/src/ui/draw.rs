@@ -4,7 +4,7 @@ use ratatui::Frame;
 use ratatui::layout::Rect;
 
 use super::bars;
-use super::canvas::{Canvas, Placement, flatten, row};
+use super::canvas::{Canvas, Placement, drop_covered, flatten, row};
 use super::theme::{Role, Theme};
 use crate::app::{State, tour::Tour};
 use crate::screens::pane;
@@ -26,6 +26,7 @@ pub fn draw(frame: &mut Frame, state: &State, theme: &Theme) -> Option<Placement
         draw_whole(&mut canvas, area, state);
     }
     let (cursor, placement) = (canvas.cursor, canvas.placement());
+    drop_covered(frame.buffer_mut());
     if theme.ascii {
         flatten(frame.buffer_mut());
     }

@@ -1,7 +1,6 @@
-//! Every screen and popup as text at operators' usual sizes, and hostile text on all of them.
+//! Every screen and popup as text at operators' usual sizes.
 
 mod graphs;
-mod hostile;
 mod rows;
 
 use ratatui::Terminal;

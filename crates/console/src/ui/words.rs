@@ -1,6 +1,6 @@
 //! Numbers, sizes and times in words; wrapping.
 
-use unicode_width::UnicodeWidthStr;
+use unicode_width::{UnicodeWidthChar, UnicodeWidthStr};
 
 use crate::model::Timestamp;
 pub use crate::model::grouped as count;
@@ -78,7 +78,8 @@ pub fn wrap(text: &str, width: u16) -> Vec<String> {
 
 fn append_word(lines: &mut Vec<String>, word: &str, width: usize) {
     for character in word.chars() {
-        let full = lines.last().is_none_or(|line| line.width() + 1 > width);
+        let needed = character.width().unwrap_or(1);
+        let full = lines.last().is_none_or(|line| line.width() + needed > width);
         if full {
             lines.push(String::new());
         }
@@ -105,6 +106,7 @@ mod tests {
     fn lines_break_at_spaces_and_long_words_anywhere() {
         assert_eq!(wrap("what was read cannot be recalled", 12), ["what was", "read cannot", "be recalled"]);
         assert_eq!(wrap("0123456789", 4), ["0123", "4567", "89"]);
+        assert_eq!(wrap("机器人e\u{301}", 5), ["机器", "人e\u{301}"], "two columns do not fit in one");
         assert_eq!(wrap("", 4), [""]);
         assert_eq!(wrap("  nobody but you", 9), ["  nobody", "  but you"]);
     }

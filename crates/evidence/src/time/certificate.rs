@@ -39,7 +39,7 @@ pub struct Certificate {
 
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct Uses {
-    /// It may issue others, with so many between it and the last at most; without a limit, that is `u64::MAX`.
+    /// It may issue others, with at most this number between it and the last; without a limit, that is `u64::MAX`.
     pub issuer: Option<u64>,
     pub key: Option<u8>,
     /// A critical extended key usage that names timeStamping and nothing else.

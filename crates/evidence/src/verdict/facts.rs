@@ -369,14 +369,16 @@ fn doubts(wording: &Wording, names: &Names<'_>, report: &Report) -> Vec<Fields> 
             Some(((accepted, letter, names.record(record), level.reason?.name()), record))
         })
     });
+    let mut lanes = BTreeMap::<_, Vec<&RecordReport>>::new();
+    for record in report.records.iter().filter(is_intact) {
+        lanes.entry((record.owner, record.signer, record.recorder, record.topic_id)).or_default().push(record);
+    }
     let of_numbers = report.complete.iter().filter_map(|stretch| Some((stretch, stretch.reason?.name())));
     let of_numbers = of_numbers.flat_map(|(stretch, reason)| {
-        let of = (Some(stretch.owner), Some(stretch.signer), Some(stretch.recorder), Some(stretch.topic_id));
-        let is_of = move |record: &&RecordReport| {
-            is_intact(record) && (record.owner, record.signer, record.recorder, record.topic_id) == of
-        };
+        let lane = (Some(stretch.owner), Some(stretch.signer), Some(stretch.recorder), Some(stretch.topic_id));
         let topic = names.topic(stretch.signer, stretch.topic_id);
-        report.records.iter().filter(is_of).map(move |record| ((false, 'f', topic.clone(), reason), record))
+        let records = lanes.get(&lane).into_iter().flatten();
+        records.map(move |record| ((false, 'f', topic.clone(), reason), *record))
     });
     let mut groups: Vec<(Doubt, Group)> = groups(of_records.chain(of_numbers));
     groups.sort_by_key(|((accepted, letter, ..), _)| (*accepted, *letter));

@@ -16,7 +16,7 @@ async fn visit(stage: &Stage) -> Result<Client, GatewayError> {
 }
 
 #[tokio::test]
-async fn whoever_asks_learns_the_network_and_nothing_else() {
+async fn a_stranger_learns_the_network_and_nothing_else() {
     let stage = Stage::new().await;
     let told = Client::inquire(&stage.endpoint.addresses, PATIENCE).await.expect("tells");
     assert_eq!(told, network());

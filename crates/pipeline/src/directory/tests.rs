@@ -345,7 +345,7 @@ fn six_thousand_grants_and_revocations_of_a_stranger_leave_nothing_in_memory() {
         let token = pair.story.token();
         let events =
             vec![(granted(7, 8, round + 1), true), (Event::Revoked { owner, grantee, epoch: round + 2, token }, true)];
-        // The simple model would be slow for so many; only memory matters here.
+        // The simple model would be slow for this number; only memory matters here.
         for (event, in_new_block) in events {
             let at = pair.story.tell(event, in_new_block);
             assert!(pair.directory.apply(&at));

@@ -12,7 +12,7 @@ use crate::chain::{Chain, ChainOptions, Endpoint, Relay, RelayError, RelayLine};
 use crate::crypto::EoaSecret;
 use crate::pipeline::fixture::{by_hand, embedded, identity, network};
 
-/// A node that does not have a receipt so many times.
+/// A node that has no receipt yet the first few times.
 struct Late {
     chain: Chain,
     withheld: AtomicUsize,

@@ -286,8 +286,8 @@ async fn a_cancelled_transaction_gives_its_records_back() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn whoever_waits_for_a_cancelled_call_is_told() {
-    let Some(node) = Anvil::start("whoever_waits_for_a_cancelled_call_is_told", &[]) else { return };
+async fn the_caller_of_a_cancelled_call_is_told() {
+    let Some(node) = Anvil::start("the_caller_of_a_cancelled_call_is_told", &[]) else { return };
     let process = node.process(None, 0).await;
     let chain = process.network.chain.clone();
     node.call("evm_setAutomine", json!([false])).await;

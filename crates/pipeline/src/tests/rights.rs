@@ -3,6 +3,7 @@
 use super::*;
 use crate::crypto::{EoaSecret, SmKeyPair};
 use crate::pipeline::authority::{NoRight, right_of};
+use crate::pipeline::chain_proofs::{Collected, Rounds, collect};
 use crate::pipeline::verifier::verify_round;
 
 impl Line {
@@ -79,6 +80,8 @@ async fn what_was_anchored_inside_a_suspension_is_passed_over_waits_and_is_ancho
     assert_eq!(verify_round(&line.plant, &line.network).expect("a round"), 20);
     assert_eq!((line.count(RecordState::Stored), line.count(RecordState::Tampered)), (20, 0));
     line.is_whole();
+    let proofs = collect(&line.plant, &line.network, &mut Rounds::default()).await.expect("a round");
+    assert_eq!(proofs, Collected { kept: 1, missed: 0, problem: None }, "of a batch that its records have left");
 
     line.append(2, 1, 5);
     assert_eq!(line.round(AnchorMode::Batch, &lanes).await, 0, "nobody anchors for a suspended owner");

@@ -34,7 +34,7 @@ const PROGRAM: &str = "authros-ros2";
 fn errand(program: &Path, domain: u16, publishes: bool) -> Errand {
     let arguments = ["--domain".to_owned(), domain.to_string()];
     let arguments = arguments.into_iter().chain(publishes.then(|| "--publish".to_owned())).collect();
-    // Returns rustdds's freed receive buffers to the system (decision 072).
+    // Returns rustdds's freed receive buffers to the system (decision 026).
     let environment = vec![("MALLOC_MMAP_THRESHOLD_", (128 << 10).to_string())];
     Errand { program: program.to_owned(), arguments, environment }
 }

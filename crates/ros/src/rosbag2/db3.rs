@@ -23,7 +23,7 @@ use crate::ros::{Result, RosError};
 
 const PAGE: i64 = 512;
 
-/// SQLite lists this many faults of a table; with so many, nothing is read.
+/// SQLite lists this many faults of a table; at this number nothing is read.
 const MOST_FAULTS: usize = 100;
 
 /// No row of messages has fewer bytes.

@@ -112,7 +112,7 @@ impl Queue {
 mod tests {
     use super::*;
 
-    /// Has room for so many.
+    /// Its capacity in messages.
     #[derive(Default)]
     struct Fake {
         room: usize,

@@ -1,7 +1,7 @@
 //! One writer of one topic. rustdds fixes a writer's encoding by a type, and writes the header's options as zeros. It
 //! sends all fragments of a message in one burst, of which the usual receive buffer of 208 kB keeps few, and repairs
 //! slowly. So large messages go ahead at a rate that subscribers can take; to them it is the same message (same writer,
-//! number, size of fragments), so the burst that follows is already known and acknowledged (decision 088).
+//! number, size of fragments), so the burst that follows is already known and acknowledged (decision 018).
 
 use std::collections::VecDeque;
 use std::convert::Infallible;

@@ -13,7 +13,7 @@ const FURTHER: &[&str] = &[
     r#"{"command":"add_device_address","device":"scout","address":"h:1"}"#,
     r#"{"command":"play","owner":null,"topics":[],"since":null,"until":null,"pace":"at_once","clock":false,"prefix":null,"remaps":[],"master":null}"#,
     r#"{"command":"stop_play"}"#,
-    r#"{"command":"erase_records","topic":"/odom","since":null,"until":null,"records":[],"recording":null,"reason":"asked","sure":false}"#,
+    r#"{"command":"erase_records","topic":"/odom","robot":"scout","since":null,"until":null,"records":[],"recording":null,"reason":"asked","sure":false}"#,
     r#"{"command":"of_robot","robot":"list_robots"}"#,
     r#"{"command":"of_robot","robot":"show_robot","name":"scout"}"#,
     r#"{"command":"of_robot","robot":"set_robot_policy","name":"scout","text":""}"#,

@@ -9,10 +9,10 @@ use super::parts::{Opened, Parts};
 use super::{Needs, Site};
 use crate::config::Config;
 use crate::crypto::{Keyring, Passphrase, UnlockedKeyring};
-use crate::model::ProfileName;
+use crate::model::{Address, Digest, ProfileName, RecordKind, RecordState, Signature, SignerId, Timestamp, TopicId};
 use crate::paths::Home;
 use crate::pipeline::Owner;
-use crate::store::{AuditQuery, SiteLock};
+use crate::store::{AuditQuery, NewRecord, SiteLock};
 
 /// The passphrase of every keyring made here.
 pub const PASSPHRASE: &str = "correct horse battery";
@@ -52,6 +52,31 @@ impl Ground {
         let owner = Arc::new(owner);
         self.parts.owners.insert(&owner);
         owner
+    }
+
+    /// Acknowledges a message, as the sealer does.
+    pub fn capture(&self, owner: Address, signer: SignerId, topic: &str, second: u64) {
+        let digest = Digest(crate::crypto::sm3::sm3(&[&owner.0, &signer.0, topic.as_bytes(), &second.to_be_bytes()]));
+        let record = NewRecord {
+            digest,
+            owner,
+            topic_id: TopicId(digest.0[..16].try_into().expect("16 bytes")),
+            seq: second,
+            foreign: None,
+            epoch: 1,
+            kind: RecordKind::Data,
+            signer,
+            signature: Signature([7; 64]),
+            filters: Vec::new(),
+            topic: topic.to_owned(),
+            type_name: "a/B".to_owned(),
+            bytes: 9,
+            captured_at: Timestamp::from_seconds(second),
+            simulated: false,
+            state: RecordState::Stored,
+            blob: None,
+        };
+        self.parts.plant.ledger.records.append(vec![record]).expect("acknowledged");
     }
 
     /// Subjects and outcomes of the log's lines about an action, oldest first.

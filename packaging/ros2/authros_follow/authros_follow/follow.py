@@ -13,7 +13,7 @@ import sys
 PLACES = ("/usr/bin/authros", "/usr/local/bin/authros", os.path.expanduser("~/.cargo/bin/authros"))
 NOT_FOUND = (
     "authros_follow: the program authros was not found. Install its package, or name it in AUTHROS_PROGRAM; "
-    "docs/installing.md of AuthROS has the ways."
+    "docs/gateway.md of AuthROS has the ways."
 )
 
 

@@ -1,9 +1,9 @@
 //! Granting and revoking: forms, questions with default no, honest words.
 
 use super::{Robot, fixtures};
-use crate::app::{Confirm, Key, Popup, Purpose, Tag};
+use crate::app::{Confirm, Feed, Key, Popup, Purpose, Tag};
 use crate::model::{Timestamp, TopicPattern};
-use crate::service::reply::GrantForesight;
+use crate::service::reply::{GrantForesight, Opens};
 use crate::service::{Command, GrantFrom, Reply};
 
 const READER: &str = "0x5aAeb6053F3E94C9b9A09f33669435E7Ef1BeAed";
@@ -361,6 +361,19 @@ fn the_question_says_from_when_and_at_what_cost_and_the_request_carries_just_tha
         let Some((Command::Grant { from, .. }, _)) = robot.sent.last() else { panic!("{typed}: {:?}", robot.sent) };
         assert_eq!(*from, wanted, "{typed}");
     }
+}
+
+#[test]
+fn an_open_form_says_how_many_records_there_are_by_the_newest_answer() {
+    let mut robot = at_grants();
+    robot.types("g");
+    let mut identity = fixtures::identity(true, true, true);
+    identity.all_records = identity.all_records.map(|opens| Opens { records: 70_123, ..opens });
+    let tag = Tag::Feed(Feed::Identity, robot.state.feeds.slot(Feed::Identity).generation);
+    robot.is_answered(&tag, Ok(Reply::Identity(identity)));
+    let Some(Popup::Form(_, form)) = robot.state.popups.last() else { panic!("no form") };
+    assert!(form.notes.iter().any(|note| note.starts_with("start") && note.contains("70,123 records")), "{form:?}");
+    assert_eq!(form.notes.len(), 5, "each moment once");
 }
 
 #[test]

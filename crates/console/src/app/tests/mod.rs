@@ -1,6 +1,7 @@
 //! Robot users: each file is one behaviour, as an operator would describe it.
 
 pub mod fixtures;
+pub mod infection;
 
 mod ahead;
 mod aiming;
@@ -96,7 +97,7 @@ impl Robot {
     }
 
     pub fn act(&mut self, action: Action) {
-        let effects = update(&mut self.state, action);
+        let effects = update(&mut self.state, infection::infected(action));
         self.note(effects);
     }
 

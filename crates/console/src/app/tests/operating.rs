@@ -49,6 +49,15 @@ fn a_quarter_of_an_hour_without_a_key_locks_and_takes_what_was_opened_off_the_sc
 }
 
 #[test]
+fn a_clock_that_is_set_back_by_two_days_does_not_put_the_lock_off() {
+    let mut robot = guarded();
+    robot.act(Action::Tick(Timestamp(robot.state.now.0 - 48 * 60 * MINUTE)));
+    robot.waits(15 * 60);
+    assert_eq!(robot.work(), [Tag::Lock]);
+    assert!(robot.message().contains("by this machine's clock"), "{}", robot.message());
+}
+
+#[test]
 fn lock_is_a_command_of_the_palette_and_never_waits_for_its_key_to_be_pressed_twice() {
     let mut robot = guarded();
     robot.types(":lock");

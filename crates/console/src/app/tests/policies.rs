@@ -99,7 +99,7 @@ fn a_robot_with_a_session_here_is_one_row_and_one_of_another_owner_has_no_policy
     assert!(of("scout").sender.is_none() && of("scout").robot.is_some());
     let mut robot = at("robot2");
     robot.presses(Key::Enter);
-    assert_eq!(robot.message(), "inspect: not a robot of this profile");
+    assert_eq!(robot.message(), "inspect: revoked, or not a robot");
 }
 
 #[test]

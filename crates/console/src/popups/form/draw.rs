@@ -18,13 +18,14 @@ const FORM_WIDTH: u16 = 68;
 
 /// What the time under the cursor means stands below it.
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, form: &Form) {
-    let meaning = when::meaning(form, &state.times());
     let width = FORM_WIDTH.min(area.width.saturating_sub(6));
+    let meaning = when::meaning(form, &state.times());
+    let meaning: Vec<String> = meaning.iter().flat_map(|text| wrap(text, width.saturating_sub(LABEL))).collect();
     let notes: Vec<String> = form.notes.iter().flat_map(|note| wrap(&clean(note, 500), width)).collect();
     let error: Vec<String> = form.error.iter().flat_map(|error| wrap(&clean(error, 500), width)).collect();
     let told: Vec<String> = form.told.iter().flat_map(|line| wrap(&clean(line, MOST_TOLD), width)).collect();
     let told = shortened(told, area.height.saturating_sub(ROWS));
-    let needed = notes.len() + form.lines.len() + usize::from(meaning.is_some()) + 2 + error.len() + told.len();
+    let needed = notes.len() + form.lines.len() + meaning.len() + 2 + error.len() + told.len();
     let inner = framed(canvas, area, &form.title, FORM_WIDTH, rows(needed));
     for (place, note) in (0..).zip(&notes) {
         canvas.put(row(inner, place), note, Role::Dim);
@@ -33,8 +34,8 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, form: &Form) {
     for (index, line) in form.lines.iter().enumerate() {
         draw_line(canvas, row(inner, place), line, index == form.focus);
         place += 1;
-        if let Some(meaning) = meaning.as_deref().filter(|_| index == form.focus) {
-            canvas.put(right_of(row(inner, place), LABEL), meaning, Role::Accent);
+        for text in meaning.iter().filter(|_| index == form.focus) {
+            canvas.put(right_of(row(inner, place), LABEL), text, Role::Accent);
             place += 1;
         }
     }

@@ -63,6 +63,17 @@ pub fn moments(state: &State) -> Vec<String> {
     ]
 }
 
+/// An open form shows what the newest answer says.
+pub fn recount(state: &mut State) {
+    let moments = moments(state);
+    for popup in &mut state.popups {
+        if let Popup::Form(Purpose::Grant, form) = popup {
+            form.notes.truncate(1);
+            form.notes.extend_from_slice(&moments);
+        }
+    }
+}
+
 /// `grant bob /robot1/odom 30d` of the palette: the form with these terms.
 pub fn spoken(state: &mut State, words: &[&str]) {
     let Some((grantee, rest)) = words.split_first() else { return };
@@ -228,7 +239,7 @@ pub fn complete(state: &State, form: &mut Form) -> bool {
 pub fn begin_extension(state: &mut State) {
     let Some(row) = state.grants.selected() else { return };
     let who = row.name.clone().unwrap_or_else(|| row.grantee.short());
-    let ends = row.expires.map_or_else(|| "never".to_owned(), day);
+    let ends = row.expires.map_or_else(|| "never".to_owned(), |end| format!("{} UTC", day(end)));
     state.popups.push(Popup::Form(Purpose::Extend, extend_form(&who, &ends)));
 }
 

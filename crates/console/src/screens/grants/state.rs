@@ -88,7 +88,7 @@ pub fn earlier(row: &GrantRow) -> &'static str {
 }
 
 pub fn end(expires: Option<Timestamp>) -> String {
-    expires.map_or_else(|| "no end".to_owned(), |moment| format!("until {}", day(moment)))
+    expires.map_or_else(|| "no end".to_owned(), |moment| format!("until {} UTC", day(moment)))
 }
 
 /// Grants ending within this time show the time left, nanoseconds.

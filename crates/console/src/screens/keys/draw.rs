@@ -1,6 +1,6 @@
 //! The Keys screen.
 
-use crate::app::{Feed, State};
+use crate::app::{Feed, State, alerts::is_troubled};
 use crate::screens::topics;
 use crate::service::reply::{EpochView, IdentityView, KeysView};
 use crate::ui::{Canvas, Rect, Role, below, draw_facts, facts::LABEL, facts::draw_fact, right_of, row};
@@ -25,8 +25,11 @@ fn draw_identity(canvas: &mut Canvas, area: Rect, state: &State, identity: &Iden
         None => "locked (u unlocks it)",
     };
     let (keyring, keyring_role) = if identity.unlocked { ("unlocked", Role::Good) } else { (locked, Role::Warning) };
-    let (chain, chain_role) =
-        if identity.registered { ("registered", Role::Good) } else { ("not registered: R registers", Role::Warning) };
+    let (chain, chain_role) = match identity.registered {
+        true => ("registered", Role::Good),
+        false if is_troubled(state.site.as_ref(), "chain") => ("unknown until the chain answers", Role::Warning),
+        false => ("not registered: R registers", Role::Warning),
+    };
     let facts = [
         ("Profile", identity.profile.to_string(), Role::Body),
         ("Keyring", keyring.to_owned(), keyring_role),

@@ -25,7 +25,8 @@ const COVERAGE_EVERY: u64 = 30_000_000_000;
 const PARTS: usize = 60;
 
 pub fn coverage_of(topic: &TopicName) -> Errand {
-    let command = Command::TopicCoverage { topic: topic.clone(), robot: None, since: None, until: None, parts: PARTS };
+    let asked = Some(topic.clone().into());
+    let command = Command::TopicCoverage { topic: asked, robot: None, since: None, until: None, parts: PARTS };
     Errand { command, tag: Tag::Beside(Screen::Topics, topic.to_string()) }
 }
 
@@ -111,8 +112,8 @@ pub fn looked_up(state: &mut State, id: &str, answer: Result<Provenance, Failure
 }
 
 /// No event reports coverage, so it is requested again after a while.
-pub fn covered(state: &mut State, topic: &str, answer: Result<CoverageView, Failure>) {
-    state.detail.coverage = Some((topic.to_owned(), answer.map(Box::new)));
+pub fn covered(state: &mut State, topic: &str, answer: Result<Vec<CoverageView>, Failure>) {
+    state.detail.coverage = Some((topic.to_owned(), answer));
     let beside = state.detail.about.as_ref().is_some_and(|(screen, id)| *screen == Screen::Topics && id == topic);
     if beside && !state.is_frozen() {
         state.detail.due = Some(Timestamp(state.now.0.saturating_add(COVERAGE_EVERY)));

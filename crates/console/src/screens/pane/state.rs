@@ -12,5 +12,5 @@ pub struct Detail {
     pub steps: Option<Lookup<Provenance>>,
     pub opening: Option<Opening>,
     /// A topic, and when it has records.
-    pub coverage: Option<(String, Result<Box<CoverageView>, Failure>)>,
+    pub coverage: Option<(String, Result<Vec<CoverageView>, Failure>)>,
 }

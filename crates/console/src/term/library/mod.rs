@@ -1,6 +1,8 @@
 //! The library of screens: what an emulated terminal holds after a frame, for named situations at three sizes, and how
 //! it looks in every theme. `tools/pictures.py` draws pictures from the looks.
 
+mod hostile;
+
 use std::num::NonZeroU16;
 
 use super::encode::Depth;
@@ -367,7 +369,7 @@ fn covered(size: Size, screen: Screen) -> Robot {
     let tag = Tag::Beside(Screen::Topics, robot.state.row_key().unwrap_or_default());
     if robot.work().contains(&tag) {
         let topic = robot.state.row_key().unwrap_or_default();
-        robot.is_answered(&tag, Ok(Reply::Coverage(coverage(&topic))));
+        robot.is_answered(&tag, Ok(Reply::Coverage(vec![coverage(&topic)])));
     }
     robot
 }
@@ -541,7 +543,7 @@ fn publishers(size: Size) -> Robot {
     robot.is_answered(&Tag::Publishers(topic.clone()), Ok(Reply::Pins(fixtures::pins(&topic))));
     let beside = Tag::Beside(Screen::Topics, topic.clone());
     if robot.work().contains(&beside) {
-        robot.is_answered(&beside, Ok(Reply::Coverage(coverage(&topic))));
+        robot.is_answered(&beside, Ok(Reply::Coverage(vec![coverage(&topic)])));
     }
     robot
 }

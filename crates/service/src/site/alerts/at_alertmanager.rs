@@ -88,7 +88,7 @@ async fn every_rule_is_held_by_an_alertmanager_from_its_beginning_to_its_end() {
     }
     until("all that began", || held(port).is_some_and(|held| held == wanted)).await;
     let shown: BTreeSet<String> = site.alerts.shown().0.into_iter().map(|alert| alert.key).collect();
-    assert_eq!(shown, wanted, "whoever asks the site is told the same");
+    assert_eq!(shown, wanted, "the site itself says the same");
     (22..80).for_each(|look| drop(site.alerts.look(&well(look * 10))));
     until("the end of all", || held(port).is_some_and(|held| held.is_empty())).await;
     let over: BTreeSet<String> = site.alerts.shown().1.into_iter().map(|over| over.alert.key).collect();

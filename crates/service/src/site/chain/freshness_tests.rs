@@ -30,7 +30,7 @@ impl Seen {
         BlockRef { number, hash, timestamp: BEGINNING + number * PERIOD }
     }
 
-    /// Block `number` is read, so many seconds after the beginning.
+    /// Block `number` is read, this number of seconds after the beginning.
     fn read(&mut self, number: u64, at: f64) {
         let asked = self.begun + seconds(at);
         let clock = BEGINNING + self.ahead + asked.duration_since(self.begun).as_secs();

@@ -285,6 +285,9 @@ impl ChainProofs {
     pub fn health(&self) -> Result<Option<PartHealth>> {
         let counts = self.parts.plant.ledger.proofs.chain_proof_counts()?;
         let trouble = self.trouble.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        // The chain's own part reports a node that is away.
+        let answers = !self.parts.link.is_silent() && self.parts.link.network_now().is_some();
+        let trouble = trouble.filter(|_| answers);
         if counts.newest.is_none() && counts.missed == 0 && trouble.is_none() {
             return Ok(None);
         }
@@ -292,6 +295,7 @@ impl ChainProofs {
             counts.newest.map_or_else(|| "no proofs kept yet".to_owned(), |block| format!("kept up to block {block}"));
         let missed = match counts.missed {
             0 => String::new(),
+            1 => "; 1 batch has none, a bundle of it asks the node".to_owned(),
             missed => format!("; {missed} batches have none, bundles of them ask the node"),
         };
         Ok(Some(waiting_part("proofs", &format!("{kept}{missed}"), trouble)))

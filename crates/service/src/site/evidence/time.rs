@@ -109,7 +109,7 @@ impl TimeStamps {
 
     pub async fn stamp(&self) -> Result<StampView> {
         if !self.is_wanted() {
-            return Err(input("no time stamp authority is configured; set time.authorities (see docs/evidence.md)"));
+            return Err(input("no time stamp authority is configured; set time.authorities (see docs/reader.md)"));
         }
         let _turn = self.turn.lock().await;
         let now = Moment::now();

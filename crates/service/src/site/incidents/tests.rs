@@ -2,9 +2,8 @@
 #![allow(clippy::expect_used, reason = "a test fails by panicking")]
 
 use super::*;
-use crate::model::{Digest, ErrorKind, RecordKind, RecordState, Signature, SignerId, TopicId};
+use crate::model::{ErrorKind, SignerId};
 use crate::site::testing::{Ground, profile};
-use crate::store::NewRecord;
 
 fn incidents(ground: &Ground) -> Incidents {
     Incidents { parts: ground.parts.clone() }
@@ -12,31 +11,6 @@ fn incidents(ground: &Ground) -> Incidents {
 
 fn name(text: &str) -> IncidentName {
     text.parse().expect("a name")
-}
-
-/// Acknowledges a message of an owner, as the sealer does.
-fn capture(ground: &Ground, owner: Address, topic: &str, second: u64) {
-    let digest = Digest(crate::crypto::sm3::sm3(&[&owner.0, topic.as_bytes(), &second.to_be_bytes()]));
-    let record = NewRecord {
-        digest,
-        owner,
-        topic_id: TopicId(digest.0[..16].try_into().expect("16 bytes")),
-        seq: second,
-        foreign: None,
-        epoch: 1,
-        kind: RecordKind::Data,
-        signer: SignerId([1; 32]),
-        signature: Signature([7; 64]),
-        filters: Vec::new(),
-        topic: topic.to_owned(),
-        type_name: "a/B".to_owned(),
-        bytes: 9,
-        captured_at: Timestamp::from_seconds(second),
-        simulated: false,
-        state: RecordState::Stored,
-        blob: None,
-    };
-    ground.parts.plant.ledger.records.append(vec![record]).expect("acknowledged");
 }
 
 fn of(since: u64, until: Option<u64>, topics: &[&str], note: Option<&str>) -> Result<Wanted> {
@@ -49,11 +23,12 @@ async fn an_incident_is_opened_noted_closed_and_removed_and_each_act_is_written_
     let ground = Ground::with(&[]);
     let (alice, bob) = (ground.owner("alice").address, ground.owner("bob").address);
     let (incidents, by) = (incidents(&ground), profile("alice"));
+    let signer = SignerId([1; 32]);
     for second in [10, 20, 30] {
-        capture(&ground, alice, "/odom", second);
+        ground.capture(alice, signer, "/odom", second);
     }
-    capture(&ground, alice, "/scan", 20);
-    capture(&ground, bob, "/odom", 20);
+    ground.capture(alice, signer, "/scan", 20);
+    ground.capture(bob, signer, "/odom", 20);
     let asked = of(15, None, &["/odom", "/never"], Some("hit\u{1b}[2J a \u{202e}wall\nat bay 3")).expect("good");
     let view = incidents.open(&by, alice, asked).await.expect("opened");
     assert_eq!((view.records, view.bytes, view.open, view.until), (2, 18, true, None));

@@ -1,5 +1,6 @@
 //! Records as shown to people, own and shared: listed, checked, opened and exported.
 
+mod coverage;
 mod opened;
 mod own;
 mod shared;
@@ -17,17 +18,16 @@ use super::parts::Parts;
 use crate::command::UploadQuery;
 use crate::failure::input;
 use crate::model::{
-    Address, Digest, ErrorKind, GapReport, ProfileName, RecordKind, RetentionReport, SignerId, Timestamp, TopicName,
-    TopicPattern, TopicPatterns, clean,
+    Address, Digest, ErrorKind, GapReport, ProfileName, RecordKind, RetentionReport, SignerId, TopicPattern,
+    TopicPatterns, clean,
 };
 use crate::pipeline::columns::Heads;
 use crate::pipeline::{Network, network_pin};
-use crate::reply::{CoverageView, Failure, Result};
+use crate::reply::{Failure, Result};
 use crate::ros::recording::{Beside, BesideContent};
+use crate::store::RecordQuery;
 use crate::store::notes::Enrolled;
-use crate::store::{Coverage, CoverageQuery, RecordQuery};
 
-const MOST_PARTS: usize = 1_000;
 /// Fewest characters of an id.
 const SHORTEST: usize = 8;
 
@@ -64,35 +64,6 @@ impl Reading {
 
     pub fn forget(&self) {
         self.heads.forget();
-    }
-
-    /// A time span of one of the profile's topics, in parts, according to the ledger; needs no passphrase.
-    pub async fn coverage(
-        &self,
-        profile: &ProfileName,
-        (topic, robot): (TopicName, Option<String>),
-        span: (Option<Timestamp>, Option<Timestamp>),
-        parts: usize,
-    ) -> Result<CoverageView> {
-        let owner = self.parts.owners.address_of(profile)?;
-        let (since, until) = (span.0, span.1.unwrap_or_else(Timestamp::now));
-        if since.is_some_and(|since| since >= until) {
-            return Err(input("the span ends before it begins; --since must be earlier than --until"));
-        }
-        if !(1..=MOST_PARTS).contains(&parts) {
-            return Err(input(format!("a span can have 1 to {MOST_PARTS} parts, not {parts}")));
-        }
-        // Robots' records arrive without topic names.
-        self.learn_own_names(profile).await?;
-        let (ledger, name) = (&self.parts.plant.ledger, topic.to_string());
-        let enrolled = block_in_place(|| enrolled::of_account(&ledger.notes, owner))?;
-        let signers = robot.as_ref().map(|robot| devices_of(&enrolled, robot)).transpose()?;
-        let query = CoverageQuery { owner, topic: name, signers, since, until, parts };
-        let found = ledger.counts.coverage(&query)?;
-        let robots = names(&enrolled, &found.signers);
-        let robot = robot.map(|robot| clean(&robot, 64));
-        let Coverage { since, first, last, parts, .. } = found;
-        Ok(CoverageView { topic, robot, robots, since, until, first, last, parts })
     }
 }
 
@@ -165,12 +136,6 @@ fn devices_of(enrolled: &[Enrolled], robot: &str) -> Result<BTreeSet<SignerId>> 
          characters of its device's id; `authros robot list` shows them",
         clean(robot, 64)
     )))
-}
-
-fn names(enrolled: &[Enrolled], signers: &BTreeSet<SignerId>) -> Vec<String> {
-    let robots = enrolled.iter().filter(|robot| signers.contains(&robot.device));
-    let names: BTreeSet<&str> = robots.map(|robot| robot.name.as_str()).collect();
-    names.into_iter().map(str::to_owned).collect()
 }
 
 const WIDEST: usize = 255;

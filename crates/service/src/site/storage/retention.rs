@@ -8,9 +8,9 @@ use std::time::Duration;
 use tokio::task::block_in_place;
 
 use super::Storage;
-use crate::command::ErasureWishes;
+use crate::command::{ErasureWishes, UploadQuery};
 use crate::failure::{input, refused};
-use crate::model::{Digest, RecordKind, RecordState, Timestamp, clean};
+use crate::model::{Digest, RecordKind, RecordState, Timestamp, clean, counted};
 use crate::pipeline::Owner;
 use crate::pipeline::importer::SOURCE;
 use crate::pipeline::reader::Reader;
@@ -124,7 +124,9 @@ impl Storage {
             return Err(input(format!("say why in 1 to {LONGEST_REASON} characters: --reason TEXT")));
         }
         let (plant, network) = (&self.parts.plant, self.parts.link.network().await?);
-        let rows = block_in_place(|| chosen(&Reader { plant, network: &network, reader: owner }, &wishes))?;
+        self.reading.name_asked(owner.address, Some(owner.index()), wishes.topic.as_ref())?;
+        let query = self.narrowed(owner, &wishes)?;
+        let rows = block_in_place(|| chosen(&Reader { plant, network: &network, reader: owner }, &wishes, &query))?;
         let incidents = plant.ledger.incidents.list(owner.address)?;
         let (view, erasable) = planned(&rows, &incidents);
         if !wishes.sure || erasable.is_empty() {
@@ -137,7 +139,8 @@ impl Storage {
                  choose other records"
             )));
         }
-        let subject = clean(&format!("{} records of {}: {reason}", erasable.len(), view.topics.join(" ")), 900);
+        let (records, topics) = (counted(view.records, "record"), counted(view.topics.len() as u64, "topic"));
+        let subject = clean(&format!("{records} of {topics}: {reason}; {}", view.topics.join(" ")), 900);
         self.parts.log.begin(owner, "erase", &subject).await?;
         let erasure = Erasure { at: Timestamp::now(), by: owner.profile.to_string(), reason };
         let digests = erasable.iter().map(|row| row.digest).collect();
@@ -145,6 +148,14 @@ impl Storage {
         let named = self.parts.log.end(owner, "erase", &subject, named).await?;
         let left = self.wait_for_erasing(digests).await?;
         Ok(ErasureView { named: named.named, missing: named.missing, deleted: !left, ..view })
+    }
+
+    /// Records of the topic, robot and span, by the rules of lists.
+    fn narrowed(&self, owner: &Owner, wishes: &ErasureWishes) -> Result<RecordQuery> {
+        let (topic, robot) = (wishes.topic.clone(), wishes.robot.clone());
+        let asked = UploadQuery { topic, robot, since: wishes.since, until: wishes.until, ..UploadQuery::default() };
+        let query = self.reading.of_robot(&[owner.address], asked)?;
+        Ok(RecordQuery { owner: Some(owner.address), limit: PAGE, ..query })
     }
 
     async fn name_erased(&self, owner: &Owner, rows: Vec<RecordRow>, erasure: Erasure) -> Result<retention::Erased> {
@@ -184,7 +195,7 @@ const STAYS: [&str; 4] = [
     "the files of a Redis cache, until its server rewrites them, and what a disk keeps of overwritten blocks",
 ];
 
-fn chosen(reader: &Reader<'_>, wishes: &ErasureWishes) -> Result<Vec<RecordRow>> {
+fn chosen(reader: &Reader<'_>, wishes: &ErasureWishes, query: &RecordQuery) -> Result<Vec<RecordRow>> {
     let (ledger, owner) = (&reader.plant.ledger, reader.reader.address);
     let mut rows = Vec::new();
     for id in &wishes.records {
@@ -197,13 +208,17 @@ fn chosen(reader: &Reader<'_>, wishes: &ErasureWishes) -> Result<Vec<RecordRow>>
         rows.dedup_by_key(|row| row.digest);
         return Ok(rows);
     }
-    if wishes.topic.is_none() && wishes.recording.is_none() {
-        return Err(input("choose what to erase: --topic or --recording, with --since and --until, or --record"));
+    let of_topics = wishes.topic.is_some() || wishes.robot.is_some();
+    if !of_topics && wishes.recording.is_none() {
+        return Err(input(
+            "choose what to erase: --topic, --robot or --recording, with --since and --until, or --record",
+        ));
     }
     // A recording includes its attachments; a topic has none.
     let kinds = [RecordKind::Data, RecordKind::Attachment];
-    for kind in kinds.into_iter().filter(|kind| wishes.topic.is_none() || *kind == RecordKind::Data) {
-        rows.extend(chosen_of(reader, wishes, kind)?);
+    for kind in kinds.into_iter().filter(|kind| !of_topics || *kind == RecordKind::Data) {
+        let query = RecordQuery { kind: Some(kind), ..query.clone() };
+        rows.extend(chosen_of(reader, wishes.recording.as_deref(), query)?);
         if rows.len() > MOST {
             return Err(too_many());
         }
@@ -215,20 +230,11 @@ fn too_many() -> Failure {
     input(format!("these are more than {MOST} records; choose a shorter span and repeat the command for the rest"))
 }
 
-fn chosen_of(reader: &Reader<'_>, wishes: &ErasureWishes, kind: RecordKind) -> Result<Vec<RecordRow>> {
+fn chosen_of(reader: &Reader<'_>, recording: Option<&str>, query: RecordQuery) -> Result<Vec<RecordRow>> {
     let mut rows = Vec::new();
-    let query = RecordQuery {
-        owner: Some(reader.reader.address),
-        topic: wishes.topic.as_ref().map(ToString::to_string),
-        kind: Some(kind),
-        since: wishes.since,
-        until: wishes.until,
-        limit: PAGE,
-        ..RecordQuery::default()
-    };
     for row in reader.plant.ledger.records.all(query) {
         let row = row?;
-        let is_left_out = match &wishes.recording {
+        let is_left_out = match recording {
             Some(recording) => !is_imported(reader, &row, recording)?,
             None => false,
         };

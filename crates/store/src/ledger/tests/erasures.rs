@@ -73,7 +73,7 @@ fn what_is_erased_is_told_once_it_is_gone_and_again_when_it_is_stated_anew() {
         .keep(vec![signed(&records[0], 1), signed(&records[1], 1), stated(&records[2], 1, None)])
         .expect("kept");
     assert_eq!(told(&ledger, 0), (Vec::new(), None), "its bytes are here still");
-    // The second one goes first; whoever reads on from there does not miss the first one.
+    // The second one goes first; a reader who goes on from there does not miss the first one.
     ledger.retention.deleted(&[records[1].digest]).expect("noted");
     let (first, last) = told(&ledger, 0);
     assert_eq!(first, [records[1].digest]);

@@ -1,4 +1,4 @@
-//! A folder whose recordings are sealed while a recorder writes them (decision 090). Files are only read. The ledger
+//! A folder whose recordings are sealed while a recorder writes them (decision 019). Files are only read. The ledger
 //! keeps how far each is sealed, before and after the records of a round: after a crash, the messages in doubt are
 //! searched among the records.
 
