@@ -105,7 +105,7 @@ mod tests {
             ground.capture(owner, signer, &hostile.name(), second);
         }
         ground.capture(owner, signer, "/robot2/odom", 300);
-        let offered = words(&ground.parts.home, Completed::Topic, "/");
+        let offered = words(ground.home(), Completed::Topic, "/");
         assert!(
             offered.contains(&"/robot2/odom".to_owned()) && offered.iter().all(|word| is_harmless(word)),
             "{offered:?}"

@@ -4,6 +4,7 @@ import { WORDING, filled, grouped } from "./wording.js";
 
 /* global WORKER */
 const ROWS = 100;
+const MOST_PARTS = 12;
 const LEVELS = ["bytes", "key", "anchor", "time", "opened"];
 const STAGES = { members: "Comparing the file's parts with its list", records: "Checking records" };
 const place = (id) => document.getElementById(id);
@@ -82,6 +83,7 @@ function fail(text) {
   place("how").textContent = "";
   place("sentences").className = "refused";
   place("sentences").replaceChildren(element("p", text));
+  place("save").hidden = true;
   place("verdict").hidden = false;
 }
 
@@ -96,7 +98,7 @@ function show(found) {
     `Checked on ${moment(new Date().toISOString()).slice(0, 16)} UTC, ${chosen.pins ? `with the trust file ${chosen.pins.name}` : "without a trust file"}.`;
   place("sentences").className = found.outcome;
   place("sentences").replaceChildren(...found.verdict.map((sentence) => element("p", sentence)));
-  place("verdict").hidden = false;
+  place("verdict").hidden = place("save").hidden = false;
   place("records").replaceChildren();
   rows = 0;
   moreRows();
@@ -142,15 +144,17 @@ function levelCell({ standing, reason }) {
 
 const sealedName = (id) => (id === null ? "" : filled(WORDING.labels.sealed, [{ id: id.slice(0, 8) }]));
 
-/** RFC 3339 as people read it, to the millisecond. */
-const moment = (text) => text.slice(0, 23).replace("T", " ").replace("Z", "");
+/** RFC 3339 as people read it, to the millisecond; what is no date stays. */
+const moment = (text) => (text.includes("T") ? text.slice(0, 23).replace("T", " ").replace("Z", "") : text);
 
 const number = (value) => element("td", value === undefined || value === null ? "" : grouped(value), "number");
 
-/** A name that may be broken behind its slashes. */
+/** A name that may be broken behind its slashes, unless it has more than a name has. */
 function named(tag, text, className) {
+  const parts = text.split(/(?<=\/)/);
+  if (parts.length > MOST_PARTS) return element(tag, text, className);
   const made = element(tag, "", className);
-  for (const part of text.split(/(?<=\/)/)) made.append(part, document.createElement("wbr"));
+  for (const part of parts) made.append(part, document.createElement("wbr"));
   return made;
 }
 

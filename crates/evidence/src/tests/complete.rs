@@ -14,7 +14,8 @@ use super::second::agree;
 use super::world::{BLOCK, TIME, World, bound, genesis, ours, pair, sealed, sealed_by, word};
 use crate::archive::Members;
 use crate::{
-    AnchorClaim, Anchoring, Bundle, BundledRecord, Height, Outcome, Packing, Slot, Standing, Stretch, pack, verify,
+    AnchorClaim, Anchoring, Bundle, BundledRecord, Height, Outcome, Packing, Report, Slot, Standing, Stretch, pack,
+    verify,
 };
 
 /// The topic of the world's records.
@@ -107,12 +108,17 @@ impl Case {
         self.packing().sign(genesis(), self.world.owner, &self.world.keys, ours()).expect("signs")
     }
 
-    /// What both verifiers say about the topic.
-    fn told(&self, outcome: Outcome) -> Stretch {
+    /// What both verifiers say.
+    fn report(&self, outcome: Outcome) -> Report {
         let members = self.members();
         agree(&members, &World::trust(), outcome);
         let bundle = Bundle::parse(&pack(&members).expect("packs"), ours()).expect("reads");
-        let report = verify(&bundle, Some(&World::trust()), ours());
+        verify(&bundle, Some(&World::trust()), ours())
+    }
+
+    /// What they say about the topic.
+    fn told(&self, outcome: Outcome) -> Stretch {
+        let report = self.report(outcome);
         report.complete.into_iter().find(|stretch| stretch.topic_id == TOPIC).expect("of the topic")
     }
 
@@ -156,6 +162,30 @@ fn a_topic_is_complete_to_the_number_that_the_head_names_and_not_beyond() {
     Case::of(&[1, 2, 3], &[(3, 3)]).expect(Outcome::Holds, &format!("every number from 1 to 3; {claim}"));
     let middle = format!("3 to 6 without 5 (1 missing); {claim}").replace("claimed after", "claimed before 3 or after");
     Case::of(&[3, 4, 6], &[(3, 3)]).expect(Outcome::Holds, &middle);
+}
+
+#[test]
+fn the_verdict_tells_numbers_left_out_at_the_end_from_missing_ones() {
+    let gapless = "No number is missing between the first and the last of 1 topic.";
+    let topic = "of a topic with a sealed name (";
+    for (numbers, complete, is_gapless, missing, later) in [
+        (&[1, 2, 3, 4, 5][..], true, false, None, None),
+        (&[1, 2, 3][..], false, true, None, Some(("2 later numbers", "up to 5."))),
+        (&[1, 3, 4][..], false, false, Some(("1 number", "between 1 and 4.")), Some(("1 later number", "up to 5."))),
+        (&[1, 3, 5][..], false, false, Some(("2 numbers", "between 1 and 5.")), None),
+    ] {
+        let verdict = Case::of(numbers, &[(3, 5)]).report(Outcome::Holds).verdict;
+        let said = |begin: &str| verdict.iter().find(|one| one.starts_with(begin)).cloned();
+        assert_eq!(said("Complete: 1 topic").is_some(), complete, "{verdict:#?}");
+        assert_eq!(said(gapless).is_some(), is_gapless, "{verdict:#?}");
+        for (begin, expected) in [("Missing: ", missing), ("Left out: ", later)] {
+            let told = said(begin);
+            assert_eq!(told.is_some(), expected.is_some(), "{verdict:#?}");
+            if let (Some(told), Some((count, end))) = (told, expected) {
+                assert!(told.starts_with(&format!("{begin}{count} {topic}")) && told.ends_with(end), "{told}");
+            }
+        }
+    }
 }
 
 #[test]

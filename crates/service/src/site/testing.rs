@@ -19,7 +19,7 @@ pub const PASSPHRASE: &str = "correct horse battery";
 
 /// The shared parts of a home in a temporary folder.
 pub struct Ground {
-    pub parts: Parts,
+    pub(super) parts: Parts,
     _opened: Opened,
     pub folder: tempfile::TempDir,
 }
@@ -30,6 +30,10 @@ impl Ground {
         let folder = tempfile::tempdir().expect("a folder");
         let (parts, opened, _) = Parts::open(home(folder.path()), config(settings), false).expect("opens");
         Self { parts, _opened: opened, folder }
+    }
+
+    pub fn home(&self) -> &Home {
+        &self.parts.home
     }
 
     /// The same home, closed and opened again.

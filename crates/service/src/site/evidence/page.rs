@@ -7,10 +7,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::sync::Arc;
 
-use authros_evidence::{Bundle, RecordReport, Report};
+use authros_evidence::{Bundle, RecordReport, Report, Standing};
 
 use self::figures::{data_uri, plot, series, timeline};
-use crate::model::{Digest, Head, Timestamp, clean};
+use crate::model::{Digest, Head, SignerId, Timestamp, TopicId, clean, grouped};
 use crate::pipeline::importer;
 use crate::reply::IncidentView;
 use crate::ros::message::{Folders, type_hash};
@@ -18,7 +18,7 @@ use crate::ros::readable::{self, Place, Readable};
 use crate::ros::recording::{Described, TYPE_HASH, TypeFacts};
 use crate::ros::{Definition, Limits};
 
-const MOST_ROWS: usize = 500;
+const MOST_ROWS: usize = 200;
 const MOST_TOPICS: usize = 20;
 /// Records of a topic whose values are drawn.
 const MOST_DRAWN: usize = 400;
@@ -51,7 +51,9 @@ fn put(out: &mut String, text: std::fmt::Arguments<'_>) {
 
 fn row<'a>(out: &mut String, cell: &str, cells: impl IntoIterator<Item = &'a str>) {
     out.push_str("<tr>");
-    cells.into_iter().for_each(|text| put(out, format_args!("<{cell}>{}</{cell}>", escape(text))));
+    // The name of a field may be broken behind its dots.
+    let shown = |text: &str| if cell == "th" { escape(text).replace('.', ".<wbr>") } else { escape(text) };
+    cells.into_iter().for_each(|text| put(out, format_args!("<{cell}>{}</{cell}>", shown(text))));
     out.push_str("</tr>\n");
 }
 
@@ -78,12 +80,30 @@ fn short(hex: &str) -> String {
     hex.chars().take(SHORT).collect()
 }
 
+fn count(number: usize) -> String {
+    grouped(number as u64)
+}
+
+/// `2026-11-22 03:43:21 UTC`, as the verdict writes times.
+fn second(at: Timestamp) -> String {
+    Timestamp::from_seconds(at.seconds()).to_string().replace('T', " ").replace('Z', " UTC")
+}
+
+/// `2026-11-22 03:43:21.549`, for columns.
+fn moment(at: Timestamp) -> String {
+    at.in_milliseconds().replace('T', " ").replace('Z', "")
+}
+
 pub(super) fn page(bundle: &Bundle, report: &Report, about: Option<&IncidentView>) -> String {
     let mut out = format!("{HEAD}<h1>Evidence report</h1>\n{MARK}");
     first_page(&mut out, report, about);
-    disclosed(&mut out, bundle, report);
+    let notes: Vec<Timestamp> = about.iter().flat_map(|about| &about.notes).map(|note| note.at).collect();
+    disclosed(&mut out, bundle, report, &notes);
+    let is_in_doubt = |record: &RecordReport| {
+        record.levels().iter().any(|(_, level)| matches!(level.standing, Standing::Unproven | Standing::Refused))
+    };
     let mut sorted: Vec<&RecordReport> = report.records.iter().collect();
-    sorted.sort_by_key(|record| (record.captured_at, record.seq, record.digest));
+    sorted.sort_by_key(|record| (!is_in_doubt(record), record.captured_at, record.seq, record.digest));
     let listed = sorted.get(..MOST_ROWS).unwrap_or(sorted.as_slice());
     records(&mut out, report, listed);
     completeness(&mut out, report);
@@ -98,13 +118,16 @@ fn first_page(out: &mut String, report: &Report, about: Option<&IncidentView>) {
     if let Some(about) = about {
         incident(out, about);
     }
-    out.push_str("<h2>Result, by the exporter's own trust settings</h2>\n");
+    out.push_str(
+        "<h2>Result, by the exporter's own trust settings</h2>\n<p class=\"small\">\u{201c}You\u{201d} is the person who made \
+         the file; <code>verify.html</code> says the same sentences to you, by your trust file.</p>\n",
+    );
     let (outcome, sentences) =
         report.verdict.split_first().map_or(("", &[][..]), |(first, rest)| (first.as_str(), rest));
     put(out, format_args!("<p class=\"outcome\">{}</p>\n<ul>\n", escape(outcome)));
     sentences.iter().for_each(|sentence| put(out, format_args!("<li>{}</li>\n", escape(sentence))));
     out.push_str(
-        "</ul>\n<p class=\"small\">Levels: (a) the bytes are intact and signed; (b) the key was its owner's at the anchoring \
+        "</ul>\n<p class=\"small\">The levels mean: (a) the bytes are intact and signed; (b) the key was its owner's at the anchoring \
          block; (c) anchored in a block; (d) an outside authority's time; (e) opened by its owner's disclosure; (f) which \
          numbers are there.</p>\n</section>\n",
     );
@@ -112,9 +135,9 @@ fn first_page(out: &mut String, report: &Report, about: Option<&IncidentView>) {
 
 fn incident(out: &mut String, about: &IncidentView) {
     out.push_str("<h2>Incident, in its owner's words</h2>\n");
-    let until = about.until.map_or_else(|| "still open".to_owned(), |until| until.to_string());
-    let mut rows = vec![fact("Name", about.name.to_string()), fact("From", about.since.to_string()), fact("To", until)];
-    rows.extend(about.notes.iter().map(|note| fact(format!("Note of {}", note.at), &*note.text)));
+    let until = about.until.map_or_else(|| "still open".to_owned(), second);
+    let mut rows = vec![fact("Name", about.name.to_string()), fact("From", second(about.since)), fact("To", until)];
+    rows.extend(about.notes.iter().map(|note| fact(format!("Note, {}", second(note.at)), &*note.text)));
     facts(out, &rows);
 }
 
@@ -130,7 +153,7 @@ fn by_topic(report: &Report) -> BTreeMap<&str, Vec<&RecordReport>> {
     topics
 }
 
-fn disclosed(out: &mut String, bundle: &Bundle, report: &Report) {
+fn disclosed(out: &mut String, bundle: &Bundle, report: &Report, notes: &[Timestamp]) {
     let topics = by_topic(report);
     out.push_str("<h2>Disclosed records</h2>\n");
     if topics.is_empty() {
@@ -140,7 +163,7 @@ fn disclosed(out: &mut String, bundle: &Bundle, report: &Report) {
     let times = topics.iter().take(MOST_TOPICS).map(|(topic, records)| {
         (clean(topic, 40), records.iter().filter_map(|record| record.captured_at).collect::<Vec<_>>())
     });
-    timeline(out, &times.collect::<Vec<_>>());
+    timeline(out, &times.collect::<Vec<_>>(), notes);
     for (place, (topic, records)) in topics.iter().enumerate() {
         if place == MOST_TOPICS || out.len() > LONGEST {
             put(out, format_args!("<p>and {} more topics, which are not shown here</p>\n", topics.len() - place));
@@ -168,11 +191,11 @@ fn one_topic(out: &mut String, (bundle, report): (&Bundle, &Report), topic: &str
     let span = times()
         .min()
         .zip(times().max())
-        .map_or_else(String::new, |(first, last)| format!("{} to {}", first.in_milliseconds(), last.in_milliseconds()));
+        .map_or_else(String::new, |(first, last)| format!("{} to {} UTC", moment(first), moment(last)));
     facts(
         out,
         &[
-            fact("Records", records.len().to_string()),
+            fact("Records", count(records.len())),
             fact("Captured, as their owner claims", span),
             fact("Published by", publishers.into_iter().collect::<Vec<_>>().join(", ")),
         ],
@@ -180,7 +203,7 @@ fn one_topic(out: &mut String, (bundle, report): (&Bundle, &Report), topic: &str
     let drawn = Drawn::of((bundle, report), records);
     drawn.put(out);
     if let Some(first) = records.first() {
-        let (digest, number) = (short(&first.digest.to_hex()), first.seq.unwrap_or_default());
+        let (digest, number) = (short(&first.digest.to_hex()), grouped(first.seq.unwrap_or_default()));
         put(out, format_args!("<h4>The first of them in full: no. {number}, <code>{digest}</code></h4>\n"));
         let tags = first.disclosed.iter().flat_map(|disclosed| &disclosed.tags);
         let tags: Vec<_> = tags.map(|(name, value)| fact(format!("Tag {name}"), &**value)).collect();
@@ -192,44 +215,60 @@ fn one_topic(out: &mut String, (bundle, report): (&Bundle, &Report), topic: &str
     out.push_str("</section>\n");
 }
 
+/// Path or label, and text.
+type Field = (String, String);
+
 /// One message: when, its number, and each plain field as text.
 struct Sample {
     at: Timestamp,
     number: u64,
-    fields: Vec<(String, String)>,
+    fields: Vec<Field>,
+    /// As people read it, if its row is listed and its type is a well-known one.
+    lines: Vec<Field>,
 }
 
-impl Sample {
-    fn field(&self, name: &str) -> Option<&str> {
-        self.fields.iter().find(|(path, _)| path == name).map(|(_, text)| text.as_str())
-    }
+fn field<'a>(fields: &'a [Field], name: &str) -> Option<&'a str> {
+    fields.iter().find(|(path, _)| path == name).map(|(_, text)| text.as_str())
+}
+
+/// Numbers of many digits, rounded for the eye.
+fn rounded(text: &str) -> String {
+    let number = text.parse::<f64>().ok().filter(|number| text.len() > 9 && (0.001..1e6).contains(&number.abs()));
+    number.map_or_else(|| text.to_owned(), |number| format!("{number:.4}"))
 }
 
 /// What a topic's messages show together.
 struct Drawn {
     places: Vec<Place>,
     samples: Vec<Sample>,
+    /// Places in `samples` of those that are listed.
+    listed: Vec<usize>,
     /// When, and the picture as PNG.
     pictures: Vec<(Timestamp, Vec<u8>)>,
 }
 
 impl Drawn {
     fn of((bundle, report): (&Bundle, &Report), records: &[&RecordReport]) -> Self {
-        let mut drawn = Self { places: Vec::new(), samples: Vec::new(), pictures: Vec::new() };
+        let mut drawn = Self { places: Vec::new(), samples: Vec::new(), listed: Vec::new(), pictures: Vec::new() };
         let mut limits = Limits::default();
         let chosen = spread(records, MOST_DRAWN);
-        let pictured: BTreeSet<Digest> = spread(&chosen, MOST_PICTURES).iter().map(|record| record.digest).collect();
-        for record in chosen {
+        let some =
+            |most: usize| -> BTreeSet<Digest> { spread(&chosen, most).iter().map(|record| record.digest).collect() };
+        let (pictured, listed) = (some(MOST_PICTURES), some(MOST_LISTED));
+        for record in &chosen {
             let Some(revealed) = report.messages.get(&record.digest) else { continue };
             let Some(definition) = definition_of(bundle, &revealed.head) else { continue };
             let (at, number) = (record.captured_at.unwrap_or_default(), record.seq.unwrap_or_default());
             drawn.places.extend(readable::place(&definition, &revealed.body));
-            if pictured.contains(&record.digest) {
-                let picture = readable::read(&definition, &revealed.body).and_then(|readable| readable.picture);
-                drawn.pictures.extend(picture.and_then(|raster| raster.png().ok()).map(|png| (at, png)));
-            }
+            let (is_pictured, is_listed) = (pictured.contains(&record.digest), listed.contains(&record.digest));
+            let is_read = is_pictured || is_listed;
+            let readable = is_read.then(|| readable::read(&definition, &revealed.body)).flatten().unwrap_or_default();
+            let picture = readable.picture.filter(|_| is_pictured);
+            drawn.pictures.extend(picture.and_then(|raster| raster.png().ok()).map(|png| (at, png)));
             if let Ok(value) = definition.decode_from(&revealed.body, &mut limits) {
-                drawn.samples.push(Sample { at, number, fields: value.flatten(MOST_FIELDS) });
+                drawn.listed.extend(is_listed.then_some(drawn.samples.len()));
+                let (fields, lines) = (value.flatten(MOST_FIELDS), readable.lines);
+                drawn.samples.push(Sample { at, number, fields, lines });
             }
         }
         drawn
@@ -240,57 +279,77 @@ impl Drawn {
             out.push_str("<div class=\"pictures\">\n");
             for (at, png) in &self.pictures {
                 let uri = data_uri(png);
-                let when = at.in_milliseconds();
+                let when = moment(*at);
                 put(
                     out,
-                    format_args!("<figure><img alt=\"a picture, reduced\" src=\"{uri}\"><p>{when}</p></figure>\n"),
+                    format_args!("<figure><img alt=\"a picture, reduced\" src=\"{uri}\"><p>{when} UTC</p></figure>\n"),
                 );
             }
             out.push_str("</div>\n");
         }
-        let columns = self.columns();
+        let all: Vec<&[Field]> = self.samples.iter().map(|one| one.fields.as_slice()).collect();
         match readable::track("Track", &self.places, None).filter(|_| self.places.len() > 1) {
             Some(track) => plot(out, &track),
-            None => columns.iter().filter_map(|name| series(name, &self.numbers(name))).for_each(|one| plot(out, &one)),
+            None => {
+                let names = changing(&all);
+                names.iter().filter_map(|name| series(name, &self.numbers(name))).for_each(|one| plot(out, &one));
+            }
         }
-        if self.samples.len() > 1 && !columns.is_empty() {
-            let step = self.samples.len().div_ceil(MOST_LISTED);
-            let rows = self.samples.iter().step_by(step).map(|one| {
-                let value = |name: &&str| one.field(name).unwrap_or("-").to_owned();
-                [one.at.in_milliseconds(), one.number.to_string()]
-                    .into_iter()
-                    .chain(columns.iter().map(value))
-                    .collect()
-            });
-            let head: Vec<&str> = ["captured", "number"].into_iter().chain(columns.iter().copied()).collect();
-            table(out, "plain", &head, &rows.collect::<Vec<Vec<String>>>());
+        // The sizes of pictures say nothing.
+        if self.pictures.len() < 2 {
+            self.values(out);
         }
     }
 
-    /// The first fields that change, short ones alone.
-    fn columns(&self) -> Vec<&str> {
-        let Some(first) = self.samples.first() else { return Vec::new() };
-        let changes =
-            |name: &str, text: &str| self.samples.iter().any(|one| one.field(name).is_some_and(|now| now != text));
-        let is_clock = |name: &str| name.starts_with("header.");
-        let fitting = first.fields.iter().filter(|(name, text)| {
-            text.chars().count() <= 24 && name.chars().count() <= 40 && !is_clock(name) && changes(name, text)
+    fn values(&self, out: &mut String) {
+        let listed: Vec<&Sample> = self.listed.iter().filter_map(|place| self.samples.get(*place)).collect();
+        let is_readable = listed.iter().all(|one| !one.lines.is_empty());
+        let fields: Vec<&[Field]> =
+            listed.iter().map(|one| if is_readable { one.lines.as_slice() } else { one.fields.as_slice() }).collect();
+        let columns = changing(&fields);
+        if listed.len() < 2 || columns.is_empty() {
+            return;
+        }
+        let rows = listed.iter().zip(&fields).map(|(one, fields)| {
+            let value = |name: &&str| field(fields, name).map_or_else(|| "-".to_owned(), rounded);
+            let first = [moment(one.at), grouped(one.number)];
+            first.into_iter().chain(columns.iter().map(value)).collect()
         });
-        fitting.take(MOST_COLUMNS).map(|(name, _)| name.as_str()).collect()
+        let head: Vec<&str> = ["captured (UTC)", "number"].into_iter().chain(columns.iter().copied()).collect();
+        table(out, "plain values", &head, &rows.collect::<Vec<Vec<String>>>());
     }
 
     fn numbers(&self, name: &str) -> Vec<(Timestamp, f64)> {
-        self.samples.iter().filter_map(|one| Some((one.at, one.field(name)?.parse().ok()?))).collect()
+        self.samples.iter().filter_map(|one| Some((one.at, field(&one.fields, name)?.parse().ok()?))).collect()
     }
 }
 
+/// The first fields that change, short ones alone; neither stamps nor the lengths of arrays.
+fn changing<'a>(samples: &[&'a [Field]]) -> Vec<&'a str> {
+    let Some(first) = samples.first() else { return Vec::new() };
+    let changes = |name: &str, text: &str| samples.iter().any(|one| field(one, name).is_some_and(|now| now != text));
+    let is_clock = |name: &str| name.starts_with("header.") || name.starts_with("Stamp");
+    let is_short = |name: &str, text: &str| text.chars().count() <= 48 && name.chars().count() <= 40;
+    let fitting = first
+        .iter()
+        .filter(|(name, text)| is_short(name, text) && !text.ends_with(']') && !is_clock(name) && changes(name, text));
+    fitting.take(MOST_COLUMNS).map(|(name, _)| name.as_str()).collect()
+}
+
 fn records(out: &mut String, report: &Report, listed: &[&RecordReport]) {
-    out.push_str("<h2>Records</h2>\n<p>Short digests; the appendix has them in full.</p>\n");
+    out.push_str(
+        "<h2>Records</h2>\n<p>Those in doubt first, then by time. Short digests; the appendix has them in full.</p>\n",
+    );
     let rows: Vec<Vec<String>> = listed.iter().map(|record| level_row(record)).collect();
-    table(out, "levels", &["record", "topic", "no.", "captured", "block", "(a)", "(b)", "(c)", "(d)", "(e)"], &rows);
+    table(
+        out,
+        "levels",
+        &["record", "topic", "no.", "captured (UTC)", "block", "(a)", "(b)", "(c)", "(d)", "(e)"],
+        &rows,
+    );
     if let Some(more) = report.records.len().checked_sub(MOST_ROWS).filter(|more| *more > 0) {
         let text = "more records; <code>authros evidence verify FILE.authros --records</code> lists all of them";
-        put(out, format_args!("<p>and {more} {text}</p>\n"));
+        put(out, format_args!("<p>and {} {text}</p>\n", count(more)));
     }
 }
 
@@ -302,21 +361,27 @@ fn level_row(record: &RecordReport) -> Vec<String> {
     let mut cells = vec![
         short(&record.digest.to_hex()),
         text(topic.or_else(sealed)),
-        text(record.seq.map(|seq| seq.to_string())),
-        text(record.captured_at.map(Timestamp::in_milliseconds)),
-        text(record.block.map(|block| block.to_string())),
+        text(record.seq.map(grouped)),
+        text(record.captured_at.map(moment)),
+        text(record.block.map(grouped)),
     ];
     cells.extend(record.levels().map(|(_, level)| level.standing.word().to_owned()));
     cells
 }
 
 fn completeness(out: &mut String, report: &Report) {
-    out.push_str("<h2>(f) Completeness of numbers</h2>\n");
+    out.push_str("<h2>Which numbers are there (f)</h2>\n");
+    let named = report
+        .records
+        .iter()
+        .filter_map(|record| Some(((record.signer?, record.topic_id?), clean(&record.disclosed.as_ref()?.topic, 40))));
+    let names: BTreeMap<(SignerId, TopicId), String> = named.collect();
     let stretches = report.complete.iter().take(MOST_ROWS);
     let rows: Vec<Vec<String>> = stretches
         .map(|one| {
-            let (topic, recorder) = (short(&one.topic_id.to_hex()), short(&one.recorder.to_string()));
-            vec![topic, recorder, one.standing.word().to_owned(), one.text.clone()]
+            let sealed = || format!("sealed {}", short(&one.topic_id.to_hex()));
+            let topic = names.get(&(one.signer, one.topic_id)).cloned().unwrap_or_else(sealed);
+            vec![topic, short(&one.recorder.to_string()), one.standing.word().to_owned(), one.text.clone()]
         })
         .collect();
     table(out, "plain", &["topic", "recorder", "result", "what is present"], &rows);

@@ -18,8 +18,7 @@ use super::parts::Parts;
 use crate::command::UploadQuery;
 use crate::failure::input;
 use crate::model::{
-    Address, Digest, ErrorKind, GapReport, RecordKind, RetentionReport, SignerId, TopicPattern,
-    TopicPatterns, clean,
+    Address, Digest, ErrorKind, GapReport, RecordKind, RetentionReport, SignerId, TopicPattern, TopicPatterns, clean,
 };
 use crate::pipeline::columns::Heads;
 use crate::pipeline::{Network, network_pin};
