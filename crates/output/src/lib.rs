@@ -179,10 +179,8 @@ mod tests {
 
     #[test]
     fn wide_and_combined_characters_push_no_neighbour() {
-        let told = table(
-            &["topic", "state"],
-            &[["/机器人", "verified"], ["/e\u{301}", "verified"]].map(|row| row.map(str::to_owned)),
-        );
+        let rows = [["/机器人", "verified"], ["/e\u{301}", "verified"]].map(|row| row.map(str::to_owned));
+        let told = table(&["topic", "state"], &rows);
         assert_eq!(told, "topic    state\n/机器人  verified\n/e\u{301}       verified", "seven columns each");
     }
 

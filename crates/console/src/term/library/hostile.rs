@@ -300,7 +300,7 @@ fn every_window_and_form_that_a_verb_opens_with_hostile_names() {
         seen.look(&begins(SIZES[0]).state, name);
     }
     println!("{} hostile names in windows and forms", infection::end());
-    let all = (BTreeSet::from_iter(0..POPUPS), BTreeSet::from_iter(0..FORMS));
+    let all = ((0..POPUPS).collect(), (0..FORMS).collect());
     assert_eq!((seen.popups, seen.forms), all, "each window and each form was drawn");
 }
 
