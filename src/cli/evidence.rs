@@ -194,7 +194,7 @@ pub fn exported(view: &EvidenceView) -> String {
         lines.push(format!(
             "{readable} of {of} {will} readable to everybody who gets the file, and that cannot be undone:"
         ));
-        lines.extend(topics.iter().map(|one| format!("  {} of {}", one.records, one.topic)));
+        lines.extend(topics.iter().map(|one| format!("  {} of {}", grouped(one.records), one.topic)));
     }
     lines.extend((!written).then(|| "nothing was written; --yes writes it without asking".to_owned()));
     lines.extend(notes.iter().map(|note| format!("note: {note}")));

@@ -354,7 +354,7 @@ pub(super) fn add(plant: &Plant, roots: &BTreeSet<Hash>, gathered: &mut Gathered
     }
     if bare > 0 {
         let text = format!(
-            "{bare} batches have no time stamp yet, so level (d) is absent; `authros evidence timestamp` requests one"
+            "batches without a time stamp yet: {bare}; level (d) is absent there; `authros evidence timestamp` requests one"
         );
         gathered.notes.push(text);
     }

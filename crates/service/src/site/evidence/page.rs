@@ -384,7 +384,7 @@ fn completeness(out: &mut String, report: &Report) {
             vec![topic, short(&one.recorder.to_string()), one.standing.word().to_owned(), one.text.clone()]
         })
         .collect();
-    table(out, "plain", &["topic", "recorder", "result", "what is present"], &rows);
+    table(out, "plain numbers", &["topic", "recorder", "result", "what is present"], &rows);
 }
 
 fn appendix(out: &mut String, bundle: &Bundle, report: &Report, listed: &[&RecordReport]) {
