@@ -1,12 +1,11 @@
 //! Paths to a batch's root. Sixteen adjacent leaves are a branch: it keeps the nodes of its subtree that others do not
 //! imply, and the steps above it, which its leaves share.
 
-use rusqlite::{Connection, Row, params};
-
 use crate::StoreError;
 use crate::crypto::merkle::node;
-use crate::database::{Statements as _, whole};
+use crate::database::whole;
 use crate::model::Hash;
+use crate::sql::{self, Connection, Row, params};
 
 const LEVELS: u32 = 4;
 
@@ -106,7 +105,8 @@ impl Branch {
         if self.nodes.is_empty() && self.above.is_empty() {
             return Ok(());
         }
-        let sql = "REPLACE INTO branches VALUES (?1, ?2, ?3)";
+        let sql = "INSERT INTO branches VALUES (?1, ?2, ?3)
+            ON CONFLICT (batch, branch) DO UPDATE SET path = excluded.path";
         connection.run(sql, params![batch, whole("branch", self.number)?, self.to_bytes()])
     }
 }
@@ -147,7 +147,7 @@ pub(super) fn keep_one(
 pub(super) const JOINED: &str =
     "LEFT JOIN branches ON branches.batch = leaves.batch AND branches.branch = leaves.leaf >> 4";
 
-pub(super) fn path_of(row: &Row<'_>, column: usize, (index, count): (u64, u64)) -> rusqlite::Result<Vec<Hash>> {
+pub(super) fn path_of(row: &Row<'_>, column: usize, (index, count): (u64, u64)) -> sql::Result<Vec<Hash>> {
     let bytes: Option<Vec<u8>> = row.get(column)?;
     Ok(Branch::from_bytes(index >> LEVELS, count, &bytes.unwrap_or_default()).path(index))
 }

@@ -3,14 +3,14 @@
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::ops::RangeInclusive;
 
-use rusqlite::{Connection, Params, params};
 use serde::{Deserialize, Serialize};
 
 use super::Counts;
 use super::rows::{self, Stream, Which, optional, time, unsigned};
 use crate::StoreError;
-use crate::database::{Statements as _, whole};
+use crate::database::whole;
 use crate::model::{Address, LossReason, RecordKind, RecordState, RecorderId, SignerId, Timestamp, TopicId};
+use crate::sql::{Connection, Params, params};
 
 /// `captured = verified + pending + right_ended + quarantined + dropped + tampered`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -227,9 +227,9 @@ impl Tally {
     }
 
     fn add_drops(&mut self, connection: &Connection, owner: Option<Address>) -> Result<(), StoreError> {
-        let sql = "SELECT owner, topic, reason, count FROM drops WHERE ?1 IS NULL OR owner = ?1";
+        let sql = "SELECT owner, topic, reason, count FROM drops WHERE owner = ?1 OR ?1 IS NULL";
         connection.each(sql, [owner.map(|owner| owner.0)], |row| {
-            let (topic, reason, count) = (row.get::<_, String>(1)?, row.get::<_, String>(2)?, unsigned(row, 3)?);
+            let (topic, reason, count) = (row.get::<String>(1)?, row.get::<String>(2)?, unsigned(row, 3)?);
             let topic = self.topic(Address(row.get(0)?), &topic);
             if reason == LossReason::Transport.word() {
                 topic.missed += count;

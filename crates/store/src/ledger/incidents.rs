@@ -2,14 +2,14 @@
 
 use std::collections::BTreeMap;
 
-use rusqlite::{Connection, Row, params};
 use serde::{Deserialize, Serialize};
 
 use super::rows::{LEARNED_NAME, TOPIC_NAME, optional, time, unsigned};
 use super::{Incidents, Session};
 use crate::StoreError;
-use crate::database::{Statements as _, capped, whole};
+use crate::database::{capped, whole};
 use crate::model::{Address, IncidentName, IncidentNameError, RecordKind, RecordState, Timestamp};
+use crate::sql::{self, Connection, Row, params};
 
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct IncidentSpan {
@@ -80,16 +80,17 @@ impl Incidents {
             let now = whole("time", Timestamp::now().0)?;
             let until = span.until.map(|until| whole("time", until.0)).transpose()?;
             let since = whole("time", span.since.0)?;
-            let sql =
-                "INSERT OR IGNORE INTO incidents (owner, name, since, until, opened_at) VALUES (?1, ?2, ?3, ?4, ?5)";
+            let sql = "INSERT INTO incidents (owner, name, since, until, opened_at) VALUES (?1, ?2, ?3, ?4, ?5)
+                ON CONFLICT DO NOTHING";
             if connection.changed(sql, params![owner.0, name.as_str(), since, until, now])? == 0 {
                 return Ok(false);
             }
-            let key = connection.last_insert_rowid();
+            let sql = "SELECT key FROM incidents WHERE owner = ?1 AND name = ?2";
+            let key: i64 = connection.one(sql, params![owner.0, name.as_str()], |row| row.get(0))?;
             for topic in &span.topics {
                 connection.run("INSERT OR IGNORE INTO incident_topics VALUES (?1, ?2)", params![key, topic])?;
             }
-            if let Some(text) = note {
+            if let Some(text) = &note {
                 connection.run("INSERT INTO incident_notes VALUES (?1, 1, ?2, ?3)", params![key, now, text])?;
             }
             Ok(true)
@@ -173,11 +174,9 @@ impl Incidents {
     }
 }
 
-fn incident(row: &Row<'_>) -> rusqlite::Result<(i64, IncidentRow)> {
+fn incident(row: &Row<'_>) -> sql::Result<(i64, IncidentRow)> {
     let name: String = row.get(1)?;
-    let name = name.parse().map_err(|error: IncidentNameError| {
-        rusqlite::Error::FromSqlConversionFailure(1, rusqlite::types::Type::Text, Box::new(error))
-    })?;
+    let name = name.parse().map_err(|error: IncidentNameError| sql::Error::altered(1, &error.to_string()))?;
     let (since, until) = (time(row, 2)?, optional(row, 3)?.map(Timestamp));
     let (opened_at, closed_at) = (time(row, 4)?, optional(row, 5)?.map(Timestamp));
     let span = IncidentSpan { since, until, topics: Vec::new() };
@@ -204,7 +203,7 @@ fn counted(connection: &Connection, owner: Address, span: &IncidentSpan) -> Resu
     let (kind, dropped) = (RecordKind::Data.code(), RecordState::Dropped.code());
     Ok(connection.list(&sql, params![owner.0, kind, dropped, capped(span.since.0), end(span)], |row| {
         let (topic, records) = (row.get(0)?, unsigned(row, 2)?);
-        if row.get::<_, u8>(1)? == RecordState::Quarantined.code() {
+        if row.get::<u8>(1)? == RecordState::Quarantined.code() {
             return Ok(SpanCoverage { topic, quarantined: records, ..SpanCoverage::default() });
         }
         let (bytes, deleted) = (unsigned(row, 3)?, unsigned(row, 6)?);

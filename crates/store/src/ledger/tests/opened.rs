@@ -47,3 +47,7 @@ fn what_no_reader_may_have_is_not_counted_and_uses_its_epoch_all_the_same() {
     ledger.records.append(vec![NewRecord { kind: RecordKind::Key, ..sealed(3, 3, 3) }]).expect("acknowledged");
     assert_eq!(ledger.counts.is_epoch_used(OWNER, 3), Ok(false));
 }
+
+server::on_a_server! {
+    epochs_have_what_was_sealed_under_their_keys_by_topic, what_no_reader_may_have_is_not_counted_and_uses_its_epoch_all_the_same,
+}

@@ -106,3 +106,7 @@ fn an_upload_by_itself_is_still_seen_while_the_record_waits() {
     assert_eq!(ledger.batches.mined(&[sighting(&records[0], 4)]), Ok(1));
     assert_eq!(states(&ledger, &records), [Mined]);
 }
+
+server::on_a_server! {
+    a_signer_without_the_right_is_held_out_of_batches_and_let_go_again, a_batch_that_all_its_records_left_waits_anew_when_it_is_closed_again, an_upload_by_itself_is_still_seen_while_the_record_waits,
+}
