@@ -146,7 +146,7 @@ impl Ledger {
     /// Opens the store of a gateway's desk on a PostgreSQL server, and makes it in an empty database. `roots`: a PEM file of
     /// the authorities that TLS trusts.
     pub fn on_server(url: &str, roots: Option<&Path>) -> Result<Self, StoreError> {
-        Self::open_at(Place::Server(Server::at(url, roots)?))
+        Self::open_at(Place::Server(Box::new(Server::at(url, roots)?)))
     }
 
     fn open_at(place: Place) -> Result<Self, StoreError> {

@@ -16,7 +16,7 @@ const READERS: usize = 8;
 #[derive(Debug)]
 pub(super) enum Place {
     File(PathBuf),
-    Server(Server),
+    Server(Box<Server>),
 }
 
 impl Place {

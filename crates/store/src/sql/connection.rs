@@ -146,7 +146,9 @@ impl Connection {
     pub fn run_each<P: Params>(&self, sql: &str, each: impl IntoIterator<Item = P>) -> Result<u64> {
         match self.prepared(sql)? {
             Statement::Postgres(client, statement) => client.execute_each(&statement, each),
-            mut statement => each.into_iter().try_fold(0, |changed, values| Ok(changed + statement.execute(values)?)),
+            mut statement @ Statement::Sqlite(_) => {
+                each.into_iter().try_fold(0, |changed, values| Ok(changed + statement.execute(values)?))
+            }
         }
     }
 

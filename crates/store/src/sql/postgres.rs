@@ -37,7 +37,7 @@ const BEGIN_SNAPSHOT: &str = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY";
 const SETTLE: &str = "SELECT settle()";
 
 pub(crate) struct Client {
-    client: tokio_postgres::Client,
+    line: tokio_postgres::Client,
     statements: RefCell<HashMap<String, tokio_postgres::Statement>>,
     is_in_transaction: Cell<bool>,
     /// A statement failed, so the server refuses all others of this transaction.
@@ -57,7 +57,7 @@ impl fmt::Debug for Client {
 impl Client {
     fn new(client: tokio_postgres::Client, warnings: Arc<AtomicU64>) -> Self {
         Self {
-            client,
+            line: client,
             statements: RefCell::default(),
             is_in_transaction: Cell::new(false),
             is_failed: Cell::new(false),
@@ -84,7 +84,7 @@ impl Client {
             return Ok(known.clone());
         }
         let text = dialect::for_postgres(sql);
-        let statement = wait(self.client.prepare(&text)).map_err(|error| self.note(&error))?;
+        let statement = wait(self.line.prepare(&text)).map_err(|error| self.note(&error))?;
         let mut statements = self.statements.borrow_mut();
         if statements.len() >= STATEMENTS_KEPT {
             statements.clear();
@@ -94,7 +94,7 @@ impl Client {
     }
 
     pub fn execute(&self, statement: &tokio_postgres::Statement, values: &impl Params) -> Result<u64> {
-        let rows = wait(self.client.execute_raw(statement, bound(values)?)).map_err(|error| self.note(&error))?;
+        let rows = wait(self.line.execute_raw(statement, bound(values)?)).map_err(|error| self.note(&error))?;
         self.changes.set(self.changes.get() + rows);
         Ok(rows)
     }
@@ -112,7 +112,7 @@ impl Client {
                 self.changes.set(self.changes.get() + changed);
                 return Ok(changed);
             }
-            let asked = some.iter().map(|values| Ok(Box::pin(self.client.execute_raw(statement, bound(values)?))));
+            let asked = some.iter().map(|values| Ok(Box::pin(self.line.execute_raw(statement, bound(values)?))));
             let mut asked = asked.collect::<Result<Vec<_>>>()?;
             let mut answers: Vec<_> = asked.iter().map(|_| None).collect();
             wait(poll_fn(|context| {
@@ -142,7 +142,7 @@ impl Client {
     ) -> std::result::Result<(), E> {
         // All of them before the first is given to `work`, which may ask this connection something else.
         let values = bound(values)?;
-        let asked = async { self.client.query_raw(statement, values).await?.try_collect::<Vec<_>>().await };
+        let asked = async { self.line.query_raw(statement, values).await?.try_collect::<Vec<_>>().await };
         for row in wait(asked).map_err(|error| self.note(&error))? {
             if !work(&row)? {
                 break;
@@ -162,7 +162,7 @@ impl Client {
     }
 
     pub fn script(&self, sql: &str) -> Result<()> {
-        wait(self.client.batch_execute(sql)).map_err(|error| self.note(&error))
+        wait(self.line.batch_execute(sql)).map_err(|error| self.note(&error))
     }
 
     pub fn begin(&self) -> Result<()> {
@@ -211,7 +211,7 @@ impl Client {
         let settle = self.prepared(SETTLE)?;
         self.each_while(&settle, &[], |_| Ok::<_, Error>(true))?;
         let before = self.warnings.load(Ordering::Acquire);
-        let answer = wait(self.client.batch_execute("COMMIT"));
+        let answer = wait(self.line.batch_execute("COMMIT"));
         self.is_in_transaction.set(false);
         let unknown = |detail: String| Err(Error::new(Kind::Unknown, detail));
         match answer {
@@ -241,7 +241,7 @@ impl Client {
     fn kind_of(&self, error: &tokio_postgres::Error) -> Kind {
         match error.code() {
             Some(code) => kind_of_state(code),
-            None if error.is_closed() || self.client.is_closed() => Kind::Broken,
+            None if error.is_closed() || self.line.is_closed() => Kind::Broken,
             None if std::error::Error::source(error).is_some_and(|cause| cause.is::<std::io::Error>()) => Kind::Broken,
             None => Kind::Other,
         }
