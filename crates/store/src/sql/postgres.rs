@@ -21,6 +21,7 @@ use crate::model::clean;
 mod server;
 mod values;
 
+use self::server::Driver;
 pub(crate) use self::server::Server;
 pub(super) use self::values::cell;
 use self::values::{Bound, has_nul};
@@ -46,6 +47,7 @@ pub(crate) struct Client {
     changes: Cell<u64>,
     /// That the server sent so far.
     warnings: Arc<AtomicU64>,
+    _driver: Arc<Driver>,
 }
 
 impl fmt::Debug for Client {
@@ -55,7 +57,7 @@ impl fmt::Debug for Client {
 }
 
 impl Client {
-    fn new(client: tokio_postgres::Client, warnings: Arc<AtomicU64>) -> Self {
+    fn new(client: tokio_postgres::Client, warnings: Arc<AtomicU64>, driver: Arc<Driver>) -> Self {
         Self {
             line: client,
             statements: RefCell::default(),
@@ -64,6 +66,7 @@ impl Client {
             trouble: Cell::new(None),
             changes: Cell::new(0),
             warnings,
+            _driver: driver,
         }
     }
 

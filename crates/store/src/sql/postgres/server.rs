@@ -43,9 +43,18 @@ const VERSION: i64 = 1;
 const IS_MADE: &str = "SELECT 1 WHERE to_regclass('about') IS NOT NULL";
 const VERSION_OF: &str = "SELECT version FROM about";
 
+/// What drives connections, as long as there are any. `None` while it ends.
+pub(super) struct Driver(Option<Runtime>);
+
+impl Drop for Driver {
+    fn drop(&mut self) {
+        // Also where waiting is forbidden.
+        self.0.take().into_iter().for_each(Runtime::shutdown_background);
+    }
+}
+
 pub(crate) struct Server {
-    /// `None` while it ends.
-    runtime: Option<Runtime>,
+    driver: Arc<Driver>,
     config: Config,
     tls: Option<MakeRustlsConnect>,
     place: PathBuf,
@@ -54,13 +63,6 @@ pub(crate) struct Server {
 impl fmt::Debug for Server {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         formatter.debug_struct("Server").field("place", &self.place).finish_non_exhaustive()
-    }
-}
-
-impl Drop for Server {
-    fn drop(&mut self) {
-        // Also where waiting is forbidden.
-        self.runtime.take().into_iter().for_each(Runtime::shutdown_background);
     }
 }
 
@@ -94,7 +96,8 @@ impl Server {
         let place = place(&config);
         let runtime = Builder::new_multi_thread().worker_threads(1).thread_name("postgres").enable_all().build();
         let runtime = runtime.map_err(|error| StoreError::home(&place, &error))?;
-        Ok(Self { runtime: Some(runtime), config, tls: tls.map(MakeRustlsConnect::new), place })
+        let driver = Arc::new(Driver(Some(runtime)));
+        Ok(Self { driver, config, tls: tls.map(MakeRustlsConnect::new), place })
     }
 
     /// Scheme, hosts and database.
@@ -136,7 +139,7 @@ impl Server {
         T: MakeTlsConnect<Socket, Stream: Send + 'static> + Send + 'static,
         T::TlsConnect: TlsConnect<Socket, Future: Send> + Send,
     {
-        let Some(runtime) = &self.runtime else { return Err(Error::new(Kind::Broken, "the store is closed")) };
+        let Some(runtime) = &self.driver.0 else { return Err(Error::new(Kind::Broken, "the store is closed")) };
         let (config, warnings) = (self.config.clone(), Arc::new(AtomicU64::new(0)));
         let opening = runtime.spawn(async move { config.connect(tls).await });
         let opened = wait(opening).map_err(|error| Error::new(Kind::Broken, clean(&error.to_string(), 200)))?;
@@ -145,7 +148,7 @@ impl Server {
             Error::new(kind, detail_of(&error))
         })?;
         runtime.spawn(drive(connection, Arc::clone(&warnings)));
-        Ok(Client::new(client, warnings))
+        Ok(Client::new(client, warnings, Arc::clone(&self.driver)))
     }
 }
 
