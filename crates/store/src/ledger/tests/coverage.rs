@@ -97,5 +97,5 @@ fn a_topic_without_records_and_a_span_without_length_are_no_errors() {
 }
 
 server::on_a_server! {
-    two_robots_of_one_topic_have_a_timeline_each,
+    a_topic_without_records_and_a_span_without_length_are_no_errors,
 }

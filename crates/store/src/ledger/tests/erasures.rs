@@ -112,7 +112,7 @@ fn what_another_gateway_told_is_named_where_it_is_and_listed_where_it_is_not() {
     assert_eq!(ledger.erasures.told_to_delete(9), Ok(Vec::new()), "its bytes are what is verified");
     move_to(&ledger, &copy, Verified);
     ledger.close().expect("closed");
-    let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
+    let ledger = open_again(&home);
     assert_eq!((ledger.erasures.has_named(), ledger.erasures.told_to_delete(9)), (Ok(true), Ok(vec![copy.digest])));
     assert_eq!(
         ledger.erasures.erased_among(&[copy.digest, gone.digest]),
@@ -122,10 +122,14 @@ fn what_another_gateway_told_is_named_where_it_is_and_listed_where_it_is_not() {
     let again = [&copy, &absent, &gone].map(|record| NewRecord { blob: Some(vec![1]), ..record.clone() });
     ledger.records.append(again.to_vec()).expect("acknowledged as known");
     assert_eq!(Ciphertext::of(&ledger).usage(), Ok(Usage::default()), "nobody brings them again");
-    let name: IncidentName = "crash".parse().expect("a name");
-    ledger.incidents.open(OWNER, &name, &IncidentSpan::default(), None).expect("opened");
-    assert_eq!((ledger.erasures.told_to_delete(9), ledger.erasures.held_although_erased()), (Ok(Vec::new()), Ok(1)));
-    ledger.incidents.remove(OWNER, &name).expect("removed");
+    // A gateway's desk has no incidents.
+    if !server::is_here() {
+        let name: IncidentName = "crash".parse().expect("a name");
+        ledger.incidents.open(OWNER, &name, &IncidentSpan::default(), None).expect("opened");
+        assert_eq!(ledger.erasures.told_to_delete(9), Ok(Vec::new()));
+        assert_eq!(ledger.erasures.held_although_erased(), Ok(1));
+        ledger.incidents.remove(OWNER, &name).expect("removed");
+    }
     assert_eq!(told(&ledger, 0).0, [absent.digest], "what is here is not told to be gone");
     ledger.retention.deleted(&[copy.digest]).expect("noted");
     assert_eq!((ledger.erasures.told_to_delete(9), ledger.erasures.has_named()), (Ok(Vec::new()), Ok(false)));

@@ -49,5 +49,5 @@ fn what_no_reader_may_have_is_not_counted_and_uses_its_epoch_all_the_same() {
 }
 
 server::on_a_server! {
-    epochs_have_what_was_sealed_under_their_keys_by_topic, what_no_reader_may_have_is_not_counted_and_uses_its_epoch_all_the_same,
+    epochs_have_what_was_sealed_under_their_keys_by_topic,
 }
