@@ -249,6 +249,8 @@ BEGIN
     INSERT INTO counter_deltas SELECT stream, state, records, bytes, taken_in FROM pending_counters
         WHERE records <> 0 OR bytes <> 0 OR taken_in <> 0;
     INSERT INTO epoch_deltas SELECT stream, epoch, records, first_at, last_at FROM pending_epochs;
+    DELETE FROM pending_counters;
+    DELETE FROM pending_epochs;
     PERFORM pg_logical_emit_message(TRUE, 'authros', '');
 END $$;
 

@@ -27,15 +27,16 @@ const SCHEMES: [&str; 2] = ["postgres://", "postgresql://"];
 const SESSION: &str = "SET statement_timeout = 0; SET idle_in_transaction_session_timeout = 0; SET lock_timeout = 0;
     SET client_min_messages = warning";
 
-/// What a transaction has changed so far; `settle` adds it to the counts.
+/// What a transaction has changed so far; `settle` adds it to the counts and empties them. ON COMMIT DELETE ROWS would lock
+/// them, and each such lock is in the server's log.
 const PENDING: &str = "CREATE TEMPORARY TABLE pending_counters (
         stream BIGINT NOT NULL, state BIGINT NOT NULL, records BIGINT NOT NULL, bytes BIGINT NOT NULL,
         taken_in BIGINT NOT NULL, PRIMARY KEY (stream, state)
-    ) ON COMMIT DELETE ROWS;
+    );
     CREATE TEMPORARY TABLE pending_epochs (
         stream BIGINT NOT NULL, epoch BIGINT NOT NULL, records BIGINT NOT NULL, first_at BIGINT, last_at BIGINT,
         PRIMARY KEY (stream, epoch)
-    ) ON COMMIT DELETE ROWS";
+    )";
 /// Until the transaction's end.
 const ALONE: &str = "SELECT pg_advisory_xact_lock(1096109105)";
 const SCHEMA: &str = include_str!("../../ledger/postgres.sql");
