@@ -18,7 +18,7 @@ const LONGEST: usize = 800;
 const LONGEST_OPENING: usize = 6;
 const OPENS_WITH_A_MAP: &str = "crates/console/src/ui/mod.rs";
 /// Where requests, answers, verbs and tags are dispatched: forgetting a new one there must not compile.
-const DISPATCH: [&str; 16] = [
+const DISPATCH: [&str; 17] = [
     "crates/service/src/site/handle.rs",
     "crates/console/src/app/administration.rs",
     "crates/console/src/app/answer.rs",
@@ -33,6 +33,7 @@ const DISPATCH: [&str; 16] = [
     "src/cli/keys.rs",
     "src/cli/mod.rs",
     "src/cli/records.rs",
+    "src/cli/robots.rs",
     "src/cli/settings.rs",
     "src/cli/topics.rs",
 ];

@@ -146,11 +146,11 @@ class Site:
     def __init__(self, program, folder, name):
         self.words = [program, "--home", os.path.join(folder, name), "--robots", "4"]
         self.environment, self.served = {"HOME": folder, "AUTHROS_STORE_PASSPHRASE": "yes"}, None
-        other = json.loads(self.run("--profile", "other", "--json", "register"))["address"]
-        self.run("register")
+        other = json.loads(self.run("--profile", "other", "--json", "identity", "register"))["address"]
+        self.run("identity", "register")
         for topic in TOPICS:
             self.run("topics", "watch", topic)
-        self.run("grant", other)
+        self.run("grant", "add", other)
 
     def run(self, *words):
         done = subprocess.run(self.words + list(words), capture_output=True, text=True, env=self.environment)
@@ -223,7 +223,7 @@ def measure(program, folder, seconds):
         at = f"{size[0]}x{size[1]}"
         terminals = started(joined, size, 12)
         console = terminals[0]
-        for key, screen in (("1", "Overview"), ("2", "Topics"), ("3", "Uploads")):
+        for key, screen in (("1", "Overview"), ("2", "Topics"), ("3", "Records")):
             console.press(key)
             time.sleep(2)
             found = watched(terminals, seconds)

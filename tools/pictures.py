@@ -22,7 +22,7 @@ FONTS = pathlib.Path("/usr/share/fonts/truetype/dejavu")
 TEN = {
     "overview": "night",
     "topics": "night",
-    "uploads-chosen-columns": "night",
+    "records-chosen-columns": "night",
     "provenance": "night",
     "record-plot": "night",
     "grant-asked": "contrast",

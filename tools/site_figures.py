@@ -3,7 +3,7 @@
 
     python3 tools/site_figures.py memory PROGRAM [--for 1h]   # memory at 1,000 messages a second, every ten seconds
     python3 tools/site_figures.py disk PROGRAM                # the store's bytes a record over its ciphertext
-    python3 tools/site_figures.py cache PROGRAM               # `shared open` with Redis and without; its hit rate
+    python3 tools/site_figures.py cache PROGRAM               # `records open` with Redis and without; its hit rate
 
 PROGRAM is an `authros`; its home is a temporary folder (TMPDIR), Redis a redis-server on a free port, and nothing leaves
 loopback. The last line of the output is JSON. Each opening is an entry of the audit log, so it waits for an fsync: with
@@ -128,7 +128,7 @@ def slope(points):
 
 
 def memory(arguments, site):
-    site.run("register")
+    site.run("identity", "register")
     site.serve()
     load = site.load([f"/load{number}/data" for number in range(1, arguments.topics + 1)], arguments.bytes)
     sender = threading.Thread(target=load.run, args=(arguments.rate,), daemon=True)
@@ -184,7 +184,7 @@ def stored(home):
 
 
 def disk(arguments, site):
-    site.run("register")
+    site.run("identity", "register")
     site.serve()
     # Watched before: names and tables are there already.
     topics = [f"/load{number}/data" for number in range(1, arguments.topics + 1)]
@@ -247,7 +247,7 @@ class Redis:
 
 
 class Reader:
-    """A profile at the site's own socket: what `shared open` asks, without the start of a process."""
+    """A profile at the site's own socket: what `records open` asks, without the start of a process."""
 
     def __init__(self, site, profile):
         self.stream, self.profile, self.number = socket.socket(socket.AF_UNIX), profile, 0
@@ -285,7 +285,7 @@ def opened(site, records, commands):
     reader.close()
     for record in random.sample(records, min(commands, len(records))):
         begun = time.perf_counter()
-        site.run("--profile", "reader", "shared", "open", record)
+        site.run("--profile", "reader", "records", "open", record)
         as_command.append((time.perf_counter() - begun) * 1000)
     return at_socket, as_command
 
@@ -322,9 +322,9 @@ def cache(arguments, site):
 
 
 def cache_with(arguments, site, redis):
-    site.run("register")
-    reader = json.loads(site.run("--profile", "reader", "register"))["address"]
-    site.run("grant", reader)
+    site.run("identity", "register")
+    reader = json.loads(site.run("--profile", "reader", "identity", "register"))["address"]
+    site.run("grant", "add", reader)
     site.serve("--cache", redis.url)
     topics = [f"/load{number}/data" for number in range(1, arguments.topics + 1)]
     load = site.load(topics, arguments.bytes)
@@ -333,7 +333,7 @@ def cache_with(arguments, site, redis):
     load.end()
     for topic in topics:
         site.run("topics", "unwatch", topic)
-    listed = json.loads(site.run("uploads", "list", "--limit", str(arguments.records)))
+    listed = json.loads(site.run("records", "list", "--oldest", "--limit", str(arguments.records)))
     records = [record["digest"] for record in listed["records"]]
     # Written after the commit, by a thread of its own.
     site.until("the cache has all records", lambda: redis.count() >= len(records))

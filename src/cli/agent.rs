@@ -1,11 +1,12 @@
-//! `authros agent`: `enrol` runs at the owner, `run` on the robot.
+//! `authros robot`: `enrol` runs at the owner, `run` on the robot.
 
 use std::path::{Path, PathBuf};
 use std::{future::pending, time::Duration};
 
+use clap::Args;
 use serde::Serialize;
 
-use super::args::{AgentVerb, EnrolArguments, Global, RunArguments};
+use super::args::Global;
 use super::connect::{Context, ProfileNeed};
 use super::{parse, passphrase, plan::CHAIN, serve};
 use crate::crypto::{Fingerprint, Passphrase, SealedEnrolment, error::shown, private_file};
@@ -16,18 +17,63 @@ use crate::service::{
 use crate::{service::command::EnrolDevice, store::TopicCounts};
 use authros_output::Output;
 
-pub async fn run(mut global: Global, verb: AgentVerb, output: &Output) -> Result<u8, Failure> {
-    match verb {
-        AgentVerb::Enrol(arguments) => {
-            // Names the robot's gateway, not the one that this home's site joined.
-            global.gateway_key = None;
-            enrol(Context::new(global, output)?, arguments, output).await
-        }
-        AgentVerb::Run(arguments) => capture(global, arguments, output).await,
-    }
+/// `robot enrol …`
+#[derive(Debug, Args)]
+#[command(group(clap::ArgGroup::new("trust").required(true)))]
+pub struct EnrolArguments {
+    /// The gateway; repeat it for further addresses of the same gateway: the robot uses the first that answers
+    #[arg(long = "gateway", value_name = "HOST:PORT", required = true)]
+    pub addresses: Vec<String>,
+    /// The gateway's fingerprint (64 hex), as its operator shows it
+    #[arg(long, value_name = "FINGERPRINT", group = "trust")]
+    pub gateway_key: Option<String>,
+    /// Pin whatever gateway answers; compare the fingerprint afterwards
+    #[arg(long, group = "trust")]
+    pub trust_first: bool,
+    /// Name of the robot at the gateway
+    #[arg(long, value_name = "NAME")]
+    pub name: String,
+    /// Topic the robot may record; repeatable
+    #[arg(long = "topic", value_name = "TOPIC", conflicts_with = "all_topics")]
+    pub topics: Vec<String>,
+    /// Let it record every topic: it then holds the epoch's key and the index key, which a thief would get too
+    #[arg(long)]
+    pub all_topics: bool,
+    /// End of the authorisation: 30d, 18:00, "tomorrow 18:00", "2026-11-27 18:00" or RFC 3339
+    #[arg(long, value_name = "TIME")]
+    pub until: Option<String>,
+    /// Enrolment file to write; must not exist
+    #[arg(long, value_name = "FILE")]
+    pub out: PathBuf,
+    /// File with the passphrase for the enrolment file [default: a random passphrase, written to FILE.passphrase]
+    #[arg(long, value_name = "FILE")]
+    pub robot_passphrase_file: Option<PathBuf>,
 }
 
-async fn enrol(context: Context, arguments: EnrolArguments, output: &Output) -> Result<u8, Failure> {
+/// `robot run …`
+#[derive(Debug, Args)]
+pub struct RunArguments {
+    /// The enrolment file
+    #[arg(value_name = "ENROLMENT")]
+    pub enrolment: PathBuf,
+    /// Topic to capture; repeatable [default: those the enrolment is limited to]
+    #[arg(long = "topic", value_name = "TOPIC")]
+    pub topics: Vec<String>,
+    /// Tag for every record, such as mission=harbour; repeatable
+    #[arg(long = "tag", value_name = "KEY=VALUE")]
+    pub tags: Vec<String>,
+    /// Stop after this many messages per topic
+    #[arg(long, value_name = "N")]
+    pub count: Option<u64>,
+    /// Stop after capturing for this long
+    #[arg(long, value_name = "S", conflicts_with = "count")]
+    pub seconds: Option<u64>,
+}
+
+pub async fn enrol(mut global: Global, arguments: EnrolArguments, output: &Output) -> Result<u8, Failure> {
+    // Names the robot's gateway, not the one that this home's site joined.
+    global.gateway_key = None;
+    let context = Context::new(global, output)?;
     let out = arguments.out;
     if out.exists() {
         let advice = "choose another --out, enrolments are never overwritten";
@@ -60,7 +106,7 @@ async fn enrol(context: Context, arguments: EnrolArguments, output: &Output) -> 
     output.result(&document, || {
         format!(
             "robot '{}' enrolled: device {}, gateway {} with fingerprint {}\nits enrolment file is {}; start it with \
-             `authros agent run`",
+             `authros robot run`",
             view.name,
             view.device,
             view.gateway.addresses.join(", "),
@@ -99,7 +145,7 @@ struct Summary {
     topics: Vec<TopicCounts>,
 }
 
-async fn capture(global: Global, arguments: RunArguments, output: &Output) -> Result<u8, Failure> {
+pub async fn run(global: Global, arguments: RunArguments, output: &Output) -> Result<u8, Failure> {
     let wishes = AgentWishes {
         topics: parse::values(&arguments.topics)?,
         tags: parse::tags(&arguments.tags)?,

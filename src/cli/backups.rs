@@ -5,9 +5,10 @@ use std::process::{Command, Stdio};
 use std::{convert::Infallible, ffi::OsString, os::unix::process::CommandExt as _};
 
 use authros_output::Output;
-use clap::ValueEnum as _;
+use clap::builder::RangedU64ValueParser;
+use clap::{Args, Subcommand, ValueEnum as _};
 
-use super::args::{BackupArguments, Global};
+use super::args::Global;
 use super::audit::{self, AuditArguments};
 use super::check::backed_up;
 use super::connect::{Context, ProfileNeed};
@@ -23,7 +24,46 @@ use crate::service::{Client, Failure, SecretText, command::BackUp, restoring};
 /// Prefix and suffix of backup files; the time is in between.
 const NAME: (&str, &str) = ("authros-", ".backup");
 
-pub async fn run(context: Context, backup: BackupArguments, output: &Output) -> Result<u8, Failure> {
+/// `backup …`
+#[derive(Debug, Subcommand)]
+pub enum BackupVerb {
+    /// Write profiles, store and chain, settings and pins into one encrypted file
+    Create(CreateArguments),
+    /// Test a backup: restore it into a temporary folder, audit all of it, and remove that folder
+    Check {
+        /// The file; type its own passphrase, or pass it as for a keyring
+        file: PathBuf,
+    },
+    /// Restore a home from a backup, into an empty folder
+    Restore {
+        /// The file; type its own passphrase, or pass it as for a keyring
+        file: PathBuf,
+    },
+}
+
+/// `backup create …`
+#[derive(Debug, Args)]
+pub struct CreateArguments {
+    /// The file; type its own passphrase, or pass it as for a keyring
+    #[arg(required_unless_present = "to")]
+    pub file: Option<PathBuf>,
+    /// Instead of a file: a folder to write one more backup to, named by the time
+    #[arg(long, value_name = "DIR", conflicts_with = "file")]
+    pub to: Option<PathBuf>,
+    /// How many of the newest files in --to to keep; older backups there are removed
+    #[arg(long, value_name = "N", requires = "to", value_parser = RangedU64ValueParser::<usize>::new().range(1..=10_000))]
+    pub keep: Option<usize>,
+}
+
+pub async fn run(context: Context, verb: BackupVerb, output: &Output) -> Result<u8, Failure> {
+    match verb {
+        BackupVerb::Create(arguments) => create(context, arguments, output).await,
+        BackupVerb::Check { file } => check(context, &file, output).await,
+        BackupVerb::Restore { file } => super::check::run_restore(&context, &file, output),
+    }
+}
+
+async fn create(context: Context, backup: CreateArguments, output: &Output) -> Result<u8, Failure> {
     let folder = backup.to.as_deref().map(absolute).transpose()?;
     let file = match (&backup.file, &folder) {
         (Some(file), _) => absolute(file)?,
@@ -81,8 +121,8 @@ fn remove_old(folder: &Path, keep: usize) -> std::io::Result<Vec<String>> {
     Ok(own)
 }
 
-/// `restore --check FILE`: restores into a temporary folder, audits every record, removes the folder.
-pub async fn check(context: Context, file: &Path, output: &Output) -> Result<u8, Failure> {
+/// Restores into a temporary folder, audits every record, removes the folder.
+async fn check(context: Context, file: &Path, output: &Output) -> Result<u8, Failure> {
     let passphrase = passphrase::of_backup(&context.global, false)?;
     let beside = absolute(context.home.root())?.parent().map_or_else(std::env::temp_dir, Path::to_path_buf);
     let unmade = |error: std::io::Error| {

@@ -134,7 +134,10 @@ fn code(summary: &CaptureSummary, output: &Output) -> u8 {
         unreached.for_each(|one| output.note(&format!("authros: {} was not read from {one}", topic.topic)));
     }
     let told = [
-        (summary.quarantined, "are quarantined because their publisher is not pinned; see `authros quarantine list`"),
+        (
+            summary.quarantined,
+            "are quarantined because their publisher is not pinned; see `authros topics quarantine list`",
+        ),
         (summary.lost, "were lost before capture; the loss is recorded"),
         (summary.skipped, "have a different type than requested and were not captured"),
     ];

@@ -1,4 +1,4 @@
-//! `authros chain`: its plain verbs and the administrator's, `chain serve` and `chain genesis`.
+//! `authros chain`: its plain verbs, `chain admin`, `chain serve` and `chain genesis`.
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
@@ -52,45 +52,9 @@ pub enum ChainVerb {
     /// Successor of a lost account: the administrator proposes one, and it can be stopped during a delay
     #[command(subcommand)]
     Succession(SuccessionVerb),
-    /// Administrator: let an account register while registration is closed
-    Admit {
-        /// Account, or its name
-        account: String,
-    },
-    /// Administrator: no longer let an account register
-    Dismiss {
-        /// Account, or its name
-        account: String,
-    },
-    /// Administrator: suspend an account; it can then only withdraw rights
-    Suspend {
-        /// Account, or its name
-        account: String,
-    },
-    /// Administrator: lift an account's suspension
-    Restore {
-        /// Account, or its name
-        account: String,
-    },
-    /// Administrator: let anyone register
-    Open,
-    /// Administrator: let only allowed accounts register
-    Close,
-    /// Administrator: pause all changes except those that withdraw rights
-    Pause {
-        /// How long, at most 3d; the next pause is possible after a week [default: 1d]
-        #[arg(long = "for", value_name = "TIME")]
-        length: Option<String>,
-    },
-    /// Administrator: end the pause early
-    Resume,
-    /// Administrator: nominate the next administrator, who takes over with `chain accept`
-    HandOver {
-        /// Account, or its name
-        account: String,
-    },
-    /// Take over as administrator, if nominated
-    Accept,
+    /// The administrator's acts: who may register, suspensions, pauses, the next administrator
+    #[command(subcommand)]
+    Admin(AdminVerb),
     /// Serve the embedded chain's JSON-RPC to other tools (cast, web3, curl) on this machine only
     Serve {
         /// Loopback address and port; port 0 = any free port
@@ -99,6 +63,50 @@ pub enum ChainVerb {
     },
     /// Write a genesis file for a private geth or Besu network
     Genesis(GenesisArguments),
+}
+
+/// `chain admin …`
+#[derive(Debug, Subcommand)]
+pub enum AdminVerb {
+    /// Let an account register while registration is closed
+    Allow {
+        /// Account, or its name
+        account: String,
+    },
+    /// No longer let an account register
+    Deny {
+        /// Account, or its name
+        account: String,
+    },
+    /// Suspend an account; it can then only withdraw rights
+    Suspend {
+        /// Account, or its name
+        account: String,
+    },
+    /// Lift an account's suspension
+    Restore {
+        /// Account, or its name
+        account: String,
+    },
+    /// Let anyone register
+    Open,
+    /// Let only allowed accounts register
+    Close,
+    /// Pause all changes except those that withdraw rights
+    Pause {
+        /// How long, at most 3d; the next pause is possible after a week [default: 1d]
+        #[arg(long = "for", value_name = "TIME")]
+        length: Option<String>,
+    },
+    /// End the pause early
+    Resume,
+    /// Nominate the next administrator, who takes over with `chain admin accept`
+    HandOver {
+        /// Account, or its name
+        account: String,
+    },
+    /// Take over as administrator, if nominated
+    Accept,
 }
 
 /// `chain succession …`
@@ -181,21 +189,26 @@ pub async fn run(global: Global, verb: ChainVerb, output: &Output) -> Result<u8,
         ChainVerb::Succession(SuccessionVerb::Complete { lost }) => {
             unlocked(Administration::Complete { lost: parse::value(&lost)? })
         }
-        ChainVerb::Dismiss { account } => unlocked(Administration::Dismiss { account: parse::value(&account)? }),
-        ChainVerb::Admit { account } => unlocked(Administration::Admit { account: parse::value(&account)? }),
-        ChainVerb::Suspend { account } => unlocked(Administration::Suspend { account: parse::value(&account)? }),
-        ChainVerb::Restore { account } => unlocked(Administration::Restore { account: parse::value(&account)? }),
-        ChainVerb::Open => unlocked(Administration::Open { open: true }),
-        ChainVerb::Close => unlocked(Administration::Open { open: false }),
-        ChainVerb::Pause { length } => {
-            let seconds = length.as_deref().map(seconds).transpose()?;
-            unlocked(Administration::Pause { paused: true, seconds })
-        }
-        ChainVerb::Resume => unlocked(Administration::Pause { paused: false, seconds: None }),
-        ChainVerb::HandOver { account } => unlocked(Administration::HandOver { account: parse::value(&account)? }),
-        ChainVerb::Accept => unlocked(Administration::Accept),
+        ChainVerb::Admin(verb) => Plan::unlocked(command::Administer(administration(verb)?)),
     };
     plan::run(Context::new(global, output)?, plan, output).await
+}
+
+fn administration(verb: AdminVerb) -> Result<Administration, Failure> {
+    Ok(match verb {
+        AdminVerb::Allow { account } => Administration::Admit { account: parse::value(&account)? },
+        AdminVerb::Deny { account } => Administration::Dismiss { account: parse::value(&account)? },
+        AdminVerb::Suspend { account } => Administration::Suspend { account: parse::value(&account)? },
+        AdminVerb::Restore { account } => Administration::Restore { account: parse::value(&account)? },
+        AdminVerb::Open => Administration::Open { open: true },
+        AdminVerb::Close => Administration::Open { open: false },
+        AdminVerb::Pause { length } => {
+            Administration::Pause { paused: true, seconds: length.as_deref().map(seconds).transpose()? }
+        }
+        AdminVerb::Resume => Administration::Pause { paused: false, seconds: None },
+        AdminVerb::HandOver { account } => Administration::HandOver { account: parse::value(&account)? },
+        AdminVerb::Accept => Administration::Accept,
+    })
 }
 
 fn seconds(text: &str) -> Result<u64, Failure> {

@@ -1,4 +1,4 @@
-//! `doctor`, `verify`, `backup`, `restore` and the audit of records: what their arguments mean, results for people.
+//! `doctor`, `backup restore`, `evidence verify` of a folder, and the audit of records: what their arguments mean, results for people.
 
 use std::path::Path;
 use std::time::Duration;
@@ -121,7 +121,12 @@ fn doctor_text(view: &DoctorView) -> String {
     lines.join("\n")
 }
 
-pub async fn run_verify(global: &Global, folder: &Path, genesis: Option<&str>, output: &Output) -> Result<u8, Failure> {
+pub async fn verify_folder(
+    global: &Global,
+    folder: &Path,
+    genesis: Option<&str>,
+    output: &Output,
+) -> Result<u8, Failure> {
     let set = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
     let url = global.chain.clone().or_else(|| set("AUTHROS_CHAIN"));
     let contract = parse::optional(global.contract.as_deref())?;

@@ -305,11 +305,8 @@ impl Context {
 impl Connection {
     pub fn tell_read_only(&self, output: &Output) {
         let home = self.site.as_ref().map(|site| site.place());
-        if let Some(original) = home.as_ref().and_then(Home::original) {
-            output.note(&format!(
-                "authros: {} is read-only: it is read in a copy that is deleted at the end",
-                original.display()
-            ));
+        if let Some((home, original)) = home.as_ref().and_then(|home| Some((home, home.original()?))) {
+            output.note(&format!("authros: {}", looking::about(home, original)));
         }
     }
 

@@ -16,7 +16,7 @@ use crate::{app::tour::Cast, crypto::Passphrase};
 
 pub fn run(runtime: &Runtime, context: Context, console: ConsoleArguments, tour: Option<Cast>) -> Result<u8, Failure> {
     if !term::is_interactive() {
-        let advice = "without one, use `authros demo`, `authros capture` or `authros serve`";
+        let advice = "without one, use `authros tour --plain`, `authros capture` or `authros serve`";
         return Err(usage(format!("the console needs a terminal; {advice}")));
     }
     let leaves_site = tour.is_none() && context.operator.is_none();
@@ -145,7 +145,7 @@ pub fn run_tour(runtime: &Runtime, mut context: Context, arguments: TourArgument
     let temporary = demo::temporary_home(&mut context, "authros-tour-")?;
     context.profile = super::parse::value(OWNER)?;
     let cast = Cast { owner: context.profile.clone(), reader: super::parse::value(READER)? };
-    let TourArguments { theme, ascii } = arguments;
+    let TourArguments { theme, ascii, .. } = arguments;
     let console = ConsoleArguments { theme, ascii, ..ConsoleArguments::default() };
     let ended = run(runtime, context, console, Some(cast));
     drop(temporary);

@@ -68,7 +68,7 @@ fn recorded_by(view: &CoverageView) -> Vec<String> {
         (_, true) => Vec::new(),
         (None, false) => vec![format!("robots that recorded it: {robots}; --robot NAME shows one of them alone")],
         (Some(robot), false) if view.robots.contains(robot) => {
-            vec![format!("what it lost itself is in its reports: authros robots show {robot}")]
+            vec![format!("what it lost itself is in its reports: `authros robot show {robot}`")]
         }
         (Some(_), false) => vec![format!("robots that recorded it: {robots}")],
     }
@@ -123,7 +123,7 @@ mod tests {
             strip(&CoverageView { robot: Some(robot.to_owned()), robots, ..view.clone() })
         };
         assert!(of("scout-1").starts_with("/robot1/odom of robot 'scout-1'  first record 2023-11-14T22:13:20Z"));
-        assert!(of("scout-1").ends_with("authros robots show scout-1"));
+        assert!(of("scout-1").ends_with("`authros robot show scout-1`"));
         let none = CoverageView { first: None, last: None, ..view };
         assert_eq!(strip(&none), "/robot1/odom: no record yet");
         let other = CoverageView { robot: Some("scout-3".to_owned()), robots: vec!["scout-1".to_owned()], ..none };

@@ -1,4 +1,4 @@
-//! `authros demo`: the paper's crime-scene mission in counted figures. Robots take odometry and pictures, CURA A shares
+//! `authros tour --plain`: the paper's crime-scene mission in counted figures. Robots take odometry and pictures, CURA A shares
 //! them with CURA B, a stranger and a forger are refused, B is revoked.
 
 mod mission;
@@ -12,7 +12,7 @@ use serde::Serialize;
 
 use self::mission::Mission;
 use super::connect::{Context, environment};
-use super::{args::DemoArguments, parse::usage};
+use super::parse::usage;
 use crate::crypto::{
     Anchor, CryptoError, Expected, Names, OpenedRecord, Provider, SealRequest, SmKeyPair, TopicKey, open, record, seal,
 };
@@ -50,9 +50,9 @@ pub struct Story {
     pub ok: bool,
 }
 
-pub async fn run(mut context: Context, arguments: DemoArguments, output: &Output) -> Result<u8, Failure> {
+pub async fn run(mut context: Context, seconds: u64, output: &Output) -> Result<u8, Failure> {
     if context.config.robots == 0 && context.global.ros2.is_none() {
-        return Err(usage("the demo needs robots; use --robots 1 to 32 and no real ROS master"));
+        return Err(usage("the mission needs robots; use --robots 1 to 32 and no real ROS master"));
     }
     let temporary = match context.global.home {
         Some(_) => None,
@@ -61,7 +61,7 @@ pub async fn run(mut context: Context, arguments: DemoArguments, output: &Output
     // Nobody is to type the passphrases of the people in it.
     context.global.store_passphrase = true;
     let robots = robots_of(&mut context);
-    let mission = Mission::start(&context, robots, arguments.seconds, *output).await?;
+    let mission = Mission::start(&context, robots, seconds, *output).await?;
     let told = mission.run().await;
     drop(temporary);
     let story = told?;

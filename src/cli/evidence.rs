@@ -1,14 +1,14 @@
-//! `evidence export`, and `verify` of a bundle: the meaning of the levels, for people.
+//! `evidence`: `export`, and `verify` of a bundle: the meaning of the levels, for people.
 
 use std::path::{Path, PathBuf};
-use std::{collections::BTreeMap, fs::File, io::Read as _};
+use std::{fs::File, io::IsTerminal as _, io::Read as _};
 
-use clap::Subcommand;
+use clap::{Args, Subcommand};
 
 use super::connect::{Context, ProfileNeed};
-use super::{parse, plan::CHAIN};
+use super::{args::Global, check, parse, plan::CHAIN};
 use crate::crypto::{ProviderName, provider};
-use crate::model::{Digest, ErrorKind, clean, clean_lines};
+use crate::model::{Digest, ErrorKind, TopicPattern, clean, clean_lines};
 use crate::ros::Limits;
 use crate::ros::recording::{BESIDE, Beside};
 use crate::service::command::{EvidenceWishes, ExportEvidence, StampEvidence};
@@ -18,53 +18,146 @@ use authros_evidence::recorded::{RecordedFile, TAG};
 use authros_evidence::{Bundle, LONGEST_TRUST, Outcome, RecordReport, Report, Standing, Trust};
 use authros_output::{Output, table};
 
+/// Typed to disclose what was counted.
+const WORD: &str = "disclose";
+const ALL: &str = "all";
 const MOST_SHOWN: usize = 4000;
 
 /// `evidence …`
 #[derive(Debug, Subcommand)]
 pub enum EvidenceVerb {
-    /// Write your records and everything that proves them into one file for `verify`; all records unless narrowed
-    Export {
-        /// File to write, NAME.authros; must not exist
-        file: PathBuf,
-        /// Only this record, by id; repeatable
-        #[arg(long = "record", value_name = "ID")]
-        records: Vec<String>,
-        /// Only this topic
-        #[arg(long, value_name = "TOPIC")]
-        topic: Option<String>,
-        /// Only this incident; its name, span and notes are included in the bundle's page
-        #[arg(long, value_name = "NAME")]
-        incident: Option<String>,
-        /// Captured at or after: 10m (ago), 18:00, "yesterday 18:00", "2026-11-27 18:00" or RFC 3339
-        #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
-        since: Option<String>,
-        /// Captured before; same format
-        #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
-        until: Option<String>,
-        /// Disclose this record, by id: anyone with the file can read its topic, type and message, permanently, but
-        /// nothing else of the topic; repeatable
-        #[arg(long = "reveal", value_name = "ID")]
-        reveal: Vec<String>,
-    },
+    /// Write your records and everything that proves them into one file for `evidence verify`; all records unless narrowed
+    Export(ExportArguments),
+    /// Check a bundle offline against --trust, or a folder of `records export` against --chain; needs no home, no keys
+    Verify(VerifyArguments),
     /// Have `time.authorities` stamp everything not stamped yet, now; a running site does this every hour
-    Stamp,
+    Timestamp,
 }
 
-pub async fn run(context: Context, verb: EvidenceVerb, output: &Output) -> Result<u8, Failure> {
-    let EvidenceVerb::Export { file, records, topic, incident, since, until, reveal } = verb else {
-        return stamp(context, output).await;
-    };
-    let file = parse::absolute(&file)?;
-    let times = parse::Times::now(output);
-    let (since, until) = (times.since(since.as_deref())?, times.until(until.as_deref())?);
-    let topic = parse::optional(topic.as_deref())?;
-    let incident = parse::optional(incident.as_deref())?;
-    let wish = EvidenceWishes { file, records, topic, incident, since, until, reveal };
-    let export = async |client: &Client| client.ask(ExportEvidence(wish)).await;
-    let view = context.with(CHAIN, ProfileNeed::Unlocked, output, export).await?;
+/// `evidence export …`
+#[derive(Debug, Args)]
+pub struct ExportArguments {
+    /// File to write, NAME.authros; must not exist
+    pub file: PathBuf,
+    /// Only this record, by id; repeatable
+    #[arg(long = "record", value_name = "ID")]
+    pub records: Vec<String>,
+    /// Only this topic, or the topics that match this pattern; repeatable
+    #[arg(long = "topic", value_name = "TOPIC")]
+    pub topics: Vec<String>,
+    /// Only what this robot recorded, or the topics under its name
+    #[arg(long, value_name = "NAME")]
+    pub robot: Option<String>,
+    /// Only this incident; its name, span and notes are included in the bundle's page
+    #[arg(long, value_name = "NAME")]
+    pub incident: Option<String>,
+    /// Captured at or after: 10m (ago), 18:00, "yesterday 18:00", "2026-11-27 18:00" or RFC 3339
+    #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
+    pub since: Option<String>,
+    /// Captured before; same format
+    #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
+    pub until: Option<String>,
+    /// Disclose this record, by id, or 'all' that are chosen: anyone with the file can read topic, type and message,
+    /// permanently, but nothing else of the topic; repeatable
+    #[arg(long = "reveal", value_name = "ID|all")]
+    pub reveal: Vec<String>,
+    /// Disclose the chosen messages of this topic, or of all that match a pattern such as '/robot*/odom'; repeatable
+    #[arg(long = "reveal-topic", value_name = "TOPIC")]
+    pub reveal_topics: Vec<String>,
+    /// Disclose without asking; without it, what would become readable is shown first
+    #[arg(long)]
+    pub yes: bool,
+}
+
+/// `evidence verify …`
+#[derive(Debug, Args)]
+pub struct VerifyArguments {
+    /// The bundle, unpacked or not, or the folder
+    pub path: PathBuf,
+    /// For a bundle: what you know about chain, signers and people from an independent source (docs/evidence.md)
+    #[arg(long, value_name = "FILE", conflicts_with = "genesis")]
+    pub trust: Option<PathBuf>,
+    /// For the proof of a followed recording: the recorded file, to compare with the digests that the proof states
+    #[arg(long, value_name = "FILE", conflicts_with = "genesis")]
+    pub recording: Option<PathBuf>,
+    /// Hash of the chain's block 0, from a source other than the folder
+    #[arg(long, value_name = "HASH")]
+    pub genesis: Option<String>,
+    /// For a bundle: also list each record, by topic and time, with what its owner disclosed
+    #[arg(long, conflicts_with = "genesis")]
+    pub records: bool,
+    /// For a bundle: as --records, with the reason of each level even where nothing is in doubt
+    #[arg(long, conflicts_with = "genesis")]
+    pub verbose: bool,
+}
+
+/// A check needs neither home nor settings.
+pub async fn run(global: Global, verb: EvidenceVerb, output: &Output) -> Result<u8, Failure> {
+    match verb {
+        EvidenceVerb::Verify(arguments) => verify(&global, arguments, output).await,
+        EvidenceVerb::Timestamp => stamp(Context::new(global, output)?, output).await,
+        EvidenceVerb::Export(arguments) => {
+            let (wishes, context) = (arguments.wishes(output)?, Context::new(global, output)?);
+            let asks = !wishes.sure && !context.global.json && std::io::stdin().is_terminal();
+            let export = async |client: &Client| export(client, wishes, asks, output).await;
+            context.with(CHAIN, ProfileNeed::Unlocked, output, export).await
+        }
+    }
+}
+
+impl ExportArguments {
+    fn wishes(self, output: &Output) -> Result<EvidenceWishes, Failure> {
+        let Self { file, records, topics, robot, incident, since, until, mut reveal, reveal_topics, yes } = self;
+        let chosen = reveal.len();
+        reveal.retain(|id| id != ALL);
+        let reveal_all = reveal.len() < chosen;
+        let reveal_topics: Vec<TopicPattern> = parse::values(&reveal_topics)?;
+        let file = parse::absolute(&file)?;
+        let times = parse::Times::now(output);
+        let (since, until) = (times.since(since.as_deref())?, times.until(until.as_deref())?);
+        let (topics, incident) = (parse::values(&topics)?, parse::optional(incident.as_deref())?);
+        // An id names what it discloses; a pattern has to be counted first.
+        let sure = yes || (!reveal_all && reveal_topics.is_empty());
+        Ok(EvidenceWishes {
+            file,
+            records,
+            topics,
+            robot,
+            incident,
+            since,
+            until,
+            reveal,
+            reveal_topics,
+            reveal_all,
+            sure,
+        })
+    }
+}
+
+async fn verify(global: &Global, arguments: VerifyArguments, output: &Output) -> Result<u8, Failure> {
+    let VerifyArguments { path, trust, recording, genesis, records, verbose } = arguments;
+    let of_bundle = genesis.is_none() && (trust.is_some() || recording.is_some() || is_bundle(&path));
+    match of_bundle {
+        true => {
+            let detail = Detail::of(records, verbose);
+            verify_bundle((&path, recording.as_deref()), trust.as_deref(), detail, output)
+        }
+        false => check::verify_folder(global, &path, genesis.as_deref(), output).await,
+    }
+}
+
+async fn export(client: &Client, wishes: EvidenceWishes, asks: bool, output: &Output) -> Result<u8, Failure> {
+    let mut view = client.ask(ExportEvidence(wishes.clone())).await?;
+    if !view.written && asks {
+        output.note(&exported(&view));
+        output.note(&format!("type '{WORD}' to write the file:"));
+        if parse::typed(WORD) {
+            view = client.ask(ExportEvidence(EvidenceWishes { sure: true, ..wishes })).await?;
+        }
+    }
     output.result(&view, || exported(&view));
-    Ok(0)
+    // Without a confirmation, a script must not take it for done.
+    Ok(if view.written || asks { 0 } else { ErrorKind::Usage.exit_code() })
 }
 
 async fn stamp(context: Context, output: &Output) -> Result<u8, Failure> {
@@ -85,24 +178,55 @@ pub fn stamped(view: &StampView) -> String {
 }
 
 pub fn exported(view: &EvidenceView) -> String {
-    let EvidenceView { file, bytes, records, revealed, notes } = view;
-    let mut lines = vec![format!("{records} records, {revealed} of them disclosed, in {file} (0600, {bytes} bytes)")];
+    let EvidenceView { file, bytes, records, revealed, topics, written, notes } = view;
+    let mut lines = match written {
+        true => vec![format!("{records} records, {revealed} of them disclosed, in {file} (0600, {bytes} bytes)")],
+        false => vec![format!("{records} records would go into {file}")],
+    };
+    if *revealed > 0 {
+        let (will, of) =
+            (if *written { "are" } else { "would be" }, if topics.len() == 1 { "topic" } else { "topics" });
+        lines.push(format!(
+            "{revealed} records of {} {of} {will} readable to everybody who gets the file, and that cannot be undone:",
+            topics.len()
+        ));
+        lines.extend(topics.iter().map(|one| format!("  {} of {}", one.records, one.topic)));
+    }
+    lines.extend((!written).then(|| "nothing was written; --yes writes it without asking".to_owned()));
     lines.extend(notes.iter().map(|note| format!("note: {note}")));
     lines.join("\n")
 }
 
-pub fn is_bundle(path: &Path) -> bool {
+/// How much `verify` prints.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Detail {
+    Verdict,
+    Records,
+    Reasons,
+}
+
+impl Detail {
+    fn of(records: bool, verbose: bool) -> Self {
+        match (records, verbose) {
+            (_, true) => Self::Reasons,
+            (true, false) => Self::Records,
+            (false, false) => Self::Verdict,
+        }
+    }
+}
+
+fn is_bundle(path: &Path) -> bool {
     !path.is_dir() || path.join("manifest.json").exists()
 }
 
-pub fn run_verify(
+fn verify_bundle(
     (path, recording): (&Path, Option<&Path>),
     trust: Option<&Path>,
-    verbose: bool,
+    detail: Detail,
     output: &Output,
 ) -> Result<u8, Failure> {
     if !path.exists() {
-        let advice = "give a bundle (NAME.authros) or a folder from `uploads export`";
+        let advice = "give a bundle (NAME.authros) or a folder from `records export`";
         return Err(input(format!("{} does not exist; {advice}", path.display())));
     }
     let provider = provider(ProviderName::default());
@@ -116,7 +240,7 @@ pub fn run_verify(
     let recording = recording.map(|file| Recording::compare(&report, file)).transpose()?;
     output.result(&Shown { bundle: &bundle, report: &report, recording: recording.as_ref() }, || {
         let told = recording.as_ref().map_or_else(String::new, |recording| format!("\n{}", recording.text));
-        text(&bundle, &report, verbose) + &told
+        text(&bundle, &report, detail) + &told
     });
     let compared = recording.map_or(Standing::Proven, |recording| recording.standing);
     Ok(match (report.outcome, compared) {
@@ -197,28 +321,6 @@ fn bounded(fields: &serde_json::Value) -> String {
     clean_lines(&first, MOST_SHOWN) + more
 }
 
-fn summary(report: &Report) -> [String; 2] {
-    const STANDINGS: [Standing; 5] =
-        [Standing::Proven, Standing::OwnChain, Standing::Unproven, Standing::Absent, Standing::Refused];
-    let mut levels: BTreeMap<char, Vec<Standing>> = BTreeMap::new();
-    for (letter, level) in report.records.iter().flat_map(RecordReport::levels) {
-        levels.entry(letter).or_default().push(level.standing);
-    }
-    levels.insert('f', report.complete.iter().map(|stretch| stretch.standing).collect());
-    let told = |(letter, standings): (&char, &Vec<Standing>)| {
-        let count = |standing: &Standing| standings.iter().filter(|one| *one == standing).count();
-        let counts = STANDINGS.iter().map(|one| (count(one), one.word())).filter(|(count, _)| *count > 0);
-        let words: Vec<String> = match standings.iter().all(|one| Some(one) == standings.first()) {
-            true => counts.map(|(_, word)| word.to_owned()).collect(),
-            false => counts.map(|(count, word)| format!("{count} {word}")).collect(),
-        };
-        (!words.is_empty()).then(|| format!("({letter}) {}", words.join(", ")))
-    };
-    let told: Vec<String> = levels.iter().filter_map(told).collect();
-    let (records, topics) = (report.records.len(), report.complete.len());
-    [format!("{records} records, {topics} topics: {}", report.last_line()), told.join("; ")]
-}
-
 /// Nothing that every bundle has to prove is in doubt or contradicted.
 fn is_whole(record: &RecordReport) -> bool {
     record.levels().iter().all(|(letter, level)| match level.standing {
@@ -257,12 +359,18 @@ fn about(record: &RecordReport, briefly: bool) -> Vec<String> {
     std::iter::once(who).chain(when).chain([levels]).collect()
 }
 
-fn text(bundle: &Bundle, report: &Report, verbose: bool) -> String {
-    let (mut lines, mut limits, mut shortened) = (summary(report).to_vec(), Limits::default(), false);
+fn text(bundle: &Bundle, report: &Report, detail: Detail) -> String {
+    let mut lines = report.lines();
+    if detail == Detail::Verdict {
+        return lines.join("\n");
+    }
+    let mut limits = Limits::default();
     lines.push(String::new());
-    for record in &report.records {
-        let briefly = !verbose && is_whole(record);
-        shortened |= briefly;
+    let mut records: Vec<&RecordReport> = report.records.iter().collect();
+    let topic = |record: &RecordReport| record.disclosed.as_ref().map(|disclosed| disclosed.topic.clone());
+    records.sort_by_cached_key(|record| (topic(record), record.topic_id, record.captured_at, record.seq));
+    for record in records {
+        let briefly = detail == Detail::Records && is_whole(record);
         lines.extend(about(record, briefly));
         if let Some(disclosed) = &record.disclosed {
             let (topic, type_name, length) = (&disclosed.topic, &disclosed.type_name, disclosed.length);
@@ -276,16 +384,12 @@ fn text(bundle: &Bundle, report: &Report, verbose: bool) -> String {
             lines.push(String::new());
         }
     }
-    if shortened {
-        lines.extend(["--verbose shows the reason of each level".to_owned(), String::new()]);
-    }
     for stretch in &report.complete {
         let (topic, recorder, word) = (stretch.topic_id, stretch.recorder, stretch.standing.word());
         lines.push(format!("(f) {word}: topic {topic} of recorder {recorder}: {}", stretch.text));
     }
     lines.push(report.exporter.text.clone());
     lines.extend(report.warnings.iter().map(|warning| format!("note: {warning}")));
-    lines.push(report.last_line().to_owned());
     lines.join("\n")
 }
 
@@ -384,6 +488,7 @@ mod tests {
             block: None,
             seconds_to_anchor: None,
             existed_before: None,
+            authority: None,
             bytes: level(Standing::Proven),
             key: level(key),
             anchor: level(Standing::OwnChain),
@@ -391,26 +496,6 @@ mod tests {
             opened: level(Standing::Absent),
             disclosed: None,
         }
-    }
-
-    #[test]
-    fn the_summary_counts_each_level_only_where_records_differ() {
-        let records = vec![record(1, Standing::OwnChain), record(2, Standing::Unproven), record(3, Standing::Unproven)];
-        let report = Report {
-            outcome: Outcome::Incomplete,
-            pinned: true,
-            exporter: Level::new(Standing::Unproven, "by nobody"),
-            warnings: Vec::new(),
-            records,
-            complete: Vec::new(),
-            messages: BTreeMap::new(),
-        };
-        let [verdict, levels] = summary(&report);
-        assert_eq!(verdict, "3 records, 0 topics: NOT FULLY PROVEN: the levels show what is missing");
-        assert_eq!(
-            levels,
-            "(a) proven; (b) 1 self-sealed chain, 2 not proven; (c) self-sealed chain; (d) absent; (e) absent"
-        );
     }
 
     #[test]

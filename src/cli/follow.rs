@@ -1,4 +1,4 @@
-//! `uploads list --follow`, `shared list --follow`: one line per record whenever its state changes.
+//! `records list --follow`, `received list --follow`: one line per record whenever its state changes.
 
 use std::{collections::HashMap, time::Duration};
 

@@ -4,21 +4,51 @@
 
 use std::net::SocketAddr;
 
+use clap::Subcommand;
+
 use super::connect::{Context, ProfileNeed};
 use super::plan::Plan;
-use super::{args::GatewayVerb, parse, show::Question};
+use super::{parse, show::Question};
 use crate::model::clean;
 use crate::service::command::{Admit, Dismiss, GatewayStatus, ListAdmitted, Register, ServeGateway};
 use crate::service::reply::{AdmittedView, GatewayStatusView, GatewayView};
 use crate::service::{Client, Failure, Needs};
 use authros_output::{Output, table};
 
+/// `gateway …`
+#[derive(Debug, Subcommand)]
+pub enum GatewayVerb {
+    /// Show this home's gateway: connections, system keys, refusals
+    Status,
+    /// Accept sealed records from robots, anchor them with this profile's account, answer operators' queries
+    Serve {
+        /// Address and port; port 0 = any free port
+        #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:7420")]
+        listen: SocketAddr,
+        /// Also accept owners who are not on the allow list, each within the quotas in the settings
+        #[arg(long)]
+        open: bool,
+    },
+    /// Allow an owner to use this home's gateway: to register names, send records and read what is granted to it
+    Allow {
+        /// Account (0x and 40 hex digits), or a contact
+        owner: String,
+    },
+    /// Deny an owner the use of this home's gateway; what it sent is kept
+    Deny {
+        /// Account (0x and 40 hex digits), or a contact
+        owner: String,
+    },
+    /// List who may use the gateway besides this home's own profiles
+    Allowed,
+}
+
 pub async fn run(context: Context, verb: GatewayVerb, output: &Output) -> Result<u8, Failure> {
     let question: Question = match verb {
         GatewayVerb::Serve { listen, open } => return serve(context, listen, open, output).await,
-        GatewayVerb::Admit { owner } => Admit { owner: parse::value(&owner)? }.into(),
-        GatewayVerb::Dismiss { owner } => Dismiss { owner: parse::value(&owner)? }.into(),
-        GatewayVerb::Admitted => ListAdmitted.into(),
+        GatewayVerb::Allow { owner } => Admit { owner: parse::value(&owner)? }.into(),
+        GatewayVerb::Deny { owner } => Dismiss { owner: parse::value(&owner)? }.into(),
+        GatewayVerb::Allowed => ListAdmitted.into(),
         GatewayVerb::Status => GatewayStatus.into(),
     };
     super::plan::run(context, Plan::kept(question), output).await
@@ -47,9 +77,9 @@ async fn serve(context: Context, listen: SocketAddr, open: bool, output: &Output
     .await
 }
 
-pub fn admitted(rows: &[AdmittedView]) -> String {
+pub fn allowed(rows: &[AdmittedView]) -> String {
     if rows.is_empty() {
-        return "only this home's own profiles; `authros gateway admit OWNER` allows others".to_owned();
+        return "only this home's own profiles; `authros gateway allow OWNER` allows others".to_owned();
     }
     let row = |row: &AdmittedView| {
         [row.owner.to_string(), row.name.clone().unwrap_or_default(), row.since.in_milliseconds(), clean(&row.by, 60)]

@@ -1,4 +1,4 @@
-//! `authros grant` and `authros grants`.
+//! `authros grant`.
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
@@ -10,19 +10,19 @@ use crate::model::Clock;
 use crate::service::{Failure, GrantFrom, command, reply};
 use authros_output::{Output, pairs, table};
 
-/// `grant …`
+/// `grant add …`
 #[derive(Debug, Args)]
-pub struct GrantArguments {
+pub struct AddArguments {
     /// Account to share with: 0x and 40 hex digits, or a name from the address book
     #[arg(required_unless_present = "to")]
     pub address: Option<String>,
     /// The same, as an option
-    #[arg(long, value_name = "ADDRESS_OR_NAME", conflicts_with = "address")]
+    #[arg(long, value_name = "ACCOUNT", conflicts_with = "address")]
     pub to: Option<String>,
     /// Only this topic, or the topics that match this pattern now; repeatable [default: all topics]
     #[arg(long = "topic", value_name = "TOPIC")]
     pub topics: Vec<String>,
-    /// Only the topics that this robot has now, as robot1 for /robot1/**; repeatable
+    /// Only what this robot records: an enrolled robot, or robot1 for the topics that match /robot1/** now; repeatable
     #[arg(long = "robot", value_name = "NAME")]
     pub of_robots: Vec<String>,
     /// From when on: now (a new epoch: nothing older), epoch (since the current one began), start (all records), or a
@@ -37,11 +37,12 @@ pub struct GrantArguments {
     pub expires: Option<String>,
 }
 
-/// `grants …`
+/// `grant …`
 #[derive(Debug, Subcommand)]
-pub enum GrantsVerb {
-    /// List grants given and received
-    List,
+#[allow(clippy::large_enum_variant, reason = "there is one in a process")]
+pub enum GrantVerb {
+    /// Let an account read records
+    Add(AddArguments),
     /// Extend an active grant; what it opens stays the same
     Extend {
         /// The reader's account, or its name
@@ -53,33 +54,44 @@ pub enum GrantsVerb {
         #[arg(long, conflicts_with = "expires")]
         endless: bool,
     },
+    /// Stop sharing with an account (begins a new epoch)
+    End {
+        /// The reader's account: 0x and 40 hex digits, or a name from the address book
+        grantee: String,
+    },
+    /// List grants given and received, newest first
+    List,
 }
 
-pub fn grant(arguments: &GrantArguments, output: &Output) -> Result<Plan, Failure> {
+fn add(arguments: &AddArguments, output: &Output) -> Result<Plan, Failure> {
     let times = parse::Times::now(output);
     let grantee = parse::value(arguments.address.as_deref().or(arguments.to.as_deref()).unwrap_or_default())?;
-    let topics = parse::topics(&arguments.topics, &arguments.of_robots)?;
+    let (topics, robots) = (parse::values(&arguments.topics)?, arguments.of_robots.clone());
     let from = GrantFrom::read(&arguments.from, |text| times.begin(text))?;
     let expires = times.end(arguments.expires.as_deref())?;
     if arguments.dry_run {
-        return Ok(Plan::unlocked(command::ForeseeGrant { grantee, topics, from }));
+        return Ok(Plan::unlocked(command::ForeseeGrant { grantee, topics, robots, from }));
     }
-    Ok(Plan::unlocked(command::Grant { grantee, topics, from, expires }))
+    Ok(Plan::unlocked(command::Grant { grantee, topics, robots, from, expires }))
 }
 
 /// What a grant would do.
 pub fn foreseen(view: &reply::GrantForesight) -> String {
     let clock = Clock::system();
-    pairs(&[("opens", view.moment(|moment| clock.meaning(moment))), ("cost", view.cost())])
+    let topics: Vec<String> = view.topics.iter().map(ToString::to_string).collect();
+    let topics = if topics.is_empty() { "all".to_owned() } else { topics.join(" ") };
+    pairs(&[("topics", topics), ("opens", view.moment(|moment| clock.meaning(moment))), ("cost", view.cost())])
 }
 
-pub fn plan(verb: GrantsVerb, output: &Output) -> Result<Plan, Failure> {
+pub fn plan(verb: GrantVerb, output: &Output) -> Result<Plan, Failure> {
     Ok(match verb {
-        GrantsVerb::List => Plan::unlocked(command::ListGrants),
-        GrantsVerb::Extend { grantee, expires, .. } => {
+        GrantVerb::Add(arguments) => return add(&arguments, output),
+        GrantVerb::Extend { grantee, expires, .. } => {
             let (grantee, expires) = (parse::value(&grantee)?, parse::Times::now(output).end(expires.as_deref())?);
             Plan::unlocked(command::ExtendGrant { grantee, expires })
         }
+        GrantVerb::End { grantee } => Plan::unlocked(command::Revoke { grantee: parse::value(&grantee)? }),
+        GrantVerb::List => Plan::unlocked(command::ListGrants),
     })
 }
 
@@ -101,5 +113,7 @@ pub fn list(rows: &[reply::GrantRow]) -> String {
         ]
     };
     let head = ["", "account", "SM2 fingerprint", "state", "opens", "from epoch", "expires", "topics"];
-    table(&head, rows.iter().map(row))
+    let mut newest_first: Vec<&reply::GrantRow> = rows.iter().collect();
+    newest_first.sort_by_key(|row| std::cmp::Reverse(row.block));
+    table(&head, newest_first.into_iter().map(row))
 }

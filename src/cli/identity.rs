@@ -1,4 +1,4 @@
-//! `authros identity` and `authros profiles`.
+//! `authros identity`.
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
@@ -18,24 +18,24 @@ use authros_output::{Output, pairs, table};
 pub enum IdentityVerb {
     /// Create an identity: EOA, SM2 and SM4 keys
     Create,
+    /// Register the identity on the chain
+    Register,
     /// Show the public identity
     Show,
     /// List this home's identities: profile, account, fingerprint of the signing key; works offline
     List,
-    /// Lock: wipe the keys for reading, granting and revoking from the running site's memory; capture continues
-    Lock,
     /// Check a fingerprint against this profile's key, or an account's
     Compare {
         /// Fingerprint: eight groups of four hex digits, quoted or without spaces
         fingerprint: String,
         /// Account, or its name [default: this profile]
-        #[arg(long, value_name = "ADDRESS_OR_NAME")]
+        #[arg(long, value_name = "ACCOUNT")]
         account: Option<String>,
     },
     /// Set the recovery account, which can stop a wrongly proposed succession of this account
     Recovery {
         /// Account, its name, or `none`; takes effect after the contract's delay
-        #[arg(value_name = "ADDRESS_OR_NAME")]
+        #[arg(value_name = "ACCOUNT")]
         account: String,
     },
 }
@@ -53,7 +53,7 @@ pub fn plan(verb: IdentityVerb) -> Result<Plan, Failure> {
             let recovery = if account == "none" { None } else { Some(parse::value(&account)?) };
             Plan::unlocked(command::NameRecovery { recovery })
         }
-        IdentityVerb::Lock => Plan::kept(command::Lock),
+        IdentityVerb::Register => Plan::new(CHAIN, ProfileNeed::Made, command::Register),
     })
 }
 
@@ -66,21 +66,6 @@ pub async fn create(context: Context, output: &Output) -> Result<u8, Failure> {
     let (told, is_new) = context.with(NEITHER, ProfileNeed::None, output, create).await?;
     let printed = told.print(None, output);
     printed.inspect_err(|_| passphrase::forget_unused(is_new, &context))
-}
-
-pub fn profiles(context: &Context, output: &Output) -> u8 {
-    let all = context.home.profiles();
-    let is_used = |profile: &ProfileName| *profile == context.profile;
-    let json: Vec<serde_json::Value> =
-        all.iter().map(|profile| serde_json::json!({ "profile": profile, "used": is_used(profile) })).collect();
-    let line = |profile: &ProfileName| format!("{} {profile}", if is_used(profile) { "*" } else { " " });
-    output.result(&json, || {
-        if all.is_empty() {
-            return "no profile yet; create one with authros identity create".to_owned();
-        }
-        all.iter().map(line).collect::<Vec<_>>().join("\n")
-    });
-    0
 }
 
 pub fn list(context: &Context, output: &Output) -> Result<u8, Failure> {
@@ -97,7 +82,7 @@ pub fn list(context: &Context, output: &Output) -> Result<u8, Failure> {
         .collect();
     output.result(&serde_json::json!({ "identities": json }), || {
         if rows.is_empty() {
-            return "no identity yet; create one with authros identity create".to_owned();
+            return "no identity yet; create one with `authros identity create`".to_owned();
         }
         let line = |(used, profile, address, fingerprint): &(bool, ProfileName, Address, String)| {
             let mark = if *used { "*" } else { " " };

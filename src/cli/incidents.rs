@@ -23,7 +23,7 @@ pub enum IncidentVerb {
         /// End; same format [default: when it is closed]
         #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
         until: Option<String>,
-        /// Topics, one or more [default: all]
+        /// Topics, one or more, or patterns, which also cover topics that appear later [default: all]
         #[arg(long, visible_alias = "topic", value_name = "TOPIC", num_args = 1.., value_delimiter = ',')]
         topics: Vec<String>,
         /// Description
@@ -33,7 +33,7 @@ pub enum IncidentVerb {
         #[arg(long = "robot", value_name = "NAME", num_args = 1.., value_delimiter = ',')]
         rings_of: Vec<String>,
     },
-    /// List incidents and what each holds
+    /// List incidents and what each holds, newest first
     List,
     /// Show an incident: its notes, and its records by topic
     Show {
@@ -102,7 +102,7 @@ pub fn all(incidents: &[IncidentView]) -> String {
             incident.bytes.to_string(),
         ]
     };
-    table(&["incident", "", "from", "to", "topics", "records", "bytes"], incidents.iter().map(row))
+    table(&["incident", "", "from", "to", "topics", "records", "bytes"], incidents.iter().rev().map(row))
 }
 
 pub fn incident(view: &IncidentView) -> String {

@@ -77,6 +77,8 @@ pub enum KeysVerb {
         /// What `keys backup` wrote; it opens with the passphrase that the keyring had then
         file: PathBuf,
     },
+    /// Wipe the keys for reading, granting and revoking from the running site's memory; capture continues
+    Lock,
     /// Write one key to a new 0600 file
     Export {
         /// Which key
@@ -102,6 +104,7 @@ pub fn plan(context: &Context, verb: KeysVerb) -> Result<Plan, Failure> {
         KeysVerb::Passphrase { new_passphrase_file, new_passphrase_fd } => {
             return passphrase::change(context, new_passphrase_file.as_deref(), new_passphrase_fd);
         }
+        KeysVerb::Lock => Plan::kept(command::Lock),
         KeysVerb::Backup { out } => Plan { out: Some(out), ..Plan::kept(command::BackUpKeys) },
         KeysVerb::Restore { file } => {
             let given = passphrase::given(&context.global, &context.home, &context.profile)?;

@@ -19,6 +19,7 @@ mod follow;
 mod following;
 mod gateway;
 mod grants;
+mod help;
 mod identity;
 mod incidents;
 mod keys;
@@ -30,11 +31,14 @@ mod plan;
 mod playing;
 mod printed;
 mod quarantine;
+#[cfg(test)]
+mod quoted;
 mod reading;
 mod recordings;
 mod records;
 mod retention;
 mod robots;
+mod rules;
 mod serve;
 mod settings;
 mod show;
@@ -44,23 +48,22 @@ mod twins;
 
 use std::process::ExitCode;
 
-use clap::Parser as _;
 use tokio::runtime::Runtime;
 
 use self::args::{Arguments, Verb};
-use self::connect::{Context, ProfileNeed};
+use self::connect::Context;
 use self::identity::IdentityVerb;
-use self::plan::{CHAIN, Plan};
+use self::plan::Plan;
 use self::recordings::BagVerb;
 use crate::model::{ErrorKind, Timestamp};
-use crate::service::{Failure, NoticeLevel, command};
+use crate::service::{Failure, NoticeLevel};
 use authros_output::{Log, Output, log_line};
 
 pub fn main() -> ExitCode {
     memory::keep_few_arenas();
     memory::keep_private();
     serve::note_hangup();
-    let arguments = match Arguments::try_parse_from(args::with_values_joined(std::env::args_os())) {
+    let arguments = match args::read(std::env::args_os()) {
         Ok(arguments) => arguments,
         Err(error) => {
             if error.use_stderr() && std::env::args_os().any(|argument| argument == "--json") {
@@ -117,46 +120,26 @@ fn panics_too() {
 /// Exhaustive: a verb that nothing runs does not compile.
 #[deny(clippy::wildcard_enum_match_arm)]
 fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, Failure> {
-    if let Some(text) = printed::defaults(&arguments.print)? {
+    if let Some(text) = printed::asked_for(&arguments.print)? {
         return Ok(print(output, &text));
     }
     let global = arguments.global;
     let context = || Context::new(global.clone(), output);
     let ask = |context: Context, plan: Plan| runtime.block_on(plan::run(context, plan, output));
     match arguments.verb.unwrap_or_else(|| Verb::Console(args::ConsoleArguments::default())) {
+        Verb::Tour(tour) if tour.plain => runtime.block_on(demo::run(context()?, tour.seconds, output)),
+        Verb::Tour(tour) => console::run_tour(runtime, context()?, tour),
         Verb::Console(console) => console::run(runtime, context()?, console, None),
-        Verb::Tour(arguments) => console::run_tour(runtime, context()?, arguments),
-        Verb::Completions { shell } => Ok(print(output, &printed::completions(shell))),
-        Verb::Complete { what, begun } => Ok(print(output, &complete::candidates(&global, what, &begun))),
-        Verb::Man => Ok(print(output, &printed::manual()?)),
-        Verb::Profiles => Ok(identity::profiles(&context()?, output)),
-        Verb::Config(verb) => settings::run(&context()?, &verb, output),
-        Verb::Restore { file, check: true } => runtime.block_on(backups::check(context()?, &file, output)),
-        Verb::Restore { file, check: false } => check::run_restore(&context()?, &file, output),
-        Verb::Evidence(verb) => runtime.block_on(evidence::run(context()?, verb, output)),
-        Verb::Verify { path, trust, recording, genesis: None, verbose }
-            if trust.is_some() || recording.is_some() || evidence::is_bundle(&path) =>
-        {
-            evidence::run_verify((&path, recording.as_deref()), trust.as_deref(), verbose, output)
-        }
-        Verb::Verify { path, trust: _, recording: _, genesis, verbose: _ } => {
-            runtime.block_on(check::run_verify(&global, &path, genesis.as_deref(), output))
-        }
-        Verb::Agent(verb) => runtime.block_on(agent::run(global, verb, output)),
-        Verb::Chain(verb) => runtime.block_on(chain::run(global, verb, output)),
         Verb::Serve(serve) => runtime.block_on(serve::run(context()?, serve, output)),
-        Verb::Demo(demo) => runtime.block_on(demo::run(context()?, demo, output)),
-        Verb::Gateway(verb) => runtime.block_on(gateway::run(context()?, verb, output)),
-        Verb::Doctor => runtime.block_on(check::run_doctor(context()?, output)),
-        Verb::Backup(backup) => runtime.block_on(backups::run(context()?, backup, output)),
         Verb::Status { watch: true } => runtime.block_on(status::watch(context()?, output)),
         Verb::Status { watch: false } => runtime.block_on(status::run(context()?, output)),
+        Verb::Doctor => runtime.block_on(check::run_doctor(context()?, output)),
+        Verb::Topics(verb) => ask(context()?, topics::plan(verb, output)?),
         Verb::Capture(capture) => runtime.block_on(capture::run(context()?, capture, output)),
+        Verb::Records(verb) => runtime.block_on(records::own(context()?, verb, output)),
         Verb::Bag(BagVerb::Import(import)) => runtime.block_on(recordings::import(context()?, import, output)),
         Verb::Bag(BagVerb::Follow(follow)) => runtime.block_on(following::run(context()?, follow, output)),
-        Verb::Uploads(verb) => runtime.block_on(records::uploads(context()?, verb, output)),
-        Verb::Shared(verb) => runtime.block_on(records::shared(context()?, verb, output)),
-        Verb::Retention(verb) => runtime.block_on(retention::run(context()?, verb, output)),
+        Verb::Bag(BagVerb::Export(export)) => runtime.block_on(recordings::export(context()?, export, output)),
         Verb::Identity(IdentityVerb::List) => identity::list(&context()?, output),
         Verb::Identity(IdentityVerb::Create) => runtime.block_on(identity::create(context()?, output)),
         Verb::Identity(verb) => ask(context()?, identity::plan(verb)?),
@@ -165,24 +148,24 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
             let plan = keys::plan(&context, verb)?;
             ask(context, plan)
         }
+        Verb::Grant(verb) => ask(context()?, grants::plan(verb, output)?),
+        Verb::Received(verb) => runtime.block_on(records::received(context()?, verb, output)),
+        Verb::Contacts(verb) => ask(context()?, Plan::public(parties::contacts(verb)?)),
+        Verb::Robot(verb) => runtime.block_on(robots::run(global, verb, output)),
+        Verb::Gateway(verb) => runtime.block_on(gateway::run(context()?, verb, output)),
+        Verb::Incident(verb) => ask(context()?, incidents::plan(verb, output)?),
+        Verb::Evidence(verb) => runtime.block_on(evidence::run(global, verb, output)),
         Verb::Audit(arguments) => {
             let context = context()?;
             let plan = audit::plan(&context, &arguments, output)?;
             ask(context, plan)
         }
-        Verb::Register => ask(context()?, Plan::new(CHAIN, ProfileNeed::Made, command::Register)),
-        Verb::Topics(verb) => ask(context()?, topics::plan(verb, output)?),
-        Verb::Quarantine(verb) => ask(context()?, quarantine::plan(verb)?),
-        Verb::Grant(grant) => ask(context()?, grants::grant(&grant, output)?),
-        Verb::Revoke { address } => {
-            ask(context()?, Plan::unlocked(command::Revoke { grantee: parse::value(&address)? }))
-        }
-        Verb::Grants(verb) => ask(context()?, grants::plan(verb, output)?),
-        Verb::Contacts(verb) => ask(context()?, Plan::public(parties::contacts(verb)?)),
-        Verb::Devices(verb) => ask(context()?, Plan::unlocked(robots::question(&verb, output)?)),
+        Verb::Chain(verb) => runtime.block_on(chain::run(global, verb, output)),
         Verb::Alerts(verb) => ask(context()?, status::plan(&verb)),
-        Verb::Robots(verb) => ask(context()?, robots::plan(verb, output)?),
-        Verb::Incident(verb) => ask(context()?, incidents::plan(verb, output)?),
+        Verb::Backup(verb) => runtime.block_on(backups::run(context()?, verb, output)),
+        Verb::Config(verb) => settings::run(&context()?, &verb, output),
+        Verb::Help { words } => Ok(print(output, &help::page(&words)?)),
+        Verb::Complete { what, begun } => Ok(print(output, &complete::candidates(&global, what, &begun))),
     }
 }
 

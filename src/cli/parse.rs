@@ -1,7 +1,7 @@
 //! Parses arguments into the model's types, with errors of kind `Input`.
 
 use std::path::{Path, PathBuf};
-use std::{fmt::Display, str::FromStr, time::Duration};
+use std::{fmt::Display, io::BufRead as _, str::FromStr, time::Duration};
 
 use super::args::ListArguments;
 use crate::model::{Clock, ErrorKind, SignerId, Timestamp, TopicPattern, bytes::unhex, clean, positive_span};
@@ -24,6 +24,12 @@ pub fn optional<T: FromStr<Err: Display>>(text: Option<&str>) -> Result<Option<T
 
 pub fn values<T: FromStr<Err: Display>>(texts: &[String]) -> Result<Vec<T>, Failure> {
     texts.iter().map(|text| value(text)).collect()
+}
+
+/// Whether this word is typed, and nothing else.
+pub fn typed(word: &str) -> bool {
+    let mut line = String::new();
+    std::io::stdin().lock().read_line(&mut line).is_ok_and(|_| line.trim() == word)
 }
 
 pub fn absolute(path: &Path) -> Result<PathBuf, Failure> {
@@ -78,6 +84,14 @@ impl<'a> Times<'a> {
     }
 }
 
+/// Topics by name, pattern or robot.
+pub fn topic(topic: Option<&str>, robot: Option<&str>) -> Result<Option<TopicPattern>, Failure> {
+    match robot {
+        Some(robot) => TopicPattern::of_robot(robot).map(Some).map_err(|error| input(error.to_string())),
+        None => optional(topic),
+    }
+}
+
 /// Topics by name or pattern, and all of these robots.
 pub fn topics(texts: &[String], robots: &[String]) -> Result<Vec<TopicPattern>, Failure> {
     let of_robots = robots.iter().map(|robot| TopicPattern::of_robot(robot).map_err(|error| input(error.to_string())));
@@ -104,7 +118,7 @@ pub fn query(arguments: &ListArguments, output: &Output) -> Result<UploadQuery, 
         return Err(input(format!("--limit {} is not between 1 and 1000", arguments.limit)));
     }
     let ListArguments { topic, robot, type_name, tags, state, kind, owner, since, until, incident, .. } = arguments;
-    let (after, limit, newest_first) = (arguments.after.clone(), arguments.limit, arguments.newest);
+    let (after, limit, newest_first) = (arguments.after.clone(), arguments.limit, !arguments.oldest);
     let mut query = UploadQuery { after, limit, newest_first, ..UploadQuery::default() };
     let times = Times::now(output);
     for (term, texts) in [
@@ -151,14 +165,15 @@ mod tests {
             let (name, value) = word.split_once(':').expect("a term");
             [format!("--{name}"), value.to_owned()]
         });
-        let words = ["authros", "uploads", "list"].map(str::to_owned).into_iter().chain(flags);
+        let words = ["authros", "records", "list"].map(str::to_owned).into_iter().chain(flags);
         let parsed = super::super::args::Arguments::try_parse_from(words).expect("flags");
-        let Some(super::super::args::Verb::Uploads(super::super::args::UploadsVerb::List(list))) = parsed.verb else {
+        let Some(super::super::args::Verb::Records(super::super::args::RecordsVerb::List(list))) = parsed.verb else {
             panic!("a list");
         };
         let by_flags = query(&list, &Output::new(true)).expect("a query");
         let wanted = Wanted::read(&text, &[], &Clock::system()).expect("a filter");
-        assert_eq!(UploadQuery { limit: 0, ..by_flags }, wanted.asked);
+        assert!(by_flags.newest_first);
+        assert_eq!(UploadQuery { limit: 0, newest_first: wanted.asked.newest_first, ..by_flags }, wanted.asked);
         assert_eq!((wanted.asked.tags.len(), wanted.rest.as_str()), (2, ""));
     }
 

@@ -54,12 +54,14 @@ pub fn given(global: &Global, home: &Home, profile: &ProfileName) -> Result<Opti
     of_source(global, &home.passphrase(profile))
 }
 
+/// With this command; does not read it.
+pub fn is_passed(global: &Global) -> bool {
+    global.passphrase_file.is_some() || global.passphrase_fd.is_some() || global.passphrase_command.is_some()
+}
+
 /// Does not read it.
 pub fn is_given(global: &Global, home: &Home, profile: &ProfileName) -> bool {
-    global.passphrase_file.is_some()
-        || global.passphrase_fd.is_some()
-        || global.passphrase_command.is_some()
-        || home.passphrase(profile).exists()
+    is_passed(global) || home.passphrase(profile).exists()
 }
 
 /// The one that opens the profile's keyring, typed at the terminal; `None` if there is no terminal.

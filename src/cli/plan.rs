@@ -49,6 +49,14 @@ fn is_of_gateway(command: &Command) -> bool {
     matches!(command, Command::OfRobot(_) | Command::ListUploads { .. } | Command::ListAllUploads { .. })
 }
 
+/// Whether more of what it shows is checked while a keyring is open.
+fn is_fuller_open(command: &Command) -> bool {
+    let of_records =
+        matches!(command, Command::ListUploads(_) | Command::ListAllUploads(_) | Command::ShowUpload { .. });
+    of_records
+        || matches!(command, Command::TopicCoverage { .. } | Command::ListQuarantine { .. } | Command::OfIncident(_))
+}
+
 pub async fn run(context: Context, plan: Plan, output: &Output) -> Result<u8, Failure> {
     let connection = context.connect(plan.needs).await?;
     connection.tell_read_only(output);
@@ -58,7 +66,12 @@ pub async fn run(context: Context, plan: Plan, output: &Output) -> Result<u8, Fa
     }
     let forgets = matches!(plan.question.command, Command::ChangePassphrase { .. });
     let told = async {
-        let need = if is_own && plan.profile == ProfileNeed::OpenAtSite { ProfileNeed::None } else { plan.profile };
+        let opens = || passphrase::is_passed(&context.global) && is_fuller_open(&plan.question.command);
+        let need = match plan.profile {
+            ProfileNeed::OpenAtSite if is_own => ProfileNeed::None,
+            ProfileNeed::None if opens() => ProfileNeed::Unlocked,
+            need => need,
+        };
         context.prepare(&connection.client, need, output).await?;
         if let Some(first) = plan.first {
             connection.client.ask(first).await?.lines.iter().for_each(|line| output.note(line));

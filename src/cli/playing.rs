@@ -1,4 +1,4 @@
-//! `shared play`: shared records into a ROS graph or domain, until everything is played or something ends it.
+//! `received play`: shared records into a ROS graph or domain, until everything is played or something ends it.
 
 use std::future::pending;
 
@@ -12,11 +12,11 @@ use crate::service::reply::{PlayEnd, PlayedView};
 use crate::service::{Client, Failure, Needs};
 use authros_output::{Output, table};
 
-/// `shared play …`
+/// `received play …`
 #[derive(Debug, Default, Args)]
 pub struct PlayArguments {
     /// Only this owner's, by account or name [default: everyone who shares with this profile]
-    #[arg(long, value_name = "ADDRESS_OR_NAME")]
+    #[arg(long, value_name = "ACCOUNT")]
     pub owner: Option<String>,
     /// Only topics matching this pattern; repeatable
     #[arg(long = "topic", value_name = "PATTERN")]

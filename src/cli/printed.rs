@@ -15,7 +15,7 @@ use crate::service::{Client, Failure, command::RecordingProgress, failure::input
 use crate::ui::{Themes, theme};
 use crate::{app::history::Progress, config::DEFINITIONS, paths::Home, term::ConsoleOptions};
 
-pub fn defaults(arguments: &PrintArguments) -> Result<Option<String>, Failure> {
+pub fn asked_for(arguments: &PrintArguments) -> Result<Option<String>, Failure> {
     match arguments {
         PrintArguments { default_config: true, .. } => Ok(Some(config())),
         PrintArguments { default_keymap: true, .. } => Ok(Some(keymap::preset_text())),
@@ -25,6 +25,8 @@ pub fn defaults(arguments: &PrintArguments) -> Result<Option<String>, Failure> {
                 || format!("there is no embedded theme '{}'; choose night, day, contrast or mono", clean(name, 40));
             text.ok_or_else(|| Failure::new(ErrorKind::Usage, unknown())).map(Some)
         }
+        PrintArguments { completions: Some(shell), .. } => Ok(Some(completions(*shell))),
+        PrintArguments { manual: true, .. } => manual().map(Some),
         _ => Ok(None),
     }
 }
@@ -68,7 +70,7 @@ pub fn completions(shell: clap_complete::Shell) -> String {
     complete::with_words(shell, String::from_utf8_lossy(&bytes).into_owned())
 }
 
-pub fn manual() -> Result<String, Failure> {
+fn manual() -> Result<String, Failure> {
     let failed = |error: std::io::Error| Failure::new(ErrorKind::Internal, format!("the manual page: {error}"));
     let mut bytes = Vec::new();
     let command = Arguments::command();
@@ -85,7 +87,7 @@ pub fn manual() -> Result<String, Failure> {
 }
 
 fn commands(text: &mut String, command: &clap::Command, path: &str) {
-    for verb in command.get_subcommands().filter(|verb| verb.get_name() != "help" && !verb.is_hide_set()) {
+    for verb in command.get_subcommands().filter(|verb| !verb.is_hide_set()) {
         let path = format!("{path} {}", verb.get_name());
         let about = verb.get_about().map(ToString::to_string).unwrap_or_default();
         let _ = write!(text, ".SH {}\n{}\n", roff(&path.to_uppercase()), roff(&about));
@@ -178,7 +180,7 @@ fn locale_has_unicode(variable: impl Fn(&str) -> Option<String>) -> bool {
 }
 
 pub const TAMPERED: &str =
-    "authros: some records differ from what was anchored; `authros uploads list --state tampered` lists them";
+    "authros: some records differ from what was anchored; `authros records list --state tampered` lists them";
 
 pub const LOOK: Duration = Duration::from_secs(3);
 
@@ -222,7 +224,7 @@ mod tests {
 
     fn printed(arguments: &[&str]) -> String {
         let arguments = Arguments::try_parse_from(["authros"].iter().chain(arguments)).expect("parses");
-        defaults(&arguments.print).expect("printed").expect("a text")
+        asked_for(&arguments.print).expect("printed").expect("a text")
     }
 
     #[test]
@@ -238,6 +240,8 @@ mod tests {
         assert!(printed(&["--print-default-theme"]).contains("name = \"night\""));
         assert!(printed(&["--print-default-theme=day"]).contains("name = \"day\""));
         assert!(crate::app::Keymap::with_file("k", &printed(&["--print-default-keymap"])).is_ok());
+        assert!(printed(&["--print-completions", "bash"]).contains("_authros_words"));
+        assert!(printed(&["--print-manual"]).contains("AUTHROS RECORDS"));
     }
 
     #[test]

@@ -1,8 +1,8 @@
-//! `topics pin`, and `quarantine`: what their arguments mean, and their results for people.
+//! `topics pin` and `topics quarantine`: what their arguments mean, and their results for people.
 
 use clap::{Args, Subcommand};
 
-use super::{parse, plan::Plan, show::or_dash};
+use super::{parse, plan::Plan, show::or_dash, topics::TopicChoice};
 use crate::model::{ErrorKind, Publisher};
 use crate::service::Failure;
 use crate::service::command::{DiscardHeld, Held, ListQuarantine, PinTopic, ReleaseHeld};
@@ -12,8 +12,9 @@ use authros_output::table;
 /// `topics pin …`
 #[derive(Debug, Args)]
 pub struct PinArguments {
-    /// Topic, such as /robot1/odom
-    pub topic: String,
+    /// Which topics
+    #[command(flatten)]
+    pub topics: TopicChoice,
     /// Accepted publisher; repeatable [default: those being read now]
     #[arg(long = "publisher", value_name = "CALLER_ID@HOST:TYPE:MD5")]
     pub publishers: Vec<String>,
@@ -21,33 +22,40 @@ pub struct PinArguments {
 
 pub fn pin(arguments: &PinArguments) -> Result<PinTopic, Failure> {
     let publishers: Vec<Publisher> = parse::values(&arguments.publishers)?;
-    Ok(PinTopic { topic: parse::value(&arguments.topic)?, publishers })
+    Ok(PinTopic { topic: arguments.topics.read()?, publishers })
 }
 
 /// Which messages of the quarantine.
 #[derive(Debug, Args)]
 #[command(group(clap::ArgGroup::new("held").required(true).multiple(false)))]
 pub struct HeldArguments {
-    /// Record ids, as `quarantine list` shows them
+    /// Record ids, as `topics quarantine list` shows them
     #[arg(group = "held", value_name = "ID")]
     pub ids: Vec<String>,
-    /// All messages of this topic; also marks its alarms as seen
+    /// All messages of this topic, or of those that match this pattern; also marks their alarms as seen
     #[arg(long, group = "held", value_name = "TOPIC")]
     pub topic: Option<String>,
+    /// All messages of this robot's topics, as robot1 for /robot1/**; also marks their alarms as seen
+    #[arg(long, group = "held", value_name = "NAME")]
+    pub robot: Option<String>,
 }
 
 fn held_by(arguments: HeldArguments) -> Result<Held, Failure> {
-    Ok(Held { topic: parse::optional(arguments.topic.as_deref())?, ids: arguments.ids })
+    let topic = parse::topic(arguments.topic.as_deref(), arguments.robot.as_deref())?;
+    Ok(Held { topic, ids: arguments.ids })
 }
 
-/// `quarantine …`
+/// `topics quarantine …`
 #[derive(Debug, Subcommand)]
 pub enum QuarantineVerb {
-    /// List quarantined messages
+    /// List quarantined messages, newest first
     List {
-        /// Only this topic
+        /// Only this topic, or the topics that match this pattern
         #[arg(long, value_name = "TOPIC")]
         topic: Option<String>,
+        /// Only the topics of this robot, as robot1 for /robot1/**
+        #[arg(long, value_name = "NAME", conflicts_with = "topic")]
+        robot: Option<String>,
         /// Maximum number of messages, 1 to 1000
         #[arg(long, value_name = "N", default_value_t = 100)]
         limit: usize,
@@ -71,8 +79,8 @@ pub enum QuarantineVerb {
 
 pub fn plan(verb: QuarantineVerb) -> Result<Plan, Failure> {
     Ok(match verb {
-        QuarantineVerb::List { topic, limit } => {
-            Plan::kept(ListQuarantine { topic: parse::optional(topic.as_deref())?, limit })
+        QuarantineVerb::List { topic, robot, limit } => {
+            Plan::kept(ListQuarantine { topic: parse::topic(topic.as_deref(), robot.as_deref())?, limit })
         }
         QuarantineVerb::Release { held } => Plan::unlocked(ReleaseHeld { held: held_by(held)? }),
         QuarantineVerb::Discard { held, yes: true } => Plan::unlocked(DiscardHeld { held: held_by(held)? }),

@@ -5,9 +5,12 @@ use std::path::PathBuf;
 
 use authros_output::table;
 
-use super::args::{AgentVerb, ChainVerb, GatewayVerb, Global, IdentityVerb, KeysVerb, TopicsVerb, UploadsVerb, Verb};
+use super::args::{ChainVerb, GatewayVerb, Global, IdentityVerb, KeysVerb, RecordsVerb, RobotVerb, TopicsVerb, Verb};
+use super::backups::BackupVerb;
+use super::evidence::EvidenceVerb;
 use super::parties::ContactsVerb;
 use super::plan::Plan;
+use super::recordings::BagVerb;
 use crate::model::{ErrorKind, RecordState};
 use crate::ros::readable::{Plot, Readable, Table, file_of};
 use crate::service::command::{OpenShared, ViewFile};
@@ -39,43 +42,31 @@ fn makes_a_home(verb: &Verb) -> bool {
     match verb {
         // Checks the machine, also before there is a home.
         Verb::Doctor
-        | Verb::Register
         | Verb::Capture(_)
-        | Verb::Bag(_)
-        | Verb::Verify { .. }
-        | Verb::Restore { .. }
         | Verb::Serve(_)
-        | Verb::Demo(_)
         | Verb::Tour(_)
         | Verb::Console(_)
         // Reads settings without touching a home.
         | Verb::Config(_)
-        | Verb::Completions { .. }
-        | Verb::Complete { .. }
-        | Verb::Man => true,
+        | Verb::Help { .. }
+        | Verb::Complete { .. } => true,
         Verb::Status { .. }
         | Verb::Audit(_)
-        | Verb::Shared(_)
+        | Verb::Received(_)
         | Verb::Grant(_)
-        | Verb::Revoke { .. }
-        | Verb::Grants(_)
-        | Verb::Quarantine(_)
-        | Verb::Robots(_)
         | Verb::Incident(_)
-        | Verb::Retention(_)
-        | Verb::Devices(_)
-        | Verb::Alerts(_)
-        | Verb::Evidence(_)
-        | Verb::Profiles
-        | Verb::Backup(_) => false,
-        Verb::Uploads(verb) => matches!(verb, UploadsVerb::Import { .. }),
-        Verb::Identity(verb) => matches!(verb, IdentityVerb::Create),
+        | Verb::Alerts(_) => false,
+        Verb::Bag(verb) => !matches!(verb, BagVerb::Export(_)),
+        Verb::Records(verb) => matches!(verb, RecordsVerb::Import { .. }),
+        Verb::Identity(verb) => matches!(verb, IdentityVerb::Create | IdentityVerb::Register),
         Verb::Keys(verb) => matches!(verb, KeysVerb::Load { dry_run: false, .. } | KeysVerb::Restore { .. }),
         Verb::Topics(verb) => matches!(verb, TopicsVerb::Watch { .. } | TopicsVerb::Pin(_)),
         Verb::Contacts(verb) => matches!(verb, ContactsVerb::Add { .. }),
-        Verb::Agent(verb) => matches!(verb, AgentVerb::Run(_)),
-        Verb::Gateway(verb) => matches!(verb, GatewayVerb::Serve { .. } | GatewayVerb::Admit { .. }),
+        Verb::Robot(verb) => matches!(verb, RobotVerb::Run(_)),
+        Verb::Gateway(verb) => matches!(verb, GatewayVerb::Serve { .. } | GatewayVerb::Allow { .. }),
         Verb::Chain(verb) => matches!(verb, ChainVerb::Deploy { .. } | ChainVerb::Serve { .. } | ChainVerb::Genesis(_)),
+        Verb::Evidence(verb) => matches!(verb, EvidenceVerb::Verify(_)),
+        Verb::Backup(verb) => matches!(verb, BackupVerb::Check { .. } | BackupVerb::Restore { .. }),
     }
 }
 
@@ -95,7 +86,8 @@ pub fn without_bytes(view: &mut OpenedView) {
     }
 }
 
-pub fn opened(view: &OpenedView) -> String {
+/// What it is, and whether it holds.
+pub fn head(view: &OpenedView) -> Vec<String> {
     let record = &view.record;
     let held = if record.state.word() == RecordState::Quarantined.word() { "  QUARANTINED" } else { "" };
     let verdict = view.verdict.word().to_uppercase();
@@ -107,6 +99,11 @@ pub fn opened(view: &OpenedView) -> String {
     lines.extend(view.tags.iter().map(|(key, value)| format!("tag {key} = {value}")));
     lines.extend(view.reason.iter().map(|reason| format!("not checked against the chain now: {reason}")));
     lines.extend(view.note.iter().map(|note| format!("note: {note}")));
+    lines
+}
+
+pub fn opened(view: &OpenedView) -> String {
+    let mut lines = head(view);
     if let Some(readable) = &view.readable {
         lines.push(String::new());
         lines.push(readable_text(readable));
@@ -160,6 +157,21 @@ mod tests {
     use super::*;
 
     #[test]
+    fn the_head_of_a_record_has_its_verdict_and_none_of_its_fields() {
+        let view: OpenedView = serde_json::from_value(serde_json::json!({
+            "id": "0a", "seq": 7, "topic": "/odom", "type": "nav_msgs/Odometry", "kind": "data", "state": "stored",
+            "digest": "00".repeat(32), "bytes": 7, "captured_at": "2026-01-01T00:00:00Z", "epoch": 1,
+            "simulated": false, "transaction": null, "block": null, "verdict": "verified", "caller_id": "/driver",
+            "tags": [["mission", "harbour"]], "fields": [["pose.x", "1.5"]], "message": null, "compression": "none",
+            "stored": 9, "compared": "head",
+        }))
+        .expect("an opened record");
+        let (head, whole) = (head(&view).join("\n"), opened(&view));
+        assert!(head.contains("/odom  seq 7  VERIFIED") && head.contains("tag mission = harbour"), "{head}");
+        assert!(whole.starts_with(&head) && whole.contains("pose.x: 1.5") && !head.contains("pose.x"), "{whole}");
+    }
+
+    #[test]
     fn what_only_looks_is_refused_where_there_is_no_home() {
         let folder = tempfile::tempdir().expect("a folder");
         let missing = folder.path().join("mistyped").display().to_string();
@@ -170,22 +182,21 @@ mod tests {
         };
         for words in [
             "status",
-            "profiles",
-            "uploads list",
-            "shared list",
-            "grants list",
-            "revoke bob",
-            "devices list",
+            "records list",
+            "received list",
+            "grant list",
+            "grant end bob",
+            "robot devices",
             "identity show",
             "identity list",
-            "identity lock",
+            "keys lock",
             "keys list",
             "keys backup --out FILE",
             "keys load --sm2 FILE --dry-run",
             "keys rotate",
             "topics list",
             "topics pins",
-            "topics policy",
+            "topics rules",
             "topics coverage /odom",
             "topics unwatch /odom",
             "contacts list",
@@ -193,10 +204,12 @@ mod tests {
             "alerts list",
             "alerts test",
             "gateway status",
-            "gateway admitted",
+            "gateway allowed",
             "chain status",
+            "backup create FILE",
+            "bag export --mcap FILE",
             "chain succession list",
-            "chain suspend bob",
+            "chain admin suspend bob",
         ] {
             let failure = refusal(words).unwrap_or_else(|| panic!("{words} is not refused"));
             assert!(failure.kind == ErrorKind::Input && failure.message.contains(&missing), "{words}: {failure:?}");
@@ -205,12 +218,16 @@ mod tests {
         for words in [
             "serve",
             "identity create",
+            "identity register",
+            "backup restore FILE",
+            "evidence verify FILE",
+            "help grant",
             "keys load --sm2 FILE",
             "topics watch /odom",
             "contacts add bob 0xBOB",
             "gateway serve",
             "chain genesis --guide",
-            "uploads import OLD",
+            "records import OLD",
             "config show",
             "doctor",
         ] {

@@ -1,4 +1,4 @@
-//! `bag import`, `uploads import` and `shared export`: recordings and other homes, with progress on stderr.
+//! `bag import`, `bag export` and `records import`: recordings and other homes, with progress on stderr.
 
 use std::path::{Path, PathBuf};
 
@@ -25,6 +25,8 @@ pub enum BagVerb {
     Import(ImportArguments),
     /// Seal what a recorder writes into a folder, while it writes, and prove its files
     Follow(super::following::FollowArguments),
+    /// Export all readable records, own and received, as a bag or MCAP file, each one verified first
+    Export(ExportArguments),
 }
 
 /// `bag import …`
@@ -47,7 +49,7 @@ pub struct ImportArguments {
     pub again: bool,
 }
 
-/// `shared export …`
+/// `bag export …`
 #[derive(Debug, Args)]
 #[command(group(clap::ArgGroup::new("format").required(true).multiple(false)))]
 pub struct ExportArguments {
@@ -61,7 +63,7 @@ pub struct ExportArguments {
     #[arg(long, value_name = "FOLDER", group = "format")]
     pub rosbag2: Option<PathBuf>,
     /// Only this owner's, by account or name [default: own and shared records]
-    #[arg(long, value_name = "ADDRESS_OR_NAME")]
+    #[arg(long, value_name = "ACCOUNT")]
     pub owner: Option<String>,
     /// Only topics matching this pattern; repeatable
     #[arg(long = "topic", value_name = "PATTERN")]

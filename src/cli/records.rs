@@ -1,4 +1,4 @@
-//! `authros uploads` and `authros shared`: arguments, requests, lists and one record's provenance.
+//! `authros records` and `authros received`: arguments, requests, lists and one record's provenance.
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
@@ -9,7 +9,8 @@ use clap::{Args, Subcommand};
 use super::connect::{Context, ProfileNeed};
 use super::plan::{NEITHER, Plan, run};
 use super::playing::{self, PlayArguments};
-use super::recordings::{self, ExportArguments};
+use super::recordings;
+use super::retention::{self, EraseArguments};
 use super::{check, follow, parse, parties, reading, show::or_dash};
 use crate::model::{ErrorKind, Verdict};
 use crate::pipeline::columns::Compared;
@@ -31,14 +32,14 @@ pub struct ListArguments {
     /// Only with this tag, such as mission=harbour; repeatable
     #[arg(long = "tag", value_name = "KEY=VALUE")]
     pub tags: Vec<String>,
-    /// Only this state (uploads)
+    /// Only this state (own records)
     #[arg(long, value_name = "STATE")]
     pub state: Option<String>,
     /// Kind of record: data, definition, …
     #[arg(long, value_name = "KIND")]
     pub kind: Option<String>,
-    /// Only this owner's, by account or name (shared)
-    #[arg(long, value_name = "ADDRESS_OR_NAME")]
+    /// Only this owner's, by account or name (received records)
+    #[arg(long, value_name = "ACCOUNT")]
     pub owner: Option<String>,
     /// Captured at or after: 10m (ago), 18:00, "yesterday 18:00", "2026-11-27 18:00" or RFC 3339
     #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
@@ -46,7 +47,7 @@ pub struct ListArguments {
     /// Captured before; same format
     #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
     pub until: Option<String>,
-    /// Only records of this incident (uploads)
+    /// Only records of this incident (own records)
     #[arg(long, value_name = "NAME")]
     pub incident: Option<String>,
     /// Continue after `next` from the previous page
@@ -55,32 +56,48 @@ pub struct ListArguments {
     /// Records per page, 1 to 1000
     #[arg(long, value_name = "N", default_value_t = 100)]
     pub limit: usize,
-    /// Newest first
+    /// Oldest first [default: newest first]
     #[arg(long)]
-    pub newest: bool,
+    pub oldest: bool,
     /// Keep running: print one line whenever a record changes state
-    #[arg(long, conflicts_with_all = ["after", "newest"])]
+    #[arg(long, conflicts_with = "after")]
     pub follow: bool,
 }
 
-/// `uploads …`
+/// `records …`
 #[derive(Debug, Subcommand)]
 #[allow(clippy::large_enum_variant, reason = "there is one in a process")]
-pub enum UploadsVerb {
+pub enum RecordsVerb {
     /// List your own records: of --profile, without it of all profiles of this home
     List(ListArguments),
-    /// Show one record with its provenance
+    /// Show one of your records with its provenance
     Show {
         /// Record id, or its first characters
         id: String,
     },
-    /// Seal every message of another home in this one, with its capture time; brings its keyring if this home has none
-    Import {
-        /// The other home's folder; stop its site first
-        #[arg(value_name = "HOME")]
-        other: PathBuf,
+    /// Check, decrypt and decode a record, your own or a received one
+    Open {
+        /// Record id, or its first characters
+        id: String,
+        /// Also write it to a file: .json or .bin, for pictures also .png, .jpg, .npy; any other name = the picture's
+        /// own bytes, or the message's if it is not a picture
+        #[arg(long, value_name = "FILE")]
+        out: Option<PathBuf>,
     },
-    /// Export a record as files that others can check with openssl
+    /// Check a record's digest, its signature and the right to read it (the paper's `Data_Check` and `dataQuery`)
+    Check {
+        /// Record id, or its first characters
+        id: String,
+    },
+    /// Show the robot's path over the records up to this one
+    Path {
+        /// Record id, or its first characters
+        id: String,
+        /// Maximum number of records
+        #[arg(long, value_name = "N", default_value_t = 200)]
+        records: usize,
+    },
+    /// Export one of your records as files that others can check with openssl
     Export {
         /// Record id, or its first characters
         id: String,
@@ -91,71 +108,56 @@ pub enum UploadsVerb {
         #[arg(long)]
         addresses: bool,
     },
+    /// Seal every message of another home in this one, with its capture time; brings its keyring if this home has none
+    Import {
+        /// The other home's folder; stop its site first
+        #[arg(value_name = "HOME")]
+        other: PathBuf,
+    },
+    /// Erase chosen messages permanently: their bytes go; digests, signatures, anchors and proofs stay
+    Erase(EraseArguments),
 }
 
-/// `shared …`
+/// `received …`
 #[derive(Debug, Subcommand)]
-pub enum SharedVerb {
+#[allow(clippy::large_enum_variant, reason = "there is one in a process")]
+pub enum ReceivedVerb {
     /// List records shared with this profile
     List(ListArguments),
-    /// Check a record's digest, its signature and the right to read it (the paper's `Data_Check` and `dataQuery`)
-    Check {
-        /// Record id, or its first characters
-        id: String,
-    },
-    /// Export all readable records as a bag or MCAP file, each one verified first
-    Export(ExportArguments),
-    /// Publish shared records in a ROS graph, each one verified first
+    /// Publish them in a ROS graph, each one verified first
     Play(PlayArguments),
-    /// Check, decrypt and decode a record
-    Open {
-        /// Record id, or its first characters
-        id: String,
-        /// Also write it to a file: .json or .bin, for pictures also .png, .jpg, .npy; any other name = the picture's
-        /// own bytes, or the message's if it is not a picture
-        #[arg(long, value_name = "FILE")]
-        out: Option<PathBuf>,
-    },
-    /// Show the robot's path over the records up to this one
-    Path {
-        /// Record id, or its first characters
-        id: String,
-        /// Maximum number of records
-        #[arg(long, value_name = "N", default_value_t = 200)]
-        records: usize,
-    },
 }
 
-pub async fn uploads(context: Context, verb: UploadsVerb, output: &Output) -> Result<u8, Failure> {
+pub async fn own(context: Context, verb: RecordsVerb, output: &Output) -> Result<u8, Failure> {
     let plan = match verb {
-        UploadsVerb::List(list) if list.follow => {
+        RecordsVerb::List(list) if list.follow => {
             return follow::run(context, command::ListUploads, parse::query(&list, output)?, output).await;
         }
-        UploadsVerb::List(list) => {
+        RecordsVerb::List(list) => {
             // Ids of tags derive from the profile's own key.
             let need = if list.tags.is_empty() { ProfileNeed::None } else { ProfileNeed::Unlocked };
             Plan::new(NEITHER, need, check::list_uploads(&context, parse::query(&list, output)?))
         }
-        UploadsVerb::Import { other } => return recordings::import_home(context, &other, output).await,
-        UploadsVerb::Show { id } => Plan::public(command::ShowUpload { id }),
-        UploadsVerb::Export { id, dir, addresses } => {
+        RecordsVerb::Import { other } => return recordings::import_home(context, &other, output).await,
+        RecordsVerb::Erase(arguments) => return retention::run(context, arguments, output).await,
+        RecordsVerb::Show { id } => Plan::public(command::ShowUpload { id }),
+        RecordsVerb::Open { id, out } => reading::open(id, out),
+        RecordsVerb::Check { id } => Plan::unlocked(command::CheckShared { id }),
+        RecordsVerb::Path { id, records } => Plan::unlocked(command::ViewPath { id, records }),
+        RecordsVerb::Export { id, dir, addresses } => {
             Plan { out: Some(dir), ..Plan::unlocked(command::ExportUpload { id, addresses }) }
         }
     };
     run(context, plan, output).await
 }
 
-pub async fn shared(context: Context, verb: SharedVerb, output: &Output) -> Result<u8, Failure> {
+pub async fn received(context: Context, verb: ReceivedVerb, output: &Output) -> Result<u8, Failure> {
     let plan = match verb {
-        SharedVerb::Export(export) => return recordings::export(context, export, output).await,
-        SharedVerb::Play(play) => return playing::run(context, play, output).await,
-        SharedVerb::List(list) if list.follow => {
+        ReceivedVerb::Play(play) => return playing::run(context, play, output).await,
+        ReceivedVerb::List(list) if list.follow => {
             return follow::run(context, command::ListShared, parse::query(&list, output)?, output).await;
         }
-        SharedVerb::List(list) => Plan::unlocked(command::ListShared(parse::query(&list, output)?)),
-        SharedVerb::Check { id } => Plan::unlocked(command::CheckShared { id }),
-        SharedVerb::Open { id, out } => reading::open(id, out),
-        SharedVerb::Path { id, records } => Plan::unlocked(command::ViewPath { id, records }),
+        ReceivedVerb::List(list) => Plan::unlocked(command::ListShared(parse::query(&list, output)?)),
     };
     run(context, plan, output).await
 }
@@ -204,7 +206,7 @@ fn doubts(page: &reply::RecordPage) -> Vec<String> {
     if misnamed > 0 {
         lines.push(format!(
             "false name: the signers of {misnamed} wrote names into them that belong to other pseudonyms; what they wrote is \
-             not shown, `authros uploads show ID` names the signer"
+             not shown, `authros records show ID` names the signer"
         ));
     }
     if unread > 0 {

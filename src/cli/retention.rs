@@ -1,9 +1,9 @@
-//! `retention`: erasing chosen records; what rules delete is decided by the settings.
+//! `records erase`: chosen records; what rules delete is decided by the settings.
 
-use std::io::{BufRead as _, IsTerminal as _, Read as _};
+use std::io::{IsTerminal as _, Read as _};
 use std::path::Path;
 
-use clap::Subcommand;
+use clap::Args;
 
 use super::connect::{Context, ProfileNeed};
 use super::{parse, plan::CHAIN};
@@ -17,38 +17,35 @@ const WORD: &str = "erase";
 /// Characters of an imported file's tag.
 const TAG: usize = 16;
 
-/// `retention …`
-#[derive(Debug, Subcommand)]
-pub enum RetentionVerb {
-    /// Erase chosen messages permanently: their bytes go; digests, signatures, anchors and proofs stay
-    Erase {
-        /// Messages of this topic
-        #[arg(long, required_unless_present_any = ["records", "recording"])]
-        topic: Option<String>,
-        /// Messages that were imported from this bag or MCAP file; without the file, its tag 'recording'
-        #[arg(long, value_name = "FILE")]
-        recording: Option<String>,
-        /// Captured at or after: 10m (ago), 18:00, "yesterday 18:00", "2026-11-27 18:00" or RFC 3339
-        #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
-        since: Option<String>,
-        /// Captured before; same format
-        #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
-        until: Option<String>,
-        /// These records, by their ids
-        #[arg(long = "record", value_name = "ID", num_args = 1..)]
-        #[arg(conflicts_with_all = ["topic", "recording", "since", "until"])]
-        records: Vec<String>,
-        /// Why; shown with the records from then on
-        #[arg(long, value_name = "TEXT")]
-        reason: String,
-        /// Erase without asking; without it, what would go is shown
-        #[arg(long)]
-        yes: bool,
-    },
+/// `records erase …`
+#[derive(Debug, Args)]
+pub struct EraseArguments {
+    /// Messages of this topic
+    #[arg(long, required_unless_present_any = ["records", "recording"])]
+    pub topic: Option<String>,
+    /// Messages that were imported from this bag or MCAP file; without the file, its tag 'recording'
+    #[arg(long, value_name = "FILE")]
+    pub recording: Option<String>,
+    /// Captured at or after: 10m (ago), 18:00, "yesterday 18:00", "2026-11-27 18:00" or RFC 3339
+    #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
+    pub since: Option<String>,
+    /// Captured before; same format
+    #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
+    pub until: Option<String>,
+    /// These records, by their ids
+    #[arg(long = "record", value_name = "ID", num_args = 1..)]
+    #[arg(conflicts_with_all = ["topic", "recording", "since", "until"])]
+    pub records: Vec<String>,
+    /// Why; shown with the records from then on
+    #[arg(long, value_name = "TEXT")]
+    pub reason: String,
+    /// Erase without asking; without it, what would go is shown
+    #[arg(long)]
+    pub yes: bool,
 }
 
-pub async fn run(context: Context, verb: RetentionVerb, output: &Output) -> Result<u8, Failure> {
-    let RetentionVerb::Erase { topic, recording, since, until, records, reason, yes } = verb;
+pub async fn run(context: Context, arguments: EraseArguments, output: &Output) -> Result<u8, Failure> {
+    let EraseArguments { topic, recording, since, until, records, reason, yes } = arguments;
     let topic = parse::optional(topic.as_deref())?;
     let times = parse::Times::now(output);
     let (since, until) = (times.since(since.as_deref())?, times.until(until.as_deref())?);
@@ -63,13 +60,13 @@ async fn erase(client: &Client, wishes: ErasureWishes, asks: bool, output: &Outp
     let sure = wishes.sure;
     let view = client.ask(EraseRecords(wishes.clone())).await?;
     if view.records + view.named + view.waiting + view.gone + view.other + view.missing == 0 {
-        let what = "no message of yours has that topic and time; `authros uploads list` shows yours";
+        let what = "no message of yours has that topic and time; `authros records list` shows yours";
         return Err(input(format!("nothing matches: {what}")));
     }
     let is_sure = asks && view.records > 0 && view.held.is_empty() && {
         output.note(&text(&view));
         output.note(&format!("type '{WORD}' to erase them permanently:"));
-        confirmed()
+        parse::typed(WORD)
     };
     let view = if is_sure { client.ask(EraseRecords(ErasureWishes { sure: true, ..wishes })).await? } else { view };
     output.result(&view, || text(&view));
@@ -97,11 +94,6 @@ fn tag_of(file: &str) -> Result<String, Failure> {
         }
         hasher.update(bytes);
     }
-}
-
-fn confirmed() -> bool {
-    let mut line = String::new();
-    std::io::stdin().lock().read_line(&mut line).is_ok_and(|_| line.trim() == WORD)
 }
 
 fn text(view: &ErasureView) -> String {

@@ -4,7 +4,7 @@ use std::{fs::OpenOptions, io::Write as _, os::unix::fs::OpenOptionsExt as _, pa
 
 use super::{
     audit, chain, check, coverage, gateway, grants, identity, incidents, keys, parties, quarantine, reading, records,
-    robots, status, topics,
+    robots, rules, status, topics,
 };
 use crate::service::command::{Ask, Command, SecretBytes};
 use crate::service::{Client, Failure, failure::input, reply};
@@ -119,7 +119,7 @@ rows! {
     reply::DeviceRow, "devices" => robots::devices;
     reply::ContactRow, "contacts" => parties::contact_table;
     reply::AuditView, "audit" => audit::lines;
-    reply::AdmittedView, "admitted" => gateway::admitted;
+    reply::AdmittedView, "allowed" => gateway::allowed;
     reply::IncidentView, "incidents" => incidents::all;
     reply::RobotRow, "robots" => robots::all;
 }
@@ -143,13 +143,20 @@ impl Printed for reply::CheckView {
 
 impl Printed for Box<reply::OpenedView> {
     fn print(mut self, out: Option<&Path>, output: &Output) -> Result<u8, Failure> {
-        if let (Some(path), Some(bytes)) = (out, self.file.take()) {
+        let file = out.zip(self.file.take());
+        if let Some((path, bytes)) = &file {
             // Only the owner may read it.
             let file = OpenOptions::new().write(true).create(true).truncate(true).mode(0o600).open(path);
-            file.and_then(|mut file| file.write_all(&bytes)).map_err(|error| not_written(path, &error))?;
+            file.and_then(|mut file| file.write_all(bytes)).map_err(|error| not_written(path, &error))?;
         }
         reading::without_bytes(&mut self);
-        output.result(&self, || reading::opened(&self));
+        output.result(&self, || match &file {
+            Some((path, bytes)) => {
+                let written = format!("{} bytes written to {} (0600)", bytes.len(), path.display());
+                [reading::head(&self), vec![written]].concat().join("\n")
+            }
+            None => reading::opened(&self),
+        });
         Ok(records::verdict_code(self.verdict))
     }
 }
@@ -190,7 +197,7 @@ impl Printed for SecretBytes {
 
 impl Printed for reply::PolicyView {
     fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
-        robots::show(&self, output);
+        rules::show(&self, output);
         Ok(0)
     }
 }

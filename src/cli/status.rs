@@ -125,8 +125,8 @@ fn life(life: &reply::LifeLine) -> Vec<String> {
     if right_ended > 0 {
         lines.push(format!(
             "{right_ended} records wait: their signer is not authorised to sign for their owner; they resume when the \
-             administrator restores the account (`authros chain restore`) or the device is authorised again (`authros \
-             devices lend`)"
+             administrator restores the account (`authros chain admin restore`) or the device is authorised again (`authros \
+             robot authorise`)"
         ));
     }
     if tampered > 0 {
@@ -179,9 +179,8 @@ mod tests {
     use crate::service::reply::{HealthLevel, LifeLine, PartHealth, SiteView};
 
     fn view(level: HealthLevel, tampered: u64) -> SiteView {
-        let part = PartHealth { part: "store".to_owned(), level, text: String::new(), since: None, retry: None };
         SiteView {
-            health: vec![part],
+            health: vec![PartHealth::new("store", level, "")],
             life: LifeLine { tampered, conserved: true, ..LifeLine::default() },
             process: 0,
             robots: 0,

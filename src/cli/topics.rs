@@ -8,9 +8,9 @@ use super::connect::ProfileNeed;
 use super::coverage::{self, CoverageArguments};
 use super::plan::{NEITHER, Plan, ROS};
 use super::quarantine::{self, PinArguments};
-use super::robots::{self, PolicyArguments};
+use super::rules::{self, RulesArguments};
 use super::{parse, show::or_dash};
-use crate::model::TopicPattern;
+use crate::model::{Sampling, TopicPattern};
 use crate::service::{Failure, command, failure::input, reply};
 use authros_output::{Output, table};
 
@@ -19,13 +19,19 @@ use authros_output::{Output, table};
 pub enum TopicsVerb {
     /// List every topic of the ROS graph
     List,
-    /// Capture a topic whenever a site runs
+    /// Capture a topic whenever a site runs; repeated, it replaces the earlier rule immediately
     Watch {
         #[command(flatten)]
         topics: TopicChoice,
         /// Reject messages of other types
         #[arg(long = "type", value_name = "TYPE")]
         type_name: Option<String>,
+        /// Keep at most this many messages a second [default: as the settings say]
+        #[arg(long, value_name = "N", allow_hyphen_values = true)]
+        rate: Option<String>,
+        /// Keep one message in this many; 1 = all, whatever the settings say
+        #[arg(long, value_name = "N", allow_hyphen_values = true)]
+        every: Option<String>,
     },
     /// Stop capturing a topic
     Unwatch {
@@ -36,21 +42,27 @@ pub enum TopicsVerb {
     Pin(PinArguments),
     /// List pinned publishers, and alarms about others
     Pins {
-        /// Only this topic
+        /// Only this topic, or the topics that match this pattern
         #[arg(long, value_name = "TOPIC")]
         topic: Option<String>,
+        /// Only the topics of this robot, as robot1 for /robot1/**
+        #[arg(long, value_name = "NAME", conflicts_with = "topic")]
+        robot: Option<String>,
     },
     /// Show over time where a topic has records, losses or quarantined messages
     Coverage(CoverageArguments),
     /// Show the rule for each topic; --learn drafts rules from the live graph
-    Policy(PolicyArguments),
+    Rules(RulesArguments),
     /// Unpin a publisher of a topic
     Unpin {
-        /// Topic
+        /// Topic, or a pattern for several
         topic: String,
         /// Node name, such as /driver
         caller_id: String,
     },
+    /// Messages held back because their publisher is not pinned: list, release, discard
+    #[command(subcommand)]
+    Quarantine(quarantine::QuarantineVerb),
 }
 
 /// Topics of one name, pattern or robot.
@@ -65,29 +77,32 @@ pub struct TopicChoice {
 }
 
 impl TopicChoice {
-    fn read(&self) -> Result<TopicPattern, Failure> {
-        match (&self.topic, &self.robot) {
-            (_, Some(robot)) => TopicPattern::of_robot(robot).map_err(|error| input(error.to_string())),
-            (topic, None) => parse::value(topic.as_deref().unwrap_or_default()),
-        }
+    pub fn read(&self) -> Result<TopicPattern, Failure> {
+        let topic = parse::topic(self.topic.as_deref(), self.robot.as_deref())?;
+        topic.ok_or_else(|| parse::usage("name a topic, or a robot with --robot"))
     }
 }
 
 pub fn plan(verb: TopicsVerb, output: &Output) -> Result<Plan, Failure> {
     Ok(match verb {
         TopicsVerb::List => Plan::new(ROS, ProfileNeed::None, command::ListTopics),
-        TopicsVerb::Watch { topics, type_name } => {
+        TopicsVerb::Watch { topics, type_name, rate, every } => {
             let (topic, type_name) = (topics.read()?, parse::optional(type_name.as_deref())?);
-            Plan::new(NEITHER, ProfileNeed::OpenAtSite, command::WatchTopic { topic, type_name })
+            let sampling = Sampling::read(rate.as_deref(), every.as_deref());
+            let sampling = sampling.map_err(|error| input(error.to_string()))?;
+            Plan::new(NEITHER, ProfileNeed::OpenAtSite, command::WatchTopic { topic, type_name, sampling })
         }
         TopicsVerb::Unwatch { topics } => Plan::kept(command::UnwatchTopic { topic: topics.read()? }),
         TopicsVerb::Pin(pin) => Plan::kept(quarantine::pin(&pin)?),
-        TopicsVerb::Pins { topic } => Plan::kept(command::ListPins { topic: parse::optional(topic.as_deref())? }),
+        TopicsVerb::Pins { topic, robot } => {
+            Plan::kept(command::ListPins { topic: parse::topic(topic.as_deref(), robot.as_deref())? })
+        }
         TopicsVerb::Coverage(coverage) => Plan::kept(coverage::question(&coverage, output)?),
-        TopicsVerb::Policy(policy) => Plan::new(ROS, ProfileNeed::None, robots::policy(&policy)?),
+        TopicsVerb::Rules(arguments) => Plan::new(ROS, ProfileNeed::None, rules::question(&arguments)?),
         TopicsVerb::Unpin { topic, caller_id } => {
             Plan::kept(command::UnpinTopic { topic: parse::value(&topic)?, caller_id })
         }
+        TopicsVerb::Quarantine(verb) => quarantine::plan(verb)?,
     })
 }
 
@@ -102,11 +117,7 @@ pub fn list(rows: &[reply::TopicRow]) -> String {
             row.publishers.join(" "),
             or_dash(row.hz.map(|hz| format!("{hz:.1}"))),
             if row.left_out > 0 { format!("{} left out", row.left_out) } else { String::new() },
-            match (&row.watched_by, row.watched) {
-                (Some(pattern), _) => format!("watched by {pattern}"),
-                (None, true) => "watched".to_owned(),
-                (None, false) => String::new(),
-            },
+            watch(row),
             if row.alarm { "ALARM" } else { "" }.to_owned(),
             if row.simulated { "SIMULATED" } else { "" }.to_owned(),
         ]);
@@ -121,4 +132,11 @@ pub fn list(rows: &[reply::TopicRow]) -> String {
         row.unreached.clone().into_iter().map(move |one| format!("\n{topic} is not read from {one}"))
     };
     table(&head, rows.iter().map(row)) + &rows.iter().flat_map(unreached).collect::<String>()
+}
+
+/// By which pattern, and how many messages are kept.
+fn watch(row: &reply::TopicRow) -> String {
+    let by = row.watched_by.as_ref().map(|pattern| format!(" by {pattern}")).unwrap_or_default();
+    let kept = if row.sampling.is_all() { String::new() } else { format!(", {}", row.sampling) };
+    if row.watched { format!("watched{by}{kept}") } else { String::new() }
 }

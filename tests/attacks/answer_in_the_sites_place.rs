@@ -65,7 +65,7 @@ fn a_home_that_others_can_write_gets_no_secret() {
     let alice = home.profile("alice");
     for mode in [0o777, 0o770, 0o702] {
         chmod(&home.path(), mode);
-        for command in [["keys", "rotate"], ["identity", "show"], ["shared", "list"]] {
+        for command in [["keys", "rotate"], ["identity", "show"], ["received", "list"]] {
             let said = alice.run(&[&command[..], &["--passphrase-file", &passphrase]].concat());
             note(&mut parts, &format!("{command:?} in a home of mode {mode:o}"), &said, "chmod go-w");
         }

@@ -46,9 +46,9 @@ impl Scene {
 /// If the gateway admits owners only through its keeper, alice is admitted.
 fn admit(home: &Home, alice: &Authros) {
     let keeper = home.profile("keeper");
-    if keeper.run(&["gateway", "--help"]).stdout.contains("admit") {
+    if keeper.run(&["gateway", "--help"]).stdout.contains("allow") {
         let address = text(&alice.json(&["identity", "show"]), "address");
-        keeper.run(&["gateway", "admit", &address]);
+        keeper.run(&["gateway", "allow", &address]);
     }
 }
 
@@ -70,11 +70,11 @@ impl Robot {
     pub fn enrol_at(alice: &Authros, (address, fingerprint): (&str, &str), name: &str, topics: &[&str]) -> Self {
         let home = Home::new();
         let file = home.root().join("robot.enrolment").to_str().expect("UTF-8").to_owned();
-        let mut arguments = vec!["agent", "enrol", "--gateway", address, "--gateway-key", fingerprint];
+        let mut arguments = vec!["robot", "enrol", "--gateway", address, "--gateway-key", fingerprint];
         arguments.extend(["--name", name, "--out", &file]);
         arguments.extend(topics.iter().flat_map(|topic| ["--topic", topic]));
         // Earlier builds cover all topics unless told otherwise.
-        let asks = alice.run(&["agent", "enrol", "--help"]).stdout.contains("--all-topics");
+        let asks = alice.run(&["robot", "enrol", "--help"]).stdout.contains("--all-topics");
         arguments.extend((asks && topics.is_empty()).then_some("--all-topics"));
         let view = alice.json(&arguments);
         Self { home, file, device: text(&view, "device") }
@@ -83,7 +83,7 @@ impl Robot {
     /// Starts it.
     pub fn spawn(&self, arguments: &[&str]) -> Running {
         let agent = self.home.authros().with(&["--json"]);
-        agent.spawn(&[&["agent", "run", &self.file, "--robots", "1"], arguments].concat())
+        agent.spawn(&[&["robot", "run", &self.file, "--robots", "1"], arguments].concat())
     }
 
     /// Captures this many messages, all of them verified at the gateway.

@@ -106,7 +106,7 @@ async fn erase_another_owners_records() {
     let member = |name: &str| {
         away.profile(name).with(&gate.options()).enrol();
         let member = Member::of(&away, name, gate.gateway.domain);
-        keeper.json(&["gateway", "admit", &member.address().to_string()]);
+        keeper.json(&["gateway", "allow", &member.address().to_string()]);
         member
     };
     let (carol, mallory) = (member("carol"), member("mallory"));

@@ -60,7 +60,7 @@ async fn eight_addresses_hold_every_visitors_place() {
     let (gate, away) = (Gate::new(), Home::new());
     let bob = away.profile("bob").with(&gate.options());
     let address = bob.enrol();
-    gate.home.profile("gateway").with(&["--robots", "0"]).json(&["gateway", "admit", &address]);
+    gate.home.profile("gateway").with(&["--robots", "0"]).json(&["gateway", "allow", &address]);
     // Allocates the transport key, in its own time.
     let site = bob.serve(&away);
     let key = away.path().join("profiles/bob/transport-key");
@@ -73,7 +73,7 @@ async fn eight_addresses_hold_every_visitors_place() {
     }
     assert_eq!(held, EACH * usize::from(ADDRESSES), "every place is held");
 
-    let listed = bob.run(&["shared", "list"]);
+    let listed = bob.run(&["received", "list", "--oldest"]);
     let newcomer = visit(&seen_from(NEWCOMER, &gate.gateway).await).await;
     let mut stays = true;
     if let Ok(mut newcomer) = newcomer {

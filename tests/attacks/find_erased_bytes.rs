@@ -15,21 +15,21 @@ fn find_erased_bytes() {
     authros.enrol();
     authros.capture(&[TOPIC, "/robot1/odom"], 5);
     let records = wait_until(120, "all is verified", || {
-        let records = authros.records(&["uploads", "list", "--topic", TOPIC]);
+        let records = authros.records(&["records", "list", "--oldest", "--topic", TOPIC]);
         (records.len() >= 5 && records.iter().all(is_verified)).then_some(records)
     });
     let pieces = pieces_of(&home, &records);
     assert!(!with_any(&home.path(), &pieces).is_empty(), "the search finds what is there");
 
-    authros.json(&["retention", "erase", "--topic", TOPIC, "--reason", "a face is in it", "--yes"]);
+    authros.json(&["records", "erase", "--topic", TOPIC, "--reason", "a face is in it", "--yes"]);
     wait_until(120, "they are gone", || {
-        let records = authros.records(&["uploads", "list", "--topic", TOPIC]);
+        let records = authros.records(&["records", "list", "--oldest", "--topic", TOPIC]);
         records.iter().all(|record| record["state"] == "deleted").then_some(())
     });
     let while_it_runs = with_any(&home.path(), &pieces);
     site.stop("TERM", 30).expect_code(0);
     let afterwards = with_any(&home.path(), &pieces);
-    let shown = authros.json(&["shared", "check", &text(&records[0], "id")]);
+    let shown = authros.json(&["records", "check", &text(&records[0], "id")]);
     let outcome = match (while_it_runs.is_empty(), afterwards.is_empty()) {
         (true, true) if shown["verdict"] == "deleted" => Outcome::Refused(format!(
             "none of {} pieces of ciphertext is in any file, and the record's proof still stands",

@@ -69,11 +69,11 @@ async fn uploads_are_answered_in_clear_for_a_while() {
     });
     let robot = Home::new();
     let file = robot.root().join("robot.enrolment").to_str().expect("UTF-8").to_owned();
-    let enrol = ["agent", "enrol", "--gateway", &address, "--gateway-key", gate.key()];
+    let enrol = ["robot", "enrol", "--gateway", &address, "--gateway-key", gate.key()];
     alice.json(&[&enrol[..], &["--name", "scout", "--topic", "/robot1/odom", "--out", &file]].concat());
     left.store(FORGERIES, Ordering::SeqCst);
     let agent = robot.authros().with(&["--json", "--robots", "1"]);
-    let ended = tokio::task::spawn_blocking(move || agent.spawn(&["agent", "run", &file, "--count", "40"]).wait(180));
+    let ended = tokio::task::spawn_blocking(move || agent.spawn(&["robot", "run", &file, "--count", "40"]).wait(180));
     let ended = ended.await.expect("ends");
     let summary: Value = serde_json::from_str(ended.stdout.lines().last().expect("a document")).expect("JSON");
     let (captured, verified) = (count(&summary, "captured"), count(&summary, "verified"));

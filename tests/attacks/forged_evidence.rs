@@ -1,5 +1,5 @@
 //! Fabricated evidence: a record signed with a key the attacker has, anchored by an account that nobody suspended, in a
-//! folder like that of `uploads export`; and the verdict of `authros verify`.
+//! folder like that of `records export`; and the verdict of `authros evidence verify`.
 
 use std::path::{Path, PathBuf};
 
@@ -108,7 +108,7 @@ impl Scene {
         std::fs::create_dir_all(&place).expect("a folder");
         let stranger = Authros::bare(&place);
         let folder = folder.to_str().expect("UTF-8");
-        let read = stranger.run(&["verify", folder, "--chain", &self.served.url()]);
+        let read = stranger.run(&["evidence", "verify", folder, "--chain", &self.served.url()]);
         let refusal = read.stdout.lines().find(|line| line.contains(reason)).unwrap_or_default().trim().to_owned();
         let verdict = read.stdout.lines().find(|line| line.contains("VERIFIED")).unwrap_or_default().trim().to_owned();
         match (read.code, verdict.contains("NOT VERIFIED")) {
@@ -121,7 +121,7 @@ impl Scene {
     /// Waits until the program considers a device's loan ended.
     pub fn until_expired(&self, device: &str) -> Value {
         wait_until(60, "the loan ends", || {
-            let devices = crate::support::list(&self.alice.json(&["devices", "list"]), "devices");
+            let devices = crate::support::list(&self.alice.json(&["robot", "devices"]), "devices");
             devices.into_iter().find(|row| row["device"] == device && row["state"] == "expired")
         })
     }

@@ -10,9 +10,9 @@ fn freeze_the_contract_for_ever() {
     let (boss, owner) = (home.profile("boss"), home.profile("owner"));
     boss.enrol();
     owner.enrol();
-    boss.json(&["chain", "pause"]);
+    boss.json(&["chain", "admin", "pause"]);
     let device = "ab".repeat(32);
-    let lend = ["devices", "lend", &device];
+    let lend = ["robot", "authorise", &device];
     let stopped = owner.fails(5, &lend);
     assert!(stopped.contains("paused"), "{stopped}");
     let Some(later) = days_ahead(&owner, 4) else { skipped!("no libfaketime (package faketime)") };
@@ -27,7 +27,7 @@ fn freeze_the_contract_for_ever() {
         return judge("freeze_the_contract_for_ever", outcome);
     }
     // It ended by itself; she tries the next pause at once.
-    let again = days_ahead(&boss, 4).expect("libfaketime").with(&["--json"]).run(&["chain", "pause"]);
+    let again = days_ahead(&boss, 4).expect("libfaketime").with(&["--json"]).run(&["chain", "admin", "pause"]);
     let outcome = if again.code == Some(0) {
         Outcome::Succeeded("one pause after the other".to_owned())
     } else {

@@ -11,7 +11,7 @@ fn an_owner_grants_to_a_key_known_from_the_gateway_alone() {
     let bob = gate.home.profile("bob").enrol();
     let alice = away.profile("alice").with(&gate.options());
     alice.enrol();
-    let granted = alice.run(&["grant", &bob]);
+    let granted = alice.run(&["grant", "add", &bob]);
     let words = granted.stderr.lines().last().unwrap_or_default().to_owned();
     let outcome = if granted.code == Some(0) {
         Outcome::Succeeded("the keys were wrapped for whatever key the gateway showed as the reader's".to_owned())

@@ -23,10 +23,10 @@ fn lie_through_the_cache() {
     let _site = authros.serve(&home);
     authros.enrol();
     authros.capture(&[TOPIC], 2);
-    let records = authros.records(&["uploads", "list"]);
+    let records = authros.records(&["records", "list", "--oldest"]);
     let [one, other] = [0, 1].map(|index| text(&records[index], "id"));
     let keys = [0, 1].map(|index| format!("authros:{}", text(&records[index], "digest")));
-    let open = |id: &str| authros.json(&["shared", "open", id]);
+    let open = |id: &str| authros.json(&["records", "open", id]);
     let truth = [open(&one), open(&other)].map(|opened| opened["message"].clone());
     assert_ne!(truth[0], truth[1]);
     let state = || authros.json(&["status"])["cache"].clone();

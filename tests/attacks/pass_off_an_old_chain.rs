@@ -1,5 +1,5 @@
 //! An operator founds a chain of his own under a clock of 2019, and wants anyone who checks a record of it to believe
-//! that it existed in 2019: `verify` against his own `chain serve` should say VERIFIED without saying whose clock it
+//! that it existed in 2019: `evidence verify` against his own `chain serve` should say VERIFIED without saying whose clock it
 //! was.
 
 use crate::Outcome;
@@ -15,19 +15,19 @@ fn pass_off_an_old_chain() {
         .with_program(&faketime)
         .with_prefix(&["2019-03-03 12:00:00", &program])
         .with_variable("FAKETIME_DONT_FAKE_MONOTONIC", "1");
-    old.run(&["register"]).expect_code(0);
+    old.run(&["identity", "register"]).expect_code(0);
     old.run(&["capture", "--count", "1", "--topic", "/robot1/odom"]).expect_code(0);
-    let id = text(&now.records(&["uploads", "list"])[0], "id");
+    let id = text(&now.records(&["records", "list", "--oldest"])[0], "id");
     let folder = home.root().join("evidence");
     let folder = folder.to_str().expect("UTF-8");
-    now.run(&["uploads", "export", &id, "--dir", folder]).expect_code(0);
+    now.run(&["records", "export", &id, "--dir", folder]).expect_code(0);
 
     let port = free_port().to_string();
     let mut chain = now.spawn(&["chain", "serve", "--listen", &format!("127.0.0.1:{port}")]);
     chain.wait_for_text(&port, 60);
     let url = format!("http://127.0.0.1:{port}");
-    let checked = now.run(&["verify", folder, "--chain", &url]);
-    let document = now.with(&["--json"]).run(&["verify", folder, "--chain", &url]).document();
+    let checked = now.run(&["evidence", "verify", folder, "--chain", &url]);
+    let document = now.with(&["--json"]).run(&["evidence", "verify", folder, "--chain", &url]).document();
     chain.stop("INT", 30);
 
     let said = &checked.stdout;
@@ -43,7 +43,7 @@ fn pass_off_an_old_chain() {
     let outcome = match (honest, verdict.is_empty()) {
         (true, false) => Outcome::Refused(verdict),
         (false, false) => {
-            Outcome::Succeeded(format!("`verify` says of a chain founded by its operator's clock: {verdict}"))
+            Outcome::Succeeded(format!("`evidence verify` says of a chain founded by its operator's clock: {verdict}"))
         }
         (_, true) => Outcome::Otherwise(checked.to_string()),
     };

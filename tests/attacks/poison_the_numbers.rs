@@ -77,13 +77,13 @@ fn topics_of(owner: &Member, other: &Robot) -> Vec<(String, TopicId)> {
 fn recorder_of(alice: &Authros, home: &Home, owner: &Member) -> RecorderId {
     let signer = authros::crypto::signer_id(&owner.keyring.signing.public);
     wait_until(60, "a record that the owner signed", || {
-        let of_kind = |kind| alice.records_so_far(&["uploads", "list", "--kind", kind]).unwrap_or_default();
+        let of_kind = |kind| alice.records_so_far(&["records", "list", "--oldest", "--kind", kind]).unwrap_or_default();
         let mut records = ["data", "key", "audit"].into_iter().flat_map(of_kind);
         records.find_map(|record| {
             let id = text(&record, "id");
             let folder = home.root().join(&id);
             let place = folder.to_str().expect("UTF-8");
-            alice.run(&["uploads", "export", &id, "--dir", place]);
+            alice.run(&["records", "export", &id, "--dir", place]);
             let blob = std::fs::read(folder.join("record.bin")).ok()?;
             let (header, _) = Header::parse(&blob).expect("a header");
             (header.signer == signer).then_some(header.recorder)
@@ -93,7 +93,7 @@ fn recorder_of(alice: &Authros, home: &Home, owner: &Member) -> RecorderId {
 
 /// The highest epoch in the records of the robot that nobody stole.
 fn epoch_of_honest(alice: &Authros) -> Option<u64> {
-    let records = alice.records_so_far(&["uploads", "list", "--topic", HONEST_TOPIC])?;
+    let records = alice.records_so_far(&["records", "list", "--oldest", "--topic", HONEST_TOPIC])?;
     records.iter().map(|record| count(record, "epoch")).max()
 }
 
@@ -115,7 +115,7 @@ async fn attempt(alice: &Authros, home: &Home, robots: [&Robot; 3], captures: bo
         poison(&mut parts, robot, recorder, &topics).await;
     }
     capture();
-    let recalled: Value = alice.json(&["devices", "recall", &whole.device]);
+    let recalled: Value = alice.json(&["robot", "revoke", &whole.device]);
     let epoch = count(&recalled, "epoch");
     let begun = std::time::Instant::now();
     wait_until(BOUND, "the other robot seals under the epoch of the recall", || {
@@ -153,7 +153,7 @@ async fn poison_the_numbers_of_an_owner_elsewhere() {
         .with_variable("AUTHROS_SITE", &gate.gateway.address)
         .with_variable("AUTHROS_GATEWAY_KEY", gate.key());
     let address = alice.enrol();
-    gate.home.authros().json(&["gateway", "admit", &address]);
+    gate.home.authros().json(&["gateway", "allow", &address]);
     let site = alice.serve(&home);
     let at = (&gate.gateway.address[..], gate.key());
     let scoped = Robot::enrol_at(&alice, at, "scout-1", &[TOPIC]);

@@ -17,7 +17,7 @@ async fn read_the_owner_with_a_scoped_robot() {
     other.capture(2);
     let stolen = scoped.stolen();
     let signer = stolen.device_id().to_string();
-    let records = scene.alice.records(&["uploads", "list"]);
+    let records = scene.alice.records(&["records", "list", "--oldest"]);
     let known: Vec<Digest> = records.iter().map(|record| text(record, "digest").parse().expect("a digest")).collect();
     let mut client = session(&stolen).await.expect("it is lent");
     let (mut parts, refused_by) = (Parts::default(), [Code::NotAuthorised]);

@@ -27,7 +27,7 @@ async fn read_while_suspended() {
     let gate = Gate::new();
     let (alice, bob) = (gate.home.profile("alice"), gate.home.profile("bob"));
     let (_, reader) = (alice.enrol(), bob.enrol());
-    alice.json(&["grant", &reader]);
+    alice.json(&["grant", "add", &reader]);
     let [owner, member] = ["alice", "bob"].map(|name| Member::of(&gate.home, name, gate.gateway.domain));
     let credentials = owner.allocate(&gate.gateway, "robot-7").await.expect("allocates");
     let mut robot = connect(&gate.gateway, &credentials).await;
@@ -40,7 +40,7 @@ async fn read_while_suspended() {
     let (entry, _) = follower.next(&mut listening, Duration::from_secs(20)).await.expect("granted");
     assert_eq!(entry.digest, known, "the line that was sent");
 
-    gate.home.profile("gateway").json(&["chain", "suspend", &reader]);
+    gate.home.profile("gateway").json(&["chain", "admin", "suspend", &reader]);
     send(&owner, &mut robot, 2).await;
     let mut live = 0;
     let ended = loop {

@@ -29,7 +29,7 @@ async fn read_with_a_recalled_robot() {
     lost.capture(3);
     other.capture(3);
     let stolen = lost.stolen();
-    let records = scene.alice.records(&["uploads", "list"]);
+    let records = scene.alice.records(&["records", "list", "--oldest"]);
     let known: Digest = crate::support::text(&records[0], "digest").parse().expect("a digest");
     let mut client = session(&stolen).await.expect("it is not recalled yet");
     // Opened before, on everything he may have.
@@ -38,7 +38,7 @@ async fn read_with_a_recalled_robot() {
         Ok(follower) => follower,
         Err(_) => Live::begin(&mut listening, notices(&stolen)).await.expect("its own notices"),
     };
-    let recalled = scene.alice.json(&["devices", "recall", &lost.device]);
+    let recalled = scene.alice.json(&["robot", "revoke", &lost.device]);
     let begun = std::time::Instant::now();
     let mut parts = Parts::default();
     ask(&mut parts, &mut client, &stolen, known).await;

@@ -16,7 +16,7 @@ async fn read_with_replaced_keys() {
     let gate = Gate::new();
     let (alice, bob) = (gate.home.profile("alice"), gate.home.profile("bob"));
     let (_, reader) = (alice.enrol(), bob.enrol());
-    alice.json(&["grant", &reader]);
+    alice.json(&["grant", "add", &reader]);
     let [owner, member] = ["alice", "bob"].map(|name| Member::of(&gate.home, name, gate.gateway.domain));
     let credentials = owner.allocate(&gate.gateway, "robot-7").await.expect("allocates");
     let mut robot = connect(&gate.gateway, &credentials).await;

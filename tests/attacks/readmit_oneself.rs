@@ -8,11 +8,11 @@ fn readmit_oneself() {
     let home = Home::new();
     let (boss, stranger) = (home.profile("boss"), home.profile("stranger"));
     boss.enrol();
-    boss.json(&["chain", "close"]);
+    boss.json(&["chain", "admin", "close"]);
     let address = text(&stranger.json(&["identity", "create"]), "address");
-    boss.json(&["chain", "admit", &address]);
-    let withdrawn = boss.run(&["chain", "dismiss", &address]);
-    let registered = stranger.with(&["--json"]).run(&["register"]);
+    boss.json(&["chain", "admin", "allow", &address]);
+    let withdrawn = boss.run(&["chain", "admin", "deny", &address]);
+    let registered = stranger.with(&["--json"]).run(&["identity", "register"]);
     let outcome = if registered.code == Some(0) {
         let how = if withdrawn.code == Some(0) { "although it was withdrawn" } else { "which cannot be withdrawn" };
         Outcome::Succeeded(format!("{address} registered on its admission, {how}"))

@@ -16,7 +16,7 @@ use crate::support::{count, list, text};
 
 const TRUE: (&str, &str) = ("/robot1/odom", "nav_msgs/Odometry");
 const FALSE: (&str, &str) = ("/emergency_stop_released", "std_msgs/Bool");
-/// Printed as it is, it looks like the last lines of `uploads show`.
+/// Printed as it is, it looks like the last lines of `records show`.
 const LINES: &str =
     "/odom, captured now\nsignature  SM2 by signer of the owner herself\nverified  read back from the store";
 
@@ -60,7 +60,7 @@ impl Thief {
 
 /// Honest records and false ones, as alice's list of the true topic has them.
 fn judge_list(parts: &mut Parts, scene: &Scene, honest: usize, forged: &[String]) {
-    let listed = scene.alice.records(&["uploads", "list", "--topic", TRUE.0]);
+    let listed = scene.alice.records(&["records", "list", "--oldest", "--topic", TRUE.0]);
     let is_forged = |record: &&Value| forged.contains(&text(record, "id"));
     let is_honest = |record: &&Value| !is_forged(record) && record["type"] == TRUE.1;
     if listed.iter().filter(is_honest).count() != honest {
@@ -72,21 +72,21 @@ fn judge_list(parts: &mut Parts, scene: &Scene, honest: usize, forged: &[String]
             parts.reached(format!("a false type is shown: {record}"));
         }
     }
-    let stolen = scene.alice.records(&["uploads", "list", "--topic", FALSE.0]);
+    let stolen = scene.alice.records(&["records", "list", "--oldest", "--topic", FALSE.0]);
     if !stolen.is_empty() {
         parts.reached(format!("{} records are listed as {}: {stolen:?}", stolen.len(), FALSE.0));
     }
 }
 
-/// What `uploads show` prints and `shared open` answers of a false record.
+/// What `records show` prints and `records open` answers of a false record.
 fn judge_one(parts: &mut Parts, scene: &Scene, id: &str, what: &str) {
-    let shown = scene.alice.run(&["uploads", "show", id]).expect_code(0).stdout;
+    let shown = scene.alice.run(&["records", "show", id]).expect_code(0).stdout;
     let forged = |line: &str| line.starts_with("verified") || line.ends_with("of the owner herself");
     if shown.lines().any(forged) || shown.contains(FALSE.0) || shown.contains(FALSE.1) {
         parts.reached(format!("the thief's words are shown as those of the program:\n{shown}"));
     }
     parts.refused("shown", &shown, "false name");
-    let opened = scene.alice.with(&["--json"]).run(&["shared", "open", id]);
+    let opened = scene.alice.with(&["--json"]).run(&["records", "open", id]);
     match opened.code {
         Some(5) => parts.refused("opened", &text(&opened.document()["error"], "message"), what),
         _ => parts.reached(format!("it is opened under its false name: {opened}")),
@@ -131,9 +131,9 @@ async fn rename_a_topic() {
         uploads.push(upload);
     }
     client.upload(uploads).await.expect("a gateway sees no names");
-    scene.alice.records(&["uploads", "list"]);
+    scene.alice.records(&["records", "list", "--oldest"]);
     let mut parts = Parts::default();
-    let alone = scene.alice.records(&["uploads", "list", "--topic", TRUE.0]);
+    let alone = scene.alice.records(&["records", "list", "--oldest", "--topic", TRUE.0]);
     if alone.len() + 1 != ids.len() {
         parts.reached(format!("records of {} are not found by its name: {alone:?}", TRUE.0));
     }

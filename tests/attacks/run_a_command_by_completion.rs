@@ -21,7 +21,7 @@ fn run_a_command_by_completion() {
         format!("/x$(touch${{IFS}}{})", proof.display()),
         format!("/x`touch${{IFS}}{}`", proof.display()),
     ];
-    let script = home.file("authros.bash", authros.run(&["completions", "bash"]).expect_code(0).stdout, 0o600);
+    let script = home.file("authros.bash", authros.run(&["--print-completions", "bash"]).expect_code(0).stdout, 0o600);
     let path = format!(
         "{}:{}",
         authros.program().parent().expect("a folder").display(),
@@ -32,7 +32,7 @@ fn run_a_command_by_completion() {
         assert!(ledger.execute("UPDATE topics SET name = ?1", [&name]).expect("renamed") >= 1);
         // What the operator types, what completion makes of it, and Enter.
         let line = format!(
-            "source {script}; COMP_WORDS=(authros --home {root} uploads list --topic /x); COMP_CWORD=6; \
+            "source {script}; COMP_WORDS=(authros --home {root} records list --topic /x); COMP_CWORD=6; \
              _authros_words authros /x ''; eval \"true ${{COMPREPLY[0]}}\""
         );
         let run = Command::new(&bash).args(["--norc", "-c", &line]).env("PATH", &path).output().expect("bash runs");

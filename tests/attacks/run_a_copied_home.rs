@@ -20,7 +20,7 @@ fn site(home: &Home) -> (Authros, Running) {
 /// Everything captured since there were `before` records.
 fn newer(authros: &Authros, before: &[Value]) -> Vec<Value> {
     let known: Vec<String> = before.iter().map(|record| text(record, "digest")).collect();
-    let all = authros.records(&["uploads", "list", "--topic", TOPIC, "--state", "verified"]);
+    let all = authros.records(&["records", "list", "--oldest", "--topic", TOPIC, "--state", "verified"]);
     all.into_iter().filter(|record| !known.contains(&text(record, "digest"))).collect()
 }
 
@@ -28,7 +28,7 @@ fn newer(authros: &Authros, before: &[Value]) -> Vec<Value> {
 fn header(home: &Home, authros: &Authros, record: &Value, name: &str) -> Header {
     let folder = home.root().join(name);
     let place = folder.to_str().expect("UTF-8");
-    authros.run(&["uploads", "export", &text(record, "id"), "--dir", place]).expect_code(0);
+    authros.run(&["records", "export", &text(record, "id"), "--dir", place]).expect_code(0);
     Header::parse(&std::fs::read(folder.join("record.bin")).expect("the record")).expect("a record").0
 }
 
@@ -42,7 +42,7 @@ fn run_a_copied_home() {
     authros.json(&["topics", "unwatch", TOPIC]);
     let settled = || (count(&authros.json(&["status"])["life"], "pending") == 0).then_some(());
     wait_until(60, "all of them are", settled);
-    let before = authros.records(&["uploads", "list", "--topic", TOPIC]);
+    let before = authros.records(&["records", "list", "--oldest", "--topic", TOPIC]);
     let copied = Command::new("cp").arg("-a").arg(first.path()).arg(second.path()).status();
     assert!(copied.is_ok_and(|status| status.success()), "the home is copied while it runs");
 

@@ -20,7 +20,7 @@ fn show_an_edited_time() {
     let authros = home.authros().with(&["--robots", "1"]);
     authros.enrol();
     authros.capture(&["/robot1/odom"], 1);
-    let record = authros.records(&["uploads", "list"]).remove(0);
+    let record = authros.records(&["records", "list", "--oldest"]).remove(0);
     let (id, real) = (text(&record, "id"), record["captured_at"].to_string());
     let ledger = rusqlite::Connection::open(home.path().join("ledger.db")).expect("the ledger opens");
     let changed = ledger
@@ -33,21 +33,21 @@ fn show_an_edited_time() {
     drop(ledger);
 
     let json = authros.with(&["--json"]);
-    let opened = json.run(&["shared", "open", &id]);
-    let shown = json.run(&["uploads", "show", &id]).document();
-    let listed = list(&json.run(&["uploads", "list"]).document(), "records").remove(0);
+    let opened = json.run(&["records", "open", &id]);
+    let shown = json.run(&["records", "show", &id]).document();
+    let listed = list(&json.run(&["records", "list", "--oldest"]).document(), "records").remove(0);
     let recording = home.root().join("out.mcap");
-    let exported = json.run(&["shared", "export", "--mcap", recording.to_str().expect("UTF-8")]).document();
+    let exported = json.run(&["bag", "export", "--mcap", recording.to_str().expect("UTF-8")]).document();
     let audited = authros.run(&["audit"]);
     let mut false_faces = Vec::new();
     let opened_document = opened.document();
-    for (face, document) in [("shared open", &opened_document), ("uploads show", &shown), ("uploads list", &listed)] {
+    for (face, document) in [("records open", &opened_document), ("records show", &shown), ("records list", &listed)] {
         if verified_time(document).is_some_and(|time| time != real) {
             false_faces.push(face);
         }
     }
     if exported["messages"].as_u64().is_some_and(|messages| messages > 0) {
-        false_faces.push("shared export");
+        false_faces.push("bag export");
     }
     if audited.code == Some(0) {
         false_faces.push("audit");

@@ -1,5 +1,5 @@
 //! Someone with a device whose loan has ended writes a record, claims that it was captured during the loan, and anchors
-//! it from an account of his own: `verify` should say VERIFIED.
+//! it from an account of his own: `evidence verify` should say VERIFIED.
 
 use authros::crypto::{ProviderName, SmKeyPair, provider, signer_id};
 use authros::model::Timestamp;
@@ -12,7 +12,7 @@ async fn sign_after_the_loan() {
     let scene = Scene::new().await;
     let device = SmKeyPair::generate(provider(ProviderName::RustCrypto)).expect("a pair");
     let id = signer_id(&device.public).to_string();
-    scene.alice.json(&["devices", "lend", &id, "--until", "15s"]);
+    scene.alice.json(&["robot", "authorise", &id, "--until", "15s"]);
     let within = Timestamp::now();
     let honest = scene.forge(&device, within).await;
     let Outcome::Succeeded(_) = scene.judge(&honest, "no such words") else { panic!("within the loan it may sign") };

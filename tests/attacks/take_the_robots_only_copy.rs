@@ -52,6 +52,10 @@ impl Desk for Liar {
         Ok(Some(self.binding.clone()))
     }
 
+    async fn recalled(&self, _: &Binding) -> Result<Option<Timestamp>, Refusal> {
+        Ok(None)
+    }
+
     async fn successor(&self, _: &Address) -> Result<Option<Address>, Refusal> {
         Ok(None)
     }

@@ -70,9 +70,9 @@ async fn wear_a_reader_out() {
     let (alice, mallory, bob) = (gate.home.profile("alice"), joins(&away, "mallory"), joins(&his, "bob"));
     let [_, worn, read] = [&alice, &mallory, &bob].map(Authros::enrol);
     for account in [&read, &worn] {
-        gate.home.profile("gateway").json(&["gateway", "admit", account]);
+        gate.home.profile("gateway").json(&["gateway", "allow", account]);
     }
-    alice.json(&["grant", &read]);
+    alice.json(&["grant", "add", &read]);
     let of = |home: &Home, name: &str| Member::of(home, name, gate.gateway.domain);
     let (hostile, reader) = (of(&away, "mallory"), of(&his, "bob"));
 

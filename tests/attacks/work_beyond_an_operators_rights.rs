@@ -37,18 +37,18 @@ fn work_beyond_an_operators_rights() {
     wait_until(60, "the operators' socket", || socket.exists().then_some(()));
     let reader = keeper.with(&["--profile", "carol"]).enrol();
     alice.capture(&[TOPIC], 1);
-    let id = text(&alice.records(&["uploads", "list"])[0], "id");
+    let id = text(&alice.records(&["records", "list", "--oldest"])[0], "id");
     let his = accounts.authros("bob").with(&["--site-socket", socket.to_str().expect("UTF-8"), "--profile", "alice"]);
-    assert_eq!(list(&his.json(&["uploads", "list"]), "records").len(), 1, "looking is his");
+    assert_eq!(list(&his.json(&["records", "list", "--oldest"]), "records").len(), 1, "looking is his");
 
     let mut parts = Parts::default();
     let bundle = accounts.home("bob").join("bundle.authros");
     for (words, arguments) in [
-        ("needs the right 'grant'", &["grant", &reader][..]),
+        ("needs the right 'grant'", &["grant", "add", &reader][..]),
         ("needs the right 'capture'", &["topics", "watch", TOPIC]),
         ("only the owner", &["keys", "rotate"]),
         ("only the owner", &["evidence", "export", bundle.to_str().expect("UTF-8"), "--reveal", &id]),
-        ("only the owner", &["shared", "open", &id]),
+        ("only the owner", &["records", "open", &id]),
     ] {
         parts.refused(&arguments.join(" "), &his.fails(REFUSED, arguments), words);
     }
@@ -58,7 +58,7 @@ fn work_beyond_an_operators_rights() {
         .with_variable("AUTHROS_OPERATORS_RIGHTS", &rights.replace("[\"look\"]", "[\"look\", \"capture\", \"grant\"]"))
         .with_variable("USER", &eve)
         .with_variable("LOGNAME", &eve);
-    parts.refused("rights of his own", &stronger.fails(REFUSED, &["grant", &reader]), "needs the right 'grant'");
+    parts.refused("rights of his own", &stronger.fails(REFUSED, &["grant", "add", &reader]), "needs the right 'grant'");
     // The kernel's word for a group is not enough: the user database does not know it.
     let said = accounts.line(&mallory, &socket).next().expect("a line");
     match said["refused"]["message"].as_str() {
@@ -88,7 +88,7 @@ fn work_beyond_an_operators_rights() {
         parts.otherwise(format!("{TRIES} refused grants left {told} lines"));
     }
     assert!(lines.iter().all(|line| line["profile"] == "alice" && line["operator"] == *bob), "{lines:?}");
-    assert!(list(&alice.json(&["grants", "list"]), "grants").is_empty(), "nobody reads");
+    assert!(list(&alice.json(&["grant", "list"]), "grants").is_empty(), "nobody reads");
     judge("work_beyond_an_operators_rights", parts.outcome());
 }
 

@@ -28,22 +28,22 @@ async fn who_may_use_a_gateway_is_its_keepers_choice() {
     let keeper = gate.home.authros();
     let owner = carol.address().to_string();
     assert_eq!(refused(carol.allocate(&gate.gateway, "scout").await), Code::NotAdmitted);
-    let remedy = format!("`authros gateway admit {owner}`");
+    let remedy = format!("`authros gateway allow {owner}`");
     wait_until(20, "the gateway's terminal says what to type", || gate.stderr().contains(&remedy).then_some(()));
-    keeper.json(&["gateway", "admit", &owner]);
+    keeper.json(&["gateway", "allow", &owner]);
     let credentials = carol.allocate(&gate.gateway, "scout").await.expect("admitted");
     // Without a site of hers nothing is fetched, which an empty list must not hide.
-    let listed = away.profile("carol").with(&gate.options()).run(&["uploads", "list"]).expect_code(0);
+    let listed = away.profile("carol").with(&gate.options()).run(&["records", "list", "--oldest"]).expect_code(0);
     assert!(listed.stderr.contains("start `authros serve` to fetch what is new"), "{listed}");
     let mut robot = connect(&gate.gateway, &credentials).await;
     let record = |seq| carol.record(&carol.keyring.signing, TOPIC, seq, b"a line");
     robot.upload(vec![record(1)]).await.expect("accepted");
-    let left = keeper.json(&["gateway", "dismiss", &owner]);
-    assert!(support::list(&left, "admitted").is_empty(), "{left}");
+    let left = keeper.json(&["gateway", "deny", &owner]);
+    assert!(support::list(&left, "allowed").is_empty(), "{left}");
     assert_eq!(refused(robot.upload(vec![record(2)]).await), Code::NotAdmitted, "in the very same session");
     assert_eq!(refused(robot.missing(&[authros::model::Digest([1; 32])]).await), Code::NotAdmitted);
     assert_eq!(refused(robot.relay("eth_chainId", &serde_json::json!([])).await), Code::NotAdmitted);
-    keeper.json(&["gateway", "admit", &owner]);
+    keeper.json(&["gateway", "allow", &owner]);
     robot.upload(vec![record(2)]).await.expect("accepted again");
     let lines = support::list(&keeper.json(&["audit", "list", "--limit", "1000"]), "audit");
     let acts = lines.iter().filter(|line| text(line, "subject") == owner);
@@ -64,7 +64,7 @@ async fn an_open_gateway_takes_strangers_within_quotas() {
     assert_eq!(refused(robot.upload(vec![record("/three", 1, 10)]).await), Code::Quota, "a third");
     robot.upload(vec![record("/one", 2, 10)]).await.expect("those that are there go on");
     assert_eq!(refused(robot.upload(vec![record("/one", 3, 1 << 20)]).await), Code::Quota, "bytes");
-    gate.home.authros().json(&["gateway", "admit", &carol.address().to_string()]);
+    gate.home.authros().json(&["gateway", "allow", &carol.address().to_string()]);
     robot
         .upload(vec![record("/three", 1, 10), record("/one", 3, 1 << 20)])
         .await

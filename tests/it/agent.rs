@@ -1,4 +1,4 @@
-//! Robots that run no chain client: enrolled by their owners, captured by `authros agent run`, passed on over TCP to
+//! Robots that run no chain client: enrolled by their owners, captured by `authros robot run`, passed on over TCP to
 //! one gateway, which anchors for all of them.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
@@ -60,7 +60,7 @@ impl Robot {
     fn enrol(gateway: &Gateway, owner: &Authros, address: &str, name: &str, topics: &[&str]) -> Self {
         let home = Home::new();
         let enrolment = home.root().join("robot.enrolment").to_str().expect("UTF-8").to_owned();
-        let mut arguments = vec!["agent", "enrol", "--gateway", address, "--gateway-key", &gateway.fingerprint];
+        let mut arguments = vec!["robot", "enrol", "--gateway", address, "--gateway-key", &gateway.fingerprint];
         arguments.extend(["--name", name, "--out", &enrolment]);
         arguments.extend(topics.iter().flat_map(|topic| ["--topic", topic]));
         arguments.extend(topics.is_empty().then_some("--all-topics"));
@@ -74,7 +74,7 @@ impl Robot {
 
     fn run(&self, arguments: &[&str]) -> Running {
         let agent = self.home.authros().with(&["--json"]);
-        agent.spawn(&[&["agent", "run", &self.enrolment], arguments].concat())
+        agent.spawn(&[&["robot", "run", &self.enrolment], arguments].concat())
     }
 
     fn secrets(&self) -> SealedEnrolment {
@@ -96,7 +96,7 @@ fn last(stdout: &str) -> Value {
 /// All of an owner's captured messages, once they are verified.
 fn verified(owner: &Authros, least: usize) -> Vec<Value> {
     wait_until(120, "all records are verified", || {
-        let records = owner.records(&["uploads", "list"]);
+        let records = owner.records(&["records", "list", "--oldest"]);
         let done = records.len() >= least && records.iter().all(is_verified);
         done.then_some(records)
     })
@@ -132,7 +132,7 @@ fn four_robots_of_two_accounts_through_one_gateway() {
     for owner in [&alice, &bob] {
         let records = verified(owner, 50);
         assert_eq!(records.len(), 50, "what was published, no more and no less");
-        let opened = owner.json(&["shared", "open", &text(&records[0], "id")]);
+        let opened = owner.json(&["records", "open", &text(&records[0], "id")]);
         assert_eq!(opened["verdict"], "verified", "{opened}");
         assert_eq!(opened["topic"], "/robot1/odom", "{opened}");
         assert!(opened["tags"].to_string().contains(r#"["mission","harbour-watch"]"#), "{opened}");
@@ -252,7 +252,7 @@ fn a_recalled_device_and_a_topic_without_a_key_are_refused() {
     let twice = alice.fails(
         3,
         &[
-            "agent",
+            "robot",
             "enrol",
             "--gateway",
             &address,
@@ -268,17 +268,17 @@ fn a_recalled_device_and_a_topic_without_a_key_are_refused() {
     let other = "ab".repeat(32);
     let out = robot.home.root().join("other").to_str().expect("UTF-8").to_owned();
     let known = &gateway.fingerprint;
-    let second = ["agent", "enrol", "--gateway", &address, "--gateway-key", known, "--name", "scout", "--out", &out];
+    let second = ["robot", "enrol", "--gateway", &address, "--gateway-key", known, "--name", "scout", "--out", &out];
     let second = alice.fails(5, &[&second[..], &["--all-topics"]].concat());
     assert!(second.contains("enrolled already") && second.contains(&robot.device), "one name, one robot: {second}");
-    let enrol = ["agent", "enrol", "--gateway", &address, "--gateway-key", &other, "--name", "rover", "--out", &out];
+    let enrol = ["robot", "enrol", "--gateway", &address, "--gateway-key", &other, "--name", "rover", "--out", &out];
     let wrong = alice.fails(5, &[&enrol[..], &["--all-topics"]].concat());
     assert!(wrong.contains("not the pinned gateway"), "{wrong}");
     let unsaid = alice.fails(2, &enrol);
     assert!(unsaid.contains("--topic") && unsaid.contains("--all-topics"), "both ways are told: {unsaid}");
 
     robot.run(&["--robots", "1", "--count", "3"]).wait(120).expect_code(0);
-    let recalled = alice.json(&["devices", "recall", &robot.device]);
+    let recalled = alice.json(&["robot", "revoke", &robot.device]);
     assert_eq!(count(&recalled, "epoch"), 2, "what it holds opens nothing new: {recalled}");
     let ended = robot.run(&["--robots", "1", "--count", "3"]).wait(120).expect_code(5);
     let summary: Value = serde_json::from_str(ended.stdout.lines().last().expect("a summary")).expect("JSON");
@@ -300,10 +300,10 @@ fn a_new_epoch_reaches_the_robots() {
     wait_until(90, "the gateway takes records", || figures(&agent).filter(|figures| count(figures, "accepted") > 0));
     assert_eq!(count(&alice.json(&["keys", "rotate"]), "epoch"), 2);
     let newer = wait_until(120, "records of the new epoch", || {
-        let records = alice.records(&["uploads", "list"]);
+        let records = alice.records(&["records", "list", "--oldest"]);
         records.into_iter().find(|record| count(record, "epoch") == 2 && is_verified(record))
     });
-    let opened = alice.json(&["shared", "open", &text(&newer, "id")]);
+    let opened = alice.json(&["records", "open", &text(&newer, "id")]);
     assert_eq!((&opened["verdict"], &opened["topic"]), (&"verified".into(), &"/robot1/odom".into()), "{opened}");
     agent.stop("TERM", 30).expect_code(0);
     // What it learnt survives the run; the enrolment file itself is unchanged.
@@ -328,7 +328,7 @@ fn a_new_topic_and_a_new_tag_of_a_scoped_robot_are_found_by_owner_and_reader() {
     let (alice, bob) = (gateway.owner("alexandra"), gateway.owner("bartholomew"));
     let address = format!("127.0.0.1:{}", gateway.port);
     let owner = text(&alice.json(&["identity", "show"]), "address");
-    alice.json(&["grant", &text(&bob.json(&["identity", "show"]), "address")]);
+    alice.json(&["grant", "add", &text(&bob.json(&["identity", "show"]), "address")]);
     // One for all topics computes its pseudonyms like the owner: with IK.
     let rover = Robot::enrol(&gateway, &alice, &address, "rover", &[]);
     let tagged = ["--tag", "mission=harbour", "--robots", "1", "--count", "2"];
@@ -341,11 +341,11 @@ fn a_new_topic_and_a_new_tag_of_a_scoped_robot_are_found_by_owner_and_reader() {
     let both = ["--topic", "/robot1/odom", "--topic", "/robot1/camera/compressed", "--robots", "1"];
     let mut agent = scout.run(&[&both[..], &["--tag", "shift=night"]].concat());
     wait_until(90, "it is refused and counted", || figures(&agent).filter(|figures| count(figures, "lost") > 0));
-    agent.wait_for_text("devices topics add", 60);
-    let told = alice.json(&["devices", "topics", "add", "scout", "/robot1/camera/compressed"]);
+    agent.wait_for_text("robot topics add", 60);
+    let told = alice.json(&["robot", "topics", "add", "scout", "/robot1/camera/compressed"]);
     assert_eq!(told["added"], serde_json::json!(["/robot1/camera/compressed"]), "{told}");
-    alice.fails(5, &["devices", "topics", "add", "scout", "/robot1/camera/compressed"]);
-    let camera = ["uploads", "list", "--topic", "/robot1/camera/compressed"];
+    alice.fails(5, &["robot", "topics", "add", "scout", "/robot1/camera/compressed"]);
+    let camera = ["records", "list", "--oldest", "--topic", "/robot1/camera/compressed"];
     found(&alice, &camera, 1);
     agent.stop("TERM", 20);
 
@@ -354,8 +354,8 @@ fn a_new_topic_and_a_new_tag_of_a_scoped_robot_are_found_by_owner_and_reader() {
         let wanted = all.iter().filter(|record| record["type"] == name);
         wanted.map(|record| text(record, "id")).collect::<Vec<_>>()
     };
-    let mine: (&[&str], &[&str]) = (&["uploads", "list"], &[]);
-    let shared: (&[&str], &[&str]) = (&["shared", "list"], &["--owner", &owner]);
+    let mine: (&[&str], &[&str]) = (&["records", "list", "--oldest"], &[]);
+    let shared: (&[&str], &[&str]) = (&["received", "list", "--oldest"], &["--owner", &owner]);
     for (who, (list, owner)) in [(&alice, mine), (&bob, shared)] {
         let mission = found(who, &[list, owner, &["--tag", "mission=harbour"]].concat(), 4);
         assert_eq!(mission.len(), 4, "of the robot for all topics and of the scoped one");
@@ -374,7 +374,7 @@ fn what_a_robot_sealed_out_of_reach_before_a_grant_from_now_on_is_for_those_who_
     let gateway = Gateway::new();
     let (alice, bob, carol) = (gateway.owner("alice"), gateway.owner("bob"), gateway.owner("carol"));
     let address = |of: &Authros| text(&of.json(&["identity", "show"]), "address");
-    alice.json(&["grant", &address(&bob)]);
+    alice.json(&["grant", "add", &address(&bob)]);
     let line = Cable::to(gateway.port);
     let robot = Robot::enrol(&gateway, &alice, &line.address(), "scout", &["/robot1/odom"]);
     let agent = robot.run(&["--robots", "1"]);
@@ -382,14 +382,14 @@ fn what_a_robot_sealed_out_of_reach_before_a_grant_from_now_on_is_for_those_who_
     line.cut();
     wait_until(90, "its outbox fills", || figures(&agent).filter(|figures| count(figures, "pending") >= 10));
 
-    let dry = alice.json(&["grant", &address(&carol), "--from", "now", "--dry-run"]);
+    let dry = alice.json(&["grant", "add", &address(&carol), "--from", "now", "--dry-run"]);
     assert_eq!((&dry["robots"], &dry["epochs"]), (&serde_json::json!(["scout"]), &1.into()), "{dry}");
-    let granted = alice.json(&["grant", &address(&carol), "--from", "now"]);
+    let granted = alice.json(&["grant", "add", &address(&carol), "--from", "now"]);
     assert_eq!(count(&granted, "epoch"), 2, "{granted}");
     line.mend();
     // It empties its outbox, hears of the new key, and goes on under it.
     let all = wait_until(180, "records of both epochs", || {
-        let records = alice.records(&["uploads", "list"]);
+        let records = alice.records(&["records", "list", "--oldest"]);
         let of =
             |epoch: u64| records.iter().filter(|record| count(record, "epoch") == epoch && is_verified(record)).count();
         (of(1) >= 10 && of(2) >= 2).then_some(records)
@@ -399,7 +399,8 @@ fn what_a_robot_sealed_out_of_reach_before_a_grant_from_now_on_is_for_those_who_
         all.into_iter().filter(is_verified).partition(|record| count(record, "epoch") == 1);
     let shared = |who: &Authros, least: usize| {
         wait_until(120, "shared records", || {
-            let ids: Vec<String> = who.records(&["shared", "list"]).iter().map(|record| text(record, "id")).collect();
+            let ids: Vec<String> =
+                who.records(&["received", "list", "--oldest"]).iter().map(|record| text(record, "id")).collect();
             (ids.len() >= least).then_some(ids)
         })
     };
@@ -411,8 +412,8 @@ fn what_a_robot_sealed_out_of_reach_before_a_grant_from_now_on_is_for_those_who_
         assert!(!of_carol.contains(&text(record, "id")), "{record}");
     }
     let id = |records: &[Value]| text(records.last().expect("some"), "id");
-    carol.is_refused(&["shared", "open", &id(&older)]);
+    carol.is_refused(&["records", "open", &id(&older)]);
     for (who, id) in [(&bob, id(&older)), (&bob, id(&newer)), (&carol, id(&newer))] {
-        assert_eq!(who.json(&["shared", "open", &id])["verdict"], "verified");
+        assert_eq!(who.json(&["records", "open", &id])["verdict"], "verified");
     }
 }

@@ -204,7 +204,7 @@ fn a_grant_is_an_alert_when_a_tenth_of_it_is_left_and_not_when_it_is_made() {
     let alice = watched(&home, &webhook.url(), "0").with_variable("AUTHROS_ALERTS_GRANT_ENDS", "3w");
     let site = alice.serve(&home);
     let bob = home.profile("bob").enrol();
-    alice.json(&["grant", &bob, "--expires", "60s"]);
+    alice.json(&["grant", "add", &bob, "--expires", "60s"]);
     let made = std::time::Instant::now();
     let key = format!("grant_ends/{}-{}", begins(&text(&alice.json(&["identity", "show"]), "address")), begins(&bob));
     wait_until(120, "the alert", || webhook.told("begun", &key).pop());

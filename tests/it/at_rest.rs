@@ -42,12 +42,12 @@ fn who_only_looks_writes_nothing() {
     let authros = home.authros().with(&["--robots", "1"]);
     authros.enrol();
     authros.capture(&["/robot1/odom"], 3);
-    let id = support::text(&authros.records(&["uploads", "list"])[0], "id");
+    let id = support::text(&authros.records(&["records", "list", "--oldest"])[0], "id");
     authros.run(&["audit"]).expect_code(0);
     let looking: [&[&str]; 6] = [
         &["status"],
-        &["uploads", "list"],
-        &["uploads", "show", &id],
+        &["records", "list", "--oldest"],
+        &["records", "show", &id],
         &["topics", "list"],
         &["chain", "status"],
         &["audit"],
@@ -68,7 +68,7 @@ fn who_only_looks_writes_nothing() {
     assert!(written.is_empty(), "{}", written.join("\n"));
 
     // Opening the keyring to read is noted in the audit log, and nothing else is.
-    for opening in [&["grants", "list"], &["shared", "list"]] {
+    for opening in [&["grant", "list"], &["received", "list"]] {
         let before = rows(&home);
         authros.run(opening).expect_code(0);
         let after = rows(&home);

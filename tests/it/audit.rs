@@ -32,27 +32,27 @@ fn every_deed_is_a_line_and_refusals_are_counted() {
     let (alice, bob) = (home.profile("alice"), home.profile("bob"));
     let (own, reader) = (alice.enrol(), bob.enrol());
     alice.capture(&[TOPIC], 2);
-    let id = text(&alice.records(&["uploads", "list"])[0], "id");
+    let id = text(&alice.records(&["records", "list", "--oldest"])[0], "id");
     for _ in 0..3 {
-        bob.is_refused(&["shared", "open", &id]);
+        bob.is_refused(&["records", "open", &id]);
     }
-    alice.run(&["grant", &reader]).expect_code(0);
+    alice.run(&["grant", "add", &reader]).expect_code(0);
     for _ in 0..4 {
-        bob.json(&["shared", "list"]);
+        bob.json(&["received", "list", "--oldest"]);
     }
-    bob.run(&["shared", "check", &id]).expect_code(0);
-    bob.run(&["shared", "open", &id]).expect_code(0);
+    bob.run(&["records", "check", &id]).expect_code(0);
+    bob.run(&["records", "open", &id]).expect_code(0);
     alice.run(&["topics", "watch", TOPIC]).expect_code(0);
     alice.run(&["topics", "unwatch", TOPIC]).expect_code(0);
-    alice.run(&["revoke", &reader]).expect_code(0);
+    alice.run(&["grant", "end", &reader]).expect_code(0);
     let secret = home.root().join("out.pem");
     alice.run(&["keys", "export", "sm2", "--out", secret.to_str().expect("UTF-8")]).expect_code(0);
     let device = "ab".repeat(32);
-    alice.run(&["devices", "lend", &device]).expect_code(0);
-    alice.run(&["devices", "recall", &device]).expect_code(0);
+    alice.run(&["robot", "authorise", &device]).expect_code(0);
+    alice.run(&["robot", "revoke", &device]).expect_code(0);
     let wrong = home.file("wrong", "not the passphrase\n", 0o600);
     site.stop("INT", 30).expect_code(0);
-    home.profile("bob").with(&["--passphrase-file", &wrong]).run(&["grants", "list"]);
+    home.profile("bob").with(&["--passphrase-file", &wrong]).run(&["grant", "list"]);
 
     let all = lines(&alice, &[]);
     for (action, subject, outcome) in [
@@ -78,10 +78,10 @@ fn every_deed_is_a_line_and_refusals_are_counted() {
         ("revoke", &format!("{reader} epoch 2"), "done"),
         ("export key", "sm2", "begun"),
         ("export key", "sm2", "done"),
-        ("lend device", &device, "begun"),
-        ("lend device", &device, "done"),
-        ("recall device", &device, "begun"),
-        ("recall device", &device, "done"),
+        ("authorise device", &device, "begun"),
+        ("authorise device", &device, "done"),
+        ("revoke device", &device, "begun"),
+        ("revoke device", &device, "done"),
         ("unlock", "keyring", "refused"),
     ] {
         assert!(has(&all, action, subject, outcome), "{action} {subject}: {outcome} in {all:#?}");
@@ -112,7 +112,7 @@ fn every_deed_is_a_line_and_refusals_are_counted() {
 }
 
 fn anchored_heads(authros: &Authros) -> Vec<Value> {
-    let records = authros.records(&["uploads", "list", "--kind", "audit"]);
+    let records = authros.records(&["records", "list", "--oldest", "--kind", "audit"]);
     records.into_iter().filter(is_verified).collect()
 }
 
@@ -120,7 +120,7 @@ fn anchored_heads(authros: &Authros) -> Vec<Value> {
 fn body(home: &Home, authros: &Authros, record: &Value) -> Vec<u8> {
     let path = home.root().join("body");
     let out = path.to_str().expect("UTF-8");
-    authros.run(&["shared", "open", &text(record, "id"), "--out", out]).expect_code(0);
+    authros.run(&["records", "open", &text(record, "id"), "--out", out]).expect_code(0);
     fs::read(path).expect("written")
 }
 
@@ -152,16 +152,16 @@ fn heads_are_anchored_while_the_log_changes_and_find_what_was_cut_off() {
     });
     // Nothing more is written, so at most one head that was on its way follows; then none.
     let quiet = wait_until(60, "no head without a change", || {
-        let before = authros.records(&["uploads", "list", "--kind", "audit"]).len();
+        let before = authros.records(&["records", "list", "--oldest", "--kind", "audit"]).len();
         std::thread::sleep(std::time::Duration::from_secs(3));
-        let after = authros.records(&["uploads", "list", "--kind", "audit"]).len();
+        let after = authros.records(&["records", "list", "--oldest", "--kind", "audit"]).len();
         (before == after).then_some(after)
     });
     assert!(quiet >= heads.len());
     site.stop("INT", 30).expect_code(0);
 
     let site = authros.serve(&home);
-    authros.run(&["devices", "lend", &"ab".repeat(32)]).expect_code(0);
+    authros.run(&["robot", "authorise", &"ab".repeat(32)]).expect_code(0);
     let heads = wait_until(60, "a restart goes on with the heads", || {
         Some(anchored_heads(&authros)).filter(|heads| heads.len() > quiet)
     });
@@ -222,24 +222,24 @@ fn on_a_full_disk_nothing_is_granted_or_opened_but_a_revoke_goes_through() {
     let [alice, bob, carol] = ["alice", "bob", "carol"].map(|name| authros.with(&["--profile", name]));
     let [_, reader, third] = [&alice, &bob, &carol].map(Authros::enrol);
     alice.capture(&[TOPIC], 2);
-    let id = text(&alice.records(&["uploads", "list"])[0], "id");
-    alice.run(&["grant", &reader]).expect_code(0);
-    bob.run(&["shared", "open", &id]).expect_code(0);
+    let id = text(&alice.records(&["records", "list", "--oldest"])[0], "id");
+    alice.run(&["grant", "add", &reader]).expect_code(0);
+    bob.run(&["records", "open", &id]).expect_code(0);
     assert_eq!(fs::metadata(inside("reserve")).expect("set aside").len(), 4 << 20);
     alice.run(&["topics", "watch", TOPIC]).expect_code(0);
 
     fill(&inside("fill"));
     // The ledger first uses up the free space in its own files.
-    wait_until(120, "the ledger is full", || (bob.run(&["shared", "check", &id]).code == Some(HOME)).then_some(()));
-    bob.fails(HOME, &["shared", "open", &id]);
-    alice.fails(HOME, &["grant", &third]);
+    wait_until(120, "the ledger is full", || (bob.run(&["records", "check", &id]).code == Some(HOME)).then_some(()));
+    bob.fails(HOME, &["records", "open", &id]);
+    alice.fails(HOME, &["grant", "add", &third]);
     let given = |state: &str| {
-        let rows = list(&alice.json(&["grants", "list"]), "grants");
+        let rows = list(&alice.json(&["grant", "list"]), "grants");
         rows.into_iter().filter(|row| row["state"] == state).map(|row| text(&row, "grantee")).collect::<Vec<_>>()
     };
     assert!(given("active").iter().eq([&reader]), "no line, no grant");
 
-    let revoked = alice.json(&["revoke", &reader]);
+    let revoked = alice.json(&["grant", "end", &reader]);
     assert_eq!(revoked["epoch"], 2, "{revoked}");
     assert!(!inside("reserve").exists(), "out of the reserve");
     assert_eq!((given("active").len(), given("revoked")), (0, vec![reader.clone()]));
@@ -249,7 +249,7 @@ fn on_a_full_disk_nothing_is_granted_or_opened_but_a_revoke_goes_through() {
     fs::remove_file(inside("fill")).expect("space again");
     alice.run(&["topics", "unwatch", TOPIC]).expect_code(0);
     wait_until(120, "what waited in memory is stored and verified", || {
-        let records = alice.records(&["uploads", "list"]);
+        let records = alice.records(&["records", "list", "--oldest"]);
         let late = records.iter().any(|record| record["epoch"] == 2);
         (late && records.iter().all(is_verified)).then_some(())
     });
@@ -358,7 +358,7 @@ fn exported(authros: &Authros, home: &Home) -> Option<Vec<Value>> {
     support::system_program("rosbag")?;
     let bag = home.root().join("exported.bag");
     drop(fs::remove_file(&bag));
-    authros.with(&["--json"]).run(&["shared", "export", "--bag", bag.to_str()?, "--topic", TOPIC]);
+    authros.with(&["--json"]).run(&["bag", "export", "--bag", bag.to_str()?, "--topic", TOPIC]);
     Some(if bag.exists() { support::list_bag(&bag) } else { Vec::new() })
 }
 
@@ -389,9 +389,9 @@ fn no_edited_column_is_shown_as_verified() {
     alice.enrol();
     let reader = bob.enrol();
     alice.capture(&[TOPIC, "/robot1/camera/compressed"], 1);
-    alice.run(&["grant", &reader]).expect_code(0);
-    let own = alice.records(&["uploads", "list"]);
-    let shared = bob.records(&["shared", "list"]);
+    alice.run(&["grant", "add", &reader]).expect_code(0);
+    let own = alice.records(&["records", "list", "--oldest"]);
+    let shared = bob.records(&["received", "list", "--oldest"]);
     let of = |rows: &[Value]| rows.iter().find(|row| row["topic"] == TOPIC).expect("listed").clone();
     let (record, seen) = (of(&own), of(&shared));
     let id = text(&record, "id");
@@ -409,7 +409,7 @@ fn no_edited_column_is_shown_as_verified() {
     drop((connection, fs::copy(&ledger, &kept).expect("copied")));
     let whole = exported(&bob, &home);
     let find = |rows: Vec<Value>| rows.into_iter().find(|row| row["id"] == id.as_str());
-    println!("column | uploads list | shared list | shared open | export | audit | audit --deep");
+    println!("column | records list | received list | records open | export | audit | audit --deep");
     for edit in &EDITS {
         let column = edit.column;
         let connection = rusqlite::Connection::open(&ledger).expect("opens");
@@ -418,14 +418,14 @@ fn no_edited_column_is_shown_as_verified() {
         connection.execute_batch("PRAGMA wal_checkpoint(TRUNCATE)").expect("one file");
         drop(connection);
 
-        let listed = find(alice.records(&["uploads", "list"]));
-        let shared = find(bob.records(&["shared", "list"]));
-        let opened = bob.with(&["--json"]).run(&["shared", "open", &id]);
+        let listed = find(alice.records(&["records", "list", "--oldest"]));
+        let shared = find(bob.records(&["received", "list", "--oldest"]));
+        let opened = bob.with(&["--json"]).run(&["records", "open", &id]);
         let document = opened.document();
         for (face, document, truth) in [
-            ("uploads list", listed.as_ref(), &record),
-            ("shared list", shared.as_ref(), &seen),
-            ("shared open", Some(&document), &seen),
+            ("records list", listed.as_ref(), &record),
+            ("received list", shared.as_ref(), &seen),
+            ("records open", Some(&document), &seen),
         ] {
             let falsely = document.is_some_and(|document| shows_falsely(edit, document, truth));
             assert!(!falsely, "{face} shows an edited {column}: {document:?}");

@@ -32,7 +32,7 @@ fn import(authros: &Authros, path: &Path) -> Value {
 
 fn export(authros: &Authros, path: &Path, options: &[&str]) -> Value {
     let format = if path.extension().is_some_and(|end| end == "mcap") { "--mcap" } else { "--bag" };
-    authros.json_within(900, &[&["shared", "export", format, utf8(path)], options].concat())
+    authros.json_within(900, &[&["bag", "export", format, utf8(path)], options].concat())
 }
 
 /// A bag's messages in any order: topic, type, md5sum, definition, time and bytes; the caller if known.
@@ -54,7 +54,7 @@ fn a_recorded_robot_is_imported_shared_exported_and_played_message_by_message() 
     let figures = ["imported", "verified", "already", "skipped"].map(|field| count(&summary, field));
     assert_eq!(figures, [all as u64, all as u64, 0, 0], "{summary}");
 
-    two.alice.json(&["grant", &two.bob_address]);
+    two.alice.json(&["grant", "add", &two.bob_address]);
     let exported = path(&two, "exported.bag");
     let written = export(&two.bob, &exported, &["--compression", "lz4"]);
     assert_eq!(count(&written, "messages"), all as u64, "{written}");
@@ -92,10 +92,10 @@ fn bags_of_every_compression_come_back_as_they_were() {
     assert_eq!((count(&written, "messages"), list(&written, "topics").len()), (15, 1), "{written}");
     support::process::output_of("/usr/bin/rosbag", &["info", utf8(&words)]);
     // An existing file is not overwritten.
-    two.alice.fails(3, &["shared", "export", "--bag", utf8(&words)]);
+    two.alice.fails(3, &["bag", "export", "--bag", utf8(&words)]);
 
-    let opened = two.alice.records(&["uploads", "list", "--topic", "/words"]);
-    let opened = two.alice.json(&["shared", "open", &text(&opened[0], "id")]);
+    let opened = two.alice.records(&["records", "list", "--oldest", "--topic", "/words"]);
+    let opened = two.alice.json(&["records", "open", &text(&opened[0], "id")]);
     assert_eq!(opened["caller_id"], "/talker", "{opened}");
     let tags = opened["tags"].to_string();
     assert!(tags.contains("source") && tags.contains("mission") && tags.contains("recording"), "{tags}");
@@ -164,7 +164,7 @@ fn an_import_that_is_cut_goes_on_where_it_was() {
     let bag = path(&two, "long.bag");
     write_bag(&bag, "none", 2000);
     let cut = two.alice.with(&["--json"]).spawn(&["bag", "import", utf8(&bag)]);
-    let sealed = || two.alice.records(&["uploads", "list", "--topic", "/odom"]).len();
+    let sealed = || two.alice.records(&["records", "list", "--oldest", "--topic", "/odom"]).len();
     wait_until(60, "the first messages are sealed", || (sealed() > 0).then_some(()));
     let exported = path(&two, "exported.bag");
     two.site.stop("KILL", 60);
@@ -174,7 +174,7 @@ fn an_import_that_is_cut_goes_on_where_it_was() {
     let (imported, already) = (count(&summary, "imported"), count(&summary, "already"));
     assert_eq!(imported + already, 4200, "{summary}");
     wait_until(120, "all is verified", || {
-        let verified = two.alice.records(&["uploads", "list", "--state", "verified"]).len();
+        let verified = two.alice.records(&["records", "list", "--oldest", "--state", "verified"]).len();
         (verified == 4200).then_some(())
     });
     export(&two.alice, &exported, &[]);
@@ -188,7 +188,7 @@ fn cut_import(authros: &Authros, bag: &Path, after: Duration) -> usize {
     std::thread::sleep(after);
     import.signal("KILL");
     drop(import.wait(60));
-    authros.records(&["uploads", "list"]).len()
+    authros.records(&["records", "list", "--oldest"]).len()
 }
 
 #[test]
@@ -210,7 +210,7 @@ fn two_recordings_are_never_taken_for_each_other_however_often_one_is_cut() {
         });
         let begun = Instant::now();
         assert_eq!(count(&import(&authros, &bags[0]), "imported"), messages);
-        let (before, whole) = (authros.records(&["uploads", "list"]).len(), begun.elapsed());
+        let (before, whole) = (authros.records(&["records", "list", "--oldest"]).len(), begun.elapsed());
         chance = chance.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         let after = cut_import(&authros, &bags[1], whole.mul_f64(f64::from((chance >> 33) as u32) / 2_147_483_648.0));
         let summary = import(&authros, &bags[1]);
@@ -268,15 +268,15 @@ fn what_was_tampered_with_or_is_not_shared_is_never_exported() {
     let recording = Path::new(env!("CARGO_MANIFEST_DIR")).join("labs/fuzz/corpus/mcap/foreign_lz4");
     let summary = import(&two.alice, &recording);
     assert_eq!((count(&summary, "imported"), count(&summary, "verified")), (12, 12), "{summary}");
-    two.bob.fails(5, &["shared", "export", "--mcap", utf8(&path(&two, "b.mcap")), "--owner", &two.alice_address]);
-    let nothing = two.bob.with(&["--json"]).run(&["shared", "export", "--mcap", utf8(&path(&two, "b.mcap"))]);
+    two.bob.fails(5, &["bag", "export", "--mcap", utf8(&path(&two, "b.mcap")), "--owner", &two.alice_address]);
+    let nothing = two.bob.with(&["--json"]).run(&["bag", "export", "--mcap", utf8(&path(&two, "b.mcap"))]);
     assert_eq!(count(&nothing.expect_code(INCOMPLETE).document(), "messages"), 0);
 
-    two.alice.json(&["grant", &two.bob_address, "--topic", "/count"]);
-    let first = text(&two.alice.records(&["uploads", "list"])[0], "digest");
+    two.alice.json(&["grant", "add", &two.bob_address, "--topic", "/count"]);
+    let first = text(&two.alice.records(&["records", "list", "--oldest"])[0], "digest");
     spoil(&two.home, &first);
     let spoiled = path(&two, "spoiled.mcap");
-    let outcome = two.bob.with(&["--json"]).run(&["shared", "export", "--mcap", utf8(&spoiled)]);
+    let outcome = two.bob.with(&["--json"]).run(&["bag", "export", "--mcap", utf8(&spoiled)]);
     let document = outcome.expect_code(TAMPERED).document();
     assert_eq!((count(&document, "messages"), count(&document["refused"], "tampered")), (11, 1), "{document}");
     assert_eq!(list(&document, "suspicious").len(), 1);
@@ -291,7 +291,7 @@ fn what_was_tampered_with_or_is_not_shared_is_never_exported() {
     let dave = two.home.profile("dave");
     dave.enrol();
     assert_eq!(count(&import(&dave, &cdr), "verified"), 12);
-    let outcome = dave.with(&["--json"]).run(&["shared", "export", "--bag", utf8(&path(&two, "cdr.bag"))]);
+    let outcome = dave.with(&["--json"]).run(&["bag", "export", "--bag", utf8(&path(&two, "cdr.bag"))]);
     assert_eq!(count(&outcome.expect_code(INCOMPLETE).document()["refused"], "unsuitable"), 12);
     let mcap = path(&two, "cdr.mcap");
     assert_eq!(count(&export(&dave, &mcap, &[]), "messages"), 12);
@@ -335,21 +335,21 @@ fn rules_thin_out_topics_and_say_so() {
     let topics = alice.json(&["topics", "list"]);
     let (left_out, lost) = (count(&row(&topics), "left_out"), count(&row(&topics), "lost_in_recorder"));
     assert!((27..=200).contains(&left_out) && lost == 0, "three of four, and not lost: {left_out}");
-    let sealed = alice.records(&["uploads", "list"]);
+    let sealed = alice.records(&["records", "list", "--oldest"]);
     let seqs: Vec<f64> = sealed
         .iter()
-        .map(|record| alice.json(&["shared", "open", &text(record, "id")]))
+        .map(|record| alice.json(&["records", "open", &text(record, "id")]))
         .map(|opened| {
             assert!(opened["tags"].to_string().contains("harbour"), "{opened}");
             support::at(&opened["message"], "header.seq")
         })
         .collect();
     assert!(seqs.windows(2).all(|pair| (pair[1] - pair[0] - 4.0).abs() < 1e-9), "every fourth: {seqs:?}");
-    let policy = alice.json(&["topics", "policy"]);
+    let policy = alice.json(&["topics", "rules"]);
     assert_eq!(row(&policy)["rule"]["line"], 1, "{policy}");
     assert_eq!(list(&policy, "idle").len(), 1, "{policy}");
 
-    let learned = alice.json(&["topics", "policy", "--learn", "--for", "2s"]);
+    let learned = alice.json(&["topics", "rules", "--learn", "--for", "2s"]);
     let draft = text(&learned, "draft");
     assert!(draft.contains("/robot1/odom") && draft.contains("nav_msgs/Odometry"), "{draft}");
     let other = Home::new();

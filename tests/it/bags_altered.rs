@@ -26,7 +26,7 @@ fn recordings(two: &Two) -> Vec<(String, Vec<u8>)> {
     for compression in ["none", "lz4", "zstd"] {
         let file = two.home.root().join(format!("{compression}.mcap"));
         let name = file.to_str().expect("UTF-8");
-        two.alice.json_within(240, &["shared", "export", "--mcap", name, "--compression", compression]);
+        two.alice.json_within(240, &["bag", "export", "--mcap", name, "--compression", compression]);
         let bytes = fs::read(&file).expect("a file");
         forms.push((format!("mcap, {compression}, no CRC"), without_checksums(bytes.clone())));
         forms.push((format!("mcap, {compression}"), bytes));
@@ -120,7 +120,7 @@ fn no_flipped_bit_is_sealed_untold() {
     }
     let exported = two.home.root().join("untold.bag");
     if untold > 0 {
-        two.bob.json_within(600, &["shared", "export", "--bag", exported.to_str().expect("UTF-8")]);
+        two.bob.json_within(600, &["bag", "export", "--bag", exported.to_str().expect("UTF-8")]);
         let strange: Vec<String> = known(&exported).difference(&recorded).cloned().collect();
         assert!(strange.is_empty(), "sealed without a word though altered: {strange:?}");
     }

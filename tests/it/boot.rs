@@ -54,11 +54,11 @@ impl Scene {
         let owner_home = Home::new();
         let owner = owner_home.profile("alice").with(&["--site", &address]).with_variable("AUTHROS_GATEWAY_KEY", &key);
         let account = owner.enrol();
-        machine.authros("authros-gateway", &["gateway", "admit", &account]).expect_code(0);
+        machine.authros("authros-gateway", &["gateway", "allow", &account]).expect_code(0);
         let out = owner_home.root().join("scout-1.enrolment");
         let file = out.to_str().expect("UTF-8");
         let enrol =
-            ["agent", "enrol", "--gateway", &address, "--gateway-key", &key, "--name", "scout-1", "--topic", TOPIC];
+            ["robot", "enrol", "--gateway", &address, "--gateway-key", &key, "--name", "scout-1", "--topic", TOPIC];
         owner.json(&[&enrol[..], &["--out", file]].concat());
 
         let words_of_robot = fs::read_to_string(format!("{file}.passphrase")).expect("written").trim_end().to_owned();
@@ -183,7 +183,8 @@ fn expect_readable(scene: &Scene, booted: Timestamp) {
         captured > booted
     };
     let (before, after) = wait_until(120, "the owner has the records", || {
-        let records = scene.owner.records_so_far(&["uploads", "list", "--topic", TOPIC, "--kind", "data"])?;
+        let records =
+            scene.owner.records_so_far(&["records", "list", "--oldest", "--topic", TOPIC, "--kind", "data"])?;
         let (after, before): (Vec<Value>, Vec<Value>) = records.into_iter().filter(is_verified).partition(is_after);
         let enough = [before.len(), after.len()].into_iter().all(|count| count as u64 >= ENOUGH);
         enough.then_some((before, after))
@@ -192,9 +193,9 @@ fn expect_readable(scene: &Scene, booted: Timestamp) {
     let account = account_of_gateway(&scene.machine).address().to_string();
     for record in [before.first(), before.last(), after.first(), after.last()].into_iter().flatten() {
         let id = text(record, "id");
-        let opened = scene.owner.json(&["shared", "open", &id]);
+        let opened = scene.owner.json(&["records", "open", &id]);
         assert_eq!((&opened["verdict"], &opened["topic"]), (&"verified".into(), &TOPIC.into()), "{opened}");
-        let steps = list(&scene.owner.json(&["uploads", "show", &id]), "steps");
+        let steps = list(&scene.owner.json(&["records", "show", &id]), "steps");
         for word in [&signer, &account] {
             assert!(steps.iter().any(|step| step.to_string().contains(word)), "no {word} in {steps:?}");
         }

@@ -29,9 +29,14 @@ fn setting(authros: &Authros, name: &str) -> Value {
 #[test]
 fn a_wrong_call_is_a_usage_error_and_prints_no_result() {
     let home = Home::new();
-    for arguments in
-        [&["fly"][..], &["capture"], &["capture", "--fast"], &["keys", "load"], &["grant"], &["demo", "--seconds", "x"]]
-    {
+    for arguments in [
+        &["fly"][..],
+        &["capture"],
+        &["capture", "--fast"],
+        &["keys", "load"],
+        &["grant", "add"],
+        &["tour", "--seconds", "4"],
+    ] {
         let outcome = home.authros().run(arguments).expect_code(USAGE);
         assert!(outcome.stdout.is_empty() && !outcome.stderr.is_empty(), "{outcome}");
         let outcome = home.authros().with(&["--json"]).run(arguments).expect_code(USAGE);
@@ -46,10 +51,17 @@ fn help_and_version_need_no_home() {
     let home = Home::new();
     let help = home.authros().run(&["--help"]).expect_code(0);
     for verb in
-        ["identity", "keys", "register", "topics", "capture", "uploads", "grant", "revoke", "shared", "demo", "serve"]
+        ["identity", "keys", "topics", "capture", "records", "grant", "received", "robot", "tour", "serve", "help"]
     {
         assert!(help.stdout.contains(verb), "{verb}: {help}");
     }
+    let options = home.authros().run(&["help", "options"]).expect_code(0);
+    assert!(options.stdout.contains("--passphrase-file") && !help.stdout.contains("--passphrase-file"), "{options}");
+    let grant = home.authros().run(&["help", "grant"]).expect_code(0);
+    assert!(grant.stdout.contains("authros grant add bob --from now"), "{grant}");
+    let own = home.authros().run(&["help", "grant", "add"]).expect_code(0);
+    assert_eq!(own.stdout, home.authros().run(&["grant", "add", "-h"]).expect_code(0).stdout);
+    home.authros().run(&["help", "fly"]).expect_code(USAGE);
     let version = home.authros().run(&["--version"]).expect_code(0);
     assert_eq!(version.stdout.trim(), concat!("authros ", env!("CARGO_PKG_VERSION")));
     assert!(!home.path().exists());
@@ -84,8 +96,8 @@ fn a_bad_address_is_bad_input() {
     let home = Home::new();
     quiet(&home).enrol();
     for address in ["0x12", "alice", "0x5aAeb6053F3E94C9b9A09f33669435E7Ef1Beaed"] {
-        for verb in ["grant", "revoke"] {
-            let message = quiet(&home).fails(INPUT, &[verb, address]);
+        for verb in ["add", "end"] {
+            let message = quiet(&home).fails(INPUT, &["grant", verb, address]);
             assert!(message.contains("address"), "{message}");
         }
     }
@@ -96,9 +108,9 @@ fn a_grantee_who_is_not_registered_is_refused() {
     let home = Home::new();
     quiet(&home).enrol();
     let stranger = "0x5aAeb6053F3E94C9b9A09f33669435E7Ef1BeAed";
-    let message = quiet(&home).fails(REFUSED, &["grant", stranger]);
+    let message = quiet(&home).fails(REFUSED, &["grant", "add", stranger]);
     assert!(message.contains("regist"), "{message}");
-    assert!(list(&quiet(&home).json(&["grants", "list"]), "grants").is_empty());
+    assert!(list(&quiet(&home).json(&["grant", "list"]), "grants").is_empty());
 }
 
 #[test]
@@ -201,7 +213,7 @@ fn a_wrong_settings_file_is_named_with_its_line() {
 fn without_a_terminal_the_console_names_what_works_without_one() {
     let home = Home::new();
     let outcome = home.authros().run(&[]).expect_code(USAGE);
-    for verb in ["demo", "capture", "serve"] {
+    for verb in ["tour --plain", "capture", "serve"] {
         assert!(outcome.stderr.contains(verb), "{outcome}");
     }
     assert!(outcome.stdout.is_empty() && !home.path().exists(), "{outcome}");
@@ -227,7 +239,7 @@ fn a_second_console_of_the_same_profile_is_refused_and_another_profile_joins() {
 fn serve_waits_for_a_command_that_is_the_site_until_it_ends_and_not_for_a_site() {
     let home = Home::new();
     quiet(&home).json(&["identity", "create"]);
-    let follower = quiet(&home).spawn(&["uploads", "list", "--follow"]);
+    let follower = quiet(&home).spawn(&["records", "list", "--follow"]);
     support::wait_until(30, "it is the site", || home.socket());
     // With other settings than the command has, which nobody joins.
     let authros = home.authros().with(&["--robots", "1"]);
@@ -252,12 +264,12 @@ fn with_json_every_answer_is_one_document_and_without_it_text() {
         &["identity", "show"][..],
         &["keys", "list"],
         &["topics", "list"],
-        &["uploads", "list"],
-        &["grants", "list"],
-        &["shared", "list"],
+        &["records", "list", "--oldest"],
+        &["grant", "list"],
+        &["received", "list", "--oldest"],
         &["chain", "status"],
         &["config", "show"],
-        &["register"],
+        &["identity", "register"],
     ] {
         assert!(authros.json(command).is_object(), "{command:?}");
         let plain = authros.run(command).expect_code(0);

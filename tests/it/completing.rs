@@ -21,7 +21,7 @@ fn names_and_ids_are_completed_a_topic_has_its_coverage_and_a_home_its_identitie
     assert!(words(&home, "topic", "/").is_empty() && !home.path().exists(), "looking makes no home");
     let authros = home.authros().with(&["--robots", "1"]);
     authros.capture(&[TOPIC], 5);
-    let record = text(&authros.records(&["uploads", "list"])[0], "id");
+    let record = text(&authros.records(&["records", "list", "--oldest"])[0], "id");
     authros.json(&["contacts", "add", "bob", "0x5aAeb6053F3E94C9b9A09f33669435E7Ef1BeAed"]);
 
     let files = || {
@@ -63,7 +63,7 @@ fn bash_completes_a_topic_behind_watch_and_flags_as_ever() {
     let home = Home::new();
     let authros = home.authros().with(&["--robots", "1"]);
     authros.capture(&[TOPIC], 2);
-    let script = home.file("authros.bash", authros.run(&["completions", "bash"]).expect_code(0).stdout, 0o600);
+    let script = home.file("authros.bash", authros.run(&["--print-completions", "bash"]).expect_code(0).stdout, 0o600);
     let folder = authros.program().parent().expect("a folder").display().to_string();
     let complete = |line: &[&str]| {
         let words = line.iter().map(|word| format!("'{word}'")).collect::<Vec<_>>().join(" ");

@@ -52,7 +52,7 @@ fn a_topic_watched_with_a_key_is_seen_verified() {
     let screen = console.wait_for("verified", 30);
     assert!(screen.contains("/robot1/"), "live uploads with their topics:\n{screen}");
     drop(console);
-    let uploads = one_robot(&home).json(&["uploads", "list"]);
+    let uploads = one_robot(&home).json(&["records", "list", "--oldest"]);
     assert!(!list(&uploads, "records").is_empty(), "what the console captured is kept");
 }
 
@@ -93,7 +93,7 @@ fn a_console_killed_while_it_captures_loses_nothing_acknowledged() {
     let authros = one_robot(&home);
     authros.enrol();
     let digests = |authros: &Authros| -> BTreeSet<String> {
-        authros.records(&["uploads", "list"]).iter().map(|record| text(record, "digest")).collect()
+        authros.records(&["records", "list", "--oldest"]).iter().map(|record| text(record, "digest")).collect()
     };
     let console = Console::open(&authros);
     wait_until(30, "the console's site accepts", || home.socket());
@@ -106,11 +106,11 @@ fn a_console_killed_while_it_captures_loses_nothing_acknowledged() {
     wait_until(30, "the console's site accepts", || home.socket());
     authros.run(&["topics", "unwatch", TOPIC]).expect_code(0);
     let after = wait_until(120, "everything is verified", || {
-        let records = authros.records(&["uploads", "list"]);
+        let records = authros.records(&["records", "list", "--oldest"]);
         let verified = records.iter().filter(|record| is_verified(record)).count();
         (verified == records.len()).then(|| digests(&authros))
     });
-    assert_eq!(after.len(), authros.records(&["uploads", "list"]).len(), "no record twice");
+    assert_eq!(after.len(), authros.records(&["records", "list", "--oldest"]).len(), "no record twice");
     assert!(before.is_subset(&after), "{} of {} kept", before.intersection(&after).count(), before.len());
 }
 

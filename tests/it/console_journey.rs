@@ -175,15 +175,15 @@ fn a_locked_console_captures_on_and_opens_nothing_until_it_is_unlocked() {
     operator.presses(":lock\r");
     operator.presses("6").sees("locked (u unlocks it)");
     let verified = || {
-        let records = authros.records(&["uploads", "list", "--state", "verified"]);
+        let records = authros.records(&["records", "list", "--oldest", "--state", "verified"]);
         records.len()
     };
     let before = verified();
     wait_until(PATIENCE, "records are verified while the keyring is locked", || {
         Some(()).filter(|()| verified() > before + 3)
     });
-    let id = text(&authros.records(&["uploads", "list"])[0], "id");
-    let refused = authros.fails(5, &["shared", "open", &id]);
+    let id = text(&authros.records(&["records", "list", "--oldest"])[0], "id");
+    let refused = authros.fails(5, &["records", "open", &id]);
     assert!(refused.contains("locked"), "{refused}");
 
     operator.presses("u").sees("Unlock").presses("not the passphrase\r").sees("wrong passphrase");
@@ -192,7 +192,7 @@ fn a_locked_console_captures_on_and_opens_nothing_until_it_is_unlocked() {
         Some(()).filter(|()| authros.json(&["identity", "show"])["unlocked"] == true)
     });
     authros.run(&["topics", "unwatch", ODOMETRY]).expect_code(0);
-    let opened = authros.json(&["shared", "open", &id]);
+    let opened = authros.json(&["records", "open", &id]);
     assert_eq!(opened["topic"], ODOMETRY);
     let audit = authros.json(&["audit", "list"])["audit"].to_string();
     assert!(audit.contains("\"lock\"") && audit.contains("\"unlock\"") && audit.contains("refused"), "{audit}");
@@ -266,7 +266,7 @@ fn a_moving_record_is_aimed_at_opened_searched_for_and_left_while_others_come() 
             Some(()).filter(|()| third(&operator.0.shown()) == Some(true))
         });
         let aimed = selected(&operator.0.shown());
-        let newest = || authros.records(&["uploads", "list", "--newest"]);
+        let newest = || authros.records(&["records", "list"]);
         let before = text(&newest()[0], "id");
         wait_until(PATIENCE, "others to come", || Some(()).filter(|()| text(&newest()[0], "id") != before));
         assert_eq!(selected(&operator.0.shown()), aimed, "the record stays under the cursor");

@@ -74,7 +74,7 @@ fn every_key_is_answered_over_a_bad_line_while_forty_records_a_second_arrive() {
 
     let mut screens = Vec::new();
     for round in 0..times {
-        let (key, shown) = [("2", "Watched"), ("3", "Uploads  "), ("1", "captured ")][round % 3];
+        let (key, shown) = [("2", "Watched"), ("3", "Records  "), ("1", "captured ")][round % 3];
         screens.push(answered(&mut console, key, |console| console.shown().contains(shown)));
     }
     console.press("2");
@@ -106,9 +106,9 @@ fn every_key_is_answered_over_a_bad_line_while_forty_records_a_second_arrive() {
     let uploads = moves(&mut console, "j", "\u{1b}[H", times);
     let rate = f64::from(u32::try_from(console.bytes() - before).unwrap_or(u32::MAX)) / begin.elapsed().as_secs_f64();
 
-    eprintln!("line of {RATE} B/s, round trip {} ms; {rate:.0} B/s on Uploads", ROUND_TRIP.as_millis());
+    eprintln!("line of {RATE} B/s, round trip {} ms; {rate:.0} B/s on Records", ROUND_TRIP.as_millis());
     print("cursor on Topics", topics.clone());
-    print("cursor on Uploads", uploads.clone());
+    print("cursor on Records", uploads.clone());
     print("letter of a filter on Topics", letters.clone());
     print("cursor and letters together", [topics, uploads, letters].concat());
     print("another screen", screens);

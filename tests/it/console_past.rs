@@ -160,7 +160,7 @@ fn an_hour_is_paged_back_to_searched_and_exported_from_a_frozen_view_while_recor
             Some(names).filter(|names| names.len() == 5)
         });
         let terms = ["--since", &since.to_string(), "--until", &until.to_string()];
-        let listed = authros.records(&[&["uploads", "list", "--topic", PAST], &terms[..]].concat());
+        let listed = authros.records(&[&["records", "list", "--oldest", "--topic", PAST], &terms[..]].concat());
         assert_eq!(listed.len(), 5, "{listed:?}");
         for record in &listed {
             let id = text(record, "id");

@@ -140,9 +140,11 @@ fn a_site_is_left_running_in_the_consoles_place() {
     let mut operator = Operator::opens(&authros, (80, 24));
     operator.sees("Unlock the keyring").presses(PASSPHRASE).presses("\r").sees("HOST").no_longer_sees("LOCKED");
     operator.presses("2").sees(CAMERA).presses("/odom\r").no_longer_sees(CAMERA).presses("w").sees("watched");
-    wait_until(PATIENCE, "a first record", || Some(()).filter(|()| !authros.records(&["uploads", "list"]).is_empty()));
+    wait_until(PATIENCE, "a first record", || {
+        Some(()).filter(|()| !authros.records(&["records", "list", "--oldest"]).is_empty())
+    });
     // Neither wrong passphrases nor none end anything: the console comes back, and the site captures all the time.
-    let count = || authros.records(&["uploads", "list"]).len();
+    let count = || authros.records(&["records", "list", "--oldest"]).len();
     for keys in ["a wrong guess\ra wrong guess\ra wrong guess\r", "\r", "half a secret\u{3}"] {
         let before = count();
         operator.is_asked_before_leaving().presses(keys).sees("the site continues in this console").sees("HOST");
@@ -163,8 +165,10 @@ fn a_site_is_left_running_in_the_consoles_place() {
     drop(operator);
     let line = fs::read(format!("/proc/{process}/cmdline")).expect("it runs");
     assert!(!support::holds(&line, PASSPHRASE.as_bytes()), "no passphrase among the arguments");
-    let before = authros.records(&["uploads", "list"]).len();
-    wait_until(PATIENCE, "more records", || Some(()).filter(|()| authros.records(&["uploads", "list"]).len() > before));
+    let before = authros.records(&["records", "list", "--oldest"]).len();
+    wait_until(PATIENCE, "more records", || {
+        Some(()).filter(|()| authros.records(&["records", "list", "--oldest"]).len() > before)
+    });
     // A second one is refused, in words.
     let refused = authros.run(&["serve", "--detach"]).expect_code(7);
     assert!(refused.stderr.contains("already running"), "{}", refused.stderr);
@@ -182,7 +186,7 @@ fn a_record_of_the_past_is_found_and_exported_while_others_come() {
         let authros = one_robot(&home);
         authros.enrol();
         authros.run(&["capture", "--count", "60", "--topic", ODOMETRY]).expect_code(0);
-        let old = authros.records(&["uploads", "list"]);
+        let old = authros.records(&["records", "list", "--oldest"]);
         let first = text(&old[0], "id");
         authros.run(&["topics", "watch", CAMERA]).expect_code(0);
         fs::create_dir_all(home.root().join("cases/7")).expect("a folder");

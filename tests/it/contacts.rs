@@ -43,7 +43,7 @@ fn a_name_stands_for_its_address_and_is_shown_beside_it() {
     let (alice, bob) = (&two.alice, &two.bob);
     let print = fingerprint(bob);
     assert_eq!(print.split(' ').map(str::len).collect::<Vec<_>>(), [4; 8]);
-    alice.fails(INPUT, &["grant", "--to", "bob"]);
+    alice.fails(INPUT, &["grant", "add", "--to", "bob"]);
     alice.fails(INPUT, &["contacts", "add", "0xbob", &two.reader]);
     let differs = alice.fails(REFUSED, &["contacts", "add", "bob", &two.reader, "--fingerprint", &fingerprint(alice)]);
     assert!(differs.contains(&print) && differs.contains("'bob' was not added"), "{differs}");
@@ -62,21 +62,21 @@ fn a_name_stands_for_its_address_and_is_shown_beside_it() {
     bob.run(&["identity", "compare", &print]).expect_code(0);
 
     alice.capture(&[TOPIC], 2);
-    alice.json(&["grant", "--to", "bob"]);
-    let grant = list(&alice.json(&["grants", "list"]), "grants")[0].clone();
+    alice.json(&["grant", "add", "--to", "bob"]);
+    let grant = list(&alice.json(&["grant", "list"]), "grants")[0].clone();
     assert_eq!((text(&grant, "grantee"), text(&grant, "name")), (two.reader.clone(), "bob".to_owned()));
     assert_eq!(text(&grant, "fingerprint"), print, "in the same form everywhere");
-    assert!(alice.run(&["grants", "list"]).stdout.contains(&format!("bob {}", two.reader)));
+    assert!(alice.run(&["grant", "list"]).stdout.contains(&format!("bob {}", two.reader)));
     bob.json(&["contacts", "add", "alice", &two.owner]);
-    let shared = bob.records(&["shared", "list", "--owner", "alice"]);
+    let shared = bob.records(&["received", "list", "--oldest", "--owner", "alice"]);
     assert!(shared.len() == 2 && shared.iter().all(|record| record["owner_name"] == "alice"), "{shared:?}");
-    alice.json(&["revoke", "bob"]);
+    alice.json(&["grant", "end", "bob"]);
     alice.json(&["contacts", "remove", "bob"]);
-    alice.fails(INPUT, &["revoke", "bob"]);
+    alice.fails(INPUT, &["grant", "end", "bob"]);
 
     let device = "5a1f09c277e041bd".repeat(4);
-    alice.json(&["devices", "lend", &device]);
-    let row = alice.json(&["devices", "list"])["devices"][0].clone();
+    alice.json(&["robot", "authorise", &device]);
+    let row = alice.json(&["robot", "devices"])["devices"][0].clone();
     assert_eq!(text(&row, "fingerprint").replace(' ', ""), device[..32], "as the device shows it");
 }
 
@@ -93,15 +93,15 @@ fn another_key_than_the_noted_one_is_told_and_refused_until_it_is_confirmed() {
     let told = two.site.wait_for_text("authros contacts confirm bob", 30);
     assert!(told.contains(&text(&before, "fingerprint")) && told.contains(&fingerprint(bob)), "{told}");
     assert_eq!(contact(alice)["state"], "differs");
-    let refused = alice.fails(REFUSED, &["grant", "bob"]);
+    let refused = alice.fails(REFUSED, &["grant", "add", "bob"]);
     assert!(refused.contains("contacts confirm bob"), "{refused}");
-    alice.fails(REFUSED, &["grant", &two.reader]);
-    assert!(list(&alice.json(&["grants", "list"]), "grants").is_empty());
+    alice.fails(REFUSED, &["grant", "add", &two.reader]);
+    assert!(list(&alice.json(&["grant", "list"]), "grants").is_empty());
 
     alice.fails(REFUSED, &["contacts", "confirm", "bob", "--fingerprint", &text(&before, "fingerprint")]);
     alice.json(&["contacts", "confirm", "bob", "--fingerprint", &fingerprint(bob)]);
     assert_eq!(contact(alice)["state"], "same");
-    alice.json(&["grant", "bob"]);
+    alice.json(&["grant", "add", "bob"]);
 }
 
 #[test]
@@ -110,10 +110,10 @@ fn files_for_others_name_no_account_unless_asked() {
     let alice = &two.alice;
     alice.json(&["contacts", "add", "bob", &two.reader]);
     alice.capture(&[TOPIC], 1);
-    let id = text(&alice.records(&["uploads", "list"])[0], "id");
+    let id = text(&alice.records(&["records", "list", "--oldest"])[0], "id");
     let proof = |options: &[&str]| {
         let directory = two.home.root().join(format!("export{}", options.concat()));
-        let export = ["uploads", "export", &id, "--dir", directory.to_str().expect("UTF-8")];
+        let export = ["records", "export", &id, "--dir", directory.to_str().expect("UTF-8")];
         alice.run(&[&export[..], options].concat()).expect_code(0);
         alice.run(&[&export[..], options].concat()).expect_code(3);
         fs::read_to_string(directory.join("proof.json")).expect("written")

@@ -30,7 +30,7 @@ fn a_damaged_note_is_named_and_is_not_taken_for_an_empty_one() {
     authros.json(&["topics", "watch", "/odom"]);
     damage(&home, "contacts");
     let left = noted(&home, "contacts");
-    for command in [&["contacts", "list"][..], &["contacts", "add", "carol", ACCOUNT], &["revoke", "bob"]] {
+    for command in [&["contacts", "list"][..], &["contacts", "add", "carol", ACCOUNT], &["grant", "end", "bob"]] {
         let message = authros.fails(TAMPERED, command);
         assert!(message.contains("the note about the address book"), "{command:?}: {message}");
         assert!(message.contains("ledger.db") && message.contains("restore the last backup"), "{message}");

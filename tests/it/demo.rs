@@ -1,4 +1,4 @@
-//! `authros demo`: the mission from capture to refusal, without a terminal and without questions.
+//! `authros tour --plain`: the mission from capture to refusal, without a terminal and without questions.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use crate::support;
@@ -38,7 +38,7 @@ fn the_demo_of_the_readme_shows_the_whole_mission() {
     let _alone = heavy();
     let home = Home::new();
     let temporary = home.root().to_str().expect("UTF-8");
-    let told = Authros::bare(home.root()).with_variable("TMPDIR", temporary).json_within(180, &["demo"]);
+    let told = Authros::bare(home.root()).with_variable("TMPDIR", temporary).json_within(180, &["tour", "--plain"]);
     expect_the_whole_story(&told);
     // Four robots for ten seconds at 20 Hz odometry and 2 Hz pictures: 880; a slow machine may be a third behind.
     assert!((580..=960).contains(&count(&told, "captured")), "{told}");
@@ -53,7 +53,7 @@ fn the_demo_with_robots_of_ros_2_shows_the_whole_mission() {
         Err(reason) => skipped!(reason),
     };
     let home = Home::new();
-    let demo = ["demo", "--seconds", "4", "--robots", "2", "--ros2"];
+    let demo = ["tour", "--plain", "--seconds", "4", "--robots", "2", "--ros2"];
     let told = network.inside(&home.authros()).json_within(240, &demo);
     expect_the_whole_story(&told);
     // Two robots for four seconds at 20 Hz odometry and 2 Hz pictures: 176; a slow machine may be half behind.
@@ -70,7 +70,7 @@ fn a_home_with_foreign_files_is_kept_and_they_stay() {
     let home = Home::new();
     fs::create_dir(home.path()).expect("the home");
     fs::write(home.path().join("notes.txt"), "not mine").expect("a foreign file");
-    let told = home.authros().json_within(180, &["demo", "--seconds", "3", "--robots", "1"]);
+    let told = home.authros().json_within(180, &["tour", "--plain", "--seconds", "3", "--robots", "1"]);
     expect_the_whole_story(&told);
     assert_eq!(fs::read_to_string(home.path().join("notes.txt")).expect("still there"), "not mine");
     assert!(support::authros::files_below(&home.path()).len() > 1, "the demo's home is kept");
@@ -80,7 +80,8 @@ fn a_home_with_foreign_files_is_kept_and_they_stay() {
 fn without_json_it_is_a_story_with_figures_and_no_escape_codes() {
     let _alone = heavy();
     let home = Home::new();
-    let outcome = home.authros().spawn(&["demo", "--seconds", "2", "--robots", "2"]).wait(180).expect_code(0);
+    let outcome =
+        home.authros().spawn(&["tour", "--plain", "--seconds", "2", "--robots", "2"]).wait(180).expect_code(0);
     assert!(outcome.stdout.lines().count() >= 8, "{outcome}");
     assert!(outcome.stdout.chars().any(|character| character.is_ascii_digit()), "{outcome}");
     for word in ["verified", "grant", "refused", "revoke"] {
@@ -97,7 +98,7 @@ fn each_check_switched_off_makes_the_demo_say_that_it_is_not_ok() {
     let _alone = heavy();
     let demo = |fault: &str, home: &Home| {
         let authros = home.authros().with_program(&program).with_variable("AUTHROS_FAULT", fault).with(&["--json"]);
-        authros.spawn(&["demo", "--seconds", "2", "--robots", "1"])
+        authros.spawn(&["tour", "--plain", "--seconds", "2", "--robots", "1"])
     };
     // Three at a time: each waits most of the time.
     for faults in CHECKS.chunks(3) {
@@ -114,6 +115,7 @@ fn each_check_switched_off_makes_the_demo_say_that_it_is_not_ok() {
     // The product itself heeds none of it.
     let home = Home::new();
     let product = home.authros().with_variable("AUTHROS_FAULT", CHECKS[0]).with(&["--json"]);
-    let told = product.spawn(&["demo", "--seconds", "2", "--robots", "1"]).wait(180).expect_code(0).document();
+    let told =
+        product.spawn(&["tour", "--plain", "--seconds", "2", "--robots", "1"]).wait(180).expect_code(0).document();
     assert_eq!(told["ok"], true, "{told}");
 }

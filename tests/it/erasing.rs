@@ -14,11 +14,11 @@ const OTHER: &str = "/robot2/odom";
 const WHY: &str = "a passer-by asked for it";
 
 fn of(authros: &Authros, topic: &str) -> Vec<Value> {
-    authros.records(&["uploads", "list", "--topic", topic])
+    authros.records(&["records", "list", "--oldest", "--topic", topic])
 }
 
 fn erase(authros: &Authros, more: &[&str]) -> Value {
-    authros.json(&[&["retention", "erase", "--reason", WHY], more].concat())
+    authros.json(&[&["records", "erase", "--reason", WHY], more].concat())
 }
 
 #[test]
@@ -35,21 +35,21 @@ fn a_recording_is_erased_by_somebody_for_a_reason_and_its_proofs_stay() {
     let all = before.len() as u64;
 
     // Shown, not done.
-    let shown = authros.with(&["--json"]).run(&["retention", "erase", "--reason", WHY, "--topic", ODOM]);
+    let shown = authros.with(&["--json"]).run(&["records", "erase", "--reason", WHY, "--topic", ODOM]);
     let plan = shown.expect_code(2).document();
     for sure in [&[][..], &["--yes"]] {
-        let mistyped = [&["retention", "erase", "--reason", WHY, "--topic", "/robot1/odm"], sure].concat();
+        let mistyped = [&["records", "erase", "--reason", WHY, "--topic", "/robot1/odm"], sure].concat();
         assert!(authros.fails(INPUT, &mistyped).contains("nothing matches"));
     }
     assert_eq!((count(&plan, "records"), count(&plan, "named")), (all, 0), "{plan}");
     assert!(list(&plan, "stays").len() >= 4, "what is not reached is said: {plan}");
     assert!(of(&authros, ODOM).iter().all(is_verified), "nothing happened");
-    authros.fails(INPUT, &["retention", "erase", "--record", "abcdef12", "--reason", WHY, "--yes"]);
-    authros.fails(INPUT, &["retention", "erase", "--topic", ODOM, "--reason", " ", "--yes"]);
+    authros.fails(INPUT, &["records", "erase", "--record", "abcdef12", "--reason", WHY, "--yes"]);
+    authros.fails(INPUT, &["records", "erase", "--topic", ODOM, "--reason", " ", "--yes"]);
 
     // What an incident holds stays until that is released.
     authros.json(&["incident", "open", "crash", "--since", "-10m", "--topics", ODOM]);
-    let told = authros.fails(REFUSED, &["retention", "erase", "--topic", ODOM, "--reason", WHY, "--yes"]);
+    let told = authros.fails(REFUSED, &["records", "erase", "--topic", ODOM, "--reason", WHY, "--yes"]);
     assert!(told.contains("crash"), "{told}");
     assert!(of(&authros, ODOM).iter().all(is_verified), "nothing happened");
     authros.json(&["incident", "remove", "crash", "--yes"]);
@@ -73,14 +73,14 @@ fn a_recording_is_erased_by_somebody_for_a_reason_and_its_proofs_stay() {
     // The proofs stay, and who, when and why are said wherever the message is asked for.
     let digests = |records: &[Value]| records.iter().map(|record| text(record, "digest")).collect::<Vec<_>>();
     assert_eq!(digests(&before), digests(&after));
-    assert_eq!(authros.json(&["shared", "check", &first])["verdict"], "deleted");
-    assert!(authros.json(&["uploads", "show", &first])["steps"].to_string().contains(WHY));
-    assert!(authros.fails(REFUSED, &["shared", "open", &first]).contains(WHY));
+    assert_eq!(authros.json(&["records", "check", &first])["verdict"], "deleted");
+    assert!(authros.json(&["records", "show", &first])["steps"].to_string().contains(WHY));
+    assert!(authros.fails(REFUSED, &["records", "open", &first]).contains(WHY));
     let folder = home.root().join("exported");
     let folder = folder.to_str().expect("UTF-8");
-    assert!(authros.fails(REFUSED, &["uploads", "export", &first, "--dir", folder]).contains(WHY));
-    let told = authros.records(&["uploads", "list", "--kind", "retention"]);
-    let report = authros.json(&["shared", "open", &text(&told[0], "id")]);
+    assert!(authros.fails(REFUSED, &["records", "export", &first, "--dir", folder]).contains(WHY));
+    let told = authros.records(&["records", "list", "--oldest", "--kind", "retention"]);
+    let report = authros.json(&["records", "open", &text(&told[0], "id")]);
     assert!(text(&report["message"], "rule").contains(WHY), "signed and on the chain: {report}");
     let lines = list(&authros.json(&["audit", "list", "--action", "erase", "--limit", "1000"]), "audit");
     assert!(lines.iter().any(|line| line["outcome"] == "begun" && text(line, "subject").contains(WHY)), "{lines:?}");
@@ -112,21 +112,21 @@ fn a_reader_who_comes_after_the_erasure_is_told_of_it_by_its_owner() {
 
     let bob = away.profile("bob").with(&["--site", &address, "--gateway-key", &key]);
     let account = bob.enrol();
-    alice.json(&["gateway", "admit", &account]);
-    alice.json(&["grant", &account, "--topic", ODOM]);
+    alice.json(&["gateway", "allow", &account]);
+    alice.json(&["grant", "add", &account, "--topic", ODOM]);
     let _reader = bob.serve(&away);
     let listed = wait_until(120, "all are listed and settled", || {
-        let records = bob.records_so_far(&["shared", "list"])?;
+        let records = bob.records_so_far(&["received", "list", "--oldest"])?;
         let settled = |record: &Value| is_verified(record) || record["state"] == "deleted";
         (records.len() == before.len() && records.iter().all(settled)).then_some(records)
     });
     for record in &listed {
         let id = text(record, "id");
         let verdict = wait_until(60, "its anchor is confirmed", || {
-            let verdict = bob.json(&["shared", "check", &id]);
+            let verdict = bob.json(&["records", "check", &id]);
             (verdict["verdict"] != "unanchored").then_some(verdict)
         });
-        let opened = bob.run(&["shared", "open", &id]);
+        let opened = bob.run(&["records", "open", &id]);
         if id != gone {
             assert_eq!((&verdict["verdict"], opened.code), (&"verified".into(), Some(0)), "{record}");
             continue;
@@ -135,9 +135,9 @@ fn a_reader_who_comes_after_the_erasure_is_told_of_it_by_its_owner() {
         assert!(erased.starts_with("erased 20") && erased.ends_with("by its owner, its proof remains"), "{erased}");
         assert!(!record.to_string().contains(WHY), "the reason is the owner's: {record}");
         assert_eq!((&record["state"], &verdict["verdict"]), (&"deleted".into(), &"deleted".into()), "{verdict}");
-        assert!(bob.fails(REFUSED, &["shared", "open", &id]).contains("by its owner"));
+        assert!(bob.fails(REFUSED, &["records", "open", &id]).contains("by its owner"));
     }
-    let shown = bob.run(&["shared", "list"]).expect_code(0).stdout;
+    let shown = bob.run(&["received", "list", "--oldest"]).expect_code(0).stdout;
     assert!(shown.contains("its proof remains"), "{shown}");
 }
 
@@ -157,17 +157,17 @@ fn an_imported_recording_is_erased_and_what_was_captured_beside_it_stays() {
     let captured = verified(4);
     let file = home.root().join("tour.mcap");
     let file = file.to_str().expect("UTF-8");
-    authros.json_within(120, &["shared", "export", "--mcap", file]);
+    authros.json_within(120, &["bag", "export", "--mcap", file]);
     let summary = authros.json_within(120, &["bag", "import", file]);
     assert_eq!(count(&summary, "imported"), captured.len() as u64, "{summary}");
     let all = verified(captured.len() * 2);
 
     let imported = all.iter().find(|record| !captured.iter().any(|one| one["id"] == record["id"]));
-    let opened = authros.json(&["shared", "open", &text(imported.expect("imported"), "id")]);
+    let opened = authros.json(&["records", "open", &text(imported.expect("imported"), "id")]);
     let tags = list(&opened, "tags");
     let tag = tags.iter().find(|tag| tag[0] == "recording").and_then(|tag| tag[1].as_str()).expect("a tag").to_owned();
-    authros.fails(INPUT, &["retention", "erase", "--recording", "/nowhere.bag", "--reason", WHY, "--yes"]);
-    let shown = authros.with(&["--json"]).run(&["retention", "erase", "--reason", WHY, "--recording", &tag]);
+    authros.fails(INPUT, &["records", "erase", "--recording", "/nowhere.bag", "--reason", WHY, "--yes"]);
+    let shown = authros.with(&["--json"]).run(&["records", "erase", "--reason", WHY, "--recording", &tag]);
     assert_eq!(count(&shown.expect_code(2).document(), "records"), captured.len() as u64, "the tag is the file's");
     let done = erase(&authros, &["--recording", file, "--yes"]);
     assert_eq!((count(&done, "named"), &done["deleted"]), (captured.len() as u64, &Value::Bool(true)), "{done}");

@@ -24,7 +24,7 @@ pub(crate) fn export() -> Exported {
     let authros = home.authros().with(&["--robots", "1"]).with_variable("AUTHROS_AUDIT_ANCHOR_EVERY", "86400");
     authros.enrol();
     authros.capture(&["/robot1/odom"], 3);
-    let records = authros.records(&["uploads", "list"]);
+    let records = authros.records(&["records", "list", "--oldest"]);
     let revealed = text(&records[0], "digest");
     let (bundle, trust) = (home.root().join("case.authros"), home.root().join("trust.toml"));
     let place = bundle.to_str().expect("UTF-8");
@@ -71,7 +71,7 @@ pub(crate) fn unzipped(bundle: &Path, name: &str) -> Vec<u8> {
     output.stdout
 }
 
-/// `verify` with an empty HOME, and without a network where this machine can do that.
+/// `evidence verify` with an empty HOME, and without a network where this machine can do that.
 pub(crate) fn verified(bundle: &Path, trust: Option<&Path>) -> Outcome {
     let empty = tempfile::tempdir().expect("directory");
     let cut = Command::new("unshare").args(["-rn", "true"]).status().is_ok_and(|status| status.success());
@@ -79,7 +79,7 @@ pub(crate) fn verified(bundle: &Path, trust: Option<&Path>) -> Outcome {
     if cut {
         command.args(["-rn", env!("CARGO_BIN_EXE_authros")]);
     }
-    command.env_clear().env("HOME", empty.path()).arg("verify").arg(bundle).arg("--json");
+    command.env_clear().env("HOME", empty.path()).args(["evidence", "verify"]).arg(bundle).arg("--json");
     if let Some(trust) = trust {
         command.arg("--trust").arg(trust);
     }
@@ -91,7 +91,8 @@ pub(crate) fn verified(bundle: &Path, trust: Option<&Path>) -> Outcome {
 /// The second verifier, in plain Python.
 pub(crate) fn by_the_second(bundle: &Path, trust: Option<&Path>, options: &[&str]) -> Outcome {
     let mut command = Command::new("python3");
-    command.args(["-B", concat!(env!("CARGO_MANIFEST_DIR"), "/tools/verify.py")]).arg(bundle).args(options);
+    command.env("PYTHONPATH", concat!(env!("CARGO_MANIFEST_DIR"), "/tools/verify"));
+    command.args(["-B", "-m", "authros_verify"]).arg(bundle).arg("--json").args(options);
     if let Some(trust) = trust {
         command.arg("--trust").arg(trust);
     }
@@ -121,14 +122,14 @@ pub(crate) fn expect_agreement(bundle: &Path, trust: Option<&Path>) {
     let (ours, theirs) = (verified(bundle, trust), by_the_second(bundle, trust, &[]));
     assert_eq!(ours.code, theirs.code, "{ours}\n{theirs}");
     let (ours, theirs) = (ours.document(), theirs.document());
-    assert_eq!(ours["outcome"], theirs["outcome"]);
-    let standings = |record: &Value| {
-        ["bytes", "key", "anchor", "opened"].map(|level| {
-            let told = &record[level];
-            text(record, "digest") + " " + told.as_str().or_else(|| told["standing"].as_str()).expect("a standing")
-        })
+    assert_eq!((&ours["outcome"], &ours["verdict"]), (&theirs["outcome"], &theirs["verdict"]));
+    let levels = |record: &Value| {
+        let parts = ["standing", "reason"];
+        let told =
+            ["bytes", "key", "anchor", "time", "opened"].map(|level| parts.map(|part| record[level][part].clone()));
+        (text(record, "digest"), told)
     };
-    let all = |report: &Value| list(report, "records").iter().map(standings).collect::<Vec<_>>();
+    let all = |report: &Value| list(report, "records").iter().map(levels).collect::<Vec<_>>();
     assert_eq!(all(&ours), all(&theirs));
     let stretches = |report: &Value| list(report, "complete").iter().map(stretch).collect::<Vec<_>>();
     assert_eq!(stretches(&ours), stretches(&theirs));
@@ -136,16 +137,9 @@ pub(crate) fn expect_agreement(bundle: &Path, trust: Option<&Path>) {
 
 /// What both verifiers say about a topic.
 fn stretch(told: &Value) -> Vec<String> {
-    let (first, named) = (told["first"].as_u64(), told["heads"]["number"].as_u64());
-    // Ours reports the head's number and the gaps; the other, up to where nothing is missing.
-    let is_whole = |number: &u64| {
-        let until = |gap: &Value| gap[0].as_u64().is_some_and(|from| from <= *number);
-        first.is_some_and(|first| first <= *number)
-            && !told["gaps"].as_array().is_some_and(|gaps| gaps.iter().any(until))
-    };
-    let number = told.get("complete_to").cloned().unwrap_or_else(|| named.filter(is_whole).into());
-    let fields = ["recorder", "topic_id", "standing", "first", "last", "missing"].map(|name| &told[name]);
-    fields.into_iter().chain([&number]).map(ToString::to_string).collect()
+    let fields =
+        ["recorder", "topic_id", "standing", "reason", "first", "last", "missing", "gaps", "uncounted", "twice"];
+    fields.map(|name| &told[name]).into_iter().chain([&told["heads"]["number"]]).map(ToString::to_string).collect()
 }
 
 #[test]
@@ -179,7 +173,7 @@ fn a_bundle_is_verified_on_another_machine_and_every_lie_is_refused() {
     assert!(list(&report, "complete").iter().all(is_whole), "{report}");
     let page = String::from_utf8(unzipped(&bundle, "report.html")).expect("text");
     for part in [
-        "This page is not authoritative",
+        "This page proves nothing",
         "/robot1/odom",
         revealed.as_str(),
         "Pose covariance",
@@ -197,33 +191,39 @@ fn a_bundle_is_verified_on_another_machine_and_every_lie_is_refused() {
     refused(&home, &bundle, &trust);
 }
 
+/// `verify` as people see it.
+pub(crate) fn printed(bundle: &Path, trust: &Path, options: &[&str]) -> String {
+    let empty = tempfile::tempdir().expect("directory");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_authros"));
+    command
+        .env_clear()
+        .env("HOME", empty.path())
+        .args(["evidence", "verify"])
+        .arg(bundle)
+        .arg("--trust")
+        .arg(trust)
+        .args(options);
+    Running::start(command).wait(60).expect_code(8).stdout
+}
+
 /// The text output.
 fn told(home: &Home, bundle: &Path, trust: &Path) {
-    let shown = |trust: &Path| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_authros"));
-        command.env_clear().env("HOME", home.root()).arg("verify").arg(bundle).arg("--trust").arg(trust);
-        Running::start(command).wait(60).expect_code(8).stdout
-    };
-    let own = shown(trust);
-    let last = own.trim_end().lines().last();
-    assert_eq!(
-        last,
-        Some("supported only by the exporter's self-sealed chain, which proves nothing against the exporter"),
-        "{own}"
-    );
-    assert!(own.contains("note: report.html was not checked") && !own.contains("VERIFY.txt"), "{own}");
-    assert!(own.contains("'/robot1/odom' nav_msgs/Odometry") && own.contains("(f) self-sealed chain: topic"), "{own}");
+    let own = printed(bundle, trust, &[]);
+    assert!(own.starts_with("NOT FULLY PROVEN: only the exporter's own chain supports the file"), "{own}");
+    assert!(own.lines().count() <= 25 && own.lines().all(|line| line.chars().count() <= 80), "{own}");
+    assert!(own.contains("Not checked: report.html") && !own.contains("VERIFY.txt"), "{own}");
+    assert!(!own.contains("record no."), "no record without --records: {own}");
+    let all = printed(bundle, trust, &["--records"]);
+    assert!(all.starts_with(&own), "the verdict first: {all}");
+    assert!(all.contains("note: report.html was not checked"), "{all}");
+    assert!(all.contains("'/robot1/odom' nav_msgs/Odometry") && all.contains("(f) self-sealed chain: topic"), "{all}");
     let denied = home.root().join("denied.toml");
     let pins = fs::read_to_string(trust).expect("text");
     let denying = pins.replace("sealed_by_exporter = true", "sealed_by_exporter = false");
     assert_ne!(pins, denying);
     fs::write(&denied, denying).expect("written");
-    let told = shown(&denied);
-    assert!(
-        told.contains(
-            "your trust file says that others seal this chain, but its headers say that a single program does"
-        )
-    );
+    let told = printed(bundle, &denied, &[]);
+    assert!(told.contains("Your trust file says that others seal this chain; its blocks say that one"), "{told}");
     expect_agreement(bundle, Some(&denied));
     let unsaid = home.root().join("unsaid.toml");
     fs::write(&unsaid, pins.replace("sealed_by_exporter = true", "")).expect("written");
@@ -264,7 +264,7 @@ fn the_same_export_twice_differs_in_its_signature_alone() {
     let authros = home.authros().with(&["--robots", "1"]).with_variable("AUTHROS_AUDIT_ANCHOR_EVERY", "86400");
     authros.enrol();
     authros.capture(&["/robot1/odom"], 2);
-    let id = text(&authros.records(&["uploads", "list"])[0], "id");
+    let id = text(&authros.records(&["records", "list", "--oldest"])[0], "id");
     let export = |name: &str| {
         let file = home.root().join(name);
         authros.run(&["evidence", "export", file.to_str().expect("UTF-8"), "--record", &id]).expect_code(0);
@@ -287,7 +287,7 @@ fn a_topic_is_complete_to_the_number_that_the_recorders_head_names() {
     authros.enrol();
     authros.capture(&["/robot1/odom"], 3);
     let site = authros.serve(&home);
-    let odom = authros.records(&["uploads", "list", "--topic", "/robot1/odom"]);
+    let odom = authros.records(&["records", "list", "--oldest", "--topic", "/robot1/odom"]);
     let last = odom.iter().filter_map(|record| record["seq"].as_u64()).max().expect("numbers");
     let (trust, cut) = (home.root().join("trust.toml"), home.root().join("cut.authros"));
     let mut tries = 0;
@@ -333,7 +333,7 @@ fn a_foreign_nodes_proofs_show_the_anchor_and_its_unsigned_headers_are_named() {
     let authros = home.authros().with(&["--chain", &url, "--robots", "1"]);
     let made = authros.json(&["identity", "create"]);
     node.fund(&text(&made, "address"));
-    authros.json(&["register"]);
+    authros.json(&["identity", "register"]);
     authros.capture(&["/robot1/odom"], 2);
     let (bundle, trust) = (home.root().join("case.authros"), home.root().join("trust.toml"));
     let view = authros.json(&["evidence", "export", bundle.to_str().expect("UTF-8")]);
@@ -364,7 +364,7 @@ fn what_a_node_proved_in_time_is_in_the_bundle_when_it_proves_nothing_any_more()
     let authros = home.authros().with(&["--chain", &url, "--robots", "1"]);
     let made = authros.json(&["identity", "create"]);
     node.fund(&text(&made, "address"));
-    authros.json(&["register"]);
+    authros.json(&["identity", "register"]);
     let site = authros.serve(&home);
     authros.capture(&["/robot1/odom"], 2);
     let part = || {
@@ -393,4 +393,28 @@ fn what_a_node_proved_in_time_is_in_the_bundle_when_it_proves_nothing_any_more()
     expect_same_levels(&early, &late, &trust);
     assert_eq!(unzipped(&early, "chain/nodes.rlp"), unzipped(&late, "chain/nodes.rlp"));
     drop(site);
+}
+
+#[test]
+fn patterns_and_robots_narrow_a_bundle() {
+    let home = Home::new();
+    let authros = home.authros().with(&["--robots", "2"]).with_variable("AUTHROS_AUDIT_ANCHOR_EVERY", "86400");
+    authros.enrol();
+    authros.capture(&["/robot1/odom", "/robot2/odom", "/robot2/camera/compressed"], 2);
+    let exported = |name: &str, narrowed: &[&str]| {
+        let place = home.root().join(name);
+        let place = place.to_str().expect("UTF-8").to_owned();
+        let view = authros.json(&[&["evidence", "export", &place], narrowed].concat());
+        view["records"].as_u64().expect("a count")
+    };
+    let both = exported("both.authros", &["--topic", "/robot*/odom"]);
+    assert_eq!(exported("named.authros", &["--topic", "/robot1/odom", "--topic", "/robot2/odom"]), both);
+    let robot = exported("robot.authros", &["--robot", "robot2"]);
+    assert_eq!(exported("under.authros", &["--topic", "/robot2/**"]), robot);
+    let one = exported("one.authros", &["--topic", "/robot2/odom", "--robot", "robot2"]);
+    assert!(one < both && one < robot, "{one} of {both} and {robot}");
+    let nowhere = home.root().join("none.authros");
+    let nowhere = nowhere.to_str().expect("UTF-8");
+    let told = authros.fails(3, &["evidence", "export", nowhere, "--topic", "/robot9/**"]);
+    assert!(told.contains("contains none of your records"), "{told}");
 }

@@ -78,7 +78,7 @@ fn sum(view: &Value, field: &str) -> u64 {
 /// A proof with the file that it is about: both verifiers say the same of it.
 fn with_recording(proof: &Path, recording: &Path) -> (Outcome, Outcome) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_authros"));
-    command.env_clear().arg("verify").arg(proof).arg("--json").arg("--recording").arg(recording);
+    command.env_clear().args(["evidence", "verify"]).arg(proof).arg("--json").arg("--recording").arg(recording);
     let ours = Running::start(command).wait(60);
     let theirs = by_the_second(proof, None, &["--recording", utf8(recording)]);
     assert_eq!(ours.code, theirs.code, "{ours}\n{theirs}");
@@ -124,7 +124,7 @@ fn expect_proven(folder: &Path, view: &Value) {
 fn expect_all_once(authros: &Authros, folder: &Path, messages: u64) {
     let records = authros.json(&["status"]);
     let back = folder.with_extension("back.mcap");
-    let view = authros.json_within(600, &["shared", "export", "--mcap", utf8(&back)]);
+    let view = authros.json_within(600, &["bag", "export", "--mcap", utf8(&back)]);
     assert_eq!(count(&view, "messages"), messages, "{view} {records}");
     assert_eq!(lines(&[back]), lines(&recordings(folder)));
 }
@@ -172,7 +172,7 @@ fn what_is_recorded_is_sealed_while_it_is_recorded_each_message_once_and_its_fil
     assert_eq!((count(&imported, "imported"), count(&imported, "attachments") > 0), (0, true), "{imported}");
     let again = follower(&authros, &folder, &options).wait(240).expect_code(0).document();
     assert_eq!((sum(&again, "sealed"), sum(&again, "already")), (0, messages + beside), "{again}");
-    let tagged = authros.records(&["uploads", "list", "--tag", "mission=harbour", "--topic", "/numbers"]);
+    let tagged = authros.records(&["records", "list", "--oldest", "--tag", "mission=harbour", "--topic", "/numbers"]);
     assert_eq!(tagged.len() as u64, messages.div_ceil(3));
 }
 
@@ -219,7 +219,7 @@ fn a_database_is_sealed_when_it_is_closed_and_its_recorder_notices_nothing() {
     let mut sent: Vec<String> = sent.lines().map(str::to_owned).collect();
     sent.sort_unstable();
     let back = folder.with_extension("back.mcap");
-    authros.json_within(600, &["shared", "export", "--mcap", utf8(&back)]);
+    authros.json_within(600, &["bag", "export", "--mcap", utf8(&back)]);
     assert_eq!(contents(&back), sent);
     let again = follower(&authros, &folder, &options).wait(240).expect_code(0).document();
     assert_eq!((sum(&again, "sealed"), sum(&again, "already")), (0, all), "{again}");
@@ -372,7 +372,7 @@ fn an_import_goes_on_where_a_follower_was_killed() {
     // One file, so that it is left in its middle.
     let recording = recorder(&folder, 16, 300, 60, "lz4");
     let one = Copied { authros, folder };
-    let sealed = || one.authros.records(&["uploads", "list", "--topic", "/numbers"]).len();
+    let sealed = || one.authros.records(&["records", "list", "--oldest", "--topic", "/numbers"]).len();
     wait_until(120, "records", || (sealed() > 50).then_some(()));
     site.stop("KILL", 60);
     following.signal("KILL");
@@ -429,7 +429,7 @@ fn under_way(home: &Home, authros: &Authros, how: &str, options: &[&str]) -> (Pa
     wait_until(60, "a folder", || folder.exists().then_some(()));
     let mut following = follower(authros, &folder, options);
     following.wait_for_text("following run", 120);
-    let begun = || authros.records(&["uploads", "list"]).first().map(|_| ());
+    let begun = || authros.records(&["records", "list", "--oldest"]).first().map(|_| ());
     wait_until(120, "a record", begun);
     (folder, recording, following)
 }
@@ -483,7 +483,7 @@ fn a_recording_whose_recorder_was_killed_is_sealed_as_far_as_it_goes() {
     let (folder, recording, following) = under_way(&home, &authros, "lz4", &["--until-closed"]);
     let file = recordings(&folder).remove(0);
     // Sealed within a second of being on the disk; a busy machine, which also lists the records, gets twenty.
-    let sealed = || authros.records(&["uploads", "list", "--topic", "/numbers"]).len();
+    let sealed = || authros.records(&["records", "list", "--oldest", "--topic", "/numbers"]).len();
     let (length, before) = (fs::metadata(&file).expect("there").len(), sealed());
     wait_until(60, "one more chunk", || (fs::metadata(&file).expect("there").len() > length).then_some(()));
     let since = Instant::now();
@@ -514,7 +514,7 @@ fn a_full_disk_of_the_home_is_waited_for_and_nothing_is_lost() {
     let mut following = follower(&authros, &folder, &["--until-closed"]);
     following.wait_for_text("to appear", 120);
     let recording = recorder(&folder, 12, 100, 4, "lz4");
-    let begun = || authros.records(&["uploads", "list", "--topic", "/numbers"]).first().map(|_| ());
+    let begun = || authros.records(&["records", "list", "--oldest", "--topic", "/numbers"]).first().map(|_| ());
     wait_until(120, "a record", begun);
     fill(&full);
     let recorded = recording.wait(120).expect_code(0).document();

@@ -88,11 +88,11 @@ async fn what_robots_send_is_anchored_by_the_gateway_and_read_by_a_grantee_until
     robot.upload(uploads.clone()).await.expect("known ones are acknowledged again");
     until_verified(&mut robot, Feed::of(owner.address()), &digests).await;
 
-    let own = alice.records(&["uploads", "list"]);
+    let own = alice.records(&["records", "list", "--oldest"]);
     assert_eq!(own.len(), 120, "each once");
     assert!(own.iter().all(|record| is_verified(record) && record["topic"] == TOPIC), "{:?}", own[0]);
     assert_eq!(own[0]["type"], "std_msgs/String");
-    let shown = alice.json(&["uploads", "show", &text(&own[0], "id")]);
+    let shown = alice.json(&["records", "show", &text(&own[0], "id")]);
     assert!(shown.to_string().contains(&site.gateway.account), "the gateway's account anchors: {shown}");
 
     // A reader without a grant learns nothing, not even that there is something.
@@ -105,7 +105,7 @@ async fn what_robots_send_is_anchored_by_the_gateway_and_read_by_a_grantee_until
     assert_eq!(session.missing(&digests[..2]).await.expect("answers"), unknown);
     expect_status(&site);
 
-    alice.json(&["grant", &bob_address]);
+    alice.json(&["grant", "add", &bob_address]);
     let read = read_all(&mut session, &owner, &reader).await;
     assert_eq!(read, sent, "each once, with its proof");
     let (topic, _) = owner.topic(TOPIC);
@@ -151,7 +151,7 @@ async fn revoked_while_live(alice: &Authros, bob: &str, (owner, robot): (&Member
     assert_eq!(entry.seq, 121);
     let revoking = {
         let (alice, bob) = (alice.clone(), bob.to_owned());
-        tokio::task::spawn_blocking(move || alice.json(&["revoke", &bob]))
+        tokio::task::spawn_blocking(move || alice.json(&["grant", "end", &bob]))
     };
     let mut cut = None;
     let mut last = 121;
@@ -195,15 +195,15 @@ async fn devices_sign_while_they_are_lent_and_names_belong_to_one_account() {
     let upload = owner.record(&device, TOPIC, 1, b"signed by a device");
     assert_eq!(refused(robot.upload(vec![upload.clone()]).await), Code::Signature, "not lent");
     assert_eq!(refused(robot.device(&owner.keyring.signing, notice).await), Code::Signature, "not lent");
-    alice.json(&["devices", "lend", &id.to_string()]);
+    alice.json(&["robot", "authorise", &id.to_string()]);
     assert_eq!(refused(robot.upload(vec![upload.clone()]).await), Code::Signature, "lent, but its key is not known");
     robot.device(&owner.keyring.signing, notice).await.expect("noted");
     robot.upload(vec![upload.clone()]).await.expect("accepted");
     let signed_by_it = Feed { recorders: vec![owner.recorder.of_signer(&id)], ..Feed::of(owner.address()) };
     until_verified(&mut robot, signed_by_it, &[digest(&owner, &upload)]).await;
-    let opened = alice.json(&["shared", "open", &digest(&owner, &upload).to_string()]);
+    let opened = alice.json(&["records", "open", &digest(&owner, &upload).to_string()]);
     assert_eq!(opened["verdict"], "verified", "the owner reads what her device signed: {opened}");
-    alice.json(&["devices", "recall", &id.to_string()]);
+    alice.json(&["robot", "revoke", &id.to_string()]);
     let late = owner.record(&device, TOPIC, 2, b"signed by a stolen device");
     assert_eq!(refused(robot.upload(vec![late]).await), Code::Signature, "recalled");
     let stranger = other.record(&other.keyring.signing, TOPIC, 1, b"of another owner");
@@ -282,7 +282,7 @@ async fn a_second_client_written_from_the_document_follows_the_feed() {
     let digests: Vec<Digest> = uploads.iter().map(|upload| digest(&owner, upload)).collect();
     robot.upload(uploads).await.expect("accepted");
     until_verified(&mut robot, Feed::of(owner.address()), &digests).await;
-    alice.json(&["grant", &bob_address]);
+    alice.json(&["grant", "add", &bob_address]);
     let reader = Member::of(&site.home, "bob", site.gateway.domain);
     let credentials = reader.allocate(&site.gateway, "bob-2").await.expect("allocates");
     let mut session = connect(&site.gateway, &credentials).await;
@@ -305,8 +305,8 @@ async fn a_second_client_written_from_the_document_follows_the_feed() {
     seen.sort();
     assert_eq!(seen, (1..).zip(digests.iter().map(ToString::to_string)).collect::<Vec<_>>());
 
-    let id = text(&alice.records(&["uploads", "list"])[1], "id");
-    alice.json(&["retention", "erase", "--record", &id, "--reason", "a face", "--yes"]);
+    let id = text(&alice.records(&["records", "list", "--oldest"])[1], "id");
+    alice.json(&["records", "erase", "--record", &id, "--reason", "a face", "--yes"]);
     let erased = poll(60, || {
         let told = read(credentials.key.expose()).expect_code(0).document();
         let last = support::list(&told, "records").pop().expect("five of them");
@@ -394,7 +394,7 @@ async fn replay_all() {
             }
         }
     }
-    let records = |home: &Home| home.profile("alice").records(&["uploads", "list"]).len() as u64;
+    let records = |home: &Home| home.profile("alice").records(&["records", "list", "--oldest"]).len() as u64;
     wait_until(30, "all are there", || Some(()).filter(|()| records(&site.home) == seq));
     let streams = recorder.recorded();
     let before = expect_refused(&site.gateway.address, &streams);

@@ -59,12 +59,12 @@ fn a_gateway_and_an_agent_have_figures_of_their_own() {
     let short: String = account.trim_start_matches("0x").chars().take(8).collect();
     let enrolment = robot.root().join("robot.enrolment").to_str().expect("UTF-8").to_owned();
     let arguments =
-        ["agent", "enrol", "--gateway", &listen, "--gateway-key", &key, "--name", "scout", "--out", &enrolment];
+        ["robot", "enrol", "--gateway", &listen, "--gateway-key", &key, "--name", "scout", "--out", &enrolment];
     let device = text(&owner.json(&[&arguments[..], &["--topic", TOPIC]].concat()), "device");
 
     let running = robot.authros().with(&["--json"]);
     let running = running.with_variable("AUTHROS_METRICS_LISTEN", &format!("127.0.0.1:{at_robot}"));
-    let agent = running.spawn(&["agent", "run", &enrolment, "--robots", "1"]);
+    let agent = running.spawn(&["robot", "run", &enrolment, "--robots", "1"]);
     let of_agent = wait_until(120, "verified records in the agent's figures", || {
         let line = format!("authros_records{{owner=\"{short}\",state=\"verified\"}}");
         figures(at_robot).filter(|told| told.contains(&line) && value(told, &line) >= 5.0)

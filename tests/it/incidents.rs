@@ -21,7 +21,7 @@ fn digests(records: &[Value]) -> Vec<String> {
 }
 
 fn is_deleted(authros: &Authros, topic: &str) -> bool {
-    let records = authros.records(&["uploads", "list", "--topic", topic]);
+    let records = authros.records(&["records", "list", "--oldest", "--topic", topic]);
     assert!(!records.is_empty());
     records.iter().all(|record| record["state"] == "deleted")
 }
@@ -54,7 +54,7 @@ fn an_incident_is_held_found_exported_carried_by_a_backup_and_let_go() {
     let authros = home.authros().with(&["--robots", "2"]).with_variable("AUTHROS_AUDIT_ANCHOR_EVERY", "86400");
     authros.enrol();
     authros.capture(&[ODOM, OTHER], 3);
-    let all = digests(&authros.records(&["uploads", "list", "--topic", ODOM]));
+    let all = digests(&authros.records(&["records", "list", "--oldest", "--topic", ODOM]));
     hostile_words_are_refused(&authros);
 
     let note = "hit a \u{1b}[31mwall <b>at bay 3";
@@ -72,10 +72,10 @@ fn an_incident_is_held_found_exported_carried_by_a_backup_and_let_go() {
     assert!(people.contains("no records of /never/seen in that span") && !people.contains('\u{1b}'), "{people}");
     authros.fails(INPUT, &opened);
     authros.json(&["incident", "open", "second", "--since", "10m", "--topics", ODOM]);
-    let found = authros.records(&["uploads", "list", "--incident", "crash"]);
+    let found = authros.records(&["records", "list", "--oldest", "--incident", "crash"]);
     assert_eq!(digests(&found), all);
-    assert_eq!(authros.records(&["uploads", "list", "--incident", "crash", "--until", "10m"]).len(), 0);
-    authros.fails(INPUT, &["uploads", "list", "--incident", "none"]);
+    assert_eq!(authros.records(&["records", "list", "--oldest", "--incident", "crash", "--until", "10m"]).len(), 0);
+    authros.fails(INPUT, &["records", "list", "--oldest", "--incident", "none"]);
 
     let keeps = authros.with_variable("AUTHROS_RETENTION", "/robot*/odom=1s");
     let site = keeps.serve(&home);
@@ -85,7 +85,7 @@ fn an_incident_is_held_found_exported_carried_by_a_backup_and_let_go() {
     let place = bundle.to_str().expect("UTF-8");
     let exported = keeps.json(&["evidence", "export", place, "--incident", "crash"]);
     assert!(count(&exported, "records") >= 3, "{exported}");
-    let report = keeps.with(&["--json"]).run(&["verify", place]).expect_code(8).document();
+    let report = keeps.with(&["--json"]).run(&["evidence", "verify", place]).expect_code(8).document();
     let proven = list(&report, "records").into_iter().filter(|record| record["bytes"]["standing"] == "proven");
     let proven = digests(&proven.collect::<Vec<_>>());
     assert!(all.iter().all(|digest| proven.contains(digest)), "{report}");
@@ -98,9 +98,9 @@ fn an_incident_is_held_found_exported_carried_by_a_backup_and_let_go() {
     let secret = home.file("secret", "a passphrase of its own\n", 0o600);
     let file = home.root().join("all.backup");
     let file = file.to_str().expect("UTF-8");
-    keeps.json(&["backup", file, "--passphrase-file", &secret]);
+    keeps.json(&["backup", "create", file, "--passphrase-file", &secret]);
     let restored = other.authros();
-    restored.json(&["restore", file, "--passphrase-file", &secret]);
+    restored.json(&["backup", "restore", file, "--passphrase-file", &secret]);
     let carried = restored.json(&["incident", "show", "crash"]);
     assert_eq!((count(&carried, "records"), list(&carried, "notes").len()), (3, 2), "{carried}");
 
@@ -109,7 +109,11 @@ fn an_incident_is_held_found_exported_carried_by_a_backup_and_let_go() {
     keeps.fails(INPUT, &["incident", "close", "crash"]);
     keeps.fails(USAGE, &["incident", "remove", "crash"]);
     keeps.json(&["incident", "remove", "crash", "--yes"]);
-    assert_eq!(digests(&keeps.records(&["uploads", "list", "--incident", "second"])), all, "the other one still holds");
+    assert_eq!(
+        digests(&keeps.records(&["records", "list", "--oldest", "--incident", "second"])),
+        all,
+        "the other one still holds"
+    );
     assert!(!is_deleted(&keeps, ODOM));
     assert!(named(&keeps).iter().all(|topic| topic == OTHER));
     keeps.json(&["incident", "remove", "second", "--yes"]);

@@ -84,7 +84,7 @@ impl Gateway {
     }
 
     fn admit(&self, owner: &str) {
-        self.keeper().json(&["gateway", "admit", owner]);
+        self.keeper().json(&["gateway", "allow", owner]);
     }
 }
 
@@ -122,7 +122,7 @@ impl Member {
         let print = text(&reader.authros.json(&["identity", "show"]), "fingerprint");
         let name = format!("reader-{}", reader.address[2..10].to_lowercase());
         self.authros.json(&["contacts", "add", &name, &reader.address, "--fingerprint", &print]);
-        self.authros.json(&["grant", "--to", &name]);
+        self.authros.json(&["grant", "add", "--to", &name]);
     }
 
     /// The ids of all records of a list, once there are this many and each is verified.
@@ -159,7 +159,7 @@ impl Robot {
     fn at(owner: &Member, name: &str, (gateway, addresses): (&Gateway, &[&str])) -> Self {
         let home = Home::new();
         let enrolment = home.root().join("robot.enrolment").to_str().expect("UTF-8").to_owned();
-        let mut arguments = vec!["agent", "enrol", "--name", name, "--topic", TOPIC, "--out", &enrolment];
+        let mut arguments = vec!["robot", "enrol", "--name", name, "--topic", TOPIC, "--out", &enrolment];
         arguments.extend(addresses.iter().flat_map(|address| ["--gateway", address]));
         arguments.extend(["--gateway-key", &gateway.key]);
         let view = owner.authros.json(&arguments);
@@ -172,7 +172,7 @@ impl Robot {
 
     fn run(&self, arguments: &[&str]) -> Running {
         let agent = self.home.authros().with(&["--json"]);
-        agent.spawn(&[&["agent", "run", &self.enrolment, "--robots", "1"], arguments].concat())
+        agent.spawn(&[&["robot", "run", &self.enrolment, "--robots", "1"], arguments].concat())
     }
 
     /// Runs for this many messages, until everything of the outbox is verified at the gateway; returns how many messages
@@ -227,7 +227,7 @@ fn a_robot_and_a_reader_turn_to_the_next_address_and_the_robot_goes_home() {
     let taken = accepted(&agent, count(&away, "accepted"));
     println!("the first line was cut: records go by the second one after {:?}", begun.elapsed());
     accepted(&agent, taken + 20);
-    let shared = ["shared", "list", "--owner", &alice.address];
+    let shared = ["received", "list", "--oldest", "--owner", &alice.address];
     wait_until(60, "the reader has them, too", || {
         let seen = bob.authros.records_so_far(&shared)?;
         (seen.len() as u64 >= taken).then_some(())
@@ -240,7 +240,7 @@ fn a_robot_and_a_reader_turn_to_the_next_address_and_the_robot_goes_home() {
     agent.stop("TERM", 20);
 
     let all = robot.bring("5");
-    let own = alice.verified(&["uploads", "list"], all);
+    let own = alice.verified(&["records", "list", "--oldest"], all);
     assert_eq!(bob.verified(&shared, all), own, "the reader has the same");
 }
 
@@ -255,9 +255,9 @@ fn a_robot_of_one_address_is_given_another() {
     figures(&agent, "its records are taken", |figures| is_home(figures) && count(figures, "accepted") > 5);
 
     let address = gateway.address();
-    let added = alice.authros.json(&["devices", "addresses", "add", "scout", &address]);
+    let added = alice.authros.json(&["robot", "addresses", "add", "scout", &address]);
     assert_eq!(added["gateway"]["addresses"], serde_json::json!([line.address(), address]), "{added}");
-    alice.authros.fails(REFUSED, &["devices", "addresses", "add", "scout", &address]);
+    alice.authros.fails(REFUSED, &["robot", "addresses", "add", "scout", &address]);
     agent.wait_for_text("the gateway's addresses are now", 120);
     line.cut();
     let away = figures(&agent, "the new address is used", is_in_place);
@@ -265,7 +265,7 @@ fn a_robot_of_one_address_is_given_another() {
     agent.stop("TERM", 20);
     // It is remembered.
     let all = robot.bring("5");
-    alice.verified(&["uploads", "list"], all);
+    alice.verified(&["records", "list", "--oldest"], all);
 }
 
 #[test]
@@ -278,7 +278,7 @@ fn what_died_with_a_gateways_disk_is_brought_again_by_its_robot() {
     let before = robot.bring("5");
     let secret = gateway.home.file("secret", "a passphrase of its own\n", 0o600);
     let file = gateway.home.root().join("home.backup").to_str().expect("UTF-8").to_owned();
-    gateway.keeper().json(&["backup", &file, "--passphrase-file", &secret]);
+    gateway.keeper().json(&["backup", "create", &file, "--passphrase-file", &secret]);
 
     // It signs receipts for what follows, and its disk dies before it has proven any of it.
     gateway.kill();
@@ -290,13 +290,17 @@ fn what_died_with_a_gateways_disk_is_brought_again_by_its_robot() {
     agent.stop("TERM", 20);
     let lost = std::mem::replace(&mut gateway.home, Home::new());
     gateway.confirmations = "1";
-    gateway.keeper().json(&["restore", &file, "--passphrase-file", &secret]);
+    gateway.keeper().json(&["backup", "restore", &file, "--passphrase-file", &secret]);
     drop(lost);
     gateway.start();
 
     let all = robot.bring("5");
     assert!(all > receipted, "{all}");
     println!("{receipted} records had a receipt when the gateway's disk died; {all} are verified");
-    let own = alice.verified(&["uploads", "list"], all);
-    assert_eq!(bob.verified(&["shared", "list", "--owner", &alice.address], all), own, "the reader has the same");
+    let own = alice.verified(&["records", "list", "--oldest"], all);
+    assert_eq!(
+        bob.verified(&["received", "list", "--oldest", "--owner", &alice.address], all),
+        own,
+        "the reader has the same"
+    );
 }

@@ -13,7 +13,7 @@ fn signing_key(home: &Home, digit: char) -> String {
 
 fn opens(reader: &Authros, record: &Value) {
     let id = text(record, "id");
-    let opened = reader.json(&["shared", "open", &id]);
+    let opened = reader.json(&["records", "open", &id]);
     assert_eq!(opened["verdict"], "verified", "{opened}");
 }
 
@@ -22,7 +22,7 @@ fn readers_open_old_and_new_records_after_a_new_signing_key() {
     let two = two_profiles(1);
     two.alice.capture(&["/robot1/odom"], 2);
     two.alice.json(&["keys", "rotate"]);
-    two.alice.json(&["grant", &two.bob_address, "--from", "start"]);
+    two.alice.json(&["grant", "add", &two.bob_address, "--from", "start"]);
     two.alice.capture(&["/robot1/odom"], 2);
     let before = two.alice.json(&["keys", "list"]);
     let file = signing_key(&two.home, '1');
@@ -43,9 +43,9 @@ fn readers_open_old_and_new_records_after_a_new_signing_key() {
     // Neither side remembers anything beyond its disk and the chain.
     two.site.stop("TERM", 30).expect_code(0);
     let _site = two.home.authros().with(&["--robots", "0"]).serve(&two.home);
-    let records = two.bob.records(&["shared", "list"]);
+    let records = two.bob.records(&["received", "list", "--oldest"]);
     assert_eq!(records.len(), 8, "old and new");
-    let owned = two.alice.records(&["uploads", "list"]);
+    let owned = two.alice.records(&["records", "list", "--oldest"]);
     assert_eq!(owned.len(), 8);
     records.iter().for_each(|record| opens(&two.bob, record));
     owned.iter().for_each(|record| opens(&two.alice, record));
@@ -60,7 +60,7 @@ fn a_new_envelope_key_is_wrapped_for_and_the_old_one_opens_what_was() {
     let two = two_profiles(1);
     two.alice.capture(&["/robot1/odom"], 2);
     two.alice.json(&["keys", "rotate"]);
-    two.alice.json(&["grant", &two.bob_address, "--from", "start"]);
+    two.alice.json(&["grant", "add", &two.bob_address, "--from", "start"]);
     two.alice.capture(&["/robot1/odom"], 2);
     let before = two.bob.json(&["keys", "list"]);
 
@@ -80,7 +80,7 @@ fn a_new_envelope_key_is_wrapped_for_and_the_old_one_opens_what_was() {
 
     two.site.stop("TERM", 30).expect_code(0);
     let _site = two.home.authros().with(&["--robots", "0"]).serve(&two.home);
-    let records = two.bob.records(&["shared", "list"]);
+    let records = two.bob.records(&["received", "list", "--oldest"]);
     assert_eq!(records.len(), 6);
     records.iter().for_each(|record| opens(&two.bob, record));
     assert_eq!(two.bob.json(&["keys", "list"])["envelope_key"], rotated["envelope_key"]);
@@ -107,13 +107,13 @@ fn a_robot_goes_on_through_new_keys_of_its_owner_and_its_gateway() {
     let (keeper, alice, bob) = (home.profile("keeper"), home.profile("alice"), home.profile("bob"));
     alice.enrol();
     let bob_address = bob.enrol();
-    alice.json(&["grant", &bob_address]);
+    alice.json(&["grant", "add", &bob_address]);
     let file = robot.root().join("robot.enrolment").to_str().expect("UTF-8").to_owned();
     let address = format!("127.0.0.1:{port}");
-    let enrol = ["agent", "enrol", "--gateway", &address, "--gateway-key", &fingerprint, "--name", "scout"];
+    let enrol = ["robot", "enrol", "--gateway", &address, "--gateway-key", &fingerprint, "--name", "scout"];
     alice.json(&[&enrol[..], &["--topic", "/robot1/odom", "--out", &file]].concat());
     let run = |more: &[&str]| {
-        let arguments = [&["agent", "run", &file, "--robots", "1"], more].concat();
+        let arguments = [&["robot", "run", &file, "--robots", "1"], more].concat();
         robot.authros().with(&["--json"]).spawn(&arguments)
     };
     let agent = run(&[]);
@@ -130,7 +130,7 @@ fn a_robot_goes_on_through_new_keys_of_its_owner_and_its_gateway() {
     alice.json(&["keys", "rotate"]);
     let of_epoch = |epoch: u64| {
         wait_until(120, "records of the new epoch", || {
-            let records = alice.records(&["uploads", "list"]);
+            let records = alice.records(&["records", "list", "--oldest"]);
             records.into_iter().find(|record| count(record, "epoch") == epoch && is_verified(record))
         })
     };
@@ -161,10 +161,10 @@ fn a_robot_goes_on_through_new_keys_of_its_owner_and_its_gateway() {
     site.stop("TERM", 30);
     let (_site, _) = serve(&home, port);
     let records = wait_until(120, "all records are verified", || {
-        let records = alice.records(&["uploads", "list"]);
+        let records = alice.records(&["records", "list", "--oldest"]);
         records.iter().all(is_verified).then_some(records)
     });
-    let shared = bob.records(&["shared", "list"]);
+    let shared = bob.records(&["received", "list", "--oldest"]);
     assert_eq!(shared.len(), records.len());
     let step = (shared.len() / 12).max(1);
     shared.iter().step_by(step).chain(shared.last()).for_each(|record| opens(&bob, record));

@@ -29,7 +29,7 @@ impl Field {
         let mut site = program.spawn(&["serve"]);
         // One that is to end while it saves may end before.
         wait_until(60, "a socket", || (self.home.socket().is_some() || !site.is_running()).then_some(()));
-        let looks = self.alice.spawn(&["grants", "list"]);
+        let looks = self.alice.spawn(&["grant", "list"]);
         std::thread::sleep(pause);
         [site, looks, self.alice.spawn(&["keys", "rotate"])]
     }
@@ -54,7 +54,7 @@ impl Field {
     /// Ends with an error if one record cannot be opened.
     fn every_record_opens(&self) {
         let file = self.home.root().join("all.mcap");
-        self.alice.json(&["shared", "export", "--unanchored", "--mcap", file.to_str().expect("UTF-8")]);
+        self.alice.json(&["bag", "export", "--unanchored", "--mcap", file.to_str().expect("UTF-8")]);
     }
 }
 
@@ -121,7 +121,7 @@ fn an_older_keyring_gets_what_it_lacks_from_the_chain() {
     let site = field.alice.serve(&field.home);
     let old = field.home.root().join("old.keyring");
     field.alice.run(&["keys", "backup", "--out", old.to_str().expect("UTF-8")]).expect_code(0);
-    let captured = || field.alice.records(&["uploads", "list", "--topic", TOPIC]).len();
+    let captured = || field.alice.records(&["records", "list", "--oldest", "--topic", TOPIC]).len();
     for _ in 0..3 {
         field.alice.json(&["keys", "rotate"]);
         let before = captured();

@@ -121,7 +121,7 @@ fn a_signing_key_made_by_openssl_is_loaded() {
     assert_ne!(loaded["signing_key"], made["signing_key"]);
     assert_eq!(text(&loaded, "signing_key"), public_key(&pem));
     assert_eq!(loaded["envelope_key"], made["envelope_key"], "the envelope key is another key");
-    assert_eq!(authros.json(&["register"])["signing_key"], loaded["signing_key"]);
+    assert_eq!(authros.json(&["identity", "register"])["signing_key"], loaded["signing_key"]);
 }
 
 /// As `openssl ecparam -genkey -name SM2` and `openssl pkey -text` write them, and an editor that puts a mark before them.
@@ -203,7 +203,7 @@ fn a_known_account_key_gives_its_known_address() {
     authros.json(&["identity", "create"]);
     let file = home.file("eoa.hex", KNOWN_EOA, 0o600);
     assert_eq!(authros.json(&["keys", "load", "--eoa", &file])["address"], KNOWN_ADDRESS);
-    assert_eq!(authros.json(&["register"])["address"], KNOWN_ADDRESS);
+    assert_eq!(authros.json(&["identity", "register"])["address"], KNOWN_ADDRESS);
 }
 
 #[test]

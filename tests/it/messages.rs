@@ -74,7 +74,7 @@ fn every_message_of_a_recorded_robot_is_decoded_as_rospy_does() {
 /// What a profile writes of a record under a name.
 fn written(authros: &Authros, home: &Home, id: &str, name: &str) -> Vec<u8> {
     let path = home.root().join(name);
-    let opened = authros.json(&["shared", "open", id, "--out", path.to_str().expect("UTF-8")]);
+    let opened = authros.json(&["records", "open", id, "--out", path.to_str().expect("UTF-8")]);
     assert_eq!(opened["verdict"], "verified", "{opened}");
     fs::read(path).expect("written")
 }
@@ -88,10 +88,12 @@ fn a_picture_taken_at_the_robot_is_restored_and_seen_by_the_grantee() {
     let bob = home.profile("bob").with(&["--passphrase-file", &passphrase]);
     alice.enrol();
     let address = bob.enrol();
-    alice.json(&["grant", &address]);
+    alice.json(&["grant", "add", &address]);
     alice.capture(&[CAMERA], 1);
     alice.capture(&["/robot1/odom"], 30);
-    let id = |topic: &str| text(bob.records(&["shared", "list", "--topic", topic]).last().expect("a record"), "id");
+    let id = |topic: &str| {
+        text(bob.records(&["received", "list", "--oldest", "--topic", topic]).last().expect("a record"), "id")
+    };
     let (picture, odometry) = (id(CAMERA), id("/robot1/odom"));
 
     let (body, jpeg) = (written(&alice, &home, &picture, "a.bin"), written(&bob, &home, &picture, "b.jpg"));
@@ -102,13 +104,13 @@ fn a_picture_taken_at_the_robot_is_restored_and_seen_by_the_grantee() {
     assert!(decoded == png && png.len() == 640 * 480 * 3, "the camera's very pixels");
     expect_as_rospy(&home, &bob, [(&picture, "sensor_msgs/CompressedImage"), (&odometry, "nav_msgs/Odometry")]);
 
-    let opened = bob.json(&["shared", "open", &odometry]);
+    let opened = bob.json(&["records", "open", &odometry]);
     assert_eq!((&opened["compression"], count(&opened, "bytes") > count(&opened, "stored")), (&"lz4".into(), true));
-    let readable = bob.run(&["shared", "open", &odometry]).expect_code(0).stdout;
+    let readable = bob.run(&["records", "open", &odometry]).expect_code(0).stdout;
     for word in ["Linear velocity, m/s", "Angular velocity, rad/s", "Pose, m", "Pose covariance", "Stamp", "Type"] {
         assert!(readable.contains(word), "{word}:\n{readable}");
     }
-    let path = bob.json(&["shared", "path", &odometry]);
+    let path = bob.json(&["records", "path", &odometry]);
     assert_eq!((count(&path, "records"), path["plot"]["points"].as_array().map(Vec::len)), (30, Some(30)), "{path}");
     expect_seen(&bob.with_variable("COLORTERM", "truecolor"));
     expect_seen_by_kitty(&bob, &png);
@@ -311,10 +313,10 @@ fn a_raw_picture_is_compressed_sealed_and_restored() {
     let (alice, bob) = (home.profile("alice"), home.profile("bob"));
     alice.enrol();
     let address = bob.enrol();
-    alice.json(&["grant", &address]);
+    alice.json(&["grant", "add", &address]);
     alice.capture(&["/camera"], 1);
-    let id = text(&bob.records(&["shared", "list"])[0], "id");
-    let opened = bob.json(&["shared", "open", &id]);
+    let id = text(&bob.records(&["received", "list", "--oldest"])[0], "id");
+    let opened = bob.json(&["records", "open", &id]);
     let (bytes, stored) = (count(&opened, "bytes"), count(&opened, "stored"));
     assert_eq!(opened["compression"], "matrix", "{opened}");
     assert!(stored < bytes / 2, "{stored} of {bytes} bytes sealed");
@@ -353,7 +355,7 @@ fn a_message_of_64_mib_is_taken_and_opened_within_bounds() {
     authros.capture(&["/large"], 1);
     drop(publisher);
     let taken = peak(&site.id().to_string());
-    let id = text(&authros.records(&["uploads", "list"])[0], "id");
+    let id = text(&authros.records(&["records", "list", "--oldest"])[0], "id");
     let restored = written(&authros, &home, &id, "restored.bin");
     assert!(restored == fs::read(&file).expect("made"), "the very bytes");
     let opened = peak(&site.id().to_string());

@@ -72,7 +72,7 @@ fn figures_of_a_site_are_those_of_status_and_promtool_takes_them() {
     let serving = authros.with_variable("AUTHROS_METRICS_LISTEN", &format!("127.0.0.1:{port}"));
     let site = serving.serve(&home);
     authros.capture(&[TOPIC], 5);
-    assert!(authros.records(&["uploads", "list"]).iter().all(is_verified));
+    assert!(authros.records(&["records", "list", "--oldest"]).iter().all(is_verified));
     let status = authros.json(&["status"]);
     let life = &status["life"];
     // Results are cached for a second.

@@ -24,7 +24,7 @@ const PENDING: usize = 100;
 const FEW: &str = "/chatter";
 const INCOMPLETE: i32 = 8;
 const REFUSED: i32 = 5;
-const REMEDY: &str = "authros --home NEW uploads import OLD";
+const REMEDY: &str = "authros --home NEW records import OLD";
 
 fn utf8(path: &Path) -> &str {
     path.to_str().expect("UTF-8")
@@ -50,7 +50,7 @@ impl Old {
         authros.capture(&topics.iter().map(String::as_str).collect::<Vec<_>>(), EACH);
         let ros2 = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/support/ros2.mcap");
         assert_eq!(count(&authros.json(&["bag", "import", ros2]), "verified"), 7);
-        let records = authros.records(&["uploads", "list"]);
+        let records = authros.records(&["records", "list", "--oldest"]);
         assert!(records.len() as u64 == ROBOTS * EACH + 7 && records.iter().all(is_verified));
         let newest = records.iter().map(|record| count(record, "block")).max().expect("records");
         wait_until(60, "the chain's proofs are kept", || {
@@ -99,13 +99,13 @@ impl Old {
     }
 
     fn records(&self) -> Vec<Value> {
-        self.authros.records(&["uploads", "list"])
+        self.authros.records(&["records", "list", "--oldest"])
     }
 
     /// All messages that the home opens, as one MCAP file.
     fn messages(&self, authros: &Authros) -> Vec<u8> {
         let file = self.home.root().join(format!("{}.mcap", files_in(self.home.root())));
-        authros.run(&["shared", "export", "--mcap", utf8(&file), "--unanchored"]).expect_code(0);
+        authros.run(&["bag", "export", "--mcap", utf8(&file), "--unanchored"]).expect_code(0);
         fs::read(&file).expect("written")
     }
 
@@ -114,17 +114,17 @@ impl Old {
     fn expect_open(&self, records: &[Value]) {
         let record = records.iter().find(|record| record["topic"] == FEW).expect("a verified record");
         let id = text(record, "id");
-        let opened = self.authros.with(&["--json"]).run(&["shared", "open", &id]).expect_code(INCOMPLETE).document();
+        let opened = self.authros.with(&["--json"]).run(&["records", "open", &id]).expect_code(INCOMPLETE).document();
         assert_eq!(
             (&opened["verdict"], opened["message"]["data"].is_string()),
             (&json!("not_checked"), true),
             "{opened}"
         );
         assert!(text(&opened, "reason").contains(REMEDY), "{opened}");
-        let checked = self.authros.run(&["shared", "check", &id]).expect_code(INCOMPLETE).stdout;
+        let checked = self.authros.run(&["records", "check", &id]).expect_code(INCOMPLETE).stdout;
         assert!(checked.contains("not checked against the chain now: ") && checked.contains(REMEDY), "{checked}");
         let folder = self.home.root().join("one");
-        self.authros.run(&["uploads", "export", &id, "--dir", utf8(&folder)]).expect_code(0);
+        self.authros.run(&["records", "export", &id, "--dir", utf8(&folder)]).expect_code(0);
         assert!(folder.join("proof.json").exists());
 
         // Captured before the first that no block has.
@@ -154,11 +154,11 @@ impl Old {
         let there = self.messages(&self.authros);
         let (home, old) = (Home::new(), self.home.path());
         let new = home.authros().with(options).with(&["--robots", "0"]);
-        let import = ["uploads", "import", utf8(&old)];
+        let import = ["records", "import", utf8(&old)];
         let begun = new.spawn(&import);
         wait_until(60, "the import runs", || home.socket());
         wait_until(60, "some are sealed", || {
-            let listed = new.with(&["--json"]).run(&["uploads", "list", "--limit", "1000"]);
+            let listed = new.with(&["--json"]).run(&["records", "list", "--oldest", "--limit", "1000"]);
             (listed.code == Some(0) && list(&listed.document(), "records").len() > 20).then_some(())
         });
         begun.stop("KILL", 10);
@@ -172,7 +172,7 @@ impl Old {
         // What the interrupted import sealed is anchored by whatever runs next.
         let site = new.serve(&home);
         let arrived = wait_until(60, "all are verified", || {
-            Some(new.records(&["uploads", "list"])).filter(|records| records.iter().all(is_verified))
+            Some(new.records(&["records", "list", "--oldest"])).filter(|records| records.iter().all(is_verified))
         });
         site.stop("INT", 30).expect_code(0);
         assert!(arrived.len() == records.len() && arrived.iter().all(is_verified), "{} of them", arrived.len());
@@ -181,7 +181,7 @@ impl Old {
             records.iter().map(|record| text(record, "topic") + &text(record, "captured_at")).collect()
         };
         assert_eq!(moments(&arrived), moments(records));
-        let opened = new.json(&["shared", "open", &text(&arrived[0], "id")]);
+        let opened = new.json(&["records", "open", &text(&arrived[0], "id")]);
         let former = list(&opened, "tags").into_iter().find(|tag| tag[0] == "former.record").expect("named");
         assert!(
             opened["verdict"] == "verified" && records.iter().any(|record| record["digest"] == former[1]),
@@ -246,5 +246,5 @@ fn an_embedded_chain_that_is_deleted_costs_no_message() {
     // Put back, it is used again.
     fs::rename(&lost, old.home.path().join("chain")).expect("moved back");
     let record = records.iter().find(|record| record["topic"] == FEW).expect("a verified record");
-    assert_eq!(old.authros.json(&["shared", "open", &text(record, "id")])["verdict"], "verified");
+    assert_eq!(old.authros.json(&["records", "open", &text(record, "id")])["verdict"], "verified");
 }

@@ -53,7 +53,7 @@ fn an_older_program_is_refused_in_words_and_changes_nothing() {
             database.execute_batch(later).expect("a later version");
             drop(database);
             let before = files(&place.path());
-            for command in [&["status"][..], &["uploads", "list"], &["audit"], &["serve"]] {
+            for command in [&["status"][..], &["records", "list", "--oldest"], &["audit"], &["serve"]] {
                 let message = place.authros().with(&["--robots", "0"]).fails(INPUT, command);
                 assert!(message.contains("900") && message.contains("use a newer authros"), "{command:?}: {message}");
                 assert!(message.contains(name.rsplit('/').next().expect("a name")), "it is named: {message}");

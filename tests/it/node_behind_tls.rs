@@ -37,11 +37,11 @@ fn a_mission(scheme: &str) {
     let home = Home::new();
     let authros = at(&home, &nginx, &nginx.url(scheme));
     node.fund(&text(&authros.json(&["identity", "create"]), "address"));
-    assert_eq!(authros.json(&["register"])["registered"], true);
+    assert_eq!(authros.json(&["identity", "register"])["registered"], true);
     authros.capture(&[TOPIC], 5);
-    let records = authros.records(&["uploads", "list"]);
+    let records = authros.records(&["records", "list", "--oldest"]);
     assert!(records.len() == 5 && records.iter().all(is_verified), "{records:?}");
-    assert_eq!(authros.json(&["shared", "check", &text(&records[0], "id")])["verdict"], "verified");
+    assert_eq!(authros.json(&["records", "check", &text(&records[0], "id")])["verdict"], "verified");
     authros.run(&["audit", "--deep"]).expect_code(0);
     for shown in [&["chain", "status"][..], &["status"], &["config", "show"], &["doctor"]] {
         let outcome = authros.run(shown);
@@ -94,13 +94,13 @@ fn what_keeps_us_from_the_node_is_named_with_what_to_do() {
                 ["for another name", "get a certificate for this name"],
             ),
         ] {
-            let message = at(&home, &nginx, &url).fails(4, &["register"]);
+            let message = at(&home, &nginx, &url).fails(4, &["identity", "register"]);
             assert!(said.iter().all(|part| message.contains(part)), "{url}: {message}");
             expect_no_secret(&message);
         }
         // Without the setting nobody here knows the authority.
         let stranger = home.authros().with_variable("AUTHROS_CHAIN", &nginx.url(secured));
-        let message = stranger.fails(4, &["register"]);
+        let message = stranger.fails(4, &["identity", "register"]);
         assert!(message.contains("an authority that is not trusted") && message.contains("chain.roots"), "{message}");
     }
 }
@@ -114,10 +114,11 @@ fn a_refused_address_of_a_node_is_not_repeated() {
         format!("https://me:{KEY}@"),
         format!("wss://me:{KEY}@node.example:port/"),
     ] {
-        let message = home.authros().with_variable("AUTHROS_CHAIN", &url).fails(3, &["register"]);
+        let message = home.authros().with_variable("AUTHROS_CHAIN", &url).fails(3, &["identity", "register"]);
         assert!(message.contains("http://"), "{message}");
         expect_no_secret(&message);
     }
-    let missing = home.authros().with_variable("AUTHROS_CHAIN_ROOTS", "/nowhere/ca.pem").fails(3, &["register"]);
+    let missing =
+        home.authros().with_variable("AUTHROS_CHAIN_ROOTS", "/nowhere/ca.pem").fails(3, &["identity", "register"]);
     assert!(missing.contains("chain.roots") && missing.contains("/nowhere/ca.pem"), "{missing}");
 }

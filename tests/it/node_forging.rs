@@ -37,7 +37,7 @@ impl Scene {
     }
 
     fn records(&self) -> Vec<Value> {
-        self.authros.records(&["uploads", "list", "--topic", TOPIC])
+        self.authros.records(&["records", "list", "--oldest", "--topic", TOPIC])
     }
 
     /// Ids of the messages of this length, and their states.
@@ -78,7 +78,7 @@ impl Scene {
     }
 
     fn held(&self) -> Value {
-        self.authros.json(&["quarantine", "list", "--topic", TOPIC, "--limit", "1000"])
+        self.authros.json(&["topics", "quarantine", "list", "--topic", TOPIC, "--limit", "1000"])
     }
 }
 
@@ -104,45 +104,45 @@ fn a_second_publisher_is_quarantined_and_the_operator_decides() {
     let forged = scene.of(FORGED.1);
 
     // The tag is in the sealed head, and only the owner is shown what is quarantined.
-    let opened = scene.authros.json(&["shared", "open", &forged[0].0]);
+    let opened = scene.authros.json(&["records", "open", &forged[0].0]);
     let tags = list(&opened, "tags");
     assert!(tags.iter().any(|tag| tag[0] == "quarantined" && tag[1] == "new"), "{opened}");
     assert_eq!((opened["verdict"].as_str(), opened["message"]["data"].as_str()), (Some("unanchored"), Some(FORGED.0)));
-    let told = scene.authros.run(&["shared", "open", &forged[0].0]);
+    let told = scene.authros.run(&["records", "open", &forged[0].0]);
     assert!(told.stdout.lines().next().is_some_and(|heading| heading.ends_with("QUARANTINED")), "{told}");
     let reader = scene.home.profile("reader");
-    scene.authros.json(&["grant", &reader.enrol()]);
-    let shared = reader.records(&["shared", "list", "--topic", TOPIC]);
+    scene.authros.json(&["grant", "add", &reader.enrol()]);
+    let shared = reader.records(&["received", "list", "--oldest", "--topic", TOPIC]);
     assert_eq!(shared.len(), scene.of(GOOD.1).len());
-    reader.fails(3, &["shared", "open", &forged[0].0]);
+    reader.fails(3, &["records", "open", &forged[0].0]);
 
     let held = scene.held();
     assert_eq!(count(&held, "messages"), forged.len() as u64);
     assert!(list(&held, "records").iter().all(|row| row["reason"] == "new"));
     let (released, discarded) = (&forged[0].0, &forged[1].0);
-    scene.authros.fails(2, &["quarantine", "discard", discarded]);
-    let decided = scene.authros.json(&["quarantine", "discard", discarded, "--yes"]);
+    scene.authros.fails(2, &["topics", "quarantine", "discard", discarded]);
+    let decided = scene.authros.json(&["topics", "quarantine", "discard", discarded, "--yes"]);
     assert_eq!((count(&decided, "messages"), list(&decided, "reports").is_empty()), (1, false));
-    let decided = scene.authros.json(&["quarantine", "release", released]);
+    let decided = scene.authros.json(&["topics", "quarantine", "release", released]);
     assert_eq!(count(&decided, "messages"), 1);
     let state = |id: &str| scene.of(FORGED.1).into_iter().find(|(found, _)| found == id).map(|(_, state)| state);
     assert!(poll(60, || (state(released)? == "verified").then_some(())).is_some(), "{:?}", state(released));
-    let opened = scene.authros.json(&["shared", "open", released]);
+    let opened = scene.authros.json(&["records", "open", released]);
     assert!(list(&opened, "tags").iter().any(|tag| tag[0] == "quarantined"), "the tag stays: {opened}");
     assert_eq!(opened["message"]["data"], FORGED.0, "its definition was released along");
     assert_eq!(state(discarded).as_deref(), Some("dropped"));
-    scene.authros.fails(6, &["shared", "open", discarded]);
-    scene.authros.fails(3, &["quarantine", "release", discarded]);
+    scene.authros.fails(6, &["records", "open", discarded]);
+    scene.authros.fails(3, &["topics", "quarantine", "release", discarded]);
 
     // The rest of the topic at once; the alarm is acknowledged.
-    let decided = scene.authros.json(&["quarantine", "discard", "--topic", TOPIC, "--yes"]);
+    let decided = scene.authros.json(&["topics", "quarantine", "discard", "--topic", TOPIC, "--yes"]);
     assert_eq!(count(&decided, "messages"), forged.len() as u64 - 2);
     assert!(scene.alarms().iter().all(|alarm| alarm["open"] == false));
     assert_eq!(count(&scene.held(), "messages"), 0);
     let dropped = scene.of(FORGED.1).iter().filter(|(_, state)| state == "dropped").count();
     assert_eq!(dropped, forged.len() - 1);
     // The quarantine records count everything quarantined, and are anchored like data.
-    let reports = || scene.authros.records(&["uploads", "list", "--kind", "quarantine"]);
+    let reports = || scene.authros.records(&["records", "list", "--oldest", "--kind", "quarantine"]);
     let anchored = || (!reports().is_empty() && reports().iter().all(is_verified)).then_some(());
     assert!(poll(60, anchored).is_some(), "{:?}", reports());
 }
@@ -217,7 +217,7 @@ fn a_list_says_who_may_publish() {
         (count(&summary, "captured"), count(&summary, "verified"), count(&summary, "quarantined"));
     assert!(verified > 0 && held > 0 && captured == verified + held, "{summary}");
     assert!(outcome.stderr.contains("quarantined"), "{outcome}");
-    let records = authros.records(&["uploads", "list", "--topic", TOPIC]);
+    let records = authros.records(&["records", "list", "--oldest", "--topic", TOPIC]);
     let of = |bytes| records.iter().filter(move |record| count(record, "bytes") == bytes);
     assert_eq!(of(GOOD.1).filter(|record| is_verified(record)).count() as u64, verified);
     assert!(of(FORGED.1).all(|record| record["state"] == "quarantined") && of(FORGED.1).count() as u64 >= held);

@@ -33,12 +33,12 @@ fn epochs(authros: &Authros) -> Vec<u64> {
 fn a_newer_keyring_brings_an_older_chain_to_its_keys_and_gives_nothing_to_a_revoked_reader() {
     let two = two_profiles(1);
     two.alice.capture(&["/robot1/odom"], 2);
-    two.alice.json(&["grant", &two.bob_address]);
+    two.alice.json(&["grant", "add", &two.bob_address]);
     let secret = two.home.file("secret", "a passphrase of its own\n", 0o600);
     let backup = two.home.root().join("old.backup").to_str().expect("UTF-8").to_owned();
-    two.alice.json(&["backup", &backup, "--passphrase-file", &secret]);
+    two.alice.json(&["backup", "create", &backup, "--passphrase-file", &secret]);
 
-    two.alice.json(&["revoke", &two.bob_address]);
+    two.alice.json(&["grant", "end", &two.bob_address]);
     let key = two.home.file("sm2", SIGNING_KEY, 0o600);
     two.alice.run(&["keys", "load", "--sm2", &key]).expect_code(0);
     two.alice.json(&["keys", "rotate"]);
@@ -47,7 +47,7 @@ fn a_newer_keyring_brings_an_older_chain_to_its_keys_and_gives_nothing_to_a_revo
 
     let home = Home::new();
     let alice = home.profile("alice").with(&["--robots", "1"]);
-    alice.json(&["restore", &backup, "--passphrase-file", &secret]);
+    alice.json(&["backup", "restore", &backup, "--passphrase-file", &secret]);
     copy_keyring(&two.home.path(), &home.path(), "alice");
     copy_keyring(&two.home.path(), &home.path(), "bob");
     for name in ["alice", "bob"] {
@@ -62,29 +62,29 @@ fn a_newer_keyring_brings_an_older_chain_to_its_keys_and_gives_nothing_to_a_revo
     assert_eq!(captured["verified"], 2, "{captured}");
     let shown = alice.json(&["identity", "show"]);
     assert_eq!((&shown["registered"], &shown["signing_key"]), (&Value::from(true), &newest["signing_key"]), "{shown}");
-    alice.json(&["register"]);
+    alice.json(&["identity", "register"]);
 
     // The revocation is lost with the chain. It is said, and until the owner has decided nobody is given a key.
     let told = health(&alice, "keys");
     assert!(told.contains("the chain has epoch 1 of 'alice' and had epoch 3 before"), "{told}");
-    assert!(told.contains("authros grants list") && told.contains("authros keys rotate"), "{told}");
-    let refused = alice.fails(REFUSED, &["grant", &two.bob_address]);
+    assert!(told.contains("authros grant list") && told.contains("authros keys rotate"), "{told}");
+    let refused = alice.fails(REFUSED, &["grant", "add", &two.bob_address]);
     assert!(refused.contains("had epoch 3 before"), "{refused}");
     let readable = |reader: &Authros| {
-        let records = reader.records(&["shared", "list"]);
-        records.iter().filter(|record| reader.run(&["shared", "open", &text(record, "id")]).code == Some(0)).count()
+        let records = reader.records(&["received", "list", "--oldest"]);
+        records.iter().filter(|record| reader.run(&["records", "open", &text(record, "id")]).code == Some(0)).count()
     };
     assert_eq!(readable(&bob), 2, "what was sealed before the revocation, and no more");
 
-    alice.json(&["revoke", &two.bob_address]);
+    alice.json(&["grant", "end", &two.bob_address]);
     assert_eq!(epochs(&alice), [1, 2, 3, 4], "no epoch is begun twice");
     assert_eq!(health(&alice, "keys"), "");
     alice.capture(&["/robot1/odom"], 2);
     assert_eq!(readable(&bob), 0, "a reader who was revoked is refused");
-    let own = alice.records(&["uploads", "list"]);
+    let own = alice.records(&["records", "list", "--oldest"]);
     assert!(own.len() == 6 && own.iter().all(is_verified), "{own:?}");
     for record in &own {
-        assert_eq!(alice.json(&["shared", "open", &text(record, "id")])["verdict"], "verified", "{record}");
+        assert_eq!(alice.json(&["records", "open", &text(record, "id")])["verdict"], "verified", "{record}");
     }
     alice.run(&["audit", "--deep"]).expect_code(0);
     site.stop("TERM", 30).expect_code(0);
@@ -105,7 +105,7 @@ fn keys_that_had_a_contract_on_this_chain_get_no_second_one() {
 
     let doctor = alice.run(&["doctor"]);
     assert!(doctor.code != Some(0) && doctor.stdout.contains("ledger.db is gone"), "{doctor}");
-    for command in [&["register"][..], &["capture", "--topic", "/robot1/odom", "--count", "1"]] {
+    for command in [&["identity", "register"][..], &["capture", "--topic", "/robot1/odom", "--count", "1"]] {
         let message = alice.fails(REFUSED, command);
         assert!(message.contains(&contract) && message.contains("--contract"), "{command:?}: {message}");
         assert!(message.contains("nothing was deployed"), "{message}");
@@ -119,7 +119,7 @@ fn keys_that_had_a_contract_on_this_chain_get_no_second_one() {
     }
 
     let named = alice.with(&["--contract", &contract]);
-    let shown = named.json(&["register"]);
+    let shown = named.json(&["identity", "register"]);
     assert_eq!((&shown["registered"], &shown["epoch"]), (&Value::from(true), &Value::from(1)), "{shown}");
     // From here on the new ledger knows it.
     assert_eq!(text(&alice.json(&["chain", "status"]), "contract"), contract);
@@ -168,8 +168,8 @@ fn a_keyring_that_is_gone_or_another_accounts_is_named_and_nothing_takes_its_pla
     fs::remove_dir_all(&folder).expect("removed");
     fs::rename(&kept, &folder).expect("put back");
     alice.run(&["doctor"]).expect_code(0);
-    for record in alice.records(&["uploads", "list"]) {
-        assert_eq!(alice.json(&["shared", "open", &text(&record, "id")])["verdict"], "verified", "{record}");
+    for record in alice.records(&["records", "list", "--oldest"]) {
+        assert_eq!(alice.json(&["records", "open", &text(&record, "id")])["verdict"], "verified", "{record}");
     }
 }
 
@@ -181,10 +181,10 @@ fn what_a_restored_home_anchored_and_lost_is_missing() {
     alice.capture(&["/robot1/odom"], 2);
     let secret = home.file("secret", "a passphrase of its own\n", 0o600);
     let backup = home.root().join("a.backup").to_str().expect("UTF-8").to_owned();
-    alice.json(&["backup", &backup, "--passphrase-file", &secret]);
+    alice.json(&["backup", "create", &backup, "--passphrase-file", &secret]);
     let place = Home::new();
     let restored = place.profile("alice").with(&["--robots", "1"]);
-    restored.json(&["restore", &backup, "--passphrase-file", &secret]);
+    restored.json(&["backup", "restore", &backup, "--passphrase-file", &secret]);
     let ledger = place.path().join("ledger.db");
     let before = fs::read(&ledger).expect("a store");
     // Blocks of the second in which it was restored may be of the home before.
@@ -206,14 +206,14 @@ fn what_the_former_key_signed_is_anchored_before_a_newer_key_is_registered_again
     alice.capture(&["/robot1/odom"], 2);
     // While nothing can be anchored, records wait; the backup has them like that.
     let boss = two.home.profile("default");
-    boss.json(&["chain", "pause", "--for", "1h"]);
+    boss.json(&["chain", "admin", "pause", "--for", "1h"]);
     alice.json(&["topics", "watch", "/robot1/odom"]);
-    wait_until(60, "some records wait", || (alice.records(&["uploads", "list"]).len() >= 8).then_some(()));
+    wait_until(60, "some records wait", || (alice.records(&["records", "list", "--oldest"]).len() >= 8).then_some(()));
     alice.json(&["topics", "unwatch", "/robot1/odom"]);
     let secret = two.home.file("secret", "a passphrase of its own\n", 0o600);
     let backup = two.home.root().join("waiting.backup").to_str().expect("UTF-8").to_owned();
-    alice.json(&["backup", &backup, "--passphrase-file", &secret]);
-    boss.json(&["chain", "resume"]);
+    alice.json(&["backup", "create", &backup, "--passphrase-file", &secret]);
+    boss.json(&["chain", "admin", "resume"]);
     let key = two.home.file("sm2", SIGNING_KEY, 0o600);
     alice.run(&["keys", "load", "--sm2", &key]).expect_code(0);
     let newest = alice.json(&["keys", "list"]);
@@ -221,18 +221,18 @@ fn what_the_former_key_signed_is_anchored_before_a_newer_key_is_registered_again
 
     let home = Home::new();
     let restored = home.profile("alice").with(&["--robots", "1"]);
-    restored.json(&["restore", &backup, "--passphrase-file", &secret]);
+    restored.json(&["backup", "restore", &backup, "--passphrase-file", &secret]);
     for name in ["alice", "default"] {
         copy_keyring(&two.home.path(), &home.path(), name);
         let file = format!("profiles/{name}/passphrase");
         fs::copy(two.home.path().join(&file), home.path().join(&file)).expect("the passphrase is copied");
     }
     let site = restored.serve(&home);
-    let waiting = restored.records(&["uploads", "list"]);
+    let waiting = restored.records(&["records", "list", "--oldest"]);
     assert!(waiting.iter().filter(|record| !is_verified(record)).count() >= 6, "{waiting:?}");
-    home.profile("default").json(&["chain", "resume"]);
+    home.profile("default").json(&["chain", "admin", "resume"]);
     wait_until(120, "all of them are verified", || {
-        restored.records(&["uploads", "list"]).iter().all(is_verified).then_some(())
+        restored.records(&["records", "list", "--oldest"]).iter().all(is_verified).then_some(())
     });
     wait_until(120, "the newer key is registered", || {
         let shown = restored.json(&["identity", "show"]);

@@ -88,30 +88,33 @@ fn each_account_does_what_the_settings_say_and_the_log_names_it() {
 
     // The group looks; rights of user and group add up.
     for operator in [&bob, &eve, &rob] {
-        assert!(list(&operator.json(&["uploads", "list"]), "records").len() < 1000);
+        assert!(list(&operator.json(&["records", "list", "--oldest"]), "records").len() < 1000);
     }
     let needs = |operator: &Authros, right: &str, arguments: &[&str]| {
         let refusal = operator.fails(REFUSED, arguments);
         assert!(refusal.contains(&format!("needs the right '{right}'")), "{refusal}");
     };
     needs(&bob, "capture", &["topics", "watch", TOPIC]);
-    needs(&bob, "grant", &["grant", &reader]);
+    needs(&bob, "grant", &["grant", "add", &reader]);
     needs(&eve, "capture", &["topics", "watch", TOPIC]);
-    needs(&rob, "grant", &["grant", &reader]);
+    needs(&rob, "grant", &["grant", "add", &reader]);
     assert!(rob.fails(REFUSED, &["keys", "rotate"]).contains("only the owner"));
     rob.capture(&[TOPIC], 2);
     rob.run(&["topics", "watch", TOPIC]).expect_code(0);
     yard.owner.run(&["topics", "unwatch", TOPIC]).expect_code(0);
-    eve.json(&["grant", &reader]);
+    eve.json(&["grant", "add", &reader]);
     let address = text(&yard.owner.json(&["identity", "show"]), "address");
     assert_eq!(text(&eve.json(&["identity", "show"]), "address"), address, "she acts for the owner");
-    assert_eq!(list(&bob.json(&["grants", "list"]), "grants").len(), 1);
+    assert_eq!(list(&bob.json(&["grant", "list"]), "grants").len(), 1);
 
     // Neither another profile nor somebody who is only in the kernel's group.
     let other = yard.operator_of(&accounts, "bob", "default");
-    assert!(other.fails(REFUSED, &["uploads", "list"]).contains("no profile 'default'"));
+    assert!(other.fails(REFUSED, &["records", "list", "--oldest"]).contains("no profile 'default'"));
     let mallory = yard.operator(&accounts, "mallory");
-    assert!(mallory.fails(REFUSED, &["uploads", "list"]).contains("you may not use"), "the socket is its group's");
+    assert!(
+        mallory.fails(REFUSED, &["records", "list", "--oldest"]).contains("you may not use"),
+        "the socket is its group's"
+    );
     let mut line = accounts.line(&accounts.name("mallory"), &yard.socket);
     let refusal = line.next().expect("a refusal");
     assert!(text(&refusal["refused"], "message").contains("has no right at this site"), "{refusal}");
@@ -132,7 +135,10 @@ fn each_account_does_what_the_settings_say_and_the_log_names_it() {
     assert_eq!(yard.audited(&["--by", &by, "--action", "watch"]).len(), 2);
 
     yard.stop();
-    assert!(bob.fails(UNREACHABLE, &["uploads", "list"]).contains("authros serve"), "an operator opens no home");
+    assert!(
+        bob.fails(UNREACHABLE, &["records", "list", "--oldest"]).contains("authros serve"),
+        "an operator opens no home"
+    );
     let refused = yard.audited(&["--action", "refused"]);
     let counted = |by: &str, code: &str| {
         refused.iter().any(|line| {
@@ -156,7 +162,7 @@ fn the_homes_socket_is_its_owners_and_an_operator_gives_no_passphrase() {
     // Root, too, who can open every file, and would be told before anything is sent.
     let roots = Home::new();
     let root = Authros::bare(roots.root()).with(&["--home", yard.home.to_str().expect("UTF-8"), "--profile", "yard"]);
-    let refusal = root.fails(REFUSED, &["uploads", "list"]);
+    let refusal = root.fails(REFUSED, &["records", "list", "--oldest"]);
     assert!(refusal.contains("belongs to user") && refusal.contains("run this as that user"), "{refusal}");
     // Even if every door to it stood open.
     let own = yard.home.join("site.sock");
@@ -175,7 +181,9 @@ fn the_homes_socket_is_its_owners_and_an_operator_gives_no_passphrase() {
     // A passphrase is refused at every step: by the arguments, before one is asked for, and by the site.
     let bob = yard.operator(&accounts, "bob");
     let words = accounts.home("bob").join("words");
-    bob.with(&["--passphrase-file", words.to_str().expect("UTF-8")]).run(&["uploads", "list"]).expect_code(USAGE);
+    bob.with(&["--passphrase-file", words.to_str().expect("UTF-8")])
+        .run(&["records", "list", "--oldest"])
+        .expect_code(USAGE);
     for arguments in [&["keys", "passphrase"][..], &["identity", "create"]] {
         assert!(bob.fails(REFUSED, arguments).contains("gives no passphrase"), "{arguments:?}");
     }
@@ -192,7 +200,7 @@ fn the_homes_socket_is_its_owners_and_an_operator_gives_no_passphrase() {
     drop(line);
 
     // The console says who asks, and asks for nothing.
-    yard.owner.run(&["identity", "lock"]).expect_code(0);
+    yard.owner.run(&["keys", "lock"]).expect_code(0);
     let mut console = Console::open_in(&Terminal::of(120, 30), &bob, &[]);
     console.wait_for(&format!("OPERATOR {}", accounts.name("bob")), PATIENCE);
     console.press("2");
@@ -249,7 +257,7 @@ fn a_user_without_a_name_and_one_of_another_namespace_are_refused() {
     // The program itself does not know as whom it would ask.
     let nameless = accounts.authros_as(home.root(), &accounts.claims_the_group("59999"));
     let given = ["--site-socket", socket.to_str().expect("UTF-8")];
-    assert!(nameless.with(&given).fails(REFUSED, &["uploads", "list"]).contains("no name for user"));
+    assert!(nameless.with(&given).fails(REFUSED, &["records", "list", "--oldest"]).contains("no name for user"));
     running.stop("INT", 30).expect_code(0);
 
     // The same bob, seen from a namespace that has root alone.

@@ -80,7 +80,7 @@ fn a_new_passphrase_is_typed_twice_and_written_nowhere() {
 fn without_a_terminal_a_passphrase_is_stored_only_if_this_was_asked_for() {
     let home = Home::new();
     let authros = plain(&home);
-    for command in [&["identity", "create"][..], &["register"], &["serve"], &["gateway", "serve"]] {
+    for command in [&["identity", "create"][..], &["identity", "register"], &["serve"], &["gateway", "serve"]] {
         let refused = authros.fails(REFUSED, command);
         assert!(refused.contains("--passphrase-file") && refused.contains("--store-passphrase"), "{refused}");
     }
@@ -167,6 +167,38 @@ fn an_odd_terminal_hides_what_is_typed_and_stays_odd() {
 }
 
 #[test]
+fn a_stopped_question_gives_the_terminal_back_and_is_asked_again() {
+    let home = Home::new();
+    let authros = with_keyring(&home);
+    let [before, stopped, after] = ["before", "stopped", "after"].map(|name| home.root().join(name));
+    let modes = |path: &Path| format!("stty -g >{}", path.display());
+    let (begin, middle, end) = (modes(&before), modes(&stopped), modes(&after));
+    let line = format!(
+        "set -m; {begin}; \"$@\"; echo stopped $?; {middle}; read -r heard; echo \"the shell heard [$heard]\"; fg; \
+         echo ended $?; {end}"
+    );
+    for (keys, code) in [(format!("{PASSPHRASE}\r"), 0), ("half a secret\u{3}".to_owned(), 5)] {
+        let mut console = in_shell(&Terminal::of(100, 30), &authros, &line);
+        console.wait_for(QUESTION, PATIENCE);
+        console.press("half a secret\u{1a}");
+        console.wait_for("stopped 14", PATIENCE);
+        console.press("a line for the shell\r");
+        console.wait_for("the shell heard [a line for the shell]", PATIENCE);
+        let is_question = |bytes: &[u8]| bytes == QUESTION.as_bytes();
+        wait_until(PATIENCE, "the question again", || {
+            let times = console.raw().windows(QUESTION.len()).filter(|bytes| is_question(bytes)).count();
+            (times >= 2).then_some(())
+        });
+        console.press(&keys);
+        console.wait_for(&format!("ended {code}"), PATIENCE);
+        console.wait(PATIENCE);
+        assert!(!holds(&console.raw(), PASSPHRASE.as_bytes()) && !holds(&console.raw(), b"half a secret"));
+        let read = |path: &Path| fs::read_to_string(path).expect("stty ran");
+        assert_eq!((read(&stopped), read(&after)), (read(&before), read(&before)), "as stty sees it");
+    }
+}
+
+#[test]
 fn nobody_is_asked_where_standard_input_is_a_pipe() {
     let home = Home::new();
     let authros = with_keyring(&home);
@@ -184,14 +216,14 @@ fn a_backup_asks_for_a_passphrase_of_its_own() {
     let file = home.root().join("b.backup");
     let file = file.to_str().expect("UTF-8");
     let own = "the words of the backup";
-    let mut console = asked(&authros, &["backup", file], "New passphrase of this backup");
+    let mut console = asked(&authros, &["backup", "create", file], "New passphrase of this backup");
     console.press(&format!("{own}\r"));
     console.wait_for("Repeat it", PATIENCE);
     console.press(&format!("{own}\r"));
     expect_end(console, 0, &[own]);
 
     let elsewhere = Home::new();
-    let mut console = asked(&plain(&elsewhere), &["restore", file], "Passphrase of the backup");
+    let mut console = asked(&plain(&elsewhere), &["backup", "restore", file], "Passphrase of the backup");
     console.press(&format!("{own}\r"));
     expect_end(console, 0, &[own]);
     assert!(elsewhere.path().join("profiles/default/keyring").exists());
@@ -294,7 +326,24 @@ fn a_saved_keyring_is_brought_back_and_never_over_another() {
     // On another machine; it is no backup of a home.
     let elsewhere = Home::new();
     let whole = plain(&elsewhere).with(&["--passphrase-file", &right]);
-    let backup = whole.fails(INPUT, &["restore", saved]);
+    let backup = whole.fails(INPUT, &["backup", "restore", saved]);
     assert!(backup.contains("authros keys restore"), "{backup}");
     assert_eq!(text(&whole.json(&["keys", "restore", saved]), "address"), address);
+}
+
+#[test]
+fn a_passphrase_given_to_a_list_opens_the_keyring_for_it_without_a_site() {
+    let home = Home::new();
+    let authros = home.authros().with(&["--robots", "1"]).storing_no_passphrase();
+    let file = home.file("passphrase", PASSPHRASE, 0o600);
+    let with = authros.with(&["--passphrase-file", &file]);
+    with.json(&["identity", "create"]);
+    with.capture(&["/robot1/odom"], 2);
+    let states = |authros: &Authros| -> Vec<String> {
+        authros.records(&["records", "list", "--oldest"]).iter().map(|record| text(record, "state")).collect()
+    };
+    assert_eq!(states(&authros), ["verified, names unchecked"; 2]);
+    assert_eq!(states(&with), ["verified"; 2]);
+    let wrong = home.file("wrong", "not the passphrase", 0o600);
+    authros.with(&["--passphrase-file", &wrong]).fails(REFUSED, &["records", "list", "--oldest"]);
 }

@@ -91,11 +91,11 @@ fn a_back_up_takes_both_and_a_restore_puts_them_back() {
     authros.run(&["identity", "create"]).expect_code(0);
     let secret = user.file("secret", "a passphrase of its own\n", 0o600);
     let inside = user.root().join(CONFIG).join("themes/x").to_str().expect("UTF-8").to_owned();
-    authros.fails(INPUT, &["backup", &inside, "--passphrase-file", &secret]);
+    authros.fails(INPUT, &["backup", "create", &inside, "--passphrase-file", &secret]);
     let file = user.root().join("backup").to_str().expect("UTF-8").to_owned();
-    authros.run(&["backup", &file, "--passphrase-file", &secret]).expect_code(0);
+    authros.run(&["backup", "create", &file, "--passphrase-file", &secret]).expect_code(0);
 
-    let restore = ["restore", &file, "--passphrase-file", &secret];
+    let restore = ["backup", "restore", &file, "--passphrase-file", &secret];
     let holds = |folder: &Path, name: &str, text: &str| {
         assert_eq!(fs::read_to_string(folder.join(name)).expect("there"), text, "{name}");
     };

@@ -62,7 +62,7 @@ fn drive(robot: &Roscore, plant: &Plant, bag: &Path, times: usize) {
     robot.play_as("robot", bag, 2).wait(120).expect_code(0);
     let expected = list_bag(bag).len() * times;
     wait_until(120, "all is verified", || {
-        let records = plant.alice.records(&["uploads", "list"]);
+        let records = plant.alice.records(&["records", "list", "--oldest"]);
         (records.len() == expected && records.iter().all(is_verified)).then_some(())
     });
 }
@@ -81,10 +81,10 @@ fn a_real_recorder_in_the_reader_s_graph_hears_what_the_robot_said() {
     make_bag(&["latched", bag.to_str().expect("UTF-8")]);
     drive(&robot, &plant, &bag, 1);
 
-    let refused = plant.bob.fails(REFUSED, &["shared", "play", "--to", &reader.uri()]);
+    let refused = plant.bob.fails(REFUSED, &["received", "play", "--to", &reader.uri()]);
     assert!(refused.contains("shares"), "without a grant there is nothing to play: {refused}");
-    plant.alice.json(&["grant", &plant.bob_address]);
-    let refused = plant.bob.fails(REFUSED, &["shared", "play"]);
+    plant.alice.json(&["grant", "add", &plant.bob_address]);
+    let refused = plant.bob.fails(REFUSED, &["received", "play"]);
     assert!(refused.contains("--prefix"), "a loop is refused: {refused}");
 
     let ways: [(&str, &[&str]); 3] = [("at-once", &[]), ("paced", &["--as-captured"]), ("fast", &["--rate", "10"])];
@@ -92,7 +92,7 @@ fn a_real_recorder_in_the_reader_s_graph_hears_what_the_robot_said() {
         let recorded = &path(&format!("{name}.bag"));
         let recorder = reader.record(recorded, &TOPICS);
         let uri = reader.uri();
-        let arguments = [&["--json", "shared", "play", "--to", &uri], how].concat();
+        let arguments = [&["--json", "received", "play", "--to", &uri], how].concat();
         let played = plant.bob.spawn(&arguments).wait(120).expect_code(0).document();
         let figures = ["published", "refused", "missing", "dropped"].map(|figure| count(&played, figure));
         assert_eq!(figures, [list_bag(&bag).len() as u64, 0, 0, 0], "{played}");
@@ -112,9 +112,9 @@ fn pictures_of_a_megabyte_arrive_at_ten_a_second() {
     let number = if long() { "100" } else { "15" };
     make_bag(&["pictures", bag.to_str().expect("UTF-8"), number]);
     drive(&robot, &plant, &bag, 1);
-    plant.alice.json(&["grant", &plant.bob_address]);
+    plant.alice.json(&["grant", "add", &plant.bob_address]);
     let recorder = reader.record(&recorded, &["/camera"]);
-    let arguments = ["--json", "shared", "play", "--to", &reader.uri(), "--as-captured"].map(str::to_owned);
+    let arguments = ["--json", "received", "play", "--to", &reader.uri(), "--as-captured"].map(str::to_owned);
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
     let played = plant.bob.spawn(&arguments).wait(120).expect_code(0).document();
     assert_eq!(count(&played, "published").to_string(), number, "{played}");
@@ -133,11 +133,11 @@ fn what_is_played_live_ends_with_the_grant_and_late_subscribers_get_what_was_lat
     let bag = path("drive.bag");
     make_bag(&["latched", bag.to_str().expect("UTF-8")]);
     drive(&robot, &plant, &bag, 1);
-    plant.alice.json(&["grant", &plant.bob_address]);
+    plant.alice.json(&["grant", "add", &plant.bob_address]);
 
     let live = path("live.bag");
     let recorder = reader.record(&live, &["/odom", "/words"]);
-    let mut player = plant.bob.spawn(&["--json", "shared", "play", "--follow", "--to", &reader.uri()]);
+    let mut player = plant.bob.spawn(&["--json", "received", "play", "--follow", "--to", &reader.uri()]);
     wait_until(60, "the latched topic is there", || {
         player.expect_running();
         is_played(&reader, LATCHED)
@@ -150,7 +150,7 @@ fn what_is_played_live_ends_with_the_grant_and_late_subscribers_get_what_was_lat
     drive(&robot, &plant, &bag, 2);
     ear.wait(120).expect_code(0);
     assert_eq!(list(&reader.hear(1, &[LATCHED]), LATCHED).last(), calibration.last(), "the last one is latched");
-    let revoked = plant.alice.json(&["revoke", &plant.bob_address]);
+    let revoked = plant.alice.json(&["grant", "end", &plant.bob_address]);
     assert!(revoked["transaction"].is_string(), "{revoked}");
     let played = player.wait(60).expect_code(REFUSED).document();
     assert_eq!((&played["ended_by"], count(&played, "refused")), (&"revoked".into(), 0), "{played}");
@@ -167,16 +167,16 @@ fn what_is_played_live_ends_with_the_grant_and_late_subscribers_get_what_was_lat
 fn a_simulated_robot_is_played_live_until_the_revoke() {
     let two = two_profiles(1);
     two.alice.json(&["topics", "watch", ODOM]);
-    two.alice.json(&["grant", &two.bob_address]);
+    two.alice.json(&["grant", "add", &two.bob_address]);
     let mut player =
-        two.bob.spawn(&["--json", "shared", "play", "--follow", "--prefix", "/shared/alice", "--topic", ODOM]);
+        two.bob.spawn(&["--json", "received", "play", "--follow", "--prefix", "/shared/alice", "--topic", ODOM]);
     let played = format!("/shared/alice{ODOM}");
     wait_until(60, "it is published", || {
         player.expect_running();
         let topics = list(&two.bob.json(&["topics", "list"]), "topics");
         topics.iter().any(|topic| topic["topic"] == played.as_str()).then_some(())
     });
-    two.alice.json(&["revoke", &two.bob_address]);
+    two.alice.json(&["grant", "end", &two.bob_address]);
     let ended = player.wait(60).expect_code(REFUSED).document();
     assert_eq!(ended["ended_by"], "revoked", "{ended}");
     assert!(count(&ended, "published") > 0, "{ended}");
@@ -196,15 +196,15 @@ fn nothing_played_live_is_left_out_when_another_reader_s_grant_ends() {
     let [_, to_bob, to_carol, to_dave] = [&alice, &bob, &carol, &dave].map(|profile| {
         let address = text(&profile.json(&["identity", "create"]), "address");
         node.fund(&address);
-        profile.json(&["register"]);
+        profile.json(&["identity", "register"]);
         address
     });
     alice.json(&["topics", "watch", ODOM]);
     for reader in [&to_bob, &to_carol, &to_dave] {
-        alice.json(&["grant", reader]);
+        alice.json(&["grant", "add", reader]);
     }
     let prefix = "/shared/alice";
-    let mut player = bob.spawn(&["--json", "shared", "play", "--follow", "--prefix", prefix, "--topic", ODOM]);
+    let mut player = bob.spawn(&["--json", "received", "play", "--follow", "--prefix", prefix, "--topic", ODOM]);
     let played = format!("{prefix}{ODOM}");
     wait_until(60, "it is published", || {
         player.expect_running();
@@ -214,13 +214,13 @@ fn nothing_played_live_is_left_out_when_another_reader_s_grant_ends() {
     // With each an epoch begins, under which records are sealed and verified before its key is with those who may read on.
     node.set_interval(1);
     for reader in [&to_carol, &to_dave] {
-        alice.json(&["revoke", reader]);
-        let verified = || alice.records(&["uploads", "list", "--state", "verified"]).len();
+        alice.json(&["grant", "end", reader]);
+        let verified = || alice.records(&["records", "list", "--oldest", "--state", "verified"]).len();
         let before = verified();
         wait_until(60, "more is verified", || Some(()).filter(|()| verified() >= before + 5));
     }
     player.expect_running();
-    alice.json(&["revoke", &to_bob]);
+    alice.json(&["grant", "end", &to_bob]);
     let ended = player.wait(60).expect_code(REFUSED).document();
     let figures = ["refused", "missing", "dropped"].map(|figure| count(&ended, figure));
     assert_eq!((&ended["ended_by"], figures), (&"revoked".into(), [0, 0, 0]), "{ended}");
@@ -230,7 +230,7 @@ fn nothing_played_live_is_left_out_when_another_reader_s_grant_ends() {
 fn a_key_of_the_console_plays_the_topic_of_a_shared_record_and_ends_that() {
     let two = two_profiles(1);
     two.alice.capture(&[ODOM], 3);
-    two.alice.json(&["grant", &two.bob_address]);
+    two.alice.json(&["grant", "add", &two.bob_address]);
     two.alice.json(&["topics", "watch", ODOM]);
     let played = || {
         let topics = list(&two.bob.json(&["topics", "list"]), "topics");
@@ -258,14 +258,14 @@ fn what_was_tampered_with_or_is_gone_is_counted_and_never_played() {
     let (alice, bob) = (home.profile("alice"), home.profile("bob"));
     alice.enrol();
     let bob_address = bob.enrol();
-    alice.json(&["grant", &bob_address]);
+    alice.json(&["grant", "add", &bob_address]);
     alice.capture(&[ODOM], 6);
-    let records = alice.records(&["uploads", "list"]);
+    let records = alice.records(&["records", "list", "--oldest"]);
     let digest = |index: usize| text(&records[index], "digest").parse().expect("a digest");
     let store = Ciphertext::of(&Ledger::open(&home.path().join("ledger.db")).expect("opens"));
     assert_eq!(store.replace(digest(1), b"something else"), Ok(true));
     store.discard(&[digest(4)]).expect("deleted");
-    let play = ["--json", "shared", "play", "--prefix", "/shared/alice"];
+    let play = ["--json", "received", "play", "--prefix", "/shared/alice"];
     let played = bob.run(&play).expect_code(INCOMPLETE).document();
     let figures = ["published", "refused", "missing"].map(|figure| count(&played, figure));
     assert_eq!((figures, &played["ended_by"]), ([4, 1, 1], &"whole".into()), "{played}");
@@ -284,9 +284,9 @@ fn the_embedded_master_is_named_so_that_nodes_can_join_it() {
 #[test]
 fn wishes_that_cannot_be_are_refused_with_words() {
     let two = two_profiles(1);
-    two.alice.json(&["grant", &two.bob_address]);
+    two.alice.json(&["grant", "add", &two.bob_address]);
     let says = |arguments: &[&str], words: &str| {
-        let outcome = two.bob.run(&[&["shared", "play"], arguments].concat());
+        let outcome = two.bob.run(&[&["received", "play"], arguments].concat());
         assert!(outcome.code != Some(0) && outcome.stderr.contains(words), "{words}: {outcome}");
     };
     says(&[], "--prefix");

@@ -54,10 +54,10 @@ fn a_home_that_cannot_be_written_is_listed_and_audited_and_stays_as_it_is() {
         assert_eq!(found.document()["ok"], true, "{found}");
         assert!(found.stderr.contains("is read-only: it is read"), "{found}");
     }
-    let records = image.records(&["uploads", "list"]);
+    let records = image.records(&["records", "list", "--oldest"]);
     assert!(records.len() == 5 && records.iter().all(is_verified), "{records:?}");
-    image.run(&["shared", "list"]).expect_code(0);
-    image.run(&["shared", "open", &text(&records[0], "id")]).expect_code(0);
+    image.run(&["received", "list", "--oldest"]).expect_code(0);
+    image.run(&["records", "open", &text(&records[0], "id")]).expect_code(0);
     let bundle = home.root().join("out.authros");
     image.run(&["evidence", "export", bundle.to_str().expect("UTF-8")]).expect_code(0);
     assert!(bundle.exists());
@@ -78,11 +78,11 @@ fn an_image_of_a_home_whose_site_was_killed_is_read_with_its_logs() {
     let authros = home_with_records(&home).authros().with(&["--robots", "1"]);
     let site = authros.serve(&home);
     authros.json(&["topics", "watch", TOPIC]);
-    poll(60, || (authros.records(&["uploads", "list"]).len() > 10).then_some(())).expect("it goes on");
+    poll(60, || (authros.records(&["records", "list", "--oldest"]).len() > 10).then_some(())).expect("it goes on");
     site.stop("KILL", 10);
     let Some(image) = looking(&home) else { skipped!("nothing can be mounted here (unshare -r -m)") };
     let before = bytes(&home);
-    assert!(image.records(&["uploads", "list"]).len() > 10);
+    assert!(image.records(&["records", "list", "--oldest"]).len() > 10);
     image.with(&["--json"]).run(&["audit", "--deep"]).expect_code(0);
     assert!(bytes(&home) == before, "not a byte was written");
 }

@@ -16,7 +16,7 @@ fn funded(home: &Home, node: &Anvil, url: &str) -> Authros {
     let authros = home.authros().with(&["--chain", url, "--robots", "1", "--anchor-mode", "each"]);
     let made = authros.json(&["identity", "create"]);
     node.fund(&text(&made, "address"));
-    assert_eq!(authros.json(&["register"])["registered"], true);
+    assert_eq!(authros.json(&["identity", "register"])["registered"], true);
     authros
 }
 
@@ -29,7 +29,7 @@ fn logs_of(node: &Anvil, contract: &str, records: &[Value]) -> Vec<usize> {
 
 fn expect_anchored_once(node: &Anvil, authros: &Authros) -> Vec<Value> {
     let contract = text(&authros.json(&["chain", "status"]), "contract");
-    let records = authros.records(&["uploads", "list"]);
+    let records = authros.records(&["records", "list", "--oldest"]);
     assert!(records.iter().all(is_verified));
     let logs = logs_of(node, &contract, &records);
     assert!(logs.iter().all(|&times| times == 1), "every digest is in one log: {logs:?}");
@@ -83,7 +83,7 @@ fn more_confirmations_are_waited_for() {
     let authros = funded(&home, &node, &node.http()).with(&["--confirmations", "3"]);
     authros.capture(&[TOPIC], 5);
     let head = count(&authros.json(&["chain", "status"]), "block");
-    let newest = authros.records(&["uploads", "list"]).iter().map(|record| count(record, "block")).max();
+    let newest = authros.records(&["records", "list", "--oldest"]).iter().map(|record| count(record, "block")).max();
     assert!(newest.is_some_and(|block| block + 2 <= head), "block {newest:?} is three deep under {head}");
 }
 
@@ -95,7 +95,7 @@ fn an_account_the_operator_already_has_is_used() {
     authros.json(&["identity", "create"]);
     let key = home.file("eoa.hex", RICH_KEY, 0o600);
     assert_eq!(authros.json(&["keys", "load", "--eoa", &key])["address"], RICH_ADDRESS);
-    assert_eq!(authros.json(&["register"])["address"], RICH_ADDRESS);
+    assert_eq!(authros.json(&["identity", "register"])["address"], RICH_ADDRESS);
     authros.capture(&[TOPIC], 3);
 }
 
@@ -107,7 +107,7 @@ fn an_account_with_too_little_ether_is_told_so() {
     let address = text(&authros.json(&["identity", "create"]), "address");
     // One wei: a development node gives ether only to an account that holds nothing.
     node.call("anvil_setBalance", &json!([address, "0x1"]));
-    let message = authros.fails(5, &["register"]);
+    let message = authros.fails(5, &["identity", "register"]);
     assert!(message.contains("ether"), "{message}");
     assert_eq!(authros.json(&["identity", "show"])["registered"], false);
 }
@@ -130,27 +130,28 @@ fn two_profiles_share_over_a_real_node() {
         let authros = home.profile(name).with(&["--chain", &node.http(), "--robots", "1"]);
         let address = text(&authros.json(&["identity", "create"]), "address");
         node.fund(&address);
-        authros.json(&["register"]);
+        authros.json(&["identity", "register"]);
         (authros, address)
     });
     let _site = alice.serve(&home);
-    alice.json(&["grant", &bob_address]);
+    alice.json(&["grant", "add", &bob_address]);
     alice.capture(&[TOPIC], 3);
-    for record in bob.records(&["shared", "list"]) {
-        assert_eq!(bob.json(&["shared", "open", &text(&record, "id")])["verdict"], "verified");
-        let answer = bob.json(&["shared", "check", &text(&record, "id")])["contract"].clone();
+    for record in bob.records(&["received", "list", "--oldest"]) {
+        assert_eq!(bob.json(&["records", "open", &text(&record, "id")])["verdict"], "verified");
+        let answer = bob.json(&["records", "check", &text(&record, "id")])["contract"].clone();
         assert_eq!((&answer["authorised"], text(&answer, "reader")), (&true.into(), bob_address.clone()), "{answer}");
     }
-    let told = bob.run(&["shared", "check", &text(&bob.records(&["shared", "list"])[0], "id")]).expect_code(0);
+    let told =
+        bob.run(&["records", "check", &text(&bob.records(&["received", "list", "--oldest"])[0], "id")]).expect_code(0);
     assert!(
         told.stdout.contains(&format!("the contract lets {bob_address} read epoch 1 of {alice_address}")),
         "{told}"
     );
-    assert_eq!(bob.records(&["shared", "list"]).len(), 3);
-    alice.json(&["revoke", &bob_address]);
+    assert_eq!(bob.records(&["received", "list", "--oldest"]).len(), 3);
+    alice.json(&["grant", "end", &bob_address]);
     alice.capture(&[TOPIC], 2);
-    let newest = &alice.json(&["uploads", "list", "--newest"])["records"][0];
-    bob.is_refused(&["shared", "open", &text(newest, "id")]);
+    let newest = &alice.json(&["records", "list"])["records"][0];
+    bob.is_refused(&["records", "open", &text(newest, "id")]);
 }
 
 #[test]
@@ -161,7 +162,7 @@ fn a_site_killed_between_blocks_anchors_the_rest_and_nothing_twice() {
     let site = authros.serve(&home);
     authros.run(&["topics", "watch", TOPIC]).expect_code(0);
     let before = wait_until(60, "some are anchored and some are not", || {
-        let records = authros.records(&["uploads", "list"]);
+        let records = authros.records(&["records", "list", "--oldest"]);
         let verified = records.iter().filter(|record| is_verified(record)).count();
         (verified > 5 && verified < records.len()).then_some(records)
     });
@@ -170,7 +171,7 @@ fn a_site_killed_between_blocks_anchors_the_rest_and_nothing_twice() {
     let _site = authros.serve(&home);
     authros.run(&["topics", "unwatch", TOPIC]).expect_code(0);
     wait_until(120, "everything is verified", || {
-        authros.records(&["uploads", "list"]).iter().all(is_verified).then_some(())
+        authros.records(&["records", "list", "--oldest"]).iter().all(is_verified).then_some(())
     });
     let after = expect_anchored_once(&node, &authros);
     for record in &before {

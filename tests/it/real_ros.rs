@@ -68,17 +68,17 @@ fn expect_the_bag(bag: &Path, roscore: &Roscore, rate: u32, seconds: u32) {
         "{summary}"
     );
 
-    alice.json(&["grant", &bob_address]);
+    alice.json(&["grant", "add", &bob_address]);
     let held = read_bag(bag);
     for topic in [ODOMETRY, INERTIA] {
-        let own = by_seq(alice.records(&["uploads", "list", "--topic", topic]));
+        let own = by_seq(alice.records(&["records", "list", "--oldest", "--topic", topic]));
         let bodies = list(&held[topic], "bodies");
         let lengths = |records: &[Value]| records.iter().map(|record| count(record, "bytes")).collect::<Vec<_>>();
         let expected: Vec<u64> =
             bodies.iter().map(|body| u64::try_from(body.as_str().expect("hex").len() / 2).expect("small")).collect();
         assert_eq!(lengths(&own), expected, "{topic}");
         assert!(own.iter().all(|record| record["type"] == held[topic]["type"] && is_verified(record)));
-        let shared = by_seq(bob.records(&["shared", "list", "--topic", topic]));
+        let shared = by_seq(bob.records(&["received", "list", "--oldest", "--topic", topic]));
         assert_eq!(lengths(&shared), expected, "{topic}, as the grantee sees it");
         let step = if long() { 60 } else { 600 };
         for index in (0..shared.len()).step_by(step).chain([shared.len() - 1]) {
@@ -91,7 +91,7 @@ fn expect_the_bag(bag: &Path, roscore: &Roscore, rate: u32, seconds: u32) {
 fn expect_message(home: &Home, reader: &Authros, record: &Value, body: &Value, message: &Value) {
     let id = text(record, "id");
     let path = home.root().join("message");
-    let opened = reader.json(&["shared", "open", &id, "--out", path.to_str().expect("UTF-8")]);
+    let opened = reader.json(&["records", "open", &id, "--out", path.to_str().expect("UTF-8")]);
     assert_eq!(opened["verdict"], "verified", "{opened}");
     assert_eq!(hex(&fs::read(&path).expect("written")), body.as_str().expect("hex"), "{record}");
     fs::remove_file(&path).expect("removed");
@@ -142,8 +142,8 @@ fn a_topic_that_nobody_publishes_yet_is_waited_for() {
         "{summary}"
     );
     assert_eq!(summary["topics"][0]["type"], "std_msgs/String");
-    let records = authros.records(&["uploads", "list"]);
-    let opened = authros.json(&["shared", "open", &text(&records[0], "id")]);
+    let records = authros.records(&["records", "list", "--oldest"]);
+    let opened = authros.json(&["records", "open", &text(&records[0], "id")]);
     assert_eq!(opened["message"]["data"], "better late", "{opened}");
     assert_eq!(opened["simulated"], false);
 }
@@ -173,9 +173,9 @@ fn a_capture_survives_a_new_master() {
     let first = roscore.publish("/beat", "std_msgs/UInt32", "data: 1", 10);
     authros.run(&["topics", "watch", "/beat"]).expect_code(0);
     let arrived = |value: f64| {
-        let newest = authros.json(&["uploads", "list", "--newest", "--limit", "1"]);
+        let newest = authros.json(&["records", "list", "--limit", "1"]);
         let record = list(&newest, "records").first().cloned()?;
-        let opened = authros.run(&["shared", "open", &text(&record, "id"), "--json"]);
+        let opened = authros.run(&["records", "open", &text(&record, "id"), "--json"]);
         let opened = (opened.code == Some(0)).then(|| opened.document())?;
         equal(at(&opened["message"], "data"), value).then_some(())
     };

@@ -45,7 +45,7 @@ fn beside(path: &Path) -> Vec<(String, Vec<u8>)> {
 }
 
 fn attachments(authros: &Authros, of: &str) -> Vec<Value> {
-    authros.records(&[of, "list", "--kind", "attachment"])
+    authros.records(&[of, "list", "--oldest", "--kind", "attachment"])
 }
 
 /// An attachment in MCAP's own bytes.
@@ -106,38 +106,37 @@ fn what_an_mcap_file_holds_beside_its_messages_comes_out_as_it_went_in() {
     assert_eq!((count(row, "imported"), count(row, "verified")), (2, 2), "{summary}");
     let again = two.alice.json_within(240, &["bag", "import", utf8(&foreign())]);
     assert_eq!((count(&again, "imported"), count(&again, "already"), count(&again, "attachments")), (0, 12, 2));
-    let own = attachments(&two.alice, "uploads");
+    let own = attachments(&two.alice, "records");
     assert_eq!(own.len(), 2, "sealed once: {own:?}");
     assert!(own.iter().all(|record| record["kind"] == "attachment" && record["topic"] == BESIDE), "{own:?}");
 
     // A grant of one topic covers no attachment, a grant of all topics does.
     let carol = two.home.profile("carol");
     let carol_address = carol.enrol();
-    two.alice.json(&["grant", &carol_address, "--topic", "/count"]);
-    two.alice.json(&["grant", &two.bob_address]);
-    assert!(attachments(&carol, "shared").is_empty());
-    assert_eq!(attachments(&two.bob, "shared").len(), 2);
+    two.alice.json(&["grant", "add", &carol_address, "--topic", "/count"]);
+    two.alice.json(&["grant", "add", &two.bob_address]);
+    assert!(attachments(&carol, "received").is_empty());
+    assert_eq!(attachments(&two.bob, "received").len(), 2);
     let exported = root.join("back.mcap");
-    let view = two.bob.json_within(240, &["shared", "export", "--mcap", utf8(&exported)]);
+    let view = two.bob.json_within(240, &["bag", "export", "--mcap", utf8(&exported)]);
     assert_eq!((count(&view, "messages"), count(&view, "attachments")), (12, 2), "{view}");
     assert_eq!(beside(&exported), beside(&foreign()), "byte for byte");
     // A bag has no room for them, and says so.
     let bag = root.join("back.bag");
-    let outcome = two.alice.with(&["--json"]).run(&["shared", "export", "--bag", utf8(&bag)]);
+    let outcome = two.alice.with(&["--json"]).run(&["bag", "export", "--bag", utf8(&bag)]);
     let view = outcome.expect_code(INCOMPLETE).document();
     assert_eq!((count(&view, "messages"), count(&view["refused"], "attachments")), (12, 2), "{view}");
-    two.alice.json_within(240, &["shared", "export", "--bag", utf8(&root.join("topics.bag")), "--topic", "/**"]);
+    two.alice.json_within(240, &["bag", "export", "--bag", utf8(&root.join("topics.bag")), "--topic", "/**"]);
 
     // Erasing the recording erases them.
-    let tags = list(&two.alice.json(&["shared", "open", &text(&own[0], "id")]), "tags");
+    let tags = list(&two.alice.json(&["records", "open", &text(&own[0], "id")]), "tags");
     let tag = tags.iter().find(|tag| tag[0] == "recording").and_then(|tag| tag[1].as_str()).expect("a tag").to_owned();
-    let erased = two.alice.json_within(
-        240,
-        &["retention", "erase", "--recording", &tag, "--reason", "the customer asked for it", "--yes"],
-    );
+    let erased = two
+        .alice
+        .json_within(240, &["records", "erase", "--recording", &tag, "--reason", "the customer asked for it", "--yes"]);
     assert_eq!((count(&erased, "named"), &erased["deleted"]), (14, &json!(true)), "{erased}");
     for record in &own {
-        assert_ne!(two.alice.run(&["shared", "open", &text(record, "id")]).code, Some(0), "{record}");
+        assert_ne!(two.alice.run(&["records", "open", &text(record, "id")]).code, Some(0), "{record}");
     }
 }
 
@@ -159,9 +158,9 @@ fn an_attachment_is_shown_as_what_it_is_and_written_as_the_file_that_was_attache
 
     let summary = authros.json_within(240, &["bag", "import", utf8(&file)]);
     assert_eq!((count(&summary, "imported"), count(&summary, "attachments")), (1, 3), "{summary}");
-    let records = attachments(&authros, "uploads");
+    let records = attachments(&authros, "records");
     let opened: Vec<Value> =
-        records.iter().map(|record| authros.json(&["shared", "open", &text(record, "id")])).collect();
+        records.iter().map(|record| authros.json(&["records", "open", &text(record, "id")])).collect();
     let of = |name: &str| {
         let found = opened.iter().find(|view| text(&view["message"], "name").starts_with(name));
         found.unwrap_or_else(|| panic!("{name} in {opened:?}"))
@@ -176,15 +175,15 @@ fn an_attachment_is_shown_as_what_it_is_and_written_as_the_file_that_was_attache
     assert!(text(rig, "captured_at").starts_with("2023-11-14T22:13:20"), "that of the recording: {rig}");
 
     let out = home.root().join("left.yaml");
-    authros.run(&["shared", "open", &text(left, "id"), "--out", utf8(&out)]).expect_code(0);
+    authros.run(&["records", "open", &text(left, "id"), "--out", utf8(&out)]).expect_code(0);
     assert_eq!(fs::read(&out).expect("written"), data, "the file that was attached");
     let out = home.root().join("rig.json");
-    authros.run(&["shared", "open", &text(rig, "id"), "--out", utf8(&out)]).expect_code(0);
+    authros.run(&["records", "open", &text(rig, "id"), "--out", utf8(&out)]).expect_code(0);
     let written: Value = serde_json::from_slice(&fs::read(&out).expect("written")).expect("JSON");
     assert_eq!(written, rig["message"]);
 
     let exported = home.root().join("back.mcap");
-    authros.json_within(240, &["shared", "export", "--mcap", utf8(&exported)]);
+    authros.json_within(240, &["bag", "export", "--mcap", utf8(&exported)]);
     assert_eq!(beside(&exported), beside(&file));
     assert!(beside(&exported).iter().any(|(_, body)| *body == facts));
     if !others_can_read() {
@@ -268,11 +267,11 @@ fn numbers_of_a_message_survive_the_answer_of_a_site() {
     fs::write(&file, writer.finish().expect("finished").into_inner()).expect("written");
     authros.json_within(240, &["bag", "import", utf8(&file)]);
 
-    let id = text(&authros.records(&["uploads", "list"])[0], "id");
+    let id = text(&authros.records(&["records", "list", "--oldest"])[0], "id");
     let out = home.root().join("numbers.json");
-    authros.run(&["shared", "open", &id, "--out", utf8(&out)]).expect_code(0);
+    authros.run(&["records", "open", &id, "--out", utf8(&out)]).expect_code(0);
     let written: Value = serde_json::from_slice(&fs::read(&out).expect("written")).expect("JSON");
-    for (from, message) in [("--json", &authros.json(&["shared", "open", &id])["message"]), ("--out", &written)] {
+    for (from, message) in [("--json", &authros.json(&["records", "open", &id])["message"]), ("--out", &written)] {
         let bits = |field: &str| -> Vec<u64> {
             list(message, field).iter().map(|number| number.as_f64().expect("a number").to_bits()).collect()
         };

@@ -103,9 +103,9 @@ fn a_folder_is_sealed_once_and_comes_out_as_a_folder_that_others_read_alike() {
         assert!(list(&summary, "damages").is_empty() && count(&summary, "attachments") > 0, "{summary}");
         let again = authros.json_within(240, &["bag", "import", utf8(&folder)]);
         assert_eq!((count(&again, "imported"), count(&again, "already")), (0, messages), "{again}");
-        let view = authros.json_within(240, &["shared", "export", "--rosbag2", utf8(&back.join(name))]);
+        let view = authros.json_within(240, &["bag", "export", "--rosbag2", utf8(&back.join(name))]);
         assert_eq!(count(&view, "messages"), messages, "{view}");
-        let taken = authros.run(&["shared", "export", "--rosbag2", utf8(&back.join(name))]);
+        let taken = authros.run(&["bag", "export", "--rosbag2", utf8(&back.join(name))]);
         assert!(taken.code != Some(0) && taken.stderr.contains("already exists"), "{taken}");
     }
     for read in Read::all(&back) {

@@ -47,7 +47,7 @@ impl Gate {
 }
 
 fn shared(authros: &Authros) -> BTreeSet<String> {
-    ids(&wait_until(60, "a list", || authros.records_so_far(&["shared", "list"])))
+    ids(&wait_until(60, "a list", || authros.records_so_far(&["received", "list", "--oldest"])))
 }
 
 #[test]
@@ -58,12 +58,12 @@ fn an_operator_without_a_chain_client_reads_what_is_shared_until_the_revoke() {
     let bob = gate.joined(&away, "bob");
     let address = bob.enrol();
     // Who may use a gateway is its keeper's choice; anyone may read the chain and register.
-    let refused = bob.fails(REFUSED, &["shared", "list"]);
+    let refused = bob.fails(REFUSED, &["received", "list", "--oldest"]);
     assert!(refused.contains("does not allow the account"), "{refused}");
-    assert!(list(&gate.alice.json(&["gateway", "admitted"]), "admitted").is_empty());
-    let admitted = gate.alice.json(&["gateway", "admit", &address]);
+    assert!(list(&gate.alice.json(&["gateway", "allowed"]), "allowed").is_empty());
+    let admitted = gate.alice.json(&["gateway", "allow", &address]);
     assert_eq!(
-        (&list(&admitted, "admitted")[0]["owner"], list(&admitted, "admitted").len()),
+        (&list(&admitted, "allowed")[0]["owner"], list(&admitted, "allowed").len()),
         (&address.clone().into(), 1)
     );
     assert!(!away.path().join("chain").exists(), "no chain of its own");
@@ -74,40 +74,41 @@ fn an_operator_without_a_chain_client_reads_what_is_shared_until_the_revoke() {
     assert_eq!((&status["genesis"], &status["contract"]), (&here["genesis"], &here["contract"]));
     assert!(shared(&bob).is_empty(), "nothing without a grant");
 
-    gate.alice.json(&["grant", &address]);
-    let own = gate.alice.records(&["uploads", "list"]);
+    gate.alice.json(&["grant", "add", &address]);
+    let own = gate.alice.records(&["records", "list", "--oldest"]);
     wait_until(60, "what is shared comes in", || (shared(&bob) == ids(&own)).then_some(()));
-    for record in wait_until(60, "a list", || bob.records_so_far(&["shared", "list"])) {
+    for record in wait_until(60, "a list", || bob.records_so_far(&["received", "list", "--oldest"])) {
         let id = text(&record, "id");
         assert_eq!((&record["topic"], &record["type"]), (&"/robot1/odom".into(), &"nav_msgs/Odometry".into()));
         let checked = wait_until(60, "verified", || {
-            let checked = bob.json(&["shared", "check", &id]);
+            let checked = bob.json(&["records", "check", &id]);
             (checked["verdict"] == "verified").then_some(checked)
         });
         assert_eq!(checked["digest"], record["digest"]);
-        let opened = bob.json(&["shared", "open", &id]);
+        let opened = bob.json(&["records", "open", &id]);
         assert_eq!(opened["verdict"], "verified", "{opened}");
-        let at_home = gate.alice.json(&["shared", "open", &id]);
+        let at_home = gate.alice.json(&["records", "open", &id]);
         assert_eq!((&opened["message"], &opened["tags"]), (&at_home["message"], &at_home["tags"]));
     }
 
     // Live: a running site gets what is captured without asking.
     let site = bob.serve(&away);
     gate.alice.capture(&["/robot1/odom"], 3);
-    let all = ids(&gate.alice.records(&["uploads", "list"]));
+    let all = ids(&gate.alice.records(&["records", "list", "--oldest"]));
     assert_eq!(all.len(), 8);
     wait_until(60, "live records come in", || (shared(&bob) == all).then_some(()));
 
-    gate.alice.json(&["revoke", &address]);
+    gate.alice.json(&["grant", "end", &address]);
     gate.alice.capture(&["/robot1/odom"], 3);
-    let later: BTreeSet<String> = ids(&gate.alice.records(&["uploads", "list"])).difference(&all).cloned().collect();
+    let later: BTreeSet<String> =
+        ids(&gate.alice.records(&["records", "list", "--oldest"])).difference(&all).cloned().collect();
     assert_eq!(later.len(), 3);
     wait_until(60, "the revoke is seen", || shared(&bob).is_empty().then_some(()));
     for id in &later {
-        assert_ne!(bob.run(&["shared", "open", id]).code, Some(0), "{id} is not there");
+        assert_ne!(bob.run(&["records", "open", id]).code, Some(0), "{id} is not there");
     }
     site.stop("TERM", 30).expect_code(0);
-    let digests = gate.alice.records(&["uploads", "list"]);
+    let digests = gate.alice.records(&["records", "list", "--oldest"]);
     let digests = digests.iter().filter(|record| later.contains(&text(record, "id")));
     let digests: Vec<Vec<u8>> = digests.map(|record| support::unhex(&text(record, "digest"))).collect();
     for file in support::authros::files_below(&away.path()) {
@@ -122,9 +123,9 @@ fn only_the_gateway_whose_key_was_told_is_joined() {
     let away = Home::new();
     let wrong = "ab".repeat(32);
     let other = away.profile("bob").with(&["--site", &gate.address, "--gateway-key", &wrong]);
-    let message = other.fails(REFUSED, &["register"]);
+    let message = other.fails(REFUSED, &["identity", "register"]);
     assert!(message.contains("not the pinned gateway") && message.contains(&wrong), "{message}");
-    let unnamed = away.profile("bob").with(&["--site", &gate.address]).fails(REFUSED, &["register"]);
+    let unnamed = away.profile("bob").with(&["--site", &gate.address]).fails(REFUSED, &["identity", "register"]);
     assert!(unnamed.contains(&gate.fingerprint) && unnamed.contains("confirm it with its operator"), "{unnamed}");
     // On explicit request; from then on it is pinned.
     let bob = away.profile("bob").with(&["--site", &gate.address]);
@@ -189,8 +190,8 @@ fn a_live_subscriber_is_cut_by_the_revokes_block() {
     let gate = gate("1");
     let away = Home::new();
     let address = gate.joined(&away, "bob").enrol();
-    gate.alice.json(&["gateway", "admit", &address]);
-    gate.alice.json(&["grant", &address]);
+    gate.alice.json(&["gateway", "allow", &address]);
+    gate.alice.json(&["grant", "add", &address]);
     let owner = text(&gate.alice.json(&["identity", "show"]), "address").parse().expect("an address");
     gate.alice.run(&["topics", "watch", "/robot1/odom"]).expect_code(0);
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().expect("threads");
@@ -206,7 +207,7 @@ fn a_live_subscriber_is_cut_by_the_revokes_block() {
             received.push((entry.digest, Instant::now()));
         }
         let alice = gate.alice.clone();
-        let revoking = tokio::task::spawn_blocking(move || alice.json(&["revoke", &address]));
+        let revoking = tokio::task::spawn_blocking(move || alice.json(&["grant", "end", &address]));
         let cut = loop {
             match follower.next(&mut live, PATIENCE).await {
                 Ok((entry, _)) => received.push((entry.digest, Instant::now())),
@@ -231,7 +232,7 @@ fn a_live_subscriber_is_cut_by_the_revokes_block() {
     println!("{} records before the cut, {late} of them arrived after the block was seen here", received.len());
     // What was captured meanwhile has reached its owner.
     let records = poll(60, || {
-        let records = gate.alice.records(&["uploads", "list"]);
+        let records = gate.alice.records(&["records", "list", "--oldest"]);
         records.iter().any(|record| record["epoch"] == 2).then_some(records)
     });
     let records = records.expect("captured in the next epoch");
@@ -239,6 +240,6 @@ fn a_live_subscriber_is_cut_by_the_revokes_block() {
     for record in records.iter().filter(|record| record["epoch"] == 2) {
         assert!(!given.contains(&text(record, "digest")), "of the next epoch: {record}");
     }
-    assert!(list(&gate.alice.json(&["grants", "list"]), "grants").iter().all(|grant| grant["state"] != "active"));
+    assert!(list(&gate.alice.json(&["grant", "list"]), "grants").iter().all(|grant| grant["state"] != "active"));
     drop(gate.home);
 }

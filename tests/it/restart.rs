@@ -19,7 +19,7 @@ fn digests(records: &[Value]) -> BTreeMap<String, Value> {
 /// All records of the profile, once all are verified.
 fn settled(authros: &Authros) -> Vec<Value> {
     wait_until(120, "everything is verified", || {
-        let records = authros.records(&["uploads", "list"]);
+        let records = authros.records(&["records", "list", "--oldest"]);
         records.iter().all(is_verified).then_some(records)
     })
 }
@@ -28,7 +28,7 @@ fn settled(authros: &Authros) -> Vec<Value> {
 fn of_every_kind(authros: &Authros) -> Vec<Value> {
     ["data", "definition", "gap"]
         .iter()
-        .flat_map(|kind| authros.records(&["uploads", "list", "--kind", kind]))
+        .flat_map(|kind| authros.records(&["records", "list", "--oldest", "--kind", kind]))
         .collect()
 }
 
@@ -56,7 +56,7 @@ fn a_site_killed_while_it_captures_loses_and_doubles_nothing() {
     }
     let enough = |authros: &Authros, least: usize| {
         wait_until(60, "records arrive", || {
-            let records = authros.records(&["uploads", "list"]);
+            let records = authros.records(&["records", "list", "--oldest"]);
             let verified = records.iter().any(is_verified);
             (records.len() >= least && verified).then_some(records)
         })
@@ -98,7 +98,7 @@ fn a_capture_whose_site_dies_says_so_and_its_records_are_completed_later() {
     let capture =
         authros.with(&["--json"]).spawn(&["capture", "--topic", TOPICS[0], "--topic", TOPICS[1], "--for", "60s"]);
     let before = wait_until(60, "records arrive", || {
-        Some(authros.records(&["uploads", "list"])).filter(|records| records.len() >= 30)
+        Some(authros.records(&["records", "list", "--oldest"])).filter(|records| records.len() >= 30)
     });
     site.stop("KILL", 10);
     let outcome = capture.wait(30).expect_code(4);
@@ -120,10 +120,15 @@ fn identities_grants_and_records_are_there_after_a_restart() {
     let (alice, bob) = (home.profile("alice"), home.profile("bob"));
     alice.enrol();
     let bob_address = bob.enrol();
-    alice.json(&["grant", &bob_address]);
+    alice.json(&["grant", "add", &bob_address]);
     alice.capture(&["/robot1/odom"], 3);
-    let questions =
-        [&["identity", "show"][..], &["keys", "list"], &["grants", "list"], &["uploads", "list"], &["shared", "list"]];
+    let questions = [
+        &["identity", "show"][..],
+        &["keys", "list"],
+        &["grant", "list"],
+        &["records", "list", "--oldest"],
+        &["received", "list", "--oldest"],
+    ];
     let ask = |authros: &Authros| {
         questions.map(|question| {
             let mut answer = authros.json(question);
@@ -142,8 +147,8 @@ fn identities_grants_and_records_are_there_after_a_restart() {
     for field in ["chain_id", "genesis", "contract", "nonce", "balance"] {
         assert_eq!(chain_after[field], chain[field], "{field}");
     }
-    let id = text(&bob.records(&["shared", "list"])[0], "id");
-    assert_eq!(bob.json(&["shared", "open", &id])["verdict"], "verified");
+    let id = text(&bob.records(&["received", "list", "--oldest"])[0], "id");
+    assert_eq!(bob.json(&["records", "open", &id])["verdict"], "verified");
 }
 
 /// What is watched at a site that was started anew is captured: the keyring that it needs is opened, or it is said that it is not.
@@ -155,10 +160,10 @@ fn a_watch_at_a_restarted_site_begins_or_says_why_it_does_not() {
     let alice = home.profile("alice");
     alice.enrol();
     alice.json(&["topics", "watch", TOPICS[0]]);
-    wait_until(60, "a first record", || (!alice.records(&["uploads", "list"]).is_empty()).then_some(()));
+    wait_until(60, "a first record", || (!alice.records(&["records", "list", "--oldest"]).is_empty()).then_some(()));
     site.stop("TERM", 60).expect_code(0);
     let _site = authros.serve(&home);
-    let before = alice.records(&["uploads", "list"]).len();
+    let before = alice.records(&["records", "list", "--oldest"]).len();
 
     let passphrase = home.path().join("profiles/alice/passphrase");
     let kept = passphrase.with_extension("elsewhere");
@@ -167,5 +172,7 @@ fn a_watch_at_a_restarted_site_begins_or_says_why_it_does_not() {
     assert!(said.stderr.contains("locked") && said.stderr.contains("--passphrase-file"), "{}", said.stderr);
     std::fs::rename(&kept, &passphrase).expect("given back");
     alice.json(&["topics", "watch", TOPICS[0]]);
-    wait_until(60, "it is captured again", || (alice.records(&["uploads", "list"]).len() > before + 20).then_some(()));
+    wait_until(60, "it is captured again", || {
+        (alice.records(&["records", "list", "--oldest"]).len() > before + 20).then_some(())
+    });
 }

@@ -55,7 +55,7 @@ impl Robot {
     pub fn enrol(site: &Site, owner: &Authros, name: &str, topics: &[&str]) -> Self {
         let home = Home::new();
         let enrolment = home.root().join("robot.enrolment").to_str().expect("UTF-8").to_owned();
-        let mut arguments = vec!["agent", "enrol", "--gateway", &site.address, "--gateway-key", &site.key];
+        let mut arguments = vec!["robot", "enrol", "--gateway", &site.address, "--gateway-key", &site.key];
         arguments.extend(["--name", name, "--out", &enrolment]);
         arguments.extend(topics.iter().flat_map(|topic| ["--topic", topic]));
         owner.json(&arguments);
@@ -69,7 +69,7 @@ impl Robot {
     fn run_in(&self, home: &Home, keep: &str, topics: &str) -> Running {
         let agent = home.authros().with(&["--json", "--robots", "1"]);
         let agent = agent.with_variable("AUTHROS_RING_KEEP", keep).with_variable("AUTHROS_RING_TOPICS", topics);
-        agent.spawn(&["agent", "run", &self.enrolment])
+        agent.spawn(&["robot", "run", &self.enrolment])
     }
 }
 
@@ -99,7 +99,11 @@ fn what_a_ring_kept_before_the_button_is_in_the_incident_though_nobody_watched_i
     let before = when(&agent, "the ring fills", |figures| in_ring(figures) >= 15);
     // Without a chance to write anything.
     agent.stop("KILL", 10);
-    assert_eq!(alice.records(&["uploads", "list", "--topic", UNWATCHED]).len(), 0, "nobody reads a ring unasked");
+    assert_eq!(
+        alice.records(&["records", "list", "--oldest", "--topic", UNWATCHED]).len(),
+        0,
+        "nobody reads a ring unasked"
+    );
 
     let agent = robot.run("5m, 64MiB", "[\"/robot1/camera/**\"]");
     let kept = in_ring(&before);
@@ -112,7 +116,7 @@ fn what_a_ring_kept_before_the_button_is_in_the_incident_though_nobody_watched_i
     alice.json(&opened);
     let least = usize::try_from(kept + 10).expect("few");
     let records = wait_until(180, "the minutes before are here and proven", || {
-        let records = alice.records(&["uploads", "list", "--incident", "crash"]);
+        let records = alice.records(&["records", "list", "--oldest", "--incident", "crash"]);
         (records.len() >= least && records.iter().all(is_verified)).then_some(records)
     });
     assert_eq!(texts(&records, "topic"), BTreeSet::from([UNWATCHED.to_owned()]));
@@ -120,15 +124,15 @@ fn what_a_ring_kept_before_the_button_is_in_the_incident_though_nobody_watched_i
     let coverage = list(&shown, "coverage");
     assert_eq!((coverage.len(), count(&coverage[0], "records") >= least as u64), (1, true), "{shown}");
     assert_eq!(coverage[0]["first"], records.iter().map(|record| text(record, "captured_at")).min().expect("some"));
-    let read = alice.json(&["shared", "open", &text(&records[0], "id")]);
+    let read = alice.json(&["records", "open", &text(&records[0], "id")]);
     assert_eq!((text(&read, "verdict"), text(&read, "topic")), ("verified".to_owned(), UNWATCHED.to_owned()), "{read}");
 
     // What is asked for once more comes once.
-    alice.json(&["robots", "pull", "scout", "--incident", "crash"]);
-    alice.json(&["robots", "pull", "scout", "--since", "10m", "--topic", "/nothing/**"]);
-    alice.fails(INPUT, &["robots", "pull", "nobody-here", "--since", "10m"]);
-    alice.run(&["robots", "pull", "scout"]).expect_code(USAGE);
-    alice.fails(INPUT, &["robots", "pull", "scout", "--since", "1m", "--until", "2m"]);
+    alice.json(&["robot", "pull", "scout", "--incident", "crash"]);
+    alice.json(&["robot", "pull", "scout", "--since", "10m", "--topic", "/nothing/**"]);
+    alice.fails(INPUT, &["robot", "pull", "nobody-here", "--since", "10m"]);
+    alice.run(&["robot", "pull", "scout"]).expect_code(USAGE);
+    alice.fails(INPUT, &["robot", "pull", "scout", "--since", "1m", "--until", "2m"]);
     when(&agent, "nothing waits any more but the newest", |figures| count(figures, "pending") < 20);
     agent.stop("TERM", 30).expect_code(0);
 
@@ -161,7 +165,7 @@ fn by_number(records: &[Value]) -> BTreeMap<u64, Timestamp> {
 
 /// Numbers of the unwatched topic's definitions: each file of a ring begins with one.
 fn definitions(owner: &Authros) -> BTreeSet<u64> {
-    let of_topic = ["uploads", "list", "--topic", UNWATCHED, "--kind", "definition"];
+    let of_topic = ["records", "list", "--oldest", "--topic", UNWATCHED, "--kind", "definition"];
     owner.records(&of_topic).iter().map(|record| count(record, "seq")).collect()
 }
 
@@ -186,7 +190,7 @@ fn all_of_the_time_before_the_button_is_there_without_a_hole() {
     // Besides the messages a definition has a number.
     let last = in_ring(&before) + 1;
     let found = wait_until(240, "what was asked for is here and proven", || {
-        let records = alice.records(&["uploads", "list", "--incident", "crash"]);
+        let records = alice.records(&["records", "list", "--oldest", "--incident", "crash"]);
         let numbers = by_number(&records);
         let is_all = numbers.keys().next_back().is_some_and(|newest| *newest >= last);
         (is_all && records.iter().all(is_verified)).then_some(numbers)
@@ -194,9 +198,9 @@ fn all_of_the_time_before_the_button_is_there_without_a_hole() {
     let (first, at) = found.first_key_value().expect("some");
     assert!(*at >= since, "nothing but what was asked for");
     // What came right before it is of the time before.
-    alice.json(&["robots", "pull", "scout", "--since", "20m", "--topic", UNWATCHED]);
+    alice.json(&["robot", "pull", "scout", "--since", "20m", "--topic", UNWATCHED]);
     let earlier = wait_until(120, "what was before that", || {
-        let records = alice.records(&["uploads", "list", "--topic", UNWATCHED]);
+        let records = alice.records(&["records", "list", "--oldest", "--topic", UNWATCHED]);
         let before = by_number(&records).range(..first).next_back().map(|(number, at)| (*number, *at));
         before.filter(|(number, _)| (number + 1..*first).all(|between| definitions(&alice).contains(&between)))
     });
@@ -222,15 +226,15 @@ fn a_ring_out_of_a_backup_has_the_minutes_before() {
         in_ring(&stopped.stdout.lines().rev().find_map(|line| serde_json::from_str(line).ok()).expect("figures"));
     let secret = robot.home.file("secret", "a passphrase of its own\n", 0o600);
     let file = robot.home.root().join("robot.backup").to_str().expect("UTF-8").to_owned();
-    robot.home.authros().json(&["backup", &file, "--passphrase-file", &secret]);
-    let restored = spare.authros().json(&["restore", &file, "--passphrase-file", &secret]);
-    assert!(restored["notes"].to_string().contains("robots pull"), "{restored}");
+    robot.home.authros().json(&["backup", "create", &file, "--passphrase-file", &secret]);
+    let restored = spare.authros().json(&["backup", "restore", &file, "--passphrase-file", &secret]);
+    assert!(restored["notes"].to_string().contains("robot pull"), "{restored}");
 
     // Asked before the robot is there again.
-    alice.json(&["robots", "pull", "scout", "--since", "10m", "--topic", UNWATCHED]);
+    alice.json(&["robot", "pull", "scout", "--since", "10m", "--topic", UNWATCHED]);
     let agent = robot.run_in(&spare, "5m, 64MiB", topics);
     let pulled = wait_until(180, "what the ring of the old disk had is here and proven", || {
-        let records = alice.records(&["uploads", "list", "--topic", UNWATCHED]);
+        let records = alice.records(&["records", "list", "--oldest", "--topic", UNWATCHED]);
         (records.len() as u64 >= kept && records.iter().all(is_verified)).then_some(records)
     });
     assert_eq!(pulled.len() as u64, kept, "each once, and nothing that was captured after it was asked for");
@@ -239,7 +243,7 @@ fn a_ring_out_of_a_backup_has_the_minutes_before() {
     let opened = ["incident", "open", "crash", "--since", "-10m", "--topics", UNWATCHED, "--robot", "scout"];
     alice.json(&opened);
     let all = wait_until(180, "old and new", || {
-        let records = alice.records(&["uploads", "list", "--incident", "crash"]);
+        let records = alice.records(&["records", "list", "--oldest", "--incident", "crash"]);
         (records.len() as u64 >= kept + 3 && records.iter().all(is_verified)).then_some(records)
     });
     assert_eq!(texts(&all, "digest").len(), all.len(), "none twice");
@@ -255,7 +259,7 @@ fn two_robots_of_one_topic_have_a_timeline_each() {
     // One after the other, on the same topic.
     for robot in &robots {
         let agent = robot.home.authros().with(&["--json", "--robots", "1"]);
-        agent.run(&["agent", "run", &robot.enrolment, "--count", "3"]).expect_code(0);
+        agent.run(&["robot", "run", &robot.enrolment, "--count", "3"]).expect_code(0);
     }
     let coverage = |more: &[&str]| alice.json(&[&["topics", "coverage", WATCHED, "--parts", "20"], more].concat());
     let time =
@@ -283,4 +287,19 @@ fn two_robots_of_one_topic_have_a_timeline_each() {
     assert!(people.contains("robots that recorded it: elder, scout"), "{people}");
     let told = alice.fails(INPUT, &["topics", "coverage", WATCHED, "--robot", "nobody"]);
     assert!(told.contains("no robot of this profile is called 'nobody'"), "{told}");
+}
+
+#[test]
+fn a_grant_of_an_enrolled_robot_is_of_the_topics_it_may_record() {
+    let site = Site::new();
+    let alice = site.owner("alice");
+    let _scout = Robot::enrol(&site, &alice, "scout-1", &[WATCHED, UNWATCHED]);
+    let _other = Robot::enrol(&site, &alice, "scout-2", &["/tf"]);
+    let bob = site.home.profile("bob").enrol();
+    let given = alice.json(&["grant", "add", &bob, "--robot", "scout-1", "--expires", "friday 18:00 UTC"]);
+    assert!(text(&given, "text").contains("as far as they have arrived here"), "robots may have more: {given}");
+    let grants = list(&alice.json(&["grant", "list"]), "grants");
+    let topics: BTreeSet<String> =
+        list(&grants[0], "topics").iter().map(|topic| topic.as_str().expect("a name").to_owned()).collect();
+    assert_eq!((grants.len(), topics), (1, BTreeSet::from([WATCHED, UNWATCHED].map(ToOwned::to_owned))));
 }

@@ -13,7 +13,7 @@ const WATCHED: &str = "/robot1/odom";
 const UNWATCHED: &str = "/robot1/camera/compressed";
 
 fn row(owner: &Authros, name: &str) -> Value {
-    let robots = owner.json(&["robots", "list"]);
+    let robots = owner.json(&["robot", "list"]);
     let found = list(&robots, "robots").into_iter().find(|row| text(row, "name") == name);
     found.unwrap_or_else(|| panic!("no robot {name}: {robots}"))
 }
@@ -27,7 +27,7 @@ fn takes_every_second(alice: &Authros, site: &Site, records: &[Value]) {
     let number = |record: &Value| {
         let id = text(record, "id");
         let path = site.home.root().join(format!("{id}.bin"));
-        alice.run(&["shared", "open", &id, "--out", path.to_str().expect("UTF-8")]).expect_code(0);
+        alice.run(&["records", "open", &id, "--out", path.to_str().expect("UTF-8")]).expect_code(0);
         let body = std::fs::read(path).expect("written");
         (count(record, "seq"), u32::from_le_bytes(body[..4].try_into().expect("a header")))
     };
@@ -53,7 +53,7 @@ fn a_robot_works_by_the_policy_of_its_owner_and_its_drift_is_seen() {
     let place = file.to_str().expect("UTF-8");
     let set = |policy: &str| std::fs::write(&file, policy).expect("written");
     set("cache.url = \"redis://elsewhere\"\n");
-    let told = alice.fails(INPUT, &["robots", "policy", "scout", "--set", place]);
+    let told = alice.fails(INPUT, &["robot", "policy", "scout", "--set", place]);
     assert!(told.contains("cache.url"), "{told}");
     assert_eq!(row(&alice, "scout")["wanted"], 0, "what is not valid is not sent");
 
@@ -62,7 +62,7 @@ fn a_robot_works_by_the_policy_of_its_owner_and_its_drift_is_seen() {
         "ring.keep = \"\"\nring.topics = \"\"\n[[watch]]\ntopic = \"{UNWATCHED}\"\n\
          [[topic]]\nmatch = \"{UNWATCHED}\"\nevery = 2\n"
     ));
-    alice.json(&["robots", "policy", "scout", "--set", place]);
+    alice.json(&["robot", "policy", "scout", "--set", place]);
     let drifting = row(&alice, "scout");
     assert_eq!((count(&drifting, "wanted"), &drifting["drift"]), (1, &Value::Bool(true)), "{drifting}");
     assert_eq!((text(&drifting, "standing"), drifting["drift_since"].is_null()), ("waiting".to_owned(), false));
@@ -75,20 +75,25 @@ fn a_robot_works_by_the_policy_of_its_owner_and_its_drift_is_seen() {
     });
     assert_eq!((count(&in_force, "running"), &in_force["drift"]), (1, &Value::Bool(false)), "{in_force}");
     let taken = wait_until(120, "what the policy watches arrives", || {
-        let records = alice.records(&["uploads", "list", "--topic", UNWATCHED]);
+        let records = alice.records(&["records", "list", "--oldest", "--topic", UNWATCHED]);
         (records.len() >= 6).then_some(records)
     });
     takes_every_second(&alice, &site, &taken);
-    let odometry = alice.records(&["uploads", "list", "--topic", WATCHED]).len();
-    let shown = alice.json(&["robots", "show", "scout"]);
+    let odometry = alice.records(&["records", "list", "--oldest", "--topic", WATCHED]).len();
+    let shown = alice.json(&["robot", "show", "scout"]);
     let overruled = shown["overruled"].to_string();
     assert!(overruled.contains("ring") && overruled.contains("300s"), "its own ring does not count: {shown}");
     assert!(text(&shown, "policy").contains("every = 2"), "{shown}");
     let topics = list(&shown, "topics");
     assert!(topics.iter().any(|topic| text(topic, "topic") == UNWATCHED && count(topic, "records") >= 3), "{shown}");
+    let camera = topics.iter().find(|topic| text(topic, "topic") == UNWATCHED).expect("there");
+    assert!(text(camera, "strip").contains('█') && text(camera, "first") <= text(camera, "last"), "{shown}");
+    assert!(text(&shown["covered"], "since") <= text(camera, "first"), "{shown}");
+    let told = alice.run(&["robot", "show", "scout"]).expect_code(0).stdout;
+    assert!(told.contains(" per sign: █ recorded"), "{told}");
     // A report may come between the two questions.
     wait_until(60, "the list to count the losses of all topics", || {
-        let shown = alice.json(&["robots", "show", "scout"]);
+        let shown = alice.json(&["robot", "show", "scout"]);
         let lost: u64 = list(&shown, "topics").iter().map(|topic| count(topic, "lost")).sum();
         (count(&row(&alice, "scout"), "lost") == lost && count(&shown, "lost") == lost).then_some(())
     });
@@ -99,10 +104,10 @@ fn a_robot_works_by_the_policy_of_its_owner_and_its_drift_is_seen() {
     when(&agent, "it is there again", |figures| count(figures, "captured") > 0 && version(figures) == 1);
 
     // A rule of its own again.
-    alice.json(&["robots", "policy", "scout", "--clear"]);
+    alice.json(&["robot", "policy", "scout", "--clear"]);
     when(&agent, "cleared", |figures| version(figures) == 2);
     wait_until(120, "what its own settings watch arrives again", || {
-        let records = alice.records(&["uploads", "list", "--topic", WATCHED]);
+        let records = alice.records(&["records", "list", "--oldest", "--topic", WATCHED]);
         (records.len() > odometry).then_some(())
     });
     when(&agent, "and its own ring fills", |figures| {

@@ -25,10 +25,10 @@ fn utf8(path: &Path) -> &str {
 
 /// A record of each topic, opened.
 fn opened(authros: &Authros) -> BTreeMap<String, Value> {
-    let records = authros.records(&["uploads", "list"]);
+    let records = authros.records(&["records", "list", "--oldest"]);
     records
         .iter()
-        .map(|record| (text(record, "topic"), authros.json(&["shared", "open", &text(record, "id")])))
+        .map(|record| (text(record, "topic"), authros.json(&["records", "open", &text(record, "id")])))
         .collect()
 }
 
@@ -70,17 +70,17 @@ fn messages_of_ros_2_are_looked_at_like_those_of_ros_1() {
     let id = text(&opened["/camera"], "id");
     let numbers: Vec<u8> = (0..288_u32).map(|number| u8::try_from(number % 251).expect("a byte")).collect();
     let matrix = home.root().join("camera.npy");
-    alice.run(&["shared", "open", &id, "--out", utf8(&matrix)]).expect_code(0);
+    alice.run(&["records", "open", &id, "--out", utf8(&matrix)]).expect_code(0);
     let npy = fs::read(&matrix).expect("written");
     assert!(npy.ends_with(&numbers) && support::holds(&npy, b"'shape': (8, 12, 3)"), "{} bytes", npy.len());
     let png = home.root().join("camera.png");
-    alice.run(&["shared", "open", &id, "--out", utf8(&png)]).expect_code(0);
+    alice.run(&["records", "open", &id, "--out", utf8(&png)]).expect_code(0);
     let mut picture = png::Decoder::new(BufReader::new(File::open(&png).expect("written"))).read_info().expect("a PNG");
     let mut pixels = vec![0; picture.output_buffer_size().expect("small")];
     picture.next_frame(&mut pixels).expect("a picture");
     assert_eq!(pixels, numbers);
     let whole = home.root().join("scan.json");
-    alice.run(&["shared", "open", &text(&opened["/scan"], "id"), "--out", utf8(&whole)]).expect_code(0);
+    alice.run(&["records", "open", &text(&opened["/scan"], "id"), "--out", utf8(&whole)]).expect_code(0);
     let whole: Value = serde_json::from_slice(&fs::read(&whole).expect("written")).expect("JSON");
     assert_eq!((list(&whole, "ranges").len(), &whole["header"]["frame_id"]), (200, &json!("base_link")));
 
@@ -101,7 +101,7 @@ fn read(path: &Path) -> Vec<RecordedMessage> {
 
 fn comes_out_as_it_went_in(alice: &Authros, home: &Home) {
     let exported = home.root().join("out.mcap");
-    let view = alice.json_within(240, &["shared", "export", "--mcap", utf8(&exported)]);
+    let view = alice.json_within(240, &["bag", "export", "--mcap", utf8(&exported)]);
     assert_eq!(count(&view, "messages"), 7, "{view}");
     let (was, is) = (read(&recording()), read(&exported));
     assert_eq!(was, is);
@@ -122,7 +122,7 @@ fn what_is_exported_reads_the_same_to_others_as_what_was_imported() {
     let summary = home.authros().json_within(240, &["bag", "import", utf8(&recording())]);
     assert_eq!(count(&summary, "verified"), 7, "{summary}");
     let exported = home.root().join("out.mcap");
-    home.authros().json_within(240, &["shared", "export", "--mcap", utf8(&exported)]);
+    home.authros().json_within(240, &["bag", "export", "--mcap", utf8(&exported)]);
     let sorted = |path: &Path| {
         let mut messages = read_by_others(path);
         messages.sort_by_key(|message| (count(message, "logged"), text(message, "topic")));
@@ -139,12 +139,12 @@ fn what_a_recording_describes_in_idl_is_read_by_the_definitions_of_this_machine_
     let home = Home::new();
     let summary = home.authros().json_within(240, &["bag", "import", utf8(&recording()), "--topic", "/idl"]);
     assert_eq!(count(&summary, "verified"), 1, "{summary}");
-    let id = text(&home.authros().records(&["uploads", "list"])[0], "id");
+    let id = text(&home.authros().records(&["records", "list", "--oldest"])[0], "id");
     let share = home.root().join("jazzy/share/std_msgs/msg");
     fs::create_dir_all(&share).expect("created");
     let there = home.authros().with_variable("AMENT_PREFIX_PATH", utf8(&home.root().join("jazzy")));
     let opened = |authros: &Authros, source: &str| {
-        let view = authros.json(&["shared", "open", &id]);
+        let view = authros.json(&["records", "open", &id]);
         assert_eq!(view["message"], json!({"data": "kept /idl"}), "{view}");
         let note = text(&view, "note");
         assert!(note.contains(source) && note.contains("its type hash matches the message"), "{view}");

@@ -73,12 +73,12 @@ fn plant(network: &Network, kinds: &[Kind<'_>]) -> Plant {
         let talker = Talker::start(network, &[topic, kind, number, hertz, size, flag, "readers2"]);
         let number: usize = number.parse().expect("a number");
         wait_until(120, "all is verified", || {
-            let records = alice.records(&["uploads", "list", "--topic", topic]);
+            let records = alice.records(&["records", "list", "--oldest", "--topic", topic]);
             (records.len() == number && records.iter().all(is_verified)).then_some(())
         });
         drop(talker);
     }
-    alice.json(&["grant", &bob_address]);
+    alice.json(&["grant", "add", &bob_address]);
     Plant { _home: home, _site: site, bob, originals }
 }
 
@@ -109,7 +109,7 @@ fn real_nodes_get_what_is_counted_from_the_first_message_on_and_see_who_publishe
     let plant = plant(&network, &kinds);
     let wanted = ["/words:string:reliable", "/loose:string:best_effort", "/camera:image:reliable"];
     let nodes = ["jazzy", "kilted"].map(|distribution| Node::start(&network, distribution, &wanted));
-    let player = plant.bob.spawn(&["--json", "shared", "play", "--as-captured", "--ros2", OUT]);
+    let player = plant.bob.spawn(&["--json", "received", "play", "--as-captured", "--ros2", OUT]);
     for node in &nodes {
         poll(60, || (!node.heard("/words").is_empty()).then_some(())).expect("heard");
         node.sees("/words", "/authros_bridge");
@@ -140,7 +140,8 @@ fn pictures_of_eight_megabytes_reach_a_real_node_and_cyclone_dds() {
     let number: usize = pictures.parse().expect("a number");
     let node = Node::start(&network, "kilted", &["/camera:image:reliable"]);
     let cyclone = Listener::start(&network, OUT, &["/camera", "image"]);
-    let played = plant.bob.run(&["--json", "shared", "play", "--as-captured", "--ros2", OUT]).expect_code(0).document();
+    let played =
+        plant.bob.run(&["--json", "received", "play", "--as-captured", "--ros2", OUT]).expect_code(0).document();
     assert_eq!(figures(&played), [number as u64, 0, 0, 0], "{played}");
     let expected = plant.originals[0].hears(number, 20);
     assert!(node.hears("/camera", number, 20) == expected && cyclone.hears(number, 20) == expected);
@@ -155,7 +156,7 @@ fn what_a_node_that_was_killed_did_not_acknowledge_is_not_counted_as_published()
     };
     let plant = plant(&network, &[("/words", "string", "300", "100", "36", "")]);
     let node = Node::start(&network, "jazzy", &["/words:string:reliable"]);
-    let player = plant.bob.spawn(&["--json", "shared", "play", "--as-captured", "--ros2", OUT]);
+    let player = plant.bob.spawn(&["--json", "received", "play", "--as-captured", "--ros2", OUT]);
     node.hears("/words", 50, 60);
     node.0.signal("KILL");
     let played = player.wait(60).expect_code(INCOMPLETE).document();

@@ -62,8 +62,8 @@ fn a_thousand_messages_a_second_arrive_whole_reliable_or_not() {
         (&2.into(), &Value::Null, &"best_effort volatile".into())
     );
     assert_eq!(fast["type"], "std_msgs/msg/String");
-    let records = alice.records(&["uploads", "list", "--topic", "/fast"]);
-    let opened = alice.json(&["shared", "open", &text(&records[0], "id")]);
+    let records = alice.records(&["records", "list", "--oldest", "--topic", "/fast"]);
+    let opened = alice.json(&["records", "open", &text(&records[0], "id")]);
     let tag = |name: &str| {
         let found = list(&opened, "tags").into_iter().find(|tag| tag[0] == name);
         found.unwrap_or_else(|| panic!("{name} in {opened}"))[1].as_str().expect("a text").to_owned()
@@ -73,8 +73,8 @@ fn a_thousand_messages_a_second_arrive_whole_reliable_or_not() {
     assert_eq!(tag("mcap.channel.writer_id").len(), 32);
     assert_eq!(opened["message"]["data"].as_str().map(str::len), Some(100), "{opened}");
     assert!(text(&opened, "note").contains("its type hash matches the message"), "{opened}");
-    let records = alice.records(&["uploads", "list", "--topic", "/loose"]);
-    let opened = alice.json(&["shared", "open", &text(&records[0], "id")]);
+    let records = alice.records(&["records", "list", "--oldest", "--topic", "/loose"]);
+    let opened = alice.json(&["records", "open", &text(&records[0], "id")]);
     assert!(opened["message"]["data"].is_string(), "{opened}");
     assert!(text(&opened, "note").contains("has no type hash"), "{opened}");
     let shown = alice.run(&["topics", "list"]).expect_code(0).stdout;
@@ -129,11 +129,11 @@ fn pictures_arrive_byte_for_byte_and_latched_messages_late() {
     let sent = camera.sent(60);
     let summary = capture.wait(240).expect_code(0).document();
     assert_eq!(figures(&summary), (pictures, pictures, 0), "{summary}");
-    let mut records = alice.records(&["uploads", "list", "--topic", "/camera"]);
+    let mut records = alice.records(&["records", "list", "--oldest", "--topic", "/camera"]);
     records.sort_by_key(|record| count(record, "seq"));
     let (path, mut all) = (home.root().join("picture.bin"), Vec::new());
     for record in &records {
-        alice.json(&["shared", "open", &text(record, "id"), "--out", path.to_str().expect("UTF-8")]);
+        alice.json(&["records", "open", &text(record, "id"), "--out", path.to_str().expect("UTF-8")]);
         all.extend(fs::read(&path).expect("written"));
         fs::remove_file(&path).expect("removed");
     }

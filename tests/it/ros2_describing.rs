@@ -23,9 +23,9 @@ fn begin(network: &Network, home: &Home) -> (Running, Authros) {
 
 /// The newest record, opened.
 fn newest(alice: &Authros) -> Option<Value> {
-    let records = alice.records(&["uploads", "list", "--topic", TOPIC]);
+    let records = alice.records(&["records", "list", "--oldest", "--topic", TOPIC]);
     let last = records.iter().max_by_key(|record| support::count(record, "seq"))?;
-    Some(alice.json(&["shared", "open", &text(last, "id")]))
+    Some(alice.json(&["records", "open", &text(last, "id")]))
 }
 
 #[test]
@@ -66,10 +66,10 @@ fn expect_described(network: &Network, start: impl Fn() -> Running) {
     // The definition goes with the message: whoever reads a recording of it needs nothing else.
     drop(hand);
     wait_until(60, "all is verified", || {
-        alice.records(&["uploads", "list", "--topic", TOPIC]).iter().all(is_verified).then_some(())
+        alice.records(&["records", "list", "--oldest", "--topic", TOPIC]).iter().all(is_verified).then_some(())
     });
     let recording = home.root().join("out.mcap");
-    let export = ["shared", "export", "--mcap", recording.to_str().expect("UTF-8"), "--topic", TOPIC];
+    let export = ["bag", "export", "--mcap", recording.to_str().expect("UTF-8"), "--topic", TOPIC];
     let view = alice.json_within(240, &export);
     assert_eq!(list(&view, "given"), [TOPIC], "whose word its comments, constants and default values are: {view}");
     if !others_can_read() {

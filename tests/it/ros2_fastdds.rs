@@ -16,12 +16,12 @@ fn figures(summary: &Value) -> [u64; 3] {
 
 /// The bodies of all records of a topic in the order of their numbers.
 fn bodies(alice: &Authros, home: &Home, topic: &str) -> Vec<u8> {
-    let mut records = alice.records(&["uploads", "list", "--topic", topic]);
+    let mut records = alice.records(&["records", "list", "--oldest", "--topic", topic]);
     records.sort_by_key(|record| count(record, "seq"));
     let path = home.root().join("body.bin");
     let mut all = Vec::new();
     for record in &records {
-        alice.json(&["shared", "open", &text(record, "id"), "--out", path.to_str().expect("UTF-8")]);
+        alice.json(&["records", "open", &text(record, "id"), "--out", path.to_str().expect("UTF-8")]);
         all.extend(fs::read(&path).expect("written"));
         fs::remove_file(&path).expect("removed");
     }

@@ -21,7 +21,7 @@ fn a_publisher_of_another_make_is_quarantined_and_the_robot_goes_on() {
     alice.enrol();
     alice.json(&["topics", "watch", TOPIC]);
     let of = |state: &str| {
-        let records = alice.records(&["uploads", "list", "--topic", TOPIC]);
+        let records = alice.records(&["records", "list", "--oldest", "--topic", TOPIC]);
         records.into_iter().filter(|record| record["state"] == state).collect::<Vec<_>>()
     };
     let _robot = Talker::start(&network, &[TOPIC, "string", "6000", "20", "60", "hash"]);
@@ -45,7 +45,7 @@ fn a_publisher_of_another_make_is_quarantined_and_the_robot_goes_on() {
     let said = site.wait_for_text("/unnamed_fastdds", 20);
     assert!(said.contains(TOPIC), "{said}");
     for record in [&held[0], &held[19]] {
-        let opened = alice.json(&["shared", "open", &text(record, "id")]);
+        let opened = alice.json(&["records", "open", &text(record, "id")]);
         assert_eq!(opened["message"]["data"].as_str().map(str::len), Some(61), "his, not the robot's: {opened}");
     }
     let before = of("verified").len();

@@ -80,7 +80,7 @@ impl Scene {
     }
 
     fn count(&self, topic: &str, state: &str) -> usize {
-        let records = self.alice.records(&["uploads", "list", "--topic", topic]);
+        let records = self.alice.records(&["records", "list", "--oldest", "--topic", topic]);
         records.iter().filter(|record| record["state"] == state).count()
     }
 

@@ -238,11 +238,11 @@ fn what_was_played_leaves_the_domain_when_playing_ends() {
     alice.json(&["topics", "watch", "/said"]);
     let robot = first.node(&network, "0", &["publish", "/said", "--latched", "--depth", "5", "--number", "5"]);
     wait_until(60, "all is verified", || {
-        let records = alice.records(&["uploads", "list", "--topic", "/said"]);
+        let records = alice.records(&["records", "list", "--oldest", "--topic", "/said"]);
         (records.len() == 5 && records.iter().all(is_verified)).then_some(())
     });
     robot.end();
-    alice.json(&["grant", &bob_address]);
+    alice.json(&["grant", "add", &bob_address]);
     let subscribe = |(_, python): &(&str, Python)| python.node(&network, "7", &["subscribe", "/said"]);
     let readers: Vec<Node> = pythons.iter().map(subscribe).collect();
     let meet = |number: usize, seconds: u64, way: &str| {
@@ -251,7 +251,7 @@ fn what_was_played_leaves_the_domain_when_playing_ends() {
         }
     };
 
-    let play = ["--json", "shared", "play", "--follow", "--ros2", "7"];
+    let play = ["--json", "received", "play", "--follow", "--ros2", "7"];
     let player = bob.spawn(&play);
     meet(1, 30, "played");
     player.stop("INT", 20);
@@ -265,7 +265,7 @@ fn what_was_played_leaves_the_domain_when_playing_ends() {
 
     let player = bob.spawn(&play);
     meet(1, 30, "played a third time");
-    alice.json(&["revoke", &bob_address]);
+    alice.json(&["grant", "end", &bob_address]);
     meet(0, 10, "the grant was revoked");
     player.wait(60);
     readers.into_iter().for_each(Node::end);

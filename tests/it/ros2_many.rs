@@ -86,12 +86,12 @@ fn messages_of_eight_megabytes_arrive_byte_for_byte() {
     let memory = memory_of_reader(&site);
     println!("{number} messages of 8 MB: the program that reads holds {memory} KiB");
     assert!(memory < KEPT, "the program that reads holds {memory} KiB");
-    let mut records = alice.records(&["uploads", "list", "--topic", "/camera"]);
+    let mut records = alice.records(&["records", "list", "--oldest", "--topic", "/camera"]);
     records.sort_by_key(|record| count(record, "seq"));
     let (path, all) = (home.root().join("picture.bin"), home.root().join("all.bin"));
     let mut joined = fs::File::create(&all).expect("created");
     for record in &records {
-        alice.json(&["shared", "open", &text(record, "id"), "--out", path.to_str().expect("UTF-8")]);
+        alice.json(&["records", "open", &text(record, "id"), "--out", path.to_str().expect("UTF-8")]);
         std::io::copy(&mut fs::File::open(&path).expect("written"), &mut joined).expect("copied");
         fs::remove_file(&path).expect("removed");
     }

@@ -40,7 +40,7 @@ fn figures(played: &Value) -> [u64; 4] {
 /// Waits until this number of records of a topic is verified.
 fn expect_verified(alice: &Authros, topic: &str, number: usize) {
     wait_until(120, "all is verified", || {
-        let records = alice.records(&["uploads", "list", "--topic", topic]);
+        let records = alice.records(&["records", "list", "--oldest", "--topic", topic]);
         (records.len() == number && records.iter().all(is_verified)).then_some(())
     });
 }
@@ -71,14 +71,14 @@ fn a_real_subscriber_in_the_reader_s_domain_hears_what_the_robot_said() {
     }
     drop(talkers);
 
-    let refused = plant.bob.fails(REFUSED, &["shared", "play", "--ros2", OUT]);
+    let refused = plant.bob.fails(REFUSED, &["received", "play", "--ros2", OUT]);
     assert!(refused.contains("shares"), "without a grant there is nothing to play: {refused}");
-    plant.alice.json(&["grant", &plant.bob_address]);
-    let refused = plant.bob.fails(REFUSED, &["shared", "play", "--ros2", "0"]);
+    plant.alice.json(&["grant", "add", &plant.bob_address]);
+    let refused = plant.bob.fails(REFUSED, &["received", "play", "--ros2", "0"]);
     assert!(refused.contains("--prefix"), "a loop is refused: {refused}");
 
     let readers = kinds.map(|(topic, kind, .., flag)| Listener::start(&network, OUT, &[topic, kind, flag]));
-    let played = plant.bob.run(&["--json", "shared", "play", "--ros2", OUT]).expect_code(0).document();
+    let played = plant.bob.run(&["--json", "received", "play", "--ros2", OUT]).expect_code(0).document();
     assert_eq!((figures(&played), &played["ended_by"]), ([610, 0, 0, 0], &"whole".into()), "{played}");
     for ((original, reader), (topic, _, number, ..)) in originals.iter().zip(&readers).zip(kinds) {
         let expected = original.hears(number.parse().expect("a number"), 20);
@@ -89,11 +89,11 @@ fn a_real_subscriber_in_the_reader_s_domain_hears_what_the_robot_said() {
 
     // Somebody else publishes the name there; and the domain that is captured, under a prefix.
     let _other = Talker::start(&network, &["/words", "string", "1", "1", "20", "latched", "domain7"]);
-    let played = plant.bob.run(&["--json", "shared", "play", "--ros2", OUT]).expect_code(INCOMPLETE).document();
+    let played = plant.bob.run(&["--json", "received", "play", "--ros2", OUT]).expect_code(INCOMPLETE).document();
     assert_eq!(figures(&played), [310, 300, 0, 0], "{played}");
     assert!(played["reasons"].to_string().contains("a cyclonedds publisher already publishes"), "{played}");
     let under = Listener::start(&network, "0", &["/shared/alice/words", "string"]);
-    let arguments = ["--json", "shared", "play", "--ros2", "0", "--prefix", "/shared/alice", "--topic", "/words"];
+    let arguments = ["--json", "received", "play", "--ros2", "0", "--prefix", "/shared/alice", "--topic", "/words"];
     let played = plant.bob.run(&arguments).expect_code(0).document();
     assert_eq!(figures(&played), [300, 0, 0, 0], "{played}");
     assert!(under.hears(300, 20) == originals[0].heard(), "under the prefix, too");
@@ -113,10 +113,10 @@ fn what_is_played_live_into_a_domain_ends_with_the_grant_and_late_subscribers_ge
     let original = Listener::start(&network, "0", &["/tf_static", "string", "latched"]);
     let _latched = Talker::start(&network, &["/tf_static", "string", "1", "1", "50", "latched"]);
     expect_verified(&plant.alice, "/tf_static", 1);
-    plant.alice.json(&["grant", &plant.bob_address]);
+    plant.alice.json(&["grant", "add", &plant.bob_address]);
 
     let reader = Listener::start(&network, OUT, &["/words", "string"]);
-    let player = plant.bob.spawn(&["--json", "shared", "play", "--follow", "--ros2", OUT]);
+    let player = plant.bob.spawn(&["--json", "received", "play", "--follow", "--ros2", OUT]);
     let late = Listener::start(&network, OUT, &["/tf_static", "string", "latched"]);
     assert_eq!(late.hears(1, 60), original.hears(1, 20));
     let process = process_of(&plant.site, READER, "--publish");
@@ -143,16 +143,17 @@ fn what_is_played_live_into_a_domain_ends_with_the_grant_and_late_subscribers_ge
     // In the middle of another run of messages.
     let _running = Talker::start(&network, &["/words", "string", "6000", "50", "60"]);
     reader.hears(250, 60);
-    let revoked = plant.alice.json(&["revoke", &plant.bob_address]);
+    let revoked = plant.alice.json(&["grant", "end", &plant.bob_address]);
     assert!(revoked["transaction"].is_string(), "{revoked}");
     let played = player.wait(60).expect_code(REFUSED).document();
     assert_eq!((&played["ended_by"], count(&played, "refused")), (&"revoked".into(), 0), "{played}");
     // The others have met writers of the killed program, too, and wait until their leases run out.
     anew.meets(0, 20);
     // What comes after the revoke is never heard, and nothing is latched any more.
-    let (before, seen) = (reader.heard().len(), plant.alice.records(&["uploads", "list", "--topic", "/words"]).len());
+    let (before, seen) =
+        (reader.heard().len(), plant.alice.records(&["records", "list", "--oldest", "--topic", "/words"]).len());
     wait_until(60, "more is verified", || {
-        let records = plant.alice.records(&["uploads", "list", "--topic", "/words"]);
+        let records = plant.alice.records(&["records", "list", "--oldest", "--topic", "/words"]);
         (records.iter().filter(|record| is_verified(record)).count() > seen + 50).then_some(())
     });
     assert_eq!(reader.heard().len(), before);
@@ -170,18 +171,18 @@ fn records_of_ros_1_are_not_translated_and_a_missing_program_is_told_of() {
     let (alice, bob) = (home.profile("alice"), home.profile("bob"));
     alice.enrol();
     let bob_address = bob.enrol();
-    alice.json(&["grant", &bob_address]);
+    alice.json(&["grant", "add", &bob_address]);
     alice.capture(&["/robot1/odom"], 3);
-    let outcome = bob.run(&["--json", "shared", "play", "--ros2", OUT]).expect_code(INCOMPLETE);
+    let outcome = bob.run(&["--json", "received", "play", "--ros2", OUT]).expect_code(INCOMPLETE);
     let played = outcome.document();
     assert_eq!((figures(&played), &played["ended_by"]), ([0, 3, 0, 0], &"whole".into()), "{played}");
     assert!(played["reasons"].to_string().contains("a message of ROS 1 is not translated into ROS 2"), "{played}");
-    let said = bob.run(&["shared", "play", "--ros2", "7", "--to", "http://127.0.0.1:1"]);
+    let said = bob.run(&["received", "play", "--ros2", "7", "--to", "http://127.0.0.1:1"]);
     assert!(said.code != Some(0) && said.stderr.contains("--to"), "{said}");
 
     site.stop("TERM", 20).expect_code(0);
     let absent = home.authros().with_variable("AUTHROS_ROS2_PROGRAM", "/nowhere/speaker");
     let _site = network.inside(&absent).serve(&home);
-    let said = bob.run(&["shared", "play", "--ros2", OUT]);
+    let said = bob.run(&["received", "play", "--ros2", OUT]);
     assert!(said.stderr.contains("/nowhere/speaker") && said.stderr.contains("cargo build -p authros-ros2"), "{said}");
 }

@@ -30,7 +30,7 @@ fn of_sent(records: Vec<Value>) -> Vec<Value> {
 
 /// Opens every record in both forms beside what was sent; returns how many there are.
 fn open_all(alice: &Authros, folder: &Path) -> usize {
-    let records = of_sent(alice.records(&["uploads", "list"]));
+    let records = of_sent(alice.records(&["records", "list", "--oldest"]));
     let mut topics: BTreeMap<String, Vec<(u64, String)>> = BTreeMap::new();
     for record in &records {
         topics.entry(text(record, "topic")).or_default().push((count(record, "seq"), text(record, "id")));
@@ -39,10 +39,10 @@ fn open_all(alice: &Authros, folder: &Path) -> usize {
         let name = topic.trim_start_matches("/shown/").replace('/', ".");
         ids.sort();
         for (place, (_, id)) in ids.iter().enumerate() {
-            let view = alice.json(&["shared", "open", id]);
+            let view = alice.json(&["records", "open", id]);
             fs::write(folder.join(format!("{name}.{place}.view.json")), view.to_string()).expect("written");
             let file = folder.join(format!("{name}.{place}.json"));
-            alice.json(&["shared", "open", id, "--out", file.to_str().expect("UTF-8")]);
+            alice.json(&["records", "open", id, "--out", file.to_str().expect("UTF-8")]);
         }
     }
     records.len()
@@ -72,15 +72,15 @@ fn expect_shown_as_sent(distribution: &str, seed: &str) {
     watched.for_each(|topic| drop(alice.json(&["topics", "watch", &topic])));
     let expected = types.len() * usize::try_from(EACH).expect("few");
     let all = || {
-        let records = of_sent(alice.records_so_far(&["uploads", "list"])?);
+        let records = of_sent(alice.records_so_far(&["records", "list", "--oldest"])?);
         (records.len() >= expected && records.iter().all(is_verified)).then_some(())
     };
-    let so_far = || of_sent(alice.records(&["uploads", "list"])).len();
+    let so_far = || of_sent(alice.records(&["records", "list", "--oldest"])).len();
     poll(180, all).unwrap_or_else(|| panic!("{} of {expected} records are verified", so_far()));
 
     // The definitions of types that are not built in come from the node; the messages before them are shown by them too.
-    let own = |id: &str| alice.json(&["shared", "open", id])["message"].is_object();
-    let mut without: Vec<Value> = of_sent(alice.records(&["uploads", "list"]));
+    let own = |id: &str| alice.json(&["records", "open", id])["message"].is_object();
+    let mut without: Vec<Value> = of_sent(alice.records(&["records", "list", "--oldest"]));
     let mut all_have = || {
         without.retain(|record| !own(&text(record, "id")));
         without.is_empty().then_some(())
@@ -94,7 +94,7 @@ fn expect_shown_as_sent(distribution: &str, seed: &str) {
     assert_eq!(open_all(&alice, &folder), expected);
     let recording = folder.join("export.mcap");
     let recording = recording.to_str().expect("UTF-8");
-    alice.json_within(240, &["shared", "export", "--mcap", recording, "--compression", "none", "--topic", "/shown/**"]);
+    alice.json_within(240, &["bag", "export", "--mcap", recording, "--compression", "none", "--topic", "/shown/**"]);
     let compared = peer(&network, &python, &["compare", path]).wait(120).expect_code(0).document();
     assert_eq!(compared["differ"], 0, "{compared:#}");
     for way in ["file", "view", "export"] {

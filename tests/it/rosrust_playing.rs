@@ -46,7 +46,7 @@ fn drive(robot: &Roscore, plant: &Plant, bag: &Path, times: usize) {
     robot.play_as("robot", bag, 2).wait(120).expect_code(0);
     let expected = list_bag(bag).len() * times;
     wait_until(120, "all is verified", || {
-        let records = plant.alice.records(&["uploads", "list"]);
+        let records = plant.alice.records(&["records", "list", "--oldest"]);
         (records.len() == expected && records.iter().all(is_verified)).then_some(())
     });
 }
@@ -67,12 +67,12 @@ fn a_real_recorder_hears_by_rosrust_what_the_robot_said_until_the_revoke_and_its
     let bag = path("drive.bag");
     make_bag(&["latched", bag.to_str().expect("UTF-8")]);
     drive(&robot, &plant, &bag, 1);
-    plant.alice.json(&["grant", &plant.bob_address]);
+    plant.alice.json(&["grant", "add", &plant.bob_address]);
 
     // All that is there, as fast as it is read.
     let recorded = path("at-once.bag");
     let recorder = reader.record(&recorded, &TOPICS);
-    let played = plant.bob.spawn(&["--json", "shared", "play", "--to", &reader.uri()]).wait(120);
+    let played = plant.bob.spawn(&["--json", "received", "play", "--to", &reader.uri()]).wait(120);
     let played = played.expect_code(0).document();
     let figures = ["published", "refused", "missing", "dropped"].map(|figure| count(&played, figure));
     assert_eq!(figures, [list_bag(&bag).len() as u64, 0, 0, 0], "{played}");
@@ -86,7 +86,7 @@ fn a_real_recorder_hears_by_rosrust_what_the_robot_said_until_the_revoke_and_its
     // Live: what was latched reaches who comes late, also after the process was killed.
     let live = path("live.bag");
     let recorder = reader.record(&live, &["/odom", "/words"]);
-    let player = plant.bob.spawn(&["--json", "shared", "play", "--follow", "--to", &reader.uri()]);
+    let player = plant.bob.spawn(&["--json", "received", "play", "--follow", "--to", &reader.uri()]);
     let is_played = || reader.publishers(LATCHED).contains("/authros_play_").then_some(());
     wait_until(60, "the latched topic is there", is_played);
     let process = process_of(&plant.site, PROGRAM, "authros_play_");
@@ -106,7 +106,7 @@ fn a_real_recorder_hears_by_rosrust_what_the_robot_said_until_the_revoke_and_its
     drive(&robot, &plant, &bag, 2);
     ear.wait(120).expect_code(0);
     assert_eq!(latched().last(), calibration.last(), "the last one is latched");
-    plant.alice.json(&["revoke", &plant.bob_address]);
+    plant.alice.json(&["grant", "end", &plant.bob_address]);
     let played = player.wait(60).expect_code(REFUSED).document();
     assert_eq!((&played["ended_by"], count(&played, "refused")), (&"revoked".into(), 0), "{played}");
     assert_eq!(reader.publishers(LATCHED), "", "nobody publishes it any more");
@@ -126,7 +126,7 @@ fn simulated_robots_may_be_nodes_of_rosrust_each_in_a_process_of_its_own() {
     alice.enrol();
     alice.capture(&["/robot1/odom", "/robot2/camera/compressed"], 4);
     wait_until(60, "all is verified", || {
-        let records = alice.records(&["uploads", "list"]);
+        let records = alice.records(&["records", "list", "--oldest"]);
         (records.len() >= 4 && records.iter().all(is_verified)).then_some(())
     });
     let processes = ["robot1_sim", "robot2_sim"].map(|node| process_of(&site, PROGRAM, node));
@@ -141,8 +141,8 @@ fn a_missing_program_is_told_of_with_the_way_to_get_it() {
     let (alice, bob) = (home.profile("alice"), home.profile("bob"));
     alice.enrol();
     let bob_address = bob.enrol();
-    alice.json(&["grant", &bob_address]);
-    let said = bob.run(&["shared", "play", "--prefix", "/shared/alice"]);
+    alice.json(&["grant", "add", &bob_address]);
+    let said = bob.run(&["received", "play", "--prefix", "/shared/alice"]);
     assert!(said.code != Some(0) && said.stderr.contains("/nowhere/speaker"), "{said}");
     assert!(said.stderr.contains("cargo build -p authros-rosrust"), "{said}");
     site.stop("TERM", 20).expect_code(0);

@@ -12,7 +12,7 @@ use support::{Authros, at, ids, is_verified, list, text, two_profiles};
 const REFUSED: i32 = 5;
 
 fn open(authros: &Authros, id: &str) -> Value {
-    let opened = authros.json(&["shared", "open", id]);
+    let opened = authros.json(&["records", "open", id]);
     assert_eq!(opened["verdict"], "verified", "{opened}");
     opened
 }
@@ -31,19 +31,19 @@ fn sequence(authros: &Authros, record: &Value) -> f64 {
 fn a_grantee_checks_and_opens_until_the_revoke_and_nothing_after_it() {
     let two = two_profiles(2);
     two.alice.capture(&["/robot1/odom"], 5);
-    assert!(two.bob.records(&["shared", "list"]).is_empty(), "nothing without a grant");
-    let own = two.alice.records(&["uploads", "list"]);
-    two.bob.is_refused(&["shared", "open", &text(&own[0], "id")]);
+    assert!(two.bob.records(&["received", "list", "--oldest"]).is_empty(), "nothing without a grant");
+    let own = two.alice.records(&["records", "list", "--oldest"]);
+    two.bob.is_refused(&["records", "open", &text(&own[0], "id")]);
 
-    let granted = two.alice.json(&["grant", &two.bob_address, "--expires", "30d"]);
+    let granted = two.alice.json(&["grant", "add", &two.bob_address, "--expires", "30d"]);
     assert!(granted["transaction"].is_string(), "{granted}");
-    let shared = two.bob.records(&["shared", "list"]);
+    let shared = two.bob.records(&["received", "list", "--oldest"]);
     assert_eq!(ids(&shared), ids(&own), "all of the current epoch");
     for record in &shared {
         assert_eq!(text(record, "owner"), two.alice_address);
         assert_eq!((&record["topic"], &record["type"]), (&"/robot1/odom".into(), &"nav_msgs/Odometry".into()));
         let id = text(record, "id");
-        let checked = two.bob.json(&["shared", "check", &id]);
+        let checked = two.bob.json(&["records", "check", &id]);
         assert_eq!((&checked["verdict"], &checked["digest"]), (&"verified".into(), &record["digest"]), "{checked}");
         assert_eq!(checked["contract"], answer(&two.alice_address, &two.bob_address, true, 1), "{checked}");
         let opened = open(&two.bob, &id);
@@ -51,24 +51,27 @@ fn a_grantee_checks_and_opens_until_the_revoke_and_nothing_after_it() {
         assert_eq!(opened["message"], open(&two.alice, &id)["message"], "the owner reads the same");
     }
 
-    let revoked = two.alice.json(&["revoke", &two.bob_address]);
+    let revoked = two.alice.json(&["grant", "end", &two.bob_address]);
     assert_eq!(revoked["epoch"], 2, "a revoke begins a new epoch: {revoked}");
     two.alice.capture(&["/robot1/odom"], 3);
-    let all = two.alice.records(&["uploads", "list"]);
+    let all = two.alice.records(&["records", "list", "--oldest"]);
     let later: Vec<&Value> = all.iter().filter(|record| record["epoch"] == 2).collect();
     assert_eq!((all.len(), later.len()), (8, 3), "sealed under the new key");
     for record in later {
-        two.bob.is_refused(&["shared", "open", &text(record, "id")]);
+        two.bob.is_refused(&["records", "open", &text(record, "id")]);
         open(&two.alice, &text(record, "id"));
     }
-    assert!(ids(&two.bob.records(&["shared", "list"])).is_subset(&ids(&own)), "later records are not even listed");
+    assert!(
+        ids(&two.bob.records(&["received", "list", "--oldest"])).is_subset(&ids(&own)),
+        "later records are not even listed"
+    );
 }
 
 #[test]
 fn grants_are_listed_by_both_sides_with_their_state() {
     let two = two_profiles(2);
-    two.alice.json(&["grant", &two.bob_address, "--topic", "/robot1/odom", "--expires", "1h"]);
-    let rows = |authros: &Authros| list(&authros.json(&["grants", "list"]), "grants");
+    two.alice.json(&["grant", "add", &two.bob_address, "--topic", "/robot1/odom", "--expires", "1h"]);
+    let rows = |authros: &Authros| list(&authros.json(&["grant", "list"]), "grants");
     let (given, received) = (rows(&two.alice), rows(&two.bob));
     assert_eq!((given.len(), received.len()), (1, 1));
     assert_eq!((&given[0]["direction"], &received[0]["direction"]), (&"given".into(), &"received".into()));
@@ -79,52 +82,52 @@ fn grants_are_listed_by_both_sides_with_their_state() {
     }
     assert_eq!(list(&given[0], "topics"), ["/robot1/odom"]);
 
-    two.alice.json(&["revoke", &two.bob_address]);
+    two.alice.json(&["grant", "end", &two.bob_address]);
     assert_eq!((&rows(&two.alice)[0]["state"], &rows(&two.bob)[0]["state"]), (&"revoked".into(), &"revoked".into()));
-    two.alice.fails(REFUSED, &["revoke", &two.bob_address]);
+    two.alice.fails(REFUSED, &["grant", "end", &two.bob_address]);
 }
 
 #[test]
 fn a_grant_of_one_topic_opens_that_topic_alone() {
     let two = two_profiles(2);
-    two.alice.json(&["grant", &two.bob_address, "--topic", "/robot1/odom"]);
+    two.alice.json(&["grant", "add", &two.bob_address, "--topic", "/robot1/odom"]);
     two.alice.capture(&["/robot1/odom", "/robot2/odom"], 3);
-    let own = two.alice.records(&["uploads", "list"]);
+    let own = two.alice.records(&["records", "list", "--oldest"]);
     let (first, second): (Vec<_>, Vec<_>) = own.into_iter().partition(|record| record["topic"] == "/robot1/odom");
     assert_eq!((first.len(), second.len()), (3, 3));
-    assert_eq!(ids(&two.bob.records(&["shared", "list"])), ids(&first));
-    assert_eq!(ids(&two.bob.records(&["shared", "list", "--topic", "/robot1/odom"])), ids(&first));
+    assert_eq!(ids(&two.bob.records(&["received", "list", "--oldest"])), ids(&first));
+    assert_eq!(ids(&two.bob.records(&["received", "list", "--oldest", "--topic", "/robot1/odom"])), ids(&first));
     open(&two.bob, &text(&first[0], "id"));
-    two.bob.is_refused(&["shared", "open", &text(&second[0], "id")]);
+    two.bob.is_refused(&["records", "open", &text(&second[0], "id")]);
 }
 
 #[test]
 fn the_current_epoch_is_granted_unless_all_are_asked_for() {
     let two = two_profiles(2);
     two.alice.capture(&["/robot1/odom"], 2);
-    let early = ids(&two.alice.records(&["uploads", "list"]));
+    let early = ids(&two.alice.records(&["records", "list", "--oldest"]));
     two.alice.json(&["keys", "rotate"]);
     two.alice.capture(&["/robot1/odom"], 2);
-    let all = ids(&two.alice.records(&["uploads", "list"]));
+    let all = ids(&two.alice.records(&["records", "list", "--oldest"]));
 
-    two.alice.json(&["grant", &two.bob_address]);
+    two.alice.json(&["grant", "add", &two.bob_address]);
     let late: BTreeSet<String> = all.difference(&early).cloned().collect();
-    assert_eq!(ids(&two.bob.records(&["shared", "list"])), late);
+    assert_eq!(ids(&two.bob.records(&["received", "list", "--oldest"])), late);
 
     let carol = two.home.profile("carol");
     let carol_address = carol.enrol();
-    two.alice.json(&["grant", &carol_address, "--from", "start"]);
-    assert_eq!(ids(&carol.records(&["shared", "list"])), all);
+    two.alice.json(&["grant", "add", &carol_address, "--from", "start"]);
+    assert_eq!(ids(&carol.records(&["received", "list", "--oldest"])), all);
     for id in &all {
         open(&carol, id);
         // One envelope carries the keys of all epochs: of the earlier one the contract knows nothing.
         let epoch = if early.contains(id) { 1 } else { 2 };
-        let checked = carol.json(&["shared", "check", id]);
+        let checked = carol.json(&["records", "check", id]);
         assert_eq!(checked["contract"], answer(&two.alice_address, &carol_address, epoch == 2, epoch), "{checked}");
     }
     // Who reads the older records is told on both sides, by what each knows.
     let opened = |authros: &Authros, other: &str| {
-        let rows = list(&authros.json(&["grants", "list"]), "grants");
+        let rows = list(&authros.json(&["grant", "list"]), "grants");
         let row = rows.into_iter().find(|row| row["grantee"] == other).expect("the grant");
         (row["from"].as_u64(), row["opens"]["records"].as_u64())
     };
@@ -132,7 +135,7 @@ fn the_current_epoch_is_granted_unless_all_are_asked_for() {
     assert_eq!(opened(&two.alice, &carol_address), (Some(1), Some(4)));
     assert_eq!(opened(&two.bob, &two.bob_address), (Some(2), Some(2)));
     assert_eq!(opened(&carol, &carol_address), (Some(1), Some(4)));
-    let list = two.alice.run(&["grants", "list"]).expect_code(0);
+    let list = two.alice.run(&["grant", "list"]).expect_code(0);
     assert!(list.stdout.contains(", 2 records") && list.stdout.contains(", 4 records"), "{}", list.stdout);
 }
 
@@ -142,28 +145,30 @@ fn who_is_left_reads_on_when_another_is_revoked() {
     let carol = two.home.profile("carol");
     let carol_address = carol.enrol();
     for grantee in [&two.bob_address, &carol_address] {
-        two.alice.json(&["grant", grantee]);
+        two.alice.json(&["grant", "add", grantee]);
     }
-    two.alice.json(&["revoke", &two.bob_address]);
+    two.alice.json(&["grant", "end", &two.bob_address]);
     two.alice.capture(&["/robot1/odom"], 2);
-    let later = ids(&two.alice.records(&["uploads", "list"]));
-    let seen = support::poll(30, || Some(ids(&carol.records(&["shared", "list"]))).filter(|seen| *seen == later));
+    let later = ids(&two.alice.records(&["records", "list", "--oldest"]));
+    let seen = support::poll(30, || {
+        Some(ids(&carol.records(&["received", "list", "--oldest"]))).filter(|seen| *seen == later)
+    });
     assert!(seen.is_some(), "the survivor was re-wrapped for the new epoch");
     for id in &later {
         open(&carol, id);
-        two.bob.is_refused(&["shared", "open", id]);
+        two.bob.is_refused(&["records", "open", id]);
     }
 }
 
 #[test]
 fn a_picture_is_restored_byte_by_byte() {
     let two = two_profiles(2);
-    two.alice.json(&["grant", &two.bob_address]);
+    two.alice.json(&["grant", "add", &two.bob_address]);
     two.alice.capture(&["/robot1/camera/compressed"], 1);
-    let id = text(&two.bob.records(&["shared", "list"])[0], "id");
+    let id = text(&two.bob.records(&["received", "list", "--oldest"])[0], "id");
     let picture = |authros: &Authros, name: &str| {
         let path = two.home.root().join(name);
-        authros.run(&["shared", "open", &id, "--out", path.to_str().expect("UTF-8")]).expect_code(0);
+        authros.run(&["records", "open", &id, "--out", path.to_str().expect("UTF-8")]).expect_code(0);
         let mode = fs::metadata(&path).expect("written").permissions();
         assert_eq!(std::os::unix::fs::PermissionsExt::mode(&mode) & 0o777, 0o600, "nobody else reads what was sealed");
         fs::read(path).expect("written")
@@ -184,7 +189,7 @@ fn two_profiles_watch_one_topic_at_once_and_both_hold_every_message() {
         assert_eq!(summary["lost"], 0, "{summary}");
     }
     let [hers, his] = [&two.alice, &two.bob].map(|authros| {
-        let records = authros.records(&["uploads", "list"]);
+        let records = authros.records(&["records", "list", "--oldest"]);
         let seqs: Vec<u64> = records.iter().filter_map(|record| record["seq"].as_u64()).collect();
         // The definition of the messages is the first record of the topic.
         assert_eq!(seqs, (2..=u64::try_from(records.len() + 1).expect("few")).collect::<Vec<_>>());
@@ -196,8 +201,8 @@ fn two_profiles_watch_one_topic_at_once_and_both_hold_every_message() {
         assert!((last - first + 1.0 - held).abs() < 0.5, "every message from {first} to {last}, but {held}");
     }
     assert!(ids(&hers).is_disjoint(&ids(&his)), "each under her own keys");
-    two.bob.is_refused(&["shared", "open", &text(&hers[0], "id")]);
-    two.alice.is_refused(&["shared", "open", &text(&his[0], "id")]);
+    two.bob.is_refused(&["records", "open", &text(&hers[0], "id")]);
+    two.alice.is_refused(&["records", "open", &text(&his[0], "id")]);
 }
 
 #[test]
@@ -210,22 +215,22 @@ fn a_watched_topic_is_captured_until_it_is_unwatched() {
     two.alice.run(&["topics", "watch", "/robot1/odom"]).expect_code(0);
     assert!(watched(&two.alice) && !watched(&two.bob), "a watch belongs to one profile");
     support::wait_until(30, "a watched topic is uploaded", || {
-        (two.alice.records(&["uploads", "list", "--state", "verified"]).len() >= 5).then_some(())
+        (two.alice.records(&["records", "list", "--oldest", "--state", "verified"]).len() >= 5).then_some(())
     });
     two.alice.run(&["topics", "unwatch", "/robot1/odom"]).expect_code(0);
     assert!(!watched(&two.alice));
     let settled = support::wait_until(60, "what was captured is verified", || {
-        let records = two.alice.records(&["uploads", "list"]);
+        let records = two.alice.records(&["records", "list", "--oldest"]);
         records.iter().all(is_verified).then_some(records.len())
     });
     std::thread::sleep(std::time::Duration::from_secs(1));
-    assert_eq!(two.alice.records(&["uploads", "list"]).len(), settled, "nothing more comes");
+    assert_eq!(two.alice.records(&["records", "list", "--oldest"]).len(), settled, "nothing more comes");
 }
 
 #[test]
 fn a_followed_list_tells_each_change_of_state_on_a_line_of_its_own() {
     let two = two_profiles(2);
-    let follower = two.alice.with(&["--json"]).spawn(&["uploads", "list", "--follow"]);
+    let follower = two.alice.with(&["--json"]).spawn(&["records", "list", "--follow"]);
     two.alice.capture(&["/robot1/odom"], 3);
     let verified = || follower.stdout().lines().filter(|line| line.contains("\"state\":\"verified\"")).count();
     support::wait_until(30, "all three are told verified", || (verified() >= 3).then_some(()));
@@ -244,17 +249,17 @@ fn each_grant_in_the_history_keeps_its_own_topics_and_terms() {
     let two = two_profiles(1);
     let (odom, camera, other) = ("/robot1/odom", "/robot1/camera/compressed", "/robot1/scan");
     let grant = |topics: &[&str], expires: &str| {
-        let mut command = vec!["grant", &two.bob_address, "--expires", expires];
+        let mut command = vec!["grant", "add", &two.bob_address, "--expires", expires];
         command.extend(topics.iter().flat_map(|topic| ["--topic", topic]));
         two.alice.json(&command);
     };
     grant(&[odom], "300d");
-    two.alice.json(&["revoke", &two.bob_address]);
+    two.alice.json(&["grant", "end", &two.bob_address]);
     grant(&[camera, odom], "200d");
-    two.alice.json(&["revoke", &two.bob_address]);
+    two.alice.json(&["grant", "end", &two.bob_address]);
     grant(&[other], "100d");
     let history = || {
-        let rows = list(&two.alice.json(&["grants", "list"]), "grants");
+        let rows = list(&two.alice.json(&["grant", "list"]), "grants");
         let told = |row: &Value| {
             let topics: BTreeSet<String> =
                 list(row, "topics").iter().filter_map(Value::as_str).map(str::to_owned).collect();
@@ -292,11 +297,11 @@ fn each_grant_in_the_history_keeps_its_own_topics_and_terms() {
 fn a_grant_says_from_which_moment_it_opens_records_and_that_is_so() {
     let two = two_profiles(1);
     two.alice.capture(&["/robot1/odom"], 3);
-    let grant = ["grant", &two.bob_address, "--topic", "/robot1/odom"];
+    let grant = ["grant", "add", &two.bob_address, "--topic", "/robot1/odom"];
     let said = text(&two.alice.json(&grant), "text");
     assert!(said.contains("since 20") && said.contains(" UTC, 3 records"), "{said}");
-    assert_eq!(two.bob.records(&["shared", "list"]).len(), 3, "from before the grant");
-    two.alice.json(&["revoke", &two.bob_address]);
+    assert_eq!(two.bob.records(&["received", "list", "--oldest"]).len(), 3, "from before the grant");
+    two.alice.json(&["grant", "end", &two.bob_address]);
     let said = text(&two.alice.json(&grant), "text");
     assert!(said.ends_with(", no record yet"), "{said}");
 }

@@ -72,7 +72,7 @@ fn peers_that_answer_are_well_without_a_site_too() {
 #[test]
 fn a_profile_that_there_is_not_is_told_and_not_made() {
     let home = Home::new();
-    for command in [&["status"][..], &["uploads", "list"], &["audit"]] {
+    for command in [&["status"][..], &["records", "list", "--oldest"], &["audit"]] {
         let message = home.authros().fails(INPUT, command);
         assert!(message.contains(&format!("no home at {}", home.path().display())), "{message}");
         assert!(!home.path().exists(), "{command:?} made one");

@@ -16,7 +16,7 @@ fn a_lost_signing_key_is_replaced_and_what_it_signed_still_verifies() {
     authros.enrol();
     let before = authros.json(&["identity", "show"]);
     authros.capture(&[TOPIC], 2);
-    let early = authros.records(&["uploads", "list"]);
+    let early = authros.records(&["records", "list", "--oldest"]);
     let key = home.file("new.hex", "3945208f7b2144b13f36e38ac6d39f95889393692860b51a42fb81ef4df7c5b8", 0o600);
     authros.json(&["keys", "load", "--sm2", &key]);
     let after = authros.json(&["identity", "show"]);
@@ -28,14 +28,14 @@ fn a_lost_signing_key_is_replaced_and_what_it_signed_still_verifies() {
     assert_ne!((&after["signing_key"], &after["fingerprint"]), (&before["signing_key"], &before["fingerprint"]));
     authros.capture(&[TOPIC], 2);
 
-    let records = authros.records(&["uploads", "list"]);
+    let records = authros.records(&["records", "list", "--oldest"]);
     assert_eq!((early.len(), records.len()), (2, 4));
     for record in &records {
         let id = text(record, "id");
-        assert_eq!(authros.json(&["shared", "open", &id])["verdict"], "verified", "{record}");
+        assert_eq!(authros.json(&["records", "open", &id])["verdict"], "verified", "{record}");
         let directory = home.root().join(&id);
         let place = directory.to_str().expect("UTF-8");
-        authros.run(&["uploads", "export", &id, "--dir", place]).expect_code(0);
+        authros.run(&["records", "export", &id, "--dir", place]).expect_code(0);
         let proof = std::fs::read(directory.join("proof.json")).expect("written");
         let proof: serde_json::Value = serde_json::from_slice(&proof).expect("JSON");
         let signer = if early.iter().any(|old| old["id"] == record["id"]) { &before } else { &after };
@@ -76,8 +76,8 @@ fn a_lost_account_has_the_successor_that_the_administrator_names_for_all_to_see(
     assert_eq!(text(&seen[0], "successor_name"), "the-heir");
     let status = at(&heir).run(&["chain", "status"]).expect_code(0).stdout;
     assert!(status.contains(&format!("the-heir {next} continues for {gone}")), "{status}");
-    at(&lost).fails(REFUSED, &["devices", "lend", &"ab".repeat(32)]);
-    at(&boss).fails(REFUSED, &["chain", "restore", &gone]);
+    at(&lost).fails(REFUSED, &["robot", "authorise", &"ab".repeat(32)]);
+    at(&boss).fails(REFUSED, &["chain", "admin", "restore", &gone]);
     let line = list(&at(&boss).json(&["audit", "list", "--action", "completeSuccession"]), "audit");
     assert!(line.len() == 2 && line[0]["outcome"] == "done", "{line:?}");
 
@@ -92,44 +92,44 @@ fn the_administrator_admits_suspends_pauses_and_hands_over() {
     let _site = home.authros().with(&["--robots", "0"]).serve(&home);
     let (boss, alice, bob) = (home.authros(), home.profile("alice"), home.profile("bob"));
     let address = alice.enrol();
-    let act = |words: &[&str]| boss.json(&[&["chain"], words].concat());
+    let act = |words: &[&str]| boss.json(&[&["chain", "admin"], words].concat());
     act(&["close"]);
     let stranger = text(&bob.json(&["identity", "create"]), "address");
-    bob.fails(REFUSED, &["register"]);
-    act(&["admit", &stranger]);
-    act(&["dismiss", &stranger]);
-    bob.fails(REFUSED, &["register"]);
-    act(&["admit", &stranger]);
+    bob.fails(REFUSED, &["identity", "register"]);
+    act(&["allow", &stranger]);
+    act(&["deny", &stranger]);
+    bob.fails(REFUSED, &["identity", "register"]);
+    act(&["allow", &stranger]);
     bob.enrol();
-    let registered = boss.fails(REFUSED, &["chain", "dismiss", &stranger]);
-    assert!(registered.contains("chain suspend"), "{registered}");
+    let registered = boss.fails(REFUSED, &["chain", "admin", "deny", &stranger]);
+    assert!(registered.contains("chain admin suspend"), "{registered}");
     act(&["suspend", &address]);
-    alice.fails(REFUSED, &["grant", &stranger]);
+    alice.fails(REFUSED, &["grant", "add", &stranger]);
     act(&["restore", &address]);
-    boss.fails(REFUSED, &["chain", "pause", "--for", "4d"]);
+    boss.fails(REFUSED, &["chain", "admin", "pause", "--for", "4d"]);
     act(&["pause", "--for", "1h"]);
-    alice.fails(REFUSED, &["grant", &stranger]);
+    alice.fails(REFUSED, &["grant", "add", &stranger]);
     let status = administration(&alice);
     assert_eq!((&status["paused"], &status["open"]), (&true.into(), &false.into()), "{status}");
     assert!(status["paused_until"].is_string(), "{status}");
     act(&["resume"]);
-    let again = boss.fails(REFUSED, &["chain", "pause"]);
+    let again = boss.fails(REFUSED, &["chain", "admin", "pause"]);
     assert!(again.contains("the next pause must wait"), "{again}");
-    alice.json(&["grant", &stranger, "--expires", "1h"]);
-    let ends = |authros: &Authros| text(&list(&authros.json(&["grants", "list"]), "grants")[0], "expires");
+    alice.json(&["grant", "add", &stranger, "--expires", "1h"]);
+    let ends = |authros: &Authros| text(&list(&authros.json(&["grant", "list"]), "grants")[0], "expires");
     let before = ends(&bob);
-    let shorter = alice.fails(REFUSED, &["grants", "extend", &stranger, "--expires", "1m"]);
+    let shorter = alice.fails(REFUSED, &["grant", "extend", &stranger, "--expires", "1m"]);
     assert!(shorter.contains("only lengthens"), "{shorter}");
-    alice.json(&["grants", "extend", &stranger, "--expires", "2h"]);
+    alice.json(&["grant", "extend", &stranger, "--expires", "2h"]);
     assert!(ends(&bob) > before && ends(&alice) == ends(&bob));
-    alice.json(&["grants", "extend", &stranger, "--endless"]);
-    assert!(list(&bob.json(&["grants", "list"]), "grants")[0]["expires"].is_null());
-    bob.fails(REFUSED, &["grants", "extend", &address, "--expires", "2h"]);
+    alice.json(&["grant", "extend", &stranger, "--endless"]);
+    assert!(list(&bob.json(&["grant", "list"]), "grants")[0]["expires"].is_null());
+    bob.fails(REFUSED, &["grant", "extend", &address, "--expires", "2h"]);
     act(&["hand-over", &address]);
-    bob.fails(REFUSED, &["chain", "accept"]);
-    alice.json(&["chain", "accept"]);
+    bob.fails(REFUSED, &["chain", "admin", "accept"]);
+    alice.json(&["chain", "admin", "accept"]);
     assert_eq!(text(&administration(&bob), "administrator"), address);
-    boss.fails(REFUSED, &["chain", "pause"]);
+    boss.fails(REFUSED, &["chain", "admin", "pause"]);
 }
 
 #[test]
@@ -164,5 +164,5 @@ fn a_succession_waits_and_the_recovery_account_stops_it() {
     at(&heir, 24).json(&["chain", "succession", "complete", &lost]);
     assert_eq!(text(&list(&administration(&at(&heir, 24)), "successions")[0], "successor"), next);
     assert!(waiting(&at(&heir, 24)).is_empty());
-    at(&owner, 24).fails(REFUSED, &["devices", "lend", &"ab".repeat(32)]);
+    at(&owner, 24).fails(REFUSED, &["robot", "authorise", &"ab".repeat(32)]);
 }

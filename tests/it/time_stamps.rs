@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::{Arc, Mutex};
 
+use serde_json::Value;
 use support::{Authros, Home, list, skipped, system_program, text};
 
 const SETTINGS: &str = "[req]\ndistinguished_name = dn\nprompt = no\n[dn]\nCN = unused\n\
@@ -111,6 +112,24 @@ fn answer(mut stream: TcpStream, folder: &Path, mood: Mood) {
     stream.write_all(&[head.as_bytes(), &body].concat()).expect("answered");
 }
 
+/// An authority that answers everyone until the folder is dropped, and the setting that names it.
+pub(crate) fn notary() -> (tempfile::TempDir, String) {
+    let folder = tempfile::tempdir().expect("a folder");
+    fs::write(folder.path().join("settings"), SETTINGS).expect("written");
+    fs::write(folder.path().join("serial"), "01\n").expect("written");
+    signer(folder.path(), "notary");
+    let served = serve(folder.path().to_owned());
+    *served.mood.lock().expect("mood") = Mood::Well;
+    let certificate = folder.path().join("notaryroot.pem");
+    let setting = setting(&served, &certificate);
+    (folder, setting)
+}
+
+fn setting(served: &Served, certificate: &Path) -> String {
+    let (address, certificate) = (&served.address, certificate.display());
+    format!("[{{ name = \"The notary\", url = \"http://{address}/tsa\", certificate = \"{certificate}\" }}]")
+}
+
 #[test]
 fn batches_are_stamped_by_an_authority_and_the_stamps_are_checked_offline() {
     if system_program("openssl").is_none() || system_program("python3").is_none() {
@@ -125,28 +144,24 @@ fn batches_are_stamped_by_an_authority_and_the_stamps_are_checked_offline() {
 
     let home = Home::new();
     let certificate = folder.path().join("notaryroot.pem");
-    let setting = format!(
-        "[{{ name = \"The notary\", url = \"http://{}/tsa\", certificate = \"{}\" }}]",
-        served.address,
-        certificate.display()
-    );
+    let setting = setting(&served, &certificate);
     let bare = home.authros().with(&["--robots", "1"]).with_variable("AUTHROS_AUDIT_ANCHOR_EVERY", "86400");
     let authros = bare.with_variable("AUTHROS_TIME_AUTHORITIES", &setting);
     authros.enrol();
-    assert!(bare.fails(3, &["evidence", "stamp"]).contains("set time.authorities"));
+    assert!(bare.fails(3, &["evidence", "timestamp"]).contains("set time.authorities"));
     authros.capture(&["/robot1/odom"], 2);
-    assert!(authros.fails(5, &["evidence", "stamp"]).contains("answered 503"));
+    assert!(authros.fails(5, &["evidence", "timestamp"]).contains("answered 503"));
     becomes(Mood::Other);
-    assert!(authros.fails(5, &["evidence", "stamp"]).contains("no certificate in it links stranger"));
+    assert!(authros.fails(5, &["evidence", "timestamp"]).contains("no certificate in it links stranger"));
     becomes(Mood::Same);
-    assert!(authros.fails(5, &["evidence", "stamp"]).contains("its nonce differs"));
+    assert!(authros.fails(5, &["evidence", "timestamp"]).contains("its nonce differs"));
     let case = |name: &str| home.root().join(name).to_str().expect("UTF-8").to_owned();
     let export = |name: &str| authros.json(&["evidence", "export", &case(name), "--topic", "/robot1/odom"]);
     let without = export("without.authros");
     assert!(list(&without, "notes").iter().any(|note| note.to_string().contains("no time stamp yet")), "{without}");
 
     becomes(Mood::Well);
-    let view = authros.json(&["evidence", "stamp"]);
+    let view = authros.json(&["evidence", "timestamp"]);
     let tokens = list(&view, "tokens");
     assert_eq!((tokens.is_empty(), &view["waiting"], &view["problem"]), (false, &0.into(), &().into()), "{view}");
     assert!(tokens.iter().all(|token| text(token, "authority") == "The notary"), "{view}");
@@ -168,7 +183,7 @@ fn batches_are_stamped_by_an_authority_and_the_stamps_are_checked_offline() {
     by_hand(folder.path(), &bundle);
     on_another_machine(&authros, &home, &bundle, &trust);
     let page = String::from_utf8(unzipped(&bundle, "report.html")).expect("text");
-    let before = "Existed before (trusted timestamp)</td><td>20";
+    let before = " UTC, by the clock of The notary.</li>";
     assert!(page.contains(before) && page.contains("openssl ts -verify"), "{page}");
 
     let (pins, _) = suggested.split_once("[[authority]]").expect("an authority is suggested");
@@ -182,10 +197,10 @@ fn batches_are_stamped_by_an_authority_and_the_stamps_are_checked_offline() {
 fn on_another_machine(authros: &Authros, home: &Home, bundle: &Path, trust: &Path) {
     let secret = home.file("secret", "a passphrase of it\n", 0o600);
     let backup = home.root().join("case.backup").to_str().expect("UTF-8").to_owned();
-    authros.json(&["backup", &backup, "--passphrase-file", &secret]);
+    authros.json(&["backup", "create", &backup, "--passphrase-file", &secret]);
     let other = Home::new();
     let restored = other.authros().with(&["--robots", "1"]);
-    restored.json(&["restore", &backup, "--passphrase-file", &secret]);
+    restored.json(&["backup", "restore", &backup, "--passphrase-file", &secret]);
     let again = other.root().join("again.authros");
     restored.json(&["evidence", "export", again.to_str().expect("UTF-8"), "--topic", "/robot1/odom"]);
     expect_same_levels(bundle, &again, trust);
@@ -207,5 +222,49 @@ fn by_hand(folder: &Path, bundle: &Path) {
             folder,
             &format!("ts -verify -digest {imprint} -token_in -in token -CAfile notaryroot.pem -partial_chain"),
         );
+        walked(folder, bundle, imprint);
+    }
+}
+
+/// The lines that lead from a record to what was stamped, in a shell.
+fn walked(folder: &Path, bundle: &Path, imprint: &str) {
+    let place = folder.join(format!("unpacked-{imprint}"));
+    let script = "import sys, zipfile\nzipfile.ZipFile(sys.argv[1]).extractall(sys.argv[2])\n";
+    let unpacked = Command::new("python3").args(["-c", script]).arg(bundle).arg(&place).status().expect("python3");
+    assert!(unpacked.success());
+    let plain = |value: &Value| value.as_str().expect("hex").trim_start_matches("0x").to_owned();
+    let words = |value: &Value| value.as_array().expect("a path").iter().map(plain).collect::<Vec<_>>().join(" ");
+    let read = |name: PathBuf| -> Value { serde_json::from_slice(&fs::read(name).expect("read")).expect("JSON") };
+    let roots = read(place.join("stamps").join(imprint).join("roots.json"));
+    let stamped = list(&roots, "roots");
+    let (digest, anchor, root) = fs::read_dir(place.join("records"))
+        .expect("records")
+        .find_map(|entry| {
+            let entry = entry.expect("an entry");
+            let anchor = read(entry.path().join("anchor.json"))["anchor"].clone();
+            let root = stamped.iter().find(|one| plain(&one["root"]) == plain(&anchor["root"]))?;
+            Some((entry.file_name().into_string().expect("hex"), anchor, root.clone()))
+        })
+        .expect("a record of a stamped batch");
+    let instructions = fs::read_to_string(place.join("VERIFY.txt")).expect("read");
+    let (_, block) = instructions.split_once("that this is about the record D").expect("the block");
+    let lines: Vec<&str> = block.lines().filter(|line| line.starts_with("    ")).collect();
+    let script = [
+        ("TOTAL", roots["count"].to_string()),
+        ("TOP", plain(&roots["top"])),
+        ("INDEX", anchor["index"].to_string()),
+        ("COUNT", anchor["count"].to_string()),
+        ("PATH", words(&anchor["path"])),
+        ("PLACE", root["index"].to_string()),
+        ("STEPS", words(&root["path"])),
+    ]
+    .iter()
+    .fold(lines.join("\n"), |script, (name, value)| script.replace(name, value));
+    let script = format!("D={digest} S={imprint}\n{script}");
+    let output = Command::new("sh").args(["-ec", &script]).current_dir(&place).output().expect("a shell");
+    let told = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success(), "{told}{}", String::from_utf8_lossy(&output.stderr));
+    for shown in [imprint.to_owned(), format!("{} 0", plain(&root["root"])), format!("{} 0", plain(&roots["top"]))] {
+        assert!(told.lines().any(|line| line.ends_with(&shown)), "{shown} in {told}");
     }
 }

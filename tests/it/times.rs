@@ -34,29 +34,33 @@ fn a_list_by_local_times_has_what_was_captured_then() {
     let authros = home.authros().with(&["--robots", "2"]).with_variable("TZ", "CST-8");
     authros.enrol();
     authros.capture(&[ODOM, OTHER], 5);
-    let all = authros.records(&["uploads", "list"]);
+    let all = authros.records(&["records", "list", "--oldest"]);
     assert_eq!(all.len(), 10);
+    let ids = |records: &[Value]| records.iter().map(|record| text(record, "id")).collect::<Vec<_>>();
+    let newest_first = authros.records(&["records", "list"]);
+    assert_eq!(ids(&newest_first), ids(&all).into_iter().rev().collect::<Vec<_>>());
     let (since, until) = (captured_at(&all[3]), captured_at(&all[7]));
     let within = |record: &&Value| (cut(since)..cut(until)).contains(&cut(captured_at(record)));
     let expected: Vec<String> = all.iter().filter(within).map(|record| text(record, "id")).collect();
     assert!(!expected.is_empty());
     let span = ["--since", &local(since), "--until", &local(until)];
-    let listed = authros.records(&[&["uploads", "list"], &span[..]].concat());
+    let listed = authros.records(&[&["records", "list", "--oldest"], &span[..]].concat());
     assert_eq!(listed.iter().map(|record| text(record, "id")).collect::<Vec<_>>(), expected);
 
-    let told = authros.run(&[&["uploads", "list"], &span[..]].concat()).expect_code(0).stderr;
+    let told = authros.run(&[&["records", "list", "--oldest"], &span[..]].concat()).expect_code(0).stderr;
     let utc = since.in_milliseconds().replace('T', " ").trim_end_matches('Z').to_owned();
     let (utc, here) = (utc.trim_end_matches(".000"), local(since));
     let meaning = format!("since {} local = {utc} UTC", here.trim_end_matches(".000"));
     assert!(told.contains(&meaning), "{told:?} does not say {meaning:?}");
-    let absolute = authros.run(&["uploads", "list", "--since", &since.to_string()]).expect_code(0).stderr;
+    let absolute = authros.run(&["records", "list", "--oldest", "--since", &since.to_string()]).expect_code(0).stderr;
     assert!(!absolute.contains("local ="), "nothing is to be explained: {absolute:?}");
 
-    assert_eq!(authros.records(&["uploads", "list", "--since", "-1h", "--until", "now"]).len(), 10);
-    assert_eq!(authros.records(&["uploads", "list", "--since", "tomorrow 18:00"]).len(), 0);
-    let wrong = authros.fails(INPUT, &["uploads", "list", "--since", "soon"]);
+    assert_eq!(authros.records(&["records", "list", "--oldest", "--since", "-1h", "--until", "now"]).len(), 10);
+    assert_eq!(authros.records(&["records", "list", "--oldest", "--since", "tomorrow 18:00"]).len(), 0);
+    let wrong = authros.fails(INPUT, &["records", "list", "--oldest", "--since", "soon"]);
     assert!(wrong.contains("yesterday 18:00"), "{wrong}");
-    let past = authros.fails(INPUT, &["grant", "0x00000000000000000000000000000000000000b0", "--expires", "yesterday"]);
+    let past =
+        authros.fails(INPUT, &["grant", "add", "0x00000000000000000000000000000000000000b0", "--expires", "yesterday"]);
     assert!(past.contains("enter a later time"), "{past}");
 }
 
@@ -67,14 +71,14 @@ fn lists_take_patterns_and_robots_and_name_the_nearest_word() {
     authros.enrol();
     let captured = authros.json(&["capture", "--count", "2", "--topic", "/robot*/odom"]);
     assert_eq!((&captured["captured"], &captured["lost"]), (&4.into(), &0.into()), "{captured}");
-    let of = |words: &[&str]| authros.records(&[&["uploads", "list"], words].concat()).len();
+    let of = |words: &[&str]| authros.records(&[&["records", "list", "--oldest"], words].concat()).len();
     let counts = [&["--topic", "/robot*/odom"][..], &["--topic", "/robot2/**"], &["--robot", "robot1"]].map(of);
     assert_eq!(counts, [4, 2, 2]);
-    let unknown = authros.fails(INPUT, &["uploads", "list", "--robot", "robot9"]);
+    let unknown = authros.fails(INPUT, &["records", "list", "--oldest", "--robot", "robot9"]);
     assert!(unknown.contains("robot9"), "{unknown}");
-    let near = authros.fails(INPUT, &["uploads", "list", "--state", "verifed"]);
+    let near = authros.fails(INPUT, &["records", "list", "--oldest", "--state", "verifed"]);
     assert!(near.contains("did you mean 'verified'?"), "{near}");
-    assert!(authros.fails(INPUT, &["uploads", "list", "--topic", "odom"]).contains("must start with /"));
+    assert!(authros.fails(INPUT, &["records", "list", "--oldest", "--topic", "odom"]).contains("must start with /"));
     assert!(authros.fails(INPUT, &["capture", "--topic", "/robot9/*", "--count", "1"]).contains("no topic matches"));
 
     let mut console = Console::open(&authros);
@@ -101,7 +105,7 @@ fn watched(authros: &Authros) -> Vec<(String, String)> {
 fn a_watch_by_pattern_covers_a_robot_that_comes_later() {
     let home = Home::new();
     let authros = home.authros();
-    let of = |topic: &str| authros.records(&["uploads", "list", "--topic", topic]).len();
+    let of = |topic: &str| authros.records(&["records", "list", "--oldest", "--topic", topic]).len();
     let one = authros.with(&["--robots", "1"]).serve(&home);
     authros.enrol();
     authros.json(&["topics", "watch", "/robot*/odom"]);

@@ -126,7 +126,7 @@ fn a_site_and_a_gateway_log_in_json_where_that_is_asked_for() {
         assert_eq!((&warning["level"], &warning["source"]), (&"error".into(), &"site".into()));
         assert!(lines.iter().any(|line| line["source"] == "authros"), "{outcome}");
     }
-    let failed = Home::new().authros().with(&["--log", "json"]).run(&["backup", "/not/there"]);
+    let failed = Home::new().authros().with(&["--log", "json"]).run(&["backup", "create", "/not/there"]);
     assert_eq!(failed.log().last().map(|line| line["level"].clone()), Some("error".into()), "{failed}");
 }
 

@@ -29,11 +29,11 @@ fn export_one(provider: &str) -> Exported {
     let address = authros.enrol();
     let signer = text(&authros.json(&["identity", "show"]), "signing_key");
     authros.capture(&["/robot1/odom"], 2);
-    let records = authros.records(&["uploads", "list"]);
+    let records = authros.records(&["records", "list", "--oldest"]);
     let record = records.into_iter().next_back().expect("a record");
     let directory = home.root().join("export");
     let place = directory.to_str().expect("UTF-8");
-    authros.run(&["uploads", "export", &text(&record, "id"), "--dir", place, "--addresses"]).expect_code(0);
+    authros.run(&["records", "export", &text(&record, "id"), "--dir", place, "--addresses"]).expect_code(0);
     Exported { home, directory, record, signer, address }
 }
 
@@ -139,7 +139,7 @@ fn an_unknown_record_is_not_exported() {
     let authros = home.authros().with(&["--robots", "0"]);
     authros.enrol();
     let directory = home.root().join("export");
-    let outcome = authros.run(&["uploads", "export", "0123456789ab", "--dir", directory.to_str().expect("UTF-8")]);
+    let outcome = authros.run(&["records", "export", "0123456789ab", "--dir", directory.to_str().expect("UTF-8")]);
     assert!(matches!(outcome.code, Some(3 | 6)), "{outcome}");
     assert!(!directory.join("record.bin").exists());
 }
@@ -150,7 +150,7 @@ fn a_record_shows_its_way_from_message_to_verified() {
     let authros = home.authros().with(&["--robots", "1"]);
     authros.enrol();
     authros.capture(&["/robot1/camera/compressed"], 1);
-    let records = authros.records(&["uploads", "list"]);
+    let records = authros.records(&["records", "list", "--oldest"]);
     assert_eq!(records.len(), 1);
     let record = &records[0];
     assert_eq!(
@@ -167,11 +167,11 @@ fn a_record_shows_its_way_from_message_to_verified() {
     );
     assert!(record["block"].is_u64() && unhex(&text(record, "transaction")).len() == 32, "{record}");
 
-    let definitions = authros.records(&["uploads", "list", "--kind", "definition"]);
+    let definitions = authros.records(&["records", "list", "--oldest", "--kind", "definition"]);
     assert_eq!(definitions.len(), 1, "the definition travels once, as a record of its own");
     assert_eq!((&definitions[0]["seq"], &record["seq"]), (&1.into(), &2.into()), "and before its first use");
 
-    let shown = authros.json(&["uploads", "show", &text(record, "id")]);
+    let shown = authros.json(&["records", "show", &text(record, "id")]);
     assert_eq!(shown["digest"], record["digest"]);
     let steps = list(&shown, "steps");
     assert!(steps.len() >= 4 && steps.last().is_some_and(|step| step.to_string().contains("verified")), "{shown}");
@@ -193,7 +193,7 @@ fn a_second_reader_written_from_the_document_opens_and_checks_a_record() {
     let found = read().expect_code(0).document();
     let out = exported.path("message");
     let id = text(&exported.record, "id");
-    exported.home.authros().run(&["shared", "open", &id, "--out", &out]).expect_code(0);
+    exported.home.authros().run(&["records", "open", &id, "--out", &out]).expect_code(0);
     assert_eq!(text(&found, "body"), hex(&exported.read("message")), "the same message");
     assert_eq!((&found["digest"], &found["seq"]), (&exported.record["digest"], &exported.record["seq"]), "{found}");
     let head = &found["head"];

@@ -215,7 +215,7 @@ impl Authros {
 
     /// Registers the profile, whose identity is created if there is none; returns its address.
     pub fn enrol(&self) -> String {
-        let registered = self.json(&["register"]);
+        let registered = self.json(&["identity", "register"]);
         assert_eq!(registered["registered"], true, "{registered}");
         text(&registered, "address")
     }
@@ -242,7 +242,7 @@ impl Authros {
         summary
     }
 
-    /// All records of a list, page by page: `records(&["uploads", "list"])`.
+    /// All records of a list, page by page: `records(&["records", "list", "--oldest"])`.
     pub fn records(&self, command: &[&str]) -> Vec<Value> {
         self.pages(command, &[]).expect("an answer with an error would have failed the test")
     }

@@ -1,5 +1,5 @@
 """A second client of a gateway, written from crates/gateway/src/PROTOCOL.md with nothing but the standard library; SM2, SM3 and SM4
-are those of tools/verify.py.
+are those of tools/verify.
 
     second_client.py HOST:PORT DOMAIN FINGERPRINT NAME TRANSPORT_KEY TOKEN OWNER
 
@@ -15,10 +15,13 @@ import struct
 import sys
 
 sys.dont_write_bytecode = True
-sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "tools"))
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "tools" / "verify"))
 
-from verify import A, G, N, P, der, expand, fields, hmac_sm3, is_point, mul, parse_header, root_of, sm2_verify  # noqa: E402
-from verify import sm3, sm4, sm4_keys  # noqa: E402
+from authros_verify.bundle import der_of, root_of  # noqa: E402
+from authros_verify.ciphers import sm4, sm4_keys  # noqa: E402
+from authros_verify.curves import SM2, combined, is_sm2_point, point_of, sm2_verify  # noqa: E402
+from authros_verify.hashes import expand, hmac_sm3, sm3  # noqa: E402
+from authros_verify.record import Header  # noqa: E402
 
 HELLO, ANSWER, IDENTIFY, TRANSFER, REFUSAL = 1, 2, 3, 4, 5
 FEED, RECORDS, PING, REFUSE = 6, 7, 13, 16
@@ -27,6 +30,13 @@ FACTS = {1: "stored", 2: "verified", 3: "erased"}
 
 def number(data):
     return int.from_bytes(data, "big")
+
+
+def fields(data, *widths):
+    at = 0
+    for width in widths:
+        yield data[at:at + width]
+        at += width
 
 
 def need(holds, what):
@@ -92,8 +102,8 @@ class Session:
         host, port = address.rsplit(":", 1)
         self.line = socket.create_connection((host, int(port)), timeout=60)
         self.domain, self.token, self.requests = domain, token, 0
-        secret = secrets.randbelow(N - 2) + 1
-        point = b"".join(x.to_bytes(32, "big") for x in mul(secret, G, A, P))
+        secret = secrets.randbelow(SM2.n - 2) + 1
+        point = b"".join(x.to_bytes(32, "big") for x in combined(SM2, secret, 0, SM2.g))
         hello = b"\1\1" + domain + secrets.token_bytes(32) + point
         self.send(HELLO, hello)
         answer = self.frame(ANSWER)
@@ -101,9 +111,9 @@ class Session:
         _, _, theirs, self.id, _, _, self.identity, signature = fields(answer, 2, 32, 64, 16, 8, 32, 64, 64)
         need(sm3(b"\4" + self.identity) == fingerprint, "the gateway's fingerprint")
         transcript = sm3(b"AuthROS/transcript/1" + domain + hello + answer[:-64])
-        need(sm2_verify(self.identity, b"AuthROS/hello/1" + domain + transcript, der(signature)), "its signature")
-        need(is_point(theirs), "its point")
-        shared = mul(secret, (number(theirs[:32]), number(theirs[32:])), A, P)[0].to_bytes(32, "big")
+        need(sm2_verify(self.identity, b"AuthROS/hello/1" + domain + transcript, der_of(signature)), "its signature")
+        need(is_sm2_point(theirs), "its point")
+        shared = combined(SM2, 0, secret, point_of(theirs))[0].to_bytes(32, "big")
         keys = hkdf(shared, transcript, b"AuthROS/identify/1", 28)
         named = bytes([1, len(name)]) + name.ljust(32, b"\0")
         identify = Gcm(keys[:16]).seal(keys[16:], b"AuthROS/identify/1" + self.id, named)
@@ -179,7 +189,7 @@ class Session:
         answer.end()
         if entries:
             signed = b"AuthROS/feed/1" + self.domain + time + struct.pack(">H", len(entries)) + told
-            need(sm2_verify(self.identity, signed, der(signature)), "the signature of a page")
+            need(sm2_verify(self.identity, signed, der_of(signature)), "the signature of a page")
         return feed, anew, head, upto, entries
 
     def records(self, digests):
@@ -218,21 +228,20 @@ def checked(session, entry, what, record):
     reader = Reader(record)
     signer, signature, proof = reader.take(64), reader.take(64), reader.take(reader.number(4))
     blob = record[reader.at:] if what == 2 else record[reader.at:-168]
-    header, length = parse_header(blob)
-    for mine, theirs in (("owner", "owner"), ("recorder", "recorder"), ("seq", "seq"), ("topic_id", "topic_id"),
-                         ("epoch", "epoch"), ("time", "time"), ("kind", "kind")):
-        need(header[mine] == entry[theirs], f"its {mine} is that of the entry")
-    need(header["domain"] == session.domain and header["signer"] == sm3(b"\4" + signer), "its network and its signer")
+    header = Header(blob)
+    found = {"owner": header.owner, "recorder": header.recorder, "seq": header.number, "topic_id": header.topic,
+             "epoch": header.epoch, "time": struct.pack(">Q", header.time), "kind": bytes([header.kind])}
+    for name, value in found.items():
+        need(value == entry[name], f"its {name} is that of the entry")
+    need(header.domain == session.domain and header.signer == sm3(b"\4" + signer), "its network and its signer")
     signed = b"AuthROS/signature/1" + session.domain + entry["digest"]
-    need(sm2_verify(signer, signed, der(signature)), "the signature of a record")
+    need(sm2_verify(signer, signed, der_of(signature)), "the signature of a record")
     if what == 2:
         need(sm3(blob) == entry["digest"], "the digest of a record")
     index, leaves, root, steps = path_of(proof)
     need(proof == entry["proof"], "one proof, told and fetched")
-    leaf = sm3(b"\0" + header["owner"] + header["signer"] + header["recorder"] + header["topic_id"] + header["seq"]
-               + entry["digest"])
-    need(root_of(leaf, index, leaves, steps) == root, "its path leads to its root")
-    return told | {"header": length, "bytes": len(blob), "root": root.hex()}
+    need(root_of(header.leaf(entry["digest"]), index, leaves, steps) == root, "its path leads to its root")
+    return told | {"header": header.length, "bytes": len(blob), "root": root.hex()}
 
 
 def main(address, domain, fingerprint, name, transport_key, token, owner):

@@ -1,9 +1,9 @@
 """A second reader of records, written from crates/gateway/src/PROTOCOL.md, section 10, with nothing but the standard library;
-SM3, SM4 and LZ4 are those of tools/verify.py.
+SM3, SM4 and LZ4 are those of tools/verify.
 
     second_reader.py FOLDER EK_HEX IK_HEX
 
-Opens the record of an `uploads export` folder by its epoch's key, checks digest, signature, commit, tags and the Merkle path, and
+Opens the record of a `records export` folder by its epoch's key, checks digest, signature, commit, tags and the Merkle path, and
 prints what it found as JSON. It ends with an error where anything does not hold.
 """
 import hmac
@@ -13,9 +13,18 @@ import struct
 import sys
 
 sys.dont_write_bytecode = True
-sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "tools"))
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "tools" / "verify"))
 
-from verify import SBOX, fields, hmac_sm3, lz4, sm3, sm4, sm4_keys  # noqa: E402
+from authros_verify.ciphers import SBOX, sm4, sm4_keys  # noqa: E402
+from authros_verify.hashes import hmac_sm3, sm3  # noqa: E402
+from authros_verify.packed import lz4  # noqa: E402
+
+
+def fields(data, *widths):
+    at = 0
+    for width in widths:
+        yield data[at:at + width]
+        at += width
 
 
 def hkdf(key, salt, info, length):  # RFC 5869

@@ -79,6 +79,10 @@ impl Desk for StubDesk {
         Ok(self.bindings.lock().expect("not poisoned").get(name).cloned())
     }
 
+    async fn recalled(&self, _: &Binding) -> Result<Option<Timestamp>, Refusal> {
+        Ok(None)
+    }
+
     async fn successor(&self, _: &Address) -> Result<Option<Address>, Refusal> {
         Ok(None)
     }

@@ -8,7 +8,7 @@ use super::{Shortfall, transport::JsonRpcError};
 use crate::model::{Address, Consensus, ErrorKind, Wei, bytes::unhex, clean};
 
 /// Advice where the pinned chain does not come back.
-pub const SEAL_ANEW: &str = "`authros --home NEW uploads import OLD` (seals all messages in a new home)";
+pub const SEAL_ANEW: &str = "`authros --home NEW records import OLD` (seals all messages in a new home)";
 
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ChainError {
@@ -191,8 +191,8 @@ pub(super) fn decode_revert_hex(text: &str) -> Option<String> {
 
 pub fn explain(code: &str) -> String {
     let words = match code {
-        "unregistered" => "the account is not registered on this contract; run `authros register` first",
-        "grantee" => "the grantee is not registered on this contract; ask them to run `authros register`",
+        "unregistered" => "the account is not registered on this contract; run `authros identity register` first",
+        "grantee" => "the grantee is not registered on this contract; ask them to run `authros identity register`",
         "registered" => "the account is already registered; use `authros keys rotate` to change its keys",
         "suspended" => "the administrator suspended the account; ask the administrator",
         "paused" => "the administrator paused the contract; try again later",
@@ -203,7 +203,7 @@ pub fn explain(code: &str) -> String {
         "token used" => "the token belongs to an earlier epoch; rotate again with a fresh key",
         "digest used" => "the account already anchored this digest; nothing to do",
         "previous" => "another root has been anchored since; read the head and sign again",
-        "no grant" => "there is no grant in force for that account; see `authros grants list`",
+        "no grant" => "there is no grant in force for that account; see `authros grant list`",
         "shorter" => {
             "the grant already ends later than that, or never; `extend` only lengthens it, revoke it to end it sooner"
         }
@@ -252,7 +252,7 @@ mod tests {
         assert_eq!(answer("execution reverted: grantee", None), expected);
         assert_eq!(answer("VM Exception while processing transaction: revert grantee", None), expected);
         assert_eq!(answer("VM Exception: revert", Some(json!({ "stack": "x", "result": data }))), expected);
-        assert!(expected.to_string().contains("ask them to run `authros register`"));
+        assert!(expected.to_string().contains("ask them to run `authros identity register`"));
     }
 
     #[test]

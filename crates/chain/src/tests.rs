@@ -105,7 +105,7 @@ async fn refusals_come_with_their_reason() {
     };
     let error = chain.simulate(eoa.address(), &grant).await.expect_err("refused");
     assert_eq!((error.kind(), &error), (ErrorKind::Refused, &ChainError::Reverted { code: "grantee".to_owned() }));
-    assert!(error.to_string().contains("ask them to run `authros register`"), "{error}");
+    assert!(error.to_string().contains("ask them to run `authros identity register`"), "{error}");
     assert_eq!(chain.sign(&eoa, 9, &grant).await, Err(error));
     assert_eq!(chain.simulate(eoa.address(), &upload(1, 1)).await, Ok(()));
     assert!(send(&chain, &eoa, &upload(1, 1)).await.success);

@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use crate::model::topic_rule::PatternError;
-use crate::model::{TopicName, TopicRule, TopicRules, TypeName, positive_span};
+use crate::model::topic_rule::{PatternError, SamplingError};
+use crate::model::{Sampling, TopicName, TopicRule, TopicRules, TypeName, positive_span};
 use crate::read::{Lines, Source, Values, document, read_document};
 use crate::{ConfigError, RingSettings, ring};
 use toml::Value;
@@ -99,8 +99,6 @@ pub(super) const TABLE: &str = "topic";
 
 const MOST_RULES: usize = 1000;
 const MOST_TAGS: usize = 16;
-/// Messages a second.
-const FASTEST: f64 = 100_000.0;
 
 pub(super) fn read(value: &toml::Value, lines: &Lines) -> Result<TopicRules, ConfigError> {
     let form = |place: &str| lines.fault(place, "write topic rules as [[topic]] tables");
@@ -147,17 +145,14 @@ fn type_name(value: &toml::Value) -> Result<TypeName, Wrong<'static>> {
 fn rate(value: &toml::Value) -> Result<u64, Wrong<'static>> {
     let rate =
         value.as_float().or_else(|| value.as_integer().and_then(|whole| i32::try_from(whole).ok()).map(f64::from));
-    let usable = rate.filter(|rate| (0.001..=FASTEST).contains(rate));
-    let rate = usable.ok_or(("rate", format!("give rate in messages per second, 0.001 to {FASTEST}")))?;
-    let in_thousand_seconds = (rate * 1000.0).round();
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "between 1 and 10^8")]
-    Ok(in_thousand_seconds as u64)
+    let wrong = || ("rate", SamplingError::Rate(value.to_string()).to_string());
+    rate.and_then(Sampling::rate_of).ok_or_else(wrong)
 }
 
 fn every(value: &toml::Value) -> Result<u64, Wrong<'static>> {
-    let every =
-        value.as_integer().and_then(|every| u64::try_from(every).ok()).filter(|every| (1..=1 << 32).contains(every));
-    every.ok_or(("every", "give every as a whole number: 10 keeps one message in ten".to_owned()))
+    let every = value.as_integer().and_then(|every| u64::try_from(every).ok());
+    let wrong = || ("every", SamplingError::Every(value.to_string()).to_string());
+    every.and_then(Sampling::every_of).ok_or_else(wrong)
 }
 
 fn tags(value: &toml::Value) -> Result<BTreeMap<String, String>, Wrong<'static>> {

@@ -4,8 +4,8 @@
 use crate::model::Signature;
 use crate::model::wire::WireError;
 
-use super::CryptoError;
 use super::secret::joined;
+use super::{CryptoError, Result};
 
 /// A truth value.
 pub const BOOLEAN: u8 = 0x01;
@@ -251,7 +251,7 @@ impl CipherParts {
     /// Reads exactly one ciphertext.
     /// # Errors
     /// [`CryptoError::Malformed`] if it is not canonical DER or its text is empty.
-    pub fn parse(der: &[u8]) -> Result<Self, CryptoError> {
+    pub fn parse(der: &[u8]) -> Result<Self> {
         parse_cipher(der).map_err(CryptoError::malformed("SM2 ciphertext"))
     }
 }
@@ -274,7 +274,7 @@ pub fn signature_der(signature: &Signature) -> Vec<u8> {
 /// A signature from DER; its range is checked when it is verified.
 /// # Errors
 /// [`CryptoError::Malformed`] if it is not canonical DER of two 256-bit integers.
-pub fn signature_from_der(der: &[u8]) -> Result<Signature, CryptoError> {
+pub fn signature_from_der(der: &[u8]) -> Result<Signature> {
     parse_signature(der).map_err(CryptoError::malformed("SM2 signature"))
 }
 

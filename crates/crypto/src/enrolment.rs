@@ -18,7 +18,7 @@ use crate::model::{
 };
 use crate::private_file::{create_private, read_private, write_private};
 use crate::{
-    CryptoError, EpochKey, FilterKey, GatewayAddresses, IndexKey, OwnerKeyChange, Passphrase, ProviderName,
+    CryptoError, EpochKey, FilterKey, GatewayAddresses, IndexKey, OwnerKeyChange, Passphrase, ProviderName, Result,
     SignedPolicy, SmKeyPair, TopicKey, TransportKey, provider, signer_id,
 };
 
@@ -151,7 +151,7 @@ const HEADER: usize = SealedHead::LENGTH + 4;
 
 type Parts<'a> = (SealedHead, &'a [u8], &'a [u8]);
 
-fn split<'a>(path: &Path, bytes: &'a [u8]) -> Result<Parts<'a>, CryptoError> {
+fn split<'a>(path: &Path, bytes: &'a [u8]) -> Result<Parts<'a>> {
     read_parts(bytes).map_err(|why| of_version(path, "an enrolment", bytes, why).unwrap_or_else(|| damaged(path)))
 }
 
@@ -185,14 +185,14 @@ impl SealedEnrolment {
     /// A new enrolment; derives the passphrase's key (about 0.3 s).
     /// # Errors
     /// [`CryptoError::Random`].
-    pub fn new(enrolment: Enrolment, passphrase: &Passphrase) -> Result<Self, CryptoError> {
+    pub fn new(enrolment: Enrolment, passphrase: &Passphrase) -> Result<Self> {
         Ok(Self { enrolment, key: FileKey::new(passphrase)? })
     }
 
     /// The bytes of the file.
     /// # Errors
     /// [`CryptoError::Length`] if it is too large, [`CryptoError::Random`].
-    pub fn seal(&self) -> Result<Vec<u8>, CryptoError> {
+    pub fn seal(&self) -> Result<Vec<u8>> {
         let mut sealed = self.enrolment.encode();
         let (head, keys) = SealedHead::new(&self.key, LABEL)?;
         let length = sealed.len() + 16;
@@ -209,7 +209,7 @@ impl SealedEnrolment {
     /// Reads and opens a file (about 0.3 s).
     /// # Errors
     /// [`CryptoError::NotAKey`], [`CryptoError::Version`], [`CryptoError::WrongPassphrase`], or as [`read_private`].
-    pub fn open(path: &Path, passphrase: &Passphrase) -> Result<Self, CryptoError> {
+    pub fn open(path: &Path, passphrase: &Passphrase) -> Result<Self> {
         let bytes = read_private(path, LARGEST)?;
         let parts = split(path, &bytes)?;
         let key = FileKey::with(passphrase, parts.0.work, parts.0.salt)?;
@@ -221,7 +221,7 @@ impl SealedEnrolment {
     /// Takes over a later save of the same enrolment, if there is one; needs no derivation.
     /// # Errors
     /// [`CryptoError::Read`], [`CryptoError::OpenToOthers`].
-    pub fn catch_up(&mut self, path: &Path) -> Result<(), CryptoError> {
+    pub fn catch_up(&mut self, path: &Path) -> Result<()> {
         if !path.exists() {
             return Ok(());
         }
@@ -240,14 +240,14 @@ impl SealedEnrolment {
     /// Writes a new file, never over one that is there.
     /// # Errors
     /// [`CryptoError::Write`], also if the file exists.
-    pub fn create(&self, path: &Path) -> Result<(), CryptoError> {
+    pub fn create(&self, path: &Path) -> Result<()> {
         create_private(path, &self.seal()?)
     }
 
     /// Replaces the file in one step.
     /// # Errors
     /// [`CryptoError::Write`]; the old file is then still intact.
-    pub fn save(&self, path: &Path) -> Result<(), CryptoError> {
+    pub fn save(&self, path: &Path) -> Result<()> {
         write_private(path, &self.seal()?)
     }
 

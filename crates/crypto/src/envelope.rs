@@ -10,7 +10,9 @@ use crate::model::grant::MOST_TOPICS;
 use crate::model::wire::{Reader, Wire, WireError, put_list, read_list};
 use crate::model::{Domain, GrantTerms, Identity, PublicKey, Scope, Signature, Timestamp, TopicId, TopicName};
 use crate::sm3::sm3;
-use crate::{CryptoError, EoaSecret, EpochKey, IndexKey, Provider, SmKeyPair, SmSecret, TopicKey, random_bytes};
+use crate::{
+    CryptoError, EoaSecret, EpochKey, IndexKey, Provider, Result, SmKeyPair, SmSecret, TopicKey, random_bytes,
+};
 use zeroize::Zeroizing;
 
 /// The largest envelope, bytes.
@@ -53,7 +55,7 @@ pub fn wrap(
     wrapped: &WrappedKeys,
     owner: &SmKeyPair,
     grantee: &PublicKey,
-) -> Result<Vec<u8>, CryptoError> {
+) -> Result<Vec<u8>> {
     check_fit(wrapped)?;
     let plain = encode(domain, wrapped);
     let too_long = |found| CryptoError::Length { what: WHAT, found, allowed: "at most 65,536" };
@@ -78,7 +80,7 @@ pub fn unwrap(
     expected: &GrantTerms,
     owner: &PublicKey,
     grantee: &SmSecret,
-) -> Result<WrappedKeys, CryptoError> {
+) -> Result<WrappedKeys> {
     let (signed, sealed, signature) = parts(envelope).map_err(CryptoError::malformed(WHAT))?;
     provider.verify(owner, &signed_bytes(domain, signed), &signature)?;
     let plain = provider.decrypt(grantee, sealed)?;
@@ -107,7 +109,7 @@ fn signed_bytes(domain: &Domain, envelope: &[u8]) -> Vec<u8> {
     [&b"AuthROS/envelope-signature/1"[..], &domain.0, &sm3(&[envelope])].concat()
 }
 
-fn compare(domain: &Domain, named: &Domain, expected: &GrantTerms, terms: &GrantTerms) -> Result<(), CryptoError> {
+fn compare(domain: &Domain, named: &Domain, expected: &GrantTerms, terms: &GrantTerms) -> Result<()> {
     let fields = [
         ("domain", domain != named),
         ("owner", expected.owner != terms.owner),
@@ -121,7 +123,7 @@ fn compare(domain: &Domain, named: &Domain, expected: &GrantTerms, terms: &Grant
 }
 
 /// Same kind of scope, no epoch beyond the grant's, its own covered, nothing twice, only valid names of the scope.
-fn check_fit(wrapped: &WrappedKeys) -> Result<(), CryptoError> {
+fn check_fit(wrapped: &WrappedKeys) -> Result<()> {
     let epoch = wrapped.terms.epoch;
     let fits = match (&wrapped.keys, &wrapped.terms.scope) {
         (GrantedKeys::All { epochs, .. }, Scope::All) => {
@@ -234,7 +236,7 @@ pub fn hand_over(
     eoa: &EoaSecret,
     (signing, envelope): (&SmKeyPair, &SmKeyPair),
     former: &PublicKey,
-) -> Result<Vec<u8>, CryptoError> {
+) -> Result<Vec<u8>> {
     let salt: [u8; 32] = random_bytes()?;
     let (key, nonce) = sealing_key(eoa, &salt, domain);
     // Reserved in one piece, tag included: growing the buffer would leave an unwiped copy behind.
@@ -255,7 +257,7 @@ pub fn take_over(
     identity: &Identity,
     envelope: &[u8],
     former: &SmSecret,
-) -> Result<(SmKeyPair, SmKeyPair), CryptoError> {
+) -> Result<(SmKeyPair, SmKeyPair)> {
     let opened = provider.decrypt(former, envelope)?;
     let mut reader = Reader::new(&opened);
     let salt = reader.array("salt").map_err(CryptoError::malformed(HAND_OVER))?;

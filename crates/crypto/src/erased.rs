@@ -4,7 +4,7 @@
 use crate::model::{Digest, Header, PublicKey, Signature, Timestamp, body, layout};
 
 use super::identity::check_account;
-use super::{AccountSignature, CryptoError, EoaSecret, Provider, SmKeyPair, TypedStructure, sign_hash};
+use super::{AccountSignature, CryptoError, EoaSecret, Provider, Result, SmKeyPair, TypedStructure, sign_hash};
 
 const LABEL: &[u8] = b"AuthROS/erased/1";
 /// The EIP-712 type that the account signs.
@@ -40,7 +40,7 @@ impl ErasedStatement {
         signing: &SmKeyPair,
         (digest, header): (&Digest, &[u8]),
         (report, at): (Digest, Timestamp),
-    ) -> Result<Self, CryptoError> {
+    ) -> Result<Self> {
         let text = signed_text(provider, (digest, header), (&report, at))?;
         let signature = provider.sign(&signing.secret, &text)?;
         Ok(Self { report, at, signer: signing.public, signature })
@@ -49,7 +49,7 @@ impl ErasedStatement {
     /// Whether its key signed it for the record with this digest and public header.
     /// # Errors
     /// [`CryptoError::DamagedRecord`] or [`CryptoError::NotAccepted`].
-    pub fn check(&self, provider: &dyn Provider, digest: &Digest, header: &[u8]) -> Result<(), CryptoError> {
+    pub fn check(&self, provider: &dyn Provider, digest: &Digest, header: &[u8]) -> Result<()> {
         let text = signed_text(provider, (digest, header), (&self.report, self.at))?;
         let verified = provider.verify(&self.signer, &text, &self.signature);
         verified.map_err(|_| CryptoError::NotAccepted { what: WHAT, field: "signature" })
@@ -63,7 +63,7 @@ impl ErasedStatement {
         provider: &dyn Provider,
         account: &EoaSecret,
         about: (&Digest, &[u8]),
-    ) -> Result<AccountSignature, CryptoError> {
+    ) -> Result<AccountSignature> {
         sign_hash(account, &self.account_hash(provider, about)?)
     }
 
@@ -75,16 +75,12 @@ impl ErasedStatement {
         provider: &dyn Provider,
         signature: &AccountSignature,
         about: (&Digest, &[u8]),
-    ) -> Result<(), CryptoError> {
+    ) -> Result<()> {
         let (header, _) = Header::parse(about.1).map_err(CryptoError::DamagedRecord)?;
         check_account(&self.account_hash(provider, about)?, signature, &header.owner, WHAT)
     }
 
-    fn account_hash(
-        &self,
-        provider: &dyn Provider,
-        (digest, header): (&Digest, &[u8]),
-    ) -> Result<[u8; 32], CryptoError> {
+    fn account_hash(&self, provider: &dyn Provider, (digest, header): (&Digest, &[u8])) -> Result<[u8; 32]> {
         let (parsed, _) = Header::parse(header).map_err(CryptoError::DamagedRecord)?;
         let structure = TypedStructure::new(TYPE).address(&parsed.owner).word(&digest.0);
         let structure = structure.word(&provider.sm3(&[header])).word(&self.report.0).number(self.at.0);
@@ -96,7 +92,7 @@ fn signed_text(
     provider: &dyn Provider,
     (digest, header): (&Digest, &[u8]),
     (report, at): (&Digest, Timestamp),
-) -> Result<Vec<u8>, CryptoError> {
+) -> Result<Vec<u8>> {
     let (parsed, _) = Header::parse(header).map_err(CryptoError::DamagedRecord)?;
     let hashed = provider.sm3(&[header]);
     let time = at.0.to_be_bytes();

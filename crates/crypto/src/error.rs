@@ -6,6 +6,8 @@ use std::path::{Path, PathBuf};
 use crate::model::wire::WireError;
 use crate::model::{ErrorKind, clean};
 
+pub(crate) type Result<T, E = CryptoError> = std::result::Result<T, E>;
+
 /// Why an operation on keys, records, envelopes or key files failed.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the variants and their messages name the fields")]
@@ -39,7 +41,7 @@ pub enum CryptoError {
     /// A record that is as it was sealed, but whose signer wrote a name into it that belongs to another pseudonym.
     #[error(
         "the record is not shown: its signer wrote a false {0} into it, which does not belong to the pseudonym it is \
-         filed under; `authros uploads show` names the signer: if it is a device of yours, revoke it"
+         filed under; `authros records show` names the signer: if it is a device of yours, revoke it"
     )]
     FalseName(&'static str),
     #[error("this key does not open the record; ask its owner for a grant of its epoch and topic")]

@@ -6,7 +6,7 @@ use crate::model::{Address, Domain, SignerId};
 
 use super::enrolment::{LONGEST_ADDRESS, MOST_ADDRESSES};
 use super::identity::check_account;
-use super::{AccountSignature, CryptoError, EoaSecret, TypedStructure, sign_hash};
+use super::{AccountSignature, CryptoError, EoaSecret, Result, TypedStructure, sign_hash};
 
 /// The EIP-712 type that the account signs.
 const TYPE: &str = "Addresses(address owner,bytes32 device,bytes32 gateway,bytes addresses)";
@@ -32,7 +32,7 @@ impl GatewayAddresses {
         account: &EoaSecret,
         device: SignerId,
         (gateway, addresses): (SignerId, Vec<String>),
-    ) -> Result<Self, CryptoError> {
+    ) -> Result<Self> {
         if !(1..=MOST_ADDRESSES).contains(&addresses.len()) {
             return Err(CryptoError::Length { what: WHAT, found: addresses.len(), allowed: "1 to 8 addresses" });
         }
@@ -43,7 +43,7 @@ impl GatewayAddresses {
     /// Whether the owner's account signed this list for this device. The record shows who signed the notice.
     /// # Errors
     /// [`CryptoError::NotAccepted`].
-    pub fn check(&self, domain: &Domain, owner: &Address, device: &SignerId) -> Result<(), CryptoError> {
+    pub fn check(&self, domain: &Domain, owner: &Address, device: &SignerId) -> Result<()> {
         let hash = signed_hash(domain, (owner, device), &self.gateway, &self.addresses);
         check_account(&hash, &self.account_signature, owner, WHAT)
     }

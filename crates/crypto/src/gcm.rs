@@ -5,17 +5,17 @@ use ghash::{Block, GHash};
 use subtle::ConstantTimeEq as _;
 use zeroize::Zeroizing;
 
-use super::{CryptoError, fault};
+use super::{CryptoError, Result, fault};
 
 pub const TAG: usize = 16;
 /// The longest text under one nonce: 2^32 - 2 blocks (NIST SP 800-38D, 5.2.1.1).
 pub(super) const LONGEST: u64 = ((1 << 32) - 2) * 16;
 
 pub(super) trait BlockCipher {
-    fn encrypt_block(&self, block: &[u8; 16]) -> Result<[u8; 16], CryptoError>;
+    fn encrypt_block(&self, block: &[u8; 16]) -> Result<[u8; 16]>;
 
     /// XORs `data` with the blocks `counter`, `counter` + 1, ... (32-bit counter at the end).
-    fn apply_counter(&self, counter: [u8; 16], data: &mut [u8]) -> Result<(), CryptoError> {
+    fn apply_counter(&self, counter: [u8; 16], data: &mut [u8]) -> Result<()> {
         let mut block = counter;
         let mut number = u32::from_be_bytes([block[12], block[13], block[14], block[15]]);
         for chunk in data.chunks_mut(16) {
@@ -41,7 +41,7 @@ pub(super) fn lengths(aad: usize, text: usize) -> [u8; 16] {
     (bits(aad) << 64 | bits(text)).to_be_bytes()
 }
 
-fn tag(cipher: &impl BlockCipher, nonce: &[u8; 12], aad: &[u8], text: &[u8]) -> Result<[u8; 16], CryptoError> {
+fn tag(cipher: &impl BlockCipher, nonce: &[u8; 12], aad: &[u8], text: &[u8]) -> Result<[u8; 16]> {
     let key = Zeroizing::new(cipher.encrypt_block(&[0; 16])?);
     let mut hash = GHash::new(&Block::from(*key));
     hash.update_padded(aad);
@@ -53,12 +53,7 @@ fn tag(cipher: &impl BlockCipher, nonce: &[u8; 12], aad: &[u8], text: &[u8]) -> 
     Ok(tag)
 }
 
-pub(super) fn seal(
-    cipher: &impl BlockCipher,
-    nonce: &[u8; 12],
-    aad: &[u8],
-    text: &mut [u8],
-) -> Result<[u8; TAG], CryptoError> {
+pub(super) fn seal(cipher: &impl BlockCipher, nonce: &[u8; 12], aad: &[u8], text: &mut [u8]) -> Result<[u8; TAG]> {
     if u64::try_from(text.len()).unwrap_or(u64::MAX) > LONGEST {
         return Err(CryptoError::Length { what: "text for SM4-GCM", found: text.len(), allowed: "under 64 GiB" });
     }
@@ -72,7 +67,7 @@ pub(super) fn open(
     nonce: &[u8; 12],
     aad: &[u8],
     sealed: &[u8],
-) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
+) -> Result<Zeroizing<Vec<u8>>> {
     let (text, found) = sealed.split_last_chunk::<TAG>().ok_or(CryptoError::BadCiphertext)?;
     if u64::try_from(text.len()).unwrap_or(u64::MAX) > LONGEST {
         return Err(CryptoError::BadCiphertext);

@@ -7,7 +7,7 @@ use sha3::{Digest as _, Keccak256};
 use zeroize::Zeroizing;
 
 use crate::model::{Address, Domain, Identity, PublicKey, Token};
-use crate::{CryptoError, EoaSecret, Provider, SmKeyPair, SmSecret, sm2};
+use crate::{CryptoError, EoaSecret, Provider, Result, SmKeyPair, SmSecret, sm2};
 
 /// An identity with its proof: an SM2 signature by d_C over label, domain, address, P_C, P_E and token.
 /// # Errors
@@ -19,7 +19,7 @@ pub fn prove(
     signing: &SmKeyPair,
     envelope: &PublicKey,
     token: Token,
-) -> Result<Identity, CryptoError> {
+) -> Result<Identity> {
     provider.check_public_key(envelope)?;
     let message = signed_bytes(domain, address, &signing.public, envelope, &token);
     let proof = provider.sign(&signing.secret, &message)?;
@@ -29,12 +29,7 @@ pub fn prove(
 /// Checks an identity read from the chain: both keys are points, they differ, and the proof is valid.
 /// # Errors
 /// `PublicPoint`, `BadSignature`, or [`CryptoError::NotAccepted`] if one key is used for both purposes.
-pub fn check_identity(
-    provider: &dyn Provider,
-    domain: &Domain,
-    address: &Address,
-    identity: &Identity,
-) -> Result<(), CryptoError> {
+pub fn check_identity(provider: &dyn Provider, domain: &Domain, address: &Address, identity: &Identity) -> Result<()> {
     provider.check_public_key(&identity.signing)?;
     provider.check_public_key(&identity.envelope)?;
     if identity.signing == identity.envelope {
@@ -128,7 +123,7 @@ impl TypedStructure {
 /// Signs a 32-byte hash; s is in the lower half, as Ethereum demands.
 /// # Errors
 /// [`CryptoError::Internal`] if the algorithm fails.
-pub fn sign_hash(secret: &EoaSecret, hash: &[u8; 32]) -> Result<AccountSignature, CryptoError> {
+pub fn sign_hash(secret: &EoaSecret, hash: &[u8; 32]) -> Result<AccountSignature> {
     let failed = |_| CryptoError::Internal("secp256k1");
     let key = SigningKey::from_slice(secret.expose()).map_err(failed)?;
     let (signature, parity) = key.sign_prehash_recoverable(hash).map_err(failed)?;
@@ -141,7 +136,7 @@ pub fn sign_hash(secret: &EoaSecret, hash: &[u8; 32]) -> Result<AccountSignature
 /// The account whose key signed `hash`.
 /// # Errors
 /// [`CryptoError::BadAccountSignature`]: r or s out of range, s in the upper half (malleable), or v not 27 or 28.
-pub fn recover_account(hash: &[u8; 32], signature: &AccountSignature) -> Result<Address, CryptoError> {
+pub fn recover_account(hash: &[u8; 32], signature: &AccountSignature) -> Result<Address> {
     recovered(hash, signature).ok_or(CryptoError::BadAccountSignature)
 }
 
@@ -150,7 +145,7 @@ pub(crate) fn check_account(
     signature: &AccountSignature,
     account: &Address,
     what: &'static str,
-) -> Result<(), CryptoError> {
+) -> Result<()> {
     let is_signed = recovered(hash, signature) == Some(*account);
     if is_signed { Ok(()) } else { Err(CryptoError::NotAccepted { what, field: "account's signature" }) }
 }
@@ -179,14 +174,14 @@ impl Ephemeral {
     /// Fresh, from the operating system's random source.
     /// # Errors
     /// [`CryptoError::Random`] if that fails.
-    pub fn generate(provider: &dyn Provider) -> Result<Self, CryptoError> {
+    pub fn generate(provider: &dyn Provider) -> Result<Self> {
         SmKeyPair::generate(provider).map(Self)
     }
 
     /// From a secret drawn elsewhere; only test vectors need this.
     /// # Errors
     /// [`CryptoError::Internal`] if the algorithm fails.
-    pub fn from_secret(provider: &dyn Provider, secret: SmSecret) -> Result<Self, CryptoError> {
+    pub fn from_secret(provider: &dyn Provider, secret: SmSecret) -> Result<Self> {
         SmKeyPair::from_secret(provider, secret).map(Self)
     }
 
@@ -198,7 +193,7 @@ impl Ephemeral {
     /// The x coordinate of `[d]peer`, 32 bytes big endian, in constant time. Consumes the secret.
     /// # Errors
     /// [`CryptoError::PublicPoint`] if `peer` is not a point of the curve in its canonical encoding.
-    pub fn agree(self, peer: &PublicKey) -> Result<Zeroizing<[u8; 32]>, CryptoError> {
+    pub fn agree(self, peer: &PublicKey) -> Result<Zeroizing<[u8; 32]>> {
         sm2::shared_x(self.0.secret.expose(), peer)
     }
 }

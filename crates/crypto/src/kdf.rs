@@ -4,7 +4,7 @@
 use crate::model::{Address, Domain, FilterId, Hash, PublicKey, SignerId, Token, TopicId};
 use crate::secret::uncompressed;
 use crate::sm3::sm3;
-use crate::{CryptoError, EoaSecret, EpochKey, FilterKey, IndexKey, Sm4Key, SmSecret, TopicKey};
+use crate::{CryptoError, EoaSecret, EpochKey, FilterKey, IndexKey, Result, Sm4Key, SmSecret, TopicKey};
 use hkdf::Hkdf;
 use hmac::{Hmac, KeyInit as _, Mac as _};
 use sm3::Sm3;
@@ -13,7 +13,7 @@ use zeroize::Zeroizing;
 /// Fills `out` from input key material, salt and info (RFC 5869, extract and expand).
 /// # Errors
 /// [`CryptoError::Length`] if `out` is longer than 255 hashes (8,160 bytes).
-pub fn hkdf_sm3(key_material: &[u8], salt: &[u8], info: &[u8], out: &mut [u8]) -> Result<(), CryptoError> {
+pub fn hkdf_sm3(key_material: &[u8], salt: &[u8], info: &[u8], out: &mut [u8]) -> Result<()> {
     let found = out.len();
     Hkdf::<Sm3>::new(Some(salt), key_material).expand(info, out).map_err(|_| CryptoError::Length {
         what: "derived key",
@@ -138,7 +138,7 @@ pub fn topic_filter_id(key: &FilterKey, kind: &str, value: &str) -> FilterId {
 /// The key of an owner's `index`-th extra anchoring account on a network, from the owner's EOA key.
 /// # Errors
 /// [`CryptoError::SecretRange`] if the derived number is not a valid key (probability about 2^-127).
-pub fn anchoring_secret(owner: &EoaSecret, domain: &Domain, index: u8) -> Result<EoaSecret, CryptoError> {
+pub fn anchoring_secret(owner: &EoaSecret, domain: &Domain, index: u8) -> Result<EoaSecret> {
     let info = Info::new("AuthROS/anchoring/1").fixed(&domain.0).number(u64::from(index));
     let bytes = Zeroizing::new(derived::<32>(owner.expose(), &[], &info));
     EoaSecret::from_slice(&*bytes)

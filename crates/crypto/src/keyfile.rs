@@ -12,7 +12,7 @@ use crate::error::shown;
 use crate::model::PublicKey;
 use crate::model::bytes::hex;
 use crate::private_file::read_private;
-use crate::{CryptoError, EoaSecret, Sm4Key, SmSecret, keystore, provider};
+use crate::{CryptoError, EoaSecret, Result, Sm4Key, SmSecret, keystore, provider};
 
 const LONGEST: usize = 64 * 1024;
 const SM4_KEY: &str = "an SM4 key";
@@ -34,21 +34,21 @@ type Found = (&'static str, String);
 /// Reads an SM4 key: exactly 16 raw bytes, or 32 hex characters (0x and white space are optional).
 /// # Errors
 /// [`CryptoError::NotAKey`] saying what was found, or what [`read_private`] returns.
-pub fn load_sm4(path: &Path) -> Result<Sm4Key, CryptoError> {
+pub fn load_sm4(path: &Path) -> Result<Sm4Key> {
     parse_sm4(&read_private(path, LONGEST)?).map_err(not_a_key(path))
 }
 
 /// Reads an SM2 private key: the one in PEM (PKCS#8 or SEC1), or 64 hex characters (0x and white space are optional).
 /// # Errors
 /// [`CryptoError::NotAKey`] saying what was found, or what [`read_private`] returns.
-pub fn load_sm2(path: &Path) -> Result<SmSecret, CryptoError> {
+pub fn load_sm2(path: &Path) -> Result<SmSecret> {
     parse_sm2(&read_private(path, LONGEST)?).map_err(not_a_key(path))
 }
 
 /// Reads an EOA key: 64 hex characters (0x and white space are optional), or a V3 keystore, which needs its passphrase.
 /// # Errors
 /// `NotAKey`, `PassphraseNeeded`, [`CryptoError::WrongPassphrase`], or what [`read_private`] returns.
-pub fn load_eoa(path: &Path, passphrase: Option<&str>) -> Result<EoaSecret, CryptoError> {
+pub fn load_eoa(path: &Path, passphrase: Option<&str>) -> Result<EoaSecret> {
     let bytes = read_private(path, LONGEST)?;
     if !is_keystore(&bytes) {
         return parse_eoa_hex(&bytes).map_err(not_a_key(path));
@@ -63,7 +63,7 @@ pub fn load_eoa(path: &Path, passphrase: Option<&str>) -> Result<EoaSecret, Cryp
 /// Whether a file is a V3 keystore, which needs its passphrase.
 /// # Errors
 /// What [`read_private`] returns.
-pub fn is_keystore_file(path: &Path) -> Result<bool, CryptoError> {
+pub fn is_keystore_file(path: &Path) -> Result<bool> {
     Ok(is_keystore(&read_private(path, LONGEST)?))
 }
 
@@ -218,7 +218,7 @@ pub fn sm4_hex(key: &Sm4Key) -> Zeroizing<String> {
 /// An SM2 private key as PKCS#8 PEM, as `openssl pkey` reads it.
 /// # Errors
 /// [`CryptoError::Internal`] if encoding fails.
-pub fn sm2_pem(secret: &SmSecret) -> Result<Zeroizing<String>, CryptoError> {
+pub fn sm2_pem(secret: &SmSecret) -> Result<Zeroizing<String>> {
     sm2::SecretKey::from_slice(secret.expose())
         .ok()
         .and_then(|key| key.to_pkcs8_pem(LineEnding::LF).ok())
@@ -228,7 +228,7 @@ pub fn sm2_pem(secret: &SmSecret) -> Result<Zeroizing<String>, CryptoError> {
 /// An SM2 public key as SPKI PEM, as `openssl pkey -pubin` reads it.
 /// # Errors
 /// [`CryptoError::PublicPoint`] if it is not a point of the curve.
-pub fn sm2_public_pem(public: &PublicKey) -> Result<String, CryptoError> {
+pub fn sm2_public_pem(public: &PublicKey) -> Result<String> {
     let point = provider::point(public)?;
     point.to_public_key_pem(LineEnding::LF).map_err(|_| CryptoError::Internal("SPKI encoding"))
 }
@@ -236,7 +236,7 @@ pub fn sm2_public_pem(public: &PublicKey) -> Result<String, CryptoError> {
 /// An SM2 public key from SPKI PEM.
 /// # Errors
 /// [`CryptoError::PublicPoint`] if the text holds no such key.
-pub fn sm2_public_from_pem(text: &str) -> Result<PublicKey, CryptoError> {
+pub fn sm2_public_from_pem(text: &str) -> Result<PublicKey> {
     let point = text.parse::<sm2::PublicKey>().map_err(|_| CryptoError::PublicPoint)?;
     point.to_sec1_point(false).as_bytes().get(1..).and_then(PublicKey::from_slice).ok_or(CryptoError::PublicPoint)
 }
@@ -244,7 +244,7 @@ pub fn sm2_public_from_pem(text: &str) -> Result<PublicKey, CryptoError> {
 /// An EOA key as an Ethereum V3 keystore (JSON); derives a key from the passphrase (about 0.3 s).
 /// # Errors
 /// [`CryptoError::Random`] if the random source fails.
-pub fn eoa_keystore(secret: &EoaSecret, passphrase: &str) -> Result<String, CryptoError> {
+pub fn eoa_keystore(secret: &EoaSecret, passphrase: &str) -> Result<String> {
     keystore::seal(secret, passphrase)
 }
 

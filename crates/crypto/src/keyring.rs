@@ -15,8 +15,8 @@ use crate::private_file::{
 };
 use crate::secret::Work;
 use crate::{
-    CryptoError, EoaSecret, EpochKey, EpochSalt, IndexKey, Passphrase, Provider, ProviderName, Sm4Key, SmKeyPair,
-    epoch_key, fault, provider, random_bytes, token,
+    CryptoError, EoaSecret, EpochKey, EpochSalt, IndexKey, Passphrase, Provider, ProviderName, Result, Sm4Key,
+    SmKeyPair, epoch_key, fault, provider, random_bytes, token,
 };
 use zeroize::Zeroizing;
 
@@ -42,7 +42,7 @@ impl EpochSecret {
     /// The key of an epoch that begins, from K_C and a fresh salt, which is needed only here.
     /// # Errors
     /// [`CryptoError::Random`] if the random source fails.
-    pub fn begin(sm4: &Sm4Key, domain: &Domain, owner: &Address, epoch: u64) -> Result<Self, CryptoError> {
+    pub fn begin(sm4: &Sm4Key, domain: &Domain, owner: &Address, epoch: u64) -> Result<Self> {
         let salt = EpochSalt::generate()?;
         Ok(Self { key: epoch_key(sm4, salt.expose(), domain, owner, epoch), state: EpochState::Pending })
     }
@@ -104,7 +104,7 @@ impl Keyring {
     /// Fresh keys, with no network yet.
     /// # Errors
     /// [`CryptoError::Random`] if the random source fails.
-    pub fn generate(provider: &dyn Provider) -> Result<Self, CryptoError> {
+    pub fn generate(provider: &dyn Provider) -> Result<Self> {
         Ok(Self {
             eoa: EoaSecret::generate()?,
             signing: SmKeyPair::generate(provider)?,
@@ -124,7 +124,7 @@ impl Keyring {
     /// Notes that the chain confirmed an epoch's token.
     /// # Errors
     /// [`CryptoError::NoEpoch`] if the keyring lacks the epoch.
-    pub fn confirm_epoch(&mut self, domain: &Domain, epoch: u64) -> Result<(), CryptoError> {
+    pub fn confirm_epoch(&mut self, domain: &Domain, epoch: u64) -> Result<()> {
         let network = self.networks.get_mut(domain).ok_or(CryptoError::NoEpoch(epoch))?;
         let secret = network.epochs.get_mut(&epoch).ok_or(CryptoError::NoEpoch(epoch))?;
         secret.state = EpochState::Active;
@@ -134,7 +134,7 @@ impl Keyring {
     /// EK of any past or present epoch, derived again.
     /// # Errors
     /// [`CryptoError::NoEpoch`] if the keyring lacks the epoch.
-    pub fn epoch_key(&self, domain: &Domain, epoch: u64) -> Result<EpochKey, CryptoError> {
+    pub fn epoch_key(&self, domain: &Domain, epoch: u64) -> Result<EpochKey> {
         let secret = self.networks.get(domain).and_then(|network| network.epochs.get(&epoch));
         Ok(secret.ok_or(CryptoError::NoEpoch(epoch))?.key.clone())
     }
@@ -142,7 +142,7 @@ impl Keyring {
     /// The token of an epoch.
     /// # Errors
     /// [`CryptoError::NoEpoch`] if the keyring lacks the epoch.
-    pub fn token(&self, domain: &Domain, epoch: u64) -> Result<Token, CryptoError> {
+    pub fn token(&self, domain: &Domain, epoch: u64) -> Result<Token> {
         Ok(token(domain, &self.eoa.address(), epoch, &self.epoch_key(domain, epoch)?))
     }
 }
@@ -164,7 +164,7 @@ struct Stamp {
 }
 
 impl Stamp {
-    fn next(self) -> Result<Self, CryptoError> {
+    fn next(self) -> Result<Self> {
         Ok(Self { generation: self.generation.saturating_add(1), save_salt: random_bytes()? })
     }
 }
@@ -189,7 +189,7 @@ layout!(FileHeader {
     length: "length",
 });
 
-fn seal(keyring: &Keyring, key: &FileKey, stamp: Stamp) -> Result<Vec<u8>, CryptoError> {
+fn seal(keyring: &Keyring, key: &FileKey, stamp: Stamp) -> Result<Vec<u8>> {
     let mut sealed = encode(keyring);
     let keys = SaveKeys::derive(key, &stamp.save_salt, LABEL);
     let found = sealed.len() + 16;
@@ -204,7 +204,7 @@ fn seal(keyring: &Keyring, key: &FileKey, stamp: Stamp) -> Result<Vec<u8>, Crypt
 
 type Parts<'a> = (FileHeader, &'a [u8], &'a [u8]);
 
-fn split<'a>(path: &Path, bytes: &'a [u8]) -> Result<Parts<'a>, CryptoError> {
+fn split<'a>(path: &Path, bytes: &'a [u8]) -> Result<Parts<'a>> {
     read_parts(bytes).map_err(|why| of_version(path, "a keyring", bytes, why).unwrap_or_else(|| damaged(path)))
 }
 
@@ -224,7 +224,7 @@ fn damaged(path: &Path) -> CryptoError {
     CryptoError::DamagedKeyring(shown(path))
 }
 
-fn open(path: &Path, bytes: &[u8], key: &FileKey) -> Result<Keyring, CryptoError> {
+fn open(path: &Path, bytes: &[u8], key: &FileKey) -> Result<Keyring> {
     let (header, aad, sealed) = split(path, bytes)?;
     let keys = SaveKeys::committed(key, &header.stamp.save_salt, LABEL, &header.commit);
     let keys = keys.ok_or_else(|| CryptoError::WrongPassphrase(shown(path)))?;
@@ -233,7 +233,7 @@ fn open(path: &Path, bytes: &[u8], key: &FileKey) -> Result<Keyring, CryptoError
     keyring.filter(|keyring| keyring.public() == header.public).ok_or_else(|| damaged(path))
 }
 
-fn read(path: &Path) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
+fn read(path: &Path) -> Result<Zeroizing<Vec<u8>>> {
     let bytes = read_private(path, LARGEST)?;
     check_private_directory(&directory_of(path))?;
     Ok(bytes)
@@ -242,7 +242,7 @@ fn read(path: &Path) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
 /// A keyring's public header, read without the passphrase. An altered file may lie here, but does not open.
 /// # Errors
 /// [`CryptoError::Read`], [`CryptoError::OpenToOthers`], [`CryptoError::DamagedKeyring`] or [`CryptoError::Version`].
-pub fn read_public(path: &Path) -> Result<PublicIdentity, CryptoError> {
+pub fn read_public(path: &Path) -> Result<PublicIdentity> {
     let bytes = read(path)?;
     split(path, &bytes).map(|(header, _, _)| header.public)
 }
@@ -256,7 +256,7 @@ impl Keyring {
     /// Reads and opens a keyring; derives the passphrase's key (about 0.3 s).
     /// # Errors
     /// See [`UnlockedKeyring::open`].
-    pub fn load(path: &Path, passphrase: &Passphrase) -> Result<Self, CryptoError> {
+    pub fn load(path: &Path, passphrase: &Passphrase) -> Result<Self> {
         UnlockedKeyring::open(path, passphrase).map(|unlocked| unlocked.keyring)
     }
 }
@@ -278,7 +278,7 @@ impl UnlockedKeyring {
     /// of all epochs, and the key of the file; the file itself keeps everything. EOA, (d_C, P_C) and IK stay in memory.
     /// # Errors
     /// [`CryptoError::Random`]; nothing is wiped then.
-    pub fn strip(&mut self, provider: &dyn Provider) -> Result<(), CryptoError> {
+    pub fn strip(&mut self, provider: &dyn Provider) -> Result<()> {
         // Meaningless values take their place; the originals are wiped when dropped.
         let (envelope, sm4) = (SmKeyPair::generate(provider)?, Sm4Key::generate()?);
         self.stripped = true;
@@ -301,7 +301,7 @@ impl UnlockedKeyring {
     /// Writes a new keyring file, never over one that exists.
     /// # Errors
     /// [`CryptoError::Exists`], [`CryptoError::Write`] or [`CryptoError::OpenToOthers`].
-    pub fn create(keyring: Keyring, path: &Path, passphrase: &Passphrase) -> Result<Self, CryptoError> {
+    pub fn create(keyring: Keyring, path: &Path, passphrase: &Passphrase) -> Result<Self> {
         make_private_directory(&directory_of(path))?;
         let key = FileKey::new(passphrase)?;
         let stamp = Stamp { generation: 1, save_salt: random_bytes()? };
@@ -312,11 +312,11 @@ impl UnlockedKeyring {
     /// Reads and opens a keyring file.
     /// # Errors
     /// `Read`, `OpenToOthers`, [`CryptoError::WrongPassphrase`], `DamagedKeyring` or [`CryptoError::Version`].
-    pub fn open(path: &Path, passphrase: &Passphrase) -> Result<Self, CryptoError> {
+    pub fn open(path: &Path, passphrase: &Passphrase) -> Result<Self> {
         Self::of_file(path, &read(path)?, passphrase)
     }
 
-    fn of_file(path: &Path, bytes: &[u8], passphrase: &Passphrase) -> Result<Self, CryptoError> {
+    fn of_file(path: &Path, bytes: &[u8], passphrase: &Passphrase) -> Result<Self> {
         let (header, _, _) = split(path, bytes)?;
         let key = FileKey::with(passphrase, header.work, header.salt)?;
         let keyring = open(path, bytes, &key)?;
@@ -345,7 +345,7 @@ impl UnlockedKeyring {
     /// Changes the keys, in the file first and then here; if `change` or the write fails, neither is changed.
     /// # Errors
     /// Those of `change`; [`CryptoError::Superseded`] for a file that was not read; `Locked`, `Read`, `Write`.
-    pub fn change<T>(&mut self, change: impl FnOnce(&mut Keyring) -> Result<T, CryptoError>) -> Result<T, CryptoError> {
+    pub fn change<T>(&mut self, change: impl FnOnce(&mut Keyring) -> Result<T>) -> Result<T> {
         let mut keyring = self.keyring.clone();
         let value = change(&mut keyring)?;
         self.write(&keyring, &self.key.clone())?;
@@ -356,7 +356,7 @@ impl UnlockedKeyring {
     /// Changes the passphrase and saves.
     /// # Errors
     /// See [`Self::change`].
-    pub fn change_passphrase(&mut self, passphrase: &Passphrase) -> Result<(), CryptoError> {
+    pub fn change_passphrase(&mut self, passphrase: &Passphrase) -> Result<()> {
         let key = FileKey::new(passphrase)?;
         self.write(&self.keyring.clone(), &key)?;
         self.key = key;
@@ -364,7 +364,7 @@ impl UnlockedKeyring {
     }
 
     /// The only way over an existing file.
-    fn write(&mut self, keyring: &Keyring, key: &FileKey) -> Result<(), CryptoError> {
+    fn write(&mut self, keyring: &Keyring, key: &FileKey) -> Result<()> {
         if self.stripped {
             return Err(CryptoError::Locked(shown(&self.path)));
         }

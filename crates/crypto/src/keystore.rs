@@ -20,7 +20,7 @@ use crate::model::wire::{Reader, Wire, WireError};
 use crate::model::{Address, Domain, PublicKey, body, clean, layout};
 use crate::secret::{Work, stretch};
 use crate::{
-    AccountSignature, CryptoError, EoaSecret, Passphrase, Provider, SmSecret, TransportKey, TypedStructure,
+    AccountSignature, CryptoError, EoaSecret, Passphrase, Provider, Result, SmSecret, TransportKey, TypedStructure,
     random_bytes, sign_hash,
 };
 
@@ -164,7 +164,7 @@ fn unmasked(key: &[u8; 32], iv: &[u8; 16], masked: &[u8; 32]) -> Option<EoaSecre
     EoaSecret::from_slice(&*secret).ok()
 }
 
-pub(super) fn seal(secret: &EoaSecret, passphrase: &str) -> Result<String, CryptoError> {
+pub(super) fn seal(secret: &EoaSecret, passphrase: &str) -> Result<String> {
     let (salt, iv) = (random_bytes::<32>()?, random_bytes::<16>()?);
     let key = stretch::<32>(passphrase, &salt, Work::WRITTEN)?;
     let mut masked = *secret.expose();
@@ -223,7 +223,7 @@ impl OwnerKeyChange {
     /// The owner's change from `old` to `new`, signed by the account.
     /// # Errors
     /// [`CryptoError::Internal`].
-    pub fn sign(domain: &Domain, account: &EoaSecret, old: PublicKey, new: PublicKey) -> Result<Self, CryptoError> {
+    pub fn sign(domain: &Domain, account: &EoaSecret, old: PublicKey, new: PublicKey) -> Result<Self> {
         let hash = signed_hash(domain, &account.address(), &old, &new);
         Ok(Self { old, new, account_signature: sign_hash(account, &hash)? })
     }
@@ -231,13 +231,7 @@ impl OwnerKeyChange {
     /// Whether the owner may change the `known` key to this one. The signer of the notice was checked with the record.
     /// # Errors
     /// [`CryptoError::NotAccepted`] for another key or an unsigned one; [`CryptoError::PublicPoint`].
-    pub fn check(
-        &self,
-        provider: &dyn Provider,
-        domain: &Domain,
-        owner: &Address,
-        known: &PublicKey,
-    ) -> Result<(), CryptoError> {
+    pub fn check(&self, provider: &dyn Provider, domain: &Domain, owner: &Address, known: &PublicKey) -> Result<()> {
         if self.old != *known || self.new == self.old {
             return Err(CryptoError::NotAccepted { what: WHAT, field: "old key" });
         }
@@ -263,11 +257,11 @@ pub(super) struct FileKey {
 }
 
 impl FileKey {
-    pub fn new(passphrase: &Passphrase) -> Result<Self, CryptoError> {
+    pub fn new(passphrase: &Passphrase) -> Result<Self> {
         Self::with(passphrase, Work::WRITTEN, random_bytes()?)
     }
 
-    pub fn with(passphrase: &Passphrase, work: Work, salt: [u8; 32]) -> Result<Self, CryptoError> {
+    pub fn with(passphrase: &Passphrase, work: Work, salt: [u8; 32]) -> Result<Self> {
         Ok(Self { work, salt, key: stretch(passphrase.expose(), &salt, work)? })
     }
 }
@@ -311,7 +305,7 @@ impl SealedHead {
     pub const LENGTH: usize = 106;
     const VERSION: u8 = 1;
 
-    pub fn new(key: &FileKey, label: &str) -> Result<(Self, SaveKeys), CryptoError> {
+    pub fn new(key: &FileKey, label: &str) -> Result<(Self, SaveKeys)> {
         let save_salt = random_bytes()?;
         let keys = SaveKeys::derive(key, &save_salt, label);
         Ok((Self { work: key.work, salt: key.salt, save_salt, commit: keys.commit }, keys))
@@ -355,7 +349,7 @@ pub fn seal_transport_key(
     keeper: &SmSecret,
     name: &str,
     key: &TransportKey,
-) -> Result<Vec<u8>, CryptoError> {
+) -> Result<Vec<u8>> {
     let nonce: [u8; NONCE] = random_bytes()?;
     Ok([&nonce[..], &sealed_key(provider, (&kept_key(keeper), &nonce), name.as_bytes(), key)?].concat())
 }
@@ -368,7 +362,7 @@ pub fn open_transport_key(
     keeper: &SmSecret,
     name: &str,
     sealed: &[u8],
-) -> Result<TransportKey, CryptoError> {
+) -> Result<TransportKey> {
     let (nonce, rest) = sealed.split_first_chunk::<NONCE>().ok_or(CryptoError::BadCiphertext)?;
     let plain = provider.gcm_open(&kept_key(keeper), nonce, name.as_bytes(), rest)?;
     TransportKey::from_slice(&plain).ok_or(CryptoError::BadCiphertext)
@@ -379,7 +373,7 @@ pub(super) fn sealed_key(
     (sealing, nonce): (&[u8; 16], &[u8; 12]),
     aad: &[u8],
     key: &TransportKey,
-) -> Result<Vec<u8>, CryptoError> {
+) -> Result<Vec<u8>> {
     // Reserved in one piece, tag included: growing the buffer would leave an unwiped copy behind.
     let mut sealed = Vec::with_capacity(TransportKey::LENGTH + 16);
     sealed.extend_from_slice(key.expose());

@@ -50,6 +50,7 @@ pub use crate::enrolment::{
 };
 pub use crate::erased::ErasedStatement;
 pub use crate::error::CryptoError;
+pub(crate) use crate::error::Result;
 pub use crate::gateway_addresses::GatewayAddresses;
 pub use crate::identity::{
     AccountSignature, Ephemeral, TypedStructure, check_identity, keccak256, prove, recover_account, sign_hash,

@@ -1,6 +1,9 @@
 //! Merkle batches: RFC 6962's tree with SM3 (docs/format.md, section 6); seq is 8 bytes, big endian.
 //! leaf = SM3(0x00 || owner || signer || recorder || topic id || seq || D), node = SM3(0x01 || left || right).
 
+use std::collections::HashMap;
+use std::sync::{PoisonError, RwLock};
+
 use super::sm3::{sm3, sm3_many};
 use crate::model::{Address, Digest, Hash, Header, RecorderId, SignerId, TopicId};
 
@@ -157,6 +160,39 @@ pub fn root_of(leaf: Hash, index: u64, count: u64, path: &[Hash]) -> Option<Hash
     path.iter().all(|sibling| climber.pass(sibling)).then(|| climber.root())?
 }
 
+/// Paths that lead to their roots. Those of one tree meet, and a rest already known is not hashed again.
+#[derive(Debug, Default)]
+pub struct KnownPaths<'a>(RwLock<HashMap<(Hash, Climber), &'a [Hash]>>);
+
+impl<'a> KnownPaths<'a> {
+    /// Whether [`root_of`] of this leaf, (index, count) and path is this root.
+    pub fn lead(&self, leaf: Hash, (index, count): (u64, u64), path: &'a [Hash], root: Hash) -> bool {
+        let Some(mut climber) = Climber::at(leaf, index, count).filter(|_| path.len() <= LONGEST_PATH) else {
+            return false;
+        };
+        let (mut rest, mut passed) = (path, Vec::with_capacity(path.len()));
+        while let Some((sibling, above)) = rest.split_first() {
+            if !climber.pass(sibling) {
+                return false;
+            }
+            rest = above;
+            let known = self.0.read().unwrap_or_else(PoisonError::into_inner);
+            if known.get(&(root, climber)).is_some_and(|known| *known == rest) {
+                break;
+            }
+            drop(known);
+            passed.push((climber, rest));
+        }
+        // Left early: the rest is known to lead there.
+        let leads = passed.len() < path.len() || climber.root() == Some(root);
+        if leads {
+            let mut known = self.0.write().unwrap_or_else(PoisonError::into_inner);
+            known.extend(passed.into_iter().map(|(climber, rest)| ((root, climber), rest)));
+        }
+        leads
+    }
+}
+
 /// A record's proof of membership in a batch.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Inclusion {
@@ -222,6 +258,37 @@ mod tests {
             }
         }
         assert!(Tree::new(Vec::new()).is_none() && Tree::new(vec![Hash([0; 32]); MOST_LEAVES + 1]).is_none());
+    }
+
+    #[test]
+    fn a_known_rest_of_a_path_changes_no_answer() {
+        for count in [1_usize, 2, 5, 16, 33] {
+            let (tree, other) = (tree(count), tree(count + 1));
+            let paths: Vec<Vec<Hash>> = (0..count).map(|index| tree.path(index)).collect();
+            let altered: Vec<Vec<Hash>> = paths.iter().flat_map(|path| damaged(path)).collect();
+            let known = KnownPaths::default();
+            for (index, path) in paths.iter().chain(&paths).enumerate().map(|(at, path)| (at % count, path)) {
+                let (leaf, place) = (leaf(index as u64).hash(), (index as u64, count as u64));
+                assert!(known.lead(leaf, place, path, tree.root()), "{index} of {count}");
+                assert!(!known.lead(leaf, place, path, other.root()), "another root");
+                assert!(!known.lead(other.root(), place, path, tree.root()), "another leaf");
+                for path in &altered {
+                    let alone = root_of(leaf, place.0, place.1, path) == Some(tree.root());
+                    assert_eq!(known.lead(leaf, place, path, tree.root()), alone, "{index} of {count}: {path:?}");
+                }
+            }
+        }
+    }
+
+    /// Each step altered, the last left out, and one too many.
+    fn damaged(path: &[Hash]) -> Vec<Vec<Hash>> {
+        let alter = |at: usize| {
+            let mut path = path.to_vec();
+            path[at].0[7] ^= 1;
+            path
+        };
+        let ends = [path[..path.len().saturating_sub(1)].to_vec(), [path, &[Hash([0; 32])]].concat()];
+        (0..path.len()).map(alter).chain(ends).collect()
     }
 
     #[test]

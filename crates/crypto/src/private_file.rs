@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use zeroize::Zeroizing;
 
 use super::error::shown;
-use super::{CryptoError, fault, unfinished};
+use super::{CryptoError, Result, fault, unfinished};
 
 /// Permission bits of group and others.
 const OTHERS: u32 = 0o077;
@@ -16,7 +16,7 @@ const OTHERS: u32 = 0o077;
 /// Reads a file of at most `most` bytes that only its owner may read.
 /// # Errors
 /// [`CryptoError::Read`], [`CryptoError::OpenToOthers`], or [`CryptoError::Length`] if it is longer.
-pub fn read_private(path: &Path, most: usize) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
+pub fn read_private(path: &Path, most: usize) -> Result<Zeroizing<Vec<u8>>> {
     // Checked before it is opened, because opening a pipe would wait for its writer.
     let metadata = fs::metadata(path).map_err(CryptoError::read(path))?;
     if !metadata.is_file() {
@@ -40,14 +40,14 @@ pub fn read_private(path: &Path, most: usize) -> Result<Zeroizing<Vec<u8>>, Cryp
 /// Writes a file that only its owner may read, in one step: after a crash it has either the old content or the new.
 /// # Errors
 /// [`CryptoError::Write`].
-pub fn write_private(path: &Path, bytes: &[u8]) -> Result<(), CryptoError> {
+pub fn write_private(path: &Path, bytes: &[u8]) -> Result<()> {
     replace(path, bytes, true)
 }
 
 /// Like [`write_private`], but never over an existing file.
 /// # Errors
 /// [`CryptoError::Exists`] if there is one, else [`CryptoError::Write`].
-pub fn create_private(path: &Path, bytes: &[u8]) -> Result<(), CryptoError> {
+pub fn create_private(path: &Path, bytes: &[u8]) -> Result<()> {
     replace(path, bytes, false)
 }
 
@@ -58,8 +58,8 @@ pub fn create_private(path: &Path, bytes: &[u8]) -> Result<(), CryptoError> {
 pub fn change_private(
     path: &Path,
     most: usize,
-    change: impl FnOnce(Option<&[u8]>) -> Result<Option<Vec<u8>>, CryptoError>,
-) -> Result<(), CryptoError> {
+    change: impl FnOnce(Option<&[u8]>) -> Result<Option<Vec<u8>>>,
+) -> Result<()> {
     let _lock = lock_directory(path)?;
     // What cannot be listed is no reason to write nothing.
     drop(unfinished::sweep(&directory_of(path)));
@@ -74,7 +74,7 @@ pub fn change_private(
     }
 }
 
-fn replace(path: &Path, bytes: &[u8], over: bool) -> Result<(), CryptoError> {
+fn replace(path: &Path, bytes: &[u8], over: bool) -> Result<()> {
     let directory = directory_of(path);
     let write = CryptoError::write(path);
     let mut file = unfinished::new_file(&directory).map_err(&write)?;
@@ -91,7 +91,7 @@ fn replace(path: &Path, bytes: &[u8], over: bool) -> Result<(), CryptoError> {
 
 /// Locks the directory of a file until the handle is dropped or the process ends. Not the file itself, which a write
 /// replaces: two processes would then hold the locks of two files of the same name.
-fn lock_directory(path: &Path) -> Result<File, CryptoError> {
+fn lock_directory(path: &Path) -> Result<File> {
     let directory = directory_of(path);
     let write = CryptoError::write(path);
     let handle = File::open(&directory).map_err(&write)?;
@@ -107,7 +107,7 @@ fn lock_directory(path: &Path) -> Result<File, CryptoError> {
 /// Makes a directory with mode 0700, or checks that an existing one is closed to others.
 /// # Errors
 /// [`CryptoError::Write`] or [`CryptoError::OpenToOthers`].
-pub fn make_private_directory(directory: &Path) -> Result<(), CryptoError> {
+pub fn make_private_directory(directory: &Path) -> Result<()> {
     DirBuilder::new().recursive(true).mode(0o700).create(directory).map_err(CryptoError::write(directory))?;
     check_private_directory(directory)
 }
@@ -115,7 +115,7 @@ pub fn make_private_directory(directory: &Path) -> Result<(), CryptoError> {
 /// Checks that group and others have no permission on a directory.
 /// # Errors
 /// [`CryptoError::Read`] or [`CryptoError::OpenToOthers`].
-pub fn check_private_directory(directory: &Path) -> Result<(), CryptoError> {
+pub fn check_private_directory(directory: &Path) -> Result<()> {
     let metadata = fs::metadata(directory).map_err(CryptoError::read(directory))?;
     check_mode(directory, metadata.permissions().mode(), 0o700)
 }
@@ -133,7 +133,7 @@ fn shown_as_group(path: &Path) -> u32 {
     if credentials.is_some_and(|directory| path.starts_with(directory)) { 0o040 } else { 0 }
 }
 
-fn check_mode(path: &Path, mode: u32, wanted: u32) -> Result<(), CryptoError> {
+fn check_mode(path: &Path, mode: u32, wanted: u32) -> Result<()> {
     if mode & OTHERS == 0 {
         return Ok(());
     }

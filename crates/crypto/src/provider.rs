@@ -9,7 +9,7 @@ use crate::gcm::{self, BlockCipher};
 use crate::kernel::Available;
 use crate::model::{PublicKey, Signature, clean};
 use crate::secret::{ORDER, joined, random_bytes, uncompressed};
-use crate::{CryptoError, SmSecret, sm2 as kernels, sm4_gcm};
+use crate::{CryptoError, Result, SmSecret, sm2 as kernels, sm4_gcm};
 use getrandom::SysRng;
 use libsm::sm2::encrypt::{DecryptCtx, EncryptCtx};
 use libsm::sm2::signature::{Pubkey, Seckey, SigCtx, Signature as RawSignature};
@@ -40,20 +40,14 @@ pub trait Provider: Send + Sync {
     /// SM4-GCM (RFC 8998, 96-bit nonce): encrypts `text` in place and returns the tag that follows it.
     /// # Errors
     /// [`CryptoError::Length`] if the text is longer than GCM allows.
-    fn gcm_seal_in_place(
-        &self,
-        key: &[u8; 16],
-        nonce: &[u8; 12],
-        aad: &[u8],
-        text: &mut [u8],
-    ) -> Result<[u8; 16], CryptoError> {
+    fn gcm_seal_in_place(&self, key: &[u8; 16], nonce: &[u8; 12], aad: &[u8], text: &mut [u8]) -> Result<[u8; 16]> {
         sm4_gcm::seal(Available::decided(), key, nonce, aad, text)
     }
 
     /// SM4-GCM (RFC 8998, 96-bit nonce): encrypts `buffer` in place and appends the 16-byte tag.
     /// # Errors
     /// [`CryptoError::Length`] if the buffer is longer than GCM allows.
-    fn gcm_seal(&self, key: &[u8; 16], nonce: &[u8; 12], aad: &[u8], buffer: &mut Vec<u8>) -> Result<(), CryptoError> {
+    fn gcm_seal(&self, key: &[u8; 16], nonce: &[u8; 12], aad: &[u8], buffer: &mut Vec<u8>) -> Result<()> {
         let tag = self.gcm_seal_in_place(key, nonce, aad, buffer)?;
         buffer.extend_from_slice(&tag);
         Ok(())
@@ -62,51 +56,45 @@ pub trait Provider: Send + Sync {
     /// SM4-GCM: checks the tag in constant time, then decrypts.
     /// # Errors
     /// [`CryptoError::BadCiphertext`] if key, nonce, AAD or a byte differ; nothing is decrypted then.
-    fn gcm_open(
-        &self,
-        key: &[u8; 16],
-        nonce: &[u8; 12],
-        aad: &[u8],
-        sealed: &[u8],
-    ) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
+    fn gcm_open(&self, key: &[u8; 16], nonce: &[u8; 12], aad: &[u8], sealed: &[u8]) -> Result<Zeroizing<Vec<u8>>> {
         sm4_gcm::open(Available::decided(), key, nonce, aad, sealed)
     }
 
     /// SM2 signature (GB/T 32918.2-2016, 6.1) under the ID 1234567812345678, raw r || s.
     /// # Errors
     /// [`CryptoError`] if the random source or the algorithm fails.
-    fn sign(&self, secret: &SmSecret, message: &[u8]) -> Result<Signature, CryptoError>;
+    fn sign(&self, secret: &SmSecret, message: &[u8]) -> Result<Signature>;
 
     /// SM2 verification (GB/T 32918.2-2016, 7.1) under the ID 1234567812345678.
     /// # Errors
     /// [`CryptoError::PublicPoint`] or [`CryptoError::BadSignature`].
-    fn verify(&self, public: &PublicKey, message: &[u8], signature: &Signature) -> Result<(), CryptoError>;
+    fn verify(&self, public: &PublicKey, message: &[u8], signature: &Signature) -> Result<()>;
 
     /// SM2 encryption (GB/T 32918.4-2016, 6.1) as GM/T 0009 DER, order C1 || C3 || C2.
     /// # Errors
     /// [`CryptoError::PublicPoint`], or [`CryptoError::Length`] if `plain` is empty or over 1 MiB.
-    fn encrypt(&self, public: &PublicKey, plain: &[u8]) -> Result<Vec<u8>, CryptoError>;
+    fn encrypt(&self, public: &PublicKey, plain: &[u8]) -> Result<Vec<u8>>;
 
     /// SM2 decryption (GB/T 32918.4-2016, 7.1) of GM/T 0009 DER.
     /// # Errors
     /// [`CryptoError::Malformed`], [`CryptoError::PublicPoint`] or [`CryptoError::BadCiphertext`].
-    fn decrypt(&self, secret: &SmSecret, der: &[u8]) -> Result<Zeroizing<Vec<u8>>, CryptoError>;
+    fn decrypt(&self, secret: &SmSecret, der: &[u8]) -> Result<Zeroizing<Vec<u8>>>;
 
     /// The public key of `secret`.
     /// # Errors
     /// [`CryptoError::Internal`] if the algorithm fails.
-    fn public_key(&self, secret: &SmSecret) -> Result<PublicKey, CryptoError>;
+    fn public_key(&self, secret: &SmSecret) -> Result<PublicKey>;
 
     /// Checks that `public` is a point of the curve in its canonical encoding.
     /// # Errors
     /// [`CryptoError::PublicPoint`] if it is not.
-    fn check_public_key(&self, public: &PublicKey) -> Result<(), CryptoError>;
+    fn check_public_key(&self, public: &PublicKey) -> Result<()>;
 }
 
 /// The most bytes that SM2 encrypts at once.
 pub const LARGEST_SM2_PLAIN: usize = 1024 * 1024;
 
-fn check_plain(plain: &[u8]) -> Result<(), CryptoError> {
+fn check_plain(plain: &[u8]) -> Result<()> {
     if (1..=LARGEST_SM2_PLAIN).contains(&plain.len()) {
         return Ok(());
     }
@@ -181,11 +169,11 @@ fn warm_up(started: &'static Once, name: &str, build: impl FnOnce() + Send + 'st
     });
 }
 
-pub(super) fn point(public: &PublicKey) -> Result<sm2::PublicKey, CryptoError> {
+pub(super) fn point(public: &PublicKey) -> Result<sm2::PublicKey> {
     sm2::PublicKey::from_sec1_bytes(&uncompressed(public)).map_err(|_| CryptoError::PublicPoint)
 }
 
-pub(super) fn signing_key(secret: &[u8; 32]) -> Result<SigningKey, CryptoError> {
+pub(super) fn signing_key(secret: &[u8; 32]) -> Result<SigningKey> {
     SigningKey::from_slice(DISTINGUISHED_ID, secret).map_err(|_| CryptoError::SecretRange("SM2"))
 }
 
@@ -194,19 +182,19 @@ impl Provider for RustCryptoProvider {
         "rustcrypto"
     }
 
-    fn sign(&self, secret: &SmSecret, message: &[u8]) -> Result<Signature, CryptoError> {
+    fn sign(&self, secret: &SmSecret, message: &[u8]) -> Result<Signature> {
         let signature: DsaSignature =
             secret.signing_key()?.try_sign_with_rng(&mut SysRng, message).map_err(|_| CryptoError::Random)?;
         Ok(Signature(signature.to_bytes().into()))
     }
 
-    fn verify(&self, public: &PublicKey, message: &[u8], signature: &Signature) -> Result<(), CryptoError> {
+    fn verify(&self, public: &PublicKey, message: &[u8], signature: &Signature) -> Result<()> {
         let key = VerifyingKey::new(DISTINGUISHED_ID, point(public)?).map_err(|_| CryptoError::PublicPoint)?;
         let signature = DsaSignature::from_slice(&signature.0).map_err(|_| CryptoError::BadSignature)?;
         key.verify(message, &signature).map_err(|_| CryptoError::BadSignature)
     }
 
-    fn encrypt(&self, public: &PublicKey, plain: &[u8]) -> Result<Vec<u8>, CryptoError> {
+    fn encrypt(&self, public: &PublicKey, plain: &[u8]) -> Result<Vec<u8>> {
         check_plain(plain)?;
         let key = EncryptingKey::new_with_mode(point(public)?, Mode::C1C3C2);
         let cipher: Cipher<'_> =
@@ -216,7 +204,7 @@ impl Provider for RustCryptoProvider {
         Ok(CipherParts { x, y, check: (*cipher.c3()).into(), text: cipher.c2().to_vec() }.encode())
     }
 
-    fn decrypt(&self, secret: &SmSecret, der: &[u8]) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
+    fn decrypt(&self, secret: &SmSecret, der: &[u8]) -> Result<Zeroizing<Vec<u8>>> {
         let CipherParts { x, y, check, text } = CipherParts::parse(der)?;
         point(&PublicKey(joined(&x, &y)))?;
         let raw = [&[4], &x[..], &y, &check, &text].concat();
@@ -228,12 +216,12 @@ impl Provider for RustCryptoProvider {
         if *plain == text { Err(CryptoError::BadCiphertext) } else { Ok(plain) }
     }
 
-    fn public_key(&self, secret: &SmSecret) -> Result<PublicKey, CryptoError> {
+    fn public_key(&self, secret: &SmSecret) -> Result<PublicKey> {
         let bytes = secret.signing_key()?.verifying_key().to_sec1_bytes();
         bytes.get(1..).and_then(PublicKey::from_slice).ok_or(CryptoError::Internal("SM2"))
     }
 
-    fn check_public_key(&self, public: &PublicKey) -> Result<(), CryptoError> {
+    fn check_public_key(&self, public: &PublicKey) -> Result<()> {
         point(public).map(|_| ())
     }
 }
@@ -252,29 +240,29 @@ impl Provider for AuthrosProvider {
         "authros"
     }
 
-    fn sign(&self, secret: &SmSecret, message: &[u8]) -> Result<Signature, CryptoError> {
+    fn sign(&self, secret: &SmSecret, message: &[u8]) -> Result<Signature> {
         let random = Zeroizing::new(random_bytes()?);
         Ok(secret.kernel_key()?.sign(message, &random))
     }
 
-    fn verify(&self, public: &PublicKey, message: &[u8], signature: &Signature) -> Result<(), CryptoError> {
+    fn verify(&self, public: &PublicKey, message: &[u8], signature: &Signature) -> Result<()> {
         kernels::verify(public, message, signature)
     }
 
-    fn encrypt(&self, public: &PublicKey, plain: &[u8]) -> Result<Vec<u8>, CryptoError> {
+    fn encrypt(&self, public: &PublicKey, plain: &[u8]) -> Result<Vec<u8>> {
         check_plain(plain)?;
         Ok(kernels::encrypt(public, plain)?.encode())
     }
 
-    fn decrypt(&self, secret: &SmSecret, der: &[u8]) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
+    fn decrypt(&self, secret: &SmSecret, der: &[u8]) -> Result<Zeroizing<Vec<u8>>> {
         kernels::decrypt(secret.expose(), CipherParts::parse(der)?)
     }
 
-    fn public_key(&self, secret: &SmSecret) -> Result<PublicKey, CryptoError> {
+    fn public_key(&self, secret: &SmSecret) -> Result<PublicKey> {
         Ok(*secret.kernel_key()?.public())
     }
 
-    fn check_public_key(&self, public: &PublicKey) -> Result<(), CryptoError> {
+    fn check_public_key(&self, public: &PublicKey) -> Result<()> {
         kernels::point(public).map(|_| ())
     }
 }
@@ -294,19 +282,19 @@ const MODULUS: [u8; 32] = [
 pub(super) struct Sm4Block(Sm4Cipher);
 
 impl Sm4Block {
-    pub(super) fn new(key: &[u8; 16]) -> Result<Self, CryptoError> {
+    pub(super) fn new(key: &[u8; 16]) -> Result<Self> {
         Sm4Cipher::new(key).map(Self).map_err(|_| CryptoError::Internal("SM4"))
     }
 }
 
 impl BlockCipher for Sm4Block {
-    fn encrypt_block(&self, block: &[u8; 16]) -> Result<[u8; 16], CryptoError> {
+    fn encrypt_block(&self, block: &[u8; 16]) -> Result<[u8; 16]> {
         self.0.encrypt(block).map_err(|_| CryptoError::Internal("SM4"))
     }
 }
 
 /// A point of the curve whose coordinates are below p; libsm must write it back unchanged.
-fn libsm_point(public: &PublicKey) -> Result<Pubkey, CryptoError> {
+fn libsm_point(public: &PublicKey) -> Result<Pubkey> {
     let bytes = uncompressed(public);
     let (x, y) = public.0.split_at(32);
     if x >= &MODULUS[..] || y >= &MODULUS[..] {
@@ -319,7 +307,7 @@ fn libsm_point(public: &PublicKey) -> Result<Pubkey, CryptoError> {
     }
 }
 
-fn scalar(secret: &SmSecret) -> Result<Seckey, CryptoError> {
+fn scalar(secret: &SmSecret) -> Result<Seckey> {
     CONTEXT.load_seckey(secret.expose()).map_err(|_| CryptoError::SecretRange("SM2"))
 }
 
@@ -327,7 +315,7 @@ fn in_range(number: &[u8]) -> bool {
     number.iter().any(|byte| *byte != 0) && number < &ORDER[..]
 }
 
-fn padded(big_endian: &[u8]) -> Result<[u8; 32], CryptoError> {
+fn padded(big_endian: &[u8]) -> Result<[u8; 32]> {
     let mut out = [0; 32];
     let start = 32usize.checked_sub(big_endian.len()).ok_or(CryptoError::Internal("SM2 signature"))?;
     out[start..].copy_from_slice(big_endian);
@@ -336,7 +324,7 @@ fn padded(big_endian: &[u8]) -> Result<[u8; 32], CryptoError> {
 
 /// SM3(ZA || message), the number that SM2 signs, as libsm computes it.
 #[cfg(test)]
-pub(super) fn signed_hash(public: &PublicKey, message: &[u8]) -> Result<[u8; 32], CryptoError> {
+pub(super) fn signed_hash(public: &PublicKey, message: &[u8]) -> Result<[u8; 32]> {
     CONTEXT.hash(DISTINGUISHED_ID, &libsm_point(public)?, message).map_err(|_| CryptoError::Internal("SM2 hash"))
 }
 
@@ -356,27 +344,15 @@ impl Provider for LibsmProvider {
         messages.iter().map(|message| self.sm3(&[message])).collect()
     }
 
-    fn gcm_seal_in_place(
-        &self,
-        key: &[u8; 16],
-        nonce: &[u8; 12],
-        aad: &[u8],
-        text: &mut [u8],
-    ) -> Result<[u8; 16], CryptoError> {
+    fn gcm_seal_in_place(&self, key: &[u8; 16], nonce: &[u8; 12], aad: &[u8], text: &mut [u8]) -> Result<[u8; 16]> {
         gcm::seal(&Sm4Block::new(key)?, nonce, aad, text)
     }
 
-    fn gcm_open(
-        &self,
-        key: &[u8; 16],
-        nonce: &[u8; 12],
-        aad: &[u8],
-        sealed: &[u8],
-    ) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
+    fn gcm_open(&self, key: &[u8; 16], nonce: &[u8; 12], aad: &[u8], sealed: &[u8]) -> Result<Zeroizing<Vec<u8>>> {
         gcm::open(&Sm4Block::new(key)?, nonce, aad, sealed)
     }
 
-    fn sign(&self, secret: &SmSecret, message: &[u8]) -> Result<Signature, CryptoError> {
+    fn sign(&self, secret: &SmSecret, message: &[u8]) -> Result<Signature> {
         let public = libsm_point(secret.public_key(self)?)?;
         let signature =
             CONTEXT.sign(message, &scalar(secret)?, &public).map_err(|_| CryptoError::Internal("SM2 signature"))?;
@@ -384,7 +360,7 @@ impl Provider for LibsmProvider {
         Ok(Signature(joined(&padded(&r)?, &padded(&s)?)))
     }
 
-    fn verify(&self, public: &PublicKey, message: &[u8], signature: &Signature) -> Result<(), CryptoError> {
+    fn verify(&self, public: &PublicKey, message: &[u8], signature: &Signature) -> Result<()> {
         let public = libsm_point(public)?;
         let (r, s) = signature.0.split_at(32);
         if !in_range(r) || !in_range(s) {
@@ -396,7 +372,7 @@ impl Provider for LibsmProvider {
         }
     }
 
-    fn encrypt(&self, public: &PublicKey, plain: &[u8]) -> Result<Vec<u8>, CryptoError> {
+    fn encrypt(&self, public: &PublicKey, plain: &[u8]) -> Result<Vec<u8>> {
         check_plain(plain)?;
         let raw = EncryptCtx::new(plain.len(), libsm_point(public)?)
             .encrypt(plain)
@@ -404,7 +380,7 @@ impl Provider for LibsmProvider {
         reordered(&raw, plain.len()).map(|parts| parts.encode()).ok_or(CryptoError::Internal("SM2 encryption"))
     }
 
-    fn decrypt(&self, secret: &SmSecret, der: &[u8]) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
+    fn decrypt(&self, secret: &SmSecret, der: &[u8]) -> Result<Zeroizing<Vec<u8>>> {
         let CipherParts { x, y, check, text } = CipherParts::parse(der)?;
         libsm_point(&PublicKey(joined(&x, &y)))?;
         let raw = [&[4], &x[..], &y, &text, &check].concat();
@@ -414,14 +390,14 @@ impl Provider for LibsmProvider {
             .map_err(|_| CryptoError::BadCiphertext)
     }
 
-    fn public_key(&self, secret: &SmSecret) -> Result<PublicKey, CryptoError> {
+    fn public_key(&self, secret: &SmSecret) -> Result<PublicKey> {
         let internal = |_| CryptoError::Internal("SM2");
         let point = CONTEXT.pk_from_sk(&scalar(secret)?).map_err(internal)?;
         let bytes = CONTEXT.serialize_pubkey(&point, false).map_err(internal)?;
         bytes.get(1..).and_then(PublicKey::from_slice).ok_or(CryptoError::Internal("SM2"))
     }
 
-    fn check_public_key(&self, public: &PublicKey) -> Result<(), CryptoError> {
+    fn check_public_key(&self, public: &PublicKey) -> Result<()> {
         libsm_point(public).map(|_| ())
     }
 }

@@ -13,8 +13,8 @@ use crate::model::{
 };
 use crate::pool::{each, helpers_for};
 use crate::{
-    CryptoError, IndexKey, Provider, SmKeyPair, TopicKey, fault, filter_id, filter_key, random_bytes, signer_id,
-    topic_filter_id, topic_id,
+    CryptoError, IndexKey, Provider, Result, SmKeyPair, TopicKey, fault, filter_id, filter_key, random_bytes,
+    signer_id, topic_filter_id, topic_id,
 };
 use subtle::ConstantTimeEq as _;
 use zeroize::{Zeroize as _, Zeroizing};
@@ -68,7 +68,7 @@ pub struct SealedRecord {
 /// Seals one record under a fresh random salt.
 /// # Errors
 /// [`CryptoError::Length`] or [`CryptoError::Inconsistent`] if a field is out of bounds, [`CryptoError::Random`].
-pub fn seal(provider: &dyn Provider, request: &SealRequest<'_>) -> Result<SealedRecord, CryptoError> {
+pub fn seal(provider: &dyn Provider, request: &SealRequest<'_>) -> Result<SealedRecord> {
     seal_in_steps(provider, request, &mut |_| ())
 }
 
@@ -79,7 +79,7 @@ pub fn seal_in_steps(
     provider: &dyn Provider,
     request: &SealRequest<'_>,
     done: &mut impl FnMut(Step),
-) -> Result<SealedRecord, CryptoError> {
+) -> Result<SealedRecord> {
     let head = Zeroizing::new(request.head.encode());
     check_request(request, head.len())?;
     done(Step::Fields);
@@ -106,7 +106,7 @@ fn append(
     aad: &[u8],
     plain: &[u8],
     blob: &mut Vec<u8>,
-) -> Result<(), CryptoError> {
+) -> Result<()> {
     let start = blob.len();
     blob.extend_from_slice(plain);
     let sealed = provider.gcm_seal_in_place(key, nonce, aad, &mut blob[start..]);
@@ -115,7 +115,7 @@ fn append(
     Ok(())
 }
 
-fn header(request: &SealRequest<'_>, head_length: usize) -> Result<(Header, RecordKeys), CryptoError> {
+fn header(request: &SealRequest<'_>, head_length: usize) -> Result<(Header, RecordKeys)> {
     let long = |what| CryptoError::Length { what, found: usize::MAX, allowed: "far less" };
     let signer = signer_id(&request.signer.public);
     let mut header = Header {
@@ -139,7 +139,7 @@ fn header(request: &SealRequest<'_>, head_length: usize) -> Result<(Header, Reco
     Ok((header, keys))
 }
 
-fn check_request(request: &SealRequest<'_>, head: usize) -> Result<(), CryptoError> {
+fn check_request(request: &SealRequest<'_>, head: usize) -> Result<()> {
     let largest_head = usize::try_from(LARGEST_HEAD).unwrap_or(usize::MAX) - TAG_LENGTH;
     let largest_body = usize::try_from(LARGEST_BODY).unwrap_or(usize::MAX) - TAG_LENGTH;
     let body = request.body.len();
@@ -191,7 +191,7 @@ impl RecordKeys {
     }
 
     /// These, if they are those that the header commits to.
-    fn committed(self, header: &Header) -> Result<Self, CryptoError> {
+    fn committed(self, header: &Header) -> Result<Self> {
         let is_committed = bool::from(self.commit.ct_eq(&header.commit.0));
         if is_committed || fault::is_off("commit") { Ok(self) } else { Err(CryptoError::WrongKey) }
     }
@@ -236,7 +236,7 @@ impl Names {
     /// Compares the names in a head with the header that it is sealed under.
     /// # Errors
     /// [`CryptoError::FalseName`] with the first name that does not belong to its pseudonym.
-    pub fn check(&self, header: &Header, head: &Head) -> Result<(), CryptoError> {
+    pub fn check(&self, header: &Header, head: &Head) -> Result<()> {
         let false_name = match self {
             Self::Given(topic) => (head.topic != *topic).then_some("topic"),
             Self::Derived(index) => false_name(index, header, head),
@@ -365,7 +365,7 @@ pub fn check_deleted(
     digest: Digest,
     signature: &Signature,
     signer: &PublicKey,
-) -> Result<Header, CryptoError> {
+) -> Result<Header> {
     let (header, _) = Header::parse(header).map_err(CryptoError::DamagedRecord)?;
     let signed = header.signer == signer_id(signer)
         && provider.verify(signer, &signed_bytes(&header.domain, &digest), signature).is_ok();
@@ -378,7 +378,7 @@ fn checked<'a>(
     Unchecked { blob, signature, signer, anchor }: Unchecked<'a>,
     digest: Option<Digest>,
     done: &mut impl FnMut(Step),
-) -> Result<(Parts<'a>, Digest, Verdict), CryptoError> {
+) -> Result<(Parts<'a>, Digest, Verdict)> {
     let parts = parse(blob).map_err(CryptoError::DamagedRecord)?;
     done(Step::Fields);
     let digest = digest.unwrap_or_else(|| Digest(provider.sm3(&[blob])));
@@ -409,7 +409,7 @@ pub fn open(
     anchor: Anchor,
     topic_key: &TopicKey,
     expected: &Expected,
-) -> Result<OpenedRecord, CryptoError> {
+) -> Result<OpenedRecord> {
     open_in_steps(provider, (blob, signature, signer), anchor, topic_key, expected, &mut |_| ())
 }
 
@@ -423,7 +423,7 @@ pub fn open_in_steps(
     topic_key: &TopicKey,
     expected: &Expected,
     done: &mut impl FnMut(Step),
-) -> Result<OpenedRecord, CryptoError> {
+) -> Result<OpenedRecord> {
     let (parts, digest, verdict) = checked(provider, Unchecked { blob, signature, signer, anchor }, None, done)?;
     let keys = RecordKeys::derive(topic_key, &parts.header).committed(&parts.header)?;
     done(Step::Keys);
@@ -441,7 +441,7 @@ fn unseal(
     keys: &RecordKeys,
     parts: &Parts<'_>,
     done: &mut impl FnMut(Step),
-) -> Result<(Head, Vec<u8>), CryptoError> {
+) -> Result<(Head, Vec<u8>)> {
     let tampered = |what| move |_| CryptoError::Tampered(what);
     let head = provider
         .gcm_open(&keys.head_key, &keys.head_nonce, parts.prefix, parts.head)
@@ -465,7 +465,7 @@ pub fn open_front(
     front: &[u8],
     topic_key: &TopicKey,
     names: &Names,
-) -> Result<(Header, Head), CryptoError> {
+) -> Result<(Header, Head)> {
     let (header, length) = Header::parse(front).map_err(CryptoError::DamagedRecord)?;
     let short = || CryptoError::DamagedRecord(WireError::Short("sealed head"));
     let (prefix, rest) = front.split_at_checked(length).ok_or_else(short)?;
@@ -480,7 +480,7 @@ pub fn open_front(
 }
 
 /// The message as it was captured; the head's plain length bounds the decompression.
-fn restore(head: &Head, body: Vec<u8>) -> Result<Vec<u8>, CryptoError> {
+fn restore(head: &Head, body: Vec<u8>) -> Result<Vec<u8>> {
     if head.compression == Compression::None {
         return Ok(body);
     }
@@ -489,7 +489,7 @@ fn restore(head: &Head, body: Vec<u8>) -> Result<Vec<u8>, CryptoError> {
     unpack(head.compression, &packed, length).map_err(CryptoError::DamagedRecord)
 }
 
-fn compare(expected: &Expected, header: &Header) -> Result<(), CryptoError> {
+fn compare(expected: &Expected, header: &Header) -> Result<()> {
     let differs = |wanted: Option<u64>, found| wanted.is_some_and(|wanted| wanted != found);
     let fields = [
         ("domain", expected.domain != header.domain),
@@ -518,7 +518,7 @@ pub struct Unchecked<'a> {
 }
 
 /// The result of checking a record.
-pub type Checked = Result<(Header, Digest, Verdict), CryptoError>;
+pub type Checked = Result<(Header, Digest, Verdict)>;
 
 /// Checks each record like [`check`], in order, on as many cores as is worthwhile.
 pub fn check_many(provider: &dyn Provider, records: &[Unchecked<'_>]) -> Vec<Checked> {
@@ -567,7 +567,7 @@ pub struct Revealed {
 /// Opens a stored record with its own secret. Digest, signature and anchor are checked elsewhere.
 /// # Errors
 /// [`CryptoError::WrongKey`] if the record does not commit to this secret, otherwise as for opening.
-pub fn open_revealed(provider: &dyn Provider, blob: &[u8], secret: &RecordSecret) -> Result<Revealed, CryptoError> {
+pub fn open_revealed(provider: &dyn Provider, blob: &[u8], secret: &RecordSecret) -> Result<Revealed> {
     let mut budget = u64::MAX;
     open_revealed_within(provider, blob, secret, &mut budget)?.ok_or(CryptoError::Tampered("plain length"))
 }
@@ -580,7 +580,7 @@ pub fn open_revealed_within(
     blob: &[u8],
     secret: &RecordSecret,
     budget: &mut u64,
-) -> Result<Option<Revealed>, CryptoError> {
+) -> Result<Option<Revealed>> {
     let parts = parse(blob).map_err(CryptoError::DamagedRecord)?;
     let keys = secret.keys(&parts.header).committed(&parts.header)?;
     let (head, body) = unseal(provider, &keys, &parts, &mut |_| ())?;
@@ -590,9 +590,9 @@ pub fn open_revealed_within(
     Ok(Some(Revealed { header: parts.header, head, body }))
 }
 
-/// The bytes an owner signs to disclose a record: label, domain, digest, secret.
-pub fn reveal_bytes(domain: &Domain, digest: &Digest, secret: &RecordSecret) -> Zeroizing<Vec<u8>> {
-    Zeroizing::new([&b"AuthROS/reveal/1"[..], &domain.0, &digest.0, secret.expose()].concat())
+/// The bytes an owner signs to disclose records: label, domain, the list of digests and secrets.
+pub fn reveal_bytes(domain: &Domain, list: &[u8]) -> Zeroizing<Vec<u8>> {
+    Zeroizing::new([&b"AuthROS/reveal/2"[..], &domain.0, list].concat())
 }
 
 /// The step just done. A step may be reported more than once for a record.

@@ -5,7 +5,7 @@ use crate::model::wire::{Reader, WireError};
 use crate::model::{Address, Domain, SignerId};
 
 use super::identity::check_account;
-use super::{AccountSignature, CryptoError, EoaSecret, TypedStructure, sign_hash};
+use super::{AccountSignature, CryptoError, EoaSecret, Result, TypedStructure, sign_hash};
 
 /// The EIP-712 type that the account signs.
 const TYPE: &str = "Policy(address owner,bytes32 device,uint64 version,bytes policy)";
@@ -29,13 +29,7 @@ impl SignedPolicy {
     /// The owner's policy for a device, signed by the account.
     /// # Errors
     /// [`CryptoError::Length`] if it is too long, [`CryptoError::Internal`].
-    pub fn sign(
-        domain: &Domain,
-        account: &EoaSecret,
-        device: SignerId,
-        version: u64,
-        text: &str,
-    ) -> Result<Self, CryptoError> {
+    pub fn sign(domain: &Domain, account: &EoaSecret, device: SignerId, version: u64, text: &str) -> Result<Self> {
         if text.len() > LONGEST_POLICY {
             return Err(CryptoError::Length { what: WHAT, found: text.len(), allowed: "at most 65,536 bytes" });
         }
@@ -46,7 +40,7 @@ impl SignedPolicy {
     /// Whether the owner's account signed it for this device.
     /// # Errors
     /// [`CryptoError::NotAccepted`].
-    pub fn check(&self, domain: &Domain, owner: &Address, device: &SignerId) -> Result<(), CryptoError> {
+    pub fn check(&self, domain: &Domain, owner: &Address, device: &SignerId) -> Result<()> {
         let hash = signed_hash(domain, owner, device, (self.version, &self.text));
         check_account(&hash, &self.account_signature, owner, WHAT)
     }

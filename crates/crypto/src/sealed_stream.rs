@@ -8,7 +8,7 @@ use zeroize::Zeroizing;
 
 use crate::keystore::{FileKey, SaveKeys, SealedHead};
 use crate::model::wire::{Reader, WireError};
-use crate::{CryptoError, Passphrase, Provider, ProviderName, provider};
+use crate::{CryptoError, Passphrase, Provider, ProviderName, Result, provider};
 
 const MAGIC: [u8; 8] = *b"\x89AuthBak";
 const LABEL: &str = "AuthROS/backup/1";
@@ -145,7 +145,7 @@ impl<R: Read> SealedReader<R> {
         Self::with(inner, |header| FileKey::with(passphrase, header.0.work, header.0.salt))
     }
 
-    fn with(mut inner: R, key: impl FnOnce(&StreamHeader) -> Result<FileKey, CryptoError>) -> io::Result<Self> {
+    fn with(mut inner: R, key: impl FnOnce(&StreamHeader) -> Result<FileKey>) -> io::Result<Self> {
         let mut header = vec![0; HEADER];
         inner.read_exact(&mut header).map_err(|error| match error.kind() {
             io::ErrorKind::UnexpectedEof => damaged("it is shorter than a header"),
@@ -222,7 +222,7 @@ mod tests {
     /// Cheap, because the tests derive it again and again.
     const WORK: Work = Work { log_n: 4, r: 8, p: 1 };
 
-    fn key(passphrase: &str, salt: [u8; 32]) -> Result<FileKey, CryptoError> {
+    fn key(passphrase: &str, salt: [u8; 32]) -> Result<FileKey> {
         FileKey::with(&Passphrase::new(passphrase.to_owned()).expect("long enough"), WORK, salt)
     }
 

@@ -11,7 +11,7 @@ use crate::model::bytes::{hex, unhex};
 use crate::model::wire::{Reader, Wire, WireError};
 use crate::model::{Address, PublicKey, SignerId, clean};
 use crate::provider::{self, Provider, ProviderName};
-use crate::{CryptoError, kdf, sm2 as kernels};
+use crate::{CryptoError, Result, kdf, sm2 as kernels};
 use scrypt::Params;
 use sm2::dsa::SigningKey;
 use subtle::ConstantTimeEq as _;
@@ -52,7 +52,7 @@ macro_rules! secret_bytes {
             }
 
             /// Fresh, from the operating system's random source.
-            pub fn generate() -> Result<Self, CryptoError> {
+            pub fn generate() -> Result<Self> {
                 random_bytes().map(Self)
             }
 
@@ -92,7 +92,7 @@ secret_bytes! {
 }
 
 /// Fresh random bytes, drawn again until they are in range.
-fn drawn<T>(of: impl Fn(&[u8]) -> Result<T, CryptoError>) -> Result<T, CryptoError> {
+fn drawn<T>(of: impl Fn(&[u8]) -> Result<T>) -> Result<T> {
     loop {
         if let Ok(secret) = of(&*Zeroizing::new(random_bytes::<32>()?)) {
             return Ok(secret);
@@ -111,12 +111,12 @@ pub struct EoaSecret {
 
 impl EoaSecret {
     /// Fresh, from the operating system's random source.
-    pub fn generate() -> Result<Self, CryptoError> {
+    pub fn generate() -> Result<Self> {
         drawn(Self::from_slice)
     }
 
     /// From 32 bytes, big endian, 1 to n - 1 of secp256k1.
-    pub fn from_slice(bytes: &[u8]) -> Result<Self, CryptoError> {
+    pub fn from_slice(bytes: &[u8]) -> Result<Self> {
         let range = CryptoError::SecretRange("secp256k1");
         let Ok(secret) = <[u8; 32]>::try_from(bytes) else { return Err(range) };
         let Ok(key) = k256::ecdsa::SigningKey::from_slice(bytes) else { return Err(range) };
@@ -180,12 +180,12 @@ pub struct SmSecret {
 
 impl SmSecret {
     /// Fresh, from the operating system's random source.
-    pub fn generate() -> Result<Self, CryptoError> {
+    pub fn generate() -> Result<Self> {
         drawn(Self::from_slice)
     }
 
     /// From 32 bytes, big endian.
-    pub fn from_slice(bytes: &[u8]) -> Result<Self, CryptoError> {
+    pub fn from_slice(bytes: &[u8]) -> Result<Self> {
         let array = <[u8; 32]>::try_from(bytes).map(Zeroizing::new).map_err(|_| CryptoError::SecretRange("SM2"))?;
         if !is_secret(&array) {
             return Err(CryptoError::SecretRange("SM2"));
@@ -198,7 +198,7 @@ impl SmSecret {
         &self.bytes
     }
 
-    pub(crate) fn kernel_key(&self) -> Result<&kernels::SigningKey, CryptoError> {
+    pub(crate) fn kernel_key(&self) -> Result<&kernels::SigningKey> {
         if self.kernel.get().is_none() {
             // Another thread may have been first; its key is the same, and the second one wipes itself.
             let _ = self.kernel.set(Box::new(kernels::SigningKey::new(&self.bytes)?));
@@ -206,7 +206,7 @@ impl SmSecret {
         self.kernel.get().map(|key| &**key).ok_or(CryptoError::Internal("SM2"))
     }
 
-    pub(crate) fn signing_key(&self) -> Result<&SigningKey, CryptoError> {
+    pub(crate) fn signing_key(&self) -> Result<&SigningKey> {
         if self.signing.get().is_none() {
             // Another thread may have been first; its key is the same.
             if let Err(mut second) = self.signing.set(Box::new(provider::signing_key(&self.bytes)?)) {
@@ -217,7 +217,7 @@ impl SmSecret {
     }
 
     /// The public key, computed by `provider` the first time.
-    pub(crate) fn public_key(&self, provider: &dyn Provider) -> Result<&PublicKey, CryptoError> {
+    pub(crate) fn public_key(&self, provider: &dyn Provider) -> Result<&PublicKey> {
         if self.public.get().is_none() {
             let _ = self.public.set(provider.public_key(self)?);
         }
@@ -262,12 +262,12 @@ pub struct SmKeyPair {
 
 impl SmKeyPair {
     /// A fresh pair.
-    pub fn generate(provider: &dyn Provider) -> Result<Self, CryptoError> {
+    pub fn generate(provider: &dyn Provider) -> Result<Self> {
         Self::from_secret(provider, SmSecret::generate()?)
     }
 
     /// The pair of a private key.
-    pub fn from_secret(provider: &dyn Provider, secret: SmSecret) -> Result<Self, CryptoError> {
+    pub fn from_secret(provider: &dyn Provider, secret: SmSecret) -> Result<Self> {
         let public = *secret.public_key(provider)?;
         Ok(Self { secret, public })
     }
@@ -346,7 +346,7 @@ pub struct Passphrase(Zeroizing<String>);
 
 impl Passphrase {
     /// From what a person typed or a file holds, without the trailing line break.
-    pub fn new(text: String) -> Result<Self, CryptoError> {
+    pub fn new(text: String) -> Result<Self> {
         let text = Zeroizing::new(text);
         let line = text.strip_suffix('\n').unwrap_or(&text);
         let line = line.strip_suffix('\r').unwrap_or(line);
@@ -358,7 +358,7 @@ impl Passphrase {
     }
 
     /// A random one of 128 bits, in hex.
-    pub fn random() -> Result<Self, CryptoError> {
+    pub fn random() -> Result<Self> {
         let bytes = Zeroizing::new(random_bytes::<16>()?);
         Ok(Self(Zeroizing::new(hex(&*bytes))))
     }
@@ -406,11 +406,7 @@ impl Work {
     }
 }
 
-pub(super) fn stretch<const N: usize>(
-    passphrase: &str,
-    salt: &[u8],
-    work: Work,
-) -> Result<Zeroizing<[u8; N]>, CryptoError> {
+pub(super) fn stretch<const N: usize>(passphrase: &str, salt: &[u8], work: Work) -> Result<Zeroizing<[u8; N]>> {
     let params = Params::new(work.log_n, work.r, work.p).map_err(|_| CryptoError::Internal("scrypt"))?;
     let mut out = Zeroizing::new([0; N]);
     scrypt::scrypt(passphrase.as_bytes(), salt, &params, &mut *out).map_err(|_| CryptoError::Internal("scrypt"))?;
@@ -420,7 +416,7 @@ pub(super) fn stretch<const N: usize>(
 // Random bytes from the operating system; the only source of randomness in this crate.
 
 /// `N` fresh random bytes.
-pub fn random_bytes<const N: usize>() -> Result<[u8; N], CryptoError> {
+pub fn random_bytes<const N: usize>() -> Result<[u8; N]> {
     let mut bytes = [0; N];
     getrandom::fill(&mut bytes).map_err(|_| CryptoError::Random)?;
     Ok(bytes)

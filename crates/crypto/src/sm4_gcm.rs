@@ -6,7 +6,7 @@ use zeroize::Zeroizing;
 
 use super::gcm::{LONGEST, TAG, lengths};
 use super::kernel::{Available, FIRST, Ghash, Sm4};
-use super::{CryptoError, fault};
+use super::{CryptoError, Result, fault};
 
 /// Bytes of the stream that come with H and E(J0).
 const EARLY: usize = FIRST - 32;
@@ -53,7 +53,7 @@ pub(super) fn seal(
     nonce: &[u8; 12],
     aad: &[u8],
     text: &mut [u8],
-) -> Result<[u8; TAG], CryptoError> {
+) -> Result<[u8; TAG]> {
     if u64::try_from(text.len()).unwrap_or(u64::MAX) > LONGEST {
         return Err(CryptoError::Length { what: "text for SM4-GCM", found: text.len(), allowed: "under 64 GiB" });
     }
@@ -78,7 +78,7 @@ pub(super) fn open(
     nonce: &[u8; 12],
     aad: &[u8],
     sealed: &[u8],
-) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
+) -> Result<Zeroizing<Vec<u8>>> {
     let (text, found) = sealed.split_last_chunk::<TAG>().ok_or(CryptoError::BadCiphertext)?;
     if u64::try_from(text.len()).unwrap_or(u64::MAX) > LONGEST {
         return Err(CryptoError::BadCiphertext);

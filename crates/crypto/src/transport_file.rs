@@ -8,7 +8,7 @@ use zeroize::Zeroizing;
 use super::kdf::{Info, key_and_nonce};
 use super::keystore::sealed_key;
 use super::private_file::{read_private, write_private};
-use super::{CryptoError, Provider, SmSecret, TransportKey, random_bytes};
+use super::{Provider, Result, SmSecret, TransportKey, random_bytes};
 use crate::model::wire::Reader;
 use crate::model::{Domain, ProfileName, SignerId};
 
@@ -40,7 +40,7 @@ pub fn save_transport_key(
     secret: &SmSecret,
     usage: TransportUse<'_>,
     key: &TransportKey,
-) -> Result<(), CryptoError> {
+) -> Result<()> {
     let salt = random_bytes()?;
     let (sealing, nonce) = sealing_key(secret, &salt, usage);
     let sealed = sealed_key(provider, (&sealing, &nonce), &MAGIC, key)?;
@@ -55,7 +55,7 @@ pub fn load_transport_key(
     provider: &dyn Provider,
     secret: &SmSecret,
     usage: TransportUse<'_>,
-) -> Result<Option<TransportKey>, CryptoError> {
+) -> Result<Option<TransportKey>> {
     if !path.exists() {
         return Ok(None);
     }

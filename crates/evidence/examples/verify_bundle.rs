@@ -19,7 +19,7 @@ fn run(bundle: &Path, trust: &Path) -> Result<Outcome, Box<dyn Error>> {
             println!("  ({letter}) {}: {}", level.standing.word(), level.text);
         }
     }
-    println!("{}", report.last_line());
+    report.lines().iter().for_each(|line| println!("{line}"));
     Ok(report.outcome)
 }
 

@@ -9,7 +9,7 @@ use crate::archive::{self, LARGEST, MIMETYPE, MOST_MEMBERS, Members, is_name};
 use crate::committed::BlockHeader;
 use crate::completeness::{self, HEIGHTS, Height};
 use crate::manifest::{self, ClaimedChain, Exporter, MANIFEST, MEDIA_TYPE, Manifest, SIGNATURE, signed_bytes};
-use crate::report::{Level, Standing};
+use crate::report::{Level, Reason, Standing};
 use crate::state::Nodes;
 use crate::time::{self, BundledStamp, DraftStamp, StampTree};
 use crate::trust::Trust;
@@ -30,6 +30,12 @@ pub const READ_ME: &str = "VERIFY.txt";
 pub const REPORT: &str = "report.html";
 /// The most records in a bundle.
 pub const MOST_RECORDS: usize = 10_000;
+/// Digests and secrets of the disclosed records.
+const DISCLOSED: &str = "disclosed.bin";
+/// Its owner's signature.
+const DISCLOSURE: &str = "disclosed.der";
+/// Length of a digest and a secret.
+const ENTRY: usize = 64;
 const ANCHOR_FORMAT: &str = "authros-anchor/1";
 const LONGEST_REPORT: usize = 16 << 20;
 const LONGEST_SMALL: usize = 64 * 1024;
@@ -112,13 +118,55 @@ impl AnchorClaim {
     }
 }
 
-/// A disclosure: the record's secret, and its owner's signature.
+/// The records that their owner disclosed, under one signature.
 #[derive(Debug, Clone)]
 pub struct Disclosure {
-    /// The secret from which the record's keys are derived.
-    pub secret: RecordSecret,
+    /// The secrets from which the records' keys are derived.
+    pub secrets: BTreeMap<Digest, RecordSecret>,
     /// SM2 by the owner.
     pub signature: Signature,
+}
+
+impl Disclosure {
+    /// Signs the list of these secrets.
+    pub fn sign(
+        secrets: BTreeMap<Digest, RecordSecret>,
+        domain: &Domain,
+        signer: &SmKeyPair,
+        provider: &dyn Provider,
+    ) -> Result<Self, PackingError> {
+        let signature = provider.sign(&signer.secret, &reveal_bytes(domain, &listed(&secrets)))?;
+        Ok(Self { secrets, signature })
+    }
+
+    fn parse(bytes: &[u8], signature: Signature) -> Result<Self, BundleError> {
+        let wrong = |why: &str| BundleError::of(DISCLOSED, why);
+        let (pairs, rest) = bytes.as_chunks::<ENTRY>();
+        if !rest.is_empty() || pairs.is_empty() || pairs.len() > MOST_RECORDS {
+            return Err(wrong("is not a list of digests and secrets"));
+        }
+        let mut secrets = BTreeMap::new();
+        for pair in pairs {
+            let (digest, secret) = pair.split_at(ENTRY / 2);
+            let (digest, secret) = (Digest::from_slice(digest), RecordSecret::from_slice(secret));
+            let (digest, secret) = digest.zip(secret).ok_or_else(|| wrong("is not a list of digests and secrets"))?;
+            if secrets.last_key_value().is_some_and(|(last, _)| *last >= digest) {
+                return Err(wrong("is not in the order of its digests"));
+            }
+            secrets.insert(digest, secret);
+        }
+        Ok(Self { secrets, signature })
+    }
+
+    /// Whether this key signed the list.
+    pub(crate) fn is_signed(&self, domain: &Domain, key: &PublicKey, provider: &dyn Provider) -> bool {
+        provider.verify(key, &reveal_bytes(domain, &listed(&self.secrets)), &self.signature).is_ok()
+    }
+}
+
+/// The bytes of `disclosed.bin`.
+fn listed(secrets: &BTreeMap<Digest, RecordSecret>) -> Vec<u8> {
+    secrets.iter().flat_map(|(digest, secret)| digest.0.iter().chain(secret.expose()).copied()).collect()
 }
 
 /// One record of a bundle.
@@ -130,8 +178,6 @@ pub struct BundledRecord {
     pub signature: Signature,
     /// Where it is anchored; `None` if it was on no chain.
     pub anchor: Option<AnchorClaim>,
-    /// Its disclosure.
-    pub disclosure: Option<Disclosure>,
 }
 
 /// A bundle whose members match its manifest, each well-formed.
@@ -143,6 +189,8 @@ pub struct Bundle {
     pub signed: bool,
     /// Records by the digest that they are filed under.
     pub records: BTreeMap<Digest, BundledRecord>,
+    /// Which of them are disclosed.
+    pub disclosure: Option<Disclosure>,
     /// Keys of signers.
     pub keys: BTreeMap<SignerId, PublicKey>,
     /// Identities by their Keccak-256.
@@ -165,6 +213,8 @@ pub struct Bundle {
 struct Drafts {
     records: BTreeMap<Digest, Draft>,
     stamps: BTreeMap<Hash, DraftStamp>,
+    disclosed: Option<Vec<u8>>,
+    disclosure: Option<Signature>,
 }
 
 impl Bundle {
@@ -197,6 +247,17 @@ impl Bundle {
         for (imprint, draft) in drafts.stamps {
             bundle.stamps.insert(imprint, draft.finish(&imprint)?);
         }
+        bundle.disclosure = match (drafts.disclosed, drafts.disclosure) {
+            (None, None) => None,
+            (Some(list), Some(signature)) => Some(Disclosure::parse(&list, signature)?),
+            (Some(_), None) => return Err(BundleError::of(DISCLOSURE, "is missing")),
+            (None, Some(_)) => return Err(BundleError::of(DISCLOSED, "is missing")),
+        };
+        let mut disclosed = bundle.disclosure.iter().flat_map(|disclosure| disclosure.secrets.keys());
+        if let Some(digest) = disclosed.find(|digest| !bundle.records.contains_key(digest)) {
+            let text = format!("discloses record {digest}, which is not in the bundle");
+            return Err(BundleError::of(DISCLOSED, &text));
+        }
         let key = bundle.keys.get(&bundle.manifest.exporter.key);
         bundle.signed =
             key.is_some_and(|key| crate::manifest::is_signed(members, &bundle.manifest.exporter, key, provider));
@@ -208,6 +269,7 @@ impl Bundle {
             manifest,
             signed: false,
             records: BTreeMap::new(),
+            disclosure: None,
             keys: BTreeMap::new(),
             identities: BTreeMap::new(),
             headers: BTreeMap::new(),
@@ -234,7 +296,7 @@ impl Bundle {
             ["records", _, "record.bin"]
             | ["chain", "nodes.rlp"]
             | ["stamps", _, "roots.json"]
-            | [MANIFEST | HEIGHTS] => usize::MAX,
+            | [MANIFEST | HEIGHTS | DISCLOSED] => usize::MAX,
             [REPORT] => LONGEST_REPORT,
             _ => LONGEST_SMALL,
         };
@@ -244,6 +306,10 @@ impl Bundle {
         match parts.as_slice() {
             [MIMETYPE | MANIFEST | SIGNATURE | READ_ME | REPORT] => {}
             [HEIGHTS] => self.heights = completeness::parse(bytes)?,
+            [DISCLOSED] => drafts.disclosed = Some(bytes.to_vec()),
+            [DISCLOSURE] => {
+                drafts.disclosure = Some(signature_from_der(bytes).map_err(|error| wrong(&error.to_string()))?);
+            }
             [SUGGESTED] => self.suggested = Some(text(name, bytes)?),
             ["records", digest, part] => {
                 // One spelling: 0x and capital letters would file a second part under the same record.
@@ -297,25 +363,20 @@ struct Draft {
     record: Option<Vec<u8>>,
     signature: Option<Signature>,
     anchor: Option<AnchorClaim>,
-    secret: Option<RecordSecret>,
-    disclosed: Option<Signature>,
 }
 
 impl Draft {
     fn take(&mut self, name: &str, part: &str, bytes: &[u8]) -> Result<(), BundleError> {
-        let signature = || signature_from_der(bytes).map_err(|error| BundleError::of(name, &error.to_string()));
         match part {
             "record.bin" if bytes.len() as u64 > LARGEST_BODY + u64::from(LARGEST_HEAD) + 1024 => {
                 return Err(BundleError::of(name, "is longer than any record can be"));
             }
             "record.bin" => self.record = Some(bytes.to_vec()),
-            "signature.der" => self.signature = Some(signature()?),
-            "anchor.json" => self.anchor = Some(AnchorClaim::parse(name, bytes)?),
-            "reveal.bin" => {
-                let secret = RecordSecret::from_slice(bytes);
-                self.secret = Some(secret.ok_or_else(|| BundleError::of(name, "is not exactly 32 bytes"))?);
+            "signature.der" => {
+                let signature = signature_from_der(bytes);
+                self.signature = Some(signature.map_err(|error| BundleError::of(name, &error.to_string()))?);
             }
-            "reveal.der" => self.disclosed = Some(signature()?),
+            "anchor.json" => self.anchor = Some(AnchorClaim::parse(name, bytes)?),
             _ => return Err(BundleError::of(name, "does not belong to a record")),
         }
         Ok(())
@@ -323,17 +384,10 @@ impl Draft {
 
     fn finish(self, digest: &Digest) -> Result<BundledRecord, BundleError> {
         let missing = |file: &str| BundleError::of(&format!("records/{digest}/{file}"), "is missing");
-        let disclosure = match (self.secret, self.disclosed) {
-            (None, None) => None,
-            (Some(secret), Some(signature)) => Some(Disclosure { secret, signature }),
-            (Some(_), None) => return Err(missing("reveal.der")),
-            (None, Some(_)) => return Err(missing("reveal.bin")),
-        };
         Ok(BundledRecord {
             record: self.record.ok_or_else(|| missing("record.bin"))?,
             signature: self.signature.ok_or_else(|| missing("signature.der"))?,
             anchor: self.anchor,
-            disclosure,
         })
     }
 }
@@ -422,13 +476,15 @@ impl Packing {
         if let Some(anchor) = &record.anchor {
             put("anchor.json", manifest::to_json("anchor.json", anchor)?);
         }
-        if let Some(disclosure) = &record.disclosure {
-            put("reveal.bin", disclosure.secret.expose().to_vec());
-            put("reveal.der", signature_der(&disclosure.signature));
-        }
         put("signature.der", signature_der(&record.signature));
         put("record.bin", record.record);
         Ok(())
+    }
+
+    /// Adds what an owner disclosed.
+    pub fn disclosure(&mut self, disclosure: &Disclosure) {
+        self.members.insert(DISCLOSED.to_owned(), listed(&disclosure.secrets));
+        self.members.insert(DISCLOSURE.to_owned(), signature_der(&disclosure.signature));
     }
 
     /// Adds a signer's key.
@@ -516,80 +572,59 @@ pub fn pack(members: &Members) -> Result<Vec<u8>, PackingError> {
     Ok(archive::write(members)?)
 }
 
-/// An owner's signature under the disclosure of a record.
-pub fn disclose(
-    secret: authros_crypto::record::RecordSecret,
-    (domain, digest): (&Domain, &Digest),
-    signer: &SmKeyPair,
-    provider: &dyn Provider,
-) -> Result<Disclosure, PackingError> {
-    let signature = provider.sign(&signer.secret, &reveal_bytes(domain, digest, &secret))?;
-    Ok(Disclosure { secret, signature })
-}
-
 /// The most bytes of messages produced from one file.
 pub(crate) const MOST_PLAIN: u64 = 256 * 1024 * 1024;
 /// The most identities tried for one owner.
 const MOST_IDENTITIES: usize = 16;
 
 /// Level (e) before the message is opened, as far as the state itself is trusted: who signed the disclosure.
-pub(crate) fn vouched(
-    check: &Check<'_>,
-    digest: Digest,
-    record: &BundledRecord,
-    header: &Header,
-    owner_key: Option<PublicKey>,
-) -> Level {
-    let disclosure = record.disclosure.as_ref();
+pub(crate) fn vouched(check: &Check<'_>, digest: Digest, header: &Header, owner_key: Option<PublicKey>) -> Level {
+    let disclosure = check.bundle.disclosure.as_ref().filter(|disclosure| disclosure.secrets.contains_key(&digest));
     disclosure.map_or_else(
         || Level::new(Standing::Absent, "sealed: its owner did not disclose it"),
-        |disclosure| signed(check, digest, disclosure, header, owner_key),
+        |disclosure| signed(check, disclosure, header.owner, owner_key),
     )
 }
 
 /// Level (e), and the message if it was opened. Takes its bytes from `left`; the signer was checked first.
 pub(crate) fn opened(
-    provider: &dyn Provider,
-    record: &BundledRecord,
+    check: &Check<'_>,
+    (digest, record): (Digest, &BundledRecord),
     level: Level,
     left: &mut u64,
 ) -> (Level, Option<Revealed>) {
-    let Some(disclosure) = record.disclosure.as_ref().filter(|_| level.standing != Standing::Refused) else {
+    let disclosure = check.bundle.disclosure.as_ref().filter(|_| level.standing != Standing::Refused);
+    let Some(secret) = disclosure.and_then(|disclosure| disclosure.secrets.get(&digest)) else {
         return (level, None);
     };
-    match open_revealed_within(provider, &record.record, &disclosure.secret, left) {
+    match open_revealed_within(check.provider, &record.record, secret, left) {
         Ok(Some(revealed)) => (level, Some(revealed)),
         Ok(None) => {
             let text = "its message is not opened: too much is disclosed in a single file";
-            (Level::unproven(text), None)
+            (Level::unproven(Reason::TooMuchDisclosed, text), None)
         }
-        Err(error) => (Level::refused(format!("the disclosed secret does not open it: {error}")), None),
+        Err(error) => {
+            let text = format!("the disclosed secret does not open it: {error}");
+            (Level::refused(Reason::BadDisclosure, text), None)
+        }
     }
 }
 
 /// An identity proves that its key made the disclosure, not whose account it is: only the state or a pin shows that.
-fn signed(
-    check: &Check<'_>,
-    digest: Digest,
-    disclosure: &Disclosure,
-    header: &Header,
-    owner_key: Option<PublicKey>,
-) -> Level {
-    let message = reveal_bytes(&header.domain, &digest, &disclosure.secret);
-    let is_owners = |key: &PublicKey| check.provider.verify(key, &message, &disclosure.signature).is_ok();
-    let pinned = check.trust.and_then(|trust| trust.person(header.owner)).and_then(|person| person.key);
+fn signed(check: &Check<'_>, disclosure: &Disclosure, owner: Address, owner_key: Option<PublicKey>) -> Level {
+    let is_owners = |key: &PublicKey| check.known.has_signed(check, disclosure, key);
+    let pinned = check.trust.and_then(|trust| trust.person(owner)).and_then(|person| person.key);
     let pinned = pinned.and_then(|key| check.bundle.keys.get(&key)).copied();
     if [owner_key, pinned].iter().flatten().any(is_owners) {
         return Level::proven("opened by its owner's disclosure");
     }
     let identities = &check.bundle.identities;
     let mut claimed = identities.iter().take(MOST_IDENTITIES);
-    let claims = claimed.any(|(hash, identity)| {
-        check.known.is_of(check, (*hash, identity), header.owner) && is_owners(&identity.signing)
-    });
+    let claims = claimed
+        .any(|(hash, identity)| check.known.is_of(check, (*hash, identity), owner) && is_owners(&identity.signing));
     if claims || identities.len() > MOST_IDENTITIES {
         let text = "it opens, and this is the message; there is no proof that its owner disclosed it";
-        return Level::unproven(text);
+        return Level::unproven(Reason::UnprovenDisclosure, text);
     }
-    Level::refused("the disclosure is not signed by its owner")
+    Level::refused(Reason::ForeignDisclosure, "the disclosure is not signed by its owner")
 }

@@ -7,7 +7,7 @@ use std::fmt;
 
 use crate::bundle::{AnchorClaim, Anchoring, BundledRecord};
 use crate::manifest::{is_canonical, text};
-use crate::report::{Level, Standing};
+use crate::report::{Level, Reason, Standing};
 use crate::state::{Storage, Unproven};
 use crate::verify::Check;
 use authros_crypto::merkle::Leaf;
@@ -399,7 +399,7 @@ pub(crate) fn anchored<'a>(
     record: &'a BundledRecord,
 ) -> (Level, Option<Anchored<'a>>) {
     let Some(claim) = &record.anchor else {
-        return (Level::unproven("it was not on a chain when it was exported"), None);
+        return (Level::unproven(Reason::NotAnchored, "it was not on a chain when it was exported"), None);
     };
     match find(check, digest, header, claim) {
         Err(level) => (level, None),
@@ -414,23 +414,24 @@ pub(crate) fn anchored<'a>(
 fn find<'a>(check: &Check<'a>, digest: Digest, header: &Header, claim: &'a AnchorClaim) -> Found<'a> {
     let (leaf, at) = (Leaf::of(header, digest), claim.shown_at);
     if !check.known.leads(&leaf, claim) {
-        return Err(Level::refused("its path does not lead to the root it names"));
+        return Err(Level::refused(Reason::WrongPath, "its path does not lead to the root it names"));
     }
-    let no_header = || Level::unproven(format!("the header of block {at} is not in the bundle"));
+    let no_header = || Level::unproven(Reason::HeaderMissing, format!("the header of block {at} is not in the bundle"));
     let shown_at = check.bundle.headers.get(&at).ok_or_else(no_header)?;
     let unshown = |why: Unproven, what: String| match why {
-        Unproven::Missing(_) => Level::unproven(format!("{what} is not in the bundle")),
-        why => Level::refused(format!("after block {at}: {why}")),
+        Unproven::Missing(_) => Level::unproven(Reason::StateMissing, format!("{what} is not in the bundle")),
+        why => Level::refused(Reason::StateBroken, format!("after block {at}: {why}")),
     };
     let storage = || Storage::of(&check.bundle.nodes, shown_at.state_root, check.contract);
     let storage = check.known.storages.get(shown_at.number, storage);
     let storage = storage.map_err(|why| unshown(why, format!("the state after block {at}")))?;
     if check.trust.is_some_and(|trust| trust.chain.code_hash != storage.code_hash) {
-        return Err(Level::refused("the contract's code is not the code you pinned"));
+        return Err(Level::refused(Reason::OtherCode, "the contract's code is not the code you pinned"));
     }
     let found = in_state((check, &storage), digest, header, claim, shown_at)
         .map_err(|why| unshown(why, format!("the part of the state after block {at} that holds its anchor")))?;
-    let nothing = || Level::refused(format!("the state after block {at} does not contain its anchor"));
+    let nothing =
+        || Level::refused(Reason::AnchorMissing, format!("the state after block {at} does not contain its anchor"));
     compare(found.ok_or_else(nothing)?, claim, shown_at)
 }
 
@@ -471,20 +472,23 @@ fn compare<'a>((anchored, counted): Counted<'a>, claim: &AnchorClaim, shown_at: 
         Anchoring::Batch { count, .. } => Some(*count),
     };
     if counted != claimed {
-        return Err(Level::refused("its path was made for a different number of leaves than the chain has"));
+        let text = "its path was made for a different number of leaves than the chain has";
+        return Err(Level::refused(Reason::OtherAnchor, text));
     }
     let (found, said) = (anchored.block, claim.block);
     if found < said && claimed == Some(1) {
         // The contract stores only a root's first block. A batch of one whose block was skipped has no other root.
-        return Err(Level::unproven(format!(
-            "the state has it in block {found}; no state shows that it was anchored again in block {said}"
-        )));
+        let text =
+            format!("the state has it in block {found}; no state shows that it was anchored again in block {said}");
+        return Err(Level::unproven(Reason::FirstBlockOnly, text));
     }
     if found != said {
-        return Err(Level::refused(format!("the chain has it in block {found}, the bundle says {said}")));
+        let text = format!("the chain has it in block {found}, the bundle says {said}");
+        return Err(Level::refused(Reason::OtherAnchor, text));
     }
     if anchored.block > shown_at.number || anchored.time.is_some_and(|time| time > shown_at.timestamp) {
-        return Err(Level::refused("the state dates its anchor to a block later than the state itself"));
+        let text = "the state dates its anchor to a block later than the state itself";
+        return Err(Level::refused(Reason::OtherAnchor, text));
     }
     Ok((anchored, shown_at))
 }
@@ -502,7 +506,7 @@ fn sealed(check: &Check<'_>, anchored: &Anchored<'_>, shown_at: &BlockHeader) ->
     let Some(trust) = check.trust else {
         let who = shown_at.sealed_by();
         let text = format!("{what}{at}, sealed by {who}: you pinned no signers, so this proves nothing yet");
-        return Level::unproven(text);
+        return Level::unproven(Reason::NoTrust, text);
     };
     let found = || seals(&check.bundle.headers, shown_at.number, &trust.chain.signers);
     let found = check.known.seals.get(shown_at.number, found);
@@ -534,16 +538,21 @@ fn too_few(found: &Seals, shown_at: &BlockHeader, (all, what): (usize, String), 
     let number = shown_at.number;
     match (found.flaw, found.committed, found.stranger) {
         (Some(flaw), Some(protocol), _) => {
-            Level::refused(format!("block {number} is not sealed as {protocol} demands: {flaw}"))
+            let text = format!("block {number} is not sealed as {protocol} demands: {flaw}");
+            Level::refused(Reason::BrokenSeals, text)
         }
-        _ if all == 0 && !found.unsigned => Level::unproven(counted),
+        _ if all == 0 && !found.unsigned => Level::unproven(Reason::NoSigners, counted),
         (_, _, Some(stranger)) if found.pinned.is_empty() => {
-            Level::refused(format!("block {number} is sealed by {stranger}, who is not a signer you pinned"))
+            let text = format!("block {number} is sealed by {stranger}, who is not a signer you pinned");
+            Level::refused(Reason::OtherSigner, text)
         }
-        _ if found.unsigned => Level::unproven(format!(
-            "{what}; its header has no seal that this version can check (it checks those of Clique, QBFT and IBFT 2.0): a \
-                 development node, proof of work or another consensus"
-        )),
-        _ => Level::unproven(counted),
+        _ if found.unsigned => {
+            let text = format!(
+                "{what}; its header has no seal that this version can check (it checks those of Clique, QBFT and IBFT \
+                 2.0): a development node, proof of work or another consensus"
+            );
+            Level::unproven(Reason::NoSeal, text)
+        }
+        _ => Level::unproven(Reason::FewSigners, counted),
     }
 }

@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::BundleError;
-use crate::report::{HeadsClaim, RecordReport, Standing, Stretch};
+use crate::report::{HeadsClaim, Reason, RecordReport, Standing, Stretch};
 use crate::verify::Messages;
 use authros_crypto::merkle::{LONGEST_PATH, height_hash, root_of};
 use authros_model::{Address, Birth, Digest, Hash, Heads, RecorderId, SignerId, TopicId};
@@ -31,6 +31,7 @@ pub(crate) fn stretches(heights: &[Height], records: &[RecordReport], messages: 
             (stretch.born_at, stretch.predecessor) = (record.anchored_at, birth.predecessor);
         }
         let own = are_statements(&numbered);
+        stretch.own_statements = own;
         if own {
             // They were included for the sake of other topics: nobody claims that these are all.
             (stretch.gaps, stretch.missing, stretch.heads) = (Vec::new(), 0, None);
@@ -80,6 +81,11 @@ fn stretch((owner, signer, recorder, topic_id): Topic, numbered: &Numbered<'_>, 
         (true, false, true) => Standing::OwnChain,
         (true, false, false) => Standing::Proven,
     };
+    let reason = match (twice.is_empty(), standing) {
+        (false, _) => Some(Reason::TwoHistories),
+        (true, Standing::Refused) => Some(Reason::FalseHeads),
+        (true, _) => None,
+    };
     let (first, last) = (numbers.first().copied(), numbers.last().copied());
     let between = numbers.iter().zip(numbers.iter().skip(1)).filter(|(one, next)| **next - **one > 1);
     let mut gaps: Vec<(u64, u64)> = between.map(|(one, next)| (one + 1, next - 1)).collect();
@@ -94,6 +100,8 @@ fn stretch((owner, signer, recorder, topic_id): Topic, numbered: &Numbered<'_>, 
         recorder,
         topic_id,
         standing,
+        reason,
+        own_statements: false,
         first,
         last,
         gaps,

@@ -18,16 +18,17 @@ mod tests;
 pub mod time;
 pub mod trie;
 mod trust;
+mod verdict;
 mod verify;
 
 pub use bundle::{
     AnchorClaim, Anchoring, Bundle, BundleError, BundledRecord, Disclosure, MOST_RECORDS, Packing, PackingError,
-    READ_ME, READ_ME_TEXT, REPORT, SUGGESTED, disclose, pack,
+    READ_ME, READ_ME_TEXT, REPORT, SUGGESTED, pack,
 };
 pub use committed::{BlockHeader, Committed, Flaw, LONGEST_HEADER, Protocol, Seals, seals, validators_in};
 pub use completeness::{Height, MOST_HEIGHTS};
-pub use manifest::{ClaimedChain, Exporter, FORMAT, MEDIA_TYPE, Manifest, Member};
-pub use report::{Disclosed, HeadsClaim, Level, Outcome, RecordReport, Report, Standing, Stretch};
+pub use manifest::{ClaimedChain, Exporter, FORMAT, MEDIA_TYPE, Manifest, Member, Suite};
+pub use report::{Disclosed, HeadsClaim, Level, Outcome, Reason, RecordReport, Report, Standing, Stretch};
 pub use state::{AnchorWord, KeysWord, LoanWord, Nodes, Slot, Storage, Unproven, Word};
 pub use trust::{LONGEST_TRUST, Person, PinnedAuthority, PinnedChain, Trust, TrustError};
 pub use verify::verify;

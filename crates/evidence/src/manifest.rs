@@ -27,12 +27,36 @@ const UNLISTED: [&str; 3] = [MIMETYPE, MANIFEST, SIGNATURE];
 pub struct Manifest {
     /// [`FORMAT`].
     pub format: String,
+    /// The names of its suite and algorithms, compared with those of this version.
+    pub suite: Suite,
     /// The chain that it claims to be of.
     pub chain: ClaimedChain,
     /// Its exporter.
     pub exporter: Exporter,
     /// Every other member, by name.
     pub members: Vec<Member>,
+}
+
+/// A suite and its algorithms, by their names.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(missing_docs, reason = "the names of algorithms, by their use")]
+pub struct Suite {
+    pub name: String,
+    pub signature: String,
+    pub digest: String,
+    pub cipher: String,
+    pub kdf: String,
+    pub chain: String,
+}
+
+impl Suite {
+    /// The one that this version knows.
+    pub fn known() -> Self {
+        let [name, signature, digest, cipher, kdf, chain] =
+            ["SM/1", "SM2-SM3", "SM3", "SM4-GCM", "HKDF-SM3", "Keccak-256"].map(str::to_owned);
+        Self { name, signature, digest, cipher, kdf, chain }
+    }
 }
 
 /// A chain and its contract, as the exporter names them.
@@ -92,7 +116,7 @@ impl Manifest {
         let hashed = |piece: &&[(&String, &Vec<u8>)]| Member::of_each(piece, provider);
         let members = pool::each(&pieces, pool::helpers_for(pieces.len(), bytes), hashed);
         let members = members.into_iter().flatten().collect();
-        Self { format: FORMAT.to_owned(), chain, exporter, members }
+        Self { format: FORMAT.to_owned(), suite: Suite::known(), chain, exporter, members }
     }
 
     /// From a bundle's members: it names each of them as it is, and no other.
@@ -110,6 +134,12 @@ impl Manifest {
                 MANIFEST,
                 &format!("has the format '{found}', but this program reads {FORMAT}"),
             ));
+        }
+        if manifest.suite != Suite::known() {
+            let (found, known) = (clean(&manifest.suite.name, 40), Suite::known().name);
+            let text =
+                format!("has the suite '{found}' or other algorithms, but this program knows those of {known} alone");
+            return Err(BundleError::of(MANIFEST, &text));
         }
         let expected = Self::of(members, manifest.chain.clone(), manifest.exporter.clone(), provider);
         let (mut named, mut there) = (manifest.members.iter(), expected.members.iter());

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use authros_crypto::record::Revealed;
 use authros_model::{Address, Birth, Digest, Heads, RecorderId, SignerId, Timestamp, TopicId};
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 
 use crate::completeness::TOPIC;
 
@@ -37,31 +37,110 @@ impl Standing {
     }
 }
 
+macro_rules! reasons {
+    ($($reason:ident $name:literal,)*) => {
+        /// Why a level is not proven, or refused. `sentences.json` has its words.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+        #[allow(missing_docs, reason = "each has its sentence")]
+        pub enum Reason {
+            $($reason,)*
+        }
+
+        impl Reason {
+            /// All of them.
+            pub const ALL: &[Self] = &[$(Self::$reason,)*];
+
+            /// Its name in `sentences.json`.
+            pub fn name(self) -> &'static str {
+                match self {
+                    $(Self::$reason => $name,)*
+                }
+            }
+        }
+    };
+}
+
+reasons! {
+    NotAsFiled "not_as_filed",
+    NotARecord "not_a_record",
+    OtherChain "other_chain",
+    SignerMissing "signer_missing",
+    BadSignature "bad_signature",
+    RegistrationMissing "registration_missing",
+    RegistrationBroken "registration_broken",
+    NoKeys "no_keys",
+    KeysReplaced "keys_replaced",
+    IdentityMissing "identity_missing",
+    OtherKey "other_key",
+    Suspended "suspended",
+    SuspensionUnknown "suspension_unknown",
+    NoRight "no_right",
+    DeviceUnknown "device_unknown",
+    NotAnchored "not_anchored",
+    WrongPath "wrong_path",
+    HeaderMissing "header_missing",
+    StateMissing "state_missing",
+    StateBroken "state_broken",
+    OtherCode "other_code",
+    AnchorMissing "anchor_missing",
+    OtherAnchor "other_anchor",
+    FirstBlockOnly "first_block_only",
+    NoTrust "no_trust",
+    NoSigners "no_signers",
+    FewSigners "few_signers",
+    OtherSigner "other_signer",
+    BrokenSeals "broken_seals",
+    NoSeal "no_seal",
+    StampPath "stamp_path",
+    BadStamp "bad_stamp",
+    UnknownAuthority "unknown_authority",
+    BadDisclosure "bad_disclosure",
+    ForeignDisclosure "foreign_disclosure",
+    UnprovenDisclosure "unproven_disclosure",
+    TooMuchDisclosed "too_much_disclosed",
+    TwoHistories "two_histories",
+    FalseHeads "false_heads",
+}
+
+impl Serialize for Reason {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.name())
+    }
+}
+
 /// One level of one record.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Level {
     /// Its result.
     pub standing: Standing,
-    /// The reason, in words.
+    /// The cause if it is not proven or refused, unless that follows from another level.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reason: Option<Reason>,
+    /// In words, with all details.
     pub text: String,
 }
 
 impl Level {
-    /// A level.
+    /// A level whose cause is elsewhere, if it needs one.
     pub fn new(standing: Standing, text: impl Into<String>) -> Self {
-        Self { standing, text: text.into() }
+        Self { standing, reason: None, text: text.into() }
     }
 
     pub(crate) fn proven(text: impl Into<String>) -> Self {
         Self::new(Standing::Proven, text)
     }
 
-    pub(crate) fn unproven(text: impl Into<String>) -> Self {
+    pub(crate) fn unproven(reason: Reason, text: impl Into<String>) -> Self {
+        Self { reason: Some(reason), ..Self::new(Standing::Unproven, text) }
+    }
+
+    /// Not proven because another level is not.
+    pub(crate) fn follows(text: impl Into<String>) -> Self {
         Self::new(Standing::Unproven, text)
     }
 
-    pub(crate) fn refused(text: impl Into<String>) -> Self {
-        Self::new(Standing::Refused, text)
+    pub(crate) fn refused(reason: Reason, text: impl Into<String>) -> Self {
+        Self { reason: Some(reason), ..Self::new(Standing::Refused, text) }
     }
 }
 
@@ -94,6 +173,8 @@ pub struct RecordReport {
     pub seconds_to_anchor: Option<i64>,
     /// It existed before this time, according to a pinned authority.
     pub existed_before: Option<Timestamp>,
+    /// Which authority.
+    pub authority: Option<String>,
     /// (a) The bytes are intact and signed.
     pub bytes: Level,
     /// (b) The owner was entitled to sign with the key.
@@ -167,6 +248,11 @@ pub struct Stretch {
     pub topic_id: TopicId,
     /// Its result: no better than what is proven about the signers of its records.
     pub standing: Standing,
+    /// Why it is refused.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reason: Option<Reason>,
+    /// Whether these are the recorder's own statements, of which nobody claims that they are all.
+    pub own_statements: bool,
     /// The first number in the bundle; `None` if no record's signer is proven.
     pub first: Option<u64>,
     /// The last.
@@ -217,6 +303,8 @@ pub enum Outcome {
 pub struct Report {
     /// The overall result.
     pub outcome: Outcome,
+    /// In sentences, the outcome first.
+    pub verdict: Vec<String>,
     /// Whether a trust file was given.
     pub pinned: bool,
     /// The exporter.
@@ -244,20 +332,9 @@ impl Report {
         !self.records.is_empty() && self.needed().all(|standing| standing == Standing::Proven)
     }
 
-    /// The last line for people.
-    pub fn last_line(&self) -> &'static str {
-        let by_own_chain = || self.needed().all(|one| matches!(one, Standing::Proven | Standing::OwnChain));
-        match self.outcome {
-            Outcome::Holds => "levels (a) to (c) hold for every record, given what you pinned; read the notes",
-            Outcome::Incomplete if self.pinned && self.is_proven() => {
-                "levels (a) to (c) hold for every record, but NOTHING SHOWS WHO PUT THE BUNDLE TOGETHER: a stranger may have \
-                 left records out; pin the exporter's key, or ask the owner for the bundle"
-            }
-            Outcome::Incomplete if !self.records.is_empty() && by_own_chain() => {
-                "supported only by the exporter's self-sealed chain, which proves nothing against the exporter"
-            }
-            Outcome::Incomplete => "NOT FULLY PROVEN: the levels show what is missing",
-            Outcome::Refused => "REFUSED: there is a contradiction; the levels show where",
-        }
+    /// Whether all that counts is proven at least by the exporter's own chain, and something by that alone.
+    pub(crate) fn is_self_sealed(&self) -> bool {
+        let is_by_own_chain = |one| matches!(one, Standing::Proven | Standing::OwnChain);
+        !self.records.is_empty() && !self.is_proven() && self.needed().all(is_by_own_chain)
     }
 }

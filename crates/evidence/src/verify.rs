@@ -1,19 +1,21 @@
 //! The check of a bundle against its reader's pins, level by level. Results are computed once for many records, by all
 //! threads, so that a stranger's file costs no more than its length.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
 use std::sync::{PoisonError, RwLock};
 
 use crate::bundle::{
-    AnchorClaim, Anchoring, Bundle, BundledRecord, MOST_PLAIN, READ_ME, READ_ME_TEXT, REPORT, opened, vouched,
+    AnchorClaim, Anchoring, Bundle, BundledRecord, Disclosure, MOST_PLAIN, READ_ME, READ_ME_TEXT, REPORT, opened,
+    vouched,
 };
 use crate::committed::{Anchored, Seals, anchored};
 use crate::completeness::stretches;
-use crate::report::{Disclosed, Level, Outcome, RecordReport, Report, Standing};
+use crate::report::{Disclosed, Level, Outcome, Reason, RecordReport, Report, Standing};
 use crate::state::{AnchorWord, KeysWord, Storage, Unproven};
 use crate::time::{BundledStamp, Certificate, StampedRoot, TimeError, check_token};
 use crate::trust::{PinnedAuthority, Trust};
-use authros_crypto::merkle::{Climber, LONGEST_PATH, Leaf};
+use crate::verdict::{Context, verdict};
+use authros_crypto::merkle::{KnownPaths, Leaf};
 use authros_crypto::record::{Revealed, signed_bytes};
 use authros_crypto::{Provider, domain, pool, signer_id};
 use authros_model::{Address, Digest, Domain, Hash, Header, Identity, PublicKey, SignerId, Timestamp, clean};
@@ -51,12 +53,14 @@ pub fn verify(bundle: &Bundle, trust: Option<&Trust>, provider: &dyn Provider) -
         || standings().any(|(_, standing)| standing == Standing::Refused)
         || complete.iter().any(|stretch| stretch.standing == Standing::Refused);
     let (pinned, warnings) = (trust.is_some(), check.warnings(&records));
-    let mut report = Report { outcome: Outcome::Incomplete, pinned, exporter, warnings, records, complete, messages };
+    let (outcome, verdict) = (Outcome::Incomplete, Vec::new());
+    let mut report = Report { outcome, verdict, pinned, exporter, warnings, records, complete, messages };
     if refused {
         report.outcome = Outcome::Refused;
     } else if pinned && report.exporter.standing == Standing::Proven && report.is_proven() {
         report.outcome = Outcome::Holds;
     }
+    report.verdict = self::verdict(&report, &check.context(&report));
     report
 }
 
@@ -89,7 +93,7 @@ impl<'a> Check<'a> {
         (messages, left): (&mut Messages, &mut u64),
     ) {
         let vouched = std::mem::replace(&mut report.opened, Level::new(Standing::Absent, ""));
-        let (level, revealed) = opened(self.provider, record, vouched, left);
+        let (level, revealed) = opened(self, (digest, record), vouched, left);
         report.opened = capped(level, &report.anchor);
         let Some(revealed) = revealed else { return };
         report.disclosed = Some(self.disclosed(&revealed));
@@ -112,17 +116,18 @@ impl<'a> Check<'a> {
             block: None,
             seconds_to_anchor: None,
             existed_before: None,
-            bytes: Level::unproven(""),
-            key: Level::unproven("the bytes do not check out"),
-            anchor: Level::unproven("the bytes do not check out"),
-            time: Level::unproven("the bytes do not check out"),
+            authority: None,
+            bytes: Level::follows(""),
+            key: Level::follows("the bytes do not check out"),
+            anchor: Level::follows("the bytes do not check out"),
+            time: Level::follows("the bytes do not check out"),
             opened: Level::new(Standing::Absent, "sealed: its owner did not disclose it"),
             disclosed: None,
         };
         let header = match self.bytes(digest, found, record) {
             Ok(found) => found,
-            Err(why) => {
-                report.bytes = Level::refused(why);
+            Err((reason, why)) => {
+                report.bytes = Level::refused(reason, why);
                 return report;
             }
         };
@@ -132,7 +137,9 @@ impl<'a> Check<'a> {
             (Some(header.recorder), Some(header.topic_id), Some(header.seq));
         report.captured_at = Some(header.captured_at);
         report.bytes = Level::proven(format!("intact, and signed by the key {}", header.signer));
-        (report.time, report.existed_before) = self.stamps.level(digest, &header, record);
+        let (time, existed) = self.stamps.level(digest, &header, record);
+        (report.existed_before, report.authority) = existed.unzip();
+        report.time = time;
         let (level, anchored) = anchored(self, digest, &header, record);
         report.anchor = level;
         let signed = anchored.as_ref().map(|anchored| signing_right(self, &header, anchored));
@@ -140,7 +147,7 @@ impl<'a> Check<'a> {
         report.owner_key = owner_key.filter(|_| is_believed(&report.anchor)).map(|key| signer_id(&key));
         report.key = match signed {
             Some(signed) => capped(signed.level, &report.anchor),
-            None => Level::unproven("no anchor is shown, so the key's right at its block cannot be judged"),
+            None => Level::follows("no anchor is shown, so the key's right at its block cannot be judged"),
         };
         let person = self.trust.and_then(|trust| trust.person(header.owner)).filter(|_| report.is_believed());
         report.person = person.map(|person| clean(&person.name, 80));
@@ -149,29 +156,32 @@ impl<'a> Check<'a> {
             report.anchored_at = time.map(Timestamp::from_seconds);
             report.seconds_to_anchor = time.and_then(|time| seconds_between(header.captured_at.seconds(), time));
         }
-        report.opened = vouched(self, digest, record, &header, owner_key);
+        report.opened = vouched(self, digest, &header, owner_key);
         report
     }
 
-    fn bytes(&self, digest: Digest, found: Digest, record: &BundledRecord) -> Result<Header, String> {
+    fn bytes(&self, digest: Digest, found: Digest, record: &BundledRecord) -> Result<Header, (Reason, String)> {
         if found != digest {
-            return Err(format!("its SM3 is {found}: it is not the record it is filed as"));
+            let text = format!("its SM3 is {found}: it is not the record it is filed as");
+            return Err((Reason::NotAsFiled, text));
         }
-        let (header, length) = Header::parse(&record.record).map_err(|error| format!("it is not a record: {error}"))?;
+        let parsed = Header::parse(&record.record);
+        let (header, length) = parsed.map_err(|error| (Reason::NotARecord, format!("it is not a record: {error}")))?;
         let sealed = u64::from(header.head_length).saturating_add(header.body_length);
         if (record.record.len() as u64).checked_sub(length as u64) != Some(sealed) {
-            return Err("its length differs from what its header says".to_owned());
+            return Err((Reason::NotARecord, "its length differs from what its header says".to_owned()));
         }
         if header.domain != self.domain {
             let which = if self.trust.is_some() { "the one you pinned" } else { "the one the bundle names" };
-            return Err(format!("it is bound to a different chain or contract than {which}"));
+            return Err((Reason::OtherChain, format!("it is bound to a different chain or contract than {which}")));
         }
         let signer = self.bundle.keys.get(&header.signer);
-        let signer = signer.ok_or_else(|| format!("the key {} that signed it is not in the bundle", header.signer))?;
+        let missing = || format!("the key {} that signed it is not in the bundle", header.signer);
+        let signer = signer.ok_or_else(|| (Reason::SignerMissing, missing()))?;
         let signed = signed_bytes(&header.domain, &digest);
         self.provider
             .verify(signer, &signed, &record.signature)
-            .map_err(|_| format!("its signature was not made by the key {}", header.signer))?;
+            .map_err(|_| (Reason::BadSignature, format!("its signature was not made by the key {}", header.signer)))?;
         Ok(header)
     }
 
@@ -191,7 +201,7 @@ impl<'a> Check<'a> {
         let exporter = &self.bundle.manifest.exporter;
         if !self.bundle.signed {
             let text = format!("the manifest is not signed by the key {} it names", exporter.key);
-            return Level::refused(text);
+            return Level::new(Standing::Refused, text);
         }
         let person = self.trust.and_then(|trust| trust.person(exporter.account));
         let name = person.map_or(String::new(), |person| format!(" ({})", clean(&person.name, 80)));
@@ -217,7 +227,7 @@ impl<'a> Check<'a> {
             } else {
                 format!("assembled with the key {key}, which nothing here ties to {account}")
             };
-            Level::unproven(text)
+            Level::follows(text)
         })
     }
 
@@ -251,10 +261,27 @@ impl<'a> Check<'a> {
         warn(!has_state, "the bundle contains no proof of the chain's state");
         let is_reported = member(REPORT).is_some();
         warn(is_reported, &format!("{REPORT} was not checked: it says what its author wanted"));
-        let known = Hash(self.provider.sm3(&[READ_ME_TEXT.as_bytes()]));
-        let is_foreign = member(READ_ME).is_some_and(|member| member.sm3 != known);
+        let is_foreign = self.is_read_me_foreign();
         warn(is_foreign, &format!("{READ_ME} is not the text that belongs there: do nothing of what it says"));
         warnings
+    }
+
+    fn context(&self, report: &Report) -> Context {
+        let exporter = self.bundle.manifest.exporter.account;
+        let person = self.trust.and_then(|trust| trust.person(exporter)).map(|person| person.name.clone());
+        let own_chain = report.records.iter().any(|record| record.anchor.standing == Standing::OwnChain);
+        let is_denied = self.trust.is_some_and(|trust| !trust.chain.sealed_by_exporter);
+        Context {
+            exporter,
+            person,
+            trust_denies: own_chain && is_denied,
+            foreign_instructions: self.is_read_me_foreign(),
+        }
+    }
+
+    fn is_read_me_foreign(&self) -> bool {
+        let known = Hash(self.provider.sm3(&[READ_ME_TEXT.as_bytes()]));
+        self.bundle.manifest.members.iter().any(|member| member.name == READ_ME && member.sm3 != known)
     }
 
     /// The identity with this hash, if it is in the bundle and proves to be this account's.
@@ -273,7 +300,7 @@ fn capped(level: Level, anchor: &Level) -> Level {
         (Standing::Proven, Standing::OwnChain) => Level { standing: Standing::OwnChain, ..level },
         (Standing::Proven, standing) if standing != Standing::Proven => {
             let text = format!("{}, according to a state sealed by too few of the signers you pinned", level.text);
-            Level::unproven(text)
+            Level::follows(text)
         }
         _ => level,
     }
@@ -313,9 +340,10 @@ pub(crate) struct Known<'a> {
     keys: Memo<(u64, Address, u64), Result<Option<KeysWord>, Unproven>>,
     suspensions: Memo<(u64, Address), Result<bool, Unproven>>,
     rights: Memo<(Address, SignerId, Place), Signed>,
+    disclosers: Memo<SignerId, bool>,
     /// Level (c) of the records that were anchored alike.
     pub sealings: Memo<(u64, u64, Option<u64>), Level>,
-    paths: RwLock<HashMap<(Hash, Climber), &'a [Hash]>>,
+    paths: KnownPaths<'a>,
 }
 
 type Place = (u64, u64, Option<u64>, Address, Option<u64>, u64);
@@ -324,6 +352,11 @@ impl<'a> Known<'a> {
     pub fn is_of(&self, check: &Check<'_>, (hash, identity): (Hash, &Identity), account: Address) -> bool {
         let prove = || authros_crypto::check_identity(check.provider, &check.domain, &account, identity).is_ok();
         self.identities.get((hash, account), prove)
+    }
+
+    /// Whether this key signed what is disclosed.
+    pub fn has_signed(&self, check: &Check<'_>, disclosure: &Disclosure, key: &PublicKey) -> bool {
+        self.disclosers.get(signer_id(key), || disclosure.is_signed(&check.domain, key, check.provider))
     }
 
     fn keys(
@@ -335,41 +368,22 @@ impl<'a> Known<'a> {
         self.keys.get((shown_at, account, version), || storage.keys(account, version))
     }
 
-    /// A claim without a path has nothing to show. Paths of one batch meet: a rest already known is not hashed.
+    /// A claim without a path has nothing to show.
     pub fn leads(&self, leaf: &Leaf, claim: &'a AnchorClaim) -> bool {
         let Anchoring::Batch { root, index, count, path, .. } = &claim.anchor else { return true };
-        let Some(mut climber) = Climber::at(leaf.hash(), *index, *count).filter(|_| path.len() <= LONGEST_PATH) else {
-            return false;
-        };
-        let (mut rest, mut passed) = (path.as_slice(), Vec::with_capacity(path.len()));
-        while let Some((sibling, above)) = rest.split_first() {
-            if !climber.pass(sibling) {
-                return false;
-            }
-            rest = above;
-            let known = self.paths.read().unwrap_or_else(PoisonError::into_inner);
-            if known.get(&(*root, climber)).is_some_and(|known| *known == rest) {
-                break;
-            }
-            drop(known);
-            passed.push((climber, rest));
-        }
-        // Left early: the rest is known to lead there.
-        let leads = passed.len() < path.len() || climber.root() == Some(*root);
-        if leads {
-            let mut known = self.paths.write().unwrap_or_else(PoisonError::into_inner);
-            known.extend(passed.into_iter().map(|(climber, rest)| ((*root, climber), rest)));
-        }
-        leads
+        self.paths.lead(leaf.hash(), (*index, *count), path, *root)
     }
 }
 
+/// Before when, and according to whom.
+type Existed = (Timestamp, String);
+
 #[derive(Default)]
 struct Finding {
-    /// The earliest by a pinned authority: before when, and who.
-    proven: Option<(Timestamp, String)>,
+    /// The earliest by a pinned authority.
+    proven: Option<Existed>,
     /// The earliest by the authority's own word.
-    claimed: Option<(Timestamp, String)>,
+    claimed: Option<Existed>,
     refused: Option<TimeError>,
 }
 
@@ -395,7 +409,7 @@ impl<'a> Stamps<'a> {
         stamps
     }
 
-    pub fn level(&self, digest: Digest, header: &Header, record: &BundledRecord) -> (Level, Option<Timestamp>) {
+    pub fn level(&self, digest: Digest, header: &Header, record: &BundledRecord) -> (Level, Option<Existed>) {
         let absent = |text: &str| (Level::new(Standing::Absent, text), None);
         let Some(inclusion) = record.anchor.as_ref().and_then(|claim| claim.inclusion()) else {
             return absent("no authority's time stamp: the record is not in a batch");
@@ -404,14 +418,14 @@ impl<'a> Stamps<'a> {
             return absent("no authority's time stamp over its batch is in the bundle");
         };
         if !inclusion.proves(&Leaf::of(header, digest)) {
-            return (Level::refused("its path does not lead to the stamped root"), None);
+            return (Level::refused(Reason::StampPath, "its path does not lead to the stamped root"), None);
         }
         let mut best = Finding::default();
         for (at, stamp, place) in found {
             let Some(finding) = self.findings.get(*at) else { continue };
             if !stamp.leads(place) {
                 let text = "the path of its batch's root does not lead to what was stamped";
-                return (Level::refused(text), None);
+                return (Level::refused(Reason::StampPath, text), None);
             }
             best.take(finding);
         }
@@ -426,26 +440,26 @@ impl Finding {
         self.refused = self.refused.take().or_else(|| other.refused.clone());
     }
 
-    fn told(self) -> (Level, Option<Timestamp>) {
+    fn told(self) -> (Level, Option<Existed>) {
         if let Some(error) = self.refused {
-            return (Level::refused(format!("a time stamp: {error}")), None);
+            return (Level::refused(Reason::BadStamp, format!("a time stamp: {error}")), None);
         }
         if let Some((before, who)) = self.proven {
             let text = format!(
                 "existed before {before}, by the time stamp of {who}, whom you pinned; certificate revocation is not \
                  checked"
             );
-            return (Level::proven(text), Some(before));
+            return (Level::proven(text), Some((before, who)));
         }
         let text = self.claimed.map_or_else(
             || "it contains no time stamp".to_owned(),
             |(before, who)| format!("stamped before {before} by {who}, whom you did not pin: this proves nothing yet"),
         );
-        (Level::unproven(text), None)
+        (Level::unproven(Reason::UnknownAuthority, text), None)
     }
 }
 
-fn earlier(one: Option<(Timestamp, String)>, other: Option<(Timestamp, String)>) -> Option<(Timestamp, String)> {
+fn earlier(one: Option<Existed>, other: Option<Existed>) -> Option<Existed> {
     match (one, other) {
         (Some(one), Some(other)) => Some(if other.0 < one.0 { other } else { one }),
         (one, other) => one.or(other),
@@ -493,10 +507,13 @@ fn right(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Signed 
 fn unshown(why: Unproven, anchored: &Anchored<'_>) -> Level {
     let at = anchored.shown_at;
     match why {
-        Unproven::Missing(_) => Level::unproven(format!(
-            "the part of the state after block {at} that holds the key's registration is not in the bundle"
-        )),
-        why => Level::refused(format!("the key's registration: {why}")),
+        Unproven::Missing(_) => {
+            let text = format!(
+                "the part of the state after block {at} that holds the key's registration is not in the bundle"
+            );
+            Level::unproven(Reason::RegistrationMissing, text)
+        }
+        why => Level::refused(Reason::RegistrationBroken, format!("the key's registration: {why}")),
     }
 }
 
@@ -513,48 +530,56 @@ fn judged(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>, registere
     let suspended = check.known.suspensions.get((at, owner), || anchored.storage.is_suspended(owner));
     let suspended = suspended.map_err(|why| unshown(why, anchored))?;
     Ok(match (suspended, at == block) {
-        (true, true) => Level::refused(format!("{owner} was suspended at block {block}")),
+        (true, true) => Level::refused(Reason::Suspended, format!("{owner} was suspended at block {block}")),
         (false, true) => Level::proven(format!("{how}, and {owner} was not suspended")),
         (true, false) => {
-            Level::unproven(format!("{how}; {owner} is suspended at block {at}, but there is no proof since when"))
+            let text = format!("{how}; {owner} is suspended at block {at}, but there is no proof since when");
+            Level::unproven(Reason::SuspensionUnknown, text)
         }
         (false, false) if anchored.account == owner => Level::proven(format!(
             "{how}, and {owner} was not suspended when this was anchored: it anchored this itself"
         )),
-        (false, false) => Level::unproven(format!(
-            "{how}; {owner} is not suspended at block {at}, but nothing shows whether it was at block {block}"
-        )),
+        (false, false) => {
+            let text = format!(
+                "{how}; {owner} is not suspended at block {at}, but nothing shows whether it was at block {block}"
+            );
+            Level::unproven(Reason::SuspensionUnknown, text)
+        }
     })
 }
 
 /// The key that the owner had registered at the anchoring block.
 fn owner_key(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Result<PublicKey, Level> {
     let (owner, block, state) = (header.owner, anchored.block, (anchored.shown_at, &anchored.storage));
-    let unknown = |why: String| Err(Level::unproven(why));
+    let unknown = |reason, why: String| Err(Level::unproven(reason, why));
     let keys_of = |version| check.known.keys(state, owner, version).map_err(|why| unshown(why, anchored));
     let version = anchored.keys.filter(|_| anchored.account == owner).unwrap_or(anchored.claimed_keys);
     let Some(keys) = keys_of(version)? else {
-        return unknown(format!("{owner} has no version {version} of its keys on this chain"));
+        let text = format!("{owner} has no version {version} of its keys on this chain");
+        return unknown(Reason::NoKeys, text);
     };
     // The contract notes the version with the owner's own anchor, but the keys may have changed later in that block.
     let after = version.checked_add(1).map(keys_of).transpose()?.flatten();
     if keys.block > block || after.is_some_and(|after| after.block <= block) {
-        return unknown(format!("version {version} of {owner}'s keys was not the one in force at block {block}"));
+        let text = format!("version {version} of {owner}'s keys was not the one in force at block {block}");
+        return unknown(Reason::KeysReplaced, text);
     }
     let Some(identity) = check.identity(keys.identity, owner) else {
         let hash = keys.identity;
-        return unknown(format!("the identity {hash} of {owner} is not in the bundle, or its own proof fails"));
+        let text = format!("the identity {hash} of {owner} is not in the bundle, or its own proof fails");
+        return unknown(Reason::IdentityMissing, text);
     };
     let pinned = check.trust.and_then(|trust| trust.person(owner)).and_then(|person| person.key);
     if pinned.is_some_and(|pinned| pinned != signer_id(&identity.signing)) {
-        return unknown(format!("the key that {owner} had registered is not the one you pinned"));
+        return unknown(Reason::OtherKey, format!("the key that {owner} had registered is not the one you pinned"));
     }
     Ok(identity.signing)
 }
 
 fn lent(header: &Header, anchored: &Anchored<'_>) -> Result<(), Level> {
     let (owner, block) = (header.owner, anchored.block);
-    let (unproven, refused) = (|text: String| Err(Level::unproven(text)), |text: String| Err(Level::refused(text)));
+    let unproven = |text: String| Err(Level::unproven(Reason::DeviceUnknown, text));
+    let refused = |text: String| Err(Level::refused(Reason::NoRight, text));
     let loan = anchored.storage.loan(owner, &header.signer.0).map_err(|why| unshown(why, anchored))?;
     let Some(loan) = loan else {
         return refused(format!("{owner} had neither registered nor authorised the key at block {block}"));

@@ -12,7 +12,7 @@ use crate::model::wire::{Reader, WireError, put_text};
 use crate::model::{Address, Digest, Domain, ProfileName, PublicKey, Signature, SignerId};
 
 use super::command::Command;
-use super::error::{Code, Refusal};
+use super::error::{Code, Refusal, Result};
 use super::hello::{Agreed, Context, padded, read_padded};
 use super::system_keys::SystemKey;
 
@@ -177,7 +177,7 @@ pub fn examine(
     name: &ProfileName,
     request: &AllocationRequest,
     secret: Option<&SmSecret>,
-) -> Result<Allocation, Refusal> {
+) -> Result<Allocation> {
     let secret = secret.ok_or_else(|| Refusal::new(Code::SystemKey, format_args!("key {}", request.system_key)))?;
     let provider = context.provider;
     // One code both for a CT that does not open and for a text that does not parse: no decryption oracle.

@@ -15,7 +15,7 @@ use tokio::time::Instant;
 use crate::command::{Answer, Command, Inner, Part, Speaker, split};
 use crate::crypto::{Provider, SmKeyPair, TransportKey};
 use crate::desk::{Binding, Caller, Desk};
-use crate::error::{Code, Refusal};
+use crate::error::{Code, Refusal, Result};
 use crate::frame::{Assembler, FrameKind, Line, LineError};
 use crate::hello::{Agreed, Context, GatewayHello, Identified, ListSummary, NetworkName, Purpose};
 use crate::limits::{Charge, Limits, Peers, Seat};
@@ -79,7 +79,7 @@ impl Shared {
         }
     }
 
-    fn receipt(&self, time: Timestamp, digests: Vec<Digest>) -> Result<Receipt, Refusal> {
+    fn receipt(&self, time: Timestamp, digests: Vec<Digest>) -> Result<Receipt> {
         Receipt::sign(self.provider(), &self.context.domain, &self.identity, time, digests).map_err(Refusal::internal)
     }
 }
@@ -187,12 +187,7 @@ impl Connection {
     }
 
     /// Returns refusals that end the session instead of sending them.
-    async fn reply(
-        &mut self,
-        session: &mut Session,
-        request: u32,
-        outcome: Result<Answer, Refusal>,
-    ) -> Result<(), End> {
+    async fn reply(&mut self, session: &mut Session, request: u32, outcome: Result<Answer>) -> Result<(), End> {
         let charged = outcome.and_then(|answer| {
             // The chain crate bounds its answers; their memory counts against the caller.
             let length = answer.relayed_length();
@@ -256,14 +251,17 @@ impl Connection {
     }
 
     async fn transfer(&mut self, identified: Identified, hello_deadline: Instant) -> Result<(), End> {
-        let binding = self.shared.desk.binding(&identified.name).await?;
-        let (agreed, name) = (identified.agreed(), identified.name.clone());
-        let Some(binding) = binding else { return self.refuse_unknown(identified, hello_deadline).await };
-        let session = identified.session(Some(&binding.key));
-        if let Some(at) = binding.recalled() {
-            return self.refuse_recalled(session, at, hello_deadline).await;
-        }
-        self.transfer_frames(session, agreed, name, binding, hello_deadline).await
+        let unknown = match self.shared.desk.binding(&identified.name).await {
+            Ok(Some(binding)) => {
+                let (agreed, name) = (identified.agreed(), identified.name.clone());
+                let session = identified.session(Some(&binding.key));
+                return self.transfer_frames(session, agreed, name, binding, hello_deadline).await;
+            }
+            Ok(None) => Refusal::new(Code::Tag, "an unknown name"),
+            Err(refusal) if refusal.code == Code::Tag => refusal,
+            Err(refusal) => return Err(refusal.into()),
+        };
+        self.refuse_unknown(identified, unknown, hello_deadline).await
     }
 
     async fn transfer_frames(
@@ -280,7 +278,10 @@ impl Connection {
         let mut desk = Commands { agreed, caller, binding, waiting: None, followed: BTreeSet::new() };
         let payload = self.expect(FrameKind::Transfer, hello_deadline).await?;
         let first = session.open(&payload)?;
-        // The sender of this frame holds K_T.
+        // The sender of this frame holds K_T: only now may it learn what the chain says of the name's device.
+        if let Some(at) = self.shared.desk.recalled(&desk.binding).await? {
+            return self.refuse_recalled(session, &first.1, at).await;
+        }
         self.seat.authenticated();
         self.line.decoder.raise_cap();
         let presence = self.shared.tally.enter(present, desk.caller.account, self.peer);
@@ -320,23 +321,20 @@ impl Connection {
         }
     }
 
-    /// Who does not have the device's key fails like with a wrong one.
-    async fn refuse_recalled(&mut self, mut session: Session, at: Timestamp, deadline: Instant) -> Result<(), End> {
-        let payload = self.expect(FrameKind::Transfer, deadline).await?;
-        let (_, text) = session.open(&payload)?;
-        let request = Inner::from_client(&text)?.request;
+    async fn refuse_recalled(&mut self, mut session: Session, text: &[u8], at: Timestamp) -> Result<(), End> {
+        let request = Inner::from_client(text)?.request;
         self.shared.refused(self.peer, &Refusal::new(Code::Recalled, format_args!("revoked at {at}")));
         self.send(&mut session, request, &Answer::Recalled(at)).await?;
         Err(End::Closed)
     }
 
     /// Fails like a wrong key.
-    async fn refuse_unknown(&mut self, identified: Identified, deadline: Instant) -> Result<(), End> {
+    async fn refuse_unknown(&mut self, identified: Identified, why: Refusal, deadline: Instant) -> Result<(), End> {
         let key = TransportKey::generate().map_err(Refusal::internal)?;
         let mut session = identified.session(Some(&key));
         let payload = self.expect(FrameKind::Transfer, deadline).await?;
         session.open(&payload)?;
-        Err(Refusal::new(Code::Tag, "an unknown name").into())
+        Err(why.into())
     }
 
     async fn frame(

@@ -13,7 +13,7 @@ use crate::model::{
 };
 
 use super::command::{ErasureNotice, ErasureOutcome, Found, Notice};
-use super::error::{Code, Refusal};
+use super::error::{Code, Refusal, Result};
 use super::feed::{Feed, FeedPage};
 use super::hello::NetworkName;
 
@@ -31,8 +31,6 @@ pub struct BoundDevice {
     pub id: SignerId,
     /// Topic of its owner's notices.
     pub notices: TopicId,
-    /// Its name is free for others from then on.
-    pub recalled: Option<Timestamp>,
 }
 
 impl BoundDevice {
@@ -57,12 +55,6 @@ pub struct Binding {
     pub envelope: PublicKey,
     /// `None` for the account's own name.
     pub device: Option<BoundDevice>,
-}
-
-impl Binding {
-    pub fn recalled(&self) -> Option<Timestamp> {
-        self.device.and_then(|device| device.recalled)
-    }
 }
 
 /// Authenticated by K_T.
@@ -100,47 +92,52 @@ impl From<Received> for SealedRecord {
 pub trait Desk: Send + Sync + 'static {
     /// `NotRegistered`, `Suspended` or `Stale` unless the chain allows the account, `NotAuthorised` unless it lends
     /// this device.
-    async fn account(&self, account: &Address, device: Option<&SignerId>) -> Result<Account, Refusal>;
+    async fn account(&self, account: &Address, device: Option<&SignerId>) -> Result<Account>;
 
     /// `Token` for one that the account never registered, `NotAdmitted` unless the keeper admitted the account.
-    async fn admits(&self, account: &Address, token: Option<&Token>) -> Result<(), Refusal>;
+    async fn admits(&self, account: &Address, token: Option<&Token>) -> Result<()>;
 
     /// `None` unless it is the owner's key, or lent by the owner now.
-    async fn signer(&self, owner: &Address, signer: &SignerId) -> Result<Option<PublicKey>, Refusal>;
+    async fn signer(&self, owner: &Address, signer: &SignerId) -> Result<Option<PublicKey>>;
 
-    /// Also of a recalled device.
-    async fn binding(&self, name: &ProfileName) -> Result<Option<Binding>, Refusal>;
+    /// Also of a recalled device. Asks nothing of the chain: a stranger, who knows only the name, must see no difference.
+    /// `Tag` if the key at rest does not open.
+    async fn binding(&self, name: &ProfileName) -> Result<Option<Binding>>;
+
+    /// When the chain recalled the device that has the name, which is free for others from then on; `Stale` if the chain
+    /// does not say. For a caller that proved its key.
+    async fn recalled(&self, binding: &Binding) -> Result<Option<Timestamp>>;
 
     /// Declared on the chain by the administrator.
-    async fn successor(&self, lost: &Address) -> Result<Option<Address>, Refusal>;
+    async fn successor(&self, lost: &Address) -> Result<Option<Address>>;
 
     /// Durable on return. Called one at a time, for a name that is free, the account's, or of one that it succeeds.
-    async fn bind(&self, name: &ProfileName, binding: Binding) -> Result<(), Refusal>;
+    async fn bind(&self, name: &ProfileName, binding: Binding) -> Result<()>;
 
     /// Durable on return; acknowledges known records again. Returns the receipt's time.
-    async fn store(&self, caller: &Caller, records: Vec<Received>) -> Result<Timestamp, Refusal>;
+    async fn store(&self, caller: &Caller, records: Vec<Received>) -> Result<Timestamp>;
 
     /// Not signed. `is_new`: the session asks for some of these owners for the first time.
-    async fn feed(&self, caller: &Caller, asked: &Feed, is_new: bool) -> Result<FeedPage, Refusal>;
+    async fn feed(&self, caller: &Caller, asked: &Feed, is_new: bool) -> Result<FeedPage>;
 
     /// Changes when [`Self::feed`] may differ: more rows, or another right.
     fn changes(&self) -> watch::Receiver<u64>;
 
     /// For the first digests, at least one, as many as fit into an answer; `bytes`: compared with the chain.
-    async fn records(&self, caller: &Caller, digests: &[Digest], bytes: bool) -> Result<Vec<Found>, Refusal>;
+    async fn records(&self, caller: &Caller, digests: &[Digest], bytes: bool) -> Result<Vec<Found>>;
 
     /// Signed by d_C. A revoke applies from now on. A device's key, a point of the curve, is durable and takes the name
     /// while the loan lasts; `Signature` without a loan on the chain.
-    async fn notice(&self, caller: &Caller, notice: &Notice) -> Result<(), Refusal>;
+    async fn notice(&self, caller: &Caller, notice: &Notice) -> Result<()>;
 
     /// For anyone; `Stale` before it is known.
-    async fn network_name(&self) -> Result<NetworkName, Refusal>;
+    async fn network_name(&self) -> Result<NetworkName>;
 
     /// For a caller, or a visitor without a transport key. The chain's client decides what may pass.
     async fn relay(&self, caller: Option<&Caller>, method: &str, parameters: &Value) -> Result<Value, RelayError>;
 
     /// Returns each record's outcome, in order; `NotAuthorised` for another owner's record.
-    async fn erase(&self, caller: &Caller, erasures: Vec<ErasureNotice>) -> Result<Vec<ErasureOutcome>, Refusal> {
+    async fn erase(&self, caller: &Caller, erasures: Vec<ErasureNotice>) -> Result<Vec<ErasureOutcome>> {
         let _ = erasures;
         Err(Refusal::new(Code::NotHere, format_args!("nothing of {} is kept here", caller.account)))
     }

@@ -5,7 +5,7 @@ use std::fmt;
 use crate::command::ErasedRecord;
 use crate::crypto::CryptoError;
 use crate::model::wire::WireError;
-use crate::model::{ErrorKind, SignerId, Timestamp};
+use crate::model::{Address, ErrorKind, SignerId, Timestamp};
 
 #[derive(Debug, thiserror::Error)]
 pub enum GatewayError {
@@ -20,7 +20,7 @@ pub enum GatewayError {
     #[error("the gateway refused: {0}")]
     Refused(Code),
     /// In the session of a device that proved its transport key: when the chain recalled it.
-    #[error("this robot's owner revoked it at {0}; ask the owner to enrol it again (authros agent enrol)")]
+    #[error("this robot's owner revoked it at {0}; ask the owner to enrol it again (`authros robot enrol`)")]
     Recalled(Timestamp),
     /// Anyone on the network can forge it: it means no more than a closed connection.
     #[error("the gateway closed the connection with an unauthenticated message: {0}")]
@@ -172,8 +172,8 @@ codes! {
     /// Of a network or owner other than the session's.
     NotYours = 25 Refused "the record belongs to another account or network; send your own";
     Method = 26 Refused "the gateway does not forward this request to the chain; use a node for it";
-    NotAdmitted = 27 Refused "this gateway does not allow the account; ask the gateway's operator to run `authros gateway \
-                              admit ACCOUNT`";
+    NotAdmitted = 27 Refused "this gateway does not allow the account; ask the gateway's operator to run `authros \
+                              gateway allow ACCOUNT`";
     /// Answered only to a device that proved its transport key, with the time.
     Recalled = 28 Refused "the owner revoked this robot; ask the owner to enrol it again";
 }
@@ -212,6 +212,8 @@ impl fmt::Display for Code {
     }
 }
 
+pub(crate) type Result<T, E = Refusal> = std::result::Result<T, E>;
+
 /// The code goes to the peer, the detail only to the log.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{code} ({detail})")]
@@ -219,11 +221,13 @@ pub struct Refusal {
     pub code: Code,
     /// No secret; text from peers only cleaned.
     pub detail: String,
+    /// That the gateway's operator may allow.
+    pub account: Option<Address>,
 }
 
 impl Refusal {
     pub fn new(code: Code, detail: impl fmt::Display) -> Self {
-        Self { code, detail: detail.to_string() }
+        Self { code, detail: detail.to_string(), account: None }
     }
 
     /// For `map_err`: keeps the cause for the log.

@@ -8,7 +8,7 @@ use tokio::net::TcpStream;
 use tokio::time::{Instant, timeout, timeout_at};
 
 use crate::command::{Command, Inner, LARGEST_MESSAGE, LARGEST_PART, Part};
-use crate::error::{Code, Refusal};
+use crate::error::{Code, Refusal, Result};
 use crate::model::{Signature, Token};
 
 /// Before authentication; bytes of kind and payload.
@@ -158,8 +158,8 @@ impl<C> Assembler<C> {
         &mut self,
         inner: &Inner<'_>,
         counter: u64,
-        charge: impl FnOnce(usize) -> Result<C, Refusal>,
-    ) -> Result<Option<Message<C>>, Refusal> {
+        charge: impl FnOnce(usize) -> Result<C>,
+    ) -> Result<Option<Message<C>>> {
         if inner.body.len() > LARGEST_PART {
             return Err(Refusal::new(Code::Length, format_args!("a part of {} bytes", inner.body.len())));
         }
@@ -171,12 +171,7 @@ impl<C> Assembler<C> {
         }
     }
 
-    fn begin(
-        &mut self,
-        inner: &Inner<'_>,
-        counter: u64,
-        charge: impl FnOnce(usize) -> Result<C, Refusal>,
-    ) -> Result<(), Refusal> {
+    fn begin(&mut self, inner: &Inner<'_>, counter: u64, charge: impl FnOnce(usize) -> Result<C>) -> Result<()> {
         let (claim, body) = inner
             .body
             .split_first_chunk()
@@ -191,7 +186,7 @@ impl<C> Assembler<C> {
         Ok(())
     }
 
-    fn go_on(&mut self, inner: &Inner<'_>, counter: u64) -> Result<Option<Message<C>>, Refusal> {
+    fn go_on(&mut self, inner: &Inner<'_>, counter: u64) -> Result<Option<Message<C>>> {
         let Some(mut unfinished) = self.unfinished.take() else { return Ok(None) };
         let message = &mut unfinished.message;
         if (message.command, message.request) != (inner.command, inner.request) {
@@ -388,7 +383,7 @@ mod parts_tests {
         (body, texts)
     }
 
-    fn assemble(texts: &[Vec<u8>]) -> Result<Option<Message<usize>>, Refusal> {
+    fn assemble(texts: &[Vec<u8>]) -> Result<Option<Message<usize>>> {
         let mut assembler = Assembler::default();
         let mut whole = None;
         for (counter, text) in (0..).zip(texts) {

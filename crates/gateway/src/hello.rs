@@ -4,7 +4,7 @@ use zeroize::Zeroizing;
 
 use crate::crypto::kdf::{Info, derived};
 use crate::crypto::{Ephemeral, Provider, SmKeyPair, TransportKey, domain, random_bytes, signer_id};
-use crate::error::{Code, GatewayError, Refusal};
+use crate::error::{Code, GatewayError, Refusal, Result};
 use crate::model::layout;
 use crate::model::wire::{Reader, Wire as _, WireError};
 use crate::model::{Address, Digest, Domain, Hash, ProfileName, PublicKey, Signature, SignerId};
@@ -141,7 +141,7 @@ impl GatewayHello {
         identity: &SmKeyPair,
         list: ListSummary,
         payload: &[u8],
-    ) -> Result<(Vec<u8>, Self), Refusal> {
+    ) -> Result<(Vec<u8>, Self)> {
         let ephemeral = Ephemeral::generate(context.provider).map_err(Refusal::internal)?;
         let nonces =
             (random_bytes().map_err(Refusal::internal)?, SessionId(random_bytes().map_err(Refusal::internal)?));
@@ -156,7 +156,7 @@ impl GatewayHello {
         payload: &[u8],
         (nonce, session): ([u8; 32], SessionId),
         ephemeral: Ephemeral,
-    ) -> Result<(Vec<u8>, Self), Refusal> {
+    ) -> Result<(Vec<u8>, Self)> {
         let hello = Hello::parse(payload)?;
         if hello.domain != context.domain {
             return Err(Refusal::new(Code::Network, format_args!("hello for domain {}", hello.domain)));
@@ -177,7 +177,7 @@ impl GatewayHello {
         &self.0.agreed
     }
 
-    pub fn identified(self, payload: &[u8]) -> Result<Identified, Refusal> {
+    pub fn identified(self, payload: &[u8]) -> Result<Identified> {
         let (key, nonce) = halves(&self.0.identify_key());
         let opened = self.0.context.provider.gcm_open(&key, &nonce, &self.0.identify_aad(), payload);
         let plain = opened.map_err(Refusal::because(Code::Tag))?;
@@ -265,7 +265,7 @@ impl Hello {
     }
 
     /// Does not check the point.
-    pub fn parse(payload: &[u8]) -> Result<Self, Refusal> {
+    pub fn parse(payload: &[u8]) -> Result<Self> {
         let mut reader = Reader::new(payload);
         let (version, suite) = (reader.u8("version")?, reader.u8("suite")?);
         if (version, suite) != (VERSION, SUITE_SM) {

@@ -7,7 +7,7 @@ use crate::model::{Digest, Header, ProfileName, PublicKey, RecordKind};
 use super::allocation::{Allocation, AllocationRequest, examine};
 use super::command::{Notice, Request, Upload, signed_bytes};
 use super::desk::{Account, Binding, Caller, Desk, Received};
-use super::error::{Code, Refusal};
+use super::error::{Code, Refusal, Result};
 use super::frame::Message;
 use super::hello::{Agreed, Context};
 
@@ -16,7 +16,7 @@ const AT_ONCE: (usize, usize) = (8, 256 * 1024);
 
 /// A registered, unsuspended account with the session's keys, or a device on loan. Refuses with `NotRegistered`,
 /// `NotAuthorised` or the desk's code.
-pub async fn check_account(desk: &dyn Desk, binding: &Binding) -> Result<(), Refusal> {
+pub async fn check_account(desk: &dyn Desk, binding: &Binding) -> Result<()> {
     let device = binding.device.as_ref().map(|device| &device.id);
     let account = desk.account(&binding.account, device).await?;
     // A device is valid as long as its loan, whatever keys its owner has by now.
@@ -24,7 +24,7 @@ pub async fn check_account(desk: &dyn Desk, binding: &Binding) -> Result<(), Ref
 }
 
 /// A device may store records, ask what became of them, and read notices to it. Single records are up to the desk.
-pub fn check_reach(caller: &Caller, request: &Request) -> Result<(), Refusal> {
+pub fn check_reach(caller: &Caller, request: &Request) -> Result<()> {
     let Some(device) = &caller.device else { return Ok(()) };
     let may = match request {
         // The desk decides whether devices of this owner signed them.
@@ -32,10 +32,15 @@ pub fn check_reach(caller: &Caller, request: &Request) -> Result<(), Refusal> {
             let own = !feed.recorders.is_empty() && feed.places.iter().all(|place| place.owner == caller.account);
             own || device.asks_for_notices(&caller.account, feed)
         }
-        Request::Notice(Notice::Grant(_) | Notice::Revoke(_)) | Request::Relay(_) => false,
         // Only the owner erases.
-        Request::Erase(_) => false,
-        _ => true,
+        Request::Notice(Notice::Grant(_) | Notice::Revoke(_)) | Request::Relay(_) | Request::Erase(_) => false,
+        Request::SystemKeys
+        | Request::KeyAllocation(_)
+        | Request::Upload(_)
+        | Request::UploadMany(_)
+        | Request::Notice(Notice::Device(_))
+        | Request::Ping
+        | Request::Records(..) => true,
     };
     if may {
         return Ok(());
@@ -44,7 +49,7 @@ pub fn check_reach(caller: &Caller, request: &Request) -> Result<(), Refusal> {
     Err(Refusal::new(Code::NotAuthorised, text))
 }
 
-fn same_keys(account: &Account, signing: &PublicKey, envelope: &PublicKey) -> Result<(), Refusal> {
+fn same_keys(account: &Account, signing: &PublicKey, envelope: &PublicKey) -> Result<()> {
     if (&account.signing, &account.envelope) == (signing, envelope) {
         return Ok(());
     }
@@ -52,12 +57,7 @@ fn same_keys(account: &Account, signing: &PublicKey, envelope: &PublicKey) -> Re
 }
 
 /// d_C must have signed this very frame.
-pub fn check_signed<C>(
-    context: &Context,
-    agreed: &Agreed,
-    caller: &Caller,
-    message: &Message<C>,
-) -> Result<(), Refusal> {
+pub fn check_signed<C>(context: &Context, agreed: &Agreed, caller: &Caller, message: &Message<C>) -> Result<()> {
     let signature = message.signature.ok_or_else(|| Refusal::new(Code::Signature, "no signature"))?;
     let body = Digest(context.provider.sm3(&[&message.body]));
     let signed =
@@ -72,7 +72,7 @@ pub async fn check_records(
     desk: &dyn Desk,
     caller: &Caller,
     uploads: Vec<Upload>,
-) -> Result<Vec<Received>, Refusal> {
+) -> Result<Vec<Received>> {
     let mut signers: Vec<PublicKey> = Vec::with_capacity(uploads.len());
     let mut last: Option<(Header, PublicKey)> = None;
     for upload in &uploads {
@@ -102,7 +102,7 @@ pub async fn check_records(
 }
 
 /// A device's session adds only to the device's own numbers, and no notices: those are its owner's.
-fn check_own(caller: &Caller, received: &[Received]) -> Result<(), Refusal> {
+fn check_own(caller: &Caller, received: &[Received]) -> Result<()> {
     let Some(device) = &caller.device else { return Ok(()) };
     let is_own = |header: &Header| header.signer == device.id && header.kind != RecordKind::Key;
     match received.iter().find(|record| !is_own(&record.header)) {
@@ -115,7 +115,7 @@ fn check_own(caller: &Caller, received: &[Received]) -> Result<(), Refusal> {
 }
 
 /// Checks each record by the key beside it, in one go.
-pub fn verify_all(context: Context, uploads: Vec<Upload>, signers: &[PublicKey]) -> Result<Vec<Received>, Refusal> {
+pub fn verify_all(context: Context, uploads: Vec<Upload>, signers: &[PublicKey]) -> Result<Vec<Received>> {
     let mut records = Vec::with_capacity(uploads.len());
     for (upload, signer) in uploads.iter().zip(signers) {
         let Upload { blob, signature, .. } = upload;
@@ -138,13 +138,14 @@ pub async fn allocate(
     name: &ProfileName,
     request: &AllocationRequest,
     secret: Option<&SmSecret>,
-) -> Result<Digest, Refusal> {
+) -> Result<Digest> {
     let allocation = examine(context, agreed, name, request, secret)?;
     let account = desk.account(&allocation.account, None).await?;
     same_keys(&account, &allocation.signing, &allocation.envelope)?;
     desk.admits(&allocation.account, None).await?;
-    if let Some(bound) = desk.binding(name).await?.filter(|bound| bound.recalled().is_none())
+    if let Some(bound) = desk.binding(name).await?
         && bound.account != allocation.account
+        && desk.recalled(&bound).await?.is_none()
         && desk.successor(&bound.account).await? != Some(allocation.account)
     {
         return Err(Refusal::new(Code::NameBound, format_args!("{name} belongs to {}", bound.account)));

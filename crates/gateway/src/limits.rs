@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::oneshot;
 
-use crate::error::{Code, Refusal};
+use crate::error::{Code, Refusal, Result};
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Limits {
@@ -104,7 +104,7 @@ impl Peers {
 
     /// A handshake until [`Seat::authenticated`]. Drops the oldest handshake if every place is taken
     /// ([`Seat::evicted`]).
-    pub fn admit(&self, address: IpAddr, now: Instant) -> Result<Seat, Refusal> {
+    pub fn admit(&self, address: IpAddr, now: Instant) -> Result<Seat> {
         let limits = &self.limits;
         let mut counts = self.lock();
         if counts.connections >= limits.connections {
@@ -189,7 +189,7 @@ impl Seat {
     }
 
     /// Ends the handshake; takes a visitor's place until the connection ends or makes room ([`Self::evicted`]).
-    pub fn visit(&mut self) -> Result<(), Refusal> {
+    pub fn visit(&mut self) -> Result<()> {
         if self.visit.is_none() {
             self.visit = Some(self.peers.lock().enter_visit(self.place, &self.peers.limits)?);
             self.authenticated();
@@ -213,7 +213,7 @@ impl Seat {
     }
 
     /// Counts a transaction from a peer without a transport key.
-    pub fn newcomer(&self, now: Instant) -> Result<(), Refusal> {
+    pub fn newcomer(&self, now: Instant) -> Result<()> {
         if self.peers.lock().take_newcomer(&self.place, &self.peers.limits, now) {
             return Ok(());
         }
@@ -222,7 +222,7 @@ impl Seat {
     }
 
     /// Until the charge is dropped.
-    pub fn charge(&self, bytes: usize) -> Result<Charge, Refusal> {
+    pub fn charge(&self, bytes: usize) -> Result<Charge> {
         let mut counts = self.peers.lock();
         let limits = &self.peers.limits;
         let fits = counts.charged.saturating_add(bytes) <= limits.quota;
@@ -403,7 +403,7 @@ impl Counts {
     }
 
     /// Counts an arrival if one more connection fits.
-    pub fn check_room(&mut self, place: &Place, limits: &Limits, now: Instant) -> Result<(), Refusal> {
+    pub fn check_room(&mut self, place: &Place, limits: &Limits, now: Instant) -> Result<()> {
         let busy = |what: &str, of: &IpAddr| Err(Refusal::new(Code::Busy, format_args!("too many {what} of {of}")));
         let all = limits.connections_of_peer.saturating_mul(PEERS_OF_NETWORK);
         let network = place.network.and_then(|key| Some((key, self.networks.get_mut(&key)?)));
@@ -457,7 +457,7 @@ impl Counts {
     }
 
     /// Evicts the oldest visitor of the largest holder if all places are taken: many addresses must not keep others out.
-    pub fn enter_visit(&mut self, place: Place, limits: &Limits) -> Result<(u64, oneshot::Receiver<()>), Refusal> {
+    pub fn enter_visit(&mut self, place: Place, limits: &Limits) -> Result<(u64, oneshot::Receiver<()>)> {
         let of_network = limits.visits_of_peer.saturating_mul(2);
         let network = place.network.and_then(|key| self.networks.get(&key));
         let has_share = network.is_some_and(|network| network.visits >= of_network)

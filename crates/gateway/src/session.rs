@@ -11,7 +11,7 @@ use crate::crypto::kdf::{Info, derived};
 use crate::model::bytes::hex;
 use crate::model::wire::Reader;
 
-use super::error::{Code, Refusal};
+use super::error::{Code, Refusal, Result};
 use super::frame::{CAP_AFTER, FrameKind};
 
 /// Of one direction.
@@ -124,7 +124,7 @@ impl Session {
     }
 
     /// Seals an ND2. Refuses with `Session` after the last frame, `Length` over [`LONGEST_TEXT`].
-    pub fn seal(&mut self, text: &[u8]) -> Result<Vec<u8>, Refusal> {
+    pub fn seal(&mut self, text: &[u8]) -> Result<Vec<u8>> {
         let counter = self.sending.counter;
         if self.broken || counter >= MOST_FRAMES {
             return Err(Refusal::new(Code::Session, "the session has used up its frames"));
@@ -142,13 +142,13 @@ impl Session {
     }
 
     /// Returns a transfer frame's counter and ND2.
-    pub fn open(&mut self, payload: &[u8]) -> Result<(u64, Zeroizing<Vec<u8>>), Refusal> {
+    pub fn open(&mut self, payload: &[u8]) -> Result<(u64, Zeroizing<Vec<u8>>)> {
         let opened = self.opened(payload);
         self.broken |= opened.is_err();
         opened
     }
 
-    fn opened(&mut self, payload: &[u8]) -> Result<(u64, Zeroizing<Vec<u8>>), Refusal> {
+    fn opened(&mut self, payload: &[u8]) -> Result<(u64, Zeroizing<Vec<u8>>)> {
         if payload.len() + 1 < OVERHEAD || payload.len() >= CAP_AFTER {
             return Err(Refusal::new(Code::Length, format_args!("a transfer frame of {} bytes", payload.len())));
         }

@@ -72,6 +72,24 @@ pub fn address_without_secrets(text: &str) -> String {
     if is_address { without_secrets(text) } else { "…".to_owned() }
 }
 
+/// `12,345`.
+pub fn grouped(number: u64) -> String {
+    let digits = number.to_string();
+    let mut text = String::with_capacity(digits.len() + digits.len() / 3);
+    for (place, digit) in digits.char_indices() {
+        if place > 0 && (digits.len() - place).is_multiple_of(3) {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    text
+}
+
+/// `1 record`, `8,505 records`.
+pub fn counted(count: u64, one: &str) -> String {
+    format!("{} {one}{}", grouped(count), if count == 1 { "" } else { "s" })
+}
+
 /// [`clean`] for each line of a longer text, keeping the line breaks.
 pub fn clean_lines(text: &str, width: usize) -> String {
     text.lines().map(|line| clean(line, width)).collect::<Vec<_>>().join("\n")
@@ -119,6 +137,12 @@ mod tests {
         }
         assert_eq!(without_secrets("htps://node.example/SECRET"), "htps://node.example/…");
         assert_eq!(address_without_secrets("node.example/SECRET"), "…");
+    }
+
+    #[test]
+    fn numbers_are_grouped_and_their_nouns_counted() {
+        assert_eq!([0, 999, 1_000, 1_234_567].map(grouped), ["0", "999", "1,000", "1,234,567"]);
+        assert_eq!([0, 1, 8_505].map(|count| counted(count, "record")), ["0 records", "1 record", "8,505 records"]);
     }
 
     #[test]

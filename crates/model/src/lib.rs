@@ -28,7 +28,9 @@ pub use crate::bytes::{
     Commit, Digest, Domain, FilterId, Hash, PublicKey, RecorderId, Salt, Signature, SignerId, Token, TopicId,
 };
 pub use crate::consensus::{AnchorMode, AuditHead, Consensus};
-pub use crate::display::{address_without_secrets, clean, clean_lines, is_shown, spelt_out, without_secrets};
+pub use crate::display::{
+    address_without_secrets, clean, clean_lines, counted, grouped, is_shown, spelt_out, without_secrets,
+};
 pub use crate::gap::{GapReport, LossReason, QuarantineReport};
 pub use crate::grant::{GrantTerms, Scope};
 pub use crate::head::Head;
@@ -48,5 +50,5 @@ pub use crate::robot_policy::PolicyReport;
 pub use crate::span::{ByteSize, SpanError, Timestamp, Wei, coarse, positive_span, time_span};
 pub use crate::state::{ErrorKind, Fact, RecordState, Verdict};
 pub use crate::topic::{TopicName, TypeName, is_record_topic};
-pub use crate::topic_rule::{TopicPattern, TopicRule, TopicRules};
+pub use crate::topic_rule::{Sampling, TopicPattern, TopicRule, TopicRules};
 pub use crate::watch_rules::{WatchRule, WatchRules};

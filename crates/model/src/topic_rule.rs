@@ -1,6 +1,7 @@
 //! Rules for topics: which type, how many messages, which tags, how long they are kept.
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
@@ -110,9 +111,80 @@ pub struct TopicRule {
     pub retention: Option<u64>,
 }
 
+/// How many of a topic's messages are kept.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Sampling {
+    /// At most this many messages in 1,000 seconds.
+    pub rate: Option<u64>,
+    /// Only every n-th message; 1 = all.
+    pub every: Option<u64>,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum SamplingError {
+    #[error("give the rate in messages per second, 0.001 to {most}; '{0}' is not such a number", most = FASTEST)]
+    Rate(String),
+    #[error("give every as a whole number from 1: 10 keeps one message in ten; '{0}' is not such a number")]
+    Every(String),
+}
+
+/// Messages a second.
+const FASTEST: f64 = 100_000.0;
+const LARGEST_STEP: u64 = 1 << 32;
+
+impl Sampling {
+    /// Messages in 1,000 seconds; `None` for a rate out of bounds.
+    pub fn rate_of(a_second: f64) -> Option<u64> {
+        if !(0.001..=FASTEST).contains(&a_second) {
+            return None;
+        }
+        let in_thousand_seconds = (a_second * 1000.0).round();
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "between 1 and 10^8")]
+        Some(in_thousand_seconds as u64)
+    }
+
+    pub fn every_of(step: u64) -> Option<u64> {
+        Some(step).filter(|step| (1..=LARGEST_STEP).contains(step))
+    }
+
+    /// As people type it; without either there is no rule.
+    pub fn read(rate: Option<&str>, every: Option<&str>) -> Result<Option<Self>, SamplingError> {
+        let of_rate = |text: &str| text.parse().ok().and_then(Self::rate_of);
+        let of_every = |text: &str| text.parse().ok().and_then(Self::every_of);
+        let wrong_rate = |text: &str| of_rate(text).ok_or_else(|| SamplingError::Rate(super::clean(text, 40)));
+        let wrong_every = |text: &str| of_every(text).ok_or_else(|| SamplingError::Every(super::clean(text, 40)));
+        let sampling = Self { rate: rate.map(wrong_rate).transpose()?, every: every.map(wrong_every).transpose()? };
+        Ok(Some(sampling).filter(|sampling| *sampling != Self::default()))
+    }
+
+    pub fn is_all(&self) -> bool {
+        self.rate.is_none() && self.every.is_none_or(|every| every <= 1)
+    }
+
+    /// Messages a second, as it is typed.
+    pub fn rate_text(&self) -> Option<String> {
+        let text = self.rate.map(|rate| format!("{}.{:03}", rate / 1000, rate % 1000))?;
+        Some(text.trim_end_matches('0').trim_end_matches('.').to_owned())
+    }
+}
+
+/// `1 in 10, at most 5/s`.
+impl fmt::Display for Sampling {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let every = self.every.filter(|every| *every > 1).map(|every| format!("1 in {every}"));
+        let rate = self.rate_text().map(|rate| format!("at most {rate}/s"));
+        let parts: Vec<String> = every.into_iter().chain(rate).collect();
+        formatter.write_str(&if parts.is_empty() { "every message".to_owned() } else { parts.join(", ") })
+    }
+}
+
 pub const RETENTION_TAG: &str = "retention";
 
 impl TopicRule {
+    pub fn sampling(&self) -> Sampling {
+        Sampling { rate: self.rate, every: self.every }
+    }
+
     /// Its tags, with its retention as one of them, in seconds: `retention=2592000s`.
     pub fn all_tags(&self) -> impl Iterator<Item = (String, String)> {
         let retention = self.retention.map(|seconds| (RETENTION_TAG.to_owned(), format!("{seconds}s")));
@@ -152,6 +224,23 @@ mod tests {
             }
             ([_, ..], []) => false,
         }
+    }
+
+    #[test]
+    fn a_rule_is_read_as_it_is_typed_and_said_in_words() {
+        let read = |rate, every| Sampling::read(rate, every).map(|found| found.map(|found| found.to_string()));
+        assert_eq!(read(None, None), Ok(None));
+        assert_eq!(read(Some("5"), None), Ok(Some("at most 5/s".to_owned())));
+        assert_eq!(read(Some("0.25"), Some("10")), Ok(Some("1 in 10, at most 0.25/s".to_owned())));
+        assert_eq!(read(None, Some("1")), Ok(Some("every message".to_owned())), "despite a rule of the settings");
+        for wrong in ["", "0", "-1", "fast", "NaN", "inf", "100001"] {
+            assert!(matches!(read(Some(wrong), None), Err(SamplingError::Rate(_))), "{wrong}");
+        }
+        for wrong in ["", "0", "-1", "2.5", "4294967297"] {
+            assert!(matches!(read(None, Some(wrong)), Err(SamplingError::Every(_))), "{wrong}");
+        }
+        let typed = |rate| Sampling { rate: Some(rate), every: None }.rate_text();
+        assert_eq!([typed(5_000), typed(250), typed(100_000_000)].map(Option::unwrap), ["5", "0.25", "100000"]);
     }
 
     #[test]

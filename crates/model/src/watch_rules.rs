@@ -3,7 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{TopicPattern, TypeName};
+use crate::{Sampling, TopicPattern, TypeName};
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -11,6 +11,9 @@ pub struct WatchRule {
     pub pattern: TopicPattern,
     /// Messages of other types are not captured.
     pub type_name: Option<TypeName>,
+    /// How many messages are kept; `None` = as the settings say.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sampling: Option<Sampling>,
     /// Not watched, whatever an earlier rule says.
     pub except: bool,
 }
@@ -36,9 +39,9 @@ impl WatchRules {
         self.0.iter().any(|rule| !rule.except && !rule.pattern.is_plain())
     }
 
-    pub fn watch(&mut self, pattern: TopicPattern, type_name: Option<TypeName>) {
+    pub fn watch(&mut self, pattern: TopicPattern, type_name: Option<TypeName>, sampling: Option<Sampling>) {
         self.0.retain(|rule| rule.pattern != pattern);
-        self.0.push(WatchRule { pattern, type_name, except: false });
+        self.0.push(WatchRule { pattern, type_name, sampling, except: false });
     }
 
     /// False if nothing that was watched matches the pattern.
@@ -53,7 +56,7 @@ impl WatchRules {
             None => self.has_patterns(),
         };
         if covered {
-            self.0.push(WatchRule { pattern: pattern.clone(), type_name: None, except: true });
+            self.0.push(WatchRule { pattern: pattern.clone(), type_name: None, sampling: None, except: true });
         }
         let mut covers = false;
         self.0.retain(|rule| {
@@ -75,7 +78,7 @@ mod tests {
 
     fn rules(texts: &[&str]) -> WatchRules {
         let mut rules = WatchRules::default();
-        texts.iter().for_each(|text| rules.watch(pattern(text), None));
+        texts.iter().for_each(|text| rules.watch(pattern(text), None, None));
         rules
     }
 
@@ -86,7 +89,7 @@ mod tests {
         assert!(rules.unwatch(&pattern("/robot2/*")));
         assert!(rules.of("/robot2/odom").is_none() && rules.of("/robot3/odom").is_some());
         assert!(rules.unwatch(&pattern("/robot3/odom")) && rules.of("/robot3/odom").is_none());
-        rules.watch(pattern("/robot2/odom"), None);
+        rules.watch(pattern("/robot2/odom"), None, None);
         assert!(rules.of("/robot2/odom").is_some(), "the last one decides");
         assert!(rules.unwatch(&pattern("/robot*/odom")));
         assert_eq!(rules, super::tests::rules(&["/tf"]), "exceptions go with the last pattern");
@@ -97,11 +100,23 @@ mod tests {
     fn a_topic_keeps_the_type_of_the_rule_that_decides() {
         let mut rules = rules(&["/robot1/odom"]);
         let odometry: TypeName = "nav_msgs/Odometry".parse().expect("a type");
-        rules.watch(pattern("/robot*/odom"), Some(odometry.clone()));
+        rules.watch(pattern("/robot*/odom"), Some(odometry.clone()), None);
         assert_eq!(rules.of("/robot1/odom").and_then(|rule| rule.type_name.clone()), Some(odometry));
         assert_eq!(rules.named().count(), 0, "the pattern decides");
         assert!(rules.unwatch(&pattern("/robot*/odom")));
         assert!(rules.of("/robot1/odom").is_none(), "it goes with the pattern that covers it");
+    }
+
+    #[test]
+    fn the_rule_that_decides_says_how_many_messages_are_kept() {
+        let one_in = |every| Some(Sampling { rate: None, every: Some(every) });
+        let mut rules = WatchRules::default();
+        rules.watch(pattern("/robot*/odom"), None, one_in(10));
+        rules.watch(pattern("/robot2/odom"), None, one_in(2));
+        let kept = |rules: &WatchRules, topic: &str| rules.of(topic).and_then(|rule| rule.sampling);
+        assert_eq!([kept(&rules, "/robot1/odom"), kept(&rules, "/robot2/odom")], [one_in(10), one_in(2)]);
+        rules.watch(pattern("/robot*/odom"), None, None);
+        assert_eq!([kept(&rules, "/robot1/odom"), kept(&rules, "/robot2/odom")], [None, None], "the last one decides");
     }
 
     proptest! {
@@ -115,7 +130,7 @@ mod tests {
             for (text, watches) in steps {
                 let pattern = pattern(&text);
                 if watches {
-                    rules.watch(pattern.clone(), None);
+                    rules.watch(pattern.clone(), None, None);
                 } else {
                     rules.unwatch(&pattern);
                 }

@@ -8,6 +8,7 @@ use tokio::task::block_in_place;
 
 use crate::chain::{AnchorProof, Chain, ChainError, Event};
 use crate::crypto::fault;
+use crate::crypto::merkle::{Inclusion, KnownPaths, Leaf};
 use crate::model::{Address, Digest, Hash, SignerId};
 use crate::store::{BatchPlace, PlacedRecord, RecordRow, UnprovenBatch};
 use crate::{Network, Plant, Result};
@@ -287,12 +288,20 @@ pub fn was_sighted(plant: &Plant, row: &RecordRow) -> Result<bool> {
     Ok(were_sighted(plant, &[row])?.contains(&true))
 }
 
-/// In order, by one query of the ledger.
+/// In order, all of one moment.
 pub fn were_sighted(plant: &Plant, rows: &[&RecordRow]) -> Result<Vec<bool>> {
     let digests: Vec<_> = rows.iter().map(|row| row.digest).collect();
-    let sighted = |(row, placed): (&&RecordRow, Option<PlacedRecord>)| {
-        let anchored = placed.and_then(|placed| placed.place).filter(|place| place.block.is_some());
-        row.block.is_some() && anchored.is_none_or(|place| is_included(&place, row))
-    };
-    Ok(rows.iter().zip(plant.ledger.records.placed_all(&digests)?).map(sighted).collect())
+    let places = plant.ledger.records.places(&digests)?;
+    let leaves: Vec<Leaf> = rows.iter().map(|row| row.leaf()).collect();
+    let (known, mut sighted) = (KnownPaths::default(), Vec::with_capacity(rows.len()));
+    for ((row, place), leaf) in rows.iter().zip(&places).zip(Leaf::hashes(&leaves)) {
+        let leads = match place.as_ref().filter(|place| place.block.is_some()).map(|place| &place.inclusion) {
+            None => true,
+            Some(Inclusion { index, count, path, root }) => {
+                known.lead(leaf, (*index, *count), path, *root) || fault::is_off("proof")
+            }
+        };
+        sighted.push(row.block.is_some() && leads);
+    }
+    Ok(sighted)
 }

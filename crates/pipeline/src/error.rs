@@ -21,15 +21,15 @@ pub enum PipelineError {
     Chain(#[from] ChainError),
     #[error(transparent)]
     Ros(#[from] RosError),
-    #[error("{0} is not registered on this contract; its owner runs `authros register` first")]
+    #[error("{0} is not registered on this contract; its owner runs `authros identity register` first")]
     Unregistered(Address),
     #[error(
         "the identity that {0} registered is invalid, so it counts as unregistered; ask its owner to register again"
     )]
     BadIdentity(Address),
-    #[error("{owner} does not share {what} with {reader}; ask for `authros grant {reader}`")]
+    #[error("{owner} does not share {what} with {reader}; ask for `authros grant add {reader}`")]
     NotGranted { owner: Address, reader: Address, what: String },
-    #[error("there is no record '{0}' here; `authros uploads list` and `authros shared list` show all")]
+    #[error("there is no record '{0}' here; `authros records list` and `authros received list` show all")]
     NoRecord(String),
     #[error(
         "the ledger was altered: record {id} differs from its row in its {field}, so it is not shown; `authros audit` \

@@ -9,7 +9,7 @@ use std::ops::RangeInclusive;
 use authros_evidence::time::StampTree;
 use authros_evidence::{
     AnchorClaim, Anchoring, BlockHeader, BundledRecord, Disclosure, Height, Nodes, Packing, PackingError,
-    PinnedAuthority, PinnedChain, Slot, Trust, disclose,
+    PinnedAuthority, PinnedChain, Slot, Trust,
 };
 use tokio::task::block_in_place;
 
@@ -73,7 +73,7 @@ pub async fn gather(
     reveal: &BTreeSet<Digest>,
     authorities: Vec<PinnedAuthority>,
 ) -> Result<Gathered> {
-    let (mut gathered, mut asked) = (Gathered::default(), Vec::new());
+    let (mut gathered, mut asked, mut secrets) = (Gathered::default(), Vec::new(), BTreeMap::new());
     let Shown { rows: statements, heights, notes } = heights_shown(reader, rows).await?;
     gathered.notes = notes;
     let stated = statements.iter().map(|row| row.digest).collect::<BTreeSet<_>>();
@@ -83,13 +83,12 @@ pub async fn gather(
             continue;
         };
         gathered.packing.key(&key).map_err(refused)?;
-        let disclosure = match reveal.contains(&row.digest) || stated.contains(&row.digest) {
-            true => Some(disclosed(reader, row, &header, &record.record, &mut gathered).await?),
-            false => None,
-        };
+        if reveal.contains(&row.digest) || stated.contains(&row.digest) {
+            let secret = secret(reader, row, &header, &record.record, &mut gathered).await?;
+            secrets.insert(row.digest, secret);
+        }
         gathered.records += 1;
         gathered.revealed += u64::from(reveal.contains(&row.digest));
-        let record = BundledRecord { disclosure, ..record };
         match block_in_place(|| anchoring(reader, row))? {
             Some((block, anchor)) => {
                 let keys = chain_proofs::key_version(reader.network, row.owner, block);
@@ -98,6 +97,11 @@ pub async fn gather(
             }
             None => gathered.packing.record(row.digest, record).map_err(refused)?,
         }
+    }
+    if !secrets.is_empty() {
+        let keys = reader.reader.signing();
+        let signed = Disclosure::sign(secrets, &reader.network.domain, &keys, reader.plant.provider);
+        gathered.packing.disclosure(&signed.map_err(refused)?);
     }
     if !heights.is_empty() {
         gathered.packing.heights(heights).map_err(refused)?;
@@ -152,7 +156,7 @@ fn stored(
         notes.push(format!("the key that signed record {} is unknown here; the record is not in the bundle", row.id));
         return Ok(None);
     };
-    let record = BundledRecord { record, signature: row.signature, anchor: None, disclosure: None };
+    let record = BundledRecord { record, signature: row.signature, anchor: None };
     Ok(Some((header, key, record)))
 }
 
@@ -166,15 +170,15 @@ fn anchoring(reader: &Reader<'_>, row: &RecordRow) -> Result<Option<(u64, Anchor
     Ok(Some((block, anchoring)))
 }
 
-/// The owner's signed disclosure of a record; the text of its definition is included.
-async fn disclosed(
+/// A record's secret; the text of its definition is included.
+async fn secret(
     reader: &Reader<'_>,
     row: &RecordRow,
     header: &Header,
     record: &[u8],
     gathered: &mut Gathered,
-) -> Result<Disclosure> {
-    let (plant, network) = (reader.plant, reader.network);
+) -> Result<RecordSecret> {
+    let plant = reader.plant;
     let opened = reader.open(row).await.map_err(|error| match error {
         PipelineError::Crypto(CryptoError::FalseName(what)) => PipelineError::Refused(format!(
             "record {} is not disclosed: its signer wrote a false {what} into it; reveal others, or none",
@@ -188,7 +192,7 @@ async fn disclosed(
     let (key, _) = Keys::opening(reader, header).ok_or(CryptoError::WrongKey)?;
     let secret = RecordSecret::of(&key, header);
     open_revealed(plant.provider, record, &secret)?;
-    disclose(secret, (&network.domain, &row.digest), &reader.reader.signing(), plant.provider).map_err(refused)
+    Ok(secret)
 }
 
 /// Gets the chain's proof of every anchor: of the state at its own block if that is kept or the node still has it,
@@ -350,7 +354,7 @@ pub(super) fn add(plant: &Plant, roots: &BTreeSet<Hash>, gathered: &mut Gathered
     }
     if bare > 0 {
         let text = format!(
-            "{bare} batches have no time stamp yet, so level (d) is absent; `authros evidence stamp` requests one"
+            "{bare} batches have no time stamp yet, so level (d) is absent; `authros evidence timestamp` requests one"
         );
         gathered.notes.push(text);
     }

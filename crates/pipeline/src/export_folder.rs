@@ -1,4 +1,4 @@
-//! A folder of `uploads export`, read within limits and checked without a chain, for a recipient who trusts nobody.
+//! A folder of `records export`, read within limits and checked without a chain, for a recipient who trusts nobody.
 
 use std::fs::File;
 use std::io::Read as _;
@@ -21,7 +21,7 @@ const LONGEST_SMALL: u64 = 64 * 1024;
 const LONGEST_HEADER: u64 = 1024;
 
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{file}: {why}; ask the person who gave you the folder for a new `authros uploads export`")]
+#[error("{file}: {why}; ask the person who gave you the folder for a new `authros records export`")]
 pub struct FolderError {
     pub file: String,
     /// What is wrong with it, cleaned.

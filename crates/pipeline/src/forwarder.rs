@@ -109,7 +109,7 @@ impl ForwardError {
         match self {
             Self::Gateway(GatewayError::Recalled(at)) => Link::Refused(format!(
                 "{owner} revoked this robot at {at}: what it records now is not accepted; ask that owner to enrol it again \
-                 (authros agent enrol)"
+                 (`authros robot enrol`)"
             )),
             Self::Gateway(error) if error.kind() == ErrorKind::Refused => Link::Refused(text),
             _ => Link::Away(text),

@@ -4,7 +4,7 @@
 use std::time::{Duration, Instant};
 
 use crate::chain::merkle::MOST_LEAVES;
-use crate::model::{Timestamp, TopicRule};
+use crate::model::{Sampling, Timestamp};
 
 /// Leaves at which a batch first closes.
 const NARROWEST: usize = 256;
@@ -76,10 +76,10 @@ pub(super) struct Sampler {
 
 impl Sampler {
     /// Takes the first message, and over time no more than the rate.
-    pub fn takes(&mut self, rule: &TopicRule, at: Timestamp) -> bool {
-        let nth = rule.every.is_none_or(|every| self.seen.is_multiple_of(every.max(1)));
+    pub fn takes(&mut self, sampling: Sampling, at: Timestamp) -> bool {
+        let nth = sampling.every.is_none_or(|every| self.seen.is_multiple_of(every.max(1)));
         self.seen = self.seen.wrapping_add(1);
-        nth && rule.rate.is_none_or(|rate| self.is_due(1_000_000_000_000 / rate.max(1), at))
+        nth && sampling.rate.is_none_or(|rate| self.is_due(1_000_000_000_000 / rate.max(1), at))
     }
 
     fn is_due(&mut self, interval: u64, at: Timestamp) -> bool {
@@ -191,15 +191,13 @@ mod tests {
 #[cfg(test)]
 mod sampler_tests {
     use super::*;
-    use std::collections::BTreeMap;
 
-    fn rule(rate: Option<u64>, every: Option<u64>) -> TopicRule {
-        let pattern = "/a".parse().expect("a pattern");
-        TopicRule { pattern, line: 1, type_name: None, rate, every, tags: BTreeMap::new(), retention: None }
+    fn rule(rate: Option<u64>, every: Option<u64>) -> Sampling {
+        Sampling { rate, every }
     }
 
     /// How many of `count` messages are taken, `gap` nanoseconds apart with jitter.
-    fn taken(rule: &TopicRule, count: u64, gap: u64, jitter: u64) -> u64 {
+    fn taken(rule: Sampling, count: u64, gap: u64, jitter: u64) -> u64 {
         let mut sampler = Sampler::default();
         let time = |number: u64| Timestamp(1_000_000_000_000 + number * gap + number * 7_919 % (jitter + 1));
         (0..count).filter(|number| sampler.takes(rule, time(*number))).count() as u64
@@ -207,18 +205,18 @@ mod sampler_tests {
 
     #[test]
     fn every_tenth_is_every_tenth() {
-        assert_eq!(taken(&rule(None, Some(10)), 95, 1_000_000, 0), 10);
-        assert_eq!(taken(&rule(None, None), 95, 1_000_000, 0), 95);
+        assert_eq!(taken(rule(None, Some(10)), 95, 1_000_000, 0), 10);
+        assert_eq!(taken(rule(None, None), 95, 1_000_000, 0), 95);
     }
 
     #[test]
     fn a_rate_is_kept_over_time_and_an_even_publisher_of_it_loses_nothing() {
         // 20.3 Hz against 10 Hz over 100 s.
-        let kept = taken(&rule(Some(10_000), None), 2030, 49_261_083, 0);
+        let kept = taken(rule(Some(10_000), None), 2030, 49_261_083, 0);
         assert!((995..=1002).contains(&kept), "{kept}");
-        assert_eq!(taken(&rule(Some(10_000), None), 1000, 100_000_000, 40_000_000), 1000);
+        assert_eq!(taken(rule(Some(10_000), None), 1000, 100_000_000, 40_000_000), 1000);
         // Both: every second of 20 Hz, at most 5 Hz.
-        let kept = taken(&rule(Some(5_000), Some(2)), 2000, 50_000_000, 0);
+        let kept = taken(rule(Some(5_000), Some(2)), 2000, 50_000_000, 0);
         assert!((495..=502).contains(&kept), "{kept}");
     }
 
@@ -227,7 +225,7 @@ mod sampler_tests {
         // 100 Hz against 5 Hz: at 0, 200, 400 ms (half an interval early is on time), and not several at once.
         let (rule, mut sampler) = (rule(Some(5_000), None), Sampler::default());
         let at = |number: u64| Timestamp(1_000_000_000_000 + number * 10_000_000);
-        let taken: Vec<u64> = (0..60).filter(|number| sampler.takes(&rule, at(*number))).collect();
+        let taken: Vec<u64> = (0..60).filter(|number| sampler.takes(rule, at(*number))).collect();
         assert_eq!(taken.first(), Some(&0));
         assert!(taken.windows(2).all(|pair| pair[1] - pair[0] >= 10), "{taken:?}");
         assert!(taken.len() <= 5, "{taken:?}");
@@ -236,7 +234,7 @@ mod sampler_tests {
     #[test]
     fn a_clock_set_back_does_not_silence_a_topic() {
         let (rule, mut sampler) = (rule(Some(1_000), None), Sampler::default());
-        assert!(sampler.takes(&rule, Timestamp(9_000_000_000_000)));
-        assert!(sampler.takes(&rule, Timestamp(1_000_000_000_000)));
+        assert!(sampler.takes(rule, Timestamp(9_000_000_000_000)));
+        assert!(sampler.takes(rule, Timestamp(1_000_000_000_000)));
     }
 }

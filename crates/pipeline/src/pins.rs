@@ -1,7 +1,7 @@
 //! Node forging: who may publish a watched topic, and the alarm about anyone else. All that is compared is claimed: ROS
 //! 1 authenticates nobody. A publisher with the pinned one's claims is doubted only if both were there together.
 
-use std::collections::{BTreeMap, HashMap, HashSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::Instant;
 
@@ -109,6 +109,12 @@ impl Pins {
 
     pub fn lost(&self, number: u64) {
         self.live.lock().unwrap_or_else(PoisonError::into_inner).remove(&number);
+    }
+
+    /// Topics with publishers that are being read.
+    pub fn live_topics(&self) -> BTreeSet<String> {
+        let live = self.live.lock().unwrap_or_else(PoisonError::into_inner);
+        live.values().map(|(topic, _)| topic.to_string()).collect()
     }
 
     pub fn live(&self, topic: &str) -> Vec<Publisher> {
@@ -332,7 +338,9 @@ impl Pins {
         known.alarms += 1;
         let advice = match doubt {
             Doubt::Unconfirmed => "check who can reach this machine",
-            _ => "its messages are quarantined: see `authros quarantine list`, or accept it with `authros topics pin`",
+            _ => {
+                "its messages are quarantined: see `authros topics quarantine list`, or accept it with `authros topics pin`"
+            }
         };
         let text = match known.alarms {
             ..=MOST_ALARMS => format!("NODE FORGING? {name} on {topic}: {}; {advice}", doubt.text()),

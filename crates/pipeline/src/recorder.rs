@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
 use crate::model::{
-    Address, Doubt, LossReason, RecordKind, Timestamp, TopicName, TopicRule, TopicRules, TypeName, WatchRule,
+    Address, Doubt, LossReason, RecordKind, Sampling, Timestamp, TopicName, TopicRule, TopicRules, TypeName, WatchRule,
     WatchRules, clean,
 };
 use crate::ros::{CaptureNotice, Message, MessageSink, Origin};
@@ -45,6 +45,8 @@ struct Interest {
     type_name: Option<TypeName>,
     sessions: Vec<Arc<CaptureSession>>,
     rule: Option<Arc<TopicRule>>,
+    /// Of the watch; decides before the rule.
+    sampling: Option<Sampling>,
     sampler: Mutex<Sampler>,
 }
 
@@ -63,10 +65,17 @@ impl Interest {
         CapturedMessage { author, message, kind, simulated, sessions: Vec::new(), doubt: None, rule, ring: false }
     }
 
-    /// Whether the topic's rule lets this message of an undoubted publisher through.
+    /// Whether this message of an undoubted publisher is among those kept.
     fn takes(&self, at: Timestamp) -> bool {
-        let Some(rule) = &self.rule else { return true };
-        self.sampler.lock().unwrap_or_else(PoisonError::into_inner).takes(rule, at)
+        let of_rule = || self.rule.as_ref().map(|rule| rule.sampling());
+        let Some(sampling) = self.sampling.or_else(of_rule) else { return true };
+        self.sampler.lock().unwrap_or_else(PoisonError::into_inner).takes(sampling, at)
+    }
+
+    fn sample(&mut self, sampling: Option<Sampling>) {
+        if self.sampling != sampling {
+            (self.sampling, self.sampler) = (sampling, Mutex::default());
+        }
     }
 }
 
@@ -153,7 +162,8 @@ impl Recorder {
         if !list.iter().any(|interest| interest.author.address == author.address) {
             let rule = self.rules.read().unwrap_or_else(PoisonError::into_inner).of(topic).cloned();
             let (author, sessions, sampler) = (Arc::clone(author), Vec::new(), Mutex::default());
-            list.push(Interest { author, watched: false, ringed: false, type_name: None, sessions, rule, sampler });
+            let (watched, ringed, type_name, sampling) = (false, false, None, None);
+            list.push(Interest { author, watched, ringed, type_name, sessions, rule, sampling, sampler });
         }
         if let Some(interest) = list.iter_mut().find(|interest| interest.author.address == author.address) {
             change(interest);
@@ -169,7 +179,10 @@ impl Recorder {
         for topic in self.watched_by(author.address) {
             match rules.of(&topic) {
                 Some(rule) => self.watch(&topic, author, rule),
-                None => self.change(&topic, author, |interest| interest.watched = false),
+                None => self.change(&topic, author, |interest| {
+                    interest.watched = false;
+                    interest.sample(None);
+                }),
             }
         }
         rules.named().for_each(|rule| self.watch(rule.pattern.as_str(), author, rule));
@@ -185,6 +198,7 @@ impl Recorder {
         self.change(topic, author, |interest| {
             interest.watched = true;
             interest.type_name.clone_from(&rule.type_name);
+            interest.sample(rule.sampling);
         });
     }
 

@@ -15,8 +15,8 @@ use crate::model::{
 };
 use crate::statement::{self, Speaker, Statement};
 use crate::store::{
-    Erasure, IncidentRow, IncidentSpan, KeptTopic, NewRecord, OldRecord, PlacedRecord, RecordRow, Retained,
-    StatedErasure, StoreError, Unstated,
+    Erasure, IncidentRow, KeptTopic, NewRecord, OldRecord, PlacedRecord, RecordRow, Retained, StatedErasure,
+    StoreError, Unstated,
 };
 use crate::{Network, Owner, PipelineError, Plant, Result};
 
@@ -151,7 +151,7 @@ fn header_of(plant: &Plant, digest: Digest) -> Result<Option<Vec<u8>>> {
 fn missing(plant: &Plant, digest: Digest) {
     let text = format!(
         "record {digest} is not deleted by retention: its ciphertext is missing or altered, but no retention record \
-         names it; inspect it with `authros shared check`"
+         names it; inspect it with `authros records check`"
     );
     plant.observer.alert(true, text);
 }
@@ -339,8 +339,7 @@ struct Held {
 
 impl Held {
     pub fn of(topic: &str, incidents: &[IncidentRow]) -> Self {
-        let about = |span: &&IncidentSpan| span.topics.is_empty() || span.topics.iter().any(|name| name == topic);
-        let spans = incidents.iter().map(|incident| &incident.span).filter(about);
+        let spans = incidents.iter().map(|incident| &incident.span).filter(|span| span.is_about(topic));
         Self { spans: merged(spans.map(|span| (span.since, span.until.unwrap_or(EVER))).collect()), ..Self::default() }
     }
 
@@ -398,7 +397,7 @@ pub fn left_of(plant: &Plant, network: &Network, row: &RecordRow, header: Vec<u8
     Ok(Some(Fetched { signer, signature: row.signature, proof, blob: header }))
 }
 
-/// `None` if nobody would accept it now: its owner has another key, it is in no batch of a block, or its signer is
+/// `None` if nobody would accept it now: its owner has another key, it rests on no batch in a block, or its signer is
 /// unknown.
 pub fn notice_of(
     plant: &Plant,
@@ -409,7 +408,7 @@ pub fn notice_of(
     let (Ok(statement), Ok(account)) = (ErasedStatement::parse(statement), account.try_into()) else {
         return Ok(None);
     };
-    let Some(PlacedRecord { row, place }) = ledger.records.placed(digest)? else { return Ok(None) };
+    let Some((row, place)) = ledger.records.placed(digest)?.map(PlacedRecord::anchor) else { return Ok(None) };
     let is_batched = place.is_some() && row.block.is_some();
     if !is_batched || !is_owners(network, row.owner, &statement.signer) {
         return Ok(None);
@@ -429,6 +428,8 @@ pub fn is_owners(network: &Network, owner: Address, key: &PublicKey) -> bool {
 #[cfg(test)]
 mod held_tests {
     use super::*;
+    use crate::model::TopicPatterns;
+    use crate::store::IncidentSpan;
     use proptest::prelude::*;
 
     fn at((since, until): (u64, u64)) -> Span {
@@ -464,7 +465,7 @@ mod held_tests {
             span: IncidentSpan {
                 since: Timestamp(5),
                 until,
-                topics: topics.iter().map(|&topic| topic.to_owned()).collect(),
+                topics: TopicPatterns(topics.iter().map(|topic| topic.parse().expect("a pattern")).collect()),
             },
             opened_at: Timestamp(5),
             closed_at: None,
@@ -474,5 +475,8 @@ mod held_tests {
         assert_eq!(Held::of("/odom", &rows).spans, [at((5, 9))]);
         assert_eq!(Held::of("/scan", &rows).spans, [at((5, 7))]);
         assert_eq!(Held::of("/scan", &[row("c", &["/scan"], None)]).spans, [(Timestamp(5), EVER)]);
+        let by_pattern = [row("d", &["/robot*/odom"], None)];
+        assert_eq!(Held::of("/robot7/odom", &by_pattern).spans, [(Timestamp(5), EVER)]);
+        assert!(Held::of("/robot7/scan", &by_pattern).spans.is_empty());
     }
 }

@@ -5,7 +5,7 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpStream, ToSocketAddrs, UdpSocket
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
-use super::RosError;
+use super::{Result, RosError};
 use crate::model::clean;
 
 pub(super) const UNRESOLVED: &str = "its name does not resolve";
@@ -32,7 +32,7 @@ impl Endpoint {
         (host_ok && path_ok).then(|| Self { host: host.to_owned(), port, path: format!("/{path}") })
     }
 
-    pub fn of_master(uri: &str) -> Result<Self, RosError> {
+    pub fn of_master(uri: &str) -> Result<Self> {
         Self::parse(uri).ok_or_else(|| RosError::Address(clean(uri, 120)))
     }
 
@@ -101,7 +101,7 @@ fn connect_to_any(addresses: &[SocketAddr], deadline: Instant) -> std::io::Resul
 
 /// The host by which other nodes reach us: the given one; loopback if the master is there; otherwise the local address
 /// of a route to the master.
-pub(super) fn own_host(given: Option<&str>, master: &Endpoint, deadline: Instant) -> Result<String, RosError> {
+pub(super) fn own_host(given: Option<&str>, master: &Endpoint, deadline: Instant) -> Result<String> {
     if let Some(host) = given.filter(|host| !host.is_empty()) {
         return Ok(host.to_owned());
     }
@@ -120,7 +120,7 @@ pub(super) fn own_host(given: Option<&str>, master: &Endpoint, deadline: Instant
     route.map(|local| local.ip().to_string()).map_err(unreachable)
 }
 
-pub(super) fn listen_address(host: &str, deadline: Instant) -> Result<SocketAddr, RosError> {
+pub(super) fn listen_address(host: &str, deadline: Instant) -> Result<SocketAddr> {
     let failed = |reason: String| RosError::OwnHost { host: clean(host, 80), reason };
     let found = resolve(host, 0, deadline).map_err(|error| failed(error.to_string()))?;
     found.first().copied().ok_or_else(|| failed("the name has no address".into()))

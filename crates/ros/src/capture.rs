@@ -14,7 +14,7 @@ use crate::ros::address::{Endpoint, own_host};
 use crate::ros::graph::Unreached;
 use crate::ros::tcpros::{BusLink, Node, SlaveServer};
 use crate::ros::xmlrpc::{CallError, Value, call};
-use crate::ros::{RosError, lock};
+use crate::ros::{Result, RosError, lock};
 use topic::Topic;
 
 pub(crate) use topic::next_number;
@@ -120,7 +120,7 @@ pub struct Capture {
 
 impl Capture {
     /// Watches nothing yet. The master need not be running.
-    pub fn start(options: CaptureOptions, sink: Arc<dyn MessageSink>) -> Result<Self, RosError> {
+    pub fn start(options: CaptureOptions, sink: Arc<dyn MessageSink>) -> Result<Self> {
         let master = Endpoint::of_master(&options.master_uri)?;
         let host = own_host(options.own_host.as_deref(), &master, Instant::now() + PATIENCE)?;
         let shared = Arc::new(Shared {

@@ -2,6 +2,8 @@
 
 use crate::model::{ErrorKind, clean};
 
+pub(crate) type Result<T, E = RosError> = std::result::Result<T, E>;
+
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum RosError {
     #[error(

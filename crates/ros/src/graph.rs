@@ -7,9 +7,9 @@ use std::time::{Duration, Instant};
 use serde::{Deserialize, Serialize};
 
 use crate::model::clean;
-use crate::ros::RosError;
 use crate::ros::address::{Endpoint, connect, own_host, resolve};
 use crate::ros::xmlrpc::{CallError, Value, call};
+use crate::ros::{Result, RosError};
 
 pub const PATIENCE: Duration = Duration::from_millis(2500);
 
@@ -111,7 +111,7 @@ impl std::fmt::Display for Unreached {
 
 impl Graph {
     /// Sends nothing yet.
-    pub fn new(master_uri: &str, node_name: &str) -> Result<Self, RosError> {
+    pub fn new(master_uri: &str, node_name: &str) -> Result<Self> {
         Ok(Self::of(Endpoint::of_master(master_uri)?, node_name))
     }
 
@@ -119,16 +119,16 @@ impl Graph {
         Self { master, node_name: node_name.to_owned() }
     }
 
-    pub fn ping(&self) -> Result<(), RosError> {
+    pub fn ping(&self) -> Result<()> {
         self.ask("getPid", Instant::now() + PATIENCE).map(drop)
     }
 
-    pub fn topics(&self) -> Result<Vec<TopicInfo>, RosError> {
+    pub fn topics(&self) -> Result<Vec<TopicInfo>> {
         self.topics_again(&mut LastLook::default())
     }
 
     /// For repeated polling: while the graph is unchanged and all types are known, types are queried only now and then.
-    pub fn topics_again(&self, last: &mut LastLook) -> Result<Vec<TopicInfo>, RosError> {
+    pub fn topics_again(&self, last: &mut LastLook) -> Result<Vec<TopicInfo>> {
         let deadline = Instant::now() + PATIENCE;
         let state = self.ask("getSystemState", deadline)?;
         let types = match last.0.take().filter(|types| types.hold(&state)) {
@@ -144,12 +144,12 @@ impl Graph {
         Ok(topics)
     }
 
-    fn ask(&self, method: &'static str, deadline: Instant) -> Result<Value, RosError> {
+    fn ask(&self, method: &'static str, deadline: Instant) -> Result<Value> {
         call(&self.master, method, &[self.node_name.as_str().into()], deadline)
             .map_err(|error| master_error(&self.master, method, error))
     }
 
-    pub fn presence(&self, topic: &str) -> Result<Presence, RosError> {
+    pub fn presence(&self, topic: &str) -> Result<Presence> {
         let state = self.ask("getSystemState", Instant::now() + PATIENCE)?;
         let nodes = |index: usize| {
             let of_state = state.as_array().and_then(|parts| parts.get(index));
@@ -176,7 +176,7 @@ impl Graph {
     }
 
     /// The number of publishers' addresses tried, and those that do not answer.
-    pub fn unreached(&self) -> Result<(usize, Vec<Unreached>), RosError> {
+    pub fn unreached(&self) -> Result<(usize, Vec<Unreached>)> {
         let nodes: BTreeSet<String> = self.topics()?.into_iter().flat_map(|topic| topic.publishers).collect();
         let mut found = Vec::new();
         let tried = nodes.iter().take(MOST_NODES);

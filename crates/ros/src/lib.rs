@@ -29,6 +29,7 @@ mod xmlrpc;
 
 pub use capture::{Capture, CaptureNotice, CaptureOptions, Message, MessageSink, Origin, Rival, TopicCapture};
 pub use child::UNCONFINED;
+pub(crate) use error::Result;
 pub use error::RosError;
 pub use graph::{Graph, LastLook, TopicInfo};
 pub use master::EmbeddedMaster;

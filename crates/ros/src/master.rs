@@ -9,10 +9,10 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::oneshot;
 
-use super::RosError;
 use super::address::Endpoint;
 use super::tcpros::{failure, success};
 use super::xmlrpc::{Answer, Server, Value, call, forward};
+use super::{Result, RosError};
 
 /// Left free for a real roscore.
 const USUAL_PORT: u16 = 11311;
@@ -34,7 +34,7 @@ pub struct EmbeddedMaster {
 
 impl EmbeddedMaster {
     /// On a free port of 127.0.0.1; waits until it answers.
-    pub fn start() -> Result<Self, RosError> {
+    pub fn start() -> Result<Self> {
         let mut failure = String::new();
         for _ in 0..ATTEMPTS {
             match listener().map(|(port, _)| port).and_then(Self::start_on) {

@@ -13,10 +13,10 @@ pub use json::layout;
 pub(super) use ros2::plain_text;
 pub use ros2::{Folders, Source, is_built_in, type_hash};
 
-use super::RosError;
+use super::Result;
 
 /// From the full text of a definition: 32 hex characters.
-pub fn md5sum(type_name: &str, definition: &str) -> Result<String, RosError> {
+pub fn md5sum(type_name: &str, definition: &str) -> Result<String> {
     Definition::parse(type_name, definition).map(|definition| definition.md5sum())
 }
 

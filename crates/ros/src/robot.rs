@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use crate::model::Timestamp;
 use crate::ros::message::md5sum;
 use crate::ros::ros2::{Declined, Offer, Offered, Ros2Publisher};
-use crate::ros::{Advertised, GraphPublisher, Publisher, RosError, RosrustPublisher, lock};
+use crate::ros::{Advertised, GraphPublisher, Publisher, Result, RosError, RosrustPublisher, lock};
 use picture::Camera;
 
 pub use messages::{COMPRESSED_IMAGE, ODOMETRY, compressed_image_definition, odometry_definition};
@@ -58,7 +58,7 @@ impl Work {
         periods: (Duration, Duration),
         is_cdr: bool,
         [mut odometry, mut pictures]: [Sink; 2],
-    ) -> Result<(), RosError> {
+    ) -> Result<()> {
         let track = Track::of_robot(number);
         self.repeat("robot-odometry", periods.0, move |seq, age| {
             odometry(&messages::odometry(is_cdr, seq, Timestamp::now(), &track.at(age)))
@@ -76,7 +76,7 @@ impl Work {
         name: &str,
         period: Duration,
         mut work: impl FnMut(u32, f64) -> bool + Send + 'static,
-    ) -> Result<(), RosError> {
+    ) -> Result<()> {
         let stopping = Arc::clone(&self.stopping);
         let work = move || {
             let begun = Instant::now();
@@ -116,25 +116,16 @@ pub struct Fleet {
 }
 
 impl Fleet {
-    pub fn start(master_uri: &str, robots: u16, options: FleetOptions) -> Result<Self, RosError> {
+    pub fn start(master_uri: &str, robots: u16, options: FleetOptions) -> Result<Self> {
         Self::of(robots, options, |node| Ok(Box::new(Publisher::start(master_uri, None, node)?)))
     }
 
     /// The same, each in a process of its own.
-    pub fn by_rosrust(
-        master_uri: &str,
-        program: Option<&Path>,
-        robots: u16,
-        options: FleetOptions,
-    ) -> Result<Self, RosError> {
+    pub fn by_rosrust(master_uri: &str, program: Option<&Path>, robots: u16, options: FleetOptions) -> Result<Self> {
         Self::of(robots, options, |node| Ok(Box::new(RosrustPublisher::start(master_uri, None, node, program)?)))
     }
 
-    fn of(
-        robots: u16,
-        options: FleetOptions,
-        start: impl Fn(&str) -> Result<Box<dyn GraphPublisher>, RosError>,
-    ) -> Result<Self, RosError> {
+    fn of(robots: u16, options: FleetOptions, start: impl Fn(&str) -> Result<Box<dyn GraphPublisher>>) -> Result<Self> {
         let periods = options.periods(robots)?;
         let mut fleet = Self { work: Work::default(), nodes: Vec::new() };
         for number in 1..=robots {
@@ -160,17 +151,12 @@ fn sink(
     node: &Arc<Mutex<Box<dyn GraphPublisher>>>,
     topic: String,
     (type_name, definition): (&str, String),
-) -> Result<Sink, RosError> {
+) -> Result<Sink> {
     let (type_name, md5sum) = (type_name.to_owned(), md5sum(type_name, &definition)?);
     let about = Advertised { topic, type_name, md5sum, definition, latching: false };
     lock(node).advertise(&about, Duration::ZERO)?;
     let node = Arc::clone(node);
-    Ok(Box::new(move |message: &[u8]| {
-        let mut node = lock(&node);
-        // A robot whose process ended comes back, like one that was switched off.
-        let is_there = node.broken().is_none() || node.come_back().is_ok();
-        is_there && node.publish(&about.topic, 0, message)
-    }))
+    Ok(Box::new(move |message: &[u8]| lock(&node).publish(&about.topic, 0, message)))
 }
 
 impl Drop for Fleet {
@@ -189,7 +175,7 @@ fn topics_of(number: u16) -> (String, String) {
 }
 
 impl FleetOptions {
-    fn periods(self, robots: u16) -> Result<(Duration, Duration), RosError> {
+    fn periods(self, robots: u16) -> Result<(Duration, Duration)> {
         if robots > MOST_ROBOTS {
             return Err(RosError::Robots(robots));
         }
@@ -197,7 +183,7 @@ impl FleetOptions {
     }
 }
 
-fn period(hz: f64) -> Result<Duration, RosError> {
+fn period(hz: f64) -> Result<Duration> {
     let period = Duration::try_from_secs_f64(1.0 / hz).ok().filter(|_| hz > 0.0 && hz <= FASTEST);
     period.ok_or_else(|| RosError::Rate(hz.to_string()))
 }
@@ -275,10 +261,10 @@ pub struct DomainFleet {
 }
 
 impl DomainFleet {
-    pub fn start(domain: u16, program: Option<&Path>, robots: u16, options: FleetOptions) -> Result<Self, RosError> {
+    pub fn start(domain: u16, program: Option<&Path>, robots: u16, options: FleetOptions) -> Result<Self> {
         let periods = options.periods(robots)?;
         let publisher = Arc::new(Mutex::new(Ros2Publisher::start(domain, program)?));
-        let sink = |name: String, type_name: &str, size: usize| -> Result<Sink, RosError> {
+        let sink = |name: String, type_name: &str, size: usize| -> Result<Sink> {
             let topic = Offered { name, type_name: type_name.to_owned(), encoding: LITTLE, offer: USUAL };
             let refused = |declined: Declined| RosError::NotPublished {
                 domain,

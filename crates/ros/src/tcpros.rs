@@ -7,9 +7,9 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::model::clean;
-use crate::ros::RosError;
 use crate::ros::address::{authority, listen_address};
 use crate::ros::xmlrpc::{Answer, OF_A_NODE, Server, Value};
+use crate::ros::{Result, RosError};
 
 /// Bytes.
 pub const LONGEST_MESSAGE: usize = 64 << 20;
@@ -176,7 +176,7 @@ pub(super) struct SlaveServer {
 
 impl SlaveServer {
     /// On a free port of `host`.
-    pub fn start(host: &str, node: Arc<dyn Node>) -> Result<Self, RosError> {
+    pub fn start(host: &str, node: Arc<dyn Node>) -> Result<Self> {
         let server = Server::start(listen(host)?, Arc::new(Slave(node)), OF_A_NODE)
             .map_err(|error| RosError::system("start a thread", &error))?;
         Ok(Self { uri: format!("http://{}/", authority(host, server.port())), _server: server })
@@ -184,7 +184,7 @@ impl SlaveServer {
 }
 
 /// On a free port of `host` only.
-pub(super) fn listen(host: &str) -> Result<TcpListener, RosError> {
+pub(super) fn listen(host: &str) -> Result<TcpListener> {
     let address = listen_address(host, Instant::now() + Duration::from_secs(2))?;
     TcpListener::bind(address).map_err(|error| RosError::OwnHost { host: clean(host, 80), reason: error.to_string() })
 }

@@ -4,13 +4,13 @@ use tokio::sync::{broadcast, mpsc, oneshot};
 
 use super::command::{Ask, Command, Request};
 use super::event::Event;
-use super::reply::{Failure, Reply};
+use super::reply::{Failure, Reply, Result};
 use crate::model::{ErrorKind, ProfileName};
 
 #[derive(Debug)]
 pub struct Call {
     pub request: Request,
-    pub answer: oneshot::Sender<Result<Reply, Failure>>,
+    pub answer: oneshot::Sender<Result<Reply>>,
 }
 
 /// Talks to a site, local or remote, on behalf of one profile. Cheap to clone.
@@ -35,7 +35,7 @@ impl Client {
     }
 
     /// Sends a command without waiting; the receiver gets the answer.
-    pub fn send(&self, command: Command) -> oneshot::Receiver<Result<Reply, Failure>> {
+    pub fn send(&self, command: Command) -> oneshot::Receiver<Result<Reply>> {
         let (answer, receiver) = oneshot::channel();
         let call = Call { request: Request { profile: self.profile.clone(), command }, answer };
         // If the site has ended, the sender is dropped and the receiver reports it.
@@ -44,12 +44,12 @@ impl Client {
     }
 
     /// Sends a command chosen at run time and waits; `Unreachable` if the site has ended.
-    pub async fn request(&self, command: Command) -> Result<Reply, Failure> {
+    pub async fn request(&self, command: Command) -> Result<Reply> {
         self.send(command).await.unwrap_or_else(|_| Err(site_gone()))
     }
 
     /// Sends a request and waits; `Unreachable` if the site has ended.
-    pub async fn ask<A: Ask>(&self, ask: A) -> Result<A::Answer, Failure> {
+    pub async fn ask<A: Ask>(&self, ask: A) -> Result<A::Answer> {
         A::heard(self.request(ask.into()).await)
     }
 

@@ -22,8 +22,8 @@ use zeroize::{Zeroize, ZeroizeOnDrop};
 
 use self::right::{CAPTURE, GRANT, LOOK, OWNER, PASSPHRASE};
 use crate::model::{
-    Address, ContactName, IncidentName, Party, ProfileName, Publisher, SignerId, Timestamp, TopicName, TopicPattern,
-    TypeName,
+    Address, ContactName, IncidentName, Party, ProfileName, Publisher, Sampling, SignerId, Timestamp, TopicName,
+    TopicPattern, TypeName,
 };
 use crate::reply::{
     AdministrationView, AdmittedView, AlertTestView, AlertsView, AuditCheck, AuditView, BackupView, CaptureSummary,
@@ -84,18 +84,24 @@ requests! {
         parts: usize,
     } => CoverageView, LOOK;
     /// Capture a topic, in this type if one is given, until it is unwatched; lasts across restarts. A pattern also
-    /// covers topics that appear later.
-    WatchTopic { topic: TopicPattern, type_name: Option<TypeName> } => (), CAPTURE;
+    /// covers topics that appear later. Of a topic that is watched already, it replaces what was said before.
+    WatchTopic {
+        topic: TopicPattern,
+        type_name: Option<TypeName>,
+        /// How many messages are kept; `None` = as the settings say.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        sampling: Option<Sampling>,
+    } => (), CAPTURE;
     /// Stop capturing what matches.
     UnwatchTopic { topic: TopicPattern } => (), CAPTURE;
     /// Pinned publishers, and alarms about others.
-    ListPins { topic: Option<TopicName> } => PinsView, LOOK;
-    /// Accept publishers of a topic; empty = those being read now.
-    PinTopic { topic: TopicName, publishers: Vec<Publisher> } => PinsView, CAPTURE;
-    /// No longer accept a node name on a topic.
-    UnpinTopic { topic: TopicName, caller_id: String } => PinsView, CAPTURE;
+    ListPins { topic: Option<TopicPattern> } => PinsView, LOOK;
+    /// Accept publishers of a topic; empty = those being read now, of every topic that matches.
+    PinTopic { topic: TopicPattern, publishers: Vec<Publisher> } => PinsView, CAPTURE;
+    /// No longer accept a node name on the topics that match.
+    UnpinTopic { topic: TopicPattern, caller_id: String } => PinsView, CAPTURE;
     /// Quarantined messages, oldest first; `limit` 1 to 1,000.
-    ListQuarantine { topic: Option<TopicName>, limit: usize } => QuarantineView, LOOK;
+    ListQuarantine { topic: Option<TopicPattern>, limit: usize } => QuarantineView, LOOK;
     /// Release quarantined messages.
     ReleaseHeld { held: Held } => DecidedView, OWNER;
     /// Delete quarantined messages.
@@ -134,20 +140,30 @@ requests! {
     ShowUpload { id: String } => Provenance, LOOK;
     /// One own record's files for third parties to check; accounts are redacted without `addresses`.
     ExportUpload { id: String, addresses: bool } => Vec<ExportedFile>, OWNER;
-    /// Own records with all their proofs, in one file.
+    /// Own records with all their proofs, in one file; or what that file would disclose.
     ExportEvidence(wishes: EvidenceWishes) => EvidenceView, OWNER;
     /// Request time stamps now for what the authorities have not stamped yet.
     StampEvidence => StampView, OWNER;
     /// Share with another account.
     Grant {
         grantee: Party,
-        /// Only these topics; empty = all. Patterns stand for what is known when it is made.
+        /// Only these topics and those of the robots; both empty = all. Patterns and robots stand for what is known when
+        /// it is made.
         topics: Vec<TopicPattern>,
+        /// Enrolled robots, or first parts of topics.
+        #[serde(default, skip_serializing_if = "Vec::is_empty")]
+        robots: Vec<String>,
         from: GrantFrom,
         expires: Option<Timestamp>,
     } => TransactionView, GRANT;
     /// What such a grant would open now, and what it costs; changes nothing.
-    ForeseeGrant { grantee: Party, topics: Vec<TopicPattern>, from: GrantFrom } => GrantForesight, LOOK;
+    ForeseeGrant {
+        grantee: Party,
+        topics: Vec<TopicPattern>,
+        #[serde(default, skip_serializing_if = "Vec::is_empty")]
+        robots: Vec<String>,
+        from: GrantFrom,
+    } => GrantForesight, LOOK;
     /// Extend an active grant.
     ExtendGrant { grantee: Party, expires: Option<Timestamp> } => TransactionView, GRANT;
     /// Stop sharing with an account; begins a new epoch.
@@ -286,7 +302,12 @@ pub struct EvidenceWishes {
     /// Absolute; must not exist. Written by the site, which runs as the same user.
     pub file: PathBuf,
     pub records: Vec<String>,
-    pub topic: Option<TopicName>,
+    /// Empty = all.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub topics: Vec<TopicPattern>,
+    /// An enrolled robot, or the first part of its topics.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub robot: Option<String>,
     /// Those in this incident.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub incident: Option<IncidentName>,
@@ -294,6 +315,14 @@ pub struct EvidenceWishes {
     pub until: Option<Timestamp>,
     /// Ids of records to disclose.
     pub reveal: Vec<String>,
+    /// Disclose the messages of these topics, as far as they are chosen.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub reveal_topics: Vec<TopicPattern>,
+    /// Disclose every chosen message.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub reveal_all: bool,
+    /// Write the file; otherwise only show what it would disclose.
+    pub sure: bool,
 }
 
 requests! {
@@ -307,8 +336,8 @@ requests! {
         since: Timestamp,
         /// Captured before; `None` = until it is closed.
         until: Option<Timestamp>,
-        /// Empty = all.
-        topics: Vec<TopicName>,
+        /// Empty = all. Patterns also cover topics that appear later.
+        topics: Vec<TopicPattern>,
         note: Option<String>,
         /// Robots whose rings are searched for it; needs the keyring.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]

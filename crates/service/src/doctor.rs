@@ -206,7 +206,8 @@ async fn answered(chain: &Chain, name: &str, has_pin: bool, sheet: &mut Sheet) {
             let advice = "the store was lost: restore the last backup, or name the contract with --contract";
             sheet.fail("contract", &text, advice);
         }
-        None => sheet.ok("contract", "not deployed yet; deploy it with `authros register` or `authros chain deploy`"),
+        None => sheet
+            .ok("contract", "not deployed yet; deploy it with `authros identity register` or `authros chain deploy`"),
     }
     if has_pin && let Ok(sealed_by) = chain.sealed_by().await {
         who_seals(&sealed_by, sheet);
@@ -303,32 +304,32 @@ fn is_secret(path: &Path) -> bool {
 }
 
 fn keys(home: &Home, sheet: &mut Sheet) {
-    let profiles = home.profiles();
+    let mut profiles = home.profiles();
     let known = Glance::at(&home.ledger()).and_then(|ledger| ledger.note(&ProfileAccounts {})).ok().flatten();
     let faults = keyring_faults(home, &known.unwrap_or_default());
     for (profile, fault) in &faults {
-        sheet.fail(&format!("keys {profile}"), fault, "restore it from a backup: authros restore FILE");
+        sheet.fail(&format!("keys {profile}"), fault, "restore it from a backup: `authros backup restore FILE`");
     }
-    let profiles: Vec<_> =
-        profiles.into_iter().filter(|one| !faults.iter().any(|(profile, _)| profile == one)).collect();
-    if !faults.is_empty() && profiles.is_empty() {
-        return;
-    }
-    if profiles.is_empty() {
-        return sheet.warn("keys", "no profile has keys yet", "authros identity create");
+    profiles.retain(|one| !faults.iter().any(|(profile, _)| profile == one));
+    if profiles.is_empty() && faults.is_empty() {
+        sheet.warn("keys", "no profile has keys yet", "authros identity create");
     }
     for profile in profiles {
         let name = format!("keys {profile}");
         match read_public(&home.keyring(&profile)) {
             Ok(public) => sheet.ok(&name, &format!("account {}", public.address)),
             Err(error) => {
-                sheet.fail(&name, &error.to_string(), "restore the keyring from a backup: authros restore FILE");
+                sheet.fail(
+                    &name,
+                    &error.to_string(),
+                    "restore the keyring from a backup: `authros backup restore FILE`",
+                );
             }
         }
     }
 }
 
-const DAMAGED: &str = "keep a copy of the home, then restore the last backup: authros restore FILE";
+const DAMAGED: &str = "keep a copy of the home, then restore the last backup: `authros backup restore FILE`";
 
 /// Whether the store is well-formed and its notes can be read.
 fn store(home: &Home, sheet: &mut Sheet) {
@@ -363,9 +364,8 @@ fn disk(home: &Home, sheet: &mut Sheet) {
         place = parent;
     }
     let place = if place.as_os_str().is_empty() { Path::new(".") } else { place };
-    match rustix::fs::statvfs(place) {
-        Ok(about) => {
-            let free = about.f_bavail.saturating_mul(about.f_frsize);
+    match files::free_bytes(place) {
+        Ok(free) => {
             let text = format!("{} MiB are free at {}", free >> 20, place.display());
             match free {
                 0..FULL => sheet.fail("disk", &text, "free some space; nothing is acknowledged on a full disk"),
@@ -373,7 +373,7 @@ fn disk(home: &Home, sheet: &mut Sheet) {
                 _ => sheet.ok("disk", &text),
             }
         }
-        Err(error) => sheet.warn("disk", &format!("{}: {error}", place.display()), "check with `df`"),
+        Err(error) => sheet.warn("disk", &error.to_string(), "check with `df`"),
     }
 }
 

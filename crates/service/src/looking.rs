@@ -3,14 +3,17 @@
 use std::fs::{self, File, TryLockError};
 use std::io;
 use std::os::unix::fs::{DirBuilderExt as _, PermissionsExt as _};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use super::reply::Failure;
+use super::reply::{Failure, Result};
 use crate::model::{ByteSize, ErrorKind};
 use crate::paths::Home;
+use crate::store::files::free_bytes;
 
 /// Larger files are linked, not copied.
 const SMALL: u64 = 64 << 20;
+/// Room that a copy leaves to others.
+const LEFT: u64 = 64 << 20;
 /// What a site makes for itself.
 const OWN: [&str; 6] = ["reserve", "reserve.states", "waiting", "site.lock", "site.sock", "serve.log"];
 /// Folders that a site writes to.
@@ -22,20 +25,26 @@ pub fn is_read_only(home: &Home) -> bool {
     home.ledger().exists() && tempfile::tempfile_in(home.root()).is_err_and(|error| denied(&error))
 }
 
-/// A private working copy of such a home, for [`forget`] to delete; `None` while another process has the home.
-pub fn working_copy(home: &Home) -> Result<Option<Home>, Failure> {
+/// A private working copy of such a home, for [`forget`] to delete; `None` while another process has the home. Nothing is
+/// copied unless all of it has room: the folder may be a machine's memory.
+pub fn working_copy(home: &Home) -> Result<Option<Home>> {
     // If others can write it, it may be in use.
     let lock = File::open(home.site_lock()).ok();
     if lock.as_ref().is_some_and(|lock| matches!(lock.try_lock(), Err(TryLockError::WouldBlock))) {
         return Ok(None);
     }
+    let failed = |error: io::Error| uncopied(home, &error.to_string());
     let folder = tempfile::Builder::new()
         .prefix("authros-look-")
         .permissions(fs::Permissions::from_mode(0o700))
         .tempdir()
-        .map_err(|error| uncopied(home, &error))?;
-    let root = std::path::absolute(home.root()).map_err(|error| uncopied(home, &error))?;
-    copy_home(&root, folder.path()).map_err(|error| uncopied(home, &error))?;
+        .map_err(failed)?;
+    let root = std::path::absolute(home.root()).map_err(failed)?;
+    let pieces = pieces_of(&root, folder.path(), true).map_err(failed)?;
+    if let Some(reason) = lacks_room(&pieces, free_bytes(folder.path())?) {
+        return Err(uncopied(home, &reason));
+    }
+    pieces.iter().try_for_each(Piece::make).map_err(failed)?;
     Ok(Some(home.copied_to(folder.keep())))
 }
 
@@ -46,61 +55,77 @@ pub fn forget(home: &Home) {
     }
 }
 
-fn copy_home(from: &Path, to: &Path) -> io::Result<()> {
-    for entry in fs::read_dir(from)? {
-        let (entry, name) = entry.map(|entry| (entry.path(), entry.file_name()))?;
-        let about = fs::symlink_metadata(&entry)?;
-        let (is, target) = (|names: &[&str]| names.iter().any(|one| name == *one), to.join(&name));
-        let of_the_ledger = name.to_string_lossy().starts_with("ledger.db");
-        if is(&OWN) || name.to_string_lossy().ends_with("-shm") {
-            continue;
-        }
-        if about.is_dir() && is(&COPIED) {
-            copy_folder(&entry, &target)?;
-        } else if about.is_file() && (of_the_ledger || about.len() <= SMALL) {
-            copy_file(&entry, &target)?;
-        } else if about.is_file() || about.is_dir() || about.is_symlink() {
-            std::os::unix::fs::symlink(&entry, &target)?;
-        }
-    }
-    Ok(())
+/// What a working copy is and costs, for the person who waits for it.
+pub fn about(copy: &Home, original: &Path) -> String {
+    let bytes = fs::metadata(copy.ledger()).map_or(0, |about| about.len());
+    format!(
+        "{} is read-only: it is read in a copy in {} (TMPDIR), {} for its ledger, that is deleted at the end",
+        original.display(),
+        std::env::temp_dir().display(),
+        ByteSize(bytes)
+    )
 }
 
-fn copy_folder(from: &Path, to: &Path) -> io::Result<()> {
-    fs::DirBuilder::new().mode(0o700).create(to)?;
+/// A part of a working copy: from, to, and bytes.
+enum Piece {
+    Folder(PathBuf),
+    File(PathBuf, PathBuf, u64),
+    Link(PathBuf, PathBuf),
+}
+
+fn pieces_of(from: &Path, to: &Path, is_home: bool) -> io::Result<Vec<Piece>> {
+    let mut pieces = Vec::new();
     for entry in fs::read_dir(from)? {
         let (entry, name) = entry.map(|entry| (entry.path(), entry.file_name()))?;
-        let (about, target) = (fs::symlink_metadata(&entry)?, to.join(&name));
+        let (about, target, name) = (fs::symlink_metadata(&entry)?, to.join(&name), name.to_string_lossy());
         // A passphrase is never copied.
-        if name == "passphrase" || name.to_string_lossy().ends_with("-shm") {
+        let is_left_out = if is_home { OWN.contains(&&*name) } else { name == "passphrase" };
+        if is_left_out || name.ends_with("-shm") {
             continue;
         }
-        if about.is_dir() {
-            copy_folder(&entry, &target)?;
-        } else if about.is_file() {
-            copy_file(&entry, &target)?;
+        let is_needed = !is_home || name.starts_with("ledger.db") || about.len() <= SMALL;
+        if about.is_dir() && (!is_home || COPIED.contains(&&*name)) {
+            let inside = pieces_of(&entry, &target, false)?;
+            pieces.push(Piece::Folder(target));
+            pieces.extend(inside);
+        } else if about.is_file() && is_needed {
+            pieces.push(Piece::File(entry, target, about.len()));
+        } else if is_home && (about.is_file() || about.is_dir() || about.is_symlink()) {
+            pieces.push(Piece::Link(entry, target));
         }
     }
-    Ok(())
+    Ok(pieces)
 }
 
-fn copy_file(from: &Path, to: &Path) -> io::Result<()> {
-    fs::copy(from, to)?;
-    // A file that others can read is refused as in the home; one that nobody can write is not.
-    let mode = fs::metadata(from)?.permissions().mode();
-    fs::set_permissions(to, fs::Permissions::from_mode(mode & 0o777 | 0o600))
+fn lacks_room(pieces: &[Piece], free: u64) -> Option<String> {
+    let bytes = |piece: &Piece| if let Piece::File(_, _, bytes) = piece { *bytes } else { 0 };
+    let needed = pieces.iter().map(bytes).sum::<u64>() + LEFT;
+    (free < needed).then(|| format!("it needs {} and {} are free", ByteSize(needed), ByteSize(free)))
 }
 
-fn uncopied(home: &Home, error: &io::Error) -> Failure {
+impl Piece {
+    fn make(&self) -> io::Result<()> {
+        match self {
+            Self::Folder(to) => fs::DirBuilder::new().mode(0o700).create(to),
+            Self::File(from, to, _) => {
+                fs::copy(from, to)?;
+                // A file that others can read is refused as in the home; one that nobody can write is not.
+                let mode = fs::metadata(from)?.permissions().mode();
+                fs::set_permissions(to, fs::Permissions::from_mode(mode & 0o777 | 0o600))
+            }
+            Self::Link(from, to) => std::os::unix::fs::symlink(from, to),
+        }
+    }
+}
+
+fn uncopied(home: &Home, reason: &str) -> Failure {
     let (root, folder) = (home.root().display(), std::env::temp_dir());
-    let bytes = fs::metadata(home.ledger()).map_or(0, |about| about.len());
     Failure::new(
         ErrorKind::Home,
         format!(
-            "{root} cannot be written, and no copy to look at could be made in {}: {error}; set TMPDIR to a folder with \
-             more room than its ledger and chain take ({} and more), or make the home writable",
+            "set TMPDIR to a folder on a disk with more room, or make {root} writable: it cannot be written, and no copy \
+             to look at could be made in {}: {reason}",
             folder.display(),
-            ByteSize(bytes)
         ),
     )
 }
@@ -135,5 +160,18 @@ mod tests {
         forget(&home);
         forget(&copy);
         assert!(home.ledger().exists() && !copy.root().exists());
+    }
+
+    #[test]
+    fn a_copy_that_would_fill_its_folder_is_not_begun() {
+        let folder = tempfile::tempdir().expect("a folder");
+        for name in ["ledger.db", "reserve"] {
+            crate::store::atomic_write(&folder.path().join(name), &[7; 1000]).expect("written");
+        }
+        let pieces = pieces_of(folder.path(), Path::new("/nowhere"), true).expect("read");
+        assert_eq!(pieces.len(), 1, "what a site makes for itself costs nothing");
+        assert_eq!(lacks_room(&pieces, LEFT + 1000), None);
+        let reason = lacks_room(&pieces, LEFT + 999).expect("a reason");
+        assert!(reason.starts_with("it needs 64"), "{reason}");
     }
 }

@@ -17,10 +17,12 @@ pub use crate::store::{
     AlarmRow as AlarmView, CoveragePart, IncidentNote as IncidentNoteView, SpanCoverage as SpanCoverageView,
 };
 
+use std::time::Duration;
+
 use serde::{Deserialize, Serialize};
 
 use crate::command::SecretBytes;
-use crate::model::{Address, ErrorKind, IncidentName, ProfileName, SignerId, Timestamp};
+use crate::model::{Address, ErrorKind, IncidentName, ProfileName, SignerId, Timestamp, coarse};
 use crate::ros::readable::Plot;
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
@@ -42,6 +44,8 @@ impl Failure {
         Self::new(ErrorKind::Internal, "the site's answer does not match the request; it may be another version")
     }
 }
+
+pub type Result<T, E = Failure> = std::result::Result<T, E>;
 
 /// An answer: one variant of [`Reply`] on the wire.
 pub trait Answer: Sized {
@@ -366,7 +370,7 @@ pub struct RobotRow {
     pub name: ProfileName,
     /// SM3 of its public key.
     pub device: SignerId,
-    /// Capture of its newest record here, by the robot's clock.
+    /// Arrival of its newest record here, by this site's clock.
     pub last_seen: Option<Timestamp>,
     /// First address of its gateway, host:port; cleaned.
     pub address: Option<String>,
@@ -385,7 +389,7 @@ pub struct RobotRow {
     pub drift_since: Option<Timestamp>,
 }
 
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RobotTopicRow {
     /// Cleaned.
     pub topic: String,
@@ -395,6 +399,32 @@ pub struct RobotTopicRow {
     pub waiting: u64,
     /// Messages lost by the robot, by its newest reports.
     pub lost: u64,
+    /// Capture of its first record.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub first: Option<Timestamp>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub last: Option<Timestamp>,
+    /// A sign for each part of [`RobotView::covered`], as in [`CoverageView::strip`]; the robot's own losses have none.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub strip: String,
+}
+
+/// The time from the first record of any topic until now.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CoveredSpan {
+    pub since: Timestamp,
+    pub until: Timestamp,
+}
+
+impl CoveredSpan {
+    /// In how many parts a robot's strips show it.
+    pub const PARTS: usize = 32;
+
+    /// `4 min`, of one part.
+    pub fn part(self) -> String {
+        let nanoseconds = self.until.0.saturating_sub(self.since.0) / Self::PARTS as u64;
+        coarse(Duration::from_nanos(nanoseconds))
+    }
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -404,6 +434,9 @@ pub struct RobotView {
     pub gateway: Option<RobotGatewayView>,
     pub enrolled: Vec<String>,
     pub topics: Vec<RobotTopicRow>,
+    /// `None` = there is no record yet.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub covered: Option<CoveredSpan>,
     /// Why it rejected the newest policy; cleaned.
     pub refused: Option<String>,
     /// Own settings that the policy overrides; cleaned.

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use super::command::SecretText;
 use super::failure::{input, refused};
-use super::reply::{BackupView, Failure};
+use super::reply::{BackupView, Failure, Result};
 use crate::crypto::sealed_stream::SealedReader;
 use crate::crypto::unfinished::{self, UnfinishedFolder};
 use crate::crypto::{Passphrase, fault, keyring::is_keyring_file};
@@ -17,7 +17,7 @@ use crate::store::{archive, files, note_restored, snapshot};
 
 /// Restores a backup as the home. The home and the places outside it that the backup has settings for must be empty or
 /// absent; on failure the home is unchanged.
-pub fn restore(file: &Path, home: &Home, secret: &SecretText) -> Result<BackupView, Failure> {
+pub fn restore(file: &Path, home: &Home, secret: &SecretText) -> Result<BackupView> {
     let passphrase = Passphrase::new(secret.expose().to_owned())?;
     let root = std::path::absolute(home.root()).map_err(|error| unmade(home.root(), &error))?;
     is_free(&root)?;
@@ -51,7 +51,7 @@ pub fn restore(file: &Path, home: &Home, secret: &SecretText) -> Result<BackupVi
     ];
     if has_ring {
         notes.push(
-            "the robot's ring ages from the next start of its agent; request what is in it with `authros robots pull`"
+            "the robot's ring ages from the next start of its agent; request what is in it with `authros robot pull`"
                 .to_owned(),
         );
     }
@@ -60,7 +60,7 @@ pub fn restore(file: &Path, home: &Home, secret: &SecretText) -> Result<BackupVi
     Ok(BackupView { file: shown(file), files, bytes: unpacked.bytes, profiles, notes })
 }
 
-fn is_free(root: &Path) -> Result<(), Failure> {
+fn is_free(root: &Path) -> Result<()> {
     let is_empty = match fs::read_dir(root) {
         Ok(mut entries) => entries.next().is_none(),
         Err(error) if error.kind() == io::ErrorKind::NotFound => true,
@@ -70,7 +70,7 @@ fn is_free(root: &Path) -> Result<(), Failure> {
 }
 
 /// Unpacked files that belong outside the home, by name and place; no place may be taken.
-fn settings_apart<'a>(home: &'a Home, unpacked: &Path) -> Result<Vec<(&'static str, &'a Path)>, Failure> {
+fn settings_apart<'a>(home: &'a Home, unpacked: &Path) -> Result<Vec<(&'static str, &'a Path)>> {
     let apart: Vec<_> = home.outside().into_iter().filter(|(name, _)| unpacked.join(name).exists()).collect();
     match apart.iter().find(|(_, place)| place.symlink_metadata().is_ok()) {
         Some((_, place)) => Err(occupied(place, "exists")),

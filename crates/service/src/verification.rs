@@ -12,7 +12,7 @@ use crate::pipeline::Directory;
 use crate::pipeline::authority::{Moment, SigningRight, may_sign};
 use crate::pipeline::export_folder::{AnchorWord, ExportFolder, VerifyStep};
 use crate::service::failure::input;
-use crate::service::reply::Failure;
+use crate::service::reply::Result;
 
 /// Most anchors of a record examined, and most of those in the block that the folder names.
 const MOST_ANCHORS: usize = 256;
@@ -68,7 +68,7 @@ impl Known {
 
 /// Checks a folder against the chain at `url`. The steps report a chain that does not answer; `Input` if the folder
 /// does not exist.
-pub async fn verify(folder: &Path, url: Option<&str>, known: Known) -> Result<FolderCheck, Failure> {
+pub async fn verify(folder: &Path, url: Option<&str>, known: Known) -> Result<FolderCheck> {
     let folder =
         tokio::task::block_in_place(|| ExportFolder::read(folder)).map_err(|error| input(error.to_string()))?;
     let provider = provider(ProviderName::default());

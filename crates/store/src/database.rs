@@ -4,9 +4,11 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use rusqlite::config::DbConfig;
+use rusqlite::functions::FunctionFlags;
 use rusqlite::{Connection, OpenFlags, TransactionBehavior};
 
 use super::{StoreError, files};
+use crate::model::TopicPattern;
 
 const BUSY: Duration = Duration::from_secs(10);
 const GLANCE: Duration = Duration::from_millis(100);
@@ -186,9 +188,21 @@ fn connect(path: &Path) -> Result<Connection, StoreError> {
             connection.pragma_update(None, "cache_size", WRITERS_CACHE)?;
             // Else large savepoints and sorts use files outside the home.
             connection.pragma_update(None, "temp_store", "MEMORY")?;
+            add_functions(&connection)?;
             Ok(connection)
         })
         .map_err(|error| StoreError::from(error).in_file(path))
+}
+
+/// `topic_matches(pattern, name)`, as [`TopicPattern`] says; a server has it in its schema.
+fn add_functions(connection: &Connection) -> rusqlite::Result<()> {
+    let flags = FunctionFlags::SQLITE_UTF8 | FunctionFlags::SQLITE_DETERMINISTIC;
+    connection.create_scalar_function("topic_matches", 2, flags, |context| {
+        let (Some(pattern), Some(name)) = (context.get::<Option<String>>(0)?, context.get::<Option<String>>(1)?) else {
+            return Ok(false);
+        };
+        Ok(pattern == name || pattern.parse::<TopicPattern>().is_ok_and(|pattern| pattern.matches(&name)))
+    })
 }
 
 /// Both 0 in a new file.

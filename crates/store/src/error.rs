@@ -76,7 +76,7 @@ pub enum StoreError {
     #[error("transaction {hash} {detail}; read the open transactions again")]
     Transaction { hash: String, detail: String },
     #[error(
-        "'{0}' is not a record id; give at least the first 4 of its hex characters, as `authros uploads list` shows \
+        "'{0}' is not a record id; give at least the first 4 of its hex characters, as `authros records list` shows \
          them"
     )]
     Id(String),

@@ -32,7 +32,7 @@ use tokio::task::block_in_place;
 
 pub use self::batches::{Anchors, BatchPlace, NewBatch, PlacedRecord, RootSighting, SignerTopic, WaitingBatch};
 pub use self::chain_proofs::{HashedNode, KeptProof, KeptStamp, ProofCounts, StampCounts, UnprovenBatch};
-pub use self::counts::{Coverage, CoveragePart, CoverageQuery, OwnerUsage, SealedInEpoch, StateCounts, TopicCounts};
+pub use self::counts::{Coverage, CoveragePart, CoverageQuery, OwnerUsage, SealedQuery, StateCounts, TopicCounts};
 pub use self::directory::{KeptEnvelope, KeptRight, RightEvent, RightKind, StandingRights, WaitingSigner};
 pub use self::erasures::{Erasure, ErasurePage, KeptErasure, StatedErasure, TakenErased, ToldErased, Unstated};
 pub use self::feed::{FeedFilter, FeedPage, FeedPlace, FeedRow};

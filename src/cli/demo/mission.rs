@@ -169,7 +169,13 @@ impl Mission {
 
     async fn grant(&self) -> Result<(), Failure> {
         let grantee = self.cura_b.address;
-        let ask = Grant { grantee: grantee.into(), topics: Vec::new(), from: GrantFrom::Current, expires: None };
+        let ask = Grant {
+            grantee: grantee.into(),
+            topics: Vec::new(),
+            robots: Vec::new(),
+            from: GrantFrom::Current,
+            expires: None,
+        };
         self.cura_a.client.ask(ask).await.map(drop)
     }
 

@@ -15,9 +15,17 @@ fn contains(hay: &[u8], needle: &[u8]) -> bool {
 async fn the_chain_of_a_mission_holds_no_secret() {
     let home = tempfile::tempdir().expect("directory");
     let path = home.path().to_str().expect("path");
-    let arguments =
-        Arguments::try_parse_from(["authros", "--store-passphrase", "--home", path, "--robots", "2", "demo"])
-            .expect("arguments");
+    let arguments = Arguments::try_parse_from([
+        "authros",
+        "--store-passphrase",
+        "--home",
+        path,
+        "--robots",
+        "2",
+        "tour",
+        "--plain",
+    ])
+    .expect("arguments");
     let context = Context::new(arguments.global, &Output::new(false)).expect("context");
     let robots = Robots { number: context.config.robots, domain: None };
     let mut mission = Mission::start(&context, robots, 4, Output::new(true)).await.expect("starts");

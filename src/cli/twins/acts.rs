@@ -8,10 +8,10 @@ use clap::Parser as _;
 use crate::app::incidents::Deed;
 use crate::app::{Errand, Settings, State, Tag, palette};
 use crate::cli::args::Arguments;
-use crate::model::{Address, IncidentName, Party, Timestamp, TopicName};
+use crate::model::{Address, IncidentName, Party, Sampling, Timestamp, TopicName};
 use crate::service::command::{
-    Administration, CloseIncident, Held, NoteIncident, OpenIncident, Pace, PlayWishes, RemoveIncident, SetRobotPolicy,
-    ShowRobot,
+    Administration, CloseIncident, EvidenceWishes, ExportEvidence, Held, NoteIncident, OpenIncident, Pace, PlayWishes,
+    RemoveIncident, SetRobotPolicy, ShowRobot,
 };
 use crate::service::{Command, GrantFrom, KeyKind, SecretText};
 
@@ -57,10 +57,12 @@ fn place(tag: &Tag) -> Option<usize> {
         Tag::Play(_) => 26,
         Tag::Robot(_) => 27,
         Tag::SetPolicy(..) => 28,
+        Tag::Evidence(_) => 29,
+        Tag::Limit(_) => 30,
     })
 }
 
-const ACTS: usize = 29;
+const ACTS: usize = 31;
 
 /// An act, and the line that a person would type for it.
 type Act = (Tag, Command, String);
@@ -87,35 +89,43 @@ fn acts_of_keys() -> Vec<Act> {
     vec![
         (Tag::CreateIdentity, Command::CreateIdentity { passphrase: secret() }, "identity create".into()),
         (Tag::Unlock, Command::Unlock { passphrase: secret() }, "keys list --passphrase-file FILE".into()),
-        (Tag::Register, Command::Register, "register".into()),
+        (Tag::Register, Command::Register, "identity register".into()),
         (Tag::LoadKey(KeyKind::Eoa), keystore, "keys load --eoa '/a key.json' --keystore-passphrase-file FILE".into()),
         (Tag::ExportKey(KeyKind::Sm4), export, "keys export sm4 --out FILE".into()),
         (Tag::Rotate, Command::RotateKeys, "keys rotate".into()),
-        (Tag::Lock, Command::Lock, "identity lock".into()),
+        (Tag::Lock, Command::Lock, "keys lock".into()),
         (Tag::BackUp, Command::BackUpKeys, "keys backup --out FILE".into()),
     ]
 }
 
 fn acts_of_topics() -> Vec<Act> {
-    let held = || Held { topic: Some(topic()), ids: Vec::new() };
-    let pin = Command::PinTopic { topic: topic(), publishers: Vec::new() };
-    let unpin = Command::UnpinTopic { topic: topic(), caller_id: "/driver".to_owned() };
-    let watch = Command::WatchTopic { topic: topic().into(), type_name: None };
+    let held = || Held { topic: Some(topic().into()), ids: Vec::new() };
+    let pin = Command::PinTopic { topic: topic().into(), publishers: Vec::new() };
+    let unpin = Command::UnpinTopic { topic: topic().into(), caller_id: "/driver".to_owned() };
+    let watch = Command::WatchTopic { topic: topic().into(), type_name: None, sampling: None };
+    let (type_name, sampling) = ("nav_msgs/Odometry".parse().ok(), Sampling { rate: Some(2_500), every: Some(10) });
+    let limit = Command::WatchTopic { topic: topic().into(), type_name, sampling: Some(sampling) };
     let line = |words: &str| format!("{words} /robot1/odom");
     vec![
         (Tag::Watch(name()), watch, line("topics watch")),
+        (Tag::Limit(name()), limit, line("topics watch") + " --type nav_msgs/Odometry --rate 2.5 --every 10"),
         (Tag::Unwatch(name()), Command::UnwatchTopic { topic: topic().into() }, line("topics unwatch")),
         (Tag::Pin(name()), pin, line("topics pin")),
         (Tag::Unpin(name()), unpin, line("topics unpin") + " /driver"),
-        (Tag::Release(name()), Command::ReleaseHeld { held: held() }, line("quarantine release --topic")),
-        (Tag::Discard(name()), Command::DiscardHeld { held: held() }, line("quarantine discard --topic") + " --yes"),
-        (Tag::Publishers(name()), Command::ListPins { topic: Some(topic()) }, line("topics pins --topic")),
+        (Tag::Release(name()), Command::ReleaseHeld { held: held() }, line("topics quarantine release --topic")),
+        (
+            Tag::Discard(name()),
+            Command::DiscardHeld { held: held() },
+            line("topics quarantine discard --topic") + " --yes",
+        ),
+        (Tag::Publishers(name()), Command::ListPins { topic: Some(topic().into()) }, line("topics pins --topic")),
     ]
 }
 
 fn acts_of_rights() -> Vec<Act> {
     let (topics, from) = (vec![topic().into()], GrantFrom::Epoch(1));
-    let grant = Command::Grant { grantee: owner(), topics, from, expires: Some(END) };
+    let robots = vec!["scout-1".to_owned()];
+    let grant = Command::Grant { grantee: owner(), topics, robots, from, expires: Some(END) };
     let of_administrator = |word: &'static str, act: Administration, line: String| {
         (Tag::Administer(word), Command::Administer(act), format!("chain {line}"))
     };
@@ -125,11 +135,15 @@ fn acts_of_rights() -> Vec<Act> {
     let remove = Command::RemoveContact { name: contact() };
     let extend = Command::ExtendGrant { grantee: owner(), expires: None };
     vec![
-        (Tag::Grant(owner()), grant, format!("grant {OWNER} --topic /robot1/odom --from start --expires {END}")),
-        (Tag::Extend(OWNER), extend, format!("grants extend {OWNER} --endless")),
-        (Tag::Revoke(OWNER), Command::Revoke { grantee: owner() }, format!("revoke {OWNER}")),
-        of_administrator("pause", Administration::Pause { paused: true, seconds: None }, "pause".to_owned()),
-        of_administrator("suspend", Administration::Suspend { account: owner() }, format!("suspend {OWNER}")),
+        (
+            Tag::Grant(owner()),
+            grant,
+            format!("grant add {OWNER} --topic /robot1/odom --robot scout-1 --from start --expires {END}"),
+        ),
+        (Tag::Extend(OWNER), extend, format!("grant extend {OWNER} --endless")),
+        (Tag::Revoke(OWNER), Command::Revoke { grantee: owner() }, format!("grant end {OWNER}")),
+        of_administrator("pause", Administration::Pause { paused: true, seconds: None }, "admin pause".to_owned()),
+        of_administrator("suspend", Administration::Suspend { account: owner() }, format!("admin suspend {OWNER}")),
         of_administrator("propose", propose, format!("succession propose {OWNER} {OWNER}")),
         (Tag::Deploy, Command::DeployContract { delay: None }, "chain deploy".into()),
         (Tag::Contact("bob".to_owned()), add, format!("contacts add bob {OWNER}")),
@@ -148,14 +162,14 @@ fn acts_of_records() -> Vec<Act> {
     };
     let export = Command::ExportUpload { id: id(), addresses: false };
     vec![
-        (Tag::Show(id()), Command::ShowUpload { id: id() }, format!("uploads show {}", id())),
-        (Tag::Open(id()), Command::OpenShared { id: id() }, format!("shared open {}", id())),
-        (Tag::Check(id()), Command::CheckShared { id: id() }, format!("shared check {}", id())),
-        (Tag::Export(id()), export, format!("uploads export {} --dir DIR", id())),
+        (Tag::Show(id()), Command::ShowUpload { id: id() }, format!("records show {}", id())),
+        (Tag::Open(id()), Command::OpenShared { id: id() }, format!("records open {}", id())),
+        (Tag::Check(id()), Command::CheckShared { id: id() }, format!("records check {}", id())),
+        (Tag::Export(id()), export, format!("records export {} --dir DIR", id())),
         (
             Tag::Play("/shared/bob/robot1/odom".to_owned()),
             Command::Play(play),
-            format!("shared play --owner {OWNER} --topic /robot1/odom --prefix /shared/bob --follow"),
+            format!("received play --owner {OWNER} --topic /robot1/odom --prefix /shared/bob --follow"),
         ),
     ]
 }
@@ -167,17 +181,26 @@ fn acts_of_incidents() -> Vec<Act> {
         name: incident(),
         since: END,
         until: None,
-        topics: vec![topic()],
+        topics: vec![topic().into()],
         note: Some("it's down".to_owned()),
         robots: Vec::new(),
     };
     let opened = format!("incident open fall --since {END} --topic /robot1/odom --note='it'\\''s down'");
+    let evidence = EvidenceWishes {
+        file: "/case/fall.authros".into(),
+        incident: Some(incident()),
+        reveal_topics: vec!["/robot1/*".parse().expect("a pattern")],
+        sure: true,
+        ..EvidenceWishes::default()
+    };
+    let exported = "evidence export /case/fall.authros --incident fall --reveal-topic '/robot1/*' --yes";
     let note = NoteIncident { name: incident(), text: "-5 degrees".to_owned() };
     vec![
         of(Deed::Open, open.into(), &opened),
         of(Deed::Note, note.into(), "incident note fall -- '-5 degrees'"),
         of(Deed::Close, CloseIncident { name: incident() }.into(), "incident close fall"),
         of(Deed::Remove, RemoveIncident { name: incident() }.into(), "incident remove fall --yes"),
+        (Tag::Evidence(incident()), ExportEvidence(evidence).into(), exported.to_owned()),
     ]
 }
 
@@ -186,13 +209,13 @@ fn acts_of_robots() -> Vec<Act> {
     let show = ShowRobot { name: "scout".to_owned() };
     let file = Some("/home/op/scout's.toml".into());
     vec![
-        (Tag::Robot("scout".to_owned()), show.into(), "robots show scout".to_owned()),
+        (Tag::Robot("scout".to_owned()), show.into(), "robot show scout".to_owned()),
         (
             Tag::SetPolicy("scout".to_owned(), file),
             set("[ring]\n"),
-            "robots policy scout --set '/home/op/scout'\\''s.toml'".to_owned(),
+            "robot policy scout --set '/home/op/scout'\\''s.toml'".to_owned(),
         ),
-        (Tag::SetPolicy("scout".to_owned(), None), set(""), "robots policy scout --clear".to_owned()),
+        (Tag::SetPolicy("scout".to_owned(), None), set(""), "robot policy scout --clear".to_owned()),
     ]
 }
 

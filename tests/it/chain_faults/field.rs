@@ -95,12 +95,12 @@ impl Field {
     }
 
     fn data(&self) -> Vec<Value> {
-        self.authros.records(&["uploads", "list"])
+        self.authros.records(&["records", "list", "--oldest"])
     }
 
     /// All records of every kind; fails if an earlier one is gone or has changed.
     pub fn records(&self) -> Vec<Value> {
-        let list = |kind: &&str| self.authros.records(&["uploads", "list", "--kind", kind]);
+        let list = |kind: &&str| self.authros.records(&["records", "list", "--oldest", "--kind", kind]);
         let records: Vec<Value> = KINDS.iter().flat_map(list).collect();
         let mut known = self.known.borrow_mut();
         let now: BTreeMap<String, Value> = records.iter().map(|one| (text(one, "digest"), one.clone())).collect();

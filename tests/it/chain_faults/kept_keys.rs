@@ -37,7 +37,7 @@ fn two_profiles(url: Option<&str>) -> Two {
 
 impl Two {
     fn taken(&self) -> usize {
-        self.alice.records(&["uploads", "list"]).len()
+        self.alice.records(&["records", "list", "--oldest"]).len()
     }
 
     /// Waits until this many more records of the watched topic are captured.
@@ -50,7 +50,7 @@ impl Two {
     fn end(self) -> Home {
         self.alice.run(&["topics", "unwatch", TOPIC]).expect_code(0);
         wait_until(90, "all is verified", || {
-            let records = self.alice.records(&["uploads", "list"]);
+            let records = self.alice.records(&["records", "list", "--oldest"]);
             records.iter().all(is_verified).then_some(())
         });
         self.site.stop("TERM", 30).expect_code(0);
@@ -174,11 +174,11 @@ impl Kept {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_grantee_who_kept_every_key_opens_nothing_sealed_after_the_revoke() {
     let two = two_profiles(None);
-    two.alice.json(&["grant", &two.bob_address]);
+    two.alice.json(&["grant", "add", &two.bob_address]);
     let granted = Timestamp::now();
     two.take(20);
     let revoking = Timestamp::now();
-    two.alice.json(&["revoke", &two.bob_address]);
+    two.alice.json(&["grant", "end", &two.bob_address]);
     let revoked = Timestamp::now();
     two.take(20);
     let home = two.end();
@@ -188,10 +188,10 @@ async fn a_grantee_who_kept_every_key_opens_nothing_sealed_after_the_revoke() {
 
 /// Captures across the end of a short grant; returns its start and end.
 fn outlast_a_grant(two: &Two, meanwhile: impl FnOnce()) -> (Timestamp, Timestamp) {
-    two.alice.json(&["grant", &two.bob_address, "--expires", "15s"]);
+    two.alice.json(&["grant", "add", &two.bob_address, "--expires", "15s"]);
     let granted = Timestamp::now();
     meanwhile();
-    let grant = || list(&two.alice.json(&["grants", "list"]), "grants").remove(0);
+    let grant = || list(&two.alice.json(&["grant", "list"]), "grants").remove(0);
     let expiry: Timestamp = serde_json::from_value(grant()["expires"].clone()).expect("a time");
     wait_until(60, "the grant runs out", || (Timestamp::now() > expiry).then_some(()));
     two.take(40);
@@ -231,18 +231,18 @@ async fn a_revoke_that_did_not_reach_the_node_is_sent_again_and_nothing_is_wrapp
     let Some(node) = Anvil::start(&[]) else { skipped!(NO_NODE) };
     let proxy = Proxy::before(node.port());
     let two = two_profiles(Some(&proxy.http()));
-    two.alice.json(&["grant", &two.bob_address]);
+    two.alice.json(&["grant", "add", &two.bob_address]);
     let granted = Timestamp::now();
     two.take(20);
     let revoking = Timestamp::now();
     proxy.spoil("eth_call", Spoil::Refuse, 1_000_000);
-    let outcome = two.alice.run(&["revoke", &two.bob_address]).expect_code(4);
+    let outcome = two.alice.run(&["grant", "end", &two.bob_address]).expect_code(4);
     assert!(outcome.stderr.contains("resent until the chain has it"), "{outcome}");
     let asked = Timestamp::now();
     two.take(20);
     proxy.calm();
     wait_until(60, "the revoke reaches the chain", || {
-        let grant = list(&two.alice.json(&["grants", "list"]), "grants").remove(0);
+        let grant = list(&two.alice.json(&["grant", "list"]), "grants").remove(0);
         (text(&grant, "state") == "revoked").then_some(())
     });
     two.take(5);

@@ -44,7 +44,7 @@ impl View {
 
     /// What it knows of grants.
     fn grants(&self) -> Vec<Value> {
-        list(&self.authros.json(&["grants", "list"]), "grants")
+        list(&self.authros.json(&["grant", "list"]), "grants")
     }
 }
 
@@ -94,18 +94,18 @@ fn nothing_is_missed_where_the_logs_come_from_a_node_that_is_behind() {
         for view in [&owner, &reader] {
             view.lag(blocks, every, refuses);
         }
-        owner.authros.json(&["grant", &reader_address]);
+        owner.authros.json(&["grant", "add", &reader_address]);
         expect_alike(&reader, &direct, true);
         owner.authros.capture(&["/robot1/odom"], 5);
         captured += 5;
-        owner.authros.json(&["revoke", &reader_address]);
+        owner.authros.json(&["grant", "end", &reader_address]);
         expect_alike(&reader, &direct, false);
         if long() && Instant::now() > end {
             break;
         }
     }
     assert!(owner.withheld() + reader.withheld() > 0, "no question reached the node that is behind");
-    let records = owner.authros.records(&["uploads", "list"]);
+    let records = owner.authros.records(&["records", "list", "--oldest"]);
     assert_eq!(records.len(), captured, "each once");
     assert!(records.iter().all(|record| record["state"] == "verified"), "{records:?}");
     let audit = owner.authros.json(&["audit"]);
@@ -141,7 +141,7 @@ async fn a_gateway_whose_node_is_behind_refuses_instead_of_serving_on() {
     let (_, bob_address) = (alice.enrol(), bob.enrol());
     // The grant is told when its block was read, and with it all these.
     node.mine(150);
-    alice.json(&["grant", &bob_address]);
+    alice.json(&["grant", "add", &bob_address]);
     let owner = Member::of(&home, "alice", gateway.domain);
     let reader = Member::of(&home, "bob", gateway.domain);
     let credentials = reader.allocate(&gateway, "bob").await.expect("allocates");

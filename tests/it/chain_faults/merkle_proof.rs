@@ -53,7 +53,7 @@ fn export(field: &Field, record: &Value) -> Exported {
     let id = text(record, "id");
     let directory = field.home.root().join(format!("export-{id}"));
     let place = directory.to_str().expect("UTF-8");
-    field.authros.run(&["uploads", "export", &id, "--dir", place, "--addresses"]).expect_code(0);
+    field.authros.run(&["records", "export", &id, "--dir", place, "--addresses"]).expect_code(0);
     let proof = fs::read(directory.join("proof.json")).expect("a proof");
     Exported { directory, proof: serde_json::from_slice(&proof).expect("JSON") }
 }

@@ -25,12 +25,12 @@ fn expect_raised(node: &Anvil, options: &[&str]) {
     let authros = home.authros().with(&["--chain", &proxy.http(), "--robots", "1", "--anchor-mode", "each"]);
     let authros = authros.with(options).with_variable("AUTHROS_MAX_FEE", "10");
     authros.json(&["identity", "create"]);
-    let registered = authros.json_within(400, &["register"]);
+    let registered = authros.json_within(400, &["identity", "register"]);
     assert_eq!(registered["registered"], true, "{registered}");
     assert!(proxy.spoilt() > 0, "the first offer was too low");
     let summary = authros.json_within(400, &["capture", "--topic", TOPIC, "--count", "5"]);
     assert_eq!((count(&summary, "captured"), count(&summary, "verified")), (5, 5), "{summary}");
-    for record in authros.records(&["uploads", "list"]) {
+    for record in authros.records(&["records", "list", "--oldest"]) {
         let price = price_of(node, &record);
         assert!((5 * GWEI..=10 * GWEI).contains(&price), "{price} wei per gas");
     }
@@ -155,7 +155,7 @@ fn an_unfunded_home_is_told_who_lacks_how_much() {
     let home = Home::new();
     let authros = home.authros().with(&["--chain", &proxy.http(), "--robots", "0"]);
     let address = text(&authros.json(&["identity", "create"]), "address");
-    let told = authros.fails(5, &["register"]);
+    let told = authros.fails(5, &["identity", "register"]);
     assert!(told.contains(&address) && told.contains("it has 0 wei and needs"), "{told}");
     let status = authros.json(&["chain", "status"]);
     assert_eq!((&status["lacks"]["account"], &status["lacks"]["held"]), (&json!(address), &json!("0")), "{status}");
@@ -164,7 +164,7 @@ fn an_unfunded_home_is_told_who_lacks_how_much() {
     node.fund(&address);
     let registered = poll(60, || {
         std::thread::sleep(Duration::from_millis(200));
-        (authros.run(&["register"]).code == Some(0)).then_some(())
+        (authros.run(&["identity", "register"]).code == Some(0)).then_some(())
     });
     assert!(registered.is_some(), "with ether it goes on");
 }

@@ -15,7 +15,7 @@ fn expect_empty_restart_survived(mode: Mode, restarted: bool) {
     node.set_interval(0);
     field.watch();
     let node = node.kill_and_start_empty(&[]);
-    field.expect_told(&["authros --home new uploads import old"], 60);
+    field.expect_told(&["authros --home new records import old"], 60);
     wait_until(60, "what comes meanwhile is acknowledged", || (field.records().len() > before.len() + 5).then_some(()));
     field.rest();
 
@@ -26,7 +26,7 @@ fn expect_empty_restart_survived(mode: Mode, restarted: bool) {
     assert_eq!(node.nonce(&field.address), 0, "no transaction was mined");
     assert_eq!(node.waiting(), 0, "and none was sent");
     if restarted {
-        field.restart_site_unready(&["authros --home new uploads import old"]);
+        field.restart_site_unready(&["authros --home new records import old"]);
         assert_eq!(node.nonce(&field.address), 0, "nor by a new process");
     }
 }

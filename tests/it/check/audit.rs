@@ -235,7 +235,7 @@ fn the_scrubber_finds_damage_by_itself_and_says_so() {
     let site = authros.serve(&home);
     let altered = flip(&database(&home, "ledger.db"), 5);
     let tampered = || {
-        let records = authros.records(&["uploads", "list", "--state", "tampered"]);
+        let records = authros.records(&["records", "list", "--oldest", "--state", "tampered"]);
         (!records.is_empty()).then_some(records)
     };
     let records = wait_until(60, "the scrubber found it", tampered);

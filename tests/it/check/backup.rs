@@ -39,16 +39,21 @@ fn a_back_up_under_load_becomes_a_home_that_goes_on() {
         authros.run(&["topics", "watch", topic]).expect_code(0);
     }
     let enough = |least: usize| {
-        wait_until(60, "records arrive", || (authros.records(&["uploads", "list"]).len() >= least).then_some(()))
+        wait_until(60, "records arrive", || {
+            (authros.records(&["records", "list", "--oldest"]).len() >= least).then_some(())
+        })
     };
     enough(60);
     let (file, secret) = (path(&home, "home.backup"), home.file("secret", "a passphrase of its own\n", 0o600));
-    let backup = ["backup", &file, "--passphrase-file", &secret];
+    let backup = ["backup", "create", &file, "--passphrase-file", &secret];
     let told = authros.json(&backup);
     assert!(count(&told, "files") >= 5 && told["profiles"][0] == "default", "{told}");
     assert_eq!(fs::metadata(&file).expect("there").permissions().mode() & 0o777, 0o600);
     authros.fails(INPUT, &backup);
-    authros.fails(INPUT, &["backup", home.path().join("x").to_str().expect("UTF-8"), "--passphrase-file", &secret]);
+    authros.fails(
+        INPUT,
+        &["backup", "create", home.path().join("x").to_str().expect("UTF-8"), "--passphrase-file", &secret],
+    );
     enough(120);
     site.stop("INT", 30).expect_code(0);
     assert!(
@@ -60,17 +65,17 @@ fn a_back_up_under_load_becomes_a_home_that_goes_on() {
 
     let restored = other.authros().with(&["--robots", "2"]);
     let wrong = home.file("wrong", "another passphrase\n", 0o600);
-    restored.fails(REFUSED, &["restore", &file, "--passphrase-file", &wrong]);
+    restored.fails(REFUSED, &["backup", "restore", &file, "--passphrase-file", &wrong]);
     let bytes = fs::read(&file).expect("read");
     for (name, spoiled) in
         [("cut", bytes[..bytes.len() - 1].to_vec()), ("altered", altered(&bytes)), ("none", b"x".repeat(5000))]
     {
         let spoiled = home.file(name, spoiled, 0o600);
-        restored.fails(TAMPERED, &["restore", &spoiled, "--passphrase-file", &secret]);
+        restored.fails(TAMPERED, &["backup", "restore", &spoiled, "--passphrase-file", &secret]);
     }
     assert!(!other.path().exists(), "a restore that failed leaves nothing");
-    authros.fails(REFUSED, &["restore", &file, "--passphrase-file", &secret]);
-    restored.json(&["restore", &file, "--passphrase-file", &secret]);
+    authros.fails(REFUSED, &["backup", "restore", &file, "--passphrase-file", &secret]);
+    restored.json(&["backup", "restore", &file, "--passphrase-file", &secret]);
     assert_eq!(fs::metadata(other.path()).expect("there").permissions().mode() & 0o777, 0o700);
 
     // The contents of the backup, before anything continues.
@@ -105,7 +110,7 @@ fn backups_on_a_schedule_are_kept_so_many_and_one_can_be_tried_without_a_home() 
     let authros = home.authros().with(&["--robots", "1"]);
     authros.capture(&["/robot1/odom"], 3);
     let (folder, secret) = (path(&home, "backups"), home.file("secret", "a passphrase of its own\n", 0o600));
-    let backup = ["backup", "--to", &folder, "--keep", "1", "--passphrase-file", &secret];
+    let backup = ["backup", "create", "--to", &folder, "--keep", "1", "--passphrase-file", &secret];
     authros.fails(INPUT, &backup);
     fs::create_dir(&folder).expect("a folder");
     let stays = format!("{folder}/notes.backup");
@@ -121,7 +126,7 @@ fn backups_on_a_schedule_are_kept_so_many_and_one_can_be_tried_without_a_home() 
         .collect();
     assert_eq!(names.len(), 2, "{names:?}");
     let file = told["file"].as_str().expect("a file").to_owned();
-    let drill = ["restore", "--check", &file, "--passphrase-file", &secret];
+    let drill = ["backup", "check", &file, "--passphrase-file", &secret];
     let elsewhere = other.authros();
     let found = elsewhere.json(&drill);
     assert_eq!((&found["ok"], count(&found, "missing")), (&true.into(), 0), "{found}");
@@ -133,5 +138,5 @@ fn backups_on_a_schedule_are_kept_so_many_and_one_can_be_tried_without_a_home() 
     let middle = bytes.len() / 2;
     bytes[middle] ^= 1;
     let damaged = home.file("damaged.backup", &bytes, 0o600);
-    elsewhere.fails(TAMPERED, &["restore", "--check", &damaged, "--passphrase-file", &secret]);
+    elsewhere.fails(TAMPERED, &["backup", "check", &damaged, "--passphrase-file", &secret]);
 }

@@ -40,7 +40,7 @@ fn a_killed_backup_leaves_nothing_in_the_home_nor_beside_the_others() {
         // A file that is replaced: the keyring by the rotation, which a backup does not touch.
         let words: &[&str] = match place {
             "file-unfinished" => &["keys", "rotate"],
-            _ => &["backup", &path(number), "--passphrase-file", &secret],
+            _ => &["backup", "create", &path(number), "--passphrase-file", &secret],
         };
         let told = authros.spawn(words).wait(60);
         assert!(poll(60, || (!site.is_running()).then_some(())).is_some(), "it ends at the place {place}: {told}");
@@ -52,7 +52,7 @@ fn a_killed_backup_leaves_nothing_in_the_home_nor_beside_the_others() {
         let site = authros.serve(&home);
         // Fails where only the copies are left out of the next backup, and nobody removes them.
         assert_eq!(left_in(&home.path()), Vec::<String>::new(), "{place}: the next start removes it");
-        authros.json(&["backup", &path(100 + number), "--passphrase-file", &secret]);
+        authros.json(&["backup", "create", &path(100 + number), "--passphrase-file", &secret]);
         assert_eq!(left_in(&folder), Vec::<String>::new(), "{place}: and so does the next backup");
         site.stop("TERM", 30).expect_code(0);
     }

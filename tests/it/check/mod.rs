@@ -53,7 +53,7 @@ fn damaged<T>(home: &Home, name: &str, damage: impl FnOnce(&rusqlite::Connection
 /// All records of the profile, once all are verified and there are enough.
 fn all_verified(authros: &Authros, least: usize) -> Vec<Value> {
     wait_until(120, "everything is verified", || {
-        let records = authros.records(&["uploads", "list"]);
+        let records = authros.records(&["records", "list", "--oldest"]);
         let verified = records.iter().all(is_verified);
         (verified && records.len() >= least).then_some(records)
     })

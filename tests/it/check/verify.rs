@@ -1,4 +1,4 @@
-//! `authros verify`: a folder of `uploads export` in the hands of someone without home or keys.
+//! `authros evidence verify`: a folder of `records export` in the hands of someone without home or keys.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -24,9 +24,9 @@ impl Case {
         let authros = home.authros().with(&["--robots", "1"]).with(options);
         authros.enrol();
         authros.capture(&["/robot1/odom"], 3);
-        let id = text(&authros.records(&["uploads", "list"])[1], "id");
+        let id = text(&authros.records(&["records", "list", "--oldest"])[1], "id");
         let folder = home.root().join("export");
-        authros.run(&["uploads", "export", &id, "--dir", folder.to_str().expect("UTF-8")]).expect_code(0);
+        authros.run(&["records", "export", &id, "--dir", folder.to_str().expect("UTF-8")]).expect_code(0);
         let url = format!("127.0.0.1:{}", free_port());
         let mut chain = authros.spawn(&["chain", "serve", "--listen", &url]);
         chain.wait_for_text(&url, 60);
@@ -35,7 +35,7 @@ impl Case {
     }
 
     fn verify(&self, folder: &Path, code: i32) -> Value {
-        let arguments = ["verify", folder.to_str().expect("UTF-8"), "--chain", &self.url, "--json"];
+        let arguments = ["evidence", "verify", folder.to_str().expect("UTF-8"), "--chain", &self.url, "--json"];
         self.stranger.run(&arguments).expect_code(code).document()
     }
 
@@ -80,8 +80,10 @@ fn a_stranger_checks_an_exported_record_step_by_step() {
         assert_eq!(holds(&found, step), true, "{step}: {found}");
     }
     assert!(!case.home.root().join("export/.local").exists(), "no home was made");
-    let words =
-        case.stranger.run(&["verify", case.folder.to_str().expect("UTF-8"), "--chain", &case.url]).expect_code(0);
+    let words = case
+        .stranger
+        .run(&["evidence", "verify", case.folder.to_str().expect("UTF-8"), "--chain", &case.url])
+        .expect_code(0);
     assert!(words.stdout.contains("VERIFIED") && words.stdout.contains("existed no later than 20"), "{words}");
     assert!(words.stdout.contains("the owner's claim") && words.stdout.contains("a single program seals"), "{words}");
     assert_eq!((&found["sealed_by"]["kind"], &found["sealed_by"]["alone"]), (&"embedded".into(), &true.into()));
@@ -94,9 +96,10 @@ fn a_stranger_checks_an_exported_record_step_by_step() {
         &serde_json::from_slice(&fs::read(case.folder.join("proof.json")).expect("read")).expect("JSON"),
         "genesis",
     );
-    let arguments = ["verify", folder, "--chain", &case.url, "--json", "--genesis", &genesis];
+    let arguments = ["evidence", "verify", folder, "--chain", &case.url, "--json", "--genesis", &genesis];
     assert!(!trusting(&case.stranger.run(&arguments).expect_code(0).document()), "its genesis was given");
-    let arguments = ["verify", folder, "--chain", &case.url, "--json", "--genesis", &format!("0x{}", "00".repeat(32))];
+    let arguments =
+        ["evidence", "verify", folder, "--chain", &case.url, "--json", "--genesis", &format!("0x{}", "00".repeat(32))];
     assert_eq!(holds(&case.stranger.run(&arguments).expect_code(TAMPERED).document(), "chain"), false);
 
     let bytes = case.changed(|copy| flip(&copy.join("record.bin"), |length| length - 1));
@@ -120,7 +123,7 @@ fn a_stranger_checks_an_exported_record_step_by_step() {
     let early = case.proof(|proof| proof["anchor"]["block"] = Value::Null);
     case.verify(&early, INCOMPLETE);
 
-    let arguments = ["verify", case.folder.to_str().expect("UTF-8"), "--json"];
+    let arguments = ["evidence", "verify", case.folder.to_str().expect("UTF-8"), "--json"];
     case.stranger.run(&arguments).expect_code(INCOMPLETE);
     let nowhere = format!("http://127.0.0.1:{}", free_port());
     case.stranger.with(&["--chain", &nowhere]).run(&arguments).expect_code(UNREACHABLE);

@@ -189,17 +189,17 @@ fn fsyncs_that_fail_by_libfiu_lose_nothing() {
 /// List, contract and reader say the same of a grant that a jump of the clock has ended; a new one is given at once.
 fn expect_agreement(authros: &Authros, reader: &Authros, address: &str) {
     let states = || -> Vec<String> {
-        let rows = authros.json(&["grants", "list"])["grants"].as_array().cloned().unwrap_or_default();
+        let rows = authros.json(&["grant", "list"])["grants"].as_array().cloned().unwrap_or_default();
         rows.iter().map(|row| text(row, "state")).collect()
     };
     assert!(!states().contains(&"active".to_owned()), "{:?}", states());
-    let message = authros.fails(3, &["grant", address, "--expires", "1h"]);
+    let message = authros.fails(3, &["grant", "add", address, "--expires", "1h"]);
     assert!(message.contains("chain"), "it would end before it begins, by the chain's time: {message}");
-    authros.json(&["grant", address, "--expires", "2d"]);
+    authros.json(&["grant", "add", address, "--expires", "2d"]);
     assert!(states().contains(&"active".to_owned()), "{:?}", states());
     wait_until(60, "the reader opens what is captured now", || {
-        let shared = reader.json(&["shared", "list", "--newest", "--limit", "1"])["records"].get(0).cloned()?;
-        (reader.run(&["shared", "open", &text(&shared, "id")]).code == Some(0)).then_some(())
+        let shared = reader.json(&["received", "list", "--limit", "1"])["records"].get(0).cloned()?;
+        (reader.run(&["records", "open", &text(&shared, "id")]).code == Some(0)).then_some(())
     });
 }
 
@@ -247,7 +247,7 @@ impl Shifted {
     }
 
     fn newest(&self) -> Option<Value> {
-        let page = self.authros.json(&["uploads", "list", "--newest", "--limit", "1", "--state", "verified"]);
+        let page = self.authros.json(&["records", "list", "--limit", "1", "--state", "verified"]);
         page["records"].get(0).cloned()
     }
 
@@ -273,13 +273,13 @@ impl Shifted {
 fn a_clock_that_jumps_by_a_day_and_back_breaks_nothing() {
     let Some(shifted) = Shifted::start() else { skipped!("no libfaketime (package faketime)") };
     let Shifted { home, authros, reader, address, .. } = &shifted;
-    authros.json(&["grant", address, "--expires", "12h"]);
+    authros.json(&["grant", "add", address, "--expires", "12h"]);
     let observer = Conservation::watch(&home.path(), "default");
     watch(authros, 1);
     let first = wait_until(60, "records are verified", || shifted.newest());
-    let opened = || reader.json(&["shared", "list", "--limit", "1000"]);
+    let opened = || reader.json(&["received", "list", "--oldest", "--limit", "1000"]);
     let shared = wait_until(60, "the reader sees some", || opened()["records"].get(0).cloned());
-    assert_eq!(reader.json(&["shared", "open", &text(&shared, "id")])["verdict"], "verified");
+    assert_eq!(reader.json(&["records", "open", &text(&shared, "id")])["verdict"], "verified");
 
     shifted.set("+1d");
     shifted.told("h ahead");
@@ -289,12 +289,12 @@ fn a_clock_that_jumps_by_a_day_and_back_breaks_nothing() {
     let later = wait_until(120, "records of tomorrow are verified", || shifted.newest().filter(of_tomorrow));
     // The grant has ended: what is captured from now on is not for the reader.
     wait_until(60, "the reader is refused", || {
-        (reader.run(&["shared", "open", &text(&later, "id"), "--json"]).code != Some(0)).then_some(())
+        (reader.run(&["records", "open", &text(&later, "id"), "--json"]).code != Some(0)).then_some(())
     });
 
     shifted.set("+0");
     shifted.goes_on(&observer, "after the clock was set back");
-    reader.is_refused(&["shared", "open", &text(&later, "id")]);
+    reader.is_refused(&["records", "open", &text(&later, "id")]);
     expect_agreement(authros, reader, address);
     shifted.told("behind the chain");
     shifted.end(observer, "a day forth and back");
@@ -305,7 +305,7 @@ fn a_clock_that_jumps_by_a_day_and_back_breaks_nothing() {
 fn a_clock_that_falls_back_by_a_day_and_is_set_again_breaks_nothing() {
     let Some(shifted) = Shifted::start() else { skipped!("no libfaketime (package faketime)") };
     let Shifted { home, authros, reader, address, .. } = &shifted;
-    authros.json(&["grant", address, "--expires", "12h"]);
+    authros.json(&["grant", "add", address, "--expires", "12h"]);
     let observer = Conservation::watch(&home.path(), "default");
     watch(authros, 1);
     let first = wait_until(60, "records are verified", || shifted.newest());
@@ -315,7 +315,7 @@ fn a_clock_that_falls_back_by_a_day_and_is_set_again_breaks_nothing() {
     shifted.goes_on(&observer, "by yesterday's clock");
     // The chain's time goes on: no grant begins or ends because of this.
     let states = || -> Vec<String> {
-        let rows = authros.json(&["grants", "list"])["grants"].as_array().cloned().unwrap_or_default();
+        let rows = authros.json(&["grant", "list"])["grants"].as_array().cloned().unwrap_or_default();
         rows.iter().map(|row| text(row, "state")).collect()
     };
     assert_eq!(states(), ["active"]);
@@ -325,11 +325,11 @@ fn a_clock_that_falls_back_by_a_day_and_is_set_again_breaks_nothing() {
     assert_eq!(states(), ["active"], "list and contract agree");
     let newest = wait_until(60, "records of today", || shifted.newest());
     assert_eq!(newest["epoch"], first["epoch"], "no epoch began by it");
-    let opens = |record: &Value| reader.run(&["shared", "open", &text(record, "id")]).code == Some(0);
+    let opens = |record: &Value| reader.run(&["records", "open", &text(record, "id")]).code == Some(0);
     wait_until(60, "the reader opens what is captured now", || opens(&newest).then_some(()));
     assert!(opens(&first), "and what was captured before");
     // The contract considers it active: it can be extended, and is listed so.
-    authros.json(&["grants", "extend", address, "--expires", "2d"]);
+    authros.json(&["grant", "extend", address, "--expires", "2d"]);
     assert_eq!(states(), ["active"]);
     shifted.end(observer, "a day back and set again");
 }

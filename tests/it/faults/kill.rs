@@ -139,7 +139,7 @@ impl Field {
         match place {
             "directory-kept" if tries % 15 == 1 && self.home.socket().is_some() => {
                 let name = format!("visitor{}", now() % 1_000_000_000);
-                drop(self.home.profile(&name).spawn(&["register"]).wait(60));
+                drop(self.home.profile(&name).spawn(&["identity", "register"]).wait(60));
             }
             _ => {}
         }
@@ -193,7 +193,7 @@ impl Field {
 
 /// Captured messages, their definitions, and reports of losses.
 fn every_record(authros: &Authros) -> Vec<Value> {
-    let list = |kind| authros.records(&["uploads", "list", "--kind", kind]);
+    let list = |kind| authros.records(&["records", "list", "--oldest", "--kind", kind]);
     ["data", "definition", "gap"].into_iter().flat_map(list).collect()
 }
 

@@ -50,7 +50,7 @@ fn settle(home: &Home, authros: &Authros, observer: Conservation) {
         observer.seen().life.filter(|life| life.pending == 0 && life.captured > 0)
     });
     assert_eq!((life.dropped, life.tampered, life.quarantined), (0, 0, 0), "{life:?}");
-    let kept = authros.records(&["uploads", "list"]);
+    let kept = authros.records(&["records", "list", "--oldest"]);
     let seen = observer.finish();
     let here = |digest: &String| kept.iter().any(|record| record["digest"] == **digest);
     assert!(seen.noted.keys().all(here), "all {} noted records are there: {}", seen.noted.len(), home.path().display());
@@ -167,7 +167,9 @@ fn a_site_ends_in_order_while_a_chain_that_stands_still_keeps_others_waiting() {
     let site = authros.serve(&home);
     anvil.call("evm_setAutomine", &json!([false]));
     let capture = authros.with(&["--json"]).spawn(&["capture", "--topic", TOPICS[0], "--count", "5"]);
-    wait_until(60, "its records are acknowledged", || (authros.records(&["uploads", "list"]).len() >= 5).then_some(()));
+    wait_until(60, "its records are acknowledged", || {
+        (authros.records(&["records", "list", "--oldest"]).len() >= 5).then_some(())
+    });
     let begun = Instant::now();
     site.stop("TERM", 30).expect_code(0);
     println!("ended in order within {:?} although a capture waits", begun.elapsed());

@@ -75,7 +75,7 @@ fn an_owner_sets_a_policy_by_form_and_sees_its_robot_drift_until_it_works_by_it(
         .presses("\r")
         .sees("Clear the policy?");
     owner.presses("y").sees("policy 2 waiting, runs 1").leaves();
-    let shown = alice.authros.json(&["robots", "show", "scout"]);
+    let shown = alice.authros.json(&["robot", "show", "scout"]);
     assert_eq!((count(&shown, "wanted"), &shown["drift"]), (2, &Value::Bool(true)), "{shown}");
     operator_is_refused(alice);
 }
@@ -102,7 +102,7 @@ fn operator_is_refused(mut alice: Member) {
     let mut operator = Operator::opens(&bobs);
     operator.presses("8").sees("OPERATOR").sees("policy 2 waiting, runs 1").presses("p").sees("Set a robot's policy");
     operator.presses("\r").sees("Clear the policy?").presses("y").sees("only the owner").presses("\u{1b}").leaves();
-    let shown = alice.authros.json(&["robots", "show", "scout"]);
+    let shown = alice.authros.json(&["robot", "show", "scout"]);
     assert_eq!((count(&shown, "wanted"), &shown["drift"]), (2, &Value::Bool(true)), "{shown}");
     site.stop("INT", 30).expect_code(0);
 }

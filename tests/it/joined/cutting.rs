@@ -76,7 +76,7 @@ fn a_revocation_a_recall_and_a_suspension_hold_at_a_gateway_and_at_one_that_is_c
     let keys = Keys::of(&alice.home, "alice", domain);
     let (device, (notices, _)) = (SmKeyPair::generate(keys.provider()).expect("a pair"), keys.topic("of the robot"));
     let id = signer_id(&device.public).to_string();
-    alice.authros.json(&["devices", "lend", &id]);
+    alice.authros.json(&["robot", "authorise", &id]);
 
     let hers = keys.record(&keys.keyring.signing, TOPIC, 1, b"one message");
     let digest = Digest(keys.provider().sm3(&[&hers.blob]));
@@ -113,9 +113,9 @@ fn a_revocation_a_recall_and_a_suspension_hold_at_a_gateway_and_at_one_that_is_c
     let cut = SystemTime::now();
     line.cut();
     let [bob, dave] = [&readers[0].1.address, &readers[1].1.address];
-    let revoked = act(&ground, || drop(alice.authros.json(&["revoke", bob])));
-    let recalled = act(&ground, || drop(alice.authros.json(&["devices", "recall", &id])));
-    let suspended = act(&ground, || drop(ground.founder.json(&["chain", "suspend", dave])));
+    let revoked = act(&ground, || drop(alice.authros.json(&["grant", "end", bob])));
+    let recalled = act(&ground, || drop(alice.authros.json(&["robot", "revoke", &id])));
+    let suspended = act(&ground, || drop(ground.founder.json(&["chain", "admin", "suspend", dave])));
     let wanted = |subject: &str| match subject {
         "bob" => Some((revoked, Code::NotAuthorised)),
         "scout" => Some((recalled, Code::NotAuthorised)),

@@ -9,7 +9,7 @@ const WHY: &str = "a passer-by asked for it";
 
 fn begin_to_erase(owner: &Authros, records: &[Value]) -> Running {
     let ids: Vec<String> = records.iter().map(|record| text(record, "id")).collect();
-    let mut arguments = vec!["retention", "erase", "--reason", WHY, "--yes", "--record"];
+    let mut arguments = vec!["records", "erase", "--reason", WHY, "--yes", "--record"];
     arguments.extend(ids.iter().map(String::as_str));
     owner.with(&["--json"]).spawn(&arguments)
 }
@@ -38,7 +38,8 @@ fn told(alice: &Member, gateway: &Gateway, (name, messages): (&str, &[Value]), g
     let settled = |record: &Value| is_verified(record) || record["state"] == "deleted";
     let ids: BTreeSet<String> = messages.iter().map(|record| text(record, "id")).collect();
     let records = wait_until(180, "all are listed", || {
-        let mut records = reader.authros.records_so_far(&["shared", "list", "--owner", &alice.address])?;
+        let mut records =
+            reader.authros.records_so_far(&["received", "list", "--oldest", "--owner", &alice.address])?;
         records.retain(|record| ids.contains(&text(record, "id")));
         (records.len() >= ids.len() && records.iter().all(settled)).then_some(records)
     });
@@ -49,7 +50,7 @@ fn told(alice: &Member, gateway: &Gateway, (name, messages): (&str, &[Value]), g
         if is_gone {
             let words = text(&record, "erased");
             assert!(words.starts_with("erased 20") && words.ends_with("by its owner, its proof remains"), "{words}");
-            assert_eq!(reader.authros.json(&["shared", "check", &text(&record, "id")])["verdict"], "deleted");
+            assert_eq!(reader.authros.json(&["records", "check", &text(&record, "id")])["verdict"], "deleted");
         }
     }
 }
@@ -62,7 +63,7 @@ fn what_an_owner_erases_whose_home_joins_a_gateway_is_gone_there() {
     let alice = Member::new("alice", &gateway);
     Robot::enrol(&alice, "scout", &gateway).bring("8");
     let messages = wait_until(180, "all is verified", || {
-        let messages = alice.authros.records(&["uploads", "list", "--topic", TOPIC, "--kind", "data"]);
+        let messages = alice.authros.records(&["records", "list", "--oldest", "--topic", TOPIC, "--kind", "data"]);
         (messages.len() >= 8 && messages.iter().all(is_verified)).then_some(messages)
     });
     let (pieces, later) = (pieces_of(&gateway.home, &messages[..2]), pieces_of(&gateway.home, &messages[2..4]));
@@ -70,7 +71,7 @@ fn what_an_owner_erases_whose_home_joins_a_gateway_is_gone_there() {
     let found = |gateway: &Gateway, pieces: &[Vec<u8>]| !with_any(&gateway.home.path(), pieces).is_empty();
     assert!(found(&gateway, &pieces), "the search finds what is there");
 
-    let asking = ["retention", "erase", "--reason", WHY, "--record", &text(&messages[0], "id")];
+    let asking = ["records", "erase", "--reason", WHY, "--record", &text(&messages[0], "id")];
     let shown = alice.authros.with(&["--json"]).run(&asking).expect_code(2).stdout;
     let shown: Value = serde_json::from_str(&shown).expect("JSON");
     let stays = list(&shown, "stays");

@@ -89,8 +89,8 @@ impl Scene {
     fn is_whole(&mut self, what: &str) {
         self.agent.take().expect("running").stop("TERM", 30);
         let all = self.robot.bring("3");
-        let own = self.alice.verified(&["uploads", "list"], all);
-        let shared = ["shared", "list", "--owner", &self.alice.address];
+        let own = self.alice.verified(&["records", "list", "--oldest"], all);
+        let shared = ["received", "list", "--oldest", "--owner", &self.alice.address];
         assert_eq!(self.bob.verified(&shared, all), own, "{what}");
         let everybody =
             [("owner", &self.alice.authros), ("reader", &self.bob.authros), ("gateway", &self.gateway.keeper())];

@@ -15,14 +15,14 @@ fn a_reader_whose_site_runs_gets_what_was_granted_once_the_gateway_takes_the_gra
     // What is there before the grant, and what comes after it.
     let before = robot.bring("3");
     alice.grant(&bob);
-    let shared = ["shared", "list", "--owner", &alice.address];
+    let shared = ["received", "list", "--oldest", "--owner", &alice.address];
     bob.verified(&shared, before);
     let said = bob.site.as_ref().expect("running").stderr();
     let waits: Vec<&str> =
         said.lines().filter(|line| line.contains("yet: it may require more confirmations")).collect();
     assert!(waits.len() == 1 && waits[0].contains(&alice.address), "he is told once what he waits for: {said}");
     let all = robot.bring("3");
-    let own = alice.verified(&["uploads", "list"], all);
+    let own = alice.verified(&["records", "list", "--oldest"], all);
     assert_eq!(bob.verified(&shared, all), own, "and it goes on");
     // For one who is granted it when all of it is there already, it is the same.
     alice.grant(&carol);

@@ -27,7 +27,7 @@ fn bring(owner: &Member, gateway: &Gateway, topics: &[&str], each: u64) {
             client.upload(records.collect()).await.expect("taken");
         }
     });
-    owner.verified(&["uploads", "list"], each * topics.len() as u64);
+    owner.verified(&["records", "list", "--oldest"], each * topics.len() as u64);
 }
 
 fn audits_are_silent(authros: &Authros) {
@@ -44,9 +44,9 @@ fn an_audit_of_a_reader_of_one_topic_misses_nothing_of_the_batches_it_has_some_o
     let (alice, bob) = (Member::new("alice", &gateway), Member::new("bob", &gateway));
     let print = text(&bob.authros.json(&["identity", "show"]), "fingerprint");
     alice.authros.json(&["contacts", "add", "bob", &bob.address, "--fingerprint", &print]);
-    alice.authros.json(&["grant", "--to", "bob", "--topic", TOPIC]);
+    alice.authros.json(&["grant", "add", "--to", "bob", "--topic", TOPIC]);
     bring(&alice, &gateway, &[TOPIC, OTHER_TOPIC], 4);
-    bob.verified(&["shared", "list", "--owner", &alice.address], 4);
+    bob.verified(&["received", "list", "--oldest", "--owner", &alice.address], 4);
     // Eight records are in fewer batches: of some of them bob has a part.
     audits_are_silent(&bob.authros);
     audits_are_silent(&alice.authros);
@@ -72,22 +72,22 @@ fn a_list_shows_what_is_here_while_more_arrives() {
     line.mute();
     let here = held(&bob.home);
     if here < before + 1_000 {
-        let page = bob.authros.json(&["shared", "list", "--limit", "1000", "--owner", &alice.address]);
+        let page = bob.authros.json(&["received", "list", "--oldest", "--limit", "1000", "--owner", &alice.address]);
         let records = support::list(&page, "records");
         assert!(records.len() >= 20, "{} of {here} are listed", records.len());
         assert!(text(&page, "arriving").contains("still arriving"), "{}", page["arriving"]);
-        let said = bob.authros.run(&["shared", "list", "--owner", &alice.address]).expect_code(0);
+        let said = bob.authros.run(&["received", "list", "--oldest", "--owner", &alice.address]).expect_code(0);
         assert!(said.stdout.contains("this is what is here so far"), "{said}");
     }
     line.mend();
-    bob.verified(&["shared", "list", "--owner", &alice.address], 1_000);
-    let page = bob.authros.json(&["shared", "list", "--limit", "5", "--owner", &alice.address]);
+    bob.verified(&["received", "list", "--oldest", "--owner", &alice.address], 1_000);
+    let page = bob.authros.json(&["received", "list", "--oldest", "--limit", "5", "--owner", &alice.address]);
     assert!(page["arriving"].is_null(), "{page}");
 
     // A gateway that is gone: the same records, with the reason why they may not be all.
     gateway.site.take().expect("running").stop("KILL", 20);
     wait_until(60, "the list says that the gateway is gone", || {
-        let page = bob.authros.json(&["shared", "list", "--limit", "5", "--owner", &alice.address]);
+        let page = bob.authros.json(&["received", "list", "--oldest", "--limit", "5", "--owner", &alice.address]);
         assert_eq!(support::list(&page, "records").len(), 5, "{page}");
         let said = page["arriving"].as_str()?;
         (said.contains("still arriving") && said.contains("does not answer")).then_some(())

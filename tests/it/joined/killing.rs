@@ -100,9 +100,9 @@ fn each_record_is_held_once(ground: &Ground) {
     assert!(killed > 0 && !brought.outages.is_empty(), "somebody had to wait for it");
     all_is_held(&swarm, &brought.acknowledged);
     let wanted = brought.acknowledged.len() as u64;
-    let own = alice.verified(&["uploads", "list"], wanted);
+    let own = alice.verified(&["records", "list", "--oldest"], wanted);
     assert_eq!(
-        bob.verified(&["shared", "list", "--owner", &alice.address], wanted),
+        bob.verified(&["received", "list", "--oldest", "--owner", &alice.address], wanted),
         own,
         "each once in every reader's list"
     );

@@ -23,7 +23,7 @@ fn restored(gateway: &Gateway, lost: Member, file: &str, secret: &str) -> Member
         .profile("alice")
         .with_variable("AUTHROS_SITE", &gateway.address())
         .with_variable("AUTHROS_GATEWAY_KEY", &gateway.key);
-    authros.json(&["restore", file, "--passphrase-file", secret]);
+    authros.json(&["backup", "restore", file, "--passphrase-file", secret]);
     // Before the chain returned keys, it ended here: the keyring lacks the key of its current epoch.
     let site = Some(authros.serve(&home));
     Member { home, authros, address, site }
@@ -39,7 +39,7 @@ fn everything_opens_after_the_machine_is_lost(ground: &Ground) {
     robot.bring("3");
     let secret = bob.home.file("secret", "a passphrase of its own\n", 0o600);
     let file = bob.home.root().join("alice.backup").to_str().expect("UTF-8").to_owned();
-    alice.authros.json(&["backup", &file, "--passphrase-file", &secret]);
+    alice.authros.json(&["backup", "create", &file, "--passphrase-file", &secret]);
 
     begin_epoch(&alice, &robot);
     alice.authros.json(&["keys", "rotate", "--envelope"]);
@@ -48,17 +48,17 @@ fn everything_opens_after_the_machine_is_lost(ground: &Ground) {
     alice.authros.run(&["keys", "load", "--sm2", &key]).expect_code(0);
     alice.authros.json(&["keys", "rotate", "--envelope"]);
     let all = begin_epoch(&alice, &robot);
-    let own = alice.verified(&["uploads", "list"], all);
+    let own = alice.verified(&["records", "list", "--oldest"], all);
     let newest = alice.authros.json(&["keys", "list"]);
 
     let alice = restored(&gateway, alice, &file, &secret);
-    assert_eq!(alice.verified(&["uploads", "list"], all), own, "all are here again");
+    assert_eq!(alice.verified(&["records", "list", "--oldest"], all), own, "all are here again");
     let now = alice.authros.json(&["keys", "list"]);
     for field in ["signing_key", "envelope_key", "epochs"] {
         assert_eq!(now[field], newest[field], "{field}");
     }
     for id in &own {
-        let opened = alice.authros.json(&["shared", "open", id]);
+        let opened = alice.authros.json(&["records", "open", id]);
         assert_eq!(opened["verdict"], "verified", "{opened}");
     }
     let status = alice.authros.json(&["status"]).to_string();
@@ -67,10 +67,14 @@ fn everything_opens_after_the_machine_is_lost(ground: &Ground) {
     // The robot goes on under the epoch that it has, and under one that the restored owner begins.
     robot.bring("3");
     let all = begin_epoch(&alice, &robot);
-    let own = alice.verified(&["uploads", "list"], all);
-    assert_eq!(bob.verified(&["shared", "list", "--owner", &alice.address], all), own, "the reader has the same");
+    let own = alice.verified(&["records", "list", "--oldest"], all);
+    assert_eq!(
+        bob.verified(&["received", "list", "--oldest", "--owner", &alice.address], all),
+        own,
+        "the reader has the same"
+    );
     for id in &own {
-        assert_eq!(bob.authros.json(&["shared", "open", id])["verdict"], "verified", "{id}");
+        assert_eq!(bob.authros.json(&["records", "open", id])["verdict"], "verified", "{id}");
     }
 }
 

@@ -29,7 +29,7 @@ const WAYS: [(&str, Way); 6] = [
 fn every_alteration_is_found_and_no_plaintext_is_shown() {
     let load = Load::start(&[], &[], &[]);
     load.authros.capture(&[ODOM], 2 * WAYS.len() as u64);
-    let records = load.authros.records(&["uploads", "list"]);
+    let records = load.authros.records(&["records", "list", "--oldest"]);
     let store = Connection::open(load.home.path().join("ledger.db")).expect("opens");
     store.busy_timeout(std::time::Duration::from_secs(30)).expect("set");
     let bytes_of = |record: &Value| -> Vec<u8> {
@@ -46,14 +46,14 @@ fn every_alteration_is_found_and_no_plaintext_is_shown() {
         };
         assert_eq!(changed, Ok(1), "{way}");
         let id = text(one, "id");
-        let check = load.authros.with(&["--json"]).run(&["shared", "check", &id]).expect_code(6);
+        let check = load.authros.with(&["--json"]).run(&["records", "check", &id]).expect_code(6);
         let expected = if way == "deleted" { "missing" } else { "tampered" };
         assert_eq!(check.document()["verdict"], expected, "{way}: {check}");
-        let open = load.authros.with(&["--json"]).run(&["shared", "open", &id]).expect_code(6);
+        let open = load.authros.with(&["--json"]).run(&["records", "open", &id]).expect_code(6);
         let document = open.document();
         assert!(document["message"].is_null() && document["fields"].is_null(), "{way}: {open}");
         assert!(!open.stdout.contains("position"), "{way}: {open}");
-        load.authros.run(&["shared", "check", &text(other, "id")]).expect_code(0);
+        load.authros.run(&["records", "check", &text(other, "id")]).expect_code(0);
     }
     load.end();
 }

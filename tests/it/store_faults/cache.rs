@@ -22,7 +22,7 @@ fn cache(load: &Load) -> Value {
 fn open_all(load: &Load, records: &[Value]) {
     for record in records {
         let begun = Instant::now();
-        let opened = load.authros.json(&["shared", "open", &text(record, "id")]);
+        let opened = load.authros.json(&["records", "open", &text(record, "id")]);
         assert_eq!(opened["verdict"], "verified", "{opened}");
         assert!(begun.elapsed() < LATE, "{:?}: {opened}", begun.elapsed());
     }
@@ -116,7 +116,7 @@ fn full_with_any_policy_it_has_what_it_likes_and_every_record_opens() {
         load.until("more than it holds is verified", 90, |life| count(life, "verified") >= 150);
         let life = load.settle(&[CAMERA, ODOM]);
         assert_eq!(["dropped", "lost_in_recorder"].map(|loss| count(&life, loss)), [0, 0], "{life}");
-        let records = load.authros.records(&["uploads", "list", "--topic", CAMERA]);
+        let records = load.authros.records(&["records", "list", "--oldest", "--topic", CAMERA]);
         open_all(&load, &sample(&records));
         open_all(&load, &sample(&records));
         let told = cache(&load);
@@ -137,7 +137,7 @@ fn what_it_has_is_ciphertext_by_digest_and_an_erased_record_is_deleted_there() {
     let dump = redis.dump();
     let export = load.home.root().join("export");
     load.authros
-        .run(&["uploads", "export", &text(&records[0], "id"), "--dir", export.to_str().expect("UTF-8")])
+        .run(&["records", "export", &text(&records[0], "id"), "--dir", export.to_str().expect("UTF-8")])
         .expect_code(0);
     let blob = std::fs::read(export.join("record.bin")).expect("exported");
     assert!(holds(&dump, &blob), "the record is there as it is anchored");
@@ -147,12 +147,12 @@ fn what_it_has_is_ciphertext_by_digest_and_an_erased_record_is_deleted_there() {
     let digest = text(&records[0], "digest");
     assert!(holds(&dump, &unhex(&digest)) || holds(&dump, digest.as_bytes()), "keys are digests");
 
-    load.authros.json(&["retention", "erase", "--topic", CAMERA, "--reason", "a face is in it", "--yes"]);
-    let pictures = load.authros.records(&["uploads", "list", "--topic", CAMERA]);
+    load.authros.json(&["records", "erase", "--topic", CAMERA, "--reason", "a face is in it", "--yes"]);
+    let pictures = load.authros.records(&["records", "list", "--oldest", "--topic", CAMERA]);
     wait_until(120, "they are gone from both", || (!pictures.iter().any(has)).then_some(()));
     assert!(records.iter().filter(|record| record["topic"] == ODOM).all(has), "and nothing else");
     for picture in &pictures {
-        let refused = load.authros.run(&["shared", "open", &text(picture, "id")]);
+        let refused = load.authros.run(&["records", "open", &text(picture, "id")]);
         assert!(refused.code != Some(0) && !refused.stdout.contains("message"), "{refused}");
     }
     load.end();

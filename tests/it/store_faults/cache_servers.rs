@@ -17,7 +17,7 @@ fn until_hits(load: &Load, records: &[Value], wanted: u64) {
     let before = count(&cache(load), "hits");
     wait_until(90, "hits", || {
         for record in records {
-            let opened = load.authros.json(&["shared", "open", &text(record, "id")]);
+            let opened = load.authros.json(&["records", "open", &text(record, "id")]);
             assert_eq!(opened["verdict"], "verified", "{opened}");
         }
         (count(&cache(load), "hits") >= before + wanted).then_some(())
@@ -30,7 +30,7 @@ fn a_cluster_with_one_of_three_gone_serves_what_the_others_have() {
     let load = Load::start(&["--cache", &nodes[0].cluster_url()], &[], &[ODOM]);
     load.until("records are verified", 60, |life| count(life, "verified") >= 20);
     wait_until(60, "all three have records", || nodes.iter().all(|node| node.keys() > 0).then_some(()));
-    let records = load.authros.records(&["uploads", "list"]);
+    let records = load.authros.records(&["records", "list", "--oldest"]);
     let records = &records[..9.min(records.len())];
     nodes[1].kill();
     wait_until(60, "a part is told to be away", || {
@@ -71,15 +71,15 @@ fn a_replica_that_becomes_the_master_is_the_cache_from_then_on() {
     });
     let load = Load::start(&["--cache", &format!("redis+sentinel://127.0.0.1:{port}/mine")], &[], &[]);
     load.authros.capture(&[ODOM], 5);
-    let records = load.authros.records(&["uploads", "list"]);
+    let records = load.authros.records(&["records", "list", "--oldest"]);
     until_hits(&load, &records, 5);
     master.kill();
     wait_until(90, "the replica is written to", || {
         load.authros.capture(&[ODOM], 1);
         let before = count(&cache(&load), "hits");
-        let newest = load.authros.records(&["uploads", "list"]);
+        let newest = load.authros.records(&["records", "list", "--oldest"]);
         for record in &newest {
-            load.authros.json(&["shared", "open", &text(record, "id")]);
+            load.authros.json(&["records", "open", &text(record, "id")]);
         }
         let is_new = replica.cli(&["ROLE"]).contains("master");
         (is_new && count(&cache(&load), "hits") > before).then_some(())
@@ -113,7 +113,7 @@ fn behind_tls_the_right_certificate_is_accepted_and_every_wrong_one_costs_time_a
             &[],
         );
         load.authros.capture(&[ODOM], 3);
-        let records = load.authros.records(&["uploads", "list"]);
+        let records = load.authros.records(&["records", "list", "--oldest"]);
         match words {
             None => until_hits(&load, &records, 3),
             Some(words) => {

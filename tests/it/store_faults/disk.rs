@@ -96,7 +96,7 @@ fn on_a_full_disk_nothing_acknowledged_is_lost_and_it_goes_on_when_there_is_room
     until("records are verified", &|life| count(life, "verified") >= 5);
     // A topic's first publisher on a full disk cannot be pinned, and would be quarantined.
     wait_until(90, "both topics have records", || {
-        let records = |topic| authros.records(&["uploads", "list", "--topic", topic]).len();
+        let records = |topic| authros.records(&["records", "list", "--oldest", "--topic", topic]).len();
         (records(ODOM) > 0 && records(CAMERA) > 0).then_some(())
     });
     disk.fill();
@@ -128,15 +128,15 @@ fn on_a_full_disk_nothing_acknowledged_is_lost_and_it_goes_on_when_there_is_room
     let lost = count(&end, "lost_in_recorder");
     assert_eq!(count(&end, "captured"), count(&end, "verified") + lost, "{end}");
     let gaps = wait_until(60, "every loss is told of", || {
-        let gaps = authros.records(&["uploads", "list", "--kind", "gap", "--state", "verified"]);
-        let opened: Vec<_> = gaps.iter().map(|gap| authros.json(&["shared", "open", &text(gap, "id")])).collect();
+        let gaps = authros.records(&["records", "list", "--oldest", "--kind", "gap", "--state", "verified"]);
+        let opened: Vec<_> = gaps.iter().map(|gap| authros.json(&["records", "open", &text(gap, "id")])).collect();
         (opened.iter().map(|gap| count(&gap["message"], "lost")).sum::<u64>() == lost).then_some(opened)
     });
     assert!(gaps.iter().any(|gap| gap["message"]["reason"] == "disk full"), "{gaps:?}");
-    let records = authros.records(&["uploads", "list"]);
+    let records = authros.records(&["records", "list", "--oldest"]);
     assert_eq!(records.len() as u64, count(&end, "verified"), "every acknowledged record is there");
     for record in [&records[0], &records[records.len() - 1]] {
-        assert_eq!(authros.json(&["shared", "check", &text(record, "id")])["verdict"], "verified");
+        assert_eq!(authros.json(&["records", "check", &text(record, "id")])["verdict"], "verified");
     }
     site.stop("TERM", 30).expect_code(0);
 }
@@ -151,7 +151,9 @@ fn on_a_full_disk_who_only_looks_is_answered_or_told_so_in_true_words() {
     authros.enrol();
     authros.capture(&[ODOM], 2);
     disk.fill();
-    for looking in [&["status"][..], &["uploads", "list"], &["topics", "list"], &["grants", "list"], &["audit"]] {
+    for looking in
+        [&["status"][..], &["records", "list", "--oldest"], &["topics", "list"], &["grant", "list"], &["audit"]]
+    {
         let outcome = authros.run(looking);
         let words = format!("{}{}", outcome.stdout, outcome.stderr);
         let told = words.contains("full") && words.contains("free some space") && !words.contains("automatically");
@@ -160,7 +162,7 @@ fn on_a_full_disk_who_only_looks_is_answered_or_told_so_in_true_words() {
     }
     disk.grow("64m");
     authros.run(&["audit", "--deep"]).expect_code(0);
-    assert_eq!(authros.records(&["uploads", "list"]).len(), 2);
+    assert_eq!(authros.records(&["records", "list", "--oldest"]).len(), 2);
 }
 
 #[test]
@@ -189,8 +191,8 @@ fn what_waited_for_a_full_disk_and_died_with_the_process_is_told_at_the_next_sta
     authros.json(&["topics", "unwatch", ODOM]);
     let lost = count(&after, "lost_in_recorder");
     let gaps = wait_until(60, "a gap record of it", || {
-        let gaps = authros.records(&["uploads", "list", "--kind", "gap", "--state", "verified"]);
-        let opened: Vec<_> = gaps.iter().map(|gap| authros.json(&["shared", "open", &text(gap, "id")])).collect();
+        let gaps = authros.records(&["records", "list", "--oldest", "--kind", "gap", "--state", "verified"]);
+        let opened: Vec<_> = gaps.iter().map(|gap| authros.json(&["records", "open", &text(gap, "id")])).collect();
         (opened.iter().map(|gap| count(&gap["message"], "lost")).sum::<u64>() >= lost).then_some(opened)
     });
     assert!(gaps.iter().any(|gap| gap["message"]["reason"] == "end"), "{gaps:?}");

@@ -70,7 +70,7 @@ impl Load {
     /// Every record of the profile, of all kinds that a store holds.
     pub fn records(&self) -> Vec<Value> {
         let kinds = ["data", "definition", "gap", "audit", "retention"];
-        kinds.iter().flat_map(|kind| self.authros.records(&["uploads", "list", "--kind", kind])).collect()
+        kinds.iter().flat_map(|kind| self.authros.records(&["records", "list", "--oldest", "--kind", kind])).collect()
     }
 
     /// The id of the site's process.

@@ -22,7 +22,7 @@ fn what_no_rule_keeps_is_named_on_the_chain_and_deleted_and_what_is_missing_besi
     load.until("ciphertext is deleted", 90, |life| count(life, "deleted") >= 30);
     let life = load.settle(&[ODOM, CAMERA]);
     assert_eq!(count(&life, "dropped"), 0, "{life}");
-    let of = |topic| load.authros.records(&["uploads", "list", "--topic", topic]);
+    let of = |topic| load.authros.records(&["records", "list", "--oldest", "--topic", topic]);
     let odometry = wait_until(60, "all odometry is deleted", || {
         let records = of(ODOM);
         records.iter().all(|record| record["state"] == "deleted").then_some(records)
@@ -34,16 +34,16 @@ fn what_no_rule_keeps_is_named_on_the_chain_and_deleted_and_what_is_missing_besi
     assert!(kept_bytes(&pictures) > BUDGET / 2, "no more than that is deleted");
 
     let id = text(&odometry[odometry.len() / 2], "id");
-    assert_eq!(load.authros.json(&["shared", "check", &id])["verdict"], "deleted");
-    let refused = load.authros.run(&["shared", "open", &id]).expect_code(5);
+    assert_eq!(load.authros.json(&["records", "check", &id])["verdict"], "deleted");
+    let refused = load.authros.run(&["records", "open", &id]).expect_code(5);
     assert!(refused.stderr.contains("deleted by retention"), "{refused}");
-    let steps = load.authros.json(&["uploads", "show", &id])["steps"].to_string();
+    let steps = load.authros.json(&["records", "show", &id])["steps"].to_string();
     assert!(steps.contains("named in retention record") && steps.contains("signature"), "{steps}");
     let told: Vec<Value> = load
         .authros
-        .records(&["uploads", "list", "--kind", "retention", "--state", "verified"])
+        .records(&["records", "list", "--oldest", "--kind", "retention", "--state", "verified"])
         .iter()
-        .map(|report| load.authros.json(&["shared", "open", &text(report, "id")])["message"].clone())
+        .map(|report| load.authros.json(&["records", "open", &text(report, "id")])["message"].clone())
         .collect();
     let named: u64 = told.iter().filter(|report| report["topic"] == ODOM).map(|report| count(report, "records")).sum();
     assert_eq!(named, odometry.len() as u64, "every deleted record is named once: {told:?}");
@@ -52,7 +52,7 @@ fn what_no_rule_keeps_is_named_on_the_chain_and_deleted_and_what_is_missing_besi
     let digest: Digest = text(kept, "digest").parse().expect("a digest");
     let store = Ciphertext::of(&Ledger::open(&load.home.path().join("ledger.db")).expect("the site's own file"));
     assert_eq!(store.discard(&[digest]), Ok(()));
-    load.authros.run(&["shared", "check", &text(kept, "id")]).expect_code(6);
+    load.authros.run(&["records", "check", &text(kept, "id")]).expect_code(6);
     let alarmed = || load.told().contains("no retention record names it").then_some(());
     wait_until(30, "what is missing without a retention record is an alarm", alarmed);
     load.end();

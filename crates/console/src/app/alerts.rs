@@ -1,6 +1,6 @@
 //! What an operator should look at: since when, how often, what ended recently; and short messages.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
 use super::leaving::not_captured;
@@ -113,10 +113,10 @@ fn standing(state: &State) -> Vec<Alert> {
         found.extend(
             life(&site.life).into_iter().map(|(count, level, what)| alert(what, level, format!("{count} {what}"))),
         );
-        found.extend(judged(state, site));
-        found.extend(state.grants.rows.iter().filter_map(|row| {
-            let text = expiring(row, site, state.now)?;
-            Some(alert(&format!("grant {} {}", row.grantee, row.epoch), NoticeLevel::Info, text))
+        let ending = ending(state, site);
+        found.extend(judged(state, site, &ending));
+        found.extend(ending.values().map(|(row, text)| {
+            alert(&format!("grant {} {}", row.grantee, row.epoch), NoticeLevel::Info, text.clone())
         }));
     }
     if let Some((since, text)) = policies::drift(state) {
@@ -136,7 +136,7 @@ fn standing(state: &State) -> Vec<Alert> {
 }
 
 /// Alerts of the site's own rules, with the site's times, regardless of consoles.
-fn judged(state: &State, site: &SiteView) -> Vec<Alert> {
+fn judged(state: &State, site: &SiteView, ending: &Ending<'_>) -> Vec<Alert> {
     let shown = |alert: &AlertView, resolved| {
         let level = match alert.severity {
             Severity::Warning => NoticeLevel::Warning,
@@ -145,28 +145,32 @@ fn judged(state: &State, site: &SiteView) -> Vec<Alert> {
         let about = format!("alert {}", alert.key);
         Alert { resolved, lasts: true, ..Alert::new(&about, level, alert.text.clone(), alert.begun) }
     };
-    let is_news = |alert: &&AlertView| !is_told_otherwise(&alert.key, state, site);
+    let is_news = |alert: &&AlertView| !is_told_otherwise(&alert.key, state, site, ending);
     let standing = site.alerts.iter().filter(is_news).map(|alert| shown(alert, None));
     let over = site.alerts_over.iter().filter(|over| is_news(&&over.alert));
     standing.chain(over.map(|over| shown(&over.alert, Some(over.ended)))).collect()
 }
 
 /// Whether health, record counts or grants say the same in more helpful words.
-fn is_told_otherwise(key: &str, state: &State, site: &SiteView) -> bool {
+fn is_told_otherwise(key: &str, state: &State, site: &SiteView, ending: &Ending<'_>) -> bool {
     let own = state.identity.as_ref().and_then(|identity| identity.address);
     let (rule, subject) = key.split_once('/').unwrap_or((key, ""));
+    let chain_trouble = || site.health.iter().filter(|part| part.part == "chain" && health(part).is_some());
     match rule {
         "chain" | "store" => true,
-        // Nothing is anchored without a chain: one cause, one alert.
-        "unanchored" | "audit" => site.health.iter().any(|part| part.part == "chain" && health(part).is_some()),
-        "tampered" | "quarantine" => own.is_some_and(|own| begins(own).eq_ignore_ascii_case(subject)),
+        // Nothing is anchored without a chain, or in a paused lane: one cause, one alert.
+        "unanchored" => chain_trouble().any(|part| !part.unaffected.iter().any(|other| is_of(*other, subject))),
+        "audit" => chain_trouble().any(|part| part.unaffected.is_empty()),
+        "tampered" | "quarantine" => own.is_some_and(|own| is_of(own, subject)),
         "gap" => site.life.lost_in_transport > 0 || site.life.dropped > site.life.discarded,
-        GRANT_ENDS => {
-            state.grants.rows.iter().any(|row| ends(row, subject) && expiring(row, site, state.now).is_some())
-        }
+        GRANT_ENDS => ending.contains_key(&subject.to_ascii_lowercase()),
         // Including rules of a later version.
         _ => false,
     }
+}
+
+fn is_of(account: Address, subject: &str) -> bool {
+    begins(account).eq_ignore_ascii_case(subject)
 }
 
 fn begins(account: Address) -> String {
@@ -189,18 +193,26 @@ fn identity(state: &State) -> Option<(&'static str, String)> {
 /// The site's rule, whose text names accounts by eight digits only.
 const GRANT_ENDS: &str = "grant_ends";
 
-/// Whether a subject of that rule is this grant.
-fn ends(row: &GrantRow, subject: &str) -> bool {
-    format!("{}-{}", begins(row.owner), begins(row.grantee)).eq_ignore_ascii_case(subject)
+/// Grants given whose end is near by that rule, by its subject, each with what to do.
+type Ending<'a> = BTreeMap<String, (&'a GrantRow, String)>;
+
+fn subject(row: &GrantRow) -> String {
+    format!("{}-{}", begins(row.owner), begins(row.grantee)).to_ascii_lowercase()
 }
 
-/// A grant given whose end is near, by the site's rule.
-fn expiring(row: &GrantRow, site: &SiteView, now: Timestamp) -> Option<String> {
-    let until = row.expires.filter(|_| is_given(row) && is_active(row))?;
-    let is_near = |alert: &AlertView| {
-        alert.key.strip_prefix(GRANT_ENDS).is_some_and(|rest| ends(row, rest.trim_start_matches('/')))
+fn ending<'a>(state: &'a State, site: &SiteView) -> Ending<'a> {
+    let near = site.alerts.iter().filter_map(|alert| alert.key.strip_prefix(GRANT_ENDS));
+    let near: BTreeSet<String> = near.map(|rest| rest.trim_start_matches('/').to_ascii_lowercase()).collect();
+    let given = state.grants.rows.iter().filter(|row| !near.is_empty() && is_given(row) && is_active(row));
+    let told = |row: &'a GrantRow| {
+        let subject = Some(subject(row)).filter(|subject| near.contains(subject))?;
+        Some((subject, (row, expiring(row, state.now)?)))
     };
-    let left = Duration::from_nanos(until.0.checked_sub(now.0).filter(|_| site.alerts.iter().any(is_near))?);
+    given.filter_map(told).collect()
+}
+
+fn expiring(row: &GrantRow, now: Timestamp) -> Option<String> {
+    let left = Duration::from_nanos(row.expires?.0.checked_sub(now.0)?);
     let who = row.name.clone().unwrap_or_else(|| row.grantee.short());
     Some(format!("5, then e extends: the grant to {who} ends in {}, and a new epoch begins then", coarse(left)))
 }

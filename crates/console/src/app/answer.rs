@@ -10,7 +10,7 @@ use super::incidents::{self, Deed};
 use super::popup::{Popup, Purpose, tell};
 use super::update::Feed;
 use super::verb::{Contents, Effect, Tag};
-use super::{Screen, State, granting, identity_path, opening, palette, perform, policies};
+use super::{Screen, State, evidence, granting, identity_path, opening, palette, perform, policies};
 use crate::model::{ErrorKind, Verdict};
 use crate::service::command::{self as ask, Ask, SecretBytes};
 use crate::service::reply::{CheckView, ExportedFile, IdentityView};
@@ -21,8 +21,13 @@ type Answer = Result<Reply, Failure>;
 /// Each tag names its request, and with it the possible answers.
 pub fn answered(state: &mut State, tag: &Tag, result: Answer) {
     if let Tag::Feed(feed, generation) = tag {
-        return fed(state, *feed, *generation, result);
+        fed(state, *feed, *generation, result);
+    } else {
+        act_answered(state, tag, result);
     }
+}
+
+fn act_answered(state: &mut State, tag: &Tag, result: Answer) {
     // Made for the previous profile: the answer belongs to nobody any more.
     let Some(place) = state.work.iter().position(|other| other == tag) else { return };
     state.work.remove(place);
@@ -33,13 +38,11 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) {
             let made = ask::CreateIdentity::heard(result);
             identity_path::opened(state, made, Purpose::CreateIdentity, "identity created");
         }
-        Tag::Unlock => {
-            identity_path::opened(state, ask::Unlock::heard(result), Purpose::Unlock, "keyring unlocked");
-        }
+        Tag::Unlock => identity_path::opened(state, ask::Unlock::heard(result), Purpose::Unlock, "keyring unlocked"),
         Tag::Register => identity_path::registered(state, ask::Register::heard(result)),
         Tag::Open(id) => opening::opened(state, id, ask::OpenShared::heard(result)),
         Tag::Path(id) => opening::path_found(state, id, ask::ViewPath::heard(result)),
-        Tag::Beside(Screen::Uploads, id) => opening::looked_up(state, id, ask::ShowUpload::heard(result)),
+        Tag::Beside(Screen::Records, id) => opening::looked_up(state, id, ask::ShowUpload::heard(result)),
         Tag::Beside(Screen::Topics, topic) => opening::covered(state, topic, ask::TopicCoverage::heard(result)),
         Tag::Beside(_, id) => opening::opened_beside(state, id, ask::OpenShared::heard(result)),
         Tag::Show(id) => tell(state, id, ask::ShowUpload::heard(result), |popup| {
@@ -54,7 +57,7 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) {
         }
         Tag::Lock => locked(state, ask::Lock::heard(result)),
         Tag::Export(id) => {
-            written(state, tag, ask::ExportUpload::heard(result), |_, base, files| exported(id, base, files));
+            written(state, tag, ask::ExportUpload::heard(result), |_, base, files| exported(id, base, files))
         }
         Tag::ExportKey(kind) => {
             written(state, tag, ask::ExportKey::heard(result), |state, base, key| {
@@ -77,11 +80,17 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) {
         Tag::Incident(deed, _) => done(state, tag, ask::OpenIncident::heard(result), |state, view| {
             incidents::changed(state, *deed, view);
         }),
+        Tag::Evidence(_) => {
+            done(state, tag, ask::ExportEvidence::heard(result), |state, view| evidence::written(state, &view))
+        }
         Tag::Robot(name) => policies::shown(state, name, ask::ShowRobot::heard(result)),
         Tag::SetPolicy(robot, _) => policy_set(state, tag, robot, result),
         Tag::Watch(topic) => said(state, tag, ask::WatchTopic::heard(result), |()| format!("now watching {topic}")),
         Tag::Unwatch(topic) => {
             said(state, tag, ask::UnwatchTopic::heard(result), |()| format!("no longer watching {topic} (U: undo)"))
+        }
+        Tag::Limit(topic) => {
+            said(state, tag, ask::WatchTopic::heard(result), |()| format!("the rule of {topic} is set"))
         }
         Tag::Foresee(_) => granting::foreseen(state, tag, ask::ForeseeGrant::heard(result)),
         Tag::Grant(_) => said(state, tag, ask::Grant::heard(result), |view| view.text),
@@ -158,8 +167,8 @@ fn take(state: &mut State, feed: Feed, result: Answer) -> Result<(), Failure> {
         }
         Feed::Keys => state.keys = Some(ask::ListKeys::heard(result)?),
         Feed::Topics => state.topics.set(ask::ListTopics::heard(result)?, state.now),
-        Feed::Uploads => state.uploads.set(ask::ListUploads::heard(result)?, limit),
-        Feed::Shared => state.shared.set(ask::ListShared::heard(result)?, limit),
+        Feed::Records => state.records.set(ask::ListUploads::heard(result)?, limit),
+        Feed::Received => state.received.set(ask::ListShared::heard(result)?, limit),
         Feed::Grants => state.grants.set(ask::ListGrants::heard(result)?),
         Feed::Chain => state.chain = Some(*ask::ChainStatus::heard(result)?),
         Feed::Audit => state.log.set_audit(ask::ListAudit::heard(result)?),
@@ -193,7 +202,7 @@ fn opened_console(state: &mut State, result: Result<(), Failure>) {
 
 fn locked(state: &mut State, result: Result<IdentityView, Failure>) {
     state.feeds.renew(Feed::Identity);
-    for feed in [Feed::Keys, Feed::Grants, Feed::Shared] {
+    for feed in [Feed::Keys, Feed::Grants, Feed::Received] {
         state.feeds.slot_mut(feed).stale = true;
     }
     match result {
@@ -300,10 +309,10 @@ fn secret(base: Option<PathBuf>, name: String, secret: &SecretBytes) -> Effect {
 /// Feeds that an own command makes stale before the site's event arrives.
 fn touched_by(tag: &Tag) -> &'static [Feed] {
     match tag {
-        Tag::Watch(_) | Tag::Unwatch(_) | Tag::HoldCapture => &[Feed::Topics],
+        Tag::Watch(_) | Tag::Unwatch(_) | Tag::Limit(_) | Tag::HoldCapture => &[Feed::Topics],
         Tag::SetPolicy(..) => &[Feed::Robots],
-        Tag::Incident(..) => &[Feed::Incidents, Feed::Uploads],
-        Tag::Contact(_) => &[Feed::Contacts, Feed::Grants, Feed::Shared],
+        Tag::Incident(..) => &[Feed::Incidents, Feed::Records],
+        Tag::Contact(_) => &[Feed::Contacts, Feed::Grants, Feed::Received],
         Tag::Grant(_) | Tag::Extend(_) | Tag::Revoke(_) => &[Feed::Grants, Feed::Identity, Feed::Keys],
         Tag::LoadKey(_) | Tag::Rotate => &[Feed::Keys, Feed::Identity],
         Tag::Pin(_) | Tag::Unpin(_) | Tag::Release(_) | Tag::Discard(_) => &[Feed::Topics],
@@ -311,7 +320,7 @@ fn touched_by(tag: &Tag) -> &'static [Feed] {
         Tag::Feed(..) | Tag::OpenConsole | Tag::CreateIdentity | Tag::Unlock | Tag::Register | Tag::Lock => &[],
         Tag::ExportKey(_) | Tag::BackUp | Tag::Export(_) | Tag::Play(_) | Tag::StopPlay => &[],
         Tag::Publishers(_) | Tag::Show(_) | Tag::Beside(..) | Tag::Open(_) | Tag::Path(_) | Tag::Check(_) => &[],
-        Tag::Robot(_) | Tag::Foresee(_) => &[],
+        Tag::Robot(_) | Tag::Foresee(_) | Tag::Evidence(_) => &[],
     }
 }
 

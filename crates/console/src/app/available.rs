@@ -6,7 +6,7 @@ use super::administration::Act;
 use super::screens::{is_active, is_given, robot_of};
 use super::update::Feed;
 use super::verb::{Tag, Verb, entry_of};
-use super::{Screen, State};
+use super::{Screen, State, limiting};
 use crate::service::reply::IdentityView;
 
 pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
@@ -43,13 +43,14 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
         Verb::Readers if state.screen == Screen::Grants => Ok(()),
         Verb::Read | Verb::Readers | Verb::Play => given(state.has_rows(), "nothing selected"),
         Verb::Publishers | Verb::Pin | Verb::Unpin => one_topic(state),
+        Verb::Limit => given(!limiting::targets(state).is_empty(), "not watched: w watches it"),
         Verb::Fold => {
             let row = state.topics.selected().ok_or("nothing selected")?;
             given(robot_of(&row.topic).is_some(), "not a robot's topic")
         }
         Verb::Inspect => inspect(state),
         Verb::SetPolicy => policy(state),
-        Verb::EndTour => given(state.tour.is_some(), "no tour: authros tour begins one"),
+        Verb::EndTour => given(state.tour.is_some(), "no tour: `authros tour` begins one"),
         Verb::Release | Verb::Discard => held(state),
         Verb::BackUp | Verb::Incident | Verb::Incidents => identity(state).map(drop),
         Verb::Lock => once(state, &Tag::Lock, !identity(state)?.unlocked, "already locked"),
@@ -68,11 +69,11 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
 /// Verbs about rows of their own screens, which work nowhere else.
 fn is_bound(verb: Verb) -> bool {
     use Verb::{
-        Browse, Check, Columns, Details, Discard, Export, Extend, Fold, FoldAll, Inspect, Level, Mark, MarkAll,
+        Browse, Check, Columns, Details, Discard, Export, Extend, Fold, FoldAll, Inspect, Level, Limit, Mark, MarkAll,
     };
     use Verb::{Open, Period, Pin, Play, Publishers, Read, Readers, Release, Revoke, Source, Unpin, Watch};
     let of_rows = matches!(verb, Mark | MarkAll | Watch | Details | Open | Check | Export | Readers | Browse | Play);
-    let of_topics = matches!(verb, Publishers | Pin | Unpin | Release | Discard | Fold | FoldAll | Columns);
+    let of_topics = matches!(verb, Publishers | Pin | Unpin | Limit | Release | Discard | Fold | FoldAll | Columns);
     of_rows || of_topics || matches!(verb, Verb::Alerts | Inspect | Period | Level | Source | Read | Revoke | Extend)
 }
 
@@ -85,7 +86,7 @@ fn copyable(state: &State) -> bool {
         Screen::Keys => state.address().is_some(),
         Screen::Chain => state.chain.as_ref().is_some_and(|chain| chain.contract.is_some()),
         Screen::Robots => state.gateway.view.as_ref().is_some_and(|view| view.served.is_some()),
-        Screen::Overview | Screen::Topics | Screen::Uploads | Screen::Shared | Screen::Grants => state.has_rows(),
+        Screen::Overview | Screen::Topics | Screen::Records | Screen::Received | Screen::Grants => state.has_rows(),
         Screen::Log => state.has_rows(),
     }
 }

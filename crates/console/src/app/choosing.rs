@@ -18,15 +18,15 @@ pub struct Choice {
 
 pub fn choices(state: &State) -> Vec<Choice> {
     let mut all = vec![choice("All records", String::new(), String::new())];
-    if state.screen == Screen::Uploads {
+    if state.screen == Screen::Records {
         let watched = state.topics.rows.iter().filter(|row| row.watched || row.messages > 0);
         all.extend(watched.map(|row| choice(&row.topic, format!("{} captured", row.messages), row.topic.clone())));
-        all.extend(seen(&state.uploads.rows, &all));
+        all.extend(seen(&state.records.rows, &all));
         let states = ["stored", "verified", "quarantined", "tampered"];
         all.extend(states.map(|word| choice(word, "by state".to_owned(), format!("state:{word}"))));
     } else {
         all.extend(shared(state));
-        all.extend(seen(&state.shared.rows, &all));
+        all.extend(seen(&state.received.rows, &all));
     }
     all.push(choice("the last hour", "by time of capture".to_owned(), "since:1h".to_owned()));
     all.push(choice("the last day", "by time of capture".to_owned(), "since:1d".to_owned()));
@@ -131,6 +131,7 @@ const TOPICS: &[Offered] = &[
     column("publishers", 170, "Nodes that publish it"),
     column("pinned", 90, "Whether its publishers are pinned"),
     column("watched", 0, "Whether it is captured, or why not"),
+    column("kept", NEVER, "How many of its messages are kept: every one, or by a rule"),
     column("hz", 0, "Messages a second"),
     column("rate", 0, "Kilobytes a second"),
     column("line", 110, "The last 16 seconds as a line"),
@@ -139,7 +140,7 @@ const TOPICS: &[Offered] = &[
     column("age", 80, "Time since the last message"),
 ];
 
-/// Of records: name, widths from which Uploads and Shared show it usually, words.
+/// Of records: name, widths from which Records and Received show it usually, words.
 const RECORDS: [(&str, [Option<u16>; 2], &str); 12] = [
     ("state", [Some(0), Some(0)], "Record state"),
     ("owner", [None, Some(0)], "Who shares it"),
@@ -162,8 +163,8 @@ pub fn offered(screen: Screen) -> Vec<Offered> {
     };
     match screen {
         Screen::Topics => TOPICS.to_vec(),
-        Screen::Uploads => of_list(0),
-        Screen::Shared => of_list(1),
+        Screen::Records => of_list(0),
+        Screen::Received => of_list(1),
         Screen::Overview | Screen::Grants | Screen::Keys | Screen::Chain | Screen::Robots | Screen::Log => Vec::new(),
     }
 }

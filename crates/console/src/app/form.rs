@@ -98,12 +98,20 @@ impl Form {
         self.text(line).trim().parse().map_err(|error: T::Err| (line, error.to_string()))
     }
 
-    /// The topics named, those known that match a pattern, and whether the line says all of them.
-    pub fn topics(&self, line: usize, known: &[TopicRow]) -> Result<(Vec<TopicName>, bool), Wrong> {
-        let written = || self.text(line).split([' ', ',']).filter(|name| !name.is_empty());
+    fn words(&self, line: usize) -> impl Iterator<Item = &str> {
+        self.text(line).split([' ', ',']).filter(|word| !word.is_empty())
+    }
+
+    /// Names and patterns, without the words for all topics and for robots.
+    pub fn patterns(&self, line: usize) -> Result<Vec<TopicPattern>, Wrong> {
+        let topics = self.words(line).filter(|word| *word != ALL_TOPICS && !word.starts_with(OF_ROBOT));
+        topics.map(|word| word.parse().map_err(|error: PatternError| (line, error.to_string()))).collect()
+    }
+
+    /// The topics named, and those known that match a pattern.
+    fn topics(&self, line: usize, known: &[TopicRow]) -> Result<Vec<TopicName>, Wrong> {
         let mut topics: Vec<TopicName> = Vec::new();
-        for word in written().filter(|name| *name != ALL_TOPICS) {
-            let pattern: TopicPattern = word.parse().map_err(|error: PatternError| (line, error.to_string()))?;
+        for pattern in self.patterns(line)? {
             let matching = known.iter().filter(|row| pattern.matches(&row.topic));
             let found = match pattern.name() {
                 Some(name) => vec![name],
@@ -114,7 +122,7 @@ impl Form {
             }
             topics.extend(found.into_iter().filter(|name| !topics.contains(name)).collect::<Vec<_>>());
         }
-        Ok((topics, written().any(|name| name == ALL_TOPICS)))
+        Ok(topics)
     }
 
     pub fn field(&self, line: usize) -> Option<&Field> {
@@ -331,13 +339,15 @@ pub fn read_unlock(form: &Form) -> Result<Errand, Wrong> {
 }
 
 pub const ALL_TOPICS: &str = "all";
+/// Before the name of a robot whose topics are meant.
+pub const OF_ROBOT: &str = "robot:";
 const ENDS: &str = "empty = never; 30d, 18:00, tomorrow 18:00";
 
 /// Focuses the first empty line; `moments` says what the words of the line `From` mean now.
 pub fn grant(grantee: &str, topics: &[String], ends: &str, moments: Vec<String>) -> Form {
     let lines = vec![
         Line::text("Address", "0x and 40 hex, or a contact's name", Field::offering(grantee)),
-        Line::text("Topics", "topic names; all", Field::offering(&topics.join(" "))),
+        Line::text("Topics", "topic names; robot:scout-1; all", Field::offering(&topics.join(" "))),
         Line::text("Ends", ENDS, Field::offering(ends)).time(Direction::Ahead),
         Line::text("From", "now, epoch, start; 1h, yesterday 18:00", Field::offering("now")).time(Direction::Back),
     ];
@@ -360,8 +370,9 @@ pub fn extend(grantee: &str, ends: &str) -> Form {
 #[derive(Debug, Clone)]
 pub struct GrantWish {
     pub grantee: Party,
-    /// Empty = all.
+    /// Both empty = all.
     pub topics: Vec<TopicName>,
+    pub robots: Vec<String>,
     pub from: GrantFrom,
     pub expires: Option<Timestamp>,
 }
@@ -371,32 +382,37 @@ pub fn read_grant(form: &Form, state: &State) -> Result<GrantWish, Wrong> {
     if grantee.address().is_some_and(|address| Some(address) == state.address()) {
         return Err((0, "that is your own address; enter the reader's".to_owned()));
     }
-    let (topics, all) = form.topics(1, &state.topics.rows)?;
-    if topics.is_empty() && !all {
+    let topics = form.topics(1, &state.topics.rows)?;
+    let robots: Vec<String> = form.words(1).filter_map(|word| word.strip_prefix(OF_ROBOT)).map(str::to_owned).collect();
+    let (all, none) = (form.words(1).any(|word| word == ALL_TOPICS), topics.is_empty() && robots.is_empty());
+    if robots.iter().any(String::is_empty) {
+        return Err((1, format!("write the robot's name after {OF_ROBOT} without a space; tab completes it")));
+    }
+    if none && !all {
         return Err((1, format!("enter topics, or '{ALL_TOPICS}' for every topic")));
     }
     if topics.len() > MOST_TOPICS {
         return Err((1, format!("a grant covers at most {MOST_TOPICS} topics, or all")));
     }
-    if !topics.is_empty() && all {
+    if !none && all {
         return Err((1, format!("use either '{ALL_TOPICS}' or topic names, not both")));
     }
     let expires = when::expiry(form.text(2), &state.times()).map_err(|error| (2, error))?;
     let from =
         GrantFrom::read(form.text(3), |text| state.times().back(text)).map_err(|failure| (3, failure.message))?;
-    Ok(GrantWish { grantee, topics, from, expires })
+    Ok(GrantWish { grantee, topics, robots, from, expires })
 }
 
 pub fn unpin(topic: &str, publisher: &str) -> Form {
     let lines = vec![
-        Line::text("Topic", "such as /robot1/odom", Field::with(topic)),
+        Line::text("Topic", "such as /robot1/odom, /robot*/odom", Field::with(topic)),
         Line::text("Node", "caller id, such as /driver", Field::with(publisher)),
     ];
     Form::new("Unpin a publisher", vec!["Its messages are quarantined from then on.".to_owned()], lines)
 }
 
 pub fn read_unpin(form: &Form) -> Result<Errand, Wrong> {
-    let topic: TopicName = form.parsed(0)?;
+    let topic: TopicPattern = form.parsed(0)?;
     let missing = || (1, "enter the node's name; enter on the topic lists pinned publishers".to_owned());
     let caller_id = form.typed(1).ok_or_else(missing)?.to_owned();
     let tag = Tag::Unpin(topic.to_string());

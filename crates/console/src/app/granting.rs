@@ -9,9 +9,9 @@ use super::popup::{self, Confirm, Popup, Purpose, moved};
 use super::screens::{day, end, is_active, is_given, other_side, scope};
 use super::update::Feed;
 use super::verb::{Errand, Tag};
-use super::{Screen, State, when};
+use super::{Screen, State, policies, when};
 use crate::model::{Address, ContactName, Party, Timestamp, TopicName, TopicPattern};
-use crate::service::reply::{ContactRow, GrantForesight, GrantRow, Opens};
+use crate::service::reply::{ContactRow, GrantForesight, GrantRow, Opens, RobotRow};
 use crate::service::{Command, Failure, GrantFrom};
 
 const GRANTEE: usize = 0;
@@ -22,9 +22,14 @@ pub fn begin(state: &mut State) {
     let (grantee, topics) = match state.screen {
         Screen::Topics => (String::new(), state.topics.targets().into_iter().map(|row| row.topic.clone()).collect()),
         Screen::Grants => state.grants.selected().map_or_else(Default::default, terms),
+        Screen::Robots => (String::new(), policies::under_cursor(state).map(of_robot).into_iter().collect()),
         _ => (String::new(), Vec::new()),
     };
     open(state, &grantee, &topics, "");
+}
+
+fn of_robot(row: &RobotRow) -> String {
+    format!("{}{}", form::OF_ROBOT, row.name)
 }
 
 fn terms(row: &GrantRow) -> (String, Vec<String>) {
@@ -65,7 +70,7 @@ pub fn moments(state: &State) -> Vec<String> {
 /// `grant bob /robot1/odom 30d` of the palette: the form with these terms.
 pub fn spoken(state: &mut State, words: &[&str]) {
     let Some((grantee, rest)) = words.split_first() else { return };
-    let is_topic = |word: &&str| word.starts_with('/') || *word == form::ALL_TOPICS;
+    let is_topic = |word: &&str| word.starts_with('/') || word.starts_with(form::OF_ROBOT) || *word == form::ALL_TOPICS;
     let (topics, ends): (Vec<&str>, Vec<&str>) = rest.iter().copied().partition(is_topic);
     let topics: Vec<String> = topics.into_iter().map(str::to_owned).collect();
     open(state, grantee, &topics, &ends.join(" "));
@@ -94,7 +99,7 @@ fn same_terms(state: &State, row: &GrantRow, wish: &GrantWish) -> bool {
     let mut given = row.topics.clone();
     wanted.sort();
     given.sort();
-    wanted == given && wish.expires == row.expires && opens_the_same(state, row, wish.from)
+    wish.robots.is_empty() && wanted == given && wish.expires == row.expires && opens_the_same(state, row, wish.from)
 }
 
 /// Nothing more than the grant opens already.
@@ -115,14 +120,14 @@ pub fn ask(state: &mut State, mut wish: GrantWish) {
         let current = state.identity.as_ref().and_then(|identity| identity.epoch);
         wish.from = current.map_or(wish.from, GrantFrom::Epoch);
     }
-    let GrantWish { grantee, topics, from, .. } = wish.clone();
+    let GrantWish { grantee, topics, robots, from, .. } = wish.clone();
     let tag = foresight(&wish);
     let (question, follow_up) = question(state, wish, None);
     state.follow_up = follow_up;
     state.popups.push(Popup::Confirm(question));
     if state.identity.as_ref().is_some_and(|identity| identity.unlocked && identity.registered) {
         let topics = topics.into_iter().map(Into::into).collect();
-        state.send_new(Errand { command: Command::ForeseeGrant { grantee, topics, from }, tag });
+        state.send_new(Errand { command: Command::ForeseeGrant { grantee, topics, robots, from }, tag });
     }
 }
 
@@ -132,8 +137,14 @@ fn standing<'a>(state: &'a State, wish: &GrantWish) -> Option<&'a GrantRow> {
     active(state, wish.grantee.address().or(contact), &name)
 }
 
+/// As typed: topics by name, robots by theirs.
+pub fn covered(wish: &GrantWish) -> Vec<String> {
+    let robots = wish.robots.iter().map(|robot| format!("{}{robot}", form::OF_ROBOT));
+    wish.topics.iter().map(ToString::to_string).chain(robots).collect()
+}
+
 fn foresight(wish: &GrantWish) -> Tag {
-    let topics: Vec<&str> = wish.topics.iter().map(TopicName::as_str).collect();
+    let topics: Vec<String> = covered(wish);
     Tag::Foresee(format!("{} from {} on {}", wish.grantee, wish.from, topics.join(" ")))
 }
 
@@ -180,9 +191,9 @@ pub fn foreseen(state: &mut State, tag: &Tag, answer: Result<GrantForesight, Fai
 }
 
 fn wish_of(command: &Command) -> Option<GrantWish> {
-    let Command::Grant { grantee, topics, from, expires } = command else { return None };
+    let Command::Grant { grantee, topics, robots, from, expires } = command else { return None };
     let topics = topics.iter().filter_map(TopicPattern::name).collect();
-    Some(GrantWish { grantee: grantee.clone(), topics, from: *from, expires: *expires })
+    Some(GrantWish { grantee: grantee.clone(), topics, robots: robots.clone(), from: *from, expires: *expires })
 }
 
 fn active<'a>(state: &'a State, address: Option<Address>, name: &str) -> Option<&'a GrantRow> {
@@ -195,8 +206,8 @@ pub fn caution(state: &State, command: &Command) -> Option<String> {
     if let (Command::Revoke { .. }, Some((_, after))) = (command, &state.follow_up) {
         return caution(state, &after.command);
     }
-    let Command::Grant { topics, .. } = command else { return None };
-    if topics.is_empty() {
+    let Command::Grant { topics, robots, .. } = command else { return None };
+    if topics.is_empty() && robots.is_empty() {
         return Some("ALL topics: whatever you publish now and later.".to_owned());
     }
     let known = |topic: &TopicPattern| state.topics.rows.iter().any(|row| topic.matches(&row.topic));
@@ -209,7 +220,10 @@ pub fn caution(state: &State, command: &Command) -> Option<String> {
 pub fn complete(state: &State, form: &mut Form) -> bool {
     let names: Vec<String> = match form.focus {
         GRANTEE => state.contacts.iter().map(|row| row.name.to_string()).collect(),
-        TOPICS => state.topics.rows.iter().map(|row| row.topic.clone()).chain([form::ALL_TOPICS.to_owned()]).collect(),
+        TOPICS => {
+            let topics = state.topics.rows.iter().map(|row| row.topic.clone());
+            topics.chain(state.gateway.robots.iter().map(of_robot)).chain([form::ALL_TOPICS.to_owned()]).collect()
+        }
         _ => return false,
     };
     complete_from(form, &names)
@@ -257,7 +271,7 @@ fn sooner(row: &GrantRow, expires: Option<Timestamp>) -> Result<GrantWish, Wrong
         topics.map_err(|_| (0, "one of its topics is unknown here by name; revoke it and grant again".to_owned()))?;
     // What it opens stays the same.
     let from = GrantFrom::Epoch(row.from.unwrap_or(row.epoch));
-    Ok(GrantWish { grantee: row.grantee.into(), topics, from, expires })
+    Ok(GrantWish { grantee: row.grantee.into(), topics, robots: Vec::new(), from, expires })
 }
 
 pub fn chosen(state: &State, selected: usize) -> Option<&ContactRow> {

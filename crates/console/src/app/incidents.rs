@@ -7,8 +7,8 @@ use super::popup::{Confirm, Popup, Purpose, moved};
 use super::screens::day;
 use super::update::Feed;
 use super::verb::{Errand, Tag};
-use super::{Screen, State, granting, palette, table};
-use crate::model::{Direction, IncidentName, Timestamp};
+use super::{Screen, State, evidence, granting, palette, table};
+use crate::model::{Direction, IncidentName, Timestamp, counted};
 use crate::service::command::{CloseIncident, NoteIncident, OpenIncident, RemoveIncident};
 use crate::service::reply::IncidentView;
 
@@ -104,12 +104,12 @@ fn possible(state: &State, list: &IncidentList) -> Vec<[&'static str; 3]> {
     let (one, open) = (chosen.is_some(), chosen.is_some_and(|row| row.open));
     let all = [
         (["n", "new", "Open an incident, filled in from the row behind this window"], changes),
-        (["enter", "records", "Show its records in Uploads"], one),
+        (["enter", "records", "Show its records on the Records screen"], one),
         (["a", "note", "Add a note; exported bundles include notes"], changes && one),
         (["c", "close", "End its span now; its records stay held"], changes && open),
         (["x", "remove", "Remove it: retention may then delete what only it held"], changes && one),
         (["y", "copy command", "Copy the equivalent command line"], one),
-        (["e", "copy export", "Copy the command line that exports it as an evidence bundle"], one),
+        (["e", "export", "Export it as an evidence bundle, and choose what becomes readable"], one),
         (["q", "back", "Close this window"], true),
         (["pgup pgdn", "scroll", "Scroll what the incident holds"], one),
     ];
@@ -155,20 +155,16 @@ pub fn key(state: &mut State, mut list: IncidentList, key: Key) {
             let line = palette::of_words(state, &format!("incident show {}", row.name));
             copy(state, line);
         }
-        (Key::Char('e'), Some(row)) => {
-            let words = format!("evidence export {0}.authros --incident {0}", row.name);
-            let line = palette::of_words(state, &words);
-            copy(state, line);
-        }
+        (Key::Char('e'), Some(row)) => evidence::begin(state, &row.name),
         _ => {}
     }
 }
 
-/// Uploads, filtered to the incident.
+/// Records, filtered to the incident.
 fn show_records(state: &mut State, name: &IncidentName) {
-    go(state, Screen::Uploads);
-    state.uploads.table.filter = Field::with(&format!("incident:{name}"));
-    state.uploads.table.filtering = false;
+    go(state, Screen::Records);
+    state.records.table.filter = Field::with(&format!("incident:{name}"));
+    state.records.table.filtering = false;
     table::restart_records(state);
 }
 
@@ -186,11 +182,11 @@ fn around(state: &State) -> Around {
         Screen::Topics => {
             Around { topics: state.topics.targets().into_iter().map(|row| row.topic.clone()).collect(), ..now }
         }
-        Screen::Uploads => {
-            let marks = &state.uploads.table.marks;
+        Screen::Records => {
+            let marks = &state.records.table.marks;
             let key = state.row_key();
             let is_it = |id: &String| if marks.is_empty() { Some(id) == key.as_ref() } else { marks.contains(id) };
-            let rows: Vec<_> = state.uploads.rows.iter().filter(|row| is_it(&row.id)).collect();
+            let rows: Vec<_> = state.records.rows.iter().filter(|row| is_it(&row.id)).collect();
             let times = || rows.iter().map(|row| row.captured_at);
             let (Some(first), Some(last)) = (times().min(), times().max()) else { return now };
             let until = Timestamp::from_seconds(last.seconds().saturating_add(AROUND));
@@ -224,12 +220,12 @@ fn form(around: &Around) -> Form {
             .time(Direction::Back),
         Line::text("To", "empty = when it is closed; 5m, 2036-12-31", Field::offering(&around.until))
             .time(Direction::Back),
-        Line::text("Topics", "topic names; empty = all", Field::offering(&topics)),
+        Line::text("Topics", "topic names, /robot*/camera/**; empty = all", Field::offering(&topics)),
         Line::text("Note", "what happened", Field::default()),
     ];
     let mut notes = vec!["Protects what was recorded in this time from retention.".to_owned()];
     if left > 0 {
-        notes.push(format!("{left} more topics do not fit here; use authros incident open."));
+        notes.push(format!("{left} more topics do not fit here; use `authros incident open`."));
     }
     Form::new("New incident", notes, lines)
 }
@@ -279,7 +275,7 @@ pub fn read(state: &State, form: &Form) -> Result<Errand, Wrong> {
     if until.is_some_and(|until| until <= since) {
         return Err((2, "it would end before it begins; enter a later time".to_owned()));
     }
-    let ((topics, _), note) = (form.topics(TOPICS, &state.topics.rows)?, form.typed(4).map(str::to_owned));
+    let (topics, note) = (form.patterns(TOPICS)?, form.typed(4).map(str::to_owned));
     let tag = Tag::Incident(Deed::Open, name.clone());
     Ok(Errand { command: OpenIncident { name, since, until, topics, note, robots: Vec::new() }.into(), tag })
 }
@@ -318,7 +314,7 @@ fn removal(row: &IncidentView) -> Confirm {
     let lines = vec![
         format!("It holds   {} records", row.records),
         "Its notes are deleted, and retention may delete what no other incident holds.".to_owned(),
-        "What retention deletes cannot be restored: export it first (e copies the command).".to_owned(),
+        "What retention deletes cannot be restored: export it first (e).".to_owned(),
     ];
     let tag = Tag::Incident(Deed::Remove, row.name.clone());
     let errand = Errand { command: RemoveIncident { name: row.name.clone() }.into(), tag };
@@ -331,7 +327,7 @@ pub fn taken_back(name: &IncidentName) -> Errand {
 }
 
 pub fn changed(state: &mut State, deed: Deed, view: IncidentView) {
-    let held = super::counted(view.records, "record");
+    let held = counted(view.records, "record");
     let text = match deed {
         Deed::Open => format!("incident {}: {held} kept so far (U: undo)", view.name),
         Deed::Note => format!("incident {}: note added", view.name),

@@ -41,7 +41,7 @@ fn capture_lines(state: &State) -> Vec<String> {
             } else if can_leave_site(state) {
                 "s: `authros serve` continues it after a gap of a few seconds; asks for the passphrase.".to_owned()
             } else {
-                "To keep it running without a console, use: authros serve".to_owned()
+                "To keep it running without a console, use `authros serve`".to_owned()
             },
         ],
         Some(what) => vec![format!("{} continues {site}.", super::sentence(&what))],

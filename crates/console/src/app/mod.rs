@@ -5,6 +5,7 @@ pub mod alerts;
 pub mod answer;
 pub mod available;
 pub mod choosing;
+pub mod evidence;
 pub mod form;
 pub mod granting;
 pub mod history;
@@ -12,6 +13,7 @@ pub mod identity_path;
 pub mod incidents;
 pub mod keymap;
 pub mod leaving;
+pub mod limiting;
 pub mod opening;
 pub mod palette;
 pub mod perform;
@@ -110,8 +112,8 @@ pub struct State {
     pub alerts: AlertBook,
     pub chain: Option<ChainView>,
     pub topics: Topics,
-    pub uploads: Records,
-    pub shared: Records,
+    pub records: Records,
+    pub received: Records,
     pub grants: Grants,
     pub log: Log,
     /// Topmost last.
@@ -150,7 +152,7 @@ impl State {
     pub fn new(settings: Settings) -> Self {
         let tour = settings.tour.clone().map(Tour::new);
         let records = || Records { table: Table::following(), ..Records::default() };
-        Self { settings, tour, size: (80, 24), uploads: records(), shared: records(), ..Self::default() }
+        Self { settings, tour, size: (80, 24), records: records(), received: records(), ..Self::default() }
     }
 
     pub fn is_frozen(&self) -> bool {
@@ -298,8 +300,8 @@ pub enum Screen {
     #[default]
     Overview,
     Topics,
-    Uploads,
-    Shared,
+    Records,
+    Received,
     Grants,
     Keys,
     Chain,
@@ -331,8 +333,8 @@ impl Screen {
         match self {
             Self::Overview => &[Feed::Topics, Feed::Grants],
             Self::Topics => &[Feed::Topics],
-            Self::Uploads => &[Feed::Topics, Feed::Uploads],
-            Self::Shared => &[Feed::Topics, Feed::Shared, Feed::Grants],
+            Self::Records => &[Feed::Topics, Feed::Records],
+            Self::Received => &[Feed::Topics, Feed::Received, Feed::Grants],
             Self::Grants => &[Feed::Grants],
             Self::Keys => &[Feed::Keys],
             Self::Chain => &[Feed::Chain],
@@ -345,7 +347,7 @@ impl Screen {
     pub fn orders(self) -> &'static [&'static str] {
         match self {
             Self::Topics => &["name", "Hz", "bytes/s", "watched"],
-            Self::Uploads | Self::Shared => &["newest first", "oldest first"],
+            Self::Records | Self::Received => &["newest first", "oldest first"],
             Self::Grants => &["newest", "account", "state"],
             Self::Robots => &["connected", "name", "frames", "policy"],
             Self::Log => &["newest first"],
@@ -407,7 +409,7 @@ pub struct KeptTable {
 #[serde(default)]
 pub struct Kept {
     pub screen: String,
-    /// Topics, Uploads, Shared, Grants, Gateway, Log.
+    /// Topics, Records, Received, Grants, Gateway, Log.
     pub tables: Vec<KeptTable>,
     /// The least urgent level of the log: 0 to 2.
     pub level: u8,
@@ -454,11 +456,6 @@ pub fn recall(state: &mut State, kept: &Kept) {
 pub fn sentence(text: &str) -> String {
     let mut characters = text.chars();
     characters.next().map_or_else(String::new, |first| first.to_uppercase().chain(characters).collect())
-}
-
-/// `1 record`, `2 records`.
-pub fn counted(count: u64, one: &str) -> String {
-    if count == 1 { format!("1 {one}") } else { format!("{count} {one}s") }
 }
 
 #[cfg(test)]

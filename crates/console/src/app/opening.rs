@@ -126,7 +126,7 @@ pub fn key(state: &mut State, mut opening: Opening, key: Key) {
                 state.effects.push(Effect::WriteFiles { base: None, directory: None, files: vec![file] });
             }
             Some(None) => state
-                .inform(format!("too large to save here; use: authros shared open {} --out FILE", opening.lookup.id)),
+                .inform(format!("too large to save here; use `authros records open {} --out FILE`", opening.lookup.id)),
             None => {}
         },
         Key::Char('y') => {
@@ -245,8 +245,8 @@ fn wanted(state: &State) -> Option<(Screen, String)> {
     let open = state.identity.as_ref().is_some_and(|identity| identity.unlocked);
     let tells = match state.screen {
         Screen::Topics => state.identity.as_ref().is_some_and(|identity| identity.exists),
-        Screen::Uploads => true,
-        Screen::Shared => open,
+        Screen::Records => true,
+        Screen::Received => open,
         _ => false,
     };
     let aimed = state.table().is_some_and(|table| table.is_bound() && !table.filtering);
@@ -275,7 +275,7 @@ pub fn follow(state: &mut State) {
         let topic = id.parse::<TopicName>().ok().filter(|_| state.topics.robot(&id).is_none());
         return topic.into_iter().for_each(|topic| state.send(coverage_of(&topic)));
     }
-    let command = if screen == Screen::Uploads {
+    let command = if screen == Screen::Records {
         // The previous details stay until the new answer arrives.
         state.detail.steps =
             state.detail.steps.take().filter(|steps| steps.id == id).or_else(|| Some(Lookup::new(&id)));

@@ -11,7 +11,7 @@ use super::popup::{Palette, Popup, Purpose};
 use super::verb::{Effect, Errand, Tag, Verb, kind_word};
 use super::{Settings, State, choosing, granting};
 use crate::model::{Timestamp, clean, is_shown};
-use crate::service::command::{Administration, IncidentCommand, PlayWishes};
+use crate::service::command::{Administration, EvidenceWishes, IncidentCommand, PlayWishes};
 use crate::service::{Command, KeyKind};
 
 #[allow(clippy::wildcard_enum_match_arm, reason = "any other key is typed")]
@@ -155,28 +155,30 @@ fn act(errand: &Errand) -> Option<String> {
         }
         Tag::CreateIdentity => "identity create".to_owned(),
         Tag::Unlock => "keys list --passphrase-file FILE".to_owned(),
-        Tag::Register => "register".to_owned(),
+        Tag::Register => "identity register".to_owned(),
         Tag::Watch(topic) => format!("topics watch {}", quoted(topic)),
         Tag::Unwatch(topic) => format!("topics unwatch {}", quoted(topic)),
         Tag::Grant(_) | Tag::Extend(_) | Tag::Revoke(_) | Tag::LoadKey(_) | Tag::ExportKey(_) => of_command(command)?,
+        Tag::Limit(_) => of_command(command)?,
         Tag::Unpin(_) | Tag::Contact(_) | Tag::Incident(..) | Tag::Administer(_) | Tag::Play(_) => of_command(command)?,
+        Tag::Evidence(_) => of_command(command)?,
         Tag::Rotate => "keys rotate".to_owned(),
-        Tag::Lock => "identity lock".to_owned(),
+        Tag::Lock => "keys lock".to_owned(),
         Tag::BackUp => "keys backup --out FILE".to_owned(),
         Tag::Deploy => "chain deploy".to_owned(),
         Tag::Pin(topic) => format!("topics pin {}", quoted(topic)),
-        Tag::Release(topic) => format!("quarantine release --topic {}", quoted(topic)),
-        Tag::Discard(topic) => format!("quarantine discard --topic {} --yes", quoted(topic)),
+        Tag::Release(topic) => format!("topics quarantine release --topic {}", quoted(topic)),
+        Tag::Discard(topic) => format!("topics quarantine discard --topic {} --yes", quoted(topic)),
         Tag::Publishers(topic) => format!("topics pins --topic {}", quoted(topic)),
-        Tag::Show(id) => format!("uploads show {id}"),
-        Tag::Open(id) => format!("shared open {id}"),
-        Tag::Check(id) => format!("shared check {id}"),
-        Tag::Export(id) => format!("uploads export {id} --dir DIR"),
-        Tag::Robot(name) => format!("robots show {}", quoted(name)),
+        Tag::Show(id) => format!("records show {id}"),
+        Tag::Open(id) => format!("records open {id}"),
+        Tag::Check(id) => format!("records check {id}"),
+        Tag::Export(id) => format!("records export {id} --dir DIR"),
+        Tag::Robot(name) => format!("robot show {}", quoted(name)),
         Tag::SetPolicy(robot, Some(file)) => {
-            format!("robots policy {} --set {}", quoted(robot), quoted(&file.to_string_lossy()))
+            format!("robot policy {} --set {}", quoted(robot), quoted(&file.to_string_lossy()))
         }
-        Tag::SetPolicy(robot, None) => format!("robots policy {} --clear", quoted(robot)),
+        Tag::SetPolicy(robot, None) => format!("robot policy {} --clear", quoted(robot)),
     })
 }
 
@@ -188,20 +190,30 @@ fn of_command(command: &Command) -> Option<String> {
         fingerprint.as_ref().map_or_else(String::new, |value| format!(" --fingerprint {}", quoted(value)))
     };
     Some(match command {
-        Command::Grant { grantee, topics, from, expires } => {
+        Command::Grant { grantee, topics, robots, from, expires } => {
             let topics = topics.iter().map(|topic| format!(" --topic {}", quoted(topic.as_str()))).collect::<String>();
-            format!("grant {grantee}{topics} --from {from}{}", expires.map_or_else(String::new, until))
+            let robots = robots.iter().map(|robot| format!(" --robot {}", quoted(robot))).collect::<String>();
+            format!("grant add {grantee}{topics}{robots} --from {from}{}", expires.map_or_else(String::new, until))
         }
         Command::ExtendGrant { grantee, expires } => {
-            format!("grants extend {grantee}{}", expires.map_or_else(|| " --endless".to_owned(), until))
+            format!("grant extend {grantee}{}", expires.map_or_else(|| " --endless".to_owned(), until))
         }
-        Command::Revoke { grantee } => format!("revoke {grantee}"),
+        Command::Revoke { grantee } => format!("grant end {grantee}"),
+        Command::ExportEvidence(wishes) => of_evidence(wishes),
         Command::LoadKey { kind, path, passphrase } => {
             let path = quoted(&path.to_string_lossy());
             format!("keys load --{} {path}{}", flag(*kind), keystore(passphrase.is_some()))
         }
         Command::ExportKey { kind, passphrase } => {
             format!("keys export {} --out FILE{}", flag(*kind), keystore(passphrase.is_some()))
+        }
+        Command::WatchTopic { topic, type_name, sampling } => {
+            let sampling = sampling.unwrap_or_default();
+            let mut words = format!("topics watch {}", quoted(topic.as_str()));
+            words.extend(type_name.iter().map(|name| format!(" --type {name}")));
+            words.extend(sampling.rate_text().map(|rate| format!(" --rate {rate}")));
+            words.extend(sampling.every.map(|every| format!(" --every {every}")));
+            words
         }
         Command::UnpinTopic { topic, caller_id } => {
             format!("topics unpin {} {}", quoted(topic.as_str()), quoted(caller_id))
@@ -224,21 +236,21 @@ fn flag(kind: KeyKind) -> String {
 
 fn of_administrator(administration: &Administration) -> String {
     match administration {
-        Administration::Admit { account } => format!("chain admit {account}"),
-        Administration::Dismiss { account } => format!("chain dismiss {account}"),
-        Administration::Suspend { account } => format!("chain suspend {account}"),
-        Administration::Restore { account } => format!("chain restore {account}"),
-        Administration::Open { open: true } => "chain open".to_owned(),
-        Administration::Open { open: false } => "chain close".to_owned(),
+        Administration::Admit { account } => format!("chain admin allow {account}"),
+        Administration::Dismiss { account } => format!("chain admin deny {account}"),
+        Administration::Suspend { account } => format!("chain admin suspend {account}"),
+        Administration::Restore { account } => format!("chain admin restore {account}"),
+        Administration::Open { open: true } => "chain admin open".to_owned(),
+        Administration::Open { open: false } => "chain admin close".to_owned(),
         Administration::Pause { paused: true, seconds } => {
-            format!("chain pause{}", seconds.map_or_else(String::new, |seconds| format!(" --for {seconds}s")))
+            format!("chain admin pause{}", seconds.map_or_else(String::new, |seconds| format!(" --for {seconds}s")))
         }
-        Administration::Pause { paused: false, .. } => "chain resume".to_owned(),
+        Administration::Pause { paused: false, .. } => "chain admin resume".to_owned(),
         Administration::Propose { lost, successor } => format!("chain succession propose {lost} {successor}"),
         Administration::Cancel { lost } => format!("chain succession cancel {lost}"),
         Administration::Complete { lost } => format!("chain succession complete {lost}"),
-        Administration::HandOver { account } => format!("chain hand-over {account}"),
-        Administration::Accept => "chain accept".to_owned(),
+        Administration::HandOver { account } => format!("chain admin hand-over {account}"),
+        Administration::Accept => "chain admin accept".to_owned(),
     }
 }
 
@@ -247,7 +259,7 @@ fn of_incident(command: &IncidentCommand) -> String {
         IncidentCommand::OpenIncident { name, since, until, topics, note, robots } => {
             let mut words = format!("incident open {name} --since {since}");
             words.extend(until.map(|until| format!(" --until {until}")));
-            words.extend(topics.iter().map(|topic| format!(" --topic {topic}")));
+            words.extend(topics.iter().map(|topic| format!(" --topic {}", quoted(topic.as_str()))));
             words.extend(note.iter().map(|note| format!(" --note={}", quoted(note))));
             words.extend(robots.iter().map(|robot| format!(" --robot {}", quoted(robot))));
             words
@@ -260,8 +272,16 @@ fn of_incident(command: &IncidentCommand) -> String {
     }
 }
 
+fn of_evidence(wishes: &EvidenceWishes) -> String {
+    let mut words = format!("evidence export {}", quoted(&wishes.file.to_string_lossy()));
+    words.extend(wishes.incident.as_ref().map(|name| format!(" --incident {name}")));
+    words.extend(wishes.reveal_all.then_some(" --reveal all"));
+    words.extend(wishes.reveal_topics.iter().map(|topic| format!(" --reveal-topic {}", quoted(topic.as_str()))));
+    format!("{words} --yes")
+}
+
 fn of_playback(wishes: &PlayWishes) -> String {
-    let mut words = "shared play".to_owned();
+    let mut words = "received play".to_owned();
     words.extend(wishes.owner.as_ref().map(|owner| format!(" --owner {owner}")));
     words.extend(wishes.topics.iter().map(|topic| format!(" --topic {}", quoted(&topic.to_string()))));
     words.extend(wishes.prefix.as_ref().map(|prefix| format!(" --prefix {prefix}")));

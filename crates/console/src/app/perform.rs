@@ -10,7 +10,7 @@ use super::popup::{self, Confirm, Lookup, Palette, Popup, Purpose};
 use super::screens::{LogLine, other_side};
 use super::update::{self, Feed};
 use super::verb::{Contents, Effect, Errand, Tag, Verb};
-use super::{Screen, State, administration, granting, incidents, opening, palette, policies, table};
+use super::{Screen, State, administration, granting, incidents, limiting, opening, palette, policies, table};
 use crate::model::{Address, Party, ProfileName, TopicName, TopicPattern};
 use crate::service::Command;
 use crate::service::command::{Pace, PlayWishes};
@@ -77,6 +77,7 @@ pub fn perform(state: &mut State, verb: Verb) {
         Verb::Release => ask_about(state, |row, topic| popup::decide(row, topic, false)),
         Verb::Discard => ask_about(state, |row, topic| popup::decide(row, topic, true)),
         Verb::Unpin => unpin(state),
+        Verb::Limit => limiting::begin(state),
         Verb::Administer(act) => administration::begin(state, act),
         Verb::Freeze => freeze(state),
         Verb::Period => state.period = state.period.next(),
@@ -184,7 +185,7 @@ pub(super) fn spoken_watch(state: &mut State, topics: &[&str], watches: bool) {
 fn watch_errand(topic: TopicPattern, watch: bool) -> Errand {
     let name = topic.to_string();
     if watch {
-        Errand { command: Command::WatchTopic { topic, type_name: None }, tag: Tag::Watch(name) }
+        Errand { command: Command::WatchTopic { topic, type_name: None, sampling: None }, tag: Tag::Watch(name) }
     } else {
         Errand { command: Command::UnwatchTopic { topic }, tag: Tag::Unwatch(name) }
     }
@@ -224,7 +225,7 @@ fn publishers(state: &mut State) {
     let name = topic.to_string();
     state.popups.push(Popup::Publishers(Lookup::new(&name)));
     let coverage = opening::coverage_of(&topic);
-    state.send(Errand { command: Command::ListPins { topic: Some(topic) }, tag: Tag::Publishers(name) });
+    state.send(Errand { command: Command::ListPins { topic: Some(topic.into()) }, tag: Tag::Publishers(name) });
     state.send_new(coverage);
 }
 
@@ -242,13 +243,13 @@ fn unpin(state: &mut State) {
 fn readers(state: &mut State) {
     let topics = match state.screen {
         Screen::Topics => state.topics.targets().into_iter().map(|row| row.topic.clone()).collect(),
-        Screen::Uploads => {
+        Screen::Records => {
             let key = state.row_key();
-            let rows = state.uploads.rows.iter();
+            let rows = state.records.rows.iter();
             rows.filter(|row| Some(&row.id) == key.as_ref()).map(|row| row.topic.clone()).collect()
         }
         Screen::Grants => state.grants.selected().map(|row| row.topics.clone()).unwrap_or_default(),
-        Screen::Overview | Screen::Shared | Screen::Keys | Screen::Chain | Screen::Robots | Screen::Log => Vec::new(),
+        Screen::Overview | Screen::Received | Screen::Keys | Screen::Chain | Screen::Robots | Screen::Log => Vec::new(),
     };
     state.popups.push(Popup::Readers(topics));
 }
@@ -273,8 +274,8 @@ pub fn copied(state: &State) -> Option<String> {
     };
     match state.screen {
         Screen::Topics => state.row_key(),
-        Screen::Uploads => digest(state.uploads.visible(&state.topics.rows)),
-        Screen::Shared => digest(state.shared.visible(&state.topics.rows)),
+        Screen::Records => digest(state.records.visible(&state.topics.rows)),
+        Screen::Received => digest(state.received.visible(&state.topics.rows)),
         Screen::Robots => state.gateway.view.as_ref()?.served.as_ref().map(|served| served.gateway.to_string()),
         Screen::Grants => state.grants.selected().map(|row| other_side(row).to_string()),
         Screen::Keys => state.address().map(|address| address.to_string()),
@@ -314,10 +315,13 @@ pub fn note(state: &mut State, tag: &Tag) {
         Tag::Incident(deed, name) => {
             Some(deed.stays().map_or_else(|| Undo::By(incidents::taken_back(name)), Undo::Never))
         }
+        Tag::Evidence(_) => {
+            Some(Undo::Never("what a file discloses cannot be taken back; delete the file if nobody has it"))
+        }
         Tag::SetPolicy(..) => Some(Undo::Never("a policy's version only rises; set the earlier one again (8, then p)")),
         Tag::Play(_) | Tag::StopPlay | Tag::Contact(_) | Tag::Robot(_) => None,
         Tag::Publishers(_) | Tag::Show(_) | Tag::Beside(..) | Tag::Open(_) | Tag::Path(_) | Tag::Check(_) => None,
-        Tag::Foresee(_) => None,
+        Tag::Foresee(_) | Tag::Limit(_) => None,
     };
     if undo.is_some() {
         state.undo = undo;
@@ -348,7 +352,7 @@ pub fn toggle(state: &mut State) {
         return state.send(Errand { command: Command::StopPlay, tag: Tag::StopPlay });
     }
     let key = state.row_key();
-    let row = state.shared.rows.iter().find(|row| Some(&row.id) == key.as_ref());
+    let row = state.received.rows.iter().find(|row| Some(&row.id) == key.as_ref());
     let found = row.and_then(|row| Some((row.owner?, row.owner_name.clone(), row.topic.clone())));
     let Some((owner, name, topic)) = found else { return };
     let (Ok(pattern), Some(prefix)) = (topic.parse(), prefix(owner, name.as_deref())) else {

@@ -12,7 +12,7 @@ use super::update::Feed;
 use super::verb::{Effect, Errand, Tag};
 use super::{Screen, State};
 use crate::config::{RingWish, RobotPolicy};
-use crate::model::{Timestamp, clean};
+use crate::model::{Timestamp, clean, counted};
 use crate::service::Failure;
 use crate::service::command::{SetRobotPolicy, ShowRobot};
 use crate::service::reply::{RobotRow, RobotView};
@@ -49,7 +49,7 @@ impl Standing {
     }
 }
 
-/// The words of `robots show`.
+/// The words of `robot show`.
 pub fn words(row: &RobotRow) -> String {
     let standing = clean(&row.standing, 40);
     match (Standing::of(row), row.running.unwrap_or_default()) {
@@ -162,8 +162,8 @@ pub fn hints(state: &State) -> Vec<(&'static str, &'static str)> {
 
 pub fn key(state: &mut State, mut lookup: Lookup<RobotView>, key: Key) {
     let length = |view: &RobotView| {
-        13 + view.gateway.iter().map(|gateway| gateway.addresses.len()).sum::<usize>()
-            + view.topics.len()
+        14 + view.gateway.iter().map(|gateway| gateway.addresses.len()).sum::<usize>()
+            + view.topics.len() * 2
             + view.overruled.len() * 3
             + view.policy.lines().count()
     };
@@ -175,7 +175,7 @@ pub fn key(state: &mut State, mut lookup: Lookup<RobotView>, key: Key) {
     match key {
         Key::Char('p') if !state.settings.read_only => ask(state, &name),
         Key::Char('y') => {
-            let line = palette::of_words(state, &format!("robots show {name}"));
+            let line = palette::of_words(state, &format!("robot show {name}"));
             copy(state, line);
         }
         _ => {}
@@ -281,7 +281,7 @@ fn summary(policy: &RobotPolicy) -> [String; 3] {
             format!("{}{}", names.join(" "), if more > 0 { format!(" and {more} more") } else { String::new() })
         }
     });
-    let rules = policy.rules.as_ref().map_or_else(own, |rules| super::counted(rules.0.len() as u64, "rule"));
+    let rules = policy.rules.as_ref().map_or_else(own, |rules| counted(rules.0.len() as u64, "rule"));
     let ring = match &policy.ring {
         RingWish::Own => own(),
         RingWish::Off => "none".to_owned(),

@@ -14,7 +14,7 @@ use super::perform::{self, copy, perform};
 use super::screens::{LogLine, earlier, end, is_active, is_given, scope};
 use super::update::Feed;
 use super::verb::{Entry, Errand, Tag, VERBS, Verb};
-use super::{State, palette, policies};
+use super::{State, evidence, limiting, palette, policies};
 use crate::model::TopicName;
 use crate::service::command::Held;
 use crate::service::reply::{GrantForesight, GrantRow, NOTHING_OLDER, PinsView, Provenance, RobotView, TopicRow};
@@ -57,7 +57,9 @@ impl Popup {
     pub fn feeds(&self) -> &'static [Feed] {
         match self {
             Self::Form(Purpose::Grant, _) => &[Feed::Grants, Feed::Contacts, Feed::Topics],
-            Self::Form(Purpose::OpenIncident, _) | Self::Incidents(_) => &[Feed::Incidents, Feed::Topics],
+            Self::Form(Purpose::OpenIncident | Purpose::ExportEvidence, _) | Self::Incidents(_) => {
+                &[Feed::Incidents, Feed::Topics]
+            }
             Self::Confirm(_) | Self::Readers(_) => &[Feed::Grants],
             Self::Contacts(_) => &[Feed::Contacts, Feed::Topics],
             Self::Tasks => &[Feed::Chain, Feed::Progress],
@@ -79,7 +81,9 @@ pub enum Purpose {
     AddContact,
     OpenIncident,
     NoteIncident,
+    ExportEvidence,
     SetPolicy,
+    Limit,
     Profile,
     Unpin,
 }
@@ -191,12 +195,12 @@ pub fn pin(row: &TopicRow, topic: TopicName) -> Confirm {
         "Check host and type first: enter shows them (a name alone can be forged).".to_owned(),
     ];
     let tag = Tag::Pin(topic.to_string());
-    let errand = Errand { command: Command::PinTopic { topic, publishers: Vec::new() }, tag };
+    let errand = Errand { command: Command::PinTopic { topic: topic.into(), publishers: Vec::new() }, tag };
     Confirm { title: "Accept these publishers?".to_owned(), lines, yes: "pin", typed: None, errand }
 }
 
 pub fn decide(row: &TopicRow, topic: TopicName, discard: bool) -> Confirm {
-    let held = Held { topic: Some(topic.clone()), ids: Vec::new() };
+    let held = Held { topic: Some(topic.clone().into()), ids: Vec::new() };
     let held_now = format!("Held   {} messages, and what comes until you confirm", row.quarantined);
     let mut lines = vec![format!("Topic  {topic}"), held_now];
     let name = topic.to_string();
@@ -214,7 +218,11 @@ pub fn decide(row: &TopicRow, topic: TopicName, discard: bool) -> Confirm {
 
 /// `None` = what it opens and costs is not told yet.
 pub fn grant(state: &State, wish: GrantWish, foreseen: Option<Result<GrantForesight, Failure>>) -> Confirm {
-    let topics: Vec<String> = wish.topics.iter().map(ToString::to_string).collect();
+    // What robots have is known once it is foreseen.
+    let topics: Vec<String> = match &foreseen {
+        Some(Ok(foreseen)) if !wish.robots.is_empty() => foreseen.topics.iter().map(ToString::to_string).collect(),
+        _ => granting::covered(&wish),
+    };
     let (records, cost) = match &foreseen {
         Some(Ok(foreseen)) => (foreseen.moment(|moment| state.times().meaning(moment)), Some(foreseen.cost())),
         Some(Err(failure)) => (before(wish.from).to_owned(), Some(format!("not known: {}", failure.message))),
@@ -231,10 +239,10 @@ pub fn grant(state: &State, wish: GrantWish, foreseen: Option<Result<GrantForesi
     lines.push(String::new());
     lines.extend(readers(state, "Current readers:", None));
     lines.push("A later revoke stops new records; what was read cannot be taken back.".to_owned());
-    let GrantWish { grantee, topics, from, expires } = wish;
+    let GrantWish { grantee, topics, robots, from, expires } = wish;
     let topics = topics.into_iter().map(Into::into).collect();
     let tag = Tag::Grant(grantee.clone());
-    let errand = Errand { command: Command::Grant { grantee, topics, from, expires }, tag };
+    let errand = Errand { command: Command::Grant { grantee, topics, robots, from, expires }, tag };
     Confirm { title: "Grant this?".to_owned(), lines, yes: "grant", typed: None, errand }
 }
 
@@ -500,8 +508,8 @@ fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) {
     }
     // The form that led here is done.
     let led_here = |purpose: &Purpose| {
-        use Purpose::{Administer, Extend, Grant, LoadKey, SetPolicy};
-        matches!(purpose, Grant | Extend | LoadKey | Administer(_) | SetPolicy)
+        use Purpose::{Administer, ExportEvidence, Extend, Grant, LoadKey, SetPolicy};
+        matches!(purpose, Grant | Extend | LoadKey | Administer(_) | SetPolicy | ExportEvidence)
     };
     let form = state.popups.iter().position(|popup| matches!(popup, Popup::Form(purpose, _) if led_here(purpose)));
     if let Some(Popup::Form(purpose, form)) = form.map(|place| state.popups.remove(place)) {
@@ -528,11 +536,10 @@ fn need_of(confirm: &Confirm) -> Option<Need> {
         Tag::Foresee(_) => None,
         Tag::LoadKey(_) | Tag::Release(_) | Tag::Discard(_) | Tag::Deploy => Some(Need::Unlocked),
         Tag::Open(_) | Tag::Path(_) | Tag::Check(_) | Tag::Export(_) | Tag::ExportKey(_) => Some(Need::Unlocked),
-        Tag::Play(_) | Tag::SetPolicy(..) => Some(Need::Unlocked),
+        Tag::Play(_) | Tag::SetPolicy(..) | Tag::Evidence(_) => Some(Need::Unlocked),
         Tag::Extend(_) | Tag::Administer(_) => Some(Need::Registered),
-        Tag::Register | Tag::Watch(_) | Tag::Unwatch(_) | Tag::Grant(_) | Tag::Revoke(_) | Tag::Rotate => {
-            Some(Need::Registered)
-        }
+        Tag::Register | Tag::Watch(_) | Tag::Unwatch(_) | Tag::Limit(_) => Some(Need::Registered),
+        Tag::Grant(_) | Tag::Revoke(_) | Tag::Rotate => Some(Need::Registered),
     }
 }
 
@@ -540,6 +547,7 @@ fn form_key(state: &mut State, purpose: Purpose, mut form: Form, key: Key) {
     let completes: fn(&State, &mut Form) -> bool = match purpose {
         Purpose::Grant => granting::complete,
         Purpose::OpenIncident => incidents::complete,
+        Purpose::ExportEvidence => evidence::complete,
         Purpose::SetPolicy => policies::complete,
         _ => |_, _| false,
     };
@@ -586,8 +594,13 @@ fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<(), Wrong>
         Purpose::AddContact => state.send(granting::read(form)?),
         Purpose::OpenIncident => state.send(incidents::read(state, form)?),
         Purpose::NoteIncident => state.send(incidents::read_note(form)?),
+        Purpose::ExportEvidence => {
+            let question = evidence::read(state, form)?;
+            state.popups.push(Popup::Confirm(question));
+        }
         Purpose::Export => palette::submit(state, form),
         Purpose::SetPolicy => policies::submit(state, form)?,
+        Purpose::Limit => limiting::submit(state, form)?,
         Purpose::Profile => perform::switch(state, form.parsed(0)?),
         Purpose::ExportKey => {
             let errand = form::read_export(form)?;

@@ -155,8 +155,8 @@ impl State {
     pub fn table_of(&self, screen: Screen) -> Option<&Table> {
         match screen {
             Screen::Topics => Some(&self.topics.table),
-            Screen::Uploads => Some(&self.uploads.table),
-            Screen::Shared => Some(&self.shared.table),
+            Screen::Records => Some(&self.records.table),
+            Screen::Received => Some(&self.received.table),
             Screen::Grants => Some(&self.grants.table),
             Screen::Log => Some(&self.log.table),
             Screen::Robots => Some(&self.gateway.table),
@@ -167,8 +167,8 @@ impl State {
     pub fn table_of_mut(&mut self, screen: Screen) -> Option<&mut Table> {
         match screen {
             Screen::Topics => Some(&mut self.topics.table),
-            Screen::Uploads => Some(&mut self.uploads.table),
-            Screen::Shared => Some(&mut self.shared.table),
+            Screen::Records => Some(&mut self.records.table),
+            Screen::Received => Some(&mut self.received.table),
             Screen::Grants => Some(&mut self.grants.table),
             Screen::Log => Some(&mut self.log.table),
             Screen::Robots => Some(&mut self.gateway.table),
@@ -180,8 +180,8 @@ impl State {
         let ids = |rows: Vec<&crate::service::reply::RecordView>| rows.iter().map(|row| row.id.clone()).collect();
         match self.screen {
             Screen::Topics => self.topics.keys(),
-            Screen::Uploads => ids(self.uploads.visible(&self.topics.rows)),
-            Screen::Shared => ids(self.shared.visible(&self.topics.rows)),
+            Screen::Records => ids(self.records.visible(&self.topics.rows)),
+            Screen::Received => ids(self.received.visible(&self.topics.rows)),
             Screen::Grants => self.grants.keys(),
             Screen::Log => self.log.keys(),
             Screen::Robots => self.gateway.keys(),
@@ -193,8 +193,8 @@ impl State {
         let plain = self.table().is_some_and(|table| table.filter.text().is_empty());
         match self.screen {
             Screen::Topics => self.topics.any_visible(),
-            Screen::Uploads if plain => !self.uploads.rows.is_empty(),
-            Screen::Shared if plain => !self.shared.rows.is_empty(),
+            Screen::Records if plain => !self.records.rows.is_empty(),
+            Screen::Received if plain => !self.received.rows.is_empty(),
             _ => !self.row_keys().is_empty(),
         }
     }
@@ -233,8 +233,8 @@ impl State {
 
     fn records_feed(&self) -> Option<Feed> {
         match self.screen {
-            Screen::Uploads => Some(Feed::Uploads),
-            Screen::Shared => Some(Feed::Shared),
+            Screen::Records => Some(Feed::Records),
+            Screen::Received => Some(Feed::Received),
             _ => None,
         }
     }
@@ -293,7 +293,7 @@ fn turn_page(state: &mut State, by: isize) {
 }
 
 fn records(state: &mut State, feed: Feed) -> &mut super::screens::Records {
-    if feed == Feed::Shared { &mut state.shared } else { &mut state.uploads }
+    if feed == Feed::Received { &mut state.received } else { &mut state.records }
 }
 
 pub fn sort(state: &mut State) {

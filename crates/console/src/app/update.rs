@@ -167,8 +167,8 @@ fn resize(state: &mut State, columns: u16, rows: u16) {
     let before = state.page_rows();
     state.size = (columns, rows);
     if state.page_rows() != before {
-        state.feeds.renew(Feed::Uploads);
-        state.feeds.renew(Feed::Shared);
+        state.feeds.renew(Feed::Records);
+        state.feeds.renew(Feed::Received);
     }
 }
 
@@ -195,8 +195,8 @@ fn tick(state: &mut State, now: Timestamp) {
 /// One request per feed at a time.
 fn pull(state: &mut State) {
     let clock = Clock { now: state.frozen.unwrap_or(state.now), ..state.times() };
-    state.uploads.note_filter(&clock);
-    state.shared.note_filter(&clock);
+    state.records.note_filter(&clock);
+    state.received.note_filter(&clock);
     let mut wanted = vec![Feed::Site, Feed::Identity];
     wanted.extend(state.screen.feeds());
     wanted.extend(state.popups.iter().flat_map(Popup::feeds));
@@ -232,8 +232,8 @@ fn question(state: &State, feed: Feed) -> Option<Command> {
         Feed::Audit => Some(Command::ListAudit(AuditQuery { limit: MOST_AUDIT, ..AuditQuery::default() })),
         Feed::Keys => exists.then_some(Command::ListKeys),
         Feed::Grants => exists.then_some(Command::ListGrants),
-        Feed::Uploads => query(&state.uploads).filter(|_| exists).map(Command::ListUploads),
-        Feed::Shared => query(&state.shared).filter(|_| exists).map(Command::ListShared),
+        Feed::Records => query(&state.records).filter(|_| exists).map(Command::ListUploads),
+        Feed::Received => query(&state.received).filter(|_| exists).map(Command::ListShared),
         Feed::Contacts => exists.then_some(Command::ListContacts),
         Feed::Incidents => exists.then(|| ListIncidents.into()),
         Feed::Progress => Some(RecordingProgress.into()),
@@ -296,7 +296,7 @@ pub fn click(state: &mut State, column: u16, row: u16) {
 
 /// `None` everywhere if the names do not fit.
 fn named_at(columns: u16, column: u16) -> Option<Screen> {
-    let gap = Screen::all().map(|screen| screen.title().len() + 3).sum::<usize>() < usize::from(columns);
+    let gap = Screen::all().map(|screen| screen.title().len() + 3).sum::<usize>() <= usize::from(columns);
     let mut left = 0;
     let wide_enough = columns >= 80;
     Screen::all().filter(|_| wide_enough).find(|screen| {
@@ -408,8 +408,8 @@ pub enum Feed {
     Identity,
     Keys,
     Topics,
-    Uploads,
-    Shared,
+    Records,
+    Received,
     Grants,
     Chain,
     Audit,
@@ -424,9 +424,9 @@ impl Feed {
     pub fn touched_by(part: Part) -> &'static [Self] {
         match part {
             Part::Topics => &[Self::Topics],
-            Part::Uploads => &[Self::Uploads, Self::Site, Self::Gateway],
-            Part::Grants => &[Self::Grants, Self::Shared, Self::Audit],
-            Part::Chain => &[Self::Chain, Self::Shared, Self::Gateway],
+            Part::Uploads => &[Self::Records, Self::Site, Self::Gateway],
+            Part::Grants => &[Self::Grants, Self::Received, Self::Audit],
+            Part::Chain => &[Self::Chain, Self::Received, Self::Gateway],
             Part::Health => &[Self::Site, Self::Gateway],
             Part::Identity => &[Self::Identity, Self::Keys, Self::Audit, Self::Robots],
         }

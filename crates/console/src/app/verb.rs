@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::Screen::{self, Chain, Grants, Keys, Log, Overview, Robots, Shared, Topics, Uploads};
+use super::Screen::{self, Chain, Grants, Keys, Log, Overview, Received, Records, Robots, Topics};
 use super::administration::Act;
 use super::incidents::Deed;
 use super::keymap::Key;
@@ -50,6 +50,7 @@ pub enum Verb {
     Unpin,
     Release,
     Discard,
+    Limit,
     Readers,
     Contacts,
     Inspect,
@@ -142,10 +143,10 @@ pub fn entry_of(verb: Verb, screen: Screen) -> Option<&'static Entry> {
     same.clone().find(|entry| entry.works_on(screen)).or_else(|| same.next())
 }
 
-const TABLES: &[Screen] = &[Topics, Uploads, Shared, Grants, Robots, Log];
-const SORTED: &[Screen] = &[Topics, Uploads, Shared, Grants, Robots];
-const MARKED: &[Screen] = &[Topics, Uploads, Shared];
-const COPIED: &[Screen] = &[Topics, Uploads, Shared, Grants, Keys, Chain, Robots, Log];
+const TABLES: &[Screen] = &[Topics, Records, Received, Grants, Robots, Log];
+const SORTED: &[Screen] = &[Topics, Records, Received, Grants, Robots];
+const MARKED: &[Screen] = &[Topics, Records, Received];
+const COPIED: &[Screen] = &[Topics, Records, Received, Grants, Keys, Chain, Robots, Log];
 
 /// In the palette, on no key.
 const fn administers(deed: Act, name: &'static str, help: &'static str) -> Entry {
@@ -158,26 +159,29 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::MarkAll, "mark-all", "mark all", &["a"], "Mark every row shown, or clear all marks").on(MARKED),
     act(Verb::Watch, "watch", "watch", &["w"], "Watch or unwatch the marked topics, or the selected one")
         .on(&[Overview, Topics]),
-    entry(Verb::Details, "provenance", "provenance", &["enter"], "Every step from message to verified").on(&[Uploads]),
-    entry(Verb::Open, "open", "open", &["enter", "o"], "Check, decrypt and show the record").on(&[Shared]),
+    entry(Verb::Details, "provenance", "provenance", &["enter"], "Every step from message to verified").on(&[Records]),
+    entry(Verb::Open, "open", "open", &["enter", "o"], "Check, decrypt and show the record").on(&[Received]),
     entry(Verb::Open, "open-own", "open", &["o"], "Check, decrypt and show one of your records")
-        .on(&[Uploads])
+        .on(&[Records])
         .unlisted(),
     entry(Verb::Check, "check", "check", &["c"], "Compare the stored bytes with the chain and the signature")
-        .on(&[Shared, Uploads]),
-    entry(Verb::Export, "export", "export", &["e"], "Export the record as files that others can check").on(&[Uploads]),
-    entry(Verb::Browse, "browse", "browse", &["b"], "By owner, topic, type or time").on(&[Shared, Uploads]),
-    act(Verb::Play, "play", "", &["p"], "Play this topic live into your own ROS; again: stop").on(&[Shared]),
-    entry(Verb::Readers, "readers", "readers", &["i"], "Who can read this now?").on(&[Topics, Uploads, Grants]),
+        .on(&[Received, Records]),
+    entry(Verb::Export, "export", "export", &["e"], "Export the record as files that others can check").on(&[Records]),
+    entry(Verb::Browse, "browse", "browse", &["b"], "By owner, topic, type or time").on(&[Received, Records]),
+    act(Verb::Play, "play", "", &["p"], "Play this topic live into your own ROS; again: stop").on(&[Received]),
+    entry(Verb::Readers, "readers", "readers", &["i"], "Who can read this now?").on(&[Topics, Records, Grants]),
     act(Verb::Incident, "incident", "incident", &["I"], "Incident: keep records around this row")
-        .on(&[Topics, Uploads]),
+        .on(&[Topics, Records]),
     entry(Verb::Publishers, "publishers", "publishers", &["enter"], "Publishers: pinned, suspect, quarantined")
         .on(&[Topics]),
     act(Verb::Pin, "pin", "pin", &["p"], "Pin the publishers present now").on(&[Topics]),
     act(Verb::Unpin, "unpin", "", &["P"], "Unpin one of the topic's publishers").on(&[Topics]),
     act(Verb::Release, "release", "", &["r"], "Release quarantined messages of the topic").on(&[Topics]),
     act(Verb::Discard, "discard", "", &["D"], "Discard quarantined messages; the chain counts them").on(&[Topics]),
-    act(Verb::Grant, "grant", "grant", &["g"], "Let another account read your records").on(&[Overview, Topics, Grants]),
+    act(Verb::Limit, "limit", "", &["l"], "Rate, or one message in n, of the marked topics that are watched")
+        .on(&[Topics]),
+    act(Verb::Grant, "grant", "grant", &["g"], "Let another account read your records")
+        .on(&[Overview, Topics, Grants, Robots]),
     act(Verb::Extend, "extend", "extend", &["e"], "Change the end of the grant; sooner = revoke and new grant")
         .on(&[Grants]),
     act(Verb::Revoke, "revoke", "revoke", &["x"], "Stop sharing: the next record is encrypted under a new key")
@@ -200,7 +204,7 @@ pub static VERBS: &[Entry] = &[
         .on(&[Keys]),
     act(Verb::Administer(Act::Deploy), "deploy", "deploy", &["d"], "Deploy the contract").on(&[Chain]),
     administers(Act::Admit, "allow-account", "Administrator: let an account register"),
-    administers(Act::Dismiss, "withdraw-admission", "Administrator: no longer let an account register"),
+    administers(Act::Dismiss, "deny-account", "Administrator: no longer let an account register"),
     administers(Act::Suspend, "suspend", "Administrator: suspend an account"),
     administers(Act::Restore, "restore", "Administrator: lift an account's suspension"),
     administers(Act::Open, "open-registration", "Administrator: anyone can register"),
@@ -217,7 +221,7 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::Read, "read-line", "full line", &["enter"], "Show the full line").on(&[Log]),
     entry(Verb::Source, "log-source", "source", &["o"], "Lines of this console, the site, the audit log, or all")
         .on(&[Log]),
-    entry(Verb::Filter, "filter", "filter", &["/"], "Filter rows; Uploads, Shared: whole ledger").on(TABLES),
+    entry(Verb::Filter, "filter", "filter", &["/"], "Filter rows; Records, Received: whole ledger").on(TABLES),
     entry(Verb::NextMatch, "next-match", "", &["n"], "Next matching row").on(TABLES),
     entry(Verb::PreviousMatch, "previous-match", "", &["N"], "Previous matching row").on(TABLES),
     entry(Verb::Sort, "sort", "sort", &["s"], "Sort by the next column").on(SORTED),
@@ -247,8 +251,8 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::PreviousScreen, "previous-screen", "", &["shift-tab"], "Previous screen"),
     entry(Verb::Go(Screen::Overview), "go-overview", "", &["1"], "Health, life line, alerts, busiest topics"),
     entry(Verb::Go(Screen::Topics), "go-topics", "", &["2"], "Topics of the ROS graph"),
-    entry(Verb::Go(Screen::Uploads), "go-uploads", "", &["3"], "Your records and their states"),
-    entry(Verb::Go(Screen::Shared), "go-shared", "", &["4"], "Records others share with you"),
+    entry(Verb::Go(Screen::Records), "go-records", "", &["3"], "Your records and their states"),
+    entry(Verb::Go(Screen::Received), "go-received", "", &["4"], "Records others share with you"),
     entry(Verb::Go(Screen::Grants), "go-grants", "", &["5"], "Grants given and received"),
     entry(Verb::Go(Screen::Keys), "go-keys", "", &["6"], "Your identity and keys"),
     entry(Verb::Go(Screen::Chain), "go-chain", "", &["7"], "The chain"),
@@ -358,6 +362,7 @@ pub enum Tag {
     Register,
     Watch(String),
     Unwatch(String),
+    Limit(String),
     Grant(Party),
     /// What a grant would do, by its terms.
     Foresee(String),
@@ -386,6 +391,8 @@ pub enum Tag {
     Export(String),
     Contact(String),
     Incident(Deed, IncidentName),
+    /// An incident's bundle.
+    Evidence(IncidentName),
     Robot(String),
     /// From this file; `None` = cleared.
     SetPolicy(String, Option<PathBuf>),
@@ -411,6 +418,7 @@ impl Tag {
             Self::Register => "registering on the chain".to_owned(),
             Self::Watch(topic) => format!("watching {topic}"),
             Self::Unwatch(topic) => format!("unwatching {topic}"),
+            Self::Limit(topic) => format!("limiting {topic}"),
             Self::Foresee(terms) => format!("counting for a grant to {terms}"),
             Self::Grant(grantee) => format!("granting to {}", grantee.short()),
             Self::Extend(grantee) => format!("extending the grant to {}", grantee.short()),
@@ -435,6 +443,7 @@ impl Tag {
             Self::Check(id) => format!("checking {id}"),
             Self::Export(id) => format!("exporting {id}"),
             Self::Incident(deed, name) => deed.words(name),
+            Self::Evidence(name) => format!("exporting incident {name} as evidence"),
             Self::Contact(name) => format!("changing contact {name}"),
             Self::Robot(name) => format!("looking up robot {name}"),
             Self::SetPolicy(robot, Some(_)) => format!("setting the policy of {robot}"),

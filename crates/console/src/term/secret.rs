@@ -1,11 +1,15 @@
 //! Questions for secrets. What is typed is not shown, not even between two questions, and the terminal is as it was
-//! when they are over, also if a signal ends the process.
+//! when they are over, also if a signal ends the process. After a stop (Ctrl-Z, or a signal) the question is asked again.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, IsTerminal as _, Read as _, Write as _};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use rustix::termios::{InputModes, LocalModes, OptionalActions, SpecialCodeIndex, Termios, tcgetattr, tcsetattr};
+use rustix::process::{Signal, getpgrp, getpid, kill_process};
+use rustix::termios::{
+    InputModes, LocalModes, OptionalActions, QueueSelector, SpecialCodeIndex, Termios, tcflush, tcgetattr, tcgetpgrp,
+    tcsetattr,
+};
 use zeroize::Zeroizing;
 
 use super::{patiently, signals};
@@ -14,11 +18,15 @@ use super::{patiently, signals};
 const LONGEST: usize = 4096;
 /// Ctrl-C.
 const CANCEL: u8 = 3;
+/// Ctrl-Z.
+const STOP: u8 = 26;
 
 struct Modes {
     terminal: File,
     before: Termios,
     hidden: Termios,
+    /// That waits for its answer.
+    question: Option<String>,
 }
 
 /// Set while there are questions.
@@ -28,9 +36,17 @@ fn asking() -> MutexGuard<'static, Option<Modes>> {
     ASKING.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+/// Does not wait for output, which Ctrl-S may hold up forever.
 fn set(terminal: &File, modes: &Termios) -> io::Result<()> {
+    patiently(|| Ok(tcsetattr(terminal, OptionalActions::Now, modes)?))?;
     // What was typed in between is nobody's answer, and the shell must not run it.
-    patiently(|| Ok(tcsetattr(terminal, OptionalActions::Flush, modes)?))
+    patiently(|| Ok(tcflush(terminal, QueueSelector::IFlush)?))
+}
+
+/// In the background the terminal is the shell's: to set its modes would stop this process.
+fn set_in_foreground(terminal: &File, modes: &Termios) -> bool {
+    // A terminal that fails now cannot be helped.
+    tcgetpgrp(terminal).is_ok_and(|group| group == getpgrp()) && set(terminal, modes).is_ok()
 }
 
 /// The terminal without its echo, until dropped.
@@ -46,7 +62,7 @@ impl Hidden {
         signals::keep_default()?;
         let before = tcgetattr(&terminal)?;
         let hidden = without_echo(before.clone());
-        *asking() = Some(Modes { terminal: terminal.try_clone()?, before, hidden: hidden.clone() });
+        *asking() = Some(Modes { terminal: terminal.try_clone()?, before, hidden: hidden.clone(), question: None });
         let begun = Self(terminal);
         set(&begun.0, &hidden)?;
         Ok(Some(begun))
@@ -54,21 +70,38 @@ impl Hidden {
 
     /// `None` if the answer is Ctrl-C, Ctrl-D or nothing. An answer that was typed ahead counts.
     pub fn ask(&mut self, question: &str) -> io::Result<Option<Zeroizing<String>>> {
+        note(Some(question));
         write!(self.0, "{question}: ")?;
         let mut bytes = Zeroizing::new([0_u8; LONGEST]);
-        let count = loop {
-            match self.0.read(bytes.as_mut_slice()) {
-                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                count => break count?,
-            }
-        };
-        let line = bytes.get(..count).unwrap_or_default();
+        let line = self.read(&mut bytes);
+        note(None);
+        let line = line?;
         let Some(line) = line.strip_suffix(b"\n").filter(|line| !line.contains(&CANCEL)) else {
             writeln!(self.0)?;
             return Ok(None);
         };
         let text = std::str::from_utf8(line).map_err(|_| io::Error::other("what was typed is not UTF-8"))?;
         Ok(Some(Zeroizing::new(text.to_owned())).filter(|text| !text.is_empty()))
+    }
+
+    fn read<'a>(&mut self, bytes: &'a mut Zeroizing<[u8; LONGEST]>) -> io::Result<&'a [u8]> {
+        let count = loop {
+            match self.0.read(bytes.as_mut_slice()) {
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                // The thread for signals gives the terminal back first.
+                Ok(count) if bytes.get(..count).is_some_and(|line| line.contains(&STOP)) => {
+                    kill_process(getpid(), Signal::TSTP)?;
+                }
+                count => break count?,
+            }
+        };
+        Ok(bytes.get(..count).unwrap_or_default())
+    }
+}
+
+fn note(question: Option<&str>) {
+    if let Some(modes) = &mut *asking() {
+        modes.question = question.map(str::to_owned);
     }
 }
 
@@ -78,29 +111,41 @@ impl Drop for Hidden {
     }
 }
 
-/// Ctrl-C is read, and ends a line as enter does; no key ends or stops the process. The rest is for a terminal that
+/// Ctrl-C and Ctrl-Z are read, and end a line as enter does; no key sends a signal. The rest is for a terminal that
 /// another program left in an odd state.
 fn without_echo(mut modes: Termios) -> Termios {
     modes.local_modes.remove(LocalModes::ECHO | LocalModes::ISIG);
-    modes.local_modes.insert(LocalModes::ECHONL | LocalModes::ICANON);
+    modes.local_modes.insert(LocalModes::ECHONL | LocalModes::ICANON | LocalModes::IEXTEN);
     modes.input_modes.remove(InputModes::IGNCR | InputModes::INLCR);
     modes.input_modes.insert(InputModes::ICRNL);
     modes.special_codes[SpecialCodeIndex::VEOL] = CANCEL;
+    modes.special_codes[SpecialCodeIndex::VEOL2] = STOP;
     modes
 }
 
 /// Gives the terminal its echo back; `false` if there was no question.
 pub(super) fn end() -> bool {
     let Some(Modes { terminal, before, .. }) = asking().take() else { return false };
-    // A terminal that fails now cannot be helped.
-    drop(set(&terminal, &before));
+    set_in_foreground(&terminal, &before);
+    true
+}
+
+/// Gives the terminal its echo back until [`ask_again`]; `false` if there is no question.
+pub(super) fn pause() -> bool {
+    let asking = asking();
+    let Some(Modes { terminal, before, .. }) = &*asking else { return false };
+    set_in_foreground(terminal, before);
     true
 }
 
 /// After a stop: the shell has set modes of its own meanwhile.
-pub(super) fn hide_again() {
-    if let Some(Modes { terminal, hidden, .. }) = &*asking() {
+pub(super) fn ask_again() {
+    let asking = asking();
+    let Some(Modes { terminal, hidden, question, .. }) = &*asking else { return };
+    if set_in_foreground(terminal, hidden)
+        && let Some(question) = question
+    {
         // If the terminal is gone, the question ends.
-        tcsetattr(terminal, OptionalActions::Now, hidden).ok();
+        drop(write!(&*terminal, "\r{question}: "));
     }
 }

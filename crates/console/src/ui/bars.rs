@@ -118,7 +118,7 @@ fn draw_screens(canvas: &mut Canvas, area: Rect, state: &State) {
         let role = if here { Role::Selection } else { Role::Dim };
         rest = canvas.puts(rest, &[(&number, if here { Role::Selection } else { Role::Key })]);
         if !name.is_empty() {
-            let gap = if all < area.width || here { " " } else { "" };
+            let gap = if all <= area.width || here { " " } else { "" };
             rest = canvas.puts(rest, &[(gap, role), (name, role)]);
         }
         rest = right_of(rest, 1);

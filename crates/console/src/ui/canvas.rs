@@ -7,6 +7,7 @@ use ratatui::widgets::{Block, Clear, Widget};
 use unicode_width::UnicodeWidthStr;
 
 use super::theme::{Depth, Role, Theme};
+use super::words::wrap;
 use crate::model::clean;
 use crate::ros::readable::Raster;
 
@@ -98,6 +99,15 @@ impl<'a> Canvas<'a> {
         let width = usize::from(area.width);
         let (end, _) = self.buffer.set_stringn(area.x, area.y, &shown, width, self.theme.style(role));
         end - area.x
+    }
+
+    /// In as many rows as it takes, so that what to do is not cut; returns the rows taken.
+    pub fn put_wrapped(&mut self, area: Rect, text: &str, role: Role) -> u16 {
+        let lines = wrap(&clean(text, 1_000), area.width);
+        for (place, line) in (0..area.height).zip(&lines) {
+            self.put(row(area, place), line, role);
+        }
+        rows(lines.len()).min(area.height)
     }
 
     /// Returns what is left of `area`.

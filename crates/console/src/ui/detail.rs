@@ -37,8 +37,8 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) -> Rect {
 fn draw_row(canvas: &mut Canvas, area: Rect, state: &State) {
     match state.screen {
         Screen::Topics => draw_topic(canvas, area, state),
-        Screen::Uploads => draw_steps(canvas, area, state),
-        Screen::Shared => draw_opened(canvas, area, state),
+        Screen::Records => draw_steps(canvas, area, state),
+        Screen::Received => draw_opened(canvas, area, state),
         Screen::Grants => drop(facts(canvas, area, "Grant", &grant(state))),
         Screen::Robots => draw_gateway(canvas, area, state),
         Screen::Log => draw_line(canvas, area, state),
@@ -84,6 +84,7 @@ fn about(topic: &TopicRow) -> Vec<(&'static str, String)> {
     vec![
         ("type", topic.type_name.clone().unwrap_or_else(|| "not known yet".to_owned())),
         ("capture", watched(topic).0),
+        ("rule", lists::watch_rule(topic).unwrap_or_default()),
         ("simulated", if topic.simulated { "yes".to_owned() } else { String::new() }),
         ("publishers", topic.publishers.join(" ")),
         ("not read", topic.unreached.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")),
@@ -114,8 +115,8 @@ fn draw_steps(canvas: &mut Canvas, area: Rect, state: &State) {
             canvas.put(area, &format!("Provenance of record {id}"), Role::Title);
             put_lines(canvas, below(area, 1), &provenance_lines(view, area.width), 0);
         }
-        Some(Lookup { answer: Some(Err(failure)), .. }) => failed(canvas, area, &failure.message),
-        _ => draw_record(canvas, area, state, &state.uploads, "Select a record to see its provenance."),
+        Some(Lookup { answer: Some(Err(failure)), .. }) => drop(canvas.put_wrapped(area, &failure.message, Role::Bad)),
+        _ => draw_record(canvas, area, state, &state.records, "Select a record to see its provenance."),
     }
 }
 
@@ -126,20 +127,14 @@ fn draw_opened(canvas: &mut Canvas, area: Rect, state: &State) {
                 canvas.put(area, &format!("Record {}", opening.lookup.id), Role::Title);
                 inside(canvas, below(area, 1), opening, view);
             }
-            Some(Err(failure)) => failed(canvas, area, &failure.message),
-            None => draw_record(canvas, area, state, &state.shared, "Opening…"),
+            Some(Err(failure)) => drop(canvas.put_wrapped(area, &failure.message, Role::Bad)),
+            None => draw_record(canvas, area, state, &state.received, "Opening…"),
         },
         None if state.is_locked() => {
-            draw_record(canvas, area, state, &state.shared, "Locked: press u to unlock and read records.");
+            draw_record(canvas, area, state, &state.received, "Locked: press u to unlock and read records.");
         }
-        None => draw_record(canvas, area, state, &state.shared, "Select a record to open it here."),
+        None => draw_record(canvas, area, state, &state.received, "Select a record to open it here."),
     }
-}
-
-fn failed(canvas: &mut Canvas, area: Rect, message: &str) {
-    let lines: Vec<Vec<Piece>> =
-        wrap(&clean(message, 1_000), area.width).into_iter().map(|line| vec![(line, Role::Bad)]).collect();
-    put_lines(canvas, area, &lines, 0);
 }
 
 fn grant(state: &State) -> Vec<(&'static str, String)> {

@@ -10,8 +10,8 @@ use super::words;
 use crate::app::policies::{Standing, words as stands};
 use crate::app::screens::{Member, day};
 use crate::app::update::Feed;
-use crate::app::{Screen, State, counted};
-use crate::model::{Timestamp, clean};
+use crate::app::{Screen, State};
+use crate::model::{Timestamp, clean, counted};
 use crate::service::reply::{GatewayStatusView, RobotRow, RobotView, SenderView, SystemKeyView};
 
 const MOST_REASONS: usize = 4;
@@ -148,7 +148,7 @@ fn draw_members(canvas: &mut Canvas, area: Rect, state: &State, rows: &[Member])
         Some(row) => cells(state, row),
     };
     let empty = match gateway.table.filter.text() {
-        "" => "Nobody is enrolled yet; `authros agent enrol` adds a robot or operator.",
+        "" => "Nobody is enrolled yet; `authros robot enrol` adds a robot or operator.",
         _ => "Nobody matches the filter.",
     };
     let sheet = Sheet { title, note, columns, keys: &keys, cells: &cells, table: &gateway.table, empty, old: false };

@@ -1,4 +1,4 @@
-//! The list screens: Topics, Uploads, Shared, Grants, Keys, Chain and Log.
+//! The list screens: Topics, Records, Received, Grants, Keys, Chain and Log.
 
 use super::bars::notice_level;
 use super::canvas::{Canvas, below, right_of, row};
@@ -25,14 +25,7 @@ pub fn draw_chain(canvas: &mut Canvas, area: Rect, state: &State) {
     let area = below(area, 1);
     match &state.chain {
         Some(chain) => draw_known(canvas, area, state, chain),
-        None => put_whole(canvas, area, empty(state, Feed::Chain, "Asking…"), Role::Dim),
-    }
-}
-
-/// In as many lines as there are: what to do must not be cut.
-fn put_whole(canvas: &mut Canvas, area: Rect, text: &str, role: Role) {
-    for (place, line) in (0..area.height).zip(super::words::wrap(&clean(text, 1_000), area.width)) {
-        canvas.put(row(area, place), &line, role);
+        None => drop(canvas.put_wrapped(area, empty(state, Feed::Chain, "Asking…"), Role::Dim)),
     }
 }
 
@@ -59,7 +52,7 @@ fn draw_known(canvas: &mut Canvas, area: Rect, state: &State, chain: &ChainView)
     let told = draw_facts(canvas, below(area, taken), &decisions(&chain.administration));
     let lanes = told + draw_lanes(canvas, below(area, taken + told), &chain.lanes);
     if let Some(failure) = &state.feeds.slot(Feed::Chain).failure {
-        put_whole(canvas, below(area, taken + 1 + lanes), &failure.message, Role::Bad);
+        canvas.put_wrapped(below(area, taken + 1 + lanes), &failure.message, Role::Bad);
     }
 }
 
@@ -302,6 +295,7 @@ const TOPIC_COLUMNS: &[Column] = &[
     Column::text("Publishers", 24).named("publishers"),
     Column::text("Pinned", 10).named("pinned"),
     Column::text("Watched", 13).named("watched"),
+    Column::text("Kept", 24).named("kept"),
     Column::number("Hz", 7).named("hz"),
     Column::number("kB/s", 8).named("rate"),
     Column::text("Last 16 s", 9).named("line"),
@@ -366,8 +360,18 @@ fn draw_detail(canvas: &mut Canvas, area: Rect, topic: &TopicRow) {
         held => format!(", {} QUARANTINED", words::count(held)),
     };
     let captured = words::count(topic.messages);
-    let detail = format!("{type_name} from {publishers}: {captured} captured{held}{lost}{last}");
+    let rule = watch_rule(topic).map(|rule| format!(" ({rule})")).unwrap_or_default();
+    let detail = format!("{type_name} from {publishers}: {captured} captured{rule}{held}{lost}{last}");
     canvas.put(area, &detail, Role::Body);
+}
+
+/// `by /robot*/odom, at most 5/s, 1,204 left out`; `None` if its own name is watched and every message is kept.
+pub fn watch_rule(topic: &TopicRow) -> Option<String> {
+    let by = topic.watched_by.as_ref().map(|pattern| format!("by {}", clean(pattern, 255)));
+    let kept = (!topic.sampling.is_all()).then(|| topic.sampling.to_string());
+    let left_out = (topic.left_out > 0).then(|| format!("{} left out", words::count(topic.left_out)));
+    let rule: Vec<String> = [by, kept, left_out].into_iter().flatten().filter(|_| topic.watched).collect();
+    (!rule.is_empty()).then(|| rule.join(", "))
 }
 
 pub fn empty<'a>(state: &'a State, feed: Feed, nothing: &'a str) -> &'a str {
@@ -388,6 +392,7 @@ fn topic_cells(state: &State, row: &TopicRow) -> Vec<(String, Role)> {
         (row.publishers.join(" "), Role::Dim),
         pinned(row),
         watched_of(state, row),
+        (if row.watched { row.sampling.to_string() } else { String::new() }, Role::Body),
         (words::rate(row.hz), Role::Accent),
         (words::kilobytes(row.bytes_per_second), Role::Body),
         (graph::line(&state.topics.samples(&row.topic, SAMPLES, state.shown_at()), CELLS), Role::Accent),
@@ -440,7 +445,7 @@ pub(in crate::ui) fn all_columns(screen: Screen) -> Vec<Column> {
     // From this width simulated records are marked in full.
     let (owner, wide) = match screen {
         Screen::Topics => return TOPIC_COLUMNS.to_vec(),
-        Screen::Shared => (Some(Column::text("Owner", 13).named("owner")), 100),
+        Screen::Received => (Some(Column::text("Owner", 13).named("owner")), 100),
         _ => (None, 70),
     };
     let rest = [
@@ -463,11 +468,11 @@ pub(in crate::ui) fn all_columns(screen: Screen) -> Vec<Column> {
 pub fn draw_records(canvas: &mut Canvas, area: Rect, state: &State) {
     let screen = state.screen;
     let (title, records, feed) = match screen {
-        Screen::Shared => ("Shared with me", &state.shared, Feed::Shared),
-        _ => ("Uploads", &state.uploads, Feed::Uploads),
+        Screen::Received => ("Received", &state.received, Feed::Received),
+        _ => ("Records", &state.records, Feed::Records),
     };
     let nothing = match feed {
-        Feed::Shared => "Nobody shares with you yet: give others your address (6, then y).",
+        Feed::Received => "Nobody shares with you yet: give others your address (6, then y).",
         _ => "No records yet: watch a topic (2, then w).",
     };
     let slot = state.feeds.slot(feed);
@@ -475,7 +480,7 @@ pub fn draw_records(canvas: &mut Canvas, area: Rect, state: &State) {
     let keys: Vec<String> = rows.iter().map(|row| row.id.clone()).collect();
     let layout = Layout::new(&with_local_time(&all_columns(screen), state), screen, &records.table, area.width);
     let cells = |index: usize| {
-        rows.get(index).map_or_else(Vec::new, |row| layout.pick(record_cells(state, row, screen == Screen::Shared)))
+        rows.get(index).map_or_else(Vec::new, |row| layout.pick(record_cells(state, row, screen == Screen::Received)))
     };
     let wanted = records.wanted(&state.topics.rows);
     let empty = match &wanted {

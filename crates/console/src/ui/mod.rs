@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! AuthROS default   ros ● ok  chain ● ok  store ● ok  gateway ○ absent   FROZEN   header
-//! 1 Overview  2 Topics  3 Uploads  4 Shared  5 Grants  6 Keys  7 Chain ...        header
+//! 1 Overview  2 Topics  3 Records  4 Received  5 Grants  6 Keys  7 Chain ...        header
 //! Topics  12 of 40, by name, filter: odom                                         table
 //!   Topic                 Watched     Hz     kB/s  Lost  Last                     table
 //! ▌ /robot1/odom          watched   20.0     14.2   0/0  12:03:22  SIMULATED      one file per screen
@@ -71,7 +71,7 @@ fn draw_whole(canvas: &mut Canvas, area: Rect, state: &State) {
     match state.screen {
         Screen::Overview => overview::draw(canvas, list, state),
         Screen::Topics => lists::draw_topics(canvas, list, state),
-        Screen::Uploads | Screen::Shared => lists::draw_records(canvas, list, state),
+        Screen::Records | Screen::Received => lists::draw_records(canvas, list, state),
         Screen::Grants => lists::draw_grants(canvas, list, state),
         Screen::Keys => lists::draw_keys(canvas, list, state),
         Screen::Chain => lists::draw_chain(canvas, list, state),

@@ -44,11 +44,8 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
         let failure = state.feeds.slot(Feed::Site).failure.as_ref();
         let (text, role) =
             failure.map_or(("The site is starting…", Role::Dim), |failure| (&failure.message, Role::Bad));
-        let lines = words::wrap(&clean(text, 500), rest.width);
-        for (line, text) in (0u16..).zip(&lines) {
-            canvas.put(row(rest, line), text, role);
-        }
-        rest = below(rest, u16::try_from(lines.len()).unwrap_or(1));
+        let taken = canvas.put_wrapped(rest, text, role);
+        rest = below(rest, taken);
     }
     rest = draw_alerts(canvas, below(rest, gap), state, if roomy { MOST_ALERTS } else { 1 });
     rest = draw_first_run(canvas, rest, state, roomy);

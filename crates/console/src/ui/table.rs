@@ -4,7 +4,6 @@ use ratatui::layout::{Position, Rect};
 
 use super::canvas::{Canvas, below, columns, right_of, row};
 use super::theme::Role;
-use super::words::wrap;
 use crate::app::choosing::wanted;
 use crate::app::table::Table;
 use crate::app::{Screen, State};
@@ -154,10 +153,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, sheet: &Sheet) {
     draw_cells(canvas, row(area, 1), sheet.columns, &widths, |column| (column.title.to_owned(), Role::Title));
     let body = below(area, 2);
     if sheet.keys.is_empty() {
-        let place = right_of(body, GUTTER);
-        for (line, text) in (0..place.height).zip(wrap(sheet.empty, place.width)) {
-            canvas.put(row(place, line), &text, Role::Dim);
-        }
+        canvas.put_wrapped(right_of(body, GUTTER), sheet.empty, Role::Dim);
         return;
     }
     let height = usize::from(body.height.max(1));

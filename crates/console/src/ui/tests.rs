@@ -68,12 +68,12 @@ fn situations(add: &mut Situations<'_>) {
         robot.types("c");
         robot.site_answers(true);
     });
-    add("incident opened", Screen::Uploads, &|robot| {
+    add("incident opened", Screen::Records, &|robot| {
         robot.presses(Key::Down);
         robot.types("I");
         robot.site_answers(true);
     });
-    add("browse", Screen::Shared, &|robot| robot.types("b"));
+    add("browse", Screen::Received, &|robot| robot.types("b"));
     add("suspend asked", Screen::Chain, &|robot| {
         robot.types(":suspend");
         robot.presses(Key::Enter);
@@ -85,7 +85,7 @@ fn situations(add: &mut Situations<'_>) {
 /// The remedy is readable where the trouble is shown, and enter shows all of it.
 #[test]
 fn what_to_do_about_a_lost_chain_is_not_cut_at_80_columns() {
-    let remedy = "authros --home NEW uploads import OLD";
+    let remedy = "authros --home NEW records import OLD";
     let text = format!(
         "start the pinned chain, or `{remedy}` (seals all messages in a new home): the chain at http://127.0.0.1:27545 is \
          another one, its genesis block is 0x2a8339d8473486956bee9f…, not 0x3b8339d8473486956bee9f…; anchoring has stopped, \
@@ -119,6 +119,20 @@ fn every_screen_at_every_size() {
     }
 }
 
+#[test]
+fn a_click_on_a_screens_name_goes_there() {
+    for size in SIZES.into_iter().filter(|size| size.0 >= 80) {
+        for screen in Screen::all() {
+            let mut robot = at(Screen::Overview, size);
+            let shown = shown(&robot.state, &night());
+            let bar = shown.lines().nth(1).expect("the names of the screens");
+            let column = u16::try_from(bar.find(screen.title()).expect(bar)).expect("narrow");
+            robot.act(Action::Click { column, row: 1 });
+            assert_eq!(robot.state.screen, screen, "{size:?}: {bar}");
+        }
+    }
+}
+
 /// Lists with their pane, and the Overview with graphs of what flowed.
 #[test]
 fn the_bars_at_120_columns_say_what_is_used_most_and_are_not_cut() {
@@ -129,7 +143,7 @@ fn the_bars_at_120_columns_say_what_is_used_most_and_are_not_cut() {
         assert!(bar.ends_with("? help  q quit"), "{}: {bar}", screen.title());
         format!("{}\n{bar}", screen.title())
     };
-    let screens = [Screen::Overview, Screen::Topics, Screen::Uploads, Screen::Shared, Screen::Grants];
+    let screens = [Screen::Overview, Screen::Topics, Screen::Records, Screen::Received, Screen::Grants];
     let others = [Screen::Keys, Screen::Chain, Screen::Robots, Screen::Log];
     let all: Vec<String> = screens.into_iter().chain(others).map(bars).collect();
     for (screen, words) in [(1, ["w watch", "g grant"]), (2, ["o open", "e export"]), (4, ["x revoke", "e extend"])] {
@@ -149,17 +163,17 @@ fn a_wide_terminal_is_used() {
     for screen in [Screen::Topics, Screen::Grants, Screen::Log] {
         page(&at(screen, size));
     }
-    let mut robot = at(Screen::Uploads, size);
+    let mut robot = at(Screen::Records, size);
     robot.presses(Key::Down);
     robot.waits(1);
-    let tag = Tag::Beside(Screen::Uploads, fixtures::record(999, "").id);
+    let tag = Tag::Beside(Screen::Records, fixtures::record(999, "").id);
     robot.is_answered(&tag, Ok(Reply::Provenance(fixtures::provenance(999))));
     page(&robot);
     for camera in [false, true] {
-        let mut robot = at(Screen::Shared, size);
+        let mut robot = at(Screen::Received, size);
         robot.presses(Key::Down);
         robot.waits(1);
-        let tag = Tag::Beside(Screen::Shared, fixtures::record(999, "").id);
+        let tag = Tag::Beside(Screen::Received, fixtures::record(999, "").id);
         robot.is_answered(&tag, Ok(Reply::Opened(Box::new(fixtures::opened(999, camera)))));
         page(&robot);
     }
@@ -212,13 +226,13 @@ fn popups() -> Vec<(&'static str, Robot)> {
     add("revoke asked", Screen::Grants, &|robot| robot.types("x"));
     add("load key", Screen::Keys, &|robot| robot.types("L"));
     add("rotation asked", Screen::Keys, &|robot| robot.types("r"));
-    add("provenance", Screen::Uploads, &|robot| {
+    add("provenance", Screen::Records, &|robot| {
         robot.presses(Key::Enter);
         robot.is_answered(&Tag::Show("00000000000003e8".into()), Ok(Reply::Provenance(fixtures::provenance(1_000))));
     });
     situations(&mut add);
     for (name, camera) in [("odometry", false), ("picture", true)] {
-        add(name, Screen::Shared, &move |robot| {
+        add(name, Screen::Received, &move |robot| {
             robot.presses(Key::Enter);
             let opened = fixtures::opened(1_000, camera);
             robot.is_answered(&Tag::Open("00000000000003e8".into()), Ok(Reply::Opened(Box::new(opened))));
@@ -237,7 +251,7 @@ fn every_popup() {
 #[test]
 fn incidents_at_every_size() {
     let pages = SIZES.into_iter().chain([(200, 50)]).map(|size| {
-        let mut robot = at(Screen::Uploads, size);
+        let mut robot = at(Screen::Records, size);
         robot.types("zi");
         robot.site_answers(true);
         let list = shown(&robot.state, &night());
@@ -369,7 +383,7 @@ fn one_pass_each_in_day_mono_and_ascii() {
             }
             for (_, theme, pages) in &mut themes {
                 assert_eq!(shown(&state, theme), shown(&state, &night()));
-                if size == SIZES[0] && matches!(screen, Screen::Overview | Screen::Topics | Screen::Uploads) {
+                if size == SIZES[0] && matches!(screen, Screen::Overview | Screen::Topics | Screen::Records) {
                     pages.push_str(&format!("{}\n{}\n", screen.title(), looks(&state, theme)));
                 }
             }

@@ -3,19 +3,7 @@
 use unicode_width::UnicodeWidthStr;
 
 use crate::model::Timestamp;
-
-/// `12,345`.
-pub fn count(number: u64) -> String {
-    let digits = number.to_string();
-    let mut text = String::with_capacity(digits.len() + digits.len() / 3);
-    for (index, digit) in digits.char_indices() {
-        if index > 0 && (digits.len() - index).is_multiple_of(3) {
-            text.push(',');
-        }
-        text.push(digit);
-    }
-    text
-}
+pub use crate::model::grouped as count;
 
 /// `20.0`, or `-`.
 pub fn rate(rate: Option<f64>) -> String {
@@ -106,7 +94,6 @@ mod tests {
 
     #[test]
     fn numbers() {
-        assert_eq!([count(0), count(999), count(1_000), count(1_234_567)], ["0", "999", "1,000", "1,234,567"]);
         assert_eq!([size(712), size(58_234), size(1_300_000)], ["712 B", "58.2 kB", "1.3 MB"]);
         assert_eq!(rate(None), "-");
         let at = Timestamp::from_seconds;

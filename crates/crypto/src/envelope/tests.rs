@@ -35,7 +35,7 @@ fn wrap_with(name: ProviderName, wrapped: &WrappedKeys) -> Vec<u8> {
     wrap(provider(name), &DOMAIN, wrapped, owner, &grantee.public).expect("wraps")
 }
 
-fn unwrap_with(name: ProviderName, envelope: &[u8], expected: &GrantTerms) -> Result<WrappedKeys, CryptoError> {
+fn unwrap_with(name: ProviderName, envelope: &[u8], expected: &GrantTerms) -> Result<WrappedKeys> {
     let [owner, grantee] = &*PAIRS;
     unwrap(provider(name), &DOMAIN, envelope, expected, &owner.public, &grantee.secret)
 }

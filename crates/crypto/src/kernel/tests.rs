@@ -10,7 +10,7 @@ use ctr::{CtrCore, flavors::Ctr32BE};
 use super::*;
 use crate::gcm::{self, BlockCipher};
 use crate::sm3::sm3;
-use crate::{CryptoError, sm4_gcm};
+use crate::{Result, sm4_gcm};
 
 fn kernels() -> Vec<Available> {
     Kernel::ALL.into_iter().filter_map(Kernel::available).collect()
@@ -50,13 +50,13 @@ impl Sm4Block {
 }
 
 impl BlockCipher for Sm4Block {
-    fn encrypt_block(&self, block: &[u8; 16]) -> Result<[u8; 16], CryptoError> {
+    fn encrypt_block(&self, block: &[u8; 16]) -> Result<[u8; 16]> {
         let mut block = (*block).into();
         self.0.encrypt_block(&mut block);
         Ok(block.into())
     }
 
-    fn apply_counter(&self, counter: [u8; 16], data: &mut [u8]) -> Result<(), CryptoError> {
+    fn apply_counter(&self, counter: [u8; 16], data: &mut [u8]) -> Result<()> {
         let core = CtrCore::<_, Ctr32BE>::inner_iv_init(self.0.clone(), &counter.into());
         StreamCipherCoreWrapper::from_core(core).apply_keystream(data);
         Ok(())

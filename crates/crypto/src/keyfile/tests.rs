@@ -22,7 +22,7 @@ impl Directory {
     }
 }
 
-fn message<T: std::fmt::Debug>(result: Result<T, CryptoError>) -> String {
+fn message<T: std::fmt::Debug>(result: Result<T>) -> String {
     let error = result.expect_err("refused");
     assert_eq!(error.kind(), ErrorKind::Input, "{error}");
     error.to_string()

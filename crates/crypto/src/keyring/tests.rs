@@ -4,7 +4,7 @@ use crate::{ProviderName, provider};
 const HOME: Domain = Domain([1; 32]);
 
 impl Keyring {
-    pub(crate) fn start_epoch(&mut self, domain: &Domain) -> Result<u64, CryptoError> {
+    pub(crate) fn start_epoch(&mut self, domain: &Domain) -> Result<u64> {
         let owner = self.eoa.address();
         let network = self.networks.entry(*domain).or_default();
         let epoch = network.epochs.last_key_value().map_or(0, |(last, _)| *last) + 1;

@@ -15,7 +15,7 @@ fn id(topic: &str) -> TopicId {
 }
 
 /// What a reader with IK says of a record under these pseudonyms whose head names a topic, a type, and mission=7.
-fn read(topic_id: TopicId, filters: Vec<FilterId>, topic: &str, type_name: &str) -> Result<(), CryptoError> {
+fn read(topic_id: TopicId, filters: Vec<FilterId>, topic: &str, type_name: &str) -> Result<()> {
     let provider = provider(ProviderName::RustCrypto);
     let sample = Sample::new(ProviderName::RustCrypto, b"");
     let request = sample.request();
@@ -34,7 +34,7 @@ fn a_name_is_read_only_under_the_pseudonym_derived_from_it() {
     for filters in [vec![], vec![of_type], vec![of_type, of_tag], of_robot] {
         assert!(read(id(odom), filters, odom, kind).is_ok());
     }
-    let refused = |found: Result<(), CryptoError>, field: &str| {
+    let refused = |found: Result<()>, field: &str| {
         let error = found.expect_err("refused");
         assert!(matches!(error, CryptoError::FalseName(what) if what == field), "{field}: {error}");
         assert_eq!(error.kind(), ErrorKind::Refused);

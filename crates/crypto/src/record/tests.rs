@@ -68,7 +68,7 @@ impl Sample {
         }
     }
 
-    fn open(&self, blob: &[u8], signature: &Signature, anchor: Anchor) -> Result<OpenedRecord, CryptoError> {
+    fn open(&self, blob: &[u8], signature: &Signature, anchor: Anchor) -> Result<OpenedRecord> {
         let recorder = Some(RecorderPrefix::ledger([4; 7]).of_signer(&signer_id(&self.signer.public)));
         let expected = Expected { recorder, ..Self::expected() };
         open(self.provider, blob, signature, &self.signer.public, anchor, &self.key, &expected)

@@ -12,16 +12,16 @@ use std::time::Instant;
 use subtle::ConstantTimeEq as _;
 use zeroize::{Zeroize, ZeroizeOnDrop, Zeroizing};
 
-use crate::CryptoError;
 use crate::der::CipherParts;
 use crate::kernel::sm2::{Affine, Scalar, Signer, SignerTable, multiply, multiply_both, multiply_generator, verifies};
 use crate::model::{PublicKey, Signature};
 use crate::provider::DISTINGUISHED_ID;
 use crate::secret::{joined, random_bytes};
 use crate::sm3::{Sm3Hasher, sm3};
+use crate::{CryptoError, Result};
 
 /// The point of a public key, checked to be on the curve and canonically encoded.
-pub(super) fn point(public: &PublicKey) -> Result<Affine, CryptoError> {
+pub(super) fn point(public: &PublicKey) -> Result<Affine> {
     Affine::from_bytes(&public.0).ok_or(CryptoError::PublicPoint)
 }
 
@@ -258,7 +258,7 @@ pub(crate) struct SigningKey {
 
 impl SigningKey {
     /// For d, 1 to n - 2.
-    pub fn new(secret: &[u8; 32]) -> Result<Self, CryptoError> {
+    pub fn new(secret: &[u8; 32]) -> Result<Self> {
         let range = || CryptoError::SecretRange("SM2");
         let number = Zeroizing::new(Scalar::from_bytes(secret).ok_or_else(range)?);
         let one_more = Zeroizing::new(number.plus(&Scalar::ONE));
@@ -299,19 +299,13 @@ impl SigningKey {
 }
 
 /// Checks a signature in full, using the signer's table if there is one.
-pub(crate) fn verify(public: &PublicKey, message: &[u8], signature: &Signature) -> Result<(), CryptoError> {
+pub(crate) fn verify(public: &PublicKey, message: &[u8], signature: &Signature) -> Result<()> {
     let (signers, now) = of_process();
     verify_among(signers, now, public, message, signature)
 }
 
 /// As [`verify`], with the tables of `signers` at the time `now`.
-fn verify_among(
-    signers: &Signers,
-    now: u64,
-    public: &PublicKey,
-    message: &[u8],
-    signature: &Signature,
-) -> Result<(), CryptoError> {
+fn verify_among(signers: &Signers, now: u64, public: &PublicKey, message: &[u8], signature: &Signature) -> Result<()> {
     if let Some(known) = signers.known(public) {
         check(&known.table, &known.za, message, signature)?;
         known.used(now);
@@ -326,11 +320,11 @@ fn verify_among(
 /// Checks a signature in full, as for an unknown signer; only for measurements.
 /// # Errors
 /// [`CryptoError::PublicPoint`] or [`CryptoError::BadSignature`].
-pub fn verify_as_stranger(public: &PublicKey, message: &[u8], signature: &Signature) -> Result<(), CryptoError> {
+pub fn verify_as_stranger(public: &PublicKey, message: &[u8], signature: &Signature) -> Result<()> {
     check(&point(public)?, &za(public), message, signature)
 }
 
-fn check(signer: &impl Signer, za: &[u8; 32], message: &[u8], signature: &Signature) -> Result<(), CryptoError> {
+fn check(signer: &impl Signer, za: &[u8; 32], message: &[u8], signature: &Signature) -> Result<()> {
     let (halves, _) = signature.0.as_chunks::<32>();
     let number = |at: usize| halves.get(at).and_then(Scalar::from_bytes).ok_or(CryptoError::BadSignature);
     let (r, s) = (number(0)?, number(1)?);
@@ -339,7 +333,7 @@ fn check(signer: &impl Signer, za: &[u8; 32], message: &[u8], signature: &Signat
 
 // Encryption (GB/T 32918.4-2016, 6.1 and 7.1) with points already checked.
 
-pub(crate) fn encrypt(public: &PublicKey, plain: &[u8]) -> Result<CipherParts, CryptoError> {
+pub(crate) fn encrypt(public: &PublicKey, plain: &[u8]) -> Result<CipherParts> {
     let point = point(public)?;
     loop {
         let random = Zeroizing::new(random_bytes()?);
@@ -368,7 +362,7 @@ fn encrypt_with(k: &Scalar, point: &Affine, plain: &[u8]) -> Option<CipherParts>
 }
 
 /// Decrypts with a secret number; constant-time in it.
-pub(crate) fn decrypt(secret: &[u8; 32], parts: CipherParts) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
+pub(crate) fn decrypt(secret: &[u8; 32], parts: CipherParts) -> Result<Zeroizing<Vec<u8>>> {
     let shared = shared(secret, &PublicKey(joined(&parts.x, &parts.y)))?;
     let coordinates = Zeroizing::new(shared.to_bytes());
     let mut plain = Zeroizing::new(parts.text);
@@ -378,14 +372,14 @@ pub(crate) fn decrypt(secret: &[u8; 32], parts: CipherParts) -> Result<Zeroizing
 }
 
 /// A secret number times a public key; constant-time in the number.
-fn shared(secret: &[u8; 32], public: &PublicKey) -> Result<Zeroizing<Affine>, CryptoError> {
+fn shared(secret: &[u8; 32], public: &PublicKey) -> Result<Zeroizing<Affine>> {
     let point = point(public)?;
     let number = Zeroizing::new(Scalar::from_bytes(secret).ok_or(CryptoError::SecretRange("SM2"))?);
     Ok(Zeroizing::new(multiply(&number, &point)))
 }
 
 /// The x coordinate of that.
-pub(crate) fn shared_x(secret: &[u8; 32], public: &PublicKey) -> Result<Zeroizing<[u8; 32]>, CryptoError> {
+pub(crate) fn shared_x(secret: &[u8; 32], public: &PublicKey) -> Result<Zeroizing<[u8; 32]>> {
     Ok(Zeroizing::new(shared(secret, public)?.x_bytes()))
 }
 

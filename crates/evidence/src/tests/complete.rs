@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use authros_crypto::merkle::{Tree, height_hash};
-use authros_crypto::record::{RecordSecret, SealRequest, SealedRecord, seal, signed_bytes};
+use authros_crypto::record::{SealRequest, SealedRecord, seal, signed_bytes};
 use authros_crypto::{SmKeyPair, signer_id};
 use authros_model::head::Compression;
 use authros_model::{
@@ -14,8 +14,7 @@ use super::second::agree;
 use super::world::{BLOCK, TIME, World, bound, genesis, ours, pair, sealed, sealed_by, word};
 use crate::archive::Members;
 use crate::{
-    AnchorClaim, Anchoring, Bundle, BundledRecord, Height, Outcome, Packing, Slot, Standing, Stretch, disclose, pack,
-    verify,
+    AnchorClaim, Anchoring, Bundle, BundledRecord, Height, Outcome, Packing, Slot, Standing, Stretch, pack, verify,
 };
 
 /// The topic of the world's records.
@@ -88,14 +87,15 @@ impl Case {
 
     fn packing(&self) -> Packing {
         let mut packing = self.world.packing();
-        for (record, disclosed) in &self.records {
-            let secret = || RecordSecret::of(&self.world.topic_key, &record.header);
-            let reveal = || disclose(secret(), (&bound(), &record.digest), &self.world.keys, ours()).expect("signs");
+        let disclosed = self.records.iter().filter(|(_, disclosed)| *disclosed).map(|(record, _)| record);
+        if disclosed.clone().next().is_some() {
+            packing.disclosure(&self.world.disclosing(disclosed));
+        }
+        for (record, _) in &self.records {
             let one = BundledRecord {
                 record: record.blob.clone(),
                 signature: record.signature,
                 anchor: Some(AnchorClaim::new(BLOCK, BLOCK, 1, Anchoring::Each {})),
-                disclosure: disclosed.then(reveal),
             };
             packing.record(record.digest, one).expect("added");
         }
@@ -179,9 +179,9 @@ fn a_statement_that_is_not_proven_spoils_nothing_and_one_that_is_refused_does() 
     case.world.put(Slot::uploaded(case.world.owner, &digest.0), word(&[BLOCK]));
     let with = |anchor: Option<AnchorClaim>| {
         let mut packing = case.packing();
-        let secret = RecordSecret::of(&case.world.topic_key, &birth.header);
-        let disclosure = Some(disclose(secret, (&bound(), &digest), &case.world.keys, ours()).expect("signs"));
-        let one = BundledRecord { record: birth.blob.clone(), signature: birth.signature, anchor, disclosure };
+        let heads = case.records.iter().filter(|(_, disclosed)| *disclosed).map(|(record, _)| record);
+        packing.disclosure(&case.world.disclosing(heads.chain([&birth])));
+        let one = BundledRecord { record: birth.blob.clone(), signature: birth.signature, anchor };
         packing.record(digest, one).expect("added");
         packing.sign(genesis(), case.world.owner, &case.world.keys, ours()).expect("signs")
     };

@@ -7,9 +7,9 @@ use authros_crypto::{SmKeyPair, compression, keccak256, signer_id};
 use authros_model::head::Compression;
 use authros_model::{Address, Hash};
 
-use super::world::{BLOCK, World, account, bound, genesis, header, ours, pair, sealed, sealed_as};
+use super::world::{BLOCK, World, account, genesis, header, ours, pair, sealed, sealed_as};
 use crate::manifest::{MANIFEST, Manifest};
-use crate::{BlockHeader, Bundle, BundledRecord, Nodes, Outcome, Packing, Report, Standing, disclose, seals, verify};
+use crate::{BlockHeader, Bundle, BundledRecord, Nodes, Outcome, Packing, Report, Standing, seals, verify};
 
 fn checked(packing: Packing, world: &World, by: &SmKeyPair) -> Report {
     let members = packing.sign(genesis(), world.owner, by, ours()).expect("packs");
@@ -17,7 +17,7 @@ fn checked(packing: Packing, world: &World, by: &SmKeyPair) -> Report {
 }
 
 pub fn unanchored(one: authros_crypto::record::SealedRecord) -> BundledRecord {
-    BundledRecord { record: one.blob, signature: one.signature, anchor: None, disclosure: None }
+    BundledRecord { record: one.blob, signature: one.signature, anchor: None }
 }
 
 /// Five messages of 64 MiB of zeros, less than 300 KiB each when sealed.
@@ -28,14 +28,14 @@ fn no_more_messages_are_opened_than_one_file_may_have() {
     let packed = compression::pack(&zeros, None).expect("packs").bytes;
     let mut packing = world.packing();
     packing.identity(&world.identity);
+    let mut all = Vec::new();
     for seq in 10..15 {
         let body = (&packed[..], zeros.len() as u64, Compression::Lz4);
         let one = sealed_as(world.owner, &world.keys, &world.topic_key, seq, body);
-        let secret = RecordSecret::of(&world.topic_key, &one.header);
-        let digest = one.digest;
-        let disclosure = Some(disclose(secret, (&bound(), &digest), &world.keys, ours()).expect("signs"));
-        packing.record(digest, BundledRecord { disclosure, ..unanchored(one) }).expect("added");
+        packing.record(one.digest, unanchored(one.clone())).expect("added");
+        all.push(one);
     }
+    packing.disclosure(&world.disclosing(&all));
     let report = checked(packing, &world, &world.keys);
     let told = "its message is not opened: too much is disclosed in a single file";
     let shut = report.records.iter().filter(|record| record.opened.text == told).count();

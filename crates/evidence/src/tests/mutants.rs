@@ -1,4 +1,4 @@
-//! Both verifiers over mutants of one bundle and one trust file: spellings of JSON, TOML and RLP that two readers could take
+//! All verifiers over mutants of one bundle and one trust file: spellings of JSON, TOML and RLP that two readers could take
 //! differently. Whatever they say, they say the same.
 
 use std::path::Path;
@@ -7,31 +7,13 @@ use authros_crypto::signature_der;
 use rlp::RlpStream;
 
 use super::authority::Authority;
-use super::second::script;
+use super::verifiers::{self, Case};
 use super::world::{Part, World, genesis, ours};
 use crate::archive::Members;
 use crate::manifest::{MANIFEST, signed_bytes};
 use crate::time::StampTree;
-use crate::{Bundle, Outcome, Packing, Trust, pack, verify};
+use crate::{Packing, pack};
 use authros_model::Hash;
-
-/// A file with its pins, and what it is.
-struct Case {
-    what: String,
-    bundle: Vec<u8>,
-    trust: Vec<u8>,
-}
-
-/// How our verifier ends.
-fn our_code(case: &Case) -> i32 {
-    let Ok(trust) = Trust::parse(&case.trust) else { return 3 };
-    let Ok(bundle) = Bundle::parse(&case.bundle, ours()) else { return 6 };
-    match verify(&bundle, Some(&trust), ours()).outcome {
-        Outcome::Holds => 0,
-        Outcome::Incomplete => 8,
-        Outcome::Refused => 6,
-    }
-}
 
 /// Of these, as many as a run has time for: with `AUTHROS_LONG` all.
 fn some(cases: Vec<Case>, most: usize) -> Vec<Case> {
@@ -41,35 +23,9 @@ fn some(cases: Vec<Case>, most: usize) -> Vec<Case> {
     cases.into_iter().enumerate().filter(is_taken).map(|(_, case)| case).collect()
 }
 
-/// Both end alike in each case; returns how ours ended.
+/// All say the same of each case; returns how ours ended.
 fn agree(cases: &[Case]) -> Vec<i32> {
-    let folder = tempfile::tempdir().expect("directory");
-    let name = |number: usize, kind: &str| folder.path().join(format!("{number}.{kind}"));
-    for (number, case) in cases.iter().enumerate() {
-        std::fs::write(name(number, "authros"), &case.bundle).expect("written");
-        std::fs::write(name(number, "toml"), &case.trust).expect("written");
-    }
-    let text = r#"
-import contextlib, io
-folder, number = given.split("\n")
-found = []
-for at in range(int(number)):
-    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-        found.append(verify.main([f"{folder}/{at}.authros", "--trust", f"{folder}/{at}.toml"]))
-print(found)
-"#;
-    let own: Vec<i32> = cases.iter().map(our_code).collect();
-    let place = folder.path().to_str().expect("UTF-8");
-    let Some(output) = script(text, &format!("{place}\n{}", cases.len())) else { return own };
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let theirs: Vec<i32> = serde_json::from_slice(&output.stdout).expect("codes");
-    let each = cases.iter().zip(own.iter().zip(&theirs));
-    let apart: Vec<String> = each
-        .filter(|(_, (own, theirs))| own != theirs)
-        .map(|(case, (own, theirs))| format!("{}: ours {own}, theirs {theirs}", case.what))
-        .collect();
-    assert!(apart.is_empty(), "{} of {} differ:\n{}", apart.len(), cases.len(), apart.join("\n"));
-    own
+    verifiers::agree(cases).iter().map(verifiers::code).collect()
 }
 
 fn trust_text() -> String {
@@ -78,7 +34,7 @@ fn trust_text() -> String {
 
 /// A world with every kind of member in JSON.
 fn members(world: &World) -> Members {
-    // Of another batch: the token, which the second verifier leaves to openssl, is none.
+    // Of another batch, so that nothing asks for the token, which is none.
     let tree = StampTree::new(vec![Hash([1; 32]), Hash([2; 32])]).expect("a tree");
     let mut packing = world.packing();
     packing.stamps(&tree, &[Hash([1; 32])], &[vec![0x30, 0]]).expect("added");

@@ -2,16 +2,21 @@
 
 use std::process::{Command, Output};
 
+use authros_crypto::compression::{self, Matrix};
 use authros_crypto::record::RecordSecret;
-use authros_crypto::{compression, prove, signature_der, signer_id};
+use authros_crypto::{prove, signature_der, signer_id};
 use authros_model::Token;
 use authros_model::head::Compression;
 
+use super::authority::{Authority, P256};
 use super::hostile::unanchored;
+use super::stamps::stamped;
+use super::verifiers::{Case, agree_on};
 use super::world::{BLOCK, GATEWAY, TIME, World, bound, genesis, ours, pair, sealed, sealed_as};
 use crate::archive::{self, Members};
 use crate::manifest::{MANIFEST, Manifest, signed_bytes};
-use crate::{Bundle, BundledRecord, Exporter, Outcome, Packing, Person, Slot, Stretch, Trust, disclose, pack, verify};
+use crate::trust::PinnedAuthority;
+use crate::{Bundle, Exporter, Outcome, Packing, Person, Slot, Trust, pack, verify};
 
 fn python(arguments: &[&str]) -> Option<Output> {
     match Command::new("python3").arg("-B").args(arguments).output() {
@@ -24,11 +29,11 @@ fn python(arguments: &[&str]) -> Option<Output> {
     }
 }
 
-/// A script that has the second verifier as `verify`, and its input, in a file, by name.
+const TOOLS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tools/verify");
+
+/// A script that has the second verifier's package, and its input, in a file, as `given`.
 pub fn script(text: &str, given: &str) -> Option<Output> {
-    let tools = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tools");
-    let whole =
-        format!("import sys\nsys.path.insert(0, {tools:?})\nimport verify\ngiven = open(sys.argv[1]).read()\n{text}");
+    let whole = format!("import sys\nsys.path.insert(0, {TOOLS:?})\ngiven = open(sys.argv[1]).read()\n{text}");
     let mut file = tempfile::NamedTempFile::new().expect("a file");
     std::io::Write::write_all(&mut file, given.as_bytes()).expect("written");
     python(&["-c", &whole, file.path().to_str().expect("UTF-8")])
@@ -40,92 +45,9 @@ fn expect_success(output: &Output) {
 
 /// Both say the same about each record and about the whole.
 pub fn agree(members: &Members, trust: &Trust, outcome: Outcome) {
-    let folder = tempfile::tempdir().expect("directory");
-    let (file, pins) = (folder.path().join("case.authros"), folder.path().join("trust.toml"));
-    std::fs::write(&file, pack(members).expect("packs")).expect("written");
-    std::fs::write(&pins, trust.to_text().expect("text")).expect("written");
-    let report = verify(&Bundle::read(&file, ours()).expect("reads"), Some(trust), ours());
-    let levels: Vec<String> = report.records.iter().map(|record| format!("{:?}", record.levels())).collect();
-    assert_eq!(report.outcome, outcome, "{levels:?}");
-    let tool = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tools/verify.py");
-    let arguments = [tool, file.to_str().expect("UTF-8"), "--trust", pins.to_str().expect("UTF-8")];
-    let Some(output) = python(&arguments) else { return };
-    let told = String::from_utf8_lossy(&output.stdout) + String::from_utf8_lossy(&output.stderr);
-    let code = match outcome {
-        Outcome::Holds => 0,
-        Outcome::Incomplete => 8,
-        Outcome::Refused => 6,
-    };
-    assert_eq!(output.status.code(), Some(code), "{told}\n{levels:?}");
-    let theirs: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
-    let found = theirs["records"].as_array().expect("records");
-    assert_eq!(found.len(), report.records.len());
-    for (record, found) in report.records.iter().zip(found) {
-        let own = serde_json::to_value(record).expect("JSON");
-        for level in ["bytes", "key", "anchor", "opened"] {
-            assert_eq!(own[level]["standing"], found[level], "{level}: {told}\n{levels:?}");
-        }
-        // It leaves the tokens themselves to openssl.
-        let time = if own["time"]["standing"] == "proven" { &"unproven".into() } else { &own["time"]["standing"] };
-        assert_eq!(time, &found["time"], "(d): {told}\n{levels:?}");
-    }
-    let completeness: Vec<serde_json::Value> = report.complete.iter().map(completeness).collect();
-    assert_eq!(serde_json::Value::Array(completeness), theirs["complete"]);
-}
-
-/// How the second verifier ends over a file; `None` if it cannot run.
-pub fn exit_code(file: &[u8], trust: &Trust) -> Option<i32> {
-    second_opinion(file, trust).map(|(code, _)| code)
-}
-
-/// How the second verifier ends over a file, and all its reasons.
-pub fn second_opinion(file: &[u8], trust: &Trust) -> Option<(i32, String)> {
-    let folder = tempfile::tempdir().expect("directory");
-    let (place, pins) = (folder.path().join("case.authros"), folder.path().join("trust.toml"));
-    std::fs::write(&place, file).expect("written");
-    std::fs::write(&pins, trust.to_text().expect("text")).expect("written");
-    let tool = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tools/verify.py");
-    let arguments = [tool, place.to_str().expect("UTF-8"), "--trust", pins.to_str().expect("UTF-8")];
-    let output = python(&arguments)?;
-    assert!(output.stderr.is_empty(), "{}", String::from_utf8_lossy(&output.stderr));
-    let told: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
-    Some((output.status.code().expect("it ends by itself"), reasons(&told).join("; ")))
-}
-
-/// Why something is refused; or else, why it is not proven. Each reason once.
-fn reasons(told: &serde_json::Value) -> Vec<String> {
-    let list = |of: &serde_json::Value| of.as_array().cloned().unwrap_or_default();
-    let mut found: Vec<String> = told["why"].as_str().map(str::to_owned).into_iter().collect();
-    for standing in ["refused", "unproven"] {
-        for record in list(&told["records"]) {
-            for (letter, level) in [("a", "bytes"), ("b", "key"), ("c", "anchor"), ("d", "time"), ("e", "opened")] {
-                if let Some(why) = record["notes"][level].as_str().filter(|_| record[level] == standing) {
-                    found.push(format!("({letter}) {why}"));
-                }
-            }
-        }
-        let contradicts = list(&told["complete"]).iter().any(|stretch| stretch["standing"] == standing);
-        if contradicts && standing == "refused" {
-            found.push("(f) refused".to_owned());
-        }
-        if !found.is_empty() {
-            break;
-        }
-    }
-    found.dedup();
-    found
-}
-
-/// What both say about a topic.
-fn completeness(stretch: &Stretch) -> serde_json::Value {
-    let Stretch { owner, signer, recorder, topic_id, standing, first, last, missing, heads, gaps, .. } = stretch;
-    let whole =
-        |number: &u64| first.is_some_and(|first| first <= *number) && gaps.iter().all(|(from, _)| from > number);
-    let number = heads.map(|heads| heads.number).filter(whole);
-    serde_json::json!({
-        "owner": owner.to_string().to_lowercase(), "signer": signer, "recorder": recorder, "topic_id": topic_id, "standing": standing,
-        "first": first, "last": last, "missing": missing, "complete_to": number,
-    })
+    let trust = trust.to_text().expect("text").into_bytes();
+    let told = agree_on(Case { what: "a bundle".to_owned(), bundle: pack(members).expect("packs"), trust });
+    assert_eq!(told["outcome"], serde_json::to_value(outcome).expect("a word"), "{told:#}");
 }
 
 /// Who puts a bundle together is its records' owner, or pinned, or it does not hold; what nobody read is told.
@@ -172,23 +94,6 @@ fn both_tell_of_a_page_and_of_instructions_that_nobody_checked() {
     assert!(told.contains("report.html was not checked") && told.contains("VERIFY.txt is not the text"), "{told}");
     let plain = world.report().warnings.join("\n");
     assert!(!plain.contains("VERIFY.txt") && !plain.contains("report.html"), "{plain}");
-    let text = r"
-import contextlib, io
-out = io.StringIO()
-with contextlib.redirect_stdout(out):
-    verify.main([given])
-print(out.getvalue())
-";
-    let place = tempfile::NamedTempFile::new().expect("a file");
-    for (members, told) in [(&members, true), (&world.members(), false)] {
-        std::fs::write(place.path(), pack(members).expect("packs")).expect("written");
-        let Some(output) = script(text, place.path().to_str().expect("UTF-8")) else { return };
-        expect_success(&output);
-        let notes = serde_json::from_slice::<serde_json::Value>(&output.stdout).expect("JSON")["notes"].to_string();
-        for words in ["report.html was not checked", "VERIFY.txt is not the text"] {
-            assert_eq!(notes.contains(words), told, "{notes}");
-        }
-    }
 }
 
 fn signed(packing: Packing, world: &World) -> Members {
@@ -278,10 +183,9 @@ fn both_say_the_same_of_disclosures() {
             continue;
         }
         let one = sealed_as(world.owner, &world.keys, &world.topic_key, 9, (&packed, length, Compression::Lz4));
-        let secret = RecordSecret::of(&world.topic_key, &one.header);
-        let disclosure = Some(disclose(secret, (&bound(), &one.digest), &world.keys, ours()).expect("signs"));
         let mut packing = world.packing();
-        packing.record(one.digest, BundledRecord { disclosure, ..unanchored(one) }).expect("added");
+        packing.disclosure(&world.disclosing([&one]));
+        packing.record(one.digest, unanchored(one)).expect("added");
         agree(&signed(packing, &world), &World::trust(), outcome);
     }
 }
@@ -309,8 +213,10 @@ fn the_second_verifier_unpacks_lz4() {
     let given = serde_json::to_string(&cases).expect("JSON");
     let text = r"
 import json
+from authros_verify.errors import Refused
+from authros_verify.packed import lz4
 for packed, body in json.loads(given):
-    assert verify.lz4(bytes(packed), len(body)) == bytes(body), len(body)
+    assert lz4(bytes(packed), len(body)) == bytes(body), len(body)
 def run(length):
     return bytes([length]) if length < 15 else bytes([15]) + bytes([255]) * ((length - 15) // 255) + bytes([(length - 15) % 255])
 for length in (15, 29, 30, 31, 270, 285):
@@ -319,18 +225,78 @@ for length in (15, 29, 30, 31, 270, 285):
     # Literals, a match of 300 from one back, and five last literals.
     block = bytes([spelt[0] << 4 | 15]) + spelt[1:] + literals + b'\1\0' + run(296)[1:] + b'\x50abcde'
     plain = literals + literals[-1:] * 300 + b'abcde'
-    assert verify.lz4(block, len(plain)) == plain, length
+    assert lz4(block, len(plain)) == plain, length
     for wrong, size in [(block, len(plain) + 1), (block, len(plain) - 1), (block[:-1], len(plain)), (block[:length], len(plain)),
                         (block.replace(b'\1\0' + run(296)[1:], b'\0\0' + run(296)[1:]), len(plain)),
                         (block.replace(b'\1\0' + run(296)[1:], b'\xff\xff' + run(296)[1:]), len(plain)),
                         (block, 2 ** 26 + 1), (block, len(block)), (b'', 5)]:
         try:
-            verify.lz4(wrong, size)
-        except verify.Refused:
+            lz4(wrong, size)
+        except Refused:
             continue
         raise SystemExit(f'{length}: {wrong.hex()} for {size}')
 ";
     if let Some(output) = script(text, &given) {
+        expect_success(&output);
+    }
+}
+
+/// The rules of the sentences, by the examples that every verifier is given.
+#[test]
+fn the_second_verifier_says_the_lines_of_the_examples() {
+    let text = r"
+import json
+from authros_verify.sentences import WORDING, verdict, wrapped
+examples = json.loads(given)
+assert len(examples) > 4
+for example in examples:
+    lists = {**{name: [] for name in WORDING['lists']}, **example['lists']}
+    lines = [line for sentence in verdict(example['facts'], lists) for line in wrapped(sentence)]
+    assert lines == example['lines'], (example['what'], lines)
+";
+    if let Some(output) = script(text, include_str!("../verdict/examples.json")) {
+        expect_success(&output);
+    }
+}
+
+/// Matrices of each shape, as packed here.
+#[test]
+fn the_second_verifier_unpacks_matrices() {
+    let mut cases = Vec::new();
+    for (sample, channels, big_endian, apart) in [
+        (1, 1, false, 1),
+        (1, 3, false, 1),
+        (1, 4, false, 2),
+        (2, 1, false, 1),
+        (2, 3, true, 1),
+        (4, 1, false, 1),
+        (4, 5, true, 2),
+    ] {
+        let matrix = Matrix { start: 5, rows: 24, columns: 32, channels, sample, big_endian, apart };
+        let length = 5 + matrix.length().expect("fits") + 3;
+        let body: Vec<u8> =
+            (0..length).map(|at| u8::try_from((at / 7 + at * at / 900) % 251).expect("a byte")).collect();
+        let packed = compression::pack(&body, Some(&matrix)).expect("pays");
+        assert_eq!(packed.compression, Compression::Matrix, "{matrix:?}");
+        cases.push((packed.bytes, body));
+    }
+    let text = r"
+import json
+from authros_verify.errors import Refused
+from authros_verify.packed import matrix
+for packed, body in json.loads(given):
+    packed = bytes(packed)
+    assert matrix(packed, len(body)) == bytes(body), packed[:15].hex()
+    wrong = [(packed[:-1], len(body)), (packed + b'\0', len(body)), (packed, len(body) - 1), (packed, len(body) + 1), (packed[:14], len(body))]
+    wrong += [(packed[:at] + bytes([packed[at] ^ 0x10]) + packed[at + 1:], len(body)) for at in (3, 7, 11, 12, 13, 14)]
+    for one, length in wrong:
+        try:
+            found = matrix(one, length)
+        except Refused:
+            continue
+        assert found != bytes(body), one[:15].hex()
+";
+    if let Some(output) = script(text, &serde_json::to_string(&cases).expect("JSON")) {
         expect_success(&output);
     }
 }
@@ -344,13 +310,14 @@ fn the_second_verifier_sees_every_flipped_byte_of_an_archive() {
     let given = serde_json::to_string(&archive).expect("JSON");
     let text = r"
 import json
+from authros_verify.archive import unpacked
 whole = bytes(json.loads(given))
-assert list(verify.unpacked(whole).values()) == [b'x', b'one', bytes(40), b'']
+assert list(unpacked(whole).values()) == [b'x', b'one', bytes(40), b'']
 wrong = [whole[:at] + bytes([whole[at] ^ bit]) + whole[at + 1:] for at in range(len(whole)) for bit in (1, 32, 128)]
 wrong += [whole[:at] for at in range(len(whole))] + [whole + b'more', b'more' + whole]
 for one in wrong:
     try:
-        verify.unpacked(one)
+        unpacked(one)
     except Exception:
         continue
     raise SystemExit(f'taken: {one.hex()}')
@@ -360,14 +327,54 @@ for one in wrong:
     }
 }
 
+/// A Python that lacks SHA-1 or SHA-384, as some builds do, says of a stamp that it was not checked here.
+#[test]
+fn what_the_second_verifier_cannot_check_is_incomplete() {
+    let Some(authority) = Authority::new() else { return println!("SKIPPED what cannot be checked: no openssl") };
+    authority.issue(("one", P256), "root", "stamps", "");
+    let authorities = vec![PinnedAuthority { name: "The notary".to_owned(), certificate: authority.pem("root") }];
+    let trust = Trust { authorities, ..World::trust() };
+    let (world, folder) = (World::new(), tempfile::tempdir().expect("directory"));
+    let packing = stamped(&world, |imprint| authority.token(imprint, "one", "sha384"));
+    let members = signed(packing, &world);
+    let (file, pins) = (folder.path().join("case.authros"), folder.path().join("trust.toml"));
+    std::fs::write(&file, pack(&members).expect("packs")).expect("written");
+    std::fs::write(&pins, trust.to_text().expect("text")).expect("written");
+    let text = r"
+import hashlib, json
+from authros_verify import verify
+bundle, pins = json.loads(given)
+whole = verify(bundle, pins)
+known = hashlib.new
+def poorer(name, *parts, **options):
+    if name == 'sha384':
+        raise ValueError(name)
+    return known(name, *parts, **options)
+hashlib.new = poorer
+found = verify(bundle, pins)
+level = found.document()['records'][0]['time']
+print(json.dumps([whole.exit_code, found.exit_code, found.outcome, level['standing'], level['reason'], ' '.join(found.lines())]))
+";
+    let given = serde_json::json!([file, pins]).to_string();
+    let Some(output) = script(text, &given) else { return };
+    expect_success(&output);
+    let told: (i32, i32, String, String, String, String) = serde_json::from_slice(&output.stdout).expect("JSON");
+    let (whole, poorer, outcome, standing, reason, lines) = told;
+    assert_eq!((whole, poorer, outcome.as_str()), (0, 9, "incomplete"));
+    assert_eq!((standing.as_str(), reason.as_str()), ("unchecked", "not_checked"));
+    assert!(lines.contains("not checked here"), "{lines}");
+}
+
 /// What is not a bundle, or breaks the reader, is refused in words.
 #[test]
 fn the_second_verifier_never_ends_in_a_traceback() {
     let folder = tempfile::tempdir().expect("directory");
     let (file, pins) = (folder.path().join("case.authros"), folder.path().join("trust.toml"));
-    let tool = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tools/verify.py");
+    let start = format!(
+        "import runpy, sys\nsys.path.insert(0, {TOOLS:?})\nrunpy.run_module('authros_verify', run_name='__main__')"
+    );
     let run = || {
-        let arguments = [tool, file.to_str().expect("UTF-8"), "--trust", pins.to_str().expect("UTF-8")];
+        let arguments = ["-c", &start, file.to_str().expect("UTF-8"), "--trust", pins.to_str().expect("UTF-8")];
         python(&arguments)
     };
     let good = World::trust().to_text().expect("text");
@@ -379,7 +386,7 @@ fn the_second_verifier_never_ends_in_a_traceback() {
         let Some(output) = run() else { return };
         let told = String::from_utf8_lossy(&output.stderr).into_owned();
         assert_eq!((output.status.code(), told.as_str()), (Some(6), ""));
-        assert!(String::from_utf8_lossy(&output.stdout).contains("\"refused\""));
+        assert!(String::from_utf8_lossy(&output.stdout).starts_with("REFUSED: "));
     }
     for wrong in [
         good.replace("[chain]", "[chain]\nquorum = 0"),

@@ -6,7 +6,7 @@ use authros_model::{Hash, Timestamp};
 use proptest::prelude::*;
 
 use super::authority::{Authority, P256, P384, RSA, RSA_PSS};
-use super::second::agree;
+use super::second::{agree, script};
 use super::world::{World, genesis, ours};
 use crate::time::{Certificate, Request, StampTree, Stamped, TimeError, check_token, token_of};
 use crate::trust::PinnedAuthority;
@@ -37,11 +37,13 @@ fn content(authority: &Authority, token: &[u8]) -> Vec<u8> {
 #[test]
 fn stamps_of_each_kind_of_key_are_taken() {
     let authority = authority!();
-    let root = authority.certificate("root");
+    let (root, mut told) = (authority.certificate("root"), Vec::new());
     for (name, key) in [("rsa", RSA), ("p256", P256), ("p384", P384)] {
         authority.issue((name, key), "root", "stamps", "");
         for section in ["sha256", "sha384", "sha1"] {
-            let found = check(&authority.token(IMPRINT, name, section), &root);
+            let token = authority.token(IMPRINT, name, section);
+            let found = check(&token, &root);
+            told.push((token, found.is_ok()));
             if (section, key == RSA) == ("sha1", false) {
                 // It signs with SHA-512 there.
                 assert_eq!(found, Err(TimeError::Algorithm("ECDSA with SHA-512")), "{name}");
@@ -58,10 +60,15 @@ fn stamps_of_each_kind_of_key_are_taken() {
         for (hash, salt) in [("sha256", 32), ("sha384", 48), ("sha512", 64)] {
             let token = authority.signed(&signed, name, &format!("-md {hash} {way}{salt}"));
             assert_eq!(check(&token, &root).map(|found| found.pinned), Ok(Some(0)), "{name} {hash}");
+            told.push((token, true));
         }
         let token = authority.signed(&signed, name, &format!("-md sha256 {way}20"));
         assert!(matches!(check(&token, &root), Err(TimeError::Algorithm(_))), "another salt");
+        told.push((token, false));
     }
+    let (tokens, expected): (Vec<_>, Vec<bool>) = told.into_iter().unzip();
+    let given: Vec<_> = tokens.into_iter().map(|token| (token, IMPRINT, authority.pem("root"))).collect();
+    assert!(by_the_second(&given).is_none_or(|found| found == expected), "{expected:?}");
 }
 
 #[test]
@@ -181,6 +188,28 @@ fn openssl_judges_stamps_as_we_do() {
     });
     let expected = cases.iter().map(|(name, .., ours, theirs)| (*name, *ours, *theirs));
     assert_eq!(told.collect::<Vec<_>>(), expected.collect::<Vec<_>>());
+    let given: Vec<_> =
+        cases.iter().map(|(_, token, imprint, pin, ..)| (token.clone(), *imprint, authority.pem(pin))).collect();
+    let expected: Vec<bool> = cases.iter().map(|(.., ours, _)| *ours).collect();
+    assert!(by_the_second(&given).is_none_or(|found| found == expected), "{expected:?}");
+}
+
+/// Whether the second verifier takes each of these tokens for a stamp over its imprint by what is pinned.
+fn by_the_second(cases: &[(Vec<u8>, [u8; 32], String)]) -> Option<Vec<bool>> {
+    let text = r"
+import json
+from authros_verify.certificates import from_pem
+from authros_verify.stamps import check_token
+def is_taken(token, imprint, pin):
+    try:
+        return check_token(bytes(token), bytes(imprint), [from_pem(pin)])[2] == 0
+    except ValueError:
+        return False
+print(json.dumps([is_taken(*one) for one in json.loads(given)]))
+";
+    let output = script(text, &serde_json::to_string(cases).expect("JSON"))?;
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    Some(serde_json::from_slice(&output.stdout).expect("a list"))
 }
 
 #[test]
@@ -237,7 +266,7 @@ proptest! {
 }
 
 /// A bundle whose batch was stamped between two others.
-fn stamped(world: &World, token: impl FnOnce([u8; 32]) -> Vec<u8>) -> Packing {
+pub fn stamped(world: &World, token: impl FnOnce([u8; 32]) -> Vec<u8>) -> Packing {
     let root = world.claim.inclusion().expect("a batch").root;
     let tree = StampTree::new(vec![Hash([1; 32]), root, Hash([2; 32])]).expect("a tree");
     let mut packing = world.packing();

@@ -17,7 +17,7 @@ use super::committed::Commit;
 use crate::archive::Members;
 use crate::{
     AnchorClaim, Anchoring, Bundle, BundledRecord, ClaimedChain, Disclosure, Nodes, Packing, PinnedChain, Report, Slot,
-    Standing, Trust, disclose, pack, verify,
+    Standing, Trust, pack, verify,
 };
 
 /// The anchoring block.
@@ -249,8 +249,10 @@ impl World {
         packing.identity(&self.identity);
         let anchor = Some(AnchorClaim { shown_at: self.shown_at, ..self.claim.clone() });
         let (record, signature) = (self.record.blob.clone(), self.record.signature);
-        let disclosure = self.reveal.clone();
-        packing.record(self.record.digest, BundledRecord { record, signature, anchor, disclosure }).expect("added");
+        packing.record(self.record.digest, BundledRecord { record, signature, anchor }).expect("added");
+        if let Some(reveal) = &self.reveal {
+            packing.disclosure(reveal);
+        }
         packing
     }
 
@@ -286,7 +288,16 @@ impl World {
     }
 
     pub fn disclose(&mut self, by: &SmKeyPair, secret: RecordSecret) {
-        self.reveal = Some(disclose(secret, (&bound(), &self.record.digest), by, ours()).expect("signs"));
+        let secrets = BTreeMap::from([(self.record.digest, secret)]);
+        self.reveal = Some(Disclosure::sign(secrets, &bound(), by, ours()).expect("signs"));
+    }
+
+    /// What its owner discloses if these records are added.
+    pub fn disclosing<'a>(&self, records: impl IntoIterator<Item = &'a SealedRecord>) -> Disclosure {
+        let secret = |one: &SealedRecord| (one.digest, RecordSecret::of(&self.topic_key, &one.header));
+        let own = self.reveal.iter().flat_map(|reveal| reveal.secrets.clone());
+        let secrets = own.chain(records.into_iter().map(secret)).collect();
+        Disclosure::sign(secrets, &bound(), &self.keys, ours()).expect("signs")
     }
 }
 

@@ -1,6 +1,6 @@
 //! A forwarded request to the chain, and the outcome. JSON stays text, so that each message has one encoding.
 
-use crate::error::{Code, Refusal};
+use crate::error::{Code, Refusal, Result};
 use crate::model::relay::RelayError;
 use crate::model::wire::{Reader, WireError, put_text};
 
@@ -62,7 +62,7 @@ pub enum Relayed {
 impl Relayed {
     /// A result longer than `most` bytes becomes an error that asks for less. Refuses with `Method` a method that is
     /// not forwarded, with `Stale` a silent chain.
-    pub fn of(outcome: Result<serde_json::Value, RelayError>, most: usize) -> Result<Self, Refusal> {
+    pub fn of(outcome: Result<serde_json::Value, RelayError>, most: usize) -> Result<Self> {
         match outcome {
             Ok(result) => {
                 let text = result.to_string();

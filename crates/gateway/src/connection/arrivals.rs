@@ -5,7 +5,7 @@ use std::time::Duration;
 use tokio::time::{Instant, sleep, sleep_until};
 
 use super::{Connection, End, Waiting};
-use crate::error::{Code, Refusal};
+use crate::error::{Code, Refusal, Result};
 use crate::frame::Message;
 use crate::gateway::command::{Command, Request};
 use crate::gateway::frame::FrameKind;
@@ -87,7 +87,7 @@ impl Connection {
     }
 
     /// Counts transactions from a peer without a transport key.
-    pub(super) fn count_newcomer<C>(&self, message: &Message<C>) -> Result<(), Refusal> {
+    pub(super) fn count_newcomer<C>(&self, message: &Message<C>) -> Result<()> {
         let sends = message.command == Command::Relay
             && matches!(
                 Request::parse(Command::Relay, &message.body),

@@ -7,7 +7,7 @@ use tokio::sync::watch;
 use tokio::time::{Instant, sleep_until};
 
 use crate::crypto::signer_id;
-use crate::error::{Code, Refusal};
+use crate::error::{Code, Refusal, Result};
 use crate::feed::{Feed, FeedPage};
 use crate::frame::Message;
 use crate::gateway::command::relay::{LONGEST_FOR_VISITOR, LONGEST_RESULT};
@@ -26,7 +26,7 @@ impl Shared {
         agreed: &Agreed,
         name: &ProfileName,
         message: &Message<()>,
-    ) -> Result<Answer, Refusal> {
+    ) -> Result<Answer> {
         if !message.command.is_for_allocation() {
             return Err(Refusal::new(Code::NotHere, format_args!("{:?} without a transport key", message.command)));
         }
@@ -44,12 +44,17 @@ impl Shared {
                 let receipt = self.receipt(Timestamp::now(), vec![digest])?;
                 Ok(Answer::Receipt(Command::KeyAllocation, receipt))
             }
-            _ => Err(Refusal::new(Code::NotHere, "a command for another session")),
+            Request::Upload(_)
+            | Request::UploadMany(_)
+            | Request::Notice(_)
+            | Request::Erase(_)
+            | Request::Feed(_)
+            | Request::Records(..) => Err(Refusal::new(Code::NotHere, "a command for another session")),
         }
     }
 }
 
-async fn relayed(desk: &dyn Desk, caller: Option<&Caller>, call: &RelayCall) -> Result<Answer, Refusal> {
+async fn relayed(desk: &dyn Desk, caller: Option<&Caller>, call: &RelayCall) -> Result<Answer> {
     let parameters = serde_json::from_str(&call.parameters).map_err(Refusal::because(Code::Malformed))?;
     let most = if caller.is_some() { LONGEST_RESULT } else { LONGEST_FOR_VISITOR };
     Relayed::of(desk.relay(caller, &call.method, &parameters).await, most).map(Answer::Relayed)
@@ -100,7 +105,7 @@ impl Waiting {
 
 impl Commands {
     /// `None` while the request waits.
-    pub async fn answer(&mut self, shared: &Shared, message: &Message<Charge>) -> Result<Option<Answer>, Refusal> {
+    pub async fn answer(&mut self, shared: &Shared, message: &Message<Charge>) -> Result<Option<Answer>> {
         let desk = shared.desk.as_ref();
         let token = message.token.ok_or_else(|| Refusal::new(Code::Token, "no token"))?;
         desk.admits(&self.caller.account, Some(&token)).await?;
@@ -115,24 +120,17 @@ impl Commands {
         }
     }
 
-    async fn answered(
-        &mut self,
-        shared: &Shared,
-        message: &Message<Charge>,
-        request: Request,
-    ) -> Result<Answer, Refusal> {
+    async fn answered(&mut self, shared: &Shared, message: &Message<Charge>, request: Request) -> Result<Answer> {
         let desk = shared.desk.as_ref();
         match request {
-            Request::Ping => return Ok(Answer::Time(Timestamp::now())),
-            Request::SystemKeys => return Ok(Answer::SystemKeys(shared.list().1)),
+            Request::Ping => Ok(Answer::Time(Timestamp::now())),
+            Request::SystemKeys => Ok(Answer::SystemKeys(shared.list().1)),
             // Even for a suspended account or changed keys: the chain says so.
-            Request::Relay(call) => return relayed(desk, Some(&self.caller), &call).await,
-            Request::Upload(upload) => return self.store(shared, message.command, vec![upload]).await,
-            Request::UploadMany(uploads) => return self.store(shared, message.command, uploads).await,
-            _ => check_account(desk, &self.binding).await?,
-        }
-        match request {
+            Request::Relay(call) => relayed(desk, Some(&self.caller), &call).await,
+            Request::Upload(upload) => self.store(shared, message.command, vec![upload]).await,
+            Request::UploadMany(uploads) => self.store(shared, message.command, uploads).await,
             Request::Records(bytes, digests) => {
+                check_account(desk, &self.binding).await?;
                 let found = desk.records(&self.caller, &digests, bytes).await?;
                 for (digest, found) in digests.iter().zip(&found).filter(|_| bytes) {
                     if let Found::Missing(code) = found {
@@ -142,25 +140,31 @@ impl Commands {
                 Ok(Answer::Records(found))
             }
             Request::Notice(notice) => {
+                check_account(desk, &self.binding).await?;
                 if let Notice::Device(notice) = &notice {
                     shared.provider().check_public_key(&notice.key).map_err(Refusal::because(Code::Malformed))?;
                 }
                 desk.notice(&self.caller, &notice).await?;
                 if let Notice::Device(DeviceNotice { key, notices }) = notice {
-                    let device = BoundDevice { id: signer_id(&key), notices, recalled: None };
+                    let device = BoundDevice { id: signer_id(&key), notices };
                     (self.caller.device, self.binding.device) = (Some(device), Some(device));
                 }
                 let digest = Digest(shared.provider().sm3(&[&message.body]));
                 let receipt = shared.receipt(Timestamp::now(), vec![digest])?;
                 Ok(Answer::Receipt(message.command, receipt))
             }
-            Request::Erase(erasures) => desk.erase(&self.caller, erasures).await.map(Answer::Erasures),
-            _ => Err(Refusal::new(Code::NotHere, "a command for a session without a transport key")),
+            Request::Erase(erasures) => {
+                check_account(desk, &self.binding).await?;
+                desk.erase(&self.caller, erasures).await.map(Answer::Erasures)
+            }
+            Request::KeyAllocation(_) | Request::Feed(_) => {
+                Err(Refusal::new(Code::NotHere, "a command for a session without a transport key"))
+            }
         }
     }
 
     /// `None` leaves the request to [`Self::due`].
-    async fn follow(&mut self, shared: &Shared, request: u32, asked: Feed) -> Result<Option<Answer>, Refusal> {
+    async fn follow(&mut self, shared: &Shared, request: u32, asked: Feed) -> Result<Option<Answer>> {
         if self.waiting.is_some() {
             return Err(Refusal::new(Code::Quota, "one request for the feed is waiting already"));
         }
@@ -173,7 +177,7 @@ impl Commands {
 
     /// Answers the waiting request with news, a refusal, or at the end of its time; waits on while the chain is not
     /// fresh. Checks the account like any request: one dismissed, or with other keys, gets nothing.
-    pub async fn due(&mut self, shared: &Shared) -> Option<(u32, Result<Answer, Refusal>)> {
+    pub async fn due(&mut self, shared: &Shared) -> Option<(u32, Result<Answer>)> {
         let mut waiting = self.waiting.take()?;
         waiting.changes.mark_unchanged();
         waiting.looked = Instant::now();
@@ -201,7 +205,7 @@ impl Commands {
         Some((waiting.request, answer))
     }
 
-    async fn page(&mut self, shared: &Shared, asked: &Feed) -> Result<FeedPage, Refusal> {
+    async fn page(&mut self, shared: &Shared, asked: &Feed) -> Result<FeedPage> {
         let desk = shared.desk.as_ref();
         desk.admits(&self.caller.account, None).await?;
         check_account(desk, &self.binding).await?;
@@ -211,7 +215,7 @@ impl Commands {
         Ok(page)
     }
 
-    async fn store(&self, shared: &Shared, command: Command, uploads: Vec<Upload>) -> Result<Answer, Refusal> {
+    async fn store(&self, shared: &Shared, command: Command, uploads: Vec<Upload>) -> Result<Answer> {
         let desk = shared.desk.as_ref();
         let records = check_records(shared.context, desk, &self.caller, uploads).await?;
         check_account(desk, &self.binding).await?;

@@ -27,7 +27,7 @@ fn six(network: u16, peer: u16) -> IpAddr {
     IpAddr::from([0x2001, 0xdb8, network, peer, 0, 0, 0, 1])
 }
 
-fn is_busy(outcome: Result<Seat, Refusal>) -> bool {
+fn is_busy(outcome: Result<Seat>) -> bool {
     outcome.is_err_and(|refusal| refusal.code == Code::Busy)
 }
 
@@ -88,7 +88,7 @@ fn a_network_of_ipv6_has_a_share_and_its_peers_have_theirs() {
 }
 
 /// A visitor's place for a peer that has just arrived.
-fn visit(peers: &Peers, address: IpAddr, now: Instant) -> Result<Seat, Refusal> {
+fn visit(peers: &Peers, address: IpAddr, now: Instant) -> Result<Seat> {
     let mut seat = peers.admit(address, now).expect("admitted");
     seat.visit().map(|()| seat)
 }

@@ -127,6 +127,13 @@ async fn a_recalled_device_hears_when_it_was_recalled_and_who_lacks_its_key_hear
     let wrong = Credentials { key: crate::crypto::TransportKey::new([1; 32]), ..credentials.clone() };
     assert_eq!(stage.code(&wrong).await, Some(Code::Tag), "names cannot be probed");
     assert_eq!(stage.desk.state().refusals, [Code::Recalled, Code::Tag]);
+    stage.desk.state().silent = true;
+    assert_eq!(stage.code(&wrong).await, Some(Code::Tag), "nor while the chain is silent");
+    assert_eq!(stage.code(&credentials).await, Some(Code::Stale), "who has the key is told");
+    stage.desk.state().silent = false;
+    stage.desk.state().sealed.insert(credentials.name.clone());
+    assert_eq!(stage.code(&wrong).await, Some(Code::Tag), "nor while the gateway cannot open the key");
+    stage.desk.state().sealed.clear();
     // The name is free again, also for another account.
     let other = Member { name: credentials.name.clone(), ..bob() };
     let fresh = stage.enrol(&other).await;

@@ -32,7 +32,11 @@ pub(crate) struct State {
     pub signers: HashMap<(Address, SignerId), PublicKey>,
     /// The chain's part: ids of devices, without their keys.
     pub lent: HashSet<(Address, SignerId)>,
+    /// Devices whose loan was recalled.
+    pub recalled: HashSet<(Address, SignerId)>,
     pub bindings: HashMap<ProfileName, Binding>,
+    /// Names whose transport key at rest does not open.
+    pub sealed: HashSet<ProfileName>,
     /// Successors of lost accounts.
     pub successors: HashMap<Address, Address>,
     pub records: BTreeMap<u64, Received>,
@@ -91,15 +95,14 @@ impl MemoryDesk {
     }
 
     pub fn lend(&self, member: &Member, device: &SmKeyPair) {
-        let mut state = self.state();
-        state.lent.insert((member.account(), signer_id(&device.public)));
-        state.bound(member, device).for_each(|bound| bound.recalled = None);
+        let (mut state, device) = (self.state(), (member.account(), signer_id(&device.public)));
+        state.lent.insert(device);
+        state.recalled.remove(&device);
     }
 
     pub fn recall(&self, member: &Member, device: &SmKeyPair) {
-        let mut state = self.state();
-        state.bound(member, device).for_each(|bound| bound.recalled = Some(RECALLED));
-        let device = (member.account(), signer_id(&device.public));
+        let (mut state, device) = (self.state(), (member.account(), signer_id(&device.public)));
+        state.recalled.insert(device);
         state.lent.remove(&device);
         state.signers.remove(&device);
     }
@@ -110,13 +113,6 @@ impl MemoryDesk {
 }
 
 impl State {
-    /// Names of this device.
-    fn bound(&mut self, member: &Member, device: &SmKeyPair) -> impl Iterator<Item = &mut BoundDevice> {
-        let (account, id) = (member.account(), signer_id(&device.public));
-        let of_account = self.bindings.values_mut().filter(move |binding| binding.account == account);
-        of_account.filter_map(|binding| binding.device.as_mut()).filter(move |bound| bound.id == id)
-    }
-
     fn may_read(&self, reader: &Address, owner: &Address) -> Result<(), Refusal> {
         if reader == owner || self.readers.contains(&(*owner, *reader)) {
             return Ok(());
@@ -198,7 +194,19 @@ impl Desk for MemoryDesk {
     }
 
     async fn binding(&self, name: &ProfileName) -> Result<Option<Binding>, Refusal> {
-        Ok(self.state().bindings.get(name).cloned())
+        let state = self.state();
+        if state.sealed.contains(name) {
+            return Err(Refusal::new(Code::Tag, "it does not open"));
+        }
+        Ok(state.bindings.get(name).cloned())
+    }
+
+    async fn recalled(&self, binding: &Binding) -> Result<Option<Timestamp>, Refusal> {
+        let (state, Some(device)) = (self.state(), &binding.device) else { return Ok(None) };
+        if state.silent {
+            return Err(Refusal::new(Code::Stale, "the chain is silent"));
+        }
+        Ok(state.recalled.contains(&(binding.account, device.id)).then_some(RECALLED))
     }
 
     async fn successor(&self, lost: &Address) -> Result<Option<Address>, Refusal> {
@@ -301,7 +309,7 @@ impl Desk for MemoryDesk {
                 }
                 state.signers.insert(device, notice.key);
                 if let Some(binding) = state.bindings.get_mut(&caller.name) {
-                    binding.device = Some(BoundDevice { id: device.1, notices: notice.notices, recalled: None });
+                    binding.device = Some(BoundDevice { id: device.1, notices: notice.notices });
                 }
             }
         }

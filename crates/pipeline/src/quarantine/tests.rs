@@ -117,7 +117,8 @@ fn what_is_discarded_is_gone_and_still_counted() {
     let counts = plant.ledger.counts.by_state(Some(owner.address)).expect("counts");
     let topic = &counts.topics[0];
     assert_eq!((topic.captured, topic.dropped, topic.quarantined, topic.pending), (3, 2, 1, 0));
-    let all = HeldQuery { decided: true, limit: 9, topic: Some("/t1".to_owned()), messages: true };
+    let all =
+        HeldQuery { decided: true, limit: 9, topic: Some("/t1".to_owned()), messages: true, ..HeldQuery::default() };
     let rows = plant.ledger.quarantine.held(owner.address, &all).expect("held");
     assert!(rows.iter().all(|row| row.report.is_some()));
     let decisions: Vec<_> = rows.iter().map(|row| row.decision.as_deref()).collect();

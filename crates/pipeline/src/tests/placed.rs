@@ -10,7 +10,7 @@ use crate::pipeline::chain_proofs::anchor_proof;
 use crate::pipeline::columns::{Comparison, Heads};
 use crate::pipeline::intake::Accepted;
 use crate::pipeline::reader::Reader;
-use crate::store::{NewRecord, RootSighting};
+use crate::store::{NewBatch, NewRecord, RootSighting, Sighting};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_record_that_another_line_proved_meanwhile_is_not_called_altered() {
@@ -72,4 +72,34 @@ async fn a_record_in_a_batch_and_uploaded_alone_is_proven_by_the_anchor_it_rests
 
     line.plant.ledger.batches.take_back(block).expect("replaced");
     assert_eq!(proof(), Some(of_batch), "its batch is in an older block");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_record_whose_upload_and_batch_are_in_one_block_is_not_called_altered() {
+    let line = Line::new().await;
+    line.owner.prepare_epoch(line.network.domain, 1).expect("prepared");
+    line.owner.seal_under(line.network.domain, 1).expect("seals");
+    line.watch().await;
+    let sealed = elsewhere(&line.owner, 1, b"twice in one block", None);
+    let (digest, owner, account) = (sealed.digest, line.owner.address, Address([8; 20]));
+    let row = NewRecord::foreign(sealed, account);
+    line.plant.keep([row], |row| line.plant.ledger.records.append(row.into())).expect("taken");
+    let row = line.plant.ledger.records.find(digest).expect("read").expect("there");
+    let (root, batches) = (row.leaf().hash(), &line.plant.ledger.batches);
+    batches.close(NewBatch { owner: account, root, leaves: vec![(digest, Vec::new())] }).expect("closed");
+
+    let head = line.network.chain.head().await.expect("a head");
+    let (block, block_hash, transaction) = (head.number, head.hash, Hash([9; 32]));
+    let alone = Sighting { owner, digest, transaction: Hash([7; 32]), block, block_hash };
+    assert_eq!(batches.mined(&[alone]), Ok(1));
+    let seen = RootSighting { account, root, count: 1, transaction, block, block_hash };
+    assert_eq!(batches.anchored(&[seen]), Ok(1));
+
+    let keys = &Reader { plant: &line.plant, network: &line.network, reader: &line.owner };
+    let comparison = Comparison { plant: &line.plant, keys, heads: &Heads::default(), filters: &[] };
+    let shown = comparison.of(vec![row]).expect("compared").remove(0);
+    assert_eq!((shown.differs, shown.row.block), (None, Some(block)));
+    let proof = anchor_proof(line.plant.ledger.records.placed(digest).expect("read").expect("here"));
+    let proof = proof.expect("in a block");
+    assert_eq!((proof.account, proof.transaction, proof.inclusion.is_some()), (account, transaction, true));
 }

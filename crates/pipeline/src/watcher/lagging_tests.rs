@@ -1,5 +1,6 @@
 //! Several nodes behind one URL, some of them behind the others: nothing of the chain is missed, nothing is undone.
 
+use std::path::Path;
 use std::sync::atomic::Ordering::SeqCst;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::sync::{Arc, OnceLock};
@@ -216,28 +217,68 @@ async fn a_node_that_names_an_older_head_is_waited_for_and_nothing_is_undone() {
     watch_round(&process.plant, &process.network).await.expect("it has caught up");
 }
 
+/// A process beside its chain, or behind nodes that could lag, with that chain: blocks are read in different ways.
+async fn near_or_far(home: &Path, is_near: bool) -> (Process, Chain) {
+    let mut process = Process::on_embedded(home).await;
+    if is_near {
+        let (_, chain) = behind(&mut process).await;
+        return (process, chain);
+    }
+    watch_round(&process.plant, &process.network).await.expect("reads");
+    let chain = process.network.chain.clone();
+    (process, chain)
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn blocks_that_are_replaced_while_they_are_read_again_take_their_records_back() {
     let home = tempfile::tempdir().expect("folder");
-    let mut process = Process::on_embedded(home.path()).await;
-    let (_lag, chain) = behind(&mut process).await;
-    let below = process.plant.ledger.trail.end().expect("read").expect("a block");
-    process.store(0..1);
-    process.anchor(1).await;
-    process.rounds_until("it is confirmed", |process| process.count(RecordState::Confirmed) == 1).await;
-    let (head, trail) = (chain.head().await.expect("head"), &process.plant.ledger.trail);
-    assert!(below.0 < head.number, "{below:?}");
-    // What was read there is not what is there now, and the round found out nothing when it began.
-    let replaced = (head.number, Hash([9; 32]));
-    trail.walk_to(replaced, Vec::new()).expect("walked");
-    trail.walk_back(below).expect("goes back");
-    let reached = read_on(&process.plant, &process.network, head).await.expect("reads");
-    assert!(matches!(reached, Reached::Changed));
-    assert_eq!(trail.end(), Ok(Some(replaced)), "the next round still sees it");
-    watch_round(&process.plant, &process.network).await.expect("reads");
-    assert_eq!(process.notes.with("replaced its last"), 1);
-    process.rounds_until("it is confirmed", |process| process.count(RecordState::Confirmed) == 1).await;
-    assert_eq!(process.anchored(0..1).await, [1]);
+    for is_near in [true, false] {
+        let (process, chain) = near_or_far(&home.path().join(is_near.to_string()), is_near).await;
+        let below = process.plant.ledger.trail.end().expect("read").expect("a block");
+        process.store(0..1);
+        process.anchor(1).await;
+        process.rounds_until("it is confirmed", |process| process.count(RecordState::Confirmed) == 1).await;
+        let (head, trail) = (chain.head().await.expect("head"), &process.plant.ledger.trail);
+        assert!(below.0 < head.number, "{below:?}");
+        // What was read there is not what is there now, and the round found out nothing when it began.
+        let replaced = (head.number, Hash([9; 32]));
+        trail.walk_to(replaced, Vec::new()).expect("walked");
+        trail.walk_back(below).expect("goes back");
+        let reached = read_on(&process.plant, &process.network, head).await.expect("reads");
+        assert!(matches!(reached, Reached::Differs(block) if block == head.number), "near: {is_near}");
+        assert_eq!(trail.end(), Ok(Some(replaced)), "the next round still sees it");
+        watch_round(&process.plant, &process.network).await.expect("reads");
+        assert_eq!(process.notes.with("replaced its last"), 1);
+        process.rounds_until("it is confirmed", |process| process.count(RecordState::Confirmed) == 1).await;
+        assert_eq!(process.anchored(0..1).await, [1]);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_false_block_below_the_newest_one_is_found_and_read_again() {
+    let home = tempfile::tempdir().expect("folder");
+    for (is_near, is_cursor) in [(true, true), (true, false), (false, true), (false, false)] {
+        let case = format!("near {is_near}, cursor {is_cursor}");
+        let (process, chain) = near_or_far(&home.path().join(&case), is_near).await;
+        let (own, trail) = (process.eoa.clone(), &process.plant.ledger.trail);
+        let below = trail.end().expect("read").expect("a block");
+        for number in 1..=3 {
+            lend(&chain, &own, number).await;
+            watch_round(&process.plant, &process.network).await.expect("reads");
+        }
+        trail.walk_to((below.0 + 2, Hash([9; 32])), Vec::new()).expect("noted");
+        if !is_cursor {
+            trail.walk_back(below).expect("goes back");
+        }
+        watch_round(&process.plant, &process.network).await.expect(&case);
+        let head = chain.head().await.expect("head").number;
+        assert_eq!(trail.cursor().expect("read").map(|(number, _)| number), Some(head), "{case}");
+        for (number, hash) in trail.blocks(0).expect("read") {
+            let there = chain.block(number).await.expect("answers").expect("a block");
+            assert_eq!(there.hash, hash, "{case}: block {number}");
+        }
+        expect_as_on_the_chain(&process, &chain, &[own.address()]).await;
+    }
 }
 
 /// No keyring is open.

@@ -5,7 +5,8 @@
 pub mod foreign;
 mod reorg;
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeMap, HashSet};
+use std::ops::RangeInclusive;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -31,6 +32,8 @@ enum Reached {
     Head,
     /// The chain changed while it was read.
     Changed,
+    /// The chain has another block here than the one that was read.
+    Differs(u64),
     /// The node that answered does not have this block, or not all of it.
     Before(u64),
 }
@@ -73,10 +76,10 @@ fn first_block(network: &Network) -> u64 {
 /// chunk. `Swapped`: another chain answers now, or this one without its history. `NodeBehind`: it lacks what it had
 /// before.
 pub async fn watch_round(plant: &Plant, network: &Network) -> Result<BlockRef> {
-    let mut obstacle = PipelineError::Unsteady;
+    let (mut obstacle, mut differing) = (PipelineError::Unsteady, None);
     for _ in 0..ATTEMPTS {
         let head = network.chain.head().await?;
-        let lacking = match reorg::follow(plant, network, head).await? {
+        let lacking = match reorg::follow(plant, network, head, differing.take()).await? {
             Some(read) => read,
             None => {
                 network.directory.saw_head_of(head.timestamp);
@@ -87,6 +90,10 @@ pub async fn watch_round(plant: &Plant, network: &Network) -> Result<BlockRef> {
                         return Ok(head);
                     }
                     Reached::Changed => continue,
+                    Reached::Differs(block) => {
+                        differing = Some(block);
+                        continue;
+                    }
                     Reached::Before(block) => block,
                 }
             }
@@ -153,6 +160,7 @@ impl Walk<'_> {
         let cursor = self.plant.ledger.trail.cursor()?;
         let mut from = cursor.map_or(first, |(number, _)| (number + 1).max(first));
         let mut below = cursor.filter(|(number, _)| *number >= first);
+        let noted: BTreeMap<u64, Hash> = block_in_place(|| self.plant.ledger.trail.blocks(from))?.into_iter().collect();
         let near = self.network.chain.first_near(self.head);
         while from < near {
             let to = (near - 1).min(from + CHUNK - 1);
@@ -166,12 +174,33 @@ impl Walk<'_> {
                 return Ok(Reached::Changed);
             }
             let mut met: Vec<(u64, Hash)> = events.iter().map(|event| (event.block, event.block_hash)).collect();
+            met.push((to, last.hash));
             met.dedup();
+            if let Some(block) = self.differing(&noted, &met, from..=to).await? {
+                return Ok(Reached::Differs(block));
+            }
             block_in_place(|| self.write(&events, (to, last.hash), met))?;
             below = Some((to, last.hash));
             from = to + 1;
         }
-        self.read(from, below).await
+        self.read(from, below, &noted).await
+    }
+
+    /// A block of this stretch that was replaced since it was noted: to overwrite it would leave what rests on it.
+    async fn differing(
+        &self,
+        noted: &BTreeMap<u64, Hash>,
+        met: &[(u64, Hash)],
+        stretch: RangeInclusive<u64>,
+    ) -> Result<Option<u64>> {
+        let is_replaced = |(number, hash): &&(u64, Hash)| noted.get(number).is_some_and(|noted| noted != hash);
+        if let Some((number, _)) = met.iter().find(is_replaced) {
+            return Ok(Some(*number));
+        }
+        // One without events was not met; if the newest of them stands, so do those below.
+        let newest = noted.range(stretch).next_back().map(|(number, hash)| (*number, *hash));
+        let is_there = stands(self.network, newest).await?;
+        Ok(newest.filter(|_| !is_there).map(|(number, _)| number))
     }
 
     /// `met` are blocks on the way.
@@ -210,10 +239,9 @@ impl Walk<'_> {
         foreign::look(plant, events, self.head)
     }
 
-    /// Reads blocks on top of `below`, as far as they are there, and writes them.
-    async fn read(&self, from: u64, below: Option<(u64, Hash)>) -> Result<Reached> {
+    /// Reads blocks on top of `below`, as far as they are there and none of the `noted` ones is replaced, and writes them.
+    async fn read(&self, from: u64, below: Option<(u64, Hash)>, noted: &BTreeMap<u64, Hash>) -> Result<Reached> {
         let (mut read, mut top, mut next) = (Vec::new(), below, from);
-        let known: HashMap<u64, Hash> = block_in_place(|| self.plant.ledger.trail.blocks(from))?.into_iter().collect();
         let reached = 'all: {
             while next <= self.head {
                 let last = self.head.min(next + AT_ONCE - 1);
@@ -222,9 +250,8 @@ impl Walk<'_> {
                     if top.is_some_and(|(below, hash)| below + 1 == number && hash != found.parent) {
                         break 'all Reached::Changed;
                     }
-                    // Replaced since it was read: to overwrite it would leave what rests on it.
-                    if known.get(&number).is_some_and(|hash| *hash != found.block.hash) {
-                        break 'all Reached::Changed;
+                    if noted.get(&number).is_some_and(|hash| *hash != found.block.hash) {
+                        break 'all Reached::Differs(number);
                     }
                     if !block_in_place(|| is_to_be_taken(self.plant, &found))? {
                         break 'all Reached::Before(number);

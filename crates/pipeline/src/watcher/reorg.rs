@@ -17,66 +17,84 @@ const DEEPEST: u64 = 1024;
 /// The chain was taken back if it names the same older head for this long.
 const TAKEN_BACK: Duration = Duration::from_secs(300);
 
-/// Goes back to the last common block if the newest one was replaced. A chain without that history is another. Returns the
-/// newest block that was read, if the node does not have it.
-pub(super) async fn follow(plant: &Plant, network: &Network, head: BlockRef) -> Result<Option<u64>> {
-    let newest =
-        block_in_place(|| Ok::<_, PipelineError>(plant.ledger.trail.end()?.max(plant.ledger.trail.cursor()?)))?;
-    let Some((number, _)) = newest.filter(|(number, _)| *number >= first_block(network)) else {
-        return Ok(None);
-    };
-    if number <= head.number && stands(network, newest).await? {
+/// Goes back to the last common block if one that was read is replaced: the newest, the cursor's, or the `differing` one
+/// that the walk met. A chain without that history is another. Returns the newest block that was read, if the node does
+/// not have it.
+pub(super) async fn follow(
+    plant: &Plant,
+    network: &Network,
+    head: BlockRef,
+    differing: Option<u64>,
+) -> Result<Option<u64>> {
+    let mut suspects = block_in_place(|| suspects(plant, differing))?;
+    suspects.retain(|(number, _)| *number >= first_block(network));
+    let Some((newest, _)) = suspects.last().copied() else { return Ok(None) };
+    if newest <= head.number && all_stand(network, &suspects).await? {
         block_in_place(|| no_longer_behind(&plant.ledger.notes))?;
         return Ok(None);
     }
     let identified = network.chain.identify().await;
     let trail = plant.ledger.trail.blocks(0)?;
-    let is_replaced = is_replaced(plant, network, head, &trail).await?;
+    suspects.extend(trail.iter().rfind(|(number, _)| *number <= head.number));
+    suspects.sort_unstable();
+    let replaced = lowest_replaced(plant, network, head, &suspects).await?;
     // A node that is behind may not have the contract yet.
     let may_lack_it = head.number < first_block(network) + NEAR;
     let lacks_it = matches!(identified, Err(ChainError::Swapped { what: "contract code hash", .. }));
-    if is_replaced || !(may_lack_it && lacks_it) {
+    if replaced.is_some() || !(may_lack_it && lacks_it) {
         identified?;
     }
-    if !is_replaced {
-        return Ok(Some(number));
-    }
-    let common = last_common(network, &trail).await?;
-    if common.is_none() && !trail.is_empty() {
+    let Some(replaced) = replaced else { return Ok(Some(newest)) };
+    // Above a false block, a true one may have been read: what stands there says nothing about what is below.
+    let up_to = trail.partition_point(|(number, _)| *number <= replaced);
+    let common = last_common(network, trail.get(..up_to).unwrap_or_default()).await?;
+    if common.is_none() && !stands(network, trail.last().copied()).await? {
         only_young(network, &trail).await?;
     }
-    go_back(plant, network, common.unwrap_or_else(|| beginning(network)), number).await?;
+    go_back(plant, network, common.unwrap_or_else(|| beginning(network)), newest).await?;
     Ok(None)
 }
 
-/// Whether another block replaces one that was read; or none does for so long that the chain was taken back.
-async fn is_replaced(plant: &Plant, network: &Network, head: BlockRef, trail: &[(u64, Hash)]) -> Result<bool> {
-    if network.chain.is_exact() {
-        return Ok(true);
+/// Blocks by which a reorg is noticed, lowest first.
+fn suspects(plant: &Plant, differing: Option<u64>) -> Result<Vec<(u64, Hash)>> {
+    let trail = &plant.ledger.trail;
+    let mut suspects: Vec<(u64, Hash)> = trail.end()?.into_iter().chain(trail.cursor()?).collect();
+    if let Some(block) = differing {
+        suspects.extend(trail.blocks(block)?.first());
     }
-    let highest = trail.iter().rev().find(|(number, _)| *number <= head.number);
-    if let Some((number, hash)) = highest
-        && let Some(there) = network.chain.block(*number).await?
-        && there.hash != *hash
-    {
-        return Ok(true);
-    }
-    let waited = block_in_place(|| waited(&plant.ledger.notes, &NodeBehind {}, (head.number, head.hash)))?;
-    Ok(waited >= TAKEN_BACK)
+    suspects.sort_unstable();
+    suspects.dedup();
+    Ok(suspects)
 }
 
-/// No block that was ever seen is there any more. On a short history that is a deep reorg; if blocks far below the head
-/// are gone as well, it is another chain that happens to hold our contract at the same address.
-async fn only_young(network: &Network, trail: &[(u64, Hash)]) -> Result<()> {
-    let (Some(oldest), Some(newest)) = (trail.first(), trail.last()) else { return Ok(()) };
-    let deepest = DEEPEST.max(network.confirmations.saturating_mul(4));
-    if newest.0.saturating_sub(oldest.0) <= deepest {
-        return Ok(());
+async fn all_stand(network: &Network, blocks: &[(u64, Hash)]) -> Result<bool> {
+    for block in blocks {
+        if !stands(network, Some(*block)).await? {
+            return Ok(false);
+        }
     }
-    let found = network.chain.block(oldest.0).await?;
-    let found = found.map_or_else(|| "not there".to_owned(), |block| block.hash.to_hex());
-    let (url, pinned) = (network.chain.url(), oldest.1.to_hex());
-    Err(ChainError::Swapped { url, what: "history", pinned, found }.into())
+    Ok(true)
+}
+
+/// The lowest of these blocks that another one replaces. The last of them, if none is replaced for so long that the chain
+/// was taken back.
+async fn lowest_replaced(
+    plant: &Plant,
+    network: &Network,
+    head: BlockRef,
+    suspects: &[(u64, Hash)],
+) -> Result<Option<u64>> {
+    for (number, hash) in suspects.iter().filter(|(number, _)| *number <= head.number) {
+        if network.chain.block(*number).await?.is_some_and(|there| there.hash != *hash) {
+            return Ok(Some(*number));
+        }
+    }
+    let is_taken_back = || {
+        let waited = waited(&plant.ledger.notes, &NodeBehind {}, (head.number, head.hash))?;
+        Ok::<_, PipelineError>(waited >= TAKEN_BACK)
+    };
+    let is_over = network.chain.is_exact() || block_in_place(is_taken_back)?;
+    Ok(suspects.last().filter(|_| is_over).map(|(number, _)| *number))
 }
 
 /// By bisection: chains agree up to one block and differ from there on.
@@ -91,6 +109,20 @@ async fn last_common(network: &Network, trail: &[(u64, Hash)]) -> Result<Option<
         }
     }
     Ok(agree.checked_sub(1).and_then(|last| trail.get(last).copied()))
+}
+
+/// No block that was ever seen is there any more. On a short history that is a deep reorg; if blocks far below the head
+/// are gone as well, it is another chain that happens to hold our contract at the same address.
+async fn only_young(network: &Network, trail: &[(u64, Hash)]) -> Result<()> {
+    let (Some(oldest), Some(newest)) = (trail.first(), trail.last()) else { return Ok(()) };
+    let deepest = DEEPEST.max(network.confirmations.saturating_mul(4));
+    if newest.0.saturating_sub(oldest.0) <= deepest {
+        return Ok(());
+    }
+    let found = network.chain.block(oldest.0).await?;
+    let found = found.map_or_else(|| "not there".to_owned(), |block| block.hash.to_hex());
+    let (url, pinned) = (network.chain.url(), oldest.1.to_hex());
+    Err(ChainError::Swapped { url, what: "history", pinned, found }.into())
 }
 
 /// Undoes what was read after `common`. The cursor moves last: if interrupted, the next round finds the same reorg.

@@ -157,7 +157,7 @@ async fn another_chain_stops_everything_and_changes_nothing() {
     process.network.chain = other.network.chain.pretending(own.pin().expect("pinned"));
     let error = watch_round(&process.plant, &process.network).await.expect_err("another chain");
     assert!(matches!(error, PipelineError::Chain(ChainError::Swapped { what: "chain id", .. })), "{error}");
-    assert!(error.to_string().contains("authros --home NEW uploads import OLD"), "{error}");
+    assert!(error.to_string().contains("authros --home NEW records import OLD"), "{error}");
     assert_eq!(process.count(RecordState::Confirmed), 2);
     assert_eq!(process.plant.ledger.trail.cursor(), cursor);
     process.network.chain = own;

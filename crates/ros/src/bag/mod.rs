@@ -8,12 +8,12 @@ use std::io::{Seek, SeekFrom, Write};
 use std::sync::Arc;
 
 use crate::model::Timestamp;
-use crate::ros::RosError;
 use crate::ros::recording::{
     BAG_TOPIC, CHUNK_THRESHOLD, Channel, ChunkCompression, Encoding, LARGEST_CHUNK, MOST_CHANNELS, RecordingFormat,
     kept_about, pack,
 };
 use crate::ros::tcpros::LONGEST_MESSAGE;
+use crate::ros::{Result, RosError};
 
 pub use reader::BagReader;
 
@@ -185,7 +185,7 @@ pub struct BagWriter<W> {
 }
 
 impl<W: Write + Seek> BagWriter<W> {
-    pub fn begin(out: W, compression: ChunkCompression) -> Result<Self, RosError> {
+    pub fn begin(out: W, compression: ChunkCompression) -> Result<Self> {
         if !RecordingFormat::Bag.takes(compression) {
             return Err(RosError::recording(&format!("a bag cannot be compressed with {compression}")));
         }
@@ -205,13 +205,13 @@ impl<W: Write + Seek> BagWriter<W> {
         Ok(writer)
     }
 
-    fn put(&mut self, bytes: &[u8]) -> Result<(), RosError> {
+    fn put(&mut self, bytes: &[u8]) -> Result<()> {
         self.out.write_all(bytes).map_err(RosError::unwritable)?;
         self.position += bytes.len() as u64;
         Ok(())
     }
 
-    pub fn write(&mut self, channel: &Arc<Channel>, time: Timestamp, body: &[u8]) -> Result<(), RosError> {
+    pub fn write(&mut self, channel: &Arc<Channel>, time: Timestamp, body: &[u8]) -> Result<()> {
         if channel.encoding != Encoding::Ros1 {
             return Err(RosError::recording("a bag can only hold ROS 1 messages; write MCAP instead"));
         }
@@ -229,7 +229,7 @@ impl<W: Write + Seek> BagWriter<W> {
         if self.chunk.len() >= CHUNK_THRESHOLD { self.end_chunk() } else { Ok(()) }
     }
 
-    fn number(&mut self, channel: &Arc<Channel>) -> Result<u32, RosError> {
+    fn number(&mut self, channel: &Arc<Channel>) -> Result<u32> {
         if let Some(number) = self.numbers.get(channel) {
             return Ok(*number);
         }
@@ -243,7 +243,7 @@ impl<W: Write + Seek> BagWriter<W> {
         Ok(number)
     }
 
-    fn end_chunk(&mut self) -> Result<(), RosError> {
+    fn end_chunk(&mut self) -> Result<()> {
         let Some(span) = self.span.take() else { return Ok(()) };
         debug_assert!(self.chunk.len() <= LARGEST_CHUNK, "a message and less than the threshold before it");
         let packed = pack(self.compression, &self.chunk).map_err(|error| RosError::recording(&error))?;
@@ -266,7 +266,7 @@ impl<W: Write + Seek> BagWriter<W> {
         Ok(())
     }
 
-    fn put_index(&mut self, number: u32, entries: &[(Timestamp, usize)]) -> Result<(), RosError> {
+    fn put_index(&mut self, number: u32, entries: &[(Timestamp, usize)]) -> Result<()> {
         let mut record = Vec::with_capacity(64 + entries.len() * 12);
         let count = u32::try_from(entries.len()).unwrap_or(u32::MAX).to_le_bytes();
         let (conn, version) = (number.to_le_bytes(), 1_u32.to_le_bytes());
@@ -280,7 +280,7 @@ impl<W: Write + Seek> BagWriter<W> {
     }
 
     /// Writes the last chunk and the index, and returns the file.
-    pub fn finish(mut self) -> Result<W, RosError> {
+    pub fn finish(mut self) -> Result<W> {
         self.end_chunk()?;
         let index_position = self.position;
         for (number, channel) in std::mem::take(&mut self.connections).iter().enumerate() {

@@ -6,12 +6,12 @@ use std::io::{self, BufRead, Read, Seek, SeekFrom};
 use std::sync::Arc;
 
 use super::{Fields, LONGEST_CONNECTION, LONGEST_HEADER, MAGIC, Op, connection, sized};
-use crate::ros::RosError;
 use crate::ros::recording::{
     Channel, Chunk, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage,
     RecordingFormat, RecordingReader, TOO_LARGE, go_to, read_at, unpack,
 };
 use crate::ros::tcpros::LONGEST_MESSAGE;
+use crate::ros::{Result, RosError};
 
 /// Limit of chunk positions kept from the index.
 const MOST_PLACES: usize = 1 << 20;
@@ -42,7 +42,7 @@ pub struct BagReader<R> {
 }
 
 impl<R: BufRead + Seek> RecordingReader for BagReader<R> {
-    fn next_message(&mut self) -> Result<Option<RecordedMessage>, RosError> {
+    fn next_message(&mut self) -> Result<Option<RecordedMessage>> {
         loop {
             if let Some(message) = self.next_in_chunk() {
                 return Ok(Some(message));
@@ -72,7 +72,7 @@ impl<R: BufRead + Seek> RecordingReader for BagReader<R> {
 }
 
 impl<R: BufRead + Seek> BagReader<R> {
-    pub fn open(mut file: R) -> Result<Self, RosError> {
+    pub fn open(mut file: R) -> Result<Self> {
         let length = file.seek(SeekFrom::End(0)).map_err(RosError::unreadable)?;
         if read_at(&mut file, 0, MAGIC.len() as u64).map_err(RosError::unreadable)? != MAGIC {
             return Err(RosError::recording("it does not start like a bag of version 2.0"));
@@ -96,7 +96,7 @@ impl<R: BufRead + Seek> BagReader<R> {
     }
 
     /// A damaged chunk may have held the only other copy of these connections.
-    fn read_index(&mut self) -> Result<(), RosError> {
+    fn read_index(&mut self) -> Result<()> {
         let Found::Record { header, .. } = self.look(self.position).map_err(RosError::unreadable)? else {
             return Ok(());
         };

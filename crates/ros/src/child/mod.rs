@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use crate::model::clean;
 use crate::pipe::write::{MOST_UNCONFIRMED, MOST_UNCONFIRMED_BYTES, Order, Report};
 use crate::pipe::{VERSION, receive, send};
-use crate::ros::{RosError, lock};
+use crate::ros::{Result, RosError, lock};
 use serde::Serialize;
 
 const NOBODY: u32 = 65534;
@@ -40,7 +40,7 @@ pub struct Errand {
 
 /// Starts it with no environment but the errand's, no terminal, its own process group, and only the two pipes open.
 /// Under root it runs as `nobody`, or not at all.
-pub fn start(errand: &Errand) -> Result<(Child, ChildStdin, ChildStdout), RosError> {
+pub fn start(errand: &Errand) -> Result<(Child, ChildStdin, ChildStdout)> {
     let system = |error: &std::io::Error| RosError::system("start the program that speaks with the network", error);
     // In a user namespace without that user, root is an ordinary user of the machine.
     let map = std::fs::read_to_string("/proc/self/uid_map").unwrap_or_default();
@@ -127,9 +127,58 @@ impl Participant {
     }
 }
 
-const TICK: Duration = Duration::from_millis(500);
+/// Interval between checks that a program still reports, as it does once a tick.
+pub(crate) const TICK: Duration = Duration::from_millis(500);
 /// It is killed after this many checks without a report; counting checks blames nobody when the machine slept.
 const SILENT_TICKS: u32 = 10;
+
+#[derive(Debug, Default)]
+pub(crate) struct Silence {
+    reports: u64,
+    ticks: u32,
+}
+
+impl Silence {
+    /// At a tick, with the reports so far: whether the program is to be killed.
+    pub fn is_too_long(&mut self, reports: u64) -> bool {
+        self.ticks = if reports == self.reports { self.ticks + 1 } else { 0 };
+        self.reports = reports;
+        let is_over = self.ticks >= SILENT_TICKS;
+        self.ticks = if is_over { 0 } else { self.ticks };
+        is_over
+    }
+}
+
+/// The shortest and the longest time between two starts.
+const FIRST_PAUSE: Duration = Duration::from_millis(50);
+const LONGEST_PAUSE: Duration = Duration::from_secs(5);
+const BEGAN_WELL: Duration = Duration::from_secs(10);
+
+/// When a program that has ended is started again: at once, and ever later while it ends soon after its starts.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Restarts {
+    begun: Instant,
+    pause: Duration,
+}
+
+impl Restarts {
+    /// At the first start.
+    pub fn begin() -> Self {
+        Self { begun: Instant::now(), pause: FIRST_PAUSE }
+    }
+
+    pub fn left(&self) -> Duration {
+        self.pause.saturating_sub(self.begun.elapsed())
+    }
+
+    /// At a later start.
+    pub fn again(&mut self) {
+        let is_well = self.begun.elapsed() >= BEGAN_WELL;
+        self.pause = if is_well { FIRST_PAUSE } else { (self.pause * 2).min(LONGEST_PAUSE) };
+        self.begun = Instant::now();
+    }
+}
+
 const JOINING: Duration = Duration::from_secs(10);
 /// Time to answer about a topic: it discovers first, and waits for subscribers.
 const ANSWERING: Duration = Duration::from_secs(10);
@@ -261,19 +310,12 @@ impl Shared {
     }
 
     fn watch_over(&self) {
-        let (mut before, mut silent) = (0, 0);
+        let mut silence = Silence::default();
         let mut state = self.state();
         while state.broken.is_none() {
             let (next, waited) = self.changed.wait_timeout(state, TICK).unwrap_or_else(PoisonError::into_inner);
             state = next;
-            if !waited.timed_out() && state.reports != before {
-                (before, silent) = (state.reports, 0);
-                continue;
-            }
-            silent = if state.reports == before && waited.timed_out() { silent + 1 } else { silent };
-            before = state.reports;
-            if silent >= SILENT_TICKS {
-                silent = 0;
+            if waited.timed_out() && silence.is_too_long(state.reports) {
                 drop(state);
                 kill(&self.child);
                 state = self.state();
@@ -285,17 +327,20 @@ impl Shared {
 pub struct Run {
     shared: Arc<Shared>,
     threads: Vec<JoinHandle<()>>,
-    program: PathBuf,
+    errand: Errand,
+    domain: u16,
+    restarts: Restarts,
 }
 
 impl Run {
     /// `domain` is the one that its hello must name.
-    pub fn start(errand: &Errand, domain: u16) -> Result<Self, RosError> {
+    pub fn start(errand: &Errand, domain: u16) -> Result<Self> {
         let (child, to, from) = start(errand)?;
         let shared = Arc::new(Shared::default());
         *lock(&shared.child) = Some(child);
         *lock(&shared.to_child) = Some(to);
-        let mut run = Self { shared: Arc::clone(&shared), threads: Vec::new(), program: errand.program.clone() };
+        let (errand, restarts) = (errand.clone(), Restarts::begin());
+        let mut run = Self { shared: Arc::clone(&shared), threads: Vec::new(), errand, domain, restarts };
         let reading = Arc::clone(&shared);
         run.keep("ros out", move || {
             let reason = reading.read(&mut BufReader::new(from), domain);
@@ -308,7 +353,21 @@ impl Run {
         Ok(run)
     }
 
-    fn keep(&mut self, name: &str, work: impl FnOnce() + Send + 'static) -> Result<(), RosError> {
+    /// The run that replaces this one, which knows no topic yet; `None` while this one lasts. An error says why nothing
+    /// is published until a later call.
+    pub fn successor(&mut self) -> Result<Option<Self>, String> {
+        let Some(reason) = self.broken() else { return Ok(None) };
+        if !self.restarts.left().is_zero() {
+            return Err(reason);
+        }
+        self.restarts.again();
+        let mut next = Self::start(&self.errand, self.domain).map_err(|error| error.to_string())?;
+        next.restarts = self.restarts;
+        next.joined()?;
+        Ok(Some(next))
+    }
+
+    fn keep(&mut self, name: &str, work: impl FnOnce() + Send + 'static) -> Result<()> {
         let started = std::thread::Builder::new().name(name.to_owned()).spawn(work);
         self.threads.push(started.map_err(|error| RosError::system("start a thread for a program", &error))?);
         Ok(())
@@ -414,7 +473,7 @@ impl Drop for Run {
             let has_left = end(&mut child);
             let participant = self.shared.state().participant.take();
             if let Some(participant) = participant.filter(|_| !has_left) {
-                participant.bury(&self.program);
+                participant.bury(&self.errand.program);
             }
         }
         self.shared.state().broken.get_or_insert_with(|| "it was ended".to_owned());

@@ -9,8 +9,8 @@ use super::{
     Code, Fields, LATEST, LEAD, MAGIC, TAIL, beside_line, end_summary, put_map, put_numbers, put_record, put_text,
 };
 use crate::model::Timestamp;
-use crate::ros::RosError;
 use crate::ros::recording::{Channel, Encoding};
+use crate::ros::{Result, RosError};
 
 /// Files them under this name; no topic of ROS begins like this.
 pub const TOPIC: &str = "authros/attachments";
@@ -164,7 +164,7 @@ struct Counted<W> {
 }
 
 impl<W: Write> Counted<W> {
-    fn put(&mut self, bytes: &[u8]) -> Result<(), RosError> {
+    fn put(&mut self, bytes: &[u8]) -> Result<()> {
         self.out.write_all(bytes).map_err(RosError::unwritable)?;
         self.position += bytes.len() as u64;
         self.checksum.update(bytes);
@@ -173,7 +173,7 @@ impl<W: Write> Counted<W> {
 }
 
 /// Copies a file that its recorder closed to `out`, with `file` attached.
-pub fn attach(source: impl Read + Seek, out: impl Write, file: &AttachedFile<'_>) -> Result<(), RosError> {
+pub fn attach(source: impl Read + Seek, out: impl Write, file: &AttachedFile<'_>) -> Result<()> {
     let mut source = BufReader::new(source);
     let length = source.seek(SeekFrom::End(0)).map_err(RosError::unreadable)?;
     let not_closed = || RosError::recording("nothing can be attached to it: it was not closed, or its end is damaged");
@@ -211,7 +211,7 @@ pub fn attach(source: impl Read + Seek, out: impl Write, file: &AttachedFile<'_>
     out.out.flush().map_err(RosError::unwritable)
 }
 
-fn between(source: &mut (impl Read + Seek), from: u64, to: u64) -> Result<Vec<u8>, RosError> {
+fn between(source: &mut (impl Read + Seek), from: u64, to: u64) -> Result<Vec<u8>> {
     let wanted = to.saturating_sub(from);
     if wanted > LONGEST_SUMMARY {
         return Err(RosError::recording("nothing can be attached to it: its summary is too long"));
@@ -222,7 +222,7 @@ fn between(source: &mut (impl Read + Seek), from: u64, to: u64) -> Result<Vec<u8
     Ok(bytes)
 }
 
-fn copy(source: &mut impl Read, mut left: u64, out: &mut Counted<impl Write>) -> Result<(), RosError> {
+fn copy(source: &mut impl Read, mut left: u64, out: &mut Counted<impl Write>) -> Result<()> {
     let mut buffer = vec![0; 256 * 1024];
     while left > 0 {
         let wanted = usize::try_from(left).unwrap_or(usize::MAX).min(buffer.len());

@@ -9,11 +9,11 @@ use std::io::{Seek, Write};
 use std::sync::Arc;
 
 use crate::model::Timestamp;
-use crate::ros::RosError;
 use crate::ros::recording::{
     CHUNK_THRESHOLD, Channel, ChunkCompression, Encoding, MOST_CHANNELS, RecordingFormat, Sent, kept_about, pack,
 };
 use crate::ros::tcpros::LONGEST_MESSAGE;
+use crate::ros::{Result, RosError};
 
 pub(super) use beside::metadata_record;
 pub use beside::{AttachedFile, Beside, BesideContent, TOPIC as BESIDE, attach};
@@ -310,7 +310,7 @@ pub struct McapWriter<W> {
 }
 
 impl<W: Write + Seek> McapWriter<W> {
-    pub fn begin(out: W, compression: ChunkCompression) -> Result<Self, RosError> {
+    pub fn begin(out: W, compression: ChunkCompression) -> Result<Self> {
         if !RecordingFormat::Mcap.takes(compression) {
             return Err(RosError::recording(&format!("MCAP cannot be compressed with {compression}")));
         }
@@ -335,13 +335,13 @@ impl<W: Write + Seek> McapWriter<W> {
         Ok(writer)
     }
 
-    fn put(&mut self, bytes: &[u8]) -> Result<(), RosError> {
+    fn put(&mut self, bytes: &[u8]) -> Result<()> {
         self.out.write_all(bytes).map_err(RosError::unwritable)?;
         self.position += bytes.len() as u64;
         Ok(())
     }
 
-    fn put_record(&mut self, code: Code, fill: impl FnOnce(&mut Vec<u8>)) -> Result<u64, RosError> {
+    fn put_record(&mut self, code: Code, fill: impl FnOnce(&mut Vec<u8>)) -> Result<u64> {
         let mut record = Vec::new();
         put_record(&mut record, code, fill);
         self.put(&record)?;
@@ -349,7 +349,7 @@ impl<W: Write + Seek> McapWriter<W> {
     }
 
     /// The header's profile depends on the first message.
-    fn put_header(&mut self, profile: &str) -> Result<(), RosError> {
+    fn put_header(&mut self, profile: &str) -> Result<()> {
         if std::mem::replace(&mut self.begun, true) {
             return Ok(());
         }
@@ -361,18 +361,12 @@ impl<W: Write + Seek> McapWriter<W> {
     }
 
     /// Takes the recording time as the publishing time.
-    pub fn write(&mut self, channel: &Arc<Channel>, time: Timestamp, body: &[u8]) -> Result<(), RosError> {
+    pub fn write(&mut self, channel: &Arc<Channel>, time: Timestamp, body: &[u8]) -> Result<()> {
         let sequence = self.sequence.wrapping_add(1);
         self.write_sent(channel, time, Sent { time, sequence }, body)
     }
 
-    pub fn write_sent(
-        &mut self,
-        channel: &Arc<Channel>,
-        time: Timestamp,
-        sent: Sent,
-        body: &[u8],
-    ) -> Result<(), RosError> {
+    pub fn write_sent(&mut self, channel: &Arc<Channel>, time: Timestamp, sent: Sent, body: &[u8]) -> Result<()> {
         if body.len() > LONGEST_MESSAGE {
             return Err(RosError::recording("a message is too large"));
         }
@@ -396,7 +390,7 @@ impl<W: Write + Seek> McapWriter<W> {
         if self.chunk.len() >= CHUNK_THRESHOLD { self.end_chunk() } else { Ok(()) }
     }
 
-    fn write_beside(&mut self, kind: Beside, body: &[u8]) -> Result<(), RosError> {
+    fn write_beside(&mut self, kind: Beside, body: &[u8]) -> Result<()> {
         let Some(content) = kind.parse(body) else {
             return Err(RosError::recording(&format!("the data to write is not a valid MCAP {}", kind.word())));
         };
@@ -409,7 +403,7 @@ impl<W: Write + Seek> McapWriter<W> {
         Ok(())
     }
 
-    fn number(&mut self, channel: &Arc<Channel>) -> Result<u16, RosError> {
+    fn number(&mut self, channel: &Arc<Channel>) -> Result<u16> {
         if let Some(number) = self.numbers.get(channel) {
             return Ok(*number);
         }
@@ -429,7 +423,7 @@ impl<W: Write + Seek> McapWriter<W> {
         Ok(number)
     }
 
-    fn end_chunk(&mut self) -> Result<(), RosError> {
+    fn end_chunk(&mut self) -> Result<()> {
         let Some(span) = self.span.take() else { return Ok(()) };
         let packed = pack(self.compression, &self.chunk).map_err(|error| RosError::recording(&error))?;
         let (position, size) = (self.position, self.chunk.len() as u64);
@@ -464,7 +458,7 @@ impl<W: Write + Seek> McapWriter<W> {
     }
 
     /// Writes the last chunk and the summary, and returns the file.
-    pub fn finish(mut self) -> Result<W, RosError> {
+    pub fn finish(mut self) -> Result<W> {
         self.put_header("ros1")?;
         self.end_chunk()?;
         self.put_record(Code::DataEnd, |out| out.extend_from_slice(&[0; 4]))?;

@@ -12,12 +12,12 @@ use self::growing::Growing;
 use super::beside::{Beside, BesideContent, TOPIC};
 use super::{ChannelRecord, Code, Fields, LATEST, LEAD, MAGIC, Schema, TAIL, schema};
 use crate::model::Timestamp;
-use crate::ros::RosError;
 use crate::ros::recording::{
     Channel, Chunk, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage,
     RecordingReader, Sent, TOO_LARGE, go_to, kept_about, read_at, unpack, unpacked_body,
 };
 use crate::ros::tcpros::LONGEST_MESSAGE;
+use crate::ros::{Result, RosError};
 
 /// Of other records than messages and chunks, bytes; they may hold a definition.
 const LONGEST_RECORD: u64 = 2 << 20;
@@ -82,7 +82,7 @@ pub struct McapReader<R> {
 }
 
 impl<R: BufRead + Seek> RecordingReader for McapReader<R> {
-    fn next_message(&mut self) -> Result<Option<RecordedMessage>, RosError> {
+    fn next_message(&mut self) -> Result<Option<RecordedMessage>> {
         loop {
             if let Some(message) = self.next_in_chunk() {
                 return Ok(Some(message));
@@ -114,13 +114,13 @@ impl<R: BufRead + Seek> RecordingReader for McapReader<R> {
 }
 
 impl<R: BufRead + Seek> McapReader<R> {
-    pub fn open(file: R) -> Result<Self, RosError> {
+    pub fn open(file: R) -> Result<Self> {
         let mut reader = Self::begin(file)?;
         reader.read_summary().map_err(RosError::unreadable)?;
         Ok(reader)
     }
 
-    fn begin(mut file: R) -> Result<Self, RosError> {
+    fn begin(mut file: R) -> Result<Self> {
         let length = file.seek(SeekFrom::End(0)).map_err(RosError::unreadable)?;
         let position = MAGIC.len() as u64;
         let mut reader = Self {

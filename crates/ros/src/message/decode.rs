@@ -9,7 +9,7 @@ use std::sync::Arc;
 use super::definition::{Arity, Definition, Field, Kind, Layout, Primitive, element_size};
 use crate::model::clean;
 use crate::model::wire::WireError;
-use crate::ros::RosError;
+use crate::ros::{Result, RosError};
 use serde::ser::{Serialize, SerializeMap as _, Serializer};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -36,12 +36,12 @@ pub struct Picture {
 
 impl Definition {
     /// Fails if the body ends early, has bytes left over, or exceeds `limits`.
-    pub fn decode(&self, body: &[u8], mut limits: Limits) -> Result<Value, RosError> {
+    pub fn decode(&self, body: &[u8], mut limits: Limits) -> Result<Value> {
         self.decode_from(body, &mut limits)
     }
 
     /// Subtracts the steps from `limits`, so that several bodies share them.
-    pub fn decode_from(&self, body: &[u8], limits: &mut Limits) -> Result<Value, RosError> {
+    pub fn decode_from(&self, body: &[u8], limits: &mut Limits) -> Result<Value> {
         let failed = |failure: Failure| RosError::body(self.type_name(), failure.to_string());
         let mut walk = self.walk(body, *limits).map_err(failed)?;
         let root = self.root().ok_or_else(|| RosError::body("", "the definition is empty"))?;

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::{md5sum, ros2};
 use crate::model::bytes::hex;
 use crate::model::topic::{LONGEST_NAME, TypeName};
-use crate::ros::RosError;
+use crate::ros::{Result, RosError};
 use md5::{Digest as _, Md5};
 
 /// Bytes.
@@ -53,7 +53,7 @@ pub struct Definition {
 impl Definition {
     /// `text` is the type's own lines, then `MSG: package/Type` sections, as in a publisher's header or a bag. Fails if
     /// it is too long, broken, incomplete, recursive or too deep.
-    pub fn parse(type_name: &str, text: &str) -> Result<Self, RosError> {
+    pub fn parse(type_name: &str, text: &str) -> Result<Self> {
         let failed = |reason: String| RosError::definition(type_name, reason);
         type_name.parse::<TypeName>().map_err(|_| failed("its type is not package/Type".into()))?;
         let texts = sections(type_name, text, |name| Some(name.to_owned())).map_err(failed)?;

@@ -8,13 +8,13 @@ use super::definition::{Arity, Definition, Field, Kind, Layout};
 use crate::crypto::compression::{MOST_CHANNELS, Matrix};
 use crate::model::bytes::hex;
 use crate::model::spelt_out;
-use crate::ros::RosError;
+use crate::ros::{Result, RosError};
 
 impl Definition {
     /// Fields keep their order and numbers their value; numbers that JSON lacks become text (`NaN`, `inf`), texts that
     /// are not UTF-8 `{not_utf8: hex}`, times `{secs, nsecs}`, arrays of bytes arrays of numbers. A body of n bytes
     /// becomes at most `64 n` + 16 MiB of text, because field names are repeated for every element; a longer one fails.
-    pub fn write_json(&self, body: &[u8], out: &mut dyn Write) -> Result<(), RosError> {
+    pub fn write_json(&self, body: &[u8], out: &mut dyn Write) -> Result<()> {
         let failed = |failure: Failure| RosError::body(self.type_name(), failure.to_string());
         let root = self.root().ok_or_else(|| RosError::body("", "the definition is empty"))?;
         let steps = body.len().saturating_mul(3).saturating_add(100_000);

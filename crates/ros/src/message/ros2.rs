@@ -15,13 +15,13 @@ use super::definition::{
 };
 use crate::model::bytes::hex;
 use crate::model::topic::LONGEST_NAME;
-use crate::ros::RosError;
+use crate::ros::{Result, RosError};
 use sha2::{Digest as _, Sha256};
 
 impl Definition {
     /// `text` is as in MCAP's `ros2msg`: the type's own lines, then `MSG: package/Type` sections. Fails if it is too
     /// long, broken, incomplete, recursive or too deep.
-    pub fn parse_ros2(type_name: &str, text: &str) -> Result<Self, RosError> {
+    pub fn parse_ros2(type_name: &str, text: &str) -> Result<Self> {
         let failed = |reason: String| RosError::definition(type_name, reason);
         let name = full_name(type_name, None).ok_or_else(|| failed("its type is not package/msg/Type".into()))?;
         let texts = sections(&name, text, |name| full_name(name, None)).map_err(failed)?;
@@ -31,7 +31,7 @@ impl Definition {
 }
 
 /// As ROS 2 computes it: `RIHS01_` and 64 hex characters.
-pub fn type_hash(type_name: &str, text: &str) -> Result<String, RosError> {
+pub fn type_hash(type_name: &str, text: &str) -> Result<String> {
     Definition::parse_ros2(type_name, text).map(|definition| of(&definition.layouts))
 }
 
@@ -296,7 +296,7 @@ impl Folders {
 
     /// The text of a type with all its parts, as in MCAP, and where the type itself was found. Types in no folder come
     /// from the built-in interfaces.
-    pub fn text_of(&self, type_name: &str) -> Result<(String, Source), RosError> {
+    pub fn text_of(&self, type_name: &str) -> Result<(String, Source)> {
         let root = full_name(type_name, None)
             .ok_or_else(|| RosError::no_fields(type_name, "its type is not package/msg/Type"))?;
         let (own, source) = self.own_lines(&root).ok_or_else(|| missing(type_name, &root))?;
@@ -305,7 +305,7 @@ impl Folders {
     }
 
     /// Completes a text with the nested types it lacks; returns their names too.
-    pub fn complete(&self, type_name: &str, text: &str) -> Result<(String, Vec<String>), RosError> {
+    pub fn complete(&self, type_name: &str, text: &str) -> Result<(String, Vec<String>)> {
         let failed = |reason: String| RosError::no_fields(type_name, &reason);
         let root = full_name(type_name, None).ok_or_else(|| failed("its type is not package/msg/Type".into()))?;
         let mut own: Vec<(String, Vec<&str>)> =

@@ -10,11 +10,11 @@ fn with(root: &str, sections: &[(&str, &str)]) -> String {
     sections.iter().fold(root.to_owned(), |text, (name, body)| format!("{text}\n{rule}\nMSG: {name}\n{body}"))
 }
 
-fn parse(text: &str) -> Result<Definition, RosError> {
+fn parse(text: &str) -> Result<Definition> {
     Definition::parse("a/Root", text)
 }
 
-fn decode(text: &str, body: &[u8]) -> Result<Value, RosError> {
+fn decode(text: &str, body: &[u8]) -> Result<Value> {
     parse(text).expect("definition").decode(body, Limits::default())
 }
 

@@ -21,7 +21,7 @@ use crate::ros::child::{self, Declined, Errand, Run};
 use crate::ros::graph::master_error;
 use crate::ros::tcpros::{BusLink, ConnectionHeader, FrameReader, Node, Poll, SlaveServer, listen};
 use crate::ros::xmlrpc::{CallError, Server, Value, call};
-use crate::ros::{RosError, lock};
+use crate::ros::{Result, RosError, lock};
 use outlet::Outlet;
 
 /// Limit of the master's answers, and of resolving names.
@@ -41,7 +41,7 @@ pub struct Advertised {
 
 /// Leaves the graph when dropped.
 pub trait GraphPublisher: Send + Sync {
-    fn advertise(&mut self, topic: &Advertised, patience: Duration) -> Result<(), RosError>;
+    fn advertise(&mut self, topic: &Advertised, patience: Duration) -> Result<()>;
 
     /// A message of `source`; false if the topic is not announced, or nobody publishes now. May block where
     /// [`Self::may_block`].
@@ -52,9 +52,9 @@ pub trait GraphPublisher: Send + Sync {
         false
     }
 
-    /// Why nothing is published now, if so.
-    fn broken(&self) -> Option<String> {
-        None
+    /// Replaces a program that publishes, if it has ended.
+    fn revive(&mut self) -> Result<()> {
+        Ok(())
     }
 
     /// Whether a subscriber is so far behind that it soon loses messages.
@@ -62,7 +62,7 @@ pub trait GraphPublisher: Send + Sync {
 
     fn outrun(&self);
 
-    fn come_back(&mut self) -> Result<(), RosError>;
+    fn come_back(&mut self) -> Result<()>;
 
     /// Drops the topics with their queues.
     fn cut(&mut self, topics: &[String]);
@@ -111,7 +111,7 @@ pub struct Publisher {
 }
 
 impl Publisher {
-    pub fn start(master_uri: &str, given_host: Option<&str>, node_name: &str) -> Result<Self, RosError> {
+    pub fn start(master_uri: &str, given_host: Option<&str>, node_name: &str) -> Result<Self> {
         let master = Endpoint::of_master(master_uri)?;
         let host = own_host(given_host, &master, Instant::now() + PATIENCE)?;
         let listener = listen(&host)?;
@@ -134,7 +134,7 @@ impl Publisher {
     }
 
     /// Returns how many subscribers the master knows. A topic already announced is unchanged.
-    pub fn advertise(&self, topic: &Advertised) -> Result<usize, RosError> {
+    pub fn advertise(&self, topic: &Advertised) -> Result<usize> {
         let outlet = self.identity.outlet_of(&topic.topic).unwrap_or_else(|| {
             let outlet = Arc::new(Outlet::new(topic.clone()));
             lock(&self.identity.outlets).push(Arc::clone(&outlet));
@@ -143,7 +143,7 @@ impl Publisher {
         self.register(&outlet)
     }
 
-    fn register(&self, outlet: &Outlet) -> Result<usize, RosError> {
+    fn register(&self, outlet: &Outlet) -> Result<usize> {
         let about = [outlet.about.topic.as_str(), outlet.about.type_name.as_str()];
         let deadline = Instant::now() + PATIENCE;
         let answer = self.identity.tell_master("registerPublisher", &about, &self.slave.uri, deadline);
@@ -188,7 +188,7 @@ impl Publisher {
 }
 
 impl GraphPublisher for Publisher {
-    fn advertise(&mut self, topic: &Advertised, patience: Duration) -> Result<(), RosError> {
+    fn advertise(&mut self, topic: &Advertised, patience: Duration) -> Result<()> {
         let known = Self::advertise(self, topic)?;
         let begun = Instant::now();
         while self.subscribers(&topic.topic) < known && begun.elapsed() < patience {
@@ -209,7 +209,7 @@ impl GraphPublisher for Publisher {
         self.identity.outlets().iter().for_each(|outlet| outlet.outrun());
     }
 
-    fn come_back(&mut self) -> Result<(), RosError> {
+    fn come_back(&mut self) -> Result<()> {
         self.identity.outlets().iter().try_for_each(|outlet| self.register(outlet).map(drop))
     }
 
@@ -338,7 +338,6 @@ struct Announced {
 
 pub struct RosrustPublisher {
     uri: String,
-    errand: Errand,
     run: Run,
     announced: BTreeMap<String, Announced>,
     next: u32,
@@ -346,12 +345,7 @@ pub struct RosrustPublisher {
 }
 
 impl RosrustPublisher {
-    pub fn start(
-        master_uri: &str,
-        given_host: Option<&str>,
-        node_name: &str,
-        program: Option<&Path>,
-    ) -> Result<Self, RosError> {
+    pub fn start(master_uri: &str, given_host: Option<&str>, node_name: &str, program: Option<&Path>) -> Result<Self> {
         let program = child::find(PROGRAM, program).map_err(RosError::NoRosrust)?;
         let master = Endpoint::of_master(master_uri)?;
         let host = own_host(given_host, &master, Instant::now() + PATIENCE)?;
@@ -361,19 +355,16 @@ impl RosrustPublisher {
         let environment = vec![("ROS_MASTER_URI", uri.clone()), ("ROS_HOSTNAME", host)];
         let errand = Errand { program, arguments, environment };
         let run = Run::start(&errand, 0)?;
-        let publisher = Self { uri, errand, run, announced: BTreeMap::new(), next: 1, missed: 0 };
-        publisher.joined().map(|()| publisher)
-    }
-
-    fn joined(&self) -> Result<(), RosError> {
-        self.run.joined().map_err(|reason| self.failed(&reason))
+        let publisher = Self { uri, run, announced: BTreeMap::new(), next: 1, missed: 0 };
+        publisher.run.joined().map_err(|reason| publisher.failed(&reason))?;
+        Ok(publisher)
     }
 
     fn failed(&self, reason: &str) -> RosError {
         RosError::NotPublishedByRosrust { uri: clean(&self.uri, 120), reason: reason.to_owned() }
     }
 
-    fn announce(&mut self, topic: &Advertised, patient: bool) -> Result<u32, RosError> {
+    fn announce(&mut self, topic: &Advertised, patient: bool) -> Result<u32> {
         let writer = self.next;
         self.next = self.next.wrapping_add(1);
         let about = Described {
@@ -399,7 +390,7 @@ impl RosrustPublisher {
         self.run.state().confined
     }
 
-    fn announce_again(&mut self) -> Result<(), RosError> {
+    fn announce_again(&mut self) -> Result<()> {
         let topics: Vec<Advertised> = self.announced.values().map(|announced| announced.about.clone()).collect();
         for topic in topics {
             let writer = self.announce(&topic, false)?;
@@ -414,7 +405,7 @@ impl RosrustPublisher {
 }
 
 impl GraphPublisher for RosrustPublisher {
-    fn advertise(&mut self, topic: &Advertised, patience: Duration) -> Result<(), RosError> {
+    fn advertise(&mut self, topic: &Advertised, patience: Duration) -> Result<()> {
         if self.announced.contains_key(&topic.topic) {
             return Ok(());
         }
@@ -425,6 +416,9 @@ impl GraphPublisher for RosrustPublisher {
     }
 
     fn publish(&mut self, topic: &str, source: u64, message: &[u8]) -> bool {
+        if self.revive().is_err() {
+            return false;
+        }
         let Some(announced) = self.announced.get_mut(topic) else { return false };
         if message.len() > LONGEST_PAYLOAD as usize {
             return false;
@@ -439,10 +433,6 @@ impl GraphPublisher for RosrustPublisher {
         true
     }
 
-    fn broken(&self) -> Option<String> {
-        self.run.broken()
-    }
-
     fn is_crowded(&self) -> bool {
         self.run.is_crowded()
     }
@@ -451,20 +441,18 @@ impl GraphPublisher for RosrustPublisher {
         drop(self.run.order(&Order::<Described>::Outrun, &[]));
     }
 
-    /// Restarts the program if it has ended, with all topics and latched messages.
-    fn come_back(&mut self) -> Result<(), RosError> {
-        if self.run.broken().is_none() {
-            return Ok(());
-        }
-        let run = Run::start(&self.errand, 0)?;
+    fn come_back(&mut self) -> Result<()> {
+        self.revive()
+    }
+
+    /// With all topics and latched messages.
+    fn revive(&mut self) -> Result<()> {
+        let next = self.run.successor().map_err(|reason| self.failed(&reason))?;
+        let Some(next) = next else { return Ok(()) };
         self.missed = self.missed();
-        self.run = run;
-        let done = self.joined().and_then(|()| self.announce_again());
-        if done.is_err() {
-            // It is tried again only if it has ended.
-            self.run.kill();
-        }
-        done
+        self.run = next;
+        // It is replaced only if it has ended.
+        self.announce_again().inspect_err(|_| self.run.kill())
     }
 
     fn cut(&mut self, topics: &[String]) {

@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use super::Encoding;
-use crate::ros::RosError;
 use crate::ros::message::{Definition, Folders, Source, built_in_definition, plain_text, type_hash};
+use crate::ros::{Result, RosError};
 
 /// MCAP's name for the hash of a channel's type.
 pub const TYPE_HASH: &str = "topic_type_hash";
@@ -64,7 +64,7 @@ fn has_no_fields(facts: TypeFacts<'_>) -> bool {
     }
 }
 
-fn own(facts: TypeFacts<'_>) -> Result<Definition, RosError> {
+fn own(facts: TypeFacts<'_>) -> Result<Definition> {
     let no_fields = |reason: &str| Err(RosError::no_fields(facts.name, reason));
     match (facts.encoding, facts.text) {
         (Encoding::Cdr { .. }, None) => no_fields(
@@ -109,7 +109,7 @@ fn completed(facts: TypeFacts<'_>, folders: &Folders) -> Option<(Definition, Opt
 }
 
 /// From the folders; if they have none or another one, built in.
-fn elsewhere(facts: TypeFacts<'_>, folders: &Folders) -> Result<(Definition, Source), RosError> {
+fn elsewhere(facts: TypeFacts<'_>, folders: &Folders) -> Result<(Definition, Source)> {
     let found = found_by(facts, folders);
     if found.is_ok() || folders.is_empty() {
         return found;
@@ -117,7 +117,7 @@ fn elsewhere(facts: TypeFacts<'_>, folders: &Folders) -> Result<(Definition, Sou
     found_by(facts, &Folders::default()).or(found)
 }
 
-fn found_by(facts: TypeFacts<'_>, folders: &Folders) -> Result<(Definition, Source), RosError> {
+fn found_by(facts: TypeFacts<'_>, folders: &Folders) -> Result<(Definition, Source)> {
     let (text, source) = folders.text_of(facts.name)?;
     let found = type_hash(facts.name, &text)?;
     match facts.hash {

@@ -11,11 +11,11 @@ use std::path::Path;
 use std::sync::Arc;
 
 use crate::model::{Timestamp, clean};
-use crate::ros::RosError;
 use crate::ros::bag::{self, BagReader, BagWriter};
 use crate::ros::mcap::{self, McapReader, McapWriter};
 use crate::ros::rosbag2::{Db3Reader, FolderReader, SQLITE, unpacked};
 use crate::ros::tcpros::LONGEST_MESSAGE;
+use crate::ros::{Result, RosError};
 use serde::{Deserialize, Serialize};
 
 pub use super::mcap::{AttachedFile, BESIDE, Beside, BesideContent};
@@ -435,7 +435,7 @@ fn packed(format: &str, command: &str) -> String {
 }
 
 /// A file at its beginning, and its first bytes.
-fn begin(path: &Path) -> Result<(BufReader<File>, Vec<u8>), RosError> {
+fn begin(path: &Path) -> Result<(BufReader<File>, Vec<u8>)> {
     let unreadable = |error: std::io::Error| RosError::recording(&format!("{}: {error}", path.display()));
     let mut file = BufReader::with_capacity(BUFFER, File::open(path).map_err(unreadable)?);
     let mut magic = Vec::new();
@@ -446,7 +446,7 @@ fn begin(path: &Path) -> Result<(BufReader<File>, Vec<u8>), RosError> {
 
 /// The content that identifies a file; unpacked, if it is compressed as a whole: a recorder compresses closed files,
 /// which may have been sealed before.
-pub fn content_of(path: &Path) -> Result<File, RosError> {
+pub fn content_of(path: &Path) -> Result<File> {
     let (file, magic) = begin(path)?;
     let whole = if magic.starts_with(&ZSTD) { unpacked(path).ok() } else { None };
     // The reader of the recording reports a failure to unpack.
@@ -455,7 +455,7 @@ pub fn content_of(path: &Path) -> Result<File, RosError> {
 
 pub trait RecordingReader {
     /// `None` at the end. Damage is not an error: see [`Self::findings`].
-    fn next_message(&mut self) -> Result<Option<RecordedMessage>, RosError>;
+    fn next_message(&mut self) -> Result<Option<RecordedMessage>>;
 
     /// So far; of a folder's open files, later.
     fn findings(&self) -> &Findings;
@@ -473,12 +473,12 @@ pub type Recording = dyn RecordingReader + Send;
 
 impl Recording {
     /// A file of any format, or a folder of rosbag2.
-    pub fn open(path: &Path) -> Result<Box<Self>, RosError> {
+    pub fn open(path: &Path) -> Result<Box<Self>> {
         if path.is_dir() { Ok(Box::new(FolderReader::open(path)?)) } else { Self::open_file(path) }
     }
 
     /// Unpacks a file compressed as a whole into a temporary file, which is deleted at the end.
-    pub(crate) fn open_file(path: &Path) -> Result<Box<Self>, RosError> {
+    pub(crate) fn open_file(path: &Path) -> Result<Box<Self>> {
         let (file, magic) = begin(path)?;
         if !magic.starts_with(&ZSTD) {
             return Self::of(path, file, &magic);
@@ -490,7 +490,7 @@ impl Recording {
         Self::of(whole.path(), file, &magic)
     }
 
-    fn of(path: &Path, file: BufReader<File>, magic: &[u8]) -> Result<Box<Self>, RosError> {
+    fn of(path: &Path, file: BufReader<File>, magic: &[u8]) -> Result<Box<Self>> {
         if magic.starts_with(mcap::MAGIC) {
             return Ok(Box::new(McapReader::open(file)?));
         }
@@ -510,7 +510,7 @@ pub enum RecordingWriter {
 }
 
 impl RecordingWriter {
-    pub fn begin(format: RecordingFormat, compression: ChunkCompression, file: File) -> Result<Self, RosError> {
+    pub fn begin(format: RecordingFormat, compression: ChunkCompression, file: File) -> Result<Self> {
         let out = BufWriter::with_capacity(BUFFER, file);
         Ok(match format {
             RecordingFormat::Bag => Self::Bag(Box::new(BagWriter::begin(out, compression)?)),
@@ -520,13 +520,7 @@ impl RecordingWriter {
         })
     }
 
-    pub fn write(
-        &mut self,
-        channel: &Arc<Channel>,
-        time: Timestamp,
-        sent: Option<Sent>,
-        body: &[u8],
-    ) -> Result<(), RosError> {
+    pub fn write(&mut self, channel: &Arc<Channel>, time: Timestamp, sent: Option<Sent>, body: &[u8]) -> Result<()> {
         match (self, sent) {
             (Self::Bag(writer), _) => writer.write(channel, time, body),
             (Self::Mcap(writer), Some(sent)) => writer.write_sent(channel, time, sent, body),
@@ -534,7 +528,7 @@ impl RecordingWriter {
         }
     }
 
-    pub fn finish(self) -> Result<(), RosError> {
+    pub fn finish(self) -> Result<()> {
         let out = match self {
             Self::Bag(writer) => writer.finish()?,
             Self::Mcap(writer) => writer.finish()?,

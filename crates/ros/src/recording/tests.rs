@@ -6,7 +6,7 @@ use std::sync::Arc;
 use proptest::prelude::*;
 
 use super::*;
-use crate::ros::RosError;
+use crate::ros::Result;
 use crate::ros::bag::{BagReader, BagWriter};
 use crate::ros::mcap::{McapReader, McapWriter};
 
@@ -31,7 +31,7 @@ pub(super) fn message(channel: &Arc<Channel>, time: u64, body: &[u8]) -> Recorde
 
 pub(super) fn write(format: RecordingFormat, compression: ChunkCompression, messages: &[RecordedMessage]) -> Vec<u8> {
     let out = Cursor::new(Vec::new());
-    let each = |write: &mut dyn FnMut(&RecordedMessage) -> Result<(), RosError>| {
+    let each = |write: &mut dyn FnMut(&RecordedMessage) -> Result<()>| {
         messages.iter().for_each(|message| write(message).expect("written"));
     };
     match format {
@@ -48,7 +48,7 @@ pub(super) fn write(format: RecordingFormat, compression: ChunkCompression, mess
     }
 }
 
-pub(super) fn read(format: RecordingFormat, bytes: &[u8]) -> Result<(Vec<RecordedMessage>, Findings), RosError> {
+pub(super) fn read(format: RecordingFormat, bytes: &[u8]) -> Result<(Vec<RecordedMessage>, Findings)> {
     let mut messages = Vec::new();
     let file = Cursor::new(bytes);
     match format {

@@ -19,8 +19,8 @@ use crate::model::TopicName;
 use crate::pipe::read::{Told, Wish};
 use crate::pipe::write::Order;
 use crate::pipe::{LONGEST_PAYLOAD, receive, send};
-use crate::ros::child::{self, Errand, Run};
-use crate::ros::{CaptureNotice, MessageSink, RosError, lock};
+use crate::ros::child::{self, Errand, Restarts, Run, Silence, TICK};
+use crate::ros::{CaptureNotice, MessageSink, Result, RosError, lock};
 use state::{Outcome, State};
 
 pub use crate::pipe::LONGEST_PAYLOAD as LONGEST_MESSAGE;
@@ -65,7 +65,7 @@ pub struct Ros2Capture {
 }
 
 impl Ros2Capture {
-    pub fn start(domain: u16, program: Option<&Path>, sink: Arc<dyn MessageSink>) -> Result<Self, RosError> {
+    pub fn start(domain: u16, program: Option<&Path>, sink: Arc<dyn MessageSink>) -> Result<Self> {
         let program = child::find(PROGRAM, program).map_err(RosError::NoReader)?;
         let shared = Arc::new(Shared {
             domain,
@@ -83,7 +83,7 @@ impl Ros2Capture {
         Ok(capture)
     }
 
-    fn keep(&mut self, name: &str, work: fn(&Shared)) -> Result<(), RosError> {
+    fn keep(&mut self, name: &str, work: fn(&Shared)) -> Result<()> {
         let shared = Arc::clone(&self.shared);
         let started = std::thread::Builder::new().name(name.to_owned()).spawn(move || work(&shared));
         self.threads.push(started.map_err(|error| RosError::system("start a thread for ROS 2", &error))?);
@@ -198,15 +198,6 @@ impl Standing {
     }
 }
 
-/// Interval between checks that the program still reports, as it does once a tick.
-const TICK: Duration = Duration::from_millis(500);
-/// It is killed after this many checks without a report; counting checks blames nobody when the machine slept.
-const SILENT_TICKS: u32 = 10;
-/// The shortest and the longest pause before a start.
-const FIRST_PAUSE: Duration = Duration::from_millis(50);
-const LONGEST_PAUSE: Duration = Duration::from_secs(5);
-const BEGAN_WELL: Duration = Duration::from_secs(10);
-
 struct Shared {
     domain: u16,
     program: PathBuf,
@@ -300,9 +291,8 @@ impl Shared {
     }
 
     fn supervise(&self) {
-        let mut pause = FIRST_PAUSE;
+        let mut restarts = Restarts::begin();
         while !self.is_stopping() {
-            let begun = Instant::now();
             let reason = self.run_once();
             if self.is_stopping() {
                 return;
@@ -314,21 +304,16 @@ impl Shared {
             if !matches!(former, Reading::Down { .. }) {
                 self.hand_on(Outcome { notices: vec![CaptureNotice::ReadingBroken { reason }], ..Outcome::default() });
             }
-            pause = if begun.elapsed() >= BEGAN_WELL { FIRST_PAUSE } else { pause };
-            self.wait(pause);
-            pause = (pause * 2).min(LONGEST_PAUSE);
+            self.wait(restarts.left());
+            restarts.again();
         }
     }
 
     fn watch_over(&self) {
-        let (mut before, mut silent) = (0, 0);
+        let mut silence = Silence::default();
         while !self.is_stopping() {
             self.wait(TICK);
-            let now = self.frames.load(Ordering::Acquire);
-            silent = if now == before { silent + 1 } else { 0 };
-            before = now;
-            if silent >= SILENT_TICKS {
-                silent = 0;
+            if silence.is_too_long(self.frames.load(Ordering::Acquire)) {
                 child::kill(&self.running);
             }
         }
@@ -361,7 +346,6 @@ struct Announced {
 
 pub struct Ros2Publisher {
     domain: u16,
-    program: PathBuf,
     run: Run,
     announced: BTreeMap<u32, Announced>,
     next: u32,
@@ -371,16 +355,13 @@ pub struct Ros2Publisher {
 }
 
 impl Ros2Publisher {
-    pub fn start(domain: u16, program: Option<&Path>) -> Result<Self, RosError> {
+    pub fn start(domain: u16, program: Option<&Path>) -> Result<Self> {
         let program = child::find(PROGRAM, program).map_err(RosError::NoReader)?;
         let run = Run::start(&errand(&program, domain, true), domain)?;
         let (announced, earlier) = (BTreeMap::new(), Delivery::default());
-        let publisher = Self { domain, program, run, announced, next: 1, latched_bytes: 0, earlier };
-        publisher.joined().map(|()| publisher)
-    }
-
-    fn joined(&self) -> Result<(), RosError> {
-        self.run.joined().map_err(|reason| self.failed(&reason))
+        let publisher = Self { domain, run, announced, next: 1, latched_bytes: 0, earlier };
+        publisher.run.joined().map_err(|reason| publisher.failed(&reason))?;
+        Ok(publisher)
     }
 
     fn failed(&self, reason: &str) -> RosError {
@@ -402,7 +383,7 @@ impl Ros2Publisher {
         topic: &Offered,
         size: usize,
         (alone, patient): (bool, bool),
-    ) -> Result<Result<u32, Declined>, RosError> {
+    ) -> Result<Result<u32, Declined>> {
         let writer = self.next;
         self.next = self.next.wrapping_add(1);
         let size = u32::try_from(size).unwrap_or(u32::MAX);
@@ -416,6 +397,9 @@ impl Ros2Publisher {
 
     /// `message` has its encapsulation header; false if the topic is not announced or nobody publishes now.
     pub fn publish(&mut self, writer: u32, message: &[u8]) -> bool {
+        if self.revive().is_err() {
+            return false;
+        }
         let Some(announced) = self.announced.get_mut(&writer) else { return false };
         if message.len() > LONGEST_PAYLOAD as usize {
             return false;
@@ -451,20 +435,17 @@ impl Ros2Publisher {
         drop(self.order(&Order::Outrun, &[]));
     }
 
-    /// Why nothing is published now, if so.
-    pub fn broken(&self) -> Option<String> {
-        self.run.broken()
+    /// Replaces the program if it has ended, with all topics and latched messages.
+    pub fn revive(&mut self) -> Result<()> {
+        let next = self.run.successor().map_err(|reason| self.failed(&reason))?;
+        let Some(next) = next else { return Ok(()) };
+        self.earlier = self.delivery();
+        self.run = next;
+        // It is replaced only if it has ended.
+        self.announce_again().inspect_err(|_| self.run.kill())
     }
 
-    /// Restarts the program if it has ended, with all topics and latched messages.
-    pub fn revive(&mut self) -> Result<(), RosError> {
-        if self.run.broken().is_none() {
-            return Ok(());
-        }
-        let run = Run::start(&errand(&self.program, self.domain, true), self.domain)?;
-        self.earlier = self.delivery();
-        self.run = run;
-        self.joined()?;
+    fn announce_again(&self) -> Result<()> {
         for (writer, announced) in &self.announced {
             let (writer, topic, size) = (*writer, announced.topic.clone(), announced.size);
             // Its former run may still look like another node.
@@ -505,7 +486,7 @@ impl Ros2Publisher {
         }
     }
 
-    fn order(&self, order: &Order, payload: &[u8]) -> Result<(), RosError> {
+    fn order(&self, order: &Order, payload: &[u8]) -> Result<()> {
         self.run.order(order, payload).map_err(|reason| self.failed(&reason))
     }
 }

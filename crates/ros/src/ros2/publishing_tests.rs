@@ -4,13 +4,14 @@
 use std::fs;
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::PathBuf;
+use std::time::{Duration, Instant};
 
-use super::Ros2Publisher;
+use super::{Offer, Offered, Ros2Publisher};
 use crate::model::ErrorKind;
 use crate::pipe::VERSION;
 use crate::pipe::write::Report;
 use crate::ros::RosError;
-use crate::ros::child::State;
+use crate::ros::child::{Restarts, State};
 
 fn taken(messages: u32, dropped: u32) -> Report {
     Report::Taken { messages, dropped, unacknowledged: 4, unconfirmed: 7 }
@@ -43,6 +44,49 @@ fn another_release_or_domain_is_refused_and_reasons_are_cleaned() {
     let answer = state.answers.remove(&1).expect("an answer").expect_err("refused");
     assert!(answer.occupied && !answer.reason.contains('\u{1b}'), "{answer:?}");
     assert!(state.take(Report::Failed { reason: "x".repeat(9999) }, 5).expect_err("ends").len() <= 410);
+}
+
+/// One that joins domain 3, accepts its first topic, and stays; each run leaves a line in `runs`.
+fn speaker() -> (tempfile::TempDir, PathBuf) {
+    let say = r#"say() { printf "\\$(printf '%03o' ${#1})\\000\\000\\000\\000\\000\\000\\000%s" "$1"; }"#;
+    let hello = format!(r#"{{"report":"hello","version":{VERSION},"domain":3,"confined":true}}"#);
+    let lines = format!(
+        "{say}\necho run >>\"${{0%/*}}/runs\"\nsay '{hello}'\nsay '{{\"report\":\"ready\",\"writer\":1}}'\nexec sleep 1000"
+    );
+    let (folder, path) = program(&lines);
+    fs::set_permissions(folder.path(), fs::Permissions::from_mode(0o777)).expect("allowed");
+    (folder, path)
+}
+
+#[test]
+fn a_program_that_dies_is_replaced_at_the_next_message() {
+    let (folder, path) = speaker();
+    let runs = || fs::read_to_string(folder.path().join("runs")).expect("read").lines().count();
+    let mut publisher = Ros2Publisher::start(3, Some(&path)).expect("joins");
+    let offer = Offer { reliable: true, latched: false, depth: 1 };
+    let topic = Offered { name: "/a".into(), type_name: "std_msgs/msg/String".into(), encoding: 1, offer };
+    let writer = publisher.advertise(&topic, 8, (false, false)).expect("answers").expect("accepted");
+    assert!(publisher.publish(writer, &[0, 1, 0, 0]) && runs() == 1);
+    publisher.run.kill();
+    let end = publisher.run.wait(Duration::from_secs(60), |_| None::<()>);
+    assert!(end.is_err(), "it has ended: {end:?}");
+    let begun = Instant::now();
+    while !publisher.publish(writer, &[0, 1, 0, 0]) {
+        assert!(begun.elapsed() < Duration::from_secs(60), "nobody publishes any more");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    assert!(runs() > 1, "another one publishes");
+    assert_eq!(publisher.end(false).missed, 2, "nobody confirmed the message of either run");
+}
+
+#[test]
+fn one_that_dies_at_each_start_is_started_ever_later() {
+    let mut restarts = Restarts::begin();
+    assert!(restarts.left() <= Duration::from_millis(50));
+    for _ in 0..20 {
+        restarts.again();
+    }
+    assert!(restarts.left() > Duration::from_secs(4) && restarts.left() <= Duration::from_secs(5));
 }
 
 fn program(lines: &str) -> (tempfile::TempDir, PathBuf) {

@@ -13,13 +13,13 @@ use rusqlite::types::ValueRef;
 use rusqlite::{Connection, ErrorCode, OpenFlags, OptionalExtension as _, Row, Rows, params};
 
 use crate::model::{Timestamp, clean};
-use crate::ros::RosError;
 use crate::ros::mcap::{Beside, metadata_record};
 use crate::ros::recording::{
     Channel, Encoding, Findings, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage, RecordingReader, TOO_LARGE,
     TYPE_HASH, kept_about, unpacked_body,
 };
 use crate::ros::tcpros::LONGEST_MESSAGE;
+use crate::ros::{Result, RosError};
 
 const PAGE: i64 = 512;
 
@@ -74,7 +74,7 @@ pub struct Db3Reader {
 }
 
 impl RecordingReader for Db3Reader {
-    fn next_message(&mut self) -> Result<Option<RecordedMessage>, RosError> {
+    fn next_message(&mut self) -> Result<Option<RecordedMessage>> {
         while !self.ended {
             let Some(place) = self.next_place()? else {
                 self.ended = true;
@@ -101,7 +101,7 @@ impl RecordingReader for Db3Reader {
 }
 
 impl Db3Reader {
-    pub fn open(path: &Path) -> Result<Self, RosError> {
+    pub fn open(path: &Path) -> Result<Self> {
         refuse_journals(path)?;
         let stamp = stamp(path)?;
         let failed = |error: rusqlite::Error| unreadable(path, &error);
@@ -165,7 +165,7 @@ impl Db3Reader {
         Ok(!endless)
     }
 
-    fn read_topics(&mut self, columns: &BTreeMap<String, Vec<String>>) -> Result<(), RosError> {
+    fn read_topics(&mut self, columns: &BTreeMap<String, Vec<String>>) -> Result<()> {
         let failed = |error: rusqlite::Error| unreadable(&self.path, &error);
         let definitions = definitions(&self.database, columns, &mut self.findings);
         let has = |column: &str| columns.get("topics").is_some_and(|known| known.iter().any(|name| name == column));
@@ -265,7 +265,7 @@ impl Db3Reader {
         }
     }
 
-    fn next_place(&mut self) -> Result<Option<Place>, RosError> {
+    fn next_place(&mut self) -> Result<Option<Place>> {
         if self.page.is_empty() {
             let failed = |error: rusqlite::Error| unreadable(&self.path, &error);
             let query = "SELECT time, row, topic, size FROM places WHERE (time, row) > (?1, ?2) \
@@ -412,7 +412,7 @@ fn told(error: &rusqlite::Error) -> &'static str {
     }
 }
 
-fn stamp(path: &Path) -> Result<Stamp, RosError> {
+fn stamp(path: &Path) -> Result<Stamp> {
     let found =
         std::fs::metadata(path).map_err(|error| RosError::recording(&format!("{}: {error}", path.display())))?;
     Ok((found.len(), found.modified().ok()))
@@ -433,7 +433,7 @@ pub fn has_journal(path: &Path) -> bool {
     journal(path).is_some()
 }
 
-fn refuse_journals(path: &Path) -> Result<(), RosError> {
+fn refuse_journals(path: &Path) -> Result<()> {
     let Some(beside) = journal(path) else { return Ok(()) };
     Err(RosError::recording(&format!(
         "{} has a journal beside it ({}): a recorder still writes it, or was killed; wait until it has finished, or \

@@ -10,11 +10,11 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crate::model::clean;
-use crate::ros::RosError;
 use crate::ros::mcap::{AttachedFile, Beside};
 use crate::ros::recording::{
     Encoding, Findings, LARGEST_CHUNK, RecordedMessage, Recording, RecordingReader, SPOILT, why,
 };
+use crate::ros::{Result, RosError};
 use metadata::Metadata;
 use tempfile::NamedTempFile;
 
@@ -54,7 +54,7 @@ pub struct FolderReader {
     ended: bool,
 }
 
-fn described(folder: &Path) -> Result<(String, Metadata), RosError> {
+fn described(folder: &Path) -> Result<(String, Metadata)> {
     let path = folder.join(METADATA);
     let wrong = |why: &str| RosError::recording(&format!("{} cannot be read: {why}", path.display()));
     let size = match std::fs::metadata(&path) {
@@ -79,7 +79,7 @@ fn described(folder: &Path) -> Result<(String, Metadata), RosError> {
 
 /// The files whose content identifies a recording: a file itself; of a folder its `metadata.yaml`, and the present
 /// files that it names.
-pub fn files_of(path: &Path) -> Result<Vec<PathBuf>, RosError> {
+pub fn files_of(path: &Path) -> Result<Vec<PathBuf>> {
     if !path.is_dir() {
         return Ok(vec![path.to_owned()]);
     }
@@ -89,7 +89,7 @@ pub fn files_of(path: &Path) -> Result<Vec<PathBuf>, RosError> {
 }
 
 impl RecordingReader for FolderReader {
-    fn next_message(&mut self) -> Result<Option<RecordedMessage>, RosError> {
+    fn next_message(&mut self) -> Result<Option<RecordedMessage>> {
         if let Some(described) = self.described.take() {
             return Ok(Some(described));
         }
@@ -134,7 +134,7 @@ impl RecordingReader for FolderReader {
 
 impl FolderReader {
     /// Its recorder has ended.
-    pub fn open(folder: &Path) -> Result<Self, RosError> {
+    pub fn open(folder: &Path) -> Result<Self> {
         let (text, metadata) = described(folder)?;
         let (name, media_type, data) = (METADATA.into(), "application/yaml".into(), text.as_bytes());
         let body =
@@ -178,7 +178,7 @@ impl FolderReader {
     }
 
     /// A file that cannot be read is damage.
-    fn begin(&mut self, name: String) -> Result<(), RosError> {
+    fn begin(&mut self, name: String) -> Result<()> {
         let path = self.folder.join(&name);
         let opened =
             if path.exists() { Recording::open_file(&path) } else { Err(RosError::recording("it is not there")) };
@@ -228,7 +228,7 @@ const STEP: usize = 16 << 20;
 const RESERVE: u64 = 512 << 20;
 
 /// Unpacks a compressed file into a temporary one.
-pub(crate) fn unpacked(path: &Path) -> Result<NamedTempFile, RosError> {
+pub(crate) fn unpacked(path: &Path) -> Result<NamedTempFile> {
     let failed = |why: &str| RosError::recording(&format!("{} cannot be unpacked with zstd: {why}", path.display()));
     let told = |error: std::io::Error| failed(&why(&error));
     let made = NamedTempFile::new().map_err(told)?;

@@ -16,7 +16,7 @@ use self::webhook::Webhook;
 use crate::config::AlertPlace;
 use crate::model::{Timestamp, clean};
 use crate::service::failure::internal;
-use crate::service::reply::{AlertView, Failure};
+use crate::service::reply::{AlertView, Failure, Result};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -78,7 +78,7 @@ impl Drop for Waiting {
 }
 
 impl Carrier {
-    pub fn of(place: &AlertPlace) -> Result<Self, Failure> {
+    pub fn of(place: &AlertPlace) -> Result<Self> {
         Ok(match place {
             AlertPlace::Webhook { url, form, secret, roots } => {
                 Self::Webhook(Webhook::new(url, *form, secret.as_deref(), roots.as_deref())?)

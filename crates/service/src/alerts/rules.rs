@@ -1,11 +1,12 @@
 //! Rules over the figures of a site. Their texts name no topic, contact or key, and accounts by eight digits only.
 
+use std::cmp::Reverse;
 use std::time::Duration;
 
 use crate::config::AlertLimits;
 use crate::model::{Timestamp, coarse};
-use crate::service::figures::{Figures, GrantFigures, OwnerFigures, RobotFigures};
-use crate::service::reply::{AlertView, HealthLevel, Severity};
+use crate::service::figures::{Figures, GrantFigures, OwnerFigures, RobotFigures, short};
+use crate::service::reply::{AlertView, HealthLevel, PartHealth, Severity};
 
 /// Time after a start to work off the backlog, without judging ages.
 const SETTLING: Duration = Duration::from_secs(120);
@@ -37,7 +38,8 @@ pub fn rule_of(key: &str) -> &str {
     key.split('/').next().unwrap_or(key)
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// The worst first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Level {
     Firing,
     /// Too close to the limit to begin or end an alert, or unknown.
@@ -84,14 +86,14 @@ impl Judge {
         let settled = passed(figures.now, since) >= SETTLING;
         let mut judged = self.robots(figures, settled);
         for owner in &figures.owners {
-            judged.extend(self.unanchored(figures, owner, settled).map(|judged| caused(figures, judged)));
+            judged.extend(self.unanchored(figures, owner, settled));
             judged.extend(records(owner));
         }
         judged.extend(self.disk(figures));
         judged.push(self.gap(figures));
         judged.extend(self.clock(figures));
         judged.extend(self.ending_grants(figures));
-        judged.extend(self.audit(figures, settled).map(|judged| caused(figures, judged)));
+        judged.extend(self.audit(figures, settled));
         let text = "The chain is unreachable or a transaction lane is stuck: anchoring is paused, records are \
                      safe. See `authros status`.";
         judged.extend(part(figures, "chain", text));
@@ -107,9 +109,7 @@ impl Judge {
         let present = silent.filter(|(_, silent)| *silent < AWAY);
         let judge = |(RobotFigures { robot, .. }, silent): (&RobotFigures, Duration)| {
             let silence = coarse(silent);
-            let text = format!(
-                "Nothing received from robot {robot} for {silence}; check its agent, its network and its clock."
-            );
+            let text = format!("Nothing received from robot {robot} for {silence}; check its agent and its network.");
             let level = aged(silent, limit, settled);
             Judged::new(format!("robot_silent/{robot}"), Severity::Warning, level, text)
         };
@@ -124,7 +124,7 @@ impl Judge {
             "The oldest record of account {account} has been waiting {waiting} for a block; records are safe. See \
              `authros chain status`."
         );
-        let level = aged(waited, limit, settled);
+        let level = unless_caused(figures, owner, aged(waited, limit, settled));
         Some(Judged::new(format!("unanchored/{account}"), Severity::Critical, level, text))
     }
 
@@ -185,7 +185,7 @@ impl Judge {
         let judge = |grant: &GrantFigures| {
             let GrantFigures { owner, reader, given, begun, ends } = grant;
             let soon = begun.map_or(limit, |begun| limit.min(passed(*ends, begun) / PART));
-            let how = if *given { "`authros grants extend` extends it" } else { "only its owner can extend it" };
+            let how = if *given { "`authros grant extend` extends it" } else { "only its owner can extend it" };
             let text = format!("The grant of account {owner} to {reader} ends at {ends}; {how}.");
             let level = firing(left(grant) <= soon);
             Judged::new(format!("{GRANT}/{owner}-{reader}"), Severity::Warning, level, text)
@@ -205,13 +205,18 @@ impl Judge {
         let limit = self.limits.audit?;
         // Without a chain, heads are not anchored.
         figures.parts.iter().find(|part| part.part == "chain")?;
-        let waited = figures.audit_unanchored.map_or(Duration::ZERO, |oldest| passed(figures.now, oldest));
+        let judge = |owner: &OwnerFigures| {
+            let waited = owner.audit_unanchored.map_or(Duration::ZERO, |oldest| passed(figures.now, oldest));
+            (unless_caused(figures, owner, aged(waited, limit, settled)), Reverse(waited))
+        };
+        let worst = figures.owners.iter().map(judge).min();
+        let (level, Reverse(waited)) = worst.unwrap_or((Level::Clear, Reverse(Duration::ZERO)));
         let age = coarse(waited);
         let text = format!(
             "The oldest audit log line not covered by an anchored head is {age} old. See `authros chain status`."
         );
         // While every profile is locked, alerts neither begin nor end.
-        let level = if figures.audit_locked { Level::Between } else { aged(waited, limit, settled) };
+        let level = if figures.audit_locked { Level::Between } else { level };
         Some(Judged::new("audit", Severity::Warning, level, text))
     }
 }
@@ -220,7 +225,7 @@ fn records(owner: &OwnerFigures) -> [Judged; 2] {
     let (account, held, tampered) = (&owner.owner, owner.life.quarantined, owner.life.tampered);
     let text = format!(
         "{held} messages for account {account} are quarantined: their publisher is not pinned. Release or discard \
-         them; see `authros quarantine list`."
+         them; see `authros topics quarantine list`."
     );
     let held = Judged::new(format!("quarantine/{account}"), Severity::Warning, firing(held > 0), text);
     let text = format!(
@@ -230,13 +235,14 @@ fn records(owner: &OwnerFigures) -> [Judged; 2] {
     [held, Judged::new(format!("tampered/{account}"), Severity::Critical, firing(tampered > 0), text)]
 }
 
-/// Without a chain nothing is anchored, which the chain's own alert says: one cause, one alert.
-fn caused(figures: &Figures, judged: Judged) -> Judged {
-    let is_failed = figures.parts.iter().any(|part| part.part == "chain" && part.level == HealthLevel::Failed);
-    match judged.level {
-        Level::Firing if is_failed => Judged { level: Level::Between, ..judged },
-        _ => judged,
-    }
+/// Without a chain, or with its lane paused, an account anchors nothing, which the chain's own alert says: one cause, one
+/// alert.
+fn unless_caused(figures: &Figures, owner: &OwnerFigures, level: Level) -> Level {
+    let is_cause = |part: &PartHealth| {
+        let is_unaffected = part.unaffected.iter().any(|account| short(&account.to_string()) == owner.owner);
+        part.part == "chain" && part.level == HealthLevel::Failed && !is_unaffected
+    };
+    if level == Level::Firing && figures.parts.iter().any(is_cause) { Level::Between } else { level }
 }
 
 fn part(figures: &Figures, name: &str, text: &str) -> Option<Judged> {

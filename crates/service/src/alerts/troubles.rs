@@ -23,8 +23,7 @@ pub fn limits() -> AlertLimits {
 }
 
 fn part_of(name: &str) -> PartHealth {
-    let text = "redis://secret@host /topic".to_owned();
-    PartHealth { part: name.to_owned(), level: HealthLevel::Ok, text, since: None, retry: None }
+    PartHealth::new(name, HealthLevel::Ok, "redis://secret@host /topic")
 }
 
 /// A grant that ends this long after the beginning.
@@ -89,7 +88,7 @@ pub fn troubles() -> Vec<(&'static str, Trouble)> {
                 });
             }),
         ),
-        ("audit", Box::new(|it| it.audit_unanchored = Some(before(it, 901)))),
+        ("audit", Box::new(|it| it.owners[0].audit_unanchored = Some(before(it, 901)))),
     ];
     rules.into()
 }

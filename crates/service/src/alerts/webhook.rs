@@ -18,7 +18,7 @@ use crate::config::AlertForm;
 use crate::crypto::private_file;
 use crate::failure::{input, refused};
 use crate::model::{ErrorKind, Timestamp, clean};
-use crate::reply::Failure;
+use crate::reply::{Failure, Result};
 
 const PATIENCE: Duration = Duration::from_secs(10);
 const MOST_READ: usize = 512;
@@ -34,7 +34,7 @@ pub struct Webhook {
 }
 
 impl Webhook {
-    pub fn new(url: &str, form: AlertForm, secret: Option<&Path>, roots: Option<&Path>) -> Result<Self, Failure> {
+    pub fn new(url: &str, form: AlertForm, secret: Option<&Path>, roots: Option<&Path>) -> Result<Self> {
         let unusable = || input("alerts.webhook is not a server address; use http:// or https://HOST:PORT/PATH");
         let mut url = reqwest::Url::parse(url).map_err(|_| unusable())?;
         if form == AlertForm::Alertmanager && !url.path().ends_with("/api/v2/alerts") {
@@ -191,7 +191,7 @@ fn end(state: &mut State) {
     }
 }
 
-pub fn run(words: &[String], body: &[u8], patience: Duration, wanted: &Wanted) -> Result<String, Failure> {
+pub fn run(words: &[String], body: &[u8], patience: Duration, wanted: &Wanted) -> Result<String> {
     let Some((program, arguments)) = words.split_first() else { return Err(refused("alerts.command is empty")) };
     let shown = clean(program, 100);
     let mut command = Command::new(program);
@@ -211,7 +211,7 @@ pub fn run(words: &[String], body: &[u8], patience: Duration, wanted: &Wanted) -
     }
 }
 
-fn begun(command: &mut Command, wanted: &Wanted, shown: &str) -> Result<Child, Failure> {
+fn begun(command: &mut Command, wanted: &Wanted, shown: &str) -> Result<Child> {
     let mut state = wanted.state();
     if *state == State::Over {
         return Err(refused(format!("{shown} was not started: nothing is waiting for it any more")));
@@ -328,7 +328,7 @@ mod command_tests {
         words.iter().map(|word| (*word).to_owned()).collect()
     }
 
-    fn ran(given: &[&str], body: &[u8], patience: Duration) -> Result<String, Failure> {
+    fn ran(given: &[&str], body: &[u8], patience: Duration) -> Result<String> {
         run(&words(given), body, patience, &Wanted::default())
     }
 

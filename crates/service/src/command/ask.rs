@@ -1,7 +1,7 @@
 //! Requests that name their answers. One list generates the wire enum, a type for each request, and its answer.
 
 use super::Command;
-use crate::service::reply::{Answer, Failure, Reply};
+use crate::service::reply::{Answer, Failure, Reply, Result};
 
 pub trait Ask: Into<Command> {
     type Answer: Answer;
@@ -12,7 +12,7 @@ pub trait Ask: Into<Command> {
     }
 
     /// The answer from what came over the wire, or the failure of a site of another version.
-    fn heard(reply: Result<Reply, Failure>) -> Result<Self::Answer, Failure> {
+    fn heard(reply: Result<Reply>) -> Result<Self::Answer> {
         Self::Answer::from_reply(reply?).ok_or_else(Failure::of_another_version)
     }
 }

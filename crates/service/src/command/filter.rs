@@ -8,7 +8,7 @@ use strum::VariantArray as _;
 use super::UploadQuery;
 use crate::model::{Clock, RecordKind, RecordState, clean};
 use crate::service::failure::input;
-use crate::service::reply::Failure;
+use crate::service::reply::Result;
 
 /// The state's word without quotes for a shell.
 const RIGHT_ENDED: &str = "unauthorised";
@@ -40,7 +40,7 @@ impl Term {
     }
 
     /// `since:10m` in two; `None` if the word is no term. A word with `:` that is no term is refused: nothing else has one.
-    pub fn split(word: &str) -> Result<Option<(Self, &str)>, Failure> {
+    pub fn split(word: &str) -> Result<Option<(Self, &str)>> {
         let Some((name, text)) = word.split_once(':') else { return Ok(None) };
         match Self::named(name) {
             Some(term) => Ok(Some((term, text))),
@@ -91,7 +91,7 @@ fn distance(one: &str, other: &str) -> usize {
 
 impl UploadQuery {
     /// Adds a term. Durations are counted back from the clock's moment.
-    pub fn take(&mut self, term: Term, text: &str, clock: &Clock) -> Result<(), Failure> {
+    pub fn take(&mut self, term: Term, text: &str, clock: &Clock) -> Result<()> {
         match term {
             Term::Owner => self.owner = Some(parsed(text)?),
             Term::Topic => self.topic = Some(parsed(text)?),
@@ -117,16 +117,11 @@ fn state_word(state: RecordState) -> &'static str {
     if state == RecordState::RightEnded { RIGHT_ENDED } else { state.word() }
 }
 
-fn parsed<T: FromStr<Err: Display>>(text: &str) -> Result<T, Failure> {
+fn parsed<T: FromStr<Err: Display>>(text: &str) -> Result<T> {
     text.parse().map_err(|error: T::Err| input(error.to_string()))
 }
 
-fn one_of<T: Copy>(
-    text: &str,
-    what: &str,
-    all: impl IntoIterator<Item = T>,
-    word: fn(T) -> &'static str,
-) -> Result<T, Failure> {
+fn one_of<T: Copy>(text: &str, what: &str, all: impl IntoIterator<Item = T>, word: fn(T) -> &'static str) -> Result<T> {
     let all: Vec<T> = all.into_iter().collect();
     all.iter().find(|one| word(**one) == text).copied().ok_or_else(|| {
         let words: Vec<&str> = all.iter().map(|one| word(*one)).collect();
@@ -136,7 +131,7 @@ fn one_of<T: Copy>(
 }
 
 /// A robot's name: as enrolled, or the first part of its topics.
-pub fn robot(text: &str) -> Result<String, Failure> {
+pub fn robot(text: &str) -> Result<String> {
     let fits = |byte: u8| byte.is_ascii_alphanumeric() || b"_-.".contains(&byte);
     match (1..=64).contains(&text.len()) && text.bytes().all(fits) {
         true => Ok(text.to_owned()),
@@ -149,7 +144,7 @@ pub fn robot(text: &str) -> Result<String, Failure> {
 }
 
 /// A tag, `key=value`.
-pub fn tag(text: &str) -> Result<(String, String), Failure> {
+pub fn tag(text: &str) -> Result<(String, String)> {
     let usable = |key: &str| {
         !key.is_empty() && key.len() <= 64 && key.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_' || b == b'-')
     };

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::failure::input;
 use crate::model::{IncidentName, Party, RecordKind, RecordState, Timestamp, TopicName, TopicPattern, TypeName, clean};
-use crate::reply::Failure;
+use crate::reply::Result;
 use crate::ros::recording::{ChunkCompression, RecordingFormat};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -38,7 +38,7 @@ pub enum GrantFrom {
 
 impl GrantFrom {
     /// `now`, `epoch` for the current one, `start`, an epoch's number, or a time as `back` reads it.
-    pub fn read<E: fmt::Display>(text: &str, back: impl FnOnce(&str) -> Result<Timestamp, E>) -> Result<Self, Failure> {
+    pub fn read<E: fmt::Display>(text: &str, back: impl FnOnce(&str) -> Result<Timestamp, E>) -> Result<Self> {
         match text.trim() {
             "now" => Ok(Self::Now),
             "epoch" => Ok(Self::Current),
@@ -90,14 +90,14 @@ pub struct UploadQuery {
     pub after: Option<String>,
     /// 1 to 1,000.
     pub limit: usize,
-    /// Console: newest first; otherwise oldest first.
+    /// Otherwise oldest first.
     pub newest_first: bool,
 }
 
-/// Quarantined messages: all of a topic, or some.
+/// Quarantined messages: all of the topics that match, or some.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Held {
-    pub topic: Option<TopicName>,
+    pub topic: Option<TopicPattern>,
     /// Only without a topic.
     pub ids: Vec<String>,
 }

@@ -132,7 +132,7 @@ fn ages(text: &mut Text, figures: &Figures) {
     text.family("authros_oldest_unanchored_age_seconds", "gauge", help, &figures.owners, |row| {
         ([("owner", &row.owner)], age(row.oldest_unanchored))
     });
-    let help = "Time since a robot's newest record was captured, by the robot's clock.";
+    let help = "Time since a robot's newest record arrived here.";
     text.family("authros_robot_last_seen_age_seconds", "gauge", help, &figures.robots, |row| {
         ([("robot", &row.robot)], figures.age(row.last_seen))
     });
@@ -141,8 +141,9 @@ fn ages(text: &mut Text, figures: &Figures) {
     text.family("authros_grant_ends_seconds", "gauge", help, grants, |row| {
         ([("owner", &row.owner), ("reader", &row.reader)], figures.until(row.ends))
     });
+    let uncovered = figures.owners.iter().filter_map(|owner| owner.audit_unanchored).min();
     let help = "Age of the oldest audit log line not covered by an anchored head; 0 if all are covered.";
-    text.single("authros_audit_unanchored_age_seconds", "gauge", help, age(figures.audit_unanchored));
+    text.single("authros_audit_unanchored_age_seconds", "gauge", help, age(uncovered));
     text.single("authros_audit_lines_total", "counter", "Lines of the audit log.", figures.audit_lines);
 }
 

@@ -30,8 +30,7 @@ pub struct Figures {
     pub cache: Option<CacheState>,
     pub untold_gaps: u64,
     pub audit_lines: u64,
-    pub audit_unanchored: Option<Timestamp>,
-    /// Unknown, because every profile is locked.
+    /// Every profile is locked, so what heads cover is unknown.
     pub audit_locked: bool,
     /// Seconds ahead of the time used for rights; negative = behind.
     pub clock_ahead: i64,
@@ -48,6 +47,8 @@ pub struct OwnerFigures {
     pub owner: String,
     pub life: LifeLine,
     pub oldest_unanchored: Option<Timestamp>,
+    /// The oldest audit log line that no head of this account covers; `None` while its profile is locked.
+    pub audit_unanchored: Option<Timestamp>,
     /// Only if the settings ask for them.
     pub topics: Vec<TopicFigures>,
 }

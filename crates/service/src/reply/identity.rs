@@ -5,7 +5,9 @@ pub use crate::pipeline::directory::GrantState;
 use serde::{Deserialize, Serialize};
 
 use crate::command::SecretBytes;
-use crate::model::{Address, ContactName, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token, clean};
+use crate::model::{
+    Address, ContactName, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token, TopicName, clean, counted,
+};
 
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct IdentityView {
@@ -34,15 +36,19 @@ pub struct Opens {
     pub records: u64,
     /// Capture of the first; `None` = there is none yet.
     pub since: Option<Timestamp>,
+    /// Robots may have more that has not arrived here.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub of_robots: bool,
 }
 
 impl Opens {
     /// `since 21:50:41 UTC, 8,505 records`, with the moment as the reader writes it.
     pub fn words(self, moment: impl Fn(Timestamp) -> String) -> String {
-        match self.since {
+        let known = match self.since {
             Some(since) => format!("since {}, {}", moment(since), counted(self.records, "record")),
             None => "no record yet".to_owned(),
-        }
+        };
+        if self.of_robots { known + ", as far as they have arrived here" } else { known }
     }
 }
 
@@ -53,6 +59,9 @@ pub const NOTHING_OLDER: &str = "from now on, nothing older";
 pub struct GrantForesight {
     /// The first epoch that it opens.
     pub epoch: u64,
+    /// What it covers; empty = all topics.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub topics: Vec<TopicName>,
     /// How many begin with it: one for "from now on", and one if a standing grant is revoked before.
     pub epochs: usize,
     /// Nobody can have sealed anything under the keys that it gives.
@@ -93,19 +102,6 @@ impl GrantForesight {
         };
         format!("{epochs}: {readers} {get} the key, {robots}; {transactions}")
     }
-}
-
-/// `8,505 records`.
-fn counted(count: u64, one: &str) -> String {
-    let digits = count.to_string();
-    let mut grouped = String::with_capacity(digits.len() + digits.len() / 3);
-    for (place, digit) in digits.chars().enumerate() {
-        if place > 0 && (digits.len() - place).is_multiple_of(3) {
-            grouped.push(',');
-        }
-        grouped.push(digit);
-    }
-    format!("{grouped} {one}{}", if count == 1 { "" } else { "s" })
 }
 
 /// `2026-11-27 18:00:00 UTC`.
@@ -300,7 +296,7 @@ pub struct DeviceRow {
     pub device: SignerId,
     /// As the device shows it.
     pub fingerprint: String,
-    /// `lent`, `expired` or `recalled`.
+    /// `authorised`, `expired` or `revoked`.
     pub state: String,
     pub from: u64,
     pub until: Option<Timestamp>,
@@ -314,11 +310,13 @@ mod tests {
     #[test]
     fn what_a_grant_opens_and_costs_in_words() {
         let since = Some(Timestamp::from_seconds(1_700_000_000));
-        let opens = |records, since| Opens { records, since }.words(utc);
+        let opens = |records, since| Opens { records, since, of_robots: false }.words(utc);
         assert_eq!(opens(8_505, since), "since 2023-11-14 22:13:20 UTC, 8,505 records");
         assert_eq!(opens(1, since), "since 2023-11-14 22:13:20 UTC, 1 record");
         assert_eq!(opens(1_234_567, since), "since 2023-11-14 22:13:20 UTC, 1,234,567 records");
         assert_eq!(opens(0, None), "no record yet");
+        let arrived = Opens { records: 2, since, of_robots: true }.words(utc);
+        assert_eq!(arrived, "since 2023-11-14 22:13:20 UTC, 2 records, as far as they have arrived here");
         let now =
             GrantForesight { epoch: 2, epochs: 1, nothing_older: true, transactions: 2, ..GrantForesight::default() };
         assert_eq!(now.moment(utc), "from now on, nothing older");
@@ -327,7 +325,11 @@ mod tests {
         let more = GrantForesight { epochs: 2, readers: 1, robots, transactions: 5, ..now };
         let told = "2 robots are told (scout-1, scout-2); until one hears, this reader opens nothing that it seals";
         assert_eq!(more.cost(), format!("2 new epochs: 1 other reader gets the key, {told}; 5 transactions"));
-        let past = GrantForesight { opens: Opens { records: 2, since }, transactions: 1, ..GrantForesight::default() };
+        let past = GrantForesight {
+            opens: Opens { records: 2, since, of_robots: false },
+            transactions: 1,
+            ..GrantForesight::default()
+        };
         assert_eq!(
             (past.moment(utc).as_str(), past.cost().as_str()),
             ("since 2023-11-14 22:13:20 UTC, 2 records", "1 transaction")

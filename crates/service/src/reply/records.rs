@@ -72,10 +72,21 @@ pub struct ExportedFile {
 pub struct EvidenceView {
     pub file: String,
     pub bytes: u64,
+    /// Chosen, with the recorder's own statements once it is written.
     pub records: u64,
     pub revealed: u64,
+    /// What of each topic is disclosed, the largest first; cleaned.
+    pub topics: Vec<DisclosedTopic>,
+    /// Not merely shown.
+    pub written: bool,
     /// What could not be included.
     pub notes: Vec<String>,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DisclosedTopic {
+    pub topic: String,
+    pub records: u64,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

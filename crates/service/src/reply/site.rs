@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::model::{ErrorKind, ProfileName, Timestamp, clean};
+use crate::model::{Address, ErrorKind, ProfileName, Timestamp, clean};
 use crate::store::CacheState;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -30,6 +30,9 @@ pub struct PartHealth {
     /// Seconds until the next attempt.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub retry: Option<u64>,
+    /// Accounts that it does not concern: they anchor while another's lane is paused.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub unaffected: Vec<Address>,
 }
 
 impl PartHealth {
@@ -37,7 +40,8 @@ impl PartHealth {
     const LONGEST: usize = 600;
 
     pub fn new(part: &str, level: HealthLevel, text: &str) -> Self {
-        Self { part: part.to_owned(), level, text: clean(text, Self::LONGEST), since: None, retry: None }
+        let (part, text) = (part.to_owned(), clean(text, Self::LONGEST));
+        Self { part, level, text, since: None, retry: None, unaffected: Vec::new() }
     }
 }
 

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{LeftOut, UnreachedView};
-use crate::model::{Digest, Timestamp, TopicName, TopicRule};
+use crate::model::{Digest, Sampling, Timestamp, TopicName, TopicRule, TypeName};
 use crate::ros::recording::{Damage, RecordingFormat};
 use crate::store::CoveragePart;
 
@@ -35,6 +35,12 @@ pub struct TopicRow {
     /// The pattern that watches it, if its own name does not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub watched_by: Option<String>,
+    /// The only type that is captured, if its watch names one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub watched_type: Option<TypeName>,
+    /// How many of its messages are kept: by its watch, or else by the settings.
+    #[serde(default, skip_serializing_if = "Sampling::is_all")]
+    pub sampling: Sampling,
     /// `None` = it is captured, or not watched.
     pub held_up: Option<HeldUp>,
     pub simulated: bool,
@@ -81,14 +87,17 @@ impl CoverageView {
         self.parts.iter().map(CoveragePart::sign).collect()
     }
 
-    /// Meaning of the signs that occur.
     pub fn legend(&self) -> String {
-        const MEANINGS: [(char, &str); 5] =
-            [('█', "recorded"), ('·', "nothing"), ('L', "messages lost"), ('Q', "quarantined"), ('T', "tampered")];
-        let strip = self.strip();
-        let there = MEANINGS.iter().filter(|(sign, _)| strip.contains(*sign));
-        there.map(|(sign, text)| format!("{sign} {text}")).collect::<Vec<_>>().join("  ")
+        coverage_legend(&self.strip())
     }
+}
+
+/// Meaning of the signs that occur in a strip.
+pub fn coverage_legend(strip: &str) -> String {
+    const MEANINGS: [(char, &str); 5] =
+        [('█', "recorded"), ('·', "nothing"), ('L', "messages lost"), ('Q', "quarantined"), ('T', "tampered")];
+    let there = MEANINGS.iter().filter(|(sign, _)| strip.contains(*sign));
+    there.map(|(sign, text)| format!("{sign} {text}")).collect::<Vec<_>>().join("  ")
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -261,6 +270,8 @@ pub struct PolicyRow {
     #[serde(rename = "type")]
     pub type_name: Option<String>,
     pub watched: bool,
+    /// By its watch, or else by the rule.
+    pub sampling: Sampling,
     pub rule: Option<TopicRule>,
     /// Since the site started.
     pub left_out: u64,

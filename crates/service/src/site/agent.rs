@@ -24,7 +24,7 @@ use crate::pipeline::forwarder::{CopyKeeping, Forwarder, Link, Robot};
 use crate::pipeline::notices::Notices;
 use crate::pipeline::session::TopicFigures;
 use crate::pipeline::{Author, CaptureSession, recorder_heads};
-use crate::reply::Failure;
+use crate::reply::{Failure, Result};
 use crate::store::{DiskRing, RingFigures, StateCounts, TopicCounts};
 
 const PATIENCE: Duration = Duration::from_secs(10);
@@ -89,7 +89,7 @@ pub struct Agent {
 
 impl Agent {
     /// Starts capturing and forwarding; a gateway or master that does not answer may come later.
-    pub async fn start(site: &Arc<Site>, mut sealed: SealedEnrolment, wishes: AgentWishes) -> Result<Self, Failure> {
+    pub async fn start(site: &Arc<Site>, mut sealed: SealedEnrolment, wishes: AgentWishes) -> Result<Self> {
         let kept = SealedEnrolment::kept_in(site.parts.home.root());
         sealed.catch_up(&kept)?;
         let enrolment = &sealed.enrolment;
@@ -145,11 +145,7 @@ impl Agent {
     }
 
     /// Works until everything requested is verified, or until `told`; calls `progress` at most once a second.
-    pub async fn run(
-        &mut self,
-        told: impl Future,
-        mut progress: impl FnMut(&AgentFigures),
-    ) -> Result<AgentEnd, Failure> {
+    pub async fn run(&mut self, told: impl Future, mut progress: impl FnMut(&AgentFigures)) -> Result<AgentEnd> {
         let time_is_up = tokio::time::sleep(self.wishes.length.unwrap_or(Duration::MAX));
         tokio::pin!(told, time_is_up);
         let (mut up, mut looks, mut shown) = (false, 0u32, None);
@@ -225,7 +221,7 @@ impl Agent {
         matches!(&*self.link.borrow(), Link::Refused(_)).then_some(AgentEnd::Refused)
     }
 
-    pub fn figures(&self) -> Result<AgentFigures, Failure> {
+    pub fn figures(&self) -> Result<AgentFigures> {
         Ok(self.figures_of(&self.site.plant.ledger.counts.by_state(None)?))
     }
 
@@ -255,7 +251,7 @@ impl Agent {
         self.sessions.iter().flat_map(|session| session.figures())
     }
 
-    pub fn topics(&self) -> Result<Vec<TopicCounts>, Failure> {
+    pub fn topics(&self) -> Result<Vec<TopicCounts>> {
         Ok(self.site.plant.ledger.counts.by_state(None)?.topics)
     }
 
@@ -282,7 +278,7 @@ async fn forward(site: Arc<Site>, forwarder: Arc<tokio::sync::Mutex<Forwarder>>)
     forwarder.lock().await.run(&site.parts.hub.stored).await;
 }
 
-fn forwarder(site: &Site, enrolment: &Enrolment) -> Result<Forwarder, Failure> {
+fn forwarder(site: &Site, enrolment: &Enrolment) -> Result<Forwarder> {
     let robot = Robot {
         owner: enrolment.owner,
         context: Context { provider: site.plant.provider, domain: enrolment.domain },
@@ -300,13 +296,13 @@ fn forwarder(site: &Site, enrolment: &Enrolment) -> Result<Forwarder, Failure> {
 }
 
 /// Some requested topics may lack a key for now: their messages are refused and counted until it comes.
-fn topics(enrolment: &Enrolment, asked: &[TopicName], ring: Option<&TopicPatterns>) -> Result<Vec<String>, Failure> {
+fn topics(enrolment: &Enrolment, asked: &[TopicName], ring: Option<&TopicPatterns>) -> Result<Vec<String>> {
     let covered = enrolment.keys.now.key.topics();
     if let (Some(covered), Some(strange)) = (&covered, asked.first())
         && !asked.iter().any(|topic| covered.iter().any(|name| name == topic.as_str()))
     {
         return Err(refused(format!(
-            "this enrolment has no key for topic {strange}, only for {}; its owner adds it with `authros devices topics \
+            "this enrolment has no key for topic {strange}, only for {}; its owner adds it with `authros robot topics \
              add {} {strange}`",
             clean(&covered.join(", "), 300),
             enrolment.name
@@ -347,7 +343,7 @@ struct AgentRing {
 }
 
 impl AgentRing {
-    pub fn begin(site: &Arc<Site>, author: &Arc<Author>, settings: RingSettings) -> Result<Self, Failure> {
+    pub fn begin(site: &Arc<Site>, author: &Arc<Author>, settings: RingSettings) -> Result<Self> {
         let RingSettings { limits, topics } = settings;
         let recorder = RecorderPrefix::ring(random_bytes()?);
         let ring = block_in_place(|| DiskRing::open(&site.parts.home.ring(), limits, recorder))?;
@@ -358,7 +354,7 @@ impl AgentRing {
         Ok(Self { site, author, ring, pulls, patterns, topics: BTreeSet::new(), looked: None, failed: false })
     }
 
-    pub fn change(&mut self, settings: Option<RingSettings>) -> Result<(), Failure> {
+    pub fn change(&mut self, settings: Option<RingSettings>) -> Result<()> {
         let (limits, patterns) = settings.map(|settings| (settings.limits, settings.topics)).unzip();
         self.patterns = patterns;
         let (kept, gone) = std::mem::take(&mut self.topics).into_iter().partition(|topic| self.takes(topic));
@@ -440,9 +436,7 @@ fn possible(site: &Site, author: &Author) -> Vec<String> {
     if let Some(covered) = keys.names() {
         return covered;
     }
-    let link = site.ros.state().link().cloned();
-    let of_one = link.map(|link| link.topics()).unwrap_or_default().into_iter().map(|info| info.name);
-    of_one.chain(site.ros.second.topics().into_iter().map(|topic| topic.name)).collect()
+    site.ros.names().iter().map(ToString::to_string).collect()
 }
 
 fn words(brought: &Brought) -> String {

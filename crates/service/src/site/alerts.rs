@@ -19,7 +19,7 @@ use crate::service::alerts::{
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::input;
 use crate::service::figures::{Figures, short};
-use crate::service::reply::{AlertTestView, AlertView, AlertsView, EndedAlert, Failure, Severity};
+use crate::service::reply::{AlertTestView, AlertView, AlertsView, EndedAlert, Failure, Result, Severity};
 
 const PAUSES: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(300));
 /// Refusals of the first delivery after which it is dropped: the others wait behind it.
@@ -108,7 +108,7 @@ impl Alerts {
         told
     }
 
-    fn place(&self) -> Result<&AlertPlace, Failure> {
+    fn place(&self) -> Result<&AlertPlace> {
         let nobody = "alerts are only shown, not sent; set alerts.webhook or alerts.command";
         self.settings.place.as_ref().ok_or_else(|| input(nobody))
     }
@@ -235,11 +235,11 @@ impl Site {
         Ok(())
     }
 
-    pub(super) async fn alerts_view(self: &Arc<Self>) -> Result<AlertsView, Failure> {
+    pub(super) async fn alerts_view(self: &Arc<Self>) -> Result<AlertsView> {
         blocking(self, |site| Ok(site.alerts.view())).await
     }
 
-    pub(super) async fn test_alert(self: &Arc<Self>) -> Result<AlertTestView, Failure> {
+    pub(super) async fn test_alert(self: &Arc<Self>) -> Result<AlertTestView> {
         let place = self.alerts.place()?;
         let owner = self.parts.owners.all().first().map(|owner| short(&owner.address.to_string()));
         let alert = AlertView {

@@ -9,7 +9,7 @@ use super::blocking;
 use crate::model::steady_clock::{Reading, SETTLING, look};
 use crate::model::{ProfileName, coarse};
 use crate::service::event::{NoticeLevel, Part};
-use crate::service::reply::{Failure, HealthLevel, PartHealth};
+use crate::service::reply::{HealthLevel, PartHealth, Result};
 
 const LOOK: Duration = Duration::from_secs(1);
 /// Seconds; less is not a jump.
@@ -116,7 +116,7 @@ impl Clock {
     async fn note_clock(&self, subject: &str) {
         let open = self.parts.owners.all().first().map(|owner| owner.profile.clone());
         let Some(profile) = open.or_else(|| NOBODY.parse::<ProfileName>().ok()) else { return };
-        let written: Result<(), Failure> = self.parts.log.write(&profile, "clock", subject, "noticed").await;
+        let written: Result<()> = self.parts.log.write(&profile, "clock", subject, "noticed").await;
         if let Err(failure) = written {
             self.parts.hub.alarm(&failure.message);
         }
@@ -138,7 +138,7 @@ impl Clock {
         } else {
             return None;
         };
-        Some(PartHealth { part: ABOUT.to_owned(), level: HealthLevel::Waiting, text, since: None, retry: None })
+        Some(PartHealth::new(ABOUT, HealthLevel::Waiting, &text))
     }
 }
 

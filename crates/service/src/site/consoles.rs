@@ -10,7 +10,7 @@ use tokio::sync::oneshot;
 use super::Site;
 use super::operators::Asker;
 use crate::model::{ErrorKind, ProfileName};
-use crate::service::reply::Failure;
+use crate::service::reply::{Failure, Result};
 
 /// Longest wait for a profile's dues to the chain before its keyring is locked.
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -61,7 +61,7 @@ pub(super) fn until_released(claims: &Claims) -> oneshot::Receiver<()> {
 }
 
 impl Site {
-    pub(super) fn claim(&self, profile: ProfileName, claims: &Claims) -> Result<(), Failure> {
+    pub(super) fn claim(&self, profile: ProfileName, claims: &Claims) -> Result<()> {
         let mut consoles = self.consoles.lock().unwrap_or_else(PoisonError::into_inner);
         let own = held(claims).consoles.contains(&profile);
         if !consoles.open.insert(profile.clone()) && !own {

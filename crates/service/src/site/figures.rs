@@ -19,7 +19,7 @@ use crate::pipeline::stages::{Milestone, Stage};
 use crate::service::figures::{
     BOUNDS, Figures, GrantFigures, LaneFigures, Latency, OwnerFigures, RobotFigures, TopicFigures, exposition, short,
 };
-use crate::service::reply::{Failure, GrantState, HealthLevel};
+use crate::service::reply::{GrantState, HealthLevel, Result};
 use crate::service::socket;
 use crate::store::StateCounts;
 use crate::store::files::free_bytes;
@@ -111,8 +111,7 @@ impl Site {
         Some(text)
     }
 
-    pub(super) fn figures(&self) -> Result<Figures, Failure> {
-        let (audit_lines, audit_unanchored) = self.audit_figures()?;
+    pub(super) fn figures(&self) -> Result<Figures> {
         let (ledger, head) = (&self.plant.ledger, self.parts.link.newest_head());
         Ok(Figures {
             now: Timestamp::now(),
@@ -127,8 +126,7 @@ impl Site {
             disk: free_bytes(self.home().root()).ok().map(|free| (free, self.config().disk_reserve)),
             cache: self.plant.ciphertext.cache(),
             untold_gaps: ledger.losses.untold()?,
-            audit_lines,
-            audit_unanchored,
+            audit_lines: self.parts.log.lines().head()?.0,
             audit_locked: self.parts.owners.all().is_empty(),
             clock_ahead: look().ahead(),
             gateway: self.gateway.figures(),
@@ -139,7 +137,7 @@ impl Site {
         })
     }
 
-    fn owner_figures(&self) -> Result<Vec<OwnerFigures>, Failure> {
+    fn owner_figures(&self) -> Result<Vec<OwnerFigures>> {
         let mut owners: Vec<Address> = self.parts.owners.all().iter().map(|owner| owner.address).collect();
         owners.extend(self.plant.ledger.counts.owners(MOST_OWNERS)?);
         let mut known = std::collections::HashSet::new();
@@ -148,24 +146,25 @@ impl Site {
         owners.into_iter().map(|owner| self.figures_of(owner)).collect()
     }
 
-    fn figures_of(&self, owner: Address) -> Result<OwnerFigures, Failure> {
+    fn figures_of(&self, owner: Address) -> Result<OwnerFigures> {
         let counts = self.losses.counts(&self.plant, owner)?;
         Ok(OwnerFigures {
             owner: short(&owner.to_string()),
             life: self.life_line_of(owner, &counts)?,
             oldest_unanchored: self.plant.ledger.counts.oldest_unanchored(owner)?,
+            audit_unanchored: self.audit_unanchored(owner)?,
             topics: if self.config().metrics.topics { topics(&counts) } else { Vec::new() },
         })
     }
 
-    fn robot_figures(&self) -> Result<Vec<RobotFigures>, Failure> {
+    fn robot_figures(&self) -> Result<Vec<RobotFigures>> {
         let own: Vec<_> = self.parts.owners.all().iter().map(|owner| signer_id(&owner.signing().public)).collect();
         let seen =
             self.plant.ledger.counts.last_seen(MOST_ROBOTS)?.into_iter().filter(|row| !own.contains(&row.signer));
         Ok(seen.map(|row| RobotFigures { robot: short(&row.signer.to_string()), last_seen: row.at }).collect())
     }
 
-    fn lane_figures(&self) -> Result<Vec<LaneFigures>, Failure> {
+    fn lane_figures(&self) -> Result<Vec<LaneFigures>> {
         let Some(network) = self.parts.link.network_now() else { return Ok(Vec::new()) };
         let mut lanes = Vec::new();
         for owner in self.parts.owners.all() {
@@ -186,32 +185,28 @@ impl Site {
         let owners = &self.parts.owners;
         let open = owners.all().into_iter().map(|owner| owner.address);
         let own: BTreeSet<Address> = open.chain(owners.accounts()).collect();
-        let mut ending = BTreeSet::new();
-        let mut begun = BTreeMap::new();
+        let mut ending = BTreeMap::new();
         for account in &own {
             let grants = network.directory.grants_of(*account).into_iter();
             for grant in grants.chain(network.directory.grants_to(*account)) {
                 let ends = grant.expiry().filter(|_| grant.state(network.directory.now()) == GrantState::Active);
                 let Some(ends) = ends else { continue };
-                let end = (ends, grant.terms.owner, grant.terms.grantee);
-                begun.insert(end, grant.extended.map_or(grant.block, |extension| extension.block));
-                ending.insert(end);
+                let begun = grant.extended.map_or(grant.block, |extension| extension.block);
+                ending.insert((ends, grant.terms.owner, grant.terms.grantee), begun);
             }
         }
         let contacts = self.contacts.names().ok()?;
-        let begun = |end: &Ending| begun.get(end).and_then(|block| network.time_of(*block).ok());
-        Some(told_of(ending, &own, |owner| contacts.contains_key(&owner), begun))
+        let time_of = |block| network.time_of(block).ok();
+        Some(told_of(ending, &own, |owner| contacts.contains_key(&owner), time_of))
     }
 
-    /// Lines of the audit log, and the time of the oldest that no open owner's head covers.
-    fn audit_figures(&self) -> Result<(u64, Option<Timestamp>), Failure> {
-        let (lines, _) = self.parts.log.lines().head()?;
-        let mut oldest: Option<Timestamp> = None;
-        for owner in self.parts.owners.all() {
-            let anchored = audit_head::noted(&self.plant.ledger.notes, owner.address)?.map_or(0, |(line, _)| line);
-            oldest = oldest.into_iter().chain(self.parts.log.lines().written_after(anchored)?).min();
+    /// The time of the oldest line of the audit log that no head of this open owner covers.
+    fn audit_unanchored(&self, owner: Address) -> Result<Option<Timestamp>> {
+        if !self.parts.owners.all().iter().any(|open| open.address == owner) {
+            return Ok(None);
         }
-        Ok((lines, oldest))
+        let anchored = audit_head::noted(&self.plant.ledger.notes, owner)?.map_or(0, |(line, _)| line);
+        Ok(self.parts.log.lines().written_after(anchored)?)
     }
 
     fn latency(&self, milestone: Milestone) -> Latency {
@@ -223,24 +218,25 @@ impl Site {
 /// The end of a grant, its owner and its reader.
 type Ending = (Timestamp, Address, Address);
 
-/// Grants to report, by their ends. Received ones only from contacts: a stranger's unasked grants must not displace
-/// what counts.
+/// Grants to report, by their ends, each with the block in which it began or was extended. Received ones only from
+/// contacts: a stranger's unasked grants must not displace what counts.
 fn told_of(
-    ending: BTreeSet<Ending>,
+    ending: BTreeMap<Ending, u64>,
     own: &BTreeSet<Address>,
     is_contact: impl Fn(Address) -> bool,
-    begun: impl Fn(&Ending) -> Option<Timestamp>,
+    time_of: impl Fn(u64) -> Option<Timestamp>,
 ) -> Vec<GrantFigures> {
-    let (given, mut received): (Vec<_>, Vec<_>) = ending.into_iter().partition(|(_, owner, _)| own.contains(owner));
-    received.retain(|(_, owner, _)| is_contact(*owner));
+    let (given, mut received): (Vec<_>, Vec<_>) =
+        ending.into_iter().partition(|((_, owner, _), _)| own.contains(owner));
+    received.retain(|((_, owner, _), _)| is_contact(*owner));
     let mut told: Vec<_> =
         [given, received].into_iter().flat_map(|grants| grants.into_iter().take(MOST_GRANTS)).collect();
     told.sort_unstable();
-    let figures = told.into_iter().map(|end @ (ends, owner, reader)| GrantFigures {
+    let figures = told.into_iter().map(|((ends, owner, reader), block)| GrantFigures {
         owner: short(&owner.to_string()),
         reader: short(&reader.to_string()),
         given: own.contains(&owner),
-        begun: begun(&end),
+        begun: time_of(block),
         ends,
     });
     figures.collect()
@@ -268,8 +264,8 @@ mod tests {
     fn grants_of_strangers_are_not_told_of_and_push_out_none_that_was_given() {
         let own = BTreeSet::from([account(1)]);
         let stranger = |second: u64| (Timestamp(second), Address([second.to_le_bytes()[0]; 20]), account(1));
-        let mut ending: BTreeSet<_> = (100..200).map(stranger).collect();
-        ending.extend([(Timestamp(900), account(1), account(7)), (Timestamp(800), account(9), account(1))]);
+        let own_ones = [(Timestamp(900), account(1), account(7)), (Timestamp(800), account(9), account(1))];
+        let ending: BTreeMap<_, _> = (100..200).map(stranger).chain(own_ones).map(|end| (end, 7)).collect();
         let told = told_of(ending.clone(), &own, |owner| owner == account(9), |_| None);
         let told: Vec<_> = told.iter().map(|grant| (grant.owner.as_str(), grant.given, grant.ends)).collect();
         assert_eq!(told, [("09090909", false, Timestamp(800)), ("01010101", true, Timestamp(900))]);

@@ -92,7 +92,7 @@ use storage::Storage;
 use super::client::{Call, Client};
 use super::event::Event;
 use super::failure::internal;
-use super::reply::Failure;
+use super::reply::Result;
 use crate::config::Config;
 use crate::crypto::unfinished;
 use crate::model::ProfileName;
@@ -159,13 +159,91 @@ pub struct Site {
     _lock: SiteLock,
 }
 
-/// The recorder, and the guard that judges publishers for it.
-fn recorder(parts: &Parts, rings: &Arc<Rings<CapturedMessage>>, losses: &Arc<Losses>) -> (Arc<Recorder>, Arc<Pins>) {
-    let Parts { config, plant, hub, .. } = parts;
-    let rules = PinRules { mode: config.pin_mode, listed: config.publishers.clone() };
-    let judges = Arc::new(Pins::new(&plant.ledger, hub.clone(), rules));
-    let recorder = Recorder::new(Arc::clone(rings), Arc::clone(losses), hub.clone());
-    (Arc::new(recorder.with_pins(Arc::clone(&judges)).with_rules(config.topic_rules.clone())), judges)
+/// From a ROS graph to the store.
+struct Intake {
+    rings: Arc<Rings<CapturedMessage>>,
+    losses: Arc<Losses>,
+    recorder: Arc<Recorder>,
+    pins: Arc<Pinning>,
+    ros: Arc<RosSide>,
+    watches: Arc<Watches>,
+    sealer: Arc<SealerThread>,
+}
+
+impl Intake {
+    fn of(parts: &Parts, needs: Needs) -> Self {
+        let Parts { config, plant, hub, .. } = parts;
+        let memory = usize::try_from(config.capture_memory).unwrap_or(usize::MAX);
+        let (rings, losses) = (Arc::new(Rings::new(memory)), Arc::new(Losses::default()));
+        let rules = PinRules { mode: config.pin_mode, listed: config.publishers.clone() };
+        let judges = Arc::new(Pins::new(&plant.ledger, hub.clone(), rules));
+        let recorder = Recorder::new(Arc::clone(&rings), Arc::clone(&losses), hub.clone());
+        let recorder = recorder.with_pins(Arc::clone(&judges)).with_rules(config.topic_rules.clone());
+        let (recorder, pins) = (Arc::new(recorder), Arc::new(Pinning { parts: parts.clone(), pins: judges }));
+        let ros = Arc::new(RosSide::new(parts, &recorder, needs.ros));
+        let watches = Arc::new(Watches::new(parts, &recorder, &ros));
+        let sealer = Arc::new(SealerThread::new(parts, &rings, &losses));
+        Self { rings, losses, recorder, pins, ros, watches, sealer }
+    }
+}
+
+/// Owners and readers: what they share, and through which gateways.
+struct Circle {
+    contacts: Arc<Contacts>,
+    reading: Arc<Reading>,
+    enrolments: Arc<Enrolments>,
+    connection: Arc<Connection>,
+    joined: Arc<Joined>,
+    sharing: Arc<Sharing>,
+    admissions: Arc<Admissions>,
+    gateway: Arc<Gateway>,
+}
+
+impl Circle {
+    fn of(parts: &Parts, intake: &Intake, reserve: &Arc<Reserve>) -> Result<Self> {
+        let remote = |site| Remote::new(site, &parts.home, parts.plant.provider).map(Arc::new);
+        let remote = parts.config.site.as_ref().map(remote).transpose()?;
+        let connection = Arc::new(Connection::new(parts, remote.clone()));
+        let joined = Arc::new(Joined { parts: parts.clone(), remote: remote.clone() });
+        let contacts = Arc::new(Contacts::new(parts));
+        let (reading, enrolments) = (Arc::new(Reading::new(parts, &contacts)), Arc::new(Enrolments::new(parts)));
+        let admissions = Arc::new(Admissions::new(parts, &contacts));
+        let sharing = Arc::new(Sharing {
+            parts: parts.clone(),
+            contacts: Arc::clone(&contacts),
+            enrolments: Arc::clone(&enrolments),
+            joined: Arc::clone(&joined),
+            reserve: Arc::clone(reserve),
+            rings: Arc::clone(&intake.rings),
+            ros: Arc::clone(&intake.ros),
+            begun: Mutex::default(),
+            missing: Mutex::default(),
+        });
+        let gateway = Arc::new(Gateway {
+            parts: parts.clone(),
+            sharing: Arc::clone(&sharing),
+            admissions: Arc::clone(&admissions),
+            anchors: Anchors::default(),
+            serving: Mutex::default(),
+            remote,
+            passed_on: OnceLock::new(),
+        });
+        Ok(Self { contacts, reading, enrolments, connection, joined, sharing, admissions, gateway })
+    }
+
+    fn profiles(&self, intake: &Intake) -> Profiles {
+        Profiles {
+            parts: self.sharing.parts.clone(),
+            connection: Arc::clone(&self.connection),
+            sharing: Arc::clone(&self.sharing),
+            enrolments: Arc::clone(&self.enrolments),
+            gateway: Arc::clone(&self.gateway),
+            reading: Arc::clone(&self.reading),
+            pins: Arc::clone(&intake.pins),
+            recorder: Arc::clone(&intake.recorder),
+            watches: Arc::clone(&intake.watches),
+        }
+    }
 }
 
 /// A joined process's request.
@@ -188,13 +266,13 @@ fn sweep(home: &Home) {
 
 impl Site {
     /// Opens the store and starts the needed parts; chain and master come up, or fail, later.
-    pub fn start(home: Home, config: Config, lock: SiteLock, needs: Needs) -> Result<Arc<Self>, Failure> {
+    pub fn start(home: Home, config: Config, lock: SiteLock, needs: Needs) -> Result<Arc<Self>> {
         // Robots are where the gateway is.
         let needs = Needs { ros: needs.ros && config.site.is_none(), ..needs };
         sweep(&home);
         let (parts, opened, copied) = Parts::open(home, config, needs.chain)?;
         let (reserve, reserved) = Reserve::open(&parts.home.reserve(), RESERVE_BYTES);
-        let site = Arc::new(Self::assemble(parts, Arc::new(reserve), lock, needs)?);
+        let site = Arc::new(Self::assemble(parts, &Arc::new(reserve), lock, needs)?);
         if let Err(error) = reserved {
             site.parts.hub.warn(&format!("no space could be reserved for a revoke on a full disk: {error}"));
         }
@@ -206,56 +284,17 @@ impl Site {
     }
 
     /// Builds the features over the shared parts.
-    #[expect(clippy::too_many_lines, reason = "a list of features and their friends, without a branch")]
-    fn assemble(parts: Parts, reserve: Arc<Reserve>, lock: SiteLock, needs: Needs) -> Result<Self, Failure> {
-        let (of, config, plant) = (&parts, Arc::clone(&parts.config), parts.plant.clone());
-        let memory = usize::try_from(config.capture_memory).unwrap_or(usize::MAX);
-        let (rings, losses) = (Arc::new(Rings::new(memory)), Arc::new(Losses::default()));
-        let (recorder, judges) = recorder(&parts, &rings, &losses);
-        let remote = config.site.as_ref().map(|site| Remote::new(site, &parts.home, plant.provider)).transpose()?;
-        let remote = remote.map(Arc::new);
-        let (lanes, connection) = (Arc::new(Lanes::new(of)), Arc::new(Connection::new(of, remote.clone())));
-        let (contacts, sealer) = (Arc::new(Contacts::new(of)), Arc::new(SealerThread::new(of, &rings, &losses)));
-        let joined = Arc::new(Joined { parts: parts.clone(), remote: remote.clone() });
-        let pins = Arc::new(Pinning { parts: parts.clone(), pins: judges });
-        let (ros, reading) = (Arc::new(RosSide::new(of, &recorder, needs.ros)), Arc::new(Reading::new(of, &contacts)));
-        let quarantine = Arc::new(Quarantine::new(of, &reading));
-        let admissions = Arc::new(Admissions::new(of, &contacts));
-        let (stamps, enrolments) = (Arc::new(TimeStamps::new(of)), Arc::new(Enrolments::new(of)));
-        let sharing = Arc::new(Sharing {
-            parts: parts.clone(),
-            contacts: Arc::clone(&contacts),
-            enrolments: Arc::clone(&enrolments),
-            joined: Arc::clone(&joined),
-            reserve: Arc::clone(&reserve),
-            rings: Arc::clone(&rings),
-            ros: Arc::clone(&ros),
-            begun: Mutex::default(),
-            missing: Mutex::default(),
-        });
-        let gateway = Arc::new(Gateway {
-            parts: parts.clone(),
-            sharing: Arc::clone(&sharing),
-            admissions: Arc::clone(&admissions),
-            anchors: Anchors::default(),
-            serving: Mutex::default(),
-            remote,
-            passed_on: OnceLock::new(),
-        });
-        let watches = Arc::new(Watches::new(of, &recorder, &ros));
-        let profiles = Arc::new(Profiles {
-            parts: parts.clone(),
-            connection: Arc::clone(&connection),
-            sharing: Arc::clone(&sharing),
-            enrolments: Arc::clone(&enrolments),
-            gateway: Arc::clone(&gateway),
-            reading: Arc::clone(&reading),
-            pins: Arc::clone(&pins),
-            recorder: Arc::clone(&recorder),
-            watches: Arc::clone(&watches),
-        });
+    fn assemble(parts: Parts, reserve: &Arc<Reserve>, lock: SiteLock, needs: Needs) -> Result<Self> {
+        let of = &parts;
+        let intake = Intake::of(of, needs);
+        let circle = Circle::of(of, &intake, reserve)?;
+        let (lanes, stamps) = (Arc::new(Lanes::new(of)), Arc::new(TimeStamps::new(of)));
+        let profiles = Arc::new(circle.profiles(&intake));
+        let Intake { rings, losses, recorder, pins, ros, watches, sealer } = intake;
+        let Circle { contacts, reading, enrolments, connection, joined, sharing, admissions, gateway } = circle;
         let capture = Arc::new(Capture::new(of, &recorder, &losses, &ros, &watches, &profiles, &pins));
         let evidence = Arc::new(Evidence::new(of, &reading, &stamps));
+        let quarantine = Arc::new(Quarantine::new(of, &reading));
         Ok(Self {
             recordings: Arc::new(Recordings {
                 parts: parts.clone(),
@@ -270,7 +309,7 @@ impl Site {
             }),
             devices: Arc::new(Devices::new(parts.clone(), Arc::clone(&sharing), enrolments)),
             administering: Arc::new(Administering { parts: parts.clone(), contacts: Arc::clone(&contacts) }),
-            audit: Arc::new(Audit::new(of, &reserve)),
+            audit: Arc::new(Audit::new(of, reserve)),
             backup: Arc::new(Backup { parts: parts.clone(), quarantine: Arc::clone(&quarantine) }),
             evidence,
             incidents: Arc::new(Incidents { parts: parts.clone() }),
@@ -286,7 +325,7 @@ impl Site {
                 judge: Mutex::default(),
             }),
             operators: Arc::new(Operators { parts: parts.clone() }),
-            plant,
+            plant: parts.plant.clone(),
             parts,
             rings,
             losses,
@@ -350,19 +389,19 @@ impl Site {
         self.parts.life.stopped().await;
     }
 
-    pub async fn chain(&self) -> Result<crate::chain::Chain, Failure> {
+    pub async fn chain(&self) -> Result<crate::chain::Chain> {
         self.parts.link.chain().await
     }
 
-    pub async fn network(&self) -> Result<crate::pipeline::Network, Failure> {
+    pub async fn network(&self) -> Result<crate::pipeline::Network> {
         self.parts.link.network().await
     }
 
-    pub fn unlocked(&self, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
+    pub fn unlocked(&self, profile: &ProfileName) -> Result<Arc<Owner>> {
         self.parts.owners.unlocked(profile)
     }
 
-    pub async fn ros_uri(&self) -> Result<String, Failure> {
+    pub async fn ros_uri(&self) -> Result<String> {
         self.ros.uri().await
     }
 
@@ -424,8 +463,8 @@ impl Site {
 /// Runs work that waits for the disk off the runtime's threads.
 pub(crate) async fn blocking<Whose: Send + Sync + 'static, Done: Send + 'static>(
     part: &Arc<Whose>,
-    work: impl FnOnce(&Whose) -> Result<Done, Failure> + Send + 'static,
-) -> Result<Done, Failure> {
+    work: impl FnOnce(&Whose) -> Result<Done> + Send + 'static,
+) -> Result<Done> {
     let part = Arc::clone(part);
     let joined = tokio::task::spawn_blocking(move || work(&part)).await;
     joined.unwrap_or_else(|_| Err(internal("a background task of the site failed; please report this")))

@@ -17,7 +17,7 @@ use crate::crypto::provider;
 use crate::paths::Home;
 use crate::pipeline::{Owner, Plant, Sender};
 use crate::service::hub::Hub;
-use crate::service::reply::Failure;
+use crate::service::reply::Result;
 use crate::store::{CacheSettings, Ciphertext, Ledger};
 
 #[derive(Clone)]
@@ -40,7 +40,7 @@ pub(super) type Opened = mpsc::UnboundedReceiver<Arc<Owner>>;
 
 impl Parts {
     /// Opens the store of a home; the last value says whether the home is a copy of another.
-    pub fn open(home: Home, config: Config, needs_chain: bool) -> Result<(Self, Opened, bool), Failure> {
+    pub fn open(home: Home, config: Config, needs_chain: bool) -> Result<(Self, Opened, bool)> {
         let (events, _) = broadcast::channel(1024);
         let hub = Arc::new(Hub::new(events));
         // An older program changes nothing in a newer home: all files are checked before the first is opened.

@@ -9,9 +9,9 @@ use super::blocking;
 use super::chain::lanes::Lanes;
 use super::parts::Parts;
 use crate::model::{RecordState, Timestamp};
-use crate::pipeline::Network;
+use crate::pipeline::{Network, Owner};
 use crate::service::event::Part;
-use crate::service::reply::{Failure, HealthLevel, PartHealth};
+use crate::service::reply::{HealthLevel, PartHealth, Result};
 
 const LOOK: Duration = Duration::from_secs(10);
 /// Part of the health.
@@ -148,7 +148,7 @@ impl Standstill {
         Some(Work { waiting: head.saturating_sub(read), done: read })
     }
 
-    fn work(&self, network: Option<&Network>) -> Result<BTreeMap<Stage, Option<Work>>, Failure> {
+    fn work(&self, network: Option<&Network>) -> Result<BTreeMap<Stage, Option<Work>>> {
         let states = self.parts.plant.ledger.counts.in_each_state()?;
         let of = |state: RecordState| states.get(&state).copied().unwrap_or(0);
         let beyond = |last: RecordState| -> u64 {
@@ -158,7 +158,7 @@ impl Standstill {
             waiting: of(RecordState::Confirmed),
             done: of(RecordState::Verified) + of(RecordState::Tampered),
         });
-        let anchored = match network.filter(|network| self.lanes.paused(network).is_none()) {
+        let anchored = match network {
             // A transaction in flight keeps the next ones waiting.
             Some(network) if of(RecordState::Submitted) == 0 => {
                 Some(Work { waiting: self.unbatched(network)?, done: beyond(RecordState::Stored) })
@@ -168,11 +168,15 @@ impl Standstill {
         Ok([(Stage::Verifier, checked), (Stage::Anchorer, anchored)].into())
     }
 
-    /// Records in no batch that an open owner anchors.
-    fn unbatched(&self, network: &Network) -> Result<u64, Failure> {
+    /// Records in no batch that an open owner anchors whose lanes are not paused.
+    fn unbatched(&self, network: &Network) -> Result<u64> {
         let owners = self.parts.owners.all();
-        let open =
-            owners.iter().filter(|owner| !owner.is_locked() && network.directory.identity(owner.address).is_ok());
+        let pauses = self.lanes.pauses(network);
+        let is_going =
+            |owner: &Owner| pauses.iter().any(|(account, pause)| *account == owner.address && pause.is_none());
+        let open = owners
+            .iter()
+            .filter(|owner| !owner.is_locked() && is_going(owner) && network.directory.identity(owner.address).is_ok());
         open.map(|owner| Ok(self.parts.plant.ledger.batches.unbatched(owner.address)?.0)).sum()
     }
 
@@ -219,8 +223,7 @@ impl Standstill {
     pub fn health(&self) -> Option<PartHealth> {
         let since =
             self.judge.lock().unwrap_or_else(PoisonError::into_inner).standing().map(|(_, since, _)| since).min();
-        let text = self.text()?;
-        Some(PartHealth { part: PART.to_owned(), level: HealthLevel::Failed, text, since, retry: None })
+        Some(PartHealth { since, ..PartHealth::new(PART, HealthLevel::Failed, &self.text()?) })
     }
 }
 

@@ -13,16 +13,17 @@ use crate::pipeline::sender::LaneState;
 use crate::pipeline::stages::Milestone;
 use crate::pipeline::watcher::foreign;
 use crate::service::reply::{
-    ChainView, Failure, GasView, HealthLevel, LifeLine, PartHealth, PricesView, QueueView, SiteView, WaitingView,
+    ChainView, GasView, HealthLevel, LifeLine, PartHealth, PricesView, QueueView, Result, SiteView, WaitingView,
 };
 use crate::site::chain::administration::Administering;
+use crate::site::chain::lanes::Pause;
 use crate::store::StateCounts;
 
 const GAS_OVER: u64 = 100;
 const WAITING_SHOWN: usize = 20;
 
 impl Site {
-    pub(super) async fn site_view(&self, profile: &ProfileName) -> Result<SiteView, Failure> {
+    pub(super) async fn site_view(&self, profile: &ProfileName) -> Result<SiteView> {
         let robots = match &*self.ros.state() {
             RosState::Up(link) => link.robots,
             _ => 0,
@@ -44,7 +45,7 @@ impl Site {
     }
 
     /// The one source of health for status, figures and alerts.
-    pub(super) fn parts_health(&self) -> Result<Vec<PartHealth>, Failure> {
+    pub(super) fn parts_health(&self) -> Result<Vec<PartHealth>> {
         if let Some(original) = self.home().original() {
             let text = format!("{} is read-only: this is its last state, and nothing is running", original.display());
             return Ok(vec![
@@ -103,11 +104,7 @@ impl Site {
             NetworkState::Connecting => (HealthLevel::Waiting, format!("connecting to {name}")),
             NetworkState::Bare(_) => (HealthLevel::Ok, format!("{name}, no contract yet")),
             NetworkState::Up(_) if silent => (HealthLevel::Waiting, format!("{name} does not answer, retry in 2 s")),
-            NetworkState::Up(network) => match self.lanes.paused(network) {
-                Some((text, true)) => (HealthLevel::Failed, text),
-                Some((text, false)) => (HealthLevel::Waiting, text),
-                None => (HealthLevel::Ok, name),
-            },
+            NetworkState::Up(network) => return lanes_health(&self.lanes.pauses(network), &name),
             NetworkState::Swapped(failure) => (HealthLevel::Failed, failure.message.clone()),
             NetworkState::Down { failure, next } => {
                 let left = next.saturating_duration_since(Instant::now());
@@ -120,7 +117,7 @@ impl Site {
         PartHealth::new("chain", level, &text)
     }
 
-    fn store_health(&self) -> Result<PartHealth, Failure> {
+    fn store_health(&self) -> Result<PartHealth> {
         Ok(match self.storage.fault()? {
             Some(text) => PartHealth::new("store", HealthLevel::Failed, &text),
             None => PartHealth::new("store", HealthLevel::Ok, "rows and ciphertext in one file"),
@@ -153,12 +150,12 @@ impl Site {
                 &format!("{}, fingerprint {}, anchors as {}", view.address, view.fingerprint, view.account),
             ),
             None => {
-                PartHealth::new("gateway", HealthLevel::Absent, "not running; start one with authros gateway serve")
+                PartHealth::new("gateway", HealthLevel::Absent, "not running; start one with `authros gateway serve`")
             }
         }
     }
 
-    fn life_line(&self, profile: &ProfileName) -> Result<LifeLine, Failure> {
+    fn life_line(&self, profile: &ProfileName) -> Result<LifeLine> {
         let Ok(owner) = self.parts.owners.address_of(profile) else {
             return Ok(LifeLine { conserved: true, ..LifeLine::default() });
         };
@@ -166,7 +163,7 @@ impl Site {
     }
 
     /// An account's records by state, from its counts.
-    pub(super) fn life_line_of(&self, owner: Address, counts: &StateCounts) -> Result<LifeLine, Failure> {
+    pub(super) fn life_line_of(&self, owner: Address, counts: &StateCounts) -> Result<LifeLine> {
         let (waiting, _) = self.rings.depth();
         let at_least = |least: RecordState| -> u64 {
             let states =
@@ -196,7 +193,7 @@ impl Site {
         })
     }
 
-    pub(super) async fn chain_view(self: &Arc<Self>, profile: &ProfileName) -> Result<ChainView, Failure> {
+    pub(super) async fn chain_view(self: &Arc<Self>, profile: &ProfileName) -> Result<ChainView> {
         let chain = self.parts.link.chain().await?;
         let path = self.parts.home.keyring(profile);
         let address = match self.parts.owners.get(profile) {
@@ -250,7 +247,7 @@ impl Site {
         Some(shortfall).filter(|shortfall| shortfall.held < shortfall.needed)
     }
 
-    fn waiting_in(&self, lanes: &[LaneState]) -> Result<Vec<WaitingView>, Failure> {
+    fn waiting_in(&self, lanes: &[LaneState]) -> Result<Vec<WaitingView>> {
         let mut views = Vec::new();
         for lane in lanes {
             let left = WAITING_SHOWN.saturating_sub(views.len());
@@ -264,7 +261,7 @@ impl Site {
         Ok(views)
     }
 
-    fn gas_of(&self, lanes: &[LaneState]) -> Result<GasView, Failure> {
+    fn gas_of(&self, lanes: &[LaneState]) -> Result<GasView> {
         let mut view = GasView::default();
         for lane in lanes {
             let left = GAS_OVER.saturating_sub(view.transactions);
@@ -274,5 +271,42 @@ impl Site {
             view.records += records;
         }
         Ok(view)
+    }
+}
+
+/// All alarms, or else what is waited for; and the accounts that go on meanwhile.
+fn lanes_health(pauses: &[(Address, Option<Pause>)], name: &str) -> PartHealth {
+    let paused: Vec<&Pause> = pauses.iter().filter_map(|(_, pause)| pause.as_ref()).collect();
+    let is_alarm = paused.iter().any(|pause| pause.is_alarm);
+    let texts: Vec<&str> =
+        paused.iter().filter(|pause| pause.is_alarm == is_alarm).map(|pause| pause.text.as_str()).collect();
+    let (level, text) = match (texts.is_empty(), is_alarm) {
+        (true, _) => return PartHealth::new("chain", HealthLevel::Ok, name),
+        (false, true) => (HealthLevel::Failed, texts.join("; ")),
+        (false, false) => (HealthLevel::Waiting, texts.join("; ")),
+    };
+    let unaffected = pauses.iter().filter(|(_, pause)| pause.is_none()).map(|(account, _)| *account).collect();
+    PartHealth { unaffected, ..PartHealth::new("chain", level, &text) }
+}
+
+#[cfg(test)]
+mod lanes_tests {
+    use super::*;
+
+    #[test]
+    fn every_paused_account_is_named_and_those_that_go_on_are_listed() {
+        let pause = |text: &str, is_alarm| Some(Pause { text: text.to_owned(), is_alarm });
+        let [one, two, three] = [1, 2, 3].map(|number| Address([number; 20]));
+        let view = |first, second| {
+            let part = lanes_health(&[(one, first), (two, second), (three, None)], "a node");
+            (part.level, part.text, part.unaffected)
+        };
+        assert_eq!(view(None, None), (HealthLevel::Ok, "a node".to_owned(), Vec::new()));
+        let both = view(pause("no ether", true), pause("refused", true));
+        assert_eq!(both, (HealthLevel::Failed, "no ether; refused".to_owned(), vec![three]));
+        let worse = view(pause("catching up", false), pause("refused", true));
+        assert_eq!(worse, (HealthLevel::Failed, "refused".to_owned(), vec![three]), "the wait hides no alarm");
+        let waits = view(pause("catching up", false), None);
+        assert_eq!(waits, (HealthLevel::Waiting, "catching up".to_owned(), vec![two, three]));
     }
 }

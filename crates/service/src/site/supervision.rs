@@ -13,7 +13,7 @@ use crate::model::clean;
 use crate::service::event::Part;
 use crate::service::failure::internal;
 use crate::service::hub::Hub;
-use crate::service::reply::{Failure, TaskState, TaskView};
+use crate::service::reply::{Result, TaskState, TaskView};
 
 const PAUSES: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(8));
 /// After working this long, a failing task gets the first pause again.
@@ -134,7 +134,7 @@ impl Supervisor {
         self: &Arc<Self>,
         name: &'static str,
         mut work: impl FnMut() + Send + 'static,
-    ) -> Result<std::thread::JoinHandle<()>, Failure> {
+    ) -> Result<std::thread::JoinHandle<()>> {
         let (supervisor, task) = (Arc::downgrade(self), self.add(name.to_owned()));
         let run = move || {
             while let Err(panic) = catch_unwind(AssertUnwindSafe(&mut work)) {

@@ -26,7 +26,7 @@ use crate::pipeline::stages::Stage;
 use crate::pipeline::{Owner, PipelineError, verifier, watcher};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::hub::Hub;
-use crate::service::reply::Failure;
+use crate::service::reply::{Failure, Result};
 
 /// Shortest interval between looks at an owner's records: each queries all of the owner's topics.
 const BETWEEN_LOOKS: Duration = Duration::from_millis(25);
@@ -34,11 +34,7 @@ const BETWEEN_LOOKS: Duration = Duration::from_millis(25);
 /// Pause after a look, as a multiple of its length: with many topics a look is slow.
 const TIMES_A_LOOK: u32 = 4;
 
-pub(super) fn start(
-    site: &Arc<Site>,
-    needs: Needs,
-    mut opened: mpsc::UnboundedReceiver<Arc<Owner>>,
-) -> Result<(), Failure> {
+pub(super) fn start(site: &Arc<Site>, needs: Needs, mut opened: mpsc::UnboundedReceiver<Arc<Owner>>) -> Result<()> {
     let supervisor = &site.parts.supervisor;
     supervisor.keep("news", &site.parts.hub, Hub::run);
     if site.parts.home.original().is_some() {

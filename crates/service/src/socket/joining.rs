@@ -19,13 +19,13 @@ use crate::service::client::{Call, Client};
 use crate::service::command::Needed;
 use crate::service::event::{Event, NoticeLevel};
 use crate::service::failure::refused;
-use crate::service::reply::{Failure, Reply};
+use crate::service::reply::{Failure, Reply, Result};
 use crate::store::files;
 
 const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Joins the site of a home, if one answers; refuses a socket that somebody else could have put there.
-pub async fn join(home: &Home, profile: ProfileName) -> Result<Option<(Client, Greeting)>, Failure> {
+pub async fn join(home: &Home, profile: ProfileName) -> Result<Option<(Client, Greeting)>> {
     if home.root().exists() {
         files::check_hands(home.root())?;
     }
@@ -38,7 +38,7 @@ pub async fn join(home: &Home, profile: ProfileName) -> Result<Option<(Client, G
 }
 
 /// Only the owner or root may answer: the next message may be a passphrase.
-fn check_peer(socket: &Path, owner: u32, peer: u32) -> Result<(), Failure> {
+fn check_peer(socket: &Path, owner: u32, peer: u32) -> Result<()> {
     if peer == owner || peer == 0 {
         return Ok(());
     }
@@ -50,7 +50,7 @@ fn check_peer(socket: &Path, owner: u32, peer: u32) -> Result<(), Failure> {
 }
 
 /// Joins a site at the operators' socket, unless somebody else could answer there.
-pub async fn join_as_operator(path: &Path, profile: ProfileName) -> Result<Client, Failure> {
+pub async fn join_as_operator(path: &Path, profile: ProfileName) -> Result<Client> {
     let shown = path.display();
     let absent = |why: String| {
         let advice = "its owner starts it with `authros serve` and operators.socket";
@@ -71,7 +71,7 @@ pub async fn join_as_operator(path: &Path, profile: ProfileName) -> Result<Clien
 }
 
 /// The socket's owner; an error if anybody else but root could replace the socket.
-fn owner_of(path: &Path, failed: &impl Fn(std::io::Error) -> Failure) -> Result<u32, Failure> {
+fn owner_of(path: &Path, failed: &impl Fn(std::io::Error) -> Failure) -> Result<u32> {
     let about = std::fs::symlink_metadata(path).map_err(failed)?;
     if !about.file_type().is_socket() {
         return Err(Failure::new(ErrorKind::Input, format!("{} is not a socket; give that of a site", path.display())));
@@ -88,11 +88,7 @@ fn owner_of(path: &Path, failed: &impl Fn(std::io::Error) -> Failure) -> Result<
 }
 
 /// A client of the site at the other end; `None` if it says nothing.
-async fn greeted(
-    stream: UnixStream,
-    profile: ProfileName,
-    is_operator: bool,
-) -> Result<Option<(Client, Greeting)>, Failure> {
+async fn greeted(stream: UnixStream, profile: ProfileName, is_operator: bool) -> Result<Option<(Client, Greeting)>> {
     let (reader, writer) = stream.into_split();
     let mut reader = BufReader::new(reader);
     let mut line = Vec::new();
@@ -140,7 +136,7 @@ async fn speak(
             line.clear();
         }
     });
-    let mut waiting: HashMap<u64, oneshot::Sender<Result<Reply, Failure>>> = HashMap::new();
+    let mut waiting: HashMap<u64, oneshot::Sender<Result<Reply>>> = HashMap::new();
     let mut number = 0;
     loop {
         tokio::select! {

@@ -19,7 +19,7 @@ pub(crate) use serving::accept_operators;
 pub use serving::listen;
 
 use super::event::Event;
-use super::reply::{Failure, Reply};
+use super::reply::{Failure, Reply, Result};
 use crate::site::Needs;
 
 /// Bytes: an opened record of 64 MiB written as JSON.
@@ -64,7 +64,7 @@ struct Numbered<T> {
 enum FromSite {
     Greeting(Greeting),
     Refused(Failure),
-    Answer { number: u64, with: Box<Result<Reply, Failure>> },
+    Answer { number: u64, with: Box<Result<Reply>> },
     Event(Event),
     Ended(Failure),
 }

@@ -16,7 +16,7 @@ use crate::model::{ErrorKind, ProfileName};
 use crate::service::client::{Call, site_gone};
 use crate::service::command::{Kind, Request};
 use crate::service::failure::refused;
-use crate::service::reply::{Failure, Reply};
+use crate::service::reply::{Failure, Reply, Result};
 use crate::service::site::{Asker, Heard, Site, joiner};
 
 /// Longest line from an operator, bytes.
@@ -28,7 +28,7 @@ const MOST_CONNECTIONS: usize = 16;
 /// Time for the last lines to a joiner.
 const FAREWELL: Duration = Duration::from_secs(5);
 
-pub fn listen(site: &Arc<Site>) -> Result<(), Failure> {
+pub fn listen(site: &Arc<Site>) -> Result<()> {
     let path = site.home().socket();
     let unusable = |error: std::io::Error| {
         Failure::new(ErrorKind::Home, format!("the socket {} cannot be created: {error}", path.display()))
@@ -118,7 +118,7 @@ async fn receive(site: Arc<Site>, mut stream: UnixStream, door: Door) {
     }
 }
 
-async fn judge(site: &Arc<Site>, uid: u32, door: &Door) -> Result<(Asker, Option<Place>), Failure> {
+async fn judge(site: &Arc<Site>, uid: u32, door: &Door) -> Result<(Asker, Option<Place>)> {
     let Door::Operators(crowd) = door else {
         return site.check_owner(uid).map(|()| (Asker::Owner, None));
     };
@@ -207,7 +207,7 @@ impl Joiner {
     }
 }
 
-async fn answer(lines: &mpsc::Sender<Vec<u8>>, number: u64, with: Result<Reply, Failure>) {
+async fn answer(lines: &mpsc::Sender<Vec<u8>>, number: u64, with: Result<Reply>) {
     if let Some(line) = line_of(&FromSite::Answer { number, with: Box::new(with) }) {
         // The joiner may have gone.
         drop(lines.send(line).await);

@@ -4,13 +4,14 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use super::branches::Branches;
 use super::rows::{self, By, LEARNED_NAME, TOPIC_NAME, may, optional, time, unsigned};
 use super::{Batches, Counts, RecordRow, Records, branches, directory, sightings};
 use crate::StoreError;
 use crate::crypto::merkle::{Inclusion, Leaf};
 use crate::database::{capped, whole};
 use crate::model::{Address, Digest, Hash, RecordKind, RecordState, RecorderId, SignerId, Timestamp, TopicId};
-use crate::sql::{self, Connection, Row, params};
+use crate::sql::{self, Connection, Row, Statement, params};
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NewBatch {
@@ -128,8 +129,8 @@ impl Batches {
         self.0.list(sql, params![keeper.0, RecordState::Stored.code(), capped(limit)], leaf)
     }
 
-    /// Roots found on the chain: pending records of each batch are now mined, except those in a block of their own. A
-    /// root's earliest block counts; roots of other ledgers or leaf counts are skipped. Returns how many records
+    /// Roots found on the chain: pending records of each batch are now mined, except those in another block of their
+    /// own. A root's earliest block counts; roots of other ledgers or leaf counts are skipped. Returns how many records
     /// changed.
     pub fn anchored(&self, sightings: &[RootSighting]) -> Result<u64, StoreError> {
         let sightings = sightings.to_vec();
@@ -163,6 +164,14 @@ impl Records {
     pub fn placed_all(&self, digests: &[Digest]) -> Result<Vec<Option<PlacedRecord>>, StoreError> {
         self.0.read(|connection| placed_in(connection, digests))
     }
+
+    /// In order, all of one moment; without their rows.
+    pub fn places(&self, digests: &[Digest]) -> Result<Vec<Option<BatchPlace>>, StoreError> {
+        self.0.read(|connection| {
+            let mut places = Places::new(connection)?;
+            digests.iter().map(|digest| places.of(*digest)).collect()
+        })
+    }
 }
 
 /// From recorder, topic, number, digest, owner, signer.
@@ -181,24 +190,41 @@ pub(super) const CONTRADICTED: &str = "records.state = 6 AND records.tx IS NULL 
 
 pub(super) fn placed_in(connection: &Connection, digests: &[Digest]) -> Result<Vec<Option<PlacedRecord>>, StoreError> {
     let rows = rows::rows_of(connection, digests)?;
-    let mut find = connection.prepared(&format!(
-        "SELECT leaf, count, branches.path, root, closed_at, account, batches.block, batches.block_hash,
-            batches.tx, {CONTRADICTED}
-            FROM records JOIN leaves ON record = n JOIN batches ON key = leaves.batch {}
-            WHERE digest = ?1",
-        branches::JOINED
-    ))?;
-    let mut with_place = |row: RecordRow| Ok(PlacedRecord { place: find.find([row.digest.0], place)?, row });
+    let mut places = Places::new(connection)?;
+    let mut with_place = |row: RecordRow| Ok(PlacedRecord { place: places.of(row.digest)?, row });
     rows.into_iter().map(|row| row.map(&mut with_place).transpose()).collect()
 }
 
-fn place(row: &Row<'_>) -> sql::Result<BatchPlace> {
-    let (index, count) = (unsigned(row, 0)?, unsigned(row, 1)?);
-    let path = branches::path_of(row, 2, (index, count))?;
+struct Places<'a> {
+    find: Statement<'a>,
+    branches: Branches,
+}
+
+impl<'a> Places<'a> {
+    fn new(connection: &'a Connection) -> Result<Self, StoreError> {
+        let find = connection.prepared(&format!(
+            "SELECT leaf, count, branches.path, root, closed_at, account, batches.block, batches.block_hash,
+                batches.tx, {CONTRADICTED}
+                FROM records JOIN leaves ON record = n JOIN batches ON key = leaves.batch {}
+                WHERE digest = ?1",
+            branches::JOINED
+        ))?;
+        Ok(Self { find, branches: Branches::default() })
+    }
+
+    fn of(&mut self, digest: Digest) -> Result<Option<BatchPlace>, StoreError> {
+        let branches = &mut self.branches;
+        Ok(self.find.find([digest.0], |row| place(row, branches))?)
+    }
+}
+
+fn place(row: &Row<'_>, branches: &mut Branches) -> sql::Result<BatchPlace> {
+    let (index, count, root) = (unsigned(row, 0)?, unsigned(row, 1)?, Hash(row.get(3)?));
+    let path = branches.path_of(row, 2, root, (index, count))?;
     let (closed_at, account) = (time(row, 4)?, row.get::<Option<_>>(5)?.map(Address));
     let (block, block_hash) = (optional(row, 6)?, row.get::<Option<_>>(7)?.map(Hash));
     let (transaction, is_contradicted) = (row.get::<Option<_>>(8)?.map(Hash), row.get(9)?);
-    let inclusion = Inclusion { index, count, path, root: Hash(row.get(3)?) };
+    let inclusion = Inclusion { index, count, path, root };
     Ok(BatchPlace { inclusion, closed_at, account, block, block_hash, transaction, is_contradicted })
 }
 
@@ -242,10 +268,12 @@ pub(super) fn see(connection: &Connection, sighting: &RootSighting) -> Result<u6
     let sql = "UPDATE batches SET account = ?2, tx = ?3, block = ?4, block_hash = ?5, proof = NULL WHERE key = ?1";
     connection.run(sql, params![key, sighting.account.0, sighting.transaction.0, block, sighting.block_hash.0])?;
     place_transaction(connection, sighting.transaction)?;
-    let sql = "UPDATE records SET tx = NULL, state = CASE WHEN state IN (?2, ?3) THEN ?4 ELSE state END
-        WHERE block IS NULL AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
+    // In one block, a record's own upload says no more than its batch, and a second transaction would contradict it.
+    let sql = "UPDATE records SET tx = NULL, block = NULL, block_hash = NULL,
+        state = CASE WHEN state IN (?2, ?3) THEN ?4 ELSE state END
+        WHERE (block IS NULL OR block = ?5) AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
     let [batched, submitted, mined] = [RecordState::Batched, RecordState::Submitted, RecordState::Mined];
-    Ok(connection.changed(sql, params![key, batched.code(), submitted.code(), mined.code()])?)
+    Ok(connection.changed(sql, params![key, batched.code(), submitted.code(), mined.code(), block])?)
 }
 
 /// Moves a mined transaction to its batch's block: its sender may have seen a replaced one.
@@ -391,18 +419,18 @@ pub struct SignerTopic {
 }
 
 impl Counts {
-    /// Counted for keys other than `own`.
-    pub fn signer_topics(&self, owner: Address, own: SignerId) -> Result<Vec<SignerTopic>, StoreError> {
+    /// Counted for keys other than `own`, or for all.
+    pub fn signer_topics(&self, owner: Address, own: Option<SignerId>) -> Result<Vec<SignerTopic>, StoreError> {
         self.0.read(|connection| {
             let sql = format!(
                 "SELECT r.signer, {TOPIC_NAME} AS topic, c.state, sum(c.records) FROM streams s
                     JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder
                     JOIN counters c ON c.stream = s.key {LEARNED_NAME}
-                    WHERE t.owner = ?1 AND s.kind = ?2 AND r.signer <> ?3 AND c.records > 0
+                    WHERE t.owner = ?1 AND s.kind = ?2 AND r.signer IS DISTINCT FROM ?3 AND c.records > 0
                     GROUP BY r.signer, {TOPIC_NAME}, c.state"
             );
             let mut found: BTreeMap<(SignerId, String), BTreeMap<RecordState, u64>> = BTreeMap::new();
-            connection.each(&sql, params![owner.0, RecordKind::Data.code(), own.0], |row| {
+            connection.each(&sql, params![owner.0, RecordKind::Data.code(), own.map(|own| own.0)], |row| {
                 let place = (SignerId(row.get(0)?), row.get(1)?);
                 found.entry(place).or_default().insert(rows::state(row, 2)?, unsigned(row, 3)?);
                 Ok(())

@@ -1,6 +1,9 @@
 //! Paths to a batch's root. Sixteen adjacent leaves are a branch: it keeps the nodes of its subtree that others do not
 //! imply, and the steps above it, which its leaves share.
 
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
+
 use crate::StoreError;
 use crate::crypto::merkle::node;
 use crate::database::whole;
@@ -143,13 +146,32 @@ pub(super) fn keep_one(
     branch.write(connection, batch)
 }
 
-/// Joins the branch of a row of `leaves`, for [`path_of`].
+/// Joins the branch of a row of `leaves`, for [`Branches::path_of`].
 pub(super) const JOINED: &str =
     "LEFT JOIN branches ON branches.batch = leaves.batch AND branches.branch = leaves.leaf >> 4";
 
-pub(super) fn path_of(row: &Row<'_>, column: usize, (index, count): (u64, u64)) -> sql::Result<Vec<Hash>> {
-    let bytes: Option<Vec<u8>> = row.get(column)?;
-    Ok(Branch::from_bytes(index >> LEVELS, count, &bytes.unwrap_or_default()).path(index))
+/// Branches by the roots of their batches, each decoded once for all of its leaves.
+#[derive(Default)]
+pub(super) struct Branches(HashMap<(Hash, u64), Branch>);
+
+impl Branches {
+    pub(super) fn path_of(
+        &mut self,
+        row: &Row<'_>,
+        column: usize,
+        root: Hash,
+        (index, count): (u64, u64),
+    ) -> sql::Result<Vec<Hash>> {
+        let number = index >> LEVELS;
+        let branch = match self.0.entry((root, number)) {
+            Entry::Occupied(known) => known.into_mut(),
+            Entry::Vacant(unknown) => {
+                let bytes: Option<Vec<u8>> = row.get(column)?;
+                unknown.insert(Branch::from_bytes(number, count, &bytes.unwrap_or_default()))
+            }
+        };
+        Ok(branch.path(index))
+    }
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use std::ops::RangeInclusive;
 use serde::{Deserialize, Serialize};
 
 use super::Counts;
-use super::rows::{self, Stream, Which, optional, time, unsigned};
+use super::rows::{self, Stream, Which, optional, unsigned};
 use crate::StoreError;
 use crate::database::whole;
 use crate::model::{Address, LossReason, RecordKind, RecordState, RecorderId, SignerId, Timestamp, TopicId};
@@ -58,25 +58,29 @@ pub struct StateCounts {
     pub attachments: Vec<TopicId>,
 }
 
-/// What a grant of one epoch opens of one topic.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct SealedInEpoch {
-    pub topic: TopicId,
-    pub epoch: u64,
-    pub records: u64,
-    /// Captures.
-    pub first: Timestamp,
-    pub last: Timestamp,
+/// Messages that an owner sealed in some epochs.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SealedQuery {
+    pub owner: Address,
+    /// `None` = all.
+    pub topic: Option<TopicId>,
+    pub epochs: RangeInclusive<u64>,
+    /// Captured at this time or later.
+    pub since: Timestamp,
 }
 
-/// Messages that an owner sealed in epochs, by [`sealed_in`].
-const SEALED_IN_EPOCHS: &str = "FROM epoch_records
+/// By [`SealedQuery::values`].
+const SEALED: &str = "FROM epoch_records
     JOIN streams ON streams.key = epoch_records.stream JOIN topics ON topics.key = streams.topic
-    WHERE topics.owner = ?1 AND epoch BETWEEN ?2 AND ?3 AND kind = ?4 AND records > 0";
+    WHERE topics.owner = ?1 AND (topics.topic_id = ?2 OR ?2 IS NULL) AND epoch BETWEEN ?3 AND ?4
+    AND kind = ?5 AND records > 0 AND last_at >= ?6";
 
-fn sealed_in(owner: Address, epochs: &RangeInclusive<u64>) -> Result<impl Params, StoreError> {
-    let (first, last) = (whole("epoch", *epochs.start())?, whole("epoch", *epochs.end())?);
-    Ok((owner.0, first, last, RecordKind::Data.code()))
+impl SealedQuery {
+    fn values(&self) -> Result<impl Params, StoreError> {
+        let (first, last) = (whole("epoch", *self.epochs.start())?, whole("epoch", *self.epochs.end())?);
+        let topic = self.topic.map(|topic| topic.0);
+        Ok((self.owner.0, topic, first, last, RecordKind::Data.code(), whole("time", self.since.0)?))
+    }
 }
 
 impl TopicCounts {
@@ -122,28 +126,16 @@ impl Counts {
         })
     }
 
-    /// The messages that a grant of these epochs opens, and the first capture.
-    pub fn opened_by(
-        &self,
-        owner: Address,
-        epochs: RangeInclusive<u64>,
-    ) -> Result<(u64, Option<Timestamp>), StoreError> {
-        let sql = format!("SELECT coalesce(sum(records), 0), min(first_at) {SEALED_IN_EPOCHS}");
-        self.0.one(&sql, sealed_in(owner, &epochs)?, |row| Ok((unsigned(row, 0)?, optional(row, 1)?.map(Timestamp))))
+    /// How many records a grant of these epochs opens, and the first capture. A clock ahead of this one counts as the
+    /// arrival here.
+    pub fn opened_by(&self, query: &SealedQuery) -> Result<(u64, Option<Timestamp>), StoreError> {
+        let sql = format!("SELECT coalesce(sum(records), 0), min(first_at) {SEALED}");
+        self.0.one(&sql, query.values()?, |row| Ok((unsigned(row, 0)?, optional(row, 1)?.map(Timestamp))))
     }
 
-    /// The same for each topic and epoch.
-    pub fn by_epoch(&self, owner: Address, epochs: RangeInclusive<u64>) -> Result<Vec<SealedInEpoch>, StoreError> {
-        let sql = format!("SELECT topics.topic_id, epoch, records, first_at, last_at {SEALED_IN_EPOCHS}");
-        self.0.list(&sql, sealed_in(owner, &epochs)?, |row| {
-            Ok(SealedInEpoch {
-                topic: TopicId(row.get(0)?),
-                epoch: unsigned(row, 1)?,
-                records: unsigned(row, 2)?,
-                first: time(row, 3)?,
-                last: time(row, 4)?,
-            })
-        })
+    /// The first of these epochs in which anything was captured since.
+    pub fn first_epoch(&self, query: &SealedQuery) -> Result<Option<u64>, StoreError> {
+        self.0.one(&format!("SELECT min(epoch) {SEALED}"), query.values()?, |row| optional(row, 0))
     }
 
     /// Whether anything was sealed under the keys of an epoch; notices to robots have keys of their own.

@@ -1,6 +1,8 @@
 //! Incidents: spans of time and topics with notes. Retention keeps records in them.
 
 use std::collections::BTreeMap;
+use std::fmt::Display;
+use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
@@ -8,7 +10,7 @@ use super::rows::{LEARNED_NAME, TOPIC_NAME, optional, time, unsigned};
 use super::{Incidents, Session};
 use crate::StoreError;
 use crate::database::{capped, whole};
-use crate::model::{Address, IncidentName, IncidentNameError, RecordKind, RecordState, Timestamp};
+use crate::model::{Address, IncidentName, RecordKind, RecordState, Timestamp, TopicPatterns};
 use crate::sql::{self, Connection, Row, params};
 
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -17,8 +19,14 @@ pub struct IncidentSpan {
     pub since: Timestamp,
     /// Captured before; `None` = still open.
     pub until: Option<Timestamp>,
-    /// By name; empty = all.
-    pub topics: Vec<String>,
+    /// By name or pattern; empty = all.
+    pub topics: TopicPatterns,
+}
+
+impl IncidentSpan {
+    pub fn is_about(&self, topic: &str) -> bool {
+        self.topics.0.is_empty() || self.topics.matches(topic)
+    }
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -87,8 +95,9 @@ impl Incidents {
             }
             let sql = "SELECT key FROM incidents WHERE owner = ?1 AND name = ?2";
             let key: i64 = connection.one(sql, params![owner.0, name.as_str()], |row| row.get(0))?;
-            for topic in &span.topics {
-                connection.run("INSERT OR IGNORE INTO incident_topics VALUES (?1, ?2)", params![key, topic])?;
+            for topic in &span.topics.0 {
+                let sql = "INSERT OR IGNORE INTO incident_topics VALUES (?1, ?2)";
+                connection.run(sql, params![key, topic.as_str()])?;
             }
             if let Some(text) = &note {
                 connection.run("INSERT INTO incident_notes VALUES (?1, 1, ?2, ?3)", params![key, now, text])?;
@@ -148,14 +157,18 @@ impl Incidents {
         })
     }
 
-    /// Of the named topics, or of all with records.
+    /// Of the topics with records, and of each name or pattern without any.
     pub fn span_coverage(&self, owner: Address, span: &IncidentSpan) -> Result<Vec<SpanCoverage>, StoreError> {
         self.0.read(|connection| {
-            let mut found: BTreeMap<String, SpanCoverage> =
-                span.topics.iter().map(|topic| (topic.clone(), SpanCoverage::default())).collect();
+            let mut found: BTreeMap<String, SpanCoverage> = BTreeMap::new();
             let parts = counted(connection, owner, span)?.into_iter().chain(losses(connection, owner, span)?);
-            for part in parts.filter(|part| span.topics.is_empty() || span.topics.contains(&part.topic)) {
+            for part in parts.filter(|part| span.is_about(&part.topic)) {
                 found.entry(part.topic.clone()).or_default().add(&part);
+            }
+            for pattern in &span.topics.0 {
+                if !found.keys().any(|topic| pattern.matches(topic)) {
+                    found.insert(pattern.to_string(), SpanCoverage::default());
+                }
             }
             Ok(found.into_iter().map(|(topic, coverage)| SpanCoverage { topic, ..coverage }).collect())
         })
@@ -174,18 +187,21 @@ impl Incidents {
     }
 }
 
+fn parsed<T: FromStr<Err: Display>>(row: &Row<'_>, column: usize) -> sql::Result<T> {
+    row.get::<String>(column)?.parse().map_err(|error: T::Err| sql::Error::altered(column, &error.to_string()))
+}
+
 fn incident(row: &Row<'_>) -> sql::Result<(i64, IncidentRow)> {
-    let name: String = row.get(1)?;
-    let name = name.parse().map_err(|error: IncidentNameError| sql::Error::altered(1, &error.to_string()))?;
+    let name = parsed(row, 1)?;
     let (since, until) = (time(row, 2)?, optional(row, 3)?.map(Timestamp));
     let (opened_at, closed_at) = (time(row, 4)?, optional(row, 5)?.map(Timestamp));
-    let span = IncidentSpan { since, until, topics: Vec::new() };
+    let span = IncidentSpan { since, until, topics: TopicPatterns::default() };
     Ok((row.get(0)?, IncidentRow { name, span, opened_at, closed_at, notes: Vec::new() }))
 }
 
 fn whole_of(connection: &Connection, (key, mut row): (i64, IncidentRow)) -> Result<IncidentRow, StoreError> {
     let sql = "SELECT topic FROM incident_topics WHERE incident = ?1 ORDER BY topic";
-    row.span.topics = connection.list(sql, [key], |row| row.get(0))?;
+    row.span.topics = TopicPatterns(connection.list(sql, [key], |row| parsed(row, 0))?);
     let sql = "SELECT at, text FROM incident_notes WHERE incident = ?1 ORDER BY number";
     row.notes = connection.list(sql, [key], |row| Ok(IncidentNote { at: time(row, 0)?, text: row.get(1)? }))?;
     Ok(row)

@@ -134,7 +134,18 @@ CREATE VIEW incident_topics AS SELECT 0::BIGINT AS incident, ''::TEXT AS topic W
 -- Functions that SQLite has.
 CREATE FUNCTION hex(BYTEA) RETURNS TEXT LANGUAGE SQL IMMUTABLE STRICT PARALLEL SAFE AS $$ SELECT upper(encode($1, 'hex')) $$;
 CREATE FUNCTION instr(TEXT, TEXT) RETURNS INTEGER LANGUAGE SQL IMMUTABLE STRICT PARALLEL SAFE AS $$ SELECT strpos($1, $2) $$;
+CREATE FUNCTION min(BIGINT, BIGINT) RETURNS BIGINT LANGUAGE SQL IMMUTABLE PARALLEL SAFE AS $$ SELECT least($1, $2) $$;
 CREATE FUNCTION max(BIGINT, BIGINT) RETURNS BIGINT LANGUAGE SQL IMMUTABLE PARALLEL SAFE AS $$ SELECT greatest($1, $2) $$;
+-- What the program adds to SQLite: `**` is across parts, which `!`, in no pattern, stands for meanwhile.
+CREATE FUNCTION topic_matches(pattern TEXT, name TEXT) RETURNS BOOLEAN LANGUAGE SQL IMMUTABLE PARALLEL SAFE AS $$
+    SELECT CASE
+        WHEN pattern = name THEN TRUE
+        WHEN pattern COLLATE "C" ~ '^(/|\*\*)[A-Za-z0-9_/*?]*$' THEN coalesce(name COLLATE "C" ~ (
+            '^' || replace(replace(replace(replace(pattern, '**', '!'), '*', '[^/]*'), '?', '[^/]'), '!', '.*') || '$'
+        ), FALSE)
+        ELSE FALSE
+    END
+$$;
 
 -- Counts as they change: one row for each transaction, stream and state, folded now and then.
 CREATE TABLE counter_deltas (
@@ -161,7 +172,8 @@ BEGIN
         bytes = p.bytes + excluded.bytes, taken_in = p.taken_in + excluded.taken_in;
     INSERT INTO pending_epochs AS p
         SELECT stream, epoch, count(*) FILTER (WHERE state NOT IN (7, 8) AND deleted_at IS NULL),
-            min(captured_at), max(captured_at) FROM added GROUP BY stream, epoch
+            min(least(captured_at, acknowledged_at)), max(least(captured_at, acknowledged_at))
+        FROM added GROUP BY stream, epoch
         ON CONFLICT (stream, epoch) DO UPDATE SET records = p.records + excluded.records,
         first_at = least(p.first_at, excluded.first_at), last_at = greatest(p.last_at, excluded.last_at);
     RETURN NULL;

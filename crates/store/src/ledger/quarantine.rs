@@ -49,11 +49,14 @@ pub struct HeldMinute {
 
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct HeldQuery {
+    /// A name, or a pattern for several.
     pub topic: Option<String>,
     /// Includes decided ones.
     pub decided: bool,
     /// Excludes definitions.
     pub messages: bool,
+    /// Otherwise oldest first.
+    pub newest_first: bool,
     pub limit: usize,
 }
 
@@ -68,16 +71,16 @@ impl Quarantine {
         })
     }
 
-    /// Oldest first.
     pub fn held(&self, owner: Address, query: &HeldQuery) -> Result<Vec<HeldRow>, StoreError> {
         self.0.read(|connection| {
             let streams = rows::all_streams(connection)?;
             let (index, which) =
                 if query.decided { ("", "") } else { ("INDEXED BY held_undecided", "decision IS NULL AND") };
+            let order = if query.newest_first { "DESC" } else { "ASC" };
             let sql = format!(
                 "SELECT {}, reason, publisher, report, decision FROM held {index} CROSS JOIN records ON n = record
-                    JOIN topics ON key = topic WHERE {which} owner = ?1 AND (?2 IS NULL OR name = ?2)
-                    AND (NOT ?4 OR stream IN (SELECT key FROM streams WHERE kind = ?5)) ORDER BY record LIMIT ?3",
+                    JOIN topics ON key = topic WHERE {which} owner = ?1 AND (?2 IS NULL OR topic_matches(?2, name))
+                    AND (NOT ?4 OR stream IN (SELECT key FROM streams WHERE kind = ?5)) ORDER BY record {order} LIMIT ?3",
                 rows::COLUMNS
             );
             let values = params![owner.0, query.topic, capped(query.limit), query.messages, RecordKind::Data.code()];

@@ -13,7 +13,7 @@ use super::{Counts, Losses, Records};
 use crate::StoreError;
 use crate::database::{self, capped, whole};
 use crate::model::{
-    Address, FilterId, RecordKind, RecordState, RecorderId, SignerId, Timestamp, TopicId, TopicPattern, clean,
+    Address, FilterId, RecordKind, RecordState, RecorderId, SignerId, Timestamp, TopicId, TopicPatterns, clean,
 };
 use crate::notes::{self, Note};
 use crate::sql::{Connection, Row, Statement, Value, params};
@@ -51,10 +51,8 @@ pub struct RecordQuery {
     pub owner: Option<Address>,
     pub owners: Option<Vec<Address>>,
     pub topic: Option<String>,
-    /// By name; empty = any.
-    pub topics: Vec<String>,
-    /// The topic's name matches each.
-    pub patterns: Vec<TopicPattern>,
+    /// The topic's name matches one pattern of each.
+    pub topics: Vec<TopicPatterns>,
     pub topic_ids: Option<Vec<TopicId>>,
     pub recorder: Option<RecorderId>,
     /// `None` = any.
@@ -82,8 +80,7 @@ impl RecordQuery {
         self.owner.is_none_or(|owner| owner == stream.owner)
             && self.owners.as_ref().is_none_or(|owners| owners.contains(&stream.owner))
             && self.topic.as_ref().is_none_or(|topic| *topic == stream.topic)
-            && (self.topics.is_empty() || self.topics.contains(&stream.topic))
-            && self.patterns.iter().all(|pattern| pattern.matches(&stream.topic))
+            && self.topics.iter().all(|patterns| patterns.matches(&stream.topic))
             && self.signers.as_ref().is_none_or(|signers| signers.contains(&stream.signer))
             && self.topic_ids.as_ref().is_none_or(|ids| ids.contains(&stream.topic_id))
             && self.recorder.is_none_or(|recorder| recorder == stream.recorder)
@@ -391,12 +388,12 @@ fn flip(key: Key) -> Key {
     Key { captured_at: !key.captured_at, n: !key.n }
 }
 
-// Ages and last captures: a few look-ups per stream in the index of states, whatever the number of records.
+// Ages and last arrivals: a few look-ups per stream in the index of states, whatever the number of records.
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LastSeen {
     pub signer: SignerId,
-    /// By its recorder's clock.
+    /// Arrival here, by this site's clock.
     pub at: Timestamp,
 }
 
@@ -418,18 +415,11 @@ pub(super) const OLDEST: &str = "SELECT min((SELECT min(captured_at) FROM record
 /// Without a gap record.
 pub(super) const UNTOLD: &str = "SELECT count(*) FROM gaps WHERE report IS NULL";
 
-/// Signers with the newest capture, in any state.
-pub(super) fn last_seen() -> String {
-    let newest = RecordState::ALL.iter().fold("0".to_owned(), |others, state| {
-        let code = state.code();
-        let newest = format!("SELECT max(captured_at) FROM records WHERE state = {code} AND stream = s.key");
-        format!("max({others}, coalesce(({newest}), 0))")
-    });
-    format!(
-        "SELECT r.signer, max({newest}) AS at FROM streams s JOIN topics t ON t.key = s.topic
-            JOIN recorders r ON r.key = t.recorder WHERE kind = ?1 GROUP BY r.signer ORDER BY at DESC LIMIT ?2"
-    )
-}
+/// Signers with the arrival of their newest record: the highest number of each topic came last.
+pub(super) const LAST_SEEN: &str = "SELECT r.signer, max(x.acknowledged_at) AS at FROM topics t
+    JOIN recorders r ON r.key = t.recorder
+    JOIN records x ON x.topic = t.key AND x.seq = (SELECT max(seq) FROM records WHERE topic = t.key)
+    GROUP BY r.signer ORDER BY at DESC LIMIT ?1";
 
 impl Counts {
     pub fn owners(&self, limit: usize) -> Result<Vec<Address>, StoreError> {
@@ -451,9 +441,7 @@ impl Counts {
 
     /// For the `limit` most recent signers.
     pub fn last_seen(&self, limit: usize) -> Result<Vec<LastSeen>, StoreError> {
-        self.0.list(&last_seen(), params![RecordKind::Data.code(), capped(limit)], |row| {
-            Ok(LastSeen { signer: SignerId(row.get(0)?), at: time(row, 1)? })
-        })
+        self.0.list(LAST_SEEN, [capped(limit)], |row| Ok(LastSeen { signer: SignerId(row.get(0)?), at: time(row, 1)? }))
     }
 
     /// Among the highest numbers of its topics.

@@ -187,7 +187,8 @@ pub(super) fn is_held() -> String {
     format!(
         "EXISTS (SELECT 1 FROM incidents i WHERE i.owner = t.owner
              AND one.captured_at >= i.since AND one.captured_at < coalesce(i.until, 9223372036854775807)
-             AND ({TOPIC_NAME} IN (SELECT topic FROM incident_topics WHERE incident = i.key)
+             AND (EXISTS (SELECT 1 FROM incident_topics
+                     WHERE incident = i.key AND topic_matches(incident_topics.topic, {TOPIC_NAME}))
                  OR NOT EXISTS (SELECT 1 FROM incident_topics WHERE incident = i.key)))"
     )
 }

@@ -103,14 +103,16 @@ CREATE TRIGGER record_taken_in AFTER INSERT ON records BEGIN
 END;
 
 -- What a grant of an epoch opens: the records of a stream that a reader may have, and when the first and the last were
--- captured. Those in quarantine (7), discarded (8) and erased are not counted, but their epoch has a row all the same.
+-- captured, which is not after their arrival here, whatever the recorder's clock says. Those in quarantine (7), discarded
+-- (8) and erased are not counted, but their epoch has a row all the same.
 CREATE TABLE epoch_records (
     stream INTEGER NOT NULL, epoch INTEGER NOT NULL, records INTEGER NOT NULL, first_at INTEGER NOT NULL,
     last_at INTEGER NOT NULL, PRIMARY KEY (stream, epoch)
 ) WITHOUT ROWID;
 CREATE TRIGGER record_sealed AFTER INSERT ON records BEGIN
     INSERT INTO epoch_records VALUES (
-        NEW.stream, NEW.epoch, NEW.state NOT IN (7, 8) AND NEW.deleted_at IS NULL, NEW.captured_at, NEW.captured_at
+        NEW.stream, NEW.epoch, NEW.state NOT IN (7, 8) AND NEW.deleted_at IS NULL,
+        min(NEW.captured_at, NEW.acknowledged_at), min(NEW.captured_at, NEW.acknowledged_at)
     ) ON CONFLICT DO UPDATE SET records = records + excluded.records, first_at = min(first_at, excluded.first_at),
         last_at = max(last_at, excluded.last_at);
 END;
@@ -308,8 +310,8 @@ CREATE TABLE stamp_tokens (
     PRIMARY KEY (stamp, authority)
 ) WITHOUT ROWID;
 
--- Incidents: spans of time and topics whose records retention leaves alone. `until` is NULL while one goes on; one
--- without topics is about all topics of its owner.
+-- Incidents: spans of time and topics, by name or pattern, whose records retention leaves alone. `until` is NULL while
+-- one goes on; one without topics is about all topics of its owner.
 CREATE TABLE incidents (
     key INTEGER PRIMARY KEY, owner BLOB NOT NULL, name TEXT NOT NULL, since INTEGER NOT NULL, until INTEGER,
     opened_at INTEGER NOT NULL, closed_at INTEGER, UNIQUE (owner, name)

@@ -103,6 +103,12 @@ fn see(connection: &Connection, sighting: &Sighting) -> Result<u64, StoreError> 
     };
     let sql = "UPDATE records SET state = ?2, tx = ?3, block = ?4, block_hash = ?5 WHERE n = ?1";
     connection.run(sql, params![standing.n, state.code(), sighting.transaction.0, block, sighting.block_hash.0])?;
+    // In its batch's block it rests on the batch, whichever of the two was seen first.
+    let sql = concat!(
+        "UPDATE records SET tx = NULL, block = NULL, block_hash = NULL WHERE n = ?1 AND block = ",
+        of_its_batch!("block")
+    );
+    connection.run(sql, [standing.n])?;
     Ok(u64::from(state == RecordState::Mined))
 }
 

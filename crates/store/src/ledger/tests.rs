@@ -35,7 +35,7 @@ use crate::crypto::merkle::{Leaf, Tree};
 use crate::model::RecordState::{Confirmed, Stored, Submitted, Verified};
 use crate::model::{
     Address, Digest, ErrorKind, Hash, IncidentName, LossReason, RecordKind, RecordState, RecorderId, Signature,
-    SignerId, Timestamp, TopicId,
+    SignerId, Timestamp, TopicId, TopicPatterns,
 };
 use crate::notes::Revoking;
 use crate::{Ciphertext, Usage};

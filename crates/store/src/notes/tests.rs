@@ -42,7 +42,7 @@ fn samples() -> Vec<(Kind, String)> {
         of::<UnsureBlocks>(vec![UnsureBlock { block: 12, hash, events: 3, times: 1 }]),
         of::<NodeBehind>(awaited.clone()),
         of::<DoubtedBlock>(awaited),
-        of::<Watched>(WatchRules(vec![WatchRule { pattern: topic, type_name: None, except: false }])),
+        of::<Watched>(WatchRules(vec![WatchRule { pattern: topic, type_name: None, sampling: None, except: false }])),
         of::<StoredDefinition>(()),
         of::<AskedSpans>([AskedSpan { number: 12, span }].into()),
         of::<Imported>(standings),

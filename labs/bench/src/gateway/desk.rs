@@ -102,6 +102,10 @@ impl Desk for BenchDesk {
         Ok((*name == self.name).then(|| self.binding.clone()))
     }
 
+    async fn recalled(&self, _: &Binding) -> Result<Option<Timestamp>, Refusal> {
+        Ok(None)
+    }
+
     async fn successor(&self, _: &Address) -> Result<Option<Address>, Refusal> {
         not_measured()
     }

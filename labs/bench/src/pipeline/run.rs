@@ -94,7 +94,8 @@ pub async fn run(host: &Host, load: &Load, length: Duration) -> Result<Summary, 
     let master = host.master().await?;
     let mut publishers = block_in_place(|| Publishers::start(&master, load.publishers))?;
     for topic in publishers.topics() {
-        host.client.ask(WatchTopic { topic: topic.parse().map_err(|_| internal("a topic"))?, type_name: None }).await?;
+        let topic = topic.parse().map_err(|_| internal("a topic"))?;
+        host.client.ask(WatchTopic { topic, type_name: None, sampling: None }).await?;
     }
     heard(&publishers, usize::from(load.publishers)).await?;
     let period = Duration::from_secs_f64(f64::from(load.publishers) / load.per_second);

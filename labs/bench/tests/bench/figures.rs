@@ -237,7 +237,9 @@ fn what_is_published_is_verified_and_counted_beside_records_that_were_there() {
 fn a_node_is_measured_without_the_embedded_networks() {
     let _alone = heavy();
     let place = "figures::a_node_is_measured_without_the_embedded_networks";
-    let Some(node) = Anvil::start(&["--gas-limit", "4294967295"]) else { return tell_skipped(place, NO_NODE) };
+    let Some(node) = Anvil::start(&["--gas-limit", "4294967295", "--mixed-mining", "--block-time", "1"]) else {
+        return tell_skipped(place, NO_NODE);
+    };
     let (bench, url) = (Bench::new(), node.http());
     bench.run(&["consensus", "--uploaders", "4,6,8", "--node", &url]).expect_code(0);
     expect_uploaders(&bench, &["node dev each", "node dev batch"]);

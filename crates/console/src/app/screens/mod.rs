@@ -6,7 +6,7 @@ use std::collections::VecDeque;
 
 use super::table::Table;
 use super::{palette, policies};
-use crate::model::{Address, Clock, Timestamp, TopicPattern, clean};
+use crate::model::{Address, Clock, Sampling, Timestamp, TopicPattern, clean};
 use crate::service::command::Term;
 use crate::service::command::filter::words;
 use crate::service::reply::{
@@ -163,6 +163,8 @@ pub fn together(robot: &str, rows: &[&TopicRow]) -> TopicRow {
         unreached: rows.iter().flat_map(|row| row.unreached.clone()).collect(),
         watched: rows.iter().any(|row| row.watched),
         watched_by: None,
+        watched_type: None,
+        sampling: Sampling::default(),
         held_up: held_up(HeldUp::WaitsForKey).or(held_up(HeldUp::Paused)),
         simulated: rows.iter().all(|row| row.simulated),
         hz: rate(|row| row.hz),

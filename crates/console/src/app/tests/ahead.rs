@@ -9,7 +9,7 @@ use crate::service::{Command, Failure, Reply};
 
 const BEFORE: &str = "00000000000003e8";
 
-/// On Shared, with a filter typed whose rows are not here yet.
+/// On Received, with a filter typed whose rows are not here yet.
 fn filtered() -> Robot {
     let mut robot = Robot::at_work(true);
     robot.types("4");
@@ -56,7 +56,7 @@ fn a_record_is_opened_from_the_filtered_rows_and_never_from_those_before() {
 fn the_keys_after_it_wait_too_and_come_in_their_order() {
     let mut robot = filtered();
     robot.types("oq5");
-    assert_eq!(robot.state.screen.title(), "Shared");
+    assert_eq!(robot.state.screen.title(), "Received");
     rows_come(&mut robot, &Ok(7));
     assert_eq!(opened(&robot).len(), 1);
     assert!(robot.state.popups.is_empty(), "q closed what o opened");
@@ -81,7 +81,7 @@ fn what_waits_is_taken_back_and_ctrl_c_never_waits() {
     let mut robot = filtered();
     robot.types("o");
     robot.presses(Key::Escape);
-    assert_eq!(robot.state.shared.table.filter.text(), "camera", "esc takes back the key alone");
+    assert_eq!(robot.state.received.table.filter.text(), "camera", "esc takes back the key alone");
     rows_come(&mut robot, &Ok(7));
     assert!(opened(&robot).is_empty());
 

@@ -6,7 +6,7 @@ use crate::app::{Key, Tag};
 use crate::service::reply::RecordPage;
 use crate::service::{Command, Part, Reply, UploadQuery};
 
-fn at_uploads() -> Robot {
+fn at_records() -> Robot {
     let mut robot = Robot::at_work(true);
     robot.types("3");
     robot.site_answers(true);
@@ -40,14 +40,14 @@ fn records_come(robot: &mut Robot, further: u64) {
 
 #[test]
 fn the_first_row_follows_the_newest_record() {
-    let mut robot = at_uploads();
+    let mut robot = at_records();
     records_come(&mut robot, 40);
     assert_eq!(robot.state.row_key(), Some(fixtures::record(1_040, "").id));
 }
 
 #[test]
 fn a_record_that_was_aimed_at_stays_under_the_cursor_and_on_its_line() {
-    let mut robot = at_uploads();
+    let mut robot = at_records();
     robot.presses(Key::Down);
     robot.presses(Key::Down);
     let aimed = robot.state.row_key();
@@ -67,7 +67,7 @@ fn a_record_that_was_aimed_at_stays_under_the_cursor_and_on_its_line() {
 
 #[test]
 fn paging_back_stands_by_itself_and_paging_up_leads_to_the_newest() {
-    let mut robot = at_uploads();
+    let mut robot = at_records();
     robot.presses(Key::PageDown);
     robot.presses(Key::PageDown);
     assert!(asked(&robot).until.is_some() && asked(&robot).after.is_some());
@@ -80,7 +80,7 @@ fn paging_back_stands_by_itself_and_paging_up_leads_to_the_newest() {
 
 #[test]
 fn n_and_p_lead_from_record_to_record_without_closing() {
-    let mut robot = at_uploads();
+    let mut robot = at_records();
     robot.presses(Key::Enter);
     robot.types("n");
     let second = fixtures::record(999, "").id;
@@ -93,23 +93,23 @@ fn n_and_p_lead_from_record_to_record_without_closing() {
 
 #[test]
 fn a_search_begins_anew_where_the_last_console_left_a_filter() {
-    let mut robot = at_uploads();
+    let mut robot = at_records();
     robot.types("/state:verified");
     robot.presses(Key::Enter);
     let kept = crate::app::kept(&robot.state);
     let mut robot = Robot::at_work(true);
     crate::app::recall(&mut robot.state, &kept);
     robot.types("/topic:/robot1/odom");
-    assert_eq!(robot.state.uploads.table.filter.text(), "topic:/robot1/odom");
+    assert_eq!(robot.state.records.table.filter.text(), "topic:/robot1/odom");
     robot.presses(Key::Enter);
     robot.types("/");
     robot.presses(Key::Up);
-    assert_eq!(robot.state.uploads.table.filter.text(), "state:verified", "it is among the earlier ones");
+    assert_eq!(robot.state.records.table.filter.text(), "state:verified", "it is among the earlier ones");
 }
 
 #[test]
 fn words_search_all_of_the_ledger_and_ids_the_page() {
-    let mut robot = at_uploads();
+    let mut robot = at_records();
     robot.types("/camera compressed verified 00003e8");
     robot.presses(Key::Enter);
     let query = asked(&robot);

@@ -76,7 +76,7 @@ fn each_screen_keeps_its_own_for_the_next_start() {
     let mut state = State::new(Settings::default());
     recall(&mut state, &serde_json::from_str(&text).expect("reads"));
     assert_eq!(state.topics.table.columns, [ALWAYS, "hz"]);
-    assert!(state.uploads.table.columns.is_empty());
+    assert!(state.records.table.columns.is_empty());
     // A file of another version, or one that was edited.
     let odd =
         r#"{"screen":"Topics","tables":[{"filter":"","sort":0,"columns":["hz","wheels"]},{"filter":"","sort":0}]}"#;

@@ -2,7 +2,7 @@
 
 use crate::model::{
     Address, Digest, Domain, ErrorKind, Hash, PinMode, ProfileName, PublicKey, Publisher, RecordKind, RecordState,
-    SignerId, Timestamp, Token, Verdict,
+    Sampling, SignerId, Timestamp, Token, Verdict,
 };
 use crate::pipeline::sender::{LaneState, PauseReason};
 use crate::service::command::IncidentCommand;
@@ -21,9 +21,10 @@ pub mod robots;
 
 pub const NOW: Timestamp = Timestamp(1_700_000_000_000_000_000);
 /// What a grant of the current epoch opens.
-pub const OPENS: Opens = Opens { records: 8_505, since: Some(Timestamp(NOW.0 - 407_000_000_000)) };
+pub const OPENS: Opens = Opens { records: 8_505, since: Some(Timestamp(NOW.0 - 407_000_000_000)), of_robots: false };
 /// What a grant of all epochs opens.
-const ALL_RECORDS: Opens = Opens { records: 581_165, since: Some(Timestamp(NOW.0 - 4 * 86_400_000_000_000)) };
+const ALL_RECORDS: Opens =
+    Opens { records: 581_165, since: Some(Timestamp(NOW.0 - 4 * 86_400_000_000_000)), of_robots: false };
 /// The address of the profile.
 pub const OWN: Address = Address([0x11; 20]);
 /// The address of someone else.
@@ -87,13 +88,7 @@ fn keys() -> KeysView {
 }
 
 pub fn site() -> SiteView {
-    let part = |part: &str, level, text: &str| PartHealth {
-        part: part.to_owned(),
-        level,
-        text: text.to_owned(),
-        since: None,
-        retry: None,
-    };
+    let part = PartHealth::new;
     SiteView {
         health: vec![
             part("ros", HealthLevel::Ok, "embedded master http://127.0.0.1:40117"),
@@ -145,6 +140,8 @@ pub fn topic(name: &str, hz: f64) -> TopicRow {
         unreached: Vec::new(),
         watched: false,
         watched_by: None,
+        watched_type: None,
+        sampling: Sampling::default(),
         held_up: None,
         simulated: true,
         hz: Some(hz),
@@ -292,6 +289,7 @@ fn foresight(from: GrantFrom) -> GrantForesight {
     match from {
         GrantFrom::Now => GrantForesight {
             epoch: 3,
+            topics: Vec::new(),
             epochs: 1,
             nothing_older: true,
             opens: Opens::default(),

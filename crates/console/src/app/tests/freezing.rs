@@ -58,7 +58,7 @@ fn a_frozen_view_turns_the_pages_of_its_moment() {
     robot.presses(crate::app::Key::Down);
     assert_eq!(asked(&robot), Some((moment, Some("982".to_owned()))), "the page behind, of the same moment");
     robot.site_answers(true);
-    assert_eq!(robot.state.uploads.rows[0].seq, 982);
+    assert_eq!(robot.state.records.rows[0].seq, 982);
     robot.waits(60);
     robot.hears_of(Part::Uploads);
     assert_eq!(asked(&robot), None, "and what comes later is not asked for");

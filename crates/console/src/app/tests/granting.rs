@@ -1,10 +1,11 @@
 //! Granting and revoking: forms, questions with default no, honest words.
 
 use super::{Robot, fixtures};
-use crate::app::popup::{Confirm, Popup};
+use crate::app::popup::{Confirm, Popup, Purpose};
 use crate::app::{Key, Tag};
 use crate::model::{Timestamp, TopicPattern};
-use crate::service::{Command, GrantFrom};
+use crate::service::reply::GrantForesight;
+use crate::service::{Command, GrantFrom, Reply};
 
 const READER: &str = "0x5aAeb6053F3E94C9b9A09f33669435E7Ef1BeAed";
 
@@ -46,7 +47,7 @@ fn g_asks_the_terms_then_shows_who_reads_already_then_sends_on_y() {
     assert!(text.contains(&fixtures::OTHER.to_string()), "who can read this now:\n{text}");
     robot.types("y");
     let (command, _) = robot.sent.last().expect("sent");
-    let Command::Grant { grantee, topics, from, expires } = command else { panic!("{command:?}") };
+    let Command::Grant { grantee, topics, from, expires, .. } = command else { panic!("{command:?}") };
     assert_eq!((grantee.to_string().as_str(), topics.len(), *from), (READER, 2, GrantFrom::Now));
     assert_eq!(*expires, Some(Timestamp(fixtures::NOW.0 + 30 * 86_400 * 1_000_000_000)));
     assert!(robot.state.popups.is_empty());
@@ -82,6 +83,39 @@ fn a_grant_of_a_pattern_names_the_topics_and_an_end_is_a_clock() {
 }
 
 #[test]
+fn everything_of_a_robot_until_friday_is_one_grant() {
+    let mut robot = at_grants();
+    robot.types("g");
+    fills_in(&mut robot, [READER, "robot:scout-1", "Friday 18:00"]);
+    let text = question(&robot).lines.join("\n");
+    assert!(text.contains("Topics   robot:scout-1\n") && text.contains("2023-11-17 18:00:00 UTC"), "{text}");
+    let asked = robot.sent.iter().find(|(_, tag)| matches!(tag, Tag::Foresee(_))).expect("asked").1.clone();
+    let topics = ["/imu", "/odom"].map(|topic| topic.parse().expect("a topic")).to_vec();
+    robot.is_answered(&asked, Ok(Reply::GrantForeseen(GrantForesight { topics, ..GrantForesight::default() })));
+    let text = question(&robot).lines.join("\n");
+    assert!(text.contains("Topics   /imu /odom\n"), "what it has is named before the yes:\n{text}");
+    robot.types("y");
+    let grants = robot.sent.iter().filter_map(|(command, _)| match command {
+        Command::Grant { topics, robots, expires, .. } => Some((topics.len(), robots.clone(), *expires)),
+        _ => None,
+    });
+    // date -u -d '2023-11-17T18:00Z' +%s
+    let friday = Timestamp::from_seconds(1_700_244_000);
+    assert_eq!(grants.collect::<Vec<_>>(), [(0, vec!["scout-1".to_owned()], Some(friday))]);
+}
+
+#[test]
+fn on_the_screen_of_robots_a_grant_is_of_the_robot_under_the_cursor() {
+    let mut robot = Robot::at_work(true);
+    fixtures::robots::at_the_gateway(&mut robot);
+    robot.types("/scout");
+    robot.presses(Key::Enter);
+    robot.types("g");
+    let Some(Popup::Form(Purpose::Grant, form)) = robot.state.popups.last() else { panic!("no form") };
+    assert_eq!(form.text(1), "robot:scout");
+}
+
+#[test]
 fn a_wrong_field_is_named_and_gets_the_focus() {
     let (own, other) = (fixtures::OWN.to_string(), fixtures::OTHER.to_string());
     let cases = [
@@ -91,6 +125,9 @@ fn a_wrong_field_is_named_and_gets_the_focus() {
         ([READER, "robot1", ""], "must start with /"),
         ([READER, "", ""], "'all' for every topic"),
         ([READER, "all /robot1/odom", ""], "not both"),
+        ([READER, "all robot:scout-1", ""], "not both"),
+        ([READER, "robot: scout-1", ""], "must start with /"),
+        ([READER, "robot:", ""], "after robot: without a space"),
         (["nobody", "all", ""], "no contact is named"),
         ([other.as_str(), "/robot1/odom", ""], "active grant on these terms"),
         ([READER, "all", "soon"], "30d"),
@@ -232,7 +269,7 @@ fn the_palette_takes_the_terms_and_a_capital_y_copies_the_command_line() {
     assert_eq!((form.text(0), form.text(1), form.text(2)), ("harbour-office", "/robot1/odom", "30d"));
     robot.presses(Key::Enter);
     robot.types("Y");
-    let wanted = "authros grant harbour-office --topic /robot1/odom --from now --expires 2023-12-14T22:13:20Z";
+    let wanted = "authros grant add harbour-office --topic /robot1/odom --from now --expires 2023-12-14T22:13:20Z";
     assert!(
         matches!(robot.effects.last(), Some(crate::app::Effect::CopyText(text)) if text == wanted),
         "{:?}",
@@ -356,10 +393,9 @@ fn an_answer_about_other_terms_changes_no_question() {
     robot.presses(Key::Control('u'));
     robot.pastes("epoch");
     robot.presses(Key::Enter);
-    let reply = fixtures::reply(
-        &Command::ForeseeGrant { grantee: READER.parse().expect("a party"), topics: Vec::new(), from: GrantFrom::Now },
-        true,
-    );
+    let grantee = READER.parse().expect("a party");
+    let of_all = Command::ForeseeGrant { grantee, topics: Vec::new(), robots: Vec::new(), from: GrantFrom::Now };
+    let reply = fixtures::reply(&of_all, true);
     robot.is_answered(&first, Ok(reply));
     let text = question(&robot).lines.join("\n");
     assert!(text.contains("Records  since the current epoch began") && !text.contains("Cost"), "{text}");

@@ -5,7 +5,7 @@ use crate::app::incidents::Deed;
 use crate::app::popup::{Popup, Purpose};
 use crate::app::{Effect, Key, Screen, Tag};
 use crate::model::{ErrorKind, Timestamp};
-use crate::service::command::IncidentCommand;
+use crate::service::command::{EvidenceWishes, IncidentCommand};
 use crate::service::{Command, Reply};
 
 const MINUTE: u64 = 60_000_000_000;
@@ -58,9 +58,25 @@ fn one_key_fills_the_form_from_an_old_record_and_six_more_keep_it() {
     assert_eq!(topics.iter().map(ToString::to_string).collect::<Vec<_>>(), ["/robot1/odom"]);
     assert_eq!(note.as_deref(), Some("hit the wall, bay 3?"));
     robot.is_answered(&tag(Deed::Open, "crash"), Ok(Reply::Incident(fixtures::incident("crash", true))));
-    assert_eq!(robot.message(), "incident crash: 1234 records kept so far (U: undo)");
+    assert_eq!(robot.message(), "incident crash: 1,234 records kept so far (U: undo)");
     robot.types("U");
     assert!(matches!(sent(&robot), IncidentCommand::RemoveIncident { name } if name.as_str() == "crash"));
+}
+
+#[test]
+fn a_pattern_goes_into_it_as_it_is_for_topics_that_come_later() {
+    let mut robot = Robot::at_work(true);
+    robot.types("2");
+    robot.site_answers(true);
+    robot.types("I");
+    robot.site_answers(true);
+    for text in ["fall", "10m", "", "/robot*/camera/**", ""] {
+        robot.presses(Key::Control('u'));
+        robot.pastes(text);
+        robot.presses(Key::Enter);
+    }
+    let IncidentCommand::OpenIncident { topics, .. } = sent(&robot) else { panic!() };
+    assert_eq!(topics.iter().map(ToString::to_string).collect::<Vec<_>>(), ["/robot*/camera/**"]);
 }
 
 #[test]
@@ -159,11 +175,9 @@ fn its_records_are_shown_and_its_commands_copied() {
     let mut robot = at_the_list();
     robot.types("jy");
     assert_eq!(copied(&robot), "authros incident show bump");
-    robot.types("e");
-    assert_eq!(copied(&robot), "authros evidence export bump.authros --incident bump");
     robot.presses(Key::Enter);
     assert!(robot.state.popups.is_empty());
-    assert_eq!(robot.state.screen, Screen::Uploads);
+    assert_eq!(robot.state.screen, Screen::Records);
     let asked = robot.sent.iter().rev().find_map(|(command, _)| match command {
         Command::ListUploads(query) => query.incident.clone(),
         _ => None,
@@ -195,4 +209,67 @@ fn read_only_looks_at_them_and_changes_nothing() {
     robot.types("qI");
     assert!(robot.state.popups.is_empty());
     assert!(robot.message().contains("read-only"), "{}", robot.message());
+}
+
+fn question(robot: &Robot) -> String {
+    let Some(Popup::Confirm(confirm)) = robot.state.popups.last() else { panic!("no question") };
+    confirm.lines.join("\n")
+}
+
+fn exported(robot: &Robot) -> &EvidenceWishes {
+    match robot.sent.last() {
+        Some((Command::ExportEvidence(wishes), _)) => wishes,
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn what_becomes_readable_is_counted_by_topic_and_typed_before_the_file_is_written() {
+    let mut robot = at_the_list();
+    robot.types("e");
+    robot.presses(Key::Enter);
+    robot.types("/robot?/odom");
+    robot.presses(Key::Enter);
+    let asked = question(&robot);
+    assert!(asked.contains("Readable 1234 messages of 1 topic, to everybody who gets the file:"), "{asked}");
+    assert!(asked.contains("1234 of /robot1/odom") && asked.contains("cannot be undone"), "{asked}");
+    assert!(!asked.contains("/robot1/odm"), "a topic without records: {asked}");
+    robot.types("y");
+    robot.presses(Key::Enter);
+    assert!(robot.work().is_empty(), "a y is not enough");
+    robot.presses(Key::Control('u'));
+    robot.presses(Key::Control('y'));
+    let line = copied(&robot).to_owned();
+    assert!(line.ends_with("crash-1114.authros --incident crash-1114 --reveal-topic '/robot?/odom' --yes"), "{line}");
+    robot.types("disclose");
+    robot.presses(Key::Enter);
+    let wishes = exported(&robot);
+    assert!(wishes.sure && !wishes.reveal_all && wishes.file.is_absolute(), "{wishes:?}");
+    assert_eq!(wishes.incident.as_ref().map(|name| name.as_str()), Some("crash-1114"));
+    assert_eq!(wishes.reveal_topics.iter().map(|one| one.as_str()).collect::<Vec<_>>(), ["/robot?/odom"]);
+}
+
+#[test]
+fn an_export_that_discloses_nothing_is_a_y_and_a_topic_that_it_does_not_hold_is_refused() {
+    let mut robot = at_the_list();
+    robot.types("e");
+    robot.presses(Key::Enter);
+    robot.types("/robot2/*");
+    robot.presses(Key::Enter);
+    assert!(robot.form_error().is_some_and(|error| error.contains("holds no record of a topic that matches")));
+    robot.presses(Key::Control('u'));
+    robot.presses(Key::Enter);
+    assert!(question(&robot).contains("Readable nothing: the messages stay sealed"), "{}", question(&robot));
+    robot.types("y");
+    let wishes = exported(&robot);
+    assert!(!wishes.reveal_all && wishes.reveal_topics.is_empty() && wishes.reveal.is_empty(), "{wishes:?}");
+    let mut robot = at_the_list();
+    robot.types("e");
+    robot.presses(Key::Enter);
+    robot.types("all");
+    robot.presses(Key::Enter);
+    assert!(question(&robot).contains("1234 of /robot1/odom"), "{}", question(&robot));
+    robot.types("disclose");
+    robot.presses(Key::Enter);
+    assert!(exported(&robot).reveal_all);
 }

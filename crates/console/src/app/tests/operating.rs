@@ -118,7 +118,7 @@ fn commands_act_on_the_marked_records() {
     robot.types("  c");
     assert_eq!(robot.work().len(), 2, "two were marked");
     assert!(robot.work().iter().all(|tag| matches!(tag, Tag::Check(_))));
-    assert_eq!(robot.state.uploads.table.marks.len(), 2, "and stay so");
+    assert_eq!(robot.state.records.table.marks.len(), 2, "and stay so");
 }
 
 fn asked(robot: &Robot) -> UploadQuery {
@@ -257,6 +257,6 @@ fn a_question_that_wants_a_word_copies_its_command_without_being_answered() {
     let mut robot = held();
     robot.types("D");
     robot.presses(Key::Control('y'));
-    assert_eq!(copied(&robot), Some("authros quarantine discard --topic /robot1/odom --yes"));
+    assert_eq!(copied(&robot), Some("authros topics quarantine discard --topic /robot1/odom --yes"));
     assert!(robot.work().is_empty() && matches!(robot.state.popups.last(), Some(Popup::Confirm(_))));
 }

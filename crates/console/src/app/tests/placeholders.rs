@@ -26,6 +26,8 @@ const DESCRIBED: &[(&str, &[&str])] = &[
     ("EOA: protects the V3 keystore", &["eight ch"]),
     ("at least 8 characters", &["eight ch"]),
     ("name of a robot", &["scout"]),
+    ("name of an incident", &["bump"]),
+    ("topics or patterns", &["/robot1/odom", "/robot*/odom", "/robot1/odom,/robot?/*"]),
     ("path to a TOML file", &["policies/scout.toml", "/policies/scout.toml", "~/scout.toml"]),
 ];
 
@@ -61,8 +63,10 @@ fn purposes() -> Vec<Purpose> {
         P::Unpin => Some(P::AddContact),
         P::AddContact => Some(P::OpenIncident),
         P::OpenIncident => Some(P::NoteIncident),
-        P::NoteIncident => Some(P::SetPolicy),
-        P::SetPolicy => Some(P::Profile),
+        P::NoteIncident => Some(P::ExportEvidence),
+        P::ExportEvidence => Some(P::SetPolicy),
+        P::SetPolicy => Some(P::Limit),
+        P::Limit => Some(P::Profile),
         P::Profile => Some(P::Administer(Act::Admit)),
         P::Administer(Act::Admit) => Some(P::Administer(Act::Suspend)),
         P::Administer(Act::Suspend) => Some(P::Administer(Act::Restore)),
@@ -93,7 +97,7 @@ fn asked(purpose: Purpose) -> Robot {
         Purpose::Extend => opens(Verb::Extend, "5"),
         Purpose::AddContact => opens(Verb::Contacts, "5"),
         Purpose::OpenIncident => opens(Verb::Incident, "2"),
-        Purpose::NoteIncident => opens(Verb::Incidents, "3"),
+        Purpose::NoteIncident | Purpose::ExportEvidence => opens(Verb::Incidents, "3"),
         Purpose::SetPolicy => {
             fixtures::robots::at_the_gateway(&mut robot);
             opens(Verb::SetPolicy, "8")
@@ -103,6 +107,7 @@ fn asked(purpose: Purpose) -> Robot {
         Purpose::ExportKey => opens(Verb::ExportKey, "6"),
         Purpose::Export => opens(Verb::Export, "3"),
         Purpose::Unpin => opens(Verb::Unpin, "2"),
+        Purpose::Limit => opens(Verb::Limit, "2"),
         Purpose::Administer(act) => opens(Verb::Administer(act), "7"),
     };
     robot.types(&screen);
@@ -112,6 +117,9 @@ fn asked(purpose: Purpose) -> Robot {
         robot.state.grants.rows.iter_mut().for_each(|row| row.expires = Some(end));
     } else {
         robot.presses(Key::Down);
+    }
+    if purpose == Purpose::Limit {
+        robot.state.topics.rows.iter_mut().for_each(|row| row.watched = true);
     }
     if let (Purpose::Administer(_), Some(chain)) = (purpose, &mut robot.state.chain) {
         chain.administration.administrator = Some(fixtures::OWN);
@@ -125,6 +133,10 @@ fn asked(purpose: Purpose) -> Robot {
             let rows = vec![fixtures::incident("bump", true)];
             robot.state.incidents.set(rows, fixtures::NOW);
             robot.types("a");
+        }
+        Purpose::ExportEvidence => {
+            robot.state.incidents.set(vec![fixtures::incident("bump", true)], fixtures::NOW);
+            robot.types("e");
         }
         _ => {}
     }

@@ -112,7 +112,7 @@ fn enter_shows_all_of_a_robot_and_follows_it() {
     robot.is_answered(&tag, Ok(Reply::Robot(robots::view(row("scout")))));
     assert!(window(&robot).found().is_some_and(|view| view.refused.is_some()));
     robot.types("y");
-    assert!(matches!(robot.effects.last(), Some(Effect::CopyText(text)) if text == "authros robots show scout"));
+    assert!(matches!(robot.effects.last(), Some(Effect::CopyText(text)) if text == "authros robot show scout"));
     // It takes the policy up: a record came, the list is asked for, and then the robot.
     robot.hears_of(Part::Uploads);
     robot.waits(6);
@@ -142,7 +142,7 @@ fn a_policy_is_set_from_a_file_after_a_question_with_what_it_says() {
         assert!(said.contains(part), "{part}: {said}");
     }
     robot.types("Y");
-    let line = "authros robots policy scout --set /home/operator/scout.toml";
+    let line = "authros robot policy scout --set /home/operator/scout.toml";
     assert!(matches!(robot.effects.last(), Some(Effect::CopyText(text)) if text == line), "{:?}", robot.effects);
     robot.types("y");
     assert_eq!(sent(&robot), ("scout", POLICY));
@@ -164,7 +164,7 @@ fn an_empty_line_clears_it() {
     let Some(Popup::Confirm(confirm)) = robot.state.popups.last() else { panic!("no question") };
     assert_eq!(confirm.title, "Clear the policy?");
     robot.types("Yy");
-    let line = "authros robots policy scout --clear";
+    let line = "authros robot policy scout --clear";
     assert!(matches!(robot.effects.last(), Some(Effect::CopyText(text)) if text == line), "{:?}", robot.effects);
     assert_eq!(sent(&robot), ("scout", ""));
 }

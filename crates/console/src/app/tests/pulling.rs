@@ -36,15 +36,15 @@ fn what_is_not_on_screen_is_asked_for_when_it_comes_on_screen() {
 fn an_answer_to_an_older_question_is_dropped() {
     let mut robot = Robot::at_work(true);
     robot.types("3");
-    let first = Tag::Feed(Feed::Uploads, robot.state.feeds.slot(Feed::Uploads).generation);
+    let first = Tag::Feed(Feed::Records, robot.state.feeds.slot(Feed::Records).generation);
     robot.types("s");
     robot.is_answered(
         &first,
         Ok(Reply::Records(fixtures::page(&crate::service::UploadQuery { limit: 5, ..Default::default() }, None))),
     );
-    assert!(robot.state.uploads.rows.is_empty());
+    assert!(robot.state.records.rows.is_empty());
     robot.site_answers(true);
-    assert!(!robot.state.uploads.rows.is_empty());
+    assert!(!robot.state.records.rows.is_empty());
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Uploads and shared records: pages, filters, provenance, opening, checking, writing.
+//! Records and shared records: pages, filters, provenance, opening, checking, writing.
 
 use super::{Robot, fixtures, record_shown};
 use crate::app::popup::Popup;
@@ -32,7 +32,7 @@ fn only_as_many_records_are_asked_for_as_fit_the_screen() {
     robot.act(crate::app::Action::Resize { columns: 200, rows: 50 });
     assert_eq!(asked(&robot).limit, 44);
     robot.site_answers(true);
-    assert_eq!(robot.state.uploads.rows.len(), 44);
+    assert_eq!(robot.state.records.rows.len(), 44);
 }
 
 #[test]
@@ -42,11 +42,11 @@ fn moving_past_the_end_turns_the_page_and_back() {
     robot.presses(Key::Down);
     assert_eq!(asked(&robot).after.as_deref(), Some("982"));
     robot.site_answers(true);
-    assert_eq!(robot.state.uploads.rows[0].seq, 982);
+    assert_eq!(robot.state.records.rows[0].seq, 982);
     robot.presses(Key::Up);
     assert_eq!(asked(&robot).after, None);
     robot.site_answers(true);
-    assert_eq!(robot.state.uploads.rows[0].seq, 1_000);
+    assert_eq!(robot.state.records.rows[0].seq, 1_000);
 }
 
 #[test]
@@ -58,8 +58,8 @@ fn a_filter_asks_the_site_for_states_and_topics_and_narrows_the_page_by_the_rest
     assert_eq!(query.state, Some(RecordState::Verified));
     assert_eq!(query.topic.as_ref().map(ToString::to_string).as_deref(), Some("/robot2/odom"));
     robot.site_answers(true);
-    let shown = robot.state.uploads.visible(&robot.state.topics.rows).len();
-    assert!(shown > 0 && shown < robot.state.uploads.rows.len());
+    let shown = robot.state.records.visible(&robot.state.topics.rows).len();
+    assert!(shown > 0 && shown < robot.state.records.rows.len());
     robot.presses(Key::Escape);
     assert_eq!(asked(&robot).state, None, "esc takes the filter away");
 }
@@ -94,14 +94,14 @@ fn a_filter_that_cannot_be_read_says_so_and_asks_for_nothing() {
         let before = robot.sent.len();
         robot.pastes(filter);
         robot.presses(Key::Enter);
-        let wrong = robot.state.uploads.wanted(&robot.state.topics.rows).expect_err(filter);
+        let wrong = robot.state.records.wanted(&robot.state.topics.rows).expect_err(filter);
         assert!(wrong.message.contains(said), "{wrong}");
         let lists = robot.sent[before..].iter().filter(|(command, _)| matches!(command, Command::ListUploads(_)));
         assert_eq!(lists.count(), 0, "{filter}");
-        assert!(robot.state.uploads.visible(&robot.state.topics.rows).is_empty());
+        assert!(robot.state.records.visible(&robot.state.topics.rows).is_empty());
     }
     robot.presses(Key::Escape);
-    assert!(robot.state.uploads.wanted(&[]).is_ok());
+    assert!(robot.state.records.wanted(&[]).is_ok());
 }
 
 #[test]

@@ -193,7 +193,7 @@ fn a_chain_that_is_away_is_one_alert_and_enter_shows_all_of_it() {
     let mut robot = Robot::at_work(true);
     robot.types("1");
     assert!(available(&robot.state, Verb::Alerts).is_err(), "nothing to show yet");
-    let text = "start the pinned chain, or `authros --home NEW uploads import OLD`: the chain is another one";
+    let text = "start the pinned chain, or `authros --home NEW records import OLD`: the chain is another one";
     let caused = |key: &str| AlertView { key: key.to_owned(), text: key.to_owned(), ..fixtures::site_alert() };
     let alerts_of = ["chain", "unanchored/0a0b0c0d", "audit"].map(caused).into();
     says(&mut robot, SiteView { alerts: alerts_of, ..failing("chain", text) });
@@ -203,6 +203,21 @@ fn a_chain_that_is_away_is_one_alert_and_enter_shows_all_of_it() {
     assert!(matches!(robot.state.popups.last(), Some(Popup::Alerts(0))));
     robot.presses(Key::Enter);
     assert!(robot.state.popups.is_empty());
+}
+
+#[test]
+fn an_accounts_paused_lane_hides_no_alert_of_another_account() {
+    let mut robot = Robot::at_work(true);
+    let mut site = failing("chain", "anchoring for 0x0101… is paused");
+    let chain = site.health.iter_mut().find(|part| part.part == "chain").expect("a part");
+    chain.unaffected = vec![Address([9; 20])];
+    let alert = |key: &str| AlertView { key: key.to_owned(), text: key.to_owned(), ..fixtures::site_alert() };
+    site.alerts = ["unanchored/01010101", "unanchored/09090909", "audit"].map(alert).into();
+    says(&mut robot, site);
+    let texts: Vec<String> = alerts(&robot).into_iter().map(|(text, ..)| text).collect();
+    let is_shown = |key: &str| texts.iter().any(|text| text == key);
+    assert!(!is_shown("unanchored/01010101"), "the chain's alert says it: {texts:?}");
+    assert!(is_shown("unanchored/09090909") && is_shown("audit"), "{texts:?}");
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use super::{Robot, fixtures};
 use crate::app::popup::{Popup, Purpose};
 use crate::app::{Key, Tag};
-use crate::model::ErrorKind;
+use crate::model::{ErrorKind, Sampling};
 use crate::service::{Command, Part, Reply};
 
 fn at_topics(exists: bool) -> Robot {
@@ -130,6 +130,38 @@ fn the_palette_watches_by_patterns() {
     robot.types(":watch /robot*/odom");
     robot.presses(Key::Enter);
     assert_eq!(robot.work(), before, "read-only");
+}
+
+#[test]
+fn l_limits_the_watched_topics_among_the_marked_at_once_and_their_type_stays() {
+    let mut robot = on(at_topics(true), "robot2");
+    robot.types("l");
+    assert_eq!(robot.message(), "limit: not watched: w watches it");
+    let mut robot = on(at_topics(true), "robot");
+    let type_name = "nav_msgs/Odometry".parse().ok();
+    for row in robot.state.topics.rows.iter_mut().filter(|row| row.watched) {
+        row.watched_type.clone_from(&type_name);
+        row.sampling = Sampling { rate: Some(500), every: None };
+    }
+    robot.types("al");
+    let Some(Popup::Form(Purpose::Limit, form)) = robot.state.popups.last() else { panic!("no form") };
+    assert_eq!((form.title.as_str(), form.text(0), form.text(1)), ("Limit /robot1/odom", "0.5", ""));
+    for text in ["fast", "10"] {
+        robot.presses(Key::Control('u'));
+        robot.pastes(text);
+        robot.presses(Key::Enter);
+    }
+    assert!(robot.form_error().is_some_and(|error| error.contains("messages per second")), "{:?}", robot.form_error());
+    robot.presses(Key::Control('u'));
+    robot.pastes("5");
+    (0..2).for_each(|_| robot.presses(Key::Enter));
+    let tag = Tag::Limit("/robot1/odom".into());
+    assert_eq!(robot.work(), std::slice::from_ref(&tag));
+    let Some((Command::WatchTopic { topic, type_name: sent, sampling }, _)) = robot.sent.last() else { panic!() };
+    assert_eq!((topic.as_str(), sent), ("/robot1/odom", &type_name));
+    assert_eq!(*sampling, Some(Sampling { rate: Some(5_000), every: Some(10) }));
+    robot.is_answered(&tag, Ok(Reply::Done));
+    assert_eq!(robot.message(), "the rule of /robot1/odom is set");
 }
 
 #[test]

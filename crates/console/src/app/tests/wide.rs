@@ -27,7 +27,7 @@ fn the_pane_asks_for_the_record_that_the_cursor_rests_on_and_for_no_other() {
     }
     assert!(beside(&robot).is_empty(), "the cursor is moving");
     robot.waits(1);
-    let wanted = Tag::Beside(Screen::Uploads, fixtures::record(995, "").id);
+    let wanted = Tag::Beside(Screen::Records, fixtures::record(995, "").id);
     assert_eq!(beside(&robot), std::slice::from_ref(&wanted));
     robot.is_answered(&wanted, Ok(Reply::Provenance(fixtures::provenance(995))));
     assert!(robot.state.detail.steps.as_ref().is_some_and(|steps| steps.found().is_some()));

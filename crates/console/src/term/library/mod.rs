@@ -30,7 +30,7 @@ const SIZES: [(u16, u16); 3] = [(80, 24), (120, 40), (200, 50)];
 const PICTURES: [&str; 10] = [
     "overview",
     "topics",
-    "uploads-chosen-columns",
+    "records-chosen-columns",
     "provenance",
     "record-plot",
     "grant-asked",
@@ -195,8 +195,8 @@ const SCREENS: &[Situation] = &[
     ("topics", |size| covered(size, Screen::Topics)),
     ("topics-folded", |size| pressed(at(Screen::Topics, size), "H")),
     ("topics-searched", |size| pressed(at(Screen::Topics, size), "/odom")),
-    ("uploads", |size| at(Screen::Uploads, size)),
-    ("shared", |size| at(Screen::Shared, size)),
+    ("records", |size| at(Screen::Records, size)),
+    ("received", |size| at(Screen::Received, size)),
     ("grants", |size| at(Screen::Grants, size)),
     ("keys", |size| at(Screen::Keys, size)),
     ("chain", |size| at(Screen::Chain, size)),
@@ -218,7 +218,7 @@ const STATES: &[Situation] = &[
     ("unlock-asked", |size| locked(size, true)),
     ("topics-that-wait-for-the-key", |size| locked(size, false)),
     ("in-trouble", in_trouble),
-    ("frozen", |size| pressed(at(Screen::Uploads, size), "f")),
+    ("frozen", |size| pressed(at(Screen::Records, size), "f")),
     ("quit-asked", quit_asked),
     ("read-only", |size| {
         let mut robot = at(Screen::Grants, size);
@@ -245,36 +245,36 @@ const GRANTS: &[Situation] = &[
 ];
 
 const RECORDS: &[Situation] = &[
-    ("uploads-searched", |size| {
-        let mut robot = pressed(at(Screen::Uploads, size), "/odom state:verified since:2h");
+    ("records-searched", |size| {
+        let mut robot = pressed(at(Screen::Records, size), "/odom state:verified since:2h");
         robot.presses(Key::Enter);
         robot.site_answers(true);
         robot
     }),
-    ("uploads-page-of-the-past", |size| {
-        let mut robot = at(Screen::Uploads, size);
+    ("records-page-of-the-past", |size| {
+        let mut robot = at(Screen::Records, size);
         robot.presses(Key::PageDown);
         robot.presses(Key::PageDown);
         robot.site_answers(true);
         robot
     }),
-    ("uploads-chosen-columns", |size| {
-        let mut robot = pressed(at(Screen::Uploads, size), ":columns topic,time,size,digest,state");
+    ("records-chosen-columns", |size| {
+        let mut robot = pressed(at(Screen::Records, size), ":columns topic,time,size,digest,state");
         robot.presses(Key::Enter);
-        for row in &mut robot.state.uploads.rows {
+        for row in &mut robot.state.records.rows {
             let mixed = row.seq.wrapping_mul(0x9e37_79b9_7f4a_7c15).to_be_bytes();
             row.digest = Digest([mixed; 4].concat().try_into().expect("32 bytes"));
         }
         robot
     }),
-    ("columns", |size| pressed(at(Screen::Uploads, size), "Cjjjj ")),
+    ("columns", |size| pressed(at(Screen::Records, size), "Cjjjj ")),
     ("columns-without-room", |size| {
-        let mut robot = pressed(at(Screen::Shared, size), ":columns topic,id,digest,transaction,type,owner");
+        let mut robot = pressed(at(Screen::Received, size), ":columns topic,id,digest,transaction,type,owner");
         robot.presses(Key::Enter);
         pressed(robot, "C")
     }),
     ("provenance", |size| {
-        let mut robot = at(Screen::Uploads, size);
+        let mut robot = at(Screen::Records, size);
         robot.presses(Key::Enter);
         let id = fixtures::record(1_000, "").id;
         robot.is_answered(&Tag::Show(id), Ok(Reply::Provenance(fixtures::provenance(1_000))));
@@ -290,26 +290,26 @@ const RECORDS: &[Situation] = &[
         robot.presses(Key::Enter);
         robot
     }),
-    ("browse", |size| pressed(at(Screen::Shared, size), "b")),
+    ("browse", |size| pressed(at(Screen::Received, size), "b")),
 ];
 
 const WINDOWS: &[Situation] = &[
     ("palette", |size| pressed(sized(Robot::at_work(true), size), ":re")),
     ("help", |size| pressed(at(Screen::Topics, size), "?")),
-    ("help-of-a-window", |size| pressed(at(Screen::Uploads, size), "zi?")),
+    ("help-of-a-window", |size| pressed(at(Screen::Records, size), "zi?")),
     ("chord", |size| pressed(at(Screen::Chain, size), "z")),
     ("publishers", publishers),
     ("tasks", |size| pressed(at(Screen::Chain, size), "t")),
     ("load-key-with-listed-paths", listed),
-    ("export-records", |size| pressed(at(Screen::Uploads, size), "  e")),
+    ("export-records", |size| pressed(at(Screen::Records, size), "  e")),
     ("rotation-asked", |size| pressed(at(Screen::Keys, size), "r")),
     ("suspend-asked", |size| {
         let mut robot = pressed(at(Screen::Chain, size), ":suspend");
         robot.presses(Key::Enter);
         submitted(pressed(robot, "0x5aAeb6053F3E94C9b9A09f33669435E7Ef1BeAed"))
     }),
-    ("incident-opened", |size| pressed(at(Screen::Uploads, size), "jI")),
-    ("incidents", |size| pressed(at(Screen::Uploads, size), "zi")),
+    ("incident-opened", |size| pressed(at(Screen::Records, size), "jI")),
+    ("incidents", |size| pressed(at(Screen::Records, size), "zi")),
     ("robot-details", robot_in_full),
     ("robot-policy", |size| pressed(at_the_scout(size), "p")),
     ("robot-policy-refused", |size| policy_read(size, "[[watch]]\ntopic = \"odom odom\"\n")),
@@ -526,7 +526,7 @@ fn readable(camera: bool) -> Readable {
 }
 
 fn opened(size: Size, tabs: usize, camera: bool) -> Robot {
-    let mut robot = at(Screen::Shared, size);
+    let mut robot = at(Screen::Received, size);
     robot.presses(Key::Enter);
     let view = OpenedView { readable: Some(readable(camera)), ..fixtures::opened(1_000, camera) };
     robot.is_answered(&Tag::Open(view.record.id.clone()), Ok(Reply::Opened(Box::new(view))));

@@ -21,7 +21,7 @@ pub(super) fn noise((width, height): (usize, usize), seed: u8) -> Raster {
 fn scene() -> Scene {
     let mut robot = Robot::at_work(true);
     robot.act(Action::Resize { columns: 100, rows: 30 });
-    robot.act(Action::Do(Verb::Go(Screen::Shared)));
+    robot.act(Action::Do(Verb::Go(Screen::Received)));
     robot.site_answers(true);
     robot.presses(Key::Enter);
     let readable = Readable { picture: Some(noise((240, 160), 0)), ..Readable::default() };

@@ -373,7 +373,7 @@ mod columns_tests {
 
     #[test]
     fn every_column_that_is_offered_is_drawn_and_in_the_same_order() {
-        for screen in [Screen::Topics, Screen::Uploads, Screen::Shared] {
+        for screen in [Screen::Topics, Screen::Records, Screen::Received] {
             let all = lists::all_columns(screen);
             let drawn: Vec<&str> = all.iter().map(|column| column.name).filter(|name| !name.is_empty()).collect();
             let named: Vec<&str> = offered(screen).iter().map(|column| column.name).collect();

@@ -6,16 +6,16 @@ use crate::app::opening::{BYTES_A_LINE, Face, Opening};
 use crate::app::popup::{Lookup, readers};
 use crate::app::screens::{LogLine, day, end, is_active, is_given, scope};
 use crate::app::update::Feed;
-use crate::app::{State, Tag, counted};
-use crate::model::{Timestamp, Verdict, clean};
+use crate::app::{State, Tag};
+use crate::model::{Timestamp, Verdict, clean, counted};
 use crate::ros::readable::{Readable, Table};
 use crate::service::NoticeLevel;
 use crate::service::reply::{
     AlarmView, GrantRow, IncidentNoteView, IncidentView, OpenedView, PinView, PinsView, Provenance, RecordView,
-    RobotView, ShownState, SpanCoverageView, TaskState, TaskView,
+    RobotView, ShownState, SpanCoverageView, TaskState, TaskView, coverage_legend,
 };
 use crate::ui::canvas::{Canvas, below, columns, right_of, row, rows};
-use crate::ui::lists::{Fact, empty, state_role};
+use crate::ui::lists::{Fact, empty, state_role, watch_rule};
 use crate::ui::theme::Role;
 use crate::ui::words::{self, count, size, wrap};
 use crate::ui::{bars, gateway, plot};
@@ -208,7 +208,7 @@ pub(in crate::ui) fn provenance_lines(view: &Provenance, width: u16) -> Vec<Vec<
     lines
 }
 
-/// Shortens hashes to their ends if the evidence does not fit; `authros uploads show` has them in full.
+/// Shortens hashes to their ends if the evidence does not fit; `authros records show` has them in full.
 fn fitted(evidence: &str, width: u16) -> String {
     const WHOLE: usize = 40;
     if columns(evidence) <= width {
@@ -321,6 +321,8 @@ fn publishers(state: &State, topic: &str, view: &PinsView) -> Vec<Piece> {
     let row = state.topics.rows.iter().find(|row| row.topic == topic);
     let now = row.map_or_else(String::new, |row| row.publishers.join(" "));
     lines.extend(coverage_lines(state, topic));
+    let rule = row.and_then(watch_rule);
+    lines.extend(rule.map(|rule| (format!("watched {rule}; l on Topics changes how much is kept"), Role::Body)));
     lines.push((format!("now     {}", if now.is_empty() { "nobody" } else { &now }), Role::Body));
     if view.pins.is_empty() {
         lines.push(("no publisher is pinned yet: the first one captured will be".to_owned(), Role::Dim));
@@ -452,7 +454,7 @@ fn records_on_their_way(state: &State) -> Vec<Piece> {
     let life = &site.life;
     let queue = &site.queue;
     let full = queue.bytes.saturating_mul(100).checked_div(queue.capacity).unwrap_or(0);
-    let (messages, bytes) = (many(queue.messages, "message"), words::size(queue.bytes));
+    let (messages, bytes) = (counted(queue.messages, "message"), words::size(queue.bytes));
     let stored = format!("{:<15} {messages}, {bytes} (buffer {full} % full)", "to be stored");
     let mut lines = vec![(stored, if full >= 80 { Role::Bad } else { Role::Body })];
     let stations = [
@@ -489,7 +491,8 @@ const NUMBER: usize = 9;
 pub fn draw_robot(canvas: &mut Canvas, area: Rect, state: &State, lookup: &Lookup<RobotView>) {
     let width = LOOKUP_WIDEST.min(area.width.saturating_sub(6));
     let whole = |view: &RobotView| {
-        [told(&gateway::facts(view, state.shown_at()), width), topics(view, width), robot_text(view, width)].concat()
+        [told(&gateway::facts(view, state.shown_at()), width), topics(state, view, width), robot_text(view, width)]
+            .concat()
     };
     let lines = answered(lookup, width, whole, |line| line);
     let name = lookup.found().map_or(lookup.id.as_str(), |view| view.row.name.as_str());
@@ -512,7 +515,8 @@ fn told(facts: &[Fact], width: u16) -> Vec<Piece> {
     lines
 }
 
-fn topics(view: &RobotView, width: u16) -> Vec<Piece> {
+/// Counts of each topic, and below them from when to when there are records, with the holes.
+fn topics(state: &State, view: &RobotView, width: u16) -> Vec<Piece> {
     if view.topics.is_empty() {
         return vec![Piece::default(), ("Nothing was recorded by this robot yet.".to_owned(), Role::Dim)];
     }
@@ -525,7 +529,15 @@ fn topics(view: &RobotView, width: u16) -> Vec<Piece> {
         let role = if topic.lost > 0 { Role::Warning } else { Role::Body };
         let shown = pad(&clean(&topic.topic, name), rows(name));
         lines.push((format!("{shown}{}", numbers(cells)), role));
+        if let (Some(first), Some(last)) = (topic.first, topic.last) {
+            lines.push((format!("  {}  {}", topic.strip, from_to(state, first, last)), Role::Accent));
+        }
     }
+    lines.extend(view.covered.map(|span| {
+        let signs: String = view.topics.iter().map(|topic| topic.strip.as_str()).collect();
+        let meaning = format!("{} per sign since {} UTC: {}", span.part(), day(span.since), coverage_legend(&signs));
+        (meaning, Role::Dim)
+    }));
     lines
 }
 
@@ -573,7 +585,7 @@ fn draw_incident(canvas: &mut Canvas, line: Rect, incident: &IncidentView, here:
     let (word, role) = if incident.open { ("open", Role::Good) } else { ("closed", Role::Dim) };
     canvas.put(rest, word, role);
     let topics = incident.coverage.iter().filter(|one| one.records > 0).count() as u64;
-    let held = format!("{} in {}", many(incident.records, "record"), counted(topics, "topic"));
+    let held = format!("{} in {}", counted(incident.records, "record"), counted(topics, "topic"));
     canvas.puts(
         right_of(rest, STATE),
         &[(&held, Role::Body), (&format!(", {}", words::size(incident.bytes)), Role::Dim)],
@@ -592,10 +604,6 @@ fn draw_told(canvas: &mut Canvas, area: Rect, told: &[Piece], scroll: usize) {
         let edge = Rect { y: area.bottom(), height: 1, ..area };
         canvas.put_right(edge, &format!(" {first} above, {left} below "), Role::Dim);
     }
-}
-
-fn many(count: u64, one: &str) -> String {
-    format!("{} {one}{}", words::count(count), if count == 1 { "" } else { "s" })
 }
 
 /// Span, notes, and coverage of each topic.
@@ -629,7 +637,7 @@ fn topic(state: &State, one: &SpanCoverageView) -> Vec<Piece> {
     let name = clean(&one.topic, 255);
     let mut lines = match (one.first, one.last) {
         (Some(first), Some(last)) => {
-            vec![(format!("{name}  {}, {}", many(one.records, "record"), from_to(state, first, last)), Role::Body)]
+            vec![(format!("{name}  {}, {}", counted(one.records, "record"), from_to(state, first, last)), Role::Body)]
         }
         _ if one.quarantined > 0 => vec![(format!("{name}  no record"), Role::Warning)],
         _ => vec![(format!("{name}  nothing in that time: check the name and whether it is watched"), Role::Warning)],

@@ -46,8 +46,8 @@ fn infect(robot: &mut Robot, text: &str) {
     };
     robot.state.site = Some(site);
     robot.state.topics.rows = vec![topic(text), topic("/robot1/odom")];
-    robot.state.uploads.rows = vec![record(text)];
-    robot.state.shared.rows = vec![record(text)];
+    robot.state.records.rows = vec![record(text)];
+    robot.state.received.rows = vec![record(text)];
     let mut incident = fixtures::incident("bump", true);
     incident.topics = vec![text.to_owned()];
     incident.notes.iter_mut().for_each(|note| text.clone_into(&mut note.text));
@@ -143,8 +143,8 @@ fn a_million_hostile_names_draw_no_control_character() {
         robot.act(Action::Resize { columns: 100, rows: 540 });
         infect(&mut robot, &names[0]);
         robot.state.topics.rows = names.iter().map(|name| topic(name)).collect();
-        robot.state.uploads.rows = names.iter().map(|name| record(name)).collect();
-        robot.state.shared.rows = names.iter().map(|name| record(name)).collect();
+        robot.state.records.rows = names.iter().map(|name| record(name)).collect();
+        robot.state.received.rows = names.iter().map(|name| record(name)).collect();
         let grant = |name: &String| {
             let row = fixtures::grant("given", fixtures::OTHER, "active", 1);
             GrantRow { topics: vec![name.clone()], ..row }

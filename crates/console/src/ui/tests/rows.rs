@@ -53,7 +53,7 @@ fn the_row_of_the_cursor_is_lit_at_both_ends_where_it_is_long() {
 #[test]
 fn amber_is_for_what_is_wrong_and_not_for_what_is_simulated() {
     let warning = night().style(Role::Warning).fg;
-    for screen in [Screen::Topics, Screen::Uploads, Screen::Shared] {
+    for screen in [Screen::Topics, Screen::Records, Screen::Received] {
         for size in [(80, 24), (120, 40)] {
             let buffer = drawn(&at(screen, size).state);
             for (row, column) in simulated(&buffer) {

@@ -6,7 +6,7 @@ use std::ops::Range;
 
 use super::{Code, Fields, LEAD, McapReader};
 use crate::model::Timestamp;
-use crate::ros::RosError;
+use crate::ros::{Result, RosError};
 
 #[derive(Debug, Default)]
 pub(super) struct Growing {
@@ -18,7 +18,7 @@ pub(super) struct Growing {
 
 impl<R: BufRead + Seek> McapReader<R> {
     /// [`McapReader::next_message`] then also returns `None` where the next record is not whole yet.
-    pub fn follow(file: R) -> Result<Self, RosError> {
+    pub fn follow(file: R) -> Result<Self> {
         let mut reader = Self::begin(file)?;
         reader.growing = Growing { open: true, told: true, chunks: Vec::new() };
         Ok(reader)
@@ -30,7 +30,7 @@ impl<R: BufRead + Seek> McapReader<R> {
     }
 
     /// No recorder writes the file any more: a missing end is damage.
-    pub fn close(&mut self) -> Result<(), RosError> {
+    pub fn close(&mut self) -> Result<()> {
         self.growing.open = false;
         self.read_summary().map_err(RosError::unreadable)
     }

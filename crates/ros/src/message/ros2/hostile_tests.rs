@@ -7,7 +7,7 @@ use crate::ros::message::{DEEPEST, LONGEST_DEFINITION, Limits};
 
 const RULE: &str = "====================";
 
-fn parse(text: &str) -> Result<Definition, RosError> {
+fn parse(text: &str) -> Result<Definition> {
     Definition::parse_ros2("a/msg/Root", text)
 }
 

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::alerts::queue::Change;
+use crate::model::Address;
 use crate::service::alerts::Standing;
 use crate::service::alerts::troubles::{before, grant, limits, troubles, well};
 
@@ -130,13 +131,32 @@ fn what_a_dead_chain_causes_is_no_alert_of_its_own() {
     judge.judge(&well(0));
     let mut figures = well(5_000);
     figures.owners[0].oldest_unanchored = Some(before(&figures, 4_000));
-    figures.audit_unanchored = Some(before(&figures, 4_000));
-    let firing = |judged: Vec<Judged>| -> Vec<String> {
-        judged.into_iter().filter(|judged| judged.level == Level::Firing).map(|judged| judged.key).collect()
-    };
+    figures.owners[0].audit_unanchored = Some(before(&figures, 4_000));
     assert_eq!(firing(judge.judge(&figures)), ["unanchored/0a0b0c0d", "audit"], "the chain says that it is well");
     figures.parts.iter_mut().filter(|part| part.part == "chain").for_each(|part| part.level = HealthLevel::Failed);
     assert_eq!(firing(judge.judge(&figures)), ["chain"]);
+}
+
+#[test]
+fn an_accounts_paused_lane_hides_no_alert_of_another_account() {
+    let mut judge = Judge::new(limits());
+    judge.judge(&well(0));
+    let mut figures = well(5_000);
+    let waiting = Some(before(&figures, 4_000));
+    let owner =
+        |owner: &str| OwnerFigures { owner: owner.to_owned(), oldest_unanchored: waiting, ..OwnerFigures::default() };
+    figures.owners = ["0a0b0c0d", "09090909"].map(owner).into();
+    let chain = figures.parts.iter_mut().find(|part| part.part == "chain").expect("a part");
+    (chain.level, chain.unaffected) = (HealthLevel::Failed, vec![Address([9; 20])]);
+    assert_eq!(firing(judge.judge(&figures)), ["unanchored/09090909", "chain"]);
+    figures.owners[0].audit_unanchored = waiting;
+    assert_eq!(firing(judge.judge(&figures)), ["unanchored/09090909", "chain"], "its lane is paused");
+    figures.owners[1].audit_unanchored = waiting;
+    assert_eq!(firing(judge.judge(&figures)), ["unanchored/09090909", "audit", "chain"]);
+}
+
+fn firing(judged: Vec<Judged>) -> Vec<String> {
+    judged.into_iter().filter(|judged| judged.level == Level::Firing).map(|judged| judged.key).collect()
 }
 
 #[test]
@@ -158,8 +178,8 @@ fn who_reads_by_a_grant_that_ends_is_sent_to_its_owner() {
         let judged = Judge::new(limits()).judge(&figures);
         judged.into_iter().find(|judged| judged.key.starts_with(GRANT)).map(|judged| judged.text).expect("an alert")
     };
-    assert!(text(true).contains("`authros grants extend`"), "{}", text(true));
-    assert!(text(false).contains("its owner") && !text(false).contains("grants extend"), "{}", text(false));
+    assert!(text(true).contains("`authros grant extend`"), "{}", text(true));
+    assert!(text(false).contains("its owner") && !text(false).contains("grant extend"), "{}", text(false));
 }
 
 #[test]

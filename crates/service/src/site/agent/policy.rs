@@ -16,7 +16,7 @@ use crate::model::{Address, Domain, PolicyReport, RecordKind, SignerId, TopicNam
 use crate::pipeline::notices::PolicyTaker;
 use crate::pipeline::statement::{self, Statement};
 use crate::pipeline::{CaptureSession, PipelineError, recorder_heads};
-use crate::reply::Failure;
+use crate::reply::Result;
 use crate::site::Site;
 use crate::store::Notes;
 use crate::store::notes::{PolicyHere, PolicyKept, PolicyTold};
@@ -49,7 +49,7 @@ pub(super) struct AgentPolicy {
 }
 
 impl AgentPolicy {
-    pub fn open(notes: &Notes, keeper: PolicyKeeper) -> Result<Self, Failure> {
+    pub fn open(notes: &Notes, keeper: PolicyKeeper) -> Result<Self> {
         let keeper = Arc::new(keeper);
         let (changed, told) = (keeper.changed.subscribe(), notes.read(&keeper.told())?);
         let mut policy = Self {
@@ -182,7 +182,7 @@ impl Agent {
         self.watch_as_wanted();
     }
 
-    fn change_ring(&mut self, wanted: Option<RingSettings>) -> Result<(), Failure> {
+    fn change_ring(&mut self, wanted: Option<RingSettings>) -> Result<()> {
         if let Some(ring) = &mut self.ring {
             return ring.change(wanted);
         }
@@ -240,7 +240,7 @@ impl Agent {
                 let name = &self.name;
                 self.site.parts.hub.warn(&format!(
                     "there is no key for topic {topic}: its messages are dropped and counted until the owner adds it \
-                     with `authros devices topics add {name} {topic}`"
+                     with `authros robot topics add {name} {topic}`"
                 ));
             }
         }
@@ -249,7 +249,7 @@ impl Agent {
         self.site.ros.wishes_changed();
     }
 
-    fn tell_policy(&mut self) -> Result<(), Failure> {
+    fn tell_policy(&mut self) -> Result<()> {
         if self.policy.kept.heard == 0 {
             return Ok(());
         }
@@ -284,7 +284,7 @@ pub(super) struct PolicyKeeper {
 }
 
 impl PolicyKeeper {
-    pub fn open(notes: &Notes, domain: Domain, owner: Address, device: SignerId) -> Result<Self, Failure> {
+    pub fn open(notes: &Notes, domain: Domain, owner: Address, device: SignerId) -> Result<Self> {
         let kept = notes.read(&PolicyHere { owner, device })?.unwrap_or_default();
         let (notes, changed) = (notes.clone(), watch::channel(()).0);
         Ok(Self { notes, domain, owner, device, kept: Mutex::new(kept), changed })

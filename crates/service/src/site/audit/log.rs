@@ -8,7 +8,7 @@ use crate::pipeline::{Owner, PipelineError};
 use crate::service::command::UploadQuery;
 use crate::service::failure::internal;
 use crate::service::hub::Hub;
-use crate::service::reply::{AuditView, ExportedFile, Failure};
+use crate::service::reply::{AuditView, ExportedFile, Result};
 use crate::site::blocking;
 use crate::store::{AuditEntry, AuditLine, AuditLog, AuditQuery};
 
@@ -38,26 +38,20 @@ impl Log {
         action: &str,
         subject: &str,
         outcome: &str,
-    ) -> Result<(), Failure> {
+    ) -> Result<()> {
         self.append(entry(&doer(profile.as_str()), action, subject, outcome)).await
     }
 
-    async fn append(self: &Arc<Self>, entry: AuditEntry) -> Result<(), Failure> {
+    async fn append(self: &Arc<Self>, entry: AuditEntry) -> Result<()> {
         blocking(self, move |log| Ok(log.lines.append(entry)?)).await
     }
 
     /// No durable line, no deed.
-    pub(crate) async fn begin(self: &Arc<Self>, owner: &Owner, action: &str, subject: &str) -> Result<(), Failure> {
+    pub(crate) async fn begin(self: &Arc<Self>, owner: &Owner, action: &str, subject: &str) -> Result<()> {
         self.write(&owner.profile, action, subject, "begun").await
     }
 
-    pub async fn end<T>(
-        self: &Arc<Self>,
-        owner: &Owner,
-        action: &str,
-        subject: &str,
-        outcome: Result<T, Failure>,
-    ) -> Result<T, Failure> {
+    pub async fn end<T>(self: &Arc<Self>, owner: &Owner, action: &str, subject: &str, outcome: Result<T>) -> Result<T> {
         self.ended(&owner.profile, action, subject, outcome).await
     }
 
@@ -67,8 +61,8 @@ impl Log {
         profile: &'a ProfileName,
         action: &'a str,
         subject: &'a str,
-        deed: impl Future<Output = Result<T, Failure>> + Send + 'a,
-    ) -> impl Future<Output = Result<T, Failure>> + Send + 'a {
+        deed: impl Future<Output = Result<T>> + Send + 'a,
+    ) -> impl Future<Output = Result<T>> + Send + 'a {
         // Some deeds are large futures; a waiting caller holds a pointer.
         let deed = Box::pin(deed);
         async move {
@@ -83,8 +77,8 @@ impl Log {
         profile: &ProfileName,
         action: &str,
         subject: &str,
-        outcome: Result<T, Failure>,
-    ) -> Result<T, Failure> {
+        outcome: Result<T>,
+    ) -> Result<T> {
         let words = match &outcome {
             Ok(_) => "done".to_owned(),
             Err(failure) => format!("failed: {}", failure.message),
@@ -99,7 +93,7 @@ impl Log {
     }
 
     /// Logs that a page of a list was read, once a minute for the same query.
-    pub async fn asked(self: &Arc<Self>, owner: &Owner, action: &str, query: &UploadQuery) -> Result<(), Failure> {
+    pub async fn asked(self: &Arc<Self>, owner: &Owner, action: &str, query: &UploadQuery) -> Result<()> {
         let (doer, text) = (doer(owner.profile.as_str()), query_text(query));
         if !self.counted.is_new_query(Timestamp::now(), &doer, &text) {
             return Ok(());
@@ -151,20 +145,20 @@ impl Log {
         }
     }
 
-    pub async fn list(self: &Arc<Self>, query: AuditQuery) -> Result<Vec<AuditView>, Failure> {
+    pub async fn list(self: &Arc<Self>, query: AuditQuery) -> Result<Vec<AuditView>> {
         let query = AuditQuery { limit: query.limit.clamp(1, PAGE), ..query };
         let mut lines = blocking(self, move |log| Ok(log.lines.list(&query)?)).await?;
         lines.reverse();
         Ok(lines.into_iter().map(view).collect())
     }
 
-    pub async fn export(self: &Arc<Self>, owner: &Arc<Owner>, addresses: bool) -> Result<Vec<ExportedFile>, Failure> {
+    pub async fn export(self: &Arc<Self>, owner: &Owner, addresses: bool) -> Result<Vec<ExportedFile>> {
         let subject = if addresses { "with addresses" } else { "redacted" };
         let bytes = self.deed(&owner.profile, "export audit", subject, self.whole(addresses)).await?;
         Ok(vec![ExportedFile { name: "audit.jsonl".to_owned(), bytes }])
     }
 
-    async fn whole(self: &Arc<Self>, addresses: bool) -> Result<Vec<u8>, Failure> {
+    async fn whole(self: &Arc<Self>, addresses: bool) -> Result<Vec<u8>> {
         blocking(self, move |log| {
             let (mut pages, mut before) = (Vec::new(), None);
             loop {

@@ -18,11 +18,11 @@ use crate::model::{Address, OperatorName, ProfileName, Timestamp, clean};
 use crate::pipeline::reader::Reader;
 use crate::pipeline::record_audit::{self, RecordAudit, Scope, scrub_round};
 use crate::pipeline::{Owner, audit_head, recorder_heads};
-use crate::reply::{AuditCheck, Failure};
+use crate::reply::{AuditCheck, Failure, Result};
 use crate::store::Reserve;
 
 /// A failure of one check does not hide the result of the other.
-fn both<T>(log: Result<Option<T>, Failure>, recorder: Result<Option<T>, Failure>) -> Result<Option<T>, Failure> {
+fn both<T>(log: Result<Option<T>>, recorder: Result<Option<T>>) -> Result<Option<T>> {
     match (log, recorder) {
         (Err(log), Err(recorder)) => Err(Failure::new(log.kind, format!("{}; {}", log.message, recorder.message))),
         (log, recorder) => Ok(recorder?.or(log?)),
@@ -93,7 +93,7 @@ impl Audit {
         }
     }
 
-    pub async fn verify(self: &Arc<Self>, owner: Option<Arc<Owner>>) -> Result<AuditCheck, Failure> {
+    pub async fn verify(self: &Arc<Self>, owner: Option<Arc<Owner>>) -> Result<AuditCheck> {
         let walked = blocking(self, |audit| Ok(audit.parts.log.lines().verify())).await?;
         let (lines, mut broken) = walked.map_or_else(|fault| (0, Some(fault)), |lines| (lines, None));
         let mut check = AuditCheck { lines, ..AuditCheck::default() };
@@ -147,7 +147,7 @@ impl Audit {
         is_pinned: bool,
         deep: bool,
         since: Option<Timestamp>,
-    ) -> Result<RecordAudit, Failure> {
+    ) -> Result<RecordAudit> {
         let network = if is_pinned { Some(self.parts.link.network().await) } else { None };
         let runtime = Handle::current();
         let running = self.parts.runs.begin(profile, "this home", "auditing", "records");

@@ -4,7 +4,7 @@
 use crate::model::{Address, Timestamp};
 use crate::service::command::UploadQuery;
 use crate::service::failure::refused;
-use crate::service::reply::Failure;
+use crate::service::reply::Result;
 use crate::site::testing::{Ground, profile};
 use crate::store::AuditQuery;
 
@@ -13,9 +13,9 @@ async fn a_deed_is_announced_and_its_end_is_told_also_where_it_failed() {
     let ground = Ground::with(&[]);
     let (log, owner) = (&ground.parts.log, ground.owner("alice"));
     log.begin(&owner, "grant", "bob").await.expect("announced");
-    let done: Result<u8, Failure> = log.end(&owner, "grant", "bob", Ok(7)).await;
+    let done: Result<u8> = log.end(&owner, "grant", "bob", Ok(7)).await;
     assert_eq!(done.expect("the deed's own outcome"), 7);
-    let failed: Result<u8, Failure> = log.end(&owner, "grant", "bob", Err(refused("no"))).await;
+    let failed: Result<u8> = log.end(&owner, "grant", "bob", Err(refused("no"))).await;
     assert_eq!(failed.expect_err("the deed's own failure").message, "no");
     let outcomes: Vec<_> = ground.audited("grant").into_iter().map(|(_, outcome)| outcome).collect();
     assert_eq!(outcomes, ["begun", "done", "failed: no"]);

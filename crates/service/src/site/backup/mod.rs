@@ -22,7 +22,7 @@ use crate::crypto::{Passphrase, fault};
 use crate::model::{ErrorKind, ProfileName, clean};
 use crate::service::command::SecretText;
 use crate::service::failure::input;
-use crate::service::reply::{BackupView, Failure};
+use crate::service::reply::{BackupView, Failure, Result};
 use crate::store::snapshot::Snapshot;
 use crate::store::{StoreError, archive};
 
@@ -45,7 +45,7 @@ impl Backup {
         profile: &ProfileName,
         file: PathBuf,
         secret: SecretText,
-    ) -> Result<BackupView, Failure> {
+    ) -> Result<BackupView> {
         let passphrase = Passphrase::new(secret.expose().to_owned())?;
         let shown = clean(&file.display().to_string(), 200);
         if file.starts_with(self.parts.home.root())
@@ -74,7 +74,7 @@ impl Backup {
         self.parts.log.deed(profile, "back up", &shown, written).await
     }
 
-    fn moment(&self, runtime: &Handle) -> Result<Moment, Failure> {
+    fn moment(&self, runtime: &Handle) -> Result<Moment> {
         let unwritten = |error| unwritten(self.parts.home.root(), &error);
         // Copies of a killed backup, which no erasure reaches.
         unfinished::sweep(self.parts.home.root()).map_err(unwritten)?;
@@ -94,7 +94,7 @@ impl Backup {
         all.filter_map(|path| fs::metadata(path).ok()).map(|about| about.len()).sum()
     }
 
-    fn pack(&self, moment: &Moment, file: &Path, passphrase: &Passphrase, run: &Run) -> Result<BackupView, Failure> {
+    fn pack(&self, moment: &Moment, file: &Path, passphrase: &Passphrase, run: &Run) -> Result<BackupView> {
         let directory = file.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let failed = |error: io::Error| unwritten(file, &error);
         unfinished::sweep(directory).map_err(failed)?;

@@ -7,7 +7,7 @@ use super::Givers;
 use crate::model::{Address, Digest, RecordKind, RecordState, Scope, Timestamp, TopicId};
 use crate::pipeline::reader::is_held;
 use crate::service::command::{Pace, PlayWishes};
-use crate::service::reply::Failure;
+use crate::service::reply::Result;
 use crate::store::{Counts, FeedFilter, FeedPlace, FeedRow, Ledger, PlacedRecord, RecordQuery, RecordRow, Records};
 
 const PAGE: usize = 500;
@@ -58,7 +58,7 @@ struct Stream {
 }
 
 impl Feed {
-    pub fn begin(ledger: &Ledger, wishes: &PlayWishes, givers: &Givers) -> Result<Self, Failure> {
+    pub fn begin(ledger: &Ledger, wishes: &PlayWishes, givers: &Givers) -> Result<Self> {
         if wishes.pace == Pace::Follow {
             return Ok(Self::Live(Live::default()));
         }
@@ -78,7 +78,7 @@ impl Feed {
     }
 
     /// The next records, and whether they are the last.
-    pub fn next(&mut self, ledger: &Ledger, givers: &Givers) -> Result<(Vec<Item>, bool), Failure> {
+    pub fn next(&mut self, ledger: &Ledger, givers: &Givers) -> Result<(Vec<Item>, bool)> {
         match self {
             Self::Past(query) => {
                 let page = ledger.records.list(query)?;
@@ -98,7 +98,7 @@ impl Feed {
 }
 
 impl Live {
-    fn next(&mut self, ledger: &Ledger, givers: &Givers) -> Result<(Vec<Item>, bool), Failure> {
+    fn next(&mut self, ledger: &Ledger, givers: &Givers) -> Result<(Vec<Item>, bool)> {
         if self.place.is_none() {
             let page = ledger.feed.page(&[0; 16], &FeedFilter::default(), 1)?;
             self.place = Some((page.id, page.head));
@@ -125,7 +125,7 @@ impl Live {
         Ok((items, false))
     }
 
-    fn look_late(&mut self, ledger: &Ledger, givers: &Givers, ready: &mut Vec<RecordRow>) -> Result<(), Failure> {
+    fn look_late(&mut self, ledger: &Ledger, givers: &Givers, ready: &mut Vec<RecordRow>) -> Result<()> {
         let mut passed: Option<HashSet<Digest>> = None;
         loop {
             let (id, after) = self.place.unwrap_or_default();
@@ -156,7 +156,7 @@ impl Live {
     }
 
     /// At the start, only the newest verified record of each stream is given out, to be latched.
-    fn list(&mut self, ledger: &Ledger, givers: &Givers) -> Result<Vec<Item>, Failure> {
+    fn list(&mut self, ledger: &Ledger, givers: &Givers) -> Result<Vec<Item>> {
         let is_first = self.listed.is_none();
         let low = Timestamp(Timestamp::now().0.saturating_sub(BEFORE));
         let mut latched = Vec::new();
@@ -177,7 +177,7 @@ impl Live {
 }
 
 impl Stream {
-    fn skip_verified(&mut self, records: &Records, key: (Address, TopicId)) -> Result<Option<Item>, Failure> {
+    fn skip_verified(&mut self, records: &Records, key: (Address, TopicId)) -> Result<Option<Item>> {
         let verified = RecordQuery { state: Some(RecordState::Verified), ..of_stream(key) };
         for row in records.all(RecordQuery { since: Some(self.low), ..verified.clone() }) {
             let row = row?;
@@ -188,7 +188,7 @@ impl Stream {
     }
 
     /// Stops at the first unsettled record, to preserve the order.
-    fn take(&mut self, records: &Records, key: (Address, TopicId), ready: &mut Vec<RecordRow>) -> Result<(), Failure> {
+    fn take(&mut self, records: &Records, key: (Address, TopicId), ready: &mut Vec<RecordRow>) -> Result<()> {
         let query = RecordQuery { since: Some(self.low.max(self.floor)), ..of_stream(key) };
         let (mut waiting, most, now) = (None, ready.len() + PAGE, Timestamp::now());
         for row in records.all(query) {
@@ -221,7 +221,7 @@ fn of_stream((owner, topic): (Address, TopicId)) -> RecordQuery {
     }
 }
 
-fn topics_of(counts: &Counts, owner: Address, scope: &Scope) -> Result<Vec<TopicId>, Failure> {
+fn topics_of(counts: &Counts, owner: Address, scope: &Scope) -> Result<Vec<TopicId>> {
     Ok(match scope {
         Scope::Topics(topics) => Vec::clone(topics),
         Scope::All => counts.by_state(Some(owner))?.topics.iter().filter_map(|topic| topic.topic_id).collect(),

@@ -21,7 +21,7 @@ use crate::ros::ros2::Ros2Publisher;
 use crate::ros::{Graph, GraphPublisher, Publisher, RosError, RosrustPublisher, UNCONFINED};
 use crate::service::command::{Pace, PlayWishes};
 use crate::service::failure::{input, refused};
-use crate::service::reply::Failure;
+use crate::service::reply::{Failure, Result};
 use crate::site::capture::ros::RosSide;
 use crate::site::contacts::Contacts;
 use crate::site::parts::Parts;
@@ -63,7 +63,7 @@ impl Bridge {
         stopped
     }
 
-    fn givers(&self, owner: &Owner, network: &Network, wishes: &PlayWishes) -> Result<Givers, Failure> {
+    fn givers(&self, owner: &Owner, network: &Network, wishes: &PlayWishes) -> Result<Givers> {
         let wanted = wishes.owner.as_ref().map(|party| self.contacts.resolve(party)).transpose()?;
         let granted = authority::shared_with(&network.directory, owner.address);
         let granted = granted.into_iter().map(|grant| (grant.terms.owner, grant.terms.scope));
@@ -72,14 +72,14 @@ impl Bridge {
             return Ok(givers);
         }
         let Some(other) = wanted else {
-            return Err(refused("nobody shares records with this profile now; see `authros grants list`"));
+            return Err(refused("nobody shares records with this profile now; see `authros grant list`"));
         };
         let what = "its records".to_owned();
         Err(PipelineError::NotGranted { owner: other, reader: owner.address, what }.into())
     }
 
     /// Also returns whether this site captures from there, in which case the names must keep apart.
-    fn domain(&self, domain: u16, names: &Names) -> Result<(Box<dyn Target>, bool), Failure> {
+    fn domain(&self, domain: u16, names: &Names) -> Result<(Box<dyn Target>, bool)> {
         let is_captured = self.ros.is_wanted() && self.parts.config.ros_domain == Some(domain);
         if is_captured {
             names.keep_apart().map_err(|why| refused(format!("ROS 2 domain {domain} is {why}")))?;
@@ -89,7 +89,7 @@ impl Bridge {
         Ok((Box::new(Domain::new(publisher, names.prefix.clone())), is_captured))
     }
 
-    async fn stage(&self, wishes: &PlayWishes, names: &Names) -> Result<(Box<dyn Target>, bool), Failure> {
+    async fn stage(&self, wishes: &PlayWishes, names: &Names) -> Result<(Box<dyn Target>, bool)> {
         let own = match (self.ros.is_wanted(), &self.parts.config.ros_master) {
             (false, _) => None,
             // The site captures from it again as soon as it is back.
@@ -135,7 +135,7 @@ impl Bridge {
     }
 }
 
-fn consistent(wishes: &PlayWishes) -> Result<(), Failure> {
+fn consistent(wishes: &PlayWishes) -> Result<()> {
     if wishes.domain.is_some() && wishes.master.is_some() {
         return Err(input(
             "messages are played into a ROS 1 graph or a ROS 2 domain; leave out one of --to and --ros2",
@@ -166,7 +166,7 @@ struct Names {
 }
 
 impl Names {
-    pub fn of(wishes: &PlayWishes) -> Result<Self, Failure> {
+    pub fn of(wishes: &PlayWishes) -> Result<Self> {
         let mut remaps = HashMap::new();
         for remap in &wishes.remaps {
             if remaps.insert(remap.from.to_string(), remap.to.to_string()).is_some() {
@@ -205,7 +205,7 @@ fn is_under(prefix: &str, name: &str) -> bool {
 mod tests {
     use super::*;
 
-    fn names(prefix: Option<&str>, remaps: &[&str]) -> Result<Names, Failure> {
+    fn names(prefix: Option<&str>, remaps: &[&str]) -> Result<Names> {
         Names::of(&PlayWishes {
             prefix: prefix.map(|prefix| prefix.parse().expect("a name")),
             remaps: remaps.iter().map(|remap| remap.parse().expect("a remapping")).collect(),

@@ -1,7 +1,6 @@
 //! One playback: each record passes the checks of a view, and its owner must still share it.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::sync::{oneshot, watch};
@@ -23,7 +22,7 @@ use crate::ros::recording::Encoding;
 use crate::ros::recording::tags::CHANNEL;
 use crate::ros::ros2::{LONGEST_MESSAGE, Offered, WRITER};
 use crate::service::command::{Pace, PlayWishes};
-use crate::service::reply::{Failure, PlayEnd, PlayedView};
+use crate::service::reply::{Failure, PlayEnd, PlayedView, Result};
 use crate::store::RecordRow;
 use rights::{Keys, key_of};
 
@@ -59,7 +58,7 @@ struct Tally {
 struct Play<'a> {
     bridge: &'a Bridge,
     network: Network,
-    owner: &'a Arc<Owner>,
+    owner: &'a Owner,
     givers: Givers,
     granted: HashMap<Address, Hash>,
     wishes: &'a PlayWishes,
@@ -78,12 +77,7 @@ struct Play<'a> {
 }
 
 impl Bridge {
-    pub async fn play(
-        &self,
-        owner: &Arc<Owner>,
-        wishes: PlayWishes,
-        gone: oneshot::Receiver<()>,
-    ) -> Result<PlayedView, Failure> {
+    pub async fn play(&self, owner: &Owner, wishes: PlayWishes, gone: oneshot::Receiver<()>) -> Result<PlayedView> {
         let names = Names::of(&wishes)?;
         consistent(&wishes)?;
         let network = self.parts.link.network().await?;
@@ -122,7 +116,7 @@ fn granted_to(reader: &Owner, network: &Network) -> HashMap<Address, Hash> {
 }
 
 impl Play<'_> {
-    async fn run(mut self, is_captured: bool) -> Result<PlayedView, Failure> {
+    async fn run(mut self, is_captured: bool) -> Result<PlayedView> {
         let begun = Instant::now();
         let mut ended = self.rounds(is_captured).await;
         if let Ok(end) = &mut ended {
@@ -161,7 +155,7 @@ impl Play<'_> {
         end
     }
 
-    async fn rounds(&mut self, is_captured: bool) -> Result<PlayEnd, Failure> {
+    async fn rounds(&mut self, is_captured: bool) -> Result<PlayEnd> {
         self.show_clock(is_captured)?;
         let ledger = &self.bridge.parts.plant.ledger;
         let mut feed = block_in_place(|| Feed::begin(ledger, self.wishes, &self.givers))?;
@@ -331,7 +325,7 @@ impl Play<'_> {
         }
     }
 
-    fn show_clock(&mut self, is_captured: bool) -> Result<(), Failure> {
+    fn show_clock(&mut self, is_captured: bool) -> Result<()> {
         if !self.wishes.clock {
             return Ok(());
         }

@@ -10,6 +10,7 @@ use crate::pipeline::importer;
 use crate::ros::recording::Encoding;
 use crate::ros::recording::tags::CHANNEL;
 use crate::ros::ros2::{Delivery, Offer, Offered, QUALITY, Ros2Publisher};
+use crate::service::reply::Failure;
 
 const MOST_LATCHED: usize = 64;
 
@@ -91,7 +92,8 @@ impl Target for Domain {
 
     fn show(&mut self, form: &Form, source: Source, size: usize) -> Result<(), Stop> {
         let Form::Two(about) = form else { return Err(Stop::Refused(OTHER_ROS.to_owned())) };
-        let is_new = self.topics.admit(&about.name, (&about.type_name, ""), self.publisher.broken())?;
+        block_in_place(|| self.publisher.revive()).map_err(Failure::from)?;
+        let is_new = self.topics.admit(&about.name, (&about.type_name, ""))?;
         let way = way(about, source);
         if self.ways.contains_key(&way) {
             return Ok(());

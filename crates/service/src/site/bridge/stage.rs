@@ -9,7 +9,7 @@ use super::target::{Form, NO_MESSAGE, OTHER_ROS, Source, Stop, Target, Topics, c
 use crate::model::{Address, Timestamp, clean};
 use crate::ros::recording::Encoding;
 use crate::ros::{Graph, GraphPublisher};
-use crate::service::reply::Failure;
+use crate::service::reply::{Failure, Result};
 
 const CAPTURING: &str = "/authros_";
 
@@ -26,7 +26,7 @@ impl Stage {
     }
 
     /// Without a prefix, a robot's own topic would receive foreign messages.
-    fn occupied(&self, topic: &str) -> Result<Option<String>, Failure> {
+    fn occupied(&self, topic: &str) -> Result<Option<String>> {
         if self.topics.is_inside(topic) {
             return Ok(None);
         }
@@ -58,7 +58,8 @@ impl Target for Stage {
     fn show(&mut self, form: &Form, (owner, source): Source, _: usize) -> Result<(), Stop> {
         let Form::One(about) = form else { return Err(Stop::Refused(OTHER_ROS.to_owned())) };
         let (topic, kind) = (&about.topic, (about.type_name.as_str(), about.md5sum.as_str()));
-        let is_new = self.topics.admit(topic, kind, self.publisher.broken())?;
+        block_in_place(|| self.publisher.revive()).map_err(Failure::from)?;
+        let is_new = self.topics.admit(topic, kind)?;
         if is_new {
             if let Some(why) = block_in_place(|| self.occupied(topic))? {
                 self.topics.declined.insert(topic.clone(), why.clone());

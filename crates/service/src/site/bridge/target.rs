@@ -4,12 +4,12 @@ use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
 use super::is_under;
-use crate::model::{Address, ErrorKind, Timestamp, clean};
+use crate::model::{Address, Timestamp, clean};
 use crate::ros::recording::Encoding;
 use crate::ros::ros2::Offered;
 use crate::ros::{Advertised, RosError, md5sum};
 use crate::service::failure::{internal, refused};
-use crate::service::reply::{Failure, PlayEnd};
+use crate::service::reply::{Failure, PlayEnd, Result};
 
 /// How long playing waits for known subscribers, in total.
 const WELCOME: Duration = Duration::from_secs(5);
@@ -106,14 +106,10 @@ impl Topics {
         Self { place, prefix, types: HashMap::new(), declined: HashMap::new(), patience: WELCOME }
     }
 
-    /// Whether the topic is new here; `broken` says why nothing is published now.
-    pub fn admit(&self, topic: &str, kind: (&str, &str), broken: Option<String>) -> Result<bool, Stop> {
+    /// Whether the topic is new here.
+    pub fn admit(&self, topic: &str, kind: (&str, &str)) -> Result<bool, Stop> {
         if let Some(why) = self.declined.get(topic) {
             return Err(Stop::Refused(why.clone()));
-        }
-        if let Some(reason) = broken {
-            let words = format!("nothing is published in {} now: {reason}; play again", clean(&self.place, 120));
-            return Err(Failure::new(ErrorKind::Unreachable, words).into());
         }
         match self.types.get(topic) {
             Some((name, sum)) if (name.as_str(), sum.as_str()) == kind => Ok(false),
@@ -130,7 +126,7 @@ impl Topics {
         self.prefix.as_ref().is_some_and(|prefix| is_under(prefix, topic))
     }
 
-    pub fn announce<Done>(&mut self, act: impl FnOnce(Duration) -> Result<Done, RosError>) -> Result<Done, Failure> {
+    pub fn announce<Done>(&mut self, act: impl FnOnce(Duration) -> Result<Done, RosError>) -> Result<Done> {
         let begun = Instant::now();
         let done = act(self.patience)?;
         self.patience = self.patience.saturating_sub(begun.elapsed());

@@ -20,7 +20,7 @@ use std::time::{Duration, Instant};
 use crate::model::{ProfileName, TopicName, TypeName};
 use crate::pipeline::{CaptureSession, Losses, Owner, Recorder};
 use crate::service::failure::{input, refused};
-use crate::service::reply::{CaptureSummary, Failure, TopicSummary, UnreachedView};
+use crate::service::reply::{CaptureSummary, Result, TopicSummary, UnreachedView};
 
 const TICK: Duration = Duration::from_millis(50);
 
@@ -58,14 +58,14 @@ impl Capture {
         count: Option<u64>,
         milliseconds: Option<u64>,
         tags: Vec<(String, String)>,
-    ) -> Result<CaptureSummary, Failure> {
+    ) -> Result<CaptureSummary> {
         if topics.is_empty() {
             return Err(input("a capture needs at least one topic; name it with --topic"));
         }
         if self.parts.config.site.is_some() {
             return Err(refused(
                 "this home joined a gateway with --site and captures nothing; capture at the gateway's home, or enrol a robot \
-                 there and run its agent here (`authros agent enrol`)",
+                 there and run its agent here (`authros robot enrol`)",
             ));
         }
         self.ros.any_now().await?;

@@ -18,7 +18,7 @@ use crate::ros::graph::Unreached;
 use crate::ros::{Capture, CaptureOptions, EmbeddedMaster, Fleet, FleetOptions, Graph, LastLook, TopicInfo};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::internal;
-use crate::service::reply::Failure;
+use crate::service::reply::{Failure, Result};
 use crate::site::blocking;
 use crate::site::capture::second::{GraphOf, Second};
 
@@ -74,7 +74,7 @@ impl RosLink {
         self.topics.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    fn look(&self) -> Result<bool, Failure> {
+    fn look(&self) -> Result<bool> {
         let mut last = self.last_look.lock().unwrap_or_else(PoisonError::into_inner);
         let mut found = self.graph.topics_again(&mut last)?;
         found.sort_by(|one, other| one.name.cmp(&other.name));
@@ -185,7 +185,7 @@ impl RosSide {
         drop(ros.wait_for(|state| matches!(state, RosState::Off)).await);
     }
 
-    fn start(&self) -> Result<RosLink, Failure> {
+    fn start(&self) -> Result<RosLink> {
         let config = &self.parts.config;
         let master = if config.ros_master.is_none() { Some(EmbeddedMaster::start()?) } else { None };
         let uri = master.as_ref().map(|master| master.uri().to_owned()).or_else(|| config.ros_master.clone());
@@ -268,11 +268,22 @@ impl RosSide {
         }
     }
 
+    /// Topics of both graphs, as far as they are known now.
+    pub fn names(&self) -> Vec<TopicName> {
+        let link = self.state().link().cloned();
+        self.names_beside(&link.map(|link| link.topics()).unwrap_or_default())
+    }
+
+    /// Those of this graph, and those of ROS 2.
+    fn names_beside(&self, graph: &[TopicInfo]) -> Vec<TopicName> {
+        let of_two = self.second.topics();
+        let names = graph.iter().map(|info| &info.name).chain(of_two.iter().map(|topic| &topic.name));
+        names.filter_map(|name| name.parse().ok()).collect()
+    }
+
     fn share_wishes(&self, graph: &[TopicInfo]) -> BTreeSet<TopicName> {
         if self.recorder.has_patterns() {
-            let of_two = self.second.topics();
-            let names = graph.iter().map(|info| &info.name).chain(of_two.iter().map(|topic| &topic.name));
-            self.recorder.follow(&names.filter_map(|name| name.parse().ok()).collect::<Vec<TopicName>>());
+            self.recorder.follow(&self.names_beside(graph));
         }
         let wanted = self.recorder.wanted().iter().filter_map(|topic| topic.parse().ok()).collect();
         self.second.share(wanted, self.is_measured(), graph)
@@ -297,13 +308,13 @@ impl RosSide {
     }
 
     /// `None` if only ROS 2 is there; waits for its discovery.
-    pub async fn any(&self) -> Result<Option<Arc<RosLink>>, Failure> {
+    pub async fn any(&self) -> Result<Option<Arc<RosLink>>> {
         let link = self.any_now().await?;
         self.second.first_look().await;
         Ok(link)
     }
 
-    pub async fn any_now(&self) -> Result<Option<Arc<RosLink>>, Failure> {
+    pub async fn any_now(&self) -> Result<Option<Arc<RosLink>>> {
         match self.link().await {
             Ok(link) => Ok(Some(link)),
             Err(_) if self.second.capture().is_some() => Ok(None),
@@ -311,11 +322,11 @@ impl RosSide {
         }
     }
 
-    pub async fn uri(&self) -> Result<String, Failure> {
+    pub async fn uri(&self) -> Result<String> {
         Ok(self.link().await?.uri.clone())
     }
 
-    pub async fn link(&self) -> Result<Arc<RosLink>, Failure> {
+    pub async fn link(&self) -> Result<Arc<RosLink>> {
         let mut state = self.state.subscribe();
         let settled = state.wait_for(|state| !matches!(state, RosState::Starting)).await;
         let settled = settled.map_err(|_| internal("the site is ending"))?.clone();

@@ -9,7 +9,7 @@ use crate::pipeline::disk_ring::SharedRing;
 use crate::pipeline::recorder::CapturedMessage;
 use crate::pipeline::ring::Rings;
 use crate::pipeline::sealer::Sealer;
-use crate::service::reply::Failure;
+use crate::service::reply::Result;
 use crate::site::parts::Parts;
 
 pub(in crate::site) struct SealerThread {
@@ -31,7 +31,7 @@ impl SealerThread {
     }
 
     /// A run that captures nothing may still import.
-    pub fn begin(&self) -> Result<(), Failure> {
+    pub fn begin(&self) -> Result<()> {
         let mut thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner);
         if thread.is_some() || self.rings.is_closed() {
             return Ok(());

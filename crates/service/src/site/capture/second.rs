@@ -10,7 +10,7 @@ use crate::pipeline::Recorder;
 use crate::ros::ros2::{Reading, Ros2Capture, Ros2Topic};
 use crate::ros::{CaptureNotice, MessageSink, TopicInfo, UNCONFINED};
 use crate::service::event::{NoticeLevel, Part};
-use crate::service::reply::{Failure, HealthLevel};
+use crate::service::reply::{Failure, HealthLevel, Result};
 use crate::site::parts::Parts;
 
 const FIRST_LOOK: Duration = Duration::from_secs(6);
@@ -30,7 +30,7 @@ pub(in crate::site) struct Second {
     parts: Parts,
     recorder: Arc<Recorder>,
     /// `None` = off; a failure = its program is missing.
-    state: Mutex<Option<Result<Arc<Ros2Capture>, Failure>>>,
+    state: Mutex<Option<Result<Arc<Ros2Capture>>>>,
     decided: Mutex<HashMap<TopicName, GraphOf>>,
     told: Mutex<Told>,
 }

@@ -24,7 +24,7 @@ async fn watch_lists_survive_a_restart_and_none_of_many_changes_at_once_is_lost(
             let lists = Arc::clone(&lists);
             tokio::spawn(async move {
                 let topic = format!("/t{number}").parse().expect("a topic");
-                lists.change(&profile("alice"), |rules| rules.watch(topic, None))
+                lists.change(&profile("alice"), |rules| rules.watch(topic, None, None))
             })
         })
         .collect();

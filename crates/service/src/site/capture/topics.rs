@@ -9,17 +9,17 @@ use tokio::task::block_in_place;
 use super::Capture;
 use super::second::GraphOf;
 use crate::model::{
-    ProfileName, Timestamp, TopicName, TopicPattern, TopicRule, TypeName, WatchRule, clean, pinned_name,
+    ProfileName, Sampling, Timestamp, TopicName, TopicPattern, TopicRule, TypeName, WatchRule, clean, pinned_name,
 };
 use crate::service::failure::input;
-use crate::service::reply::{Failure, HeldUp, PolicyRow, PolicyView, TopicRow};
+use crate::service::reply::{HeldUp, PolicyRow, PolicyView, Result, TopicRow};
 use crate::store::TopicCounts;
 
 /// The longest look at the graph, milliseconds.
 const LONGEST: u64 = 600_000;
 
 impl Capture {
-    pub async fn topics(&self, profile: &ProfileName) -> Result<Vec<TopicRow>, Failure> {
+    pub async fn topics(&self, profile: &ProfileName) -> Result<Vec<TopicRow>> {
         let link = self.ros.any().await?;
         let watches = block_in_place(|| self.watches.of(profile))?;
         let now = Timestamp::now();
@@ -68,6 +68,9 @@ impl Capture {
             row.alarm = alarms.contains(&row.topic);
             let rule = watches.of(&row.topic);
             row.watched = rule.is_some();
+            row.watched_type = rule.and_then(|rule| rule.type_name.clone());
+            let of_settings = self.parts.config.topic_rules.of(&row.topic).map(|rule| rule.sampling());
+            row.sampling = rule.and_then(|rule| rule.sampling).or(of_settings).unwrap_or_default();
             row.watched_by = rule.filter(|rule| !rule.pattern.is_plain()).map(|rule| rule.pattern.to_string());
             row.held_up = match &sealing {
                 _ if !row.watched => None,
@@ -102,7 +105,7 @@ impl Capture {
         }
     }
 
-    fn captured_by_topic(&self, profile: &ProfileName) -> Result<HashMap<String, TopicCounts>, Failure> {
+    fn captured_by_topic(&self, profile: &ProfileName) -> Result<HashMap<String, TopicCounts>> {
         let Ok(owner) = self.parts.owners.address_of(profile) else { return Ok(HashMap::new()) };
         let counts = block_in_place(|| self.losses.counts(&self.parts.plant, owner))?;
         Ok(counts.topics.into_iter().map(|topic| (topic.topic.clone(), topic)).collect())
@@ -113,9 +116,11 @@ impl Capture {
         profile: &ProfileName,
         topic: TopicPattern,
         type_name: Option<TypeName>,
-    ) -> Result<(), Failure> {
-        let listed = async { self.watches.change(profile, |rules| rules.watch(topic.clone(), type_name)) };
-        self.parts.log.deed(profile, "watch", topic.as_str(), listed).await?;
+        sampling: Option<Sampling>,
+    ) -> Result<()> {
+        let listed = async { self.watches.change(profile, |rules| rules.watch(topic.clone(), type_name, sampling)) };
+        let subject = sampling.map_or_else(|| topic.to_string(), |sampling| format!("{topic}: {sampling}"));
+        self.parts.log.deed(profile, "watch", &subject, listed).await?;
         if let Some(owner) = self.parts.owners.get(profile) {
             if self.ros.is_wanted() && owner.sealing().is_none() {
                 self.profiles.register(&owner).await?;
@@ -125,7 +130,7 @@ impl Capture {
         Ok(())
     }
 
-    pub async fn unwatch(&self, profile: &ProfileName, topic: &TopicPattern) -> Result<(), Failure> {
+    pub async fn unwatch(&self, profile: &ProfileName, topic: &TopicPattern) -> Result<()> {
         let removed = async {
             let mut found = false;
             self.watches.change(profile, |rules| found = rules.unwatch(topic))?;
@@ -144,21 +149,30 @@ impl Capture {
         Ok(())
     }
 
-    /// Names as they are, and what matches the patterns: topics of the graph, and those with own records if `recorded`.
+    /// Topics of the graphs and those watched by name, and those with own records if `recorded`.
+    pub async fn known(&self, profile: &ProfileName, recorded: bool) -> Result<BTreeSet<TopicName>> {
+        let watches = block_in_place(|| self.watches.of(profile))?;
+        let mut known: BTreeSet<TopicName> = watches.named().filter_map(|rule| rule.pattern.name()).collect();
+        if self.ros.is_wanted() {
+            self.ros.any().await?;
+            known.extend(self.ros.names());
+        }
+        let kept = if recorded { self.captured_by_topic(profile)? } else { HashMap::new() };
+        known.extend(kept.keys().filter_map(|name| name.parse().ok()));
+        Ok(known)
+    }
+
+    /// Names as they are, and what matches the patterns: see [`Self::known`].
     pub async fn named(
         &self,
         profile: &ProfileName,
         topics: &[TopicPattern],
         recorded: bool,
-    ) -> Result<Vec<TopicName>, Failure> {
-        let mut known: BTreeSet<TopicName> = BTreeSet::new();
-        if topics.iter().any(|topic| !topic.is_plain()) {
-            if self.ros.is_wanted() {
-                known.extend(self.topics(profile).await?.iter().filter_map(|row| row.topic.parse().ok()));
-            }
-            let kept = if recorded { self.captured_by_topic(profile)? } else { HashMap::new() };
-            known.extend(kept.keys().filter_map(|name| name.parse().ok()));
-        }
+    ) -> Result<Vec<TopicName>> {
+        let known = match topics.iter().all(TopicPattern::is_plain) {
+            true => BTreeSet::new(),
+            false => self.known(profile, recorded).await?,
+        };
         let mut names = Vec::new();
         for topic in topics {
             let before = names.len();
@@ -177,7 +191,7 @@ impl Capture {
         Ok(names)
     }
 
-    pub fn hold(&self, profile: &ProfileName, hold: bool) -> Result<(), Failure> {
+    pub fn hold(&self, profile: &ProfileName, hold: bool) -> Result<()> {
         let Some(owner) = self.parts.owners.get(profile) else { return Ok(()) };
         if !hold {
             return self.watches.restore(&owner);
@@ -187,7 +201,7 @@ impl Capture {
         Ok(())
     }
 
-    pub async fn learn_policy(&self, profile: &ProfileName, milliseconds: u64) -> Result<PolicyView, Failure> {
+    pub async fn learn_policy(&self, profile: &ProfileName, milliseconds: u64) -> Result<PolicyView> {
         if !(1000..=LONGEST).contains(&milliseconds) {
             return Err(input("observe the topics for 1 second to 10 minutes, as with `--for 5s`"));
         }
@@ -204,9 +218,10 @@ impl Capture {
         view
     }
 
-    pub async fn policy_view(&self, profile: &ProfileName, learned: bool) -> Result<PolicyView, Failure> {
+    pub async fn policy_view(&self, profile: &ProfileName, learned: bool) -> Result<PolicyView> {
         let rules = &self.parts.config.topic_rules;
         let row = |row: TopicRow| PolicyRow {
+            sampling: row.sampling,
             rule: rules.of(&row.topic).map(|rule| TopicRule::clone(rule)),
             left_out: row.left_out,
             largest: self.recorder.meter().largest(&row.topic),

@@ -12,7 +12,7 @@ use crate::pipeline::{Network, Owner};
 use crate::service::command::Administration;
 use crate::service::event::Part;
 use crate::service::failure::refused;
-use crate::service::reply::{AdministrationView, Failure, ProposalView, RecoveryView, SuccessionView, TransactionView};
+use crate::service::reply::{AdministrationView, ProposalView, RecoveryView, Result, SuccessionView, TransactionView};
 
 /// Default length of a pause, seconds.
 const PAUSE: u64 = 86_400;
@@ -24,10 +24,9 @@ pub struct Administering {
 
 impl Administering {
     /// The contract refuses acts of anybody else, except those open to others.
-    pub async fn administer(&self, owner: &Arc<Owner>, act: &Administration) -> Result<TransactionView, Failure> {
+    pub async fn administer(&self, owner: &Owner, act: &Administration) -> Result<TransactionView> {
         use Administration::{Accept, Cancel, Complete};
-        let network = self.parts.link.network().await?;
-        let _one_at_a_time = owner.changes.lock().await;
+        let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         let (call, text) = self.act(&network, act)?;
         if let Some(administrator) = network.directory.administration().administrator
             && administrator != owner.address
@@ -41,13 +40,8 @@ impl Administering {
         self.send_act(owner, &network, call, text).await
     }
 
-    pub async fn name_recovery(
-        &self,
-        owner: &Arc<Owner>,
-        recovery: Option<&Party>,
-    ) -> Result<TransactionView, Failure> {
-        let network = self.parts.link.network().await?;
-        let _one_at_a_time = owner.changes.lock().await;
+    pub async fn name_recovery(&self, owner: &Owner, recovery: Option<&Party>) -> Result<TransactionView> {
+        let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         network.directory.identity(owner.address)?;
         let recovery = recovery.map(|party| self.contacts.resolve(party)).transpose()?;
         if recovery == Some(owner.address) {
@@ -62,13 +56,7 @@ impl Administering {
         self.send_act(owner, &network, call, text).await
     }
 
-    async fn send_act(
-        &self,
-        owner: &Arc<Owner>,
-        network: &Network,
-        call: Call,
-        text: String,
-    ) -> Result<TransactionView, Failure> {
+    async fn send_act(&self, owner: &Owner, network: &Network, call: Call, text: String) -> Result<TransactionView> {
         let name = call.name();
         let sent = async { Ok(self.parts.sender.send(&network.chain, &owner.eoa(), call, name).await?) };
         let (transaction, receipt) = self.parts.log.deed(&owner.profile, name, &text, sent).await?;
@@ -79,7 +67,7 @@ impl Administering {
     }
 
     /// Does not wait for the owner's changes: one of them may be the cancelled one.
-    pub async fn cancel(&self, owner: &Arc<Owner>, key: &EoaSecret, nonce: u64) -> Result<TransactionView, Failure> {
+    pub async fn cancel(&self, owner: &Owner, key: &EoaSecret, nonce: u64) -> Result<TransactionView> {
         let network = self.parts.link.network().await?;
         let subject = format!("nonce {nonce} of {}", key.address());
         let cancelled = async { Ok(self.parts.sender.cancel(&network.chain, key, nonce).await?) };
@@ -99,9 +87,9 @@ impl Administering {
         Ok(TransactionView { transaction, block, epoch: network.directory.epoch(owner.address), text })
     }
 
-    fn act(&self, network: &Network, act: &Administration) -> Result<(Call, String), Failure> {
+    fn act(&self, network: &Network, act: &Administration) -> Result<(Call, String)> {
         let resolved = |account: &Party| self.contacts.resolve(account);
-        let acted = |account: &Party, call: fn(Address) -> Call, what: &str| -> Result<(Call, String), Failure> {
+        let acted = |account: &Party, call: fn(Address) -> Call, what: &str| -> Result<(Call, String)> {
             let account = resolved(account)?;
             Ok((call(account), format!("{account} {what}")))
         };
@@ -109,7 +97,9 @@ impl Administering {
             Administration::Dismiss { account } => {
                 let account = resolved(account)?;
                 if network.directory.epoch(account) > 0 {
-                    return Err(refused(format!("{account} has already registered; `authros chain suspend` stops it")));
+                    return Err(refused(format!(
+                        "{account} has already registered; `authros chain admin suspend` stops it"
+                    )));
                 }
                 Ok((
                     Call::Dismiss { account },
@@ -129,7 +119,7 @@ impl Administering {
             }
             Administration::Pause { paused, seconds } => Ok(pause(*paused, *seconds)),
             Administration::HandOver { account } => {
-                let what = "is nominated as administrator; it takes over with `chain accept`";
+                let what = "is nominated as administrator; it takes over with `chain admin accept`";
                 acted(account, |account| Call::Nominate { account }, what)
             }
             Administration::Accept => {
@@ -147,7 +137,7 @@ impl Administering {
         }
     }
 
-    fn propose(&self, network: &Network, lost: &Party, successor: &Party) -> Result<(Call, String), Failure> {
+    fn propose(&self, network: &Network, lost: &Party, successor: &Party) -> Result<(Call, String)> {
         let (lost, successor) = (self.contacts.resolve(lost)?, self.contacts.resolve(successor)?);
         network.directory.identity(successor)?;
         let recovery = network.directory.account(lost).and_then(|account| account.recovery);

@@ -15,7 +15,7 @@ use crate::failure::{input, refused};
 use crate::model::ProfileName;
 use crate::paths::Home;
 use crate::pipeline::{Network, Owner, PipelineError, network_pin, network_pin_in, watcher};
-use crate::reply::{DeployedView, Failure, ServedView};
+use crate::reply::{DeployedView, Failure, Result, ServedView};
 use crate::site::NetworkState;
 use crate::site::chain::link::ABOUT;
 use crate::site::mirror::remote::Remote;
@@ -35,7 +35,7 @@ impl Connection {
         Self { parts: parts.clone(), remote, deploying: tokio::sync::Mutex::default() }
     }
 
-    pub fn pin(&self) -> Result<Option<Pin>, Failure> {
+    pub fn pin(&self) -> Result<Option<Pin>> {
         Ok(block_in_place(|| network_pin(&self.parts.plant.ledger.rights))?)
     }
 
@@ -108,11 +108,11 @@ impl Connection {
         Ok(())
     }
 
-    pub async fn network_or_deploy(&self, owner: &Owner) -> Result<Network, Failure> {
+    pub async fn network_or_deploy(&self, owner: &Owner) -> Result<Network> {
         self.network_or_deploy_with(owner, DEFAULT_DELAY, false).await
     }
 
-    async fn network_or_deploy_with(&self, owner: &Owner, delay: Duration, anew: bool) -> Result<Network, Failure> {
+    async fn network_or_deploy_with(&self, owner: &Owner, delay: Duration, anew: bool) -> Result<Network> {
         // The first attempt needs the lock as well.
         self.parts.link.settled().await?;
         let _one_at_a_time = self.deploying.lock().await;
@@ -138,7 +138,7 @@ impl Connection {
         self.parts.link.network().await
     }
 
-    pub async fn fund(&self, chain: &Chain, owner: &Owner) -> Result<(), Failure> {
+    pub async fn fund(&self, chain: &Chain, owner: &Owner) -> Result<()> {
         if self.parts.config.chain_url.is_some() && chain.fund_from_node(owner.address).await? {
             self.parts.hub.inform(&format!("the development node gave {} ether for gas", owner.address));
         }
@@ -154,7 +154,7 @@ pub fn is_bound(home: &Home) -> bool {
 const MOST_COMPARED: u64 = 10_000;
 
 /// A home that lost its ledger must not hide its first contract behind a second one.
-async fn is_new_here(chain: &Chain, owner: &Owner) -> Result<(), Failure> {
+async fn is_new_here(chain: &Chain, owner: &Owner) -> Result<()> {
     let domains = owner.domains();
     let sent = if domains.is_empty() { 0 } else { chain.nonce(owner.address, false).await? };
     if sent == 0 {
@@ -209,7 +209,7 @@ impl From<Failure> for Lost {
 }
 
 impl Connection {
-    pub async fn deploy_contract(&self, owner: &Arc<Owner>, delay: Option<u64>) -> Result<DeployedView, Failure> {
+    pub async fn deploy_contract(&self, owner: &Owner, delay: Option<u64>) -> Result<DeployedView> {
         let delay = delay.map_or(DEFAULT_DELAY, Duration::from_secs);
         if !(SHORTEST_DELAY..=LONGEST_DELAY).contains(&delay) {
             return Err(input("the succession delay must be between 1 and 365 days; give another --delay"));
@@ -231,7 +231,7 @@ impl Connection {
         profile: &ProfileName,
         address: SocketAddr,
         ended: oneshot::Receiver<()>,
-    ) -> Result<ServedView, Failure> {
+    ) -> Result<ServedView> {
         let chain = self.parts.link.chain().await?;
         if self.parts.config.chain_url.is_some() {
             return Err(input(format!("this site uses the node at {}; point other tools there", chain.url())));

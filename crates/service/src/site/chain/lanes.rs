@@ -11,11 +11,18 @@ use crate::pipeline::anchorer::{self, MOST_LANES};
 use crate::pipeline::sender::LaneState;
 use crate::pipeline::{Network, Owner};
 use crate::service::failure::refused;
-use crate::service::reply::Failure;
+use crate::service::reply::Result;
 
 const LOOK: Duration = Duration::from_secs(2);
 
 type Derived = std::collections::HashMap<(Address, Domain), Arc<Vec<(Address, EoaSecret)>>>;
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Pause {
+    pub text: String,
+    /// Somebody has to do something about it.
+    pub is_alarm: bool,
+}
 
 pub struct Lanes {
     parts: Parts,
@@ -27,7 +34,7 @@ impl Lanes {
         Self { parts: parts.clone(), extra: Mutex::default() }
     }
 
-    fn extra(&self, owner: &Owner, network: &Network) -> Result<Arc<Vec<(Address, EoaSecret)>>, Failure> {
+    fn extra(&self, owner: &Owner, network: &Network) -> Result<Arc<Vec<(Address, EoaSecret)>>> {
         let mut known = self.extra.lock().unwrap_or_else(PoisonError::into_inner);
         let key = (owner.address, network.domain);
         if let Some(found) = known.get(&key) {
@@ -39,7 +46,7 @@ impl Lanes {
         Ok(found)
     }
 
-    pub fn of(&self, owner: &Owner, network: &Network) -> Result<Vec<EoaSecret>, Failure> {
+    pub fn of(&self, owner: &Owner, network: &Network) -> Result<Vec<EoaSecret>> {
         let mut lanes = vec![owner.eoa()];
         if self.parts.config.lanes > 1 {
             let wanted = usize::from(self.parts.config.lanes) - 1;
@@ -51,7 +58,7 @@ impl Lanes {
     }
 
     /// Also finds extra accounts that the settings no longer use; `None` = the owner's own.
-    pub fn key(&self, owner: &Owner, network: &Network, account: Option<Address>) -> Result<EoaSecret, Failure> {
+    pub fn key(&self, owner: &Owner, network: &Network, account: Option<Address>) -> Result<EoaSecret> {
         let Some(account) = account.filter(|account| *account != owner.address) else { return Ok(owner.eoa()) };
         let extra = self.extra(owner, network)?;
         let found = extra.iter().find(|(other, _)| *other == account).map(|(_, key)| key.clone());
@@ -63,7 +70,7 @@ impl Lanes {
         })
     }
 
-    pub fn lane_states(&self, owner: &Owner, network: &Network) -> Result<Vec<LaneState>, Failure> {
+    pub fn lane_states(&self, owner: &Owner, network: &Network) -> Result<Vec<LaneState>> {
         let mut states = vec![self.parts.sender.state_of(owner.address)?];
         let wanted = usize::from(self.parts.config.lanes).saturating_sub(1);
         for (index, (account, _)) in self.extra(owner, network)?.iter().enumerate() {
@@ -75,10 +82,17 @@ impl Lanes {
         Ok(states)
     }
 
-    pub fn paused(&self, network: &Network) -> Option<(String, bool)> {
-        let owners = self.parts.owners.all();
-        let mut states = owners.iter().filter_map(|owner| self.lane_states(owner, network).ok()).flatten();
-        states.find_map(|state| state.paused.map(|reason| (reason.text(state.account), reason.is_alarm())))
+    /// What pauses each open owner's lanes; the worst, if several are paused.
+    pub fn pauses(&self, network: &Network) -> Vec<(Address, Option<Pause>)> {
+        let pause = |owner: &Arc<Owner>| {
+            let lanes = self.lane_states(owner, network).unwrap_or_default().into_iter();
+            let paused = lanes.filter_map(|lane| {
+                let reason = lane.paused?;
+                Some(Pause { text: reason.text(lane.account), is_alarm: reason.is_alarm() })
+            });
+            (owner.address, paused.max_by_key(|pause| pause.is_alarm))
+        };
+        self.parts.owners.all().iter().map(pause).collect()
     }
 
     pub async fn tend(&self, network: &Network) {
@@ -90,7 +104,7 @@ impl Lanes {
         }
     }
 
-    async fn tend_lanes_of(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
+    async fn tend_lanes_of(&self, owner: &Owner, network: &Network) -> Result<()> {
         let mut keys = vec![owner.eoa()];
         for (account, key) in self.extra(owner, network)?.iter() {
             // Includes those above a lowered setting.
@@ -122,7 +136,7 @@ impl Lanes {
         }
     }
 
-    async fn ready_extra(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
+    async fn ready_extra(&self, owner: &Owner, network: &Network) -> Result<()> {
         let wanted = usize::from(self.parts.config.lanes) - 1;
         for (_, key) in self.extra(owner, network)?.iter().take(wanted) {
             anchorer::ensure_ready(&self.parts.plant, network, &self.parts.sender, owner, key).await?;

@@ -14,7 +14,7 @@ use crate::hub::Hub;
 use crate::model::ErrorKind;
 use crate::model::steady_clock::look;
 use crate::pipeline::Network;
-use crate::reply::Failure;
+use crate::reply::{Failure, Result};
 
 /// Subject of notices about the chain: the health's part.
 pub const ABOUT: &str = "chain";
@@ -107,7 +107,7 @@ impl Link {
         self.changed();
     }
 
-    pub async fn chain(&self) -> Result<Chain, Failure> {
+    pub async fn chain(&self) -> Result<Chain> {
         match self.settled().await? {
             NetworkState::Bare(chain) => Ok(chain),
             NetworkState::Up(network) => Ok(network.chain),
@@ -115,7 +115,7 @@ impl Link {
         }
     }
 
-    pub async fn settled(&self) -> Result<NetworkState, Failure> {
+    pub async fn settled(&self) -> Result<NetworkState> {
         let mut state = self.state.subscribe();
         let settled = state.wait_for(|state| !matches!(state, NetworkState::Connecting)).await;
         let settled = settled.map_err(|_| off())?.clone();
@@ -125,12 +125,12 @@ impl Link {
         }
     }
 
-    pub async fn network(&self) -> Result<Network, Failure> {
+    pub async fn network(&self) -> Result<Network> {
         match self.settled().await? {
             NetworkState::Up(network) => Ok(*network),
-            NetworkState::Bare(_) => {
-                Err(input("no contract is deployed yet; `authros register` deploys one, or set chain.contract"))
-            }
+            NetworkState::Bare(_) => Err(input(
+                "no contract is deployed yet; `authros identity register` deploys one, or set chain.contract",
+            )),
             _ => Err(off()),
         }
     }

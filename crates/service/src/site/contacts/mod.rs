@@ -13,12 +13,12 @@ use crate::model::{Address, ContactName, Party, ProfileName};
 use crate::pipeline::Network;
 use crate::service::event::Part;
 use crate::service::failure::{input, refused};
-use crate::service::reply::{CompareView, ContactRow, Failure};
+use crate::service::reply::{CompareView, ContactRow, Result};
 use crate::store::notes::{AddressBook, Contact, WrappedFor};
 
 const MOST_CONTACTS: usize = 1_000;
 
-fn read(text: &str) -> Result<Fingerprint, Failure> {
+fn read(text: &str) -> Result<Fingerprint> {
     text.parse().map_err(|error| input(format!("{error}")))
 }
 
@@ -32,24 +32,33 @@ impl Contacts {
         Self { parts: parts.clone(), changing: tokio::sync::Mutex::default() }
     }
 
-    fn book(&self) -> Result<Vec<Contact>, Failure> {
+    fn book(&self) -> Result<Vec<Contact>> {
         Ok(self.parts.plant.ledger.notes.read(&AddressBook {})?.unwrap_or_default())
     }
 
-    fn write_book(&self, book: &Vec<Contact>) -> Result<(), Failure> {
+    fn write_book(&self, book: &Vec<Contact>) -> Result<()> {
         self.parts.plant.ledger.notes.write(&AddressBook {}, book)?;
         self.parts.hub.changed(Part::Grants);
         Ok(())
     }
 
-    pub(crate) fn resolve(&self, party: &Party) -> Result<Address, Failure> {
+    pub(crate) fn resolve(&self, party: &Party) -> Result<Address> {
         match party {
             Party::Address(address) => Ok(*address),
-            Party::Contact(name) => self.contact(name).map(|contact| contact.address),
+            Party::Contact(name) => match self.contact(name) {
+                Ok(contact) => Ok(contact.address),
+                Err(unknown) => self.of_profile(name).ok_or(unknown),
+            },
         }
     }
 
-    fn contact(&self, name: &ContactName) -> Result<Contact, Failure> {
+    /// A profile of this home goes by its own name, unless the address book has that.
+    fn of_profile(&self, name: &ContactName) -> Option<Address> {
+        let profile: ProfileName = name.to_string().parse().ok()?;
+        self.parts.owners.address_of(&profile).ok()
+    }
+
+    fn contact(&self, name: &ContactName) -> Result<Contact> {
         let found = self.book()?.into_iter().find(|contact| contact.name == *name);
         found.ok_or_else(|| {
             input(format!(
@@ -59,7 +68,7 @@ impl Contacts {
         })
     }
 
-    pub(crate) fn names(&self) -> Result<BTreeMap<Address, String>, Failure> {
+    pub(crate) fn names(&self) -> Result<BTreeMap<Address, String>> {
         let book = self.book()?;
         Ok(book.into_iter().map(|contact| (contact.address, contact.name.to_string())).collect())
     }
@@ -75,7 +84,7 @@ impl Contacts {
         name: ContactName,
         address: Address,
         fingerprint: Option<String>,
-    ) -> Result<Vec<ContactRow>, Failure> {
+    ) -> Result<Vec<ContactRow>> {
         let given = fingerprint.is_some();
         if !given && self.parts.is_joined() {
             return Err(refused(format!(
@@ -123,7 +132,7 @@ impl Contacts {
         self.rows().await
     }
 
-    pub async fn remove(&self, profile: &ProfileName, name: &ContactName) -> Result<Vec<ContactRow>, Failure> {
+    pub async fn remove(&self, profile: &ProfileName, name: &ContactName) -> Result<Vec<ContactRow>> {
         let changing = self.changing.lock().await;
         let contact = self.contact(name)?;
         let mut book = self.book()?;
@@ -140,7 +149,7 @@ impl Contacts {
         profile: &ProfileName,
         name: &ContactName,
         fingerprint: Option<String>,
-    ) -> Result<Vec<ContactRow>, Failure> {
+    ) -> Result<Vec<ContactRow>> {
         let network = self.parts.link.network().await?;
         let changing = self.changing.lock().await;
         let contact = self.contact(name)?;
@@ -170,7 +179,7 @@ impl Contacts {
         self.rows().await
     }
 
-    pub async fn rows(&self) -> Result<Vec<ContactRow>, Failure> {
+    pub async fn rows(&self) -> Result<Vec<ContactRow>> {
         let network = self.parts.link.network().await.ok();
         let row = |contact: Contact| {
             let registered =
@@ -187,7 +196,7 @@ impl Contacts {
         Ok(self.book()?.into_iter().map(row).collect())
     }
 
-    pub fn changed_contacts(&self, network: &Network) -> Result<Vec<String>, Failure> {
+    pub fn changed_contacts(&self, network: &Network) -> Result<Vec<String>> {
         let changed = |contact: &Contact| {
             let (noted, found) =
                 (contact.fingerprint.as_ref()?, Self::registered_fingerprint(network, contact.address)?);
@@ -197,7 +206,7 @@ impl Contacts {
     }
 
     /// Allows wrapping keys only for the noted key; notes one that was missing.
-    pub async fn check_contact(&self, network: &Network, account: Address) -> Result<(), Failure> {
+    pub async fn check_contact(&self, network: &Network, account: Address) -> Result<()> {
         let _one_at_a_time = self.changing.lock().await;
         let mut book = self.book()?;
         let contact = book.iter_mut().find(|contact| contact.address == account);
@@ -224,7 +233,7 @@ impl Contacts {
     }
 
     /// On a gateway's word alone, a key that changed since the last epoch must be compared first.
-    pub async fn check_reader(&self, network: &Network, owner: Address, reader: Address) -> Result<(), Failure> {
+    pub async fn check_reader(&self, network: &Network, owner: Address, reader: Address) -> Result<()> {
         let Some(found) = Self::registered_fingerprint(network, reader).filter(|_| self.parts.is_joined()) else {
             return Ok(());
         };
@@ -237,12 +246,7 @@ impl Contacts {
         Ok(self.parts.plant.ledger.notes.write(&note, &found)?)
     }
 
-    pub async fn compare(
-        &self,
-        profile: &ProfileName,
-        given: &str,
-        account: Option<Party>,
-    ) -> Result<CompareView, Failure> {
+    pub async fn compare(&self, profile: &ProfileName, given: &str, account: Option<Party>) -> Result<CompareView> {
         let given = read(given)?;
         let (account, fingerprint) = match account {
             Some(party) => {

@@ -74,3 +74,16 @@ async fn where_a_gateway_tells_the_chain_nobody_is_entered_without_a_fingerprint
     assert!(contacts.rows().await.expect("rows").is_empty() && ground.audited("contact add").is_empty());
     contacts.add(&alice, name("bob"), account, Some(typed(7))).await.expect("compared");
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_profile_of_the_same_home_goes_by_its_name_unless_the_address_book_has_that() {
+    let ground = Ground::with(&[]);
+    let contacts = Arc::new(Contacts::new(&ground.parts));
+    let (here, elsewhere) = (ground.owner("dave").address, Address([2; 20]));
+    let dave = Party::Contact(name("dave"));
+    assert_eq!(contacts.resolve(&dave).ok(), Some(here));
+    contacts.add(&profile("alice"), name("dave"), elsewhere, Some(typed(3))).await.expect("added");
+    assert_eq!(contacts.resolve(&dave).ok(), Some(elsewhere));
+    let stranger = contacts.resolve(&Party::Contact(name("carol"))).expect_err("neither");
+    assert!(stranger.message.contains("is not in the address book"), "{}", stranger.message);
+}

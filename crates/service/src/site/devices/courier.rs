@@ -15,7 +15,7 @@ use crate::gateway::{Cabinet, Context, Upload};
 use crate::model::{PublicKey, RecordKind, RecorderId, Timestamp, clean};
 use crate::pipeline::statement::{self, Speaker, Statement};
 use crate::pipeline::{Network, Owner};
-use crate::reply::{DeviceAddressesView, Failure};
+use crate::reply::{DeviceAddressesView, Failure, Result};
 use crate::site::gateway::desk::courier_of;
 use crate::store::notes::{Enrolled, EnrolledGateway, KeysTold, NoticesCarried, OwnerKeysTold};
 use crate::store::{RecordQuery, RecordRow};
@@ -26,12 +26,7 @@ const MOST_NOTICES: usize = 10_000;
 const WINDOW: usize = 64;
 
 impl Devices {
-    pub async fn add_address(
-        &self,
-        owner: &Arc<Owner>,
-        device: &str,
-        address: String,
-    ) -> Result<DeviceAddressesView, Failure> {
+    pub async fn add_address(&self, owner: &Owner, device: &str, address: String) -> Result<DeviceAddressesView> {
         let network = self.parts.link.network().await?;
         super::enrolled::check_addresses(std::slice::from_ref(&address))?;
         let _one_at_a_time = owner.changes.lock().await;
@@ -59,7 +54,7 @@ impl Devices {
             // After the notice: an interruption in between repeats it.
             self.enrolments.change(owner, device, |known| known.gateway = Some(gateway.clone()))
         };
-        self.parts.log.deed(&owner.profile, "device addresses", &subject, told).await?;
+        self.parts.log.deed(&owner.profile, "robot addresses", &subject, told).await?;
         Ok(DeviceAddressesView { name: enrolled.name, device, gateway: gateway.into() })
     }
 
@@ -84,7 +79,7 @@ impl Devices {
         }
     }
 
-    async fn attend(&self, owner: &Arc<Owner>, network: &Network) -> Result<bool, Failure> {
+    async fn attend(&self, owner: &Owner, network: &Network) -> Result<bool> {
         let here = block_in_place(|| Cabinet::founded_in(&self.parts.home.gateway()));
         let mut away = Vec::new();
         for enrolled in &self.enrolments.lent(owner, network)? {
@@ -105,7 +100,7 @@ impl Devices {
 
     async fn carry(
         &self,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         network: &Network,
         (enrolled, gateway): (&Enrolled, &EnrolledGateway),
         waiting: &[RecordRow],
@@ -135,12 +130,7 @@ impl Devices {
     }
 
     /// Numbers restart under the recorder of a restored home and of a new key.
-    fn notices_behind(
-        &self,
-        owner: &Owner,
-        enrolled: &Enrolled,
-        gateway: &EnrolledGateway,
-    ) -> Result<Vec<RecordRow>, Failure> {
+    fn notices_behind(&self, owner: &Owner, enrolled: &Enrolled, gateway: &EnrolledGateway) -> Result<Vec<RecordRow>> {
         let ledger = &self.parts.plant.ledger;
         let query = RecordQuery {
             owner: Some(owner.address),
@@ -162,7 +152,7 @@ impl Devices {
         Ok(rows)
     }
 
-    fn upload(&self, row: &RecordRow) -> Result<Upload, Failure> {
+    fn upload(&self, row: &RecordRow) -> Result<Upload> {
         let gone = || refused(format!("the notice {} is not in the store any more", row.id));
         let blob = self.parts.plant.ciphertext.get(row.digest)?.ok_or_else(gone)?;
         Ok(Upload { signature: row.signature, blob })
@@ -177,7 +167,7 @@ const TYPE: &str = "authros/Keys";
 
 impl Enrolments {
     /// One failure does not stop the others; returns the first error, with the names of all.
-    pub fn tell_devices(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
+    pub fn tell_devices(&self, owner: &Owner, network: &Network) -> Result<()> {
         let sealing = owner.sealing().is_some_and(|keys| keys.domain == network.domain);
         // Until a new key is in place, robots would believe nobody.
         if !sealing || owner.keyring().keys().further.next_signing.is_some() {
@@ -204,7 +194,7 @@ impl Enrolments {
         }
     }
 
-    fn tell_device(&self, owner: &Owner, network: &Network, device: &Enrolled) -> Result<(), Failure> {
+    fn tell_device(&self, owner: &Owner, network: &Network, device: &Enrolled) -> Result<()> {
         let keys = self.issue(owner, network, device)?;
         let told = self.parts.plant.ledger.notes.read(&keys_told(owner, device))?;
         if told.as_deref() != Some(summary(&keys).as_str()) {
@@ -215,7 +205,7 @@ impl Enrolments {
     }
 
     /// The current key signs the notice, and the account signs its content.
-    pub fn tell_owner_key(&self, owner: &Owner, network: &Network, new: &PublicKey) -> Result<(), Failure> {
+    pub fn tell_owner_key(&self, owner: &Owner, network: &Network, new: &PublicKey) -> Result<()> {
         let old = owner.signing().public;
         let change = OwnerKeyChange::sign(&network.domain, &owner.eoa(), old, *new)?;
         let (epoch, told) = (network.directory.epoch(owner.address), (old, *new));
@@ -230,14 +220,14 @@ impl Enrolments {
         Ok(())
     }
 
-    pub fn send(&self, owner: &Owner, network: &Network, device: &Enrolled, notice: &Notice) -> Result<(), Failure> {
+    pub fn send(&self, owner: &Owner, network: &Network, device: &Enrolled, notice: &Notice) -> Result<()> {
         // A robot accepts notices of its own epoch or later.
         let known = network.directory.epoch(owner.address);
         let epoch = owner.sealing().map_or(known, |keys| keys.epoch.max(known));
         self.seal_notice(owner, network, device, epoch, notice)
     }
 
-    pub fn note_told(&self, owner: &Owner, device: &Enrolled, keys: &IssuedKeys) -> Result<(), Failure> {
+    pub fn note_told(&self, owner: &Owner, device: &Enrolled, keys: &IssuedKeys) -> Result<()> {
         Ok(self.parts.plant.ledger.notes.write(&keys_told(owner, device), &summary(keys))?)
     }
 
@@ -248,7 +238,7 @@ impl Enrolments {
         device: &Enrolled,
         epoch: u64,
         notice: &Notice,
-    ) -> Result<(), Failure> {
+    ) -> Result<()> {
         let _alone = self.sealing.lock().unwrap_or_else(PoisonError::into_inner);
         let (name, body) = (notice_topic(&device.device), notice.encode());
         let speaker = Speaker {

@@ -19,7 +19,7 @@ use crate::gateway::{Context, DeviceNotice};
 use crate::model::{Address, ErrorKind, ProfileName, SignerId, Timestamp, TopicName, clean};
 use crate::pipeline::authority::{Moment, may_sign};
 use crate::pipeline::{Network, Owner, quarantine, recorder_heads};
-use crate::reply::{DeviceTopicsView, EnrolledView, Failure, RobotGatewayView};
+use crate::reply::{DeviceTopicsView, EnrolledView, Failure, Result, RobotGatewayView};
 use crate::site::gateway::desk::is_reserved;
 use crate::site::parts::Parts;
 use crate::site::sharing::overdue::earliest_expiry;
@@ -53,17 +53,18 @@ impl Enrolments {
         Self { parts: parts.clone(), sealed, sealing: Mutex::default(), untold: Mutex::default() }
     }
 
-    pub fn issue(&self, owner: &Owner, network: &Network, to: &Enrolled) -> Result<IssuedKeys, Failure> {
+    pub fn issue(&self, owner: &Owner, network: &Network, to: &Enrolled) -> Result<IssuedKeys> {
         let sealing = owner.sealing().filter(|keys| keys.domain == network.domain);
-        let sealing = sealing
-            .ok_or_else(|| refused("this keyring has the key of no epoch that has started; run `authros register`"))?;
+        let sealing = sealing.ok_or_else(|| {
+            refused("this keyring has the key of no epoch that has started; run `authros identity register`")
+        })?;
         let now = self.issue_of(owner, network, to, sealing.epoch)?;
         let next = owner.author.next().filter(|(_, keys)| keys.epoch > sealing.epoch);
         let next = next.map(|(from, keys)| Ok::<_, Failure>((from, self.issue_of(owner, network, to, keys.epoch)?)));
         Ok(IssuedKeys { now, next: next.transpose()? })
     }
 
-    fn issue_of(&self, owner: &Owner, network: &Network, to: &Enrolled, epoch: u64) -> Result<EpochIssue, Failure> {
+    fn issue_of(&self, owner: &Owner, network: &Network, to: &Enrolled, epoch: u64) -> Result<EpochIssue> {
         let lacking = || refused(format!("the keyring has no key of epoch {epoch}"));
         let key = owner.epoch_key(network.domain, epoch).ok_or_else(lacking)?;
         let token = owner.token(network.domain, epoch).ok_or_else(lacking)?;
@@ -79,15 +80,20 @@ impl Enrolments {
         Ok(EpochIssue { epoch, token, ends: earliest_expiry(owner, network, epoch), key })
     }
 
-    pub fn of(&self, owner: &Owner) -> Result<Vec<Enrolled>, Failure> {
+    pub fn of(&self, owner: &Owner) -> Result<Vec<Enrolled>> {
         block_in_place(|| of_account(&self.parts.plant.ledger.notes, owner.address))
     }
 
-    pub fn lent(&self, owner: &Owner, network: &Network) -> Result<Vec<Enrolled>, Failure> {
+    /// Whether robots record for this account.
+    pub fn has_any(&self, owner: Address) -> Result<bool> {
+        Ok(of_account(&self.parts.plant.ledger.notes, owner)?.iter().any(|robot| !robot.ended))
+    }
+
+    pub fn lent(&self, owner: &Owner, network: &Network) -> Result<Vec<Enrolled>> {
         Ok(self.of(owner)?.into_iter().filter(|robot| is_lent(owner, network, robot)).collect())
     }
 
-    pub fn add(&self, owner: &Owner, enrolled: Enrolled) -> Result<(), Failure> {
+    pub fn add(&self, owner: &Owner, enrolled: Enrolled) -> Result<()> {
         self.change_all(owner, |all| all.push(enrolled))
     }
 
@@ -108,18 +114,18 @@ impl Enrolments {
         (!lacking.is_empty()).then(|| format!("FAILED to notify {}", lacking.join(", ")))
     }
 
-    pub fn note_recalled(&self, owner: &Owner, device: SignerId) -> Result<(), Failure> {
+    pub fn note_recalled(&self, owner: &Owner, device: SignerId) -> Result<()> {
         let mut untold = self.untold.lock().unwrap_or_else(PoisonError::into_inner);
         untold.retain(|(whose, of, _), _| (*whose, *of) != (owner.address, device));
         drop(untold);
         self.change(owner, device, |enrolled| enrolled.ended = true)
     }
 
-    pub fn change(&self, owner: &Owner, device: SignerId, change: impl Fn(&mut Enrolled)) -> Result<(), Failure> {
+    pub fn change(&self, owner: &Owner, device: SignerId, change: impl Fn(&mut Enrolled)) -> Result<()> {
         self.change_all(owner, |all| all.iter_mut().filter(|enrolled| enrolled.device == device).for_each(change))
     }
 
-    fn change_all(&self, owner: &Owner, change: impl FnOnce(&mut Vec<Enrolled>)) -> Result<(), Failure> {
+    fn change_all(&self, owner: &Owner, change: impl FnOnce(&mut Vec<Enrolled>)) -> Result<()> {
         self.parts.plant.ledger.notes.change(&EnrolledRobots { owner: owner.address }, |all: &mut Vec<Enrolled>| {
             change(all);
             Ok(())
@@ -132,7 +138,7 @@ pub(super) fn is_lent(owner: &Owner, network: &Network, robot: &Enrolled) -> boo
     !robot.ended && may_sign(&network.directory, owner.address, robot.device, now).is_ok()
 }
 
-pub fn of_account(notes: &Notes, owner: Address) -> Result<Vec<Enrolled>, Failure> {
+pub fn of_account(notes: &Notes, owner: Address) -> Result<Vec<Enrolled>> {
     Ok(notes.read(&EnrolledRobots { owner })?.unwrap_or_default())
 }
 
@@ -154,7 +160,7 @@ pub struct EnrolWishes {
 }
 
 impl Devices {
-    pub async fn enrol(&self, owner: &Arc<Owner>, wishes: EnrolWishes) -> Result<EnrolledView, Failure> {
+    pub async fn enrol(&self, owner: &Owner, wishes: EnrolWishes) -> Result<EnrolledView> {
         if self.parts.is_joined() && wishes.fingerprint.is_none() {
             return Err(refused(
                 "a site that has joined another site can enrol robots only at a gateway whose key you confirmed: get \
@@ -179,7 +185,7 @@ impl Devices {
             let notice = DeviceNotice { key: device.public, notices: notice_id };
             let token = self.known_token(owner, &network)?;
             if let Err(failure) = seat.tell(owner, (&wishes.name, token), notice).await {
-                // Nobody will use the device; if this fails too, `devices list` shows it.
+                // Nobody will use the device; if this fails too, `robot devices` shows it.
                 drop(self.unlend_device(owner, id).await);
                 return Err(failure);
             }
@@ -212,35 +218,30 @@ impl Devices {
                 file: SecretBytes::new(file),
             })
         };
-        self.parts.log.deed(&owner.profile, "enrol device", &subject, enrolled).await
+        self.parts.log.deed(&owner.profile, "enrol robot", &subject, enrolled).await
     }
 
     /// A recall by name must not leave another robot able to read.
-    fn check_name(&self, network: &Network, owner: &Owner, name: &ProfileName) -> Result<(), Failure> {
+    fn check_name(&self, network: &Network, owner: &Owner, name: &ProfileName) -> Result<()> {
         if is_reserved(name) {
             return Err(input(format!("'{name}' is reserved for sites; give the robot another name")));
         }
         match self.called(network, owner, name.as_str())?.into_iter().find(|(_, lent)| *lent) {
             Some((device, _)) => Err(refused(format!(
-                "a robot called '{name}' is enrolled already, as device {device}; revoke it with `authros devices \
-                 recall {name}`, or give this robot another name"
+                "a robot called '{name}' is enrolled already, as device {device}; revoke it with `authros robot \
+                 revoke {name}`, or give this robot another name"
             ))),
             None => Ok(()),
         }
     }
 
-    pub fn known_token(&self, owner: &Owner, network: &Network) -> Result<crate::model::Token, Failure> {
+    pub fn known_token(&self, owner: &Owner, network: &Network) -> Result<crate::model::Token> {
         let account = network.directory.account(owner.address);
         let token = account.and_then(|account| account.token);
-        token.ok_or_else(|| refused("the chain has no token of this account; run `authros register` first"))
+        token.ok_or_else(|| refused("the chain has no token of this account; run `authros identity register` first"))
     }
 
-    pub async fn add_topics(
-        &self,
-        owner: &Arc<Owner>,
-        device: &str,
-        topics: &[TopicName],
-    ) -> Result<DeviceTopicsView, Failure> {
+    pub async fn add_topics(&self, owner: &Arc<Owner>, device: &str, topics: &[TopicName]) -> Result<DeviceTopicsView> {
         let network = self.parts.link.network().await?;
         let device = self.lent_device(&network, owner, device)?;
         let found = self.enrolments.of(owner)?.into_iter().rfind(|enrolled| enrolled.device == device);
@@ -266,12 +267,12 @@ impl Devices {
             block_in_place(|| self.enrolments.tell_devices(owner, &network))
         };
         let subject = format!("{device}: {}", added.join(" "));
-        self.parts.log.deed(&owner.profile, "device topics", &subject, told).await?;
+        self.parts.log.deed(&owner.profile, "robot topics", &subject, told).await?;
         Ok(DeviceTopicsView { name: enrolled.name, device, added, topics: enrolled.topics })
     }
 }
 
-pub fn check_addresses(addresses: &[String]) -> Result<(), Failure> {
+pub fn check_addresses(addresses: &[String]) -> Result<()> {
     if addresses.iter().any(|address| address.is_empty() || address.len() > LONGEST_ADDRESS) {
         return Err(input("an address of a gateway has 1 to 255 characters"));
     }
@@ -281,7 +282,7 @@ pub fn check_addresses(addresses: &[String]) -> Result<(), Failure> {
     Ok(())
 }
 
-fn covered(wishes: &EnrolWishes) -> Result<Vec<String>, Failure> {
+fn covered(wishes: &EnrolWishes) -> Result<Vec<String>> {
     if wishes.all_topics != wishes.topics.is_empty() {
         return Err(Failure::new(
             ErrorKind::Usage,

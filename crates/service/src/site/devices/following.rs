@@ -1,6 +1,5 @@
 //! Whether robots follow their owner into a new epoch: one that does not still writes for a reader who lost access.
 
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::task::block_in_place;
@@ -8,7 +7,7 @@ use tokio::task::block_in_place;
 use super::Devices;
 use crate::model::{ErrorKind, Timestamp};
 use crate::pipeline::Owner;
-use crate::service::reply::{Failure, TransactionView};
+use crate::service::reply::{Failure, Result, TransactionView};
 use crate::store::NewestRecord;
 use crate::store::notes::Enrolled;
 
@@ -42,7 +41,7 @@ impl Pace {
 
 impl Devices {
     /// Announces the epoch of `deed`, and fails as [`ErrorKind::Incomplete`] if a working robot stays in an older one.
-    pub async fn lead(&self, owner: &Arc<Owner>, deed: TransactionView) -> Result<TransactionView, Failure> {
+    pub async fn lead(&self, owner: &Owner, deed: TransactionView) -> Result<TransactionView> {
         let (begun, from) = (Timestamp::now(), Instant::now());
         let incomplete = |text: String| Failure::new(ErrorKind::Incomplete, format!("{}; but {text}", deed.text));
         let network = self.parts.link.network().await?;
@@ -54,7 +53,7 @@ impl Devices {
             Ok((robot.name.to_string(), Pace::of(newest, deed.epoch, begun)))
         };
         loop {
-            let paces = block_in_place(|| robots.iter().map(pace).collect::<Result<Vec<_>, Failure>>())?;
+            let paces = block_in_place(|| robots.iter().map(pace).collect::<Result<Vec<_>>>())?;
             let behind: Vec<String> =
                 paces.iter().filter(|(_, pace)| *pace == Pace::Behind).map(|(name, _)| format!("'{name}'")).collect();
             let waits = paces.iter().any(|(_, pace)| *pace == Pace::Silent) && from.elapsed() < SILENCE;

@@ -22,7 +22,7 @@ use crate::model::bytes::hex;
 use crate::model::{ProfileName, SignerId, Timestamp, Token, clean};
 use crate::pipeline::directory::Lending;
 use crate::pipeline::{Network, Owner, authority};
-use crate::reply::{DeviceRow, Failure, TransactionView};
+use crate::reply::{DeviceRow, Failure, Result, TransactionView};
 use crate::store::notes::EnrolledGateway;
 
 const SHORTEST: usize = 8;
@@ -39,14 +39,8 @@ impl Devices {
         Self { parts, sharing, enrolments, losses: policies::Losses::default() }
     }
 
-    pub async fn lend(
-        &self,
-        owner: &Arc<Owner>,
-        device: SignerId,
-        until: Option<Timestamp>,
-    ) -> Result<TransactionView, Failure> {
-        let network = self.parts.link.network().await?;
-        let _one_at_a_time = owner.changes.lock().await;
+    pub async fn lend(&self, owner: &Owner, device: SignerId, until: Option<Timestamp>) -> Result<TransactionView> {
+        let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         network.directory.identity(owner.address)?;
         if until.is_some_and(|until| until <= network.directory.now()) {
             return Err(input("the authorisation would end before it starts; give a later --until"));
@@ -56,27 +50,26 @@ impl Devices {
         let is_lent = |lending: &Lending| is_same(lending) && authority::is_lent(&network.directory, lending);
         if self.lendings(&network, owner).iter().any(is_lent) {
             return Err(refused(format!(
-                "device {device} is already authorised; `authros devices list` shows until when"
+                "device {device} is already authorised; `authros robot devices` shows until when"
             )));
         }
         let end = until.map_or_else(|| "it is revoked".to_owned(), |until| until.to_string());
         let text = format!("device {device} may sign for {} until {end}", owner.address);
-        let lent = self.change_devices(owner, &network, Call::Lend { device, until }, "lend", text);
-        self.parts.log.deed(&owner.profile, "lend device", &device.to_string(), lent).await
+        let lent = self.change_devices(owner, &network, Call::Lend { device, until }, "authorise device", text);
+        self.parts.log.deed(&owner.profile, "authorise device", &device.to_string(), lent).await
     }
 
     /// A new epoch locks the device out of records sealed from now on; gateways end its session.
-    pub async fn recall(&self, owner: &Arc<Owner>, device: &str) -> Result<TransactionView, Failure> {
-        let network = self.parts.link.network().await?;
-        let _one_at_a_time = owner.changes.lock().await;
+    pub async fn recall(&self, owner: &Owner, device: &str) -> Result<TransactionView> {
+        let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         let device = self.lent_device(&network, owner, device)?;
         let recalled = async {
             // Saved in the keyring before anything is sent: the next start resumes an interruption.
             owner.prepare_epoch(network.domain, network.directory.epoch(owner.address) + 1)?;
             let call = Call::Recall { device };
-            let recalled = self.change_devices(owner, &network, call, "recall", String::new()).await?;
+            let recalled = self.change_devices(owner, &network, call, "revoke device", String::new()).await?;
             self.enrolments.note_recalled(owner, device)?;
-            let rotated = self.sharing.next_epoch(owner, &network, "recall").await.map_err(|failure| {
+            let rotated = self.sharing.next_epoch(owner, &network, "revoke device").await.map_err(|failure| {
                 let what = "is revoked, but the new epoch is not on the chain yet and its keys still open new records; \
                             `authros keys rotate` starts it";
                 Failure { message: format!("device {device} {what}: {}", failure.message), ..failure }
@@ -88,24 +81,23 @@ impl Devices {
             );
             Ok(TransactionView { epoch: rotated.epoch, text, ..recalled })
         };
-        self.parts.log.deed(&owner.profile, "recall device", &device.to_string(), recalled).await
+        self.parts.log.deed(&owner.profile, "revoke device", &device.to_string(), recalled).await
     }
 
-    pub async fn unlend_device(&self, owner: &Arc<Owner>, device: SignerId) -> Result<(), Failure> {
-        let network = self.parts.link.network().await?;
-        let _one_at_a_time = owner.changes.lock().await;
-        let recalled = self.change_devices(owner, &network, Call::Recall { device }, "recall", String::new());
-        self.parts.log.deed(&owner.profile, "recall device", &device.to_string(), recalled).await.map(drop)
+    pub async fn unlend_device(&self, owner: &Owner, device: SignerId) -> Result<()> {
+        let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
+        let recalled = self.change_devices(owner, &network, Call::Recall { device }, "revoke device", String::new());
+        self.parts.log.deed(&owner.profile, "revoke device", &device.to_string(), recalled).await.map(drop)
     }
 
     async fn change_devices(
         &self,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         network: &Network,
         call: Call,
         purpose: &str,
         text: String,
-    ) -> Result<TransactionView, Failure> {
+    ) -> Result<TransactionView> {
         let (transaction, receipt) = self.parts.sender.send(&network.chain, &owner.eoa(), call, purpose).await?;
         self.parts.link.scanned(receipt.block).await;
         self.parts.hub.changed(Part::Identity);
@@ -113,11 +105,11 @@ impl Devices {
         Ok(TransactionView { transaction: Some(transaction), block: Some(receipt.block), epoch, text })
     }
 
-    pub async fn rows(&self, owner: &Arc<Owner>) -> Result<Vec<DeviceRow>, Failure> {
+    pub async fn rows(&self, owner: &Owner) -> Result<Vec<DeviceRow>> {
         let network = self.parts.link.network().await?;
         let state = |lending: &Lending| match lending.recalled {
-            Some(_) => "recalled",
-            None if authority::is_lent(&network.directory, lending) => "lent",
+            Some(_) => "revoked",
+            None if authority::is_lent(&network.directory, lending) => "authorised",
             None => "expired",
         };
         let row = |lending: &Lending| DeviceRow {
@@ -131,7 +123,7 @@ impl Devices {
         Ok(self.lendings(&network, owner).iter().rev().map(row).collect())
     }
 
-    pub fn lent_device(&self, network: &Network, owner: &Owner, text: &str) -> Result<SignerId, Failure> {
+    pub fn lent_device(&self, network: &Network, owner: &Owner, text: &str) -> Result<SignerId> {
         let called = self.called(network, owner, text)?;
         let lent: Vec<SignerId> = called.iter().filter(|(_, lent)| *lent).map(|(device, _)| *device).collect();
         match (lent.as_slice(), called.last()) {
@@ -146,7 +138,7 @@ impl Devices {
         }
     }
 
-    pub fn called(&self, network: &Network, owner: &Owner, name: &str) -> Result<Vec<(SignerId, bool)>, Failure> {
+    pub fn called(&self, network: &Network, owner: &Owner, name: &str) -> Result<Vec<(SignerId, bool)>> {
         let lendings = self.lendings(network, owner);
         let state = |device: SignerId| {
             let open: Vec<_> =
@@ -165,13 +157,13 @@ impl Devices {
 }
 
 /// By the beginning of an id; a fingerprint is one.
-fn find(lendings: &[Lending], text: &str) -> Result<SignerId, Failure> {
+fn find(lendings: &[Lending], text: &str) -> Result<SignerId> {
     let wanted: String = text.chars().filter(|character| !character.is_whitespace()).collect::<String>().to_lowercase();
     let wanted = wanted.trim_start_matches("0x");
     if wanted.len() < SHORTEST || !wanted.bytes().all(|byte| byte.is_ascii_hexdigit()) {
         return Err(input(format!(
             "no robot of this profile has that name; give the name that it was enrolled under, or at least {SHORTEST} hex \
-             characters of the id that `authros devices list` shows"
+             characters of the id that `authros robot devices` shows"
         )));
     }
     let open = lendings.iter().filter(|lending| lending.recalled.is_none());
@@ -179,7 +171,7 @@ fn find(lendings: &[Lending], text: &str) -> Result<SignerId, Failure> {
     let found: BTreeSet<SignerId> = found.collect();
     match (found.first(), found.len()) {
         (Some(device), 1) => Ok(*device),
-        (None, _) => Err(refused("no such device is authorised; `authros devices list` shows those that are")),
+        (None, _) => Err(refused("no such device is authorised; `authros robot devices` shows those that are")),
         _ => Err(input("several authorised devices start like this; give more of the id")),
     }
 }
@@ -202,7 +194,7 @@ impl Seat {
         context: Context,
         (addresses, fingerprint): (Vec<String>, Option<SignerId>),
         name: &ProfileName,
-    ) -> Result<Self, Failure> {
+    ) -> Result<Self> {
         let endpoint = Endpoint { addresses, context, patience: PATIENCE };
         let mut trust = fingerprint.map_or_else(Trust::on_first_use, Trust::pinned);
         let (signing, account) = (owner.signing(), owner.eoa());
@@ -212,7 +204,7 @@ impl Seat {
         Ok(Self { endpoint, trust, gateway, transport })
     }
 
-    pub async fn connect(&mut self, name: &ProfileName, token: Token) -> Result<Client, Failure> {
+    pub async fn connect(&mut self, name: &ProfileName, token: Token) -> Result<Client> {
         let credentials = Credentials { name: name.clone(), key: self.transport.clone(), token };
         Ok(Client::connect(&self.endpoint, &mut self.trust, &credentials).await?)
     }
@@ -222,7 +214,7 @@ impl Seat {
         owner: &Owner,
         (name, token): (&ProfileName, Token),
         notice: DeviceNotice,
-    ) -> Result<(), Failure> {
+    ) -> Result<()> {
         let mut client = self.connect(name, token).await?;
         for attempt in 1.. {
             match client.device(&owner.signing(), notice).await {

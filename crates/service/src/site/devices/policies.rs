@@ -1,7 +1,7 @@
 //! The policies that an owner sets for robots, and what the robots report about them.
 
-use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Mutex, PoisonError};
 
 use tokio::task::block_in_place;
 
@@ -9,14 +9,14 @@ use super::Devices;
 use crate::config::RobotPolicy;
 use crate::crypto::{Anchor, Expected, LONGEST_POLICY, Names, Notice, OpenedRecord, SignedPolicy, open, topic_key};
 use crate::model::{
-    Digest, GapReport, PolicyReport, RecordKind, RecordState, SignerId, Timestamp, TopicId, clean, clean_lines,
+    Address, Digest, GapReport, PolicyReport, RecordKind, RecordState, SignerId, Timestamp, TopicId, clean, clean_lines,
 };
 use crate::pipeline::epoch::type_choice;
 use crate::pipeline::{Network, Owner, recorder_heads};
 use crate::service::failure::{input, refused};
-use crate::service::reply::{Failure, RobotRow, RobotTopicRow, RobotView};
+use crate::service::reply::{CoveragePart, CoveredSpan, Failure, Result, RobotRow, RobotTopicRow, RobotView};
 use crate::store::notes::{Enrolled, PolicyWanted, WantedPolicy};
-use crate::store::{RecordQuery, RecordRow, SignerTopic};
+use crate::store::{CoverageQuery, RecordQuery, RecordRow, SignerTopic};
 
 const MOST: usize = 10_000;
 const MOST_LOSSES: usize = 256;
@@ -27,13 +27,13 @@ const MOST_ROBOTS: usize = 100_000;
 pub struct Losses(Mutex<BTreeMap<Digest, (String, u64)>>);
 
 struct Known {
-    reports: BTreeMap<SignerId, (PolicyReport, Timestamp)>,
+    reports: BTreeMap<SignerId, PolicyReport>,
     seen: BTreeMap<SignerId, Timestamp>,
     topics: Vec<SignerTopic>,
 }
 
 impl Devices {
-    pub async fn robot_rows(&self, owner: &Arc<Owner>) -> Result<Vec<RobotRow>, Failure> {
+    pub async fn robot_rows(&self, owner: &Owner) -> Result<Vec<RobotRow>> {
         let network = self.parts.link.network().await?;
         let robots = self.enrolments.of(owner)?.into_iter().filter(|robot| !robot.ended);
         let robots: Vec<Enrolled> = robots.collect();
@@ -42,12 +42,12 @@ impl Devices {
         let lost_by = |device: SignerId| lost.get(&device).map(sum).unwrap_or_default();
         let robots = robots.into_iter();
         let row = |robot: Enrolled| Ok(row(&robot, &self.wanted(owner, robot.device)?, &known, lost_by(robot.device)));
-        let mut rows = robots.map(row).collect::<Result<Vec<_>, Failure>>()?;
+        let mut rows = robots.map(row).collect::<Result<Vec<_>>>()?;
         rows.sort_by(|one, other| one.name.cmp(&other.name));
         Ok(rows)
     }
 
-    pub async fn robot_view(&self, owner: &Arc<Owner>, name: &str) -> Result<RobotView, Failure> {
+    pub async fn robot_view(&self, owner: &Owner, name: &str) -> Result<RobotView> {
         let network = self.parts.link.network().await?;
         let robot = self.robot(&network, owner, name)?;
         let wanted = self.wanted(owner, robot.device)?;
@@ -56,12 +56,15 @@ impl Devices {
             Ok::<_, Failure>((known, self.lost(owner, &network, std::slice::from_ref(&robot))?))
         })?;
         let lost = lost.into_values().next().unwrap_or_default();
-        let report = known.reports.get(&robot.device).map(|(report, _)| report.clone()).unwrap_or_default();
+        let report = known.reports.get(&robot.device).cloned().unwrap_or_default();
+        let mut topics = topic_rows(robot.device, &known.topics, lost.clone());
+        let covered = block_in_place(|| self.cover(owner.address, robot.device, &mut topics))?;
         Ok(RobotView {
             row: row(&robot, &wanted, &known, sum(&lost)),
             gateway: robot.gateway.clone().map(Into::into),
             enrolled: robot.topics.iter().map(|topic| clean(topic, 255)).collect(),
-            topics: topic_rows(robot.device, &known.topics, lost),
+            topics,
+            covered,
             refused: report.refused.map(|text| clean(&text, 300)),
             overruled: report.overruled.iter().map(|text| clean(text, 300)).collect(),
             policy: clean_lines(&wanted.text, LONGEST_POLICY),
@@ -69,7 +72,7 @@ impl Devices {
         })
     }
 
-    pub async fn set_policy(&self, owner: &Arc<Owner>, name: &str, text: String) -> Result<RobotView, Failure> {
+    pub async fn set_policy(&self, owner: &Owner, name: &str, text: String) -> Result<RobotView> {
         if text.len() > LONGEST_POLICY {
             return Err(input(format!("the policy has {} bytes; {LONGEST_POLICY} are allowed", text.len())));
         }
@@ -80,7 +83,7 @@ impl Devices {
         let before = self.wanted(owner, robot.device)?;
         let reports = block_in_place(|| self.reports(owner, &network))?;
         // After a restored backup, the robot may know a higher version.
-        let running = reports.get(&robot.device).map_or(0, |(report, _)| report.running);
+        let running = reports.get(&robot.device).map_or(0, |report| report.running);
         let version = before.version.max(running).checked_add(1);
         let version =
             version.ok_or_else(|| refused("this robot's policy cannot be numbered higher; enrol it again"))?;
@@ -98,26 +101,45 @@ impl Devices {
         self.robot_view(owner, name).await
     }
 
-    fn wanted(&self, owner: &Owner, device: SignerId) -> Result<PolicyWanted, Failure> {
+    fn wanted(&self, owner: &Owner, device: SignerId) -> Result<PolicyWanted> {
         let note = WantedPolicy { owner: owner.address, device };
         Ok(self.parts.plant.ledger.notes.read(&note)?.unwrap_or_default())
     }
 
-    fn known(&self, owner: &Owner, network: &Network) -> Result<Known, Failure> {
+    fn known(&self, owner: &Owner, network: &Network) -> Result<Known> {
         let ledger = &self.parts.plant.ledger;
         let own = crate::crypto::signer_id(&owner.public_keys().0);
         Ok(Known {
             reports: self.reports(owner, network)?,
             seen: ledger.counts.last_seen(MOST_ROBOTS)?.into_iter().map(|seen| (seen.signer, seen.at)).collect(),
-            topics: ledger.counts.signer_topics(owner.address, own)?,
+            topics: ledger.counts.signer_topics(owner.address, Some(own))?,
         })
     }
 
-    fn reports(
-        &self,
-        owner: &Owner,
-        network: &Network,
-    ) -> Result<BTreeMap<SignerId, (PolicyReport, Timestamp)>, Failure> {
+    /// Fills in when there are records of each topic, in equal parts of the whole time.
+    fn cover(&self, owner: Address, device: SignerId, topics: &mut [RobotTopicRow]) -> Result<Option<CoveredSpan>> {
+        let counts = &self.parts.plant.ledger.counts;
+        let covered = |topic: &str, since: Option<Timestamp>, until: Timestamp, parts: usize| {
+            let signers = Some(BTreeSet::from([device]));
+            counts.coverage(&CoverageQuery { owner, topic: topic.to_owned(), signers, since, until, parts })
+        };
+        let now = Timestamp::now();
+        for row in topics.iter_mut() {
+            let ends = covered(&row.topic, None, now, 1)?;
+            (row.first, row.last) = (ends.first, ends.last);
+        }
+        let Some(since) = topics.iter().filter_map(|row| row.first).min() else { return Ok(None) };
+        // A robot's clock may be ahead.
+        let last = topics.iter().filter_map(|row| row.last).max().unwrap_or(now);
+        let until = now.max(Timestamp(last.0.saturating_add(1)));
+        for row in topics.iter_mut().filter(|row| row.first.is_some()) {
+            let parts = covered(&row.topic, Some(since), until, CoveredSpan::PARTS)?.parts;
+            row.strip = parts.iter().map(CoveragePart::sign).collect();
+        }
+        Ok(Some(CoveredSpan { since, until }))
+    }
+
+    fn reports(&self, owner: &Owner, network: &Network) -> Result<BTreeMap<SignerId, PolicyReport>> {
         let topic = owner.topic_id(recorder_heads::TOPIC);
         let query = RecordQuery {
             owner: Some(owner.address),
@@ -137,14 +159,14 @@ impl Devices {
             }
             let Some(opened) = self.opened(owner, network, robot, &row) else { continue };
             if let Ok(report) = PolicyReport::parse(&opened.body) {
-                reports.insert(row.signer, (report, row.captured_at));
+                reports.insert(row.signer, report);
             }
         }
         Ok(reports)
     }
 
     /// Reports of robots about losses, newest first.
-    fn gaps(&self, owner: &Owner) -> Result<Vec<RecordRow>, Failure> {
+    fn gaps(&self, owner: &Owner) -> Result<Vec<RecordRow>> {
         let query = RecordQuery {
             owner: Some(owner.address),
             kind: Some(RecordKind::Gap),
@@ -161,7 +183,7 @@ impl Devices {
         owner: &Owner,
         network: &Network,
         robots: &[Enrolled],
-    ) -> Result<BTreeMap<SignerId, BTreeMap<String, u64>>, Failure> {
+    ) -> Result<BTreeMap<SignerId, BTreeMap<String, u64>>> {
         let mut lost: BTreeMap<SignerId, (usize, BTreeMap<String, u64>)> = BTreeMap::new();
         let mut before = std::mem::take(&mut *self.losses.0.lock().unwrap_or_else(PoisonError::into_inner));
         let mut now = BTreeMap::new();
@@ -202,16 +224,16 @@ fn sum(topics: &BTreeMap<String, u64>) -> u64 {
 
 fn row(robot: &Enrolled, wanted: &PolicyWanted, known: &Known, lost: u64) -> RobotRow {
     let report = known.reports.get(&robot.device);
-    let running = report.map(|(report, _)| report.running);
+    let running = report.map(|report| report.running);
     let drift = !robot.ended && running.unwrap_or_default() != wanted.version;
-    let standing = if robot.ended { "recalled" } else { standing(wanted, report.map(|(report, _)| report)) };
+    let standing = if robot.ended { "revoked" } else { standing(wanted, report) };
     let of_robot = known.topics.iter().filter(|topic| topic.signer == robot.device);
     let waiting = of_robot.flat_map(|topic| &topic.records).filter(|(state, _)| state.is_pending());
     let address = robot.gateway.as_ref().and_then(|gateway| gateway.addresses.first());
     RobotRow {
         name: robot.name.clone(),
         device: robot.device,
-        last_seen: known.seen.get(&robot.device).copied().max(report.map(|(_, at)| *at)),
+        last_seen: known.seen.get(&robot.device).copied(),
         address: address.map(|address| clean(address, 255)),
         waiting: waiting.map(|(_, count)| count).sum(),
         lost,
@@ -246,15 +268,11 @@ fn topic_rows(robot: SignerId, topics: &[SignerTopic], mut lost: BTreeMap<String
             verified: of(|state| state == RecordState::Verified),
             waiting: of(RecordState::is_pending),
             lost: lost.remove(&topic.topic).unwrap_or_default(),
+            ..RobotTopicRow::default()
         });
     }
-    let nothing = |(topic, lost): (String, u64)| RobotTopicRow {
-        topic: clean(&topic, 255),
-        records: 0,
-        verified: 0,
-        waiting: 0,
-        lost,
-    };
+    let nothing =
+        |(topic, lost): (String, u64)| RobotTopicRow { topic: clean(&topic, 255), lost, ..RobotTopicRow::default() };
     rows.extend(lost.into_iter().map(nothing));
     rows
 }

@@ -1,7 +1,5 @@
 //! An owner's requests to a robot's ring.
 
-use std::sync::Arc;
-
 use tokio::task::block_in_place;
 
 use super::Devices;
@@ -10,14 +8,14 @@ use crate::model::{RingSpan, Timestamp, TopicPattern, TopicPatterns, clean};
 use crate::pipeline::{Network, Owner};
 use crate::service::command::{self as ask, Ask as _, RobotCommand};
 use crate::service::failure::{input, refused};
-use crate::service::reply::{Failure, Reply, RingPullView};
+use crate::service::reply::{Reply, Result, RingPullView};
 use crate::site::incidents;
 use crate::store::notes::Enrolled;
 
 const WIDEST: usize = 255;
 
 impl Devices {
-    pub async fn answer(&self, owner: &Arc<Owner>, command: RobotCommand) -> Result<Reply, Failure> {
+    pub async fn answer(&self, owner: &Owner, command: RobotCommand) -> Result<Reply> {
         match command {
             RobotCommand::PullRing { name, since, until, topics, incident } => {
                 let incident = incident.map(|incident| {
@@ -43,7 +41,7 @@ impl Devices {
         }
     }
 
-    pub async fn pull(&self, owner: &Arc<Owner>, name: &str, span: &RingSpan) -> Result<RingPullView, Failure> {
+    pub async fn pull(&self, owner: &Owner, name: &str, span: &RingSpan) -> Result<RingPullView> {
         let network = self.parts.link.network().await?;
         let robot = self.robot(&network, owner, name)?;
         let RingSpan { since, until, topics } = span;
@@ -56,24 +54,24 @@ impl Devices {
         Ok(RingPullView { robot: robot.name, device: robot.device, since: *since, until: *until, topics })
     }
 
-    pub async fn check_robots(&self, owner: &Owner, names: &[String]) -> Result<(), Failure> {
+    pub async fn check_robots(&self, owner: &Owner, names: &[String]) -> Result<()> {
         let network = self.parts.link.network().await?;
         names.iter().try_for_each(|name| self.robot(&network, owner, name).map(drop))
     }
 
-    pub fn robot(&self, network: &Network, owner: &Owner, name: &str) -> Result<Enrolled, Failure> {
+    pub fn robot(&self, network: &Network, owner: &Owner, name: &str) -> Result<Enrolled> {
         let device = self.lent_device(network, owner, name)?;
         let known = self.enrolments.of(owner)?.into_iter().rfind(|robot| robot.device == device);
         known.ok_or_else(|| {
             refused(format!(
-                "device {device} was not enrolled from this home; `authros devices list` shows those that were"
+                "device {device} was not enrolled from this home; `authros robot devices` shows those that were"
             ))
         })
     }
 }
 
 /// A ring holds only the past.
-pub fn span(since: Timestamp, until: Option<Timestamp>, topics: Vec<TopicPattern>) -> Result<RingSpan, Failure> {
+pub fn span(since: Timestamp, until: Option<Timestamp>, topics: Vec<TopicPattern>) -> Result<RingSpan> {
     let until = until.unwrap_or_else(Timestamp::now).min(Timestamp::now());
     if since >= until {
         return Err(input(format!(

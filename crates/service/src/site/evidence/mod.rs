@@ -6,7 +6,8 @@ mod time;
 pub use self::page::definition_of;
 pub(in crate::site) use self::time::TimeStamps;
 
-use std::collections::BTreeSet;
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -18,16 +19,16 @@ use authros_evidence::{Bundle, ClaimedChain, Packing, PackingError, Trust, pack,
 use super::incidents;
 use super::parts::Parts;
 use super::reading::Reading;
-use crate::command::EvidenceWishes;
+use crate::command::{EvidenceWishes, UploadQuery};
 use crate::crypto::private_file;
 use crate::event::NoticeLevel;
 use crate::failure::input;
-use crate::model::{Digest, RecordState, Timestamp, clean};
+use crate::model::{Digest, RecordKind, RecordState, Timestamp, TopicPattern, TopicPatterns, clean};
 use crate::pipeline::chain_proofs::{Collected, Rounds, collect};
 use crate::pipeline::evidence::{MOST_RECORDS, gather};
 use crate::pipeline::reader::Reader;
 use crate::pipeline::{Network, Owner, PipelineError};
-use crate::reply::{EvidenceView, Failure, HealthLevel, IncidentView, PartHealth};
+use crate::reply::{DisclosedTopic, EvidenceView, HealthLevel, IncidentView, PartHealth, Result};
 use crate::store::{RecordQuery, RecordRow};
 
 const PAGE: usize = 1000;
@@ -43,64 +44,86 @@ impl Evidence {
         Self { parts: parts.clone(), reading: Arc::clone(reading), stamps: Arc::clone(stamps) }
     }
 
-    pub async fn export(&self, owner: &Arc<Owner>, wishes: EvidenceWishes) -> Result<EvidenceView, Failure> {
+    pub async fn export(&self, owner: &Owner, wishes: EvidenceWishes) -> Result<EvidenceView> {
         if wishes.file.symlink_metadata().is_ok() {
             return Err(input(format!("{} already exists; choose a new file", wishes.file.display())));
         }
         let network = self.reading.network_or_kept().await?;
         let (kept, wanted) = (&self.parts.plant.ledger.incidents, wishes.incident.as_ref());
         let about = wanted.map(|name| block_in_place(|| incidents::view(kept, owner.address, name))).transpose()?;
+        // Robots' records arrive without topic names.
+        self.reading.learn_own_names(&owner.profile).await?;
         let mut rows = self.chosen(owner, &wishes)?;
         let left_out = about.as_ref().map_or_else(Vec::new, |about| leave_out(&mut rows, about, &wishes.records));
-        let mut reveal = BTreeSet::new();
-        for id in &wishes.reveal {
-            let row = self.reading.own_record(&owner.profile, id)?;
-            reveal.insert(row.digest);
+        let named = wishes.reveal.iter().map(|id| self.reading.own_record(&owner.profile, id));
+        let named = named.collect::<Result<Vec<RecordRow>>>()?;
+        for row in &named {
             if !rows.iter().any(|known| known.digest == row.digest) {
                 rows.push(row.clone());
             }
         }
         if rows.is_empty() {
-            let none = "that selection contains none of your records; `authros uploads list` shows them".to_owned();
+            let none = "that selection contains none of your records; `authros records list` shows them".to_owned();
             return Err(input([vec![none], left_out].concat().join("; ")));
         }
-        for row in rows.iter().filter(|row| reveal.contains(&row.digest)) {
-            // A disclosure cannot be undone: logged before anything leaves.
-            self.parts.log.begin(owner, "disclose record", &row.id).await?;
+        let of_topics = of_topics(&rows, &wishes)?;
+        let reveal: BTreeSet<Digest> =
+            named.iter().map(|row| row.digest).chain(of_topics.values().flatten().map(|row| row.digest)).collect();
+        if !wishes.sure {
+            let (records, revealed) = (rows.len() as u64, reveal.len() as u64);
+            let file = wishes.file.display().to_string();
+            let topics = disclosed_topics(&rows, &reveal);
+            return Ok(EvidenceView { file, bytes: 0, records, revealed, topics, written: false, notes: left_out });
         }
         let file = clean(&wishes.file.display().to_string(), 300);
+        let named = named.iter().map(|row| ("disclose record", row.id.clone()));
+        let in_bulk = of_topics.iter().map(|(topic, rows)| ("disclose topic", self.bulk(topic, rows)));
+        // A disclosure cannot be undone: logged before anything leaves.
+        let deeds: Vec<(&str, String)> = named.chain(in_bulk).collect();
+        for (deed, subject) in &deeds {
+            self.parts.log.begin(owner, deed, subject).await?;
+        }
         self.parts.log.begin(owner, "export evidence", &file).await?;
         let written = self.write_evidence(owner, &network, (&rows, &reveal), about.as_ref(), &wishes.file).await;
         let written = written.map(|mut view| {
             view.notes.extend(left_out);
             view
         });
-        for row in rows.iter().filter(|row| reveal.contains(&row.digest)) {
+        for (deed, subject) in &deeds {
             let ended = written.as_ref().map(|_| ()).map_err(Clone::clone);
             // `export evidence` reports the failure once.
-            drop(self.parts.log.end(owner, "disclose record", &row.id, ended).await);
+            drop(self.parts.log.end(owner, deed, subject, ended).await);
         }
         self.parts.log.end(owner, "export evidence", &file, written).await
     }
 
-    fn chosen(&self, owner: &Owner, wishes: &EvidenceWishes) -> Result<Vec<RecordRow>, Failure> {
+    /// The audit log's words for records that are disclosed together; their digests can be compared with the file's.
+    fn bulk(&self, topic: &str, rows: &[&RecordRow]) -> String {
+        let digests: BTreeSet<Digest> = rows.iter().map(|row| row.digest).collect();
+        let listed: Vec<&[u8]> = digests.iter().map(|digest| digest.0.as_slice()).collect();
+        let times = || rows.iter().map(|row| row.captured_at);
+        let (first, last) = (times().min().unwrap_or_default(), times().max().unwrap_or_default());
+        let list = Digest(self.parts.plant.provider.sm3(&listed));
+        format!("{}: {} records from {first} to {last}, SM3 of their digests {list}", clean(topic, 200), rows.len())
+    }
+
+    fn chosen(&self, owner: &Owner, wishes: &EvidenceWishes) -> Result<Vec<RecordRow>> {
         let named = wishes.records.iter().map(|id| self.reading.own_record(&owner.profile, id));
-        let mut rows = named.collect::<Result<Vec<_>, Failure>>()?;
-        let narrowed =
-            wishes.topic.is_some() || wishes.since.is_some() || wishes.until.is_some() || wishes.incident.is_some();
-        let named = !wishes.records.is_empty() || !wishes.reveal.is_empty();
+        let mut rows = named.collect::<Result<Vec<_>>>()?;
+        let in_time = wishes.since.is_some() || wishes.until.is_some() || wishes.incident.is_some();
+        let narrowed = in_time || !wishes.topics.is_empty() || wishes.robot.is_some();
+        let in_bulk = wishes.reveal_all || !wishes.reveal_topics.is_empty();
+        let named = !wishes.records.is_empty() || (!wishes.reveal.is_empty() && !in_bulk);
         if named && !narrowed {
             return Ok(rows);
         }
         let ledger = &self.parts.plant.ledger;
-        let mut query = RecordQuery {
-            owner: Some(owner.address),
-            topic: wishes.topic.as_ref().map(ToString::to_string),
-            since: wishes.since,
-            until: wishes.until,
-            limit: PAGE,
-            ..RecordQuery::default()
-        };
+        let of_robot = UploadQuery { robot: wishes.robot.clone(), limit: PAGE, ..UploadQuery::default() };
+        let (owner_of, since, until) = (Some(owner.address), wishes.since, wishes.until);
+        let query = self.reading.of_robot(&[owner.address], of_robot)?;
+        let mut query = RecordQuery { owner: owner_of, kind: None, since, until, ..query };
+        let topics = Some(TopicPatterns(wishes.topics.clone())).filter(|topics| !topics.0.is_empty());
+        query.topics.extend(topics);
         block_in_place(|| {
             if let Some(name) = &wishes.incident {
                 query = incidents::narrowed(&ledger.incidents, owner.address, name, query)?;
@@ -144,12 +167,12 @@ impl Evidence {
 
     async fn write_evidence(
         &self,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         network: &Network,
         (rows, reveal): (&[RecordRow], &BTreeSet<Digest>),
         about: Option<&IncidentView>,
         file: &Path,
-    ) -> Result<EvidenceView, Failure> {
+    ) -> Result<EvidenceView> {
         let reader = Reader { plant: &self.parts.plant, network, reader: owner };
         let authorities = block_in_place(|| self.stamps.suggested());
         let gathered = gather(&reader, rows, reveal, authorities).await?;
@@ -164,9 +187,40 @@ impl Evidence {
             bytes: bytes.len() as u64,
             records: gathered.records,
             revealed: gathered.revealed,
+            topics: disclosed_topics(rows, reveal),
+            written: true,
             notes: gathered.notes,
         })
     }
+}
+
+/// The chosen messages and definitions that are to be disclosed together. What a site says of itself never is: it names
+/// all topics.
+fn of_topics<'a>(rows: &'a [RecordRow], wishes: &EvidenceWishes) -> Result<BTreeMap<String, Vec<&'a RecordRow>>> {
+    let mut found: BTreeMap<String, Vec<&RecordRow>> = BTreeMap::new();
+    let is_content = |row: &&RecordRow| row.kind.is_content() || row.kind == RecordKind::Definition;
+    for row in rows.iter().filter(is_content) {
+        if wishes.reveal_all || wishes.reveal_topics.iter().any(|pattern| pattern.matches(&row.topic)) {
+            found.entry(row.topic.clone()).or_default().push(row);
+        }
+    }
+    let is_unmet = |pattern: &&TopicPattern| !found.keys().any(|topic| pattern.matches(topic));
+    match wishes.reveal_topics.iter().find(is_unmet) {
+        Some(pattern) => {
+            Err(input(format!("no chosen message has a topic that matches {pattern}; nothing is disclosed")))
+        }
+        None => Ok(found),
+    }
+}
+
+fn disclosed_topics(rows: &[RecordRow], reveal: &BTreeSet<Digest>) -> Vec<DisclosedTopic> {
+    let mut counts: BTreeMap<String, u64> = BTreeMap::new();
+    for row in rows.iter().filter(|row| reveal.contains(&row.digest)) {
+        *counts.entry(clean(&row.topic, 255)).or_default() += 1;
+    }
+    let mut topics: Vec<_> = counts.into_iter().map(|(topic, records)| DisclosedTopic { topic, records }).collect();
+    topics.sort_by_key(|one| Reverse(one.records));
+    topics
 }
 
 /// Drops what proves nothing in an incident's bundle unless named; says how many.
@@ -228,7 +282,7 @@ impl ChainProofs {
         *trouble = problem.map(|why| (since, why));
     }
 
-    pub fn health(&self) -> Result<Option<PartHealth>, Failure> {
+    pub fn health(&self) -> Result<Option<PartHealth>> {
         let counts = self.parts.plant.ledger.proofs.chain_proof_counts()?;
         let trouble = self.trouble.lock().unwrap_or_else(PoisonError::into_inner).clone();
         if counts.newest.is_none() && counts.missed == 0 && trouble.is_none() {
@@ -250,7 +304,7 @@ fn waiting_part(part: &str, told: &str, trouble: Option<(Timestamp, String)>) ->
         Some((since, why)) => (HealthLevel::Waiting, Some(since), format!("{told}; {why}")),
         None => (HealthLevel::Ok, None, told.to_owned()),
     };
-    PartHealth { part: part.to_owned(), level, text: clean(&text, 300), since, retry: None }
+    PartHealth { since, ..PartHealth::new(part, level, &clean(&text, 300)) }
 }
 
 #[cfg(test)]

@@ -1,48 +1,44 @@
-//! `report.html` of a bundle. It proves nothing and says so; no scripts, no requests, every text cleaned and escaped.
+//! `report.html` of a bundle: page one in the sentences of the verdict, then what is disclosed, then tables. It proves
+//! nothing and says so; no scripts, no requests, every text cleaned and escaped.
 
-use std::collections::BTreeMap;
+mod figures;
+
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::sync::Arc;
 
 use authros_evidence::{Bundle, RecordReport, Report};
-use base64::Engine as _;
-use base64::engine::general_purpose::STANDARD;
 
-use crate::model::{Head, Timestamp, clean};
+use self::figures::{data_uri, plot, series, timeline};
+use crate::model::{Digest, Head, Timestamp, clean};
 use crate::pipeline::importer;
 use crate::reply::IncidentView;
 use crate::ros::message::{Folders, type_hash};
-use crate::ros::readable::{self, Plot, Readable};
+use crate::ros::readable::{self, Place, Readable};
 use crate::ros::recording::{Described, TYPE_HASH, TypeFacts};
 use crate::ros::{Definition, Limits};
 
 const MOST_ROWS: usize = 500;
-const MOST_SHOWN: usize = 100;
-/// Size from which disclosed records are left out, bytes.
-const LONGEST: usize = 4 << 20;
+const MOST_TOPICS: usize = 20;
+/// Records of a topic whose values are drawn.
+const MOST_DRAWN: usize = 400;
+/// Records of a topic whose values are listed.
+const MOST_LISTED: usize = 12;
+const MOST_PICTURES: usize = 6;
+/// Columns of values.
+const MOST_COLUMNS: usize = 4;
+/// Size from which disclosed topics are left out, bytes.
+const LONGEST: usize = 8 << 20;
 const MOST_FIELDS: usize = 200;
 const WIDEST: usize = 1000;
+/// Characters of a short digest.
+const SHORT: usize = 12;
 
-const HEAD: &str = "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-    <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'; img-src data:\">\n\
-    <title>Evidence report</title>\n<style>\n\
-    body { font: 14px/1.45 serif; max-width: 60em; margin: 2em auto; padding: 0 1em; color: #111; background: #fff }\n\
-    h1, h2, h3 { font-family: sans-serif; line-height: 1.2 } h2 { border-bottom: 1px solid #999 }\n\
-    table { border-collapse: collapse; width: 100%; margin: .6em 0 } th, td { border: 1px solid #bbb; padding: .2em .4em; \
-    text-align: left; vertical-align: top; overflow-wrap: break-word }\n\
-    th, .levels td + td { white-space: nowrap } td.long { overflow-wrap: anywhere } .facts td:first-child { width: 11em }\n\
-    th { background: #eee } code, td.n { font: 12px/1.4 monospace; overflow-wrap: anywhere }\n\
-    pre { font: 12px/1.4 monospace; white-space: pre-wrap; border: 1px solid #bbb; padding: .5em }\n\
-    .mark { border: 3px solid #a00; padding: .6em 1em } .bad { color: #a00; font-weight: bold }\n\
-    img { image-rendering: pixelated; width: 480px; max-width: 100%; border: 1px solid #bbb } svg { border: 1px solid #bbb }\n\
-    @media print { body { margin: 0; max-width: none; font-size: 11px } tr, svg, img { break-inside: avoid } \
-    h2, h3, p.title { break-after: avoid } svg, img { width: 340px; height: auto } .levels { font-size: 9px } }\n\
-    </style>\n</head>\n<body>\n";
+const HEAD: &str = include_str!("page/head.html");
 
-const MARK: &str = "<p class=\"mark\"><b>This page is not authoritative.</b> It was written by the program of the \
-    person who made the file, using that program's own trust settings, and proves nothing. To see what the file \
-    proves, check it: <code>authros verify FILE.authros --trust trust.toml</code>, offline, with a trust file of your \
-    own, or by <code>tools/verify.py</code> of the same source.</p>\n";
+const MARK: &str = "<p class=\"mark\"><b>This page proves nothing.</b> The program of the person who made the file wrote it, \
+    with that program's own trust settings. Check the file: drop it on <code>verify.html</code> in a browser, or run \
+    <code>authros evidence verify FILE.authros --trust trust.toml</code>, with a trust file of your own.</p>\n";
 
 pub(super) fn escape(text: &str) -> String {
     let text = clean(text, WIDEST).replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;");
@@ -53,15 +49,9 @@ fn put(out: &mut String, text: std::fmt::Arguments<'_>) {
     let _infallible = out.write_fmt(text);
 }
 
-/// Characters from which a word may break anywhere.
-const LONG_WORD: usize = 40;
-
 fn row<'a>(out: &mut String, cell: &str, cells: impl IntoIterator<Item = &'a str>) {
     out.push_str("<tr>");
-    for text in cells {
-        let class = if text.split_whitespace().any(|word| word.len() > LONG_WORD) { " class=\"long\"" } else { "" };
-        put(out, format_args!("<{cell}{class}>{}</{cell}>", escape(text)));
-    }
+    cells.into_iter().for_each(|text| put(out, format_args!("<{cell}>{}</{cell}>", escape(text))));
     out.push_str("</tr>\n");
 }
 
@@ -84,50 +74,42 @@ fn fact(name: impl Into<String>, value: impl Into<String>) -> Vec<String> {
     vec![name.into(), value.into()]
 }
 
+fn short(digest: Digest) -> String {
+    digest.to_hex().chars().take(SHORT).collect()
+}
+
 pub(super) fn page(bundle: &Bundle, report: &Report, about: Option<&IncidentView>) -> String {
     let mut out = format!("{HEAD}<h1>Evidence report</h1>\n{MARK}");
-    summary(&mut out, bundle, report);
-    if let Some(about) = about {
-        incident(&mut out, about);
-    }
-    levels(&mut out, report);
-    completeness(&mut out, report);
+    first_page(&mut out, report, about);
     disclosed(&mut out, bundle, report);
-    notes(&mut out, report);
+    let mut sorted: Vec<&RecordReport> = report.records.iter().collect();
+    sorted.sort_by_key(|record| (record.captured_at, record.seq, record.digest));
+    let listed = sorted.get(..MOST_ROWS).unwrap_or(sorted.as_slice());
+    records(&mut out, report, listed);
+    completeness(&mut out, report);
+    appendix(&mut out, bundle, report, listed);
     out.push_str("</body>\n</html>\n");
     out
 }
 
-fn summary(out: &mut String, bundle: &Bundle, report: &Report) {
-    let (chain, exporter) = (&bundle.manifest.chain, &bundle.manifest.exporter);
-    let span = |time: fn(&RecordReport) -> Option<Timestamp>| {
-        let times = || report.records.iter().filter_map(time);
-        match times().min().zip(times().max()) {
-            Some((first, last)) => format!("{first} to {last}"),
-            None => "not shown".to_owned(),
-        }
-    };
-    let opened = report.records.iter().filter(|record| record.disclosed.is_some()).count();
-    let mut owners: BTreeMap<String, u64> = BTreeMap::new();
-    for record in &report.records {
-        let owner = record.owner.map_or_else(|| "unreadable".to_owned(), |owner| owner.to_string());
-        *owners.entry(owner).or_default() += 1;
+/// What, who, when, by whose proof, and what is not proven.
+fn first_page(out: &mut String, report: &Report, about: Option<&IncidentView>) {
+    out.push_str("<section class=\"first\">\n");
+    if let Some(about) = about {
+        incident(out, about);
     }
-    out.push_str("<h2>What, who, when</h2>\n");
-    let mut rows = vec![
-        fact("Records", format!("{}, {opened} of them disclosed", report.records.len())),
-        fact("Capture time (claimed by the owner)", span(|record| record.captured_at)),
-        fact("Anchored (block timestamp)", span(|record| record.anchored_at)),
-        fact("Existed before (trusted timestamp)", span(|record| record.existed_before)),
-        fact("Assembled by", format!("{} with the key {}", exporter.account, exporter.key)),
-        fact("Chain", format!("id {}, genesis {}, contract {}", chain.id, chain.genesis, chain.contract)),
-    ];
-    rows.extend(owners.iter().map(|(owner, records)| fact("Owner", format!("{owner}: {records} records"))));
-    facts(out, &rows);
-    put(out, format_args!("<p><b>Using the exporter's own trust settings: {}.</b></p>\n", escape(report.last_line())));
+    out.push_str("<h2>Result, by the exporter's own trust settings</h2>\n");
+    let (outcome, sentences) =
+        report.verdict.split_first().map_or(("", &[][..]), |(first, rest)| (first.as_str(), rest));
+    put(out, format_args!("<p class=\"outcome\">{}</p>\n<ul>\n", escape(outcome)));
+    sentences.iter().for_each(|sentence| put(out, format_args!("<li>{}</li>\n", escape(sentence))));
+    out.push_str(
+        "</ul>\n<p class=\"small\">Levels: (a) the bytes are intact and signed; (b) the key was its owner's at the anchoring \
+         block; (c) anchored in a block; (d) an outside authority's time; (e) opened by its owner's disclosure; (f) which \
+         numbers are there.</p>\n</section>\n",
+    );
 }
 
-/// Topics appear as their pseudonyms.
 fn incident(out: &mut String, about: &IncidentView) {
     out.push_str("<h2>Incident, in its owner's words</h2>\n");
     let until = about.until.map_or_else(|| "still open".to_owned(), |until| until.to_string());
@@ -136,26 +118,192 @@ fn incident(out: &mut String, about: &IncidentView) {
     facts(out, &rows);
 }
 
-fn levels(out: &mut String, report: &Report) {
-    out.push_str(
-        "<h2>Levels</h2>\n<p>(a) the bytes are intact and signed; (b) the key was its owner's at the anchoring block; (c) \
-         anchored in a block; (d) an outside authority's time; (e) opened by its owner's disclosure.</p>\n",
+/// The disclosed records by topic; what recorders state of themselves is reported under (f).
+fn by_topic(report: &Report) -> BTreeMap<&str, Vec<&RecordReport>> {
+    let mut topics: BTreeMap<&str, Vec<&RecordReport>> = BTreeMap::new();
+    for record in report.records.iter().filter(|record| !record.is_statement()) {
+        if let Some(disclosed) = &record.disclosed {
+            topics.entry(&disclosed.topic).or_default().push(record);
+        }
+    }
+    topics.values_mut().for_each(|records| records.sort_by_key(|record| (record.captured_at, record.seq)));
+    topics
+}
+
+fn disclosed(out: &mut String, bundle: &Bundle, report: &Report) {
+    let topics = by_topic(report);
+    out.push_str("<h2>Disclosed records</h2>\n");
+    if topics.is_empty() {
+        out.push_str("<p>None: every message in the file is sealed, except recorders' own statements.</p>\n");
+        return;
+    }
+    let times = topics.iter().take(MOST_TOPICS).map(|(topic, records)| {
+        (clean(topic, 40), records.iter().filter_map(|record| record.captured_at).collect::<Vec<_>>())
+    });
+    timeline(out, &times.collect::<Vec<_>>());
+    for (place, (topic, records)) in topics.iter().enumerate() {
+        if place == MOST_TOPICS || out.len() > LONGEST {
+            put(out, format_args!("<p>and {} more topics, which are not shown here</p>\n", topics.len() - place));
+            return;
+        }
+        one_topic(out, (bundle, report), topic, records);
+    }
+}
+
+/// Evenly spread, the first and the last among them.
+fn spread<'a>(records: &[&'a RecordReport], most: usize) -> Vec<&'a RecordReport> {
+    let steps = most.min(records.len());
+    let last = records.len().saturating_sub(1);
+    let place = |step: usize| (step * last).checked_div(steps.saturating_sub(1)).unwrap_or_default();
+    (0..steps).filter_map(|step| records.get(place(step)).copied()).collect()
+}
+
+fn one_topic(out: &mut String, (bundle, report): (&Bundle, &Report), topic: &str, records: &[&RecordReport]) {
+    let opened = || records.iter().filter_map(|record| record.disclosed.as_ref());
+    let types: BTreeSet<&str> = opened().map(|disclosed| disclosed.type_name.as_str()).collect();
+    let publishers: BTreeSet<&str> = opened().map(|disclosed| disclosed.publisher.as_str()).take(MOST_ROWS).collect();
+    let types = types.into_iter().collect::<Vec<_>>().join(", ");
+    put(out, format_args!("<section>\n<h3>{} <code>{}</code></h3>\n", escape(topic), escape(&types)));
+    let times = || records.iter().filter_map(|record| record.captured_at);
+    let span = times()
+        .min()
+        .zip(times().max())
+        .map_or_else(String::new, |(first, last)| format!("{} to {}", first.in_milliseconds(), last.in_milliseconds()));
+    facts(
+        out,
+        &[
+            fact("Records", records.len().to_string()),
+            fact("Captured, as their owner claims", span),
+            fact("Published by", publishers.into_iter().collect::<Vec<_>>().join(", ")),
+        ],
     );
-    let mut sorted: Vec<&RecordReport> = report.records.iter().collect();
-    sorted.sort_by_key(|record| (record.captured_at, record.seq, record.digest));
-    let rows: Vec<Vec<String>> = sorted.into_iter().take(MOST_ROWS).map(level_row).collect();
-    table(out, "levels", &["record", "number", "captured", "block", "(a)", "(b)", "(c)", "(d)", "(e)"], &rows);
+    let drawn = Drawn::of((bundle, report), records);
+    drawn.put(out);
+    if let Some(first) = records.first() {
+        let (digest, number) = (short(first.digest), first.seq.unwrap_or_default());
+        put(out, format_args!("<h4>The first of them in full: no. {number}, <code>{digest}</code></h4>\n"));
+        let tags = first.disclosed.iter().flat_map(|disclosed| &disclosed.tags);
+        let tags: Vec<_> = tags.map(|(name, value)| fact(format!("Tag {name}"), &**value)).collect();
+        if !tags.is_empty() {
+            facts(out, &tags);
+        }
+        message(out, bundle, report, first, &mut Limits::default());
+    }
+    out.push_str("</section>\n");
+}
+
+/// One message: when, its number, and each plain field as text.
+struct Sample {
+    at: Timestamp,
+    number: u64,
+    fields: Vec<(String, String)>,
+}
+
+impl Sample {
+    fn field(&self, name: &str) -> Option<&str> {
+        self.fields.iter().find(|(path, _)| path == name).map(|(_, text)| text.as_str())
+    }
+}
+
+/// What a topic's messages show together.
+struct Drawn {
+    places: Vec<Place>,
+    samples: Vec<Sample>,
+    /// When, and the picture as PNG.
+    pictures: Vec<(Timestamp, Vec<u8>)>,
+}
+
+impl Drawn {
+    fn of((bundle, report): (&Bundle, &Report), records: &[&RecordReport]) -> Self {
+        let mut drawn = Self { places: Vec::new(), samples: Vec::new(), pictures: Vec::new() };
+        let mut limits = Limits::default();
+        let chosen = spread(records, MOST_DRAWN);
+        let pictured: BTreeSet<Digest> = spread(&chosen, MOST_PICTURES).iter().map(|record| record.digest).collect();
+        for record in chosen {
+            let Some(revealed) = report.messages.get(&record.digest) else { continue };
+            let Some(definition) = definition_of(bundle, &revealed.head) else { continue };
+            let (at, number) = (record.captured_at.unwrap_or_default(), record.seq.unwrap_or_default());
+            drawn.places.extend(readable::place(&definition, &revealed.body));
+            if pictured.contains(&record.digest) {
+                let picture = readable::read(&definition, &revealed.body).and_then(|readable| readable.picture);
+                drawn.pictures.extend(picture.and_then(|raster| raster.png().ok()).map(|png| (at, png)));
+            }
+            if let Ok(value) = definition.decode_from(&revealed.body, &mut limits) {
+                drawn.samples.push(Sample { at, number, fields: value.flatten(MOST_FIELDS) });
+            }
+        }
+        drawn
+    }
+
+    fn put(&self, out: &mut String) {
+        if self.pictures.len() > 1 {
+            out.push_str("<div class=\"pictures\">\n");
+            for (at, png) in &self.pictures {
+                let uri = data_uri(png);
+                let when = at.in_milliseconds();
+                put(
+                    out,
+                    format_args!("<figure><img alt=\"a picture, reduced\" src=\"{uri}\"><p>{when}</p></figure>\n"),
+                );
+            }
+            out.push_str("</div>\n");
+        }
+        let columns = self.columns();
+        match readable::track("Track", &self.places, None).filter(|_| self.places.len() > 1) {
+            Some(track) => plot(out, &track),
+            None => columns.iter().filter_map(|name| series(name, &self.numbers(name))).for_each(|one| plot(out, &one)),
+        }
+        if self.samples.len() > 1 && !columns.is_empty() {
+            let step = self.samples.len().div_ceil(MOST_LISTED);
+            let rows = self.samples.iter().step_by(step).map(|one| {
+                let value = |name: &&str| one.field(name).unwrap_or("-").to_owned();
+                [one.at.in_milliseconds(), one.number.to_string()]
+                    .into_iter()
+                    .chain(columns.iter().map(value))
+                    .collect()
+            });
+            let head: Vec<&str> = ["captured", "number"].into_iter().chain(columns.iter().copied()).collect();
+            table(out, "plain", &head, &rows.collect::<Vec<Vec<String>>>());
+        }
+    }
+
+    /// The first fields that change, short ones alone.
+    fn columns(&self) -> Vec<&str> {
+        let Some(first) = self.samples.first() else { return Vec::new() };
+        let changes =
+            |name: &str, text: &str| self.samples.iter().any(|one| one.field(name).is_some_and(|now| now != text));
+        let is_clock = |name: &str| name.starts_with("header.");
+        let fitting = first.fields.iter().filter(|(name, text)| {
+            text.chars().count() <= 24 && name.chars().count() <= 40 && !is_clock(name) && changes(name, text)
+        });
+        fitting.take(MOST_COLUMNS).map(|(name, _)| name.as_str()).collect()
+    }
+
+    fn numbers(&self, name: &str) -> Vec<(Timestamp, f64)> {
+        self.samples.iter().filter_map(|one| Some((one.at, one.field(name)?.parse().ok()?))).collect()
+    }
+}
+
+fn records(out: &mut String, report: &Report, listed: &[&RecordReport]) {
+    out.push_str("<h2>Records</h2>\n<p>Short digests; the appendix has them in full.</p>\n");
+    let rows: Vec<Vec<String>> = listed.iter().map(|record| level_row(record)).collect();
+    table(out, "levels", &["record", "topic", "no.", "captured", "block", "(a)", "(b)", "(c)", "(d)", "(e)"], &rows);
     if let Some(more) = report.records.len().checked_sub(MOST_ROWS).filter(|more| *more > 0) {
-        put(out, format_args!("<p>and {more} more records</p>\n"));
+        let text = "more records; <code>authros evidence verify FILE.authros --records</code> lists all of them";
+        put(out, format_args!("<p>and {more} {text}</p>\n"));
     }
 }
 
 fn level_row(record: &RecordReport) -> Vec<String> {
     let text = |value: Option<String>| value.unwrap_or_else(|| "-".to_owned());
+    let sealed =
+        || record.topic_id.map(|topic| format!("sealed {}", topic.to_hex().chars().take(8).collect::<String>()));
+    let topic = record.disclosed.as_ref().map(|disclosed| clean(&disclosed.topic, 40));
     let mut cells = vec![
-        record.digest.to_string(),
+        short(record.digest),
+        text(topic.or_else(sealed)),
         text(record.seq.map(|seq| seq.to_string())),
-        text(record.captured_at.map(|at| at.to_string())),
+        text(record.captured_at.map(Timestamp::in_milliseconds)),
         text(record.block.map(|block| block.to_string())),
     ];
     cells.extend(record.levels().map(|(_, level)| level.standing.word().to_owned()));
@@ -165,50 +313,33 @@ fn level_row(record: &RecordReport) -> Vec<String> {
 fn completeness(out: &mut String, report: &Report) {
     out.push_str("<h2>(f) Completeness of numbers</h2>\n");
     let stretches = report.complete.iter().take(MOST_ROWS);
+    let brief = |text: String| text.chars().take(SHORT).collect::<String>();
     let rows: Vec<Vec<String>> = stretches
         .map(|one| {
-            vec![one.topic_id.to_string(), one.recorder.to_string(), one.standing.word().to_owned(), one.text.clone()]
+            let (topic, recorder) = (brief(one.topic_id.to_hex()), brief(one.recorder.to_string()));
+            vec![topic, recorder, one.standing.word().to_owned(), one.text.clone()]
         })
         .collect();
     table(out, "plain", &["topic", "recorder", "result", "what is present"], &rows);
 }
 
-fn disclosed(out: &mut String, bundle: &Bundle, report: &Report) {
-    let mut limits = Limits::default();
-    // Recorders' statements are reported under (f).
-    let is_chosen = |record: &&RecordReport| record.disclosed.is_some() && !record.is_statement();
-    let opened: Vec<&RecordReport> = report.records.iter().filter(is_chosen).collect();
-    out.push_str("<h2>Disclosed records</h2>\n");
-    if opened.is_empty() {
-        out.push_str("<p>None: every message in the file is sealed, except recorders' own statements.</p>\n");
-    }
-    for (at, record) in opened.iter().enumerate() {
-        if at == MOST_SHOWN || out.len() > LONGEST {
-            put(out, format_args!("<p>and {} more, which are not shown here</p>\n", opened.len() - at));
-            return;
-        }
-        one(out, bundle, report, record, &mut limits);
-    }
-}
-
-fn one(out: &mut String, bundle: &Bundle, report: &Report, record: &RecordReport, limits: &mut Limits) {
-    let Some(opened) = &record.disclosed else { return };
-    put(
+fn appendix(out: &mut String, bundle: &Bundle, report: &Report, listed: &[&RecordReport]) {
+    let (chain, exporter) = (&bundle.manifest.chain, &bundle.manifest.exporter);
+    out.push_str("<h2>Appendix</h2>\n");
+    facts(
         out,
-        format_args!("<section>\n<h3>{} <code>{}</code></h3>\n", escape(&opened.topic), escape(&opened.type_name)),
+        &[
+            fact("Exporter", format!("{}: {}", exporter.account, report.exporter.text)),
+            fact("Exporter's key", exporter.key.to_string()),
+            fact("Chain", format!("id {}, genesis {}, contract {}", chain.id, chain.genesis, chain.contract)),
+        ],
     );
-    let mut rows = vec![
-        fact("Record", record.digest.to_string()),
-        fact("Published by", opened.publisher.clone()),
-        fact("Message", format!("{} bytes, SM3 {}", opened.length, opened.message_sm3)),
-    ];
-    rows.extend(opened.tags.iter().map(|(name, value)| fact(format!("Tag {name}"), &**value)));
-    for (letter, level) in record.levels() {
-        rows.push(fact(format!("({letter}) {}", level.standing.word()), &*level.text));
-    }
-    facts(out, &rows);
-    message(out, bundle, report, record, limits);
-    out.push_str("</section>\n");
+    out.push_str("<ul>\n");
+    report.warnings.iter().for_each(|text| put(out, format_args!("<li>{}</li>\n", escape(text))));
+    out.push_str("</ul>\n<h3>Digests (SM3) in full, in the order of the table</h3>\n<p class=\"digests\">");
+    listed.iter().for_each(|record| put(out, format_args!("<code>{}</code>\n", record.digest)));
+    let by_hand: String = authros_evidence::READ_ME_TEXT.lines().map(|line| escape(line) + "\n").collect();
+    put(out, format_args!("</p>\n<h3>Check it manually</h3>\n<pre>{by_hand}</pre>\n"));
 }
 
 /// The one that the head names, or one with the type's hash, stored or built in.
@@ -257,94 +388,5 @@ fn easy(out: &mut String, readable: &Readable) {
     }
 }
 
-fn notes(out: &mut String, report: &Report) {
-    out.push_str("<h2>Notes</h2>\n<ul>\n");
-    put(out, format_args!("<li>{}</li>\n", escape(&report.exporter.text)));
-    report.warnings.iter().for_each(|text| put(out, format_args!("<li>{}</li>\n", escape(text))));
-    let by_hand: String = authros_evidence::READ_ME_TEXT.lines().map(|line| escape(line) + "\n").collect();
-    put(out, format_args!("</ul>\n<h2>Check it manually</h2>\n<pre>{by_hand}</pre>\n"));
-}
-
-const WIDTH: f64 = 560.0;
-const HEIGHT: f64 = 320.0;
-const EDGE: f64 = 24.0;
-
-pub(super) fn data_uri(png: &[u8]) -> String {
-    format!("data:image/png;base64,{}", STANDARD.encode(png))
-}
-
-fn finite(points: &[(f64, f64)]) -> impl Iterator<Item = (f64, f64)> {
-    points.iter().copied().filter(|(x, y)| x.is_finite() && y.is_finite() && x.abs() < 1e12 && y.abs() < 1e12)
-}
-
-fn ends(numbers: impl Iterator<Item = f64>) -> (f64, f64) {
-    let (least, most) = numbers.fold((f64::MAX, f64::MIN), |(least, most), one| (least.min(one), most.max(one)));
-    if most > least { (least, most) } else { (least - 1.0, least + 1.0) }
-}
-
-pub(super) fn plot(out: &mut String, plot: &Plot) {
-    let points: Vec<(f64, f64)> = finite(&plot.points).collect();
-    let here: Vec<(f64, f64)> = finite(plot.here.as_slice()).collect();
-    let all = || points.iter().chain(&here);
-    // A single place in an empty frame says nothing new.
-    if all().all(|point| all().next() == Some(point)) {
-        return;
-    }
-    let (x, y) = (ends(all().map(|point| point.0)), ends(all().map(|point| point.1)));
-    let place = |point: &(f64, f64)| {
-        let across = EDGE + (point.0 - x.0) / (x.1 - x.0) * (WIDTH - 2.0 * EDGE);
-        let down = HEIGHT - EDGE - (point.1 - y.0) / (y.1 - y.0) * (HEIGHT - 2.0 * EDGE);
-        format!("{across:.1},{down:.1}")
-    };
-    let path: Vec<String> = points.iter().map(place).collect();
-    put(out, format_args!("<p class=\"title\">{}</p>\n", escape(&plot.title)));
-    put(out, format_args!("<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" width=\"{WIDTH}\">\n"));
-    if plot.path {
-        put(out, format_args!("<polyline fill=\"none\" stroke=\"#036\" points=\"{}\"/>\n", path.join(" ")));
-    }
-    let dots = path.iter().filter(|_| !plot.path).map(|at| (at.clone(), "#036", 1.2));
-    for (at, colour, radius) in dots.chain(here.iter().map(|point| (place(point), "#a00", 4.0))) {
-        let (across, down) = at.split_once(',').unwrap_or(("0", "0"));
-        put(out, format_args!("<circle cx=\"{across}\" cy=\"{down}\" r=\"{radius}\" fill=\"{colour}\"/>\n"));
-    }
-    let (across, up) = (escape(&plot.axes.0), escape(&plot.axes.1));
-    let ends = format!("{across}: {:.3} to {:.3}; {up}: {:.3} to {:.3}", x.0, x.1, y.0, y.1);
-    put(out, format_args!("</svg>\n<p>{ends}</p>\n"));
-}
-
 #[cfg(test)]
 mod tests;
-
-#[cfg(test)]
-mod figure_tests {
-    use super::*;
-
-    #[test]
-    fn base64_is_that_of_rfc_4648() {
-        for (bytes, text) in [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foobar", "Zm9vYmFy")] {
-            assert_eq!(data_uri(bytes.as_bytes()), format!("data:image/png;base64,{text}"));
-        }
-    }
-
-    #[test]
-    fn a_plot_has_every_point_within_its_frame_and_its_names_are_escaped() {
-        let shown = Plot {
-            title: "<script>alert(1)</script>".into(),
-            axes: ("x\"".into(), "<y>".into()),
-            points: vec![(0.0, 0.0), (f64::NAN, 1.0), (1e300, 0.0), (2.0, 4.0)],
-            path: true,
-            here: Some((2.0, 4.0)),
-        };
-        let mut out = String::new();
-        plot(&mut out, &shown);
-        assert!(
-            out.contains("points=\"24.0,296.0 536.0,24.0\"") && out.contains("cx=\"536.0\" cy=\"24.0\" r=\"4\""),
-            "{out}"
-        );
-        assert!(!out.contains("<script") && !out.contains("NaN") && out.contains("&lt;y&gt;"), "{out}");
-        let mut nothing = String::new();
-        plot(&mut nothing, &Plot { points: vec![(f64::NAN, 0.0)], ..Plot::default() });
-        plot(&mut nothing, &Plot { points: vec![(1.0, 2.0)], here: Some((1.0, 2.0)), ..Plot::default() });
-        assert_eq!(nothing, "", "one place is no plot");
-    }
-}

@@ -76,3 +76,41 @@ fn an_open_incident_leaves_out_what_is_not_anchored_and_says_how_much() {
     assert_eq!(left(false, &[]).0, [1, 2, 3, 6, 7]);
     assert_eq!(left(true, &["record3"]).0, [1, 3, 6]);
 }
+
+#[test]
+fn a_pattern_discloses_chosen_messages_and_their_definitions_and_nothing_that_a_site_says_of_itself() {
+    let of = |number: u8, topic: &str, kind: RecordKind| RecordRow {
+        topic: topic.to_owned(),
+        kind,
+        ..row(number, RecordState::Verified, Some(7))
+    };
+    let rows = [
+        of(1, "/robot1/odom", RecordKind::Definition),
+        of(2, "/robot1/odom", RecordKind::Data),
+        of(3, "/robot2/odom", RecordKind::Data),
+        of(4, "/robot2/scan", RecordKind::Data),
+        of(5, "authros/recorder", RecordKind::Audit),
+        of(6, "/robot1/odom", RecordKind::Gap),
+        of(7, "authros/attachments", RecordKind::Attachment),
+    ];
+    let disclosed = |wishes: &EvidenceWishes| -> Result<Vec<u64>, String> {
+        let found = of_topics(&rows, wishes).map_err(|failure| failure.message)?;
+        Ok(found.values().flatten().map(|row| row.seq).collect::<Vec<_>>())
+    };
+    let patterns = |patterns: &[&str]| EvidenceWishes {
+        reveal_topics: patterns.iter().map(|one| one.parse().expect("a pattern")).collect(),
+        ..EvidenceWishes::default()
+    };
+    assert_eq!(disclosed(&patterns(&[])), Ok(Vec::new()));
+    assert_eq!(disclosed(&patterns(&["/robot?/odom"])), Ok(vec![1, 2, 3]));
+    assert_eq!(disclosed(&patterns(&["/robot1/**", "/robot2/scan"])), Ok(vec![1, 2, 4]));
+    assert_eq!(disclosed(&patterns(&["**"])), Ok(vec![1, 2, 3, 4, 7]));
+    let all = EvidenceWishes { reveal_all: true, ..EvidenceWishes::default() };
+    assert_eq!(disclosed(&all), Ok(vec![1, 2, 3, 4, 7]));
+    let unmet = disclosed(&patterns(&["/robot1/*", "/robot3/*"]));
+    assert!(unmet.is_err_and(|why| why.contains("matches /robot3/*; nothing is disclosed")));
+    let reveal = BTreeSet::from([1, 2, 3].map(|number| Digest([number; 32])));
+    let told: Vec<(String, u64)> =
+        disclosed_topics(&rows, &reveal).into_iter().map(|one| (one.topic, one.records)).collect();
+    assert_eq!(told, [("/robot1/odom".to_owned(), 2), ("/robot2/odom".to_owned(), 1)]);
+}

@@ -19,7 +19,7 @@ use crate::crypto::random_bytes;
 use crate::model::{ErrorKind, Hash, Timestamp, clean};
 use crate::service::event::NoticeLevel;
 use crate::service::failure::{input, internal, refused};
-use crate::service::reply::{Failure, PartHealth, StampView, StampedView};
+use crate::service::reply::{Failure, PartHealth, Result, StampView, StampedView};
 use crate::site::evidence::waiting_part;
 use crate::site::parts::Parts;
 use crate::store::KeptStamp;
@@ -91,7 +91,7 @@ impl TimeStamps {
         }
     }
 
-    fn begin(&self, at_once: bool, now: Timestamp) -> Result<u64, Failure> {
+    fn begin(&self, at_once: bool, now: Timestamp) -> Result<u64> {
         let newest = self.parts.plant.ledger.proofs.stamp_counts()?.newest;
         let due = newest.is_none_or(|newest| Duration::from_nanos(now.0.saturating_sub(newest.0)) >= PERIOD);
         if !at_once && !due {
@@ -107,7 +107,7 @@ impl TimeStamps {
         }
     }
 
-    pub async fn stamp(&self) -> Result<StampView, Failure> {
+    pub async fn stamp(&self) -> Result<StampView> {
         if !self.is_wanted() {
             return Err(input("no time stamp authority is configured; set time.authorities (see docs/evidence.md)"));
         }
@@ -152,7 +152,7 @@ impl TimeStamps {
         }
     }
 
-    async fn ask(&self, authority: &TimeAuthority, tokens: &mut Vec<StampedView>) -> Result<(), Failure> {
+    async fn ask(&self, authority: &TimeAuthority, tokens: &mut Vec<StampedView>) -> Result<()> {
         let certificate = read(authority)?;
         let id = Hash(Sha256::digest(certificate.der()).into());
         let proofs = &self.parts.plant.ledger.proofs;
@@ -179,7 +179,7 @@ impl TimeStamps {
         Ok(())
     }
 
-    pub fn health(&self) -> Result<Option<PartHealth>, Failure> {
+    pub fn health(&self) -> Result<Option<PartHealth>> {
         if !self.is_wanted() {
             return Ok(None);
         }
@@ -204,7 +204,7 @@ impl TimeStamps {
 }
 
 /// Read each time: it may have been replaced.
-fn read(authority: &TimeAuthority) -> Result<Certificate, Failure> {
+fn read(authority: &TimeAuthority) -> Result<Certificate> {
     let path = clean(&authority.certificate.display().to_string(), 200);
     let failed = |why: String| input(format!("{path}: {why}; set time.authorities to a PEM certificate"));
     let length = std::fs::metadata(&authority.certificate).map_err(|error| failed(error.to_string()))?.len();
@@ -215,7 +215,7 @@ fn read(authority: &TimeAuthority) -> Result<Certificate, Failure> {
     Certificate::from_pem(&text).map_err(|error| failed(error.to_string()))
 }
 
-fn client(authority: &TimeAuthority) -> Result<reqwest::Client, Failure> {
+fn client(authority: &TimeAuthority) -> Result<reqwest::Client> {
     let client = reqwest::Client::builder().no_proxy().redirect(reqwest::redirect::Policy::none());
     let client = if authority.url.starts_with("https://") {
         let tls =
@@ -227,7 +227,7 @@ fn client(authority: &TimeAuthority) -> Result<reqwest::Client, Failure> {
     client.timeout(PATIENCE).build().map_err(|error| internal(authros_tls::innermost(&error)))
 }
 
-async fn fetch(client: &reqwest::Client, authority: &TimeAuthority, request: Vec<u8>) -> Result<Vec<u8>, Failure> {
+async fn fetch(client: &reqwest::Client, authority: &TimeAuthority, request: Vec<u8>) -> Result<Vec<u8>> {
     let name = clean(&authority.name, 80);
     let unreachable = |error: reqwest::Error| {
         let why = if error.is_timeout() { "no answer in time".to_owned() } else { authros_tls::innermost(&error) };

@@ -13,14 +13,16 @@ use crate::gateway::{Code, Received, Refusal};
 use crate::model::bytes::hex;
 use crate::model::{Address, Party, ProfileName, Timestamp};
 use crate::pipeline::Network;
-use crate::reply::{AdmittedView, Failure};
+use crate::reply::{AdmittedView, Result};
 use crate::site::contacts::Contacts;
 use crate::site::parts::Parts;
 use crate::store::notes::{AdmittedOwner, AdmittedOwners};
 
 const MOST: usize = 10_000;
-/// Subject of notices about an account that is not admitted.
-pub const ADMISSION: &str = "admission";
+/// Subject of notices about an account that asks to be allowed.
+pub fn subject(account: Address) -> String {
+    format!("allow {account}")
+}
 
 pub struct Admissions {
     parts: Parts,
@@ -35,11 +37,11 @@ impl Admissions {
         Self { parts: parts.clone(), contacts, admitted: RwLock::default(), changing }
     }
 
-    fn list(&self) -> Result<Vec<AdmittedOwner>, Failure> {
+    fn list(&self) -> Result<Vec<AdmittedOwner>> {
         Ok(self.parts.plant.ledger.notes.read(&AdmittedOwners {})?.unwrap_or_default())
     }
 
-    fn write(&self, list: &Vec<AdmittedOwner>) -> Result<(), Failure> {
+    fn write(&self, list: &Vec<AdmittedOwner>) -> Result<()> {
         self.parts.plant.ledger.notes.write(&AdmittedOwners {}, list)?;
         self.take_over(list);
         self.parts.hub.changed(Part::Health);
@@ -52,7 +54,7 @@ impl Admissions {
     }
 
     /// Reads the list for [`Self::is_on_list`].
-    pub fn open(&self) -> Result<(), Failure> {
+    pub fn open(&self) -> Result<()> {
         self.take_over(&self.list()?);
         Ok(())
     }
@@ -65,7 +67,7 @@ impl Admissions {
         self.admitted.read().unwrap_or_else(PoisonError::into_inner).contains(owner)
     }
 
-    pub async fn admit(&self, profile: &ProfileName, owner: &Party) -> Result<Vec<AdmittedView>, Failure> {
+    pub async fn admit(&self, profile: &ProfileName, owner: &Party) -> Result<Vec<AdmittedView>> {
         let owner = self.contacts.resolve(owner)?;
         {
             let _one_at_a_time = self.changing.lock().await;
@@ -74,20 +76,21 @@ impl Admissions {
                 if list.len() >= MOST {
                     return Err(refused(format!(
                         "a gateway can allow at most {MOST} owners; remove one with `authros \
-                                                gateway dismiss` first"
+                                                gateway deny` first"
                     )));
                 }
                 list.push(AdmittedOwner { owner, since: Timestamp::now(), by: profile.to_string() });
                 let admitted = async { self.write(&list) };
-                self.parts.log.deed(profile, "gateway admit", &owner.to_string(), admitted).await?;
-                self.parts.hub.notice_about(ADMISSION, NoticeLevel::Info, &format!("the gateway allows {owner} now"));
+                self.parts.log.deed(profile, "gateway allow", &owner.to_string(), admitted).await?;
+                let text = format!("the gateway allows {owner} now");
+                self.parts.hub.notice_about(&subject(owner), NoticeLevel::Info, &text);
             }
         }
         self.rows()
     }
 
     /// Refuses the owner from the next Command on; what it sent is kept and anchored.
-    pub async fn dismiss(&self, profile: &ProfileName, owner: &Party) -> Result<Vec<AdmittedView>, Failure> {
+    pub async fn dismiss(&self, profile: &ProfileName, owner: &Party) -> Result<Vec<AdmittedView>> {
         let owner = self.contacts.resolve(owner)?;
         if self.home_accounts().contains(&owner) {
             return Err(refused(format!("{owner} is a profile of this home and may always use its gateway")));
@@ -99,16 +102,16 @@ impl Admissions {
             list.retain(|admitted| admitted.owner != owner);
             if list.len() == before {
                 return Err(input(format!(
-                    "{owner} is not on this gateway's allow list; `authros gateway admitted` \
+                    "{owner} is not on this gateway's allow list; `authros gateway allowed` \
                                           shows it"
                 )));
             }
-            self.parts.log.deed(profile, "gateway dismiss", &owner.to_string(), async { self.write(&list) }).await?;
+            self.parts.log.deed(profile, "gateway deny", &owner.to_string(), async { self.write(&list) }).await?;
         }
         self.rows()
     }
 
-    pub fn rows(&self) -> Result<Vec<AdmittedView>, Failure> {
+    pub fn rows(&self) -> Result<Vec<AdmittedView>> {
         let (names, list) = (self.contacts.names()?, self.list()?);
         let row = |admitted: AdmittedOwner| AdmittedView {
             owner: admitted.owner,
@@ -155,8 +158,8 @@ impl GatewayDesk {
         if self.place.open {
             return Ok(Standing::Guest);
         }
-        let detail = format!("{account} is not allowed at this gateway; `authros gateway admit {account}` allows it");
-        Err(Refusal::new(Code::NotAdmitted, detail))
+        let detail = format!("{account} is not allowed at this gateway; `authros gateway allow {account}` allows it");
+        Err(Refusal { account: Some(*account), ..Refusal::new(Code::NotAdmitted, detail) })
     }
 
     /// Whether an account may have one more name here.
@@ -208,7 +211,7 @@ impl GatewayDesk {
         let how = "lifts its guest quota";
         Refusal::new(
             Code::Quota,
-            format_args!("{account} has reached its quota of {what}; `authros gateway admit {account}` {how}"),
+            format_args!("{account} has reached its quota of {what}; `authros gateway allow {account}` {how}"),
         )
     }
 }

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use tokio::sync::watch;
 
 use super::GatewayDesk;
-use super::admissions::{ADMISSION, Standing as Access};
+use super::admissions::{Standing as Access, subject};
 use super::erasing::not_taken;
 use super::reading::LONGEST_SILENCE;
 use crate::chain::RelayError;
@@ -109,15 +109,6 @@ impl GatewayDesk {
         self.gateway.parts.hub.stored.notify_waiters();
         self.gateway.parts.hub.changed(crate::service::event::Part::Uploads);
         Ok(Timestamp::now())
-    }
-
-    /// When the newest loan of a device was recalled; a later loan is valid again.
-    async fn recalled(&self, owner: &Address, device: &SignerId) -> Result<Option<Timestamp>, Refusal> {
-        let network = self.known_network()?;
-        let loans = network.directory.account(*owner).map(|account| account.devices).unwrap_or_default();
-        let block = loans.iter().rfind(|loan| loan.device == *device).and_then(|loan| loan.recalled);
-        let Some(block) = block else { return Ok(None) };
-        network.ask_time(block).await.map(Some).map_err(Refusal::because(Code::Stale))
     }
 
     /// A device's session is valid as long as its loan.
@@ -233,7 +224,7 @@ impl Desk for GatewayDesk {
 
     async fn binding(&self, name: &ProfileName) -> Result<Option<Binding>, Refusal> {
         let name = name.clone();
-        let bound = self.blocking(move |desk| {
+        self.blocking(move |desk| {
             let kept = desk.ledger().bindings.binding(&name).map_err(Refusal::internal)?;
             let Some(kept) = kept else { return Ok(None) };
             let provider = desk.gateway.parts.plant.provider;
@@ -241,17 +232,23 @@ impl Desk for GatewayDesk {
             let open =
                 |pair: &SmKeyPair| open_transport_key(provider, &pair.secret, name.as_str(), &kept.sealed_key).ok();
             let key = under.iter().find_map(open);
-            let key = key.ok_or_else(|| Refusal::new(Code::Internal, "the transport key at rest does not open"))?;
+            let key = key.ok_or_else(|| Refusal::new(Code::Tag, "the transport key at rest does not open"))?;
             drop(under);
             let KeptBinding { account, signing, envelope, device, .. } = kept;
-            let device = device.map(|(id, notices)| BoundDevice { id, notices, recalled: None });
+            let device = device.map(|(id, notices)| BoundDevice { id, notices });
             Ok(Some(Binding { account, key, signing, envelope, device }))
-        });
-        let mut bound = bound.await?;
-        if let Some(Binding { account, device: Some(device), .. }) = &mut bound {
-            device.recalled = self.recalled(account, &device.id).await?;
-        }
-        Ok(bound)
+        })
+        .await
+    }
+
+    /// Of the device's newest loan: a later one is valid again.
+    async fn recalled(&self, binding: &Binding) -> Result<Option<Timestamp>, Refusal> {
+        let Some(device) = &binding.device else { return Ok(None) };
+        let network = self.known_network()?;
+        let loans = network.directory.account(binding.account).map(|account| account.devices).unwrap_or_default();
+        let block = loans.iter().rfind(|loan| loan.device == device.id).and_then(|loan| loan.recalled);
+        let Some(block) = block else { return Ok(None) };
+        network.ask_time(block).await.map(Some).map_err(Refusal::because(Code::Stale))
     }
 
     async fn successor(&self, lost: &Address) -> Result<Option<Address>, Refusal> {
@@ -344,10 +341,10 @@ impl Desk for GatewayDesk {
         if self.gateway.parts.log.refused(&peer.ip().to_string(), &format!("{:?}", refusal.code)) {
             let (hub, text) =
                 (&self.gateway.parts.hub, format!("the gateway refused {}: {}", peer.ip(), refusal.detail));
-            match refusal.code {
+            match refusal.account {
                 // The keeper can change this.
-                Code::NotAdmitted => hub.notice_about(ADMISSION, NoticeLevel::Warning, &text),
-                _ => hub.inform(&format!("the gateway refused {}: {refusal}", peer.ip())),
+                Some(account) => hub.notice_about(&subject(account), NoticeLevel::Warning, &text),
+                None => hub.inform(&format!("the gateway refused {}: {refusal}", peer.ip())),
             }
         }
     }

@@ -196,7 +196,17 @@ pub fn not_taken(reason: &Reason, detail: impl fmt::Display) -> Refusal {
     let code = match reason {
         Reason::Crypto(_) => Code::Signature,
         Reason::Number => Code::Malformed,
-        _ => Code::Tampered,
+        Reason::NotARecord
+        | Reason::AnotherOwner
+        | Reason::AnotherSigner
+        | Reason::NoProof
+        | Reason::NotAnchored(_)
+        | Reason::NoRight(_)
+        | Reason::FalseName(_)
+        | Reason::NotErasable
+        | Reason::NotStated
+        | Reason::NumberedHere
+        | Reason::Unopened(_) => Code::Tampered,
     };
     Refusal::new(code, detail)
 }

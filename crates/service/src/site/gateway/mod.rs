@@ -32,7 +32,7 @@ use crate::pipeline::intake::Anchors;
 use crate::service::event::Part;
 use crate::service::failure::{input, refused};
 use crate::service::figures::GatewayFigures;
-use crate::service::reply::{Failure, GatewayStatusView, GatewayView, RefusedView, SenderView, SystemKeyView};
+use crate::service::reply::{GatewayStatusView, GatewayView, RefusedView, Result, SenderView, SystemKeyView};
 
 /// Longest wait for running requests when the gateway ends.
 const FAREWELL: Duration = Duration::from_secs(3);
@@ -131,7 +131,7 @@ impl Gateway {
         address: SocketAddr,
         open: bool,
         ended: oneshot::Receiver<()>,
-    ) -> Result<GatewayView, Failure> {
+    ) -> Result<GatewayView> {
         if self.parts.config.anchor_mode == AnchorMode::Each {
             let text = "a gateway anchors records of many owners, which requires batches; set anchor.mode = 'batch'";
             return Err(input(text));
@@ -140,7 +140,7 @@ impl Gateway {
         let registered = network.directory.identity(keeper.address)?;
         if registered.signing != keeper.signing().public {
             return Err(refused(format!(
-                "the signing key of profile '{}' is not the registered one; run `authros register` first",
+                "the signing key of profile '{}' is not the registered one; run `authros identity register` first",
                 keeper.profile
             )));
         }
@@ -194,7 +194,7 @@ impl Gateway {
         );
     }
 
-    async fn listen(self: &Arc<Self>, place: &Place) -> Result<Server, Failure> {
+    async fn listen(self: &Arc<Self>, place: &Place) -> Result<Server> {
         let Place { keeper, domain, address, .. } = place;
         let provider = self.parts.plant.provider;
         let cabinet = block_in_place(|| {
@@ -215,7 +215,7 @@ impl Gateway {
         own.map(|serving| Arc::clone(&serving.under))
     }
 
-    pub fn status(&self) -> Result<GatewayStatusView, Failure> {
+    pub fn status(&self) -> Result<GatewayStatusView> {
         let bound = self.parts.plant.ledger.bindings.bound_names()?;
         let through = self.remote.as_ref().map(|remote| crate::model::clean(&remote.chain_text(), 300));
         let serving = self.serving();

@@ -1,21 +1,20 @@
 //! Who is affected by a change of an SM2 pair, reported before it is made.
 
 use super::Profiles;
-use std::sync::Arc;
 
 use tokio::task::block_in_place;
 
 use crate::crypto::signer_id;
 use crate::gateway::Cabinet;
-use crate::model::{Address, ProfileName, clean};
+use crate::model::{Address, ProfileName, clean, counted};
 use crate::pipeline::Owner;
 use crate::pipeline::authority;
 use crate::pipeline::directory::Granted;
 use crate::service::command::PairKind;
-use crate::service::reply::{Failure, KeyChangeView};
+use crate::service::reply::{KeyChangeView, Result};
 
 impl Profiles {
-    pub async fn foresee_key_change(&self, owner: &Arc<Owner>, kind: PairKind) -> Result<KeyChangeView, Failure> {
+    pub async fn foresee_key_change(&self, owner: &Owner, kind: PairKind) -> Result<KeyChangeView> {
         let network = self.registered_network(owner).await?;
         let Some(network) = network else {
             let lines = vec!["nobody is affected: this profile is not registered on a chain yet".to_owned()];
@@ -47,16 +46,12 @@ fn parties(grants: &[Granted], other: impl Fn(&Granted) -> Address) -> Vec<Addre
     found
 }
 
-fn counted(count: usize, one: &str, many: &str) -> String {
-    if count == 1 { format!("1 {one}") } else { format!("{count} {many}") }
-}
-
 fn signing_lines(view: &KeyChangeView) -> Vec<String> {
     let compare = "anyone who compared your fingerprint must compare the new one (`authros contacts confirm`)";
     let mut lines = vec![match view.readers.len() {
         0 => format!("no reader has a grant; {compare}"),
         count => {
-            let readers = counted(count, "reader", "readers");
+            let readers = counted(count as u64, "reader");
             format!("{readers} with a grant: they can still open old and new records; {compare}")
         }
     }];
@@ -66,7 +61,7 @@ fn signing_lines(view: &KeyChangeView) -> Vec<String> {
         names => format!(
             "{} ({}): informed by a notice signed with the old key and your account; they continue automatically if \
              their gateway runs in this home; enrol the others again",
-            counted(names.len(), "robot", "robots"),
+            counted(names.len() as u64, "robot"),
             clean(&names.join(", "), 200)
         ),
     });
@@ -82,7 +77,10 @@ fn signing_lines(view: &KeyChangeView) -> Vec<String> {
 }
 
 fn envelope_lines(view: &KeyChangeView) -> Vec<String> {
-    let sharers = counted(view.sharers.len(), "account that shares", "accounts that share");
+    let sharers = match view.sharers.len() as u64 {
+        1 => "1 account that shares".to_owned(),
+        several => format!("{} that share", counted(several, "account")),
+    };
     let mut lines = vec![format!(
         "{sharers} with you: each re-wraps the current epoch's keys for the new key the next time it is active; the \
          old key stays in the keyring and opens what was sealed for it"

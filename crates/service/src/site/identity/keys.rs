@@ -17,7 +17,7 @@ use crate::failure::{input, refused};
 use crate::gateway::Cabinet;
 use crate::model::{RecordState, SignerId};
 use crate::pipeline::{Network, Owner, PipelineError, recovery};
-use crate::reply::{EpochView, Failure, KeysView};
+use crate::reply::{EpochView, Failure, KeysView, Result};
 use crate::site::blocking;
 use crate::store::notes::ProfileAccounts;
 use crate::store::{RecordQuery, StoreError};
@@ -28,7 +28,7 @@ const LOOK: Duration = Duration::from_millis(250);
 const PAGE: usize = 1000;
 
 impl Profiles {
-    pub async fn keys(&self, owner: &Arc<Owner>) -> Result<KeysView, Failure> {
+    pub async fn keys(&self, owner: &Owner) -> Result<KeysView> {
         let (signing, envelope) = owner.public_keys();
         let mut epochs = Vec::new();
         if let Some(Network { domain, .. }) = self.parts.link.network_now() {
@@ -53,7 +53,7 @@ impl Profiles {
         kind: KeyKind,
         path: PathBuf,
         passphrase: Option<SecretText>,
-    ) -> Result<KeysView, Failure> {
+    ) -> Result<KeysView> {
         let registered = self.registered_network(owner).await?;
         let word = format!("{kind:?}").to_lowercase();
         self.parts.log.begin(owner, "load key", &word).await?;
@@ -67,7 +67,7 @@ impl Profiles {
         self.keys(&owner).await
     }
 
-    async fn load_sm4(self: &Arc<Self>, owner: &Arc<Owner>, path: PathBuf, registered: bool) -> Result<(), Failure> {
+    async fn load_sm4(self: &Arc<Self>, owner: &Owner, path: PathBuf, registered: bool) -> Result<()> {
         let key = blocking(self, move |_| Ok(keyfile::load_sm4(&path)?)).await?;
         {
             let _one_at_a_time = owner.changes.lock().await;
@@ -83,12 +83,7 @@ impl Profiles {
         Ok(())
     }
 
-    async fn load_sm2(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        path: PathBuf,
-        network: Option<&Network>,
-    ) -> Result<(), Failure> {
+    async fn load_sm2(self: &Arc<Self>, owner: &Owner, path: PathBuf, network: Option<&Network>) -> Result<()> {
         let provider = self.parts.plant.provider;
         let pair = blocking(self, move |_| Ok(SmKeyPair::from_secret(provider, keyfile::load_sm2(&path)?)?)).await?;
         let new = NewPairs { signing: Some(pair), ..NewPairs::default() };
@@ -96,7 +91,7 @@ impl Profiles {
     }
 
     /// Makes a new envelope pair; the old one still opens what was sealed to it.
-    pub async fn rotate_envelope(&self, owner: &Arc<Owner>) -> Result<KeysView, Failure> {
+    pub async fn rotate_envelope(&self, owner: &Owner) -> Result<KeysView> {
         let registered = self.registered_network(owner).await?;
         self.parts.log.begin(owner, "rotate envelope key", &owner.address.to_string()).await?;
         let pair = SmKeyPair::generate(self.parts.plant.provider)?;
@@ -108,7 +103,7 @@ impl Profiles {
     }
 
     /// The network, if the owner is registered on it; `None` if this home has none.
-    pub async fn registered_network(&self, owner: &Owner) -> Result<Option<Network>, Failure> {
+    pub async fn registered_network(&self, owner: &Owner) -> Result<Option<Network>> {
         match self.parts.link.network().await {
             Ok(network) => Ok(network.directory.identity(owner.address).is_ok().then_some(network)),
             Err(failure) => match self.connection.pin()? {
@@ -123,7 +118,7 @@ impl Profiles {
         owner: &Arc<Owner>,
         path: PathBuf,
         passphrase: Option<SecretText>,
-    ) -> Result<Arc<Owner>, Failure> {
+    ) -> Result<Arc<Owner>> {
         // If it registered meanwhile, the account and its epoch keys would be lost.
         let _one_at_a_time = owner.changes.lock().await;
         self.is_current(owner)?;
@@ -156,10 +151,10 @@ impl Profiles {
 
     pub async fn export_key(
         self: &Arc<Self>,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         kind: KeyKind,
         passphrase: Option<SecretText>,
-    ) -> Result<SecretBytes, Failure> {
+    ) -> Result<SecretBytes> {
         let word = format!("{kind:?}").to_lowercase();
         let exported = self.key_file(owner, kind, passphrase);
         self.parts.log.deed(&owner.profile, "export key", &word, exported).await.map(SecretBytes::new)
@@ -167,10 +162,10 @@ impl Profiles {
 
     async fn key_file(
         self: &Arc<Self>,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         kind: KeyKind,
         passphrase: Option<SecretText>,
-    ) -> Result<Vec<u8>, Failure> {
+    ) -> Result<Vec<u8>> {
         let (sm4, signing, eoa) = {
             let keyring = owner.keyring();
             (keyring.keys().sm4.clone(), keyring.keys().signing.clone(), keyring.keys().eoa.clone())
@@ -187,12 +182,7 @@ impl Profiles {
     }
 
     /// Replaces pairs; on the chain too if `network` is given.
-    pub async fn change_pairs(
-        &self,
-        owner: &Arc<Owner>,
-        network: Option<&Network>,
-        new: NewPairs,
-    ) -> Result<(), Failure> {
+    pub async fn change_pairs(&self, owner: &Owner, network: Option<&Network>, new: NewPairs) -> Result<()> {
         // Until the new key signs: the old one may sign nothing once the chain has the new one.
         let _one_at_a_time = owner.changes.lock().await;
         if let Some(network) = network {
@@ -220,7 +210,7 @@ impl Profiles {
 
     /// If the chain went back to earlier pairs, waits until everything signed with those is anchored: they lose their
     /// right once the keyring's are registered again. Fails after a minute; the site's health then says why.
-    pub async fn drain_former(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
+    pub async fn drain_former(&self, owner: &Owner, network: &Network) -> Result<()> {
         if !recovery::is_ahead(network, owner)? {
             return Ok(());
         }
@@ -240,13 +230,13 @@ impl Profiles {
 
     /// Brings the chain to the keyring's pairs: re-registers them where it went back, and finishes a change that was
     /// begun. The caller holds the owner's changes, has recovered what the chain returns, and drained.
-    pub async fn settle_pairs(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
+    pub async fn settle_pairs(&self, owner: &Owner, network: &Network) -> Result<()> {
         if recovery::is_ahead(network, owner)? {
             let (signing, envelope) = (owner.signing(), owner.envelope());
             let sent = self.send_pairs(owner, network, &signing, &envelope).await.map_err(|failure| {
                 let text = format!(
                     "the chain has earlier SM2 keys of '{}' than the keyring, and the keyring's could not be registered \
-                     again: {}; run `authros register`",
+                     again: {}; run `authros identity register`",
                     owner.profile, failure.message
                 );
                 self.sharing.note_pairs(owner, Some(text.clone()));
@@ -267,7 +257,7 @@ impl Profiles {
     }
 
     /// Finishes a change that was begun, if any. The caller holds the owner's changes.
-    pub async fn finish_pairs(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
+    pub async fn finish_pairs(&self, owner: &Owner, network: &Network) -> Result<()> {
         let (signing, envelope, moves) = {
             let keyring = owner.keyring();
             let (ring, further) = (keyring.keys(), &keyring.keys().further);
@@ -291,12 +281,12 @@ impl Profiles {
 
     async fn register_pairs(
         &self,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         network: &Network,
         signing: &SmKeyPair,
         envelope: &SmKeyPair,
         moves: bool,
-    ) -> Result<(), Failure> {
+    ) -> Result<()> {
         if !moves {
             return self.send_pairs(owner, network, signing, envelope).await;
         }
@@ -315,11 +305,11 @@ impl Profiles {
 
     async fn send_pairs(
         &self,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         network: &Network,
         signing: &SmKeyPair,
         envelope: &SmKeyPair,
-    ) -> Result<(), Failure> {
+    ) -> Result<()> {
         let token = network.directory.account(owner.address).and_then(|account| account.token);
         let token = token.ok_or(PipelineError::Unregistered(owner.address))?;
         let (provider, domain) = (self.parts.plant.provider, &network.domain);
@@ -333,7 +323,7 @@ impl Profiles {
 
     /// Moves the new pairs, registered or of an owner on no chain, into their place in the keyring, and re-encrypts
     /// what depends on them.
-    fn take_over_pairs(&self, owner: &Owner, network: Option<&Network>) -> Result<(), Failure> {
+    fn take_over_pairs(&self, owner: &Owner, network: Option<&Network>) -> Result<()> {
         let founded = block_in_place(|| Cabinet::founded_in(&self.parts.home.gateway()));
         {
             let mut keyring = owner.keyring();
@@ -361,7 +351,7 @@ impl Profiles {
     }
 
     /// Re-encrypts the transport keys of this owner's gateway under its current pair.
-    fn reseal_kept(&self, owner: &Owner) -> Result<(), Failure> {
+    fn reseal_kept(&self, owner: &Owner) -> Result<()> {
         let (pairs, provider, ledger) = (owner.envelopes(), self.parts.plant.provider, &self.parts.plant.ledger);
         let under = self.gateway.kept_under(owner);
         // Nothing is bound meanwhile.
@@ -386,7 +376,7 @@ impl Profiles {
         Ok(())
     }
 
-    fn nothing_is_captured(&self, owner: &Owner) -> Result<(), Failure> {
+    fn nothing_is_captured(&self, owner: &Owner) -> Result<()> {
         if self.recorder.wanted_by(&owner.author).is_empty() {
             return Ok(());
         }
@@ -394,7 +384,7 @@ impl Profiles {
     }
 
     /// Waits until no record signed by a key is in flight; lent devices' records may be.
-    async fn drain(&self, owner: &Owner, signer: SignerId) -> Result<(), Failure> {
+    async fn drain(&self, owner: &Owner, signer: SignerId) -> Result<()> {
         let deadline = tokio::time::Instant::now() + DRAIN;
         loop {
             let pending = block_in_place(|| self.pending_of(owner, signer))?;
@@ -411,7 +401,7 @@ impl Profiles {
     }
 
     /// Records signed by this key that are neither verified nor given up.
-    fn pending_of(&self, owner: &Owner, signer: SignerId) -> Result<usize, Failure> {
+    fn pending_of(&self, owner: &Owner, signer: SignerId) -> Result<usize> {
         let mut pending = 0;
         // Records waiting for their signer's right also need the current key.
         let waits = |state: &&RecordState| state.is_pending() || **state == RecordState::RightEnded;

@@ -25,12 +25,12 @@ use crate::command::{SecretBytes, SecretText};
 use crate::crypto::{Fingerprint, Keyring, Passphrase, UnlockedKeyring, prove, read_public};
 use crate::event::Part;
 use crate::failure::{input, internal, refused};
-use crate::model::{Address, ProfileName};
+use crate::model::{Address, ProfileName, Timestamp};
 use crate::paths::Home;
 use crate::pipeline::{Network, Owner, Recorder, recovery};
-use crate::reply::{Failure, IdentityView, Opens};
-use crate::store::StoreError;
+use crate::reply::{Failure, IdentityView, Opens, Result};
 use crate::store::notes::ProfileAccounts;
+use crate::store::{SealedQuery, StoreError};
 
 /// Longest wait for the chain's word about a locked keyring's identity.
 const LOCKED: Duration = Duration::from_secs(3);
@@ -55,7 +55,7 @@ pub struct Profiles {
 
 impl Profiles {
     /// Makes keys and a keyring for a new profile, and opens it.
-    pub async fn create(self: &Arc<Self>, profile: ProfileName, secret: SecretText) -> Result<IdentityView, Failure> {
+    pub async fn create(self: &Arc<Self>, profile: ProfileName, secret: SecretText) -> Result<IdentityView> {
         let path = self.parts.home.keyring(&profile);
         let _one_at_a_time = self.parts.owners.opening(&profile).await;
         self.check_account(&profile)?;
@@ -81,7 +81,7 @@ impl Profiles {
         profile: ProfileName,
         saved: PathBuf,
         secret: SecretText,
-    ) -> Result<IdentityView, Failure> {
+    ) -> Result<IdentityView> {
         let path = self.parts.home.keyring(&profile);
         let _one_at_a_time = self.parts.owners.opening(&profile).await;
         // A site that has it open would go on with the keys of the file that was there.
@@ -115,7 +115,7 @@ impl Profiles {
         self.view(&profile).await
     }
 
-    pub async fn unlock(self: &Arc<Self>, profile: ProfileName, secret: SecretText) -> Result<IdentityView, Failure> {
+    pub async fn unlock(self: &Arc<Self>, profile: ProfileName, secret: SecretText) -> Result<IdentityView> {
         if self.parts.owners.get(&profile).is_none_or(|owner| owner.is_locked()) {
             let _one_at_a_time = self.parts.owners.opening(&profile).await;
             self.check_account(&profile)?;
@@ -143,7 +143,7 @@ impl Profiles {
         profile: &ProfileName,
         old: SecretText,
         new: SecretText,
-    ) -> Result<(), Failure> {
+    ) -> Result<()> {
         let path = self.parts.home.keyring(profile);
         if !path.exists() {
             let text = format!("profile '{profile}' has no identity yet, so there is no passphrase to change");
@@ -200,17 +200,17 @@ impl Profiles {
     }
 
     /// Refuses a profile whose keyring is gone or another account's: its earlier records would have no owner.
-    fn check_account(&self, profile: &ProfileName) -> Result<(), Failure> {
+    fn check_account(&self, profile: &ProfileName) -> Result<()> {
         let known = self.known_accounts()?;
         let fault = known.get(profile).and_then(|accounts| keyring_fault(&self.parts.home, profile, accounts));
         fault.map_or(Ok(()), |text| Err(refused(text)))
     }
 
-    pub fn keyring_faults(&self) -> Result<Vec<(ProfileName, String)>, Failure> {
+    pub fn keyring_faults(&self) -> Result<Vec<(ProfileName, String)>> {
         Ok(keyring_faults(&self.parts.home, &self.known_accounts()?))
     }
 
-    fn known_accounts(&self) -> Result<Accounts, Failure> {
+    fn known_accounts(&self) -> Result<Accounts> {
         Ok(self.parts.plant.ledger.notes.read(&ProfileAccounts {})?.unwrap_or_default())
     }
 
@@ -226,7 +226,7 @@ impl Profiles {
     }
 
     /// Refuses to continue with an owner whose account was replaced meanwhile.
-    pub fn is_current(&self, owner: &Arc<Owner>) -> Result<(), Failure> {
+    pub fn is_current(&self, owner: &Arc<Owner>) -> Result<()> {
         if self.parts.owners.is_open(owner) {
             return Ok(());
         }
@@ -237,7 +237,7 @@ impl Profiles {
     }
 
     /// The public side of a profile; needs no passphrase.
-    pub async fn view(self: &Arc<Self>, profile: &ProfileName) -> Result<IdentityView, Failure> {
+    pub async fn view(self: &Arc<Self>, profile: &ProfileName) -> Result<IdentityView> {
         let path = self.parts.home.keyring(profile);
         let owner = self.parts.owners.get(profile);
         let mut view = IdentityView {
@@ -263,20 +263,22 @@ impl Profiles {
             view.epoch = Some(network.directory.epoch(public.address)).filter(|epoch| *epoch > 0);
         }
         if let Some(epoch) = view.epoch {
-            let sealed = move |profiles: &Self| {
-                let counts = &profiles.parts.plant.ledger.counts;
-                Ok((counts.opened_by(public.address, epoch..=epoch)?, counts.opened_by(public.address, 1..=epoch)?))
+            let opens = move |profiles: &Self| {
+                let opened = |epochs| {
+                    let query = SealedQuery { owner: public.address, topic: None, epochs, since: Timestamp::default() };
+                    let (records, since) = profiles.parts.plant.ledger.counts.opened_by(&query)?;
+                    Ok::<_, Failure>(Some(Opens { records, since, of_robots: false }))
+                };
+                Ok((opened(epoch..=epoch)?, opened(1..=epoch)?))
             };
-            let opens = |(records, since)| Some(Opens { records, since });
-            let (current, all) = blocking(self, sealed).await?;
-            (view.epoch_records, view.all_records) = (opens(current), opens(all));
+            (view.epoch_records, view.all_records) = blocking(self, opens).await?;
         }
         Ok(view)
     }
 
     /// Wipes the keys for reading, granting and revoking. Waits a moment for a running change of epochs or grants,
     /// which needs them.
-    pub async fn lock(self: &Arc<Self>, profile: &ProfileName) -> Result<IdentityView, Failure> {
+    pub async fn lock(self: &Arc<Self>, profile: &ProfileName) -> Result<IdentityView> {
         let _not_opened = self.parts.owners.opening(profile).await;
         if let Some(owner) = self.parts.owners.get(profile).filter(|owner| !owner.is_locked()) {
             {
@@ -294,7 +296,7 @@ impl Profiles {
         self.view(profile).await
     }
 
-    pub async fn back_up_keys(self: &Arc<Self>, profile: &ProfileName) -> Result<SecretBytes, Failure> {
+    pub async fn back_up_keys(self: &Arc<Self>, profile: &ProfileName) -> Result<SecretBytes> {
         let path = self.parts.home.keyring(profile);
         if !path.exists() {
             return Err(input(format!("profile '{profile}' has no identity yet, so there is nothing to back up")));
@@ -307,7 +309,7 @@ impl Profiles {
     }
 
     /// Registers the owner's identity; sends nothing if the chain has it.
-    pub async fn register(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<IdentityView, Failure> {
+    pub async fn register(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<IdentityView> {
         let network = self.connection.network_or_deploy(owner).await?;
         if network.directory.identity(owner.address).is_ok() {
             self.drain_former(owner, &network).await?;
@@ -327,7 +329,7 @@ impl Profiles {
         self.view(&owner.profile).await
     }
 
-    async fn send_registration(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
+    async fn send_registration(&self, owner: &Owner, network: &Network) -> Result<()> {
         let token = owner.prepare_epoch(network.domain, 1)?;
         let (signing, envelope) = (owner.signing(), owner.envelope());
         let identity =
@@ -345,7 +347,7 @@ impl Profiles {
 
     /// Brings the owner to the chain's state: fetches missing keys, seals under the current epoch or finishes one that
     /// never reached the chain, and re-wraps what readers lack.
-    pub async fn resume(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<(), Failure> {
+    pub async fn resume(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<()> {
         if self.parts.home.original().is_some() {
             return Ok(());
         }
@@ -384,7 +386,7 @@ impl Profiles {
     }
 
     /// Brings the keyring to the chain's pairs and epochs of this owner. The caller holds the owner's changes.
-    async fn take_up(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
+    async fn take_up(&self, owner: &Owner, network: &Network) -> Result<()> {
         let newer = block_in_place(|| recovery::recover_pairs(&self.parts.plant, network, owner));
         self.sharing.note_pairs(owner, newer.as_ref().err().map(ToString::to_string));
         let newer = newer.unwrap_or(false);
@@ -425,7 +427,7 @@ fn keyring_fault(home: &Home, profile: &ProfileName, accounts: &[Address]) -> Op
     if !path.exists() {
         return Some(format!(
             "the keyring of profile '{profile}', account {account}, is gone, and its records open with nothing else: bring \
-             a copy back (`authros --profile {profile} keys restore FILE`) or restore a backup (`authros restore FILE`); \
+             a copy back (`authros --profile {profile} keys restore FILE`) or restore a backup (`authros backup restore FILE`); \
              for another account use another --profile"
         ));
     }
@@ -483,7 +485,7 @@ impl Owners {
         self.get(&owner.profile).is_some_and(|other| Arc::ptr_eq(&other, owner))
     }
 
-    pub fn unlocked(&self, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
+    pub fn unlocked(&self, profile: &ProfileName) -> Result<Arc<Owner>> {
         let owner = self.get(profile).filter(|owner| !owner.is_locked());
         owner.ok_or_else(|| match self.home.keyring(profile).exists() {
             true => refused(format!(
@@ -494,7 +496,7 @@ impl Owners {
         })
     }
 
-    pub fn address_of(&self, profile: &ProfileName) -> Result<Address, Failure> {
+    pub fn address_of(&self, profile: &ProfileName) -> Result<Address> {
         if let Some(owner) = self.get(profile) {
             return Ok(owner.address);
         }

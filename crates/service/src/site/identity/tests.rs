@@ -7,7 +7,7 @@ use crate::crypto::{Keyring, Passphrase, UnlockedKeyring};
 use crate::model::{Domain, ErrorKind};
 use crate::pipeline::Owner;
 use crate::service::command::SecretText;
-use crate::service::reply::Failure;
+use crate::service::reply::Result;
 use crate::site::testing::{Ground, PASSPHRASE, profile, site_of};
 use crate::site::{Needs, Site};
 
@@ -27,7 +27,7 @@ fn passphrase(text: &str) -> Passphrase {
 }
 
 /// Unlocks alice, and returns the owner whom a command that comes next would use.
-fn unlock(site: &Arc<Site>, words: &str) -> tokio::task::JoinHandle<Result<Arc<Owner>, Failure>> {
+fn unlock(site: &Arc<Site>, words: &str) -> tokio::task::JoinHandle<Result<Arc<Owner>>> {
     let (site, secret) = (Arc::clone(site), SecretText::new(words.to_owned()));
     tokio::spawn(async move {
         site.profiles.unlock(profile("alice"), secret).await?;

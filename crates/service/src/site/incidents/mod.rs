@@ -5,11 +5,11 @@ mod tests;
 
 use tokio::task::block_in_place;
 
-use crate::model::{Address, IncidentName, ProfileName, Timestamp, TopicName, clean, clean_lines};
+use crate::model::{Address, IncidentName, ProfileName, Timestamp, TopicPattern, TopicPatterns, clean, clean_lines};
 use crate::service::command::{self as ask, Ask, IncidentCommand};
 use crate::service::event::Part;
 use crate::service::failure::input;
-use crate::service::reply::{Failure, IncidentView, Reply};
+use crate::service::reply::{Failure, IncidentView, Reply, Result};
 use crate::site::parts::Parts;
 use crate::store::{IncidentNote, IncidentRow, IncidentSpan, Incidents as KeptIncidents, RecordQuery, SpanCoverage};
 
@@ -31,11 +31,11 @@ struct Wanted {
 }
 
 impl Incidents {
-    pub async fn answer(&self, profile: &ProfileName, command: IncidentCommand) -> Result<Reply, Failure> {
+    pub async fn answer(&self, profile: &ProfileName, command: IncidentCommand) -> Result<Reply> {
         let owner = self.parts.owners.address_of(profile)?;
         match command {
             IncidentCommand::OpenIncident { name, since, until, topics, note, robots: _ } => {
-                let wanted = wanted(name, (since, until), &topics, note.as_deref())?;
+                let wanted = wanted(name, (since, until), topics, note.as_deref())?;
                 self.open(profile, owner, wanted).await.map(ask::OpenIncident::told)
             }
             IncidentCommand::ListIncidents => self.list(owner).map(ask::ListIncidents::told),
@@ -52,7 +52,7 @@ impl Incidents {
         }
     }
 
-    async fn open(&self, profile: &ProfileName, owner: Address, wanted: Wanted) -> Result<IncidentView, Failure> {
+    async fn open(&self, profile: &ProfileName, owner: Address, wanted: Wanted) -> Result<IncidentView> {
         let Wanted { name, span, note } = wanted;
         let known = block_in_place(|| self.kept().list(owner))?;
         if known.iter().any(|row| row.name == name) {
@@ -76,12 +76,12 @@ impl Incidents {
         &self.parts.plant.ledger.incidents
     }
 
-    fn list(&self, owner: Address) -> Result<Vec<IncidentView>, Failure> {
+    fn list(&self, owner: Address) -> Result<Vec<IncidentView>> {
         let covered = |row| covered(self.kept(), owner, row);
         block_in_place(|| self.kept().list(owner)?.into_iter().map(covered).collect())
     }
 
-    fn show(&self, owner: Address, name: &IncidentName) -> Result<IncidentView, Failure> {
+    fn show(&self, owner: Address, name: &IncidentName) -> Result<IncidentView> {
         block_in_place(|| view(self.kept(), owner, name))
     }
 
@@ -91,7 +91,7 @@ impl Incidents {
         owner: Address,
         name: &IncidentName,
         text: &str,
-    ) -> Result<IncidentView, Failure> {
+    ) -> Result<IncidentView> {
         let text = note_text(text)?;
         if self.show(owner, name)?.notes.len() >= MOST_NOTES {
             return Err(input(format!("{name} has {MOST_NOTES} notes, the limit per incident")));
@@ -101,7 +101,7 @@ impl Incidents {
         self.show(owner, name)
     }
 
-    async fn close(&self, profile: &ProfileName, owner: Address, name: &IncidentName) -> Result<IncidentView, Failure> {
+    async fn close(&self, profile: &ProfileName, owner: Address, name: &IncidentName) -> Result<IncidentView> {
         if !self.show(owner, name)?.open {
             return Err(input(format!("{name} is already closed; its records are held until it is removed")));
         }
@@ -111,12 +111,7 @@ impl Incidents {
         self.show(owner, name)
     }
 
-    async fn remove(
-        &self,
-        profile: &ProfileName,
-        owner: Address,
-        name: &IncidentName,
-    ) -> Result<Vec<IncidentView>, Failure> {
+    async fn remove(&self, profile: &ProfileName, owner: Address, name: &IncidentName) -> Result<Vec<IncidentView>> {
         let told = format!("{name}: {} records were held", self.show(owner, name)?.records);
         let removed = async { found(name, block_in_place(|| self.kept().remove(owner, name))?) };
         self.parts.log.deed(profile, "remove incident", &told, removed).await?;
@@ -129,9 +124,9 @@ impl Incidents {
 fn wanted(
     name: IncidentName,
     (since, until): (Timestamp, Option<Timestamp>),
-    topics: &[TopicName],
+    topics: Vec<TopicPattern>,
     note: Option<&str>,
-) -> Result<Wanted, Failure> {
+) -> Result<Wanted> {
     if since > Timestamp::now() {
         return Err(input(format!(
             "{name} would begin at {since}, which is in the future; watched topics are captured anyway, so open the \
@@ -144,11 +139,11 @@ fn wanted(
     if topics.len() > MOST_TOPICS {
         return Err(input(format!("an incident can name at most {MOST_TOPICS} topics; name none to cover all")));
     }
-    let topics = topics.iter().map(ToString::to_string).collect();
-    Ok(Wanted { name, span: IncidentSpan { since, until, topics }, note: note.map(note_text).transpose()? })
+    let span = IncidentSpan { since, until, topics: TopicPatterns(topics) };
+    Ok(Wanted { name, span, note: note.map(note_text).transpose()? })
 }
 
-fn note_text(text: &str) -> Result<String, Failure> {
+fn note_text(text: &str) -> Result<String> {
     let length = text.chars().count();
     if length > LONGEST_NOTE {
         return Err(input(format!("the note has {length} characters, the limit is {LONGEST_NOTE}; shorten it")));
@@ -165,17 +160,17 @@ fn unknown(name: &IncidentName) -> Failure {
     input(format!("there is no incident {name}; `authros incident list` shows all"))
 }
 
-fn found(name: &IncidentName, done: bool) -> Result<(), Failure> {
+fn found(name: &IncidentName, done: bool) -> Result<()> {
     if done { Ok(()) } else { Err(unknown(name)) }
 }
 
-fn known(kept: &KeptIncidents, owner: Address, name: &IncidentName) -> Result<IncidentRow, Failure> {
+fn known(kept: &KeptIncidents, owner: Address, name: &IncidentName) -> Result<IncidentRow> {
     kept.find(owner, name)?.ok_or_else(|| unknown(name))
 }
 
 fn subject(name: &IncidentName, span: &IncidentSpan) -> String {
     let until = span.until.map_or_else(|| "until it is closed".to_owned(), |until| format!("until {until}"));
-    let topics = if span.topics.is_empty() { "all topics".to_owned() } else { span.topics.join(" ") };
+    let topics = if span.topics.0.is_empty() { "all topics".to_owned() } else { span.topics.to_string() };
     clean(&format!("{name}: since {} {until}, {topics}", span.since), 400)
 }
 
@@ -185,17 +180,19 @@ pub(super) fn narrowed(
     owner: Address,
     name: &IncidentName,
     query: RecordQuery,
-) -> Result<RecordQuery, Failure> {
-    let IncidentSpan { since, until, topics } = known(kept, owner, name)?.span;
+) -> Result<RecordQuery> {
+    let IncidentSpan { since, until, topics: about } = known(kept, owner, name)?.span;
     let until = [query.until, until].into_iter().flatten().min();
+    let mut topics = query.topics;
+    topics.extend(Some(about).filter(|about| !about.0.is_empty()));
     Ok(RecordQuery { since: query.since.max(Some(since)), until, topics, ..query })
 }
 
-pub(super) fn view(kept: &KeptIncidents, owner: Address, name: &IncidentName) -> Result<IncidentView, Failure> {
+pub(super) fn view(kept: &KeptIncidents, owner: Address, name: &IncidentName) -> Result<IncidentView> {
     covered(kept, owner, known(kept, owner, name)?)
 }
 
-fn covered(kept: &KeptIncidents, owner: Address, row: IncidentRow) -> Result<IncidentView, Failure> {
+fn covered(kept: &KeptIncidents, owner: Address, row: IncidentRow) -> Result<IncidentView> {
     let clean_topic = |one: SpanCoverage| SpanCoverage { topic: clean(&one.topic, WIDEST), ..one };
     let coverage: Vec<SpanCoverage> = kept.span_coverage(owner, &row.span)?.into_iter().map(clean_topic).collect();
     let note = |note: IncidentNote| IncidentNote { text: clean_lines(&note.text, LONGEST_NOTE), ..note };
@@ -206,7 +203,7 @@ fn covered(kept: &KeptIncidents, owner: Address, row: IncidentRow) -> Result<Inc
         until: row.span.until,
         opened_at: row.opened_at,
         closed_at: row.closed_at,
-        topics: row.span.topics.iter().map(|topic| clean(topic, WIDEST)).collect(),
+        topics: row.span.topics.0.iter().map(ToString::to_string).collect(),
         notes: row.notes.into_iter().map(note).collect(),
         records: coverage.iter().map(|one| one.records).sum(),
         bytes: coverage.iter().map(|one| one.bytes).sum(),

@@ -39,9 +39,9 @@ fn capture(ground: &Ground, owner: Address, topic: &str, second: u64) {
     ground.parts.plant.ledger.records.append(vec![record]).expect("acknowledged");
 }
 
-fn of(since: u64, until: Option<u64>, topics: &[&str], note: Option<&str>) -> Result<Wanted, Failure> {
-    let topics: Vec<TopicName> = topics.iter().map(|topic| topic.parse().expect("a topic")).collect();
-    wanted(name("crash"), (Timestamp::from_seconds(since), until.map(Timestamp::from_seconds)), &topics, note)
+fn of(since: u64, until: Option<u64>, topics: &[&str], note: Option<&str>) -> Result<Wanted> {
+    let topics = topics.iter().map(|topic| topic.parse().expect("a topic")).collect();
+    wanted(name("crash"), (Timestamp::from_seconds(since), until.map(Timestamp::from_seconds)), topics, note)
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -116,7 +116,7 @@ async fn a_query_is_narrowed_to_the_incident_and_never_widened() {
         let (since, until) = (since.map(Timestamp::from_seconds), until.map(Timestamp::from_seconds));
         let query = RecordQuery { since, until, ..RecordQuery::default() };
         let query = narrowed(&ledger.incidents, alice, &name("crash"), query).expect("there");
-        assert_eq!(query.topics, ["/odom"]);
+        assert_eq!(query.topics, ["/odom".parse::<TopicPatterns>().expect("a topic")]);
         (query.since.map(|at| at.seconds()), query.until.map(|at| at.seconds()))
     };
     assert_eq!(within(None, None), (Some(15), Some(25)));

@@ -13,7 +13,7 @@ use crate::model::bytes::hex;
 use crate::model::{Address, Digest, PublicKey, clean};
 use crate::pipeline::retention::{self, is_owners, notice_of};
 use crate::pipeline::{Network, Owner, PipelineError};
-use crate::service::reply::{ErasureView, Failure};
+use crate::service::reply::{ErasureView, Result};
 use crate::store::notes::ErasuresTold;
 
 /// How often everything is reported again: a gateway may have been restored from a backup.
@@ -85,7 +85,7 @@ impl OwnErasures {
     }
 
     /// The place behind which nothing was reported, as of the last run.
-    fn load(&mut self, joined: &Joined, note: &ErasuresTold) -> Result<u64, Failure> {
+    fn load(&mut self, joined: &Joined, note: &ErasuresTold) -> Result<u64> {
         if let Some(known) = self.known {
             return Ok(known);
         }

@@ -21,7 +21,7 @@ use crate::model::{Address, Domain, ErrorKind, ProfileName, SignerId, clean};
 use crate::paths::Home;
 use crate::pipeline::{Network, Owner};
 use crate::service::failure::{internal, refused};
-use crate::service::reply::Failure;
+use crate::service::reply::{Failure, Result};
 use crate::site::chain::connection::Lost;
 use crate::site::identity::Owners;
 
@@ -50,7 +50,7 @@ struct Progress {
     /// Times it caught up or failed: a gateway that never ends lets it catch up for moments.
     settled: u64,
     /// End of the last attempt; `true` if records are listed but not given.
-    last: Option<Result<bool, Failure>>,
+    last: Option<Result<bool>>,
 }
 
 impl Progress {
@@ -77,7 +77,7 @@ pub(crate) struct Remote {
 
 impl Remote {
     /// As set; sends nothing yet.
-    pub fn new(site: &RemoteSite, home: &Home, provider: &'static dyn Provider) -> Result<Self, Failure> {
+    pub fn new(site: &RemoteSite, home: &Home, provider: &'static dyn Provider) -> Result<Self> {
         let trust = KeptTrust::open(home.gateway_trust(), site.gateway_key, site.trust_first)?;
         Ok(Self::trusting(site.addresses.clone(), trust, provider))
     }
@@ -102,7 +102,7 @@ impl Remote {
         GatewayEndpoint { addresses: self.addresses.clone(), context, patience: PATIENCE }
     }
 
-    fn line(&self, domain: Domain) -> Result<Arc<ChainLine>, Failure> {
+    fn line(&self, domain: Domain) -> Result<Arc<ChainLine>> {
         let mut slot = self.line.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(line) = slot.as_ref().filter(|line| line.endpoint().context.domain == domain) {
             return Ok(Arc::clone(line));
@@ -179,7 +179,7 @@ impl Remote {
     }
 
     /// The account that registered the gateway's identity key.
-    pub fn keeper(&self, network: &Network) -> Result<Address, Failure> {
+    pub fn keeper(&self, network: &Network) -> Result<Address> {
         let gateway = self.gateway()?;
         network.directory.registered_as(gateway).ok_or_else(|| {
             refused(format!(
@@ -190,7 +190,7 @@ impl Remote {
         })
     }
 
-    fn gateway(&self) -> Result<SignerId, Failure> {
+    fn gateway(&self) -> Result<SignerId> {
         let pinned = self.trust.current().pinned;
         pinned.ok_or_else(|| Failure::new(ErrorKind::Unreachable, "no gateway has been contacted yet"))
     }
@@ -261,7 +261,7 @@ impl Remote {
 
     /// Waits until a profile's mirror has caught up or failed; `None` after `most`, or if it has been behind for too
     /// long.
-    async fn settled(&self, profile: &ProfileName, most: Duration) -> Option<Result<bool, Failure>> {
+    async fn settled(&self, profile: &ProfileName, most: Duration) -> Option<Result<bool>> {
         let mut progress = self.mirrored.subscribe();
         let begun = progress.borrow().get(profile).cloned().unwrap_or_default();
         let patience = FIRST_ROUND.saturating_sub(begun.behind_since.map_or(Duration::ZERO, |since| since.elapsed()));
@@ -276,7 +276,7 @@ impl Remote {
 
 impl Joined {
     /// Waits until the gateway's records for a profile are here; returns immediately if this site joins none.
-    pub async fn caught_up(&self, profile: &ProfileName) -> Result<(), Failure> {
+    pub async fn caught_up(&self, profile: &ProfileName) -> Result<()> {
         match self.settled(profile, FIRST_ROUND).await? {
             Ok(_) => Ok(()),
             Err(text) => Err(Failure::new(ErrorKind::Incomplete, format!("{text}; try again in a few seconds"))),
@@ -284,7 +284,7 @@ impl Joined {
     }
 
     /// Whether the gateway lists records that it does not give; if more is still arriving after this long, a text.
-    async fn settled(&self, profile: &ProfileName, most: Duration) -> Result<Result<bool, String>, Failure> {
+    async fn settled(&self, profile: &ProfileName, most: Duration) -> Result<Result<bool, String>> {
         let Some(remote) = self.remote.as_ref().filter(|_| self.parts.home.original().is_none()) else {
             return Ok(Ok(false));
         };
@@ -293,7 +293,7 @@ impl Joined {
     }
 
     /// The same for a list, which shows what is here: what is missing, in words.
-    pub async fn arriving(&self, profile: &ProfileName, most: Duration) -> Result<Option<String>, Failure> {
+    pub async fn arriving(&self, profile: &ProfileName, most: Duration) -> Result<Option<String>> {
         Ok(match self.settled(profile, most).await? {
             Ok(lacks) => lacks.then(|| {
                 "the gateway lists records that it does not return yet, or whose keys are not here yet; they are \

@@ -21,7 +21,7 @@ use crate::event::Event;
 use crate::failure::refused;
 use crate::model::{ErrorKind, OperatorName, OperatorRight, OperatorRights, ProfileName};
 use crate::paths::Home;
-use crate::reply::{Failure, Reply};
+use crate::reply::{Failure, Reply, Result};
 use crate::socket;
 
 /// How long a looked-up standing counts.
@@ -51,7 +51,7 @@ pub(super) struct Operators {
 }
 
 impl Operators {
-    async fn admit(self: &Arc<Self>, uid: u32) -> Result<Arc<Operator>, Failure> {
+    async fn admit(self: &Arc<Self>, uid: u32) -> Result<Arc<Operator>> {
         let (name, rights) = self.standing(uid).await?.inspect_err(|error| self.count(&uid, error.word()))?;
         if rights.is_empty() {
             self.count(&name, "no right");
@@ -62,7 +62,7 @@ impl Operators {
     }
 
     /// Current rights of an operator; an error if there are none left or the user is unknown.
-    async fn rights(self: &Arc<Self>, operator: &Operator) -> Result<OperatorRights, Failure> {
+    async fn rights(self: &Arc<Self>, operator: &Operator) -> Result<OperatorRights> {
         let mut standing = operator.standing.lock().await;
         if standing.0.elapsed() >= FRESH {
             let (name, rights) = self.standing(operator.uid).await??;
@@ -78,10 +78,7 @@ impl Operators {
     }
 
     /// Name and rights of a user; the outer error is that of a failed task.
-    async fn standing(
-        self: &Arc<Self>,
-        uid: u32,
-    ) -> Result<Result<(OperatorName, OperatorRights), AccountError>, Failure> {
+    async fn standing(self: &Arc<Self>, uid: u32) -> Result<Result<(OperatorName, OperatorRights), AccountError>> {
         let of = move |operators: &Self| -> Result<_, AccountError> {
             let account = Account::of(uid)?;
             let rights = account.rights(&operators.parts.config.operators.rules)?;
@@ -95,12 +92,7 @@ impl Operators {
         let _first = self.parts.log.refused(&format!("user {user}"), word);
     }
 
-    async fn judge(
-        self: &Arc<Self>,
-        operator: &Operator,
-        profile: &ProfileName,
-        needed: Needed,
-    ) -> Result<(), Failure> {
+    async fn judge(self: &Arc<Self>, operator: &Operator, profile: &ProfileName, needed: Needed) -> Result<()> {
         let refusal = if self.has(profile) {
             self.why_not(operator, needed).await
         } else {
@@ -135,7 +127,7 @@ impl Operators {
 
 impl Site {
     /// Refuses everybody but the home's owner, even root.
-    pub(crate) fn check_owner(&self, uid: u32) -> Result<(), Failure> {
+    pub(crate) fn check_owner(&self, uid: u32) -> Result<()> {
         let root = self.home().root();
         let owner = std::fs::metadata(root).map_err(|error| {
             Failure::new(ErrorKind::Home, format!("the owner of {} is not known: {error}", root.display()))
@@ -152,7 +144,7 @@ impl Site {
         )))
     }
 
-    pub(crate) async fn admit_operator(&self, uid: u32) -> Result<Arc<Operator>, Failure> {
+    pub(crate) async fn admit_operator(&self, uid: u32) -> Result<Arc<Operator>> {
         self.operators.admit(uid).await
     }
 
@@ -191,7 +183,7 @@ impl Site {
     }
 
     /// Answers an allowed request; an operator is named in each resulting audit line.
-    pub(in crate::site) async fn answer(self: &Arc<Self>, request: Request, claims: &Claims) -> Result<Reply, Failure> {
+    pub(in crate::site) async fn answer(self: &Arc<Self>, request: Request, claims: &Claims) -> Result<Reply> {
         let Asker::Operator(operator) = &claims.asker else { return self.handle(request, claims).await };
         self.operators.judge(operator, &request.profile, request.command.needs()).await?;
         acting_as(operator.name.clone(), Box::pin(self.handle(request, claims))).await

@@ -60,7 +60,7 @@ async fn refused<A: Ask>(client: &Client, ask: A, words: &str) {
 }
 
 fn watch() -> WatchTopic {
-    WatchTopic { topic: "/odom".parse().expect("a topic"), type_name: None }
+    WatchTopic { topic: "/odom".parse().expect("a topic"), type_name: None, sampling: None }
 }
 
 fn unlock() -> Unlock {

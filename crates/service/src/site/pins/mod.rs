@@ -5,16 +5,17 @@ mod tests;
 
 use crate::pipeline::Pins;
 use crate::site::parts::Parts;
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeSet, HashMap, HashSet};
 use std::sync::Arc;
 
 use tokio::task::block_in_place;
 
-use crate::model::{ProfileName, Publisher, TopicName, clean};
+use crate::model::{Address, ProfileName, Publisher, TopicPattern, clean};
 use crate::pipeline::Owner;
 use crate::service::event::Part;
 use crate::service::failure::input;
-use crate::service::reply::{AlarmView, Failure, PinView, PinsView};
+use crate::service::reply::{AlarmView, PinView, PinsView, Result};
+use crate::store::PinRow;
 
 const WIDEST: usize = 400;
 
@@ -35,10 +36,9 @@ pub(in crate::site) struct Pinning {
 
 impl Pinning {
     /// Needs no passphrase.
-    pub async fn view(&self, profile: &ProfileName, topic: Option<&TopicName>) -> Result<PinsView, Failure> {
+    pub async fn view(&self, profile: &ProfileName, topic: Option<&TopicPattern>) -> Result<PinsView> {
         let owner = self.parts.owners.address_of(profile)?;
-        let topic = topic.map(|topic| topic.as_str().to_owned());
-        let wanted = |name: &str| topic.as_deref().is_none_or(|topic| topic == name);
+        let wanted = |name: &str| topic.is_none_or(|topic| topic.matches(name));
         let settings = self.pins.all_listed().filter(|(name, _)| wanted(name)).map(|(topic, publisher)| PinView {
             topic: topic.clone(),
             publisher: publisher.clone(),
@@ -46,15 +46,15 @@ impl Pinning {
             at: None,
         });
         let mut pins: Vec<PinView> = settings.collect();
-        let kept = self.parts.plant.ledger.pins.list(owner, topic.as_deref())?;
-        pins.extend(kept.into_iter().map(|row| PinView {
+        let kept = self.parts.plant.ledger.pins.list(owner, None)?.into_iter().filter(|row| wanted(&row.topic));
+        pins.extend(kept.map(|row| PinView {
             topic: clean(&row.topic, 255),
             publisher: cleaned(row.publisher),
             source: row.source,
             at: Some(row.at),
         }));
-        let alarms = self.parts.plant.ledger.pins.alarms(owner, topic.as_deref())?;
-        let alarms = alarms.into_iter().map(|row| AlarmView {
+        let alarms = self.parts.plant.ledger.pins.alarms(owner, None)?;
+        let alarms = alarms.into_iter().filter(|row| wanted(&row.topic)).map(|row| AlarmView {
             topic: clean(&row.topic, 255),
             publisher: clean(&row.publisher, WIDEST),
             ..row
@@ -62,57 +62,87 @@ impl Pinning {
         Ok(PinsView { mode: self.pins.mode(), pins, alarms: alarms.collect() })
     }
 
-    /// Accepts publishers of a topic; if none is named, those being read now.
+    /// Accepts publishers of a topic; if none is named, those being read now of every topic that matches.
     pub async fn pin(
         &self,
         profile: &ProfileName,
-        topic: &TopicName,
+        topic: &TopicPattern,
         publishers: Vec<Publisher>,
-    ) -> Result<PinsView, Failure> {
+    ) -> Result<PinsView> {
         let owner = self.parts.owners.address_of(profile)?;
-        let publishers = if publishers.is_empty() { self.pins.live(topic.as_str()) } else { publishers };
-        if publishers.is_empty() {
+        let wanted: Vec<(String, Publisher)> = match (topic.name(), publishers.is_empty()) {
+            (Some(name), false) => publishers.into_iter().map(|one| (name.to_string(), one)).collect(),
+            (None, false) => {
+                return Err(input(format!("name one topic for these publishers; {topic} stands for several")));
+            }
+            (_, true) => self.live_on(topic),
+        };
+        if wanted.is_empty() {
             return Err(input(format!(
                 "no publisher of {topic} is being read at the moment; give it with --publisher CALLER_ID@HOST:TYPE:MD5"
             )));
         }
-        for publisher in &publishers {
-            let (subject, one) = (format!("{topic} {publisher}"), std::slice::from_ref(publisher));
-            let pinned = async { Ok(block_in_place(|| self.pins.pin(owner, topic.as_str(), one))?) };
+        for (name, publisher) in &wanted {
+            let (subject, one) = (format!("{name} {publisher}"), std::slice::from_ref(publisher));
+            let pinned = async { Ok(block_in_place(|| self.pins.pin(owner, name, one))?) };
             self.parts.log.deed(profile, "pin", &subject, pinned).await?;
         }
         self.parts.hub.changed(Part::Topics);
         self.view(profile, Some(topic)).await
     }
 
-    pub async fn unpin(&self, profile: &ProfileName, topic: &TopicName, caller_id: &str) -> Result<PinsView, Failure> {
+    fn live_on(&self, topic: &TopicPattern) -> Vec<(String, Publisher)> {
+        let topics = self.pins.live_topics().into_iter().filter(|name| topic.matches(name));
+        let of = |name: String| self.pins.live(&name).into_iter().map(move |one| (name.clone(), one));
+        topics.flat_map(of).collect()
+    }
+
+    /// No longer accepts a node name on the topics that match.
+    pub async fn unpin(&self, profile: &ProfileName, topic: &TopicPattern, caller_id: &str) -> Result<PinsView> {
         let owner = self.parts.owners.address_of(profile)?;
         let name = clean(caller_id, 255);
-        if self.pins.listed(topic.as_str()).iter().any(|publisher| publisher.caller_id == caller_id) {
-            return Err(input(format!("{name} is pinned to {topic} by ros.publishers; remove it there")));
+        let mut listed = self.pins.all_listed();
+        if let Some((listed, _)) = listed.find(|(on, one)| topic.matches(on) && one.caller_id == caller_id) {
+            return Err(input(format!("{name} is pinned to {listed} by ros.publishers; remove it there")));
         }
-        let unpinned = async {
-            match block_in_place(|| self.pins.unpin(owner, topic.as_str(), caller_id))? {
-                0 => Err(input(format!(
-                    "{name} is not pinned to {topic}; `authros topics pins` lists the pinned publishers"
-                ))),
-                _ => Ok(()),
-            }
+        let not_pinned = |topic: &str| {
+            input(format!("{name} is not pinned to {topic}; `authros topics pins` lists the pinned publishers"))
         };
-        self.parts.log.deed(profile, "unpin", &format!("{topic} {name}"), unpinned).await?;
+        let topics = match topic.name() {
+            Some(name) => BTreeSet::from([name.to_string()]),
+            None => self.pinned_to(owner, topic, caller_id)?,
+        };
+        if topics.is_empty() {
+            return Err(not_pinned(topic.as_str()));
+        }
+        for topic in &topics {
+            let unpinned = async {
+                match block_in_place(|| self.pins.unpin(owner, topic, caller_id))? {
+                    0 => Err(not_pinned(topic)),
+                    _ => Ok(()),
+                }
+            };
+            self.parts.log.deed(profile, "unpin", &format!("{topic} {name}"), unpinned).await?;
+        }
         self.parts.hub.changed(Part::Topics);
         self.view(profile, Some(topic)).await
     }
 
+    fn pinned_to(&self, owner: Address, topic: &TopicPattern, caller_id: &str) -> Result<BTreeSet<String>> {
+        let kept = self.parts.plant.ledger.pins.list(owner, None)?.into_iter();
+        let is_meant = |row: &PinRow| topic.matches(&row.topic) && row.publisher.caller_id == caller_id;
+        Ok(kept.filter(is_meant).map(|row| row.topic).collect())
+    }
+
     /// Topics with an open alarm about a publisher.
-    pub fn alarmed_topics(&self, profile: &ProfileName) -> Result<HashSet<String>, Failure> {
+    pub fn alarmed_topics(&self, profile: &ProfileName) -> Result<HashSet<String>> {
         let Ok(owner) = self.parts.owners.address_of(profile) else { return Ok(HashSet::new()) };
         let alarms = self.parts.plant.ledger.pins.alarms(owner, None)?;
         Ok(alarms.into_iter().filter(|alarm| alarm.open).map(|alarm| alarm.topic).collect())
     }
 
     /// Node names pinned to each topic, by the operator, first sight or the settings.
-    pub fn pinned_names(&self, profile: &ProfileName) -> Result<HashMap<String, HashSet<String>>, Failure> {
+    pub fn pinned_names(&self, profile: &ProfileName) -> Result<HashMap<String, HashSet<String>>> {
         let Ok(owner) = self.parts.owners.address_of(profile) else { return Ok(HashMap::new()) };
         let kept = self.parts.plant.ledger.pins.list(owner, None)?;
         let kept = kept.into_iter().map(|row| (row.topic, row.publisher.caller_id));

@@ -92,3 +92,26 @@ async fn pins_survive_a_restart_and_are_one_profiles_alone() {
     ground.owner("bob");
     assert!(pinning.view(&profile("bob"), None).await.expect("pins").pins.is_empty());
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_pattern_pins_and_unpins_what_is_read_on_every_topic_that_matches() {
+    let ground = Ground::with(&[]);
+    let (pinning, alice) = (pinning(&ground, PinMode::List, ""), profile("alice"));
+    ground.owner("alice");
+    for (number, topic) in (1..).zip(["/robot1/odom", "/robot2/odom", "/robot2/scan", "/tf"]) {
+        pinning.pins.connected(&topic.into(), &origin(number, "/driver"));
+    }
+    let pattern = |text: &str| text.parse().expect("a pattern");
+    let names = |view: &PinsView| view.pins.iter().map(|pin| pin.topic.clone()).collect::<Vec<_>>();
+    let pinned = pinning.pin(&alice, &pattern("/robot*/odom"), Vec::new()).await.expect("pinned");
+    assert_eq!(names(&pinned), ["/robot1/odom", "/robot2/odom"]);
+    let of_robot = pinning.view(&alice, Some(&pattern("/robot2/**"))).await.expect("pins");
+    assert_eq!(names(&of_robot), ["/robot2/odom"], "what is listed is what matches");
+    let several = pinning.pin(&alice, &pattern("/robot*/odom"), vec![publisher("/other")]).await;
+    assert!(several.expect_err("for one topic only").message.contains("name one topic"));
+
+    pinning.unpin(&alice, &pattern("/robot2/**"), "/driver").await.expect("unpinned");
+    assert_eq!(names(&pinning.view(&alice, None).await.expect("pins")), ["/robot1/odom"]);
+    let again = pinning.unpin(&alice, &pattern("/robot2/**"), "/driver").await.expect_err("nothing is left");
+    assert!(again.message.contains("not pinned to /robot2/**"), "{}", again.message);
+}

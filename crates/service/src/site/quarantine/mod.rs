@@ -12,13 +12,13 @@ use std::time::{Duration, Instant};
 use tokio::task::block_in_place;
 
 use super::reading::view::record_view;
-use crate::model::{Digest, ErrorKind, ProfileName, RecordState, Timestamp, TopicName, clean};
+use crate::model::{Digest, ErrorKind, ProfileName, RecordState, Timestamp, TopicPattern, clean};
 use crate::pipeline::columns::Shown;
 use crate::pipeline::{Author, Owner, quarantine};
 use crate::service::command::Held;
 use crate::service::event::Part;
 use crate::service::failure::input;
-use crate::service::reply::{DecidedView, Failure, HeldView, QuarantineView};
+use crate::service::reply::{DecidedView, Failure, HeldView, QuarantineView, Result};
 use crate::store::{HeldQuery, HeldRow, RecordRow};
 
 /// How long a discard waits for the quarantine records to be in a block.
@@ -55,7 +55,7 @@ impl Quarantine {
     }
 
     /// Counts what was quarantined before this minute.
-    async fn report(&self, author: &Author, before: u64) -> Result<(), Failure> {
+    async fn report(&self, author: &Author, before: u64) -> Result<()> {
         let _one_at_a_time = self.reporting.lock().await;
         block_in_place(|| quarantine::report(&self.parts.plant, author, before))?;
         Ok(())
@@ -70,17 +70,17 @@ impl Quarantine {
     pub async fn view(
         &self,
         profile: &ProfileName,
-        topic: Option<TopicName>,
+        topic: Option<TopicPattern>,
         limit: usize,
-    ) -> Result<QuarantineView, Failure> {
+    ) -> Result<QuarantineView> {
         let owner = self.parts.owners.address_of(profile)?;
-        let name = topic.as_ref().map(ToString::to_string);
-        let (topic, limit) = (name.clone(), limit.clamp(1, 1000));
-        let query = HeldQuery { topic, messages: true, limit, ..HeldQuery::default() };
+        let (name, limit) = (topic.as_ref().map(ToString::to_string), limit.clamp(1, 1000));
+        let query = HeldQuery { topic: name, messages: true, newest_first: true, limit, ..HeldQuery::default() };
         let ledger = &self.parts.plant.ledger;
         let rows = ledger.quarantine.held(owner, &query)?;
         let counts = ledger.counts.by_state(Some(owner))?;
-        let wanted = counts.topics.iter().filter(|counts| name.as_ref().is_none_or(|name| *name == counts.topic));
+        let is_wanted = |name: &str| topic.as_ref().is_none_or(|topic| topic.matches(name));
+        let wanted = counts.topics.iter().filter(|counts| is_wanted(&counts.topic));
         let keys = self.reading.own_keys();
         let shown = self.reading.compared(rows.iter().map(|row| row.record.clone()).collect(), &keys, &[])?;
         let view = |(row, shown): (HeldRow, Shown)| HeldView {
@@ -95,13 +95,13 @@ impl Quarantine {
         })
     }
 
-    fn held(&self, owner: &Owner, topic: Option<String>) -> Result<Vec<HeldRow>, Failure> {
+    fn held(&self, owner: &Owner, topic: Option<String>) -> Result<Vec<HeldRow>> {
         let query = HeldQuery { topic, limit: MOST, ..HeldQuery::default() };
         Ok(self.parts.plant.ledger.quarantine.held(owner.address, &query)?)
     }
 
     /// Quarantined records named by a person; definitions only by topic.
-    async fn named(&self, owner: &Arc<Owner>, held: &Held) -> Result<Vec<HeldRow>, Failure> {
+    async fn named(&self, owner: &Owner, held: &Held) -> Result<Vec<HeldRow>> {
         let mut rows = self.held(owner, held.topic.as_ref().map(ToString::to_string))?;
         if held.topic.is_some() {
             return Ok(rows);
@@ -111,7 +111,7 @@ impl Quarantine {
             let row = self.reading.find_record(id)?;
             if row.owner != owner.address || row.state != RecordState::Quarantined {
                 return Err(input(format!(
-                    "record {} is not in quarantine (it is {}); `authros quarantine list` shows those that are",
+                    "record {} is not in quarantine (it is {}); `authros topics quarantine list` shows those that are",
                     row.id,
                     row.state.word()
                 )));
@@ -123,7 +123,7 @@ impl Quarantine {
     }
 
     /// Lets quarantined messages be anchored; the tag in their sealed head stays.
-    pub async fn release(&self, owner: &Arc<Owner>, held: Held) -> Result<DecidedView, Failure> {
+    pub async fn release(&self, owner: &Owner, held: Held) -> Result<DecidedView> {
         let rows = self.named(owner, &held).await?;
         let released = self.release_rows(owner, &held, &rows);
         self.audited(owner, "release quarantined", &rows, released).await?;
@@ -133,7 +133,7 @@ impl Quarantine {
         Ok(DecidedView { decision: "released".to_owned(), messages, reports: Vec::new(), text })
     }
 
-    async fn release_rows(&self, owner: &Arc<Owner>, held: &Held, rows: &[HeldRow]) -> Result<(), Failure> {
+    async fn release_rows(&self, owner: &Owner, held: &Held, rows: &[HeldRow]) -> Result<()> {
         // The quarantine record comes first, so that it counts everything held.
         self.report(&owner.author, u64::MAX).await?;
         let digests: Vec<Digest> = self.with_definitions(owner, rows)?.into_iter().collect();
@@ -142,7 +142,7 @@ impl Quarantine {
     }
 
     /// A released message needs its definition, quarantined with its first message.
-    fn with_definitions(&self, owner: &Owner, rows: &[HeldRow]) -> Result<BTreeSet<Digest>, Failure> {
+    fn with_definitions(&self, owner: &Owner, rows: &[HeldRow]) -> Result<BTreeSet<Digest>> {
         let topics: BTreeSet<&String> = rows.iter().map(|row| &row.record.topic).collect();
         let mut digests: BTreeSet<Digest> = rows.iter().map(|row| row.record.digest).collect();
         for topic in topics {
@@ -153,7 +153,7 @@ impl Quarantine {
     }
 
     /// Deletes quarantined messages, once the quarantine records that count them are on the chain.
-    pub async fn discard(&self, owner: &Arc<Owner>, held: Held) -> Result<DecidedView, Failure> {
+    pub async fn discard(&self, owner: &Owner, held: Held) -> Result<DecidedView> {
         let rows = self.named(owner, &held).await?;
         self.report(&owner.author, u64::MAX).await?;
         // Read again: the reports are known only now.
@@ -172,7 +172,7 @@ impl Quarantine {
         Ok(DecidedView { decision: "discarded".to_owned(), messages, reports, text })
     }
 
-    async fn discard_rows(&self, owner: &Arc<Owner>, held: &Held, rows: &[HeldRow]) -> Result<(), Failure> {
+    async fn discard_rows(&self, owner: &Owner, held: &Held, rows: &[HeldRow]) -> Result<()> {
         let digests: Vec<Digest> = rows.iter().map(|row| row.record.digest).collect();
         // A backup taken now must not see the bytes gone while the rows are not.
         let one_at_a_time = self.reporting.lock().await;
@@ -182,7 +182,7 @@ impl Quarantine {
     }
 
     /// The quarantine records that count these, as soon as all are in a block.
-    async fn anchored_reports(&self, rows: &[HeldRow]) -> Result<Vec<Digest>, Failure> {
+    async fn anchored_reports(&self, rows: &[HeldRow]) -> Result<Vec<Digest>> {
         let reports: BTreeSet<Digest> = rows.iter().filter_map(|row| row.report).collect();
         let reports: Vec<Digest> = reports.into_iter().collect();
         let counted = rows.iter().all(|row| row.report.is_some());
@@ -206,11 +206,11 @@ impl Quarantine {
     /// Runs the deed between two log lines for each topic.
     async fn audited(
         &self,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         action: &str,
         rows: &[HeldRow],
-        deed: impl Future<Output = Result<(), Failure>>,
-    ) -> Result<(), Failure> {
+        deed: impl Future<Output = Result<()>>,
+    ) -> Result<()> {
         let mut subjects = Vec::new();
         let topics: BTreeSet<&str> = rows.iter().map(|row| row.record.topic.as_str()).collect();
         for topic in topics {
@@ -228,10 +228,12 @@ impl Quarantine {
         outcome
     }
 
-    /// Deciding about a whole topic closes its alarms.
-    fn decided(&self, owner: &Owner, held: &Held) -> Result<(), Failure> {
-        if let Some(topic) = &held.topic {
-            self.parts.plant.ledger.pins.close_alarms(owner.address, topic.as_str())?;
+    /// Deciding about whole topics closes their alarms.
+    fn decided(&self, owner: &Owner, held: &Held) -> Result<()> {
+        let pins = &self.parts.plant.ledger.pins;
+        let raised: BTreeSet<String> = pins.alarms(owner.address, None)?.into_iter().map(|alarm| alarm.topic).collect();
+        for topic in raised.iter().filter(|name| held.topic.as_ref().is_some_and(|topic| topic.matches(name))) {
+            pins.close_alarms(owner.address, topic)?;
         }
         self.parts.hub.changed(Part::Topics);
         self.parts.hub.changed(Part::Uploads);

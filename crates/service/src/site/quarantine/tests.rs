@@ -87,3 +87,21 @@ async fn a_release_is_written_down_first_and_touches_nobody_elses_messages() {
     assert!(written.iter().all(|(subject, _)| subject.starts_with("/odom: 1 messages")), "{written:?}");
     assert_eq!(written.iter().map(|(_, outcome)| outcome.as_str()).collect::<Vec<_>>(), ["begun", "done"]);
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_pattern_names_the_topics_whose_messages_are_decided_about() {
+    let ground = Ground::with(&[]);
+    let (quarantine, alice) = (quarantine(&ground), owner(&ground, "alice"));
+    let digest = hold(&ground, alice.address, 1);
+    let pattern = |text: &str| Some(text.parse().expect("a pattern"));
+    for (text, messages) in [("/o?om", 1), ("/robot1/**", 0)] {
+        let view = quarantine.view(&profile("alice"), pattern(text), 10).await.expect("a list");
+        assert_eq!((view.messages, view.records.len() as u64), (messages, messages), "{text}");
+    }
+    for (text, messages) in [("/robot1/**", 0), ("/o*", 1)] {
+        let held = Held { topic: pattern(text), ids: Vec::new() };
+        assert_eq!(quarantine.release(&alice, held).await.expect("decided").messages, messages, "{text}");
+    }
+    let row = ground.parts.plant.ledger.records.find(digest).expect("readable").expect("there");
+    assert_eq!(row.state, RecordState::Stored);
+}

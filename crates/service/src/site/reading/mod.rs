@@ -18,11 +18,11 @@ use crate::command::UploadQuery;
 use crate::failure::input;
 use crate::model::{
     Address, Digest, ErrorKind, GapReport, ProfileName, RecordKind, RetentionReport, SignerId, Timestamp, TopicName,
-    TopicPattern, clean,
+    TopicPattern, TopicPatterns, clean,
 };
 use crate::pipeline::columns::Heads;
 use crate::pipeline::{Network, network_pin};
-use crate::reply::{CoverageView, Failure};
+use crate::reply::{CoverageView, Failure, Result};
 use crate::ros::recording::{Beside, BesideContent};
 use crate::store::notes::Enrolled;
 use crate::store::{Coverage, CoverageQuery, RecordQuery};
@@ -47,7 +47,7 @@ impl Reading {
     }
 
     /// The network; without its chain, what this home kept of it, to read own records by.
-    pub async fn network_or_kept(&self) -> Result<Network, Failure> {
+    pub async fn network_or_kept(&self) -> Result<Network> {
         let failure = match self.parts.link.network().await {
             Ok(_) if self.parts.link.is_silent() => {
                 Failure::new(ErrorKind::Unreachable, "it did not answer the last request")
@@ -73,7 +73,7 @@ impl Reading {
         (topic, robot): (TopicName, Option<String>),
         span: (Option<Timestamp>, Option<Timestamp>),
         parts: usize,
-    ) -> Result<CoverageView, Failure> {
+    ) -> Result<CoverageView> {
         let owner = self.parts.owners.address_of(profile)?;
         let (since, until) = (span.0, span.1.unwrap_or_else(Timestamp::now));
         if since.is_some_and(|since| since >= until) {
@@ -98,7 +98,7 @@ impl Reading {
 
 impl Reading {
     /// Own records. A robot is one enrolled under its name, or else the first part of topics.
-    fn of_robot(&self, owners: &[Address], query: UploadQuery) -> Result<RecordQuery, Failure> {
+    pub(in crate::site) fn of_robot(&self, owners: &[Address], query: UploadQuery) -> Result<RecordQuery> {
         let Some(robot) = query.robot.clone() else { return Ok(view::record_query(query)) };
         let ledger = &self.parts.plant.ledger;
         let mut enrolled = Vec::new();
@@ -120,17 +120,32 @@ impl Reading {
     }
 }
 
+impl Reading {
+    /// What an enrolled robot may record, and what it has recorded.
+    pub fn topics_of_robot(&self, owner: Address, robot: &str) -> Result<BTreeSet<String>, Failure> {
+        let ledger = &self.parts.plant.ledger;
+        let enrolled = block_in_place(|| enrolled::of_account(&ledger.notes, owner))?;
+        let devices = devices_of(&enrolled, robot)?;
+        let of_robot = enrolled.into_iter().filter(|one| devices.contains(&one.device) && !one.ended);
+        let mut topics: BTreeSet<String> = of_robot.flat_map(|one| one.topics).collect();
+        let recorded = block_in_place(|| ledger.counts.signer_topics(owner, None))?;
+        let of_robot = recorded.into_iter().filter(|one| devices.contains(&one.signer));
+        topics.extend(of_robot.map(|one| one.topic));
+        Ok(topics)
+    }
+}
+
 /// Records with the robot's name as the first part of their topics.
-fn of_namespace(query: UploadQuery) -> Result<RecordQuery, Failure> {
+fn of_namespace(query: UploadQuery) -> Result<RecordQuery> {
     let under = query.robot.as_deref().map(TopicPattern::of_robot).transpose();
     let under = under.map_err(|error| input(error.to_string()))?;
     let mut query = view::record_query(query);
-    query.patterns.extend(under);
+    query.topics.extend(under.map(|under| TopicPatterns(vec![under])));
     Ok(query)
 }
 
 /// Devices ever enrolled under a name (a re-enrolled robot has another key), or the one whose id begins so.
-fn devices_of(enrolled: &[Enrolled], robot: &str) -> Result<BTreeSet<SignerId>, Failure> {
+fn devices_of(enrolled: &[Enrolled], robot: &str) -> Result<BTreeSet<SignerId>> {
     let devices = |is_meant: &dyn Fn(&Enrolled) -> bool| -> BTreeSet<SignerId> {
         enrolled.iter().filter(|one| is_meant(one)).map(|one| one.device).collect()
     };
@@ -147,7 +162,7 @@ fn devices_of(enrolled: &[Enrolled], robot: &str) -> Result<BTreeSet<SignerId>, 
     }
     Err(input(format!(
         "no robot of this profile is called '{}'; give the name that it was enrolled under, or at least {SHORTEST} \
-         characters of its device's id; `authros robots list` shows them",
+         characters of its device's id; `authros robot list` shows them",
         clean(robot, 64)
     )))
 }

@@ -2,7 +2,6 @@
 
 use super::Reading;
 use std::ffi::OsStr;
-use std::sync::Arc;
 
 use tokio::task::block_in_place;
 
@@ -18,7 +17,7 @@ use crate::ros::readable::{self, Exported};
 use crate::ros::recording::{Described, TYPE_HASH, TypeFacts};
 use crate::service::command::LONGEST_PATH;
 use crate::service::failure::input;
-use crate::service::reply::{Failure, OpenedView, PathView};
+use crate::service::reply::{Failure, OpenedView, PathView, Result};
 use crate::site::reading;
 use crate::store::{RecordQuery, RecordRow};
 
@@ -39,7 +38,7 @@ struct Opened {
 }
 
 impl Reading {
-    pub async fn open_record(&self, owner: &Arc<Owner>, id: &str) -> Result<OpenedView, Failure> {
+    pub async fn open_record(&self, owner: &Owner, id: &str) -> Result<OpenedView> {
         let opened = self.opened(owner, id, "decrypt").await?;
         Ok(block_in_place(|| {
             let mut view = view_of(&opened, owner);
@@ -51,7 +50,7 @@ impl Reading {
         }))
     }
 
-    pub async fn file_of(&self, owner: &Arc<Owner>, id: &str, kind: Option<Exported>) -> Result<OpenedView, Failure> {
+    pub async fn file_of(&self, owner: &Owner, id: &str, kind: Option<Exported>) -> Result<OpenedView> {
         let opened = self.opened(owner, id, "export message").await?;
         block_in_place(|| {
             let mut view = view_of(&opened, owner);
@@ -70,7 +69,7 @@ impl Reading {
         })
     }
 
-    async fn opened(&self, owner: &Arc<Owner>, id: &str, deed: &str) -> Result<Opened, Failure> {
+    async fn opened(&self, owner: &Owner, id: &str, deed: &str) -> Result<Opened> {
         let (row, network) = self.authorised(owner, id).await?;
         let reader = Reader { plant: &self.parts.plant, network: &network, reader: owner };
         let opened = async {
@@ -83,12 +82,7 @@ impl Reading {
         Ok(Opened { row, record, reason, described })
     }
 
-    async fn described(
-        &self,
-        reader: &Reader<'_>,
-        row: &RecordRow,
-        record: &OpenedRecord,
-    ) -> Result<Described, Failure> {
+    async fn described(&self, reader: &Reader<'_>, row: &RecordRow, record: &OpenedRecord) -> Result<Described> {
         if row.kind != RecordKind::Data {
             return Ok(Described::default());
         }
@@ -105,7 +99,7 @@ impl Reading {
         Ok(described)
     }
 
-    pub async fn path_to(&self, owner: &Arc<Owner>, id: &str, records: usize) -> Result<PathView, Failure> {
+    pub async fn path_to(&self, owner: &Owner, id: &str, records: usize) -> Result<PathView> {
         let records = records.clamp(2, LONGEST_PATH);
         let (row, network) = self.authorised(owner, id).await?;
         let reader = Reader { plant: &self.parts.plant, network: &network, reader: owner };
@@ -113,7 +107,7 @@ impl Reading {
         self.parts.log.deed(&owner.profile, "decrypt", &subject, self.path_of(&reader, row, records)).await
     }
 
-    async fn path_of(&self, reader: &Reader<'_>, row: RecordRow, records: usize) -> Result<PathView, Failure> {
+    async fn path_of(&self, reader: &Reader<'_>, row: RecordRow, records: usize) -> Result<PathView> {
         let last = reader.open(&row).await?;
         let described = self.described(reader, &row, &last).await?;
         let definition = described.definition.clone().ok_or_else(|| without_definition(&row, &described))?;
@@ -136,7 +130,7 @@ impl Reading {
     }
 
     /// Earlier messages of the record's stream, newest first.
-    fn before(&self, row: &RecordRow, most: usize) -> Result<Vec<RecordRow>, Failure> {
+    fn before(&self, row: &RecordRow, most: usize) -> Result<Vec<RecordRow>> {
         let query = RecordQuery {
             owner: Some(row.owner),
             topic_ids: Some(vec![row.topic_id]),
@@ -174,7 +168,7 @@ fn without_definition(row: &RecordRow, described: &Described) -> Failure {
 }
 
 /// An attachment as a file: its description, or the attached file.
-fn attached(kind: Option<Exported>, opened: &Opened, view: &OpenedView) -> Result<Vec<u8>, Failure> {
+fn attached(kind: Option<Exported>, opened: &Opened, view: &OpenedView) -> Result<Vec<u8>> {
     if kind == Some(Exported::Json) {
         return Ok(serde_json::to_vec_pretty(&view.message).unwrap_or_default());
     }

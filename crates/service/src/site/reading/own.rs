@@ -1,7 +1,6 @@
 //! A profile's own records: lists, provenance, export for third parties to check.
 
 use super::Reading;
-use std::sync::Arc;
 
 use tokio::task::block_in_place;
 
@@ -15,13 +14,13 @@ use crate::pipeline::retention::is_stated;
 use crate::pipeline::{Network, Owner, PipelineError, authority};
 use crate::service::command::UploadQuery;
 use crate::service::failure::{input, internal};
-use crate::service::reply::{ExportedFile, Failure, Provenance, RecordPage, RecordView};
+use crate::service::reply::{ExportedFile, Failure, Provenance, RecordPage, RecordView, Result};
 use crate::site::incidents::narrowed;
 use crate::store::{self, BatchPlace, FilterChoice, PlacedRecord, RecordQuery, RecordRow};
 
 impl Reading {
     /// Needs no passphrase.
-    pub async fn list_own(&self, profile: &ProfileName, query: UploadQuery) -> Result<RecordPage, Failure> {
+    pub async fn list_own(&self, profile: &ProfileName, query: UploadQuery) -> Result<RecordPage> {
         let owner = self.parts.owners.address_of(profile)?;
         let index = self.parts.owners.get(profile).map(|owner| owner.index());
         self.name_asked(owner, index, query.topic.as_ref())?;
@@ -42,7 +41,7 @@ impl Reading {
     }
 
     /// Records of all profiles of the home; needs no passphrase.
-    pub fn list_all(&self, query: UploadQuery) -> Result<RecordPage, Failure> {
+    pub fn list_all(&self, query: UploadQuery) -> Result<RecordPage> {
         if query.incident.is_some() {
             return Err(input("an incident belongs to one profile: omit --all, or the incident".to_owned()));
         }
@@ -59,7 +58,7 @@ impl Reading {
         keys: &dyn Keys,
         filters: &[FilterChoice],
         with_owner: bool,
-    ) -> Result<RecordPage, Failure> {
+    ) -> Result<RecordPage> {
         let mut page = record_page(&self.compared(page.rows, keys, filters)?, page.next, with_owner);
         self.note_erased(&mut page.records)?;
         if with_owner {
@@ -72,7 +71,7 @@ impl Reading {
     }
 
     /// Filter ids of a profile's own tags, derived from IK.
-    fn own_tag_filters(&self, profile: &ProfileName, tags: &[(String, String)]) -> Result<Vec<FilterChoice>, Failure> {
+    fn own_tag_filters(&self, profile: &ProfileName, tags: &[(String, String)]) -> Result<Vec<FilterChoice>> {
         if tags.is_empty() {
             return Ok(Vec::new());
         }
@@ -84,7 +83,7 @@ impl Reading {
     }
 
     /// Adds who had deleted records erased.
-    pub(super) fn note_erased(&self, records: &mut [RecordView]) -> Result<(), Failure> {
+    pub(super) fn note_erased(&self, records: &mut [RecordView]) -> Result<()> {
         let gone = ShownState::Verified(Caveat::Deleted);
         for record in records.iter_mut().filter(|record| record.state == gone) {
             let retained = self.parts.plant.ledger.retention.find(record.digest)?;
@@ -93,18 +92,18 @@ impl Reading {
         Ok(())
     }
 
-    pub fn topics_of(&self, owner: Address) -> Result<Vec<TopicId>, Failure> {
+    pub fn topics_of(&self, owner: Address) -> Result<Vec<TopicId>> {
         let counts = self.parts.plant.ledger.counts.by_state(Some(owner))?;
         Ok(counts.topics.iter().filter_map(|topic| topic.topic_id).collect())
     }
 
     /// A record of any owner.
-    pub fn find_record(&self, id: &str) -> Result<RecordRow, Failure> {
+    pub fn find_record(&self, id: &str) -> Result<RecordRow> {
         let row = self.parts.plant.ledger.records.by_id(id)?;
         Ok(row.ok_or_else(|| PipelineError::NoRecord(clean(id, 64)))?)
     }
 
-    pub fn own_record(&self, profile: &ProfileName, id: &str) -> Result<RecordRow, Failure> {
+    pub fn own_record(&self, profile: &ProfileName, id: &str) -> Result<RecordRow> {
         let row = self.find_record(id)?;
         match row.owner == self.parts.owners.address_of(profile)? {
             true => Ok(row),
@@ -112,10 +111,9 @@ impl Reading {
         }
     }
 
-    pub fn provenance(&self, profile: &ProfileName, id: &str) -> Result<Provenance, Failure> {
+    pub fn provenance(&self, profile: &ProfileName, id: &str) -> Result<Provenance> {
         let shown = self.compared_one(&self.own_record(profile, id)?, &self.own_keys())?;
         let row = &shown.row;
-        let step = |word: &str, text: String| (word.to_owned(), text);
         let topic = clean(&row.topic, 255);
         let of = if row.is_named() { topic.as_str() } else { "a topic whose name is unknown here" };
         let mut steps = vec![
@@ -131,27 +129,9 @@ impl Reading {
             steps.push(step("store", "ciphertext stored with its row".to_owned()));
         }
         let ledger = &self.parts.plant.ledger;
-        let placed = ledger.records.placed(row.digest)?;
-        let place = placed.and_then(|placed| placed.place);
-        if let Some(place) = &place {
-            let inclusion = &place.inclusion;
-            steps.push(step("batch", format!("root {}, closed {}", inclusion.root, place.closed_at.in_milliseconds())));
-            let (index, count, hashes) = (inclusion.index + 1, inclusion.count, inclusion.path.len());
-            let hashes = if hashes == 1 { "1 hash".to_owned() } else { format!("{hashes} hashes") };
-            steps.push(step("proof", format!("leaf {index} of {count}, {hashes} to the root")));
-        }
-        if let Some(account) = place.and_then(|place| place.account) {
-            steps.push(step("anchored by", account.to_string()));
-        }
-        if let Some(transaction) = row.transaction {
-            steps.push(step("transaction", transaction.to_string()));
-        }
-        if let (Some(block), Some(hash)) = (row.block, row.block_hash) {
-            steps.push(step("block", format!("{block} {hash}")));
-            // A run without a chain has seen no block.
+        if let Some(placed) = ledger.records.placed(row.digest)? {
             let head = *self.parts.link.scans().borrow();
-            let (deep, wanted) = (head + 1 - block.min(head + 1), self.parts.config.confirmations);
-            steps.extend((head >= block).then(|| step("confirmations", format!("{deep}, of which {wanted} required"))));
+            steps.extend(anchor_steps(placed, head, self.parts.config.confirmations));
         }
         if let Some(retained) = ledger.retention.find(row.digest)? {
             let done = retained.deleted_at.map_or("to be deleted".to_owned(), |at| format!("ciphertext deleted {at}"));
@@ -177,24 +157,14 @@ impl Reading {
     }
 
     /// Files for checking a record with openssl and a node; `proof.json` redacts accounts unless `addresses`.
-    pub async fn export_upload(
-        &self,
-        owner: &Arc<Owner>,
-        id: &str,
-        addresses: bool,
-    ) -> Result<Vec<ExportedFile>, Failure> {
+    pub async fn export_upload(&self, owner: &Owner, id: &str, addresses: bool) -> Result<Vec<ExportedFile>> {
         let row = self.own_record(&owner.profile, id)?;
         let network = self.network_or_kept().await?;
         let files = self.files_of(&network, &row, addresses);
         self.parts.log.deed(&owner.profile, "export record", &row.id, files).await
     }
 
-    async fn files_of(
-        &self,
-        network: &Network,
-        row: &RecordRow,
-        addresses: bool,
-    ) -> Result<Vec<ExportedFile>, Failure> {
+    async fn files_of(&self, network: &Network, row: &RecordRow, addresses: bool) -> Result<Vec<ExportedFile>> {
         let (plant, digest) = (&self.parts.plant, row.digest);
         let blob = block_in_place(|| plant.stored_bytes(row))?;
         let placed = plant.ledger.records.placed(digest)?;
@@ -266,6 +236,32 @@ fn altered(field: &str) -> String {
     )
 }
 
+fn step(word: &str, text: String) -> (String, String) {
+    (word.to_owned(), text)
+}
+
+/// The one anchor that the record rests on: its batch's, or that of its own upload.
+fn anchor_steps(placed: PlacedRecord, head: u64, wanted: u64) -> Vec<(String, String)> {
+    let (row, place) = placed.anchor();
+    let mut steps = Vec::new();
+    if let Some(place) = &place {
+        let inclusion = &place.inclusion;
+        steps.push(step("batch", format!("root {}, closed {}", inclusion.root, place.closed_at.in_milliseconds())));
+        let (index, count, hashes) = (inclusion.index + 1, inclusion.count, inclusion.path.len());
+        let hashes = if hashes == 1 { "1 hash".to_owned() } else { format!("{hashes} hashes") };
+        steps.push(step("proof", format!("leaf {index} of {count}, {hashes} to the root")));
+        steps.extend(place.account.map(|account| step("anchored by", account.to_string())));
+    }
+    steps.extend(row.transaction.map(|transaction| step("transaction", transaction.to_string())));
+    if let (Some(block), Some(hash)) = (row.block, row.block_hash) {
+        steps.push(step("block", format!("{block} {hash}")));
+        // A run without a chain has seen no block.
+        let deep = head + 1 - block.min(head + 1);
+        steps.extend((head >= block).then(|| step("confirmations", format!("{deep}, of which {wanted} required"))));
+    }
+    steps
+}
+
 /// The signer wrote a false name into the record.
 fn misnamed(what: &str) -> String {
     format!(
@@ -326,3 +322,6 @@ fn anchor_json(row: &RecordRow, place: Option<&BatchPlace>, shown: &dyn Fn(Addre
         "block_hash": block_hash,
     })
 }
+
+#[cfg(test)]
+mod tests;

@@ -2,7 +2,6 @@
 
 use super::Reading;
 use std::collections::HashMap;
-use std::sync::Arc;
 
 use super::of_namespace;
 use super::view::reason_of;
@@ -14,14 +13,14 @@ use crate::pipeline::reader::{Reader, is_held};
 use crate::pipeline::{Network, Owner, authority};
 use crate::service::command::UploadQuery;
 use crate::service::failure::input;
-use crate::service::reply::{CheckView, ContractAnswer, Failure, RecordPage};
+use crate::service::reply::{CheckView, ContractAnswer, RecordPage, Result};
 use crate::store::{FilterChoice, RecordQuery, RecordRow};
 
 impl Reading {
     /// Records of all owners with an active grant to this profile, within each grant's scope.
-    pub async fn list_shared(&self, owner: &Arc<Owner>, query: UploadQuery) -> Result<RecordPage, Failure> {
+    pub async fn list_shared(&self, owner: &Owner, query: UploadQuery) -> Result<RecordPage> {
         if query.incident.is_some() {
-            return Err(input("incidents cover your own records: use `authros uploads list --incident NAME`"));
+            return Err(input("incidents cover your own records: use `authros records list --incident NAME`"));
         }
         let network = self.parts.link.network().await?;
         let wanted = query.owner.as_ref().map(|owner| self.contacts.resolve(owner)).transpose()?;
@@ -56,7 +55,7 @@ impl Reading {
         reader: &Reader<'_>,
         mut query: RecordQuery,
         filters: &[FilterChoice],
-    ) -> Result<RecordPage, Failure> {
+    ) -> Result<RecordPage> {
         loop {
             let mut page = self.parts.plant.ledger.records.list(&query)?;
             page.rows.retain(|row| !is_held(row) && reader.topic_key(row).is_ok());
@@ -74,7 +73,7 @@ impl Reading {
         owner: &Owner,
         grants: &[Granted],
         tags: &[(String, String)],
-    ) -> Result<Vec<FilterChoice>, Failure> {
+    ) -> Result<Vec<FilterChoice>> {
         if tags.is_empty() {
             return Ok(Vec::new());
         }
@@ -93,7 +92,7 @@ impl Reading {
         }
     }
 
-    pub fn readable_topics(&self, scopes: &HashMap<Address, Scope>) -> Result<Vec<TopicId>, Failure> {
+    pub fn readable_topics(&self, scopes: &HashMap<Address, Scope>) -> Result<Vec<TopicId>> {
         let mut ids = Vec::new();
         for (owner, scope) in scopes {
             match scope {
@@ -110,7 +109,7 @@ impl Reading {
 
     /// A record that the owner may read now, and the chain that says so; counts a refusal. Own records need no chain,
     /// others' always do.
-    pub async fn authorised(&self, owner: &Arc<Owner>, id: &str) -> Result<(RecordRow, Network), Failure> {
+    pub async fn authorised(&self, owner: &Owner, id: &str) -> Result<(RecordRow, Network)> {
         let row = self.find_record(id)?;
         let is_own = row.owner == owner.address;
         let network = if is_own { self.network_or_kept().await? } else { self.parts.link.network().await? };
@@ -121,7 +120,7 @@ impl Reading {
     }
 
     /// The paper's `Data_Check`: digest and signature, without any key; also asks the contract about the right to read.
-    pub async fn check_record(&self, owner: &Arc<Owner>, id: &str) -> Result<CheckView, Failure> {
+    pub async fn check_record(&self, owner: &Owner, id: &str) -> Result<CheckView> {
         let (row, network) = self.authorised(owner, id).await?;
         let reader = Reader { plant: &self.parts.plant, network: &network, reader: owner };
         let checked = async {

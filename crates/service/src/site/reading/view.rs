@@ -9,11 +9,11 @@ use super::Reading;
 use crate::command::UploadQuery;
 use crate::crypto::{CryptoError, IndexKey, Names, TopicKey, topic_id, topic_key};
 use crate::model::bytes::hex;
-use crate::model::{Address, Digest, Header, ProfileName, RecordKind, TopicPattern, Verdict, clean};
+use crate::model::{Address, Digest, Header, ProfileName, RecordKind, TopicPattern, TopicPatterns, Verdict, clean};
 use crate::pipeline::columns::{Comparison, Keys, Shown};
 use crate::pipeline::reader::Reader;
 use crate::pipeline::{Network, Owner, PipelineError};
-use crate::reply::{Failure, RecordPage, RecordView};
+use crate::reply::{RecordPage, RecordView, Result};
 use crate::site::identity::Owners;
 use crate::store::{FilterChoice, RecordQuery, RecordRow};
 
@@ -58,23 +58,18 @@ impl Reading {
     }
 
     /// Rows ready to be shown; each must have the ids in `filters` by which it was found.
-    pub fn compared(
-        &self,
-        rows: Vec<RecordRow>,
-        keys: &dyn Keys,
-        filters: &[FilterChoice],
-    ) -> Result<Vec<Shown>, Failure> {
+    pub fn compared(&self, rows: Vec<RecordRow>, keys: &dyn Keys, filters: &[FilterChoice]) -> Result<Vec<Shown>> {
         let comparison = Comparison { plant: &self.parts.plant, keys, heads: &self.heads, filters };
         Ok(block_in_place(|| comparison.of(rows))?)
     }
 
-    pub fn compared_one(&self, row: &RecordRow, keys: &dyn Keys) -> Result<Shown, Failure> {
+    pub fn compared_one(&self, row: &RecordRow, keys: &dyn Keys) -> Result<Shown> {
         let shown = self.compared(vec![row.clone()], keys, &[])?.into_iter().next();
         Ok(shown.unwrap_or_else(|| Shown::unread(row.clone())))
     }
 
     /// Learns the names of the profile's own topics: robots' records arrive without.
-    pub async fn learn_own_names(&self, profile: &ProfileName) -> Result<(), Failure> {
+    pub async fn learn_own_names(&self, profile: &ProfileName) -> Result<()> {
         let owner = self.parts.owners.get(profile).filter(|owner| !owner.is_locked());
         let (Some(owner), Some(network)) = (owner, self.parts.link.network_now()) else { return Ok(()) };
         let reader = Reader { plant: &self.parts.plant, network: &network, reader: &owner };
@@ -82,7 +77,7 @@ impl Reading {
     }
 
     /// Opens a record of each unnamed stream of `owner`, as far as the reader may.
-    pub async fn learn_names(&self, reader: &Reader<'_>, owner: Address) -> Result<(), Failure> {
+    pub async fn learn_names(&self, reader: &Reader<'_>, owner: Address) -> Result<()> {
         let unnamed = self.parts.plant.ledger.names.unnamed(owner, TRIES)?;
         for stream in unnamed {
             for digest in stream {
@@ -96,12 +91,7 @@ impl Reading {
 
     /// Names the requested topic, if it is here only as a pseudonym. IK derives that from the name, so no record is
     /// opened or believed.
-    pub fn name_asked(
-        &self,
-        owner: Address,
-        index: Option<IndexKey>,
-        topic: Option<&TopicPattern>,
-    ) -> Result<(), Failure> {
+    pub fn name_asked(&self, owner: Address, index: Option<IndexKey>, topic: Option<&TopicPattern>) -> Result<()> {
         let name = topic.filter(|topic| topic.is_plain()).map(ToString::to_string);
         let (Some(index), Some(name)) = (index, name) else { return Ok(()) };
         let id = topic_id(&index, &name);
@@ -109,7 +99,7 @@ impl Reading {
     }
 
     /// Returns whether there were names to learn.
-    async fn learn_from(&self, reader: &Reader<'_>, digest: Digest) -> Result<bool, Failure> {
+    async fn learn_from(&self, reader: &Reader<'_>, digest: Digest) -> Result<bool> {
         let tried = (reader.reader.address, digest);
         if self.nameless.lock().unwrap_or_else(PoisonError::into_inner).contains(&tried) {
             return Ok(false);
@@ -185,7 +175,7 @@ pub fn record_page(rows: &[Shown], next: Option<String>, with_owner: bool) -> Re
 /// Captured messages unless another kind is requested.
 pub(in crate::site) fn record_query(query: UploadQuery) -> RecordQuery {
     RecordQuery {
-        patterns: query.topic.into_iter().collect(),
+        topics: query.topic.into_iter().map(|topic| TopicPatterns(vec![topic])).collect(),
         type_name: query.type_name.map(|name| name.to_string()),
         words: query.words,
         kind: Some(query.kind.unwrap_or(RecordKind::Data)),

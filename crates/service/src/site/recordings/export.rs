@@ -17,7 +17,7 @@ use crate::ros::recording::{Channel, Encoding, RecordingFormat, RecordingWriter}
 use crate::ros::rosbag2::{METADATA, Tally};
 use crate::service::command::ExportWishes;
 use crate::service::failure::{input, internal};
-use crate::service::reply::{ExportView, ExportedTopic, Failure, Refused};
+use crate::service::reply::{ExportView, ExportedTopic, Refused, Result};
 use crate::store::{RecordQuery, RecordRow};
 
 const PAGE: usize = 500;
@@ -37,7 +37,7 @@ struct Export<'a> {
 }
 
 impl Recordings {
-    pub async fn export_recording(&self, owner: &Arc<Owner>, wishes: ExportWishes) -> Result<ExportView, Failure> {
+    pub async fn export_recording(&self, owner: &Owner, wishes: ExportWishes) -> Result<ExportView> {
         if !wishes.format.takes(wishes.compression) {
             let (format, compression) = (wishes.format.word(), wishes.compression);
             let text = format!("{format} chunks cannot be compressed with {compression}; choose another compression");
@@ -57,7 +57,7 @@ impl Recordings {
         owner: &Owner,
         network: &Network,
         wishes: &ExportWishes,
-    ) -> Result<HashMap<Address, Scope>, Failure> {
+    ) -> Result<HashMap<Address, Scope>> {
         let me = owner.address;
         let wanted = wishes.owner.as_ref().map(|party| self.contacts.resolve(party)).transpose()?;
         let is_wanted = |address: Address| wanted.is_none_or(|wanted| wanted == address);
@@ -80,12 +80,12 @@ impl Recordings {
 
     async fn write_recording(
         &self,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         network: &Network,
         scopes: &HashMap<Address, Scope>,
         wishes: &ExportWishes,
         run: &Run,
-    ) -> Result<ExportView, Failure> {
+    ) -> Result<ExportView> {
         let reader = Reader { plant: &self.parts.plant, network, reader: owner };
         for address in scopes.keys() {
             self.reading.learn_names(&reader, *address).await?;
@@ -143,7 +143,7 @@ impl<'a> Export<'a> {
     }
 
     /// Opens one record, and writes it if every check passes.
-    async fn take(&mut self, reader: &Reader<'_>, row: &RecordRow) -> Result<(), Failure> {
+    async fn take(&mut self, reader: &Reader<'_>, row: &RecordRow) -> Result<()> {
         if row.is_named() && !self.is_wanted(&row.topic) {
             return Ok(());
         }
@@ -212,7 +212,7 @@ impl<'a> Export<'a> {
     }
 
     /// Counts a record that does not open; a failure that is not the record's ends the export.
-    fn refuse(&mut self, row: &RecordRow, error: PipelineError) -> Result<(), Failure> {
+    fn refuse(&mut self, row: &RecordRow, error: PipelineError) -> Result<()> {
         match (&error, error.kind()) {
             (PipelineError::Missing(_), _) => self.view.refused.missing += 1,
             (PipelineError::Crypto(CryptoError::FalseName(_)), _) => self.view.refused.false_names += 1,
@@ -229,7 +229,7 @@ impl<'a> Export<'a> {
         Ok(())
     }
 
-    fn finish(mut self, draft: Draft) -> Result<ExportView, Failure> {
+    fn finish(mut self, draft: Draft) -> Result<ExportView> {
         let topic = |((topic, type_name), messages): ((String, String), u64)| ExportedTopic {
             topic: clean(&topic, 255),
             type_name: clean(&type_name, 255),
@@ -267,7 +267,7 @@ pub(super) struct Draft {
 
 impl Draft {
     /// A new file (0600) beside `target`, which must not exist; removes leftovers of a killed export.
-    pub fn begin(target: &Path) -> Result<(Self, File), Failure> {
+    pub fn begin(target: &Path) -> Result<(Self, File)> {
         let taken = || input(format!("{} already exists; choose a new file", target.display()));
         if target.symlink_metadata().is_ok() {
             return Err(taken());
@@ -284,7 +284,7 @@ impl Draft {
     }
 
     /// Moves the file to its destination, without replacing anything.
-    pub fn place(self) -> Result<(), Failure> {
+    pub fn place(self) -> Result<()> {
         let failed = |error: std::io::Error| input(format!("{} cannot be written: {error}", self.target.display()));
         match std::fs::hard_link(self.file.path(), &self.target) {
             Ok(()) => Ok(()),
@@ -297,7 +297,7 @@ impl Draft {
     }
 
     /// Moves the file and a description, made from its name there, into a new folder that appears whole.
-    pub fn place_in_folder(self, description: &str, describe: impl FnOnce(&str) -> String) -> Result<(), Failure> {
+    pub fn place_in_folder(self, description: &str, describe: impl FnOnce(&str) -> String) -> Result<()> {
         let failed = |error: std::io::Error| input(format!("{} cannot be written: {error}", self.target.display()));
         let parent = self.target.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let folder = unfinished::UnfinishedFolder::new(parent).map_err(failed)?;

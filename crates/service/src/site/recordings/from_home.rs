@@ -19,7 +19,7 @@ use crate::pipeline::reader::{Definitions, Opening, Reader};
 use crate::pipeline::{CaptureSession, Network, Owner, Plant, network_pin};
 use crate::ros::recording::{Beside, Channel, Encoding, RecordedMessage};
 use crate::service::failure::{input, refused};
-use crate::service::reply::{Failure, ImportView, ImportedTopic};
+use crate::service::reply::{ImportView, ImportedTopic, Result};
 use crate::site::blocking;
 use crate::store::{Ciphertext, Ledger, RecordQuery, RecordRow, SiteLock};
 
@@ -33,7 +33,7 @@ struct OldHome {
 
 impl Recordings {
     /// Seals every message of another home that this profile's keys open.
-    pub async fn import_home(self: &Arc<Self>, owner: &Arc<Owner>, home: PathBuf) -> Result<ImportView, Failure> {
+    pub async fn import_home(self: &Arc<Self>, owner: &Arc<Owner>, home: PathBuf) -> Result<ImportView> {
         let path = home.clone();
         let old = blocking(self, move |recordings| recordings.open_home(&home)).await?;
         if owner.epochs(old.network.domain).is_empty() {
@@ -61,7 +61,7 @@ impl Recordings {
         self.run_import(owner, &path, "import home", read).await
     }
 
-    fn open_home(&self, root: &Path) -> Result<OldHome, Failure> {
+    fn open_home(&self, root: &Path) -> Result<OldHome> {
         let shown = clean(&root.display().to_string(), 200);
         let home = Home::at(root).map_err(|error| input(error.to_string()))?;
         if !home.ledger().exists() {
@@ -87,12 +87,12 @@ impl Recordings {
     /// Gives every message that is not sealed here yet to the sealer.
     fn read_home(
         &self,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         network: &Network,
         old: &OldHome,
         run: &Run,
         control: &CaptureSession,
-    ) -> Result<ReadOut, Failure> {
+    ) -> Result<ReadOut> {
         let goes_on = || !control.is_closed() && !self.parts.life.is_stopping();
         let of = old.plant.ledger.counts.by_state(Some(owner.address))?.captured();
         let mut moving = Moving {
@@ -156,7 +156,7 @@ struct Moving<'a> {
 }
 
 impl Moving<'_> {
-    fn message(&mut self, row: &RecordRow) -> Result<Found, Failure> {
+    fn message(&mut self, row: &RecordRow) -> Result<Found> {
         let is_own = self.there.is_own_key(row.signer);
         let stays = |why| Ok(Found::Stays { why, is_wanted: true });
         let went = |why| Ok(Found::Stays { why, is_wanted: false });
@@ -205,7 +205,7 @@ impl Moving<'_> {
     }
 
     /// An earlier import sealed this message if a record of the same topic and time names it.
-    fn is_here(&self, opened: &OpenedRecord) -> Result<bool, Failure> {
+    fn is_here(&self, opened: &OpenedRecord) -> Result<bool> {
         let Header { kind, captured_at, .. } = opened.header;
         let former = opened.digest.to_hex();
         for sealed in self.here.own_opened(at(&opened.head.topic, kind, Some(captured_at))) {

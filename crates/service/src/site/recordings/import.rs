@@ -19,7 +19,7 @@ use crate::ros::recording::{BESIDE, Findings, RecordedMessage, Recording, conten
 use crate::ros::rosbag2::files_of;
 use crate::service::command::ImportWishes;
 use crate::service::failure::{input, refused};
-use crate::service::reply::{Failure, ImportView, ImportedTopic, LeftOut};
+use crate::service::reply::{Failure, ImportView, ImportedTopic, LeftOut, Result};
 use crate::site::blocking;
 use crate::store::notes::Standing;
 
@@ -37,11 +37,7 @@ pub(super) struct ReadOut {
 }
 
 impl Recordings {
-    pub async fn import_recording(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        wishes: ImportWishes,
-    ) -> Result<ImportView, Failure> {
+    pub async fn import_recording(self: &Arc<Self>, owner: &Arc<Owner>, wishes: ImportWishes) -> Result<ImportView> {
         if wishes.tags.len() > MOST_TAGS {
             return Err(input(format!("an import can have at most {MOST_TAGS} tags")));
         }
@@ -64,7 +60,7 @@ impl Recordings {
     }
 
     /// Nobody else of this home may seal these files meanwhile.
-    fn claim(&self, owner: &Owner, path: &Path) -> Result<Claim, Failure> {
+    fn claim(&self, owner: &Owner, path: &Path) -> Result<Claim> {
         self.claims.take(owner.address, &files_of(path)?, Holder::Import).map_err(|(file, holder)| {
             let file = clean(&file.display().to_string(), 300);
             refused(match holder {
@@ -80,11 +76,11 @@ impl Recordings {
     /// Reads with `read`, and waits until everything given to the sealer is verified.
     pub(super) async fn run_import(
         self: &Arc<Self>,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         path: &Path,
         action: &'static str,
-        read: impl FnOnce(&Self, &Run, &CaptureSession) -> Result<ReadOut, Failure> + Send + 'static,
-    ) -> Result<ImportView, Failure> {
+        read: impl FnOnce(&Self, &Run, &CaptureSession) -> Result<ReadOut> + Send + 'static,
+    ) -> Result<ImportView> {
         self.sealer.begin()?;
         let file = clean(&path.display().to_string(), 300);
         let running = self.begin_run(&owner.profile, path, "reading");
@@ -104,12 +100,7 @@ impl Recordings {
     }
 
     /// Waits until everything is verified; the topics are then complete.
-    async fn settle_import(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        read: ReadOut,
-        run: &Run,
-    ) -> Result<ImportView, Failure> {
+    async fn settle_import(self: &Arc<Self>, owner: &Owner, read: ReadOut, run: &Run) -> Result<ImportView> {
         let ReadOut { mut view, sessions, whole } = read;
         run.step("verifying");
         let mut topics: BTreeMap<String, ImportedTopic> =
@@ -146,12 +137,12 @@ impl Recordings {
     /// Gives every wanted message to the sealer.
     fn read_recording(
         &self,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         network: &Network,
         wishes: &ImportWishes,
         run: &Run,
         control: &CaptureSession,
-    ) -> Result<ReadOut, Failure> {
+    ) -> Result<ReadOut> {
         let mut recording = Recording::open(&wishes.path)?;
         let goes_on = || !control.is_closed() && !self.parts.life.is_stopping();
         run.step("hashing");
@@ -208,11 +199,7 @@ pub(super) fn left_out_list(counts: BTreeMap<(Arc<str>, &'static str), u64>) -> 
 }
 
 /// SM3 of a recording and of each of its files, unpacked. A folder's is over its files' names, lengths and digests.
-fn digests_of(
-    path: &Path,
-    run: &Run,
-    goes_on: &dyn Fn() -> bool,
-) -> Result<(Digest, BTreeMap<PathBuf, Digest>), Failure> {
+fn digests_of(path: &Path, run: &Run, goes_on: &dyn Fn() -> bool) -> Result<(Digest, BTreeMap<PathBuf, Digest>)> {
     let unreadable = |error: std::io::Error| input(format!("{} cannot be read: {error}", path.display()));
     let mut opened = Vec::new();
     for file in files_of(path)? {

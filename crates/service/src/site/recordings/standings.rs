@@ -14,12 +14,12 @@ use crate::pipeline::importer::kind_of;
 use crate::pipeline::reader::Reader;
 use crate::ros::recording::{Beside, Encoding, RecordedMessage};
 use crate::service::failure::input;
-use crate::service::reply::Failure;
+use crate::service::reply::Result;
 use crate::store::RecordQuery;
 use crate::store::notes::{Imported, Standing, Standings};
 
 impl Recordings {
-    pub(super) fn standings(&self, owner: Address, digest: Digest) -> Result<Standings, Failure> {
+    pub(super) fn standings(&self, owner: Address, digest: Digest) -> Result<Standings> {
         Ok(self.parts.plant.ledger.notes.read(&Imported { owner, file: digest })?.unwrap_or_default())
     }
 
@@ -30,7 +30,7 @@ impl Recordings {
         tag: Option<&str>,
         topics: impl IntoIterator<Item = String>,
         standing: Standing,
-    ) -> Result<(), Failure> {
+    ) -> Result<()> {
         self.parts.plant.ledger.notes.change(&Imported { owner, file: digest }, |standings| {
             standings.tags.extend(tag.map(str::to_owned));
             for topic in topics {
@@ -71,7 +71,7 @@ impl<'a> Parts<'a> {
         tag: &str,
         digests: BTreeMap<PathBuf, Digest>,
         again: bool,
-    ) -> Result<Self, Failure> {
+    ) -> Result<Self> {
         let (owner, mut by_content) = (sealed.reader.reader.address, HashMap::<Digest, Part>::new());
         for (path, digest) in &digests {
             let part = by_content.entry(*digest).or_default();
@@ -88,7 +88,7 @@ impl<'a> Parts<'a> {
         Ok(Self { recordings, owner, tag: tag.to_owned(), sealed, digests, by_content, again })
     }
 
-    fn part(&mut self, file: &Path) -> Result<(Digest, &mut Part), Failure> {
+    fn part(&mut self, file: &Path) -> Result<(Digest, &mut Part)> {
         let digest = self.digests.get(file).copied();
         digest
             .and_then(|digest| Some((digest, self.by_content.get_mut(&digest)?)))
@@ -96,7 +96,7 @@ impl<'a> Parts<'a> {
     }
 
     /// Whether a message of a file is sealed already.
-    pub fn is_sealed(&mut self, file: &Path, topic: &Arc<str>, message: &RecordedMessage) -> Result<bool, Failure> {
+    pub fn is_sealed(&mut self, file: &Path, topic: &Arc<str>, message: &RecordedMessage) -> Result<bool> {
         let (digest, part) = self.part(file)?;
         if !part.met.contains(&**topic) {
             part.met.insert(topic.to_string());
@@ -111,7 +111,7 @@ impl<'a> Parts<'a> {
     }
 
     /// Notes that a topic of a file is begun, before its first message goes to the sealer.
-    pub fn begin(&mut self, file: &Path, topic: &str) -> Result<(), Failure> {
+    pub fn begin(&mut self, file: &Path, topic: &str) -> Result<()> {
         let (digest, part) = self.part(file)?;
         if part.begun.contains(topic) {
             return Ok(());
@@ -152,12 +152,7 @@ impl<'a> SealedBefore<'a> {
     }
 
     /// Whether a record with one of these tags seals this message; each record stands for one message.
-    pub fn take(
-        &mut self,
-        topic: &Arc<str>,
-        message: &RecordedMessage,
-        tags: &BTreeSet<String>,
-    ) -> Result<bool, Failure> {
+    pub fn take(&mut self, topic: &Arc<str>, message: &RecordedMessage, tags: &BTreeSet<String>) -> Result<bool> {
         let encoding = message.channel.encoding;
         let time = (encoding != Encoding::Beside(Beside::Metadata)).then_some(message.time);
         let key = (Arc::clone(topic), time);
@@ -172,7 +167,7 @@ impl<'a> SealedBefore<'a> {
         Ok(true)
     }
 
-    fn contents(&self, topic: &str, kind: RecordKind, time: Option<Timestamp>) -> Result<Contents, Failure> {
+    fn contents(&self, topic: &str, kind: RecordKind, time: Option<Timestamp>) -> Result<Contents> {
         let mut contents = Contents::new();
         for found in self.reader.own_opened(at(topic, kind, time)) {
             let (_, opened) = found?;

@@ -2,7 +2,7 @@
 //! before the transaction is sent. Epoch keys that an old keyring lacks come from the chain, or are reported.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, MutexGuard, PoisonError};
+use std::sync::{MutexGuard, PoisonError};
 
 use tokio::task::block_in_place;
 
@@ -15,7 +15,7 @@ use crate::pipeline::epoch::EpochKeys;
 use crate::pipeline::{Network, Owner, PipelineError, authority, recovery};
 use crate::service::event::Part;
 use crate::service::failure::refused;
-use crate::service::reply::{Failure, TransactionView};
+use crate::service::reply::{Failure, Result, TransactionView};
 
 /// Keeps a `wrap` transaction below 32 KB.
 pub(super) const ENVELOPES_A_CALL: usize = 8;
@@ -23,20 +23,14 @@ pub(super) const ENVELOPES_A_CALL: usize = 8;
 const MOST_NAMED: usize = 8;
 
 impl Sharing {
-    pub async fn rotate(&self, owner: &Arc<Owner>, why: &str) -> Result<TransactionView, Failure> {
-        let network = self.parts.link.network().await?;
-        let _one_at_a_time = owner.changes.lock().await;
+    pub async fn rotate(&self, owner: &Owner, why: &str) -> Result<TransactionView> {
+        let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         network.directory.identity(owner.address)?;
         self.begin_rotated(owner, &network, why).await
     }
 
     /// Begins an epoch that every reader gets the keys of. The caller holds the owner's changes.
-    pub(super) async fn begin_rotated(
-        &self,
-        owner: &Arc<Owner>,
-        network: &Network,
-        why: &str,
-    ) -> Result<TransactionView, Failure> {
+    pub(super) async fn begin_rotated(&self, owner: &Owner, network: &Network, why: &str) -> Result<TransactionView> {
         let call = |new_token, envelope| Call::Rotate { new_token, envelope };
         self.begin_epoch(owner, network, &format!("rotate ({why})"), call).await
     }
@@ -45,11 +39,11 @@ impl Sharing {
     /// for the remaining readers. Needs no earlier keys.
     pub async fn begin_epoch(
         &self,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         network: &Network,
         purpose: &str,
         call: impl FnOnce(Token, Vec<u8>) -> Call,
-    ) -> Result<TransactionView, Failure> {
+    ) -> Result<TransactionView> {
         self.repeat_epochs(owner, network).await?;
         let next = network.directory.epoch(owner.address) + 1;
         let token = owner.prepare_epoch(network.domain, next)?;
@@ -86,7 +80,7 @@ impl Sharing {
     }
 
     /// Begins again the epochs that the chain lost. None is used a second time: revoked readers know their keys.
-    async fn repeat_epochs(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
+    async fn repeat_epochs(&self, owner: &Owner, network: &Network) -> Result<()> {
         let seen = owner.confirmed_epoch(network.domain);
         for epoch in network.directory.epoch(owner.address) + 1..=seen {
             let new_token = owner.prepare_epoch(network.domain, epoch)?;
@@ -103,9 +97,8 @@ impl Sharing {
     }
 
     /// Finishes an epoch that did not reach the chain, and re-wraps what is missing.
-    pub async fn finish_epoch(&self, owner: &Arc<Owner>) -> Result<(), Failure> {
-        let network = self.parts.link.network().await?;
-        let _one_at_a_time = owner.changes.lock().await;
+    pub async fn finish_epoch(&self, owner: &Owner) -> Result<()> {
+        let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         // Transactions of the previous run may still bring the epoch to the chain.
         self.settle_open(owner, &network).await?;
         if self.went_back(owner, &network) {
@@ -118,7 +111,7 @@ impl Sharing {
         self.rewrap(owner, &network).await
     }
 
-    pub async fn settle_open(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
+    pub async fn settle_open(&self, owner: &Owner, network: &Network) -> Result<()> {
         for _ in 0..60 {
             if self.parts.plant.ledger.lanes.open_lane(owner.address)?.iter().all(|row| row.anchors) {
                 return Ok(());
@@ -132,7 +125,7 @@ impl Sharing {
 
     /// Active readers who lack an envelope, by epoch: the current one for their current key, or one since their grant
     /// that ended before they got it. Not those being revoked.
-    pub fn lacking(&self, owner: &Owner, network: &Network) -> Result<BTreeMap<u64, Vec<Granted>>, Failure> {
+    pub fn lacking(&self, owner: &Owner, network: &Network) -> Result<BTreeMap<u64, Vec<Granted>>> {
         if self.went_back(owner, network) {
             return Ok(BTreeMap::new());
         }
@@ -158,7 +151,7 @@ impl Sharing {
     }
 
     /// Sends readers their missing envelopes, oldest epoch first; one failing reader does not hold up the others.
-    pub async fn rewrap(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
+    pub async fn rewrap(&self, owner: &Owner, network: &Network) -> Result<()> {
         let mut failed = None;
         for (epoch, grants) in self.lacking(owner, network)? {
             failed = self.rewrap_epoch(owner, network, epoch, grants).await.err().or(failed);
@@ -166,13 +159,7 @@ impl Sharing {
         failed.map_or(Ok(()), Err)
     }
 
-    async fn rewrap_epoch(
-        &self,
-        owner: &Arc<Owner>,
-        network: &Network,
-        epoch: u64,
-        grants: Vec<Granted>,
-    ) -> Result<(), Failure> {
+    async fn rewrap_epoch(&self, owner: &Owner, network: &Network, epoch: u64, grants: Vec<Granted>) -> Result<()> {
         let (mut envelopes, mut failed) = (Vec::new(), None);
         for grant in grants {
             let checked = self.contacts.check_reader(network, owner.address, grant.terms.grantee).await;
@@ -201,7 +188,7 @@ impl Sharing {
         sent.and(failed.map_or(Ok(()), Err))
     }
 
-    fn envelope_for(&self, owner: &Owner, network: &Network, grant: &Granted, epoch: u64) -> Result<Vec<u8>, Failure> {
+    fn envelope_for(&self, owner: &Owner, network: &Network, grant: &Granted, epoch: u64) -> Result<Vec<u8>> {
         let topics = match &grant.terms.scope {
             Scope::All => Vec::new(),
             Scope::Topics(ids) => self.granted_topics(owner, ids)?.into_iter().flatten().collect(),
@@ -218,7 +205,7 @@ impl Sharing {
         terms: GrantTerms,
         topics: &[String],
         epochs: Vec<u64>,
-    ) -> Result<Vec<u8>, Failure> {
+    ) -> Result<Vec<u8>> {
         let reader = network.directory.identity(terms.grantee)?;
         let mut keys = Vec::with_capacity(epochs.len());
         for epoch in epochs {
@@ -249,7 +236,7 @@ impl Sharing {
     /// Brings keyring and recorder to the chain's epochs: fetches missing keys, and seals under the current epoch or
     /// one that never reached the chain. Without the current key nothing is sealed: nobody knows who reads under an
     /// earlier one. The caller holds the owner's changes.
-    pub fn take_up_epoch(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
+    pub fn take_up_epoch(&self, owner: &Owner, network: &Network) -> Result<()> {
         if owner.is_locked() {
             return Ok(());
         }
@@ -286,7 +273,7 @@ impl Sharing {
         }
     }
 
-    fn fetch_missing(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
+    fn fetch_missing(&self, owner: &Owner, network: &Network) -> Result<()> {
         let lacking = block_in_place(|| recovery::lacking(&self.parts.plant, network, owner))?;
         if !lacking.is_empty() {
             let still = block_in_place(|| recovery::recover_epochs(&self.parts.plant, network, owner, &lacking))?;
@@ -302,7 +289,7 @@ impl Sharing {
     }
 
     /// Notes what the keyring lacks now, and reports it once.
-    pub(super) fn note_missing(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
+    pub(super) fn note_missing(&self, owner: &Owner, network: &Network) -> Result<()> {
         // Read before: an event that comes meanwhile is news.
         let seen = network.directory.newest();
         let epochs = block_in_place(|| recovery::lacking(&self.parts.plant, network, owner))?;
@@ -343,7 +330,7 @@ impl Sharing {
         }
         let text = format!(
             "the chain has epoch {chain} of '{}' and had epoch {seen} before: it is an older copy, in which a reader \
-             revoked since may have a grant again; look at `authros grants list`, revoke as before, then run \
+             revoked since may have a grant again; look at `authros grant list`, revoke as before, then run \
              `authros keys rotate`",
             owner.profile
         );

@@ -13,13 +13,10 @@ use crate::site::mirror::Joined;
 use crate::site::parts::Parts;
 use crate::store::Reserve;
 use crate::store::notes::{GrantedFrom, GrantedTopic};
-use std::collections::btree_map::{BTreeMap, Entry};
 use std::collections::{HashMap, HashSet};
 use std::sync::{Arc, Mutex};
 
 use tokio::task::block_in_place;
-
-use self::opening::Sealed;
 
 use crate::chain::Call;
 use crate::crypto::{GrantedKeys, WrappedKeys};
@@ -34,7 +31,7 @@ use crate::pipeline::{Network, Owner, authority};
 use crate::service::command::GrantFrom;
 use crate::service::event::Part;
 use crate::service::failure::{input, refused};
-use crate::service::reply::{Direction, Failure, GrantRow, NOTHING_OLDER, TransactionView, utc};
+use crate::service::reply::{Direction, Failure, GrantRow, NOTHING_OLDER, Result, TransactionView, utc};
 use crate::store::RecordRow;
 
 pub(in crate::site) struct Sharing {
@@ -55,14 +52,13 @@ impl Sharing {
     /// Puts the grantee's envelope on the chain.
     pub async fn grant(
         &self,
-        owner: &Arc<Owner>,
+        owner: &Owner,
         grantee: &Party,
         topics: &[TopicName],
         from: GrantFrom,
         expires: Option<Timestamp>,
-    ) -> Result<TransactionView, Failure> {
-        let network = self.parts.link.network().await?;
-        let _one_at_a_time = owner.changes.lock().await;
+    ) -> Result<TransactionView> {
+        let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         network.directory.identity(owner.address)?;
         let grantee = self.contacts.resolve(grantee)?;
         if grantee == owner.address {
@@ -86,12 +82,15 @@ impl Sharing {
         }
         let names: Vec<String> = topics.iter().map(ToString::to_string).collect();
         self.remember_topics(owner, &names)?;
-        let (first, begun) = self.first_for(owner, &network, from).await?;
+        let scope = scope(owner, topics);
+        let (first, begun) = self.first_for(owner, &network, &scope, from).await?;
         let epoch = network.directory.epoch(owner.address);
-        let terms = GrantTerms { owner: owner.address, grantee, epoch, expiry: expires, scope: scope(owner, topics) };
-        let opens = self.sealed_by(&network, owner, owner.address)?.opened_by(&terms.scope, first);
-        let covered =
+        let terms = GrantTerms { owner: owner.address, grantee, epoch, expiry: expires, scope };
+        let opens = self.opened_by(&network, owner, owner.address, &terms.scope, first)?;
+        let covered: Vec<u64> =
             owner.epochs(network.domain).into_iter().filter(|known| (first..=epoch).contains(known)).collect();
+        // An older keyring may lack the first.
+        let first = covered.first().copied().unwrap_or(first);
         let envelope = self.wrap_keys(owner, &network, terms.clone(), &names, covered)?;
         self.parts.log.begin(owner, "grant", &grantee.to_string()).await?;
         self.settle_revocation(owner, grantee)?;
@@ -115,17 +114,11 @@ impl Sharing {
     }
 
     /// Extends an active grant; its keys and epoch stay.
-    pub async fn extend(
-        &self,
-        owner: &Arc<Owner>,
-        grantee: &Party,
-        expires: Option<Timestamp>,
-    ) -> Result<TransactionView, Failure> {
-        let network = self.parts.link.network().await?;
-        let _one_at_a_time = owner.changes.lock().await;
+    pub async fn extend(&self, owner: &Owner, grantee: &Party, expires: Option<Timestamp>) -> Result<TransactionView> {
+        let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         let grantee = self.contacts.resolve(grantee)?;
         let Some(grant) = self.active_grant(&network, owner.address, grantee) else {
-            return Err(refused(format!("{grantee} has no active grant; `authros grant` gives one")));
+            return Err(refused(format!("{grantee} has no active grant; `authros grant add` gives one")));
         };
         let Some(ends) = grant.expiry() else {
             return Err(refused(format!("the grant to {grantee} has no end, so there is nothing to extend")));
@@ -153,7 +146,7 @@ impl Sharing {
     }
 
     /// Names are stored under their pseudonyms on the chain, so that each grant finds its own.
-    fn remember_topics(&self, owner: &Owner, topics: &[String]) -> Result<(), Failure> {
+    fn remember_topics(&self, owner: &Owner, topics: &[String]) -> Result<()> {
         let keep = |topic: &String| {
             let note = GrantedTopic { owner: owner.address, topic: owner.topic_id(topic) };
             Ok(self.parts.plant.ledger.notes.write(&note, topic)?)
@@ -162,7 +155,7 @@ impl Sharing {
     }
 
     /// Topic names of this owner's scoped grant, in the event's order; `None` if no known name matches.
-    pub fn granted_topics(&self, owner: &Owner, ids: &[TopicId]) -> Result<Vec<Option<String>>, Failure> {
+    pub fn granted_topics(&self, owner: &Owner, ids: &[TopicId]) -> Result<Vec<Option<String>>> {
         block_in_place(|| {
             let ledger = &self.parts.plant.ledger;
             let name_of = |id: &TopicId| {
@@ -175,7 +168,7 @@ impl Sharing {
         })
     }
 
-    pub async fn rows(&self, owner: &Arc<Owner>) -> Result<Vec<GrantRow>, Failure> {
+    pub async fn rows(&self, owner: &Arc<Owner>) -> Result<Vec<GrantRow>> {
         let network = self.parts.link.network().await?;
         let me = owner.address;
         let grants = block_in_place(|| kept::history(&self.parts.plant.ledger.rights, &network.directory, me))?;
@@ -186,24 +179,10 @@ impl Sharing {
             row.fingerprint = Contacts::registered_fingerprint(&network, other);
             row
         };
-        let mut sealed: BTreeMap<Address, Sealed> = BTreeMap::new();
-        let row = |grant: &Granted| {
-            let of = match sealed.entry(grant.terms.owner) {
-                Entry::Occupied(known) => known.into_mut(),
-                Entry::Vacant(new) => new.insert(self.sealed_by(&network, owner, grant.terms.owner)?),
-            };
-            self.grant_row(owner, &network, grant, of).map(with_name)
-        };
-        grants.iter().map(row).collect()
+        grants.iter().map(|grant| self.grant_row(owner, &network, grant).map(with_name)).collect()
     }
 
-    fn grant_row(
-        &self,
-        owner: &Owner,
-        network: &Network,
-        grant: &Granted,
-        sealed: &Sealed,
-    ) -> Result<GrantRow, Failure> {
+    fn grant_row(&self, owner: &Owner, network: &Network, grant: &Granted) -> Result<GrantRow> {
         let given = grant.terms.owner == owner.address;
         let topics = match &grant.terms.scope {
             Scope::All => Vec::new(),
@@ -222,13 +201,15 @@ impl Sharing {
             false => self.received_from(owner, network, grant),
         };
         let state = grant.state(network.directory.now());
+        let opened = |first| self.opened_by(network, owner, grant.terms.owner, &grant.terms.scope, first);
+        let opens = from.filter(|_| state == GrantState::Active).map(opened).transpose()?;
         Ok(GrantRow {
             direction: if given { Direction::Given } else { Direction::Received },
             owner: grant.terms.owner,
             grantee: grant.terms.grantee,
             epoch: grant.terms.epoch,
             from,
-            opens: from.filter(|_| state == GrantState::Active).map(|from| sealed.opened_by(&grant.terms.scope, from)),
+            opens,
             expires: grant.expiry(),
             topics,
             state,

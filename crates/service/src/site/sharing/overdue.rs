@@ -14,7 +14,7 @@ use crate::gateway::RevokeNotice;
 use crate::model::{Address, ErrorKind, Timestamp};
 use crate::pipeline::directory::{GrantState, Granted};
 use crate::pipeline::{Network, Owner};
-use crate::reply::{Failure, TransactionView};
+use crate::reply::{Failure, Result, TransactionView};
 use crate::store::notes::Revoking;
 
 /// How long before an expiry the next epoch is prepared, nanoseconds.
@@ -28,22 +28,16 @@ const PATIENCE: Duration = Duration::from_secs(30);
 impl Sharing {
     /// Prepares the next epoch if a grant that covers the current one runs out soon or already did: from that moment
     /// records are sealed under the next, even if the chain is away. `also` is an expiry not on the chain yet.
-    pub fn foresee_expiry(&self, owner: &Owner, network: &Network, also: Option<Timestamp>) -> Result<(), Failure> {
+    pub fn foresee_expiry(&self, owner: &Owner, network: &Network, also: Option<Timestamp>) -> Result<()> {
         self.foresee(owner, network, also, Timestamp(network.directory.now().0 + FORESIGHT))
     }
 
     /// The same for any future expiry: a locked keyring could not do it in time.
-    pub fn foresee_locked(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
+    pub fn foresee_locked(&self, owner: &Owner, network: &Network) -> Result<()> {
         self.foresee(owner, network, None, Timestamp(u64::MAX))
     }
 
-    fn foresee(
-        &self,
-        owner: &Owner,
-        network: &Network,
-        also: Option<Timestamp>,
-        before: Timestamp,
-    ) -> Result<(), Failure> {
+    fn foresee(&self, owner: &Owner, network: &Network, also: Option<Timestamp>, before: Timestamp) -> Result<()> {
         let Some(keys) = owner.sealing().filter(|keys| keys.domain == network.domain) else { return Ok(()) };
         let earliest = earliest_expiry(owner, network, keys.epoch).into_iter().chain(also).min();
         if let Some(moment) = earliest.filter(|moment| *moment < before) {
@@ -54,7 +48,7 @@ impl Sharing {
     }
 
     /// Sends what is overdue: the next epoch, interrupted revocations, missing envelopes.
-    pub async fn settle_overdue(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
+    pub async fn settle_overdue(&self, owner: &Owner, network: &Network) -> Result<()> {
         if self.has_news(owner, network) {
             let _one_at_a_time = owner.changes.lock().await;
             self.take_up_epoch(owner, network)?;
@@ -70,7 +64,7 @@ impl Sharing {
         told
     }
 
-    async fn settle_chain(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
+    async fn settle_chain(&self, owner: &Owner, network: &Network) -> Result<()> {
         if !self.owes(owner, network)? {
             return Ok(());
         }
@@ -83,11 +77,11 @@ impl Sharing {
     }
 
     /// Whether the chain is owed anything that needs the profile's keys.
-    pub fn owes(&self, owner: &Owner, network: &Network) -> Result<bool, Failure> {
+    pub fn owes(&self, owner: &Owner, network: &Network) -> Result<bool> {
         Ok(self.is_behind(owner, network)? || !self.lacking(owner, network)?.is_empty())
     }
 
-    pub(super) fn is_behind(&self, owner: &Owner, network: &Network) -> Result<bool, Failure> {
+    pub(super) fn is_behind(&self, owner: &Owner, network: &Network) -> Result<bool> {
         let (epoch, now) = (network.directory.epoch(owner.address), network.directory.now());
         if epoch == 0 {
             return Ok(false);
@@ -101,12 +95,7 @@ impl Sharing {
 
     /// Begins the next epoch, through an interrupted revocation if there is one: a rotation would give the new key to
     /// the reader being revoked.
-    pub async fn next_epoch(
-        &self,
-        owner: &Arc<Owner>,
-        network: &Network,
-        why: &str,
-    ) -> Result<TransactionView, Failure> {
+    pub async fn next_epoch(&self, owner: &Owner, network: &Network, why: &str) -> Result<TransactionView> {
         let Some(grantee) = self.owed_revocations(owner, network)?.first().copied() else {
             return self.begin_rotated(owner, network, why).await;
         };
@@ -117,7 +106,7 @@ impl Sharing {
     }
 
     /// Requested revocations that are not on the chain yet.
-    pub fn owed_revocations(&self, owner: &Owner, network: &Network) -> Result<Vec<Address>, Failure> {
+    pub fn owed_revocations(&self, owner: &Owner, network: &Network) -> Result<Vec<Address>> {
         let note = Revoking { owner: owner.address };
         let mut owed = self.parts.plant.ledger.notes.read(&note)?.unwrap_or_default();
         owed.retain(|grantee| self.active_grant(network, owner.address, *grantee).is_some());
@@ -125,7 +114,7 @@ impl Sharing {
     }
 
     /// Notes that `grantee` will lose the grant, whatever happens now.
-    pub fn owe_revocation(&self, owner: &Owner, grantee: Address) -> Result<(), Failure> {
+    pub fn owe_revocation(&self, owner: &Owner, grantee: Address) -> Result<()> {
         self.change_owed(owner, |owed| {
             if !owed.contains(&grantee) {
                 owed.push(grantee);
@@ -134,11 +123,11 @@ impl Sharing {
     }
 
     /// The revocation is on the chain, or a new grant replaces it.
-    pub fn settle_revocation(&self, owner: &Owner, grantee: Address) -> Result<(), Failure> {
+    pub fn settle_revocation(&self, owner: &Owner, grantee: Address) -> Result<()> {
         self.change_owed(owner, |owed| owed.retain(|other| *other != grantee))
     }
 
-    fn change_owed(&self, owner: &Owner, change: impl FnOnce(&mut Vec<Address>)) -> Result<(), Failure> {
+    fn change_owed(&self, owner: &Owner, change: impl FnOnce(&mut Vec<Address>)) -> Result<()> {
         let changed = |owed: &mut Vec<Address>| {
             change(owed);
             Ok(())
@@ -169,12 +158,11 @@ impl Sharing {
     }
 
     /// Stops sharing with an account. What it has read cannot be recalled.
-    pub async fn revoke(&self, owner: &Arc<Owner>, grantee: Address) -> Result<TransactionView, Failure> {
-        let network = self.parts.link.network().await?;
-        let _one_at_a_time = owner.changes.lock().await;
+    pub async fn revoke(&self, owner: &Owner, grantee: Address) -> Result<TransactionView> {
+        let (network, _one_at_a_time) = (self.parts.link.network().await?, owner.changes.lock().await);
         if self.active_grant(&network, owner.address, grantee).is_none() {
             return Err(refused(format!(
-                "{grantee} has no active grant from {}; `authros grants list` shows who has",
+                "{grantee} has no active grant from {}; `authros grant list` shows who has",
                 owner.address
             )));
         }
@@ -193,12 +181,7 @@ impl Sharing {
         self.revoke_again(owner, &network, grantee).await
     }
 
-    async fn revoke_once(
-        &self,
-        owner: &Arc<Owner>,
-        network: &Network,
-        grantee: Address,
-    ) -> Result<TransactionView, Failure> {
+    async fn revoke_once(&self, owner: &Owner, network: &Network, grantee: Address) -> Result<TransactionView> {
         self.owe_revocation(owner, grantee)?;
         let call = |new_token, envelope| Call::AuthorityRevoke { grantee, new_token, envelope };
         let sent = self.begin_epoch(owner, network, &format!("revoke {grantee}"), call).await;
@@ -215,12 +198,7 @@ impl Sharing {
     }
 
     /// Resumes an attempt that a full disk interrupted at any point.
-    async fn revoke_again(
-        &self,
-        owner: &Arc<Owner>,
-        network: &Network,
-        grantee: Address,
-    ) -> Result<TransactionView, Failure> {
+    async fn revoke_again(&self, owner: &Owner, network: &Network, grantee: Address) -> Result<TransactionView> {
         self.settle_open(owner, network).await?;
         let head = network.chain.head().await?.number;
         drop(tokio::time::timeout(PATIENCE, self.parts.link.scanned(head)).await);

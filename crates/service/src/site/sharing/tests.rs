@@ -198,10 +198,14 @@ async fn pairs_that_nobody_handed_over_are_told_and_those_handed_over_are_taken(
 
 /// A message of `/odom` in the owner's ledger, as if it had been sealed then.
 fn sealed(sharing: &Sharing, owner: &Owner, epoch: u64, seq: u64, captured_at: Timestamp) {
+    sealed_on(sharing, owner, "/odom", epoch, seq, captured_at);
+}
+
+fn sealed_on(sharing: &Sharing, owner: &Owner, topic: &str, epoch: u64, seq: u64, captured_at: Timestamp) {
     let record = NewRecord {
         digest: Digest([u8::try_from(seq).expect("few"); 32]),
         owner: owner.address,
-        topic_id: owner.topic_id("/odom"),
+        topic_id: owner.topic_id(topic),
         seq,
         foreign: None,
         epoch,
@@ -209,7 +213,7 @@ fn sealed(sharing: &Sharing, owner: &Owner, epoch: u64, seq: u64, captured_at: T
         signer: SignerId([9; 32]),
         signature: Signature([9; 64]),
         filters: Vec::new(),
-        topic: "/odom".to_owned(),
+        topic: topic.to_owned(),
         type_name: "nav_msgs/Odometry".to_owned(),
         bytes: 1,
         captured_at,
@@ -305,7 +309,7 @@ async fn a_grant_from_a_moment_opens_whole_epochs_and_says_what_they_hold() {
     assert_eq!(opened(sharing, &network, &alice, &bob), [2, 3]);
     let rows = sharing.rows(&bob).await.expect("rows");
     let told: Vec<_> = rows.iter().map(|row| (row.from, row.opens)).collect();
-    assert_eq!(told, [(Some(2), Some(Opens { records: 3, since: Some(first) }))]);
+    assert_eq!(told, [(Some(2), Some(Opens { records: 3, since: Some(first), of_robots: false }))]);
     site.stop().await;
 }
 
@@ -318,12 +322,81 @@ async fn an_epoch_that_began_for_a_grant_which_never_came_gives_nobody_anything(
     // As if the site had ended between the two transactions.
     {
         let _one_at_a_time = alice.changes.lock().await;
-        assert_eq!(sharing.first_for(&alice, &network, GrantFrom::Now).await.expect("begun"), (2, true));
+        assert_eq!(sharing.first_for(&alice, &network, &Scope::All, GrantFrom::Now).await.expect("begun"), (2, true));
     }
     assert!(opened(sharing, &network, &alice, &bob).is_empty());
     sealed(sharing, &alice, 2, 2, Timestamp::now());
     let to_bob = Party::Address(bob.address);
     let given = sharing.grant(&alice, &to_bob, &[], GrantFrom::Now, None).await.expect("the command repeated");
     assert_eq!((given.epoch, opened(sharing, &network, &alice, &bob)), (3, vec![3]), "not what was sealed meanwhile");
+    site.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn neither_a_clock_ahead_nor_another_topic_widens_a_grant_from_a_moment() {
+    let (site, _folder) = site_with_chain();
+    let (alice, bob) = (registered(&site, "alice").await, registered(&site, "bob").await);
+    let sharing = &site.sharing;
+    let tomorrow = Timestamp(Timestamp::now().0 + 86_400_000_000_000);
+    sealed(sharing, &alice, 1, 1, tomorrow);
+    let before = Timestamp::now();
+    // A robot out of reach still seals another topic under the keys of the first epoch.
+    sharing.rotate(&alice, "a test").await.expect("rotates");
+    sealed_on(sharing, &alice, "/scan", 1, 2, Timestamp::now());
+    sealed(sharing, &alice, 2, 3, Timestamp::now());
+    let to_bob = Party::Address(bob.address);
+    let foresee = async |topics: &[TopicName]| {
+        let foreseen = sharing.foresee_grant(&alice, &to_bob, topics, GrantFrom::Time(before)).await.expect("foreseen");
+        (foreseen.epoch, foreseen.opens.records)
+    };
+    let odom: [TopicName; 1] = ["/odom".parse().expect("a topic")];
+    assert_eq!(foresee(&odom).await, (2, 1));
+    assert_eq!(foresee(&[]).await, (1, 3), "all topics: the one of the robot too");
+    site.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_grant_from_a_moment_reaches_into_an_epoch_that_is_not_on_the_chain_yet() {
+    let (site, _folder) = site_with_chain();
+    let (alice, bob) = (registered(&site, "alice").await, registered(&site, "bob").await);
+    let (sharing, network) = (&site.sharing, site.network().await.expect("a network"));
+    sealed(sharing, &alice, 1, 1, Timestamp(Timestamp::now().0 - 3_600_000_000_000));
+    let moment = Timestamp::now();
+    // As after the end of a grant: sealed under the next keys before the chain has them.
+    let given = async {
+        let _one_at_a_time = alice.changes.lock().await;
+        alice.prepare_epoch(network.domain, 2).expect("prepared");
+        alice.seal_under(network.domain, 2).expect("sealed under it");
+        sealed(sharing, &alice, 2, 2, Timestamp::now());
+        let to_bob = Party::Address(bob.address);
+        let foreseen = sharing.foresee_grant(&alice, &to_bob, &[], GrantFrom::Time(moment)).await.expect("foreseen");
+        let seen = (foreseen.epoch, foreseen.epochs, foreseen.nothing_older, foreseen.opens.records);
+        assert_eq!(seen, (2, 1, false, 1));
+        to_bob
+    };
+    let to_bob = given.await;
+    let given = sharing.grant(&alice, &to_bob, &[], GrantFrom::Time(moment), None).await.expect("given");
+    assert!(given.text.contains(", 1 record"), "{}", given.text);
+    assert_eq!((given.epoch, opened(sharing, &network, &alice, &bob)), (2, vec![2]));
+    site.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_list_names_the_first_epoch_whose_key_was_given() {
+    let (site, _folder) = site_with_chain();
+    let (alice, bob) = (registered(&site, "alice").await, registered(&site, "bob").await);
+    let (sharing, network) = (&site.sharing, site.network().await.expect("a network"));
+    // An epoch of which no envelope opens, as if another program had begun it.
+    let call = crate::chain::Call::Rotate { new_token: crate::model::Token([7; 32]), envelope: vec![7; 360] };
+    let (_, receipt) =
+        sharing.parts.sender.send(&network.chain, &alice.eoa(), call, "rotate").await.expect("on the chain");
+    sharing.parts.link.scanned(receipt.block).await;
+    site.profiles.resume(&alice).await.expect("it goes on with what there is");
+    sharing.rotate(&alice, "a test").await.expect("rotates");
+    assert_eq!(alice.epochs(network.domain), [1, 3]);
+    let to_bob = Party::Address(bob.address);
+    sharing.grant(&alice, &to_bob, &[], GrantFrom::Epoch(2), None).await.expect("given");
+    let rows = sharing.rows(&alice).await.expect("rows");
+    assert_eq!((rows[0].from, opened(sharing, &network, &alice, &bob)), (Some(3), vec![3]));
     site.stop().await;
 }

@@ -14,7 +14,7 @@ use crate::event::{NoticeLevel, Part};
 use crate::model::{ByteSize, ProfileName, Timestamp};
 use crate::paths::Home;
 use crate::pipeline::{Plant, network_pin};
-use crate::reply::Failure;
+use crate::reply::Result;
 use crate::store::files::free_bytes;
 use crate::store::notes::StoreWasGone;
 use crate::store::{Ledger, Reserve, StoreError};
@@ -105,7 +105,7 @@ impl Storage {
     }
 
     /// The store refuses records, or replaced a lost one.
-    pub fn fault(&self) -> Result<Option<String>, Failure> {
+    pub fn fault(&self) -> Result<Option<String>> {
         if self.parts.plant.ledger.records.takes_records().is_err() {
             return Ok(Some(self.full_text(free_bytes(self.parts.home.root()).unwrap_or(0))));
         }
@@ -179,7 +179,7 @@ pub(crate) fn store_loss(home: &Home, missed: Timestamp) -> String {
 }
 
 pub(crate) const STORE_LOST: &str =
-    "restore the last backup: authros restore FILE; without one, name the contract with --contract";
+    "restore the last backup: `authros backup restore FILE`; without one, name the contract with --contract";
 
 /// Sets space aside for states, never leaving less than the reserve itself.
 pub(in crate::site) fn working_reserve(home: &Home, reserve: u64) -> Reserve {
@@ -187,7 +187,7 @@ pub(in crate::site) fn working_reserve(home: &Home, reserve: u64) -> Reserve {
     Reserve::open(&home.working_reserve(), reserve.min(MOST_FOR_STATES)).0
 }
 
-fn contradictions(plant: &Plant) -> Result<Vec<String>, Failure> {
+fn contradictions(plant: &Plant) -> Result<Vec<String>> {
     let mut found: Vec<String> = plant
         .ledger
         .inspection

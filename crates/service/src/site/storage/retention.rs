@@ -15,7 +15,7 @@ use crate::pipeline::Owner;
 use crate::pipeline::importer::SOURCE;
 use crate::pipeline::reader::Reader;
 use crate::pipeline::retention::{self, LONGEST_REASON, Retention, Round};
-use crate::reply::{ErasureView, Failure};
+use crate::reply::{ErasureView, Failure, Result};
 use crate::site::recordings::RECORDING;
 use crate::store::{Erasure, IncidentRow, RecordQuery, RecordRow};
 
@@ -60,7 +60,7 @@ impl Storage {
     }
 
     /// Without rules only erased records are left to delete, and mostly there are none.
-    async fn sweep(&self, owner: &Arc<Owner>) -> Result<(), Failure> {
+    async fn sweep(&self, owner: &Owner) -> Result<()> {
         if !self.has_named.load(Ordering::Acquire) {
             return Ok(());
         }
@@ -71,7 +71,7 @@ impl Storage {
     }
 
     /// Erasures by owners whose homes join this gateway, whichever profile is open here.
-    async fn sweep_told(&self) -> Result<(), Failure> {
+    async fn sweep_told(&self) -> Result<()> {
         let named = self.parts.plant.ledger.erasures.named_elsewhere();
         if self.seen.0.swap(named, Ordering::AcqRel) != named {
             self.has_named.store(true, Ordering::Release);
@@ -92,7 +92,7 @@ impl Storage {
         Ok(())
     }
 
-    async fn look_for_named(&self) -> Result<(), Failure> {
+    async fn look_for_named(&self) -> Result<()> {
         if self.has_named.load(Ordering::Acquire) {
             let _one_at_a_time = self.naming.lock().await;
             let left = self.parts.plant.ledger.erasures.has_named()?;
@@ -101,13 +101,13 @@ impl Storage {
         Ok(())
     }
 
-    async fn apply(&self, owner: &Owner, rules: &mut Retention) -> Result<(), Failure> {
+    async fn apply(&self, owner: &Owner, rules: &mut Retention) -> Result<()> {
         let _one_at_a_time = self.naming.lock().await;
         let round = block_in_place(|| rules.round(&self.parts.plant, owner))?;
         self.tell(owner, &round).await
     }
 
-    async fn tell(&self, owner: &Owner, round: &Round) -> Result<(), Failure> {
+    async fn tell(&self, owner: &Owner, round: &Round) -> Result<()> {
         for (topic, count) in &round.named {
             self.parts.log.write(&owner.profile, "retention", &format!("{topic}: {count} records"), "named").await?;
         }
@@ -118,7 +118,7 @@ impl Storage {
     }
 
     /// Shows what would be erased, or erases it.
-    pub async fn erase(&self, owner: &Arc<Owner>, wishes: ErasureWishes) -> Result<ErasureView, Failure> {
+    pub async fn erase(&self, owner: &Owner, wishes: ErasureWishes) -> Result<ErasureView> {
         let reason = clean(wishes.reason.trim(), LONGEST_REASON);
         if reason.is_empty() || wishes.reason.chars().count() > LONGEST_REASON {
             return Err(input(format!("say why in 1 to {LONGEST_REASON} characters: --reason TEXT")));
@@ -147,12 +147,7 @@ impl Storage {
         Ok(ErasureView { named: named.named, missing: named.missing, deleted: !left, ..view })
     }
 
-    async fn name_erased(
-        &self,
-        owner: &Arc<Owner>,
-        rows: Vec<RecordRow>,
-        erasure: Erasure,
-    ) -> Result<retention::Erased, Failure> {
+    async fn name_erased(&self, owner: &Owner, rows: Vec<RecordRow>, erasure: Erasure) -> Result<retention::Erased> {
         let _one_at_a_time = self.naming.lock().await;
         let named = block_in_place(|| retention::name(&self.parts.plant, owner, &rows, &erasure));
         self.has_named.store(true, Ordering::Release);
@@ -161,7 +156,7 @@ impl Storage {
     }
 
     /// Waits a while for the deletion; returns whether something is left.
-    async fn wait_for_erasing(&self, mut digests: Vec<Digest>) -> Result<bool, Failure> {
+    async fn wait_for_erasing(&self, mut digests: Vec<Digest>) -> Result<bool> {
         for _ in 0..ERASING_LOOK.1 {
             while let Some(last) = digests.last() {
                 let retained = self.parts.plant.ledger.retention.find(*last)?;
@@ -189,7 +184,7 @@ const STAYS: [&str; 4] = [
     "the files of a Redis cache, until its server rewrites them, and what a disk keeps of overwritten blocks",
 ];
 
-fn chosen(reader: &Reader<'_>, wishes: &ErasureWishes) -> Result<Vec<RecordRow>, Failure> {
+fn chosen(reader: &Reader<'_>, wishes: &ErasureWishes) -> Result<Vec<RecordRow>> {
     let (ledger, owner) = (&reader.plant.ledger, reader.reader.address);
     let mut rows = Vec::new();
     for id in &wishes.records {
@@ -220,7 +215,7 @@ fn too_many() -> Failure {
     input(format!("these are more than {MOST} records; choose a shorter span and repeat the command for the rest"))
 }
 
-fn chosen_of(reader: &Reader<'_>, wishes: &ErasureWishes, kind: RecordKind) -> Result<Vec<RecordRow>, Failure> {
+fn chosen_of(reader: &Reader<'_>, wishes: &ErasureWishes, kind: RecordKind) -> Result<Vec<RecordRow>> {
     let mut rows = Vec::new();
     let query = RecordQuery {
         owner: Some(reader.reader.address),
@@ -246,7 +241,7 @@ fn chosen_of(reader: &Reader<'_>, wishes: &ErasureWishes, kind: RecordKind) -> R
 }
 
 /// Whether an import of a recording sealed it, by its sealed tags. Deleted records cannot be opened.
-fn is_imported(reader: &Reader<'_>, row: &RecordRow, recording: &str) -> Result<bool, Failure> {
+fn is_imported(reader: &Reader<'_>, row: &RecordRow, recording: &str) -> Result<bool> {
     let opened = reader.own_contents(row)?;
     Ok(opened.is_some_and(|opened| {
         let has = |name: &str, value: &str| opened.head.tags.get(name).is_some_and(|tag| tag == value);
@@ -281,7 +276,5 @@ fn is_other(row: &RecordRow) -> bool {
 
 fn is_held(row: &RecordRow, incident: &IncidentRow) -> bool {
     let span = &incident.span;
-    row.captured_at >= span.since
-        && span.until.is_none_or(|until| row.captured_at < until)
-        && (span.topics.is_empty() || span.topics.contains(&row.topic))
+    row.captured_at >= span.since && span.until.is_none_or(|until| row.captured_at < until) && span.is_about(&row.topic)
 }

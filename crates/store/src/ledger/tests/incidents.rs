@@ -10,7 +10,7 @@ fn name(text: &str) -> IncidentName {
 }
 
 fn span(since: u64, until: Option<u64>, topics: &[&str]) -> IncidentSpan {
-    let topics = topics.iter().map(|&topic| topic.to_owned()).collect();
+    let topics = TopicPatterns(topics.iter().map(|topic| topic.parse().expect("a pattern")).collect());
     IncidentSpan { since: Timestamp(since), until: until.map(Timestamp), topics }
 }
 
@@ -30,7 +30,8 @@ fn append_in(ledger: &Ledger, state: RecordState, records: Vec<NewRecord>) {
 fn give_up(ledger: &Ledger, topic: &KeptTopic, limit: usize) {
     let due = ledger.retention.oldest(topic, (Timestamp(0), Timestamp(2_000)), limit).expect("read");
     let named = due.into_iter().map(|record| (record, vec![1])).collect();
-    let report = NewRecord { kind: RecordKind::Retention, topic: "authros/retention".to_owned(), ..record(1, 9, 1) };
+    let number = record(1, 9, topic.key.unsigned_abs());
+    let report = NewRecord { kind: RecordKind::Retention, topic: "authros/retention".to_owned(), ..number };
     ledger.retention.give_up(topic, report.clone(), named).expect("named");
     append_in(ledger, Verified, vec![report]);
 }
@@ -64,7 +65,7 @@ fn incidents_outlive_the_process_and_are_of_one_owner() {
     assert_eq!(ledger.incidents.list(other).expect("read").len(), 1, "another's stays");
     assert_eq!(ledger.incidents.open(OWNER, &name("crash"), &span(1, None, &[]), None), Ok(true));
     let again = ledger.incidents.find(OWNER, &name("crash")).expect("read").expect("there");
-    assert_eq!((again.notes.len(), again.span.topics.len()), (0, 0), "nothing of the one before");
+    assert_eq!((again.notes.len(), again.span.topics.0.len()), (0, 0), "nothing of the one before");
 }
 
 #[test]
@@ -159,11 +160,36 @@ fn bytes_of_a_stretch_leave_out_what_was_given_up_and_what_was_dropped() {
 }
 
 #[test]
-fn a_list_takes_records_of_several_topics() {
+fn a_list_takes_records_of_several_topics_and_of_patterns() {
     let (_home, ledger) = open();
     ledger.records.append(vec![record(1, 1, 1), record(1, 2, 1), record(1, 3, 1)]).expect("acknowledged");
-    let topics = vec!["/robot1/odom".to_owned(), "/robot3/odom".to_owned(), "/none".to_owned()];
-    let page = ledger.records.list(&RecordQuery { topics, ..RecordQuery::default() }).expect("listed");
-    let topics: Vec<&str> = page.rows.iter().map(|row| row.topic.as_str()).collect();
-    assert_eq!(topics, ["/robot1/odom", "/robot3/odom"]);
+    let listed = |topics: &[&str]| -> Vec<String> {
+        let topics = topics.iter().map(|patterns| patterns.parse().expect("patterns")).collect();
+        let page = ledger.records.list(&RecordQuery { topics, ..RecordQuery::default() }).expect("listed");
+        page.rows.into_iter().map(|row| row.topic).collect()
+    };
+    assert_eq!(listed(&["/robot1/odom, /robot3/odom, /none"]), ["/robot1/odom", "/robot3/odom"]);
+    assert_eq!(listed(&["/robot*/odom", "/robot2/**, /robot3/odom"]), ["/robot2/odom", "/robot3/odom"], "of each");
+    assert!(listed(&["/robot*/camera/**"]).is_empty());
+}
+
+#[test]
+fn an_incident_by_pattern_holds_topics_that_come_later() {
+    let (_home, ledger) = open();
+    let of = |topic| vec![record(1, topic, 1), record(1, topic, 2)];
+    let about = span(0, None, &["/robot1*/odom", "/never/**"]);
+    ledger.incidents.open(OWNER, &name("fall"), &about, None).expect("opened");
+    append_in(&ledger, Verified, [of(1), of(2), of(12)].concat());
+    let kept = ledger.incidents.find(OWNER, &name("fall")).expect("read").expect("there");
+    assert_eq!(kept.span, about);
+    let coverage = ledger.incidents.span_coverage(OWNER, &about).expect("counted");
+    let told: Vec<_> = coverage.iter().map(|one| (one.topic.as_str(), one.records)).collect();
+    assert_eq!(told, [("/never/**", 0), ("/robot1/odom", 2), ("/robot12/odom", 2)]);
+    for topic in ledger.retention.topics(OWNER).expect("read") {
+        give_up(&ledger, &topic, 2);
+    }
+    let deleted = ledger.retention.to_delete(OWNER, 9).expect("read");
+    assert_eq!(deleted.len(), 2, "only those of /robot2/odom");
+    ledger.incidents.remove(OWNER, &name("fall")).expect("removed");
+    assert_eq!(ledger.retention.to_delete(OWNER, 9).expect("read").len(), 6);
 }

@@ -25,6 +25,7 @@ enum Step {
     CloseBatch(Vec<Index>),
     SubmitBatch(Index),
     SeeBatch { picked: Index, own: bool, block: u64 },
+    SeeBoth { picked: Index, own: bool, block: u64 },
     Close { picked: Index, how: u8, block: u64 },
     Replace { picked: Index, kept: usize },
     See { picked: Vec<Index>, own: bool, block: u64 },
@@ -49,6 +50,8 @@ fn step() -> impl Strategy<Value = Step> {
         5 => any::<Index>().prop_map(Step::SubmitBatch),
         4 => (any::<Index>(), any::<bool>(), block())
             .prop_map(|(picked, own, block)| Step::SeeBatch { picked, own, block }),
+        2 => (any::<Index>(), any::<bool>(), block())
+            .prop_map(|(picked, own, block)| Step::SeeBoth { picked, own, block }),
         3 => (any::<Index>(), 0u8..3, block()).prop_map(|(picked, how, block)| Step::Close { picked, how, block }),
         1 => (any::<Index>(), 0usize..4).prop_map(|(picked, kept)| Step::Replace { picked, kept }),
         5 => (picked(), any::<bool>(), block()).prop_map(|(picked, own, block)| Step::See { picked, own, block }),
@@ -194,7 +197,9 @@ impl Model {
             Tampered if !same => (Tampered, 0),
             _ => return 0,
         };
-        (known.state, known.transaction, known.block) = (state, Some(sighting.transaction), Some(sighting.block));
+        let batch = known.batch.map(|number| &self.batches[number]).filter(|batch| batch.block == Some(sighting.block));
+        let transaction = batch.map_or(Some(sighting.transaction), |batch| batch.transaction);
+        (known.state, known.transaction, known.block) = (state, transaction, Some(sighting.block));
         changed
     }
 
@@ -325,6 +330,10 @@ impl Pair {
         let sql = "SELECT count(*) FROM records JOIN leaves ON record = n JOIN batches ON key = batch
             WHERE batches.block IS NOT NULL AND records.tx IS NOT NULL AND records.block IS NULL";
         assert_eq!(self.ledger().database.one(sql, [], |row| row.get(0)), Ok(0_i64));
+        // What readers and audit rely on: in its batch's block, a record has no transaction of its own.
+        let sql = "SELECT count(*) FROM records JOIN leaves ON record = n JOIN batches ON key = batch
+            WHERE batches.block = records.block";
+        assert_eq!(self.ledger().database.one(sql, [], |row| row.get(0)), Ok(0_i64));
     }
 
     /// The counters equal a full recount, and the conservation law holds.
@@ -420,6 +429,21 @@ fn a_record_whose_own_block_is_undone_rests_on_its_batchs() {
     };
     for (row, state) in [(seen(false), Mined), (seen(true), Tampered)] {
         assert_eq!((row.state, row.block), (state, Some(2)));
+    }
+}
+
+#[test]
+fn a_record_uploaded_in_its_batchs_block_rests_on_its_batch() {
+    let alone = |block| Step::See { picked: vec![only()], own: false, block };
+    let batch = || Step::SeeBatch { picked: only(), own: true, block: 5 };
+    let after = |steps: Vec<Step>| {
+        let row = take_each([vec![Step::SubmitBatch(only())], steps].concat());
+        (row.state, row.transaction, row.block)
+    };
+    let sent = Some(Hash([1; 32]));
+    for steps in [vec![alone(5), batch()], vec![batch(), alone(5)], vec![batch(), alone(9), alone(5)]] {
+        assert_eq!(after(steps.clone()), (Mined, sent, Some(5)), "{steps:?}");
+        assert_eq!(after([steps, vec![Step::TakeBack(5)]].concat()), (Submitted, sent, None), "it waits for its batch");
     }
 }
 

@@ -63,6 +63,11 @@ fn released_ones_go_on_and_discarded_ones_never() {
     let count = |query: &HeldQuery| ledger.quarantine.held(Address([1; 20]), query).expect("held").len();
     assert_eq!((count(&messages), count(&undecided), ledger.quarantine.release(&[definition.digest])), (1, 2, Ok(1)));
     assert!(ledger.quarantine.held(Address([2; 20]), &all()).expect("held").is_empty());
+    let order = |newest_first: bool| {
+        let rows = ledger.quarantine.held(Address([1; 20]), &HeldQuery { newest_first, ..all() }).expect("held");
+        rows.into_iter().map(|row| row.record.digest).collect::<Vec<_>>()
+    };
+    assert_eq!(order(true), order(false).into_iter().rev().collect::<Vec<_>>());
     // It survives the process.
     ledger.close().expect("closed");
     let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");

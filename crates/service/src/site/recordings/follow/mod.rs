@@ -29,7 +29,7 @@ use crate::pipeline::{CaptureSession, Network, Owner};
 use crate::service::command::FollowWishes;
 use crate::service::event::NoticeLevel;
 use crate::service::failure::{AGAIN, input, refused};
-use crate::service::reply::{Failure, FollowView, FollowedFile};
+use crate::service::reply::{FollowView, FollowedFile, Result};
 use crate::site::blocking;
 use crate::store::Notes;
 use crate::store::notes::{FilePlace, FileStanding};
@@ -39,7 +39,7 @@ const LOOK: Duration = Duration::from_millis(250);
 const PROVING: Duration = Duration::from_millis(500);
 
 /// The tag of a file's records if it was followed.
-pub(super) fn followed_as(notes: &Notes, owner: Address, path: &Path) -> Result<Option<String>, Failure> {
+pub(super) fn followed_as(notes: &Notes, owner: Address, path: &Path) -> Result<Option<String>> {
     let file = File::open(path).map_err(|error| input(format!("{} cannot be read: {error}", path.display())))?;
     Ok(match place::known(notes, owner, &file, true)? {
         Known::Here(key, place, _) if place.begun > 0 => Some(key.tag),
@@ -136,7 +136,7 @@ impl Recordings {
         owner: &Arc<Owner>,
         wishes: FollowWishes,
         gone: oneshot::Receiver<()>,
-    ) -> Result<FollowView, Failure> {
+    ) -> Result<FollowView> {
         if wishes.tags.len() > MOST_TAGS - 1 {
             return Err(input(format!("what is followed can have at most {} tags", MOST_TAGS - 1)));
         }
@@ -170,7 +170,7 @@ impl Recordings {
         wishes: FollowWishes,
         (run, control): (&Arc<Run>, &Arc<CaptureSession>),
         mut gone: oneshot::Receiver<()>,
-    ) -> Result<FollowView, Failure> {
+    ) -> Result<FollowView> {
         let (sender, mut due) = mpsc::unbounded_channel();
         let (author, run, stop) = (Arc::clone(owner), Arc::clone(run), Arc::clone(control));
         let reading = blocking(self, move |recordings| {
@@ -215,7 +215,7 @@ fn with_proofs(mut view: FollowView, waiting: &[Due], proven: &mut BTreeMap<Stri
 }
 
 /// A path without links, as far as it exists.
-fn resolved(path: &Path) -> Result<PathBuf, Failure> {
+fn resolved(path: &Path) -> Result<PathBuf> {
     let failed = |error: std::io::Error| input(format!("{} cannot be followed: {error}", path.display()));
     if path.is_file() {
         return Err(input(format!("{} is a file; import it with `authros bag import`", path.display())));

@@ -15,7 +15,7 @@ use crate::crypto::sm3::sm3;
 use crate::model::{Address, Digest, clean};
 use crate::ros::mcap::MAGIC;
 use crate::service::failure::internal;
-use crate::service::reply::Failure;
+use crate::service::reply::Result;
 use crate::store::Notes;
 use crate::store::notes::{FilePlace, FileStanding, Followed, SealedUnderName};
 
@@ -62,7 +62,7 @@ fn is_closed(file: &File, length: u64) -> bool {
     at.is_some_and(|at| file.read_exact_at(&mut end, at).is_ok()) && end == *MAGIC
 }
 
-pub(super) fn known(notes: &Notes, owner: Address, file: &File, is_whole: bool) -> Result<Known, Failure> {
+pub(super) fn known(notes: &Notes, owner: Address, file: &File, is_whole: bool) -> Result<Known> {
     let unreadable = |error: std::io::Error| internal(format!("it cannot be read: {error}"));
     let metadata = file.metadata().map_err(unreadable)?;
     if metadata.len() < LEAD as u64 && !is_whole && !is_closed(file, metadata.len()) {
@@ -100,12 +100,12 @@ fn name_of(owner: Address, path: &Path) -> SealedUnderName {
 }
 
 /// Keeps which file was sealed to its end under a name.
-pub(super) fn put_name(notes: &Notes, owner: Address, path: &Path, key: &FileKey) -> Result<(), Failure> {
+pub(super) fn put_name(notes: &Notes, owner: Address, path: &Path, key: &FileKey) -> Result<()> {
     Ok(notes.write(&name_of(owner, path), &key.note.file)?)
 }
 
 /// The file sealed to its end under a name.
-pub(super) fn sealed_at(notes: &Notes, owner: Address, path: &Path) -> Result<Option<FilePlace>, Failure> {
+pub(super) fn sealed_at(notes: &Notes, owner: Address, path: &Path) -> Result<Option<FilePlace>> {
     let Some(file) = notes.read(&name_of(owner, path))? else { return Ok(None) };
     Ok(notes.read(&Followed { owner, file })?)
 }

@@ -22,7 +22,7 @@ use crate::ros::recording::BESIDE;
 use crate::ros::rosbag2::ATTACHED;
 use crate::service::command::EvidenceWishes;
 use crate::service::failure::input;
-use crate::service::reply::Failure;
+use crate::service::reply::{Failure, Result};
 use crate::site::blocking;
 use crate::store::RecordRow;
 use crate::store::notes::{FilePlace, FileStanding};
@@ -97,7 +97,7 @@ impl Recordings {
         *waiting = left;
     }
 
-    async fn prove_one(self: &Arc<Self>, owner: &Arc<Owner>, due: &Due) -> Result<Option<Proven>, Failure> {
+    async fn prove_one(self: &Arc<Self>, owner: &Arc<Owner>, due: &Due) -> Result<Option<Proven>> {
         let (network, author, wanted) = (self.reading.network_or_kept().await?, Arc::clone(owner), due.clone());
         let row = blocking(self, move |recordings| {
             let reader = Reader { plant: &recordings.parts.plant, network: &network, reader: &author };
@@ -116,7 +116,7 @@ impl Recordings {
         let mut one = Proven { record: Some(row.id.clone()), ..Proven::default() };
         if target.symlink_metadata().is_err() {
             let (file, records, reveal) = (target.clone(), vec![row.id.clone()], vec![row.id.clone()]);
-            let wishes = EvidenceWishes { file, records, reveal, ..EvidenceWishes::default() };
+            let wishes = EvidenceWishes { file, records, reveal, sure: true, ..EvidenceWishes::default() };
             one.notes = self.evidence.export(owner, wishes).await?.notes;
         }
         one.proof = Some(clean(&target.display().to_string(), 300));
@@ -127,7 +127,7 @@ impl Recordings {
     }
 
     /// Checks that the bundle is the file's, attaches it, and notes that.
-    fn finish_proof(&self, due: &Due, target: &Path, record: Digest) -> Result<Option<PathBuf>, Failure> {
+    fn finish_proof(&self, due: &Due, target: &Path, record: Digest) -> Result<Option<PathBuf>> {
         let is_its_own =
             Bundle::read(target, self.parts.plant.provider).is_ok_and(|bundle| bundle.records.contains_key(&record));
         if !is_its_own {
@@ -157,7 +157,7 @@ pub(super) fn copy_of(path: &Path) -> PathBuf {
     name.into()
 }
 
-fn attach(path: &Path, proof: &Path, logged_at: Timestamp) -> Result<PathBuf, Failure> {
+fn attach(path: &Path, proof: &Path, logged_at: Timestamp) -> Result<PathBuf> {
     let copy = copy_of(path);
     if copy.exists() {
         return Ok(copy);
@@ -180,7 +180,7 @@ fn attach(path: &Path, proof: &Path, logged_at: Timestamp) -> Result<PathBuf, Fa
     Ok(copy)
 }
 
-fn statement(reader: &Reader<'_>, due: &Due) -> Result<Option<RecordRow>, Failure> {
+fn statement(reader: &Reader<'_>, due: &Due) -> Result<Option<RecordRow>> {
     for found in reader.own_opened(at(BESIDE, RecordKind::Attachment, Some(due.stated_at))) {
         let (row, opened) = found?;
         let has = |key: &str, value: &str| opened.head.tags.get(key).is_some_and(|found| found == value);

@@ -11,7 +11,7 @@ use crate::ros::mcap::McapReader;
 use crate::ros::recording::{Findings, RecordedMessage, RecordingReader as _};
 use crate::ros::rosbag2::Db3Reader;
 use crate::service::failure::input;
-use crate::service::reply::Failure;
+use crate::service::reply::Result;
 
 const BUFFER: usize = 256 * 1024;
 
@@ -34,7 +34,7 @@ pub(super) enum Source {
 
 impl Source {
     /// `is_followed`: a later file exists, or the recording was closed.
-    pub fn open(path: &Path, length: u64, is_followed: bool) -> Result<Self, Failure> {
+    pub fn open(path: &Path, length: u64, is_followed: bool) -> Result<Self> {
         if is_database(path) {
             let reader = Box::new(Db3Reader::open(path)?);
             return Ok(Self::Closed { reader, is_finished: false, pieces: pieces(length), is_complete: is_followed });

@@ -22,7 +22,7 @@ use crate::pipeline::importer::Importer;
 use crate::ros::mcap::MAGIC;
 use crate::ros::recording::{BESIDE, Beside, RecordedMessage};
 use crate::service::failure::input;
-use crate::service::reply::{Failure, FollowedFile};
+use crate::service::reply::{FollowedFile, Result};
 use crate::store::notes::{FilePlace, FileStanding, Standing as Imported, Standings};
 
 /// Limits of what is sealed before the ledger notes it.
@@ -72,7 +72,7 @@ pub(super) struct Tape<'a> {
 
 impl<'a> Tape<'a> {
     /// Finds where a file continues; `None` if it is too short, `Waiting` while an import seals it.
-    pub fn open(follower: &'a Follower<'a>, path: &Path, files: &[PathBuf]) -> Result<Option<Entry<'a>>, Failure> {
+    pub fn open(follower: &'a Follower<'a>, path: &Path, files: &[PathBuf]) -> Result<Option<Entry<'a>>> {
         let done = |view: FollowedFile| Ok(Some(Entry::ended(path, view, None)));
         let unreadable = |error: std::io::Error| input(format!("it cannot be read: {error}"));
         let (file, ledger) = (File::open(path).map_err(unreadable)?, &follower.recordings.parts.plant.ledger);
@@ -147,7 +147,7 @@ impl<'a> Tape<'a> {
     }
 
     /// A file without a writer when first met may have been imported.
-    fn find_import(&mut self, length: u64) -> Result<(), Failure> {
+    fn find_import(&mut self, length: u64) -> Result<()> {
         let mut tail = [0; 8];
         let unreadable = |error: std::io::Error| input(format!("it cannot be read: {error}"));
         self.file.read_exact_at(&mut tail, length.saturating_sub(8)).map_err(unreadable)?;
@@ -165,7 +165,7 @@ impl<'a> Tape<'a> {
         Ok(())
     }
 
-    pub fn round(&mut self, files: &[PathBuf]) -> Result<Round, Failure> {
+    pub fn round(&mut self, files: &[PathBuf]) -> Result<Round> {
         let unreadable = |error: std::io::Error| input(format!("{} cannot be read: {error}", self.view.file));
         let length = self.file.metadata().map_err(unreadable)?.len();
         if length < self.length.max(self.hashed.at) {
@@ -207,7 +207,7 @@ impl<'a> Tape<'a> {
     }
 
     /// Reads the next messages, except those already sealed.
-    fn fill(&mut self) -> Result<(), Failure> {
+    fn fill(&mut self) -> Result<()> {
         let mut bytes = 0;
         while self.batch.len() < MOST_MESSAGES && bytes < MOST_BYTES && self.follower.goes_on() {
             let Some(message) = self.reader.next_message()? else { break };
@@ -228,19 +228,19 @@ impl<'a> Tape<'a> {
         self.hash_to(self.reader.at())
     }
 
-    fn hash_to(&mut self, at: u64) -> Result<(), Failure> {
+    fn hash_to(&mut self, at: u64) -> Result<()> {
         let spans = self.reader.take_chunks();
         let failed = |error: std::io::Error| input(format!("{} cannot be read: {error}", self.view.file));
         self.hashed.advance(&self.file, at, spans).map_err(failed)
     }
 
     /// Notes the plan before sealing: up to `begun` may be sealed when this run dies.
-    fn begin_to(&mut self, begun: u64) -> Result<(), Failure> {
+    fn begin_to(&mut self, begun: u64) -> Result<()> {
         self.place.begun = self.place.begun.max(begun);
         self.keep()
     }
 
-    fn keep(&mut self) -> Result<(), Failure> {
+    fn keep(&mut self) -> Result<()> {
         // What is not reread yet says less than what is kept.
         if self.hashed.at >= self.place.at {
             (self.place.at, self.place.digest) = (self.hashed.at, Some(self.hashed.digest()));
@@ -251,7 +251,7 @@ impl<'a> Tape<'a> {
         Ok(())
     }
 
-    fn seal(&mut self) -> Result<(), Failure> {
+    fn seal(&mut self) -> Result<()> {
         self.begin_to(self.met)?;
         while let Some((topic, message)) = self.batch.front() {
             if !self.follower.goes_on() {
@@ -295,7 +295,7 @@ impl<'a> Tape<'a> {
     }
 
     /// Seals the statement about the whole file.
-    fn state(&mut self) -> Result<(), Failure> {
+    fn state(&mut self) -> Result<()> {
         // A stopped batch is not the end.
         if self.place.stored < self.met {
             return Ok(());
@@ -336,7 +336,7 @@ impl<'a> Tape<'a> {
     }
 
     /// Leaves nothing for an import of the same file or folder to seal.
-    fn note_as_imported(&self, digest: Digest) -> Result<(), Failure> {
+    fn note_as_imported(&self, digest: Digest) -> Result<()> {
         let is_whole = !self.place.chosen && self.importer.lost() == 0;
         let standing = if is_whole { Imported::Whole } else { Imported::Begun };
         let (file, tag) = ((self.follower.owner.address, digest), Some(self.key.tag.as_str()));
@@ -380,7 +380,7 @@ fn changed_before(
     path: &Path,
     former: Option<FilePlace>,
     view: &mut FollowedFile,
-) -> Result<bool, Failure> {
+) -> Result<bool> {
     view.is_altered = former.is_some();
     let named = place::sealed_at(&follower.recordings.parts.plant.ledger.notes, follower.owner.address, path)?;
     let sealed = named.or(former.filter(|place| place.standing != FileStanding::Open));

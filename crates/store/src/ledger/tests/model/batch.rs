@@ -90,7 +90,8 @@ impl Pair {
             (batch.transaction, batch.block) = (Some(transaction), Some(block));
             for index in batch.members.clone() {
                 let known = &mut self.model.records[index];
-                if known.block.is_none() {
+                // A record uploaded alone in the very block rests on its batch.
+                if known.block.is_none_or(|own| own == block) {
                     (known.transaction, known.block) = (Some(transaction), Some(block));
                     known.state = if matches!(known.state, Batched | Submitted) { Mined } else { known.state };
                     changed += 1;

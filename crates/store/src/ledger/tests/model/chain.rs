@@ -39,6 +39,14 @@ impl Pair {
             Step::SeeBatch { picked, own, block } if !self.model.batches.is_empty() => {
                 self.see_batch(picked.index(self.model.batches.len()), own, block);
             }
+            // One block has a record's own upload and its batch's anchor.
+            Step::SeeBoth { picked, own, block } if !self.model.batches.is_empty() => {
+                let index = picked.index(self.model.batches.len());
+                let alone = self.sighting(self.model.batches[index].members[0], false, block);
+                let changed = self.model.see(&alone);
+                assert_eq!(self.ledger().batches.mined(&[alone]), Ok(changed));
+                self.see_batch(index, own, block);
+            }
             Step::Replace { picked, kept } if !self.model.sent.is_empty() => self.replace(&picked, kept),
             Step::See { picked, own, block } => {
                 let seen: Vec<Sighting> =
