@@ -416,10 +416,10 @@ pub(super) const OLDEST: &str = "SELECT min((SELECT min(captured_at) FROM record
 pub(super) const UNTOLD: &str = "SELECT count(*) FROM gaps WHERE report IS NULL";
 
 /// Signers with the arrival of their newest record: the highest number of each topic came last.
-pub(super) const LAST_SEEN: &str = "SELECT r.signer, max(x.acknowledged_at) AS at FROM topics t
-    JOIN recorders r ON r.key = t.recorder
-    JOIN records x ON x.topic = t.key AND x.seq = (SELECT max(seq) FROM records WHERE topic = t.key)
-    GROUP BY r.signer ORDER BY at DESC LIMIT ?1";
+pub(super) const LAST_SEEN: &str = "SELECT signer, max(newest) AS at FROM (
+        SELECT r.signer, (SELECT acknowledged_at FROM records WHERE topic = t.key ORDER BY seq DESC LIMIT 1) AS newest
+        FROM topics t JOIN recorders r ON r.key = t.recorder
+    ) each_topic WHERE newest IS NOT NULL GROUP BY signer ORDER BY at DESC LIMIT ?1";
 
 impl Counts {
     pub fn owners(&self, limit: usize) -> Result<Vec<Address>, StoreError> {

@@ -43,3 +43,7 @@ fn a_robot_is_seen_when_its_records_arrive_whatever_its_clock_says() {
     assert_eq!(seen.len(), 2);
     assert!(seen.iter().all(|seen| before <= seen.at && seen.at <= Timestamp::now()), "{seen:?}");
 }
+
+server::on_a_server! {
+    a_robot_is_seen_when_its_records_arrive_whatever_its_clock_says,
+}

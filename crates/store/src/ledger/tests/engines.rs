@@ -2,6 +2,7 @@
 
 use super::server::{Cluster, shared, skip};
 use super::*;
+use crate::model::TopicPattern;
 
 fn append(ledger: &Ledger, owner: u8, seq: u64) -> Result<(), StoreError> {
     ledger.records.append(vec![NewRecord { blob: Some(vec![owner; 100]), ..record(owner, 1, seq) }])
@@ -221,4 +222,77 @@ fn a_later_schema_and_an_absent_server_are_refused_in_words() {
     let error = Ledger::on_server("postgres://u:secret@127.0.0.1:1/x?sslmode=disable", None).expect_err("absent");
     assert_eq!(error.kind(), ErrorKind::Unreachable);
     assert!(error.to_string().contains("postgres://127.0.0.1:1/x") && !error.to_string().contains("secret"), "{error}");
+}
+
+#[test]
+fn tables_that_disagree_are_told_of_a_server_too() {
+    let cluster = match shared() {
+        Ok(cluster) => cluster,
+        Err(reason) => return skip("engines::tables_that_disagree", reason),
+    };
+    let ledger = Ledger::on_server(&cluster.schema(), None).expect("opened");
+    append(&ledger, 1, 1).expect("acknowledged");
+    assert_eq!(ledger.inspection.contradictions(), Ok(Vec::new()));
+    for (wrong, undone, told) in [
+        (
+            "INSERT INTO counter_deltas VALUES (1, 2, 0, 9, 0)",
+            "DELETE FROM counter_deltas WHERE bytes = 9",
+            "1 counts per state do not match the records",
+        ),
+        (
+            "INSERT INTO epoch_deltas VALUES (1, 1, 0, 5, NULL)",
+            "DELETE FROM epoch_deltas WHERE first_at = 5",
+            "2 counts per epoch do not match the records",
+        ),
+        (
+            "INSERT INTO counter_deltas VALUES (1, 2, 0, 0, 1)",
+            "DELETE FROM counter_deltas WHERE records = 0",
+            "1 streams have fewer or more records than were stored",
+        ),
+        ("UPDATE topics SET key = 70 WHERE key = 1", "UPDATE topics SET key = 1", "1 records without a topic"),
+        ("INSERT INTO leaves VALUES (1, 1, 0)", "DELETE FROM leaves", "1 batch positions without a batch or record"),
+    ] {
+        let change = |sql| ledger.database.write(move |session| Ok(session.connection.script(sql)?));
+        change(wrong).expect("changed");
+        assert_eq!(ledger.inspection.contradictions(), Ok(vec![told.to_owned()]));
+        change(undone).expect("changed back");
+    }
+    assert_eq!(ledger.inspection.contradictions(), Ok(Vec::new()));
+}
+
+/// SQLite asks the program, a server has a function of its own.
+#[test]
+fn patterns_match_names_in_statements_as_in_the_program() {
+    let (_home, ledger) = open();
+    let names =
+        ["/robot1/odom", "/robot12/odom", "/robot1/a/b", "/odom", "id:0102", "/r\u{e9}sum\u{e9}", "/a\n/b", "/", ""];
+    let patterns = [
+        "/robot*/odom",
+        "/robot?/odom",
+        "/**",
+        "/robot1/**",
+        "**/odom",
+        "/***/b",
+        "**",
+        "/*",
+        "/robot1/odom",
+        "/*/?/?",
+        "*",
+        "/robot./odom",
+        "/(a|b)*",
+        "id:0102",
+        "/?*/**",
+    ];
+    let mut found = 0;
+    for (pattern, name) in patterns.iter().flat_map(|pattern| names.map(|name| (*pattern, name))) {
+        let expected = pattern == name || pattern.parse::<TopicPattern>().is_ok_and(|pattern| pattern.matches(name));
+        let said = ledger.database.one("SELECT topic_matches(?1, ?2)", [pattern, name], |row| row.get::<bool>(0));
+        assert_eq!(said, Ok(expected), "{pattern} {name:?}");
+        found += usize::from(expected);
+    }
+    assert!(found > 20, "{found}");
+}
+
+server::on_a_server! {
+    patterns_match_names_in_statements_as_in_the_program,
 }

@@ -177,7 +177,7 @@ fn a_list_takes_records_of_several_topics_and_of_patterns() {
 fn an_incident_by_pattern_holds_topics_that_come_later() {
     let (_home, ledger) = open();
     let of = |topic| vec![record(1, topic, 1), record(1, topic, 2)];
-    let about = span(0, None, &["/robot1*/odom", "/never/**"]);
+    let about = span(0, None, &["/never/**", "/robot1*/odom"]);
     ledger.incidents.open(OWNER, &name("fall"), &about, None).expect("opened");
     append_in(&ledger, Verified, [of(1), of(2), of(12)].concat());
     let kept = ledger.incidents.find(OWNER, &name("fall")).expect("read").expect("there");

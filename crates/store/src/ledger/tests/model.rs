@@ -360,6 +360,7 @@ impl Pair {
                 topic.verified + topic.pending + topic.right_ended + topic.quarantined + topic.dropped + topic.tampered;
             assert_eq!(topic.captured, parts, "conservation");
         }
+        assert_eq!(self.ledger().inspection.contradictions(), Ok(Vec::new()));
     }
 }
 
@@ -460,5 +461,6 @@ fn a_record_seen_with_its_batchs_transaction_waits_again_when_that_fails() {
 
 server::on_a_server! {
     the_ledger_does_what_the_model_does, a_record_whose_own_block_is_undone_rests_on_its_batchs,
+    a_record_uploaded_in_its_batchs_block_rests_on_its_batch,
     a_record_seen_with_its_batchs_transaction_waits_again_when_that_fails,
 }
