@@ -5,7 +5,7 @@ pub mod cli;
 pub use authros_chain as chain;
 pub use authros_config as config;
 pub use authros_config::paths;
-pub use authros_console::{app, term, ui};
+pub use authros_console::{app, popups, screens, term, ui};
 pub use authros_crypto as crypto;
 pub use authros_evidence as evidence;
 pub use authros_gateway as gateway;

@@ -10,21 +10,21 @@ const CRATES: [&str; 19] = [
     "model", "tls", "fault", "crypto", "evidence", "pipe", "keyless", "ros2", "rosrust", "ros", "chain", "store",
     "gateway", "pipeline", "config", "service", "console", "output", "authros",
 ];
-/// The rooms of the console, in order.
-const CONSOLE: [&str; 3] = ["app", "ui", "term"];
 /// The longest file, lines.
 const LONGEST: usize = 800;
 /// The longest opening, lines; the map of the screen may be longer.
 const LONGEST_OPENING: usize = 6;
 const OPENS_WITH_A_MAP: &str = "crates/console/src/ui/mod.rs";
 /// Where requests, answers, verbs and tags are dispatched: forgetting a new one there must not compile.
-const DISPATCH: [&str; 17] = [
+const DISPATCH: [&str; 19] = [
     "crates/service/src/site/handle.rs",
-    "crates/console/src/app/administration.rs",
+    "crates/console/src/app/acts.rs",
     "crates/console/src/app/answer.rs",
     "crates/console/src/app/available.rs",
     "crates/console/src/app/identity_path.rs",
-    "crates/console/src/app/perform.rs",
+    "crates/console/src/app/verb.rs",
+    "crates/console/src/popups/mod.rs",
+    "crates/console/src/screens/chain/keys.rs",
     "src/cli/audit.rs",
     "src/cli/chain.rs",
     "src/cli/gateway.rs",
@@ -184,12 +184,12 @@ fn paths(tree: &str) -> Vec<String> {
     parts.flat_map(paths).map(|path| format!("{}{path}", head.trim())).collect()
 }
 
-/// All paths in the code of a file without its tests.
-fn paths_in(source: &str) -> Vec<String> {
+/// The paths that a file imports, and those in the rest of its code, both without its tests.
+fn paths_in(source: &str) -> (Vec<String>, Vec<String>) {
     // A visibility uses nothing.
     let code = code_only(source).replace("(in crate::", "(");
     let code = code.split("\n#[cfg(test)]").next().unwrap_or_default();
-    let mut found = Vec::new();
+    let (mut imported, mut named) = (Vec::new(), Vec::new());
     for statement in code.split_inclusive(';') {
         let is_import = |at: &usize| {
             let before = statement[..*at].rsplit('\n').next().unwrap_or_default().trim();
@@ -197,11 +197,19 @@ fn paths_in(source: &str) -> Vec<String> {
         };
         let import = statement.match_indices("use ").map(|(at, _)| at).find(is_import);
         let (body, import) = statement.split_at(import.unwrap_or(statement.len()));
-        found.extend(import.strip_prefix("use ").into_iter().flat_map(|tree| paths(tree.trim_end_matches(';'))));
+        imported.extend(import.strip_prefix("use ").into_iter().flat_map(|tree| paths(tree.trim_end_matches(';'))));
         let tokens = body.split(|character: char| !(character.is_alphanumeric() || "_:".contains(character)));
-        found.extend(tokens.filter(|token| token.contains("::")).map(str::to_owned));
+        named.extend(tokens.filter(|token| token.contains("::")).map(str::to_owned));
     }
-    found
+    (imported, named)
+}
+
+/// A path in full, if it begins with a name that is imported.
+fn in_full(path: &str, imported: &[String]) -> String {
+    let (first, rest) = path.split_once("::").unwrap_or((path, ""));
+    let mut imports = imported.iter().map(|import| import.trim_end_matches("::self"));
+    let import = imports.find(|import| import.rsplit("::").next() == Some(first));
+    import.map_or_else(|| path.to_owned(), |import| format!("{import}::{rest}"))
 }
 
 /// The module that a path in the module `own` leads to, if it is another of these.
@@ -224,33 +232,42 @@ fn module_of(path: &str, own: &str, modules: &BTreeSet<String>) -> Option<String
     (at != own && modules.contains(&at)).then_some(at)
 }
 
-/// Of each module of a room of the console, the others of the room that it uses.
-fn uses_in(room: &str) -> BTreeMap<String, BTreeSet<String>> {
+/// Of each module of the console, the others that it uses.
+fn uses_in_the_console() -> BTreeMap<String, BTreeSet<String>> {
     let is_test = |path: &Path| path.iter().any(|part| part == "tests" || part == "tests.rs");
     let module = |path: &Path| {
         let name =
             path.with_extension("").iter().skip(3).map(|part| part.to_string_lossy()).collect::<Vec<_>>().join("::");
         name.strip_suffix("::mod").unwrap_or(&name).to_owned()
     };
-    let files = rust_files(&format!("crates/console/src/{room}")).into_iter().filter(|path| !is_test(path));
+    let files = rust_files("crates/console/src").into_iter().filter(|path| !is_test(path));
     let files: BTreeMap<String, PathBuf> = files.map(|path| (module(&path), path)).collect();
-    let modules: BTreeSet<String> = files.keys().cloned().collect();
+    // A folder without a file of its own is a step of paths alone.
+    let folders = files.keys().flat_map(|name| name.match_indices("::").map(|(end, _)| name[..end].to_owned()));
+    let modules: BTreeSet<String> = files.keys().cloned().chain(folders).collect();
     let used = |own: &str, path: &Path| {
-        paths_in(&read(path)).iter().filter_map(|path| module_of(path, own, &modules)).collect::<BTreeSet<_>>()
+        let (imported, named) = paths_in(&read(path));
+        let named = named.iter().map(|path| in_full(path, &imported)).collect::<Vec<_>>();
+        imported.iter().chain(&named).filter_map(|path| module_of(path, own, &modules)).collect::<BTreeSet<_>>()
     };
     files.iter().map(|(own, path)| (own.clone(), used(own, path))).collect()
 }
 
-/// Modules that use themselves through others, each with those that it uses.
-fn circles(uses: &BTreeMap<String, BTreeSet<String>>) -> Vec<String> {
-    let reaches = |own: &String| {
+/// The sets of modules of which each uses each other, itself or through others.
+fn circles(uses: &BTreeMap<String, BTreeSet<String>>) -> BTreeSet<BTreeSet<String>> {
+    let reach = |own: &String| {
         let (mut reached, mut waiting) = (BTreeSet::new(), vec![own]);
         while let Some(used) = waiting.pop() {
             waiting.extend(uses.get(used).into_iter().flatten().filter(|next| reached.insert((*next).clone())));
         }
-        reached.contains(own)
+        reached
     };
-    uses.iter().filter(|(own, _)| reaches(own)).map(|(own, used)| format!("{own} uses {used:?}")).collect()
+    let reached: BTreeMap<String, BTreeSet<String>> = uses.keys().map(|own| (own.clone(), reach(own))).collect();
+    let goes_back = |from: &String, to: &String| reached.get(from).is_some_and(|reached| reached.contains(to));
+    let circle = |own: &String| -> BTreeSet<String> {
+        reached[own].iter().filter(|other| goes_back(other, own)).cloned().collect()
+    };
+    uses.keys().map(circle).filter(|circle| !circle.is_empty()).collect()
 }
 
 /// The words of the code, for searching whole words.
@@ -381,31 +398,34 @@ fn every_folder_of_crates_is_in_the_order() {
 }
 
 #[test]
-fn every_room_of_the_console_uses_only_rooms_before_it() {
+fn nothing_in_the_console_but_the_terminals_own_room_knows_the_terminal() {
     let mut wrong = Vec::new();
-    for path in rust_files("crates/console/src") {
-        let room = path.iter().nth(3).and_then(|name| name.to_str()).expect("below src");
-        let Some(own) = CONSOLE.iter().position(|&name| name == room) else { continue };
-        for used in crate_names(&code_only(&read(&path))) {
-            if CONSOLE[own + 1..].contains(&used.as_str()) {
-                wrong.push(format!("{} uses crate::{used}", path.display()));
-            }
+    for path in rust_files("crates/console/src").into_iter().filter(|path| path.iter().nth(3) != Some("term".as_ref()))
+    {
+        let code = code_only(&read(&path));
+        let terminal = crate_names(&code).contains(&"term".to_owned());
+        if terminal || words(&code).any(|word| ["crossterm", "signal_hook", "rustix"].contains(&word)) {
+            wrong.push(path.display().to_string());
         }
     }
-    assert_none("against the order of rooms", &wrong);
+    assert_none("with the terminal", &wrong);
 }
 
 /// A screen or a popup can be read, and changed, with what it uses and without what uses it.
 #[test]
-fn no_files_that_draw_the_screens_and_popups_use_each_other_in_a_circle() {
-    let uses = uses_in("ui");
-    assert_none("in a circle", &circles(&uses));
+fn no_files_of_the_console_use_each_other_in_a_circle() {
+    let uses = uses_in_the_console();
+    let knots: Vec<String> = circles(&uses).iter().map(|circle| format!("{circle:?}")).collect();
+    assert_none("in a circle", &knots);
     let has = |own: &str, used: &str| uses[own].contains(used);
-    assert!(has("ui", "ui::overview") && has("ui::overview", "ui::graph") && has("ui::popups", "ui::popups::windows"));
+    assert!(
+        has("ui::draw", "screens") && has("screens", "screens::topics::draw") && has("app::state", "popups::state")
+    );
+    assert!(has("app::acts", "screens::records::keys"), "through the import of its folder");
     let set = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect::<BTreeSet<_>>();
     let knot = [("a", set(&["b"])), ("b", set(&["c"])), ("c", set(&["a"])), ("d", set(&["a"]))];
     let knot = knot.map(|(own, used)| (own.to_owned(), used)).into();
-    assert_eq!(circles(&knot).len(), 3, "d is outside");
+    assert_eq!(circles(&knot), [set(&["a", "b", "c"])].into(), "d is outside");
 }
 
 #[test]
@@ -603,6 +623,9 @@ fn these_checks_see_through_comments_quotes_and_groups() {
     assert!(!words(&code).any(|word| word == "unsafe"));
     let source = "use super::{lists::{self, empty}, words as text};\npub(in crate::ui) use windows::Piece;\n\
                   fn f() { super::bars::draw(); }\n#[cfg(test)]\nmod tests { use super::detail; }";
-    let named = ["super::lists::self", "super::lists::empty", "super::words", "windows::Piece", "super::bars::draw"];
-    assert_eq!(paths_in(source), named);
+    let (imported, named) = paths_in(source);
+    assert_eq!(imported, ["super::lists::self", "super::lists::empty", "super::words", "windows::Piece"]);
+    assert_eq!(named, ["super::bars::draw"]);
+    assert_eq!(in_full("lists::draw", &imported), "super::lists::draw");
+    assert_eq!(in_full("bars::draw", &imported), "bars::draw");
 }

@@ -76,13 +76,14 @@ anchors them.
         about: "How somebody checks records without trusting you",
         text: "\
   authros incident open crash --since 10m                keep these records
-  authros evidence export crash.authros --incident crash --reveal ID
+  authros evidence export crash.authros --incident crash --reveal-topic /odom
   authros evidence verify crash.authros --trust trust.toml      by the reader
 
 The reader needs no home, no keys and no network, only a trust file with what
 they know from another source: the chain, who seals it, and your account
-(docs/evidence.md has an example). Records are disclosed one by one (--reveal);
-of the others the bundle proves that they exist, not what they say.
+(docs/evidence.md has an example). You disclose messages by topic or pattern
+(--reveal-topic), one by one (--reveal ID), or all that are chosen (--reveal
+all); of the others the bundle proves that they exist, not what they say.
 
   authros evidence timestamp                    stamps of the authorities, now
   authros records export ID --dir out           one record, for openssl

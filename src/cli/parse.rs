@@ -154,7 +154,7 @@ mod tests {
 
     #[test]
     fn flags_and_the_consoles_filter_ask_for_the_same() {
-        use crate::app::screens::Wanted;
+        use crate::screens::records::state::Wanted;
         use clap::Parser;
         let alice = "0x5aAeb6053F3E94C9b9A09f33669435E7Ef1BeAed";
         let text = format!(

@@ -71,7 +71,7 @@ mod acts;
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::app::verb::VERBS;
+    use crate::app::VERBS;
     use crate::cli::args::Arguments;
     use clap::Parser;
 

@@ -6,9 +6,8 @@ use crate::support;
 use std::io::{Read as _, Write as _};
 use std::net::{TcpListener, TcpStream};
 
-use authros::app::opening::Opening;
-use authros::app::popup::Popup;
-use authros::app::{Screen, Settings, State};
+use authros::app::{Popup, Screen, Settings, State};
+use authros::popups::record::state::Opening;
 use authros::service::reply::{OpenedView, TopicRow};
 use authros::term::encode::Depth;
 use authros::term::renderer::Painter;

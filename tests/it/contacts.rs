@@ -43,7 +43,7 @@ fn a_name_stands_for_its_address_and_is_shown_beside_it() {
     let (alice, bob) = (&two.alice, &two.bob);
     let print = fingerprint(bob);
     assert_eq!(print.split(' ').map(str::len).collect::<Vec<_>>(), [4; 8]);
-    alice.fails(INPUT, &["grant", "add", "--to", "bob"]);
+    alice.fails(INPUT, &["grant", "add", "--to", "robert"]);
     alice.fails(INPUT, &["contacts", "add", "0xbob", &two.reader]);
     let differs = alice.fails(REFUSED, &["contacts", "add", "bob", &two.reader, "--fingerprint", &fingerprint(alice)]);
     assert!(differs.contains(&print) && differs.contains("'bob' was not added"), "{differs}");
@@ -72,7 +72,8 @@ fn a_name_stands_for_its_address_and_is_shown_beside_it() {
     assert!(shared.len() == 2 && shared.iter().all(|record| record["owner_name"] == "alice"), "{shared:?}");
     alice.json(&["grant", "end", "bob"]);
     alice.json(&["contacts", "remove", "bob"]);
-    alice.fails(INPUT, &["grant", "end", "bob"]);
+    let told = alice.fails(REFUSED, &["grant", "end", "bob"]);
+    assert!(told.contains(&two.reader) && told.contains("no active grant"), "the profile of that name: {told}");
 
     let device = "5a1f09c277e041bd".repeat(4);
     alice.json(&["robot", "authorise", &device]);

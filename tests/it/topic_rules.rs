@@ -11,7 +11,7 @@ use support::{Authros, Console, Terminal, at, count, heavy, list, text, two_prof
 const TOPIC: &str = "/robot1/odom";
 const INPUT: i32 = 3;
 
-/// The first so many records captured since a moment, each with its publisher's number and the time of its capture.
+/// The first records captured since a moment, up to a number, each with its publisher's number and the time of its capture.
 fn arrived(alice: &Authros, since: Timestamp, least: usize) -> Vec<(f64, Timestamp)> {
     let since = since.to_string();
     let records = wait_until(120, "records come", || {

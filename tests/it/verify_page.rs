@@ -1,4 +1,4 @@
-//! The page `verify.html` in Chromium, opened from disk and without a network: what `authros verify --json` says, it shows.
+//! The page `verify.html` in Chromium, opened from disk and without a network: what `authros evidence verify --json` says, it shows.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use std::io::Write as _;
@@ -129,7 +129,13 @@ fn ten_thousand_records_are_checked_while_the_page_answers() {
     let (bundle, trust) = (folder.path().join("many.authros"), folder.path().join("many.toml"));
     let found = in_chromium(&[json!({ "bundle": bundle, "trust": trust })]);
     let mut command = Command::new(env!("CARGO_BIN_EXE_authros"));
-    command.env("HOME", folder.path()).arg("verify").arg(&bundle).arg("--trust").arg(&trust).arg("--json");
+    command
+        .env("HOME", folder.path())
+        .args(["evidence", "verify"])
+        .arg(&bundle)
+        .arg("--trust")
+        .arg(&trust)
+        .arg("--json");
     let ours = Running::start(command).wait(300).expect_code(0).document();
     assert_eq!(list(&ours, "records").len(), 10_000);
     expect_the_same(&found[0], &ours);

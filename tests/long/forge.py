@@ -113,7 +113,7 @@ def secrets_of(members):
 
 
 def extended(members, count):
-    """The members with so many more headers behind the last one."""
+    """The members with the given number of further headers after the last one."""
     last = max(int(name[6:-4]) for name in members if name.startswith("chain/") and name != "chain/nodes.rlp")
     header, members = state.rlp(members[f"chain/{last}.rlp"]), dict(members)
     for at in range(last + 1, last + 1 + count):

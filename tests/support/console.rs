@@ -197,8 +197,12 @@ impl Console {
 
     /// Waits for its end.
     pub fn wait(&mut self, seconds: u64) -> ExitStatus {
-        poll(seconds, || self.child.try_wait().expect("its state is known"))
-            .unwrap_or_else(|| panic!("not ended within {seconds} s, but shows:\n{}", self.shown()))
+        let status = poll(seconds, || self.child.try_wait().expect("its state is known"))
+            .unwrap_or_else(|| panic!("not ended within {seconds} s, but shows:\n{}", self.shown()));
+        // Its last bytes may still be on their way.
+        let mut before = usize::MAX;
+        poll(5, || Some(()).filter(|()| std::mem::replace(&mut before, self.raw().len()) == self.raw().len()));
+        status
     }
 
     /// Fails the test unless the terminal is as it was before.

@@ -1,6 +1,8 @@
-//! The console: its state and the pure update, the drawing, and the one module that knows the terminal.
+//! The console: its core, its screens and popups, what they are drawn with, and the one module that knows the terminal.
 
 pub mod app;
+pub mod popups;
+pub mod screens;
 pub mod term;
 pub mod ui;
 

@@ -149,11 +149,15 @@ impl Sampling {
 
     /// As people type it; without either there is no rule.
     pub fn read(rate: Option<&str>, every: Option<&str>) -> Result<Option<Self>, SamplingError> {
-        let of_rate = |text: &str| text.parse().ok().and_then(Self::rate_of);
-        let of_every = |text: &str| text.parse().ok().and_then(Self::every_of);
-        let wrong_rate = |text: &str| of_rate(text).ok_or_else(|| SamplingError::Rate(super::clean(text, 40)));
-        let wrong_every = |text: &str| of_every(text).ok_or_else(|| SamplingError::Every(super::clean(text, 40)));
-        let sampling = Self { rate: rate.map(wrong_rate).transpose()?, every: every.map(wrong_every).transpose()? };
+        let rate_in = |text: &str| {
+            let rate = text.parse().ok().and_then(Self::rate_of);
+            rate.ok_or_else(|| SamplingError::Rate(super::clean(text, 40)))
+        };
+        let every_in = |text: &str| {
+            let every = text.parse().ok().and_then(Self::every_of);
+            every.ok_or_else(|| SamplingError::Every(super::clean(text, 40)))
+        };
+        let sampling = Self { rate: rate.map(rate_in).transpose()?, every: every.map(every_in).transpose()? };
         Ok(Some(sampling).filter(|sampling| *sampling != Self::default()))
     }
 

@@ -5,8 +5,10 @@
 
 use std::time::Instant;
 
-use authros_console::app::{Action, Screen, Settings, State, Verb, update};
-use authros_console::ui::{Theme, draw};
+use authros_console::app::update::update;
+use authros_console::app::{Action, Screen, Settings, State, Verb};
+use authros_console::ui::Theme;
+use authros_console::ui::draw::draw;
 use authros_service::reply::TopicRow;
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;

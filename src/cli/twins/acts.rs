@@ -5,10 +5,10 @@ use std::process::Command as Program;
 
 use clap::Parser as _;
 
-use crate::app::incidents::Deed;
-use crate::app::{Errand, Settings, State, Tag, palette};
+use crate::app::{Errand, Settings, State, Tag};
 use crate::cli::args::Arguments;
 use crate::model::{Address, IncidentName, Party, Sampling, Timestamp, TopicName};
+use crate::popups::incidents::state::Deed;
 use crate::service::command::{
     Administration, CloseIncident, EvidenceWishes, ExportEvidence, Held, NoteIncident, OpenIncident, Pace, PlayWishes,
     RemoveIncident, SetRobotPolicy, ShowRobot,
@@ -233,7 +233,7 @@ fn every_act_of_the_console_has_the_line_that_a_person_would_type() {
     let all = [acts_of_keys(), acts_of_topics(), acts_of_rights(), acts_of_records()];
     for (tag, command, expected) in [all.concat(), acts_of_incidents(), acts_of_robots()].concat() {
         walked[place(&tag).expect("an act")] = true;
-        let line = palette::twin(&state, &Errand { command, tag: tag.clone() });
+        let line = state.twin(&Errand { command, tag: tag.clone() });
         let line = line.unwrap_or_else(|| panic!("{tag:?} has no command line"));
         assert_eq!(line, format!("authros {expected}"), "{tag:?}");
         assert!(!line.contains("never on a line"), "{line}");
@@ -248,7 +248,7 @@ fn every_act_of_the_console_has_the_line_that_a_person_would_type() {
 fn what_is_no_act_has_none_and_another_profile_is_named() {
     let state = State::new(Settings { profile: "bob".parse().expect("a name"), ..Settings::default() });
     let hold = Errand { command: Command::HoldCapture { hold: true }, tag: Tag::HoldCapture };
-    assert_eq!(palette::twin(&state, &hold), None);
+    assert_eq!(state.twin(&hold), None);
     let rotate = Errand { command: Command::RotateKeys, tag: Tag::Rotate };
-    assert_eq!(palette::twin(&state, &rotate).as_deref(), Some("authros --profile bob keys rotate"));
+    assert_eq!(state.twin(&rotate).as_deref(), Some("authros --profile bob keys rotate"));
 }

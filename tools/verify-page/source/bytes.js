@@ -53,7 +53,7 @@ export const isZero = (bytes) => bytes.every((byte) => byte === 0);
 /** A big-endian number of any length. */
 export const big = (bytes) => (bytes.length ? BigInt("0x" + hex(bytes)) : 0n);
 
-/** A number as so many bytes, big endian. */
+/** A number, big endian, in the given number of bytes. */
 export const numberBytes = (number, length) =>
   unhex(
     BigInt(number)

@@ -140,7 +140,7 @@ export function string(value) {
   return value;
 }
 
-/** Hex of so many bytes, with or without 0x. */
+/** Hex of the given number of bytes, with or without 0x. */
 export const hash = (length) => (value) => {
   const digits = string(value).replace(/^0x/, "");
   const bytes = digits.length === 2 * length ? unhex(digits) : undefined;

@@ -46,13 +46,13 @@ function start() {
   worker = newWorker();
   worker.onmessage = ({ data }) => hear(data);
   worker.onerror = () =>
-    fail("The check stopped: this browser could not run it. Use a current one, or authros verify.");
+    fail("The check stopped: this browser could not run it. Use a current one, or authros evidence verify.");
   worker.postMessage(chosen);
 }
 
 function hear(told) {
   if (told.progress) progress(told.progress);
-  else if (told.fault) fail(`The check stopped: ${told.fault}. This is a fault of the page; use authros verify.`);
+  else if (told.fault) fail(`The check stopped: ${told.fault}. This is a fault of the page; use authros evidence verify.`);
   else if (told.report.trust) fail(`Not checked: the trust file cannot be used: ${told.report.trust}.`);
   else show(told.report);
   if (!told.progress) globalThis.verdict = told;

@@ -1,4 +1,4 @@
-// A report as JSON, with the names that `authros verify --json` has for the same.
+// A report as JSON, with the names that `authros evidence verify --json` has for the same.
 
 import { address } from "./accounts.js";
 import { hex } from "./bytes.js";

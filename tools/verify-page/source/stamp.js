@@ -168,7 +168,7 @@ function expectNamed(signer, certificate) {
   if (!isNamed) throw new Broken("its signature does not name its certificate (ESSCertID)");
 }
 
-/** Broken unless `above` issued `below`, with so many certificates between that one and the first. */
+/** Broken unless `above` issued `below`, with the given number of certificates between that one and the first. */
 async function expectIssued(above, below, between) {
   if (!above.uses.mayIssue() || above.uses.issuer < between)
     throw new Broken(`the certificate of ${above.name()}, in the chain, may not issue others`);

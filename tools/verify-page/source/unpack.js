@@ -82,7 +82,7 @@ export async function unpackMatrix(packed, length) {
   return out;
 }
 
-/** A zlib stream of exactly so many bytes; no more is kept of a longer one. */
+/** A zlib stream that unpacks to exactly the given length; no more is kept of a longer one. */
 async function inflate(stream, length) {
   const out = new Uint8Array(length);
   let filled = 0;

@@ -75,7 +75,7 @@ def is_account(text):
 
 
 def has_form(found, form):
-    """A number in a form stands for hex of so many bytes, a tuple for one form or another."""
+    """A number in a form stands for hex of that many bytes, a tuple for one form or another."""
     if isinstance(form, tuple):
         return any(has_form(found, one) for one in form)
     if isinstance(form, dict):

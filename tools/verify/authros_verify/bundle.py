@@ -17,7 +17,7 @@ FORMS = re.compile(r"mimetype|manifest\.(json|der)|trust\.toml|VERIFY\.txt|repor
                    r"identities/[0-9a-f]{64}\.bin|definitions/[0-9a-f]{64}\.txt|"
                    r"records/[0-9a-f]{64}/(record\.bin|signature\.der|anchor\.json)")
 PLACE = {"root": 32, "index": int, "path": [32]}
-# The lines of each JSON member: a number of bytes stands for hex of so many, a tuple for one form or another.
+# The lines of each JSON member: a number stands for hex of that many bytes, a tuple for one form or another.
 MANIFEST = {"format": str, "suite": {name: str for name in SUITE}, "chain": {"id": int, "genesis": 32, "contract": ACCOUNT},
             "exporter": {"account": ACCOUNT, "key": 32}, "members": [{"name": str, "bytes": int, "sm3": 32, "sha256": 32}]}
 HEIGHTS = {"format": str, "heights": [{"heads": 32, "topic": 16, "number": int, "index": int, "path": [32]}]}

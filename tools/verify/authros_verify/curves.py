@@ -100,7 +100,7 @@ def is_sm2_point(public):
 
 
 def der_numbers(der, size):
-    """SEQUENCE of two INTEGERs that are positive or 0 and have at most so many bytes, in DER's only form."""
+    """SEQUENCE of two INTEGERs that are positive or 0 and have at most the given length, in DER's only form."""
     if len(der) < 2 or der[0] != 0x30 or der[1] != len(der) - 2 or der[1] > 0x7F:
         raise ValueError("no signature")
     numbers, rest = [], der[2:]

@@ -17,7 +17,7 @@ MOST_MARKS = 4
 
 
 def clean(text, width):
-    """What a terminal may show of a stranger's text, cut to so many characters."""
+    """What a terminal may show of a stranger's text, cut to the given number of characters."""
     out, marks = [], 0
     for character in text:
         if len(out) == width:

@@ -3,132 +3,25 @@
 #![deny(clippy::wildcard_enum_match_arm)]
 
 use std::path::PathBuf;
-
 use zeroize::Zeroizing;
 
-use super::incidents::{self, Deed};
-use super::popup::{Popup, Purpose, tell};
-use super::update::Feed;
-use super::verb::{Contents, Effect, Tag};
-use super::{Screen, State, evidence, granting, identity_path, opening, palette, perform, policies};
+use crate::app::{Contents, Effect, Feed, Popup, State, Tag, identity_path};
 use crate::model::{ErrorKind, Verdict};
-use crate::service::command::{self as ask, Ask, SecretBytes};
+use crate::popups::{form::export, form::profile, robot};
+use crate::service::command::{self as ask, Ask as _, SecretBytes};
 use crate::service::reply::{CheckView, ExportedFile, IdentityView};
 use crate::service::{Failure, KeyKind, NoticeLevel, Reply};
 
-type Answer = Result<Reply, Failure>;
-
-/// Each tag names its request, and with it the possible answers.
-pub fn answered(state: &mut State, tag: &Tag, result: Answer) {
-    if let Tag::Feed(feed, generation) = tag {
-        fed(state, *feed, *generation, result);
-    } else {
-        act_answered(state, tag, result);
-    }
-}
-
-fn act_answered(state: &mut State, tag: &Tag, result: Answer) {
-    // Made for the previous profile: the answer belongs to nobody any more.
-    let Some(place) = state.work.iter().position(|other| other == tag) else { return };
-    state.work.remove(place);
-    match tag {
-        Tag::Feed(..) => {}
-        Tag::OpenConsole => opened_console(state, ask::OpenConsole::heard(result)),
-        Tag::CreateIdentity => {
-            let made = ask::CreateIdentity::heard(result);
-            identity_path::opened(state, made, Purpose::CreateIdentity, "identity created");
-        }
-        Tag::Unlock => identity_path::opened(state, ask::Unlock::heard(result), Purpose::Unlock, "keyring unlocked"),
-        Tag::Register => identity_path::registered(state, ask::Register::heard(result)),
-        Tag::Open(id) => opening::opened(state, id, ask::OpenShared::heard(result)),
-        Tag::Path(id) => opening::path_found(state, id, ask::ViewPath::heard(result)),
-        Tag::Beside(Screen::Records, id) => opening::looked_up(state, id, ask::ShowUpload::heard(result)),
-        Tag::Beside(Screen::Topics, topic) => opening::covered(state, topic, ask::TopicCoverage::heard(result)),
-        Tag::Beside(_, id) => opening::opened_beside(state, id, ask::OpenShared::heard(result)),
-        Tag::Show(id) => tell(state, id, ask::ShowUpload::heard(result), |popup| {
-            if let Popup::Provenance(lookup) = popup { Some(lookup) } else { None }
-        }),
-        Tag::Publishers(topic) => tell(state, topic, ask::ListPins::heard(result), |popup| {
-            if let Popup::Publishers(lookup) = popup { Some(lookup) } else { None }
-        }),
-        // What the site knew before says nothing about what is in flight now.
-        Tag::HoldCapture => {
-            done(state, tag, ask::HoldCapture::heard(result), |state, ()| state.feeds.renew(Feed::Site))
-        }
-        Tag::Lock => locked(state, ask::Lock::heard(result)),
-        Tag::Export(id) => {
-            written(state, tag, ask::ExportUpload::heard(result), |_, base, files| exported(id, base, files))
-        }
-        Tag::ExportKey(kind) => {
-            written(state, tag, ask::ExportKey::heard(result), |state, base, key| {
-                secret(base, key_file(state, *kind), &key)
-            });
-        }
-        Tag::BackUp => {
-            written(state, tag, ask::BackUpKeys::heard(result), |state, base, keys| {
-                secret(base, format!("{}.keyring", state.settings.profile), &keys)
-            });
-        }
-        Tag::Play(_) => done(state, tag, ask::Play::heard(result), |state, view| perform::ended(state, &view)),
-        Tag::StopPlay => done(state, tag, ask::StopPlay::heard(result), |_, ()| {}),
-        Tag::Check(_) => done(state, tag, ask::CheckShared::heard(result), |state, check| checked(state, &check)),
-        Tag::Contact(_) => done(state, tag, ask::ListContacts::heard(result), |state, rows| {
-            state.contacts = rows;
-            state.inform(is_done(tag));
-        }),
-        Tag::Incident(Deed::Remove, _) => incident_removed(state, tag, result),
-        Tag::Incident(deed, _) => done(state, tag, ask::OpenIncident::heard(result), |state, view| {
-            incidents::changed(state, *deed, view);
-        }),
-        Tag::Evidence(_) => {
-            done(state, tag, ask::ExportEvidence::heard(result), |state, view| evidence::written(state, &view))
-        }
-        Tag::Robot(name) => policies::shown(state, name, ask::ShowRobot::heard(result)),
-        Tag::SetPolicy(robot, _) => policy_set(state, tag, robot, result),
-        Tag::Watch(topic) => said(state, tag, ask::WatchTopic::heard(result), |()| format!("now watching {topic}")),
-        Tag::Unwatch(topic) => {
-            said(state, tag, ask::UnwatchTopic::heard(result), |()| format!("no longer watching {topic} (U: undo)"))
-        }
-        Tag::Limit(topic) => {
-            said(state, tag, ask::WatchTopic::heard(result), |()| format!("the rule of {topic} is set"))
-        }
-        Tag::Foresee(_) => granting::foreseen(state, tag, ask::ForeseeGrant::heard(result)),
-        Tag::Grant(_) => said(state, tag, ask::Grant::heard(result), |view| view.text),
-        Tag::Extend(_) => said(state, tag, ask::ExtendGrant::heard(result), |view| view.text),
-        Tag::Revoke(_) => said(state, tag, ask::Revoke::heard(result), |view| view.text),
-        Tag::Rotate => said(state, tag, ask::RotateKeys::heard(result), |view| view.text),
-        Tag::Administer(_) => said(state, tag, ask::Administer::heard(result), |view| view.text),
-        Tag::Deploy => said(state, tag, ask::DeployContract::heard(result), |deployed| {
-            format!("contract {} deployed", deployed.pin.contract)
-        }),
-        Tag::Pin(_) => said(state, tag, ask::PinTopic::heard(result), |_| is_done(tag)),
-        Tag::Unpin(_) => said(state, tag, ask::UnpinTopic::heard(result), |_| is_done(tag)),
-        Tag::Release(_) => said(state, tag, ask::ReleaseHeld::heard(result), |decided| decided.text),
-        Tag::Discard(_) => said(state, tag, ask::DiscardHeld::heard(result), |decided| decided.text),
-        Tag::LoadKey(kind) => key_loaded(state, tag, *kind, result),
-    }
-    follow_up(state, tag);
-}
+pub type Answer = Result<Reply, Failure>;
 
 /// Sends what the same question asked for besides; a failed act has taken it back.
-fn follow_up(state: &mut State, tag: &Tag) {
+pub fn follow_up(state: &mut State, tag: &Tag) {
     if let Some((_, errand)) = state.follow_up.take_if(|(after, _)| after == tag) {
         state.send(errand);
     }
 }
 
-fn policy_set(state: &mut State, tag: &Tag, robot: &str, result: Answer) {
-    done(state, tag, ask::SetRobotPolicy::heard(result), |state, view| policies::set(state, robot, view));
-}
-
-fn incident_removed(state: &mut State, tag: &Tag, result: Answer) {
-    done(state, tag, ask::RemoveIncident::heard(result), |state, rows| {
-        state.incidents.set(rows, state.now);
-        state.inform(is_done(tag));
-    });
-}
-
-fn fed(state: &mut State, feed: Feed, generation: u64, result: Answer) {
+pub fn fed(state: &mut State, feed: Feed, generation: u64, result: Answer) {
     let held = state.holds(feed);
     let failure = result.as_ref().err().cloned();
     if !state.feeds.answered(feed, generation, failure, state.now) {
@@ -179,18 +72,18 @@ fn take(state: &mut State, feed: Feed, result: Answer) -> Result<(), Failure> {
             state.progress_at = state.now;
         }
         Feed::Gateway => state.gateway.set(ask::GatewayStatus::heard(result)?),
-        Feed::Robots => policies::listed(state, ask::ListRobots::heard(result)?),
+        Feed::Robots => robot::listed(state, ask::ListRobots::heard(result)?),
     }
     Ok(())
 }
 
 /// A profile open elsewhere, or an unusable home, ends the console.
-fn opened_console(state: &mut State, result: Result<(), Failure>) {
+pub fn opened_console(state: &mut State, result: Result<(), Failure>) {
     let former = state.former.take();
     let Err(failure) = result else { return };
     if let Some(former) = former {
         // Back to a profile that this console can speak for.
-        perform::switch(state, former);
+        profile::switch(state, former);
         state.former = None;
         state.complain(failure.message);
     } else if matches!(failure.kind, ErrorKind::Refused | ErrorKind::Home | ErrorKind::Input | ErrorKind::Usage) {
@@ -200,7 +93,7 @@ fn opened_console(state: &mut State, result: Result<(), Failure>) {
     }
 }
 
-fn locked(state: &mut State, result: Result<IdentityView, Failure>) {
+pub fn locked(state: &mut State, result: Result<IdentityView, Failure>) {
     state.feeds.renew(Feed::Identity);
     for feed in [Feed::Keys, Feed::Grants, Feed::Received] {
         state.feeds.slot_mut(feed).stale = true;
@@ -214,16 +107,16 @@ fn locked(state: &mut State, result: Result<IdentityView, Failure>) {
     }
 }
 
-fn said<T>(state: &mut State, tag: &Tag, result: Result<T, Failure>, text: impl FnOnce(T) -> String) {
+pub fn said<T>(state: &mut State, tag: &Tag, result: Result<T, Failure>, text: impl FnOnce(T) -> String) {
     done(state, tag, result, |state, answer| state.inform(text(answer)));
 }
 
-fn is_done(tag: &Tag) -> String {
+pub fn is_done(tag: &Tag) -> String {
     format!("{}: done", tag.words())
 }
 
 /// Reports the result, notes it for undo, and marks changed feeds stale.
-fn done<T>(state: &mut State, tag: &Tag, result: Result<T, Failure>, take: impl FnOnce(&mut State, T)) {
+pub fn done<T>(state: &mut State, tag: &Tag, result: Result<T, Failure>, take: impl FnOnce(&mut State, T)) {
     match result {
         Ok(answer) => {
             // An earlier failure of the same act no longer holds.
@@ -238,8 +131,8 @@ fn done<T>(state: &mut State, tag: &Tag, result: Result<T, Failure>, take: impl 
                     None => state.filled = None,
                 }
             }
-            perform::note(state, tag);
-            for feed in touched_by(tag) {
+            state.undo = tag.undo().or(state.undo.take());
+            for feed in tag.needs_and_touches().1 {
                 state.feeds.overtake(*feed);
             }
         }
@@ -263,29 +156,13 @@ fn failed(state: &mut State, tag: &Tag, failure: &Failure) {
     }
 }
 
-fn key_loaded(state: &mut State, tag: &Tag, kind: KeyKind, result: Answer) {
-    done(state, tag, ask::LoadKey::heard(result), |state, keys| {
-        state.keys = Some(keys);
-        state.feeds.renew(Feed::Identity);
-        state.inform(loaded(kind));
-    });
-}
-
-fn loaded(kind: KeyKind) -> &'static str {
-    match kind {
-        KeyKind::Sm4 => "SM4 key loaded; new records are sealed under keys made from it",
-        KeyKind::Sm2 => "SM2 key loaded; new records are signed with it",
-        KeyKind::Eoa => "EOA key loaded; your address on the chain is the new one",
-    }
-}
-
-fn written<T>(
+pub fn written<T>(
     state: &mut State,
     tag: &Tag,
     result: Result<T, Failure>,
     write: impl FnOnce(&State, Option<PathBuf>, T) -> Effect,
 ) {
-    let base = palette::folder_of(state, tag);
+    let base = export::folder_of(state, tag);
     match result {
         Ok(answer) => {
             let files = write(state, base, answer);
@@ -295,45 +172,18 @@ fn written<T>(
     }
 }
 
-fn exported(id: &str, base: Option<PathBuf>, files: Vec<ExportedFile>) -> Effect {
+pub fn exported(id: &str, base: Option<PathBuf>, files: Vec<ExportedFile>) -> Effect {
     let directory = Some(format!("authros-{}", crate::model::clean(id, 40).replace('/', "_")));
     let contents = |file: ExportedFile| Contents { name: file.name, bytes: Zeroizing::new(file.bytes) };
     Effect::WriteFiles { base, directory, files: files.into_iter().map(contents).collect() }
 }
 
-fn secret(base: Option<PathBuf>, name: String, secret: &SecretBytes) -> Effect {
+pub fn secret(base: Option<PathBuf>, name: String, secret: &SecretBytes) -> Effect {
     let bytes = Zeroizing::new(secret.expose().to_vec());
     Effect::WriteFiles { base, directory: None, files: vec![Contents { name, bytes }] }
 }
 
-/// Feeds that an own command makes stale before the site's event arrives.
-fn touched_by(tag: &Tag) -> &'static [Feed] {
-    match tag {
-        Tag::Watch(_) | Tag::Unwatch(_) | Tag::Limit(_) | Tag::HoldCapture => &[Feed::Topics],
-        Tag::SetPolicy(..) => &[Feed::Robots],
-        Tag::Incident(..) => &[Feed::Incidents, Feed::Records],
-        Tag::Contact(_) => &[Feed::Contacts, Feed::Grants, Feed::Received],
-        Tag::Grant(_) | Tag::Extend(_) | Tag::Revoke(_) => &[Feed::Grants, Feed::Identity, Feed::Keys],
-        Tag::LoadKey(_) | Tag::Rotate => &[Feed::Keys, Feed::Identity],
-        Tag::Pin(_) | Tag::Unpin(_) | Tag::Release(_) | Tag::Discard(_) => &[Feed::Topics],
-        Tag::Administer(_) | Tag::Deploy => &[Feed::Chain],
-        Tag::Feed(..) | Tag::OpenConsole | Tag::CreateIdentity | Tag::Unlock | Tag::Register | Tag::Lock => &[],
-        Tag::ExportKey(_) | Tag::BackUp | Tag::Export(_) | Tag::Play(_) | Tag::StopPlay => &[],
-        Tag::Publishers(_) | Tag::Show(_) | Tag::Beside(..) | Tag::Open(_) | Tag::Path(_) | Tag::Check(_) => &[],
-        Tag::Robot(_) | Tag::Foresee(_) | Tag::Evidence(_) => &[],
-    }
-}
-
-fn key_file(state: &State, kind: KeyKind) -> String {
-    let extension = match kind {
-        KeyKind::Sm4 => "sm4.key",
-        KeyKind::Sm2 => "sm2.pem",
-        KeyKind::Eoa => "eoa.json",
-    };
-    format!("{}-{extension}", state.settings.profile)
-}
-
-fn checked(state: &mut State, check: &CheckView) {
+pub fn checked(state: &mut State, check: &CheckView) {
     let place = check.block.map_or_else(String::new, |block| format!(", anchored in block {block}"));
     let allowed = check.contract.filter(|answer| answer.authorised);
     let right =
@@ -351,4 +201,40 @@ fn checked(state: &mut State, check: &CheckView) {
         Verdict::Missing => state.complain(format!("{text}: the stored bytes are missing")),
         Verdict::NoKey => state.complain(format!("{text}: cannot be opened with this profile's keys")),
     }
+}
+
+pub fn key_loaded(state: &mut State, tag: &Tag, kind: KeyKind, result: Answer) {
+    done(state, tag, ask::LoadKey::heard(result), |state, keys| {
+        state.keys = Some(keys);
+        state.feeds.renew(Feed::Identity);
+        state.inform(loaded(kind));
+    });
+}
+
+fn loaded(kind: KeyKind) -> &'static str {
+    match kind {
+        KeyKind::Sm4 => "SM4 key loaded; new records are sealed under keys made from it",
+        KeyKind::Sm2 => "SM2 key loaded; new records are signed with it",
+        KeyKind::Eoa => "EOA key loaded; your address on the chain is the new one",
+    }
+}
+
+pub fn key_file(state: &State, kind: KeyKind) -> String {
+    let extension = match kind {
+        KeyKind::Sm4 => "sm4.key",
+        KeyKind::Sm2 => "sm2.pem",
+        KeyKind::Eoa => "eoa.json",
+    };
+    format!("{}-{extension}", state.settings.profile)
+}
+
+pub fn incident_removed(state: &mut State, tag: &Tag, result: Answer) {
+    done(state, tag, ask::RemoveIncident::heard(result), |state, rows| {
+        state.incidents.set(rows, state.now);
+        state.inform(is_done(tag));
+    });
+}
+
+pub fn policy_set(state: &mut State, tag: &Tag, robot: &str, result: Answer) {
+    done(state, tag, ask::SetRobotPolicy::heard(result), |state, view| robot::set(state, robot, view));
 }

@@ -2,12 +2,9 @@
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
-use super::administration::Act;
-use super::screens::{is_active, is_given, robot_of};
-use super::update::Feed;
-use super::verb::{Tag, Verb, entry_of};
-use super::{Screen, State, limiting};
-use crate::service::reply::IdentityView;
+use crate::app::{Feed, Screen, State, Tag, Verb, entry_of, verb::Given};
+use crate::screens::{chain::state::Act, grants::state::is_active, grants::state::is_given, topics::state::robot_of};
+use crate::service::reply::{IdentityView, TopicRow};
 
 pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
     let entry = entry_of(verb, state.screen).ok_or("unknown")?;
@@ -18,63 +15,56 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
     if asks_passphrase && state.settings.operator.is_some() {
         return Err("only for the owner");
     }
-    given(!is_bound(verb) || entry.works_on(state.screen), "other screen")?;
-    match verb {
-        Verb::Watch if state.screen == Screen::Overview => Ok(()),
-        Verb::CreateIdentity => {
-            let identity = state.identity.as_ref().ok_or("site is starting")?;
-            once(state, &Tag::CreateIdentity, identity.exists, "already exists")
-        }
-        Verb::Unlock => once(state, &Tag::Unlock, identity(state)?.unlocked, "already unlocked"),
-        Verb::Register => once(state, &Tag::Register, identity(state)?.registered, "already registered"),
-        Verb::LoadKey | Verb::ExportKey | Verb::Rotate => identity(state).map(drop),
-        Verb::Revoke | Verb::Extend => revoke(state),
-        Verb::Filter | Verb::Up | Verb::Down | Verb::PageUp | Verb::PageDown | Verb::First | Verb::Last => {
-            given(state.screen.has_table(), "no table here")
-        }
-        Verb::NextMatch | Verb::PreviousMatch => {
-            given(state.table().is_some_and(|table| !table.filter.text().is_empty()), "no filter; / sets one")
-        }
-        Verb::Sort | Verb::Reverse => given(state.screen.sorts(), "nothing to sort here"),
-        Verb::Mark | Verb::MarkAll | Verb::Watch | Verb::Details | Verb::Open | Verb::Check | Verb::Export => {
-            given(state.has_rows(), "nothing selected")
-        }
-        // Without any grant the answer is: nobody else.
-        Verb::Readers if state.screen == Screen::Grants => Ok(()),
-        Verb::Read | Verb::Readers | Verb::Play => given(state.has_rows(), "nothing selected"),
-        Verb::Publishers | Verb::Pin | Verb::Unpin => one_topic(state),
-        Verb::Limit => given(!limiting::targets(state).is_empty(), "not watched: w watches it"),
-        Verb::Fold => {
+    given(!is_bound(entry.given) || entry.works_on(state.screen), "other screen")?;
+    match entry.given {
+        Given::Always | Given::Here => Ok(()),
+        Given::RowUnlessOn(screen) if screen == state.screen => Ok(()),
+        Given::Row | Given::RowUnlessOn(_) => given(state.has_rows(), "nothing selected"),
+        Given::Topic => one_topic(state).map(drop),
+        Given::HeldTopic => given(one_topic(state)?.quarantined > 0, "nothing quarantined"),
+        Given::WatchedTopic => given(!state.topics.watched_targets().is_empty(), "not watched: w watches it"),
+        Given::TopicOfRobot => {
             let row = state.topics.selected().ok_or("nothing selected")?;
             given(robot_of(&row.topic).is_some(), "not a robot's topic")
         }
-        Verb::Inspect => inspect(state),
-        Verb::SetPolicy => policy(state),
-        Verb::EndTour => given(state.tour.is_some(), "no tour: `authros tour` begins one"),
-        Verb::Release | Verb::Discard => held(state),
-        Verb::BackUp | Verb::Incident | Verb::Incidents => identity(state).map(drop),
-        Verb::Lock => once(state, &Tag::Lock, !identity(state)?.unlocked, "already locked"),
-        Verb::CopyCommand => given(state.last_act.is_some(), "nothing was done yet"),
-        Verb::Alerts => given(!state.alerts.shown().is_empty(), "no alerts"),
-        Verb::Undo => given(state.undo.is_some(), "nothing to undo"),
-        Verb::Administer(act) => administer(state, act),
-        Verb::Copy | Verb::WriteFile => given(copyable(state), "nothing to copy"),
-        Verb::Go(_) | Verb::NextScreen | Verb::PreviousScreen | Verb::Grant | Verb::Tasks | Verb::LocalTime => Ok(()),
-        Verb::Freeze | Verb::Palette | Verb::Help | Verb::Dismiss | Verb::ChooseTheme | Verb::Ascii => Ok(()),
-        Verb::Mouse | Verb::Redraw | Verb::Suspend | Verb::Quit | Verb::Contacts | Verb::Profile => Ok(()),
-        Verb::Browse | Verb::Period | Verb::FoldAll | Verb::Columns | Verb::Level | Verb::Source => Ok(()),
+        Given::OwnRobot => own_robot(state),
+        Given::EnrolledRobot => {
+            identity(state)?;
+            let none = state.feeds.slot(Feed::Robots).loaded && state.gateway.robots.is_empty();
+            given(!none, "no robot is enrolled")
+        }
+        Given::ActiveGrant => {
+            let row = state.grants.selected().ok_or("no grant selected")?;
+            given(is_given(row), "not given by you")?;
+            given(is_active(row), "not active")
+        }
+        Given::Alerts => given(!state.alerts.shown().is_empty(), "no alerts"),
+        Given::Table => given(state.screen.has_table(), "no table here"),
+        Given::Order => given(state.screen.sorts(), "nothing to sort here"),
+        Given::Filter => {
+            given(state.table().is_some_and(|table| !table.filter.text().is_empty()), "no filter; / sets one")
+        }
+        Given::Identity => identity(state).map(drop),
+        Given::NoIdentity => {
+            let identity = state.identity.as_ref().ok_or("site is starting")?;
+            once(state, &Tag::CreateIdentity, identity.exists, "already exists")
+        }
+        Given::Locked => once(state, &Tag::Unlock, identity(state)?.unlocked, "already unlocked"),
+        Given::Unlocked => once(state, &Tag::Lock, !identity(state)?.unlocked, "already locked"),
+        Given::Unregistered => once(state, &Tag::Register, identity(state)?.registered, "already registered"),
+        Given::Administrator(act) => administer(state, act),
+        Given::Tour => given(state.tour.is_some(), "no tour: `authros tour` begins one"),
+        Given::LastAct => given(state.last_act.is_some(), "nothing was done yet"),
+        Given::Undoable => given(state.undo.is_some(), "nothing to undo"),
+        Given::Copyable => given(copyable(state), "nothing to copy"),
     }
 }
 
-/// Verbs about rows of their own screens, which work nowhere else.
-fn is_bound(verb: Verb) -> bool {
-    use Verb::{
-        Browse, Check, Columns, Details, Discard, Export, Extend, Fold, FoldAll, Inspect, Level, Limit, Mark, MarkAll,
-    };
-    use Verb::{Open, Period, Pin, Play, Publishers, Read, Readers, Release, Revoke, Source, Unpin, Watch};
-    let of_rows = matches!(verb, Mark | MarkAll | Watch | Details | Open | Check | Export | Readers | Browse | Play);
-    let of_topics = matches!(verb, Publishers | Pin | Unpin | Limit | Release | Discard | Fold | FoldAll | Columns);
-    of_rows || of_topics || matches!(verb, Verb::Alerts | Inspect | Period | Level | Source | Read | Revoke | Extend)
+/// About rows of their own screens; such verbs work nowhere else.
+fn is_bound(given: Given) -> bool {
+    use Given::{ActiveGrant, Alerts, HeldTopic, Here, OwnRobot, Row, RowUnlessOn, Topic, TopicOfRobot, WatchedTopic};
+    let of_rows = matches!(given, Row | RowUnlessOn(_) | ActiveGrant | OwnRobot);
+    of_rows || matches!(given, Here | Alerts | Topic | HeldTopic | TopicOfRobot | WatchedTopic)
 }
 
 fn given(condition: bool, reason: &'static str) -> Result<(), &'static str> {
@@ -102,7 +92,7 @@ fn once(state: &State, tag: &Tag, done: bool, already: &'static str) -> Result<(
 }
 
 /// Only the profile's own robots have a window.
-fn inspect(state: &State) -> Result<(), &'static str> {
+fn own_robot(state: &State) -> Result<(), &'static str> {
     let member = state.gateway.selected().ok_or("nothing selected")?;
     if member.robot.is_some() {
         return Ok(());
@@ -111,22 +101,10 @@ fn inspect(state: &State) -> Result<(), &'static str> {
     Err("not a robot of this profile")
 }
 
-fn policy(state: &State) -> Result<(), &'static str> {
-    identity(state)?;
-    let none = state.feeds.slot(Feed::Robots).loaded && state.gateway.robots.is_empty();
-    given(!none, "no robot is enrolled")
-}
-
 /// Refuses a folded robot's row.
-fn one_topic(state: &State) -> Result<(), &'static str> {
+fn one_topic(state: &State) -> Result<&TopicRow, &'static str> {
     let row = state.topics.selected().ok_or("nothing selected")?;
-    given(state.topics.robot(&row.topic).is_none(), "a robot, not a topic: h unfolds it")
-}
-
-fn held(state: &State) -> Result<(), &'static str> {
-    one_topic(state)?;
-    let row = state.topics.selected().ok_or("nothing selected")?;
-    given(row.quarantined > 0, "nothing quarantined")
+    given(state.topics.robot(&row.topic).is_none(), "a robot, not a topic: h unfolds it").map(|()| row)
 }
 
 fn administer(state: &State, act: Act) -> Result<(), &'static str> {
@@ -139,10 +117,4 @@ fn administer(state: &State, act: Act) -> Result<(), &'static str> {
         return given(own.is_some() && chain.administration.nominee == own, "you are not nominated");
     }
     given(own.is_some() && chain.administration.administrator == own, "you are not the administrator")
-}
-
-fn revoke(state: &State) -> Result<(), &'static str> {
-    let row = state.grants.selected().ok_or("no grant selected")?;
-    given(is_given(row), "not given by you")?;
-    given(is_active(row), "not active")
 }

@@ -2,26 +2,9 @@
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
-use super::popup::{Popup, Purpose};
-use super::update::Feed;
-use super::verb::{Errand, Tag};
-use super::{State, form};
-use crate::service::reply::IdentityView;
-use crate::service::{Command, Failure};
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Need {
-    Unlocked,
-    /// Unlocked, and registered on the chain.
-    Registered,
-}
-
-#[derive(Debug)]
-pub struct IdentityPath {
-    need: Need,
-    registered: bool,
-    errands: Vec<Errand>,
-}
+use crate::app::{Errand, Feed, Need, Popup, Purpose, State, Tag, state::IdentityPath};
+use crate::popups::form::identity;
+use crate::service::{Command, Failure, reply::IdentityView};
 
 pub fn run(state: &mut State, need: Need, errands: Vec<Errand>) {
     match &mut state.identity_path {
@@ -121,9 +104,9 @@ fn open_form(state: &mut State, purpose: Purpose, error: Option<String>) {
     }
     let mut form = if purpose == Purpose::CreateIdentity {
         notes.insert(0, "This passphrase protects your keys on this machine. It cannot be recovered.".to_owned());
-        form::create_identity(profile, notes)
+        identity::create_identity(profile, notes)
     } else {
-        form::unlock(profile, notes)
+        identity::unlock(profile, notes)
     };
     form.error = error;
     state.popups.push(Popup::Form(purpose, form));

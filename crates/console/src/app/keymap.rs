@@ -1,15 +1,15 @@
 //! Keys of each screen: the preset of the verb list, overridden by the operator's `keymap.toml`.
 
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::ops::Range;
-
-use super::Screen;
-use super::verb::{Entry, VERBS, Verb};
-use crate::model::clean;
-use serde::Deserialize;
-use serde::de::DeserializeOwned;
 use toml::Spanned;
+
+use crate::app::verb::{Entry, VERBS, Verb};
+use crate::app::{key::Key, key::chord_label, screen::Screen};
+use crate::model::clean;
 
 /// The most keys of one chord.
 pub const LONGEST_CHORD: usize = 3;
@@ -201,6 +201,7 @@ fn quoted(text: &str) -> String {
 
 /// Unbinds a preset.
 const NONE: &str = "none";
+
 /// Characters.
 const LONGEST_DESC: usize = 100;
 
@@ -246,7 +247,7 @@ struct Read {
 }
 
 /// An operator's file.
-pub(crate) struct Source<'a> {
+pub struct Source<'a> {
     pub file: &'a str,
     pub text: &'a str,
 }
@@ -345,83 +346,6 @@ fn reachable(source: &Source, keymap: &Keymap, lines: &[Read], screen: Screen) -
     Ok(())
 }
 
-/// Alt, function keys and terminal-specific keys do not exist here.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Key {
-    /// Printable, with shift applied.
-    Char(char),
-    /// A lower-case letter.
-    Control(char),
-    Enter,
-    Escape,
-    Tab,
-    BackTab,
-    Backspace,
-    Delete,
-    Up,
-    Down,
-    Left,
-    Right,
-    PageUp,
-    PageDown,
-    Home,
-    End,
-}
-
-impl Key {
-    pub fn label(self) -> String {
-        let named = NAMED.iter().find(|(key, _)| *key == self).map(|(_, label)| (*label).to_owned());
-        named.unwrap_or_else(|| match self {
-            Self::Control(letter) => format!("^{letter}"),
-            Self::Char(character) => character.to_string(),
-            _ => String::new(),
-        })
-    }
-
-    /// `None` if not every terminal can send the key.
-    pub fn from_label(label: &str) -> Option<Self> {
-        let named = NAMED.iter().find(|(_, name)| *name == label).map(|(key, _)| *key);
-        named.or_else(|| Self::letter(label))
-    }
-
-    fn letter(label: &str) -> Option<Self> {
-        let mut characters = label.chars();
-        match (characters.next(), characters.next(), characters.next()) {
-            (Some(character), None, _) => {
-                (!character.is_control() && character != ' ').then_some(Self::Char(character))
-            }
-            // Terminals send ^h, ^i, ^j and ^m as backspace, tab and enter.
-            (Some('^'), Some(letter @ 'a'..='z'), None) => {
-                (!matches!(letter, 'h' | 'i' | 'j' | 'm')).then_some(Self::Control(letter))
-            }
-            _ => None,
-        }
-    }
-}
-
-const NAMED: [(Key, &str); 15] = [
-    (Key::Char(' '), "space"),
-    (Key::Enter, "enter"),
-    (Key::Escape, "esc"),
-    (Key::Tab, "tab"),
-    (Key::BackTab, "shift-tab"),
-    (Key::Backspace, "backspace"),
-    (Key::Delete, "del"),
-    (Key::Up, "up"),
-    (Key::Down, "down"),
-    (Key::Left, "left"),
-    (Key::Right, "right"),
-    (Key::PageUp, "pgup"),
-    (Key::PageDown, "pgdn"),
-    (Key::Home, "home"),
-    (Key::End, "end"),
-];
-
-/// `z t`, as in help and bottom bar.
-pub fn chord_label(keys: &[Key]) -> String {
-    keys.iter().map(|key| key.label()).collect::<Vec<_>>().join(" ")
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -458,15 +382,13 @@ mod tests {
 
 #[cfg(test)]
 mod preset_tests {
-    use super::chord_label;
     use super::*;
-    use crate::app::keymap::Keymap;
 
     #[test]
     fn the_text_read_as_a_file_is_the_preset() {
         let read = Keymap::with_file("keymap.toml", &preset_text()).expect("reads");
         let preset = Keymap::default();
-        for screen in crate::app::Screen::all() {
+        for screen in Screen::all() {
             let on = |keymap: &Keymap| -> Vec<(String, &'static str)> {
                 let lines = keymap.bindings(screen).iter();
                 let mut lines: Vec<_> = lines.map(|binding| (chord_label(&binding.on), binding.entry.name)).collect();
@@ -481,7 +403,6 @@ mod preset_tests {
 #[cfg(test)]
 mod file_tests {
     use super::*;
-    use crate::app::keymap::Meaning;
 
     fn refused(text: &str) -> (usize, String) {
         let error = Keymap::with_file("keymap.toml", text).expect_err(text);
@@ -536,21 +457,5 @@ mod file_tests {
             refused("[everywhere]\nkeys = [{ on = \"q\", run = \"none\" },\n{ on = \"^c\", run = \"none\" }]\n");
         assert!(line == 3 && what.contains("quit"), "{line} {what}");
         refused("[everywhere]\nkeys = [{ on = \":\", run = \"none\" }]\n");
-    }
-}
-
-#[cfg(test)]
-mod key_tests {
-    use super::*;
-
-    #[test]
-    fn every_label_is_read_back() {
-        let letters = ('a'..='z').map(Key::Char).chain([Key::Char('?'), Key::Char('^'), Key::Control('z')]);
-        for key in NAMED.map(|(key, _)| key).into_iter().chain(letters) {
-            assert_eq!(Key::from_label(&key.label()), Some(key));
-        }
-        for wrong in ["", " ", "f5", "alt-x", "^1", "^A", "^m", "\u{1b}", "ctrl-x"] {
-            assert_eq!(Key::from_label(wrong), None, "{wrong}");
-        }
     }
 }

@@ -1,16 +1,21 @@
-//! The one list of what an operator can do, and the input and output of `update`.
+//! The one list of what an operator can do, and what is true of each request: its words, its need, what it changes.
+
+#![deny(clippy::wildcard_enum_match_arm)]
 
 use std::path::PathBuf;
 
-use super::Screen::{self, Chain, Grants, Keys, Log, Overview, Received, Records, Robots, Topics};
-use super::administration::Act;
-use super::incidents::Deed;
-use super::keymap::Key;
-use super::palette::{Found, Sought};
-use super::update::Feed;
-use crate::model::{Address, IncidentName, Party, ProfileName, Timestamp};
-use crate::service::{Command, Event, Failure, KeyKind, Reply};
-use zeroize::Zeroizing;
+use self::Given::{
+    ActiveGrant, Administrator, Alerts, Always, Copyable, EnrolledRobot, Filter, HeldTopic, Here, Identity, LastAct,
+    Locked, NoIdentity, Order, OwnRobot, Row, RowUnlessOn, Table, Topic, TopicOfRobot, Tour, Undoable, Unlocked,
+    Unregistered, WatchedTopic,
+};
+use crate::app::screen::Screen::{Chain, Grants, Keys, Log, Overview, Received, Records, Robots, Topics};
+use crate::app::twin::{kind_word, of_command, quoted};
+use crate::app::{feeds::Feed, key::Key, screen::Screen};
+use crate::model::{Address, IncidentName, Party, TopicPattern};
+use crate::popups::incidents::state::Deed;
+use crate::screens::chain::state::Act;
+use crate::service::{Command, KeyKind, command::RemoveIncident};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Verb {
@@ -89,6 +94,39 @@ pub enum Verb {
     Quit,
 }
 
+/// What must be so for a verb to be done; `available` says why it is not.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Given {
+    Always,
+    /// One of its screens is in view.
+    Here,
+    Row,
+    /// A row, except on this screen.
+    RowUnlessOn(Screen),
+    Topic,
+    HeldTopic,
+    /// Marked or selected, and watched.
+    WatchedTopic,
+    TopicOfRobot,
+    OwnRobot,
+    ActiveGrant,
+    Alerts,
+    Table,
+    Order,
+    Filter,
+    Identity,
+    NoIdentity,
+    Locked,
+    Unlocked,
+    Unregistered,
+    EnrolledRobot,
+    Administrator(Act),
+    Tour,
+    LastAct,
+    Undoable,
+    Copyable,
+}
+
 #[derive(Debug, PartialEq, Eq)]
 pub struct Entry {
     pub verb: Verb,
@@ -101,6 +139,7 @@ pub struct Entry {
     pub keys: &'static [&'static str],
     /// Empty = all.
     pub on: &'static [Screen],
+    pub given: Given,
     /// Changes keys, grants or records; hidden when read-only.
     pub changes: bool,
     /// Listed in the palette.
@@ -110,7 +149,7 @@ pub struct Entry {
 type Word = &'static str;
 
 const fn entry(verb: Verb, name: Word, label: Word, keys: &'static [Word], help: Word) -> Entry {
-    Entry { verb, name, label, help, keys, on: &[], changes: false, palette: true }
+    Entry { verb, name, label, help, keys, on: &[], given: Always, changes: false, palette: true }
 }
 
 const fn act(verb: Verb, name: Word, label: Word, keys: &'static [Word], help: Word) -> Entry {
@@ -118,8 +157,14 @@ const fn act(verb: Verb, name: Word, label: Word, keys: &'static [Word], help: W
 }
 
 impl Entry {
-    const fn on(mut self, screens: &'static [Screen]) -> Self {
+    const fn on(mut self, screens: &'static [Screen], given: Given) -> Self {
         self.on = screens;
+        self.given = given;
+        self
+    }
+
+    const fn given(mut self, given: Given) -> Self {
+        self.given = given;
         self
     }
 
@@ -150,59 +195,66 @@ const COPIED: &[Screen] = &[Topics, Records, Received, Grants, Keys, Chain, Robo
 
 /// In the palette, on no key.
 const fn administers(deed: Act, name: &'static str, help: &'static str) -> Entry {
-    act(Verb::Administer(deed), name, "", &[], help).on(&[Chain])
+    act(Verb::Administer(deed), name, "", &[], help).on(&[Chain], Administrator(deed))
 }
 
 /// Entries of a single screen come first.
 pub static VERBS: &[Entry] = &[
-    entry(Verb::Mark, "mark", "mark", &["space"], "Mark the row; commands then act on the marked rows").on(MARKED),
-    entry(Verb::MarkAll, "mark-all", "mark all", &["a"], "Mark every row shown, or clear all marks").on(MARKED),
+    entry(Verb::Mark, "mark", "mark", &["space"], "Mark the row; commands then act on the marked rows").on(MARKED, Row),
+    entry(Verb::MarkAll, "mark-all", "mark all", &["a"], "Mark every row shown, or clear all marks").on(MARKED, Row),
     act(Verb::Watch, "watch", "watch", &["w"], "Watch or unwatch the marked topics, or the selected one")
-        .on(&[Overview, Topics]),
-    entry(Verb::Details, "provenance", "provenance", &["enter"], "Every step from message to verified").on(&[Records]),
-    entry(Verb::Open, "open", "open", &["enter", "o"], "Check, decrypt and show the record").on(&[Received]),
+        .on(&[Overview, Topics], RowUnlessOn(Overview)),
+    entry(Verb::Details, "provenance", "provenance", &["enter"], "Every step from message to verified")
+        .on(&[Records], Row),
+    entry(Verb::Open, "open", "open", &["enter", "o"], "Check, decrypt and show the record").on(&[Received], Row),
     entry(Verb::Open, "open-own", "open", &["o"], "Check, decrypt and show one of your records")
-        .on(&[Records])
+        .on(&[Records], Row)
         .unlisted(),
     entry(Verb::Check, "check", "check", &["c"], "Compare the stored bytes with the chain and the signature")
-        .on(&[Received, Records]),
-    entry(Verb::Export, "export", "export", &["e"], "Export the record as files that others can check").on(&[Records]),
-    entry(Verb::Browse, "browse", "browse", &["b"], "By owner, topic, type or time").on(&[Received, Records]),
-    act(Verb::Play, "play", "", &["p"], "Play this topic live into your own ROS; again: stop").on(&[Received]),
-    entry(Verb::Readers, "readers", "readers", &["i"], "Who can read this now?").on(&[Topics, Records, Grants]),
+        .on(&[Received, Records], Row),
+    entry(Verb::Export, "export", "export", &["e"], "Export the record as files that others can check")
+        .on(&[Records], Row),
+    entry(Verb::Browse, "browse", "browse", &["b"], "By owner, topic, type or time").on(&[Received, Records], Here),
+    act(Verb::Play, "play", "", &["p"], "Play this topic live into your own ROS; again: stop").on(&[Received], Row),
+    entry(Verb::Readers, "readers", "readers", &["i"], "Who can read this now?")
+        .on(&[Topics, Records, Grants], RowUnlessOn(Grants)),
     act(Verb::Incident, "incident", "incident", &["I"], "Incident: keep records around this row")
-        .on(&[Topics, Records]),
+        .on(&[Topics, Records], Identity),
     entry(Verb::Publishers, "publishers", "publishers", &["enter"], "Publishers: pinned, suspect, quarantined")
-        .on(&[Topics]),
-    act(Verb::Pin, "pin", "pin", &["p"], "Pin the publishers present now").on(&[Topics]),
-    act(Verb::Unpin, "unpin", "", &["P"], "Unpin one of the topic's publishers").on(&[Topics]),
-    act(Verb::Release, "release", "", &["r"], "Release quarantined messages of the topic").on(&[Topics]),
-    act(Verb::Discard, "discard", "", &["D"], "Discard quarantined messages; the chain counts them").on(&[Topics]),
+        .on(&[Topics], Topic),
+    act(Verb::Pin, "pin", "pin", &["p"], "Pin the publishers present now").on(&[Topics], Topic),
+    act(Verb::Unpin, "unpin", "", &["P"], "Unpin one of the topic's publishers").on(&[Topics], Topic),
+    act(Verb::Release, "release", "", &["r"], "Release quarantined messages of the topic").on(&[Topics], HeldTopic),
+    act(Verb::Discard, "discard", "", &["D"], "Discard quarantined messages; the chain counts them")
+        .on(&[Topics], HeldTopic),
     act(Verb::Limit, "limit", "", &["l"], "Rate, or one message in n, of the marked topics that are watched")
-        .on(&[Topics]),
+        .on(&[Topics], WatchedTopic),
     act(Verb::Grant, "grant", "grant", &["g"], "Let another account read your records")
-        .on(&[Overview, Topics, Grants, Robots]),
+        .on(&[Overview, Topics, Grants, Robots], Always),
     act(Verb::Extend, "extend", "extend", &["e"], "Change the end of the grant; sooner = revoke and new grant")
-        .on(&[Grants]),
+        .on(&[Grants], ActiveGrant),
     act(Verb::Revoke, "revoke", "revoke", &["x"], "Stop sharing: the next record is encrypted under a new key")
-        .on(&[Grants]),
-    entry(Verb::Contacts, "contacts", "contacts", &["c"], "Address book: names for accounts").on(&[Grants]),
+        .on(&[Grants], ActiveGrant),
+    entry(Verb::Contacts, "contacts", "contacts", &["c"], "Address book: names for accounts").on(&[Grants], Always),
     entry(Verb::Alerts, "alerts", "alerts", &["enter"], "Every alert in full, with what to do about it")
-        .on(&[Overview]),
-    entry(Verb::Period, "minutes", "minutes", &["m"], "Graphs over 1, 15 or 60 minutes").on(&[Overview]),
-    entry(Verb::Fold, "fold", "fold", &["h"], "Fold the robot's topics into one row, or unfold them").on(&[Topics]),
-    entry(Verb::FoldAll, "fold-all", "", &["H"], "Fold all robots, or unfold all").on(&[Topics]),
+        .on(&[Overview], Alerts),
+    entry(Verb::Period, "minutes", "minutes", &["m"], "Graphs over 1, 15 or 60 minutes").on(&[Overview], Here),
+    entry(Verb::Fold, "fold", "fold", &["h"], "Fold the robot's topics into one row, or unfold them")
+        .on(&[Topics], TopicOfRobot),
+    entry(Verb::FoldAll, "fold-all", "", &["H"], "Fold all robots, or unfold all").on(&[Topics], Here),
     act(Verb::CreateIdentity, "create-identity", "new identity", &["n"], "Create keys and register them")
-        .on(&[Overview, Keys]),
-    entry(Verb::Unlock, "unlock", "unlock", &["u"], "Open the keyring with its passphrase"),
-    act(Verb::Register, "register", "register", &["R"], "Register the identity on the chain").on(&[Overview, Keys]),
+        .on(&[Overview, Keys], NoIdentity),
+    entry(Verb::Unlock, "unlock", "unlock", &["u"], "Open the keyring with its passphrase").given(Locked),
+    act(Verb::Register, "register", "register", &["R"], "Register the identity on the chain")
+        .on(&[Overview, Keys], Unregistered),
     act(Verb::LoadKey, "load-key", "load key", &["L"], "Replace the current key with one from a file")
-        .on(&[Overview, Keys]),
-    act(Verb::Rotate, "rotate-keys", "rotate", &["r"], "Begin a new epoch under a new key").on(&[Keys]),
-    act(Verb::ExportKey, "export-key", "export", &["e"], "Write a secret key to a file").on(&[Keys]),
+        .on(&[Overview, Keys], Identity),
+    act(Verb::Rotate, "rotate-keys", "rotate", &["r"], "Begin a new epoch under a new key").on(&[Keys], Identity),
+    act(Verb::ExportKey, "export-key", "export", &["e"], "Write a secret key to a file").on(&[Keys], Identity),
     entry(Verb::BackUp, "back-up-keys", "back up", &["b"], "Write the keyring, protected by its passphrase, to a file")
-        .on(&[Keys]),
-    act(Verb::Administer(Act::Deploy), "deploy", "deploy", &["d"], "Deploy the contract").on(&[Chain]),
+        .on(&[Keys], Identity),
+    act(Verb::Administer(Act::Deploy), "deploy", "deploy", &["d"], "Deploy the contract")
+        .on(&[Chain], Administrator(Act::Deploy)),
     administers(Act::Admit, "allow-account", "Administrator: let an account register"),
     administers(Act::Dismiss, "deny-account", "Administrator: no longer let an account register"),
     administers(Act::Suspend, "suspend", "Administrator: suspend an account"),
@@ -214,39 +266,40 @@ pub static VERBS: &[Entry] = &[
     administers(Act::Propose, "replace-lost-account", "Administrator: propose a lost account's successor"),
     administers(Act::HandOver, "hand-over", "Administrator: nominate the next administrator"),
     administers(Act::Accept, "accept-administration", "Take over as administrator, if nominated"),
-    entry(Verb::Inspect, "inspect", "details", &["enter"], "A robot: its topics, losses and policy").on(&[Robots]),
+    entry(Verb::Inspect, "inspect", "details", &["enter"], "A robot: its topics, losses and policy")
+        .on(&[Robots], OwnRobot),
     act(Verb::SetPolicy, "robot-policy", "policy", &["p"], "Set a robot's policy from a file, or clear it")
-        .on(&[Robots]),
-    entry(Verb::Level, "log-level", "level", &["l"], "All lines, warnings and errors, or errors only").on(&[Log]),
-    entry(Verb::Read, "read-line", "full line", &["enter"], "Show the full line").on(&[Log]),
+        .on(&[Robots], EnrolledRobot),
+    entry(Verb::Level, "log-level", "level", &["l"], "All lines, warnings and errors, or errors only").on(&[Log], Here),
+    entry(Verb::Read, "read-line", "full line", &["enter"], "Show the full line").on(&[Log], Row),
     entry(Verb::Source, "log-source", "source", &["o"], "Lines of this console, the site, the audit log, or all")
-        .on(&[Log]),
-    entry(Verb::Filter, "filter", "filter", &["/"], "Filter rows; Records, Received: whole ledger").on(TABLES),
-    entry(Verb::NextMatch, "next-match", "", &["n"], "Next matching row").on(TABLES),
-    entry(Verb::PreviousMatch, "previous-match", "", &["N"], "Previous matching row").on(TABLES),
-    entry(Verb::Sort, "sort", "sort", &["s"], "Sort by the next column").on(SORTED),
-    entry(Verb::Reverse, "reverse", "", &["S"], "Reverse the order").on(SORTED),
-    entry(Verb::Columns, "columns", "columns", &["C"], "Choose the columns of this list").on(MARKED),
-    entry(Verb::Copy, "copy", "copy", &["y"], "Copy name, digest or address to clipboard").on(COPIED),
-    entry(Verb::WriteFile, "write-file", "", &["W"], "Save to a file what y would copy").on(COPIED),
-    entry(Verb::CopyCommand, "copy-command", "", &["z y"], "Copy your last act as a command line"),
+        .on(&[Log], Here),
+    entry(Verb::Filter, "filter", "filter", &["/"], "Filter rows; Records, Received: whole ledger").on(TABLES, Table),
+    entry(Verb::NextMatch, "next-match", "", &["n"], "Next matching row").on(TABLES, Filter),
+    entry(Verb::PreviousMatch, "previous-match", "", &["N"], "Previous matching row").on(TABLES, Filter),
+    entry(Verb::Sort, "sort", "sort", &["s"], "Sort by the next column").on(SORTED, Order),
+    entry(Verb::Reverse, "reverse", "", &["S"], "Reverse the order").on(SORTED, Order),
+    entry(Verb::Columns, "columns", "columns", &["C"], "Choose the columns of this list").on(MARKED, Here),
+    entry(Verb::Copy, "copy", "copy", &["y"], "Copy name, digest or address to clipboard").on(COPIED, Copyable),
+    entry(Verb::WriteFile, "write-file", "", &["W"], "Save to a file what y would copy").on(COPIED, Copyable),
+    entry(Verb::CopyCommand, "copy-command", "", &["z y"], "Copy your last act as a command line").given(LastAct),
     entry(Verb::Tasks, "tasks", "", &["t"], "Running tasks and queues"),
-    entry(Verb::Undo, "undo", "", &["U", "z u"], "Undo the last action, where possible"),
-    entry(Verb::Lock, "lock", "", &["z x"], "Wipe the keys for reading, granting and revoking"),
+    entry(Verb::Undo, "undo", "", &["U", "z u"], "Undo the last action, where possible").given(Undoable),
+    entry(Verb::Lock, "lock", "", &["z x"], "Wipe the keys for reading, granting and revoking").given(Unlocked),
     entry(Verb::LocalTime, "local-time", "", &["z l"], "Show local time beside UTC, or UTC only"),
     entry(Verb::Freeze, "freeze", "freeze", &["f"], "Freeze the view (capture continues)"),
-    entry(Verb::Incidents, "incidents", "", &["z i"], "Incidents: contents, notes, closing, export"),
+    entry(Verb::Incidents, "incidents", "", &["z i"], "Incidents: contents, notes, closing, export").given(Identity),
     entry(Verb::Profile, "profile", "", &[], "Switch to another profile of this home"),
-    entry(Verb::EndTour, "end-tour", "", &["E"], "Close the tour's strip"),
+    entry(Verb::EndTour, "end-tour", "", &["E"], "Close the tour's strip").given(Tour),
     entry(Verb::Palette, "palette", "commands", &[":"], "Every command by name").unlisted(),
     entry(Verb::Help, "help", "help", &["?"], "Keys of this screen"),
     entry(Verb::Quit, "quit", "quit", &["q", "^c"], "Quit (asks, and says what stops)"),
-    entry(Verb::Up, "up", "", &["up", "k"], "Cursor up").on(TABLES).unlisted(),
-    entry(Verb::Down, "down", "", &["down", "j"], "Cursor down").on(TABLES).unlisted(),
-    entry(Verb::PageUp, "page-up", "", &["pgup", "^u"], "Page up").on(TABLES).unlisted(),
-    entry(Verb::PageDown, "page-down", "", &["pgdn", "^d"], "Page down").on(TABLES).unlisted(),
-    entry(Verb::First, "first", "", &["home"], "First row").on(TABLES).unlisted(),
-    entry(Verb::Last, "last", "", &["end", "G"], "Last row").on(TABLES).unlisted(),
+    entry(Verb::Up, "up", "", &["up", "k"], "Cursor up").on(TABLES, Table).unlisted(),
+    entry(Verb::Down, "down", "", &["down", "j"], "Cursor down").on(TABLES, Table).unlisted(),
+    entry(Verb::PageUp, "page-up", "", &["pgup", "^u"], "Page up").on(TABLES, Table).unlisted(),
+    entry(Verb::PageDown, "page-down", "", &["pgdn", "^d"], "Page down").on(TABLES, Table).unlisted(),
+    entry(Verb::First, "first", "", &["home"], "First row").on(TABLES, Table).unlisted(),
+    entry(Verb::Last, "last", "", &["end", "G"], "Last row").on(TABLES, Table).unlisted(),
     entry(Verb::NextScreen, "next-screen", "", &["tab"], "Next screen"),
     entry(Verb::PreviousScreen, "previous-screen", "", &["shift-tab"], "Previous screen"),
     entry(Verb::Go(Screen::Overview), "go-overview", "", &["1"], "Health, life line, alerts, busiest topics"),
@@ -266,89 +319,47 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::Suspend, "shell", "", &["^z"], "Back to the shell; `fg` returns"),
 ];
 
-#[derive(Debug)]
-pub enum Action {
-    Do(Verb),
-    Key(Key),
-    Paste(Zeroizing<String>),
-    /// In cells.
-    Resize {
-        columns: u16,
-        rows: u16,
-    },
-    Tick(Timestamp),
-    Answered {
-        tag: Tag,
-        result: Box<Result<Reply, Failure>>,
-    },
-    Told(Event),
-    /// Events were lost; everything is requested again.
-    Missed,
-    /// Where, or why not.
-    FilesWritten(Result<String, String>),
-    PathsFound(Sought, Result<Found, String>),
-    TextRead(PathBuf, Result<String, String>),
-    ThemeIs(String),
-    Wheel {
-        up: bool,
-    },
-    /// Left button on a cell, from 0.
-    Click {
-        column: u16,
-        row: u16,
-    },
-    Resumed,
-    Fault(String),
-}
-
-/// Work for the caller; nothing of it may block `update`.
-#[derive(Debug)]
-#[allow(clippy::large_enum_variant, reason = "a handful at a time, and gone at once")]
-pub enum Effect {
-    Send(Command, Tag),
-    Quit,
-    /// A site continues after the console.
-    LeaveSite,
-    /// The site refuses this console.
-    Leave(Failure),
-    /// Stops the process as Ctrl-Z does.
-    Suspend,
-    Redraw,
-    ShowTheme(String),
-    ToggleAscii,
-    Mouse(bool),
-    /// OSC 52.
-    CopyText(String),
-    SpeakFor(ProfileName),
-    FindPaths(Sought),
-    /// Reads no further than a robot's policy may be long.
-    ReadText(PathBuf),
-    /// Into a new place below `base`, 0600, never overwriting.
-    WriteFiles {
-        /// An existing folder; `None` = the working directory.
-        base: Option<PathBuf>,
-        /// Created, if named.
-        directory: Option<String>,
-        files: Vec<Contents>,
-    },
-}
-
-pub struct Contents {
-    /// No path.
-    pub name: String,
-    pub bytes: Zeroizing<Vec<u8>>,
-}
-
-impl std::fmt::Debug for Contents {
-    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(formatter, "Contents({}, {} bytes)", self.name, self.bytes.len())
-    }
-}
-
 #[derive(Debug, Clone)]
 pub struct Errand {
     pub command: Command,
     pub tag: Tag,
+}
+
+impl Errand {
+    /// The command line that does the same; `None` = there is none.
+    pub fn line(&self) -> Option<String> {
+        let Self { tag, command } = self;
+        Some(match tag {
+            // Screens' own requests, and what only leaving or ending a playback sends.
+            Tag::Feed(..) | Tag::OpenConsole | Tag::Beside(..) | Tag::Path(_) | Tag::Foresee(_) => return None,
+            Tag::HoldCapture | Tag::StopPlay => return None,
+            Tag::CreateIdentity => "identity create".to_owned(),
+            Tag::Unlock => "keys list --passphrase-file FILE".to_owned(),
+            Tag::Register => "identity register".to_owned(),
+            Tag::Watch(topic) => format!("topics watch {}", quoted(topic)),
+            Tag::Unwatch(topic) => format!("topics unwatch {}", quoted(topic)),
+            Tag::Grant(_) | Tag::Extend(_) | Tag::Revoke(_) | Tag::Administer(_) => of_command(command)?,
+            Tag::LoadKey(_) | Tag::ExportKey(_) | Tag::Unpin(_) | Tag::Contact(_) => of_command(command)?,
+            Tag::Incident(..) | Tag::Play(_) | Tag::Limit(_) | Tag::Evidence(_) => of_command(command)?,
+            Tag::Rotate => "keys rotate".to_owned(),
+            Tag::Lock => "keys lock".to_owned(),
+            Tag::BackUp => "keys backup --out FILE".to_owned(),
+            Tag::Deploy => "chain deploy".to_owned(),
+            Tag::Pin(topic) => format!("topics pin {}", quoted(topic)),
+            Tag::Release(topic) => format!("topics quarantine release --topic {}", quoted(topic)),
+            Tag::Discard(topic) => format!("topics quarantine discard --topic {} --yes", quoted(topic)),
+            Tag::Publishers(topic) => format!("topics pins --topic {}", quoted(topic)),
+            Tag::Show(id) => format!("records show {id}"),
+            Tag::Open(id) => format!("records open {id}"),
+            Tag::Check(id) => format!("records check {id}"),
+            Tag::Export(id) => format!("records export {id} --dir DIR"),
+            Tag::Robot(name) => format!("robot show {}", quoted(name)),
+            Tag::SetPolicy(robot, Some(file)) => {
+                format!("robot policy {} --set {}", quoted(robot), quoted(&file.to_string_lossy()))
+            }
+            Tag::SetPolicy(robot, None) => format!("robot policy {} --clear", quoted(robot)),
+        })
+    }
 }
 
 /// The request that an answer belongs to.
@@ -452,14 +463,92 @@ impl Tag {
             Self::StopPlay => "stopping playback".to_owned(),
         }
     }
+
+    /// What must be open before it is sent, and the feeds that it makes stale before the site's event arrives.
+    pub fn needs_and_touches(&self) -> (Option<Need>, &'static [Feed]) {
+        use Need::{Registered, Unlocked};
+        match self {
+            Self::Watch(_) | Self::Unwatch(_) | Self::Limit(_) => (Some(Registered), &[Feed::Topics]),
+            Self::Release(_) | Self::Discard(_) => (Some(Unlocked), &[Feed::Topics]),
+            // Pins do not need an open keyring.
+            Self::Pin(_) | Self::Unpin(_) | Self::HoldCapture => (None, &[Feed::Topics]),
+            Self::SetPolicy(..) => (Some(Unlocked), &[Feed::Robots]),
+            Self::Incident(..) => (None, &[Feed::Incidents, Feed::Records]),
+            Self::Contact(_) => (None, &[Feed::Contacts, Feed::Grants, Feed::Received]),
+            Self::Grant(_) | Self::Extend(_) | Self::Revoke(_) => {
+                (Some(Registered), &[Feed::Grants, Feed::Identity, Feed::Keys])
+            }
+            Self::LoadKey(_) => (Some(Unlocked), &[Feed::Keys, Feed::Identity]),
+            Self::Rotate => (Some(Registered), &[Feed::Keys, Feed::Identity]),
+            Self::Administer(_) => (Some(Registered), &[Feed::Chain]),
+            Self::Deploy => (Some(Unlocked), &[Feed::Chain]),
+            Self::Register => (Some(Registered), &[]),
+            Self::Open(_) | Self::Path(_) | Self::Check(_) | Self::Play(_) => (Some(Unlocked), &[]),
+            Self::Export(_) | Self::ExportKey(_) | Self::Evidence(_) => (Some(Unlocked), &[]),
+            Self::Feed(..) | Self::OpenConsole | Self::CreateIdentity | Self::Unlock | Self::Lock => (None, &[]),
+            Self::BackUp | Self::StopPlay | Self::Robot(_) | Self::Publishers(_) | Self::Show(_) => (None, &[]),
+            Self::Beside(..) | Self::Foresee(_) => (None, &[]),
+        }
+    }
+
+    /// `None` = it is nothing to be undone, and what was done before can still be.
+    pub fn undo(&self) -> Option<Undo> {
+        let watching = |name: &String, watch| name.parse().ok().map(|topic| Undo::By(watch_errand(topic, watch)));
+        let never = |why| Some(Undo::Never(why));
+        match self {
+            Self::Watch(name) => watching(name, false),
+            Self::Unwatch(name) => watching(name, true),
+            Self::Grant(grantee) => Some(Undo::Granted(grantee.to_string())),
+            Self::Extend(_) => never("it was a transaction; e changes the end of the grant (5)"),
+            Self::Revoke(_) => never("a revoke is a transaction: to share again, make a new grant (5, then g)"),
+            Self::Rotate => never("a new epoch cannot be undone"),
+            Self::LoadKey(_) => never("the replaced key is no longer in the keyring; load its file again"),
+            Self::Release(_) => never("released messages are already being anchored; they keep their tag"),
+            Self::Discard(_) => never("discarded messages are deleted; their count is on the chain"),
+            Self::Administer(_) | Self::Deploy => {
+                never("it was a transaction; send the opposite one instead (7, then :)")
+            }
+            Self::Incident(deed, name) => Some(deed.stays().map_or_else(|| Undo::By(taken_back(name)), Undo::Never)),
+            Self::Evidence(_) => never("what a file discloses cannot be taken back; delete the file if nobody has it"),
+            Self::SetPolicy(..) => never("a policy's version only rises; set the earlier one again (8, then p)"),
+            Self::Feed(..) | Self::OpenConsole | Self::CreateIdentity | Self::Unlock | Self::Register => None,
+            Self::Lock | Self::HoldCapture | Self::ExportKey(_) | Self::BackUp | Self::Export(_) => None,
+            Self::Pin(_) | Self::Unpin(_) | Self::Play(_) | Self::StopPlay | Self::Contact(_) => None,
+            Self::Robot(_) | Self::Publishers(_) | Self::Show(_) | Self::Beside(..) | Self::Open(_) => None,
+            Self::Path(_) | Self::Check(_) | Self::Foresee(_) | Self::Limit(_) => None,
+        }
+    }
 }
 
-pub fn kind_word(kind: KeyKind) -> &'static str {
-    match kind {
-        KeyKind::Sm4 => "SM4",
-        KeyKind::Sm2 => "SM2",
-        KeyKind::Eoa => "EOA",
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Need {
+    Unlocked,
+    /// Unlocked, and registered on the chain.
+    Registered,
+}
+
+#[expect(clippy::large_enum_variant, reason = "there is one at a time")]
+#[derive(Debug, Clone)]
+pub enum Undo {
+    By(Errand),
+    /// A grant: revoking it is another transaction, and does not undo what was read meanwhile.
+    Granted(String),
+    /// Why nothing undoes it.
+    Never(&'static str),
+}
+
+pub fn watch_errand(topic: TopicPattern, watch: bool) -> Errand {
+    let name = topic.to_string();
+    if watch {
+        Errand { command: Command::WatchTopic { topic, type_name: None, sampling: None }, tag: Tag::Watch(name) }
+    } else {
+        Errand { command: Command::UnwatchTopic { topic }, tag: Tag::Unwatch(name) }
     }
+}
+
+pub fn taken_back(name: &IncidentName) -> Errand {
+    let tag = Tag::Incident(Deed::Remove, name.clone());
+    Errand { command: RemoveIncident { name: name.clone() }.into(), tag }
 }
 
 #[cfg(test)]

@@ -1,7 +1,6 @@
 //! Times: those of forms as typed, and what they mean; countdowns of parts.
 
-use super::State;
-use super::form::{Form, Input};
+use crate::app::{Form, Input, State};
 use crate::model::{Clock, Direction, Timestamp};
 use crate::service::reply::PartHealth;
 
@@ -63,8 +62,8 @@ fn gone(state: &State) -> u64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::form::{Field, Line};
     use super::*;
+    use crate::app::form::{Field, Line};
 
     #[test]
     fn an_end_may_be_absent_and_is_never_past() {

@@ -8,8 +8,9 @@ use std::path::{Path, PathBuf};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 
-use crate::app::palette::{Candidate, Found, PathKind, Sought};
-use crate::app::{Contents, Kept};
+use crate::app::completion::{Candidate, Found, Sought};
+use crate::app::kept::Kept;
+use crate::app::{Contents, PathKind};
 use crate::model::clean;
 use crate::service::command::LONGEST_POLICY;
 use crate::store::files;

@@ -11,8 +11,10 @@ use signal_hook::iterator::{Handle, Signals};
 use signal_hook::low_level;
 use zeroize::Zeroizing;
 
-use super::signals::{self, ENDING, Handled};
-use super::{THREAD_PREFIX, encode};
+use super::encode;
+use super::output::THREAD_PREFIX;
+use super::secret;
+use super::signals::{ENDING, Handled};
 use crate::app::{Action, Key};
 
 /// Interval of checks for the end: each costs CPU on an idle console, and nobody waits for this thread.
@@ -105,7 +107,7 @@ impl Drop for Listener {
     fn drop(&mut self) {
         self.handle.close();
         // Otherwise the closed handler would swallow the signal.
-        drop(signals::keep_default());
+        drop(secret::keep_default());
     }
 }
 

@@ -4,12 +4,13 @@
 pub mod encode;
 pub mod files;
 pub mod input;
+mod output;
 pub mod pixels;
 pub mod renderer;
 pub mod secret;
 pub mod signals;
 
-use std::io::{self, IsTerminal, Write};
+use std::io::{self, IsTerminal};
 use std::panic::{self, PanicHookInfo};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -18,7 +19,9 @@ use std::sync::{Arc, MutexGuard, OnceLock, PoisonError, TryLockError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use crate::app::{Action, Effect, Settings, State, Tag, update};
+use crate::app::kept::{kept, recall};
+use crate::app::update::{start, update};
+use crate::app::{Action, Effect, Settings, State, Tag};
 use crate::config::Pictures;
 use crate::model::{ErrorKind, ProfileName, Timestamp, Zone};
 use crate::service::client::site_gone;
@@ -27,6 +30,7 @@ use crate::ui::{Theme, ThemeError, Themes};
 use crossterm::terminal::{disable_raw_mode, enable_raw_mode};
 use encode::Depth;
 use input::Listener;
+use output::{THREAD_PREFIX, patiently, write};
 use pixels::Pixels;
 use renderer::{Budget, OVER_SSH, Painter, Stage, Wish};
 use signal_hook::consts::signal::{SIGCONT, SIGHUP, SIGTSTP};
@@ -135,7 +139,7 @@ impl Session {
         let mut state = first_state(options, &directory);
         state.theme.clone_from(&theme.name);
         if let Some(kept) = files::read(&options.kept) {
-            crate::app::recall(&mut state, &kept);
+            recall(&mut state, &kept);
         }
         let (size, reported) = encode::size()?;
         state.size = size;
@@ -192,7 +196,7 @@ impl Session {
     }
 
     fn work(&mut self) -> Result<ExitReason, TermError> {
-        let effects = crate::app::update::start(&mut self.stage.scene().state);
+        let effects = start(&mut self.stage.scene().state);
         let mut ended = self.carry_out(effects)?;
         loop {
             if let Some(reason) = ended {
@@ -363,7 +367,7 @@ impl Session {
     fn close(&self) {
         self.stop.store(true, Ordering::Relaxed);
         if *self.host.client.profile() == self.profile {
-            files::write(&self.kept, &crate::app::kept(&self.stage.scene().state));
+            files::write(&self.kept, &kept(&self.stage.scene().state));
         }
         self.stage.change(Wish::None, |scene| scene.over = true);
         let writing = finished(&self.stage);
@@ -471,7 +475,6 @@ const LEAVE: &str = "\x1b[?2026l\x1b[m\x1b[?1006l\x1b[?1000l\x1b[?2004l\x1b[?25h
 /// Buttons and wheel, in cells.
 pub const TAKE_MOUSE: &str = "\x1b[?1000h\x1b[?1006h";
 pub const LEAVE_MOUSE: &str = "\x1b[?1006l\x1b[?1000l";
-pub const THREAD_PREFIX: &str = "console-";
 
 static ENTERED: AtomicBool = AtomicBool::new(false);
 /// Written before the screen is given back.
@@ -529,16 +532,6 @@ pub fn take() -> io::Result<()> {
     write(ENTER)
 }
 
-/// In the background, changing modes stops the process, and is interrupted when it continues.
-fn patiently(change: impl Fn() -> io::Result<()>) -> io::Result<()> {
-    loop {
-        match change() {
-            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-            result => return result,
-        }
-    }
-}
-
 /// Only once; writes nothing to a terminal that is gone.
 pub fn restore() {
     if !ENTERED.swap(false, Ordering::SeqCst) {
@@ -556,13 +549,6 @@ pub fn abandon() {
     if ENTERED.swap(false, Ordering::SeqCst) && io::stdin().is_terminal() {
         drop(disable_raw_mode());
     }
-}
-
-/// Bypasses stdout's buffer.
-pub fn write(bytes: &str) -> io::Result<()> {
-    let mut out = io::stdout().lock();
-    out.write_all(bytes.as_bytes())?;
-    out.flush()
 }
 
 fn describe(info: &PanicHookInfo<'_>) -> String {

@@ -10,11 +10,12 @@ use ratatui::Terminal;
 use ratatui::backend::Backend as _;
 use ratatui::layout::Size;
 
-use super::THREAD_PREFIX;
+use super::output::{THREAD_PREFIX, write};
 use super::pixels::Pixels;
 use crate::app::State;
 use crate::config::Pictures;
-use crate::ui::{self, Theme};
+use crate::ui::Theme;
+use crate::ui::draw::draw;
 
 #[derive(Debug)]
 pub struct Painter {
@@ -54,7 +55,7 @@ impl Painter {
         let Self { terminal, pixels, .. } = self;
         let (mut placement, mut below) = (None, Vec::new());
         let Ok(_) = terminal.draw(|frame| {
-            placement = ui::draw(frame, &scene.state, &scene.theme);
+            placement = draw(frame, &scene.state, &scene.theme);
             below = pixels.cells_below(placement.as_ref(), frame.buffer_mut());
         });
         let backend = terminal.backend_mut();
@@ -138,7 +139,7 @@ fn due<'a>(stage: &Stage, mut scene: MutexGuard<'a, Scene>, budget: &Budget) -> 
 /// Skips a frame if the terminal was given away while it was drawn.
 fn send(stage: &Stage, bytes: &str) -> io::Result<()> {
     let _writing = stage.output.lock().unwrap_or_else(PoisonError::into_inner);
-    if is_given_away(stage) { Ok(()) } else { super::write(bytes) }
+    if is_given_away(stage) { Ok(()) } else { write(bytes) }
 }
 
 /// Whether the shell has the terminal, or the renderer is to end.
@@ -258,7 +259,8 @@ impl Budget {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::app::{Action, Key, Settings, State, update};
+    use crate::app::update::update;
+    use crate::app::{Action, Key, Settings, State};
     use crate::ui::Theme;
 
     fn scene() -> Scene {

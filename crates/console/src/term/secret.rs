@@ -4,15 +4,20 @@
 use std::fs::{File, OpenOptions};
 use std::io::{self, IsTerminal as _, Read as _, Write as _};
 use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::thread;
 
 use rustix::process::{Signal, getpgrp, getpid, kill_process};
 use rustix::termios::{
     InputModes, LocalModes, OptionalActions, QueueSelector, SpecialCodeIndex, Termios, tcflush, tcgetattr, tcgetpgrp,
     tcsetattr,
 };
+use signal_hook::consts::signal::{SIGCONT, SIGTSTP};
+use signal_hook::iterator::Signals;
+use signal_hook::low_level;
 use zeroize::Zeroizing;
 
-use super::{patiently, signals};
+use super::output::patiently;
+use super::signals::{ENDING, Handled};
 
 /// The longest line that a terminal delivers, bytes.
 const LONGEST: usize = 4096;
@@ -59,7 +64,7 @@ impl Hidden {
             return Ok(None);
         }
         let Ok(terminal) = OpenOptions::new().read(true).write(true).open("/dev/tty") else { return Ok(None) };
-        signals::keep_default()?;
+        keep_default()?;
         let before = tcgetattr(&terminal)?;
         let hidden = without_echo(before.clone());
         *asking() = Some(Modes { terminal: terminal.try_clone()?, before, hidden: hidden.clone(), question: None });
@@ -124,14 +129,14 @@ fn without_echo(mut modes: Termios) -> Termios {
 }
 
 /// Gives the terminal its echo back; `false` if there was no question.
-pub(super) fn end() -> bool {
+fn end() -> bool {
     let Some(Modes { terminal, before, .. }) = asking().take() else { return false };
     set_in_foreground(&terminal, &before);
     true
 }
 
 /// Gives the terminal its echo back until [`ask_again`]; `false` if there is no question.
-pub(super) fn pause() -> bool {
+fn pause() -> bool {
     let asking = asking();
     let Some(Modes { terminal, before, .. }) = &*asking else { return false };
     set_in_foreground(terminal, before);
@@ -139,7 +144,7 @@ pub(super) fn pause() -> bool {
 }
 
 /// After a stop: the shell has set modes of its own meanwhile.
-pub(super) fn ask_again() {
+fn ask_again() {
     let asking = asking();
     let Some(Modes { terminal, hidden, question, .. }) = &*asking else { return };
     if set_in_foreground(terminal, hidden)
@@ -147,5 +152,30 @@ pub(super) fn ask_again() {
     {
         // If the terminal is gone, the question ends.
         drop(write!(&*terminal, "\r{question}: "));
+    }
+}
+
+/// From now on a signal that nobody handles ends or stops the process, and the terminal has its echo back. A program
+/// that has listened to a signal once never gets the system's own action back, so a thread repeats that action.
+pub fn keep_default() -> io::Result<()> {
+    static STARTED: Mutex<bool> = Mutex::new(false);
+    let mut started = STARTED.lock().unwrap_or_else(PoisonError::into_inner);
+    if !*started {
+        let mut signals = Signals::new(ENDING.into_iter().chain([SIGTSTP, SIGCONT]))?;
+        thread::Builder::new().name("signals".to_owned()).spawn(move || signals.forever().for_each(received))?;
+        *started = true;
+    }
+    Ok(())
+}
+
+fn received(signal: i32) {
+    let is_ours = match signal {
+        SIGCONT => return ask_again(),
+        SIGTSTP => pause(),
+        _ => end(),
+    };
+    if is_ours || !Handled::by_anybody() {
+        // It fails only for signals that do nothing.
+        drop(low_level::emulate_default_handler(signal));
     }
 }

@@ -2,20 +2,16 @@
 
 use ratatui::layout::Rect;
 
-use super::canvas::{Canvas, columns, right_of, row};
-use super::theme::Role;
-use super::words::wrap;
-use crate::app::available::available;
-use crate::app::leaving::Standing;
-use crate::app::popup::hints;
-use crate::app::update::{Feed, under_way};
-use crate::app::verb::{Entry, VERBS, Verb};
-use crate::app::{Screen, State};
-use crate::service::NoticeLevel;
+use crate::app::{Entry, Feed, Screen, State, VERBS, Verb, available::available};
+use crate::popups;
+use crate::popups::quit::Standing;
 use crate::service::reply::{HealthLevel, PartHealth};
+use crate::ui::canvas::{Canvas, columns, right_of, row};
+use crate::ui::{frame::MOST_LINES, marks, marks::notice_level, theme::Role, words::wrap};
 
 /// Narrower terminals name only the screen in view.
 const NAMED_FROM: u16 = 80;
+
 /// Columns from which the address is shown.
 const ADDRESS_FROM: u16 = 100;
 
@@ -73,18 +69,18 @@ fn draw_health(canvas: &mut Canvas, area: Rect, health: &[PartHealth]) {
         let whole: u16 = shown.iter().map(|part| columns(&part.part) + columns(word(part)) + 5).sum();
         whole <= area.width + 2
     };
-    let words: [fn(&PartHealth) -> &str; 3] = [|part| level(part).2, brief, briefest];
+    let words: [fn(&PartHealth) -> &str; 3] = [|part| marks::level(part).2, brief, briefest];
     let word = words.into_iter().find(|word| fits(*word)).unwrap_or(briefest);
     let mut rest = area;
     for part in shown {
-        let (dot, role, _) = level(part);
+        let (dot, role, _) = marks::level(part);
         let (dot, word) = (format!(" {dot} "), word(part));
         rest = canvas.puts(rest, &[(&part.part, Role::Body), (&dot, role), (word, role), ("  ", Role::Body)]);
     }
 }
 
 fn brief(part: &PartHealth) -> &str {
-    if matches!(part.level, HealthLevel::Ok | HealthLevel::Absent) { "" } else { level(part).2 }
+    if matches!(part.level, HealthLevel::Ok | HealthLevel::Absent) { "" } else { marks::level(part).2 }
 }
 
 fn briefest(part: &PartHealth) -> &str {
@@ -92,19 +88,6 @@ fn briefest(part: &PartHealth) -> &str {
         HealthLevel::Ok | HealthLevel::Absent => "",
         HealthLevel::Waiting => "waits",
         HealthLevel::Failed => "failed",
-    }
-}
-
-pub fn level(part: &PartHealth) -> (&'static str, Role, &str) {
-    match part.level {
-        HealthLevel::Ok => ("●", Role::Good, "ok"),
-        HealthLevel::Waiting => ("◐", Role::Warning, &part.text),
-        // `retry in 4 s: why`: the header has room for the first half.
-        HealthLevel::Failed if part.text.starts_with("retry in") => {
-            ("✖", Role::Bad, part.text.split(':').next().unwrap_or("failed"))
-        }
-        HealthLevel::Failed => ("✖", Role::Bad, "failed"),
-        HealthLevel::Absent => ("○", Role::Dim, "absent"),
     }
 }
 
@@ -127,25 +110,10 @@ fn draw_screens(canvas: &mut Canvas, area: Rect, state: &State) {
 
 /// Stays at the right of the bar.
 const TAIL_NAMES: [&str; 3] = ["palette", "help", "quit"];
-const MOST_LINES: usize = 3;
-
-/// Never covered by bar and message.
-pub fn above(screen: Rect) -> Rect {
-    let taken = u16::try_from(MOST_LINES + 1).unwrap_or(u16::MAX);
-    Rect { height: screen.height.saturating_sub(taken), ..screen }
-}
 
 pub fn draw_bottom(canvas: &mut Canvas, area: Rect, state: &State) {
     draw_message(canvas, Rect { height: area.height - 1, ..area }, state);
     draw_bar(canvas, row(area, area.height - 1), state);
-}
-
-pub fn notice_level(level: NoticeLevel) -> (&'static str, Role) {
-    match level {
-        NoticeLevel::Info => ("› ", Role::Accent),
-        NoticeLevel::Warning => ("◐ ", Role::Warning),
-        NoticeLevel::Error => ("✖ ", Role::Bad),
-    }
 }
 
 /// Rows above its own that the message takes.
@@ -192,7 +160,7 @@ fn draw_message(canvas: &mut Canvas, area: Rect, state: &State) {
 fn draw_bar(canvas: &mut Canvas, area: Rect, state: &State) {
     canvas.wipe(area);
     if let Some(popup) = state.popups.last() {
-        return draw_hints(canvas, area, &hints(state, popup));
+        return draw_hints(canvas, area, &popups::hints(state, popup));
     }
     if state.table().is_some_and(|table| table.filtering) {
         return draw_hints(canvas, area, &[("enter", "apply"), ("esc", "clear"), ("up down", "earlier filters, rows")]);
@@ -261,4 +229,11 @@ fn draw_entry(canvas: &mut Canvas, area: Rect, state: &State, entry: &Entry) -> 
     }
     let (key_role, role) = if reason.is_some() { (Role::Dim, Role::Dim) } else { (Role::Key, Role::Body) };
     canvas.puts(area, &[(&key, key_role), (" ", Role::Body), (&label, role), ("  ", Role::Body)])
+}
+
+pub fn under_way(state: &State) -> Option<String> {
+    let mut work = state.work.iter().filter(|tag| tag.is_work());
+    let first = work.next()?;
+    let more = work.count();
+    Some(if more > 0 { format!("{} and {more} more", first.words()) } else { first.words() })
 }

@@ -21,7 +21,7 @@ pub struct Placement {
 pub struct Canvas<'a> {
     pub(super) buffer: &'a mut Buffer,
     pub(super) theme: &'a Theme,
-    pub(super) cursor: Option<Position>,
+    pub cursor: Option<Position>,
     pub(super) placement: Option<Placement>,
 }
 

@@ -3,8 +3,8 @@
 use ratatui::layout::Rect;
 use ratatui::style::{Color, Style};
 
-use super::bars;
 use super::canvas::{Canvas, Placement, below, row};
+use super::frame::above;
 use super::theme::{Depth, Rgb, Role, SIXTEEN, distance};
 use crate::ros::readable::{Plot, Raster};
 
@@ -151,7 +151,7 @@ pub fn draw_raster(canvas: &mut Canvas, area: Rect, raster: &Raster) {
 
 /// The half-blocks' place, clear of messages, which come and go.
 fn place(canvas: &mut Canvas, area: Rect, raster: &Raster) {
-    let area = area.intersection(bars::above(*canvas.buffer.area()));
+    let area = area.intersection(above(*canvas.buffer.area()));
     let (width, height) = raster.size_within((usize::from(area.width), usize::from(area.height) * 2));
     let (Ok(width), Ok(height)) = (u16::try_from(width), u16::try_from(height.div_ceil(2))) else { return };
     let area = Rect { width, height, ..area };

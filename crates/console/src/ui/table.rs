@@ -4,9 +4,8 @@ use ratatui::layout::{Position, Rect};
 
 use super::canvas::{Canvas, below, columns, right_of, row};
 use super::theme::Role;
-use crate::app::choosing::wanted;
-use crate::app::table::Table;
-use crate::app::{Screen, State};
+use crate::app::{Screen, State, Table};
+use crate::popups::columns::state::wanted;
 
 /// Greatest width of a name column.
 const WIDEST_NAME: u16 = 56;

@@ -7,10 +7,10 @@ mod rows;
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 
-use super::{Theme, draw};
+use super::Theme;
+use super::draw::draw;
 use crate::app::tests::{Robot, fixtures};
-use crate::app::update::Feed;
-use crate::app::{Action, Key, Screen, Settings, State, Tag};
+use crate::app::{Action, Feed, Key, Screen, Settings, State, Tag};
 use crate::model::ErrorKind;
 use crate::service::reply::{HealthLevel, LifeLine, PartHealth, SiteView};
 use crate::service::{Event, NoticeLevel, Part, Reply};

@@ -1,9 +1,8 @@
 //! Roles to colours: code names only roles, colours are in `themes/*.toml` or the operator's file.
 
-use std::collections::BTreeMap;
-
 use ratatui::style::{Color, Modifier, Style};
 use serde::Deserialize;
+use std::collections::BTreeMap;
 use strum::{EnumCount, EnumIter, IntoEnumIterator as _, IntoStaticStr};
 use toml::Spanned;
 

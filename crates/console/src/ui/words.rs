@@ -1,4 +1,4 @@
-//! Numbers, sizes, ages and lines as the screens say them.
+//! Numbers, sizes and times in words; wrapping.
 
 use unicode_width::UnicodeWidthStr;
 

@@ -3,9 +3,9 @@
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
-use authros_model::{Address, SignerId, Timestamp, TopicId, clean};
+use authros_model::{Address, SignerId, Timestamp, TopicId, clean, grouped};
 
-use super::{Wording, filled, grouped};
+use super::{Wording, filled};
 use crate::report::{Outcome, RecordReport, Report, Standing, Stretch};
 
 pub(super) type Fields = BTreeMap<&'static str, Fact>;

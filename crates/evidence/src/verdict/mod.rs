@@ -7,6 +7,7 @@ mod tests;
 use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
+use authros_model::grouped;
 use serde::Deserialize;
 
 pub(crate) use self::facts::Context;
@@ -117,19 +118,6 @@ fn filled(text: &str, fields: &[&Fields]) -> String {
             (Some(Fact::Text(text)), ..) => out.push_str(text),
             (None, ..) => {}
         }
-    }
-    out
-}
-
-/// `3836` as `3,836`.
-fn grouped(number: u64) -> String {
-    let digits = number.to_string();
-    let mut out = String::new();
-    for (place, digit) in digits.chars().enumerate() {
-        if place > 0 && (digits.len() - place).is_multiple_of(3) {
-            out.push(',');
-        }
-        out.push(digit);
     }
     out
 }

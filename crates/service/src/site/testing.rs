@@ -104,3 +104,10 @@ pub async fn registered(site: &Arc<Site>, name: &str) -> Arc<Owner> {
     site.profiles.register(&owner).await.expect("registers");
     owner
 }
+
+/// A site with a chain and two registered owners, alice and bob.
+pub async fn site_of_two() -> (Arc<Site>, tempfile::TempDir, Arc<Owner>, Arc<Owner>) {
+    let (site, folder) = site_with_chain();
+    let (alice, bob) = (registered(&site, "alice").await, registered(&site, "bob").await);
+    (site, folder, alice, bob)
+}

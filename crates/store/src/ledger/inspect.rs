@@ -271,21 +271,33 @@ fn batch(row: &Row<'_>) -> sql::Result<AuditedBatch> {
 
 // Whether the tables agree: checked after an unclean shutdown, and when a home is examined.
 
+/// Counts the rows that `found` or `held` has and the other has not.
+macro_rules! differing {
+    (found: $found:literal, held: $held:literal) => {
+        concat!(
+            "WITH found AS (", $found, "), held AS (", $held, ")
+            SELECT count(*) FROM (SELECT * FROM (SELECT * FROM found EXCEPT SELECT * FROM held) lacking
+            UNION ALL SELECT * FROM (SELECT * FROM held EXCEPT SELECT * FROM found) excess) differing"
+        )
+    };
+}
+
 /// Queries that must count zero, with the meaning of any other count.
 const RULES: [(&str, &str); 5] = [
     (
-        "WITH found AS (SELECT stream, state, count(*) AS records, sum(bytes) AS bytes FROM records GROUP BY state, stream),
-            held AS (SELECT * FROM counters WHERE records <> 0 OR bytes <> 0)
-            SELECT count(*) FROM (SELECT * FROM (SELECT * FROM found EXCEPT SELECT * FROM held) lacking
-            UNION ALL SELECT * FROM (SELECT * FROM held EXCEPT SELECT * FROM found) excess) differing",
+        differing!(
+            found: "SELECT stream, state, count(*) AS records, sum(bytes) AS bytes FROM records GROUP BY state, stream",
+            held: "SELECT * FROM counters WHERE records <> 0 OR bytes <> 0"
+        ),
         "counts per state do not match the records",
     ),
     (
-        "WITH found AS (SELECT stream, epoch, sum(CASE WHEN state NOT IN (7, 8) AND deleted_at IS NULL THEN 1 ELSE 0 END),
-            min(min(captured_at, acknowledged_at)), max(min(captured_at, acknowledged_at))
-            FROM records GROUP BY stream, epoch)
-            SELECT count(*) FROM (SELECT * FROM (SELECT * FROM found EXCEPT SELECT * FROM epoch_records) lacking
-            UNION ALL SELECT * FROM (SELECT * FROM epoch_records EXCEPT SELECT * FROM found) excess) differing",
+        differing!(
+            found: "SELECT stream, epoch, sum(CASE WHEN state NOT IN (7, 8) AND deleted_at IS NULL THEN 1 ELSE 0 END),
+                min(min(captured_at, acknowledged_at)), max(min(captured_at, acknowledged_at))
+                FROM records GROUP BY stream, epoch",
+            held: "SELECT * FROM epoch_records"
+        ),
         "counts per epoch do not match the records",
     ),
     (

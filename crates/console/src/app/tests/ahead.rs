@@ -1,8 +1,7 @@
 //! Keys typed ahead of the rows that they are for, as over a slow line.
 
 use super::{Robot, fixtures};
-use crate::app::popup::Popup;
-use crate::app::{Action, Effect, Key, Tag};
+use crate::app::{Action, Effect, Key, Popup, Tag};
 use crate::model::ErrorKind;
 use crate::service::reply::RecordPage;
 use crate::service::{Command, Failure, Reply};

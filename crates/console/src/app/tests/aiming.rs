@@ -1,8 +1,7 @@
 //! A live list: the record under the cursor stays in place, the first row follows the newest.
 
 use super::{Robot, fixtures};
-use crate::app::popup::Popup;
-use crate::app::{Key, Tag};
+use crate::app::{Key, Popup, Tag};
 use crate::service::reply::RecordPage;
 use crate::service::{Command, Part, Reply, UploadQuery};
 
@@ -96,9 +95,9 @@ fn a_search_begins_anew_where_the_last_console_left_a_filter() {
     let mut robot = at_records();
     robot.types("/state:verified");
     robot.presses(Key::Enter);
-    let kept = crate::app::kept(&robot.state);
+    let kept = crate::app::kept::kept(&robot.state);
     let mut robot = Robot::at_work(true);
-    crate::app::recall(&mut robot.state, &kept);
+    crate::app::kept::recall(&mut robot.state, &kept);
     robot.types("/topic:/robot1/odom");
     assert_eq!(robot.state.records.table.filter.text(), "topic:/robot1/odom");
     robot.presses(Key::Enter);

@@ -1,8 +1,8 @@
 //! Columns of a list: chosen in a window or by name, kept for the next start, never too many for the terminal.
 
 use super::*;
-use crate::app::choosing::{ALWAYS, offered, wanted};
-use crate::app::{kept, recall};
+use crate::app::kept::{kept, recall};
+use crate::popups::columns::state::{ALWAYS, offered, wanted};
 
 fn at(screen: &str, columns: u16) -> Robot {
     let mut robot = Robot::at_work(true);
@@ -14,7 +14,7 @@ fn at(screen: &str, columns: u16) -> Robot {
 
 fn shown(robot: &Robot) -> Vec<&'static str> {
     let table = robot.state.table().expect("a list");
-    wanted(robot.state.screen, table, crate::app::opening::list_width(&robot.state))
+    wanted(robot.state.screen, table, crate::screens::pane::follow::list_width(&robot.state))
 }
 
 #[test]

@@ -1,8 +1,7 @@
 //! The address book: added, confirmed and removed without leaving the console.
 
 use super::{Robot, fixtures};
-use crate::app::popup::{Popup, Purpose};
-use crate::app::{Key, Tag};
+use crate::app::{Key, Popup, Purpose, Tag};
 use crate::model::ErrorKind;
 use crate::service::{Command, Reply};
 

@@ -1,10 +1,9 @@
 //! A new profile: the first steps, and the passphrase asked twice.
 
 use super::{Robot, fixtures};
-use crate::app::popup::{Popup, Purpose};
-use crate::app::update::Feed;
-use crate::app::{Effect, Key, Settings, State, Tag, first_steps};
+use crate::app::{Effect, Feed, Key, Popup, Purpose, Settings, State, Tag};
 use crate::model::ErrorKind;
+use crate::screens::overview::first_steps;
 use crate::service::{Command, Reply};
 
 fn passphrase_twice(robot: &mut Robot, once: &str, again: &str) {

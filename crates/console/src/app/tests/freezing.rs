@@ -1,8 +1,7 @@
 //! `f`: the view is frozen while capture goes on.
 
 use super::{Robot, fixtures};
-use crate::app::Tag;
-use crate::app::update::Feed;
+use crate::app::{Feed, Tag};
 use crate::service::{Command, Part, Reply};
 
 #[test]

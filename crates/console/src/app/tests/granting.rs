@@ -1,8 +1,7 @@
 //! Granting and revoking: forms, questions with default no, honest words.
 
 use super::{Robot, fixtures};
-use crate::app::popup::{Confirm, Popup, Purpose};
-use crate::app::{Key, Tag};
+use crate::app::{Confirm, Key, Popup, Purpose, Tag};
 use crate::model::{Timestamp, TopicPattern};
 use crate::service::reply::GrantForesight;
 use crate::service::{Command, GrantFrom, Reply};
@@ -164,7 +163,7 @@ fn who_can_read_is_answered_without_any_grant() {
         "{}",
         robot.message()
     );
-    let text = crate::app::popup::readers(&robot.state, "New records of all topics:", None).join("\n");
+    let text = crate::screens::grants::keys::readers(&robot.state, "New records of all topics:", None).join("\n");
     assert!(text.contains("nobody but you"), "{text}");
 }
 
@@ -241,7 +240,7 @@ fn all_topics_and_topics_that_nobody_knows_are_cautioned_about() {
         let mut robot = at_grants();
         robot.types("g");
         fills_in(&mut robot, [READER, topics, ""]);
-        let caution = crate::app::granting::caution(&robot.state, &question(&robot).errand.command);
+        let caution = crate::popups::form::grant::caution(&robot.state, &question(&robot).errand.command);
         assert_eq!(caution.is_some(), wanted.is_some(), "{topics}: {caution:?}");
         assert!(wanted.is_none_or(|wanted| caution.is_some_and(|caution| caution.contains(wanted))));
     }

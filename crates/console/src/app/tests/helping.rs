@@ -1,8 +1,8 @@
 //! `?` helps everywhere, and never leaves by accident.
 
 use super::Robot;
-use crate::app::Key;
-use crate::app::popup::{Help, Popup};
+use crate::app::{Key, Popup};
+use crate::popups::state::Help;
 
 fn help(robot: &Robot) -> &Help {
     match robot.state.popups.last() {

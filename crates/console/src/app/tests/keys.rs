@@ -1,8 +1,7 @@
 //! Keys: loading from a file needs a confirmation, exporting writes a file.
 
 use super::{Robot, fixtures};
-use crate::app::popup::Popup;
-use crate::app::{Effect, Key, Tag};
+use crate::app::{Effect, Key, Popup, Tag};
 use crate::model::ErrorKind;
 use crate::service::{Command, KeyKind, Reply, SecretBytes};
 

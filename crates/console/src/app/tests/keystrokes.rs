@@ -88,7 +88,7 @@ fn a_picture_of_a_given_topic_takes_four_keys_and_an_unlock_at_the_start_one() {
     counter.letters("4/").types("camera");
     assert_eq!(counter.presses(&[Key::Enter, Key::Enter]).reaches(&Tag::Open(newest())), 4);
     let mut robot = Robot::opens(Settings { asks_passphrase: true, ..Settings::default() });
-    let tag = Tag::Feed(crate::app::update::Feed::Identity, 0);
+    let tag = Tag::Feed(crate::app::Feed::Identity, 0);
     robot.is_answered(&tag, Ok(Reply::Identity(fixtures::identity(true, false, true))));
     let mut counter = Counter::with(robot, true);
     assert_eq!(counter.types("correct horse").presses(&[Key::Enter]).reaches(&Tag::Unlock), 1);

@@ -1,12 +1,10 @@
 //! Leaving: at once if nothing stops and nothing is pending; otherwise what stops and what goes on is said first.
 
 use super::{Robot, fixtures};
-use crate::app::leaving::Leaving;
-use crate::app::popup::Popup;
 use crate::app::tour::Cast;
-use crate::app::update::Feed;
-use crate::app::{Action, Effect, Key, Tag};
+use crate::app::{Action, Effect, Feed, Key, Popup, Tag};
 use crate::model::ProfileName;
+use crate::popups::state::Leaving;
 use crate::service::reply::{HeldUp, LifeLine, QueueView, SiteView, TopicRow};
 use crate::service::{Command, Part, Reply};
 

@@ -1,10 +1,9 @@
 //! The log: complete lines, by source, and that an operator's own mistake is not an alert.
 
 use super::{Robot, fixtures};
-use crate::app::popup::Popup;
-use crate::app::screens::Source;
-use crate::app::{Action, Effect, Key, Tag};
+use crate::app::{Action, Effect, Key, Popup, Tag};
 use crate::model::ErrorKind;
+use crate::screens::log::state::Source;
 use crate::service::{Event, NoticeLevel, Reply};
 
 fn alerts(robot: &Robot) -> Vec<String> {

@@ -30,9 +30,8 @@ mod wide;
 
 use zeroize::Zeroizing;
 
-use super::popup::{Lookup, Popup};
-use super::update::Feed;
-use super::{Action, Effect, Key, Screen, Settings, State, Tag, update};
+use super::update::{start, update};
+use super::{Action, Effect, Feed, Key, Lookup, Popup, Screen, Settings, State, Tag};
 use crate::model::Timestamp;
 use crate::service::reply::{LifeLine, SiteView};
 use crate::service::{Command, Event, Failure, Part, Reply};
@@ -51,7 +50,7 @@ impl Robot {
     pub fn opens(settings: Settings) -> Self {
         let mut state = State::new(settings);
         state.now = fixtures::NOW;
-        let effects = super::update::start(&mut state);
+        let effects = start(&mut state);
         let mut robot = Self { state, sent: Vec::new(), effects: Vec::new() };
         robot.note(effects);
         robot

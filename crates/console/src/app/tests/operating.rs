@@ -1,8 +1,8 @@
 //! Locking, undoing, deciding about the quarantine, browsing, acting on marked rows, resuming where one left.
 
 use super::*;
-use crate::app::popup::Typed;
-use crate::app::{kept, recall};
+use crate::app::Typed;
+use crate::app::kept::{kept, recall};
 use crate::model::Timestamp;
 use crate::service::UploadQuery;
 use crate::service::reply::TopicRow;
@@ -19,7 +19,7 @@ fn guarded() -> Robot {
 /// Answers pulls with the fixtures, except that the identity is locked.
 fn answers_locked(robot: &mut Robot) {
     robot.is_answered(&Tag::Lock, Ok(Reply::Identity(fixtures::identity(true, false, true))));
-    let tag = robot.sent.iter().find(|(_, tag)| matches!(tag, Tag::Feed(crate::app::update::Feed::Identity, _)));
+    let tag = robot.sent.iter().find(|(_, tag)| matches!(tag, Tag::Feed(crate::app::Feed::Identity, _)));
     let tag = tag.map(|(_, tag)| tag.clone()).expect("the identity is asked for anew");
     robot.is_answered(&tag, Ok(Reply::Identity(fixtures::identity(true, false, true))));
 }
@@ -42,7 +42,7 @@ fn a_quarter_of_an_hour_without_a_key_locks_and_takes_what_was_opened_off_the_sc
     assert!(record_shown(&robot.state).is_none(), "nothing decrypted stays on the screen");
     answers_locked(&mut robot);
     assert!(robot.message().contains("capture"), "{}", robot.message());
-    assert_eq!(crate::app::update::due(&robot.state), None, "a locked keyring is not locked again");
+    assert_eq!(crate::app::lock::due(&robot.state), None, "a locked keyring is not locked again");
     robot.presses(Key::Escape);
     robot.types("u");
     assert!(matches!(robot.state.popups.last(), Some(Popup::Form(..))), "it asks for the passphrase");
@@ -104,7 +104,7 @@ fn a_watch_is_undone_truly_and_a_grant_only_by_another_transaction() {
     assert_ne!(back[0], tag);
 
     let mut robot = Robot::at_work(true);
-    robot.state.undo = Some(crate::app::perform::Undo::Granted(fixtures::OTHER.to_string()));
+    robot.state.undo = Some(crate::app::verb::Undo::Granted(fixtures::OTHER.to_string()));
     robot.types("U");
     let Some(Popup::Confirm(question)) = robot.state.popups.last() else { panic!("it asks") };
     assert!(question.lines.iter().any(|line| line.contains("cannot be taken back")));

@@ -2,9 +2,8 @@
 
 use super::Robot;
 use crate::app::available::available;
-use crate::app::popup::{Palette, Popup};
-use crate::app::verb::VERBS;
-use crate::app::{Key, Screen, Verb};
+use crate::app::{Key, Popup, Screen, VERBS, Verb};
+use crate::popups::state::Palette;
 
 fn names(robot: &Robot) -> Vec<&'static str> {
     match robot.state.popups.last() {

@@ -1,7 +1,8 @@
 //! Paths in forms are completed as in a shell, and records are exported where they were asked for.
 
 use super::*;
-use crate::app::palette::{Candidate, Found, PathKind, Sought};
+use crate::app::PathKind;
+use crate::app::completion::{Candidate, Found, Sought};
 
 fn at_file() -> Robot {
     let mut robot = Robot::at_work(true);
@@ -37,7 +38,7 @@ fn completes(robot: &mut Robot, names: &[&str]) -> String {
     form(robot).text(1).to_owned()
 }
 
-fn form(robot: &Robot) -> &crate::app::form::Form {
+fn form(robot: &Robot) -> &crate::app::Form {
     match robot.state.popups.last() {
         Some(Popup::Form(_, form)) => form,
         other => panic!("no form, but {other:?}"),

@@ -2,13 +2,10 @@
 //! parser.
 
 use super::{Robot, fixtures};
-use crate::app::administration::Act;
-use crate::app::form::{Form, Input};
-use crate::app::perform::perform;
-use crate::app::popup::{Popup, Purpose};
-use crate::app::verb::Verb;
-use crate::app::{Action, Effect, Key, Tag};
+use crate::app::acts::perform;
+use crate::app::{Action, Effect, Form, Input, Key, Popup, Purpose, Tag, Verb};
 use crate::model::{Scope, Timestamp};
+use crate::screens::chain::state::Act;
 use crate::service::Command;
 use authros_chain::Call;
 

@@ -2,10 +2,9 @@
 //! that is told on the Overview.
 
 use super::{Robot, fixtures};
-use crate::app::popup::{Lookup, Popup, Purpose};
-use crate::app::update::Feed;
-use crate::app::{Effect, Key, Tag, policies};
+use crate::app::{Effect, Feed, Key, Lookup, Popup, Purpose, Tag};
 use crate::model::ErrorKind;
+use crate::screens::robots::state;
 use crate::service::command::RobotCommand;
 use crate::service::reply::{RobotRow, RobotView};
 use crate::service::{Command, Part, Reply};
@@ -62,14 +61,14 @@ fn sent(robot: &Robot) -> (&str, &str) {
 
 #[test]
 fn each_robot_says_how_it_stands_in_the_words_of_the_command_line() {
-    let words: Vec<String> = robots::robots().iter().map(policies::words).collect();
+    let words: Vec<String> = robots::robots().iter().map(state::words).collect();
     let expected =
         ["policy 1 in force", "policy 3 waiting, runs 2", "policy 3 refused, runs 2", "runs 5, not known here", "-"];
     assert_eq!(words, expected);
     let never = robots::drifting("a", 9, "waiting", None);
-    assert_eq!(policies::words(&never), "policy 3 waiting");
+    assert_eq!(state::words(&never), "policy 3 waiting");
     let own = robots::drifting("a", 9, "refused", Some(0));
-    assert_eq!(policies::words(&own), "policy 3 refused");
+    assert_eq!(state::words(&own), "policy 3 refused");
 }
 
 #[test]
@@ -150,7 +149,7 @@ fn a_policy_is_set_from_a_file_after_a_question_with_what_it_says() {
     let tag = Tag::SetPolicy("scout".to_owned(), Some("/home/operator/scout.toml".into()));
     robot.is_answered(&tag, Ok(Reply::Robot(robots::view(set))));
     assert_eq!(robot.message(), "the policy of scout is set as version 4");
-    let shown = robot.state.gateway.robots.iter().find(|row| row.name.as_str() == "scout").map(policies::words);
+    let shown = robot.state.gateway.robots.iter().find(|row| row.name.as_str() == "scout").map(state::words);
     assert_eq!(shown.as_deref(), Some("policy 4 waiting, runs 2"), "the list says so at once");
     robot.types("U");
     assert!(robot.message().contains("only rises"), "{}", robot.message());

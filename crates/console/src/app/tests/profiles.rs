@@ -1,8 +1,7 @@
 //! Switching to another profile: nothing of the previous one is shown as the current one's.
 
 use super::{Robot, fixtures};
-use crate::app::update::Feed;
-use crate::app::{Action, Effect, Key, Tag};
+use crate::app::{Action, Effect, Feed, Key, Tag};
 use crate::model::ErrorKind;
 use crate::service::Reply;
 

@@ -1,8 +1,7 @@
 //! Data by pull: only what is on screen, one request at a time, never an older answer.
 
 use super::{Robot, fixtures};
-use crate::app::Tag;
-use crate::app::update::Feed;
+use crate::app::{Feed, Tag};
 use crate::model::ErrorKind;
 use crate::service::{Command, Part, Reply};
 

@@ -1,8 +1,7 @@
 //! Records and shared records: pages, filters, provenance, opening, checking, writing.
 
 use super::{Robot, fixtures, record_shown};
-use crate::app::popup::Popup;
-use crate::app::{Effect, Key, Tag};
+use crate::app::{Effect, Key, Popup, Tag};
 use crate::model::{Address, ErrorKind, RecordState, Timestamp, Verdict};
 use crate::ros::readable::{Raster, Readable};
 use crate::service::reply::{CheckView, ContractAnswer};

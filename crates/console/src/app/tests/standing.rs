@@ -2,13 +2,10 @@
 
 use super::{Robot, fixtures};
 use crate::app::available::available;
-use crate::app::identity_path::{self, Need};
-use crate::app::leaving::Capture;
-use crate::app::popup::{Popup, Purpose};
-use crate::app::update::Feed;
-use crate::app::verb::Verb;
-use crate::app::{Action, Key, Settings, Tag};
+use crate::app::identity_path;
+use crate::app::{Action, Feed, Key, Need, Popup, Purpose, Settings, Tag, Verb};
 use crate::model::{Address, Timestamp};
+use crate::screens::topics::capture::Capture;
 use crate::service::reply::{AlertView, EndedAlert, GrantRow, HealthLevel, HeldUp, LifeLine, SiteView, TopicRow};
 use crate::service::{Command, Event, NoticeLevel, Part, Reply};
 

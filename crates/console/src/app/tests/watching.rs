@@ -1,8 +1,7 @@
 //! Watching topics: marks, the way through the identity, and back.
 
 use super::{Robot, fixtures};
-use crate::app::popup::{Popup, Purpose};
-use crate::app::{Key, Tag};
+use crate::app::{Key, Popup, Purpose, Tag};
 use crate::model::{ErrorKind, Sampling};
 use crate::service::{Command, Part, Reply};
 

@@ -5,11 +5,10 @@ use std::num::NonZeroU16;
 
 use super::encode::Depth;
 use super::renderer::{Painter, Scene, Wish};
-use crate::app::palette::{Candidate, Found};
+use crate::app::completion::{Candidate, Found};
 use crate::app::tests::{Robot, fixtures};
 use crate::app::tour::Cast;
-use crate::app::update::Feed;
-use crate::app::{Action, Effect, Key, Screen, Settings, State, Tag, Verb};
+use crate::app::{Action, Effect, Feed, Key, Screen, Settings, State, Tag, Verb};
 use crate::model::{Digest, ErrorKind, ProfileName, Timestamp};
 use crate::ros::readable::{Plot, Raster, Readable};
 use crate::service::reply::{

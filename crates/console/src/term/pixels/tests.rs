@@ -4,7 +4,8 @@ use std::num::NonZeroU16;
 
 use super::*;
 use crate::app::tests::{Robot, fixtures};
-use crate::app::{Action, Key, Screen, Tag, Verb, update};
+use crate::app::update::update;
+use crate::app::{Action, Key, Popup, Screen, Tag, Verb};
 use crate::ros::readable::Readable;
 use crate::service::Reply;
 use crate::term::encode::Depth;
@@ -92,7 +93,7 @@ fn a_kitty_picture_is_put_once_and_taken_away() {
 fn another_picture_takes_the_place_of_the_one_before() {
     let (mut scene, mut painter) = (scene(), painter(Pictures::Kitty));
     painter.paint(&mut scene);
-    let Some(crate::app::popup::Popup::Record(opening)) = scene.state.popups.last_mut() else { panic!("no record") };
+    let Some(Popup::Record(opening)) = scene.state.popups.last_mut() else { panic!("no record") };
     let view = opening.lookup.answer.as_mut().expect("answered").as_mut().expect("opened");
     view.readable.as_mut().expect("readable").picture = Some(noise((240, 160), 9));
     assert_eq!(commands(&painter.paint(&mut scene)), ["away", "put"]);

@@ -1,8 +1,7 @@
 //! What the graphs of the Overview show at 80x24 of rates that an operator has to see, and what they cost a terminal.
 
 use super::*;
-use crate::app::Verb;
-use crate::app::update::Feed;
+use crate::app::{Feed, Verb};
 
 /// The captured line, two rows of 60 cells, after that many seconds; `captured` counts up to each second.
 fn line(seconds: u64, theme: &Theme, captured: impl Fn(u64) -> u64) -> [Vec<char>; 2] {

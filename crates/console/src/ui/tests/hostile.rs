@@ -4,13 +4,13 @@ use proptest::prelude::*;
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 
-use crate::app::popup::{Lookup, Popup};
 use crate::app::tests::{Robot, fixtures};
-use crate::app::{Action, Key, Tag};
+use crate::app::{Action, Key, Lookup, Popup, Tag};
 use crate::model::{ErrorKind, Verdict};
 use crate::service::reply::{AlertView, GrantRow, PartHealth, RecordView, RobotRow, SiteView, TopicRow};
 use crate::service::{Event, NoticeLevel, Part, Reply};
-use crate::ui::{Theme, draw};
+use crate::ui::Theme;
+use crate::ui::draw::draw;
 
 fn assert_harmless(robot: &Robot) {
     let theme = Theme::named("night").expect("embedded");
@@ -69,7 +69,7 @@ fn infect(robot: &mut Robot, text: &str) {
         about: None,
     }));
     robot.hears_of(Part::Health);
-    robot.is_answered(&Tag::Feed(crate::app::update::Feed::Site, 0), Err(failure));
+    robot.is_answered(&Tag::Feed(crate::app::Feed::Site, 0), Err(failure));
 }
 
 fn open_everything(robot: &mut Robot, text: &str) {

@@ -74,8 +74,8 @@ fn fact(name: impl Into<String>, value: impl Into<String>) -> Vec<String> {
     vec![name.into(), value.into()]
 }
 
-fn short(digest: Digest) -> String {
-    digest.to_hex().chars().take(SHORT).collect()
+fn short(hex: &str) -> String {
+    hex.chars().take(SHORT).collect()
 }
 
 pub(super) fn page(bundle: &Bundle, report: &Report, about: Option<&IncidentView>) -> String {
@@ -180,7 +180,7 @@ fn one_topic(out: &mut String, (bundle, report): (&Bundle, &Report), topic: &str
     let drawn = Drawn::of((bundle, report), records);
     drawn.put(out);
     if let Some(first) = records.first() {
-        let (digest, number) = (short(first.digest), first.seq.unwrap_or_default());
+        let (digest, number) = (short(&first.digest.to_hex()), first.seq.unwrap_or_default());
         put(out, format_args!("<h4>The first of them in full: no. {number}, <code>{digest}</code></h4>\n"));
         let tags = first.disclosed.iter().flat_map(|disclosed| &disclosed.tags);
         let tags: Vec<_> = tags.map(|(name, value)| fact(format!("Tag {name}"), &**value)).collect();
@@ -300,7 +300,7 @@ fn level_row(record: &RecordReport) -> Vec<String> {
         || record.topic_id.map(|topic| format!("sealed {}", topic.to_hex().chars().take(8).collect::<String>()));
     let topic = record.disclosed.as_ref().map(|disclosed| clean(&disclosed.topic, 40));
     let mut cells = vec![
-        short(record.digest),
+        short(&record.digest.to_hex()),
         text(topic.or_else(sealed)),
         text(record.seq.map(|seq| seq.to_string())),
         text(record.captured_at.map(Timestamp::in_milliseconds)),
@@ -313,10 +313,9 @@ fn level_row(record: &RecordReport) -> Vec<String> {
 fn completeness(out: &mut String, report: &Report) {
     out.push_str("<h2>(f) Completeness of numbers</h2>\n");
     let stretches = report.complete.iter().take(MOST_ROWS);
-    let brief = |text: String| text.chars().take(SHORT).collect::<String>();
     let rows: Vec<Vec<String>> = stretches
         .map(|one| {
-            let (topic, recorder) = (brief(one.topic_id.to_hex()), brief(one.recorder.to_string()));
+            let (topic, recorder) = (short(&one.topic_id.to_hex()), short(&one.recorder.to_string()));
             vec![topic, recorder, one.standing.word().to_owned(), one.text.clone()]
         })
         .collect();

@@ -7,13 +7,12 @@ use crate::model::{Digest, ErrorKind, RecordKind, RecordState, Signature, Signer
 use crate::pipeline::directory::GrantState;
 use crate::pipeline::recovery;
 use crate::reply::Opens;
-use crate::site::testing::{made, profile, registered, site_with_chain};
+use crate::site::testing::{made, profile, registered, site_of_two, site_with_chain};
 use crate::store::NewRecord;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_grant_is_given_once_to_a_known_key_and_its_end_begins_an_epoch() {
-    let (site, _folder) = site_with_chain();
-    let (alice, bob) = (registered(&site, "alice").await, registered(&site, "bob").await);
+    let (site, _folder, alice, bob) = site_of_two().await;
     let sharing = &site.sharing;
     let to_bob = Party::Address(bob.address);
     let itself = sharing.grant(&alice, &Party::Address(alice.address), &[], GrantFrom::Current, None).await;
@@ -43,8 +42,7 @@ async fn a_grant_is_given_once_to_a_known_key_and_its_end_begins_an_epoch() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn an_epoch_whose_keys_did_not_reach_a_reader_before_the_next_began_is_given_afterwards() {
-    let (site, _folder) = site_with_chain();
-    let (alice, bob) = (registered(&site, "alice").await, registered(&site, "bob").await);
+    let (site, _folder, alice, bob) = site_of_two().await;
     let sharing = &site.sharing;
     // No grant covers this one.
     sharing.rotate(&alice, "before the grant").await.expect("rotates");
@@ -232,8 +230,7 @@ fn opened(sharing: &Sharing, network: &Network, owner: &Owner, reader: &Owner) -
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn from_now_on_begins_an_epoch_that_the_reader_has_alone_with_those_who_read_before() {
-    let (site, _folder) = site_with_chain();
-    let (alice, bob) = (registered(&site, "alice").await, registered(&site, "bob").await);
+    let (site, _folder, alice, bob) = site_of_two().await;
     let carol = registered(&site, "carol").await;
     let (sharing, network) = (&site.sharing, site.network().await.expect("a network"));
     let (to_bob, to_carol) = (Party::Address(bob.address), Party::Address(carol.address));
@@ -257,8 +254,7 @@ async fn from_now_on_begins_an_epoch_that_the_reader_has_alone_with_those_who_re
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn grants_from_now_on_share_an_epoch_that_nothing_was_sealed_in() {
-    let (site, _folder) = site_with_chain();
-    let (alice, bob) = (registered(&site, "alice").await, registered(&site, "bob").await);
+    let (site, _folder, alice, bob) = site_of_two().await;
     let carol = registered(&site, "carol").await;
     let (sharing, counts) = (&site.sharing, &site.sharing.parts.plant.ledger.counts);
     sealed(sharing, &alice, 1, 1, Timestamp::now());
@@ -276,8 +272,7 @@ async fn grants_from_now_on_share_an_epoch_that_nothing_was_sealed_in() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_grant_from_a_moment_opens_whole_epochs_and_says_what_they_hold() {
-    let (site, _folder) = site_with_chain();
-    let (alice, bob) = (registered(&site, "alice").await, registered(&site, "bob").await);
+    let (site, _folder, alice, bob) = site_of_two().await;
     let (sharing, network) = (&site.sharing, site.network().await.expect("a network"));
     let at = |minutes: u64| Timestamp(Timestamp::now().0 - minutes * 60_000_000_000);
     sealed(sharing, &alice, 1, 1, at(50));
@@ -315,8 +310,7 @@ async fn a_grant_from_a_moment_opens_whole_epochs_and_says_what_they_hold() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn an_epoch_that_began_for_a_grant_which_never_came_gives_nobody_anything() {
-    let (site, _folder) = site_with_chain();
-    let (alice, bob) = (registered(&site, "alice").await, registered(&site, "bob").await);
+    let (site, _folder, alice, bob) = site_of_two().await;
     let (sharing, network) = (&site.sharing, site.network().await.expect("a network"));
     sealed(sharing, &alice, 1, 1, Timestamp::now());
     // As if the site had ended between the two transactions.
@@ -334,8 +328,7 @@ async fn an_epoch_that_began_for_a_grant_which_never_came_gives_nobody_anything(
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn neither_a_clock_ahead_nor_another_topic_widens_a_grant_from_a_moment() {
-    let (site, _folder) = site_with_chain();
-    let (alice, bob) = (registered(&site, "alice").await, registered(&site, "bob").await);
+    let (site, _folder, alice, bob) = site_of_two().await;
     let sharing = &site.sharing;
     let tomorrow = Timestamp(Timestamp::now().0 + 86_400_000_000_000);
     sealed(sharing, &alice, 1, 1, tomorrow);
@@ -357,8 +350,7 @@ async fn neither_a_clock_ahead_nor_another_topic_widens_a_grant_from_a_moment() 
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_grant_from_a_moment_reaches_into_an_epoch_that_is_not_on_the_chain_yet() {
-    let (site, _folder) = site_with_chain();
-    let (alice, bob) = (registered(&site, "alice").await, registered(&site, "bob").await);
+    let (site, _folder, alice, bob) = site_of_two().await;
     let (sharing, network) = (&site.sharing, site.network().await.expect("a network"));
     sealed(sharing, &alice, 1, 1, Timestamp(Timestamp::now().0 - 3_600_000_000_000));
     let moment = Timestamp::now();
@@ -383,8 +375,7 @@ async fn a_grant_from_a_moment_reaches_into_an_epoch_that_is_not_on_the_chain_ye
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_list_names_the_first_epoch_whose_key_was_given() {
-    let (site, _folder) = site_with_chain();
-    let (alice, bob) = (registered(&site, "alice").await, registered(&site, "bob").await);
+    let (site, _folder, alice, bob) = site_of_two().await;
     let (sharing, network) = (&site.sharing, site.network().await.expect("a network"));
     // An epoch of which no envelope opens, as if another program had begun it.
     let call = crate::chain::Call::Rotate { new_token: crate::model::Token([7; 32]), envelope: vec![7; 360] };
