@@ -275,7 +275,11 @@ fn batch(row: &Row<'_>) -> sql::Result<AuditedBatch> {
 macro_rules! differing {
     (found: $found:literal, held: $held:literal) => {
         concat!(
-            "WITH found AS (", $found, "), held AS (", $held, ")
+            "WITH found AS (",
+            $found,
+            "), held AS (",
+            $held,
+            ")
             SELECT count(*) FROM (SELECT * FROM (SELECT * FROM found EXCEPT SELECT * FROM held) lacking
             UNION ALL SELECT * FROM (SELECT * FROM held EXCEPT SELECT * FROM found) excess) differing"
         )
