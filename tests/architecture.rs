@@ -40,7 +40,9 @@ const DISPATCH: [&str; 19] = [
 /// The most public functions of one store of the ledger.
 const MOST_OF_A_STORE: usize = 30;
 /// What is done with a ledger as a whole; all else is a store's.
-const OF_THE_LEDGER: [&str; 5] = ["check_version", "open", "open_in_place", "path", "close"];
+const OF_THE_LEDGER: [&str; 6] = ["check_version", "open", "open_in_place", "on_server", "path", "close"];
+/// The only files of the store that may name an engine of its database: those of the engines, and what works on files.
+const ENGINES: [&str; 5] = ["sql", "database.rs", "snapshot.rs", "error.rs", "sql.rs"];
 /// Names that say nothing.
 const EMPTY_NAMES: [&str; 7] = ["util", "utils", "helper", "helpers", "manager", "misc", "common"];
 
@@ -452,6 +454,25 @@ fn rights_are_decided_in_one_place() {
         }
     }
     assert_none("who may sign and read is asked of pipeline::authority", &found);
+}
+
+/// What a store asks runs on a file and on a server alike.
+#[test]
+fn stores_name_no_engine_of_their_database() {
+    let names_one = |code: &str| ["rusqlite", "tokio_postgres"].into_iter().find(|engine| code.contains(engine));
+    let mut wrong = Vec::new();
+    for path in rust_files("crates/store/src") {
+        let within = path.strip_prefix("crates/store/src").expect("below");
+        let is_engine = within.iter().next().is_some_and(|first| ENGINES.iter().any(|engine| first == *engine));
+        let is_test = path.iter().any(|part| part == "tests" || part == "tests.rs");
+        let code = code_only(&read(&path));
+        let code = code.split("#[cfg(test)]").next().unwrap_or_default();
+        if let Some(engine) = names_one(code).filter(|_| !is_engine && !is_test) {
+            wrong.push(format!("{} names {engine}", path.display()));
+        }
+    }
+    assert_none("engines are behind crate::sql", &wrong);
+    assert!(names_one(&read(Path::new("crates/store/src/sql/sqlite.rs"))).is_some());
 }
 
 /// Whether a line begins a catch-all arm.

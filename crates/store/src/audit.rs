@@ -1,14 +1,14 @@
 //! The audit log: append-only, each line durable and chained to the one before. Only a head anchored on the chain
 //! shows that lines are missing at its end.
 
-use rusqlite::{Connection, Row, params};
 use serde::{Deserialize, Serialize};
 use sm3::{Digest as _, Sm3};
 
 use super::StoreError;
-use crate::database::{Statements as _, capped, whole};
+use crate::database::{capped, whole};
 use crate::ledger::{AuditLog, time, unsigned};
 use crate::model::{Digest, Timestamp};
+use crate::sql::{self, Connection, Row, params};
 
 const LABEL: &[u8] = b"AuthROS/audit/1";
 const COLUMNS: &str = "line, at, profile, action, subject, outcome, hash";
@@ -63,7 +63,8 @@ impl AuditLog {
             let hash = chain(head, &entry).0;
             let sql = "INSERT INTO audit VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)";
             let (line, at) = (whole("line", count + 1)?, whole("time", entry.at.0)?);
-            session.connection.run(sql, (line, at, entry.profile, entry.action, entry.subject, entry.outcome, hash))
+            let AuditEntry { profile, action, subject, outcome, .. } = &entry;
+            session.connection.run(sql, (line, at, profile, action, subject, outcome, hash))
         })
     }
 
@@ -118,9 +119,9 @@ impl AuditLog {
         let since = query.since.map_or(Ok(0), |since| whole("time", since.0))?;
         self.0.read(|connection| {
             let sql = format!(
-                "SELECT {COLUMNS} FROM audit WHERE line < ?1 AND at >= ?2 AND (?3 IS NULL OR action = ?3) \
-                 AND (?4 IS NULL OR profile = ?4 OR substr(profile, 1, length(?4) + 1) = ?4 || '/') \
-                 AND (?6 IS NULL OR (instr(profile, '/') > 0 AND substr(profile, instr(profile, '/') + 1) = ?6)) \
+                "SELECT {COLUMNS} FROM audit WHERE line < ?1 AND at >= ?2 AND (action = ?3 OR ?3 IS NULL) \
+                 AND (profile = ?4 OR substr(profile, 1, length(?4) + 1) = ?4 || '/' OR ?4 IS NULL) \
+                 AND ((instr(profile, '/') > 0 AND substr(profile, instr(profile, '/') + 1) = ?6) OR ?6 IS NULL) \
                  ORDER BY line DESC LIMIT ?5"
             );
             let values = params![before, since, query.action, query.profile, capped(query.limit), query.operator];
@@ -137,7 +138,7 @@ fn head(connection: &Connection) -> Result<(u64, Digest), StoreError> {
     Ok(found.unwrap_or((0, Digest([0; Digest::LENGTH]))))
 }
 
-fn line_of(row: &Row<'_>) -> rusqlite::Result<AuditLine> {
+fn line_of(row: &Row<'_>) -> sql::Result<AuditLine> {
     let (profile, action, subject, outcome) = (row.get(2)?, row.get(3)?, row.get(4)?, row.get(5)?);
     let entry = AuditEntry { at: time(row, 1)?, profile, action, subject, outcome };
     Ok(AuditLine { line: unsigned(row, 0)?, entry, hash: Digest(row.get(6)?) })
@@ -158,34 +159,35 @@ fn chain(previous: Digest, entry: &AuditEntry) -> Digest {
 }
 
 fn walk(connection: &Connection) -> Result<u64, AuditFault> {
-    let unreadable = |line: u64| move |error: rusqlite::Error| AuditFault { line, what: error.to_string() };
     let sql = format!("SELECT {COLUMNS} FROM audit ORDER BY line");
-    let mut statement = connection.prepare(&sql).map_err(unreadable(0))?;
-    let mut rows = statement.query([]).map_err(unreadable(0))?;
-    let mut count = 0;
-    let mut previous = Digest([0; Digest::LENGTH]);
-    while let Some(row) = rows.next().map_err(unreadable(count + 1))? {
-        let found = line_of(row).map_err(unreadable(count + 1))?;
-        count += 1;
-        if found.line != count {
-            return Err(AuditFault { line: count, what: "is missing".to_owned() });
-        }
-        if chain(previous, &found.entry) != found.hash {
-            return Err(AuditFault { line: count, what: "is not what was originally written".to_owned() });
-        }
-        previous = found.hash;
+    let (mut count, mut previous) = (0, Digest([0; Digest::LENGTH]));
+    let mut fault = None;
+    let walked = connection.prepared(&sql).and_then(|mut lines| {
+        lines.each_while([], |row| {
+            let found = line_of(row)?;
+            count += 1;
+            fault = match chain(previous, &found.entry) {
+                _ if found.line != count => Some("is missing"),
+                hash if hash != found.hash => Some("is not what was originally written"),
+                _ => None,
+            };
+            previous = found.hash;
+            Ok::<_, sql::Error>(fault.is_none())
+        })
+    });
+    match (walked, fault) {
+        (Err(error), _) => Err(AuditFault { line: count + 1, what: error.to_string() }),
+        (Ok(()), Some(what)) => Err(AuditFault { line: count, what: what.to_owned() }),
+        (Ok(()), None) => Ok(count),
     }
-    Ok(count)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Ledger;
 
     fn log_of(lines: u64) -> (tempfile::TempDir, AuditLog) {
-        let home = tempfile::tempdir().expect("temporary directory");
-        let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
+        let (home, ledger) = crate::ledger::tests::open();
         let log = ledger.audit.clone();
         for number in 1..=lines {
             log.append(entry(number)).expect("appended");
@@ -206,7 +208,7 @@ mod tests {
     /// Edits the table behind the log's back.
     fn forge(log: &AuditLog, sql: &str) -> Result<u64, AuditFault> {
         let sql = sql.to_owned();
-        log.0.write(move |session| Ok(session.connection.execute_batch(&sql)?)).expect("forged");
+        log.0.write(move |session| Ok(session.connection.script(&sql)?)).expect("forged");
         log.verify()
     }
 
@@ -307,5 +309,10 @@ mod tests {
         let zero = Digest([0; 32]);
         assert_ne!(chain(zero, &one), chain(zero, &two));
         assert_ne!(chain(zero, &one), chain(Digest([1; 32]), &one));
+    }
+
+    crate::ledger::tests::server::on_a_server! {
+        lines_are_numbered_chained_and_paged, lines_of_operators_are_found_by_profile_and_by_operator,
+        a_cut_tail_is_found_against_an_anchored_head_only,
     }
 }

@@ -1,14 +1,12 @@
 //! Ciphertext, committed with its row and addressed by digest. Readers must check it.
 
-use std::path::PathBuf;
 use std::sync::Arc;
 
-use rusqlite::{Connection, ErrorCode, OptionalExtension as _};
-
 use crate::cache::{Cache, CacheSettings, CacheState};
-use crate::database::{self, Statements as _};
+use crate::database;
 use crate::ledger::Database;
 use crate::model::Digest;
+use crate::sql::Connection;
 use crate::{Ledger, StoreError};
 
 const GET: &str = "SELECT bytes FROM ciphertext WHERE record = (SELECT n FROM records WHERE digest = ?1)";
@@ -51,7 +49,7 @@ impl Ciphertext {
     pub fn get_many(&self, digests: &[Digest]) -> Result<Vec<Option<Vec<u8>>>, StoreError> {
         self.database.read(|connection| {
             let mut statement = connection.prepared(GET)?;
-            digests.iter().map(|digest| Ok(statement.query_row([digest.0], |row| row.get(0)).optional()?)).collect()
+            digests.iter().map(|digest| Ok(statement.find([digest.0], |row| row.get(0))?)).collect()
         })
     }
 
@@ -96,12 +94,14 @@ impl Ciphertext {
             return Ok(());
         }
         let all = digests.to_vec();
-        self.database.write_many(all.len(), move |session| {
-            database::overwriting(session.connection, |connection| delete(connection, &all))
+        self.database.write_many(all.len(), move |session| match session.connection.file() {
+            Some(file) => database::overwriting(file, || delete(session.connection, &all)),
+            // What a server keeps of it is its operator's to end: dead rows, its log, standbys, archives.
+            None => delete(session.connection, &all),
         })?;
         self.forget(digests);
         // Also when nothing was left to delete: an earlier attempt may have failed at the log.
-        database::empty_log(self.database.path())
+        self.database.file().map_or(Ok(()), database::empty_log)
     }
 
     fn forget(&self, digests: &[Digest]) {
@@ -145,23 +145,8 @@ fn delete(connection: &Connection, digests: &[Digest]) -> Result<(), StoreError>
     Ok(())
 }
 
-/// Opened as a blob, so that not all pages of a long one are read.
 fn front(connection: &Connection, digest: Digest, length: usize) -> Result<Option<Vec<u8>>, StoreError> {
     let sql = "SELECT record FROM ciphertext WHERE record = (SELECT n FROM records WHERE digest = ?1)";
     let Some(n) = connection.find(sql, [digest.0], |row| row.get(0))? else { return Ok(None) };
-    let blob = connection.blob_open("main", "ciphertext", "bytes", n, true).map_err(|error| torn(n, error))?;
-    let mut bytes = vec![0; length.min(blob.len())];
-    blob.read_at_exact(&mut bytes, 0)?;
-    Ok(Some(bytes))
-}
-
-/// A blob cannot be opened that was found in this same moment: pages of the file were altered.
-fn torn(row: i64, error: rusqlite::Error) -> StoreError {
-    match error.sqlite_error_code() {
-        Some(ErrorCode::Unknown) => {
-            let detail = format!("its index names row {row}, which is not there");
-            StoreError::Corrupt { file: PathBuf::new(), detail }
-        }
-        _ => error.into(),
-    }
+    Ok(Some(connection.front(n, length)?))
 }

@@ -5,15 +5,13 @@ use std::time::Duration;
 
 use rusqlite::config::DbConfig;
 use rusqlite::functions::FunctionFlags;
-use rusqlite::{
-    CachedStatement, Connection, OpenFlags, OptionalExtension as _, Params, Result as SqlResult, Row,
-    TransactionBehavior,
-};
+use rusqlite::{Connection, OpenFlags, TransactionBehavior};
 
 use super::{StoreError, files};
 use crate::model::TopicPattern;
 
 const BUSY: Duration = Duration::from_secs(10);
+const GLANCE: Duration = Duration::from_millis(100);
 const LAST_WAIT: Duration = Duration::from_millis(500);
 const STATEMENTS_KEPT: usize = 64;
 /// The writer's page cache; negative is KiB, as in SQLite.
@@ -89,10 +87,10 @@ pub(super) fn settle(connection: &Connection) {
 /// Overwrites what `work` deletes with zeros.
 pub(super) fn overwriting<T>(
     connection: &Connection,
-    work: impl FnOnce(&Connection) -> Result<T, StoreError>,
+    work: impl FnOnce() -> Result<T, StoreError>,
 ) -> Result<T, StoreError> {
     connection.pragma_update(None, "secure_delete", "ON")?;
-    let done = work(connection);
+    let done = work();
     connection.pragma_update(None, "secure_delete", CELLS)?;
     done
 }
@@ -149,6 +147,34 @@ pub(super) fn open_reader(path: &Path) -> Result<Connection, StoreError> {
     Ok(connection)
 }
 
+/// Of an existing file that may be in use: writes nothing beside it and does not wait.
+pub(super) fn open_glance(path: &Path) -> Result<Connection, StoreError> {
+    let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX | OpenFlags::SQLITE_OPEN_URI;
+    // Without a log nobody has it open, and SQLite would create one to read it.
+    let mut log = path.as_os_str().to_owned();
+    log.push("-wal");
+    let rest = if Path::new(&log).exists() { "" } else { "?immutable=1" };
+    let uri = format!("file:{}{rest}", escaped(path));
+    Connection::open_with_flags(uri, flags)
+        .and_then(|connection| connection.busy_timeout(GLANCE).map(|()| connection))
+        .map_err(|error| StoreError::from(error).in_file(path))
+}
+
+fn escaped(path: &Path) -> String {
+    use std::fmt::Write as _;
+    use std::os::unix::ffi::OsStrExt as _;
+    let mut text = String::new();
+    for byte in path.as_os_str().as_bytes() {
+        if byte.is_ascii_alphanumeric() || b"/-_.".contains(byte) {
+            text.push(char::from(*byte));
+        } else {
+            // Writing to a string cannot fail.
+            let _ = write!(text, "%{byte:02X}");
+        }
+    }
+    text
+}
+
 fn connect(path: &Path) -> Result<Connection, StoreError> {
     let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
     Connection::open_with_flags(path, flags)
@@ -168,8 +194,8 @@ fn connect(path: &Path) -> Result<Connection, StoreError> {
         .map_err(|error| StoreError::from(error).in_file(path))
 }
 
-/// `topic_matches(pattern, name)`, as [`TopicPattern`] says.
-fn add_functions(connection: &Connection) -> SqlResult<()> {
+/// `topic_matches(pattern, name)`, as [`TopicPattern`] says; a server has it in its schema.
+fn add_functions(connection: &Connection) -> rusqlite::Result<()> {
     let flags = FunctionFlags::SQLITE_UTF8 | FunctionFlags::SQLITE_DETERMINISTIC;
     connection.create_scalar_function("topic_matches", 2, flags, |context| {
         let (Some(pattern), Some(name)) = (context.get::<Option<String>>(0)?, context.get::<Option<String>>(1)?) else {
@@ -213,7 +239,8 @@ pub(super) fn quick_check(connection: &Connection, path: &Path) -> Result<(), St
 /// Skips one table.
 pub(super) fn check_all_but(pragma: &str, connection: &Connection, table: &str, path: &Path) -> Result<(), StoreError> {
     let others = "SELECT name FROM sqlite_schema WHERE type = 'table' AND name <> ?1 AND name NOT LIKE 'sqlite_%'";
-    let others: Vec<String> = connection.list(others, [table], |row| row.get(0))?;
+    let mut others = connection.prepare(others)?;
+    let others: Vec<String> = others.query_map([table], |row| row.get(0))?.collect::<Result<_, _>>()?;
     others.iter().try_for_each(|name| check(connection, &format!("PRAGMA {pragma}('{name}')"), path))
 }
 
@@ -237,88 +264,6 @@ pub(super) fn capped(value: impl TryInto<i64>) -> i64 {
 
 pub(super) fn count(rows: usize) -> u64 {
     u64::try_from(rows).unwrap_or(u64::MAX)
-}
-
-pub(super) trait Statements {
-    fn prepared(&self, sql: &str) -> rusqlite::Result<CachedStatement<'_>>;
-
-    fn run(&self, sql: &str, values: impl Params) -> Result<(), StoreError> {
-        self.prepared(sql)?.execute(values)?;
-        Ok(())
-    }
-
-    /// Returns the number of changed rows.
-    fn changed(&self, sql: &str, values: impl Params) -> rusqlite::Result<u64> {
-        self.prepared(sql)?.execute(values).map(count)
-    }
-
-    fn run_each<P: Params>(&self, sql: &str, each: impl IntoIterator<Item = P>) -> rusqlite::Result<u64> {
-        let mut statement = self.prepared(sql)?;
-        each.into_iter().try_fold(0, |changed, values| Ok(changed + count(statement.execute(values)?)))
-    }
-
-    /// Values for which a query has a row (`has`), or has none.
-    fn among<T: Copy, P: Params>(
-        &self,
-        sql: &str,
-        all: &[T],
-        values: impl Fn(T) -> Result<P, StoreError>,
-        has: bool,
-    ) -> Result<Vec<T>, StoreError> {
-        let mut statement = self.prepared(sql)?;
-        let mut found = Vec::new();
-        for one in all {
-            if statement.exists(values(*one)?)? == has {
-                found.push(*one);
-            }
-        }
-        Ok(found)
-    }
-
-    fn each(
-        &self,
-        sql: &str,
-        values: impl Params,
-        mut work: impl FnMut(&Row<'_>) -> Result<(), StoreError>,
-    ) -> Result<(), StoreError> {
-        let mut statement = self.prepared(sql)?;
-        let mut rows = statement.query(values)?;
-        while let Some(row) = rows.next()? {
-            work(row)?;
-        }
-        Ok(())
-    }
-
-    fn one<T, R: FnOnce(&Row<'_>) -> SqlResult<T>>(&self, sql: &str, values: impl Params, read: R) -> SqlResult<T> {
-        self.prepared(sql)?.query_row(values, read)
-    }
-
-    fn find<T, R>(&self, sql: &str, values: impl Params, read: R) -> SqlResult<Option<T>>
-    where
-        R: FnOnce(&Row<'_>) -> SqlResult<T>,
-    {
-        self.one(sql, values, read).optional()
-    }
-
-    fn list<T, All, Read>(&self, sql: &str, values: impl Params, read: Read) -> rusqlite::Result<All>
-    where
-        All: FromIterator<T>,
-        Read: FnMut(&Row<'_>) -> rusqlite::Result<T>,
-    {
-        self.prepared(sql)?.query_map(values, read)?.collect()
-    }
-
-    fn has(&self, sql: &str, values: impl Params) -> rusqlite::Result<bool> {
-        self.prepared(sql)?.exists(values)
-    }
-}
-
-impl Statements for Connection {
-    fn prepared(&self, sql: &str) -> rusqlite::Result<CachedStatement<'_>> {
-        #[cfg(test)]
-        crate::ledger::tests::statements::note(self, sql);
-        self.prepare_cached(sql)
-    }
 }
 
 #[cfg(test)]

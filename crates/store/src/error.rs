@@ -2,7 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::model::{Digest, Domain, ErrorKind, RecordState, clean};
+use crate::model::{Digest, Domain, ErrorKind, RecordState};
+use crate::sql::{self, Kind};
 
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs, reason = "the variants and their messages name the fields")]
@@ -43,6 +44,18 @@ pub enum StoreError {
     Bound { bound: Domain, domain: Domain },
     #[error("{} failed: {detail}; check the disk and the system log, then start again", file.display())]
     Database { file: PathBuf, detail: String },
+    #[error("the address of the store's server cannot be used: {detail}; write postgres://USER:PASSWORD@HOST/DATABASE")]
+    ServerUrl { detail: String },
+    #[error("{} cannot be reached: {detail}; start it, or correct its address", server.display())]
+    ServerAway { server: PathBuf, detail: String },
+    #[error("{} refuses this program: {detail}; give its user the rights and connections that it needs", server.display())]
+    ServerRefused { server: PathBuf, detail: String },
+    #[error(
+        "whether {} committed a change is not known: {detail}; what is not acknowledged is sent again", server.display()
+    )]
+    Unknown { server: PathBuf, detail: String },
+    #[error("{} cannot store {detail}; leave that character out", server.display())]
+    Nul { server: PathBuf, detail: String },
     #[error("the ledger is closed, so nothing more can be written; start the site again")]
     Closed,
     #[error("{field} {value} does not fit into the ledger; the limit is 2^63 - 1")]
@@ -90,10 +103,14 @@ impl StoreError {
             | Self::Id(_)
             | Self::Ambiguous(_)
             | Self::Cursor(_)
+            | Self::Nul { .. }
+            | Self::ServerUrl { .. }
             | Self::CacheUrl { .. } => ErrorKind::Input,
             Self::Corrupt { .. } | Self::Note { .. } => ErrorKind::Tampered,
-            Self::CacheAway { .. } => ErrorKind::Unreachable,
-            Self::Bound { .. } | Self::Foreign { .. } | Self::Open { .. } => ErrorKind::Refused,
+            Self::CacheAway { .. } | Self::ServerAway { .. } | Self::Unknown { .. } => ErrorKind::Unreachable,
+            Self::Bound { .. } | Self::Foreign { .. } | Self::Open { .. } | Self::ServerRefused { .. } => {
+                ErrorKind::Refused
+            }
             Self::Database { .. }
             | Self::Closed
             | Self::TooBig { .. }
@@ -112,7 +129,7 @@ impl StoreError {
         Self::Home { path: path.to_owned(), detail: error.to_string() }
     }
 
-    /// Adds the file's name to an SQLite error without one.
+    /// Adds the file's or server's name to an error without one.
     pub(super) fn in_file(mut self, path: &Path) -> Self {
         match &mut self {
             Self::Home { path: file, .. }
@@ -120,6 +137,10 @@ impl StoreError {
             | Self::Corrupt { file, .. }
             | Self::Note { file, .. }
             | Self::Database { file, .. }
+            | Self::ServerAway { server: file, .. }
+            | Self::ServerRefused { server: file, .. }
+            | Self::Unknown { server: file, .. }
+            | Self::Nul { server: file, .. }
                 if file.as_os_str().is_empty() =>
             {
                 path.clone_into(file);
@@ -130,29 +151,25 @@ impl StoreError {
     }
 }
 
+impl From<sql::Error> for StoreError {
+    fn from(error: sql::Error) -> Self {
+        let sql::Error { kind, detail } = error;
+        let (file, server) = (PathBuf::new(), PathBuf::new());
+        match kind {
+            Kind::Altered | Kind::Damaged => Self::Corrupt { file, detail },
+            Kind::Full => Self::DiskFull { file },
+            Kind::Denied => Self::Home { path: file, detail },
+            Kind::Nul => Self::Nul { server, detail },
+            Kind::Broken | Kind::Standby => Self::ServerAway { server, detail },
+            Kind::Refused => Self::ServerRefused { server, detail },
+            Kind::Unknown => Self::Unknown { server, detail },
+            Kind::Conflict | Kind::Other => Self::Database { file, detail },
+        }
+    }
+}
+
 impl From<rusqlite::Error> for StoreError {
     fn from(error: rusqlite::Error) -> Self {
-        use rusqlite::{Error, ErrorCode};
-        let detail = clean(&error.to_string(), 200);
-        let file = PathBuf::new();
-        // Values, rows, tables and indices that this program wrote otherwise.
-        let is_altered =
-            matches!(
-                error,
-                Error::IntegralValueOutOfRange(..)
-                    | Error::InvalidColumnType(..)
-                    | Error::FromSqlConversionFailure(..)
-                    | Error::Utf8Error(..)
-                    | Error::QueryReturnedNoRows
-            ) || ["no such table", "no such index", "no such column"].iter().any(|start| detail.starts_with(start));
-        match error.sqlite_error_code() {
-            _ if is_altered => Self::Corrupt { file, detail },
-            Some(ErrorCode::DiskFull) => Self::DiskFull { file },
-            Some(ErrorCode::DatabaseCorrupt | ErrorCode::NotADatabase) => Self::Corrupt { file, detail },
-            Some(ErrorCode::CannotOpen | ErrorCode::ReadOnly | ErrorCode::PermissionDenied) => {
-                Self::Home { path: file, detail }
-            }
-            _ => Self::Database { file, detail },
-        }
+        sql::Error::from(error).into()
     }
 }

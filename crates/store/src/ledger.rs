@@ -14,6 +14,7 @@ mod incidents;
 mod inspect;
 mod quarantine;
 mod query;
+mod readers;
 mod retention;
 mod rows;
 mod sightings;
@@ -22,11 +23,10 @@ pub(crate) mod tests;
 mod transactions;
 mod writer;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use rusqlite::{Connection, OptionalExtension as _, Params, Row};
 use tokio::runtime::{Handle, RuntimeFlavor};
 use tokio::task::block_in_place;
 
@@ -38,9 +38,10 @@ pub use self::erasures::{Erasure, ErasurePage, KeptErasure, StatedErasure, Taken
 pub use self::feed::{FeedFilter, FeedPage, FeedPlace, FeedRow};
 pub use self::forwarding::{ForwardedPage, KeptBinding, KeptReceipt};
 pub use self::incidents::{IncidentNote, IncidentRow, IncidentSpan, SpanCoverage};
-pub use self::inspect::{AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, Sequence};
+pub use self::inspect::{AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, Durability, Sequence};
 pub use self::quarantine::{AlarmRow, GapRow, HeldMinute, HeldQuery, HeldRow, Hold, Loss, PinRow};
 pub use self::query::{FilterChoice, Glance, LastSeen, NewestRecord, RecordPage, RecordQuery};
+use self::readers::{Place, Readers};
 pub use self::retention::{KeptTopic, OldRecord, Retained};
 pub use self::rows::{Foreign, NewRecord, RecordRow, is_legal};
 pub(crate) use self::rows::{time, unsigned};
@@ -51,12 +52,13 @@ pub use self::transactions::{
 pub(super) use self::writer::Session;
 
 use crate::StoreError;
-use crate::database::{self, Schema, Statements as _};
+use crate::database::{self, Schema};
 use crate::model::{RecorderPrefix, Timestamp};
 use crate::notes::{self, CopiedAt, ForeignHistory, LastPlace, RestoredAt};
+use crate::sql::postgres::Server;
+use crate::sql::{self, Connection, Params, Row};
 
 const SCHEMA: Schema = Schema { application: 0x4155_4c31, text: include_str!("ledger/schema.sql") };
-const READERS_KEPT: usize = 8;
 
 macro_rules! stores {
     ($($(#[$doc:meta])* $field:ident: $store:ident;)*) => {
@@ -117,11 +119,11 @@ pub(crate) struct Database {
 
 #[derive(Debug)]
 struct Shared {
-    path: PathBuf,
+    place: Arc<Place>,
     recorder: RecorderPrefix,
     clean: bool,
     writer: writer::Writer,
-    readers: Mutex<Vec<Connection>>,
+    readers: Readers,
     /// Held while a note is read, changed and written.
     notes: Mutex<()>,
     held: AtomicUsize,
@@ -138,12 +140,23 @@ impl Ledger {
     /// Opens or creates the file. After an unclean end, checks everything but ciphertext (`quick_check`: about a second
     /// per million records).
     pub fn open(path: &Path) -> Result<Self, StoreError> {
-        let connection = database::open_writer(path, &SCHEMA)?;
-        let (recorder, clean, is_new) = begin(&connection, path).map_err(|error| error.in_file(path))?;
-        let writer = writer::Writer::start(connection, path, clean && !is_new)?;
-        let (path, readers, notes) = (path.to_owned(), Mutex::default(), Mutex::default());
+        Self::open_at(Place::File(path.to_owned()))
+    }
+
+    /// Opens the store of a gateway's desk on a PostgreSQL server, and makes it in an empty database. `roots`: a PEM file of
+    /// the authorities that TLS trusts.
+    pub fn on_server(url: &str, roots: Option<&Path>) -> Result<Self, StoreError> {
+        Self::open_at(Place::Server(Box::new(Server::at(url, roots)?)))
+    }
+
+    fn open_at(place: Place) -> Result<Self, StoreError> {
+        let place = Arc::new(place);
+        let opened = place.writer().and_then(|connection| Ok((begin(&connection, place.path())?, connection)));
+        let ((recorder, clean, is_new), connection) = opened.map_err(|error| error.in_file(place.path()))?;
+        let writer = writer::Writer::start(connection, Arc::clone(&place), clean && !is_new)?;
+        let (readers, notes) = (Readers::default(), Mutex::default());
         let (held, told) = (AtomicUsize::new(0), AtomicU64::new(0));
-        let shared = Shared { path, recorder, clean, writer, readers, notes, held, told };
+        let shared = Shared { place, recorder, clean, writer, readers, notes, held, told };
         Ok(Self::from(Database { shared: Arc::new(shared) }))
     }
 
@@ -176,8 +189,14 @@ impl Records {
 }
 
 impl Database {
+    /// For messages; a server's is no path of this machine.
     pub fn path(&self) -> &Path {
-        &self.shared.path
+        self.shared.place.path()
+    }
+
+    /// `None` on a server.
+    pub fn file(&self) -> Option<&Path> {
+        self.shared.place.file()
     }
 
     pub fn takes_records(&self) -> Result<(), StoreError> {
@@ -192,10 +211,11 @@ impl Database {
         self.shared.notes.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Runs `work` on the writer thread, in one transaction with other waiting work; returns after the fsync.
+    /// Runs `work` on the writer thread, in one transaction with other waiting work; returns after the fsync. On a server it
+    /// runs again if another transaction was in its way, or the connection broke.
     pub fn write<T: Send + 'static>(
         &self,
-        work: impl FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send + 'static,
+        work: impl Fn(&mut Session<'_>) -> Result<T, StoreError> + Send + 'static,
     ) -> Result<T, StoreError> {
         self.write_many(1, work)
     }
@@ -204,31 +224,22 @@ impl Database {
     pub fn write_many<T: Send + 'static>(
         &self,
         records: usize,
-        work: impl FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send + 'static,
+        work: impl Fn(&mut Session<'_>) -> Result<T, StoreError> + Send + 'static,
     ) -> Result<T, StoreError> {
-        relieved(|| self.shared.writer.write(records, work)).map_err(|error| error.in_file(&self.shared.path))
+        relieved(|| self.shared.writer.write(records, work)).map_err(|error| error.in_file(self.path()))
     }
 
     /// Runs `work` on one snapshot.
     pub fn read<T>(&self, work: impl FnOnce(&Connection) -> Result<T, StoreError>) -> Result<T, StoreError> {
-        relieved(|| self.read_here(work)).map_err(|error| error.in_file(&self.shared.path))
-    }
-
-    fn read_here<T>(&self, work: impl FnOnce(&Connection) -> Result<T, StoreError>) -> Result<T, StoreError> {
-        let connection = self.reader()?;
-        let result = connection.unchecked_transaction().map_err(StoreError::from).and_then(|snapshot| work(&snapshot));
-        let mut readers = self.shared.readers.lock().unwrap_or_else(PoisonError::into_inner);
-        if readers.len() < READERS_KEPT {
-            readers.push(connection);
-        }
-        result
+        let Shared { readers, place, .. } = &*self.shared;
+        relieved(|| readers.read(place, work)).map_err(|error| error.in_file(place.path()))
     }
 
     pub fn one<T>(
         &self,
         sql: &str,
         values: impl Params,
-        read: impl FnOnce(&Row<'_>) -> rusqlite::Result<T>,
+        read: impl FnOnce(&Row<'_>) -> sql::Result<T>,
     ) -> Result<T, StoreError> {
         self.read(|connection| Ok(connection.one(sql, values, read)?))
     }
@@ -237,7 +248,7 @@ impl Database {
         &self,
         sql: &str,
         values: impl Params,
-        read: impl FnOnce(&Row<'_>) -> rusqlite::Result<T>,
+        read: impl FnOnce(&Row<'_>) -> sql::Result<T>,
     ) -> Result<Option<T>, StoreError> {
         self.read(|connection| Ok(connection.find(sql, values, read)?))
     }
@@ -246,7 +257,7 @@ impl Database {
         &self,
         sql: &str,
         values: impl Params,
-        read: impl FnMut(&Row<'_>) -> rusqlite::Result<T>,
+        read: impl FnMut(&Row<'_>) -> sql::Result<T>,
     ) -> Result<All, StoreError> {
         self.read(|connection| Ok(connection.list(sql, values, read)?))
     }
@@ -257,7 +268,7 @@ impl Database {
 
     /// In one commit; returns the number of changed rows.
     pub fn run_each<P: Params + Send + 'static>(&self, sql: &'static str, each: Vec<P>) -> Result<u64, StoreError> {
-        self.write_many(each.len(), move |session| Ok(session.connection.run_each(sql, each)?))
+        self.write_many(each.len(), move |session| Ok(session.connection.run_each(sql, &each)?))
     }
 
     /// Returns the number of changed rows.
@@ -267,11 +278,6 @@ impl Database {
 
     pub fn run(&self, sql: &'static str, values: impl Params + Send + 'static) -> Result<(), StoreError> {
         self.changed(sql, values).map(drop)
-    }
-
-    fn reader(&self) -> Result<Connection, StoreError> {
-        let kept = self.shared.readers.lock().unwrap_or_else(PoisonError::into_inner).pop();
-        kept.map_or_else(|| database::open_reader(&self.shared.path), Ok)
     }
 }
 
@@ -294,48 +300,51 @@ impl Drop for RecordsHeld {
 
 /// Its recorder, whether it was closed cleanly, and whether it is new. Reading never marks it as open.
 fn begin(connection: &Connection, path: &Path) -> Result<(RecorderPrefix, bool, bool), StoreError> {
-    match connection.query_row("SELECT clean FROM about", [], |row| row.get::<_, bool>(0)).optional()? {
+    match connection.find("SELECT clean FROM about", [], |row| row.get::<bool>(0))? {
         Some(clean) => {
             let recorder = own_prefix(connection)?;
-            if !clean {
+            if let Some(file) = connection.file().filter(|_| !clean) {
                 // Readers check ciphertext, perhaps most of the file, by digest.
-                database::check_all_but("quick_check", connection, "ciphertext", path)?;
+                database::check_all_but("quick_check", file, "ciphertext", path)?;
             }
             Ok((recorder, clean, false))
         }
         None => {
             let prefix = random_prefix(path)?;
-            connection.execute("INSERT INTO about VALUES (1, ?1, 0, 0)", [prefix.as_bytes()])?;
+            connection.begin()?;
+            connection.run("INSERT INTO about VALUES (1, ?1, 0, 0) ON CONFLICT DO NOTHING", [prefix.as_bytes()])?;
             feed::begin(connection, 0)?;
-            Ok((prefix, true, true))
+            connection.commit()?;
+            // Another process may have been first.
+            Ok((own_prefix(connection)?, true, true))
         }
     }
 }
 
 pub(super) fn renew(path: &Path) -> Result<(), StoreError> {
-    let connection = database::open_writer(path, &SCHEMA)?;
-    renew_in(&connection, path).map_err(|error| error.in_file(path))
+    let file = database::open_writer(path, &SCHEMA)?;
+    database::quick_check(&file, path)?;
+    renew_in(&file.into(), path).map_err(|error| error.in_file(path))
 }
 
 fn renew_in(connection: &Connection, path: &Path) -> Result<(), StoreError> {
-    database::quick_check(connection, path)?;
-    let transaction = connection.unchecked_transaction()?;
-    transaction.execute("UPDATE about SET recorder = ?1, clean = 1", [random_prefix(path)?.as_bytes()])?;
-    transaction.execute("DELETE FROM feeds", [])?;
-    feed::begin(&transaction, 0)?;
+    connection.begin()?;
+    connection.run("UPDATE about SET recorder = ?1, clean = 1", [random_prefix(path)?.as_bytes()])?;
+    connection.run("DELETE FROM feeds", [])?;
+    feed::begin(connection, 0)?;
     // Followers of the original start over: it gave the same numbers since.
     // The first of several restores counts: another home may hold anything anchored since.
-    if let Some((block, _)) = sightings::cursor_in(&transaction)?
-        && notes::read_in(&transaction, &CopiedAt {})?.is_none()
+    if let Some((block, _)) = sightings::cursor_in(connection)?
+        && notes::read_in(connection, &CopiedAt {})?.is_none()
     {
-        notes::write_in(&transaction, &CopiedAt {}, &block)?;
+        notes::write_in(connection, &CopiedAt {}, &block)?;
     }
-    notes::write_in(&transaction, &RestoredAt {}, &Timestamp::now())?;
+    notes::write_in(connection, &RestoredAt {}, &Timestamp::now())?;
     // Its location is new, and its accounts' anchors since are history.
-    notes::forget_in(&transaction, &LastPlace {})?;
-    notes::forget_in(&transaction, &ForeignHistory {})?;
-    transaction.commit()?;
-    Ok(connection.execute_batch("PRAGMA wal_checkpoint(TRUNCATE)")?)
+    notes::forget_in(connection, &LastPlace {})?;
+    notes::forget_in(connection, &ForeignHistory {})?;
+    connection.commit()?;
+    Ok(connection.script("PRAGMA wal_checkpoint(TRUNCATE)")?)
 }
 
 fn random_prefix(path: &Path) -> Result<RecorderPrefix, StoreError> {

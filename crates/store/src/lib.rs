@@ -12,6 +12,7 @@ mod ledger;
 pub mod notes;
 mod reserve;
 pub mod snapshot;
+mod sql;
 
 use authros_crypto as crypto;
 use authros_model as model;

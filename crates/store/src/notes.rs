@@ -3,18 +3,16 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::PathBuf;
 
-use rusqlite::types::ValueRef;
-use rusqlite::{Connection, Row};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::StoreError;
-use crate::database::Statements as _;
 use crate::ledger::{Erasure, Notes};
 use crate::model::{
     Address, ContactName, Digest, Domain, Hash, ProfileName, PublicKey, RecorderId, RingSpan, SignerId, Timestamp,
     TopicId, WatchRules, clean,
 };
+use crate::sql::{Cell, Connection, Row};
 
 pub trait Note {
     type Value: Serialize + DeserializeOwned;
@@ -374,7 +372,7 @@ impl Notes {
 
     pub fn write<N: Note>(&self, note: &N, value: &N::Value) -> Result<(), StoreError> {
         let row = row(note, value)?;
-        self.0.write(move |session| put(session.connection, row))
+        self.0.write(move |session| put(session.connection, &row))
     }
 
     /// Changes a note, or an empty value, under a lock: no concurrent change is lost. `change` must not change other
@@ -409,7 +407,7 @@ type NoteRow = [String; 3];
 pub(crate) fn check(connection: &Connection) -> Result<u64, StoreError> {
     let mut checked = 0;
     let rows = |row: &Row<'_>| Ok((row.get(0)?, row.get(1)?));
-    for (name, about) in connection.list::<(String, String), Vec<_>, _>("SELECT kind, about FROM notes", [], rows)? {
+    for (name, about) in connection.list::<(String, String), Vec<_>>("SELECT kind, about FROM notes", [], rows)? {
         match KINDS.iter().find(|kind| kind.name == name) {
             Some(kind) => (kind.try_read)(connection, &about)?,
             None => return Err(damage("a matter that this program does not know", &name, "no note has this name")),
@@ -424,7 +422,7 @@ pub(crate) fn read_in<N: Note>(connection: &Connection, note: &N) -> Result<Opti
 }
 
 pub(crate) fn write_in<N: Note>(connection: &Connection, note: &N, value: &N::Value) -> Result<(), StoreError> {
-    put(connection, row(note, value)?)
+    put(connection, &row(note, value)?)
 }
 
 /// Whatever its value.
@@ -432,8 +430,11 @@ pub(crate) fn forget_in<N: Note>(connection: &Connection, note: &N) -> Result<()
     connection.run("DELETE FROM notes WHERE kind = ?1 AND about = ?2", [N::NAME, &note.about()])
 }
 
-fn put(connection: &Connection, row: NoteRow) -> Result<(), StoreError> {
-    connection.run("REPLACE INTO notes VALUES (?1, ?2, ?3)", row)
+fn put(connection: &Connection, row: &NoteRow) -> Result<(), StoreError> {
+    connection.run(
+        "INSERT INTO notes VALUES (?1, ?2, ?3) ON CONFLICT (kind, about) DO UPDATE SET value = excluded.value",
+        row,
+    )
 }
 
 fn row<N: Note>(note: &N, value: &N::Value) -> Result<NoteRow, StoreError> {
@@ -448,8 +449,8 @@ fn text<N: Note>(note: &N, value: &N::Value) -> Result<String, StoreError> {
 fn found<N: Note>(connection: &Connection, about: &str) -> Result<Option<N::Value>, StoreError> {
     let sql = "SELECT value FROM notes WHERE kind = ?1 AND about = ?2";
     let bytes = connection.find(sql, [N::NAME, about], |row| {
-        Ok(match row.get_ref(0)? {
-            ValueRef::Text(bytes) => Some(bytes.to_vec()),
+        Ok(match row.cell(0)? {
+            Cell::Text(bytes) => Some(bytes.to_vec()),
             _ => None,
         })
     })?;

@@ -28,7 +28,7 @@ impl Snapshot {
     /// that this one names.
     pub fn of<T: Send + 'static>(
         ledger: &Ledger,
-        also: impl FnOnce() -> Result<T, StoreError> + Send + 'static,
+        also: impl Fn() -> Result<T, StoreError> + Send + 'static,
     ) -> Result<(Self, T), StoreError> {
         let path = ledger.path().to_owned();
         ledger.database.write(move |_| Ok((Self::begin(&path)?, also()?)))

@@ -3,14 +3,13 @@
 use std::collections::hash_map::Entry;
 use std::collections::{HashMap, HashSet};
 
-use rusqlite::{Connection, params};
-
 use super::rows::{By, check, optional};
 use super::{Foreign, NewRecord, Records, Session, own_prefix};
 use crate::StoreError;
-use crate::database::{Statements as _, whole};
+use crate::database::whole;
 use crate::model::header::LARGEST_SEQ;
 use crate::model::{Address, Digest, FilterId, RecordKind, RecordState, SignerId, Timestamp, TopicId};
+use crate::sql::{Connection, params};
 
 type StreamKey = (i64, u8, String);
 type TopicKey = (Address, SignerId, TopicId, Option<Foreign>);
@@ -89,8 +88,7 @@ pub(super) fn add(session: &mut Session<'_>, record: &NewRecord, now: i64) -> Re
     let (digest, captured_at) = (record.digest.0, whole("capture time", record.captured_at.0)?);
     let (signature, simulated, state) = (record.signature.0, record.simulated, record.state.code());
     let values = params![digest, topic, stream, seq, epoch, signature, bytes, captured_at, now, simulated, state];
-    session.connection.run(sql, values)?;
-    let row = session.connection.last_insert_rowid();
+    let row = session.connection.inserted(sql, "n", values)?;
     if record.kind == RecordKind::Key {
         super::feed::note(session.connection, row, topic)?;
     }
@@ -126,7 +124,7 @@ fn store_again(connection: &Connection, record: &NewRecord) -> Result<(), StoreE
     let Some(blob) = &record.blob else { return Ok(()) };
     let sql = "INSERT INTO ciphertext SELECT n, ?2 FROM records WHERE digest = ?1 AND deleted_at IS NULL
         AND NOT EXISTS (SELECT 1 FROM retained WHERE record = n)
-        ON CONFLICT DO UPDATE SET bytes = excluded.bytes WHERE bytes <> excluded.bytes";
+        ON CONFLICT (record) DO UPDATE SET bytes = excluded.bytes WHERE ciphertext.bytes <> excluded.bytes";
     connection.run(sql, params![record.digest.0, blob.as_slice()])
 }
 
@@ -165,7 +163,8 @@ fn find_topic(connection: &Connection, record: &NewRecord) -> Result<(i64, Strin
     let recorder = recorder_key(connection, record)?;
     let keeper = record.foreign.map(|foreign| foreign.keeper.0);
     let sql = "INSERT INTO topics (owner, recorder, topic_id, name, keeper) VALUES (?1, ?2, ?3, ?4, ?5)
-        ON CONFLICT DO UPDATE SET name = CASE name WHEN '' THEN excluded.name ELSE name END";
+        ON CONFLICT (owner, topic_id, recorder)
+        DO UPDATE SET name = CASE topics.name WHEN '' THEN excluded.name ELSE topics.name END";
     connection.run(sql, params![record.owner.0, recorder, record.topic_id.0, record.topic, keeper])?;
     let sql = "SELECT key, name FROM topics WHERE owner = ?1 AND topic_id = ?2 AND recorder = ?3";
     let values = params![record.owner.0, record.topic_id.0, recorder];

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 
-use rusqlite::{CachedStatement, Connection, OptionalExtension as _, Row, params};
 use serde::{Deserialize, Serialize};
 
 use super::branches::Branches;
@@ -10,8 +9,9 @@ use super::rows::{self, By, LEARNED_NAME, TOPIC_NAME, may, optional, time, unsig
 use super::{Batches, Counts, RecordRow, Records, branches, directory, sightings};
 use crate::StoreError;
 use crate::crypto::merkle::{Inclusion, Leaf};
-use crate::database::{Statements as _, capped, whole};
+use crate::database::{capped, whole};
 use crate::model::{Address, Digest, Hash, RecordKind, RecordState, RecorderId, SignerId, Timestamp, TopicId};
+use crate::sql::{self, Connection, Row, Statement, params};
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NewBatch {
@@ -175,7 +175,7 @@ impl Records {
 }
 
 /// From recorder, topic, number, digest, owner, signer.
-pub(super) fn leaf(row: &Row<'_>) -> rusqlite::Result<Leaf> {
+pub(super) fn leaf(row: &Row<'_>) -> sql::Result<Leaf> {
     let (recorder, topic_id) = (RecorderId(row.get(0)?), TopicId(row.get(1)?));
     let (owner, signer) = (Address(row.get(4)?), SignerId(row.get(5)?));
     Ok(Leaf { owner, signer, recorder, topic_id, seq: unsigned(row, 2)?, digest: Digest(row.get(3)?) })
@@ -184,7 +184,7 @@ pub(super) fn leaf(row: &Row<'_>) -> rusqlite::Result<Leaf> {
 /// A verified record's batch block differs from the chain's proof or the transaction. Earlier states are read at
 /// different moments, and the trail does not say: old blocks are not all kept.
 pub(super) const CONTRADICTED: &str = "records.state = 6 AND records.tx IS NULL AND (
-    proof = 1 AND batches.block_hash IS NOT (SELECT hash FROM chain_proofs WHERE chain_proofs.block = batches.block)
+    proof = 1 AND batches.block_hash IS DISTINCT FROM (SELECT hash FROM chain_proofs WHERE chain_proofs.block = batches.block)
     OR (batches.block, batches.block_hash) <> (SELECT block, block_hash FROM transactions
         WHERE transactions.hash = batches.tx AND transactions.state = 1)) IS TRUE";
 
@@ -196,7 +196,7 @@ pub(super) fn placed_in(connection: &Connection, digests: &[Digest]) -> Result<V
 }
 
 struct Places<'a> {
-    find: CachedStatement<'a>,
+    find: Statement<'a>,
     branches: Branches,
 }
 
@@ -214,16 +214,16 @@ impl<'a> Places<'a> {
 
     fn of(&mut self, digest: Digest) -> Result<Option<BatchPlace>, StoreError> {
         let branches = &mut self.branches;
-        Ok(self.find.query_row([digest.0], |row| place(row, branches)).optional()?)
+        Ok(self.find.find([digest.0], |row| place(row, branches))?)
     }
 }
 
-fn place(row: &Row<'_>, branches: &mut Branches) -> rusqlite::Result<BatchPlace> {
+fn place(row: &Row<'_>, branches: &mut Branches) -> sql::Result<BatchPlace> {
     let (index, count, root) = (unsigned(row, 0)?, unsigned(row, 1)?, Hash(row.get(3)?));
     let path = branches.path_of(row, 2, root, (index, count))?;
-    let (closed_at, account) = (time(row, 4)?, row.get::<_, Option<_>>(5)?.map(Address));
-    let (block, block_hash) = (optional(row, 6)?, row.get::<_, Option<_>>(7)?.map(Hash));
-    let (transaction, is_contradicted) = (row.get::<_, Option<_>>(8)?.map(Hash), row.get(9)?);
+    let (closed_at, account) = (time(row, 4)?, row.get::<Option<_>>(5)?.map(Address));
+    let (block, block_hash) = (optional(row, 6)?, row.get::<Option<_>>(7)?.map(Hash));
+    let (transaction, is_contradicted) = (row.get::<Option<_>>(8)?.map(Hash), row.get(9)?);
     let inclusion = Inclusion { index, count, path, root };
     Ok(BatchPlace { inclusion, closed_at, account, block, block_hash, transaction, is_contradicted })
 }
@@ -235,15 +235,15 @@ fn close(connection: &Connection, batch: &NewBatch) -> Result<(), StoreError> {
         None => {
             let leaves = capped(batch.leaves.len());
             let sql = "INSERT INTO batches (root, owner, count, closed_at, closed_here) VALUES (?1, ?2, ?3, ?4, 1)";
-            connection.run(sql, params![batch.root.0, batch.owner.0, leaves, whole("time", Timestamp::now().0)?])?;
-            connection.last_insert_rowid()
+            let now = whole("time", Timestamp::now().0)?;
+            connection.inserted(sql, "key", params![batch.root.0, batch.owner.0, leaves, now])?
         }
     };
     let mut find = connection.prepared("SELECT n, state FROM records WHERE digest = ?1")?;
     let mut add = connection.prepared("INSERT INTO leaves VALUES (?1, ?2, ?3)")?;
     let mut move_on = connection.prepared("UPDATE records SET state = ?2 WHERE n = ?1")?;
     for (index, (digest, _)) in (0_i64..).zip(&batch.leaves) {
-        let found = find.query_row([digest.0], |row| Ok((row.get::<_, i64>(0)?, rows::state(row, 1)?))).optional()?;
+        let found = find.find([digest.0], |row| Ok((row.get::<i64>(0)?, rows::state(row, 1)?)))?;
         let (record, state) = found.ok_or(StoreError::NotReady { digest: *digest, found: "unknown" })?;
         if !may(By::Batch, state, RecordState::Batched) {
             return Err(StoreError::NotReady { digest: *digest, found: state.word() });
@@ -263,7 +263,7 @@ fn key_of(connection: &Connection, root: Hash) -> Result<Option<i64>, StoreError
 pub(super) fn see(connection: &Connection, sighting: &RootSighting) -> Result<u64, StoreError> {
     let (block, leaves) = (whole("block", sighting.block)?, whole("count", sighting.count)?);
     let sql = "SELECT key FROM batches WHERE root = ?1 AND count = ?2 AND block IS NULL";
-    let found = connection.find(sql, params![sighting.root.0, leaves], |row| row.get::<_, i64>(0))?;
+    let found = connection.find(sql, params![sighting.root.0, leaves], |row| row.get::<i64>(0))?;
     let Some(key) = found else { return Ok(0) };
     let sql = "UPDATE batches SET account = ?2, tx = ?3, block = ?4, block_hash = ?5, proof = NULL WHERE key = ?1";
     connection.run(sql, params![key, sighting.account.0, sighting.transaction.0, block, sighting.block_hash.0])?;
@@ -352,7 +352,7 @@ pub(super) fn take_in(
     anchor: &RootSighting,
 ) -> Result<bool, StoreError> {
     let sql = "SELECT n, state FROM records WHERE digest = ?1";
-    let found = connection.find(sql, [digest.0], |row| Ok((row.get::<_, i64>(0)?, rows::state(row, 1)?)))?;
+    let found = connection.find(sql, [digest.0], |row| Ok((row.get::<i64>(0)?, rows::state(row, 1)?)))?;
     let (record, state) = found.ok_or(StoreError::NotReady { digest, found: "unknown" })?;
     if !may(By::Batch, state, RecordState::Batched) && !leave_for(connection, (record, state), inclusion.root)? {
         return Ok(false);
@@ -367,6 +367,10 @@ pub(super) fn take_in(
     Ok(true)
 }
 
+/// Notes the place that a record is about to leave.
+pub(super) const LEAVE_PLACE: &str = "INSERT INTO left_places SELECT batch, leaf, record FROM leaves WHERE record = ?1
+    ON CONFLICT (batch, leaf) DO UPDATE SET record = excluded.record";
+
 /// Leaves another ledger's batch whose block was taken back, for that ledger's new one.
 fn leave_for(connection: &Connection, (record, state): (i64, RecordState), root: Hash) -> Result<bool, StoreError> {
     let sql = "SELECT 1 FROM leaves JOIN batches ON key = batch
@@ -375,11 +379,7 @@ fn leave_for(connection: &Connection, (record, state): (i64, RecordState), root:
     if !is_waiting || !connection.has(sql, params![record, root.0])? {
         return Ok(false);
     }
-    for step in [
-        "REPLACE INTO left_places SELECT batch, leaf, record FROM leaves WHERE record = ?1",
-        "DELETE FROM leaves WHERE record = ?1",
-        "UPDATE records SET tx = NULL WHERE n = ?1",
-    ] {
+    for step in [LEAVE_PLACE, "DELETE FROM leaves WHERE record = ?1", "UPDATE records SET tx = NULL WHERE n = ?1"] {
         connection.run(step, [record])?;
     }
     Ok(true)
@@ -426,7 +426,7 @@ impl Counts {
                 "SELECT r.signer, {TOPIC_NAME} AS topic, c.state, sum(c.records) FROM streams s
                     JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder
                     JOIN counters c ON c.stream = s.key {LEARNED_NAME}
-                    WHERE t.owner = ?1 AND s.kind = ?2 AND r.signer IS NOT ?3 AND c.records > 0
+                    WHERE t.owner = ?1 AND s.kind = ?2 AND r.signer IS DISTINCT FROM ?3 AND c.records > 0
                     GROUP BY r.signer, {TOPIC_NAME}, c.state"
             );
             let mut found: BTreeMap<(SignerId, String), BTreeMap<RecordState, u64>> = BTreeMap::new();

@@ -4,12 +4,11 @@
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 
-use rusqlite::{Connection, Row, params};
-
 use crate::StoreError;
 use crate::crypto::merkle::node;
-use crate::database::{Statements as _, whole};
+use crate::database::whole;
 use crate::model::Hash;
+use crate::sql::{self, Connection, Row, params};
 
 const LEVELS: u32 = 4;
 
@@ -109,7 +108,8 @@ impl Branch {
         if self.nodes.is_empty() && self.above.is_empty() {
             return Ok(());
         }
-        let sql = "REPLACE INTO branches VALUES (?1, ?2, ?3)";
+        let sql = "INSERT INTO branches VALUES (?1, ?2, ?3)
+            ON CONFLICT (batch, branch) DO UPDATE SET path = excluded.path";
         connection.run(sql, params![batch, whole("branch", self.number)?, self.to_bytes()])
     }
 }
@@ -161,7 +161,7 @@ impl Branches {
         column: usize,
         root: Hash,
         (index, count): (u64, u64),
-    ) -> rusqlite::Result<Vec<Hash>> {
+    ) -> sql::Result<Vec<Hash>> {
         let number = index >> LEVELS;
         let branch = match self.0.entry((root, number)) {
             Entry::Occupied(known) => known.into_mut(),

@@ -2,13 +2,12 @@
 
 use std::path::PathBuf;
 
-use rusqlite::{Connection, params};
-
 use super::rows::{optional, unsigned};
 use super::{Proofs, Session};
 use crate::StoreError;
-use crate::database::{Statements as _, capped, count, whole};
+use crate::database::{capped, count, whole};
 use crate::model::{Address, Hash, SignerId, Timestamp};
+use crate::sql::{Connection, params};
 
 /// Of `batches.proof`.
 const KEPT: i64 = 1;
@@ -81,7 +80,8 @@ impl Proofs {
                     keys.extend(key);
                 }
             }
-            let sql = "REPLACE INTO chain_proofs (block, hash, nodes) VALUES (?1, ?2, ?3)";
+            let sql = "INSERT INTO chain_proofs (block, hash, nodes) VALUES (?1, ?2, ?3)
+                ON CONFLICT (block) DO UPDATE SET hash = excluded.hash, nodes = excluded.nodes";
             connection.run(sql, params![block, hash.0, keys])?;
             keep_header(connection, block, &header)?;
             let sql = "UPDATE batches SET proof = ?2 WHERE key = ?1 AND block = ?3 AND block_hash = ?4";
@@ -112,7 +112,7 @@ impl Proofs {
         let block = whole("block", block)?;
         self.0.read(|connection| {
             let sql = "SELECT hash, nodes FROM chain_proofs WHERE block = ?1";
-            let found = connection.find(sql, [block], |row| Ok((Hash(row.get(0)?), row.get::<_, Vec<u8>>(1)?)))?;
+            let found = connection.find(sql, [block], |row| Ok((Hash(row.get(0)?), row.get::<Vec<u8>>(1)?)))?;
             let Some((hash, keys)) = found else { return Ok(None) };
             let mut find = connection.prepared("SELECT node FROM chain_nodes WHERE key = ?1")?;
             let (keys, rest) = keys.as_chunks::<8>();
@@ -121,7 +121,7 @@ impl Proofs {
                 return Err(StoreError::Corrupt { file: PathBuf::new(), detail });
             }
             let keys = keys.iter().map(|key| i64::from_be_bytes(*key));
-            let nodes = keys.map(|key| find.query_row([key], |row| row.get(0))).collect::<Result<_, _>>()?;
+            let nodes = keys.map(|key| find.one([key], |row| row.get(0))).collect::<Result<_, _>>()?;
             Ok(Some(KeptProof { hash, nodes }))
         })
     }
@@ -141,7 +141,8 @@ fn signers(connection: &Connection, batch: i64) -> Result<Vec<(Address, SignerId
 }
 
 fn keep_header(connection: &Connection, block: i64, header: &[u8]) -> Result<(), StoreError> {
-    let sql = "REPLACE INTO chain_headers (block, header) VALUES (?1, ?2)";
+    let sql = "INSERT INTO chain_headers (block, header) VALUES (?1, ?2)
+        ON CONFLICT (block) DO UPDATE SET header = excluded.header";
     connection.run(sql, params![block, header])
 }
 
@@ -150,8 +151,8 @@ fn node_key(connection: &Connection, hash: Hash, node: &[u8]) -> Result<i64, Sto
     if let Some(key) = known {
         return Ok(key);
     }
-    connection.run("INSERT INTO chain_nodes (hash, node) VALUES (?1, ?2)", params![hash.0, node])?;
-    Ok(connection.last_insert_rowid())
+    let sql = "INSERT INTO chain_nodes (hash, node) VALUES (?1, ?2)";
+    Ok(connection.inserted(sql, "key", params![hash.0, node])?)
 }
 
 /// Stamps requested from an authority that was added later.
@@ -187,9 +188,8 @@ impl Proofs {
             let Some((upto, _)) = found.last() else { return Ok(0) };
             let roots: Vec<u8> = found.iter().flat_map(|(_, root)| *root).collect();
             let sql = "INSERT INTO stamps (made_at, upto, roots) VALUES (?1, ?2, ?3)";
-            connection.run(sql, params![at, upto, roots])?;
-            let key = connection.last_insert_rowid();
-            let sql = "INSERT OR IGNORE INTO stamped_roots VALUES (?1, ?2)";
+            let key = connection.inserted(sql, "key", params![at, upto, roots])?;
+            let sql = "INSERT INTO stamped_roots VALUES (?1, ?2) ON CONFLICT DO NOTHING";
             connection.run_each(sql, found.iter().map(|(_, root)| (root, key)))?;
             Ok(count(found.len()))
         })
@@ -203,14 +203,14 @@ impl Proofs {
                  OR NOT EXISTS (SELECT 1 FROM stamp_tokens WHERE stamp = key))
             ORDER BY key LIMIT ?3";
         self.0.list(sql, params![authority.0, NEWEST, capped(limit)], |row| {
-            Ok(KeptStamp { key: unsigned(row, 0)?, roots: hashes(&row.get::<_, Vec<u8>>(1)?), tokens: Vec::new() })
+            Ok(KeptStamp { key: unsigned(row, 0)?, roots: hashes(&row.get::<Vec<u8>>(1)?), tokens: Vec::new() })
         })
     }
 
     /// An existing token stays.
     pub fn keep_token(&self, stamp: u64, authority: Hash, before: Timestamp, token: Vec<u8>) -> Result<(), StoreError> {
         let (stamp, before) = (whole("stamp", stamp)?, whole("time", before.0)?);
-        let sql = "INSERT OR IGNORE INTO stamp_tokens VALUES (?1, ?2, ?3, ?4)";
+        let sql = "INSERT INTO stamp_tokens VALUES (?1, ?2, ?3, ?4) ON CONFLICT DO NOTHING";
         self.0.run(sql, (stamp, authority.0, before, token))
     }
 
@@ -222,7 +222,7 @@ impl Proofs {
         let number = whole("stamp", key)?;
         self.0.read(|connection| {
             let sql = "SELECT roots FROM stamps WHERE key = ?1";
-            let Some(roots) = connection.find(sql, [number], |row| row.get::<_, Vec<u8>>(0))? else { return Ok(None) };
+            let Some(roots) = connection.find(sql, [number], |row| row.get::<Vec<u8>>(0))? else { return Ok(None) };
             let sql = "SELECT token FROM stamp_tokens WHERE stamp = ?1 ORDER BY authority";
             let tokens = connection.list(sql, [number], |row| row.get(0))?;
             Ok(Some(KeptStamp { key, roots: hashes(&roots), tokens }))
@@ -246,7 +246,7 @@ fn hashes(bytes: &[u8]) -> Vec<Hash> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::numbered as record;
+    use super::super::tests::{numbered as record, open, open_again};
     use super::*;
     use crate::Ledger;
     use crate::model::Digest;
@@ -275,9 +275,7 @@ mod tests {
 
     #[test]
     fn each_batch_waits_for_its_proof_from_its_block_on_and_nodes_are_kept_once() {
-        let home = tempfile::tempdir().expect("folder");
-        let path = home.path().join("ledger.db");
-        let ledger = Ledger::open(&path).expect("opens");
+        let (home, ledger) = open();
         assert_eq!(ledger.proofs.chain_proof_counts(), Ok(ProofCounts::default()));
         [(1, 7), (2, 8), (3, 8), (4, 9)].into_iter().for_each(|(number, block)| anchored(&ledger, number, block));
         assert_eq!((blocks(&ledger, 8), blocks(&ledger, 6)), (vec![8, 8, 7], vec![]));
@@ -303,7 +301,7 @@ mod tests {
         assert_eq!(ledger.proofs.miss_chain_proof(vec![last]), Ok(()));
         // Another process, later.
         ledger.close().expect("closed");
-        let ledger = Ledger::open(&path).expect("opens");
+        let ledger = open_again(&home);
         assert_eq!(ledger.proofs.chain_proof_counts(), Ok(ProofCounts { newest: Some(8), missed: 1 }));
         let kept = ledger.proofs.chain_proof(8).expect("read").expect("kept");
         assert_eq!((kept.hash, kept.nodes), (Hash([8; 32]), vec![vec![1; 3], vec![2; 3], vec![4; 3]]));
@@ -313,15 +311,14 @@ mod tests {
         assert_eq!(headers, [None, Some(vec![7]), Some(vec![8]), Some(vec![9])]);
         let nodes: i64 = ledger
             .database
-            .read(|connection| Ok(connection.query_row("SELECT count(*) FROM chain_nodes", [], |row| row.get(0))?))
+            .read(|connection| Ok(connection.one("SELECT count(*) FROM chain_nodes", [], |row| row.get(0))?))
             .expect("read");
         assert_eq!(nodes, 4);
     }
 
     #[test]
     fn a_batch_that_a_reorganisation_moves_waits_again() {
-        let home = tempfile::tempdir().expect("folder");
-        let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
+        let (_home, ledger) = open();
         anchored(&ledger, 1, 7);
         let key = ledger.proofs.unproven_batches(7, 9).expect("read").remove(0).key;
         ledger
@@ -339,6 +336,11 @@ mod tests {
             .expect("kept");
         assert_eq!(blocks(&ledger, 9), [8]);
     }
+
+    crate::ledger::tests::server::on_a_server! {
+        each_batch_waits_for_its_proof_from_its_block_on_and_nodes_are_kept_once,
+        a_batch_that_a_reorganisation_moves_waits_again,
+    }
 }
 
 #[cfg(test)]
@@ -346,7 +348,7 @@ mod stamps_tests {
     use super::*;
     use crate::Ledger;
     use crate::NewBatch;
-    use crate::ledger::tests::numbered as record;
+    use crate::ledger::tests::{numbered as record, open, open_again};
     use crate::model::{Address, Digest};
 
     fn close(ledger: &Ledger, number: u8) {
@@ -357,9 +359,7 @@ mod stamps_tests {
 
     #[test]
     fn each_batch_is_put_under_one_stamp_and_waits_there_for_tokens() {
-        let home = tempfile::tempdir().expect("folder");
-        let path = home.path().join("ledger.db");
-        let ledger = Ledger::open(&path).expect("opens");
+        let (home, ledger) = open();
         let begin = |most| ledger.proofs.begin_stamp(most, Timestamp(40));
         assert_eq!((begin(9), ledger.proofs.stamp_counts()), (Ok(0), Ok(StampCounts::default())));
         (1..=3).for_each(|number| close(&ledger, number));
@@ -378,7 +378,7 @@ mod stamps_tests {
         assert_eq!((counts.stamped, counts.waiting, counts.before), (1, 1, Some(Timestamp(50))));
         // Another process, later.
         ledger.close().expect("closed");
-        let ledger = Ledger::open(&path).expect("opens");
+        let ledger = open_again(&home);
         let stamp = ledger.proofs.stamp(key).expect("read").expect("kept");
         assert_eq!((stamp.roots, stamp.tokens), (vec![Hash([1; 32]), Hash([2; 32])], vec![vec![7]]));
         assert_eq!((ledger.proofs.stamp_of(Hash([9; 32])), ledger.proofs.stamp(99)), (Ok(None), Ok(None)));
@@ -386,4 +386,6 @@ mod stamps_tests {
         assert_eq!(ledger.proofs.begin_stamp(9, Timestamp(70)), Ok(1));
         assert_eq!(ledger.proofs.stamp_counts().expect("read").newest, Some(Timestamp(70)));
     }
+
+    crate::ledger::tests::server::on_a_server!(each_batch_is_put_under_one_stamp_and_waits_there_for_tokens);
 }

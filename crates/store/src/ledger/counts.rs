@@ -3,14 +3,14 @@
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::ops::RangeInclusive;
 
-use rusqlite::{Connection, Params, params};
 use serde::{Deserialize, Serialize};
 
 use super::Counts;
 use super::rows::{self, Stream, Which, optional, unsigned};
 use crate::StoreError;
-use crate::database::{Statements as _, whole};
+use crate::database::whole;
 use crate::model::{Address, LossReason, RecordKind, RecordState, RecorderId, SignerId, Timestamp, TopicId};
+use crate::sql::{Connection, Params, params};
 
 /// `captured = verified + pending + right_ended + quarantined + dropped + tampered`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -72,7 +72,7 @@ pub struct SealedQuery {
 /// By [`SealedQuery::values`].
 const SEALED: &str = "FROM epoch_records
     JOIN streams ON streams.key = epoch_records.stream JOIN topics ON topics.key = streams.topic
-    WHERE topics.owner = ?1 AND (?2 IS NULL OR topics.topic_id = ?2) AND epoch BETWEEN ?3 AND ?4
+    WHERE topics.owner = ?1 AND (topics.topic_id = ?2 OR ?2 IS NULL) AND epoch BETWEEN ?3 AND ?4
     AND kind = ?5 AND records > 0 AND last_at >= ?6";
 
 impl SealedQuery {
@@ -219,9 +219,9 @@ impl Tally {
     }
 
     fn add_drops(&mut self, connection: &Connection, owner: Option<Address>) -> Result<(), StoreError> {
-        let sql = "SELECT owner, topic, reason, count FROM drops WHERE ?1 IS NULL OR owner = ?1";
+        let sql = "SELECT owner, topic, reason, count FROM drops WHERE owner = ?1 OR ?1 IS NULL";
         connection.each(sql, [owner.map(|owner| owner.0)], |row| {
-            let (topic, reason, count) = (row.get::<_, String>(1)?, row.get::<_, String>(2)?, unsigned(row, 3)?);
+            let (topic, reason, count) = (row.get::<String>(1)?, row.get::<String>(2)?, unsigned(row, 3)?);
             let topic = self.topic(Address(row.get(0)?), &topic);
             if reason == LossReason::Transport.word() {
                 topic.missed += count;

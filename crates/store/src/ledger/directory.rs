@@ -3,16 +3,15 @@
 
 use std::path::Path;
 
-use rusqlite::{Connection, Row, params};
-
 use super::query::Glance;
 use super::rows::{By, anchored, check, of_its_batch, optional, unsigned};
 use super::writer::Session;
 use super::{Batches, Rights, batches};
 use crate::StoreError;
 use crate::crypto::merkle::Leaf;
-use crate::database::{Statements as _, capped, whole};
+use crate::database::{capped, whole};
 use crate::model::{Address, Digest, Domain, RecordState, SignerId, Token};
+use crate::sql::{self, Connection, Row, params};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RightKind {
@@ -96,10 +95,10 @@ impl Rights {
     pub fn bind_contract(&self, domain: Domain, pin: &str) -> Result<(), StoreError> {
         let pin = pin.to_owned();
         self.0.write(move |Session { connection, .. }| {
-            let sql = "INSERT INTO contract VALUES (1, ?1, ?2, 0, -1) ON CONFLICT DO UPDATE SET pin = excluded.pin \
-                       WHERE domain = excluded.domain AND pin <> excluded.pin";
+            let sql = "INSERT INTO contract VALUES (1, ?1, ?2, 0, -1) ON CONFLICT (one) DO UPDATE SET pin = excluded.pin \
+                       WHERE contract.domain = excluded.domain AND contract.pin <> excluded.pin";
             connection.run(sql, params![domain.0, pin])?;
-            let bound = connection.query_row("SELECT domain FROM contract", [], |row| row.get(0).map(Domain))?;
+            let bound = connection.one("SELECT domain FROM contract", [], |row| row.get(0).map(Domain))?;
             if bound == domain { Ok(()) } else { Err(StoreError::Bound { bound, domain }) }
         })
     }
@@ -177,7 +176,7 @@ impl Rights {
     /// Makes the watcher read them again.
     pub fn forget_rights(&self) -> Result<(), StoreError> {
         self.0.write_many(super::writer::MANY + 1, move |session| {
-            session.connection.execute_batch("DELETE FROM envelopes; DELETE FROM rights;")?;
+            session.connection.script("DELETE FROM envelopes; DELETE FROM rights;")?;
             session.connection.run(UP_TO, [0, -1])
         })
     }
@@ -249,12 +248,12 @@ impl Rights {
     }
 }
 
-fn kept(row: &Row<'_>) -> rusqlite::Result<KeptRight> {
+fn kept(row: &Row<'_>) -> sql::Result<KeptRight> {
     let (block, place, revoked) = (unsigned(row, 0)?, unsigned(row, 1)?, optional(row, 3)?);
     Ok(KeptRight { block, place, event: row.get(2)?, revoked })
 }
 
-fn envelope(row: &Row<'_>) -> rusqlite::Result<KeptEnvelope> {
+fn envelope(row: &Row<'_>) -> sql::Result<KeptEnvelope> {
     Ok(KeptEnvelope { epoch: unsigned(row, 0)?, block: unsigned(row, 1)?, bytes: row.get(2)? })
 }
 
@@ -343,7 +342,8 @@ impl Batches {
     pub fn waiting_signers(&self, keeper: Address) -> Result<Vec<WaitingSigner>, StoreError> {
         let [held, stored, batched] =
             [RecordState::RightEnded, RecordState::Stored, RecordState::Batched].map(RecordState::code);
-        let sql = "SELECT t.owner, r.signer, max(c.state = ?2), max(c.state <> ?2)
+        let sql = "SELECT t.owner, r.signer, max(CASE c.state WHEN ?2 THEN 1 ELSE 0 END),
+                max(CASE c.state WHEN ?2 THEN 0 ELSE 1 END)
             FROM streams s JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder
             JOIN counters c ON c.stream = s.key
             WHERE coalesce(t.keeper, t.owner) = ?1 AND c.records > 0 AND c.state IN (?2, ?3, ?4)
@@ -417,13 +417,16 @@ fn unsent_batches(connection: &Connection, (keeper, owner, signer): Whose) -> Re
     Ok(connection.list(&sql, values, |row| row.get(0))?)
 }
 
+const LEAVE_BATCH: &str = "INSERT INTO left_places SELECT batch, leaf, record FROM leaves WHERE batch = ?1
+    ON CONFLICT (batch, leaf) DO UPDATE SET record = excluded.record";
+
 /// The root stays known as this ledger's.
 fn dissolve(connection: &Connection, batch: i64) -> Result<(), StoreError> {
     let [batched, stored] = [RecordState::Batched, RecordState::Stored];
     check(By::Right, batched, stored)?;
     let sql = "UPDATE records SET state = ?3 WHERE +state = ?2 AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
     connection.run(sql, params![batch, batched.code(), stored.code()])?;
-    connection.run("REPLACE INTO left_places SELECT batch, leaf, record FROM leaves WHERE batch = ?1", [batch])?;
+    connection.run(LEAVE_BATCH, [batch])?;
     connection.run("DELETE FROM leaves WHERE batch = ?1", [batch])
 }
 
@@ -435,8 +438,12 @@ fn pass_over_one(connection: &Connection, digest: Digest) -> Result<u64, StoreEr
     let found: Option<i64> = connection.find(sql, params![digest.0, confirmed.code()], |row| row.get(0))?;
     let Some(record) = found else { return Ok(0) };
     for step in [
-        concat!("REPLACE INTO passed_over SELECT n, ", anchored!("block"), " FROM records WHERE n = ?1"),
-        "REPLACE INTO left_places SELECT batch, leaf, record FROM leaves WHERE record = ?1",
+        concat!(
+            "INSERT INTO passed_over SELECT n, ",
+            anchored!("block"),
+            " FROM records WHERE n = ?1 ON CONFLICT (record) DO UPDATE SET block = excluded.block"
+        ),
+        batches::LEAVE_PLACE,
         "DELETE FROM leaves WHERE record = ?1",
     ] {
         connection.run(step, [record])?;

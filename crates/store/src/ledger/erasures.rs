@@ -4,20 +4,20 @@
 use std::fmt;
 use std::sync::atomic::Ordering;
 
-use rusqlite::{Connection, params};
 use serde::{Deserialize, Serialize};
 
 use super::append::add;
 use super::batches::take_in;
 use super::retention::{is_held, name};
 use super::rows::{LEARNED_NAME, state, unsigned};
-use super::{Erasures, NewRecord, RootSighting};
+use super::{Erasures, NewRecord, RootSighting, Session};
 use crate::StoreError;
 use crate::crypto::ErasedStatement;
 use crate::crypto::merkle::Inclusion;
-use crate::database::{Statements as _, capped, whole};
+use crate::database::{capped, whole};
 use crate::model::{Address, Digest, PublicKey, RecordState, Timestamp, clean};
 use crate::notes::{self, Erased};
+use crate::sql::{Connection, params};
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct StatedErasure {
@@ -72,11 +72,16 @@ pub enum ToldErased {
 impl Erasures {
     /// Replaces earlier statements.
     pub fn keep(&self, stated: Vec<StatedErasure>) -> Result<(), StoreError> {
-        let sql = "REPLACE INTO erasures (record, statement, account, taken)
-            SELECT n, ?2, ?3, coalesce((SELECT taken FROM erasures WHERE record = records.n), 0)
-            FROM records WHERE digest = ?1";
-        let rows = stated.into_iter().map(|one| (one.digest.0, one.statement, one.account)).collect();
-        self.0.run_each(sql, rows).map(drop)
+        self.0.write_many(stated.len(), move |Session { connection, .. }| {
+            stated.iter().try_for_each(|one| {
+                let taken = kept(connection, one.digest)?.is_some_and(|before| before.taken);
+                put(
+                    connection,
+                    one.digest,
+                    &KeptErasure { statement: one.statement.clone(), account: one.account.clone(), taken },
+                )
+            })
+        })
     }
 
     pub fn kept(&self, digest: Digest) -> Result<Option<KeptErasure>, StoreError> {
@@ -141,9 +146,9 @@ impl Erasures {
             if told == ToldErased::Unchanged {
                 return Ok(told);
             }
-            let sql = "REPLACE INTO erasures (record, statement, account, taken)
-                SELECT n, ?2, ?3, 1 FROM records WHERE digest = ?1";
-            connection.run(sql, params![digest.0, taken.statement, account])?;
+            let stated =
+                KeptErasure { statement: taken.statement.clone(), account: Some(account.clone()), taken: true };
+            put(connection, digest, &stated)?;
             take_in(connection, digest, &inclusion, &anchor)?;
             Ok(told)
         })?;
@@ -185,11 +190,19 @@ fn told() -> String {
     )
 }
 
-fn kept(connection: &Connection, digest: Digest) -> Result<Option<KeptErasure>, StoreError> {
+pub(super) fn kept(connection: &Connection, digest: Digest) -> Result<Option<KeptErasure>, StoreError> {
     let sql = "SELECT statement, account, taken FROM erasures WHERE record = (SELECT n FROM records WHERE digest = ?1)";
     Ok(connection.find(sql, [digest.0], |row| {
         Ok(KeptErasure { statement: row.get(0)?, account: row.get(1)?, taken: row.get(2)? })
     })?)
+}
+
+/// In the place of an earlier one, under a new number: followers may have read past the earlier.
+pub(super) fn put(connection: &Connection, digest: Digest, stated: &KeptErasure) -> Result<(), StoreError> {
+    connection.run("DELETE FROM erasures WHERE record = (SELECT n FROM records WHERE digest = ?1)", [digest.0])?;
+    let sql =
+        "INSERT INTO erasures (record, statement, account, taken) SELECT n, ?2, ?3, ?4 FROM records WHERE digest = ?1";
+    connection.run(sql, params![digest.0, stated.statement, stated.account, stated.taken])
 }
 
 /// State, and whether the bytes are gone.
@@ -230,7 +243,7 @@ fn give_up(connection: &Connection, digest: Digest, taken: &TakenErased) -> Resu
     let is_named = "SELECT 1 FROM retained WHERE record = (SELECT n FROM records WHERE digest = ?1)";
     let is_named = connection.has(is_named, [digest.0])?;
     let sql = "INSERT INTO retained (record, report, header) SELECT n, ?2, ?3 FROM records WHERE digest = ?1
-        ON CONFLICT DO UPDATE SET report = excluded.report, header = excluded.header
+        ON CONFLICT (record) DO UPDATE SET report = excluded.report, header = excluded.header
         WHERE NOT EXISTS (SELECT 1 FROM notes WHERE kind = 'erased' AND about = lower(hex(retained.report)))";
     if connection.changed(sql, params![digest.0, taken.report.0, taken.header])? == 0 {
         return Ok(ToldErased::Unchanged);
@@ -287,7 +300,8 @@ fn take_from_rule(connection: &Connection, digest: Digest, report: Digest) -> Re
 
 pub(super) fn count_given_up(connection: &Connection, digest: Digest) -> Result<(), StoreError> {
     let sql = "INSERT INTO retained_topics SELECT topic, 1, bytes FROM records WHERE digest = ?1
-        ON CONFLICT DO UPDATE SET records = records + excluded.records, bytes = bytes + excluded.bytes";
+        ON CONFLICT (topic) DO UPDATE SET records = retained_topics.records + excluded.records,
+        bytes = retained_topics.bytes + excluded.bytes";
     connection.run(sql, [digest.0])
 }
 

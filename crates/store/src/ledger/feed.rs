@@ -1,15 +1,14 @@
 //! The feed: what readers may have, in order. Triggers write it in the commit that verifies or erases a record.
 
 use std::collections::HashMap;
-
-use rusqlite::{Connection, params};
+use std::path::PathBuf;
 
 use super::batches::placed_in;
 use super::rows::{out_of_range, unsigned};
 use super::{Feed, PlacedRecord};
 use crate::StoreError;
-use crate::database::Statements as _;
 use crate::model::{Address, Digest, Fact, RecordKind, RecorderId, TopicId};
+use crate::sql::{Connection, params};
 
 /// Rows read for a page, so that a narrow filter does not hold the ledger for long.
 const MOST_LOOKED_AT: i64 = 20_000;
@@ -64,7 +63,10 @@ const MOST_IDS: i64 = 4096;
 
 /// Gives the feed a new id: a copy of the file that falls behind `after` would give the same numbers again.
 pub(super) fn begin(connection: &Connection, after: i64) -> Result<(), StoreError> {
-    connection.run("INSERT INTO feeds (id, after) VALUES (randomblob(16), ?1)", [after])?;
+    let mut id = [0_u8; 16];
+    getrandom::fill(&mut id)
+        .map_err(|error| StoreError::Database { file: PathBuf::new(), detail: error.to_string() })?;
+    connection.run("INSERT INTO feeds (id, after) VALUES (?1, ?2)", params![id, after])?;
     connection.run("DELETE FROM feeds WHERE key <= (SELECT max(key) FROM feeds) - ?1", [MOST_IDS])
 }
 
@@ -88,17 +90,15 @@ fn page(connection: &Connection, id: &[u8; 16], filter: &FeedFilter, limit: usiz
     let first = filter.places.iter().map(|wanted| place(wanted.after)).min().unwrap_or(head);
     let (mut upto, mut found, mut looked_at) = (first, Vec::new(), 0);
     let sql = "SELECT number, record, topic, fact FROM feed WHERE number > ?1 ORDER BY number LIMIT ?2";
-    let mut statement = connection.prepared(sql)?;
-    let mut rows = statement.query(params![first.cast_signed(), MOST_LOOKED_AT])?;
-    while found.len() < limit
-        && let Some(row) = rows.next()?
-    {
+    let values = params![first.cast_signed(), if limit > 0 { MOST_LOOKED_AT } else { 0 }];
+    connection.prepared(sql)?.each_while(values, |row| {
         (upto, looked_at) = (unsigned(row, 0)?, looked_at + 1);
         if topics.get(&row.get(2)?).is_some_and(|after| upto > *after) {
             let fact = Fact::from_code(row.get(3)?).ok_or_else(|| out_of_range(3))?;
             found.push((upto, fact, row.get(1)?));
         }
-    }
+        Ok::<_, StoreError>(found.len() < limit)
+    })?;
     if looked_at < MOST_LOOKED_AT && found.len() < limit {
         upto = head;
     }
@@ -133,7 +133,7 @@ fn filled(
     kind: Option<RecordKind>,
 ) -> Result<Vec<FeedRow>, StoreError> {
     let mut digest = connection.prepared("SELECT digest FROM records WHERE n = ?1")?;
-    let digests = found.iter().map(|(_, _, record)| digest.query_row([record], |row| row.get(0).map(Digest)));
+    let digests = found.iter().map(|(_, _, record)| digest.one([record], |row| row.get(0).map(Digest)));
     let placed = placed_in(connection, &digests.collect::<Result<Vec<_>, _>>()?)?;
     let rows = found.into_iter().zip(placed).filter_map(|((number, fact, _), placed)| {
         let placed = placed.filter(|placed| kind.is_none_or(|kind| placed.row.kind == kind))?;

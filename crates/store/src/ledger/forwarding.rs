@@ -2,16 +2,15 @@
 
 use std::collections::BTreeSet;
 
-use rusqlite::{Connection, OptionalExtension as _, params};
-
 use super::rows::{self, By, RecordRow, check, time};
 use super::{Bindings, Forwarding, Names, Session};
 use crate::StoreError;
-use crate::database::{Statements as _, capped, whole};
+use crate::database::{capped, whole};
 use crate::model::bytes::hex;
 use crate::model::{
     Address, Digest, ProfileName, PublicKey, RecordState, RecorderId, Signature, SignerId, Timestamp, TopicId,
 };
+use crate::sql::{Connection, params};
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct KeptReceipt {
@@ -40,12 +39,12 @@ impl Forwarding {
         self.0.write(move |session| {
             let digests: Vec<u8> = receipt.digests.iter().flat_map(|digest| digest.0).collect();
             let sql = "INSERT INTO receipts (at, digests, signature) VALUES (?1, ?2, ?3)";
-            session.connection.run(sql, params![whole("time", receipt.time.0)?, digests, receipt.signature.0])?;
-            let key = session.connection.last_insert_rowid();
+            let values = params![whole("time", receipt.time.0)?, digests, receipt.signature.0];
+            let key = session.connection.inserted(sql, "key", values)?;
             let moved = shift(session, &receipt.digests, RecordState::Stored, RecordState::Submitted)?;
             let before = held(session, &receipt.digests)?;
             let sql = "INSERT INTO receipted SELECT n, ?2 FROM records WHERE digest = ?1
-                ON CONFLICT DO UPDATE SET receipt = excluded.receipt";
+                ON CONFLICT (record) DO UPDATE SET receipt = excluded.receipt";
             session.connection.run_each(sql, receipt.digests.iter().map(|digest| (digest.0, key)))?;
             sweep(session, before)?;
             Ok(moved)
@@ -119,7 +118,7 @@ fn shift(session: &Session<'_>, digests: &[Digest], from: RecordState, to: Recor
 fn held(session: &Session<'_>, digests: &[Digest]) -> Result<BTreeSet<i64>, StoreError> {
     let sql = "SELECT receipt FROM receipted WHERE record = (SELECT n FROM records WHERE digest = ?1)";
     let mut find = session.connection.prepared(sql)?;
-    let found = digests.iter().map(|digest| find.query_row([digest.0], |row| row.get(0)).optional());
+    let found = digests.iter().map(|digest| find.find([digest.0], |row| row.get(0)));
     Ok(found.filter_map(Result::transpose).collect::<Result<_, _>>()?)
 }
 
@@ -160,7 +159,9 @@ impl Bindings {
     pub fn bind(&self, name: &ProfileName, binding: KeptBinding) -> Result<(), StoreError> {
         let KeptBinding { account, signing, envelope, sealed_key, device } = binding;
         let (device, notices) = device.map(|(device, notices)| (device.0, notices.0)).unzip();
-        let sql = "REPLACE INTO bindings VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)";
+        let sql = "INSERT INTO bindings VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7) ON CONFLICT (name) DO UPDATE SET
+            account = excluded.account, signing = excluded.signing, envelope = excluded.envelope,
+            sealed_key = excluded.sealed_key, device = excluded.device, notices = excluded.notices";
         self.0.run(sql, (name.to_string(), account.0, signing.0, envelope.0, sealed_key, device, notices))
     }
 
@@ -187,7 +188,7 @@ impl Bindings {
     pub fn binding(&self, name: &ProfileName) -> Result<Option<KeptBinding>, StoreError> {
         let sql = "SELECT account, signing, envelope, sealed_key, device, notices FROM bindings WHERE name = ?1";
         self.0.find(sql, [name.as_str()], |row| {
-            let device = match row.get::<_, Option<_>>(4)? {
+            let device = match row.get::<Option<_>>(4)? {
                 Some(device) => Some((SignerId(device), TopicId(row.get(5)?))),
                 None => None,
             };
@@ -283,7 +284,7 @@ mod tests {
         assert_eq!(ledger.forwarding.settle(&[Digest([2; 32]), Digest([3; 32])], RecordState::Verified), Ok(2));
         let left: i64 = ledger
             .database
-            .read(|connection| Ok(connection.query_row("SELECT count(*) FROM receipts", [], |row| row.get(0))?))
+            .read(|connection| Ok(connection.one("SELECT count(*) FROM receipts", [], |row| row.get(0))?))
             .expect("reads");
         assert_eq!(left, 0);
     }

@@ -1,17 +1,17 @@
 //! Incidents: spans of time and topics with notes. Retention keeps records in them.
 
 use std::collections::BTreeMap;
+use std::fmt::Display;
 use std::str::FromStr;
 
-use rusqlite::types::Type;
-use rusqlite::{Connection, Row, params};
 use serde::{Deserialize, Serialize};
 
 use super::rows::{LEARNED_NAME, TOPIC_NAME, optional, time, unsigned};
 use super::{Incidents, Session};
 use crate::StoreError;
-use crate::database::{Statements as _, capped, whole};
+use crate::database::{capped, whole};
 use crate::model::{Address, IncidentName, RecordKind, RecordState, Timestamp, TopicPatterns};
+use crate::sql::{self, Connection, Row, params};
 
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct IncidentSpan {
@@ -88,17 +88,18 @@ impl Incidents {
             let now = whole("time", Timestamp::now().0)?;
             let until = span.until.map(|until| whole("time", until.0)).transpose()?;
             let since = whole("time", span.since.0)?;
-            let sql =
-                "INSERT OR IGNORE INTO incidents (owner, name, since, until, opened_at) VALUES (?1, ?2, ?3, ?4, ?5)";
+            let sql = "INSERT INTO incidents (owner, name, since, until, opened_at) VALUES (?1, ?2, ?3, ?4, ?5)
+                ON CONFLICT DO NOTHING";
             if connection.changed(sql, params![owner.0, name.as_str(), since, until, now])? == 0 {
                 return Ok(false);
             }
-            let key = connection.last_insert_rowid();
+            let sql = "SELECT key FROM incidents WHERE owner = ?1 AND name = ?2";
+            let key: i64 = connection.one(sql, params![owner.0, name.as_str()], |row| row.get(0))?;
             for topic in &span.topics.0 {
                 let sql = "INSERT OR IGNORE INTO incident_topics VALUES (?1, ?2)";
                 connection.run(sql, params![key, topic.as_str()])?;
             }
-            if let Some(text) = note {
+            if let Some(text) = &note {
                 connection.run("INSERT INTO incident_notes VALUES (?1, 1, ?2, ?3)", params![key, now, text])?;
             }
             Ok(true)
@@ -186,15 +187,11 @@ impl Incidents {
     }
 }
 
-fn parsed<T>(row: &Row<'_>, column: usize) -> rusqlite::Result<T>
-where
-    T: FromStr<Err: std::error::Error + Send + Sync + 'static>,
-{
-    let wrong = |error: T::Err| rusqlite::Error::FromSqlConversionFailure(column, Type::Text, Box::new(error));
-    row.get::<_, String>(column)?.parse().map_err(wrong)
+fn parsed<T: FromStr<Err: Display>>(row: &Row<'_>, column: usize) -> sql::Result<T> {
+    row.get::<String>(column)?.parse().map_err(|error: T::Err| sql::Error::altered(column, &error.to_string()))
 }
 
-fn incident(row: &Row<'_>) -> rusqlite::Result<(i64, IncidentRow)> {
+fn incident(row: &Row<'_>) -> sql::Result<(i64, IncidentRow)> {
     let name = parsed(row, 1)?;
     let (since, until) = (time(row, 2)?, optional(row, 3)?.map(Timestamp));
     let (opened_at, closed_at) = (time(row, 4)?, optional(row, 5)?.map(Timestamp));
@@ -222,7 +219,7 @@ fn counted(connection: &Connection, owner: Address, span: &IncidentSpan) -> Resu
     let (kind, dropped) = (RecordKind::Data.code(), RecordState::Dropped.code());
     Ok(connection.list(&sql, params![owner.0, kind, dropped, capped(span.since.0), end(span)], |row| {
         let (topic, records) = (row.get(0)?, unsigned(row, 2)?);
-        if row.get::<_, u8>(1)? == RecordState::Quarantined.code() {
+        if row.get::<u8>(1)? == RecordState::Quarantined.code() {
             return Ok(SpanCoverage { topic, quarantined: records, ..SpanCoverage::default() });
         }
         let (bytes, deleted) = (unsigned(row, 3)?, unsigned(row, 6)?);

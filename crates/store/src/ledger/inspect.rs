@@ -3,16 +3,15 @@
 
 use std::collections::HashMap;
 
-use rusqlite::{Row, params};
-
 use super::Inspection;
 use super::branches::Branches;
 use super::rows::{self, RecordRow, Stream, optional, unsigned};
 use super::{batches, branches};
 use crate::StoreError;
 use crate::crypto::merkle::Inclusion;
-use crate::database::{self, Statements as _, capped, count, whole};
+use crate::database::{self, capped, count, whole};
 use crate::model::{Address, Digest, FilterId, Hash, RecordState, RecorderId, SignerId, Timestamp, TopicId, clean};
+use crate::sql::{self, Row, params};
 
 /// Of [`rows::record`].
 const RECORD_COLUMNS: usize = 14;
@@ -81,6 +80,22 @@ pub struct Sequence {
     pub last: u64,
 }
 
+/// As the server says.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Durability {
+    /// Of PostgreSQL.
+    pub version: String,
+    /// `synchronous_commit` of its users; what this program acknowledges is committed with `on`.
+    pub commits: String,
+    /// `synchronous_standby_names`; empty = a commit waits for none.
+    pub standbys: String,
+    pub fsync: bool,
+    /// It takes no writes.
+    pub is_standby: bool,
+    /// Standbys that are there now, as far as this user may see them (pg_monitor).
+    pub waits_for: u64,
+}
+
 impl Inspection {
     /// After row `after`, captured at `since` or later.
     pub fn audit_page(&self, after: u64, since: Timestamp, limit: usize) -> Result<AuditPage, StoreError> {
@@ -92,7 +107,7 @@ impl Inspection {
                 "SELECT {}, n, leaves.batch, leaf, branches.path, root, batches.count, batches.tx, batches.block,
                     batches.block_hash, EXISTS (SELECT 1 FROM ciphertext WHERE record = n),
                     records.topic = (SELECT topic FROM streams WHERE streams.key = stream),
-                    records.deleted_at IS (SELECT retained.deleted_at FROM retained WHERE record = n), {}
+                    records.deleted_at IS NOT DISTINCT FROM (SELECT retained.deleted_at FROM retained WHERE record = n), {}
                     FROM records LEFT JOIN leaves ON record = n LEFT JOIN batches ON key = leaves.batch
                     {}
                     WHERE n > ?1 AND (captured_at >= ?2 OR captured_at < 0) ORDER BY n LIMIT ?3",
@@ -172,7 +187,7 @@ impl Inspection {
         let sql = "SELECT coalesce(nullif(name, ''), lower(hex(topic_id))), held FROM
             (SELECT topic, count(*) AS held FROM
              (SELECT topic, captured_at, lag(captured_at) OVER (PARTITION BY topic ORDER BY seq) AS before
-              FROM records) WHERE captured_at + 5000000000 < before GROUP BY topic)
+              FROM records) AS steps WHERE captured_at + 5000000000 < before GROUP BY topic) AS back
             JOIN topics ON topics.key = topic ORDER BY topics.key";
         self.0.list(sql, [], |row| Ok((row.get(0)?, unsigned(row, 1)?)))
     }
@@ -195,11 +210,11 @@ impl Inspection {
 
     pub fn sequences(&self) -> Result<Vec<Sequence>, StoreError> {
         let sql = "SELECT topics.key, owner, coalesce(nullif(name, ''), lower(hex(topic_id))), keeper, held, low, high, id, signer
-            FROM (SELECT topic, count(*) AS held, min(seq) AS low, max(seq) AS high FROM records GROUP BY topic)
+            FROM (SELECT topic, count(*) AS held, min(seq) AS low, max(seq) AS high FROM records GROUP BY topic) AS numbers
             JOIN topics ON topics.key = topic JOIN recorders ON recorders.key = topics.recorder
             ORDER BY topics.key";
         self.0.list(sql, [], |row| {
-            let (owner, keeper) = (Address(row.get(1)?), row.get::<_, Option<_>>(3)?.map(Address));
+            let (owner, keeper) = (Address(row.get(1)?), row.get::<Option<_>>(3)?.map(Address));
             let (count, first, last) = (unsigned(row, 4)?, unsigned(row, 5)?, unsigned(row, 6)?);
             let (recorder, signer) = (RecorderId(row.get(7)?), SignerId(row.get(8)?));
             let (key, name) = (row.get(0)?, row.get(2)?);
@@ -211,7 +226,7 @@ impl Inspection {
     pub fn holes(&self, sequence: &Sequence, limit: usize) -> Result<Vec<(u64, u64)>, StoreError> {
         let before = (sequence.first > 1).then(|| (1, sequence.first - 1));
         let sql = "SELECT seq + 1, next - 1 FROM
-            (SELECT seq, lead(seq) OVER (ORDER BY seq) AS next FROM records WHERE topic = ?1)
+            (SELECT seq, lead(seq) OVER (ORDER BY seq) AS next FROM records WHERE topic = ?1) AS steps
             WHERE next > seq + 1 LIMIT ?2";
         let values = params![sequence.key, capped(limit)];
         let holes: Vec<_> = self.0.list(sql, values, |row| Ok((unsigned(row, 0)?, unsigned(row, 1)?)))?;
@@ -219,63 +234,79 @@ impl Inspection {
     }
 }
 
-fn audited(row: &Row<'_>, streams: &HashMap<i64, Stream>, branches: &mut Branches) -> rusqlite::Result<AuditedRecord> {
+fn audited(row: &Row<'_>, streams: &HashMap<i64, Stream>, branches: &mut Branches) -> sql::Result<AuditedRecord> {
     Ok(AuditedRecord {
         number: unsigned(row, RECORD_COLUMNS)?,
         row: rows::record(row, streams)?,
         place: place(row, branches)?,
         is_stored: row.get(RECORD_COLUMNS + 9)?,
-        in_its_topic: row.get::<_, Option<bool>>(RECORD_COLUMNS + 10)?.unwrap_or(false),
+        in_its_topic: row.get::<Option<bool>>(RECORD_COLUMNS + 10)?.unwrap_or(false),
         as_retained: row.get(RECORD_COLUMNS + 11)?,
     })
 }
 
-fn place(row: &Row<'_>, branches: &mut Branches) -> rusqlite::Result<Option<AuditedPlace>> {
+fn place(row: &Row<'_>, branches: &mut Branches) -> sql::Result<Option<AuditedPlace>> {
     let column = |number: usize| RECORD_COLUMNS + number;
-    if row.get::<_, Option<i64>>(column(1))?.is_none() {
+    if row.get::<Option<i64>>(column(1))?.is_none() {
         return Ok(None);
     }
     let within = |root| {
         let (index, count) = (unsigned(row, column(2))?, unsigned(row, column(5))?);
         let path = branches.path_of(row, column(3), root, (index, count))?;
-        Ok::<_, rusqlite::Error>(Inclusion { index, count, path, root })
+        Ok::<_, sql::Error>(Inclusion { index, count, path, root })
     };
-    let inclusion = row.get::<_, Option<_>>(column(4))?.map(Hash).map(within).transpose()?;
-    let (transaction, block) = (row.get::<_, Option<_>>(column(6))?.map(Hash), optional(row, column(7))?);
-    let (block_hash, is_contradicted) = (row.get::<_, Option<_>>(column(8))?.map(Hash), row.get(column(12))?);
+    let inclusion = row.get::<Option<_>>(column(4))?.map(Hash).map(within).transpose()?;
+    let (transaction, block) = (row.get::<Option<_>>(column(6))?.map(Hash), optional(row, column(7))?);
+    let (block_hash, is_contradicted) = (row.get::<Option<_>>(column(8))?.map(Hash), row.get(column(12))?);
     Ok(Some(AuditedPlace { inclusion, transaction, block, block_hash, is_contradicted }))
 }
 
-fn batch(row: &Row<'_>) -> rusqlite::Result<AuditedBatch> {
+fn batch(row: &Row<'_>) -> sql::Result<AuditedBatch> {
     let (key, count, held) = (unsigned(row, 0)?, unsigned(row, 2)?, unsigned(row, 3)?);
-    let (account, transaction) = (row.get::<_, Option<_>>(4)?.map(Address), row.get::<_, Option<_>>(5)?.map(Hash));
-    let (block, block_hash) = (optional(row, 6)?, row.get::<_, Option<_>>(7)?.map(Hash));
+    let (account, transaction) = (row.get::<Option<_>>(4)?.map(Address), row.get::<Option<_>>(5)?.map(Hash));
+    let (block, block_hash) = (optional(row, 6)?, row.get::<Option<_>>(7)?.map(Hash));
     let (root, closed_here) = (Hash(row.get(1)?), row.get(8)?);
     Ok(AuditedBatch { key, root, count, held, closed_here, account, transaction, block, block_hash })
 }
 
 // Whether the tables agree: checked after an unclean shutdown, and when a home is examined.
 
+/// Counts the rows that `found` or `held` has and the other has not.
+macro_rules! differing {
+    (found: $found:literal, held: $held:literal) => {
+        concat!(
+            "WITH found AS (",
+            $found,
+            "), held AS (",
+            $held,
+            ")
+            SELECT count(*) FROM (SELECT * FROM (SELECT * FROM found EXCEPT SELECT * FROM held) lacking
+            UNION ALL SELECT * FROM (SELECT * FROM held EXCEPT SELECT * FROM found) excess) differing"
+        )
+    };
+}
+
 /// Queries that must count zero, with the meaning of any other count.
 const RULES: [(&str, &str); 5] = [
     (
-        "WITH found AS (SELECT stream, state, count(*) AS records, sum(bytes) AS bytes FROM records GROUP BY state, stream),
-            held AS (SELECT * FROM counters WHERE records <> 0 OR bytes <> 0)
-            SELECT count(*) FROM (SELECT * FROM (SELECT * FROM found EXCEPT SELECT * FROM held)
-            UNION ALL SELECT * FROM (SELECT * FROM held EXCEPT SELECT * FROM found))",
+        differing!(
+            found: "SELECT stream, state, count(*) AS records, sum(bytes) AS bytes FROM records GROUP BY state, stream",
+            held: "SELECT * FROM counters WHERE records <> 0 OR bytes <> 0"
+        ),
         "counts per state do not match the records",
     ),
     (
-        "WITH found AS (SELECT stream, epoch, sum(state NOT IN (7, 8) AND deleted_at IS NULL),
-            min(min(captured_at, acknowledged_at)), max(min(captured_at, acknowledged_at))
-            FROM records GROUP BY stream, epoch)
-            SELECT count(*) FROM (SELECT * FROM (SELECT * FROM found EXCEPT SELECT * FROM epoch_records)
-            UNION ALL SELECT * FROM (SELECT * FROM epoch_records EXCEPT SELECT * FROM found))",
+        differing!(
+            found: "SELECT stream, epoch, sum(CASE WHEN state NOT IN (7, 8) AND deleted_at IS NULL THEN 1 ELSE 0 END),
+                min(min(captured_at, acknowledged_at)), max(min(captured_at, acknowledged_at))
+                FROM records GROUP BY stream, epoch",
+            held: "SELECT * FROM epoch_records"
+        ),
         "counts per epoch do not match the records",
     ),
     (
         "SELECT count(*) FROM (SELECT stream, sum(records) AS rows FROM counters GROUP BY stream) held
-            LEFT JOIN intake i ON i.stream = held.stream WHERE i.records IS NOT held.rows",
+            LEFT JOIN intake i ON i.stream = held.stream WHERE i.records IS DISTINCT FROM held.rows",
         "streams have fewer or more records than were stored",
     ),
     (
@@ -300,8 +331,8 @@ impl Inspection {
     pub fn contradictions(&self) -> Result<Vec<String>, StoreError> {
         self.0.read(|connection| {
             let found = RULES.iter().map(|(sql, text)| {
-                let count: i64 = connection.query_row(sql, [], |row| row.get(0))?;
-                Ok((count > 0).then(|| format!("{count} {text}")))
+                let count: i64 = connection.one(sql, [], |row| row.get(0))?;
+                Ok::<_, StoreError>((count > 0).then(|| format!("{count} {text}")))
             });
             found.filter_map(Result::transpose).collect()
         })
@@ -309,7 +340,32 @@ impl Inspection {
 
     /// Reads everything but ciphertext, and compares indices with their tables.
     pub fn check_file(&self) -> Result<(), StoreError> {
-        self.0.read(|connection| database::check_all_but("integrity_check", connection, "ciphertext", self.0.path()))
+        self.0.read(|connection| match connection.file() {
+            Some(file) => database::check_all_but("integrity_check", file, "ciphertext", self.0.path()),
+            None => Ok(()),
+        })
+    }
+
+    /// What an acknowledgement is worth on the server; `None` for a file, where it is an fsync.
+    pub fn durability(&self) -> Result<Option<Durability>, StoreError> {
+        let setting = |name: &str| format!("current_setting('{name}')");
+        let [version, commits, standbys, fsync] =
+            ["server_version", "synchronous_commit", "synchronous_standby_names", "fsync"].map(setting);
+        let sql = format!(
+            "SELECT {version}, {commits}, {standbys}, {fsync} = 'on', pg_is_in_recovery(),
+                (SELECT count(*) FROM pg_stat_replication WHERE sync_state IN ('sync', 'quorum'))"
+        );
+        self.0.read(|connection| {
+            if connection.file().is_some() {
+                return Ok(None);
+            }
+            let found = connection.one(&sql, [], |row| {
+                let (version, commits, standbys) = (row.get(0)?, row.get(1)?, row.get(2)?);
+                let (fsync, is_standby, waits_for) = (row.get(3)?, row.get(4)?, unsigned(row, 5)?);
+                Ok(Durability { version, commits, standbys, fsync, is_standby, waits_for })
+            });
+            Ok(Some(found?))
+        })
     }
 
     /// Those acknowledged last whose ciphertext should be there.
@@ -366,7 +422,7 @@ mod integrity_tests {
         assert!(ledger.inspection.ended_cleanly());
         let lost = "INSERT INTO intake VALUES (7, 3); INSERT INTO counters VALUES (7, 2, 2, 9);
                     INSERT INTO leaves VALUES (1, 1, 0)";
-        ledger.database.write(|session| Ok(session.connection.execute_batch(lost)?)).expect("written");
+        ledger.database.write(|session| Ok(session.connection.script(lost)?)).expect("written");
         let found = ledger.inspection.contradictions().expect("read");
         let meanings = ["counts per state", "were stored", "batch positions"];
         assert!(

@@ -1,15 +1,15 @@
 //! Records held back, pinned publishers and their alarms, and gaps.
 
-use rusqlite::{Connection, Row, params};
 use serde::{Deserialize, Serialize};
 
 use super::append::add;
 use super::rows::{self, By, RecordRow, check, time, unsigned};
 use super::{Losses, NewRecord, Pins, Quarantine, Session};
 use crate::StoreError;
-use crate::database::{Statements as _, capped, whole};
+use crate::database::{capped, whole};
 use crate::model::{Address, Digest, LossReason, Publisher, RecordKind, RecordState, Timestamp, TopicId};
 use crate::notes::{self, LossesCounted};
+use crate::sql::{self, Connection, Row, params};
 
 const MINUTE: i64 = 60_000_000_000;
 
@@ -85,7 +85,7 @@ impl Quarantine {
             );
             let values = params![owner.0, query.topic, capped(query.limit), query.messages, RecordKind::Data.code()];
             Ok(connection.list(&sql, values, |row| {
-                let (record, report) = (rows::record(row, &streams)?, row.get::<_, Option<_>>(16)?.map(Digest));
+                let (record, report) = (rows::record(row, &streams)?, row.get::<Option<_>>(16)?.map(Digest));
                 let (reason, publisher, decision) = (row.get(14)?, row.get(15)?, row.get(17)?);
                 Ok(HeldRow { record, reason, publisher, report, decision })
             })?)
@@ -100,7 +100,7 @@ impl Quarantine {
                 CROSS JOIN records ON n = record JOIN topics ON key = topic
                 WHERE report IS NULL AND minute < ?1 AND owner = ?2 ORDER BY record LIMIT 1";
             let first = connection.find(sql, params![capped(before), owner.0], |row| {
-                Ok((row.get::<_, i64>(0)?, TopicId(row.get(1)?), row.get::<_, String>(2)?, unsigned(row, 3)?))
+                Ok((row.get::<i64>(0)?, TopicId(row.get(1)?), row.get::<String>(2)?, unsigned(row, 3)?))
             })?;
             let Some((key, topic_id, topic, minute)) = first else { return Ok(None) };
             let sql = "SELECT seq, digest FROM held INDEXED BY held_unreported CROSS JOIN records ON n = record
@@ -284,7 +284,7 @@ fn pin(
     connection.run(sql, params![owner.0, topic, publisher.to_string()])
 }
 
-fn pin_row(row: &Row<'_>) -> rusqlite::Result<PinRow> {
+fn pin_row(row: &Row<'_>) -> sql::Result<PinRow> {
     let (caller_id, host, type_name, md5sum) = (row.get(1)?, row.get(2)?, row.get(3)?, row.get(4)?);
     let publisher = Publisher { caller_id, host, type_name, md5sum };
     Ok(PinRow { topic: row.get(0)?, publisher, source: row.get(5)?, at: time(row, 6)? })
@@ -400,11 +400,11 @@ fn settle(connection: &Connection, gap: &GapRow, report: Digest) -> Result<(), S
     Ok(())
 }
 
-fn gap_row(row: &Row<'_>) -> rusqlite::Result<GapRow> {
+fn gap_row(row: &Row<'_>) -> sql::Result<GapRow> {
     let (key, topic, publisher, reason) = (row.get(0)?, row.get(1)?, row.get(2)?, row.get(3)?);
-    let numbers = row.get::<_, Option<u32>>(5)?.zip(row.get::<_, Option<u32>>(6)?);
+    let numbers = row.get::<Option<u32>>(5)?.zip(row.get::<Option<u32>>(6)?);
     let (count, first_at, last_at) = (unsigned(row, 4)?, time(row, 7)?, time(row, 8)?);
-    let report = row.get::<_, Option<_>>(9)?.map(Digest);
+    let report = row.get::<Option<_>>(9)?.map(Digest);
     Ok(GapRow { key, topic, publisher, reason, count, numbers, first_at, last_at, report })
 }
 

@@ -3,22 +3,20 @@
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap, HashMap, HashSet, VecDeque};
-use std::path::Path;
-use std::time::Duration;
+use std::path::{Path, PathBuf};
 
-use rusqlite::types::Value;
-use rusqlite::{CachedStatement, Connection, OpenFlags, Row, params};
 use serde::{Deserialize, Serialize};
 
 use super::directory;
 use super::rows::{self, RecordRow, Stream, Which, time, unsigned};
 use super::{Counts, Losses, Records};
 use crate::StoreError;
-use crate::database::{Statements as _, capped, whole};
+use crate::database::{self, capped, whole};
 use crate::model::{
     Address, FilterId, RecordKind, RecordState, RecorderId, SignerId, Timestamp, TopicId, TopicPatterns, clean,
 };
 use crate::notes::{self, Note};
+use crate::sql::{Connection, Row, Statement, Value, params};
 
 const LARGEST_PAGE: usize = 10_000;
 const USUAL_PAGE: usize = 100;
@@ -187,7 +185,7 @@ fn fetch(connection: &Connection, keys: &[Key], streams: Vec<Stream>) -> Result<
     let by_key = rows::by_key(streams);
     let sql = format!("SELECT {} FROM records WHERE n = ?1", rows::COLUMNS);
     let mut statement = connection.prepared(&sql)?;
-    keys.iter().map(|key| Ok(statement.query_row([key.n], |row| rows::record(row, &by_key))?)).collect()
+    keys.iter().map(|key| Ok(statement.one([key.n], |row| rows::record(row, &by_key))?)).collect()
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -304,13 +302,13 @@ fn lanes(connection: &Connection, streams: &[i64], wanted: Option<RecordState>) 
     let mut lanes = Vec::with_capacity(streams.len());
     for stream in streams {
         let sql = "SELECT stream, state FROM counters WHERE stream = ?1 AND records > 0";
-        lanes.extend(connection.list::<_, Vec<_>, _>(sql, [stream], lane)?);
+        lanes.extend(connection.list::<_, Vec<_>>(sql, [stream], lane)?);
     }
     Ok(lanes)
 }
 
 struct Merge<'a> {
-    statement: CachedStatement<'a>,
+    statement: Statement<'a>,
     lanes: Vec<Lane>,
     heap: BinaryHeap<(Reverse<Key>, usize)>,
     chunk: usize,
@@ -369,17 +367,14 @@ impl<'a> Merge<'a> {
 }
 
 impl Lane {
-    fn read(&mut self, statement: &mut CachedStatement<'_>, chunk: usize) -> Result<(), StoreError> {
+    fn read(&mut self, statement: &mut Statement<'_>, chunk: usize) -> Result<(), StoreError> {
         let Range { low, high, .. } = self.range;
         let state = i64::from(self.state);
         let bounds =
-            [self.stream, low.captured_at, low.n, high.captured_at, high.n, capped(chunk), state].map(Value::from);
-        let filters = self.filters.iter().map(|filter| Value::from(filter.0.to_vec()));
-        let values = bounds.into_iter().chain(filters);
-        let keys = statement.query_map(rusqlite::params_from_iter(values), |row| {
-            Ok(Key { captured_at: row.get(0)?, n: row.get(1)? })
-        })?;
-        self.ahead = keys.collect::<Result<_, _>>()?;
+            [self.stream, low.captured_at, low.n, high.captured_at, high.n, capped(chunk), state].map(Value::Integer);
+        let filters = self.filters.iter().map(|filter| Value::Blob(&filter.0));
+        let values: Vec<Value<'_>> = bounds.into_iter().chain(filters).collect();
+        self.ahead = statement.list(values, |row| Ok(Key { captured_at: row.get(0)?, n: row.get(1)? }))?;
         self.exhausted = self.ahead.len() < chunk;
         if let Some(last) = self.ahead.back() {
             self.range = self.range.behind(*last);
@@ -421,9 +416,10 @@ pub(super) const OLDEST: &str = "SELECT min((SELECT min(captured_at) FROM record
 pub(super) const UNTOLD: &str = "SELECT count(*) FROM gaps WHERE report IS NULL";
 
 /// Signers with the arrival of their newest record: the highest number of each topic came last.
-pub(super) const LAST_SEEN: &str = "SELECT r.signer,
-        max((SELECT acknowledged_at FROM records WHERE topic = t.key ORDER BY seq DESC LIMIT 1)) AS at
-    FROM topics t JOIN recorders r ON r.key = t.recorder GROUP BY r.signer HAVING at IS NOT NULL ORDER BY at DESC LIMIT ?1";
+pub(super) const LAST_SEEN: &str = "SELECT signer, max(newest) AS at FROM (
+        SELECT r.signer, (SELECT acknowledged_at FROM records WHERE topic = t.key ORDER BY seq DESC LIMIT 1) AS newest
+        FROM topics t JOIN recorders r ON r.key = t.recorder
+    ) each_topic WHERE newest IS NOT NULL GROUP BY signer ORDER BY at DESC LIMIT ?1";
 
 impl Counts {
     pub fn owners(&self, limit: usize) -> Result<Vec<Address>, StoreError> {
@@ -469,32 +465,23 @@ impl Losses {
 
 // Shell completion reads ledgers that may be in use: it writes nothing beside them and does not wait.
 
-const BUSY: Duration = Duration::from_millis(100);
 const ID_LENGTH: usize = 16;
 
 #[derive(Debug)]
-pub struct Glance(Connection);
+pub struct Glance {
+    connection: Connection,
+    path: PathBuf,
+}
 
 impl Glance {
     /// Opens an existing file.
     pub fn at(path: &Path) -> Result<Self, StoreError> {
-        let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX | OpenFlags::SQLITE_OPEN_URI;
-        // Without a log nobody has it open, and SQLite would create one to read it.
-        let mut log = path.as_os_str().to_owned();
-        log.push("-wal");
-        let rest = if Path::new(&log).exists() { "" } else { "?immutable=1" };
-        let uri = format!("file:{}{rest}", escaped(path));
-        Connection::open_with_flags(uri, flags)
-            .and_then(|connection| {
-                connection.busy_timeout(BUSY)?;
-                Ok(Self(connection))
-            })
-            .map_err(|error| StoreError::from(error).in_file(path))
+        Ok(Self { connection: database::open_glance(path)?.into(), path: path.to_owned() })
     }
 
     /// In order; untrusted text: clean it.
     pub fn topics(&self, begun: &str, limit: usize) -> Result<Vec<String>, StoreError> {
-        let mut names: Vec<String> = rows::streams(&self.0, &Which::All)?
+        let mut names: Vec<String> = rows::streams(&self.connection, &Which::All)?
             .into_iter()
             .map(|stream| stream.topic)
             .filter(|name| name.starts_with('/') && name.starts_with(begun))
@@ -517,7 +504,7 @@ impl Glance {
             "SELECT lower(hex(digest)) FROM records WHERE digest BETWEEN unhex(?1) AND unhex(?2) ORDER BY {order} LIMIT ?3"
         );
         let values = params![fill("0"), fill("f"), capped(limit)];
-        let ids: Vec<String> = self.0.list(&sql, values, |row| row.get(0))?;
+        let ids: Vec<String> = self.connection.list(&sql, values, |row| row.get(0))?;
         // Text beyond an id's length stays as typed.
         let length = ID_LENGTH.max(begun.len());
         Ok(ids.into_iter().map(|digest| digest.chars().take(length).collect()).collect())
@@ -525,35 +512,20 @@ impl Glance {
 
     /// Returns how many it read.
     pub fn check_notes(&self) -> Result<u64, StoreError> {
-        notes::check(&self.0).map_err(|error| self.named(error))
+        notes::check(&self.connection).map_err(|error| self.named(error))
     }
 
     pub fn note<N: Note>(&self, note: &N) -> Result<Option<N::Value>, StoreError> {
-        notes::read_in(&self.0, note).map_err(|error| self.named(error))
+        notes::read_in(&self.connection, note).map_err(|error| self.named(error))
     }
 
     pub fn contract_pin(&self) -> Result<Option<String>, StoreError> {
-        self.0.find(directory::PIN, [], |row| row.get(0)).map_err(|error| self.named(error.into()))
+        self.connection.find(directory::PIN, [], |row| row.get(0)).map_err(|error| self.named(error.into()))
     }
 
     fn named(&self, error: StoreError) -> StoreError {
-        error.in_file(Path::new(self.0.path().unwrap_or_default()))
+        error.in_file(&self.path)
     }
-}
-
-fn escaped(path: &Path) -> String {
-    use std::fmt::Write as _;
-    use std::os::unix::ffi::OsStrExt as _;
-    let mut text = String::new();
-    for byte in path.as_os_str().as_bytes() {
-        if byte.is_ascii_alphanumeric() || b"/-_.".contains(byte) {
-            text.push(char::from(*byte));
-        } else {
-            // Writing to a string cannot fail.
-            let _ = write!(text, "%{byte:02X}");
-        }
-    }
-    text
 }
 
 // Pages over many streams read the index of capture times: if most records match, a few rows tell as much as thousands
@@ -583,16 +555,13 @@ pub(super) fn keys(
             ORDER BY captured_at {order}, n {order} LIMIT ?5"
     ))?;
     let (low, high, limit) = (range.low, range.high, capped(most));
-    let mut rows = statement.query(params![low.captured_at, low.n, high.captured_at, high.n, limit])?;
     let (mut keys, mut seen) = (Vec::with_capacity(wanted), 0);
-    while let Some(row) = rows.next()? {
+    statement.each_while(params![low.captured_at, low.n, high.captured_at, high.n, limit], |row| {
         seen += 1;
         if streams.contains(&row.get(2)?) {
             keys.push(Key { captured_at: row.get(0)?, n: row.get(1)? });
-            if keys.len() == wanted {
-                return Ok(Some(keys));
-            }
         }
-    }
-    Ok((seen < most).then_some(keys))
+        Ok::<_, StoreError>(keys.len() < wanted)
+    })?;
+    Ok((keys.len() >= wanted || seen < most).then_some(keys))
 }

@@ -3,15 +3,15 @@
 
 use std::path::PathBuf;
 
-use rusqlite::{Connection, params};
-
 use super::append::add;
+use super::erasures::{kept, put};
 use super::rows::{LEARNED_NAME, TOPIC_NAME, optional, time, unsigned};
 use super::{Erasure, NewRecord, Retention};
 use crate::StoreError;
-use crate::database::{Statements as _, capped, whole};
+use crate::database::{capped, whole};
 use crate::model::{Address, Digest, RecordKind, RecordState, Timestamp, TopicId};
 use crate::notes::{self, Erased};
+use crate::sql::{Connection, params};
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct KeptTopic {
@@ -58,10 +58,10 @@ impl Retention {
     pub fn topics(&self, owner: Address) -> Result<Vec<KeptTopic>, StoreError> {
         let values = params![owner.0, RecordKind::Data.code(), RecordState::Dropped.code()];
         let sql = format!(
-            "SELECT t.key, t.topic_id, {TOPIC_NAME}, max(0, coalesce(sum(c.bytes), 0) - coalesce(
+            "SELECT t.key, t.topic_id, {TOPIC_NAME}, max(0, CAST(coalesce(sum(c.bytes), 0) AS BIGINT) - coalesce(
                     (SELECT r.bytes FROM retained_topics r WHERE r.topic = t.key), 0))
                 FROM topics t JOIN streams s ON s.topic = t.key JOIN counters c ON c.stream = s.key {LEARNED_NAME}
-                WHERE t.owner = ?1 AND s.kind = ?2 AND c.state <> ?3 GROUP BY t.key"
+                WHERE t.owner = ?1 AND s.kind = ?2 AND c.state <> ?3 GROUP BY t.key, t.topic_id, {TOPIC_NAME}"
         );
         self.0.list(&sql, values, |row| {
             let (topic_id, bytes) = (TopicId(row.get(1)?), unsigned(row, 3)?);
@@ -106,7 +106,8 @@ impl Retention {
                 bytes += record.bytes;
             }
             let sql = "INSERT INTO retained_topics VALUES (?1, ?2, ?3)
-                ON CONFLICT DO UPDATE SET records = records + excluded.records, bytes = bytes + excluded.bytes";
+                ON CONFLICT (topic) DO UPDATE SET records = retained_topics.records + excluded.records,
+                bytes = retained_topics.bytes + excluded.bytes";
             connection.run(sql, params![key, whole("count", records.len() as u64)?, whole("bytes", bytes)?])
         })
     }
@@ -135,12 +136,11 @@ impl Retention {
                     "UPDATE retained SET deleted_at = coalesce(deleted_at, ?2)
                         WHERE record = (SELECT n FROM records WHERE digest = ?1)",
                     "UPDATE records SET deleted_at = coalesce(deleted_at, ?2) WHERE digest = ?1",
-                    // Renumbers erasures: the gateway may have been told past the earlier number.
-                    "REPLACE INTO erasures (record, statement, account, taken)
-                        SELECT record, statement, account, taken FROM erasures
-                        WHERE record = (SELECT n FROM records WHERE digest = ?1) AND ?2 > 0",
                 ] {
                     session.connection.run(sql, params![digest.0, now])?;
+                }
+                if let Some(stated) = kept(session.connection, *digest)? {
+                    put(session.connection, *digest, &stated)?;
                 }
             }
             Ok(())
@@ -150,7 +150,7 @@ impl Retention {
     /// `None` unless retention names the record.
     pub fn find(&self, digest: Digest) -> Result<Option<Retained>, StoreError> {
         self.0.read(|connection| {
-            let sql = "SELECT report, coalesce(told.state IN (?2, ?3), 0), header, retained.deleted_at,
+            let sql = "SELECT report, coalesce(told.state IN (?2, ?3), FALSE), header, retained.deleted_at,
                 told.n IS NOT NULL,
                 (SELECT statement FROM erasures WHERE erasures.record = one.n AND taken = 1) FROM records one
                 JOIN retained ON record = one.n LEFT JOIN records told ON told.digest = report WHERE one.digest = ?1";
@@ -159,7 +159,7 @@ impl Retention {
                 let (report, deleted_at) = (Digest(row.get(0)?), optional(row, 3)?.map(Timestamp));
                 let (anchored, header, stated) = (row.get(1)?, row.get(2)?, row.get(5)?);
                 let retained = Retained { report, anchored, header, deleted_at, erased: None, stated };
-                Ok((retained, row.get::<_, bool>(4)?))
+                Ok((retained, row.get::<bool>(4)?))
             })?;
             let Some((mut retained, told)) = found else { return Ok(None) };
             retained.erased = notes::read_in(connection, &Erased { report: retained.report })?;

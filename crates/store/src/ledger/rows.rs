@@ -4,14 +4,11 @@ use std::collections::HashMap;
 use std::os::unix::fs::MetadataExt as _;
 use std::path::Path;
 
-use rusqlite::types::Value;
-use rusqlite::{Connection, Row, params_from_iter};
 use serde::{Deserialize, Serialize};
 
 use super::{Ledger, Records};
 use crate::crypto::SealedRecord;
 use crate::crypto::merkle::Leaf;
-use crate::database::Statements as _;
 use crate::model::RecordState::{
     self, Batched, Confirmed, Dropped, Mined, Quarantined, RightEnded, Stored, Submitted, Tampered, Verified,
 };
@@ -21,6 +18,7 @@ use crate::model::{
     Address, Digest, FilterId, Hash, Head, RecordKind, RecorderId, Signature, SignerId, Timestamp, TopicId, clean,
 };
 use crate::notes::LastPlace;
+use crate::sql::{self, Connection, Row, Value};
 use crate::{StoreError, snapshot};
 
 /// The first hex characters of the digest.
@@ -173,15 +171,15 @@ pub(super) enum Which {
 pub(super) fn streams(connection: &Connection, which: &Which) -> Result<Vec<Stream>, StoreError> {
     let (condition, value): (&str, Option<Value>) = match which {
         Which::All => ("", None),
-        Which::Of(owner) => (" WHERE t.owner = ?1", Some(Value::from(owner.0.to_vec()))),
-        Which::Key(key) => (" WHERE s.key = ?1", Some(Value::from(*key))),
+        Which::Of(owner) => (" WHERE t.owner = ?1", Some(Value::Blob(&owner.0))),
+        Which::Key(key) => (" WHERE s.key = ?1", Some(Value::Integer(*key))),
     };
     let sql = format!(
         "SELECT s.key, t.owner, r.id, t.topic_id, {TOPIC_NAME}, s.kind, coalesce(type_name.name, s.type_name), r.signer
             FROM streams s JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder {LEARNED_NAME}
             LEFT JOIN names type_name ON type_name.owner = t.owner AND type_name.id = s.type_name{condition}"
     );
-    Ok(connection.list(&sql, params_from_iter(value), |row| {
+    Ok(connection.list(&sql, value, |row| {
         Ok(Stream {
             key: row.get(0)?,
             owner: Address(row.get(1)?),
@@ -246,7 +244,7 @@ macro_rules! of_its_batch {
 /// A column of the record's own transaction, or else of its batch's.
 macro_rules! anchored {
     ($column:literal) => {
-        concat!("iif(records.tx IS NULL, ", of_its_batch!($column), ", records.", $column, ")")
+        concat!("CASE WHEN records.tx IS NULL THEN ", of_its_batch!($column), " ELSE records.", $column, " END")
     };
 }
 pub(super) use {anchored, of_its_batch};
@@ -263,7 +261,7 @@ pub(super) const COLUMNS: &str = concat!(
     ", records.deleted_at"
 );
 
-pub(super) fn record(row: &Row<'_>, streams: &HashMap<i64, Stream>) -> rusqlite::Result<RecordRow> {
+pub(super) fn record(row: &Row<'_>, streams: &HashMap<i64, Stream>) -> sql::Result<RecordRow> {
     let stream = streams.get(&row.get(0)?).ok_or_else(|| out_of_range(0))?;
     let digest = Digest(row.get(1)?);
     Ok(RecordRow {
@@ -284,34 +282,34 @@ pub(super) fn record(row: &Row<'_>, streams: &HashMap<i64, Stream>) -> rusqlite:
         acknowledged_at: time(row, 7)?,
         simulated: row.get(8)?,
         state: state(row, 9)?,
-        transaction: row.get::<_, Option<_>>(10)?.map(Hash),
+        transaction: row.get::<Option<_>>(10)?.map(Hash),
         block: optional(row, 11)?,
-        block_hash: row.get::<_, Option<_>>(12)?.map(Hash),
+        block_hash: row.get::<Option<_>>(12)?.map(Hash),
         deleted_at: optional(row, 13)?.map(Timestamp),
     })
 }
 
 /// From 0 to 2^63 - 1.
-pub(crate) fn unsigned(row: &Row<'_>, column: usize) -> rusqlite::Result<u64> {
+pub(crate) fn unsigned(row: &Row<'_>, column: usize) -> sql::Result<u64> {
     row.get(column).map(i64::cast_unsigned)
 }
 
-pub(crate) fn time(row: &Row<'_>, column: usize) -> rusqlite::Result<Timestamp> {
+pub(crate) fn time(row: &Row<'_>, column: usize) -> sql::Result<Timestamp> {
     unsigned(row, column).map(Timestamp)
 }
 
 /// `None` for NULL.
-pub(super) fn optional(row: &Row<'_>, column: usize) -> rusqlite::Result<Option<u64>> {
-    row.get::<_, Option<i64>>(column).map(|value| value.map(i64::cast_unsigned))
+pub(super) fn optional(row: &Row<'_>, column: usize) -> sql::Result<Option<u64>> {
+    row.get::<Option<i64>>(column).map(|value| value.map(i64::cast_unsigned))
 }
 
-pub(super) fn state(row: &Row<'_>, column: usize) -> rusqlite::Result<RecordState> {
+pub(super) fn state(row: &Row<'_>, column: usize) -> sql::Result<RecordState> {
     RecordState::from_code(row.get(column)?).ok_or_else(|| out_of_range(column))
 }
 
 /// For a code that no version of this program wrote.
-pub(super) fn out_of_range(column: usize) -> rusqlite::Error {
-    rusqlite::Error::IntegralValueOutOfRange(column, -1)
+pub(super) fn out_of_range(column: usize) -> sql::Error {
+    sql::Error::altered(column, "has a value that no version of this program writes")
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -394,13 +392,16 @@ pub(super) fn rows_of(connection: &Connection, digests: &[Digest]) -> Result<Vec
     let mut find = connection.prepared(&format!("SELECT {COLUMNS} FROM records WHERE digest = ?1"))?;
     let mut by_key = HashMap::new();
     let one = |digest: &Digest| {
-        let mut found = find.query([digest.0])?;
-        let Some(row) = found.next()? else { return Ok(None) };
-        let key = row.get(0)?;
-        if !by_key.contains_key(&key) {
-            by_key.extend(keyed_streams(connection, [key])?);
-        }
-        Ok(Some(record(row, &by_key)?))
+        let mut found = None;
+        find.each_while([digest.0], |row| {
+            let key = row.get(0)?;
+            if !by_key.contains_key(&key) {
+                by_key.extend(keyed_streams(connection, [key])?);
+            }
+            found = Some(record(row, &by_key)?);
+            Ok::<_, StoreError>(false)
+        })?;
+        Ok(found)
     };
     digests.iter().map(one).collect()
 }

@@ -1,12 +1,11 @@
 //! What the watcher read on the chain: blocks, and anchors in them.
 
-use rusqlite::{Connection, Row, params};
-
 use super::rows::{self, By, anchored, check, may, of_its_batch, time, unsigned};
 use super::{Batches, Counts, Forwarding, Session, Trail, batches};
 use crate::StoreError;
-use crate::database::{Statements as _, capped, whole};
+use crate::database::{capped, whole};
 use crate::model::{Address, Digest, Hash, RecordState, RecorderId, Signature, SignerId, Timestamp, TopicId};
+use crate::sql::{self, Connection, Row, params};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Sighting {
@@ -149,7 +148,7 @@ fn unplace(connection: &Connection, from: RecordState, lost: (&str, i64)) -> Res
         (RecordState::Submitted, "NULL", BATCH_SENT.to_owned()),
         (RecordState::Batched, "NULL", LEAF.to_owned()),
         (RecordState::Submitted, UPLOAD, format!("{UPLOAD} IS NOT NULL")),
-        (RecordState::Stored, "NULL", "1".to_owned()),
+        (RecordState::Stored, "NULL", "TRUE".to_owned()),
     ];
     let mut moved = 0;
     for (to, transaction, condition) in steps {
@@ -170,13 +169,14 @@ pub(super) const DENSE: u64 = 1024;
 /// Older blocks for each one kept.
 const SPARSE: u64 = 256;
 
-const SET_CURSOR: &str = "REPLACE INTO cursor VALUES (1, ?1, ?2)";
+const SET_CURSOR: &str = "INSERT INTO cursor VALUES (1, ?1, ?2)
+    ON CONFLICT (one) DO UPDATE SET block = excluded.block, hash = excluded.hash";
 
 pub(super) fn cursor_in(connection: &Connection) -> Result<Option<(u64, Hash)>, StoreError> {
     Ok(connection.find("SELECT block, hash FROM cursor", [], block)?)
 }
 
-fn block(row: &Row<'_>) -> rusqlite::Result<(u64, Hash)> {
+fn block(row: &Row<'_>) -> sql::Result<(u64, Hash)> {
     Ok((unsigned(row, 0)?, Hash(row.get(1)?)))
 }
 
@@ -194,7 +194,8 @@ impl Trail {
     pub fn walk_to(&self, to: (u64, Hash), met: Vec<(u64, Hash)>) -> Result<(), StoreError> {
         let block = whole("block", to.0)?;
         self.0.write(move |Session { connection, .. }| {
-            let mut keep = connection.prepared("REPLACE INTO trail VALUES (?1, ?2)")?;
+            let sql = "INSERT INTO trail VALUES (?1, ?2) ON CONFLICT (block) DO UPDATE SET hash = excluded.hash";
+            let mut keep = connection.prepared(sql)?;
             for (number, hash) in met.iter().chain([&to]) {
                 keep.execute(params![whole("block", *number)?, hash.0])?;
             }
@@ -232,7 +233,7 @@ impl Counts {
         let sql = "SELECT topic_id, highest FROM
             (SELECT topic_id, (SELECT max(seq) FROM records WHERE topic = topics.key) AS highest FROM topics
              WHERE owner = ?1 AND keeper IS NULL AND name NOT IN (?2, ?3)
-             AND recorder = (SELECT key FROM recorders WHERE id = ?4 AND signer = ?5))
+             AND recorder = (SELECT key FROM recorders WHERE id = ?4 AND signer = ?5)) AS numbered
             WHERE highest IS NOT NULL ORDER BY topic_id";
         self.0.list(sql, params![owner.0, one, other, recorder.0, signer.0], |row| {
             Ok((TopicId(row.get(0)?), unsigned(row, 1)?))
@@ -269,8 +270,8 @@ impl Forwarding {
         self.0.write(move |session| {
             let (connection, time) = (session.connection, whole("time", kept.time.0)?);
             let sql = "INSERT INTO standings (at, statement, signature) VALUES (?1, ?2, ?3)";
-            connection.run(sql, params![time, kept.statement, kept.signature.0])?;
-            let (key, now) = (connection.last_insert_rowid(), whole("time", Timestamp::now().0)?);
+            let key = connection.inserted(sql, "key", params![time, kept.statement, kept.signature.0])?;
+            let now = whole("time", Timestamp::now().0)?;
             let sql =
                 "INSERT INTO proven SELECT n, ?2, ?3, ?4, 0 FROM records WHERE digest = ?1 ON CONFLICT DO NOTHING";
             connection.run_each(sql, kept.proofs.iter().map(|(digest, proof)| (digest.0, key, proof, now)))?;
@@ -307,8 +308,6 @@ impl Forwarding {
 #[cfg(test)]
 mod trail_tests {
     use super::*;
-    use crate::Ledger;
-
     fn hash(number: u64) -> Hash {
         let mut bytes = [0; 32];
         bytes[..8].copy_from_slice(&number.to_be_bytes());
@@ -317,8 +316,7 @@ mod trail_tests {
 
     #[test]
     fn old_blocks_thin_out_and_a_way_back_is_left() {
-        let home = tempfile::tempdir().expect("folder");
-        let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
+        let (_home, ledger) = crate::ledger::tests::open();
         for number in 1..=4096 {
             let met = if number % 3 == 0 { vec![(number - 1, hash(number - 1))] } else { Vec::new() };
             ledger.trail.walk_to((number, hash(number)), met).expect("walks");
@@ -340,4 +338,6 @@ mod trail_tests {
         ledger.trail.walk_back((3999, hash(3999))).expect("walks back");
         assert_eq!(ledger.trail.cursor(), Ok(Some((7, hash(7)))), "a cursor that is behind stays there");
     }
+
+    crate::ledger::tests::server::on_a_server!(old_blocks_thin_out_and_a_way_back_is_left);
 }

@@ -4,6 +4,7 @@ mod ages;
 mod anchors;
 mod coverage;
 mod directory;
+mod engines;
 mod erased;
 mod erasures;
 mod feed;
@@ -18,6 +19,7 @@ mod own_numbers;
 mod pages;
 mod quarantine;
 mod rights;
+pub(crate) mod server;
 mod speed;
 pub(crate) mod statements;
 
@@ -97,10 +99,24 @@ fn transaction(number: u8, digests: &[Digest]) -> NewTransaction {
     }
 }
 
-fn open() -> (tempfile::TempDir, Ledger) {
+/// In a file, or on the server in tests that run there too.
+pub(crate) fn open() -> (tempfile::TempDir, Ledger) {
     let home = tempfile::tempdir().expect("temporary directory");
-    let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
+    let ledger = open_in(&home, server::address(true));
     (home, ledger)
+}
+
+/// The newest of this test.
+pub(crate) fn open_again(home: &tempfile::TempDir) -> Ledger {
+    open_in(home, server::address(false))
+}
+
+fn open_in(home: &tempfile::TempDir, url: Option<String>) -> Ledger {
+    let opened = match url {
+        Some(url) => Ledger::on_server(&url, None),
+        None => Ledger::open(&home.path().join("ledger.db")),
+    };
+    opened.expect("opens")
 }
 
 fn state_of(ledger: &Ledger, record: &NewRecord) -> RecordState {
@@ -121,10 +137,7 @@ fn the_recorder_id_and_clean_flag_live_with_the_file() {
         "reading still works"
     );
     let flag = |ledger: &Ledger| {
-        ledger
-            .database
-            .read(|c| Ok(c.query_row("SELECT clean FROM about", [], |row| row.get::<_, bool>(0))?))
-            .expect("flag")
+        ledger.database.read(|c| Ok(c.one("SELECT clean FROM about", [], |row| row.get::<bool>(0))?)).expect("flag")
     };
     assert!(flag(&other));
     let again = Ledger::open(&home.path().join("ledger.db")).expect("opens");
@@ -226,7 +239,8 @@ fn a_full_disk_acknowledges_nothing_and_takes_all_later() {
     ledger.records.append(vec![record(1, 1, 1)]).expect("acknowledged");
     let limit = |pages: i64| {
         ledger.database.write(move |session| {
-            Ok(session.connection.pragma_update_and_check(None, "max_page_count", pages, |_| Ok(()))?)
+            let file = session.connection.file().expect("a file");
+            Ok(file.pragma_update_and_check(None, "max_page_count", pages, |_| Ok(()))?)
         })
     };
     limit(1).expect("no page more than there are");
@@ -514,4 +528,14 @@ fn who_waits_for_the_file_keeps_no_other_task_of_a_runtime_waiting() {
         assert_eq!(runtime.block_on(reading).expect("ends"), Ok(true), "writing: {is_writing}");
         assert_eq!(runtime.block_on(other).expect("ends"), Ok(()));
     }
+}
+
+server::on_a_server! {
+    appending_twice_changes_nothing_and_contradictions_are_refused, a_failing_job_leaves_its_neighbours_alone,
+    records_are_held_back_while_the_space_is_for_something_else, a_panic_in_the_writer_is_an_error_to_its_caller_alone,
+    a_record_walks_its_life_line, submitting_refuses_what_is_not_ready_and_a_taken_nonce,
+    a_failed_transaction_gives_its_records_back, a_reorg_reopens_own_transactions_and_stores_the_rest_again,
+    ids_are_prefixes_of_digests, of_changes_of_a_note_at_once_none_is_lost,
+    a_path_is_read_as_it_was_kept_however_many_leaves_there_are,
+    who_waits_for_the_file_keeps_no_other_task_of_a_runtime_waiting,
 }

@@ -1,13 +1,13 @@
 //! The sender's transactions, stored with the records they anchor before they are sent.
 
-use rusqlite::{Connection, Row, params};
 use serde::{Deserialize, Serialize};
 
 use super::rows::{self, By, may, of_its_batch, optional, out_of_range, time, unsigned};
 use super::{Anchors, Lanes, Session, batches};
 use crate::StoreError;
-use crate::database::{Statements as _, whole};
+use crate::database::whole;
 use crate::model::{Address, Digest, Hash, RecordState, Timestamp, clean};
+use crate::sql::{self, Connection, Row, params};
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NewTransaction {
@@ -100,7 +100,7 @@ impl Lanes {
             if lane != Some((new.account, new.nonce)) {
                 return Err(transaction_error(old, "is not open with the account and nonce of its replacement"));
             }
-            close(connection, old, TransactionOutcome::Replaced)?;
+            close(connection, old, &TransactionOutcome::Replaced)?;
             connection.run("UPDATE transactions SET replaced_by = ?2 WHERE hash = ?1", params![old.0, new.hash.0])?;
             keep(connection, &new)
         })
@@ -113,7 +113,7 @@ pub(super) fn transaction_error(hash: Hash, detail: &str) -> StoreError {
 
 fn keep(connection: &Connection, new: &NewTransaction) -> Result<(), StoreError> {
     let sql = "SELECT state FROM transactions WHERE hash = ?1";
-    match connection.find(sql, [new.hash.0], |row| row.get::<_, u8>(0))? {
+    match connection.find(sql, [new.hash.0], |row| row.get::<u8>(0))? {
         Some(0) => return Ok(()),
         Some(_) => return Err(transaction_error(new.hash, "is already closed")),
         None => {}
@@ -152,13 +152,13 @@ fn mark(connection: &Connection, digest: Digest, hash: Hash) -> Result<(), Store
     connection.run(sql, params![digest.0, RecordState::Submitted.code(), hash.0])
 }
 
-pub(super) fn close(connection: &Connection, hash: Hash, outcome: TransactionOutcome) -> Result<(), StoreError> {
+pub(super) fn close(connection: &Connection, hash: Hash, outcome: &TransactionOutcome) -> Result<(), StoreError> {
     let (state, place, gas, reason) = match outcome {
         TransactionOutcome::Mined { block, block_hash, gas_used } => {
             let gas = gas_used.map(|gas| whole("gas", gas)).transpose()?;
-            (TransactionState::Mined, Some((whole("block", block)?, block_hash.0)), gas, None)
+            (TransactionState::Mined, Some((whole("block", *block)?, block_hash.0)), gas, None)
         }
-        TransactionOutcome::Reverted { reason } => (TransactionState::Reverted, None, None, Some(clean(&reason, 200))),
+        TransactionOutcome::Reverted { reason } => (TransactionState::Reverted, None, None, Some(clean(reason, 200))),
         TransactionOutcome::Replaced => (TransactionState::Replaced, None, None, None),
     };
     let sql = "UPDATE transactions SET state = ?2, block = ?3, block_hash = ?4, gas_used = ?5, reason = ?6
@@ -199,8 +199,8 @@ fn carried(connection: &Connection, hash: Hash) -> Result<(Vec<u8>, Option<[u8; 
     Ok(connection.one(sql, [hash.0], |row| Ok((row.get(0)?, row.get(1)?)))?)
 }
 
-fn transaction_row(row: &Row<'_>) -> rusqlite::Result<TransactionRow> {
-    let state: usize = row.get::<_, u8>(7)?.into();
+fn transaction_row(row: &Row<'_>) -> sql::Result<TransactionRow> {
+    let state: usize = row.get::<u8>(7)?.into();
     let digests: Vec<u8> = row.get(5)?;
     Ok(TransactionRow {
         hash: Hash(row.get(0)?),
@@ -208,7 +208,7 @@ fn transaction_row(row: &Row<'_>) -> rusqlite::Result<TransactionRow> {
         nonce: unsigned(row, 2)?,
         raw: row.get(3)?,
         purpose: row.get(4)?,
-        anchors: match row.get::<_, Option<_>>(12)?.map(Hash) {
+        anchors: match row.get::<Option<_>>(12)?.map(Hash) {
             Some(root) => Anchors::Batch(root),
             None if digests.is_empty() => Anchors::Nothing,
             None => Anchors::Digests(digests.chunks_exact(Digest::LENGTH).filter_map(Digest::from_slice).collect()),
@@ -218,7 +218,7 @@ fn transaction_row(row: &Row<'_>) -> rusqlite::Result<TransactionRow> {
         block: optional(row, 8)?,
         gas_used: optional(row, 9)?,
         reason: row.get(10)?,
-        replaced_by: row.get::<_, Option<_>>(11)?.map(Hash),
+        replaced_by: row.get::<Option<_>>(11)?.map(Hash),
     })
 }
 
@@ -273,7 +273,7 @@ impl Lanes {
                     ELSE (SELECT count FROM batches WHERE root = batch) END AS records
                 FROM transactions WHERE account = ?1 AND state = 1 AND gas_used IS NOT NULL
                     AND (batch IS NOT NULL OR length(digests) > 0)
-                ORDER BY nonce DESC LIMIT ?2)";
+                ORDER BY nonce DESC LIMIT ?2) AS newest";
         let values = params![account.0, most];
         self.0.one(sql, values, |row| Ok((unsigned(row, 0)?, unsigned(row, 1)?, unsigned(row, 2)?)))
     }
@@ -303,7 +303,7 @@ impl Lanes {
     /// they wait for the watcher ([`Batches::mined`]).
     pub fn close_transactions(&self, closings: Vec<(Hash, TransactionOutcome)>) -> Result<(), StoreError> {
         self.0.write_many(closings.len(), move |session| {
-            closings.into_iter().try_for_each(|(hash, outcome)| close(session.connection, hash, outcome))
+            closings.iter().try_for_each(|(hash, outcome)| close(session.connection, *hash, outcome))
         })
     }
 
@@ -331,7 +331,7 @@ impl Lanes {
             hand_over(connection, loser, winner)?;
             supersede(connection, loser, winner)?;
             connection.run("UPDATE transactions SET replaced_by = NULL WHERE hash = ?1", [winner.0])?;
-            close(connection, winner, outcome)
+            close(connection, winner, &outcome)
         })
     }
 }

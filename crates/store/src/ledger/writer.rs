@@ -1,25 +1,29 @@
 //! The only writer thread: does waiting work in one transaction, fsyncs once, then answers. Work after the first has a
 //! savepoint, so that failures stay apart. Large work starts a transaction: inside a savepoint SQLite copies every
-//! changed page and walks all copies after every statement.
+//! changed page and walks all copies after every statement. On a server, a group that another transaction was in the way
+//! of is done again; one whose commit is in doubt is not.
 
+use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::mpsc::{self, Receiver, Sender, SyncSender};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
-
-use rusqlite::Connection;
+use std::time::Duration;
 
 use super::append::KnownNames;
+use super::readers::Place;
 use crate::StoreError;
 use crate::crypto::fault;
-use crate::database::Statements as _;
 use crate::database::{self, Checkpoints};
+use crate::sql::{Connection, Kind};
 
 /// Pieces of work in a transaction.
 const GROUP: usize = 256;
 /// More records start a new transaction: another fsync is negligible then.
 pub(super) const MANY: usize = 1_000;
+/// Milliseconds before a group is done again; a standby is promoted meanwhile. Nobody waits for a file.
+const PAUSES: [u64; 9] = [20, 100, 300, 1_000, 1_500, 2_000, 3_000, 3_000, 3_000];
 
 pub(crate) struct Session<'a> {
     /// Inside a transaction: never commit or roll back here.
@@ -36,28 +40,28 @@ trait Job: Send {
 
 struct Task<T, F> {
     records: usize,
-    work: Option<F>,
+    work: F,
+    is_tried: bool,
     outcome: Result<T, StoreError>,
     caller: SyncSender<Result<T, StoreError>>,
 }
 
-impl<T: Send, F: FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send> Job for Task<T, F> {
+impl<T: Send, F: Fn(&mut Session<'_>) -> Result<T, StoreError> + Send> Job for Task<T, F> {
     fn is_large(&self) -> bool {
         self.records > MANY
     }
 
     fn run(&mut self, session: &mut Session<'_>) -> bool {
-        if let Some(work) = self.work.take() {
-            // If the work panics.
-            self.outcome = Err(failed("a write failed because of a bug and was rolled back; please report it"));
-            self.outcome = work(session);
-        }
+        self.is_tried = true;
+        // If the work panics.
+        self.outcome = Err(failed("a write failed because of a bug and was rolled back; please report it"));
+        self.outcome = (self.work)(session);
         self.outcome.is_ok()
     }
 
     fn answer(self: Box<Self>, committed: Result<(), StoreError>) {
-        let answer = match (self.work, committed) {
-            (Some(_never_tried), Err(error)) => Err(error),
+        let answer = match (self.is_tried, committed) {
+            (false, Err(error)) => Err(error),
             (_, committed) => self.outcome.and_then(|value| committed.map(|()| value)),
         };
         let _ = self.caller.send(answer);
@@ -79,16 +83,15 @@ pub(super) struct Writer {
 
 impl Writer {
     /// `closed`: the file is marked as cleanly closed.
-    pub(super) fn start(connection: Connection, path: &Path, closed: bool) -> Result<Self, StoreError> {
+    pub(super) fn start(connection: Connection, place: Arc<Place>, closed: bool) -> Result<Self, StoreError> {
         let (messages, inbox) = mpsc::channel();
         let thread = thread::Builder::new()
             .name("ledger".to_owned())
             .spawn({
-                let checkpoints = Checkpoints::new(path);
-                let mark = Mark::new(&connection, closed)?;
-                move || serve(connection, checkpoints, mark, &inbox)
+                let (mark, place) = (Mark::new(&connection, closed)?, Arc::clone(&place));
+                move || Door { commits: 0, connection, place, names: KnownNames::default(), mark }.serve(&inbox)
             })
-            .map_err(|error| StoreError::home(path, &error))?;
+            .map_err(|error| StoreError::home(place.path(), &error))?;
         Ok(Self { messages, thread: Mutex::new(Some(thread)) })
     }
 
@@ -96,7 +99,7 @@ impl Writer {
     pub(super) fn write<T: Send + 'static>(
         &self,
         records: usize,
-        work: impl FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send + 'static,
+        work: impl Fn(&mut Session<'_>) -> Result<T, StoreError> + Send + 'static,
     ) -> Result<T, StoreError> {
         self.ask(records, work)?.recv().map_err(|_| StoreError::Closed)?
     }
@@ -105,10 +108,10 @@ impl Writer {
     pub(super) fn ask<T: Send + 'static>(
         &self,
         records: usize,
-        work: impl FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send + 'static,
+        work: impl Fn(&mut Session<'_>) -> Result<T, StoreError> + Send + 'static,
     ) -> Result<Receiver<Result<T, StoreError>>, StoreError> {
         let (caller, answer) = mpsc::sync_channel(1);
-        let task = Task { records, work: Some(work), outcome: Err(StoreError::Closed), caller };
+        let task = Task { records, work, is_tried: false, outcome: Err(StoreError::Closed), caller };
         self.messages.send(Message::Work(Box::new(task))).map_err(|_| StoreError::Closed)?;
         Ok(answer)
     }
@@ -174,34 +177,172 @@ fn head(connection: &Connection) -> Result<i64, StoreError> {
     Ok(connection.one("SELECT head FROM about", [], |row| row.get(0))?)
 }
 
-fn serve(connection: Connection, mut checkpoints: Checkpoints, mut mark: Mark, inbox: &Receiver<Message>) {
-    let mut names = KnownNames::default();
-    while let Ok(first) = inbox.recv() {
-        let mut group = Vec::new();
-        let last = gather(first, inbox, &mut group);
-        checkpoints.adjust(&connection);
-        commit(&connection, &mut names, &mut mark, group);
-        if !connection.is_autocommit() {
-            // What could not be rolled back must never be committed; closing the file rolls it back.
-            return;
-        }
-        match last {
-            None => {}
-            Some(Message::Close(caller)) => {
-                let _ = caller.send(finish(connection, &mark));
+/// Commits after which a server's counts are folded.
+const FOLD_AFTER: u32 = 256;
+
+struct Door {
+    /// Since the counts were folded.
+    commits: u32,
+    connection: Connection,
+    place: Arc<Place>,
+    names: KnownNames,
+    mark: Mark,
+}
+
+impl Door {
+    fn serve(mut self, inbox: &Receiver<Message>) {
+        let mut checkpoints = self.place.file().map(Checkpoints::new);
+        while let Ok(first) = inbox.recv() {
+            let mut group = VecDeque::new();
+            let last = gather(first, inbox, &mut group);
+            if let Some((checkpoints, file)) = checkpoints.as_mut().zip(self.connection.file()) {
+                checkpoints.adjust(file);
+            }
+            self.commit(group);
+            self.fold();
+            if self.connection.is_in_transaction() {
+                // What could not be rolled back must never be committed; closing the connection rolls it back.
                 return;
             }
-            Some(_) => return,
+            match last {
+                None => {}
+                Some(Message::Close(caller)) => {
+                    let _ = caller.send(finish(self.connection, &self.mark));
+                    return;
+                }
+                Some(_) => return,
+            }
         }
+    }
+
+    /// If it fails, the next time does it.
+    fn fold(&mut self) {
+        let Some(server) = self.connection.server().filter(|_| self.commits >= FOLD_AFTER) else { return };
+        self.commits = 0;
+        let folded = server.begin().and_then(|()| server.script("SELECT fold()")).and_then(|()| server.commit());
+        if folded.is_err() {
+            drop(server.undo());
+        }
+    }
+
+    /// Answers every job.
+    fn commit(&mut self, mut group: VecDeque<Box<dyn Job>>) {
+        let mut reason = failed("other transactions were in the way each time");
+        for pause in PAUSES {
+            self.attempt_all(&mut group);
+            if group.is_empty() {
+                return;
+            }
+            self.names = KnownNames::default();
+            thread::sleep(Duration::from_millis(pause));
+            if self.connection.trouble() != Some(Kind::Conflict) {
+                match self.place.writer() {
+                    Ok(fresh) => self.connection = fresh,
+                    Err(error) => reason = error,
+                }
+            }
+        }
+        answer_all(&mut group.into(), &Err(reason));
+    }
+
+    /// Leaves what must be done again in the group.
+    fn attempt_all(&mut self, group: &mut VecDeque<Box<dyn Job>>) {
+        let mut done: Vec<Box<dyn Job>> = Vec::with_capacity(group.len());
+        while let Some(mut job) = group.pop_front() {
+            if job.is_large() && !done.is_empty() {
+                self.settle(&mut done);
+                if self.connection.trouble().is_some() {
+                    group.push_front(job);
+                    break;
+                }
+                if self.connection.is_in_transaction() {
+                    return group.clear();
+                }
+            }
+            match self.attempt(job.as_mut()) {
+                _ if self.connection.trouble().is_some() => {
+                    done.push(job);
+                    break;
+                }
+                Ok(true) => done.push(job),
+                Ok(false) => job.answer(Err(StoreError::Closed)),
+                Err(error) => {
+                    job.answer(Err(error));
+                    // A half-done piece may still be in there.
+                    if self.connection.is_in_transaction() && self.connection.undo().is_err() {
+                        answer_all(&mut done, &lost_group());
+                        return group.clear();
+                    }
+                }
+            }
+            if !self.connection.is_in_transaction() {
+                // The transaction is gone (disk full, I/O error), and nobody in it was answered.
+                self.names = KnownNames::default();
+                answer_all(&mut done, &lost_group());
+            }
+        }
+        if self.connection.trouble().is_none() {
+            self.settle(&mut done);
+        }
+        if self.connection.trouble().is_some() {
+            // If this fails, the connection is of no use and is replaced.
+            drop(self.connection.undo());
+            done.into_iter().rev().for_each(|job| group.push_front(job));
+        }
+    }
+
+    /// Leaves the jobs where they must be done again.
+    fn settle(&mut self, done: &mut Vec<Box<dyn Job>>) {
+        let result = if self.connection.is_in_transaction() { self.end() } else { Ok(()) };
+        if result.is_err() {
+            self.names = KnownNames::default();
+        }
+        if self.connection.trouble().is_none() {
+            answer_all(done, &result);
+        }
+    }
+
+    /// Whether the job did its work; an error if it could not be tried, kept or rolled back.
+    fn attempt(&mut self, job: &mut dyn Job) -> Result<bool, StoreError> {
+        let (connection, names) = (&self.connection, &mut self.names);
+        let is_first = !connection.is_in_transaction();
+        if is_first { connection.begin() } else { connection.begin_part() }?;
+        // A fault must end neither this thread nor other work.
+        let done = catch_unwind(AssertUnwindSafe(|| job.run(&mut Session { connection, names })));
+        if matches!(done, Ok(true)) {
+            if !is_first {
+                connection.end_part()?;
+            }
+            return Ok(true);
+        }
+        *names = KnownNames::default();
+        if connection.is_in_transaction() && connection.trouble().is_none() {
+            if is_first { connection.undo() } else { connection.undo_part() }?;
+        }
+        Ok(false)
+    }
+
+    fn end(&mut self) -> Result<(), StoreError> {
+        let opened = self.mark.open(&self.connection);
+        fault::point("commit-begun");
+        let result = opened.and_then(|opened| Ok(self.connection.commit().map(|()| opened)?));
+        fault::point("committed");
+        if result.is_err() && self.connection.is_in_transaction() {
+            self.connection.undo()?;
+        }
+        (self.mark.is_told, self.mark.has_feed) = result?;
+        self.mark.closed &= !self.mark.is_told;
+        self.commits = self.commits.saturating_add(1);
+        Ok(())
     }
 }
 
 /// Returns the message that ends the thread, if one came.
-fn gather(first: Message, inbox: &Receiver<Message>, group: &mut Vec<Box<dyn Job>>) -> Option<Message> {
+fn gather(first: Message, inbox: &Receiver<Message>, group: &mut VecDeque<Box<dyn Job>>) -> Option<Message> {
     let mut next = Some(first);
     while let Some(message) = next {
         match message {
-            Message::Work(job) => group.push(job),
+            Message::Work(job) => group.push_back(job),
             end => return Some(end),
         }
         next = if group.len() < GROUP { inbox.try_recv().ok() } else { None };
@@ -209,81 +350,8 @@ fn gather(first: Message, inbox: &Receiver<Message>, group: &mut Vec<Box<dyn Job
     None
 }
 
-fn commit(connection: &Connection, names: &mut KnownNames, mark: &mut Mark, group: Vec<Box<dyn Job>>) {
-    let mut done: Vec<Box<dyn Job>> = Vec::with_capacity(group.len());
-    for mut job in group {
-        if job.is_large() && !done.is_empty() {
-            settle(connection, names, mark, &mut done);
-            if !connection.is_autocommit() {
-                return;
-            }
-        }
-        match attempt(connection, names, job.as_mut()) {
-            Ok(true) => done.push(job),
-            Ok(false) => job.answer(Err(StoreError::Closed)),
-            Err(error) => {
-                job.answer(Err(error));
-                // A half-done piece may still be in there.
-                if !connection.is_autocommit() && connection.run("ROLLBACK", []).is_err() {
-                    answer_all(&mut done, &lost_group());
-                    return;
-                }
-            }
-        }
-        if connection.is_autocommit() {
-            // The transaction is gone (disk full, I/O error), and nobody in it was answered.
-            *names = KnownNames::default();
-            answer_all(&mut done, &lost_group());
-        }
-    }
-    settle(connection, names, mark, &mut done);
-}
-
-fn settle(connection: &Connection, names: &mut KnownNames, mark: &mut Mark, done: &mut Vec<Box<dyn Job>>) {
-    let result = if connection.is_autocommit() { Ok(()) } else { end(connection, mark) };
-    if result.is_err() {
-        *names = KnownNames::default();
-    }
-    answer_all(done, &result);
-}
-
-/// Whether the job did its work; an error if it could not be tried, kept or rolled back.
-fn attempt(connection: &Connection, names: &mut KnownNames, job: &mut dyn Job) -> Result<bool, StoreError> {
-    let is_first = connection.is_autocommit();
-    connection.run(if is_first { "BEGIN IMMEDIATE" } else { "SAVEPOINT job" }, [])?;
-    // A fault must end neither this thread nor other work.
-    let done = catch_unwind(AssertUnwindSafe(|| job.run(&mut Session { connection, names })));
-    if matches!(done, Ok(true)) {
-        if !is_first {
-            connection.run("RELEASE job", [])?;
-        }
-        return Ok(true);
-    }
-    *names = KnownNames::default();
-    if !connection.is_autocommit() {
-        connection.run(if is_first { "ROLLBACK" } else { "ROLLBACK TO job" }, [])?;
-        if !is_first {
-            connection.run("RELEASE job", [])?;
-        }
-    }
-    Ok(false)
-}
-
 fn failed(detail: &str) -> StoreError {
     StoreError::Database { file: PathBuf::new(), detail: detail.to_owned() }
-}
-
-fn end(connection: &Connection, mark: &mut Mark) -> Result<(), StoreError> {
-    let opened = mark.open(connection);
-    fault::point("commit-begun");
-    let result = opened.and_then(|opened| connection.run("COMMIT", []).map(|()| opened));
-    fault::point("committed");
-    if result.is_err() && !connection.is_autocommit() {
-        connection.run("ROLLBACK", [])?;
-    }
-    (mark.is_told, mark.has_feed) = result?;
-    mark.closed &= !mark.is_told;
-    Ok(())
 }
 
 fn lost_group() -> Result<(), StoreError> {
@@ -298,8 +366,12 @@ fn answer_all(done: &mut Vec<Box<dyn Job>>, result: &Result<(), StoreError>) {
 
 fn finish(connection: Connection, mark: &Mark) -> Result<(), StoreError> {
     if !mark.closed {
-        connection.execute("UPDATE about SET clean = 1", [])?;
+        connection.begin()?;
+        connection.run("UPDATE about SET clean = 1", [])?;
+        connection.commit()?;
     }
-    database::settle(&connection);
-    connection.close().map_err(|(_, error)| StoreError::from(error))
+    if let Some(file) = connection.file() {
+        database::settle(file);
+    }
+    Ok(connection.close()?)
 }

@@ -104,7 +104,8 @@ fn a_damaged_note_is_an_error_that_names_it_and_never_none() {
     let set = |kind: &Kind, value: rusqlite::types::Value| {
         let name = kind.name;
         let write = ledger.database.write(move |session| {
-            session.connection.execute("REPLACE INTO notes VALUES (?1, 'part', ?2)", (name, value))?;
+            let file = session.connection.file().expect("a file");
+            file.execute("REPLACE INTO notes VALUES (?1, 'part', ?2)", (name, &value))?;
             Ok(())
         });
         write.expect("written");

@@ -81,7 +81,7 @@ impl Backup {
         let folder = UnfinishedFolder::new(self.parts.home.root()).map_err(unwritten)?;
         let (chain, runtime, copy) = (self.parts.link.connected(), runtime.clone(), folder.path().join("chain.db"));
         let closed = self.parts.home.chain().join("chain.db");
-        let also = move || copy_chain(chain, &runtime, &closed, copy);
+        let also = move || copy_chain(chain.as_ref(), &runtime, &closed, &copy);
         let (ledger, chain) = Snapshot::of(&self.parts.plant.ledger, also)?;
         fault::point("backup-moment");
         Ok(Moment { folder, ledger, chain })
@@ -185,17 +185,17 @@ struct Moment {
     chain: bool,
 }
 
-fn copy_chain(chain: Option<Chain>, runtime: &Handle, closed: &Path, copy: PathBuf) -> Result<bool, StoreError> {
+fn copy_chain(chain: Option<&Chain>, runtime: &Handle, closed: &Path, copy: &Path) -> Result<bool, StoreError> {
     let failed = |detail: String| StoreError::Database { file: closed.to_owned(), detail };
     if let Some(chain) = chain
-        && runtime.block_on(chain.copy_to(copy.clone())).map_err(|error| failed(error.to_string()))?
+        && runtime.block_on(chain.copy_to(copy.to_owned())).map_err(|error| failed(error.to_string()))?
     {
         return Ok(true);
     }
     if !closed.exists() {
         return Ok(false);
     }
-    Snapshot::begin(closed)?.copy_to(&copy)?;
+    Snapshot::begin(closed)?.copy_to(copy)?;
     Ok(true)
 }
 

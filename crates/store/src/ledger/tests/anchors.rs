@@ -51,7 +51,7 @@ fn fail(ledger: &Ledger, transaction: Hash) {
 /// State, and the block with its hash's first byte.
 fn stands(ledger: &Ledger) -> (u8, Option<(i64, u8)>) {
     let sql = "SELECT state, block, block_hash FROM transactions WHERE hash = ?1";
-    let read = |row: &Row<'_>| Ok((row.get(0)?, row.get::<_, Option<i64>>(1)?, row.get::<_, Option<[u8; 32]>>(2)?));
+    let read = |row: &Row<'_>| Ok((row.get(0)?, row.get::<Option<i64>>(1)?, row.get::<Option<[u8; 32]>>(2)?));
     let (state, block, hash) = ledger.database.one(sql, [BATCH.0], read).expect("a transaction");
     (state, block.zip(hash.map(|hash| hash[0])))
 }
@@ -212,4 +212,8 @@ fn send_again(ledger: &Ledger, root: Hash) {
     let again = NewTransaction { anchors: Anchors::Batch(root), ..transaction(4, &[]) };
     ledger.lanes.submit(again).expect("kept");
     assert_eq!(root_seen(ledger, root, Hash([4; 32]), 6), 1);
+}
+
+server::on_a_server! {
+    a_batchs_transaction_stands_in_the_block_in_which_the_root_was_seen, a_transaction_whose_root_another_anchored_first_stands_where_its_sender_saw_it, a_record_that_loses_its_own_block_goes_to_the_best_that_is_left, a_record_whose_own_transaction_fails_waits_for_its_batchs,
 }

@@ -95,3 +95,7 @@ fn a_topic_without_records_and_a_span_without_length_are_no_errors() {
         "no part is shorter than 1 ns"
     );
 }
+
+server::on_a_server! {
+    a_topic_without_records_and_a_span_without_length_are_no_errors,
+}

@@ -64,12 +64,7 @@ fn what_an_event_ends_is_found_without_what_ended_before() {
     let plan = |sql: &'static str| {
         ledger
             .database
-            .read(move |connection| {
-                let mut statement = connection.prepare(&format!("EXPLAIN QUERY PLAN {sql}"))?;
-                let columns = statement.parameter_count();
-                let rows = statement.query_map(rusqlite::params_from_iter(vec![1; columns]), |row| row.get(3))?;
-                Ok(rows.collect::<Result<Vec<String>, _>>()?.join("; "))
-            })
+            .read(move |connection| Ok(statements::plan_of(connection.file().expect("a file"), sql)?.join("; ")))
             .expect("planned")
     };
     for sql in crate::ledger::directory::ENDING {
@@ -120,4 +115,8 @@ fn what_an_owner_keeps_for_itself_is_history_at_once_and_found_by_epoch() {
     assert_eq!(ledger.rights.envelope_at(9, 1), Ok(Some(vec![6; 360])));
     ledger.rights.take_back_rights(50).expect("undone");
     assert_eq!((found(1, 50).len(), ledger.rights.envelope_at(50, 1)), (49, Ok(None)));
+}
+
+server::on_a_server! {
+    a_ledger_belongs_to_one_contract_for_good, replaced_blocks_give_back_what_they_ended, what_an_owner_keeps_for_itself_is_history_at_once_and_found_by_epoch,
 }

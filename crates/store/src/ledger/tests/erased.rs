@@ -1,10 +1,9 @@
 //! Erasing: who and why stay with the records, and the bytes of their copies are in no file any more. And retention by
 //! name, also of topics that only robots recorded.
 
-use rusqlite::params;
-
 use super::*;
 use crate::notes::Erased;
+use crate::sql::params;
 
 const OWNER: Address = Address([1; 20]);
 const ROBOT: SignerId = SignerId([0x60; 32]);
@@ -19,7 +18,7 @@ fn move_to(ledger: &Ledger, digests: Vec<Digest>, state: RecordState) {
     let moved = ledger.database.write(move |session| {
         let sql = "UPDATE records SET state = ?1 WHERE digest = ?2";
         let connection = session.connection;
-        digests.iter().try_for_each(|digest| Ok(connection.execute(sql, params![state.code(), digest.0]).map(drop)?))
+        digests.iter().try_for_each(|digest| Ok(connection.changed(sql, params![state.code(), digest.0]).map(drop)?))
     });
     moved.expect("moved");
 }
@@ -179,9 +178,8 @@ fn scouring_what_an_earlier_attempt_deleted_empties_the_log_all_the_same() {
     let is_in_log = || std::fs::read(&log).expect("read").windows(48).any(|window| window == &blob[100..148]);
     // As an attempt leaves it that failed because somebody read an earlier state.
     let deleted = ledger.database.write(|session| {
-        database::overwriting(session.connection, |connection| {
-            Ok(connection.execute("DELETE FROM ciphertext", []).map(drop)?)
-        })
+        let connection = session.connection;
+        database::overwriting(connection.file().expect("a file"), || connection.run("DELETE FROM ciphertext", []))
     });
     deleted.expect("deleted");
     assert!(is_in_log(), "its bytes are still in the log");
@@ -228,4 +226,8 @@ fn an_owners_statement_speaks_for_its_own_record_and_for_no_other() {
     ledger.records.append(vec![here.clone()]).expect("acknowledged");
     assert_eq!(ledger.erasures.take(here.clone(), taken), Ok(false), "who has the bytes keeps them");
     assert_eq!(ledger.retention.find(here.digest), Ok(None));
+}
+
+server::on_a_server! {
+    who_had_a_record_erased_and_why_stays_with_it, what_a_rule_has_named_is_an_erasures_as_long_as_its_bytes_are_here, bytes_that_are_named_or_deleted_do_not_come_back, an_owners_statement_speaks_for_its_own_record_and_for_no_other,
 }

@@ -83,7 +83,7 @@ impl World {
         let sql = format!("UPDATE records SET {column} = ?1 WHERE digest = ?2");
         let value = value.cast_signed();
         let changed =
-            self.ledger.database.write(move |session| Ok(session.connection.execute(&sql, (value, digest.0))?));
+            self.ledger.database.write(move |session| Ok(session.connection.changed(&sql, (value, digest.0))?));
         changed.expect("changed");
     }
 
@@ -205,7 +205,7 @@ fn a_page_is_cut_by_owner_topic_recorder_and_kind_and_says_how_far_it_looked() {
         .write(move |session| {
             for digest in &digests {
                 let sql = "UPDATE records SET state = ?1 WHERE digest = ?2";
-                session.connection.execute(sql, (RecordState::Verified.code(), digest.0))?;
+                session.connection.changed(sql, (RecordState::Verified.code(), digest.0))?;
             }
             Ok(())
         })
@@ -249,7 +249,7 @@ fn a_notice_whose_block_is_taken_back_is_told_again_and_so_is_an_erasure_that_is
         let sql = format!("UPDATE records SET {column} = ?1 WHERE digest = ?2");
         ledger
             .database
-            .write(move |session| Ok(session.connection.execute(&sql, (value, digest.0))?))
+            .write(move |session| Ok(session.connection.changed(&sql, (value, digest.0))?))
             .expect("changed");
     };
     let mut feed = (ledger.feed.page(&[0; 16], &places(0), 0).expect("read").id, 0);
@@ -308,4 +308,8 @@ fn a_record_whose_block_was_taken_back_follows_its_gateway_into_another_batch() 
     ledger.trail.walk_back((9, Hash([1; 32]))).expect("walked");
     assert_eq!(take(30, 12), Ok(true));
     assert_eq!(found(), (RecordState::Mined, Some(12), Hash([30; 32])));
+}
+
+server::on_a_server! {
+    a_page_is_cut_by_owner_topic_recorder_and_kind_and_says_how_far_it_looked, a_notice_whose_block_is_taken_back_is_told_again_and_so_is_an_erasure_that_is_stated_anew, a_record_whose_block_was_taken_back_follows_its_gateway_into_another_batch,
 }

@@ -46,7 +46,7 @@ fn put(ledger: &Ledger, topic: u8, ask: Ask, large: bool) -> Answer {
         records.iter().try_for_each(|record| append::add(session, record, 1))?;
         assert!(!matches!(ask, Ask::Panic(_)), "on purpose");
         if matches!(ask, Ask::Lose(_)) {
-            session.connection.execute_batch("ROLLBACK")?;
+            session.connection.script("ROLLBACK")?;
             return Err(StoreError::DiskFull { file: "ledger.db".into() });
         }
         Ok(())
@@ -121,4 +121,8 @@ fn lists_name_every_state_of_a_topic_in_the_order_of_capture() {
     assert_eq!(found(RecordQuery { limit: 100, ..RecordQuery::default() }), digests);
     let newest: Vec<Digest> = digests.iter().rev().copied().take(12).collect();
     assert_eq!(found(RecordQuery { newest_first: true, limit: 12, ..RecordQuery::default() }), newest);
+}
+
+server::on_a_server! {
+    lists_name_every_state_of_a_topic_in_the_order_of_capture,
 }

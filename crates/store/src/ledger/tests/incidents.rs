@@ -1,8 +1,7 @@
 //! Incidents: their scope, what they exempt from retention, and that each belongs to one owner alone.
 
-use rusqlite::params;
-
 use super::*;
+use crate::sql::params;
 
 const OWNER: Address = Address([1; 20]);
 
@@ -22,7 +21,7 @@ fn append_in(ledger: &Ledger, state: RecordState, records: Vec<NewRecord>) {
     let moved = ledger.database.write(move |session| {
         let sql = "UPDATE records SET state = ?1 WHERE digest = ?2";
         let connection = session.connection;
-        digests.iter().try_for_each(|digest| Ok(connection.execute(sql, params![state.code(), digest.0]).map(drop)?))
+        digests.iter().try_for_each(|digest| Ok(connection.changed(sql, params![state.code(), digest.0]).map(drop)?))
     });
     moved.expect("moved");
 }

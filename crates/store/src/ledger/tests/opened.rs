@@ -44,6 +44,7 @@ fn a_clock_ahead_counts_as_the_arrival() {
     assert!(records == 1 && before <= since && since <= Timestamp::now(), "{since}");
     let later = Timestamp::now().0 + 3_600_000_000_000;
     assert_eq!(ledger.counts.first_epoch(&within(None, 1..=1, later)), Ok(None), "it does not reach into tomorrow");
+    assert_eq!(ledger.inspection.contradictions(), Ok(Vec::new()));
 }
 
 #[test]
@@ -60,4 +61,8 @@ fn what_no_reader_may_have_is_not_counted_and_uses_its_epoch_all_the_same() {
     // Notices to robots are sealed under keys of their own.
     ledger.records.append(vec![NewRecord { kind: RecordKind::Key, ..sealed(3, 3, 3) }]).expect("acknowledged");
     assert_eq!(ledger.counts.is_epoch_used(OWNER, 3), Ok(false));
+}
+
+server::on_a_server! {
+    epochs_have_what_was_sealed_under_their_keys_by_topic, a_clock_ahead_counts_as_the_arrival,
 }

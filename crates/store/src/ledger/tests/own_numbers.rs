@@ -79,3 +79,7 @@ fn a_new_key_numbers_anew_and_its_recorder_follows_that_of_the_key_before() {
     let newest = ledger.counts.newest_of(OWNER, OWN).expect("read").expect("there");
     assert_eq!((newest.epoch, newest.captured_at), (1, Timestamp(1_002)));
 }
+
+server::on_a_server! {
+    nothing_from_elsewhere_moves_or_blocks_the_ledgers_own_numbers, a_number_out_of_bounds_is_refused, a_new_key_numbers_anew_and_its_recorder_follows_that_of_the_key_before,
+}

@@ -11,7 +11,7 @@ fn tag(number: u64) -> FilterId {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 48, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: if server::is_here() { 12 } else { 48 }, ..ProptestConfig::default() })]
 
     /// Any filter, direction and page size, with few topics or with many (which are read differently), gives the same
     /// as filtering and sorting all rows.
@@ -117,4 +117,8 @@ fn a_choice_finds_the_id_of_all_topics_and_that_of_its_own() {
     let expected = rows[..3].iter().map(|row| row.digest).collect();
     assert_eq!(found(vec![choice.clone()]), expected, "that of topic 1 says nothing on topic 2");
     assert!(found(vec![choice, tag(4).into()]).is_empty());
+}
+
+server::on_a_server! {
+    pages_are_complete_and_in_order, a_record_is_found_by_all_of_its_tags_and_no_other, a_choice_finds_the_id_of_all_topics_and_that_of_its_own,
 }

@@ -56,7 +56,7 @@ fn a_signer_without_the_right_is_held_out_of_batches_and_let_go_again() {
     assert_eq!(ledger.inspection.newest_stored(9).map(|found| found.len()), Ok(4), "kept like all others");
     // A restart does not change it, nor does a late root of ours.
     ledger.close().expect("closed");
-    let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
+    let ledger = open_again(&home);
     assert_eq!(anchored(&ledger, 50, 3, 7), 0);
     assert_eq!(ledger.batches.free_signer(OWNER, OWNER, SIGNER), Ok(3));
     assert_eq!(ledger.batches.free_signer(OWNER, OWNER, SIGNER), Ok(0));
@@ -105,4 +105,8 @@ fn an_upload_by_itself_is_still_seen_while_the_record_waits() {
     assert!(matches!(early, Err(StoreError::NotReady { .. })), "nobody here anchors it: {early:?}");
     assert_eq!(ledger.batches.mined(&[sighting(&records[0], 4)]), Ok(1));
     assert_eq!(states(&ledger, &records), [Mined]);
+}
+
+server::on_a_server! {
+    a_signer_without_the_right_is_held_out_of_batches_and_let_go_again, a_batch_that_all_its_records_left_waits_anew_when_it_is_closed_again, an_upload_by_itself_is_still_seen_while_the_record_waits,
 }

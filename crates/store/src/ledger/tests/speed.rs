@@ -72,3 +72,5 @@ fn pages_and_counts_of_a_large_ledger() {
     drop(Ledger::open(&home.path().join("ledger.db")).expect("opens"));
     println!("ledger: opened with quick_check of 100,000 records: {:.0} ms", started.elapsed().as_secs_f64() * 1e3);
 }
+
+server::on_a_server!(group_commit_beats_one_by_one);

@@ -45,7 +45,7 @@ const SORTING: [(&str, &str); 6] = [
 ];
 
 /// The lines of a statement's plan.
-fn plan_of(connection: &Connection, sql: &str) -> rusqlite::Result<Vec<String>> {
+pub(super) fn plan_of(connection: &Connection, sql: &str) -> rusqlite::Result<Vec<String>> {
     let mut statement = connection.prepare(&format!("EXPLAIN QUERY PLAN {sql}"))?;
     let values = vec![1; statement.parameter_count()];
     statement.query_map(rusqlite::params_from_iter(values), |row| row.get(3))?.collect()
@@ -84,7 +84,10 @@ fn excess(tables: &BTreeSet<String>, sql: &str, plan: &[String]) -> Vec<String> 
 #[test]
 fn nothing_that_runs_for_each_message_page_or_block_reads_a_whole_table() {
     let (_home, ledger) = open();
-    let file = ledger.database.read(|connection| Ok(connection.path().map(str::to_owned))).expect("read");
+    let file = ledger
+        .database
+        .read(|connection| Ok(connection.file().and_then(|file| file.path().map(str::to_owned))))
+        .expect("read");
     *NOTED.lock().expect("no panic") = Some((file.expect("a file"), BTreeSet::new()));
     each_message(&ledger);
     each_block(&ledger);
@@ -99,7 +102,8 @@ fn nothing_that_runs_for_each_message_page_or_block_reads_a_whole_table() {
     let found: Vec<(&String, Vec<String>)> = ledger
         .database
         .read(|connection| {
-            Ok(noted.iter().filter(reads).map(|sql| (sql, plan_of(connection, sql))).collect::<Vec<_>>())
+            let file = connection.file().expect("a file");
+            Ok(noted.iter().filter(reads).map(|sql| (sql, plan_of(file, sql))).collect::<Vec<_>>())
         })
         .expect("read")
         .into_iter()
@@ -109,7 +113,10 @@ fn nothing_that_runs_for_each_message_page_or_block_reads_a_whole_table() {
     assert!(found.is_empty(), "{found:#?}");
     assert!(noted.len() > 60, "too few statements were noted: {}", noted.len());
     let undecided = noted.iter().find(|sql| sql.contains("FROM receipted CROSS JOIN")).expect("noted");
-    let plan = ledger.database.read(|connection| Ok(plan_of(connection, undecided)?)).expect("planned");
+    let plan = ledger
+        .database
+        .read(|connection| Ok(plan_of(connection.file().expect("a file"), undecided)?))
+        .expect("planned");
     assert!(plan.first().is_some_and(|first| first.starts_with("SEARCH receipted")), "{plan:?}");
 }
 
@@ -125,7 +132,8 @@ fn a_plan_that_reads_or_sorts_a_whole_table_is_found() {
         ("SELECT digest FROM records WHERE digest = ?1", false),
         ("SELECT s.key FROM streams s", false),
     ] {
-        let plan = ledger.database.read(|connection| Ok(plan_of(connection, sql)?)).expect("planned");
+        let plan =
+            ledger.database.read(|connection| Ok(plan_of(connection.file().expect("a file"), sql)?)).expect("planned");
         assert_eq!(!excess(&tables, sql, &plan).is_empty(), is_found, "{sql}: {plan:?}");
     }
 }
@@ -298,12 +306,12 @@ fn statements_are_planned_once_and_memory_is_not_counted() {
         }
         Ok(connection.prepare_cached(sql)?.get_status(rusqlite::StatementStatus::RePrepare))
     };
-    assert_eq!(ledger.database.read(planned_again).expect("read"), 0);
+    let here = ledger.database.read(|connection| planned_again(connection.file().expect("a file")));
+    assert_eq!(here.expect("read"), 0);
     let plain = Connection::open(ledger.path()).expect("opens");
     assert!(planned_again(&plain).expect("read") >= 8, "as it is without the setting");
     let counts = ledger.database.read(|connection| {
-        let mut options = connection.prepare("PRAGMA compile_options")?;
-        let options: Vec<String> = options.query_map([], |row| row.get(0))?.collect::<Result<_, _>>()?;
+        let options: Vec<String> = connection.list("PRAGMA compile_options", [], |row| row.get(0))?;
         Ok(options.iter().any(|option| option == "DEFAULT_MEMSTATUS=0"))
     });
     assert!(counts.expect("read"), "built as .cargo/config.toml says");
