@@ -25,6 +25,7 @@ mod writer;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::available_parallelism;
 
 use rusqlite::{Connection, OptionalExtension as _, Params, Row};
 use tokio::runtime::{Handle, RuntimeFlavor};
@@ -56,7 +57,9 @@ use crate::model::{RecorderPrefix, Timestamp};
 use crate::notes::{self, CopiedAt, ForeignHistory, LastPlace, RestoredAt};
 
 const SCHEMA: Schema = Schema { application: 0x4155_4c31, text: include_str!("ledger/schema.sql") };
-const READERS_KEPT: usize = 8;
+/// Readers kept besides one for each core: those that wait for the disk. Each holds half a megabyte, or more after a
+/// long list, and opening one takes half a millisecond.
+const READERS_WAITING: usize = 2;
 
 macro_rules! stores {
     ($($(#[$doc:meta])* $field:ident: $store:ident;)*) => {
@@ -122,6 +125,7 @@ struct Shared {
     clean: bool,
     writer: writer::Writer,
     readers: Mutex<Vec<Connection>>,
+    readers_kept: usize,
     /// Held while a note is read, changed and written.
     notes: Mutex<()>,
     held: AtomicUsize,
@@ -143,7 +147,8 @@ impl Ledger {
         let writer = writer::Writer::start(connection, path, clean && !is_new)?;
         let (path, readers, notes) = (path.to_owned(), Mutex::default(), Mutex::default());
         let (held, told) = (AtomicUsize::new(0), AtomicU64::new(0));
-        let shared = Shared { path, recorder, clean, writer, readers, notes, held, told };
+        let readers_kept = available_parallelism().map_or(1, usize::from) + READERS_WAITING;
+        let shared = Shared { path, recorder, clean, writer, readers, readers_kept, notes, held, told };
         Ok(Self::from(Database { shared: Arc::new(shared) }))
     }
 
@@ -218,7 +223,7 @@ impl Database {
         let connection = self.reader()?;
         let result = connection.unchecked_transaction().map_err(StoreError::from).and_then(|snapshot| work(&snapshot));
         let mut readers = self.shared.readers.lock().unwrap_or_else(PoisonError::into_inner);
-        if readers.len() < READERS_KEPT {
+        if readers.len() < self.shared.readers_kept {
             readers.push(connection);
         }
         result

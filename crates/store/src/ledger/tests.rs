@@ -22,6 +22,7 @@ mod speed;
 pub(crate) mod statements;
 
 use std::path::Path;
+use std::sync::Barrier;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 
@@ -133,6 +134,20 @@ fn the_recorder_id_and_clean_flag_live_with_the_file() {
     again.records.append(vec![record(1, 1, 2)]).expect("acknowledged");
     assert!(!flag(&again));
     assert_ne!(open().1.records.recorder(), recorder);
+}
+
+#[test]
+fn after_many_read_at_once_two_readers_more_than_cores_stay_open() {
+    let (_home, ledger) = open();
+    let most = thread::available_parallelism().expect("known").get() + 2;
+    let together = Barrier::new(most + 6);
+    thread::scope(|scope| {
+        for _ in 0..most + 6 {
+            let read = || ledger.database.read(|_| Ok(together.wait().is_leader()));
+            scope.spawn(move || read().expect("reads"));
+        }
+    });
+    assert_eq!(ledger.database.shared.readers.lock().expect("whole").len(), most);
 }
 
 #[test]
