@@ -180,6 +180,7 @@ fn serve(connection: Connection, mut checkpoints: Checkpoints, mut mark: Mark, i
         let mut group = Vec::new();
         let last = gather(first, inbox, &mut group);
         checkpoints.adjust(&connection);
+        names.bound();
         commit(&connection, &mut names, &mut mark, group);
         if !connection.is_autocommit() {
             // What could not be rolled back must never be committed; closing the file rolls it back.
