@@ -16,6 +16,9 @@ use super::pace::Sampler;
 use super::ring::{Rings, Weighted};
 use super::{Author, CaptureSession, Observer, Pins};
 
+/// The most publishers of another type remembered; beyond that they are reported again.
+const MOST_MISMATCHED: usize = 4096;
+
 /// One message for one author, on its way to the sealer.
 pub struct CapturedMessage {
     pub author: Arc<Author>,
@@ -310,7 +313,7 @@ impl Recorder {
         interest.sessions.iter().for_each(|session| session.skip(&message.topic));
         let (topic, found) = (&message.topic, clean(&message.type_name, 120));
         let publisher = (message.origin.number, topic.to_string());
-        if !self.mismatched.lock().unwrap_or_else(PoisonError::into_inner).insert(publisher) {
+        if !self.is_first_mismatch(publisher) {
             return;
         }
         let wanted = interest.wanted().map(ToString::to_string).unwrap_or_default();
@@ -319,6 +322,14 @@ impl Recorder {
         if let Some((urgent, text)) = words(&notice) {
             self.observer.alert(urgent, text);
         }
+    }
+
+    fn is_first_mismatch(&self, publisher: (u64, String)) -> bool {
+        let mut mismatched = self.mismatched.lock().unwrap_or_else(PoisonError::into_inner);
+        if mismatched.len() >= MOST_MISMATCHED && !mismatched.contains(&publisher) {
+            mismatched.clear();
+        }
+        mismatched.insert(publisher)
     }
 
     fn count_left_out(&self, topic: &str) {
@@ -428,4 +439,20 @@ fn words(notice: &CaptureNotice) -> Option<(bool, String)> {
         }
     };
     Some((told.0, clean(&told.1, 300)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pipeline::fixture::Notes;
+
+    #[test]
+    fn publishers_of_another_type_are_reported_once_and_not_remembered_without_end() {
+        let recorder = Recorder::new(Arc::new(Rings::new(1)), Arc::default(), Arc::new(Notes::default()));
+        let is_first = |number: usize| recorder.is_first_mismatch((number as u64, "/a".to_owned()));
+        assert!((0..MOST_MISMATCHED).all(is_first));
+        assert!(!is_first(0));
+        assert!(is_first(MOST_MISMATCHED));
+        assert_eq!(recorder.mismatched.lock().expect("whole").len(), 1);
+    }
 }

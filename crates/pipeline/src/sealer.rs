@@ -164,7 +164,7 @@ impl Sealer {
     fn note_definitions(&mut self, definitions: Vec<StoredDefinition>) {
         for definition in definitions {
             match self.plant.ledger.notes.write(&definition, &()) {
-                Ok(()) => drop(self.planner.definitions.insert(definition)),
+                Ok(()) => self.planner.note_stored(definition),
                 Err(error) => self.plant.observer.alert(false, format!("a definition is stored again: {error}")),
             }
         }

@@ -179,8 +179,11 @@ impl DatabaseRef for Tries {
 pub const KEPT: u64 = 128;
 /// Nodes of deleted storage tries that one block removes.
 const FELLED_AT_ONCE: u32 = 512;
-/// Half of the node cache, bytes. In a running site both halves fill up, so a larger cache would look like a leak.
-const HALF: usize = 4 * 1024 * 1024;
+/// Half of the node cache, bytes. A block a second fills both halves within minutes; while they fill, the site grows as
+/// if it leaked. What is not in them, SQLite has at hand.
+const HALF: usize = 512 * 1024;
+/// What a cached node takes besides its bytes: hash, pointer, counts, and free places of the map.
+const BESIDE: usize = 112;
 const HASH: usize = 32;
 
 /// When the newer half is full, it replaces the older one.
@@ -212,7 +215,7 @@ impl Cache {
 
 impl Halves {
     fn keep(&mut self, hash: Hash, node: Arc<[u8]>) {
-        let length = HASH + node.len();
+        let length = BESIDE + node.len();
         if self.newer.insert(hash, node).is_some() {
             return;
         }
@@ -328,4 +331,51 @@ fn clear_felled(transaction: &Transaction<'_>) -> rusqlite::Result<()> {
         transaction.prepare_cached("DELETE FROM doomed WHERE id = ?1")?.execute([id])?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// As many nodes as a block of one anchor makes, and as long as they are on average.
+    const NODES: u64 = 10;
+    const LENGTH: usize = 200;
+
+    impl Cache {
+        fn held(&self) -> usize {
+            let halves = self.0.borrow();
+            halves.newer.values().chain(halves.older.values()).map(|node| BESIDE + node.len()).sum()
+        }
+
+        fn takes_block(&self, number: u64) {
+            for node in number * NODES..(number + 1) * NODES {
+                self.put(Hash(keccak256(node.to_be_bytes()).0), vec![0_u8; LENGTH].into());
+            }
+        }
+    }
+
+    #[test]
+    fn the_node_cache_is_full_within_ten_minutes_of_a_block_a_second() {
+        let cache = Cache::default();
+        let most = |blocks: std::ops::Range<u64>| {
+            blocks.fold(0_usize, |most, number| {
+                cache.takes_block(number);
+                most.max(cache.held())
+            })
+        };
+        let (first, hour) = (most(0..600), most(600..3_600));
+        let block = usize::try_from(NODES).expect("small") * (BESIDE + LENGTH);
+        assert!(hour <= first + block, "{first} bytes after ten minutes, {hour} after an hour");
+    }
+
+    #[test]
+    fn a_node_that_is_read_stays_cached_while_others_pass() {
+        let (cache, root) = (Cache::default(), Hash([7; HASH]));
+        cache.put(root, vec![1_u8; LENGTH].into());
+        for number in 0..600 {
+            cache.takes_block(number);
+            assert!(cache.get(root).is_some(), "block {number}");
+        }
+        assert!(cache.get(Hash(keccak256(0_u64.to_be_bytes()).0)).is_none());
+    }
 }

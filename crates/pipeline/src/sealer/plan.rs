@@ -13,6 +13,8 @@ use crate::store::notes::StoredDefinition;
 
 /// The most definition hashes remembered.
 const MOST_HASHES: usize = 1024;
+/// The most stored definitions remembered; each epoch stores those of its topics anew.
+const MOST_DEFINITIONS: usize = 8192;
 
 pub type Stream = (Address, SignerId, TopicId);
 
@@ -61,7 +63,7 @@ pub struct Plan<'a> {
 pub struct Planner {
     /// The last stored number of each stream.
     pub seqs: HashMap<Stream, u64>,
-    pub definitions: HashSet<StoredDefinition>,
+    definitions: HashSet<StoredDefinition>,
     hashes: HashMap<Arc<str>, Digest>,
     /// The last definition of each topic: nearly always the next one too, and then the same text.
     last: HashMap<Arc<str>, (Arc<str>, Digest)>,
@@ -128,8 +130,16 @@ impl Planner {
         if plant.ledger.notes.read(&definition)?.is_none() {
             return Ok(Some(definition));
         }
-        self.definitions.insert(definition);
+        self.note_stored(definition);
         Ok(None)
+    }
+
+    /// A definition that is forgotten is looked for in the ledger again.
+    pub fn note_stored(&mut self, definition: StoredDefinition) {
+        if self.definitions.len() >= MOST_DEFINITIONS {
+            self.definitions.clear();
+        }
+        self.definitions.insert(definition);
     }
 
     /// SM3 of a definition; a text at the same address as the topic's last one is the same.
@@ -164,5 +174,27 @@ impl Planner {
         };
         plan.seqs.insert(stream, seq);
         Ok(seq)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::Domain;
+
+    #[test]
+    fn epoch_after_epoch_no_more_definitions_are_remembered_than_the_bound() {
+        let mut planner = Planner::new();
+        for epoch in 0..2 * MOST_DEFINITIONS as u64 + 10 {
+            planner.note_stored(StoredDefinition {
+                domain: Domain([1; 32]),
+                owner: Address([2; 20]),
+                epoch,
+                topic: TopicId([3; 16]),
+                digest: Digest([4; 32]),
+                held: false,
+            });
+            assert!(planner.definitions.len() <= MOST_DEFINITIONS);
+        }
     }
 }

@@ -14,6 +14,9 @@ use crate::sql::{Connection, params};
 type StreamKey = (i64, u8, String);
 type TopicKey = (Address, SignerId, TopicId, Option<Foreign>);
 
+/// More than a gateway of a hundred robots has.
+const MOST_NAMES: usize = 65_536;
+
 /// A cache of the tables.
 #[derive(Default)]
 pub(crate) struct KnownNames {
@@ -21,6 +24,15 @@ pub(crate) struct KnownNames {
     streams: HashMap<StreamKey, i64>,
     filters: HashMap<FilterId, i64>,
     filter_streams: HashSet<(i64, i64)>,
+}
+
+impl KnownNames {
+    /// Every new value of a tag is one more name, for as long as the file is open.
+    pub fn bound(&mut self) {
+        if self.topics.len() + self.streams.len() + self.filters.len() + self.filter_streams.len() > MOST_NAMES {
+            *self = Self::default();
+        }
+    }
 }
 
 impl Records {
@@ -193,4 +205,20 @@ fn stream_key(session: &mut Session<'_>, record: &NewRecord, topic: i64) -> Resu
     let key = session.connection.one(sql, values, |row| row.get(0))?;
     session.names.streams.insert(known, key);
     Ok(key)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_forgotten_once_there_are_too_many() {
+        let mut names = KnownNames::default();
+        names.filter_streams.extend((0..).map(|filter: i64| (filter, 1)).take(MOST_NAMES));
+        names.bound();
+        assert_eq!(names.filter_streams.len(), MOST_NAMES);
+        names.filter_streams.insert((-1, 1));
+        names.bound();
+        assert!(names.filter_streams.is_empty());
+    }
 }

@@ -1,8 +1,9 @@
-//! Where the ledger is, and its connections for reading. Idle ones are kept; a server has only so many, and who finds none
-//! waits for one.
+//! Where the ledger is, and its connections for reading. Some idle ones are kept. A server limits their number, so a
+//! read may wait for one.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Condvar, Mutex, PoisonError};
+use std::thread::available_parallelism;
 
 use super::SCHEMA;
 use crate::StoreError;
@@ -10,8 +11,11 @@ use crate::database;
 use crate::sql::Connection;
 use crate::sql::postgres::Server;
 
-/// Kept of a file, and open to a server.
+/// Open to a server at most.
 const READERS: usize = 8;
+/// Idle ones kept besides one for each core: those that wait for the disk. Each holds half a megabyte, or more after a
+/// long list, and opening one takes half a millisecond.
+const WAITING: usize = 2;
 
 #[derive(Debug)]
 pub(super) enum Place {
@@ -73,7 +77,7 @@ impl Drop for Taken<'_> {
     fn drop(&mut self) {
         let mut state = self.readers.lock();
         state.busy = state.busy.saturating_sub(1);
-        let has_room = state.idle.len() < READERS;
+        let has_room = state.idle.len() < kept();
         state.idle.extend(self.connection.take().filter(|connection| has_room && !connection.is_in_transaction()));
         self.readers.freed.notify_one();
     }
@@ -109,6 +113,10 @@ impl Readers {
     }
 }
 
+fn kept() -> usize {
+    available_parallelism().map_or(1, usize::from) + WAITING
+}
+
 /// A kept connection may have ended meanwhile, or lead to what is now a standby.
 fn snapshot(kept: Option<Connection>, place: &Place) -> Result<Connection, StoreError> {
     if let Some(kept) = kept {
@@ -121,4 +129,30 @@ fn snapshot(kept: Option<Connection>, place: &Place) -> Result<Connection, Store
     let fresh = place.reader()?;
     fresh.begin_snapshot()?;
     Ok(fresh)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::expect_used, reason = "a test fails by panicking")]
+
+    use std::sync::Barrier;
+    use std::thread;
+
+    use super::*;
+
+    #[test]
+    fn after_many_read_at_once_two_readers_more_than_cores_stay_open() {
+        let home = tempfile::tempdir().expect("a folder");
+        let place = Place::File(home.path().join("ledger.db"));
+        let (_writer, readers) = (place.writer().expect("opens"), Readers::default());
+        let most = available_parallelism().expect("known").get() + 2;
+        let together = Barrier::new(most + 6);
+        thread::scope(|scope| {
+            for _ in 0..most + 6 {
+                let read = || readers.read(&place, |_| Ok(together.wait().is_leader()));
+                scope.spawn(move || read().expect("reads"));
+            }
+        });
+        assert_eq!(readers.lock().idle.len(), most);
+    }
 }

@@ -198,6 +198,7 @@ impl Door {
             if let Some((checkpoints, file)) = checkpoints.as_mut().zip(self.connection.file()) {
                 checkpoints.adjust(file);
             }
+            self.names.bound();
             self.commit(group);
             self.fold();
             if self.connection.is_in_transaction() {
