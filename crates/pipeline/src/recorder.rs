@@ -409,7 +409,7 @@ fn words(notice: &CaptureNotice) -> Option<(bool, String)> {
         | CaptureNotice::MasterBack
         | CaptureNotice::MasterLost { .. } => return None,
         CaptureNotice::PublisherLost { topic, caller_id, reason, .. } => {
-            (false, format!("{caller_id} no longer publishes {topic}: {reason}"))
+            (false, format!("{caller_id} on {topic} is no longer read: {reason}"))
         }
         CaptureNotice::PublisherUnreachable { topic, publisher, reason } => {
             (true, format!("{publisher} publishes {topic} but cannot be read; retrying: {reason}"))

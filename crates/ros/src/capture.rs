@@ -62,7 +62,7 @@ pub trait MessageSink: Send + Sync {
 pub enum CaptureNotice {
     /// A publisher is being read.
     PublisherConnected { topic: Arc<str>, caller_id: String, type_name: Arc<str>, origin: Arc<Origin> },
-    /// A publisher that was being read is gone.
+    /// A publisher that was being read is gone, or its topic is no longer captured.
     PublisherLost { topic: Arc<str>, caller_id: String, number: u64, reason: String },
     /// Claimed by somebody, not listed by the master, and not contacted.
     UnconfirmedPublisher { topic: Arc<str>, publisher: String },

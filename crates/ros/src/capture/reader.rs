@@ -140,14 +140,19 @@ impl Reader {
             });
         }
         let ended = self.read(&mut link);
-        let taken = !self.topic.has_ended() && self.is_taken(&link.from.caller_id);
+        let is_left = self.topic.has_ended();
+        let taken = !is_left && self.is_taken(&link.from.caller_id);
         self.topic.disconnected(&self.publisher, &link.from.caller_id, taken);
-        if self.topic.has_ended() {
+        // All end with the capture, which nobody is told one by one.
+        if is_left && self.shared.topic(self.topic.name.as_str()).is_some_and(|listed| listed.has_ended()) {
             return Ok(());
         }
-        // A publisher already listed had registered while this one was still there.
-        self.shared.ask_about(&self.topic.name);
+        if !is_left {
+            // A publisher already listed had registered while this one was still there.
+            self.shared.ask_about(&self.topic.name);
+        }
         let (reason, result) = match ended {
+            _ if is_left => (String::from("the topic is no longer captured"), Ok(())),
             Ok(reason) => (reason, Ok(())),
             Err(Failure::Refused(reason)) => (reason.clone(), Err(Failure::Refused(reason))),
             Err(failure) => (String::from("it failed"), Err(failure)),

@@ -156,6 +156,23 @@ fn gaps_are_counted_across_a_reconnection_and_restarts_are_not() {
 }
 
 #[test]
+fn publishers_of_a_topic_that_is_no_longer_captured_are_told_as_lost() {
+    let master = EmbeddedMaster::start().expect("master");
+    let (_slave, listener) = publisher(&master, "/p");
+    let (capture, kept) = start(&master);
+    let lost = || kept.noticed(|notice| matches!(notice, CaptureNotice::PublisherLost { .. }));
+    let _stream = welcome(&listener, "/p");
+    until("it is read", || origins(&kept).len() == 1);
+    capture.unwatch(&TOPIC.parse().expect("topic"));
+    until("its end", || lost() == 1);
+    capture.watch(TOPIC.parse().expect("topic"), None);
+    let _stream = welcome(&listener, "/p");
+    until("it is read again", || origins(&kept).len() == 2);
+    drop(capture);
+    assert_eq!(lost(), 1, "with the capture all end");
+}
+
+#[test]
 fn a_message_cut_short_is_none_and_one_too_long_is_refused() {
     let master = EmbeddedMaster::start().expect("master");
     let (_slave, listener) = publisher(&master, "/p");
