@@ -54,7 +54,7 @@ fn what_a_robot_brings_to_a_gateway_on_postgresql_its_owner_and_a_reader_have() 
     assert!(all > first, "{all}");
     assert_eq!(bob.verified(&shared, all), alice.verified(&own, all), "none lost and none twice");
     let opened = bob.authros.json(&["records", "open", bob.verified(&shared, all).first().expect("some")]);
-    assert!(opened["message"].is_object(), "{opened}");
+    assert_eq!(opened["verdict"], "verified", "{opened}");
     let rows = server.sql("fleet", "SELECT count(*) FROM records JOIN ciphertext ON record = n");
     assert!(rows.parse::<u64>().expect("a number") >= all, "{rows}");
     assert!(!gateway.home.path().join("ledger.db").exists(), "nothing of it is in a file");
