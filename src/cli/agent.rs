@@ -155,6 +155,10 @@ pub async fn run(global: Global, arguments: RunArguments, output: &Output) -> Re
     let unlimited = wishes.count.is_none() && wishes.length.is_none();
     let sealed = open(&global, &arguments.enrolment)?;
     let context = Context::for_agent(global, &sealed.enrolment.name, output)?;
+    if context.config.store_url.is_some() {
+        let text = "a robot keeps its records in a file of its own home; leave store.url (AUTHROS_STORE) empty there";
+        return Err(Failure::new(ErrorKind::Input, text));
+    }
     let root = context.home.root().display().to_string();
     let lock = context.lock()?;
     let lock = lock.ok_or_else(|| Failure::new(ErrorKind::Home, format!("{root} is in use by another process")))?;

@@ -103,7 +103,7 @@ pub fn plan(context: &Context, arguments: &AuditArguments, output: &Output) -> R
         let since = parse::Times::now(output).since(arguments.since.as_deref())?;
         let ask = command::AuditRecords { deep: arguments.deep, since };
         // Asks the chain only of a home that is bound to one.
-        let needs = Needs { ros: false, chain: is_bound(&context.home) };
+        let needs = Needs { ros: false, chain: is_bound(&context.home, &context.config) };
         return Ok(Plan::new(needs, ProfileNeed::None, ask));
     };
     if arguments.deep || arguments.since.is_some() {

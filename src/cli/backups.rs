@@ -134,7 +134,9 @@ async fn check(context: Context, file: &Path, output: &Output) -> Result<u8, Fai
     let home: PathBuf = folder.path().join("home");
     let view = restoring::restore(file, &Home::new(home.clone()), &passphrase)?;
     output.note(&backed_up(&view));
-    let drill = Context { home: Home::new(home), ..context };
+    let mut drill = Context { home: Home::new(home), ..context };
+    // A backup is of a file.
+    drill.config.store_url = None;
     let arguments = AuditArguments { verb: None, deep: true, since: None };
     let plan = audit::plan(&drill, &arguments, output)?;
     let code = plan::run(drill, plan, output).await;

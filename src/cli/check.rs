@@ -150,6 +150,11 @@ fn verify_text(check: &FolderCheck) -> String {
 }
 
 pub fn run_restore(context: &Context, file: &Path, output: &Output) -> Result<u8, Failure> {
+    if context.config.store_url.is_some() {
+        let text = "a backup is restored into a home with a file of its own, and store.url names a database; leave it empty, \
+                    or restore the database with PostgreSQL's own tools";
+        return Err(Failure::new(ErrorKind::Refused, text));
+    }
     let passphrase = passphrase::of_backup(&context.global, false)?;
     let view = restoring::restore(file, &context.home, &passphrase)?;
     output.result(&view, || backed_up(&view));

@@ -99,7 +99,7 @@ pub(super) fn temporary_home(context: &mut Context, prefix: &str) -> Result<temp
     let global = context.global.clone();
     context.config = Config::resolve(&|name| global.setting(name), &environment, None)?;
     // Forgeries are written to the disk and must be noticed there.
-    context.config.cache_url = None;
+    (context.config.cache_url, context.config.store_url) = (None, None);
     Ok(directory)
 }
 

@@ -93,7 +93,7 @@ pub async fn run(context: Context, arguments: ServeArguments, output: &Output) -
     let connection = context.open(Needs { ros: true, chain: true }, output).await.map_err(not_started)?;
     connection.oversee();
     // A home that worked before needs no chain to start.
-    let known = is_bound(&context.home) && context.home.keyring(&context.profile).exists();
+    let known = is_bound(&context.home, &context.config) && context.home.keyring(&context.profile).exists();
     let site = connection.site.clone();
     let begin = async |client: &Client| {
         match register(&context, client, known, output).await {

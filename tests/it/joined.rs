@@ -13,6 +13,7 @@ mod ground;
 mod holding;
 mod killing;
 mod lost_machine;
+mod postgres;
 mod sessions;
 mod swarm;
 
@@ -35,6 +36,8 @@ struct Gateway {
     site: Option<Running>,
     key: String,
     domain: String,
+    /// Its database, if it has no file.
+    store: Option<String>,
 }
 
 impl Gateway {
@@ -44,17 +47,22 @@ impl Gateway {
 
     /// One that calls an anchor confirmed after this many blocks.
     fn confirming_after(ground: &Ground, confirmations: &'static str) -> Self {
-        Self::of([ground.url.clone(), ground.contract.clone()], confirmations)
+        Self::of([ground.url.clone(), ground.contract.clone()], confirmations, None)
     }
 
     /// One that reaches the chain by a line that can be cut.
     fn over(ground: &Ground, line: &Cable) -> Self {
-        Self::of([format!("http://{}", line.address()), ground.contract.clone()], "1")
+        Self::of([format!("http://{}", line.address()), ground.contract.clone()], "1", None)
     }
 
-    fn of(chain: [String; 2], confirmations: &'static str) -> Self {
-        let (home, port, site) = (Home::new(), free_port(), None);
-        let mut gateway = Self { home, port, chain, confirmations, site, key: String::new(), domain: String::new() };
+    /// One whose records are in a database.
+    fn on_server(ground: &Ground, url: &str) -> Self {
+        Self::of([ground.url.clone(), ground.contract.clone()], "1", Some(url.to_owned()))
+    }
+
+    fn of(chain: [String; 2], confirmations: &'static str, store: Option<String>) -> Self {
+        let (home, port, site, key, domain) = (Home::new(), free_port(), None, String::new(), String::new());
+        let mut gateway = Self { home, port, chain, confirmations, site, key, domain, store };
         gateway.start();
         gateway
     }
@@ -62,7 +70,11 @@ impl Gateway {
     fn keeper(&self) -> Authros {
         let [url, contract] = &self.chain;
         let options = ["--chain", url, "--contract", contract, "--robots", "0", "--confirmations", self.confirmations];
-        self.home.profile("keeper").with(&options)
+        let keeper = self.home.profile("keeper").with(&options);
+        match &self.store {
+            Some(url) => keeper.with_variable("AUTHROS_STORE", url),
+            None => keeper,
+        }
     }
 
     fn address(&self) -> String {

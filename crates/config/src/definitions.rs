@@ -60,6 +60,11 @@ pub const DEFINITIONS: &[Definition] = definitions! {
     "capture.memory", "AUTHROS_CAPTURE_MEMORY", "256MiB":
         "memory for captured messages waiting to be stored, all topics together; messages that do not fit are dropped \
          and counted";
+    "store.url", "AUTHROS_STORE", "":
+        "PostgreSQL database of a gateway's home: postgres://user:password@host/database, with commas between several \
+         hosts; empty = a file in the home";
+    "store.roots", "AUTHROS_STORE_ROOTS", "":
+        "PEM file with the certificate authorities to accept for that database; empty = those of this machine";
     "cache.url", "AUTHROS_CACHE", "":
         "Redis as a cache in front of the store: redis://host:port, redis+unix:///path, \
          redis+cluster://host:port,host:port or redis+sentinel://host:port,host:port/master, with rediss for TLS; empty \

@@ -32,6 +32,9 @@ pub use sections::{
     ConsoleSettings, FiguresPlace, MetricsSettings, OperatorRule, OperatorSettings, Pictures, TimeAuthority, Whom,
 };
 
+/// Prefixes of a database's URL.
+const DATABASES: &[&str] = &["postgres://", "postgresql://"];
+
 /// Prefixes of a cache's URL.
 const CACHES: &[&str] = &[
     "redis://",
@@ -92,6 +95,9 @@ pub struct Config {
     pub consensus: Option<Consensus>,
     /// Memory for captured messages waiting to be stored, bytes.
     pub capture_memory: u64,
+    /// The PostgreSQL database of a gateway's home; may hold a password.
+    pub store_url: Option<String>,
+    pub store_roots: Option<PathBuf>,
     /// Redis as a cache in front of the store.
     pub cache_url: Option<String>,
     pub cache_roots: Option<PathBuf>,
@@ -210,6 +216,8 @@ impl Config {
             lanes: u8::try_from(number(&values, "anchor.lanes", 1, 8)?).unwrap_or(1),
             consensus: parsed(&values, "chain.consensus")?,
             capture_memory: bytes(&values, "capture.memory", 1 << 20)?,
+            store_url: store(&values)?,
+            store_roots: certificates(&values, "store.roots")?,
             cache_url: url(&values, "cache.url", CACHES)?,
             cache_roots: certificates(&values, "cache.roots")?,
             outbox_keep: span(&values, "outbox.keep", "always")?,
@@ -257,6 +265,16 @@ impl Config {
     pub fn source(&self, name: &str) -> Source {
         self.values.get(name).map_or(Source::Default, |(_, source)| source.clone())
     }
+}
+
+/// Of a gateway's home, so not of one that joins a gateway.
+fn store(values: &Values) -> Result<Option<String>, ConfigError> {
+    let url = url(values, "store.url", DATABASES)?;
+    if url.is_some() && value(values, "site.address").is_some() {
+        let advice = "leave it empty in a home that joins a gateway (site.address): the database is the gateway's";
+        return Err(wrong(values, "store.url", advice));
+    }
+    Ok(url)
 }
 
 fn published_by(values: &Values, name: &'static str) -> Result<PublishedBy, ConfigError> {

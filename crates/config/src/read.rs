@@ -66,9 +66,11 @@ pub(super) fn find(
 }
 
 pub(super) fn document(file: &str, text: &str) -> Result<toml::Table, ConfigError> {
-    text.parse().map_err(|error: toml::de::Error| ConfigError::Syntax {
-        file: file.to_owned(),
-        what: clean(&error.to_string().replace('\n', " "), 300),
+    text.parse().map_err(|error: toml::de::Error| {
+        // Its whole text repeats the line, which may have a password.
+        let before = error.span().and_then(|span| text.get(..span.start)).unwrap_or_default();
+        let line = before.matches('\n').count() + 1;
+        ConfigError::Syntax { file: file.to_owned(), what: clean(&format!("line {line}: {}", error.message()), 300) }
     })
 }
 
@@ -117,7 +119,14 @@ pub(super) type Values = BTreeMap<&'static str, (String, Source)>;
 pub(super) fn wrong(values: &Values, name: &'static str, what: &str) -> ConfigError {
     let (value, source) = values.get(name).cloned().unwrap_or((String::new(), Source::Default));
     // What was meant as a server's URL may be all path, which may be a key.
-    let shown = if matches!(name, "chain.url" | "alerts.webhook") { address_without_secrets } else { without_secrets };
+    let shown: fn(&str) -> String = match name {
+        // Words of another form may hold a password anywhere.
+        "store.url" if !value.starts_with("postgres://") && !value.starts_with("postgresql://") => {
+            |_: &str| "…".to_owned()
+        }
+        "chain.url" | "alerts.webhook" => address_without_secrets,
+        _ => without_secrets,
+    };
     let (value, source_name) = (clean(&shown(&value), 100), source.to_string());
     ConfigError::Value { name, value, source_name, what: what.to_owned() }
 }

@@ -114,9 +114,35 @@ fn the_lowest_price_is_no_higher_than_the_highest() {
 
 #[test]
 fn passwords_are_hidden() {
-    let config = with_file("[cache]\nurl = \"redis://u:hunter2@127.0.0.1:1\"").expect("file");
-    let shown = serde_json::to_string(&config.show()).expect("json");
-    assert!(!shown.contains("hunter2") && shown.contains("127.0.0.1:1"));
+    for text in [
+        "[cache]\nurl = \"redis://u:hunter2@127.0.0.1:1\"",
+        "[store]\nurl = \"postgres://u:hunter2@127.0.0.1:1/fleet\"",
+    ] {
+        let config = with_file(text).expect("file");
+        let shown = serde_json::to_string(&config.show()).expect("json");
+        assert!(!shown.contains("hunter2") && shown.contains("127.0.0.1:1"), "{shown}");
+    }
+    for url in [
+        "mysql://u:hunter2@h/x",
+        "host=h password=hunter2",
+        "host=h password=a://hunter2",
+        "postgres:u:hunter2@h",
+        "hunter2",
+    ] {
+        let told = with_file(&format!("[store]\nurl = \"{url}\"")).expect_err(url).to_string();
+        assert!(told.contains("store.url") && told.contains("postgres://") && !told.contains("hunter2"), "{told}");
+    }
+    let told = with_file("robots = 1\n[store]\nurl = \"postgres://u:hunter2@h/x\n").expect_err("no end").to_string();
+    assert!(told.contains("line 3") && !told.contains("hunter2"), "{told}");
+}
+
+#[test]
+fn a_home_that_joins_a_gateway_has_no_database() {
+    let both = "[store]\nurl = \"postgres://u:hunter2@h/x\"\n[site]\naddress = \"h:1\"\ntrust_first = \"yes\"\n";
+    let told = with_file(both).expect_err("both").to_string();
+    assert!(told.contains("store.url") && told.contains("site.address") && !told.contains("hunter2"), "{told}");
+    let config = with_file("[store]\nurl = \"postgresql://h,i/x\"\n").expect("a gateway's");
+    assert_eq!(config.store_url.as_deref(), Some("postgresql://h,i/x"));
 }
 
 /// With `AUTHROS_WRITE_SETTINGS` the page's list is written anew.

@@ -75,7 +75,7 @@ use std::sync::Arc;
 use crate::chain::{Chain, Pin};
 use crate::crypto::Provider;
 use crate::model::{Digest, Domain};
-use crate::store::{Ciphertext, Ledger, Rights, StoreError};
+use crate::store::{Ciphertext, Glance, Ledger, Rights, StoreError};
 
 /// What workers report to the service. Implementations return quickly and never block.
 pub trait Observer: Send + Sync {
@@ -123,6 +123,11 @@ pub fn network_pin(rights: &Rights) -> Result<Option<Pin>, StoreError> {
 /// Same, for a home whose ledger is not open here.
 pub fn network_pin_in(path: &Path) -> Result<Option<Pin>, StoreError> {
     Rights::contract_pin_in(path)?.map(|text| read_pin(&text, path)).transpose()
+}
+
+/// Same, for a store that is only looked at.
+pub fn network_pin_at(glance: &Glance) -> Result<Option<Pin>, StoreError> {
+    glance.contract_pin()?.map(|text| read_pin(&text, glance.path())).transpose()
 }
 
 fn read_pin(text: &str, path: &Path) -> Result<Pin, StoreError> {

@@ -3,6 +3,7 @@
 #[macro_use]
 mod ask;
 
+mod desk;
 pub mod filter;
 mod right;
 mod wishes;

@@ -5,16 +5,17 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use crate::chain::{Chain, ChainOptions, Endpoint, SealedBy};
+use crate::chain::{Chain, ChainOptions, Endpoint, Pin, SealedBy};
 use crate::config::Config;
 use crate::crypto::read_public;
+use crate::durability::worth;
 use crate::model::{ErrorKind, Timestamp, clean, coarse, without_secrets};
 use crate::paths::Home;
-use crate::pipeline::network_pin_in;
+use crate::pipeline::{network_pin_at, network_pin_in};
 use crate::reply::{ChainView, CheckStatus, DoctorCheck, DoctorView, HealthLevel, LifeLine, PartHealth, SiteView};
 use crate::ros::ros2::{Reading, Ros2Capture};
 use crate::ros::{CaptureNotice, Graph, Message, MessageSink, UNCONFINED};
-use crate::site::{STORE_LOST, is_bound, keyring_faults, misses_store, store_loss};
+use crate::site::{STORE_LOST, is_bound, keyring_faults, misses_store, other_gateway, store_loss};
 use crate::store::notes::{ProfileAccounts, StoreWasGone};
 use crate::store::{CacheSettings, Glance, SiteLock, StoreError, cache, files, snapshot};
 
@@ -33,10 +34,13 @@ pub async fn examine(home: &Home, config: &Config, site: Option<Result<Running, 
     tokio::task::block_in_place(|| {
         home_folder(home, &mut sheet);
         keys(home, &mut sheet);
-        store(home, &mut sheet);
+        if config.store_url.is_none() {
+            store(home, config, &mut sheet);
+        }
         disk(home, &mut sheet);
     });
     let (mut peers, mut code) = (Sheet::default(), None);
+    let pinned = tokio::task::block_in_place(|| pin_of(home, config, &mut peers));
     match site {
         Some(Ok(running)) => {
             code = running.site.worst();
@@ -52,7 +56,7 @@ pub async fn examine(home: &Home, config: &Config, site: Option<Result<Running, 
                 ros_master(config, &mut peers);
                 second(config, &mut peers);
             });
-            look(home, config, &mut peers).await;
+            look(home, config, pinned, &mut peers).await;
             peers.ok("site", "no site is running; start one with `authros serve` or the console");
         }
     }
@@ -68,14 +72,19 @@ pub async fn examine(home: &Home, config: &Config, site: Option<Result<Running, 
 pub async fn peers(home: &Home, config: &Config) -> Vec<PartHealth> {
     let (mut ros, mut chain) = (Sheet::default(), Sheet::default());
     tokio::task::block_in_place(|| ros_master(config, &mut ros));
-    look(home, config, &mut chain).await;
+    let mut store = Sheet::default();
+    let pinned = tokio::task::block_in_place(|| pin_of(home, config, &mut store));
+    look(home, config, pinned, &mut chain).await;
     let embedded = config.ros_master.is_none();
     let site = "no site is running; start one with `authros serve` or the console";
-    vec![
+    let store = config.store_url.is_some().then(|| store.health("store", HealthLevel::Ok));
+    let mut parts = vec![
         ros.health("ros", if embedded { HealthLevel::Absent } else { HealthLevel::Ok }),
         chain.health("chain", HealthLevel::Ok),
-        PartHealth::new("site", HealthLevel::Absent, site),
-    ]
+    ];
+    parts.extend(store);
+    parts.push(PartHealth::new("site", HealthLevel::Absent, site));
+    parts
 }
 
 fn of_site(running: &Running, sheet: &mut Sheet) {
@@ -161,8 +170,18 @@ const FAR_AHEAD: u64 = 120;
 
 const EMBEDDED: &str = "embedded";
 
-async fn look(home: &Home, config: &Config, sheet: &mut Sheet) {
-    let pinned = match tokio::task::block_in_place(|| network_pin_in(&home.ledger())) {
+type PinResult = Result<Option<Pin>, StoreError>;
+
+/// Also looks at the database of a gateway's home.
+fn pin_of(home: &Home, config: &Config, sheet: &mut Sheet) -> PinResult {
+    match &config.store_url {
+        None => network_pin_in(&home.ledger()),
+        Some(url) => database(home, config, url, sheet).map_or(Ok(None), |glance| network_pin_at(&glance)),
+    }
+}
+
+async fn look(home: &Home, config: &Config, pinned: PinResult, sheet: &mut Sheet) {
+    let pinned = match pinned {
         Ok(pinned) => pinned,
         Err(error) => return sheet.fail("chain", &error.to_string(), DAMAGED),
     };
@@ -332,7 +351,7 @@ fn keys(home: &Home, sheet: &mut Sheet) {
 const DAMAGED: &str = "keep a copy of the home, then restore the last backup: `authros backup restore FILE`";
 
 /// Whether the store is well-formed and its notes can be read.
-fn store(home: &Home, sheet: &mut Sheet) {
+fn store(home: &Home, config: &Config, sheet: &mut Sheet) {
     let path = home.ledger();
     if misses_store(home) {
         let text = format!("{} is gone, although this home has keys or an embedded chain", path.display());
@@ -347,14 +366,52 @@ fn store(home: &Home, sheet: &mut Sheet) {
     };
     let glance = Glance::at(&path);
     let missed = glance.as_ref().ok().and_then(|ledger| ledger.note(&StoreWasGone {}).ok().flatten());
-    match missed.filter(|_| !is_bound(home)) {
+    match missed.filter(|_| !is_bound(home, config)) {
         Some(missed) => sheet.fail("store", &store_loss(home, missed), STORE_LOST),
         None => sheet.ok("store", &format!("{} is well-formed, {bytes} bytes", path.display())),
     }
-    match glance.and_then(|ledger| ledger.check_notes()) {
+    notes(glance.and_then(|ledger| ledger.check_notes()), sheet);
+}
+
+fn notes(checked: Result<u64, StoreError>, sheet: &mut Sheet) {
+    match checked {
         Ok(count) => sheet.ok("notes", &format!("all {count} notes in the store are readable")),
         Err(error) => sheet.fail("notes", &error.to_string(), DAMAGED),
     }
+}
+
+/// A gateway's database, looked at without a change; returned if it has the store's tables.
+fn database(home: &Home, config: &Config, url: &str, sheet: &mut Sheet) -> Option<Glance> {
+    if url.contains('@')
+        && let Ok(Some(advice)) = files::mode_advice(&home.config())
+    {
+        sheet.warn("settings", "others can read the settings, which may have the password of store.url", &advice);
+    }
+    let (glance, durability) = match Glance::on_server(url, config.store_roots.as_deref()) {
+        Ok(found) => found,
+        Err(error) => {
+            let text = error.to_string();
+            let (text, advice) = advised(&text).unwrap_or((text.as_str(), "correct store.url"));
+            sheet.fail("store", text, advice);
+            return None;
+        }
+    };
+    let (level, text) = worth(&durability);
+    match advised(&text).filter(|_| level == HealthLevel::Failed) {
+        Some((text, advice)) => sheet.fail("store", text, advice),
+        None => sheet.ok("store", &text),
+    }
+    let Some(glance) = glance else {
+        sheet.ok("notes", "the database is empty; `authros gateway serve` makes its tables");
+        return None;
+    };
+    notes(glance.check_notes(), sheet);
+    let known = glance.note(&ProfileAccounts {}).ok().flatten().unwrap_or_default();
+    if let Some(text) = other_gateway(&known, glance.path(), home) {
+        let (text, advice) = advised(&text).unwrap_or((text.as_str(), "correct store.url"));
+        sheet.fail("database", text, advice);
+    }
+    Some(glance)
 }
 
 fn disk(home: &Home, sheet: &mut Sheet) {

@@ -17,6 +17,7 @@ pub mod client;
 pub mod command;
 pub mod completing;
 pub mod doctor;
+mod durability;
 pub mod event;
 pub mod failure;
 mod figures;

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::model::{Digest, Domain, ErrorKind, RecordState};
-use crate::sql::{self, Kind};
+use crate::sql::{self, Kind, Refusal};
 
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs, reason = "the variants and their messages name the fields")]
@@ -44,12 +44,26 @@ pub enum StoreError {
     Bound { bound: Domain, domain: Domain },
     #[error("{} failed: {detail}; check the disk and the system log, then start again", file.display())]
     Database { file: PathBuf, detail: String },
-    #[error("the address of the store's server cannot be used: {detail}; write postgres://USER:PASSWORD@HOST/DATABASE")]
+    #[error("store.url cannot be used: {detail}; write postgres://USER:PASSWORD@HOST/DATABASE")]
     ServerUrl { detail: String },
-    #[error("{} cannot be reached: {detail}; start it, or correct its address", server.display())]
+    #[error("{} cannot be reached: {detail}; start it, or correct store.url", server.display())]
     ServerAway { server: PathBuf, detail: String },
-    #[error("{} refuses this program: {detail}; give its user the rights and connections that it needs", server.display())]
-    ServerRefused { server: PathBuf, detail: String },
+    #[error("{} refuses this program: {detail}; {remedy}", server.display())]
+    ServerRefused { server: PathBuf, detail: String, remedy: &'static str },
+    #[error(
+        "{} has no connection left for this program: {detail}; end other clients, or raise max_connections or the limit \
+         of its user: a gateway uses up to 9", server.display()
+    )]
+    ServerCrowded { server: PathBuf, detail: String },
+    #[error(
+        "{} takes no writes: {detail}; name the primary in store.url, or all servers with commas between", server.display()
+    )]
+    ServerReadOnly { server: PathBuf, detail: String },
+    #[error(
+        "the clock of {} is {apart} this machine's; correct the wrong one (`timedatectl set-ntp true`), then start again",
+        server.display()
+    )]
+    ServerClock { server: PathBuf, apart: String },
     #[error(
         "whether {} committed a change is not known: {detail}; what is not acknowledged is sent again", server.display()
     )]
@@ -107,10 +121,15 @@ impl StoreError {
             | Self::ServerUrl { .. }
             | Self::CacheUrl { .. } => ErrorKind::Input,
             Self::Corrupt { .. } | Self::Note { .. } => ErrorKind::Tampered,
-            Self::CacheAway { .. } | Self::ServerAway { .. } | Self::Unknown { .. } => ErrorKind::Unreachable,
-            Self::Bound { .. } | Self::Foreign { .. } | Self::Open { .. } | Self::ServerRefused { .. } => {
-                ErrorKind::Refused
+            Self::CacheAway { .. } | Self::ServerAway { .. } | Self::ServerCrowded { .. } | Self::Unknown { .. } => {
+                ErrorKind::Unreachable
             }
+            Self::Bound { .. }
+            | Self::Foreign { .. }
+            | Self::Open { .. }
+            | Self::ServerRefused { .. }
+            | Self::ServerReadOnly { .. }
+            | Self::ServerClock { .. } => ErrorKind::Refused,
             Self::Database { .. }
             | Self::Closed
             | Self::TooBig { .. }
@@ -139,6 +158,9 @@ impl StoreError {
             | Self::Database { file, .. }
             | Self::ServerAway { server: file, .. }
             | Self::ServerRefused { server: file, .. }
+            | Self::ServerCrowded { server: file, .. }
+            | Self::ServerReadOnly { server: file, .. }
+            | Self::ServerClock { server: file, .. }
             | Self::Unknown { server: file, .. }
             | Self::Nul { server: file, .. }
                 if file.as_os_str().is_empty() =>
@@ -151,6 +173,15 @@ impl StoreError {
     }
 }
 
+fn remedy(refusal: Refusal) -> &'static str {
+    match refusal {
+        Refusal::Login => "correct user and password in store.url, or what the server's pg_hba.conf allows",
+        Refusal::Database => "create the database there, or correct store.url",
+        Refusal::Taken => "name a database of its own in store.url",
+        Refusal::Rights => "make the user of store.url the owner of its database",
+    }
+}
+
 impl From<sql::Error> for StoreError {
     fn from(error: sql::Error) -> Self {
         let sql::Error { kind, detail } = error;
@@ -160,8 +191,10 @@ impl From<sql::Error> for StoreError {
             Kind::Full => Self::DiskFull { file },
             Kind::Denied => Self::Home { path: file, detail },
             Kind::Nul => Self::Nul { server, detail },
-            Kind::Broken | Kind::Standby => Self::ServerAway { server, detail },
-            Kind::Refused => Self::ServerRefused { server, detail },
+            Kind::Broken => Self::ServerAway { server, detail },
+            Kind::Standby => Self::ServerReadOnly { server, detail },
+            Kind::Refused(refusal) => Self::ServerRefused { server, detail, remedy: remedy(refusal) },
+            Kind::Crowded => Self::ServerCrowded { server, detail },
             Kind::Unknown => Self::Unknown { server, detail },
             Kind::Conflict | Kind::Other => Self::Database { file, detail },
         }

@@ -27,15 +27,28 @@ pub(crate) enum Kind {
     Nul,
     /// A conflict with another transaction: the same work succeeds later.
     Conflict,
-    /// The server takes no writes: it was made a standby.
+    /// The server takes no writes: it is a standby, or its user may only read.
     Standby,
     /// The connection ended.
     Broken,
     /// Nobody knows whether a commit took place, or survives.
     Unknown,
-    /// The server refuses the connection, user or password.
-    Refused,
+    /// The server refuses the user, or what the user asks.
+    Refused(Refusal),
+    /// The server has as many connections as it takes.
+    Crowded,
     Other,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Refusal {
+    /// Of user and password, or of this machine.
+    Login,
+    /// There is no such database.
+    Database,
+    /// The database has tables of another program.
+    Taken,
+    Rights,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -78,6 +78,57 @@ const PASSPHRASE: &[&str] = &[
     "restore_keys",
 ];
 
+/// What a gateway's home on a server leaves to other homes.
+const ELSEWHERE: &[&str] = &[
+    "add_contact",
+    "add_device_address",
+    "add_device_topics",
+    "back_up",
+    "capture",
+    "check_shared",
+    "confirm_contact",
+    "discard_held",
+    "enrol_device",
+    "erase_records",
+    "export_evidence",
+    "export_recording",
+    "export_upload",
+    "extend_grant",
+    "follow_folder",
+    "foresee_grant",
+    "foresee_key_change",
+    "grant",
+    "hold_capture",
+    "import_home",
+    "import_recording",
+    "learn_policy",
+    "lend_device",
+    "list_shared",
+    "load_key",
+    "of_incident close_incident",
+    "of_incident note_incident",
+    "of_incident open_incident",
+    "of_incident remove_incident",
+    "of_robot pull_ring",
+    "of_robot set_robot_policy",
+    "open_shared",
+    "pin_topic",
+    "play",
+    "recall_device",
+    "release_held",
+    "remove_contact",
+    "revoke",
+    "rotate_envelope",
+    "rotate_keys",
+    "stop_capture",
+    "stop_play",
+    "unpin_topic",
+    "unwatch_topic",
+    "view_file",
+    "view_path",
+    "watch_topic",
+];
+
 /// What may stand at a place of a line, as its reader lists it when it finds something else.
 fn listed(line: &str) -> Vec<String> {
     let error = serde_json::from_str::<Command>(line).expect_err("there is no such request").to_string();
@@ -128,6 +179,24 @@ fn each_request_needs_the_right_that_the_pages_say() {
         let expected = lists.iter().find(|(list, _)| list.contains(&name.as_str()));
         assert_eq!(needs, expected.map_or(Needed::Owner, |(_, needs)| *needs), "{name}");
     }
+}
+
+#[test]
+fn a_gateway_on_a_server_leaves_to_other_homes_what_it_has_no_tables_for() {
+    let lines = REQUESTS.iter().chain(FURTHER);
+    let refused: BTreeSet<String> = lines
+        .filter(|line| {
+            let command: Command = serde_json::from_str(line).expect("a request");
+            let refused = command.check_on_server().err();
+            let is_told = |failure: &crate::service::Failure| {
+                failure.kind == crate::model::ErrorKind::Refused && failure.message.contains("store.url")
+            };
+            assert!(refused.as_ref().is_none_or(is_told), "{refused:?}");
+            refused.is_some()
+        })
+        .map(|line| name(line))
+        .collect();
+    assert_eq!(refused, ELSEWHERE.iter().map(|name| (*name).to_owned()).collect());
 }
 
 #[test]

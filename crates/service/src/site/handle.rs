@@ -40,6 +40,9 @@ impl Site {
         if let Some(original) = self.home().original().filter(|_| !command.only_reads()) {
             return Err(read_only(original));
         }
+        if self.parts.is_on_server() {
+            command.check_on_server()?;
+        }
         answers! { command;
             groups {
                 OfIncident(command) => self.of_incident(&profile, command).await;

@@ -55,7 +55,7 @@ pub use evidence::definition_of;
 pub(crate) use identity::keyring_faults;
 pub(crate) use operators::{Asker, Heard};
 pub use reading::view::record_page;
-pub(crate) use storage::{STORE_LOST, misses_store, store_loss};
+pub(crate) use storage::{STORE_LOST, misses_store, other_gateway, store_loss};
 
 use alerts::Alerts;
 use audit::Audit;
@@ -267,8 +267,8 @@ fn sweep(home: &Home) {
 impl Site {
     /// Opens the store and starts the needed parts; chain and master come up, or fail, later.
     pub fn start(home: Home, config: Config, lock: SiteLock, needs: Needs) -> Result<Arc<Self>> {
-        // Robots are where the gateway is.
-        let needs = Needs { ros: needs.ros && config.site.is_none(), ..needs };
+        // Robots are where the gateway is, and a gateway on a server captures nothing.
+        let needs = Needs { ros: needs.ros && config.site.is_none() && config.store_url.is_none(), ..needs };
         sweep(&home);
         let (parts, opened, copied) = Parts::open(home, config, needs.chain)?;
         let (reserve, reserved) = Reserve::open(&parts.home.reserve(), RESERVE_BYTES);

@@ -9,7 +9,7 @@ use super::chain::link::Link;
 use super::identity::Owners;
 use super::lifetime::Lifetime;
 use super::progress::Runs;
-use super::storage::open_ledger;
+use super::storage::{open_ledger, open_on_server};
 use super::supervision::Supervisor;
 use crate::chain::{Policy, check_embedded_chain};
 use crate::config::Config;
@@ -46,7 +46,10 @@ impl Parts {
         // An older program changes nothing in a newer home: all files are checked before the first is opened.
         Ledger::check_version(&home.ledger())?;
         check_embedded_chain(&home.chain())?;
-        let (ledger, copied) = open_ledger(&home)?;
+        let (ledger, copied) = match &config.store_url {
+            Some(url) => (open_on_server(&home, url, config.store_roots.as_deref())?, false),
+            None => open_ledger(&home)?,
+        };
         let ciphertext = match &config.cache_url {
             Some(url) => {
                 let settings = CacheSettings { url: url.clone(), roots: config.cache_roots.clone() };
@@ -72,6 +75,11 @@ impl Parts {
             runs: Runs::default(),
         };
         Ok((parts, opened, copied))
+    }
+
+    /// Whether this is a gateway's home whose records are in a database.
+    pub fn is_on_server(&self) -> bool {
+        self.config.store_url.is_some()
     }
 
     /// Whether the chain is known only from a gateway's word.

@@ -7,6 +7,7 @@ use tokio::task::block_in_place;
 
 use super::{NetworkState, RosState, Site};
 use crate::chain::{Call, Chain, Priced, Shortfall, offered};
+use crate::durability;
 use crate::model::{Address, Hash, ProfileName, RecordState, Wei, clean, without_secrets};
 use crate::pipeline::forwarder::Link as Line;
 use crate::pipeline::sender::LaneState;
@@ -120,7 +121,13 @@ impl Site {
     fn store_health(&self) -> Result<PartHealth> {
         Ok(match self.storage.fault()? {
             Some(text) => PartHealth::new("store", HealthLevel::Failed, &text),
-            None => PartHealth::new("store", HealthLevel::Ok, "rows and ciphertext in one file"),
+            None => match self.plant.ledger.inspection.durability()? {
+                Some(found) => {
+                    let (level, text) = durability::worth(&found);
+                    PartHealth::new("store", level, &text)
+                }
+                None => PartHealth::new("store", HealthLevel::Ok, "rows and ciphertext in one file"),
+            },
         })
     }
 

@@ -80,22 +80,6 @@ pub struct Sequence {
     pub last: u64,
 }
 
-/// As the server says.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Durability {
-    /// Of PostgreSQL.
-    pub version: String,
-    /// `synchronous_commit` of its users; what this program acknowledges is committed with `on`.
-    pub commits: String,
-    /// `synchronous_standby_names`; empty = a commit waits for none.
-    pub standbys: String,
-    pub fsync: bool,
-    /// It takes no writes.
-    pub is_standby: bool,
-    /// Standbys that are there now, as far as this user may see them (pg_monitor).
-    pub waits_for: u64,
-}
-
 impl Inspection {
     /// After row `after`, captured at `since` or later.
     pub fn audit_page(&self, after: u64, since: Timestamp, limit: usize) -> Result<AuditPage, StoreError> {
@@ -343,28 +327,6 @@ impl Inspection {
         self.0.read(|connection| match connection.file() {
             Some(file) => database::check_all_but("integrity_check", file, "ciphertext", self.0.path()),
             None => Ok(()),
-        })
-    }
-
-    /// What an acknowledgement is worth on the server; `None` for a file, where it is an fsync.
-    pub fn durability(&self) -> Result<Option<Durability>, StoreError> {
-        let setting = |name: &str| format!("current_setting('{name}')");
-        let [version, commits, standbys, fsync] =
-            ["server_version", "synchronous_commit", "synchronous_standby_names", "fsync"].map(setting);
-        let sql = format!(
-            "SELECT {version}, {commits}, {standbys}, {fsync} = 'on', pg_is_in_recovery(),
-                (SELECT count(*) FROM pg_stat_replication WHERE sync_state IN ('sync', 'quorum'))"
-        );
-        self.0.read(|connection| {
-            if connection.file().is_some() {
-                return Ok(None);
-            }
-            let found = connection.one(&sql, [], |row| {
-                let (version, commits, standbys) = (row.get(0)?, row.get(1)?, row.get(2)?);
-                let (fsync, is_standby, waits_for) = (row.get(3)?, row.get(4)?, unsigned(row, 5)?);
-                Ok(Durability { version, commits, standbys, fsync, is_standby, waits_for })
-            });
-            Ok(Some(found?))
         })
     }
 

@@ -124,12 +124,30 @@ CREATE TABLE stamp_tokens (
     PRIMARY KEY (stamp, authority)
 );
 
+-- What a desk has not.
 CREATE VIEW drops AS SELECT ''::BYTEA AS owner, ''::TEXT AS topic, ''::TEXT AS reason, 0::BIGINT AS count WHERE FALSE;
 CREATE VIEW gaps AS SELECT 0::BIGINT AS key, ''::BYTEA AS owner, ''::TEXT AS topic, ''::TEXT AS publisher,
-    ''::TEXT AS reason, 0::BIGINT AS count, 0::BIGINT AS first_at, 0::BIGINT AS last_at, ''::BYTEA AS report WHERE FALSE;
-CREATE VIEW incidents AS
-    SELECT 0::BIGINT AS key, ''::BYTEA AS owner, 0::BIGINT AS since, 0::BIGINT AS until WHERE FALSE;
+    ''::TEXT AS reason, 0::BIGINT AS count, 0::BIGINT AS first_number, 0::BIGINT AS last_number, 0::BIGINT AS first_at,
+    0::BIGINT AS last_at, ''::BYTEA AS report WHERE FALSE;
+CREATE VIEW incidents AS SELECT 0::BIGINT AS key, ''::BYTEA AS owner, ''::TEXT AS name, 0::BIGINT AS since,
+    0::BIGINT AS until, 0::BIGINT AS opened_at, 0::BIGINT AS closed_at WHERE FALSE;
 CREATE VIEW incident_topics AS SELECT 0::BIGINT AS incident, ''::TEXT AS topic WHERE FALSE;
+CREATE VIEW incident_notes AS
+    SELECT 0::BIGINT AS incident, 0::BIGINT AS number, 0::BIGINT AS at, ''::TEXT AS text WHERE FALSE;
+CREATE VIEW receipts AS
+    SELECT 0::BIGINT AS key, 0::BIGINT AS at, ''::BYTEA AS digests, ''::BYTEA AS signature WHERE FALSE;
+CREATE VIEW receipted AS SELECT 0::BIGINT AS record, 0::BIGINT AS receipt WHERE FALSE;
+CREATE VIEW standings AS
+    SELECT 0::BIGINT AS key, 0::BIGINT AS at, ''::BYTEA AS statement, ''::BYTEA AS signature WHERE FALSE;
+CREATE VIEW proven AS SELECT 0::BIGINT AS record, 0::BIGINT AS standing, ''::BYTEA AS proof, 0::BIGINT AS at,
+    0::BIGINT AS gone WHERE FALSE;
+CREATE VIEW pins AS SELECT ''::BYTEA AS owner, ''::TEXT AS topic, ''::TEXT AS caller_id, ''::TEXT AS host,
+    ''::TEXT AS type_name, ''::TEXT AS md5sum, ''::TEXT AS source, 0::BIGINT AS at WHERE FALSE;
+CREATE VIEW pinned_topics AS SELECT ''::BYTEA AS owner, ''::TEXT AS topic WHERE FALSE;
+CREATE VIEW alarms AS SELECT ''::BYTEA AS owner, ''::TEXT AS topic, ''::TEXT AS publisher, ''::TEXT AS reason,
+    0::BIGINT AS at, 0::BIGINT AS open WHERE FALSE;
+CREATE VIEW held AS SELECT 0::BIGINT AS record, 0::BIGINT AS minute, ''::TEXT AS reason, ''::TEXT AS publisher,
+    ''::BYTEA AS report, ''::TEXT AS decision, 0::BIGINT AS decided_at WHERE FALSE;
 
 -- Functions that SQLite has.
 CREATE FUNCTION hex(BYTEA) RETURNS TEXT LANGUAGE SQL IMMUTABLE STRICT PARALLEL SAFE AS $$ SELECT upper(encode($1, 'hex')) $$;

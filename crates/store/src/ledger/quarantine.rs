@@ -79,7 +79,7 @@ impl Quarantine {
             let order = if query.newest_first { "DESC" } else { "ASC" };
             let sql = format!(
                 "SELECT {}, reason, publisher, report, decision FROM held {index} CROSS JOIN records ON n = record
-                    JOIN topics ON key = topic WHERE {which} owner = ?1 AND (?2 IS NULL OR topic_matches(?2, name))
+                    JOIN topics ON key = topic WHERE {which} owner = ?1 AND (coalesce(?2, '') = '' OR topic_matches(?2, name))
                     AND (NOT ?4 OR stream IN (SELECT key FROM streams WHERE kind = ?5)) ORDER BY record {order} LIMIT ?3",
                 rows::COLUMNS
             );
@@ -228,7 +228,7 @@ impl Pins {
     /// Of one topic or all.
     pub fn list(&self, owner: Address, topic: Option<&str>) -> Result<Vec<PinRow>, StoreError> {
         let sql = "SELECT topic, caller_id, host, type_name, md5sum, source, at FROM pins
-            WHERE owner = ?1 AND (?2 IS NULL OR topic = ?2) ORDER BY topic, at, caller_id";
+            WHERE owner = ?1 AND (topic = ?2 OR ?2 IS NULL) ORDER BY topic, at, caller_id";
         self.0.list(sql, params![owner.0, topic], pin_row)
     }
 
@@ -262,7 +262,7 @@ impl Pins {
     /// Includes closed ones; of one topic or all.
     pub fn alarms(&self, owner: Address, topic: Option<&str>) -> Result<Vec<AlarmRow>, StoreError> {
         let sql = "SELECT topic, publisher, reason, at, open FROM alarms
-            WHERE owner = ?1 AND (?2 IS NULL OR topic = ?2) ORDER BY topic, at";
+            WHERE owner = ?1 AND (topic = ?2 OR ?2 IS NULL) ORDER BY topic, at";
         self.0.list(sql, params![owner.0, topic], |row| {
             let (at, open) = (time(row, 3)?, row.get(4)?);
             Ok(AlarmRow { topic: row.get(0)?, publisher: row.get(1)?, reason: row.get(2)?, at, open })

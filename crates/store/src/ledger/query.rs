@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::directory;
+use super::durability::{self, Durability};
 use super::rows::{self, RecordRow, Stream, Which, time, unsigned};
 use super::{Counts, Losses, Records};
 use crate::StoreError;
@@ -16,6 +17,7 @@ use crate::model::{
     Address, FilterId, RecordKind, RecordState, RecorderId, SignerId, Timestamp, TopicId, TopicPatterns, clean,
 };
 use crate::notes::{self, Note};
+use crate::sql::postgres::Server;
 use crate::sql::{Connection, Row, Statement, Value, params};
 
 const LARGEST_PAGE: usize = 10_000;
@@ -463,7 +465,7 @@ impl Losses {
     }
 }
 
-// Shell completion reads ledgers that may be in use: it writes nothing beside them and does not wait.
+// Shell completion and `doctor` read ledgers that may be in use: they write nothing beside them and do not wait.
 
 const ID_LENGTH: usize = 16;
 
@@ -477,6 +479,26 @@ impl Glance {
     /// Opens an existing file.
     pub fn at(path: &Path) -> Result<Self, StoreError> {
         Ok(Self { connection: database::open_glance(path)?.into(), path: path.to_owned() })
+    }
+
+    /// A server's store; `None` if its tables are not made yet.
+    pub fn on_server(url: &str, roots: Option<&Path>) -> Result<(Option<Self>, Durability), StoreError> {
+        let server = Server::at(url, roots)?;
+        let path = server.place().to_owned();
+        let looked = || {
+            let client = server.connect()?;
+            let is_made = server.is_made(&client)?;
+            let connection = Connection::from(client);
+            let durability = durability::of(&connection)?.ok_or(StoreError::Closed)?;
+            Ok((is_made.then_some(connection), durability))
+        };
+        let (connection, durability) = looked().map_err(|error: StoreError| error.in_file(&path))?;
+        Ok((connection.map(|connection| Self { connection, path }), durability))
+    }
+
+    /// Where it is, for messages.
+    pub fn path(&self) -> &Path {
+        &self.path
     }
 
     /// In order; untrusted text: clean it.

@@ -15,14 +15,14 @@ use futures_util::TryStreamExt as _;
 use tokio_postgres::error::{Severity, SqlState};
 use tokio_postgres::{AsyncMessage, Socket, tls};
 
-use super::{Error, Kind, Params, Result, dialect};
+use super::{Error, Kind, Params, Refusal, Result, dialect};
 use crate::model::clean;
 
 mod server;
 mod values;
 
 use self::server::Driver;
-pub(crate) use self::server::Server;
+pub(crate) use self::server::{Server, apart, milliseconds};
 pub(super) use self::values::cell;
 use self::values::{Bound, has_nul};
 
@@ -262,8 +262,11 @@ fn kind_of_state(code: &SqlState) -> Kind {
         "42P01" | "42703" | "42883" => Kind::Altered,
         "53100" => Kind::Full,
         "XX001" | "XX002" => Kind::Damaged,
-        // Password, rights, too many connections, no such database.
-        "28000" | "28P01" | "42501" | "53300" | "3D000" => Kind::Refused,
+        "28000" | "28P01" => Kind::Refused(Refusal::Login),
+        "3D000" => Kind::Refused(Refusal::Database),
+        "42P07" => Kind::Refused(Refusal::Taken),
+        "42501" => Kind::Refused(Refusal::Rights),
+        "53300" => Kind::Crowded,
         _ => Kind::Other,
     }
 }

@@ -10,6 +10,7 @@ use tokio::task::block_in_place;
 use crate::chain::{
     Chain, ChainError, ChainOptions, DEFAULT_DELAY, Endpoint, LONGEST_DELAY, Pin, SHORTEST_DELAY, serve,
 };
+use crate::config::Config;
 use crate::event::NoticeLevel;
 use crate::failure::{input, refused};
 use crate::model::ProfileName;
@@ -146,9 +147,9 @@ impl Connection {
     }
 }
 
-/// Also `true` if nobody can tell.
-pub fn is_bound(home: &Home) -> bool {
-    !matches!(block_in_place(|| network_pin_in(&home.ledger())), Ok(None))
+/// Also `true` if nobody can tell: a gateway's database is not asked for it.
+pub fn is_bound(home: &Home, config: &Config) -> bool {
+    config.store_url.is_some() || !matches!(block_in_place(|| network_pin_in(&home.ledger())), Ok(None))
 }
 
 const MOST_COMPARED: u64 = 10_000;

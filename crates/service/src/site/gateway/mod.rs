@@ -14,6 +14,7 @@ use crate::site::gateway::admissions::Admissions;
 use crate::site::mirror::remote::Remote;
 use crate::site::parts::Parts;
 use crate::site::sharing::Sharing;
+use crate::site::storage::check_all_accounts;
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, RwLock};
@@ -144,6 +145,7 @@ impl Gateway {
                 keeper.profile
             )));
         }
+        block_in_place(|| check_all_accounts(&self.parts))?;
         self.admissions.open()?;
         let under = Arc::new(RwLock::new(keeper.envelopes()));
         let place = Place {

@@ -20,6 +20,7 @@ use super::parts::Parts;
 use super::pins::Pinning;
 use super::reading::Reading;
 use super::sharing::Sharing;
+use super::storage::check_unused;
 use crate::chain::Call;
 use crate::command::{SecretBytes, SecretText};
 use crate::crypto::{Fingerprint, Keyring, Passphrase, UnlockedKeyring, prove, read_public};
@@ -58,6 +59,7 @@ impl Profiles {
     pub async fn create(self: &Arc<Self>, profile: ProfileName, secret: SecretText) -> Result<IdentityView> {
         let path = self.parts.home.keyring(&profile);
         let _one_at_a_time = self.parts.owners.opening(&profile).await;
+        block_in_place(|| check_unused(&self.parts))?;
         self.check_account(&profile)?;
         if path.exists() {
             return Err(refused(format!(

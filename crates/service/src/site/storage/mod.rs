@@ -1,6 +1,7 @@
 //! Data on the disk: space for it, retention, and integrity after a crash.
 
 mod retention;
+mod server;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
@@ -8,6 +9,8 @@ use std::time::Duration;
 
 use tokio::task::block_in_place;
 
+pub(crate) use self::server::other_gateway;
+pub(in crate::site) use self::server::{check_all_accounts, check_unused, open_on_server};
 use super::parts::Parts;
 use super::reading::Reading;
 use crate::event::{NoticeLevel, Part};
@@ -65,6 +68,10 @@ impl Storage {
             let now_away = self.parts.plant.ciphertext.cache().and_then(|cache| cache.away).map(|away| away.since);
             if std::mem::replace(&mut away, now_away) != now_away {
                 self.parts.hub.changed(Part::Health);
+            }
+            if self.parts.is_on_server() {
+                pause = LOOKS.1;
+                continue;
             }
             let Ok(free) = block_in_place(|| free_bytes(self.parts.home.root())) else { continue };
             pause = if free.saturating_sub(reserve) / FASTEST > LOOKS.1.as_secs() { LOOKS.1 } else { LOOKS.0 };

@@ -144,7 +144,11 @@ fn what_no_standby_has_is_not_acknowledged() {
     set(&cluster, "ALTER SYSTEM SET synchronous_standby_names = 'absent'");
     let durability = ledger.inspection.durability().expect("read").expect("a server's");
     assert_eq!((durability.commits.as_str(), durability.standbys.as_str()), ("off", "absent"), "{durability:?}");
-    assert!(!durability.fsync && !durability.is_standby && durability.waits_for == 0, "{durability:?}");
+    assert!(!durability.fsync && !durability.is_standby && durability.ahead.abs() < 60_000, "{durability:?}");
+    assert_eq!(durability.connected, None, "an ordinary user does not see them");
+    cluster.admin().expect("connects").script("GRANT pg_monitor TO authros").expect("granted");
+    let seen = ledger.inspection.durability().expect("read").expect("a server's");
+    assert_eq!(seen.connected, Some(0));
     assert!(durability.version.contains('.'), "{durability:?}");
     let is_waiting = "SELECT count(*) FROM pg_stat_activity WHERE wait_event = 'SyncRep'";
     let waits = || cluster.admin().expect("connects").number(is_waiting).expect("read") == Some(1);
@@ -293,6 +297,31 @@ fn patterns_match_names_in_statements_as_in_the_program() {
     assert!(found > 20, "{found}");
 }
 
+/// What robots, owners and readers keep is not on a server: there it is empty, not damaged.
+#[test]
+fn what_a_desk_has_not_is_empty() {
+    let (_home, ledger) = open();
+    append(&ledger, 1, 1).expect("acknowledged");
+    let (owner, digest) = (Address([1; 20]), record(1, 1, 1).digest);
+    for topic in [None, Some("/odom")] {
+        assert_eq!(ledger.pins.list(owner, topic).expect("pins"), []);
+        assert_eq!(ledger.pins.alarms(owner, topic).expect("alarms"), []);
+    }
+    for (decided, newest_first) in [(false, true), (true, false)] {
+        let query = HeldQuery { decided, newest_first, ..HeldQuery::default() };
+        assert_eq!(ledger.quarantine.held(owner, &query).expect("held"), []);
+    }
+    assert_eq!(ledger.quarantine.unreported(owner, u64::MAX >> 1).expect("minutes"), None);
+    assert_eq!(ledger.losses.open_gaps(owner, Timestamp(1), 9).expect("gaps"), []);
+    assert_eq!(ledger.incidents.list(owner).expect("incidents"), []);
+    let name = "crash".parse().expect("a name");
+    assert_eq!(ledger.incidents.find(owner, &name).expect("an incident"), None);
+    assert_eq!(ledger.forwarding.undecided(None, 9).expect("forwarded").rows, []);
+    assert_eq!(ledger.forwarding.receipt_of(digest).expect("a receipt"), None);
+    assert_eq!(ledger.forwarding.proven(digest).expect("a proof"), None);
+}
+
 server::on_a_server! {
+    what_a_desk_has_not_is_empty,
     patterns_match_names_in_statements_as_in_the_program,
 }

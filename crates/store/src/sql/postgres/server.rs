@@ -14,14 +14,16 @@ use tokio_postgres_rustls::MakeRustlsConnect;
 
 use super::{Client, detail_of, drive, kind_of_state, wait};
 use crate::StoreError;
-use crate::model::clean;
-use crate::sql::{Error, Kind, Result};
+use crate::model::{Timestamp, clean, coarse};
+use crate::sql::{Error, Kind, Refusal, Result};
 
 const PATIENCE: Duration = Duration::from_secs(5);
 /// A silent peer is asked, and given up some seconds later.
 const SILENCE: Duration = Duration::from_secs(10);
 const USUAL_PORT: u16 = 5432;
 const SCHEMES: [&str; 2] = ["postgres://", "postgresql://"];
+/// The client's own words.
+const NO_WRITES: &str = "database does not allow writes";
 
 /// What a user's or the database's own settings must not change: nothing ends a commit that waits for a standby.
 const SESSION: &str = "SET statement_timeout = 0; SET idle_in_transaction_session_timeout = 0; SET lock_timeout = 0;
@@ -43,6 +45,16 @@ const SCHEMA: &str = include_str!("../../ledger/postgres.sql");
 const VERSION: i64 = 1;
 const IS_MADE: &str = "SELECT 1 WHERE to_regclass('about') IS NOT NULL";
 const VERSION_OF: &str = "SELECT version FROM about";
+/// Tables of the store that the user may not write.
+const CLOSED: &str = "SELECT count(*) FROM pg_class WHERE relkind = 'r'
+    AND NOT (has_table_privilege(oid, 'INSERT') AND has_table_privilege(oid, 'UPDATE'))
+    AND relnamespace = (SELECT relnamespace FROM pg_class WHERE oid = to_regclass('about'))";
+/// What keeps writes away, asked of a server that takes none.
+const IS_STANDBY: &str = "SELECT pg_is_in_recovery()::INTEGER";
+/// Milliseconds since 1970.
+const CLOCK: &str = "SELECT (extract(epoch FROM clock_timestamp()) * 1000)::BIGINT";
+/// Leases and rights end by the server's clock, captured records carry this machine's.
+const APART: Duration = Duration::from_secs(120);
 
 /// What drives connections, as long as there are any. `None` while it ends.
 pub(super) struct Driver(Option<Runtime>);
@@ -109,47 +121,117 @@ impl Server {
     /// Makes the tables in an empty database.
     pub fn writer(&self) -> std::result::Result<Client, StoreError> {
         let client = self.connect()?;
+        self.check_clock(&client)?;
         client.script(PENDING)?;
         client.begin()?;
         client.script(ALONE)?;
-        match client.number(IS_MADE)? {
-            None => {
-                client.script(SCHEMA)?;
-                client.commit()?;
-            }
-            Some(_) => match client.number(VERSION_OF)? {
-                // Nothing was written, so nothing waits for a standby.
-                None | Some(VERSION) => client.undo()?,
-                Some(found) => return Err(StoreError::Newer { file: self.place.clone(), found, known: VERSION }),
-            },
+        if self.is_made(&client)? {
+            // Nothing was written, so nothing waits for a standby.
+            client.undo()?;
+            may_write(&client)?;
+        } else {
+            client.script(SCHEMA)?;
+            client.commit()?;
         }
         Ok(client)
     }
 
+    /// Whether the store's tables are there, in the form that this program knows.
+    pub fn is_made(&self, client: &Client) -> std::result::Result<bool, StoreError> {
+        if client.number(IS_MADE)?.is_none() {
+            return Ok(false);
+        }
+        let taken = "a table about is another program's";
+        let version = client.number(VERSION_OF).map_err(|error| match error.kind {
+            Kind::Altered => Error::new(Kind::Refused(Refusal::Taken), taken),
+            _ => error,
+        });
+        match version? {
+            None | Some(VERSION) => Ok(true),
+            Some(found) => Err(StoreError::Newer { file: self.place.clone(), found, known: VERSION }),
+        }
+    }
+
+    fn check_clock(&self, client: &Client) -> std::result::Result<(), StoreError> {
+        let before = milliseconds();
+        let there = client.number(CLOCK)?.unwrap_or_default();
+        let here = before.midpoint(milliseconds());
+        match apart(there - here) {
+            None => Ok(()),
+            Some(apart) => Err(StoreError::ServerClock { server: self.place.clone(), apart }),
+        }
+    }
+
     pub fn connect(&self) -> Result<Client> {
-        let client = match self.tls.clone() {
-            Some(tls) => self.connect_by(tls),
-            None => self.connect_by(NoTls),
-        }?;
+        let client = self.connect_with(&self.config).map_err(|error| match error.kind {
+            Kind::Standby => Error::new(Kind::Standby, self.why_no_writes()),
+            _ => error,
+        })?;
         client.script(SESSION)?;
         Ok(client)
     }
 
-    fn connect_by<T>(&self, tls: T) -> Result<Client>
+    fn why_no_writes(&self) -> &'static str {
+        let mut config = self.config.clone();
+        config.target_session_attrs(TargetSessionAttrs::Any);
+        match self.connect_with(&config).and_then(|client| client.number(IS_STANDBY)) {
+            Ok(Some(0)) => "its user may only read (default_transaction_read_only)",
+            Ok(_) => "it is a standby",
+            Err(_) => "it is a standby, or its user may only read",
+        }
+    }
+
+    fn connect_with(&self, config: &Config) -> Result<Client> {
+        match self.tls.clone() {
+            Some(tls) => self.connect_by(config.clone(), tls),
+            None => self.connect_by(config.clone(), NoTls),
+        }
+    }
+
+    fn connect_by<T>(&self, config: Config, tls: T) -> Result<Client>
     where
         T: MakeTlsConnect<Socket, Stream: Send + 'static> + Send + 'static,
         T::TlsConnect: TlsConnect<Socket, Future: Send> + Send,
     {
         let Some(runtime) = &self.driver.0 else { return Err(Error::new(Kind::Broken, "the store is closed")) };
-        let (config, warnings) = (self.config.clone(), Arc::new(AtomicU64::new(0)));
+        let warnings = Arc::new(AtomicU64::new(0));
         let opening = runtime.spawn(async move { config.connect(tls).await });
         let opened = wait(opening).map_err(|error| Error::new(Kind::Broken, clean(&error.to_string(), 200)))?;
         let (client, connection) = opened.map_err(|error| {
-            let kind = error.code().map_or(Kind::Broken, kind_of_state);
+            let kind = error.code().map_or_else(|| kind_of_connecting(&error), kind_of_state);
             Error::new(kind, detail_of(&error))
         })?;
         runtime.spawn(drive(connection, Arc::clone(&warnings)));
         Ok(Client::new(client, warnings, Arc::clone(&self.driver)))
+    }
+}
+
+/// Of this machine's clock.
+pub(crate) fn milliseconds() -> i64 {
+    i64::try_from(Timestamp::now().0 / 1_000_000).unwrap_or(i64::MAX)
+}
+
+/// `1 h ahead of`, if clocks that differ by these milliseconds differ too much.
+pub(crate) fn apart(ahead: i64) -> Option<String> {
+    let word = if ahead > 0 { "ahead of" } else { "behind" };
+    let length = Duration::from_millis(ahead.unsigned_abs());
+    (length > APART).then(|| format!("{} {word}", coarse(length)))
+}
+
+/// Of an error that no server named. The client refuses a server that takes no writes by an error of its own.
+fn kind_of_connecting(error: &tokio_postgres::Error) -> Kind {
+    let cause = std::error::Error::source(error).and_then(|cause| cause.downcast_ref::<std::io::Error>());
+    let takes_no_writes = cause.is_some_and(|cause| cause.to_string() == NO_WRITES);
+    if takes_no_writes { Kind::Standby } else { Kind::Broken }
+}
+
+fn may_write(client: &Client) -> Result<()> {
+    match client.number(CLOSED)? {
+        None | Some(0) => Ok(()),
+        Some(count) => {
+            let detail = format!("its user may not write {count} of the store's tables");
+            Err(Error::new(Kind::Refused(Refusal::Rights), detail))
+        }
     }
 }
 
@@ -202,6 +284,13 @@ mod tests {
             let error = Server::at(url, None).expect_err(url);
             assert!(!error.to_string().contains("secret"), "{error}");
         }
+    }
+
+    #[test]
+    fn clocks_may_differ_by_two_minutes() {
+        assert_eq!((apart(0), apart(120_000), apart(-120_000)), (None, None, None));
+        assert_eq!(apart(121_000).as_deref(), Some("2 min ahead of"));
+        assert_eq!(apart(-3_600_000).as_deref(), Some("60 min behind"));
     }
 
     #[test]

@@ -1,0 +1,77 @@
+//! A gateway's store on a server: opened, and refused if it is another gateway's. The store knows the accounts of the
+//! gateway's profiles; a home of the same gateway has their keyrings.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use crate::crypto::read_public;
+use crate::failure::refused;
+use crate::model::{Address, ProfileName};
+use crate::paths::Home;
+use crate::reply::Result;
+use crate::site::parts::Parts;
+use crate::store::Ledger;
+use crate::store::notes::ProfileAccounts;
+
+type Accounts = BTreeMap<ProfileName, Vec<Address>>;
+
+pub(in crate::site) fn open_on_server(home: &Home, url: &str, roots: Option<&Path>) -> Result<Ledger> {
+    if home.ledger().exists() {
+        return Err(refused(format!(
+            "{} has records in a file already, and a gateway on a server begins in a new home: give another --home, or \
+             leave store.url empty",
+            home.root().display()
+        )));
+    }
+    let ledger = Ledger::on_server(url, roots)?;
+    match other_gateway(&known(&ledger)?, ledger.path(), home) {
+        // Without a profile, a saved keyring may still be restored.
+        Some(text) if !own(home).is_empty() => Err(refused(text)),
+        _ => Ok(ledger),
+    }
+}
+
+/// Refuses a new profile where the store is another gateway's.
+pub(in crate::site) fn check_unused(parts: &Parts) -> Result<()> {
+    let ledger = &parts.plant.ledger;
+    let other = if parts.is_on_server() { other_gateway(&known(ledger)?, ledger.path(), &parts.home) } else { None };
+    other.map_or(Ok(()), |text| Err(refused(text)))
+}
+
+/// Refuses to serve if another home with accounts of its own uses the same store.
+pub(in crate::site) fn check_all_accounts(parts: &Parts) -> Result<()> {
+    if !parts.is_on_server() {
+        return Ok(());
+    }
+    let (ledger, own) = (&parts.plant.ledger, own(&parts.home));
+    let mut others = known(ledger)?;
+    others.retain(|_, accounts| !accounts.iter().any(|account| own.contains(account)));
+    if others.is_empty() { Ok(()) } else { Err(refused(text(&others, ledger.path(), &parts.home))) }
+}
+
+/// What to say if a store that knows these accounts is not this home's.
+pub(crate) fn other_gateway(known: &Accounts, store: &Path, home: &Home) -> Option<String> {
+    let own = own(home);
+    let is_own = known.is_empty() || known.values().flatten().any(|account| own.contains(account));
+    (!is_own).then(|| text(known, store, home))
+}
+
+fn known(ledger: &Ledger) -> Result<Accounts> {
+    Ok(ledger.notes.read(&ProfileAccounts {})?.unwrap_or_default())
+}
+
+fn own(home: &Home) -> BTreeSet<Address> {
+    let public = |profile| read_public(&home.keyring(&profile)).ok();
+    home.profiles().into_iter().filter_map(public).map(|public| public.address).collect()
+}
+
+fn text(accounts: &Accounts, store: &Path, home: &Home) -> String {
+    let accounts: Vec<String> = accounts.values().flatten().map(ToString::to_string).collect();
+    format!(
+        "{} is the database of another gateway, whose account is {}, and {} has no keyring of it; name a database of its own in \
+         store.url, or bring that keyring here with `authros keys restore FILE`",
+        store.display(),
+        accounts.join(", "),
+        home.root().display()
+    )
+}
