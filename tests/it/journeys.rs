@@ -132,7 +132,7 @@ fn a_wiped_chain_is_one_alert_that_begins_with_its_remedy() {
     });
     let _node = node.kill_and_start_empty(&[]);
     for mut operator in operators {
-        operator.sees_row(&["chain", "start the pinned chain, or `authros --home NEW records import"]).presses("\r");
+        operator.sees_row(&["chain", "start the pinned chain, or", "--home NEW records import"]).presses("\r");
         operator.reads("Alerts", "chain: start the pinned chain, or `authros --home NEW records import OLD`");
         operator.reads("Alerts", "anchoring is paused, records are safe");
         let alerts = operator.popup("Alerts");
