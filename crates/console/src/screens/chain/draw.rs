@@ -30,7 +30,7 @@ fn draw_known(canvas: &mut Canvas, area: Rect, state: &State, chain: &ChainView)
         ("Address", state.address().map_or_else(|| "no identity yet".to_owned(), |address| address.to_string())),
         ("Balance", ether(&chain.balance)),
         ("Next nonce", chain.nonce.to_string()),
-        ("Pending", format!("{} of yours not in a block yet", counted(chain.pending, "transaction"))),
+        ("Pending", format!("{} of your transactions not in a block yet", words::count(chain.pending))),
         ("Gas", gas(&chain.gas)),
         ("Admin", administrator(state, &chain.administration)),
     ];
